@@ -1,6 +1,6 @@
-// One axis of a separable operation: what a file's own `with_tap` makes of the cells within reach. Taps beyond a wall read the
-// outermost cell before it. A thread makes a run of RUN = 4 pairs one after the other along the axis, so that a sample that it
-// reads tells of all of them.
+// One axis of a separable operation, with `with_tap` of the including file for the cells within
+// reach. Taps beyond a wall read the outermost cell before it. A thread computes a run of RUN = 4
+// pairs along the axis, so that it reads each sample once for all of them.
 
 struct AxisPush {
     // The lowest cell within the walls, and the highest.
@@ -8,9 +8,9 @@ struct AxisPush {
     axis: u32,
     walls_hi: vec3<i32>,
     reach: u32,
-    // Cells at the block's faces that are not to be computed.
+    // Cells at the block's faces to skip.
     margin: vec3<u32>,
-    // Bits that sums are shifted down by, where there are any.
+    // Bits by which sums are shifted down, if there are sums.
     shift: u32,
 }
 
@@ -19,8 +19,9 @@ var<immediate> push: AxisPush;
 @group(0) @binding(1) var<storage, read> samples: array<u32>;
 @group(0) @binding(2) var<storage, read_write> filtered: array<u32>;
 
-// What was made of eight cells so far, and the weights of the last tap for them. Along x `a` are the first four of the run's cells and
-// `b` the last; along the others the first and the second of each pair.
+// The results of eight cells so far, and the weights of the last tap for them. Along x `a` has the
+// first four cells of the run and `b` the last four; along the other axes they have the first and
+// the second cell of each pair.
 struct Run {
     a: vec4<u32>,
     b: vec4<u32>,
@@ -28,7 +29,7 @@ struct Run {
     b_weights: vec4<u32>,
 }
 
-// Takes a tap that is `k` cells from the first of the run.
+// Adds a tap that is `k` cells from the first cell of the run.
 fn with_next(run: Run, k: i32, samples: vec2<u32>) -> Run {
     var next = run;
     let weight = weight_of(k);
@@ -43,10 +44,10 @@ fn with_next(run: Run, k: i32, samples: vec2<u32>) -> Run {
     return next;
 }
 
-// Makes run number `number` of a block, if there is such.
+// Computes run number `number` of a block, if there is such a run.
 fn filter_run(number_of_block: u32, number: u32) {
     let block = blocks[number_of_block];
-    // Of a pair, one cell that is wanted is enough.
+    // A pair is computed if either of its cells is wanted.
     var lo = max(vec3<i32>(push.margin), push.walls_lo - block.lo);
     var hi = min(vec3<i32>(block.size) - vec3<i32>(push.margin), push.walls_hi + 1 - block.lo);
     lo.x &= ~1;
@@ -62,7 +63,8 @@ fn filter_run(number_of_block: u32, number: u32) {
     at[push.axis] *= RUN;
     at.x *= 2u;
     at += vec3<u32>(lo);
-    // The walls along this axis, relative to the block. Cells that nobody wants can have taps beyond it.
+    // The walls along this axis, relative to the block. Cells that are not wanted can have taps
+    // beyond the block.
     let end = i32(block.size[push.axis]) - 1;
     let first = max(push.walls_lo[push.axis] - block.lo[push.axis], 0);
     let last = min(push.walls_hi[push.axis] - block.lo[push.axis], end);

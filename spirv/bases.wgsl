@@ -1,19 +1,20 @@
 //! with tally scan
-// Where the tiles, vertices and triangles of each block begin among those of the batch: an exclusive prefix sum by one
-// work group. The last entry holds the totals, which also tell how many work groups write them.
+// The start of each block's tiles, vertices and triangles in the batch: an exclusive prefix sum by
+// one work group. The last entry has the totals, which determine the number of work groups that
+// write them.
 
 struct BasesPush {
     // Blocks of the batch.
     blocks: u32,
-    // Vertices that there is room for.
+    // Vertices for which there is memory.
     room: u32,
-    // Work groups of a row at the most.
+    // Maximum number of work groups in a row.
     width: u32,
 }
 
 var<immediate> push: BasesPush;
 @group(0) @binding(0) var<storage, read_write> tallies: array<BlockTally>;
-// Work groups, one a tile, in rows; none where vertices do not fit.
+// Work groups, one per tile, in rows; none if the vertices do not fit.
 @group(0) @binding(1) var<storage, read_write> groups: array<u32, 3>;
 
 @compute @workgroup_size(256)

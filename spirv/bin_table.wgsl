@@ -1,8 +1,8 @@
-// A hash table of bins: none is ever removed, so each has one slot.
+// A hash table of bins. Bins are never removed, so each bin has one slot.
 
 struct BinSlot {
-    // 0 where it is free, SETTLED where `key` is known; else one more than the number in the chunk of the particle that
-    // took it, whose key it has.
+    // 0 for a free slot, SETTLED if `key` is known; otherwise 1 plus the number in the chunk of the
+    // particle that took the slot, whose key it has.
     owner: atomic<u32>,
     // Particles in the bin.
     count: atomic<u32>,

@@ -1,4 +1,4 @@
-// Blends shares of drops with those of sheets, by how certain those are.
+// Blends the shares of drops with those of sheets, weighted by the certainty of the sheets.
 
 struct BlendPush {
     // Words of the fields.
@@ -8,7 +8,7 @@ struct BlendPush {
 var<immediate> push: BlendPush;
 @group(0) @binding(0) var<storage, read> sheets: array<u32>;
 @group(0) @binding(1) var<storage, read> certainty: array<u32>;
-// Of drops, to become both.
+// The shares of drops; replaced by the result.
 @group(0) @binding(2) var<storage, read_write> shares: array<u32>;
 
 fn blended(drop: u32, sheet: u32, certain: u32) -> u32 {

@@ -1,22 +1,23 @@
-// Padded blocks of 16-bit samples, two to a word, x fastest. Rows begin at even cells and hold whole words.
+// Padded blocks of 16-bit samples, two per word, x fastest. Rows begin at even cells and consist of
+// whole words.
 
 struct Block {
     // The lowest cell, and its first word in the field.
     lo: vec3<i32>,
     field: u32,
-    // In cells, and the first entry of its page table.
+    // The size in cells, and the first entry of the block's page table.
     size: vec3<u32>,
     table: u32,
     // The lowest cell of the tiles that are meshed.
     tiles_lo: vec3<i32>,
-    // Its first word among the bits of bricks of all blocks, where there are any.
+    // Its first word among the bits of bricks of all blocks, if there are any.
     marks: u32,
     // In cells.
     tiles_size: vec3<u32>,
     spare: u32,
 }
 
-// The word of a cell given relative to the block's lowest.
+// The word of a cell, relative to the block's lowest cell.
 fn word_of(block: Block, at: vec3<u32>) -> u32 {
     return block.field + at.x / 2u + block.size.x / 2u * (at.y + block.size.y * at.z);
 }

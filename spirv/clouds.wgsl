@@ -1,16 +1,17 @@
 //! with binned brick
-// The discrete indicator function of clouds, a part of a bin's samples a work group: atomic sums in shared memory of what
-// the clouds of the bin's particles leave in the bricks that hold them, and in those bricks' ghost layers.
+// The discrete indicator function of clouds; each work group computes a part of a bin's samples.
+// Shared memory has atomic sums of the particles' contributions to the bricks of their cells,
+// including these bricks' ghost layers.
 
 struct CloudsPush {
     // The lowest cell within the walls, and the highest.
     walls_lo: vec3<i32>,
-    // What a particle makes of the DIF, all around.
+    // The total contribution of a particle to the DIF.
     amount: u32,
     walls_hi: vec3<i32>,
-    // Of a cell's coordinate, those in its brick.
+    // The number of low bits of a cell's coordinate within its brick.
     brick_bits: u32,
-    // Of a work group.
+    // Samples per work group.
     group_samples: u32,
     page_words: u32,
 }
@@ -22,7 +23,7 @@ var<immediate> push: CloudsPush;
 
 var<workgroup> sums: array<atomic<u32>, CLOUD_SAMPLES>;
 
-// Sums beyond this are as good as infinite, and far from what 32 bits hold.
+// Sums above this count as infinite; the margin prevents an overflow of 32 bits.
 const ENOUGH: u32 = 1u << 31u;
 
 fn add(at: u32, value: u32) {
@@ -31,8 +32,8 @@ fn add(at: u32, value: u32) {
     }
 }
 
-// The shares of a cloud in the cell below, the particle's own, and the one above. What would lie beyond a wall lies in
-// the cell before it.
+// The shares of a cloud in the cell below, the particle's own, and the one above. The share beyond
+// a wall is added to the cell before it.
 fn shares(offset: u32, at_lo: bool, at_hi: bool) -> array<u32, 3> {
     let twice = 2u * offset + 1u;
     let rest = (2u << FRACTION_BITS) - twice;

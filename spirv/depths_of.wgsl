@@ -1,24 +1,26 @@
-// Two surfaces of the bulk: distances told by the shares under three widths, and lines through two of them each to the width of 0.
+// Two surfaces of the bulk: depths from the shares under three widths, and lines through two of
+// them each, extrapolated to the width 0.
 
 struct DepthsOfPush {
     // Words of the field.
     words: u32,
-    // What samples are taken by to be shares of the plateau.
+    // The factor from samples to shares of the plateau.
     scale: u32,
-    // The standard deviations, and how many of them the greatest distance is.
+    // The standard deviations, and the maximum distance in them.
     narrow_width: i32,
     middle_width: i32,
     wide_width: i32,
     narrow_most: i32,
     middle_most: i32,
     wide_most: i32,
-    // How far beyond the narrower of two widths, in what both differ by.
+    // The extrapolation from two widths to 0, relative to their difference.
     fine_share: i32,
     calm_share: i32,
 }
 
 var<immediate> push: DepthsOfPush;
-// The field under each width, to become the fine surface, what both are apart by, and the calm surface.
+// The field under each width; replaced by the fine surface, the difference of the surfaces, and the
+// calm surface.
 @group(0) @binding(0) var<storage, read_write> narrow: array<u32>;
 @group(0) @binding(1) var<storage, read_write> middle: array<u32>;
 @group(0) @binding(2) var<storage, read_write> wide: array<u32>;
@@ -38,7 +40,7 @@ fn beyond(near: i32, far: i32, share: i32) -> i32 {
     return clamp(distance + DISTANCE_ZERO, 1, 65535);
 }
 
-// The fine surface, what both are apart by, and the calm surface.
+// The fine surface, the difference of the surfaces, and the calm surface.
 fn surfaces(shares: vec3<u32>) -> vec3<u32> {
     let a = depth(shares.x, push.narrow_width, push.narrow_most);
     let b = depth(shares.y, push.middle_width, push.middle_most);

@@ -1,6 +1,6 @@
 //! with block tile slot tally
-// Writes the tiles of a batch and what the field is at both ends of every crossed dual edge: a tile a work group, a
-// cell a thread.
+// Writes the tiles of a batch and the field at both ends of every crossed dual edge: one work group
+// per tile, one thread per cell.
 
 struct EmitPush {
     // The lowest cell within the walls, and the highest.
@@ -8,7 +8,7 @@ struct EmitPush {
     // Blocks of the batch.
     blocks: u32,
     walls_hi: vec3<i32>,
-    // Whether to write the field's falling differences too.
+    // Whether to write the negative differences of the field too.
     normals: u32,
 }
 
@@ -17,13 +17,13 @@ var<immediate> push: EmitPush;
 @group(0) @binding(1) var<storage, read> field: array<u32>;
 @group(0) @binding(2) var<storage, read> signs: array<vec2<u32>>;
 @group(0) @binding(3) var<storage, read> slots: array<TileSlot>;
-// Where each block begins in the batch.
+// The start of each block in the batch.
 @group(0) @binding(4) var<storage, read> tallies: array<BlockTally>;
 // TILE_WORDS each: Morton index, first vertex in the block, eight corners.
 @group(0) @binding(5) var<storage, read_write> tiles: array<u32>;
-// Per vertex the sample at the lower end of its edge, and at the upper.
+// For each vertex, the samples at the lower and the upper end of its edge.
 @group(0) @binding(6) var<storage, read_write> ends: array<u32>;
-// Per vertex, at the lower end and then at the upper, the differences along x, y and z.
+// For each vertex, at the lower and then at the upper end, the differences along x, y and z.
 @group(0) @binding(7) var<storage, read_write> falls: array<i32>;
 
 // Beyond a wall the field repeats the edge cell.
@@ -38,7 +38,7 @@ fn falling(block: Block, cell: vec3<i32>, axis: u32) -> i32 {
     return i32(sample(block, cell - up)) - i32(sample(block, cell + up));
 }
 
-// The block that holds a tile of the batch: the last that begins no later.
+// The block of a tile of the batch: the last block that begins no later.
 fn block_of(tile: u32) -> u32 {
     var low = 0u;
     var beyond = push.blocks;

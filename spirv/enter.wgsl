@@ -1,11 +1,12 @@
 //! with bin_table
-// Counts the particles of a chunk by bin, and notes each one's: a particle a thread. A bin's first particle takes a slot for it; whether two
-// particles share a bin is read from their keys, which were written before.
+// Counts the particles of a chunk by bin, and stores each particle's slot: one thread per particle.
+// A bin's first particle takes a slot for the bin. Two particles are in the same bin if their keys,
+// which were written before, are equal.
 
 struct EnterPush {
     // Particles of the chunk.
     count: u32,
-    // Slots less one.
+    // Number of slots minus 1.
     mask: u32,
 }
 
@@ -21,7 +22,7 @@ var<immediate> push: EnterPush;
 @group(0) @binding(0) var<storage, read> keys: array<vec2<u32>>;
 @group(0) @binding(1) var<storage, read_write> slots: array<BinSlot>;
 @group(0) @binding(2) var<storage, read_write> census: array<Census>;
-// The slot of each particle's bin; NO_BIN where it has none.
+// The slot of each particle's bin; NO_BIN for a particle without a bin.
 @group(0) @binding(3) var<storage, read_write> homes: array<u32>;
 
 fn has_key(owner: u32, at: u32, key: vec2<u32>) -> bool {

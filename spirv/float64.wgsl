@@ -1,7 +1,7 @@
-// IEEE 754 double precision by whole numbers, the same on every device: bits are (low word, high word), results are
-// rounded to nearest, ties to even. Needs `wide`.
+// IEEE 754 double precision in integer arithmetic, the same on every device: numbers are (low word,
+// high word), results are rounded to nearest, ties to even. Needs `wide`.
 
-// significand * 2^exponent, and the sign where it is in the bits.
+// significand * 2^exponent, with the sign in its bit.
 struct Parts {
     significand: vec2<u32>,
     exponent: i32,
@@ -21,14 +21,14 @@ fn parts_of(a: vec2<u32>) -> Parts {
     return Parts(vec2(a.x, (a.y & 0xfffffu) | hidden), max(i32(biased), 1) - 1075, a.y & SIGN);
 }
 
-// With the significand's highest bit set, unless it is 0.
+// Normalised so that the significand's highest bit is set, unless it is 0.
 fn normalised(a: vec2<u32>) -> Parts {
     let parts = parts_of(a);
     let shift = min(leading_zeros(parts.significand), 63u);
     return Parts(left(parts.significand, shift), parts.exponent - i32(shift), parts.sign);
 }
 
-// Shifted right; the lowest bit tells whether any bit was lost.
+// A shift to the right; the lowest bit is set if any bit was lost.
 fn right_sticky(a: vec2<u32>, n: u32) -> vec2<u32> {
     if n > 63u {
         return vec2(u32(any(a != vec2(0u))), 0u);
@@ -37,7 +37,7 @@ fn right_sticky(a: vec2<u32>, n: u32) -> vec2<u32> {
     return vec2(shifted.x | u32(any(left(shifted, n) != a)), shifted.y);
 }
 
-// The number nearest to significand * 2^exponent. Where bits were lost before, the lowest tells.
+// The number nearest to significand * 2^exponent. If bits were lost before, the lowest bit is set.
 fn rounded(sign: u32, significand: vec2<u32>, exponent: i32) -> vec2<u32> {
     if all(significand == vec2(0u)) {
         return vec2(0u, sign);
@@ -55,13 +55,13 @@ fn rounded(sign: u32, significand: vec2<u32>, exponent: i32) -> vec2<u32> {
     let rest = bits.x & 0x7ffu;
     bits = right(bits, 11u);
     bits = plus(bits, vec2(u32(rest + (bits.x & 1u) > 0x400u), 0u));
-    // The hidden bit, where it is set, adds the last one to the exponent.
+    // The hidden bit, if it is set, adds the last 1 to the exponent.
     return vec2(bits.x, sign | (bits.y + (u32(biased - 1) << 20u)));
 }
 
 fn f64_add(a: vec2<u32>, b: vec2<u32>) -> vec2<u32> {
     if !is_finite(a) || !is_finite(b) {
-        // Of two that are not finite, only equal infinities have a sum.
+        // A sum of two non-finite numbers exists only for equal infinities.
         let none = !is_finite(a) && !is_finite(b) && any(a != b);
         return select(select(a, b, is_finite(a)), vec2(1u, EXPONENT), none);
     }
@@ -88,7 +88,7 @@ fn f64_sub(a: vec2<u32>, b: vec2<u32>) -> vec2<u32> {
     return f64_add(a, vec2(b.x, b.y ^ SIGN));
 }
 
-// Of finite numbers.
+// For finite numbers.
 fn f64_mul(a: vec2<u32>, b: vec2<u32>) -> vec2<u32> {
     let x = normalised(a);
     let y = normalised(b);
@@ -98,14 +98,14 @@ fn f64_mul(a: vec2<u32>, b: vec2<u32>) -> vec2<u32> {
     return rounded(x.sign ^ y.sign, bits, x.exponent + y.exponent + 64);
 }
 
-// By a finite number that is not 0, and (2^116 - 1) / its significand of 53 bits.
+// The divisor is finite and not 0; `reciprocal` is (2^116 - 1) / its significand of 53 bits.
 fn f64_div(a: vec2<u32>, b: vec2<u32>, reciprocal: vec2<u32>) -> vec2<u32> {
     if !is_finite(a) {
         return vec2(a.x, a.y ^ (b.y & SIGN));
     }
     let x = normalised(a);
     let y = normalised(b);
-    // floor(x 2^55 / y), or one less.
+    // floor(x 2^55 / y), or 1 less.
     var quotient = right(high_product(x.significand, reciprocal), 8u);
     let divisor = right(y.significand, 11u);
     var rest = minus(vec2(0u, right(x.significand, 11u).x << 23u), low_product(quotient, divisor));
@@ -138,7 +138,7 @@ fn f64_half(a: i32) -> vec2<u32> {
     return rounded(bitcast<u32>(a) & SIGN, vec2(u32(abs(a)), 0u), -1);
 }
 
-// a <= b, neither of them NaN.
+// a <= b, where neither is NaN.
 fn f64_at_most(a: vec2<u32>, b: vec2<u32>) -> bool {
     if (((a.y | b.y) & ~SIGN) | a.x | b.x) == 0u {
         return true;
@@ -160,7 +160,7 @@ fn f64_min(a: vec2<u32>, b: vec2<u32>) -> vec2<u32> {
     return select(a, b, f64_at_most(b, a));
 }
 
-// Both single-precision numbers below are bits.
+// The single-precision numbers below are given as bits.
 fn f64_from_f32(a: u32) -> vec2<u32> {
     let sign = a & SIGN;
     var biased = i32((a >> 23u) & 0xffu) + 896;

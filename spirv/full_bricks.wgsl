@@ -1,11 +1,11 @@
 //! with block brick
-// Which bricks of a bin of wide cells are full: those of which every cube of some spacings that holds any cell holds enough. A work
-// group a bin, with as many cells around as the cubes reach.
+// Finds the full bricks of a bin of wide cells: a brick is full if every cube that overlaps it has
+// a sufficient sum. One work group per bin, with a margin of cells for the cubes.
 
 struct FullBricksPush {
     // Edge of the cubes, in parts of two cells.
     width: u32,
-    // What they have to hold.
+    // The minimum sum of a cube.
     least: u32,
 }
 
@@ -15,7 +15,7 @@ var<immediate> push: FullBricksPush;
 // A bit for each brick, by its Morton index in the bin.
 @group(0) @binding(2) var<storage, read_write> bricks: array<vec2<u32>>;
 
-// Of the parts of the bin and around it, x fastest.
+// Sums of the parts of the bin and its margin, x fastest.
 var<workgroup> sums: array<u32, CUBE_PARTS>;
 // A bit for each cube, by its lowest part.
 var<workgroup> full: array<atomic<u32>, CUBE_WORDS>;

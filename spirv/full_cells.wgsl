@@ -1,21 +1,22 @@
 //! with block brick
-// What the host has to know of a page: which cells of its bin are full. A work group a page, a thread a row along x.
+// The data about a page that the host needs: the full cells of its bin. One work group per page,
+// one thread per row along x.
 
 struct Full {
-    // A bit for each layer across x, y and z that has a full cell.
+    // A bit for each layer across x, y and z with a full cell.
     layers: array<u32, 3>,
-    // How many cells are full.
+    // The number of full cells.
     count: u32,
-    // A bit for each brick that has a full cell of its own.
+    // A bit for each brick with a full cell of its own.
     bricks: array<u32, 2>,
 }
 
 struct FullCellsPush {
-    // Of a cell's coordinate, those in what is stored in one piece.
+    // The number of low bits of a cell's coordinate within its contiguous piece.
     piece_bits: u32,
-    // How many cells around their own pieces hold.
+    // The width of the ghost layer around each piece.
     ghost_layer: u32,
-    // Of a cell's coordinate, those in its brick.
+    // The number of low bits of a cell's coordinate within its brick.
     brick_bits: u32,
     page_words: u32,
 }

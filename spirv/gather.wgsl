@@ -1,19 +1,22 @@
 //! with block brick
-// Cuts padded blocks out of the pages: of every cell the sum over the bricks that hold it, or hold it in their ghost layers.
+// Gathers padded blocks from the pages: the sample of a cell is the sum over the bricks that
+// contain the cell, including their ghost layers.
 
 struct GatherPush {
-    // Entries of the table that turns numbers of particles into theta; 0 where pages hold theta.
+    // Number of entries of the table that converts numbers of particles to theta; 0 if pages
+    // contain theta.
     decode: u32,
-    // Of a cell's coordinate, those in its brick.
+    // The number of low bits of a cell's coordinate within its brick.
     brick_bits: u32,
-    // How many cells around their own bricks hold.
+    // The width of the ghost layer around each brick.
     ghost_layer: u32,
     page_words: u32,
 }
 
 var<immediate> push: GatherPush;
 @group(0) @binding(0) var<storage, read> blocks: array<Block>;
-// For every bin whose bricks and ghost layers a block touches, x fastest, one more than the number of its page, or 0.
+// For every bin whose bricks or ghost layers overlap a block, x fastest: the number of its page
+// plus 1, or 0.
 @group(0) @binding(1) var<storage, read> tables: array<u32>;
 // Brick after brick along the Morton curve, x fastest in each.
 @group(0) @binding(2) var<storage, read> pages: array<u32>;
@@ -27,7 +30,7 @@ fn decoded(sample: u32) -> u32 {
     return theta[min(sample, push.decode - 1u)];
 }
 
-// The bins that a block and its ghost layers touch: the lowest, and how many there are along each axis.
+// The bins that overlap a block and its ghost layers: the lowest, and their number along each axis.
 struct Bins {
     first: vec3<i32>,
     size: vec3<i32>,
@@ -39,7 +42,7 @@ fn bins_of(block: Block) -> Bins {
     return Bins(first, ((block.lo + vec3<i32>(block.size) - 1 + ghost_layer) >> vec3(BIN_BITS)) - first + 1);
 }
 
-// What a brick, given by its place in bricks, holds of a pair of cells.
+// The stored samples of a brick, by the brick's coordinates, for a pair of cells.
 fn stored(block: Block, bins: Bins, cell: vec3<i32>, brick: vec3<i32>) -> vec2<u32> {
     let corner = brick << vec3(push.brick_bits);
     let bin = (corner >> vec3(BIN_BITS)) - bins.first;
@@ -52,7 +55,7 @@ fn stored(block: Block, bins: Bins, cell: vec3<i32>, brick: vec3<i32>) -> vec2<u
     let inside = cell - corner + i32(push.ghost_layer);
     let row = edge * (u32(inside.y) + edge * (u32(inside.z) + edge * number));
     let first = (page - 1u) * push.page_words;
-    // Of the pair, one cell can lie beyond the brick's ghost layer.
+    // One cell of the pair can lie beyond the brick's ghost layer.
     let at = vec2(row + u32(max(inside.x, 0)), row + min(u32(inside.x + 1), edge - 1u));
     let samples = vec2(half_of(pages[first + at.x / 2u], at.x), half_of(pages[first + at.y / 2u], at.y));
     return select(vec2(0u), samples, vec2(inside.x >= 0, inside.x + 1 < i32(edge)));
@@ -63,7 +66,7 @@ fn gather(@builtin(global_invocation_id) id: vec3<u32>) {
     let block = blocks[id.y];
     let width = block.size.x / 2u;
     let row = id.x / width;
-    // A run along z, that what is found by divisions is found once.
+    // A run along z, so that the divisions are done once.
     var at = vec3(2u * (id.x % width), row % block.size.y, RUN * (row / block.size.y));
     let bins = bins_of(block);
     for (var i = 0u; i < RUN && at.z < block.size.z; i++) {

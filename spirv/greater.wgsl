@@ -1,4 +1,4 @@
-// Section 6.2: of two fields the greater, sample by sample.
+// Section 6.2: the greater of two fields, sample by sample.
 
 struct GreaterPush {
     // Words of the field.

@@ -1,21 +1,22 @@
 //! with block
-// Pages of cells twice as wide, of blocks of the cells that leave something in them. A thread makes a word of a page.
+// Makes pages of cells twice as wide from blocks of finer cells. One thread per word of a page.
 
 struct HalvePush {
-    // Of the finer cells, the lowest within the walls, and the highest.
+    // The lowest finer cell within the walls, and the highest.
     walls_lo: vec3<i32>,
-    // What the mean of the finer ones is taken by, of 2^16.
+    // The factor of the mean of the finer cells, in 2^-16.
     factor: u32,
     walls_hi: vec3<i32>,
 }
 
 var<immediate> push: HalvePush;
-// From one cell below the lowest wide one on: what lies of a bin of wide cells within the walls.
+// Each block has the finer cells of a bin of wide cells within the walls, and begins one cell below
+// the lowest wide cell.
 @group(0) @binding(0) var<storage, read> blocks: array<Block>;
 @group(0) @binding(1) var<storage, read> field: array<u32>;
 @group(0) @binding(2) var<storage, read_write> pages: array<u32>;
 
-// Along an axis, that of one of the four cells around the middle of a wide one.
+// The weight along an axis of one of the four cells around the middle of a wide cell.
 fn weight(i: i32) -> u32 {
     return select(1u, 3u, i == 1 || i == 2);
 }
@@ -38,7 +39,7 @@ fn wide_sample(block: Block, wide: vec3<i32>) -> u32 {
             sum += weight(y) * weight(z) * row;
         }
     }
-    // Of the product, which is wider than a word, the lowest 16 bits do not matter.
+    // The lowest 16 bits of the product, which is wider than a word, do not matter.
     let product = (sum >> 16u) * push.factor + (((sum & 0xffffu) * push.factor) >> 16u);
     return min((product + (1u << (HALVED_BITS - 17u))) >> (HALVED_BITS - 16u), FULL);
 }

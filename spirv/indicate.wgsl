@@ -1,6 +1,7 @@
 //! with wide binned
-// Cell sums of one octant of a bin a work group, by atomic sums in shared memory, and of them theta by symmetry (eq. 7), or for
-// counting the number of particles, of which a table of the host's makes theta (eq. 6) where they are gathered.
+// Cell sums of one octant of a bin per work group, with atomic sums in shared memory. For symmetry,
+// theta follows from the sums (eq. 7). For counting, the number of particles is stored, and a table
+// converts it to theta (eq. 6) when samples are gathered.
 
 struct IndicatePush {
     // 0 for symmetry.
@@ -12,7 +13,7 @@ var<immediate> push: IndicatePush;
 @group(0) @binding(1) var<storage, read> records: array<vec2<u32>>;
 @group(0) @binding(2) var<storage, read_write> pages: array<u32>;
 
-// Per cell: N, then the sums of offsets along x, y and z, low words and high words.
+// For each cell: N, then the sums of offsets along x, y and z, low words and high words.
 const SUMS: u32 = 7u;
 var<workgroup> sums: array<atomic<u32>, OCTANT_CELLS * SUMS>;
 
@@ -23,7 +24,7 @@ fn add(at: u32, high: u32, value: u32) {
     }
 }
 
-// b <= 31, by none of which a shift is as wide as a word.
+// b <= 31, so that no shift is as wide as a word.
 fn shifted(a: u32, b: u32) -> vec2<u32> {
     return vec2(a << b, (a >> 1u) >> (31u - b));
 }
@@ -60,7 +61,7 @@ fn divided(a: vec2<u32>, n: u32, bits: u32) -> vec2<u32> {
 // |D| / n, D in 0 to n F, rounded to 1 / DISTANCE_SCALE of a step.
 fn rounded(n: u32, s: vec2<u32>) -> u32 {
     let whole = divided(deviation(n, s), n, FRACTION_BITS + 1u);
-    // What is left is less than n; its share is (2 DISTANCE_SCALE rest + n) / (2 n).
+    // The rest is less than n; its quotient is (2 DISTANCE_SCALE rest + n) / (2 n).
     var twice = shifted(whole.y, DISTANCE_SCALE_BITS + 1u);
     twice.x += n;
     twice.y += u32(twice.x < n);
@@ -70,7 +71,7 @@ fn rounded(n: u32, s: vec2<u32>) -> u32 {
     return (whole.x << DISTANCE_SCALE_BITS) + share;
 }
 
-// The integer nearest to the square root, whatever the device's own root is off by.
+// The integer nearest to the square root, independent of the error of the device's square root.
 fn nearest_root(square: u32) -> u32 {
     var root = min(u32(sqrt(f32(square))), 65535u);
     while root * root > square {
@@ -126,7 +127,7 @@ fn indicate(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_i
         }
     }
     workgroupBarrier();
-    // Two cells a thread: a word of the page.
+    // Two cells per thread: a word of the page.
     for (var pair = local.x; pair < OCTANT_CELLS / 2u; pair += 256u) {
         let cell = 2u * pair;
         let inside = vec3(cell % OCTANT, cell / OCTANT % OCTANT, cell / (OCTANT * OCTANT));

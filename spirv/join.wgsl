@@ -1,29 +1,31 @@
 //! with block ramp
-// The bulk's surface, and where particles lie outside of it near by as much of the drops as they do so.
+// The bulk's surface, blended with the drops in proportion to the distance by which nearby
+// particles lie outside of it.
 
 struct JoinPush {
-    // The sample from which on particles stand out.
+    // The sample at which drops begin to fade in.
     begin: u32,
-    // Units until all of it is the drops'.
+    // The distance from there at which drops replace the surface, in units.
     range: u32,
     slope: u32,
-    // Of a particle alone.
+    // The radius of a single particle.
     radius: i32,
     // The standard deviation of a drop.
     width: i32,
 }
 
 var<immediate> push: JoinPush;
-// The parts of blocks where particles stand out, the blocks, and for each part the number of the block that it is of.
+// The parts of blocks in which particles stand out, the blocks, and for each part the number of its
+// block.
 @group(0) @binding(0) var<storage, read> parts: array<Block>;
 @group(0) @binding(1) var<storage, read> blocks: array<Block>;
 @group(0) @binding(2) var<storage, read> homes: array<u32>;
-// Of the parts.
+// On the parts.
 @group(0) @binding(3) var<storage, read> near: array<u32>;
 @group(0) @binding(4) var<storage, read> shares: array<u32>;
-// How far from the middle of a normal density a share of its greatest is.
+// The distance from the middle of a normal density at which it has a share of its maximum.
 @group(0) @binding(5) var<storage, read> away: array<i32>;
-// The bulk's surface, to become the field.
+// The bulk's surface; replaced by the field.
 @group(0) @binding(6) var<storage, read_write> field: array<u32>;
 
 fn joined(bulk: u32, outlying: u32, share: u32) -> u32 {

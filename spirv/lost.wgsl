@@ -1,4 +1,4 @@
-// Section 6.2: the DIF where smoothing took it to the isovalue or below, else 0.
+// Section 6.2: the DIF where smoothing reduced it to the isovalue or below, otherwise 0.
 
 struct LostPush {
     // Words of the field.

@@ -1,13 +1,14 @@
 //! with block ramp
-// The surface of the bulk: the calm one, and the fine one where both are apart all around, but not deep in the fluid. There is none
-// where nothing is near, and it is at its greatest in bricks that are inside.
+// The surface of the bulk: the calm one, blended with the fine one where their mean difference is
+// large, except deep in the fluid. Where no particle is near, it is 0; in inside bricks it is at
+// its maximum.
 
 struct MixBothPush {
-    // From where to where what both are apart by makes the fine surface of the calm one.
+    // The mean differences between which the fine surface replaces the calm one.
     apart_begin: u32,
     apart_range: u32,
     apart_slope: u32,
-    // From which sample of the calm surface to which it stays what it is.
+    // The samples of the calm surface between which the calm surface stays unchanged.
     deep_begin: u32,
     deep_range: u32,
     deep_slope: u32,
@@ -15,14 +16,14 @@ struct MixBothPush {
 
 var<immediate> push: MixBothPush;
 @group(0) @binding(0) var<storage, read> blocks: array<Block>;
-// The calm surface, to become the one that is drawn.
+// The calm surface; replaced by the result.
 @group(0) @binding(1) var<storage, read_write> calm: array<u32>;
 @group(0) @binding(2) var<storage, read> fine: array<u32>;
-// What both are apart by on average.
+// The mean difference of the two surfaces.
 @group(0) @binding(3) var<storage, read> apart: array<u32>;
-// 0 where no particle is.
+// 0 where no particle is near.
 @group(0) @binding(4) var<storage, read> near: array<u32>;
-// A bit for each brick that a block touches, x fastest: whether it is inside.
+// A bit for each brick that overlaps a block, x fastest: whether it is inside.
 @group(0) @binding(5) var<storage, read> marks: array<u32>;
 
 fn is_inside(block: Block, cell: vec3<i32>) -> bool {
@@ -40,8 +41,8 @@ fn mixed(calm: u32, fine: u32, apart: u32, near: u32) -> u32 {
     }
     let distance = u32(abs(i32(apart) - DISTANCE_ZERO));
     let shallow = 4096u - ramp_at(calm, Ramp(push.deep_begin, push.deep_range, push.deep_slope));
-    let told = ramp_at(distance, Ramp(push.apart_begin, push.apart_range, push.apart_slope));
-    let share = (told * shallow) >> 12u;
+    let shape = ramp_at(distance, Ramp(push.apart_begin, push.apart_range, push.apart_slope));
+    let share = (shape * shallow) >> 12u;
     return u32(i32(calm) + (((i32(fine) - i32(calm)) * i32(share) + 2048) >> 12u));
 }
 

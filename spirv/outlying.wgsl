@@ -1,15 +1,15 @@
-// By how much cells that hold a particle lie outside of the calm surface; 0 where they hold none.
+// The distance by which cells with particles lie outside of the calm surface; 0 for other cells.
 
 struct OutlyingPush {
     // Words of the field.
     words: u32,
-    // The least sample of a cell that holds a particle's centre.
+    // The minimum sample of a cell that contains a particle's centre.
     least: u32,
 }
 
 var<immediate> push: OutlyingPush;
 @group(0) @binding(0) var<storage, read> calm: array<u32>;
-// Clouds, to become the field.
+// Clouds; replaced by the field.
 @group(0) @binding(1) var<storage, read_write> field: array<u32>;
 
 @compute @workgroup_size(256)

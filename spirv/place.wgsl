@@ -1,5 +1,6 @@
 //! with wide float64 grid placing
-// The bin of every particle of a chunk and where it is there, and how many have none: a particle a thread.
+// The bin and the record of every particle of a chunk, and counts of the particles without a bin:
+// one thread per particle.
 
 struct PlacePush {
     // Words before the chunk's first coordinate.
@@ -16,9 +17,9 @@ struct Census {
     not_finite: atomic<u32>,
     too_far: atomic<u32>,
     outside: atomic<u32>,
-    // `count` less the number of the first invalid particle; 0 where there is none.
+    // `count` minus the number of the first invalid particle; 0 if there is none.
     invalid: atomic<u32>,
-    // Whether the table of bins was too small; of the first chunk only.
+    // Whether the table of bins was too small; only in the first chunk.
     overflow: atomic<u32>,
 }
 
@@ -30,10 +31,10 @@ var<immediate> push: PlacePush;
 @group(0) @binding(3) var<storage, read_write> packed: array<vec2<u32>>;
 @group(0) @binding(4) var<storage, read_write> census: array<Census>;
 
-// By fate; of those binned, the place is that of `invalid`.
+// Counts by fate; the entry for binned particles is used for `invalid`.
 var<workgroup> tally: array<atomic<u32>, 4>;
 
-// Per axis, from x on, the offset in the cell and then the cell in the bin.
+// For each axis from x on, the offset in the cell followed by the cell in the bin.
 fn record_of(placed: Placed) -> vec2<u32> {
     let axis = (vec3<u32>(placed.cell & vec3(BIN - 1)) << vec3(FRACTION_BITS)) | placed.offset;
     return vec2(

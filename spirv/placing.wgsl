@@ -1,7 +1,7 @@
-// Where a particle is, in f64 as the host has it: floor((x - origin) / cell). Uses `grid`, `positions` and `push` of the
-// shader.
+// The position of a particle in steps, in the host's f64 arithmetic: floor((x - origin) / cell).
+// Uses `grid`, `positions` and `push` of the shader.
 
-// What becomes of a particle.
+// The fate of a particle.
 const BINNED: u32 = 0u;
 const NOT_FINITE: u32 = 1u;
 const TOO_FAR: u32 = 2u;
@@ -19,7 +19,8 @@ struct Along {
     offset: u32,
 }
 
-// Rounds a number of cells down to steps of 2^-FRACTION_BITS; what is too large, or NaN, becomes CELL_LIMIT.
+// Rounds a number of cells down to steps of 2^-FRACTION_BITS; NaN and numbers that are too large
+// become CELL_LIMIT.
 fn along(cells: vec2<u32>) -> Along {
     let parts = parts_of(cells);
     let shift = -(parts.exponent + i32(FRACTION_BITS));
@@ -56,7 +57,7 @@ fn place_particle(i: u32) -> Placed {
         if !is_finite(world[0]) || !is_finite(world[1]) || !is_finite(world[2]) {
             placed.fate = NOT_FINITE;
         } else {
-            // What lies outside of the walls is no concern of the grid.
+            // The grid's limits do not matter outside of the walls.
             placed.fate = select(TOO_FAR, OUTSIDE, grid.walled != 0u);
         }
         return placed;
@@ -79,7 +80,7 @@ fn place_particle(i: u32) -> Placed {
     return placed;
 }
 
-// The bin that holds a cell: three coordinates of COORD_BITS.
+// The bin of a cell: three coordinates of COORD_BITS.
 fn bin_of(cell: vec3<i32>) -> vec2<u32> {
     let bin = vec3<u32>(cell >> vec3(BIN_BITS)) & vec3((1u << COORD_BITS) - 1u);
     return vec2(

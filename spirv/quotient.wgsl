@@ -1,15 +1,15 @@
-// Shares of clouds in what is around them.
+// Clouds divided by the clouds around them.
 
 struct QuotientPush {
     // Words of the field.
     words: u32,
-    // Of a share.
+    // Fraction bits of the quotient.
     bits: u32,
 }
 
 var<immediate> push: QuotientPush;
 @group(0) @binding(0) var<storage, read> around: array<u32>;
-// Clouds, to become shares.
+// Clouds; replaced by the quotient.
 @group(0) @binding(1) var<storage, read_write> field: array<u32>;
 
 @compute @workgroup_size(256)

@@ -1,6 +1,6 @@
 //! with block
-// A field of wide cells at the middles of cells: the quadratic B-spline whose control points it is. Cells beyond a wall are the
-// outermost before it.
+// Interpolates a field of wide cells at the middles of cells: its samples are the control points of
+// a quadratic B-spline. Cells beyond a wall repeat the outermost cell before it.
 
 struct RefinePush {
     // The lowest cell within the walls.
@@ -13,13 +13,13 @@ struct RefinePush {
 
 var<immediate> push: RefinePush;
 @group(0) @binding(0) var<storage, read> blocks: array<Block>;
-// Blocks of wide cells, and for each of the others the number of the one that it lies in.
+// Blocks of wide cells, and for each of the other blocks the number of the one that contains it.
 @group(0) @binding(1) var<storage, read> wide_blocks: array<Block>;
 @group(0) @binding(2) var<storage, read> within: array<u32>;
 @group(0) @binding(3) var<storage, read> wide: array<u32>;
 @group(0) @binding(4) var<storage, read_write> field: array<u32>;
 
-// What is known of a pair of cells and those above it: a thread makes RUN pairs, one over the other along z.
+// Results for a pair of cells and the pairs above it: a thread computes RUN pairs along z.
 const PLANES: u32 = RUN + 2u;
 
 fn mean(weights: vec3<u32>, taps: vec3<u32>) -> u32 {
@@ -38,14 +38,14 @@ fn weights_of(cell: i32) -> vec3<u32> {
     return vec3(below, 2u * edge * edge - below - above, above);
 }
 
-// Where wide cells along an axis lie in a block. Beyond walls nothing is known, and only cells that nobody asked for lie beyond the
-// block.
+// The positions of wide cells along an axis in a block. Beyond walls they are clamped, and only
+// cells that are not wanted lie beyond the block.
 fn wide_place(block: Block, axis: u32, cell: i32) -> u32 {
     let inside = clamp(cell, push.walls_lo[axis] >> push.level, push.walls_hi[axis] >> push.level);
     return u32(clamp(inside - block.lo[axis], 0, i32(block.size[axis]) - 1));
 }
 
-// Three wide cells along x, from words of their row.
+// Three wide cells along x, from the words of their row.
 fn row_of(begin: u32, x: vec3<u32>) -> vec3<u32> {
     return vec3(
         half_of(wide[begin + x.x / 2u], x.x),
@@ -79,7 +79,7 @@ fn refine(@builtin(global_invocation_id) id: vec3<u32>) {
     for (var i = 0; i < 3; i++) {
         rows[i] = around.size.x / 2u * wide_place(around, 1u, (y >> push.level) + i - 1);
     }
-    // Both cells of the pair in each plane of wide cells that any of the run is made of.
+    // Both cells of the pair in each plane of wide cells that the run needs.
     let lowest = (clamp(cell.z, push.walls_lo.z, push.walls_hi.z) >> push.level) - 1;
     let highest = clamp(cell.z + i32(RUN) - 1, push.walls_lo.z, push.walls_hi.z) >> push.level;
     var planes: array<vec2<u32>, PLANES>;

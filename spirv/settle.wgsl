@@ -1,5 +1,6 @@
 //! with bin_table
-// Gives the slots that a chunk took the keys of their bins, before the next chunk comes: a slot a thread.
+// Writes the keys of the bins into the slots that a chunk took, before the next chunk: one thread
+// per slot.
 
 struct SettlePush {
     slots: u32,

@@ -1,11 +1,12 @@
 //! with block ramp
-// Shares of sheets and threads and how certain these are, by the smoothed density. Cells beyond a wall are the outermost before it.
-// The formulas stand in src/field/sheets/mod.rs; numbers have SHEET_BITS fraction bits, and logarithms are to base 2.
+// Shares and certainty of sheets and threads, from the smoothed density. Cells beyond a wall repeat
+// the outermost cell before it. The formulas are in src/field/sheets/mod.rs; numbers have
+// SHEET_BITS fraction bits, and logarithms are binary.
 
 struct SheetsPush {
     // The lowest cell within the walls.
     walls_lo: vec3<i32>,
-    // How many cells apart samples are whose differences are taken.
+    // The distance of the samples for differences, in cells.
     step: i32,
     // The highest cell within the walls.
     walls_hi: vec3<i32>,
@@ -92,7 +93,7 @@ struct mat3x3i {
     z: vec3<i32>,
 }
 
-// The logarithm of the density at a cell of a block, given relative to its lowest.
+// The logarithm of the density at a cell, relative to the block's lowest cell.
 fn at(block: Block, cell: vec3<i32>) -> i32 {
     let inside = clamp(cell, push.walls_lo - block.lo, push.walls_hi - block.lo);
     let known = vec3<u32>(clamp(inside, vec3(0), vec3<i32>(block.size) - 1));
@@ -104,7 +105,7 @@ fn impurity(row: vec3<i32>, m: mat3x3i) -> i32 {
     return apart.x * apart.x + apart.y * apart.y + apart.z * apart.z;
 }
 
-// A share and how certain it is.
+// The share and the certainty at a cell.
 fn sheeted(block: Block, cell: vec3<i32>) -> vec2<u32> {
     let x = vec3(push.step, 0, 0);
     let y = vec3(0, push.step, 0);

@@ -1,9 +1,10 @@
 //! with block
-// A sign word for every tile to be meshed and for those beyond their upper faces: bit x + 4 y + 16 z is set where that
-// cell is inside the fluid. Of the tiles beyond, only the first layer of cells is known.
+// A sign word for every tile to mesh and for the tiles beyond their upper faces: bit x + 4 y + 16 z
+// is set if that cell is inside the fluid. Of the tiles beyond, only the first layer of cells is
+// known.
 
 struct SignsPush {
-    // The lowest cell within the walls, and the highest; beyond are ghost points, all outside.
+    // The lowest cell within the walls, and the highest; ghost points beyond are all outside.
     walls_lo: vec3<i32>,
     // The greatest sample that is outside.
     threshold: u32,
@@ -34,7 +35,7 @@ fn signs(@builtin(global_invocation_id) id: vec3<u32>) {
         if any(first.yz < push.walls_lo.yz) || any(first.yz > highest.yz) {
             continue;
         }
-        // Tiles and blocks both begin with whole words.
+        // Tiles and blocks both begin at whole words.
         let word = word_of(block, vec3<u32>(first - block.lo));
         var words = vec2(0u);
         if any(known.xy) {

@@ -3,13 +3,13 @@
 struct TileSlot {
     // Its Morton index in the block.
     index: u32,
-    // The numbers of its first vertex and its first triangle, counted in the block.
+    // The numbers of its first vertex and its first triangle within the block.
     vertex: u32,
     triangle: u32,
     spare: u32,
 }
 
-// The corners of a tile of block number `number`, given relative to the block's first tile.
+// The corners of a tile of block number `number`, relative to the block's first tile.
 fn corners_at(number: u32, block: Block, tile: vec3<u32>) -> Corners {
     let row = block.tiles_size.x / TILE + 1u;
     let slab = row * (block.tiles_size.y / TILE + 1u);
@@ -20,7 +20,7 @@ fn corners_at(number: u32, block: Block, tile: vec3<u32>) -> Corners {
     ));
 }
 
-// The tile of a Morton index in the block, relative to the first tile that is meshed.
+// The tile with a Morton index in the block, relative to the first meshed tile.
 fn tile_at(block: Block, index: u32) -> vec3<i32> {
     return vec3<i32>(tile_from_morton(index)) - (block.tiles_lo & vec3(BLOCK - 1)) / i32(TILE);
 }

@@ -1,4 +1,5 @@
-// Drops the packed particles of a chunk each into its bin's place, if the bin is of this run: a particle a thread.
+// Moves each packed particle of a chunk to its bin, if the bin belongs to this run: one thread per
+// particle.
 
 struct SortPush {
     // Particles of the chunk.
@@ -7,9 +8,10 @@ struct SortPush {
 
 var<immediate> push: SortPush;
 @group(0) @binding(0) var<storage, read> packed: array<vec2<u32>>;
-// The slot of each particle's bin; NO_BIN where it has none.
+// The slot of each particle's bin; NO_BIN for a particle without a bin.
 @group(0) @binding(1) var<storage, read> homes: array<u32>;
-// Where the next particle of each slot's bin goes; ELSEWHERE where the bin is of another run.
+// The position of the next particle of each slot's bin; ELSEWHERE if the bin belongs to another
+// run.
 @group(0) @binding(2) var<storage, read_write> places: array<atomic<u32>>;
 @group(0) @binding(3) var<storage, read_write> records: array<vec2<u32>>;
 

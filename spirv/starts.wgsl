@@ -1,5 +1,6 @@
 //! with tile surface
-// Where the triangles of every tile begin: a block a work group, by a prefix sum over the block's tiles.
+// The first triangle of every tile: one work group per block, with a prefix sum over the block's
+// tiles.
 
 struct StartsPush {
     blocks: u32,
@@ -8,7 +9,7 @@ struct StartsPush {
 var<immediate> push: StartsPush;
 @group(0) @binding(0) var<storage, read> blocks: array<Block>;
 @group(0) @binding(1) var<storage, read> tiles: array<u32>;
-// By case: the number of triangles, then their edges.
+// For each case: the number of triangles, followed by their edges.
 @group(0) @binding(2) var<storage, read> table: array<u32>;
 @group(0) @binding(3) var<storage, read_write> begins: array<Start>;
 

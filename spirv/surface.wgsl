@@ -1,15 +1,16 @@
 // The surfaces of all blocks, in Morton order. Uses `blocks` and `tiles` of the shader.
 
 struct Block {
-    // In blocks.
+    // Block coordinates.
     coord: vec3<i32>,
     first_tile: u32,
     tiles: u32,
-    // In the whole mesh.
+    // Index in the whole mesh.
     first_vertex: u32,
     first_triangle: u32,
     spare: u32,
-    // The numbers of the blocks one further up along the axes in a corner's number; NO_BLOCK where there is none.
+    // For each corner number, the number of the next block along the corner's axes; NO_BLOCK if
+    // there is none.
     above: array<u32, 8>,
 }
 
@@ -19,7 +20,7 @@ struct Start {
     triangle: u32,
 }
 
-// What a tile says of its dual cells; see Corners.
+// The corners of a tile's dual cells; see Corners.
 fn corners_at(tile: u32) -> Corners {
     var corners: Corners;
     for (var k = 0u; k < 8u; k++) {

@@ -1,4 +1,4 @@
-// What a block has, or where it begins among the blocks of a batch.
+// The counts of a block, or its start among the blocks of a batch.
 
 struct BlockTally {
     tiles: u32,

@@ -1,12 +1,14 @@
 //! with block
-// Sign words of tiles, and what they say of the dual cells that a tile owns.
+// Sign words of tiles, and the corners of the dual cells that a tile owns.
 
-// The signs of a tile's cells, and of their neighbours one cell up along the axes in a corner's number.
+// The signs of a tile's cells, and of their neighbours one cell up along the axes of each corner
+// number.
 struct Corners {
     at: array<vec2<u32>, 8>,
 }
 
-// For each cell the sign one cell further along x, given the next tile's word; and so on.
+// For each cell, the sign of the next cell along x, given the next tile's word; similarly for y and
+// z.
 fn up_x(tile: vec2<u32>, next: vec2<u32>) -> vec2<u32> {
     return ((tile >> vec2(1u)) & vec2(0x77777777u)) | ((next << vec2(3u)) & vec2(0x88888888u));
 }
@@ -19,7 +21,7 @@ fn up_z(tile: vec2<u32>, next: vec2<u32>) -> vec2<u32> {
     return vec2((tile.x >> 16u) | (tile.y << 16u), (tile.y >> 16u) | (next.x << 16u));
 }
 
-// The tile's own corners from its word and those of its upper neighbours, by corner.
+// The tile's corners from its own word and those of its upper neighbours, by corner number.
 fn corners_of(s: array<vec2<u32>, 8>) -> Corners {
     let x0 = up_x(s[0], s[1]);
     let x2 = up_x(s[2], s[3]);
@@ -64,7 +66,7 @@ fn ones_below(mask: vec2<u32>, bit: u32) -> u32 {
     return select(countOneBits(mask.x & part), countOneBits(mask.x) + countOneBits(mask.y & part), bit >= 32u);
 }
 
-// The inside corners of a dual cell, bit by corner.
+// The inside corners of a dual cell, one bit per corner.
 fn case_of(corners: Corners, bit: u32) -> u32 {
     var number = 0u;
     for (var k = 0u; k < 8u; k++) {
@@ -73,7 +75,7 @@ fn case_of(corners: Corners, bit: u32) -> u32 {
     return number;
 }
 
-// A tile's coordinates in its block, counted in tiles, by its Morton index.
+// A tile's coordinates in its block, in tiles, from its Morton index.
 fn tile_from_morton(index: u32) -> vec3<u32> {
     return vec3(
         (index & 1u) | ((index >> 2u) & 2u) | ((index >> 4u) & 4u),

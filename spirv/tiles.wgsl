@@ -1,10 +1,10 @@
 //! with block tile slot tally scan
-// Counts and orders the tiles that the surface passes through: a block a work group, by a prefix sum over the block's
-// tiles in Morton order.
+// Counts and orders the tiles with a surface: one work group per block, with a prefix sum over the
+// block's tiles in Morton order.
 
 @group(0) @binding(0) var<storage, read> blocks: array<Block>;
 @group(0) @binding(1) var<storage, read> signs: array<vec2<u32>>;
-// Triangles by case.
+// Number of triangles for each case.
 @group(0) @binding(2) var<storage, read> lengths: array<u32>;
 @group(0) @binding(3) var<storage, read_write> slots: array<TileSlot>;
 @group(0) @binding(4) var<storage, read_write> tallies: array<BlockTally>;

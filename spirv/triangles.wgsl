@@ -1,12 +1,12 @@
 //! with tile surface
-// The triangles of every dual cell: a tile a work group, a cell a thread. A vertex's number is its tile's first, plus its
-// rank among the tile's crossed edges.
+// The triangles of every dual cell: one work group per tile, one thread per cell. The number of a
+// vertex is the first number of its tile, plus its rank among the tile's crossed edges.
 
 struct TrianglesPush {
-    // Tiles, from the first on.
+    // The first tile.
     first_tile: u32,
     tiles: u32,
-    // The number of the triangle that is written first, and the words before it.
+    // The number of the first triangle to write, and the words before it.
     first_triangle: u32,
     first_word: u32,
 }
@@ -15,14 +15,15 @@ var<immediate> push: TrianglesPush;
 @group(0) @binding(0) var<storage, read> blocks: array<Block>;
 @group(0) @binding(1) var<storage, read> tiles: array<u32>;
 @group(0) @binding(2) var<storage, read> begins: array<Start>;
-// By case: the number of triangles, then for each three edges of EDGE_BITS: corner + 8 axis.
+// For each case: the number of triangles, followed by three edges each, of EDGE_BITS: corner + 8
+// axis.
 @group(0) @binding(3) var<storage, read> table: array<u32>;
 @group(0) @binding(4) var<storage, read_write> indices: array<u32>;
 
-// Of the tile and those above it, by corner: crossed edges and first vertex along each axis.
+// For the tile and those above it, by corner: crossed edges and first vertex along each axis.
 var<workgroup> crossed_edges: array<vec2<u32>, 24>;
 var<workgroup> first_vertices: array<u32, 24>;
-// Triangles of the cells up to each.
+// For each cell, the number of triangles up to it.
 var<workgroup> sums: array<u32, 64>;
 
 // The number of the tile with a Morton index in a block, or NO_BLOCK.
@@ -44,13 +45,13 @@ fn find_tile(block: u32, index: u32) -> u32 {
     return NO_BLOCK;
 }
 
-// Coordinates in a block, counted in tiles, to the Morton index.
+// The Morton index of a tile, given its coordinates in the block.
 fn morton_of(tile: vec3<u32>) -> u32 {
     let spread = (tile & vec3(1u)) | ((tile & vec3(2u)) << vec3(2u)) | ((tile & vec3(4u)) << vec3(4u));
     return spread.x | (spread.y << 1u) | (spread.z << 2u);
 }
 
-// Numbers the vertices of the tile above in a corner's direction.
+// Computes the vertex numbers of the tile above in a corner's direction.
 fn number_above(tile: u32, block: u32, corner: u32) {
     let at = tile_from_morton(tiles[tile * TILE_WORDS]) + vec3(corner & 1u, (corner >> 1u) & 1u, corner >> 2u);
     let beyond = at / BLOCK_EDGE_TILES;

@@ -1,11 +1,12 @@
 //! with wide float64 grid tile surface
-// Where the vertices are (eq. 8), in f64 as the host has it, rounded to f32: a tile a work group, a cell a thread.
+// The positions of the vertices (eq. 8), in the host's f64 arithmetic, rounded to f32: one work
+// group per tile, one thread per cell.
 
 struct VerticesPush {
-    // Tiles, from the first on.
+    // The first tile.
     first_tile: u32,
     tiles: u32,
-    // The number of the vertex that is written first, and the words before it.
+    // The number of the first vertex to write, and the words before it.
     first_vertex: u32,
     first_word: u32,
     // The greatest sample that is outside.
@@ -17,12 +18,13 @@ var<immediate> push: VerticesPush;
 @group(0) @binding(1) var<storage, read> blocks: array<Block>;
 @group(0) @binding(2) var<storage, read> tiles: array<u32>;
 @group(0) @binding(3) var<storage, read> begins: array<Start>;
-// Per vertex the sample at the lower end of its edge, and at the upper.
+// For each vertex, the samples at the lower and the upper end of its edge.
 @group(0) @binding(4) var<storage, read> ends: array<u32>;
-// As bits: the device may not write the smallest f32.
+// As bits, because a device may flush subnormal f32 to 0.
 @group(0) @binding(5) var<storage, read_write> positions: array<u32>;
 
-// How far along its edge a vertex lies. Equal samples are those of a cell and its mirror image beyond a wall.
+// The position of a vertex along its edge. Equal samples belong to a cell and its mirror image
+// beyond a wall.
 fn fraction(samples: u32) -> vec2<u32> {
     let lower = i32(samples & 0xffffu);
     let upper = i32(samples >> 16u);

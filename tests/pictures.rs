@@ -491,7 +491,7 @@ fn distances_from_another_surface_are_negative_inside_and_coloured_around_zero()
 }
 
 #[test]
-fn a_vertex_that_is_far_off_leaves_the_colours_of_all_others_and_is_told_of_in_the_legend() {
+fn an_outlier_does_not_change_the_colours_of_others_and_is_in_the_legend() {
     let reference = Reference::new(&sphere(1.0, 5)).unwrap();
     let colour = Colour::Distance { from: reference, map: "red-blue".parse().unwrap() };
     let mut bounds = Scope::default();
@@ -523,7 +523,7 @@ fn a_vertex_that_is_far_off_leaves_the_colours_of_all_others_and_is_told_of_in_t
 }
 
 #[test]
-fn meshes_that_are_strange_give_a_picture() {
+fn unusual_meshes_give_a_picture() {
     let ball = sphere(1.0, 4);
     let scaled = |by: f64| {
         let mut mesh = ball.clone();

@@ -1,5 +1,4 @@
-//! The backend that frames run on: the processor, a device that the caller names, or the faster of
-//! both.
+//! The backend of frames: the CPU, a device that the caller names, or the faster of the two.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -14,41 +13,40 @@ use crate::vulkan::{
 
 use super::{Cpu, Executor, Vulkan};
 
-/// The processor or a device, on which the stages of frames run. Every backend makes the same
-/// bytes.
+/// A CPU or a device that runs the stages of frames. All backends produce the same bytes.
 ///
 /// Clones share the device and its compiled shaders.
 #[derive(Debug, Clone)]
 pub struct Backend(Arc<dyn Executor>);
 
 impl Backend {
-    /// Runs frames on all threads of the pool in which they are made.
+    /// Runs frames on all threads of the caller's thread pool.
     #[must_use]
     pub fn cpu() -> Self {
         Self::of(Cpu)
     }
 
-    /// Runs frames on a device, opened here or adopted: compiles the shaders for it.
+    /// Runs frames on a device, opened here or adopted, and compiles the shaders for it.
     ///
     /// # Errors
-    /// [`VulkanError`] where the driver refuses a shader.
+    /// [`VulkanError`] if the driver rejects a shader.
     pub fn vulkan(device: Device) -> Result<Self, VulkanError> {
         Ok(Self::of(Vulkan::new(device)?))
     }
 
-    /// Returns the name of the processor or device, for people.
+    /// Returns the name of the CPU or device, for people.
     #[must_use]
     pub fn name(&self) -> String {
         self.0.name()
     }
 
-    /// Returns the device, unless frames run on the processor.
+    /// Returns the device; `None` for the CPU.
     #[must_use]
     pub fn device(&self) -> Option<&Device> {
         self.0.device()
     }
 
-    // Public for tests, which watch a device; the trait is in `internals` alone.
+    // Public for tests that monitor a device; the trait is only in `internals`.
     #[doc(hidden)]
     pub fn of(executor: impl Executor + 'static) -> Self {
         Self(Arc::new(executor))
@@ -61,22 +59,23 @@ impl Backend {
     }
 }
 
-/// Bytes of particles that two threads make meshes of in about the time, a third of a second, that
-/// a driver takes to open a device and to compile shaders, or find them in its cache: a million
+/// Size of particles in bytes that two threads mesh in about a third of a second: the time in which
+/// a driver opens a device and compiles shaders, or finds them in its cache. It is a million
 /// particles.
 const SMALL: u64 = 12_000_000;
 
-/// Budgets below this are not spent on looking for devices: drivers take some 100 MiB.
+/// With a smaller budget, devices are not searched: drivers take about 100 MiB.
 const DRIVERS: MemoryBudget = MemoryBudget(1 << 30);
 
-/// Formats whose files do not tell how much their particles are: compressed, or in several pieces.
+/// Formats whose file size does not show the size of the particles: compressed, or in several
+/// pieces.
 const UNKNOWN_SIZE: [&str; 7] = ["gz", "xz", "zst", "mnf", "npz", "bi4", "vtm"];
 
-/// Reasons to stay on the processor.
+/// A reason to use the CPU.
 #[derive(Debug)]
 #[non_exhaustive]
 pub enum CpuReason {
-    /// Drivers may need this many bytes, more than the limit.
+    /// Drivers may need this number of bytes, which exceeds the limit.
     LittleMemory(u64),
     /// The machine has no GPU.
     NoGpu,
@@ -109,17 +108,17 @@ impl fmt::Display for CpuReason {
     }
 }
 
-/// Opens a device, and compiles its shaders, or finds them in a folder for such; it may take three
-/// quarters of what is free of its memory.
+/// Opens a device and compiles its shaders, or loads them from a cache folder. The device may use
+/// three quarters of its free memory.
 ///
 /// # Errors
-/// [`VulkanError`] where there is no such device, or it cannot be used.
+/// [`VulkanError`] if there is no such device, or if it cannot be used.
 pub fn device(choice: &DeviceChoice, cache: Option<&Path>) -> Result<Backend, VulkanError> {
     let instance = Instance::connect(false)?;
     opened(&instance, &instance.choose(choice)?, cache)
 }
 
-/// Opens the best device if that pays for inputs of this size, if it is known, within a memory
+/// Opens the best device if that is faster for inputs of this size, if known, within a memory
 /// limit. Otherwise returns the CPU and the reason.
 #[must_use]
 pub fn fastest(
@@ -173,7 +172,8 @@ fn opened(
     Backend::vulkan(Device::open(instance, &choice, &options)?)
 }
 
-/// Bytes of particles in some files, if all of them are there and tell.
+/// Total size of the particles in some files in bytes; `None` if a file is missing or its size is
+/// not known.
 pub fn bytes_of<'a>(files: impl IntoIterator<Item = &'a Path>) -> Option<u64> {
     let bytes = |file: &Path| {
         let extension = file.extension().unwrap_or_default().to_ascii_lowercase();
@@ -183,8 +183,8 @@ pub fn bytes_of<'a>(files: impl IntoIterator<Item = &'a Path>) -> Option<u64> {
     files.into_iter().map(bytes).sum()
 }
 
-/// Whether it is worth while to load Vulkan's drivers, of which some compute on the processor.
-/// Containers that are given one GPU of several may have it under any number.
+/// Whether loading the Vulkan drivers may find a GPU; some drivers compute on the CPU. In a
+/// container with one of several GPUs, that GPU may have any number.
 fn may_have_gpu(nodes: &Path) -> bool {
     let known = ["dri", "nvidiactl", "dxg"];
     !cfg!(target_os = "linux") || known.iter().any(|node| nodes.join(node).exists())
@@ -195,7 +195,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn any_gpu_of_a_container_is_looked_for() {
+    fn a_gpu_of_a_container_is_found_under_any_number() {
         let nodes = tempfile::tempdir().expect("a temporary folder can be made");
         assert!(!may_have_gpu(nodes.path()));
         for node in ["nvidia3", "nvidiactl"] {

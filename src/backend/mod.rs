@@ -1,5 +1,4 @@
-//! Backends for the stages of a frame: the processor's cores, or a Vulkan device. Both give the
-//! same bytes.
+//! Backends for the stages of a frame: the CPU or a Vulkan device. Both produce the same bytes.
 
 pub mod choice;
 mod cpu;
@@ -30,31 +29,30 @@ use crate::surface::solid::Solid;
 use crate::system::control::Meter;
 use crate::vulkan::Device;
 
-/// Starts frames on the processor or a device: the part of a [`Backend`] that differs between them.
+/// Starts frames on the CPU or a device: the part of a [`Backend`] that differs between them.
 pub trait Executor: Debug + Send + Sync {
-    /// Returns the name of the processor or device, for people.
+    /// Returns the name of the CPU or device, for people.
     fn name(&self) -> String;
 
-    /// Returns the device, unless frames run on the processor.
+    /// Returns the device; `None` for the CPU.
     fn device(&self) -> Option<&Device> {
         None
     }
 
-    /// Whether frames can be computed side by side, each by a share of the threads.
+    /// Whether frames can be computed in parallel, each on some of the threads.
     fn divides(&self) -> bool;
 
-    /// Bytes of the host's memory that a frame takes under `budget`, besides what every frame
-    /// takes.
+    /// Additional bytes of the host's memory for a frame under `budget`.
     fn host_bytes(&self, budget: MemoryBudget) -> u64;
 
-    /// Starts a frame. What it keeps on a device goes with it.
+    /// Starts a frame. Dropping it frees its device memory.
     fn start(&self, budget: MemoryBudget) -> Box<dyn Stages>;
 }
 
 /// The stages of one frame.
 pub trait Stages: Debug + Send + Sync {
-    /// The field of all bins, whose particles are in memory. It may stay where it was made: what
-    /// the host wants of it comes when it does.
+    /// The field of all bins, whose particles are in memory. The field may stay on the device; the
+    /// host then fetches samples on demand.
     fn field(&self, bins: &Arc<Bins>, rule: &PageRule, meter: &Meter<'_>) -> io::Result<DifField> {
         Ok(DifField::in_memory(
             rule.shape(),
@@ -65,7 +63,7 @@ pub trait Stages: Debug + Send + Sync {
     /// The pages of a range of bins, which `meter` counts.
     ///
     /// # Errors
-    /// Where particles are in a scratch file that cannot be read, and where `meter` does not go on.
+    /// If particles are in a scratch file that cannot be read, or if `meter` is cancelled.
     fn indicate(
         &self,
         bins: &Bins,
@@ -74,9 +72,9 @@ pub trait Stages: Debug + Send + Sync {
         meter: &Meter<'_>,
     ) -> io::Result<Pages>;
 
-    /// The surfaces through some regions of blocks, each `None` where there is none: `take` takes
-    /// them in order, in the batches in which they are made, while others are in progress. `meter`
-    /// counts the regions; once it does not go on, what is taken is worth nothing.
+    /// Passes the surfaces of some regions of blocks to `take`, in order and in batches; a region
+    /// without surface has `None`. Later batches are in progress meanwhile. `meter` counts the
+    /// regions; after a cancel the results are meaningless.
     fn contour(
         &self,
         surfaces: &Surfaces<'_>,
@@ -85,57 +83,56 @@ pub trait Stages: Debug + Send + Sync {
         take: &mut Take<'_>,
     ) -> io::Result<()>;
 
-    /// Failures so far that were made good.
+    /// Device failures so far, whose work the CPU repeated.
     fn warnings(&self) -> Vec<String>;
 
-    /// How much of the work so far a device did: all of it, unless the processor had to stand in
-    /// for one, or there is none.
+    /// The part of the work so far that a device did; the CPU did the rest.
     fn on_device(&self) -> Work;
 }
 
-/// Takes the surfaces of regions that follow one another.
+/// Takes the surfaces of consecutive regions.
 pub type Take<'a> = dyn FnMut(Vec<Option<BlockMesh>>) -> io::Result<()> + 'a;
 
-/// Bins that each thread of the processor makes pages of between two looks at whether to go on.
+/// Bins for which each CPU thread makes pages between two checks for a cancel.
 const BINS_A_THREAD: usize = 64;
 
-/// Regions whose surfaces are handed on together, at the most.
+/// Maximum number of regions whose surfaces are passed on together.
 pub const REGIONS_TOGETHER: usize = 1024;
 
-/// An amount of a frame's work: bins and regions that were done.
+/// An amount of work on a frame: finished bins and regions.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Work {
-    /// Bins that got their pages.
+    /// Number of bins whose pages were made.
     pub pages: usize,
-    /// Regions that got their surfaces, if they have any.
+    /// Number of regions whose surfaces were made, including empty ones.
     pub regions: usize,
 }
 
 /// A sampled frame and the recipe of its surface.
 #[derive(Debug, Clone, Copy)]
 pub struct Surfaces<'a> {
-    /// The frame.
+    /// The sampled frame.
     pub sampled: &'a SampledDif,
-    /// From its DIF to the field.
+    /// The recipe from its DIF to the field.
     pub recipe: &'a Recipe,
     /// Solids that cut the field, if there are any.
     pub solid: Option<&'a Solid>,
     /// Whether vertices get normals.
     pub normals: Normals,
-    /// Where the mesh ends at periodic faces.
+    /// The end of the mesh at periodic faces.
     pub periodic_mesh: PeriodicMesh,
 }
 
 impl Surfaces<'_> {
-    /// The parts of blocks in which dual cells can be mixed, in Morton order.
+    /// The parts of blocks that the surface can pass through, in Morton order.
     pub fn regions(&self) -> Vec<CellBox> {
-        // A dual cell reaches one cell up from its lowest corner.
+        // A dual cell extends one cell up from its lowest corner.
         let dif = &self.sampled.dif;
         let reach = dif.ghost_layer() + self.recipe.filters.reach();
         let walls = self.mesh_walls();
         let within = walls.map(|walls| walls.grown(1, 0));
         let cut = |cells: CellBox| within.map_or(cells, |within| cells.intersection(&within));
-        // Behind a face that cuts it, a fluid is deep however near that is.
+        // Behind a periodic face that cuts the mesh, even fluid next to the face can be deep.
         let faces = walls.filter(|_| self.sampled.facts.periodic.is_some());
         let not_inside = |cells: CellBox| match faces {
             Some(faces) if !faces.covers(&dual_cells(cells)) => cells,
@@ -148,12 +145,12 @@ impl Surfaces<'_> {
         regions.filter(|cells| !cells.is_empty()).collect()
     }
 
-    /// Whether a solid may decide the surface through a region: it is among the cells that its
-    /// field is made of.
+    /// Whether a solid may affect the surface in a region, because it overlaps the cells from which
+    /// the field is made.
     fn is_at_solid(&self, region: CellBox) -> bool {
         let Filters::Distances(distances) = &self.recipe.filters else { return false };
         let wide = distances.wide_cells(self.normals.cells(region));
-        // Beyond a solid that fills, fluid ends as far away as it is offset.
+        // With an offset, the fluid ends at that distance from a solid.
         let facts = &self.sampled.facts;
         let is_near = |solid: &&Solid| {
             let offset = solid.offset().abs() * facts.spacing_cells_or_one();
@@ -163,26 +160,25 @@ impl Surfaces<'_> {
         self.solid.filter(is_near).is_some()
     }
 
-    /// Has all fields made that samples are cut out of.
+    /// Makes all fields from which samples are gathered.
     fn prepare(&self) {
         if let Filters::Distances(distances) = &self.recipe.filters {
             let _made = self.sampled.wide(distances.level.max(distances.drops_level));
         }
     }
 
-    /// The cells within walls, beyond which the field repeats its edge cells.
+    /// The cells within walls; beyond them the field repeats its edge cells.
     fn walls(&self) -> Option<CellBox> {
         self.sampled.facts.walls()
     }
 
-    /// The cells of which a surface is drawn: within walls, and between the periodic faces that cut
-    /// it.
+    /// The cells of the mesh: within walls and, for a cut mesh, between the periodic faces.
     fn mesh_walls(&self) -> Option<CellBox> {
         self.sampled.facts.mesh_walls(self.periodic_mesh).map(|walls| walls.cells())
     }
 }
 
-/// Where the eight blocks are of which a region's is one.
+/// The cube of eight blocks that contains a region's block.
 fn parent(region: &CellBox) -> IVec3 {
     region.lo.div_euclid(IVec3::splat(2 * BLOCK))
 }

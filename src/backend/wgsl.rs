@@ -1,4 +1,4 @@
-//! Constants of Rust that the shaders use: `tools/shaders` writes them before their sources.
+//! Rust constants that the shaders use: `tools/shaders` prepends them to the sources.
 
 use crate::brick::vulkan::{ELSEWHERE, NO_BIN, PAGE_WORDS, PROBES, RUN, SETTLED};
 use crate::brick::{AXIS_BITS, COORD_BITS, HALVED_BITS, RECORD_BITS};

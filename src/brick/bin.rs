@@ -1,9 +1,9 @@
-//! Binning: a counting sort of the particles by the bin of 16^3 cells that holds them.
+//! Binning: a counting sort of the particles by their bin of 16^3 cells.
 //!
-//! Positions are read twice: once to count, once to put each particle, packed into 51 bits, into
-//! its bin's place in memory, or into its run of bins (`runs`). Where there is room, the first
-//! reading keeps what the second would find. The order inside a bin is arbitrary; readers of a bin
-//! only add integers.
+//! Positions are read twice: once to count the particles of each bin, and once to put each
+//! particle, packed into 51 bits, into its bin's slots in memory, or into its run of bins (`runs`).
+//! If memory allows, the first reading keeps the results that the second would recompute. The order
+//! inside a bin is arbitrary; readers of a bin only add integers.
 
 use std::convert::Infallible;
 use std::fmt;
@@ -26,49 +26,49 @@ use super::cubes::{BinCode, CUBE, bin_coord};
 use super::place::{BinSieve, CHUNK, Placer};
 use super::slots::{Record, Slots};
 
-/// Bins of a range whose particles' places are kept, at the most: as many as a record's free bits
-/// number, and the last stands for none.
+/// Maximum number of bins in a range whose particles' places are kept: the free bits of a record
+/// number them, and the last number stands for no bin.
 const KEPT_BINS: usize = (1 << FREE_BITS) - 1;
 
-/// The memory limits of counting: how many bins may be listed, and how many particles' places may
-/// be kept.
+/// The memory limits of counting.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct CountingRoom {
-    /// Bins that may be listed.
+    /// Maximum number of bins.
     pub bins: usize,
-    /// Particles whose places may be kept, of [`Self::PLACE`] bytes each: those are not read again.
+    /// Maximum number of particles whose places, of [`Self::PLACE`] bytes each, are kept; the
+    /// second reading skips these particles.
     pub places: usize,
 }
 
-/// Bytes of places that are kept from the first reading to the second, at the most: frames that
-/// have more mostly touch more bins than a place can name.
+/// Maximum bytes of places that are kept between the readings: larger frames mostly touch more bins
+/// than a place can number.
 const MOST_PLACES: u64 = 64 << 20;
 
 impl CountingRoom {
-    /// Bytes of a place that is kept.
+    /// Bytes of a kept place.
     pub const PLACE: u64 = size_of::<Record>() as u64;
 
-    /// The room within a budget in bytes: half of it for tables, and at most an eighth for places.
+    /// The limits for a budget in bytes: half of it for tables, and at most an eighth for places.
     pub fn within(budget: u64) -> Self {
         let number = |bytes: u64| usize::try_from(bytes).unwrap_or(usize::MAX);
         let places = (budget / 8).min(MOST_PLACES) / Self::PLACE;
         Self { bins: number(budget / 2 / Bins::TABLE_BYTES), places: number(places) }
     }
 
-    /// For any number of bins, and no place.
+    /// No limit on bins, and no kept places.
     pub const BINS: Self = Self { bins: usize::MAX, places: 0 };
 }
 
-/// How to treat particles that are not finite, or beyond the grid.
+/// The treatment of particles that are not finite, or beyond the grid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum InvalidParticles {
-    /// Stop and name the first.
+    /// Return an error with the first one.
     Refuse,
-    /// Leave them out and count them.
+    /// Skip and count them.
     Skip,
 }
 
-/// Particles that cannot be binned.
+/// An error of binning.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 pub enum BinError {
     /// A coordinate is NaN or infinite.
@@ -77,24 +77,24 @@ pub enum BinError {
         position[0], position[1], position[2]
     )]
     NotFinite {
-        /// Counted from 0 in the order of the file.
+        /// The particle's index in the file, from 0.
         index: usize,
         /// The particle's position.
         position: [f64; 3],
     },
-    /// The particles are spread over more bins than memory may hold the list of.
+    /// The particles are spread over too many bins.
     #[error("the particles touch more than {limit} bins of 16^3 cells; use larger cells")]
     TooManyBins {
-        /// How many are allowed.
+        /// Maximum number of bins.
         limit: usize,
     },
-    /// A particle of a periodic box is not in it.
+    /// A particle is outside of the periodic box.
     #[error(
         "particle {index} at ({}, {}, {}) is outside the periodic box along {axis}",
         position[0], position[1], position[2]
     )]
     OutsideBox {
-        /// Counted from 0 in the order of the file.
+        /// The particle's index in the file, from 0.
         index: usize,
         /// The particle's position.
         position: [f64; 3],
@@ -107,7 +107,7 @@ pub enum BinError {
         position[0], position[1], position[2], crate::grid::CELL_LIMIT, crate::grid::units::shown(*cell_size)
     )]
     TooFar {
-        /// Counted from 0 in the order of the file.
+        /// The particle's index in the file, from 0.
         index: usize,
         /// The particle's position.
         position: [f64; 3],
@@ -116,26 +116,25 @@ pub enum BinError {
     },
 }
 
-/// How many particles went where.
+/// Numbers of binned and skipped particles.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Census {
-    /// Particles that are in a bin, and so in the field.
+    /// Particles in bins, which contribute to the field.
     pub binned: usize,
-    /// Particles that are skipped, for a coordinate is not finite.
+    /// Particles with a coordinate that is not finite, which are skipped.
     pub not_finite: usize,
-    /// Particles that are skipped, for they are beyond the addressable grid.
+    /// Particles beyond the addressable grid, which are skipped.
     pub too_far: usize,
-    /// Particles that are not counted, for they are outside of the domain's walls, or of a periodic
-    /// box.
+    /// Particles outside of the domain's walls or of a periodic box, which are skipped.
     pub outside: usize,
 }
 
-/// The first of two readings: how many particles each bin will hold.
+/// The result of the first of two readings: the number of particles in each bin.
 pub struct BinPlan {
     pub(super) placer: Placer,
     census: Census,
     pub(super) keys: Vec<MortonKey>,
-    /// Where each bin's particles will begin, and where the last one's will end.
+    /// The index of each bin's first particle, followed by the number of particles.
     pub(super) first: Vec<usize>,
     pub(super) ranges: Vec<RangePlan>,
 }
@@ -144,14 +143,14 @@ pub struct BinPlan {
 pub(super) struct RangePlan {
     pub(super) range: Range<usize>,
     pub(super) table: BinTable,
-    /// The rank among all bins of each bin in the table; [`NOWHERE`] for those without particles.
+    /// For each bin in the table, its rank among all bins; [`NOWHERE`] for bins without particles.
     pub(super) ranks: Vec<u32>,
-    /// Each particle's bin, by its rank in the table, and record, packed into a word; empty where
-    /// they were not kept.
+    /// Each particle's bin, by its rank in the table, and record, packed into a word; empty if
+    /// places are not kept.
     pub(super) places: Vec<Record>,
 }
 
-/// In one word, where its bin is none or one of the first [`KEPT_BINS`].
+/// Packs a place into one word, if there is no bin or if it is one of the first [`KEPT_BINS`].
 #[inline(always)]
 fn pack_place((rank, record): Placed) -> Record {
     u64::from(rank) << RECORD_BITS | record
@@ -173,10 +172,10 @@ impl fmt::Debug for BinPlan {
 }
 
 impl BinPlan {
-    /// Counts `particles` by bin, unless they touch more bins than there is room for.
+    /// Counts `particles` by bin, unless they touch too many bins.
     ///
     /// # Errors
-    /// [`BinError`], naming the first invalid particle, unless they are skipped.
+    /// [`BinError`] with the first invalid particle, unless these are skipped.
     pub fn count(
         particles: &(impl Particles + ?Sized),
         grid: &Grid,
@@ -187,22 +186,22 @@ impl BinPlan {
         Self::count_while(particles, grid, domain, invalid, room, |_| ())
     }
 
-    /// Counts `particles`, and calls `look` with the positions, in batches and in no order. It sees
-    /// no particle twice, and not all if there are too many bins.
+    /// Counts `particles`, and calls `visit` with batches of the positions, in any order. Each
+    /// particle is passed at most once; not all are passed if there are too many bins.
     pub fn count_while(
         particles: &(impl Particles + ?Sized),
         grid: &Grid,
         domain: Option<&Domain>,
         invalid: InvalidParticles,
         room: CountingRoom,
-        look: impl Fn(&[[f64; 3]]) + Sync,
+        visit: impl Fn(&[[f64; 3]]) + Sync,
     ) -> Result<Self, BinError> {
         let placer = Placer { grid: *grid, domain: domain.copied(), wanted: None };
-        Self::of_placed(particles, placer, invalid, room, look)
+        Self::of_placed(particles, placer, invalid, room, visit)
     }
 
-    /// Counts the particles of some bins alone, of which all that are invalid have been refused or
-    /// skipped before: nothing is known of the others, not even their number.
+    /// Counts only the particles of some bins. Invalid particles were refused or skipped earlier.
+    /// The result has no information about the other particles, not even their number.
     pub fn count_wanted(
         particles: &(impl Particles + ?Sized),
         grid: &Grid,
@@ -224,13 +223,15 @@ impl BinPlan {
         placer: Placer,
         invalid: InvalidParticles,
         room: CountingRoom,
-        look: impl Fn(&[[f64; 3]]) + Sync,
+        visit: impl Fn(&[[f64; 3]]) + Sync,
     ) -> Result<Self, BinError> {
         let (limit, grid) = (room.bins, placer.grid);
         let ranges = ranges(particles.len());
         let counter = Counter { placer, room, stop: AtomicBool::new(false) };
-        let counts: Vec<RangeCount> =
-            ranges.par_iter().map(|range| counter.count(particles, range.clone(), &look)).collect();
+        let counts: Vec<RangeCount> = ranges
+            .par_iter()
+            .map(|range| counter.count(particles, range.clone(), &visit))
+            .collect();
         if counter.stop.into_inner() {
             return Err(BinError::TooManyBins { limit });
         }
@@ -282,37 +283,37 @@ impl BinPlan {
         })
     }
 
-    /// Returns how many particles were binned, and how many were left out and why.
+    /// Returns the numbers of binned particles and of skipped ones by reason.
     pub fn census(&self) -> Census {
         self.census
     }
 
-    /// The bins that hold particles, in Morton order.
+    /// The bins with particles, in Morton order.
     pub fn keys(&self) -> &[MortonKey] {
         &self.keys
     }
 
-    /// How many particles each of them holds.
+    /// The number of particles in each of these bins.
     pub fn counts(&self) -> impl Iterator<Item = usize> + Clone + '_ {
         self.first.windows(2).map(|w| w[1] - w[0])
     }
 
-    /// Bytes per thread to look up the bins of `particles`, of which those that are not `wanted`
-    /// may be left out.
+    /// Memory per thread of a lookup of bins for `particles`, in bytes. `wanted` says whether only
+    /// some bins are requested.
     pub fn lookup_bytes(particles: usize, wanted: bool) -> u64 {
         LatestNumbers::bytes(particles) + if wanted { BinSieve::bytes(particles) } else { 0 }
     }
 
-    /// Bytes of the places that were kept.
+    /// Bytes of the kept places.
     pub fn places_bytes(&self) -> u64 {
         self.ranges.iter().map(|range| CountingRoom::PLACE * range.places.len() as u64).sum()
     }
 
-    /// The second reading, into memory: sorts the same `particles` into their bins, and with them
-    /// the attributes whose numbers are in `carried`.
+    /// The second reading, into memory: sorts the same `particles` into their bins, with the
+    /// attributes whose numbers are in `carried`.
     ///
     /// # Errors
-    /// [`RereadError::Changed`] for particles that are not where they were when they were counted.
+    /// [`RereadError::Changed`] if particles moved since they were counted.
     pub fn fill(
         self,
         particles: &(impl Particles + ?Sized),
@@ -322,8 +323,7 @@ impl BinPlan {
         let components = components(particles, carried);
         let slots = Slots::new(census.binned, &components);
         let (binned, mut next) = (census.binned, first.clone());
-        // Each range's next free slot of each of its bins, and where a range of such a bin's slots
-        // ends.
+        // For each range and each of its bins: the next free slot, and the end of the slots.
         let cursors: Vec<Vec<usize>> = ranges
             .iter()
             .map(|RangePlan { table, ranks, .. }| {
@@ -375,7 +375,7 @@ impl BinPlan {
                     Ok::<_, Infallible>(())
                 });
             }
-            // A cube that was not there has counters and no slots.
+            // A cube that did not exist in the first reading has counters and no slots.
             cursors == ends && table.len() == ends.len()
         });
         if as_counted.reduce(|| true, |one, other| one & other) {
@@ -386,8 +386,8 @@ impl BinPlan {
     }
 }
 
-/// Adds one to the number of the bin with a rank, and returns what it was; `None` if it is
-/// [`NOWHERE`], or was in no table before.
+/// Increments the number of the bin with a rank, and returns its previous value; `None` for
+/// [`NOWHERE`], or if the table did not have the bin before.
 #[inline(always)]
 fn advance(numbers: &mut [usize], rank: u32) -> Option<usize> {
     let number = numbers.get_mut(rank as usize)?;
@@ -395,7 +395,7 @@ fn advance(numbers: &mut [usize], rank: u32) -> Option<usize> {
     Some(*number - 1)
 }
 
-/// The carried attributes of some particles that follow one another.
+/// The carried attributes of consecutive particles.
 pub(super) struct Tuples<'a> {
     values: Vec<Vec<f32>>,
     components: &'a [usize],
@@ -423,7 +423,7 @@ impl<'a> Tuples<'a> {
         Self { values: carried.iter().zip(components).map(read).collect(), components }
     }
 
-    /// All components of all attributes of particle number `i` of them.
+    /// All components of all attributes of particle `i`.
     pub(super) fn tuple(&self, i: usize) -> impl Iterator<Item = f32> + '_ {
         let all = self.values.iter().zip(self.components);
         all.flat_map(move |(values, n)| values[i * n..(i + 1) * n].iter().copied())
@@ -434,10 +434,10 @@ pub(super) fn components(particles: &(impl Particles + ?Sized), carried: &[usize
     carried.iter().map(|&index| particles.attributes()[index].components).collect()
 }
 
-/// Particles of a range at the most: a bin's counter holds them all.
+/// Maximum number of particles in a range, so that a bin's counter can count them all.
 const MOST_COUNTED: usize = u32::MAX as usize;
 
-/// A few ranges of particles a thread. What is computed does not depend on how many there are.
+/// A few ranges of particles per thread. The results do not depend on their number.
 fn ranges(len: usize) -> Vec<Range<usize>> {
     let count = (rayon::current_num_threads() * 2)
         .min(len.div_ceil(1 << 16))
@@ -451,11 +451,11 @@ struct RangeCount {
     table: BinTable,
     census: Census,
     first_invalid: Option<(usize, [f64; 3], PlacementError)>,
-    /// The packed place of each particle; empty where they are not kept.
+    /// The packed place of each particle; empty if places are not kept.
     places: Vec<Record>,
 }
 
-/// All bins of all ranges, in Morton order, each with its key.
+/// All bins of all ranges with their keys, in Morton order.
 fn all_bins(counts: &[RangeCount]) -> Vec<(MortonKey, BinCode)> {
     let touched = counts.iter().flat_map(|c| c.table.bins());
     let mut bins: Vec<_> =
@@ -465,7 +465,7 @@ fn all_bins(counts: &[RangeCount]) -> Vec<(MortonKey, BinCode)> {
     bins
 }
 
-/// Counts until there are too many bins.
+/// Counts particles and stops at too many bins.
 struct Counter {
     placer: Placer,
     room: CountingRoom,
@@ -477,7 +477,7 @@ impl Counter {
         &self,
         particles: &(impl Particles + ?Sized),
         range: Range<usize>,
-        look: impl Fn(&[[f64; 3]]),
+        visit: impl Fn(&[[f64; 3]]),
     ) -> RangeCount {
         let mut table = BinTable::default();
         let mut latest = LatestNumbers::of(particles.len());
@@ -486,9 +486,9 @@ impl Counter {
         let mut kept = particles.len() <= self.room.places;
         let mut places = empty_in_huge_pages(if kept { range.len() } else { 0 });
         let mut placed = Vec::with_capacity(CHUNK);
-        // A thread that finds too many bins stops the others: the counts are useless then.
+        // A thread that finds too many bins stops the others, because the counts are useless then.
         let _ = self.placer.for_each_chunk(particles, range, |first, positions, addresses| {
-            look(positions);
+            visit(positions);
             table.place_all(addresses, &mut latest, &mut placed);
             placed.iter().for_each(|&(rank, _)| table.add(rank));
             if kept {
@@ -525,7 +525,7 @@ mod tests {
 
     use super::*;
 
-    /// Each bin with its particles' records, sorted.
+    /// Each bin with the sorted records of its particles.
     fn binned(plan: BinPlan, particles: &[[f64; 3]]) -> Vec<(MortonKey, Vec<Record>)> {
         let bins = plan.fill(particles, &[]).unwrap();
         let sorted = |bin: usize| {
@@ -537,11 +537,11 @@ mod tests {
     }
 
     #[test]
-    fn places_that_are_kept_or_given_up_on_the_way_are_those_that_a_second_reading_finds() {
+    fn kept_places_equal_those_of_a_second_reading() {
         let grid = Grid::new(DVec3::ZERO, 1.0).unwrap();
         let walls = Domain::new(&grid, DVec3::ZERO, DVec3::splat(1000.0)).unwrap();
         let kept = CountingRoom { places: usize::MAX, ..CountingRoom::BINS };
-        // Number of bins along each axis: in the second scene more than a place can number.
+        // Number of bins along each axis; the second scene has more bins than a place can number.
         for bins in [5, 25] {
             let coordinate =
                 |i: usize, a: usize| ((i * [7919, 6761, 5879][a]) % 40_009) as f64 / 40_009.0;

@@ -1,8 +1,8 @@
-//! A table of the bins that a range of particles touches, found by their coordinates.
+//! A table of the bins that a range of particles touches, indexed by their coordinates.
 //!
-//! Particles come in any order, so a table of a large frame is looked up all over. Its bins lie in
-//! cubes: a hash finds a cube, a small cache in front of it those that were asked for before, and
-//! counters of neighbouring bins share a line of the processor's cache.
+//! Particles come in any order, so lookups in the table of a large frame are scattered. Bins are
+//! grouped into cubes: a hash table finds a cube, a small cache has the cubes of recent lookups,
+//! and the counters of neighbouring bins share a cache line of the CPU.
 
 use std::hash::BuildHasher;
 
@@ -13,29 +13,29 @@ use super::cubes::{BinCode, CUBE, CubeCache, bin_of_cube, in_cube};
 use super::place::Address;
 use super::slots::Record;
 
-/// A particle's bin, by its rank in the table of its range, and its place there.
+/// A particle's bin, as its rank in the table of its range, and the particle's record.
 pub(super) type Placed = (u32, Record);
 
-/// The bin of a particle that is left out.
+/// The rank of a particle that is skipped.
 pub(super) const NOWHERE: u32 = u32::MAX;
 
-/// The numbers of cubes in one table that were last asked for.
+/// The numbers of recently used cubes in one table.
 pub(super) type LatestNumbers = CubeCache<u32>;
 
-/// The bins that a range of particles touches, by cubes: a hash finds a cube, and a cube its bins.
+/// The bins that a range of particles touches, grouped into cubes.
 #[derive(Default)]
 pub(super) struct BinTable {
-    /// The number of each cube, found by its code.
+    /// The numbers of the cubes, hashed by their codes.
     cubes: HashTable<u32>,
     hasher: DefaultHashBuilder,
-    /// By number.
+    /// The code of each cube.
     codes: Vec<BinCode>,
-    /// How many particles each bin of each cube holds.
+    /// The number of particles in each bin of each cube.
     counts: Vec<[u32; CUBE]>,
 }
 
 impl BinTable {
-    /// The rank of a bin in this table, [`CUBE`] for each cube; a new cube is entered with no
+    /// The rank of a bin in this table; each cube has [`CUBE`] ranks. A new cube is added without
     /// particles.
     #[inline(always)]
     fn rank(&mut self, bin: BinCode, latest: &mut LatestNumbers) -> u32 {
@@ -63,9 +63,9 @@ impl BinTable {
         }
     }
 
-    /// For each particle the rank of its bin, and its place there. With these for many particles at
-    /// once, a short loop can read the data of their bins, and wait for several cache lines at the
-    /// same time.
+    /// For each particle, the rank of its bin and its record. With the results for many particles
+    /// at once, a short loop can read the data of their bins, and wait for several cache lines at
+    /// the same time.
     pub(super) fn place_all(
         &mut self,
         addresses: &[Address],
@@ -79,7 +79,7 @@ impl BinTable {
         }));
     }
 
-    /// How many ranks there are, whether their bins hold particles or not.
+    /// The number of ranks, including those of empty bins.
     pub(super) fn len(&self) -> usize {
         CUBE * self.codes.len()
     }
@@ -89,7 +89,7 @@ impl BinTable {
         self.counts.as_flattened()
     }
 
-    /// Counts a particle of the bin with a rank, unless that is [`NOWHERE`].
+    /// Counts a particle for a rank, unless it is [`NOWHERE`].
     #[inline(always)]
     pub(super) fn add(&mut self, rank: u32) {
         if let Some(count) = self.counts.as_flattened_mut().get_mut(rank as usize) {
@@ -97,7 +97,7 @@ impl BinTable {
         }
     }
 
-    /// The rank, the code and the number of particles of each bin that holds some.
+    /// The rank, the code and the number of particles of each bin that is not empty.
     pub(super) fn bins(&self) -> impl Iterator<Item = (usize, BinCode, usize)> + '_ {
         let cubes = self.codes.iter().zip(&self.counts).enumerate();
         cubes.flat_map(|(cube, (&code, counts))| {

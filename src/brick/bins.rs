@@ -1,4 +1,4 @@
-//! Particles in order of their bins: in memory, or in a scratch file.
+//! Particles in the order of their bins, in memory or in a scratch file.
 
 use std::borrow::Cow;
 use std::io;
@@ -13,29 +13,29 @@ use super::slots::{Record, Slots};
 
 /// Bits per axis of a packed particle: its offset in the cell, and the cell in the bin.
 pub const AXIS_BITS: u32 = FRACTION_BITS + BIN.ilog2();
-/// Bits of a packed particle; the rest of its 64 are free.
+/// Bits of a packed particle; the rest of its 64 bits is free.
 pub const RECORD_BITS: u32 = 3 * AXIS_BITS;
 
 /// Bits of a word that a packed particle leaves free.
 pub(super) const FREE_BITS: u32 = u64::BITS - RECORD_BITS;
 
-/// Bins that are sorted before any is put back.
+/// Bins that are sorted before they are written back.
 const SORTED_AT_ONCE: usize = 256;
 
-/// Particles in order of their bins.
+/// Particles in the order of their bins.
 #[derive(Debug)]
 pub struct Bins {
     pub(super) keys: Vec<MortonKey>,
-    /// Where each bin's particles begin, and where the last one's end.
+    /// The index of each bin's first particle, followed by the number of particles.
     pub(super) first: Vec<usize>,
     /// Components of each attribute.
     pub(super) components: Vec<usize>,
-    /// For each attribute, the particles that have no finite value of it.
+    /// For each attribute, the number of particles without a finite value.
     pub(super) without: Vec<usize>,
     pub(super) store: ParticleStore,
 }
 
-/// Where the particles are kept, records and attributes each on their own.
+/// The storage of the particles: records and each attribute separately.
 #[derive(Debug)]
 pub(super) enum ParticleStore {
     Memory { records: Vec<Record>, attributes: Vec<Vec<f32>> },
@@ -57,12 +57,12 @@ pub(super) fn tuple_bytes(components: &[usize]) -> usize {
 #[derive(Debug)]
 pub struct BinContents<'a> {
     records: Cow<'a, [Record]>,
-    /// For each attribute, all components of one particle after the other.
+    /// For each attribute, the components of one particle after another.
     pub attributes: Vec<Cow<'a, [f32]>>,
 }
 
 impl BinContents<'_> {
-    /// The particles as they are stored: per axis, from x on, the offset in the cell and then the
+    /// The particles as stored: for each axis from x on, the offset in the cell followed by the
     /// cell in the bin.
     pub fn packed(&self) -> &[u64] {
         &self.records
@@ -78,7 +78,7 @@ impl BinContents<'_> {
 }
 
 impl Bins {
-    /// The bins whose slots were filled, with particles from `first` on.
+    /// The bins whose slots were filled; `first` has the index of each bin's first particle.
     pub(super) fn of_slots(
         slots: Slots,
         keys: Vec<MortonKey>,
@@ -100,11 +100,12 @@ impl Bins {
         }
     }
 
-    /// Bytes that a bin takes in tables until the surface is done, however little it holds.
+    /// Memory of a bin in tables until the surface is done, in bytes, whatever its number of
+    /// particles.
     pub const TABLE_BYTES: u64 = 344;
 
-    /// For each attribute, the particles whose value is not finite: beyond what f32 holds, or
-    /// nothing at all.
+    /// For each attribute, the number of particles without a finite value: either it exceeds f32,
+    /// or it is missing.
     pub fn without(&self) -> &[usize] {
         &self.without
     }
@@ -114,21 +115,21 @@ impl Bins {
         tuple_bytes(components) as u64
     }
 
-    /// The bins that hold particles, in Morton order.
+    /// The bins with particles, in Morton order.
     pub fn keys(&self) -> &[MortonKey] {
         &self.keys
     }
 
-    /// How many particles bin number `bin` holds.
+    /// The number of particles in bin number `bin`.
     pub fn count(&self, bin: usize) -> usize {
         self.first[bin + 1] - self.first[bin]
     }
 
-    /// Sorts the particles of every bin by cell, x fastest, and by place in the cell, so that sums
-    /// of floating-point numbers have a fixed order.
+    /// Sorts the particles of every bin by cell, x fastest, and by position in the cell, so that
+    /// floating-point sums have a fixed order.
     ///
     /// # Errors
-    /// Where they are in a scratch file that cannot be read or written.
+    /// If they are in a scratch file that cannot be read or written.
     pub fn sorted(mut self) -> io::Result<Self> {
         for bins in (0..self.keys.len()).collect::<Vec<_>>().chunks(SORTED_AT_ONCE) {
             let sorted: Vec<(Vec<Record>, Vec<Vec<f32>>)> =
@@ -182,7 +183,7 @@ impl Bins {
     /// [sorted](Self::sorted).
     ///
     /// # Errors
-    /// Where they are in a scratch file that cannot be read.
+    /// If they are in a scratch file that cannot be read.
     pub fn contents(&self, bin: usize) -> io::Result<BinContents<'_>> {
         let range = self.first[bin]..self.first[bin + 1];
         match &self.store {
@@ -213,20 +214,20 @@ impl Bins {
     }
 }
 
-/// The last bits of a particle's steps: the cell in the bin, and the offset in the cell.
+/// Packs the low bits of a particle's steps: the cell in the bin, and the offset in the cell.
 #[inline(always)]
 pub(super) fn pack(steps: [i64; 3]) -> Record {
     let [x, y, z] = steps.map(|s| s as u64 & ((1 << AXIS_BITS) - 1));
     x | y << AXIS_BITS | z << (2 * AXIS_BITS)
 }
 
-/// A packed particle behind its cell in the bin: a number that sorts by cell.
+/// A number that sorts packed particles by cell first.
 fn cell_first(record: Record) -> u64 {
     let (cell, _) = unpack(record);
     (cell_index(cell) as u64) << RECORD_BITS | record
 }
 
-/// A packed particle's cell in the bin, and its offset in the cell.
+/// The cell in the bin and the offset in the cell of a packed particle.
 #[inline(always)]
 pub fn unpack(record: u64) -> ([usize; 3], [u32; 3]) {
     let axis = [0, 1, 2].map(|a| (record >> (a * AXIS_BITS)) as u32 & ((1 << AXIS_BITS) - 1));
@@ -257,7 +258,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_coarser_grid_has_a_particle_in_the_same_place() {
+    fn a_coarsened_record_keeps_the_position() {
         for octaves in 0..7 {
             for (bin, cell, offset) in [
                 (IVec3::ZERO, [0, 7, 15], [8191, 0, 5]),

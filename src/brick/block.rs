@@ -7,10 +7,10 @@ use crate::grid::CellBox;
 
 use super::samples::SamplePlace;
 
-/// Samples that are worked on at once: small enough to stay in the first-level cache.
+/// Samples that are processed together: few enough to stay in the first-level cache.
 const ROW: usize = 1 << 11;
 
-/// Samples that are looked at before it is asked whether there was any.
+/// Samples that are tested together.
 const PIECE: usize = 256;
 
 /// Rows of a block: see [`Block::rows`].
@@ -49,31 +49,31 @@ impl<T: Copy + Default> Block<T> {
         Self { cells, samples: vec![T::default(); cells.volume()] }
     }
 
-    /// The cells that it samples.
+    /// The cells of the block.
     pub fn cells(&self) -> CellBox {
         self.cells
     }
 
-    /// Every sample, x fastest, then y, then z.
+    /// All samples, x fastest, then y, then z.
     pub fn samples(&self) -> &[T] {
         &self.samples
     }
 
-    /// Returns every sample to be changed, x fastest, then y, then z.
+    /// Returns mutable access to all samples, x fastest, then y, then z.
     pub fn samples_mut(&mut self) -> &mut [T] {
         &mut self.samples
     }
 
-    /// Samples from one cell to the next along x, y and z.
+    /// The distances between the samples of adjacent cells along x, y and z.
     pub fn strides(&self) -> [usize; 3] {
         let size = self.cells.size().as_usizevec3();
         [1, size.x, size.x * size.y]
     }
 
-    /// Where `cell` stands among the samples.
+    /// The index of the sample of `cell`.
     ///
     /// # Panics
-    /// In debug builds, if the block does not hold it.
+    /// In debug builds, if the block does not contain the cell.
     #[inline]
     pub fn index(&self, cell: IVec3) -> usize {
         debug_assert!(self.cells.contains(cell), "{cell} is not in {:?}", self.cells);
@@ -88,7 +88,7 @@ impl<T: Copy + Default> Block<T> {
         self.samples[self.index(cell)]
     }
 
-    /// The rows along x of `part`: its (y, z), and its samples.
+    /// The rows of `part` along x, each with its y and z.
     ///
     /// # Panics
     /// If the block does not cover `part`.
@@ -98,16 +98,16 @@ impl<T: Copy + Default> Block<T> {
         BlockRows { block: self, part, next: [part.lo.y, z] }
     }
 
-    /// The cell whose sample stands at a place.
+    /// The cell of a sample, by its index.
     fn cell(&self, place: usize) -> IVec3 {
-        // Blocks are small, and shorter numbers are divided faster.
+        // Blocks are small, and 32-bit division is faster.
         let place = place as u32;
         let [_, row, slab] = self.strides().map(|stride| stride as u32);
         let (z, rest) = (place / slab, place % slab);
         self.cells.lo + IVec3::new((rest % row) as i32, (rest / row) as i32, z as i32)
     }
 
-    /// The first and the last cell of whose sample `is` holds.
+    /// The first and the last cell for whose sample `is` holds.
     fn ends_of(&self, is: impl Fn(T) -> bool) -> Option<[IVec3; 2]> {
         // `is` holds for few samples: a whole piece is tested at once.
         let any = |samples: &&[T]| {
@@ -123,13 +123,14 @@ impl<T: Copy + Default> Block<T> {
         Some([first, last].map(|place| self.cell(place)))
     }
 
-    /// The tightest box around the samples of which `is` holds.
+    /// The tightest box around the samples for which `is` holds.
     pub fn box_of(&self, is: impl Fn(T) -> bool) -> CellBox {
         let mut found = CellBox::EMPTY;
         let Some([first, last]) = self.ends_of(&is) else { return found };
         let (lo, hi) = (self.cells.lo.with_z(first.z), self.cells.hi.with_z(last.z + 1));
         for ([y, z], row) in self.rows(CellBox { lo, hi }) {
-            // Of most rows it holds nowhere, which is told of many samples at a time.
+            // In most rows it holds for no sample, which this loop tests for many samples at a
+            // time.
             if row.iter().fold(0_u16, |any, &sample| any | u16::from(is(sample))) == 0 {
                 continue;
             }
@@ -144,11 +145,11 @@ impl<T: Copy + Default> Block<T> {
         found
     }
 
-    /// Puts what `value` makes of what is there and of `samples`, which are those of the box
-    /// `from`, x fastest, in `part`.
+    /// Sets the samples in `part` to `value` of the existing sample and of the one in `samples`,
+    /// which covers the box `from`, x fastest.
     ///
     /// # Panics
-    /// Unless `part` is in the block and in `from`.
+    /// If `part` is not within the block and `from`.
     pub(crate) fn put_part(
         &mut self,
         part: CellBox,
@@ -192,11 +193,11 @@ impl<T: Copy + Default> Block<T> {
         }
     }
 
-    /// Puts what `value` makes of what is there and of single samples into `part`, and skips
-    /// samples outside of it. The places of `samples` are counted from the cell `corner`.
+    /// Sets samples in `part` to `value` of the existing sample and of single new ones, and skips
+    /// samples outside of `part`. The places of `samples` are relative to the cell `corner`.
     ///
     /// # Panics
-    /// Unless `part` is in the block.
+    /// If `part` is not within the block.
     pub(super) fn put_cells(
         &mut self,
         part: CellBox,
@@ -214,25 +215,25 @@ impl<T: Copy + Default> Block<T> {
         }
     }
 
-    /// The samples of some of its cells.
+    /// The samples of some of the block's cells.
     ///
     /// # Panics
-    /// Unless all of `cells` are in the block.
+    /// If `cells` are not within the block.
     pub fn part(&self, cells: CellBox) -> Self {
         let mut part = Self::zero(cells);
         part.put_part(cells, self.cells, &self.samples, |_, sample| sample);
         part
     }
 
-    /// Puts in the samples of another block, of which all cells are in this one.
+    /// Copies the samples of another block, whose cells must be within this one.
     ///
     /// # Panics
-    /// Unless they are.
+    /// If they are not.
     pub fn put(&mut self, other: &Self) {
         self.put_part(other.cells, other.cells, &other.samples, |_, sample| sample);
     }
 
-    /// A separable operation along x, then y, then z, as [`along`](Self::along) has it.
+    /// A separable operation along x, then y, then z; see [`along`](Self::along).
     ///
     /// # Panics
     /// If the block is too small for one cell to remain.
@@ -242,11 +243,11 @@ impl<T: Copy + Default> Block<T> {
         self
     }
 
-    /// An operation along one axis; the result is smaller by `reach` on both sides. What is in
-    /// `spare` is of no use before or after.
+    /// An operation along one axis; the result is smaller by `reach` on both sides. The content of
+    /// `spare` is undefined before and after.
     ///
-    /// `fill` makes a row of the result, whatever was in it: sample i of the taps i, i + step, ...,
-    /// the first of them `reach` cells below it and the last as far above.
+    /// `fill` overwrites a row of the result: sample i from the taps i, i + step, ..., the first of
+    /// them `reach` cells below it and the last `reach` cells above.
     ///
     /// # Panics
     /// If the block is too small for one cell to remain.
@@ -272,8 +273,8 @@ impl<T: Copy + Default> Block<T> {
         };
         let volume = self.cells.volume();
         if axis == 0 {
-            // Rows are short: they are done as one, and what lies on both sides of an end is left
-            // out.
+            // Rows are short, so they are processed as one; results that mix both sides of a row's
+            // end are dropped.
             let all = self.samples.len() - margin;
             fill_all(&mut spare[..all], &self.samples);
             let width = self.cells.size().x as usize;
@@ -297,7 +298,7 @@ impl<T: Copy + Default> Block<T> {
     /// Repeats the outermost cells of `domain` in all cells beyond its walls (METHOD section 4).
     ///
     /// # Panics
-    /// If the block holds no cell of the domain nearest to one of its own.
+    /// If the block lacks the cell of the domain that is nearest to one of its own.
     pub fn repeat_edges(&mut self, domain: CellBox) {
         if domain.covers(&self.cells) {
             return;
@@ -320,7 +321,7 @@ impl<T: Copy + Default> Block<T> {
 }
 
 impl Block {
-    /// The cells whose samples are more than 0, x fastest; `None` if there are more than `most`.
+    /// The cells with samples above 0, x fastest; `None` if there are more than `most`.
     pub fn full_cells(&self, most: usize) -> Option<Vec<IVec3>> {
         let mut cells = Vec::new();
         for (first, piece) in (0..).step_by(PIECE).zip(self.samples.chunks(PIECE)) {
@@ -342,9 +343,9 @@ fn any_full(samples: &[u16]) -> bool {
     samples.iter().fold(0, |any, sample| any | sample) > 0
 }
 
-/// Puts what `value` makes of what is there and of `samples` in rows of `N` that begin at given
-/// places in both: rows as bricks have them or reach into a neighbour's halo, whose width the
-/// compiler knows.
+/// Sets rows of `N` samples, which begin at given indices in both, to `value` of the existing
+/// samples and of `samples`. `N` is known at compile time: the row of a brick, or of the part that
+/// reaches into a neighbour's halo.
 #[inline(always)]
 fn put_rows<T: Copy, const N: usize>(
     to: &mut [T],

@@ -1,5 +1,5 @@
-//! Boxes around chunks of particles, found on the way while all of them are read: who wants the
-//! particles of some bins alone can pass over the chunks whose boxes hold none of those.
+//! Bounding boxes of chunks of particles, collected while all particles are read. A later reader of
+//! only some bins can skip the chunks whose boxes contain none of them.
 
 use std::ops::Range;
 use std::sync::{Mutex, PoisonError};
@@ -12,10 +12,10 @@ use crate::particles::{AttributeInfo, Particles, RereadError};
 
 use super::bins::AXIS_BITS;
 
-/// Positions whose coordinates fill vectors of any width.
+/// Positions per group: their coordinates fill vectors of any width.
 const LANES: usize = 8;
 
-/// Particles that are watched while they are read: around each chunk of them grows a box.
+/// Particles with a bounding box per chunk, which grows while they are read.
 #[derive(Debug)]
 pub struct WithBoxes<'a, P: ?Sized> {
     particles: &'a P,
@@ -25,12 +25,12 @@ pub struct WithBoxes<'a, P: ?Sized> {
 
 #[derive(Debug)]
 struct ChunkExtent {
-    /// The number of the first particle.
+    /// The index of the first particle.
     first: usize,
     extent: Mutex<Extent>,
 }
 
-/// Least and greatest coordinates.
+/// Minimum and maximum coordinates.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Extent {
     lo: DVec3,
@@ -40,7 +40,7 @@ struct Extent {
 impl Extent {
     const NONE: Self = Self { lo: DVec3::INFINITY, hi: DVec3::NEG_INFINITY };
 
-    /// Around positions. A coordinate that is not a number is passed over.
+    /// The extent of positions. NaN coordinates are ignored.
     fn of(positions: &[[f64; 3]]) -> Self {
         let [lo, hi] = extent(positions);
         Self { lo: lo.into(), hi: hi.into() }
@@ -56,7 +56,8 @@ impl Extent {
 }
 
 impl<'a, P: Particles + ?Sized> WithBoxes<'a, P> {
-    /// Watches `particles`, whose consecutive chunks have these `counts`, which sum to all.
+    /// Wraps `particles`, whose consecutive chunks have these `counts`; these sum to the number of
+    /// particles.
     pub fn new(particles: &'a P, counts: impl Iterator<Item = usize>, grid: &Grid) -> Self {
         let mut end = 0;
         let chunks = counts.map(|count| {
@@ -69,13 +70,13 @@ impl<'a, P: Particles + ?Sized> WithBoxes<'a, P> {
         Self { particles, grid: *grid, chunks }
     }
 
-    /// The box of bins around the particles of each chunk that were read: particles that are on the
-    /// grid, and within a domain's walls, lie in bins of their chunk's box. `None` where none is on
-    /// the grid.
+    /// For each chunk, the box of bins around the particles that were read: all particles on the
+    /// grid and within the domain's walls lie in bins of this box. `None` if no particle is on the
+    /// grid.
     pub fn boxes(&self, domain: Option<&Domain>) -> Vec<Option<CellBox>> {
         let bins = |chunk: &ChunkExtent| {
             let extent = *chunk.extent.lock().unwrap_or_else(PoisonError::into_inner);
-            // Placing rounds down, and walls clamp: both keep the order of coordinates.
+            // Placing rounds down, and walls clamp; both preserve the order of coordinates.
             let bin = |corner: DVec3| {
                 let mut steps = self.grid.place(corner.to_array()).ok()?;
                 if let Some([first, last]) = domain.map(Domain::step_range) {
@@ -110,7 +111,7 @@ impl<'a, P: Particles + ?Sized> WithBoxes<'a, P> {
 
 #[multiversion(targets("x86_64+avx512f", "x86_64+avx2"))]
 fn extent(positions: &[[f64; 3]]) -> [[f64; 3]; 2] {
-    // Comparisons that NaN fails.
+    // These comparisons are false for NaN.
     let least = |a: f64, b: f64| if b < a { b } else { a };
     let greatest = |a: f64, b: f64| if b > a { b } else { a };
     let (mut lo, mut hi) = ([f64::INFINITY; 3 * LANES], [f64::NEG_INFINITY; 3 * LANES]);
@@ -173,7 +174,7 @@ mod tests {
 
     use super::*;
 
-    /// Multiples of a bin's edge and what lies on either side of them, and what is nowhere.
+    /// Multiples of a bin's edge, their neighbours on both sides, and invalid coordinates.
     fn particles(grid: &Grid) -> Vec<[f64; 3]> {
         let place = |i: usize, axis: usize| {
             let bins = ((i * [7919, 6761, 5879][axis]) % 97) as f64 - 48.0;
@@ -188,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn every_chunk_s_box_is_around_the_bins_of_its_particles_and_no_wider() {
+    fn the_box_of_a_chunk_is_tight_around_the_bins_of_its_particles() {
         let grid = Grid::new(DVec3::new(0.3, -7.0, 1e-3), 0.37).unwrap();
         let walls =
             Domain::new(&grid, DVec3::splat(-100.1), DVec3::new(90.0, 120.0, 111.3)).unwrap();

@@ -1,8 +1,8 @@
-//! A field in cells twice as wide, made of the finer one bin by bin where it is asked for.
+//! A field in cells twice as wide, made from the finer field bin by bin on demand.
 //!
-//! Along each axis a wide cell takes 1/8, 3/8, 3/8 and 1/8 of the four cells around its middle, so
-//! that mass, centroid and, but for a constant, the width of what lies in them stay the same
-//! wherever it lies. Beyond walls the finer field repeats its edge cells, as for all filters.
+//! Along each axis a wide cell takes 1/8, 3/8, 3/8 and 1/8 of the four cells around its middle.
+//! This preserves the mass, the centroid and, up to a constant, the variance of the content in any
+//! position. Beyond walls the finer field repeats its edge cells, as for all filters.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -18,21 +18,21 @@ use crate::system::scratch::Scratch;
 use super::field::FACTOR_BITS;
 use super::{Block, BrickSide, DifField, Factor, PageInfo, PageSamples, PageShape, PageSource};
 
-/// Bits that the weights of the cells around the middle of a wide one sum to.
+/// The binary logarithm of the sum of the weights of the cells around the middle of a wide cell.
 const WEIGHT_BITS: u32 = 9;
-/// Bits by which their product is more than a sample: a wide cell holds what eight cells do.
+/// The number of additional bits of their product: a wide cell holds the content of eight cells.
 pub const HALVED_BITS: u32 = WEIGHT_BITS + FACTOR_BITS - 3;
 
-/// The box of wide cells around a box of cells, or in which these leave something.
+/// The box of wide cells that overlaps a box of cells or gets content from it.
 pub fn halved_box(cells: CellBox) -> CellBox {
     CellBox { lo: cells.lo >> 1, hi: (cells.hi + 1) >> 1 }
 }
 
-/// How pages of cells lie that were made of others half as wide.
+/// The arrangement of pages of cells that were made from cells half as wide.
 pub const HALVED: PageShape = PageShape { side: BrickSide::Sixteen, ghost_layer: 0 };
 
-/// Along an axis that has `step` sums in each plane, every two planes of `run` make one of `to`,
-/// but for the outermost two.
+/// Along an axis with `step` sums per plane, makes one plane of `to` from every two planes of
+/// `run`, plus one on both sides.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
 fn halved_along(to: &mut [u32], run: &[u32], step: usize) {
     if step == 1 {
@@ -51,15 +51,15 @@ fn halved_along(to: &mut [u32], run: &[u32], step: usize) {
     }
 }
 
-/// The finer cells of which those of a bin of wide cells are made: none where no wide cell is
-/// within the walls of the finer ones.
+/// The finer cells from which the cells of a bin of wide cells are made; empty if no wide cell is
+/// within the walls of the finer cells.
 pub fn halved_from(bin: IVec3, walls: Option<CellBox>) -> CellBox {
     let wide = CellBox::cube(bin, BIN);
     let wide = walls.map_or(wide, |walls| wide.intersection(&halved_box(walls)));
     if wide.is_empty() { CellBox::EMPTY } else { halved_from_box(wide) }
 }
 
-/// The finer cells of which a box of wide cells is made, away from walls.
+/// The finer cells from which a box of wide cells is made, away from walls.
 pub fn halved_from_box(wide: CellBox) -> CellBox {
     CellBox { lo: wide.lo * 2 - 1, hi: wide.hi * 2 + 1 }
 }
@@ -71,17 +71,17 @@ struct Halving {
     walls: Option<CellBox>,
     factor: Factor,
     bins: Vec<IVec3>,
-    /// The pages that a scratch file holds.
+    /// The pages in the scratch file.
     kept: Option<ScratchPages>,
 }
 
-/// Pages in a scratch file: made again, each of a halved field that was halved before would take
-/// hundreds of pages of the finest.
+/// Pages in a scratch file. Without it, remaking a page of a field that was halved repeatedly would
+/// read hundreds of pages of the finest field.
 #[derive(Debug)]
 struct ScratchPages {
     scratch: Scratch,
-    /// Where each page begins, and how many words it takes; `None` for one that could not be
-    /// written.
+    /// The position of each page in the file, and its number of words; `None` for a page that could
+    /// not be written.
     places: Vec<Option<(u64, usize)>>,
 }
 
@@ -109,7 +109,7 @@ impl Halving {
         }
         let wide = CellBox { lo: (fine.lo + 1) / 2, hi: (fine.hi - 1) / 2 };
         let mut sums = vec![0; dense.len()];
-        // At walls nothing is 0 for sure.
+        // At walls every part may have content.
         let parts = match self.walls {
             Some(walls) if !walls.covers(&fine) => vec![fine],
             _ => self.fine.parts_with_samples(fine),
@@ -131,7 +131,8 @@ impl Halving {
         dense
     }
 
-    /// Adds what `part` of the finer cells leaves in `wide` cells of a bin to the bin's sums.
+    /// Adds the content of `part` of the finer cells in the `wide` cells of a bin to the bin's
+    /// sums.
     fn add(&self, sums: &mut [u32], bin: IVec3, part: CellBox, wide: CellBox) {
         let near = CellBox { lo: (part.lo - 1) >> 1, hi: (part.hi >> 1) + 1 };
         let wide = wide.intersection(&near);
@@ -144,7 +145,8 @@ impl Halving {
         let corner = bin * BIN;
         let mut size = from.size().as_usizevec3();
         let mut halved: Vec<u32> = fine.samples().iter().map(|&sample| sample.into()).collect();
-        // Along x last, where the least is left, for its cells do not lie side by side.
+        // Along x last, when the fewest cells are left, because the taps along x are not
+        // contiguous.
         for axis in [2, 1, 0] {
             let step = [1, size.x, size.x * size.y][axis];
             let planes = size[axis];
@@ -176,10 +178,10 @@ impl PageSource for Halving {
 }
 
 impl DifField {
-    /// The field in cells twice as wide, which hold what lies in them times `factor`, at most 1,
-    /// and at most 65535. What is in memory of this one is of that, too; else its pages go to a
-    /// scratch file in a folder, or are made again as they are asked for where there is none, or no
-    /// room in it.
+    /// The field in cells twice as wide, whose samples are the content of a cell times `factor`,
+    /// which is at most 1; samples are at most 65535. If this field is in memory, so are the pages
+    /// of the result; otherwise they go to a scratch file in a folder. Without a folder, or without
+    /// space in it, they are remade on demand.
     pub fn halved(
         self: &Arc<Self>,
         walls: Option<CellBox>,
@@ -200,15 +202,15 @@ impl DifField {
         let bins: Vec<IVec3> = bins.filter(|&bin| !halved_from(bin, walls).is_empty()).collect();
         let factor = Factor::new(factor);
         if let Some((infos, pages)) =
-            self.elsewhere().and_then(|pages| pages.halved(&bins, walls, factor))
+            self.remote().and_then(|pages| pages.halved(&bins, walls, factor))
         {
             let bins = infos.iter().map(|info| info.key.coord()).collect();
             let halving = Halving { fine: Arc::clone(self), walls, factor, bins, kept: None };
-            return Self::elsewhere_paged(HALVED, infos, pages, Box::new(halving));
+            return Self::from_remote(HALVED, infos, pages, Box::new(halving));
         }
         let halving = Halving { fine: Arc::clone(self), walls, factor, bins, kept: None };
         let page = |&bin: &IVec3| PageInfo::from_dense(bin, &halving.dense(bin), HALVED);
-        // A quarter of the finer field's memory: they are an eighth of its cells.
+        // A quarter of the finer field's memory, for an eighth of its cells.
         let share = self.cache_bytes().map(|bytes| bytes / 4);
         let most = (halving.bins.len() * HALVED.bin_samples() * size_of::<u16>()) as u64;
         match share.filter(|&share| share < most) {
@@ -239,7 +241,7 @@ mod tests {
     use super::*;
     use crate::brick::Pages;
 
-    /// A few bins of noise, in which one of `among` cells is full.
+    /// A few bins of noise with one full cell among `among` cells.
     fn noise(among: u64) -> Arc<DifField> {
         let mut state = 7_u64;
         let mut random = move || {
@@ -286,7 +288,7 @@ mod tests {
     }
 
     #[test]
-    fn wide_cells_hold_what_the_formula_says_with_walls_and_without() {
+    fn wide_cells_match_the_formula_with_and_without_walls() {
         let odd = CellBox { lo: IVec3::new(-5, -3, 1), hi: IVec3::new(14, 9, 30) };
         for (among, walls, factor) in [
             (3, None, 1.0),
@@ -313,7 +315,7 @@ mod tests {
         }
     }
 
-    /// Pages in memory, which counts how often they are asked for.
+    /// Pages in memory, with a count of the reads.
     #[derive(Debug)]
     struct CountingPages {
         field: Arc<DifField>,
@@ -328,7 +330,7 @@ mod tests {
     }
 
     #[test]
-    fn pages_beyond_memory_are_made_once_where_there_is_scratch_and_are_those_in_memory() {
+    fn pages_beyond_memory_are_made_once_with_scratch_and_equal_those_in_memory() {
         let fine = noise(3);
         let folder = tempfile::tempdir().unwrap();
         let cells = CellBox { lo: IVec3::splat(-10), hi: IVec3::splat(40) };
@@ -336,7 +338,7 @@ mod tests {
         for scratch in [Some(folder.path()), None, Some(Path::new("/nowhere"))] {
             let asked = Arc::new(AtomicUsize::new(0));
             let source = CountingPages { field: Arc::clone(&fine), asked: Arc::clone(&asked) };
-            // No page fits into so little memory.
+            // No page fits into a cache of this size.
             let beyond = DifField::paged(HALVED, fine.infos().to_vec(), Box::new(source), 1);
             let wide = Arc::new(Arc::new(beyond).halved(None, 0.5, scratch));
             let made = asked.swap(0, Ordering::Relaxed);

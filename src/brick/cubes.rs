@@ -1,11 +1,11 @@
-//! Codes of bins, cubes of bins, and a small cache of what is known of cubes.
+//! Codes of bins, cubes of bins, and a small cache for data about cubes.
 
 use glam::IVec3;
 
 /// Bits of a bin's coordinate.
 pub const COORD_BITS: u32 = 21;
 
-/// A bin's three coordinates, of [`COORD_BITS`] each: cheaper than its Morton key.
+/// The three coordinates of a bin with [`COORD_BITS`] each: cheaper than its Morton key.
 pub(super) type BinCode = u64;
 
 /// The coordinates of a bin, in bins.
@@ -15,8 +15,8 @@ pub(super) fn bin_coord(bin: BinCode) -> IVec3 {
     IVec3::new(axis(0), axis(COORD_BITS), axis(2 * COORD_BITS))
 }
 
-/// Bins of a cube along each axis: counted side by side, a cube's counters fill a line of the
-/// processor's cache.
+/// The binary logarithm of a cube's edge in bins; the counters of a cube's bins fill a cache line
+/// of the CPU.
 const CUBE_BITS: u32 = 1;
 /// Bins of a cube.
 pub(super) const CUBE: usize = 1 << (3 * CUBE_BITS);
@@ -49,8 +49,8 @@ pub(super) struct CubeCache<T> {
 }
 
 impl<T: Copy + Default> CubeCache<T> {
-    /// A cache for `particles` in any order: about as many cubes along each axis as a pool of them
-    /// has.
+    /// A cache for `particles` in any order, with about as many cubes along each axis as a pool of
+    /// that many particles.
     pub(super) fn of(particles: usize) -> Self {
         let bits = Self::bits(particles);
         Self { bits, cubes: vec![(BinCode::MAX, T::default()); 1 << (3 * bits)] }
@@ -66,7 +66,7 @@ impl<T: Copy + Default> CubeCache<T> {
         (size_of::<(BinCode, T)>() as u64) << (3 * Self::bits(particles))
     }
 
-    /// The entry of the cube that a bin lies in; `found` if another was asked for since.
+    /// The entry of a bin's cube; `found` computes it if the slot has another cube.
     #[inline(always)]
     pub(super) fn of_cube(&mut self, bin: BinCode, found: impl FnOnce(BinCode) -> T) -> &mut T {
         let axis = |a: u32| (bin >> (a * COORD_BITS + CUBE_BITS)) as usize & ((1 << self.bits) - 1);

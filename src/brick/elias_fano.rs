@@ -1,9 +1,9 @@
-//! The Elias-Fano code: a multiset of integers in close to the least room that it can take.
+//! The Elias-Fano code: a multiset of integers in close to the minimum space.
 //!
-//! Each of n integers up to u keeps its lowest l bits, l being the width of u / n. What is above
-//! them is its key; in order of their keys, integer number i sets bit `key + i` of a bit map. That
-//! makes l + 1 bits an integer, and up to n for the keys. The order of integers with the same key
-//! is free, so that a counting sort will do.
+//! For n integers up to u, each integer keeps its lowest l bits, where l is the width of u / n. The
+//! bits above are its key; in the order of their keys, integer number i sets bit `key + i` of a bit
+//! map. That takes l + 1 bits per integer, and up to n bits for the keys. The order of integers
+//! with the same key does not matter, so a counting sort is enough.
 //!
 //! P. Elias: *Efficient storage and retrieval by content and address of static files* (1974).
 
@@ -11,7 +11,7 @@ use crate::system::bits::ones;
 
 const WORD: usize = u64::BITS as usize;
 
-/// How a multiset is laid out: the bit map, the low bits, and a word of nothing.
+/// The layout of a coded multiset: the bit map, the low bits, and a word of padding.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct EliasFano {
     count: usize,
@@ -20,7 +20,7 @@ pub(super) struct EliasFano {
 }
 
 impl EliasFano {
-    /// For `count` integers, at least one, none above `greatest`.
+    /// For `count` integers, at least one, all at most `greatest`.
     pub fn new(count: usize, greatest: u64) -> Self {
         let low_bits =
             (u64::BITS - (greatest / count as u64).leading_zeros()).clamp(1, u64::BITS - 1);
@@ -36,7 +36,7 @@ impl EliasFano {
         self.map_words() + (self.count * self.low_bits as usize).div_ceil(WORD) + 1
     }
 
-    /// Numbers of the `integers`, by key.
+    /// The indices of the `integers`, sorted by key.
     pub fn order(&self, integers: &[u64]) -> Vec<u32> {
         let key = |integer: u64| (integer >> self.low_bits) as usize;
         let mut next = vec![0; self.keys + 1];
@@ -53,7 +53,7 @@ impl EliasFano {
         order
     }
 
-    /// The code of integers that come in [`order`](Self::order).
+    /// Encodes integers that come in this [`order`](Self::order).
     pub fn encode(&self, integers: impl Iterator<Item = u64>) -> Vec<u64> {
         let mut words = vec![0; self.words()];
         let (map, low) = words.split_at_mut(self.map_words());
@@ -68,7 +68,7 @@ impl EliasFano {
         words
     }
 
-    /// The integers that `words` stand for.
+    /// Decodes `words`.
     pub fn decode(self, words: &[u64]) -> impl Iterator<Item = u64> + '_ {
         let (map, low) = words.split_at(self.map_words());
         let ones =
@@ -97,7 +97,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_multiset_comes_back_and_takes_little_more_than_its_integers() {
+    fn every_multiset_decodes_and_takes_little_more_than_the_minimum() {
         let mut state = 1_u64;
         for greatest in [1, 5, 1000, (1 << 51) - 1, (77 << 51) - 1, u64::MAX] {
             for count in [1, 2, 3, 64, 65, 1000, 20_000] {

@@ -1,4 +1,4 @@
-//! The DIF of a frame in sparse bricks, paged by bins: nothing exists where no particle is.
+//! The DIF of a frame in sparse bricks, in one page per bin. Space without particles is not stored.
 
 use std::borrow::Cow;
 use std::fmt::Debug;
@@ -14,10 +14,10 @@ use crate::grid::{BIN, CellBox, MortonKey, block_parts};
 use super::store::PageStore;
 use super::{Block, BrickSide, PageInfo, PageSamples, PageShape, PageSource, Pages};
 
-/// The discrete indicator function of a frame. Where no brick is, it is exactly 0.
+/// The discrete indicator function of a frame. Outside of its bricks it is exactly 0.
 ///
-/// A cell is full exactly where what is stored is not 0: where it holds particles, in the paper's
-/// sense, or is near some.
+/// A cell is full if its stored sample is not 0: if it contains particles, in the paper's sense, or
+/// is near one.
 #[derive(Debug)]
 pub struct DifField {
     shape: PageShape,
@@ -32,19 +32,19 @@ pub struct DifField {
 enum SampleMeaning {
     /// The DIF itself.
     Theta,
-    /// Numbers of particles, which a table turns into the DIF on the way out.
+    /// Numbers of particles, which a table converts to the DIF on access.
     Counts(DecodeTable),
 }
 
 impl DifField {
-    /// Makes a field of pages in memory, in the order of their keys.
+    /// Makes a field of pages in memory, sorted by key.
     pub fn in_memory(shape: PageShape, pages: Pages) -> Self {
         let (infos, samples) = pages.into_iter().unzip();
         Self::new(shape, infos, PageStore::Memory(samples))
     }
 
-    /// Makes a field of pages, in the order of their keys, whose samples are read from `source`.
-    /// Those last used stay in memory as long as they take no more than `cache_bytes`.
+    /// Makes a field of pages, sorted by key, whose samples are read from `source`. The last used
+    /// pages stay in memory, up to `cache_bytes`.
     pub fn paged(
         shape: PageShape,
         infos: Vec<PageInfo>,
@@ -56,16 +56,16 @@ impl DifField {
         Self::new(shape, infos, PageStore::paged(source, cache_bytes, mean_bytes))
     }
 
-    /// Makes a field of pages, in the order of their keys, whose samples are elsewhere and come
-    /// when they are wanted. Where that fails they are made by `otherwise`.
-    pub fn elsewhere_paged(
+    /// Makes a field of pages, sorted by key, whose samples are in another memory and are fetched
+    /// on demand. If that fails, `otherwise` makes them.
+    pub fn from_remote(
         shape: PageShape,
         infos: Vec<PageInfo>,
         pages: Box<dyn RemotePages>,
         otherwise: Box<dyn PageSource>,
     ) -> Self {
         debug_assert_eq!(infos.len(), pages.count(), "pages are those of the infos");
-        Self::new(shape, infos, PageStore::elsewhere(pages, otherwise))
+        Self::new(shape, infos, PageStore::remote(pages, otherwise))
     }
 
     fn new(shape: PageShape, infos: Vec<PageInfo>, store: PageStore) -> Self {
@@ -74,32 +74,31 @@ impl DifField {
         Self { shape, infos, rank, store, stored: SampleMeaning::Theta }
     }
 
-    /// Takes what is stored for numbers of particles, and `theta` for the DIF by number: 0 for
-    /// none, more than 0 for any, and 1 beyond its end.
+    /// Declares that the stored samples are numbers of particles, and `theta` the DIF for each
+    /// number: 0 for none, more than 0 for any, and 1 beyond its end.
     pub fn with_decode(self, theta: &[u16]) -> Self {
         Self { stored: SampleMeaning::Counts(DecodeTable::new(theta)), ..self }
     }
 
-    /// Bytes of samples that may be in memory; `None` where all are.
+    /// Bytes of samples that may be in memory; `None` if all are.
     pub(super) fn cache_bytes(&self) -> Option<u64> {
         self.store.cache_bytes()
     }
 
-    /// Returns the samples that are in another memory than the host's, such as a device's, if the
-    /// field has such.
-    pub fn elsewhere(&self) -> Option<&dyn RemotePages> {
+    /// Returns the samples in another memory than the host's, such as a device's, if there are any.
+    pub fn remote(&self) -> Option<&dyn RemotePages> {
         match &self.store {
-            PageStore::Elsewhere { pages, .. } => Some(&**pages),
+            PageStore::Remote { pages, .. } => Some(&**pages),
             PageStore::Memory(_) | PageStore::Paged { .. } => None,
         }
     }
 
-    /// How far from a page's full cells the DIF can be more than 0, in cells.
+    /// The maximum distance of a positive DIF from a page's full cells, in cells.
     pub fn ghost_layer(&self) -> i32 {
         self.shape.ghost_layer
     }
 
-    /// How its pages' samples lie.
+    /// The arrangement of the samples of its pages.
     pub fn shape(&self) -> PageShape {
         self.shape
     }
@@ -109,13 +108,13 @@ impl DifField {
         self.shape.side
     }
 
-    /// Cells that are full by what their own bin's particles leave in them.
+    /// The number of cells that are full because of particles in their own bin.
     pub fn full_cells(&self) -> u64 {
         self.infos.iter().map(|info| u64::from(info.full_count)).sum()
     }
 
-    /// Mean of the DIF over the full cells, in 0 to 1, where bricks have no ghost layers. Reads all
-    /// pages.
+    /// The mean of the DIF over the full cells, from 0 to 1, for bricks without ghost layers. Reads
+    /// all pages.
     pub fn mean_of_full(&self) -> f64 {
         let theta = |&sample: &u16| u64::from(self.stored.theta(sample));
         let pages = (0..self.infos.len()).into_par_iter();
@@ -123,18 +122,18 @@ impl DifField {
         sum as f64 / (self.full_cells() as f64 * f64::from(FULL))
     }
 
-    /// Bricks that hold particles.
+    /// The number of bricks that contain particles.
     pub fn bricks(&self) -> u64 {
         self.infos.iter().map(|info| u64::from(info.bricks.count_ones())).sum()
     }
 
-    /// Bytes of all samples of its bricks, however they are kept.
+    /// Bytes of all samples of its bricks, in any storage.
     pub fn sample_bytes(&self) -> u64 {
         let bytes = |info: &PageInfo| (info.samples(self.shape) * size_of::<u16>()) as u64;
         self.infos.iter().map(bytes).sum()
     }
 
-    /// Cuts the DIF of `cells` out of the bricks.
+    /// Cuts the samples of `cells` out of the bricks.
     pub fn gather(&self, cells: CellBox) -> Block {
         match &self.stored {
             SampleMeaning::Theta if self.shape.ghost_layer > 0 => {
@@ -145,7 +144,7 @@ impl DifField {
         }
     }
 
-    /// Cuts `cells` out of the DIF; beyond `walls` their edge cells are repeated.
+    /// Cuts the samples of `cells` out of the bricks; beyond `walls` the edge cells are repeated.
     pub fn gather_within(&self, cells: CellBox, walls: Option<CellBox>) -> Block {
         let mut block = self.gather(cells);
         if let Some(walls) = walls {
@@ -154,8 +153,8 @@ impl DifField {
         block
     }
 
-    /// Cuts out the samples by what `value` makes of what is there already and of what another
-    /// brick has stored.
+    /// Cuts out the samples. `value` combines the existing sample with the stored sample of another
+    /// brick.
     fn gather_by(&self, cells: CellBox, value: impl Fn(u16, u16) -> u16 + Copy) -> Block {
         let PageShape { side, ghost_layer } = self.shape;
         let edge = side.cells();
@@ -187,11 +186,10 @@ impl DifField {
         block
     }
 
-    /// Writes the samples of a whole bin as they are stored, dense as [`PageInfo::from_dense`]
-    /// takes them.
+    /// Writes the stored samples of a whole bin in the dense form of [`PageInfo::from_dense`].
     ///
     /// # Panics
-    /// If no page is there, or `dense` is not as long as a bin.
+    /// If the bin has no page, or if `dense` does not have the length of a bin.
     pub fn write_stored(&self, bin: IVec3, dense: &mut [u16]) {
         let rank = self.rank[&bin];
         let samples = self.store.cached(rank, self.shape);
@@ -203,8 +201,8 @@ impl DifField {
         self.rank.contains_key(&bin)
     }
 
-    /// theta by the number of particles, and 1 for all numbers beyond, where what is stored is
-    /// counts.
+    /// theta for each number of particles, with 1 for all larger numbers; `None` if the stored
+    /// samples are the DIF.
     pub fn decode_table(&self) -> Option<&[u16]> {
         match &self.stored {
             SampleMeaning::Counts(table) => Some(&table.0),
@@ -212,14 +210,14 @@ impl DifField {
         }
     }
 
-    /// Cells of the boxes around the full ones of all bins that some cells lie in.
+    /// The number of cells in the boxes around the full cells of all bins that overlap some cells.
     pub fn full_volume(&self, cells: CellBox) -> usize {
         let bins = cells.cubes(BIN).filter_map(|bin| self.rank.get(&bin));
         bins.map(|&rank| self.infos[rank as usize].full.volume()).sum()
     }
 
-    /// The parts of some cells that lie within `reach` cells of a bin's full ones along every axis,
-    /// which may overlap.
+    /// The parts of some cells that lie within `reach` cells of a bin's full cells along every
+    /// axis; they may overlap.
     pub fn parts_near(&self, cells: CellBox, reach: i32) -> impl Iterator<Item = CellBox> + '_ {
         let bins = cells.grown(reach, reach).cubes(BIN).filter_map(|bin| self.rank.get(&bin));
         let near = bins.map(move |&rank| {
@@ -228,9 +226,9 @@ impl DifField {
         near.filter(|part| !part.is_empty())
     }
 
-    /// The parts of some cells that lie within `reach` cells of full ones along every axis, which may
-    /// overlap: around each group of full cells side by side where a bin has few, else around all
-    /// of a bin.
+    /// The parts of some cells that lie within `reach` cells of full cells along every axis; they
+    /// may overlap. A bin with few full cells has a part for each group of adjacent ones; other
+    /// bins have one part.
     pub fn parts_near_groups(&self, cells: CellBox, reach: i32) -> Vec<CellBox> {
         let (mut parts, mut groups) = (Vec::new(), Vec::new());
         for bin in cells.grown(reach, reach).cubes(BIN) {
@@ -252,7 +250,7 @@ impl DifField {
         parts
     }
 
-    /// Boxes that hold all samples of some cells that are not 0, and do not overlap.
+    /// Boxes that contain all nonzero samples of some cells, without overlap.
     pub fn parts_with_samples(&self, cells: CellBox) -> Vec<CellBox> {
         let mut parts: Vec<CellBox> = Vec::new();
         for part in self.parts_near(cells, self.shape.ghost_layer) {
@@ -261,7 +259,7 @@ impl DifField {
         parts
     }
 
-    /// The parts of blocks that lie within `below` cells under, or `above` cells over, a full cell
+    /// The parts of blocks that lie up to `below` cells under or `above` cells over a full cell
     /// along every axis, as boxes of cells, in the Morton order of their blocks.
     pub fn regions(&self, below: i32, above: i32) -> Vec<CellBox> {
         block_parts(self.infos.iter().map(|info| info.full.grown(below, above)))
@@ -272,18 +270,18 @@ impl DifField {
         self.infos.iter().map(|info| info.key)
     }
 
-    /// All pages, in the order of their keys.
+    /// All pages, sorted by key.
     pub fn infos(&self) -> &[PageInfo] {
         &self.infos
     }
 
-    /// All samples of page number `page`'s bricks, not decoded.
+    /// All samples of page number `page`, not decoded.
     pub fn stored(&self, page: usize) -> Cow<'_, [u16]> {
         self.store.once(page, self.shape)
     }
 }
 
-/// Adds a box to others, joined with those less than `gap` + 1 cells away from it.
+/// Adds a box to others, merged with those at most `gap` cells away.
 fn join(boxes: &mut Vec<CellBox>, mut new: CellBox, gap: i32) {
     let is_near =
         |other: &CellBox, new: &CellBox| !other.grown(gap, gap).intersection(new).is_empty();
@@ -303,7 +301,7 @@ impl SampleMeaning {
     }
 }
 
-/// theta by the number of particles; the last one, 1, for all numbers from there on.
+/// theta for each number of particles; the last entry, 1, is for all larger numbers.
 #[derive(Debug)]
 struct DecodeTable(Box<[u16]>);
 
@@ -323,12 +321,12 @@ impl DecodeTable {
 /// Bits of a [`Factor`].
 pub(super) const FACTOR_BITS: u32 = 16;
 
-/// The share of their content that wide cells hold: at most all.
+/// The fraction of their content that wide cells store: at most 1.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Factor(u32);
 
 impl Factor {
-    /// Rounds a factor of at most 1 down to its step.
+    /// Rounds a factor of at most 1 down to a step.
     pub fn new(factor: f64) -> Self {
         Self((factor * f64::from(1 << FACTOR_BITS)) as u32)
     }
@@ -339,17 +337,17 @@ impl Factor {
     }
 }
 
-/// Samples that are not in the host's memory, and what can be made of them where they are. Whatever
-/// fails is `None`, and made on the host.
+/// Samples in another memory than the host's, with operations that run there. Operations return
+/// `None` on failure; the host then computes the result.
 pub trait RemotePages: Send + Sync + Debug {
-    /// How many pages there are.
+    /// The number of pages.
     fn count(&self) -> usize;
 
     /// The samples of consecutive pages.
     fn samples(&self, pages: Range<usize>) -> Option<Vec<PageSamples>>;
 
-    /// The pages of bins in cells twice as wide, but for those that hold nothing: what
-    /// [`DifField::halved`](super::DifField::halved) makes, within the `walls` of these cells.
+    /// The pages of bins in cells twice as wide, without empty ones: the same as
+    /// [`DifField::halved`](super::DifField::halved), within the `walls` of these cells.
     fn halved(
         &self,
         bins: &[IVec3],
@@ -357,8 +355,8 @@ pub trait RemotePages: Send + Sync + Debug {
         factor: Factor,
     ) -> Option<(Vec<PageInfo>, Box<dyn RemotePages>)>;
 
-    /// For each page a bit for each brick of four cells, by its Morton index: those that no cube of
-    /// `width` parts along each axis touches that holds less than `least`; a part is two cells
-    /// wide, and cubes slide by one.
+    /// For each page, a bit per brick of four cells, by its Morton index. It is set if every cube
+    /// of `width` parts along each axis that overlaps the brick holds at least `least`. A part is
+    /// two cells wide, and cubes slide by one part.
     fn full_bricks(&self, width: u32, least: u32) -> Option<Vec<u64>>;
 }

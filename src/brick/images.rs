@@ -1,8 +1,8 @@
-//! Particles of a periodic box together with their images: all that binning has to know of such a
-//! box.
+//! Particles of a periodic box together with their images, so that binning need not handle periodic
+//! boxes.
 //!
 //! Images follow the particles, and are never stored. The number of images is known for each group
-//! of particles, and reading images computes them again from the particles of their groups. Groups
+//! of particles, and reading images recomputes them from the particles of their groups. Groups
 //! without images are not read again.
 
 use std::ops::Range;
@@ -19,10 +19,10 @@ use crate::system::control::Stage;
 use super::place::Placer;
 use super::{BinError, Census, InvalidParticles};
 
-/// Particles whose images are counted together.
+/// Number of particles in a group.
 const GROUP: usize = 1 << 10;
 
-/// Particles as they are to be binned: with their images, if their box is periodic.
+/// Particles for binning: with their images, if their box is periodic.
 #[derive(Debug)]
 pub struct WithImages<'a, P: ?Sized> {
     particles: MeteredParticles<'a, P>,
@@ -34,26 +34,26 @@ pub struct WithImages<'a, P: ?Sized> {
 struct Images<'a> {
     placer: Placer,
     periodic: &'a Periodic,
-    /// How many images the groups before each have, and last all of them.
+    /// For each group, the number of images in the groups before it, followed by the total.
     before: Vec<u64>,
-    /// Particles that are not in the box.
+    /// Number of particles outside of the box.
     astray: usize,
 }
 
-/// Counts of all groups.
+/// Counts over all groups.
 #[derive(Default)]
 struct InvalidCounts {
     astray: AtomicUsize,
-    /// The first group that has an invalid particle, and that particle.
+    /// The first group with an invalid particle, and that particle.
     first_invalid: Mutex<Option<(usize, BinError)>>,
 }
 
 impl<'a, P: Particles + ?Sized> WithImages<'a, P> {
-    /// Counts the images of particles, if their box is periodic: reads all of them once.
+    /// Counts the images of particles if their box is periodic, in one reading of all particles.
     ///
     /// # Errors
-    /// [`BinError`], naming the first particle that cannot be placed or is not in the box, unless
-    /// such are skipped.
+    /// [`BinError`] with the first particle that cannot be placed or is outside of the box, unless
+    /// these are skipped.
     pub fn of(
         particles: MeteredParticles<'a, P>,
         grid: &Grid,
@@ -86,13 +86,12 @@ impl<'a, P: Particles + ?Sized> WithImages<'a, P> {
         })
     }
 
-    /// Counts, from now on, the particles that are read in a stage, up to a share of it.
+    /// Begins to report the particles that are read as progress of a stage, up to a fraction of it.
     pub fn begin(&mut self, stage: Stage, to: f64) {
         self.particles.begin(stage, to);
     }
 
-    /// The counts of the particles themselves, by those of a census that was taken with their
-    /// images.
+    /// Converts a census that includes images to one of the particles themselves.
     pub fn census(&self, census: Census) -> Census {
         let Some(images) = &self.images else { return census };
         Census {
@@ -109,9 +108,9 @@ type Placed = ([f64; 3], [i64; 3]);
 
 /// A particle that cannot be binned.
 enum MisplacedParticle {
-    /// Outside of the box, along this axis.
+    /// Outside of the box along this axis.
     Astray(char),
-    /// Nowhere on the grid.
+    /// Beyond the grid.
     Unplaced(PlacementError),
 }
 
@@ -125,7 +124,7 @@ impl Images<'_> {
         self.before.last().map_or(0, |&all| all as usize)
     }
 
-    /// Where a particle is between the faces, and its steps; `None` outside of the domain.
+    /// The position of a particle between the faces, and its steps; `None` outside of the domain.
     fn placed(&self, position: [f64; 3]) -> Result<Option<Placed>, MisplacedParticle> {
         let inside = self.periodic.inside(position).map_err(MisplacedParticle::Astray)?;
         let steps = self.placer.place(inside).map_err(MisplacedParticle::Unplaced)?;
@@ -136,14 +135,14 @@ impl Images<'_> {
         self.periodic.images(&self.placer.grid, inside, steps)
     }
 
-    /// The images of a particle: none of one that is left out.
+    /// The images of a particle; a skipped particle has none.
     fn of(&self, position: [f64; 3]) -> impl Iterator<Item = [f64; 3]> + use<> {
         let near = self.periodic.is_near_face(position);
         let placed = if near { self.placed(position).ok().flatten() } else { None };
         placed.map(|placed| self.images(placed)).into_iter().flatten()
     }
 
-    /// Counts the images of a group, and its particles that cannot be binned.
+    /// Counts the images of a group, and its invalid particles.
     fn count(
         &self,
         particles: &(impl Particles + ?Sized),
@@ -184,9 +183,8 @@ impl Images<'_> {
         images
     }
 
-    /// Calls `take` with groups of which some images are wanted, the `count` ones from number
-    /// `first` on: the group's particles, the place of each wanted image's own among them, and
-    /// where those images are.
+    /// Calls `take` for the groups of `count` images from number `first` on, with the group's
+    /// particles, the index of each image's particle in the group, and the positions of the images.
     fn groups(
         &self,
         particles: &(impl Particles + ?Sized),
@@ -195,7 +193,8 @@ impl Images<'_> {
         mut take: impl FnMut(Range<usize>, &[usize], &[[f64; 3]]),
     ) {
         let wanted = first as u64..(first + count) as u64;
-        // The last group that begins no later; those before it that begin there as well have none.
+        // The last group that begins no later; earlier groups that begin at the same image have
+        // none.
         let begin = self.before.partition_point(|&before| before <= wanted.start).saturating_sub(1);
         let ends = self.before[1..].iter().enumerate().skip(begin);
         let groups = ends.take_while(|&(group, _)| self.before[group] < wanted.end);
@@ -207,8 +206,8 @@ impl Images<'_> {
                 .iter()
                 .enumerate()
                 .flat_map(|(own, &at)| self.of(at).map(move |at| (own, at)));
-            // Particles that have moved meanwhile have other images: none where there are fewer,
-            // which whoever bins them finds out.
+            // Particles that moved in the meantime have other images. If there are fewer, the rest
+            // is set to NaN, and binning detects the change.
             let nowhere = std::iter::repeat((0, [f64::NAN; 3]));
             let numbered = (self.before[group]..self.before[group + 1]).zip(all.chain(nowhere));
             let numbered = numbered.filter(|(number, _)| wanted.contains(number));
@@ -220,8 +219,8 @@ impl Images<'_> {
     }
 }
 
-/// Splits a slice for particles from `first` on into those among the `own` ones, and the images
-/// after them.
+/// Splits a slice for particles from `first` on into the part for the `own` particles and the part
+/// for images.
 fn split<T>(out: &mut [T], width: usize, first: usize, own: usize) -> (&mut [T], &mut [T]) {
     let at = width * own.saturating_sub(first);
     out.split_at_mut(at.min(out.len()))
@@ -238,7 +237,7 @@ impl<P: Particles + ?Sized> Particles for WithImages<'_, P> {
         let (real, mut rest) = split(out, 1, first, own);
         if !real.is_empty() {
             self.particles.positions(first, real);
-            // What is not in the box is nowhere.
+            // Particles outside of the box get NaN positions.
             real.iter_mut()
                 .for_each(|at| *at = images.periodic.inside(*at).unwrap_or([f64::NAN; 3]));
         }
@@ -280,7 +279,7 @@ impl<P: Particles + ?Sized> Particles for WithImages<'_, P> {
 }
 
 impl<P: Particles + ?Sized> WithImages<'_, P> {
-    /// Fills `out` with attribute number `index` as `read` reads it of the particles themselves.
+    /// Fills `out` with attribute number `index`, which `read` reads for the particles themselves.
     fn tuples<T: Copy + Default>(
         &self,
         index: usize,
@@ -315,7 +314,7 @@ mod tests {
 
     use super::*;
 
-    /// Particles that carry their own numbers.
+    /// Particles with their own indices as an attribute.
     #[derive(Debug)]
     struct NumberedParticles(Vec<[f64; 3]>, Vec<AttributeInfo>);
 
@@ -338,13 +337,13 @@ mod tests {
     }
 
     #[test]
-    fn images_follow_the_particles_and_are_the_same_whatever_is_read_at_once() {
+    fn images_follow_the_particles_and_do_not_depend_on_the_ranges_of_reads() {
         let grid = Grid::new(DVec3::ZERO, 0.02).unwrap();
         let periodic = Periodic::new(&grid, [Some([0.0, 1.0]), None, Some([0.0, 1.0])], 3).unwrap();
         let at = |i: usize, a: usize| ((i * [7919, 6761, 5879][a]) % 40_009) as f64 / 40_009.0;
         let mut positions: Vec<[f64; 3]> =
             (0..5000).map(|i| [at(i, 0), at(i, 1), at(i, 2)]).collect();
-        // A whole group far from any face.
+        // A whole group far from all faces.
         positions[2048..3072].fill([0.5; 3]);
         (positions[7], positions[8], positions[9]) =
             ([0.5, f64::NAN, 0.5], [1.5, 0.5, 0.5], [1.0, 0.5, 0.5]);
@@ -357,7 +356,7 @@ mod tests {
         assert!(matches!(first, BinError::NotFinite { index: 7, .. }), "{first}");
         let all = of(InvalidParticles::Skip).unwrap();
         let len = all.len();
-        // Of those that fill the box, which is larger by 0.06 on either side along two axes.
+        // The particles fill the box, which is larger by 0.06 on either side along two axes.
         let expected = 4000.0 * (1.12 * 1.12 - 1.0);
         assert!(((len - 5000) as f64 - expected).abs() < 0.1 * expected, "{} images", len - 5000);
 
@@ -395,7 +394,7 @@ mod tests {
         );
     }
 
-    /// Particles that are elsewhere each time they are read.
+    /// Particles whose positions change with each reading.
     struct UnstableParticles(AtomicUsize);
 
     impl Particles for UnstableParticles {
@@ -412,7 +411,7 @@ mod tests {
     }
 
     #[test]
-    fn particles_that_move_between_two_readings_fill_what_is_asked_for_and_no_more() {
+    fn moved_particles_never_overflow_the_requested_range_of_images() {
         let grid = Grid::new(DVec3::ZERO, 0.02).unwrap();
         let periodic = Periodic::new(&grid, [Some([0.0, 1.0]), None, None], 10).unwrap();
         let restless = UnstableParticles(0.into());

@@ -10,17 +10,17 @@ use crate::grid::{BIN, CellBox, MortonKey, local_from_morton, local_morton};
 use super::samples::take_sparse;
 use super::{PageSamples, PageShape};
 
-/// The description of a page, which is always in memory; its samples may be elsewhere.
+/// The description of a page, which is always in memory; its samples may be stored elsewhere.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PageInfo {
     /// The key of the page's bin.
     pub key: MortonKey,
-    /// A bit for every brick that has a full cell of its own, by its Morton index in the bin.
-    /// Others are not stored.
+    /// A bit for every brick with a full cell of its own, by its Morton index in the bin. Other
+    /// bricks are not stored.
     pub bricks: u64,
-    /// The tightest box around the bin's full cells, in cells of the world.
+    /// The tightest box around the bin's full cells, in grid coordinates.
     pub full: CellBox,
-    /// How many of the bin's cells are full: what is stored of them is not 0.
+    /// The number of full cells of the bin, whose stored samples are not 0.
     pub full_count: u32,
 }
 
@@ -28,8 +28,8 @@ pub struct PageInfo {
 pub type Pages = Vec<(PageInfo, PageSamples)>;
 
 impl PageInfo {
-    /// Describes a bin with `full_count` full cells, given the layers across x, y and z that hold
-    /// any, a bit each.
+    /// Describes a bin with `full_count` full cells, given a bit for each layer across x, y and z
+    /// with at least one.
     pub(super) fn of_layers(
         key: MortonKey,
         bricks: u64,
@@ -43,8 +43,8 @@ impl PageInfo {
     }
 
     /// Keeps the bricks of `dense` that have a full cell of their own. Without ghost layers `dense`
-    /// is a whole bin, x fastest; with ghost layers it is as [`from_bricks`](Self::from_bricks)
-    /// takes it.
+    /// is a whole bin, x fastest; with ghost layers it has the form of
+    /// [`from_bricks`](Self::from_bricks).
     pub fn from_dense(bin: IVec3, dense: &[u16], shape: PageShape) -> Option<(Self, PageSamples)> {
         if shape.ghost_layer > 0 {
             return Self::from_bricks(bin, &mut dense.to_vec(), shape);
@@ -60,8 +60,8 @@ impl PageInfo {
         Self::from_bricks(bin, &mut bricks, shape)
     }
 
-    /// Keeps those of all bricks of a bin, in Morton order and x fastest in each, that have a full
-    /// cell of their own; what is in `samples` is of no use afterwards.
+    /// Keeps the bricks that have a full cell of their own, from all bricks of a bin, in Morton
+    /// order and x fastest in each. The content of `samples` is undefined afterwards.
     pub fn from_bricks(
         bin: IVec3,
         samples: &mut [u16],
@@ -85,8 +85,9 @@ impl PageInfo {
         })
     }
 
-    /// Takes a page out of the `samples` of a bin that is one brick, and leaves 0: what particles
-    /// in these cells of the bin have left. `None` if that is nothing in any cell of its own.
+    /// Takes a page out of the `samples` of a bin that is one brick, and leaves zeros. The samples
+    /// are those of particles in these cells of the bin. `None` if no cell of the bin itself is
+    /// full.
     pub fn take_sparse(
         bin: IVec3,
         samples: &mut [u16],
@@ -104,12 +105,12 @@ impl PageInfo {
         any.then(|| (full.page(MortonKey::of(bin), 1), PageSamples::Sparse(sparse)))
     }
 
-    /// Describes the page of stored samples, or returns `None` where they make no valid page. A
-    /// valid page has a full cell in every one of `bricks`, and nothing farther from the bin's full
-    /// cells than the ghost layer is wide.
+    /// Describes the page of stored samples; returns `None` if the page is invalid. A valid page
+    /// has a full cell in every one of `bricks`, and no nonzero sample farther from the bin's full
+    /// cells than the width of the ghost layer.
     ///
     /// # Panics
-    /// If the samples are not of the bricks' number.
+    /// If the number of samples does not match the bricks.
     pub fn from_samples(
         key: MortonKey,
         bricks: u64,
@@ -153,20 +154,19 @@ impl PageInfo {
         }
     }
 
-    /// Bytes that its samples take in memory at the most.
+    /// Maximum memory of the page's samples, in bytes.
     pub fn most_bytes(&self, shape: PageShape) -> usize {
         let nonzero = shape.cells_a_particle() * self.full_count as usize;
         let near = self.full.grown(shape.ghost_layer, shape.ghost_layer).volume();
         PageSamples::most_bytes(nonzero.min(near), self.bricks.count_ones() as usize, shape)
     }
 
-    /// How many samples are stored.
+    /// The number of stored samples.
     pub fn samples(&self, shape: PageShape) -> usize {
         self.bricks.count_ones() as usize * shape.brick_samples()
     }
 
-    /// The part of the page's `samples` that is one brick, given its place in the bin counted in
-    /// bricks.
+    /// The samples of one brick within the page's `samples`, by the brick's coordinates in the bin.
     pub(super) fn brick<'a>(
         &self,
         samples: &'a [u16],
@@ -182,20 +182,21 @@ impl PageInfo {
     }
 }
 
-/// Whether all samples of the box `cells` that are not 0 are those of cells in `inside`.
+/// Whether all nonzero samples of the box `cells` belong to cells in `inside`.
 fn nonzero_are_in(samples: &[u16], cells: CellBox, inside: CellBox) -> bool {
     let size = cells.size();
     let at = |i: i32| cells.lo + IVec3::new(i % size.x, i / size.x % size.y, i / (size.x * size.y));
     (0..).zip(samples).all(|(i, &sample)| sample == 0 || inside.contains(at(i)))
 }
 
-/// Where the rows of a brick begin among the cells of its bin, given its lowest cell there.
+/// The indices where the rows of a brick begin among the cells of its bin, given the brick's lowest
+/// cell.
 fn rows(corner: IVec3, edge: i32) -> impl Iterator<Item = usize> {
     let first = move |y, z| (corner.x + BIN * (corner.y + y + BIN * (corner.z + z))) as usize;
     (0..edge).flat_map(move |z| (0..edge).map(move |y| first(y, z)))
 }
 
-/// The full cells of a bin, with what its bricks leave in one another.
+/// The full cells of a bin, including contributions between bricks.
 struct FullCells {
     /// A bit for each cell of a row along x, y fastest.
     rows: [u16; (BIN * BIN) as usize],
@@ -208,8 +209,7 @@ impl Default for FullCells {
 }
 
 impl FullCells {
-    /// Counts in what the brick at `local` leaves in the bin; whether it has a full cell of its
-    /// own.
+    /// Adds the samples of the brick at `local`; returns whether it has a full cell of its own.
     fn add(&mut self, local: IVec3, samples: &[u16], shape: PageShape) -> bool {
         let PageShape { side, ghost_layer } = shape;
         let (own, edge) = (CellBox::cube(local, side.cells()), shape.edge());
@@ -224,7 +224,7 @@ impl FullCells {
                 let at = IVec3::new(inside.lo.x, y, z) - first;
                 let row = &full[(at.x + edge * (at.y + edge * at.z)) as usize..];
                 let row = &row[..inside.size().x as usize];
-                // A whole row's width is known to the compiler.
+                // The width of a whole row is known at compile time.
                 let bits = <&[u8; BIN as usize]>::try_from(row)
                     .map_or_else(|_| full_bits(row), |row| full_bits(row));
                 let bits = (bits as u32) << inside.lo.x;
@@ -237,7 +237,7 @@ impl FullCells {
         any != 0
     }
 
-    /// A page of which these cells are full.
+    /// The page with these full cells.
     fn page(&self, key: MortonKey, bricks: u64) -> PageInfo {
         let (layers, full_count) = summary(&self.rows);
         PageInfo::of_layers(key, bricks, layers, full_count)
@@ -263,12 +263,12 @@ fn summary(rows: &[u16; (BIN * BIN) as usize]) -> ([u16; 3], u32) {
     (layers, rows.iter().map(|bits| bits.count_ones()).sum())
 }
 
-/// A byte for each sample: 1 where it is not 0.
+/// A byte for each sample: 1 if it is not 0.
 pub fn fullness(samples: &[u16]) -> Vec<u8> {
     samples.iter().map(|&sample| u8::from(sample > 0)).collect()
 }
 
-/// A bit for each byte of a row of such.
+/// A bit for each byte of such a row.
 ///
 /// # Panics
 /// If there are more than 128.
@@ -277,7 +277,7 @@ pub fn full_bits(row: &[u8]) -> u128 {
     assert!(row.len() <= 128, "a row of {} cells", row.len());
     let (eights, rest) = row.as_chunks::<8>();
     let rest = rest.iter().rev().fold(0, |bits, &full| bits << 1 | u128::from(full));
-    // The product brings byte i to bit 56 + i.
+    // The multiplication moves byte i to bit 56 + i.
     let bits =
         |&eight: &[u8; 8]| u64::from_le_bytes(eight).wrapping_mul(0x0102_0408_1020_4080) >> 56;
     eights.iter().rev().fold(rest, |all, eight| all << 8 | u128::from(bits(eight)))

@@ -1,4 +1,4 @@
-//! Where particles are, chunk by chunk: the bin of each, and its place in the bin.
+//! The bins of particles and their records, chunk by chunk.
 
 use std::ops::Range;
 
@@ -12,14 +12,15 @@ use super::bins::{AXIS_BITS, pack};
 use super::cubes::{BinCode, COORD_BITS, CUBE, CubeCache, bin_coord, in_cube};
 use super::slots::Record;
 
-/// Particles decoded at once: small enough to stay in the first-level cache.
+/// Particles per chunk: few enough to stay in the first-level cache.
 pub(super) const CHUNK: usize = 512;
-/// Particles after which a mapped file's pages are given back; a multiple of [`CHUNK`].
+/// Number of particles after which the pages of a mapped file are released; a multiple of
+/// [`CHUNK`].
 const RELEASE: usize = CHUNK << 3;
-/// Positions whose coordinates fill vectors of any width.
+/// Positions per group: their coordinates fill vectors of any width.
 const LANES: usize = 8;
 
-/// Where a particle is.
+/// The bin and the record of a particle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Address {
     pub bin: BinCode,
@@ -27,7 +28,7 @@ pub(super) struct Address {
 }
 
 impl Address {
-    /// In no bin. A bin's code does not use its highest bit.
+    /// No bin. The code of a bin does not use the highest bit.
     const NOWHERE: Self = Self { bin: BinCode::MAX, record: 0 };
 
     #[inline(always)]
@@ -47,17 +48,17 @@ impl Address {
 pub(super) struct Placer {
     pub grid: Grid,
     pub domain: Option<Domain>,
-    /// Particles in other bins are nowhere; `None` for those in all.
+    /// The bins to keep; particles in other bins get no address. `None` for all bins.
     pub wanted: Option<WantedBins>,
 }
 
-/// Leaves particles out that are in no bin that is wanted.
+/// Skips particles in bins that are not wanted.
 pub(super) struct BinSieve {
     wanted: WantedBins,
     known: CubeCache<KnownBins>,
 }
 
-/// Bits of a cube's bins, one for each: whether it was asked for, and whether it is wanted.
+/// Two bits for each bin of a cube: whether the answer is known, and whether the bin is wanted.
 #[derive(Debug, Clone, Copy, Default)]
 struct KnownBins {
     asked: u8,
@@ -96,7 +97,7 @@ impl BinSieve {
 }
 
 impl Placer {
-    /// The place in steps, as by [`Grid::place`]; `None` outside of the domain.
+    /// The position in steps, as by [`Grid::place`]; `None` outside of the domain.
     pub fn place(&self, position: [f64; 3]) -> Result<Option<[i64; 3]>, PlacementError> {
         match (self.grid.place(position), &self.domain) {
             (Ok(steps), None) => Ok(Some(steps)),
@@ -105,14 +106,14 @@ impl Placer {
                 let clamped = || std::array::from_fn(|a| steps[a].clamp(first[a], last[a]));
                 Ok(domain.contains(position).then(clamped))
             }
-            // What lies outside of the domain is no concern of the grid.
+            // The grid's limits do not matter outside of the domain.
             (Err(PlacementError::TooFar), Some(domain)) if !domain.contains(position) => Ok(None),
             (Err(fault), _) => Err(fault),
         }
     }
 
-    /// Calls `each` with the number of a chunk's first particle, their positions and their
-    /// addresses, until it fails.
+    /// Calls `each` with the index of a chunk's first particle, the positions and their addresses,
+    /// until it fails.
     pub fn for_each_chunk<E>(
         &self,
         particles: &(impl Particles + ?Sized),
@@ -126,7 +127,7 @@ impl Placer {
         for first in range.clone().step_by(CHUNK) {
             let count = CHUNK.min(range.end - first);
             particles.positions(first, &mut positions[..count]);
-            // The rest lies where one of them does.
+            // The unused entries repeat a position of the chunk.
             let rest = positions[0];
             positions[count..].fill(rest);
             if !place_all(&bounds, &positions, &mut addresses) {
@@ -177,10 +178,12 @@ impl LaneBounds {
     }
 }
 
-/// [`Placer::place`] for a chunk; whether all of it is somewhere. If not, no address is right.
+/// [`Placer::place`] for a chunk. Returns whether all particles have an address; if not, the
+/// addresses are invalid.
 #[multiversion(targets("x86_64+avx512f+avx512dq", "x86_64+avx2", "x86_64+sse4.1"))]
 fn place_all(bounds: &LaneBounds, positions: &[[f64; 3]], addresses: &mut [Address]) -> bool {
-    /// An integer below 2^51 added to this stands in the lower bits of the sum.
+    /// When an integer below 2^51 is added to this number, the lower bits of the sum contain the
+    /// integer.
     const INTEGER: f64 = 1.5 * (1_u64 << 52) as f64;
     let mut astray = 0;
     let (positions, _) = positions.as_chunks::<LANES>();
@@ -191,7 +194,7 @@ fn place_all(bounds: &LaneBounds, positions: &[[f64; 3]], addresses: &mut [Addre
         for i in 0..3 * LANES {
             let world = positions[i];
             let step = ((world - bounds.origin[i]) / bounds.cell * f64::from(FRACTIONS)).floor();
-            // Comparisons that NaN fails.
+            // These comparisons are false for NaN.
             let on_grid = (-STEP_LIMIT..STEP_LIMIT).contains(&step);
             let within = (world >= bounds.walls[0][i]) & (world <= bounds.walls[1][i]);
             astray |= u64::from(!(on_grid & within));
@@ -229,14 +232,14 @@ mod tests {
     }
 
     #[test]
-    fn particles_are_left_out_whose_bins_are_not_wanted_in_whatever_order_bins_are_asked_for() {
+    fn particles_in_unwanted_bins_are_skipped_in_any_order_of_lookups() {
         let sight = DecidingCells::new(CellBox::cube(IVec3::ZERO, BLOCK).grown(17, 20));
         let stretch = Stretch {
             first: MortonKey::of(IVec3::splat(-9)),
             end: MortonKey::of(IVec3::new(7, -3, 2)),
         };
         let wanted = WantedBins { stretch, sight };
-        // More bins along each axis than the cache has room for, each asked for several times.
+        // More bins along each axis than the cache can hold, each looked up several times.
         let (edge, mut sieve) = (41_i64, BinSieve::new(wanted, 1));
         let address = |i: i64| {
             let at = i * 7919 % edge.pow(3);
@@ -257,10 +260,10 @@ mod tests {
     }
 
     #[test]
-    fn a_chunk_is_placed_as_its_particles_one_by_one() {
+    fn a_chunk_is_placed_like_its_single_particles() {
         let grid = Grid::new(DVec3::new(0.3, -7.0, 1e-3), 0.37).unwrap();
         let walls = Domain::new(&grid, DVec3::splat(-3.1), DVec3::new(40.0, 50.0, 60.7)).unwrap();
-        // Multiples of a step, and what lies on either side of them.
+        // Multiples of a step, and their neighbours on both sides.
         let world = |i: i64, axis: usize| {
             let step = (i * 7919) % 1_600_000 - 300_000 * axis as i64;
             let at = grid.origin()[axis] + grid.cell_size() * step as f64 / f64::from(FRACTIONS);

@@ -1,5 +1,5 @@
-//! The second reading beyond memory: counted particles go into runs of bins, which are sorted one
-//! by one.
+//! The second reading for particles beyond memory: counted particles go into runs of bins, which
+//! are sorted one by one.
 
 use std::io;
 use std::ops::Range;
@@ -15,17 +15,17 @@ use super::bins::{FREE_BITS, tuple_bytes};
 use super::place::CHUNK;
 use super::spill::{SpilledBins, in_bin_of_run};
 
-/// Bins of a run at the most: a spilled particle's free bits name its bin in the run.
+/// Maximum number of bins in a run: the free bits of a spilled particle number its bin in the run.
 const RUN_BINS: usize = 1 << RUN_BITS;
 const RUN_BITS: u32 = FREE_BITS;
 
-/// Runs of a frame, about, at the most: twice as many still have numbers beside that of a bin in
-/// its run.
+/// Approximate maximum number of runs in a frame: twice as many still leave bits for the bin within
+/// the run.
 const MOST_RUNS: usize = 1 << (u32::BITS - RUN_BITS - 1);
 
 impl BinPlan {
-    /// Cuts the bins into runs of which each, with its `carried` attributes, can be sorted in
-    /// `bytes`; a bin that is too large for that is a run of its own.
+    /// Divides the bins into runs that can be sorted within `bytes`, each with its `carried`
+    /// attributes; a bin that is too large is a run of its own.
     pub fn runs(
         &self,
         particles: &(impl Particles + ?Sized),
@@ -50,13 +50,13 @@ impl BinPlan {
         runs
     }
 
-    /// The second reading, into a scratch file in `folder`: puts each of the same `particles`, and
+    /// The second reading, into a scratch file in `folder`: puts each of the same `particles`, with
     /// the attributes whose numbers are in `carried`, into its run. Buffers take `buffer_bytes` in
-    /// all, and runs `memory_bytes`, the rest of them being in the file.
+    /// total, and runs `memory_bytes`; the rest of the runs is in the file.
     ///
     /// # Errors
-    /// Where the scratch file cannot be created or written; and within, [`RereadError::Changed`]
-    /// for particles that are not where they were when they were counted.
+    /// If the scratch file cannot be created or written. The inner error is
+    /// [`RereadError::Changed`] if particles moved since they were counted.
     pub fn spill(
         self,
         particles: &(impl Particles + ?Sized),
@@ -128,10 +128,10 @@ impl BinPlan {
     }
 }
 
-/// A bin of a range's table as the second reading finds it.
+/// A bin of a range's table during the second reading.
 struct ExpectedBin {
-    /// The number of its run, and, in the lower [`RUN_BITS`] bits, its own in the run.
+    /// The number of its run and, in the lower [`RUN_BITS`] bits, its number within the run.
     at: u32,
-    /// Particles that are still to come.
+    /// Number of expected particles that are still missing.
     left: u32,
 }

@@ -1,5 +1,5 @@
-//! The samples of a page in memory: all of them, or only those that are not 0 where these are few,
-//! as in spray.
+//! The samples of a page in memory: all of them, or only the nonzero ones if they are few, as in
+//! spray.
 
 use std::borrow::Cow;
 
@@ -7,22 +7,22 @@ use glam::IVec3;
 
 use super::{BrickSide, PageShape};
 
-/// Samples are stored sparsely, with their places, if at most one in this many is not 0.
+/// Samples are stored sparsely, with their places, if at most one in `ONE_IN` is not 0.
 const ONE_IN: usize = 8;
 
 /// Bits of a coordinate of a [`SamplePlace`].
 const PLACE_BITS: u32 = 5;
 
-/// The samples of a page, as they are stored.
+/// The stored samples of a page.
 #[derive(Debug, Clone)]
 pub enum PageSamples {
-    /// Brick after brick, x fastest in each.
+    /// All samples, brick after brick, x fastest in each.
     Dense(Box<[u16]>),
-    /// The samples that are not 0, each with its place, in any order, of a bin that is one brick.
+    /// The nonzero samples with their places, in any order, of a bin that is one brick.
     Sparse(Box<[(SamplePlace, u16)]>),
 }
 
-/// Where a sample is in the one brick of its bin: its coordinates, x lowest.
+/// The coordinates of a sample in the only brick of its bin, x in the lowest bits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SamplePlace(u16);
 
@@ -36,7 +36,7 @@ impl SamplePlace {
         Self((x | y << PLACE_BITS | z << (2 * PLACE_BITS)) as u16)
     }
 
-    /// Counted from the brick's lowest sample.
+    /// Relative to the brick's lowest sample.
     #[inline]
     pub(super) fn local(self) -> IVec3 {
         IVec3::from(
@@ -57,7 +57,7 @@ impl PageSamples {
         shape.side == BrickSide::Sixteen && nonzero <= shape.brick_samples() / ONE_IN
     }
 
-    /// Keeps all samples of a page: densely, or only those that are not 0 where these are few.
+    /// Keeps all samples of a page, or only the nonzero ones if they are few.
     pub fn new(samples: Cow<'_, [u16]>, shape: PageShape) -> Self {
         if shape.side != BrickSide::Sixteen {
             return Self::Dense(samples.into_owned().into());
@@ -68,7 +68,7 @@ impl PageSamples {
         }
         let edge = shape.edge() as usize;
         let mut sparse = Vec::with_capacity(nonzero);
-        // Most of them are passed over many at a time.
+        // Zeros are skipped many at a time.
         let (many, rest) = samples.as_chunks::<16>();
         for (first, samples) in
             (0..).step_by(16).zip(many.iter().map(|many| &many[..]).chain([rest]))
@@ -95,8 +95,7 @@ impl PageSamples {
         }
     }
 
-    /// The samples as words for a file: all of them, or the places and values of those that are not
-    /// 0.
+    /// The samples as words for a file: all of them, or the places and values of the nonzero ones.
     pub fn to_words(&self) -> Cow<'_, [u16]> {
         match self {
             Self::Dense(samples) => samples.as_ref().into(),
@@ -106,11 +105,11 @@ impl PageSamples {
         }
     }
 
-    /// All samples of a page, brick after brick, from its words: those of few samples are fewer
-    /// than of all.
+    /// All samples of a page, brick after brick, from its words: fewer words than samples have the
+    /// sparse form.
     ///
     /// # Panics
-    /// For words of another shape.
+    /// If the words do not match the shape.
     pub fn dense_of_words(words: Vec<u16>, shape: PageShape) -> Vec<u16> {
         if !Self::are_sparse(words.len() / 2, shape) {
             return words;
@@ -120,7 +119,7 @@ impl PageSamples {
         Self::Sparse(sparse).dense(shape).into_owned()
     }
 
-    /// Bytes that they take in memory.
+    /// Memory of the samples in bytes.
     pub fn bytes(&self) -> usize {
         match self {
             Self::Dense(samples) => size_of_val(&**samples),
@@ -139,8 +138,8 @@ impl PageSamples {
     }
 }
 
-/// Takes the samples that are not 0 out of `samples`, of a bin that is one brick, and leaves 0. All
-/// of them are what particles leave around their cells, given in the bin: others are not looked at.
+/// Takes the nonzero samples out of `samples`, of a bin that is one brick, and leaves zeros. All of
+/// them must belong to particles in the given cells of the bin: other samples are not examined.
 pub(super) fn take_sparse(
     samples: &mut [u16],
     cells: impl ExactSizeIterator<Item = [usize; 3]>,
@@ -148,8 +147,8 @@ pub(super) fn take_sparse(
 ) -> Box<[(SamplePlace, u16)]> {
     let (edge, reach) = (shape.edge() as usize, 2 * shape.ghost_layer as usize);
     let mut sparse = Vec::with_capacity(shape.cells_a_particle() * cells.len());
-    // The lowest sample around a cell is at the cell's own place, for the brick begins with its
-    // ghost layer.
+    // The lowest sample around a cell has the cell's own coordinates, because the brick begins with
+    // its ghost layer.
     for [x, y, z] in cells {
         for (z, y) in (z..=z + reach).flat_map(|z| (y..=y + reach).map(move |y| (z, y))) {
             let first = x + edge * (y + edge * z);
@@ -167,15 +166,15 @@ pub(super) fn take_sparse(
 mod tests {
     use super::*;
 
-    /// Returns the samples of one-brick bins, with and without a ghost layer, of which different
-    /// numbers are not 0.
+    /// Returns the samples of one-brick bins with and without a ghost layer, with different numbers
+    /// of nonzero samples.
     fn scenes() -> impl Iterator<Item = (PageShape, Vec<u16>)> {
         [0, 1].into_iter().flat_map(|ghost_layer| {
             let shape = PageShape { side: BrickSide::Sixteen, ghost_layer };
             let all = shape.brick_samples();
             [0, 1, 5, all / ONE_IN, all / ONE_IN + 1, all].map(|nonzero| {
                 let mut samples = vec![0; all];
-                // 2731 is prime, and no factor of any brick's size.
+                // 2731 is prime and not a factor of any brick's size.
                 (0..nonzero).for_each(|i| samples[i * 2731 % all] = (i * 7919 % 65535) as u16 + 1);
                 assert_eq!(samples.iter().filter(|&&sample| sample > 0).count(), nonzero);
                 (shape, samples)
@@ -184,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn few_samples_are_kept_by_their_places_and_come_back_where_they_were() {
+    fn sparse_samples_round_trip_with_their_places() {
         for (shape, samples) in scenes() {
             let nonzero = samples.iter().filter(|&&sample| sample > 0).count();
             let kept = PageSamples::new(Cow::Borrowed(&samples), shape);
@@ -196,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn what_lies_around_cells_is_taken_once_though_they_are_near_and_nothing_is_left() {
+    fn samples_around_near_cells_are_taken_once_and_leave_zeros() {
         let shape = PageShape { side: BrickSide::Sixteen, ghost_layer: 1 };
         let cells = [[0, 0, 0], [15, 15, 15], [15, 14, 15], [3, 9, 7], [3, 9, 7]];
         let edge = shape.edge() as usize;

@@ -1,10 +1,10 @@
-//! How bricks lie in the pages of bins.
+//! The arrangement of bricks in the pages of bins.
 
 use glam::IVec3;
 
 use crate::grid::{BIN, CellBox, local_morton};
 
-/// Edge of a brick in cells. It decides how tightly the DIF is stored, and nothing else.
+/// Edge of a brick in cells. It only affects the memory of the DIF.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum BrickSide {
     /// 64 cells, 128 bytes.
@@ -12,7 +12,7 @@ pub enum BrickSide {
     /// 512 cells, 1 KiB.
     #[default]
     Eight,
-    /// 4096 cells, 8 KiB: one brick a bin.
+    /// 4096 cells, 8 KiB: one brick per bin.
     Sixteen,
 }
 
@@ -27,8 +27,8 @@ impl BrickSide {
         }
     }
 
-    /// How many fill a bin: the bits of [`PageInfo::bricks`](super::PageInfo::bricks) that can be
-    /// set.
+    /// The number of bricks in a bin: the bits of [`PageInfo::bricks`](super::PageInfo::bricks)
+    /// that can be set.
     pub fn bricks_a_bin(self) -> usize {
         (BIN / self.cells()).pow(3) as usize
     }
@@ -39,13 +39,13 @@ impl BrickSide {
     }
 }
 
-/// How the samples of a page lie.
+/// The arrangement of the samples of a page.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PageShape {
     /// The edge of the bricks.
     pub side: BrickSide,
-    /// How many cells around its own a brick stores, in which its own particles leave something: 0
-    /// or 1. What is in a cell is the sum over all bricks, at most 65535.
+    /// The number of cells around its own that a brick stores, to which its own particles
+    /// contribute: 0 or 1. The sample of a cell is the sum over all bricks, at most 65535.
     pub ghost_layer: i32,
 }
 
@@ -62,12 +62,12 @@ impl PageShape {
         self.side.cells() + 2 * self.ghost_layer
     }
 
-    /// The cells of a brick with its ghost layer, given its place in bricks.
+    /// The cells of a brick with its ghost layer, by its coordinates in bricks.
     pub(super) fn cells_of(self, brick: IVec3) -> CellBox {
         CellBox::cube(brick, self.side.cells()).grown(self.ghost_layer, self.ghost_layer)
     }
 
-    /// Cells in which a particle can leave something.
+    /// Number of cells to which a particle can contribute.
     pub fn cells_a_particle(self) -> usize {
         (1 + 2 * self.ghost_layer as usize).pow(3)
     }
@@ -82,8 +82,8 @@ impl PageShape {
         self.side.bricks_a_bin() * self.brick_samples()
     }
 
-    /// Where the samples of a cell lie in a dense bin with ghost layers, for the lowest of the
-    /// cells around it: the sum over the axes, each by the cell's coordinate in the bin.
+    /// For each axis and cell coordinate in the bin, a part of the index of a cell in a dense bin
+    /// with ghost layers. The sum over the axes is the index of the lowest cell around it.
     pub fn firsts(self) -> [[usize; BIN as usize]; 3] {
         let (side, edge) = (self.side.cells(), self.edge() as usize);
         [0, 1, 2].map(|axis: usize| {

@@ -1,8 +1,8 @@
-//! Words of memory that are added at the end and taken away from there.
+//! A stack of words in memory: words are added and removed at the end.
 //!
-//! They lie in slabs that are mapped one by one: large ones in huge pages, which the system hands
-//! out at a fraction of the cost of small ones, and whatever is taken away is the system's again at
-//! once.
+//! The words are in slabs that are mapped one by one. Large slabs are huge pages, which the system
+//! provides at a fraction of the cost of small pages. Removed slabs go back to the system
+//! immediately.
 
 use std::borrow::Cow;
 use std::io;
@@ -13,17 +13,18 @@ use memmap2::MmapMut;
 
 use crate::system::memory::mapped_in_huge_pages;
 
-/// Bytes of a slab at the least: a page on any machine.
+/// Minimum size of a slab in bytes: a page on any machine.
 const LEAST: u64 = 1 << 14;
-/// Bytes of a slab at the most: a huge page on most machines.
+/// Maximum size of a slab in bytes: a huge page on most machines.
 const MOST: u64 = 1 << 21;
-/// Slabs in a list's share of memory, so that the last, which is not full, takes little of it.
+/// Slabs in a list's share of memory, so that the last slab, which is not full, wastes little of
+/// it.
 const A_SHARE: u64 = 16;
 
 /// Words in slabs.
 #[derive(Debug)]
 pub(super) struct Slabs {
-    /// Words of each.
+    /// Words per slab.
     slab: usize,
     slabs: Vec<MmapMut>,
     len: usize,
@@ -40,13 +41,13 @@ impl Slabs {
         Self { slab: slab_bytes / size_of::<u64>(), slabs: Vec::new(), len: 0 }
     }
 
-    /// All words; none are left.
+    /// Takes all words and leaves none.
     pub(super) fn take(&mut self) -> Self {
         let none = Self { slab: self.slab, slabs: Vec::new(), len: 0 };
         std::mem::replace(self, none)
     }
 
-    /// Bytes that it takes.
+    /// Memory of the list in bytes.
     pub(super) fn bytes(&self) -> u64 {
         self.bytes_of(self.slabs.len())
     }
@@ -60,10 +61,10 @@ impl Slabs {
         (slabs * self.slab * size_of::<u64>()) as u64
     }
 
-    /// Adds words, and returns where they begin.
+    /// Adds words, and returns the index of the first.
     ///
     /// # Errors
-    /// Where the system has no memory for them; none is added then.
+    /// If the system has no memory for them; then none is added.
     pub(super) fn push(&mut self, mut words: &[u64]) -> io::Result<usize> {
         let at = self.len;
         while self.slabs.len() * self.slab < at + words.len() {
@@ -86,7 +87,7 @@ impl Slabs {
         Ok(at)
     }
 
-    /// Some of the words, copied where they lie in more than one slab.
+    /// Some of the words, copied if they lie in more than one slab.
     pub(super) fn get(&self, range: Range<usize>) -> Cow<'_, [u64]> {
         let within = |number: usize| -> &[u64] {
             let begin = number * self.slab;
@@ -101,7 +102,7 @@ impl Slabs {
         }
     }
 
-    /// Takes all words away from number `len` on, and returns how many bytes of slabs go with them.
+    /// Removes all words from index `len` on, and returns the number of freed bytes.
     pub(super) fn truncate(&mut self, len: usize) -> u64 {
         let before = self.bytes();
         self.len = len;
@@ -115,7 +116,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_share_has_room_for_many_slabs_which_are_pages_at_the_least_and_huge_ones_at_the_most() {
+    fn slabs_are_small_relative_to_their_share_and_between_a_page_and_a_huge_page() {
         for (share, bytes) in
             [(0, 1 << 14), (1 << 20, 1 << 16), ((1 << 21) - 1, 1 << 16), (u64::MAX, 1 << 21)]
         {
@@ -124,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn words_come_back_wherever_slabs_begin_and_slabs_go_with_the_last_of_their_words() {
+    fn words_round_trip_across_slabs_and_empty_slabs_are_freed() {
         let slab = Slabs::slab_bytes(0) / size_of::<u64>();
         let (mut slabs, mut all) = (Slabs::new(Slabs::slab_bytes(0)), Vec::new());
         let lengths = [1, slab - 1, 700, 3 * slab, 0, slab + 3];

@@ -1,17 +1,16 @@
-//! Places for particles that several threads fill.
+//! Slots for particles that several threads fill.
 //!
-//! No two threads have the same place, and all are joined before any is read: so much the order of
-//! memory needs, and no more.
+//! No two threads write the same slot, and all threads are joined before a slot is read, so relaxed
+//! atomic accesses are sufficient.
 
-// The standard library's and the system's, but where a test tries every order that threads can come
-// in.
+// The standard library's atomics; a test of all thread interleavings replaces them.
 use super::atomic::{AtomicU32, AtomicU64, Ordering};
 use super::zeroed_in_huge_pages;
 
-/// A packed particle: where it is in its bin.
+/// A packed particle: its position in its bin.
 pub(super) type Record = u64;
 
-/// A place for every particle, each to be filled once, by whichever thread holds it.
+/// A slot for every particle; the thread that holds a slot fills it once.
 pub(super) struct Slots {
     records: Vec<AtomicU64>,
     attributes: Vec<Vec<AtomicU32>>,
@@ -30,7 +29,7 @@ impl Slots {
         self.records[slot].store(record, Ordering::Relaxed);
     }
 
-    /// Puts all components of all attributes of a particle into its slot, one after the other.
+    /// Puts all components of all attributes of a particle into its slot, in order.
     #[inline(always)]
     pub(super) fn put_attributes(&self, slot: usize, mut values: impl Iterator<Item = f32>) {
         for attribute in &self.attributes {

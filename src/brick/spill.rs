@@ -1,10 +1,10 @@
-//! Binning beyond memory: particles put into runs of bins, in memory while there is room and then
-//! in a scratch file, and sorted run by run.
+//! Binning beyond memory: particles go into runs of bins, in memory while it lasts and then in a
+//! scratch file, and are sorted run by run.
 //!
-//! A run is a stretch of the Morton curve with as many particles as are sorted at once. Its
-//! particles are kept in pieces, each the Elias-Fano code of packed particles whose free upper bits
-//! name their bins in the run, and behind it their attributes in the same order. Coded, more of
-//! them fit into memory than sorted.
+//! A run is a stretch of the Morton curve with as many particles as can be sorted at once. Its
+//! particles are stored in pieces: each is the Elias-Fano code of packed particles whose free upper
+//! bits number their bins in the run, followed by their attributes in the same order. More
+//! particles fit into memory coded than sorted.
 
 use std::borrow::Cow;
 use std::io;
@@ -25,12 +25,11 @@ use super::elias_fano::EliasFano;
 use super::slabs::Slabs;
 use super::slots::{Record, Slots};
 
-/// Bytes of a piece before it is coded, at the most: small enough to be sorted in a second-level
-/// cache.
+/// Maximum bytes of a piece before it is coded: small enough to be sorted in a second-level cache.
 const PIECE: usize = 1 << 19;
-/// Particles of a piece that is not the last, at the least.
+/// Minimum number of particles in a piece, except the last.
 const FEWEST: usize = 16;
-/// The extra room that coding a piece takes in memory, in pieces.
+/// The additional memory for coding a piece, in pieces.
 const CODING: usize = 2;
 const RECORD_MASK: Record = (1 << RECORD_BITS) - 1;
 
@@ -38,7 +37,7 @@ const RECORD_MASK: Record = (1 << RECORD_BITS) - 1;
 #[derive(Debug)]
 pub struct SpilledBins {
     keys: Vec<MortonKey>,
-    /// Where each bin's particles begin, and where the last one's end.
+    /// The index of each bin's first particle, followed by the number of particles.
     first: Vec<usize>,
     pub(super) components: Vec<usize>,
     runs: Vec<Range<usize>>,
@@ -50,7 +49,7 @@ pub struct SpilledBins {
 /// The particles of a run.
 #[derive(Debug)]
 struct RunParticles {
-    /// Where they are; those in memory come in the order of their places there.
+    /// The pieces of the run; those in memory are in the order of their positions there.
     pieces: Vec<RunPiece>,
     memory: Slabs,
 }
@@ -64,7 +63,7 @@ impl RunParticles {
 /// The memory that pieces may take.
 #[derive(Debug)]
 struct SpillBudget {
-    /// Bytes at the most, with what visitors keep of the runs that they have seen.
+    /// Maximum bytes, including the memory that visitors keep for the runs that they have seen.
     most: u64,
     /// Bytes that pieces take.
     taken: AtomicU64,
@@ -93,8 +92,8 @@ struct RunPiece {
     at: PieceLocation,
 }
 
-/// Where the words of a piece begin: the code of its packed particles, and all components of all
-/// attributes of one particle after the other.
+/// The position of the words of a piece: the code of its packed particles, followed by the
+/// components of all attributes of one particle after another.
 #[derive(Debug)]
 enum PieceLocation {
     /// In the memory of its run.
@@ -103,12 +102,12 @@ enum PieceLocation {
     File(u64),
 }
 
-/// Bytes that coding leaves of a packed particle, at the least.
+/// Minimum bytes of a coded particle.
 const CODED: usize = 6;
 
 impl SpilledBins {
-    /// Lower bound of the bytes of a particle before it is sorted, whose attributes have these
-    /// `components`.
+    /// Lower bound of the bytes of a particle with these attribute `components` before it is
+    /// sorted.
     pub fn least_particle_bytes(components: &[usize]) -> u64 {
         (tuple_bytes(components) - size_of::<Record>() + CODED) as u64
     }
@@ -145,7 +144,7 @@ impl SpilledBins {
         &self.runs
     }
 
-    /// Numbers of a particle's attributes.
+    /// Total number of components of a particle's attributes.
     fn width(&self) -> usize {
         self.components.iter().sum()
     }
@@ -162,7 +161,7 @@ impl SpilledBins {
         self.code(run, particles).words() + values.div_ceil(size_of::<u64>())
     }
 
-    /// Buffers for one of `threads`, which all together take `bytes`.
+    /// Buffers for one of `threads`, which take `bytes` in total.
     pub(super) fn buffers(&self, threads: usize, bytes: usize) -> RunBuffers<'_> {
         let tuple = tuple_bytes(&self.components);
         let full = bytes / tuple / (threads * (self.runs.len() + CODING));
@@ -175,11 +174,11 @@ impl SpilledBins {
         RunBuffers { spilled: self, full, records, values }
     }
 
-    /// Shows all bins to `take`, run by run, once; it returns how many bytes it has kept in memory
-    /// so far, which the runs that it has not seen make room for.
+    /// Passes all bins to `take` once, run by run. `take` returns the number of bytes that it keeps
+    /// in memory so far; the remaining runs make room for them.
     ///
     /// # Errors
-    /// Where `take` fails, or the scratch file cannot be read or written.
+    /// If `take` fails, or if the scratch file cannot be read or written.
     pub fn visit(self, take: impl FnMut(&Bins) -> io::Result<u64>) -> io::Result<()> {
         self.drain(take)
     }
@@ -187,15 +186,15 @@ impl SpilledBins {
     fn drain(&self, mut take: impl FnMut(&Bins) -> io::Result<u64>) -> io::Result<()> {
         for run in 0..self.runs.len() {
             let kept = take(&self.sorted(run)?)?;
-            // Runs are alike, so the next adds about as much as those before did; some add more.
+            // Runs are similar, so the next one adds about as much as the average; some add more.
             let soon = kept.saturating_add(2 * kept / (run as u64 + 1));
             self.keep_within(self.memory.most.saturating_sub(soon))?;
         }
         Ok(())
     }
 
-    /// Moves pieces to the scratch file until those in memory take no more than `bytes`: those
-    /// first that are wanted last.
+    /// Moves pieces to the scratch file until those in memory take at most `bytes`, beginning with
+    /// the pieces that are needed last.
     fn keep_within(&self, bytes: u64) -> io::Result<()> {
         for run in (0..self.runs.len()).rev() {
             let RunParticles { pieces, memory } = &mut *self.held(run);
@@ -223,7 +222,7 @@ impl SpilledBins {
         Ok(())
     }
 
-    /// Whether there was room for a piece, and the system gave it.
+    /// Keeps a piece in memory; returns whether the budget and the system had memory for it.
     fn keep_in_memory(&self, run: usize, particles: usize, words: &[u64]) -> bool {
         let RunParticles { pieces, memory } = &mut *self.held(run);
         let more = memory.bytes_for(words.len());
@@ -238,7 +237,7 @@ impl SpilledBins {
         added.is_ok()
     }
 
-    /// The words of a piece of run number `run`, whose memory is at hand.
+    /// The words of a piece of run number `run`; `memory` has the pieces of the run in memory.
     fn read<'a>(
         &self,
         run: usize,
@@ -256,7 +255,7 @@ impl SpilledBins {
         }
     }
 
-    /// Takes run number `run` piece by piece, and puts each particle into its bin's place.
+    /// Takes run number `run` piece by piece, and puts each particle into a slot of its bin.
     fn sorted(&self, run: usize) -> io::Result<Bins> {
         let bins = self.runs[run].clone();
         let begin = self.first[bins.start];
@@ -275,8 +274,8 @@ impl SpilledBins {
             let mut values = cast_slice(values).chunks_exact(width.max(1));
             let bin_of = |record: Record| (record >> RECORD_BITS) as usize;
             let bins = || records.chunk_by(|&a, &b| bin_of(a) == bin_of(b));
-            // All slots are taken before any is filled: the processor takes one only once all that
-            // was filled before is in memory.
+            // All slots are assigned before any is filled: an atomic increment waits for earlier
+            // writes.
             bin_slots.clear();
             bin_slots.extend(
                 bins().map(|bin| next[bin_of(bin[0])].fetch_add(bin.len(), Ordering::Relaxed)),
@@ -296,11 +295,11 @@ impl SpilledBins {
         Ok(Bins::of_slots(slots, self.keys[bins].to_vec(), first, self.components.clone()))
     }
 
-    /// A place for all runs once they are sorted, to be read bin by bin; this file is then done
-    /// with.
+    /// A store for all sorted runs, to be read bin by bin; the file of the spilled particles is
+    /// then no longer needed.
     ///
     /// # Errors
-    /// Where the scratch file cannot be created.
+    /// If the scratch file cannot be created.
     pub fn sorted_store(&self, folder: &Path) -> io::Result<SortedStore> {
         let scratch = Scratch::in_folder(folder)?;
         let particles = *self.first.last().expect("there is always an end") as u64;
@@ -321,11 +320,11 @@ impl SpilledBins {
     }
 }
 
-/// Sorted bins on their way into a scratch file.
+/// Sorted bins that are written to a scratch file.
 #[derive(Debug)]
 pub struct SortedStore {
     bins: Bins,
-    /// Particles so far.
+    /// Number of particles so far.
     written: u64,
 }
 
@@ -333,7 +332,7 @@ impl SortedStore {
     /// Writes the next run.
     ///
     /// # Errors
-    /// Where the scratch file cannot be written.
+    /// If the scratch file cannot be written.
     pub fn push(&mut self, run: &Bins) -> io::Result<()> {
         let (
             ParticleStore::Memory { records, attributes },
@@ -357,26 +356,25 @@ impl SortedStore {
     }
 }
 
-/// The record of a particle, with the number of its bin in its run in the free bits.
+/// The record of a particle, with the number of its bin in the run in the free bits.
 #[inline(always)]
 pub(super) fn in_bin_of_run(bin: usize, record: Record) -> Record {
     (bin as Record) << RECORD_BITS | record
 }
 
-/// One thread's particles on their way into runs.
+/// One thread's buffers of particles for each run.
 #[derive(Debug)]
 pub(super) struct RunBuffers<'a> {
     spilled: &'a SpilledBins,
-    /// Particles at which a buffer is written.
+    /// Number of particles at which a buffer is written.
     full: usize,
     records: Vec<Vec<Record>>,
-    /// All components of all attributes of one particle after the other.
+    /// For each run, the components of all attributes of one particle after another.
     values: Vec<Vec<f32>>,
 }
 
 impl RunBuffers<'_> {
-    /// Adds particles: of each its number among the attributes, its run, and its record in its bin
-    /// of the run.
+    /// Adds particles, each given by its index among the attributes, its run, and its record.
     pub(super) fn push_all(
         &mut self,
         particles: impl Iterator<Item = (usize, usize, Record)>,
@@ -396,7 +394,7 @@ impl RunBuffers<'_> {
         Ok(())
     }
 
-    /// Writes what is left.
+    /// Writes the remaining particles.
     pub(super) fn flush(mut self) -> io::Result<()> {
         (0..self.records.len()).try_for_each(|run| self.write(run))
     }
@@ -424,21 +422,21 @@ impl RunBuffers<'_> {
     }
 }
 
-/// Particles in order of their bins.
+/// Particles in the order of their bins.
 #[derive(Debug)]
 pub enum BinnedParticles {
-    /// All of them.
+    /// All particles in memory.
     InMemory(Bins),
-    /// Run by run, those that memory has no room for in a scratch file.
+    /// Particles run by run, partly in a scratch file.
     Spilled(SpilledBins),
 }
 
 impl BinnedParticles {
-    /// Shows all bins to `take`, run by run; it returns how many bytes it has kept in memory so
-    /// far.
+    /// Passes all bins to `take`, run by run. `take` returns the number of bytes that it keeps in
+    /// memory so far.
     ///
     /// # Errors
-    /// Where `take` fails, or a scratch file cannot be read or written.
+    /// If `take` fails, or if a scratch file cannot be read or written.
     pub fn visit(self, mut take: impl FnMut(&Bins) -> io::Result<u64>) -> io::Result<()> {
         match self {
             Self::InMemory(bins) => take(&bins).map(|_| ()),
@@ -446,11 +444,11 @@ impl BinnedParticles {
         }
     }
 
-    /// Shows all bins to `take`, and returns them: what was in a scratch file, in one of its own in
+    /// Passes all bins to `take`, and returns them; spilled particles go to a new scratch file in
     /// `folder`.
     ///
     /// # Errors
-    /// Those of [`visit`](Self::visit), and where a scratch file cannot be written.
+    /// The errors of [`visit`](Self::visit), or if a scratch file cannot be written.
     pub fn visit_and_keep(
         self,
         folder: &Path,
@@ -482,7 +480,7 @@ mod tests {
     /// The particles of each bin, sorted.
     type Sorted = Vec<(MortonKey, Vec<Record>)>;
 
-    /// All bins as a visitor sees them that keeps `kept` bytes of each run; and the bytes of pieces
+    /// All bins as seen by a visitor that keeps `kept` bytes of each run; and the bytes of pieces
     /// in memory and in the scratch file, after binning and after sorting each run.
     fn visited(memory_bytes: u64, kept: u64) -> (Sorted, Vec<[u64; 2]>) {
         let grid = Grid::new(DVec3::ZERO, 1.0).unwrap();
@@ -534,9 +532,9 @@ mod tests {
     }
 
     #[test]
-    fn what_a_visitor_keeps_moves_runs_to_the_file_that_have_no_room_beside_it() {
+    fn memory_that_a_visitor_keeps_moves_runs_to_the_file() {
         let (expected, _) = visited(0, 0);
-        // In the end what is kept takes all the room.
+        // At the end the kept memory takes the whole budget.
         let (_, in_memory) = visited(u64::MAX, 0);
         let (room, kept) = (in_memory[0][0], in_memory[0][0] / in_memory.len() as u64);
         let (bins, bytes) = visited(room, kept);

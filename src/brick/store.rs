@@ -1,4 +1,4 @@
-//! Where the samples of a field are: in memory, or somewhere else with the pages last used in
+//! The storage of a field's samples: in memory, or in another storage with the last used pages in
 //! memory.
 
 use std::borrow::Cow;
@@ -11,20 +11,20 @@ use quick_cache::{OptionsBuilder, Weighter};
 
 use super::{PageSamples, PageShape, RemotePages};
 
-/// Bytes of a cached page besides its samples: its entry in the cache, and the heads of its
-/// allocations.
+/// Bytes of a cached page in addition to its samples: its entry in the cache, and its allocation
+/// headers.
 const CACHED_PAGE: u64 = 136;
 
-/// Samples that are not in memory, page by page.
+/// Samples that are read or made page by page.
 pub trait PageSource: Send + Sync + Debug {
-    /// The samples of page number `page`, as they were stored, anew each time.
+    /// The stored samples of page number `page`, recomputed with each call.
     fn samples(&self, page: usize) -> Vec<u16>;
 }
 
-/// Pages that come at once, of those that are elsewhere: neighbours are wanted together.
+/// Pages of another memory that are fetched together, because neighbours are often needed together.
 const TOGETHER: usize = 64;
 
-/// A page that is in memory: in the field's own, or in its cache.
+/// A page in memory: in the field itself, or in its cache.
 pub(super) enum CachedPage<'a> {
     Own(&'a PageSamples),
     Shared(Arc<PageSamples>),
@@ -50,9 +50,9 @@ pub(super) enum PageStore {
         source: Box<dyn PageSource>,
         cache: Cache<u32, Arc<PageSamples>, PageWeighter>,
     },
-    /// Pages outside of the host's memory; those wanted on the host are kept in it too,
-    /// [`TOGETHER`] at a time.
-    Elsewhere {
+    /// Pages outside of the host's memory; the host also keeps those that it needed, [`TOGETHER`]
+    /// at a time.
+    Remote {
         pages: Box<dyn RemotePages>,
         otherwise: Box<dyn PageSource>,
         here: Vec<OnceLock<Vec<PageSamples>>>,
@@ -60,7 +60,7 @@ pub(super) enum PageStore {
 }
 
 impl PageStore {
-    /// Pages of `mean_bytes` on average at the most, as many of them in memory as fit into
+    /// Pages of at most `mean_bytes` on average; as many of them stay in memory as fit into
     /// `cache_bytes`.
     pub(super) fn paged(source: Box<dyn PageSource>, cache_bytes: u64, mean_bytes: u64) -> Self {
         let items = cache_bytes / (mean_bytes + CACHED_PAGE);
@@ -74,22 +74,22 @@ impl PageStore {
         Self::Paged { source, cache }
     }
 
-    /// Pages that are elsewhere; where that fails they are made by `otherwise`.
-    pub(super) fn elsewhere(pages: Box<dyn RemotePages>, otherwise: Box<dyn PageSource>) -> Self {
+    /// Pages in another memory; if fetching fails, `otherwise` makes them.
+    pub(super) fn remote(pages: Box<dyn RemotePages>, otherwise: Box<dyn PageSource>) -> Self {
         let here =
             std::iter::repeat_with(OnceLock::new).take(pages.count().div_ceil(TOGETHER)).collect();
-        Self::Elsewhere { pages, otherwise, here }
+        Self::Remote { pages, otherwise, here }
     }
 
-    /// Bytes of pages that may be in memory; `None` where all may be.
+    /// Bytes of pages that may be in memory; `None` for no limit.
     pub(super) fn cache_bytes(&self) -> Option<u64> {
         match self {
-            Self::Memory(_) | Self::Elsewhere { .. } => None,
+            Self::Memory(_) | Self::Remote { .. } => None,
             Self::Paged { cache, .. } => Some(cache.capacity()),
         }
     }
 
-    /// For a page that is likely to be wanted again soon.
+    /// A page that is likely to be needed again soon.
     #[inline]
     pub(super) fn cached(&self, page: u32, shape: PageShape) -> CachedPage<'_> {
         match self {
@@ -105,41 +105,41 @@ impl PageStore {
                 let Ok(samples) = cache.get_or_insert_with(&page, read);
                 CachedPage::Shared(samples)
             }
-            Self::Elsewhere { .. } => CachedPage::Own(self.fetched(page as usize, shape)),
+            Self::Remote { .. } => CachedPage::Own(self.fetched(page as usize, shape)),
         }
     }
 
-    /// For a page of a single pass, which must not drive others out.
+    /// A page for a single pass, which does not evict others from the cache.
     pub(super) fn once(&self, page: usize, shape: PageShape) -> Cow<'_, [u16]> {
         match self {
             Self::Memory(pages) => pages[page].dense(shape),
             Self::Paged { source, .. } => source.samples(page).into(),
-            Self::Elsewhere { .. } => self.fetched(page, shape).dense(shape),
+            Self::Remote { .. } => self.fetched(page, shape).dense(shape),
         }
     }
 
-    /// A page that is elsewhere, fetched with its neighbours if it was not before.
+    /// A page of another memory, fetched with its neighbours at the first access.
     ///
     /// # Panics
-    /// If all are in memory, or in a cache.
+    /// If all pages are in memory or in a cache.
     fn fetched(&self, page: usize, shape: PageShape) -> &PageSamples {
-        let Self::Elsewhere { pages, otherwise, here } = self else {
-            unreachable!("pages are elsewhere")
+        let Self::Remote { pages, otherwise, here } = self else {
+            unreachable!("the pages are remote")
         };
         let (group, first) = (&here[page / TOGETHER], page / TOGETHER * TOGETHER);
         let fetched = group.get().unwrap_or_else(|| {
             let range = first..pages.count().min(first + TOGETHER);
             let made = |page| PageSamples::new(otherwise.samples(page).into(), shape);
             let samples = pages.samples(range.clone()).unwrap_or_else(|| range.map(made).collect());
-            // Two threads may fetch the same: one that held the other up while it waits for others
-            // might wait for itself.
+            // Two threads may fetch the same group: with a lock, a thread that helps others while
+            // it waits could wait for itself.
             group.get_or_init(|| samples)
         });
         &fetched[page - first]
     }
 }
 
-/// Weighs pages by what they take of memory.
+/// Weighs pages by their memory.
 #[derive(Debug, Clone)]
 pub(super) struct PageWeighter;
 

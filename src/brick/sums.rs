@@ -1,4 +1,4 @@
-//! Cell sums: how many particles each cell of a bin holds, and the sum of their offsets.
+//! Cell sums: the number of particles in each cell of a bin, and the sum of their offsets.
 
 use crate::grid::BIN;
 
@@ -7,13 +7,13 @@ const ROW: usize = BIN as usize;
 const ROWS: usize = ROW * ROW;
 const CELLS: usize = ROW * ROWS;
 
-/// Sums for the cells of one bin, x fastest: integers, which doubles hold exactly up to 2^53, so
-/// that the order of addition does not matter.
+/// Sums for the cells of one bin, x fastest. They are integers, which f64 represents exactly up to
+/// 2^53, so the order of addition does not matter.
 #[derive(Debug)]
 pub struct CellSums {
-    /// Per cell: the particles' number N, then the sum S of their offsets along x, y and z.
+    /// For each cell: the number N of particles, and the sum S of their offsets along x, y and z.
     cells: Box<[[f64; 4]]>,
-    /// A bit for each row along x that holds particles: few do.
+    /// A bit for each row along x that contains particles, because few do.
     rows: [u64; ROWS / 64],
 }
 
@@ -24,7 +24,8 @@ impl Default for CellSums {
 }
 
 impl CellSums {
-    /// Forgets what came before and adds up `particles`: cell, and offset in it.
+    /// Replaces the sums by those of `particles`, each given by its cell and its offset in the
+    /// cell.
     pub fn accumulate(&mut self, particles: impl Iterator<Item = (usize, [u32; 3])>) {
         self.rows = [0; ROWS / 64];
         let (rows, _) = self.cells.as_chunks_mut::<ROW>();
@@ -40,7 +41,7 @@ impl CellSums {
         }
     }
 
-    /// The rows that hold particles, each with its number and with N and S of its cells.
+    /// The rows that contain particles, each with its number and with N and S of its cells.
     #[inline(always)]
     pub fn rows(&self) -> impl Iterator<Item = (usize, &[[f64; 4]; ROW])> {
         let (rows, _) = self.cells.as_chunks::<ROW>();
@@ -48,7 +49,7 @@ impl CellSums {
     }
 }
 
-/// The numbers of the bits that are set.
+/// The indices of the set bits.
 #[inline(always)]
 fn full(words: [u64; ROWS / 64]) -> impl Iterator<Item = usize> {
     (0..ROWS).step_by(64).zip(words).flat_map(|(first, mut word)| {

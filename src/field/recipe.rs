@@ -1,7 +1,8 @@
-//! From samples to the field, once: the paper's filters, or distances from clouds.
+//! From samples to the field, in one place for all backends: the paper's filters, or distances from
+//! clouds.
 //!
-//! A request says which [`Filters`] there are, and so how far they reach and what they take. A
-//! [`Recipe`] also has what only a calibration tells: where the surface is.
+//! A request determines the [`Filters`], and with them the reach and the memory. A [`Recipe`] also
+//! has the isovalue, which comes from the calibration.
 
 use crate::field::blur::{FieldCount, Filter, Smoothing, Weights};
 use crate::field::detail::Recovery;
@@ -34,12 +35,12 @@ pub enum Filters {
 pub struct PaperFilters {
     /// Section 4.2.
     pub smoothing: Smoothing,
-    /// Section 6.2, where it is asked for.
+    /// Section 6.2, if requested.
     pub recovery: Option<Recovery>,
 }
 
 impl PaperFilters {
-    /// For the DIF of an indicator and a Gaussian of `sigma`.
+    /// Makes the filters for the DIF of an indicator and a Gaussian of `sigma`.
     pub fn new(kind: IndicatorKind, sigma: Sigma, detail: Detail) -> Self {
         let recovery = (detail == Detail::Recovered).then(|| Recovery::new(sigma));
         Self { smoothing: Smoothing::new(kind, sigma), recovery }
@@ -50,7 +51,8 @@ impl PaperFilters {
         std::iter::once::<&dyn Filter>(&self.smoothing).chain(recovery)
     }
 
-    /// How far from a cell the DIF decides its field: the halos of all stages together.
+    /// The distance within which the DIF affects the field of a cell: the sum of the halos of all
+    /// stages.
     pub fn halo(&self) -> i32 {
         self.stages().map(Filter::halo).sum()
     }
@@ -59,7 +61,7 @@ impl PaperFilters {
         self.stages().map(Filter::reach).max().unwrap_or(0)
     }
 
-    /// Fields of a block that are there at once, at the most.
+    /// The maximum number of fields of a block that exist at once.
     pub fn fields(&self) -> FieldCount {
         let most = |of: fn(FieldCount) -> u64| {
             self.stages().map(|stage| of(stage.fields())).max().unwrap_or(0)
@@ -69,7 +71,7 @@ impl PaperFilters {
 }
 
 impl Filters {
-    /// How far from a full cell there can be a surface.
+    /// The maximum distance of a surface from a full cell.
     pub fn reach(&self) -> i32 {
         match self {
             Self::Paper(paper) => paper.reach(),
@@ -77,7 +79,7 @@ impl Filters {
         }
     }
 
-    /// How far from a cell particles decide its field, in cells.
+    /// The distance within which particles affect the field of a cell, in cells.
     pub fn halo(&self) -> i32 {
         match self {
             Self::Paper(paper) => paper.halo(),
@@ -85,7 +87,8 @@ impl Filters {
         }
     }
 
-    /// The cells whose samples decide the field on some cells, and which of those count as inside.
+    /// The cells whose samples affect the field on some cells, including the samples that decide
+    /// which cells are inside.
     pub fn seen(&self, cells: CellBox) -> CellBox {
         match self {
             Self::Paper(paper) => cells.grown(paper.halo(), paper.halo()),
@@ -101,7 +104,7 @@ impl Filters {
         }
     }
 
-    /// The part of some cells in which dual cells can be mixed, as far as the filters say.
+    /// The part of some cells that can contain the surface, according to the filters.
     pub fn not_inside(&self, cells: CellBox) -> CellBox {
         match self {
             Self::Distances(distances) if !cells.is_empty() => distances.not_inside(cells),
@@ -109,11 +112,11 @@ impl Filters {
         }
     }
 
-    /// Bytes of a block in the memory of a thread while its field is made, at the most.
+    /// The maximum memory of a thread for a block while its field is made, in bytes.
     pub fn block_bytes(&self) -> u64 {
         match self {
             Self::Paper(paper) => {
-                // Dual cells reach one cell up, and normals one cell each way.
+                // Dual cells reach one cell up, and normals one cell in both directions.
                 let edge = (BLOCK + 3 + 2 * paper.halo()) as u64;
                 edge.pow(3) * paper.fields().host * size_of::<u16>() as u64
             }
@@ -133,24 +136,24 @@ impl Filters {
 /// Everything between samples and their surface.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Recipe {
-    /// From the samples to the field.
+    /// The filters between the samples and the field.
     pub filters: Filters,
-    /// Where the surface is.
+    /// The isovalue.
     pub iso: Isovalue,
 }
 
 impl Recipe {
-    /// The paper's, for an isovalue.
+    /// Makes the recipe for the paper's filters and an isovalue.
     pub fn of_paper(filters: PaperFilters, iso: Isovalue) -> Self {
         Self { filters: Filters::Paper(filters), iso }
     }
 
-    /// By distances, which are 0 on the surface.
+    /// Makes the recipe for distances, which are 0 on the surface.
     pub fn of_distances(distances: DistanceFilters) -> Self {
         Self { filters: Filters::Distances(Box::new(distances)), iso: Isovalue::NO_DISTANCE }
     }
 
-    /// From the samples to the field, wherever fields are kept.
+    /// Makes the field from the samples, on any backend.
     pub fn apply<F: Fields>(&self, fields: &mut F) -> Result<F::Field, F::Error> {
         match &self.filters {
             Filters::Paper(paper) => paper.apply(fields, self.iso),
@@ -177,20 +180,20 @@ impl PaperFilters {
     }
 }
 
-/// The surface of the bulk in wide cells, and by how much particles lie outside of the calm one
-/// near by.
+/// The surface of the bulk in wide cells, and the distance by which nearby particles lie outside of
+/// the calm surface.
 #[derive(Debug, Clone)]
 pub struct WideFields<T> {
     /// Distances.
     pub bulk: T,
-    /// The greatest within reach of a drop.
+    /// The greatest such distance within reach of a drop.
     pub outlying: T,
 }
 
 /// The calm surface, with the wide fields that were computed from it.
 pub type WithCalm<T> = (T, WideFields<T>);
 
-/// All that distances need of wide cells: it is made once for whatever cells lie between these.
+/// Makes the wide fields that distances need, once for all cells within `cells`.
 pub fn bulk<F: Fields>(
     distances: &DistanceFilters,
     fields: &mut F,
@@ -220,7 +223,7 @@ pub fn calm_and_bulk<F: Fields>(
     Ok((calm, WideFields { bulk, outlying }))
 }
 
-/// The field, of what is known of wide cells, and of drops in cells where any can be seen.
+/// The field, made from the wide fields and, where drops are possible, from drops in narrow cells.
 pub fn joined<F: Fields>(
     distances: &DistanceFilters,
     fields: &mut F,
@@ -241,8 +244,7 @@ pub fn joined<F: Fields>(
     fields.joined(bulk, near, shares, (drops, ramp))
 }
 
-/// The shares of drops, and of the sheets that they give way to, in the cells that they are made
-/// in.
+/// The shares of drops and of sheets, in the cells of the drops' level.
 pub fn thin_shares<F: Fields>(
     distances: &DistanceFilters,
     fields: &mut F,
@@ -264,7 +266,7 @@ pub fn thin_shares<F: Fields>(
     Ok(shares)
 }
 
-/// Where fields are kept, and the filters on them. A clone of a field is the same field.
+/// A backend's fields, and the filters on them. A clone refers to the same field.
 #[allow(clippy::missing_errors_doc, reason = "whatever Error is")]
 pub trait Fields {
     /// Samples of a box of cells.
@@ -272,14 +274,14 @@ pub trait Fields {
     /// The error of a filter that fails.
     type Error;
 
-    /// The samples of the cells that the field is asked for on, and of as many around as `halo`
-    /// says: cells 2^`level` times as wide, between whose middles those cells lie.
+    /// The samples around the requested cells, with a halo of `halo` cells: cells 2^`level` times
+    /// as wide, chosen so that the requested cells lie between their middles.
     fn samples(&mut self, level: u32, halo: i32) -> Result<Self::Field, Self::Error>;
 
-    /// Clouds that are continued into solids: see [`solid`](crate::field::solid).
+    /// Clouds, continued into solids: see [`solid`](crate::field::solid).
     fn filled(&mut self, clouds: &Self::Field) -> Result<Self::Field, Self::Error>;
 
-    /// One separable filter (section 4.2); at a wall it sees the edge cells repeated.
+    /// Applies one separable filter (section 4.2); edge cells are repeated beyond walls.
     fn blur(&mut self, field: Self::Field, weights: &Weights) -> Result<Self::Field, Self::Error>;
 
     /// theta_bar (section 6.2).
@@ -290,22 +292,22 @@ pub trait Fields {
         iso: Isovalue,
     ) -> Result<Self::Field, Self::Error>;
 
-    /// Returns the greater of two fields, cell by cell.
+    /// The greater of two fields, cell by cell.
     fn greater(
         &mut self,
         field: Self::Field,
         other: Self::Field,
     ) -> Result<Self::Field, Self::Error>;
 
-    /// Two surfaces of the bulk, by the samples under each of its widths.
+    /// Two surfaces of the bulk, from the samples under each width.
     fn depths(
         &mut self,
         bulk: &Bulk,
         shares: [Self::Field; 3],
     ) -> Result<Depths<Self::Field>, Self::Error>;
 
-    /// The one that is drawn, of both and of what they are apart by on average: none where nothing
-    /// is near, and at its greatest inside.
+    /// The final surface of the bulk, from both surfaces and their mean distance, which is 0 where
+    /// there are no particles nearby, and maximal inside.
     fn mixed(
         &mut self,
         bulk: &Bulk,
@@ -314,7 +316,7 @@ pub trait Fields {
         near: &Self::Field,
     ) -> Result<Self::Field, Self::Error>;
 
-    /// By how much particles lie outside of the calm surface.
+    /// The distance by which particles lie outside of the calm surface.
     fn outlying(
         &mut self,
         calm: &Self::Field,
@@ -322,12 +324,11 @@ pub trait Fields {
         least: u16,
     ) -> Result<Self::Field, Self::Error>;
 
-    /// The greatest sample within `reach` cells along each axis; at a wall it sees the edge cells
-    /// repeated.
+    /// The greatest sample within `reach` cells along each axis; edge cells are repeated beyond
+    /// walls.
     fn spread(&mut self, field: Self::Field, reach: i32) -> Result<Self::Field, Self::Error>;
 
-    /// Looks at what is known of cells 2^`level` times as wide, and may stop where no surface can
-    /// come of it.
+    /// Examines fields of cells 2^`level` times as wide, and may stop if they rule out a surface.
     fn probe(
         &mut self,
         wide: &WideFields<Self::Field>,
@@ -335,14 +336,15 @@ pub trait Fields {
         ramp: &Ramp,
     ) -> Result<(), Self::Error>;
 
-    /// A field of cells 2^`level` times as wide at the middles of those that it is asked for on.
+    /// A field of cells 2^`level` times as wide, interpolated at the middles of the requested
+    /// cells.
     fn refined(&mut self, wide: Self::Field, level: u32) -> Result<Self::Field, Self::Error>;
 
-    /// Whether particles stand out in any cell, as far as cells 2^`level` times as wide tell. From
-    /// then on samples and fields are those of the cells where they can.
+    /// Whether particles stand out in any cell, according to cells 2^`level` times as wide. If so,
+    /// further samples and fields are restricted to the cells where they can.
     fn narrowed(&mut self, near: &Self::Field, level: u32, ramp: &Ramp) -> bool;
 
-    /// Shares of clouds in what is around them.
+    /// Clouds divided by the clouds around them.
     fn quotient(
         &mut self,
         clouds: Self::Field,
@@ -350,27 +352,27 @@ pub trait Fields {
         bits: u32,
     ) -> Result<Self::Field, Self::Error>;
 
-    /// Whether clouds can hold a sheet, as far as can be told before they are smoothed.
+    /// Whether clouds can contain a sheet, checked before they are smoothed.
     fn may_hold(&mut self, sheets: &Sheets, clouds: &Self::Field) -> bool;
 
-    /// The part of samples that is within a smaller halo, if the rest is in the way.
+    /// The part of samples within a smaller halo, if the backend needs the samples cropped.
     fn nearer(&mut self, field: Self::Field, level: u32, halo: i32) -> Self::Field;
 
-    /// Sheets of the smoothed density; `None` if it holds none, as far as that is known.
+    /// Sheets of the smoothed density; `None` if there are certainly none.
     fn sheets(
         &mut self,
         sheets: &Sheets,
         density: Self::Field,
     ) -> Result<Option<SheetFields<Self::Field>>, Self::Error>;
 
-    /// Shares of drops blended with those of sheets.
+    /// The shares of drops, blended with those of sheets.
     fn blended(
         &mut self,
         drops: Self::Field,
         sheets: SheetFields<Self::Field>,
     ) -> Result<Self::Field, Self::Error>;
 
-    /// The field, of the bulk's surface and of drops.
+    /// The field, made from the bulk's surface and drops.
     fn joined(
         &mut self,
         bulk: Self::Field,
@@ -380,7 +382,7 @@ pub trait Fields {
     ) -> Result<Self::Field, Self::Error>;
 }
 
-/// The cells of which a field takes samples, and whose walls they repeat at a level.
+/// The walls at a level, as the cells whose samples exist; samples are repeated beyond them.
 pub fn walls_at(level: u32, walls: Option<CellBox>) -> Option<CellBox> {
     walls.map(|walls| (0..level).fold(walls, |walls, _| crate::brick::halved_box(walls)))
 }

@@ -1,17 +1,18 @@
-//! Solids: clouds are continued into them before the surface of the bulk is made, and the field is
-//! cut by them after.
+//! Solids: clouds are continued into them before the surface of the bulk is made, and afterwards
+//! the field is cut by them.
 //!
-//! Of a cell's cloud density rho a share w lies outside of the solid, that of a plane as far from
-//! the cell's centre as the solid is. Where w is less than 1, the density of the fluid beside it is
-//! taken, by as much as w falls from 1 to 0.9: the value at the cell of the linear function that
-//! fits rho / w best under a Gaussian of 1 d, with weights that fall with w in the same way (moving
-//! least squares, Lancaster and Salkauskas 1981). A mean would bend the fluid's level where it meets
-//! a slope, and so would cells that a solid takes much of. Where that finds too little, as deeper in
-//! a solid and in a narrow channel, (1 - w) of a mean under a Gaussian of 2.5 d is added to rho
-//! (normalised convolution). So the bulk does not end at a solid, and its surface meets the solid as
-//! it would go on. The field is then the smaller one of its distance and that of the solid.
+//! A share w of a cell's cloud with density rho lies outside of the solid; it is the share for a
+//! plane at the solid's distance from the cell's centre. Where w is less than 1, the density of the
+//! fluid beside it is blended in, more as w falls from 1 to 0.9: the value at the cell of the
+//! linear function that best fits rho / w under a Gaussian of 1 d, with weights that fall with w in
+//! the same way (moving least squares, Lancaster and Salkauskas 1981). A mean would bend the level
+//! of the fluid at a slope, and so would cells that are mostly solid. Where too little fluid is in
+//! reach of the fit, deep in a solid or in a narrow channel, (1 - w) times a mean under a Gaussian
+//! of 2.5 d is added to rho (normalised convolution). So the bulk does not end at a solid, and its
+//! surface continues straight into it. The field is then the minimum of its distance and the
+//! solid's.
 //!
-//! Sums are integers, and each cell's is made by itself: the result does not depend on the block.
+//! Sums are integers, and each cell has its own sum: the result does not depend on the block.
 
 use glam::{DMat3, DVec3, IVec3};
 
@@ -20,36 +21,38 @@ use crate::field::blur::{Weights, blur};
 use crate::field::distance::{NONE, ZERO};
 use crate::grid::CellBox;
 
-/// The share of a cell that has to be outside of a solid for its density to tell anything.
-const TOLD: u16 = WHOLE / 10 * 9;
-/// The standard deviation of the Gaussian under which a linear function is fitted, in spacings, and
-/// where it is cut off, in those.
+/// The share of a cell that must be outside of a solid for its density to be used.
+const USABLE: u16 = WHOLE / 10 * 9;
+/// The standard deviation of the Gaussian for the linear fit, in spacings, and its cut-off, in
+/// standard deviations.
 const FIT: f64 = 1.0;
 const FIT_CUT: f64 = 2.5;
-/// The least part of it that has to lie outside.
+/// The minimum share of that Gaussian that must lie outside.
 const FIT_LEAST: f64 = 0.004;
-/// The variance that is added to those of the places that tell the function, in those of the
-/// Gaussian: where they lie in a plane or are few, it hardly changes across.
+/// The variance that is added to the variances of the fitted positions, in variances of the
+/// Gaussian: if the positions are few or lie in a plane, the function hardly changes across the
+/// plane.
 const FIT_STIFFNESS: f64 = 0.01;
-/// The standard deviation of the Gaussian of means, in spacings, and where it is cut off, in those.
+/// The standard deviation of the Gaussian for means, in spacings, and its cut-off, in standard
+/// deviations.
 const MEAN: f64 = 2.5;
 const MEAN_CUT: f64 = 2.2;
-/// Bits that the smoothed density gains: as many as that of the bulk does.
+/// The gain of the smoothed density in bits, equal to the bulk's gain.
 const GAIN: u32 = 2;
-/// The share of a cell that is all outside.
+/// The share of a cell that is completely outside.
 pub const WHOLE: u16 = 1 << 15;
-/// The least share of that Gaussian that has to be outside.
+/// The minimum share of the means' Gaussian that must lie outside.
 const MEAN_LEAST: u16 = WHOLE >> 7;
-/// Steps of a distance in a cell's edge, for shares.
+/// Steps of a distance per cell edge, for shares.
 pub const STEPS: f64 = 4096.0;
-/// How far outside a cell's cloud reaches, in such steps.
+/// The reach of a cell's cloud beyond its centre, in such steps.
 pub const FARTHEST: i16 = 3 * 2048;
 
 /// The filters that continue clouds into solids.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SolidFill {
     fit: Weights,
-    /// The variance of a fit along each axis that is added, in squared cells.
+    /// The variance that is added to a fit along each axis, in squared cells.
     stiffness: f64,
     mean: Weights,
 }
@@ -67,25 +70,24 @@ impl SolidFill {
         Self { fit, stiffness, mean: gaussian(MEAN, MEAN_CUT).gaining(GAIN) }
     }
 
-    /// How far from a cell others decide its density, in cells.
+    /// The distance within which cells affect a cell's density, in cells.
     #[must_use]
     pub fn reach(&self) -> i32 {
         self.fit.reach().max(self.mean.reach())
     }
 
-    /// Bytes that clouds on some cells take while they are continued, reach and all.
+    /// Bytes of the continuation on some cells, including its halo.
     #[must_use]
     pub fn bytes(cells: CellBox) -> u64 {
-        // Clouds, distances twice, shares, what is told and how dense that is, both means with room
-        // to be smoothed in, and the result.
+        // Clouds, distances twice, shares, the usable cells and their density, both means with room
+        // for smoothing, and the result.
         11 * (cells.volume() * size_of::<u16>()) as u64
     }
 
-    /// The samples of `cells`, continued into a solid, of which the shares outside are known.
+    /// The samples of `cells`, continued into a solid. `outside` has the shares outside of it.
     ///
     /// # Panics
-    /// If `clouds` and `outside` do not cover the cells and as many around them as the
-    /// [reach](Self::reach).
+    /// If `clouds` and `outside` do not cover the cells and a halo of [reach](Self::reach).
     #[must_use]
     pub fn filled(
         &self,
@@ -101,12 +103,12 @@ impl SolidFill {
         }
         let around = part.grown(self.mean.reach(), self.mean.reach());
         let around_fit = part.grown(self.fit.reach(), self.fit.reach());
-        let (mut told, mut dense) = (outside.part(around_fit), clouds.part(around_fit));
-        for (share, cloud) in told.samples_mut().iter_mut().zip(dense.samples_mut()) {
-            *cloud = (u32::from(*cloud) * u32::from(WHOLE) / u32::from((*share).max(TOLD)))
+        let (mut usable, mut dense) = (outside.part(around_fit), clouds.part(around_fit));
+        for (share, cloud) in usable.samples_mut().iter_mut().zip(dense.samples_mut()) {
+            *cloud = (u32::from(*cloud) * u32::from(WHOLE) / u32::from((*share).max(USABLE)))
                 .min(u16::MAX.into()) as u16;
-            let beyond = u32::from(share.saturating_sub(TOLD));
-            *share = (beyond * u32::from(WHOLE) / u32::from(WHOLE - TOLD)) as u16;
+            let beyond = u32::from(share.saturating_sub(USABLE));
+            *share = (beyond * u32::from(WHOLE) / u32::from(WHOLE - USABLE)) as u16;
         }
         let density = blur(clouds.part(around), &self.mean, None);
         let share = blur(outside.part(around), &self.mean.clone().gaining(0), None);
@@ -117,10 +119,10 @@ impl SolidFill {
             }
             let index = filled.index(cell);
             let own = u64::from(filled.samples()[index]);
-            let sample = match self.fitted(&dense, &told, cell) {
+            let sample = match self.fitted(&dense, &usable, cell) {
                 Some(fitted) => {
-                    let told = u64::from(told.at(cell));
-                    (own * told + fitted * (u64::from(WHOLE) - told)) >> 15
+                    let usable = u64::from(usable.at(cell));
+                    (own * usable + fitted * (u64::from(WHOLE) - usable)) >> 15
                 }
                 None => {
                     let share = u64::from(share.at(cell));
@@ -135,23 +137,23 @@ impl SolidFill {
         filled
     }
 
-    /// The value at a cell of the linear function that fits the density around it best, no less than
-    /// 0 and no more than is found there; `None` where too little is outside.
-    fn fitted(&self, dense: &Block, told: &Block, cell: IVec3) -> Option<u64> {
+    /// The value at a cell of the linear function that best fits the density around it, limited to
+    /// the range from 0 to the maximum density there; `None` if too little fluid is in reach.
+    fn fitted(&self, dense: &Block, usable: &Block, cell: IVec3) -> Option<u64> {
         let (half, reach) = (self.fit.half(), self.fit.reach());
         let weight = |offset: i32| u64::from(half[offset.unsigned_abs() as usize]);
-        // Of the weights: their sum, and first and second moments; of the densities the sum and
-        // first moments. Each has 62 bits at the most.
+        // For the weights: the sum, and the first and second moments. For the densities: the sum
+        // and the first moments. Each has at most 62 bits.
         let (mut sum, mut first, mut second) = (0_i64, [0_i64; 3], [0_i64; 6]);
         let (mut total, mut moment, mut most) = (0_i64, [0_i64; 3], 0);
         for z in -reach..=reach {
             for y in -reach..=reach {
                 let across = (weight(z) * weight(y)) >> 16;
                 let row = cell + IVec3::new(-reach, y, z);
-                let [at_dense, at_told] = [dense.index(row), told.index(row)];
+                let [at_dense, at_told] = [dense.index(row), usable.index(row)];
                 for x in -reach..=reach {
                     let step = (x + reach) as usize;
-                    let share = told.samples()[at_told + step];
+                    let share = usable.samples()[at_told + step];
                     if share == 0 {
                         continue;
                     }
@@ -196,15 +198,15 @@ impl SolidFill {
     }
 }
 
-/// Each of some cells, x fastest.
+/// The cells of a box, x fastest.
 fn places(cells: CellBox) -> impl Iterator<Item = IVec3> {
     let CellBox { lo, hi } = cells;
     let rows = (lo.z..hi.z).flat_map(move |z| (lo.y..hi.y).map(move |y| (y, z)));
     rows.flat_map(move |(y, z)| (lo.x..hi.x).map(move |x| IVec3::new(x, y, z)))
 }
 
-/// The share of each cell's cloud that lies outside of a solid, in units of 1 / [`WHOLE`], by the
-/// distance of its centre in 1 / [`STEPS`] of its edge.
+/// The share of each cell's cloud outside of a solid, in units of 1 / [`WHOLE`], from the distance
+/// of the cell's centre in units of 1 / [`STEPS`] of its edge.
 #[must_use]
 pub fn outside(distances: &Block<i16>) -> Block {
     let mut shares = Block::zero(distances.cells());
@@ -223,11 +225,10 @@ pub fn outside(distances: &Block<i16>) -> Block {
     shares
 }
 
-/// Cuts a field by a solid's distances, in its units; less than `most`, the solid is told to be as
-/// far as it is.
+/// Cuts a field by a solid's distances, in their units. Distances below `most` are exact.
 ///
 /// # Panics
-/// Unless both are of the same cells.
+/// If the field and the distances are on different cells.
 pub fn cut(field: &mut Block, distances: &Block<i16>, offset: i32, most: i16) {
     assert_eq!(field.cells(), distances.cells(), "a field is cut on all of its cells");
     for (sample, &distance) in field.samples_mut().iter_mut().zip(distances.samples()) {
@@ -244,7 +245,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn shares_outside_rise_from_none_to_all_and_sum_to_one_on_both_sides() {
+    fn shares_outside_rise_from_0_to_1_and_both_sides_sum_to_1() {
         let cells = CellBox { lo: IVec3::ZERO, hi: IVec3::new(101, 1, 1) };
         let mut distances = Block::zero(cells);
         for (to, at) in distances.samples_mut().iter_mut().zip(-50..) {
@@ -259,7 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fluid_of_even_density_goes_on_into_a_solid_and_air_stays_empty() {
+    fn an_even_fluid_continues_into_a_solid_and_air_stays_empty() {
         let fill = SolidFill::new(0.7);
         let cells = CellBox { lo: IVec3::splat(-4), hi: IVec3::splat(5) };
         let around = cells.grown(fill.reach(), fill.reach());

@@ -1,22 +1,22 @@
 //! Walls of a tank, found as the planes at which the particles end.
 //!
-//! Each side is judged on its own. The plane is where the outermost particle is. Behind it stand
-//! columns that are two spacings wide; those that are full of particles three spacings behind the
-//! plane are evidence. They show a wall if there are many of them, nearly all hold a particle within
-//! 0.6 spacings of the plane, the density behind the plane is that of full fluid at once, and the
-//! outermost particles of groups of columns lie in one plane: there a free surface with waves
-//! differs from a wall. A free surface that is level within 0.15 spacings cannot be told from a wall
-//! in one frame; in several frames only planes at the same place are walls.
+//! Each side is judged separately. The plane is at the outermost particle. Columns behind it are
+//! two spacings wide; a column counts if it is full of particles three spacings behind the plane.
+//! The columns show a wall under four conditions: there are many of them, nearly all have a
+//! particle within 0.6 spacings of the plane, the density reaches that of full fluid directly
+//! behind the plane, and the outermost particles of groups of columns lie in one plane. The last
+//! condition excludes a free surface with waves. In one frame, a free surface that is level within
+//! 0.15 spacings looks like a wall; with several frames, only planes at the same place are walls.
 //!
-//! The outermost layer of a lattice is half a spacing inside of the wall, particles in disorder
-//! reach it. Both follow from the number n of particles in the outermost shell, per squared spacing,
-//! and their mean depth m below the plane: in fluid of one particle per cubed spacing whose end is
-//! the wall, whole layers as well as disorder have their mean n/2 spacings inside of the wall. Solvers
-//! push particles back that would leave, and more than fluid has pile up at the wall. Where there is
-//! no gap behind the outermost layer, which tells such a pile from a layer, n is that of full fluid
-//! at the most.
+//! The outermost layer of a lattice is half a spacing inside of the wall; disordered particles
+//! reach the wall. Both cases follow from the number n of particles per squared spacing in the
+//! outermost shell, and their mean depth m below the plane: in fluid of one particle per cubed
+//! spacing that ends at the wall, the mean is n/2 spacings inside of the wall, for whole layers and
+//! for disorder. Solvers push particles back at the wall, so more particles than in full fluid pile
+//! up there. A gap behind the outermost layer distinguishes a layer from such a pile; without a
+//! gap, n is limited to that of full fluid.
 //!
-//! All sums are of integers: neither the order of the particles nor threads matter.
+//! All sums are integers, so the order of the particles and the threads do not matter.
 
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering::Relaxed};
 
@@ -28,20 +28,20 @@ use crate::particles::{Bounds, Particles, finite_chunks};
 
 /// Edge of a column, in spacings.
 const COLUMN: f64 = 2.0;
-/// Depths between which a full column is full, in spacings.
+/// The range of depths that must be full in a full column, in spacings.
 const BEHIND: [f64; 2] = [2.0, 4.0];
-/// The share of the particles of full fluid that a full column holds there, at the least.
+/// The minimum density of a full column in this range, relative to full fluid.
 const FULL: f64 = 0.6;
-/// The depth of the nearest particle of a column that ends at the plane, in spacings.
+/// The maximum depth of the first particle of a column that ends at the plane, in spacings.
 const NEAR: f64 = 0.6;
-/// The share of full columns that end at a wall, at the least.
+/// The minimum share of full columns that end at a wall.
 const ENDING: f64 = 0.8;
-/// The depth to which particles say where the wall is, in spacings.
+/// The depth of the shell that locates the wall, in spacings.
 const SHELL: f64 = 1.5;
-/// Depths between which there is a gap behind the outermost layer of a lattice, in spacings, also of
-/// one that is jittered by 0.3 spacings.
+/// The depths of the gap behind the outermost layer of a lattice, in spacings. A jitter of 0.3
+/// spacings leaves such a gap.
 const GAP: std::ops::Range<f64> = 0.5..0.9;
-/// The density in such a gap, in particles per cubed spacing, at the most.
+/// The maximum density in such a gap, in particles per cubed spacing.
 const IN_GAP: f64 = 0.7;
 /// The density of the shell of fluid at a wall, in particles per cubed spacing.
 const DENSITY: std::ops::Range<f64> = 0.5..2.0;
@@ -49,30 +49,30 @@ const DENSITY: std::ops::Range<f64> = 0.5..2.0;
 const GROUP: u64 = 4;
 /// Columns of a group.
 const GROUP_COLUMNS: usize = (GROUP * GROUP) as usize;
-/// Groups of a side that are looked at, at the most: some all over it where there are more.
+/// The maximum number of examined groups per side; a larger side is sampled evenly.
 const MOST_GROUPS: u64 = 2048;
-/// How far the nearest particles of groups may lie from their median, in spacings.
+/// The maximum distance of the first particles of groups from their median, in spacings.
 const LEVEL: f64 = 0.15;
-/// The share of groups that are no farther from it at a wall, at the least.
+/// The minimum share of groups within that distance at a wall.
 const LEVEL_SHARE: f64 = 0.85;
-/// The wall's distance from the outermost particle, in spacings, at the most.
+/// The maximum distance of the wall from the outermost particle, in spacings.
 const FARTHEST: f64 = 0.75;
-/// The distance of walls of several frames that are the same, and of particles past a wall that is
-/// moved for them, in spacings.
+/// The maximum distance between walls of several frames that count as the same wall, and the
+/// maximum distance of particles past a wall that is moved for them, in spacings.
 const SAME: f64 = 0.5;
-/// Fluid keeps a distance from a scene's walls, in spacings: at the most this one.
+/// The maximum distance between the fluid and a scene's walls, in spacings.
 const KEPT: f64 = 2.0;
-/// Particles in the shell of drops that left the fluid, at the most.
+/// The maximum number of particles in a shell that consists of drops.
 const FEW: u64 = 32;
 /// Fixed-point steps of a depth, per spacing.
 const STEPS: f64 = 1024.0;
 
-/// A side of the box around the particles, as one frame shows it.
+/// The evidence of one frame about a side of the box around the particles.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum BoxSide {
-    /// Too little fluid is behind it, or its end is not quite level.
+    /// Too little fluid is behind this side, or its end is not quite level.
     Unclear,
-    /// Hardly any particles are there.
+    /// Almost no particles are at this side.
     Stray,
     /// The fluid ends far from a plane.
     Ragged,
@@ -87,11 +87,11 @@ pub struct Ends {
     reach: [[f64; 2]; 3],
     sides: [[BoxSide; 2]; 3],
     spacing: f64,
-    /// The axis across the plane that all particles lie in.
+    /// The axis perpendicular to the plane, if all particles lie in a plane.
     flat: Option<usize>,
 }
 
-/// Particles past a wall that was found.
+/// Particles beyond a wall that was found.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BeyondWall {
     /// x, y or z.
@@ -100,19 +100,19 @@ pub struct BeyondWall {
     pub wall: f64,
     /// The coordinate that particles reach.
     pub reach: f64,
-    /// The coordinate that the wall is moved to; `None` where the side is open instead.
+    /// The new coordinate of the wall; `None` if the side is open instead.
     pub moved: Option<f64>,
 }
 
 /// Counts of the particles in a column near a side.
 struct ColumnCounts {
-    /// The least depth, in steps.
+    /// The minimum depth, in steps.
     nearest: AtomicU32,
-    /// Particles of the shell.
+    /// Number of particles in the shell.
     shell: AtomicU32,
-    /// Particles where a lattice has a gap.
+    /// Number of particles at the depths of a lattice's gap.
     in_gap: AtomicU32,
-    /// Particles of the depths where full columns are full.
+    /// Number of particles at the depths that must be full.
     behind: AtomicU32,
     /// The sum of the depths of the shell's particles, in steps.
     depths: AtomicU64,
@@ -125,9 +125,9 @@ struct SideColumns {
     end: usize,
     /// The coordinate of the outermost particle.
     at: f64,
-    /// One group in so many is looked at, along both axes of the side.
+    /// Every `stride`-th group is examined, along both axes of the side.
     stride: u64,
-    /// Groups that are looked at in a row.
+    /// Number of examined groups in a row.
     row: u64,
     columns: Vec<ColumnCounts>,
     /// The area of a column, in squared spacings.
@@ -135,10 +135,10 @@ struct SideColumns {
 }
 
 impl Ends {
-    /// Looks at the ends of particles that the grid can hold; `None` where there are none, or a
-    /// frame of `spacing` cannot be told. Particles in a plane have no ends along the axis `flat`.
+    /// Examines the ends of the particles that the grid can hold; returns `None` if there are none,
+    /// or if `spacing` is unusable. Particles in a plane have no ends along the axis `flat`.
     ///
-    /// The particles are read twice. The memory is some megabytes at the most.
+    /// The particles are read twice. Memory use is a few megabytes at most.
     #[must_use]
     pub fn of(
         particles: &(impl Particles + ?Sized),
@@ -219,10 +219,10 @@ impl SideColumns {
         }
     }
 
-    /// Whether the columns show a wall, and where.
+    /// Whether the columns show a wall, and its position.
     fn judged(&self, spacing: f64) -> BoxSide {
-        /// Full columns that say anything, and those of a group, by the area of a column: an area
-        /// of 120 squared spacings, and 24 spacings of particles in a plane.
+        /// The minimum number of full columns, in total and per group, for planar and for other
+        /// particles: 24 spacings of a plane's particles, or an area of 120 squared spacings.
         const LEAST: [(usize, usize); 2] = [(12, 2), (30, 4)];
         let (least, least_of_group) = LEAST[usize::from(self.area > COLUMN)];
         let behind = FULL * self.area * (BEHIND[1] - BEHIND[0]);
@@ -250,7 +250,7 @@ impl SideColumns {
         }
         groups.sort_unstable_by(f64::total_cmp);
         let median = groups[groups.len() / 2];
-        // A few particles may lie before the others: solvers let some in where they keep others out.
+        // A few particles may lie before the others, because solvers let some of them through.
         let end = median.min(NEAR) + NEAR;
         let ending = self.columns.iter().filter(is_full).filter(|c| nearest(c) < end).count();
         let level = groups.iter().filter(|&&depth| (depth - median).abs() <= LEVEL).count();
@@ -288,23 +288,23 @@ pub fn bounds_held(particles: &(impl Particles + ?Sized), grid: &Grid) -> Option
     (bounds.finite > 0).then_some(bounds)
 }
 
-/// The axes across another.
+/// The two other axes.
 fn others(axis: usize) -> [usize; 2] {
     [[1, 2], [0, 2], [0, 1]][axis]
 }
 
-/// A coordinate moved out of a box, at its lower end or at its upper one.
+/// Moves a coordinate out of a box, at its lower or its upper end.
 fn outward(end: usize, at: f64, by: f64) -> f64 {
     if end == 0 { at - by } else { at + by }
 }
 
-/// How far a coordinate is outside of another, at the lower or the upper end of a box.
+/// The distance of a coordinate beyond another, at the lower or the upper end of a box.
 fn outside(end: usize, at: f64, of: f64) -> f64 {
     if end == 0 { of - at } else { at - of }
 }
 
-/// A wall at a coordinate of few digits, moved out by a thousandth of the spacing at the most, so
-/// that it can be copied; particles that reach `reach` stay inside.
+/// The wall at a coordinate with few digits, which is easy to copy. It is moved outwards by at most
+/// a thousandth of the spacing, and particles up to `reach` stay inside.
 fn rounded(end: usize, wall: f64, reach: f64, spacing: f64) -> f64 {
     let digits = (3.0 - spacing.log10().floor()).clamp(0.0, 15.0) as usize;
     let step = 10_f64.powi(-(digits as i32));
@@ -312,18 +312,18 @@ fn rounded(end: usize, wall: f64, reach: f64, spacing: f64) -> f64 {
     let candidates = [0.0, 1.0, 2.0].map(|steps: f64| short(outward(end, wall, steps * step)));
     let holds = |at: &f64| outside(end, *at, wall) >= 0.0 && outside(end, *at, reach) >= 0.0;
     let of_few_digits = candidates.into_iter().find(holds).unwrap_or(wall);
-    // No zero with a sign.
+    // Avoids a negative zero.
     if of_few_digits == 0.0 { 0.0 } else { of_few_digits }
 }
 
-/// The walls that hold in all frames that were looked at, by the walls of a scene if one is known.
+/// The walls that hold in all examined frames, with the help of a scene's walls if they are known.
 ///
-/// One frame alone shows its planes. Of several frames, two and a third of them at the least have to
-/// show a wall at the same place, and more than end there otherwise; in none more than some drops are
-/// farther out. The side that
-/// points up is free, unless a scene has a wall there: it is that of the axis `up` if that is known.
-/// Else it is that of y if y and z both have one. Says whether the scene is of these particles.
-#[must_use]
+/// With one frame, its planes are the walls. With several frames, a side has a wall if at least two
+/// frames, and at least a third of all, show one at the same place, if these are more than the
+/// frames that end elsewhere, and if in no frame more than some drops are farther out. The upper
+/// side is free unless a scene has a wall there. It is the upper side of the axis `up` if that is
+/// known, otherwise of y if both y and z have a wall. Also returns whether the scene belongs to
+/// these particles.
 pub fn common(frames: &[Ends], scene: Option<&Walls>, up: Option<usize>) -> (Walls, bool) {
     let fits = |scene: &&Walls| {
         let sides = (0..3).flat_map(|axis| [(axis, 0), (axis, 1)]);
@@ -353,7 +353,7 @@ pub fn common(frames: &[Ends], scene: Option<&Walls>, up: Option<usize>) -> (Wal
         }));
         return (walls, true);
     }
-    // In two dimensions it is the other one of y and z.
+    // In two dimensions it is the one of y and z that lies in the plane.
     let in_plane = frames.first().and_then(|frame| frame.flat);
     let up = up.or(in_plane.and_then(|flat| [None, Some(2), Some(1)][flat]));
     let mut walls = Walls([0, 1, 2].map(|axis| [0, 1].map(|end| common_wall(frames, axis, end))));
@@ -370,7 +370,7 @@ fn common_wall(frames: &[Ends], axis: usize, end: usize) -> Option<f64> {
     let spacing = frames.first()?.spacing;
     let mut planes: Vec<f64> = frames.iter().filter_map(|frame| frame.plane(axis, end)).collect();
     planes.sort_unstable_by(|a, b| outside(end, *b, *a).total_cmp(&0.0));
-    // Whatever is inside of the outermost plane is passed there.
+    // Particles pass any wall inside of the outermost plane.
     let wall = planes.into_iter().next()?;
     let is_same = |at: f64| (at - wall).abs() <= SAME * spacing;
     let (mut shown, mut against) = (0, 0);
@@ -386,7 +386,8 @@ fn common_wall(frames: &[Ends], axis: usize, end: usize) -> Option<f64> {
     (shown >= needed && shown > against).then(|| rounded_for(frames, axis, end, wall))
 }
 
-/// A wall of few digits, that holds all particles of the frames that do not pass it by much.
+/// A wall with few digits that contains all particles of the frames, except of those that are far
+/// beyond it.
 fn rounded_for(frames: &[Ends], axis: usize, end: usize, wall: f64) -> f64 {
     let reached = frames.iter().map(|frame| (frame.reach[axis][end], frame.spacing));
     let holding = reached.filter(|&(at, spacing)| outside(end, at, wall) <= SAME * spacing);
@@ -403,14 +404,15 @@ impl Ends {
         }
     }
 
-    /// Whether particles are farther outside of a wall than it would be moved for them.
+    /// Whether particles are farther beyond a wall than it may be moved for them.
     fn passes(&self, axis: usize, end: usize, wall: f64) -> bool {
         outside(end, self.reach[axis][end], wall) > SAME * self.spacing
     }
 }
 
-/// The walls for particles within some bounds, none of which is left outside: a wall that they pass
-/// is moved to them where they are near, else its side is open. Says which walls these are.
+/// The walls for particles within some bounds, so that none is outside: a wall is moved if
+/// particles are slightly beyond it, otherwise its side is open. Also returns the walls that
+/// particles pass.
 #[must_use]
 pub fn holding(walls: &Walls, bounds: &Bounds, spacing: f64) -> (Walls, Vec<BeyondWall>) {
     let (mut holding, mut past) = (*walls, Vec::new());
@@ -432,7 +434,7 @@ pub fn holding(walls: &Walls, bounds: &Bounds, spacing: f64) -> (Walls, Vec<Beyo
 mod tests {
     use super::*;
 
-    /// Positions in a box of lattice cells, each moved by a number of its own from -1 to 1.
+    /// Positions in a box of lattice cells, each moved by its own number from -1 to 1.
     fn lattice(size: [i32; 3], moved_by: f64) -> Vec<[f64; 3]> {
         let mut state = 1_u64;
         let mut random = move || {
@@ -462,8 +464,8 @@ mod tests {
     }
 
     #[test]
-    fn walls_of_tanks_are_found_within_0_3_spacings_and_hold_all_particles() {
-        // Moved by half a cell of the lattice, particles are anywhere in the tank.
+    fn walls_of_tanks_are_found_within_0_3_spacings_and_contain_all_particles() {
+        // With a jitter of half a lattice cell, particles are anywhere in the tank.
         for moved_by in [0.0, 0.1, 0.3, 0.5] {
             let mut water = lattice([50, 20, 40], moved_by);
             water.retain(waves);
@@ -487,7 +489,7 @@ mod tests {
     }
 
     #[test]
-    fn ends_that_are_no_planes_are_no_walls() {
+    fn uneven_ends_are_not_walls() {
         let mut ball = lattice([48; 3], 0.4);
         ball.retain(|p| DVec3::from(*p).distance(DVec3::splat(24.0)) < 24.0);
         assert!(walls(&ball).is_open());
@@ -509,7 +511,7 @@ mod tests {
     }
 
     #[test]
-    fn the_free_face_of_a_dam_is_no_wall_of_the_frames_in_which_it_breaks() {
+    fn the_free_face_of_a_breaking_dam_is_not_a_wall() {
         let dam = ends(&lattice([30, 30, 40], 0.0));
         let mut broken = lattice([80, 20, 40], 0.3);
         broken.retain(waves);
@@ -522,12 +524,12 @@ mod tests {
             let at = found.0[axis][end].unwrap_or(open);
             assert!(at == expected[axis][end] || (at - expected[axis][end]).abs() < 0.3, "{at}");
         }
-        // More than drops are beyond it later.
+        // Later more than a few drops are beyond it.
         assert_eq!(common(&[dam.clone(), dam, broken], None, None).0.0[0][1], None);
     }
 
     #[test]
-    fn a_wall_that_drops_have_passed_in_some_frames_is_the_wall_of_all() {
+    fn a_wall_with_drops_beyond_it_in_some_frames_is_a_wall_of_all_frames() {
         let mut water = lattice([50, 20, 40], 0.5);
         water.retain(waves);
         let tight = ends(&water);
@@ -544,7 +546,7 @@ mod tests {
     }
 
     #[test]
-    fn a_scene_says_which_sides_are_walls_and_the_particles_where() {
+    fn a_scene_decides_which_sides_are_walls_and_the_particles_their_position() {
         let dam = ends(&lattice([30, 30, 40], 0.0));
         // Fluid keeps a spacing from the boundary's particles.
         let scene = Walls([[Some(-1.0), Some(90.0)], [Some(-1.0), None], [Some(-1.0), Some(41.0)]]);
@@ -554,13 +556,13 @@ mod tests {
             found,
             Walls([[Some(0.0), Some(90.0)], [Some(0.0), None], [Some(0.0), Some(40.0)]])
         );
-        // Another simulation's.
+        // A scene of another simulation.
         let other = Walls([[Some(5.0), Some(20.0)], [Some(-1.0), None], [None, None]]);
         assert!(!common(&[dam], Some(&other), None).1);
     }
 
     #[test]
-    fn walls_are_moved_for_particles_that_pass_them_by_little_and_left_out_for_others() {
+    fn walls_are_moved_for_particles_slightly_beyond_them_and_opened_for_others() {
         let walls = Walls([[Some(0.0), Some(10.0)], [Some(0.0), None], [None, Some(5.0)]]);
         let bounds =
             Bounds { lo: DVec3::new(0.0, -0.25, -9.0), hi: DVec3::new(9.0, 90.0, 8.0), finite: 9 };
@@ -571,7 +573,7 @@ mod tests {
     }
 
     #[test]
-    fn walls_have_few_digits_and_never_lose_the_outermost_particle() {
+    fn walls_have_few_digits_and_contain_the_outermost_particle() {
         for (end, wall, reach, spacing) in [
             (1, 1.234_567_891, 1.234_567_891, 0.05),
             (0, -1.234_567_891, -1.234_567_891, 0.05),

@@ -1,4 +1,4 @@
-//! A frame's particles on the host, on their way to pages.
+//! A frame's particles on the host, before their pages are made.
 
 use std::sync::Arc;
 
@@ -14,7 +14,7 @@ use super::lost::OccupiedTiles;
 use super::sink::FieldSink;
 use super::{FrameError, Resources};
 
-/// Sorts counted particles as a plan says, with the attributes numbered in `carried`.
+/// Sorts counted particles according to a plan, with the attributes numbered in `carried`.
 pub(super) fn sorted(
     bin_plan: BinPlan,
     particles: &(impl Particles + ?Sized),
@@ -26,21 +26,21 @@ pub(super) fn sorted(
         return Ok(BinnedParticles::InMemory(bin_plan.fill(particles, carried)?));
     };
     let runs = bin_plan.runs(particles, carried, shares.particles);
-    // No run is being sorted yet, so that share is free for buffers.
+    // No run is being sorted yet, so this share is free for buffers.
     let buffers = shares.particles as usize;
     let spilled =
         bin_plan.spill(particles, carried, runs, &resources.scratch, buffers, shares.coded);
     Ok(BinnedParticles::Spilled(spilled.map_err(resources.scratch_error())??))
 }
 
-/// Particles whose pages go into a sink.
+/// Binned particles whose pages go into a sink.
 pub(super) struct HostBins<'a> {
     pub(super) binned: BinnedParticles,
     pub(super) stages: &'a dyn Stages,
     pub(super) sink: FieldSink,
     pub(super) occupied: OccupiedTiles,
     pub(super) resources: &'a Resources,
-    /// Whether the bins are needed after the pages are made, for their attributes.
+    /// Whether the bins are still needed for their attributes after the pages are made.
     pub(super) keep: bool,
     /// A count of the bins that have pages.
     pub(super) meter: Meter<'a>,

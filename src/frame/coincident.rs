@@ -1,5 +1,4 @@
-//! Particles in the same place: duplicates, and slots of a simulator that are not in use and parked
-//! somewhere.
+//! Coincident particles: duplicates, and unused particles that a simulator parks in one position.
 
 use glam::{DVec3, IVec3};
 use serde::{Deserialize, Serialize};
@@ -7,21 +6,21 @@ use serde::{Deserialize, Serialize};
 use crate::brick::unpack;
 use crate::grid::{BIN, FRACTIONS, Grid};
 
-/// Particles that are in the same place as another one, to 1 / [`FRACTIONS`] of a cell.
+/// Particles that have the same position as another one, to 1 / [`FRACTIONS`] of a cell.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct CoincidentParticles {
-    /// The number of particles beyond one in each place.
+    /// The number of particles beyond the first in each position.
     pub particles: u64,
-    /// The largest number of particles in one place.
+    /// The maximum number of particles in one position.
     pub most: u64,
-    /// The place that holds that many.
+    /// The position with that number.
     pub at: [f64; 3],
-    /// Whether no other particle is near it.
+    /// Whether no other particle is near that position.
     pub alone: bool,
 }
 
-/// Particles in the same place, bin by bin.
+/// Counts of coincident particles, bin by bin.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct CoincidentCounts {
     particles: u64,
@@ -32,11 +31,11 @@ pub struct CoincidentCounts {
 
 /// Bits of the hash that finds candidates.
 const BITS: u32 = 13;
-/// The largest number of records in a bin for which the hash finds few candidates.
+/// The maximum number of records in a bin for which the hash finds few candidates.
 const FEW: usize = 1 << (BITS - 1);
 
 impl CoincidentCounts {
-    /// Finds those among the records of a bin's particles.
+    /// Counts the coincident particles among the records of a bin.
     #[must_use]
     pub fn among(bin: IVec3, records: &[u64]) -> Self {
         let mut suspects = if records.len() <= FEW { suspects(records) } else { records.to_vec() };
@@ -52,7 +51,8 @@ impl CoincidentCounts {
         found
     }
 
-    /// Adds those of another bin; of places with as many particles the first one is kept.
+    /// Adds the counts of another bin; of positions with the same number of particles the first is
+    /// kept.
     pub fn add(&mut self, other: &Self) {
         let rank = |of: &Self| {
             (of.most, std::cmp::Reverse(of.bin.to_array()), std::cmp::Reverse(of.record))
@@ -64,7 +64,8 @@ impl CoincidentCounts {
         self.particles = particles;
     }
 
-    /// Reports them, if there are any; `bins` lists the number of particles in each bin.
+    /// The report, if there are coincident particles; `bins` lists the number of particles in each
+    /// bin.
     #[must_use]
     pub fn report(
         &self,
@@ -85,10 +86,10 @@ impl CoincidentCounts {
     }
 }
 
-/// Few records, with all of those that are equal to another one among them.
+/// A few of the records, including all that occur more than once.
 fn suspects(records: &[u64]) -> Vec<u64> {
     let mut seen = [[0_u64; 1 << (BITS - 6)]; 2];
-    // The golden ratio spreads what differs in any bit.
+    // The golden ratio spreads differences in any bit.
     let bit = |record: u64| {
         let number = record.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> (64 - BITS);
         ((number >> 6) as usize, 1 << (number & 63))
@@ -110,7 +111,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn coincident_records_are_counted_whether_few_or_many_are_in_their_bin() {
+    fn coincident_records_are_counted_in_sparse_and_crowded_bins() {
         for all in [100_u64, 2000, 10_000] {
             let mut records: Vec<u64> = (0..all).map(|i| i * 7_919_317 % (1 << 51)).collect();
             assert_eq!(CoincidentCounts::among(IVec3::ONE, &records).particles, 0, "{all}");
@@ -123,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clump_is_alone_where_nothing_else_is_in_the_bins_around() {
+    fn a_clump_is_alone_if_the_surrounding_bins_are_empty() {
         let grid = Grid::new(DVec3::ZERO, 0.5).unwrap();
         // Cell (1, 0, 0) of its bin, in the middle.
         let record = (1 << 13) | (1 << 12) | (1 << 12) << 17 | (1 << 12) << 34;

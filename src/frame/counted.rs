@@ -1,4 +1,5 @@
-//! Particles that are counted: the last moment to say what a frame will take, and to refuse it.
+//! Counted particles: the stage at which a frame's memory is estimated, and refused if it is too
+//! much.
 
 use glam::IVec3;
 
@@ -12,29 +13,28 @@ use crate::system::control::Stage;
 
 use super::{FrameError, Method, OccupiedTiles, Sampling, Surfacing};
 
-/// Particles that are counted by bin: what they will take is known, and nothing is stored for them
-/// yet.
+/// Particles that are counted by bin: the memory of the frame is known, and nothing is stored yet.
 pub struct CountedFrame<'a, P: ?Sized> {
     pub(super) particles: WithImages<'a, P>,
     pub(super) sampling: &'a Sampling,
     pub(super) plan: BinPlan,
     census: Census,
     surfacing: Surfacing,
-    /// The blocks that are going to be meshed.
+    /// The blocks to mesh.
     stretch: Stretch,
 }
 
 impl<'a, P: Particles + ?Sized> CountedFrame<'a, P> {
-    /// Counts the particles, and refuses what cannot be done with them.
+    /// Counts the particles, and checks that they can be processed.
     ///
     /// # Errors
-    /// [`FrameError`] for particles that cannot be placed, none at all, or more than the budget can
-    /// hold.
+    /// [`FrameError`] if particles cannot be placed, if there are none, or if there are more than
+    /// the budget can hold.
     pub fn of(particles: &'a P, sampling: &'a Sampling) -> Result<Self, FrameError> {
         Self::planned(particles, sampling, None)
     }
 
-    /// Takes a plan of all particles that was made before, by the same sampling.
+    /// Takes a plan of all particles that was made earlier by the same sampling.
     fn planned(
         particles: &'a P,
         sampling: &'a Sampling,
@@ -62,8 +62,7 @@ impl<'a, P: Particles + ?Sized> CountedFrame<'a, P> {
         })
     }
 
-    /// The particles with the images that they have in a periodic box, and their bins, as `count`
-    /// finds them.
+    /// The particles with their images in a periodic box, and their bins, which `count` computes.
     fn with_images(
         given: &'a P,
         sampling: &'a Sampling,
@@ -75,11 +74,11 @@ impl<'a, P: Particles + ?Sized> CountedFrame<'a, P> {
         let particles = WithImages::of(metered, grid, domain.as_ref(), periodic.as_ref(), invalid);
         resources.go_on()?;
         given.check()?;
-        refuse_wide_attributes(given, sampling)?;
+        check_attribute_memory(given, sampling)?;
         let particles = particles?;
         let room = CountingRoom::within(resources.budget.0);
         let plan = count(&particles, room);
-        // Of cancelled work no particle has a place.
+        // After a cancel the particles have no positions.
         resources.go_on()?;
         given.check()?;
         let plan = match plan {
@@ -89,9 +88,8 @@ impl<'a, P: Particles + ?Sized> CountedFrame<'a, P> {
         Ok((particles, plan))
     }
 
-    /// Counts the particles in some bins alone, of which there may be none, and in a periodic box
-    /// their images; the others have been counted before, and refused or skipped if they are
-    /// invalid.
+    /// Counts only the particles in some bins, possibly none, and in a periodic box their images.
+    /// All particles were counted earlier, when invalid particles were refused or skipped.
     pub fn of_wanted(
         particles: &'a P,
         sampling: &'a Sampling,
@@ -115,43 +113,42 @@ impl<'a, P: Particles + ?Sized> CountedFrame<'a, P> {
         })
     }
 
-    /// Refuses what such a surface cannot be drawn through, then counts the particles for it,
-    /// unless a `plan` of them all was made before, by a sampling that differs in nothing that a
-    /// plan depends on.
+    /// Checks the surface request, then counts the particles for it, unless a `plan` of all
+    /// particles exists from a sampling that agrees in everything that a plan depends on.
     pub fn for_surface(
         particles: &'a P,
         sampling: &'a Sampling,
         surfacing: &Surfacing,
         plan: Option<BinPlan>,
     ) -> Result<Self, FrameError> {
-        sampling.refuse_unfit(surfacing)?;
+        sampling.check_fit(surfacing)?;
         Ok(Self { surfacing: surfacing.clone(), ..Self::planned(particles, sampling, plan)? })
     }
 
-    /// Returns how many particles went into bins, and how many were left out and why.
+    /// Returns the numbers of binned particles and of skipped ones by reason.
     pub fn census(&self) -> Census {
         self.census
     }
 
-    /// The bins that hold particles, in Morton order, and how many each holds.
+    /// The bins with particles, in Morton order, with their numbers of particles.
     pub fn bins(&self) -> impl Iterator<Item = (MortonKey, usize)> + Clone + '_ {
         self.plan.keys().iter().copied().zip(self.plan.counts())
     }
 
-    /// Estimates the memory and disk space that the frame will take.
+    /// Estimates the memory and disk space of the frame.
     pub fn estimate(&self) -> MemoryEstimate {
         let bins = self.bins();
         let estimate = self.sampling.estimate(&self.particles, &self.surfacing, bins, self.stretch);
         let estimate = MemoryEstimate { places: self.plan.places_bytes(), ..estimate };
         match self.sampling.method {
-            // Clouds of sizes are made of the sorted particles, octave by octave, once of their
-            // volumes and once of their sizes.
+            // Clouds of sizes are made from the sorted particles, octave by octave, once for
+            // volumes and once for sizes.
             Method::Indicator { .. } if self.sampling.sizes.is_some() => {
                 MemoryEstimate { field: 2 * estimate.field, carried: true, ..estimate }
             }
             Method::Indicator { .. } => estimate,
-            // Kernels are kept until the surface is done, and so are the particles at the most.
-            // Images have them as well.
+            // Kernels are kept until the surface is done, and so are the particles in the worst
+            // case. Images have kernels too.
             Method::Kernels(kernels) => {
                 let bytes = self.plan.census().binned as u64 * kernels.kernel_bytes();
                 MemoryEstimate { particles: estimate.particles + bytes, carried: true, ..estimate }
@@ -161,8 +158,8 @@ impl<'a, P: Particles + ?Sized> CountedFrame<'a, P> {
 }
 
 impl Sampling {
-    /// Estimates the memory and disk space that a frame with such bins takes, of which the blocks
-    /// in a stretch are meshed, but for kernels and for places.
+    /// Estimates the memory and disk space of a frame with these bins, except for kernels and
+    /// positions. Only the blocks in a stretch are meshed.
     pub fn estimate(
         &self,
         particles: &(impl Particles + ?Sized),
@@ -176,7 +173,7 @@ impl Sampling {
         let components = sorted.map(|index| attributes[index].components).collect();
         let drawing = surfacing.drawing(*method, *spacing, grid, components);
         let shape = method.indicator().map(|kind| kind.shape(*side));
-        // Blocks that are meshed have a surface from the bins next to them as well.
+        // Meshed blocks also have surface from the bins next to them.
         let near = |bin: IVec3| {
             let around = CellBox { lo: bin - 1, hi: bin + 2 };
             stretch == Stretch::ALL || around.cubes(1).any(|bin| stretch.holds_bin(bin))
@@ -187,8 +184,8 @@ impl Sampling {
         MemoryEstimate { sampling, ..estimate }.and_backend(resources.host_bytes())
     }
 
-    /// Bytes of a surface that may be in memory while parts are merged, when only lists of its
-    /// blocks and of full bins are in memory besides.
+    /// Bytes of a surface that may be in memory while parts are merged. Apart from the surface,
+    /// only lists of its blocks and of full bins are in memory then.
     pub fn merging_share(
         &self,
         surfacing: &Surfacing,
@@ -204,9 +201,9 @@ impl Sampling {
     }
 }
 
-/// Refuses attributes that exceed the budget even for a single block through which the surface
-/// passes as a plane: its values, and their copy on the way to a scratch file.
-fn refuse_wide_attributes(
+/// Returns an error for attributes that exceed the budget even for a single block through which the
+/// surface passes as a plane: its values, and their copy on the way to a scratch file.
+fn check_attribute_memory(
     particles: &(impl Particles + ?Sized),
     sampling: &Sampling,
 ) -> Result<(), FrameError> {
@@ -221,7 +218,7 @@ fn refuse_wide_attributes(
     Ok(())
 }
 
-/// The error for particles that touch more bins than there is room for.
+/// The error for particles in more bins than fit.
 fn over_budget(
     particles: &(impl Particles + ?Sized),
     sampling: &Sampling,
@@ -244,7 +241,7 @@ fn fitting_cell_size(
     loop {
         cell *= 2.0;
         let Ok(grid) = Grid::new(sampling.grid.origin(), cell) else { return cell };
-        // Walls keep particles out; without them there are only more bins.
+        // Without walls there can only be more bins.
         if BinPlan::count(particles, &grid, None, InvalidParticles::Skip, room).is_ok() {
             return cell;
         }

@@ -19,16 +19,16 @@ use crate::surface::simplify::TooSmall;
 use crate::system::cancel::Cancelled;
 use crate::vulkan::VulkanError;
 
-/// A frame that cannot be reconstructed.
+/// An error of the reconstruction of a frame.
 #[derive(Debug, Error)]
 pub enum FrameError {
-    /// No particles are left to build a surface from.
+    /// No particles remain to make a surface from.
     #[error("no particles to reconstruct: {}", explain(.0))]
     NoParticles(Census),
-    /// A particle that the grid cannot hold.
+    /// A particle outside of the grid.
     #[error(transparent)]
     Bin(#[from] BinError),
-    /// The particles could not be read as they were.
+    /// The particles changed, or could not be read again.
     #[error(transparent)]
     Unread(#[from] RereadError),
     /// An attribute whose values do not fit the kind of number that a mesh carries.
@@ -40,59 +40,59 @@ pub enum FrameError {
     /// mu0 could not be measured.
     #[error(transparent)]
     MeanCount(#[from] NoMeanCount),
-    /// The field does not tell finely enough where the surface is.
+    /// The field does not locate the surface precisely enough.
     #[error(transparent)]
     TooFine(#[from] TooFine),
-    /// The field exceeds the isovalue nowhere.
+    /// The field is nowhere above the isovalue.
     #[error(
         "the surface is empty: the field is nowhere above the isovalue {}",
         significant(iso.value(), 4)
     )]
     NoSurface {
-        /// The isovalue that was asked for, or measured.
+        /// The isovalue, given or measured.
         iso: Isovalue,
     },
-    /// No cell's middle is inside of a surface that was drawn by distances.
+    /// No middle of a cell is inside of the surface of clouds.
     #[error("the surface is empty: it contains no cell's centre")]
     NoDistanceSurface,
-    /// The calibration was measured on a frame of another indicator, and says nothing of this one.
+    /// The calibration was measured on a frame with another indicator, so it cannot be used.
     #[error(
         "its indicator differs from that of the calibration frame; pack it again with the \
              same indicator"
     )]
     OtherIndicator,
-    /// Images were made for filters that do not see as far.
+    /// The images were made for filters with a smaller reach.
     #[error(
         "the frame has images up to {there} cells beyond its periodic faces, but this smoothing \
          needs {needed}; sample the particles again with this smoothing"
     )]
     FewImages {
-        /// How far the filters see beyond a face, in cells.
+        /// The reach of the filters beyond a face, in cells.
         needed: i32,
-        /// How far images stand beyond it.
+        /// The distance up to which images exist beyond it.
         there: i32,
     },
-    /// Kernels are as wide as the spacing says.
+    /// Kernels need a spacing, which determines their width.
     #[error("kernel methods need the spacing of the particles")]
     NoSpacing,
-    /// Kernels cannot be drawn on so fine a grid.
+    /// The grid is too fine for kernels.
     #[error(transparent)]
     Kernels(#[from] TooManyCells),
     /// The field of a kernel method is positive nowhere.
     #[error("the surface is empty: it contains no cell's centre")]
     NoKernelSurface,
-    /// Scratch files for what exceeds the memory budget would not fit on the disk; nothing was
+    /// The scratch files for data beyond the memory budget would not fit on the disk; nothing was
     /// written.
     #[error(
         "scratch files need at least {} in {}, which has {} free",
         ByteSize(*needed), folder.display(), ByteSize(*free)
     )]
     NoRoom {
-        /// Where they would be.
+        /// The scratch folder.
         folder: PathBuf,
-        /// Bytes that they take at the least.
+        /// Minimum size of the scratch files in bytes.
         needed: u64,
-        /// Bytes that are there.
+        /// Free disk space in bytes.
         free: u64,
     },
     /// Attributes are so wide that a few blocks of the surface are larger than the budget.
@@ -102,23 +102,23 @@ pub enum FrameError {
         ByteSize(*needed), ByteSize(*budget)
     )]
     WideAttributes {
-        /// Numbers that each particle and each vertex carries.
+        /// Number of components per particle and vertex.
         components: usize,
-        /// Bytes that they take at the least.
+        /// Minimum memory in bytes.
         needed: u64,
-        /// Bytes that may be used.
+        /// The budget in bytes.
         budget: u64,
     },
-    /// Every component is smaller than what was to be kept.
+    /// Every component is smaller than the minimum size.
     #[error("the surface is empty: all of its {} components are below {}", .0.total(), .0.limits())]
     NothingLeft(TooSmall),
-    /// A mesh on a device has vertices that 32 bits cannot number.
+    /// A mesh on a device has more vertices than 32 bits can number.
     #[error(
         "the surface has more vertices or triangles than 32 bits can count; use a larger cell \
          size"
     )]
     TooManyVertices,
-    /// A caller's buffers cannot hold a surface.
+    /// The surface does not fit into the caller's buffers.
     #[error(
         "the surface has {vertices} vertices and {triangles} triangles, more than its buffers hold"
     )]
@@ -128,16 +128,16 @@ pub enum FrameError {
         /// Three u32 each.
         triangles: u32,
     },
-    /// A device that keeps the particles and the mesh failed, or has not enough memory.
+    /// A device that holds the particles and the mesh failed, or has too little memory.
     #[error(transparent)]
     Vulkan(#[from] VulkanError),
-    /// The caller asked for an early end.
+    /// The caller cancelled.
     #[error("cancelled")]
     Cancelled,
-    /// Scratch files for what exceeds the memory budget failed.
+    /// A scratch file for data beyond the memory budget failed.
     #[error("scratch files in {}: {fault}", folder.display())]
     Scratch {
-        /// Where they are.
+        /// The scratch folder.
         folder: PathBuf,
         /// The error of the scratch file.
         fault: io::Error,
@@ -174,7 +174,7 @@ fn explain(census: &Census) -> String {
 }
 
 impl FrameError {
-    /// Returns the error for an empty surface, by the recipe that it was drawn with.
+    /// Returns the error for an empty surface with this recipe.
     pub(super) fn no_surface(recipe: &Recipe) -> Self {
         match recipe.filters {
             Filters::Paper(_) => Self::NoSurface { iso: recipe.iso },

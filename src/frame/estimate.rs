@@ -1,8 +1,7 @@
-//! Estimates of the memory and disk space that a frame will take, and plans for a budget that is
-//! smaller.
+//! Estimates of a frame's memory and disk space, and plans for budgets that are smaller.
 //!
-//! They are made once its particles are counted by bin and before anything is stored for them.
-//! Every stage says what it takes; here it is added up.
+//! An estimate is made when the particles are counted by bin, before anything is stored for them.
+//! Every stage states its memory; this module adds it up.
 
 use bytesize::ByteSize;
 use glam::IVec3;
@@ -18,62 +17,61 @@ use crate::surface::stitch::writing_bytes;
 
 use super::expected::{self, ExpectedVertices};
 
-/// Bytes that the program takes before there is any data, and that each thread takes beside what it
-/// works in.
+/// Memory of the program without data, and of each thread in addition to its buffers, in bytes.
 const PROGRAM: u64 = 8 << 20;
 const THREAD: u64 = 3 << 18;
-/// Blocks that each thread meshes before their surfaces go to the others, at the least.
+/// Minimum number of blocks that each thread meshes before their surfaces are passed on.
 pub const BLOCKS_A_THREAD: usize = 2;
-/// Bytes of the blocks to which wide attributes are carried at once, unless one block takes more.
+/// Maximum memory of the blocks that get wide attributes at the same time, in bytes, unless one
+/// block needs more.
 pub const CARRIED_BYTES: u64 = 8 << 20;
 
-/// The smallest budget that is worth a try.
+/// The minimum budget.
 pub const SMALLEST_BUDGET: MemoryBudget = MemoryBudget(16 << 20);
 
-/// Bytes, by what they are for, and the vertices that they are expected of.
+/// Estimated bytes by purpose, and the expected number of vertices.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct MemoryEstimate {
     /// The program, its threads and its backend.
     pub program: u64,
-    /// Bytes that threads work in until the field is sampled.
+    /// Buffers of the threads until the field is sampled.
     pub sampling: u64,
-    /// Bytes that threads work in while the surface is made.
+    /// Buffers of the threads while the surface is made.
     pub meshing: u64,
-    /// An input that had to be unpacked or decoded, until its field is sampled.
+    /// An unpacked or decoded input, until its field is sampled.
     pub input: u64,
     /// Tables of bins.
     pub index: u64,
-    /// Places of particles, kept from the first reading until particles are sorted.
+    /// Positions of particles, kept from the first reading until particles are sorted.
     pub places: u64,
     /// Sorted particles, with their attributes.
     pub particles: u64,
-    /// Particles that are coded until they are sorted, at the least.
+    /// Minimum size of particles that are coded until they are sorted.
     pub spilled: u64,
-    /// The DIF, at the most.
+    /// Maximum size of the DIF.
     pub field: u64,
-    /// The wider cells of the DIF, which are made once it has been sampled; they are part of
-    /// `field`.
+    /// The wider cells of the DIF, which are made after sampling; they are part of `field`.
     pub wide: u64,
-    /// The surface before it is written, as it is expected.
+    /// Expected size of the surface before it is written.
     pub surface: u64,
-    /// Vertices of the surface, as they are expected.
+    /// Expected number of vertices of the surface.
     pub vertices: u64,
-    /// Whether particles are needed until the surface is done, for their attributes.
+    /// Whether particles are kept for their attributes until the surface is done.
     pub carried: bool,
 }
 
-/// Memory that drawing a surface takes, as its stages say.
+/// The memory of the surface stages.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Drawing {
     /// Bytes of a block while its field is made.
     pub block_bytes: u64,
-    /// How far from a cell particles decide its attributes, in cells.
+    /// The distance within which particles affect the attributes of a cell, in cells.
     pub carried_halo: i32,
     /// Whether every drop and every sheet can have a surface.
     pub keeps_details: bool,
-    /// Cells of the particles' spacing, if that is known.
+    /// The particles' spacing in cells, if it is known.
     pub spacing_cells: Option<f64>,
-    /// How many times the DIF is kept once more in cells twice as wide.
+    /// The number of wider copies of the DIF, each with cells twice as wide as the previous.
     pub wide_levels: u32,
     /// Whether vertices get normals.
     pub normals: bool,
@@ -81,7 +79,7 @@ pub struct Drawing {
     pub components: Vec<usize>,
 }
 
-/// How a frame is brought under its budget.
+/// A strategy for the memory budget of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum MemoryPlan {
     /// Everything fits; nothing touches the disk.
@@ -93,9 +91,9 @@ pub enum MemoryPlan {
 /// Bytes that may be resident at once.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct MemoryShares {
-    /// Bytes of particles being sorted.
+    /// Bytes of particles that are being sorted.
     pub particles: u64,
-    /// Bytes of particles that are coded until they are sorted, and of the DIF of those that were.
+    /// Bytes of coded particles that are not sorted yet, and of the DIF of those that are.
     pub coded: u64,
     /// Bytes of the DIF.
     pub field: u64,
@@ -103,7 +101,7 @@ pub struct MemoryShares {
     pub surface: u64,
 }
 
-/// A frame that cannot be brought under its budget.
+/// An error: the frame does not fit into its memory budget.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 #[error(
     "with a cell size of {}, the tables of bins alone exceed the memory limit of {}; use a cell \
@@ -111,9 +109,9 @@ pub struct MemoryShares {
     shown(*cell_size), ByteSize(*budget), shown(*fitting_cell_size)
 )]
 pub struct OverBudget {
-    /// The cell size that was asked for.
+    /// The requested cell size.
     pub cell_size: f64,
-    /// Bytes that may be used.
+    /// The budget in bytes.
     pub budget: u64,
     /// The smallest doubling of the cell size that fits.
     pub fitting_cell_size: f64,
@@ -125,20 +123,20 @@ impl Drawing {
         vertex_bytes(self.normals, &self.components)
     }
 
-    /// The surface that is expected in those bins, with what each holds, that are `meshed`.
+    /// The expected surface in those bins, with their numbers of particles, that are `meshed`.
     fn surface(
         &self,
         bins: impl Iterator<Item = (MortonKey, usize)> + Clone,
         meshed: impl Fn(IVec3) -> bool,
     ) -> ExpectedVertices {
-        // Without a spacing the bin that holds most is taken to be full.
+        // Without a spacing, the fullest bin is assumed to be full.
         let most = || bins.clone().map(|(_, count)| count).max().unwrap_or(0) as f64;
         let full = self.spacing_cells.map_or_else(most, |cells| (f64::from(BIN) / cells).powi(3));
         let alone = expected::vertices_alone(self.spacing_cells.unwrap_or(1.0));
         expected::surface(bins, full, alone, meshed)
     }
 
-    /// Bytes that threads work in while a surface is meshed and written.
+    /// Buffers of the threads while a surface is meshed and written, in bytes.
     fn meshing_bytes(&self, surface: &ExpectedVertices) -> u64 {
         let threads = rayon::current_num_threads() as u64;
         let vertices_of =
@@ -158,13 +156,13 @@ impl Drawing {
     }
 }
 
-/// Bytes of the pages of cells 2, 4, ... times as wide, at the most, by how many samples can be
-/// other than 0 in each bin.
+/// Maximum size of the pages of cells 2, 4, ... times as wide in bytes, from the numbers of nonzero
+/// samples of each bin.
 fn wide_bytes(bins: impl Iterator<Item = (MortonKey, usize)>, levels: u32) -> u64 {
     let page = |nonzero: usize| {
         PageSamples::most_bytes(nonzero.min(BIN.pow(3) as usize), 1, HALVED) as u64
     };
-    // Of each level the page that is being added up: bins of one follow one another.
+    // For each level, the page that is being summed: the bins of a page are consecutive.
     let mut open: Vec<(IVec3, usize)> = vec![(IVec3::MAX, 0); levels as usize];
     let mut bytes = 0;
     for (key, nonzero) in bins {
@@ -181,8 +179,9 @@ fn wide_bytes(bins: impl Iterator<Item = (MortonKey, usize)>, levels: u32) -> u6
 }
 
 impl MemoryEstimate {
-    /// An estimate for particles counted by bin, in Morton order, from the shape of pages of the
-    /// DIF, if there is one, and the bytes of the input. Only bins that are `meshed` get a surface.
+    /// An estimate for particles counted by bin, in Morton order, from the shape of the DIF's
+    /// pages, if there is a DIF, and the bytes of the input. Only bins that are `meshed` get a
+    /// surface.
     pub fn of(
         bins: impl Iterator<Item = (MortonKey, usize)> + Clone,
         shape: Option<PageShape>,
@@ -210,7 +209,7 @@ impl MemoryEstimate {
         estimate.and_surface(&drawing.surface(bins, meshed), drawing)
     }
 
-    /// For pages of which the DIF is in a file.
+    /// An estimate for pages whose samples are in a file.
     pub fn of_surface(pages: &[PageInfo], shape: PageShape, drawing: &Drawing) -> Self {
         let mut estimate = Self::without_particles(drawing);
         let full_cells = |page: &PageInfo| (page.key, page.full_count as usize);
@@ -231,12 +230,12 @@ impl MemoryEstimate {
         }
     }
 
-    /// Adds what the backend takes all the time.
+    /// Adds the constant memory of the backend.
     pub fn and_backend(self, bytes: u64) -> Self {
         Self { program: self.program + bytes, ..self }
     }
 
-    /// Sets what the surface takes, by what is expected of it.
+    /// Sets the memory of the surface from the expected vertices.
     fn and_surface(self, expected: &ExpectedVertices, drawing: &Drawing) -> Self {
         let surface = (drawing.vertex_bytes() + TILE_SHARE) * expected.vertices;
         let meshing = drawing.meshing_bytes(expected);
@@ -263,12 +262,12 @@ impl MemoryEstimate {
         self.program + self.index + sampling.max(meshing)
     }
 
-    /// Particles that carry attributes are needed until the surface is done.
+    /// Particles that carry attributes are kept until the surface is done.
     fn beside_the_surface(&self) -> u64 {
         if self.carried { self.particles } else { 0 }
     }
 
-    /// Disk that scratch files take under a plan, at the most.
+    /// Maximum disk space of scratch files under a plan.
     pub fn scratch(&self, plan: MemoryPlan) -> u64 {
         let MemoryPlan::OutOfCore(shares) = plan else { return 0 };
         let beyond = |bytes: u64, share: u64| if bytes > share { bytes } else { 0 };
@@ -277,7 +276,7 @@ impl MemoryEstimate {
             + beyond(self.surface, shares.surface)
     }
 
-    /// Disk that scratch files take under a plan, at the least.
+    /// Minimum disk space of scratch files under a plan.
     pub fn least_scratch(&self, plan: MemoryPlan) -> u64 {
         match plan {
             MemoryPlan::InCore => 0,
@@ -287,7 +286,7 @@ impl MemoryEstimate {
         }
     }
 
-    /// How to keep to `budget`.
+    /// The strategy for `budget`.
     pub fn plan(&self, budget: MemoryBudget) -> MemoryPlan {
         if self.in_core() <= budget.0 {
             return MemoryPlan::InCore;
@@ -297,10 +296,10 @@ impl MemoryEstimate {
             .0
             .saturating_sub(self.program + threads + self.input + self.index)
             .max(budget.0 / 8);
-        // A DIF that is in memory whole leaves less for the surface, which is used once.
+        // A DIF that is completely in memory leaves less for the surface, which is used only once.
         let field = if self.field <= left / 4 * 3 { self.field.max(left / 4) } else { left / 4 };
-        // Beside the surface, and before that beside coded particles, there are stacks, and what
-        // the allocator keeps.
+        // In addition to the surface, and before that to coded particles, there are stacks and the
+        // allocator's reserve.
         let surface = ((left - field) / 2).min(left / 4);
         MemoryPlan::OutOfCore(MemoryShares {
             particles: left / 8,
@@ -310,9 +309,9 @@ impl MemoryEstimate {
         })
     }
 
-    /// Bytes of the surface that may be in memory under `budget`; what exceeds them goes to a
-    /// scratch file. The estimate of a surface is no promise: a low isovalue or a wide filter can
-    /// make it larger.
+    /// Bytes of the surface that may be in memory under `budget`; the rest goes to a scratch file.
+    /// The estimate of a surface is not reliable: a low isovalue or a wide filter can make the
+    /// surface larger.
     pub fn surface_share(&self, budget: MemoryBudget) -> u64 {
         match self.plan(budget) {
             MemoryPlan::OutOfCore(shares) => shares.surface,
@@ -327,7 +326,7 @@ impl MemoryEstimate {
         }
     }
 
-    /// The peak under a plan.
+    /// The peak memory under a plan.
     pub fn peak(&self, plan: MemoryPlan) -> u64 {
         match plan {
             MemoryPlan::InCore => self.in_core(),

@@ -1,4 +1,4 @@
-//! A frame by one of the kernel methods.
+//! A frame with the field of a kernel method.
 
 use crate::baselines::{KernelField, KernelMethod, Spacing, kernel_field};
 use crate::brick::{Bins, FrameFacts};
@@ -18,12 +18,12 @@ pub(super) struct SampledKernels {
     pub(super) facts: FrameFacts,
     pub(super) method: KernelMethod,
     field: Box<dyn KernelField>,
-    /// A Gaussian that reaches as far as the kernels.
+    /// A Gaussian with the reach of the kernels.
     attribute_smoothing: Smoothing,
 }
 
 impl SampledKernels {
-    /// Works out the kernels of particles in [order](Bins::sorted).
+    /// Computes the kernels of particles in [order](Bins::sorted).
     pub(super) fn sample(
         bins: &Bins,
         facts: FrameFacts,
@@ -41,7 +41,7 @@ impl SampledKernels {
         Ok(Self { facts, method, field, attribute_smoothing: attribute_smoothing(spacing.cells()) })
     }
 
-    /// All that the surface is drawn by.
+    /// The field from which the surface is drawn.
     pub(super) fn drawn(&self, normals: Normals, periodic_mesh: PeriodicMesh) -> DrawableField<'_> {
         let walls = self.facts.mesh_walls(periodic_mesh).map(|walls| walls.cells());
         DrawableField {
@@ -54,7 +54,7 @@ impl SampledKernels {
     }
 }
 
-/// The particles' spacing in cells, if kernels can be as wide.
+/// The particles' spacing in cells, checked for kernels.
 pub(super) fn kernel_spacing(spacing: Option<f64>, grid: &Grid) -> Result<Spacing, FrameError> {
     Ok(Spacing::new(spacing.ok_or(FrameError::NoSpacing)? / grid.cell_size())?)
 }

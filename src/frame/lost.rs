@@ -1,9 +1,9 @@
-//! Particles that are in no surface: sparse spray that cells are too coarse for, or that smoothing
-//! takes.
+//! Particles outside of the surface: sparse spray for which cells are too coarse, or which
+//! smoothing removes.
 //!
-//! A tile that the surface does not pass through lies inside of it or outside as a whole. Along a
-//! row of tiles that changes only in those that it passes through, so that one walk along x tells
-//! which hold particles and lie outside.
+//! A tile that the surface does not pass through is completely inside or outside. Along a row of
+//! tiles this changes only in tiles that the surface passes through, so one pass along x finds the
+//! tiles with particles that are outside.
 
 use std::io;
 
@@ -20,25 +20,24 @@ use crate::surface::stitch::StitchedSurface;
 
 use super::coincident::{CoincidentCounts, CoincidentParticles};
 
-/// Tiles of a bin along an axis: as many as a tile has cells, so that a mask of cells is one of
-/// tiles, too.
+/// Tiles per bin along an axis. A tile has as many cells, so a mask of cells also fits tiles.
 const SIDE: i32 = BIN / TILE;
 const _: () = assert!(SIDE == TILE);
 
-/// The tiles of a bin that have the least x.
+/// The tiles of a bin with the lowest x.
 const FIRST: TileMask = 0x1111_1111_1111_1111;
 
-/// The tiles that hold particles, by bin, and how many particles are in each bin.
+/// The tiles that contain particles, by bin, and the number of particles in each bin.
 #[derive(Debug, Default)]
 pub struct OccupiedTiles {
     bins: Vec<(IVec3, u32, TileMask)>,
-    /// The cells whose particles count, where those of others are images.
+    /// The cells whose particles count; particles in other cells are images.
     own: Option<CellBox>,
     full: Fullness,
     coincident: CoincidentCounts,
 }
 
-/// A bin that holds particles, as it is kept in a file.
+/// A bin that contains particles, as stored in a file.
 #[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C)]
 pub struct OccupiedBin {
@@ -55,16 +54,16 @@ impl FromIterator<OccupiedBin> for OccupiedTiles {
 }
 
 impl OccupiedTiles {
-    /// Bytes of memory that a bin takes while it is found how many particles are lost.
+    /// Memory per bin while lost particles are counted, in bytes.
     pub const BIN_BYTES: u64 = (size_of::<(IVec3, u32, TileMask)>() + size_of::<Row>()) as u64;
 
-    /// Begins with none; particles outside of `own` cells, if those are given, are images that do
-    /// not count.
+    /// Begins empty. If `own` cells are given, particles in other cells are images, which do not
+    /// count.
     pub(super) fn among(own: Option<CellBox>) -> Self {
         Self { own, ..Self::default() }
     }
 
-    /// Whether there is none.
+    /// Whether there are no particles.
     pub fn is_empty(&self) -> bool {
         self.bins.is_empty()
     }
@@ -80,7 +79,7 @@ impl OccupiedTiles {
         self.bins.extend(other.bins);
     }
 
-    /// Adds what bins hold.
+    /// Adds bins.
     pub(super) fn add(&mut self, bins: &Bins) -> io::Result<()> {
         let of_bin = |bin: usize| {
             let contents = bins.contents(bin)?;
@@ -137,8 +136,8 @@ impl OccupiedTiles {
         Ok(())
     }
 
-    /// How full cells are. `all_cells` is the number of cells with particles, unless some are
-    /// images.
+    /// The number of particles and of cells that contain them. `all_cells` is the number of cells
+    /// with particles if there are no images.
     pub(super) fn fullness(&self, all_cells: u64) -> Fullness {
         Fullness {
             cells: if self.own.is_some() { self.full.cells } else { all_cells },
@@ -146,7 +145,7 @@ impl OccupiedTiles {
         }
     }
 
-    /// The particles that are in the same place as another one, on a grid.
+    /// The coincident particles, on a grid.
     pub fn coincident(&self, grid: &Grid) -> Option<CoincidentParticles> {
         self.coincident
             .report(grid, self.bins.iter().map(|&(bin, particles, _)| (bin, u64::from(particles))))
@@ -158,7 +157,7 @@ impl OccupiedTiles {
         self.mean() * (spacing_cells / f64::from(TILE)).powi(3)
     }
 
-    /// Particles of a tile that holds any, on average.
+    /// The mean number of particles in a tile that contains any.
     fn mean(&self) -> f64 {
         let sum = |of: fn(&(IVec3, u32, TileMask)) -> u32| {
             self.bins.iter().map(|bin| f64::from(of(bin))).sum()
@@ -167,9 +166,9 @@ impl OccupiedTiles {
         particles / tiles.max(1.0)
     }
 
-    /// How many particles at least are in no surface. Those are counted whose tile no surface
-    /// passes through, nor any that touches it from below; of a bin that has others, too, one a
-    /// tile.
+    /// A lower bound of the particles that are in no surface. All particles of a tile count if no
+    /// surface passes through it or through a tile that touches it from below. If a bin also has
+    /// other tiles, only one particle per tile counts.
     pub fn lost(&self, surface: &StitchedSurface) -> io::Result<u64> {
         let bins = Row::sorted(self, surface)?;
         let passed = |place: IVec3| {
@@ -203,8 +202,8 @@ impl OccupiedTiles {
     }
 }
 
-/// A bin in a row of bins along x: its particles, and which of its tiles hold some or meet the
-/// surface.
+/// A bin in a row of bins along x: its number of particles, and the tiles that contain particles or
+/// meet the surface.
 #[derive(Debug, Default, Clone, Copy)]
 struct Row {
     bin: IVec3,
@@ -212,7 +211,7 @@ struct Row {
     occupied: TileMask,
     /// Tiles that the surface passes through.
     passed: TileMask,
-    /// Tiles of `passed` behind which, along x, is the inside.
+    /// The tiles of `passed` after which, along x, the inside begins.
     inside_behind: TileMask,
 }
 
@@ -221,7 +220,7 @@ impl Row {
         [bin.z, bin.y, bin.x]
     }
 
-    /// All bins that hold particles, or that a surface passes through, row by row.
+    /// All bins with particles or surface, row by row.
     fn sorted(occupied: &OccupiedTiles, surface: &StitchedSurface) -> io::Result<Vec<Self>> {
         let holding =
             |&(bin, particles, occupied)| Self { bin, particles, occupied, ..Self::default() };
@@ -233,7 +232,7 @@ impl Row {
                 let passed = bit_of(place);
                 let behind = tile.corners[1] >> (TILE - 1) & 1;
                 let bin = place.div_euclid(IVec3::splat(SIDE));
-                // Tiles are in Morton order: those of a bin come one after another.
+                // Tiles are in Morton order, so the tiles of a bin are consecutive.
                 if all.len() == occupied.bins.len()
                     || all.last().is_some_and(|last| last.bin != bin)
                 {

@@ -1,4 +1,4 @@
-//! The method by which the field of a frame is made.
+//! The method for the field of a frame.
 
 use crate::baselines::KernelMethod;
 use crate::brick::BrickSide;
@@ -6,17 +6,17 @@ use crate::field::calibration::Calibration;
 use crate::field::indicator::{Indicator, IndicatorKind};
 use crate::grid::units::MeanCount;
 
-/// A method to make a field of particles, decided before any of them is read.
+/// A method to make a field of particles, chosen before they are read.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Method {
-    /// A discrete indicator: clouds, which distances are told by, or one of the paper's.
+    /// A discrete indicator: clouds, which give distances, or an indicator of the paper.
     Indicator {
         /// The kind of the indicator.
         kind: IndicatorKind,
-        /// `mu0`, for counting; measured on the frame (eq. 4) where it is `None`.
+        /// `mu0`, for counting; if `None`, it is measured on the frame (eq. 4).
         mean: Option<MeanCount>,
     },
-    /// Kernels as wide as the spacing says, on the processor.
+    /// Kernels whose width depends on the spacing, on the CPU.
     Kernels(KernelMethod),
 }
 
@@ -29,7 +29,7 @@ impl Method {
         }
     }
 
-    /// The method with the `mu0` of a calibration, which all frames of a simulation share.
+    /// The method with the `mu0` of a calibration that all frames of a simulation share.
     pub fn calibrated(self, by: Option<&Calibration>) -> Self {
         by.map_or(self, |known| self.with_mean(known.mean()))
     }
@@ -42,20 +42,20 @@ impl Method {
         }
     }
 
-    /// The bricks that suit the samples.
+    /// The best brick size for the samples.
     pub fn brick_side(self) -> BrickSide {
         self.indicator().map_or_else(BrickSide::default, IndicatorKind::brick_side)
     }
 }
 
-/// Asks for mu0 to be measured.
+/// A method that measures mu0.
 impl From<IndicatorKind> for Method {
     fn from(kind: IndicatorKind) -> Self {
         Self::Indicator { kind, mean: None }
     }
 }
 
-/// The method that makes another frame alike.
+/// A method with the mu0 of another frame's indicator.
 impl From<Indicator> for Method {
     fn from(indicator: Indicator) -> Self {
         Self::Indicator { kind: indicator.kind(), mean: indicator.mean() }

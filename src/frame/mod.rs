@@ -1,10 +1,9 @@
-//! One frame, within its memory budget: particles to a field, the field to a surface.
+//! One frame within its memory budget: from particles to a field, and from the field to a surface.
 //!
-//! [`Engine`] is the one engine, whatever makes the field and wherever stages run: it counts, bins,
-//! samples, calibrates and meshes. [`resident`] takes the same steps for particles and meshes that
-//! stay on a device.
+//! [`Engine`] does this for every method and backend: it counts, bins, samples, calibrates and
+//! meshes. [`resident`] takes the same steps for particles and meshes that stay on a device.
 //!
-//! The guide `speed.md` has figures of speed and memory.
+//! The guide `speed.md` has measurements of speed and memory.
 
 mod binned;
 mod coincident;
@@ -60,20 +59,20 @@ use sink::FieldSink;
 use sizes::SampledSizes;
 use surface::DrawableField;
 
-/// The field of a frame, and what else its surface needs.
+/// The field of a frame, with everything else that its surface needs.
 #[derive(Debug)]
 pub struct Engine {
     field: SampledField,
-    /// Nothing of a frame that was sampled before.
+    /// Empty for a frame that was sampled earlier.
     occupied: OccupiedTiles,
-    /// Kept only where attributes are carried.
+    /// Only if attributes are carried.
     carried: Option<(Arc<Bins>, Vec<AttributeInfo>)>,
     /// Bytes of the surface that may be in memory.
     surface_share: u64,
     resources: Resources,
 }
 
-/// A field, by its maker.
+/// A field with the data of its method.
 #[derive(Debug)]
 enum SampledField {
     Dif { sampled: SampledDif, stages: Box<dyn Stages> },
@@ -81,15 +80,15 @@ enum SampledField {
     Sizes(SampledSizes),
 }
 
-/// The share of sampling that is the sorting of the particles.
+/// The fraction of sampling that sorts the particles.
 const SORTING: f64 = 0.3;
 
 impl Engine {
     /// Samples the field of `particles`, which are read once or twice.
     ///
     /// # Errors
-    /// [`FrameError`] for particles that cannot be placed, none at all, more than the budget or the
-    /// disk can hold, a field that cannot be made of them, and scratch files that fail.
+    /// [`FrameError`] if particles cannot be placed, if there are none, if they exceed the budget
+    /// or the disk, if their field cannot be made, or if scratch files fail.
     pub fn sample(
         particles: &(impl Particles + ?Sized),
         sampling: &Sampling,
@@ -100,11 +99,11 @@ impl Engine {
         Self::sample_counted(counted, sampling.resources.budget, timings)
     }
 
-    /// Samples the field of particles that have been counted, under a budget of its own.
+    /// Samples the field of counted particles under a new budget.
     ///
     /// # Errors
-    /// [`FrameError`] for more than the disk can hold, a field that cannot be made of them, and
-    /// scratch files that fail.
+    /// [`FrameError`] if they exceed the disk, if their field cannot be made, or if scratch files
+    /// fail.
     pub fn sample_counted<P: Particles + ?Sized>(
         counted: CountedFrame<'_, P>,
         budget: MemoryBudget,
@@ -208,7 +207,7 @@ impl Engine {
         })
     }
 
-    /// Takes a frame that was sampled before, for surfaces that take as much as such a one.
+    /// Takes a frame that was sampled earlier, to draw surfaces with the memory of `surfacing`.
     #[must_use]
     pub fn from_sampled(sampled: SampledDif, surfacing: &Surfacing, resources: Resources) -> Self {
         let SampledDif { facts, indicator, dif, .. } = &sampled;
@@ -236,7 +235,7 @@ impl Engine {
         }
     }
 
-    /// The stages that a DIF is made and drawn by.
+    /// The stages that make the DIF and mesh it.
     fn stages(&self) -> Option<&dyn Stages> {
         match &self.field {
             SampledField::Dif { stages, .. } => Some(&**stages),
@@ -244,20 +243,20 @@ impl Engine {
         }
     }
 
-    /// Returns the failures of the backend so far, which were made good.
+    /// Returns the failures of the device so far; the CPU repeated their work.
     #[must_use]
     pub fn warnings(&self) -> Vec<String> {
         self.stages().map_or(Vec::new(), Stages::warnings)
     }
 
-    /// How much of the work so far a device did.
+    /// Returns the part of the work that a device did.
     #[must_use]
     pub fn on_device(&self) -> Work {
         self.stages().map_or(Work::default(), Stages::on_device)
     }
 
-    /// The attributes that some particles have no finite value of, and how many these are: the
-    /// others alone tell their vertices.
+    /// The attributes for which some particles have no finite value, with the number of these
+    /// particles; they do not affect the vertices.
     pub fn lacking_attributes(&self) -> impl Iterator<Item = (&str, usize)> {
         let carried =
             self.carried.iter().flat_map(|(bins, infos)| infos.iter().zip(bins.without()));
@@ -266,7 +265,7 @@ impl Engine {
             .map(|(info, &without)| (info.name.as_str(), without))
     }
 
-    /// The facts of the frame, whatever makes its field.
+    /// The facts of the frame, for any method.
     #[must_use]
     pub fn facts(&self) -> &FrameFacts {
         match &self.field {
@@ -276,7 +275,7 @@ impl Engine {
         }
     }
 
-    /// The sparse DIF, unless kernels make the field, or particles of several sizes.
+    /// The sparse DIF; `None` for kernels and for particles of several sizes.
     #[must_use]
     pub fn dif(&self) -> Option<&SampledDif> {
         match &self.field {
@@ -285,7 +284,7 @@ impl Engine {
         }
     }
 
-    /// The indicator of the field, unless kernels make it.
+    /// The indicator of the field; `None` for kernels.
     #[must_use]
     pub fn indicator(&self) -> Option<Indicator> {
         match &self.field {
@@ -301,7 +300,7 @@ impl Engine {
         matches!(self.field, SampledField::Sizes(_))
     }
 
-    /// The method that made the field: an indicator has its mu0, given or measured.
+    /// The method that made the field. An indicator has its mu0, given or measured.
     #[must_use]
     pub fn method(&self) -> Method {
         match &self.field {
@@ -311,12 +310,12 @@ impl Engine {
         }
     }
 
-    /// Makes ready for a surface by a calibration that is known, of another frame; measures it on
-    /// this one where it is `None`. Kernels have nothing to measure.
+    /// Prepares a surface with the calibration of another frame, or measures the calibration on
+    /// this frame if it is `None`. Kernels need no calibration.
     ///
     /// # Errors
-    /// [`FrameError::TooFine`], where it is measured, and [`FrameError::OtherIndicator`], where the
-    /// known one is of another.
+    /// [`FrameError::TooFine`] for a measured calibration, and [`FrameError::OtherIndicator`] for a
+    /// given one with another indicator.
     pub fn calibrate(
         &self,
         surfacing: &Surfacing,
@@ -326,8 +325,8 @@ impl Engine {
         self.calibrate_for(surfacing, known, &self.resources.control, timings)
     }
 
-    /// Makes ready as [`calibrate`](Self::calibrate) does, for another caller than the one that had
-    /// the frame sampled: `control` hears of the progress and can cancel.
+    /// Prepares a surface like [`calibrate`](Self::calibrate), for another caller than the one of
+    /// the sampling: it reports progress to `control`, which can cancel.
     pub fn calibrate_for<'a>(
         &'a self,
         surfacing: &Surfacing,
@@ -336,7 +335,7 @@ impl Engine {
         timings: &mut Timings,
     ) -> Result<CalibratedFrame<'a>, FrameError> {
         let &Surfacing { normals, periodic_mesh, .. } = surfacing;
-        self.refuse_farther(surfacing)?;
+        self.check_image_reach(surfacing)?;
         let (drawn, measured) = match &self.field {
             SampledField::Dif { sampled, stages } => {
                 let kind = sampled.indicator.kind();
@@ -387,8 +386,8 @@ impl Engine {
         })
     }
 
-    /// Refuses filters that see farther beyond a periodic face than there are images.
-    fn refuse_farther(&self, surfacing: &Surfacing) -> Result<(), FrameError> {
+    /// Checks that the filters reach no farther beyond a periodic face than the images.
+    fn check_image_reach(&self, surfacing: &Surfacing) -> Result<(), FrameError> {
         let FrameFacts { periodic: Some(periodic), spacing, grid, .. } = self.facts() else {
             return Ok(());
         };
@@ -409,15 +408,15 @@ impl Engine {
         self.calibrate(surfacing, None, timings)?.surface(timings)
     }
 
-    /// Compares a surface of the frame with its particles; `None` where it holds what one expects,
-    /// or where their spacing is not known.
+    /// Compares the volume of a surface of the frame with that of its particles; returns `None` if
+    /// it is as expected, or if the spacing is not known.
     ///
     /// # Errors
-    /// [`FrameError::Scratch`] where the surface is in a scratch file that cannot be read.
+    /// [`FrameError::Scratch`] if the surface is in a scratch file that cannot be read.
     pub fn shortfall(&self, surface: &StitchedSurface) -> Result<Option<Shortfall>, FrameError> {
         let facts = self.facts();
         let Some(spacing) = facts.spacing else { return Ok(None) };
-        // Spacings of several sizes tell no volume.
+        // With several sizes, the spacing does not give a volume.
         if self.has_sizes() {
             return Ok(None);
         }
@@ -427,23 +426,22 @@ impl Engine {
             .map_err(self.resources.scratch_error())
     }
 
-    /// How many times as many particles there are, at the least, as their spacing leaves room for
-    /// in the tiles that they are in. `None` where it is not known, and 0 of a frame that was
-    /// sampled before.
+    /// A lower bound of the ratio of the particles' density to that of their spacing, in the tiles
+    /// that contain them. `None` if it is not known, and 0 for a frame that was sampled earlier.
     #[must_use]
     pub fn crowding(&self) -> Option<f64> {
         Some(self.occupied.crowding(self.facts().spacing_cells()?))
     }
 
-    /// The particles that are in the same place as another one, if there are any. None of a frame
-    /// that was sampled before.
+    /// The coincident particles, if there are any. Always `None` for a frame that was sampled
+    /// earlier.
     #[must_use]
     pub fn coincident(&self) -> Option<CoincidentParticles> {
         self.occupied.coincident(&self.facts().grid)
     }
 
-    /// The spacing that a frame's samples show, if it was sampled before, and was not looked at
-    /// when it was.
+    /// The spacing according to the samples of a frame that was sampled earlier, if it was not
+    /// measured then.
     #[must_use]
     pub fn spacing_by_samples(&self) -> Option<f64> {
         match &self.field {
@@ -454,21 +452,21 @@ impl Engine {
         }
     }
 
-    /// The tiles that hold particles: none of a frame that was sampled before.
+    /// The tiles that contain particles; empty for a frame that was sampled earlier.
     #[must_use]
     pub fn occupied(&self) -> &OccupiedTiles {
         &self.occupied
     }
 
-    /// For each carried attribute, how many particles in a stretch of blocks have no finite value
-    /// of it.
+    /// For each carried attribute, the number of particles in a stretch of blocks that have no
+    /// finite value.
     ///
     /// # Errors
-    /// [`FrameError::Scratch`] where particles are in a scratch file that cannot be read.
+    /// [`FrameError::Scratch`] if particles are in a scratch file that cannot be read.
     pub fn lacking_within(&self, stretch: Stretch) -> Result<Vec<u64>, FrameError> {
         let Some((bins, infos)) = &self.carried else { return Ok(Vec::new()) };
         let mut lacking = vec![0; infos.len()];
-        // Next to always all have.
+        // Almost always all particles have values.
         if bins.without().iter().all(|&without| without == 0) {
             return Ok(lacking);
         }
@@ -479,7 +477,7 @@ impl Engine {
             let contents = bins.contents(bin).map_err(self.resources.scratch_error())?;
             for ((lacking, values), info) in lacking.iter_mut().zip(&contents.attributes).zip(infos)
             {
-                // Of whole numbers there is always one.
+                // Integers are always finite.
                 if info.kind.is_whole() {
                     continue;
                 }
@@ -490,20 +488,19 @@ impl Engine {
         Ok(lacking)
     }
 
-    /// How many particles at least are in no surface, so far from any that tiles tell. None of a
-    /// frame that was sampled before.
+    /// A lower bound of the particles that are in no surface, from tiles that are completely
+    /// outside. 0 for a frame that was sampled earlier.
     ///
     /// # Errors
-    /// [`FrameError::Scratch`] where the surface is in a scratch file that cannot be read.
+    /// [`FrameError::Scratch`] if the surface is in a scratch file that cannot be read.
     pub fn lost(&self, surface: &StitchedSurface) -> Result<u64, FrameError> {
         self.occupied.lost(surface).map_err(self.resources.scratch_error())
     }
 
-    /// The surface with what a reduction leaves of it; `control` hears of the progress and can
-    /// cancel.
+    /// Reduces the surface. Reports progress to `control`, which can cancel.
     ///
     /// # Errors
-    /// [`FrameError::NothingLeft`], [`FrameError::Scratch`] where scratch files fail, and
+    /// [`FrameError::NothingLeft`], [`FrameError::Scratch`] if scratch files fail, and
     /// [`FrameError::Cancelled`].
     pub fn simplify(
         &self,
@@ -517,10 +514,10 @@ impl Engine {
     }
 }
 
-/// A simplified surface, with at most these bytes of triangles in memory.
+/// A simplified surface, with at most this number of bytes of triangles in memory.
 ///
 /// # Errors
-/// [`FrameError::NothingLeft`], [`FrameError::Scratch`] where scratch files fail, and
+/// [`FrameError::NothingLeft`], [`FrameError::Scratch`] if scratch files fail, and
 /// [`FrameError::Cancelled`].
 pub fn simplified(
     surface: StitchedSurface,

@@ -1,4 +1,4 @@
-//! Requests: how a frame is sampled, and how a surface is drawn through it.
+//! Requests: the parameters for sampling a frame and for drawing its surface.
 
 use std::sync::Arc;
 
@@ -8,7 +8,7 @@ use crate::baselines::KernelMethod;
 use crate::brick::{BrickSide, InvalidParticles};
 use crate::field::blur::{Filter, Smoothing};
 use crate::field::calibration::{
-    Calibration, MeasuredCalibration, TooFine, calibrate, refuse_too_fine_for,
+    Calibration, MeasuredCalibration, TooFine, calibrate, check_cell_size_for,
 };
 use crate::field::distance::{BULK_GAIN, DistanceFilters, InsideBricks};
 use crate::field::indicator::{IndicatorKind, SampledDif, WideCells};
@@ -28,7 +28,7 @@ use crate::system::control::Control;
 use super::kernels::{attribute_smoothing, kernel_spacing};
 use super::{FrameError, Method, Resources};
 
-/// Sizes of particles, and the attributes that tell them.
+/// Sizes of particles, and the attributes that contain them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SizedParticles {
     /// The sizes.
@@ -37,47 +37,46 @@ pub struct SizedParticles {
     pub columns: SizeAttributes,
 }
 
-/// How a frame is sampled.
+/// The parameters for sampling a frame.
 #[derive(Debug, Clone)]
 pub struct Sampling {
     /// Cells.
     pub grid: Grid,
     /// Walls, if the fluid is in a tank.
     pub domain: Option<Domain>,
-    /// The box that repeats itself, if one does.
+    /// The periodic box, if there is one.
     pub periodic: Option<Periodic>,
-    /// How the field is made.
+    /// The method that makes the field.
     pub method: Method,
     /// Treatment of particles that are not finite or too far away.
     pub invalid: InvalidParticles,
-    /// How a DIF is stored.
+    /// The brick size of the DIF.
     pub side: BrickSide,
     /// The numbers of the attributes to carry to the vertices.
     pub carried: Vec<usize>,
-    /// The kinds of attributes that another frame has settled for all.
+    /// The kinds of attributes that another frame determined for all frames.
     pub kinds: Vec<SettledKind>,
-    /// The particles' spacing, where it is known: a packed frame keeps it, and kernels have to know
-    /// it. Of particles of several sizes the smallest.
+    /// The particles' spacing, if known: a packed frame stores it, and kernels need it. For
+    /// particles of several sizes, the smallest.
     pub spacing: Option<f64>,
-    /// The sizes of the particles, where they have several; of clouds alone.
+    /// The sizes of the particles, if they differ; only for clouds.
     pub sizes: Option<SizedParticles>,
-    /// Memory, folders and backend that the frame may use.
+    /// The memory, folders and backend of the frame.
     pub resources: Resources,
 }
 
 impl Sampling {
-    /// Refuses what no field can be made with, or no surface be drawn, as far as it is known before
-    /// there is a field.
-    pub fn refuse_unfit(&self, surfacing: &Surfacing) -> Result<(), FrameError> {
+    /// Checks the request as far as possible without a field.
+    pub fn check_fit(&self, surfacing: &Surfacing) -> Result<(), FrameError> {
         match self.method {
             Method::Indicator { kind, mean } => {
-                Ok(surfacing.refuse_too_fine(kind, mean, self.spacing, &self.grid)?)
+                Ok(surfacing.check_cell_size(kind, mean, self.spacing, &self.grid)?)
             }
             Method::Kernels(_) => kernel_spacing(self.spacing, &self.grid).map(drop),
         }
     }
 
-    /// Sampling of particles of several sizes, if there are `sizes`.
+    /// Makes the sampling of particles of several sizes, if there are `sizes`.
     ///
     /// # Errors
     /// [`SizeFault`] if an attribute with the sizes is missing.
@@ -93,20 +92,20 @@ impl Sampling {
         Ok(Self { sizes: sizes.map(sized).transpose()?, ..self })
     }
 
-    /// The numbers of the attributes that are sorted with the particles: those that go to the
-    /// vertices, and then those that tell sizes.
+    /// The numbers of the attributes that are sorted with the particles: first those for the
+    /// vertices, then those with the sizes.
     #[must_use]
     pub fn sorted_attributes(&self) -> Vec<usize> {
         let sizes = self.sizes.iter().flat_map(|sized| sized.columns.numbers());
         self.carried.iter().copied().chain(sizes).collect()
     }
 
-    /// The cells whose particles decide a block's mesh, by an indicator. No kernel is asked for
-    /// here.
+    /// The cells whose particles affect a block's mesh, for an indicator. Kernels are not
+    /// supported.
     pub fn sight(&self, kind: IndicatorKind, surfacing: &Surfacing) -> DecidingCells {
         let block = CellBox::cube(IVec3::ZERO, BLOCK);
         let filters = surfacing.filters(kind, self.spacing, &self.grid);
-        // A particle leaves something in the cells around its own.
+        // A particle also affects the cells around its own.
         let ghost_layer = kind.shape(self.side).ghost_layer;
         let further = ghost_layer + surfacing.fill_reach(self.spacing, &self.grid);
         let of_field = filters.seen(surfacing.normals.cells(block)).grown(further, further);
@@ -120,33 +119,33 @@ impl Sampling {
     }
 }
 
-/// How wide a Gaussian smooths the attributes of clouds, in spacings.
+/// The width of the Gaussian that smooths the attributes of clouds, in spacings.
 const ATTRIBUTES_SMOOTHED: f64 = 0.8;
 
-/// How a surface is drawn through a frame. For kernels only the normals have a meaning.
+/// The parameters for drawing a surface. Kernels use only the normals.
 #[derive(Debug, Clone)]
 pub struct Surfacing {
-    /// How calm the water is; of clouds alone.
+    /// The smoothing width; only for clouds.
     pub smooth: Smooth,
-    /// How far sheets are stretched until they tear; of clouds alone.
+    /// The stretch at which sheets tear; only for clouds.
     pub sheets: SheetStretch,
-    /// The Gaussian's width; that of the frame's spacing where it is `None`. Of the paper's
-    /// indicators, as the next two.
+    /// The Gaussian's width; if `None`, it follows from the frame's spacing. This and the next two
+    /// apply to the paper's indicators.
     pub sigma: Option<Sigma>,
-    /// The isovalue; a share of the frame's plateau where it is `None`.
+    /// The isovalue; if `None`, a fraction of the frame's plateau.
     pub iso: Option<Isovalue>,
-    /// How details are treated that smoothing loses.
+    /// The treatment of details that smoothing removes.
     pub detail: Detail,
-    /// Normals on the vertices, or not.
+    /// Whether vertices get normals.
     pub normals: Normals,
-    /// Where the mesh ends at the faces of a periodic box.
+    /// The end of the mesh at the faces of a periodic box.
     pub periodic_mesh: PeriodicMesh,
-    /// Solids that the fluid ends at, if there are any; of clouds alone.
+    /// Solids at which the fluid ends, if there are any; only for clouds.
     pub solid: Option<Arc<Solid>>,
 }
 
 impl Surfacing {
-    /// A surface as smooth as the frame's spacing says, and nothing else.
+    /// A surface with the default smoothing of the frame's spacing, and no options.
     pub const PLAIN: Self = Self {
         smooth: Smooth::DEFAULT,
         sheets: SheetStretch::DEFAULT,
@@ -158,12 +157,12 @@ impl Surfacing {
         solid: None,
     };
 
-    /// Refuses cells that are too fine for it, as far as the particles' spacing tells before there
-    /// is a DIF.
+    /// Checks that the cells are not too fine for the surface, as far as the particles' spacing
+    /// shows this without a DIF.
     ///
     /// # Errors
     /// [`TooFine`].
-    pub fn refuse_too_fine(
+    pub fn check_cell_size(
         &self,
         kind: IndicatorKind,
         mean: Option<MeanCount>,
@@ -172,18 +171,17 @@ impl Surfacing {
     ) -> Result<(), TooFine> {
         let Some(known) = spacing else { return Ok(()) };
         let sigma = |cell_size| self.width(spacing, cell_size);
-        refuse_too_fine_for(kind, mean, known, grid.cell_size(), sigma)
+        check_cell_size_for(kind, mean, known, grid.cell_size(), sigma)
     }
 
-    /// The Gaussian's width, asked for or not, for particles so far apart in cells of a size.
+    /// The Gaussian's width, given or derived from the spacing and the cell size.
     #[must_use]
     pub fn width(&self, spacing: Option<f64>, cell_size: f64) -> Sigma {
         let cells = |spacing: f64| spacing / cell_size;
         self.sigma.unwrap_or_else(|| Sigma::at_least_a_cell(spacing.map(cells)))
     }
 
-    /// Clouds of particles whose spacing is not known are taken to be those of particles a cell
-    /// apart.
+    /// For clouds, an unknown spacing is assumed to be one cell.
     fn filters(&self, kind: IndicatorKind, spacing: Option<f64>, grid: &Grid) -> Filters {
         match kind {
             IndicatorKind::Cloud => {
@@ -197,8 +195,8 @@ impl Surfacing {
         }
     }
 
-    /// How far particles beyond the halo of the field influence its continuation into a solid, in
-    /// cells; 0 without a solid.
+    /// The distance beyond the halo of the field within which particles affect its continuation
+    /// into a solid, in cells; 0 without a solid.
     fn fill_reach(&self, spacing: Option<f64>, grid: &Grid) -> i32 {
         if self.solid.is_none() {
             return 0;
@@ -207,7 +205,7 @@ impl Surfacing {
         (SolidFill::new(wide.edge).reach() + 1) << wide.level
     }
 
-    /// Bytes that clouds take while they are continued into a solid.
+    /// Memory of clouds while they are continued into a solid, in bytes.
     fn fill_bytes(&self, filters: &Filters, spacing: Option<f64>, grid: &Grid) -> u64 {
         let Filters::Distances(distances) = filters else { return 0 };
         let further = self.fill_reach(spacing, grid);
@@ -219,7 +217,7 @@ impl Surfacing {
         SolidFill::bytes(wide.grown(distances.wide_halo(), distances.wide_halo()))
     }
 
-    /// Memory of the surface, for a spacing in cells and the components of its attributes.
+    /// The memory of the surface, for a spacing in cells and the components of its attributes.
     pub(super) fn drawing(
         &self,
         method: Method,
@@ -229,7 +227,7 @@ impl Surfacing {
     ) -> Drawing {
         let spacing_cells = spacing.map(|spacing| spacing / grid.cell_size());
         let plain = Drawing {
-            // Dual cells reach one cell up, and normals one cell each way.
+            // Dual cells reach one cell up, and normals one cell in both directions.
             block_bytes: KernelMethod::CELL_BYTES * ((BLOCK + 3) as u64).pow(3),
             carried_halo: attribute_smoothing(spacing.unwrap_or(0.0) / grid.cell_size()).halo(),
             keeps_details: false,
@@ -252,11 +250,12 @@ impl Surfacing {
         }
     }
 
-    /// How far beyond a periodic face particles tell of the surface before it, in cells.
+    /// The distance beyond a periodic face within which particles affect the surface before it, in
+    /// cells.
     #[must_use]
     pub fn reach(&self, method: Method, spacing: Option<f64>, grid: &Grid) -> i32 {
-        /// Cells beyond the face whose field is needed: a dual cell that goes across it, and
-        /// normals there; and one for where in its cell the face is.
+        /// The number of cells beyond the face on which the field is needed: for a dual cell across
+        /// the face, for normals there, and for the position of the face in its cell.
         const BEYOND: i32 = 3;
         let spacing_cells = spacing.map_or(1.0, |spacing| spacing / grid.cell_size());
         let [field, attributes] = match method {
@@ -271,8 +270,8 @@ impl Surfacing {
         field.max(attributes) + BEYOND
     }
 
-    /// Returns the smoothing of attributes: the field's, or for clouds one of a width between drops
-    /// and bulk.
+    /// Returns the smoothing of attributes: the field's; for clouds, a width between drops and
+    /// bulk.
     #[must_use]
     pub fn attribute_smoothing(
         &self,
@@ -290,16 +289,16 @@ impl Surfacing {
         Smoothing::new(kind, sigma)
     }
 
-    /// Measures what a surface through a frame has to know.
+    /// Measures the calibration for a surface of a frame.
     ///
     /// # Errors
-    /// [`TooFine`] where the field does not tell finely enough where the surface is.
+    /// [`TooFine`] if the field does not locate the surface precisely enough.
     pub fn calibrate(&self, frame: &SampledDif) -> Result<MeasuredCalibration, TooFine> {
         self.calibrate_for(frame, &Control::default())
     }
 
-    /// Measures as [`calibrate`](Self::calibrate) does: `control` hears of the progress and can
-    /// cancel, and what is measured then is worth nothing.
+    /// Measures like [`calibrate`](Self::calibrate). Reports progress to `control`, which can
+    /// cancel; the result is then meaningless.
     pub fn calibrate_for(
         &self,
         frame: &SampledDif,
@@ -309,8 +308,8 @@ impl Surfacing {
         calibrate(frame, &filters, self.iso, control)
     }
 
-    /// From the DIF of a frame to its surface, by what was measured on it or on another. The frame
-    /// keeps the mu0 that its DIF was made by.
+    /// The recipe from the DIF of a frame to its surface, with the calibration of this or another
+    /// frame. The mu0 of the DIF does not change.
     #[must_use]
     pub fn recipe(&self, frame: &SampledDif, calibration: &Calibration) -> Recipe {
         let filters = self.filters(frame.indicator.kind(), frame.facts.spacing, &frame.facts.grid);

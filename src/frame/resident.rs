@@ -1,11 +1,12 @@
-//! One frame on a device from end to end, for programs whose particles are there already: a buffer
-//! of positions in, buffers of vertices and indices out.
+//! One frame on a device from start to end, for programs whose particles are on the device: a
+//! buffer of positions in, buffers of vertices and indices out.
 //!
-//! The device can be a caller's own ([`Device::adopt`]), and so can the buffer
-//! ([`Device::external_buffer`]): those two calls state what the caller must hold to, everything
-//! here is safe. The host sees where the DIF is not 0, to find the blocks that the surface can pass
-//! through, and of the frame that it calibrates on a part of it; neither the particles nor the
-//! mesh. The mesh is that of the other backends, with positions rounded to f32.
+//! The device can be the caller's ([`Device::adopt`]), and so can the buffer
+//! ([`Device::external_buffer`]): these two functions state the caller's obligations; everything
+//! here is safe. The host reads which parts of the DIF are not 0, to find the blocks that the
+//! surface can pass through, and a part of the DIF of a frame on which it calibrates; it reads
+//! neither the particles nor the mesh. The mesh is that of the other backends, with positions
+//! rounded to f32.
 //!
 //! [`Device::adopt`]: crate::vulkan::Device::adopt
 //! [`Device::external_buffer`]: crate::vulkan::Device::external_buffer
@@ -28,7 +29,7 @@ use super::{FrameError, Surfacing};
 /// Bytes of a vertex, three f32, and of a triangle, three u32.
 const ROW: u64 = 12;
 
-/// How a frame is sampled, and how a surface is drawn through it.
+/// The parameters for sampling a frame and for drawing its surface.
 #[derive(Debug, Clone)]
 pub struct DeviceRequest {
     /// The grid of cells.
@@ -37,35 +38,35 @@ pub struct DeviceRequest {
     pub domain: Option<Domain>,
     /// The indicator that makes the field.
     pub indicator: IndicatorKind,
-    /// `mu0`, for counting; measured on the frame where it is `None`.
+    /// `mu0`, for counting; if `None`, it is measured on the frame.
     pub mean: Option<MeanCount>,
     /// Treatment of particles that are not finite or too far away.
     pub invalid: InvalidParticles,
-    /// The particles' spacing, in the unit of the positions; a cell's edge where it is not known.
+    /// The particles' spacing, in the unit of the positions; if `None`, it is assumed to be one
+    /// cell.
     pub spacing: Option<f64>,
-    /// How the surface is drawn; normals are not made.
+    /// The parameters of the surface; normals are not supported.
     pub surfacing: Surfacing,
-    /// The calibration of another frame of the simulation; measured on this one where it is `None`,
+    /// The calibration of another frame of the simulation; if `None`, it is measured on this frame,
     /// which takes longer.
     pub calibration: Option<Calibration>,
 }
 
-/// Semaphores that a call waits for and signals, and buffers that the surface goes to. By default
-/// none.
+/// Semaphores that a call waits for and signals, and buffers for the surface. Empty by default.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Exchange<'a> {
-    /// Moments from which on the positions are there. Passed whatever the call returns: one that is
-    /// made again has nothing to wait for.
+    /// Semaphores to wait for before the positions are read. They have been waited for even if the
+    /// call fails, so a second call must not wait for them.
     pub wait: &'a [SemaphorePoint],
-    /// Moments that are signalled when the surface is there: the call does not wait for that. Not
-    /// signalled after an error.
+    /// Semaphores to signal when the surface is complete; the call itself does not wait for that.
+    /// They are not signalled after an error.
     pub signal: &'a [SemaphorePoint],
-    /// Buffers for positions and indices, of the device that the pipeline is of.
+    /// Buffers for positions and indices, on the device of the pipeline.
     pub into: Option<[&'a View; 2]>,
 }
 
 /// A surface on the device. Its buffers can be bound as storage, vertex and index buffers, and live
-/// as long as this, which when it is dropped waits until they are written.
+/// as long as this object. On drop, it waits until they are written.
 #[derive(Debug)]
 pub struct ResidentSurface {
     /// The vertices' positions, three f32 each.
@@ -76,24 +77,23 @@ pub struct ResidentSurface {
     pub indices: View,
     /// The number of triangles.
     pub triangles: u32,
-    /// The isovalue, at which the surface is drawn: given, measured, or [`Isovalue::NO_DISTANCE`]
-    /// for clouds.
+    /// The isovalue of the surface: given, measured, or [`Isovalue::NO_DISTANCE`] for clouds.
     pub iso: Isovalue,
-    /// The calibration that it was drawn by, for the other frames of a simulation.
+    /// The calibration of the surface, for the other frames of a simulation.
     pub calibration: Calibration,
-    /// The measurements for that, unless it was given.
+    /// The measurements of the calibration, unless it was given.
     pub measured: Option<MeasuredCalibration>,
-    /// Counts of particles, by what became of them.
+    /// Counts of binned and skipped particles.
     pub census: Census,
-    /// The last work on it.
+    /// The last commands for this surface.
     work: Batch,
 }
 
 impl ResidentSurface {
-    /// Waits until its buffers are written.
+    /// Waits until the buffers are written.
     ///
     /// # Errors
-    /// Those of the device.
+    /// The errors of the device.
     pub fn wait(&mut self) -> Result<(), VulkanError> {
         self.work.wait()
     }
@@ -112,7 +112,7 @@ impl Pipeline {
     /// Compiles all shaders for a device, opened here or adopted.
     ///
     /// # Errors
-    /// [`VulkanError`] where the driver refuses a shader.
+    /// [`VulkanError`] if the driver rejects a shader.
     pub fn new(device: &Device) -> Result<Self, VulkanError> {
         let mut batch = device.batch(Queue::Compute)?;
         batch.begin()?;
@@ -127,13 +127,12 @@ impl Pipeline {
         })
     }
 
-    /// Gives back the memory that is kept for the next frame. What was drawn stays.
+    /// Frees the memory that is kept for the next frame. Finished surfaces stay.
     pub fn release(&self) {
         self.vulkan.release();
     }
 
-    /// Does something, and again without what is kept for the next frame where there is no memory
-    /// for it beside that.
+    /// Runs `f`; if memory is short, frees what is kept for the next frame and runs it again.
     fn with_room<T, E: Into<FrameError>>(
         &self,
         act: impl Fn() -> Result<T, E>,
@@ -147,8 +146,8 @@ impl Pipeline {
         }
     }
 
-    /// The surface of the particles at `positions`, which may be in several buffers and are not
-    /// changed.
+    /// Makes the surface of the particles at `positions`, which may be in several buffers and are
+    /// not changed.
     ///
     /// Returns when the device is done. Nothing else may write the positions during the call.
     ///
@@ -159,27 +158,27 @@ impl Pipeline {
         positions: &[DevicePositions],
         settings: &DeviceRequest,
     ) -> Result<ResidentSurface, FrameError> {
-        // SAFETY: there is no semaphore.
+        // SAFETY: there are no semaphores.
         let mut surface =
             unsafe { self.surface_between(positions, settings, &Exchange::default()) }?;
         surface.wait()?;
         Ok(surface)
     }
 
-    /// Draws the surface in the course of what else the device does: on the device it waits for the
-    /// positions, and tells when the surface is there. The host waits meanwhile for what it has to
-    /// know to go on, but not for the last triangles, some four million at the most.
+    /// Makes the surface in the middle of the caller's work on the device: the device waits for the
+    /// positions, and signals when the surface is complete. The host waits for results that it
+    /// needs in between, but not for the last triangles, at most about four million.
     ///
     /// # Errors
-    /// [`FrameError`]; [`FrameError::NoSpace`] where the caller's buffers are too small, and says
-    /// what is needed.
+    /// [`FrameError`]; [`FrameError::NoSpace`], with the required size, if the caller's buffers are
+    /// too small.
     ///
     /// # Panics
-    /// If the caller's buffers are of another device.
+    /// If the caller's buffers are on another device.
     ///
     /// # Safety
-    /// The semaphores are the device's, and alive until the device has passed them. What is waited
-    /// for is submitted already.
+    /// The semaphores belong to the device, and live until the device has passed them. The work
+    /// that signals the semaphores to wait for has been submitted.
     pub unsafe fn surface_between(
         &self,
         positions: &[DevicePositions],
@@ -189,8 +188,8 @@ impl Pipeline {
         let mut work = self.vulkan.device().batch(Queue::Compute)?;
         if !exchange.wait.is_empty() {
             work.begin()?;
-            // All that follows on the queue comes after it.
-            // SAFETY: the caller vouches for the semaphores.
+            // All later work on the queue runs after it. SAFETY: the caller guarantees the
+            // semaphores.
             unsafe { work.submit_between(&[], exchange.wait, &[]) }?;
         }
         let &DeviceRequest { grid, domain, invalid, spacing, ref surfacing, calibration, .. } =
@@ -215,7 +214,7 @@ impl Pipeline {
         let (calibration, measured) = match calibration {
             Some(known) => (known, None),
             None => {
-                // What did not come makes no measurement.
+                // After a failed download there is no measurement.
                 let measured = surfacing.calibrate(&sampled);
                 frame.check()?;
                 let measured = measured?;
@@ -241,7 +240,7 @@ impl Pipeline {
         }
 
         let (iso, census) = (recipe.iso, census);
-        // What the field took can be given back.
+        // The memory of the field can be reused.
         drop((sampled, frame));
         let layout = MeshLayout::new(&parts.blocks).ok_or(FrameError::TooManyVertices)?;
         let written = parts.written().to_vec();
@@ -273,7 +272,7 @@ impl Pipeline {
             indices: indices.clone(),
         };
         stitch(device, (&mut work, &written), &self.stitch, &layout, iso, &buffers)?;
-        // SAFETY: the caller vouches for the semaphores.
+        // SAFETY: the caller guarantees the semaphores.
         unsafe { work.submit_between(&[], &[], exchange.signal) }?;
         Ok(ResidentSurface {
             positions,
@@ -289,7 +288,7 @@ impl Pipeline {
     }
 }
 
-/// Particles in order of their bins on a device.
+/// Particles on a device in the order of their bins.
 struct ResidentBins<'a> {
     frame: &'a ResidentFrame,
     bins: DeviceBins,

@@ -15,26 +15,26 @@ use super::FrameError;
 pub struct Resources {
     /// Memory that may be resident at once.
     pub budget: MemoryBudget,
-    /// The folder for what exceeds it.
+    /// The folder for data that exceeds the budget.
     pub scratch: PathBuf,
     /// The backend that the stages run on.
     pub backend: Backend,
-    /// The caller's hold on the work.
+    /// Progress and cancellation for the caller.
     pub control: Control,
 }
 
 impl Resources {
-    /// Creates resources whose backend is the processor.
+    /// Creates resources with the CPU as the backend.
     pub fn new(budget: MemoryBudget, scratch: PathBuf) -> Self {
         Self { budget, scratch, backend: Backend::cpu(), control: Control::default() }
     }
 
-    /// Bytes that the backend takes of the machine's memory.
+    /// Bytes of the machine's memory that the backend uses.
     pub(super) fn host_bytes(&self) -> u64 {
         self.backend.executor().host_bytes(self.budget)
     }
 
-    /// Refuses to begin what would fill the disk.
+    /// Returns an error if the disk has less than `needed` bytes.
     pub(super) fn check_room(&self, needed: u64) -> Result<(), FrameError> {
         if needed == 0 {
             return Ok(());
@@ -47,7 +47,7 @@ impl Resources {
         Ok(())
     }
 
-    /// Ends the work where the caller has asked for it.
+    /// Returns an error if the caller has cancelled.
     pub(crate) fn go_on(&self) -> Result<(), FrameError> {
         Ok(self.control.cancel.go_on()?)
     }

@@ -1,5 +1,5 @@
-//! Surfaces that hold far less than their particles: lost to an isovalue that is not theirs, or to
-//! smoothing.
+//! Surfaces that contain much less volume than their particles, because of a wrong isovalue or
+//! strong smoothing.
 
 use std::fmt;
 use std::io;
@@ -10,11 +10,11 @@ use crate::surface::stitch::StitchedSurface;
 
 use super::coincident::CoincidentParticles;
 
-/// The share of its particles' volume that is expected of a surface. Smoothing takes something off
-/// each drop and sheet.
+/// The minimum ratio of the surface's volume to its particles' volume. Smoothing makes each drop
+/// and sheet smaller.
 const EXPECTED: f64 = 0.5;
 
-/// A surface that holds less of its particles' volume than one expects.
+/// A surface that contains less of its particles' volume than expected.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Shortfall {
     /// Volume of the surface over that of its particles.
@@ -27,10 +27,10 @@ pub struct Shortfall {
 
 impl Shortfall {
     /// Compares the volume of a surface, within the cells of `around`, with that of `particles` at
-    /// `spacing`, counting coincident ones once; `None` where it is as large as expected.
+    /// `spacing`, counting coincident ones once; returns `None` if it is as large as expected.
     ///
     /// # Errors
-    /// Where the surface is in a scratch file that cannot be read.
+    /// If the surface is in a scratch file that cannot be read.
     pub fn of(
         surface: &StitchedSurface,
         around: Option<CellBox>,

@@ -1,4 +1,4 @@
-//! Where the DIF of a frame goes: into memory, or into a scratch file that is then mapped.
+//! The destination of a frame's DIF: memory, or a scratch file that is mapped afterwards.
 
 use std::fs::File;
 use std::io;
@@ -12,17 +12,17 @@ use crate::frame::estimate::{MemoryEstimate, MemoryPlan};
 use crate::io::mnf::{FrameWriter, frame_from_file};
 use crate::system::control::Meter;
 
-/// Samples of the bins whose pages are made at once before they go into a file, at the most.
+/// Maximum number of samples in the pages that are made together before they go into a file.
 const BATCH_SAMPLES: usize = 1 << 22;
 
-/// Where the DIF goes as it is made.
+/// The destination of the DIF while it is made.
 pub(super) enum FieldSink {
     Memory {
         pages: Pages,
         /// Bytes of all samples.
         bytes: u64,
     },
-    /// All of it, made at once.
+    /// The whole DIF, made at once.
     Whole(DifField),
     File {
         file: File,
@@ -34,7 +34,7 @@ pub(super) enum FieldSink {
 }
 
 impl FieldSink {
-    /// In memory, unless a plan says otherwise.
+    /// In memory, unless the plan requires a file.
     pub(super) fn new(
         plan: MemoryPlan,
         estimate: &MemoryEstimate,
@@ -52,7 +52,7 @@ impl FieldSink {
         }
     }
 
-    /// Takes the field of a frame's bins at once, which are in memory.
+    /// Makes and takes the whole field of a frame whose bins are in memory.
     pub(super) fn take_whole(
         &mut self,
         stages: &dyn Stages,
@@ -69,7 +69,7 @@ impl FieldSink {
         }
     }
 
-    /// Takes the pages of `bins`, of a frame's after those before.
+    /// Makes and takes the pages of `bins`, which follow the previous ones.
     pub(super) fn take(
         &mut self,
         stages: &dyn Stages,
@@ -89,7 +89,7 @@ impl FieldSink {
         Ok(())
     }
 
-    /// Takes pages, of a frame's after those before.
+    /// Takes pages, which follow the previous ones.
     pub(super) fn push(&mut self, pages: Pages, shape: PageShape) -> io::Result<()> {
         match self {
             Self::Memory { pages: kept, bytes } => {
@@ -105,7 +105,7 @@ impl FieldSink {
         Ok(())
     }
 
-    /// Bytes of what was taken so far and is in memory.
+    /// Bytes in memory so far.
     pub(super) fn bytes_in_memory(&self) -> u64 {
         match self {
             Self::Memory { bytes, .. } => *bytes,
@@ -114,7 +114,7 @@ impl FieldSink {
         }
     }
 
-    /// Cells that are full.
+    /// Number of full cells.
     pub(super) fn full_cells(&self) -> u64 {
         match self {
             Self::Memory { pages, .. } => full_count(pages),
@@ -123,7 +123,8 @@ impl FieldSink {
         }
     }
 
-    /// The DIF, whose indicator is known by now; of a file as much in memory as its share allows.
+    /// Finishes the DIF, now that its indicator is known. Of a file, as much is in memory as its
+    /// share allows.
     pub(super) fn finish(
         self,
         facts: FrameFacts,

@@ -20,15 +20,15 @@ use super::{FrameError, Resources, SizedParticles, Surfacing};
 pub(super) struct SampledSizes {
     pub(super) facts: FrameFacts,
     clouds: SizedClouds,
-    /// The particles' volume in a cubed unit deep in the fluid, where it is known.
+    /// The particles' volume per cubed unit deep in the fluid, if it is known.
     density: Option<f64>,
 }
 
-/// Bins of an octave whose pages are made at once.
+/// Bins of an octave per batch of pages.
 const TOGETHER: usize = 1 << 7;
 
 impl SampledSizes {
-    /// Makes the clouds of particles whose last attributes tell their sizes.
+    /// Makes the clouds of particles whose last attributes are their sizes.
     pub(super) fn sample(
         bins: &Bins,
         facts: FrameFacts,
@@ -72,7 +72,7 @@ impl SampledSizes {
         Ok(Self { facts, clouds: SizedClouds::new(layers), density: sized.sizes.density })
     }
 
-    /// The calibration of this frame, by its density.
+    /// The calibration of this frame, from its density.
     pub(super) fn calibrated(&self) -> MeasuredCalibration {
         let nominal = Plateau::nominal(self.facts.spacing_cells_or_one());
         let value = (nominal * self.density.unwrap_or(1.0)).round() as u16;
@@ -88,7 +88,7 @@ impl SampledSizes {
         }
     }
 
-    /// All that the surface is drawn by.
+    /// The field from which the surface is drawn.
     pub(super) fn drawn(
         &self,
         surfacing: &Surfacing,

@@ -1,4 +1,4 @@
-//! From a frame that is calibrated to its surface, block by block, whatever makes its field.
+//! From a calibrated frame to its surface, block by block, for every method.
 
 use std::io;
 use std::sync::Arc;
@@ -28,16 +28,16 @@ use crate::system::timings::Timings;
 
 use super::{FrameError, Resources};
 
-/// Adds to a mesh what does not come from its field.
+/// Adds to a mesh what its field does not provide, such as attributes.
 pub(super) type Finish<'a> = dyn Fn(&mut BlockMesh) -> io::Result<()> + Sync + 'a;
 /// Takes finished meshes, in order.
 pub(super) type Push<'a> = dyn FnMut(Vec<BlockMesh>) -> io::Result<()> + 'a;
-/// Meshes some regions of a field where it has a surface, finishes every mesh, and hands them on.
+/// Meshes some regions of a field, finishes every mesh, and passes them on.
 type Contour<'a> =
     dyn Fn(&[CellBox], &Meter<'_>, &Finish<'_>, &mut Push<'_>) -> io::Result<()> + Sync + 'a;
 
-/// Meshes each region by itself, by `mesh`, and finishes the mesh on the same thread: sums of a
-/// field and of attributes leave each other what they do not use of a core.
+/// Meshes each region with `mesh`, and finishes the mesh on the same thread: sums of a field and of
+/// attributes use different resources of a core, so they run well side by side.
 pub(super) fn region_by_region<'a>(
     mesh: impl Fn(CellBox) -> io::Result<Option<BlockMesh>> + Sync + 'a,
 ) -> Box<Contour<'a>> {
@@ -58,20 +58,20 @@ pub(super) fn region_by_region<'a>(
     })
 }
 
-/// A field of which a surface is known, whatever makes it.
+/// A field with everything that drawing its surface needs, for every method.
 pub(super) struct DrawableField<'a> {
     /// The parts of blocks that the surface can pass through, in Morton order.
     pub(super) regions: Vec<CellBox>,
     pub(super) contour: Box<Contour<'a>>,
-    /// How vertices lie on their edges.
+    /// The positions of vertices on their edges.
     pub(super) crossings: Crossings,
     pub(super) attribute_smoothing: Smoothing,
-    /// The error to return where there is no surface.
+    /// The error if there is no surface.
     pub(super) nothing: FrameError,
 }
 
 impl<'a> DrawableField<'a> {
-    /// The DIF of a frame, by a recipe.
+    /// The DIF of a frame, with a recipe.
     pub(super) fn of_dif(
         sampled: &'a SampledDif,
         stages: &'a dyn Stages,
@@ -101,12 +101,12 @@ impl<'a> DrawableField<'a> {
     }
 }
 
-/// The block that a region lies in.
+/// The block of a region.
 fn block_of(region: &CellBox) -> MortonKey {
     MortonKey::of(region.lo.div_euclid(IVec3::splat(BLOCK)))
 }
 
-/// A frame of which all is known that its surface needs.
+/// A frame with everything that its surface needs.
 pub struct CalibratedFrame<'a> {
     pub(super) facts: &'a FrameFacts,
     pub(super) carried: Option<&'a (Arc<Bins>, Vec<AttributeInfo>)>,
@@ -122,7 +122,7 @@ pub struct CalibratedFrame<'a> {
 }
 
 impl<'a> CalibratedFrame<'a> {
-    /// The measurements on the frame: none where they were known, or where kernels make the field.
+    /// The measurements on the frame; `None` if the calibration was given, or for kernels.
     pub fn measured(&self) -> Option<MeasuredCalibration> {
         self.measured
     }
@@ -131,7 +131,7 @@ impl<'a> CalibratedFrame<'a> {
     ///
     /// # Errors
     /// [`FrameError::NoSurface`], [`FrameError::NoKernelSurface`],
-    /// [`FrameError::NoDistanceSurface`], [`FrameError::Scratch`] where scratch files fail, and
+    /// [`FrameError::NoDistanceSurface`], [`FrameError::Scratch`] if scratch files fail, and
     /// [`FrameError::Cancelled`].
     pub fn surface(self, timings: &mut Timings) -> Result<StitchedSurface, FrameError> {
         let facts = self.facts;
@@ -147,7 +147,7 @@ impl<'a> CalibratedFrame<'a> {
     /// none.
     ///
     /// # Errors
-    /// [`FrameError::Scratch`] where scratch files fail.
+    /// [`FrameError::Scratch`] if scratch files fail.
     pub fn blocks(&self, timings: &mut Timings) -> Result<Spool, FrameError> {
         let infos = self.carried.map_or(&[][..], |(_, infos)| infos);
         let components = infos.iter().map(|info| info.components).collect();
@@ -157,13 +157,13 @@ impl<'a> CalibratedFrame<'a> {
         Ok(spool)
     }
 
-    /// The blocks that the surface can pass through, in Morton order, and in how many cells of
-    /// each.
+    /// The blocks that the surface can pass through, in Morton order, with the number of their
+    /// cells that it can pass through.
     pub fn passed(&self) -> impl Iterator<Item = (MortonKey, usize)> + '_ {
         self.drawn.regions.iter().map(|cells| (block_of(cells), cells.volume()))
     }
 
-    /// Leaves only the blocks in a stretch to be meshed.
+    /// Restricts the frame to the blocks in a stretch.
     pub fn within(mut self, stretch: Stretch) -> Self {
         self.drawn.regions.retain(|cells| {
             let key = block_of(cells);
@@ -172,17 +172,17 @@ impl<'a> CalibratedFrame<'a> {
         self
     }
 
-    /// Meshes all blocks in Morton order into `spool`, which moves to a scratch file once it
-    /// exceeds its share of memory. As many blocks are meshed at once as fit into what is left of
-    /// that; there is always room for some a thread.
+    /// Meshes all blocks in Morton order into `spool`, which moves to a scratch file when it
+    /// exceeds its share of memory. As many blocks are meshed at once as fit into the rest of that
+    /// share, but at least some per thread.
     fn mesh_blocks(&self, spool: &mut Spool) -> Result<(), FrameError> {
         let (share, in_scratch) = (self.surface_share, self.resources.scratch_error());
-        // Wide attributes dwarf the mesh, so that only some of the blocks meshed together carry
-        // theirs together.
+        // Wide attributes are much larger than the mesh, so only some of the blocks that are meshed
+        // together get attributes together.
         let wide = spool.components().iter().sum::<usize>() > attribute::AT_ONCE;
         let finish = |block: &mut BlockMesh| if wide { Ok(()) } else { self.carry(block) };
         let least = BLOCKS_A_THREAD * rayon::current_num_threads();
-        // Any of them may be full of spray.
+        // Any of these blocks may be full of spray.
         let block = blocks_bytes(1, block_vertices(true), spool.vertex_bytes());
         let mut regions = &self.drawn.regions[..];
         let calibrating = if self.measured.is_some() { CALIBRATING } else { 0.0 };
@@ -209,7 +209,7 @@ impl<'a> CalibratedFrame<'a> {
     }
 
     /// Carries the attributes of as many blocks at a time as fit into [`CARRIED_BYTES`], and adds
-    /// them to `spool`, which moves to a scratch file once it exceeds its share of memory.
+    /// them to `spool`, which moves to a scratch file when it exceeds its share of memory.
     fn carry_in_groups(&self, mut blocks: Vec<BlockMesh>, spool: &mut Spool) -> io::Result<()> {
         while !blocks.is_empty() {
             let mut bytes = 0;

@@ -8,7 +8,7 @@ use thiserror::Error;
 
 use super::{CELL_LIMIT, CellBox, FRACTIONS, Grid};
 
-/// Cells from the origin to where the cells end at an open side: beyond all that the grid has.
+/// The end of the cells at an open side, in cells from the origin: beyond the whole grid.
 const OPEN: i32 = 1 << 24;
 
 /// The coordinates of walls, the lower and the upper one along each axis; `None` for an open side.
@@ -19,14 +19,14 @@ const OPEN: i32 = 1 << 24;
 pub struct Walls(pub [[Option<f64>; 2]; 3]);
 
 impl Walls {
-    /// The lowest and the highest corner: open sides are at -inf and inf.
+    /// The lowest and the highest corner; open sides are at -inf and inf.
     #[must_use]
     pub fn corners(&self) -> [DVec3; 2] {
         [(0, f64::NEG_INFINITY), (1, f64::INFINITY)]
             .map(|(side, open)| DVec3::from(self.0.map(|walls| walls[side].unwrap_or(open))))
     }
 
-    /// The walls of a box by its corners, of which coordinates at -inf and inf are open sides.
+    /// The walls of a box with these corners; coordinates at -inf and inf are open sides.
     #[must_use]
     pub fn from_corners([lowest, highest]: [[f64; 3]; 2]) -> Self {
         let wall = |at: f64, open: f64| Some(at).filter(|_| at != open);
@@ -77,13 +77,13 @@ pub struct Domain {
 /// A box that cannot be a domain.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 pub enum DomainError {
-    /// The corners are not in order, or no numbers.
+    /// The corners are not in order, or not numbers.
     #[error(
         "the domain's second corner must be above the first along each axis with two walls, and \
          coordinates must be numbers"
     )]
     Corners,
-    /// Too thin for a single layer of cells.
+    /// Less than one layer of cells between the walls.
     #[error("the domain contains no cell centre along {axis}; use a smaller cell size")]
     Thin {
         /// x, y or z.
@@ -101,9 +101,9 @@ impl Domain {
     /// The box from `lo` to `hi` in world coordinates, on `grid`. A side at -inf or inf is open.
     ///
     /// # Errors
-    /// [`DomainError`] where the box is empty, thinner than a cell or beyond the grid.
+    /// [`DomainError`] if the box is empty, thinner than a cell or beyond the grid.
     pub fn new(grid: &Grid, lo: DVec3, hi: DVec3) -> Result<Self, DomainError> {
-        // Comparisons that NaN fails too.
+        // These comparisons are also false for NaN.
         let is_in_order =
             |a: usize| lo[a] < hi[a] && lo[a] != f64::INFINITY && hi[a] != f64::NEG_INFINITY;
         if !(0..3).all(is_in_order) {
@@ -147,23 +147,23 @@ impl Domain {
         [self.lo, self.hi]
     }
 
-    /// Whether a particle counts: walls belong to the domain.
+    /// Whether the domain contains a position; walls belong to the domain.
     #[must_use]
     #[inline(always)]
     pub fn contains(&self, world: [f64; 3]) -> bool {
         (0..3).all(|a| world[a] >= self.lo[a] && world[a] <= self.hi[a])
     }
 
-    /// The first and the last step of its cells, along each axis: particles between the outermost
-    /// cells and a wall are put on the nearest of them.
+    /// The first and the last step of the cells along each axis: particles between the outermost
+    /// cells and a wall move to the nearest of these steps.
     #[must_use]
     pub fn step_range(&self) -> [[i64; 3]; 2] {
         let first = |cells: IVec3| cells.to_array().map(|c| i64::from(c) * i64::from(FRACTIONS));
         [first(self.cells.lo), first(self.cells.hi).map(|end| end - 1)]
     }
 
-    /// The walls on a grid whose cells are 2^`octaves` times as wide: its cells are those that hold
-    /// any of these.
+    /// The walls on a grid whose cells are 2^`octaves` times as wide: its cells are those that
+    /// contain any of these.
     #[must_use]
     pub fn in_wider_cells(self, octaves: u32) -> Self {
         let CellBox { lo, hi } = self.cells;
@@ -171,7 +171,7 @@ impl Domain {
         Self { cells: CellBox { lo: lo >> octaves, hi: (hi + last) >> octaves }, ..self }
     }
 
-    /// The walls of both, of which no axis has any in both.
+    /// The walls of both domains. No axis may have walls in both.
     #[must_use]
     pub(super) fn joined(&self, other: &Self) -> Self {
         Self {

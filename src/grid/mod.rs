@@ -1,9 +1,9 @@
-//! Where things are: the world-anchored cell grid, boxes of cells, Morton keys, the walls of a tank
-//! and periodic boxes.
+//! Positions: the world-anchored cell grid, boxes of cells, Morton keys, the walls of a tank and
+//! periodic boxes.
 //!
 //! A cell index is floor((x - origin) / h) per axis, computed in f64; cells are half-open.
-//! Everything finer than a cell is a fixed-point offset with [`FRACTION_BITS`] bits, so that sums
-//! over particles are integers and their order cannot matter.
+//! Positions within a cell are fixed-point offsets with [`FRACTION_BITS`] bits, so sums over
+//! particles are integers and do not depend on their order.
 
 mod domain;
 mod periodic;
@@ -32,8 +32,8 @@ pub const BLOCK: i32 = 32;
 /// Tiles of a block.
 pub const BLOCK_TILES: u32 = (BLOCK / TILE).pow(3) as u32;
 
-/// Cells from the origin to the end of the addressable grid, along each half axis: what a Morton
-/// key of 21 bits an axis can name in tiles, less a margin for whatever the widest filter reaches.
+/// Cells from the origin to the end of the addressable grid along each half axis. A Morton key has
+/// 21 bits per axis for tiles, minus a margin for the reach of the widest filter.
 pub const CELL_LIMIT: i32 = (TILE << 20) - 4 * BLOCK;
 
 /// [`CELL_LIMIT`] in fixed-point steps.
@@ -60,7 +60,7 @@ impl Grid {
     ///
     /// # Errors
     /// [`UnitError::Length`] unless the edge is positive and finite, [`UnitError::NotFinite`]
-    /// unless the origin is.
+    /// unless the origin is finite.
     pub fn new(origin: DVec3, cell: f64) -> Result<Self, UnitError> {
         positive_length("cell-size", cell)?;
         match origin.to_array().iter().find(|x| !x.is_finite()) {
@@ -87,7 +87,7 @@ impl Grid {
         self.origin
     }
 
-    /// A world position in cells: integers are cell faces.
+    /// Converts a world position to cells; integers are cell faces.
     #[must_use]
     #[inline(always)]
     pub fn cells_from_world(&self, world: [f64; 3]) -> [f64; 3] {
@@ -104,15 +104,15 @@ impl Grid {
         self.origin + self.cell * cells
     }
 
-    /// A position in steps of 1 / [`FRACTIONS`] of a cell from the origin, rounded down: the cell,
-    /// and behind it [`FRACTION_BITS`] of the offset in it.
+    /// Converts a position to steps of 1 / [`FRACTIONS`] of a cell from the origin, rounded down:
+    /// the cell index, followed by [`FRACTION_BITS`] of the offset in the cell.
     ///
     /// # Errors
-    /// [`PlacementError`] where the grid does not reach.
+    /// [`PlacementError`] if the grid does not reach the position.
     pub fn place(&self, world: [f64; 3]) -> Result<[i64; 3], PlacementError> {
-        // Multiplying by a power of two is exact, and so is every step below.
+        // A product with a power of two is exact, and so is every step below.
         let steps = self.cells_from_world(world).map(|c| (c * f64::from(FRACTIONS)).floor());
-        // Comparisons that NaN fails too.
+        // These comparisons are also false for NaN.
         if !steps.iter().all(|s| (-STEP_LIMIT..STEP_LIMIT).contains(s)) {
             let finite = world.iter().all(|x| x.is_finite());
             return Err(if finite { PlacementError::TooFar } else { PlacementError::NotFinite });
@@ -131,15 +131,15 @@ pub struct CellBox {
 }
 
 impl CellBox {
-    /// Contains nothing, and becomes what it is united with.
+    /// An empty box; its union with another box is the other box.
     pub const EMPTY: Self = Self { lo: IVec3::MAX, hi: IVec3::MIN };
 
-    /// A cube of `edge` cells whose coordinates count in such cubes.
+    /// A cube of `edge` cells at `coord`, in units of such cubes.
     pub fn cube(coord: IVec3, edge: i32) -> Self {
         Self { lo: coord * edge, hi: (coord + 1) * edge }
     }
 
-    /// Whether there is no cell in it.
+    /// Whether the box contains no cells.
     pub fn is_empty(&self) -> bool {
         self.lo.cmpge(self.hi).any()
     }
@@ -154,17 +154,17 @@ impl CellBox {
         if self.is_empty() { 0 } else { self.size().as_usizevec3().element_product() }
     }
 
-    /// Whether `cell` is in it.
+    /// Whether the box contains `cell`.
     pub fn contains(&self, cell: IVec3) -> bool {
         cell.cmpge(self.lo).all() && cell.cmplt(self.hi).all()
     }
 
-    /// Whether all of `other` is in it.
+    /// Whether the box contains all cells of `other`.
     pub fn covers(&self, other: &Self) -> bool {
         other.lo.cmpge(self.lo).all() && other.hi.cmple(self.hi).all()
     }
 
-    /// Larger by `below` cells at every lower face and `above` at every upper one.
+    /// A box that is larger by `below` cells at every lower face and `above` at every upper one.
     pub fn grown(&self, below: i32, above: i32) -> Self {
         Self { lo: self.lo - below, hi: self.hi + above }
     }
@@ -174,12 +174,12 @@ impl CellBox {
         Self { lo: self.lo.max(other.lo), hi: self.hi.min(other.hi) }
     }
 
-    /// The smallest box around both.
+    /// The smallest box that contains both.
     pub fn union(&self, other: &Self) -> Self {
         Self { lo: self.lo.min(other.lo), hi: self.hi.max(other.hi) }
     }
 
-    /// The smallest box of whole tiles around it.
+    /// The smallest box of whole tiles that contains this one.
     pub fn tiled(&self) -> Self {
         let tile = IVec3::splat(TILE);
         Self {
@@ -188,7 +188,7 @@ impl CellBox {
         }
     }
 
-    /// The coordinates of the cubes of `edge` cells that it touches, x fastest.
+    /// The coordinates of the cubes of `edge` cells that overlap the box, x fastest.
     pub fn cubes(&self, edge: i32) -> impl Iterator<Item = IVec3> + use<> {
         let edge = IVec3::splat(edge);
         let lo = self.lo.div_euclid(edge);
@@ -199,7 +199,7 @@ impl CellBox {
     }
 }
 
-/// The parts of blocks that some boxes touch, a box around each, in the Morton order of their
+/// The parts of blocks that overlap some boxes, as one box per block, in the Morton order of the
 /// blocks.
 pub fn block_parts(boxes: impl Iterator<Item = CellBox>) -> Vec<CellBox> {
     let mut parts: HashMap<IVec3, CellBox> = HashMap::new();
@@ -214,10 +214,10 @@ pub fn block_parts(boxes: impl Iterator<Item = CellBox>) -> Vec<CellBox> {
     parts.into_iter().map(|(_, cells)| cells).collect()
 }
 
-/// A cube's place on the Morton curve: 21 bits an axis, biased so that negative coordinates come
-/// first.
+/// The position of a cube on the Morton curve: 21 bits per axis, biased so that negative
+/// coordinates come first.
 ///
-/// Order of keys is order on the curve, whatever the cubes' edge; a cube's children are
+/// The order of keys is the order on the curve, for every edge of the cubes; a cube's children are
 /// consecutive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct MortonKey(pub u64);
@@ -227,10 +227,10 @@ impl MortonKey {
     pub const AXIS_BITS: u32 = 21;
     const BIAS: i32 = 1 << (Self::AXIS_BITS - 1);
 
-    /// The key of the cube at `coord`, counted in cubes.
+    /// The key of the cube at `coord`, in units of cubes.
     ///
     /// # Panics
-    /// Beyond 2^20 cubes from the origin; [`CELL_LIMIT`] keeps cells well within.
+    /// If a coordinate is beyond 2^20 cubes from the origin; [`CELL_LIMIT`] keeps cells within.
     pub fn of(coord: IVec3) -> Self {
         let biased = (coord + Self::BIAS).as_uvec3();
         assert!(biased.max_element() < 1 << Self::AXIS_BITS, "{coord} is beyond the Morton range");
@@ -244,12 +244,12 @@ impl MortonKey {
     }
 }
 
-/// The block that a bin lies in, counted in blocks.
+/// The block of a bin; both are in units of their edges.
 pub fn block_of_bin(bin: IVec3) -> IVec3 {
     bin.div_euclid(IVec3::splat(BLOCK / BIN))
 }
 
-/// The Morton index of a cube among the siblings in a parent of at most 2^10 cubes an axis.
+/// The Morton index of a cube among its siblings in a parent of at most 2^10 cubes per axis.
 pub fn local_morton(local: IVec3) -> usize {
     let local = local.as_uvec3();
     (spread(local.x) | spread(local.y) << 1 | spread(local.z) << 2) as usize
@@ -312,7 +312,7 @@ mod tests {
     }
 
     #[test]
-    fn a_position_is_its_cell_and_offset_rounded_down() {
+    fn a_position_is_rounded_down_to_its_cell_and_offset() {
         let grid = Grid::new(DVec3::ZERO, 0.5).unwrap();
         let steps = grid.place([-0.125, 0.5, 0.749_999_9]).unwrap();
         assert_eq!(steps, [-8192 + 6144, 8192, 8192 + 4095]);

@@ -1,9 +1,9 @@
-//! Periodic boxes: beyond a face the fluid goes on as it does behind the opposite one.
+//! Periodic boxes: beyond a face the fluid continues as it does behind the opposite face.
 //!
-//! Nothing is wrapped. A particle near a face also stands, as its image, beyond the opposite one, a
-//! whole number of steps away, so that whatever looks beyond a face finds there what an infinitely
-//! repeated fluid would have. A box need not hold a whole number of cells: its edges may differ,
-//! and cells are cubes.
+//! Coordinates are not wrapped. A particle near a face also has an image beyond the opposite face,
+//! a whole number of steps away, so a filter that reaches beyond a face finds the same particles as
+//! in an infinitely repeated fluid. The edges of a box may differ and need not be a whole number of
+//! cells.
 
 use glam::{DVec3, IVec3};
 use serde::{Deserialize, Serialize};
@@ -15,20 +15,20 @@ use super::{BIN, CELL_LIMIT, CellBox, Domain, FRACTIONS, Grid};
 /// The names of the axes.
 const AXES: [char; 3] = ['x', 'y', 'z'];
 
-/// A box that repeats itself along some axes.
+/// A box that repeats along some axes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Periodic {
-    /// Faces of the box: an axis that is open has none.
+    /// Faces of the box; an open axis has none.
     faces: Domain,
-    /// How far beyond its faces images stand, in cells.
+    /// The distance beyond the faces up to which images exist, in cells.
     reach: i32,
     /// Steps from a particle to its image, along each axis.
     period: [i64; 3],
-    /// How far beyond its faces images stand, in the unit of the grid.
+    /// The distance beyond the faces up to which images exist, in the unit of the grid.
     reach_length: f64,
 }
 
-/// How a mesh ends at periodic faces.
+/// The end of a mesh at periodic faces.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
@@ -36,12 +36,12 @@ pub enum PeriodicMesh {
     /// On the faces, closed as at the walls of a tank.
     #[default]
     Cut,
-    /// Beyond the faces, by the reach of the filters, so that copies side by side overlap.
+    /// Beyond the faces, by the reach of the filters, so that adjacent copies overlap.
     Overlap,
 }
 
 impl PeriodicMesh {
-    /// The name that people use for it.
+    /// The name of the setting's value.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -63,16 +63,16 @@ pub enum PeriodicError {
     /// No axis is periodic.
     #[error("the periodic box is open along every axis; give both ends of at least one axis")]
     Open,
-    /// Where a mesh ends at the faces of no box.
+    /// A mesh should end at periodic faces, but there is no periodic box.
     #[error("how the mesh ends at periodic faces can only be set with a periodic box")]
     NoBox,
-    /// Walls where there can be none.
+    /// Walls along a periodic axis.
     #[error("{axis} is periodic: a domain can have walls only along open axes")]
     Walled {
         /// x, y or z.
         axis: char,
     },
-    /// Filters would see a particle's image on both sides.
+    /// Filters would reach a particle and its image at the same time.
     #[error(
         "the periodic box is {} wide along {axis}, less than twice the reach of the filters, \
          {}; use a smaller cell size or less smoothing, or leave {axis} open",
@@ -83,7 +83,7 @@ pub enum PeriodicError {
         axis: char,
         /// From face to face.
         width: f64,
-        /// How far particles beyond a face tell of what is before it.
+        /// The distance beyond a face within which particles affect the surface before it.
         reach: f64,
     },
     /// Beyond the grid.
@@ -96,10 +96,10 @@ pub enum PeriodicError {
 
 impl Periodic {
     /// The box between the faces of each axis, in world coordinates, on `grid`: `None` for an open
-    /// axis. Images stand up to `reach` cells beyond the faces.
+    /// axis. Images exist up to `reach` cells beyond the faces.
     ///
     /// # Errors
-    /// [`PeriodicError`], but for [`PeriodicError::Walled`] and [`PeriodicError::NoBox`].
+    /// [`PeriodicError`], except [`PeriodicError::Walled`] and [`PeriodicError::NoBox`].
     pub fn new(
         grid: &Grid,
         faces: [Option<[f64; 2]>; 3],
@@ -127,7 +127,7 @@ impl Periodic {
         Ok(Self { faces, reach, period, reach_length })
     }
 
-    /// Refuses faces that are wrong whatever the cells' size is.
+    /// Checks the faces as far as possible without a cell size.
     ///
     /// # Errors
     /// [`PeriodicError::Corners`] and [`PeriodicError::Open`].
@@ -138,11 +138,11 @@ impl Periodic {
         if faces.iter().all(Option::is_none) { Err(PeriodicError::Open) } else { Ok(()) }
     }
 
-    /// Refuses walls along an axis that is periodic.
+    /// Returns an error if there are walls along a periodic axis.
     ///
     /// # Errors
     /// [`PeriodicError::Walled`].
-    pub fn refuse_walls(
+    pub fn check_walls(
         faces: [Option<[f64; 2]>; 3],
         walls: [DVec3; 2],
     ) -> Result<(), PeriodicError> {
@@ -153,29 +153,29 @@ impl Periodic {
         }
     }
 
-    /// The faces along each axis, in world coordinates: `None` where it is open.
+    /// The faces along each axis, in world coordinates; `None` for an open axis.
     #[must_use]
     pub fn faces(&self) -> [Option<[f64; 2]>; 3] {
         let [lo, hi] = self.faces.walls();
         [0, 1, 2].map(|axis| lo[axis].is_finite().then(|| [lo[axis], hi[axis]]))
     }
 
-    /// How far beyond its faces images stand, in cells.
+    /// The distance beyond the faces up to which images exist, in cells.
     #[must_use]
     pub fn reach(&self) -> i32 {
         self.reach
     }
 
-    /// The cells whose centre lies between the faces; along an open axis all that there are.
+    /// The cells whose centre lies between the faces; along an open axis, all cells.
     #[must_use]
     pub fn cells(&self) -> CellBox {
         self.faces.cells()
     }
 
-    /// The box on another grid.
+    /// The periodic box on another grid.
     ///
     /// # Errors
-    /// Those of [`new`](Self::new).
+    /// The errors of [`new`](Self::new).
     pub fn on(&self, grid: &Grid) -> Result<Self, PeriodicError> {
         Self::new(grid, self.faces(), self.reach)
     }
@@ -190,9 +190,9 @@ impl Periodic {
         }
     }
 
-    /// Where a particle is between the faces. What lies on the upper face lies on the lower one,
-    /// and so does what is beyond a face by no more than the rounding of its coordinate to f32.
-    /// `Err` with the axis along which it is outside.
+    /// The position of a particle between the faces. A position on the upper face moves to the
+    /// lower face. So does a position beyond a face if the distance is within the rounding of its
+    /// coordinate to f32. `Err` with the axis along which it is outside.
     pub fn inside(&self, world: [f64; 3]) -> Result<[f64; 3], char> {
         let [lo, hi] = self.faces.walls();
         let mut inside = world;
@@ -209,15 +209,15 @@ impl Periodic {
         Ok(inside)
     }
 
-    /// Boxes of bins that hold the particles of a box of bins, as they were given, and all images
-    /// that they can have.
+    /// Boxes of bins that contain the particles of a box of bins at their original positions, and
+    /// all of their images.
     pub fn with_images(&self, bins: CellBox) -> impl Iterator<Item = CellBox> + use<> {
         let (period, edge) = (self.period, i64::from(BIN) * i64::from(FRACTIONS));
         let sides = move |axis: usize| if period[axis] == 0 { 0..=0 } else { -1..=1 };
         let sides = sides(2)
             .flat_map(move |z| sides(1).flat_map(move |y| sides(0).map(move |x| [x, y, z])));
-        // What is given on a face is on the lower one, whatever its coordinate is rounded to: along
-        // a periodic axis it may be a bin aside.
+        // A particle on a face moves to the lower face even if its coordinate is rounded, so along
+        // a periodic axis its bin may differ by one.
         let aside = IVec3::from(period.map(|period| i32::from(period != 0)));
         let cells = self.cells().grown(self.reach + 1, self.reach + 1);
         let reached = CellBox {
@@ -235,7 +235,7 @@ impl Periodic {
         })
     }
 
-    /// Whether a particle is beyond the faces, or so near to one that it has images.
+    /// Whether a particle is beyond the faces, or close enough to a face for images.
     #[must_use]
     pub fn is_near_face(&self, world: [f64; 3]) -> bool {
         let [lo, hi] = self.faces.walls();
@@ -245,8 +245,8 @@ impl Periodic {
         !(0..3).all(is_far)
     }
 
-    /// Where the images of a particle between the faces stand, by its place and its steps on
-    /// `grid`: none, one, three or seven.
+    /// The images of a particle between the faces, as positions and as steps on `grid`: none, one,
+    /// three or seven.
     pub fn images(
         &self,
         grid: &Grid,
@@ -262,7 +262,7 @@ impl Periodic {
             } else {
                 return None;
             };
-            // The middle of a step, so that it is found again whatever is rounded.
+            // The middle of a step, so that rounding does not change the step.
             let cells = ((steps[axis] + shift) as f64 + 0.5) / f64::from(FRACTIONS);
             Some(grid.origin()[axis] + grid.cell_size() * cells)
         });
@@ -305,7 +305,7 @@ mod tests {
     }
 
     #[test]
-    fn the_upper_face_is_the_lower_one_also_where_single_precision_rounds() {
+    fn the_upper_face_maps_to_the_lower_one_despite_single_precision() {
         let grid = Grid::new(DVec3::ZERO, 0.037).unwrap();
         let periodic = unit_box(&grid);
         assert_eq!(periodic.inside([1.1, 5.0, 1.0]), Ok([0.0, 5.0, -2.0]));
@@ -320,9 +320,9 @@ mod tests {
     }
 
     #[test]
-    fn particles_and_their_images_are_in_the_boxes_around_the_bins_that_they_are_given_in() {
+    fn boxes_with_images_contain_the_particles_and_all_their_images() {
         let (x, z) = ([0.7, 24.8], [-21.7, 1.3]);
-        // Bins of the second grid begin on a face that single precision has below it.
+        // Bins of the second grid begin on a face that is rounded down in single precision.
         for origin in [DVec3::new(0.3, -7.0, 1e-3), DVec3::new(0.7, 0.0, 1.3)] {
             let grid = Grid::new(origin, 0.037).unwrap();
             let periodic = Periodic::new(&grid, [Some(x), None, Some(z)], 40).unwrap();
@@ -370,8 +370,8 @@ mod tests {
         assert_eq!(new(Some([0.0, 1e9]), 6), Err(PeriodicError::TooFar));
         let walls =
             [DVec3::splat(f64::NEG_INFINITY).with_x(0.0), DVec3::splat(f64::INFINITY).with_x(1.0)];
-        let refused = Periodic::refuse_walls([Some([0.0, 1.0]), None, None], walls);
+        let refused = Periodic::check_walls([Some([0.0, 1.0]), None, None], walls);
         assert_eq!(refused, Err(PeriodicError::Walled { axis: 'x' }));
-        assert_eq!(Periodic::refuse_walls([None, Some([0.0, 1.0]), None], walls), Ok(()));
+        assert_eq!(Periodic::check_walls([None, Some([0.0, 1.0]), None], walls), Ok(()));
     }
 }

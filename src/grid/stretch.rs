@@ -1,42 +1,43 @@
-//! Stretches of the Morton curve of blocks, and the bins that decide what is made in them.
+//! Stretches of the Morton curve of blocks, and the bins whose particles affect them.
 
 use glam::IVec3;
 
 use super::{BIN, BLOCK, CellBox, MortonKey, block_of_bin};
 
-/// Blocks that follow one another along the Morton curve: from a key to just before another.
+/// Consecutive blocks along the Morton curve, as a half-open range of keys.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Stretch {
     /// The key of the first block.
     pub first: MortonKey,
-    /// The key of the first block beyond.
+    /// The key after the last block.
     pub end: MortonKey,
 }
 
 impl Stretch {
-    /// All blocks that there can be.
+    /// All blocks.
     pub const ALL: Self = Self { first: MortonKey(0), end: MortonKey(u64::MAX) };
 
-    /// Whether it holds a block, given in blocks.
+    /// Whether the stretch contains a block, in units of blocks.
     pub fn holds(&self, block: IVec3) -> bool {
         let key = MortonKey::of(block);
         self.first <= key && key < self.end
     }
 
-    /// Whether it holds any of the blocks in a box, given in blocks.
+    /// Whether the stretch contains any block of a box, in units of blocks.
     pub fn touches(&self, blocks: &CellBox) -> bool {
         self.touches_within(blocks, MortonKey(0), 3 * MortonKey::AXIS_BITS)
     }
 
-    /// Whether it holds any of the blocks in a box that are in a cube, by the key of the cube's
-    /// first block and the number of bits by which the keys in it differ.
+    /// Whether the stretch contains any block of a box within a cube. `first` is the key of the
+    /// cube's first block, and `bits` the number of bits in which its keys differ.
     fn touches_within(&self, blocks: &CellBox, first: MortonKey, bits: u32) -> bool {
         let last = MortonKey(first.0 + ((1 << bits) - 1));
         let cube = CellBox { lo: first.coord(), hi: first.coord() + (1 << (bits / 3)) };
         if last < self.first || self.end <= first || cube.intersection(blocks).is_empty() {
             return false;
         }
-        // Where one holds all of the cube, it is enough that the other holds some.
+        // If one of the two contains the whole cube, it is enough that the other contains part of
+        // it.
         if blocks.covers(&cube) || self.first <= first && last < self.end {
             return true;
         }
@@ -44,60 +45,60 @@ impl Stretch {
         (0..8).any(|child| self.touches_within(blocks, MortonKey(first.0 + (child << bits)), bits))
     }
 
-    /// Whether it holds the block that a bin lies in.
+    /// Whether the stretch contains the block of a bin.
     pub fn holds_bin(&self, bin: IVec3) -> bool {
         self.holds(block_of_bin(bin))
     }
 }
 
-/// The cells that decide what is made in a block, counted from its lowest corner: they are the same
+/// The cells that affect a block's mesh, relative to the block's lowest corner: they are the same
 /// for all blocks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct DecidingCells(CellBox);
 
 impl DecidingCells {
-    /// By the cells that decide what is made in block (0, 0, 0).
+    /// From the cells that affect block (0, 0, 0).
     pub fn new(of_first_block: CellBox) -> Self {
         Self(of_first_block)
     }
 
-    /// The cells that decide what is made in a block.
+    /// The cells that affect a block.
     pub fn cells(&self, block: IVec3) -> CellBox {
         let corner = block * BLOCK;
         CellBox { lo: self.0.lo + corner, hi: self.0.hi + corner }
     }
 
-    /// The blocks that particles in a bin may tell in.
+    /// The blocks that particles in a bin may affect.
     pub fn blocks(&self, bin: IVec3) -> impl Iterator<Item = IVec3> + use<> {
         self.blocks_of(CellBox::cube(bin, 1)).cubes(1)
     }
 
-    /// The box of blocks that particles in a box of bins may tell in.
+    /// The box of blocks that particles in a box of bins may affect.
     fn blocks_of(&self, bins: CellBox) -> CellBox {
         let (lowest, highest) = (bins.lo * BIN, bins.hi * BIN - 1);
-        // A shift divides as `div_euclid` does, and is done for each of many bins.
+        // A shift divides like `div_euclid`, and is faster for many bins.
         let block_of = |cell: IVec3| cell >> BLOCK.ilog2() as i32;
-        // From the first that ends above the lowest cells to the last that begins below the
+        // From the first block that ends above the lowest cells to the last that begins below the
         // highest.
         CellBox { lo: block_of(lowest - self.0.hi) + 1, hi: block_of(highest - self.0.lo) + 1 }
     }
 }
 
-/// The bins whose particles decide what is made in a stretch of blocks.
+/// The bins whose particles affect a stretch of blocks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct WantedBins {
-    /// Where something is made.
+    /// The blocks to make.
     pub stretch: Stretch,
-    /// By what.
+    /// The cells that affect a block.
     pub sight: DecidingCells,
 }
 
 impl WantedBins {
-    /// Whether a bin is one of them.
+    /// Whether these bins include a bin.
     pub fn hold(&self, bin: IVec3) -> bool {
         let Stretch { first, end } = self.stretch;
         let blocks = self.sight.blocks_of(CellBox::cube(bin, 1));
-        // Keys grow along every axis, so that those of a box lie between its corners'.
+        // Keys increase along every axis, so the keys of a box lie between those of its corners.
         let (least, most) = (MortonKey::of(blocks.lo), MortonKey::of(blocks.hi - 1));
         if most < first || end <= least {
             return false;
@@ -105,7 +106,7 @@ impl WantedBins {
         first <= least || most < end || blocks.cubes(1).any(|block| self.stretch.holds(block))
     }
 
-    /// Whether any bin in a box of bins is one of them.
+    /// Whether these bins include any bin of a box.
     pub fn touch(&self, bins: CellBox) -> bool {
         !bins.is_empty() && self.stretch.touches(&self.sight.blocks_of(bins))
     }
@@ -116,7 +117,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_bin_is_wanted_exactly_where_it_overlaps_the_cells_that_a_block_of_the_stretch_sees() {
+    fn a_bin_is_wanted_exactly_if_it_overlaps_the_deciding_cells_of_a_block() {
         for (below, above) in [(0, 0), (1, 1), (16, 17), (17, 16), (22, 54), (40, 3)] {
             let cube = CellBox::cube(IVec3::ZERO, BLOCK);
             let sight = DecidingCells::new(cube.grown(below, above));
@@ -146,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn a_box_of_bins_is_touched_exactly_where_one_of_its_bins_is_wanted() {
+    fn a_box_of_bins_is_touched_exactly_if_one_of_its_bins_is_wanted() {
         let sight = DecidingCells::new(CellBox::cube(IVec3::ZERO, BLOCK).grown(17, 20));
         let all = CellBox { lo: IVec3::splat(-6), hi: IVec3::splat(6) };
         let boxes = all.cubes(3).flat_map(|corner| {
@@ -173,7 +174,7 @@ mod tests {
     }
 
     #[test]
-    fn bins_of_a_block_are_where_the_block_is() {
+    fn the_bins_of_a_block_lie_within_the_block() {
         let stretch = Stretch { first: MortonKey::of(IVec3::ZERO), end: MortonKey(u64::MAX) };
         assert!(stretch.holds_bin(IVec3::ZERO) && stretch.holds_bin(IVec3::ONE));
         assert!(!stretch.holds_bin(IVec3::NEG_ONE) && Stretch::ALL.holds_bin(IVec3::NEG_ONE));

@@ -1,10 +1,10 @@
-//! Numbers that carry a meaning, checked once where they are made.
+//! Numbers with a unit, checked when they are created.
 //!
 //! Symbols follow the paper: isovalue `c`, standard deviation `sigma`, particle mean `mu0`.
 
 use thiserror::Error;
 
-/// The value that stands for an indicator of exactly 1 in every integer field.
+/// The value of an indicator of exactly 1 in every integer field.
 pub const FULL: u16 = u16::MAX;
 
 /// A number outside its valid range, with the name of its setting.
@@ -25,7 +25,7 @@ pub enum UnitError {
     /// The distance up to which particles of sheets are joined.
     #[error("sheets must be 0, or from {least} to {most} spacings, got {0}", least = SheetStretch::LEAST, most = SheetStretch::MOST)]
     SheetStretch(f64),
-    /// The distance between the fluid and solids.
+    /// The distance up to which particles form a sheet.
     #[error("solid-offset must be from {least} to {most} spacings, got {0}", least = SolidOffset::LEAST, most = SolidOffset::MOST)]
     SolidOffset(f64),
     /// The tolerance of simplification.
@@ -34,12 +34,12 @@ pub enum UnitError {
     /// The volume of the smallest component that is kept.
     #[error("smallest-component must be positive and finite, got {0}")]
     Volume(f64),
-    /// A coordinate that must be finite.
+    /// A number that must be finite.
     #[error("{name} must be three finite numbers, got {value}")]
     NotFinite {
         /// The name of the setting.
         name: &'static str,
-        /// The one that is not.
+        /// The invalid value.
         value: f64,
     },
     /// A length that must be positive.
@@ -47,13 +47,13 @@ pub enum UnitError {
     Length {
         /// The name of the setting.
         name: &'static str,
-        /// The value that was given.
+        /// The invalid value.
         value: f64,
     },
 }
 
 impl UnitError {
-    /// The name of the setting, with which the message begins.
+    /// The name of the setting, which starts the message.
     pub fn name(&self) -> &'static str {
         match self {
             Self::Isovalue(_) => "iso",
@@ -72,18 +72,18 @@ impl UnitError {
 /// Checks that `value` can be used as a length.
 ///
 /// # Errors
-/// [`UnitError::Length`] where it is not positive and finite.
+/// [`UnitError::Length`] unless it is positive and finite.
 pub fn positive_length(name: &'static str, value: f64) -> Result<f64, UnitError> {
     (value.is_finite() && value > 0.0).then_some(value).ok_or(UnitError::Length { name, value })
 }
 
-/// A number as people read it, such as a length: in six significant digits.
+/// A number for people, such as a length: in six significant digits.
 pub fn shown(number: f64) -> String {
     significant(number, 6)
 }
 
 /// A number with `digits` significant digits and no trailing zeros: as a decimal if that is short,
-/// else with a power of ten. The integer part is never rounded.
+/// otherwise with a power of ten. The integer part is never rounded.
 pub fn significant(number: f64, digits: usize) -> String {
     let rounded = format!("{number:.*e}", digits.saturating_sub(1));
     let Some((mantissa, power)) = rounded.split_once('e') else { return rounded };
@@ -119,9 +119,9 @@ impl Isovalue {
         Ok(Self(((c * f64::from(FULL)) as u16).min(FULL - 1)))
     }
 
-    /// The share of its interior plateau at which a smoothed field crosses the true surface, in
-    /// hundredths: what leaves no bias on surfaces of known bodies, on average over both
-    /// indicators, cells of 0.5 to 1.5 spacings, and where the particles' lattice lies on the grid
+    /// The ratio of the isovalue to the interior plateau, in hundredths, at which a smoothed field
+    /// has no bias: measured on surfaces of known bodies, on average over both indicators, cells of
+    /// 0.5 to 1.5 spacings, and offsets between the particles' lattice and the grid
     /// (`tools/evaluate isovalue`).
     pub const PLATEAU_PERCENT: u16 = 47;
 
@@ -131,7 +131,7 @@ impl Isovalue {
         Self((u32::from(plateau) * u32::from(Self::PLATEAU_PERCENT) / 100) as u16)
     }
 
-    /// Where distances are 0: see [`distance`](crate::field::distance).
+    /// The isovalue of distances, which is at 0: see [`distance`](crate::field::distance).
     pub const NO_DISTANCE: Self = Self(u16::MAX / 2);
 
     /// The greatest field value that is outside.
@@ -152,7 +152,7 @@ impl Isovalue {
 pub struct Sigma(f64);
 
 impl Sigma {
-    /// Wider filters erase everything that a particle fluid holds.
+    /// The maximum width: wider filters erase all details of a particle fluid.
     pub const MAX: f64 = 10.0;
 
     /// A standard deviation in cells.
@@ -168,8 +168,7 @@ impl Sigma {
     }
 
     /// A standard deviation in cells, but at least one cell. A width that follows from the
-    /// particles' spacing removes the traces of their lattice, and of its place on the grid, in
-    /// cells of any size.
+    /// particles' spacing hides their lattice, and its offset on the grid, in cells of any size.
     #[must_use]
     pub fn at_least_a_cell(cells: Option<f64>) -> Self {
         Self(cells.unwrap_or(1.0).clamp(1.0, Self::MAX))
@@ -188,14 +187,14 @@ impl Sigma {
     }
 }
 
-/// How calm the water is: the width under which particles make one surface, in their spacings.
+/// The smoothing width, in particle spacings: particles within this width merge into one surface.
 #[derive(Debug, Clone, Copy, PartialEq, PartialOrd)]
 pub struct Smooth(f64);
 
 impl Smooth {
-    /// The least width: of less, single particles show all over.
+    /// The minimum width: with less, single particles are visible everywhere.
     pub const LEAST: f64 = 0.8;
-    /// The greatest width: of more, nothing is left but bulk.
+    /// The maximum width: with more, only bulk remains.
     pub const MOST: f64 = 4.0;
 
     /// The default, a width that suits most fluids.
@@ -217,21 +216,21 @@ impl Smooth {
     }
 }
 
-/// How far apart neighbouring particles of a sheet or a thread may lie before it tears, in
+/// The maximum distance between neighbouring particles of a sheet or a thread before it tears, in
 /// spacings.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SheetStretch(Option<f64>);
 
 impl SheetStretch {
-    /// The least distance: at less, drops around single particles touch.
+    /// The minimum distance: with less, drops around single particles touch.
     pub const LEAST: f64 = 1.0;
-    /// The greatest distance: at more, particles of spray are taken for a sheet's.
+    /// The maximum distance: with more, spray would look like sheets.
     pub const MOST: f64 = 3.0;
 
-    /// The default: sheets hold that are stretched to twice the spacing.
+    /// The default: sheets stretched to twice the spacing stay whole.
     pub const DEFAULT: Self = Self(Some(2.15));
 
-    /// The distance in spacings; of 0 there are no sheets.
+    /// A distance in spacings; 0 turns sheets off.
     ///
     /// # Errors
     /// [`UnitError::SheetStretch`] unless it is 0, or from [`Self::LEAST`] to [`Self::MOST`].
@@ -244,28 +243,29 @@ impl SheetStretch {
         }
     }
 
-    /// The distance in spacings; `None` where there are no sheets.
+    /// The distance in spacings; `None` if sheets are off.
     #[must_use]
     pub fn spacings(self) -> Option<f64> {
         self.0
     }
 }
 
-/// How far before a solid the fluid ends, in spacings: less than 0, it reaches into the solid.
+/// The distance between the end of the fluid and a solid, in spacings; if negative, the fluid
+/// reaches into the solid.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SolidOffset(f64);
 
 impl SolidOffset {
-    /// The farthest that the fluid reaches into a solid: the field is continued no deeper.
+    /// The minimum offset: the field is continued no deeper into a solid.
     pub const LEAST: f64 = -0.5;
-    /// The widest gap.
+    /// The maximum offset.
     pub const MOST: f64 = 2.0;
 
-    /// The default: in a picture no gap shows between the fluid and a solid. It is more than what
-    /// cells round at curved solids and their edges.
+    /// The default: a picture shows no gap between the fluid and a solid. It is larger than the
+    /// rounding of curved solids and edges by cells.
     pub const DEFAULT: Self = Self(-0.1);
 
-    /// The offset of so many spacings.
+    /// An offset in spacings.
     ///
     /// # Errors
     /// [`UnitError::SolidOffset`] unless it is from [`Self::LEAST`] to [`Self::MOST`].
@@ -284,12 +284,13 @@ impl SolidOffset {
     }
 }
 
-/// How far a simplified surface may lie from the one that it replaces, in cells, either way.
+/// The maximum distance between a simplified surface and the original, in cells, in both
+/// directions.
 #[derive(Debug, Clone, Copy, PartialEq, PartialOrd)]
 pub struct Tolerance(f64);
 
 impl Tolerance {
-    /// Chunks are simplified one by one, and must be much wider.
+    /// The maximum tolerance: chunks are simplified one by one, and must be much wider.
     pub const MAX: f64 = 4.0;
 
     /// A tolerance in cells.
@@ -310,13 +311,13 @@ impl Tolerance {
     }
 }
 
-/// `mu0`: the mean number of particles in the full cells of the frame that it is measured on (eq.
-/// 4; in the paper frame 0). Not an integer.
+/// `mu0`: the mean number of particles in the full cells of the measured frame (eq. 4; in the paper
+/// frame 0). Not an integer.
 #[derive(Debug, Clone, Copy, PartialEq, PartialOrd)]
 pub struct MeanCount(f64);
 
 impl MeanCount {
-    /// Counts are held in 16 bits.
+    /// The maximum: counts are stored in 16 bits.
     pub const MAX: f64 = u16::MAX as f64;
 
     /// A mean number of particles per cell.
@@ -334,8 +335,8 @@ impl MeanCount {
     /// Eq. 4: `particles` / `full_cells`.
     ///
     /// # Errors
-    /// [`UnitError::MeanCount`] where there is no full cell, or more than [`Self::MAX`] particles
-    /// in each.
+    /// [`UnitError::MeanCount`] if there are no full cells, or more than [`Self::MAX`] particles in
+    /// each.
     pub fn measured(particles: u64, full_cells: u64) -> Result<Self, UnitError> {
         Self::new(particles as f64 / full_cells as f64)
     }
@@ -347,6 +348,6 @@ impl MeanCount {
     }
 }
 
-/// The bytes that a run may have resident at once.
+/// The maximum resident memory of a run, in bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct MemoryBudget(pub u64);

@@ -70,7 +70,7 @@ impl Reconstruction {
         };
         let spacing = request.spacing;
         surfacing
-            .refuse_too_fine(kind, mean, spacing, &grid)
+            .check_cell_size(kind, mean, spacing, &grid)
             .map_err(crate::frame::FrameError::from)?;
         let (invalid, calibration) = (request.invalid, checked.calibration);
         Ok(DeviceRequest {

@@ -9,7 +9,7 @@ use crate::error::Error;
 use crate::field::indicator::IndicatorKind;
 use crate::field::spacing::{
     ALL, CubeSample, Cubes, EvenSample, Evidence, NoEstimate, Plane, SampleSurvey, SpacingDraft,
-    SpacingEstimate, evidence, look_at, show_all,
+    SpacingEstimate, evidence, for_each_chunk, survey,
 };
 use crate::field::walls::{BeyondWall, Ends, bounds_held, common, holding};
 use crate::frame::{FrameError, Method, Resources, Sampling, Surfacing};
@@ -130,7 +130,7 @@ impl SamplingRequest {
         }
         if let Some((faces, _)) = self.periodic {
             Periodic::check(faces)?;
-            self.walls.map_or(Ok(()), |walls| Periodic::refuse_walls(faces, walls))?;
+            self.walls.map_or(Ok(()), |walls| Periodic::check_walls(faces, walls))?;
         }
         Ok(())
     }
@@ -234,7 +234,7 @@ impl SamplingRequest {
         from: SpacingHints<'_>,
     ) -> Result<Cells, Error> {
         let read = |_, look: LookAtAll<'_>| {
-            show_all(particles, look);
+            for_each_chunk(particles, look);
             Some(())
         };
         Ok(self.cells_while(particles, from, read)?.0)
@@ -316,15 +316,15 @@ impl SamplingRequest {
             let is_scene = matches!(source, SpacingSource::Scene(_));
             let in_cubes = CubeSample::new(Cubes::for_spacing(spacing), particles.len());
             let look = |positions: &[[f64; 3]]| {
-                in_cubes.look(positions);
+                in_cubes.add(positions);
                 if is_scene {
-                    share.look(positions);
+                    share.add(positions);
                 }
             };
             let done = if is_many { read(size(spacing), &look) } else { None };
             let look = match done {
                 Some(_) => SampleSurvey::of(in_cubes.sample(), spacing),
-                None => look_at(particles, spacing),
+                None => survey(particles, spacing),
             };
             let taken = (is_scene && done.is_some()).then(|| share.taken());
             let draft = taken.filter(|taken| taken.larger().is_none()).and_then(SpacingDraft::of);
@@ -342,8 +342,8 @@ impl SamplingRequest {
         if let Some(usual) = usual {
             let in_cubes = CubeSample::new(Cubes::for_spacing(usual), particles.len());
             let look = |positions: &[[f64; 3]]| {
-                share.look(positions);
-                in_cubes.look(positions);
+                share.add(positions);
+                in_cubes.add(positions);
             };
             done = read(size(usual), &look);
             if done.is_none() {
@@ -351,7 +351,7 @@ impl SamplingRequest {
             }
             sample = Some(in_cubes.sample());
         } else {
-            show_all(particles, |positions| share.look(positions));
+            for_each_chunk(particles, |positions| share.add(positions));
         }
         let taken = share.taken();
         let draft = if taken.larger().is_none() { SpacingDraft::of(taken) } else { None };
@@ -360,7 +360,7 @@ impl SamplingRequest {
         };
         if let (None, Some(known)) = (usual, draft.counted()) {
             let in_cubes = draft.in_cubes();
-            done = read(size(known), &|positions| in_cubes.look(positions));
+            done = read(size(known), &|positions| in_cubes.add(positions));
             sample = done.is_some().then(|| in_cubes.sample());
         }
         let suits = usual.is_none_or(|usual| draft.suits(usual));
@@ -476,7 +476,7 @@ impl SamplingRequest {
             let grid = self.grid(size)?;
             let fits = |estimate: &SpacingEstimate| {
                 let spacing = Some(estimate.spacing);
-                Surfacing::PLAIN.refuse_too_fine(kind, mean, spacing, &grid).is_ok()
+                Surfacing::PLAIN.check_cell_size(kind, mean, spacing, &grid).is_ok()
             };
             if !estimate.as_ref().is_ok_and(fits) {
                 let origin = self.origin_for(middle, size);
@@ -608,7 +608,7 @@ impl SamplingRequest {
         };
         if let Some((faces, surfacing)) = &self.periodic {
             // The reach of the filters is only known for valid cells.
-            sampling.refuse_unfit(surfacing)?;
+            sampling.check_fit(surfacing)?;
             let reach = surfacing.reach(method, spacing, &grid);
             sampling.periodic = Some(Periodic::new(&grid, *faces, reach)?);
         }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize, Serializer};
 
-use crate::field::spacing::{Evidence, Neighbours, SpacingEstimate, evidence, look_at};
+use crate::field::spacing::{Evidence, Neighbours, SpacingEstimate, evidence, survey};
 use crate::grid::units::{shown, significant};
 use crate::particles::Particles;
 use crate::particles::mixture::Mixture;
@@ -162,7 +162,7 @@ impl SpacingWarning {
         source: &SpacingSource,
         particles: &(impl Particles + ?Sized),
     ) -> Vec<Self> {
-        let Some(look) = look_at(particles, given) else { return Vec::new() };
+        let Some(look) = survey(particles, given) else { return Vec::new() };
         if !is_suspicious(&look.neighbours, given) {
             return Vec::new();
         }

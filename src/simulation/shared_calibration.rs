@@ -113,14 +113,14 @@ pub(super) fn measure_in(
 /// not depend on the position of the grid.
 ///
 /// # Errors
-/// [`FrameError::TooFine`], and the errors of [`Sampling::refuse_unfit`] and of [`Engine::sample`].
+/// [`FrameError::TooFine`], and the errors of [`Sampling::check_fit`] and of [`Engine::sample`].
 pub fn measure(
     particles: &(impl Particles + ?Sized),
     sampling: &Sampling,
     origin: Origin,
     surfacing: &Surfacing,
 ) -> Result<FrameMeasurements, FrameError> {
-    sampling.refuse_unfit(surfacing)?;
+    sampling.check_fit(surfacing)?;
     let given = sampling.grid;
     let lattice = origin_for_lattice(particles, sampling);
     let sound =

@@ -1,4 +1,4 @@
-//! Batches: commands that run in order, on one queue, while the host goes on.
+//! Batches: commands that run in order on one queue, while the host continues.
 
 use std::fmt;
 use std::sync::Arc;
@@ -13,48 +13,49 @@ use super::{
     Buffer, BufferKind, ComputePipeline, Device, Faults, MOST_BUFFERS, Queue, View, VulkanError,
 };
 
-/// Dispatches that a batch holds at the most.
+/// Maximum number of dispatches in a batch.
 const DISPATCHES: u32 = 128;
-/// Stages that a batch times at the most.
+/// Maximum number of timed stages in a batch.
 const STAGES: u32 = 32;
 
-/// A moment in the work of a queue: the end of a batch.
+/// A point in the work of a queue: the end of a batch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Ticket {
     queue: Queue,
     value: u64,
 }
 
-/// A semaphore of the caller's, and the value that it has to have, or gets, if it is a timeline.
+/// A semaphore of the caller and, for a timeline semaphore, the value to wait for or to signal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SemaphorePoint {
-    /// Made with the same device.
+    /// Created on the same device.
     pub semaphore: vk::Semaphore,
-    /// The value of a timeline semaphore; of no matter for a binary one.
+    /// The value of a timeline semaphore; ignored for a binary one.
     pub value: u64,
 }
 
-/// Commands to be recorded, submitted and waited for, again and again.
+/// Commands that are recorded, submitted and waited for; a batch can be reused.
 ///
-/// Every command sees the results of those before it. What the commands use is held until they are
-/// done.
+/// Every command sees the results of those before it. The batch holds the resources of its commands
+/// until they have finished.
 pub struct Batch {
     device: Arc<SharedDevice>,
     queue: Queue,
     pool: vk::CommandPool,
     commands: vk::CommandBuffer,
     sets: vk::DescriptorPool,
-    /// Null where the queue has no timestamps.
+    /// Null if the queue has no timestamps.
     queries: vk::QueryPool,
-    /// Where the device writes the number of the submission when it is done: a lost device may say
-    /// that it is.
+    /// The device writes the number of the submission here at its end, because a lost device may
+    /// report success.
     stamp: Arc<Buffer>,
     buffers: Vec<Arc<Buffer>>,
     pipelines: Vec<Arc<ComputePipeline>>,
-    /// Each with the bytes that it moves.
+    /// Each stage with the number of bytes that it moves.
     stages: Vec<(&'static str, u64)>,
-    /// The last submission, and whether it may still be at work.
+    /// The last submission.
     last: Option<Ticket>,
+    /// Whether the last submission may still be running.
     pending: bool,
 }
 
@@ -62,11 +63,11 @@ impl Device {
     /// An empty batch for a queue.
     ///
     /// # Errors
-    /// [`VulkanError`] where there is no memory for it.
+    /// [`VulkanError`] if there is no memory for it.
     pub fn batch(&self, queue: Queue) -> Result<Batch, VulkanError> {
         let shared = &self.shared;
         let QueueState { family, timestamps, .. } = *shared.queue(queue);
-        // From here on what is made is dropped with `batch` if a later step fails.
+        // From here on, dropping `batch` frees everything if a later step fails.
         let mut batch = Batch {
             device: Arc::clone(shared),
             queue,
@@ -81,7 +82,7 @@ impl Device {
             last: None,
             pending: false,
         };
-        // SAFETY: the device is alive, and what is pointed to outlives each call.
+        // SAFETY: the device is alive, and all pointers outlive the calls.
         unsafe {
             batch.pool = shared
                 .raw
@@ -122,14 +123,14 @@ impl Device {
 }
 
 impl Batch {
-    /// Waits until the last submission is done, and starts anew.
+    /// Waits until the last submission has finished, and starts a new recording.
     ///
     /// # Errors
-    /// [`VulkanError::Lost`] and others of the driver.
+    /// [`VulkanError::Lost`] and other errors of the driver.
     pub fn begin(&mut self) -> Result<(), VulkanError> {
         self.wait()?;
         let raw = &self.device.raw;
-        // SAFETY: nothing of this batch is in use.
+        // SAFETY: no resource of this batch is in use.
         unsafe {
             raw.reset_command_pool(self.pool, vk::CommandPoolResetFlags::empty())
                 .map_err(self.device.noting("vkResetCommandPool"))?;
@@ -150,8 +151,8 @@ impl Batch {
         Ok(())
     }
 
-    /// Names what follows, up to the next stage or the end, for [`Device::take_timings`]: it will
-    /// read and write at least `bytes`.
+    /// Names the following commands, up to the next stage or the end, for [`Device::take_timings`]:
+    /// they read and write at least `bytes`.
     pub fn stage(&mut self, name: &'static str, bytes: u64) {
         self.timestamp();
         self.stages.push((name, bytes));
@@ -169,14 +170,14 @@ impl Batch {
         }
     }
 
-    /// Runs a shader on `buffers`, in the order of its bindings, with these work groups along
-    /// each axis.
+    /// Runs a shader on `buffers`, in the order of its bindings, with these numbers of work groups
+    /// along each axis.
     ///
     /// # Errors
-    /// [`VulkanError::OutOfMemory`] where a buffer is larger than a shader can see.
+    /// [`VulkanError::OutOfMemory`] if a buffer is larger than the maximum storage range.
     ///
     /// # Panics
-    /// If the arguments are not those of the shader.
+    /// If the arguments do not match the shader.
     pub fn dispatch(
         &mut self,
         pipeline: &Arc<ComputePipeline>,
@@ -195,11 +196,11 @@ impl Batch {
         Ok(())
     }
 
-    /// Runs a shader with as many work groups along each axis as three words of a buffer say by
-    /// then. They must not say more than the device allows.
+    /// Runs a shader with numbers of work groups along each axis that the device reads from three
+    /// words of a buffer. They must not exceed the device's limits.
     ///
     /// # Panics
-    /// If the arguments are not those of the shader, or there are no three words.
+    /// If the arguments do not match the shader, or if there are not three words.
     pub fn dispatch_as(
         &mut self,
         pipeline: &Arc<ComputePipeline>,
@@ -218,7 +219,7 @@ impl Batch {
         Ok(())
     }
 
-    /// Lets a shader see what came before, and binds it and its buffers.
+    /// Records a barrier after the previous commands, and binds a shader and its buffers.
     fn bind(
         &mut self,
         pipeline: &Arc<ComputePipeline>,
@@ -244,8 +245,8 @@ impl Batch {
         self.barrier();
         let set = [self.bound(pipeline, buffers)?];
         let raw = &self.device.raw;
-        // SAFETY: the handles are this device's, the commands are being recorded, and buffers and
-        // shader are held until they are done.
+        // SAFETY: the handles belong to this device, the commands are being recorded, and the batch
+        // holds the buffers and the shader until the commands have finished.
         unsafe {
             let compute = vk::PipelineBindPoint::COMPUTE;
             raw.cmd_bind_pipeline(self.commands, compute, pipeline.pipeline);
@@ -271,7 +272,7 @@ impl Batch {
         let info = vk::DescriptorSetAllocateInfo::default()
             .descriptor_pool(self.sets)
             .set_layouts(&layouts);
-        // SAFETY: the pool and the layout are this device's.
+        // SAFETY: the pool and the layout belong to this device.
         let set = unsafe { raw.allocate_descriptor_sets(&info) }
             .map_err(self.device.noting("vkAllocateDescriptorSets"))?[0];
         let info = |view: &View| {
@@ -292,12 +293,12 @@ impl Batch {
                     .buffer_info(info)
             })
             .collect();
-        // SAFETY: the set is new, and the buffers are this device's.
+        // SAFETY: the set is new, and the buffers belong to this device.
         unsafe { raw.update_descriptor_sets(&writes, &[]) };
         Ok(set)
     }
 
-    /// Copies one part of a buffer to the begin of another.
+    /// Copies a part of a buffer to the start of another.
     ///
     /// # Panics
     /// If it does not fit.
@@ -310,7 +311,8 @@ impl Batch {
         self.barrier();
         let region =
             [vk::BufferCopy { src_offset: from.offset, dst_offset: to.offset, size: from.bytes }];
-        // SAFETY: the commands are being recorded, and both buffers are held until they are done.
+        // SAFETY: the commands are being recorded, and the batch holds both buffers until the
+        // commands have finished.
         unsafe {
             self.device.raw.cmd_copy_buffer(
                 self.commands,
@@ -325,14 +327,15 @@ impl Batch {
     /// Fills a part of a buffer with zeros.
     ///
     /// # Panics
-    /// If the buffer is of another device.
+    /// If the buffer belongs to another device.
     pub fn clear(&mut self, view: &View) {
         assert!(self.owns(view), "the buffer is of another device");
         if view.bytes == 0 {
             return;
         }
         self.barrier();
-        // SAFETY: the commands are being recorded, and the buffer is held until they are done.
+        // SAFETY: the commands are being recorded, and the batch holds the buffer until the
+        // commands have finished.
         unsafe {
             let raw = &self.device.raw;
             raw.cmd_fill_buffer(self.commands, view.buffer.raw(), view.offset, view.bytes, 0);
@@ -344,7 +347,7 @@ impl Batch {
         Arc::ptr_eq(&view.buffer.device, &self.device)
     }
 
-    /// Lets what follows see what came before.
+    /// Makes the results of earlier commands visible to later ones.
     fn barrier(&self) {
         let stages = match self.queue {
             Queue::Compute => {
@@ -381,24 +384,25 @@ impl Batch {
         }
     }
 
-    /// Hands the commands to the queue, to run when the batches of `after` are done.
+    /// Submits the commands to the queue, to run after the batches of `after`.
     ///
     /// # Errors
-    /// [`VulkanError::Lost`] and others of the driver.
+    /// [`VulkanError::Lost`] and other errors of the driver.
     pub fn submit(&mut self, after: &[Ticket]) -> Result<Ticket, VulkanError> {
-        // SAFETY: there is no semaphore.
+        // SAFETY: there are no semaphores.
         unsafe { self.submit_between(after, &[], &[]) }
     }
 
     /// Submits the commands like [`submit`](Self::submit), but waits for `wait` first, and signals
-    /// `signal` when done. What is submitted later on the same queue waits for the former, too.
+    /// `signal` at the end. Later submissions to the same queue also wait for the semaphores of
+    /// `wait`.
     ///
     /// # Errors
-    /// [`VulkanError::Lost`] and others of the driver; nothing is signalled then.
+    /// [`VulkanError::Lost`] and other errors of the driver; then nothing is signalled.
     ///
     /// # Safety
-    /// The semaphores are the device's, and alive until the device has passed them. What is waited
-    /// for is submitted already.
+    /// The semaphores belong to the device, and live until the device has passed them. The work
+    /// that signals those of `wait` has been submitted.
     pub unsafe fn submit_between(
         &mut self,
         after: &[Ticket],
@@ -412,8 +416,8 @@ impl Batch {
         self.device.check_alive()?;
         let raw = &self.device.raw;
         let state = self.device.queue(self.queue);
-        // SAFETY: all handles are this device's. The queue is locked, so that values go up in order
-        // of submission.
+        // SAFETY: all handles belong to this device. The queue is locked, so values increase in the
+        // order of submission.
         unsafe {
             let queue = state.raw.lock().unwrap_or_else(PoisonError::into_inner);
             let value = state.last.load(Ordering::Relaxed) + 1;
@@ -458,20 +462,20 @@ impl Batch {
         }
     }
 
-    /// Waits until the last submission is done, if there is one.
+    /// Waits until the last submission has finished, if there is one.
     ///
     /// # Errors
-    /// [`VulkanError::Lost`] and others of the driver.
+    /// [`VulkanError::Lost`] and other errors of the driver.
     pub fn wait(&mut self) -> Result<(), VulkanError> {
         if let Some(ticket) = self.last.filter(|_| self.pending) {
             let timelines = [self.device.queue(ticket.queue).timeline];
             let values = [ticket.value];
             let info = vk::SemaphoreWaitInfo::default().semaphores(&timelines).values(&values);
-            // SAFETY: the semaphore is this device's.
+            // SAFETY: the semaphore belongs to this device.
             unsafe { self.device.raw.wait_semaphores(&info, u64::MAX) }
                 .map_err(self.device.noting("vkWaitSemaphores"))?;
             self.pending = false;
-            // SAFETY: the batch is done, and no other writes its stamp.
+            // SAFETY: the batch has finished, and no other writes its stamp.
             if unsafe { self.stamp.read::<u32>(0, 1) } != [ticket.value as u32] {
                 return Err(self.device.lose());
             }
@@ -483,7 +487,7 @@ impl Batch {
         Ok(())
     }
 
-    /// Copies values to the device, into a new buffer there.
+    /// Copies values into a new buffer on the device.
     pub fn store<T: Pod>(&mut self, values: &[T]) -> Result<View, VulkanError> {
         let device = Device { shared: Arc::clone(&self.device) };
         let staged = device.uploaded(values)?;
@@ -492,7 +496,7 @@ impl Batch {
         Ok(stored)
     }
 
-    /// The last submission, for batches that go on from it.
+    /// The last submission, for batches that continue its work.
     pub fn last(&self) -> &[Ticket] {
         self.last.as_slice()
     }
@@ -502,7 +506,7 @@ impl Batch {
             return Ok(());
         }
         let mut stamps = vec![0_u64; self.stages.len() + 1];
-        // SAFETY: the batch is done, so all its timestamps are there.
+        // SAFETY: the batch has finished, so all its timestamps are available.
         unsafe {
             self.device.raw.get_query_pool_results(
                 self.queries,
@@ -520,7 +524,7 @@ impl Batch {
     }
 }
 
-/// Semaphores and their values.
+/// The semaphores, and their values.
 fn parts(moments: impl Iterator<Item = SemaphorePoint>) -> (Vec<vk::Semaphore>, Vec<u64>) {
     moments.map(|SemaphorePoint { semaphore, value }| (semaphore, value)).unzip()
 }
@@ -528,10 +532,10 @@ fn parts(moments: impl Iterator<Item = SemaphorePoint>) -> (Vec<vk::Semaphore>, 
 impl Drop for Batch {
     fn drop(&mut self) {
         let _ = self.wait();
-        // SAFETY: nothing of this batch is in use: it is done, or its device is lost.
+        // SAFETY: no resource of this batch is in use: it has finished, or its device is lost.
         unsafe {
             if self.pending && self.device.queue(self.queue).idle(&self.device.raw).is_err() {
-                // The device may still be at work: what it works on stays.
+                // The device may still be running, so its resources are leaked.
                 self.buffers.drain(..).for_each(std::mem::forget);
                 self.pipelines.drain(..).for_each(std::mem::forget);
                 std::mem::forget(Arc::clone(&self.stamp));

@@ -1,4 +1,4 @@
-//! Buffers, and the memory that they are in.
+//! Buffers and their memory.
 
 use std::fmt;
 use std::sync::atomic::Ordering;
@@ -14,7 +14,7 @@ use super::{Device, Faults, VulkanError};
 
 #[cfg(unix)]
 type Descriptor = std::os::fd::OwnedFd;
-/// Nothing is imported.
+/// Imports are not supported.
 #[cfg(not(unix))]
 #[derive(Debug)]
 enum Descriptor {}
@@ -30,13 +30,13 @@ fn raw_descriptor(descriptor: &Descriptor) -> i32 {
     match *descriptor {}
 }
 
-/// How memory is exported.
+/// The handle type of exported memory.
 const HANDLE: vk::ExternalMemoryHandleTypeFlags = vk::ExternalMemoryHandleTypeFlags::OPAQUE_FD;
 
-/// Where a buffer is.
+/// The memory type of a buffer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum BufferKind {
-    /// Where shaders are fastest; the host cannot see it.
+    /// The fastest memory for shaders, which the host cannot access.
     Device,
     /// Written by the host, read by the device.
     Upload,
@@ -44,7 +44,7 @@ pub enum BufferKind {
     Download,
 }
 
-/// A piece of memory that shaders and copies work on.
+/// Memory for shaders and copies.
 pub struct Buffer {
     pub(super) device: Arc<SharedDevice>,
     raw: vk::Buffer,
@@ -54,13 +54,13 @@ pub struct Buffer {
 
 /// The memory that a buffer is bound to.
 enum BufferMemory {
-    /// Nothing yet.
+    /// No memory yet.
     None,
-    /// A part of what all buffers share.
+    /// A part of the shared memory blocks.
     Part(Allocation),
-    /// Memory of its own, which can be exported.
+    /// A dedicated allocation, which can be exported.
     Own(vk::DeviceMemory),
-    /// A caller's, as is the buffer.
+    /// The memory of a buffer that the caller owns.
     External,
 }
 
@@ -74,22 +74,21 @@ pub struct View {
 }
 
 impl Device {
-    /// Makes a buffer of `bytes`, rounded up to whole words and never empty.
+    /// Makes a buffer of `bytes`, rounded up to whole words, at least one.
     ///
     /// # Errors
-    /// [`VulkanError::OutOfMemory`] where the device, its limits or the share that may be used do
-    /// not allow it.
+    /// [`VulkanError::OutOfMemory`] if the device, its limits or the memory limit do not allow it.
     pub fn buffer(&self, place: BufferKind, bytes: u64) -> Result<Arc<Buffer>, VulkanError> {
         let location = match place {
             BufferKind::Device => MemoryLocation::GpuOnly,
-            // What is staged is the host's, in either direction: the allocator's place for uploads
-            // is a window into the device's memory, which is small, and slow to write.
+            // Staging buffers are in the host's memory in both directions: the allocator's location
+            // for uploads is a window into the device's memory, which is small and slow to write.
             BufferKind::Upload | BufferKind::Download => MemoryLocation::GpuToCpu,
         };
         let shared = &self.shared;
         let mut buffer = self.unbound(bytes, vk::ExternalMemoryHandleTypeFlags::empty())?;
         let exhausted = VulkanError::OutOfMemory { bytes: buffer.bytes };
-        // SAFETY: the buffer is this device's, and new.
+        // SAFETY: the buffer belongs to this device, and is new.
         let requirements = unsafe { shared.raw.get_buffer_memory_requirements(buffer.raw) };
         let allocation = shared
             .allocator
@@ -105,7 +104,7 @@ impl Device {
             .map_err(
                 |_| if shared.check_alive().is_err() { VulkanError::Lost } else { exhausted },
             )?;
-        // SAFETY: the allocation is kept as long as the buffer.
+        // SAFETY: the allocation lives as long as the buffer.
         unsafe {
             let (memory, offset) = (allocation.memory(), allocation.offset());
             buffer.memory = BufferMemory::Part(allocation);
@@ -120,23 +119,23 @@ impl Device {
     /// Makes a buffer on the device whose memory [others](Buffer::export) can import.
     ///
     /// # Errors
-    /// Those of [`buffer`](Self::buffer).
+    /// The errors of [`buffer`](Self::buffer).
     ///
     /// # Panics
-    /// Unless [exports](super::DeviceOptions::exports) were asked for.
+    /// Unless [exports](super::DeviceOptions::exports) were requested.
     pub fn exported_buffer(&self, bytes: u64) -> Result<Arc<Buffer>, VulkanError> {
         self.shared_buffer(bytes, None)
     }
 
-    /// Makes a buffer of the memory that another device with the same [UUID](Self::uuid), perhaps
-    /// of another process, has [exported](Buffer::export) of one of as many bytes. What one writes
-    /// the other sees once it waits for it.
+    /// Imports the memory of a buffer of the same size that another device with the same
+    /// [UUID](Self::uuid), perhaps in another process, has [exported](Buffer::export). Each device
+    /// sees the other's writes after it waits for them.
     ///
     /// # Errors
-    /// Those of [`buffer`](Self::buffer).
+    /// The errors of [`buffer`](Self::buffer).
     ///
     /// # Panics
-    /// Unless [exports](super::DeviceOptions::exports) were asked for.
+    /// Unless [exports](super::DeviceOptions::exports) were requested.
     #[cfg(unix)]
     pub fn imported_buffer(
         &self,
@@ -154,7 +153,7 @@ impl Device {
         let shared = &self.shared;
         assert!(shared.exports.is_some(), "exports were asked for");
         let mut buffer = self.unbound(bytes, HANDLE)?;
-        // SAFETY: the buffer is this device's, and new; what is pointed to outlives each call.
+        // SAFETY: the buffer belongs to this device, and is new; all pointers outlive the calls.
         unsafe {
             let requirements = shared.raw.get_buffer_memory_requirements(buffer.raw);
             let kinds = shared.memory_types.memory_types_as_slice().iter().enumerate();
@@ -162,7 +161,7 @@ impl Device {
             let local = |kind: &vk::MemoryType| {
                 kind.property_flags.contains(vk::MemoryPropertyFlags::DEVICE_LOCAL)
             };
-            // The first of the best, which the exporter chose as well.
+            // The first of the best types, which is also the exporter's choice.
             let (kind, _) = fitting
                 .min_by_key(|(_, kind)| !local(kind))
                 .ok_or(VulkanError::OutOfMemory { bytes: buffer.bytes })?;
@@ -189,7 +188,7 @@ impl Device {
                 .raw
                 .allocate_memory(&info, None)
                 .map_err(shared.noting("vkAllocateMemory"))?;
-            // The driver has taken the descriptor.
+            // The driver owns the descriptor now.
             std::mem::forget(import);
             buffer.memory = BufferMemory::Own(memory);
             shared
@@ -200,7 +199,8 @@ impl Device {
         Ok(Arc::new(buffer))
     }
 
-    /// A buffer that has no memory yet, if there may be one; with it goes what was made of it.
+    /// A buffer without memory, if the memory limit allows it. Dropping it frees everything that
+    /// was made for it.
     fn unbound(
         &self,
         bytes: u64,
@@ -212,7 +212,7 @@ impl Device {
         let limit = shared.memory.unwrap_or(u64::MAX);
         let before = shared.allocated.fetch_add(bytes, Ordering::Relaxed);
         shared.counters.allocations.fetch_add(1, Ordering::Relaxed);
-        // From here on what is made is dropped with `buffer` if a later step fails.
+        // From here on, dropping `buffer` frees everything if a later step fails.
         let mut buffer = Buffer {
             device: Arc::clone(shared),
             raw: vk::Buffer::null(),
@@ -247,13 +247,13 @@ impl Device {
         Ok(buffer)
     }
 
-    /// Makes a buffer of some values, which the host can write.
+    /// Makes a buffer with some values, which the host can write again.
     ///
     /// # Errors
-    /// Those of [`buffer`](Self::buffer).
+    /// The errors of [`buffer`](Self::buffer).
     pub fn uploaded<T: Pod>(&self, values: &[T]) -> Result<View, VulkanError> {
         let buffer = self.buffer(BufferKind::Upload, size_of_val(values) as u64)?;
-        // SAFETY: nobody else has the buffer yet.
+        // SAFETY: nothing else uses the buffer yet.
         unsafe { buffer.write(0, values) };
         Ok(buffer.whole())
     }
@@ -262,10 +262,10 @@ impl Device {
     ///
     /// # Safety
     /// The buffer must be bound to memory, hold `bytes`, be usable as a storage buffer and as the
-    /// source of copies, belong to the queue's family or be shared concurrently, and outlive what
-    /// is returned. While a call into this crate works on it nobody may write it, and what was
-    /// written before must be done, or submitted before on the same queue with a dependency on
-    /// compute shaders and transfers.
+    /// source of copies, belong to the queue's family or be shared concurrently, and outlive the
+    /// returned object. During a call into this crate that uses it, nothing else may write it.
+    /// Earlier writes must have finished, or must have been submitted to the same queue with a
+    /// dependency on compute shaders and transfers.
     #[must_use]
     pub unsafe fn external_buffer(&self, raw: vk::Buffer, bytes: u64) -> Arc<Buffer> {
         Arc::new(Buffer {
@@ -284,21 +284,21 @@ impl Buffer {
         self.bytes
     }
 
-    /// The Vulkan handle, valid as long as this.
+    /// The Vulkan handle, valid as long as this object.
     #[must_use]
     pub fn raw(&self) -> vk::Buffer {
         self.raw
     }
 
-    /// A file descriptor by which another interface or process imports the memory of an
-    /// [exported buffer](Device::exported_buffer), a new one each time: an opaque one, of a
-    /// dedicated allocation. It is the caller's.
+    /// A new file descriptor with which another interface or process can import the memory of an
+    /// [exported buffer](Device::exported_buffer): an opaque one, of a dedicated allocation. The
+    /// caller owns it.
     ///
     /// # Errors
-    /// Those of the driver.
+    /// The errors of the driver.
     ///
     /// # Panics
-    /// If the buffer is another.
+    /// If the buffer is not exported.
     #[cfg(unix)]
     pub fn export(&self) -> Result<std::os::fd::OwnedFd, VulkanError> {
         use std::os::fd::FromRawFd;
@@ -307,7 +307,8 @@ impl Buffer {
             panic!("the buffer was made to be exported");
         };
         let info = vk::MemoryGetFdInfoKHR::default().memory(*memory).handle_type(HANDLE);
-        // SAFETY: the memory is this device's, which can export it, and the descriptor is new.
+        // SAFETY: the memory belongs to this device, which can export it, and the descriptor is
+        // new.
         unsafe {
             let descriptor =
                 exports.get_memory_fd(&info).map_err(self.device.noting("vkGetMemoryFdKHR"))?;
@@ -315,16 +316,16 @@ impl Buffer {
         }
     }
 
-    /// All of it.
+    /// The whole buffer.
     #[must_use]
     pub fn whole(self: &Arc<Self>) -> View {
         self.part(0, self.bytes)
     }
 
-    /// `bytes` from `offset` on.
+    /// `bytes` bytes from `offset` on.
     ///
     /// # Panics
-    /// If the buffer ends before that.
+    /// If the buffer is too small.
     #[must_use]
     pub fn part(self: &Arc<Self>, offset: u64, bytes: u64) -> View {
         assert!(within(offset, bytes, self.bytes), "{offset} + {bytes} of {}", self.bytes);
@@ -334,43 +335,45 @@ impl Buffer {
     /// Writes into an upload buffer.
     ///
     /// # Safety
-    /// What is written no batch in flight may read or write, from its submission until it was
-    /// waited for, and no other thread meanwhile: neither the device nor this knows of the other.
+    /// No batch in flight may read or write this range, from its submission until it was waited
+    /// for, and no other thread may access it: neither the device nor this function synchronizes
+    /// with the other.
     ///
     /// # Panics
-    /// If the buffer ends before the values do, or is not visible to the host.
+    /// If the buffer is too small, or not visible to the host.
     pub unsafe fn write<T: Pod>(&self, offset: u64, values: &[T]) {
         let bytes: &[u8] = bytemuck::cast_slice(values);
         let to = self.mapped(offset, bytes.len());
         self.device.counters.sent.fetch_add(bytes.len() as u64, Ordering::Relaxed);
-        // SAFETY: `mapped` checked the range, and the caller says that nobody else is at it.
+        // SAFETY: `mapped` checked the range, and by the caller's guarantee nothing else accesses
+        // it.
         unsafe { std::ptr::copy_nonoverlapping(bytes.as_ptr(), to, bytes.len()) };
     }
 
     /// Reads from a download buffer.
     ///
     /// # Safety
-    /// What is read no batch in flight may write, from its submission until it was waited for, and
-    /// no other thread meanwhile.
+    /// No batch in flight may write this range, from its submission until it was waited for, and no
+    /// other thread may write it.
     ///
     /// # Panics
-    /// If the buffer ends before `count` values, or is not visible to the host.
+    /// If the buffer has fewer than `count` values, or is not visible to the host.
     #[must_use]
     pub unsafe fn read<T: Pod>(&self, offset: u64, count: usize) -> Vec<T> {
-        // SAFETY: as the caller says; the values are copied before this returns.
+        // SAFETY: by the caller's guarantee; the values are copied before this returns.
         unsafe { self.values(offset, count) }.to_vec()
     }
 
-    /// Returns the values that [`read`](Self::read) would copy, where they are.
+    /// Returns the values that [`read`](Self::read) would copy, without copying them.
     ///
     /// # Safety
-    /// As for [`read`](Self::read), for as long as they are used.
+    /// As for [`read`](Self::read), as long as they are used.
     pub(crate) unsafe fn values<T: Pod>(&self, offset: u64, count: usize) -> &[T] {
         let from = self.mapped(offset, size_of::<T>() * count);
         self.device.counters.received.fetch_add((size_of::<T>() * count) as u64, Ordering::Relaxed);
         assert!(from.cast::<T>().is_aligned(), "{offset} is within a value");
-        // SAFETY: `mapped` checked the range, any bits are a value, and the caller says that nobody
-        // writes there.
+        // SAFETY: `mapped` checked the range, any bits are a valid value, and by the caller's
+        // guarantee nothing writes there.
         unsafe { std::slice::from_raw_parts(from.cast(), count) }
     }
 
@@ -393,44 +396,44 @@ impl View {
         self.bytes
     }
 
-    /// The Vulkan handle of its buffer, valid as long as this.
+    /// The Vulkan handle of its buffer, valid as long as this object.
     #[must_use]
     pub fn raw(&self) -> vk::Buffer {
         self.buffer.raw
     }
 
-    /// Where it begins in its buffer, in bytes.
+    /// The offset in its buffer, in bytes.
     #[must_use]
     pub fn offset(&self) -> u64 {
         self.offset
     }
 
-    /// Where the device has it, if buffers [have addresses](super::DeviceOptions::addresses) and
-    /// this is not a caller's.
+    /// The address on the device, if buffers [have addresses](super::DeviceOptions::addresses) and
+    /// the caller does not own this one.
     #[must_use]
     pub fn address(&self) -> Option<vk::DeviceAddress> {
         let Buffer { device, raw, memory, .. } = &*self.buffer;
         let info = vk::BufferDeviceAddressInfo::default().buffer(*raw);
         let known = device.addresses && !matches!(memory, BufferMemory::External);
-        // SAFETY: the buffer is the device's, and was made to have one.
+        // SAFETY: the buffer belongs to the device, and was made with an address.
         known.then(|| unsafe { device.raw.get_buffer_device_address(&info) } + self.offset)
     }
 
-    /// `bytes` of it from `offset` on.
+    /// `bytes` bytes of the view from `offset` on.
     ///
     /// # Panics
-    /// If it ends before that.
+    /// If the view is too small.
     #[must_use]
     pub fn part(&self, offset: u64, bytes: u64) -> Self {
         assert!(within(offset, bytes, self.bytes), "{offset} + {bytes} of {}", self.bytes);
         self.buffer.part(self.offset + offset, bytes)
     }
 
-    /// [`part`](Self::part), from the multiple of `alignment` before it on, and the words that this
-    /// adds in front.
+    /// The [`part`](Self::part) that begins at the preceding multiple of `alignment`, and the
+    /// number of words that this adds in front.
     ///
     /// # Panics
-    /// If the view ends before that, or the part begins within a word.
+    /// If the view is too small, or if the part begins within a word.
     #[must_use]
     pub fn aligned(&self, offset: u64, bytes: u64, alignment: u64) -> (Self, u32) {
         let part = self.part(offset, bytes);
@@ -442,28 +445,28 @@ impl View {
     /// [`Buffer::write`] into this part.
     ///
     /// # Safety
-    /// As there.
+    /// As for [`Buffer::write`].
     pub unsafe fn write<T: Pod>(&self, offset: u64, values: &[T]) {
-        // SAFETY: as the caller says.
+        // SAFETY: by the caller's guarantee.
         unsafe { self.buffer.write(self.offset + offset, values) };
     }
 
     /// [`Buffer::values`] of this part.
     ///
     /// # Safety
-    /// As there.
+    /// As for [`Buffer::values`].
     pub(crate) unsafe fn values<T: Pod>(&self, offset: u64, count: usize) -> &[T] {
-        // SAFETY: as the caller says.
+        // SAFETY: by the caller's guarantee.
         unsafe { self.buffer.values(self.offset + offset, count) }
     }
 
     /// [`Buffer::read`] from this part.
     ///
     /// # Safety
-    /// As there.
+    /// As for [`Buffer::read`].
     #[must_use]
     pub unsafe fn read<T: Pod>(&self, offset: u64, count: usize) -> Vec<T> {
-        // SAFETY: as the caller says.
+        // SAFETY: by the caller's guarantee.
         unsafe { self.buffer.read(self.offset + offset, count) }
     }
 }
@@ -482,14 +485,14 @@ impl Drop for Buffer {
                     self.device.allocator.lock().unwrap_or_else(PoisonError::into_inner);
                 allocator.free(allocation).expect("the allocation is this allocator's");
             }
-            // SAFETY: it was bound to this buffer alone.
+            // SAFETY: the memory was bound only to this buffer.
             BufferMemory::Own(memory) => unsafe { self.device.raw.free_memory(memory, None) },
             BufferMemory::None | BufferMemory::External => {}
         }
     }
 }
 
-/// Whether a part lies in a buffer.
+/// Whether a part lies within a buffer.
 fn within(offset: u64, bytes: u64, whole: u64) -> bool {
     offset.checked_add(bytes).is_some_and(|end| end <= whole)
 }

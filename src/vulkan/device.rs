@@ -1,4 +1,4 @@
-//! An open device: its queues, its memory, its pipeline cache.
+//! An open device: its queues, its memory and its pipeline cache.
 
 use std::collections::HashMap;
 use std::fmt;
@@ -17,60 +17,57 @@ use super::families;
 use super::instance::{lacks, names};
 use super::{DeviceChoice, Faults, Instance, VulkanError};
 
-/// Bytes of the pieces in which memory is taken from the driver; larger buffers have pieces of
-/// their own.
+/// Size of the blocks in which memory is allocated from the driver, in bytes; larger buffers have
+/// dedicated blocks.
 pub const PIECE: u64 = 16 << 20;
 
-/// Options of an open device: what it may take, keep and use.
+/// Options of an open device: its memory limit, its cache and its features.
 #[derive(Debug, Clone, Default)]
 pub struct DeviceOptions {
-    /// Bytes of all buffers together; no limit where it is `None`.
+    /// Maximum bytes of all buffers together; `None` for no limit.
     pub memory: Option<u64>,
-    /// The folder in which compiled pipelines are kept from run to run.
+    /// The folder in which compiled pipelines are kept between runs.
     pub pipeline_cache: Option<PathBuf>,
-    /// Bytes of a storage buffer that shaders are shown at the most, where the device would allow
-    /// more.
+    /// Maximum bytes of a storage buffer for shaders, if the device supports more.
     pub storage_range: Option<u64>,
     /// The queues to use.
     pub queues: Queues,
-    /// Whether its memory is taken to be the host's; by the kind of device where it is `None`.
+    /// Whether the device shares the host's memory; `None` decides by the kind of device.
     pub shares_host_memory: Option<bool>,
-    /// Whether buffers have [addresses](super::View::address), for which the device has to have
-    /// `bufferDeviceAddress`: an adopted one with that enabled.
+    /// Whether buffers have [addresses](super::View::address). The device needs
+    /// `bufferDeviceAddress`, and an adopted device must have it enabled.
     pub addresses: bool,
-    /// Whether buffers can be made that [other interfaces and processes](Device::exported_buffer)
-    /// see, for which the device has to have `VK_KHR_external_memory_fd`: an adopted one with that
-    /// enabled.
+    /// Whether buffers can be made for [other interfaces and processes](Device::exported_buffer).
+    /// The device needs `VK_KHR_external_memory_fd`, and an adopted device must have it enabled.
     pub exports: bool,
-    /// Further usages of the buffers of an adopted device, such as the building of acceleration
+    /// Additional usages of the buffers of an adopted device, such as building acceleration
     /// structures.
     pub usage: vk::BufferUsageFlags,
-    /// SPIR-V that stands in for that of some shaders, by their names: of the same sources,
-    /// compiled otherwise.
+    /// SPIR-V that replaces that of some shaders, by their names: the same sources, compiled
+    /// differently.
     pub binaries: HashMap<&'static str, Vec<u8>>,
 }
 
-/// The queues of a device that are used.
+/// The queues of a device to use.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Queues {
-    /// One for copies beside the one for shaders, where the device has a family for copies alone.
+    /// One for shaders, and another for copies if the device has a family only for copies.
     #[default]
     All,
     /// One for everything.
     One,
-    /// One for everything that is used as if it were two: copies wait for shaders, and shaders for
-    /// copies.
+    /// One for everything, used as if it were two: copies wait for shaders, and shaders for copies.
     OneAsTwo,
 }
 
 /// The limits of a device on shaders and buffers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Limits {
-    /// Bytes of a storage buffer as a shader sees it.
+    /// Maximum bytes of a storage buffer in a shader.
     pub storage_range: u64,
-    /// Bytes of one allocation.
+    /// Maximum bytes of one allocation.
     pub allocation: u64,
-    /// Work groups along an axis of a dispatch.
+    /// Maximum number of work groups along an axis of a dispatch.
     pub groups: u32,
     /// Alignment of the offsets of storage buffers, in bytes.
     pub alignment: u64,
@@ -81,31 +78,31 @@ pub struct Limits {
 pub enum Queue {
     /// For shaders.
     Compute,
-    /// For copies, beside the shaders where the device can.
+    /// For copies, in parallel to the shaders if the device supports it.
     Transfer,
 }
 
-/// How long a stage took on the device.
+/// The duration of a stage on the device.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Timing {
     /// The name of the stage.
     pub stage: &'static str,
-    /// Between the timestamps around it, all batches together.
+    /// Time between the timestamps around the stage, summed over all batches.
     pub seconds: f64,
-    /// Bytes that the stage read and wrote, at the least.
+    /// Minimum number of bytes that the stage read and wrote.
     pub bytes: u64,
 }
 
-/// Counts of what a device was asked to do.
+/// Counts of a device's work.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Counters {
-    /// Batches that were submitted.
+    /// Number of submitted batches.
     pub submissions: u64,
-    /// Buffers that were made.
+    /// Number of buffers that were made.
     pub allocations: u64,
-    /// Bytes that the host wrote for it.
+    /// Bytes that the host wrote for the device.
     pub sent: u64,
-    /// Bytes that the host read of it.
+    /// Bytes that the host read from the device.
     pub received: u64,
 }
 
@@ -117,13 +114,13 @@ pub(super) struct AtomicCounters {
     pub(super) received: AtomicU64,
 }
 
-/// A device that a caller has opened, and keeps open.
+/// A device that the caller has opened, and keeps open.
 pub struct ExternalDevice {
     /// The loader's functions for the instance.
     pub instance: ash::Instance,
     /// The device.
     pub physical: vk::PhysicalDevice,
-    /// Opened from it, with timeline semaphores enabled.
+    /// Created from it, with timeline semaphores enabled.
     pub device: ash::Device,
     /// The family of `queue`.
     pub family: u32,
@@ -139,7 +136,7 @@ pub struct Device {
 
 pub(super) struct SharedDevice {
     pub(super) raw: ash::Device,
-    /// `None` where the device is a caller's, who destroys it.
+    /// `None` if the caller owns the device and destroys it.
     instance: Option<Arc<Instance>>,
     name: String,
     shares_host_memory: bool,
@@ -148,7 +145,7 @@ pub(super) struct SharedDevice {
     cache_file: Option<PathBuf>,
     queues: Vec<QueueState>,
     pub(super) limits: Limits,
-    /// Nanoseconds of a step of a timestamp.
+    /// Nanoseconds per timestamp step.
     pub(super) timestamp_period: f64,
     pub(super) memory: Option<u64>,
     pub(super) allocated: AtomicU64,
@@ -157,9 +154,9 @@ pub(super) struct SharedDevice {
     timings: Mutex<Vec<Timing>>,
     pub(super) counters: AtomicCounters,
     pub(super) addresses: bool,
-    /// Where memory can be exported: how.
+    /// The functions for exports, if they are enabled.
     pub(super) exports: Option<khr::external_memory_fd::Device>,
-    /// The memory that buffers of their own are made in.
+    /// The memory types, for dedicated allocations.
     pub(super) memory_types: vk::PhysicalDeviceMemoryProperties,
     pub(super) usage: vk::BufferUsageFlags,
     pub(super) uuid: [u8; 16],
@@ -167,22 +164,22 @@ pub(super) struct SharedDevice {
 }
 
 pub(super) struct QueueState {
-    /// Shared where one queue is used as two.
+    /// Shared if one queue is used as two.
     pub(super) raw: Arc<Mutex<vk::Queue>>,
     pub(super) family: u32,
     pub(super) timestamps: bool,
-    /// Queries are reset by the host: a queue for copies alone cannot.
+    /// Whether the host resets queries: a queue only for copies cannot.
     pub(super) host_reset: bool,
     pub(super) timeline: vk::Semaphore,
-    /// The value that the last submission will signal.
+    /// The value that the last submission signals.
     pub(super) last: AtomicU64,
 }
 
 impl QueueState {
-    /// Waits until nothing more is under way; a lost device has nothing.
+    /// Waits until all work has finished; a lost device has none.
     pub(super) fn idle(&self, device: &ash::Device) -> Result<(), vk::Result> {
         let queue = self.raw.lock().unwrap_or_else(PoisonError::into_inner);
-        // SAFETY: the queue is the device's, and locked: nobody else uses it.
+        // SAFETY: the queue belongs to the device, and is locked: nothing else uses it.
         match unsafe { device.queue_wait_idle(*queue) } {
             Err(vk::Result::ERROR_DEVICE_LOST) => Ok(()),
             waited => waited,
@@ -194,14 +191,14 @@ impl Device {
     /// Opens a device.
     ///
     /// # Errors
-    /// [`VulkanError`] where there is none to open, or it cannot be opened.
+    /// [`VulkanError`] if there is no device, or if it cannot be opened.
     pub fn open(
         instance: &Arc<Instance>,
         choice: &DeviceChoice,
         options: &DeviceOptions,
     ) -> Result<Self, VulkanError> {
         let info = instance.choose(choice)?;
-        // SAFETY: the device is one of the instance's.
+        // SAFETY: the device belongs to the instance.
         let families =
             unsafe { instance.raw.get_physical_device_queue_family_properties(info.physical) };
         let (family, transfer) = families::to_use(&families);
@@ -218,10 +215,10 @@ impl Device {
             .timeline_semaphore(true)
             .host_query_reset(true)
             .buffer_device_address(options.addresses);
-        // SAFETY: the device is one of the instance's.
+        // SAFETY: the device belongs to the instance.
         let known = unsafe { instance.raw.enumerate_device_extension_properties(info.physical) };
         let known = known.unwrap_or_default();
-        // A device that offers it requires that it is enabled.
+        // If a device offers it, it must be enabled.
         let subset = names(&known, khr::portability_subset::NAME);
         let exports = names(&known, khr::external_memory_fd::NAME).filter(|_| options.exports);
         let unfit = |lacks| VulkanError::Unsuitable { device: info.name.clone(), lacks };
@@ -236,10 +233,10 @@ impl Device {
             .queue_create_infos(&queue_infos)
             .enabled_extension_names(&extensions)
             .push_next(&mut features);
-        // SAFETY: everything that the structure points to outlives the call.
+        // SAFETY: all pointers in the structure outlive the call.
         let raw = unsafe { instance.raw.create_device(info.physical, &create, None) }
             .map_err(VulkanError::of("vkCreateDevice"))?;
-        // SAFETY: the device was made with a queue of each of these families.
+        // SAFETY: the device was created with a queue of each of these families.
         let mut queues: Vec<_> =
             used.iter().map(|&f| (f, unsafe { raw.get_device_queue(f, 0) })).collect();
         if options.queues == Queues::OneAsTwo {
@@ -249,27 +246,27 @@ impl Device {
         Self::around(&instance.raw, owner, info.physical, raw, queues, options)
     }
 
-    /// Works on a device that the caller has opened.
+    /// Uses a device that the caller has opened.
     ///
     /// # Errors
-    /// [`VulkanError::Unsuitable`] for a device that lacks what is needed; others where memory for
-    /// the first few objects is refused.
+    /// [`VulkanError::Unsuitable`] for a device that lacks a required feature; other errors if
+    /// there is no memory for the first few objects.
     ///
     /// # Safety
-    /// - All handles must belong together, made for Vulkan 1.2 or later, with `timelineSemaphore`
-    ///   enabled, and stay alive as long as what is returned and everything made with it.
-    /// - A queue may be adopted once at a time. During a call into this crate nobody else may
-    ///   submit to it, and nothing submitted before may wait for what the calling thread is still
-    ///   to do.
+    /// - All handles must belong together, be made for Vulkan 1.2 or later with `timelineSemaphore`
+    ///   enabled, and live as long as the returned object and everything made with it.
+    /// - A queue may be adopted only once at a time. During a call into this crate nothing else may
+    ///   submit to it, and no earlier submission may wait for later actions of the calling thread.
     /// - Buffers made here belong to the queue's family: other families need a transfer of
-    ///   ownership, and every reader on the device a dependency on compute shaders and transfers. A
-    ///   buffer must not be dropped before the caller's own commands are done with it.
+    ///   ownership, and every reader on the device needs a dependency on compute shaders and
+    ///   transfers. A buffer must not be dropped before the caller's own commands on it have
+    ///   finished.
     pub unsafe fn adopt(
         foreign: ExternalDevice,
         options: &DeviceOptions,
     ) -> Result<Self, VulkanError> {
         let ExternalDevice { instance, physical, device, family, queue } = foreign;
-        // SAFETY: the device is one of the instance's.
+        // SAFETY: the device belongs to the instance.
         let (properties, families) = unsafe {
             (
                 instance.get_physical_device_properties(physical),
@@ -300,7 +297,7 @@ impl Device {
         let mut id = vk::PhysicalDeviceIDProperties::default();
         let mut all =
             vk::PhysicalDeviceProperties2::default().push_next(&mut maintenance).push_next(&mut id);
-        // SAFETY: the device is one of the instance's.
+        // SAFETY: the device belongs to the instance.
         let (families, properties, memory_types) = unsafe {
             instance.get_physical_device_properties2(physical, &mut all);
             (
@@ -332,7 +329,7 @@ impl Device {
                 properties.pipeline_cache_uuid.iter().map(|b| format!("{b:02x}")).collect();
             folder.join(format!("pipelines-{id}"))
         });
-        // From here on everything that is made is dropped with `shared` if a later step fails.
+        // From here on, dropping `shared` frees everything if a later step fails.
         let exports = options.exports.then(|| khr::external_memory_fd::Device::new(instance, &raw));
         let mut shared = SharedDevice {
             raw,
@@ -378,7 +375,7 @@ impl Device {
         &self.shared.name
     }
 
-    /// Returns the UUID by which every interface of every process on the machine knows the device.
+    /// Returns the UUID that identifies the device in every interface and process on the machine.
     #[must_use]
     pub fn uuid(&self) -> [u8; 16] {
         self.shared.uuid
@@ -390,25 +387,25 @@ impl Device {
         self.shared.limits
     }
 
-    /// Whether its memory is the host's.
+    /// Whether the device shares the host's memory.
     #[must_use]
     pub fn shares_host_memory(&self) -> bool {
         self.shared.shares_host_memory
     }
 
-    /// Bytes of all buffers that are alive.
+    /// Bytes of all existing buffers.
     #[must_use]
     pub fn allocated(&self) -> u64 {
         self.shared.allocated.load(Ordering::Relaxed)
     }
 
-    /// Bytes that all buffers together may take.
+    /// Maximum bytes of all buffers together.
     #[must_use]
     pub fn memory(&self) -> Option<u64> {
         self.shared.memory
     }
 
-    /// The failures to come.
+    /// The planned failures.
     #[must_use]
     pub fn faults(&self) -> &Faults {
         &self.shared.faults
@@ -453,12 +450,12 @@ impl Limits {
 }
 
 impl SharedDevice {
-    /// The pipelines of earlier runs, or none.
+    /// The pipeline cache of earlier runs, or an empty one.
     fn load_cache(&self) -> Result<vk::PipelineCache, VulkanError> {
         let known = self.cache_file.as_deref().and_then(read_cache).unwrap_or_default();
         let info = vk::PipelineCacheCreateInfo::default().initial_data(&known);
         let empty = vk::PipelineCacheCreateInfo::default();
-        // SAFETY: the device is alive, and what is pointed to outlives each call.
+        // SAFETY: the device is alive, and all pointers outlive the calls.
         let cache = unsafe {
             let cache = self.raw.create_pipeline_cache(&info, None);
             cache.or_else(|_| self.raw.create_pipeline_cache(&empty, None))
@@ -476,7 +473,7 @@ impl SharedDevice {
             .semaphore_type(vk::SemaphoreType::TIMELINE)
             .initial_value(0);
         let info = vk::SemaphoreCreateInfo::default().push_next(&mut kind);
-        // SAFETY: the device is alive, and what is pointed to outlives the call.
+        // SAFETY: the device is alive, and all pointers outlive the call.
         let timeline = unsafe { self.raw.create_semaphore(&info, None) }
             .map_err(self.noting("vkCreateSemaphore"))?;
         let known = self.queues.iter().map(|known| &known.raw);
@@ -501,18 +498,19 @@ impl SharedDevice {
         }
     }
 
-    /// The families of all queues, where there are several.
+    /// The families of all queues, if there are several.
     pub(super) fn families(&self) -> Vec<u32> {
         let mut families: Vec<u32> = self.queues.iter().map(|queue| queue.family).collect();
         families.dedup();
         families
     }
 
-    /// The error of a call; marks the device as lost where it says so.
+    /// Converts the result of a call to an error, and records that the device is lost if the result
+    /// says so.
     pub(super) fn noting(&self, call: &'static str) -> impl Fn(vk::Result) -> VulkanError + '_ {
         move |result| {
             let error = VulkanError::of(call)(result);
-            // A lost device stays lost, whatever it says later.
+            // A lost device stays lost, whatever a later call returns.
             if error == VulkanError::Lost || self.lost.load(Ordering::Relaxed) {
                 self.lose()
             } else {
@@ -521,13 +519,13 @@ impl SharedDevice {
         }
     }
 
-    /// Notes that the device was lost.
+    /// Records that the device is lost.
     pub(super) fn lose(&self) -> VulkanError {
         self.lost.store(true, Ordering::Relaxed);
         VulkanError::Lost
     }
 
-    /// Fails once the device is lost.
+    /// Returns an error if the device is lost.
     pub(super) fn check_alive(&self) -> Result<(), VulkanError> {
         if self.lost.load(Ordering::Relaxed) { Err(VulkanError::Lost) } else { Ok(()) }
     }
@@ -548,7 +546,7 @@ impl SharedDevice {
             .cache_file
             .as_deref()
             .filter(|_| self.pipeline_cache != vk::PipelineCache::null())?;
-        // SAFETY: the cache is this device's.
+        // SAFETY: the cache belongs to this device.
         let data = unsafe { self.raw.get_pipeline_cache_data(self.pipeline_cache) }.ok()?;
         if read_cache(file).as_deref() != Some(&data) {
             let folder = file.parent()?;
@@ -562,7 +560,8 @@ impl SharedDevice {
     }
 }
 
-/// The pipelines of earlier runs, unless the file is damaged: drivers trust what they are given.
+/// The pipeline cache of earlier runs; `None` if the file is damaged, because drivers do not check
+/// it.
 fn read_cache(file: &Path) -> Option<Vec<u8>> {
     let bytes = fs::read(file).ok()?;
     let (checksum, data) = bytes.split_first_chunk()?;
@@ -571,10 +570,10 @@ fn read_cache(file: &Path) -> Option<Vec<u8>> {
 
 impl Drop for SharedDevice {
     fn drop(&mut self) {
-        // A cache that cannot be kept costs time in the next run, and nothing else.
+        // If the cache cannot be saved, the next run only takes longer.
         let _ = self.save_cache();
-        // SAFETY: buffers, shaders and batches hold this, so none is left. The allocator goes
-        // before its device.
+        // SAFETY: buffers, shaders and batches hold this object, so none is left. The allocator is
+        // dropped before its device.
         unsafe {
             ManuallyDrop::drop(&mut self.allocator);
             for queue in &self.queues {

@@ -1,9 +1,9 @@
-//! The choice among the families of queues that a device has.
+//! The choice among the queue families of a device.
 
 use ash::vk;
 
-/// The family of queues that computes, apart from graphics where it can be, and one that does
-/// nothing but copy, if there is one: those for videos may copy, too, but are for something else.
+/// The queue family for shaders, without graphics if possible, and a family that only supports
+/// copies, if there is one. Families for video may also support copies, but have another purpose.
 pub(super) fn to_use(known: &[vk::QueueFamilyProperties]) -> (Option<u32>, Option<u32>) {
     let find = |wanted: vk::QueueFlags, unwanted: vk::QueueFlags| {
         let fits = |f: &vk::QueueFamilyProperties| {
@@ -23,7 +23,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn shaders_run_apart_from_graphics_and_copies_where_nothing_else_is_done() {
+    fn shaders_avoid_the_graphics_family_and_copies_use_a_dedicated_family() {
         let [all, shaders, copies, videos, graphics] = [
             vk::QueueFlags::GRAPHICS | vk::QueueFlags::COMPUTE | vk::QueueFlags::TRANSFER,
             vk::QueueFlags::COMPUTE | vk::QueueFlags::TRANSFER,

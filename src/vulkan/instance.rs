@@ -1,4 +1,4 @@
-//! The loader, the devices that it knows, and what the validation layer says.
+//! The loader, its devices, and the messages of the validation layer.
 
 use std::ffi::{CStr, c_void};
 use std::fmt;
@@ -30,14 +30,14 @@ impl ValidationLog {
     }
 }
 
-/// The choice of the device to use.
+/// The device to use.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub enum DeviceChoice {
     /// The first of the best kind.
     #[default]
     Best,
     /// By its number in [`Instance::devices`], by its [`uuid`](DeviceInfo::uuid) in hexadecimal
-    /// digits, or by a part of its name in any case.
+    /// digits, or by a part of its name, ignoring case.
     Named(String),
 }
 
@@ -49,7 +49,7 @@ pub enum DeviceKind {
     Integrated,
     Virtual,
     Other,
-    /// A driver that computes on the processor, such as lavapipe.
+    /// A driver that computes on the CPU, such as lavapipe.
     Cpu,
 }
 
@@ -65,28 +65,27 @@ impl fmt::Display for DeviceKind {
     }
 }
 
-/// A description of a device, known before it is opened.
+/// A description of a device before it is opened.
 #[derive(Debug, Clone)]
 pub struct DeviceInfo {
-    /// The number of the device among those of the loader.
+    /// The index of the device in the loader's list.
     pub index: usize,
     /// The name that the driver gives the device.
     pub name: String,
-    /// The UUID by which every interface of every process on the machine knows the device.
+    /// The UUID that identifies the device in every interface and process on the machine.
     pub uuid: [u8; 16],
     /// The kind of the device.
     pub kind: DeviceKind,
-    /// The version of Vulkan that it offers: major, minor, patch.
+    /// The supported version of Vulkan: major, minor, patch.
     pub api: [u32; 3],
     /// The name and version of the driver.
     pub driver: String,
     /// The version of the conformance tests that its driver passes: major, minor, subminor, patch.
-    /// All are 0 where it passes none.
+    /// All are 0 if it passes none.
     pub conformance: [u8; 4],
-    /// Bytes of its own memory: of the largest heap.
+    /// Bytes of the largest heap of its own memory.
     pub memory: u64,
-    /// Bytes of that heap that nobody uses, as far as the driver tells; all of it where it does
-    /// not.
+    /// Unused bytes of that heap, if the driver reports them; otherwise all of it.
     pub free: u64,
     /// The queue families of the device.
     pub families: Vec<vk::QueueFamilyProperties>,
@@ -94,7 +93,7 @@ pub struct DeviceInfo {
     pub heaps: vk::PhysicalDeviceMemoryProperties,
     /// The limits on shaders and buffers.
     pub limits: vk::PhysicalDeviceLimits,
-    /// Why it cannot be used, if it cannot.
+    /// The missing requirement, if it cannot be used.
     pub lacks: Option<&'static str>,
     pub(super) physical: vk::PhysicalDevice,
 }
@@ -106,7 +105,7 @@ impl DeviceInfo {
         self.uuid.iter().map(|byte| format!("{byte:02x}")).collect()
     }
 
-    /// Whether its driver passes the conformance tests of any version. Those that translate to
+    /// Whether its driver passes the conformance tests of any version. Drivers that translate to
     /// other interfaces may not.
     #[must_use]
     pub fn is_conformant(&self) -> bool {
@@ -115,16 +114,16 @@ impl DeviceInfo {
 }
 
 impl Instance {
-    /// Connects to the loader; with `validation`, through the Khronos validation layer,
-    /// synchronisation checks included.
+    /// Connects to the loader; with `validation`, through the Khronos validation layer with
+    /// synchronisation checks.
     ///
     /// # Errors
-    /// [`VulkanError::NoLoader`] and [`VulkanError::NoValidation`] where they are not installed.
+    /// [`VulkanError::NoLoader`] and [`VulkanError::NoValidation`] if they are not installed.
     pub fn connect(validation: bool) -> Result<Arc<Self>, VulkanError> {
-        // SAFETY: the library that is loaded is the system's Vulkan loader.
+        // SAFETY: the loaded library is the system's Vulkan loader.
         let entry =
             unsafe { ash::Entry::load() }.map_err(|e| VulkanError::NoLoader(e.to_string()))?;
-        // SAFETY: no instance is needed to ask.
+        // SAFETY: this call needs no instance.
         let layers = unsafe { entry.enumerate_instance_layer_properties() }.unwrap_or_default();
         if validation && !layers.iter().any(|layer| layer.layer_name_as_c_str() == Ok(VALIDATION)) {
             return Err(VulkanError::NoValidation);
@@ -134,15 +133,14 @@ impl Instance {
             .engine_name(c"meniscus")
             .api_version(vk::API_VERSION_1_2);
         let layers = [VALIDATION.as_ptr()];
-        // SAFETY: no instance is needed to ask.
+        // SAFETY: this call needs no instance.
         let known =
             unsafe { entry.enumerate_instance_extension_properties(None) }.unwrap_or_default();
-        // Devices that are Vulkan but for a few features, such as MoltenVK, are hidden from who
-        // does not ask for them.
+        // Without this extension, devices with an incomplete Vulkan, such as MoltenVK, are hidden.
         let portability = names(&known, khr::portability_enumeration::NAME);
         let mut extensions: Vec<_> = portability.iter().map(|name| name.as_ptr()).collect();
-        // Layers of 2024 and later have settings, and look at what shaders read and write only if
-        // told to. SAFETY: no instance is needed to ask.
+        // Layers of 2024 and later have settings, and check the accesses of shaders only if
+        // enabled. SAFETY: this call needs no instance.
         let of_layer = unsafe { entry.enumerate_instance_extension_properties(Some(VALIDATION)) };
         let has_settings =
             names(&of_layer.unwrap_or_default(), ext::layer_settings::NAME).is_some();
@@ -182,15 +180,15 @@ impl Instance {
                 info.push_next(&mut features)
             };
         }
-        // SAFETY: everything that the structure points to outlives the call.
+        // SAFETY: all pointers in the structure outlive the call.
         let raw = unsafe { entry.create_instance(&info, None) }
             .map_err(|e| VulkanError::NoLoader(format!("cannot create a Vulkan instance: {e}")))?;
-        // From here on what is made is dropped with `instance` if a later step fails.
+        // From here on, dropping `instance` frees everything if a later step fails.
         let mut instance =
             Self { entry, raw, messenger: None, sees_shaders: validation && has_settings, log };
         if validation {
             let debug = ext::debug_utils::Instance::new(&instance.entry, &instance.raw);
-            // SAFETY: the log that the messenger writes to lives as long as this instance.
+            // SAFETY: the messenger's log lives as long as this instance.
             let made =
                 unsafe { debug.create_debug_utils_messenger(&messenger_info(&instance.log), None) };
             let made = made.map_err(VulkanError::of("vkCreateDebugUtilsMessengerEXT"))?;
@@ -199,14 +197,13 @@ impl Instance {
         Ok(Arc::new(instance))
     }
 
-    /// Returns the log of the validation layer; it can be read when the instance is gone.
+    /// Returns the log of the validation layer, which outlives the instance.
     #[must_use]
     pub fn log(&self) -> ValidationLog {
         self.log.clone()
     }
 
-    /// Whether everything goes through a validation layer that sees what shaders read and write:
-    /// those of 2024 and later do.
+    /// Whether a validation layer checks the accesses of shaders: those of 2024 and later do.
     #[must_use]
     pub fn sees_shaders(&self) -> bool {
         self.sees_shaders
@@ -215,7 +212,7 @@ impl Instance {
     /// All devices, in the loader's order.
     ///
     /// # Errors
-    /// Those of the loader.
+    /// The errors of the loader.
     pub fn devices(&self) -> Result<Vec<DeviceInfo>, VulkanError> {
         // SAFETY: the instance is alive.
         let devices = unsafe { self.raw.enumerate_physical_devices() }
@@ -223,10 +220,10 @@ impl Instance {
         Ok(devices.into_iter().enumerate().map(|(i, physical)| self.info(i, physical)).collect())
     }
 
-    /// The device of a choice.
+    /// The device for a choice.
     ///
     /// # Errors
-    /// [`VulkanError`] where there is none, or it cannot be used.
+    /// [`VulkanError`] if there is none, or if it cannot be used.
     pub fn choose(&self, choice: &DeviceChoice) -> Result<DeviceInfo, VulkanError> {
         let devices = self.devices()?;
         let found = match choice {
@@ -239,7 +236,7 @@ impl Instance {
             DeviceChoice::Named(wanted) => {
                 let numbered = wanted.parse().ok().and_then(|index: usize| devices.get(index));
                 let wanted = wanted.to_lowercase();
-                // Names hold numbers, too.
+                // Names can also contain numbers.
                 let named =
                     || devices.iter().find(|device| device.name.to_lowercase().contains(&wanted));
                 let digits = wanted.replace('-', "");
@@ -268,7 +265,7 @@ impl Instance {
         let mut id = vk::PhysicalDeviceIDProperties::default();
         let mut properties =
             vk::PhysicalDeviceProperties2::default().push_next(&mut driver).push_next(&mut id);
-        // SAFETY: the device is one of this instance's.
+        // SAFETY: the device belongs to this instance.
         let (base, families) = unsafe {
             self.raw.get_physical_device_properties2(physical, &mut properties);
             (properties.properties, self.raw.get_physical_device_queue_family_properties(physical))
@@ -313,27 +310,27 @@ impl Instance {
     pub(super) fn has_addresses(&self, physical: vk::PhysicalDevice) -> bool {
         let mut vulkan12 = vk::PhysicalDeviceVulkan12Features::default();
         let mut features = vk::PhysicalDeviceFeatures2::default().push_next(&mut vulkan12);
-        // SAFETY: the device is one of this instance's, and offers Vulkan 1.2.
+        // SAFETY: the device belongs to this instance, and offers Vulkan 1.2.
         unsafe { self.raw.get_physical_device_features2(physical, &mut features) };
         vulkan12.buffer_device_address == vk::TRUE
     }
 
-    /// A device's heaps, bytes of the largest of its own, and how many of them nobody uses.
+    /// A device's heaps, the bytes of the largest local heap, and its unused bytes.
     fn heaps(
         &self,
         physical: vk::PhysicalDevice,
     ) -> (vk::PhysicalDeviceMemoryProperties, u64, u64) {
-        // SAFETY: the device is one of this instance's.
+        // SAFETY: the device belongs to this instance.
         let known =
             unsafe { self.raw.enumerate_device_extension_properties(physical) }.unwrap_or_default();
-        let tells = names(&known, ext::memory_budget::NAME).is_some();
+        let reports_budget = names(&known, ext::memory_budget::NAME).is_some();
         let mut budgets = vk::PhysicalDeviceMemoryBudgetPropertiesEXT::default();
         let mut memory = vk::PhysicalDeviceMemoryProperties2::default();
-        if tells {
+        if reports_budget {
             memory = memory.push_next(&mut budgets);
         }
-        // SAFETY: the device is one of this instance's, and offers the extension if it is asked
-        // for.
+        // SAFETY: the device belongs to this instance, and offers the extension whose data is
+        // requested.
         unsafe { self.raw.get_physical_device_memory_properties2(physical, &mut memory) };
         let memory = memory.memory_properties;
         let heaps = memory.memory_heaps_as_slice().iter().enumerate();
@@ -343,11 +340,11 @@ impl Instance {
             return (memory, 0, 0);
         };
         let free = budgets.heap_budget[i].saturating_sub(budgets.heap_usage[i]);
-        (memory, heap.size, if tells { free.min(heap.size) } else { heap.size })
+        (memory, heap.size, if reports_budget { free.min(heap.size) } else { heap.size })
     }
 }
 
-/// A name, if it is among those of extensions.
+/// The name of an extension, if it is in a list.
 pub(super) fn names(
     extensions: &[vk::ExtensionProperties],
     name: &'static CStr,
@@ -355,8 +352,7 @@ pub(super) fn names(
     extensions.iter().any(|known| known.extension_name_as_c_str() == Ok(name)).then_some(name)
 }
 
-/// Returns why a device cannot be used: a requirement that it does not meet, or `None` if it meets
-/// all.
+/// Returns the first requirement that a device does not meet; `None` if it meets all.
 pub(super) fn lacks(
     instance: &ash::Instance,
     physical: vk::PhysicalDevice,
@@ -367,7 +363,7 @@ pub(super) fn lacks(
     }
     let mut vulkan12 = vk::PhysicalDeviceVulkan12Features::default();
     let mut features = vk::PhysicalDeviceFeatures2::default().push_next(&mut vulkan12);
-    // SAFETY: the device is one of this instance's, and offers Vulkan 1.2.
+    // SAFETY: the device belongs to this instance, and offers Vulkan 1.2.
     let families = unsafe {
         instance.get_physical_device_features2(physical, &mut features);
         instance.get_physical_device_queue_family_properties(physical)
@@ -423,8 +419,8 @@ fn messenger_info(log: &ValidationLog) -> vk::DebugUtilsMessengerCreateInfoEXT<'
                 | vk::DebugUtilsMessageSeverityFlagsEXT::WARNING,
         )
         .message_type(
-            // What the loader has to say (GENERAL), of drivers that it cannot open and the like, is
-            // no mistake of ours.
+            // Messages of the loader (GENERAL), such as about drivers that do not open, are not our
+            // errors.
             vk::DebugUtilsMessageTypeFlagsEXT::VALIDATION
                 | vk::DebugUtilsMessageTypeFlagsEXT::PERFORMANCE,
         )
@@ -439,7 +435,7 @@ unsafe extern "system" fn note(
     data: *const vk::DebugUtilsMessengerCallbackDataEXT<'_>,
     log: *mut c_void,
 ) -> vk::Bool32 {
-    // SAFETY: the layer gives a valid message, and the log lives as long as its instance.
+    // SAFETY: the layer passes a valid message, and the log lives as long as its instance.
     let (message, log) = unsafe {
         (CStr::from_ptr((*data).p_message), &*log.cast::<Mutex<Vec<String>>>().cast_const())
     };

@@ -1,7 +1,7 @@
 //! Compute on a Vulkan device: selection, memory, shaders, and batches of commands.
 //!
-//! This room knows nothing about fluids. It needs Vulkan 1.2 with timeline semaphores, and nothing
-//! else. The guide for users is `guide.md`.
+//! This module is independent of fluids. It needs only Vulkan 1.2 with timeline semaphores. The
+//! guide for users is `guide.md`.
 
 mod batch;
 mod buffer;
@@ -23,15 +23,15 @@ pub use shader::{ComputePipeline, Shader};
 use ash::vk;
 use thiserror::Error;
 
-/// Bytes at whose multiples any device lets a part of a buffer begin.
+/// An alignment of buffer offsets that every device supports, in bytes.
 pub const ALIGNMENT: u64 = 256;
-/// Storage buffers that a shader binds at the most: devices that allow fewer are refused.
+/// Maximum number of storage buffers per shader; devices with a lower limit are not supported.
 pub const MOST_BUFFERS: u32 = 8;
-/// Threads of a work group at the most: devices that allow fewer are refused.
+/// Maximum number of threads per work group; devices with a lower limit are not supported.
 pub const MOST_THREADS: u32 = 256;
-/// Bytes that the threads of a work group share at the most: devices that allow fewer are refused.
+/// Maximum bytes of shared memory per work group; devices with a lower limit are not supported.
 pub const MOST_SHARED: u32 = 16 << 10;
-/// Bytes of a push block at the most, which any device allows.
+/// Maximum bytes of push constants, which every device supports.
 pub const MOST_PUSH: u32 = 128;
 
 /// An error of a device, its driver or the loader.
@@ -40,21 +40,21 @@ pub enum VulkanError {
     /// The machine has no Vulkan loader, or the loader does not start.
     #[error("no Vulkan loader: {0}")]
     NoLoader(String),
-    /// The validation layer was asked for and is not installed.
+    /// The validation layer was requested, but is not installed.
     #[error("the Vulkan validation layer is not installed")]
     NoValidation,
-    /// The loader knows no device at all.
+    /// The loader has no devices.
     #[error("no Vulkan device found")]
     NoDevice,
     /// No device of that number or name.
     #[error("no Vulkan device {wanted:?}; available: {known}")]
     NotFound {
-        /// The number or name that was asked for.
+        /// The requested number or name.
         wanted: String,
-        /// Number and name of each.
+        /// Number and name of each device.
         known: String,
     },
-    /// A device that lacks what is needed.
+    /// A device without a required feature.
     #[error("{device} cannot be used: {lacks}")]
     Unsuitable {
         /// The name of the device.
@@ -62,10 +62,10 @@ pub enum VulkanError {
         /// The requirement that the device does not meet.
         lacks: &'static str,
     },
-    /// Memory of the device, or the share of it that may be used, is exhausted.
+    /// The memory of the device, or the memory limit, is exhausted.
     #[error("device memory is exhausted: cannot allocate {bytes} more bytes")]
     OutOfMemory {
-        /// How many were asked for.
+        /// The number of requested bytes.
         bytes: u64,
     },
     /// The device stopped working.
@@ -82,7 +82,7 @@ pub enum VulkanError {
 }
 
 impl VulkanError {
-    /// The error of a call.
+    /// Converts the result of a call to an error.
     fn of(call: &'static str) -> impl Fn(vk::Result) -> Self {
         move |result| match result {
             vk::Result::ERROR_DEVICE_LOST => Self::Lost,

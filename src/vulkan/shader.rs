@@ -16,11 +16,11 @@ pub struct Shader {
     pub name: &'static str,
     /// The SPIR-V binary of the shader.
     pub code: &'static [u8],
-    /// Storage buffers, bound to 0, 1, ... of set 0, by the names that its source gives them.
+    /// Storage buffers by their names in the source, bound to 0, 1, ... of set 0.
     pub buffers: &'static [&'static str],
     /// Bytes of push constants.
     pub push_bytes: u32,
-    /// Threads of a work group, which is a row.
+    /// Threads of a work group, which is one-dimensional.
     pub group: u32,
 }
 
@@ -47,10 +47,10 @@ impl ComputePipeline {
 }
 
 impl Device {
-    /// Compiles several shaders side by side.
+    /// Compiles several shaders in parallel.
     ///
     /// # Errors
-    /// Those of [`pipeline`](Self::pipeline).
+    /// The errors of [`pipeline`](Self::pipeline).
     pub fn pipelines<const N: usize>(
         &self,
         shaders: [&'static Shader; N],
@@ -60,10 +60,10 @@ impl Device {
         Ok(compiled.try_into().expect("there are as many"))
     }
 
-    /// Compiles a shader, or takes what the pipeline cache has of it.
+    /// Compiles a shader, or loads it from the pipeline cache.
     ///
     /// # Errors
-    /// [`VulkanError`] where the driver refuses it.
+    /// [`VulkanError`] if the driver rejects it.
     pub fn pipeline(&self, shader: &'static Shader) -> Result<ComputePipeline, VulkanError> {
         let raw = &self.shared.raw;
         let binding = |i| {
@@ -80,7 +80,7 @@ impl Device {
         let binary = self.shared.binaries.get(shader.name).map_or(shader.code, Vec::as_slice);
         let code =
             read_spv(&mut std::io::Cursor::new(binary)).expect("the build holds whole SPIR-V");
-        // From here on what is made is dropped with `shader` if a later step fails.
+        // From here on, dropping `pipeline` frees everything if a later step fails.
         let mut pipeline = ComputePipeline {
             device: Arc::clone(&self.shared),
             shader,
@@ -88,8 +88,7 @@ impl Device {
             layout: vk::PipelineLayout::null(),
             pipeline: vk::Pipeline::null(),
         };
-        // SAFETY: all handles are this device's, and everything that is pointed to outlives each
-        // call.
+        // SAFETY: all handles belong to this device, and all pointers outlive the calls.
         unsafe {
             pipeline.sets = raw
                 .create_descriptor_set_layout(

@@ -134,7 +134,7 @@ fn number(random: &mut Random) -> f64 {
 }
 
 #[test]
-fn double_precision_by_whole_numbers_is_that_of_the_host_to_the_bit() {
+fn integer_double_precision_equals_that_of_the_host() {
     #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
     #[repr(C)]
     struct Case {
@@ -401,7 +401,7 @@ fn many_chunks_and_runs_are_sorted_like_one_and_their_order_does_not_matter() {
 }
 
 #[test]
-fn a_table_too_small_grows_until_it_holds_all_bins_or_more_than_are_allowed() {
+fn a_small_table_grows_until_it_holds_all_bins_or_exceeds_the_limit() {
     let Some((device, log)) = open() else { return };
     let pipelines = BinPipelines::new(&device).unwrap();
     let mut random = Random::new(2);
@@ -459,7 +459,7 @@ fn no_particles_are_no_bins() {
 }
 
 #[test]
-fn binning_that_finds_no_memory_says_so_and_keeps_none() {
+fn binning_without_memory_fails_and_frees_everything() {
     let Some((device, log)) = open() else { return };
     let pipelines = BinPipelines::new(&device).unwrap();
     let particles = vec![[0.5_f32; 3]; 1000];

@@ -127,7 +127,7 @@ fn a_resident_frame_is_the_same_on_one_queue_and_on_one_that_is_used_as_two() {
 }
 
 #[test]
-fn what_one_resident_frame_has_room_for_all_that_follow_have() {
+fn resident_frames_do_not_grow_in_memory() {
     let steps = || (-22..22).map(|i| f64::from(i) + 0.5);
     let lattice = steps().flat_map(|x| steps().flat_map(move |y| steps().map(move |z| [x, y, z])));
     let particles: Vec<[f64; 3]> =
@@ -332,7 +332,7 @@ fn a_program_with_a_device_of_its_own_gets_the_mesh_of_the_cpu() {
 }
 
 #[test]
-fn what_cannot_be_meshed_says_why_and_keeps_no_memory() {
+fn frames_that_cannot_be_meshed_fail_with_a_reason_and_free_memory() {
     let Some((device, _)) = open() else { return };
     let pipeline = Pipeline::new(&device).unwrap();
     let kept = device.allocated();

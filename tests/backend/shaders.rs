@@ -11,7 +11,7 @@ use naga::AddressSpace;
 use crate::compile::{self, folder, parsed, programs, source};
 
 #[test]
-fn binaries_and_the_rust_table_are_what_the_sources_make() {
+fn binaries_and_the_rust_table_match_the_sources() {
     let outdated: Vec<_> = compile::outdated().unwrap().into_iter().map(|made| made.file).collect();
     assert!(outdated.is_empty(), "`cargo run --example shaders` would rewrite {outdated:?}");
 }

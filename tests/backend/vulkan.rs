@@ -126,7 +126,7 @@ fn blurred_on(
 }
 
 #[test]
-fn validation_tells_of_a_barrier_that_is_missing_between_shaders() {
+fn validation_reports_a_missing_barrier() {
     if !Instance::connect(true).is_ok_and(|instance| instance.sees_shaders()) {
         return;
     }
@@ -201,7 +201,7 @@ fn same_pages_on(device: &Backend, budget: MemoryBudget) -> (Vec<Work>, Work) {
 }
 
 #[test]
-fn pages_are_those_of_the_cpu_for_crowded_cells_too() {
+fn pages_of_crowded_cells_equal_those_of_the_cpu() {
     validated(|device| {
         same_pages_on(&watched(device.clone()).unwrap(), MemoryBudget(1 << 30));
     });
@@ -250,7 +250,7 @@ fn assert_same_surfaces(
 }
 
 #[test]
-fn a_frame_on_the_device_is_that_of_the_cpu_in_one_batch_and_in_many() {
+fn a_frame_on_the_device_equals_that_of_the_cpu_in_one_and_in_many_batches() {
     let particles = splashes(23);
     validated(|device| {
         let vulkan = watched(device.clone()).unwrap();
@@ -271,7 +271,7 @@ fn assert_same_fields(one: &DifField, other: &DifField, what: &str) {
 }
 
 #[test]
-fn a_field_that_stays_on_the_device_is_that_of_the_cpu_as_are_its_wide_cells_and_its_inside() {
+fn a_resident_field_its_wide_cells_and_its_inside_equal_those_of_the_cpu() {
     // Particles at rest, deep enough for an interior, with spray around them, and others in cells
     // of every octant.
     let mut random = Random::new(11);
@@ -304,12 +304,12 @@ fn a_field_that_stays_on_the_device_is_that_of_the_cpu_as_are_its_wide_cells_and
                 let frame =
                     Engine::sample(&particles[..], &known, &mut Timings::default()).unwrap();
                 let [made, expected] = [&frame, &expected].map(dif);
-                assert!(made.dif.elsewhere().is_some(), "{what}: it does not stay");
+                assert!(made.dif.remote().is_some(), "{what}: it does not stay");
                 let calibration = surfacing.calibrate(expected).unwrap().calibration;
                 if made.is_clouds() {
                     for level in 1..=made.wide_cells().level {
                         assert!(
-                            made.wide(level).elsewhere().is_some(),
+                            made.wide(level).remote().is_some(),
                             "{what}: level {level} does not stay"
                         );
                         assert_same_fields(
@@ -331,7 +331,7 @@ fn a_field_that_stays_on_the_device_is_that_of_the_cpu_as_are_its_wide_cells_and
 }
 
 #[test]
-fn a_field_that_stays_on_the_device_is_made_again_where_it_cannot_be_read() {
+fn a_resident_field_is_remade_if_it_cannot_be_read() {
     let particles = splashes(31);
     let mut sampling = sampling();
     (sampling.method, sampling.spacing) = (IndicatorKind::Cloud.into(), Some(2.0));
@@ -341,7 +341,7 @@ fn a_field_that_stays_on_the_device_is_made_again_where_it_cannot_be_read() {
         let mut sampling = sampling.clone();
         sampling.resources.backend = Backend::vulkan(device.clone()).unwrap();
         let frame = Engine::sample(&particles[..], &sampling, &mut Timings::default()).unwrap();
-        assert!(dif(&frame).dif.elsewhere().is_some());
+        assert!(dif(&frame).dif.remote().is_some());
         device.faults().submission.store(1, Ordering::Relaxed);
         assert_same_fields(&dif(&frame).dif, &dif(&expected).dif, "after a loss");
         let [made, expected] = [&frame, &expected].map(dif);
@@ -355,7 +355,7 @@ fn a_field_that_stays_on_the_device_is_made_again_where_it_cannot_be_read() {
 }
 
 #[test]
-fn of_a_field_that_stays_on_the_device_only_what_calibrates_and_the_surface_come_back() {
+fn only_calibration_samples_and_the_surface_of_a_resident_field_are_downloaded() {
     let particles = splashes(29);
     let mut sampling = sampling();
     (sampling.method, sampling.spacing) = (IndicatorKind::Cloud.into(), Some(2.0));
@@ -406,7 +406,7 @@ fn shaders_that_check_every_index_give_the_same_bytes() {
 }
 
 #[test]
-fn batches_of_which_nothing_is_drawn_leave_the_others_as_they_are() {
+fn empty_batches_do_not_change_other_batches() {
     // Deep enough that a block has no surface, so that it is its own batch when almost nothing fits
     // the budget.
     let lattice =
@@ -454,7 +454,7 @@ fn a_drop_at_a_wall_has_the_same_normals_on_the_device() {
 }
 
 #[test]
-fn a_second_frame_makes_no_buffers_of_its_own() {
+fn a_second_frame_allocates_no_buffers() {
     let particles = splashes(23);
     validated(|device| {
         let mut sampling = sampling();
@@ -470,7 +470,7 @@ fn a_second_frame_makes_no_buffers_of_its_own() {
 }
 
 #[test]
-fn a_frame_is_the_same_whatever_queues_there_are_and_whosever_the_memory_is() {
+fn a_frame_does_not_depend_on_the_queues_or_the_memory_type() {
     let particles = splashes(23);
     for queues in [Queues::One, Queues::OneAsTwo] {
         for shares_host_memory in [Some(false), Some(true)] {
@@ -502,7 +502,7 @@ fn a_lost_device_stays_lost_and_is_not_short_of_memory() {
 }
 
 #[test]
-fn a_device_is_told_by_its_number_its_uuid_or_a_number_in_its_name() {
+fn a_device_is_chosen_by_its_number_its_uuid_or_its_name() {
     let instance = match Instance::connect(false) {
         Ok(instance) => instance,
         Err(why) => return device::skip(why),
@@ -556,7 +556,7 @@ fn the_shared_frames_have_the_same_surfaces_on_the_device() {
 }
 
 #[test]
-fn more_vertices_than_a_batch_has_room_for_are_emitted_again() {
+fn batches_with_too_many_vertices_are_emitted_again() {
     // White noise has a vertex on nearly every second edge, far more than a fluid.
     let cells = CellBox { lo: IVec3::splat(-32), hi: IVec3::splat(64) };
     let mut random = Random::new(3);
@@ -712,7 +712,7 @@ fn a_device_lost_at_any_submission_leaves_the_right_mesh_a_warning_and_no_leak()
 }
 
 #[test]
-fn work_that_is_said_to_be_done_and_is_not_leaves_the_right_mesh_and_no_leak() {
+fn falsely_completed_work_leaves_the_right_mesh_and_no_leak() {
     for scene in SCENES {
         let Some(whole) = scene.whole_work() else { return };
         let failed = scene.fail_each(|faults| &faults.completion);
@@ -730,7 +730,7 @@ fn work_that_is_said_to_be_done_and_is_not_leaves_the_right_mesh_and_no_leak() {
 }
 
 #[test]
-fn a_device_with_hardly_any_memory_hands_over_to_the_cpu() {
+fn a_device_with_little_memory_falls_back_to_the_cpu() {
     for scene in SCENES {
         let Some(whole) = scene.whole_work() else { return };
         let expected = scene.mesh();

@@ -263,7 +263,7 @@ fn a_spacing_that_is_not_known_and_cells_much_smaller_than_it_are_refused() {
         let (grid, method) =
             (Grid::new(DVec3::ZERO, cell).unwrap(), KernelMethod::ZhuBridson.into());
         let sampling = Sampling { grid, method, spacing, ..sampling() };
-        let before = sampling.refuse_unfit(&Surfacing::PLAIN).unwrap_err();
+        let before = sampling.check_fit(&Surfacing::PLAIN).unwrap_err();
         let refused =
             Engine::sample(&particles[..], &sampling, &mut Timings::default()).unwrap_err();
         for error in [before, refused] {

@@ -81,7 +81,7 @@ fn asked(
     kind: IndicatorKind,
     mean: Option<MeanCount>,
 ) -> Result<(), TooFine> {
-    surfacing.refuse_too_fine(kind, mean, Some(spacing), &sampling().grid)
+    surfacing.check_cell_size(kind, mean, Some(spacing), &sampling().grid)
 }
 
 fn scaled(particles: &[[f64; 3]], by: f64) -> Vec<[f64; 3]> {
@@ -134,7 +134,7 @@ fn off_from_oracle(particles: &[[f64; 3]], frame: &Engine, edge: f64) -> (f64, P
 }
 
 #[test]
-fn the_plateau_is_that_which_a_dense_oracle_finds_in_cells_of_any_size() {
+fn the_plateau_equals_that_of_a_dense_oracle_in_cells_of_any_size() {
     const CELLS: [f64; 6] = [1.0, 2.0 / 3.0, 0.5, 0.4, 1.0 / 3.0, 0.25];
     let disorders = [
         Disorder::Jittered(0.0),
@@ -334,7 +334,7 @@ fn a_shallow_layer_is_counted_by_the_disorder_that_it_is_in() {
 }
 
 #[test]
-fn mist_is_no_fluid_however_much_there_is_of_it() {
+fn mist_has_no_interior_in_any_amount() {
     let mut random = Random::new(4);
     let mist: Vec<[f64; 3]> = (0..8000).map(|_| [(); 3].map(|()| 40.0 * random.unit())).collect();
     for indicator in [CLOUD, COUNTING] {
@@ -374,7 +374,7 @@ fn a_pool_holds_the_same_volume_in_cells_of_any_size_with_walls_and_without() {
 }
 
 #[test]
-fn the_volume_of_a_surface_is_that_of_its_mesh_as_far_as_columns_tell() {
+fn the_volume_of_a_surface_matches_that_of_its_mesh() {
     let ball = fill(16.0, 1.0, 0.3, 1, |p| p.length() < 15.0);
     let close = |surface: &StitchedSurface, within: f64, what: &str| {
         let mesh = measure(&surface.to_mesh().unwrap()).volume.unwrap();
@@ -401,7 +401,7 @@ fn the_volume_of_a_surface_is_that_of_its_mesh_as_far_as_columns_tell() {
 }
 
 #[test]
-fn a_surface_that_holds_less_than_half_of_its_particles_is_told() {
+fn a_surface_with_less_than_half_of_its_particles_volume_is_reported() {
     let pool = scaled(&cube(14.0, 1.0, Disorder::Jittered(0.3), 2), 1.5);
     for indicator in INDICATORS {
         let whole = draw(&sample(&pool, &sampling_at(1.5, indicator)), &surfacing());
@@ -424,7 +424,7 @@ fn a_surface_that_holds_less_than_half_of_its_particles_is_told() {
 }
 
 #[test]
-fn a_step_of_the_field_moves_a_flat_surface_as_far_as_is_said() {
+fn a_step_of_the_field_moves_a_flat_surface_by_the_reported_distance() {
     let edge = 24.0;
     let pool = cube(edge, 1.0, Disorder::Jittered(0.0), 1);
     for (cell, indicator) in [(0.25, COUNTING), (0.2, COUNTING)] {
@@ -473,7 +473,7 @@ fn refused(indicator: IndicatorKind, cell: f64) -> Result<(), TooFine> {
 }
 
 #[test]
-fn cells_in_which_sixteen_bits_do_not_tell_where_the_surface_is_are_refused_with_some_that_fit() {
+fn cells_too_fine_for_16_bits_are_refused_with_a_size_that_fits() {
     {
         let indicator = COUNTING;
         assert_eq!(refused(indicator, 0.2), Ok(()));
@@ -506,7 +506,7 @@ fn cells_in_which_sixteen_bits_do_not_tell_where_the_surface_is_are_refused_with
 }
 
 #[test]
-fn clouds_are_refused_in_cells_that_no_surface_needs_with_some_that_fit() {
+fn cells_needlessly_fine_for_clouds_are_refused_with_a_size_that_fits() {
     for cell in [0.2, 0.1] {
         assert_eq!(refused(CLOUD, cell), Ok(()));
     }
@@ -514,7 +514,7 @@ fn clouds_are_refused_in_cells_that_no_surface_needs_with_some_that_fit() {
     for (cell_size, spacing) in [(0.01, 1.0), (1e-9, 3.0), (0.7, 7.1)] {
         let refused = |cell_size: f64| {
             let grid = Grid::new(DVec3::ZERO, cell_size).unwrap();
-            surfacing().refuse_too_fine(CLOUD, None, Some(spacing), &grid)
+            surfacing().check_cell_size(CLOUD, None, Some(spacing), &grid)
         };
         let told = refused(cell_size).unwrap_err().to_string();
         let (_, fitting) = told.split_once("use cells of ").unwrap();
@@ -523,7 +523,7 @@ fn clouds_are_refused_in_cells_that_no_surface_needs_with_some_that_fit() {
         assert!(refused(fitting * 0.97).is_err(), "{told}");
     }
     // Without a spacing there is nothing to check.
-    assert_eq!(surfacing().refuse_too_fine(CLOUD, None, None, &sampling().grid), Ok(()));
+    assert_eq!(surfacing().check_cell_size(CLOUD, None, None, &sampling().grid), Ok(()));
 }
 
 #[test]
@@ -535,7 +535,7 @@ fn symmetry_is_refused_in_cells_that_are_mostly_empty() {
 }
 
 #[test]
-fn a_mu0_that_makes_little_of_a_particle_is_too_fine_as_well() {
+fn a_high_mu0_is_refused_as_too_fine() {
     let mean = MeanCount::new(60.0).ok();
     let refused = asked(&surfacing(), 3.0, COUNTING, mean).unwrap_err();
     assert!(matches!(refused, TooFine::Steps { plateau, .. } if plateau < 50.0), "{refused}");

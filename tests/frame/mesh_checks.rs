@@ -130,7 +130,7 @@ fn unsound_triangles_are_named_and_hide_nothing_else() {
 }
 
 #[test]
-fn positions_that_are_no_points_and_those_given_twice_are_named() {
+fn non_finite_and_repeated_positions_are_reported() {
     let mut mesh = cuboid([0.; 3], [1.; 3]);
     mesh.positions[3][1] = f64::NAN;
     mesh.positions[6][0] = f64::NEG_INFINITY;
@@ -411,7 +411,7 @@ fn one_triangle_can_be_compared_to_another() {
 }
 
 #[test]
-fn what_is_no_surface_cannot_be_compared() {
+fn meshes_without_a_surface_cannot_be_compared() {
     let ball = sphere(1., 1);
     let empty = Mesh { positions: ball.positions.clone(), ..Mesh::default() };
     assert_eq!(compare(&empty, &ball), Err(CompareError::NoSurface(Side::Reference)));

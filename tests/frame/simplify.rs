@@ -175,7 +175,7 @@ fn the_smallest_drop_outlives_the_largest_distance() {
 }
 
 #[test]
-fn components_below_a_volume_are_left_out_whole_wherever_they_lie() {
+fn components_below_a_volume_are_removed_completely_anywhere() {
     // Balls around a corner of eight blocks, in the middle of a block, and far away, of about 113,
     // 33 and 905 cells.
     let balls = [(DVec3::ZERO, 3.0), (DVec3::splat(16.0), 2.0), (DVec3::new(3e5, -4e5, 0.0), 6.0)];

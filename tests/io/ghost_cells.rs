@@ -155,7 +155,7 @@ fn without_arrays_of_cells_no_point_is_left_out_and_steps_say_where_theirs_are()
 }
 
 #[test]
-fn counts_and_numbers_that_lie_are_faults_of_their_partition() {
+fn wrong_counts_and_numbers_are_errors_of_their_partition() {
     let (_, bytes) = file_of_steps("grid");
     let counts = |cells: i64| longs(&[6, 0, 4, cells, 6]);
     let ids_of = |ids: i64| longs(&[6, 0, 5, ids, 6]);

@@ -265,7 +265,7 @@ fn points_of_primitives_are_left_out_and_counted_by_kind() {
 }
 
 #[test]
-fn what_is_no_number_of_a_point_is_passed_over() {
+fn attributes_that_are_not_numbers_of_points_are_skipped() {
     let lists = Value::List(vec![
         definition("lists", "arraynumeric"),
         keyed(vec![("sizerepeat", Value::Numbers("int32", vec![1.0, 2.0]))]),

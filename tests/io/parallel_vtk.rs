@@ -260,7 +260,7 @@ fn names_of_pieces_are_found_as_other_systems_spell_them() {
 }
 
 #[test]
-fn whatever_is_wrong_with_a_piece_names_it() {
+fn errors_in_a_piece_name_it() {
     for (name, text, says) in [
         ("p/0.vtu", "<VTKFile".to_owned(), "ends without </VTKFile>"),
         (

@@ -1278,7 +1278,7 @@ fn zones_of_tecplot_are_refused_by_their_titles() {
 }
 
 #[test]
-fn columns_of_one_name_are_told_apart_and_a_position_is_there_once() {
+fn equal_column_names_are_numbered_and_there_is_one_position() {
     let file = text("x,y,z,a,a\n1,2,3,4,5\n").unwrap();
     assert_eq!(attributes(&file), [("a_column4", 1), ("a_column5", 1)]);
     assert_eq!(attribute(&file, "a_column5"), [5.0]);
@@ -1316,7 +1316,7 @@ fn half_floats_of_numpy_are_read() {
 }
 
 #[test]
-fn a_condition_on_text_of_vtk_is_refused_by_the_name_of_its_array() {
+fn a_condition_on_a_text_array_of_vtk_is_refused_with_its_name() {
     let folder = tempfile::tempdir().unwrap();
     let legacy = "# vtk DataFile Version 3.0\nt\nASCII\nDATASET POLYDATA\nPOINTS 1 float\n1 2 3\n\
         POINT_DATA 1\nFIELD f 1\nphase 1 1 string\nwater\n";

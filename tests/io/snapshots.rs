@@ -95,7 +95,7 @@ fn every_code_s_frame_holds_the_same_particles_with_their_velocities_and_no_ghos
 }
 
 #[test]
-fn a_header_s_box_and_unit_are_told_and_nothing_else_is_taken_from_them() {
+fn the_box_and_the_unit_of_a_header_are_reported_and_not_applied() {
     let swift = open("swift_0003.hdf5").unwrap();
     assert_eq!(swift.box_size, Some([4.0; 3]));
     let megaparsec = swift.unit_metres.unwrap();
@@ -185,7 +185,7 @@ fn a_snapshot_is_read_whole_from_any_of_its_files_and_from_a_view_of_them() {
 }
 
 #[test]
-fn whatever_is_wrong_with_a_file_of_a_snapshot_names_that_file() {
+fn errors_in_a_file_of_a_snapshot_name_that_file() {
     for (piece, name) in GADGET.iter().enumerate() {
         let folder = copied("gadget");
         let (path, start) = (folder.path().join(name), folder.path().join(GADGET[(piece + 1) % 3]));

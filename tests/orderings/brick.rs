@@ -17,7 +17,7 @@ use slots::Slots;
 
 /// The way spilled runs are read: threads fill slots of the same bins one after the other.
 #[test]
-fn what_threads_put_into_slots_is_there_when_they_are_joined() {
+fn slots_have_all_values_after_the_threads_are_joined() {
     loom::model(|| {
         let slots = Arc::new(Slots::new(4, &[2]));
         let next = Arc::new(AtomicUsize::new(0));

@@ -39,17 +39,17 @@ fn try_gate(lanes: usize, alone: &'static [bool]) {
 }
 
 #[test]
-fn frames_side_by_side_and_one_alone_all_come_through_the_gate() {
+fn parallel_frames_and_exclusive_frames_all_pass_the_gate() {
     try_gate(2, &[false, false, true]);
 }
 
 #[test]
-fn frames_that_are_alone_come_through_the_gate_one_after_the_other() {
+fn exclusive_frames_pass_the_gate_one_by_one() {
     try_gate(2, &[true, true, false]);
     try_gate(1, &[true, false]);
 }
 
 #[test]
-fn a_gate_that_is_full_lets_the_next_in() {
+fn a_full_gate_admits_the_next_frame_after_one_leaves() {
     try_gate(1, &[false, false, false]);
 }

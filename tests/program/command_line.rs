@@ -964,7 +964,7 @@ fn drops_that_hold_no_cells_centre_have_no_surface_which_is_said_and_is_an_empty
 }
 
 #[test]
-fn a_surface_that_loses_most_of_its_particles_is_not_written_without_a_word() {
+fn a_surface_that_loses_most_of_its_particles_causes_a_warning() {
     let folder = folder_with_ball();
     let notes =
         |more: &[&str]| drawn(folder.path(), "ball.xyz", &[&["--spacing", "0.5"], more].concat()).1;
@@ -1136,7 +1136,7 @@ fn check_and_info_take_folders_globs_and_names_with_a_place_for_the_number() {
 }
 
 #[test]
-fn info_foretells_the_memory_of_a_run_and_names_all_files_that_it_looks_into() {
+fn info_estimates_the_memory_of_a_run_and_names_all_files_that_it_reads() {
     let frame = data("dambreak_small/ParticleData_Fluid_20.bgeo");
     let folder = TempDir::new().unwrap();
     let frame = frame.to_str().unwrap();
@@ -1158,7 +1158,7 @@ fn info_foretells_the_memory_of_a_run_and_names_all_files_that_it_looks_into() {
 }
 
 #[test]
-fn figures_for_people_have_as_many_digits_as_tell_something_and_all_are_in_json() {
+fn printed_numbers_are_rounded_and_json_has_all_digits() {
     let folder = folder_with_ball();
     let run =
         meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", "a.ply", "--spacing", "0.5"]);

@@ -283,7 +283,7 @@ fn statistics_that_cannot_be_written_are_refused_before_the_work() {
 }
 
 #[test]
-fn gaps_between_time_stamps_are_told_by_their_ends() {
+fn gaps_between_time_stamps_are_reported_by_their_ends() {
     let names = [
         "f_0.xyz",
         "f_1700000000000000000.xyz",
@@ -393,7 +393,7 @@ fn a_frame_that_grows_after_it_was_made_is_made_again() {
 }
 
 #[test]
-fn values_that_32_bits_do_not_hold_are_said() {
+fn values_beyond_32_bits_are_reported() {
     let folder = TempDir::new().unwrap();
     let particles = ball(4.0);
     let row = |p: &[f64; 3], value: f64| format!("{},{},{},{value:e}\n", p[0], p[1], p[2]);
@@ -428,7 +428,7 @@ fn values_that_32_bits_do_not_hold_are_said() {
 }
 
 #[test]
-fn a_scene_of_other_particles_is_doubted_with_both_spacings() {
+fn a_scene_with_another_spacing_causes_a_warning_with_both_spacings() {
     let folder = frames(&["f_1.xyz"]);
     let particles: Vec<[f64; 3]> = fill(16.0, 1.0, 0.3, 1, |p| p.length() < 8.0);
     fs::write(folder.path().join("f_1.xyz"), raw(&particles)).unwrap();

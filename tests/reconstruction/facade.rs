@@ -92,7 +92,7 @@ fn packed_frames_are_drawn_as_their_particles() {
 }
 
 #[test]
-fn positions_are_read_where_they_are_however_wide_and_far_apart() {
+fn strided_positions_of_any_width_are_read_in_place() {
     let particles: Vec<[f32; 3]> = ball().iter().map(|p| p.map(|x| x as f32)).collect();
     let wide: Vec<[f64; 3]> = particles.iter().map(|p| p.map(f64::from)).collect();
     // A structure with two other numbers before and one after.
@@ -112,7 +112,7 @@ fn positions_are_read_where_they_are_however_wide_and_far_apart() {
 }
 
 #[test]
-fn a_report_tells_what_was_chosen_measured_and_left_out() {
+fn a_report_has_the_chosen_settings_the_measurements_and_the_skipped_particles() {
     let mut particles = ball();
     particles.push([f64::NAN; 3]);
     let surface =
@@ -206,7 +206,7 @@ fn errors_name_the_file_and_lead_to_their_source() {
 }
 
 #[test]
-fn what_is_there_already_is_only_replaced_where_that_is_asked_for() {
+fn existing_outputs_are_replaced_only_on_request() {
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("mesh.obj");
     fs::write(&path, "mine").unwrap();
@@ -274,7 +274,7 @@ fn a_frame_that_is_sampled_refuses_what_needs_its_particles_again() {
 }
 
 #[test]
-fn lengths_are_shown_in_as_many_digits_as_people_read() {
+fn lengths_are_printed_with_readable_digits() {
     for (number, text) in [
         (0.0, "0"),
         (0.05, "0.05"),
@@ -332,8 +332,8 @@ fn a_frame_without_particles_or_without_a_surface_is_an_empty_mesh_in_a_running_
 
 #[test]
 #[cfg(target_os = "linux")]
-fn surfaces_that_are_kept_hold_no_threads() {
-    alone("facade::surfaces_that_are_kept_hold_no_threads", keep_surfaces_and_count_threads);
+fn stored_surfaces_hold_no_threads() {
+    alone("facade::stored_surfaces_hold_no_threads", keep_surfaces_and_count_threads);
 }
 
 #[cfg(target_os = "linux")]

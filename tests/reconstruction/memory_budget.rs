@@ -100,7 +100,7 @@ fn an_attribute_of_many_components_has_the_values_of_narrow_ones_and_takes_littl
 }
 
 #[test]
-fn attributes_too_wide_for_the_budget_are_refused_before_the_work_with_what_they_take() {
+fn attributes_too_wide_for_the_budget_are_refused_before_the_work_with_their_memory() {
     let particles = Attributed::new(splashes(33)).with::<20_000>("wide", |_, _| [0.5; 20_000]);
     let small = Resources::new(MemoryBudget(16 << 20), std::env::temp_dir());
     let sampling = Sampling { carried: vec![0], resources: small, ..sampling() };
@@ -449,7 +449,7 @@ fn texts_much_larger_than_the_budget_give_the_same_bytes_within_it() {
 }
 
 #[test]
-fn a_frame_that_no_machine_can_hold_is_refused_before_it_is_begun() {
+fn a_frame_beyond_any_memory_is_refused_before_the_work() {
     let mut particles = moving(splashes(31));
     // Attributes of exbibytes, which are never read.
     particles.attributes[0].components = 1 << 36;

@@ -77,7 +77,7 @@ fn said(text: &str, about: &str) -> Vec<String> {
 }
 
 #[test]
-fn the_bytes_are_those_of_a_single_run_whatever_the_parts_and_the_options() {
+fn parts_give_the_bytes_of_a_single_run_with_any_options() {
     let folder = scenes();
     let folder = folder.path();
     let cases: [(&str, &str, &[usize], &[&str]); 14] = [
@@ -141,7 +141,7 @@ fn the_bytes_are_those_of_a_single_run_whatever_the_parts_and_the_options() {
 }
 
 #[test]
-fn what_is_doubted_of_a_single_run_is_doubted_of_its_parts() {
+fn parts_have_the_warnings_of_a_single_run() {
     let folder = TempDir::new().unwrap();
     let folder = folder.path();
     // Twice as dense as the spacing says, with drops that contain no cell's centre, and some
@@ -184,7 +184,7 @@ fn what_is_doubted_of_a_single_run_is_doubted_of_its_parts() {
 }
 
 #[test]
-fn a_part_is_one_file_however_often_and_by_however_many_at_once_it_is_made() {
+fn a_part_is_one_file_even_if_it_is_made_repeatedly_or_in_parallel() {
     let folder = scenes();
     let folder = folder.path();
     let common = ["dam.bgeo", "-o", "m.ply", "--parts", "2"];
@@ -211,7 +211,7 @@ fn a_part_is_one_file_however_often_and_by_however_many_at_once_it_is_made() {
 }
 
 #[test]
-fn what_has_changed_since_the_plan_is_refused_by_its_name() {
+fn changes_since_the_plan_are_refused_by_name() {
     let folder = scenes();
     let folder = folder.path();
     let common = ["dam.bgeo", "-o", "m.ply", "--parts", "3"];
@@ -354,7 +354,7 @@ fn a_part_that_is_missing_damaged_or_of_another_plan_is_refused_and_no_mesh_appe
 }
 
 #[test]
-fn what_is_no_request_for_parts_is_refused_before_any_work() {
+fn invalid_requests_for_parts_are_refused_before_any_work() {
     let folder = scenes();
     let folder = folder.path();
     fs::create_dir(folder.join("frames")).unwrap();
@@ -504,7 +504,7 @@ fn needed(normals: Normals) -> CellBox {
 }
 
 #[test]
-fn particles_decide_a_field_from_exactly_as_far_as_its_recipe_says_with_clouds() {
+fn particles_affect_a_field_up_to_exactly_the_halo_of_its_recipe_with_clouds() {
     // The widest Gaussians reach farthest where the water is calm, and the test for inside where it
     // is not.
     for (spacing, smooth) in [(1.0, 3.0), (2.0, 3.0), (2.0, 1.6), (4.0, 1.6)] {
@@ -556,7 +556,7 @@ fn particles_decide_a_field_from_exactly_as_far_as_its_recipe_says_with_clouds()
 }
 
 #[test]
-fn particles_decide_a_field_from_exactly_as_far_as_its_recipe_says_by_the_papers_indicators() {
+fn particles_affect_a_field_up_to_exactly_the_halo_of_its_recipe_with_the_papers_indicators() {
     let one = MeanCount::new(1.0).unwrap();
     for (detail, sigma, normals) in
         [(Detail::Smoothed, 1.5, Normals::None), (Detail::Recovered, 2.5, Normals::Gradient)]
@@ -623,7 +623,7 @@ fn particles_decide_a_field_from_exactly_as_far_as_its_recipe_says_by_the_papers
 }
 
 #[test]
-fn particles_decide_a_blocks_attributes_from_exactly_as_far_as_they_are_wanted() {
+fn particles_affect_a_blocks_attributes_exactly_within_its_deciding_cells() {
     // With the paper's indicators, attributes reach as far as the field; with clouds less far.
     for kind in [IndicatorKind::Symmetry, IndicatorKind::Cloud] {
         let sampling = Sampling { method: kind.into(), spacing: Some(1.5), ..sampling() };
@@ -637,7 +637,7 @@ fn particles_decide_a_blocks_attributes_from_exactly_as_far_as_they_are_wanted()
 }
 
 #[test]
-fn a_part_counts_what_is_wanted_and_no_more() {
+fn a_part_counts_only_the_wanted_particles() {
     let particles = splashes(7);
     let grid = Grid::new(DVec3::ZERO, 0.25).unwrap();
     let sampling =

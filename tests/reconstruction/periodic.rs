@@ -121,7 +121,7 @@ fn attributes_come_from_beyond_the_faces_as_well() {
 }
 
 #[test]
-fn neither_order_nor_threads_nor_memory_change_a_byte() {
+fn order_threads_and_memory_do_not_change_a_byte() {
     let edges = DVec3::new(31.0, 40.0, 29.0);
     let faces = [Some([0.0, edges.x]), None, Some([0.0, edges.z])];
     let fluid = fluid(11, edges);
@@ -244,7 +244,7 @@ fn images_are_counted_nowhere() {
 }
 
 #[test]
-fn a_narrow_reach_is_enough_and_less_is_refused() {
+fn the_exact_reach_suffices_and_a_smaller_one_is_refused() {
     let edges = DVec3::new(32.0, 40.0, 32.0);
     let faces = [Some([0.0, 32.0]), None, Some([0.0, 32.0])];
     let request = Reconstruction::new().spacing(1.0).periodic(faces);
@@ -275,7 +275,7 @@ fn with<'a>(usual: &[&'a str], more: &[&'a str]) -> Vec<&'a str> {
 }
 
 #[test]
-fn what_cannot_be_periodic_is_refused_with_what_is_wrong() {
+fn invalid_periodic_boxes_are_refused_with_the_reason() {
     let (folder, mut particles) = pool();
     particles.push([24.5, 3.0, 3.0]);
     fs::write(folder.path().join("astray.xyz"), raw(&particles)).unwrap();
@@ -322,7 +322,7 @@ fn what_cannot_be_periodic_is_refused_with_what_is_wrong() {
 }
 
 #[test]
-fn a_particle_on_an_upper_face_is_on_the_lower_one_whatever_its_coordinate_is_rounded_to() {
+fn a_particle_on_an_upper_face_moves_to_the_lower_one_despite_rounding() {
     let folder = TempDir::new().unwrap();
     // In single precision, 24.1 is more than 24.1.
     assert!(f64::from(24.1_f32) > 24.1);
@@ -392,7 +392,7 @@ fn a_packed_frame_keeps_its_box_and_its_mesh_may_end_either_way() {
 }
 
 #[test]
-fn a_sequence_keeps_its_box_and_goes_on_with_no_other() {
+fn a_sequence_keeps_its_box_and_refuses_to_resume_with_another() {
     let folder = TempDir::new().unwrap();
     fs::create_dir(folder.path().join("in")).unwrap();
     for frame in 1..=3 {

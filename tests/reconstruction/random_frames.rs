@@ -498,7 +498,7 @@ fn random_frames_are_watertight_or_refused_and_the_same_however_they_are_made() 
 }
 
 #[test]
-fn the_definition_of_watertight_tells_meshes_that_are_not() {
+fn the_definition_of_watertight_rejects_open_meshes() {
     let ball: Vec<[f64; 3]> = crate::common::fill(4.0, 1.0, 0.2, 1, |p| p.length() < 3.0);
     let whole = Reconstruction::new().spacing(1.0).run(&ball).unwrap().to_mesh().unwrap();
     assert_eq!(watertight::defect(&whole), None);

@@ -55,7 +55,7 @@ fn sheets_stretched_to_one_and_a_half_spacings_are_whole_and_keep_their_volume()
 }
 
 #[test]
-fn a_sheet_stretched_beyond_what_is_asked_for_is_drops() {
+fn a_sheet_stretched_beyond_the_setting_breaks_into_drops() {
     let particles = sheet(1, 2.6, &mut Random::new(3));
     let found = measured(&particles, 0.25, 2.15);
     assert!(found.components > particles.len() * 9 / 10, "{}", found.components);

@@ -197,7 +197,7 @@ fn attributes_are_those_of_the_particles_near_by() {
 }
 
 #[test]
-fn radii_that_mean_something_else_are_corrected_by_the_fluid() {
+fn radii_with_another_meaning_are_corrected_by_the_density_of_the_fluid() {
     let water = Sized::pools(&[1.0, 2.0]);
     let radii: Vec<f32> = water.sizes.iter().map(|size| 0.3 * size).collect();
     let cloud = Cloud::new(&water.positions).with("pscale", &radii);
@@ -210,7 +210,7 @@ fn radii_that_mean_something_else_are_corrected_by_the_fluid() {
 }
 
 #[test]
-fn one_size_is_as_without_the_attribute() {
+fn particles_of_one_size_give_the_mesh_without_sizes() {
     let water = Sized::pools(&[1.0]);
     let mut radii = water.radii();
     // Sizes that differ by less than a tenth count as one.

@@ -176,7 +176,7 @@ fn a_device_gives_the_same_bytes_beside_the_processor() {
 }
 
 #[test]
-fn a_wall_divides_water_that_is_deep_on_both_sides_and_one_thinner_than_cells_is_doubted() {
+fn a_solid_wall_divides_deep_water_and_a_wall_thinner_than_cells_causes_a_warning() {
     let folder = TempDir::new().unwrap();
     let wall = |half: f64| cuboid([13.0 - half, -1.0, -1.0], [13.0 + half, 30.0, SIZE + 1.0]);
     let water = pool(0.3, |_| 1.0);
@@ -223,7 +223,7 @@ fn an_offset_moves_the_water_s_face_and_a_solid_that_faces_inwards_is_turned_wit
 }
 
 #[test]
-fn what_is_no_solid_is_refused_with_its_file_and_its_edges() {
+fn invalid_solids_are_refused_with_their_file_and_edges() {
     let folder = TempDir::new().unwrap();
     let whole = cuboid([0.0; 3], [1.0; 3]);
     let mut open = whole.clone();
@@ -252,7 +252,7 @@ fn what_is_no_solid_is_refused_with_its_file_and_its_edges() {
 }
 
 #[test]
-fn settings_that_do_not_go_with_solids_are_refused_by_name() {
+fn settings_that_conflict_with_solids_are_refused_by_name() {
     let solid = || Reconstruction::new().spacing(1.0).solids(["ball.obj"]);
     let particles = [[0.0; 3]];
     let refused = |request: Reconstruction| match request.run(&particles[..]) {

@@ -64,7 +64,7 @@ fn volume(surface: &Surface) -> f64 {
 }
 
 #[test]
-fn a_given_spacing_is_doubted_from_a_fifth_off_on_and_the_mistake_is_named() {
+fn a_given_spacing_that_is_off_by_a_fifth_causes_a_warning_that_names_the_mistake() {
     let ball = ball();
     for sound in [0.85, 0.9, 1.0, 1.1, 1.2] {
         let surface = Reconstruction::new().spacing(sound * SPACING).run(&ball).unwrap();
@@ -94,7 +94,7 @@ fn a_given_spacing_is_doubted_from_a_fifth_off_on_and_the_mistake_is_named() {
 }
 
 #[test]
-fn many_particles_bear_out_a_spacing_while_they_are_counted() {
+fn many_particles_confirm_a_spacing_while_they_are_counted() {
     // More particles than an estimate keeps in memory.
     let pool = fill(45.0, 1.0, 0.25, 7, |_| true);
     assert!(pool.len() > 600_000);
@@ -143,7 +143,7 @@ fn the_program_names_both_figures_and_the_option_to_use() {
 }
 
 #[test]
-fn the_spacing_of_a_packed_frame_is_doubted_when_it_is_packed_and_when_it_is_drawn() {
+fn a_wrong_spacing_of_a_packed_frame_causes_a_warning_when_packing_and_when_drawing() {
     let folder = TempDir::new().unwrap();
     fs::write(folder.path().join("f.xyz"), raw(&ball())).unwrap();
     for (spacing, how) in [("0.025", Some("small")), ("0.05", None), ("0.1", Some("large"))] {
@@ -175,7 +175,7 @@ fn warnings_of(simulation: &Simulation) -> Vec<SpacingWarning> {
 }
 
 #[test]
-fn a_simulation_doubts_a_given_spacing_once_and_one_of_its_state_when_it_goes_on() {
+fn a_simulation_warns_about_a_given_spacing_once_and_about_that_of_its_state_on_resume() {
     let folder = TempDir::new().unwrap();
     let frame = |number: usize, scale: f64| {
         let particles: Vec<_> = ball().into_iter().map(|p| p.map(|c| scale * c)).collect();
@@ -201,7 +201,7 @@ fn a_simulation_doubts_a_given_spacing_once_and_one_of_its_state_when_it_goes_on
 }
 
 #[test]
-fn a_live_simulation_doubts_a_given_spacing() {
+fn a_live_simulation_warns_about_a_wrong_spacing() {
     let mut simulation =
         LiveSimulation::new(&Reconstruction::new().spacing(0.5 * SPACING)).unwrap();
     let surface = simulation.frame(&ball()).unwrap();
@@ -248,7 +248,7 @@ fn particles_in_a_plane_are_a_slab_of_one_spacing_with_flat_ends() {
 }
 
 #[test]
-fn a_plane_is_said_by_the_program_and_is_the_same_in_sequences_and_parts() {
+fn the_program_reports_a_plane_which_is_the_same_in_sequences_and_parts() {
     let folder = TempDir::new().unwrap();
     for number in 1..3 {
         fs::write(folder.path().join(format!("f_{number}.csv")), csv(&plane(0.5))).unwrap();
@@ -323,7 +323,7 @@ fn state_file(folder: &Path) -> std::path::PathBuf {
 }
 
 #[test]
-fn coordinates_in_single_precision_that_are_too_coarse_are_named_with_their_step() {
+fn an_error_about_coarse_single_precision_coordinates_names_their_step() {
     let single = |from: f64| -> Vec<[f32; 3]> {
         moved(&ball(), [from, 0.0, 0.0]).into_iter().map(|p| p.map(|c| c as f32)).collect()
     };

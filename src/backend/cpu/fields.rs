@@ -1,4 +1,4 @@
-//! The recipe on blocks in the memory of a thread.
+//! The recipe on blocks in a thread's memory.
 
 use std::rc::Rc;
 
@@ -19,14 +19,14 @@ use crate::grid::CellBox;
 use crate::grid::units::Isovalue;
 use crate::surface::solid::Solid;
 
-/// Samples that are looked at before it is asked whether that was enough.
+/// Samples that are tested together.
 const PIECE: usize = 1 << 10;
 
 fn maximum(samples: &[u16]) -> u16 {
     samples.iter().fold(0, |maximum, &sample| maximum.max(sample))
 }
 
-/// Few samples are at most one in this many.
+/// A block is sparse if at most one in `FEW` samples is not 0.
 const FEW: usize = 8;
 
 fn minimum(samples: &[u16]) -> u16 {
@@ -40,10 +40,10 @@ pub fn field(recipe: &Recipe, sampled: &SampledDif, cells: CellBox) -> Block {
     field.map(|field| Rc::unwrap_or_clone(field.block)).expect("nothing stops it")
 }
 
-/// Makes, one after the other, the final field on each of some boxes of cells near one another
-/// where the surface can pass between them, as far as can be told before there is a field, by
-/// whether each is away from walls. They share intermediate results within a limit of bytes. A solid
-/// near any of them cuts the field.
+/// Makes the final field on each of some nearby boxes of cells, one after another; `None` if no
+/// surface can pass through the box, as far as this is known before the field is made. Each box
+/// comes with whether it is away from walls. The boxes share intermediate results within a limit of
+/// bytes. A solid near any of them cuts the field.
 pub(super) fn cut_fields<'a>(
     recipe: &'a Recipe,
     sampled: &'a SampledDif,
@@ -101,49 +101,49 @@ fn cut_by(solid: &Solid, sampled: &SampledDif, field: &mut Block) {
     let facts = &sampled.facts;
     let (cell, spacing) = (facts.grid.cell_size(), facts.spacing.unwrap_or(facts.grid.cell_size()));
     let offset = solid.offset() * UNITS;
-    // Normals look two cells beyond a vertex's.
+    // Normals use two cells beyond a vertex's cell.
     let most = (offset.abs() + 3.0 * cell / spacing * UNITS).ceil().min(f64::from(i16::MAX)) as i16;
     let mut distances = solid.distances(&facts.grid, 0, field.cells(), spacing / UNITS, most);
     facts.walls().into_iter().for_each(|walls| distances.repeat_edges(walls));
     cut(field, &distances, offset.round() as i32, most);
 }
 
-/// Wide cells that the field on a box of cells is made of.
+/// The number of wide cells from which the field on a box of cells is made.
 pub(super) fn wide_volume(distances: &DistanceFilters, cells: CellBox) -> usize {
     let halo = distances.wide_halo();
     distances.wide_cells(cells).grown(halo, halo).volume()
 }
 
-/// Whether a field is only wanted where the surface passes.
+/// The part of a field that is needed.
 #[derive(Clone, Copy)]
 pub(super) enum FieldUse {
-    /// The field is wanted in any case.
+    /// The whole field.
     Everywhere,
-    /// Where it can be cut at this isovalue.
+    /// Only a field that the surface at this isovalue can cut.
     NearSurface { iso: Isovalue, away_from_walls: bool },
 }
 
 impl FieldUse {
-    /// Whether a surface can pass between cells whose field is, at its greatest, such means of
-    /// these samples.
+    /// Whether a surface can pass between cells whose field consists of weighted means of these
+    /// samples.
     fn may_cut(self, block: &Block) -> bool {
         let Self::NearSurface { iso, away_from_walls } = self else { return true };
-        // A weighted mean lies on the same side as all that it is made of. All inside is no surface
-        // only away from walls.
+        // A weighted mean lies on the same side as its samples if they are all on one side. A block
+        // that is all inside has no surface only away from walls.
         let threshold = iso.threshold();
         let mut pieces = block.samples().chunks(PIECE);
         let any_inside = pieces.clone().any(|piece| maximum(piece) > threshold);
         any_inside && (!away_from_walls || pieces.any(|piece| minimum(piece) <= threshold))
     }
 
-    /// Whether a surface can pass whatever the filters are: samples that are all 0 show none.
+    /// Whether a surface can pass with any filters: if all samples are 0, there is none.
     fn may_show_any(self, block: &Block) -> bool {
         matches!(self, Self::Everywhere)
             || block.samples().chunks(PIECE).any(|piece| maximum(piece) > 0)
     }
 
-    /// Whether a surface can pass by the distances in wide cells; with `drops`, drops can add to
-    /// the inside.
+    /// Whether a surface can pass according to the distances in wide cells; with `drops`, drops can
+    /// add to the inside.
     fn may_show(self, bulk: &Block, cells: CellBox, drops: bool) -> bool {
         let Self::NearSurface { away_from_walls, iso } = self else { return true };
         let threshold = iso.threshold();
@@ -161,25 +161,25 @@ pub(super) type Density<'a> = &'a dyn Fn(u32, CellBox) -> Block;
 /// Fields in blocks.
 pub(super) struct Blocks<'a> {
     sampled: &'a SampledDif,
-    /// The density in place of that of `sampled`, if its particles are not all.
+    /// The density of all particles, if `sampled` has only some of them.
     density: Option<Density<'a>>,
-    /// A solid that may be near.
+    /// A solid that may be near, if there is one.
     solid: Option<&'a Solid>,
-    /// The shares outside of it, once clouds were continued into it.
+    /// The shares outside of the solid, after clouds were continued into it.
     outside: Option<Rc<Block>>,
-    /// Cells on which the field is asked for.
+    /// The requested cells of the field.
     cells: CellBox,
-    /// The part of `cells` that samples are taken for.
+    /// The part of `cells` for which samples are gathered.
     pub(super) wanted: CellBox,
     field_use: FieldUse,
-    /// Whether blurred samples tell of all that follows.
+    /// Whether blurred samples decide whether there is a surface.
     decides: bool,
-    /// Whether next to all samples are 0.
+    /// Whether almost all samples are 0.
     few: bool,
 }
 
 impl<'a> Blocks<'a> {
-    /// Fields of an octave on some of its cells, by the density of all particles.
+    /// Fields of an octave on some of its cells, from the density of all particles.
     pub(super) fn of_density(
         recipe: &Recipe,
         sampled: &'a SampledDif,
@@ -191,8 +191,7 @@ impl<'a> Blocks<'a> {
     }
 
     fn new(recipe: &Recipe, sampled: &'a SampledDif, cells: CellBox, field_use: FieldUse) -> Self {
-        // The paper's smoothing is a mean of the DIF, and decides where nothing brings details
-        // back.
+        // The paper's smoothing is a mean of the DIF, which decides unless details are recovered.
         let decides = matches!(&recipe.filters, Filters::Paper(paper) if paper.recovery.is_none());
         let (density, solid, outside) = (None, None, None);
         Self {
@@ -208,7 +207,7 @@ impl<'a> Blocks<'a> {
         }
     }
 
-    /// Fields of samples of which next to all are 0.
+    /// Fields of samples that are almost all 0.
     pub(super) fn of_few(
         recipe: &Recipe,
         sampled: &'a SampledDif,
@@ -219,14 +218,14 @@ impl<'a> Blocks<'a> {
     }
 }
 
-/// A field, and how wide its cells are.
+/// A field with the width of its cells.
 #[derive(Clone)]
 pub(super) struct BlockField {
     pub(super) block: Rc<Block>,
     pub(super) level: u32,
 }
 
-/// The signal to stop early, for there is no surface.
+/// A signal to stop early, because there is no surface.
 pub(super) struct StopSignal;
 
 impl Blocks<'_> {
@@ -344,7 +343,7 @@ impl Fields for Blocks<'_> {
         least: u16,
     ) -> Result<BlockField, StopSignal> {
         let mut block = outlying(&calm.block, &clouds.block, least);
-        // In a solid the surface goes on, and nothing stands out.
+        // Inside a solid the surface continues, and no particle stands out.
         let outside = self.outside.take().map(|outside| outside.part(block.cells()));
         let shares = outside.iter().flat_map(|outside| outside.samples());
         for (sample, _) in
@@ -385,7 +384,7 @@ impl Fields for Blocks<'_> {
 
     fn narrowed(&mut self, near: &BlockField, level: u32, ramp: &Ramp) -> bool {
         let part = outlying_part(&near.block, wide_cells(level, self.wanted), ramp);
-        // A wide cell tells of those of its neighbours, too.
+        // A wide cell also affects its neighbours' cells.
         let further = i32::from(level > 0);
         let CellBox { lo, hi } = part.grown(further, further);
         self.wanted = self.wanted.intersection(&CellBox { lo: lo << level, hi: hi << level });

@@ -1,4 +1,4 @@
-//! The stages on the processor's cores.
+//! The stages on the CPU.
 
 mod fields;
 mod sizes;
@@ -24,15 +24,15 @@ use crate::system::control::Meter;
 use super::{BINS_A_THREAD, Executor, REGIONS_TOGETHER, Stages, Surfaces, Take, Work};
 use fields::cut_fields;
 
-/// Divisor of a budget, for what all threads together may take to mesh neighbouring blocks in one
-/// go.
+/// The fraction 1 / `SHARE` of a budget is for all threads together to mesh neighbouring blocks
+/// together.
 const SHARE: u64 = 8;
 
-/// Blocks along the edge of a cube that are meshed together: of spray, and of other fluid.
+/// Edge of a cube of blocks that are meshed together, in blocks: for spray, and for other fluid.
 const BLOCKS_OF_SPRAY: i32 = 4;
 const BLOCKS_OF_FLUID: i32 = 2;
 
-/// The processor: all threads of the pool that a call is made in.
+/// The CPU, with all threads of the caller's thread pool.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Cpu;
 
@@ -55,17 +55,16 @@ impl Executor for Cpu {
     }
 }
 
-/// The stages of a frame on the processor.
+/// The stages of a frame on the CPU.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct CpuStages {
-    /// Bytes that a thread may take to mesh neighbouring blocks in one go; 0 meshes each block by
+    /// Maximum bytes of a thread for meshing neighbouring blocks together; 0 meshes each block by
     /// itself.
     together: u64,
 }
 
 impl CpuStages {
-    /// Stands in for a device that fails: meshes each block by itself, which takes the least
-    /// memory.
+    /// Replaces a device that failed: meshes each block by itself, which takes the least memory.
     pub(super) const STAND_IN: Self = Self { together: 0 };
 }
 
@@ -117,14 +116,14 @@ impl Stages for CpuStages {
 /// Regions that are meshed together.
 struct RegionGroup<'a> {
     regions: &'a [CellBox],
-    /// The boxes that hold all surfaces, if these are spray.
+    /// For spray, the boxes that contain all surfaces.
     spray: Option<Vec<CellBox>>,
 }
 
 impl CpuStages {
-    /// Splits regions into groups of neighbours, which are smaller where they are no spray.
+    /// Splits regions into groups of neighbours, which are smaller if they are not spray.
     fn groups<'a>(&self, surfaces: &Surfaces<'_>, regions: &'a [CellBox]) -> Vec<RegionGroup<'a>> {
-        // Neighbours follow one another along the Morton curve.
+        // In Morton order neighbours are consecutive.
         let cubes = |blocks: i32| {
             let cube = move |region: &CellBox| region.lo.div_euclid(IVec3::splat(blocks * BLOCK));
             move |a: &CellBox, b: &CellBox| self.together > 0 && cube(a) == cube(b)
@@ -150,7 +149,7 @@ impl CpuStages {
     }
 }
 
-/// The surfaces through some regions of spray, which are all in some parts.
+/// The surfaces of some regions of spray, which lie in some parts.
 fn meshes_of_spray(
     surfaces: &Surfaces<'_>,
     regions: &[CellBox],
@@ -167,7 +166,7 @@ fn meshes_of_spray(
         meter.add(1);
         let mut field = spray::field(&drops, normals.cells(region), walls)?;
         let region = normals.region(field.cells());
-        // Beyond a periodic face is what the filters have to see, and the mesh must not.
+        // The filters use cells beyond a periodic face, but the mesh ends there.
         let cut = walls.filter(|_| sampled.facts.periodic.is_some());
         cut.into_iter().for_each(|faces| field.repeat_edges(faces));
         block_mesh(&field, region, recipe.iso, normals, walls)
@@ -175,8 +174,8 @@ fn meshes_of_spray(
     regions.iter().map(mesh).collect()
 }
 
-/// The surfaces through some regions, which share what they can where that takes so many bytes at
-/// the most.
+/// The surfaces of some regions. The regions share intermediate results if these fit into the given
+/// number of bytes.
 fn meshes(
     surfaces: &Surfaces<'_>,
     regions: &[CellBox],
@@ -191,7 +190,7 @@ fn meshes(
     let away = |region: CellBox| walls.is_none_or(|walls| walls.covers(&dual_cells(region)));
     let solid =
         surfaces.solid.filter(|_| regions.iter().any(|&region| surfaces.is_at_solid(region)));
-    // Fluid that is all around ends at a solid.
+    // At a solid, fluid has a surface even if it is all inside.
     let away = |region| solid.is_none() && away(region);
     let boxes: Vec<_> =
         regions.iter().map(|&region| (normals.cells(region), away(region))).collect();
@@ -200,7 +199,7 @@ fn meshes(
         let field = fields.next().filter(|_| meter.goes_on()).flatten();
         meter.add(1);
         let mut field = field?;
-        // Beyond a periodic face is what the filters have to see, and the mesh must not.
+        // The filters use cells beyond a periodic face, but the mesh ends there.
         let cut = walls.filter(|_| sampled.facts.periodic.is_some());
         cut.into_iter().for_each(|faces| field.repeat_edges(faces));
         block_mesh(&field, region, recipe.iso, normals, walls)

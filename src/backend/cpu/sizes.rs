@@ -1,4 +1,4 @@
-//! The field of particles of several sizes, on blocks in the memory of a thread.
+//! The field of particles of several sizes, on blocks in a thread's memory.
 
 use crate::brick::Block;
 use crate::field::blur::{Weights, blur};
@@ -12,7 +12,7 @@ use crate::grid::units::{Isovalue, SheetStretch, Smooth};
 
 use super::fields::Blocks;
 
-/// From clouds of several sizes to their field.
+/// Computes the field of clouds of several sizes.
 #[derive(Debug)]
 pub struct SizedField<'a> {
     clouds: &'a SizedClouds,
@@ -20,29 +20,29 @@ pub struct SizedField<'a> {
     recipes: [(Recipe, DistanceFilters); 2],
     /// Averages sizes, in wide cells of an octave.
     averaging: Weights,
-    /// By how much the radius of drops grows within an octave.
+    /// The growth of the radius of drops within an octave.
     growth: i32,
 }
 
 /// The surface in the wide cells of an octave and in its spacings.
 struct OctaveSurface {
-    /// The calm one, which drops stand out of.
+    /// The calm surface, from which drops stand out.
     calm: Block,
-    /// The bulk's.
+    /// The bulk's surface.
     bulk: Block,
 }
 
-/// The drops of an octave, as far as they can be made in its cells.
+/// The drops of an octave, in its own cells.
 struct OctaveShares {
     octave: usize,
-    /// By how much particles near by lie outside of the calm surface, in wide cells.
+    /// The distance by which nearby particles lie outside of the calm surface, in wide cells.
     outlying: Block,
-    /// The shares of drops, in the cells that they are made in.
+    /// The shares of drops, in the cells in which they are made.
     shares: Block,
 }
 
 impl<'a> SizedField<'a> {
-    /// By the measured plateau of clouds of the usual amounts.
+    /// For the measured plateau of clouds with the usual amounts.
     #[must_use]
     pub fn new(
         clouds: &'a SizedClouds,
@@ -61,7 +61,7 @@ impl<'a> SizedField<'a> {
         Self { clouds, recipes, averaging, growth: growth(spacing) }
     }
 
-    /// The level of the surface.
+    /// The isovalue of the surface.
     #[must_use]
     pub fn iso(&self) -> Isovalue {
         self.recipes[0].0.iso
@@ -73,14 +73,14 @@ impl<'a> SizedField<'a> {
         &self.recipes[0].0
     }
 
-    /// How far from a particle there can be a surface, in cells of its octave.
+    /// The maximum distance of a surface from a particle, in cells of the particle's octave.
     #[must_use]
     pub fn reach(&self) -> i32 {
         self.clouds.octave(0).dif.ghost_layer() + self.distances(0).reach()
     }
 
-    /// Within how many wide cells of a particle of their octave drops are drawn: the largest of an
-    /// octave are twice as large as the smallest.
+    /// The maximum distance of a drop from a particle of its octave, in wide cells: the largest
+    /// drops of an octave are twice as large as the smallest.
     fn near(&self) -> i32 {
         2 * self.distances(0).near
     }
@@ -89,32 +89,33 @@ impl<'a> SizedField<'a> {
         &self.recipes[octave.min(1)].1
     }
 
-    /// The cells of an octave that some of the finest ones lie between.
+    /// The cells of an octave whose middles surround some of the finest cells.
     fn cells(&self, octave: usize, finest: CellBox) -> CellBox {
         wide_cells(octave as u32, finest)
     }
 
-    /// The wide cells of an octave that the field on some of the finest cells is made of, and those
-    /// around them whose drops are near.
+    /// The wide cells of an octave from which the field on some of the finest cells is made, with
+    /// the surrounding cells whose drops are near.
     fn wide(&self, octave: usize, finest: CellBox) -> CellBox {
         let level = octave as u32 + self.distances(octave).level;
         wide_cells(level, finest).grown(self.near(), self.near())
     }
 
-    /// Walls in cells 2^`level` times as wide as the finest.
+    /// The walls in cells 2^`level` times as wide as the finest.
     fn walls(&self, level: u32) -> Option<CellBox> {
         walls_at(level, self.clouds.octave(0).facts.walls())
     }
 
-    /// Makes the final field on a box of the finest cells where a surface can pass between them, as
-    /// far as the bulk tells, by whether it is away from walls. A sample does not depend on the box.
+    /// Makes the final field on a box of the finest cells; `None` if the bulk shows that no surface
+    /// can pass through it. `away_from_walls` says whether the box is away from walls. A sample
+    /// does not depend on the box.
     #[must_use]
     pub fn on(&self, cells: CellBox, away_from_walls: bool) -> Option<Block> {
         let mut surfaces: Vec<Option<OctaveSurface>> =
             (0..self.clouds.octaves()).map(|_| None).collect();
         self.make(&mut surfaces, 0, cells);
         let bulk = surfaces[0].as_ref().map(|surface| surface.bulk.clone())?;
-        // Drops only add to what is inside.
+        // Drops only add to the inside.
         let threshold = self.iso().threshold();
         if away_from_walls && bulk.samples().iter().all(|&sample| sample > threshold) {
             return None;
@@ -168,8 +169,8 @@ impl<'a> SizedField<'a> {
         });
     }
 
-    /// The share of octaves above one in the sizes around some of its wide cells; `None` if all is
-    /// theirs.
+    /// The share of octaves above this one in the sizes around some of its wide cells; `None` if
+    /// there are only coarser ones.
     fn coarser(&self, octave: usize, wide: CellBox) -> Option<Block> {
         let level = self.distances(octave).level;
         let around = wide.grown(self.averaging.reach(), self.averaging.reach());
@@ -181,7 +182,7 @@ impl<'a> SizedField<'a> {
         Some(share(&above, &all))
     }
 
-    /// A density in wide cells of an octave, averaged as sizes are.
+    /// A density in wide cells of an octave, smoothed by the filter that averages sizes.
     fn averaged(&self, octave: usize, density: Block) -> Block {
         let walls = self.walls(octave as u32 + self.distances(octave).level);
         let mut block = blur(density, &self.averaging, walls);
@@ -189,11 +190,11 @@ impl<'a> SizedField<'a> {
         block
     }
 
-    /// The surface by the filters of an octave, in its wide cells.
+    /// The surface with the filters of an octave, in its wide cells.
     fn own_surface(&self, octave: usize, cells: CellBox) -> OctaveSurface {
         let (recipe, distances) = &self.recipes[octave.min(1)];
         let density = |level: u32, cells: CellBox| self.clouds.density(octave, level, cells);
-        // The wide cells of these are those that are wanted.
+        // The wide cells of these cells are the requested ones.
         let wide = self.wide(octave, cells);
         let further = i32::from(distances.level > 0);
         let own = CellBox {
@@ -226,7 +227,7 @@ impl<'a> SizedField<'a> {
         let (recipe, distances) = &self.recipes[octave.min(1)];
         let DistanceFilters { level, least, ramp, .. } = distances;
         let sampled = self.clouds.octave(octave);
-        // Particles of the octave that lie outside of the calm surface.
+        // Particles of the octave outside of the calm surface.
         let walls = self.walls(octave as u32 + level);
         let clouds = sampled.wide(*level).gather_within(self.wide(octave, cells), walls);
         if clouds.samples().iter().all(|sample| sample < least) {
@@ -255,7 +256,7 @@ impl<'a> SizedField<'a> {
         away(greatest, drops.width) < drops.radius + self.growth
     }
 
-    /// A field in the finest spacings, with drops.
+    /// Joins drops to a field in the finest spacings.
     fn with_drops(&self, field: Block, made: &OctaveShares) -> Block {
         let OctaveShares { octave, outlying, shares } = made;
         let DistanceFilters { level, drops_level, ramp, drops, .. } = self.distances(*octave);
@@ -268,7 +269,7 @@ impl<'a> SizedField<'a> {
     }
 
     /// The mean logarithm of the sizes of an octave's particles around some of the finest cells;
-    /// `None` if all are the smallest.
+    /// `None` if all particles have the smallest size.
     fn sizes(&self, octave: usize, cells: CellBox) -> Option<Block> {
         let level = self.distances(octave).level;
         let wide = wide_cells(octave as u32 + level, cells);

@@ -1,4 +1,4 @@
-//! The field of spray, drop by drop: it is only made around each drop's surface.
+//! The field of spray, drop by drop: only around the surface of each drop.
 
 use std::rc::Rc;
 
@@ -14,23 +14,23 @@ use super::fields::{BlockField, Blocks, FieldUse, wide_volume};
 
 /// Spray has particles in at most one of this many cells.
 const FEW: usize = 16;
-/// How many times cheaper a wide cell of spray is than one of other fluid.
+/// The cost of a wide cell of other fluid relative to spray.
 const CHEAPER: usize = 4;
 
-/// How far from the inside of a drop its field is needed, in cells: a vertex lies between a cell of
-/// the inside and one beside it, and normals look one cell further.
+/// The distance from the inside of a drop within which its field is needed, in cells: a vertex lies
+/// between an inside cell and its neighbour, and normals use one cell more.
 const AROUND: i32 = 2;
 
-/// The field around the surface of some particles of a bin. They may be several drops.
+/// The field around the surface of some particles of a bin, which may be several drops.
 pub(super) struct DropField {
-    /// A box around the cells that are inside.
+    /// A box around the inside cells.
     inside: CellBox,
-    /// The field on the cells around these.
+    /// The field on that box and the cells around it.
     field: Block,
 }
 
-/// The boxes within `cells` that a surface can be in, if all of it costs less drop by drop.
-/// Nothing is beyond reach of particles.
+/// The boxes within `cells` that can contain a surface; `None` if the whole field is cheaper than
+/// drop by drop. There is no surface beyond the reach of particles.
 pub(super) fn parts(
     recipe: &Recipe,
     sampled: &SampledDif,
@@ -53,7 +53,7 @@ pub(super) fn parts(
     (pays && bytes <= most_bytes).then_some(parts)
 }
 
-/// The drops in some [parts](parts).
+/// The drops in some [parts].
 pub(super) fn drops(recipe: &Recipe, sampled: &SampledDif, parts: &[CellBox]) -> Vec<DropField> {
     let Filters::Distances(distances) = &recipe.filters else { return Vec::new() };
     let least_share = distances.drops.least_share();
@@ -61,9 +61,9 @@ pub(super) fn drops(recipe: &Recipe, sampled: &SampledDif, parts: &[CellBox]) ->
     parts.iter().filter_map(drop).collect()
 }
 
-/// The field on some of the `cells` that a region needs, whose other dual cells are not mixed;
-/// `None` where no surface is. It is made of whole tiles as `cells` are, or of all of them if
-/// `walls` do not cover these.
+/// The field on those of the `cells` of a region whose dual cells can have a surface; `None` if
+/// there is no surface. It consists of whole tiles like `cells`, or of all of them if `walls` do
+/// not cover these.
 pub(super) fn field(drops: &[DropField], cells: CellBox, walls: Option<CellBox>) -> Option<Block> {
     let inside = drops.iter().map(|drop| drop.inside.intersection(&cells));
     let inside = inside.filter(|inside| !inside.is_empty());
@@ -88,7 +88,7 @@ pub(super) fn field(drops: &[DropField], cells: CellBox, walls: Option<CellBox>)
     Some(field)
 }
 
-/// The cells that are made of any of some cells 2^`level` times as wide.
+/// The cells that depend on any of some cells 2^`level` times as wide.
 fn refined_from(level: u32, wide: CellBox) -> CellBox {
     if wide.is_empty() {
         return wide;
@@ -98,7 +98,7 @@ fn refined_from(level: u32, wide: CellBox) -> CellBox {
     CellBox { lo: lo << level, hi: hi << level }
 }
 
-/// The drops in a box of cells, `None` where no surface is.
+/// The drops in a box of cells; `None` if there is no surface.
 fn drop_in(
     recipe: &Recipe,
     distances: &DistanceFilters,
@@ -114,13 +114,13 @@ fn drop_in(
     if needed.is_empty() {
         return None;
     }
-    // The cells between the middles of those that are needed.
+    // The cells between the middles of the needed ones.
     let further = i32::from(level > 0);
     let between =
         CellBox { lo: (needed.lo + further) << level, hi: (needed.hi - further) << level };
     let mut blocks = Blocks::of_few(recipe, sampled, between, FieldUse::Everywhere);
     let WideFields { bulk, outlying } = bulk(distances, &mut blocks).ok()?;
-    // Further away no particle is near.
+    // Farther away no particle is near.
     let padded = |BlockField { block, level }: BlockField| {
         let mut all = Block::zero(wide);
         all.put_part(needed, block.cells(), block.samples(), |_, sample| sample);
@@ -144,7 +144,7 @@ fn drop_in(
     if inside.is_empty() {
         return None;
     }
-    // Beyond walls edge cells are repeated, which have to be there.
+    // Beyond walls edge cells are repeated, so they must be included.
     let covered = sampled.facts.walls().is_none_or(|walls| walls.covers(&cells));
     let around = inside.grown(AROUND, AROUND).intersection(&cells);
     blocks.wanted = if covered { around } else { cells };

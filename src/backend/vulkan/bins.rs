@@ -1,4 +1,4 @@
-//! Bins to pages.
+//! From bins to pages.
 
 use std::io;
 use std::ops::Range;
@@ -15,20 +15,20 @@ use crate::system::control::Meter;
 use crate::vulkan::{BufferKind, View, VulkanError};
 
 use super::frame::{DeviceFrame, DeviceState};
-use super::lane::{BufferLayout, Lane, fly, part};
+use super::lane::{BufferLayout, Lane, part, run_batches};
 use super::pipelines::page_bytes;
 use super::resident::ResidentPages;
 
-/// Bins of a batch at the most.
+/// Maximum number of bins in a batch.
 const BIN_BATCH: usize = 4096;
-/// Particles of a batch of several bins at the most: drivers give up on a device that is at work
-/// for some two seconds on end.
+/// Maximum number of particles in a batch of several bins: drivers reset a device that computes for
+/// about two seconds without a pause.
 const PARTICLE_BATCH: usize = 4 << 20;
 
-/// An error on the way: of the device, or of a scratch file on the host.
+/// An error of the device, or of a scratch file on the host.
 pub(super) enum DeviceFrameError {
     Device(VulkanError),
-    /// A scratch file that particles come from, or surfaces go to.
+    /// A scratch file with particles or surfaces.
     Host(io::Error),
 }
 
@@ -38,32 +38,32 @@ impl From<VulkanError> for DeviceFrameError {
     }
 }
 
-/// Bins on their way through a lane.
+/// The bins of a batch in a lane.
 struct BinBatch {
     bins: Range<usize>,
     pages: View,
     read: View,
 }
 
-/// The data that is read back of pages that were made.
+/// The data that is read back for finished pages.
 #[derive(Clone, Copy, PartialEq)]
 enum ReadBack {
     /// The pages themselves.
     Pages,
-    /// The masks of full cells only: the pages stay on the device.
+    /// Only the masks of full cells: the pages stay on the device.
     FullCells,
 }
 
 /// The settings for the batches of some bins.
 struct BatchSettings<'a> {
     rule: &'a PageRule,
-    /// Where the pages of all bins stay.
+    /// The buffer in which the pages of all bins stay on the device, if they do.
     resident: Option<Arc<ResidentPages>>,
     read: ReadBack,
 }
 
 impl DeviceFrame {
-    /// Adds the pages of a range of bins to `done`, as far as nothing fails.
+    /// Adds the pages of a range of bins to `done`, until a failure.
     pub(super) fn indicate_batches(
         &self,
         state: &mut DeviceState,
@@ -83,10 +83,10 @@ impl DeviceFrame {
         })
     }
 
-    /// Makes the pages of all bins, which stay on the device, and tells of each what the host has
-    /// to know; `None` where the host reads them there as well, they do not fit, or a bin is too
-    /// large for a batch.
-    pub(super) fn indicate_there(
+    /// Makes the pages of all bins, which stay on the device, and returns the data that the host
+    /// needs about each; `None` if the device shares the host's memory, if the pages do not fit, or
+    /// if a bin is too large for a batch.
+    pub(super) fn indicate_on_device(
         &self,
         state: &mut DeviceState,
         bins: &Bins,
@@ -114,7 +114,7 @@ impl DeviceFrame {
         Ok(Some(infos))
     }
 
-    /// Has the pages of a range of bins made, and `finish` take them batch by batch.
+    /// Makes the pages of a range of bins, and passes them to `finish` batch by batch.
     fn make_bins(
         &self,
         state: &mut DeviceState,
@@ -126,7 +126,7 @@ impl DeviceFrame {
         let room = state.batch_bytes;
         self.make_lanes(state)?;
         let mut next = range.start;
-        fly(
+        run_batches(
             &mut state.lanes,
             |lane| {
                 let batch = bin_batch(bins, next..range.end, making.rule.shape(), room);
@@ -160,12 +160,12 @@ impl DeviceFrame {
         let device = &self.device;
         let staged = lane.buffer(device, "staged", BufferKind::Upload, layout.bytes)?;
         let inputs = lane.buffer(device, "inputs", BufferKind::Device, layout.bytes)?;
-        // SAFETY: `begin` waited for what the lane did before, and what is staged is the lane's
-        // own.
+        // SAFETY: `begin` waited for the lane's earlier work, and only this lane uses the staging
+        // buffer.
         unsafe { staged.write(entries_at.start, &entries) };
         range.clone().into_par_iter().zip(&entries).try_for_each(|(bin, entry)| {
             let contents = bins.contents(bin).map_err(DeviceFrameError::Host)?;
-            // SAFETY: as above, and every bin's records have a place of their own.
+            // SAFETY: as above, and the records of the bins do not overlap.
             unsafe {
                 staged.write(records_at.start + 8 * u64::from(entry.first), contents.packed())
             };
@@ -177,7 +177,7 @@ impl DeviceFrame {
         Ok(self.compute_bins(lane, range, &entries, &records, making)?)
     }
 
-    /// Has the pages of some bins computed and read.
+    /// Records and submits the computation and the download of the pages of some bins.
     fn compute_bins(
         &self,
         lane: &mut Lane,
@@ -199,14 +199,14 @@ impl DeviceFrame {
         indicate(&mut lane.compute, &pipelines.indicate, count, rule, views)?;
         let read = match read {
             ReadBack::Pages => lane.buffer(device, "pages read", BufferKind::Download, bytes)?,
-            ReadBack::FullCells => self.tell_full_cells(lane, &pages, bins.len(), shape)?,
+            ReadBack::FullCells => self.find_full_cells(lane, &pages, bins.len(), shape)?,
         };
         lane.compute.submit(lane.upload.last())?;
         Ok(BinBatch { bins, pages, read })
     }
 
-    /// Has the full cells of pages found and read.
-    pub(super) fn tell_full_cells(
+    /// Records and submits the search for the full cells of pages, and their download.
+    pub(super) fn find_full_cells(
         &self,
         lane: &mut Lane,
         pages: &View,
@@ -228,8 +228,8 @@ impl DeviceFrame {
         Ok(read)
     }
 
-    /// The pages of particles that are binned on the device already, or what there is to know of
-    /// them where they stay there.
+    /// The pages of particles that are already binned on the device, or only the data about them if
+    /// they stay there.
     pub(super) fn indicate_resident(
         &self,
         state: &mut DeviceState,
@@ -249,7 +249,7 @@ impl DeviceFrame {
                 .map(move |part| (part, run.start, records))
         });
         let (mut pages, mut infos) = (Pages::new(), Vec::new());
-        fly(
+        run_batches(
             &mut state.lanes,
             |lane| {
                 let Some((range, run, records)) = batches.next() else { return Ok(None) };
@@ -264,8 +264,8 @@ impl DeviceFrame {
                 let bytes = size_of_val(&entries[..]) as u64;
                 let staged = lane.buffer(&self.device, "staged", BufferKind::Upload, bytes)?;
                 let inputs = lane.buffer(&self.device, "inputs", BufferKind::Device, bytes)?;
-                // SAFETY: `begin` waited for what the lane did before, and what is staged is the
-                // lane's own.
+                // SAFETY: `begin` waited for the lane's earlier work, and only this lane uses the
+                // staging buffer.
                 unsafe { staged.write(0, &entries) };
                 lane.send(&staged, &inputs)?;
                 let records = records.whole();
@@ -281,29 +281,29 @@ impl DeviceFrame {
             },
         )?;
         Ok(if read == ReadBack::Pages {
-            PlacedPages::Here(pages)
+            PlacedPages::Host(pages)
         } else {
-            PlacedPages::There(infos)
+            PlacedPages::Device(infos)
         })
     }
 }
 
-/// Where pages are.
+/// Pages on the host or on the device.
 pub(super) enum PlacedPages {
     /// On the host.
-    Here(Pages),
+    Host(Pages),
     /// On the device.
-    There(Vec<PageInfo>),
+    Device(Vec<PageInfo>),
 }
 
-/// Waits for what there is to know of the pages of a batch.
+/// Waits for the data about the pages of a batch.
 fn read_infos(
     lane: &mut Lane,
     batch: &BinBatch,
     keys: &[MortonKey],
 ) -> Result<Vec<PageInfo>, VulkanError> {
     lane.compute.wait()?;
-    // SAFETY: the batch that writes it was waited for, and the lane has begun no other.
+    // SAFETY: the batch that writes it has finished, and the lane has not begun another.
     let found: Vec<DeviceFullCells> = unsafe { batch.read.read(0, batch.bins.len()) };
     let keys = &keys[batch.bins.clone()];
     Ok(found
@@ -320,14 +320,14 @@ fn read_pages(
     keys: &[MortonKey],
     shape: PageShape,
 ) -> Result<Pages, VulkanError> {
-    // Submitted only now, the copy leaves its queue free for the next batch's upload.
+    // The copy is submitted only now, so its queue stays free for the upload of the next batch.
     lane.download.stage("download", 2 * batch.pages.bytes());
     lane.download.copy(&batch.pages, &batch.read);
     lane.download.submit(lane.compute.last())?;
     lane.download.wait()?;
     let stride = page_bytes(shape) as usize / size_of::<u16>();
-    // SAFETY: the batch that writes it was waited for, and the lane begins no other before they are
-    // copied.
+    // SAFETY: the batch that writes it has finished, and the lane begins no other before the
+    // samples are copied.
     let samples: &[u16] = unsafe { batch.read.values(0, batch.bins.len() * stride) };
     let page = |(samples, bin): (&[u16], usize)| {
         let dense = &samples[..shape.bin_samples()];
@@ -336,12 +336,12 @@ fn read_pages(
     Ok(samples.par_chunks_exact(stride).zip(batch.bins).map(page).collect())
 }
 
-/// Bytes of a bin with `count` particles, on the device and staged.
+/// Bytes of a bin with `count` particles, on the device and in the staging buffer.
 pub(super) fn bin_bytes(count: usize, shape: PageShape) -> u64 {
     2 * (8 * count as u64 + page_bytes(shape))
 }
 
-/// Returns the range of as many bins as a batch has room for, at least one.
+/// Returns the range of bins that fit into a batch, at least one.
 fn bin_batch(bins: &Bins, range: Range<usize>, shape: PageShape, room: u64) -> Range<usize> {
     let mut bytes = 0;
     let mut end = range.start;

@@ -1,4 +1,4 @@
-//! Regions of blocks to surfaces.
+//! From regions of blocks to surfaces.
 
 use std::sync::Arc;
 
@@ -19,12 +19,11 @@ use super::contouring::{BatchField, BlockBatch, Contouring};
 use super::fields::PaddedBlocks;
 use super::frame::{DeviceFrame, DeviceState};
 use super::grids::LevelBlocks;
-use super::lane::{BufferLayout, Lane, fly};
+use super::lane::{BufferLayout, Lane, run_batches};
 use super::pipelines::page_bytes;
 
 impl DeviceFrame {
-    /// Hands the surfaces through some regions to `take`, as far as nothing fails and `meter` goes
-    /// on.
+    /// Passes the surfaces of some regions to `take`, until a failure or a cancel of `meter`.
     pub(super) fn contour_batches(
         &self,
         state: &mut DeviceState,
@@ -40,7 +39,7 @@ impl DeviceFrame {
         })
     }
 
-    /// The surfaces through some regions, which stay on the device.
+    /// The surfaces of some regions, which stay on the device.
     pub(super) fn collect_batches(
         &self,
         state: &mut DeviceState,
@@ -76,8 +75,8 @@ impl DeviceFrame {
         })
     }
 
-    /// Has the surfaces through some regions computed, and `take` take them batch by batch, in
-    /// order, as long as it goes on.
+    /// Computes the surfaces of some regions, and passes them to `take` batch by batch, in order,
+    /// until it stops.
     fn each_batch<E: From<VulkanError>>(
         &self,
         state: &mut DeviceState,
@@ -92,7 +91,7 @@ impl DeviceFrame {
         let residents = self.residents().clone();
         let work = Contouring { frame: self, surfaces, constants, residents, bytes: *batch_bytes };
         let mut next = 0;
-        fly(
+        run_batches(
             lanes,
             |lane| {
                 if goes_on() { Ok(work.start_next(lane, regions, &mut next)?) } else { Ok(None) }
@@ -103,27 +102,25 @@ impl DeviceFrame {
     }
 }
 
-/// A callback that takes a batch, given where each of its blocks begins in it, and where the last
-/// one ends.
+/// A callback for a batch. It gets the start of each block in the batch, followed by the totals.
 type TakeBatch<'a, E> =
     dyn FnMut(&Contouring<'_>, &mut Lane, &BlockBatch, &[BlockTally]) -> Result<(), E> + 'a;
 
 /// The surfaces of a frame's blocks, on the device.
 #[derive(Debug)]
 pub struct DeviceSurfaces {
-    /// The blocks that the surface passes through, in Morton order, counted in blocks, and what
-    /// each has.
+    /// The blocks with a surface, in Morton order, with their block coordinates and their tallies.
     pub blocks: Vec<(IVec3, BlockTally)>,
-    /// A [`Tile`] each.
+    /// One [`Tile`] each.
     pub tiles: View,
-    /// For every vertex the field at the lower and the upper end of its edge.
+    /// For every vertex, the field at the lower and the upper end of its edge.
     pub ends: View,
-    /// Signals that both are complete; readers wait for it on the device.
+    /// Signals that both buffers are complete; readers wait for it on the device.
     pub(super) written: Option<Ticket>,
 }
 
 impl DeviceSurfaces {
-    /// Returns the tickets that commands reading the surfaces have to wait for.
+    /// Returns the tickets for which commands that read the surfaces must wait.
     pub fn written(&self) -> &[Ticket] {
         self.written.as_slice()
     }
@@ -137,7 +134,7 @@ struct GrowingBuffer {
 }
 
 impl GrowingBuffer {
-    /// Records the copy of `from` to the end.
+    /// Records a copy of `from` to the end.
     fn append(
         &mut self,
         device: &Device,
@@ -159,7 +156,7 @@ impl GrowingBuffer {
         Ok(())
     }
 
-    /// Returns a view of the bytes that are used.
+    /// Returns a view of the used bytes.
     fn view(self, device: &Device) -> Result<View, VulkanError> {
         let buffer = self.buffer.map_or_else(|| device.buffer(BufferKind::Device, 4), Ok)?;
         Ok(buffer.part(0, self.used.max(4)))
@@ -193,7 +190,7 @@ impl Contouring<'_> {
         Ok(Some(batch))
     }
 
-    /// Draws a batch whose wide cells were made before.
+    /// Continues a batch after its wide cells were made.
     fn go_on(&self, lane: &mut Lane, batch: &mut BlockBatch) -> Result<(), VulkanError> {
         if batch.wide.is_none() {
             return Ok(());
@@ -202,7 +199,7 @@ impl Contouring<'_> {
         self.draw(lane, batch)
     }
 
-    /// Has the surfaces through the regions that are drawn computed.
+    /// Records and submits the surfaces of the regions to draw.
     pub(super) fn draw(&self, lane: &mut Lane, batch: &BlockBatch) -> Result<(), VulkanError> {
         lane.begin()?;
         if batch.drawn.is_empty() {
@@ -231,7 +228,7 @@ impl Contouring<'_> {
         Ok(())
     }
 
-    /// The field on the regions that are drawn, by the paper's filters.
+    /// The field on the regions to draw, with the paper's filters.
     fn filter(&self, lane: &mut Lane, batch: &BlockBatch) -> Result<BatchField, VulkanError> {
         let device = &self.frame.device;
         let [source] = &self.sources()[..] else {
@@ -252,7 +249,7 @@ impl Contouring<'_> {
         let staged = lane.buffer(device, "staged", BufferKind::Upload, layout.bytes)?;
         let inputs = lane.buffer(device, "inputs", BufferKind::Device, layout.bytes)?;
         let free = lane.fields(device, "cells", source.fields as usize, grid.field_bytes())?;
-        // SAFETY: the lane waited for what it did before, and what is staged is its own.
+        // SAFETY: the lane waited for its earlier work, and only this lane uses the staging buffer.
         unsafe { grid.stage(&staged, &places, from) };
         let uploaded = lane.send(&staged, &inputs)?;
 
@@ -312,8 +309,8 @@ impl Contouring<'_> {
         })
     }
 
-    /// Waits for a batch, and has `take` take it. A batch with more vertices than it had room for
-    /// is drawn again, in parts if they are more than its share.
+    /// Waits for a batch, and passes it to `take`. A batch with more vertices than its buffers can
+    /// hold is drawn again, in parts if it exceeds its share.
     fn finish<E: From<VulkanError>>(
         &self,
         lane: &mut Lane,
@@ -326,7 +323,7 @@ impl Contouring<'_> {
         }
         lane.compute.wait()?;
         let read = lane.known("tallies read", ((count + 1) * size_of::<BlockTally>()) as u64);
-        // SAFETY: the batch that writes it was waited for, and the lane has begun no other.
+        // SAFETY: the batch that writes it has finished, and the lane has not begun another.
         let begins: Vec<BlockTally> = unsafe { read.read(0, count + 1) };
         let vertices = u64::from(begins[count].vertices);
         if vertices <= batch.room {
@@ -348,7 +345,7 @@ impl Contouring<'_> {
         Ok(())
     }
 
-    /// Reads a batch.
+    /// Downloads a batch.
     fn read(
         &self,
         lane: &mut Lane,
@@ -357,7 +354,7 @@ impl Contouring<'_> {
     ) -> Result<Vec<Option<BlockMesh>>, VulkanError> {
         let device = &self.frame.device;
         let totals = begins[batch.drawn.len()];
-        // A lane that has drawn nothing yet has nothing to be read from.
+        // A lane that has not drawn yet has no buffers to read.
         if totals.tiles == 0 {
             return Ok(vec![None; batch.regions.len()]);
         }
@@ -393,8 +390,8 @@ impl Contouring<'_> {
                 let vertices = size.vertices as usize;
                 let first = u64::from(begin.vertices);
                 let first_tile = u64::from(begin.tiles) * size_of::<Tile>() as u64;
-                // SAFETY: the copies were waited for, and the lane begins nothing before these are
-                // read.
+                // SAFETY: the copies have finished, and the lane begins nothing before the values
+                // are read.
                 let (tiles, ends) = unsafe {
                     let ends = ends.read(first * size_of::<[u16; 2]>() as u64, vertices);
                     (tiles.read(first_tile, size.tiles as usize), ends)

@@ -1,4 +1,4 @@
-//! Constants that shaders look up: tables, and the weights of filters.
+//! Lookup data for shaders: tables, and the weights of filters.
 
 use hashbrown::{HashMap, HashSet};
 
@@ -8,27 +8,27 @@ use crate::field::distance::vulkan::tables as tables_of_distances;
 use crate::surface::dual_mc::vulkan::lengths;
 use crate::vulkan::{Batch, View, VulkanError};
 
-/// Weights that are kept, at the most.
+/// Maximum number of cached weights.
 const KEPT_WEIGHTS: usize = 64;
 
-/// Constants that shaders look up, on the device from when they are first asked for.
+/// Lookup data for shaders, which is uploaded at its first use.
 #[derive(Debug, Default)]
 pub(super) struct Constants {
     tables: Option<Tables>,
     weights: HashMap<Weights, View>,
 }
 
-/// Tables that are the same for every frame.
+/// Tables for all frames.
 #[derive(Debug, Clone)]
 pub(super) struct Tables {
-    /// Tables for distances: depths, and how far away shares are.
+    /// Tables for distances: depths, and distances from the middle of a drop for shares.
     pub(super) depths: View,
     pub(super) away: View,
-    /// Triangles by case.
+    /// Number of triangles by case.
     pub(super) lengths: View,
 }
 
-/// Constants that the batches of a frame look up.
+/// The lookup data for the batches of a frame.
 pub(super) struct FrameConstants {
     pub(super) tables: Tables,
     pub(super) weights: HashMap<Weights, View>,
@@ -37,7 +37,7 @@ pub(super) struct FrameConstants {
 }
 
 impl Constants {
-    /// Sends what is not on the device yet of all that surfaces look up, by a batch that is idle.
+    /// Uploads the missing lookup data for surfaces with an idle batch.
     pub(super) fn of(
         &mut self,
         surfaces: &Surfaces<'_>,
@@ -66,7 +66,7 @@ impl Constants {
             batch.submit(&[])?;
             batch.wait()?;
         }
-        // What is kept is there.
+        // Cached tables are on the device.
         *tables = Some(made.clone());
         if known.len() > KEPT_WEIGHTS {
             known.retain(|weights, _| used.contains(&weights));

@@ -1,4 +1,4 @@
-//! The batches of regions on their way to surfaces: what they take, and what they are made of.
+//! The batches of regions whose surfaces are made: their memory, and their inputs.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -24,32 +24,34 @@ use super::grids::SampleSource;
 use super::pipelines::page_bytes;
 use super::resident::ResidentPages;
 
-/// Blocks of a batch at the most.
+/// Maximum number of blocks in a batch.
 const BLOCK_BATCH: usize = 1024;
-/// Vertices of a block on average that a batch has room for; a batch that has more is emitted
-/// again.
+/// Average number of vertices per block for which a batch has memory; a batch with more vertices is
+/// emitted again.
 const BLOCK_ROOM: u64 = 6144;
-/// Vertices that a block can have.
+/// Maximum number of vertices in a block.
 const MOST_VERTICES: u64 = 3 * (BLOCK * BLOCK * BLOCK) as u64;
 
-/// Fields of wide cells that are there at once: clouds, two surfaces and what they are apart by,
-/// and another with one more on its way.
+/// Number of fields in wide cells that exist at once: clouds, two surfaces and their difference,
+/// another field, and its temporary.
 pub(super) const WIDE_FIELDS: usize = 6;
-/// Fields of drops: clouds, their smoothed density, and what is around them with one more on its
-/// way.
+/// Number of fields for drops: clouds, their smoothed density, the clouds around them, and a
+/// temporary.
 pub(super) const DROPS_FIELDS: usize = 4;
-/// Fields of the parts in which particles stand out: by how much, and shares.
+/// Number of fields of the parts in which particles stand out: their distance outside of the
+/// surface, and shares.
 pub(super) const PART_FIELDS: usize = 2;
-/// Regions on their way through a lane.
+/// The regions of a batch in a lane.
 pub(super) struct BlockBatch {
     pub(super) regions: Vec<CellBox>,
-    /// Vertices that there is room for.
+    /// The number of vertices for which there is memory.
     pub(super) room: u64,
-    /// The bulk of the batch in wide cells, where distances are made of them.
+    /// The bulk of the batch in wide cells, if the field is made from distances.
     pub(super) wide: Option<WideBulk>,
-    /// Numbers of the regions that are drawn: all that can show a surface, as far as is known.
+    /// Numbers of the regions to draw: all that can have a surface.
     pub(super) drawn: Vec<usize>,
-    /// The parts of some of them in which particles stand out, by their place among those.
+    /// The parts of these regions in which particles stand out, each with the index of its region
+    /// in `drawn`.
     pub(super) parts: Vec<(usize, CellBox)>,
 }
 
@@ -100,33 +102,33 @@ impl BlockBatch {
         }
     }
 
-    /// The regions that are drawn.
+    /// The regions to draw.
     pub(super) fn drawn(&self) -> impl Iterator<Item = CellBox> + Clone + '_ {
         self.drawn.iter().map(|&number| self.regions[number])
     }
 }
 
-/// The field on some blocks, and when what it is made of is there.
+/// The field on some blocks, with a ticket for its upload.
 pub(super) struct BatchField {
     pub(super) blocks: DeviceBlocks,
     pub(super) field: View,
     pub(super) uploaded: Ticket,
 }
 
-/// Cells in which a batch has fields.
+/// The cells of one width in which a batch has fields.
 pub(super) struct FieldLevel {
-    /// 2^`level` times as wide as those of the grid.
+    /// The cells are 2^`level` times as wide as those of the grid.
     pub(super) level: u32,
-    /// How far beyond those that the field is asked for on.
+    /// The halo around the requested cells.
     halo: i32,
-    /// Whether samples are asked for in them.
+    /// Whether samples are needed in these cells.
     sampled: bool,
-    /// Fields in them that are there at once, the samples among them.
+    /// The number of fields that exist at once, including the samples.
     pub(super) fields: u64,
 }
 
 impl FieldLevel {
-    /// The cells in which there are fields, for a field on `cells`.
+    /// The cells of the fields for a field on `cells`.
     pub(super) fn cells(&self, cells: CellBox) -> CellBox {
         wide_cells(self.level, cells).grown(self.halo, self.halo)
     }
@@ -135,20 +137,20 @@ impl FieldLevel {
 /// The bulk of a batch in wide cells.
 pub(super) struct WideBulk {
     pub(super) blocks: DeviceBlocks,
-    /// For each region the number of its block.
+    /// For each region, the number of its block.
     pub(super) of_regions: Vec<u32>,
     pub(super) probes: Vec<RegionProbe>,
     pub(super) fields: WideFields<View>,
 }
 
-/// Blocks to surfaces.
+/// The stage from blocks to surfaces.
 pub(super) struct Contouring<'a> {
     pub(super) frame: &'a DeviceFrame,
     pub(super) surfaces: &'a Surfaces<'a>,
     pub(super) constants: FrameConstants,
-    /// Fields on the device that samples are cut out of, by their level.
+    /// Fields on the device from which samples are gathered, by level.
     pub(super) residents: Vec<Arc<ResidentPages>>,
-    /// Bytes that a batch may take.
+    /// Maximum bytes of a batch.
     pub(super) bytes: u64,
 }
 
@@ -163,15 +165,16 @@ impl<'a> Contouring<'a> {
             + if self.has_normals() { size_of::<Falls>() as u64 } else { 0 }
     }
 
-    /// Returns the samples that cells of a level are cut out of.
+    /// Returns the samples for cells of a level.
     pub(super) fn samples(&self, level: u32) -> SampleSource<'_> {
         let dif = self.surfaces.sampled.wide(level);
         let resident = self.residents.get(level as usize);
-        resident
-            .map_or(SampleSource::Sent(dif), |resident| SampleSource::There(resident, dif.shape()))
+        resident.map_or(SampleSource::Sent(dif), |resident| {
+            SampleSource::Resident(resident, dif.shape())
+        })
     }
 
-    /// All cells in which a region has fields.
+    /// All cell widths in which a region has fields.
     pub(super) fn sources(&self) -> Vec<FieldLevel> {
         match &self.surfaces.recipe.filters {
             Filters::Paper(paper) => {
@@ -209,7 +212,7 @@ impl<'a> Contouring<'a> {
         }
     }
 
-    /// Bytes of a region besides its fields, on the device and staged.
+    /// Bytes of a region in addition to its fields, on the device and in the staging buffer.
     pub(super) fn region_bytes(&self) -> u64 {
         let tiles = u64::from(BLOCK_TILES) * (2 * size_of::<Tile>() + size_of::<TileSlot>()) as u64;
         tiles + 8 * u64::from(SIGN_TILES) + 2 * BLOCK_ROOM * self.vertex_bytes()

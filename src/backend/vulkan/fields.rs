@@ -19,45 +19,46 @@ use crate::vulkan::{Batch, View, VulkanError};
 use super::constants::FrameConstants;
 use super::pipelines::Pipelines;
 
-/// The samples of a batch's blocks; those within `margin` of a block's faces are unknown.
+/// The samples of a batch's blocks; samples within `margin` of a block's faces are unknown.
 pub(super) struct PaddedSamples {
     pub(super) samples: View,
     pub(super) margin: i32,
-    /// Number of its [`PaddedBlocks`].
+    /// The index of its [`PaddedBlocks`].
     pub(super) of: usize,
 }
 
-/// The blocks of a batch in cells of a width, and buffers for their fields.
+/// The blocks of a batch in cells of one width, and buffers for their fields.
 pub(super) struct PaddedBlocks {
     pub(super) blocks: DeviceBlocks,
-    /// A cell is 2^`level` of the grid's along an axis.
+    /// A cell is 2^`level` cells of the grid along an axis.
     pub(super) level: u32,
-    /// Bits of the bricks that are inside, if there are such.
+    /// Bits of the inside bricks, if there are any.
     pub(super) marks: Option<View>,
-    /// Other blocks that these lie in, and for each the number of its own.
+    /// Indices of other blocks that contain these, and for each block the number of the containing
+    /// one.
     pub(super) within: Vec<(usize, View)>,
-    /// Buffers that are not in use.
+    /// Unused buffers.
     pub(super) free: Vec<View>,
 }
 
-/// Fields of padded blocks, in as few buffers as they need: one that nobody refers to any more is
-/// used again.
+/// Fields of padded blocks in a minimum number of buffers: a buffer is reused when no field refers
+/// to it.
 pub(super) struct PaddedFields<'a> {
     pub(super) pipelines: &'a Pipelines,
     pub(super) constants: &'a FrameConstants,
     pub(super) walls: Option<CellBox>,
     pub(super) commands: &'a mut Batch,
     pub(super) grids: Vec<PaddedBlocks>,
-    /// Samples of the grids, in the order in which they are asked for.
+    /// Gathered samples, in the order in which the recipe requests them.
     pub(super) gathered: VecDeque<Rc<PaddedSamples>>,
-    /// The blocks that fields are refined for, and the parts of them in which particles stand out,
-    /// if there are such.
+    /// The blocks for which fields are refined, and their parts in which particles stand out, if
+    /// there are any.
     pub(super) cells: usize,
     pub(super) parts: Option<usize>,
 }
 
 impl PaddedFields<'_> {
-    /// Cuts the samples of a grid out of pages, to be asked for after those that were before.
+    /// Gathers the samples of a grid from pages, after those of earlier calls.
     pub(super) fn gather(&mut self, of: usize, pages: &DevicePages) -> Result<(), VulkanError> {
         let samples = self.take(of);
         self.commands.stage("gather", pages.pages.bytes() + samples.bytes());
@@ -70,7 +71,7 @@ impl PaddedFields<'_> {
         self.grids[of].free.pop().expect("a recipe needs no more fields than there are")
     }
 
-    /// Gives a buffer back, if nobody else refers to it.
+    /// Returns a buffer for reuse, unless another field refers to it.
     fn give(&mut self, field: Rc<PaddedSamples>) {
         if let Some(field) = Rc::into_inner(field) {
             self.grids[field.of].free.push(field.samples);
@@ -85,7 +86,7 @@ impl PaddedFields<'_> {
         walls_at(self.grids[of].level, self.walls)
     }
 
-    /// For each block of one grid the number of the one of another that it lies in.
+    /// For each block of one grid, the number of the containing block of another.
     fn within(&self, of: usize, other: usize) -> View {
         let mut known = self.grids[of].within.iter();
         let (_, numbers) =
@@ -107,7 +108,7 @@ impl Fields for PaddedFields<'_> {
         Ok(field)
     }
 
-    /// Regions near solids are made on the processor.
+    /// Only the CPU handles regions near solids.
     fn filled(&mut self, clouds: &Rc<PaddedSamples>) -> Result<Rc<PaddedSamples>, VulkanError> {
         Ok(Rc::clone(clouds))
     }
@@ -233,7 +234,7 @@ impl Fields for PaddedFields<'_> {
         Ok(Rc::new(PaddedSamples { samples: to, margin, of }))
     }
 
-    /// The caller has looked before.
+    /// The caller probed the regions before.
     fn probe(
         &mut self,
         _: &WideFields<Rc<PaddedSamples>>,
@@ -259,7 +260,8 @@ impl Fields for PaddedFields<'_> {
         Ok(Rc::new(PaddedSamples { samples: to, margin: 0, of }))
     }
 
-    /// Particles stand out in parts, if there are such: from here on fields are refined for those.
+    /// From here on fields are refined for the parts in which particles stand out, if there are
+    /// any.
     fn narrowed(&mut self, _: &Rc<PaddedSamples>, _: u32, _: &Ramp) -> bool {
         self.cells = self.parts.unwrap_or(self.cells);
         self.parts.is_some()

@@ -1,4 +1,4 @@
-//! One frame on a device: what it holds there, and what becomes of that when something fails.
+//! One frame on a device: its memory there, and the recovery from failures.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -13,16 +13,16 @@ use super::lane::{HEADROOM, Lane};
 use super::pipelines::{Pipelines, page_bytes};
 use super::resident::{PageReader, ResidentPages};
 
-/// Batches in flight.
+/// Number of batches in flight.
 pub(super) const LANES: usize = 2;
-/// Bytes of a batch at which the processor takes over.
+/// Minimum size of a batch in bytes; below it the CPU takes over.
 const SMALLEST_BATCH: u64 = 1 << 20;
 
-/// Buffers and constants that are kept on the device between frames.
+/// Buffers and constants that stay on the device between frames.
 #[derive(Debug, Default)]
 pub(super) struct FrameBuffers {
     lanes: Vec<Lane>,
-    /// Room for the pages of a frame, and for those of its wider cells after them.
+    /// Buffers for the pages of a frame, followed by those of its wider cells.
     pages: VecDeque<Arc<Buffer>>,
     pub(super) constants: Constants,
 }
@@ -34,7 +34,8 @@ pub(super) struct DeviceFrame {
     pub(super) pipelines: Arc<Pipelines>,
     pub(super) kept: Arc<Mutex<FrameBuffers>>,
     pub(super) state: Mutex<DeviceState>,
-    /// Fields whose pages are on the device, by how often their cells were made twice as wide.
+    /// Fields whose pages are on the device, by the number of times their cells were doubled in
+    /// width.
     residents: Mutex<Vec<Arc<ResidentPages>>>,
     pub(super) reader: PageReader,
 }
@@ -54,7 +55,7 @@ impl DeviceFrame {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// All fields that are on the device.
+    /// All fields on the device.
     pub(super) fn residents(&self) -> MutexGuard<'_, Vec<Arc<ResidentPages>>> {
         self.residents.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -64,13 +65,13 @@ impl DeviceFrame {
         self.residents().get(level).cloned()
     }
 
-    /// Forgets all fields that are on the device, if there are any.
+    /// Drops all fields on the device; returns whether there were any.
     pub(super) fn forget_residents(&self) -> bool {
         !std::mem::take(&mut *self.residents()).is_empty()
     }
 
-    /// Adds the field in cells 2^`level` times as wide; fields in cells as wide or wider are
-    /// forgotten.
+    /// Adds the field in cells 2^`level` times as wide, and drops the fields of this and higher
+    /// levels.
     pub(super) fn add_resident(&self, level: usize, resident: ResidentPages) {
         let mut residents = self.residents();
         residents.truncate(level);
@@ -81,11 +82,11 @@ impl DeviceFrame {
         self.kept.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Takes lanes that were kept, if they are not too large for this frame, or makes them.
+    /// Takes existing lanes if they are not too large for this frame, or makes new ones.
     pub(super) fn make_lanes(&self, state: &mut DeviceState) -> Result<(), VulkanError> {
         while state.lanes.len() < LANES {
             let mut kept = self.kept();
-            // In their order: the first to be used has grown.
+            // In their order: the first lane has the largest buffers.
             let known = (!kept.lanes.is_empty()).then(|| kept.lanes.remove(0));
             drop(kept);
             let fitting = known.filter(|lane| lane.bytes() <= 2 * state.batch_bytes);
@@ -95,8 +96,7 @@ impl DeviceFrame {
         Ok(())
     }
 
-    /// Makes room for the pages of all bins, unless they are too many; pages of other bins are
-    /// forgotten.
+    /// Makes a buffer for the pages of all bins if they fit; pages of other bins are dropped.
     pub(super) fn make_resident(
         &self,
         state: &mut DeviceState,
@@ -110,7 +110,7 @@ impl DeviceFrame {
             return;
         }
         self.forget_residents();
-        // Only once: runs of bins that follow one another do not fit together.
+        // Only once, because consecutive runs of bins do not fit together.
         let most = std::mem::take(&mut state.resident_bytes);
         if let Some(pages) = self.room(state, keys.len() as u64 * page_bytes(shape), most) {
             let numbers = keys.iter().map(|key| key.coord()).zip(0..).collect();
@@ -119,7 +119,7 @@ impl DeviceFrame {
         }
     }
 
-    /// Room for the pages of the next field, unless that is more than `most` bytes.
+    /// A buffer for the pages of the next field, if it takes at most `most` bytes.
     pub(super) fn room(
         &self,
         state: &mut DeviceState,
@@ -144,8 +144,8 @@ impl DeviceFrame {
         }
     }
 
-    /// After a failure: smaller batches where memory is exhausted, the processor where that does
-    /// not help.
+    /// Recovers from a failure: with smaller batches if memory is exhausted, or on the CPU if that
+    /// does not help.
     pub(super) fn recover(&self, state: &mut DeviceState, error: &VulkanError) {
         state.lanes.clear();
         *self.kept() = FrameBuffers::default();
@@ -155,7 +155,7 @@ impl DeviceFrame {
 }
 
 impl Drop for DeviceFrame {
-    /// Keeps what the next frame can use.
+    /// Keeps buffers for the next frame.
     fn drop(&mut self) {
         let state = self.state.get_mut().unwrap_or_else(PoisonError::into_inner);
         if state.on_cpu {
@@ -175,14 +175,14 @@ impl Drop for DeviceFrame {
 pub(super) struct DeviceState {
     pub(super) lanes: Vec<Lane>,
     pub(super) batch_bytes: u64,
-    /// Bytes that the pages of a frame may take on the device, and those that pages of wider cells
-    /// may take of them.
+    /// Maximum bytes of a frame's pages on the device, and the part of them for pages of wider
+    /// cells.
     pub(super) resident_bytes: u64,
     pub(super) wide_bytes: u64,
-    /// Once the device is lost or too small.
+    /// Whether the device is lost or too small.
     pub(super) on_cpu: bool,
     pub(super) warnings: Vec<String>,
-    /// By the device.
+    /// The work that the device did.
     pub(super) done: Work,
 }
 

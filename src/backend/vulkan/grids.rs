@@ -1,4 +1,4 @@
-//! The blocks of a batch in cells of one width, and what the device is sent of them.
+//! The blocks of a batch in cells of one width, and the data that is uploaded for them.
 
 use std::ops::Range;
 
@@ -17,51 +17,51 @@ use super::lane::{BufferLayout, part};
 use super::pipelines::page_bytes;
 use super::resident::ResidentPages;
 
-/// Nothing of a block is meshed.
+/// A block without tiles to mesh.
 pub(super) const NO_TILES: CellBox = CellBox { lo: IVec3::ZERO, hi: IVec3::ZERO };
 
-/// Samples that blocks are cut out of.
+/// The source of the samples of blocks.
 #[derive(Clone, Copy)]
 pub(super) enum SampleSource<'a> {
     /// Samples of pages that are on the device.
-    There(&'a ResidentPages, PageShape),
-    /// Samples of pages that are sent to the device.
+    Resident(&'a ResidentPages, PageShape),
+    /// Samples of pages that are uploaded.
     Sent(&'a DifField),
 }
 
 impl SampleSource<'_> {
-    /// How they lie in pages.
+    /// The arrangement of samples in pages.
     pub(super) fn shape(&self) -> PageShape {
         match *self {
-            Self::There(_, shape) => shape,
+            Self::Resident(_, shape) => shape,
             Self::Sent(dif) => dif.shape(),
         }
     }
 
-    /// Whether the page of a bin has to be sent.
+    /// Whether the page of a bin must be uploaded.
     pub(super) fn sends(&self, bin: IVec3) -> bool {
         match self {
-            Self::There(..) => false,
+            Self::Resident(..) => false,
             Self::Sent(dif) => dif.has_page(bin),
         }
     }
 }
 
-/// Blocks of one width of cells that lie one after the other in a field.
+/// Blocks of one cell width, consecutive in a field.
 #[derive(Default)]
 pub(super) struct LevelBlocks {
     blocks: Vec<DeviceBlock>,
-    /// Words of all of them.
+    /// Total number of words.
     pub(super) words: u32,
     tables: Vec<u32>,
-    /// Bits of the bricks that are inside.
+    /// Bits of the inside bricks.
     marks: Vec<u32>,
-    /// The bins whose pages are to be sent, and their numbers.
+    /// The bins whose pages are uploaded, and their numbers.
     sent: Vec<IVec3>,
     numbers: HashMap<IVec3, u32>,
 }
 
-/// Where a grid lies among what is sent.
+/// The positions of a grid's data in the upload.
 pub(super) struct Places {
     blocks: Range<u64>,
     tables: Range<u64>,
@@ -70,22 +70,22 @@ pub(super) struct Places {
 }
 
 impl LevelBlocks {
-    /// How many blocks there are.
+    /// The number of blocks.
     pub(super) fn len(&self) -> usize {
         self.blocks.len()
     }
 
-    /// Bytes of one field on all of them.
+    /// Bytes of one field on all blocks.
     pub(super) fn field_bytes(&self) -> u64 {
         4 * u64::from(self.words)
     }
 
-    /// Pages that are to be sent.
+    /// The number of pages to upload.
     pub(super) fn sent_pages(&self) -> u64 {
         self.sent.len() as u64
     }
 
-    /// Adds a block for the samples of `cells`, of which the tiles of `region` are to be meshed.
+    /// Adds a block for the samples of `cells`, whose tiles in `region` will be meshed.
     pub(super) fn push(&mut self, cells: CellBox, region: CellBox) {
         let mut block = DeviceBlock::new(cells, region);
         block.field = self.words;
@@ -93,8 +93,8 @@ impl LevelBlocks {
         self.blocks.push(block);
     }
 
-    /// Adds a block whose samples are cut out of pages, with the bricks that are inside, if any are
-    /// told.
+    /// Adds a block whose samples are gathered from pages, with the inside bricks, if they are
+    /// given.
     pub(super) fn push_sampled(
         &mut self,
         cells: CellBox,
@@ -112,7 +112,7 @@ impl LevelBlocks {
         }
         tables.extend(block.bins(from.shape().ghost_layer).map(|bin| {
             let number = match from {
-                SampleSource::There(resident, _) => resident.numbers.get(&bin).copied(),
+                SampleSource::Resident(resident, _) => resident.numbers.get(&bin).copied(),
                 SampleSource::Sent(_) => from.sends(bin).then(|| {
                     *numbers.entry(bin).or_insert_with(|| {
                         sent.push(bin);
@@ -124,7 +124,7 @@ impl LevelBlocks {
         }));
     }
 
-    /// Reserves room for everything that is sent, with `page_bytes` per page of samples.
+    /// Reserves space for all uploaded data, with `page_bytes` per page of samples.
     pub(super) fn place(&self, layout: &mut BufferLayout, page_bytes: u64) -> Places {
         Places {
             blocks: layout.place(size_of_val(&self.blocks[..]) as u64),
@@ -134,12 +134,12 @@ impl LevelBlocks {
         }
     }
 
-    /// Writes what is sent.
+    /// Writes the data for the upload.
     ///
     /// # Safety
-    /// No batch in flight may use what is staged.
+    /// No batch in flight may use the staging buffer.
     pub(super) unsafe fn stage(&self, staged: &View, places: &Places, from: SampleSource<'_>) {
-        // SAFETY: as the caller says, and the places are apart from each other.
+        // SAFETY: by the caller's guarantee, and the parts do not overlap.
         unsafe {
             staged.write(places.blocks.start, &self.blocks);
             staged.write(places.tables.start, &self.tables);
@@ -151,25 +151,26 @@ impl LevelBlocks {
             || vec![0; dif.shape().bin_samples()],
             |dense, (number, &bin)| {
                 dif.write_stored(bin, dense);
-                // SAFETY: as the caller says, and every page has a place of its own.
+                // SAFETY: by the caller's guarantee, and the pages do not overlap.
                 unsafe { staged.write(places.pages.start + number as u64 * page_bytes, dense) };
             },
         );
     }
 
-    /// The blocks, as shaders take them.
+    /// The blocks in the layout of shaders.
     pub(super) fn on_device(&self, inputs: &View, places: &Places) -> DeviceBlocks {
         DeviceBlocks::new(part(inputs, &places.blocks), &self.blocks)
     }
 }
 
 impl Places {
-    /// The bits of bricks that are inside.
+    /// The bits of inside bricks.
     pub(super) fn marks(&self, inputs: &View) -> View {
         part(inputs, &self.marks)
     }
 
-    /// Returns the pages that samples are cut out of; without constants samples are what is stored.
+    /// Returns the pages from which samples are gathered; without constants, the samples are the
+    /// stored ones.
     pub(super) fn pages(
         &self,
         inputs: &View,
@@ -179,7 +180,7 @@ impl Places {
         DevicePages {
             tables: part(inputs, &self.tables),
             pages: match from {
-                SampleSource::There(resident, _) => resident.pages.whole(),
+                SampleSource::Resident(resident, _) => resident.pages.whole(),
                 SampleSource::Sent(_) => part(inputs, &self.pages),
             },
             shape: from.shape(),

@@ -1,4 +1,4 @@
-//! Lanes: what a batch works with, and how two of them are kept in flight.
+//! Lanes: the commands and buffers of a batch, and the loop that keeps two lanes in flight.
 
 use std::collections::VecDeque;
 use std::ops::Range;
@@ -10,11 +10,11 @@ use crate::vulkan::{
     ALIGNMENT, Batch, Buffer, BufferKind, Device, Queue, Ticket, View, VulkanError,
 };
 
-/// Buffers are larger than is asked for by a share of so much, for the next batch may be a little
-/// larger.
+/// Buffers are larger than requested by a fraction 1 / `HEADROOM`, because the next batch may be
+/// slightly larger.
 pub(super) const HEADROOM: u64 = 4;
 
-/// The command batches and buffers that a batch works with, used again by the next.
+/// The command batches and buffers of a batch, which the next batch reuses.
 #[derive(Debug)]
 pub(super) struct Lane {
     pub(super) upload: Batch,
@@ -23,7 +23,7 @@ pub(super) struct Lane {
     buffers: HashMap<Name, Arc<Buffer>>,
 }
 
-/// The name of a buffer of a lane: fields are numbered.
+/// The name of a lane's buffer; fields are numbered.
 type Name = (&'static str, usize);
 
 impl Lane {
@@ -36,7 +36,7 @@ impl Lane {
         })
     }
 
-    /// A part of a buffer that is this lane's, `bytes` long. What was in it is lost.
+    /// A part of this lane's buffer with `bytes` bytes. Its previous content is lost.
     pub(super) fn buffer(
         &mut self,
         device: &Device,
@@ -47,7 +47,7 @@ impl Lane {
         self.numbered((name, 0), device, place, bytes)
     }
 
-    /// Returns buffers for `count` fields of some kind, of `bytes` bytes each.
+    /// Returns buffers for `count` fields of a kind, each with `bytes` bytes.
     pub(super) fn fields(
         &mut self,
         device: &Device,
@@ -77,24 +77,24 @@ impl Lane {
         Ok(self.buffers[&name].part(0, bytes))
     }
 
-    /// The first `bytes` of a buffer that this lane has.
+    /// The first `bytes` of an existing buffer of this lane.
     pub(super) fn known(&self, name: &'static str, bytes: u64) -> View {
         self.buffers[&(name, 0)].part(0, bytes)
     }
 
-    /// Sends what was staged.
+    /// Uploads the staged data.
     pub(super) fn send(&mut self, staged: &View, inputs: &View) -> Result<Ticket, VulkanError> {
         self.upload.stage("upload", 2 * staged.bytes());
         self.upload.copy(staged, inputs);
         self.upload.submit(&[])
     }
 
-    /// Bytes of all its buffers.
+    /// Bytes of all buffers of the lane.
     pub(super) fn bytes(&self) -> u64 {
         self.buffers.values().map(|buffer| buffer.bytes()).sum()
     }
 
-    /// Starts over: the lane's last batch is done.
+    /// Starts a new batch after the lane's last one has finished.
     pub(super) fn begin(&mut self) -> Result<(), VulkanError> {
         self.upload.begin()?;
         self.compute.begin()?;
@@ -102,7 +102,7 @@ impl Lane {
     }
 }
 
-/// Places one after the other in a buffer.
+/// Assigns consecutive ranges of a buffer.
 #[derive(Debug, Default)]
 pub(super) struct BufferLayout {
     pub(super) bytes: u64,
@@ -120,10 +120,10 @@ pub(super) fn part(view: &View, range: &Range<u64>) -> View {
     view.part(range.start, range.end - range.start)
 }
 
-/// Keeps all lanes busy: `start` gives the next batch to an idle lane until there is none, `go_on`
-/// takes a batch further once its first part is done, and `finish` takes the batches in the order
-/// in which they were started.
-pub(super) fn fly<T, E>(
+/// Keeps all lanes busy: `start` gives the next batch to an idle lane until there are no more,
+/// `go_on` continues a batch after its first part has finished, and `finish` takes the batches in
+/// the order in which they were started.
+pub(super) fn run_batches<T, E>(
     lanes: &mut [Lane],
     mut start: impl FnMut(&mut Lane) -> Result<Option<T>, E>,
     mut go_on: impl FnMut(&mut Lane, &mut T) -> Result<(), E>,

@@ -1,21 +1,21 @@
 //! The stages on a Vulkan device.
 //!
-//! Work goes in batches: bins to pages, regions of blocks to surfaces. Two are in flight, so that
-//! the host prepares one and reads another while the device computes. The DIF stays on the device
-//! between the two where it fits. What the device has no memory for is tried again in smaller
-//! batches, and on the processor at last; so is everything once the device is lost. Bytes are the
-//! same wherever they are computed.
+//! Work runs in batches: from bins to pages, and from regions of blocks to surfaces. Two batches
+//! are in flight, so that the host prepares one and reads another while the device computes. The
+//! DIF stays on the device between the two stages if it fits. Work that exceeds the device's memory
+//! is retried in smaller batches, and finally on the CPU; if the device is lost, the CPU does the
+//! rest. The results are the same bytes on both.
 
 mod bins;
 mod blocks;
 mod constants;
 mod contouring;
-mod elsewhere;
 mod fields;
 mod frame;
 mod grids;
 mod lane;
 mod pipelines;
+mod remote;
 mod resident;
 mod wide;
 
@@ -40,12 +40,12 @@ use frame::{DeviceFrame, DeviceState, FrameBuffers, LANES};
 use lane::HEADROOM;
 use pipelines::{Pipelines, page_bytes};
 
-/// Bytes of a batch at the most.
+/// Maximum bytes of a batch.
 const LARGEST_BATCH: u64 = 128 << 20;
 /// Bytes of the host's memory that a driver takes.
 const DRIVER: u64 = 96 << 20;
 
-/// A Vulkan device with all shaders ready.
+/// A Vulkan device with all shaders compiled.
 #[derive(Debug)]
 pub struct Vulkan {
     device: Device,
@@ -53,14 +53,14 @@ pub struct Vulkan {
     kept: Arc<Mutex<FrameBuffers>>,
 }
 
-/// Bytes that a frame may take.
+/// The memory limits of a frame.
 #[derive(Debug, Clone, Copy)]
 struct FrameBudget {
-    /// A batch, on the device and what is staged for it on the host.
+    /// Bytes of a batch, on the device and in the staging buffer on the host.
     batch: u64,
-    /// The DIF, where it stays on the device.
+    /// Bytes of the DIF, if it stays on the device.
     resident: u64,
-    /// All that is in the host's memory.
+    /// Total bytes in the host's memory.
     host: u64,
 }
 
@@ -68,7 +68,7 @@ impl Vulkan {
     /// Compiles the shaders for a device.
     ///
     /// # Errors
-    /// [`VulkanError`] where the driver refuses one.
+    /// [`VulkanError`] if the driver rejects a shader.
     pub fn new(device: Device) -> Result<Self, VulkanError> {
         let pipelines = Arc::new(Pipelines::new(&device)?);
         Ok(Self { device, pipelines, kept: Arc::default() })
@@ -79,7 +79,7 @@ impl Vulkan {
         &self.device
     }
 
-    /// Gives back the memory that is kept for the next frame.
+    /// Frees the memory that is kept for the next frame.
     pub fn release(&self) {
         *self.kept.lock().unwrap_or_else(PoisonError::into_inner) = FrameBuffers::default();
     }
@@ -120,16 +120,16 @@ impl Vulkan {
     }
 }
 
-/// A frame whose particles and whose surface stay on the device, and the DIF as well where it fits.
+/// A frame whose particles and surface stay on the device, and also the DIF if it fits.
 #[derive(Debug)]
 pub struct ResidentFrame(Arc<DeviceFrame>);
 
 impl ResidentFrame {
-    /// The field of all bins; in smaller batches where memory is exhausted. What the host wants of
-    /// one that stays on the device can fail later: see [`check`](Self::check).
+    /// The field of all bins; if memory is exhausted, in smaller batches. Downloads of a field that
+    /// stays on the device can fail later: see [`check`](Self::check).
     ///
     /// # Errors
-    /// Those of the device.
+    /// The errors of the device.
     pub fn indicate(&self, bins: &DeviceBins, rule: &PageRule) -> Result<DifField, VulkanError> {
         let mut state = self.0.state();
         let made = loop {
@@ -144,23 +144,23 @@ impl ResidentFrame {
             }
         };
         Ok(match made {
-            PlacedPages::Here(pages) => DifField::in_memory(rule.shape(), pages),
-            PlacedPages::There(infos) => elsewhere::of_resident(&self.0, infos, rule.shape()),
+            PlacedPages::Host(pages) => DifField::in_memory(rule.shape(), pages),
+            PlacedPages::Device(infos) => remote::of_resident(&self.0, infos, rule.shape()),
         })
     }
 
-    /// Whether all that the host wanted of the field came.
+    /// Checks that all downloads of the field succeeded.
     ///
     /// # Errors
-    /// Those of the device, if it did not.
+    /// The errors of the device, if one failed.
     pub fn check(&self) -> Result<(), VulkanError> {
         self.0.reader.failed().map_or(Ok(()), Err)
     }
 
-    /// The surfaces of all blocks; in smaller batches where memory is exhausted.
+    /// The surfaces of all blocks; if memory is exhausted, in smaller batches.
     ///
     /// # Errors
-    /// Those of the device.
+    /// The errors of the device.
     pub fn contour(&self, surfaces: &Surfaces<'_>) -> Result<DeviceSurfaces, VulkanError> {
         let regions = surfaces.regions();
         surfaces.prepare();
@@ -202,15 +202,15 @@ impl Executor for Vulkan {
 }
 
 impl Stages for Arc<DeviceFrame> {
-    /// Stays on the device where it fits, unless the host reads it there as well, or its pages take
-    /// less than the particles, which are kept to make them again.
+    /// The field stays on the device if it fits, unless the device shares the host's memory, or the
+    /// pages take less memory than the particles, which would be kept to make the pages again.
     fn field(&self, bins: &Arc<Bins>, rule: &PageRule, meter: &Meter<'_>) -> io::Result<DifField> {
         let (count, shape) = (bins.keys().len(), rule.shape());
         let particles: usize = (0..count).map(|bin| bins.count(bin)).sum();
         if count as u64 * page_bytes(shape) >= (particles * size_of::<u64>()) as u64 {
             let mut state = self.state();
-            match self.indicate_there(&mut state, bins, rule, meter) {
-                Ok(Some(infos)) => return Ok(elsewhere::of_bins(self, infos, bins, rule)),
+            match self.indicate_on_device(&mut state, bins, rule, meter) {
+                Ok(Some(infos)) => return Ok(remote::of_bins(self, infos, bins, rule)),
                 Ok(None) => {}
                 Err(DeviceFrameError::Host(error)) => return Err(error),
                 Err(DeviceFrameError::Device(error)) => self.recover(&mut state, &error),
@@ -236,8 +236,8 @@ impl Stages for Arc<DeviceFrame> {
                 .find(|&bin| bin_bytes(bins.count(bin), shape) > room)
                 .unwrap_or(range.end);
             if end == begin {
-                // A bin too large for any batch. Without its page the others are of no use on the
-                // device.
+                // A bin is too large for any batch. Without its page, the other pages on the device
+                // are useless.
                 self.forget_residents();
                 state.resident_bytes = 0;
                 pages.extend(CpuStages::STAND_IN.indicate(bins, begin..begin + 1, rule, meter)?);
@@ -253,7 +253,7 @@ impl Stages for Arc<DeviceFrame> {
             }
         }
         if pages.len() < range.len() {
-            // Without the pages of these bins the others are of no use.
+            // Without the pages of these bins, the other pages are useless.
             self.forget_residents();
             let rest = range.start + pages.len()..range.end;
             pages.extend(CpuStages::STAND_IN.indicate(bins, rest, rule, meter)?);
@@ -272,7 +272,7 @@ impl Stages for Arc<DeviceFrame> {
         if surfaces.solid.is_none() {
             return self.contour_away_from_solids(surfaces, regions, meter, take);
         }
-        // Near solids the processor makes the same bytes.
+        // Near solids the CPU makes the surfaces, with the same bytes.
         for regions in regions.chunks(REGIONS_TOGETHER) {
             let (near, away): (Vec<CellBox>, Vec<CellBox>) =
                 regions.iter().partition(|&&region| surfaces.is_at_solid(region));

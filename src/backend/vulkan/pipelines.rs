@@ -1,4 +1,4 @@
-//! The shaders from particles to surfaces, and what they take a page to be.
+//! The shaders from particles to surfaces, and the size of a page on the device.
 
 use std::sync::Arc;
 
@@ -14,7 +14,7 @@ use crate::shaders::{
 use crate::surface::dual_mc::vulkan::DualMcPipelines;
 use crate::vulkan::{ComputePipeline, Device, VulkanError};
 
-/// All of them.
+/// All compute pipelines.
 #[derive(Debug)]
 pub(super) struct Pipelines {
     pub(super) indicate: IndicatorPipelines,
@@ -31,7 +31,7 @@ pub(super) struct Pipelines {
 }
 
 impl Pipelines {
-    /// Compiles them for a device.
+    /// Compiles the shaders for a device.
     pub(super) fn new(device: &Device) -> Result<Self, VulkanError> {
         #[rustfmt::skip]
         let [

@@ -1,4 +1,4 @@
-//! The pages of a field on a device, and how the host reads them.
+//! The pages of a field on a device, and their downloads.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -17,21 +17,21 @@ pub(super) struct ResidentPages {
     pub(super) numbers: HashMap<IVec3, u32>,
 }
 
-/// Reads pages, one reader at a time, whatever the lanes do meanwhile.
+/// Reads pages for one caller at a time, independently of the lanes.
 #[derive(Debug, Default)]
 pub(super) struct PageReader {
     batch: Mutex<Option<(Batch, Arc<Buffer>)>>,
-    /// The error after which nothing more is read.
+    /// The error that ended the downloads.
     failed: Mutex<Option<VulkanError>>,
 }
 
 impl PageReader {
-    /// Returns the error that ended the reading, if any did.
+    /// Returns the error that ended the downloads, if there was one.
     pub(super) fn failed(&self) -> Option<VulkanError> {
         self.failed.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// The samples of those pages of a field that are `infos`; `None` once anything failed.
+    /// The samples of the pages `infos` of a field; `None` after a failure.
     pub(super) fn read(
         &self,
         device: &Device,
@@ -72,18 +72,19 @@ impl PageReader {
         batch.begin()?;
         batch.stage("download", 2 * bytes);
         let mut to = 0;
-        // Pages that lie one after the other are copied at once.
+        // Consecutive pages are copied together.
         for run in infos.chunk_by(|a, b| number(a) + 1 == number(b)) {
             let bytes = run.len() as u64 * page_bytes;
             let from = resident.pages.part(u64::from(number(&run[0])) * page_bytes, bytes);
             batch.copy(&from, &buffer.part(to, bytes));
             to += bytes;
         }
-        // On the queue that they were made on, and so after that.
+        // Submitted to the queue on which the pages were made, and so after them.
         batch.submit(&[])?;
         batch.wait()?;
         let stride = page_bytes as usize / size_of::<u16>();
-        // SAFETY: the only batch that writes it is done, and nobody begins it while this holds it.
+        // SAFETY: the only batch that writes it has finished, and cannot begin again while this
+        // lock is held.
         let samples: &[u16] = unsafe { buffer.values(0, infos.len() * stride) };
         let pages = samples.chunks_exact(stride).zip(infos).map(|(samples, info)| {
             let dense = &samples[..shape.bin_samples()];

@@ -1,8 +1,7 @@
-//! Distances: the bulk in wide cells first, then what it shows in the cells of the mesh.
+//! Distances: first the bulk in wide cells, then the field in the cells of the mesh.
 //!
-//! Neighbouring regions share wide cells. What these show is looked at on the device, so that only
-//! regions with a surface are drawn, and drops are only made in the parts where particles stand
-//! out.
+//! Neighbouring regions share wide cells. The device probes these, so that only regions with a
+//! surface are drawn, and drops are only made in the parts in which particles stand out.
 
 use std::rc::Rc;
 
@@ -22,14 +21,14 @@ use super::grids::{LevelBlocks, NO_TILES};
 use super::lane::{BufferLayout, Lane, part};
 use super::pipelines::page_bytes;
 
-/// The numbers of blocks among those that are drawn of wide cells.
+/// The index of the wide cells' blocks among those of a batch.
 const WIDE: usize = 0;
 const CELLS: usize = 1;
 const PARTS: usize = 2;
 const DROPS: usize = 3;
 
 impl Contouring<'_> {
-    /// Tells which regions are drawn, once wide cells are made, and in which parts of them
+    /// Decides, after the wide cells were made, which regions to draw, and in which of their parts
     /// particles stand out.
     pub(super) fn choose(
         &self,
@@ -44,14 +43,14 @@ impl Contouring<'_> {
         lane.compute.wait()?;
         let count = wide.probes.len();
         let read = lane.known("seen read", (size_of::<ProbeResult>() * count) as u64);
-        // SAFETY: the batch that writes it was waited for, and the lane has begun no other.
+        // SAFETY: the batch that writes it has finished, and the lane has not begun another.
         let seen: Vec<ProbeResult> = unsafe { read.read(0, count) };
         batch.drawn.clear();
         for (number, ((&region, probe), seen)) in
             batch.regions.iter().zip(&wide.probes).zip(&seen).enumerate()
         {
             let part = probe.outlying(seen).map(|wide| {
-                // A wide cell tells of those of its neighbours, too.
+                // A wide cell also affects its neighbours' cells.
                 let further = i32::from(distances.level > 0);
                 let CellBox { lo, hi } = wide.grown(further, further);
                 let near = CellBox { lo: lo << distances.level, hi: hi << distances.level };
@@ -60,7 +59,8 @@ impl Contouring<'_> {
             let part = part.filter(|part| !part.is_empty());
             let at_walls =
                 self.surfaces.mesh_walls().is_some_and(|walls| !walls.covers(&dual_cells(region)));
-            // Cells are weighted means of wide ones. All inside is no surface only away from walls.
+            // Cells are weighted means of wide cells. A region that is all inside has no surface
+            // only away from walls.
             if (part.is_some() || seen.above > 0) && (at_walls || seen.below > 0) {
                 batch.parts.extend(part.map(|part| (batch.drawn.len(), part)));
                 batch.drawn.push(number);
@@ -69,8 +69,7 @@ impl Contouring<'_> {
         Ok(())
     }
 
-    /// Has the bulk made in wide cells, in which neighbouring regions share what they can, and
-    /// looked at.
+    /// Makes and probes the bulk in wide cells, which neighbouring regions share.
     pub(super) fn make_wide(
         &self,
         lane: &mut Lane,
@@ -111,8 +110,8 @@ impl Contouring<'_> {
         let seen_bytes = (size_of::<ProbeResult>() * probes.len()) as u64;
         let seen = lane.buffer(device, "seen", BufferKind::Device, seen_bytes)?;
         let read = lane.buffer(device, "seen read", BufferKind::Download, seen_bytes)?;
-        // SAFETY: `begin` waited for what the lane did before, and what is staged is the lane's
-        // own.
+        // SAFETY: `begin` waited for the lane's earlier work, and only this lane uses the staging
+        // buffer.
         unsafe {
             grid.stage(&staged, &places, from);
             staged.write(probes_at.start, &probes);
@@ -139,8 +138,7 @@ impl Contouring<'_> {
         Ok(WideBulk { blocks, of_regions, probes, fields })
     }
 
-    /// The field on the regions that are drawn, of the bulk in wide cells, and of drops in their
-    /// parts.
+    /// The field on the regions to draw, from the bulk in wide cells and from drops in their parts.
     pub(super) fn join_wide(
         &self,
         lane: &mut Lane,
@@ -181,7 +179,8 @@ impl Contouring<'_> {
             free.push(lane.fields(device, name, count, grid.field_bytes())?);
         }
         for (grid, places) in [&cells, &parts, &drops].into_iter().zip(&places) {
-            // SAFETY: the lane waited for what read what is staged, which is its own.
+            // SAFETY: the lane waited for the readers of its staging buffer, which no other lane
+            // uses.
             unsafe { grid.stage(&staged, places, from) };
         }
         for (numbers, at) in numbers.iter().zip(&numbers_at) {

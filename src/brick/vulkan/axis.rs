@@ -9,24 +9,24 @@ use crate::vulkan::{Batch, ComputePipeline, View, VulkanError};
 
 use super::{DeviceBlocks, wall_bounds};
 
-/// The cells that an operation sees.
+/// The cells that an operation reads.
 #[derive(Debug, Clone, Copy)]
 pub struct TapWindow {
-    /// How far its taps reach from a cell along the axis.
+    /// The reach of its taps along the axis, in cells.
     pub reach: i32,
-    /// Samples beyond walls are those of the outermost cells before them.
+    /// The walls; samples beyond them repeat the outermost cells.
     pub walls: Option<CellBox>,
-    /// Samples so near to a block's faces are unknown; when all is done, those nearer by the reach
-    /// are too.
+    /// Samples within this distance from a block's faces are unknown; the operation increases the
+    /// distance by the reach.
     pub margin: i32,
 }
 
 /// Runs a program with `axis.wgsl` along x, then y, then z: from `from` through `to` and `through`
-/// into `to`. Its buffers are the blocks, what is read, what is written, and then `further`. Sums
-/// are shifted down by as many bits as `shift` says of an axis.
+/// into `to`. Its buffers are the blocks, the input, the output, and then `further`. Sums along an
+/// axis are shifted down by `shift` bits.
 ///
 /// # Errors
-/// Those of the device.
+/// The errors of the device.
 pub fn along_each_axis(
     batch: &mut Batch,
     pipeline: &Arc<ComputePipeline>,

@@ -1,9 +1,9 @@
-//! Binning on a device: the counting sort of [`BinPlan`](crate::brick::BinPlan), by a hash table of
-//! bins.
+//! Binning on a device: the counting sort of [`BinPlan`](crate::brick::BinPlan), with a hash table
+//! of bins.
 //!
-//! Positions are read once, in chunks: every particle is placed, in the f64 arithmetic of the host
-//! done by integers, finds or takes its bin's slot in the table, and is counted there. The host
-//! sorts the bins. Then every particle is put where its bin's particles go.
+//! Positions are read once, in chunks. For every particle, a shader computes its place, with the
+//! host's f64 arithmetic in integers, finds or inserts its bin in the table, and counts it there.
+//! The host sorts the bins. Then a shader moves every particle to its bin's slots.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -22,26 +22,26 @@ use crate::vulkan::{
 
 use super::{DeviceGrid, flat_groups};
 
-/// Particles placed at once: as many as [are kept](Binning::keep) in one piece of memory.
+/// Particles per chunk: as many as [are kept](Binning::keep) in one allocation.
 const CHUNK: usize = (PIECE / (RECORD_BYTES + HOME_BYTES) / ALIGNMENT * ALIGNMENT) as usize;
 /// Chunks in a batch, with at most three dispatches and two stages each.
 const BATCH_CHUNKS: usize = 16;
-/// Particles for each slot of the first table that is tried, and how much larger the next one is.
+/// Particles per slot of the first table that is tried, and the growth factor of the next table.
 const SLOT_PARTICLES: usize = 256;
 const GROWTH: u64 = 8;
-/// Slots that are looked at for a bin; where that is not enough, the table is too small.
+/// Maximum number of probed slots per bin; if they are not enough, the table is too small.
 pub const PROBES: u32 = 128;
 /// The owner of a slot whose key is known.
 pub const SETTLED: u32 = u32::MAX;
 /// Both words of the key of a particle without a bin.
 pub const NO_BIN: u32 = u32::MAX;
-/// The place of a slot whose bin is of another run.
+/// The position of a slot whose bin belongs to another run.
 pub const ELSEWHERE: u32 = u32::MAX;
 /// Bytes of a packed particle, and of the number of its bin's slot.
 const RECORD_BYTES: u64 = 8;
 const HOME_BYTES: u64 = 4;
-/// Particles of a bin that one work group can sum up before a driver gives up on it, some 16000
-/// times as many as are of use.
+/// Maximum number of particles in a bin: one work group can sum them before the driver's timeout.
+/// It is about 16000 times the useful number.
 const MOST_IN_BIN: u32 = 1 << 24;
 
 /// The shaders of binning.
@@ -54,17 +54,17 @@ pub struct BinPipelines {
 }
 
 impl BinPipelines {
-    /// Compiles them.
+    /// Compiles the shaders.
     ///
     /// # Errors
-    /// Those of the device.
+    /// The errors of the device.
     pub fn new(device: &Device) -> Result<Self, VulkanError> {
         let [place, enter, settle, sort] = device.pipelines([&PLACE, &ENTER, &SETTLE, &SORT])?;
         Ok(Self { place, enter, settle, sort })
     }
 }
 
-/// How a coordinate is stored.
+/// The storage of a coordinate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Coordinate {
     /// A coordinate stored as an f32.
@@ -84,38 +84,38 @@ impl Coordinate {
     }
 }
 
-/// Positions on the device, x, y and z of one particle after the other. Shaders read them; so does
-/// a copy, where an invalid particle is to be named.
+/// Positions on the device: x, y and z of one particle after another. Shaders read them. If a
+/// particle is invalid, the host reads a copy for the error.
 #[derive(Debug, Clone)]
 pub struct DevicePositions {
-    /// Where they are; from a multiple of 4 bytes on.
+    /// The buffer; its offset must be a multiple of 4 bytes.
     pub view: View,
-    /// Particles.
+    /// Number of particles.
     pub count: usize,
-    /// How each coordinate is stored.
+    /// The storage of each coordinate.
     pub coordinate: Coordinate,
 }
 
 /// Consecutive bins, and the packed particles of all of them.
 pub type BinRun = (Range<usize>, Arc<Buffer>);
 
-/// Particles on the device in order of their bins.
+/// Particles on the device in the order of their bins.
 #[derive(Debug)]
 pub struct DeviceBins {
-    /// The bins that hold particles, in Morton order.
+    /// The bins with particles, in Morton order.
     pub keys: Vec<MortonKey>,
-    /// Where each bin's particles begin, and where the last one's end.
+    /// The index of each bin's first particle, followed by the number of particles.
     pub first: Vec<usize>,
-    /// The number of particles that were binned, and of those that were left out and why.
+    /// Numbers of binned and skipped particles.
     pub census: Census,
-    /// Runs of bins, and the packed particles of each run, 8 bytes a particle: one run where a
-    /// shader can see them all at once.
+    /// Runs of bins with the packed particles of each run, 8 bytes per particle. It is one run if a
+    /// single buffer can hold them all.
     pub runs: Vec<BinRun>,
 }
 
 impl DeviceBins {
-    /// Cuts a run of bins into parts with a maximum number of bins, and of particles unless one bin
-    /// has more.
+    /// Divides a run of bins into parts with a maximum number of bins and of particles; a bin with
+    /// more particles is a part of its own.
     pub fn parts(
         &self,
         run: Range<usize>,
@@ -135,13 +135,13 @@ impl DeviceBins {
     }
 }
 
-/// Why particles were not binned on the device.
+/// An error of binning on the device.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum DeviceBinError {
-    /// Particles that cannot be binned anywhere, be it on the device or the host.
+    /// The particles cannot be binned, on a device or on the host.
     #[error(transparent)]
     Bin(#[from] BinError),
-    /// The device failed, or they are too many for it.
+    /// The device failed, or has too little memory.
     #[error(transparent)]
     Vulkan(#[from] VulkanError),
 }
@@ -166,9 +166,9 @@ struct BinSlot {
     key: [u32; 2],
 }
 
-/// Particles that are placed at once.
+/// Particles of one dispatch.
 struct DeviceChunk {
-    /// The number of the first.
+    /// The index of the first particle.
     index: usize,
     count: u32,
     positions: View,
@@ -215,16 +215,16 @@ fn chunks(positions: &[DevicePositions], limits: Limits) -> Vec<DeviceChunk> {
     chunks
 }
 
-/// Sorts particles into the bins that [`BinPlan`](crate::brick::BinPlan) sorts them into, unless
-/// they touch more than `limit`. The order inside a bin is arbitrary.
+/// Sorts particles into the same bins as [`BinPlan`](crate::brick::BinPlan), unless they touch more
+/// than `limit` bins. The order inside a bin is arbitrary.
 ///
 /// # Errors
-/// [`DeviceBinError::Bin`] as on the host. [`VulkanError::OutOfMemory`] where there are 2^32
-/// particles or more, a bin has more than 2^24 of them or than a shader can see at once, or the
-/// device has no room for 20 bytes a particle, of which 8 stay.
+/// [`DeviceBinError::Bin`] as on the host. [`VulkanError::OutOfMemory`] if there are 2^32 particles
+/// or more, if a bin has more than 2^24 or more than a buffer can hold, or if the device has no
+/// memory for 20 bytes per particle; 8 of them stay allocated.
 ///
 /// # Panics
-/// If a view ends before its positions do.
+/// If a view is smaller than its positions.
 pub fn bin(
     device: &Device,
     pipelines: &BinPipelines,
@@ -238,7 +238,7 @@ pub fn bin(
     if u32::try_from(total).is_err() {
         return Err(VulkanError::OutOfMemory { bytes: total as u64 * RECORD_BYTES }.into());
     }
-    // Every particle's thread reads it: it lies on the device.
+    // In device memory, because every particle's thread reads it.
     let mut batch = device.batch(Queue::Compute)?;
     batch.begin()?;
     let device_grid = batch.store(&[DeviceGrid::new(grid, domain)])?;
@@ -286,7 +286,7 @@ struct CountedBins {
     census: Vec<ChunkCensus>,
 }
 
-/// The particles of a chunk as they are kept for sorting: packed, with the slots of their bins.
+/// The packed particles of a chunk, with the slots of their bins; kept for sorting.
 struct PackedChunk {
     packed: View,
     /// The slots of their bins.
@@ -302,7 +302,7 @@ struct Binning<'a> {
 }
 
 impl Binning<'_> {
-    /// The first reading.
+    /// The first pass: places and counts the particles.
     fn count(&self, total: usize) -> Result<CountedBins, DeviceBinError> {
         let mut batch = self.device.batch(Queue::Compute)?;
         let largest = self.chunks.iter().map(|chunk| chunk.count).max().unwrap_or(0);
@@ -349,7 +349,7 @@ impl Binning<'_> {
         }
     }
 
-    /// Room for what is kept of a chunk until it is sorted.
+    /// Allocates the buffers for a chunk's particles until they are sorted.
     fn keep(&self, chunk: &DeviceChunk) -> Result<PackedChunk, VulkanError> {
         let packed = RECORD_BYTES * u64::from(chunk.count);
         let begin = packed.next_multiple_of(ALIGNMENT);
@@ -387,7 +387,7 @@ impl Binning<'_> {
         )
     }
 
-    /// The census of all chunks, and the number of the first invalid particle.
+    /// The census of all chunks, and the index of the first invalid particle.
     fn sum(&self, chunks: &[ChunkCensus], total: usize) -> (Census, Option<usize>) {
         let mut census = Census { binned: total, ..Census::default() };
         let mut first_invalid = None;
@@ -405,7 +405,7 @@ impl Binning<'_> {
         (census, first_invalid)
     }
 
-    /// Where particle number `index` is.
+    /// The position of particle number `index`.
     fn position(
         &self,
         positions: &[DevicePositions],
@@ -436,7 +436,7 @@ impl Binning<'_> {
         Ok([values[0], values[1], values[2]])
     }
 
-    /// Puts all particles where they go, run by run.
+    /// Moves all particles to their bins, run by run.
     fn sort(
         &self,
         kept: &[PackedChunk],
@@ -457,7 +457,7 @@ impl Binning<'_> {
             for bin in run.clone() {
                 values[slots_of_bins[bin] as usize] = (first[bin] - first[run.start]) as u32;
             }
-            // SAFETY: the run before this was waited for, and nobody else has the buffer.
+            // SAFETY: the previous run has finished, and nothing else uses the buffer.
             unsafe { upload.write(0, &values) };
             batch.begin()?;
             batch.copy(&upload.whole(), &places.whole());
@@ -486,7 +486,8 @@ impl Binning<'_> {
     }
 }
 
-/// Cuts the bins into runs of at most `particles`; a bin that has more is a run of its own.
+/// Divides the bins into runs of at most `particles`; a bin with more particles is a run of its
+/// own.
 fn runs_of(first: &[usize], particles: u64) -> Vec<Range<usize>> {
     let mut runs: Vec<Range<usize>> = Vec::new();
     for bin in 0..first.len() - 1 {
@@ -505,14 +506,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_chunk_that_is_kept_fills_a_piece_of_memory() {
+    fn a_kept_chunk_fills_an_allocation() {
         let bytes = CHUNK as u64 * (RECORD_BYTES + HOME_BYTES);
         assert!((PIECE - PIECE / 1000..=PIECE).contains(&bytes), "{bytes} of {PIECE}");
         assert!((CHUNK as u64 * RECORD_BYTES).is_multiple_of(ALIGNMENT));
     }
 
     #[test]
-    fn runs_are_cut_by_bins_and_by_particles_but_no_bin_is() {
+    fn runs_are_limited_in_bins_and_particles_and_no_bin_is_split() {
         let counts = [3, 1, 9, 2, 2, 2, 2, 0, 1];
         let mut first = vec![0];
         counts.iter().for_each(|count| first.push(first[first.len() - 1] + count));

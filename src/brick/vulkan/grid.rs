@@ -1,4 +1,4 @@
-//! The grid and its walls as shaders take them.
+//! The grid and its walls in the layout of shaders.
 
 use bytemuck::{Pod, Zeroable};
 
@@ -6,7 +6,7 @@ use crate::grid::{Domain, Grid};
 
 use super::wall_bounds;
 
-/// The grid, and the walls if there are any, as `grid.wgsl` has them: all that places particles and
+/// The grid and its walls, laid out as in `grid.wgsl`: the parameters for placing particles and
 /// vertices in f64.
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 #[repr(C)]
@@ -44,8 +44,8 @@ impl DeviceGrid {
     }
 }
 
-/// Returns the reciprocal for `float64.wgsl`: (2^116 - 1) / m, m the significand of `divisor`, 2^52
-/// to 2^53.
+/// Returns the reciprocal for `float64.wgsl`: (2^116 - 1) / m, where m is the significand of
+/// `divisor`, 2^52 to 2^53.
 ///
 /// The divisor must be positive and finite.
 pub fn reciprocal(divisor: f64) -> u64 {

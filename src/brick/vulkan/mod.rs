@@ -1,5 +1,5 @@
-//! Particles in order of their bins, and padded blocks, on a device. A batch of blocks shares one
-//! field of 16-bit samples, two to a word.
+//! Particles in the order of their bins, and padded blocks, on a device. A batch of blocks shares
+//! one field of 16-bit samples, two per word.
 
 mod axis;
 mod bin;
@@ -25,20 +25,20 @@ use crate::shaders::GatherPush;
 use crate::vulkan::{ALIGNMENT, Batch, ComputePipeline, View, VulkanError};
 
 /// Words of a page without ghost layers on the device: all cells of a bin, x fastest, two samples
-/// to a word.
+/// per word.
 pub const PAGE_WORDS: u32 = (BIN * BIN * BIN) as u32 / 2;
-/// Words of a page on the device: its samples, dense, two to a word, up to where a part of a buffer
-/// may begin.
+/// Words of a page on the device: its dense samples, two per word, rounded up to the alignment of
+/// buffer views.
 pub fn page_words(shape: PageShape) -> u32 {
     (shape.bin_samples() as u32 / 2).next_multiple_of(ALIGNMENT as u32 / 4)
 }
 
-/// Work groups of a row that every device allows.
+/// Maximum number of work groups in a row that every device supports.
 pub const GROUP_ROW: u32 = 1 << 15;
-/// Words along an axis that a thread of a separable operation makes.
+/// Words along an axis that one thread of a separable operation computes.
 pub const RUN: u32 = 4;
 
-/// A padded block, as `block.wgsl` has it.
+/// A padded block, laid out as in `block.wgsl`.
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub struct DeviceBlock {
@@ -50,18 +50,18 @@ pub struct DeviceBlock {
     pub size: [u32; 3],
     /// The block's first entry in the table of pages.
     pub table: u32,
-    /// The lowest cell of the tiles to be meshed.
+    /// The lowest cell of the tiles to mesh.
     pub tiles_lo: [i32; 3],
-    /// The block's first word among the bits of bricks of all blocks, where there are any.
+    /// The block's first word among the bits of bricks of all blocks, if there are any.
     pub marks: u32,
-    /// The edges of the part that is cut into tiles, in cells.
+    /// The edges of the part that is divided into tiles, in cells.
     pub tiles_size: [u32; 3],
     spare: u32,
 }
 
 impl DeviceBlock {
-    /// For the samples of `cells`, of which the tiles of `region` are to be meshed. Rows become
-    /// whole words.
+    /// A block with the samples of `cells`, whose tiles in `region` will be meshed. Rows are
+    /// extended to whole words.
     pub fn new(cells: CellBox, region: CellBox) -> Self {
         let CellBox { mut lo, mut hi } = cells;
         lo.x &= !1;
@@ -84,7 +84,8 @@ impl DeviceBlock {
         CellBox { lo, hi: lo + IVec3::from(self.size.map(|n| n as i32)) }
     }
 
-    /// The bins whose bricks with their ghost layers it touches, in the order of its table.
+    /// The bins whose bricks, with their ghost layers, overlap the block, in the order of its
+    /// table.
     pub fn bins(&self, ghost_layer: i32) -> impl Iterator<Item = IVec3> + use<> {
         self.cells().grown(ghost_layer, ghost_layer).cubes(BIN)
     }
@@ -94,7 +95,7 @@ impl DeviceBlock {
         self.size.iter().product::<u32>() / 2
     }
 
-    /// Runs of words along an axis that it is cut into, along whichever these are most.
+    /// The maximum over the axes of the number of runs of words along an axis.
     fn runs(&self) -> u32 {
         let [x, y, z] = [self.size[0] / 2, self.size[1], self.size[2]];
         let along = |axis: u32, others: u32| axis.div_ceil(RUN) * others;
@@ -105,20 +106,20 @@ impl DeviceBlock {
 /// The blocks of a batch.
 #[derive(Debug, Clone)]
 pub struct DeviceBlocks {
-    /// A [`DeviceBlock`] each.
+    /// One [`DeviceBlock`] per block.
     pub blocks: View,
     /// The number of blocks.
     pub count: u32,
-    /// Words of the largest.
+    /// Words of the largest block.
     pub largest: u32,
-    /// Threads that make all of a block along any axis, at the most.
+    /// Maximum number of threads for a block along any axis.
     pub runs: u32,
-    /// Words of all together.
+    /// Words of all blocks together.
     pub words: u32,
 }
 
 impl DeviceBlocks {
-    /// Describes blocks that lie at `view` on the device.
+    /// Describes blocks that are stored at `view` on the device.
     pub fn new(view: View, blocks: &[DeviceBlock]) -> Self {
         let most = |of: fn(&DeviceBlock) -> u32| blocks.iter().map(of).max().unwrap_or(0);
         Self {
@@ -130,48 +131,48 @@ impl DeviceBlocks {
         }
     }
 
-    /// Work groups for a thread a run of every block.
+    /// Work groups for one thread per run of every block.
     pub fn run_groups(&self, pipeline: &ComputePipeline) -> [u32; 3] {
         [pipeline.groups(self.runs), self.count, 1]
     }
 
-    /// Work groups for a thread a word of every block.
+    /// Work groups for one thread per word of every block.
     pub fn groups(&self, pipeline: &ComputePipeline) -> [u32; 3] {
         [pipeline.groups(self.largest), self.count, 1]
     }
 
-    /// Work groups for a thread a word of the field, in rows that every device allows.
+    /// Work groups for one thread per word of the field, in rows that every device supports.
     pub fn flat_groups(&self, pipeline: &ComputePipeline) -> [u32; 3] {
         flat_groups(self.words, pipeline)
     }
 }
 
-/// Work groups for `threads`, in rows that every device allows.
+/// Work groups for `threads`, in rows that every device supports.
 fn flat_groups(threads: u32, pipeline: &ComputePipeline) -> [u32; 3] {
     let groups = pipeline.groups(threads);
     let width = groups.clamp(1, GROUP_ROW);
     [width, groups.div_ceil(width), 1]
 }
 
-/// Where blocks are cut out of.
+/// The pages from which blocks are cut.
 #[derive(Debug, Clone)]
 pub struct DevicePages {
-    /// For every bin of every block one more than its page's number, or 0.
+    /// For every bin of every block, its page's number plus 1; 0 without a page.
     pub tables: View,
     /// [`page_words`] each.
     pub pages: View,
-    /// How their samples lie.
+    /// The arrangement of their samples.
     pub shape: PageShape,
-    /// theta by number of particles, and 1 for all beyond, where pages hold numbers.
+    /// theta for each number of particles, with 1 for all larger numbers, if pages contain numbers.
     pub theta: View,
-    /// How many entries that has; 0 where pages hold theta.
+    /// The number of these entries; 0 if pages contain theta.
     pub decode: u32,
 }
 
 /// Fills `field` with the samples of all blocks.
 ///
 /// # Errors
-/// Those of the device.
+/// The errors of the device.
 pub fn gather(
     batch: &mut Batch,
     pipeline: &Arc<ComputePipeline>,
@@ -189,8 +190,8 @@ pub fn gather(
     batch.dispatch(pipeline, &buffers, &push, blocks.run_groups(pipeline))
 }
 
-/// The cells within walls as shaders take them: the lowest and the highest; without walls, farther
-/// than any cell.
+/// The cells within walls in the layout of shaders: the lowest and the highest; without walls,
+/// farther away than any cell.
 pub fn wall_bounds(walls: Option<CellBox>) -> [[i32; 3]; 2] {
     const NOWHERE: i32 = 1 << 24;
     walls.map_or([[-NOWHERE; 3], [NOWHERE; 3]], |walls| {
@@ -205,7 +206,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_page_begins_where_a_part_of_a_buffer_may() {
+    fn pages_are_aligned_for_buffer_views() {
         for side in [BrickSide::Four, BrickSide::Eight, BrickSide::Sixteen] {
             for ghost_layer in [0, 1] {
                 let shape = PageShape { side, ghost_layer };

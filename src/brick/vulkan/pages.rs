@@ -1,5 +1,5 @@
-//! Shaders on pages where they are: finding the full cells of each, and making pages of cells twice
-//! as wide.
+//! Shaders on pages in device memory: they find the full cells of each page, and make pages of
+//! cells twice as wide.
 
 use std::sync::Arc;
 
@@ -22,7 +22,7 @@ pub struct DeviceFullCells {
 }
 
 impl DeviceFullCells {
-    /// The page of a bin, if any of its cells is full.
+    /// The page of a bin; `None` if it has no full cells.
     pub fn info(&self, key: MortonKey) -> Option<PageInfo> {
         let bricks = u64::from(self.bricks[0]) | u64::from(self.bricks[1]) << 32;
         (bricks != 0).then(|| {
@@ -34,7 +34,7 @@ impl DeviceFullCells {
 /// Finds the full cells of pages.
 ///
 /// # Errors
-/// Those of the device.
+/// The errors of the device.
 pub fn full_cells(
     batch: &mut Batch,
     pipeline: &Arc<ComputePipeline>,
@@ -43,7 +43,7 @@ pub fn full_cells(
     [pages, found]: [&View; 2],
 ) -> Result<(), VulkanError> {
     let brick = shape.side.cells();
-    // Without ghost layers a bin lies in one piece.
+    // Without ghost layers a bin is contiguous.
     let piece = if shape.ghost_layer == 0 { BIN } else { brick };
     let push = FullCellsPush {
         piece_bits: piece.ilog2(),
@@ -54,13 +54,12 @@ pub fn full_cells(
     batch.dispatch(pipeline, &[pages.clone(), found.clone()], &push, [1, count, 1])
 }
 
-/// Makes pages of cells twice as wide of `field`, by the twin of
-/// [`DifField::halved`](crate::brick::DifField::halved): of each block, which holds
-/// [what leaves something](crate::brick::halved_from) in what lies of a bin within the walls of the
-/// finer cells.
+/// Makes pages of cells twice as wide from `field`; the twin of
+/// [`DifField::halved`](crate::brick::DifField::halved). Each block contains the [finer
+/// cells](crate::brick::halved_from) of a bin within the walls.
 ///
 /// # Errors
-/// Those of the device.
+/// The errors of the device.
 pub fn halve(
     batch: &mut Batch,
     pipeline: &Arc<ComputePipeline>,

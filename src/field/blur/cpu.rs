@@ -10,16 +10,16 @@ use super::{UNIT, Weights};
 
 /// A number that can be blurred.
 pub trait BlurSample: Copy + Default + PartialEq {
-    /// Fills `to[i]` from `taps[i]`, `taps[i + step]`, ..., one tap for each of the weights's
-    /// weights, along an axis.
+    /// Fills `to[i]` with the weighted sum of `taps[i]`, `taps[i + step]`, ..., with one tap per
+    /// weight, along an axis.
     fn blur_row(to: &mut [Self], taps: &[Self], step: usize, weights: &Weights, axis: usize);
 }
 
-/// Blurs `block` with `weights` along x, then y, then z. The edge cells before `walls` are repeated
-/// beyond them in what is given, and so they are in the result, for the next filter.
+/// Blurs `block` with `weights` along x, then y, then z. At `walls`, the edge cells are repeated
+/// beyond them in the input, and again in the result for the next filter.
 ///
-/// The result is smaller by the weights's reach on every side: exactly the cells whose whole
-/// neighbourhood was given.
+/// The result is smaller than the input by the weights' reach on every side: it has exactly the
+/// cells whose whole neighbourhood is in the input.
 ///
 /// # Panics
 /// If the block is too small for one cell to remain: recipe and gather disagree, which is our bug.
@@ -27,8 +27,8 @@ pub fn blur<T: BlurSample>(block: Block<T>, weights: &Weights, walls: Option<Cel
     blur_while(block, weights, walls, |_| true).expect("nothing stops it")
 }
 
-/// Blurs as [`blur`] does, as long as `goes_on` holds of the block after each axis; `None` once it
-/// does not. In what `goes_on` is shown nothing is repeated yet.
+/// Blurs like [`blur`] as long as `goes_on` accepts the block after each axis; returns `None`
+/// otherwise. The block that `goes_on` receives has no repeated cells yet.
 ///
 /// # Panics
 /// As [`blur`].
@@ -52,8 +52,8 @@ pub fn blur_while<T: BlurSample>(
     Some(block)
 }
 
-/// Blurs a block of which the samples of some cells, x fastest, are more than 0. They are best few:
-/// rows of others are passed over.
+/// Blurs a block in which only some cells, sorted with x fastest, have samples above 0. It is fast
+/// if these cells are few, because it skips all other rows.
 ///
 /// # Panics
 /// As [`blur`].
@@ -70,7 +70,7 @@ pub fn blur_of_few(
     blurred
 }
 
-/// Blurs where anything reaches.
+/// Blurs the box of cells that the nonzero samples reach.
 fn blurred_part(block: &Block, full: &[IVec3], weights: &Weights) -> Block {
     let reach = weights.reach();
     let mut blurred = Block::zero(block.cells().grown(-reach, -reach));
@@ -106,8 +106,9 @@ fn blurred_part(block: &Block, full: &[IVec3], weights: &Weights) -> Block {
     blurred
 }
 
-/// Blurs a row along x, whose taps begin at a cell and are more than 0 in some cells alone, by the
-/// weights from the lowest to the highest cell. `sums` is as long as the result.
+/// Blurs a row along x, whose first tap belongs to a cell. Only taps of some cells are above 0, and
+/// only the weights from the lowest to the highest such cell are applied. `sums` is as long as the
+/// result.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
 fn blur_few(
     to: &mut [u16],
@@ -155,7 +156,7 @@ impl BlurSample for f64 {
     }
 }
 
-/// For weights narrow enough to stay in registers.
+/// Blurs a row with weights that are narrow enough to stay in registers.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
 fn blur_narrow<const HALF: usize>(to: &mut [u16], taps: &[u16], step: usize, half: &[u32; HALF]) {
     let len = to.len();
@@ -172,10 +173,10 @@ fn blur_narrow<const HALF: usize>(to: &mut [u16], taps: &[u16], step: usize, hal
     }
 }
 
-/// For weights of any width and gain.
+/// Blurs a row with weights of any width and gain.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
 fn blur_wide(to: &mut [u16], taps: &[u16], step: usize, half: &[u32], shift: u32) {
-    // This many sums stay in registers.
+    // The number of sums that stay in registers.
     const LANES: usize = 32;
     let (centre, pairs) = half.split_first().expect("a weights has a centre");
     let reach = pairs.len();
@@ -186,7 +187,8 @@ fn blur_wide(to: &mut [u16], taps: &[u16], step: usize, half: &[u32], shift: u32
             taps[first + k * step..].first_chunk::<LANES>().expect("taps for every sample")
         };
         let own = taps(reach);
-        // Plain loops: a closure would be compiled for any machine, and called for each sample.
+        // Plain loops: a closure would not be compiled for this machine's features, and would be
+        // called for each sample.
         let mut sums = [1_u32 << (shift - 1); LANES];
         for i in 0..LANES {
             sums[i] += centre * u32::from(own[i]);
@@ -227,7 +229,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_block_of_few_samples_is_blurred_as_any_is() {
+    fn a_sparse_block_is_blurred_like_a_dense_one() {
         let cells = CellBox { lo: IVec3::new(-3, 5, 0), hi: IVec3::new(30, 41, 29) };
         let full = [[-3, 5, 0], [8, 20, 10], [9, 20, 10], [12, 20, 10], [29, 40, 28], [15, 6, 27]];
         for weights in

@@ -1,29 +1,30 @@
-//! A stage between the DIF and the field, as far as others have to know it.
+//! A stage between the DIF and the field, with the properties that other modules need.
 
 use super::Weights;
 
 /// A stage that states its reach, its weights and its memory.
 pub trait Filter {
-    /// How far from a cell its input decides its output, in cells.
+    /// The distance within which input cells affect an output cell, in cells.
     fn halo(&self) -> i32;
 
-    /// How far from a full cell its output can be other than 0, in cells.
+    /// The maximum distance of nonzero output from a full cell, in cells.
     fn reach(&self) -> i32 {
         self.halo()
     }
 
-    /// The weights that it needs.
+    /// The weights of the filter.
     fn weights(&self) -> &[Weights];
 
-    /// Fields of a block that are there at once while it runs, its input and its output among them.
+    /// The number of fields of a block that exist at once while the filter runs, including its
+    /// input and its output.
     fn fields(&self) -> FieldCount;
 }
 
-/// Fields of a block that are there at once.
+/// A number of fields of a block that exist at once.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FieldCount {
     /// Fields in the memory of a thread.
     pub host: u64,
-    /// Fields in buffers of a device, which are used again as soon as nobody refers to them.
+    /// Fields in buffers of a device; a buffer is reused as soon as no field refers to it.
     pub device: u64,
 }

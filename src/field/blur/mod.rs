@@ -1,13 +1,12 @@
 //! Smoothing (section 4.2): separable filters along x, then y, then z.
 //!
 //! Per axis and cell: (sum over taps of weight * sample + 32768) >> 16, with integer weights that
-//! sum to
-//! 65536. A result is never outside of the range of its samples. A filter with a gain of g bits
-//!        shifts its last axis by 16 - g instead, and holds what exceeds 16 bits at 65535: wide
-//!        filters leave little of samples, and that in fine steps.
+//! sum to 65536. A result is within the range of its samples. A filter with a gain of g bits shifts
+//! its last axis by 16 - g instead, and saturates at 65535: a wide filter makes samples small, and
+//! the gain keeps their resolution.
 //!
-//! A filter reaches [`Weights::reach`] cells along every axis, and the result is smaller by as
-//! much.
+//! A filter reaches [`Weights::reach`] cells along every axis, and its result is smaller by this
+//! reach on every side.
 
 mod cpu;
 mod filter;
@@ -20,7 +19,7 @@ pub use smoothing::Smoothing;
 
 use crate::grid::units::Sigma;
 
-/// Weights sum to this.
+/// The sum of all weights.
 const UNIT: u32 = 1 << 16;
 
 /// A symmetric filter: integer weights that sum to 65536.
@@ -44,10 +43,10 @@ impl Weights {
         Self::with_tails(tails)
     }
 
-    /// The Gaussian that is cut off at `reach` cells and has such a `variance` there, in squared
-    /// cells, or as much as there is room for.
+    /// Makes a Gaussian that is cut off at `reach` cells. After the cut its variance is `variance`,
+    /// in squared cells, or the largest possible variance for this reach.
     ///
-    /// All of it is arithmetic that every machine rounds alike.
+    /// The computation uses only arithmetic that rounds in the same way on every machine.
     pub fn of_variance(variance: f64, reach: i32) -> Self {
         let weights = |square: f64| -> Vec<f64> {
             (0..=reach).map(|k| exp_of_minus(f64::from(k * k) / (2.0 * square))).collect()
@@ -58,7 +57,7 @@ impl Weights {
             let second: f64 = tails().map(|(k, weight)| f64::from(k * k) * weight).sum();
             (sum, 2.0 * second / sum)
         };
-        // What is cut off makes it narrower than the Gaussian is.
+        // The cut makes the filter narrower than the full Gaussian.
         let (mut below, mut above) = (variance / 2.0, 4.0 * variance);
         for _ in 0..60 {
             let middle = (below + above) / 2.0;
@@ -83,18 +82,18 @@ impl Weights {
         Self::with_tails(vec![UNIT / 3])
     }
 
-    /// The centre takes what the tails leave.
+    /// Makes a filter whose centre has the weight that the tails leave.
     fn with_tails(tails: Vec<u32>) -> Self {
         let centre = UNIT - 2 * tails.iter().sum::<u32>();
         Self { half: std::iter::once(centre).chain(tails).collect(), gain: 0 }
     }
 
-    /// How far it reaches from a cell, in cells.
+    /// The maximum distance from a cell to its taps, in cells.
     pub fn reach(&self) -> i32 {
         self.half.len() as i32 - 1
     }
 
-    /// Bits by which the sum of an axis is shifted down.
+    /// The number of bits by which the sum along an axis is shifted down.
     pub fn shift(&self, axis: usize) -> u32 {
         if axis == 2 { UNIT.ilog2() - self.gain } else { UNIT.ilog2() }
     }
@@ -112,7 +111,7 @@ impl Weights {
     }
 }
 
-/// e to the power of -x, x of 0 or more, by arithmetic alone.
+/// e to the power of -x for x >= 0, computed with basic arithmetic only.
 fn exp_of_minus(x: f64) -> f64 {
     const HALVINGS: i32 = 10;
     let small = x / f64::from(1 << HALVINGS);
@@ -130,7 +129,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_gaussian_has_the_variance_that_it_is_made_for() {
+    fn a_gaussian_has_the_requested_variance() {
         for variance in [0.3, 0.5, 1.0, 2.3, 5.5, 12.7, 40.0] {
             let reach = (2.6 * f64::sqrt(variance)).ceil() as i32;
             let weights = Weights::of_variance(variance, reach);
@@ -147,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn the_mask_has_as_many_taps_as_the_paper_says() {
+    fn the_gaussian_has_the_number_of_taps_of_the_paper() {
         for (sigma, taps) in
             [(0.1, 3), (0.8, 3), (1.0, 5), (1.2, 5), (1.5, 7), (2.0, 11), (10.0, 59)]
         {
@@ -157,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn the_variance_is_that_of_the_gaussian_but_for_what_is_cut_off() {
+    fn the_variance_is_that_of_the_gaussian_after_the_cut() {
         assert!((Weights::box3().variance() - 2.0 / 3.0).abs() < 1e-4);
         for sigma in [2.0, 3.2, 6.4, 10.0] {
             let ratio = Weights::gaussian(Sigma::new(sigma).unwrap()).variance() / (sigma * sigma);

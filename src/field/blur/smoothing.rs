@@ -7,7 +7,7 @@ use crate::grid::units::Sigma;
 
 use super::{BlurSample, FieldCount, Filter, Weights, blur};
 
-/// The smoothing of section 4.2: a Gaussian, and for counting a box after it.
+/// The smoothing of section 4.2: a Gaussian, followed by a box filter for the counting indicator.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Smoothing {
     filters: Vec<Weights>,
@@ -24,8 +24,8 @@ impl Smoothing {
         Self { filters }
     }
 
-    /// The standard deviation of what becomes of a particle, which may be anywhere in its cell,
-    /// along an axis, in cells.
+    /// The standard deviation of a smoothed particle along an axis, in cells. The particle may be
+    /// anywhere in its cell.
     pub fn width(&self) -> f64 {
         (1.0 / 12.0 + self.filters.iter().map(Weights::variance).sum::<f64>()).sqrt()
     }
@@ -37,7 +37,7 @@ impl Smoothing {
 }
 
 impl Filter for Smoothing {
-    /// The filters reach one after the other.
+    /// The filters run one after the other, so their halos add up.
     fn halo(&self) -> i32 {
         self.filters.iter().map(Weights::reach).sum()
     }
@@ -46,7 +46,7 @@ impl Filter for Smoothing {
         &self.filters
     }
 
-    /// From one and into another, axis by axis.
+    /// Each pass reads one field and writes another.
     fn fields(&self) -> FieldCount {
         FieldCount { host: 2, device: 2 }
     }

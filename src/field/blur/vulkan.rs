@@ -10,11 +10,11 @@ use super::Weights;
 
 /// Blurs all blocks along x, then y, then z: from `from` through `to` and `through` into `to`.
 ///
-/// Samples within `margin` of a block's faces are unknown, and within `margin` plus the filter's
-/// reach when it is done.
+/// Samples within `margin` of a block's faces are unknown in the input, and within `margin` plus
+/// the filter's reach in the result.
 ///
 /// # Errors
-/// Those of the device.
+/// The errors of the device.
 pub fn blur(
     batch: &mut Batch,
     pipeline: &Arc<ComputePipeline>,

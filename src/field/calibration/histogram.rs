@@ -1,8 +1,9 @@
-//! How often each sample of a field was seen.
+//! A histogram of a field's samples.
 
 use rayon::prelude::*;
 
-/// Samples by their upper and their lower byte: those of a field's inside lie close together.
+/// Sample counts, indexed by upper byte and then lower byte: the samples inside a fluid lie close
+/// together.
 pub struct Histogram {
     pages: [Option<Box<[u64; 256]>>; 256],
 }
@@ -27,7 +28,7 @@ impl Histogram {
         self.pages[usize::from(upper)].get_or_insert_with(|| Box::new([0; 256]))
     }
 
-    /// Adds those samples of a row whose bit is set.
+    /// Adds the samples of a row whose bits are set.
     pub fn add(&mut self, row: &[u16], mut chosen: u128) {
         for sample in row {
             if chosen & 1 != 0 {
@@ -46,7 +47,7 @@ impl Histogram {
         self
     }
 
-    /// The samples that were seen, in order, and how often each.
+    /// The samples that occurred, in ascending order, with their counts.
     fn counts(&self) -> impl Iterator<Item = (u16, u64)> + '_ {
         let pages =
             (0_u8..=255).zip(&self.pages).filter_map(|(upper, page)| Some((upper, page.as_ref()?)));
@@ -58,12 +59,12 @@ impl Histogram {
         counts.filter(|&(_, count)| count > 0)
     }
 
-    /// How many samples were seen.
+    /// The number of added samples.
     pub fn total(&self) -> u64 {
         self.counts().map(|(_, count)| count).sum()
     }
 
-    /// The lowest value that at least a `share` of the samples does not exceed.
+    /// The lowest value that is at least as large as a fraction `share` of the samples.
     pub fn quantile(&self, share: f64) -> Option<u16> {
         let wanted = ((self.total() as f64 * share).ceil() as u64).max(1);
         let mut below = 0;

@@ -1,9 +1,9 @@
-//! Interior cells: those deep in the fluid, by lengths that do not depend on the cell.
+//! Interior cells: cells deep in the fluid, by lengths that do not depend on the cell size.
 //!
-//! A cell counts as fluid where the particles' cells, closed, hold it: dilated and then eroded by
-//! the same length, so that gaps between particles count as fluid and the fluid's outside does not
-//! move. Interior is what lies deeper in that than the filters see, or 2.5 standard deviations of
-//! what they make of a particle, beyond which next to nothing comes from.
+//! A cell counts as fluid if it belongs to the closing of the particles' cells: a dilation followed
+//! by an erosion of the same length. This fills gaps between particles and does not move the outer
+//! surface. A cell of the fluid is interior if it is deeper than the reach of the filters, or than
+//! 2.5 standard deviations of a smoothed particle, beyond which contributions are negligible.
 
 use glam::IVec3;
 
@@ -13,61 +13,61 @@ use crate::system::control::Meter;
 
 use super::histogram::Histogram;
 
-/// How deep interior cells lie, in standard deviations of what a particle is smoothed into.
+/// The minimum depth of interior cells, in standard deviations of a smoothed particle.
 const DEPTH: f64 = 2.5;
 
-/// Cells of a row, at the most: each is a bit.
+/// The maximum number of cells in a row: each is a bit.
 const ROW: i32 = u128::BITS as i32;
 
-/// Samples, and what smooths them.
+/// A field's samples and the filter that smooths them.
 pub struct BlurredSamples<'a> {
     pub dif: &'a DifField,
-    /// The cells that count, where others repeat them.
+    /// The cells that count, if others are periodic images of them.
     pub own: Option<CellBox>,
-    /// Beyond them edge cells are repeated.
+    /// The walls; edge cells are repeated beyond them.
     pub walls: Option<CellBox>,
-    /// How far from its own cell a particle leaves something.
+    /// The maximum distance at which a particle changes samples, from its own cell.
     pub reach: i32,
-    /// How far the filters see.
+    /// The halo of the filters.
     pub halo: i32,
-    /// The standard deviation of what they make of a particle, in cells.
+    /// The standard deviation of a smoothed particle, in cells.
     pub width: f64,
     /// Smooths a block.
     pub apply: &'a (dyn Fn(Block, Option<CellBox>) -> Block + Sync),
-    /// A count of the parts that were looked at. From an early end on nothing is found.
+    /// A count of the examined parts. After a cancel no interior is found.
     pub meter: &'a Meter<'a>,
 }
 
 /// The interior cells of a frame.
 pub struct Interior<'a> {
     blurred: &'a BlurredSamples<'a>,
-    /// By how much full cells are dilated.
+    /// The number of cells by which full cells are dilated.
     dilation: i32,
-    /// By how much that is eroded.
+    /// The number of cells by which the dilated cells are eroded.
     erosion: i32,
 }
 
 impl<'a> Interior<'a> {
-    /// Where gaps in which a cube of `gap` cells finds room are closed, or of three where that is
-    /// more.
+    /// Makes an interior that closes gaps with room for a cube of `gap` cells, or of three cells if
+    /// that is larger.
     pub fn new(blurred: &'a BlurredSamples<'a>, gap: f64) -> Self {
         let &BlurredSamples { reach, halo, width, .. } = blurred;
         let depth = (reach + halo).min((DEPTH * width).ceil() as i32);
-        // Half the edge of the cube around each cell. The quotient of two decimals can be off by a
-        // rounding.
+        // Half the edge of the cube around each cell. A quotient of decimals can have a rounding
+        // error.
         let closing = (((gap - 1.0) / 2.0 - 1e-9).ceil() as i32).max(1);
         let fitting = ((ROW - BLOCK) / 2 - depth + reach) / 2;
         let closing = closing.min(fitting);
-        // What is stored of clouds is dilated by their reach already.
+        // The stored samples of clouds are already dilated by their reach.
         Self { blurred, dilation: closing - reach, erosion: closing + depth }
     }
 
-    /// Whether two find the same cells interior.
+    /// Whether both define the same interior cells.
     pub fn is_same(&self, other: &Self) -> bool {
         (self.dilation, self.erosion) == (other.dilation, other.erosion)
     }
 
-    /// The parts of blocks that hold samples.
+    /// The parts of blocks that contain samples.
     pub fn blocks(&self) -> Vec<CellBox> {
         let own = |cells: CellBox| self.blurred.own.map_or(cells, |own| cells.intersection(&own));
         let blocks = self.blurred.dif.regions(0, 0).into_iter().map(own);
@@ -119,8 +119,9 @@ impl<'a> Interior<'a> {
     }
 }
 
-/// Combines every cell, a bit of its row, with those after it in a cube of this edge. `combine` can
-/// see a cell more than once. Cells that are nearer to the end of a row give arbitrary results.
+/// Combines every cell, a bit of its row, with the cells after it in a cube of this edge. `combine`
+/// may get a cell more than once. Cells closer to the end of a row than this edge have undefined
+/// results.
 fn windows(
     rows: &mut [u128],
     rows_a_slab: usize,

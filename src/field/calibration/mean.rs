@@ -1,8 +1,8 @@
-//! mu0, the mean number of particles in a full cell (eq. 4): given, or measured on the way to the
-//! DIF.
+//! mu0, the mean number of particles in a full cell (eq. 4): given, or measured before counts
+//! become the DIF.
 //!
-//! Counts become the DIF when all pages are made, so mu0 is measured on all of them. Only counting
-//! has a use for it: what clouds hold is told by the particles' spacing.
+//! Counts become the DIF after all pages are made, so mu0 is measured on all pages. Only the
+//! counting indicator needs it; the density of clouds follows from the particles' spacing.
 
 use thiserror::Error;
 
@@ -10,33 +10,33 @@ use crate::brick::{BrickSide, FrameFacts};
 use crate::field::indicator::{Indicator, IndicatorKind, PageRule};
 use crate::grid::units::{MeanCount, UnitError};
 
-/// A frame on which mu0 cannot be measured.
+/// An error: mu0 cannot be measured on this frame.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 #[error("cannot measure mu0 on this frame: {0}")]
 pub struct NoMeanCount(#[source] pub(crate) UnitError);
 
-/// A frame's particles in order of their bins, ready to be made into pages, wherever they are kept.
+/// A frame's particles in the order of their bins, from which pages can be made, on any backend.
 #[allow(clippy::missing_errors_doc, reason = "whatever Error is")]
 pub trait BinnedFrame {
-    /// The pages, and whatever else is left when they are made.
+    /// The pages, with any other data that remains.
     type Made;
     /// The errors of the storage.
     type Error: From<NoMeanCount>;
 
-    /// Makes the pages of all bins, and says how many cells are full of how many particles.
+    /// Makes the pages of all bins, and counts the full cells and their particles.
     fn make_pages(self, rule: &PageRule) -> Result<(Fullness, Self::Made), Self::Error>;
 }
 
-/// How many particles there are, and in how many cells.
+/// The number of particles and the number of cells that contain them.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Fullness {
-    /// Particles.
+    /// Number of particles.
     pub particles: u64,
-    /// Cells that hold any.
+    /// Number of cells with at least one particle.
     pub cells: u64,
 }
 
-/// Makes the pages of an indicator, with its mu0, which is measured where it is not given.
+/// Makes the pages of an indicator, and measures mu0 unless it is given.
 pub fn indicate<B: BinnedFrame>(
     binned: B,
     facts: &FrameFacts,

@@ -1,11 +1,10 @@
-//! Calibration: all that has to be known before a surface can be drawn, measured on the frame where
-//! nobody says it.
+//! Calibration: the numbers that a surface needs, measured on the frame unless they are given.
 //!
-//! Of the paper's indicators two numbers: mu0 ([`indicate`]), without which counts are no DIF, and
-//! the isovalue, a share of the [`Plateau`] of the smoothed DIF ([`calibrate`]). Of clouds that
-//! plateau alone, in wide cells. Both are a [`Calibration`]: frames of a simulation are drawn by
-//! that of one of them. A packed frame carries mu0; the rest depends on the filters, which are
-//! chosen later.
+//! The paper's indicators need two numbers: mu0 ([`indicate`]), which turns counts into the DIF,
+//! and the isovalue, a fraction of the [`Plateau`] of the smoothed DIF ([`calibrate`]). Clouds need
+//! only the plateau, in wide cells. A [`Calibration`] holds these numbers: all frames of a
+//! simulation use the calibration of one frame. A packed frame stores mu0; the other numbers depend
+//! on filters that are chosen later.
 
 mod expected;
 mod histogram;
@@ -16,9 +15,9 @@ mod precision;
 
 pub use mean::{BinnedFrame, Fullness, NoMeanCount, indicate};
 pub use plateau::Plateau;
-pub(crate) use precision::refuse_finest;
+pub(crate) use precision::check_finest;
 pub use precision::{
-    COARSEST_STEP, FINEST_OF_SYMMETRY, ON_CORNERS, Remedy, TooFine, refuse_too_fine_for,
+    COARSEST_STEP, FINEST_OF_SYMMETRY, ON_CORNERS, Remedy, TooFine, check_cell_size_for,
 };
 
 use crate::brick::DifField;
@@ -28,22 +27,22 @@ use crate::field::recipe::Filters;
 use crate::grid::units::{Isovalue, MeanCount};
 use crate::system::control::{Control, Stage};
 
-/// The share of [`Stage::Meshing`] that calibrating is, where it is measured.
+/// The fraction of [`Stage::Meshing`] that a calibration takes.
 pub const CALIBRATING: f64 = 0.1;
 
-/// Numbers that were measured, or given, and make frames alike.
+/// Measured or given numbers. Frames with the same numbers have comparable surfaces.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Calibration {
     /// The calibration of an indicator of the paper.
     Indicator {
-        /// `mu0`, where the indicator counts.
+        /// `mu0`, if the indicator counts.
         mean: Option<MeanCount>,
         /// The isovalue: the field's value where the surface is.
         iso: Isovalue,
     },
     /// The calibration of clouds.
     Clouds {
-        /// The sample under the narrowest width deep in the fluid.
+        /// The sample deep in the fluid under the narrowest width.
         plateau: u16,
     },
 }
@@ -74,32 +73,31 @@ impl Calibration {
     }
 }
 
-/// A calibration that was measured on a frame, and what it was told by.
+/// A calibration that was measured on a frame, with its evidence.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MeasuredCalibration {
-    /// The calibration, as far as it was not given.
+    /// The calibration, including given numbers.
     pub calibration: Calibration,
-    /// The field's interior, measured whether or not the isovalue was given.
+    /// The field's interior; it is measured even if the isovalue is given.
     pub plateau: Plateau,
-    /// How far one step of the field moves a flat surface, in cells.
+    /// The distance by which one step of the field moves a flat surface, in cells.
     pub step_cells: f64,
 }
 
 impl MeasuredCalibration {
-    /// Particles in a cubed spacing deep in the fluid, as a plateau of clouds tells, by the spacing
-    /// in cells.
+    /// Particles per cubed spacing deep in the fluid, computed from the plateau of clouds.
+    /// `spacing` is in cells.
     #[must_use]
     pub fn density(&self, spacing: f64) -> f64 {
         f64::from(self.plateau.value()) / Plateau::nominal(spacing)
     }
 }
 
-/// Measures what a surface through a frame has to know, but for an isovalue that is given.
-/// `control` hears of the progress. What is measured after the caller has asked for an early end is
-/// worth nothing.
+/// Measures the numbers that the surface of a frame needs, except a given isovalue. Progress goes
+/// to `control`. After a cancel the result is meaningless.
 ///
 /// # Errors
-/// [`TooFine`] where the field does not tell finely enough where the surface is.
+/// [`TooFine`] if the field does not locate the surface precisely enough.
 pub fn calibrate(
     frame: &SampledDif,
     filters: &Filters,
@@ -113,19 +111,19 @@ pub fn calibrate(
     match filters {
         Filters::Paper(paper) => {
             let smoothing = &paper.smoothing;
-            precision::refuse_symmetry(
+            precision::check_symmetry(
                 frame.indicator.kind(),
                 facts.spacing_cells(),
                 facts.grid.cell_size(),
             )?;
             let plateau = Plateau::of(frame, smoothing, &meter(&frame.dif));
-            let step_cells = precision::refuse_too_fine(frame, smoothing, plateau)?;
+            let step_cells = precision::check_cell_size(frame, smoothing, plateau)?;
             let iso = iso.unwrap_or(plateau.isovalue());
             let calibration = Calibration::Indicator { mean: frame.indicator.mean(), iso };
             Ok(MeasuredCalibration { calibration, plateau, step_cells })
         }
         Filters::Distances(distances) => {
-            refuse_finest(facts.spacing_cells(), facts.grid.cell_size())?;
+            check_finest(facts.spacing_cells(), facts.grid.cell_size())?;
             let meter = meter(frame.wide(distances.level));
             let plateau = Plateau::of_clouds(frame, distances, &meter);
             let calibration = Calibration::Clouds { plateau: plateau.value() };

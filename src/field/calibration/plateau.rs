@@ -1,15 +1,15 @@
-//! The field deep in the fluid: by it the paper's isovalue is told, and shares of clouds become
-//! depths.
+//! The field deep in the fluid. It determines the isovalue of the paper's indicators, and the
+//! depths of clouds.
 //!
 //! At the true surface the paper's smoothed field is 0.47 of its interior plateau
 //! ([`Isovalue::PLATEAU_PERCENT`]). The plateau is the median of the smoothed DIF over interior
-//! cells: those whose filters see nothing but fluid. What is interior is told by lengths in
-//! spacings, so that it is the same in cells of any size: gaps between particles in which a cube of
-//! two spacings finds room count as fluid, for particles at random leave such cubes empty in the
-//! middle of the fluid.
+//! cells: cells whose filters reach only fluid. The interior is defined by lengths in spacings, so
+//! it is the same for cells of any size: gaps between particles with room for a cube of two
+//! spacings count as fluid, because randomly placed particles leave such cubes empty in the middle
+//! of the fluid.
 //!
-//! Where there is no interior (spray, a sheet, a handful of particles), what a fluid of that
-//! spacing would have stands in.
+//! Without an interior (spray, a sheet, a handful of particles), the value of a synthetic fluid of
+//! the same spacing is used.
 
 use serde::{Deserialize, Serialize};
 
@@ -26,21 +26,21 @@ use super::expected::expected;
 use super::histogram::Histogram;
 use super::interior::{BlurredSamples, Interior};
 
-/// Blocks that are looked at; in a larger frame they are taken at equal steps along the Morton
+/// The maximum number of examined blocks; a larger frame is sampled at equal steps along the Morton
 /// curve.
 const SAMPLED_BLOCKS: usize = 64;
 
-/// Interior that the blocks' middles have to have, in cubed spacings; else they are looked at
-/// whole.
+/// The interior volume that the middles of the blocks need, in cubed spacings; with less, whole
+/// blocks are examined.
 const ENOUGH: f64 = (1 << 16) as f64 * 8.0 / 27.0;
 
-/// Interior that a frame has to have, in cubed spacings: in less, a clump of particles would tell
-/// for all of it.
+/// The interior volume that a frame needs, in cubed spacings; with less, one clump of particles
+/// would determine the result.
 const LEAST: f64 = 256.0;
 
-/// Gaps that count as fluid, in spacings, and the least plateau of a fluid with such gaps, if that
-/// matters, as a share of what is expected of its spacing. Thin fluids at random have an interior
-/// by the wider gaps alone; but those are in mist as well.
+/// Gaps that count as fluid, in spacings, with the minimum plateau of a fluid with such gaps, as a
+/// fraction of the plateau expected from its spacing, if there is a minimum. A thin random fluid
+/// has an interior only with the wider gaps, but mist has such gaps too.
 const GAPS: [(f64, Option<f64>); 2] = [(2.0, None), (3.0, Some(1.0 / 3.0))];
 
 /// The value of the smoothed DIF deep in the fluid, measured or expected.
@@ -50,14 +50,14 @@ pub enum Plateau {
     Interior {
         /// Median of the field over the interior cells.
         median: u16,
-        /// The least value seen in the parts of blocks that were looked at: from there on the
-        /// interior fills with bubbles.
+        /// The lowest value in the examined parts of blocks: with a higher isovalue the interior
+        /// would contain bubbles.
         lowest: u16,
     },
-    /// Next to none of the fluid is deeper than the filters reach; what a fluid of the same spacing
-    /// would have stands in.
+    /// Almost no fluid is deeper than the reach of the filters, so the value is that of a synthetic
+    /// fluid of the same spacing.
     Shallow {
-        /// The mean of the field deep in such a fluid.
+        /// The mean of the field deep in the synthetic fluid.
         expected: u16,
     },
 }
@@ -69,20 +69,20 @@ impl Plateau {
         f64::from(self.value()) / f64::from(FULL)
     }
 
-    /// The plateau of clouds with a particle in each cubed spacing, by the spacing in cells.
+    /// The plateau of clouds for one particle per cubed spacing. `spacing` is in cells.
     #[must_use]
     pub fn nominal(spacing: f64) -> f64 {
         WideCells::of_spacing(spacing).plateau() * f64::from(1 << BULK_GAIN)
     }
 
-    /// Blocks and parts of blocks that are looked at in a field, at the most.
+    /// The maximum number of examined blocks and parts of blocks of a field.
     pub(super) fn most_parts(dif: &DifField) -> usize {
         let blocks = dif.regions(0, 0).len();
         GAPS.len() * (2 * blocks.min(SAMPLED_BLOCKS) + blocks)
     }
 
     /// Measures the plateau of a frame of clouds, in wide cells, under the narrowest width. The
-    /// result depends on the frame and that width alone.
+    /// result depends only on the frame and that width.
     #[must_use]
     pub fn of_clouds(frame: &SampledDif, distances: &DistanceFilters, meter: &Meter<'_>) -> Self {
         let narrowest = &distances.bulk.widths[0];
@@ -100,7 +100,7 @@ impl Plateau {
             meter,
         };
         let [narrow, wide] = GAPS.map(|(gap, _)| Interior::new(&blurred, gap * spacing));
-        // In coarse cells both gaps are the same, and there is nothing to find by the wider one.
+        // In coarse cells both gaps give the same interior, so the wider gap finds nothing new.
         let count = if narrow.is_same(&wide) { 1 } else { GAPS.len() };
         let found =
             [narrow, wide].into_iter().zip(GAPS).take(count).find_map(|(interior, (_, share))| {
@@ -111,8 +111,8 @@ impl Plateau {
         found.unwrap_or(Self::Shallow { expected: nominal.round() as u16 })
     }
 
-    /// Measures a frame's plateau by an indicator of the paper. The result depends on the frame and
-    /// the smoothing alone. Particles whose spacing is not known are taken to be a cell apart.
+    /// Measures a frame's plateau for an indicator of the paper. The result depends only on the
+    /// frame and the smoothing. An unknown spacing is assumed to be one cell.
     #[must_use]
     pub fn of(frame: &SampledDif, smoothing: &Smoothing, meter: &Meter<'_>) -> Self {
         let (dif, indicator, spacing) = (&frame.dif, frame.indicator, frame.facts.spacing_cells());
@@ -127,8 +127,8 @@ impl Plateau {
             apply: &|block, walls| smoothing.apply(block, walls),
             meter,
         };
-        // Symmetry does not tell how many particles there are, and any interior is better than none
-        // where the spacing is not known, for nothing can be expected there.
+        // Symmetry does not give the number of particles. Without a spacing no value can be
+        // expected, so any interior is better than none.
         let counted = spacing.filter(|_| indicator.kind().counts());
         let volume = cells * cells * cells;
         let (enough, least) =
@@ -162,8 +162,8 @@ impl Plateau {
     }
 }
 
-/// The median and the least value over the interior: of `enough` cells in the middles of some
-/// blocks, else of all that these have, if that is at `least` so much.
+/// The median and the minimum over the interior: of `enough` cells in the middles of some blocks,
+/// otherwise of these whole blocks if they have at least `least` cells.
 fn measured(interior: &Interior<'_>, enough: f64, least: f64) -> Option<(u16, u16)> {
     let blocks = interior.blocks();
     let sampled: Vec<_> = equal_steps(blocks.len(), SAMPLED_BLOCKS).map(|i| blocks[i]).collect();
@@ -174,11 +174,12 @@ fn measured(interior: &Interior<'_>, enough: f64, least: f64) -> Option<(u16, u1
         Some((samples.quantile(0.5)?, samples.quantile(0.0)?))
     };
     let of_middles = if sampled.len() < blocks.len() { of(&middles(), enough) } else { None };
-    // A frame without depth is small for its number of blocks, or all of it is spray: look at all.
+    // A frame without depth has few interior cells for its number of blocks, or is all spray:
+    // examine all blocks.
     of_middles.or_else(|| of(&sampled, least)).or_else(|| of(&blocks, least))
 }
 
-/// Half of a box along each axis.
+/// The middle half of a box along each axis.
 fn middle(cells: &CellBox) -> CellBox {
     let size = cells.size();
     CellBox { lo: cells.lo + size / 4, hi: cells.hi - size / 4 }

@@ -1,11 +1,12 @@
-//! How finely a field of 16 bits tells where its surface is.
+//! The precision with which a 16-bit field locates its surface.
 //!
-//! A step of distances is 1 / 8192 of a spacing in cells of any size. Of the paper's indicators:
+//! One step of a distance is 1 / 8192 of a spacing, in cells of any size. For the paper's
+//! indicators:
 //!
-//! In cells of h spacings a cell of deep fluid holds h^3 particles, and the plateau P is as small a
-//! part of what a cell full of them would have. A flat surface is drawn through P Phi(x / s), x
-//! being the depth and s the standard deviation of what a particle is smoothed into. One step of
-//! the field therefore moves it by s / (P phi(z)), where Phi(z) = 0.47.
+//! With cells of h spacings, a cell of deep fluid holds h^3 particles, and the plateau P is smaller
+//! than the value of a full cell in the same proportion. The field at a flat surface is P Phi(x /
+//! s), where x is the depth and s the standard deviation of a smoothed particle. One step of the
+//! field therefore moves the surface by s / (P phi(z)), where Phi(z) = 0.47.
 
 use std::fmt;
 
@@ -18,27 +19,27 @@ use crate::grid::units::{MeanCount, Sigma, shown};
 use super::Plateau;
 use super::expected::expected;
 
-/// phi(z), the density of the standard normal distribution where the surface is drawn.
+/// phi(z), the density of the standard normal distribution at the surface.
 const DENSITY: f64 = 0.3978;
 
-/// The most that a step of the field may move a flat surface, in cells. From there on its steps can
-/// be seen in the light.
+/// The maximum distance by which one step of the field may move a flat surface, in cells. Larger
+/// steps are visible in the shading.
 pub const COARSEST_STEP: f64 = 0.125;
 
-/// The cells that are just too fine for symmetry, in spacings. Seven of eight are empty deep in the
-/// fluid, and where the others' particles happen to lie moves the surface.
+/// The largest cell size at which symmetry fails, in spacings. At this size seven of eight cells deep in
+/// the fluid are empty, and the positions of the particles in the others move the surface.
 pub const FINEST_OF_SYMMETRY: f64 = 0.5;
 
-/// The finest cells in which distances from clouds are made, in spacings: drops of a particle alone
-/// are twelve of them wide.
+/// The minimum cell size for distances from clouds, in spacings: the drop of a single particle is
+/// twelve such cells wide.
 pub const FINEST: f64 = 0.1;
 
-/// The least mean indicator of full cells in which particles lie as they may. By symmetry it is
-/// 0.44 in disorder, where a cell holds one particle, and next to nothing of a lattice whose
-/// particles lie on the corners of cells.
+/// The minimum mean indicator of full cells with particles at arbitrary positions. For symmetry it
+/// is 0.44 for disordered particles, one per cell, and almost 0 for a lattice whose particles lie
+/// on the corners of cells.
 pub const ON_CORNERS: f64 = 0.2;
 
-/// Cells in which it cannot be told finely enough where the surface is.
+/// An error: the cells are too small to locate the surface precisely.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 pub enum TooFine {
     /// The field's steps are too large.
@@ -51,14 +52,14 @@ pub enum TooFine {
     Steps {
         /// Edge of a cell.
         cell_size: f64,
-        /// The field deep in the fluid; a mean where it is expected, and not measured.
+        /// The field deep in the fluid; if the fluid is too shallow to measure, the expected mean.
         plateau: f64,
-        /// How far one step of the field moves a flat surface, in cells.
+        /// The distance by which one step of the field moves a flat surface, in cells.
         step_cells: f64,
-        /// How to make the field finer.
+        /// A way to get a finer field.
         remedy: Remedy,
     },
-    /// Cells so fine that even drops need none finer.
+    /// The cells are smaller than the surface of drops needs.
     #[error(
         "cells of {} are smaller than {FINEST} spacings: use cells of {} or more",
         shown(*cell_size), shown(roundly_above(FINEST * spacing))
@@ -69,7 +70,7 @@ pub enum TooFine {
         /// The particles' spacing.
         spacing: f64,
     },
-    /// Too many cells are empty to tell how particles lie in them.
+    /// Too many cells are empty to determine the positions of particles in them.
     #[error(
         "cells of {} are too fine for symmetry, because at most one of eight contains a \
          particle: use cells of {} or more",
@@ -83,13 +84,13 @@ pub enum TooFine {
     },
 }
 
-/// A way to make a field finer.
+/// A way to get a finer field.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Remedy {
     /// Cells of this edge.
     Cells(f64),
-    /// A grid on which particles do not lie on the corners of cells, where symmetry sees next to
-    /// nothing: one with this origin.
+    /// A grid with this origin, on which particles do not lie on the corners of cells, where the
+    /// symmetry indicator is almost 0.
     Origin([f64; 3]),
 }
 
@@ -106,16 +107,15 @@ impl fmt::Display for Remedy {
     }
 }
 
-/// How far one step of a field moves a flat surface, in cells, by its plateau and by the standard
-/// deviation of what a particle is smoothed into.
+/// The distance by which one step of a field moves a flat surface, in cells, computed from the
+/// plateau and the standard deviation of a smoothed particle.
 fn step_cells(plateau: f64, width: f64) -> f64 {
     width / (DENSITY * plateau)
 }
 
-/// Refuses cells that are too fine for particles of a known spacing, before there is a DIF, by a
-/// Gaussian that may depend on their size; those that are found to be so only once mu0 is known are
-/// refused by [`calibrate`](super::calibrate).
-pub fn refuse_too_fine_for(
+/// Checks the cell size against a known spacing before there is a DIF. The Gaussian may depend on
+/// the cell size. [`calibrate`](super::calibrate) makes the checks that need mu0.
+pub fn check_cell_size_for(
     kind: IndicatorKind,
     mean: Option<MeanCount>,
     spacing: f64,
@@ -123,31 +123,31 @@ pub fn refuse_too_fine_for(
     sigma: impl Fn(f64) -> Sigma,
 ) -> Result<(), TooFine> {
     let by = match kind {
-        IndicatorKind::Cloud => return refuse_finest(Some(spacing / cell_size), cell_size),
-        // The fewer particles there are in full cells, the more each of them makes of its own, and
-        // there is one at least.
+        IndicatorKind::Cloud => return check_finest(Some(spacing / cell_size), cell_size),
+        // With fewer particles in a full cell, each particle contributes more. A full cell has at
+        // least one.
         IndicatorKind::Counting => Indicator::Counting(
             mean.unwrap_or_else(|| MeanCount::new(1.0).expect("a number within the bounds")),
         ),
         IndicatorKind::Symmetry => Indicator::Symmetry,
     };
-    refuse_symmetry(kind, Some(spacing / cell_size), cell_size)?;
+    check_symmetry(kind, Some(spacing / cell_size), cell_size)?;
     let plateau = |size: f64| expected(by, spacing / size, None);
     let width = |size: f64| Smoothing::new(kind, sigma(size)).width();
     let larger =
         |_| Remedy::Cells(fitting(cell_size, |size| step_cells(plateau(size), width(size))));
-    refuse_steps(plateau(cell_size), width(cell_size), cell_size, larger).map(drop)
+    check_steps(plateau(cell_size), width(cell_size), cell_size, larger).map(drop)
 }
 
-/// Refuses a frame whose field tells too coarsely where its surface is; returns how far one step
-/// moves that, in cells.
-pub fn refuse_too_fine(
+/// Returns an error if the field of a frame does not locate the surface precisely enough; otherwise
+/// the distance by which one step moves the surface, in cells.
+pub fn check_cell_size(
     frame: &SampledDif,
     smoothing: &Smoothing,
     plateau: Plateau,
 ) -> Result<f64, TooFine> {
     let (kind, cell_size) = (frame.indicator.kind(), frame.facts.grid.cell_size());
-    refuse_steps(f64::from(plateau.value().max(1)), smoothing.width(), cell_size, |step_cells| {
+    check_steps(f64::from(plateau.value().max(1)), smoothing.width(), cell_size, |step_cells| {
         if kind == IndicatorKind::Symmetry && frame.dif.mean_of_full() < ON_CORNERS {
             let grid = frame.facts.grid;
             return Remedy::Origin((grid.origin() + grid.cell_size() / 2.0).to_array());
@@ -157,8 +157,9 @@ pub fn refuse_too_fine(
     })
 }
 
-/// Refuses a field whose steps are too large; returns how far one moves a flat surface, in cells.
-fn refuse_steps(
+/// Returns an error if the steps of a field are too large; otherwise the distance by which one step
+/// moves a flat surface, in cells.
+fn check_steps(
     plateau: f64,
     width: f64,
     cell_size: f64,
@@ -171,14 +172,14 @@ fn refuse_steps(
     Err(TooFine::Steps { cell_size, plateau, step_cells, remedy: remedy(step_cells) })
 }
 
-/// Refuses cells that are too fine for symmetry, if that is the indicator, by their particles'
-/// spacing in cells.
-pub fn refuse_symmetry(
+/// Returns an error if the indicator is symmetry and the cells are too small for it. `spacing` is
+/// the particles' spacing in cells.
+pub fn check_symmetry(
     kind: IndicatorKind,
     spacing: Option<f64>,
     cell_size: f64,
 ) -> Result<(), TooFine> {
-    // A quotient of decimals is off by a rounding.
+    // A quotient of decimals can have a rounding error.
     match spacing.filter(|spacing| spacing * FINEST_OF_SYMMETRY >= 1.0 - 1e-9) {
         Some(spacing) if kind == IndicatorKind::Symmetry => {
             Err(TooFine::Symmetry { cell_size, spacing: spacing * cell_size })
@@ -187,18 +188,18 @@ pub fn refuse_symmetry(
     }
 }
 
-/// Refuses cells that are finer than distances from clouds need, by their particles' spacing in
-/// cells.
-pub fn refuse_finest(spacing: Option<f64>, cell_size: f64) -> Result<(), TooFine> {
-    // A quotient of decimals is off by a rounding.
+/// Returns an error if the cells are smaller than distances from clouds need. `spacing` is the
+/// particles' spacing in cells.
+pub fn check_finest(spacing: Option<f64>, cell_size: f64) -> Result<(), TooFine> {
+    // A quotient of decimals can have a rounding error.
     match spacing.filter(|spacing| spacing * FINEST > 1.0 + 1e-9) {
         Some(spacing) => Err(TooFine::Finest { cell_size, spacing: spacing * cell_size }),
         None => Ok(()),
     }
 }
 
-/// The least size at which steps are small enough, as they are from there on; larger than `from`,
-/// at which they are not.
+/// The minimum size from which on steps are small enough. It is larger than `from`, where they are
+/// too large.
 fn fitting(from: f64, step_cells: impl Fn(f64) -> f64) -> f64 {
     let fits = |size: f64| step_cells(size) <= COARSEST_STEP;
     let mut above = 2.0 * from;
@@ -213,7 +214,7 @@ fn fitting(from: f64, step_cells: impl Fn(f64) -> f64) -> f64 {
     roundly_above(above)
 }
 
-/// A length of three digits that is a little more.
+/// The length rounded up to three digits.
 fn roundly_above(length: f64) -> f64 {
     format!("{:.2e}", 1.01 * length).parse().expect("a number")
 }

@@ -3,7 +3,8 @@
 use crate::brick::Block;
 use crate::grid::units::Isovalue;
 
-/// theta_bar: what `smooth` lost of `dif`.
+/// theta_bar: the samples of `dif` that smoothing reduced to the isovalue or below in `smooth`,
+/// otherwise 0.
 ///
 /// # Panics
 /// If `dif` does not cover `smooth`.
@@ -19,7 +20,7 @@ pub fn lost(dif: &Block, smooth: &Block, iso: Isovalue) -> Block {
     lost
 }
 
-/// Raises `field` to `other`.
+/// Sets `field` to the maximum of `field` and `other`.
 ///
 /// # Panics
 /// If `other` does not cover `field`.

@@ -1,9 +1,10 @@
-//! Detail recovery (section 6.2): what smoothing took below the isovalue is smoothed again, less.
+//! Detail recovery (section 6.2): samples that smoothing reduced to the isovalue or below are
+//! smoothed again with a narrower filter.
 //!
 //! theta_bar(K) = theta(K) where theta_smooth(K) <= c, else 0; then max(theta_smooth,
-//! blur(theta_bar)) per cell, the second blur a Gaussian of sigma / 2.
+//! blur(theta_bar)) per cell, where the second blur is a Gaussian of sigma / 2.
 //!
-//! Reaches as far as that second weights.
+//! Its reach is that of the second Gaussian.
 
 mod cpu;
 pub mod vulkan;
@@ -13,7 +14,7 @@ pub use cpu::{lost, raise};
 use crate::field::blur::{FieldCount, Filter, Weights};
 use crate::grid::units::Sigma;
 
-/// The filter beside those of the smoothing.
+/// The additional filter of detail recovery.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Recovery {
     /// The second Gaussian.
@@ -21,7 +22,7 @@ pub struct Recovery {
 }
 
 impl Recovery {
-    /// Beside a Gaussian of `sigma`.
+    /// Makes the filter for a smoothing with a Gaussian of `sigma`.
     pub fn new(sigma: Sigma) -> Self {
         Self { fine: Weights::gaussian(sigma.half()) }
     }
@@ -36,8 +37,8 @@ impl Filter for Recovery {
         std::slice::from_ref(&self.fine)
     }
 
-    /// The DIF, what is smoothed of it, what that lost, and that blurred, into the DIF's buffer on
-    /// a device.
+    /// The DIF, the smoothed DIF, theta_bar, and its blur; on a device, the blur goes into the
+    /// DIF's buffer.
     fn fields(&self) -> FieldCount {
         FieldCount { host: 4, device: 3 }
     }

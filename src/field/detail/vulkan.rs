@@ -7,10 +7,10 @@ use crate::grid::units::Isovalue;
 use crate::shaders::{GreaterPush, LostPush};
 use crate::vulkan::{Batch, ComputePipeline, View, VulkanError};
 
-/// Writes into `kept` what smoothing lost of the DIF.
+/// Writes theta_bar into `kept`.
 ///
 /// # Errors
-/// Those of the device.
+/// The errors of the device.
 pub fn lost(
     batch: &mut Batch,
     pipeline: &Arc<ComputePipeline>,
@@ -27,10 +27,10 @@ pub fn lost(
     )
 }
 
-/// Raises `field` to `other`.
+/// Sets `field` to the maximum of `field` and `other`.
 ///
 /// # Errors
-/// Those of the device.
+/// The errors of the device.
 pub fn raise(
     batch: &mut Batch,
     pipeline: &Arc<ComputePipeline>,

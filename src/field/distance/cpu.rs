@@ -9,14 +9,14 @@ use crate::grid::CellBox;
 use super::inverse_normal::{AWAY, DEPTHS};
 use super::{Bulk, Depths, Drops, MOST_APART, NONE, Ramp, ZERO, spline, spline_bits, wide_cells};
 
-/// Bits of a share that lie between two entries of a table of 1024 steps.
+/// Bits of a share below the index of a table with 1024 steps.
 const BETWEEN_BITS: u32 = 5;
 
 /// The greatest share, 1.
 const WHOLE: u32 = 1 << 15;
 
-/// An entry of a table, and what the next is more than that, at each of its steps: as long as an
-/// index of masked bits may say, so that rows of it are looked up at once.
+/// For each step of a table, its entry and the difference to the next. The array is as long as the
+/// range of a masked index, so that rows of indices need no bounds checks.
 type Steps = [[i16; 2]; 2048];
 
 const fn steps(table: &[i16; 1026]) -> Steps {
@@ -32,16 +32,16 @@ const fn steps(table: &[i16; 1026]) -> Steps {
 static DEPTH_STEPS: Steps = steps(&DEPTHS);
 static AWAY_STEPS: Steps = steps(&AWAY);
 
-/// An entry of a table at a share of 0 to 32768, what the next is more than that, and how far
-/// between them the share is.
+/// The entry of a table for a share from 0 to 32768, the difference to the next entry, and the
+/// position of the share between them.
 #[inline(always)]
 fn entry(steps: &Steps, share: u32) -> (i32, i32, i32) {
     let [low, more] = steps[(share >> BETWEEN_BITS) as usize % steps.len()];
     (low.into(), more.into(), (share & ((1 << BETWEEN_BITS) - 1)) as i32)
 }
 
-/// How deep a sample says that it is: a share of the plateau by the standard deviation that it was
-/// smoothed by.
+/// The depth for a sample: the depth of its share of the plateau, times the standard deviation of
+/// the smoothing.
 #[inline(always)]
 fn depth(sample: u16, scale: u32, spacings: i32, most: i32) -> i32 {
     let (low, more, between) = entry(&DEPTH_STEPS, ((u32::from(sample) * scale) >> 14).min(WHOLE));
@@ -49,16 +49,16 @@ fn depth(sample: u16, scale: u32, spacings: i32, most: i32) -> i32 {
     (deviations.clamp(-most, most) * spacings) >> 14
 }
 
-/// A distance as a sample.
+/// Converts a distance to a sample.
 #[inline(always)]
 fn sample(distance: i32) -> u16 {
     (distance + ZERO).clamp(i32::from(NONE) + 1, i32::from(u16::MAX)) as u16
 }
 
-/// Distances by the samples under each width, narrowest first, on the cells of the last.
+/// Distances from the samples under each width, narrowest first, on the cells of the last block.
 ///
 /// # Panics
-/// Unless each block covers the last one.
+/// If a block does not cover the last one.
 pub fn depths(bulk: &Bulk, shares: [&Block; 3]) -> Depths<Block> {
     let cells = shares[2].cells();
     let width = cells.size().x as usize;
@@ -73,7 +73,7 @@ pub fn depths(bulk: &Bulk, shares: [&Block; 3]) -> Depths<Block> {
     Depths { calm, fine, apart }
 }
 
-/// The calm surface, the fine one, and what both are apart by.
+/// One row of the calm surface, the fine surface, and their difference.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
 fn depths_row(
     [calm, fine, apart]: [&mut [u16]; 3],
@@ -97,12 +97,12 @@ fn depths_row(
     }
 }
 
-/// The bulk's surface: the calm one, and the fine one where both are apart all around, but not deep
-/// in the fluid; [`NONE`] where nothing is near.
+/// The bulk's surface: the calm one, blended with the fine one where their mean difference is
+/// large, except deep in the fluid; [`NONE`] where no particle is near.
 ///
 /// # Panics
-/// If `calm` and `fine` do not cover what they are apart by, or that and `near` do not cover one
-/// another.
+/// If `calm` and `fine` do not cover their mean difference, or if that and `near` do not cover each
+/// other.
 pub fn mixed(
     bulk: &Bulk,
     Depths { calm, fine, apart }: &Depths<impl AsRef<Block>>,
@@ -123,20 +123,20 @@ pub fn mixed(
 
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
 fn mixed_row(to: &mut [u16], [calm, fine, apart, near]: [&[u16]; 4], bulk: &Bulk) {
-    let (told, deep) = (bulk.apart, bulk.deep);
+    let (apart_ramp, deep) = (bulk.apart, bulk.deep);
     let taps = calm.iter().zip(fine).zip(apart.iter().zip(near));
     for (to, ((&calm, &fine), (&apart, &near))) in to.iter_mut().zip(taps) {
-        let told = told.of((i32::from(apart) - ZERO).unsigned_abs() as u16);
+        let shape = apart_ramp.of((i32::from(apart) - ZERO).unsigned_abs() as u16);
         let shallow = 4096 - deep.of(calm);
-        let share = (told * shallow) >> 12;
+        let share = (shape * shallow) >> 12;
         let (calm, fine) = (i32::from(calm), i32::from(fine));
         let drawn = (calm + (((fine - calm) * share as i32 + 2048) >> 12)) as u16;
         *to = if near == NONE { NONE } else { drawn };
     }
 }
 
-/// By how much a cell that holds a particle lies outside of the calm surface; [`NONE`] where it
-/// holds none.
+/// The distance by which each cell with a particle lies outside of the calm surface; [`NONE`] for
+/// cells without particles.
 ///
 /// # Panics
 /// If `clouds` does not cover `bulk`.
@@ -158,7 +158,7 @@ fn outlying_row(to: &mut [u16], bulk: &[u16], clouds: &[u16], least: u16) {
     }
 }
 
-/// The greatest sample within `reach` cells along each axis; the result is smaller by as much on
+/// The greatest sample within `reach` cells along each axis; the result is smaller by `reach` on
 /// every side.
 ///
 /// # Panics
@@ -167,7 +167,7 @@ pub fn spread(block: Block, reach: i32) -> Block {
     block.along_each_axis(reach, |to, taps, step| greatest(to, taps, step, 2 * reach as usize + 1))
 }
 
-/// Fills `to[i]` with the greatest of `count` taps, `step` apart.
+/// Fills `to[i]` with the greatest of `count` taps at a distance of `step`.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
 fn greatest(to: &mut [u16], taps: &[u16], step: usize, count: usize) {
     to.copy_from_slice(&taps[..to.len()]);
@@ -178,11 +178,11 @@ fn greatest(to: &mut [u16], taps: &[u16], step: usize, count: usize) {
     }
 }
 
-/// A field of cells 2^`level` times as wide at the middles of `cells`: the quadratic B-spline whose
-/// control points it is, or itself at level 0.
+/// A field of cells 2^`level` times as wide, interpolated at the middles of `cells`: its samples
+/// are the control points of a quadratic B-spline; at level 0, the field itself.
 ///
 /// # Panics
-/// Unless it covers the [wide cells](super::wide_cells) of `cells`.
+/// If it does not cover the [wide cells](super::wide_cells) of `cells`.
 pub fn refined(wide: &Block, level: u32, cells: CellBox) -> Block {
     if level == 0 {
         return wide.part(cells);
@@ -193,7 +193,8 @@ pub fn refined(wide: &Block, level: u32, cells: CellBox) -> Block {
     refined_along(&along_y, 2, level, cells, &weights)
 }
 
-/// Refines a field along x, all wide cells at once for each place in them.
+/// Refines a field along x. Each pass handles one position within the wide cells, for all wide
+/// cells.
 fn refined_along_x(wide: &Block, level: u32, cells: CellBox, weights: &[[u32; 3]]) -> Block {
     let mut to = wide.cells();
     (to.lo.x, to.hi.x) = (cells.lo.x, cells.hi.x);
@@ -207,7 +208,7 @@ fn refined_along_x(wide: &Block, level: u32, cells: CellBox, weights: &[[u32; 3]
         if first >= to.hi.x {
             continue;
         }
-        // From the second of a row on; what is beyond the ends of rows is nobody's.
+        // From the second sample of a row on; values beyond the ends of rows are not used.
         means(
             &mut of_place,
             weights,
@@ -224,7 +225,7 @@ fn refined_along_x(wide: &Block, level: u32, cells: CellBox, weights: &[[u32; 3]
     field
 }
 
-/// Refines a field along y or z, all samples of the axes before it at once.
+/// Refines a field along y or z. Each pass handles all samples of the preceding axes.
 fn refined_along(
     wide: &Block,
     axis: usize,
@@ -268,7 +269,7 @@ fn means(to: &mut [u16], weights: [u32; 3], [below, own, above]: [&[u16]; 3], sh
     }
 }
 
-/// Fills `to` with means whose products of samples and weights have more than 32 bits.
+/// Fills `to` with weighted means, for products of samples and weights with more than 32 bits.
 fn wide_means(to: &mut [u16], weights: [u32; 3], [below, own, above]: [&[u16]; 3], shift: u32) {
     let product = |weight: u32, tap: u16| u64::from(weight) * u64::from(tap);
     for (((to, &below), &own), &above) in to.iter_mut().zip(below).zip(own).zip(above) {
@@ -278,7 +279,7 @@ fn wide_means(to: &mut [u16], weights: [u32; 3], [below, own, above]: [&[u16]; 3
     }
 }
 
-/// Shares of clouds in what is around them, in units of 1 / 2^`bits`, on the cells of `around`.
+/// Clouds divided by the clouds around them, in units of 1 / 2^`bits`, on the cells of `around`.
 ///
 /// # Panics
 /// If `clouds` does not cover `around`.
@@ -298,9 +299,10 @@ pub fn quotient(clouds: &Block, around: &Block, bits: u32) -> Block {
 
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
 fn quotient_row(to: &mut [u16], clouds: &[u16], around: &[u16], bits: u32) {
-    // Quotients of such numbers are whole or farther below the next whole one than f64 rounds, and
-    // so they may be made several at a time. Adding a number whose last bit counts for 1 rounds;
-    // what is rounded is made less by just under a half before.
+    // A quotient of such numbers is either an integer, or farther below the next integer than the
+    // rounding error of f64. So the division can be vectorized in f64. Adding a number whose last
+    // bit counts for 1 rounds to an integer; before, just under a half is subtracted, to round
+    // down.
     const WHOLE_NUMBERS: f64 = 3.0 * (1_u64 << 51) as f64;
     const JUST_UNDER_HALF: f64 = 0.5 - 1.0 / (1 << 18) as f64;
     for ((to, &clouds), &around) in to.iter_mut().zip(clouds).zip(around) {
@@ -323,7 +325,7 @@ fn greatest_of(samples: &[u16]) -> u16 {
 /// The part of some cells in which particles stand out from the calm surface.
 ///
 /// # Panics
-/// If `near` does not cover them.
+/// If `near` does not cover these cells.
 pub fn outlying_part(near: &Block, cells: CellBox, ramp: &Ramp) -> CellBox {
     let mut part = CellBox::EMPTY;
     for ([y, z], row) in near.rows(cells) {
@@ -339,15 +341,17 @@ pub fn outlying_part(near: &Block, cells: CellBox, ramp: &Ramp) -> CellBox {
     part
 }
 
-/// How far from a drop's middle a share is, for drops of such a standard deviation, in its units.
+/// The distance from a drop's middle at which the share has this value, for drops with the standard
+/// deviation `width`, in its units.
 #[inline(always)]
 pub fn away(share: u16, width: i32) -> i32 {
     let (low, more, between) = entry(&AWAY_STEPS, u32::from(share).min(WHOLE));
     ((low + ((more * between) >> BETWEEN_BITS)) * width) >> 12
 }
 
-/// The field: the surface of the bulk, and where particles lie outside of the calm one near by as
-/// much of the drops as they do so. Drops need only be known where they do.
+/// The field: the surface of the bulk, blended with the drops in proportion to the distance by
+/// which nearby particles lie outside of the calm surface. Drops are needed only where that
+/// distance is large enough.
 ///
 /// # Panics
 /// If `bulk` or `near` does not cover the shares.

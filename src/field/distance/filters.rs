@@ -1,4 +1,4 @@
-//! The filters of a frame, by its particles' spacing in cells.
+//! The filters of a frame, for its particles' spacing in cells.
 
 use std::sync::Arc;
 
@@ -13,84 +13,86 @@ use crate::grid::{BLOCK, CellBox};
 
 use super::{Bulk, Drops, FARTHEST, InsideBricks, Ramp, UNITS, Width, ZERO, away, wide_cells};
 
-/// The widths under which clouds are smoothed, in those asked for: the fine surface is made by the
-/// first two, the calm one by the last two.
+/// The widths under which clouds are smoothed, relative to the requested width: the first two give
+/// the fine surface, the last two the calm one.
 const WIDTHS: [f64; 3] = [0.625, 1.0, 1.5];
-/// Where their Gaussians are cut off, in standard deviations.
+/// The cut-off of their Gaussians, in standard deviations.
 const CUT: f64 = 2.2;
-/// The standard deviation of what averages by how much the two surfaces are apart, in widths asked
-/// for, and where it is cut off.
+/// The standard deviation of the Gaussian that averages the difference of the two surfaces, in
+/// requested widths, and its cut-off.
 const AROUND: f64 = 0.5625;
 const AROUND_CUT: f64 = 1.7;
-/// By how much they are apart on average where noise ends and shape begins, in spacings, and where
-/// there is nothing but shape.
+/// The mean difference at which noise ends and shape begins, and the one from which on it is all
+/// shape, in spacings.
 const APART: [f64; 2] = [0.07, 0.14];
-/// From how deep in the fluid on there is no fine surface, for noise has bubbles there, in
-/// spacings.
+/// The depths between which the fine surface fades out, in spacings: noise has bubbles deeper in
+/// the fluid.
 const DEEP: [f64; 2] = [0.3, 0.9];
-/// The least variance of a filter, in squared cells: of less, next to nothing would be left of it.
+/// The minimum variance of a filter, in squared cells: a narrower filter would have almost no
+/// weight beyond its centre.
 pub(in crate::field) const LEAST_VARIANCE: f64 = 0.35;
-/// The least variances of the three widths' filters, in squared cells: in coarse cells there still
-/// are three.
+/// The minimum variances of the three widths' filters, in squared cells, so that they differ even
+/// in coarse cells.
 const LEAST_VARIANCES: [f64; 3] = [LEAST_VARIANCE, 0.85, 1.75];
-/// The widest drops, in spacings, however coarse the cells are.
+/// The maximum standard deviation of drops, in spacings, even in coarse cells.
 const WIDEST_DROP: f64 = 8.0;
-/// Within how many spacings of a particle that stands out drops are drawn, and calm surface at all
-/// of any particle.
+/// The distance from a particle within which its drop is made if it stands out, and within which
+/// the calm surface exists, in spacings.
 const NEAR: f64 = 1.0;
-/// By how much a particle's centre has to lie outside of the calm surface to stand out, in
-/// spacings, and to do so wholly.
+/// The distances of a particle's centre outside of the calm surface at which it begins to stand
+/// out, and from which on it stands out completely, in spacings.
 const STANDS_OUT: [f64; 2] = [0.4, 1.0];
-/// The standard deviation of what makes drops of particles, in spacings.
+/// The standard deviation of a particle's drop, in spacings.
 const DROP_WIDTH: f64 = 0.6;
-/// The radius of a particle alone in fine cells, in spacings.
+/// The radius of the drop of a single particle in fine cells, in spacings.
 const DROP_RADIUS: f64 = 0.55;
-/// By how much less it is in others, in spacings over a squared one, and where drops are refined
-/// from those: by as much as clouds in such cells are wider, and splines from them. A drop of one
-/// then holds 0.99 of a cubed spacing in cells of an eighth of one, 0.94 in those of a quarter, and
-/// 0.8 from a third to two thirds, in those by where it lies.
+/// The decrease of that radius in coarse cells, in spacings per squared cell edge in spacings,
+/// without and with refinement by splines: it corrects for wider clouds in such cells, and for the
+/// splines. The drop of one particle then has a volume of 0.99 cubed spacings with cells of an
+/// eighth of a spacing, 0.94 with a quarter, and 0.8 with a third to two thirds, where it depends
+/// on the particle's position.
 const LESS_RADIUS: [f64; 2] = [0.29, 0.41];
-/// The least radius, for cells that hardly tell of a particle alone.
+/// The minimum radius, for cells that hardly resolve a single particle.
 const LEAST_DROP_RADIUS: f64 = 0.38;
-/// Where its Gaussian is cut off, in standard deviations.
+/// The cut-off of a drop's Gaussian, in standard deviations.
 const DROP_CUT: f64 = 2.6;
 
-/// The variance of the spline that makes cells of wider ones, in squared wider ones.
+/// The variance of the spline that interpolates wide cells, in squared wide cells.
 const SPLINE: f64 = 0.25;
 
-/// All that makes distances of clouds but the plateau.
+/// All parameters of distances from clouds except the plateau.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct DistanceFilters {
-    /// A wide cell, in which the calm surface is made, is 2^`level` cells along an axis.
+    /// The calm surface is made in wide cells, each 2^`level` cells along an axis.
     pub level: u32,
     /// The calm surface.
     pub bulk: Bulk,
-    /// Within how many wide cells of a particle along each axis there can be a surface.
+    /// The maximum distance of a surface from a particle along each axis, in wide cells.
     pub near: i32,
-    /// The least sample of a wide cell that holds a particle's centre.
+    /// The minimum sample of a wide cell that contains a particle's centre.
     pub least: u16,
-    /// Where drops begin.
+    /// The distances from the calm surface at which drops fade in.
     pub ramp: Ramp,
-    /// Drops are made in cells 2^`drops_level` times as wide: half as wide as wide ones, where
-    /// those are.
+    /// Drops are made in cells 2^`drops_level` times as wide: half the width of wide cells, or the
+    /// grid's cells.
     pub drops_level: u32,
-    /// Drops.
+    /// The parameters of drops.
     pub drops: Drops,
-    /// Sheets and threads in place of drops, in the same cells.
+    /// Sheets and threads, which replace drops in the same cells.
     pub sheets: Option<Sheets>,
-    /// How far beyond a brick of wide cells others decide whether it is inside.
+    /// The distance within which cells affect whether a brick of wide cells is inside.
     pub inside_reach: i32,
-    /// The deep inside, where nothing is made.
+    /// The bricks deep inside, in which no samples are computed.
     pub inside: Arc<InsideBricks>,
 }
 
-/// Bits that the calm surface's blurs gain: a plateau of 4096 becomes a quarter of what a sample
-/// can be, so that a fluid four times as dense as its spacing says, because that is wrong by half,
-/// is still told.
+/// The gain of the calm surface's blurs, in bits. A plateau of 4096 becomes a quarter of the
+/// maximum sample, so a fluid is still measured correctly if it is four times denser than the given
+/// spacing, for example because the spacing is half the true one.
 pub const BULK_GAIN: u32 = 2;
 
-/// A Gaussian that, together with the clouds' variance of a quarter of a squared cell, has a
-/// standard deviation of `cells`, if possible.
+/// A Gaussian that has a standard deviation of `cells` together with the clouds' variance of a
+/// quarter of a squared cell, if possible.
 pub(in crate::field) fn gaussian(cells: f64, least: f64, cut: f64) -> (Weights, f64) {
     let variance = (cells * cells - 0.25).max(least);
     let weights = Weights::of_variance(variance, (cut * variance.sqrt()).round().max(1.0) as i32);
@@ -98,14 +100,14 @@ pub(in crate::field) fn gaussian(cells: f64, least: f64, cut: f64) -> (Weights, 
     (weights, width)
 }
 
-/// From one distance to another, in spacings, over a value that stands for 0.
+/// A ramp between two distances in spacings, for samples in which `zero` stands for 0.
 fn ramp([begin, end]: [f64; 2], zero: i32) -> Ramp {
     let units = |spacings: f64| (spacings * UNITS).round() as i32;
     Ramp::new((zero + units(begin)) as u16, (units(end) - units(begin)) as u16)
 }
 
 impl DistanceFilters {
-    /// For particles `spacing` cells apart.
+    /// Makes the filters for particles `spacing` cells apart.
     #[must_use]
     pub fn new(smooth: Smooth, sheets: SheetStretch, spacing: f64) -> Self {
         let wide = WideCells::of_spacing(spacing);
@@ -119,9 +121,8 @@ impl DistanceFilters {
                 most: (FARTHEST << 14) / spacings,
             }
         });
-        // Beyond a width of 0 by half of what the spline takes off that makes cells of wide ones:
-        // of balls of a few spacings, whose extrapolation goes somewhat too far, no more than that
-        // is missing.
+        // Extrapolates beyond a width of 0 by half of the variance that the spline adds. The full
+        // variance would overshoot for balls of a few spacings.
         let spline = if wide.level > 0 { SPLINE / 2.0 * (wide.edge * 4096.0).powi(2) } else { 0.0 };
         let share = |narrow: usize| {
             let [a, b] = [narrow, narrow + 1].map(|i| f64::from(widths[i].spacings).powi(2));
@@ -162,29 +163,29 @@ impl DistanceFilters {
         self
     }
 
-    /// For particles `spacing` cells apart and a mesh in finer cells, in which drops and sheets are
-    /// refined from those that they are made in.
+    /// Makes the filters for particles `spacing` cells apart and a finer mesh, for which drops and
+    /// sheets are refined by splines.
     #[must_use]
     pub fn refining(self, sheets: SheetStretch, spacing: f64) -> Self {
         let (drops, sheets) = thin_fluid(sheets, spacing, self.drops_level, true);
         Self { drops, sheets, ..self }
     }
 
-    /// For clouds of half the usual [amounts](Amount).
+    /// Changes the filters for clouds of half the usual [amounts](Amount).
     #[must_use]
     pub fn of_half_amounts(self) -> Self {
         let least = (self.least / 2).max(1);
         Self { least, sheets: self.sheets.map(Sheets::of_half_amounts), ..self }
     }
 
-    /// Leaves out what lies deep inside, where nothing is made from then on.
+    /// Skips bricks deep inside: no samples are computed there.
     #[must_use]
     pub fn skipping(self, inside: InsideBricks) -> Self {
         Self { inside: Arc::new(inside), ..self }
     }
 
-    /// The part of some cells in which dual cells can be mixed, their lowest corners among them:
-    /// all but those between cells that are inside.
+    /// The part of some cells that can be the lowest corners of dual cells with a surface: all
+    /// except cells between inside cells.
     #[must_use]
     pub fn not_inside(&self, cells: CellBox) -> CellBox {
         let rest = self.inside.rest(self.wide_cells(cells.grown(0, 1)));
@@ -203,39 +204,40 @@ impl DistanceFilters {
         self.bulk.widths.iter().map(|width| width.weights.reach()).max().unwrap_or(0)
     }
 
-    /// The wide cells on which the calm surface is needed for a field on `cells`.
+    /// The wide cells on which a field on `cells` needs the calm surface.
     #[must_use]
     pub fn wide_cells(&self, cells: CellBox) -> CellBox {
         wide_cells(self.level, cells)
     }
 
-    /// How far beyond those wide cells decide the field.
+    /// The halo of these wide cells, in wide cells.
     #[must_use]
     pub fn wide_halo(&self) -> i32 {
         self.bulk_reach() + self.near.max(self.bulk.around.reach())
     }
 
-    /// How far beyond the cells that they are made in those decide the drops.
+    /// The halo of drops, in the cells in which they are made.
     #[must_use]
     pub fn drops_halo(&self) -> i32 {
         self.sheets.as_ref().map_or(0, Sheets::halo).max(self.drops.halo())
     }
 
-    /// How far from a cell particles decide its field, in cells: by clouds, in wide cells that are
-    /// made of those, and by the spline that makes cells of wide ones.
+    /// The distance within which particles affect the field of a cell, in cells. It includes the
+    /// clouds, the wide cells made from them, and the spline that interpolates wide cells.
     #[must_use]
     pub fn halo(&self) -> i32 {
         let in_wide = |level: u32, halo: i32| {
             let spline = i32::from(level > 0);
-            // From a cell to the far end of its wide cell, and by what wide cells are made of
-            // beyond their own cells.
+            // From a cell to the far end of its wide cell, and the cells beyond them that
+            // contribute to wide cells.
             ((halo + spline) << level) + 2 * ((1 << level) - 1)
         };
         let wide = in_wide(self.level, self.wide_halo());
         wide.max(in_wide(self.drops_level, self.drops_halo())) + GHOST_LAYER
     }
 
-    /// The cells whose samples decide the field on some cells, and which of those count as inside.
+    /// The cells whose samples affect the field on some cells, including the samples that decide
+    /// which cells are inside.
     #[must_use]
     pub fn seen(&self, cells: CellBox) -> CellBox {
         let wide = self.wide_cells(cells);
@@ -246,28 +248,28 @@ impl DistanceFilters {
             .union(&halved_from_all(self.drops_level, drops))
     }
 
-    /// How far from a full cell there can be a surface, in cells.
+    /// The maximum distance of a surface from a full cell, in cells.
     #[must_use]
     pub fn reach(&self) -> i32 {
         (self.near + 2) << self.level
     }
 
-    /// Every filter.
+    /// The weights of all filters.
     pub fn weights(&self) -> impl Iterator<Item = &Weights> {
         let widths = self.bulk.widths.iter().map(|width| &width.weights);
         let sheets = self.sheets.iter().flat_map(|sheets| [&sheets.around, &sheets.average]);
         widths.chain([&self.bulk.around, &self.drops.around, &self.drops.spread]).chain(sheets)
     }
 
-    /// Bytes that the surface of the bulk takes on some wide cells while it is made.
+    /// Memory of the surface of the bulk on some wide cells while it is made, in bytes.
     #[must_use]
     pub fn bulk_bytes(&self, wide: CellBox) -> u64 {
         let halo = self.wide_halo();
         6 * volume_bytes(wide.grown(halo, halo))
     }
 
-    /// Bytes of a block while its field is made, at the most, together with its neighbours where
-    /// there is room for them.
+    /// Maximum memory of a block while its field is made, in bytes, including its neighbours if
+    /// they fit.
     #[must_use]
     pub fn block_bytes(&self) -> u64 {
         let cells = |edge: i32| CellBox { lo: IVec3::NEG_ONE, hi: IVec3::splat(edge + 2) };
@@ -279,8 +281,8 @@ impl DistanceFilters {
     }
 }
 
-/// Drops and sheets of particles `spacing` cells apart, made in cells 2^`level` times as wide, by
-/// whether splines refine them.
+/// Makes the parameters of drops and sheets for particles `spacing` cells apart, in cells 2^`level`
+/// times as wide, with or without refinement by splines.
 fn thin_fluid(
     sheets: SheetStretch,
     spacing: f64,
@@ -293,7 +295,7 @@ fn thin_fluid(
     (drops, Sheets::new(sheets, 1.0 / in_drops, 1.0 / spacing, amount, shape))
 }
 
-/// The cells that some are made of that are 2^`level` times as wide.
+/// The cells from which some cells, 2^`level` times as wide, are made.
 fn halved_from_all(level: u32, wide: CellBox) -> CellBox {
     (0..level).fold(wide, |wide, _| halved_from_box(wide))
 }
@@ -309,13 +311,13 @@ fn scale(plateau: f64) -> u32 {
 }
 
 impl Drops {
-    /// How far beyond the cells that they are made in those decide them.
+    /// The halo of drops, in the cells in which they are made.
     #[must_use]
     pub fn halo(&self) -> i32 {
         self.around.reach() + self.spread.reach()
     }
 
-    /// The least share on a drop's surface or within it.
+    /// The minimum share on the surface of a drop or inside it.
     #[must_use]
     pub fn least_share(&self) -> u16 {
         let (mut outside, mut inside) = (0, u16::MAX);
@@ -327,7 +329,8 @@ impl Drops {
         inside
     }
 
-    /// For particles `spacing` cells apart, by whether splines make finer cells of these.
+    /// Makes drops for particles `spacing` cells apart. `is_refined` says whether splines
+    /// interpolate them in finer cells.
     fn new(spacing: f64, is_refined: bool) -> (Self, DropShape) {
         let cells = DROP_WIDTH * spacing;
         let (weights, width) = gaussian(cells, LEAST_VARIANCE, DROP_CUT);
@@ -336,19 +339,20 @@ impl Drops {
         let less = LESS_RADIUS[usize::from(is_refined)];
         let radius = (DROP_RADIUS - less / (spacing * spacing)).max(LEAST_DROP_RADIUS);
         let amount = f64::from(Amount::of_spacing(spacing).steps());
-        // What is around a particle alone, at its place: about 2048 to 4096 with the gain.
+        // The smoothed cloud of a single particle at its position: about 2048 to 4096 with the
+        // gain.
         let alone = amount / (width * std::f64::consts::TAU.sqrt()).powi(3);
         let bits_between = |value: f64, most: f64| {
             (0..15).take_while(|&bits| value * f64::from(1 << (bits + 1)) <= most).count() as u32
         };
         let gain = bits_between(alone, 4096.0);
-        // Of its cloud no more than 27/64 lie in one cell.
+        // At most 27/64 of its cloud lie in one cell.
         let share = 27.0 / 64.0 * amount / (alone * f64::from(1_u32 << gain));
         let bits = bits_between(share, 49152.0);
         let shape = DropShape { radius, width: (width / spacing).min(WIDEST_DROP), spline };
         let drops = Self {
             around: weights.gaining(gain),
-            // 1 becomes 32768.
+            // A sum of 1 becomes 32768.
             spread: spread.gaining((15 + gain).saturating_sub(bits).min(15)),
             bits,
             radius: (radius * UNITS).round() as i32,

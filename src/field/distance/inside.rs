@@ -1,11 +1,11 @@
-//! The deep inside of a fluid, where no surface can be, by definition: neither its samples nor its
-//! field are looked at.
+//! The deep inside of a fluid, which has no surface by definition: neither its samples nor its
+//! field are computed.
 //!
-//! A brick of 4^3 wide cells is full where every cube of some 4 spacings that holds any of it holds
-//! at least 0.85 of what the plateau says. A brick whose 26 neighbours are full as well is inside.
-//! The field is then at its greatest there, for all that is made of it, so that meshes stay closed
-//! whatever lies inside. Cubes slide by two wide cells, so that a bubble shows wherever it lies:
-//! one of a radius of two spacings takes a quarter of some cube.
+//! A brick of 4^3 wide cells is full if every cube of about 4 spacings that overlaps it holds at
+//! least 0.85 of the number of particles that the plateau implies. A brick is inside if its 26
+//! neighbours are also full. The field has its maximum there at every stage, so that meshes stay
+//! closed whatever lies inside. Cubes slide by two wide cells, so that a bubble is found in any
+//! position: a bubble with a radius of two spacings takes a quarter of some cube.
 
 use glam::{IVec3, USizeVec3};
 use hashbrown::HashMap;
@@ -18,36 +18,36 @@ use crate::grid::{BIN, CellBox, MortonKey, local_morton};
 pub const BRICK: i32 = 4;
 /// Bricks along the edge of a bin.
 const BRICKS: i32 = BIN / BRICK;
-/// Wide cells by which cubes slide.
+/// The step by which cubes slide, in wide cells.
 pub(super) const PART: i32 = 2;
-/// Least edge of the cubes that have to be full, in spacings.
+/// The minimum edge of the cubes that must be full, in spacings.
 const CUBE: f64 = 4.0;
-/// The share of the plateau that such a cube has to hold.
+/// The minimum content of a full cube, relative to the plateau.
 const FULL_SHARE: f64 = 0.85;
 
 /// The bricks that are inside.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct InsideBricks {
-    /// The inside bricks of each bin of wide cells that has any: a bit for each, by its Morton
-    /// index in the bin.
+    /// The inside bricks of each bin of wide cells with at least one, as a bit per brick by its
+    /// Morton index in the bin.
     bricks: HashMap<IVec3, u64>,
 }
 
-/// Finds bits for each bin, and keeps those of which any is set.
+/// Computes bits for each bin, and keeps the bins with at least one bit set.
 fn bits_by_bin(keys: &[MortonKey], bits: impl Fn(IVec3) -> u64 + Sync) -> HashMap<IVec3, u64> {
     let of_bin =
         |key: &MortonKey| Some((key.coord(), bits(key.coord()))).filter(|(_, bits)| *bits != 0);
     keys.par_iter().filter_map(of_bin).collect::<Vec<_>>().into_iter().collect()
 }
 
-/// A value for each place of a cube of bricks or of parts of them, x fastest.
+/// A value for each position in a cube of bricks or of parts of bricks, x fastest.
 struct Cube<T> {
     edge: usize,
     values: Vec<T>,
 }
 
 impl<T: Copy> Cube<T> {
-    /// Asks for the values of the places from `from` up to `to` along each axis.
+    /// Computes the values of the positions from `from` up to `to` along each axis.
     fn new(from: i32, to: i32, value: impl Fn(IVec3) -> T) -> Self {
         let edge = (to - from) as usize;
         let mut values = Vec::with_capacity(edge * edge * edge);
@@ -61,12 +61,13 @@ impl<T: Copy> Cube<T> {
         Self { edge, values }
     }
 
-    /// Joins by `both` the `width` places along each axis that begin at each place: fewer by
-    /// `width` - 1 along each axis.
+    /// Combines, with `both`, the `width` positions along each axis that begin at each position.
+    /// The result has `width` - 1 fewer positions along each axis.
     fn joined(self, width: usize, both: impl Fn(T, T) -> T) -> Self {
         let Self { edge, mut values } = self;
         let left = edge + 1 - width;
-        // What follows is still what it was; what reaches beyond the end of a row is left out.
+        // In place: later values are still unchanged. Values that would reach beyond the end of a
+        // row are dropped.
         for step in [1, edge, edge * edge] {
             for at in 0..values.len() {
                 let further = (1..width).map_while(|k| values.get(at + k * step).copied());
@@ -100,7 +101,7 @@ impl Cube<u64> {
 }
 
 impl Cube<bool> {
-    /// Takes every other place along each axis.
+    /// Keeps every other position along each axis.
     fn halved(self) -> Self {
         let edge = self.edge.div_ceil(2);
         let at = |place: IVec3| {
@@ -119,20 +120,21 @@ impl Cube<bool> {
     }
 }
 
-/// The bin of a brick, given in bricks from the corner of `bin`, and its Morton index there.
+/// The bin of a brick, given in bricks relative to the corner of `bin`, and its Morton index there.
 fn owner(bin: IVec3, brick: IVec3) -> (IVec3, usize) {
     let edge = IVec3::splat(BRICKS);
     (bin + brick.div_euclid(edge), local_morton(brick.rem_euclid(edge)))
 }
 
-/// Edge of the cubes that have to be full, in parts, by that of a wide cell in spacings.
+/// Edge of the cubes that must be full, in parts. `edge` is that of a wide cell in spacings.
 fn cube_parts(edge: f64) -> i32 {
     (CUBE / (edge * f64::from(PART)) - 1e-9).ceil().max(1.0) as i32
 }
 
 impl InsideBricks {
-    /// How far beyond a brick wide cells of `edge` spacings decide whether it is inside, in such:
-    /// its neighbours have to be full, each by every cube that holds any of it.
+    /// The distance from a brick within which wide cells of `edge` spacings affect whether it is
+    /// inside, in wide cells: its neighbours must be full, which depends on every cube that
+    /// overlaps them.
     pub fn reach(edge: f64) -> i32 {
         BRICK + PART * (cube_parts(edge) - 1)
     }
@@ -153,17 +155,17 @@ impl InsideBricks {
         let width = cube_parts(edge);
         let least = FULL_SHARE * plateau * f64::from(PART * width).powi(3);
         let margin = PART * (width - 1);
-        // What is summed up are integers.
-        let elsewhere =
+        // The sums are of integers.
+        let full_bricks =
             |pages: &dyn RemotePages| pages.full_bricks(width as u32, least.ceil() as u32);
-        let full = field.elsewhere().and_then(elsewhere).map(|bits| {
+        let full = field.remote().and_then(full_bricks).map(|bits| {
             let bins = keys.iter().map(|key| key.coord());
             bins.zip(bits).filter(|&(_, bits)| bits != 0).collect()
         });
         let full: HashMap<IVec3, u64> = full.unwrap_or_else(|| {
             bits_by_bin(&keys, |bin| {
-                // Some cube that holds a brick lies in the bin: spray need not be looked at any
-                // closer.
+                // If no cube of a brick in the bin can be full, as in spray, its samples need not
+                // be examined.
                 let cells = CellBox::cube(bin, BIN);
                 let own: u64 =
                     field.gather(cells).samples().iter().map(|&sample| u64::from(sample)).sum();
@@ -193,13 +195,13 @@ impl InsideBricks {
         Self { bricks }
     }
 
-    /// Whether a brick of wide cells is inside, given in bricks.
+    /// Whether a brick of wide cells, given in brick coordinates, is inside.
     pub fn contains(&self, brick: IVec3) -> bool {
         let (bin, brick) = owner(IVec3::ZERO, brick);
         self.bricks.get(&bin).is_some_and(|bricks| bricks >> brick & 1 != 0)
     }
 
-    /// The bricks among some wide cells that are inside, in bricks.
+    /// The inside bricks among some wide cells, in brick coordinates.
     pub fn bricks(&self, cells: CellBox) -> impl Iterator<Item = IVec3> + '_ {
         let bins = cells.cubes(BIN).filter_map(|bin| Some((bin, *self.bricks.get(&bin)?)));
         bins.flat_map(move |(bin, bricks)| {
@@ -209,7 +211,8 @@ impl InsideBricks {
         })
     }
 
-    /// A bit for each brick that some wide cells touch, x fastest, in words: those that are inside.
+    /// A bit for each brick that some wide cells touch, x fastest, in words; set if the brick is
+    /// inside.
     pub fn marks(&self, cells: CellBox) -> Vec<u32> {
         let CellBox { lo, hi } = Self::bricks_around(cells);
         let touched = CellBox { lo: lo / BRICK, hi: hi / BRICK };
@@ -243,7 +246,7 @@ impl InsideBricks {
         rest
     }
 
-    /// Raises a field of wide cells to its greatest inside.
+    /// Sets a field of wide cells to its maximum in inside bricks.
     pub fn raise(&self, field: &mut Block) {
         let cells = field.cells();
         for brick in self.bricks(cells) {

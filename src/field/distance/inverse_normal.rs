@@ -1,8 +1,8 @@
-//! Functions as committed numbers, so that no two machines disagree: each has 1024 equal steps, and
-//! its last value twice.
+//! Functions as committed tables, so that all machines agree: each has 1024 equal steps, and its
+//! last value twice.
 
-/// The inverse of the standard normal distribution over shares of 0 to 1, cut off at 0.0002 and
-/// 0.9998, in 8192ths.
+/// The inverse of the standard normal distribution function for shares from 0 to 1, limited to
+/// 0.0002 to 0.9998, in 8192ths.
 #[rustfmt::skip]
 pub static DEPTHS: [i16; 1026] = [
     -29000, -25373, -23639, -22573, -21791, -21168, -20648, -20200, -19805, -19451, -19130, -18836, -18565,
@@ -72,8 +72,8 @@ pub static DEPTHS: [i16; 1026] = [
     29000,
 ];
 
-/// How far from the middle of a standard normal density, which is 1 there, it is a share of 0.0001
-/// to 1, in 4096ths.
+/// The distance from the middle at which a standard normal density, scaled to 1 in the middle, has
+/// a value from 0.0001 to 1, in 4096ths.
 #[rustfmt::skip]
 pub static AWAY: [i16; 1026] = [
     17580, 15251, 14468, 13990, 13641, 13363, 13132, 12934, 12760, 12604, 12463, 12334, 12215, 12104, 12001,

@@ -17,14 +17,14 @@ use crate::vulkan::{Batch, ComputePipeline, View, VulkanError};
 use super::inside::PART;
 use super::{AWAY, Bulk, DEPTHS, Drops, Ramp};
 
-/// Edge of the largest cubes that bricks can be looked at by on a device, in parts.
+/// Edge of the largest cubes that a device supports, in parts.
 const WIDEST_CUBE: u32 = 4;
-/// Parts along the edge of a bin, and of what lies around it.
+/// Parts along the edge of a bin.
 const BIN_PARTS: u32 = (BIN / PART) as u32;
 const MOST_PARTS: u32 = BIN_PARTS + 2 * (WIDEST_CUBE - 1);
-/// Parts that a work group sums up.
+/// Parts that a work group sums.
 pub const CUBE_PARTS: u32 = MOST_PARTS.pow(3);
-/// Words of a bit for each cube of them.
+/// Words for a bit per cube of these parts.
 pub const CUBE_WORDS: u32 = (MOST_PARTS + 1 - WIDEST_CUBE).pow(3).div_ceil(u32::BITS);
 
 /// Shaders that make distances.
@@ -32,36 +32,35 @@ pub const CUBE_WORDS: u32 = (MOST_PARTS + 1 - WIDEST_CUBE).pow(3).div_ceil(u32::
 pub struct DistancePipelines {
     /// The calm and the fine surface of the bulk, and how far they are apart.
     pub depths: Arc<ComputePipeline>,
-    /// The surface that is drawn, from the calm and the fine one.
+    /// The surface of the bulk, from the calm and the fine one.
     pub mix: Arc<ComputePipeline>,
-    /// By how much particles lie outside of the calm surface.
+    /// The distance by which particles lie outside of the calm surface.
     pub outlying: Arc<ComputePipeline>,
-    /// The greatest sample near by, along one axis.
+    /// The greatest nearby sample, along one axis.
     pub spread: Arc<ComputePipeline>,
-    /// Wide cells to cells.
+    /// Interpolates wide cells.
     pub refine: Arc<ComputePipeline>,
-    /// The search of wide cells for a surface, and for particles that stand out.
+    /// Searches wide cells for a surface, and for particles that stand out.
     pub probe: Arc<ComputePipeline>,
-    /// Shares of clouds in what is around them.
+    /// Clouds divided by the clouds around them.
     pub quotient: Arc<ComputePipeline>,
-    /// The surface of the bulk and drops.
+    /// The surface of the bulk, blended with drops.
     pub join: Arc<ComputePipeline>,
-    /// The bricks that are full, from which the deep inside is found.
+    /// The full bricks, which determine the deep inside.
     pub full_bricks: Arc<ComputePipeline>,
 }
 
-/// The wide cells of a bin and around it that [`full_bricks`] looks at; `None` where cubes are too
-/// wide for that.
+/// The wide cells in and around a bin that [`full_bricks`] reads; `None` if the cubes are too wide
+/// for it.
 pub fn full_bricks_of(bin: IVec3, width: u32) -> Option<CellBox> {
     let margin = PART * (width as i32 - 1);
     (width <= WIDEST_CUBE).then(|| CellBox::cube(bin, BIN).grown(margin, margin))
 }
 
-/// Finds the bricks of bins that are full, of blocks of their [cells](full_bricks_of): two words a
-/// bin.
+/// Finds the full bricks of bins, from blocks of their [cells](full_bricks_of): two words per bin.
 ///
 /// # Errors
-/// Those of the device.
+/// The errors of the device.
 pub fn full_bricks(
     batch: &mut Batch,
     pipelines: &DistancePipelines,
@@ -78,17 +77,17 @@ pub fn full_bricks(
     )
 }
 
-/// The committed tables as shaders take them: of depths, and of how far away shares are.
+/// The committed tables in the shaders' layout: depths, and distances for shares.
 pub fn tables() -> [Vec<i32>; 2] {
     [DEPTHS.map(i32::from).to_vec(), AWAY.map(i32::from).to_vec()]
 }
 
-/// Makes distances of what is smoothed under each width, narrowest first: the fine surface in place
-/// of the first, what both are apart by in place of the second, and the calm surface in place of
-/// the last; `table` is of depths.
+/// Computes distances from the samples under each width, narrowest first. The fine surface replaces
+/// the first samples, the difference of the surfaces the second, and the calm surface the last.
+/// `table` has depths.
 ///
 /// # Errors
-/// Those of the device.
+/// The errors of the device.
 pub fn depths(
     batch: &mut Batch,
     pipelines: &DistancePipelines,
@@ -114,11 +113,11 @@ pub fn depths(
     batch.dispatch(&pipelines.depths, &views, &push, blocks.flat_groups(&pipelines.depths))
 }
 
-/// Makes the surface of the bulk in place of the calm one, where anything is near; `marks` are the
-/// bricks that are inside, by block.
+/// Replaces the calm surface by the surface of the bulk, where particles are near. `marks` has the
+/// inside bricks of each block.
 ///
 /// # Errors
-/// Those of the device.
+/// The errors of the device.
 pub fn mixed(
     batch: &mut Batch,
     pipelines: &DistancePipelines,
@@ -139,10 +138,10 @@ pub fn mixed(
     batch.dispatch(&pipelines.mix, &views, &push, blocks.groups(&pipelines.mix))
 }
 
-/// Makes of clouds by how much those that hold a particle lie outside of the calm surface.
+/// Replaces clouds by the distance by which cells with particles lie outside of the calm surface.
 ///
 /// # Errors
-/// Those of the device.
+/// The errors of the device.
 pub fn outlying(
     batch: &mut Batch,
     pipelines: &DistancePipelines,
@@ -163,7 +162,7 @@ pub fn outlying(
 /// `through` into `to`.
 ///
 /// # Errors
-/// Those of the device.
+/// The errors of the device.
 pub fn spread(
     batch: &mut Batch,
     pipelines: &DistancePipelines,
@@ -174,7 +173,7 @@ pub fn spread(
     along_each_axis(batch, &pipelines.spread, blocks, window, views, &[], |_| 0)
 }
 
-/// The wide cells around a region, as `probe.wgsl` has them.
+/// The wide cells around a region, laid out as in `probe.wgsl`.
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
 pub struct RegionProbe {
@@ -185,54 +184,54 @@ pub struct RegionProbe {
 }
 
 impl RegionProbe {
-    /// At some cells of block number `block`.
+    /// Makes the probe of some cells in block number `block`.
     pub fn new(cells: CellBox, block: u32) -> Self {
         Self { lo: cells.lo.to_array(), block, size: cells.size().as_uvec3().to_array(), spare: 0 }
     }
 
-    /// A box around the cells near which particles stand out, if they do.
+    /// A box around the cells near which particles stand out, if there are any.
     pub fn outlying(&self, seen: &ProbeResult) -> Option<CellBox> {
         let at = |place: [u32; 3]| IVec3::from(self.lo) + UVec3::from(place).as_ivec3();
         (seen.lo[0] <= seen.hi[0]).then(|| CellBox { lo: at(seen.lo), hi: at(seen.hi) + 1 })
     }
 }
 
-/// The result of a [`RegionProbe`]: whether wide cells are inside or not, and where particles stand
-/// out.
+/// The result of a [`RegionProbe`]: whether wide cells are inside or outside, and where particles
+/// stand out.
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
 pub struct ProbeResult {
     /// Whether any cell is inside.
     pub above: u32,
-    /// Whether any is not.
+    /// Whether any cell is outside.
     pub below: u32,
     lo: [u32; 3],
     hi: [u32; 3],
 }
 
-/// Looks at `count` regions of wide `blocks`: what each shows by an isovalue, and where particles
-/// stand out as a ramp says, goes into `seen`.
+/// Probes `count` regions of wide `blocks`: whether they have cells inside and outside of an
+/// isovalue, and where particles stand out beyond the begin of a ramp. Writes `results`.
 ///
 /// # Errors
-/// Those of the device.
+/// The errors of the device.
 pub fn probe(
     batch: &mut Batch,
     pipelines: &DistancePipelines,
     blocks: &DeviceBlocks,
     count: u32,
     (iso, ramp): (Isovalue, &Ramp),
-    [probes, bulk, outlying, seen]: [&View; 4],
+    [probes, bulk, outlying, results]: [&View; 4],
 ) -> Result<(), VulkanError> {
     let push = ProbePush { threshold: iso.threshold().into(), begin: ramp.begin.into() };
-    let views = [&blocks.blocks, probes, bulk, outlying, seen].map(Clone::clone);
+    let views = [&blocks.blocks, probes, bulk, outlying, results].map(Clone::clone);
     batch.dispatch(&pipelines.probe, &views, &push, [1, count, 1])
 }
 
-/// The samples of `wide` blocks at the middles of the cells of `blocks`, each of which lies in the
-/// one whose number is in `within`.
+/// Interpolates `wide` blocks at the middles of the cells of `blocks`. Each block lies in the wide
+/// block whose number is in `within`.
 ///
 /// # Errors
-/// Those of the device.
+/// The errors of the device.
 pub fn refine(
     batch: &mut Batch,
     pipelines: &DistancePipelines,
@@ -248,10 +247,10 @@ pub fn refine(
     batch.dispatch(&pipelines.refine, &views, &push, blocks.run_groups(&pipelines.refine))
 }
 
-/// Makes shares of clouds in what is around them.
+/// Divides clouds by the clouds around them.
 ///
 /// # Errors
-/// Those of the device.
+/// The errors of the device.
 pub fn quotient(
     batch: &mut Batch,
     pipelines: &DistancePipelines,
@@ -268,12 +267,11 @@ pub fn quotient(
     )
 }
 
-/// Makes the field of the bulk's surface, in its place, in `parts` of `blocks`; `homes` holds the
-/// number of the block that each part is of, and `table` how far away shares are. What is near and
-/// the shares are of the parts.
+/// Replaces the bulk's surface by the field in `parts` of `blocks`. `homes` has the number of each
+/// part's block, and `table` the distances for shares. `near` and `shares` are on the parts.
 ///
 /// # Errors
-/// Those of the device.
+/// The errors of the device.
 pub fn join(
     batch: &mut Batch,
     pipelines: &DistancePipelines,

@@ -6,18 +6,18 @@ use multiversion::multiversion;
 use crate::brick::{BinContents, BrickSide, PageInfo, PageSamples, PageShape, unpack};
 use crate::grid::{BIN, CellBox, FRACTION_BITS, FRACTIONS};
 
-/// How far from its cell a cloud reaches, in cells.
+/// The reach of a cloud beyond its cell, in cells.
 pub const GHOST_LAYER: i32 = 1;
-/// Bits of a share of a cloud: a power of two is the whole.
+/// Bits of a share of a cloud; the whole is a power of two.
 pub const SHARE_BITS: u32 = 16;
-/// Bits that the square of a length has more than the share that is half of it: a length has one
-/// bit more than an offset.
+/// The number of bits to remove from the square of a length to get a share, which is half of that
+/// square; a length has one bit more than an offset.
 pub const SQUARE_BITS: u32 = 2 * FRACTION_BITS + 3 - SHARE_BITS;
-/// The least amount: of less, nothing might be left in a particle's own cell, with half of its
-/// cloud along each axis.
+/// The minimum amount: with less, a particle could leave nothing in its own cell, which gets at
+/// least half of the cloud along each axis.
 const LEAST_AMOUNT: u16 = 4;
-/// The most: in fine cells four particles at the very middle of one, and more elsewhere in it,
-/// still add up.
+/// The maximum amount: with it, the sum of four particles in the middle of a fine cell, or of more
+/// elsewhere in the cell, does not overflow.
 const GREATEST_AMOUNT: u16 = 1 << 15;
 /// Cells of a bin along an axis.
 const ROW: usize = BIN as usize;
@@ -27,9 +27,8 @@ const ROW: usize = BIN as usize;
 pub struct Amount(u16);
 
 impl Amount {
-    /// For particles `spacing` cells apart. In cells of half a spacing and more 4096 lie in each
-    /// deep in the fluid; where more than sixteen times as many particles lie close together, cells
-    /// hold no more.
+    /// The amount for particles `spacing` cells apart. With cells of at least half a spacing, a
+    /// cell deep in the fluid holds 4096. Cells saturate at sixteen times this density.
     pub fn of_spacing(spacing: f64) -> Self {
         let eighths = 8.0 / (spacing * spacing * spacing);
         Self(((f64::from(GREATEST_AMOUNT) / eighths.max(1.0)) as u16).max(LEAST_AMOUNT))
@@ -41,16 +40,16 @@ impl Amount {
     }
 }
 
-/// Where clouds end along each axis.
+/// The cells at which clouds end along each axis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct CloudLimits {
-    /// A bin's lowest cell within the walls and its highest, counted in the bin; others, where they
-    /// are in other bins.
+    /// The lowest and the highest cell of a bin within the walls, relative to the bin; they may lie
+    /// outside of it.
     ends: [[i32; 2]; 3],
 }
 
 impl CloudLimits {
-    /// In a bin; `None` where it does not touch any.
+    /// The limits for a bin; `None` if no wall affects it.
     fn of(walls: CellBox, bin: IVec3) -> Option<Self> {
         let (lo, hi) = ((walls.lo - bin * BIN).to_array(), (walls.hi - 1 - bin * BIN).to_array());
         let touched = |cell: &i32| (0..BIN).contains(cell);
@@ -58,8 +57,8 @@ impl CloudLimits {
             .then(|| Self { ends: [0, 1, 2].map(|axis| [lo[axis], hi[axis]]) })
     }
 
-    /// The shares of a cloud in such a cell: what would lie beyond a wall lies in the cell before
-    /// it.
+    /// The shares of a cloud around a cell, where the share beyond a wall is added to the cell
+    /// before the wall.
     #[inline(always)]
     fn fold(&self, axis: usize, cell: usize, [below, own, above]: [u32; 3]) -> [u32; 3] {
         let [at_lo, at_hi] = self.ends[axis].map(|end| end == cell as i32);
@@ -69,8 +68,8 @@ impl CloudLimits {
     }
 }
 
-/// The shares of a cloud in the cell below, the particle's own, and the one above, by its offset in
-/// its own.
+/// The shares of a cloud in the cell below, its own cell, and the cell above, for a particle's
+/// offset in its cell.
 #[inline(always)]
 fn shares(offset: u32) -> [u32; 3] {
     let length = 2 * offset + 1;
@@ -79,24 +78,24 @@ fn shares(offset: u32) -> [u32; 3] {
     [below, (1 << SHARE_BITS) - below - above, above]
 }
 
-/// A share of an amount, of 16 bits each, rounded.
+/// A share of an amount, both with 16 bits, rounded.
 #[inline(always)]
 fn part_of(amount: u32, share: u32) -> u32 {
     (amount * share + (1 << (SHARE_BITS - 1))) >> SHARE_BITS
 }
 
-/// A share of an amount of up to 48 bits together, rounded.
+/// A share of an amount, with up to 48 bits together, rounded.
 #[inline(always)]
 fn wide_part_of(amount: u32, share: u32) -> u32 {
     ((u64::from(amount) * u64::from(share) + (1 << (SHARE_BITS - 1))) >> SHARE_BITS) as u32
 }
 
-/// Makes the clouds of a bin's particles, of `amount` each.
+/// Makes the clouds of a bin's particles, each with the same `amount`.
 pub struct Clouds {
     amount: u16,
     walls: Option<CellBox>,
     shape: PageShape,
-    /// Where a cloud's lowest sample lies: [`PageShape::firsts`].
+    /// The lowest sample of a cloud: [`PageShape::firsts`].
     firsts: [[usize; ROW]; 3],
 }
 
@@ -106,14 +105,14 @@ impl Clouds {
         Self { amount, walls, shape, firsts: shape.firsts() }
     }
 
-    /// Where pages are made one after the other.
+    /// A buffer for one page after another.
     pub fn room(&self) -> Vec<u16> {
-        // One more, for the empty share beyond the last row.
+        // One additional sample for the empty share beyond the last row.
         vec![0; self.shape.bin_samples() + 1]
     }
 
-    /// The page of particles in a bin, each with its own amount, in a `room` of zeros that is zero
-    /// again afterwards; `None` if they leave nothing in it.
+    /// The page of particles in a bin, each with its own amount; `None` if it is empty. `room` must
+    /// be all zeros, and is so again afterwards.
     pub fn page_of_amounts(
         &self,
         room: &mut [u16],
@@ -143,7 +142,7 @@ impl Clouds {
         self.take_page(room, bin, particles.iter().map(|&(record, _)| unpack(record).0))
     }
 
-    /// The page that a bin's particles make in a `room` of zeros, which it leaves as it was.
+    /// The page of a bin's particles. `room` must be all zeros, and is so again afterwards.
     pub fn page(
         &self,
         room: &mut [u16],
@@ -162,7 +161,7 @@ impl Clouds {
         self.take_page(room, bin, cells).expect("a bin holds particles")
     }
 
-    /// Takes the page of particles in some cells of a bin out of a `room`, and leaves zeros.
+    /// Takes the page of particles in some cells of a bin out of `room`, and leaves zeros.
     fn take_page(
         &self,
         room: &mut [u16],
@@ -171,7 +170,7 @@ impl Clouds {
     ) -> Option<(PageInfo, PageSamples)> {
         let samples = &mut room[..self.shape.bin_samples()];
         if PageSamples::are_sparse(self.shape.cells_a_particle() * cells.len(), self.shape) {
-            // Most samples were never touched, and need not be looked at.
+            // Most samples are untouched and need not be examined.
             PageInfo::take_sparse(bin, samples, cells, self.shape)
         } else {
             let page = PageInfo::from_bricks(bin, samples, self.shape);
@@ -186,11 +185,11 @@ const fn edge(side: BrickSide) -> usize {
     (side.cells() + 2 * GHOST_LAYER) as usize
 }
 
-/// Clouds that are made at once: vectors' work.
+/// Clouds per batch, which the compiler vectorizes.
 const BATCH: usize = 32;
 
-/// Adds the clouds of particles to bricks with this number of samples along an axis, in rows of
-/// four, of which the last does not change.
+/// Adds the clouds of particles to bricks with this number of samples along an axis. It updates
+/// rows of four samples, the last unchanged.
 #[multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512vl+avx512dq",
     "x86_64+avx2+bmi1",
@@ -205,7 +204,7 @@ fn add_clouds<const EDGE: usize>(
     let Clouds { amount, firsts, .. } = of;
     let amount = u32::from(*amount);
     let mut batch = [0; BATCH];
-    // Along each axis below, at and above the particle's own cell.
+    // For each axis: below, at and above the particle's own cell.
     let mut all_shares = [[[0; BATCH]; 3]; 3];
     // By z, then y.
     let mut rows = [[[[0; 4]; BATCH]; 3]; 3];
@@ -250,7 +249,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn shares_are_whole_and_hold_the_place_and_its_square() {
+    fn shares_preserve_the_total_the_position_and_its_square() {
         let whole = 65536.0;
         for offset in 0..FRACTIONS {
             let shares = shares(offset).map(|share| f64::from(share) / whole);
@@ -263,7 +262,7 @@ mod tests {
     }
 
     #[test]
-    fn of_the_least_amount_something_is_left_in_a_particles_own_cell() {
+    fn the_minimum_amount_leaves_something_in_a_particles_own_cell() {
         assert_eq!(Amount::of_spacing(1e-3).steps(), LEAST_AMOUNT);
         assert_eq!(Amount::of_spacing(4.0).steps(), GREATEST_AMOUNT);
         for offset in [0, FRACTIONS / 2, FRACTIONS - 1] {
@@ -273,7 +272,7 @@ mod tests {
     }
 
     #[test]
-    fn what_would_lie_beyond_walls_lies_before_them() {
+    fn shares_beyond_walls_move_to_the_cell_before_them() {
         let tank = CellBox { lo: IVec3::new(16, -40, 3), hi: IVec3::new(17, 40, 32) };
         let walls = CloudLimits::of(tank, IVec3::new(1, 0, 0)).unwrap();
         assert_eq!(walls.fold(0, 0, [1, 20, 300]), [0, 321, 0], "one cell between two walls");

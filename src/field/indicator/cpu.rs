@@ -17,10 +17,9 @@ pub const DISTANCE_SCALE: u64 = 4;
 /// 65535 / (sqrt(3) 4 F), with 15 fraction bits.
 pub const THETA_PER_DISTANCE: u32 = 37837;
 
-/// Eq. 7 for N particles whose offsets sum to S, both integers; 0 for none.
+/// Eq. 7 for N particles whose offsets sum to S, both integers; 0 for no particles.
 ///
-/// |D| / N is rounded to a quarter of a step along each axis, its length to the nearest integer. A double holds every
-/// integer here exactly, and a quotient lies farther from the next one than a double's rounding.
+/// |D| / N is rounded to a quarter of a step along each axis, and its length to the nearest integer. f64 is exact for every integer here, and a quotient is farther from the next rounding boundary than the rounding error of f64.
 #[inline(always)]
 pub fn symmetry([n, x, y, z]: [f64; 4]) -> u16 {
     let scale = DISTANCE_SCALE as f64;
@@ -65,12 +64,12 @@ fn counts(sums: &CellSums, counts: &mut [u16]) {
     }
 }
 
-/// The pages of a range of bins: theta by symmetry and of clouds; for counting the numbers of
-/// particles, which become theta when all bins are done and mu0 is known, by
-/// [`Indicator::decode`](super::Indicator::decode).
+/// The pages of a range of bins: theta for symmetry and clouds; numbers of particles for counting,
+/// which become theta by [`Indicator::decode`](super::Indicator::decode) when all bins are done and
+/// mu0 is known.
 ///
 /// # Errors
-/// Where particles are in a scratch file that cannot be read.
+/// If particles are in a scratch file that cannot be read.
 pub fn indicate(bins: &Bins, range: Range<usize>, rule: &PageRule) -> io::Result<Pages> {
     let shape = rule.shape();
     let values = match rule.indicator {
@@ -100,7 +99,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_distance_factor_is_what_its_name_says() {
+    fn the_distance_factor_matches_its_formula() {
         let exact =
             f64::from(FULL) / (3f64.sqrt() * (DISTANCE_SCALE * u64::from(FRACTIONS)) as f64);
         assert_eq!(THETA_PER_DISTANCE, (exact * f64::from(1 << 15)).round() as u32);
@@ -119,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn theta_is_what_integers_say() {
+    fn theta_matches_exact_integer_arithmetic() {
         let mut random = 1_u64;
         let mut next = |below: u64| {
             random = random

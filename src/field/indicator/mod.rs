@@ -1,24 +1,25 @@
-//! The discrete indicator function (section 4.1), as integers of 0 to 65535.
+//! The discrete indicator function (section 4.1), as integers from 0 to 65535.
 //!
 //! Counting (eq. 6): theta = min(N, mu0) / mu0, rounded to the nearest integer.
 //!
-//! Symmetry (eq. 7): theta = 1 - 2 |c - p| / (sqrt(3) h). With N particles whose offsets in the
-//! cell sum to S in steps of h / F, each offset standing for the middle of its step, the centroid
-//! is at (2 S + N) / (2 N F) of the edge, and eq. 7 becomes 1 - |D| / (sqrt(3) N F) with D = |2 S +
-//! N - N F|.
+//! Symmetry (eq. 7): theta = 1 - 2 |c - p| / (sqrt(3) h). For N particles whose offsets in the cell
+//! sum to S in steps of h / F, where each offset stands for the middle of its step, the centroid is
+//! at (2 S + N) / (2 N F) of the edge, and eq. 7 becomes 1 - |D| / (sqrt(3) N F) with
+//! D = |2 S + N - N F|.
 //!
-//! Both depend on the cell's own particles alone, and jump where a particle passes from one cell to
-//! the next: layers of particles that lie along layers of cells move the surface by as much as a
-//! cell. A full cell's theta is never 0: the farthest centroid is half a step away from a corner.
+//! Both depend only on the particles in the cell, and jump when a particle moves from one cell to
+//! the next: layers of particles along layers of cells move the surface by up to a cell. The theta
+//! of a full cell is never 0: the farthest centroid is half a step away from a corner.
 //!
-//! Cloud, which is this project's, is no share of fluid but a density: rho A, at most 65535, where
-//! rho counts particles as clouds, and A is the [`Amount`] that suits the cells. A particle lies
-//! around its place as the quadratic B-spline does, the triangular-shaped cloud of Hockney and
-//! Eastwood (Computer Simulation Using Particles, 1988): at u of a cell's edge along an axis, a
-//! share of (1 - u)^2 / 2 falls to the cell below, u^2 / 2 to the one above, and the rest to its
-//! own. Cells then hold the particles' number, their centroid and how wide they lie, save for a
-//! constant, and nothing jumps. All cells around a particle's own can hold something of it. What is
-//! drawn by it: see [`distance`](super::distance).
+//! Cloud, which is not in the paper, is a density rather than a share of fluid: rho A, at most
+//! 65535, where rho is the number of particles as clouds, and A is the [`Amount`] for the cell
+//! size. A particle is distributed around its position by the quadratic B-spline, the
+//! triangular-shaped cloud of Hockney and Eastwood (Computer Simulation Using Particles, 1988): at
+//! u of a cell's edge along an axis, a share of (1 - u)^2 / 2 goes to the cell below, u^2 / 2 to
+//! the cell above, and the rest to the particle's own cell. The cells then preserve the particles'
+//! number, their centroid and, up to a constant, their variance, and nothing jumps. All cells
+//! around a particle's own can get a share of it. For the surface of clouds, see
+//! [`distance`](super::distance).
 
 mod cloud;
 mod cpu;
@@ -51,7 +52,7 @@ pub enum IndicatorKind {
     Cloud,
 }
 
-/// The indicator that made a field, with its `mu0` where it counts.
+/// The indicator that made a field, with `mu0` for counting.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Indicator {
     /// [`IndicatorKind::Symmetry`].
@@ -62,32 +63,32 @@ pub enum Indicator {
     Cloud,
 }
 
-/// How pages are made.
+/// The parameters of pages.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PageRule {
-    /// The indicator whose samples are stored: the DIF by symmetry, sums of clouds, or numbers of
+    /// The indicator whose samples are stored: the DIF for symmetry, sums of clouds, or numbers of
     /// particles, which become the DIF once `mu0` is known.
     pub indicator: IndicatorKind,
-    /// The particles' spacing in cells, which decides what a cloud adds.
+    /// The particles' spacing in cells, which determines the amount of a cloud.
     pub spacing_cells: f64,
-    /// The bricks that pages are stored in.
+    /// The brick size of pages.
     pub side: BrickSide,
     /// Walls, if the fluid is in a tank.
     pub walls: Option<CellBox>,
 }
 
 impl PageRule {
-    /// How the samples lie.
+    /// The arrangement of the samples.
     pub fn shape(&self) -> PageShape {
         self.indicator.shape(self.side)
     }
 }
 
 impl IndicatorKind {
-    /// The indicator of this kind, by `mu0` where it counts.
+    /// The indicator of this kind, with `mu0` for counting.
     ///
     /// # Errors
-    /// Those of `mean`, which only counting calls.
+    /// The errors of `mean`, which only counting calls.
     pub fn with_mean<E>(self, mean: impl FnOnce() -> Result<MeanCount, E>) -> Result<Indicator, E> {
         match self {
             Self::Symmetry => Ok(Indicator::Symmetry),
@@ -106,19 +107,19 @@ impl IndicatorKind {
         }
     }
 
-    /// Whether it has to know mu0.
+    /// Whether the indicator needs mu0.
     #[must_use]
     pub fn counts(self) -> bool {
         self == Self::Counting
     }
 
-    /// The bricks that suit it: ghost layers weigh less around large ones.
+    /// The best brick size: ghost layers take less memory around large bricks.
     #[must_use]
     pub fn brick_side(self) -> BrickSide {
         if self == Self::Cloud { BrickSide::Sixteen } else { BrickSide::default() }
     }
 
-    /// How what it stores lies in pages.
+    /// The arrangement of stored samples in pages.
     #[must_use]
     pub fn shape(self, side: BrickSide) -> PageShape {
         PageShape { side, ghost_layer: if self == Self::Cloud { GHOST_LAYER } else { 0 } }
@@ -136,7 +137,7 @@ impl Indicator {
         }
     }
 
-    /// mu0, where it counts.
+    /// mu0, for counting.
     #[must_use]
     pub fn mean(self) -> Option<MeanCount> {
         match self {
@@ -145,7 +146,7 @@ impl Indicator {
         }
     }
 
-    /// The DIF by what was stored.
+    /// Converts stored samples to the DIF.
     #[must_use]
     pub fn decode(self, stored: DifField) -> DifField {
         match self {
@@ -155,8 +156,8 @@ impl Indicator {
     }
 }
 
-/// Eq. 6: theta by the number of particles, up to `mean`; beyond, it is 1. Cells store numbers, and eq.
-/// 6 is applied when blocks are cut out of them: by [`DifField::gather`], and by `gather.wgsl`.
+/// Eq. 6: theta for each number of particles up to `mean`; beyond, it is 1. Cells store numbers,
+/// and [`DifField::gather`] and `gather.wgsl` apply eq. 6 when they cut out blocks.
 pub fn count_table(mean: MeanCount) -> Vec<u16> {
     let mean = mean.particles();
     (0..=mean.floor() as u32)

@@ -10,13 +10,14 @@ use crate::vulkan::{Batch, ComputePipeline, View, VulkanError};
 
 use super::{Amount, IndicatorKind, PageRule};
 
-/// Edge of the part of a bin that a work group sums up: its sums fit the shared memory of every
+/// Edge of the part of a bin that a work group sums: its sums fit into the shared memory of every
 /// device.
 pub const OCTANT: u32 = 8;
-/// Samples of a bin that a work group makes of clouds, at the most: the same.
+/// Maximum number of cloud samples per work group; they too fit into the shared memory of every
+/// device.
 pub const CLOUD_SAMPLES: u32 = 1728;
 
-/// A bin and its particles among those of a batch, as `binned.wgsl` has it.
+/// A bin with its range of particles in a batch, laid out as in `binned.wgsl`.
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
 pub struct BinEntry {
@@ -24,23 +25,23 @@ pub struct BinEntry {
     pub first: u32,
     /// The number of the bin's particles.
     pub count: u32,
-    /// Where it is, in bins.
+    /// Coordinates of the bin, in bins.
     pub coord: [i32; 3],
 }
 
 /// Shaders that make pages.
 #[derive(Debug)]
 pub struct IndicatorPipelines {
-    /// Cell sums and the indicator, octant by octant of a bin.
+    /// Cell sums and the indicator, one octant of a bin per work group.
     pub indicate: Arc<ComputePipeline>,
-    /// Clouds, part by part of a bin's samples.
+    /// Clouds, one part of a bin's samples per work group.
     pub clouds: Arc<ComputePipeline>,
 }
 
-/// Writes the pages of `count` bins, dense.
+/// Writes the dense pages of `count` bins.
 ///
 /// # Errors
-/// Those of the device.
+/// The errors of the device.
 pub fn indicate(
     batch: &mut Batch,
     pipelines: &IndicatorPipelines,
@@ -60,7 +61,7 @@ pub fn indicate(
     }
 }
 
-/// Writes what the clouds of the particles of `count` bins leave.
+/// Writes the clouds of the particles of `count` bins.
 fn clouds(
     batch: &mut Batch,
     pipeline: &Arc<ComputePipeline>,

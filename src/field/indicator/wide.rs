@@ -1,16 +1,16 @@
-//! Wide cells: those in which distances are made of clouds, of about the same size whatever the
-//! cells of the mesh are.
+//! Wide cells: the cells in which distances from clouds are made. Their size is similar for all
+//! meshes.
 
 use super::Amount;
 
-/// The least edge of the cells in which the calm surface is made, in spacings: finer ones are
-/// joined before.
+/// The minimum edge of the cells in which the calm surface is made, in spacings: finer cells are
+/// merged first.
 const LEAST_WIDE: f64 = 0.55;
 
-/// How wide the wide cells of a frame are.
+/// The width of a frame's wide cells.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct WideCells {
-    /// Each is 2^`level` cells along an axis.
+    /// A wide cell has 2^`level` cells along an axis.
     pub level: u32,
     /// Edge of a wide cell in spacings.
     pub edge: f64,
@@ -20,7 +20,7 @@ impl WideCells {
     /// Wide cells for a spacing in cells.
     pub fn of_spacing(spacing: f64) -> Self {
         let mut wide = Self { level: 0, edge: 1.0 / spacing };
-        // A quotient of decimals is off by a rounding.
+        // A quotient of decimals can have a rounding error.
         while wide.edge < LEAST_WIDE - 1e-9 {
             wide = Self { level: wide.level + 1, edge: 2.0 * wide.edge };
         }
@@ -32,7 +32,7 @@ impl WideCells {
         Amount::of_spacing(1.0 / self.edge)
     }
 
-    /// The sample deep in a fluid with a particle in each cubed spacing, before any gain.
+    /// The sample deep in a fluid of one particle per cubed spacing, before any gain.
     pub fn plateau(self) -> f64 {
         f64::from(self.amount().steps()) * self.edge * self.edge * self.edge
     }

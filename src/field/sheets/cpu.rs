@@ -8,14 +8,14 @@ use crate::brick::Block;
 use super::logarithm::{exp2, log2};
 use super::{BITS, LOG2_OF_E, ONE, SheetConstants, SheetFields, Sheets};
 
-/// Cells that are done at a time.
+/// Cells that are processed at a time.
 const LANES: usize = 16;
 
-/// The greatest g, B and distance from the middle.
+/// The maximum of g, B and the distance from the middle.
 const MOST_SLOPE: i32 = 4 * ONE;
 const MOST_BEND: i32 = 2 * ONE;
 
-/// Whether some samples can hold a sheet: a particle alone does not.
+/// Whether some samples can hold a sheet, which needs more than one particle.
 pub fn holds_any(sheets: &Sheets, clouds: &Block) -> bool {
     let mut sum = 0;
     for samples in clouds.samples().chunks(1 << 10) {
@@ -27,11 +27,12 @@ pub fn holds_any(sheets: &Sheets, clouds: &Block) -> bool {
     false
 }
 
-/// Sheets of the smoothed density; `None` where there are none.
+/// Sheets of the smoothed density; `None` if there are none.
 pub fn sheets(numbers: &SheetConstants, density: &Block) -> Option<SheetFields<Block>> {
     let step = numbers.step;
     let cells = density.cells().grown(-step, -step);
-    // Logarithms are only looked up around samples that reach the least, but for their error.
+    // Logarithms are only needed around samples that reach the minimum, within the error of the
+    // logarithm.
     let least = (f64::from(numbers.least - 2) / f64::from(ONE)).exp2() as u16;
     let dense = density.box_of(|sample| sample >= least).intersection(&cells);
     if dense.is_empty() {
@@ -96,8 +97,8 @@ fn logarithms_of(to: &mut [u16], samples: &[u16]) {
     }
 }
 
-/// Whether each of a row of logarithms may be one of a sheet, as far as those beside it along the
-/// axes show: 1 or 0.
+/// Whether each of a row of logarithms may belong to a sheet, according to its neighbours along the
+/// axes: 1 or 0.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
 fn may_be_sheets(to: &mut [u16], numbers: &SheetConstants, row: &[u16], beside: [&[u16]; 6]) {
     let [x, to_x, y, to_y, z, to_z] = beside;
@@ -111,7 +112,7 @@ fn may_be_sheets(to: &mut [u16], numbers: &SheetConstants, row: &[u16], beside: 
     }
 }
 
-/// Sheets at several cells at a time, as [`SheetConstants::sheet`] has them.
+/// Sheets at several cells at a time, as in [`SheetConstants::sheet`].
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
 fn sheets_of_each(numbers: &SheetConstants, lanes: &Taps<[i32; LANES]>) -> [(u16, u16); LANES] {
     let (mut shares, mut certainty) = ([0; LANES], [0; LANES]);
@@ -123,7 +124,7 @@ fn sheets_of_each(numbers: &SheetConstants, lanes: &Taps<[i32; LANES]>) -> [(u16
     std::array::from_fn(|lane| (shares[lane], certainty[lane]))
 }
 
-/// Blends shares of drops with those of sheets, by how certain those are.
+/// Blends the shares of drops with those of sheets, weighted by the certainty of the sheets.
 pub fn blend(drops: &Block, sheets: SheetFields<&Block>) -> Block {
     let cells = drops.cells().intersection(&sheets.certainty.cells());
     let mut shares = drops.part(cells);
@@ -144,15 +145,15 @@ pub fn blend(drops: &Block, sheets: SheetFields<&Block>) -> Block {
     shares
 }
 
-/// Logarithms of the density around a cell, or around several.
+/// Logarithms of the density around one cell, or around several cells.
 #[derive(Default)]
 struct Taps<T = i32> {
     centre: T,
     /// One step down along x, y and z.
     below: [T; 3],
     above: [T; 3],
-    /// Sums of the two along each diagonal of the planes xy, xz and yz: both steps up or both down,
-    /// and one up and the other down.
+    /// For each diagonal of the planes xy, xz and yz, the sum of its two ends: both steps in the
+    /// same direction, and in opposite directions.
     same: [T; 3],
     opposite: [T; 3],
 }
@@ -187,20 +188,20 @@ fn dot(a: [i32; 3], b: [i32; 3]) -> i32 {
 }
 
 impl SheetConstants {
-    /// An entry of B's diagonal, of the second difference along its axis.
+    /// A diagonal entry of B, from the second difference along its axis.
     #[inline(always)]
     fn bend(&self, second: i32) -> i32 {
         (second.clamp(-8 * ONE, 8 * ONE) * self.bend / ONE).clamp(-MOST_BEND, MOST_BEND)
     }
 
-    /// Whether second differences along the axes are those of a drop, which is no sheet.
+    /// Whether second differences along the axes are those of a drop, which is not a sheet.
     #[inline(always)]
     fn is_round(&self, seconds: [i32; 3]) -> bool {
         let [x, y, z] = seconds.map(|second| self.bend(second));
         x + y + z >= i32::from(self.round.begin) + i32::from(self.round.range)
     }
 
-    /// A cell's share of a sheet, and how certain the sheet is.
+    /// A cell's share of a sheet, and the certainty of the sheet.
     #[inline(always)]
     fn sheet(&self, taps: &Taps) -> (u16, u16) {
         let slope = |axis: usize| {
@@ -220,7 +221,7 @@ impl SheetConstants {
             [dot(b[0], v), dot(b[1], v), dot(b[2], v)].map(|x| x.clamp(-MOST_SLOPE, MOST_SLOPE))
         };
 
-        // How far B is from a projection.
+        // The distance of B from a projection.
         let mut impure = 0;
         for i in 0..3 {
             for j in 0..3 {
@@ -253,7 +254,7 @@ impl SheetConstants {
                 4096 - self.beyond.of(beyond as u16),
             ),
         );
-        // Half of a doubt is no sheet, or pieces of it would show.
+        // The ramp is applied twice: otherwise pieces of uncertain sheets would be visible.
         let certain = passed(certain, certain);
 
         let [sheet, thread, round] = self.sizes;
@@ -267,7 +268,7 @@ impl SheetConstants {
                 - self.by_distance * away)
                 >> BITS);
         let share = exp2(share.clamp(-15 * ONE, 0)) as u16;
-        // No branches: several cells are done at a time.
+        // No branches, because several cells are processed at a time.
         (if certain == 0 { 0 } else { share }, certain as u16)
     }
 }
@@ -289,8 +290,9 @@ mod tests {
         Sheets::new(SheetStretch::DEFAULT, CELL, 0.25, 1 << 15, DROPS).expect("there are sheets")
     }
 
-    /// How much of a share is left beyond that on a drop's surface, at so many spacings from the
-    /// middle of what is thin along some axes, where it has a `density` of the plateau.
+    /// The share at `away` spacings from the middle of a thin body, relative to the share on a
+    /// drop's surface. The body is thin along the axes `across`, and its density is `density` of
+    /// the plateau.
     fn beyond_surface(across: &[DVec3], density: f64, away: f64) -> f64 {
         let width = (made().around.variance() + 0.25).sqrt() * CELL;
         let numbers = made().numbers;
@@ -321,14 +323,14 @@ mod tests {
         f64::from(share) * f64::from(certain) / f64::from(ONE) - surface
     }
 
-    /// How far from the middle the surface lies.
+    /// The distance of the surface from the middle.
     fn half_thickness(across: &[DVec3], density: f64) -> f64 {
         let inside = (0..200).map(|i| 0.01 * f64::from(i));
         inside.take_while(|&away| beyond_surface(across, density, away) > 0.0).last().unwrap_or(0.0)
     }
 
     #[test]
-    fn sheets_and_threads_hold_the_volume_of_their_particles_however_they_are_turned() {
+    fn sheets_and_threads_have_the_volume_of_their_particles_in_any_orientation() {
         let width = (made().around.variance() + 0.25).sqrt() * CELL;
         let normal = DVec3::new(0.36, 0.48, 0.8);
         let other = normal.any_orthonormal_vector();
@@ -345,7 +347,7 @@ mod tests {
                 let found = half_thickness(&[first, second], density);
                 assert!((found - expected).abs() < 0.03, "{first} {area}: {found}");
             }
-            // As of neighbours three spacings apart, and a particle alone.
+            // As for neighbours three spacings apart, and for a single particle.
             assert_eq!(half_thickness(&[first], 1.0 / 9.0 / (TAU.sqrt() * width)), 0.0);
             let third = first.cross(second);
             let alone = (TAU.sqrt() * width).powi(-3);

@@ -1,4 +1,4 @@
-//! Logarithms and powers of 2 in integers, as polynomials that shaders compute alike.
+//! Binary logarithms and powers of 2 in integers, by polynomials that shaders compute identically.
 
 use super::BITS;
 
@@ -21,17 +21,17 @@ fn between<const N: usize>(coefficients: &[i32; N], x: i32) -> i32 {
     (((x * ((1 << MANTISSA) - x)) >> MANTISSA) * sum) >> MANTISSA
 }
 
-/// The logarithm of a sample to base 2; of 0 as of 1.
+/// The binary logarithm of a sample; for 0 that of 1.
 #[inline(always)]
 pub fn log2(sample: u16) -> i32 {
-    // A float holds the power and the mantissa of such a number, without rounding.
+    // The exponent and the mantissa of the f32 are exact for such a number.
     let bits = f32::from(sample.max(1)).to_bits();
     let power = (bits >> 23) as i32 - 127;
     let x = ((bits >> (23 - MANTISSA)) & ((1 << MANTISSA) - 1)) as i32;
     (power << BITS) + ((x + between(&LOG2, x)) >> (MANTISSA - BITS))
 }
 
-/// 2 to a power from -16 up to less than 3, in 32768ths.
+/// 2 to a power of at least -16 and less than 3, in 32768ths.
 #[inline(always)]
 pub fn exp2(power: i32) -> i32 {
     let whole = power >> BITS;

@@ -9,10 +9,10 @@ use crate::vulkan::{Batch, ComputePipeline, View, VulkanError};
 
 use super::SheetConstants;
 
-/// Shares and certainty of sheets, by the smoothed density.
+/// Computes the shares and the certainty of sheets from the smoothed density.
 ///
 /// # Errors
-/// Those of the device.
+/// The errors of the device.
 pub fn sheets(
     batch: &mut Batch,
     pipeline: &Arc<ComputePipeline>,
@@ -56,10 +56,11 @@ pub fn sheets(
     batch.dispatch(pipeline, &views, &push, blocks.groups(pipeline))
 }
 
-/// Blends shares of drops, in their place, with those of sheets, by how certain those are.
+/// Blends the shares of drops in place with those of sheets, weighted by the certainty of the
+/// sheets.
 ///
 /// # Errors
-/// Those of the device.
+/// The errors of the device.
 pub fn blend(
     batch: &mut Batch,
     pipeline: &Arc<ComputePipeline>,

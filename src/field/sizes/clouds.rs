@@ -29,20 +29,20 @@ pub struct SizedClouds {
     layers: Vec<Layer>,
 }
 
-/// Makes the pages of one octave out of bins whose last attributes tell sizes.
+/// Makes the pages of one octave from bins whose last attributes give the sizes.
 pub struct LayerPages<'a> {
     bins: &'a Bins,
     octaves: Octaves,
     octave: usize,
-    /// The size of a particle by its attributes.
+    /// Computes the size of a particle from its attributes.
     size: &'a (dyn Fn(&[f32]) -> f64 + Sync),
     clouds: Clouds,
-    /// The bins that make a bin of the octave together.
+    /// For each bin of the octave, the range of bins that it contains.
     groups: Vec<Range<usize>>,
 }
 
 impl<'a> LayerPages<'a> {
-    /// For one octave; `walls` are those of the octave's grid.
+    /// Makes the pages of one octave; `walls` are those of the octave's grid.
     pub fn new(
         bins: &'a Bins,
         octaves: Octaves,
@@ -53,7 +53,7 @@ impl<'a> LayerPages<'a> {
         let keys = bins.keys();
         let parent = |bin: usize| keys[bin].coord() >> octave as i32;
         let mut groups: Vec<Range<usize>> = Vec::new();
-        // Morton order: the bins of a wider one follow one another.
+        // In Morton order the bins of a wider bin are consecutive.
         for bin in 0..keys.len() {
             match groups.last_mut().filter(|group| parent(group.start) == parent(bin)) {
                 Some(group) => group.end = bin + 1,
@@ -61,7 +61,7 @@ impl<'a> LayerPages<'a> {
             }
         }
         let shape = Octaves::INDICATOR.shape(SIDE);
-        // Amounts come with the particles.
+        // Each particle has its own amount.
         let clouds = Clouds::new(Amount::of_spacing(1.0), walls, shape);
         Self { bins, octaves, octave, size, clouds, groups }
     }
@@ -74,7 +74,7 @@ impl<'a> LayerPages<'a> {
     /// The pages of some bins: of volumes, and of fractions.
     ///
     /// # Errors
-    /// Where particles are in a scratch file that cannot be read.
+    /// If particles are in a scratch file that cannot be read.
     pub fn pages(&self, groups: Range<usize>) -> io::Result<(Pages, Pages)> {
         let of_group = |room: &mut Vec<u16>, group: &Range<usize>| self.page(room, group.clone());
         let pages: Vec<_> = self.groups[groups]
@@ -91,7 +91,7 @@ impl<'a> LayerPages<'a> {
         for bin in group {
             let contents = self.bins.contents(bin)?;
             let coord = self.bins.keys()[bin].coord();
-            // Masses and densities are two.
+            // A mass and a density are two attributes.
             let numbers = &contents.attributes[contents.attributes.len().saturating_sub(2)..];
             let number = |at: usize| [0, 1].map(|i| numbers.get(i).map_or(0.0, |all| all[at]));
             for (at, &record) in contents.packed().iter().enumerate() {
@@ -115,7 +115,7 @@ impl<'a> LayerPages<'a> {
     }
 }
 
-/// A page, if it holds anything.
+/// A page, unless it is empty.
 type Page = Option<(PageInfo, PageSamples)>;
 
 /// The part of the clouds that is gathered.
@@ -128,18 +128,18 @@ enum CloudPart {
 }
 
 impl SizedClouds {
-    /// Takes octaves from the finest on. Each octave needs one
-    /// [more level](SampledDif::with_more_levels) for every coarser octave.
+    /// Takes octaves from the finest on. Each octave needs one [more
+    /// level](SampledDif::with_more_levels) for every coarser octave.
     ///
     /// # Panics
-    /// If there is none.
+    /// If there are no octaves.
     #[must_use]
     pub fn new(layers: Vec<Layer>) -> Self {
         assert!(!layers.is_empty(), "no octave");
         Self { layers }
     }
 
-    /// The clouds of the particles in an octave alone.
+    /// The clouds of the particles in one octave.
     #[must_use]
     pub fn octave(&self, octave: usize) -> &SampledDif {
         &self.layers[octave].volume
@@ -157,14 +157,14 @@ impl SizedClouds {
         self.layers.len()
     }
 
-    /// The density of all particles in cells of an octave, or 2^`level` times as wide ones.
+    /// The density of all particles, in cells 2^`level` times as wide as those of an octave.
     #[must_use]
     pub fn density(&self, octave: usize, level: u32, cells: CellBox) -> Block {
         self.gathered(octave, level, cells, CloudPart::All)
     }
 
-    /// Whether octaves up to this one may have left something in cells of it, or 2^`level` times as
-    /// wide ones.
+    /// Whether octaves up to this one may have samples above 0 in cells 2^`level` times as wide as
+    /// its own.
     #[must_use]
     pub fn may_hold(&self, octave: usize, level: u32, cells: CellBox) -> bool {
         let wide = octave as u32 + level;
@@ -175,7 +175,8 @@ impl SizedClouds {
         })
     }
 
-    /// The part of the density that belongs to octaves above this one, by the particles' sizes.
+    /// The part of the density that belongs to octaves above this one, according to the particles'
+    /// sizes.
     #[must_use]
     pub fn above(&self, octave: usize, level: u32, cells: CellBox) -> Block {
         self.gathered(octave, level, cells, CloudPart::Above)
@@ -185,7 +186,7 @@ impl SizedClouds {
         let wanted = self.plateau(level);
         let finest_walls = self.layers[0].volume.facts.walls();
         let mut sum = Block::zero(cells);
-        // In cells of the finest octave, the cells wanted are 2^wide of them along an axis.
+        // A requested cell has 2^wide cells of the finest octave along an axis.
         let wide = octave as u32 + level;
         for (of, layer) in (0_u32..).zip(&self.layers) {
             let field = match (part, (of as usize).cmp(&octave)) {
@@ -214,19 +215,19 @@ impl SizedClouds {
         sum
     }
 
-    /// The plateau of an octave at a level of its cells, but for a constant.
+    /// The plateau of an octave at a level of its cells, up to a constant factor.
     fn plateau(&self, level: u32) -> f64 {
         let cells = self.layers[0].volume.facts.spacing_cells_or_one();
         let spacing = cells / f64::from(1_u32 << level.min(self.wide_cells().level));
         f64::from(Amount::of_spacing(spacing).steps()) / (spacing * spacing * spacing)
     }
 
-    /// The parts of blocks of the finest cells in which there can be a surface, in Morton order:
-    /// those within `reach` cells of an octave of its particles.
+    /// The parts of blocks of the finest cells that can contain a surface, in Morton order: those
+    /// within `reach` cells of an octave of its particles.
     #[must_use]
     pub fn regions(&self, reach: i32) -> Vec<CellBox> {
         let boxes = (0_i32..).zip(&self.layers).flat_map(|(octave, layer)| {
-            // Fluid between two octaves has a surface of the coarser one.
+            // Fluid between two octaves also has the surface of the coarser one.
             let further = if layer.fraction.dif.infos().is_empty() { reach } else { 2 * reach };
             layer.volume.dif.infos().iter().map(move |info| {
                 let CellBox { lo, hi } = info.full.grown(further + 1, further);
@@ -243,7 +244,7 @@ impl SizedClouds {
     }
 }
 
-/// Adds samples times a factor, rounded, up to the greatest sample.
+/// Adds samples times a factor, rounded, up to the maximum sample.
 fn add(sum: &mut Block, block: &Block, factor: f64) {
     const BITS: u32 = 16;
     let factor = (factor * f64::from(1_u32 << BITS)).round() as u64;

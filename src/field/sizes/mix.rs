@@ -1,4 +1,4 @@
-//! Distances of several octaves, mixed by the sizes around, and the drops of each.
+//! Distances of several octaves, mixed by the sizes of nearby particles, and the drops of each.
 
 use crate::brick::Block;
 use crate::field::distance::{Drops, NONE, Ramp, ZERO, away};
@@ -6,10 +6,10 @@ use crate::field::distance::{Drops, NONE, Ramp, ZERO, away};
 /// 1, of shares.
 const WHOLE: u32 = 1 << 15;
 
-/// The share of one smoothed density in another, in 32768ths: 1 where nothing is.
+/// One smoothed density divided by another, in 32768ths; 1 where both are 0.
 ///
 /// # Panics
-/// Unless both are on the same cells.
+/// If the densities are on different cells.
 #[must_use]
 pub fn share(part: &Block, all: &Block) -> Block {
     assert!(part.cells() == all.cells(), "one box of cells");
@@ -22,12 +22,12 @@ pub fn share(part: &Block, all: &Block) -> Block {
     shares
 }
 
-/// Mixes the distances of an octave with those of the next coarser one, both in its spacings, by
-/// shares of the coarser one. A sample where no particle is near, in one of both, leaves the
-/// other's.
+/// Mixes the distances of an octave with those of the next coarser one, both in its spacings,
+/// weighted by the shares of the coarser one. If only one of two samples has a particle nearby, the
+/// result is that sample.
 ///
 /// # Panics
-/// Unless all are on the same cells.
+/// If the fields are on different cells.
 #[must_use]
 pub fn mixed(mut fine: Block, coarse: &Block, shares: &Block) -> Block {
     assert!(fine.cells() == coarse.cells() && fine.cells() == shares.cells(), "one box of cells");
@@ -47,14 +47,14 @@ pub fn mixed(mut fine: Block, coarse: &Block, shares: &Block) -> Block {
     fine
 }
 
-/// A field of distances in spacings that are half as long.
+/// Converts a field of distances to spacings that are half as long.
 #[must_use]
 pub fn finer_spacings(mut field: Block) -> Block {
     field.samples_mut().iter_mut().for_each(|to| *to = in_finer_spacings(*to));
     field
 }
 
-/// A distance in spacings that are half as long.
+/// Converts a distance to spacings that are half as long.
 fn in_finer_spacings(sample: u16) -> u16 {
     if sample == NONE {
         return NONE;
@@ -68,7 +68,8 @@ fn in_finer_spacings(sample: u16) -> u16 {
 pub struct OctaveDrops<'a> {
     /// The octave.
     pub octave: u32,
-    /// By how much particles near by lie outside of the surface, in spacings of the octave.
+    /// The distance by which nearby particles lie outside of the surface, in spacings of the
+    /// octave.
     pub near: &'a Block,
     /// The shares of drops.
     pub shares: &'a Block,
@@ -76,17 +77,17 @@ pub struct OctaveDrops<'a> {
     pub sizes: Option<&'a Block>,
     /// The radius and the width of the smallest drops.
     pub drops: &'a Drops,
-    /// By how much the radius grows from a size to twice that, in units.
+    /// The growth of the radius from a size to twice that size, in units.
     pub growth: i32,
-    /// Where drops begin.
+    /// The distances from the surface at which drops fade in.
     pub ramp: &'a Ramp,
 }
 
 impl OctaveDrops<'_> {
-    /// Joins them to a field in the finest spacings.
+    /// Joins the drops to a field in the finest spacings.
     ///
     /// # Panics
-    /// Unless all are on the same cells.
+    /// If the fields are on different cells.
     #[must_use]
     pub fn joined(&self, mut field: Block) -> Block {
         let Self { octave, near, shares, sizes, drops, growth, ramp } = *self;
@@ -142,13 +143,13 @@ mod tests {
     }
 
     #[test]
-    fn shares_are_whole_where_nothing_is() {
+    fn shares_are_1_where_both_densities_are_0() {
         let found = share(&block([0, 5, 7, 0]), &block([0, 10, 7, 3]));
         assert_eq!(found.samples(), [32768, 16384, 32768, 0]);
     }
 
     #[test]
-    fn powers_of_two_are_near_enough_for_a_radius() {
+    fn powers_of_two_are_precise_enough_for_a_radius() {
         for power in (0..=32768_u16).step_by(1024) {
             let exact = 32768.0 * (f64::from(power) / 32768.0).exp2();
             assert!((f64::from(exp2(power)) / exact - 1.0).abs() < 0.004, "{power}");

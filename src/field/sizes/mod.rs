@@ -1,24 +1,24 @@
-//! Particles of several sizes: their clouds in octaves of the spacing, and one field of all.
+//! Particles of several sizes: their clouds in octaves of the spacing, and one field for all.
 //!
 //! The size s of a particle is the edge of the cube that it fills: its own spacing. Octave k holds
-//! the particles of sizes from 2^k d up to twice that, where d is the smallest size. It has a grid
-//! of its own, whose cells are 2^k times as wide as those of the mesh, so that a cell has the same
-//! edge in spacings of each octave.
+//! the particles of sizes from 2^k d up to twice that, where d is the smallest size. Each octave
+//! has its own grid, whose cells are 2^k times as wide as those of the mesh, so that a cell has the
+//! same edge in spacings of each octave.
 //!
 //! 1. Clouds. In its octave, a particle's cloud holds its volume: (s / 2^k d)^3 times half the
 //!    usual [`Amount`]. The density of an octave is the sum over all particles: finer clouds are
-//!    joined into wider cells, and coarser ones become cells by quadratic B-splines.
+//!    merged into wider cells, and quadratic B-splines interpolate coarser ones.
 //! 2. Field. Each octave turns that density into [distances](super::distance), with the filters of
 //!    one size, in its own spacings.
 //! 3. Mixed. A particle's size lies between two octaves, at log2(s / d). Under a Gaussian of 1.5
-//!    spacings of octave k, f_k is the volume-weighted mean of log2(s / d) - k, but at least 0 and
-//!    at most 1. With B_k the surface of the bulk in octave k, R_k = (1 - f_k) B_k + f_k R_(k + 1):
-//!    in fluid of size 2^k d this is B_k. The bulk's surface is R_0.
-//! 4. Drops. In each octave, particles that lie outside of R_k add their drops, and sheets. Their
-//!    radius grows with the mean logarithm of the sizes of the octave's particles near by.
+//!    spacings of octave k, f_k is the volume-weighted mean of log2(s / d) - k, limited to 0 to 1.
+//!    With B_k the surface of the bulk in octave k, R_k = (1 - f_k) B_k + f_k R_(k + 1): in fluid
+//!    of size 2^k d this is B_k. The bulk's surface is R_0.
+//! 4. Drops. In each octave, particles that lie outside of R_k add their drops and sheets. Their
+//!    radius grows with the mean logarithm of the sizes of the octave's nearby particles.
 //!
-//! No sample depends on the box of cells that it is made in: where a share is 0, what it would be
-//! multiplied with is left out.
+//! No sample depends on the box of cells in which it is made: where a share is 0, its factor is not
+//! computed.
 
 mod clouds;
 mod mix;
@@ -31,38 +31,38 @@ use crate::field::blur::Weights;
 use crate::field::distance::{UNITS, gaussian};
 use crate::field::indicator::{Amount, IndicatorKind, WideCells};
 
-/// The number of octaves at most: sizes differ by a factor of up to 64 from the smallest.
+/// The maximum number of octaves: sizes are at most 64 times the smallest.
 pub const MOST_OCTAVES: usize = 7;
 
-/// The width under which sizes are averaged, in spacings of the octave.
+/// The width of the Gaussian that averages sizes, in spacings of the octave.
 const MIXED: f64 = 1.5;
-/// Where its Gaussian is cut off, in standard deviations.
+/// The cut-off of its Gaussian, in standard deviations.
 const MIXED_CUT: f64 = 2.6;
-/// Bits that densities gain under it.
+/// The gain of densities under it, in bits.
 const MIXED_GAIN: u32 = 2;
 
-/// By how much the nominal radius of a drop grows from a size to twice that, in spacings of the
-/// octave, and over the squared spacing in cells: by what makes a drop of each size hold about its
-/// particle's volume.
+/// The growth of the nominal radius of a drop from a size to twice that size, in spacings of the
+/// octave, and over the squared spacing in cells. It gives each drop about the volume of its
+/// particle.
 const GROWTH: [f64; 2] = [0.65, 0.3];
 
-/// By how much the radius of drops grows within an octave, in units of distance.
+/// The growth of the radius of drops within an octave, in units of distance.
 #[must_use]
 pub fn growth(spacing_cells: f64) -> i32 {
     let [fine, coarse] = GROWTH;
     ((fine + coarse / (spacing_cells * spacing_cells)) * UNITS).round() as i32
 }
 
-/// The filter under which sizes are averaged, in wide cells of an octave.
+/// The filter that averages sizes, in wide cells of an octave.
 #[must_use]
 pub fn averaging(wide: WideCells) -> Weights {
     gaussian(MIXED / wide.edge, 0.5, MIXED_CUT).0.gaining(MIXED_GAIN)
 }
 
-/// The bricks that clouds of sizes are stored in.
+/// The brick size for clouds of sizes.
 pub const SIDE: BrickSide = BrickSide::Sixteen;
 
-/// The amounts of clouds by the sizes of their particles.
+/// The amounts of clouds for the sizes of their particles.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Octaves {
     /// The smallest size.
@@ -73,7 +73,7 @@ pub struct Octaves {
     amount: f64,
 }
 
-/// Where a particle's cloud goes.
+/// The octave and the amounts of a particle's cloud.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CloudShare {
     /// The octave.
@@ -85,11 +85,12 @@ pub struct CloudShare {
 }
 
 impl Octaves {
-    /// Octaves from the size `finest` on, up to that of `coarsest`, with cells of edge `cell`.
+    /// Makes octaves from the size `finest` up to the one with `coarsest`, for cells of edge
+    /// `cell`.
     #[must_use]
     pub fn new(finest: f64, coarsest: f64, cell: f64) -> Self {
         let mut count = 1;
-        // The largest lies between two octaves, but for rounding.
+        // The largest size may be between two octaves, apart from rounding.
         let most = coarsest / finest * (1.0 - 1e-6);
         while count < MOST_OCTAVES && most > f64::from(1_u32 << (count - 1)) {
             count += 1;
@@ -98,10 +99,11 @@ impl Octaves {
         Self { finest, count, amount }
     }
 
-    /// Where a particle of size `size` goes; sizes beyond the octaves count as the nearest within.
+    /// The share of a particle of size `size`; sizes beyond the octaves count as the nearest size
+    /// within.
     #[must_use]
     pub fn share(&self, size: f64) -> CloudShare {
-        // 1e-6: f32 sizes of a power of two belong to their own octave, whatever the rounding.
+        // 1e-6: f32 sizes that are a power of two belong to their own octave, in spite of rounding.
         let mut ratio = (size / self.finest * (1.0 + 1e-6)).max(1.0);
         let mut octave = 0;
         while octave + 1 < self.count && ratio >= 2.0 {
@@ -114,7 +116,7 @@ impl Octaves {
         let volume = volume * volume * volume * ratio * ratio * ratio;
         let amount = (self.amount * volume).round().max(1.0);
         let fraction = if octave + 1 < self.count { log2(ratio) } else { 0.0 };
-        // Sizes of next to a power of two are one.
+        // A size close to a power of two counts as that power.
         let fraction = if fraction < 0.01 { 0.0 } else { fraction };
         CloudShare { octave, amount: amount as u32, fraction: (amount * fraction).round() as u32 }
     }
@@ -155,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn logarithms_are_exact_to_what_an_amount_can_show() {
+    fn logarithms_are_exact_to_the_precision_of_an_amount() {
         for step in 0..=100 {
             let x = 1.0 + f64::from(step) / 100.0;
             assert!((log2(x) - x.log2()).abs() < 1e-5, "{x}");

@@ -1,17 +1,17 @@
-//! The spacing of the particles that a packed frame was made of, as far as its clouds show it.
+//! The spacing of the particles of a packed frame, estimated from its clouds.
 
 use glam::IVec3;
 
-use super::sample::lightly_scattered;
+use super::sample::quick_hash;
 use crate::field::indicator::SampledDif;
 use crate::grid::{BIN, CellBox};
 
-/// Bins that are looked at.
+/// Number of examined bins.
 const BINS: usize = 32;
 
-/// The spacing by the mean number of particles around each particle, in cubes of about three
-/// spacings; `None` of other indicators. Where the fluid is thin it is too large: by a factor of
-/// 1.4 in sheets of a layer, by 2 in threads.
+/// The spacing from the mean number of particles around each particle, in cubes of about three
+/// spacings; `None` for other indicators. In thin fluid it is too large: by a factor of 1.4 in
+/// sheets of one layer, by 2 in threads.
 pub fn spacing_by_clouds(frame: &SampledDif) -> Option<f64> {
     if !frame.is_clouds() {
         return None;
@@ -21,7 +21,7 @@ pub fn spacing_by_clouds(frame: &SampledDif) -> Option<f64> {
     let walls =
         walls.map(|walls| (0..wide.level).fold(walls, |walls, _| crate::brick::halved_box(walls)));
     let mut bins: Vec<IVec3> = field.keys().map(|key| key.coord()).collect();
-    bins.sort_by_key(|bin| lightly_scattered(bin.as_dvec3().to_array()));
+    bins.sort_by_key(|bin| quick_hash(bin.as_dvec3().to_array()));
     let (mut held, mut around) = (0.0, 0.0);
     for bin in bins.into_iter().take(BINS) {
         let block = field.gather_within(CellBox::cube(bin, BIN).grown(1, 1), walls);

@@ -1,9 +1,9 @@
-//! The particles' spacing by their number density deep in the fluid.
+//! The particles' spacing from their number density deep in the fluid.
 //!
-//! Spacing is the edge of the cube that a particle fills: (volume / number)^(1/3). Particles are
-//! counted in cells a few spacings wide, and only in those whose 26 neighbours hold particles too,
-//! which leaves out surfaces. Where the fluid is thin, such cells hold gaps as well, and the
-//! spacing comes out too large.
+//! The spacing is the edge of the cube that a particle fills: (volume / number)^(1/3). Particles
+//! are counted in cells a few spacings wide, but only in cells whose 26 neighbours also hold
+//! particles, which excludes surfaces. In thin fluid such cells have gaps too, and the spacing is
+//! too large.
 
 use glam::{DVec3, IVec3};
 use hashbrown::HashMap;
@@ -15,23 +15,24 @@ use crate::brick::{BinPlan, CountingRoom, InvalidParticles};
 use crate::grid::{BIN, Grid};
 use crate::particles::Bounds;
 
-/// Particles that a counting cell should hold; the smaller numbers are for thin layers.
+/// Target number of particles per counting cell; the smaller numbers are for thin layers.
 const TARGETS: [f64; 3] = [48.0, 16.0, 6.0];
-/// Interior cells that make an estimate worth having.
+/// Minimum number of interior cells for an estimate.
 const ENOUGH_CELLS: usize = 8;
-/// The largest number of counting cells: in spray each particle fills one.
+/// Maximum number of counting cells: in spray each particle occupies its own cell.
 const MOST_CELLS: usize = 1 << 24;
-/// Counting cells of a box around all particles that are listed, whether they hold any or not.
+/// Maximum number of counting cells in the box around all particles for a dense list, which
+/// includes empty cells.
 const MOST_LISTED: f64 = (1 << 21) as f64;
 
-/// Particles that are counted one after another.
+/// Particles per parallel task.
 const CHUNK: usize = 1 << 16;
 
-/// Particles whose cells are found at once.
+/// Particles per batch of cell numbers.
 const AT_ONCE: usize = 256;
 
-/// Finds the numbers of particles' cells in a list of a box of cells, x fastest, that begins one
-/// cell below `origin`.
+/// Computes the numbers of particles' cells in the list of a box of cells, x fastest, that begins
+/// one cell below `origin`.
 #[multiversion(targets("x86_64+avx512f+avx512dq", "x86_64+avx2", "x86_64+sse4.1"))]
 fn numbers_of(
     positions: &[[f64; 3]],
@@ -46,17 +47,18 @@ fn numbers_of(
     }
 }
 
-/// How far apart particles are.
+/// The spacings of some particles.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Spacings {
-    /// The one that holds for all, or would if they were even.
+    /// The spacing of all particles, as if they were evenly distributed.
     pub mean: f64,
-    /// Where they are plainly of two resolutions: the spacing of most, and that of the others.
+    /// For particles that clearly have two resolutions: the spacing of the majority, and that of
+    /// the others.
     pub two: Option<[f64; 2]>,
 }
 
 impl Spacings {
-    /// Times a factor.
+    /// Multiplies the spacings by a factor.
     pub fn scaled(self, factor: f64) -> Self {
         Self {
             mean: self.mean * factor,
@@ -65,8 +67,8 @@ impl Spacings {
     }
 }
 
-/// Estimates the spacings of finite particles, within their bounds, where interior cells hold at
-/// least `enough_share` of them.
+/// Estimates the spacings of finite particles within their bounds; returns `None` if interior cells
+/// hold less than `enough_share` of them.
 pub fn spacings(particles: &[[f64; 3]], bounds: &Bounds, enough_share: f64) -> Option<Spacings> {
     let Bounds { lo, hi, finite } = *bounds;
     let extent = hi - lo;
@@ -81,7 +83,7 @@ pub fn spacings(particles: &[[f64; 3]], bounds: &Bounds, enough_share: f64) -> O
         let at_corner;
         (cell, at_corner) = cell_for(|cell| counts(lo, cell), target, cell)?;
         let placements = (SHARE / particles.len().max(1)).clamp(1, 8) as u32;
-        // Shifts by multiples of the golden ratio's powers spread evenly.
+        // Multiples of the powers of the golden ratio are evenly spread.
         let shifts = (0..placements).map(|i| {
             let i = f64::from(i);
             DVec3::new(i * 0.819_172_513, i * 0.671_043_606, i * 0.549_700_478).fract()
@@ -94,7 +96,7 @@ pub fn spacings(particles: &[[f64; 3]], bounds: &Bounds, enough_share: f64) -> O
         let enough = cells >= ENOUGH_CELLS * placements as usize
             && total as f64 >= enough_share * f64::from(placements) * finite as f64;
         enough.then(|| {
-            // Coarse particles have their inside in wider cells.
+            // Coarse particles have interior cells only if these are wider.
             let wider = || two_of(at_corner.twice_as_wide().interior(), 2.0 * cell);
             Spacings {
                 mean: cell * (cells as f64 / total as f64).cbrt(),
@@ -104,26 +106,27 @@ pub fn spacings(particles: &[[f64; 3]], bounds: &Bounds, enough_share: f64) -> O
     })
 }
 
-/// A share of the fluid's volume, or of its particles, that is a part of its own.
+/// The minimum share of the fluid's volume, or of its particles, for a separate resolution.
 const PART: f64 = 0.05;
-/// Particles in the cells of such a part, at the least: of fewer, spray cannot be told.
+/// The minimum number of particles in the cells of such a part: with fewer, it could be spray.
 const ENOUGH_IN_CELL: usize = 4;
-/// The share of such a part's cells whose counts are like each other.
+/// The minimum share of such a part's cells that have similar counts.
 const EVEN: f64 = 0.8;
 
-/// The spacings of two resolutions, by the counts of interior cells of edge `cell`: there are two
-/// kinds of cells, each with counts of its own, and fewer cells between them. A fluid that thins
-/// out into spray has cells of every count.
+/// The spacings of two resolutions, from the counts of interior cells of edge `cell`: there are two
+/// kinds of cells with different counts, and fewer cells between them. A fluid that thins out into
+/// spray has cells of every count.
 fn two_of(mut counts: Vec<usize>, cell: f64) -> Option<[f64; 2]> {
     counts.sort_unstable();
     let total: usize = counts.iter().sum();
     let mut below = 0;
-    // Where most particles are.
+    // The count that most particles have in their cell.
     let most = *counts.iter().find(|&&count| {
         below += count;
         2 * below >= total
     })?;
-    // Cells, and particles in them, with counts in a range of multiples of that.
+    // The number of cells with counts in a range of multiples of that count, and of their
+    // particles.
     let of = |from: f64, to: f64| {
         let [from, to] = [from, to]
             .map(|bound| counts.partition_point(|&count| (count as f64) < bound * most as f64));
@@ -150,23 +153,23 @@ fn two_of(mut counts: Vec<usize>, cell: f64) -> Option<[f64; 2]> {
     is_even(other).then(|| [spacing(of(0.5, 2.0)), spacing(other)])
 }
 
-/// Particles by cell.
+/// Numbers of particles per cell.
 enum CellCounts {
     /// In a box of cells, x fastest.
     Listed { size: [usize; 3], counts: Vec<u32> },
-    /// In the cells that hold any.
+    /// For non-empty cells.
     Hashed(HashMap<IVec3, usize>),
 }
 
 impl CellCounts {
     /// Counts particles between two corners in the cells of edge `cell` that begin at `origin`.
     fn of(particles: &[[f64; 3]], corners: [DVec3; 2], origin: DVec3, cell: f64) -> Option<Self> {
-        // Cells are numbered from one below the first, so that each has neighbours.
+        // Cell numbers begin one below the first cell, so that each cell has neighbours.
         let last = ((corners[1] - origin) / cell).floor() + 1.0;
         let size = (last + 2.0).to_array();
         let is_small = size.iter().product::<f64>() <= MOST_LISTED;
         if !is_small {
-            // Sixteen times finer, its bins are the cells.
+            // The bins of a grid with sixteen times finer cells are the counting cells.
             let grid = Grid::new(origin, cell / f64::from(BIN)).ok()?;
             let room = CountingRoom { bins: MOST_CELLS, places: 0 };
             let plan = BinPlan::count(particles, &grid, None, InvalidParticles::Skip, room).ok()?;
@@ -196,7 +199,7 @@ impl CellCounts {
         Some(Self::Listed { size: size.map(|size| size as usize), counts })
     }
 
-    /// The counts in cells with the same corner that are twice as wide.
+    /// The counts in cells with the same corner and twice the width.
     fn twice_as_wide(&self) -> Self {
         match self {
             Self::Listed { size, counts } => {
@@ -223,7 +226,7 @@ impl CellCounts {
         }
     }
 
-    /// The counts of cells that hold particles.
+    /// The counts of non-empty cells.
     fn filled(&self) -> Vec<usize> {
         match self {
             Self::Listed { counts, .. } => {
@@ -233,7 +236,7 @@ impl CellCounts {
         }
     }
 
-    /// The counts of cells whose 26 neighbours hold particles as well.
+    /// The counts of cells whose 26 neighbours also hold particles.
     fn interior(&self) -> Vec<usize> {
         match self {
             Self::Listed { size: [x, y, _], counts } => {
@@ -245,7 +248,7 @@ impl CellCounts {
                         })
                     })
                 };
-                // What begins below here, or ends above, has no particles.
+                // Cells before the first or after the last of these have no particles.
                 let inner = x * y + x + 1..counts.len().saturating_sub(x * y + x + 1);
                 let inner = inner.filter(|&index| counts[index] > 0 && around(index));
                 inner.map(|index| counts[index] as usize).collect()
@@ -262,7 +265,7 @@ impl CellCounts {
     }
 }
 
-/// A cell size at which the typical particle shares its cell with about `target` others, and the
+/// A cell size at which a typical particle shares its cell with about `target` others, and the
 /// counts in such cells.
 fn cell_for(
     counts: impl Fn(f64) -> Option<CellCounts>,
@@ -299,7 +302,7 @@ mod tests {
     }
 
     #[test]
-    fn cells_in_a_list_and_in_a_table_hold_the_same() {
+    fn listed_and_hashed_cells_have_equal_counts() {
         let particles = lattice(23);
         let near = bounds(&particles[..]).unwrap();
         for (shift, cell) in [(0.0, 3.1), (0.7, 2.0), (1.3, 5.5)] {

@@ -1,14 +1,14 @@
-//! The spacing of particles, told by themselves: the edge of the cube that a particle fills,
-//! (volume / number)^(1/3).
+//! The spacing of particles, estimated from their positions: the edge of the cube that a particle
+//! fills, (volume / number)^(1/3).
 //!
-//! Two estimates check each other. `density` counts particles in cells, which is right in deep
-//! fluid and too large in thin fluid with gaps. `neighbours` measures the density around single
-//! particles. Where both agree, the count holds; where they do not, or nothing is deep enough to
-//! count, the neighbours do, and the [`SpacingEstimate`] says so.
+//! Two estimates check each other. `density` counts particles in cells; this is accurate in deep
+//! fluid, but too large in thin fluid with gaps. `neighbours` measures the density around single
+//! particles. If both agree, the result is the count; if they disagree, or if nothing is deep
+//! enough to count, it is that of the neighbours, and the [`SpacingEstimate`] says so.
 //!
-//! Up to [`ALL`] particles are read once and held. Of more, one reading takes an even share to
-//! count, and a second one all in some cubes to look for neighbours: that one can be had with
-//! whatever else reads the particles next.
+//! Up to [`ALL`] particles are read once and held in memory. If there are more, a first reading
+//! takes an even sample to count, and a second one all particles in some cubes to search for
+//! neighbours. Another reader of the particles can do the second reading on the way.
 
 mod clouds;
 mod density;
@@ -29,47 +29,48 @@ pub use sample::{CubeSample, Cubes, EvenSample, FinishedSample, NeighbourSample}
 
 use sample::SHARE;
 
-/// Particles that are held in memory to tell their spacing: as many as an even [`EvenSample`] may
-/// hold.
+/// The maximum number of particles that are held in memory for the estimate; an even [`EvenSample`]
+/// can hold as many.
 pub const ALL: usize = 2 * SHARE;
-/// Particles above which a sample bears out a count.
+/// With more particles, a small sample is enough to confirm a count.
 const FEWEST_SAMPLED: usize = 1 << 12;
-/// Particles all of which are searched, where a few of them do not bear out a count.
+/// The maximum number of particles that are all searched if a small sample does not confirm the
+/// count.
 const MOST_SEARCHED: usize = 1 << 15;
-/// Share of the particles in interior cells that makes the count of a part worth having.
+/// The minimum share of the particles in interior cells for the count of a sample.
 const ENOUGH_SHARE: f64 = 1.0 / 16.0;
-/// The smallest number of distinct places from which a spacing is estimated.
+/// The minimum number of distinct positions for an estimate.
 const FEWEST: usize = 8;
-/// A share of deep particles below which the fluid is thin.
+/// Fluid with a smaller share of deep particles is thin.
 const THIN: f64 = 0.15;
 
-/// The evidence that particles give of their spacing.
+/// The evidence about the spacing in the particles' positions.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Evidence {
-    /// Finite particles.
+    /// Number of finite particles.
     pub particles: usize,
-    /// Places that hold at least one of them.
+    /// Number of distinct positions.
     pub places: usize,
-    /// By counting.
+    /// The spacings from counting.
     pub counted: Option<Spacings>,
-    /// By nearest neighbours.
+    /// The distances to nearest neighbours.
     pub neighbours: Neighbours,
-    /// By where they are.
+    /// The facts about the coordinates.
     pub place: CoordinateFacts,
 }
 
-/// Where particles are, and how precise their coordinates are.
+/// The position of particles and the precision of their coordinates.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CoordinateFacts {
-    /// The plane in which all particles lie, if they do.
+    /// The plane in which all particles lie, if there is one.
     pub plane: Option<Plane>,
-    /// The step of the coordinates, where all are numbers of 32 bits.
+    /// The step of the coordinates, if all are single-precision numbers.
     pub step: Option<f64>,
-    /// A middle of the particles, which stray ones do not move.
+    /// A robust middle of the particles, which stray particles do not move.
     pub middle: DVec3,
 }
 
-/// A plane across an axis, in which all particles of a simulation in two dimensions lie.
+/// A plane perpendicular to an axis that contains all particles of a two-dimensional simulation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Plane {
     /// 0, 1 or 2 for x, y or z.
@@ -83,24 +84,24 @@ pub struct Plane {
 pub struct SpacingEstimate {
     /// The estimate.
     pub spacing: f64,
-    /// The spacings of two resolutions, where there plainly are two: of most particles, and of the
-    /// others.
+    /// For particles that clearly have two resolutions: the spacing of the majority, and that of
+    /// the others.
     pub two: Option<[f64; 2]>,
-    /// Whether the fluid is too thin, or too ragged, to be sure of it.
+    /// Whether the fluid is too thin or too ragged for a reliable estimate.
     pub thin: bool,
 }
 
-/// A reason for which particles do not tell their spacing.
+/// A reason why the spacing cannot be estimated.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 #[non_exhaustive]
 pub enum NoEstimate {
     /// Too few particles.
     #[error("there are too few")]
     TooFew,
-    /// Nearly all are in the same few places.
+    /// Nearly all particles share a few positions.
     #[error("they have only {places} different positions")]
     Coincident {
-        /// The number of places.
+        /// The number of distinct positions.
         places: usize,
     },
     /// Coordinates that are too coarse.
@@ -115,48 +116,49 @@ pub enum NoEstimate {
     },
 }
 
-/// An even share of the particles that was counted: what is known before their neighbours are.
+/// An even sample of the particles that has been counted; the result before the search for
+/// neighbours.
 #[derive(Debug)]
 pub struct SpacingDraft {
     particles: usize,
     places: usize,
     counted: Option<Spacings>,
-    /// The scale at which neighbours are to be looked for.
+    /// The scale of the search for neighbours.
     scale: f64,
     place: CoordinateFacts,
 }
 
-/// Estimates the spacing of particles; `None` where they do not tell it.
+/// Estimates the spacing of particles; `None` if that is impossible.
 pub fn estimate(particles: &(impl Particles + ?Sized)) -> Option<f64> {
     evidence(particles)?.estimate().ok().map(|estimate| estimate.spacing)
 }
 
-/// Reads the particles once, or if they are more than [`ALL`] twice or more, for what they say of
-/// their spacing; `None` where none is finite.
+/// Reads the particles and collects the evidence about their spacing; `None` if there are no finite
+/// particles. Up to [`ALL`] particles are read once, more particles twice or more.
 pub fn evidence(particles: &(impl Particles + ?Sized)) -> Option<Evidence> {
     if particles.len() <= ALL {
         let (positions, bounds) = gathered(particles);
         return of_all(positions, bounds);
     }
     let share = EvenSample::of(particles.len());
-    show_all(particles, |positions| share.look(positions));
+    for_each_chunk(particles, |positions| share.add(positions));
     let mut taken = share.taken();
     while let Some(larger) = taken.larger() {
-        show_all(particles, |positions| larger.look(positions));
+        for_each_chunk(particles, |positions| larger.add(positions));
         taken = larger.taken();
     }
     Some(SpacingDraft::of(taken)?.completed(particles))
 }
 
-/// Reads the particles once, or if they are few and do not bear it out twice, for what their
-/// neighbours say of a spacing that is known; `None` where no particle was seen.
-pub fn look_at(particles: &(impl Particles + ?Sized), spacing: f64) -> Option<SampleSurvey> {
+/// Reads the particles and searches for neighbours at the scale of a known spacing; `None` if there
+/// are no particles. Few particles that do not confirm the spacing are read twice.
+pub fn survey(particles: &(impl Particles + ?Sized), spacing: f64) -> Option<SampleSurvey> {
     if particles.len() <= FEWEST_SAMPLED {
         return SampleSurvey::of(NeighbourSample::whole(gathered(particles).0), spacing);
     }
     let sample = |new: fn(Cubes, usize) -> CubeSample| {
         let in_cubes = new(Cubes::for_spacing(spacing), particles.len());
-        show_all(particles, |positions| in_cubes.look(positions));
+        for_each_chunk(particles, |positions| in_cubes.add(positions));
         in_cubes.sample()
     };
     if particles.len() <= ALL {
@@ -170,36 +172,37 @@ pub fn look_at(particles: &(impl Particles + ?Sized), spacing: f64) -> Option<Sa
     SampleSurvey::of(sample(CubeSample::new), spacing)
 }
 
-/// A look at a sample of particles, at the scale of a spacing that is known.
+/// A survey of a sample of particles, at the scale of a known spacing.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SampleSurvey {
     /// Distances between neighbours.
     pub neighbours: Neighbours,
-    /// Where they are; the sample may lie in a plane where not all do.
+    /// The facts about their coordinates. The sample may lie in a plane although not all particles
+    /// do.
     pub place: CoordinateFacts,
 }
 
 impl SampleSurvey {
-    /// Looks at a sample for a spacing; `None` where it is empty.
+    /// Surveys a sample for a spacing; `None` if it is empty.
     pub fn of(sample: NeighbourSample, spacing: f64) -> Option<Self> {
         let place = CoordinateFacts::of_sample(&sample)?;
-        Some(Self { neighbours: Neighbours::that_check(sample, Some(spacing)), place })
+        Some(Self { neighbours: Neighbours::for_check(sample, Some(spacing)), place })
     }
 }
 
-/// Reads the positions of all particles, some at once, in no order.
-pub fn show_all(particles: &(impl Particles + ?Sized), look: impl Fn(&[[f64; 3]]) + Sync) {
+/// Passes the positions of all particles to `add`, in chunks without an order.
+pub fn for_each_chunk(particles: &(impl Particles + ?Sized), add: impl Fn(&[[f64; 3]]) + Sync) {
     let buffer = || vec![[0.0; 3]; CHUNK];
     (0..particles.len().div_ceil(CHUNK)).into_par_iter().for_each_init(buffer, |buffer, chunk| {
         let range = chunk * CHUNK..particles.len().min((chunk + 1) * CHUNK);
         let positions = &mut buffer[..range.len()];
         particles.positions(range.start, positions);
         particles.release(range);
-        look(positions);
+        add(positions);
     });
 }
 
-/// The finite positions of all particles, in their order, and their bounds.
+/// The finite positions of all particles in their order, and their bounds.
 fn gathered(particles: &(impl Particles + ?Sized)) -> (Vec<[f64; 3]>, Bounds) {
     let mut all = vec![[0.0; 3]; particles.len()];
     let bounds = all.par_chunks_mut(CHUNK).enumerate().map(|(chunk, positions)| {
@@ -214,7 +217,7 @@ fn gathered(particles: &(impl Particles + ?Sized)) -> (Vec<[f64; 3]>, Bounds) {
     (all, bounds)
 }
 
-/// Gathers the evidence of all particles, which lie within `bounds`.
+/// Collects the evidence of all particles, which lie within `bounds`.
 fn of_all(positions: Vec<[f64; 3]>, bounds: Bounds) -> Option<Evidence> {
     if positions.is_empty() {
         return None;
@@ -235,12 +238,13 @@ fn of_all(positions: Vec<[f64; 3]>, bounds: Bounds) -> Option<Evidence> {
         let counted = counted.map(|counted| counted.mean);
         let all = || NeighbourSample::whole(positions.to_vec());
         let scale = match counted {
-            // Cubes may have their middles beside a plane.
+            // The middles of all cubes may miss the plane.
             _ if positions.len() <= FEWEST_SAMPLED || place.plane.is_some() => None,
             None if positions.len() <= MOST_SEARCHED => None,
             None => {
                 let one_in = (positions.len() / MOST_SEARCHED).next_power_of_two() as u64;
-                let few = |&&position: &&[f64; 3]| sample::scattered(position) & (one_in - 1) == 0;
+                let few =
+                    |&&position: &&[f64; 3]| sample::position_hash(position) & (one_in - 1) == 0;
                 scale_of(positions.iter().filter(few).copied().collect())
             }
             known => known,
@@ -248,16 +252,17 @@ fn of_all(positions: Vec<[f64; 3]>, bounds: Bounds) -> Option<Evidence> {
         let Some(scale) = scale else { return Neighbours::of(all()) };
         let in_cubes = |new: fn(Cubes, usize) -> CubeSample| {
             let in_cubes = new(Cubes::for_spacing(scale), positions.len());
-            positions.par_chunks(1 << 12).for_each(|positions| in_cubes.look(positions));
+            positions.par_chunks(1 << 12).for_each(|positions| in_cubes.add(positions));
             in_cubes.sample()
         };
         let few =
             counted.and_then(|counted| Neighbours::of_few(in_cubes(CubeSample::few), counted));
-        // The middles of cubes are not where particles at walls are: of all, any will do.
+        // Particles at walls are not in the middles of cubes; in a sample of all particles this
+        // does not matter.
         let more =
             || if positions.len() <= MOST_SEARCHED { all() } else { in_cubes(CubeSample::new) };
         let found = few.unwrap_or_else(|| Neighbours::of(more()));
-        // A plane or a film can lie where no cube has its middle.
+        // A plane or a film may miss the middles of all cubes.
         if found.suggested().is_some() { found } else { Neighbours::of(all()) }
     };
     let mut neighbours = look(&positions, counted);
@@ -270,57 +275,58 @@ fn of_all(positions: Vec<[f64; 3]>, bounds: Bounds) -> Option<Evidence> {
     Some(Evidence { particles, places, counted, neighbours, place })
 }
 
-/// A scale at which neighbours can be looked for where nothing was counted: half the distance to
-/// the third neighbour among few of all. Of sheets and threads few are farther apart than of a
-/// solid; cubes are wider then, and hold more.
+/// A scale for the search for neighbours without a count: half the distance to the third neighbour
+/// in a small sample. The particles of a sample of sheets or threads are closer together than those
+/// of a solid; the cubes are then wider, and hold more.
 fn scale_of(few: Vec<[f64; 3]>) -> Option<f64> {
     Some(Neighbours::of(NeighbourSample::whole(few)).nearest?[2] / 2.0)
 }
 
 impl SpacingDraft {
-    /// Counts a share; `None` where it holds nothing.
+    /// Counts a sample; `None` if it is empty.
     pub fn of(share: FinishedSample) -> Option<Self> {
         let FinishedSample { positions, part, places, bounds: all, .. } = share;
         let bounds = bounds(&positions[..])?;
         let place = CoordinateFacts::of(&positions, &all);
         let particles = all.finite;
-        // A layer may be too thin to have an inside that so few can tell: then its neighbours do.
+        // A layer may be too thin for interior cells in a sample of this size: then its neighbours
+        // decide.
         let counted = density::spacings(&positions, &bounds, ENOUGH_SHARE);
         let counted = counted.map(|counted| counted.scaled(part.cbrt()));
-        // What cannot be counted may be sheets: in these few are farther apart by the root of the
-        // part.
+        // Particles that cannot be counted may be sheets, where the distances in the sample grow
+        // with the root of its share.
         let in_sheets = || Some(2.4 * part.sqrt() * scale_of(positions)?);
         let scale = counted.map(|counted| counted.mean).or_else(in_sheets);
         Some(Self { particles, places, counted, scale: scale.unwrap_or(1.0), place })
     }
 
-    /// The spacing by counting.
+    /// The spacing from counting.
     pub fn counted(&self) -> Option<f64> {
         self.counted.map(|counted| counted.mean)
     }
 
-    /// Takes all particles in some cubes, to be shown all particles.
+    /// Begins a sample of all particles in some cubes, which must be given all particles.
     pub fn in_cubes(&self) -> CubeSample {
         CubeSample::new(Cubes::for_spacing(self.scale), self.particles)
     }
 
-    /// Whether neighbours that were looked for at the scale of a spacing show what is to be seen.
+    /// Whether a search for neighbours at the scale of this spacing is suitable.
     pub fn suits(&self, spacing: f64) -> bool {
         within(spacing / self.scale, 2.5)
     }
 
-    /// Reads the particles for their neighbours: once, where the scale to look for them is known.
+    /// Reads the particles for a search for neighbours: once, if the scale is known.
     pub fn completed(mut self, particles: &(impl Particles + ?Sized)) -> Evidence {
         const READINGS: u32 = 8;
         for _ in 1..READINGS {
             let in_cubes = self.in_cubes();
-            show_all(particles, |positions| in_cubes.look(positions));
+            for_each_chunk(particles, |positions| in_cubes.add(positions));
             let sample = in_cubes.sample();
             if sample.positions.is_empty() {
                 self.scale /= 8.0;
                 continue;
             }
-            let neighbours = Neighbours::that_check(sample, self.counted());
+            let neighbours = Neighbours::for_check(sample, self.counted());
             match neighbours.suggested() {
                 Some(suggested) if self.counted.is_none() && !self.suits(suggested) => {
                     self.scale = suggested
@@ -330,13 +336,13 @@ impl SpacingDraft {
             }
         }
         let in_cubes = self.in_cubes();
-        show_all(particles, |positions| in_cubes.look(positions));
+        for_each_chunk(particles, |positions| in_cubes.add(positions));
         self.with_sample(in_cubes.sample())
     }
 
     /// Adds the neighbours in a sample, as far as they are needed to check the count.
     pub fn with_sample(self, sample: NeighbourSample) -> Evidence {
-        let neighbours = Neighbours::that_check(sample, self.counted());
+        let neighbours = Neighbours::for_check(sample, self.counted());
         self.with(neighbours)
     }
 
@@ -352,18 +358,18 @@ impl CoordinateFacts {
         Some(Self::of(&sample.positions, &bounds(&sample.positions[..])?))
     }
 
-    /// Finds the place of particles of which some are known, and the bounds of all.
+    /// Determines the facts from the positions of some particles and the bounds of all.
     fn of(positions: &[[f64; 3]], &Bounds { lo, hi, .. }: &Bounds) -> Self {
-        // A few are enough, whichever come first in the file.
+        // A few positions are enough, and must not depend on the order of the file.
         let one_in = positions.len().div_ceil(1 << 12).next_power_of_two() as u64;
-        let some = |position: &&[f64; 3]| sample::lightly_scattered(**position) & (one_in - 1) == 0;
+        let some = |position: &&[f64; 3]| sample::quick_hash(**position) & (one_in - 1) == 0;
         let some = |chunk: &'_ [[f64; 3]]| chunk.iter().filter(some).copied().collect::<Vec<_>>();
         let mut some = positions.par_chunks(1 << 14).flat_map_iter(some).collect::<Vec<_>>();
         if some.is_empty() {
             some = vec![lo.into(), hi.into()];
         }
-        // Slots that are parked in one place count once, and stray particles move neither a median
-        // nor a quartile.
+        // Unused particles that are parked in one position count once. Stray particles move neither
+        // a median nor a quartile.
         some.sort_unstable_by_key(|position| position.map(f64::to_bits));
         some.dedup();
         let mut quantile = |axis: usize, quarter: usize| {
@@ -372,7 +378,7 @@ impl CoordinateFacts {
         };
         let middle = DVec3::from([0, 1, 2].map(|axis| quantile(axis, 2)));
         let spread = [0, 1, 2].map(|axis| quantile(axis, 3) - quantile(axis, 1));
-        /// The thickness of a plane over its extent, by rounding to 32 bits.
+        /// The maximum thickness of a plane relative to its extent, for single-precision rounding.
         const FLAT: f64 = 1e-6;
         let thinnest = FLAT * spread.into_iter().fold(0.0, f64::max);
         let flat: Vec<usize> = (0..3).filter(|&a| hi[a] - lo[a] <= thinnest).collect();
@@ -385,8 +391,8 @@ impl CoordinateFacts {
     }
 }
 
-/// The step of coordinates that were rounded to 32 bits, at a distance from the origin; `None`
-/// where they were not, or were multiples of something wider before.
+/// The step of coordinates that were rounded to single precision, at a distance from the origin;
+/// `None` if they were not, or if they were multiples of a larger step before.
 fn step_of(coordinates: &[f64], far: f64) -> Option<f64> {
     let is_single = coordinates.iter().all(|&c| f64::from(c as f32) == c);
     let far = far as f32;
@@ -409,7 +415,7 @@ impl Evidence {
         }
         let estimate = self.estimated().ok_or(NoEstimate::TooFew)?;
         match self.place.step {
-            // Places on a grid of such steps are never nearer than one.
+            // Positions on a grid of such steps are at least one step apart.
             Some(step) if step > 0.7 * estimate.spacing => {
                 Err(NoEstimate::SinglePrecision { step })
             }
@@ -428,10 +434,10 @@ impl Evidence {
         let suggested = neighbours.suggested();
         match (counted, neighbours.measured()) {
             _ if self.place.plane.is_some() => sure(neighbours.plane.or(suggested)?),
-            (Some(counted), Some(_)) if neighbours.bear_out(counted) => sure(counted),
+            (Some(counted), Some(_)) if neighbours.confirms(counted) => sure(counted),
             (Some(_), Some((measured, share))) if share >= THIN => unsure(measured),
             (None, Some((measured, share))) if share >= THIN => sure(measured),
-            // Cells so small or so wide that no neighbourhood was seen.
+            // The cells were too small or too wide to show neighbourhoods.
             (Some(counted), None) if suggested.is_none() => unsure(counted),
             _ => unsure(suggested?),
         }

@@ -1,11 +1,12 @@
-//! Distances between nearest neighbours: they tell the spacing where counting cannot, in thin fluid
-//! and in few particles.
+//! Distances between nearest neighbours. They give the spacing where counting fails: in thin fluid,
+//! and for few particles.
 //!
 //! Deep in the fluid the distance of the k-th neighbour measures the density: a ball of that radius
 //! holds k particles (Mack and Rosenblatt 1979, <https://doi.org/10.1016/0047-259X(79)90065-4>).
-//! Averaged over k = 8 to 20 it is within 3 % for lattices, liquids and particles placed at random.
-//! A particle counts as deep if its neighbours surround it: their centroid is near, and their
-//! second moments are nearly equal in all directions. In a sheet the same holds in its plane.
+//! Averaged over k = 8 to 20 the error is within 3 % for lattices, liquids and randomly placed
+//! particles. A particle counts as deep if its neighbours surround it: their centroid is near, and
+//! their second moments are nearly equal in all directions. The same holds for a sheet within its
+//! plane.
 
 use std::f64::consts::PI;
 use std::ops::{Range, RangeInclusive};
@@ -15,99 +16,100 @@ use rayon::prelude::*;
 
 use super::sample::{NeighbourSample, distinct};
 
-/// Neighbours that are looked for.
+/// Number of neighbours per query.
 const NEIGHBOURS: usize = 20;
-/// Neighbours whose distances tell the density of deep particles: as many as complete shells of a
-/// lattice balance.
+/// The neighbours whose distances give the density of deep particles: complete shells of a lattice
+/// cancel out over this range.
 const OF_SOLID: RangeInclusive<usize> = 8..=NEIGHBOURS;
-/// Neighbours whose distances tell the density in the plane of a sheet.
+/// The neighbours whose distances give the density in the plane of a sheet.
 const OF_SHEET: RangeInclusive<usize> = 4..=8;
-/// Neighbours whose distances tell the density where all particles lie in a plane, ...
+/// The neighbours whose distances give the density if all particles lie in a plane.
 const OF_PLANE: RangeInclusive<usize> = 4..=NEIGHBOURS;
-/// ... and by how much they are farther than those of random particles would be: lattices, jittered
-/// or not, are within 1.5 % then.
+/// The factor by which these are farther away than for random particles: the error is then within
+/// 1.5 % for lattices, with or without jitter.
 const FARTHER: f64 = 1.03;
-/// The distance from a deep particle to the centroid of its neighbours is less than this share of
-/// the farthest one's.
+/// A particle is deep only if the distance to the centroid of its neighbours is less than this
+/// share of the distance to the farthest neighbour.
 const CENTRED: f64 = 0.2;
 /// 27 det / trace^3 of the neighbours' second moments is 1 where they are equal along all axes, and
 /// 0 in a plane.
 const ROUND: f64 = 0.5;
-/// Neighbours lie in a plane where [`ROUND`]'s measure is below this, ...
+/// Neighbours lie in a plane if the measure of [`ROUND`] is below this.
 const FLAT: f64 = 0.2;
-/// ... in which they lie around: 4 (sum of principal minors) / trace^2 is 1 in a disc, 0 on a line.
+/// Neighbours in a plane surround the particle if 4 (sum of principal minors) / trace^2 exceeds
+/// this: it is 1 in a disc, and 0 on a line.
 const DISC: f64 = 0.6;
-/// The scatter of random places is 1; particles of FLIP that were seeded eight to a cell have 0.8.
+/// The scatter of random positions is 1; FLIP particles that were seeded eight per cell have 0.8.
 const RANDOM: f64 = 0.9;
-/// The largest error of the scatter that is measured on few particles.
+/// The maximum error of a scatter that is measured on few particles.
 const CHANCE: f64 = 0.2;
-/// Deep particles that are enough to measure scatter.
+/// The minimum number of deep particles for a reliable scatter.
 const ENOUGH_FOR_SCATTER: usize = 100;
-/// The share of flat neighbourhoods in sheets of a single layer.
+/// The minimum share of flat neighbourhoods in sheets of a single layer.
 const SHEETS: f64 = 0.6;
-/// The third neighbour is farther than the second by more than this factor along threads of single
-/// particles.
+/// Along threads of single particles, the third neighbour is farther away than the second by more
+/// than this factor.
 const THREAD: f64 = 1.35;
-/// Count and neighbours agree within this factor.
+/// A count and the neighbours agree if they differ by less than this factor.
 const AGREED: f64 = 1.07;
-/// The least share of the queried particles, and their least number, for an estimate.
+/// The minimum share of the queried particles for an estimate.
 const ENOUGH_SHARE: f64 = 0.04;
 const ENOUGH: usize = 8;
-/// Particles are queried in proportion to their number, within these bounds.
+/// The minimum number of queried particles, which is proportional to the number of particles.
 const FEWEST_QUERIES: usize = 300;
 const MOST_QUERIES: usize = 2048;
 const PARTICLES_A_QUERY: usize = 32;
-/// Particles that are queried where fewer may be at random.
+/// The number of queried particles if a smaller number may be random.
 const QUERIES_OF_RANDOM: usize = 4096;
 
 /// Distances between nearest neighbours in a sample of particles.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Neighbours {
-    /// Particles whose neighbours were looked for.
+    /// Number of particles whose neighbours were searched.
     pub queried: usize,
     /// The median distances to the first four neighbours, among the most densely packed particles.
     pub nearest: Option<[f64; 4]>,
-    /// The spacing by the density around particles that neighbours surround, and their share.
+    /// The spacing from the density around particles that are surrounded by neighbours, and their
+    /// share.
     pub solid: Option<(f64, f64)>,
-    /// The spacings by the density around each of them, in ascending order.
+    /// The spacings from the density around each of them, in ascending order.
     pub(super) solids: Vec<f64>,
-    /// The spacing by the density in the plane of sheets of a single layer, where most particles
-    /// are in such.
+    /// The spacing from the density in the plane of single-layer sheets, if most particles are in
+    /// such sheets.
     pub sheet: Option<f64>,
-    /// The spacing by the density in the plane, where all particles lie in one.
+    /// The spacing from the density in the plane, if all particles lie in a plane.
     pub plane: Option<f64>,
-    /// Scatter of the density over that of particles that are placed at random, for 12 and for 20
+    /// The scatter of the density relative to randomly placed particles, for 12 and for 20
     /// neighbours.
     pub scatter: Option<[f64; 2]>,
-    /// Particles of the sample that are in the same place as another one, at the least.
+    /// A lower bound of the particles in the sample that coincide with another one.
     pub coincident: usize,
 }
 
 /// The neighbours of one particle.
 struct Neighbourhood {
-    /// In ascending order; infinite beyond what the sample shows.
+    /// In ascending order; infinite beyond the range that the sample shows.
     distances: [f64; NEIGHBOURS],
-    /// Whether they surround it.
+    /// Whether the neighbours surround the particle.
     solid: bool,
-    /// Whether they lie in a plane.
+    /// Whether the neighbours lie in a plane.
     flat: bool,
-    /// Whether they surround it in a plane.
+    /// Whether the nearest neighbours surround the particle in a plane.
     sheet: bool,
-    /// Whether more of them do.
+    /// Whether all neighbours surround the particle in a plane.
     plane: bool,
 }
 
 impl Neighbours {
-    /// Looks at a few cubes; `None` where these do not bear out a spacing, and more have to be
-    /// looked at.
+    /// Searches a few cubes; `None` if they do not confirm a spacing, so that more cubes are
+    /// needed.
     pub fn of_few(sample: NeighbourSample, spacing: f64) -> Option<Self> {
         let few = Self::of(sample);
-        (few.bear_out(spacing) && few.coincident == 0 && !few.may_be_random()).then_some(few)
+        (few.confirms(spacing) && few.coincident == 0 && !few.may_be_random()).then_some(few)
     }
 
-    /// Looks at a few of a sample's cubes, and at all where these do not bear out a spacing by
-    /// counting.
-    pub fn that_check(mut sample: NeighbourSample, counted: Option<f64>) -> Self {
+    /// Searches a few of a sample's cubes, and all of them if the few do not confirm the count.
+    pub fn for_check(mut sample: NeighbourSample, counted: Option<f64>) -> Self {
         let few = std::mem::take(&mut sample.few);
         let few = NeighbourSample {
             cubes: sample.cubes,
@@ -117,7 +119,7 @@ impl Neighbours {
         counted.and_then(|counted| Self::of_few(few, counted)).unwrap_or_else(|| Self::of(sample))
     }
 
-    /// Looks at a sample.
+    /// Searches a sample.
     pub fn of(sample: NeighbourSample) -> Self {
         let NeighbourSample { positions, cubes, coincident, .. } = sample;
         let all = positions.len() + coincident;
@@ -139,20 +141,20 @@ impl Neighbours {
             asked.into_par_iter().map(|(point, shown)| Neighbourhood::of(&tree, point, shown))
         };
         let few: Vec<Neighbourhood> = found(asked).collect();
-        let by_few = Self::told_by(&few, coincident);
+        let by_few = Self::from_neighbourhoods(&few, coincident);
         if more.is_empty() || by_few.scatter.is_none() || !by_few.may_be_random() {
             return by_few;
         }
         let all: Vec<Neighbourhood> = few.into_par_iter().chain(found(more)).collect();
-        Self::told_by(&all, coincident)
+        Self::from_neighbourhoods(&all, coincident)
     }
 
-    fn told_by(all: &[Neighbourhood], coincident: usize) -> Self {
+    fn from_neighbourhoods(all: &[Neighbourhood], coincident: usize) -> Self {
         let queried = all.len();
         let enough =
             |count: usize| count >= ENOUGH && count as f64 >= ENOUGH_SHARE * queried as f64;
-        // The estimate is that of the fluid, not of spray around it: only the most densely packed
-        // particles count, by the distance of their third neighbours.
+        // The estimate is for the fluid, not for spray around it: only the most densely packed
+        // particles count, according to the distance of their third neighbours.
         let mut thirds: Vec<f64> =
             all.iter().map(|of| of.distances[2]).filter(|d| d.is_finite()).collect();
         thirds.sort_unstable_by(f64::total_cmp);
@@ -195,7 +197,7 @@ impl Neighbours {
         }
     }
 
-    /// Whether some of the fluid is as dense as a spacing says, and deep.
+    /// Whether part of the fluid is deep, and as dense as the spacing implies.
     pub fn has_solid(&self, spacing: f64) -> bool {
         const SOME: f64 = 0.02;
         let below = |ratio: f64| self.solids.partition_point(|&solid| solid < ratio * spacing);
@@ -203,11 +205,12 @@ impl Neighbours {
         there >= ENOUGH && there as f64 >= SOME * self.queried as f64
     }
 
-    /// The spacing that the nearest neighbours suggest, without a look at how many there are.
+    /// The spacing that the nearest neighbours suggest, whatever their number.
     pub fn suggested(&self) -> Option<f64> {
         let [first, second, third, fourth] = self.nearest?;
-        // In order three or four neighbours are a spacing away, and in a compressed liquid somewhat
-        // less. In disorder the fourth is already farther.
+        // In an ordered fluid three or four neighbours are about a spacing away, and in a
+        // compressed liquid somewhat less. In a disordered fluid the fourth neighbour is farther
+        // away.
         let order = ((first / fourth - 0.7) / 0.2).clamp(0.0, 1.0);
         let near = third + order * (fourth - third);
         let suggested = if third > THREAD * second {
@@ -218,9 +221,9 @@ impl Neighbours {
         (suggested.is_finite() && suggested > 0.0).then_some(suggested)
     }
 
-    /// The spacing by the density around deep particles, if it fits the distances of their nearest
-    /// neighbours: of sheets or threads close to each other it does not. With it comes the share of
-    /// such particles.
+    /// The spacing from the density around deep particles, with the share of such particles; `None`
+    /// if it does not fit the distances of their nearest neighbours, as between sheets or threads
+    /// that are close together.
     pub fn measured(&self) -> Option<(f64, f64)> {
         let [_, second, third, _] = self.nearest?;
         let (spacing, share) = self.solid?;
@@ -228,36 +231,37 @@ impl Neighbours {
         (fits && third <= THREAD * second).then_some((spacing, share))
     }
 
-    /// The distance to the third neighbour, as a spacing: it is nearer in disorder, by 14 % where
-    /// particles are placed at random.
+    /// The distance to the third neighbour as a spacing: disorder reduces it, by 14 % for randomly
+    /// placed particles.
     fn by_third(&self) -> Option<f64> {
         let [first, _, third, fourth] = self.nearest?;
         let disorder = (0.72 - first / fourth).clamp(0.0, 0.15);
         Some(third * (1.0 + disorder))
     }
 
-    /// Whether a spacing by counting is that of the neighbours, too.
-    pub fn bear_out(&self, counted: f64) -> bool {
+    /// Whether the neighbours confirm a spacing from counting.
+    pub fn confirms(&self, counted: f64) -> bool {
         let Some(((measured, _), by_third)) = self.measured().zip(self.by_third()) else {
             return false;
         };
         let agree = |factor: f64| (1.0 / factor..factor).contains(&(counted / measured));
-        // Between sheets that nearly touch both are too large; the third neighbours are not.
+        // Between sheets that nearly touch, both estimates are too large, but the distances to
+        // third neighbours are not.
         let most = if agree(1.02) { 1.06 } else { 1.04 };
         agree(AGREED) && counted < most * by_third
     }
 
-    /// Whether particles are placed as at random: no fluid keeps them so, but spray is.
+    /// Whether the particles are placed randomly: fluids are not, but spray is.
     pub fn is_random(&self) -> bool {
         self.scatter.is_some_and(|scatter| scatter.iter().all(|&scatter| scatter > RANDOM))
     }
 
-    /// Whether they may be spray: too few are deep to tell that they are not at random.
+    /// Whether the particles may be spray: too few are deep to exclude random placement.
     pub fn may_be_spray(&self) -> bool {
         self.scatter.is_none() || self.is_random()
     }
 
-    /// Whether few particles do not exclude it.
+    /// Whether a small number of particles does not exclude random placement.
     fn may_be_random(&self) -> bool {
         self.scatter.is_none_or(|scatter| scatter.iter().all(|&scatter| scatter > RANDOM - CHANCE))
     }
@@ -288,16 +292,16 @@ impl Neighbourhood {
         }
     }
 
-    /// The spacing, where the mean number of particles nearer than `radius(k)` spacings is k.
+    /// The spacing for which the mean number of particles within `radius(k)` spacings is k.
     fn spacing(&self, neighbours: RangeInclusive<usize>, radius: impl Fn(f64) -> f64) -> f64 {
         let count = neighbours.clone().count() as f64;
-        // The k-th distance's median is that at which k - 1/3 are expected.
+        // The median of the k-th distance is the radius with an expected number of k - 1/3.
         neighbours.map(|k| self.distances[k - 1] / radius(k as f64 - 1.0 / 3.0)).sum::<f64>()
             / count
     }
 }
 
-/// Where the neighbours of a particle are, in units of the farthest one's distance.
+/// Moments of the neighbours of a particle, in units of the distance to the farthest one.
 struct Moments {
     centroid: f64,
     round: f64,
@@ -327,7 +331,7 @@ fn median(mut values: Vec<f64>) -> Option<f64> {
     (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
-/// The typical one of values in ascending order: of the lowest group that holds a tenth of them
+/// A typical value of a list in ascending order, from the lowest group with a tenth of the values
 /// within a factor of 1.25.
 fn densest(values: &[f64]) -> Option<f64> {
     const WITHIN: f64 = 1.25;
@@ -336,32 +340,34 @@ fn densest(values: &[f64]) -> Option<f64> {
         |first: usize| values.partition_point(|&value| value <= WITHIN * values[first]) - first;
     let enough = (GROUP * values.len() as f64).max(4.0);
     let lowest = (0..values.len()).find(|&first| group(first) as f64 >= enough)?;
-    // Up from its flank.
+    // Go up from the flank of the group.
     let end = values.partition_point(|&value| value <= 1.3 * values[lowest]);
     let best = (lowest..end).rev().max_by_key(|&first| group(first))?;
     Some(values[best + group(best) / 2])
 }
 
-/// Standard deviation of the density around particles, over that of random ones, by quantiles.
+/// The standard deviation of the density around particles relative to random particles, from
+/// quantiles.
 fn scatter(solid: &[&Neighbourhood], k: usize) -> f64 {
     let mut volumes: Vec<f64> = solid.iter().map(|of| of.distances[k - 1].powi(3)).collect();
     volumes.sort_unstable_by(f64::total_cmp);
     let quantile = |share: f64| volumes[(share * (volumes.len() - 1) as f64) as usize];
-    // A normal distribution holds 68 % between these two.
+    // 68 % of a normal distribution lie between these two.
     (quantile(0.84) - quantile(0.16)) / 2.0 / quantile(0.5) * (k as f64).sqrt()
 }
 
-/// Points halved along their longest axis again and again, each in the middle of its range.
+/// A k-d tree: the points of each range are halved along its longest axis, with the median in the
+/// middle of the range.
 struct PointTree {
     points: Vec<[f64; 3]>,
-    /// The axis along which the range is halved whose middle it is.
+    /// For each median, the axis along which its range is halved.
     axes: Vec<u8>,
 }
 
-/// Points of a range that is not halved.
+/// The maximum number of points in a range that is not halved.
 const LEAF: usize = 12;
 
-/// The nearest of the points that were seen, in the order of their distances.
+/// The nearest points so far, ordered by distance.
 struct NearestPoints {
     found: [(f64, DVec3); NEIGHBOURS],
     count: usize,
@@ -372,7 +378,7 @@ impl NearestPoints {
         if self.count == NEIGHBOURS { self.found[NEIGHBOURS - 1].0 } else { f64::INFINITY }
     }
 
-    /// Takes a point if it is one of the nearest; one in the same place is none.
+    /// Adds a point if it is one of the nearest. A point at the same position is ignored.
     #[inline]
     fn see(&mut self, at: DVec3) {
         let squared = at.length_squared();
@@ -396,7 +402,7 @@ impl PointTree {
         Self { points, axes }
     }
 
-    /// The nearest other points, seen from `point`, in the order of their distances.
+    /// The nearest other points to `point`, ordered by distance.
     fn nearest(&self, point: [f64; 3]) -> NearestPoints {
         let mut nearest = NearestPoints { found: [(0.0, DVec3::ZERO); NEIGHBOURS], count: 0 };
         self.search(0..self.points.len(), point.into(), &mut nearest);
@@ -444,7 +450,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_tree_finds_what_a_look_at_all_points_finds() {
+    fn the_tree_finds_the_same_points_as_a_linear_search() {
         let coordinate =
             |i: u32| f64::from(i.wrapping_mul(2_654_435_761) >> 8) / f64::from(1 << 20);
         let points: Vec<[f64; 3]> = (0..1500)

@@ -1,5 +1,5 @@
-//! Samples of many particles: an even share of all, and all in some cubes. Neither depends on their
-//! order.
+//! Samples of many particles: an even sample of all, and all particles in some cubes. Neither
+//! depends on the particles' order.
 
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Mutex, PoisonError};
@@ -10,32 +10,33 @@ use rayon::prelude::*;
 
 use crate::particles::Bounds;
 
-/// An even share holds at least half as many particles as this, and at most twice as many.
+/// An even sample holds between half and twice as many particles as this.
 pub const SHARE: usize = 1 << 18;
 
-/// An even share of the places of many particles.
+/// An even sample of the positions of many particles.
 pub struct EvenSample {
     one_in: u64,
     held: Mutex<SampledPositions>,
 }
 
-/// Positions that a share holds, and the bounds of all particles that it was shown.
+/// The positions of a sample, and the bounds of all particles so far.
 struct SampledPositions {
     positions: Vec<[f64; 3]>,
-    /// Positions that may be held before duplicates are dropped.
+    /// Maximum number of positions before duplicates are dropped.
     room: usize,
     has_duplicates: bool,
-    /// Bounds of all particles, not of the share alone.
+    /// Bounds of all particles, not only of the sample.
     bounds: Bounds,
 }
 
-/// A share of which all particles were looked at.
+/// The sample after all particles were added.
 pub struct FinishedSample {
-    /// One position of each place.
+    /// Distinct positions.
     pub positions: Vec<[f64; 3]>,
-    /// The part of all places that was taken.
+    /// The share of all distinct positions in the sample.
     pub part: f64,
-    /// The places of all particles; an estimate where some hold several particles.
+    /// The number of distinct positions of all particles; an estimate if some positions hold
+    /// several particles.
     pub places: usize,
     /// Bounds of all particles.
     pub bounds: Bounds,
@@ -43,7 +44,7 @@ pub struct FinishedSample {
 }
 
 impl EvenSample {
-    /// The share of `particles` particles, none of which was looked at yet.
+    /// Begins a sample of `particles` particles.
     pub fn of(particles: usize) -> Self {
         Self::one_in((particles / SHARE).max(1).next_power_of_two() as u64)
     }
@@ -59,18 +60,18 @@ impl EvenSample {
         Self { one_in, held: Mutex::new(held) }
     }
 
-    /// Takes its share of some particles. Those that are not finite are passed over.
-    pub fn look(&self, positions: &[[f64; 3]]) {
-        let mut ours = [[0.0; 3]; LOOKED];
+    /// Adds the sample's share of some particles. Particles that are not finite are ignored.
+    pub fn add(&self, positions: &[[f64; 3]]) {
+        let mut ours = [[0.0; 3]; BATCH];
         let mut bounds = Bounds::NONE;
         let mut taken = Vec::new();
-        for positions in positions.chunks(LOOKED) {
+        for positions in positions.chunks(BATCH) {
             bounds = bounds.joined(Bounds::of(positions));
-            // Without a branch, which chance would decide.
+            // Without a branch, which would be unpredictable.
             let mut end = 0;
             for &position in positions {
                 ours[end] = position;
-                end += usize::from(scattered(position) & (self.one_in - 1) == 0);
+                end += usize::from(position_hash(position) & (self.one_in - 1) == 0);
             }
             taken.extend_from_slice(&ours[..end]);
         }
@@ -89,7 +90,7 @@ impl EvenSample {
         }
     }
 
-    /// Ends the looking, and returns the share.
+    /// Finishes the sample.
     pub fn taken(self) -> FinishedSample {
         let Self { one_in, held } = self;
         let mut held = held.into_inner().unwrap_or_else(PoisonError::into_inner);
@@ -99,7 +100,8 @@ impl EvenSample {
         let bounds = held.bounds;
         let (taken, all) = (positions.len() as f64, bounds.finite as f64);
         let expected = taken * one_in as f64;
-        // Or a place that holds many was not taken: the share is smaller than chance makes it.
+        // Otherwise a position with many particles is not in the sample: the sample is smaller than
+        // chance explains.
         let is_small = (1.0 - expected / all) * taken.sqrt() > 6.0;
         let distinct = if has_duplicates || is_small { expected.min(all) } else { all };
         FinishedSample {
@@ -113,8 +115,8 @@ impl EvenSample {
 }
 
 impl SampledPositions {
-    /// Sorts on this thread alone: others may wait for the lock, and a thread that helps them would
-    /// wait for itself.
+    /// Sorts on this thread only: other threads may wait for the lock, and if this thread helped
+    /// them it would wait for itself.
     fn drop_duplicates(&mut self) {
         let all = self.positions.len();
         self.positions.sort_unstable_by_key(|position| position.map(f64::to_bits));
@@ -124,8 +126,8 @@ impl SampledPositions {
 }
 
 impl FinishedSample {
-    /// A larger share to be taken instead, where particles are in so few places that this one holds
-    /// next to none of them.
+    /// A larger sample for a second reading, if the particles have so few distinct positions that
+    /// this sample is almost empty.
     pub fn larger(&self) -> Option<EvenSample> {
         const FEW: usize = SHARE / 256;
         let is_small = self.positions.len() < FEW && self.one_in > 1;
@@ -133,19 +135,18 @@ impl FinishedSample {
     }
 }
 
-/// Positions whose numbers are found at once.
-const LOOKED: usize = 512;
+/// Positions per batch of hashes.
+const BATCH: usize = 512;
 
-/// A number that is as good as random, and the same wherever a particle stands in its file.
+/// A hash of a position, which does not depend on its index in the file.
 #[inline(always)]
-pub fn scattered(position: [f64; 3]) -> u64 {
+pub fn position_hash(position: [f64; 3]) -> u64 {
     position.iter().fold(0, |state, c| mixed(state ^ c.to_bits()))
 }
 
-/// A number like that of [`scattered`], of a lattice's particles not quite as good, and found
-/// sooner.
+/// A faster hash than [`position_hash`], of lower quality for particles on a lattice.
 #[inline(always)]
-pub fn lightly_scattered([x, y, z]: [f64; 3]) -> u64 {
+pub fn quick_hash([x, y, z]: [f64; 3]) -> u64 {
     mixed(x.to_bits() ^ y.to_bits().rotate_left(21) ^ z.to_bits().rotate_left(42))
 }
 
@@ -156,29 +157,30 @@ fn mixed(state: u64) -> u64 {
     mixed ^ (mixed >> 32)
 }
 
-/// A grid of cubes that are as wide as some neighbourhoods.
+/// A grid of cubes, each as wide as a few neighbourhoods.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Cubes {
     edge: f64,
 }
 
 impl Cubes {
-    /// Edge of a cube in spacings: within its middle third a particle is seen with all others
-    /// within two spacings. Lattices are at other places in each cube.
+    /// Edge of a cube in spacings: within the middle third of the cube, all particles within two
+    /// spacings of a particle are in the cube. The edge is not a multiple of the spacing, so a
+    /// lattice has a different offset in each cube.
     const SPACINGS: f64 = 6.37;
 
-    /// Cubes that show the neighbours of particles so far apart.
+    /// Cubes that show the neighbours of particles at this spacing.
     pub fn for_spacing(spacing: f64) -> Self {
         Self { edge: Self::SPACINGS * spacing }
     }
 
-    /// A number that is as good as random, and the same for all positions in a cube.
+    /// A hash that is the same for all positions in a cube.
     #[inline(always)]
     fn number(&self, position: [f64; 3]) -> u32 {
         let scale = 1.0 / self.edge;
-        // Beyond 2^31 all cubes are one.
+        // All cubes beyond 2^31 are one.
         let [x, y, z] = position.map(|c| (c * scale + 0.5).floor() as i32 as u32);
-        // The finalizer of MurmurHash3, of a number that differs between neighbours.
+        // The finalizer of MurmurHash3, for a number that differs between neighbours.
         let sum =
             x.wrapping_mul(0x9e37_79b1) ^ y.wrapping_mul(0x85eb_ca77) ^ z.wrapping_mul(0xc2b2_ae3d);
         let mixed = (sum ^ (sum >> 16)).wrapping_mul(0x85eb_ca6b);
@@ -190,7 +192,7 @@ impl Cubes {
     /// the cube's middle.
     pub fn shown_around(&self, position: [f64; 3]) -> Option<f64> {
         let of_axis = |c: &f64| {
-            // Coordinate 0, where floors and planes are, is in the middle of a cube.
+            // Coordinate 0, where floors and planes often are, is in the middle of a cube.
             let at = c / self.edge + 0.5;
             let within = at - at.floor();
             within.min(1.0 - within)
@@ -200,50 +202,48 @@ impl Cubes {
     }
 }
 
-/// Particles to be searched for neighbours.
+/// Particles to search for neighbours.
 #[derive(Debug)]
 pub struct NeighbourSample {
-    /// All finite ones, or those in some cubes.
+    /// All finite particles, or those in some cubes.
     pub positions: Vec<[f64; 3]>,
     /// The particles in a few of the cubes.
     pub few: Vec<[f64; 3]>,
-    /// The cubes, if it is not all.
+    /// The cubes; `None` if the sample has all particles.
     pub cubes: Option<Cubes>,
-    /// Particles that were left out because another one is in the same place, at the least.
+    /// A lower bound of the particles that were dropped because another one has the same position.
     pub coincident: usize,
 }
 
-/// Particles in a few cubes that are enough to bear out a count.
+/// Number of particles in a few cubes that is enough to confirm a count.
 const FEW: usize = 1 << 13;
 
 impl NeighbourSample {
-    /// All particles.
+    /// A sample of all particles.
     pub fn whole(positions: Vec<[f64; 3]>) -> Self {
         Self { positions, few: Vec::new(), cubes: None, coincident: 0 }
     }
 }
 
-/// One position of those in each place, in an order as good as random that is the same for all
-/// orders of the particles.
+/// The distinct positions, in a random order that does not depend on the order of the particles.
 pub fn distinct(positions: Vec<[f64; 3]>) -> Vec<[f64; 3]> {
     let mut numbered: Vec<(u64, [f64; 3])> =
-        positions.into_par_iter().map(|position| (scattered(position), position)).collect();
+        positions.into_par_iter().map(|position| (position_hash(position), position)).collect();
     numbered.par_sort_unstable_by_key(|&(number, _)| number);
     let mut positions: Vec<[f64; 3]> = numbered.into_iter().map(|(_, position)| position).collect();
     positions.dedup_by_key(|position| position.map(f64::to_bits));
     positions
 }
 
-/// One position of those in each place, in no order: found sooner than by [`distinct`] where each
-/// place holds one.
+/// The distinct positions in any order; faster than [`distinct`] if there are few duplicates.
 fn without_duplicates(positions: Vec<[f64; 3]>) -> Vec<[f64; 3]> {
-    let numbers: Vec<u64> = positions.par_iter().map(|&position| scattered(position)).collect();
+    let numbers: Vec<u64> = positions.par_iter().map(|&position| position_hash(position)).collect();
     if some_are_alike(&numbers) { distinct(positions) } else { positions }
 }
 
-/// Whether two numbers are the same, of many that are as good as random.
+/// Whether two of many hashes are equal.
 fn some_are_alike(numbers: &[u64]) -> bool {
-    /// Numbers have a bit each, by their upper bits. Of those that differ, few share one.
+    /// A bit per hash, indexed by its upper bits. Few different hashes share a bit.
     const BITS: u32 = 23;
     let place = |number: u64| {
         let bit = number >> (u64::BITS - BITS);
@@ -264,52 +264,52 @@ fn some_are_alike(numbers: &[u64]) -> bool {
     shared.windows(2).any(|pair| pair[0] == pair[1])
 }
 
-/// All particles in some cubes: in those with the least numbers, as far as the room goes.
+/// All particles in some cubes: those with the lowest numbers, up to a maximum number of particles.
 #[derive(Debug)]
 pub struct CubeSample {
     cubes: Cubes,
-    /// The largest number of particles that are kept.
+    /// Maximum number of particles.
     room: usize,
-    /// Numbers from this one on are too great.
+    /// Cubes with this number or a higher one are excluded.
     end: AtomicU32,
     kept: Mutex<Vec<OccupiedPlace>>,
 }
 
-/// A place that holds a particle.
+/// A position with at least one particle.
 #[derive(Debug, Clone, Copy)]
 struct OccupiedPlace {
     /// The number of its cube.
     number: u32,
     position: [f64; 3],
-    /// Whether it holds more than one.
+    /// Whether it has more than one particle.
     several: bool,
 }
 
 impl CubeSample {
-    /// Begins with none, of `particles` particles.
+    /// Begins a sample of `particles` particles.
     pub fn new(cubes: Cubes, particles: usize) -> Self {
         Self::within(1 << 15, cubes, particles)
     }
 
-    /// Begins with none, to keep a few of `particles` particles: enough to bear out a count.
+    /// Begins a small sample of `particles` particles: enough to confirm a count.
     pub fn few(cubes: Cubes, particles: usize) -> Self {
         Self::within(FEW, cubes, particles)
     }
 
     fn within(room: usize, cubes: Cubes, particles: usize) -> Self {
-        // Twice as many as there is room for are to be expected below this end, and some in the
-        // cubes with the least numbers.
+        // Twice as many as fit are expected below this end, which leaves some in the cubes with the
+        // lowest numbers.
         let share = 2.0 * room as f64 / particles.max(1) as f64;
         let end = (share * f64::from(u32::MAX)) as u32;
         Self { cubes, room, end: AtomicU32::new(end), kept: Mutex::default() }
     }
 
-    /// Takes those of some particles that are in the cubes.
-    pub fn look(&self, positions: &[[f64; 3]]) {
+    /// Adds those particles that are in the cubes.
+    pub fn add(&self, positions: &[[f64; 3]]) {
         let end = self.end.load(Ordering::Relaxed);
         let mut taken = Vec::new();
-        let mut numbers = [0; LOOKED];
-        for positions in positions.chunks(LOOKED) {
+        let mut numbers = [0; BATCH];
+        for positions in positions.chunks(BATCH) {
             let numbers = &mut numbers[..positions.len()];
             cube_numbers(self.cubes, positions, numbers);
             let both = positions.iter().zip(&*numbers).filter(|&(_, &number)| number < end);
@@ -332,9 +332,9 @@ impl CubeSample {
         }
     }
 
-    /// Keeps one particle of each place, and as few of the numbers below `end` as there is room
-    /// for; returns their new end. It is halved by how many there are in all, so that the same are
-    /// left whatever came first. Sorts on this thread alone: see
+    /// Keeps one particle per position, and only cube numbers below a new end so that the particles
+    /// fit; returns that end. The end is halved according to the total number, so that the result
+    /// does not depend on the order of the particles. Sorts on this thread only: see
     /// [`SampledPositions::drop_duplicates`].
     fn fitted(&self, kept: &mut Vec<OccupiedPlace>, mut end: u32) -> u32 {
         kept.sort_unstable_by_key(|kept| (kept.number, kept.position.map(f64::to_bits)));
@@ -346,7 +346,7 @@ impl CubeSample {
         end
     }
 
-    /// The sample, once all particles were looked at.
+    /// Finishes the sample after all particles were added.
     pub fn sample(self) -> NeighbourSample {
         let mut kept =
             std::mem::take(&mut *self.kept.lock().unwrap_or_else(PoisonError::into_inner));
@@ -361,7 +361,7 @@ impl CubeSample {
 }
 
 impl OccupiedPlace {
-    /// Makes one of those in the same place that follow each other.
+    /// Merges consecutive entries with the same position.
     fn merge(all: &mut Vec<Self>) {
         all.dedup_by(|other, kept| {
             let same = other.position.map(f64::to_bits) == kept.position.map(f64::to_bits);
@@ -371,7 +371,7 @@ impl OccupiedPlace {
     }
 }
 
-/// Finds the number of the cube of each position.
+/// Computes the cube number of each position.
 #[multiversion(targets("x86_64+avx512f+avx512dq", "x86_64+avx2", "x86_64+sse4.1"))]
 fn cube_numbers(cubes: Cubes, positions: &[[f64; 3]], numbers: &mut [u32]) {
     for (number, &position) in numbers.iter_mut().zip(positions) {

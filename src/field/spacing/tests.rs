@@ -2,9 +2,9 @@ use hashbrown::HashSet;
 
 use super::*;
 
-/// A number from 0 to 1 that is as good as random.
+/// A pseudo-random number from 0 to 1.
 fn unit(seed: u64) -> f64 {
-    (sample::scattered([seed as f64 + 0.5; 3]) % (1 << 20)) as f64 / f64::from(1 << 20)
+    (sample::position_hash([seed as f64 + 0.5; 3]) % (1 << 20)) as f64 / f64::from(1 << 20)
 }
 
 /// A box of particles a unit apart, each moved by up to `jitter` along each axis.
@@ -19,13 +19,13 @@ fn layers(counts: [usize; 3], jitter: f64) -> Vec<[f64; 3]> {
         .collect()
 }
 
-/// Copies, turned against all axes.
+/// Copies of the particles, rotated so that no axis is aligned.
 fn turned(particles: Vec<[f64; 3]>) -> Vec<[f64; 3]> {
     let turn = glam::DQuat::from_euler(glam::EulerRot::XYZ, 0.3, 0.7, 1.1);
     particles.into_iter().map(|p| (turn * DVec3::from(p) + 3.1).into()).collect()
 }
 
-/// Bars, or sheets where they are as wide as long, `gap` empty layers apart.
+/// Bars with `gap` empty layers between them, or sheets if they are as wide as long.
 fn bars(size: [usize; 3], gap: usize, jitter: f64) -> Vec<[f64; 3]> {
     let of = |at: [usize; 2]| {
         let mut bar = layers(size, jitter);
@@ -46,19 +46,19 @@ fn estimated(particles: &[[f64; 3]]) -> SpacingEstimate {
 
 fn part_of(particles: &[[f64; 3]]) -> Vec<[f64; 3]> {
     let share = EvenSample::of(particles.len());
-    particles.chunks(1000).for_each(|positions| share.look(positions));
+    particles.chunks(1000).for_each(|positions| share.add(positions));
     share.taken().positions
 }
 
 #[test]
-fn a_share_holds_each_place_once_and_nothing_that_is_not_finite() {
+fn a_sample_has_distinct_and_finite_positions() {
     let places = layers([30; 3], 1.0 / 3.0);
     for (copies, strange) in [(1, 0), (1, 5), (2, 0), (3, 700)] {
         let share = EvenSample::of(places.len());
         let strange = vec![[0.0, f64::NAN, f64::INFINITY]; strange];
         let mut shown = places.repeat(copies);
         shown.splice(100..100, strange);
-        shown.chunks(1000).for_each(|positions| share.look(positions));
+        shown.chunks(1000).for_each(|positions| share.add(positions));
         let mut taken = share.taken();
         let sorted = |positions: &mut Vec<[f64; 3]>| {
             positions.sort_unstable_by_key(|position| position.map(f64::to_bits));
@@ -72,7 +72,7 @@ fn a_share_holds_each_place_once_and_nothing_that_is_not_finite() {
 }
 
 #[test]
-fn many_particles_tell_the_same_in_any_order() {
+fn estimates_do_not_depend_on_the_order_of_many_particles() {
     let mut particles = layers([120; 3], 1.0 / 3.0);
     let first = evidence(&particles[..]).unwrap();
     let spacing = first.estimate().unwrap().spacing;
@@ -84,7 +84,7 @@ fn many_particles_tell_the_same_in_any_order() {
 }
 
 #[test]
-fn a_share_of_a_lattice_is_as_good_as_random_whatever_its_spacing() {
+fn a_sample_of_a_lattice_is_random_for_any_spacing() {
     for spacing in [1.0, 1.0 / 64.0, 0.02] {
         let side = 110;
         let of =
@@ -106,7 +106,7 @@ fn a_share_of_a_lattice_is_as_good_as_random_whatever_its_spacing() {
 }
 
 #[test]
-fn a_layer_too_thin_for_a_share_to_count_is_told_by_its_neighbours() {
+fn neighbours_measure_a_layer_that_is_too_thin_to_count_in_a_sample() {
     let particles = layers([500, 500, 10], 1.0 / 3.0);
     let part = part_of(&particles);
     let bounds = bounds(&part[..]).unwrap();
@@ -137,7 +137,7 @@ fn a_hundred_particles_are_enough() {
 }
 
 #[test]
-fn bars_and_sheets_with_gaps_are_told_by_neighbours_and_called_thin() {
+fn neighbours_measure_bars_and_sheets_with_gaps_which_are_thin() {
     for width in 1..=5 {
         for gap in [1, 3, 5] {
             for jitter in [0.1, 0.3] {
@@ -155,7 +155,7 @@ fn bars_and_sheets_with_gaps_are_told_by_neighbours_and_called_thin() {
 }
 
 #[test]
-fn shells_are_told_by_the_density_in_them() {
+fn shells_are_measured_by_the_density_within_them() {
     let shell: Vec<[f64; 3]> = (0..20_000)
         .map(|i| {
             let (z, turn) = (2.0 * unit(2 * i) - 1.0, std::f64::consts::TAU * unit(2 * i + 1));
@@ -177,7 +177,7 @@ fn spray_around_a_fluid_does_not_hide_its_spacing() {
 }
 
 #[test]
-fn random_places_are_told_from_those_of_a_fluid() {
+fn random_positions_are_distinguished_from_a_fluid() {
     for seed in 0..6 {
         let count = 20_000 + 2000 * seed;
         let length = (count as f64).cbrt();
@@ -186,7 +186,7 @@ fn random_places_are_told_from_those_of_a_fluid() {
             (0..count).map(|i| [0, 1, 2].map(|axis| coordinate(3 * i + axis))).collect();
         assert!(evidence(&random[..]).unwrap().neighbours.is_random(), "{seed}");
     }
-    // Eight in each cell, as FLIP seeds them.
+    // Eight particles per cell, as FLIP seeds them.
     let seeded: Vec<[f64; 3]> = (0..27_000)
         .map(|i| {
             let cell = [i / 8 % 15, i / 120 % 15, i / 1800];
@@ -199,7 +199,7 @@ fn random_places_are_told_from_those_of_a_fluid() {
 }
 
 #[test]
-fn duplicates_and_clumps_are_kept_out() {
+fn duplicates_and_clumps_are_excluded() {
     let once = layers([24; 3], 0.3);
     let alone = estimated(&once);
     let twice = [once.clone(), once.clone()].concat();
@@ -209,7 +209,7 @@ fn duplicates_and_clumps_are_kept_out() {
         [(twice, once.len()), (parked, once.len() + 1), (parked_inside, once.len())]
     {
         let all = evidence(&particles[..]).unwrap();
-        // A clump in one place need not be in the sample: then all are counted.
+        // A clump at one position may be missing from the sample: then all particles are counted.
         assert!([places, particles.len()].contains(&all.places), "{} places", all.places);
         let found = all.estimate().unwrap();
         assert!((found.spacing / alone.spacing - 1.0).abs() < 0.02, "{found:?}, not {alone:?}");
@@ -220,7 +220,7 @@ fn duplicates_and_clumps_are_kept_out() {
 }
 
 #[test]
-fn duplicates_and_clumps_are_kept_out_of_a_share_of_many() {
+fn duplicates_and_clumps_are_excluded_from_a_sample_of_many() {
     let once = layers([90; 3], 0.3);
     let alone = estimated(&once);
     let twice = [once.clone(), once.clone()].concat();
@@ -243,7 +243,7 @@ fn duplicates_and_clumps_are_kept_out_of_a_share_of_many() {
 }
 
 #[test]
-fn many_in_a_plane_are_told_from_many_with_a_few_beside_it() {
+fn particles_in_a_plane_are_distinguished_from_particles_with_a_few_beside_it() {
     let mut particles: Vec<[f64; 3]> =
         layers([800, 800, 1], 0.2).into_iter().map(|[x, y, _]| [x, y, 0.25]).collect();
     let found = evidence(&particles[..]).unwrap();
@@ -254,7 +254,7 @@ fn many_in_a_plane_are_told_from_many_with_a_few_beside_it() {
 }
 
 #[test]
-fn sheets_and_threads_among_many_are_told_at_a_scale_of_their_own() {
+fn many_particles_in_sheets_and_threads_are_searched_at_their_own_scale() {
     let sheet = turned(layers([800, 800, 1], 0.2));
     let threads = turned(bars([40_000, 1, 1], 6, 0.1));
     for particles in [sheet, threads] {
@@ -263,7 +263,7 @@ fn sheets_and_threads_among_many_are_told_at_a_scale_of_their_own() {
         assert!((found.spacing - 1.0).abs() < 0.12, "{found:?}");
         // As if many more had been thinned out before.
         let share = EvenSample::of(particles.len());
-        particles.chunks(1000).for_each(|positions| share.look(positions));
+        particles.chunks(1000).for_each(|positions| share.add(positions));
         let mut draft = SpacingDraft::of(share.taken()).unwrap();
         for factor in [100.0, 0.01] {
             draft.scale = factor;
@@ -300,7 +300,7 @@ fn a_plane_across_an_axis_is_found_and_measured_in_it() {
 }
 
 #[test]
-fn single_precision_is_told_with_its_step() {
+fn single_precision_is_detected_with_its_step() {
     let at = |from: f64| -> Vec<[f64; 3]> {
         let single = |c: f64| f64::from((0.05 * c + from) as f32);
         layers([20; 3], 0.3).into_iter().map(|p| p.map(single)).collect()
@@ -310,7 +310,7 @@ fn single_precision_is_told_with_its_step() {
     assert!(far.estimate().is_ok());
     let farther = evidence(&at(3e6)[..]).unwrap();
     assert_eq!(farther.estimate(), Err(NoEstimate::SinglePrecision { step: 0.25 }));
-    // All of these happen to be numbers of 32 bits.
+    // All of these are exact in single precision.
     let dyadic: Vec<[f64; 3]> =
         layers([20; 3], 0.0).into_iter().map(|p| p.map(|c| 0.5 * c + 3e6)).collect();
     let dyadic = evidence(&dyadic[..]).unwrap();
@@ -324,7 +324,7 @@ fn single_precision_is_told_with_its_step() {
 }
 
 #[test]
-fn all_particles_of_the_cubes_are_taken_whatever_comes_first() {
+fn cube_samples_have_all_particles_of_their_cubes_in_any_order() {
     let particles = layers([60; 3], 0.3);
     let sample_of = |chunk: usize, reverse: bool| {
         let in_cubes = CubeSample::new(Cubes::for_spacing(1.0), particles.len());
@@ -332,7 +332,7 @@ fn all_particles_of_the_cubes_are_taken_whatever_comes_first() {
         if reverse {
             chunks.reverse();
         }
-        chunks.iter().for_each(|positions| in_cubes.look(positions));
+        chunks.iter().for_each(|positions| in_cubes.add(positions));
         let mut sample = in_cubes.sample();
         sample.positions.sort_unstable_by(|a, b| a.partial_cmp(b).unwrap());
         sample
@@ -347,7 +347,7 @@ fn all_particles_of_the_cubes_are_taken_whatever_comes_first() {
 }
 
 #[test]
-fn many_threads_take_the_same_sample_of_particles_that_are_there_twice() {
+fn samples_of_duplicates_do_not_depend_on_threads() {
     let once = layers([60; 3], 0.3);
     let twice = [once.clone(), once].concat();
     let taken = |threads: usize| {
@@ -356,8 +356,8 @@ fn many_threads_take_the_same_sample_of_particles_that_are_there_twice() {
             let (in_cubes, share) =
                 (CubeSample::few(Cubes::for_spacing(1.0), twice.len() / 8), EvenSample::of(1));
             twice.par_chunks(300).for_each(|positions| {
-                in_cubes.look(positions);
-                share.look(positions);
+                in_cubes.add(positions);
+                share.add(positions);
             });
             let sample = in_cubes.sample();
             (sample.positions, sample.coincident, share.taken().positions)

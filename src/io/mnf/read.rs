@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use zstd::bulk::Decompressor;
 
 use crate::brick::{BrickSide, Census, DifField, FrameFacts, PageInfo, PageShape, PageSource};
-use crate::field::calibration::refuse_finest;
+use crate::field::calibration::check_finest;
 use crate::field::indicator::{Indicator, SampledDif};
 use crate::grid::units::{MeanCount, positive_length};
 use crate::grid::{BIN, CELL_LIMIT, CellBox, Domain, Grid, MortonKey, Periodic};
@@ -304,7 +304,7 @@ fn read_facts(cursor: &mut Cursor<'_>) -> Result<(FrameFacts, Indicator, u64), R
         1 => Indicator::Counting(mean()?),
         2 => {
             let spacing_cells = spacing.map(|spacing| spacing / grid.cell_size());
-            refuse_finest(spacing_cells, grid.cell_size()).map_err(|e| fault(&e))?;
+            check_finest(spacing_cells, grid.cell_size()).map_err(|e| fault(&e))?;
             Indicator::Cloud
         }
         other => return Err(fault(&format!("indicator {other}; expected 0, 1 or 2"))),

@@ -306,7 +306,7 @@ fn distances_are_those_of_the_formulas_in_f64_within_a_fiftieth_of_a_spacing() {
 }
 
 #[test]
-fn the_committed_tables_are_what_they_stand_for() {
+fn the_committed_tables_match_their_functions() {
     for (i, (&depth, &far)) in DEPTHS.iter().zip(&AWAY).enumerate() {
         let share = (i as f64 / 1024.0).min(1.0);
         assert_eq!(i32::from(depth), (quantile(share) * 8192.0).round() as i32, "depth at {share}");

@@ -239,7 +239,7 @@ fn a_drop_of_one_particle_has_its_volume_in_cells_of_any_size_wherever_it_lies()
 
 /// On the CPU only: devices compute the same integers.
 #[test]
-fn a_chain_of_particles_one_and_a_half_spacings_apart_is_one_piece_whichever_way_it_goes() {
+fn a_chain_of_particles_one_and_a_half_spacings_apart_is_one_piece_in_any_direction() {
     let Ok(place) = Place::cpu();
     let mut random = Random::new(8);
     let mut anywhere = || DVec3::new(random.unit(), random.unit(), random.unit());

@@ -1,4 +1,4 @@
-//! Fields that stay on the device: what is made of them there, and what the host is told.
+//! Fields that stay on the device: the operations on them, and the downloads to the host.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -18,24 +18,24 @@ use crate::vulkan::{BufferKind, View, VulkanError};
 
 use super::frame::{DeviceFrame, DeviceState};
 use super::grids::{LevelBlocks, NO_TILES, SampleSource};
-use super::lane::{BufferLayout, Lane, fly};
+use super::lane::{BufferLayout, Lane, run_batches};
 use super::pipelines::page_bytes;
 use super::resident::ResidentPages;
 
-/// Blocks of a batch at the most.
+/// Maximum number of blocks in a batch.
 const BLOCK_BATCH: usize = 4096;
 
 /// A field whose pages are on a device.
 #[derive(Debug)]
 struct DeviceField {
     frame: Arc<DeviceFrame>,
-    /// How often its cells were made twice as wide.
+    /// The number of times its cells were doubled in width.
     level: usize,
     infos: Vec<PageInfo>,
     shape: PageShape,
 }
 
-/// The pages of bins, made again on the processor.
+/// The pages of bins, made again on the CPU.
 #[derive(Debug)]
 struct RebuiltPages {
     bins: Arc<Bins>,
@@ -50,12 +50,12 @@ impl PageSource for RebuiltPages {
     }
 }
 
-/// Pages that nobody can make again.
+/// Pages that cannot be made again.
 #[derive(Debug)]
 struct LostPages(PageShape);
 
 impl PageSource for LostPages {
-    /// None are looked at: the failure is told instead.
+    /// The samples are not used: the frame returns the device's failure instead.
     fn samples(&self, _: usize) -> Vec<u16> {
         vec![0; self.0.bin_samples()]
     }
@@ -72,7 +72,7 @@ pub(super) fn of_bins(
     field(frame, infos, rule.shape(), Box::new(again))
 }
 
-/// The field of particles that are nowhere but on the device.
+/// The field of particles that exist only on the device.
 pub(super) fn of_resident(
     frame: &Arc<DeviceFrame>,
     infos: Vec<PageInfo>,
@@ -88,11 +88,11 @@ fn field(
     otherwise: Box<dyn PageSource>,
 ) -> DifField {
     let pages = DeviceField { frame: Arc::clone(frame), level: 0, infos: infos.clone(), shape };
-    DifField::elsewhere_paged(shape, infos, Box::new(pages), otherwise)
+    DifField::from_remote(shape, infos, Box::new(pages), otherwise)
 }
 
 impl DeviceField {
-    /// Has something made of its pages, unless they are no longer there; `None` where that fails.
+    /// Runs an operation on the field's pages if they are still on the device; `None` if it fails.
     fn made<T>(
         &self,
         make: impl FnOnce(&mut DeviceState, &ResidentPages) -> Result<Option<T>, VulkanError>,
@@ -128,7 +128,7 @@ impl RemotePages for DeviceField {
                 return Ok(None);
             };
             let boxes: Vec<CellBox> = bins.iter().map(|&bin| halved_from(bin, walls)).collect();
-            let from = SampleSource::There(resident, self.shape);
+            let from = SampleSource::Resident(resident, self.shape);
             let pipeline = &self.frame.pipelines.halve;
             let found: Vec<DeviceFullCells> =
                 self.frame.of_blocks(state, from, &boxes, |lane, range, blocks, cells| {
@@ -136,7 +136,7 @@ impl RemotePages for DeviceField {
                     let pages = pages.part(range.start as u64 * stride, count as u64 * stride);
                     lane.compute.stage("halve", cells.bytes() + pages.bytes());
                     halve(&mut lane.compute, pipeline, blocks, (walls, factor), [cells, &pages])?;
-                    self.frame.tell_full_cells(lane, &pages, count, HALVED)
+                    self.frame.find_full_cells(lane, &pages, count, HALVED)
                 })?;
             let infos = bins.iter().zip(found).map(|(&bin, found)| found.info(MortonKey::of(bin)));
             let infos: Vec<PageInfo> = infos.flatten().collect();
@@ -154,7 +154,7 @@ impl RemotePages for DeviceField {
         let boxes = self.infos.iter().map(|info| full_bricks_of(info.key.coord(), width));
         let boxes: Vec<CellBox> = boxes.collect::<Option<_>>()?;
         self.made(|state, resident| {
-            let from = SampleSource::There(resident, self.shape);
+            let from = SampleSource::Resident(resident, self.shape);
             let (device, pipelines) = (&self.frame.device, &self.frame.pipelines.distance);
             let full: Vec<[u32; 2]> =
                 self.frame.of_blocks(state, from, &boxes, |lane, range, blocks, cells| {
@@ -181,8 +181,8 @@ impl RemotePages for DeviceField {
 }
 
 impl DeviceFrame {
-    /// Cuts boxes of cells out of a field batch by batch, has `make` make something of each, which
-    /// is read from what that returns, and collects it.
+    /// Gathers boxes of cells from a field batch by batch, runs `make` on each batch, and collects
+    /// the results that it returns.
     fn of_blocks<T: Pod>(
         &self,
         state: &mut DeviceState,
@@ -193,7 +193,7 @@ impl DeviceFrame {
         self.make_lanes(state)?;
         let most = state.batch_bytes.min(self.device.limits().storage_range);
         let (mut next, mut all) = (0, Vec::with_capacity(boxes.len()));
-        fly(
+        run_batches(
             &mut state.lanes,
             |lane| {
                 let begin = next;
@@ -217,8 +217,8 @@ impl DeviceFrame {
                     lane.buffer(&self.device, "inputs", BufferKind::Device, layout.bytes)?;
                 let cells =
                     lane.buffer(&self.device, "cells", BufferKind::Device, grid.field_bytes())?;
-                // SAFETY: `begin` waited for what the lane did before, and what is staged is the
-                // lane's own.
+                // SAFETY: `begin` waited for the lane's earlier work, and only this lane uses the
+                // staging buffer.
                 unsafe { grid.stage(&staged, &places, from) };
                 let uploaded = lane.send(&staged, &inputs)?;
                 let (blocks, pages) =
@@ -232,7 +232,8 @@ impl DeviceFrame {
             |_, _| Ok(()),
             |lane, (count, read)| {
                 lane.compute.wait()?;
-                // SAFETY: the batch that writes it is done, and the lane has begun no other.
+                // SAFETY: the batch that writes it has finished, and the lane has not begun
+                // another.
                 all.extend(unsafe { read.read::<T>(0, count) });
                 Ok(())
             },
