@@ -304,7 +304,7 @@ settings! {
 
     /// Axis that points up in the mesh: rotate it if another axis points up in the particles.
     ///
-    /// A .glb always has y up [default: as in the particles].
+    /// In .glb and .abc, y always points up [default: as in the particles].
     #[arg(value_enum, help_heading = "Output", hide_short_help = true)]
     up: Option<UpAxis>,
 

@@ -118,8 +118,8 @@ impl SettingConflict {
             (Conflict::Format { path, .. }, "compress") => {
                 format!("{}: {setting} applies only to .glb", path.display())
             }
-            (Conflict::Format { .. }, "up") => format!(
-                "{setting} z: a .glb always has y up; use {} z if z points up in the particles",
+            (Conflict::Format { format, .. }, "up") => format!(
+                "{setting} z: y always points up in {format}; use {} z if z points up in the particles",
                 named("particles_up")
             ),
             (Conflict::Format { path, format }, _) => {

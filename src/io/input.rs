@@ -211,7 +211,7 @@ pub fn holds_mesh(path: &Path) -> Result<bool, ReadError> {
     let extension = extension(path);
     type HasFaces = fn(ByteView) -> Result<bool, ReadFault>;
     let has_faces: HasFaces = match extension.as_deref() {
-        Some("glb" | "obj" | "stl" | "usd" | "usdc") => return Ok(true),
+        Some("abc" | "glb" | "obj" | "stl" | "usd" | "usdc") => return Ok(true),
         Some("ply") => ply::has_faces,
         Some("vtk") => vtk::has_faces,
         Some("vtp") => vtp::has_faces,

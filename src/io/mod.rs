@@ -3,6 +3,7 @@
 //! `formats.md` describes all formats, and `../contributing.md` how to add one. Both are pages of
 //! the docs.
 
+pub mod alembic;
 mod beside;
 pub mod bgeo;
 pub mod bi4;

@@ -13,7 +13,7 @@ use super::bytes::{Bytes, open_bytes, open_whole};
 use super::vtp::divided::{Divided, MOST_TRIANGLES};
 use super::whole::{FilledFile, MadeFolders, Replace, WholeFile, fault_of};
 use super::{CoordinateWidth, ReadError, ReadFault, UpAxis, WriteError, WriteFault};
-use super::{glb, houdini, obj, ply, stl, usd, vdb, vtk, vtkhdf, vtp};
+use super::{alembic, glb, houdini, obj, ply, stl, usd, vdb, vtk, vtkhdf, vtp};
 
 /// The format of a mesh file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -31,6 +31,8 @@ pub enum MeshFormat {
     Glb(glb::GlbLayout),
     /// Houdini's, compressed by Blosc.
     BgeoSc,
+    /// Alembic's, with one sample at this time.
+    Abc(alembic::SampleTime),
     /// A level set of OpenVDB, and whether its values are compressed.
     Vdb {
         zip: bool,
@@ -50,6 +52,7 @@ impl fmt::Display for MeshFormat {
             Self::Usdc(_) => ".usdc",
             Self::Glb(_) => ".glb",
             Self::BgeoSc => ".bgeo.sc",
+            Self::Abc(_) => ".abc",
             Self::Vdb { .. } => ".vdb",
         })
     }
@@ -57,7 +60,7 @@ impl fmt::Display for MeshFormat {
 
 impl MeshFormat {
     /// All formats.
-    const ALL: [Self; 11] = [
+    const ALL: [Self; 12] = [
         Self::Ply,
         Self::Obj,
         Self::Vtk,
@@ -68,12 +71,13 @@ impl MeshFormat {
         Self::Usdc(UpAxis::Y),
         Self::Glb(glb::GlbLayout::PLAIN),
         Self::BgeoSc,
+        Self::Abc(alembic::SampleTime::ZERO),
         Self::Vdb { zip: false },
     ];
 
     /// The extensions, for messages.
     pub const KNOWN: &'static str =
-        ".ply, .obj, .vtk, .vtp, .pvtp, .vtkhdf, .stl, .usdc, .glb, .bgeo.sc and .vdb";
+        ".ply, .obj, .vtk, .vtp, .pvtp, .vtkhdf, .stl, .usdc, .glb, .bgeo.sc, .abc and .vdb";
 
     /// The format of a file by its extension, in upper or lower case.
     #[must_use]
@@ -88,6 +92,7 @@ impl MeshFormat {
             "stl" => Some(Self::Stl),
             "usd" | "usdc" => Some(Self::Usdc(UpAxis::Y)),
             "glb" => Some(Self::Glb(glb::GlbLayout::PLAIN)),
+            "abc" => Some(Self::Abc(alembic::SampleTime::ZERO)),
             "vdb" => Some(Self::Vdb { zip: false }),
             "sc" => {
                 let before = Path::new(path.file_stem()?).extension()?;
@@ -111,10 +116,22 @@ impl MeshFormat {
         }
     }
 
+    /// Sets the time of the mesh in seconds, in formats that store it.
+    #[must_use]
+    pub fn at(self, seconds: f64) -> Self {
+        match self {
+            Self::Abc(_) => Self::Abc(alembic::SampleTime::of(seconds)),
+            other => other,
+        }
+    }
+
     /// Whether this library can read it.
     #[must_use]
     pub fn is_read(self) -> bool {
-        !matches!(self, Self::Usdc(_) | Self::Glb(_) | Self::BgeoSc | Self::Vdb { .. })
+        !matches!(
+            self,
+            Self::Usdc(_) | Self::Glb(_) | Self::BgeoSc | Self::Abc(_) | Self::Vdb { .. }
+        )
     }
 
     /// Whether it can store normals of vertices.
@@ -147,6 +164,7 @@ impl MeshFormat {
             }
             Self::VtkHdf => vtp::arrays::attribute_names(attributes, has_normals, vtkhdf::spelled),
             Self::BgeoSc => houdini::attribute_names(attributes, has_normals),
+            Self::Abc(_) => alembic::attribute_names(attributes, has_normals),
             Self::Vdb { .. } => vdb::attribute_names(attributes),
             Self::Obj | Self::Stl | Self::Usdc(_) | Self::Glb(_) => return Vec::new(),
         };
@@ -167,13 +185,15 @@ impl MeshFormat {
             Self::Vtk | Self::Vtp | Self::Pvtp | Self::VtkHdf | Self::Usdc(_) => arrays + 1,
             // Additionally vertices and triangles once for their order.
             Self::Glb(_) => 2 + arrays + 1,
+            // Each array of the vertices separately, and triangles, twice.
+            Self::Abc(_) => 2 * (arrays + 1),
         }
     }
 
     /// Whether it can store coordinates in f64.
     #[must_use]
     pub fn holds_f64(self) -> bool {
-        !matches!(self, Self::Stl | Self::Usdc(_))
+        !matches!(self, Self::Stl | Self::Usdc(_) | Self::Abc(_))
     }
 
     /// Whether its writer keeps much of a mesh in memory: the positions of all vertices, 24 bytes
@@ -206,6 +226,8 @@ impl MeshFormat {
             Self::Stl => [u64::MAX, U32],
             Self::Vdb { .. } => [U32, U32 - 1],
             Self::Usdc(_) => [I32, u64::MAX / 3],
+            // Bytes are counted in 63 bits, and a triangle has 16.
+            Self::Abc(_) => [I32, I64 / 32],
             // 4 GiB: positions of 12 bytes per vertex, and indices of 12 bytes per triangle.
             Self::Glb(_) => [U32 / 12; 2],
         }
@@ -267,6 +289,7 @@ impl MeshFormat {
             Self::Usdc(up) => usd::write_mesh(out, mesh, up),
             Self::Glb(layout) => glb::write_mesh(out, mesh, width, layout),
             Self::BgeoSc => houdini::write_mesh(out, mesh, width),
+            Self::Abc(time) => alembic::write_mesh(out, mesh, time),
             Self::Vdb { zip } => vdb::write_mesh(out, mesh, zip),
         }
     }
@@ -284,7 +307,7 @@ impl MeshFormat {
             Self::Pvtp => Err(ReadFault::Unsupported(several_files().to_string())),
             Self::VtkHdf => read_hdf(bytes.to_vec().into()),
             Self::Stl => stl::read_mesh(bytes),
-            Self::Usdc(_) | Self::Glb(_) | Self::BgeoSc | Self::Vdb { .. } => {
+            Self::Usdc(_) | Self::Glb(_) | Self::BgeoSc | Self::Abc(_) | Self::Vdb { .. } => {
                 let what =
                     format!("cannot read {self} meshes; convert the particles to .ply as well");
                 Err(ReadFault::Unsupported(what))
@@ -401,6 +424,11 @@ impl MeshOutput {
     /// Changes the format by [`MeshFormat::with_layout`].
     pub fn with_layout(self, layout: glb::GlbLayout) -> Self {
         Self { format: self.format.with_layout(layout), ..self }
+    }
+
+    /// Changes the format by [`MeshFormat::at`].
+    pub fn at(self, seconds: f64) -> Self {
+        Self { format: self.format.at(seconds), ..self }
     }
 
     /// The temporary file and the created folders, which an interrupt must remove.

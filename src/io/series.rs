@@ -27,8 +27,8 @@ use super::vtp::escaped;
 use super::whole::replace_small;
 use super::{UpAxis, WriteError};
 
-/// USD's time codes per second if no frame rate is given: USD's default.
-const CODES_A_SECOND: f64 = 24.0;
+/// Frames per second in USD and Alembic if no frame rate is given: USD's default.
+pub const FRAMES_A_SECOND: f64 = 24.0;
 /// Time codes closer than this to an integer are rounded.
 const WHOLE: f64 = 1e-6;
 
@@ -125,7 +125,11 @@ impl Series {
             MeshFormat::Vtk | MeshFormat::VtkHdf | MeshFormat::Ply | MeshFormat::Stl => {
                 vec![list, self.appended(".series")]
             }
-            MeshFormat::Obj | MeshFormat::Glb(_) | MeshFormat::BgeoSc | MeshFormat::Vdb { .. } => {
+            MeshFormat::Obj
+            | MeshFormat::Glb(_)
+            | MeshFormat::BgeoSc
+            | MeshFormat::Abc(_)
+            | MeshFormat::Vdb { .. } => {
                 vec![list]
             }
             // Files are written before the stage that refers to them.
@@ -158,6 +162,14 @@ impl Series {
         Ok(())
     }
 
+    /// The times of `frames` in seconds, which are in the order of their numbers. Without times and
+    /// a frame rate, there are [`FRAMES_A_SECOND`].
+    #[must_use]
+    pub fn times(&self, frames: &[SeriesFrame]) -> Vec<f64> {
+        let rate = self.codes_a_second();
+        self.moments(frames).into_iter().map(|FrameTime { code, .. }| code / rate).collect()
+    }
+
     fn moments(&self, frames: &[SeriesFrame]) -> Vec<FrameTime> {
         let finite = |time: &f64| time.is_finite();
         let times: Option<Vec<f64>> =
@@ -175,7 +187,7 @@ impl Series {
     }
 
     fn codes_a_second(&self) -> f64 {
-        self.fps.unwrap_or(CODES_A_SECOND)
+        self.fps.unwrap_or(FRAMES_A_SECOND)
     }
 
     fn text(&self, path: &Path, shown: &[(&SeriesFrame, FrameTime)]) -> String {

@@ -329,12 +329,13 @@ impl Settings {
     pub(crate) fn check_format(&self, path: &Path, format: MeshFormat) -> Result<(), Error> {
         let is_glb = matches!(format, MeshFormat::Glb(_));
         let is_compressed = is_glb || matches!(format, MeshFormat::Vdb { .. });
+        let has_y_up = is_glb || matches!(format, MeshFormat::Abc(_));
         let names = self.attribute_names().unwrap_or_default();
         let colours = format.holds_colours() && names.iter().all(|name| asks_for_colour(name));
         let holds_named = format.holds_attributes() || colours;
         let meaningless = |setting: Setting| match setting.name() {
             "compress" => !is_compressed,
-            "up" => is_glb && self.up == Some(UpAxis::Z),
+            "up" => has_y_up && self.up == Some(UpAxis::Z),
             "normals" => !format.holds_normals(),
             "attributes" => self.names_attributes() && !holds_named,
             _ => false,

@@ -24,6 +24,7 @@ use crate::field::walls::BeyondWall;
 use crate::frame::{CoincidentParticles, Shortfall};
 use crate::grid::units::Isovalue;
 use crate::io::UnreadPart;
+use crate::io::glb::GlbLayout;
 use crate::io::output::MeshFormat;
 use crate::particles::mixture::Mixture;
 use crate::particles::occurring::{Value, ValueCounts};
@@ -170,7 +171,10 @@ fn conflicts(text: &mut String) {
         ("cell", Conflict::Sampled),
         ("simplify", Conflict::OnDevice),
         ("compress", Conflict::Format { path: mesh(), format: MeshFormat::Obj }),
-        ("up", Conflict::Format { path: path("mesh.glb"), format: MeshFormat::Obj }),
+        (
+            "up",
+            Conflict::Format { path: path("mesh.glb"), format: MeshFormat::Glb(GlbLayout::PLAIN) },
+        ),
         ("attributes", Conflict::Format { path: mesh(), format: MeshFormat::Obj }),
     ];
     let messages = both.map(|(setting, with)| {

@@ -46,6 +46,8 @@ impl Settings {
         match format {
             // The node of a `.glb` rotates the stored vertices.
             MeshFormat::Glb(_) => Orientation { particles, file: particles, shown: UpAxis::Y },
+            // In Alembic, y always points up.
+            MeshFormat::Abc(_) => Orientation { particles, file: UpAxis::Y, shown: UpAxis::Y },
             _ => {
                 let up = self.up.unwrap_or(particles);
                 Orientation { particles, file: up, shown: up }

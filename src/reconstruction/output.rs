@@ -132,6 +132,12 @@ impl Output {
         self
     }
 
+    /// Sets the time of the mesh in seconds, in formats that store it.
+    pub(crate) fn at(mut self, seconds: f64) -> Self {
+        self.file = self.file.at(seconds);
+        self
+    }
+
     /// Writes a mesh into the temporary file.
     pub(crate) fn fill(
         self,

@@ -49,8 +49,9 @@ impl Simulation {
     /// A request for the meshes of frames.
     ///
     /// The input is a pattern with `{}` for the frame number, a folder, a glob, or a file with
-    /// several steps. The output is a pattern with `{}` or `{:04}`, or a folder for `.ply` files,
-    /// which exists or ends in `/`. Missing folders are created.
+    /// several steps. The output is a pattern with `{}` or `{:04}`, a folder for `.ply` files,
+    /// which exists or ends in `/`, or an Alembic archive for all frames (`.abc`). Missing folders
+    /// are created.
     pub fn new(input: impl Into<PathBuf>, output: impl Into<PathBuf>) -> Self {
         Self::of_files([input], output)
     }
@@ -89,7 +90,11 @@ impl Simulation {
         if several.is_none() && is_foreign(output) {
             return Ok(None);
         }
-        match (several, Naming::of(output)?) {
+        let naming = match &several {
+            Some(_) => Naming::of_several(output)?,
+            None => Naming::of(output)?,
+        };
+        match (several, naming) {
             (None, None) => Ok(None),
             (_, Some(_)) => Ok(Some(Self::of_files(inputs, output))),
             (Some(inputs), None) => Err(one_output(output, &inputs)),
@@ -116,6 +121,9 @@ impl Simulation {
             match several {
                 Inputs::Folder(_) | Inputs::Glob(_) if is_one()? => {}
                 Inputs::Files(_) => {}
+                _ if Naming::of_several(output)?.is_some() => {
+                    return Ok(Some(Self::of_files(inputs, output).together()));
+                }
                 _ => return Err(one_output(output, &several)),
             }
         }
@@ -195,7 +203,7 @@ impl Simulation {
 
     /// The names of inputs and outputs.
     pub(super) fn names(&self) -> Result<(Inputs, Naming), Error> {
-        let Some(naming) = Naming::of(&self.output)? else {
+        let Some(naming) = Naming::of_several(&self.output)? else {
             let what = format!(
                 "{}: names one file for all frames; write {{}} for the frame number, or name an \
                  existing folder, or end it in /",

@@ -25,7 +25,7 @@ use super::gate::FrameGate;
 use super::lanes::Division;
 use super::one_frame::{ConvertedFrame, WrittenFrame};
 use super::records::{Record, Records};
-use super::setup::{POLL, Setup};
+use super::setup::{ExistingMeshes, POLL, Setup};
 use super::small_meshes::SmallMeshes;
 use super::state::{State, StateFolder};
 use super::tally::Tally;
@@ -123,6 +123,11 @@ impl Conversion<'_> {
     ) -> Result<ConversionEnd, Error> {
         let options = self.setup.simulation;
         let mut tally = Tally::new(self, series);
+        if let Some(archive) =
+            self.setup.archive.as_ref().filter(|_| options.overwrite && !options.resume)
+        {
+            archive.forget()?;
+        }
         // If all frames must be made, the lanes open the first ones during the calibration.
         let unknown = known.is_none() && !options.resume && options.watch.is_none();
         if !unknown {
@@ -171,6 +176,7 @@ impl Conversion<'_> {
                 Some(watch) => Some((watch, to_lanes)),
                 None => {
                     tally.total = todo.len();
+                    tally.awaited = todo.iter().map(|frame| frame.number).collect();
                     self.give(&todo, frames, to_lanes, &mut tally)?;
                     None
                 }
@@ -235,6 +241,7 @@ impl Conversion<'_> {
                         // A new frame between finished ones takes the number, and the output, of
                         // the next one.
                         let again = tally.has_made(&self.output(&frame));
+                        tally.awaited.insert(frame.number);
                         let _ = to_lanes.send(Job { frame, particles: None, again });
                     }
                     if under_way == 0 && watch.is_over() {
@@ -413,10 +420,10 @@ impl<'a> Conversion<'a> {
     /// The record of a frame that is already finished, if it is known.
     pub(super) fn current<'r>(
         &self,
-        records: &'r Records,
+        meshes: &'r ExistingMeshes,
         frame: &FrameFile,
     ) -> Option<&'r Record> {
         let settled = self.settled.get()?.as_ref()?;
-        records.current(frame, &self.output(frame), settled.fingerprint)
+        meshes.current(frame, &self.output(frame), settled.fingerprint)
     }
 }

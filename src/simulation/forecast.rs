@@ -18,7 +18,6 @@ use crate::system::timings::Timings;
 
 use super::frame_file::FrameFile;
 use super::gaps::{Gaps, gaps};
-use super::records::Records;
 use super::setup::Setup;
 use super::shared_calibration::SharedCalibration;
 use super::state::{State, StateFolder};
@@ -110,12 +109,12 @@ impl Setup<'_> {
             Some(state) => state.shared.clone(),
             None => self.freeze(frames, &self.checked.resources)?.0,
         };
-        let records = Records::read(store.folder());
+        let meshes = self.existing_meshes(store);
         let fingerprint = kept.as_ref().filter(|_| self.simulation.resume).map(State::fingerprint);
         let done = |frame: &&&FrameFile| {
             let output = self.output(frame);
-            let current = |fingerprint| records.current(frame, &output, fingerprint);
-            fingerprint.and_then(current).is_some_and(|record| record.is_whole(&output))
+            let current = |fingerprint| meshes.current(frame, &output, fingerprint);
+            fingerprint.and_then(current).is_some_and(|record| meshes.is_whole(record, &output))
         };
         let done = wanted.par_iter().filter(done).count();
         Ok(Forecast {
@@ -123,7 +122,7 @@ impl Setup<'_> {
             frames: frames.len(),
             wanted: wanted.len() - done,
             done,
-            output: self.output(&frames[0]),
+            output: self.shown_output(&frames[0]),
             missing: gaps(frames),
             largest: self.largest(&shared, wanted, done, begun)?,
             shared,

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::error::SimulationError;
+use crate::io::alembic::frame_archive::FrameArchive;
 use crate::io::frame_files::snapshot_piece;
 use crate::io::output::MeshFormat;
 
@@ -16,6 +17,13 @@ pub enum Naming {
     Pattern(Pattern),
     /// The names of the inputs, in this folder, as .ply.
     Folder(PathBuf),
+    /// One Alembic archive for all frames.
+    Archive {
+        /// The archive.
+        path: PathBuf,
+        /// The names of frames before they are added to it.
+        frames: Pattern,
+    },
 }
 
 /// The extension of outputs in a folder.
@@ -42,10 +50,39 @@ impl Naming {
         Ok(pattern.map(Self::Pattern))
     }
 
+    /// Like [`of`](Self::of) for the output of several frames, which may be one archive.
+    ///
+    /// # Errors
+    /// Those of [`of`](Self::of).
+    pub fn of_several(path: &Path) -> Result<Option<Self>, SimulationError> {
+        Ok(Self::of(path)?.or_else(|| Self::of_archive(path)))
+    }
+
+    /// The names for an Alembic archive: its frames and the state are in a folder beside it.
+    fn of_archive(path: &Path) -> Option<Self> {
+        let MeshFormat::Abc(_) = MeshFormat::of(path)? else { return None };
+        let mut folder = path.as_os_str().to_owned();
+        folder.push(".frames");
+        let frames = Pattern {
+            folder: folder.into(),
+            prefix: format!("{}_", path.file_stem()?.to_str()?),
+            suffix: ".abc".into(),
+            width: None,
+            numbers: NumberKind::Whole,
+        };
+        Some(Self::Archive { path: path.to_owned(), frames })
+    }
+
+    /// The archive of all frames, if the output is one.
+    pub fn archive(&self) -> Option<FrameArchive> {
+        let Self::Archive { path, frames } = self else { return None };
+        Some(FrameArchive::new(path.clone(), frames.folder.clone()))
+    }
+
     /// The folder of all outputs.
     pub fn folder(&self) -> &Path {
         match self {
-            Self::Pattern(pattern) => pattern.folder(),
+            Self::Pattern(pattern) | Self::Archive { frames: pattern, .. } => pattern.folder(),
             Self::Folder(folder) => folder,
         }
     }
@@ -54,7 +91,9 @@ impl Naming {
     /// inputs with another extension.
     pub fn outputs(&self, inputs: &Sequence) -> Pattern {
         let folder = match self {
-            Self::Pattern(pattern) => return pattern.clone(),
+            Self::Pattern(pattern) | Self::Archive { frames: pattern, .. } => {
+                return pattern.clone();
+            }
             Self::Folder(folder) => folder.clone(),
         };
         let (prefix, tail) = match (inputs.source(), inputs.pattern()) {

@@ -18,7 +18,7 @@ use crate::grid::units::MemoryBudget;
 use crate::io::bytes::Unpacking;
 use crate::io::input::file_and_step;
 use crate::io::mnf::{is_packed, open_frame};
-use crate::io::series::SeriesFrame;
+use crate::io::series::{FRAMES_A_SECOND, SeriesFrame};
 use crate::io::whole::{FilledFile, Replace};
 use crate::io::{ParticleFile, ReadError, ReadFault, WriteError, WriteFault};
 use crate::particles::kind::known_of;
@@ -176,6 +176,9 @@ impl Conversion<'_> {
         warnings.extend(made_of(mesh, self.format, &target)?);
         let turned = orientation.turned(mesh);
         let bounded = BoundedMesh::new(&turned);
+        let number = frame.number as f64;
+        let shown = time.or(simulation.fps.map(|fps| number / fps));
+        let output = output.at(shown.unwrap_or(number / FRAMES_A_SECOND));
         let (file, held) =
             permit.run(|| output.fill(&bounded, width, &checked.resources.control))?;
         if frame.stamp().ok() != Some(input) {
@@ -205,15 +208,15 @@ impl Conversion<'_> {
             normals: mesh.has_normals(),
             attributes: mesh.attributes(),
         };
-        let (time, seconds) =
-            (time.or(simulation.fps.map(|fps| frame.number as f64 / fps)), timings.total());
+        let seconds = timings.total();
         if let Some(report) = &mut report {
             report.timings = timings;
             report.threads = checked.threads;
         }
         let fingerprint = settled.fingerprint;
         let record = Record { input, fingerprint, mesh: listed.clone(), crc: file.crc() };
-        let done = ConvertedFrame { mesh: listed, time, report, left_out, warnings, seconds };
+        let done =
+            ConvertedFrame { mesh: listed, time: shown, report, left_out, warnings, seconds };
         Ok(WrittenFrame { file, held, target, replaces, record, small, done })
     }
 

@@ -299,7 +299,9 @@ impl Pictures {
                     (_, Some(sequence)) => {
                         naming.outputs(sequence).path(frame.number, &frame.digits)
                     }
-                    (Naming::Pattern(pattern), None) => pattern.path(frame.number, &frame.digits),
+                    (Naming::Pattern(pattern) | Naming::Archive { frames: pattern, .. }, None) => {
+                        pattern.path(frame.number, &frame.digits)
+                    }
                     (Naming::Folder(folder), None) => {
                         folder.join(frame.path.file_name().unwrap_or_default())
                     }
@@ -559,6 +561,13 @@ impl Simulation {
             return Err(Error::SameFile { path: other.clone(), other: path });
         }
         let (inputs, naming) = self.names()?;
+        if let Naming::Archive { path, .. } = naming {
+            return Err(Error::Request(format!(
+                "{}: no contact sheet can be drawn of one archive; write a file per frame, with \
+                 {{}} for its number",
+                path.display()
+            )));
+        }
         let simulations = || inputs.simulations(None).ok();
         let settings = &self.request.settings;
         let first = || simulations()?.first()?.list().ok()?.into_iter().next();

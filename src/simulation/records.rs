@@ -40,6 +40,11 @@ pub struct Record {
 }
 
 impl Record {
+    /// Whether `output` is a file of the recorded size.
+    pub fn is_at(&self, output: &Path) -> bool {
+        output.metadata().is_ok_and(|found| found.is_file() && found.len() == self.mesh.bytes)
+    }
+
     /// Whether `output` still has the recorded bytes. Reads the whole file.
     pub fn is_whole(&self, output: &Path) -> bool {
         crc(output).is_ok_and(|crc| crc == self.crc)
@@ -91,16 +96,12 @@ impl Records {
         self.0.values().any(|record| name.is_some_and(|name| *name == *record.mesh.file))
     }
 
-    /// The record of a frame whose output has the recorded size, and whose input and state are
-    /// unchanged.
-    pub fn current(&self, frame: &FrameFile, output: &Path, fingerprint: u32) -> Option<&Record> {
+    /// The record of a frame whose input, state and name of the output are unchanged.
+    pub fn of(&self, frame: &FrameFile, output: &Path, fingerprint: u32) -> Option<&Record> {
         let record = self.0.get(&frame.number)?;
         let same = record.fingerprint == fingerprint
             && frame.stamp().is_ok_and(|stamp| stamp == record.input)
-            && output.file_name().is_some_and(|name| *name == *record.mesh.file)
-            && output
-                .metadata()
-                .is_ok_and(|found| found.is_file() && found.len() == record.mesh.bytes);
+            && output.file_name().is_some_and(|name| *name == *record.mesh.file);
         same.then_some(record)
     }
 }
@@ -278,15 +279,13 @@ mod tests {
         log.keep(&record).unwrap();
         let records = Records::read(log.folder());
         let frame = |number: i64| FrameFile::new(number, number.to_string(), input.clone());
-        let current = |fingerprint| records.current(&frame(1), &output, fingerprint);
+        let current = |fingerprint| {
+            records.of(&frame(1), &output, fingerprint).filter(|record| record.is_at(&output))
+        };
         assert_eq!(current(5), Some(&record));
         assert_eq!(current(6), None, "other settings");
-        assert_eq!(records.current(&frame(2), &output, 5), None, "another frame");
-        assert_eq!(
-            records.current(&frame(1), &folder.path().join("b.ply"), 5),
-            None,
-            "another output"
-        );
+        assert_eq!(records.of(&frame(2), &output, 5), None, "another frame");
+        assert_eq!(records.of(&frame(1), &folder.path().join("b.ply"), 5), None, "another output");
         assert!(record.is_whole(&output));
         fs::write(&output, "mess").unwrap();
         assert!(!record.is_whole(&output), "other bytes of the same number");

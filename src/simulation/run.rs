@@ -7,9 +7,10 @@ use std::thread::sleep;
 use std::time::Instant;
 
 use crate::error::{Cause, Error, SimulationError};
+use crate::io::alembic::frame_archive::FrameArchive;
 use crate::io::mnf::is_packed;
 use crate::io::series::Series;
-use crate::io::whole::{MadeFolders, sweep};
+use crate::io::whole::{MadeFolders, sweep, sweep_beside};
 use crate::io::{ReadError, ReadFault, WriteError, WriteFault};
 use crate::reconstruction::CheckedRequest;
 use crate::system::cancel::UnfinishedOutput;
@@ -83,8 +84,8 @@ impl Simulation {
             if attempts > ATTEMPTS && self.watch.is_none() {
                 return Err(ReadError::new(changed, ReadFault::Changed).into());
             }
-            let outputs = first.outputs.clone();
-            let setup = Setup { simulation: &resumed, outputs, ..*first };
+            let (outputs, archive) = (first.outputs.clone(), first.archive.clone());
+            let setup = Setup { simulation: &resumed, outputs, archive, ..*first };
             let begun = resumed.begin(&setup, setup.frames()?)?;
             ran = resumed.convert_once(begun)?;
         }
@@ -254,9 +255,9 @@ impl Simulation {
         ready.threads.install(|| {
             let mut results = Vec::new();
             for (sequence, frames) in simulations.iter().zip(frames) {
-                let outputs = naming.outputs(sequence);
-                let setup =
-                    Setup { simulation: self, sequence, outputs, checked: &ready.checked, events };
+                let (outputs, archive) = (naming.outputs(sequence), naming.archive());
+                let checked = &ready.checked;
+                let setup = Setup { simulation: self, sequence, outputs, archive, checked, events };
                 let result = match self.begin(&setup, frames).and_then(act) {
                     // An error in the files of one simulation does not stop the others.
                     Err(error) if error.cause() == Cause::Input && simulations.len() > 1 => {
@@ -298,7 +299,7 @@ impl Simulation {
         // read, because a conversion writes its state before its first output.
         let is_new = !self.overwrite && store.text()?.is_none();
         let foreign = is_new.then(|| setup.existing(&frames, &series)).flatten();
-        let there = wanted.iter().map(|frame| setup.output(frame)).find(|path| path.exists());
+        let there = wanted.iter().map(|frame| setup.shown_output(frame)).find(|path| path.exists());
         let found = setup.kept_state(&store, &frames)?;
         let refused = if matches!(found, StateLookup::Nothing) {
             foreign.map(|path| (path, WriteFault::Exists))
@@ -310,6 +311,7 @@ impl Simulation {
         if let Some((path, fault)) = refused {
             return Err(WriteError::new(&path, fault).into());
         }
+        setup.archive.as_ref().map_or(Ok(()), FrameArchive::check)?;
         Ok(CheckedSimulation { setup, series, store, frames, found })
     }
 }
@@ -331,6 +333,7 @@ fn prepare_folder(
         || MadeFolders::of(store.folder()).map_err(|error| WriteError::new(folder, error.fault));
     let made = cancel.guard(make, |made| made.paths().to_vec())?;
     sweep(folder);
+    setup.archive.iter().for_each(|archive| sweep_beside(archive.path()));
     sweep(store.folder());
     SmallMeshes::beside(store.folder()).sweep();
     Ok(made)

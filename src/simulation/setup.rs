@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use crate::error::{Error, SimulationError};
 use crate::frame::{Method, Resources, Sampling};
+use crate::io::alembic::frame_archive::{ArchivedFrames, FrameArchive};
 use crate::io::frame_files::files_of;
 use crate::io::input::file_and_step;
 use crate::io::joined::refuse_twice;
@@ -26,6 +27,7 @@ use super::frame_file::FrameFile;
 use super::inputs::Sequence;
 use super::lanes::Division;
 use super::pattern::Pattern;
+use super::records::{Record, Records};
 use super::shared_calibration::SharedCalibration;
 use super::solids::SolidNames;
 use super::state::{State, StateFolder, StateLookup};
@@ -39,11 +41,51 @@ pub(super) struct Setup<'a> {
     pub(super) sequence: &'a Sequence,
     /// The names of the meshes.
     pub(super) outputs: Pattern,
+    /// The archive that meshes are moved to, if the output is one.
+    pub(super) archive: Option<FrameArchive>,
     pub(super) checked: &'a CheckedRequest,
     pub(super) events: &'a EventSender,
 }
 
+/// The meshes that exist, in files or in an archive, with their records.
+pub(super) struct ExistingMeshes {
+    records: Records,
+    archived: ArchivedFrames,
+}
+
+impl ExistingMeshes {
+    /// The record of a frame whose mesh exists, and whose input and state are unchanged.
+    pub(super) fn current(
+        &self,
+        frame: &FrameFile,
+        output: &Path,
+        fingerprint: u32,
+    ) -> Option<&Record> {
+        let record = self.records.of(frame, output, fingerprint)?;
+        (record.is_at(output) || self.archived.holds(&record.mesh)).then_some(record)
+    }
+
+    /// Whether a mesh still has the recorded bytes. Reads all of them.
+    pub(super) fn is_whole(&self, record: &Record, output: &Path) -> bool {
+        record.is_whole(output) || self.archived.crc(record.mesh.frame) == Some(record.crc)
+    }
+}
+
 impl Setup<'_> {
+    /// The existing meshes of the simulation.
+    pub(super) fn existing_meshes(&self, store: &StateFolder) -> ExistingMeshes {
+        let archived = self.archive.as_ref().map(FrameArchive::frames).unwrap_or_default();
+        ExistingMeshes { records: Records::read(store.folder()), archived }
+    }
+
+    /// The file that shows a frame's mesh: its own, or the archive.
+    pub(super) fn shown_output(&self, frame: &FrameFile) -> PathBuf {
+        match &self.archive {
+            Some(archive) => archive.path().to_owned(),
+            None => self.output(frame),
+        }
+    }
+
     /// Sends an event to the caller.
     pub(super) fn send(&self, event: Event) {
         self.events.send(event);
@@ -103,8 +145,9 @@ impl Setup<'_> {
 
     /// The first existing mesh or list of these frames.
     pub(super) fn existing(&self, frames: &[FrameFile], series: &Series) -> Option<PathBuf> {
+        let archive = self.archive.iter().map(|archive| archive.path().to_owned());
         let meshes = frames.iter().map(|frame| self.output(frame));
-        meshes.chain(series.files()).find(|path| path.exists())
+        archive.chain(meshes).chain(series.files()).find(|path| path.exists())
     }
 
     /// The format of the outputs, which can store the requested attributes.
@@ -159,7 +202,8 @@ impl Setup<'_> {
         for beside in &self.simulation.beside {
             let own = Identity::of(beside);
             let outputs = frames.iter().map(|frame| self.output(frame));
-            let others = outputs.chain(series.files()).chain([store.state_path()]);
+            let archive = self.archive.iter().map(|archive| archive.path().to_owned());
+            let others = outputs.chain(series.files()).chain([store.state_path()]).chain(archive);
             let taken = inputs.get(&own).map(|input| input.to_path_buf());
             if let Some(other) =
                 taken.or_else(|| others.into_iter().find(|other| Identity::of(other) == own))

@@ -1,6 +1,6 @@
 //! Collects the outcomes of all frames, lists frames for other programs, and makes the summary.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::ErrorKind;
 use std::path::Path;
 use std::sync::Arc;
@@ -8,9 +8,9 @@ use std::time::{Duration, Instant};
 
 use super::frame_file::FrameFile;
 use super::gaps::{gaps, missing_path};
-use super::records::Records;
 use crate::error::{Cause, Error};
 use crate::field::indicator::IndicatorKind;
+use crate::io::alembic::frame_archive::FrameArchive;
 use crate::io::series::{Series, SeriesFrame};
 use crate::io::{WriteError, WriteFault};
 use rayon::prelude::*;
@@ -36,6 +36,8 @@ pub(super) struct Tally<'a> {
     fatal: Option<Error>,
     pub(super) done: usize,
     pub(super) total: usize,
+    /// The numbers of frames that are under way.
+    pub(super) awaited: BTreeSet<i64>,
     left_out: OmittedCounts,
     begun: Instant,
     /// The time of the last write of the series.
@@ -53,6 +55,7 @@ impl<'a> Tally<'a> {
             fatal: None,
             done: 0,
             total: 0,
+            awaited: BTreeSet::new(),
             left_out: OmittedCounts::default(),
             begun,
             series_written: begun,
@@ -66,13 +69,14 @@ impl<'a> Tally<'a> {
         frames: &[FrameFile],
         is_looked_at: impl Fn(&FrameFile) -> bool + Sync,
     ) {
-        let records = Records::read(self.conversion.store.folder());
+        let meshes = self.conversion.setup.existing_meshes(&self.conversion.store);
         let Self { conversion, listed, failed, .. } = self;
         let done = |frame: &FrameFile| {
             let number = frame.number;
             let is_open = !listed.contains_key(&number) && !failed.contains_key(&number);
-            let record = conversion.current(&records, frame).filter(|_| is_open)?;
-            let is_done = !is_looked_at(frame) || record.is_whole(&conversion.output(frame));
+            let record = conversion.current(&meshes, frame).filter(|_| is_open)?;
+            let is_done =
+                !is_looked_at(frame) || meshes.is_whole(record, &conversion.output(frame));
             is_done.then(|| (number, record.mesh.clone()))
         };
         let done: Vec<_> = frames.par_iter().filter_map(done).collect();
@@ -110,6 +114,7 @@ impl<'a> Tally<'a> {
             result => result,
         };
         self.done += 1;
+        self.awaited.remove(&frame.number);
         match result {
             Ok(ConvertedFrame { mesh, time, report, left_out, warnings, seconds }) => {
                 self.left_out.add(&left_out);
@@ -117,7 +122,7 @@ impl<'a> Tally<'a> {
                 let done = FrameDone {
                     frame: frame.number,
                     input: frame.path.clone(),
-                    output: self.conversion.output(frame),
+                    output: setup.shown_output(frame),
                     mesh,
                     time,
                     report,
@@ -156,14 +161,30 @@ impl<'a> Tally<'a> {
 
     fn write_series(&mut self) -> Result<(), Error> {
         let listed: Vec<_> = self.listed.values().cloned().collect();
-        self.conversion.cancel().undisturbed(|| self.series.write(&listed))?;
+        self.conversion.cancel().undisturbed(|| {
+            self.archive()?;
+            self.series.write(&listed)
+        })?;
         self.series_written = Instant::now();
         Ok(())
     }
 
+    /// Adds the finished frames before the first one under way to the archive, if the output is
+    /// one: in their order, so that its bytes do not depend on the number of threads.
+    fn archive(&self) -> Result<(), WriteError> {
+        let Self { conversion, series, listed, awaited, .. } = self;
+        let Some(archive) = &conversion.setup.archive else { return Ok(()) };
+        let Some(Some(settled)) = conversion.settled.get() else { return Ok(()) };
+        let first = awaited.first().copied().unwrap_or(i64::MAX);
+        listed.range(..first).try_for_each(|(_, mesh)| {
+            archive.add(mesh, settled.fingerprint, |all| series.times(all))
+        })
+    }
+
     /// Lists all existing frames, merges the records of ended jobs, and makes the summary.
     pub(super) fn finish(mut self, frames: &[FrameFile]) -> Result<Summary, Error> {
-        let Setup { simulation, sequence, outputs, checked, .. } = self.conversion.setup;
+        let Setup { simulation, sequence, outputs, archive, checked, .. } = self.conversion.setup;
+        let folder = archive.as_ref().map_or(outputs.folder(), FrameArchive::parent);
         // Other jobs may have finished frames meanwhile. The last job lists all of them.
         let alone = self.conversion.store.locked();
         self.list(&self.conversion.setup.all_frames()?, |_| false);
@@ -188,7 +209,7 @@ impl<'a> Tally<'a> {
         let indicator = checked.sampling.method.indicator();
         let summary = Summary {
             inputs: sequence.describe(),
-            folder: outputs.folder().to_owned(),
+            folder: folder.to_owned(),
             made: self.done - self.failed.len().min(self.done),
             failed: self.failed.into_values().collect(),
             error: None,

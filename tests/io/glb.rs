@@ -232,6 +232,7 @@ impl MeshSource for Huge {
             normals: false,
             attributes: Vec::new(),
             pieces: 1,
+            lattice: None,
         }
     }
 

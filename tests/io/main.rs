@@ -1,6 +1,7 @@
 //! Every format in both directions: written files are read, and damaged ones are refused.
 #![allow(clippy::unwrap_used)]
 
+mod alembic;
 mod build;
 #[path = "../common/mod.rs"]
 mod common;

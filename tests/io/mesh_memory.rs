@@ -4,6 +4,7 @@ use std::borrow::Cow;
 use std::io;
 
 use meniscus::internals::io::CoordinateWidth;
+use meniscus::internals::io::alembic::SampleTime;
 use meniscus::internals::io::output::MeshFormat;
 use meniscus::internals::particles::AttributeInfo;
 use meniscus::internals::surface::mesh::source::{MeshSource, Outline, Vertices};
@@ -27,6 +28,7 @@ impl MeshSource for Strip {
             normals: true,
             attributes: vec![AttributeInfo::new("velocity", 3)],
             pieces: self.pieces,
+            lattice: None,
         }
     }
 
@@ -58,9 +60,14 @@ fn write_strips() {
                 .expect("a sink takes all");
         })
     };
-    for format in
-        [MeshFormat::Ply, MeshFormat::Obj, MeshFormat::Vtk, MeshFormat::Vtp, MeshFormat::Stl]
-    {
+    for format in [
+        MeshFormat::Ply,
+        MeshFormat::Obj,
+        MeshFormat::Vtk,
+        MeshFormat::Vtp,
+        MeshFormat::Stl,
+        MeshFormat::Abc(SampleTime::ZERO),
+    ] {
         peak(format, 16);
         let [few, many] = [100, 400].map(|pieces| peak(format, pieces));
         let whole = if format.holds_whole_mesh() { 24 * VERTICES * 300 } else { 0 };

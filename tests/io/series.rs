@@ -4,6 +4,7 @@
 use std::fs;
 use std::path::Path;
 
+use meniscus::internals::io::alembic::SampleTime;
 use meniscus::internals::io::glb::GlbLayout;
 use meniscus::internals::io::output::{MeshFormat, MeshOutput};
 use meniscus::internals::io::series::{Series, SeriesFrame};
@@ -90,6 +91,7 @@ fn each_format_has_the_listings_of_its_programs() {
         (MeshFormat::Stl, &["pool.stl.json", "pool.stl.series"]),
         (MeshFormat::Obj, &["pool.obj.json"]),
         (MeshFormat::Glb(GlbLayout::PLAIN), &["pool.glb.json"]),
+        (MeshFormat::Abc(SampleTime::ZERO), &["pool.abc.json"]),
         (MeshFormat::Usdc(UpAxis::Y), &["pool.usdc.json", "pool.manifest.usda", "pool.usda"]),
     ] {
         let files = series(folder.path(), format, None).files();

@@ -114,7 +114,7 @@ fn wrong_arguments_are_refused_before_any_work_with_exit_2() {
     let ball = |more: &[&'static str]| [&["ball.xyz", "-o", "out.ply"], more].concat();
     for (arguments, says) in [
         (vec!["ball.xyz"], "--output"),
-        (vec!["ball.xyz", "-o", "out.abc"], "out.abc"),
+        (vec!["ball.xyz", "-o", "out.fbx"], "out.fbx"),
         (vec!["ball.xyz", "-o", "out"], "out"),
         (vec!["ball.xyz", "-o", "out.stl", "--normals"], "normals"),
         (vec!["ball.xyz", "-o", "out.obj", "--attributes", "velocity"], "attributes"),
@@ -769,7 +769,7 @@ fn options_that_leave_something_out_are_refused_where_they_make_no_sense() {
         (&["a.ply", "--simplify", "nan"], "--simplify"),
         (&["a.ply", "--smallest-component", "-1"], "--smallest-component"),
         (&["a.ply", "--compress"], "--compress applies only to .glb"),
-        (&["a.glb", "--up", "z"], "a .glb always has y up; use --particles-up z"),
+        (&["a.glb", "--up", "z"], "y always points up in .glb; use --particles-up z"),
     ] {
         assert_refused(folder.path(), &[&ball[..], arguments].concat(), 2, &[says]);
     }

@@ -141,8 +141,9 @@ fn frame(random: &mut Random) -> Vec<u8> {
 
 fn try_combination(seed: u64) {
     let mut random = Random::new(seed.wrapping_mul(0x9e37_79b9).wrapping_add(7));
-    let output = ["m.ply", "m.obj", "m.vtk", "m.vtp", "m.stl", "m.usdc", "m.glb", "m.vtkhdf"]
-        [(random.bits() % 8) as usize];
+    let output =
+        ["m.ply", "m.obj", "m.vtk", "m.vtp", "m.stl", "m.usdc", "m.glb", "m.vtkhdf", "m.abc"]
+            [(random.bits() % 9) as usize];
     let arguments = combination(&mut random);
     let folder = TempDir::new().unwrap();
     fs::write(folder.path().join("f.xyz"), frame(&mut random)).unwrap();

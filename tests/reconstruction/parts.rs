@@ -80,7 +80,7 @@ fn said(text: &str, about: &str) -> Vec<String> {
 fn parts_give_the_bytes_of_a_single_run_with_any_options() {
     let folder = scenes();
     let folder = folder.path();
-    let cases: [(&str, &str, &[usize], &[&str]); 13] = [
+    let cases: [(&str, &str, &[usize], &[&str]); 14] = [
         ("dam.bgeo", "ply", &[1, 2, 3, 8, 64], &[]),
         ("dam.bgeo", "glb", &[3], &["--normals", "--compress"]),
         (
@@ -100,6 +100,7 @@ fn parts_give_the_bytes_of_a_single_run_with_any_options() {
             &[2],
             &["--smooth", "3", "--cell", "0.9", "--origin", "0.01,0.02,0.03"],
         ),
+        ("dam.bgeo", "abc", &[3], &["--normals", "--particles-up", "z"]),
         ("dam.bgeo", "ply", &[4], &["--cell", "0.2", "--memory", "24MiB", "--threads", "1"]),
         ("spray.xyz", "ply", &[3, 20], &["--spacing", "1", "--normals"]),
         ("drop.xyz", "ply", &[1, 9], &["--spacing", "1"]),

@@ -291,7 +291,7 @@ fn what_cannot_be_a_sequence_is_refused_before_any_work() {
             "--simplify",
         ),
         (vec!["in/f_{}.xyz", "-o", "out_{}.glb", "--up", "z"], 2, "--particles-up"),
-        (vec!["in/f_{}.xyz", "-o", "out_{}.abc"], 2, "unknown extension"),
+        (vec!["in/f_{}.xyz", "-o", "out_{}.fbx"], 2, "unknown extension"),
         (vec!["in/f_{}.xyz", "-o", "out_{}.stl", "--normals"], 2, "normals"),
         (vec!["in/f_{}.xyz", "-o", "out_{}_{}.ply"], 2, "one {}"),
         (vec!["in/f_{}.xyz", "-o", "out_{:4}.ply"], 2, "{:04}"),

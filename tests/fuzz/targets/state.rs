@@ -76,7 +76,7 @@ fn records(data: &[u8]) {
     let here = folder::file("mesh.ply", b"mesh");
     for number in [-1, 0, 1, 2, i64::MAX] {
         let frame = FrameFile::new(number, number.to_string(), here.clone());
-        if let Some(record) = before.current(&frame, &here, 5) {
+        if let Some(record) = before.of(&frame, &here, 5) {
             store.log.keep(record).unwrap();
             assert!(Records::read(&folder) == before, "a record that is kept again is another");
             let _ = record.is_whole(&here);

@@ -465,9 +465,9 @@ void meniscus_cancel_free(struct MeniscusCancel *cancel);
 //
 // `inputs`: one name with {} for the number, a folder, a glob or a file with several steps; or the
 // files of `input_count` frames; or, with the option "together", inputs whose frames with the same
-// number are joined. `output`: a name with {} or {:04} for the number, or a folder. `options`: the
-// frames and their settings; NULL for all defaults. Their progress function is not called.
-// `summary`: NULL, or the structure to fill.
+// number are joined. `output`: a name with {} or {:04} for the number, a folder, or one .abc for all
+// frames. `options`: the frames and their settings; NULL for all defaults. Their progress function is
+// not called. `summary`: NULL, or the structure to fill.
 //
 // MENISCUS_STATUS_INCOMPLETE if frames failed or are missing between others; the message describes
 // the first. The other frames are finished.

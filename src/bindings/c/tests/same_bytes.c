@@ -64,7 +64,7 @@ static int test(int count, char **arguments) {
   save("water.npy", head, sizeof head, wide, sizeof wide);
 
   // Every format, from 32-bit and 64-bit numbers, in memory and in a file.
-  const char *formats[] = {"ply", "obj", "vtk", "vtp", "pvtp", "vtkhdf", "stl", "usdc", "glb"};
+  const char *formats[] = {"ply", "obj", "vtk", "vtp", "pvtp", "vtkhdf", "stl", "usdc", "glb", "abc"};
   MeniscusParticles narrow = particles_of(positions);
   MeniscusParticles doubles = {
       .size = sizeof doubles, .count = COUNT, .positions = wide, .number = MENISCUS_TYPE_F64};

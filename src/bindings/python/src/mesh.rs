@@ -197,7 +197,7 @@ impl Mesh {
     }
 
     /// Writes the mesh to a file whose extension selects the format: .ply, .obj, .vtk, .vtp, .pvtp,
-    /// .vtkhdf, .stl, .usdc, .glb, .bgeo.sc or .vdb.
+    /// .vtkhdf, .stl, .usdc, .glb, .bgeo.sc, .abc or .vdb.
     ///
     /// The file appears completely or not at all, and is byte for byte the file that the program
     /// writes for the same particles and options.

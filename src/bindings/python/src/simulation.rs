@@ -48,7 +48,7 @@ pub const SIMULATION: [&str; 10] = [
 ///     A name with ``{}`` for the number, a folder, a glob, a file with several steps, or a list of
 ///     files.
 /// output : path, optional
-///     A name with ``{}`` or ``{:04}`` for the number, or a folder.
+///     A name with ``{}`` or ``{:04}`` for the number, a folder, or one ``.abc`` for all frames.
 /// start, end, step : int, optional
 ///     The first and last frame of the simulation, and the step between frames. Numbers may be
 ///     negative.

@@ -10,7 +10,7 @@ import pytest
 
 import meniscus
 
-FORMATS = ["ply", "obj", "vtk", "vtp", "vtkhdf", "stl", "usdc", "glb"]
+FORMATS = ["ply", "obj", "vtk", "vtp", "vtkhdf", "stl", "usdc", "glb", "abc"]
 
 
 def written(folder: Path, name: str, mesh: meniscus.Mesh) -> bytes:

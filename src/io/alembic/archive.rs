@@ -1,0 +1,320 @@
+//! An archive in Ogawa (AbcCoreOgawa, file version 0): time samplings, and a tree of objects with
+//! properties.
+//!
+//! The children of the root group are the version, the library's version, the top object, metadata,
+//! time samplings, and the list of metadata that headers name by index. An object is a group of its
+//! compound property, its child objects, and their headers with two hashes. A compound property is
+//! a group of its properties and their headers. A scalar property is a group of one block per
+//! sample; an array property is a group of two, of which the second holds the dimensions if there
+//! are several. The block of a sample is its digest and its values.
+
+use super::content_hash::{ContentHasher, Digest};
+use super::ogawa::{OgawaBlocks, OgawaChild};
+
+/// The version of the library whose files these are: 1.8.0.
+const LIBRARY_VERSION: i32 = 1_08_00;
+/// Alembic's time per cycle of samplings that list all of their times.
+const ACYCLIC: f64 = f64::MAX / 32.0;
+/// The index of metadata that is not in the list.
+const NOT_LISTED: usize = 255;
+
+/// A type of numbers, with Alembic's number of it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum AbcPod {
+    Bool = 0,
+    U32 = 5,
+    I32 = 6,
+    F32 = 10,
+    F64 = 11,
+}
+
+impl AbcPod {
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Bool => "bool_t",
+            Self::U32 => "uint32_t",
+            Self::I32 => "int32_t",
+            Self::F32 => "float32_t",
+            Self::F64 => "float64_t",
+        }
+    }
+}
+
+/// The name and type of a property with values.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct AbcHeader {
+    pub name: String,
+    pub metadata: String,
+    /// Whether a sample is one element, not an array.
+    pub scalar: bool,
+    pub pod: AbcPod,
+    /// Numbers in an element.
+    pub extent: u8,
+}
+
+/// The values of a property at one time.
+#[derive(Debug, Clone, Copy)]
+pub struct AbcSample {
+    pub block: OgawaChild,
+    pub digest: Digest,
+    /// Number of elements.
+    pub elements: u64,
+}
+
+impl AbcSample {
+    /// An array of no elements.
+    pub fn empty() -> Self {
+        Self { block: OgawaChild::NO_DATA, digest: ContentHasher::of(&[]), elements: 0 }
+    }
+}
+
+/// A property of an object.
+pub enum AbcProperty {
+    Values {
+        header: AbcHeader,
+        samples: Vec<AbcSample>,
+        /// The number of its time sampling.
+        sampling: u32,
+    },
+    Compound {
+        name: &'static str,
+        metadata: String,
+        properties: Vec<Self>,
+    },
+}
+
+/// An object of the tree.
+pub struct AbcObject {
+    pub name: &'static str,
+    pub metadata: String,
+    pub properties: Vec<AbcProperty>,
+    pub children: Vec<Self>,
+}
+
+/// The times of samples, in seconds.
+pub struct TimeSampling {
+    per_cycle: f64,
+    times: Vec<f64>,
+    /// The largest number of samples of a property with this sampling.
+    samples: u32,
+}
+
+impl TimeSampling {
+    /// The default sampling, which is number 0: one sample per second from time 0.
+    fn of_constants() -> Self {
+        Self { per_cycle: 1.0, times: vec![0.0], samples: 1 }
+    }
+
+    /// The sampling at these times, which are strictly increasing.
+    pub fn at(times: &[f64]) -> Self {
+        // Alembic's tolerance when it looks for the sample of a time.
+        const TOLERANCE: f64 = 1e-5;
+        let samples = times.len() as u32;
+        let per_cycle = match times {
+            [first, .., last] => (last - first) / f64::from(samples - 1),
+            _ => 1.0,
+        };
+        let first = times.first().copied().unwrap_or_default();
+        let is_uniform = times.iter().enumerate().all(|(index, time)| {
+            (first + per_cycle * index as f64 - time).abs() < TOLERANCE.min(per_cycle / 100.0)
+        });
+        if is_uniform {
+            Self { per_cycle, times: vec![first], samples }
+        } else {
+            Self { per_cycle: ACYCLIC, times: times.to_vec(), samples }
+        }
+    }
+
+    fn put(&self, out: &mut Vec<u8>) {
+        out.extend(self.samples.to_le_bytes());
+        out.extend(self.per_cycle.to_le_bytes());
+        out.extend((self.times.len() as u32).to_le_bytes());
+        self.times.iter().for_each(|time| out.extend(time.to_le_bytes()));
+    }
+}
+
+/// The groups of an archive from position `at` on, and the root group. Properties may name the time
+/// sampling as number 1; number 0 is for constants.
+pub fn archive(
+    at: u64,
+    sampling: &TimeSampling,
+    objects: impl FnOnce(&mut OgawaBlocks) -> Vec<AbcObject>,
+) -> (Vec<u8>, OgawaChild) {
+    let mut blocks = OgawaBlocks::new(at);
+    let children = objects(&mut blocks);
+    let top = AbcObject { name: "ABC", metadata: String::new(), properties: Vec::new(), children };
+    let mut metadata_list = MetadataList::default();
+    let version = blocks.data(&0_i32.to_le_bytes());
+    let library = blocks.data(&LIBRARY_VERSION.to_le_bytes());
+    let (top, _) = top.put(&mut blocks, &mut metadata_list);
+    const WRITER: &str = concat!("_ai_Application=meniscus ", env!("CARGO_PKG_VERSION"));
+    let metadata = blocks.data(WRITER.as_bytes());
+    let mut samplings = Vec::new();
+    TimeSampling::of_constants().put(&mut samplings);
+    sampling.put(&mut samplings);
+    let samplings = blocks.data(&samplings);
+    let listed = blocks.data(&metadata_list.bytes());
+    let root = blocks.group(&[version, library, top, metadata, samplings, listed]);
+    (blocks.finish(), root)
+}
+
+impl AbcObject {
+    /// Appends the object. Returns its group, and a hash of everything in it.
+    fn put(&self, blocks: &mut OgawaBlocks, list: &mut MetadataList) -> (OgawaChild, Digest) {
+        let (compound, of_properties) = put_compound(&self.properties, blocks, list);
+        let mut group = vec![compound];
+        let (mut headers, mut of_children) = (Vec::new(), ContentHasher::default());
+        for child in &self.children {
+            let (object, hash) = child.put(blocks, list);
+            group.push(object);
+            of_children.update(&hash);
+            headers.extend((child.name.len() as u32).to_le_bytes());
+            headers.extend(child.name.as_bytes());
+            let index = list.index(&child.metadata);
+            headers.push(index as u8);
+            if index == NOT_LISTED {
+                headers.extend((child.metadata.len() as u32).to_le_bytes());
+                headers.extend(child.metadata.as_bytes());
+            }
+        }
+        let of_children = of_children.finish();
+        headers.extend(of_properties);
+        headers.extend(of_children);
+        group.push(blocks.data(&headers));
+        let name = [self.name, &self.metadata].concat();
+        let hash = [&of_properties, &of_children, name.as_bytes()].concat();
+        (blocks.group(&group), ContentHasher::of(&hash))
+    }
+}
+
+/// Appends the properties of an object or a compound. Returns their group, and a hash of all
+/// headers and samples.
+fn put_compound(
+    properties: &[AbcProperty],
+    blocks: &mut OgawaBlocks,
+    list: &mut MetadataList,
+) -> (OgawaChild, Digest) {
+    let (mut group, mut headers, mut hash) = (Vec::new(), Vec::new(), ContentHasher::default());
+    for property in properties {
+        match property {
+            AbcProperty::Values { header, samples, sampling } => {
+                let dimensions = (!header.scalar).then_some(OgawaChild::NO_DATA);
+                let children = samples.iter().flat_map(|sample| [Some(sample.block), dimensions]);
+                group.push(blocks.group(&children.flatten().collect::<Vec<_>>()));
+                samples.iter().for_each(|sample| hash.update(&sample.digest));
+                put_value_header(&mut headers, header, samples, *sampling, list);
+            }
+            AbcProperty::Compound { name, metadata, properties } => {
+                let (compound, own) = put_compound(properties, blocks, list);
+                group.push(compound);
+                hash.update(&own);
+                put_header(&mut headers, 0, &[], name, metadata, list);
+            }
+        }
+    }
+    hash.update(&headers);
+    if !properties.is_empty() {
+        group.push(blocks.data(&headers));
+    }
+    (blocks.group(&group), hash.finish())
+}
+
+fn put_value_header(
+    out: &mut Vec<u8>,
+    header: &AbcHeader,
+    samples: &[AbcSample],
+    sampling: u32,
+    list: &mut MetadataList,
+) {
+    let kind = if header.scalar { 1 } else { 2 };
+    let is_homogeneous = samples.iter().all(|sample| sample.elements == samples[0].elements);
+    // If no range of changing samples is stored, all of them change, or none does.
+    let is_constant = samples.len() < 2;
+    let bits = kind
+        | (header.pod as u32) << 4
+        | u32::from(sampling != 0) << 8
+        | u32::from(is_homogeneous) << 10
+        | u32::from(is_constant) << 11
+        | u32::from(header.extent) << 12;
+    let numbers = [samples.len() as u32, sampling];
+    let numbers = &numbers[..if sampling == 0 { 1 } else { 2 }];
+    put_header(out, bits, numbers, &header.name, &header.metadata, list);
+}
+
+/// Appends a property header: its bits and numbers, its name and its metadata.
+fn put_header(
+    out: &mut Vec<u8>,
+    bits: u32,
+    numbers: &[u32],
+    name: &str,
+    metadata: &str,
+    list: &mut MetadataList,
+) {
+    let sizes = [name.len() as u32, metadata.len() as u32];
+    // All numbers have the width of the largest.
+    let (code, width) = match numbers.iter().chain(&sizes).copied().fold(0, u32::max) {
+        ..=0xff => (0, 1),
+        0x100..=0xffff => (1, 2),
+        _ => (2, 4),
+    };
+    let index = list.index(metadata);
+    out.extend((bits | code << 2 | (index as u32) << 20).to_le_bytes());
+    let mut put = |number: u32, text: &str| {
+        out.extend(&number.to_le_bytes()[..width]);
+        out.extend(text.as_bytes());
+    };
+    numbers.iter().for_each(|&number| put(number, ""));
+    put(sizes[0], name);
+    if index == NOT_LISTED {
+        put(sizes[1], metadata);
+    }
+}
+
+/// Metadata that headers name by index.
+#[derive(Default)]
+struct MetadataList(Vec<String>);
+
+impl MetadataList {
+    /// The index of metadata: 0 for none, or [`NOT_LISTED`] if it is long or the list is full.
+    fn index(&mut self, metadata: &str) -> usize {
+        if metadata.is_empty() {
+            return 0;
+        }
+        if let Some(index) = self.0.iter().position(|listed| listed == metadata) {
+            return index + 1;
+        }
+        if metadata.len() > 255 || self.0.len() + 1 == NOT_LISTED {
+            return NOT_LISTED;
+        }
+        self.0.push(metadata.to_owned());
+        self.0.len()
+    }
+
+    fn bytes(&self) -> Vec<u8> {
+        let sized = |text: &String| [&[text.len() as u8], text.as_bytes()].concat();
+        self.0.iter().flat_map(sized).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(times: &[f64]) -> (f64, Vec<f64>) {
+        let sampling = TimeSampling::at(times);
+        assert_eq!(sampling.samples as usize, times.len());
+        (sampling.per_cycle, sampling.times)
+    }
+
+    #[test]
+    fn times_at_equal_distances_are_a_start_and_a_distance_and_others_are_listed() {
+        assert_eq!(at(&[0.5, 0.75, 1.0, 1.25]), (0.25, vec![0.5]));
+        let rounded: Vec<f64> = (1..=250).map(|frame| f64::from(frame) / 24.0).collect();
+        let (per_cycle, first) = at(&rounded);
+        assert!((per_cycle - 1.0 / 24.0).abs() < 1e-12 && first == [1.0 / 24.0]);
+        assert_eq!(at(&[2.0]), (1.0, vec![2.0]));
+        assert_eq!(at(&[0.0, 0.1, 0.3]), (ACYCLIC, vec![0.0, 0.1, 0.3]));
+        // Not uniform, although the difference is below the tolerance of Alembic.
+        assert_eq!(at(&[0.0, 1e-6, 3e-6]), (ACYCLIC, vec![0.0, 1e-6, 3e-6]));
+    }
+}

@@ -1,0 +1,78 @@
+//! Ogawa: groups and data blocks at positions in a file. A group lists its children; a header
+//! names the root group.
+
+/// Bytes before the first block.
+pub const HEADER: u64 = 16;
+/// Bytes of a data block before its content.
+pub const LENGTH: u64 = 8;
+
+/// Marks a child that is data, not a group.
+const IS_DATA: u64 = 1 << 63;
+
+/// A child of a group: the position of a group or data block, or nothing.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct OgawaChild(u64);
+
+impl OgawaChild {
+    /// Data of no bytes.
+    pub const NO_DATA: Self = Self(IS_DATA);
+
+    /// The position of a group.
+    pub fn position(self) -> u64 {
+        self.0
+    }
+
+    /// The data block at a position.
+    pub fn data(at: u64) -> Self {
+        Self(IS_DATA | at)
+    }
+}
+
+/// The header of a complete file of version 1.
+pub fn header(root: OgawaChild) -> Vec<u8> {
+    let mut header = b"Ogawa\xff\0\x01".to_vec();
+    header.extend(root.0.to_le_bytes());
+    header
+}
+
+/// Groups and small data blocks, one after the other.
+pub struct OgawaBlocks {
+    /// The position of the first one.
+    at: u64,
+    bytes: Vec<u8>,
+}
+
+impl OgawaBlocks {
+    pub fn new(at: u64) -> Self {
+        Self { at, bytes: Vec::new() }
+    }
+
+    pub fn data(&mut self, content: &[u8]) -> OgawaChild {
+        if content.is_empty() {
+            return OgawaChild::NO_DATA;
+        }
+        let at = self.end();
+        self.bytes.extend((content.len() as u64).to_le_bytes());
+        self.bytes.extend(content);
+        OgawaChild::data(at)
+    }
+
+    pub fn group(&mut self, children: &[OgawaChild]) -> OgawaChild {
+        // A group without children has no position.
+        if children.is_empty() {
+            return OgawaChild(0);
+        }
+        let at = self.end();
+        self.bytes.extend((children.len() as u64).to_le_bytes());
+        self.bytes.extend(children.iter().flat_map(|child| child.0.to_le_bytes()));
+        OgawaChild(at)
+    }
+
+    fn end(&self) -> u64 {
+        self.at + self.bytes.len() as u64
+    }
+
+    pub fn finish(self) -> Vec<u8> {
+        self.bytes
+    }
+}
