@@ -1,5 +1,5 @@
-//! Simulations by the library: the program's bytes, events, cancellation, frames from memory, and
-//! frames that are sampled once.
+//! The library converts simulations: the bytes of the program, events, cancellation, frames from
+//! memory, and frames that are sampled once and meshed repeatedly.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -20,7 +20,7 @@ use crate::common::fill;
 use crate::common::program::command;
 
 /// Changes a request.
-type Ask = fn(Reconstruction) -> Reconstruction;
+type Change = fn(Reconstruction) -> Reconstruction;
 
 /// A falling drop of particles with spacing 0.5.
 fn falling(frame: u64) -> Vec<[f32; 3]> {
@@ -51,7 +51,7 @@ fn simulation(folder: &Path, meshes: &str) -> Simulation {
 #[test]
 fn the_library_and_the_program_write_the_same_files() {
     let folder = simulated(4);
-    let asked: [(&[&str], Ask); 4] = [
+    let cases: [(&[&str], Change); 4] = [
         (&[], |request| request),
         (&["--indicator", "counting", "--normals", "--up", "z"], |request| {
             request.indicator(IndicatorKind::Counting).normals(true).up(meniscus::UpAxis::Z)
@@ -63,7 +63,7 @@ fn the_library_and_the_program_write_the_same_files() {
             request.indicator(IndicatorKind::Symmetry).iso(0.3).domain([-4.0, -9.0, -9.0], [9.0; 3])
         }),
     ];
-    for (number, (options, ask)) in asked.into_iter().enumerate() {
+    for (number, (options, change)) in cases.into_iter().enumerate() {
         let [program, library] = ["program", "library"].map(|by| format!("{by}_{number}"));
         let mut command =
             command(folder.path(), &["reconstruct", "sim/drop_{}.xyz", "--spacing", "0.5"]);
@@ -73,7 +73,7 @@ fn the_library_and_the_program_write_the_same_files() {
             "cpu",
         ]);
         assert!(command.args(options).status().unwrap().success(), "{options:?}");
-        let request = ask(Reconstruction::new().spacing(0.5));
+        let request = change(Reconstruction::new().spacing(0.5));
         let summaries =
             simulation(folder.path(), &library).reconstruction(request).run(|_| {}).unwrap();
         assert!(
@@ -90,17 +90,17 @@ fn the_library_and_the_program_write_the_same_files() {
 }
 
 #[test]
-fn events_tell_what_is_measured_begun_done_and_failed() {
+fn events_report_measurement_start_progress_success_and_failure() {
     let folder = simulated(5);
     fs::write(folder.path().join("sim/drop_3.xyz"), "seven").unwrap();
     fs::remove_file(folder.path().join("sim/drop_4.xyz")).unwrap();
-    let (mut told, mut shares) = (Vec::new(), Vec::new());
-    let tell = |event: Event| {
+    let (mut log, mut shares) = (Vec::new(), Vec::new());
+    let on_event = |event: Event| {
         let line = match &event {
             Event::Measured { .. } => "measured".to_owned(),
             Event::Started { frames, done, lanes, .. } => {
                 assert!(*lanes >= 1);
-                format!("begins {done} of {frames}")
+                format!("starts {done} of {frames}")
             }
             Event::Stage { progress: Some(progress), frame, .. } => {
                 shares.push(progress.done);
@@ -118,15 +118,15 @@ fn events_tell_what_is_measured_begun_done_and_failed() {
             Event::Ended(_) => "ended".to_owned(),
             _ => return,
         };
-        told.push(line);
+        log.push(line);
     };
-    let summaries = simulation(folder.path(), "mesh").run(tell).unwrap();
+    let summaries = simulation(folder.path(), "mesh").run(on_event).unwrap();
     assert!(shares.iter().all(|share| (0.0..=1.0).contains(share)), "{shares:?}");
     assert!(shares.contains(&0.0) && shares.contains(&1.0), "{shares:?}");
     let place = |line: &str| {
-        told.iter().position(|told| told == line).unwrap_or_else(|| panic!("{line}: {told:?}"))
+        log.iter().position(|entry| entry == line).unwrap_or_else(|| panic!("{line}: {log:?}"))
     };
-    assert!(place("begins 0 of 4") < place("done 1"));
+    assert!(place("starts 0 of 4") < place("done 1"));
     for frame in [1, 2, 5] {
         for stage in ["reading", "counting", "sampling", "meshing", "writing"] {
             assert!(place(&format!("{frame} {stage}")) < place(&format!("done {frame}")));
@@ -144,10 +144,10 @@ fn events_tell_what_is_measured_begun_done_and_failed() {
     assert!(!summary.is_complete());
 }
 
-/// Converts four frames. The first is `early` until it is measured or made, and then has its final
-/// content. Returns the files, and those of the final frames.
+/// Converts four frames, of which the first is replaced when `is_time` returns true. Returns the
+/// files of this conversion, and those of a conversion of the final frames.
 fn converted_while_changed(
-    ask: fn(Simulation) -> Simulation,
+    change: fn(Simulation) -> Simulation,
     is_time: fn(&Event) -> bool,
 ) -> [BTreeMap<String, Vec<u8>>; 2] {
     let (folder, still) = (simulated(4), simulated(4));
@@ -159,14 +159,14 @@ fn converted_while_changed(
     let mut measured = 0;
     let request = Reconstruction::new().threads(2).memory(MemoryBudget(1 << 30));
     let by = |folder: &Path| simulation(folder, "mesh").reconstruction(request.clone());
-    let hear = |event: Event| {
+    let on_event = |event: Event| {
         measured += usize::from(matches!(event, Event::Measured { .. }));
         if is_early && is_time(&event) {
             write(&first, &falling(1));
             is_early = false;
         }
     };
-    let summaries = ask(by(folder.path())).run(hear).unwrap();
+    let summaries = change(by(folder.path())).run(on_event).unwrap();
     assert!(summaries.iter().all(Summary::is_complete), "{summaries:?}");
     assert_eq!((is_early, measured), (false, 2));
     by(still.path()).run(|_| ()).unwrap().iter().for_each(|summary| assert!(summary.is_complete()));
@@ -179,28 +179,28 @@ fn converted_while_changed(
 }
 
 #[test]
-fn a_frame_that_changes_after_it_was_measured_is_measured_again_for_all() {
+fn changing_the_calibration_frame_recalibrates_every_frame() {
     let [files, still] =
         converted_while_changed(|all| all, |event| matches!(event, Event::Measured { .. }));
     assert!(files == still, "{:?}", files.keys());
 }
 
 #[test]
-fn a_followed_frame_that_grows_after_it_was_measured_is_measured_again_for_all() {
+fn a_watched_calibration_frame_that_grows_recalibrates_every_frame() {
     let is_last = |event: &Event| matches!(event, Event::Done(done) if done.progress.done == 4);
     let [files, still] = converted_while_changed(|all| all.watch(3.0), is_last);
     assert!(files == still, "{:?}", files.keys());
 }
 
 #[test]
-fn a_cancelled_conversion_ends_soon_keeps_what_is_done_and_can_be_gone_on_with() {
+fn a_cancelled_conversion_keeps_finished_frames_and_can_be_resumed() {
     let folder = simulated(40);
     let cancel = Cancel::new();
     let request = Reconstruction::new().spacing(0.5).threads(1).memory(MemoryBudget(1 << 30));
     let all =
         simulation(folder.path(), "mesh").reconstruction(request.clone().cancel(cancel.clone()));
     let (mut done, mut failed) = (0, 0);
-    let hear = |event| match event {
+    let on_event = |event| match event {
         Event::Done(_) => {
             done += 1;
             if done == 3 {
@@ -210,7 +210,7 @@ fn a_cancelled_conversion_ends_soon_keeps_what_is_done_and_can_be_gone_on_with()
         Event::Failed(_) => failed += 1,
         _ => {}
     };
-    let error = all.run(hear).unwrap_err();
+    let error = all.run(on_event).unwrap_err();
     assert!(matches!(error, Error::Cancelled), "{error}");
     assert!((3..40).contains(&done) && failed == 0, "{done} done, {failed} failed");
     let meshes = |folder: &str, root: &Path| {
@@ -222,12 +222,12 @@ fn a_cancelled_conversion_ends_soon_keeps_what_is_done_and_can_be_gone_on_with()
 
     let again = simulation(folder.path(), "mesh").reconstruction(request.clone()).resume();
     let mut skipped = 0;
-    let hear = |event| {
+    let on_event = |event| {
         if let Event::Started { done, .. } = event {
             skipped = done;
         }
     };
-    let gone_on = again.run(hear).unwrap();
+    let gone_on = again.run(on_event).unwrap();
     assert!(skipped == done && gone_on[0].is_complete(), "{skipped} of {done}: {gone_on:?}");
     let whole = simulation(folder.path(), "whole").reconstruction(request).run(|_| {}).unwrap();
     assert!(whole[0].is_complete(), "{whole:?}");
@@ -235,29 +235,29 @@ fn a_cancelled_conversion_ends_soon_keeps_what_is_done_and_can_be_gone_on_with()
 }
 
 #[test]
-fn a_simulation_runs_on_the_only_thread_of_the_pool_that_it_is_called_on() {
+fn a_simulation_runs_from_inside_its_own_single_threaded_pool() {
     let folder = simulated(3);
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
     let pool = std::sync::Arc::new(pool);
     let request = Reconstruction::new().spacing(0.5).pool(std::sync::Arc::clone(&pool));
     let simulation = simulation(folder.path(), "mesh").reconstruction(request);
-    let mut heard = 0;
-    let summaries = pool.install(|| simulation.run(|_| heard += 1)).unwrap();
-    assert!(summaries[0].made == 3 && heard > 3, "{summaries:?}");
+    let mut events = 0;
+    let summaries = pool.install(|| simulation.run(|_| events += 1)).unwrap();
+    assert!(summaries[0].made == 3 && events > 3, "{summaries:?}");
 }
 
 #[test]
 fn a_frame_can_be_cancelled_between_two_batches_of_blocks() {
     let water = fill(36.0, 1.0, 0.3, 5, |_| true);
     let cancel = Cancel::new();
-    let told = std::sync::Arc::new(Mutex::new(Vec::<Progress>::new()));
-    let (stop, hear) = (cancel.clone(), std::sync::Arc::clone(&told));
+    let reports = std::sync::Arc::new(Mutex::new(Vec::<Progress>::new()));
+    let (stop, sink) = (cancel.clone(), std::sync::Arc::clone(&reports));
     let request =
         Reconstruction::new().spacing(1.0).cell(0.15).threads(1).memory(MemoryBudget(64 << 20));
     let error = request
         .cancel(cancel)
         .progress(move |progress| {
-            hear.lock().unwrap().push(progress);
+            sink.lock().unwrap().push(progress);
             if progress.stage == Stage::Meshing && progress.done > CALIBRATING {
                 stop.cancel();
             }
@@ -265,13 +265,17 @@ fn a_frame_can_be_cancelled_between_two_batches_of_blocks() {
         .run(&water[..])
         .unwrap_err();
     assert_eq!(error.cause(), Cause::Cancelled, "{error}");
-    let told = told.lock().unwrap();
-    let last = told.last().unwrap();
-    assert!(last.stage == Stage::Meshing && last.done > CALIBRATING && last.done < 1.0, "{told:?}");
-    let stages: Vec<Stage> = told.iter().map(|progress| progress.stage).collect();
+    let reports = reports.lock().unwrap();
+    let last = reports.last().unwrap();
+    assert!(
+        last.stage == Stage::Meshing && last.done > CALIBRATING && last.done < 1.0,
+        "{reports:?}"
+    );
+    let stages: Vec<Stage> = reports.iter().map(|progress| progress.stage).collect();
     assert!(stages.is_sorted() && stages.contains(&Stage::Sampling), "{stages:?}");
     assert_eq!(
-        told.iter()
+        reports
+            .iter()
             .filter(|progress| progress.stage == Stage::Meshing && progress.done > CALIBRATING)
             .count(),
         1
@@ -279,20 +283,20 @@ fn a_frame_can_be_cancelled_between_two_batches_of_blocks() {
 }
 
 #[test]
-fn a_frame_of_ordinary_size_is_cancelled_while_its_blocks_are_meshed() {
+fn an_ordinary_frame_can_be_cancelled_during_meshing() {
     let water = fill(30.0, 1.0, 0.3, 5, |_| true);
     assert!(water.len() > 200_000);
     for (threads, kind) in
         [(1, IndicatorKind::Cloud), (2, IndicatorKind::Cloud), (2, IndicatorKind::Counting)]
     {
         let cancel = Cancel::new();
-        let told = std::sync::Arc::new(Mutex::new(Vec::<Progress>::new()));
-        let (stop, hear) = (cancel.clone(), std::sync::Arc::clone(&told));
+        let reports = std::sync::Arc::new(Mutex::new(Vec::<Progress>::new()));
+        let (stop, sink) = (cancel.clone(), std::sync::Arc::clone(&reports));
         let request =
             Reconstruction::new().spacing(1.0).indicator(kind).threads(threads).cancel(cancel);
         let error = request
             .progress(move |progress| {
-                hear.lock().unwrap().push(progress);
+                sink.lock().unwrap().push(progress);
                 if progress.stage == Stage::Meshing && progress.done > CALIBRATING {
                     stop.cancel();
                 }
@@ -300,13 +304,13 @@ fn a_frame_of_ordinary_size_is_cancelled_while_its_blocks_are_meshed() {
             .run(&water)
             .unwrap_err();
         assert!(matches!(error, Error::Cancelled), "{error}");
-        let last = *told.lock().unwrap().last().unwrap();
+        let last = *reports.lock().unwrap().last().unwrap();
         assert!(last.stage == Stage::Meshing && last.done < 0.5, "{last:?}");
     }
 }
 
 #[test]
-fn a_frame_is_cancelled_in_the_middle_of_whatever_stage_it_is_in() {
+fn a_frame_can_be_cancelled_in_the_middle_of_every_stage() {
     let folder = TempDir::new().unwrap();
     let input = folder.path().join("water.xyz");
     fs::write(&input, raw(&fill(30.0, 1.0, 0.3, 5, |_| true))).unwrap();
@@ -315,11 +319,11 @@ fn a_frame_is_cancelled_in_the_middle_of_whatever_stage_it_is_in() {
     {
         for format in ["ply", "glb", "obj"] {
             let cancel = Cancel::new();
-            let told = std::sync::Arc::new(Mutex::new(Vec::<Progress>::new()));
-            let (stop, hear) = (cancel.clone(), std::sync::Arc::clone(&told));
+            let reports = std::sync::Arc::new(Mutex::new(Vec::<Progress>::new()));
+            let (stop, sink) = (cancel.clone(), std::sync::Arc::clone(&reports));
             let request = Reconstruction::new().spacing(1.0).simplify(0.5).threads(2);
             let request = request.cancel(cancel).progress(move |progress| {
-                hear.lock().unwrap().push(progress);
+                sink.lock().unwrap().push(progress);
                 if progress.stage == last && progress.done > 0.0 {
                     stop.cancel();
                 }
@@ -328,11 +332,11 @@ fn a_frame_is_cancelled_in_the_middle_of_whatever_stage_it_is_in() {
             let made = request.run_file(&input).and_then(|surface| surface.write(&mesh));
             let error = made.unwrap_err();
             assert_eq!(error.cause(), Cause::Cancelled, "{error}");
-            let told = told.lock().unwrap();
-            let end = told.last().unwrap();
+            let reports = reports.lock().unwrap();
+            let end = reports.last().unwrap();
             assert!(
                 end.stage == last && end.done > 0.0 && end.done < 1.0,
-                "{last} of .{format}: {told:?}"
+                "{last} of .{format}: {reports:?}"
             );
             assert_eq!(
                 fs::read_dir(&folder).unwrap().count(),
@@ -344,20 +348,20 @@ fn a_frame_is_cancelled_in_the_middle_of_whatever_stage_it_is_in() {
 }
 
 #[test]
-fn a_frame_reports_progress_while_it_is_calibrated_measured_and_simplified() {
-    let told = std::sync::Arc::new(Mutex::new(Vec::<Progress>::new()));
-    let hear = std::sync::Arc::clone(&told);
+fn calibration_and_component_measurement_report_progress() {
+    let reports = std::sync::Arc::new(Mutex::new(Vec::<Progress>::new()));
+    let sink = std::sync::Arc::clone(&reports);
     Reconstruction::new()
         .spacing(1.0)
         .simplify(0.5)
         .smallest_drop(4)
-        .progress(move |progress| hear.lock().unwrap().push(progress))
+        .progress(move |progress| sink.lock().unwrap().push(progress))
         .run(&fill(30.0, 1.0, 0.3, 5, |_| true))
         .unwrap();
-    let told = told.lock().unwrap();
+    let reports = reports.lock().unwrap();
     // The first tenth of either stage is calibration, or measuring components.
     for stage in [Stage::Meshing, Stage::Simplifying] {
-        let shares = told.iter().filter(|progress| progress.stage == stage).map(|of| of.done);
+        let shares = reports.iter().filter(|progress| progress.stage == stage).map(|of| of.done);
         let shares: Vec<f64> = shares.filter(|&done| done > 0.0 && done < 1.0).collect();
         let [begun, later] = [0.0..CALIBRATING, CALIBRATING..1.0]
             .map(|range| shares.iter().filter(|share| range.contains(share)).count());
@@ -366,20 +370,20 @@ fn a_frame_reports_progress_while_it_is_calibrated_measured_and_simplified() {
 }
 
 #[test]
-fn every_stage_is_told_of_from_its_begin_to_its_end_and_can_be_the_last() {
+fn every_stage_reports_from_0_to_1_and_can_be_cancelled_at_its_end() {
     let folder = simulated(1);
     let input = folder.path().join("sim/drop_1.xyz");
-    let told = std::sync::Arc::new(Mutex::new(Vec::<Progress>::new()));
-    let hear = std::sync::Arc::clone(&told);
-    let asked = || Reconstruction::new().spacing(0.5).simplify(0.5);
-    let surface = asked()
-        .progress(move |progress| hear.lock().unwrap().push(progress))
+    let reports = std::sync::Arc::new(Mutex::new(Vec::<Progress>::new()));
+    let sink = std::sync::Arc::clone(&reports);
+    let request = || Reconstruction::new().spacing(0.5).simplify(0.5);
+    let surface = request()
+        .progress(move |progress| sink.lock().unwrap().push(progress))
         .run_file(&input)
         .unwrap();
     surface.write(folder.path().join("mesh.ply")).unwrap();
     // The lock is free once the file is written.
-    let told = std::mem::take(&mut *told.lock().unwrap());
-    let stages: Vec<_> = told.chunk_by(|a, b| a.stage == b.stage).collect();
+    let reports = std::mem::take(&mut *reports.lock().unwrap());
+    let stages: Vec<_> = reports.chunk_by(|a, b| a.stage == b.stage).collect();
     let names: Vec<_> = stages.iter().map(|stage| stage[0].stage).collect();
     use Stage::{Counting, Meshing, Reading, Sampling, Simplifying, Writing};
     assert_eq!(names, [Reading, Counting, Sampling, Meshing, Simplifying, Writing]);
@@ -390,7 +394,7 @@ fn every_stage_is_told_of_from_its_begin_to_its_end_and_can_be_the_last() {
     for last in [Reading, Counting, Sampling, Meshing, Simplifying] {
         let cancel = Cancel::new();
         let stop = cancel.clone();
-        let request = asked().cancel(cancel).progress(move |progress| {
+        let request = request().cancel(cancel).progress(move |progress| {
             if progress.stage == last && progress.done == 1.0 {
                 stop.cancel();
             }
@@ -399,7 +403,7 @@ fn every_stage_is_told_of_from_its_begin_to_its_end_and_can_be_the_last() {
     }
     // A file has its name only when it is complete.
     let cancel = Cancel::new();
-    let output = asked()
+    let output = request()
         .cancel(cancel.clone())
         .output(folder.path().join("late.ply"), Replace::Refuse)
         .unwrap();
@@ -409,7 +413,7 @@ fn every_stage_is_told_of_from_its_begin_to_its_end_and_can_be_the_last() {
 }
 
 #[test]
-fn what_is_cancelled_before_it_begins_writes_nothing() {
+fn a_request_cancelled_before_it_starts_writes_nothing() {
     let folder = simulated(2);
     let cancel = Cancel::new();
     cancel.cancel();
@@ -424,7 +428,7 @@ fn what_is_cancelled_before_it_begins_writes_nothing() {
 }
 
 #[test]
-fn frames_from_memory_are_those_from_files() {
+fn live_frames_from_memory_equal_frames_from_files() {
     for kind in [IndicatorKind::Cloud, IndicatorKind::Counting, IndicatorKind::Symmetry] {
         let folder = simulated(3);
         let request = Reconstruction::new().spacing(0.5).indicator(kind).cell(0.8);
@@ -442,7 +446,7 @@ fn frames_from_memory_are_those_from_files() {
 }
 
 #[test]
-fn what_a_live_simulation_has_measured_holds_for_all_later_frames() {
+fn a_live_simulation_keeps_its_first_measurements_for_later_frames() {
     // A sheet has no interior to measure.
     let sheet: Vec<[f64; 3]> = fill(20.0, 2.0, 0.1, 7, |p| (0.0..0.5).contains(&p.y));
     let mut live = LiveSimulation::new(&Reconstruction::new().spacing(0.5)).unwrap();
@@ -466,7 +470,7 @@ fn what_a_live_simulation_has_measured_holds_for_all_later_frames() {
 }
 
 #[test]
-fn a_frame_that_is_sampled_once_is_drawn_as_often_as_one_likes() {
+fn a_sampled_frame_can_be_meshed_repeatedly_with_other_settings() {
     let water = falling(1);
     let request = Reconstruction::new().spacing(0.5);
     let frame = request.sample(&water[..]).unwrap();
@@ -487,20 +491,20 @@ fn a_frame_that_is_sampled_once_is_drawn_as_often_as_one_likes() {
 }
 
 #[test]
-fn settings_that_have_no_meaning_are_refused_with_what_they_do_not_go_with() {
-    let asked = Reconstruction::new;
-    let counting = || asked().indicator(IndicatorKind::Counting);
-    let mueller = || asked().method(meniscus::KernelMethod::Mueller { iso: 0.5 });
+fn inapplicable_settings_are_refused_and_named() {
+    let default = Reconstruction::new;
+    let counting = || default().indicator(IndicatorKind::Counting);
+    let mueller = || default().method(meniscus::KernelMethod::Mueller { iso: 0.5 });
     let folder = TempDir::new().unwrap();
     for (setting, request) in [
-        ("sigma", asked().sigma(1.0)),
-        ("iso", asked().iso(0.5)),
-        ("detail", asked().detail(true)),
-        ("mu0", asked().mu0(3.0)),
+        ("sigma", default().sigma(1.0)),
+        ("iso", default().iso(0.5)),
+        ("detail", default().detail(true)),
+        ("mu0", default().mu0(3.0)),
         ("smooth", counting().smooth(1.6)),
         ("smooth", mueller().smooth(1.6)),
         ("sigma", mueller().sigma(1.6)),
-        ("iso", asked().method(meniscus::KernelMethod::ZhuBridson).iso(0.5)),
+        ("iso", default().method(meniscus::KernelMethod::ZhuBridson).iso(0.5)),
         ("indicator", mueller().indicator(IndicatorKind::Cloud)),
     ] {
         let refused = |error| {
@@ -514,10 +518,10 @@ fn settings_that_have_no_meaning_are_refused_with_what_they_do_not_go_with() {
         assert!(refused(simulation.reconstruction(request).check().unwrap_err()), "{setting}");
     }
     for (setting, request, name) in [
-        ("normals", asked().normals(true), "m.stl"),
-        ("attributes", asked().attributes(["heat"]), "m.obj"),
-        ("compress", asked().compress(true), "m.ply"),
-        ("up", asked().up(meniscus::UpAxis::Z), "m.glb"),
+        ("normals", default().normals(true), "m.stl"),
+        ("attributes", default().attributes(["heat"]), "m.obj"),
+        ("compress", default().compress(true), "m.ply"),
+        ("up", default().up(meniscus::UpAxis::Z), "m.glb"),
     ] {
         let error = request.output(folder.path().join(name), Replace::Refuse).unwrap_err();
         assert!(
@@ -533,19 +537,19 @@ fn settings_that_have_no_meaning_are_refused_with_what_they_do_not_go_with() {
 }
 
 #[test]
-fn warnings_are_facts_and_those_of_a_simulation_say_what_frame_was_measured() {
+fn warnings_of_a_simulation_name_the_calibration_frame() {
     let folder = simulated(1);
     // Particles eight times as far apart have at most an eighth of the plateau.
     let far: Vec<[f32; 3]> = falling(1).into_iter().step_by(9).collect();
     write(&folder.path().join("sim/drop_2.xyz"), &far);
     let mut found = Vec::new();
     let request = Reconstruction::new().spacing(0.5).indicator(IndicatorKind::Counting);
-    let tell = |event| {
+    let on_event = |event| {
         if let Event::Done(done) = event {
             found.extend(done.warnings);
         }
     };
-    simulation(folder.path(), "mesh").reconstruction(request).run(tell).unwrap();
+    simulation(folder.path(), "mesh").reconstruction(request).run(on_event).unwrap();
     let calibration_frame = found.iter().find_map(|warning| match warning {
         Warning::Shortfall { calibration_frame, clouds: false, .. } => Some(*calibration_frame),
         Warning::Empty { calibration_frame, clouds: false, .. } => Some(*calibration_frame),
@@ -564,7 +568,7 @@ fn tank(frame: u64) -> Vec<[f32; 3]> {
 }
 
 #[test]
-fn walls_that_are_found_are_those_of_all_frames_and_are_kept_and_no_particle_is_left_out() {
+fn detected_walls_cover_all_frames_survive_resume_and_drop_no_particle() {
     let folder = TempDir::new().unwrap();
     fs::create_dir(folder.path().join("sim")).unwrap();
     // The walls are measured on frames 1, 3, 5, 7, 9, 11 and 13.

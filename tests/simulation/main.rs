@@ -1,4 +1,4 @@
-//! The frames of a simulation, by the library and by the program.
+//! Conversion of the frames of a simulation, by the library and by the program.
 #![allow(clippy::unwrap_used)]
 
 #[path = "../common/mod.rs"]

@@ -1,5 +1,5 @@
-//! The frames of a simulation in the program: the same bytes in all ways to run, every frame that
-//! is possible, and no leftover files.
+//! The program converts the frames of a simulation: every way to run it gives the same bytes, bad
+//! frames do not stop the others, and no temporary files remain.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -51,7 +51,7 @@ fn with<'a>(more: &[&'a str]) -> Vec<&'a str> {
 }
 
 #[test]
-fn the_bytes_depend_on_neither_threads_nor_jobs_nor_their_order_nor_memory() {
+fn outputs_are_independent_of_threads_memory_jobs_and_job_order() {
     let folder = falling(1..=9);
     let bytes = |runs: &[&[&str]]| {
         let out = folder.path().join("out");
@@ -60,7 +60,7 @@ fn the_bytes_depend_on_neither_threads_nor_jobs_nor_their_order_nor_memory() {
         tree(&out)
     };
     let first = bytes(&[&["--threads", "1"]]);
-    assert_eq!(first.len(), 9 + 4, "meshes, their records, the state and two listings");
+    assert_eq!(first.len(), 9 + 4, "meshes, records, the state and two listings");
     assert!(first == bytes(&[&["--threads", "3"]]));
     assert!(first == bytes(&[&["--threads", "2", "--memory", "130MiB"]]));
     // The last job sees the frames of all others.
@@ -69,7 +69,7 @@ fn the_bytes_depend_on_neither_threads_nor_jobs_nor_their_order_nor_memory() {
 }
 
 #[test]
-fn a_resumed_run_makes_again_what_is_not_whole_or_not_of_these_settings_and_nothing_else() {
+fn resuming_remakes_only_frames_that_are_damaged_unrecorded_or_changed() {
     let folder = falling(1..=8);
     run(folder.path(), &ALL, 0);
     let out = folder.path().join("out");
@@ -95,10 +95,11 @@ fn a_resumed_run_makes_again_what_is_not_whole_or_not_of_these_settings_and_noth
     alive.lock_shared().unwrap();
     let errors = run(folder.path(), &with(&["--resume"]), 0);
     assert!(errors.contains("4 of 8 frames are already finished"), "{errors}");
-    fs::remove_file(out.join(".meniscus-alive.tmp")).expect("what another process writes stays");
+    fs::remove_file(out.join(".meniscus-alive.tmp"))
+        .expect("the temporary file of another process stays");
     assert!(tree(&out) == whole);
-    let again: Vec<_> = (0..8).filter(|&i| times()[i] != before[i]).map(|i| i + 1).collect();
-    assert_eq!(again, [2, 3, 4, 5]);
+    let remade: Vec<_> = (0..8).filter(|&i| times()[i] != before[i]).map(|i| i + 1).collect();
+    assert_eq!(remade, [2, 3, 4, 5]);
 
     // A changed input is another frame.
     fs::write(folder.path().join("in/f_7.xyz"), raw(&ball(11))).unwrap();
@@ -119,7 +120,7 @@ fn a_resumed_run_makes_again_what_is_not_whole_or_not_of_these_settings_and_noth
 }
 
 #[test]
-fn bad_frames_are_named_with_their_causes_and_all_others_are_made() {
+fn bad_frames_are_reported_with_causes_and_all_others_are_converted() {
     let folder = falling(1..=20);
     run(folder.path(), &ALL, 0);
     let whole = tree(&folder.path().join("out"));
@@ -165,24 +166,24 @@ fn bad_frames_are_named_with_their_causes_and_all_others_are_made() {
 }
 
 #[test]
-fn a_run_that_no_frame_can_be_measured_in_ends_and_leaves_nothing() {
+fn a_sequence_without_a_readable_frame_fails_and_leaves_no_output() {
     let folder = falling(1..=12);
     for frame in 1..=12 {
         fs::write(folder.path().join(format!("in/f_{frame}.xyz")), "?").unwrap();
     }
     let errors = run(folder.path(), &with(&["--threads", "2"]), 3);
     assert!(errors.contains("in/f_1.xyz: "), "{errors}");
-    assert!(!folder.path().join("out").exists(), "the folder was made, and nothing is in it");
+    assert!(!folder.path().join("out").exists(), "the output folder remains");
 }
 
 #[test]
-fn statistics_are_written_into_the_folder_that_is_made_for_the_meshes() {
+fn statistics_can_be_written_into_the_new_folder_of_the_meshes() {
     let folder = falling(1..=2);
     for (output, stats) in [("a/", "a/s.jsonl"), ("b/c/m_{}.ply", "b/s.jsonl")] {
-        let asked = ["in/f_{}.xyz", "-o", output, "--stats", stats];
-        run(folder.path(), &[&asked[..], &["--dry-run"]].concat(), 0);
+        let arguments = ["in/f_{}.xyz", "-o", output, "--stats", stats];
+        run(folder.path(), &[&arguments[..], &["--dry-run"]].concat(), 0);
         assert!(!folder.path().join(stats).parent().unwrap().exists(), "a dry run writes nothing");
-        run(folder.path(), &asked, 0);
+        run(folder.path(), &arguments, 0);
         let lines = fs::read_to_string(folder.path().join(stats)).unwrap();
         assert_eq!(lines.lines().count(), 2, "{stats}");
     }
@@ -192,7 +193,7 @@ fn statistics_are_written_into_the_folder_that_is_made_for_the_meshes() {
 }
 
 #[test]
-fn a_file_where_the_folder_of_the_meshes_would_be_is_named_before_any_work_and_left() {
+fn a_file_in_place_of_the_output_folder_is_refused_first_and_kept() {
     let folder = falling(1..=2);
     fs::write(folder.path().join("taken"), "mine").unwrap();
     for out in ["taken/", "taken/m_{}.ply", "taken/further/m_{}.ply"] {
@@ -204,7 +205,7 @@ fn a_file_where_the_folder_of_the_meshes_would_be_is_named_before_any_work_and_l
 }
 
 #[test]
-fn frames_are_found_by_pattern_folder_glob_or_name_and_come_out_the_same() {
+fn a_pattern_folder_glob_and_file_list_give_the_same_outputs() {
     let folder = falling(8..=11);
     fs::write(folder.path().join("in/notes.md"), "no frame").unwrap();
     fs::write(folder.path().join("in/scene.json"), "{}").unwrap();
@@ -247,7 +248,7 @@ fn frames_are_found_by_pattern_folder_glob_or_name_and_come_out_the_same() {
 }
 
 #[test]
-fn bars_are_drawn_where_they_are_asked_for_and_lines_elsewhere() {
+fn progress_bars_appear_only_on_request_and_lines_otherwise() {
     let folder = falling(1..=3);
     let lines = run(folder.path(), &ALL, 0);
     assert_eq!(lines.matches("vertices").count(), 3, "{lines}");
@@ -264,7 +265,7 @@ fn bars_are_drawn_where_they_are_asked_for_and_lines_elsewhere() {
 }
 
 #[test]
-fn what_cannot_be_a_sequence_is_refused_before_any_work() {
+fn invalid_sequence_requests_are_refused_and_leave_no_files() {
     let folder = falling(1..=3);
     fs::copy(folder.path().join("in/f_1.xyz"), folder.path().join("in/g_1.xyz")).unwrap();
     fs::create_dir(folder.path().join("none")).unwrap();
@@ -317,7 +318,7 @@ fn what_cannot_be_a_sequence_is_refused_before_any_work() {
 }
 
 #[test]
-fn a_dry_run_of_a_sequence_tells_what_it_would_do_and_writes_nothing() {
+fn a_dry_run_of_a_sequence_prints_estimates_and_writes_nothing() {
     let folder = falling(1..=4);
     fs::remove_file(folder.path().join("in/f_3.xyz")).unwrap();
     let before = tree(folder.path());
@@ -338,7 +339,7 @@ fn a_dry_run_of_a_sequence_tells_what_it_would_do_and_writes_nothing() {
 }
 
 #[test]
-fn kernel_methods_give_the_meshes_of_single_frames_and_another_method_makes_them_anew() {
+fn kernel_methods_match_single_frames_and_a_new_method_needs_overwrite() {
     let folder = falling(1..=3);
     let made = |more: &[&str]| {
         let notes = run(folder.path(), &with(more), 0);
@@ -368,7 +369,7 @@ fn kernel_methods_give_the_meshes_of_single_frames_and_another_method_makes_them
         );
     }
     let small = ["--method", "zhu-bridson", "--overwrite", "--threads", "1", "--memory", "16MiB"];
-    assert!(made(&small).0 == first, "whatever the threads and the memory");
+    assert!(made(&small).0 == first, "other threads and memory");
 
     let errors = run(folder.path(), &with(&["--method", "yu-turk"]), 2);
     assert!(errors.contains("other settings (method)"), "{errors}");
@@ -377,7 +378,7 @@ fn kernel_methods_give_the_meshes_of_single_frames_and_another_method_makes_them
         errors.contains("other settings (method)") && errors.contains("--overwrite"),
         "{errors}"
     );
-    assert!(tree(&folder.path().join("out")) == first, "nothing is replaced that was not to be");
+    assert!(tree(&folder.path().join("out")) == first, "a refused run changed the output");
     let (other, notes) = made(&["--method", "yu-turk", "--overwrite"]);
     assert!(
         (1..=3).all(|i| other[&format!("m_{i}.ply")] != first[&format!("m_{i}.ply")]),
@@ -390,7 +391,7 @@ fn kernel_methods_give_the_meshes_of_single_frames_and_another_method_makes_them
 }
 
 #[test]
-fn nothing_is_replaced_that_the_conversion_did_not_make() {
+fn foreign_files_are_replaced_only_with_overwrite() {
     for (there, output) in [
         ("out/m_2.ply", "out/m_{}.ply"),
         ("out/m.ply.series", "out/m_{}.ply"),
@@ -415,7 +416,7 @@ fn nothing_is_replaced_that_the_conversion_did_not_make() {
 }
 
 #[test]
-fn a_conversion_goes_on_after_one_that_could_not_measure_its_changed_input() {
+fn a_conversion_resumes_after_runs_that_failed_to_calibrate() {
     let folder = falling(1..=3);
     run(folder.path(), &ALL, 0);
     let before = tree(&folder.path().join("out"));
@@ -441,7 +442,7 @@ fn a_conversion_goes_on_after_one_that_could_not_measure_its_changed_input() {
 }
 
 #[test]
-fn a_mesh_of_others_among_frames_of_other_jobs_is_not_replaced_either() {
+fn a_job_refuses_a_foreign_mesh_among_the_frames_of_another_job() {
     let folder = falling(1..=4);
     fs::create_dir(folder.path().join("out")).unwrap();
     fs::write(folder.path().join("out/m_4.ply"), "mine").unwrap();
@@ -453,7 +454,7 @@ fn a_mesh_of_others_among_frames_of_other_jobs_is_not_replaced_either() {
 }
 
 #[test]
-fn a_mesh_of_others_that_came_after_the_conversion_began_is_not_replaced_by_going_on() {
+fn resuming_does_not_replace_a_foreign_mesh_that_appeared_later() {
     let folder = falling(1..=3);
     let (mesh, input) = (folder.path().join("out/m_4.ply"), folder.path().join("in/f_4.xyz"));
     run(folder.path(), &ALL, 0);
@@ -473,8 +474,7 @@ fn a_mesh_of_others_that_came_after_the_conversion_began_is_not_replaced_by_goin
 }
 
 #[test]
-fn a_folder_of_inputs_that_is_missing_is_an_input_that_is_missing_and_is_waited_for_where_it_may_come()
- {
+fn a_missing_input_folder_is_an_error_unless_watch_waits_for_it() {
     let folder = falling(1..=2);
     let missing = ["none/f_{}.xyz", "none/"];
     for input in missing {
@@ -509,7 +509,7 @@ fn a_folder_of_inputs_that_is_missing_is_an_input_that_is_missing_and_is_waited_
 }
 
 #[test]
-fn every_frame_is_sampled_and_drawn_by_the_calibration_of_the_state_and_not_by_its_own() {
+fn every_frame_uses_the_calibration_of_the_state_not_its_own() {
     let folder = falling(1..=1);
     // Twice as dense, so that alone it would have another mu0 and another isovalue.
     let dense: Vec<_> = ball(2).into_iter().chain(ball(3)).collect();
@@ -542,15 +542,15 @@ fn every_frame_is_sampled_and_drawn_by_the_calibration_of_the_state_and_not_by_i
         let mu0 = if indicator == "symmetry" { vec![] } else { vec!["--mu0", &mu0] };
         assert!(
             single(&[&mu0[..], &["--iso", &iso]].concat()) == made["m_2.ply"],
-            "{indicator}: not by {shared}"
+            "{indicator}: does not use {shared}"
         );
-        assert!(single(&[]) != made["m_2.ply"], "{indicator}: by its own");
-        assert!(single(&mu0) != made["m_2.ply"], "{indicator}: by its own isovalue");
+        assert!(single(&[]) != made["m_2.ply"], "{indicator}: its own calibration gives the same");
+        assert!(single(&mu0) != made["m_2.ply"], "{indicator}: its own isovalue gives the same");
     }
 }
 
 #[test]
-fn every_frame_of_clouds_is_drawn_by_the_plateau_of_the_state_whatever_its_own() {
+fn every_cloud_frame_uses_the_plateau_of_the_state_not_its_own() {
     let folder = falling(1..=3);
     let dense: Vec<_> = [ball(2), ball(3), ball(4)].concat();
     fs::write(folder.path().join("in/f_2.xyz"), raw(&dense)).unwrap();
@@ -568,8 +568,8 @@ fn every_frame_of_clouds_is_drawn_by_the_plateau_of_the_state_whatever_its_own()
         run(folder.path(), &[&[&input, "-o", "one.ply"], &more[..]].concat(), 0);
         fs::read(folder.path().join("one.ply")).unwrap()
     };
-    assert!(single(1) == made["m_1.ply"], "by its own");
-    assert!(single(2) != made["m_2.ply"], "by that of another");
+    assert!(single(1) == made["m_1.ply"], "frame 1 uses its own plateau");
+    assert!(single(2) != made["m_2.ply"], "frame 2 uses the plateau of frame 1");
     // Only the plateau distinguishes them: with a third of it, there is more fluid.
     fs::rename(folder.path().join("in/f_2.xyz"), folder.path().join("in/f_1.xyz")).unwrap();
     fs::write(folder.path().join("in/f_2.xyz"), raw(&ball(1))).unwrap();
@@ -581,7 +581,7 @@ fn every_frame_of_clouds_is_drawn_by_the_plateau_of_the_state_whatever_its_own()
 }
 
 #[test]
-fn the_state_of_the_surface_that_was_before_is_refused_before_the_work_and_with_resume_too() {
+fn a_state_of_an_earlier_surface_version_is_refused_even_with_resume() {
     let folder = falling(1..=2);
     run(folder.path(), &ALL, 0);
     let path = folder.path().join("out/m.ply.meniscus/state.json");
@@ -618,8 +618,7 @@ fn the_state_of_the_surface_that_was_before_is_refused_before_the_work_and_with_
 }
 
 #[test]
-fn a_first_frame_without_an_interior_leaves_the_plateau_to_one_that_has_it_and_a_lattice_tells_the_same()
- {
+fn the_plateau_is_measured_on_the_first_frame_with_an_interior() {
     let ball: Vec<_> = ball(1);
     let single = vec![[0.3, 0.2, 0.1]];
     let mut random = Random::new(4);
@@ -659,7 +658,7 @@ fn a_first_frame_without_an_interior_leaves_the_plateau_to_one_that_has_it_and_a
 }
 
 #[test]
-fn frames_of_spray_before_all_others_leave_the_plateau_to_the_spacing_with_a_warning() {
+fn many_leading_frames_of_spray_derive_the_plateau_from_the_spacing() {
     let folder = TempDir::new().unwrap();
     for frame in 1..=65 {
         let spray: Vec<[f64; 3]> =
@@ -676,7 +675,7 @@ fn frames_of_spray_before_all_others_leave_the_plateau_to_the_spacing_with_a_war
 }
 
 #[test]
-fn the_spacing_is_estimated_on_fluid_however_many_frames_of_spray_come_first() {
+fn the_spacing_is_estimated_from_fluid_despite_leading_frames_of_spray() {
     let mut random = Random::new(4);
     for (spray, frames, radius) in [(2, 3, 6.0), (70, 90, 6.0), (2, 3, 9.0), (70, 90, 9.0)] {
         let folder = TempDir::new().unwrap();
@@ -701,7 +700,7 @@ fn the_spacing_is_estimated_on_fluid_however_many_frames_of_spray_come_first() {
 }
 
 #[test]
-fn a_state_without_a_calibration_that_can_have_been_measured_is_refused_and_made_anew_on_request() {
+fn a_state_with_an_invalid_calibration_is_refused_unless_overwritten() {
     let folder = falling(1..=2);
     run(folder.path(), &ALL, 0);
     let out = folder.path().join("out");
@@ -731,7 +730,7 @@ fn a_state_without_a_calibration_that_can_have_been_measured_is_refused_and_made
 }
 
 #[test]
-fn a_frame_whose_kernels_reach_no_cell_s_centre_is_an_empty_mesh() {
+fn a_frame_whose_kernels_reach_no_cell_centre_becomes_an_empty_mesh() {
     let folder = falling(1..=1);
     fs::write(folder.path().join("in/f_2.xyz"), raw(&[[0.0; 3]])).unwrap();
     let coarse = ["--method", "mueller", "--spacing", "0.5", "--cell", "2"];
@@ -746,7 +745,7 @@ fn a_frame_whose_kernels_reach_no_cell_s_centre_is_an_empty_mesh() {
 }
 
 #[test]
-fn a_frame_without_particles_or_without_a_surface_is_an_empty_mesh_that_can_be_read() {
+fn frames_without_particles_or_surface_become_readable_empty_meshes() {
     let folder = TempDir::new().unwrap();
     let header = "x,y,z,vx,vy,vz\n";
     let rows = |particles: &[[f64; 3]]| -> String {
@@ -776,7 +775,7 @@ fn a_frame_without_particles_or_without_a_surface_is_an_empty_mesh_that_can_be_r
 }
 
 #[test]
-fn a_frame_that_the_frozen_isovalue_leaves_next_to_nothing_of_is_named() {
+fn a_frame_that_the_frozen_isovalue_nearly_empties_causes_a_warning() {
     let folder = TempDir::new().unwrap();
     // Everything is measured on a fluid four times as dense as the next.
     let dense = fill(10.0, 2.0, 0.3, 1, |p| p.length() < 6.0);
@@ -800,7 +799,7 @@ fn a_frame_that_the_frozen_isovalue_leaves_next_to_nothing_of_is_named() {
 }
 
 #[test]
-fn a_first_frame_that_is_a_lattice_on_cell_corners_is_measured_as_the_fluid_will_be() {
+fn a_lattice_in_the_first_frame_does_not_distort_the_calibration() {
     let data = data("dambreak_small");
     let folder = TempDir::new().unwrap();
     for name in [
@@ -889,8 +888,8 @@ fn a_fluid_at_rest_does_not_flicker() {
         }
         run(folder.path(), &["p_{}.xyz", "-o", "m_{}.ply", "--spacing", "0.1"], 0);
         let mesh = |frame: usize| read_mesh(&folder.path().join(format!("m_{frame}.ply"))).unwrap();
-        assert_eq!(mesh(0), mesh(1), "nothing moves, nothing changes");
-        // The surface relative to the particles, including its rounded ghost layer, in spacings.
+        assert_eq!(mesh(0), mesh(1), "particles at rest change the mesh");
+        // The surface relative to the particles, including its rounded rim, in spacings.
         let level = |frame: usize| {
             let up = slope * DVec3::Y;
             level(&mesh(frame), up) / 0.1 - up.dot(shifts[frame].into())
@@ -917,7 +916,7 @@ fn level(mesh: &Mesh, up: DVec3) -> f64 {
 }
 
 #[test]
-fn frames_side_by_side_keep_to_the_memory_that_one_would_have() {
+fn parallel_frames_stay_within_the_memory_budget() {
     let folder = TempDir::new().unwrap();
     let frame = raw(&fill(46.0, 1.0, 0.4, 1, |p| p.length() < 46.0));
     for i in 0..6 {
@@ -952,7 +951,7 @@ fn frames_side_by_side_keep_to_the_memory_that_one_would_have() {
 }
 
 #[test]
-fn a_killed_run_resumes_to_the_same_bytes_with_nothing_left_behind() {
+fn a_killed_run_resumes_to_exactly_the_same_files() {
     let folder = falling(1..=40);
     run(folder.path(), &ALL, 0);
     let out = folder.path().join("out");
@@ -970,7 +969,7 @@ fn a_killed_run_resumes_to_the_same_bytes_with_nothing_left_behind() {
 
 #[test]
 #[cfg(unix)]
-fn an_interrupted_sequence_keeps_what_is_done_and_goes_on() {
+fn an_interrupted_sequence_keeps_finished_frames_and_resumes() {
     let folder = falling(1..=200);
     let mut child = command(folder.path(), &ALL).stderr(Stdio::piped()).spawn().unwrap();
     let out = folder.path().join("out");
@@ -987,7 +986,7 @@ fn an_interrupted_sequence_keeps_what_is_done_and_goes_on() {
 }
 
 #[test]
-fn a_running_simulation_is_followed_and_no_half_of_a_file_is_taken_for_a_frame() {
+fn watch_converts_a_running_simulation_without_half_written_frames() {
     let folder = falling(1..=2);
     let plain = falling(1..=5);
     run(plain.path(), &ALL, 0);
@@ -1024,7 +1023,7 @@ fn listings(out: &Path) -> BTreeMap<String, Vec<u8>> {
 }
 
 #[test]
-fn listings_are_the_same_whoever_made_the_frames_and_name_them_all_with_their_boxes() {
+fn listings_contain_all_frames_and_bounds_regardless_of_the_jobs() {
     let folder = falling(8..=12);
     let out = folder.path().join("out");
     for (extension, names) in [
@@ -1058,17 +1057,17 @@ fn listings_are_the_same_whoever_made_the_frames_and_name_them_all_with_their_bo
         names.iter().for_each(|name| fs::remove_file(out.join(name)).unwrap());
         let said = convert(&["--resume"]);
         assert!(said.contains("5 of 5 frames are already finished"), "{said}");
-        assert!(listings(&out) == whole, "{extension}: after a run that had nothing to do");
+        assert!(listings(&out) == whole, "{extension}: after a run without work");
         fs::remove_dir_all(&out).unwrap();
         convert(&["--frames", "11..12"]);
         assert!(listings(&out) != whole);
         convert(&["--frames", "8..10"]);
-        assert!(listings(&out) == whole, "{extension}: by two jobs");
+        assert!(listings(&out) == whole, "{extension}: from two jobs");
     }
 }
 
 #[test]
-fn what_is_left_out_packed_or_turned_in_a_single_frame_is_so_in_each_of_a_sequence() {
+fn post_processing_gives_a_sequence_the_bytes_of_its_single_frames() {
     let folder = TempDir::new().unwrap();
     for frame in 1..=3 {
         let drop = ball(frame).into_iter().map(|[x, y, z]| [0.3 * x, 0.3 * y + 12.0, 0.3 * z]);
@@ -1121,7 +1120,7 @@ fn what_is_left_out_packed_or_turned_in_a_single_frame_is_so_in_each_of_a_sequen
 }
 
 #[test]
-fn up_turns_places_normals_and_directions_and_back() {
+fn the_up_axis_rotates_positions_normals_and_vectors_and_back() {
     let folder = TempDir::new().unwrap();
     let rows: String = ball(3).iter().map(|[x, y, z]| format!("{x},{y},{z},1,2,3,5\n")).collect();
     let table = format!("x,y,z,vx,vy,vz,mass\n{rows}");
@@ -1154,7 +1153,7 @@ fn up_turns_places_normals_and_directions_and_back() {
 }
 
 #[test]
-fn the_times_of_the_files_are_the_times_of_the_listings() {
+fn times_in_the_input_files_become_the_times_of_the_listings() {
     let folder = TempDir::new().unwrap();
     for (frame, time) in [(1, "0.125"), (2, "0.5")] {
         let particles = ball(frame);
@@ -1172,7 +1171,7 @@ fn the_times_of_the_files_are_the_times_of_the_listings() {
 }
 
 #[test]
-fn each_fluid_of_a_scene_in_a_folder_becomes_a_sequence_of_its_own() {
+fn each_fluid_in_a_folder_becomes_its_own_sequence() {
     let folder = falling(1..=3);
     for frame in 2..=5 {
         fs::write(folder.path().join(format!("in/oil_{frame}.xyz")), raw(&ball(frame + 10)))
@@ -1221,7 +1220,7 @@ fn meshes_in(folder: &Path) -> Vec<Vec<u8>> {
 }
 
 #[test]
-fn files_of_one_frame_make_the_surface_of_all_their_particles() {
+fn the_files_of_one_frame_are_merged_into_one_surface() {
     let folder = falling(1..=2);
     run(folder.path(), &["in", "-o", "whole/"], 0);
     let whole = meshes_in(&folder.path().join("whole"));
@@ -1281,7 +1280,7 @@ fn files_of_one_frame_make_the_surface_of_all_their_particles() {
 }
 
 #[test]
-fn frames_before_the_first_have_negative_numbers_and_times_are_in_their_order() {
+fn negative_frame_numbers_are_accepted_and_times_are_sorted_by_value() {
     let folder = falling(1..=4);
     for (frame, [number, time]) in
         (1..).zip([["-0010", "0.95"], ["-0009", "1.00"], ["0000", "1.05"], ["0001", "1.1e1"]])
@@ -1330,7 +1329,7 @@ fn coloured(path: &Path, frame: u64, colour: f32) {
 }
 
 #[test]
-fn a_colour_that_fades_to_black_or_comes_from_it_keeps_its_scale() {
+fn a_colour_keeps_its_scale_when_it_fades_to_or_from_black() {
     let folder = TempDir::new().unwrap();
     for colours in [[200.0, 20.0, 4.0, 0.5], [0.0, 0.5, 10.0, 200.0]] {
         for (frame, colour) in (1..).zip(colours) {
@@ -1341,8 +1340,8 @@ fn a_colour_that_fades_to_black_or_comes_from_it_keeps_its_scale() {
         for (frame, colour) in (1..).zip(colours) {
             let mesh = read_mesh(&folder.path().join(format!("m_{frame}.ply"))).unwrap();
             let values = &mesh.attributes[0].values;
-            let is_it = |value: &f32| (value - colour).abs() <= 0.5;
-            assert!(!values.is_empty() && values.iter().all(is_it), "{colour}: {:?}", values[0]);
+            let is_equal = |value: &f32| (value - colour).abs() <= 0.5;
+            assert!(!values.is_empty() && values.iter().all(is_equal), "{colour}: {:?}", values[0]);
         }
     }
     // A byte colour among fractions fails for its frame only.
@@ -1356,7 +1355,7 @@ fn a_colour_that_fades_to_black_or_comes_from_it_keeps_its_scale() {
 }
 
 #[test]
-fn a_frame_that_a_selection_leaves_empty_and_what_frames_leave_out_are_reported() {
+fn frames_emptied_by_a_condition_and_omitted_attributes_are_reported() {
     let folder = TempDir::new().unwrap();
     for frame in 1..=3 {
         let kind = if frame == 2 { 7 } else { 1 };

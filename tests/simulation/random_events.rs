@@ -1,8 +1,8 @@
-//! Random events during a conversion: parallel jobs that are killed or interrupted, inputs that
-//! appear, grow and are rewritten, outputs that are damaged. Afterwards a run with `--resume` gives
-//! the files of a single run with the same state, and no others.
+//! Random events disturb a conversion: jobs in parallel are killed or interrupted, inputs appear,
+//! grow and are rewritten, outputs are damaged. A final run with `--resume` must give exactly the
+//! files of a single run with the same state.
 //!
-//! `MENISCUS_SEQUENCES=500` tries that many, and `MENISCUS_SEQUENCE=77` repeats one.
+//! `MENISCUS_SEQUENCES=500` tries 500 sequences, and `MENISCUS_SEQUENCE=77` repeats number 77.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -28,11 +28,11 @@ struct Sequence {
     frames: u64,
     /// Number of inputs that were written; all are different.
     written: u64,
-    /// Whether records were damaged. A mesh without a record counts as someone else's, unless it is
-    /// what its input gives now.
+    /// Whether records were damaged. A mesh without a record counts as foreign, unless its input
+    /// still gives the same bytes.
     lost_records: bool,
     format: &'static str,
-    told: String,
+    history: String,
 }
 
 impl Sequence {
@@ -50,7 +50,7 @@ impl Sequence {
             written: 0,
             lost_records: false,
             format,
-            told: format!("{seed}, .{format}:"),
+            history: format!("{seed}, .{format}:"),
         };
         for _ in 0..2 + sequence.pick(4) {
             sequence.grow();
@@ -63,14 +63,14 @@ impl Sequence {
     }
 
     fn note(&mut self, what: impl std::fmt::Display) {
-        write!(self.told, " {what}").unwrap();
+        write!(self.history, " {what}").unwrap();
     }
 
     fn input(&self, frame: u64) -> PathBuf {
         self.folder.path().join(format!("in/f_{frame}.xyz"))
     }
 
-    /// Writes a frame of a ball, different each time; in two steps, or at once.
+    /// Writes a frame with a new ball, in two steps or at once.
     fn write(&mut self, frame: u64) {
         self.written += 1;
         let (seed, radius) = (self.written, 3.0 + 0.1 * (self.written % 10) as f64);
@@ -114,7 +114,7 @@ impl Sequence {
         self.command("out", more).spawn().unwrap()
     }
 
-    /// Waits for a job, or ends it at some moment; it must not panic.
+    /// Waits for a job, kills it or interrupts it. The job must not panic.
     fn end(&mut self, mut job: Child) {
         let how = self.pick(4);
         if how < 3 {
@@ -128,9 +128,13 @@ impl Sequence {
         self.note(["killed", "interrupted", "ended", "ended"][how as usize]);
         let output = job.wait_with_output().unwrap();
         let errors = String::from_utf8_lossy(&output.stderr);
-        assert!(!errors.contains("panicked"), "{}: {errors}", self.told);
+        assert!(!errors.contains("panicked"), "{}: {errors}", self.history);
         let code = output.status.code();
-        assert!(matches!(code, None | Some(0 | 1 | 3 | 130)), "{}: {code:?}: {errors}", self.told);
+        assert!(
+            matches!(code, None | Some(0 | 1 | 3 | 130)),
+            "{}: {code:?}: {errors}",
+            self.history
+        );
     }
 
     /// Damages an output, or its record.
@@ -193,8 +197,9 @@ impl Sequence {
         }
     }
 
-    /// Makes all missing frames. With lost records it may have to be told to replace meshes.
-    fn whole(&self, out: &str) {
+    /// Makes all missing frames. With lost records the run may need `--overwrite` to replace
+    /// meshes.
+    fn finish(&self, out: &str) {
         let run = |options: &[&str]| {
             let output = self.command(out, options).output().unwrap();
             (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
@@ -203,48 +208,48 @@ impl Sequence {
         if self.lost_records && errors.contains("--overwrite") {
             (code, errors) = run(&["--overwrite"]);
         }
-        assert_eq!(code, Some(0), "{} {out}: {errors}", self.told);
+        assert_eq!(code, Some(0), "{} {out}: {errors}", self.history);
     }
 
-    /// Runs the events, and compares the result.
-    fn live(mut self) {
+    /// Runs the events and compares the result with that of a single run.
+    fn run(mut self) {
         for _ in 0..3 + self.pick(6) {
             self.event();
         }
-        self.whole("out");
+        self.finish("out");
         // A state is measured once, from the inputs that were readable then: a frame that was being
         // written is skipped.
         let state = format!("m.{}.meniscus/state.json", self.format);
         let [from, to] = ["out", "alone"].map(|name| self.folder.path().join(name).join(&state));
         fs::create_dir_all(to.parent().unwrap()).unwrap();
         fs::copy(from, to).unwrap();
-        self.whole("alone");
+        self.finish("alone");
         let [out, alone] = ["out", "alone"].map(|name| tree(&self.folder.path().join(name)));
         let names = |files: &BTreeMap<String, Vec<u8>>| files.keys().cloned().collect::<Vec<_>>();
-        assert_eq!(names(&out), names(&alone), "{}", self.told);
+        assert_eq!(names(&out), names(&alone), "{}", self.history);
         let differing: Vec<String> = alone
             .iter()
             .filter(|(name, bytes)| out[*name] != **bytes)
             .map(|(name, bytes)| {
                 let [found, expected] = [&out[name], bytes]
                     .map(|bytes| String::from_utf8_lossy(&bytes[..bytes.len().min(3000)]));
-                format!("{name}: {found}\nin place of {expected}")
+                format!("{name}: {found}\ninstead of {expected}")
             })
             .collect();
-        assert!(differing.is_empty(), "{}: {}", self.told, differing.join("\n"));
+        assert!(differing.is_empty(), "{}: {}", self.history, differing.join("\n"));
         let extension = format!(".{}", self.format);
         let meshes = out.keys().filter(|name| name.starts_with("m_") && name.ends_with(&extension));
         let frames = meshes.filter(|name| !name.contains('/')).count();
-        assert_eq!(frames as u64, self.frames, "{}", self.told);
+        assert_eq!(frames as u64, self.frames, "{}", self.history);
     }
 }
 
 #[test]
-fn whatever_happens_to_a_conversion_resuming_it_leaves_what_one_run_makes() {
+fn resuming_after_random_events_gives_the_files_of_one_run() {
     let number =
         |name: &str| std::env::var(name).ok().map(|text| text.parse::<u64>().expect("a number"));
     if let Some(seed) = number("MENISCUS_SEQUENCE") {
-        return Sequence::new(seed).live();
+        return Sequence::new(seed).run();
     }
     let first = number("MENISCUS_SEQUENCES_FROM").unwrap_or(0);
     let (begun, next) = (Instant::now(), AtomicU64::new(first));
@@ -255,7 +260,7 @@ fn whatever_happens_to_a_conversion_resuming_it_leaves_what_one_run_makes() {
             if seed >= first + all {
                 return;
             }
-            Sequence::new(seed).live();
+            Sequence::new(seed).run();
         }
     };
     std::thread::scope(|scope| (0..2).for_each(|_| drop(scope.spawn(worker))));

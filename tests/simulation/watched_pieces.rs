@@ -1,4 +1,5 @@
-//! Watches frames in pieces while a simulation writes them: an incomplete frame is not converted.
+//! `--watch` reads frames in pieces while a simulation writes them, and converts no incomplete
+//! frame.
 
 use std::fs;
 use std::path::Path;
@@ -57,8 +58,9 @@ fn meshes(child: Child, folder: &Path) -> Vec<String> {
 }
 
 #[test]
-fn pieces_that_are_there_before_their_frame_are_no_frames_of_their_own() {
-    // At the beginning, no frame shows how pieces are named; for a folder and a glob.
+fn pieces_written_before_their_index_are_not_frames() {
+    // No index exists at first, so nothing shows how pieces are named. The input is a folder or a
+    // glob.
     for input in ["in", "in/f*"] {
         let folder = TempDir::new().unwrap();
         let sim = folder.path().join("in");
@@ -76,7 +78,7 @@ fn pieces_that_are_there_before_their_frame_are_no_frames_of_their_own() {
 }
 
 #[test]
-fn pieces_without_their_frame_are_known_by_those_of_another() {
+fn pieces_without_an_index_are_recognised_by_another_frames_pieces() {
     let folder = TempDir::new().unwrap();
     (1..=2).for_each(|frame| write_pieces(folder.path(), frame));
     write_index(folder.path(), 1);
@@ -92,10 +94,10 @@ fn pieces_without_their_frame_are_known_by_those_of_another() {
 }
 
 #[test]
-fn files_that_are_called_like_pieces_are_frames_where_nothing_names_them() {
+fn files_named_like_pieces_are_frames_if_no_index_names_them() {
     let folder = TempDir::new().unwrap();
     write_pieces(folder.path(), 7);
-    // After the maximum wait, and for a pattern at once.
+    // A folder needs the maximum wait. A pattern takes the files as frames at once.
     for (input, more) in
         [(".", &["--watch=3"][..]), ("f_7_{}.vtp", &["--watch=30", "--end", "1", "--overwrite"])]
     {
