@@ -1,4 +1,4 @@
-//! The program for its callers: results, exit codes, and no leftover files.
+//! The command line of the program: results, exit codes, and no leftover files.
 
 use std::fs;
 use std::path::Path;
@@ -35,7 +35,7 @@ fn assert_refused(folder: &Path, arguments: &[&str], code: i32, says: &[&str]) {
     let errors = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(code), "{arguments:?}: {errors}");
     for word in says {
-        assert!(errors.contains(word), "{arguments:?} does not say {word:?}: {errors}");
+        assert!(errors.contains(word), "{arguments:?} does not print {word:?}: {errors}");
     }
     assert!(!errors.contains("panicked"), "{errors}");
     assert_eq!(names(folder), before, "{arguments:?} left something behind");
@@ -76,7 +76,7 @@ fn every_bundled_frame_becomes_a_watertight_mesh_without_options() {
 }
 
 #[test]
-fn the_bytes_depend_on_neither_threads_nor_order_nor_run() {
+fn the_output_is_independent_of_threads_particle_order_and_run() {
     let folder = TempDir::new().unwrap();
     let mut particles = splashes(5);
     fs::write(folder.path().join("a.xyz"), raw(&particles)).unwrap();
@@ -109,7 +109,7 @@ fn the_bytes_depend_on_neither_threads_nor_order_nor_run() {
 }
 
 #[test]
-fn wrong_arguments_are_refused_before_any_work_with_exit_2() {
+fn invalid_arguments_exit_with_2_and_leave_no_files() {
     let folder = folder_with_ball();
     let ball = |more: &[&'static str]| [&["ball.xyz", "-o", "out.ply"], more].concat();
     for (arguments, says) in [
@@ -169,7 +169,7 @@ fn wrong_arguments_are_refused_before_any_work_with_exit_2() {
 }
 
 #[test]
-fn every_method_gives_a_watertight_ball_and_a_record_that_names_it() {
+fn every_method_makes_a_watertight_ball_and_is_named_in_the_statistics() {
     let folder = folder_with_ball();
     for method in ["dif", "mueller", "zhu-bridson", "yu-turk"] {
         let out = format!("{method}.ply");
@@ -187,7 +187,7 @@ fn every_method_gives_a_watertight_ball_and_a_record_that_names_it() {
 }
 
 #[test]
-fn kernel_methods_say_nothing_of_an_indicator() {
+fn kernel_methods_do_not_mention_an_indicator() {
     let folder = folder_with_ball();
     for (method, says) in
         [("dif", true), ("mueller", false), ("zhu-bridson", false), ("yu-turk", false)]
@@ -211,8 +211,7 @@ fn kernel_methods_say_nothing_of_an_indicator() {
 }
 
 #[test]
-fn cells_are_half_a_spacing_for_clouds_and_for_others_two_thirds_smoothed_over_all_of_it_or_a_cell()
-{
+fn default_cell_size_and_smoothing_depend_on_the_indicator() {
     let folder = folder_with_ball();
     for (more, cell, width, indicator) in [
         (&[][..], 0.25, 1.6, "cloud"),
@@ -243,7 +242,7 @@ fn cells_are_half_a_spacing_for_clouds_and_for_others_two_thirds_smoothed_over_a
 }
 
 #[test]
-fn an_existing_output_is_replaced_only_when_allowed() {
+fn an_existing_output_is_replaced_only_with_overwrite() {
     let folder = folder_with_ball();
     let out = folder.path().join("out.ply");
     fs::write(&out, "precious").unwrap();
@@ -278,7 +277,7 @@ fn an_input_is_never_its_own_output() {
 }
 
 #[test]
-fn an_output_that_cannot_be_written_is_refused_before_the_work_with_exit_4() {
+fn an_unwritable_output_exits_with_4_before_the_input_is_opened() {
     let folder = folder_with_ball();
     assert_refused(folder.path(), &["ball.xyz", "-o", "ball.xyz/no/out.ply"], 4, &["ball.xyz/no"]);
     // The output is checked first, before the input is opened.
@@ -297,7 +296,7 @@ fn an_output_that_cannot_be_written_is_refused_before_the_work_with_exit_4() {
 }
 
 #[test]
-fn a_full_disk_is_exit_4_and_leaves_nothing() {
+fn a_full_disk_exits_with_4_and_leaves_no_files() {
     let folder = folder_with_ball();
     // A limit on file size simulates a full disk; the shell ignores its signal.
     let run = in_shell(folder.path(), "ulimit -f 8", "reconstruct ball.xyz -o out.ply --quiet");
@@ -309,7 +308,7 @@ fn a_full_disk_is_exit_4_and_leaves_nothing() {
 
 #[test]
 #[cfg(target_os = "linux")]
-fn no_more_memory_is_planned_for_than_ulimit_leaves() {
+fn the_default_memory_budget_respects_ulimit() {
     let folder = folder_with_ball();
     let run =
         in_shell(folder.path(), "ulimit -v 400000", "reconstruct ball.xyz -o out.ply --dry-run");
@@ -320,7 +319,7 @@ fn no_more_memory_is_planned_for_than_ulimit_leaves() {
 }
 
 #[test]
-fn bad_input_is_named_with_exit_3() {
+fn invalid_input_exits_with_3_and_is_named() {
     let folder = TempDir::new().unwrap();
     let put = |name: &str, bytes: &[u8]| fs::write(folder.path().join(name), bytes).unwrap();
     let ball = fill(10.0, 2.0, 0.2, 3, |p| p.length() < 5.0);
@@ -357,7 +356,7 @@ fn bad_input_is_named_with_exit_3() {
 }
 
 #[test]
-fn a_lattice_on_the_cells_corners_is_refused_with_the_origin_that_helps() {
+fn a_lattice_on_cell_corners_is_refused_with_a_suitable_origin() {
     let folder = TempDir::new().unwrap();
     let lattice = fill(10.0, 2.0, 0.0, 1, |p| p.length() < 5.0);
     let on_corners: Vec<[f64; 3]> = lattice.iter().map(|p| p.map(|c| c - 0.25)).collect();
@@ -395,7 +394,7 @@ fn a_lattice_on_the_cells_corners_is_refused_with_the_origin_that_helps() {
 }
 
 #[test]
-fn invalid_particles_are_left_out_and_counted_when_asked() {
+fn skip_invalid_omits_and_counts_invalid_particles() {
     let folder = TempDir::new().unwrap();
     let ball = fill(10.0, 2.0, 0.2, 3, |p| p.length() < 5.0);
     fs::write(folder.path().join("good.xyz"), raw(&ball)).unwrap();
@@ -425,7 +424,7 @@ fn invalid_particles_are_left_out_and_counted_when_asked() {
 }
 
 #[test]
-fn a_cell_too_small_for_the_memory_is_refused_with_one_that_fits() {
+fn a_cell_size_too_small_for_the_memory_is_refused_with_one_that_fits() {
     let folder = TempDir::new().unwrap();
     // Spray: every particle has its own bin.
     let mut random = Random::new(1);
@@ -452,7 +451,7 @@ fn a_cell_too_small_for_the_memory_is_refused_with_one_that_fits() {
 }
 
 #[test]
-fn a_dry_run_estimates_and_writes_nothing() {
+fn a_dry_run_prints_estimates_and_writes_nothing() {
     let folder = folder_with_ball();
     let run = meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", "out.ply", "--dry-run"]);
     assert!(run.status.success());
@@ -473,7 +472,7 @@ fn a_dry_run_estimates_and_writes_nothing() {
 }
 
 #[test]
-fn statistics_are_one_json_record_a_run() {
+fn each_run_appends_one_json_record_to_the_statistics() {
     let folder = folder_with_ball();
     for output in ["a.ply", "b.ply"] {
         let run = meniscus(
@@ -492,7 +491,7 @@ fn statistics_are_one_json_record_a_run() {
 }
 
 #[test]
-fn info_tells_particles_from_meshes() {
+fn info_distinguishes_particles_from_meshes() {
     let folder = folder_with_ball();
     assert!(
         meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", "ball.ply"]).status.success()
@@ -509,8 +508,8 @@ fn info_tells_particles_from_meshes() {
     let run =
         meniscus(folder.path(), &["info", "missing.ply", "ball.xyz", "absent.ply", "ball.ply"]);
     assert_eq!(run.status.code(), Some(3));
-    let told = String::from_utf8_lossy(&run.stdout);
-    assert!(told.contains("ball.xyz") && told.contains("ball.ply"), "{told}");
+    let text = String::from_utf8_lossy(&run.stdout);
+    assert!(text.contains("ball.xyz") && text.contains("ball.ply"), "{text}");
     let errors = String::from_utf8_lossy(&run.stderr);
     assert!(errors.contains("missing.ply") && errors.contains("absent.ply"), "{errors}");
 }
@@ -534,7 +533,7 @@ fn check_exits_0_only_for_a_closed_oriented_manifold() {
 }
 
 #[test]
-fn compare_measures_nothing_between_a_mesh_and_itself_and_the_bias_of_a_larger_one() {
+fn compare_gives_zero_for_equal_meshes_and_the_bias_of_a_larger_one() {
     let folder = folder_with_ball();
     for (output, iso) in [("half.ply", "auto"), ("large.ply", "0.005")] {
         assert!(
@@ -557,7 +556,7 @@ fn compare_measures_nothing_between_a_mesh_and_itself_and_the_bias_of_a_larger_o
 }
 
 #[test]
-fn a_reader_that_goes_away_is_no_error() {
+fn a_closed_standard_output_is_not_an_error() {
     let folder = folder_with_ball();
     let mut child = command(folder.path(), &["info", "ball.xyz"])
         .stdout(std::process::Stdio::piped())
@@ -568,7 +567,7 @@ fn a_reader_that_goes_away_is_no_error() {
 }
 
 #[test]
-fn statistics_never_touch_the_input_or_the_output_and_are_not_begun_for_a_run_that_fails() {
+fn statistics_never_replace_inputs_or_outputs_or_outlive_a_failed_run() {
     let folder = folder_with_ball();
     let before = fs::read(folder.path().join("ball.xyz")).unwrap();
     for stats in ["ball.xyz", "out.ply", "./out.ply"] {
@@ -589,7 +588,7 @@ fn statistics_never_touch_the_input_or_the_output_and_are_not_begun_for_a_run_th
 }
 
 #[test]
-fn an_interrupt_is_exit_130_and_leaves_nothing() {
+fn an_interrupt_exits_with_130_and_leaves_no_files() {
     let folder = TempDir::new().unwrap();
     let pipe = folder.path().join("pipe.xyz");
     assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
@@ -615,7 +614,7 @@ fn an_interrupt_is_exit_130_and_leaves_nothing() {
 }
 
 #[test]
-fn the_readmes_first_command_leaves_a_watertight_mesh() {
+fn the_first_command_of_the_readme_makes_a_watertight_mesh() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let readme = fs::read_to_string(root.join("README.md")).unwrap();
     let line =
@@ -680,12 +679,12 @@ fn on_vulkan(folder: &Path, arguments: &[&str], environment: &[(&str, &str)]) ->
         .unwrap()
 }
 
-/// No driver at all, as far as the Vulkan loader knows.
+/// Environment in which the Vulkan loader finds no driver.
 const NO_DRIVER: [(&str, &str); 2] =
     [("VK_DRIVER_FILES", "/nowhere"), ("VK_ICD_FILENAMES", "/nowhere")];
 
 #[test]
-fn the_bytes_do_not_depend_on_the_backend_or_on_its_memory() {
+fn the_output_is_independent_of_the_backend_and_the_memory_budget() {
     if let Err(why) = device::shared() {
         return device::skip(why);
     }
@@ -707,7 +706,7 @@ fn the_bytes_do_not_depend_on_the_backend_or_on_its_memory() {
             );
             // The ball is around the origin, so every octant has a bin and a block.
             let on_device = ["pages_on_device", "regions_on_device"].map(|key| stats[key].as_u64());
-            assert_eq!(on_device, [Some(8); 2], "{arguments:?}: the CPU did a part of it");
+            assert_eq!(on_device, [Some(8); 2], "{arguments:?}: the CPU did some of the work");
         }
         fs::read(folder.path().join(output)).unwrap()
     };
@@ -719,7 +718,7 @@ fn the_bytes_do_not_depend_on_the_backend_or_on_its_memory() {
 }
 
 #[test]
-fn a_device_that_is_not_there_is_exit_5_and_leaves_nothing() {
+fn a_missing_device_exits_with_5_and_leaves_no_files() {
     let folder = folder_with_ball();
     let before = names(folder.path());
     let reconstruct = ["reconstruct", "ball.xyz", "-o", "out.ply"];
@@ -745,7 +744,7 @@ fn a_device_that_is_not_there_is_exit_5_and_leaves_nothing() {
 }
 
 #[test]
-fn devices_lists_what_the_loader_knows() {
+fn devices_lists_the_devices_of_the_vulkan_loader() {
     if let Err(why) = device::shared() {
         return device::skip(why);
     }
@@ -760,7 +759,7 @@ fn devices_lists_what_the_loader_knows() {
 }
 
 #[test]
-fn options_that_leave_something_out_are_refused_where_they_make_no_sense() {
+fn invalid_simplify_component_compress_and_up_options_are_refused() {
     let folder = folder_with_ball();
     let ball = ["ball.xyz", "--spacing", "0.5", "-o"];
     for (arguments, says) in [
@@ -785,7 +784,7 @@ fn options_that_leave_something_out_are_refused_where_they_make_no_sense() {
 }
 
 #[test]
-fn a_simplified_ball_is_watertight_has_fewer_triangles_and_says_so() {
+fn a_simplified_ball_is_watertight_and_its_simplification_is_reported() {
     let folder = folder_with_ball();
     let run = |options: &[&str]| {
         let arguments =
@@ -806,18 +805,18 @@ fn a_simplified_ball_is_watertight_has_fewer_triangles_and_says_so() {
     assert!(fs::read(folder.path().join("less.glb")).unwrap().starts_with(b"glTF"));
 }
 
-/// The mesh in a folder, and the program's output.
+/// Reconstructs a mesh and returns its bytes and the messages of the program.
 #[track_caller]
-fn drawn(folder: &Path, input: &str, more: &[&str]) -> (Vec<u8>, String) {
-    let options = ["reconstruct", input, "-o", "drawn.ply", "--overwrite"];
+fn reconstructed(folder: &Path, input: &str, more: &[&str]) -> (Vec<u8>, String) {
+    let options = ["reconstruct", input, "-o", "reconstructed.ply", "--overwrite"];
     let run = meniscus(folder, &[&options[..], more].concat());
     let notes = String::from_utf8(run.stderr).unwrap();
     assert!(run.status.success(), "{more:?}: {notes}");
-    (fs::read(folder.join("drawn.ply")).unwrap(), notes)
+    (fs::read(folder.join("reconstructed.ply")).unwrap(), notes)
 }
 
 #[test]
-fn real_frames_hold_the_same_volume_and_as_many_pieces_in_cells_of_any_size() {
+fn volume_and_component_count_of_real_frames_depend_little_on_cell_size() {
     let folder = TempDir::new().unwrap();
     let frames = [
         "dambreak_small/ParticleData_Fluid_1.bgeo",
@@ -829,12 +828,13 @@ fn real_frames_hold_the_same_volume_and_as_many_pieces_in_cells_of_any_size() {
         for indicator in ["cloud", "counting"] {
             let found = |cell: &str| {
                 let more = ["--cell", cell, "--indicator", indicator];
-                let (_, notes) = drawn(folder.path(), frame.to_str().unwrap(), &more);
+                let (_, notes) = reconstructed(folder.path(), frame.to_str().unwrap(), &more);
                 // Counting loses drops of one particle, which clouds keep.
                 let lost = indicator == "counting"
                     && notes.contains("are missing from the surface; use --indicator cloud");
                 assert!(lost || !notes.contains("warning"), "{notes}");
-                let measures = measure(&read_mesh(&folder.path().join("drawn.ply")).unwrap());
+                let measures =
+                    measure(&read_mesh(&folder.path().join("reconstructed.ply")).unwrap());
                 (measures.volume.unwrap(), measures.components)
             };
             let (volume, pieces) = found("0.6667");
@@ -853,33 +853,34 @@ fn real_frames_hold_the_same_volume_and_as_many_pieces_in_cells_of_any_size() {
 }
 
 #[test]
-fn fine_cells_give_the_same_bytes_packed_within_a_budget_and_by_any_threads() {
+fn fine_cells_give_the_same_bytes_for_any_threads_budget_and_packing() {
     let folder = TempDir::new().unwrap();
     let frame = data("dambreak_small/ParticleData_Fluid_20.bgeo");
     let frame = frame.to_str().unwrap();
-    // The first finds an interior, the second does not.
-    for (indicator, told) in
+    // The notes differ: clouds report too little depth, counting derives its plateau from the
+    // spacing.
+    for (indicator, note) in
         [("cloud", "because no fluid is deep enough"), ("counting", "computed from the spacing")]
     {
         let fine = ["--cell", "0.333333", "--indicator", indicator];
         let (whole, notes) =
-            drawn(folder.path(), frame, &[&fine[..], &["--attributes", "none"]].concat());
-        assert!(notes.contains(told), "{notes}");
+            reconstructed(folder.path(), frame, &[&fine[..], &["--attributes", "none"]].concat());
+        assert!(notes.contains(note), "{notes}");
         for more in [["--threads", "1"], ["--memory", "16MiB"]] {
             let more = [&fine[..], &["--attributes", "none"], &more].concat();
-            assert!(whole == drawn(folder.path(), frame, &more).0, "{more:?}");
+            assert!(whole == reconstructed(folder.path(), frame, &more).0, "{more:?}");
         }
         let pack = meniscus(
             folder.path(),
             &[&["pack", frame, "-o", "f.mnf", "--overwrite"], &fine[..]].concat(),
         );
         assert!(pack.status.success());
-        assert!(whole == drawn(folder.path(), "f.mnf", &[]).0, "{indicator}, packed");
+        assert!(whole == reconstructed(folder.path(), "f.mnf", &[]).0, "{indicator}, packed");
     }
 }
 
 #[test]
-fn cells_too_fine_to_tell_the_surface_are_refused_before_any_work() {
+fn cells_too_fine_for_the_indicator_are_refused_with_a_usable_size() {
     let folder = folder_with_ball();
     let finest = ["ball.xyz", "-o", "out.ply", "--spacing", "0.5", "--cell", "0.09"];
     let says = [
@@ -936,8 +937,7 @@ fn cells_too_fine_to_tell_the_surface_are_refused_before_any_work() {
 }
 
 #[test]
-fn drops_that_hold_no_cells_centre_have_no_surface_which_is_said_and_is_an_empty_frame_of_a_sequence()
- {
+fn drops_without_a_cell_centre_fail_alone_but_are_empty_in_a_sequence() {
     let folder = folder_with_ball();
     fs::write(folder.path().join("d_1.xyz"), raw(&[[0.0; 3]])).unwrap();
     fs::rename(folder.path().join("ball.xyz"), folder.path().join("d_2.xyz")).unwrap();
@@ -966,8 +966,9 @@ fn drops_that_hold_no_cells_centre_have_no_surface_which_is_said_and_is_an_empty
 #[test]
 fn a_surface_that_loses_most_of_its_particles_causes_a_warning() {
     let folder = folder_with_ball();
-    let notes =
-        |more: &[&str]| drawn(folder.path(), "ball.xyz", &[&["--spacing", "0.5"], more].concat()).1;
+    let notes = |more: &[&str]| {
+        reconstructed(folder.path(), "ball.xyz", &[&["--spacing", "0.5"], more].concat()).1
+    };
     assert!(!notes(&[]).contains("warning"));
     let lost = notes(&["--indicator", "counting", "--iso", "0.28"]);
     assert!(lost.contains("% of the volume of") && lost.contains("a lower --iso"), "{lost}");
@@ -985,29 +986,30 @@ fn a_surface_that_loses_most_of_its_particles_causes_a_warning() {
 }
 
 #[test]
-fn cells_of_a_given_size_are_smoothed_over_as_much_as_those_of_a_given_ratio() {
+fn an_estimated_spacing_gives_the_mesh_of_the_same_given_spacing() {
     let folder = folder_with_ball();
     let info = meniscus(folder.path(), &["info", "ball.xyz", "--json"]);
     let info: serde_json::Value = serde_json::from_slice(&info.stdout).unwrap();
     let spacing = info[0]["spacing"].as_f64().unwrap().to_string();
-    let (estimated, notes) = drawn(folder.path(), "ball.xyz", &["--cell-size", "0.15"]);
+    let (estimated, notes) = reconstructed(folder.path(), "ball.xyz", &["--cell-size", "0.15"]);
     assert!(notes.contains("estimated from the particles"), "{notes}");
     let (given, _) =
-        drawn(folder.path(), "ball.xyz", &["--cell-size", "0.15", "--spacing", &spacing]);
+        reconstructed(folder.path(), "ball.xyz", &["--cell-size", "0.15", "--spacing", &spacing]);
     assert!(estimated == given);
-    let (calmer, _) = drawn(folder.path(), "ball.xyz", &["--cell-size", "0.15", "--smooth", "2"]);
+    let (calmer, _) =
+        reconstructed(folder.path(), "ball.xyz", &["--cell-size", "0.15", "--smooth", "2"]);
     assert!(estimated != calmer);
 }
 
 #[test]
-fn completions_and_the_manual_know_all_commands_and_options() {
+fn completions_and_manual_pages_cover_commands_and_options() {
     let folder = TempDir::new().unwrap();
     for shell in ["bash", "zsh", "fish", "powershell", "elvish"] {
         let output = meniscus(folder.path(), &["completions", shell]);
         let text = String::from_utf8(output.stdout).unwrap();
         assert!(output.status.success(), "{shell}");
         for word in ["reconstruct", "smallest-drop", "completions"] {
-            assert!(text.contains(word), "{shell} does not know {word}");
+            assert!(text.contains(word), "completions of {shell} lack {word}");
         }
     }
     assert_eq!(meniscus(folder.path(), &["completions", "teletype"]).status.code(), Some(2));
@@ -1020,7 +1022,7 @@ fn completions_and_the_manual_know_all_commands_and_options() {
 }
 
 #[test]
-fn the_summary_fits_a_screen_and_help_has_headings_by_what_one_looks_for() {
+fn the_short_help_fits_a_screen_and_the_long_help_has_headings() {
     let folder = TempDir::new().unwrap();
     let text =
         |flag| String::from_utf8(meniscus(folder.path(), &["reconstruct", flag]).stdout).unwrap();
@@ -1051,14 +1053,14 @@ fn the_summary_fits_a_screen_and_help_has_headings_by_what_one_looks_for() {
 }
 
 #[test]
-fn a_mesh_is_refused_where_particles_are_asked_for_and_points_with_cells_of_their_own_are_none() {
+fn a_mesh_is_refused_as_particles_but_points_with_vertex_cells_are_read() {
     let folder = folder_with_ball();
-    let drawn = meniscus(folder.path(), &["pack", "ball.xyz", "-o", "ball.mnf", "--quiet"]);
-    assert!(drawn.status.success());
+    let packed = meniscus(folder.path(), &["pack", "ball.xyz", "-o", "ball.mnf", "--quiet"]);
+    assert!(packed.status.success());
     for mesh in ["mesh.ply", "mesh.vtk", "mesh.vtp", "mesh.vtkhdf"] {
-        // A packed frame is an input as before.
-        let drawn = meniscus(folder.path(), &["reconstruct", "ball.mnf", "-o", mesh, "--quiet"]);
-        assert!(drawn.status.success(), "{mesh}");
+        // A packed frame is still an input.
+        let meshed = meniscus(folder.path(), &["reconstruct", "ball.mnf", "-o", mesh, "--quiet"]);
+        assert!(meshed.status.success(), "{mesh}");
         let faces = read_mesh(&folder.path().join(mesh)).unwrap().triangles.len();
         let says = format!("{mesh}: holds a mesh ({faces} faces), not particles");
         assert_refused(folder.path(), &[mesh, "-o", "out.ply"], 3, &[&says]);
@@ -1088,7 +1090,7 @@ fn a_mesh_is_refused_where_particles_are_asked_for_and_points_with_cells_of_thei
 }
 
 #[test]
-fn an_output_makes_its_folder_and_one_that_cannot_be_made_is_refused() {
+fn missing_output_folders_are_created_and_impossible_ones_refused() {
     let folder = folder_with_ball();
     for (output, command) in [("a/b/x.ply", "reconstruct"), ("c/d/x.mnf", "pack")] {
         let run = meniscus(folder.path(), &[command, "ball.xyz", "-o", output]);
@@ -1105,7 +1107,7 @@ fn an_output_makes_its_folder_and_one_that_cannot_be_made_is_refused() {
 }
 
 #[test]
-fn check_and_info_take_folders_globs_and_names_with_a_place_for_the_number() {
+fn check_and_info_accept_folders_globs_and_patterns() {
     let folder = folder_with_ball();
     for frame in [2, 10] {
         let output = format!("mesh/m_{frame}.ply");
@@ -1136,7 +1138,7 @@ fn check_and_info_take_folders_globs_and_names_with_a_place_for_the_number() {
 }
 
 #[test]
-fn info_estimates_the_memory_of_a_run_and_names_all_files_that_it_reads() {
+fn info_estimates_the_memory_of_a_run_and_lists_readable_formats() {
     let frame = data("dambreak_small/ParticleData_Fluid_20.bgeo");
     let folder = TempDir::new().unwrap();
     let frame = frame.to_str().unwrap();
@@ -1181,7 +1183,7 @@ fn printed_numbers_are_rounded_and_json_has_all_digits() {
 }
 
 #[test]
-fn every_setting_is_an_option_and_pack_refuses_those_of_a_surface_with_a_reason() {
+fn every_setting_is_an_option_and_pack_refuses_surface_settings() {
     let folder = TempDir::new().unwrap();
     let help = |command: &str| {
         let run = meniscus(folder.path(), &[command, "--help"]);
@@ -1191,12 +1193,12 @@ fn every_setting_is_an_option_and_pack_refuses_those_of_a_surface_with_a_reason(
     fs::write(folder.path().join("one.xyz"), "0 0 0\n").unwrap();
     for setting in Settings::ALL {
         let option = format!("--{setting}");
-        let is_told =
+        let is_listed =
             |help: &str| help.split_whitespace().any(|word| word.trim_end_matches(',') == option);
-        assert!(is_told(&reconstruct), "{option}");
-        assert_eq!(is_told(&pack), setting.is_of_samples(), "{option}");
+        assert!(is_listed(&reconstruct), "{option}");
+        assert_eq!(is_listed(&pack), setting.is_of_samples(), "{option}");
     }
-    run_pack_with_the_default_method(folder.path());
+    pack_with_the_default_method(folder.path());
     for given in [&["--smooth", "2"][..], &["--normals"], &["--method", "mueller"], &["--up", "z"]]
     {
         let run = meniscus(folder.path(), &[&["pack", "one.xyz", "-o", "one.mnf"], given].concat());
@@ -1206,8 +1208,8 @@ fn every_setting_is_an_option_and_pack_refuses_those_of_a_surface_with_a_reason(
     }
 }
 
-/// Packs a particle and draws it, with the default method given explicitly.
-fn run_pack_with_the_default_method(folder: &Path) {
+/// Packs a particle and reconstructs it, with the default method given explicitly.
+fn pack_with_the_default_method(folder: &Path) {
     let given = ["--spacing", "1", "--method", "dif"];
     let pack = meniscus(folder, &[&["pack", "one.xyz", "-o", "said.mnf"], &given[..]].concat());
     assert!(pack.status.success(), "{}", String::from_utf8_lossy(&pack.stderr));
@@ -1221,7 +1223,7 @@ fn run_pack_with_the_default_method(folder: &Path) {
 }
 
 #[test]
-fn a_format_that_is_named_is_read_whatever_files_are_called() {
+fn a_given_format_overrides_the_file_extension() {
     let folder = folder_with_ball();
     let path = |name: &str| folder.path().join(name);
     let run = |arguments: &[&str], code: i32| {

@@ -1,7 +1,7 @@
-//! Seeded pairs and triples of all options on a small frame: the result is complete, closed and the
-//! same for all threads, budgets and backends, or a refusal leaves no file.
+//! Random pairs and triples of options on a small frame. Either the mesh is closed and the same for
+//! all threads, memory budgets and backends, or an error leaves no file.
 //!
-//! `MENISCUS_OPTIONS=5000` tries that many, and `MENISCUS_OPTION=77` repeats one.
+//! `MENISCUS_OPTIONS=5000` tries 5000 combinations, and `MENISCUS_OPTION=77` repeats number 77.
 
 use std::fs;
 use std::path::Path;
@@ -55,8 +55,8 @@ const OPTIONS: [(&str, &[&str]); 33] = [
     ("--dry-run", &[""]),
 ];
 
-/// Options that do not change the result.
-const OTHERWISE: [[&str; 2]; 3] = [["--threads", "1"], ["--memory", "96MiB"], ["--backend", "cpu"]];
+/// Options that must not change the result.
+const NEUTRAL: [[&str; 2]; 3] = [["--threads", "1"], ["--memory", "96MiB"], ["--backend", "cpu"]];
 
 struct Run {
     arguments: Vec<String>,
@@ -81,35 +81,41 @@ impl Run {
     }
 
     #[track_caller]
-    fn must(&self, is: bool, what: &str) {
-        assert!(is, "{}: {what}, code {}: {}", self.arguments.join(" "), self.code, self.errors);
+    fn ensure(&self, holds: bool, failure: &str) {
+        assert!(
+            holds,
+            "{}: {failure}, code {}: {}",
+            self.arguments.join(" "),
+            self.code,
+            self.errors
+        );
     }
 
     /// Checks the result of a run in a folder that contained `before`.
-    fn look(&self, folder: &Path, before: &[String]) {
-        self.must([0, 2, 3].contains(&self.code), "no code for a request or an input");
-        self.must(!self.errors.contains("panicked"), "a panic");
+    fn check_result(&self, folder: &Path, before: &[String]) {
+        self.ensure([0, 2, 3].contains(&self.code), "an unexpected exit code");
+        self.ensure(!self.errors.contains("panicked"), "a panic");
         let files: Vec<String> = tree(folder).into_keys().collect();
         let new: Vec<&String> = files.iter().filter(|file| !before.contains(file)).collect();
         if self.code != 0 {
-            self.must(new.is_empty(), &format!("{new:?} left behind"));
-            self.must(!self.errors.trim().is_empty(), "no word on why");
+            self.ensure(new.is_empty(), &format!("{new:?} left behind"));
+            self.ensure(!self.errors.trim().is_empty(), "no error message");
             return;
         }
         let mesh = folder.join(self.output);
         if self.has("--dry-run") {
-            self.must(!mesh.exists(), "a mesh by a dry run");
+            self.ensure(!mesh.exists(), "a dry run wrote a mesh");
             return;
         }
         let stem = self.output.split('.').next().unwrap();
         let own = |file: &&&String| file.starts_with(stem) || file.as_str() == "s.json";
-        self.must(
+        self.ensure(
             new.iter().filter(own).count() == new.len(),
-            &format!("{new:?} beside the output"),
+            &format!("unexpected files in {new:?}"),
         );
         if MeshFormat::of(&mesh).unwrap().is_read() {
             let report = check(&read_mesh(&mesh).unwrap());
-            self.must(report.is_closed_oriented_manifold(), &report.to_string());
+            self.ensure(report.is_closed_oriented_manifold(), &report.to_string());
         }
     }
 }
@@ -148,13 +154,13 @@ fn try_combination(seed: u64) {
     let folder = TempDir::new().unwrap();
     fs::write(folder.path().join("f.xyz"), frame(&mut random)).unwrap();
     let run = Run::of(folder.path(), output, &arguments);
-    run.look(folder.path(), &["f.xyz".to_owned()]);
+    run.check_result(folder.path(), &["f.xyz".to_owned()]);
     let mesh = folder.path().join(output);
     if !mesh.exists() {
         return;
     }
     let bytes = fs::read(&mesh).unwrap();
-    for [option, value] in OTHERWISE {
+    for [option, value] in NEUTRAL {
         if arguments.iter().any(|argument| argument.starts_with(&format!("{option}="))) {
             continue;
         }
@@ -162,15 +168,15 @@ fn try_combination(seed: u64) {
         let again = Run::of(folder.path(), output, &[&arguments[..], &more].concat());
         // With less memory it may fail.
         if again.code == 0 {
-            again.must(fs::read(&mesh).unwrap() == bytes, "other bytes");
+            again.ensure(fs::read(&mesh).unwrap() == bytes, "the bytes differ");
         } else {
-            again.must(option == "--memory" && again.code == 2, "no result");
+            again.ensure(option == "--memory" && again.code == 2, "a failure");
         }
     }
 }
 
 #[test]
-fn every_combination_of_options_gives_a_whole_result_or_a_refusal_that_leaves_nothing() {
+fn every_option_combination_gives_a_valid_mesh_or_an_error_without_files() {
     let number = |name: &str| Some(std::env::var(name).ok()?.parse::<u64>().unwrap());
     match number("MENISCUS_OPTION") {
         Some(seed) => try_combination(seed),
@@ -179,7 +185,7 @@ fn every_combination_of_options_gives_a_whole_result_or_a_refusal_that_leaves_no
 }
 
 #[test]
-fn options_of_other_programs_are_answered_with_ours() {
+fn options_of_other_programs_are_answered_with_our_equivalents() {
     let folder = TempDir::new().unwrap();
     let pairs = [
         ("--particle-radius=0.025", "'--radius'"),
@@ -200,7 +206,7 @@ fn options_of_other_programs_are_answered_with_ours() {
 }
 
 #[test]
-fn vertices_take_the_identifier_of_the_nearest_particle_in_any_order_of_the_particles() {
+fn vertices_take_the_nearest_particles_id_for_any_particle_order() {
     let folder = TempDir::new().unwrap();
     let places: Vec<[f64; 3]> =
         (0..512).map(|i| [i % 8, i / 8 % 8, i / 64].map(f64::from)).collect();
@@ -230,7 +236,10 @@ fn vertices_take_the_identifier_of_the_nearest_particle_in_any_order_of_the_part
         let (output, _) = of(input, 0);
         fs::read(output).unwrap()
     });
-    assert!(forwards == backwards && forwards == long, "neither order nor width matters");
+    assert!(
+        forwards == backwards && forwards == long,
+        "the order of the particles or the width of the integers changes the mesh"
+    );
     let mesh = read_mesh(&folder.path().join("mesh_forwards.ply")).unwrap();
     for (vertex, id) in mesh.positions.iter().zip(&mesh.attributes[0].whole) {
         let squared = |place: &[f64; 3]| -> f64 {

@@ -1,5 +1,5 @@
-//! Unplanned uses of the program: nothing is lost, nothing is overwritten, and refusals come before
-//! the work.
+//! Unusual requests to the program: it loses and overwrites nothing, and it refuses invalid
+//! requests before the work.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
@@ -24,7 +24,7 @@ use crate::common::scene::Random;
 fn refused(folder: &Path, arguments: &[&str], says: &str) {
     let before = tree(folder);
     let errors = run(folder, arguments, 2);
-    assert!(errors.contains(says), "{arguments:?} does not say {says:?}: {errors}");
+    assert!(errors.contains(says), "{arguments:?} does not print {says:?}: {errors}");
     assert!(tree(folder) == before, "{arguments:?} left something behind");
 }
 
@@ -54,7 +54,7 @@ fn frames(names: &[&str]) -> TempDir {
 }
 
 #[test]
-fn statistics_do_not_go_into_the_picture() {
+fn statistics_cannot_have_the_path_of_the_preview_picture() {
     let folder = frames(&["f_1.xyz", "f_2.xyz"]);
     refused(
         folder.path(),
@@ -89,7 +89,7 @@ fn statistics_do_not_go_into_the_picture() {
 }
 
 #[test]
-fn what_a_killed_process_left_is_swept_by_a_single_frame_too() {
+fn a_single_frame_deletes_temporary_files_of_killed_processes() {
     let folder = frames(&["f.xyz"]);
     let left = folder.path().join(".meniscus-left.tmp");
     let mut before: Vec<_> = tree(folder.path()).into_keys().collect();
@@ -106,7 +106,7 @@ fn what_a_killed_process_left_is_swept_by_a_single_frame_too() {
 }
 
 #[test]
-fn a_folder_in_the_place_of_an_output_stops_no_other_frame() {
+fn a_folder_in_place_of_one_output_does_not_stop_other_frames() {
     let folder = frames(&["f_1.xyz", "f_2.xyz", "f_3.xyz"]);
     let all = ["reconstruct", "f_{}.xyz", "-o", "out/m_{}.ply", "--spacing", "1"];
     fs::create_dir_all(folder.path().join("out/m_2.ply")).unwrap();
@@ -118,7 +118,7 @@ fn a_folder_in_the_place_of_an_output_stops_no_other_frame() {
 }
 
 #[test]
-fn messages_that_nobody_can_read_are_dropped_and_the_work_goes_on() {
+fn an_unwritable_standard_error_does_not_stop_the_work() {
     let folder = frames(&["f_1.xyz", "f_2.xyz"]);
     let streams: [fn() -> Stdio; 2] = [
         || {
@@ -147,7 +147,7 @@ fn messages_that_nobody_can_read_are_dropped_and_the_work_goes_on() {
 }
 
 #[test]
-fn meshes_in_the_folder_of_the_particles_are_never_taken_for_frames() {
+fn output_meshes_in_the_input_folder_are_not_taken_for_frames() {
     let folder = frames(&["f_1.xyz", "f_2.xyz"]);
     let at = |name: &str| folder.path().join(name);
     for extension in ["ply", "vtk", "vtp"] {
@@ -182,7 +182,7 @@ fn meshes_in_the_folder_of_the_particles_are_never_taken_for_frames() {
 }
 
 #[test]
-fn a_folder_of_meshes_is_refused_before_the_work() {
+fn a_folder_of_meshes_is_refused_as_input() {
     let folder = frames(&["f_1.xyz", "f_2.xyz"]);
     run(folder.path(), &["reconstruct", ".", "-o", "made/", "--spacing", "1"], 0);
     refused(
@@ -198,7 +198,7 @@ fn a_folder_of_meshes_is_refused_before_the_work() {
 }
 
 #[test]
-fn meshes_whose_names_would_make_frames_of_them_are_refused_before_the_work() {
+fn outputs_named_like_input_frames_are_refused() {
     let folder = frames(&["f_1.ply", "f_2.ply"]);
     refused(
         folder.path(),
@@ -222,7 +222,7 @@ fn meshes_whose_names_would_make_frames_of_them_are_refused_before_the_work() {
 
 #[cfg(unix)]
 #[test]
-fn inputs_are_not_overwritten_by_whatever_name_they_go() {
+fn inputs_are_not_overwritten_through_links_or_other_paths() {
     let folder = frames(&["f_1.xyz", "f_2.xyz"]);
     let path = |name: &str| folder.path().join(name);
     fs::create_dir(path("out")).unwrap();
@@ -270,7 +270,7 @@ fn inputs_are_not_overwritten_by_whatever_name_they_go() {
 }
 
 #[test]
-fn statistics_that_cannot_be_written_are_refused_before_the_work() {
+fn unwritable_statistics_are_refused_before_the_work() {
     let folder = frames(&["f_1.xyz"]);
     for arguments in [
         &["reconstruct", "f_1.xyz", "-o", "a.ply", "--spacing", "1", "--stats", "none/s.json"][..],
@@ -283,7 +283,7 @@ fn statistics_that_cannot_be_written_are_refused_before_the_work() {
 }
 
 #[test]
-fn gaps_between_time_stamps_are_reported_by_their_ends() {
+fn gaps_in_frame_numbers_are_reported_as_ranges() {
     let names = [
         "f_0.xyz",
         "f_1700000000000000000.xyz",
@@ -303,7 +303,7 @@ fn gaps_between_time_stamps_are_reported_by_their_ends() {
 }
 
 #[test]
-fn numbers_that_are_none_or_may_be_decimals_are_refused_with_the_pattern_to_type() {
+fn out_of_range_and_ambiguous_frame_numbers_are_refused_with_advice() {
     let folder = frames(&["f_99999999999999999999999.xyz", "f_1.xyz"]);
     for inputs in [".", "f_{}.xyz", "*.xyz"] {
         refused(
@@ -322,7 +322,7 @@ fn numbers_that_are_none_or_may_be_decimals_are_refused_with_the_pattern_to_type
 }
 
 #[test]
-fn odd_numbers_are_refused_with_the_sentence_that_helps() {
+fn non_finite_and_extreme_option_values_are_refused_with_their_range() {
     let folder = frames(&["f_1.xyz"]);
     let with = |more: &[&'static str]| -> Vec<&'static str> {
         [&["reconstruct", "f_{}.xyz", "-o", "m_{}.ply", "--spacing", "1"], more].concat()
@@ -356,7 +356,7 @@ fn odd_numbers_are_refused_with_the_sentence_that_helps() {
 }
 
 #[test]
-fn a_mesh_with_another_byte_is_made_again() {
+fn resume_remakes_a_mesh_with_a_changed_byte() {
     let folder = frames(&["f_1.xyz", "f_2.xyz"]);
     let all = ["reconstruct", "f_{}.xyz", "-o", "m_{}.ply", "--spacing", "1", "--resume"];
     run(folder.path(), &all, 0);
@@ -373,7 +373,7 @@ fn a_mesh_with_another_byte_is_made_again() {
 }
 
 #[test]
-fn a_frame_that_grows_after_it_was_made_is_made_again() {
+fn watch_converts_a_frame_again_when_its_file_grows() {
     let folder = frames(&["f_1.xyz"]);
     let path = folder.path().join("f_1.xyz");
     let whole = fs::read(&path).unwrap();
@@ -393,7 +393,7 @@ fn a_frame_that_grows_after_it_was_made_is_made_again() {
 }
 
 #[test]
-fn values_beyond_32_bits_are_reported() {
+fn attribute_values_beyond_f32_are_reported() {
     let folder = TempDir::new().unwrap();
     let particles = ball(4.0);
     let row = |p: &[f64; 3], value: f64| format!("{},{},{},{value:e}\n", p[0], p[1], p[2]);
@@ -428,7 +428,7 @@ fn values_beyond_32_bits_are_reported() {
 }
 
 #[test]
-fn a_scene_with_another_spacing_causes_a_warning_with_both_spacings() {
+fn a_wrong_spacing_of_the_scene_or_the_option_causes_a_warning() {
     let folder = frames(&["f_1.xyz"]);
     let particles: Vec<[f64; 3]> = fill(16.0, 1.0, 0.3, 1, |p| p.length() < 8.0);
     fs::write(folder.path().join("f_1.xyz"), raw(&particles)).unwrap();
@@ -456,7 +456,7 @@ fn a_scene_with_another_spacing_causes_a_warning_with_both_spacings() {
 }
 
 #[test]
-fn drops_of_a_handful_of_triangles_keep_a_volume_when_they_are_simplified() {
+fn simplified_drops_of_a_few_triangles_keep_a_positive_volume() {
     let folder = TempDir::new().unwrap();
     let step = DVec3::new(7.13, 7.21, 7.37);
     let places = || (0..1728).map(|i| IVec3::new(i % 12, i / 12 % 12, i / 144));
@@ -472,9 +472,13 @@ fn drops_of_a_handful_of_triangles_keep_a_volume_when_they_are_simplified() {
             }
         }
         fs::write(folder.path().join("drops.xyz"), raw(&drops)).unwrap();
-        let drawn =
+        let simplified =
             ["reconstruct", "drops.xyz", "-o", "drops.ply", "--spacing", "1", "--overwrite"];
-        run(folder.path(), &[&drawn[..], &["--cell", cell, "--simplify", tolerance]].concat(), 0);
+        run(
+            folder.path(),
+            &[&simplified[..], &["--cell", cell, "--simplify", tolerance]].concat(),
+            0,
+        );
         let checked = command(folder.path(), &["check", "drops.ply", "--json"]).output().unwrap();
         let report: Value = serde_json::from_slice(&checked.stdout).unwrap();
         assert_eq!(report[0]["measures"]["flat_components"], 0, "cells of {cell}: {report:#}");
@@ -495,7 +499,7 @@ fn drops_of_a_handful_of_triangles_keep_a_volume_when_they_are_simplified() {
 }
 
 #[test]
-fn a_compressed_archive_is_read_within_the_budget() {
+fn a_compressed_archive_is_read_within_the_memory_budget() {
     let folder = TempDir::new().unwrap();
     let mut random = Random::new(2);
     let count = 1 << 21;
@@ -513,7 +517,7 @@ fn a_compressed_archive_is_read_within_the_budget() {
     }
     archive.finish().unwrap();
     let packed = fs::metadata(folder.path().join("f.npz")).unwrap().len();
-    assert!(packed > 40 << 20, "{packed} bytes: a small archive tells nothing");
+    assert!(packed > 40 << 20, "{packed} bytes: the archive is too small for this test");
     let arguments =
         ["reconstruct", "f.npz", "-o", "f.ply", "--spacing", "1", "--cell", "1", "--threads", "1"];
     run(
@@ -530,7 +534,7 @@ fn a_compressed_archive_is_read_within_the_budget() {
 }
 
 #[test]
-fn vertices_that_stl_cannot_tell_apart_are_always_said() {
+fn vertices_that_coincide_in_f32_are_reported_for_stl() {
     let folder = TempDir::new().unwrap();
     let mut merged = 0;
     for far in [0.0, 300.0, 1000.0, 3000.0, 8000.0] {
@@ -586,11 +590,11 @@ fn vertices_that_stl_cannot_tell_apart_are_always_said() {
             "{far}"
         );
     }
-    assert!(merged > 0, "none was merged");
+    assert!(merged > 0, "no position made vertices coincide");
 }
 
 #[test]
-fn pieces_without_volume_are_told() {
+fn check_reports_components_without_volume() {
     let folder = TempDir::new().unwrap();
     let twins = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 5 5 5\nv 6 5 5\nv 5 6 5\nv 5 5 6\n\
                  f 1 2 3\nf 1 3 2\nf 4 6 5\nf 4 5 7\nf 4 7 6\nf 5 6 7\n";
@@ -606,7 +610,7 @@ fn pieces_without_volume_are_told() {
 }
 
 #[test]
-fn particles_in_no_surface_are_counted_inside_a_body_and_far_from_it() {
+fn particles_missing_from_the_surface_are_counted_and_reported() {
     let folder = TempDir::new().unwrap();
     let body =
         fill(22.0, 1.0, 0.2, 1, |p| p.length() < 22.0 && (p - DVec3::splat(5.0)).length() > 11.0);
@@ -673,7 +677,7 @@ fn particles_in_no_surface_are_counted_inside_a_body_and_far_from_it() {
 }
 
 #[test]
-fn two_resolutions_in_one_frame_are_said_and_a_fluid_that_thins_out_is_not() {
+fn two_particle_spacings_cause_a_warning_but_a_thinning_fluid_does_not() {
     let folder = TempDir::new().unwrap();
     let at = |spacing: f64, from: f64| -> Vec<[f64; 3]> {
         let part = fill(12.0, 1.0 / spacing, 0.3, 7, |_| true);
@@ -686,9 +690,9 @@ fn two_resolutions_in_one_frame_are_said_and_a_fluid_that_thins_out_is_not() {
     for fine in [0.5, 0.4, 0.3] {
         let notes = of(&[at(1.0, 0.0), at(fine, 24.0)]);
         assert!(notes.contains("the particles have two spacings"), "{fine}: {notes}");
-        let told = notes.split("two spacings, ").nth(1).unwrap();
-        let [a, b] =
-            [0, 2].map(|word| told.split([' ', ';']).nth(word).unwrap().parse::<f64>().unwrap());
+        let spacings = notes.split("two spacings, ").nth(1).unwrap();
+        let [a, b] = [0, 2]
+            .map(|word| spacings.split([' ', ';']).nth(word).unwrap().parse::<f64>().unwrap());
         assert!((a / fine - 1.0).abs() < 0.05 && (b - 1.0).abs() < 0.1, "{fine}: {a} and {b}");
     }
     assert!(!of(&[at(1.0, 0.0)]).contains("two spacings"));

@@ -1,4 +1,4 @@
-//! Particles selected by conditions on their attributes: the surface is that of the selected ones.
+//! Conditions on attributes select particles: the surface is that of the selected particles.
 
 use std::fmt::Write;
 use std::fs;
@@ -80,7 +80,7 @@ fn reconstruct(folder: &Path, arguments: &[&str], code: i32) -> String {
 }
 
 #[test]
-fn the_surface_is_that_of_the_chosen_particles_in_every_format() {
+fn a_condition_selects_the_same_particles_in_every_format() {
     let folder = scenes();
     let folder = folder.path();
     let read = |name: &str| fs::read(folder.join(name)).unwrap();
@@ -107,7 +107,7 @@ fn the_surface_is_that_of_the_chosen_particles_in_every_format() {
 }
 
 #[test]
-fn packed_frames_parts_and_sequences_hold_the_chosen_particles() {
+fn packed_frames_parts_and_sequences_apply_the_condition() {
     let folder = scenes();
     let folder = folder.path();
     let read = |name: &str| fs::read(folder.join(name)).unwrap();
@@ -144,7 +144,7 @@ fn packed_frames_parts_and_sequences_hold_the_chosen_particles() {
 }
 
 #[test]
-fn conditions_that_cannot_be_applied_are_refused_with_what_there_is() {
+fn inapplicable_conditions_are_refused_with_the_available_values() {
     let folder = scenes();
     let folder = folder.path();
     for (file, condition, code, facts) in [
@@ -165,7 +165,7 @@ fn conditions_that_cannot_be_applied_are_refused_with_what_there_is() {
 }
 
 #[test]
-fn a_boundary_around_the_fluid_is_noticed_and_its_values_are_listed() {
+fn a_boundary_around_the_fluid_causes_a_warning_and_info_counts_it() {
     let folder = scenes();
     let folder = folder.path();
     for file in ["tank.csv", "tank.ply", "tank.vtk"] {
@@ -188,6 +188,6 @@ fn a_boundary_around_the_fluid_is_noticed_and_its_values_are_listed() {
 
 fn info(folder: &Path, arguments: &[&str]) -> Value {
     let output = command(folder, &[&["info", "--json", "tank.csv"], arguments].concat()).output();
-    let told: Value = serde_json::from_slice(&output.unwrap().stdout).unwrap();
-    told[0].clone()
+    let infos: Value = serde_json::from_slice(&output.unwrap().stdout).unwrap();
+    infos[0].clone()
 }
