@@ -1,4 +1,4 @@
-//! The kernel methods against their definitions on one dense array, and properties of all their
+//! Kernel methods: comparison with their definitions on one dense array, and properties of their
 //! meshes.
 
 use std::f64::consts::PI;
@@ -41,12 +41,12 @@ fn spaced(spacing: f64) -> Sampling {
 }
 
 /// Rounds particles to the positions of 13-bit offsets.
-fn on_steps(particles: Vec<[f64; 3]>) -> Vec<[f64; 3]> {
+fn rounded_to_offsets(particles: Vec<[f64; 3]>) -> Vec<[f64; 3]> {
     particles.into_iter().map(|p| p.map(|x| ((x * 8192.0).floor() + 0.5) / 8192.0)).collect()
 }
 
-/// Each method as METHOD.md and its authors define it, on all particles, in cells of edge 1;
-/// positive inside.
+/// Each method by the definition of METHOD.md and its authors: a sum over all particles, in cells
+/// of edge 1, positive inside.
 struct Oracle {
     particles: Vec<DVec3>,
     /// m / rho over the scale of W.
@@ -157,9 +157,9 @@ fn jacobi(mut a: DMat3) -> (DVec3, DMat3) {
 }
 
 #[test]
-fn the_surfaces_are_those_of_the_dense_sums() {
+fn kernel_meshes_equal_those_of_a_dense_oracle() {
     for (seed, spacing, walled) in [(3, 0.8, true), (4, 1.7, false)] {
-        let particles = on_steps(splashes(seed));
+        let particles = rounded_to_offsets(splashes(seed));
         for method in METHODS {
             let mut sampling = spaced(spacing);
             sampling.domain = walled.then(|| tank(&sampling.grid));
@@ -187,7 +187,7 @@ fn the_surfaces_are_those_of_the_dense_sums() {
 }
 
 #[test]
-fn meshes_are_closed_manifolds_and_depend_on_neither_order_nor_threads_nor_budget() {
+fn kernel_meshes_are_closed_and_independent_of_order_threads_and_budget() {
     let mut particles = splashes(5);
     for method in METHODS {
         let mesh = surface(&particles[..], &spaced(1.2), method);
@@ -203,25 +203,26 @@ fn meshes_are_closed_manifolds_and_depend_on_neither_order_nor_threads_nor_budge
 }
 
 #[test]
-fn a_particle_alone_is_a_ball_of_the_radius_that_the_kernel_gives() {
+fn a_lone_particle_becomes_a_ball_with_the_radius_of_its_kernel() {
     let spacing = 8.0;
     let half_of = |w: f64| (1.0 - w.cbrt()).sqrt();
     let radii = [2.0 * spacing * half_of(0.5), spacing / 2.0, spacing * half_of(0.4 / 8.0)];
     for (method, radius) in METHODS.into_iter().zip(radii) {
-        let mesh = surface(&on_steps(vec![[0.3, -0.2, 0.1]])[..], &spaced(spacing), method);
+        let mesh =
+            surface(&rounded_to_offsets(vec![[0.3, -0.2, 0.1]])[..], &spaced(spacing), method);
         for position in &mesh.positions {
             let distance = DVec3::from(*position).distance(DVec3::new(0.3, -0.2, 0.1));
             assert!(
                 (distance - radius).abs() < 0.03 * radius,
-                "{method:?}: {distance}, not {radius}"
+                "{method:?}: {distance} instead of {radius}"
             );
         }
     }
 }
 
 #[test]
-fn anisotropic_kernels_leave_a_flat_pool_flatter_than_isotropic_ones() {
-    // Two cells per spacing: flat kernels are thinner than one.
+fn anisotropic_kernels_make_a_pool_flatter_than_isotropic_kernels() {
+    // Two cells per spacing, because flattened kernels are thinner than one cell.
     let pool = fill(24.0, 0.5, 0.3, 11, |p| p.z < 0.0 && p.z > -14.0);
     let roughness = |method| {
         let mesh = surface(&pool[..], &spaced(2.0), method);
@@ -235,7 +236,7 @@ fn anisotropic_kernels_leave_a_flat_pool_flatter_than_isotropic_ones() {
 }
 
 #[test]
-fn attributes_reach_the_vertices_and_normals_point_out() {
+fn attributes_are_interpolated_and_normals_point_outwards() {
     let ball = fill(6.0, 1.0, 0.2, 2, |p| p.length() < 5.0);
     let ball = Attributed::new(ball).with("v", |_, _| [1.0, -2.0, 0.5]);
     for method in METHODS {
@@ -257,7 +258,7 @@ fn attributes_reach_the_vertices_and_normals_point_out() {
 }
 
 #[test]
-fn a_spacing_that_is_not_known_and_cells_much_smaller_than_it_are_refused() {
+fn kernel_methods_refuse_a_missing_spacing_and_too_small_cells() {
     let particles = [[0.0_f64; 3]];
     for (cell, spacing) in [(1.0 / 17.0, Some(1.0)), (1.0, None)] {
         let (grid, method) =

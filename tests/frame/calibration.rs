@@ -1,5 +1,5 @@
-//! The isovalue in cells of any size: the interior is defined in spacings, clumps do not affect it,
-//! and cells for which 16 bits are too few are refused.
+//! The calibration of the isovalue for all cell sizes: clumps do not affect it, and cells that are
+//! too fine for 16 bits are refused.
 
 use std::collections::HashMap;
 
@@ -74,8 +74,8 @@ fn sampling_at(spacing: f64, method: impl Into<frame::Method>) -> Sampling {
     Sampling { method, spacing: Some(spacing), side, ..sampling() }
 }
 
-/// Whether these cells are refused before sampling.
-fn asked(
+/// The check of the cell size before sampling.
+fn check_before_sampling(
     surfacing: &Surfacing,
     spacing: f64,
     kind: IndicatorKind,
@@ -108,7 +108,7 @@ fn deep_median(field: &Dense<f64>, edge: f64, depth: i32) -> f64 {
 
 /// The plateau of a cube of particles, and its difference from that of a dense oracle in f64: in
 /// the isovalue, which is a share of it, or in the density of clouds.
-fn off_from_oracle(particles: &[[f64; 3]], frame: &Engine, edge: f64) -> (f64, Plateau) {
+fn deviation_from_oracle(particles: &[[f64; 3]], frame: &Engine, edge: f64) -> (f64, Plateau) {
     let (indicator, facts) = (dif(frame).indicator, frame.facts());
     let (recipe, measured) = recipe(frame, &surfacing());
     let ratio = if indicator.kind() == CLOUD {
@@ -134,7 +134,7 @@ fn off_from_oracle(particles: &[[f64; 3]], frame: &Engine, edge: f64) -> (f64, P
 }
 
 #[test]
-fn the_plateau_equals_that_of_a_dense_oracle_in_cells_of_any_size() {
+fn the_plateau_matches_a_dense_oracle_for_all_cell_sizes() {
     const CELLS: [f64; 6] = [1.0, 2.0 / 3.0, 0.5, 0.4, 1.0 / 3.0, 0.25];
     let disorders = [
         Disorder::Jittered(0.0),
@@ -146,7 +146,7 @@ fn the_plateau_equals_that_of_a_dense_oracle_in_cells_of_any_size() {
     let mut cases = Vec::new();
     for (i, density) in [0.5_f64, 1.0, 2.0, 4.0, 8.0].into_iter().enumerate() {
         for (j, disorder) in disorders.into_iter().enumerate() {
-            // Pairs each with two cell sizes, and each cell size with all.
+            // Every density meets every disorder in two cell sizes, and every cell size meets both.
             for cell in [CELLS[(i + j) % 6], CELLS[(i + j + 3) % 6]] {
                 // Clouds measure at most four times the expected number of particles.
                 cases.extend(
@@ -172,7 +172,7 @@ fn the_plateau_equals_that_of_a_dense_oracle_in_cells_of_any_size() {
         let clump = particles[particles.len() / 2];
         particles.extend([clump; 10]);
         let frame = sample(&particles, &sampling_at(1.0 / cell, indicator));
-        let (off, plateau) = off_from_oracle(&particles, &frame, edge / cell);
+        let (off, plateau) = deviation_from_oracle(&particles, &frame, edge / cell);
         let what = format!(
             "{indicator:?} {density} {disorder:?} in cells of {cell}: off by {off}, {plateau:?}"
         );
@@ -197,7 +197,11 @@ fn places(surface: &StitchedSurface) -> HashMap<IVec3, Vec<DVec3>> {
 
 /// The distances from the vertices of `one`, at least this far from a place, to the nearest
 /// vertices of `other`, sorted; infinite if there is none within a cell.
-fn moved(one: &StitchedSurface, other: &StitchedSurface, (place, away): (DVec3, f64)) -> Vec<f64> {
+fn displacements(
+    one: &StitchedSurface,
+    other: &StitchedSurface,
+    (place, away): (DVec3, f64),
+) -> Vec<f64> {
     let others = places(other);
     let next = |p: DVec3| {
         let cells = (0..27).map(|i| p.floor().as_ivec3() + IVec3::new(i % 3, i / 3 % 3, i / 9) - 1);
@@ -231,7 +235,7 @@ fn bodies() -> [(&'static str, Vec<[f64; 3]>, DVec3); 6] {
 }
 
 #[test]
-fn neither_a_double_particle_nor_a_clump_moves_the_surface_of_the_rest() {
+fn duplicates_and_clumps_do_not_move_the_surface_elsewhere() {
     let recovered = Surfacing { detail: Detail::Recovered, ..surfacing() };
     for (name, body, place) in bodies() {
         for (cell, indicator) in
@@ -239,8 +243,8 @@ fn neither_a_double_particle_nor_a_clump_moves_the_surface_of_the_rest() {
         {
             let spacing = 1.0 / cell;
             let particles = scaled(&body, spacing);
-            // Detail changes the surface whatever the isovalue is, so it is also compared, as
-            // particles per cell.
+            // Recovered detail changes the surface for any isovalue, so the test also compares the
+            // isovalue, in particles per cell.
             let isovalue = |frame: &Engine| match recipe(frame, &surfacing()).1.calibration {
                 Calibration::Indicator { mean, iso } => iso.value() * mean.unwrap().particles(),
                 Calibration::Clouds { plateau } => f64::from(plateau),
@@ -260,7 +264,9 @@ fn neither_a_double_particle_nor_a_clump_moves_the_surface_of_the_rest() {
                 );
                 let with = draw(&of_with, &recovered);
                 let there = (DVec3::from(at), 4.0 * spacing);
-                for moved in [moved(&clean, &with, there), moved(&with, &clean, there)] {
+                for moved in
+                    [displacements(&clean, &with, there), displacements(&with, &clean, there)]
+                {
                     // Along an edge that is nearly tangent to the surface, a vertex moves far. A
                     // vertex that appears or disappears with the sign of one sample is up to its
                     // cell's size from the next.
@@ -284,13 +290,13 @@ fn neither_a_double_particle_nor_a_clump_moves_the_surface_of_the_rest() {
 }
 
 #[test]
-fn without_an_interior_the_plateau_is_that_of_a_fluid_of_this_spacing() {
-    // With less disorder, symmetry and counts would depend on the lattice's position on the grid.
+fn without_an_interior_the_plateau_is_derived_from_the_spacing() {
+    // With less disorder, symmetry and counts depend on the position of the lattice on the grid.
     let pool = cube(24.0, 1.0, Disorder::Jittered(0.5), 1);
     for cell in [1.5, 1.0, 2.0 / 3.0, 0.5, 1.0 / 3.0] {
         for indicator in INDICATORS {
             let spacing = 1.0 / cell;
-            if asked(&surfacing(), spacing, indicator, None).is_err() {
+            if check_before_sampling(&surfacing(), spacing, indicator, None).is_err() {
                 assert!(indicator == IndicatorKind::Symmetry && cell <= FINEST_OF_SYMMETRY);
                 continue;
             }
@@ -299,7 +305,7 @@ fn without_an_interior_the_plateau_is_that_of_a_fluid_of_this_spacing() {
             let Plateau::Interior { median, .. } = deep else {
                 panic!("a pool of {cell}: {deep:?}")
             };
-            // With the same mu0, which fewer particles per cell would change.
+            // The same mu0, which fewer particles per cell would change.
             let sampling = sampling_at(spacing, of_pool.method());
             for (name, body, _) in &bodies()[2..] {
                 let frame = sample(&scaled(body, spacing), &sampling);
@@ -316,7 +322,7 @@ fn without_an_interior_the_plateau_is_that_of_a_fluid_of_this_spacing() {
 }
 
 #[test]
-fn a_shallow_layer_is_counted_by_the_disorder_that_it_is_in() {
+fn the_expected_plateau_of_a_shallow_layer_accounts_for_its_disorder() {
     for disorder in [Disorder::Jittered(0.3), Disorder::Jittered(0.5), Disorder::Clumped] {
         let particles = scaled(&cube(48.0, 1.0, disorder, 6), 1.5);
         let deep = sample(&particles, &sampling_at(1.5, COUNTING));
@@ -334,7 +340,7 @@ fn a_shallow_layer_is_counted_by_the_disorder_that_it_is_in() {
 }
 
 #[test]
-fn mist_has_no_interior_in_any_amount() {
+fn a_large_amount_of_mist_has_no_interior() {
     let mut random = Random::new(4);
     let mist: Vec<[f64; 3]> = (0..8000).map(|_| [(); 3].map(|()| 40.0 * random.unit())).collect();
     for indicator in [CLOUD, COUNTING] {
@@ -345,7 +351,7 @@ fn mist_has_no_interior_in_any_amount() {
 }
 
 #[test]
-fn a_pool_holds_the_same_volume_in_cells_of_any_size_with_walls_and_without() {
+fn the_volume_of_a_pool_depends_little_on_cell_size_and_walls() {
     let pool = cube(14.0, 1.0, Disorder::Clumped, 2);
     for indicator in [CLOUD, COUNTING] {
         for walls in [false, true] {
@@ -374,7 +380,7 @@ fn a_pool_holds_the_same_volume_in_cells_of_any_size_with_walls_and_without() {
 }
 
 #[test]
-fn the_volume_of_a_surface_matches_that_of_its_mesh() {
+fn the_volume_of_a_surface_matches_the_volume_of_its_mesh() {
     let ball = fill(16.0, 1.0, 0.3, 1, |p| p.length() < 15.0);
     let close = |surface: &StitchedSurface, within: f64, what: &str| {
         let mesh = measure(&surface.to_mesh().unwrap()).volume.unwrap();
@@ -387,7 +393,7 @@ fn the_volume_of_a_surface_matches_that_of_its_mesh() {
         let mut tank = sampling_at(1.0, indicator);
         tank.domain = Domain::new(&tank.grid, DVec3::splat(-8.0), DVec3::splat(8.0)).ok();
         close(&draw(&sample(&ball, &tank), &surfacing()), 0.01, "a full tank");
-        // Triangles cut off what bends within a cell, which is a large part of a drop or a sheet.
+        // Triangles cut off curvature within a cell, which is a large part of a drop or a sheet.
         let splashes = sample(
             &crate::common::splashes(3),
             &Sampling { method: indicator.into(), ..sampling() },
@@ -401,7 +407,7 @@ fn the_volume_of_a_surface_matches_that_of_its_mesh() {
 }
 
 #[test]
-fn a_surface_with_less_than_half_of_its_particles_volume_is_reported() {
+fn a_surface_with_less_than_half_of_the_particle_volume_is_reported() {
     let pool = scaled(&cube(14.0, 1.0, Disorder::Jittered(0.3), 2), 1.5);
     for indicator in INDICATORS {
         let whole = draw(&sample(&pool, &sampling_at(1.5, indicator)), &surfacing());
@@ -424,15 +430,15 @@ fn a_surface_with_less_than_half_of_its_particles_volume_is_reported() {
 }
 
 #[test]
-fn a_step_of_the_field_moves_a_flat_surface_by_the_reported_distance() {
+fn one_step_of_the_isovalue_moves_the_surface_by_the_reported_distance() {
     let edge = 24.0;
     let pool = cube(edge, 1.0, Disorder::Jittered(0.0), 1);
     for (cell, indicator) in [(0.25, COUNTING), (0.2, COUNTING)] {
         let spacing = 1.0 / cell;
         let frame = sample(&scaled(&pool, spacing), &sampling_at(spacing, indicator));
         let (recipe, measured) = recipe(&frame, &surfacing());
-        let told = measured.step_cells;
-        assert!(told < COARSEST_STEP);
+        let reported = measured.step_cells;
+        assert!(reported < COARSEST_STEP);
         // The vertices on the cube's upper face, away from its edges.
         let steps = 8;
         let face = |threshold: u16| {
@@ -447,20 +453,19 @@ fn a_step_of_the_field_moves_a_flat_surface_by_the_reported_distance() {
         };
         let threshold = recipe.iso.threshold();
         let found = (face(threshold - steps) - face(threshold + steps)) / f64::from(2 * steps);
-        let ratio = found / told;
+        let ratio = found / reported;
         assert!(
             (0.85..1.15).contains(&ratio),
-            "{indicator:?}, cells of {cell}: {found} cells, told {told}"
+            "{indicator:?}, cells of {cell}: {found} cells, reported {reported}"
         );
     }
 }
 
-/// The result for a pool's surface with this cell size, which is the same before and after
-/// sampling.
-fn refused(indicator: IndicatorKind, cell: f64) -> Result<(), TooFine> {
+/// The check of this cell size for a pool, which must give the same before and after sampling.
+fn check_cell_size(indicator: IndicatorKind, cell: f64) -> Result<(), TooFine> {
     let spacing = 1.0 / cell;
     let sampling = sampling_at(spacing, indicator);
-    let before = asked(&surfacing(), spacing, indicator, None);
+    let before = check_before_sampling(&surfacing(), spacing, indicator, None);
     let pool = scaled(&cube(12.0, 1.0, Disorder::Jittered(0.3), 1), spacing);
     match sample(&pool, &sampling).surface(&surfacing(), &mut Timings::default()) {
         Ok(_) => assert_eq!(before, Ok(()), "{indicator:?} in {cell}"),
@@ -476,8 +481,8 @@ fn refused(indicator: IndicatorKind, cell: f64) -> Result<(), TooFine> {
 fn cells_too_fine_for_16_bits_are_refused_with_a_size_that_fits() {
     {
         let indicator = COUNTING;
-        assert_eq!(refused(indicator, 0.2), Ok(()));
-        let found = refused(indicator, 0.11).unwrap_err();
+        assert_eq!(check_cell_size(indicator, 0.2), Ok(()));
+        let found = check_cell_size(indicator, 0.11).unwrap_err();
         assert!(
             matches!(found, TooFine::Steps { step_cells, .. } if step_cells > COARSEST_STEP),
             "{found}"
@@ -485,7 +490,8 @@ fn cells_too_fine_for_16_bits_are_refused_with_a_size_that_fits() {
         for sigma in [None, Some(10.0)].map(|cells| cells.map(|cells| Sigma::new(cells).unwrap())) {
             let surfacing = Surfacing { sigma, ..surfacing() };
             for cell in [0.11, 0.02, 1.0 / 128.0, 1e-5] {
-                let refused = |cell: f64| asked(&surfacing, 1.0 / cell, indicator, None);
+                let refused =
+                    |cell: f64| check_before_sampling(&surfacing, 1.0 / cell, indicator, None);
                 let Err(TooFine::Steps { remedy: Remedy::Cells(fitting), .. }) = refused(cell)
                 else {
                     panic!("{indicator:?}, cells of {cell}: {:?}", refused(cell))
@@ -508,19 +514,19 @@ fn cells_too_fine_for_16_bits_are_refused_with_a_size_that_fits() {
 #[test]
 fn cells_needlessly_fine_for_clouds_are_refused_with_a_size_that_fits() {
     for cell in [0.2, 0.1] {
-        assert_eq!(refused(CLOUD, cell), Ok(()));
+        assert_eq!(check_cell_size(CLOUD, cell), Ok(()));
     }
-    assert!(matches!(refused(CLOUD, 0.09), Err(TooFine::Finest { .. })));
+    assert!(matches!(check_cell_size(CLOUD, 0.09), Err(TooFine::Finest { .. })));
     for (cell_size, spacing) in [(0.01, 1.0), (1e-9, 3.0), (0.7, 7.1)] {
         let refused = |cell_size: f64| {
             let grid = Grid::new(DVec3::ZERO, cell_size).unwrap();
             surfacing().check_cell_size(CLOUD, None, Some(spacing), &grid)
         };
-        let told = refused(cell_size).unwrap_err().to_string();
-        let (_, fitting) = told.split_once("use cells of ").unwrap();
+        let message = refused(cell_size).unwrap_err().to_string();
+        let (_, fitting) = message.split_once("use cells of ").unwrap();
         let fitting: f64 = fitting.split_once(" or more").unwrap().0.parse().unwrap();
-        assert_eq!(refused(fitting), Ok(()), "{told}");
-        assert!(refused(fitting * 0.97).is_err(), "{told}");
+        assert_eq!(refused(fitting), Ok(()), "{message}");
+        assert!(refused(fitting * 0.97).is_err(), "{message}");
     }
     // Without a spacing there is nothing to check.
     assert_eq!(surfacing().check_cell_size(CLOUD, None, None, &sampling().grid), Ok(()));
@@ -528,15 +534,15 @@ fn cells_needlessly_fine_for_clouds_are_refused_with_a_size_that_fits() {
 
 #[test]
 fn symmetry_is_refused_in_cells_that_are_mostly_empty() {
-    assert_eq!(refused(IndicatorKind::Symmetry, 2.0 / 3.0), Ok(()));
-    assert!(refused(IndicatorKind::Symmetry, FINEST_OF_SYMMETRY).is_err());
-    let found = refused(IndicatorKind::Symmetry, 0.4).unwrap_err();
+    assert_eq!(check_cell_size(IndicatorKind::Symmetry, 2.0 / 3.0), Ok(()));
+    assert!(check_cell_size(IndicatorKind::Symmetry, FINEST_OF_SYMMETRY).is_err());
+    let found = check_cell_size(IndicatorKind::Symmetry, 0.4).unwrap_err();
     assert_eq!(found, TooFine::Symmetry { cell_size: 1.0, spacing: 2.5 });
 }
 
 #[test]
 fn a_high_mu0_is_refused_as_too_fine() {
     let mean = MeanCount::new(60.0).ok();
-    let refused = asked(&surfacing(), 3.0, COUNTING, mean).unwrap_err();
+    let refused = check_before_sampling(&surfacing(), 3.0, COUNTING, mean).unwrap_err();
     assert!(matches!(refused, TooFine::Steps { plateau, .. } if plateau < 50.0), "{refused}");
 }

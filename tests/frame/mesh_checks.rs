@@ -1,4 +1,4 @@
-//! Checks of a mesh: defects by name and place, measures, and distances.
+//! Checks of a mesh: defects with their places, measures, and distances from another mesh.
 
 use meniscus::internals::surface::mesh::Mesh;
 use meniscus::internals::surface::mesh::check::{Defects, check};
@@ -11,17 +11,17 @@ fn once<T>(place: T) -> Defects<T> {
     Defects { count: 1, first: Some(place) }
 }
 
-/// Two cones that share their tip: closed if their ghost layers are ignored.
-fn cones_on_one_apex() -> Mesh {
-    let ghost_layer = [[1., 0., 1.], [0., 1., 1.], [-1., 0., 1.], [0., -1., 1.]];
-    let mut mesh = cone(&ghost_layer, [0.; 3]);
-    mesh.positions.extend(ghost_layer.map(|p| p.map(|x| -x)));
+/// Two cones that share their apex and are open at their rims.
+fn cones_with_shared_apex() -> Mesh {
+    let rim = [[1., 0., 1.], [0., 1., 1.], [-1., 0., 1.], [0., -1., 1.]];
+    let mut mesh = cone(&rim, [0.; 3]);
+    mesh.positions.extend(rim.map(|p| p.map(|x| -x)));
     mesh.triangles.extend((0..4).map(|i| [5 + i, 5 + (i + 1) % 4, 4]));
     mesh
 }
 
 #[test]
-fn good_meshes_have_no_defect() {
+fn closed_oriented_manifold_meshes_have_no_defects() {
     for mesh in [cuboid([0.; 3], [1.; 3]), sphere(1., 3), torus(20, 10), Mesh::default()] {
         let report = check(&mesh);
         assert!(report.is_closed_oriented_manifold(), "{report}");
@@ -32,7 +32,7 @@ fn good_meshes_have_no_defect() {
 }
 
 #[test]
-fn a_hole_is_found_by_its_three_edges() {
+fn a_missing_triangle_is_reported_as_three_boundary_edges() {
     let mut mesh = cuboid([0.; 3], [1.; 3]);
     assert_eq!(mesh.triangles.remove(3), [4, 7, 6]);
     let report = check(&mesh);
@@ -45,7 +45,7 @@ fn a_hole_is_found_by_its_three_edges() {
 }
 
 #[test]
-fn a_flipped_triangle_is_found_by_its_three_edges() {
+fn a_flipped_triangle_is_reported_as_three_misoriented_edges() {
     let mut mesh = cuboid([0.; 3], [1.; 3]);
     mesh.triangles[3].swap(1, 2);
     let report = check(&mesh);
@@ -59,7 +59,7 @@ fn a_flipped_triangle_is_found_by_its_three_edges() {
 }
 
 #[test]
-fn a_triangle_given_twice_is_found_whichever_way_round() {
+fn a_duplicate_triangle_is_reported_in_either_orientation() {
     for turn in [0, 1] {
         let mut mesh = cuboid([0.; 3], [1.; 3]);
         mesh.triangles.push([[6, 4, 7], [7, 4, 6]][turn]);
@@ -71,17 +71,17 @@ fn a_triangle_given_twice_is_found_whichever_way_round() {
 }
 
 #[test]
-fn two_cones_that_share_their_apex_are_pinched_there() {
-    let report = check(&cones_on_one_apex());
+fn the_shared_apex_of_two_cones_is_a_pinched_vertex() {
+    let report = check(&cones_with_shared_apex());
     assert_eq!(report.topology.pinched_vertices, once(4));
     assert!(report.topology.crowded_edges.is_none() && !report.topology.is_manifold());
 }
 
 #[test]
-fn two_spheres_that_share_a_vertex_are_closed_but_no_manifold() {
+fn two_spheres_that_share_a_vertex_are_closed_but_not_a_manifold() {
     let mut mesh = union(&sphere(1., 2), &moved(&sphere(1., 2), [2., 0., 0.]));
     let second = mesh.positions.len() as u32 / 2;
-    // Vertex 0 of the first is its rightmost, vertex 2 of the second its leftmost.
+    // Vertex 0 of the first sphere is its rightmost, vertex 2 of the second sphere its leftmost.
     for vertex in mesh.triangles.iter_mut().flatten().filter(|v| **v == second + 2) {
         *vertex = 0;
     }
@@ -98,7 +98,7 @@ fn two_spheres_that_share_a_vertex_are_closed_but_no_manifold() {
 }
 
 #[test]
-fn three_triangles_at_an_edge_are_crowded() {
+fn an_edge_of_three_triangles_is_crowded() {
     let mut mesh = sphere(1., 1);
     let [a, b, _] = mesh.triangles[7];
     mesh.positions.push([3.; 3]);
@@ -112,7 +112,7 @@ fn three_triangles_at_an_edge_are_crowded() {
 }
 
 #[test]
-fn unsound_triangles_are_named_and_hide_nothing_else() {
+fn invalid_triangles_are_reported_and_otherwise_ignored() {
     let mut mesh = cuboid([0.; 3], [1.; 3]);
     mesh.triangles.insert(2, [1, 5, 1]);
     mesh.triangles.push([0, 8, 8]);
@@ -145,7 +145,7 @@ fn non_finite_and_repeated_positions_are_reported() {
 }
 
 #[test]
-fn a_report_reads_as_lines_that_name_the_defect() {
+fn a_report_lists_each_defect_on_its_own_line() {
     let mut mesh = cuboid([0.; 3], [1.; 3]);
     assert_eq!(
         check(&mesh).to_string(),
@@ -163,7 +163,7 @@ fn a_report_reads_as_lines_that_name_the_defect() {
 }
 
 #[test]
-fn findings_do_not_depend_on_the_number_of_threads() {
+fn checks_and_measures_are_independent_of_the_number_of_threads() {
     let mut mesh = torus(400, 200);
     mesh.triangles.retain(|t| t[0] % 1009 != 1008);
     for triangle in mesh.triangles.iter_mut().step_by(997) {
@@ -178,7 +178,7 @@ fn findings_do_not_depend_on_the_number_of_threads() {
 }
 
 #[test]
-fn genus_and_components_are_those_of_the_shape() {
+fn components_euler_characteristic_and_genus_match_the_shape() {
     let ball = sphere(1., 3);
     let ring = torus(30, 12);
     let two = union(&ring, &moved(&ring, [9., 0., 0.]));
@@ -194,7 +194,7 @@ fn genus_and_components_are_those_of_the_shape() {
 }
 
 #[test]
-fn a_box_has_its_exact_volume_wherever_it_lies() {
+fn the_volume_of_a_box_is_exact_far_from_the_origin() {
     for origin in [[0.; 3], [1_000_003.015625, -1_000_033.046875, 999_983.]] {
         let mut mesh = moved(&cuboid([0.; 3], [0.5, 2., 3.25]), origin);
         assert_eq!(measure(&mesh).volume, Some(3.25));
@@ -207,7 +207,7 @@ fn a_box_has_its_exact_volume_wherever_it_lies() {
 }
 
 #[test]
-fn pieces_far_from_each_other_keep_the_digits_of_their_volumes() {
+fn the_volume_of_distant_components_is_exact() {
     let far = [3e9, -2e9, 1e9];
     let mut mesh = cuboid([0.; 3], [0.5, 2., 3.25]);
     let other = moved(&mesh, far);
@@ -220,7 +220,7 @@ fn pieces_far_from_each_other_keep_the_digits_of_their_volumes() {
 }
 
 #[test]
-fn a_sphere_has_about_the_volume_and_area_of_a_ball() {
+fn the_volume_and_area_of_a_sphere_approach_the_formulas() {
     let measures = measure(&sphere(2., 6));
     let (volume, area) = (32. / 3. * std::f64::consts::PI, 16. * std::f64::consts::PI);
     assert!((measures.volume.unwrap() / volume - 1.).abs() < 1e-3, "{measures:?}");
@@ -247,7 +247,7 @@ fn an_empty_mesh_has_no_box_and_no_worst_triangle() {
 }
 
 #[test]
-fn the_worst_triangle_is_named_with_its_angle() {
+fn the_worst_triangle_is_reported_with_its_angle() {
     // A regular octahedron, one with a needle, and one with a triangle of zero area.
     let octahedron = sphere(1., 0);
     let quality = measure(&octahedron).quality;
@@ -276,7 +276,7 @@ fn scaled(mesh: &Mesh, by: f64) -> Mesh {
 }
 
 #[test]
-fn a_mesh_is_no_distance_from_itself() {
+fn the_distance_of_a_mesh_from_itself_is_zero() {
     for mesh in [cuboid([0.; 3], [1.; 3]), sphere(1., 3), torus(40, 20)] {
         let same = compare(&mesh, &mesh).unwrap();
         assert!(same.hausdorff < 1e-15 && same.bias.abs() < 1e-15, "{same:?}");
@@ -288,11 +288,11 @@ fn a_mesh_is_no_distance_from_itself() {
 }
 
 #[test]
-fn an_offset_sphere_lies_apart_by_the_offset_with_its_sign() {
+fn the_distance_of_an_offset_sphere_is_the_signed_offset() {
     let ball = sphere(1., 5);
     for offset in [0.01, -0.01] {
         let found = compare(&ball, &scaled(&ball, 1. + offset)).unwrap();
-        // A sphere of chords: the centres of facets lie up to 0.0006 inside of the sphere.
+        // The facets of a sphere of chords lie up to 0.0006 inside the sphere.
         assert!((found.hausdorff - 0.01).abs() < 1e-5, "{found:?}");
         assert!((found.bias - offset).abs() < 2e-5, "{found:?}");
         for way in [&found.from_mesh, &found.from_reference] {
@@ -302,7 +302,7 @@ fn an_offset_sphere_lies_apart_by_the_offset_with_its_sign() {
 }
 
 #[test]
-fn distances_far_from_the_origin_are_those_near_it() {
+fn distances_are_the_same_far_from_the_origin() {
     let (ball, larger) = (sphere(1., 4), sphere(1.25, 4));
     let by = [1e6, -2e6, 4e6];
     let near = compare(&ball, &larger).unwrap();
@@ -312,7 +312,7 @@ fn distances_far_from_the_origin_are_those_near_it() {
 }
 
 #[test]
-fn the_greatest_distance_is_seen_from_the_side_that_has_it() {
+fn the_greatest_distance_is_reported_for_the_mesh_that_has_it() {
     // A spike on the mesh is far from the reference, although the reference is near the mesh.
     let reference = sphere(1., 3);
     let mut mesh = reference.clone();
@@ -324,28 +324,28 @@ fn the_greatest_distance_is_seen_from_the_side_that_has_it() {
 }
 
 #[test]
-fn signs_hold_where_the_nearest_point_is_an_edge_or_a_corner() {
+fn signs_are_right_if_the_nearest_point_is_on_an_edge_or_a_corner() {
     // For most points of a large sphere, the nearest point of a small box is a corner. Points near
     // a corner's bisector lie behind the planes of some of its faces, but not of the corner.
     let small = cuboid([-0.1; 3], [0.1, 0.1, 0.3]);
     let found = compare(&small, &sphere(2., 2)).unwrap();
     assert!((found.bias - found.from_mesh.mean).abs() < 1e-12, "{found:?}");
-    // A small box inside of a large notched one lies inside, although it is nearest to the notch's
-    // edge.
+    // A small box lies inside a large notched box, although the edge of the notch is its nearest
+    // point.
     let notch = [[0., 0., 0.], [4., 0., 0.], [4., 4., 0.], [2., 0.5, 0.], [0., 4., 0.]];
     let found = compare(&prism(&notch, 8.), &cuboid([1.8, 0.2, 3.], [2.2, 0.3, 5.])).unwrap();
     assert!((found.bias + found.from_mesh.mean).abs() < 1e-12, "{found:?}");
 }
 
 #[test]
-fn signs_do_not_depend_on_how_a_corner_is_cut_into_triangles() {
-    // A spike along x. Slivers on one side of it pull its tip's normal there, unless angles weight
-    // them.
+fn signs_are_independent_of_the_triangulation_around_a_corner() {
+    // A spike along x. Slivers on one side pull the normal of its tip towards them, unless the
+    // normals are weighted by angles.
     let quarter = std::f64::consts::FRAC_PI_2;
     let angles =
         (0..40).map(|i| quarter * f64::from(i) / 40.).chain([1., 2., 3.].map(|i| quarter * i));
-    let ghost_layer: Vec<[f64; 3]> = angles.map(|a| [0., 0.05 * a.cos(), 0.05 * a.sin()]).collect();
-    let mut spike = cone(&ghost_layer, [1., 0., 0.]);
+    let rim: Vec<[f64; 3]> = angles.map(|a| [0., 0.05 * a.cos(), 0.05 * a.sin()]).collect();
+    let mut spike = cone(&rim, [1., 0., 0.]);
     let base = spike.positions.len() as u32;
     spike.positions.push([0.; 3]);
     let below: Vec<_> = spike.triangles.iter().map(|&[a, b, _]| [b, a, base]).collect();
@@ -372,15 +372,15 @@ fn prism(outline: &[[f64; 3]], height: f64) -> Mesh {
 }
 
 #[test]
-fn a_vertex_of_many_triangles_costs_no_more_than_others() {
-    let rim = 20_000;
-    let ghost_layer: Vec<[f64; 3]> = (0..rim)
-        .map(|i| f64::from(i) / f64::from(rim) * std::f64::consts::TAU)
+fn a_vertex_of_many_triangles_does_not_slow_distance_queries() {
+    let corners = 20_000;
+    let rim: Vec<[f64; 3]> = (0..corners)
+        .map(|i| f64::from(i) / f64::from(corners) * std::f64::consts::TAU)
         .map(|angle| [angle.cos(), angle.sin(), -1.0])
         .collect();
-    let cone = cone(&ghost_layer, [0.0; 3]);
+    let cone = cone(&rim, [0.0; 3]);
     let surface = SearchableSurface::reference(&cone).unwrap();
-    // The tip is the nearest point to all of these.
+    // The tip is the nearest point of all these places.
     let places: Vec<_> = (0..100_000).map(|i| [0.0, 0.0, 1.0 + f64::from(i)]).collect();
     let begun = std::time::Instant::now();
     let distances = surface.signed_distances(&places);
@@ -391,7 +391,7 @@ fn a_vertex_of_many_triangles_costs_no_more_than_others() {
 }
 
 #[test]
-fn comparisons_do_not_depend_on_the_number_of_threads() {
+fn comparisons_are_independent_of_the_number_of_threads() {
     let on = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| compare(&torus(50, 20), &torus(43, 27))).unwrap()

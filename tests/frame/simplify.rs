@@ -1,5 +1,5 @@
-//! Simplified surfaces: manifold, near the original, and the same on every machine; drops stay
-//! unless they are left out.
+//! Simplified surfaces are manifold, near the original and the same on every machine. Drops remain
+//! unless an option removes them.
 
 use std::collections::HashMap;
 
@@ -57,8 +57,7 @@ fn simplified(particles: &[[f64; 3]], sampling: &Sampling, reduction: &Reduction
 }
 
 #[test]
-fn a_simplified_surface_is_manifold_and_within_the_distance_both_ways_and_loses_no_component_or_handle()
- {
+fn simplification_keeps_topology_and_stays_within_the_tolerance() {
     for indicator in INDICATORS {
         for seed in [1, 2] {
             let (particles, sampling) =
@@ -84,7 +83,7 @@ fn a_simplified_surface_is_manifold_and_within_the_distance_both_ways_and_loses_
 }
 
 #[test]
-fn most_slivers_of_marching_cubes_go_and_flat_ground_gets_none() {
+fn simplification_removes_most_slivers_and_adds_none_to_flat_surfaces() {
     // Triangles with an angle below 10 degrees.
     let slivers = |mesh: &Mesh| measure(mesh).quality.least_angles[..2].iter().sum::<usize>();
     for (what, particles, share) in [("splashes", splashes(5), 8), ("pool", pool(), 2)] {
@@ -93,10 +92,10 @@ fn most_slivers_of_marching_cubes_go_and_flat_ground_gets_none() {
             let whole = slivers(&surface(&particles, &sampling).to_mesh().unwrap());
             for cells in [0.05, 0.1, 0.5] {
                 let left = slivers(&simplified(&particles, &sampling, &within(cells)).0);
-                // Clouds' drops are curved everywhere.
+                // Drops of clouds are curved everywhere, so fewer slivers are removed.
                 let share =
                     if matches!(indicator, IndicatorKind::Cloud) { share.min(4) } else { share };
-                // A calm pool has almost none.
+                // A calm pool has almost no slivers.
                 assert!(
                     left <= (whole / share).max(30),
                     "{what}, {indicator:?}, {cells} cells: {left} of {whole}"
@@ -107,7 +106,7 @@ fn most_slivers_of_marching_cubes_go_and_flat_ground_gets_none() {
 }
 
 #[test]
-fn vertices_that_are_left_keep_their_positions_and_normals() {
+fn remaining_vertices_keep_their_positions_and_normals() {
     let particles = splashes(3);
     let whole = surface(&particles, &sampling()).to_mesh().unwrap();
     let bits = |p: &[f64; 3]| p.map(f64::to_bits);
@@ -116,7 +115,7 @@ fn vertices_that_are_left_keep_their_positions_and_normals() {
     let (mesh, _) = simplified(&particles, &sampling(), &within(0.25));
     assert!(
         (100..known.len()).contains(&mesh.positions.len()),
-        "{} are left",
+        "{} vertices remain",
         mesh.positions.len()
     );
     for (position, normal) in mesh.positions.iter().zip(mesh.normals.as_ref().unwrap()) {
@@ -125,7 +124,7 @@ fn vertices_that_are_left_keep_their_positions_and_normals() {
 }
 
 #[test]
-fn threads_and_scratch_files_change_no_vertex_and_no_triangle() {
+fn simplification_is_independent_of_threads_and_scratch_files() {
     let particles = splashes(4);
     let reduction = Reduction { smallest_component: Some(5.0), ..within(0.1) };
     let run = |threads: usize, bytes: u64| {
@@ -149,7 +148,7 @@ fn pool() -> Vec<[f64; 3]> {
 }
 
 #[test]
-fn a_flat_pool_is_simplified_across_the_seams_of_both_passes() {
+fn a_flat_pool_is_simplified_across_block_seams() {
     let (mesh, _) = simplified(&pool(), &sampling(), &within(0.1));
     // The seams of a single pass keep a vertex for every cell that they cross, above and below:
     // 2384.
@@ -159,7 +158,7 @@ fn a_flat_pool_is_simplified_across_the_seams_of_both_passes() {
 }
 
 #[test]
-fn the_smallest_drop_outlives_the_largest_distance() {
+fn small_drops_survive_the_largest_tolerance() {
     let mut particles = fill(12.0, 1.0, 0.0, 1, |p| p.length() < 10.0);
     // Drops of a few particles, in the middle of a block, on its corner, and across two chunks.
     let drop = fill(4.0, 2.0, 0.0, 1, |p| p.length() < 1.8);
@@ -175,7 +174,7 @@ fn the_smallest_drop_outlives_the_largest_distance() {
 }
 
 #[test]
-fn components_below_a_volume_are_removed_completely_anywhere() {
+fn components_below_the_volume_are_removed_across_blocks() {
     // Balls around a corner of eight blocks, in the middle of a block, and far away, of about 113,
     // 33 and 905 cells.
     let balls = [(DVec3::ZERO, 3.0), (DVec3::splat(16.0), 2.0), (DVec3::new(3e5, -4e5, 0.0), 6.0)];
@@ -208,9 +207,9 @@ fn components_below_a_volume_are_removed_completely_anywhere() {
 }
 
 #[test]
-fn the_smallest_drop_is_one_component_however_it_lies_between_eight_blocks() {
-    // Eight blocks meet at the origin. A block then names few vertices of each later one, and
-    // others name some of them too.
+fn a_drop_on_a_corner_of_eight_blocks_is_one_component() {
+    // Eight blocks meet at the origin. A block then shares few vertices with each later block, and
+    // other blocks share some of them too.
     let places = [-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0];
     for (x, y, z) in
         places.iter().flat_map(|x| places.iter().flat_map(move |y| places.map(|z| (*x, *y, z))))
@@ -224,7 +223,7 @@ fn the_smallest_drop_is_one_component_however_it_lies_between_eight_blocks() {
 }
 
 #[test]
-fn drops_of_fewer_particles_are_left_out_in_cells_of_any_size_and_bubbles_are_kept() {
+fn smallest_drop_counts_particles_for_any_cell_size_and_keeps_bubbles() {
     let mut particles = fill(8.0, 1.0, 0.0, 1, |p| p.length() > 3.0);
     let mut random = Random::new(5);
     for i in 0..12_i32 {
