@@ -1,5 +1,5 @@
-//! Inputs that change while they are read: the frame fails with an error that names it, without a
-//! signal or a wrong mesh.
+//! Inputs that change while they are read: the frame fails with an error that names the file,
+//! without a signal or a wrong mesh.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::Write;
@@ -27,12 +27,12 @@ fn written(folder: &TempDir) -> PathBuf {
 }
 
 /// The error for a frame whose file is changed after it was opened.
-fn after(change: impl FnOnce(&Path)) -> Error {
+fn error_after(change: impl FnOnce(&Path)) -> Error {
     let folder = TempDir::new().unwrap();
     let path = written(&folder);
     let opened = Reconstruction::new().spacing(0.5).open(&path).unwrap();
     change(&path);
-    let error = opened.sample().expect_err("a frame of bytes that are no more");
+    let error = opened.sample().expect_err("a frame whose input has changed");
     assert!(error.to_string().starts_with(&format!("{}: ", path.display())), "{error}");
     assert_eq!(error.cause(), Cause::Input, "{error}");
     error
@@ -43,22 +43,23 @@ fn is_changed(error: &Error) -> bool {
 }
 
 #[test]
-fn a_file_that_is_shortened_is_an_error_and_no_signal() {
+fn a_truncated_input_is_an_error_instead_of_a_signal() {
     for left in [0, 1, 4096, 12 * 1000 + 5] {
-        let error =
-            after(|path| OpenOptions::new().write(true).open(path).unwrap().set_len(left).unwrap());
+        let error = error_after(|path| {
+            OpenOptions::new().write(true).open(path).unwrap().set_len(left).unwrap()
+        });
         assert!(is_changed(&error), "{left} bytes: {error}");
     }
 }
 
 #[test]
-fn a_file_that_grows_or_is_rewritten_is_an_error() {
-    let error = after(|path| {
+fn an_input_that_grows_or_is_rewritten_is_an_error() {
+    let error = error_after(|path| {
         OpenOptions::new().append(true).open(path).unwrap().write_all(&[0; 12]).unwrap()
     });
     assert!(is_changed(&error), "{error}");
     // The same size, but another time.
-    let error = after(|path| {
+    let error = error_after(|path| {
         let bytes = fs::read(path).unwrap();
         let modified = fs::metadata(path).unwrap().modified().unwrap();
         let mut file = File::options().write(true).open(path).unwrap();
@@ -69,7 +70,7 @@ fn a_file_that_grows_or_is_rewritten_is_an_error() {
 }
 
 #[test]
-fn a_file_that_is_replaced_by_its_name_is_read_as_it_was() {
+fn an_input_replaced_by_a_rename_is_read_from_the_original_file() {
     let folder = TempDir::new().unwrap();
     let path = written(&folder);
     let request = Reconstruction::new().spacing(0.5);
@@ -130,7 +131,7 @@ fn bytes_read(child: &Child) -> u64 {
 }
 
 #[test]
-fn a_file_that_is_shortened_while_it_is_decoded_is_an_error_or_read_as_it_was() {
+fn truncating_an_input_during_decoding_is_an_error_or_has_no_effect() {
     let folder = TempDir::new().unwrap();
     let mut changed = 0;
     for path in decoded_formats(folder.path()) {
@@ -162,43 +163,42 @@ fn a_file_that_is_shortened_while_it_is_decoded_is_an_error_or_read_as_it_was() 
     assert!(changed > 0, "no file was shortened while it was read");
 }
 
-/// Particles, of which one moves after this number of readings.
-struct Restless {
+/// Particles, the first of which moves after `still` passes.
+struct Unstable {
     particles: Vec<[f64; 3]>,
     still: usize,
-    readings: AtomicUsize,
+    passes: AtomicUsize,
     by: [f64; 3],
 }
 
-impl Particles for Restless {
+impl Particles for Unstable {
     fn len(&self) -> usize {
         self.particles.len()
     }
 
     fn positions(&self, first: usize, out: &mut [[f64; 3]]) {
         out.copy_from_slice(&self.particles[first..first + out.len()]);
-        if first == 0 && self.readings.fetch_add(1, Ordering::Relaxed) >= self.still {
+        if first == 0 && self.passes.fetch_add(1, Ordering::Relaxed) >= self.still {
             (0..3).for_each(|axis| out[0][axis] += self.by[axis]);
         }
     }
 }
 
 #[test]
-fn a_particle_that_moves_to_another_bin_between_two_readings_is_an_error_in_memory_and_beyond() {
-    // To an existing bin, to an empty one, and to none.
+fn a_particle_that_changes_its_bin_between_two_passes_is_an_error() {
+    // The particle moves to an existing bin, to an empty bin, or out of all bins.
     for by in [[9.0, 0.0, 0.0], [1e4, 0.0, 0.0], [f64::NAN, 0.0, 0.0]] {
         for budget in [MemoryBudget(1 << 30), MemoryBudget(32 << 20)] {
             let particles = fill(60.0, 2.0, 0.2, 3, |p| p.length() < 24.0);
-            // For such fine cells, no positions are kept from the first reading, so there is a
-            // second.
+            // With such fine cells, the first pass keeps no positions, so there is a second pass.
             let request = Reconstruction::new().spacing(0.5).cell(0.15).memory(budget);
-            let restless =
-                |still| Restless { particles: particles.clone(), still, readings: 0.into(), by };
-            let calm = restless(usize::MAX);
-            request.sample(&calm).unwrap();
-            let readings = calm.readings.into_inner();
-            assert!(readings >= 2, "{readings} readings under {budget:?}");
-            let error = request.sample(&restless(readings - 1)).expect_err("a particle has moved");
+            let unstable =
+                |still| Unstable { particles: particles.clone(), still, passes: 0.into(), by };
+            let stable = unstable(usize::MAX);
+            request.sample(&stable).unwrap();
+            let passes = stable.passes.into_inner();
+            assert!(passes >= 2, "{passes} passes under {budget:?}");
+            let error = request.sample(&unstable(passes - 1)).expect_err("a particle has moved");
             assert!(is_changed(&error), "{by:?} under {budget:?}: {error}");
         }
     }

@@ -1,4 +1,4 @@
-//! The facade: what the library offers beside the program.
+//! The facade of the library: reconstruction, reports, errors and sampled frames.
 
 use std::error::Error as _;
 use std::fs;
@@ -30,39 +30,39 @@ fn ball() -> Vec<[f64; 3]> {
 
 #[test]
 fn the_library_and_the_program_write_the_same_bytes() {
-    let usual = Reconstruction::new;
-    let asked: [(&[&str], Reconstruction); 8] = [
-        (&[], usual()),
+    let default = Reconstruction::new;
+    let cases: [(&[&str], Reconstruction); 8] = [
+        (&[], default()),
         (
             &["--spacing", "0.5", "--cell", "0.3", "--smooth", "2"],
-            usual().spacing(0.5).cell(0.3).smooth(2.0),
+            default().spacing(0.5).cell(0.3).smooth(2.0),
         ),
-        (&["--cell-size", "0.4", "--normals"], usual().cell_size(0.4).normals(true)),
+        (&["--cell-size", "0.4", "--normals"], default().cell_size(0.4).normals(true)),
         (
             &["--indicator", "counting", "--detail"],
-            usual().indicator(IndicatorKind::Counting).detail(true),
+            default().indicator(IndicatorKind::Counting).detail(true),
         ),
         (
             &["--indicator", "symmetry", "--iso", "0.2", "--cell", "1", "--origin", "0.1,0,0"],
-            usual().indicator(IndicatorKind::Symmetry).iso(0.2).cell(1.0).origin([0.1, 0.0, 0.0]),
+            default().indicator(IndicatorKind::Symmetry).iso(0.2).cell(1.0).origin([0.1, 0.0, 0.0]),
         ),
         (
             &["--domain", "-4,-9,-9,9,9,9", "--simplify", "0.5"],
-            usual().domain([-4.0, -9.0, -9.0], [9.0; 3]).simplify(0.5),
+            default().domain([-4.0, -9.0, -9.0], [9.0; 3]).simplify(0.5),
         ),
         (
             &["--method", "mueller"],
-            usual().method(KernelMethod::Mueller { iso: KernelMethod::HALF }),
+            default().method(KernelMethod::Mueller { iso: KernelMethod::HALF }),
         ),
         (
             &["--memory", "24MiB", "--threads", "1", "--smallest-drop", "5"],
-            usual().memory(MemoryBudget(24 << 20)).threads(1).smallest_drop(5),
+            default().memory(MemoryBudget(24 << 20)).threads(1).smallest_drop(5),
         ),
     ];
     let folder = TempDir::new().unwrap();
     let input = folder.path().join("ball.xyz");
     fs::write(&input, raw(&ball())).unwrap();
-    for (number, (options, reconstruction)) in asked.into_iter().enumerate() {
+    for (number, (options, reconstruction)) in cases.into_iter().enumerate() {
         let [program, library] =
             ["program", "library"].map(|by| folder.path().join(format!("{by}_{number}.ply")));
         let mut command = command(folder.path(), &["reconstruct"]);
@@ -78,7 +78,7 @@ fn the_library_and_the_program_write_the_same_bytes() {
 }
 
 #[test]
-fn packed_frames_are_drawn_as_their_particles() {
+fn a_packed_frame_has_the_mesh_of_its_particles() {
     let folder = TempDir::new().unwrap();
     let [input, packed] = ["ball.xyz", "ball.mnf"].map(|name| folder.path().join(name));
     fs::write(&input, raw(&ball())).unwrap();
@@ -112,7 +112,7 @@ fn strided_positions_of_any_width_are_read_in_place() {
 }
 
 #[test]
-fn a_report_has_the_chosen_settings_the_measurements_and_the_skipped_particles() {
+fn a_report_contains_settings_measurements_and_skipped_particles() {
     let mut particles = ball();
     particles.push([f64::NAN; 3]);
     let surface =
@@ -139,30 +139,30 @@ fn key(error: &Error) -> String {
         Error::Unit(unit) => unit.name().to_owned(),
         Error::SettingConflict(conflict) => conflict.setting.key(),
         Error::LittleMemory { .. } => "memory".to_owned(),
-        other => panic!("{other} is about no setting"),
+        other => panic!("{other} does not concern a setting"),
     }
 }
 
 #[test]
-fn numbers_out_of_range_are_refused_before_any_work() {
-    let asked = Reconstruction::new;
+fn settings_out_of_range_are_refused_before_the_input_is_opened() {
+    let default = Reconstruction::new;
     let both = Settings { spacing: Some(1.0), radius: Some(0.5), ..Settings::default() };
     let cells = Settings { cell: Some(0.5), cell_size: Some(0.5), ..Settings::default() };
     for (what, request) in [
         ("radius", Reconstruction::new().with_settings(both)),
         ("cell-size", Reconstruction::new().with_settings(cells)),
-        ("spacing", asked().spacing(0.0)),
-        ("cell-size", asked().cell_size(f64::NAN)),
-        ("cell", asked().cell(-1.0)),
-        ("origin", asked().origin([f64::INFINITY, 0.0, 0.0])),
-        ("smooth", asked().smooth(0.01)),
-        ("sigma", asked().indicator(IndicatorKind::Counting).sigma(-1.0)),
-        ("iso", asked().indicator(IndicatorKind::Counting).iso(2.0)),
-        ("mu0", asked().indicator(IndicatorKind::Counting).mu0(0.0)),
-        ("simplify", asked().simplify(1e9)),
-        ("smallest-component", asked().smallest_component(-2.0)),
-        ("memory", asked().memory(MemoryBudget(1 << 10))),
-        ("memory", asked().memory(MemoryBudget(48 << 20)).threads(2).simplify(1.0)),
+        ("spacing", default().spacing(0.0)),
+        ("cell-size", default().cell_size(f64::NAN)),
+        ("cell", default().cell(-1.0)),
+        ("origin", default().origin([f64::INFINITY, 0.0, 0.0])),
+        ("smooth", default().smooth(0.01)),
+        ("sigma", default().indicator(IndicatorKind::Counting).sigma(-1.0)),
+        ("iso", default().indicator(IndicatorKind::Counting).iso(2.0)),
+        ("mu0", default().indicator(IndicatorKind::Counting).mu0(0.0)),
+        ("simplify", default().simplify(1e9)),
+        ("smallest-component", default().smallest_component(-2.0)),
+        ("memory", default().memory(MemoryBudget(1 << 10))),
+        ("memory", default().memory(MemoryBudget(48 << 20)).threads(2).simplify(1.0)),
     ] {
         // The file does not exist: the check happens before it is opened.
         let error = request.run_file("there/is/none.bgeo").unwrap_err();
@@ -172,7 +172,7 @@ fn numbers_out_of_range_are_refused_before_any_work() {
 }
 
 #[test]
-fn errors_name_the_file_and_lead_to_their_source() {
+fn errors_name_the_file_and_expose_their_source() {
     let folder = TempDir::new().unwrap();
     let missing = folder.path().join("missing.bgeo");
     let error = Reconstruction::new().run_file(&missing).unwrap_err();
@@ -219,7 +219,7 @@ fn existing_outputs_are_replaced_only_on_request() {
 }
 
 #[test]
-fn calls_side_by_side_do_not_disturb_each_other() {
+fn concurrent_reconstructions_do_not_affect_each_other() {
     let particles = splashes(5);
     let alone =
         bytes_of(&Reconstruction::new().spacing(1.0).threads(1).run(&particles[..]).unwrap());
@@ -243,25 +243,27 @@ fn calls_side_by_side_do_not_disturb_each_other() {
 }
 
 #[test]
-fn a_frame_that_is_sampled_refuses_what_needs_its_particles_again() {
+fn a_sampled_frame_refuses_settings_that_need_resampling() {
     let water = ball();
-    let asked = Reconstruction::new;
-    let frame = asked().spacing(0.5).cell(0.6).sample(&water).unwrap();
+    let default = Reconstruction::new;
+    let frame = default().spacing(0.5).cell(0.6).sample(&water).unwrap();
     let drawn = bytes_of(&frame.surface().unwrap());
-    for same in [asked(), asked().spacing(0.5).cell(0.6), asked().indicator(IndicatorKind::Cloud)] {
+    for same in
+        [default(), default().spacing(0.5).cell(0.6), default().indicator(IndicatorKind::Cloud)]
+    {
         assert!(bytes_of(&frame.surface_by(&same).unwrap()) == drawn, "{same:?}");
     }
-    assert!(bytes_of(&frame.surface_by(&asked().smooth(2.0).simplify(0.5)).unwrap()) != drawn);
+    assert!(bytes_of(&frame.surface_by(&default().smooth(2.0).simplify(0.5)).unwrap()) != drawn);
     for (other, what) in [
-        (asked().cell(0.25), "cell"),
-        (asked().cell_size(0.3), "cell_size"),
-        (asked().spacing(0.4), "spacing"),
-        (asked().origin([0.1; 3]), "origin"),
-        (asked().domain([-1.0; 3], [1.0; 3]), "domain"),
-        (asked().indicator(IndicatorKind::Counting), "indicator"),
-        (asked().skip_invalid(true), "skip_invalid"),
-        (asked().method(KernelMethod::ZhuBridson), "method"),
-        (asked().attributes(["heat"]), "attributes"),
+        (default().cell(0.25), "cell"),
+        (default().cell_size(0.3), "cell_size"),
+        (default().spacing(0.4), "spacing"),
+        (default().origin([0.1; 3]), "origin"),
+        (default().domain([-1.0; 3], [1.0; 3]), "domain"),
+        (default().indicator(IndicatorKind::Counting), "indicator"),
+        (default().skip_invalid(true), "skip_invalid"),
+        (default().method(KernelMethod::ZhuBridson), "method"),
+        (default().attributes(["heat"]), "attributes"),
     ] {
         let error = frame.surface_by(&other).unwrap_err();
         let Error::SettingConflict(conflict) = &error else { panic!("{what:?}: {error}") };
@@ -295,8 +297,7 @@ fn lengths_are_printed_with_readable_digits() {
 }
 
 #[test]
-fn a_frame_without_particles_or_without_a_surface_is_an_empty_mesh_in_a_running_simulation_and_an_error_alone()
- {
+fn empty_frames_are_errors_alone_but_empty_meshes_in_a_live_simulation() {
     let none: [[f64; 3]; 0] = [];
     let usual = || Reconstruction::new().spacing(0.5).normals(true);
     let error = usual().run(&none).unwrap_err();
@@ -320,20 +321,20 @@ fn a_frame_without_particles_or_without_a_surface_is_an_empty_mesh_in_a_running_
     let warned =
         |warning: &Warning| matches!(warning, Warning::Empty { why: EmptyReason::TooSmall(_), .. });
     assert!(drop.report().warnings.iter().any(warned), "{:?}", drop.report().warnings);
-    // Its file is like any other.
+    // The empty mesh can be written and read.
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("empty.ply");
     drop.write(&path).unwrap();
     assert_eq!(read_mesh(&path).unwrap().triangles.len(), 0);
-    // A particle without a valid position is still an error.
+    // A frame without any valid position is still an error.
     let error = simulation.frame(&[[f64::NAN; 3]]).unwrap_err();
     assert_eq!(error.cause(), Cause::Input, "{error}");
 }
 
 #[test]
 #[cfg(target_os = "linux")]
-fn stored_surfaces_hold_no_threads() {
-    alone("facade::stored_surfaces_hold_no_threads", keep_surfaces_and_count_threads);
+fn stored_surfaces_keep_no_threads_alive() {
+    alone("facade::stored_surfaces_keep_no_threads_alive", keep_surfaces_and_count_threads);
 }
 
 #[cfg(target_os = "linux")]
@@ -342,7 +343,7 @@ fn keep_surfaces_and_count_threads() {
     let ball = ball();
     let one = || Reconstruction::new().spacing(0.5).threads(16).run(&ball).unwrap();
     let surfaces: Vec<Surface> = (0..8).map(|_| one()).collect();
-    // The threads end soon after.
+    // The threads end soon after the reconstruction.
     let few = (0..200).any(|_| {
         std::thread::sleep(std::time::Duration::from_millis(20));
         threads() < 8 * 16
@@ -353,7 +354,7 @@ fn keep_surfaces_and_count_threads() {
 }
 
 #[test]
-fn particles_of_a_file_can_be_opened_with_their_attributes_and_the_spacing_of_the_scene() {
+fn open_particles_gives_positions_attributes_and_the_scene_spacing() {
     let folder = data("dambreak_small");
     let file = meniscus::files::open_particles(
         folder.join("ParticleData_Fluid_20.bgeo"),
@@ -375,7 +376,7 @@ fn particles_of_a_file_can_be_opened_with_their_attributes_and_the_spacing_of_th
 }
 
 #[test]
-fn the_frames_of_a_simulation_are_listed_and_what_is_none_is_refused() {
+fn frames_lists_a_simulation_and_refuses_missing_or_ambiguous_inputs() {
     let dir = TempDir::new().unwrap();
     let write = |name: &str, bytes: &[u8]| fs::write(dir.path().join(name), bytes).unwrap();
     let listed = |input: &str| meniscus::files::frames(&[dir.path().join(input)]);
@@ -401,7 +402,7 @@ fn the_frames_of_a_simulation_are_listed_and_what_is_none_is_refused() {
 }
 
 #[test]
-fn a_frame_knows_which_axis_points_up_in_its_particles() {
+fn a_sampled_frame_keeps_the_up_axis_of_its_particles() {
     let dir = TempDir::new().unwrap();
     let file = dir.path().join("ball.xyz");
     fs::write(&file, raw(&ball())).unwrap();
@@ -411,13 +412,13 @@ fn a_frame_knows_which_axis_points_up_in_its_particles() {
     assert_eq!(up(Reconstruction::new().particles_up(UpAxis::Z)), UpAxis::Z);
 }
 
-/// Particles that count complete readings.
-struct Watched {
+/// Particles that count the passes over them.
+struct CountedPasses {
     particles: Vec<[f64; 3]>,
-    readings: AtomicUsize,
+    passes: AtomicUsize,
 }
 
-impl Particles for Watched {
+impl Particles for CountedPasses {
     fn len(&self) -> usize {
         self.particles.len()
     }
@@ -425,41 +426,41 @@ impl Particles for Watched {
     fn positions(&self, first: usize, out: &mut [[f64; 3]]) {
         self.particles.as_slice().positions(first, out);
         if first == 0 {
-            self.readings.fetch_add(1, Ordering::Relaxed);
+            self.passes.fetch_add(1, Ordering::Relaxed);
         }
     }
 }
 
 #[test]
-fn many_particles_in_cells_of_a_given_size_are_counted_while_their_spacing_is_estimated() {
+fn particles_are_counted_during_the_spacing_estimate_without_another_pass() {
     let ball = fill(44.0, 2.0, 0.2, 3, |p| p.length() < 21.0);
     assert!(ball.len() > 1 << 18);
-    let mut astray = ball.clone();
-    astray[70_000][2] = f64::NAN;
+    let mut with_nan = ball.clone();
+    with_nan[70_000][2] = f64::NAN;
     let usual = || Reconstruction::new().cell_size(0.6);
     let walls = || usual().domain([-20.0, -30.0, -30.0], [30.0; 3]);
-    for (particles, asked) in
-        [(&ball, usual()), (&ball, walls()), (&astray, walls().skip_invalid(true))]
+    for (particles, request) in
+        [(&ball, usual()), (&ball, walls()), (&with_nan, walls().skip_invalid(true))]
     {
-        let read = |asked: &Reconstruction| {
-            let watched = Watched { particles: particles.clone(), readings: 0.into() };
-            let surface = asked.run(&watched).unwrap();
-            (surface, watched.readings.into_inner())
+        let read = |request: &Reconstruction| {
+            let counted = CountedPasses { particles: particles.clone(), passes: 0.into() };
+            let surface = request.run(&counted).unwrap();
+            (surface, counted.passes.into_inner())
         };
-        let (by_estimate, readings) = read(&asked);
+        let (by_estimate, passes) = read(&request);
         let report = by_estimate.report();
         let Some((spacing, SpacingSource::Estimated)) = report.cells.as_ref().unwrap().spacing
         else {
             panic!("the spacing is not estimated");
         };
-        let (by_spacing, fewest) = read(&asked.spacing(spacing));
-        assert_eq!(readings, fewest);
+        let (by_spacing, fewest) = read(&request.spacing(spacing));
+        assert_eq!(passes, fewest);
         assert_eq!(report.facts.census, by_spacing.report().facts.census);
-        assert_eq!(report.facts.census.not_finite, usize::from(std::ptr::eq(particles, &astray)));
+        assert_eq!(report.facts.census.not_finite, usize::from(std::ptr::eq(particles, &with_nan)));
         assert!(by_estimate.to_mesh().unwrap() == by_spacing.to_mesh().unwrap());
     }
     let [estimated, given] =
-        [usual(), usual().spacing(0.5)].map(|asked| asked.run(&astray).unwrap_err());
+        [usual(), usual().spacing(0.5)].map(|request| request.run(&with_nan).unwrap_err());
     assert_eq!(estimated.to_string(), given.to_string());
     assert!(given.to_string().contains("70000"), "{given}");
 }

@@ -1,5 +1,5 @@
-//! One frame for a caller: the facade, spacing, periodic boxes, parts, and the use of memory, files
-//! and threads.
+//! Reconstruction of one frame: the facade, spacing, sizes, solids, periodic boxes, parts, and the
+//! use of memory, files and threads.
 #![allow(clippy::unwrap_used)]
 
 mod changed_inputs;

@@ -1,4 +1,4 @@
-//! A frame within its memory budget: the same bytes with scratch files.
+//! Memory budgets: a frame that uses scratch files has the same mesh and stays within its budget.
 
 use std::fs;
 use std::path::Path;
@@ -33,7 +33,7 @@ fn moving(positions: Vec<[f64; 3]>) -> Attributed {
 }
 
 #[test]
-fn spilling_particles_field_and_surface_changes_no_vertex_and_no_triangle() {
+fn spilling_particles_field_and_surface_does_not_change_the_mesh() {
     let particles = moving(splashes(31));
     let scratch = TempDir::new().unwrap();
     for indicator in INDICATORS {
@@ -48,7 +48,7 @@ fn spilling_particles_field_and_surface_changes_no_vertex_and_no_triangle() {
             let surfacing =
                 Surfacing { detail: Detail::Recovered, normals: Normals::Gradient, ..surfacing() };
             let (_, expected) = reconstruct(&particles, &sampling, &surfacing);
-            // Far less than the program itself needs: every share has its minimum.
+            // Far less than the program itself needs, so every share has its minimum.
             for budget in [1 << 18, 1 << 20, 1 << 22] {
                 let resources = Resources::new(MemoryBudget(budget), scratch.path().to_owned());
                 let sampling = Sampling { resources, ..sampling.clone() };
@@ -58,7 +58,10 @@ fn spilling_particles_field_and_surface_changes_no_vertex_and_no_triangle() {
                     .unwrap()
                     .estimate()
                     .plan(MemoryBudget(budget));
-                assert!(matches!(plan, MemoryPlan::OutOfCore(_)), "{what}: nothing is spilled");
+                assert!(
+                    matches!(plan, MemoryPlan::OutOfCore(_)),
+                    "{what}: the plan spills nothing"
+                );
                 let (_, surface) = reconstruct(&particles, &sampling, &surfacing);
                 assert_eq!(surface.iso, expected.iso, "{what}");
                 assert!(surface.mesh.positions == expected.mesh.positions, "{what}: positions");
@@ -68,11 +71,11 @@ fn spilling_particles_field_and_surface_changes_no_vertex_and_no_triangle() {
             }
         }
     }
-    assert_eq!(fs::read_dir(scratch.path()).unwrap().count(), 0, "scratch files are left");
+    assert_eq!(fs::read_dir(scratch.path()).unwrap().count(), 0, "scratch files remain");
 }
 
 #[test]
-fn an_attribute_of_many_components_has_the_values_of_narrow_ones_and_takes_little_more_to_carry() {
+fn wide_attributes_have_the_values_of_narrow_ones_at_little_more_memory() {
     const WIDE: usize = 100;
     let narrow = |_, position: [f64; 3]| position.map(|c| c as f32);
     let wide = |_, position: [f64; 3]| std::array::from_fn(|i| position[i % 3] as f32);
@@ -100,7 +103,7 @@ fn an_attribute_of_many_components_has_the_values_of_narrow_ones_and_takes_littl
 }
 
 #[test]
-fn attributes_too_wide_for_the_budget_are_refused_before_the_work_with_their_memory() {
+fn attributes_too_wide_for_the_budget_are_refused_before_the_work() {
     let particles = Attributed::new(splashes(33)).with::<20_000>("wide", |_, _| [0.5; 20_000]);
     let small = Resources::new(MemoryBudget(16 << 20), std::env::temp_dir());
     let sampling = Sampling { carried: vec![0], resources: small, ..sampling() };
@@ -113,7 +116,7 @@ fn attributes_too_wide_for_the_budget_are_refused_before_the_work_with_their_mem
 }
 
 #[test]
-fn spray_is_kept_by_its_cells_and_the_dif_takes_no_more_than_estimated() {
+fn spray_is_stored_sparsely_within_the_estimated_memory() {
     let (mut random, grid) = (Random::new(5), sampling().grid);
     let spray: Vec<[f64; 3]> = (0..500).map(|_| [(); 3].map(|()| 160.0 * random.unit())).collect();
     for (particles, all_sparse) in [(splashes(6), false), (spray, true)] {
@@ -194,7 +197,7 @@ fn folder_with_splash() -> TempDir {
 }
 
 #[test]
-fn sixteen_mebibytes_give_the_same_bytes_and_leave_no_scratch() {
+fn a_budget_of_16_mib_gives_the_same_mesh_and_leaves_no_scratch_files() {
     let folder = folder_with_splash();
     let arguments =
         "reconstruct splash.xyz -o small.ply --cell-size 1 --memory 16MiB --stats stats";
@@ -206,7 +209,7 @@ fn sixteen_mebibytes_give_the_same_bytes_and_leave_no_scratch() {
 }
 
 #[test]
-fn scratch_that_fills_up_is_exit_4_and_leaves_nothing() {
+fn a_full_scratch_folder_exits_with_4_and_leaves_no_files() {
     let folder = folder_with_splash();
     // A limit on file size simulates a full disk. Either spilled particles or the mesh cannot be
     // written.
@@ -237,9 +240,9 @@ fn scratch_that_fills_up_is_exit_4_and_leaves_nothing() {
 }
 
 #[test]
-fn a_surface_that_is_larger_than_all_else_keeps_to_the_budget_too() {
+fn a_frame_that_is_mostly_surface_stays_within_the_budget() {
     let (folder, mut random) = (TempDir::new().unwrap(), Random::new(7));
-    // Drops in 5^3 blocks, each alone: with their details they are all surface.
+    // Isolated drops in 5^3 blocks: with their details, they are all surface.
     let coordinates = (0..450_000).flat_map(|_| (160.0 * random.unit() as f32).to_le_bytes());
     fs::write(folder.path().join("spray.xyz"), coordinates.collect::<Vec<u8>>()).unwrap();
     let reconstruct = |arguments: &str| {
@@ -287,7 +290,7 @@ fn scratch_bytes(child: &Child, scratch: &Path) -> u64 {
 
 #[test]
 #[cfg(target_os = "linux")]
-fn a_run_that_is_killed_leaves_no_scratch_and_the_next_one_gives_the_same_bytes() {
+fn a_killed_run_leaves_no_scratch_files_and_can_be_repeated() {
     let folder = folder_with_splash();
     let scratch = folder.path().canonicalize().unwrap().join("scratch");
     fs::create_dir(&scratch).unwrap();
@@ -306,7 +309,7 @@ fn a_run_that_is_killed_leaves_no_scratch_and_the_next_one_gives_the_same_bytes(
         let least = (most / 8 * eighths).max(1);
         let what = format!("{least} of {most} bytes of scratch");
         kill_when(start(), &what, |child| scratch_bytes(child, &scratch) >= least);
-        assert_eq!(names(&scratch), [""; 0], "scratch files are left");
+        assert_eq!(names(&scratch), [""; 0], "scratch files remain");
     }
     fs::remove_file(folder.path().join("out.ply")).unwrap();
     let run = in_shell(folder.path(), "", arguments);
@@ -316,7 +319,7 @@ fn a_run_that_is_killed_leaves_no_scratch_and_the_next_one_gives_the_same_bytes(
 }
 
 #[test]
-fn a_packed_frame_gives_the_surface_of_its_particles_with_any_filter() {
+fn a_packed_frame_gives_the_mesh_of_its_particles_with_any_filter() {
     let folder = folder_with_splash();
     let run = |arguments: &str| {
         let run = in_shell(folder.path(), "", arguments);
@@ -353,7 +356,7 @@ fn a_packed_frame_gives_the_surface_of_its_particles_with_any_filter() {
 }
 
 #[test]
-fn a_gzipped_input_larger_than_its_share_is_unpacked_through_scratch() {
+fn a_large_gzipped_input_is_decompressed_through_scratch_files() {
     let folder = folder_with_splash();
     let packed =
         Command::new("gzip").current_dir(folder.path()).args(["-1", "-k", "splash.xyz"]).status();
@@ -364,7 +367,7 @@ fn a_gzipped_input_larger_than_its_share_is_unpacked_through_scratch() {
     let bytes = |name| fs::read(folder.path().join(name)).unwrap();
     assert!(bytes("whole.ply") == bytes("small.ply"));
     assert_eq!(names(folder.path()), ["small.ply", "splash.xyz", "splash.xyz.gz", "whole.ply"]);
-    // Without space to unpack it: exit 4; truncated: exit 3.
+    // Without space for the decompressed data, the exit code is 4. A truncated input exits with 3.
     let full = in_shell(
         folder.path(),
         "trap '' XFSZ; ulimit -f 1024",
@@ -386,15 +389,15 @@ fn a_gzipped_input_larger_than_its_share_is_unpacked_through_scratch() {
 }
 
 #[test]
-fn a_frame_that_fits_its_budget_touches_no_scratch() {
+fn a_frame_that_fits_its_budget_uses_no_scratch_files() {
     let folder = folder_with_splash();
     let arguments = "reconstruct splash.xyz -o out.ply --cell-size 1 --memory 1GiB --scratch /proc";
     let run = in_shell(folder.path(), "", arguments);
     assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
 }
 
-/// 1.5 M particles as a table, a .ply and a .vtk, all as text, about 45 MB each, and their surface
-/// in `whole.ply`.
+/// A folder with 1.5 million particles as a table, a .ply and a .vtk, all as text of about 45 MB,
+/// and their surface in `whole.ply`.
 fn folder_with_texts() -> TempDir {
     let folder = TempDir::new().unwrap();
     let lines: Vec<String> =
@@ -421,7 +424,7 @@ fn folder_with_texts() -> TempDir {
 }
 
 #[test]
-fn texts_much_larger_than_the_budget_give_the_same_bytes_within_it() {
+fn text_inputs_larger_than_the_budget_are_read_within_it() {
     let folder = folder_with_texts();
     let bytes = |name: &str| fs::read(folder.path().join(name)).unwrap();
     for name in ["splash.csv", "splash.ply", "splash.vtk"] {
@@ -449,7 +452,7 @@ fn texts_much_larger_than_the_budget_give_the_same_bytes_within_it() {
 }
 
 #[test]
-fn a_frame_beyond_any_memory_is_refused_before_the_work() {
+fn a_frame_too_large_for_any_memory_is_refused_before_the_work() {
     let mut particles = moving(splashes(31));
     // Attributes of exbibytes, which are never read.
     particles.attributes[0].components = 1 << 36;

@@ -1,7 +1,7 @@
-//! Relations between the mesh of a frame and the meshes of the same frame moved, mirrored, scaled,
-//! repeated or computed differently.
+//! Metamorphic tests: a frame that is moved, mirrored, scaled, repeated or computed differently has
+//! the corresponding mesh.
 //!
-//! `MENISCUS_RELATIONS=500` tries that many frames, and `MENISCUS_RELATION=77` repeats one.
+//! `MENISCUS_RELATIONS=500` tries 500 frames, and `MENISCUS_RELATION=77` repeats number 77.
 
 use glam::DVec3;
 use meniscus::internals::field::calibration::Calibration;
@@ -16,15 +16,14 @@ use crate::common::{shuffle, watertight};
 /// Default number of frames.
 const FRAMES: u64 = 4;
 
-/// Edge of a cell, in spacings; all lengths have few binary digits.
+/// Edge of a cell, in spacings. All lengths have few binary digits.
 const CELL: f64 = 0.5;
-/// Steps of coordinates per spacing; those of particles are odd, so that none is on a cell's face.
+/// Steps of coordinates per spacing. Particles are at half steps, so that none is on a cell face.
 const STEPS: f64 = 64.0;
-/// Maximum distance of equal vertices, in spacings: numbers are rounded differently at other
-/// positions.
+/// Maximum distance of corresponding vertices, in spacings. Rounding differs between positions.
 const NEAR: f64 = 1e-9;
-/// Maximum distance of mirrored vertices: positions in a cell are rounded down, which moves the
-/// surface most where it is nearly level with the field, as at the rims of sheets.
+/// Maximum distance of mirrored vertices. Positions in a cell are rounded down, which moves the
+/// surface most where the field is nearly flat, as at the rims of sheets.
 const NEAR_IN_MIRROR: f64 = 0.1;
 
 /// Water at spacing 1 within 6 spacings of the origin: a pool, a ball or two, and spray.
@@ -132,7 +131,7 @@ fn assert_same_places(
         some.iter().filter(|p| !has_near(p)).count()
     };
     let alone = [alone(&found, &expected), alone(&expected, &found)];
-    assert_eq!(alone, [0; 2], "{what}: vertices of one that are near none of the other");
+    assert_eq!(alone, [0; 2], "{what}: vertices without a near counterpart");
 }
 
 fn volume(mesh: &Mesh) -> f64 {
@@ -141,7 +140,7 @@ fn volume(mesh: &Mesh) -> f64 {
     mesh.triangles.iter().map(of).sum()
 }
 
-fn moving_a_frame_by_blocks_moves_its_mesh(frame: &Frame, random: &mut Random) {
+fn moving_a_frame_by_whole_blocks_moves_its_mesh(frame: &Frame, random: &mut Random) {
     let mut blocks = || (random.bits() % 256) as f64 - 128.0;
     let by = f64::from(BLOCK) * CELL * DVec3::new(blocks(), blocks(), blocks());
     let found = frame.moved("moved", |p| p + by);
@@ -155,7 +154,7 @@ fn recentred(mut mesh: Mesh, by: DVec3) -> Mesh {
     mesh
 }
 
-fn the_order_of_particles_changes_no_byte(frame: &Frame, random: &mut Random) {
+fn the_order_of_particles_does_not_change_the_mesh(frame: &Frame, random: &mut Random) {
     let mut particles = arrays(frame.particles.clone());
     shuffle(&mut particles, random);
     assert!(frame.of(&frame.request, &particles, "shuffled") == frame.mesh, "{}", frame.seed);
@@ -178,7 +177,7 @@ fn scaling_by_a_power_of_two_scales_each_vertex_exactly(frame: &Frame, random: &
     assert!(found.triangles == frame.mesh.triangles, "frame {} by {scale}", frame.seed);
 }
 
-fn copies_side_by_side_have_the_mesh_of_each(frame: &Frame, random: &mut Random) {
+fn two_distant_copies_have_the_mesh_of_each(frame: &Frame, random: &mut Random) {
     let mut away = DVec3::ZERO;
     away[(random.bits() % 3) as usize] = 3.0 * f64::from(BLOCK) * CELL;
     let both = frame.particles.iter().flat_map(|&p| [p - away, p + away]);
@@ -189,7 +188,7 @@ fn copies_side_by_side_have_the_mesh_of_each(frame: &Frame, random: &mut Random)
     assert_same_places(&found, expected, NEAR, &format!("frame {}, twice", frame.seed));
 }
 
-fn a_periodic_box_has_the_mesh_of_its_copies(frame: &Frame, random: &mut Random) {
+fn a_periodic_box_has_the_mesh_of_repeated_particles(frame: &Frame, random: &mut Random) {
     let mut faces = [None; 3];
     faces[(random.bits() % 3) as usize] = Some([-16.0, 16.0]);
     let particles = arrays(frame.particles.clone());
@@ -201,7 +200,7 @@ fn a_periodic_box_has_the_mesh_of_its_copies(frame: &Frame, random: &mut Random)
     assert!(found == expected && !found.is_empty(), "frame {}", frame.seed);
 }
 
-fn threads_and_memory_change_no_byte(frame: &Frame, _: &mut Random) {
+fn threads_and_memory_do_not_change_the_mesh(frame: &Frame, _: &mut Random) {
     let particles = arrays(frame.particles.clone());
     let small = MemoryBudget(16 << 20);
     for request in [
@@ -209,11 +208,15 @@ fn threads_and_memory_change_no_byte(frame: &Frame, _: &mut Random) {
         frame.request.clone().memory(small),
         frame.request.clone().memory(small).threads(2),
     ] {
-        assert!(frame.of(&request, &particles, "otherwise") == frame.mesh, "{}", frame.seed);
+        assert!(
+            frame.of(&request, &particles, "with other threads or memory") == frame.mesh,
+            "{}",
+            frame.seed
+        );
     }
 }
 
-fn finer_cells_hold_about_as_much(frame: &Frame, _: &mut Random) {
+fn finer_cells_enclose_about_the_same_volume(frame: &Frame, _: &mut Random) {
     // A calibration is valid for one cell size.
     let Calibration::Clouds { .. } = frame.calibration else { return };
     let request = Reconstruction::new().spacing(1.0).origin([0.0; 3]).threads(2);
@@ -226,7 +229,7 @@ fn finer_cells_hold_about_as_much(frame: &Frame, _: &mut Random) {
 }
 
 #[test]
-fn meshes_of_frames_that_are_related_are_related() {
+fn transforming_a_frame_transforms_its_mesh() {
     let number =
         |name: &str| std::env::var(name).ok().map(|text| text.parse::<u64>().expect("a number"));
     let seeds = match number("MENISCUS_RELATION") {
@@ -235,16 +238,16 @@ fn meshes_of_frames_that_are_related_are_related() {
     };
     for seed in seeds {
         let (frame, mut random) = (Frame::new(seed), Random::new(seed.wrapping_add(1)));
-        assert!(frame.mesh.triangles.len() > 100, "frame {seed} has next to no surface");
+        assert!(frame.mesh.triangles.len() > 100, "frame {seed} has almost no surface");
         let relations: [fn(&Frame, &mut Random); 8] = [
-            moving_a_frame_by_blocks_moves_its_mesh,
-            the_order_of_particles_changes_no_byte,
+            moving_a_frame_by_whole_blocks_moves_its_mesh,
+            the_order_of_particles_does_not_change_the_mesh,
             a_mirrored_frame_has_the_mirrored_mesh,
             scaling_by_a_power_of_two_scales_each_vertex_exactly,
-            copies_side_by_side_have_the_mesh_of_each,
-            a_periodic_box_has_the_mesh_of_its_copies,
-            threads_and_memory_change_no_byte,
-            finer_cells_hold_about_as_much,
+            two_distant_copies_have_the_mesh_of_each,
+            a_periodic_box_has_the_mesh_of_repeated_particles,
+            threads_and_memory_do_not_change_the_mesh,
+            finer_cells_enclose_about_the_same_volume,
         ];
         relations.iter().for_each(|relation| relation(&frame, &mut random));
     }

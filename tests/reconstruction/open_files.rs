@@ -1,5 +1,4 @@
-//! Inputs in more pieces, and meshes in more parts, than the number of files that a process may
-//! open.
+//! Inputs with more pieces, and meshes with more parts, than a process may open files.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::Write as _;
@@ -14,9 +13,9 @@ use tempfile::TempDir;
 use crate::common::files::raw;
 use crate::common::{fill, program};
 
-/// More than these tests may open.
+/// Number of pieces, more than [`MAX_OPEN_FILES`].
 const PIECES: usize = 700;
-const MAY_BE_OPEN: usize = 256;
+const MAX_OPEN_FILES: usize = 256;
 
 fn ball() -> Vec<[f32; 3]> {
     fill(20.0, 2.0, 0.2, 3, |p| p.length() < 10.0).iter().map(|p| p.map(|x| x as f32)).collect()
@@ -26,7 +25,7 @@ fn piece(folder: &Path, number: usize) -> PathBuf {
     folder.join(format!("ball_{number}.vtp"))
 }
 
-/// A ball in this number of pieces, each appended raw and so read in place; and in one file.
+/// A ball in [`PIECES`] pieces, with raw appended data that is read in place, and in one file.
 fn scene() -> (TempDir, PathBuf, PathBuf) {
     let folder = TempDir::new().unwrap();
     let particles = ball();
@@ -53,7 +52,7 @@ fn scene() -> (TempDir, PathBuf, PathBuf) {
 /// Runs the program with a low limit on open files.
 fn limited(folder: &Path, arguments: &str) -> Output {
     let arguments = format!("reconstruct {arguments} --backend cpu -q");
-    program::in_shell(folder, &format!("ulimit -n {MAY_BE_OPEN}"), &arguments)
+    program::in_shell(folder, &format!("ulimit -n {MAX_OPEN_FILES}"), &arguments)
 }
 
 #[track_caller]
@@ -62,7 +61,7 @@ fn succeeds(output: Output) {
 }
 
 #[test]
-fn a_frame_in_more_pieces_than_may_be_open_is_that_of_one_file_in_memory_and_beyond() {
+fn a_frame_in_more_pieces_than_open_files_allowed_equals_a_single_file() {
     let (folder, _pieces, _) = scene();
     let folder = folder.path();
     succeeds(limited(folder, "ball.xyz -o one.ply --spacing 0.5"));
@@ -83,7 +82,7 @@ fn a_frame_in_more_pieces_than_may_be_open_is_that_of_one_file_in_memory_and_bey
 }
 
 #[test]
-fn a_mesh_is_merged_of_more_parts_than_may_be_open() {
+fn a_mesh_is_merged_from_more_parts_than_open_files_allowed() {
     let (folder, ..) = scene();
     let folder = folder.path();
     succeeds(limited(folder, "ball.xyz -o one.ply --spacing 0.5 --cell 0.3"));
@@ -100,8 +99,8 @@ fn a_mesh_is_merged_of_more_parts_than_may_be_open() {
     assert!(one == many);
 }
 
-/// The outcome of a frame whose pieces change after it was opened.
-fn after(changed: Range<usize>, change: impl Fn(&Path)) -> Result<u64, Error> {
+/// Samples a frame whose pieces change after it was opened.
+fn sample_after(changed: Range<usize>, change: impl Fn(&Path)) -> Result<u64, Error> {
     let (folder, pieces, _) = scene();
     let opened = Reconstruction::new().spacing(0.5).open(&pieces).unwrap();
     changed.for_each(|number| change(&piece(folder.path(), number)));
@@ -113,7 +112,7 @@ fn after(changed: Range<usize>, change: impl Fn(&Path)) -> Result<u64, Error> {
 }
 
 #[test]
-fn a_piece_that_changes_is_an_error_whether_it_is_open_or_not() {
+fn a_changed_piece_is_an_error_whether_its_file_is_open_or_closed() {
     let is_changed = |error: &Error| {
         matches!(error, Error::Frame { fault: FrameError::Unread(RereadError::Changed), .. })
     };
@@ -126,14 +125,14 @@ fn a_piece_that_changes_is_an_error_whether_it_is_open_or_not() {
             fs::metadata(path).unwrap().modified().unwrap() + std::time::Duration::from_secs(1);
         File::options().write(true).open(path).unwrap().set_modified(modified).unwrap();
     };
-    // Any except the last may have been closed since.
+    // Any piece except the last may have been closed since.
     for change in [shorter as fn(&Path), longer, later] {
         for changed in [PIECES / 2, PIECES - 20] {
-            assert!(is_changed(&after(changed..changed + 1, change).unwrap_err()));
+            assert!(is_changed(&sample_after(changed..changed + 1, change).unwrap_err()));
         }
     }
     // There are more pieces than open files, so some pieces have been closed.
-    let many = 0..MAY_BE_OPEN;
+    let many = 0..MAX_OPEN_FILES;
     // Another file with the same name, size and time.
     let replaced = |path: &Path| {
         let (bytes, modified) =
@@ -143,8 +142,8 @@ fn a_piece_that_changes_is_an_error_whether_it_is_open_or_not() {
         File::options().write(true).open(&other).unwrap().set_modified(modified).unwrap();
         fs::rename(other, path).unwrap();
     };
-    assert!(is_changed(&after(many.clone(), replaced).unwrap_err()));
-    let removed = after(many, |path| fs::remove_file(path).unwrap());
+    assert!(is_changed(&sample_after(many.clone(), replaced).unwrap_err()));
+    let removed = sample_after(many, |path| fs::remove_file(path).unwrap());
     assert!(matches!(
         removed,
         Err(Error::Frame { fault: FrameError::Unread(RereadError::Io(_)), .. })
@@ -152,7 +151,7 @@ fn a_piece_that_changes_is_an_error_whether_it_is_open_or_not() {
 }
 
 #[test]
-fn pieces_read_one_after_the_other_take_the_memory_of_a_few() {
+fn many_pieces_need_no_more_memory_than_a_single_file() {
     let (_folder, pieces, whole) = scene();
     let tight = Reconstruction::new().spacing(0.5).memory(MemoryBudget(1 << 30)).threads(2);
     let memory = |path: &Path| {

@@ -1,4 +1,4 @@
-//! One frame's mesh in parts: the bytes of a single run, however it is divided.
+//! The mesh of one frame in parts: merging them gives the bytes of a single run for any division.
 
 use std::fs;
 use std::path::Path;
@@ -68,8 +68,8 @@ fn scenes() -> TempDir {
     folder
 }
 
-/// The last lines that a run prints about its mesh, without the time.
-fn said(text: &str, about: &str) -> Vec<String> {
+/// The messages of a run about its mesh, without times.
+fn messages(text: &str, about: &str) -> Vec<String> {
     let timed = |line: &str| line.split(" in ").next().unwrap().to_owned();
     // Parts are not searched for walls.
     let is_hint = |line: &str| line.contains("the particles end at planes");
@@ -77,7 +77,7 @@ fn said(text: &str, about: &str) -> Vec<String> {
 }
 
 #[test]
-fn parts_give_the_bytes_of_a_single_run_with_any_options() {
+fn merged_parts_equal_a_single_run_with_any_options() {
     let folder = scenes();
     let folder = folder.path();
     let cases: [(&str, &str, &[usize], &[&str]); 14] = [
@@ -117,7 +117,7 @@ fn parts_give_the_bytes_of_a_single_run_with_any_options() {
         let expected = fs::read(folder.join(&one)).unwrap();
         for &count in counts {
             let many = format!("many_{number}_{count}.{format}");
-            // From the last to the first.
+            // The parts are made from the last to the first.
             let order: Vec<usize> = (0..count).rev().collect();
             in_parts(folder, input, &many, count, &order, options);
             assert!(
@@ -132,8 +132,8 @@ fn parts_give_the_bytes_of_a_single_run_with_any_options() {
                     .concat();
             let merged = run(folder, &merge, 0).replace(&many, &one);
             assert_eq!(
-                said(&merged, "meniscus-parts"),
-                said(&single, input),
+                messages(&merged, "meniscus-parts"),
+                messages(&single, input),
                 "{input} {options:?}"
             );
         }
@@ -141,11 +141,11 @@ fn parts_give_the_bytes_of_a_single_run_with_any_options() {
 }
 
 #[test]
-fn parts_have_the_warnings_of_a_single_run() {
+fn merged_parts_report_the_warnings_of_a_single_run() {
     let folder = TempDir::new().unwrap();
     let folder = folder.path();
-    // Twice as dense as the spacing says, with drops that contain no cell's centre, and some
-    // missing values.
+    // The fluid is denser than the spacing allows. Some drops contain no cell centre, and some
+    // values are missing.
     let mut random = Random::new(11);
     let mut particles = fill(12.0, 2.0, 0.3, 1, |p| p.length() < 10.0);
     particles.extend((0..40).map(|_| std::array::from_fn(|_| 400.0 * random.unit() - 200.0)));
@@ -172,19 +172,19 @@ fn parts_have_the_warnings_of_a_single_run() {
     for word in
         ["missing from the surface", "no finite 32-bit heat", "looks too large", "not finite"]
     {
-        assert!(single.contains(word), "nothing of {word:?}: {single}");
+        assert!(single.contains(word), "no {word:?} in {single}");
     }
     in_parts(folder, "mist.csv", "many.ply", 5, &[0, 1, 2, 3, 4], &options);
     let merge = ["mist.csv", "-o", "many.ply", "--parts", "5", "--merge", "--overwrite"];
     let merged = run(folder, &[&merge, &options[..]].concat(), 0).replace("many.ply", "one.ply");
-    assert_eq!(said(&merged, "meniscus-parts"), said(&single, "mist.csv"));
+    assert_eq!(messages(&merged, "meniscus-parts"), messages(&single, "mist.csv"));
     assert!(
         fs::read(folder.join("one.ply")).unwrap() == fs::read(folder.join("many.ply")).unwrap()
     );
 }
 
 #[test]
-fn a_part_is_one_file_even_if_it_is_made_repeatedly_or_in_parallel() {
+fn remaking_a_part_repeatedly_or_in_parallel_gives_the_same_file() {
     let folder = scenes();
     let folder = folder.path();
     let common = ["dam.bgeo", "-o", "m.ply", "--parts", "2"];
@@ -211,7 +211,7 @@ fn a_part_is_one_file_even_if_it_is_made_repeatedly_or_in_parallel() {
 }
 
 #[test]
-fn changes_since_the_plan_are_refused_by_name() {
+fn settings_and_inputs_changed_since_the_plan_are_refused_by_name() {
     let folder = scenes();
     let folder = folder.path();
     let common = ["dam.bgeo", "-o", "m.ply", "--parts", "3"];
@@ -249,7 +249,7 @@ fn changes_since_the_plan_are_refused_by_name() {
     run(folder, &with(&["--plan", "--overwrite"]), 0);
     assert_eq!(fs::read(&plan).unwrap(), kept, "the same plan has the same bytes");
 
-    // Another file of the same size and time.
+    // Another file with the same size and time.
     let twin = folder.join("twin.bgeo");
     fs::copy(folder.join("dam.bgeo"), &twin).unwrap();
     let time = folder.join("dam.bgeo").metadata().unwrap().modified().unwrap();
@@ -268,7 +268,7 @@ fn changes_since_the_plan_are_refused_by_name() {
     assert!(run(folder, &with(&["--merge"]), 2).contains("--overwrite replaces it"));
     assert!(run(folder, &with(&["--part", "0"]), 2).contains("--overwrite replaces it"));
 
-    // The same particles with another time.
+    // The same particles in a file with another time.
     let bytes = fs::read(folder.join("dam.bgeo")).unwrap();
     fs::write(folder.join("dam.bgeo"), bytes).unwrap();
     for step in [&["--part", "0", "--overwrite"][..], &["--merge", "--overwrite"]] {
@@ -279,7 +279,7 @@ fn changes_since_the_plan_are_refused_by_name() {
 }
 
 #[test]
-fn a_part_that_is_missing_damaged_or_of_another_plan_is_refused_and_no_mesh_appears() {
+fn merging_refuses_missing_damaged_and_foreign_parts() {
     let folder = scenes();
     let folder = folder.path();
     let common = ["splash.xyz", "-o", "m.ply", "--parts", "3", "--spacing", "0.8"];
@@ -337,7 +337,7 @@ fn a_part_that_is_missing_damaged_or_of_another_plan_is_refused_and_no_mesh_appe
         other[at] = b'0' + (other[at] - b'0' + 1) % 10;
         fs::write(&plan, other).unwrap();
         let output = command(folder, &with(&["--merge", "--overwrite"])).output().unwrap();
-        assert_eq!(output.status.code(), Some(2), "{:?} was not seen", &text[at - 30..at + 3]);
+        assert_eq!(output.status.code(), Some(2), "{:?} was not detected", &text[at - 30..at + 3]);
         let says = String::from_utf8(output.stderr).unwrap();
         assert!(says.contains("plan.json"), "{says}");
     }
@@ -345,16 +345,13 @@ fn a_part_that_is_missing_damaged_or_of_another_plan_is_refused_and_no_mesh_appe
         fs::write(&plan, damaged).unwrap();
         assert!(run(folder, &with(&["--part", "0", "--overwrite"]), 2).contains("plan.json"));
     }
-    assert!(
-        run(folder, &with(&["--plan", "--resume"]), 2).contains("m.ply: "),
-        "the mesh is there"
-    );
+    assert!(run(folder, &with(&["--plan", "--resume"]), 2).contains("m.ply: "), "the mesh exists");
     run(folder, &with(&["--plan", "--overwrite"]), 0);
     assert_eq!(fs::read_to_string(&plan).unwrap(), text);
 }
 
 #[test]
-fn invalid_requests_for_parts_are_refused_before_any_work() {
+fn invalid_requests_for_parts_are_refused_and_leave_no_files() {
     let folder = scenes();
     let folder = folder.path();
     fs::create_dir(folder.join("frames")).unwrap();
@@ -393,14 +390,14 @@ fn invalid_requests_for_parts_are_refused_before_any_work() {
         assert!(errors.contains(says), "{arguments:?}: {errors}");
         assert_eq!(names(folder), before, "{arguments:?} left something behind");
     }
-    // An error of the input is not reported as one of the request.
+    // An error of the input is not reported as an error of the request.
     fs::write(folder.join("none.xyz"), "").unwrap();
     run(folder, &["none.xyz", "-o", "m.ply", "--parts", "2", "--plan", "--spacing", "1"], 3);
     assert!(!folder.join("m.ply.meniscus-parts").exists());
 }
 
 #[test]
-fn a_frame_without_a_surface_is_refused_like_a_single_run() {
+fn parts_without_a_surface_fail_like_a_single_run() {
     let folder = scenes();
     let folder = folder.path();
     let common = ["drop.xyz", "-o", "m.ply", "--spacing", "1", "--cell", "9", "-q"];
@@ -414,7 +411,7 @@ fn a_frame_without_a_surface_is_refused_like_a_single_run() {
 }
 
 #[test]
-fn the_library_plans_makes_and_merges_what_the_program_does() {
+fn the_library_plans_makes_and_merges_parts() {
     let folder = scenes();
     let [input, output] = ["splash.xyz", "m.ply"].map(|name| folder.path().join(name));
     let request = meniscus::Reconstruction::new().spacing(0.8).threads(2);
@@ -439,7 +436,7 @@ fn the_library_plans_makes_and_merges_what_the_program_does() {
         (many.facts, many.calibration, many.measured)
     );
     assert_eq!((&one.cells, one.lost, &one.warnings), (&many.cells, many.lost, &many.warnings));
-    // With the calibration of another frame, which the plan stores.
+    // The plan stores the calibration of another frame.
     let other = request.calibrated(Calibration::Clouds { plateau: 15_000 });
     assert!(matches!(
         other.parts(&input, &output, 4).merge(),
@@ -455,7 +452,7 @@ fn the_library_plans_makes_and_merges_what_the_program_does() {
 
 #[cfg(target_os = "linux")]
 #[test]
-fn a_full_disk_is_exit_4_and_the_part_can_be_made_when_there_is_room() {
+fn a_full_disk_exits_with_4_and_the_part_can_be_made_later() {
     let folder = scenes();
     let folder = folder.path();
     let common = ["dam.bgeo", "-o", "m.ply", "--parts", "2", "-q"];
@@ -504,13 +501,13 @@ fn needed(normals: Normals) -> CellBox {
 }
 
 #[test]
-fn particles_affect_a_field_up_to_exactly_the_halo_of_its_recipe_with_clouds() {
-    // The widest Gaussians reach farthest where the water is calm, and the test for inside where it
-    // is not.
+fn the_halo_of_the_cloud_recipe_is_exactly_the_reach_of_a_particle() {
+    // The widest Gaussians reach farthest in calm water, and the inside test reaches farthest
+    // elsewhere.
     for (spacing, smooth) in [(1.0, 3.0), (2.0, 3.0), (2.0, 1.6), (4.0, 1.6)] {
         let sampling =
             Sampling { method: IndicatorKind::Cloud.into(), spacing: Some(spacing), ..sampling() };
-        // The needed cells end in the middle of wide ones, where the cells beyond matter most.
+        // The needed cells end in the middle of wide cells, where the cells beyond matter most.
         for (sides, normals) in [(0..3, Normals::None), (3..6, Normals::Gradient)] {
             let surfacing =
                 Surfacing { smooth: Smooth::new(smooth).unwrap(), normals, ..surfacing() };
@@ -531,24 +528,23 @@ fn particles_affect_a_field_up_to_exactly_the_halo_of_its_recipe_with_clouds() {
             let of = |seen: CellBox, plateau: u16| {
                 field_of(&lattice, seen, &sampling, by(plateau), cells)
             };
-            // The greatest plateau at which all cells are inside: with slightly less fluid, not all
-            // are.
+            // The greatest plateau at which all cells are inside.
             let inside = |plateau: u16| of(all, plateau).samples().iter().all(|&x| x == u16::MAX);
-            let (mut is, mut is_not) = (1_u16, u16::MAX);
-            assert!(inside(is) && !inside(is_not));
-            while is_not - is > 1 {
-                let middle = is + (is_not - is) / 2;
-                *(if inside(middle) { &mut is } else { &mut is_not }) = middle;
+            let (mut all_inside, mut not_all) = (1_u16, u16::MAX);
+            assert!(inside(all_inside) && !inside(not_all));
+            while not_all - all_inside > 1 {
+                let middle = all_inside + (not_all - all_inside) / 2;
+                *(if inside(middle) { &mut all_inside } else { &mut not_all }) = middle;
             }
-            // Where nothing is inside, the filters reach farthest: so shallow that the fine surface
-            // counts, too.
-            let plateau = if smooth > 2.0 { is / 2 * 3 } else { is };
+            // The filters reach farthest where nothing is inside, and so shallow that the fine
+            // surface counts too.
+            let plateau = if smooth > 2.0 { all_inside / 2 * 3 } else { all_inside };
             let whole = of(all, plateau);
             assert!(of(seen, plateau) == whole, "{spacing} {smooth}");
             for less in &narrower(seen)[sides] {
                 assert!(
                     of(*less, plateau) != whole,
-                    "{spacing} {smooth}: {less:?} of {seen:?} is enough"
+                    "{spacing} {smooth}: {less:?} suffices instead of {seen:?}"
                 );
             }
         }
@@ -556,7 +552,7 @@ fn particles_affect_a_field_up_to_exactly_the_halo_of_its_recipe_with_clouds() {
 }
 
 #[test]
-fn particles_affect_a_field_up_to_exactly_the_halo_of_its_recipe_with_the_papers_indicators() {
+fn the_halo_of_the_counting_recipe_is_exactly_the_reach_of_a_particle() {
     let one = MeanCount::new(1.0).unwrap();
     for (detail, sigma, normals) in
         [(Detail::Smoothed, 1.5, Normals::None), (Detail::Recovered, 2.5, Normals::Gradient)]
@@ -599,7 +595,8 @@ fn particles_affect_a_field_up_to_exactly_the_halo_of_its_recipe_with_the_papers
             let mut threshold = 1000;
             if detail == Detail::Recovered {
                 particles.push(middle(between));
-                // After smoothing, that cell alone is just lost, but not with the other nearby.
+                // After smoothing, that cell is just lost alone, but not with the other cell
+                // nearby.
                 let alone =
                     Engine::sample(&particles[1..], &sampling, &mut Timings::default()).unwrap();
                 let none = Surfacing { detail: Detail::Smoothed, ..plain.clone() };
@@ -608,7 +605,7 @@ fn particles_affect_a_field_up_to_exactly_the_halo_of_its_recipe_with_the_papers
                     .at(between);
             }
             let whole = field_of(&particles, all, &sampling, by(threshold), cells);
-            // So that the frame has a surface.
+            // A particle that gives the frame a surface.
             particles.push(middle(at(edge - 16 * up)));
             let whole_with = field_of(&particles, all, &sampling, by(threshold), cells);
             assert!(field_of(&particles, seen, &sampling, by(threshold), cells) == whole_with);
@@ -616,15 +613,15 @@ fn particles_affect_a_field_up_to_exactly_the_halo_of_its_recipe_with_the_papers
             assert_ne!(
                 narrow.at(at(edge)),
                 whole.at(at(edge)),
-                "{detail:?}, side {side}: {less:?} is enough"
+                "{detail:?}, side {side}: {less:?} suffices"
             );
         }
     }
 }
 
 #[test]
-fn particles_affect_a_blocks_attributes_exactly_within_its_deciding_cells() {
-    // With the paper's indicators, attributes reach as far as the field; with clouds less far.
+fn carried_attributes_extend_the_cells_that_a_block_depends_on() {
+    // The attributes reach as far as the field for the paper's indicators, and less far for clouds.
     for kind in [IndicatorKind::Symmetry, IndicatorKind::Cloud] {
         let sampling = Sampling { method: kind.into(), spacing: Some(1.5), ..sampling() };
         let with = Sampling { carried: vec![0], ..sampling.clone() };

@@ -1,5 +1,5 @@
-//! Parts of a mesh read only data near their range of the curve, and notice changes there since the
-//! plan.
+//! A part reads only the particles near its range of the Morton curve, and detects changes there
+//! since the plan.
 
 use std::fmt::Write as _;
 use std::fs::{self, File};
@@ -64,12 +64,12 @@ fn piece(folder: &Path, number: usize) -> PathBuf {
     folder.join(format!("piece_{number}.vtp"))
 }
 
-fn asked() -> Reconstruction {
+fn request() -> Reconstruction {
     Reconstruction::new().spacing(0.5).cell(0.5).threads(2)
 }
 
-/// Changes bytes of a file, but neither its size nor its time.
-fn change_unseen(path: &Path, change: impl FnOnce(&mut [u8])) {
+/// Changes bytes of a file without changing its size or its time.
+fn change_silently(path: &Path, change: impl FnOnce(&mut [u8])) {
     let modified = fs::metadata(path).unwrap().modified().unwrap();
     let mut bytes = fs::read(path).unwrap();
     change(&mut bytes);
@@ -77,7 +77,7 @@ fn change_unseen(path: &Path, change: impl FnOnce(&mut [u8])) {
     File::options().write(true).open(path).unwrap().set_modified(modified).unwrap();
 }
 
-/// The bytes of a part that is made again, and the number of particles that were read for it.
+/// Makes a part again. Returns its bytes and the number of particles that were read for it.
 fn made(parts: &Parts, part: u32) -> (Vec<u8>, usize) {
     let _ = fs::remove_file(parts.folder().join(format!("part_{part}")));
     let made = parts.part(part).unwrap();
@@ -86,19 +86,19 @@ fn made(parts: &Parts, part: u32) -> (Vec<u8>, usize) {
 }
 
 #[track_caller]
-fn is_refused(parts: &Parts, part: u32) {
+fn assert_refused(parts: &Parts, part: u32) {
     let _ = fs::remove_file(parts.folder().join(format!("part_{part}")));
-    let error = parts.part(part).expect_err("a part of other particles");
+    let error = parts.part(part).expect_err("a part of changed particles");
     assert!(matches!(error, Error::Parts(PartsError::Changed { .. })), "{error}");
 }
 
 #[test]
-fn a_part_reads_the_chunks_of_a_file_that_touch_it_and_no_others() {
+fn a_part_reads_only_the_chunks_of_the_input_that_touch_it() {
     let folder = TempDir::new().unwrap();
     let particles = pool();
     let input = folder.path().join("pool.xyz");
     fs::write(&input, raw(&particles)).unwrap();
-    let parts = asked().parts(&input, folder.path().join("m.ply"), 8);
+    let parts = request().parts(&input, folder.path().join("m.ply"), 8);
     let planned = parts.plan().unwrap();
     let whole: Vec<_> = (0..8).map(|part| made(&parts, part)).collect();
     for (part, (_, read)) in planned.parts.iter().zip(&whole) {
@@ -110,43 +110,44 @@ fn a_part_reads_the_chunks_of_a_file_that_touch_it_and_no_others() {
     let least = whole.iter().map(|(_, read)| read).min().unwrap();
     assert!(4 * least < particles.len(), "{least} of {}", particles.len());
 
-    // A part depends only on nearby particles: those at the other end may be anything, even NaN.
-    change_unseen(&input, |bytes| bytes[..12 * 8192].fill(0xff));
+    // A part depends only on nearby particles. Particles at the other end may be anything, even
+    // NaN.
+    change_silently(&input, |bytes| bytes[..12 * 8192].fill(0xff));
     assert_eq!(made(&parts, 7), whole[7]);
     // A part that depends on changed particles is not made.
-    is_refused(&parts, 0);
-    change_unseen(&input, |bytes| bytes.copy_from_slice(&raw(&particles)));
+    assert_refused(&parts, 0);
+    change_silently(&input, |bytes| bytes.copy_from_slice(&raw(&particles)));
     assert_eq!(made(&parts, 0), whole[0]);
     // A particle moved from this end to the other.
-    change_unseen(&input, |bytes| bytes.copy_within(..12, 12 * (particles.len() - 1)));
-    is_refused(&parts, 7);
+    change_silently(&input, |bytes| bytes.copy_within(..12, 12 * (particles.len() - 1)));
+    assert_refused(&parts, 7);
 }
 
 #[test]
-fn a_part_opens_the_pieces_that_touch_it_and_no_others() {
+fn a_part_opens_only_the_pieces_that_touch_it() {
     let folder = TempDir::new().unwrap();
     let particles = pool();
     let input = in_pieces(folder.path(), &particles, 13);
-    let parts = asked().parts(&input, folder.path().join("m.ply"), 5);
+    let parts = request().parts(&input, folder.path().join("m.ply"), 5);
     assert_eq!(parts.plan().unwrap().particles, particles.len());
     let whole: Vec<_> = (0..5).map(|part| made(&parts, part)).collect();
     for number in 0..7 {
-        change_unseen(&piece(folder.path(), number), |bytes| bytes.fill(b'x'));
+        change_silently(&piece(folder.path(), number), |bytes| bytes.fill(b'x'));
     }
     assert_eq!(made(&parts, 4), whole[4]);
     fs::remove_file(parts.folder().join("part_0")).unwrap();
     assert!(parts.part(0).unwrap_err().to_string().contains("piece_0.vtp: "));
-    // A missing piece is noticed by the stamp, wherever it is.
+    // The stamp detects a missing piece anywhere.
     fs::remove_file(piece(folder.path(), 0)).unwrap();
-    is_refused(&parts, 4);
+    assert_refused(&parts, 4);
 }
 
 #[test]
-fn the_mesh_of_parts_is_that_of_a_single_run_however_particles_are_ordered_and_divided() {
+fn merged_parts_equal_a_single_run_for_any_order_and_pieces_of_the_input() {
     let folder = TempDir::new().unwrap();
     let mut particles = pool();
     let single =
-        asked().run(&particles[..].iter().map(|p| p.map(|x| x as f32)).collect::<Vec<_>>());
+        request().run(&particles[..].iter().map(|p| p.map(|x| x as f32)).collect::<Vec<_>>());
     let expected = single.unwrap().to_mesh().unwrap();
     let file = |name: &str, particles: &[[f64; 3]]| {
         let path = folder.path().join(name);
@@ -158,7 +159,7 @@ fn the_mesh_of_parts_is_that_of_a_single_run_however_particles_are_ordered_and_d
     shuffle(&mut particles, &mut Random::new(9));
     let shuffled = file("shuffled.xyz", &particles);
     for input in [ordered, pieces, shuffled] {
-        let parts = asked().parts(&input, folder.path().join("m.ply"), 6).overwrite();
+        let parts = request().parts(&input, folder.path().join("m.ply"), 6).overwrite();
         parts.plan().unwrap();
         let read: usize = (0..6).map(|part| made(&parts, part).1).sum();
         assert!(parts.merge().unwrap().to_mesh().unwrap() == expected, "{}", input.display());
@@ -189,7 +190,7 @@ fn channel() -> ([f64; 3], Vec<[f64; 3]>) {
 }
 
 #[test]
-fn the_parts_of_a_periodic_box_make_the_mesh_of_a_single_run() {
+fn merged_parts_of_a_periodic_box_equal_a_single_run() {
     let folder = TempDir::new().unwrap();
     let (edge, mut particles) = channel();
     let faces = [Some([0.0, edge[0]]), None, Some([0.0, edge[2]])];
@@ -201,10 +202,10 @@ fn the_parts_of_a_periodic_box_make_the_mesh_of_a_single_run() {
             shuffle(&mut particles, &mut Random::new(9));
         }
         fs::write(&input, raw(&particles)).unwrap();
-        let asked = asked().periodic(faces).periodic_mesh(periodic_mesh);
+        let request = request().periodic(faces).periodic_mesh(periodic_mesh);
         let in_single: Vec<_> = particles.iter().map(|p| p.map(|x| x as f32)).collect();
-        let expected = asked.run(&in_single[..]).unwrap().to_mesh().unwrap();
-        let parts = asked.parts(&input, folder.path().join("m.ply"), 9).overwrite();
+        let expected = request.run(&in_single[..]).unwrap().to_mesh().unwrap();
+        let parts = request.parts(&input, folder.path().join("m.ply"), 9).overwrite();
         let planned = parts.plan().unwrap();
         let read: Vec<usize> = (0..9).map(|part| made(&parts, part).1).collect();
         let merged = parts.merge().unwrap();

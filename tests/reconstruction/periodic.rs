@@ -1,4 +1,4 @@
-//! Periodic boxes for a caller and in the program: surfaces, counts, states and refusals.
+//! Periodic boxes in the library and the program: surfaces, counts, states and errors.
 
 use std::fs;
 
@@ -34,9 +34,9 @@ const METHODS: [KernelMethod; 3] = [
     KernelMethod::YuTurk { iso: 0.4 },
 ];
 
-/// Particles with a direction each, which repeat those of `first`. All directions contain a 1, so
-/// that they are rounded in the same way in any selection.
-fn turned(particles: &[[f64; 3]], first: &[[f64; 3]]) -> Attributed {
+/// Particles with one direction each. Particle `i` has the direction of particle `i` modulo the
+/// length of `first`. All directions contain a 1, so that any selection is rounded in the same way.
+fn with_directions(particles: &[[f64; 3]], first: &[[f64; 3]]) -> Attributed {
     let direction = |[x, _, z]: [f64; 3]| [(x as f32).sin(), 1.0, (z as f32).cos()];
     Attributed::new(particles.to_vec()).with("direction", |i, _| direction(first[i % first.len()]))
 }
@@ -46,7 +46,7 @@ fn assert_watertight(mesh: &Mesh, what: &str) {
     assert!(report.is_closed_oriented_manifold(), "{what}: {report}");
 }
 
-/// With this cell size, and particles 1 apart.
+/// The settings for particles with spacing 1 in cells of this size.
 fn in_box(method: impl Into<Method>, cell: f64, faces: Faces) -> Sampling {
     let (method, grid) = (method.into(), Grid::new(DVec3::ZERO, cell).unwrap());
     let periodic =
@@ -55,7 +55,7 @@ fn in_box(method: impl Into<Method>, cell: f64, faces: Faces) -> Sampling {
     Sampling { method, grid, periodic, spacing: Some(1.0), side: method.brick_side(), ..sampling() }
 }
 
-fn drawn(
+fn meshed(
     particles: &(impl Particles + ?Sized),
     sampling: &Sampling,
     surfacing: &Surfacing,
@@ -67,7 +67,7 @@ fn drawn(
 }
 
 #[test]
-fn kernel_methods_have_the_mesh_of_the_fluid_repeated_too() {
+fn kernel_methods_in_a_periodic_box_match_repeated_particles() {
     let edges = DVec3::new(24.0, 32.0, 24.0);
     let faces = [Some([0.0, edges.x]), None, Some([0.0, edges.z])];
     let particles = fluid(7, edges);
@@ -76,9 +76,9 @@ fn kernel_methods_have_the_mesh_of_the_fluid_repeated_too() {
         let alone = Sampling { periodic: None, ..sampling.clone() };
         for periodic_mesh in [PeriodicMesh::Cut, PeriodicMesh::Overlap] {
             let surfacing = Surfacing { normals: Normals::Gradient, periodic_mesh, ..surfacing() };
-            let (_, found) = drawn(&particles[..], &sampling, &surfacing);
+            let (_, found) = meshed(&particles[..], &sampling, &surfacing);
             assert_watertight(&found, &format!("{method:?}, {periodic_mesh:?}"));
-            let (_, expected) = drawn(&repeated(&particles, faces)[..], &alone, &surfacing);
+            let (_, expected) = meshed(&repeated(&particles, faces)[..], &alone, &surfacing);
             let margin = if periodic_mesh == PeriodicMesh::Cut { 1.51 } else { 0.0 };
             let [found, expected] =
                 [found, expected].map(|mesh| triangles_within(&mesh, faces, margin));
@@ -88,16 +88,16 @@ fn kernel_methods_have_the_mesh_of_the_fluid_repeated_too() {
 }
 
 #[test]
-fn attributes_come_from_beyond_the_faces_as_well() {
+fn attributes_are_interpolated_across_periodic_faces() {
     let edges = DVec3::new(32.0, 40.0, 24.0);
     let faces = [Some([0.0, edges.x]), Some([0.0, edges.y]), Some([0.0, edges.z])];
     let fluid = fluid(3, edges);
-    let particles = turned(&fluid, &fluid);
+    let particles = with_directions(&fluid, &fluid);
     let sampling = Sampling { carried: vec![0], ..in_box(IndicatorKind::Cloud, 0.5, faces) };
     let surfacing = Surfacing { periodic_mesh: PeriodicMesh::Overlap, ..surfacing() };
-    let (_, found) = drawn(&particles, &sampling, &surfacing);
+    let (_, found) = meshed(&particles, &sampling, &surfacing);
     let alone = Sampling { periodic: None, ..sampling };
-    let around = turned(&repeated(&fluid, faces), &fluid);
+    let around = with_directions(&repeated(&fluid, faces), &fluid);
     let (frame, calibrated) =
         (Engine::sample(&around, &alone, &mut Timings::default()).unwrap(), {
             let frame = Engine::sample(
@@ -121,20 +121,20 @@ fn attributes_come_from_beyond_the_faces_as_well() {
 }
 
 #[test]
-fn order_threads_and_memory_do_not_change_a_byte() {
+fn a_periodic_mesh_is_independent_of_order_threads_and_memory() {
     let edges = DVec3::new(31.0, 40.0, 29.0);
     let faces = [Some([0.0, edges.x]), None, Some([0.0, edges.z])];
     let fluid = fluid(11, edges);
-    let particles = turned(&fluid, &fluid);
+    let particles = with_directions(&fluid, &fluid);
     let surfacing = Surfacing { normals: Normals::Gradient, ..surfacing() };
     let scratch = TempDir::new().unwrap();
     for kind in crate::common::INDICATORS {
         let sampling = Sampling { carried: vec![0], ..in_box(kind, 0.9, faces) };
-        let (_, expected) = drawn(&particles, &sampling, &surfacing);
+        let (_, expected) = meshed(&particles, &sampling, &surfacing);
         assert_watertight(&expected, &format!("{kind:?}"));
         let mut shuffled = fluid.clone();
         shuffle(&mut shuffled, &mut Random::new(1));
-        let shuffled = turned(&shuffled, &shuffled);
+        let shuffled = with_directions(&shuffled, &shuffled);
         for (budget, threads) in [(1 << 18, 1), (1 << 20, 3), (8 << 30, 4)] {
             let resources = Resources::new(MemoryBudget(budget), scratch.path().to_owned());
             let sampling = Sampling { resources, ..sampling.clone() };
@@ -149,7 +149,7 @@ fn order_threads_and_memory_do_not_change_a_byte() {
                     budget < 1 << 30,
                     "{budget} bytes"
                 );
-                let (_, mesh) = drawn(&shuffled, &sampling, &surfacing);
+                let (_, mesh) = meshed(&shuffled, &sampling, &surfacing);
                 assert!(mesh == expected, "{kind:?}, {budget} bytes, {threads} threads");
             });
         }
@@ -168,7 +168,7 @@ fn level(mesh: &Mesh, edge: f64, distances: std::ops::Range<f64>) -> f64 {
 }
 
 #[test]
-fn a_slab_through_the_faces_is_as_high_there_as_anywhere() {
+fn a_periodic_slab_is_as_high_at_the_faces_as_elsewhere() {
     let edge = 40.0;
     let particles: Vec<[f64; 3]> = fill(20.0, 1.0, 0.3, 5, |p| (-20.0..-12.0).contains(&p.y))
         .into_iter()
@@ -182,13 +182,13 @@ fn a_slab_through_the_faces_is_as_high_there_as_anywhere() {
         let (near, far) = (level(&mesh, edge, 0.5..1.5), level(&mesh, edge, 6.0..20.0));
         assert!((near - far).abs() < 0.02, "{ends:?}: {near} at the faces, {far} elsewhere");
     }
-    // The end of a fluid is rounded off.
+    // Without periodicity, the end of the fluid is rounded off.
     let alone = usual().run(&particles[..]).unwrap().to_mesh().unwrap();
     assert!(level(&alone, edge, 6.0..20.0) - level(&alone, edge, 0.5..1.5) > 0.02);
 }
 
 #[test]
-fn a_drop_across_a_corner_is_eight_pieces_with_the_volume_of_one_drop() {
+fn a_drop_across_a_periodic_corner_is_cut_into_eight_pieces() {
     let edge = 31.7;
     let ball = fill(20.0, 1.0, 0.2, 9, |p| p.length() < 7.0);
     let at = |centre: f64| -> Vec<[f64; 3]> {
@@ -202,13 +202,13 @@ fn a_drop_across_a_corner_is_eight_pieces_with_the_volume_of_one_drop() {
         measure(mesh)
     });
     assert_eq!((whole.components, found.components), (1, 8));
-    assert_eq!(found.bounds, Some([[0.0; 3], [edge; 3]]), "pieces end on the faces");
+    assert_eq!(found.bounds, Some([[0.0; 3], [edge; 3]]), "the pieces end on the faces");
     let share = found.volume.unwrap() / whole.volume.unwrap();
     assert!((0.97..1.001).contains(&share), "{share} of the drop");
 }
 
 #[test]
-fn images_are_counted_nowhere() {
+fn periodic_images_are_not_counted_as_particles() {
     let edges = DVec3::new(32.0, 32.0, 32.0);
     let faces = [Some([0.0, 32.0]), None, Some([0.0, 32.0])];
     let mut particles = fluid(13, edges);
@@ -216,12 +216,12 @@ fn images_are_counted_nowhere() {
     // Particles along an edge of the box, each with three images.
     particles.extend((0..30).map(|i| [0.25, 40.0 + 6.0 * f64::from(i), 31.75]));
     let counting = in_box(IndicatorKind::Counting, 1.0, faces);
-    let (frame, _) = drawn(&particles[..], &counting, &surfacing());
+    let (frame, _) = meshed(&particles[..], &counting, &surfacing());
     assert_eq!(frame.facts().census.binned, particles.len());
     let alone = Sampling { periodic: None, ..counting };
     let expected = Engine::sample(&particles[..], &alone, &mut Timings::default()).unwrap();
     let mean = |frame: &Engine| frame.dif().unwrap().indicator.mean();
-    assert_eq!(mean(&frame), mean(&expected), "cells divide the box");
+    assert_eq!(mean(&frame), mean(&expected), "the mean count of the periodic box differs");
 
     let timings = &mut Timings::default();
     let mut shares = Vec::new();
@@ -231,32 +231,32 @@ fn images_are_counted_nowhere() {
         let lost = frame.lost(&surface).unwrap();
         assert!(
             (25..=45).contains(&lost),
-            "{periodic_mesh:?}: {lost} of 30 and what spray there is"
+            "{periodic_mesh:?}: {lost} particles lost, of 30 and the spray"
         );
         assert_eq!(frame.shortfall(&surface).unwrap(), None, "{periodic_mesh:?}");
-        // Almost nothing is above this.
+        // Almost no sample is above this isovalue.
         let high = Surfacing { iso: Some(Isovalue::new(0.95).unwrap()), ..usual };
         let surface = frame.surface(&high, timings).unwrap();
-        shares.push(frame.shortfall(&surface).unwrap().expect("little is left"));
+        shares.push(frame.shortfall(&surface).unwrap().expect("almost nothing remains"));
     }
     assert_eq!(shares[0].particles, particles.len());
     assert!((shares[0].share / shares[1].share - 1.0).abs() < 0.05, "{shares:?}");
 }
 
 #[test]
-fn the_exact_reach_suffices_and_a_smaller_one_is_refused() {
+fn settings_that_need_more_periodic_images_than_sampled_are_refused() {
     let edges = DVec3::new(32.0, 40.0, 32.0);
     let faces = [Some([0.0, 32.0]), None, Some([0.0, 32.0])];
     let request = Reconstruction::new().spacing(1.0).periodic(faces);
     let frame = request.sample(&fluid(15, edges)[..]).unwrap();
     let surface = |request: &Reconstruction| frame.surface_by(request);
-    assert!(surface(&request.clone().smooth(1.0)).is_ok(), "narrower filters see less");
+    assert!(surface(&request.clone().smooth(1.0)).is_ok(), "narrower filters need fewer images");
     let error = surface(&request.smooth(2.5)).unwrap_err();
     assert_eq!(error.cause(), meniscus::Cause::Request);
     let Error::Frame { fault: FrameError::FewImages { needed, there }, .. } = error else {
         panic!("{error}")
     };
-    assert!(needed > there, "{needed} cells are needed, {there} are there");
+    assert!(needed > there, "{needed} cells are needed, {there} exist");
 }
 
 /// A pool with spacing 1 in a box from 0 to 24 along x and z, in `pool.xyz`.
@@ -302,7 +302,7 @@ fn invalid_periodic_boxes_are_refused_with_the_reason() {
     ] {
         let options = with(&with(&POOL, &["-o", "mesh.ply"]), options);
         let errors = run(folder.path(), &options, code);
-        assert!(errors.contains(says), "{options:?} does not say {says:?}: {errors}");
+        assert!(errors.contains(says), "{options:?} does not print {says:?}: {errors}");
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), before, "{options:?}");
     }
     let astray =
@@ -318,7 +318,7 @@ fn invalid_periodic_boxes_are_refused_with_the_reason() {
     run(folder.path(), &with(&POOL, &["--periodic", BOX, "-o", "whole.ply"]), 0);
     let [mesh, whole] =
         ["mesh.ply", "whole.ply"].map(|name| fs::read(folder.path().join(name)).unwrap());
-    assert!(mesh == whole, "a particle that is skipped leaves nothing");
+    assert!(mesh == whole, "a skipped particle changes the mesh");
 }
 
 #[test]
@@ -340,11 +340,11 @@ fn a_particle_on_an_upper_face_moves_to_the_lower_one_despite_rounding() {
 }
 
 #[test]
-fn a_domain_stands_along_the_open_axes_of_a_periodic_box() {
+fn a_domain_can_bound_the_open_axes_of_a_periodic_box() {
     let (folder, _) = pool();
     let tank = ["--periodic", BOX, "--domain", "-,2,-,-,20,-", "-o", "mesh.ply"];
     let errors = run(folder.path(), &with(&POOL, &tank), 0);
-    assert!(errors.contains("particles left out: outside"), "what is below the floor: {errors}");
+    assert!(errors.contains("particles left out: outside"), "particles below the floor: {errors}");
     let mesh = read_mesh(&folder.path().join("mesh.ply")).unwrap();
     assert_watertight(&mesh, "a tank");
     let [lo, hi] = measure(&mesh).bounds.unwrap();
@@ -353,7 +353,7 @@ fn a_domain_stands_along_the_open_axes_of_a_periodic_box() {
 }
 
 #[test]
-fn a_packed_frame_keeps_its_box_and_its_mesh_may_end_either_way() {
+fn a_packed_frame_keeps_its_periodic_box_and_allows_both_mesh_ends() {
     let (folder, _) = pool();
     let pack = [
         "pack",
@@ -392,7 +392,7 @@ fn a_packed_frame_keeps_its_box_and_its_mesh_may_end_either_way() {
 }
 
 #[test]
-fn a_sequence_keeps_its_box_and_refuses_to_resume_with_another() {
+fn a_sequence_keeps_its_periodic_box_and_refuses_another_one() {
     let folder = TempDir::new().unwrap();
     fs::create_dir(folder.path().join("in")).unwrap();
     for frame in 1..=3 {
@@ -419,15 +419,15 @@ fn a_sequence_keeps_its_box_and_refuses_to_resume_with_another() {
 }
 
 #[test]
-fn the_library_and_the_program_write_the_same_bytes_of_a_periodic_box() {
+fn the_library_and_the_program_write_the_same_periodic_mesh() {
     let (folder, particles) = pool();
     let periodic =
         Reconstruction::new().spacing(1.0).periodic([Some([0.0, 24.0]), None, Some([0.0, 24.0])]);
-    for (ends, asked) in [("cut", PeriodicMesh::Cut), ("overlap", PeriodicMesh::Overlap)] {
+    for (ends, periodic_mesh) in [("cut", PeriodicMesh::Cut), ("overlap", PeriodicMesh::Overlap)] {
         let output = format!("{ends}.ply");
         let options = ["--periodic", BOX, "--periodic-mesh", ends, "-o", &output];
         run(folder.path(), &with(&POOL, &options), 0);
-        let request = periodic.clone().periodic_mesh(asked);
+        let request = periodic.clone().periodic_mesh(periodic_mesh);
         let of_file = request.run_file(folder.path().join("pool.xyz")).unwrap();
         assert!(fs::read(folder.path().join(&output)).unwrap() == bytes_of(&of_file), "{ends}");
         let single: Vec<[f32; 3]> = particles.iter().map(|p| p.map(|x| x as f32)).collect();

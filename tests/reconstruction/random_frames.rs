@@ -1,8 +1,8 @@
-//! Random particles, options and walls: the surface is closed, oriented and manifold, lies within
-//! its bounds, and is the same for all threads, orders, memory, brick sizes, devices and packing;
-//! or the request is refused in the same way each time.
+//! Random particles, options and walls. The surface is closed, oriented and manifold, lies within
+//! its bounds, and is the same for all threads, particle orders, budgets, brick sizes, devices and
+//! packing. Otherwise the request is refused in the same way each time.
 //!
-//! `MENISCUS_FRAMES=100000` tries that many, and `MENISCUS_FRAME=77` repeats one.
+//! `MENISCUS_FRAMES=100000` tries 100000 frames, and `MENISCUS_FRAME=77` repeats number 77.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
@@ -24,8 +24,8 @@ use crate::common::{device, shuffle, watertight};
 
 /// Default number of frames.
 const FRAMES: u64 = 400;
-/// The share of frames, as one over this, that must have a surface, so that the test tries enough.
-const SHARE: u64 = 2;
+/// At least one frame in this many must have a surface.
+const SURFACE_RATIO: u64 = 2;
 
 /// Particles with a velocity, and a number that is NaN for some.
 struct Water {
@@ -167,7 +167,7 @@ impl Frame {
             let mut half =
                 || DVec3::from_array(std::array::from_fn(|_| between(random, 0.5, 6.0))) * spacing;
             let [lo, hi] = [half(), half()];
-            // Random ones, which are not walls.
+            // Inverted corners, which are refused.
             if seed.is_multiple_of(50) {
                 [centre + hi, centre - lo]
             } else {
@@ -288,7 +288,7 @@ impl Frame {
                 a.dot(b.cross(c))
             })
             .sum();
-        // As far as rounded numbers can show it.
+        // The tolerance allows for rounding.
         if volume.is_nan() || volume < -1e-6 * self.spacing.powi(3) {
             wrong = wrong.or(Some(format!("it encloses {volume}")));
         }
@@ -296,7 +296,7 @@ impl Frame {
         if mesh.normals.as_ref().is_some_and(|normals| {
             normals.len() != mesh.positions.len() || !normals.iter().all(unit)
         }) {
-            wrong = wrong.or(Some("its normals are none".into()));
+            wrong = wrong.or(Some("its normals are not unit vectors".into()));
         }
         for attribute in &mesh.attributes {
             let (least, most) =
@@ -327,14 +327,14 @@ impl Frame {
         let reach = 12.0 * facts.spacing.unwrap_or(self.spacing) + 40.0 * cell;
         if self.faces.iter().all(Option::is_none) {
             wrong = wrong.or_else(|| {
-                within([bounds[0] - reach, bounds[1] + reach], "what its particles reach")
+                within([bounds[0] - reach, bounds[1] + reach], "the reach of its particles")
             });
         }
         wrong
     }
 }
 
-/// The result of a frame, as far as it must be the same each time.
+/// The part of the result of a frame that must be the same each time.
 fn outcome(surface: Result<Surface, Error>) -> Result<Mesh, String> {
     surface.map(|surface| surface.to_mesh().unwrap()).map_err(|error| error.to_string())
 }
@@ -353,32 +353,32 @@ fn assert_same(found: &Result<Mesh, String>, expected: &Result<Mesh, String>, wh
         (Ok(found), Ok(expected)) => {
             assert!(
                 found.positions == expected.positions && found.triangles == expected.triangles,
-                "{what}: another mesh"
+                "{what}: the mesh differs"
             );
-            assert!(bits(found) == bits(expected), "{what}: other values on the same mesh");
+            assert!(bits(found) == bits(expected), "{what}: normals or attributes differ");
         }
         (found, expected) => {
-            let told = |outcome: &Result<Mesh, String>| {
+            let kind = |outcome: &Result<Mesh, String>| {
                 outcome.as_ref().map(|_| "a mesh".to_owned()).map_err(Clone::clone)
             };
-            assert_eq!(told(found), told(expected), "{what}");
+            assert_eq!(kind(found), kind(expected), "{what}");
         }
     }
 }
 
-/// Tries one frame in every way. Returns whether it has a surface.
+/// Reconstructs one frame in all ways and compares the results. Returns whether it has a surface.
 fn try_frame(seed: u64) -> bool {
     let frame = Frame::new(seed);
     let request = frame.drawing(frame.sampling());
     let surface = request.run(&frame.water);
     if let Err(error) = &surface {
-        let told = error.to_string();
+        let message = error.to_string();
         assert!(
             matches!(error.cause(), Cause::Request | Cause::Input),
-            "{told}: {:?}",
+            "{message}: {:?}",
             error.cause()
         );
-        assert!(!told.is_empty() && !told.contains('\n'), "{told:?}");
+        assert!(!message.is_empty() && !message.contains('\n'), "{message:?}");
     }
     let mesh = surface.as_ref().ok().map(|surface| surface.to_mesh().unwrap());
     if let (Ok(surface), Some(mesh)) = (&surface, &mesh)
@@ -412,7 +412,7 @@ fn try_frame(seed: u64) -> bool {
         assert_same(&packed(&frame), &expected, &format!("frame {seed}, packed"));
     }
     if !frame.kernels && one_in(random, 8) {
-        in_bricks(&frame);
+        check_brick_sizes(&frame);
     }
     if expected.is_ok()
         && !frame.kernels
@@ -438,8 +438,8 @@ fn packed(frame: &Frame) -> Result<Mesh, String> {
     Ok(mesh)
 }
 
-/// Bricks of all sizes contain the same field.
-fn in_bricks(frame: &Frame) {
+/// Checks that all brick sizes give the same mesh.
+fn check_brick_sizes(frame: &Frame) {
     let Ok(surface) = frame.sampling().run(&frame.water) else { return };
     let facts = surface.report().facts;
     if facts.periodic.is_some()
@@ -469,7 +469,7 @@ fn in_bricks(frame: &Frame) {
 }
 
 #[test]
-fn random_frames_are_watertight_or_refused_and_the_same_however_they_are_made() {
+fn random_frames_are_watertight_or_refused_and_always_reproducible() {
     let number =
         |name: &str| std::env::var(name).ok().map(|text| text.parse::<u64>().expect("a number"));
     if let Some(seed) = number("MENISCUS_FRAME") {
@@ -478,44 +478,51 @@ fn random_frames_are_watertight_or_refused_and_the_same_however_they_are_made() 
     }
     let first = number("MENISCUS_FRAMES_FROM").unwrap_or(0);
     let frames = number("MENISCUS_FRAMES").unwrap_or(FRAMES);
-    let (begun, next, drawn) = (Instant::now(), AtomicU64::new(first), AtomicU64::new(0));
+    let (begun, next, with_surface) = (Instant::now(), AtomicU64::new(first), AtomicU64::new(0));
     let worker = || {
         loop {
             let seed = next.fetch_add(1, Ordering::Relaxed);
             if seed >= first + frames {
                 return;
             }
-            drawn.fetch_add(u64::from(try_frame(seed)), Ordering::Relaxed);
+            with_surface.fetch_add(u64::from(try_frame(seed)), Ordering::Relaxed);
         }
     };
     std::thread::scope(|scope| {
         let threads = std::thread::available_parallelism().map_or(1, usize::from);
         (0..threads).for_each(|_| drop(scope.spawn(worker)));
     });
-    let drawn = drawn.into_inner();
-    println!("{drawn} of {frames} frames have a surface; {:.0} s", begun.elapsed().as_secs_f64());
-    assert!(drawn > frames / SHARE, "only {drawn} of {frames} have a surface");
+    let with_surface = with_surface.into_inner();
+    println!(
+        "{with_surface} of {frames} frames have a surface; {:.0} s",
+        begun.elapsed().as_secs_f64()
+    );
+    assert!(
+        with_surface > frames / SURFACE_RATIO,
+        "only {with_surface} of {frames} have a surface"
+    );
 }
 
 #[test]
-fn the_definition_of_watertight_rejects_open_meshes() {
+fn the_watertight_check_rejects_every_kind_of_defect() {
     let ball: Vec<[f64; 3]> = crate::common::fill(4.0, 1.0, 0.2, 1, |p| p.length() < 3.0);
     let whole = Reconstruction::new().spacing(1.0).run(&ball).unwrap().to_mesh().unwrap();
     assert_eq!(watertight::defect(&whole), None);
-    let told = |change: fn(&mut Mesh)| {
+    let defect_after = |change: fn(&mut Mesh)| {
         let mut mesh = whole.clone();
         change(&mut mesh);
         watertight::defect(&mesh).expect("a defect")
     };
     assert!(
-        told(|mesh| mesh.triangles.truncate(mesh.triangles.len() - 1)).contains("one side only")
+        defect_after(|mesh| mesh.triangles.truncate(mesh.triangles.len() - 1))
+            .contains("one side only")
     );
-    assert!(told(|mesh| mesh.triangles[0].swap(0, 1)).contains("two triangles go along"));
-    assert!(told(|mesh| mesh.positions.push([0.0; 3])).contains("no triangle uses"));
-    assert!(told(|mesh| mesh.positions[3][1] = f64::NAN).contains("nowhere"));
-    assert!(told(|mesh| mesh.triangles[5] = [7, 7, 8]).contains("two corners alike"));
+    assert!(defect_after(|mesh| mesh.triangles[0].swap(0, 1)).contains("two triangles go along"));
+    assert!(defect_after(|mesh| mesh.positions.push([0.0; 3])).contains("no triangle uses"));
+    assert!(defect_after(|mesh| mesh.positions[3][1] = f64::NAN).contains("nowhere"));
+    assert!(defect_after(|mesh| mesh.triangles[5] = [7, 7, 8]).contains("two corners alike"));
     // Two balls that share only one vertex.
-    let joined = told(|mesh| {
+    let joined = defect_after(|mesh| {
         let last = mesh.positions.len() as u32 - 1;
         let other = |t: &[u32; 3]| t.map(|v| if v == 0 { 0 } else { v + last });
         let other: Vec<_> = mesh.triangles.iter().map(other).collect();

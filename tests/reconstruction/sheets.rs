@@ -1,4 +1,4 @@
-//! Sheets and threads of particles that are stretched apart.
+//! Stretched sheets and threads of particles.
 
 use glam::{DMat3, DVec3};
 use meniscus::Reconstruction;
@@ -35,7 +35,7 @@ fn measured(particles: &[[f64; 3]], cell: f64, sheets: f64) -> Measures {
 }
 
 #[test]
-fn sheets_stretched_to_one_and_a_half_spacings_are_whole_and_keep_their_volume() {
+fn sheets_stretched_to_1_5_spacings_stay_whole_and_keep_their_volume() {
     for (layers, stretch, cell) in
         [(1, 1.3, 0.25), (1, 1.5, 0.25), (1, 1.5, 0.5), (2, 1.5, 0.25), (2, 1.5, 0.5)]
     {
@@ -55,7 +55,7 @@ fn sheets_stretched_to_one_and_a_half_spacings_are_whole_and_keep_their_volume()
 }
 
 #[test]
-fn a_sheet_stretched_beyond_the_setting_breaks_into_drops() {
+fn a_sheet_stretched_beyond_the_limit_breaks_into_drops() {
     let particles = sheet(1, 2.6, &mut Random::new(3));
     let found = measured(&particles, 0.25, 2.15);
     assert!(found.components > particles.len() * 9 / 10, "{}", found.components);
@@ -64,7 +64,7 @@ fn a_sheet_stretched_beyond_the_setting_breaks_into_drops() {
 }
 
 #[test]
-fn spray_has_about_as_many_pieces_with_sheets_as_without() {
+fn sheet_handling_does_not_connect_the_drops_of_spray() {
     for (apart, cell) in [(3.0, 0.5), (4.0, 0.5), (3.0, 0.4), (3.0, 0.25)] {
         let mut random = Random::new(11);
         let edge = 10.0 * apart;
@@ -77,7 +77,7 @@ fn spray_has_about_as_many_pieces_with_sheets_as_without() {
 }
 
 #[test]
-fn threads_are_whole() {
+fn stretched_threads_of_particles_stay_connected() {
     let along = DVec3::new(0.6, 0.48, 0.64);
     for stretch in [1.4, 1.8] {
         let particles: Vec<[f64; 3]> =
@@ -90,7 +90,7 @@ fn threads_are_whole() {
 }
 
 #[test]
-fn particles_alone_and_bodies_are_the_same_with_sheets_and_without() {
+fn sheet_handling_does_not_change_lone_particles_and_bulk_fluid() {
     let mut random = Random::new(5);
     let apart = (0..27).map(|i| [i % 3, i / 3 % 3, i / 9].map(|x| 6.0 * f64::from(x)));
     let moved = |p: [f64; 3], random: &mut Random| p.map(|x| x + random.unit());

@@ -1,4 +1,4 @@
-//! Particles of several sizes.
+//! Frames with particles of several sizes.
 
 use std::f64::consts::PI;
 
@@ -65,7 +65,7 @@ fn request() -> Reconstruction {
     Reconstruction::new()
 }
 
-/// Bias and root mean square of the water's level in a range of x, away from other edges.
+/// Bias and root mean square of the water level in a range of x, away from other edges, in sizes.
 fn level(mesh: &Mesh, [from, to]: [f64; 2], size: f64) -> [f64; 2] {
     let is_there = |p: &&[f64; 3]| {
         (from..to).contains(&p[0]) && (10.0..38.0).contains(&p[1]) && p[2] > DEPTH - 1.5 * size
@@ -79,7 +79,7 @@ fn level(mesh: &Mesh, [from, to]: [f64; 2], size: f64) -> [f64; 2] {
 }
 
 #[test]
-fn pools_of_several_sizes_are_level_in_their_own_spacings() {
+fn pools_of_several_particle_sizes_have_level_surfaces() {
     let sizes = [1.0, 2.0, 4.0];
     let water = Sized::pools(&sizes);
     let mesh = water.mesh(&request());
@@ -97,13 +97,13 @@ fn pools_of_several_sizes_are_level_in_their_own_spacings() {
         let [bias, rms] = level(&mesh, [seam - 2.0 * size, seam + 2.0 * size], size);
         assert!(bias.abs() < 0.1 && rms < 0.07, "seam {i}: {bias} {rms}");
     }
-    // With one size for all, the coarse water is lost.
+    // If all particles count as one size, the coarse water is lost.
     let one = measure(&water.mesh(&request().size("none")));
     assert!(one.components > 10 && one.volume.unwrap() < 0.7 * water.volume());
 }
 
 #[test]
-fn a_lone_drop_of_any_size_holds_about_its_volume() {
+fn a_lone_particle_of_any_size_keeps_about_its_volume() {
     for cell in [0.25, 0.5, 0.667] {
         let sizes: Vec<f32> = (1..=8).map(|size| size as f32).collect();
         let positions =
@@ -132,7 +132,7 @@ fn a_lone_drop_of_any_size_holds_about_its_volume() {
 }
 
 #[test]
-fn sizes_mixed_in_one_place_have_no_bubbles() {
+fn mixed_particle_sizes_leave_no_bubbles() {
     // Each cube contains one large particle, or eight small ones.
     let mut random = Random::new(9);
     let mut water = Sized::default();
@@ -151,7 +151,7 @@ fn sizes_mixed_in_one_place_have_no_bubbles() {
 }
 
 #[test]
-fn the_same_particles_give_the_same_bytes() {
+fn sized_meshes_are_independent_of_order_threads_memory_and_size_unit() {
     let water = Sized::pools(&[1.0, 3.0]);
     let radii = water.radii();
     let heat: Vec<f32> = water.positions.iter().map(|p| p[0] as f32).collect();
@@ -166,10 +166,10 @@ fn the_same_particles_give_the_same_bytes() {
     ] {
         assert!(mesh(&request) == expected);
     }
-    // In the opposite order, and with other attributes of the same meaning.
-    let turned = |values: &[f32]| values.iter().rev().copied().collect::<Vec<_>>();
+    // The particles in reverse order, with equivalent size attributes.
+    let reversed = |values: &[f32]| values.iter().rev().copied().collect::<Vec<_>>();
     let positions: Vec<[f64; 3]> = water.positions.iter().rev().copied().collect();
-    let (heat, diameters) = (turned(&heat), turned(&water.sizes));
+    let (heat, diameters) = (reversed(&heat), reversed(&water.sizes));
     let masses: Vec<f32> = diameters.iter().map(|d| d * d * d * 1000.0).collect();
     let density = vec![1000.0; masses.len()];
     let cloud = Cloud::new(&positions)
@@ -183,7 +183,7 @@ fn the_same_particles_give_the_same_bytes() {
 }
 
 #[test]
-fn attributes_are_those_of_the_particles_near_by() {
+fn attributes_of_sized_particles_come_from_nearby_particles() {
     let water = Sized::pools(&[1.0, 4.0]);
     let (radii, heat) = (water.radii(), water.sizes.clone());
     let cloud = Cloud::new(&water.positions).with("radius", &radii).with("heat", &heat);
@@ -197,7 +197,7 @@ fn attributes_are_those_of_the_particles_near_by() {
 }
 
 #[test]
-fn radii_with_another_meaning_are_corrected_by_the_density_of_the_fluid() {
+fn scaled_radii_are_corrected_by_the_density_of_the_fluid() {
     let water = Sized::pools(&[1.0, 2.0]);
     let radii: Vec<f32> = water.sizes.iter().map(|size| 0.3 * size).collect();
     let cloud = Cloud::new(&water.positions).with("pscale", &radii);
@@ -210,7 +210,7 @@ fn radii_with_another_meaning_are_corrected_by_the_density_of_the_fluid() {
 }
 
 #[test]
-fn particles_of_one_size_give_the_mesh_without_sizes() {
+fn particles_of_one_size_give_the_same_mesh_as_without_sizes() {
     let water = Sized::pools(&[1.0]);
     let mut radii = water.radii();
     // Sizes that differ by less than a tenth count as one.
@@ -221,11 +221,14 @@ fn particles_of_one_size_give_the_mesh_without_sizes() {
     let spacing = request().spacing(1.0);
     let other = Sized { sizes: [1.0, 9.0].repeat(radii.len() / 2), ..water.clone() };
     let given = other.mesh(&spacing);
-    assert!(given == spacing.run(&water.positions).unwrap().to_mesh().unwrap(), "a given spacing");
+    assert!(
+        given == spacing.run(&water.positions).unwrap().to_mesh().unwrap(),
+        "a given spacing ignores sizes"
+    );
 }
 
 #[test]
-fn sizes_that_are_none_are_counted() {
+fn invalid_and_unusually_large_sizes_are_counted() {
     let water = Sized::pools(&[1.0, 2.0]);
     let mut radii = water.radii();
     (radii[0], radii[1], radii[2], radii[3]) = (0.0, f32::NAN, -1.0, 1e6);
@@ -241,7 +244,7 @@ fn sizes_that_are_none_are_counted() {
 }
 
 #[test]
-fn what_has_no_sizes_says_so() {
+fn attributes_and_settings_that_cannot_define_sizes_are_refused() {
     let water = Sized::pools(&[1.0, 2.0]);
     let (radii, vectors) = (water.radii(), water.positions.iter().map(|_| [0.0_f32; 3]));
     let vectors: Vec<[f32; 3]> = vectors.collect();

@@ -1,4 +1,4 @@
-//! Water that ends at solids.
+//! Solids: water ends at their surfaces.
 
 use std::fmt::Write;
 use std::fs;
@@ -51,20 +51,20 @@ fn from_ball(at: DVec3) -> f64 {
     at.distance(CENTRE) - RADIUS
 }
 
-fn turned(at: DVec3, angle: f64) -> DVec3 {
+fn rotated(at: DVec3, angle: f64) -> DVec3 {
     let (sin, cos) = angle.sin_cos();
     DVec3::new(at.x * cos - at.y * sin, at.x * sin + at.y * cos, at.z)
 }
 
 fn from_box(at: DVec3) -> f64 {
-    let over = turned(at - CENTRE, -ANGLE).abs() - HALF;
+    let over = rotated(at - CENTRE, -ANGLE).abs() - HALF;
     over.max(DVec3::ZERO).length() + over.max_element().min(0.0)
 }
 
-fn turned_box() -> Mesh {
+fn rotated_box() -> Mesh {
     let mut mesh = cuboid((-HALF).to_array(), HALF.to_array());
     for position in &mut mesh.positions {
-        *position = (turned(DVec3::from(*position), ANGLE) + CENTRE).to_array();
+        *position = (rotated(DVec3::from(*position), ANGLE) + CENTRE).to_array();
     }
     mesh
 }
@@ -98,7 +98,7 @@ fn at(request: Reconstruction, solid: &Path) -> Reconstruction {
 }
 
 /// Mean and root mean square.
-fn summed(errors: &[f64]) -> (f64, f64) {
+fn mean_and_rms(errors: &[f64]) -> (f64, f64) {
     assert!(errors.len() > 50, "{} vertices", errors.len());
     let count = errors.len() as f64;
     let square: f64 = errors.iter().map(|error| error * error).sum();
@@ -106,10 +106,10 @@ fn summed(errors: &[f64]) -> (f64, f64) {
 }
 
 #[test]
-fn water_ends_on_a_ball_and_a_turned_box_and_its_level_goes_on_to_them() {
+fn water_ends_at_solids_and_keeps_its_level_up_to_them() {
     let folder = TempDir::new().unwrap();
     let distances: [fn(DVec3) -> f64; 2] = [from_ball, from_box];
-    let solids = [("ball.obj", ball()), ("box.obj", turned_box())];
+    let solids = [("ball.obj", ball()), ("box.obj", rotated_box())];
     for ((name, mesh), distance) in solids.into_iter().zip(distances) {
         let solid = written(&folder, name, &mesh);
         for (jitter, cell) in [(0.3, 0.25), (0.3, 0.5), (0.5, 0.5)] {
@@ -129,35 +129,36 @@ fn water_ends_on_a_ball_and_a_turned_box_and_its_level_goes_on_to_them() {
                 all.filter(|&(p, d)| is(p, d)).map(|(p, d)| error(p, d)).collect::<Vec<_>>()
             };
             let at_solid = of(&|p, d| d.abs() < 1.5 && p.y < LEVEL - 1.0, &|_, d| d);
-            let (bias, rms) = summed(&at_solid);
+            let (bias, rms) = mean_and_rms(&at_solid);
             assert!(bias.abs() < 0.02 && rms < 0.04, "{what}: at the solid {bias}, {rms}");
             let is_level = |p: DVec3, d: f64| d > 0.3 && (p.y - LEVEL).abs() < 2.0;
-            let (level, _) = summed(&of(&|p, d| is_level(p, d) && d > 4.0, &|p, _| p.y));
+            let (level, _) = mean_and_rms(&of(&|p, d| is_level(p, d) && d > 4.0, &|p, _| p.y));
             let near = of(&|p, d| is_level(p, d) && d < 4.0, &|p, _| p.y - level);
-            let (bias, rms) = summed(&near);
+            let (bias, rms) = mean_and_rms(&near);
             // With a jitter of 0.5, the level far away already has noise of 0.07.
             let most = if jitter < 0.4 { 0.11 } else { 0.14 };
-            assert!(bias.abs() < 0.05 && rms < most, "{what}: level beside it {bias}, {rms}");
+            assert!(bias.abs() < 0.05 && rms < most, "{what}: level near the solid {bias}, {rms}");
         }
     }
 }
 
 #[test]
-fn bytes_do_not_depend_on_threads_or_memory_and_far_from_a_solid_are_those_without() {
+fn solids_are_independent_of_threads_and_memory_and_act_only_nearby() {
     let folder = TempDir::new().unwrap();
     let solid = written(&folder, "ball.obj", &ball());
     let water = pool(0.5, from_ball);
     let bytes = |request: Reconstruction| bytes_of(&request.run(&water[..]).unwrap());
-    let usual = bytes(at(request(0.5), &solid).threads(1).normals(true));
-    assert_eq!(bytes(at(request(0.5), &solid).threads(3).normals(true)), usual);
-    let little = at(request(0.5), &solid).threads(1).normals(true).memory(MemoryBudget(40 << 20));
-    assert_eq!(bytes(little), usual);
+    let expected = bytes(at(request(0.5), &solid).threads(1).normals(true));
+    assert_eq!(bytes(at(request(0.5), &solid).threads(3).normals(true)), expected);
+    let small_budget =
+        at(request(0.5), &solid).threads(1).normals(true).memory(MemoryBudget(40 << 20));
+    assert_eq!(bytes(small_budget), expected);
     let far = written(&folder, "far.obj", &moved(&ball(), [200.0, 0.0, 0.0]));
     assert_eq!(bytes(at(request(0.5), &far)), bytes(request(0.5)));
 }
 
 #[test]
-fn a_device_gives_the_same_bytes_beside_the_processor() {
+fn a_device_makes_the_same_mesh_with_solids_as_the_cpu() {
     let device = match device::open(&DeviceOptions::default()) {
         Ok((device, _)) => device,
         Err(error) => return device::skip(error),
@@ -168,15 +169,15 @@ fn a_device_gives_the_same_bytes_beside_the_processor() {
     let solid = written(&folder, "ball.obj", &moved(&sphere(2.0, 3), corner.to_array()));
     let water = pool(0.5, |at| at.distance(corner) - 2.0);
     let run = |request: Reconstruction| request.run(&water[..]).unwrap();
-    let usual = run(at(request(0.25), &solid));
+    let expected = run(at(request(0.25), &solid));
     let made = run(at(request(0.25), &solid).backend(Backend::of(Vulkan::new(device).unwrap())));
-    assert_eq!(bytes_of(&made), bytes_of(&usual));
+    assert_eq!(bytes_of(&made), bytes_of(&expected));
     let by_device = made.report().on_device.regions;
     assert!(by_device > 0, "{by_device} regions");
 }
 
 #[test]
-fn a_solid_wall_divides_deep_water_and_a_wall_thinner_than_cells_causes_a_warning() {
+fn a_solid_wall_divides_water_and_a_too_thin_wall_causes_a_warning() {
     let folder = TempDir::new().unwrap();
     let wall = |half: f64| cuboid([13.0 - half, -1.0, -1.0], [13.0 + half, 30.0, SIZE + 1.0]);
     let water = pool(0.3, |_| 1.0);
@@ -188,7 +189,7 @@ fn a_solid_wall_divides_deep_water_and_a_wall_thinner_than_cells_causes_a_warnin
     let surface = divided("wall.obj", 0.3, 0.0);
     assert_eq!(measure(&surface.to_mesh().unwrap()).components, 2);
     assert!(!surface.report().warnings.iter().any(is_thin));
-    // A gap that compensates for it.
+    // A gap compensates for the thin wall.
     let surface = divided("sheet.obj", 0.05, 0.25);
     assert_eq!(measure(&surface.to_mesh().unwrap()).components, 2);
     assert!(!surface.report().warnings.iter().any(is_thin));
@@ -197,7 +198,7 @@ fn a_solid_wall_divides_deep_water_and_a_wall_thinner_than_cells_causes_a_warnin
 }
 
 #[test]
-fn an_offset_moves_the_water_s_face_and_a_solid_that_faces_inwards_is_turned_with_a_warning() {
+fn solid_offset_moves_the_contact_surface_and_inverted_solids_are_flipped() {
     let folder = TempDir::new().unwrap();
     let mut inwards = ball();
     inwards.triangles.iter_mut().for_each(|triangle| triangle.reverse());
@@ -208,22 +209,22 @@ fn an_offset_moves_the_water_s_face_and_a_solid_that_faces_inwards_is_turned_wit
             .each_ref()
             .map(|solid| at(request(0.5), solid).solid_offset(offset).run(&water[..]).unwrap());
         assert_eq!(bytes_of(&outwards), bytes_of(&inwards));
-        let is_turned = |warning: &Warning| *warning == Warning::InvertedSolid(solids[1].clone());
-        let turned = |warnings: &[Warning]| warnings.iter().any(is_turned);
-        assert!(turned(&inwards.report().warnings) && !turned(&outwards.report().warnings));
+        let is_inverted = |warning: &Warning| *warning == Warning::InvertedSolid(solids[1].clone());
+        let warns = |warnings: &[Warning]| warnings.iter().any(is_inverted);
+        assert!(warns(&inwards.report().warnings) && !warns(&outwards.report().warnings));
         let mesh = outwards.to_mesh().unwrap();
         let vertices = mesh.positions.iter().map(|&p| DVec3::from(p));
         // The ball reaches through the floor.
         let depths = 2.0..LEVEL - 2.0;
         let under = vertices.filter(|p| from_ball(*p).abs() < 1.5 && depths.contains(&p.y));
         let errors: Vec<f64> = under.map(|p| from_ball(p) - offset).collect();
-        let (bias, rms) = summed(&errors);
+        let (bias, rms) = mean_and_rms(&errors);
         assert!(bias.abs() < 0.03 && rms < 0.05, "{offset}: {bias}, {rms}");
     }
 }
 
 #[test]
-fn invalid_solids_are_refused_with_their_file_and_edges() {
+fn invalid_solids_are_refused_with_their_file_and_bad_edges() {
     let folder = TempDir::new().unwrap();
     let whole = cuboid([0.0; 3], [1.0; 3]);
     let mut open = whole.clone();

@@ -1,6 +1,6 @@
-//! Spacings from every source: estimated, given, in a file, a scene, a state or a packed frame,
-//! each with a warning if the particles contradict it; particles in a plane, at one position, and
-//! far from the origin.
+//! The spacing from every source: an estimate, a setting, a file, a scene, a state or a packed
+//! frame. A warning is given if the particles contradict it. Also particles in a plane, at one
+//! position, and far from the origin.
 
 use std::fmt::Write as _;
 use std::fs;
@@ -64,7 +64,7 @@ fn volume(surface: &Surface) -> f64 {
 }
 
 #[test]
-fn a_given_spacing_that_is_off_by_a_fifth_causes_a_warning_that_names_the_mistake() {
+fn a_wrong_spacing_causes_a_warning_that_names_the_likely_mistake() {
     let ball = ball();
     for sound in [0.85, 0.9, 1.0, 1.1, 1.2] {
         let surface = Reconstruction::new().spacing(sound * SPACING).run(&ball).unwrap();
@@ -94,11 +94,11 @@ fn a_given_spacing_that_is_off_by_a_fifth_causes_a_warning_that_names_the_mistak
 }
 
 #[test]
-fn many_particles_confirm_a_spacing_while_they_are_counted() {
-    // More particles than an estimate keeps in memory.
+fn the_spacing_of_many_particles_is_verified_while_counting_them() {
+    // The estimate does not keep this many particles in memory.
     let pool = fill(45.0, 1.0, 0.25, 7, |_| true);
     assert!(pool.len() > 600_000);
-    for (given, doubted) in
+    for (given, contradicted) in
         [(0.5, true), (0.7, true), (0.9, false), (1.2, false), (1.5, true), (4.0, true)]
     {
         let request =
@@ -108,7 +108,7 @@ fn many_particles_confirm_a_spacing_while_they_are_counted() {
             Warning::Spacing(SpacingWarning::Contradicted { found, .. }) => Some(found),
             _ => None,
         });
-        assert_eq!(found.is_some(), doubted, "{given}");
+        assert_eq!(found.is_some(), contradicted, "{given}");
         assert!(found.is_none_or(|found| (found - 1.0).abs() < 0.02), "{given}: {found:?}");
     }
     let estimated = Reconstruction::new().sample(&pool).unwrap();
@@ -116,7 +116,7 @@ fn many_particles_confirm_a_spacing_while_they_are_counted() {
 }
 
 #[test]
-fn spray_does_not_make_a_right_spacing_doubtful() {
+fn spray_around_a_fluid_does_not_cause_a_spacing_warning() {
     let mut particles = ball();
     let spray = fill(20.0, 0.5, 1.0, 9, |p| p.length() > 14.0);
     particles.extend(spray.into_iter().map(|p| p.map(|c| SPACING * c)));
@@ -125,7 +125,7 @@ fn spray_does_not_make_a_right_spacing_doubtful() {
 }
 
 #[test]
-fn the_program_names_both_figures_and_the_option_to_use() {
+fn the_spacing_warning_names_both_spacings_and_the_options_to_use() {
     let folder = TempDir::new().unwrap();
     fs::write(folder.path().join("f_1.xyz"), raw(&ball())).unwrap();
     for given in [["--spacing", "0.025"], ["--radius", "0.0125"]] {
@@ -143,7 +143,7 @@ fn the_program_names_both_figures_and_the_option_to_use() {
 }
 
 #[test]
-fn a_wrong_spacing_of_a_packed_frame_causes_a_warning_when_packing_and_when_drawing() {
+fn packing_and_meshing_a_packed_frame_warn_about_a_wrong_spacing() {
     let folder = TempDir::new().unwrap();
     fs::write(folder.path().join("f.xyz"), raw(&ball())).unwrap();
     for (spacing, how) in [("0.025", Some("small")), ("0.05", None), ("0.1", Some("large"))] {
@@ -161,21 +161,21 @@ fn a_wrong_spacing_of_a_packed_frame_causes_a_warning_when_packing_and_when_draw
     }
 }
 
-/// The spacing warnings among a simulation's events.
+/// Runs a simulation and returns the spacing warnings among its events.
 fn warnings_of(simulation: &Simulation) -> Vec<SpacingWarning> {
     let mut warnings = Vec::new();
-    let hear = |event| {
+    let on_event = |event| {
         if let Event::SpacingWarning(warning) = event {
             warnings.push(*warning);
         }
     };
-    let summaries = simulation.run(hear).unwrap();
+    let summaries = simulation.run(on_event).unwrap();
     assert!(summaries.iter().all(Summary::is_complete), "{summaries:?}");
     warnings
 }
 
 #[test]
-fn a_simulation_warns_about_a_given_spacing_once_and_about_that_of_its_state_on_resume() {
+fn a_simulation_warns_once_about_a_wrong_spacing_and_again_on_resume() {
     let folder = TempDir::new().unwrap();
     let frame = |number: usize, scale: f64| {
         let particles: Vec<_> = ball().into_iter().map(|p| p.map(|c| scale * c)).collect();
@@ -205,14 +205,14 @@ fn a_live_simulation_warns_about_a_wrong_spacing() {
     let mut simulation =
         LiveSimulation::new(&Reconstruction::new().spacing(0.5 * SPACING)).unwrap();
     let surface = simulation.frame(&ball()).unwrap();
-    let doubted = |warning: &Warning| {
+    let contradicted = |warning: &Warning| {
         matches!(warning, Warning::Spacing(SpacingWarning::Contradicted { .. }))
     };
-    assert!(surface.report().warnings.iter().any(doubted));
+    assert!(surface.report().warnings.iter().any(contradicted));
 }
 
 #[test]
-fn particles_in_a_plane_are_a_slab_of_one_spacing_with_flat_ends() {
+fn particles_in_a_plane_become_a_flat_slab_one_spacing_thick() {
     for at in [0.0, -3.7] {
         let particles = plane(at);
         let surface = Reconstruction::new().run(&particles).unwrap();
@@ -235,7 +235,7 @@ fn particles_in_a_plane_are_a_slab_of_one_spacing_with_flat_ends() {
             heights.iter().filter(|y| (**y - lo).abs() < 1e-9 || (**y - hi).abs() < 1e-9).count();
         assert!(heights.iter().all(|y| (lo - 1e-9..=hi + 1e-9).contains(y)));
         assert!(2 * ends > heights.len(), "{ends} of {} vertices are on the faces", heights.len());
-        // The same as with walls on request.
+        // Explicit walls give the same mesh.
         let [x, z] = [f64::NEG_INFINITY; 2];
         let walled =
             Reconstruction::new().domain([x, lo, z], [-x, hi, -z]).spacing(spacing).run(&particles);
@@ -248,7 +248,7 @@ fn particles_in_a_plane_are_a_slab_of_one_spacing_with_flat_ends() {
 }
 
 #[test]
-fn the_program_reports_a_plane_which_is_the_same_in_sequences_and_parts() {
+fn a_planar_frame_is_reported_and_meshed_alike_in_sequences_and_parts() {
     let folder = TempDir::new().unwrap();
     for number in 1..3 {
         fs::write(folder.path().join(format!("f_{number}.csv")), csv(&plane(0.5))).unwrap();
@@ -269,7 +269,7 @@ fn the_program_reports_a_plane_which_is_the_same_in_sequences_and_parts() {
 }
 
 #[test]
-fn an_emitter_whose_first_frame_is_a_layer_is_no_slab_from_its_second_layer_on() {
+fn a_slab_ends_when_an_emitter_adds_more_layers() {
     let folder = TempDir::new().unwrap();
     let layers = |count: usize| -> Vec<[f64; 3]> {
         let at = |layer: usize| moved(&plane(0.5), [0.0, SPACING * layer as f64, 0.0]);
@@ -293,7 +293,7 @@ fn an_emitter_whose_first_frame_is_a_layer_is_no_slab_from_its_second_layer_on()
 }
 
 #[test]
-fn particles_far_from_the_origin_get_a_grid_near_them() {
+fn particles_far_from_the_origin_get_a_nearby_grid_origin() {
     let near = Reconstruction::new().spacing(SPACING).run(&ball()).unwrap();
     for far in [[500_000.25, 4_649_776.5, 120.0], [-4e6, 0.5, 4.2e6]] {
         let surface = Reconstruction::new().run(&moved(&ball(), far)).unwrap();
@@ -323,7 +323,7 @@ fn state_file(folder: &Path) -> std::path::PathBuf {
 }
 
 #[test]
-fn an_error_about_coarse_single_precision_coordinates_names_their_step() {
+fn coarse_single_precision_coordinates_are_reported_with_their_step() {
     let single = |from: f64| -> Vec<[f32; 3]> {
         moved(&ball(), [from, 0.0, 0.0]).into_iter().map(|p| p.map(|c| c as f32)).collect()
     };
@@ -346,7 +346,7 @@ fn an_error_about_coarse_single_precision_coordinates_names_their_step() {
 }
 
 #[test]
-fn coincident_particles_are_counted_and_a_clump_of_unused_slots_is_reported() {
+fn coincident_particles_and_clumps_of_unused_slots_are_reported() {
     let ball = ball();
     let coincident = |particles: &[[f64; 3]]| {
         let surface = Reconstruction::new().run(particles).unwrap();

@@ -1,4 +1,4 @@
-//! The mesh of spray, which is made drop by drop, is that of the field on whole regions.
+//! Spray is meshed drop by drop. The mesh equals that of the field on whole regions.
 
 use glam::DVec3;
 use meniscus::internals::backend::{Cpu, Executor, Surfaces, field};
@@ -13,7 +13,7 @@ use crate::common::device::contoured;
 use crate::common::scene::Random;
 use crate::common::{dif, recipe, sampling, surfacing};
 
-/// Particles at random, `apart` spacings apart on average, and a pair, a clump and a thread among
+/// Random particles, `apart` spacings apart on average, with a pair, a clump and a thread among
 /// them.
 fn spray(apart: f64, random: &mut Random) -> Vec<[f64; 3]> {
     let edge = 5.0 * apart;
@@ -26,7 +26,7 @@ fn spray(apart: f64, random: &mut Random) -> Vec<[f64; 3]> {
 }
 
 #[test]
-fn the_mesh_of_spray_is_that_of_the_field_on_whole_regions() {
+fn the_drop_by_drop_mesh_of_spray_equals_the_mesh_of_the_whole_field() {
     for (apart, spacing, normals, walls) in [
         (4.0, 2.0, Normals::None, false),
         (8.0, 1.0, Normals::Gradient, false),

@@ -1,18 +1,17 @@
-//! The library changes nothing in the rest of the program.
+//! The library leaves the global thread pool to the program that calls it.
 
 use meniscus::Reconstruction;
 
 use crate::common::alone::alone;
 
 #[test]
-fn a_reconstruction_leaves_the_pool_of_threads_that_all_share_to_the_program() {
-    // A process has one such pool, which is created once.
-    let name =
-        "thread_pool::a_reconstruction_leaves_the_pool_of_threads_that_all_share_to_the_program";
-    alone(name, reconstruct_and_make_the_shared_pool);
+fn a_reconstruction_does_not_create_the_global_thread_pool() {
+    // A process can create its global pool only once.
+    let name = "thread_pool::a_reconstruction_does_not_create_the_global_thread_pool";
+    alone(name, reconstruct_and_create_the_global_pool);
 }
 
-fn reconstruct_and_make_the_shared_pool() {
+fn reconstruct_and_create_the_global_pool() {
     let steps = || (0..9).map(f64::from);
     let lattice = steps().flat_map(|x| steps().flat_map(move |y| steps().map(move |z| [x, y, z])));
     let particles: Vec<[f64; 3]> = lattice.collect();
@@ -20,7 +19,7 @@ fn reconstruct_and_make_the_shared_pool() {
     let folder = tempfile::TempDir::new().unwrap();
     surface.write(folder.path().join("mesh.ply")).unwrap();
     assert!(!surface.to_mesh().unwrap().triangles.is_empty());
-    // Only its first user can create it.
+    // This fails if the reconstruction has created the global pool.
     rayon::ThreadPoolBuilder::new().num_threads(1).build_global().unwrap();
     assert_eq!(rayon::current_num_threads(), 1);
 }
