@@ -1,4 +1,4 @@
-//! Results that stay on a device, particles in bins and stitched meshes, equal those of the host.
+//! Results that stay on a device, particles in bins and stitched meshes, equal those of the CPU.
 
 use std::sync::Arc;
 
@@ -46,7 +46,7 @@ fn assert_valid(log: &ValidationLog) {
 
 fn upload<T: Pod>(device: &Device, values: &[T]) -> Arc<Buffer> {
     let buffer = device.buffer(BufferKind::Upload, size_of_val(values) as u64).unwrap();
-    // SAFETY: nobody else has the buffer yet.
+    // SAFETY: the buffer is not shared yet.
     unsafe { buffer.write(0, values) };
     buffer
 }
@@ -103,8 +103,8 @@ fn arithmetic(@builtin(global_invocation_id) id: vec3<u32>) {
 }
 ";
 
-/// Numbers of all kinds: any bits; few bits; near other numbers, and near the middle between two;
-/// tiny, huge, special.
+/// A number of any kind: random bits, few bits, near other numbers, near the middle between two
+/// numbers, tiny, huge or special.
 fn number(random: &mut Random) -> f64 {
     const SPECIAL: [f64; 10] = [
         0.0,
@@ -134,7 +134,7 @@ fn number(random: &mut Random) -> f64 {
 }
 
 #[test]
-fn integer_double_precision_equals_that_of_the_host() {
+fn emulated_f64_arithmetic_matches_the_cpu() {
     #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
     #[repr(C)]
     struct Case {
@@ -192,7 +192,7 @@ fn integer_double_precision_equals_that_of_the_host() {
         let same = |what: &str, host: f64, device: u64| {
             let found = f64::from_bits(device);
             let equal = host.to_bits() == device || host.is_nan() && found.is_nan();
-            assert!(equal, "{what} of {a:e} and {b:e}: {host:e}, not {found:e}");
+            assert!(equal, "{what} of {a:e} and {b:e}: {found:e} instead of {host:e}");
         };
         same("sum", a + b, answer.sum);
         same("difference", a - b, answer.difference);
@@ -223,7 +223,7 @@ struct Sorted {
     records: Vec<Vec<u64>>,
 }
 
-fn on_host(
+fn binned_on_cpu(
     particles: &(impl Particles + ?Sized),
     grid: &Grid,
     domain: Option<&Domain>,
@@ -262,7 +262,7 @@ fn from_device(device: &Device, bins: DeviceBins) -> Sorted {
     Sorted { keys, census, records }
 }
 
-/// Parts of a scene on the device, at an unaligned offset of a buffer.
+/// Uploads parts of a scene, each at an unaligned offset of its buffer.
 fn on_device<T: Pod>(
     device: &Device,
     pieces: &[&[[T; 3]]],
@@ -316,7 +316,7 @@ fn grids() -> Vec<Grid> {
 }
 
 #[test]
-fn a_device_sorts_particles_into_the_bins_of_the_host() {
+fn the_device_sorts_particles_into_the_same_bins_as_the_cpu() {
     let Some((device, log)) = open() else { return };
     let pipelines = BinPipelines::new(&device).unwrap();
     let doubles = cloud(60_000, 1);
@@ -335,10 +335,10 @@ fn a_device_sorts_particles_into_the_bins_of_the_host() {
             };
             let (one, two) = singles.split_at(20_001);
             let found = sort(&on_device(&device, &[one, two], Coordinate::Single));
-            let expected = on_host(&singles[..], &grid, domain, skip, 1 << 20).unwrap();
+            let expected = binned_on_cpu(&singles[..], &grid, domain, skip, 1 << 20).unwrap();
             assert!(from_device(&device, found) == expected, "{grid:?} {domain:?}");
             let found = sort(&on_device(&device, &[&doubles], Coordinate::Double));
-            let expected = on_host(&doubles[..], &grid, domain, skip, 1 << 20).unwrap();
+            let expected = binned_on_cpu(&doubles[..], &grid, domain, skip, 1 << 20).unwrap();
             assert!(from_device(&device, found) == expected, "{grid:?} {domain:?}");
         }
     }
@@ -346,7 +346,7 @@ fn a_device_sorts_particles_into_the_bins_of_the_host() {
 }
 
 #[test]
-fn particles_on_walls_and_beyond_the_last_cells_are_where_the_host_puts_them() {
+fn particles_near_walls_are_binned_as_on_the_cpu() {
     let Some((device, log)) = open() else { return };
     let pipelines = BinPipelines::new(&device).unwrap();
     let grid = Grid::new(DVec3::splat(0.05), 0.1).unwrap();
@@ -367,13 +367,13 @@ fn particles_on_walls_and_beyond_the_last_cells_are_where_the_host_puts_them() {
     let found =
         bin(&device, &pipelines, &positions, &grid, Some(&domain), refuse, 1 << 20).unwrap();
     assert!(found.census.outside > 1000 && found.census.binned > 1000);
-    let expected = on_host(&particles[..], &grid, Some(&domain), refuse, 1 << 20).unwrap();
+    let expected = binned_on_cpu(&particles[..], &grid, Some(&domain), refuse, 1 << 20).unwrap();
     assert!(from_device(&device, found) == expected);
     assert_valid(&log);
 }
 
 #[test]
-fn many_chunks_and_runs_are_sorted_like_one_and_their_order_does_not_matter() {
+fn binning_is_independent_of_chunks_runs_and_particle_order() {
     let Some((device, log)) = open_narrow(4 << 20) else { return };
     let pipelines = BinPipelines::new(&device).unwrap();
     let mut random = Random::new(8);
@@ -391,7 +391,7 @@ fn many_chunks_and_runs_are_sorted_like_one_and_their_order_does_not_matter() {
         assert!(bins.runs.len() > 2);
         from_device(&device, bins)
     };
-    let expected = on_host(&particles[..], &grid, None, refuse, 1 << 20).unwrap();
+    let expected = binned_on_cpu(&particles[..], &grid, None, refuse, 1 << 20).unwrap();
     assert!(sort(&particles) == expected);
     for i in (1..particles.len()).rev() {
         particles.swap(i, (random.bits() % (i as u64 + 1)) as usize);
@@ -401,7 +401,7 @@ fn many_chunks_and_runs_are_sorted_like_one_and_their_order_does_not_matter() {
 }
 
 #[test]
-fn a_small_table_grows_until_it_holds_all_bins_or_exceeds_the_limit() {
+fn the_bin_table_grows_until_all_bins_fit_or_the_limit_is_exceeded() {
     let Some((device, log)) = open() else { return };
     let pipelines = BinPipelines::new(&device).unwrap();
     let mut random = Random::new(2);
@@ -415,7 +415,7 @@ fn a_small_table_grows_until_it_holds_all_bins_or_exceeds_the_limit() {
     assert!(found.keys.len() > 40_000);
     assert!(
         from_device(&device, found)
-            == on_host(&particles[..], &grid, None, refuse, 1 << 20).unwrap()
+            == binned_on_cpu(&particles[..], &grid, None, refuse, 1 << 20).unwrap()
     );
     for limit in [100, 2000, 40_000] {
         let refused = bin(&device, &pipelines, &positions, &grid, None, refuse, limit).unwrap_err();
@@ -425,7 +425,7 @@ fn a_small_table_grows_until_it_holds_all_bins_or_exceeds_the_limit() {
 }
 
 #[test]
-fn the_first_invalid_particle_is_named_as_on_the_host() {
+fn the_first_invalid_particle_is_reported_as_on_the_cpu() {
     let Some((device, log)) = open() else { return };
     let pipelines = BinPipelines::new(&device).unwrap();
     let grid = Grid::new(DVec3::ZERO, 1.0).unwrap();
@@ -437,14 +437,14 @@ fn the_first_invalid_particle_is_named_as_on_the_host() {
         let positions =
             on_device(&device, &[&particles[..300], &particles[300..]], Coordinate::Single);
         let found = bin(&device, &pipelines, &positions, &grid, None, refuse, 8).unwrap_err();
-        let expected = on_host(&particles[..], &grid, None, refuse, 8).unwrap_err();
+        let expected = binned_on_cpu(&particles[..], &grid, None, refuse, 8).unwrap_err();
         assert_eq!(found, DeviceBinError::Bin(expected));
     }
     assert_valid(&log);
 }
 
 #[test]
-fn no_particles_are_no_bins() {
+fn binning_no_particles_gives_no_bins() {
     let Some((device, log)) = open() else { return };
     let pipelines = BinPipelines::new(&device).unwrap();
     let grid = Grid::new(DVec3::ZERO, 1.0).unwrap();
@@ -459,7 +459,7 @@ fn no_particles_are_no_bins() {
 }
 
 #[test]
-fn binning_without_memory_fails_and_frees_everything() {
+fn binning_without_enough_memory_fails_and_frees_its_buffers() {
     let Some((device, log)) = open() else { return };
     let pipelines = BinPipelines::new(&device).unwrap();
     let particles = vec![[0.5_f32; 3]; 1000];
@@ -588,11 +588,11 @@ fn stitched(
 }
 
 #[test]
-fn the_mesh_made_on_a_device_is_that_of_the_host_to_the_bit() {
+fn stitching_on_the_device_gives_the_mesh_of_the_cpu() {
     let scenes = [
         (DVec3::ZERO, 1.0, IVec3::new(-40, -32, -70), IVec3::new(40, 37, 21), None),
         (DVec3::new(0.1, -7.3, 1e-3), 0.37, IVec3::new(-64, 0, 0), IVec3::new(32, 96, 64), None),
-        // Walls off the cells' faces, near zero, and so small that their f32 is subnormal.
+        // Walls that are not on cell faces, near zero, and so small that their f32 is subnormal.
         (DVec3::new(0.3, 0.0, 0.1), 0.25, IVec3::splat(-40), IVec3::splat(48), Some(0.1)),
         (DVec3::ZERO, 1e-40, IVec3::splat(-33), IVec3::splat(35), Some(0.0)),
         (DVec3::new(1e38, -1e38, 0.0), 2e37, IVec3::splat(-20), IVec3::splat(20), None),

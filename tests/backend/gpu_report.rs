@@ -1,8 +1,7 @@
-//! Prints what `tools/gpu/run` reports of a GPU besides the tests: the devices, and milliseconds
-//! per stage.
+//! Prints the devices and the milliseconds per stage, which `tools/gpu/run` adds to its report.
 
 #[path = "../../tools/bench/backends.rs"]
-#[allow(dead_code, clippy::duplicate_mod, reason = "its command line is another's")]
+#[allow(dead_code, clippy::duplicate_mod, reason = "the benchmark uses its command line")]
 mod backends;
 
 use std::env;
@@ -18,7 +17,7 @@ fn devices() {
 }
 
 #[test]
-#[ignore = "prints milliseconds a stage, which takes minutes"]
+#[ignore = "prints milliseconds per stage, which takes minutes"]
 fn stages() {
     let device = env::var("MENISCUS_TEST_DEVICE").ok();
     let (cells, millions) = (list("MENISCUS_CELLS", "256,512"), list("MENISCUS_MILLIONS", "1,10"));

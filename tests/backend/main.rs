@@ -1,5 +1,5 @@
-//! Tests of every backend, and of results that stay on a Vulkan device. `tools/gpu/pack` makes a
-//! portable program of them.
+//! Tests of every backend, and of results that stay on a Vulkan device. `tools/gpu/pack` packs them
+//! as a portable program.
 #![allow(clippy::unwrap_used)]
 
 #[path = "../common/mod.rs"]

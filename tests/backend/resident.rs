@@ -1,4 +1,4 @@
-//! Frames that stay on a device equal those of the host, to the bit of an f32.
+//! Resident frames, which stay on a device, equal those of the CPU, rounded to f32.
 
 #[path = "../../tools/examples/resident.rs"]
 mod example;
@@ -57,7 +57,8 @@ fn settings(sampling: &Sampling, surfacing: &Surfacing) -> DeviceRequest {
     }
 }
 
-/// Cells small enough that clouds have wide ones, and large enough for the paper's indicators.
+/// A spacing, in cells: large enough that clouds have wide cells, small enough for the paper's
+/// indicators.
 fn spacing(indicator: IndicatorKind) -> f64 {
     if indicator == IndicatorKind::Cloud { 3.0 } else { 0.8 }
 }
@@ -67,13 +68,14 @@ fn rounded(mesh: &Mesh) -> (Vec<[f32; 3]>, Vec<[u32; 3]>) {
 }
 
 #[test]
-fn a_resident_frame_is_that_of_the_cpu_with_every_indicator_filter_and_wall() {
+fn resident_frames_match_the_cpu_for_all_indicators_filters_and_walls() {
     let particles = splashes(31);
     let Some((device, log)) = open() else { return };
     let pipeline = Pipeline::new(&device).unwrap();
     let input = [positions(&device, &particles)];
     for indicator in INDICATORS {
-        // Clouds also in cells of a third of a spacing, where wide cells are twice as wide.
+        // Clouds are also tested in cells of a third of a spacing, where wide cells are twice as
+        // wide.
         let spacings = if indicator == IndicatorKind::Cloud { &[0.8, 3.0][..] } else { &[0.8] };
         for (detail, sigma, smooth) in [(Detail::Smoothed, 1.0, 1.6), (Detail::Recovered, 1.5, 2.5)]
         {
@@ -98,13 +100,13 @@ fn a_resident_frame_is_that_of_the_cpu_with_every_indicator_filter_and_wall() {
         }
     }
     drop((pipeline, input));
-    assert_eq!(device.allocated(), 0, "buffers are left");
+    assert_eq!(device.allocated(), 0, "buffers remain");
     drop(device);
     assert_eq!(log.messages(), [""; 0]);
 }
 
 #[test]
-fn a_resident_frame_is_the_same_on_one_queue_and_on_one_that_is_used_as_two() {
+fn resident_frames_are_independent_of_the_queues() {
     let particles = splashes(31);
     for (queues, indicator) in [Queues::One, Queues::OneAsTwo]
         .iter()
@@ -127,7 +129,7 @@ fn a_resident_frame_is_the_same_on_one_queue_and_on_one_that_is_used_as_two() {
 }
 
 #[test]
-fn resident_frames_do_not_grow_in_memory() {
+fn a_second_resident_frame_fits_if_the_first_does() {
     let steps = || (-22..22).map(|i| f64::from(i) + 0.5);
     let lattice = steps().flat_map(|x| steps().flat_map(move |y| steps().map(move |z| [x, y, z])));
     let particles: Vec<[f64; 3]> =
@@ -160,11 +162,11 @@ fn resident_frames_do_not_grow_in_memory() {
             }
         }
     }
-    assert!(fitting > 3, "{fitting} fit");
+    assert!(fitting > 3, "only {fitting} budgets fit a frame");
 }
 
 #[test]
-fn a_resident_frame_that_is_drawn_by_the_calibration_of_another_measures_nothing() {
+fn a_resident_frame_with_a_given_calibration_measures_nothing() {
     let options = DeviceOptions { shares_host_memory: Some(false), ..DeviceOptions::default() };
     let Some((device, _)) = device::open(&options).map_err(device::skip).ok() else { return };
     let particles = splashes(37);
@@ -179,11 +181,11 @@ fn a_resident_frame_that_is_drawn_by_the_calibration_of_another_measures_nothing
             let surface = pipeline.surface(&input, settings).unwrap();
             (device.counters().received - before, surface)
         };
-        let (to_measure, first) = received(&settings);
+        let (with_measuring, first) = received(&settings);
         let known = DeviceRequest { calibration: Some(first.calibration), ..settings.clone() };
-        let (to_draw, second) = received(&known);
+        let (without, second) = received(&known);
         assert!(first.measured.is_some() && second.measured.is_none(), "{indicator:?}");
-        assert!(to_draw < to_measure / 2, "{indicator:?}: {to_draw} bytes of {to_measure}");
+        assert!(without < with_measuring / 2, "{indicator:?}: {without} bytes of {with_measuring}");
         assert!(read(&device, &first) == read(&device, &second), "{indicator:?}");
         let other = match indicator {
             IndicatorKind::Cloud => IndicatorKind::Counting,
@@ -195,7 +197,7 @@ fn a_resident_frame_that_is_drawn_by_the_calibration_of_another_measures_nothing
 }
 
 #[test]
-fn a_resident_frame_of_many_bins_has_the_mu0_and_the_plateau_of_the_cpu() {
+fn a_resident_frame_of_many_bins_has_the_calibration_of_the_cpu() {
     let Some((device, _)) = open() else { return };
     // Drops with increasing numbers of particles, so that each bin would give a different mu0.
     let mut random = Random::new(23);
@@ -209,7 +211,7 @@ fn a_resident_frame_of_many_bins_has_the_mu0_and_the_plateau_of_the_cpu() {
     for indicator in [IndicatorKind::Counting, IndicatorKind::Cloud] {
         let sampling = Sampling { method: indicator.into(), ..sampling() };
         let (frame, expected) = reconstruct(&particles[..], &sampling, &surfacing());
-        assert!(dif(&frame).dif.infos().len() > 300, "{indicator:?}: all of so few bins tell mu0");
+        assert!(dif(&frame).dif.infos().len() > 300, "{indicator:?}: too few bins for a sample");
         let input = [positions(&device, &particles)];
         let surface = pipeline.surface(&input, &settings(&sampling, &surfacing())).unwrap();
         assert!(read(&device, &surface) == rounded(&expected.mesh), "{indicator:?}");
@@ -248,7 +250,7 @@ fn open_with(options: &DeviceOptions) -> Option<(Device, ValidationLog)> {
 
 #[test]
 #[cfg(unix)]
-fn another_device_sees_the_surface_in_exported_memory() {
+fn another_device_reads_the_surface_from_exported_memory() {
     let options = DeviceOptions { exports: true, addresses: true, ..DeviceOptions::default() };
     let (Some((device, log)), Some((other, other_log))) =
         (open_with(&options), open_with(&options))
@@ -300,7 +302,7 @@ fn another_device_sees_the_surface_in_exported_memory() {
 }
 
 #[test]
-fn frames_after_the_first_take_no_more_memory_and_give_back_what_they_keep() {
+fn later_resident_frames_use_no_more_memory_and_release_frees_it() {
     let Some((device, _)) = open() else { return };
     let pipeline = Pipeline::new(&device).unwrap();
     let before = device.allocated();
@@ -311,14 +313,14 @@ fn frames_after_the_first_take_no_more_memory_and_give_back_what_they_keep() {
         drop(pipeline.surface(&input, &settings(&sampling(), &surfacing())).unwrap());
         device.allocated()
     });
-    assert!(taken[0] > before + input_bytes, "nothing is kept: {taken:?}");
+    assert!(taken[0] > before + input_bytes, "the pipeline keeps no memory: {taken:?}");
     assert_eq!(taken, [taken[0]; 3]);
     pipeline.release();
     assert_eq!(device.allocated(), before + input_bytes);
 }
 
 #[test]
-fn a_program_with_a_device_of_its_own_gets_the_mesh_of_the_cpu() {
+fn the_resident_example_makes_the_mesh_of_the_cpu_on_its_own_device() {
     let number = match device::chosen() {
         Ok((_, info)) => info.index,
         Err(why) => return device::skip(why),
@@ -328,11 +330,11 @@ fn a_program_with_a_device_of_its_own_gets_the_mesh_of_the_cpu() {
     let sampling = Sampling { spacing: Some(1.0), ..sampling() };
     let (_, expected) = reconstruct(&particles[..], &sampling, &surfacing());
     assert!(example::surface_of(number, &particles, 1.0).unwrap() == rounded(&expected.mesh));
-    assert!(example::surface_of(99, &particles, 1.0).is_err(), "another device is taken");
+    assert!(example::surface_of(99, &particles, 1.0).is_err(), "a missing device is accepted");
 }
 
 #[test]
-fn frames_that_cannot_be_meshed_fail_with_a_reason_and_free_memory() {
+fn invalid_resident_frames_fail_with_a_reason_and_free_their_memory() {
     let Some((device, _)) = open() else { return };
     let pipeline = Pipeline::new(&device).unwrap();
     let kept = device.allocated();
@@ -345,7 +347,7 @@ fn frames_that_cannot_be_meshed_fail_with_a_reason_and_free_memory() {
     let iso = Some(Isovalue::new(0.9).unwrap());
     let above = DeviceRequest { surfacing: Surfacing { iso, ..surfacing() }, ..scene };
     assert!(matches!(surface(&[[0.0; 3]], &above), FrameError::NoSurface { .. }));
-    // Drops far smaller than cells lie between the cells' centres.
+    // Drops far smaller than cells lie between the cell centres.
     let dust = DeviceRequest { indicator: IndicatorKind::Cloud, spacing: Some(0.05), ..scene };
     assert!(matches!(surface(&[[0.0; 3]], &dust), FrameError::NoDistanceSurface));
     let fine = DeviceRequest { spacing: Some(11.0), ..dust };
@@ -355,7 +357,7 @@ fn frames_that_cannot_be_meshed_fail_with_a_reason_and_free_memory() {
 }
 
 #[test]
-fn an_allocation_that_fails_anywhere_is_an_error_or_the_right_mesh_and_no_leak() {
+fn any_failed_resident_allocation_is_an_error_or_harmless_without_leaks() {
     let particles = splashes(41);
     let (_, expected) = reconstruct(&particles[..], &sampling(), &surfacing());
     let Some((device, log)) = open() else { return };
@@ -366,7 +368,8 @@ fn an_allocation_that_fails_anywhere_is_an_error_or_the_right_mesh_and_no_leak()
     for number in 1.. {
         device.faults().allocation.store(number, std::sync::atomic::Ordering::Relaxed);
         let outcome = pipeline.surface(&input, &settings(&sampling(), &surfacing()));
-        let struck = device.faults().allocation.swap(0, std::sync::atomic::Ordering::Relaxed) == 0;
+        let fault_reached =
+            device.faults().allocation.swap(0, std::sync::atomic::Ordering::Relaxed) == 0;
         match outcome {
             Ok(surface) => {
                 assert!(read(&device, &surface) == rounded(&expected.mesh), "number {number}")
@@ -376,7 +379,7 @@ fn an_allocation_that_fails_anywhere_is_an_error_or_the_right_mesh_and_no_leak()
         }
         pipeline.release();
         assert_eq!(device.allocated(), kept, "number {number}");
-        if !struck {
+        if !fault_reached {
             break;
         }
     }

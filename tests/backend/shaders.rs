@@ -1,4 +1,4 @@
-//! The shaders' binaries and their Rust table match their sources, and every device can run them.
+//! Shader binaries and their Rust table match their sources, and every device can run them.
 
 use std::fs;
 use std::io::Write;
@@ -17,7 +17,7 @@ fn binaries_and_the_rust_table_match_the_sources() {
 }
 
 #[test]
-fn no_binary_is_without_a_program_and_no_source_unused() {
+fn every_binary_has_a_source_and_every_source_is_used() {
     let programs = programs().unwrap();
     let mut binaries = Vec::new();
     let mut sources = Vec::new();
@@ -32,16 +32,16 @@ fn no_binary_is_without_a_program_and_no_source_unused() {
     binaries.sort();
     assert_eq!(binaries, programs);
     for part in sources.iter().filter(|s| !programs.contains(s)) {
-        let names_it = |program: &String| {
+        let uses_part = |program: &String| {
             let text = fs::read_to_string(folder().join(program).with_extension("wgsl")).unwrap();
             text.lines().next().unwrap().split_whitespace().any(|word| word == part)
         };
-        assert!(programs.iter().any(names_it), "nothing uses {part}.wgsl");
+        assert!(programs.iter().any(uses_part), "nothing uses {part}.wgsl");
     }
 }
 
 #[test]
-fn every_shader_needs_no_more_than_any_device_has() {
+fn every_shader_stays_within_the_limits_of_all_devices() {
     for shader in SHADERS {
         let module = parsed(shader.name, &source(shader.name).unwrap()).unwrap();
         let shared =
@@ -68,7 +68,7 @@ fn spirv_val_accepts_every_binary() {
         );
         let _ = writeln!(
             std::io::stderr(),
-            "skipped: spirv_val_accepts_every_binary: it is not installed"
+            "skipped: spirv_val_accepts_every_binary: spirv-val is not installed"
         );
         return;
     }

@@ -1,5 +1,5 @@
-//! The Vulkan backend with validation: each stage against its twin, whole frames, little memory,
-//! and failures.
+//! The Vulkan backend with validation: each stage and whole frames compared with the CPU, little
+//! memory, and failures.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -46,7 +46,7 @@ fn validated<T>(test: impl FnOnce(&Device) -> T) -> Option<T> {
 fn validated_with<T>(options: &DeviceOptions, test: impl FnOnce(&Device) -> T) -> Option<T> {
     let (device, log) = device::open(options).map_err(device::skip).ok()?;
     let outcome = test(&device);
-    assert_eq!(device.allocated(), 0, "buffers are left");
+    assert_eq!(device.allocated(), 0, "buffers remain");
     drop(device);
     assert_clean(&log);
     Some(outcome)
@@ -64,7 +64,7 @@ fn random_block(cells: CellBox, seed: u64) -> Block {
 }
 
 #[test]
-fn a_blurred_block_is_that_of_the_cpu_for_every_reach_with_and_without_walls() {
+fn blurring_on_the_device_matches_the_cpu_for_every_reach_and_wall() {
     validated(|device| {
         let pipeline = Arc::new(device.pipeline(&BLUR).unwrap());
         for (seed, sigma) in (0..).zip([0.5, 0.9, 1.2, 1.6, 2.0, 3.3, 10.0]) {
@@ -135,7 +135,7 @@ fn validation_reports_a_missing_barrier() {
     };
     let pipeline = Arc::new(device.pipeline(&BLUR).unwrap());
     let weights = Weights::gaussian(Sigma::new(1.0).unwrap());
-    // Of the three blurs along the axes, the second no longer waits for the first.
+    // The blur along the second axis no longer waits for the blur along the first axis.
     device.faults().barrier.store(2, Ordering::Relaxed);
     blurred_on(
         &device,
@@ -161,9 +161,9 @@ fn crowds() -> Vec<[f64; 3]> {
     particles
 }
 
-/// The pages of [`crowds`] by every rule, on a device and on the CPU. Returns the device's share of
-/// them each time, and the total.
-fn same_pages_on(device: &Backend, budget: MemoryBudget) -> (Vec<Work>, Work) {
+/// Compares the pages of [`crowds`] by every rule on a device and on the CPU. Returns the work of
+/// the device for each rule, and the total work.
+fn compare_pages_on(device: &Backend, budget: MemoryBudget) -> (Vec<Work>, Work) {
     let particles = crowds();
     let grid = Grid::new(glam::DVec3::ZERO, 1.0).unwrap();
     let plan =
@@ -201,18 +201,18 @@ fn same_pages_on(device: &Backend, budget: MemoryBudget) -> (Vec<Work>, Work) {
 }
 
 #[test]
-fn pages_of_crowded_cells_equal_those_of_the_cpu() {
+fn the_device_makes_the_pages_of_crowded_cells_like_the_cpu() {
     validated(|device| {
-        same_pages_on(&watched(device.clone()).unwrap(), MemoryBudget(1 << 30));
+        compare_pages_on(&watched(device.clone()).unwrap(), MemoryBudget(1 << 30));
     });
 }
 
 #[test]
-fn the_page_of_a_bin_too_large_for_any_batch_is_made_by_the_cpu_and_all_others_by_the_device() {
+fn only_the_page_of_a_bin_too_large_for_a_batch_is_made_on_the_cpu() {
     validated(|device| {
-        // At most 8 MiB for a batch; the dense bin needs 14.
+        // A batch has at most 8 MiB, but the dense bin needs 14 MiB.
         let vulkan = Backend::vulkan(device.clone()).unwrap();
-        let (made, all) = same_pages_on(&vulkan, MemoryBudget(64 << 20));
+        let (made, all) = compare_pages_on(&vulkan, MemoryBudget(64 << 20));
         assert_eq!(made, [Work { pages: all.pages - 1, ..all }; 9]);
     });
 }
@@ -250,13 +250,13 @@ fn assert_same_surfaces(
 }
 
 #[test]
-fn a_frame_on_the_device_equals_that_of_the_cpu_in_one_and_in_many_batches() {
+fn the_device_makes_the_mesh_of_the_cpu_in_one_batch_and_in_many() {
     let particles = splashes(23);
     validated(|device| {
         let vulkan = watched(device.clone()).unwrap();
         assert_same_surfaces(&vulkan, &particles, MemoryBudget(8 << 30), "in one batch");
         // A quarter of the budget is for the device, and half of that for batches.
-        assert_same_surfaces(&vulkan, &particles, MemoryBudget(32 << 20), "in many");
+        assert_same_surfaces(&vulkan, &particles, MemoryBudget(32 << 20), "in many batches");
     });
 }
 
@@ -271,7 +271,7 @@ fn assert_same_fields(one: &DifField, other: &DifField, what: &str) {
 }
 
 #[test]
-fn a_resident_field_its_wide_cells_and_its_inside_equal_those_of_the_cpu() {
+fn a_resident_field_with_its_wide_and_inside_cells_matches_the_cpu() {
     // Particles at rest, deep enough for an interior, with spray around them, and others in cells
     // of every octant.
     let mut random = Random::new(11);
@@ -304,13 +304,13 @@ fn a_resident_field_its_wide_cells_and_its_inside_equal_those_of_the_cpu() {
                 let frame =
                     Engine::sample(&particles[..], &known, &mut Timings::default()).unwrap();
                 let [made, expected] = [&frame, &expected].map(dif);
-                assert!(made.dif.remote().is_some(), "{what}: it does not stay");
+                assert!(made.dif.remote().is_some(), "{what}: the field is not resident");
                 let calibration = surfacing.calibrate(expected).unwrap().calibration;
                 if made.is_clouds() {
                     for level in 1..=made.wide_cells().level {
                         assert!(
                             made.wide(level).remote().is_some(),
-                            "{what}: level {level} does not stay"
+                            "{what}: level {level} is not resident"
                         );
                         assert_same_fields(
                             made.wide(level),
@@ -321,7 +321,7 @@ fn a_resident_field_its_wide_cells_and_its_inside_equal_those_of_the_cpu() {
                 }
                 let [recipe, known] =
                     [made, expected].map(|dif| surfacing.recipe(dif, &calibration));
-                assert!(recipe == known, "{what}: another inside");
+                assert!(recipe == known, "{what}: the inside differs");
                 assert_eq!(surfacing.calibrate(made).unwrap().calibration, calibration, "{what}");
                 assert_same_fields(&made.dif, &expected.dif, &what);
                 assert_eq!(frame.warnings(), [""; 0], "{what}");
@@ -331,7 +331,7 @@ fn a_resident_field_its_wide_cells_and_its_inside_equal_those_of_the_cpu() {
 }
 
 #[test]
-fn a_resident_field_is_remade_if_it_cannot_be_read() {
+fn a_resident_field_is_recomputed_on_the_cpu_if_it_cannot_be_read() {
     let particles = splashes(31);
     let mut sampling = sampling();
     (sampling.method, sampling.spacing) = (IndicatorKind::Cloud.into(), Some(2.0));
@@ -355,7 +355,7 @@ fn a_resident_field_is_remade_if_it_cannot_be_read() {
 }
 
 #[test]
-fn only_calibration_samples_and_the_surface_of_a_resident_field_are_downloaded() {
+fn a_resident_field_transfers_less_data_than_a_downloaded_field() {
     let particles = splashes(29);
     let mut sampling = sampling();
     (sampling.method, sampling.spacing) = (IndicatorKind::Cloud.into(), Some(2.0));
@@ -396,7 +396,7 @@ fn shaders_that_check_every_index_give_the_same_bytes() {
     let particles = splashes(23);
     let binaries = compile::checked().unwrap();
     let differ = SHADERS.iter().filter(|shader| binaries[shader.name] != shader.code).count();
-    assert!(differ > SHADERS.len() / 2, "{differ} shaders check anything");
+    assert!(differ > SHADERS.len() / 2, "only {differ} shaders have index checks");
     let options =
         DeviceOptions { binaries, shares_host_memory: Some(false), ..DeviceOptions::default() };
     validated_with(&options, |device| {
@@ -406,9 +406,9 @@ fn shaders_that_check_every_index_give_the_same_bytes() {
 }
 
 #[test]
-fn empty_batches_do_not_change_other_batches() {
-    // Deep enough that a block has no surface, so that it is its own batch when almost nothing fits
-    // the budget.
+fn batches_without_a_surface_do_not_change_other_batches() {
+    // The ball is so deep that a block has no surface. With a tiny budget, this block is its own
+    // batch.
     let lattice =
         CellBox::cube(IVec3::splat(-1), 9).union(&CellBox::cube(IVec3::ZERO, 10)).cubes(1);
     let ball = lattice.filter(|at| at.as_dvec3().length() <= 9.0);
@@ -435,7 +435,7 @@ fn empty_batches_do_not_change_other_batches() {
 }
 
 #[test]
-fn a_drop_at_a_wall_has_the_same_normals_on_the_device() {
+fn a_drop_at_a_wall_has_the_same_normals_on_the_device_and_the_cpu() {
     let particles = [[9.08165, -8.98358, 17.7202], [8.34095, 5.02534, 10.917]];
     let mut sampling = sampling();
     sampling.grid = Grid::new(glam::DVec3::ZERO, 0.5).unwrap();
@@ -454,7 +454,7 @@ fn a_drop_at_a_wall_has_the_same_normals_on_the_device() {
 }
 
 #[test]
-fn a_second_frame_allocates_no_buffers() {
+fn later_frames_allocate_no_buffers() {
     let particles = splashes(23);
     validated(|device| {
         let mut sampling = sampling();
@@ -470,7 +470,7 @@ fn a_second_frame_allocates_no_buffers() {
 }
 
 #[test]
-fn a_frame_does_not_depend_on_the_queues_or_the_memory_type() {
+fn the_mesh_is_independent_of_queues_and_memory_type() {
     let particles = splashes(23);
     for queues in [Queues::One, Queues::OneAsTwo] {
         for shares_host_memory in [Some(false), Some(true)] {
@@ -486,7 +486,7 @@ fn a_frame_does_not_depend_on_the_queues_or_the_memory_type() {
 }
 
 #[test]
-fn a_lost_device_stays_lost_and_is_not_short_of_memory() {
+fn a_lost_device_keeps_reporting_its_loss() {
     let Some((device, _)) = device::open(&DeviceOptions::default()).map_err(device::skip).ok()
     else {
         return;
@@ -502,13 +502,13 @@ fn a_lost_device_stays_lost_and_is_not_short_of_memory() {
 }
 
 #[test]
-fn a_device_is_chosen_by_its_number_its_uuid_or_its_name() {
+fn a_device_can_be_chosen_by_number_uuid_or_name() {
     let instance = match Instance::connect(false) {
         Ok(instance) => instance,
         Err(why) => return device::skip(why),
     };
     let devices = instance.devices().unwrap();
-    let Some(device) = devices.first() else { return device::skip("there is no device") };
+    let Some(device) = devices.first() else { return device::skip("no device") };
     let chosen =
         |by: &str| instance.choose(&DeviceChoice::Named(by.to_owned())).map(|found| found.index);
     assert_eq!(chosen("0"), Ok(0));
@@ -525,7 +525,7 @@ fn a_device_is_chosen_by_its_number_its_uuid_or_its_name() {
 }
 
 #[test]
-fn the_shared_frames_have_the_same_surfaces_on_the_device() {
+fn bundled_frames_have_the_same_mesh_on_the_device_and_the_cpu() {
     let data = crate::common::files::data("");
     validated(|device| {
         let vulkan = watched(device.clone()).unwrap();
@@ -585,7 +585,7 @@ fn batches_with_too_many_vertices_are_emitted_again() {
     assert!(vertices > 6144 * regions.len(), "{vertices} in {} blocks", regions.len());
     validated(|device| {
         let vulkan = watched(device.clone()).unwrap();
-        // With a large budget they are emitted at once, with a small one in halves.
+        // A large budget emits them at once, a small one in halves.
         for budget in [budget, MemoryBudget(96 << 20)] {
             let frame = vulkan.executor().start(budget);
             assert!(contoured(&*frame, &surfaces, &regions) == expected);
@@ -593,7 +593,7 @@ fn batches_with_too_many_vertices_are_emitted_again() {
     });
 }
 
-/// The result of a frame on a device, as far as the device computed it.
+/// The result of a frame on a device.
 struct Outcome {
     mesh: Mesh,
     warnings: Vec<String>,
@@ -646,8 +646,8 @@ impl Scene {
         validated_with(&self.options(), run)
     }
 
-    /// Makes the first, the second, ... call of a kind fail, until none fails: each time the mesh
-    /// is right and nothing leaks. Returns the outcomes.
+    /// Makes the first call of a kind fail, then the second, and so on, until no call fails. Checks
+    /// each time that the mesh is right and nothing leaks. Returns the outcomes.
     fn fail_each(self, fault: fn(&Faults) -> &AtomicU64) -> Vec<Outcome> {
         let expected = self.mesh();
         let mut failed = Vec::new();
@@ -658,12 +658,12 @@ impl Scene {
                 let outcome = self.frame_on(Backend::vulkan(device.clone()).unwrap());
                 (outcome, fault(device.faults()).load(Ordering::Relaxed) == 0)
             };
-            let Some((outcome, struck)) = validated_with(&self.options(), run) else {
+            let Some((outcome, fault_reached)) = validated_with(&self.options(), run) else {
                 return failed;
             };
             assert!(outcome.mesh == expected, "{self:?}: call {number} failed");
-            if !struck {
-                assert_eq!(outcome.warnings, [""; 0], "{self:?}: no call is left to fail");
+            if !fault_reached {
+                assert_eq!(outcome.warnings, [""; 0], "{self:?}: a warning without a fault");
                 return failed;
             }
             failed.push(outcome);
@@ -672,7 +672,7 @@ impl Scene {
 }
 
 #[test]
-fn an_allocation_that_fails_at_any_call_leaves_the_right_mesh_a_warning_and_no_leak() {
+fn any_failed_allocation_leaves_the_right_mesh_and_leaks_no_memory() {
     for scene in SCENES {
         let Some(whole) = scene.whole_work() else { return };
         let failed = scene.fail_each(|faults| &faults.allocation);
@@ -683,17 +683,17 @@ fn an_allocation_that_fails_at_any_call_leaves_the_right_mesh_a_warning_and_no_l
             silent += usize::from(warnings.is_empty());
             assert_eq!(
                 on_device, whole,
-                "{scene:?}, call {call}: the device goes on with less memory"
+                "{scene:?}, call {call}: the device did not continue with less memory"
             );
         }
         // The device also works without a field's reserve, and reports nothing: once for the cells,
         // and once for the wide cells.
-        assert!((1..=2).contains(&silent), "{scene:?}: {silent} without a word");
+        assert!((1..=2).contains(&silent), "{scene:?}: {silent} without a warning");
     }
 }
 
 #[test]
-fn a_device_lost_at_any_submission_leaves_the_right_mesh_a_warning_and_no_leak() {
+fn losing_the_device_at_any_submission_falls_back_to_the_cpu() {
     for scene in SCENES {
         let Some(whole) = scene.whole_work() else { return };
         let failed = scene.fail_each(|faults| &faults.submission);
@@ -705,14 +705,14 @@ fn a_device_lost_at_any_submission_leaves_the_right_mesh_a_warning_and_no_leak()
             );
             assert_ne!(
                 on_device, whole,
-                "{scene:?}, call {call}: a lost device did all of the work"
+                "{scene:?}, call {call}: the lost device did all of the work"
             );
         }
     }
 }
 
 #[test]
-fn falsely_completed_work_leaves_the_right_mesh_and_no_leak() {
+fn work_falsely_reported_complete_leaves_the_right_mesh_and_no_leak() {
     for scene in SCENES {
         let Some(whole) = scene.whole_work() else { return };
         let failed = scene.fail_each(|faults| &faults.completion);
@@ -724,13 +724,13 @@ fn falsely_completed_work_leaves_the_right_mesh_and_no_leak() {
             );
         }
         // Work is an upload, a computation and a read-back. The failed read-back is reported.
-        let told = failed.iter().filter(|outcome| !outcome.warnings.is_empty()).count();
-        assert!(told > failed.len() / 3, "{scene:?}: {told} of {}", failed.len());
+        let reported = failed.iter().filter(|outcome| !outcome.warnings.is_empty()).count();
+        assert!(reported > failed.len() / 3, "{scene:?}: {reported} of {}", failed.len());
     }
 }
 
 #[test]
-fn a_device_with_little_memory_falls_back_to_the_cpu() {
+fn a_device_with_too_little_memory_falls_back_to_the_cpu() {
     for scene in SCENES {
         let Some(whole) = scene.whole_work() else { return };
         let expected = scene.mesh();
@@ -741,17 +741,17 @@ fn a_device_with_little_memory_falls_back_to_the_cpu() {
                 scene.frame_on(Backend::vulkan(device).unwrap());
             let what = format!("{scene:?}, {memory} bytes: {warnings:?}");
             assert!(mesh == expected, "{what}");
-            let handed_over =
+            let fell_back =
                 warnings.iter().any(|warning| warning.ends_with("continuing on the CPU"));
-            assert_eq!(handed_over, on_device != whole, "{what}");
-            assert!(handed_over || memory > 2 << 20, "{what}");
+            assert_eq!(fell_back, on_device != whole, "{what}");
+            assert!(fell_back || memory > 2 << 20, "{what}");
             assert_clean(&log);
         }
     }
 }
 
 #[test]
-fn pipelines_are_kept_from_run_to_run_and_a_damaged_cache_is_ignored() {
+fn the_pipeline_cache_is_reused_and_rewritten_if_damaged() {
     let folder = tempfile::tempdir().unwrap();
     let options = DeviceOptions {
         pipeline_cache: Some(folder.path().to_owned()),
@@ -766,12 +766,12 @@ fn pipelines_are_kept_from_run_to_run_and_a_damaged_cache_is_ignored() {
     let Some(first) = run() else { return };
     let files: Vec<_> =
         std::fs::read_dir(folder.path()).unwrap().map(|f| f.unwrap().path()).collect();
-    let [file] = &files[..] else { panic!("one cache: {files:?}") };
+    let [file] = &files[..] else { panic!("not one cache file: {files:?}") };
     assert!(run() == Some(first.clone()));
     let mut bytes = std::fs::read(file).unwrap();
     let middle = bytes.len() / 2;
     bytes[middle] ^= 1;
     std::fs::write(file, &bytes).unwrap();
     assert!(run() == Some(first));
-    assert_ne!(std::fs::read(file).unwrap(), bytes, "a damaged cache is written anew");
+    assert_ne!(std::fs::read(file).unwrap(), bytes, "the damaged cache is not rewritten");
 }

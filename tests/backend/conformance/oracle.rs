@@ -13,20 +13,20 @@ use meniscus::internals::grid::units::{Isovalue, SheetStretch, Sigma, Smooth};
 use meniscus::internals::grid::{BLOCK, CellBox, Domain, Grid};
 use meniscus::internals::system::timings::Timings;
 
-use super::Place;
+use super::TestBackend;
 use crate::common::dense::{self, Dense, Method};
 use crate::common::distances::{Distances, UNITS, ZERO, away, quantile};
 use crate::common::scene::Random;
 use crate::common::{dif, fill, recipe, reconstruct, shuffle, splashes, surfacing, tank};
 
-/// Particles, and a way to compute their field that the oracle implements.
+/// Particles, and settings that the oracle implements.
 struct Variant {
     particles: Vec<[f64; 3]>,
     sampling: Sampling,
     surfacing: Surfacing,
 }
 
-fn variants(place: &Place, seed: u64) -> Vec<Variant> {
+fn variants(backend: &TestBackend, seed: u64) -> Vec<Variant> {
     let mut variants = Vec::new();
     for indicator in [IndicatorKind::Symmetry, IndicatorKind::Counting] {
         for (sigma, detail) in [
@@ -36,7 +36,7 @@ fn variants(place: &Place, seed: u64) -> Vec<Variant> {
             (2.0, Detail::Smoothed),
         ] {
             for walls in [false, true] {
-                let mut sampling = Sampling { method: indicator.into(), ..place.sampling() };
+                let mut sampling = Sampling { method: indicator.into(), ..backend.sampling() };
                 sampling.domain = walls.then(|| tank(&sampling.grid));
                 let (sigma, iso) = (Sigma::new(sigma).ok(), Isovalue::new(0.3).ok());
                 let surfacing = Surfacing { sigma, detail, iso, ..surfacing() };
@@ -44,13 +44,12 @@ fn variants(place: &Place, seed: u64) -> Vec<Variant> {
             }
         }
     }
-    variants.extend(of_clouds(place, seed));
+    variants.extend(of_clouds(backend, seed));
     variants
 }
 
-/// Clouds in cells of one to an eighth of a spacing, so that wide cells are once to eight times as
-/// wide as cells.
-fn of_clouds(place: &Place, seed: u64) -> Vec<Variant> {
+/// Clouds in cells of 1 to 1/8 spacing, so that wide cells are 1 to 8 times as wide as cells.
+fn of_clouds(backend: &TestBackend, seed: u64) -> Vec<Variant> {
     let deep = fill(14.0, 1.0, 0.3, seed, |p| p.abs().max_element() < 12.0);
     let water = water(seed);
     let cases = [
@@ -66,15 +65,15 @@ fn of_clouds(place: &Place, seed: u64) -> Vec<Variant> {
     ];
     let variant = |(particles, spacing, smooth, walls): (&Vec<[f64; 3]>, f64, f64, bool)| {
         let method = IndicatorKind::Cloud.into();
-        let mut sampling = Sampling { method, spacing: Some(spacing), ..place.sampling() };
+        let mut sampling = Sampling { method, spacing: Some(spacing), ..backend.sampling() };
         if walls {
-            // An odd number of cells between odd ones, so that wide cells cross walls.
+            // Walls at odd cells, so that wide cells cross walls.
             let odd = |spacings: f64| 2.0 * (spacings * spacing / 2.0).floor() + 1.0;
             let [lo, hi] = [[-2.6, -3.4, -4.1], [3.2, 2.4, 4.4]].map(|p| DVec3::from(p.map(odd)));
             sampling.domain = Domain::new(&sampling.grid, lo, hi + DVec3::X).ok();
         }
         let particles = particles.iter().map(|p| p.map(|x| x * spacing)).collect();
-        let surfacing = Surfacing { smooth: Smooth::new(smooth).unwrap(), ..of_drops() };
+        let surfacing = Surfacing { smooth: Smooth::new(smooth).unwrap(), ..without_sheets() };
         Variant { particles, sampling, surfacing }
     };
     cases.into_iter().map(variant).collect()
@@ -130,7 +129,7 @@ fn oracle(frame: &Engine, sampling: &Sampling, surfacing: &Surfacing) -> Method 
     }
 }
 
-/// The sparse field, block by block as it is meshed, equals the dense one; outside both are 0.
+/// Checks that the sparse field, computed block by block as for meshing, equals the dense field.
 fn assert_same_field(frame: &Engine, surfacing: &Surfacing, dense: &Dense<u16>, what: &str) {
     let (recipe, _) = recipe(frame, surfacing);
     let mut cells = 0;
@@ -148,10 +147,10 @@ fn assert_same_field(frame: &Engine, surfacing: &Surfacing, dense: &Dense<u16>, 
     assert_eq!(cells, dense.values.len());
 }
 
-pub fn the_sparse_field_is_the_dense_one_to_the_bit(place: &Place) {
+pub fn the_sparse_field_equals_the_dense_field(backend: &TestBackend) {
     let mut deep = 0;
     for seed in 0..2 {
-        for variant in variants(place, seed) {
+        for variant in variants(backend, seed) {
             let Variant { particles, sampling, surfacing } = &variant;
             let frame = Engine::sample(&particles[..], sampling, &mut Timings::default()).unwrap();
             let dense = dense_field(&frame, &variant);
@@ -161,7 +160,7 @@ pub fn the_sparse_field_is_the_dense_one_to_the_bit(place: &Place) {
             );
             let surface = recipe(&frame, surfacing).0.iso.threshold();
             let inside = dense.values.iter().filter(|&&sample| sample > surface).count();
-            assert!(inside > 200, "{what}: the scene has an inside");
+            assert!(inside > 200, "{what}: the scene has no inside");
             deep += usize::from(dense.values.contains(&u16::MAX));
             let sides = [BrickSide::Four, BrickSide::Eight, BrickSide::Sixteen];
             for (side, threads) in sides.into_iter().flat_map(|side| [(side, 1), (side, 2)]) {
@@ -176,18 +175,18 @@ pub fn the_sparse_field_is_the_dense_one_to_the_bit(place: &Place) {
             }
         }
     }
-    assert!(deep > 1, "nothing is deep inside");
+    assert!(deep > 1, "no scene has cells deep inside");
 }
 
-pub fn the_mesh_is_that_of_the_dense_field_vertex_by_vertex(place: &Place) {
-    variants(place, 7).iter().for_each(assert_mesh_is_dense);
+pub fn the_mesh_equals_the_mesh_of_the_dense_field(backend: &TestBackend) {
+    variants(backend, 7).iter().for_each(assert_mesh_is_dense);
 }
 
-pub fn the_mesh_of_spray_is_that_of_the_dense_field(place: &Place) {
+pub fn the_mesh_of_spray_equals_the_mesh_of_the_dense_field(backend: &TestBackend) {
     let mut random = Random::new(17);
     let mut spray: Vec<[f64; 3]> =
         (0..8).map(|_| [(); 3].map(|()| 30.0 * random.unit() - 15.0)).collect();
-    // Two close particles, and drops of a few.
+    // A drop of two particles and a drop of three.
     spray.extend([
         [9.0, 1.0, 3.0],
         [10.3, 1.2, 3.1],
@@ -198,17 +197,17 @@ pub fn the_mesh_of_spray_is_that_of_the_dense_field(place: &Place) {
     for (spacing, walls) in [(1.0, false), (1.5, true), (2.0, false), (2.0, true)] {
         let particles: Vec<[f64; 3]> = spray.iter().map(|p| p.map(|x| x * spacing)).collect();
         let method = IndicatorKind::Cloud.into();
-        let mut sampling = Sampling { method, spacing: Some(spacing), ..place.sampling() };
+        let mut sampling = Sampling { method, spacing: Some(spacing), ..backend.sampling() };
         if walls {
             let half = DVec3::splat((12.0 * spacing).floor());
             sampling.domain = Domain::new(&sampling.grid, -half, half).ok();
         }
-        assert_mesh_is_dense(&Variant { particles, sampling, surfacing: of_drops() });
+        assert_mesh_is_dense(&Variant { particles, sampling, surfacing: without_sheets() });
     }
 }
 
-/// Thin fluid as drops only: sheets have their own tests.
-fn of_drops() -> Surfacing {
+/// Surfacing without sheets, which have their own tests.
+fn without_sheets() -> Surfacing {
     Surfacing { sheets: SheetStretch::new(0.0).unwrap(), ..surfacing() }
 }
 
@@ -225,13 +224,13 @@ fn assert_mesh_is_dense(variant: &Variant) {
     assert_eq!(surface.mesh.positions.len(), positions.len());
     for (ours, theirs) in surface.mesh.positions.iter().zip(&positions) {
         for axis in 0..3 {
-            assert!((ours[axis] - theirs[axis]).abs() < 1e-12, "{ours:?} is not {theirs:?}");
+            assert!((ours[axis] - theirs[axis]).abs() < 1e-12, "{ours:?} instead of {theirs:?}");
         }
     }
 }
 
-pub fn threads_particle_order_and_brick_side_change_no_byte(place: &Place) {
-    for Variant { particles, sampling, surfacing } in variants(place, 3) {
+pub fn the_mesh_is_independent_of_threads_particle_order_and_brick_side(backend: &TestBackend) {
+    for Variant { particles, sampling, surfacing } in variants(backend, 3) {
         let (_, expected) = reconstruct(&particles[..], &sampling, &surfacing);
         for (threads, side) in
             [(1, BrickSide::Four), (2, BrickSide::Sixteen), (5, BrickSide::Eight)]
@@ -246,8 +245,8 @@ pub fn threads_particle_order_and_brick_side_change_no_byte(place: &Place) {
     }
 }
 
-pub fn the_integer_field_and_its_vertices_stay_close_to_the_method_in_f64(place: &Place) {
-    for Variant { particles, sampling, surfacing } in variants(place, 12) {
+pub fn the_integer_field_and_its_vertices_approximate_the_method_in_f64(backend: &TestBackend) {
+    for Variant { particles, sampling, surfacing } in variants(backend, 12) {
         if sampling.method == IndicatorKind::Cloud.into() {
             continue;
         }
@@ -265,7 +264,7 @@ pub fn the_integer_field_and_its_vertices_stay_close_to_the_method_in_f64(place:
         let c = surface.iso.value();
         let (ours, our_triangles) = dense::mesh(&scaled, c, method.walls);
         let (theirs, their_triangles) = dense::mesh(&real, c, method.walls);
-        assert_eq!(our_triangles, their_triangles, "no sample of these scenes is that close to c");
+        assert_eq!(our_triangles, their_triangles, "a sample is too close to the isovalue");
         let pairs = ours.iter().flatten().zip(theirs.iter().flatten());
         let squares: f64 = pairs.map(|(a, b)| (a - b).powi(2)).sum();
         let rms = (squares / ours.len() as f64).sqrt();
@@ -275,14 +274,14 @@ pub fn the_integer_field_and_its_vertices_stay_close_to_the_method_in_f64(place:
 
 /// Maximum errors of the integer distances within a spacing of the surface, in spacings: in 99 % of
 /// the cells, and in any cell.
-const USUALLY_OFF: f64 = 0.0045;
-const OFF: f64 = 0.017;
+const ERROR_99_PERCENT: f64 = 0.0045;
+const MAX_ERROR: f64 = 0.017;
 
 /// On the CPU only: devices compute the same integers.
 #[test]
-fn distances_are_those_of_the_formulas_in_f64_within_a_fiftieth_of_a_spacing() {
-    let Ok(place) = Place::cpu();
-    for variant in of_clouds(&place, 5) {
+fn integer_distances_are_within_a_fiftieth_of_a_spacing_of_f64() {
+    let Ok(backend) = TestBackend::cpu();
+    for variant in of_clouds(&backend, 5) {
         let Variant { particles, sampling, surfacing } = &variant;
         let frame = Engine::sample(&particles[..], sampling, &mut Timings::default()).unwrap();
         let integer = dense_field(&frame, &variant);
@@ -300,13 +299,13 @@ fn distances_are_those_of_the_formulas_in_f64_within_a_fiftieth_of_a_spacing() {
             sampling.domain.is_some()
         );
         println!("{what}: {} cells, {usual:.5}, {worst:?}", off.len());
-        assert!(off.len() > 500, "{what}: the scene has a surface");
-        assert!(usual < USUALLY_OFF && worst.0 < OFF, "{what}: {usual}, {worst:?}");
+        assert!(off.len() > 500, "{what}: the scene has no surface");
+        assert!(usual < ERROR_99_PERCENT && worst.0 < MAX_ERROR, "{what}: {usual}, {worst:?}");
     }
 }
 
 #[test]
-fn the_committed_tables_match_their_functions() {
+fn committed_lookup_tables_match_their_functions() {
     for (i, (&depth, &far)) in DEPTHS.iter().zip(&AWAY).enumerate() {
         let share = (i as f64 / 1024.0).min(1.0);
         assert_eq!(i32::from(depth), (quantile(share) * 8192.0).round() as i32, "depth at {share}");
@@ -314,19 +313,19 @@ fn the_committed_tables_match_their_functions() {
     }
 }
 
-/// Symmetry, counting, and clouds whose wide cells are once and four times as wide as cells.
-fn of_each_kind(place: &Place, seed: u64) -> impl Iterator<Item = Variant> {
+/// Symmetry, counting, and clouds whose wide cells are 1 and 4 times as wide as cells.
+fn of_each_kind(backend: &TestBackend, seed: u64) -> impl Iterator<Item = Variant> {
     let which = [0, 8, 16, 22];
-    variants(place, seed)
+    variants(backend, seed)
         .into_iter()
         .enumerate()
         .filter(move |(i, _)| which.contains(i))
         .map(|(_, v)| v)
 }
 
-pub fn a_scene_moved_by_whole_bins_has_its_field_moved_by_as_much(place: &Place) {
+pub fn moving_a_scene_by_whole_bins_moves_its_field(backend: &TestBackend) {
     let shift = IVec3::new(16, -32, 48);
-    for Variant { particles, sampling, surfacing } in of_each_kind(place, 13) {
+    for Variant { particles, sampling, surfacing } in of_each_kind(backend, 13) {
         let moved: Vec<[f64; 3]> =
             particles.iter().map(|&p| (DVec3::from(p) + shift.as_dvec3()).to_array()).collect();
         let frame = |particles: &[[f64; 3]]| {
@@ -339,7 +338,7 @@ pub fn a_scene_moved_by_whole_bins_has_its_field_moved_by_as_much(place: &Place)
         let field_here = field(&recipe, dif(&here), cells);
         assert!(
             field_here.samples().iter().any(|&sample| sample > 20_000),
-            "the scene has an inside"
+            "the scene has no inside"
         );
         let recipe = surfacing.recipe(dif(&there), &measured.calibration);
         let field_there = field(&recipe, dif(&there), elsewhere);
@@ -347,10 +346,10 @@ pub fn a_scene_moved_by_whole_bins_has_its_field_moved_by_as_much(place: &Place)
     }
 }
 
-pub fn cells_of_any_size_at_any_origin_give_the_mesh_of_unit_cells_scaled_and_moved(place: &Place) {
-    // With powers of two and multiples of them, the cells contain the same particles to the bit.
+pub fn changing_cell_size_and_origin_scales_and_moves_the_mesh(backend: &TestBackend) {
+    // Powers of two and their multiples keep the same particles in the cells, to the bit.
     let (cell, origin) = (0.25, DVec3::new(-3.0, 0.5, 10.0));
-    for Variant { particles, sampling: unit, surfacing } in of_each_kind(place, 17) {
+    for Variant { particles, sampling: unit, surfacing } in of_each_kind(backend, 17) {
         let placed: Vec<[f64; 3]> =
             particles.iter().map(|&p| (DVec3::from(p) * cell + origin).to_array()).collect();
         let spacing = unit.spacing.map(|spacing| spacing * cell);

@@ -1,4 +1,4 @@
-//! Periodic boxes: the mesh equals that of a fluid whose copies are given explicitly.
+//! Periodic boxes: the mesh equals that of a fluid with explicit copies.
 
 use glam::DVec3;
 use meniscus::internals::backend::Backend;
@@ -11,19 +11,19 @@ use meniscus::internals::surface::mesh::check::check;
 use meniscus::internals::surface::mesh::measure::measure;
 use meniscus::internals::system::timings::Timings;
 
-use super::Place;
+use super::TestBackend;
 use crate::common::periodic::{Faces, fluid, repeated, triangles_within};
 use crate::common::{INDICATORS, surfacing};
 
 /// Settings for an indicator and a cell size, with particles 1 apart.
-fn sampling(place: &Place, kind: IndicatorKind, cell: f64) -> Sampling {
+fn sampling(backend: &TestBackend, kind: IndicatorKind, cell: f64) -> Sampling {
     let grid = Grid::new(DVec3::ZERO, cell).unwrap();
     Sampling {
         method: kind.into(),
         grid,
         spacing: Some(1.0),
         side: kind.brick_side(),
-        ..place.sampling()
+        ..backend.sampling()
     }
 }
 
@@ -34,7 +34,7 @@ fn in_box(sampling: &Sampling, surfacing: &Surfacing, faces: Faces) -> Sampling 
 }
 
 /// The mesh of particles, and its calibration.
-fn drawn(
+fn meshed(
     particles: &[[f64; 3]],
     sampling: &Sampling,
     surfacing: &Surfacing,
@@ -52,7 +52,7 @@ fn assert_watertight(mesh: &Mesh, what: &str) {
     assert!(report.is_closed_oriented_manifold(), "{what}: {report}");
 }
 
-pub fn the_mesh_in_a_periodic_box_is_that_of_the_fluid_repeated(place: &Place) {
+pub fn a_periodic_mesh_equals_the_mesh_of_repeated_particles(backend: &TestBackend) {
     let edges = DVec3::new(32.0, 40.0, 24.0);
     let particles = fluid(5, edges);
     let along = |axis: usize| Some([0.0, edges[axis]]);
@@ -64,7 +64,7 @@ pub fn the_mesh_in_a_periodic_box_is_that_of_the_fluid_repeated(place: &Place) {
     ] {
         for kind in INDICATORS {
             let cell = if kind == IndicatorKind::Cloud { 0.5 } else { 1.0 };
-            let mut sampling = sampling(place, kind, cell);
+            let mut sampling = sampling(backend, kind, cell);
             sampling.domain = walls.map(|walls| {
                 let [lo, hi] =
                     [0, 1].map(|side: usize| DVec3::from(walls.map(|walls| walls[side])));
@@ -74,7 +74,7 @@ pub fn the_mesh_in_a_periodic_box_is_that_of_the_fluid_repeated(place: &Place) {
                 let surfacing =
                     Surfacing { normals: Normals::Gradient, periodic_mesh: mesh, ..surfacing() };
                 let in_box = in_box(&sampling, &surfacing, faces);
-                let (found, calibration) = drawn(&particles, &in_box, &surfacing, None);
+                let (found, calibration) = meshed(&particles, &in_box, &surfacing, None);
                 let what = format!("{faces:?}, walls {walls:?}, {kind:?}, {mesh:?}");
                 assert_watertight(&found, &what);
 
@@ -82,7 +82,7 @@ pub fn the_mesh_in_a_periodic_box_is_that_of_the_fluid_repeated(place: &Place) {
                 let method = Method::Indicator { kind, mean };
                 let alone = Sampling { method, ..sampling.clone() };
                 let (expected, _) =
-                    drawn(&repeated(&particles, faces), &alone, &surfacing, calibration.as_ref());
+                    meshed(&repeated(&particles, faces), &alone, &surfacing, calibration.as_ref());
                 // The mesh is cut between the outermost centres and the faces, where its gradient
                 // also ends.
                 let margin = if mesh == PeriodicMesh::Cut { 1.51 * cell } else { 0.0 };
@@ -100,19 +100,19 @@ pub fn the_mesh_in_a_periodic_box_is_that_of_the_fluid_repeated(place: &Place) {
     }
 }
 
-pub fn a_box_full_of_fluid_has_its_faces_for_a_surface_however_deep_the_fluid_is(place: &Place) {
-    // Large enough for parts that are too deep to be searched, and off the cells' faces.
+pub fn a_full_periodic_box_has_its_faces_as_surface(backend: &TestBackend) {
+    // The box has parts that are too deep to be searched, and its faces are not cell faces.
     let edge = 61.3;
     let steps = || (0..61).map(|i| (f64::from(i) + 0.5) * edge / 61.0);
     let particles: Vec<[f64; 3]> =
         steps().flat_map(|x| steps().flat_map(move |y| steps().map(move |z| [x, y, z]))).collect();
     for cell in [0.9, 0.5] {
         let in_box = in_box(
-            &sampling(place, IndicatorKind::Cloud, cell),
+            &sampling(backend, IndicatorKind::Cloud, cell),
             &surfacing(),
             [Some([0.0, edge]); 3],
         );
-        let (mesh, _) = drawn(&particles, &in_box, &surfacing(), None);
+        let (mesh, _) = meshed(&particles, &in_box, &surfacing(), None);
         assert_watertight(&mesh, "a full box");
         let found = measure(&mesh);
         assert_eq!(found.bounds, Some([[0.0; 3], [edge; 3]]), "cells of {cell}");
@@ -123,8 +123,8 @@ pub fn a_box_full_of_fluid_has_its_faces_for_a_surface_however_deep_the_fluid_is
     }
 }
 
-pub fn a_periodic_mesh_is_the_same_on_every_backend(place: &Place) {
-    // The box is no multiple of cells, nor of wide cells.
+pub fn a_periodic_mesh_is_the_same_on_every_backend(backend: &TestBackend) {
+    // The edges are not multiples of cells or of wide cells.
     let edges = DVec3::new(31.0, 40.0, 29.0);
     let particles = fluid(9, edges);
     for (kind, cell) in
@@ -134,11 +134,11 @@ pub fn a_periodic_mesh_is_the_same_on_every_backend(place: &Place) {
             let surfacing =
                 Surfacing { normals: Normals::Gradient, periodic_mesh: mesh, ..surfacing() };
             let faces = [Some([0.0, edges.x]), None, Some([0.0, edges.z])];
-            let in_box = in_box(&sampling(place, kind, cell), &surfacing, faces);
-            let (found, _) = drawn(&particles, &in_box, &surfacing, None);
-            let mut on_host = in_box.clone();
-            on_host.resources.backend = Backend::cpu();
-            let (expected, _) = drawn(&particles, &on_host, &surfacing, None);
+            let in_box = in_box(&sampling(backend, kind, cell), &surfacing, faces);
+            let (found, _) = meshed(&particles, &in_box, &surfacing, None);
+            let mut on_cpu = in_box.clone();
+            on_cpu.resources.backend = Backend::cpu();
+            let (expected, _) = meshed(&particles, &on_cpu, &surfacing, None);
             assert_watertight(&found, &format!("{kind:?}, {mesh:?}"));
             assert!(found == expected, "{kind:?}, cells of {cell}, {mesh:?}");
         }

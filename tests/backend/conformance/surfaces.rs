@@ -23,7 +23,7 @@ use meniscus::internals::surface::stitch::StitchedSurface;
 use meniscus::internals::system::control::{Control, Stage};
 use meniscus::internals::system::timings::Timings;
 
-use super::Place;
+use super::TestBackend;
 use crate::common::attributed::Attributed;
 use crate::common::scene::Random;
 use crate::common::{
@@ -47,16 +47,14 @@ const SHAPES: [Shape; 3] = [
     }),
 ];
 
-pub fn sphere_slab_and_torus_have_their_genus_and_their_volume_within_one_percent_at_32_cells(
-    place: &Place,
-) {
+pub fn known_shapes_have_their_genus_and_volume(backend: &TestBackend) {
     for (name, genus, volume, inside) in SHAPES {
         for indicator in INDICATORS {
             for jitter in [0.0, 0.3, 0.5] {
                 let particles = fill(50.0, 1.0, jitter, 5, inside);
                 let (_, surface) = reconstruct(
                     &particles[..],
-                    &Sampling { method: indicator.into(), ..place.sampling() },
+                    &Sampling { method: indicator.into(), ..backend.sampling() },
                     &surfacing(),
                 );
                 let what = format!("{name}, {indicator:?}, jitter {jitter}");
@@ -69,17 +67,17 @@ pub fn sphere_slab_and_torus_have_their_genus_and_their_volume_within_one_percen
                 let curved = name == "sphere" && indicator != IndicatorKind::Symmetry;
                 assert!(
                     error.abs() < if curved { 0.019 } else { 0.01 },
-                    "{what}: volume off by {error}"
+                    "{what}: the volume is off by {error}"
                 );
             }
         }
     }
 }
 
-pub fn normals_point_out_of_a_sphere(place: &Place) {
+pub fn the_normals_of_a_sphere_point_outwards(backend: &TestBackend) {
     let particles = fill(20.0, 2.0, 0.3, 5, |p| p.length() < 12.0);
     let surfacing = Surfacing { normals: Normals::Gradient, ..surfacing() };
-    let (_, surface) = reconstruct(&particles[..], &place.sampling(), &surfacing);
+    let (_, surface) = reconstruct(&particles[..], &backend.sampling(), &surfacing);
     let normals = surface.mesh.normals.as_ref().unwrap();
     assert_eq!(normals.len(), surface.mesh.positions.len());
     for (&position, &normal) in surface.mesh.positions.iter().zip(normals) {
@@ -92,7 +90,7 @@ pub fn normals_point_out_of_a_sphere(place: &Place) {
 
 /// The surface of a function's samples, in blocks of 32^3 cells, with zeros around them.
 fn surface_of(
-    place: &Place,
+    backend: &TestBackend,
     blocks: CellBox,
     iso: Isovalue,
     sample: impl Fn(IVec3) -> u16,
@@ -117,7 +115,7 @@ fn surface_of(
         normals: Normals::None,
         periodic_mesh: PeriodicMesh::Cut,
     };
-    let stages = place.sampling().resources.backend.executor().start(MemoryBudget(8 << 30));
+    let stages = backend.sampling().resources.backend.executor().start(MemoryBudget(8 << 30));
     let mut spool = Spool::in_memory(false, Vec::new());
     let mut push = |meshes: Vec<Option<BlockMesh>>| {
         meshes.into_iter().flatten().try_for_each(|mesh| spool.push(mesh))
@@ -130,20 +128,20 @@ fn surface_of(
     StitchedSurface::new(spool, grid, None, iso, Vec::new()).to_mesh().unwrap()
 }
 
-pub fn white_noise_over_27_blocks_is_a_closed_oriented_manifold(place: &Place) {
+pub fn the_surface_of_white_noise_over_27_blocks_is_a_closed_manifold(backend: &TestBackend) {
     for (seed, c) in [(1, 0.5), (2, 0.3), (3, 0.9), (4, 0.02)] {
         let noise = |cell: IVec3| {
             let key = MortonKey::of(cell).0;
             Random::new(key.wrapping_mul(31).wrapping_add(seed)).bits() as u16
         };
         let blocks = CellBox { lo: IVec3::NEG_ONE, hi: IVec3::splat(2) };
-        let mesh = surface_of(place, blocks, Isovalue::new(c).unwrap(), noise);
+        let mesh = surface_of(backend, blocks, Isovalue::new(c).unwrap(), noise);
         assert!(mesh.triangles.len() > 100_000, "{} triangles", mesh.triangles.len());
         assert_watertight(&mesh, &format!("noise cut at {c}"));
     }
 }
 
-pub fn every_combination_of_signs_beside_every_other_is_a_closed_oriented_manifold(place: &Place) {
+pub fn all_pairs_of_adjacent_sign_patterns_give_a_closed_manifold(backend: &TestBackend) {
     // Two inside values and one outside: 2^12 patterns of 2 x 2 x 3 samples, far apart.
     let pattern = |cell: IVec3| {
         let (group, local) = (cell.div_euclid(IVec3::splat(6)), cell.rem_euclid(IVec3::splat(6)));
@@ -157,7 +155,7 @@ pub fn every_combination_of_signs_beside_every_other_is_a_closed_oriented_manifo
         if inside { 40_000 + 1000 * bit as u16 } else { 100 * bit.unsigned_abs() as u16 }
     };
     let mesh = surface_of(
-        place,
+        backend,
         CellBox { lo: IVec3::ZERO, hi: IVec3::splat(3) },
         Isovalue::new(0.5).unwrap(),
         pattern,
@@ -167,23 +165,23 @@ pub fn every_combination_of_signs_beside_every_other_is_a_closed_oriented_manifo
 }
 
 /// Clouds of particles one unit apart, with this cell size in spacings.
-fn of_spacings(place: &Place, cell: f64) -> Sampling {
+fn of_spacings(backend: &TestBackend, cell: f64) -> Sampling {
     let grid = Grid::new(DVec3::ZERO, cell).unwrap();
-    Sampling { method: IndicatorKind::Cloud.into(), grid, spacing: Some(1.0), ..place.sampling() }
+    Sampling { method: IndicatorKind::Cloud.into(), grid, spacing: Some(1.0), ..backend.sampling() }
 }
 
 /// Cell sizes from a quarter of a spacing to two thirds.
 const CELLS: [f64; 4] = [0.25, 1.0 / 3.0, 0.5, 2.0 / 3.0];
 
-pub fn clouds_keep_every_drop_and_a_sheet_whole_and_leave_a_pool_as_it_is(place: &Place) {
+pub fn clouds_keep_drops_and_sheets_whole_without_changing_the_pool(backend: &TestBackend) {
     let mut random = Random::new(6);
     let pool = fill(16.0, 1.0, 0.3, 4, |p| p.z < 0.0);
     let mut anywhere = || DVec3::new(random.unit(), random.unit(), random.unit());
     let drops: Vec<[f64; 3]> = (0..27)
         .map(|i| {
-            let place = IVec3::new(i % 3, i / 3 % 3, i / 9).as_dvec3() * 10.0
+            let at = IVec3::new(i % 3, i / 3 % 3, i / 9).as_dvec3() * 10.0
                 + DVec3::new(-10.0, -10.0, 10.0);
-            (place + anywhere()).to_array()
+            (at + anywhere()).to_array()
         })
         .collect();
     let layer = |p: DVec3| p.z > -1.0 && p.z < 0.0 && p.abs().max_element() < 14.0;
@@ -191,7 +189,7 @@ pub fn clouds_keep_every_drop_and_a_sheet_whole_and_leave_a_pool_as_it_is(place:
     let all: Vec<[f64; 3]> = pool.iter().copied().chain(drops).chain(sheet).collect();
     for cell in CELLS {
         let mesh = |particles: &[[f64; 3]]| {
-            reconstruct(particles, &of_spacings(place, cell), &surfacing()).1.mesh
+            reconstruct(particles, &of_spacings(backend, cell), &surfacing()).1.mesh
         };
         let (alone, with) = (mesh(&pool), mesh(&all));
         assert_watertight(&with, &format!("cells of {cell}"));
@@ -203,20 +201,20 @@ pub fn clouds_keep_every_drop_and_a_sheet_whole_and_leave_a_pool_as_it_is(place:
         };
         assert!(
             top(&alone).len() > 300 && top(&alone) == top(&with),
-            "cells of {cell}: the pool has moved"
+            "cells of {cell}: the surface of the pool moved"
         );
     }
 }
 
 /// On the CPU only: devices compute the same integers.
 #[test]
-fn a_drop_of_one_particle_has_its_volume_in_cells_of_any_size_wherever_it_lies() {
-    let Ok(place) = Place::cpu();
+fn a_lone_particle_has_about_its_volume_for_any_cell_size_and_position() {
+    let Ok(backend) = TestBackend::cpu();
     let mut random = Random::new(8);
     for cell in CELLS {
         let (mut least, mut most) = (f64::INFINITY, 0.0_f64);
         for i in 0..18 {
-            // First at random positions in a cell, then where cells, wide cells and blocks meet.
+            // Random positions in a cell, then corners where cells, wide cells and blocks meet.
             let particle = match i {
                 0..8 => [(); 3].map(|()| 4.0 * random.unit()),
                 8..16 => [i & 1, i >> 1 & 1, i >> 2 & 1].map(|half| 0.5 * cell * f64::from(half)),
@@ -224,7 +222,7 @@ fn a_drop_of_one_particle_has_its_volume_in_cells_of_any_size_wherever_it_lies()
                 _ => [31.5 * cell, -0.5 * cell, 0.0],
             };
             let (_, surface) =
-                reconstruct(&[particle][..], &of_spacings(&place, cell), &surfacing());
+                reconstruct(&[particle][..], &of_spacings(&backend, cell), &surfacing());
             let what = format!("cells of {cell}, {particle:?}");
             assert_watertight(&surface.mesh, &what);
             let found = measure(&surface.mesh);
@@ -239,8 +237,8 @@ fn a_drop_of_one_particle_has_its_volume_in_cells_of_any_size_wherever_it_lies()
 
 /// On the CPU only: devices compute the same integers.
 #[test]
-fn a_chain_of_particles_one_and_a_half_spacings_apart_is_one_piece_in_any_direction() {
-    let Ok(place) = Place::cpu();
+fn particles_1_5_spacings_apart_form_one_chain_in_any_direction() {
+    let Ok(backend) = TestBackend::cpu();
     let mut random = Random::new(8);
     let mut anywhere = || DVec3::new(random.unit(), random.unit(), random.unit());
     let mut ways = vec![DVec3::X, DVec3::ONE];
@@ -250,17 +248,17 @@ fn a_chain_of_particles_one_and_a_half_spacings_apart_is_one_piece_in_any_direct
         let chain: Vec<[f64; 3]> =
             (0..10).map(|i| (start + 1.5 * f64::from(i) * way).to_array()).collect();
         for cell in CELLS {
-            let (_, surface) = reconstruct(&chain[..], &of_spacings(&place, cell), &surfacing());
+            let (_, surface) = reconstruct(&chain[..], &of_spacings(&backend, cell), &surfacing());
             assert_eq!(measure(&surface.mesh).components, 1, "along {way} in cells of {cell}");
         }
     }
 }
 
-pub fn a_ball_of_five_spacings_holds_the_volume_of_its_particles(place: &Place) {
+pub fn a_ball_of_radius_5_spacings_has_the_volume_of_its_particles(backend: &TestBackend) {
     for (jitter, seed) in [(0.0, 1), (0.3, 5), (0.5, 3)] {
         let ball = fill(10.0, 1.0, jitter, seed, |p| p.length() < 5.0);
         for cell in CELLS {
-            let (_, surface) = reconstruct(&ball[..], &of_spacings(place, cell), &surfacing());
+            let (_, surface) = reconstruct(&ball[..], &of_spacings(backend, cell), &surfacing());
             let share = measure(&surface.mesh).volume.unwrap() / ball.len() as f64;
             println!("jitter {jitter}, cells of {cell}: {share}");
             assert!((share - 1.0).abs() < 0.015, "jitter {jitter}, cells of {cell}: {share}");
@@ -268,11 +266,11 @@ pub fn a_ball_of_five_spacings_holds_the_volume_of_its_particles(place: &Place) 
     }
 }
 
-pub fn a_ball_of_air_of_two_spacings_is_left_in_the_water(place: &Place) {
+pub fn an_air_bubble_of_radius_2_spacings_survives(backend: &TestBackend) {
     let middle = DVec3::new(0.3, -0.2, 0.4);
     let water = fill(12.0, 1.0, 0.3, 3, |p| p.length() < 9.0 && (p - middle).length() > 2.0);
     for cell in CELLS {
-        let (_, surface) = reconstruct(&water[..], &of_spacings(place, cell), &surfacing());
+        let (_, surface) = reconstruct(&water[..], &of_spacings(backend, cell), &surfacing());
         assert_watertight(&surface.mesh, &format!("cells of {cell}"));
         assert_eq!(measure(&surface.mesh).components, 2, "cells of {cell}");
         let radii = surface.mesh.positions.iter().map(|&p| (DVec3::from(p) - middle).length());
@@ -283,7 +281,7 @@ pub fn a_ball_of_air_of_two_spacings_is_left_in_the_water(place: &Place) {
     }
 }
 
-pub fn air_of_two_spacings_is_left_wherever_it_lies_deep_in_water(place: &Place) {
+pub fn air_bubbles_of_radius_2_spacings_survive_deep_in_water(backend: &TestBackend) {
     // The middle bubble is at a corner of eight bricks of wide cells, the others elsewhere.
     let places = (0..27).map(|i| IVec3::new(i % 3, i / 3 % 3, i / 9));
     let middles: Vec<DVec3> = places.map(|at| 17.0 * (at - 1).as_dvec3()).collect();
@@ -291,17 +289,17 @@ pub fn air_of_two_spacings_is_left_wherever_it_lies_deep_in_water(place: &Place)
     let water =
         fill(26.0, 1.0, 0.2, 4, |p| deep(p) && middles.iter().all(|&m| (p - m).length() > 2.0));
     for cell in [0.5, 0.4, 1.0] {
-        let (_, surface) = reconstruct(&water[..], &of_spacings(place, cell), &surfacing());
+        let (_, surface) = reconstruct(&water[..], &of_spacings(backend, cell), &surfacing());
         assert_eq!(measure(&surface.mesh).components, 1 + middles.len(), "cells of {cell}");
     }
 }
 
 /// The mean height and roughness, in spacings, of the middle of a pool 32 spacings wide, where no
-/// filter reaches its ghost layer.
-fn level(place: &Place, cell: f64, smooth: f64) -> (f64, f64) {
+/// filter reaches its edges.
+fn level(backend: &TestBackend, cell: f64, smooth: f64) -> (f64, f64) {
     let pool = fill(16.0, 1.0, 0.3, 21, |p| p.z < 0.0 && p.z > -10.0);
     let surfacing = Surfacing { smooth: Smooth::new(smooth).unwrap(), ..surfacing() };
-    let (_, surface) = reconstruct(&pool[..], &of_spacings(place, cell), &surfacing);
+    let (_, surface) = reconstruct(&pool[..], &of_spacings(backend, cell), &surfacing);
     let half = 16.0 - 2.2 * 1.5 * smooth;
     let near = |p: &&[f64; 3]| p[0].abs() < half && p[1].abs() < half && p[2] > -2.0;
     let heights: Vec<f64> = surface.mesh.positions.iter().filter(near).map(|p| p[2]).collect();
@@ -310,16 +308,16 @@ fn level(place: &Place, cell: f64, smooth: f64) -> (f64, f64) {
     (mean, square.sqrt())
 }
 
-pub fn a_pool_is_as_level_in_fine_cells_as_in_coarse_ones(place: &Place) {
-    let [fine, coarse] = [0.25, 2.0 / 3.0].map(|cell| level(place, cell, 1.6));
+pub fn the_roughness_of_a_pool_is_independent_of_the_cell_size(backend: &TestBackend) {
+    let [fine, coarse] = [0.25, 2.0 / 3.0].map(|cell| level(backend, cell, 1.6));
     for (mean, rms) in [fine, coarse] {
         assert!(mean.abs() < 0.03 && rms < 0.05, "{mean}, {rms}");
     }
     assert!((fine.1 / coarse.1 - 1.0).abs() < 0.1, "{fine:?}, {coarse:?}");
 }
 
-pub fn a_pool_is_calmer_the_wider_it_is_smoothed_and_as_high(place: &Place) {
-    let [sharp, usual, calm] = [1.0, 1.6, 3.0].map(|smooth| level(place, 0.5, smooth));
+pub fn wider_smoothing_makes_a_pool_calmer_without_moving_its_level(backend: &TestBackend) {
+    let [sharp, usual, calm] = [1.0, 1.6, 3.0].map(|smooth| level(backend, 0.5, smooth));
     println!("{sharp:?}, {usual:?}, {calm:?}");
     assert!(sharp.1 > 1.2 * usual.1 && usual.1 > 1.2 * calm.1, "{sharp:?}, {usual:?}, {calm:?}");
     for (mean, _) in [sharp, usual, calm] {
@@ -327,14 +325,14 @@ pub fn a_pool_is_calmer_the_wider_it_is_smoothed_and_as_high(place: &Place) {
     }
 }
 
-pub fn a_tank_in_fine_cells_ends_on_its_walls_wherever_wide_cells_lie_against_them(place: &Place) {
+pub fn a_tank_in_fine_cells_ends_at_its_walls_for_any_wide_cell_offset(backend: &TestBackend) {
     let walls = DVec3::splat(8.0);
     for (cell, jitter) in [(0.5, 0.3), (0.25, 0.0), (0.25, 0.3)] {
         let particles = fill(8.0, 1.0, jitter, 9, |p| p.y < 0.0);
         for cells in 0..4 {
             let grid = Grid::new(DVec3::splat(-cell * f64::from(cells)), cell).unwrap();
             let domain = Some(Domain::new(&grid, -walls, walls).unwrap());
-            let sampling = Sampling { grid, domain, ..of_spacings(place, cell) };
+            let sampling = Sampling { grid, domain, ..of_spacings(backend, cell) };
             let (_, Reconstructed { mesh, .. }) =
                 reconstruct(&particles[..], &sampling, &surfacing());
             let what = format!("jitter {jitter}, cells of {cell}, {cells} of them off");
@@ -352,26 +350,26 @@ pub fn a_tank_in_fine_cells_ends_on_its_walls_wherever_wide_cells_lie_against_th
     }
 }
 
-/// On the CPU, which also takes over from devices without enough memory.
+/// On the CPU, which also replaces devices without enough memory.
 #[test]
-fn scratch_files_change_no_byte_in_fine_cells() {
-    let Ok(place) = Place::cpu();
+fn scratch_files_do_not_change_the_mesh_in_fine_cells() {
+    let Ok(backend) = TestBackend::cpu();
     let mut particles = fill(8.0, 1.0, 0.3, 5, |p| p.length() < 6.0);
     particles.extend((0..40).map(|i| [f64::from(i) * 3.0 - 60.0, 9.0, 0.3]));
     let surfacing = Surfacing { normals: Normals::Gradient, ..surfacing() };
-    let whole = of_spacings(&place, 0.25);
+    let whole = of_spacings(&backend, 0.25);
     let (_, expected) = reconstruct(&particles[..], &whole, &surfacing);
     for budget in [1 << 18, 1 << 22].map(MemoryBudget) {
         let resources = Resources { budget, ..whole.resources.clone() };
         let small = Sampling { resources, ..whole.clone() };
         let plan = CountedFrame::of(&particles[..], &small).unwrap().estimate().plan(budget);
-        assert!(matches!(plan, MemoryPlan::OutOfCore(_)), "{budget:?}: nothing is spilled");
+        assert!(matches!(plan, MemoryPlan::OutOfCore(_)), "{budget:?}: the plan spills nothing");
         let (_, surface) = reconstruct(&particles[..], &small, &surfacing);
         assert!(surface.mesh == expected.mesh, "{budget:?}");
     }
 }
 
-pub fn splashes_are_watertight_with_every_indicator_filter_and_wall(place: &Place) {
+pub fn splashes_are_watertight_for_all_indicators_filters_and_walls(backend: &TestBackend) {
     for seed in 20..24 {
         let particles = splashes(seed);
         for indicator in INDICATORS {
@@ -379,7 +377,7 @@ pub fn splashes_are_watertight_with_every_indicator_filter_and_wall(place: &Plac
                 [(0.8, Detail::Smoothed), (1.0, Detail::Recovered), (3.0, Detail::Smoothed)]
             {
                 for walls in [false, true] {
-                    let mut sampling = Sampling { method: indicator.into(), ..place.sampling() };
+                    let mut sampling = Sampling { method: indicator.into(), ..backend.sampling() };
                     sampling.domain = walls.then(|| tank(&sampling.grid));
                     for iso in [None, Some(Isovalue::new(0.1).unwrap())] {
                         let surfacing = Surfacing {
@@ -401,13 +399,13 @@ pub fn splashes_are_watertight_with_every_indicator_filter_and_wall(place: &Plac
     }
 }
 
-pub fn a_half_full_tank_ends_exactly_on_its_walls_and_keeps_its_volume(place: &Place) {
+pub fn a_half_full_tank_ends_exactly_at_its_walls_and_keeps_its_volume(backend: &TestBackend) {
     // Walls on cell faces, and walls that cut cells unevenly, where the lattice fills the tank less
     // exactly.
     for (lo, hi, tolerance) in [(-16.0, 16.0, 0.005), (-15.7, 16.4, 0.03)] {
         let (lo, hi) = (DVec3::splat(lo), DVec3::splat(hi));
         for indicator in INDICATORS {
-            let sampling = place.sampling();
+            let sampling = backend.sampling();
             let domain = Domain::new(&sampling.grid, lo, hi).unwrap();
             let particles =
                 fill(20.0, 1.0, 0.3, 9, |p| p.y < 0.0 && p.cmpgt(lo).all() && p.cmplt(hi).all());
@@ -426,10 +424,10 @@ pub fn a_half_full_tank_ends_exactly_on_its_walls_and_keeps_its_volume(place: &P
     }
 }
 
-pub fn a_full_tank_has_its_walls_for_a_surface_where_no_block_holds_anything_else(place: &Place) {
+pub fn the_surface_of_a_full_tank_is_its_walls(backend: &TestBackend) {
     let walls = DVec3::splat(20.0);
     for indicator in INDICATORS {
-        let sampling = place.sampling();
+        let sampling = backend.sampling();
         let domain = Domain::new(&sampling.grid, -walls, walls).unwrap();
         let particles = fill(20.0, 1.5, 0.3, 9, |p| p.abs().cmplt(walls).all());
         let sampling = Sampling { method: indicator.into(), domain: Some(domain), ..sampling };
@@ -442,13 +440,13 @@ pub fn a_full_tank_has_its_walls_for_a_surface_where_no_block_holds_anything_els
     }
 }
 
-pub fn two_drops_a_million_cells_apart_cost_two_drops_and_keep_their_shape(place: &Place) {
+pub fn distant_drops_need_memory_only_for_themselves(backend: &TestBackend) {
     let drop = fill(10.0, 2.0, 0.3, 4, |p| p.length() < 6.0);
     let far = |shift: DVec3| drop.iter().map(move |&p| (DVec3::from(p) + shift).to_array());
     let shift = DVec3::new(1e6, -1e6, 5e5);
     let both: Vec<[f64; 3]> = far(-shift).chain(far(shift)).collect();
-    let (one_frame, one) = reconstruct(&drop[..], &place.sampling(), &surfacing());
-    let (two_frame, two) = reconstruct(&both[..], &place.sampling(), &surfacing());
+    let (one_frame, one) = reconstruct(&drop[..], &backend.sampling(), &surfacing());
+    let (two_frame, two) = reconstruct(&both[..], &backend.sampling(), &surfacing());
     assert_eq!(dif(&two_frame).dif.full_cells(), 2 * dif(&one_frame).dif.full_cells());
     assert!(dif(&two_frame).dif.sample_bytes() < 3 * dif(&one_frame).dif.sample_bytes());
     assert_watertight(&two.mesh, "two drops");
@@ -457,12 +455,13 @@ pub fn two_drops_a_million_cells_apart_cost_two_drops_and_keep_their_shape(place
     assert!((area(&two.mesh) / area(&one.mesh) - 2.0).abs() < 1e-4);
 }
 
-pub fn a_lone_particle_gives_a_closed_drop_and_an_isovalue_above_its_peak_an_error(place: &Place) {
+pub fn a_lone_particle_is_a_closed_drop_unless_the_isovalue_is_too_high(backend: &TestBackend) {
     let particle = [[0.3, 0.4, -0.6]];
-    let (_, surface) = reconstruct(&particle[..], &of_spacings(place, 1.0), &surfacing());
+    let (_, surface) = reconstruct(&particle[..], &of_spacings(backend, 1.0), &surfacing());
     assert_watertight(&surface.mesh, "a drop");
     assert_eq!(measure(&surface.mesh).components, 1);
-    let frame = Engine::sample(&particle[..], &place.sampling(), &mut Timings::default()).unwrap();
+    let frame =
+        Engine::sample(&particle[..], &backend.sampling(), &mut Timings::default()).unwrap();
     let error = frame.surface(&surfacing(), &mut Timings::default()).unwrap_err();
     assert!(matches!(error, FrameError::NoSurface { .. }), "{error}");
     let iso = Isovalue::new(0.5).unwrap();
@@ -471,19 +470,19 @@ pub fn a_lone_particle_gives_a_closed_drop_and_an_isovalue_above_its_peak_an_err
     assert!(matches!(error, FrameError::NoSurface { iso: found } if found == iso), "{error}");
 }
 
-pub fn a_million_particles_in_one_place_are_one_drop(place: &Place) {
+pub fn a_million_coincident_particles_become_one_drop_or_an_error(backend: &TestBackend) {
     let particles = vec![[0.25, 0.25, 0.25]; 1_000_000];
     for indicator in INDICATORS {
         let surface = Engine::sample(
             &particles[..],
-            &Sampling { method: indicator.into(), spacing: Some(1.0), ..place.sampling() },
+            &Sampling { method: indicator.into(), spacing: Some(1.0), ..backend.sampling() },
             &mut Timings::default(),
         )
         .and_then(|frame| frame.surface(&surfacing(), &mut Timings::default()));
         match (indicator, surface) {
             (IndicatorKind::Cloud, Ok(surface)) => {
                 let mesh = surface.to_mesh().unwrap();
-                assert_watertight(&mesh, "one place");
+                assert_watertight(&mesh, "coincident particles");
                 assert_eq!(measure(&mesh).components, 1);
             }
             (IndicatorKind::Symmetry, Err(FrameError::NoSurface { .. })) => {}
@@ -494,7 +493,7 @@ pub fn a_million_particles_in_one_place_are_one_drop(place: &Place) {
     }
 }
 
-pub fn attributes_reach_the_vertices_blurred_like_the_field(place: &Place) {
+pub fn attributes_are_interpolated_smoothly_for_any_particle_order(backend: &TestBackend) {
     // A rigid rotation about y, three times as fast as the unit; one particle has no velocity, and
     // one value is NaN.
     let rotation = |i: usize, [x, _, z]: [f64; 3]| {
@@ -502,7 +501,7 @@ pub fn attributes_reach_the_vertices_blurred_like_the_field(place: &Place) {
     };
     let mut ball = fill(20.0, 2.0, 0.3, 5, |p| p.length() < 12.0);
     let moving = Attributed::new(ball.clone()).with("v", rotation);
-    let sampling = Sampling { carried: vec![0], ..place.sampling() };
+    let sampling = Sampling { carried: vec![0], ..backend.sampling() };
     let (_, first) = reconstruct(&moving, &sampling, &surfacing());
     let [velocity] = &first.mesh.attributes[..] else { panic!("one attribute") };
     assert_eq!(velocity.values.len(), 3 * first.mesh.positions.len());
@@ -514,5 +513,5 @@ pub fn attributes_reach_the_vertices_blurred_like_the_field(place: &Place) {
     ball.swap(100, 5000);
     let moving = Attributed::new(ball).with("v", rotation);
     let (_, second) = reconstruct(&moving, &sampling, &surfacing());
-    assert!(first.mesh == second.mesh, "values depend on the particles' order");
+    assert!(first.mesh == second.mesh, "values depend on the order of the particles");
 }
