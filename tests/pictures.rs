@@ -1,5 +1,5 @@
-//! Pictures of meshes: they show the mesh on every path of drawing, and picture files are complete
-//! or absent.
+//! Pictures of meshes: every way of drawing shows the mesh, and picture files are complete or
+//! absent.
 #![cfg(feature = "pictures")]
 #![allow(clippy::unwrap_used)]
 
@@ -60,7 +60,7 @@ fn on_threads<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> T {
 }
 
 #[test]
-fn a_picture_has_the_same_bytes_for_any_number_of_threads() {
+fn a_picture_is_independent_of_the_number_of_threads() {
     let mesh = torus(60, 40);
     let picture = small().ground(true);
     let draw = |threads| on_threads(threads, || picture.draw(&mesh).unwrap());
@@ -74,7 +74,7 @@ fn a_picture_has_the_same_bytes_for_any_number_of_threads() {
 }
 
 #[test]
-fn a_ball_covers_as_many_pixels_as_its_cone_of_sight_does() {
+fn a_ball_covers_the_area_that_its_perspective_projection_predicts() {
     let (radius, distance) = (1.0, 6.0_f64);
     let ball = sphere(radius, 6);
     let size = 300.0;
@@ -90,7 +90,7 @@ fn a_ball_covers_as_many_pixels_as_its_cone_of_sight_does() {
 }
 
 #[test]
-fn every_box_is_seen_whole_and_nearly_fills_the_picture_from_anywhere() {
+fn the_default_camera_frames_every_box_completely_and_closely() {
     let mut random = Random::new(3);
     for n in 0..60 {
         let size = [(); 3].map(|()| 10.0_f64.powf(2.0 * random.unit() - 1.0));
@@ -116,18 +116,18 @@ fn every_box_is_seen_whole_and_nearly_fills_the_picture_from_anywhere() {
 }
 
 #[test]
-fn the_axis_that_points_up_does_so_in_the_picture() {
+fn the_up_axis_points_up_in_the_picture() {
     // High along y, flat along the others.
     let tower = cuboid([0.0; 3], [1.0, 10.0, 1.0]);
     let draw = |up| red_box(&small().up(up).colour(RED).draw(&tower).unwrap());
     let [left, right, top, bottom] = draw(UpAxis::Y);
-    assert!(bottom - top > 3 * (right - left), "y is up");
+    assert!(bottom - top > 3 * (right - left), "the tower stands with y up");
     let [left, right, top, bottom] = draw(UpAxis::Z);
-    assert!(right - left > bottom - top, "the tower lies");
+    assert!(right - left > bottom - top, "the tower lies with z up");
 }
 
 #[test]
-fn deeper_water_is_bluer_and_no_water_is_the_backdrop() {
+fn deeper_water_is_bluer_and_an_empty_mesh_shows_the_backdrop() {
     let depth = |thick: f64| {
         let slab = cuboid([-1.0, -1.0, -thick], [1.0, 1.0, 0.0]);
         let view = View::At { eye: [0.0, 0.0, 8.0], target: [0.0; 3] };
@@ -138,16 +138,16 @@ fn deeper_water_is_bluer_and_no_water_is_the_backdrop() {
         [image.rgb()[middle], image.rgb()[middle + 2]].map(i32::from)
     };
     let shades = [0.02, 0.1, 0.4, 1.0].map(depth);
-    // The more the light comes from behind, the less red remains.
+    // Deeper water absorbs more red light.
     assert!(shades.is_sorted_by(|a, b| a[0] > b[0]), "{shades:?}");
     assert!(shades.iter().all(|[red, blue]| blue > red), "{shades:?}");
     let nothing = small().draw(&Mesh::default()).unwrap();
     let [first, .., last] = [0, 1, 2].map(|n| &nothing.rgb()[3 * (119 * 160 * n / 2)..][..3]);
-    assert_ne!(first, last, "a backdrop has a gradient");
+    assert_ne!(first, last, "the backdrop has no gradient");
 }
 
 #[test]
-fn values_are_coloured_from_the_least_to_the_greatest_and_named() {
+fn attribute_values_span_the_colour_map_and_appear_in_the_legend() {
     let mut mesh = sphere(1.0, 5);
     let heights = mesh.positions.iter().map(|p| p[1] as f32).collect();
     let velocities = mesh.positions.iter().flat_map(|_| [3.0, 0.0, 4.0]).collect();
@@ -182,7 +182,7 @@ fn values_are_coloured_from_the_least_to_the_greatest_and_named() {
 }
 
 #[test]
-fn what_lies_behind_before_and_beside_the_eye_is_cut_off() {
+fn triangles_behind_and_beside_the_camera_are_clipped() {
     let mesh = torus(40, 30);
     let mut random = Random::new(11);
     for n in 0..150 {
@@ -201,7 +201,7 @@ fn what_lies_behind_before_and_beside_the_eye_is_cut_off() {
 }
 
 #[test]
-fn what_no_picture_can_show_is_refused() {
+fn invalid_pictures_are_refused_and_invalid_triangles_ignored() {
     let ball = sphere(1.0, 2);
     let at = |eye, target| View::At { eye, target };
     let from = |azimuth, zoom| View::From { azimuth, elevation: 0.0, zoom };
@@ -227,14 +227,14 @@ fn what_no_picture_can_show_is_refused() {
     assert_eq!(small().draw(&weird).unwrap(), nothing);
     let endless = Mesh { positions: vec![[f64::INFINITY, 0.0, 1.0]; 3], ..weird };
     assert_eq!(small().draw(&endless).unwrap().rgb().len(), nothing.rgb().len());
-    // Without some vertices and their triangles.
+    // A triangle with a missing vertex is ignored.
     let mut lacking = ball.clone();
     lacking.triangles.push([0, 1, 1 << 20]);
     assert_eq!(small().draw(&lacking).unwrap(), small().draw(&ball).unwrap());
 }
 
 #[test]
-fn a_closed_surface_has_no_cracks_and_the_way_through_it_is_that_through_the_body() {
+fn a_finely_triangulated_slab_shows_no_cracks() {
     // A slab of many thin triangles, seen from an angle at which every edge is crossed by samples.
     let side = 60_u32;
     let mut slab = cuboid([-1.0, -1.0, -0.1], [1.0, 1.0, 0.1]);
@@ -264,7 +264,7 @@ fn a_closed_surface_has_no_cracks_and_the_way_through_it_is_that_through_the_bod
 }
 
 #[test]
-fn a_draft_shows_what_the_full_picture_shows_with_fewer_samples() {
+fn a_draft_resembles_the_full_picture() {
     let mesh = torus(120, 60);
     let picture = small().ground(true);
     let [full, draft] = [Effort::Full, Effort::Draft]
@@ -272,8 +272,7 @@ fn a_draft_shows_what_the_full_picture_shows_with_fewer_samples() {
     assert_ne!(full, draft);
     let differences: Vec<u8> =
         full.rgb().iter().zip(draft.rgb()).map(|(a, b)| a.abs_diff(*b)).collect();
-    // Only edges differ: a picture of another place, or from another place, would differ on most of
-    // the body.
+    // Only edges differ. A picture from another camera would differ on most of the body.
     let far = differences.iter().filter(|&&difference| difference > 24).count();
     assert!(100 * far < differences.len(), "{far} of {} channels", differences.len());
 }
@@ -286,7 +285,7 @@ fn splash(request: &Reconstruction) -> Surface {
 }
 
 #[test]
-fn a_draft_of_a_fine_mesh_is_drawn_of_fewer_triangles_and_shows_what_the_full_picture_does() {
+fn a_draft_draws_a_coarser_mesh_that_resembles_the_fine_one() {
     let surface = splash(&Reconstruction::new());
     let picture = small().size(120, 90).ground(true);
     let draft = picture.clone().effort(Effort::Draft);
@@ -313,15 +312,15 @@ fn a_draft_of_a_fine_mesh_is_drawn_of_fewer_triangles_and_shows_what_the_full_pi
             picture.draw(&surface.to_mesh().unwrap()).unwrap()
         );
     }
-    let dressed = splash(&Reconstruction::new().normals(true));
+    let with_normals = splash(&Reconstruction::new().normals(true));
     assert_eq!(
-        picture.draw(dressed.mesh()).unwrap(),
-        picture.draw(&dressed.to_mesh().unwrap()).unwrap()
+        picture.draw(with_normals.mesh()).unwrap(),
+        picture.draw(&with_normals.to_mesh().unwrap()).unwrap()
     );
 }
 
 #[test]
-fn a_coarser_mesh_is_left_as_often_as_it_is_entered_and_is_the_same_in_pieces() {
+fn a_coarser_mesh_is_closed_near_the_surface_and_the_same_in_pieces() {
     let surface = splash(&Reconstruction::new());
     let fine = surface.mesh();
     let mesh = fine.coarser().unwrap().unwrap();
@@ -334,13 +333,13 @@ fn a_coarser_mesh_is_left_as_often_as_it_is_entered_and_is_the_same_in_pieces() 
         for n in 0..3 {
             let [from, to] = [triangle[n], triangle[(n + 1) % 3]];
             assert_ne!(from, to);
-            let turned = if from < to { 1 } else { -1 };
-            *edges.entry([from.min(to), from.max(to)]).or_insert(0) += turned;
+            let direction = if from < to { 1 } else { -1 };
+            *edges.entry([from.min(to), from.max(to)]).or_insert(0) += direction;
         }
     }
     assert!(
         edges.values().all(|&sum| sum == 0),
-        "each edge is passed as often one way as the other"
+        "an edge has different numbers of triangles in its two directions"
     );
     let mut pieced = (Vec::new(), Vec::new());
     for piece in 0..mesh.pieces() {
@@ -363,7 +362,7 @@ fn a_coarser_mesh_is_left_as_often_as_it_is_entered_and_is_the_same_in_pieces() 
 }
 
 #[test]
-fn a_draft_has_the_same_bytes_for_any_number_of_threads_and_any_memory() {
+fn a_draft_is_independent_of_threads_and_memory() {
     let surface = splash(&Reconstruction::new().cell(0.25));
     let draft = small().ground(true).effort(Effort::Draft);
     let draw = |threads| on_threads(threads, || draft.draw(surface.mesh()).unwrap());
@@ -374,15 +373,15 @@ fn a_draft_has_the_same_bytes_for_any_number_of_threads_and_any_memory() {
 }
 
 #[test]
-fn a_mesh_that_is_larger_than_memory_gives_the_same_bytes_read_in_batches() {
+fn a_mesh_larger_than_the_memory_budget_gives_the_same_picture() {
     let mut mesh = torus(1200, 600);
     let heights = mesh.positions.iter().map(|p| p[1] as f32).collect();
     mesh.attributes.push(VertexAttribute::new("height", 1, heights));
     let by_height = Colour::Attribute { name: "height".into(), map: "viridis".parse().unwrap() };
-    let mut dressed = mesh.clone();
-    dressed.normals = Some(mesh.positions.iter().map(|p| [p[0] as f32, 1.0, 0.5]).collect());
+    let mut with_normals = mesh.clone();
+    with_normals.normals = Some(mesh.positions.iter().map(|p| [p[0] as f32, 1.0, 0.5]).collect());
     for (mesh, colour) in
-        [(&mesh, Colour::Water), (&mesh, by_height.clone()), (&dressed, by_height)]
+        [(&mesh, Colour::Water), (&mesh, by_height.clone()), (&with_normals, by_height)]
     {
         let picture = small().colour(colour);
         let whole = picture.draw(mesh).unwrap();
@@ -399,7 +398,7 @@ fn a_mesh_that_is_larger_than_memory_gives_the_same_bytes_read_in_batches() {
 }
 
 #[test]
-fn a_large_file_is_drawn_in_a_stream_with_the_same_bytes() {
+fn streaming_a_large_file_gives_the_same_picture() {
     let folder = TempDir::new().unwrap();
     let mut mesh = torus(1200, 600);
     let velocities = mesh.positions.iter().flat_map(|p| p.map(|x| x as f32)).collect();
@@ -436,15 +435,15 @@ fn a_large_file_is_drawn_in_a_stream_with_the_same_bytes() {
     let last = broken.len() - 13;
     broken[last] = 4;
     fs::write(&file, broken).unwrap();
-    let told = run("broken.png", "60MiB");
-    assert_eq!(told.status.code(), Some(3));
-    let told = String::from_utf8_lossy(&told.stderr).into_owned();
-    assert!(told.contains("large.ply") && told.contains("triangles"), "{told}");
+    let broken = run("broken.png", "60MiB");
+    assert_eq!(broken.status.code(), Some(3));
+    let errors = String::from_utf8_lossy(&broken.stderr).into_owned();
+    assert!(errors.contains("large.ply") && errors.contains("triangles"), "{errors}");
     assert!(!folder.path().join("broken.png").exists());
 }
 
 #[test]
-fn the_edges_of_triangles_are_shown_where_they_are_larger_than_their_wires() {
+fn a_wireframe_shows_only_edges_of_triangles_wider_than_its_lines() {
     let ink = |mesh: &Mesh| {
         let image = small().colour(RED).wireframe(true).draw(mesh).unwrap();
         image.rgb().chunks(3).filter(|pixel| pixel.iter().all(|&channel| channel < 110)).count()
@@ -460,7 +459,7 @@ fn the_edges_of_triangles_are_shown_where_they_are_larger_than_their_wires() {
 }
 
 #[test]
-fn distances_from_another_surface_are_negative_inside_and_coloured_around_zero() {
+fn distances_from_a_reference_are_signed_and_coloured_around_zero() {
     let reference = Reference::new(&sphere(1.0, 5)).unwrap();
     let by = Colour::Distance { from: reference, map: "red-blue".parse().unwrap() };
     let picture = small().colour(by);
@@ -480,30 +479,30 @@ fn distances_from_another_surface_are_negative_inside_and_coloured_around_zero()
         let out = render(folder.path(), arguments);
         (out.status.code(), String::from_utf8_lossy(&out.stderr).into_owned())
     };
-    let asked = ["ball_2.ply", "-o", "a.png", "--size", "96x54", "--reference"];
-    let with = |more: &[&'static str]| run(&[&asked[..], more].concat());
+    let arguments = ["ball_2.ply", "-o", "a.png", "--size", "96x54", "--reference"];
+    let with = |more: &[&'static str]| run(&[&arguments[..], more].concat());
     assert_eq!(with(&["ball_7.ply"]).0, Some(0));
     assert_eq!(with(&["ball_7.ply", "--colour", "distance:turbo", "--overwrite"]).0, Some(0));
-    let (code, told) = with(&["ball_7.ply", "--colour", "ff0000", "--overwrite"]);
-    assert!(code == Some(2) && told.contains("--colour distance"), "{told}");
-    let (code, told) = with(&["gone.ply", "--overwrite"]);
-    assert!(code == Some(3) && told.contains("gone.ply"), "{told}");
+    let (code, errors) = with(&["ball_7.ply", "--colour", "ff0000", "--overwrite"]);
+    assert!(code == Some(2) && errors.contains("--colour distance"), "{errors}");
+    let (code, errors) = with(&["gone.ply", "--overwrite"]);
+    assert!(code == Some(3) && errors.contains("gone.ply"), "{errors}");
 }
 
 #[test]
-fn an_outlier_does_not_change_the_colours_of_others_and_is_in_the_legend() {
+fn an_outlier_does_not_widen_the_colour_range_but_marks_the_legend() {
     let reference = Reference::new(&sphere(1.0, 5)).unwrap();
     let colour = Colour::Distance { from: reference, map: "red-blue".parse().unwrap() };
     let mut bounds = Scope::default();
     bounds.bounds = Some([[-1.2; 3], [1.2; 3]]);
     let mut ball = sphere(1.1, 5);
-    // Some vertices inside, some outside.
+    // Some vertices are inside the reference, some outside.
     ball.positions.iter_mut().for_each(|p| *p = p.map(|x| x * (1.0 + 0.1 * p[1])));
     let known = small().colour(colour.clone()).scope_of(&ball).unwrap();
     assert!(known.range.unwrap()[1] > 0.18);
     let farthest = (0..ball.positions.len())
         .min_by(|&a, &b| ball.positions[a][2].total_cmp(&ball.positions[b][2]));
-    // Behind the camera, where it is not visible.
+    // The outlier is behind the camera.
     ball.positions[farthest.unwrap()] = [0.0, 0.0, -50.0];
     let found = small().colour(colour).scope_of(&ball).unwrap();
     assert!(
@@ -523,28 +522,28 @@ fn an_outlier_does_not_change_the_colours_of_others_and_is_in_the_legend() {
 }
 
 #[test]
-fn unusual_meshes_give_a_picture() {
+fn huge_tiny_degenerate_and_non_finite_meshes_can_be_drawn() {
     let ball = sphere(1.0, 4);
     let scaled = |by: f64| {
         let mut mesh = ball.clone();
         mesh.positions.iter_mut().for_each(|p| *p = p.map(|x| x * by));
         mesh
     };
-    let usual = small().draw(&ball).unwrap();
+    let expected = small().draw(&ball).unwrap();
     for by in [1e-30, 1e-9, 1e9, 1e30, 1e60] {
         let seen = small().draw(&scaled(by)).unwrap();
         let differ =
-            seen.rgb().iter().zip(usual.rgb()).filter(|(a, b)| a.abs_diff(**b) > 4).count();
+            seen.rgb().iter().zip(expected.rgb()).filter(|(a, b)| a.abs_diff(**b) > 4).count();
         assert!(differ < 100, "{by}: {differ} bytes differ");
     }
-    // A vertex that is not finite, or too far away, does not count for the box.
+    // A vertex that is not finite or too far away is not part of the bounds.
     for wrong in [f64::NAN, f64::INFINITY, 1e200] {
         let mut mesh = ball.clone();
         mesh.positions.push([wrong, 0.0, 0.0]);
         mesh.triangles.push([0, 1, mesh.positions.len() as u32 - 1]);
         let seen = small().draw(&mesh).unwrap();
         let differ =
-            seen.rgb().iter().zip(usual.rgb()).filter(|(a, b)| a.abs_diff(**b) > 40).count();
+            seen.rgb().iter().zip(expected.rgb()).filter(|(a, b)| a.abs_diff(**b) > 40).count();
         assert!(differ < 2000, "{wrong}: {differ} bytes differ");
     }
     let flat = Mesh {
@@ -606,7 +605,7 @@ fn png_size(path: &Path) -> [u32; 2] {
 }
 
 #[test]
-fn a_simulation_is_numbered_pictures_a_sheet_or_an_animation_through_one_camera() {
+fn a_simulation_becomes_pictures_a_sheet_or_an_animation_of_one_camera() {
     let folder = frames();
     let at = |name: &str| folder.path().join(name);
     let run = |arguments: &[&str]| {
@@ -649,10 +648,10 @@ fn a_simulation_is_numbered_pictures_a_sheet_or_an_animation_through_one_camera(
 }
 
 #[test]
-fn pictures_go_by_the_axis_that_the_file_or_the_listing_of_a_mesh_says_points_up() {
+fn the_up_axis_of_a_picture_comes_from_the_mesh_file_or_its_listing() {
     let folder = TempDir::new().unwrap();
     let at = |name: &str| folder.path().join(name);
-    // Taller along z than it is wide.
+    // The tower is taller along z than it is wide.
     let tower = fill(6.0, 1.0, 0.2, 3, |p| p.x.abs() < 2.0 && p.y.abs() < 2.0);
     fs::write(at("f_1.xyz"), raw(&tower)).unwrap();
     let drawn = |mesh: &str, options: &[&str]| {
@@ -670,13 +669,13 @@ fn pictures_go_by_the_axis_that_the_file_or_the_listing_of_a_mesh_says_points_up
         assert!(said == drawn(&mesh, &["--up", "z"]), "{output}");
         assert!(said != drawn(&mesh, &["--up", "y"]), "{output}");
     }
-    let turned = [&common[..], &["f_1.xyz", "-o", "y.ply", "--up", "y"]].concat();
-    program::run(folder.path(), &turned, 0);
+    let rotated = [&common[..], &["f_1.xyz", "-o", "y.ply", "--up", "y"]].concat();
+    program::run(folder.path(), &rotated, 0);
     assert!(drawn("y.ply", &[]) == drawn("y.ply", &["--up", "y"]));
 }
 
 #[test]
-fn what_is_asked_for_wrongly_is_refused_before_the_work_and_leaves_nothing() {
+fn invalid_render_requests_are_refused_and_leave_no_files() {
     let folder = frames();
     fs::write(folder.path().join("there.png"), "mine").unwrap();
     fs::write(folder.path().join("bad.ply"), "ply\nformat ascii 1.0\nelement vertex 3\n").unwrap();
@@ -714,16 +713,16 @@ fn what_is_asked_for_wrongly_is_refused_before_the_work_and_leaves_nothing() {
         (&["none_{}.ply", "-o", "a.png"], 3, "none_{}.ply: no file matches this pattern"),
     ] {
         let out = render(folder.path(), arguments);
-        let told = String::from_utf8_lossy(&out.stderr);
-        assert_eq!(out.status.code(), Some(code), "{arguments:?}: {told}");
-        assert!(told.contains(said), "{arguments:?}: {told}");
+        let errors = String::from_utf8_lossy(&out.stderr);
+        assert_eq!(out.status.code(), Some(code), "{arguments:?}: {errors}");
+        assert!(errors.contains(said), "{arguments:?}: {errors}");
         assert_eq!(listing(folder.path()), before, "{arguments:?}");
     }
     assert_eq!(fs::read(folder.path().join("there.png")).unwrap(), b"mine");
 }
 
 #[test]
-fn a_cancel_and_a_bad_mesh_end_an_animation_without_a_file() {
+fn a_cancelled_or_failed_animation_leaves_no_file() {
     let folder = frames();
     let output = folder.path().join("moves.apng");
     let meshes = || folder.path().join("ball_{}.ply");
@@ -743,7 +742,7 @@ fn a_cancel_and_a_bad_mesh_end_an_animation_without_a_file() {
 }
 
 #[test]
-fn a_preview_stands_beside_the_mesh_and_changes_none_of_its_bytes() {
+fn a_preview_is_written_beside_the_mesh_and_does_not_change_it() {
     let folder = TempDir::new().unwrap();
     let at = |name: &str| folder.path().join(name);
     let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/dambreak_small");
@@ -799,7 +798,7 @@ fn a_preview_stands_beside_the_mesh_and_changes_none_of_its_bytes() {
 }
 
 #[test]
-fn a_sheet_of_meshes_that_are_not_read_again_shows_those_of_meshes_that_are() {
+fn previews_of_unreadable_formats_equal_those_of_readable_formats() {
     let folder = TempDir::new().unwrap();
     let at = |name: &str| folder.path().join(name);
     let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/dambreak_small");
@@ -823,8 +822,7 @@ fn a_sheet_of_meshes_that_are_not_read_again_shows_those_of_meshes_that_are() {
         let (ours, read) = (pixels(&sheet), pixels("read.png"));
         let differing = ours.iter().zip(&read).filter(|(a, b)| a.abs_diff(**b) > 24).count();
         assert!(differing * 100 < ours.len(), "{output}: {differing} of {}", ours.len());
-        // Resuming draws the frames of both runs; if the pictures of earlier ones are missing, it
-        // says so.
+        // Resuming draws the frames of both runs.
         fs::remove_file(at(&output.replace("{}", "10"))).unwrap();
         let whole = fs::read(at(&sheet)).unwrap();
         run(&["-o", output, "--preview", "--resume"], 0);
