@@ -1,5 +1,5 @@
-//! Alembic archives: each array, its digest and its place in the tree are as Alembic's sources say,
-//! and nothing else is in the file.
+//! Alembic archives: each array, its digest and its place in the tree match the sources of Alembic,
+//! and the file contains nothing else.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -19,7 +19,7 @@ use meniscus::{Reconstruction, Simulation};
 use crate::common::files::names;
 use crate::common::shapes::{dressed, moved, sphere};
 
-/// An archive whose bytes are all read.
+/// A completely read archive.
 struct Archive {
     metadata: String,
     /// The time per cycle, the times and the number of samples of each time sampling.
@@ -174,8 +174,8 @@ impl<'a> Reader<'a> {
     }
 }
 
-/// Reads an archive, all of whose bytes must belong to it, except those of earlier versions of its
-/// groups.
+/// Reads an archive, and returns the number of bytes of earlier versions of its groups. All other
+/// bytes must belong to the archive.
 fn read(bytes: &[u8]) -> (Archive, usize) {
     assert_eq!(bytes[..8], *b"Ogawa\xff\0\x01");
     let found = Archive {
@@ -219,7 +219,7 @@ fn read(bytes: &[u8]) -> (Archive, usize) {
         unused += start - end;
         end = after;
     }
-    assert_eq!(end, bytes.len(), "the last block ends the file");
+    assert_eq!(end, bytes.len(), "the last block does not end the file");
     (reader.found, unused)
 }
 
@@ -237,7 +237,7 @@ fn narrow(mesh: &Mesh) -> Vec<f32> {
 const SHAPE: &str = "/fluid/fluidShape/.geom";
 
 #[test]
-fn an_archive_has_all_values_under_their_names_and_triangles_clockwise() {
+fn an_alembic_archive_contains_all_values_and_clockwise_triangles() {
     let mut mesh = dressed(moved(&sphere(1.0, 2), [0.5, 0.0, -3.0]));
     let vertices = mesh.positions.len();
     let whole: Vec<i64> = (0..vertices as i64).map(|number| number << 20).collect();
@@ -331,7 +331,7 @@ fn an_archive_has_all_values_under_their_names_and_triangles_clockwise() {
 }
 
 #[test]
-fn an_empty_mesh_has_empty_arrays_and_an_empty_box() {
+fn an_empty_alembic_mesh_has_empty_arrays_and_bounds() {
     let (archive, _) = read(&written(&Mesh::default(), 0.0));
     for name in ["P", ".faceIndices", ".faceCounts"] {
         assert!(archive.values[&format!("{SHAPE}/{name}")].samples[0].is_empty(), "{name}");
@@ -345,7 +345,7 @@ fn an_empty_mesh_has_empty_arrays_and_an_empty_box() {
 }
 
 #[test]
-fn an_archive_is_the_same_on_any_number_of_threads() {
+fn an_alembic_archive_is_independent_of_the_number_of_threads() {
     let mesh = dressed(sphere(1.0, 6));
     let on = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
@@ -355,7 +355,7 @@ fn an_archive_is_the_same_on_any_number_of_threads() {
 }
 
 #[test]
-fn metadata_and_names_of_any_length_are_read_back() {
+fn metadata_and_names_of_any_length_are_preserved() {
     let mut mesh = sphere(1.0, 1);
     let vertices = mesh.positions.len();
     let long = "x".repeat(300);
@@ -376,7 +376,7 @@ fn metadata_and_names_of_any_length_are_read_back() {
     }
 }
 
-/// Writes a mesh into a file of its own in the folder of an archive's frames.
+/// Writes a mesh into its own file in the folder of the frames of an archive.
 fn frame_file(folder: &Path, number: i64, mesh: &Mesh) -> SeriesFrame {
     let (file, bytes) = (format!("wave_{number}.abc"), written(mesh, number as f64));
     fs::create_dir_all(folder).unwrap();
@@ -406,7 +406,7 @@ fn archive_in(folder: &Path) -> (FrameArchive, std::path::PathBuf) {
 }
 
 #[test]
-fn an_archive_of_frames_has_the_values_of_each_and_is_complete_after_each() {
+fn a_frame_archive_is_complete_after_each_added_frame() {
     let folder = tempfile::tempdir().unwrap();
     let (archive, frames) = archive_in(folder.path());
     // The second frame has no attributes, the fourth is empty, and the third comes last.
@@ -423,7 +423,7 @@ fn an_archive_of_frames_has_the_values_of_each_and_is_complete_after_each() {
         archive.add(&listed, 7, numbers).unwrap();
         assert!(archive.frames().holds(&listed));
         expected.insert(*number, mesh);
-        assert_eq!(names(&frames), ["archive.json"], "the file of the frame is removed");
+        assert_eq!(names(&frames), ["archive.json"], "the file of the frame remains");
         let (found, _) = read(&fs::read(archive.path()).unwrap());
         let (first, count) = (*expected.keys().next().unwrap() as f64, expected.len() as u32);
         let (per_cycle, times, samples) = &found.samplings[1];
@@ -441,7 +441,7 @@ fn an_archive_of_frames_has_the_values_of_each_and_is_complete_after_each() {
             assert_eq!(of(".selfBnds").samples[sample].len(), 48);
         }
     }
-    // Another state begins anew.
+    // Another state starts a new archive.
     let listed = frame_file(&frames, 9, &meshes[1].1);
     archive.add(&listed, 8, numbers).unwrap();
     let (found, unused) = read(&fs::read(archive.path()).unwrap());
@@ -457,7 +457,7 @@ fn end_of_arrays(mesh: &Mesh) -> u64 {
 }
 
 #[test]
-fn an_addition_that_was_interrupted_at_any_point_is_made_again_to_the_same_bytes() {
+fn an_interrupted_archive_addition_resumes_to_the_same_bytes() {
     let meshes = [1, 2, 3].map(|number| dressed(sphere(f64::from(number), 1)));
     let add = |archive: &FrameArchive, frames: &Path, number: usize| {
         let listed = frame_file(frames, number as i64, &meshes[number - 1]);
@@ -471,7 +471,11 @@ fn an_addition_that_was_interrupted_at_any_point_is_made_again_to_the_same_bytes
     let before = [archive.path(), &table].map(|path| fs::read(path).unwrap());
     add(&archive, &frames, 3);
     let whole = fs::read(archive.path()).unwrap();
-    assert_eq!(whole[16..before[0].len()], before[0][16..], "additions change only the header");
+    assert_eq!(
+        whole[16..before[0].len()],
+        before[0][16..],
+        "an addition changes more than the header"
+    );
     let resume = |bytes: &[u8], table_bytes: &[u8]| {
         fs::write(archive.path(), bytes).unwrap();
         fs::write(&table, table_bytes).unwrap();
@@ -483,26 +487,26 @@ fn an_addition_that_was_interrupted_at_any_point_is_made_again_to_the_same_bytes
         assert!(fs::read(archive.path()).unwrap() == whole);
         assert_eq!(names(&frames), ["archive.json"]);
     };
-    // While the frame and the groups were written.
+    // Interrupted while the frame and the groups are written.
     for kept in [0, 1, 100, whole.len() - before[0].len()] {
         let bytes = [&before[0][..], &whole[before[0].len()..][..kept]].concat();
         resume(&bytes, &before[1]);
     }
-    // After the header was written, and before the table was.
+    // Interrupted between the header and the table.
     fs::write(archive.path(), &whole).unwrap();
     fs::write(&table, &before[1]).unwrap();
     add(&archive, &frames, 3);
     assert!(fs::read(archive.path()).unwrap() == whole);
-    // Before the file of the frame was removed.
+    // Interrupted before the file of the frame is removed.
     add(&archive, &frames, 3);
     assert!(fs::read(archive.path()).unwrap() == whole);
-    // Without the table, or with an archive that was cut, nothing is known.
+    // A truncated archive has no known frames.
     fs::write(archive.path(), &whole[..whole.len() - 1]).unwrap();
     assert_eq!(archive.frames().crc(1), None);
 }
 
 #[test]
-fn one_archive_of_a_simulation_is_the_same_on_any_threads_and_after_a_resume() {
+fn a_simulation_archive_is_independent_of_threads_and_resume() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
     fs::create_dir(at("in")).unwrap();
@@ -540,7 +544,7 @@ fn one_archive_of_a_simulation_is_the_same_on_any_threads_and_after_a_resume() {
             assert!(found.values[name].samples[sample] == values.samples[0], "{name}");
         }
     }
-    assert!(!at("each/wave.abc").exists(), "a pattern makes no archive");
+    assert!(!at("each/wave.abc").exists(), "a pattern makes an archive");
 
     run(simulation("later/wave.abc", 2).end(3));
     let refused = simulation("later/wave.abc", 2).run(|_| {}).unwrap_err();
@@ -548,7 +552,7 @@ fn one_archive_of_a_simulation_is_the_same_on_any_threads_and_after_a_resume() {
     let summaries = run(simulation("later/wave.abc", 2).resume());
     assert_eq!(summaries[0].made, 2);
     assert!(bytes == fs::read(at("later/wave.abc")).unwrap());
-    // A frame that changed is replaced, and takes more room.
+    // A changed frame is replaced, and needs more space.
     fs::write(at("in/f_4.xyz"), fs::read(at("in/f_2.xyz")).unwrap()).unwrap();
     assert_eq!(run(simulation("later/wave.abc", 2).resume())[0].made, 1);
     let (changed, _) = read(&fs::read(at("later/wave.abc")).unwrap());

@@ -1,5 +1,4 @@
-//! Ghosts of VTKHDF and legacy .vtk with flags on cells instead of points, in files of VTK's own
-//! writers and of h5py.
+//! Ghost flags on cells instead of points, in VTKHDF and legacy .vtk files of VTK and h5py.
 
 use std::fs;
 use std::path::Path;
@@ -15,7 +14,7 @@ use crate::memory;
 
 /// The steps of the files, with the number of their points and those that remain.
 const STEPS: [(u64, usize, &[usize]); 4] = [
-    // Copies are 4, refined is 3, hidden is 1; the duplicate 2 does not matter.
+    // Copies are 4, refined is 3, hidden is 1. The duplicate 2 does not matter.
     (0, 6, &[0, 2, 5]),
     // 6 to 8 are in a partition with a line; 10 has its own vertex besides a copy, 12 has no
     // vertex.
@@ -45,7 +44,7 @@ fn read(bytes: &[u8], step: impl Into<Option<u64>>) -> Result<ParticleFile, Read
     read.map_err(|error| error.fault)
 }
 
-/// Numbers of the remaining points, from the file's order.
+/// The identifiers of the remaining points, in the order of the file.
 fn ids(file: &ParticleFile) -> Vec<usize> {
     let ids: Vec<usize> = attribute(file, "id").iter().map(|&id| id as usize).collect();
     let points =
@@ -61,11 +60,11 @@ fn ids(file: &ParticleFile) -> Vec<usize> {
 fn places(bytes: &[u8], from: &[u8]) -> Vec<usize> {
     let places: Vec<usize> =
         (0..=bytes.len() - from.len()).filter(|&at| bytes[at..].starts_with(from)).collect();
-    assert!(!places.is_empty(), "{from:?} is nowhere");
+    assert!(!places.is_empty(), "{from:?} is not in the file");
     places
 }
 
-/// The file with every `from` replaced.
+/// The file with every `from` replaced by `to`.
 fn replaced(bytes: &[u8], from: &[u8], to: &[u8]) -> Vec<u8> {
     assert_eq!(from.len(), to.len());
     let mut bytes = bytes.to_vec();
@@ -78,7 +77,7 @@ fn longs(values: &[i64]) -> Vec<u8> {
 }
 
 #[test]
-fn points_of_flagged_vertices_are_left_out_of_what_vtk_writes() {
+fn points_of_ghost_vertices_in_files_of_vtk_are_omitted() {
     let names = [
         "cells_poly_42.vtk",
         "cells_poly_51.vtk",
@@ -101,7 +100,7 @@ fn points_of_flagged_vertices_are_left_out_of_what_vtk_writes() {
 }
 
 #[test]
-fn every_step_and_partition_has_its_own_cells_and_flags() {
+fn every_step_and_partition_uses_its_own_cells_and_ghost_flags() {
     for kind in ["poly", "grid"] {
         let (name, bytes) = file_of_steps(kind);
         for (step, all, left) in &STEPS[..if kind == "poly" { 4 } else { 3 }] {
@@ -112,7 +111,7 @@ fn every_step_and_partition_has_its_own_cells_and_flags() {
 }
 
 #[test]
-fn without_arrays_of_cells_no_point_is_left_out_and_steps_say_where_theirs_are() {
+fn missing_cell_arrays_keep_all_points_and_steps_need_cell_offsets() {
     for kind in ["poly", "grid"] {
         let (_, bytes) = file_of_steps(kind);
         let without = |name: &str| {
@@ -155,7 +154,7 @@ fn without_arrays_of_cells_no_point_is_left_out_and_steps_say_where_theirs_are()
 }
 
 #[test]
-fn wrong_counts_and_numbers_are_errors_of_their_partition() {
+fn invalid_cell_counts_and_indices_are_reported_with_their_partition() {
     let (_, bytes) = file_of_steps("grid");
     let counts = |cells: i64| longs(&[6, 0, 4, cells, 6]);
     let ids_of = |ids: i64| longs(&[6, 0, 5, ids, 6]);
@@ -176,20 +175,20 @@ fn wrong_counts_and_numbers_are_errors_of_their_partition() {
         (data(6), data(13), "partition 3: vtkGhostType has 4 numbers of 5"),
         (data(6), data(i64::MAX), "partition 3: vtkGhostType has 0 numbers of 5"),
     ] {
-        let lying = replaced(&bytes, &from, &to);
-        let (result, largest) = memory::largest_allocation(|| read(&lying, 1));
+        let damaged = replaced(&bytes, &from, &to);
+        let (result, largest) = memory::largest_allocation(|| read(&damaged, 1));
         let fault = result.expect_err(says).to_string();
         assert!(fault.contains(says), "{fault} instead of {says}");
         assert!(largest < 1 << 20, "{largest} bytes for: {fault}");
     }
-    // The faults of files in which one of several equal entries is wrong.
+    // The errors of files in which one of several equal entries is wrong.
     let faults = |bytes: &[u8], from: &[u8], to: &[u8], step: Option<u64>| -> Vec<String> {
-        let lying = places(bytes, from).into_iter().map(|at| {
-            let mut lying = bytes.to_vec();
-            lying[at..at + to.len()].copy_from_slice(to);
-            read(&lying, step)
+        let damaged = places(bytes, from).into_iter().map(|at| {
+            let mut damaged = bytes.to_vec();
+            damaged[at..at + to.len()].copy_from_slice(to);
+            read(&damaged, step)
         });
-        lying.filter_map(|read| read.err().map(|fault| fault.to_string())).collect()
+        damaged.filter_map(|read| read.err().map(|fault| fault.to_string())).collect()
     };
     for (cell, says) in [
         (1 << 40, "partition 2: Offsets has 0 numbers of 5"),
@@ -200,7 +199,7 @@ fn wrong_counts_and_numbers_are_errors_of_their_partition() {
         let found = faults(&bytes, &first(6), &first(cell), Some(1));
         assert!(found.iter().any(|fault| fault.contains(says)), "{found:?} without {says}");
     }
-    // Points stay if cells' offsets have other lengths.
+    // Points stay if the offsets of cells have other lengths.
     let ends = |last: i64| longs(&[5, 0, 1, 2, 3, 4, last]);
     let file = read(&replaced(&bytes, &ends(5), &ends(6)), 1).unwrap();
     assert_eq!(ids(&file), (6..13).collect::<Vec<_>>());
@@ -208,18 +207,18 @@ fn wrong_counts_and_numbers_are_errors_of_their_partition() {
     let whole = fs::read(files::data("simulations/cells.vtkhdf")).unwrap();
     let [right, wrong] = [24, 23].map(|count| longs(&[count]));
     // Two counts must agree: those of the cells, and of their corners.
-    let lying = places(&whole, &right).into_iter().flat_map(|at| {
-        let mut lying = whole.clone();
-        lying[at..at + 8].copy_from_slice(&wrong);
-        faults(&lying, &right, &wrong, None)
+    let damaged = places(&whole, &right).into_iter().flat_map(|at| {
+        let mut damaged = whole.clone();
+        damaged[at..at + 8].copy_from_slice(&wrong);
+        faults(&damaged, &right, &wrong, None)
     });
-    let lying: Vec<String> = lying.collect();
+    let damaged: Vec<String> = damaged.collect();
     let says = "vtkGhostType must have one number for each of 23 cells";
-    assert!(lying.iter().any(|fault| fault.contains(says)), "{lying:?}");
+    assert!(damaged.iter().any(|fault| fault.contains(says)), "{damaged:?}");
 }
 
 #[test]
-fn damage_is_an_error_or_other_values_but_never_a_panic_nor_a_large_allocation() {
+fn damaged_files_cause_neither_panics_nor_large_allocations() {
     for (kind, step) in [("poly", 1), ("poly", 3), ("grid", 1)] {
         let (name, whole) = file_of_steps(kind);
         let values = positions(&read(&whole, step).unwrap());

@@ -1,4 +1,5 @@
-//! Compact glTF: a reader of the format finds the mesh, and a mesh that does not fit is refused.
+//! glTF files, plain and compressed: a reader of the format finds the mesh, and a mesh that does
+//! not fit is refused.
 
 use std::io;
 
@@ -35,7 +36,7 @@ fn number(value: &Value) -> usize {
     value.as_u64().unwrap() as usize
 }
 
-/// The bytes of an accessor's elements, decompressed, and the name of their type.
+/// The bytes of the elements of an accessor, decompressed.
 fn elements(json: &Value, binary: &[u8], accessor: usize) -> Vec<u8> {
     let accessor = &json["accessors"][accessor];
     let view = &json["bufferViews"][number(&accessor["bufferView"])];
@@ -88,7 +89,7 @@ fn soup<T: PartialOrd + Copy>(positions: &[[T; 3]], triangles: &[[u32; 3]]) -> V
 }
 
 #[test]
-fn a_plain_file_holds_the_mesh_to_the_bit_of_f32_with_velocity_under_the_name_of_the_format() {
+fn a_plain_glb_preserves_the_mesh_and_its_velocity_in_f32() {
     let mesh = dressed(moved(&sphere(0.7, 4), [1e-3, -3.0, 1.0 / 3.0]));
     let (json, binary) = written(&mesh, CoordinateWidth::F32, GlbLayout::PLAIN);
     let attributes = &json["meshes"][0]["primitives"][0]["attributes"];
@@ -112,7 +113,7 @@ fn a_plain_file_holds_the_mesh_to_the_bit_of_f32_with_velocity_under_the_name_of
     // Bounds are those of the stored values.
     let accessor = &json["accessors"][number(&attributes["POSITION"])];
     for (bound, pick) in [("min", f32::min as fn(f32, f32) -> f32), ("max", f32::max)] {
-        let said: Vec<f32> = accessor[bound]
+        let listed: Vec<f32> = accessor[bound]
             .as_array()
             .unwrap()
             .iter()
@@ -120,13 +121,13 @@ fn a_plain_file_holds_the_mesh_to_the_bit_of_f32_with_velocity_under_the_name_of
             .collect();
         let stored =
             positions.iter().copied().reduce(|a, b| [0, 1, 2].map(|axis| pick(a[axis], b[axis])));
-        assert_eq!(said, stored.unwrap(), "{bound}");
+        assert_eq!(listed, stored.unwrap(), "{bound}");
     }
     assert!(json["nodes"][0]["translation"].is_null() && json["extensionsRequired"].is_null());
 }
 
 #[test]
-fn the_colour_of_bytes_is_shares_from_0_to_1() {
+fn byte_colours_are_written_as_fractions_from_0_to_1() {
     let mut mesh = sphere(0.5, 1);
     let values: Vec<f32> = (0..3 * mesh.positions.len()).map(|i| (i % 256) as f32).collect();
     let kind = AttributeKind::ByteColour;
@@ -145,18 +146,18 @@ fn the_colour_of_bytes_is_shares_from_0_to_1() {
 }
 
 #[test]
-fn vertices_come_in_the_order_in_which_triangles_use_them() {
+fn glb_vertices_are_in_the_order_of_their_first_use() {
     let (json, binary) = written(&sphere(1.0, 5), CoordinateWidth::F32, GlbLayout::PLAIN);
     let mut next = 0;
     for &vertex in triangles(&json, &binary).as_flattened() {
         assert!(vertex <= next, "{vertex} is used before {next}");
         next = next.max(vertex + 1);
     }
-    assert_eq!(next as usize, sphere(1.0, 5).positions.len(), "all vertices are used");
+    assert_eq!(next as usize, sphere(1.0, 5).positions.len(), "some vertices are unused");
 }
 
 #[test]
-fn a_compressed_file_has_the_same_triangles_and_positions_within_half_a_step() {
+fn a_compressed_glb_is_accurate_to_half_a_quantization_step() {
     let mesh = dressed(moved(&sphere(0.7, 4), [-5.0, 2.0, 1.0 / 3.0]));
     let (json, binary) = written(&mesh, CoordinateWidth::F32, meshopt(UpAxis::Y));
     for list in ["extensionsUsed", "extensionsRequired"] {
@@ -184,13 +185,13 @@ fn a_compressed_file_has_the_same_triangles_and_positions_within_half_a_step() {
             assert!(off.abs() <= step / 2.0 + 1e-6, "{off} of {step}");
         }
     }
-    let turned = |(json, binary): (&Value, &[u8])| soup(&positions, &triangles(json, binary));
-    assert_eq!(turned((&json, &binary)), turned((&plain_json, &plain_binary)));
+    let corners = |(json, binary): (&Value, &[u8])| soup(&positions, &triangles(json, binary));
+    assert_eq!(corners((&json, &binary)), corners((&plain_json, &plain_binary)));
     assert!(binary.len() * 3 < plain_binary.len());
 }
 
 #[test]
-fn the_grid_of_positions_spans_the_mesh_in_powers_of_two() {
+fn the_quantization_step_is_a_power_of_two_that_spans_the_mesh() {
     for extent in [1e-9, 0.3, 1.0, 65_533.9, 65_534.0, 65_534.1, 7e12] {
         let step = grid_step(extent);
         assert_eq!(step.log2().fract(), 0.0);
@@ -199,7 +200,7 @@ fn the_grid_of_positions_spans_the_mesh_in_powers_of_two() {
 }
 
 #[test]
-fn where_z_points_up_the_node_turns_it_to_y_and_far_away_it_carries_the_place() {
+fn the_glb_node_rotates_z_up_to_y_up_and_holds_large_offsets() {
     let mesh = moved(&sphere(1.0, 2), [1e6, 2e6, 3e6]);
     let layout = GlbLayout { up: UpAxis::Z, ..GlbLayout::PLAIN };
     let (json, binary) = written(&mesh, CoordinateWidth::F64, layout);
@@ -211,7 +212,7 @@ fn where_z_points_up_the_node_turns_it_to_y_and_far_away_it_carries_the_place() 
         .iter()
         .map(|x| x.as_f64().unwrap())
         .collect();
-    // Up is y; the former y axis points to the viewer.
+    // Up is y. The former y axis points to the viewer.
     assert_eq!(translation.len(), 3);
     for (found, expected) in translation.iter().zip([1e6, 3e6, -2e6]) {
         assert!((found - expected).abs() < 1e-3, "{translation:?}");
@@ -221,7 +222,7 @@ fn where_z_points_up_the_node_turns_it_to_y_and_far_away_it_carries_the_place() 
     assert!(near.iter().flatten().all(|x| x.abs() <= 1.01));
 }
 
-/// Only its counts exist.
+/// A mesh that has only counts.
 struct Huge(u64);
 
 impl MeshSource for Huge {
@@ -237,15 +238,15 @@ impl MeshSource for Huge {
     }
 
     fn vertices(&self, _: usize) -> io::Result<Vertices<'_>> {
-        panic!("vertices are asked for")
+        panic!("the writer reads vertices")
     }
     fn triangles(&self, _: usize) -> io::Result<Vec<[u64; 3]>> {
-        panic!("triangles are asked for")
+        panic!("the writer reads triangles")
     }
 }
 
 #[test]
-fn more_than_four_gibibytes_are_refused_before_anything_is_read_or_written() {
+fn a_glb_over_4_gib_is_refused_before_reading_or_writing() {
     for layout in [GlbLayout::PLAIN, meshopt(UpAxis::Y)] {
         let mut out = Vec::new();
         let fault = MeshFormat::Glb(layout)
@@ -257,7 +258,7 @@ fn more_than_four_gibibytes_are_refused_before_anything_is_read_or_written() {
 }
 
 #[test]
-fn an_empty_mesh_is_a_scene_without_one_for_nothing_may_be_of_no_bytes() {
+fn an_empty_mesh_becomes_a_glb_scene_without_a_mesh() {
     for layout in [GlbLayout::PLAIN, meshopt(UpAxis::Z)] {
         let empty = Mesh { normals: Some(Vec::new()), ..Mesh::default() };
         let mut bytes = Vec::new();
@@ -270,8 +271,8 @@ fn an_empty_mesh_is_a_scene_without_one_for_nothing_may_be_of_no_bytes() {
         let json: Value = serde_json::from_slice(&bytes[20..]).unwrap();
         assert_eq!(json["scenes"][0]["nodes"], serde_json::json!([0]));
         assert_eq!(json["nodes"], serde_json::json!([{}]));
-        for of_nothing in ["meshes", "accessors", "bufferViews", "buffers", "extensionsRequired"] {
-            assert!(json[of_nothing].is_null(), "{json}");
+        for absent in ["meshes", "accessors", "bufferViews", "buffers", "extensionsRequired"] {
+            assert!(json[absent].is_null(), "{json}");
         }
     }
 }

@@ -1,5 +1,4 @@
-//! Particles in HDF5, as h5py writes them: every valid file is read, and every damaged one is
-//! refused.
+//! Particles in HDF5 files of h5py: every valid file is read, and damaged files never panic.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -23,7 +22,7 @@ fn open(name: &str) -> Result<ParticleFile, ReadError> {
 }
 
 #[test]
-fn a_step_is_a_frame_with_its_time_and_columns_of_one_vector_belong_together() {
+fn an_h5part_step_is_a_frame_with_its_time_and_vector_columns() {
     assert_eq!(steps(&data("steps.h5part")).unwrap(), [0, 2, 10]);
     let [zero, two] = ["steps.h5part#0", "steps.h5part#2"].map(|name| open(name).unwrap());
     assert_eq!((zero.particles.len(), zero.time, two.time), (60, Some(0.0), Some(0.5)));
@@ -47,7 +46,7 @@ fn a_step_is_a_frame_with_its_time_and_columns_of_one_vector_belong_together() {
 }
 
 #[test]
-fn data_sets_at_the_root_are_a_frame_however_they_are_packed() {
+fn root_data_sets_are_a_frame_even_if_chunked_and_compressed() {
     let packed = open("packed.h5").unwrap();
     assert_eq!((packed.particles.len(), packed.time), (60, Some(1.5)));
     let names: Vec<_> =
@@ -57,7 +56,7 @@ fn data_sets_at_the_root_are_a_frame_however_they_are_packed() {
     assert!(exact.iter().zip(positions(&packed)).all(|(a, b)| a.map(|x| f64::from(x as f32)) == b));
     let doubled: Vec<f32> = exact.into_iter().flatten().map(|x| (2.0 * x) as f32).collect();
     assert_eq!(attribute(&packed, "velocity"), doubled);
-    // A scratch file gives the same as memory.
+    // A scratch file gives the same particles as memory.
     let folder = tempfile::tempdir().unwrap();
     let unpacking = Unpacking { in_memory: 0, scratch: folder.path(), control: None };
     assert_eq!(
@@ -77,7 +76,7 @@ fn points(by: f64) -> Vec<[f64; 3]> {
 }
 
 #[test]
-fn a_table_has_a_column_for_each_member_that_is_a_number() {
+fn numeric_members_of_a_compound_table_are_read_as_columns() {
     let table = open("table.h5").unwrap();
     assert_eq!(names(&table), [("id", 1), ("velocity", 3)]);
     let expected: Vec<_> = points(0.0)
@@ -90,7 +89,7 @@ fn a_table_has_a_column_for_each_member_that_is_a_number() {
 }
 
 #[test]
-fn components_along_the_first_axis_are_read_as_well() {
+fn arrays_with_components_along_the_first_axis_are_read() {
     let columns = open("columns.h5").unwrap();
     assert_eq!((positions(&columns), columns.time), (points(0.0), Some(0.5)));
     // The reference configuration is not a position.
@@ -100,7 +99,7 @@ fn components_along_the_first_axis_are_read_as_well() {
 }
 
 #[test]
-fn frames_of_h5md_have_the_particles_that_are_there_and_what_was_stored_with_them() {
+fn h5md_frames_contain_only_the_present_particles_and_their_data() {
     assert_eq!(steps(&data("h5md.h5")).unwrap(), [0, 1, 2]);
     let [one, two] = ["h5md.h5#1", "h5md.h5#2"].map(|name| open(name).unwrap());
     assert_eq!((one.time, one.box_size), (Some(0.5), Some([1.0, 2.0, 3.0])));
@@ -114,7 +113,7 @@ fn frames_of_h5md_have_the_particles_that_are_there_and_what_was_stored_with_the
 }
 
 #[test]
-fn of_several_groups_of_particles_one_has_to_be_named() {
+fn one_of_several_particle_groups_must_be_named() {
     assert_eq!(steps(&data("groups.h5")).unwrap(), [3, 20]);
     let open = |particle_type| {
         let wanted = WantedParticles { particle_type, ..WantedParticles::default() };
@@ -133,13 +132,13 @@ fn of_several_groups_of_particles_one_has_to_be_named() {
 }
 
 #[test]
-fn more_rows_than_the_file_vouches_for_are_refused() {
+fn more_rows_than_the_file_can_contain_are_refused() {
     let error = open("huge.h5").unwrap_err();
     assert!(matches!(error.fault, ReadFault::Compression(_)), "{error}");
 }
 
 #[test]
-fn damage_is_an_error_or_other_values_but_never_a_panic() {
+fn damaged_hdf5_files_never_panic_and_truncation_never_changes_values() {
     for name in ["steps.h5part", "packed.h5", "table.h5", "columns.h5", "h5md.h5"] {
         let whole = fs::read(data(name)).unwrap();
         let read = |bytes: Vec<u8>| {
@@ -169,7 +168,7 @@ fn damage_is_an_error_or_other_values_but_never_a_panic() {
 }
 
 #[test]
-fn a_file_of_steps_is_a_sequence() {
+fn an_h5part_file_with_steps_is_converted_as_a_sequence() {
     let folder = tempfile::tempdir().unwrap();
     fs::copy(data("steps.h5part"), folder.path().join("sim.h5part")).unwrap();
     let run = |arguments: &[&str]| {

@@ -1,4 +1,4 @@
-//! Geometries of Houdini: every point is read in each form and arrangement, and damage is refused.
+//! Houdini geometries: points are read in every form and arrangement, and damage is refused.
 
 use std::path::Path;
 
@@ -24,8 +24,7 @@ fn read(bytes: Vec<u8>) -> Result<ParticleFile, ReadFault> {
     houdini::read_particles(bytes.into(), WantedAttributes::All, Unpacking::in_memory())
 }
 
-/// Numbers that every storage type represents exactly; those of the second thousand points are
-/// equal.
+/// Numbers that every storage type represents exactly. Those of points 1024 to 2047 are equal.
 fn numbers(points: usize, components: usize) -> Vec<f64> {
     let number = |point: usize, component: usize| match point {
         1024..2048 => component as f64,
@@ -50,7 +49,7 @@ fn position(points: usize) -> Value {
 }
 
 #[test]
-fn every_storage_reads_back_in_every_form_and_arrangement() {
+fn every_storage_type_is_read_in_every_form_and_arrangement() {
     let mut files = 0;
     let layouts = |components: usize| {
         let pages = |size| move |packing| Layout::Pages(size, packing);
@@ -95,7 +94,7 @@ fn every_storage_reads_back_in_every_form_and_arrangement() {
 }
 
 #[test]
-fn positions_of_every_storage_and_arrangement_read_back_in_place_or_not() {
+fn positions_of_every_storage_type_and_arrangement_are_read() {
     for form in Form::ALL {
         for storage in ["fpreal16", "fpreal32", "fpreal64"] {
             for (size, layout) in [
@@ -118,7 +117,7 @@ fn positions_of_every_storage_and_arrangement_read_back_in_place_or_not() {
 }
 
 #[test]
-fn every_container_unpacks_in_memory_and_within_a_budget() {
+fn every_container_is_decompressed_in_memory_or_through_scratch_files() {
     let document = cloud(5000, vec![position(5000)]).document(Form::ALL[1]);
     let folder = tempfile::tempdir().unwrap();
     for codec in [Codec::Stored, Codec::Lz4, Codec::Zlib, Codec::Zstd] {
@@ -146,7 +145,7 @@ fn every_container_unpacks_in_memory_and_within_a_budget() {
 }
 
 #[test]
-fn kinds_follow_the_names_and_storages() {
+fn attribute_kinds_follow_from_names_and_storage_types() {
     let values = numbers(10, 3);
     let layout = Layout::Pages(1024, vec![3]);
     let one = Layout::Pages(1024, vec![1]);
@@ -171,7 +170,7 @@ fn kinds_follow_the_names_and_storages() {
 }
 
 #[test]
-fn texts_are_labels_and_none_is_an_empty_text() {
+fn string_attributes_become_labels_and_no_index_is_an_empty_string() {
     let known = ["water", "foam", "", "water"];
     let indices: Vec<f64> =
         (0..2100).map(|i| if i < 1100 { 1.0 } else { f64::from(i % 5) - 1.0 }).collect();
@@ -194,7 +193,7 @@ fn texts_are_labels_and_none_is_an_empty_text() {
 }
 
 #[test]
-fn attributes_that_nobody_wants_are_not_read_and_named() {
+fn unwanted_attributes_are_listed_but_not_read() {
     let layout = Layout::Pages(1024, vec![1]);
     let damaged = strings("path", &["a"], &[7.0; 10], &layout);
     let attributes = vec![
@@ -219,7 +218,7 @@ fn primitive(kind: &str, data: Vec<(&str, Value)>) -> Value {
 }
 
 #[test]
-fn points_of_primitives_are_left_out_and_counted_by_kind() {
+fn points_of_primitives_are_omitted_and_counted_by_kind() {
     let polygons = primitive(
         "p_r",
         vec![
@@ -249,7 +248,7 @@ fn points_of_primitives_are_left_out_and_counted_by_kind() {
         let mut found = found.clone();
         found.sort();
         assert_eq!(found, kinds);
-        // That all points belong to the system does not matter.
+        // Points of a particle system are particles, even if all points belong to it.
         let system = geometry(10, vec![position(10)], &vertices, vec![particles.clone()]);
         let file = read(system.document(form)).unwrap();
         assert_eq!((positions(&file), file.left_out.len()), (tuples(10), 0));
@@ -265,7 +264,7 @@ fn points_of_primitives_are_left_out_and_counted_by_kind() {
 }
 
 #[test]
-fn attributes_that_are_not_numbers_of_points_are_skipped() {
+fn array_attributes_are_skipped() {
     let lists = Value::List(vec![
         definition("lists", "arraynumeric"),
         keyed(vec![("sizerepeat", Value::Numbers("int32", vec![1.0, 2.0]))]),
@@ -277,7 +276,7 @@ fn attributes_that_are_not_numbers_of_points_are_skipped() {
 }
 
 #[test]
-fn text_holds_numbers_that_are_none() {
+fn text_geometries_may_contain_nan_and_infinity() {
     let document = cloud(3, vec![numeric("P", "fpreal32", 3, &[1.0; 9], &Layout::Tuples)]);
     let document = String::from_utf8(document.document(Form::Text)).unwrap();
     let document = document.replacen("[1,1,1", "[nan,-inf,1e1", 1);
@@ -287,7 +286,7 @@ fn text_holds_numbers_that_are_none() {
 }
 
 #[test]
-fn the_extension_is_no_matter() {
+fn the_content_selects_the_houdini_form_not_the_extension() {
     let folder = tempfile::tempdir().unwrap();
     let document = |form: Form| cloud(7, vec![position(7)]).document(form);
     let binary = document(Form::ALL[1]);
@@ -328,7 +327,7 @@ fn samples() -> Vec<Vec<u8>> {
 }
 
 #[test]
-fn every_prefix_is_refused() {
+fn every_truncated_geometry_is_refused() {
     for (number, bytes) in samples().into_iter().enumerate() {
         for end in 1..bytes.len() {
             let cut = read(bytes[..end].to_vec());
@@ -338,7 +337,7 @@ fn every_prefix_is_refused() {
 }
 
 #[test]
-fn flipped_bytes_are_errors_or_other_numbers_and_never_more_particles() {
+fn flipped_bytes_never_add_particles_or_panic() {
     for bytes in samples() {
         for at in 0..bytes.len() {
             for flip in [0x01, 0xff] {
@@ -353,7 +352,7 @@ fn flipped_bytes_are_errors_or_other_numbers_and_never_more_particles() {
 }
 
 #[test]
-fn counts_beyond_the_file_are_refused_without_room_made_for_them() {
+fn counts_beyond_the_file_size_are_refused_without_allocating() {
     let mut cases = Vec::new();
     let pages = |size: i64, points: i64| {
         keyed(vec![
@@ -382,7 +381,7 @@ fn counts_beyond_the_file_are_refused_without_room_made_for_them() {
             assert!(largest < 1 << 20, "{largest} bytes: {fault}");
         }
     }
-    // Lengths in binary, and those of a container.
+    // Lengths in the binary form.
     for length in [vec![0xf4, 0xff, 0xff, 0xff, 0xff], [&[0xf8][..], &[0xff; 8]].concat()] {
         for kind in [0x27, 0x26, 0x40] {
             let mut bytes = b"\x7fNSJb\x5b".to_vec();
@@ -395,7 +394,7 @@ fn counts_beyond_the_file_are_refused_without_room_made_for_them() {
     }
     let packed = Container::USUAL.pack(&cloud(7, vec![position(7)]).document(Form::ALL[1]));
     let length = packed.len();
-    // Metadata, the header's lengths, bytes of chunks, and the index's length.
+    // Lengths of a container: metadata, header, chunks and index.
     for (at, bytes) in [
         (4, 8),
         (12 + 16 + 4, 4),
@@ -412,14 +411,14 @@ fn counts_beyond_the_file_are_refused_without_room_made_for_them() {
 }
 
 #[test]
-fn lists_in_lists_are_refused_before_they_fill_the_stack() {
+fn deeply_nested_lists_are_refused_without_a_stack_overflow() {
     for bytes in [b"[".repeat(1 << 20), [b"\x7fNSJb".to_vec(), vec![0x5b; 1 << 20]].concat()] {
         assert!(read(bytes).is_err());
     }
 }
 
 #[test]
-fn a_file_that_changes_is_found_out() {
+fn a_geometry_truncated_while_open_is_reported_as_changed() {
     let folder = tempfile::tempdir().unwrap();
     for (number, bytes) in samples().into_iter().enumerate() {
         for left in (1..bytes.len()).step_by(37) {
@@ -438,7 +437,7 @@ fn a_file_that_changes_is_found_out() {
 }
 
 #[test]
-fn other_files_are_refused_by_what_they_are() {
+fn files_that_are_not_point_geometries_are_refused_with_the_reason() {
     for (bytes, words) in [
         (&b"PGEOMETRY V5\nNPoints 3"[..], "classic"),
         (b"Point(1) = {0, 0, 0, 1.0};", "not a Houdini geometry"),
@@ -480,7 +479,7 @@ fn dressed() -> Mesh {
 }
 
 #[test]
-fn a_written_mesh_holds_points_with_all_values() {
+fn a_written_bgeo_sc_contains_points_with_all_attributes() {
     let mesh = dressed();
     for width in [CoordinateWidth::F32, CoordinateWidth::F64] {
         let mut bytes = Vec::new();
@@ -512,7 +511,7 @@ fn a_written_mesh_holds_points_with_all_values() {
 }
 
 #[test]
-fn written_bytes_are_the_same_on_any_number_of_threads() {
+fn a_written_bgeo_sc_is_independent_of_the_number_of_threads() {
     let mesh = dressed();
     let written = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
@@ -526,7 +525,7 @@ fn written_bytes_are_the_same_on_any_number_of_threads() {
 }
 
 #[test]
-fn an_empty_mesh_is_written() {
+fn an_empty_mesh_can_be_written_as_bgeo_sc() {
     let mut bytes = Vec::new();
     MeshFormat::BgeoSc.write(&mut bytes, &Mesh::default(), CoordinateWidth::F32).unwrap();
     assert!(read(bytes).unwrap().particles.is_empty());

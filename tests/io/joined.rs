@@ -1,4 +1,4 @@
-//! Joined files: colours have one scale, and no colour is scaled twice.
+//! Joined files: their colours get one scale, and no colour is scaled twice.
 
 use std::fs;
 use std::path::Path;
@@ -40,7 +40,7 @@ fn join(paths: &[&Path]) -> Result<ParticleFile, ReadError> {
 }
 
 #[test]
-fn bytes_become_shares_beside_shares_and_other_scales_are_refused() {
+fn joined_byte_colours_become_fractions_and_other_scale_mixes_are_refused() {
     let folder = TempDir::new().unwrap();
     let [bytes, shares, large, dark] =
         ["bytes", "shares", "large", "dark"].map(|name| folder.path().join(name));
@@ -77,7 +77,7 @@ fn bytes_become_shares_beside_shares_and_other_scales_are_refused() {
 }
 
 #[test]
-fn a_file_is_not_joined_with_itself_by_whatever_name() {
+fn a_file_cannot_be_joined_with_itself_under_any_path() {
     let folder = TempDir::new().unwrap();
     let [one, other] = ["a.ply", "b.ply"].map(|name| folder.path().join(name));
     coloured(&one, "uchar", ["1 2 3", "4 5 6"]);

@@ -1,4 +1,4 @@
-//! Every format in both directions: written files are read, and damaged ones are refused.
+//! Reading and writing of every format: valid files are read, and damaged files are refused.
 #![allow(clippy::unwrap_used)]
 
 mod alembic;

@@ -1,11 +1,11 @@
-//! The allocator of these tests: it refuses large blocks, and measures the allocations of a call.
+//! The allocator of these tests refuses large blocks and measures the allocations of a call.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::sync::atomic::{AtomicBool, AtomicIsize, Ordering};
 
-/// The largest block that tests may allocate: a larger request means that a reader trusts a file's
-/// header.
+/// The largest block that tests may allocate. A larger request means that a reader trusts the
+/// header of a file.
 const LARGEST_BLOCK: usize = 64 << 20;
 
 thread_local! {
@@ -16,14 +16,13 @@ thread_local! {
 
 /// Whether [`peak_of_process`] is measuring.
 static COUNTING: AtomicBool = AtomicBool::new(false);
-/// Bytes that all threads hold, and their maximum, beyond those from before counting.
+/// Bytes that all threads have allocated since counting began, and their maximum.
 static HELD: AtomicIsize = AtomicIsize::new(0);
 static PEAK: AtomicIsize = AtomicIsize::new(0);
 
 struct Meter;
 
-// SAFETY: every call is the system allocator's own, or returns null, which says that there is no
-// memory.
+// SAFETY: every call goes to the system allocator or returns null, which means out of memory.
 unsafe impl GlobalAlloc for Meter {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         LARGEST.set(LARGEST.get().max(layout.size()));
@@ -35,7 +34,7 @@ unsafe impl GlobalAlloc for Meter {
                 HELD.fetch_add(layout.size() as isize, Ordering::Relaxed) + layout.size() as isize;
             PEAK.fetch_max(held, Ordering::Relaxed);
         }
-        // SAFETY: the caller's promise is passed on.
+        // SAFETY: the caller guarantees the same to the system allocator.
         unsafe { System.alloc(layout) }
     }
 
@@ -43,7 +42,7 @@ unsafe impl GlobalAlloc for Meter {
         if COUNTING.load(Ordering::Relaxed) {
             HELD.fetch_sub(layout.size() as isize, Ordering::Relaxed);
         }
-        // SAFETY: the caller's promise is passed on.
+        // SAFETY: the caller guarantees the same to the system allocator.
         unsafe { System.dealloc(pointer, layout) }
     }
 }
@@ -61,7 +60,7 @@ pub fn largest_allocation<T>(call: impl FnOnce() -> T) -> (T, usize) {
     (result, LARGEST.get())
 }
 
-/// Runs `call` without the limit on this thread's blocks: for tests that make large inputs.
+/// Runs `call` without the limit on the blocks of this thread, for tests that make large inputs.
 pub fn unlimited<T>(call: impl FnOnce() -> T) -> T {
     UNLIMITED.set(true);
     let result = call();
@@ -69,7 +68,7 @@ pub fn unlimited<T>(call: impl FnOnce() -> T) -> T {
     result
 }
 
-/// The maximum of bytes that all threads hold at once in `call`, beyond those before it.
+/// The maximum number of bytes that all threads allocate at once in `call`.
 ///
 /// Other tests in the process would be counted too, so the caller must run in its own process.
 pub fn peak_of_process(call: impl FnOnce()) -> usize {

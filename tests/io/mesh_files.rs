@@ -1,5 +1,5 @@
-//! Mesh files: a written mesh is read unchanged, damage is refused, and a failed write leaves
-//! nothing.
+//! Mesh files: a written mesh is read unchanged, damage is refused, and a failed write leaves no
+//! file.
 
 use std::fs;
 use std::io::{self, Read};
@@ -48,7 +48,7 @@ fn soup(mesh: &Mesh) -> Vec<[[f64; 3]; 3]> {
 }
 
 #[test]
-fn every_format_returns_what_it_says_it_holds_to_the_bit() {
+fn every_format_preserves_everything_that_it_supports_exactly() {
     let mesh = dressed(moved(&sphere(0.7, 3), [1e-3, -300., 1.0 / 3.0]));
     for format in FORMATS {
         for width in [CoordinateWidth::F32, CoordinateWidth::F64] {
@@ -80,7 +80,7 @@ fn every_format_returns_what_it_says_it_holds_to_the_bit() {
 }
 
 #[test]
-fn colours_are_bytes_where_the_format_has_them_and_else_shares_from_0_to_1() {
+fn colours_are_written_as_bytes_or_as_fractions_by_format() {
     let positions = vec![[0.; 3], [1., 0., 0.], [0., 1., 0.]];
     let mesh = |attribute: VertexAttribute| Mesh {
         positions: positions.clone(),
@@ -113,7 +113,7 @@ fn colours_are_bytes_where_the_format_has_them_and_else_shares_from_0_to_1() {
 }
 
 #[test]
-fn whole_numbers_come_back_exactly_where_f32_does_not_hold_them() {
+fn integer_attributes_beyond_f32_precision_are_preserved() {
     let positions = vec![[0.; 3], [1., 0., 0.], [0., 1., 0.]];
     let cases = [
         (AttributeKind::Signed, vec![16_777_217, -2_000_000_001, 2_147_483_647]),
@@ -136,7 +136,7 @@ fn whole_numbers_come_back_exactly_where_f32_does_not_hold_them() {
 }
 
 #[test]
-fn attributes_keep_names_of_their_own_beside_normals_and_each_other() {
+fn colliding_attribute_names_are_renamed_uniquely_and_reported() {
     let mut mesh = dressed(sphere(0.7, 1));
     assert!(mesh.normals.is_some());
     let names = ["Normals", "GlobalPointIds", "a/b", "a_b", "a b", "nx", "velocity_"];
@@ -161,18 +161,19 @@ fn attributes_keep_names_of_their_own_beside_normals_and_each_other() {
         // A renamed attribute is reported.
         let renamed = format.renamed(&infos, true);
         for (attribute, name) in read.attributes.iter().zip(names) {
-            let told = renamed.iter().find(|[from, _]| from == name).map_or(name, |[_, to]| to);
-            assert_eq!(attribute.name, told, "{format:?}");
+            let expected = renamed.iter().find(|[from, _]| from == name).map_or(name, |[_, to]| to);
+            assert_eq!(attribute.name, expected, "{format:?}");
         }
-        let mut unlike: Vec<_> = read.attributes.iter().map(|attribute| &attribute.name).collect();
-        unlike.sort();
-        unlike.dedup();
-        assert_eq!(unlike.len(), names.len(), "{format:?}: {unlike:?}");
+        let mut distinct: Vec<_> =
+            read.attributes.iter().map(|attribute| &attribute.name).collect();
+        distinct.sort();
+        distinct.dedup();
+        assert_eq!(distinct.len(), names.len(), "{format:?}: {distinct:?}");
     }
 }
 
 #[test]
-fn long_files_are_the_same_on_any_number_of_threads() {
+fn mesh_files_are_independent_of_the_number_of_threads() {
     let mesh = dressed(torus(300, 100));
     for format in FORMATS {
         let on = |threads| {
@@ -186,7 +187,7 @@ fn long_files_are_the_same_on_any_number_of_threads() {
 }
 
 #[test]
-fn a_mesh_without_triangles_or_vertices_is_a_file_too() {
+fn meshes_without_triangles_or_vertices_can_be_written_and_read() {
     let points = Mesh { positions: vec![[1., 2., 3.]], ..Mesh::default() };
     for format in FORMATS {
         for mesh in [&Mesh::default(), &points] {
@@ -199,7 +200,7 @@ fn a_mesh_without_triangles_or_vertices_is_a_file_too() {
 }
 
 #[test]
-fn an_obj_file_reads_as_lines_of_shortest_numbers() {
+fn obj_numbers_are_written_with_the_fewest_digits() {
     let mesh = Mesh {
         positions: vec![[0.1, -2., 1e-7], [1., 0.30000000000000004, 0.], [0., 1., 12345678.]],
         triangles: vec![[2, 0, 1]],
@@ -221,15 +222,15 @@ fn an_obj_file_reads_as_lines_of_shortest_numbers() {
 }
 
 #[test]
-fn obj_files_of_others_are_read() {
+fn obj_files_of_other_programs_are_read() {
     let text = b"# made elsewhere\r\nmtllib a.mtl\no \xe9t\xe9\n\n  v 0 0 0\nv 1 0 0 0.5\nv 1 1 0 # colour\nv\t0 1 0\n\
                 vt 0 0\nvn 0 0 1\ns off\nusemtl m\nf 1/1/1 2/1/1 3/1/1 4/1/1\nf -4 -3 -2 # back\nf 1/1 2/1 4/1\nl 1 2";
     let mesh = MeshFormat::Obj.read(text).unwrap();
     assert_eq!(mesh.positions, [[0., 0., 0.], [1., 0., 0.], [1., 1., 0.], [0., 1., 0.]]);
     assert_eq!(mesh.triangles, [[0, 1, 2], [0, 2, 3], [0, 1, 2], [0, 1, 3]]);
-    // One normal for four corners does not belong to them alone.
+    // Four corners share one normal, so it is not a normal per vertex.
     assert_eq!(mesh.normals, None);
-    // A normal for each vertex is not the vertices' own if corners use them in another order.
+    // Normals belong to vertices only if all corners pair them in the same order.
     let triangle = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 1\nvn 0 1 0\nvn 1 0 0\n";
     let normals =
         |face| MeshFormat::Obj.read(format!("{triangle}{face}").as_bytes()).unwrap().normals;
@@ -238,7 +239,7 @@ fn obj_files_of_others_are_read() {
 }
 
 #[test]
-fn obj_lines_that_do_not_parse_are_named() {
+fn invalid_obj_lines_are_reported_with_their_number() {
     let fault = |tail: &str| {
         let text = format!("v 0 0 0\nv 1 0 0\nv 0 1 0\n{tail}\n");
         MeshFormat::Obj.read(text.as_bytes()).unwrap_err().to_string()
@@ -281,7 +282,7 @@ fn an_stl_file_has_the_bytes_of_the_format() {
 }
 
 #[test]
-fn stl_corners_are_joined_where_they_are_equal_to_the_bit_and_nowhere_else() {
+fn stl_corners_are_merged_only_if_bitwise_equal() {
     let mut mesh = cuboid([0.; 3], [1.; 3]);
     let read = |mesh: &Mesh| {
         MeshFormat::Stl.read(&written(MeshFormat::Stl, mesh, CoordinateWidth::F32)).unwrap()
@@ -293,13 +294,13 @@ fn stl_corners_are_joined_where_they_are_equal_to_the_bit_and_nowhere_else() {
 }
 
 #[test]
-fn stl_files_of_others_are_read() {
+fn stl_files_of_other_programs_are_read() {
     let text = "solid a cube\n facet normal 0 0 1\n  outer loop\n   vertex 0 0 0\n   vertex 1e0 0 0\n\
                 VERTEX 0 .5 0\n  endloop\n endfacet\r\nendsolid a cube\nsolid\nendsolid\n";
     let mesh = MeshFormat::Stl.read(text.as_bytes()).unwrap();
     assert_eq!(mesh.positions, [[0., 0., 0.], [1., 0., 0.], [0., 0.5, 0.]]);
     assert_eq!(mesh.triangles, [[0, 1, 2]]);
-    // Binary, although it starts like text.
+    // A binary file that starts like text.
     let mut binary = written(MeshFormat::Stl, &mesh, CoordinateWidth::F32);
     binary[..6].copy_from_slice(b"solid ");
     assert_eq!(MeshFormat::Stl.read(&binary).unwrap(), mesh);
@@ -318,7 +319,7 @@ fn stl_files_of_others_are_read() {
 }
 
 #[test]
-fn stl_bytes_after_the_last_triangle_are_refused() {
+fn extra_stl_bytes_after_the_last_triangle_are_refused() {
     let mut bytes = written(MeshFormat::Stl, &cuboid([0.; 3], [1.; 3]), CoordinateWidth::F32);
     bytes.push(0);
     assert!(matches!(MeshFormat::Stl.read(&bytes), Err(ReadFault::Malformed { at: 684, .. })));
@@ -330,7 +331,7 @@ fn stl_bytes_after_the_last_triangle_are_refused() {
 }
 
 #[test]
-fn a_vtp_file_names_its_arrays_and_where_they_lie() {
+fn a_vtp_header_lists_its_arrays_with_their_offsets() {
     let mut mesh = dressed(cuboid([0.; 3], [1.; 3]));
     mesh.attributes[1].name = "a \"<b>\" & c\n\u{1}".to_owned();
     let bytes = written(MeshFormat::Vtp, &mesh, CoordinateWidth::F64);
@@ -381,7 +382,7 @@ const VTP_TEXT: &str = r#"<VTKFile type="PolyData" byte_order="BigEndian"><PolyD
 </Polys></Piece></PolyData></VTKFile>"#;
 
 #[test]
-fn vtp_files_of_others_are_read_as_text() {
+fn vtp_files_with_text_arrays_of_other_programs_are_read() {
     let mesh = MeshFormat::Vtp.read(VTP_TEXT.as_bytes()).unwrap();
     assert_eq!(mesh.positions, [[0., 0., 0.], [1., 0., 0.], [1., 1., 0.], [0., 1., 0.]]);
     assert_eq!(mesh.triangles, [[0, 1, 2], [0, 2, 3], [3, 2, 0]]);
@@ -391,7 +392,7 @@ fn vtp_files_of_others_are_read_as_text() {
 }
 
 #[test]
-fn vtp_data_are_read_in_either_byte_order_with_short_lengths() {
+fn big_endian_vtp_data_with_32_bit_lengths_is_read() {
     let mut bytes = br#"<VTKFile type="PolyData" byte_order="BigEndian" header_type="UInt32"><PolyData>
         <Piece NumberOfPoints="3" NumberOfPolys="1">
         <Points><DataArray type="Float32" NumberOfComponents="3" format="appended" offset="0"/></Points>
@@ -409,7 +410,7 @@ fn vtp_data_are_read_in_either_byte_order_with_short_lengths() {
 }
 
 #[test]
-fn vtp_files_that_are_not_read_say_why() {
+fn invalid_vtp_files_are_refused_with_the_reason() {
     for (right, wrong, expected) in [
         ("PolyData\" ", "UnstructuredGrid\" ", "UnstructuredGrid"),
         ("BigEndian\"", "BigEndian\" compressor=\"vtkOtherDataCompressor\"", "vtkOther"),
@@ -448,7 +449,7 @@ fn vtp_files_that_are_not_read_say_why() {
 }
 
 #[test]
-fn a_truncated_file_is_refused_at_every_prefix() {
+fn a_truncated_file_is_refused_at_every_length() {
     let mesh = dressed(cuboid([0.; 3], [1.; 3]));
     for format in [MeshFormat::Ply, MeshFormat::Vtp, MeshFormat::Stl] {
         let bytes = written(format, &mesh, CoordinateWidth::F32);
@@ -464,8 +465,8 @@ fn a_truncated_file_is_refused_at_every_prefix() {
     for length in 0..VTP_TEXT.len() {
         assert!(MeshFormat::Vtp.read(&VTP_TEXT.as_bytes()[..length]).is_err(), "{length}");
     }
-    // These two formats do not store how much follows: a file that ends between two sections or
-    // lines is complete.
+    // These two formats do not store the length of the rest. A file that ends between two sections
+    // or lines is complete.
     for format in [MeshFormat::Obj, MeshFormat::Vtk] {
         let bytes = written(format, &mesh, CoordinateWidth::F32);
         let readable =
@@ -475,7 +476,7 @@ fn a_truncated_file_is_refused_at_every_prefix() {
 }
 
 #[test]
-fn a_flipped_byte_is_an_error_or_another_mesh_and_never_a_panic() {
+fn a_flipped_byte_is_an_error_or_a_valid_mesh_but_never_a_panic() {
     let mesh = dressed(cuboid([0.; 3], [1.; 3]));
     let texts = [(MeshFormat::Vtp, VTP_TEXT.as_bytes().to_vec())];
     let files = FORMATS.map(|format| (format, written(format, &mesh, CoordinateWidth::F64)));
@@ -494,7 +495,7 @@ fn a_flipped_byte_is_an_error_or_another_mesh_and_never_a_panic() {
 }
 
 #[test]
-fn absurd_counts_are_refused_without_the_memory_they_ask_for() {
+fn huge_vtp_counts_and_lengths_are_refused_without_allocating() {
     for count in ["1000000000000", "18446744073709551615"] {
         for right in ["NumberOfPoints=\"4\"", "NumberOfPolys=\"2\"", "NumberOfComponents=\"3\""] {
             let wrong = format!("{}\"{count}\"", right.split('"').next().unwrap());
@@ -516,7 +517,7 @@ fn absurd_counts_are_refused_without_the_memory_they_ask_for() {
 }
 
 #[test]
-fn vtp_arrays_cannot_share_their_data_to_grow_in_memory() {
+fn vtp_arrays_that_share_their_data_are_refused() {
     let bytes = written(MeshFormat::Vtp, &dressed(torus(20, 10)), CoordinateWidth::F32);
     let text = bytes.windows(12).position(|part| part == b"</PointData>").unwrap();
     let again =
@@ -527,7 +528,7 @@ fn vtp_arrays_cannot_share_their_data_to_grow_in_memory() {
 }
 
 #[test]
-fn the_extension_chooses_the_format_in_any_case() {
+fn the_extension_selects_the_mesh_format_ignoring_case() {
     let folder = tempfile::tempdir().unwrap();
     let mesh = cuboid([0.; 3], [1.; 3]);
     for (name, format) in ["a.ply", "a.OBJ", "a.b.Vtk", "a.vtp", ".x.stl"].into_iter().zip(FORMATS)
@@ -549,8 +550,8 @@ fn the_extension_chooses_the_format_in_any_case() {
 }
 
 #[test]
-fn an_existing_file_is_replaced_only_with_permission_and_only_by_a_whole_one() {
-    // A folder in memory, under /dev, is also a folder.
+fn an_existing_file_is_replaced_only_on_request_and_atomically() {
+    // The test also uses a folder in memory, under /dev.
     let shared = Path::new("/dev/shm").is_dir().then(|| tempfile::tempdir_in("/dev/shm").unwrap());
     for folder in shared.into_iter().chain([tempfile::tempdir().unwrap()]) {
         let path = folder.path().join("a.ply");
@@ -570,7 +571,7 @@ fn an_existing_file_is_replaced_only_with_permission_and_only_by_a_whole_one() {
 }
 
 #[test]
-fn a_file_that_appeared_during_the_work_is_not_replaced() {
+fn a_file_that_appears_during_the_work_is_not_replaced() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.obj");
     let output = MeshOutput::prepare(&path, Replace::Refuse).unwrap();
@@ -584,7 +585,7 @@ fn a_file_that_appeared_during_the_work_is_not_replaced() {
 }
 
 #[test]
-fn a_missing_folder_and_a_folder_of_that_name_are_refused_before_the_work() {
+fn missing_folders_and_invalid_output_paths_are_refused_before_the_work() {
     let folder = tempfile::tempdir().unwrap();
     let kind = |path: &Path| match MeshOutput::prepare(path, Replace::Allow).unwrap_err().fault {
         WriteFault::Io(fault) => fault.kind(),
@@ -617,10 +618,10 @@ fn a_folder_removed_during_the_work_is_an_error() {
 
 #[cfg(unix)]
 #[test]
-fn a_write_that_runs_out_of_room_leaves_nothing() {
+fn a_write_that_exceeds_the_size_limit_leaves_no_file() {
     // Files may not exceed 8 blocks of 512 or 1024 bytes.
     let limit = "trap '' XFSZ; ulimit -f 8";
-    alone_after(limit, "mesh_files::a_write_that_runs_out_of_room_leaves_nothing", || {
+    alone_after(limit, "mesh_files::a_write_that_exceeds_the_size_limit_leaves_no_file", || {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.vtp");
         fs::write(&path, "precious").unwrap();
@@ -636,7 +637,7 @@ fn a_write_that_runs_out_of_room_leaves_nothing() {
 
 #[cfg(unix)]
 #[test]
-fn an_output_has_the_permissions_of_any_new_file() {
+fn an_output_has_the_default_permissions_of_a_new_file() {
     use std::os::unix::fs::MetadataExt;
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.ply");
@@ -649,7 +650,7 @@ fn an_output_has_the_permissions_of_any_new_file() {
 
 #[cfg(unix)]
 #[test]
-fn what_a_link_leads_to_is_replaced_and_the_link_stays() {
+fn overwriting_a_symlink_replaces_its_target_and_keeps_the_link() {
     let folder = tempfile::tempdir().unwrap();
     let (link, file) = (folder.path().join("link.ply"), folder.path().join("file.ply"));
     fs::write(&file, "old").unwrap();
@@ -663,7 +664,7 @@ fn what_a_link_leads_to_is_replaced_and_the_link_stays() {
 
 #[cfg(unix)]
 #[test]
-fn pipes_and_devices_are_written_where_they_are() {
+fn pipes_and_devices_are_written_directly() {
     let folder = tempfile::tempdir().unwrap();
     let pipe = folder.path().join("pipe.stl");
     assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());

@@ -1,4 +1,5 @@
-//! The memory of writing a mesh depends on the size of its pieces, not on their number.
+//! Writing a mesh needs memory for the size of its pieces, not for their number. Only .stl also
+//! holds all positions.
 
 use std::borrow::Cow;
 use std::io;
@@ -46,9 +47,8 @@ impl MeshSource for Strip {
 }
 
 #[test]
-fn four_times_the_pieces_take_no_more_memory_but_for_the_positions_of_stl() {
-    let name =
-        "mesh_memory::four_times_the_pieces_take_no_more_memory_but_for_the_positions_of_stl";
+fn writing_four_times_as_many_pieces_needs_no_more_memory() {
+    let name = "mesh_memory::writing_four_times_as_many_pieces_needs_no_more_memory";
     alone(name, write_strips);
 }
 
@@ -57,7 +57,7 @@ fn write_strips() {
     let peak = |format: MeshFormat, pieces: usize| {
         peak_of_process(|| {
             pool.install(|| format.write(&mut io::sink(), &Strip { pieces }, CoordinateWidth::F64))
-                .expect("a sink takes all");
+                .expect("a sink accepts all bytes");
         })
     };
     for format in [

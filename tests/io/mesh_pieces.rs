@@ -1,5 +1,4 @@
-//! A mesh in pieces is written like the whole mesh, however it is cut, and a piece that fails
-//! leaves no file.
+//! A mesh in any pieces is written like the whole mesh, and a piece that fails leaves no file.
 
 use std::borrow::Cow;
 use std::fs;
@@ -26,7 +25,7 @@ const FORMATS: [MeshFormat; 8] = [
     MeshFormat::Abc(SampleTime::ZERO),
 ];
 
-/// Gives a mesh in these ranges of vertices and triangles.
+/// A source that gives a mesh in these ranges of vertices and triangles.
 struct Cut {
     mesh: Mesh,
     pieces: Vec<[Range<usize>; 2]>,
@@ -101,7 +100,8 @@ fn written(format: MeshFormat, mesh: &dyn MeshSource, width: CoordinateWidth) ->
     bytes
 }
 
-/// Empty pieces, pieces of one, all vertices in one, and all triangles in another.
+/// Cuts with empty pieces, with tiny pieces, and with all vertices and all triangles in different
+/// pieces.
 fn cuts(mesh: &Mesh) -> [Cut; 4] {
     let [vertices, triangles] = [mesh.positions.len(), mesh.triangles.len()];
     let ones: Vec<_> = (0..99).map(|i| i % 2).collect();
@@ -115,9 +115,9 @@ fn cuts(mesh: &Mesh) -> [Cut; 4] {
 }
 
 #[test]
-fn a_mesh_in_any_pieces_is_written_as_the_whole_mesh() {
+fn the_bytes_of_a_mesh_are_independent_of_its_pieces() {
     let bare = torus(200, 100);
-    assert!(bare.pieces() > 1, "the mesh itself is in one piece");
+    assert!(bare.pieces() > 1, "the mesh has only one piece");
     for mesh in [Mesh::default(), dressed(torus(200, 100)), bare] {
         for format in FORMATS {
             for width in [CoordinateWidth::F32, CoordinateWidth::F64] {
@@ -152,7 +152,7 @@ fn a_source_without_pieces_is_read_back_as_an_empty_mesh() {
 }
 
 #[test]
-fn a_piece_that_cannot_be_read_ends_the_writing_and_leaves_no_file() {
+fn an_unreadable_piece_fails_the_write_and_leaves_no_file() {
     let mesh = dressed(torus(40, 30));
     for format in FORMATS {
         for (lost, first) in
@@ -177,7 +177,7 @@ fn a_piece_that_cannot_be_read_ends_the_writing_and_leaves_no_file() {
 
 #[test]
 #[should_panic = "all vertices are in the pieces"]
-fn pieces_that_lack_a_vertex_make_no_file() {
+fn writing_pieces_with_a_missing_vertex_panics() {
     let mut cut = Cut::new(&torus(40, 30), &[10, 10], &[5, 5]);
     cut.pieces[1][0].end -= 1;
     written(MeshFormat::Ply, &cut, CoordinateWidth::F32);
@@ -185,7 +185,7 @@ fn pieces_that_lack_a_vertex_make_no_file() {
 
 #[test]
 #[should_panic = "is named of 1200"]
-fn a_triangle_of_a_missing_vertex_makes_no_file() {
+fn writing_a_triangle_with_a_missing_vertex_panics() {
     let mut mesh = torus(40, 30);
     mesh.triangles[7][1] = 1200;
     written(MeshFormat::Obj, &mesh, CoordinateWidth::F32);
@@ -193,7 +193,7 @@ fn a_triangle_of_a_missing_vertex_makes_no_file() {
 
 #[test]
 #[should_panic = "one normal a vertex"]
-fn a_mesh_of_more_normals_than_vertices_makes_no_file() {
+fn writing_more_normals_than_vertices_panics() {
     let mesh =
         Mesh { normals: Some(vec![[0.; 3]; 9]), positions: vec![[0.; 3]; 8], ..Mesh::default() };
     written(MeshFormat::Vtp, &mesh, CoordinateWidth::F32);

@@ -1,4 +1,4 @@
-//! The packed frame file: the same field from disk as from memory, and no undetected damage.
+//! Packed frames: the field from disk equals the field in memory, and damage is detected.
 
 use std::fs;
 use std::io::Write;
@@ -81,9 +81,9 @@ impl Folder {
     }
 }
 
-/// The error for `bytes` with corrected checksums, which is deliberate damage.
+/// The error for damaged bytes with corrected checksums.
 fn refusal(folder: &Folder, bytes: &[u8]) -> String {
-    open_frame(&folder.file(bytes), 1 << 20).expect_err("damage goes unnoticed").fault.to_string()
+    open_frame(&folder.file(bytes), 1 << 20).expect_err("damage is not detected").fault.to_string()
 }
 
 fn assert_same_frame(found: &SampledDif, expected: &SampledDif, what: &str) {
@@ -101,7 +101,7 @@ fn assert_same_frame(found: &SampledDif, expected: &SampledDif, what: &str) {
 }
 
 #[test]
-fn a_field_from_a_file_is_the_field_in_memory_whatever_the_cache() {
+fn a_packed_field_equals_the_field_in_memory_for_any_cache_size() {
     let folder = Folder::new();
     let particles = splashes(1);
     let grid = sampling().grid;
@@ -118,7 +118,10 @@ fn a_field_from_a_file_is_the_field_in_memory_whatever_the_cache() {
                     let scratch =
                         frame_from_file(&fs::File::open(&path).unwrap(), cache_bytes).unwrap();
                     assert_same_frame(&scratch, &frame, &what);
-                    assert!(encoded(&scratch) == fs::read(&path).unwrap(), "{what}: written again");
+                    assert!(
+                        encoded(&scratch) == fs::read(&path).unwrap(),
+                        "{what}: the rewritten bytes differ"
+                    );
                 }
             }
         }
@@ -126,11 +129,11 @@ fn a_field_from_a_file_is_the_field_in_memory_whatever_the_cache() {
 }
 
 #[test]
-fn the_bytes_depend_neither_on_threads_nor_on_how_pages_are_pushed() {
+fn a_packed_frame_is_independent_of_threads_and_page_batches() {
     let particles: Vec<[f64; 3]> = splashes(2).iter().map(|p| p.map(|x| 6.0 * x)).collect();
     let frame = sample(&particles[..], sampling().grid, None, INDICATORS[0], BrickSide::Eight);
     let field = &frame.dif;
-    assert!(field.infos().len() > 200, "more than a chunk of pages");
+    assert!(field.infos().len() > 200, "all pages fit in one chunk");
     let expected = encoded(&frame);
     for threads in [1, 2, 5] {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
@@ -147,7 +150,7 @@ fn the_bytes_depend_neither_on_threads_nor_on_how_pages_are_pushed() {
 }
 
 #[test]
-fn facts_survive_at_their_extremes() {
+fn extreme_frame_facts_are_preserved() {
     let folder = Folder::new();
     let grid = Grid::new(DVec3::new(-1e300, 0.1, -0.0), 1e-300).unwrap();
     let mut frame = small();
@@ -172,7 +175,7 @@ fn small_periodic() -> SampledDif {
 }
 
 #[test]
-fn a_periodic_box_survives_and_damage_to_it_does_not_go_unnoticed() {
+fn a_periodic_box_is_preserved_and_damage_to_it_is_detected() {
     let folder = Folder::new();
     let frame = small_periodic();
     let good = encoded(&frame);
@@ -195,7 +198,7 @@ fn a_periodic_box_survives_and_damage_to_it_does_not_go_unnoticed() {
         bad[at..at + patch.len()].copy_from_slice(&patch);
         layout.seal(&mut bad);
         let found = refusal(&folder, &bad);
-        assert!(found.contains(expected), "{patch:?} at {at}: {found:?} does not say {expected:?}");
+        assert!(found.contains(expected), "{patch:?} at {at}: {found:?} instead of {expected:?}");
     }
     for at in (0..good.len()).filter(|at| (footer..layout.index).contains(at)) {
         let mut bad = good.clone();
@@ -206,7 +209,7 @@ fn a_periodic_box_survives_and_damage_to_it_does_not_go_unnoticed() {
 }
 
 #[test]
-fn a_frame_without_pages_is_a_frame() {
+fn a_packed_frame_without_pages_can_be_read() {
     let folder = Folder::new();
     let SampledDif { facts, indicator, .. } = small();
     let none = DifField::in_memory(BrickSide::Eight.into(), Vec::new());
@@ -217,7 +220,7 @@ fn a_frame_without_pages_is_a_frame() {
 }
 
 #[test]
-fn every_flipped_byte_and_every_prefix_is_a_typed_error() {
+fn every_flipped_byte_and_every_truncation_is_a_typed_error() {
     let folder = Folder::new();
     let frame = small();
     let good = encoded(&frame);
@@ -225,7 +228,7 @@ fn every_flipped_byte_and_every_prefix_is_a_typed_error() {
     let kind = |bytes: &[u8], what: &str| {
         let path = folder.file(bytes);
         match open_frame(&path, 1 << 20) {
-            Ok(_) => panic!("{what} goes unnoticed"),
+            Ok(_) => panic!("{what} is not detected"),
             Err(error) => {
                 assert_eq!(error.path, path);
                 error.fault
@@ -246,10 +249,10 @@ fn every_flipped_byte_and_every_prefix_is_a_typed_error() {
     }
     let mut longer = good;
     longer.push(0);
-    assert!(matches!(kind(&longer, "a byte more"), ReadFault::Malformed { .. }));
+    assert!(matches!(kind(&longer, "an extra byte"), ReadFault::Malformed { .. }));
 }
 
-/// Parts of the file, as in the module's table.
+/// Offsets of parts of the file, see the table in the module.
 struct Layout {
     footer: usize,
     index: usize,
@@ -273,7 +276,7 @@ impl Layout {
 }
 
 #[test]
-fn damage_with_checksums_that_fit_is_refused_all_the_same() {
+fn invalid_values_with_valid_checksums_are_refused() {
     let folder = Folder::new();
     let good = encoded(&small());
     let layout = Layout::of(&good);
@@ -322,17 +325,17 @@ fn damage_with_checksums_that_fit_is_refused_all_the_same() {
         bad[at..at + patch.len()].copy_from_slice(&patch);
         layout.seal(&mut bad);
         if expected.is_empty() {
-            // Another frame or an error, but no panic.
+            // The result may be another frame or an error, but not a panic.
             let _ = open_frame(&folder.file(&bad), 0);
             continue;
         }
         let found = refusal(&folder, &bad);
-        assert!(found.contains(expected), "{patch:?} at {at}: {found:?} does not say {expected:?}");
+        assert!(found.contains(expected), "{patch:?} at {at}: {found:?} instead of {expected:?}");
     }
 }
 
 #[test]
-fn a_frame_of_the_first_version_is_read_unless_it_holds_clouds() {
+fn packed_frames_of_version_1_are_read_unless_they_contain_clouds() {
     let folder = Folder::new();
     let particles = splashes(5);
     for indicator in INDICATORS {
@@ -358,7 +361,7 @@ fn a_frame_of_the_first_version_is_read_unless_it_holds_clouds() {
 }
 
 #[test]
-fn clouds_come_back_with_their_spacing() {
+fn packed_clouds_keep_their_spacing() {
     let folder = Folder::new();
     for spacing in [None, Some(0.05), Some(0.5), Some(1.5), Some(7.0)] {
         let mut frame = sample(
@@ -375,7 +378,7 @@ fn clouds_come_back_with_their_spacing() {
 }
 
 #[test]
-fn what_no_particle_of_a_page_can_have_left_in_its_rim_is_refused() {
+fn impossible_samples_in_the_ghost_layer_of_a_page_are_refused() {
     let folder = Folder::new();
     let particle = [[8.5; 3]];
     let cloud = IndicatorKind::Cloud;
@@ -402,7 +405,7 @@ fn what_no_particle_of_a_page_can_have_left_in_its_rim_is_refused() {
 }
 
 #[test]
-fn an_unfinished_frame_and_another_file_are_refused_with_words_that_help() {
+fn unfinished_packed_frames_and_other_files_are_refused() {
     let folder = Folder::new();
     let whole = encoded(&small());
     let unfinished = &whole[..Layout::of(&whole).footer];
@@ -413,7 +416,7 @@ fn an_unfinished_frame_and_another_file_are_refused_with_words_that_help() {
     assert!(matches!(missing.fault, ReadFault::Io(_)), "{missing}");
 }
 
-/// Accepts only this number of bytes.
+/// A writer that accepts only this number of bytes.
 struct FullDisk(usize);
 
 impl Write for FullDisk {
@@ -429,7 +432,7 @@ impl Write for FullDisk {
 }
 
 #[test]
-fn a_full_disk_is_an_error_wherever_it_fills() {
+fn a_full_disk_at_any_byte_is_an_error() {
     let frame = small();
     let whole = encoded(&frame).len();
     for room in (0..whole).step_by(7) {
@@ -440,7 +443,7 @@ fn a_full_disk_is_an_error_wherever_it_fills() {
 }
 
 #[test]
-fn pages_of_real_frames_compress() {
+fn pages_of_real_frames_compress_well() {
     let data = crate::common::files::data("");
     for (name, spacing) in [
         ("dambreak_small/ParticleData_Fluid_1.bgeo", 0.05),

@@ -1,5 +1,5 @@
-//! VTK's lists of pieces: the particles of all pieces are read once, a mesh is complete again, and
-//! an error names its piece.
+//! VTK files that list pieces: each particle is read once, a mesh is complete, and an error names
+//! its piece.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -94,7 +94,7 @@ fn at(i: usize) -> [f64; 3] {
 }
 
 #[test]
-fn pieces_that_vtk_wrote_are_one_set_of_particles_without_ghosts() {
+fn pieces_written_by_vtk_are_joined_without_ghosts() {
     let points = positions(&open(&data("points.csv")).unwrap());
     for name in ["poly_0007.pvtp", "grid_0007.pvtu"] {
         let file = open(&data(name)).unwrap();
@@ -117,7 +117,7 @@ fn pieces_that_vtk_wrote_are_one_set_of_particles_without_ghosts() {
 }
 
 #[test]
-fn ghosts_anywhere_are_left_out_and_a_piece_may_be_all_ghosts() {
+fn ghosts_are_omitted_even_if_a_piece_contains_only_ghosts() {
     let set = Set::new();
     for (flagged, left) in [
         ([vec![1], vec![2]], vec![0, 3, 4, 5]),
@@ -135,7 +135,7 @@ fn ghosts_anywhere_are_left_out_and_a_piece_may_be_all_ghosts() {
 }
 
 #[test]
-fn pieces_may_differ_in_precision_and_in_the_order_of_their_attributes_and_be_empty() {
+fn pieces_may_be_empty_or_differ_in_precision_and_attribute_order() {
     let set = Set::new();
     set.write("a.pvtu", &list(&["p/none.vtu", "p/0.vtu", "p/1.vtu"]));
     set.write("p/none.vtu", &piece("Float32", &[], &[], &[]));
@@ -150,11 +150,11 @@ fn pieces_may_differ_in_precision_and_in_the_order_of_their_attributes_and_be_em
 }
 
 #[test]
-fn attributes_that_not_all_pieces_have_are_left_out_by_name_and_flags_need_not_be_in_each() {
+fn attributes_missing_in_a_piece_are_omitted_and_reported_by_name() {
     let set = Set::new();
     set.write("p/0.vtu", &piece("Float64", &[0, 1], &["id", "mass"], &[]));
     set.write("p/1.vtu", &piece("Float64", &[2, 3, 4, 5], &["T", "id"], &[3]));
-    // The same in one file.
+    // The same pieces in one file.
     let whole = |name: &str| fs::read_to_string(set.path(name)).unwrap();
     let (first, second) = (whole("p/0.vtu"), whole("p/1.vtu"));
     let more = &second[second.find("<Piece").unwrap()..second.find("</Unstr").unwrap()];
@@ -170,12 +170,12 @@ fn attributes_that_not_all_pieces_have_are_left_out_by_name_and_flags_need_not_b
 }
 
 #[test]
-fn pieces_in_one_file_are_one_set_whatever_their_encodings_and_types() {
+fn several_pieces_in_one_file_are_joined_for_all_encodings_and_types() {
     let set = Set::new();
     let points: Vec<[f64; 3]> = tuples(5);
     for layout in VtkXml::all() {
         let one = String::from_utf8_lossy(&layout.build(&points)).into_owned();
-        // Appended data occur once, and two pieces may use the same.
+        // Appended data occur once, and two pieces use them.
         let bytes = layout.build(&points);
         let (start, end) = (one.find("<Piece").unwrap(), one.find("</Unstr").unwrap());
         let text = piece("Float64", &[0, 1], &["id"], &[]);
@@ -197,7 +197,7 @@ fn pieces_in_one_file_are_one_set_whatever_their_encodings_and_types() {
 }
 
 #[test]
-fn a_list_of_blocks_gives_its_particles_and_names_what_else_it_holds() {
+fn a_multiblock_file_gives_its_particles_and_names_skipped_blocks() {
     let set = Set::new();
     let list = |blocks: &str| {
         format!(
@@ -228,7 +228,7 @@ fn a_list_of_blocks_gives_its_particles_and_names_what_else_it_holds() {
     set.write("a.vtm", &list(solid));
     let fault = open(&set.path("a.vtm")).unwrap_err().fault;
     assert!(matches!(&fault, ReadFault::Unsupported(what) if what.contains("solid")), "{fault}");
-    // A list that contains itself is endless.
+    // Lists that contain each other are refused.
     set.write("a.vtm", &list("<DataSet file=\"b.vtm\"/>"));
     set.write("b.vtm", &list("<DataSet file=\"a.vtm\"/>"));
     let fault = open(&set.path("a.vtm")).unwrap_err().fault;
@@ -236,7 +236,7 @@ fn a_list_of_blocks_gives_its_particles_and_names_what_else_it_holds() {
 }
 
 #[test]
-fn names_of_pieces_are_found_as_other_systems_spell_them() {
+fn piece_names_are_resolved_in_windows_and_url_spelling() {
     let set = Set::new();
     fs::create_dir(set.path("sub dir")).unwrap();
     for name in ["sub dir/p 0.vtu", "sub dir/50%20.vtu"] {
@@ -260,7 +260,7 @@ fn names_of_pieces_are_found_as_other_systems_spell_them() {
 }
 
 #[test]
-fn errors_in_a_piece_name_it() {
+fn an_error_in_a_piece_names_the_file_of_the_piece() {
     for (name, text, says) in [
         ("p/0.vtu", "<VTKFile".to_owned(), "ends without </VTKFile>"),
         (
@@ -289,7 +289,7 @@ fn errors_in_a_piece_name_it() {
 }
 
 #[test]
-fn a_list_or_a_piece_is_refused_at_every_prefix_and_flipped_bytes_are_no_panic() {
+fn truncated_lists_and_pieces_are_refused_and_flipped_bytes_never_panic() {
     for name in ["a.pvtu", "p/1.vtu"] {
         let set = Set::new();
         let whole = fs::read(set.path(name)).unwrap();
@@ -314,7 +314,7 @@ fn a_list_or_a_piece_is_refused_at_every_prefix_and_flipped_bytes_are_no_panic()
 }
 
 #[test]
-fn a_folder_of_lists_does_not_take_their_pieces_for_frames() {
+fn pieces_in_a_folder_of_lists_are_not_taken_for_frames() {
     let set = Set::new();
     for frame in [1, 2] {
         let names = [0, 1].map(|k| format!("a_{frame}_{k}.vtu"));
@@ -344,7 +344,7 @@ fn a_folder_of_lists_does_not_take_their_pieces_for_frames() {
 }
 
 #[test]
-fn a_mesh_is_written_as_a_list_and_a_folder_and_read_back_as_it_was() {
+fn a_pvtp_mesh_is_a_list_and_a_folder_that_read_back_unchanged() {
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("torus.pvtp");
     let mesh = dressed(torus(20, 10));
@@ -358,7 +358,8 @@ fn a_mesh_is_written_as_a_list_and_a_folder_and_read_back_as_it_was() {
     assert_eq!(read_mesh(&path).unwrap(), mesh);
     assert!(holds_mesh(&path).unwrap());
 
-    // The list and the folder are replaced only if allowed, and nothing else ever is.
+    // The list and the folder are replaced only with permission. Other files in the folder are
+    // kept.
     let exists = |fault: &WriteFault| matches!(fault, WriteFault::Exists);
     assert!(exists(&write(Replace::Refuse).unwrap_err().fault));
     fs::remove_file(&path).unwrap();
@@ -416,12 +417,12 @@ fn points_left(polydata: bool, text: &str) -> Result<Vec<usize>, ReadError> {
 }
 
 #[test]
-fn points_whose_vertices_are_all_copies_or_hidden_are_left_out() {
+fn points_whose_vertices_are_all_ghosts_are_omitted() {
     let order = [5, 4, 3, 2, 1, 0];
     for polydata in [true, false] {
         for (name, flags, left) in [
             ("vtkGhostType", [1, 0, 0, 8, 0, 32], &[1, 3, 4][..]),
-            // High and low connectivity and exterior do not concern the cell itself.
+            // The flags for connectivity and exterior do not make a cell a ghost.
             ("vtkGhostType", [2, 4, 16, 0, 0, 0], &[0, 1, 2, 3, 4, 5]),
             ("vtkGhostLevels", [2, 1, 0, 0, 0, 0], &[0, 1, 2, 3]),
             ("vtkGhostType", [1; 6], &[]),
@@ -456,7 +457,7 @@ fn points_whose_vertices_are_all_copies_or_hidden_are_left_out() {
 }
 
 #[test]
-fn flags_of_cells_add_up_over_pieces_and_with_those_of_points() {
+fn cell_flags_and_point_flags_of_all_pieces_are_combined() {
     let set = Set::new();
     let order = [0, 1, 2, 3, 4, 5];
     let both = with_cells(false, &order, "vtkGhostType", &[1, 0, 0, 0, 0, 1]);
@@ -473,7 +474,7 @@ fn flags_of_cells_add_up_over_pieces_and_with_those_of_points() {
 }
 
 #[test]
-fn cells_that_are_not_as_announced_are_refused_and_no_damage_is_a_panic() {
+fn inconsistent_cells_are_refused_and_damage_never_panics() {
     for polydata in [true, false] {
         let whole = with_cells(polydata, &[5, 4, 3, 2, 1, 0], "vtkGhostType", &[1, 0, 0, 1, 0, 0]);
         let name = if polydata { "NumberOfVerts" } else { "NumberOfCells" };

@@ -1,4 +1,4 @@
-//! Particle files: the reader returns what was written, refuses damage, and never panics.
+//! Particle files: the readers return what was written, refuse damage, and never panic.
 
 use std::io::{Seek, Write};
 use std::path::Path;
@@ -27,7 +27,7 @@ type Packer = fn(&[u8]) -> Vec<u8>;
 const PACKERS: [(&str, Packer); 3] = [
     ("gz", gzip),
     ("xz", xz),
-    ("zst", |bytes| zstd::encode_all(bytes, 3).expect("memory takes all")),
+    ("zst", |bytes| zstd::encode_all(bytes, 3).expect("memory accepts all bytes")),
 ];
 
 type Reader = fn(Bytes) -> Result<ParticleFile, ReadFault>;
@@ -105,7 +105,7 @@ fn samples() -> Vec<(&'static str, Reader, Vec<u8>)> {
     samples
 }
 
-/// The same for formats with encoded numbers.
+/// A small file of every format with encoded numbers.
 fn encoded_samples() -> Vec<(&'static str, Reader, Vec<u8>)> {
     let points = tuples(7);
     let mut samples: Vec<(&str, Reader, Vec<u8>)> =
@@ -117,12 +117,12 @@ fn encoded_samples() -> Vec<(&'static str, Reader, Vec<u8>)> {
 }
 
 #[test]
-fn a_particle_alone_reads_back_whatever_the_order_of_its_axes() {
+fn a_single_particle_is_read_in_any_array_order() {
     let points = tuples(1);
     for descr in ["<f4", "<f8", ">f4", ">f8"] {
         for fortran in [false, true] {
             let file = read(NPY, &build::npy(&points, descr, fortran));
-            assert_eq!(positions(&file.unwrap()), points, "{descr}, in Fortran's order: {fortran}");
+            assert_eq!(positions(&file.unwrap()), points, "{descr}, Fortran order: {fortran}");
         }
     }
     for compression in [CompressionMethod::Stored, CompressionMethod::Deflated] {
@@ -132,7 +132,7 @@ fn a_particle_alone_reads_back_whatever_the_order_of_its_axes() {
 }
 
 #[test]
-fn splishsplash_frames_hold_what_the_simulation_said_of_them() {
+fn splishsplash_frames_match_the_values_of_their_simulation() {
     let frames = [
         (
             1,
@@ -159,12 +159,12 @@ fn splishsplash_frames_hold_what_the_simulation_said_of_them() {
             6.232513427734375,
         ),
     ];
-    for (number, bounds_said, fastest) in frames {
+    for (number, expected_bounds, fastest) in frames {
         let file =
             open_particles(&data(&format!("dambreak_small/ParticleData_Fluid_{number}.bgeo")))
                 .unwrap();
         assert_eq!(file.particles.len(), 8664);
-        assert_eq!(bounds(&positions(&file)), bounds_said, "frame {number}");
+        assert_eq!(bounds(&positions(&file)), expected_bounds, "frame {number}");
         assert_eq!(attributes(&file), [("id", 1), ("velocity", 3), ("density", 1)]);
         assert_eq!(velocity_attribute(file.particles.attributes()), Some(1));
         let speeds = attribute(&file, "velocity");
@@ -177,10 +177,10 @@ fn splishsplash_frames_hold_what_the_simulation_said_of_them() {
     }
 }
 
-/// A separate program counted and measured this: it searched for the array tags in the bytes, and
-/// took the rows whose Idp is at least CaseNfixed + CaseNmoving + CaseNfloat = 7846.
+/// The expected values come from a separate program. It searched for the array tags in the bytes,
+/// and took the rows whose Idp is at least CaseNfixed + CaseNmoving + CaseNfloat = 7846.
 #[test]
-fn a_dualsphysics_part_gives_its_fluid_and_its_spacing() {
+fn a_dualsphysics_part_gives_its_fluid_particles_and_spacing() {
     let file = open_particles(&data("dualsphysics_dambreak/Part_0005.bi4")).unwrap();
     assert_eq!(file.spacing, Some(0.02));
     assert_eq!(attributes(&file), [("Idp", 1), ("Vel", 3), ("Rhop", 1)]);
@@ -203,7 +203,7 @@ fn a_dualsphysics_part_gives_its_fluid_and_its_spacing() {
 }
 
 #[test]
-fn every_binary_layout_reads_back_to_the_bit_compressed_or_not() {
+fn every_binary_layout_is_read_exactly_compressed_or_not() {
     let folder = tempfile::tempdir().unwrap();
     for (number, (name, _, bytes)) in samples().into_iter().chain(encoded_samples()).enumerate() {
         let plain = folder.path().join(format!("{number}.{name}"));
@@ -225,7 +225,7 @@ fn every_binary_layout_reads_back_to_the_bit_compressed_or_not() {
 }
 
 #[test]
-fn any_range_of_a_file_is_the_same_as_in_the_whole() {
+fn every_range_of_particles_equals_that_of_the_whole_file() {
     for (name, reader, bytes) in samples().into_iter().chain(encoded_samples()) {
         let file = read(reader, &bytes).unwrap();
         let whole = positions(&file);
@@ -240,7 +240,7 @@ fn any_range_of_a_file_is_the_same_as_in_the_whole() {
 }
 
 #[test]
-fn attributes_of_a_bgeo_are_floats_vectors_and_integers_without_strings() {
+fn a_bgeo_gives_float_vector_and_integer_attributes_but_no_strings() {
     let file = read(bgeo::read_particles, &build::bgeo(&tuples(7))).unwrap();
     assert_eq!(attributes(&file), [("id", 1), ("v", 3), ("uv", 2)]);
     assert_eq!(attribute(&file, "id"), [-1.0, 0.0, 1.0, 2.0, 3.0, 4.0, 5.0]);
@@ -251,7 +251,7 @@ fn attributes_of_a_bgeo_are_floats_vectors_and_integers_without_strings() {
 }
 
 #[test]
-fn a_bi4_gives_the_fluid_only_in_whatever_order_it_lies() {
+fn a_bi4_gives_only_fluid_particles_in_any_order() {
     for mixed in [false, true] {
         let layout = Bi4 { big: false, wide: false, double: false, mixed, pieces: 1, piece: 0 };
         let file = read(bi4::read_particles, &layout.build(&tuples(7))).unwrap();
@@ -264,7 +264,7 @@ fn a_bi4_gives_the_fluid_only_in_whatever_order_it_lies() {
 }
 
 #[test]
-fn no_particles_are_no_error() {
+fn files_without_particles_are_read() {
     let layout = Bi4 { big: false, wide: false, double: false, mixed: false, pieces: 1, piece: 0 };
     let empty: [(Reader, Vec<u8>); 5] = [
         (bgeo::read_particles, build::bgeo(&[])),
@@ -281,7 +281,7 @@ fn no_particles_are_no_error() {
 }
 
 #[test]
-fn a_truncated_file_is_refused_at_every_prefix() {
+fn a_truncated_file_is_refused_at_every_length() {
     for (name, reader, bytes) in samples() {
         for end in 0..bytes.len() {
             match read(reader, &bytes[..end]) {
@@ -297,7 +297,7 @@ fn a_truncated_file_is_refused_at_every_prefix() {
 }
 
 #[test]
-fn a_truncated_file_of_encoded_numbers_is_refused_at_every_prefix() {
+fn a_truncated_file_of_encoded_numbers_is_refused_at_every_length() {
     for (name, reader, bytes) in encoded_samples() {
         for end in 0..bytes.trim_ascii_end().len() {
             assert!(read(reader, &bytes[..end]).is_err(), "{name} cut at {end} of {}", bytes.len());
@@ -306,7 +306,7 @@ fn a_truncated_file_of_encoded_numbers_is_refused_at_every_prefix() {
 }
 
 /// The result of a reader as text: all numbers, or a fault.
-fn made_of(file: Result<ParticleFile, ReadFault>) -> String {
+fn outcome(file: Result<ParticleFile, ReadFault>) -> String {
     let numbers = |file: ParticleFile| {
         let values: Vec<_> =
             attributes(&file).iter().map(|(name, _)| attribute(&file, name)).collect();
@@ -316,26 +316,26 @@ fn made_of(file: Result<ParticleFile, ReadFault>) -> String {
 }
 
 #[test]
-fn a_file_that_is_read_by_position_is_what_it_is_in_memory_at_every_prefix() {
+fn reading_by_position_equals_reading_from_memory_at_every_length() {
     let folder = tempfile::tempdir().unwrap();
     for (number, (name, reader, bytes)) in
         samples().into_iter().chain(encoded_samples()).enumerate()
     {
-        // A single byte is read at once.
+        // A file of a single byte is read at once.
         for cut in 2..=bytes.len() {
             let path = folder.path().join(format!("{number}.{cut}"));
             std::fs::write(&path, &bytes[..cut]).unwrap();
             let opened = open_bytes(&path).unwrap();
             assert!(matches!(opened, Bytes::File(_)), "{name}");
             let [by_position, in_memory] =
-                [reader(opened), read(reader, &bytes[..cut])].map(made_of);
+                [reader(opened), read(reader, &bytes[..cut])].map(outcome);
             assert_eq!(by_position, in_memory, "{name} of {cut} bytes");
         }
     }
 }
 
 #[test]
-fn headers_between_large_arrays_are_read_by_position() {
+fn bi4_headers_between_large_arrays_are_read_by_position() {
     let points = tuples(40000);
     let mut written = tempfile::NamedTempFile::new().unwrap();
     for mixed in [false, true] {
@@ -348,13 +348,13 @@ fn headers_between_large_arrays_are_read_by_position() {
         let [by_position, in_memory] =
             [bi4::read_particles(opened), read(bi4::read_particles, &bytes)];
         let by_position = by_position.unwrap();
-        assert!(by_position.particles.len() > 32768, "more than are looked at at once");
-        assert!(made_of(Ok(by_position)) == made_of(in_memory), "mixed {mixed}");
+        assert!(by_position.particles.len() > 32768, "the file fits in one chunk");
+        assert!(outcome(Ok(by_position)) == outcome(in_memory), "mixed {mixed}");
     }
 }
 
 #[test]
-fn a_file_that_is_shortened_before_its_header_is_parsed_is_a_typed_error_and_no_signal() {
+fn a_file_truncated_after_opening_is_reported_as_changed() {
     let folder = tempfile::tempdir().unwrap();
     for (number, (name, reader, bytes)) in
         samples().into_iter().chain(encoded_samples()).enumerate()
@@ -376,7 +376,7 @@ fn a_file_that_is_shortened_before_its_header_is_parsed_is_a_typed_error_and_no_
 }
 
 #[test]
-fn a_flipped_bit_of_a_position_with_a_checksum_is_found_out() {
+fn a_flipped_bit_in_checksummed_positions_is_detected() {
     let points = tuples(7);
     let mut files: Vec<(Reader, Vec<u8>)> = Vec::new();
     // LZ4 blocks have no checksum.
@@ -410,7 +410,7 @@ fn a_flipped_bit_of_a_position_with_a_checksum_is_found_out() {
 }
 
 #[test]
-fn vtk_xml_and_npz_give_attributes_and_time_wherever_their_numbers_are() {
+fn vtk_xml_and_npz_give_attributes_and_time_in_every_encoding() {
     let doubled: Vec<f32> = tuples(7).as_flattened().iter().map(|&x| 2.0 * x as f32).collect();
     for (name, reader, bytes) in encoded_samples() {
         let file = read(reader, &bytes).unwrap();
@@ -426,7 +426,7 @@ fn vtk_xml_and_npz_give_attributes_and_time_wherever_their_numbers_are() {
 }
 
 #[test]
-fn encoded_numbers_beyond_their_share_of_memory_go_to_scratch() {
+fn encoded_numbers_beyond_the_memory_limit_are_decoded_to_scratch_files() {
     let scratch = tempfile::tempdir().unwrap();
     let unpacking = Unpacking { in_memory: 100, scratch: scratch.path(), control: None };
     let folder = tempfile::tempdir().unwrap();
@@ -447,7 +447,7 @@ fn encoded_numbers_beyond_their_share_of_memory_go_to_scratch() {
 }
 
 #[test]
-fn an_npz_finds_its_position_by_name_or_because_there_is_but_one() {
+fn npz_positions_are_found_by_name_or_as_the_only_candidate() {
     let points = tuples(4);
     let vectors = build::npy(&points, "<f4", false);
     let axis = |axis: usize| {
@@ -487,7 +487,7 @@ fn an_npz_finds_its_position_by_name_or_because_there_is_but_one() {
 }
 
 #[test]
-fn an_array_of_frames_is_read_frame_by_frame_and_components_may_come_first() {
+fn numpy_arrays_may_contain_frames_or_have_components_first() {
     let points = tuples(6);
     let numbers = |values: &[f64]| values.iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<_>>();
     let array = |shape: &str, values: &[f64]| {
@@ -515,7 +515,7 @@ fn an_array_of_frames_is_read_frame_by_frame_and_components_may_come_first() {
 }
 
 #[test]
-fn fields_of_a_structured_array_are_quantities() {
+fn fields_of_a_structured_numpy_array_become_attributes() {
     let header = build::npy_header("<f4", false, "(2,)");
     let header = String::from_utf8_lossy(&header[10..]).into_owned();
     let kinds = "[('id', '<u2'), ('pos', '>f4', (3,)), ('name', '|S2'), ('v', '<f8')]";
@@ -542,7 +542,7 @@ fn fields_of_a_structured_array_are_quantities() {
 }
 
 #[test]
-fn the_pieces_of_a_part_are_read_together_from_any_of_them() {
+fn a_bi4_part_is_read_completely_from_any_of_its_pieces() {
     let folder = tempfile::tempdir().unwrap();
     let points = tuples(9);
     let layout = |piece: u32| Bi4 {
@@ -596,7 +596,7 @@ fn the_pieces_of_a_part_are_read_together_from_any_of_them() {
 }
 
 #[test]
-fn a_compressed_file_is_refused_at_every_prefix_and_flipped_bytes_are_found_or_no_matter() {
+fn damaged_compressed_files_are_detected() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("frame.bgeo");
     for (extension, pack) in PACKERS {
@@ -611,7 +611,7 @@ fn a_compressed_file_is_refused_at_every_prefix_and_flipped_bytes_are_found_or_n
                 let mut damaged = packed.clone();
                 damaged[at] ^= flip;
                 std::fs::write(&path, damaged).unwrap();
-                // Without a checksum, as zstd writes it here, numbers may differ.
+                // These zstd files have no checksum, so numbers may differ.
                 if let Ok(file) = open_particles(&path)
                     && extension != "zst"
                 {
@@ -623,7 +623,7 @@ fn a_compressed_file_is_refused_at_every_prefix_and_flipped_bytes_are_found_or_n
 }
 
 #[test]
-fn compressed_streams_one_after_the_other_are_one_file() {
+fn concatenated_compressed_streams_are_read_as_one_file() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("frame.xyz");
     let [one, two] =
@@ -645,7 +645,7 @@ fn compressed_streams_one_after_the_other_are_one_file() {
 }
 
 #[test]
-fn a_compressed_bomb_is_refused_before_it_fills_the_memory() {
+fn a_decompression_bomb_is_refused_before_it_fills_the_memory() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("bomb.xyz");
     for (extension, pack) in PACKERS {
@@ -659,7 +659,7 @@ fn a_compressed_bomb_is_refused_before_it_fills_the_memory() {
 }
 
 #[test]
-fn counts_beyond_the_file_are_refused_without_room_made_for_them() {
+fn counts_beyond_the_file_size_are_refused_without_allocating() {
     let points = tuples(7);
     let most = i32::MAX.to_be_bytes();
     let mut cases: Vec<(Reader, Vec<u8>)> = Vec::new();
@@ -692,7 +692,7 @@ fn counts_beyond_the_file_are_refused_without_room_made_for_them() {
     assert_eq!(
         cases.len(),
         2 + 3 * 2 + 2 * 3,
-        "two counts, six shapes, three arrays of either width"
+        "two counts, six shapes and three arrays of two widths"
     );
     for (reader, bytes) in cases {
         let (result, largest) = memory::largest_allocation(|| reader(bytes.into()));
@@ -706,7 +706,7 @@ fn counts_beyond_the_file_are_refused_without_room_made_for_them() {
 }
 
 #[test]
-fn encoded_numbers_that_claim_too_much_are_refused_without_room_made_for_them() {
+fn huge_counts_of_encoded_numbers_are_refused_without_allocating() {
     let points = tuples(7);
     let mut cases: Vec<(Reader, Vec<u8>)> = Vec::new();
     for layout in VtkXml::all() {
@@ -764,7 +764,7 @@ fn encoded_numbers_that_claim_too_much_are_refused_without_room_made_for_them() 
 }
 
 #[test]
-fn an_array_of_a_last_block_and_none_in_all_is_refused() {
+fn a_last_vtk_block_without_any_blocks_is_refused() {
     for layout in VtkXml::all()
         .into_iter()
         .filter(|l| l.is_compressed() && l.placed == build::Placed::AppendedRaw)
@@ -788,7 +788,7 @@ fn an_array_of_a_last_block_and_none_in_all_is_refused() {
 }
 
 #[test]
-fn compressed_zeros_beyond_all_reason_are_refused() {
+fn an_npz_array_with_an_extreme_compression_ratio_is_refused() {
     let bomb = memory::unlimited(|| {
         let zeros =
             [build::npy_header("<f4", false, "(12000000, 3)"), vec![0; 144_000_000]].concat();
@@ -801,7 +801,7 @@ fn compressed_zeros_beyond_all_reason_are_refused() {
 }
 
 #[test]
-fn what_is_not_read_says_what_to_do() {
+fn unsupported_arrays_and_parts_are_refused_with_advice() {
     let points = tuples(2);
     let of_pieces =
         Bi4 { big: false, wide: false, double: false, mixed: false, pieces: 3, piece: 0 };
@@ -824,7 +824,7 @@ fn what_is_not_read_says_what_to_do() {
 }
 
 #[test]
-fn separators_comments_and_line_ends_do_not_change_a_table() {
+fn tables_are_read_with_any_separators_comments_and_line_ends() {
     let same = [
         "1 2 3\n4 5 -6e-1\n",
         "1,2,3\r\n4,5,-6e-1",
@@ -868,7 +868,7 @@ fn named_columns_become_attributes_with_their_components() {
 }
 
 #[test]
-fn not_a_number_and_infinity_are_read_as_such() {
+fn nan_and_infinity_are_read_in_all_spellings_of_text_formats() {
     for row in positions(&text("nan,inf,-inf\n1.#QNAN,1.#INF,-1.#INF\n").unwrap()) {
         assert!(row[0].is_nan());
         assert_eq!(row[1..], [f64::INFINITY, f64::NEG_INFINITY]);
@@ -881,7 +881,7 @@ fn not_a_number_and_infinity_are_read_as_such() {
 }
 
 #[test]
-fn a_bad_line_is_named_by_its_number_and_shown() {
+fn an_invalid_line_is_reported_with_its_number_and_text() {
     let cases = [
         ("1,2,3\n4,5\n", 2, "\"4,5\""),
         ("1,2,3\n4,5,6,7\n", 2, "4 fields where 3"),
@@ -909,7 +909,7 @@ fn a_bad_line_is_named_by_its_number_and_shown() {
 }
 
 #[test]
-fn decimal_commas_units_quotes_and_encodings_do_not_change_a_table() {
+fn tables_are_read_with_decimal_commas_units_quotes_and_utf_16() {
     let utf16 = |text: &str, swap: bool| -> Vec<u8> {
         let units = std::iter::once(0xfeff).chain(text.encode_utf16());
         units.flat_map(|unit| if swap { unit.to_be_bytes() } else { unit.to_le_bytes() }).collect()
@@ -939,7 +939,7 @@ fn decimal_commas_units_quotes_and_encodings_do_not_change_a_table() {
 }
 
 #[test]
-fn a_cell_is_parsed_only_where_its_column_is_wanted() {
+fn table_values_are_parsed_only_in_wanted_columns() {
     let table = "x,y,z,p,vx,vy,vz\n1,2,3,1,4,5,6\n1,2,3,,4,5,6\n1,2,3,bad,4,5,6\n,2,3,1,NA,5,6\n";
     let read = |names: &[&str]| {
         let names: Vec<String> = names.iter().map(|name| (*name).to_owned()).collect();
@@ -955,12 +955,12 @@ fn a_cell_is_parsed_only_where_its_column_is_wanted() {
     assert_eq!(file.unread.len(), 1);
     assert!(positions(&file)[3][0].is_nan() && attribute(&file, "v")[9].is_nan());
     assert!(matches!(read(&["p"]), Err(ReadFault::Line { line: 4, .. })));
-    // If all columns are wanted, a column with text is left out.
+    // If all columns are wanted, a column that contains text is omitted.
     assert_eq!(attributes(&text(table).unwrap()), [("v", 3)]);
 }
 
 #[test]
-fn columns_before_the_position_of_rows_without_names_are_words_or_numbers_of_rows() {
+fn unnamed_tables_may_start_with_a_label_or_row_number_column() {
     let expected = [[0.5, 2.5, 3.5], [4.5, 5.5, 0.25], [1.5, 0.5, 7.5]];
     for table in [
         "O 0.5 2.5 3.5\nH 4.5 5.5 0.25\nH 1.5 0.5 7.5\n",
@@ -973,7 +973,7 @@ fn columns_before_the_position_of_rows_without_names_are_words_or_numbers_of_row
 }
 
 #[test]
-fn an_xyz_has_a_count_a_comment_and_rows() {
+fn xyz_frames_consist_of_a_count_a_comment_and_rows() {
     let expected = [[0.5, 2.0, 3.5], [4.0, 5.5, -0.25]];
     for frame in [
         "2\nwater\nO 0.5 2 3.5\nH 4 5.5 -0.25\n",
@@ -1003,7 +1003,7 @@ fn an_xyz_has_a_count_a_comment_and_rows() {
 }
 
 #[test]
-fn frames_of_an_xyz_and_steps_of_a_dump_are_read_one_by_one() {
+fn frames_of_xyz_files_and_steps_of_lammps_dumps_are_read_separately() {
     let frames = "1\na\nO 1 1 1\n2\nb\nO 2 2 2\nO 3 3 3\n";
     let steps = |text: &str, format| text_format::steps(text.as_bytes().to_vec().into(), format);
     let step = |text: &str, format, step| {
@@ -1038,7 +1038,7 @@ fn frames_of_an_xyz_and_steps_of_a_dump_are_read_one_by_one() {
 }
 
 #[test]
-fn scaled_coordinates_of_a_dump_follow_the_edges_of_its_box() {
+fn scaled_lammps_coordinates_follow_the_edges_of_the_box() {
     let boxes = [
         // Tilted: x from 0 to 2 and y from 0 to 3, with xy 1, xz 0 and yz 0.5.
         "xy xz yz pp pp pp\n0 3 1\n0 3.5 0\n0 4 0.5\n",
@@ -1056,7 +1056,7 @@ fn scaled_coordinates_of_a_dump_follow_the_edges_of_its_box() {
 }
 
 #[test]
-fn tecplot_is_read_by_points_or_by_variables() {
+fn tecplot_is_read_in_point_and_block_packing() {
     let head = "TITLE = \"a\"\nVARIABLES = \"x\", \"y\" \"z\" \"rho\"\nZONE T=\"b, c\", I=2,";
     for zone in [
         "F=POINT\n1 2 3 10\n4 5 6\n20\n",
@@ -1085,7 +1085,7 @@ fn tecplot_is_read_by_points_or_by_variables() {
 }
 
 #[test]
-fn a_json_list_of_positions_is_read_and_no_other() {
+fn only_a_json_list_of_positions_is_read() {
     let json =
         |text: &str| json::read_particles(text.as_bytes().to_vec().into(), Unpacking::in_memory());
     let file = json("[[1, 2, 3],\n [4.5, -5e-1, 6]]\n").unwrap();
@@ -1107,7 +1107,7 @@ fn a_json_list_of_positions_is_read_and_no_other() {
 }
 
 #[test]
-fn a_long_table_is_the_same_whoever_decodes_it() {
+fn decoding_a_table_is_independent_of_the_number_of_threads() {
     let rows = 200_000;
     let mut table = String::from("x,y,z\n");
     for i in 0..rows {
@@ -1129,7 +1129,7 @@ fn a_long_table_is_the_same_whoever_decodes_it() {
 }
 
 #[test]
-fn a_prefix_of_a_table_is_its_first_rows_or_an_error() {
+fn a_truncated_table_gives_its_first_rows_or_an_error() {
     let table = "x,y,z,vx,vy,vz\n1,2,3,4,5,6\n10,20,30,40,50,60\n7,8,9,10,11,12\n";
     let whole = positions(&text(table).unwrap());
     for end in 1..table.len() {
@@ -1142,7 +1142,7 @@ fn a_prefix_of_a_table_is_its_first_rows_or_an_error() {
 }
 
 #[test]
-fn an_xyz_is_text_or_raw_by_its_bytes() {
+fn the_bytes_of_an_xyz_decide_whether_it_is_text_or_raw() {
     let raw = read(XYZ, &build::raw(&tuples(7))).unwrap();
     assert_eq!((raw.format, positions(&raw)), ("raw f32 .xyz", tuples(7)));
     let accents = format!("# {}\n1 2 3\n", "\u{e9}".repeat(3000));
@@ -1156,7 +1156,7 @@ fn an_xyz_is_text_or_raw_by_its_bytes() {
 }
 
 #[test]
-fn an_unknown_extension_is_refused_before_the_file_is_looked_for() {
+fn an_unknown_extension_is_refused_before_the_file_is_opened() {
     for name in
         ["nowhere/a.obj", "nowhere/a", "nowhere/a.ibi4", "nowhere/.bgeo/a", "nowhere/a.obj.gz"]
     {
@@ -1168,7 +1168,7 @@ fn an_unknown_extension_is_refused_before_the_file_is_looked_for() {
 }
 
 #[test]
-fn the_spacing_is_found_beside_the_frames_or_above_them() {
+fn the_spacing_is_found_in_scene_files_beside_or_above_the_frames() {
     let (spacing, scene) =
         spacing_beside(&data("dambreak_small/ParticleData_Fluid_1.bgeo")).unwrap();
     assert_eq!((spacing, scene), (0.05, data("dambreak_small/scene.json")));
@@ -1203,7 +1203,7 @@ fn the_spacing_is_found_beside_the_frames_or_above_them() {
 }
 
 #[test]
-fn frames_of_a_compressed_file_are_unpacked_once_and_again_when_it_changes() {
+fn a_changed_compressed_file_of_frames_is_decompressed_again() {
     let folder = tempfile::tempdir().unwrap();
     let open = |name: &str, scratch: &Path| {
         let unpacking = Unpacking { in_memory: 1 << 20, scratch, control: None };
@@ -1233,7 +1233,7 @@ fn frames_of_a_compressed_file_are_unpacked_once_and_again_when_it_changes() {
 }
 
 #[test]
-fn frames_above_a_line_that_does_not_parse_are_read_by_their_numbers() {
+fn frames_before_an_invalid_line_can_be_read_by_number() {
     let frames = "1\na\nO 1 1 1\n1\nb\nO 2 2 2\nnext\n";
     let step = |step| {
         read_text(frames.as_bytes().to_vec().into(), InputFormat::Xyz, step, WantedAttributes::All)
@@ -1245,7 +1245,7 @@ fn frames_above_a_line_that_does_not_parse_are_read_by_their_numbers() {
 }
 
 #[test]
-fn a_format_that_is_named_is_not_looked_for() {
+fn a_given_text_format_is_not_detected_from_the_content() {
     let folder = tempfile::tempdir().unwrap();
     let open = |text: &str, format| {
         let path = folder.path().join("sim.out");
@@ -1265,7 +1265,7 @@ fn a_format_that_is_named_is_not_looked_for() {
 }
 
 #[test]
-fn zones_of_tecplot_are_refused_by_their_titles() {
+fn several_tecplot_zones_are_refused_with_their_titles() {
     let file =
         "VARIABLES = x, y, z\nZONE T=\"fluid\"\n1 2 3\nzone t=\"wall\"\n4 5 6\nZONE\n7 8 9\n";
     match text(file) {
@@ -1278,7 +1278,7 @@ fn zones_of_tecplot_are_refused_by_their_titles() {
 }
 
 #[test]
-fn equal_column_names_are_numbered_and_there_is_one_position() {
+fn equal_attribute_columns_are_numbered_but_equal_axes_are_refused() {
     let file = text("x,y,z,a,a\n1,2,3,4,5\n").unwrap();
     assert_eq!(attributes(&file), [("a_column4", 1), ("a_column5", 1)]);
     assert_eq!(attribute(&file, "a_column5"), [5.0]);
@@ -1293,7 +1293,7 @@ fn equal_column_names_are_numbered_and_there_is_one_position() {
 }
 
 #[test]
-fn columns_of_shares_are_a_colour() {
+fn red_green_and_blue_columns_become_a_colour() {
     for (names, components) in [("Red,Green,Blue", 3), ("r,g,b", 3), ("red,green,blue,alpha", 4)] {
         let shares = ["255", "128", "0", "64"][..components].join(",");
         let file = text(&format!("x,y,z,{names}\n1,2,3,{shares}\n")).unwrap();
@@ -1303,7 +1303,7 @@ fn columns_of_shares_are_a_colour() {
 }
 
 #[test]
-fn half_floats_of_numpy_are_read() {
+fn half_precision_numpy_arrays_are_read() {
     let mut npy = b"\x93NUMPY\x01\x00\x46\x00".to_vec();
     npy.extend(
         format!("{:<69}\n", "{'descr': '<f2', 'fortran_order': False, 'shape': (1, 3)}").bytes(),
@@ -1316,7 +1316,7 @@ fn half_floats_of_numpy_are_read() {
 }
 
 #[test]
-fn a_condition_on_a_text_array_of_vtk_is_refused_with_its_name() {
+fn a_condition_on_a_vtk_string_array_is_refused_by_name() {
     let folder = tempfile::tempdir().unwrap();
     let legacy = "# vtk DataFile Version 3.0\nt\nASCII\nDATASET POLYDATA\nPOINTS 1 float\n1 2 3\n\
         POINT_DATA 1\nFIELD f 1\nphase 1 1 string\nwater\n";

@@ -1,5 +1,5 @@
-//! Files that describe a simulation to other programs: listings that are complete after each frame,
-//! and a USD stage of layers.
+//! Listings that describe a simulation to other programs, complete after each frame, and a USD
+//! stage with its layers.
 
 use std::fs;
 use std::path::Path;
@@ -38,7 +38,7 @@ fn frame(frame: i64, file: &str, time: Option<f64>) -> SeriesFrame {
 }
 
 #[test]
-fn listings_name_every_frame_with_its_time_and_nothing_else_is_left() {
+fn listings_contain_every_frame_with_its_time() {
     let folder = tempfile::tempdir().unwrap();
     let series = series(folder.path(), MeshFormat::Vtp, None);
     let frames = [frame(1, "pool_1.vtp", Some(0.05)), frame(2, "pool_2 & \"3\".vtp", Some(0.08))];
@@ -66,7 +66,7 @@ fn listings_name_every_frame_with_its_time_and_nothing_else_is_left() {
 }
 
 #[test]
-fn times_are_the_files_where_they_grow_else_numbers_by_the_rate_else_numbers() {
+fn listed_times_come_from_the_files_if_increasing_or_else_from_the_fps() {
     let folder = tempfile::tempdir().unwrap();
     let listed = |fps: Option<f64>, times: [Option<f64>; 2]| -> [f64; 2] {
         let series = series(folder.path(), MeshFormat::Obj, fps);
@@ -75,15 +75,15 @@ fn times_are_the_files_where_they_grow_else_numbers_by_the_rate_else_numbers() {
         [0, 1].map(|i| json["frames"][i]["time"].as_f64().unwrap())
     };
     assert_eq!(listed(Some(25.0), [Some(0.1), Some(0.3)]), [0.1, 0.3]);
-    for untold in [[None, None], [Some(0.1), None], [Some(0.1), Some(0.1)], [Some(0.3), Some(0.1)]]
+    for missing in [[None, None], [Some(0.1), None], [Some(0.1), Some(0.1)], [Some(0.3), Some(0.1)]]
     {
-        assert_eq!(listed(Some(25.0), untold), [3.0 / 25.0, 5.0 / 25.0], "{untold:?}");
-        assert_eq!(listed(None, untold), [3.0, 5.0], "{untold:?}");
+        assert_eq!(listed(Some(25.0), missing), [3.0 / 25.0, 5.0 / 25.0], "{missing:?}");
+        assert_eq!(listed(None, missing), [3.0, 5.0], "{missing:?}");
     }
 }
 
 #[test]
-fn each_format_has_the_listings_of_its_programs() {
+fn each_mesh_format_has_its_own_listings() {
     let folder = tempfile::tempdir().unwrap();
     for (format, expected) in [
         (MeshFormat::Ply, &["pool.ply.json", "pool.ply.series"][..]),
@@ -100,14 +100,14 @@ fn each_format_has_the_listings_of_its_programs() {
 }
 
 #[test]
-fn a_folder_that_is_gone_is_an_error() {
+fn writing_listings_into_a_missing_folder_is_an_error() {
     let folder = tempfile::tempdir().unwrap();
     let error = series(&folder.path().join("gone"), MeshFormat::Vtk, None).write(&[]).unwrap_err();
     assert!(matches!(error.fault, WriteFault::Io(_)), "{error}");
 }
 
 #[test]
-fn a_stage_shows_each_layer_from_its_own_time_on() {
+fn a_usd_stage_shows_each_layer_from_its_own_time() {
     let folder = tempfile::tempdir().unwrap();
     let series = series(folder.path(), MeshFormat::Usdc(UpAxis::Z), Some(25.0));
     let frames = [(1, "f1.usdc", 0.04), (3, "f3.usdc", 0.12), (4, "f@4.usdc", 0.17)];
@@ -149,7 +149,7 @@ fn word(bytes: &[u8], at: u64) -> u64 {
 }
 
 #[test]
-fn a_layer_has_its_arrays_as_they_are_and_its_tables_where_it_says() {
+fn a_usd_layer_contains_raw_arrays_and_valid_section_offsets() {
     let mesh = dressed(moved(&sphere(1.0, 2), [0.5, 0.0, -3.0]));
     let bytes = layer(&mesh);
     assert_eq!(bytes[..16], *b"PXR-USDC\0\x08\0\0\0\0\0\0");
@@ -197,7 +197,7 @@ fn a_layer_has_its_arrays_as_they_are_and_its_tables_where_it_says() {
 }
 
 #[test]
-fn a_layer_is_the_same_on_any_number_of_threads_and_appears_under_either_extension() {
+fn a_usd_layer_is_independent_of_threads_and_extension() {
     let folder = tempfile::tempdir().unwrap();
     let mesh = dressed(sphere(1.0, 5));
     let on = |threads| {

@@ -1,7 +1,7 @@
-//! Frames of large simulation codes in HDF5, each written by its own library: every valid file is
-//! read, and every damaged one is refused.
+//! HDF5 frames of large simulation codes, each written by the library of its code: every valid file
+//! is read, and damaged files never panic.
 //!
-//! `MENISCUS_EVERY_BYTE=1` cuts each file at every byte, and flips each.
+//! `MENISCUS_EVERY_BYTE=1` truncates each file at every byte, and flips every byte.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -62,7 +62,7 @@ fn copied(prefix: &str) -> TempDir {
 }
 
 #[test]
-fn every_code_s_frame_holds_the_same_particles_with_their_velocities_and_no_ghosts() {
+fn frames_of_every_simulation_code_give_the_same_particles() {
     for (name, ghosts) in FRAMES {
         let file = open(name).unwrap();
         let mut expected = points();
@@ -71,7 +71,7 @@ fn every_code_s_frame_holds_the_same_particles_with_their_velocities_and_no_ghos
             expected.remove(5);
             expected.remove(1);
         }
-        // In GADGET's third file and in the steps as f32; openPMD computes them.
+        // The third GADGET file and the steps contain f32. openPMD computes the positions.
         let exact = ["swift_0003.hdf5", "pysph_40.hdf5", "grid.vtkhdf"].contains(&name);
         let tolerance = if exact { 0.0 } else { 1e-6 };
         let shift = if name == "steps.vtkhdf#2" { 20.0 } else { 0.0 };
@@ -88,14 +88,14 @@ fn every_code_s_frame_holds_the_same_particles_with_their_velocities_and_no_ghos
             }
         }
         let time = if name == "steps.vtkhdf#2" { 1.5 } else { 0.75 };
-        let says_none = name == "grid.vtkhdf";
-        assert_eq!(file.time, (!says_none).then_some(time), "{name}");
+        let has_time = name != "grid.vtkhdf";
+        assert_eq!(file.time, has_time.then_some(time), "{name}");
         assert!(!holds_mesh(&data(name)).unwrap(), "{name}");
     }
 }
 
 #[test]
-fn the_box_and_the_unit_of_a_header_are_reported_and_not_applied() {
+fn the_box_and_unit_of_a_header_are_reported_but_not_applied() {
     let swift = open("swift_0003.hdf5").unwrap();
     assert_eq!(swift.box_size, Some([4.0; 3]));
     let megaparsec = swift.unit_metres.unwrap();
@@ -115,7 +115,7 @@ fn the_box_and_the_unit_of_a_header_are_reported_and_not_applied() {
 }
 
 #[test]
-fn types_of_particles_are_named_and_gas_or_fluid_is_meant_without_a_name() {
+fn particle_types_can_be_named_and_default_to_gas_or_fluid() {
     let dark = open_type(&data(GADGET[0]), "PartType1").unwrap();
     assert_eq!(positions(&dark), [[[1.0; 3]; 4].as_slice(), [[2.0; 3]; 2].as_slice()].concat());
     assert_eq!(positions(&open_type(&data("pysph_40.hdf5"), "wall").unwrap()), points()[..3]);
@@ -135,7 +135,7 @@ fn types_of_particles_are_named_and_gas_or_fluid_is_meant_without_a_name() {
 }
 
 #[test]
-fn steps_are_frames_with_numbers_and_times_of_their_own() {
+fn steps_and_iterations_are_frames_with_their_own_numbers_and_times() {
     assert_eq!(steps(&data("steps.vtkhdf")).unwrap(), [0, 1, 2]);
     assert_eq!(steps(&data("openpmd.h5")).unwrap(), [100, 200]);
     for (name, _) in FRAMES.into_iter().filter(|(name, _)| !name.contains('#')) {
@@ -168,24 +168,24 @@ fn steps_are_frames_with_numbers_and_times_of_their_own() {
 }
 
 #[test]
-fn a_snapshot_is_read_whole_from_any_of_its_files_and_from_a_view_of_them() {
+fn a_snapshot_is_read_completely_from_any_of_its_files_or_its_view() {
     let whole = positions(&open(GADGET[0]).unwrap());
     for name in [GADGET[1], GADGET[2], "gadget_005.hdf5"] {
         assert_eq!(snapshot_pieces(&data(name)), Some(3));
         assert_eq!(positions(&open(name).unwrap()), whole, "{name}");
     }
-    // The first file's numbers are f64 and the third's f32: neither is rounded to the other.
+    // The first file contains f64 and the third f32. Neither is rounded to the other.
     assert_eq!(whole[..9], points()[..9]);
     let single: Vec<_> = points()[9..].iter().map(|p| p.map(|x| f64::from(x as f32))).collect();
     assert_eq!(whole[9..], single);
-    // A type that one of the files lacks, without the view.
+    // One of the files lacks the type, and there is no view.
     let folder = copied("gadget_005.");
     fs::remove_file(folder.path().join("gadget_005.hdf5")).unwrap();
     assert_eq!(open_type(&folder.path().join(GADGET[2]), None).unwrap().particles.len(), 24);
 }
 
 #[test]
-fn errors_in_a_file_of_a_snapshot_name_that_file() {
+fn an_error_in_a_snapshot_names_the_file_that_causes_it() {
     for (piece, name) in GADGET.iter().enumerate() {
         let folder = copied("gadget");
         let (path, start) = (folder.path().join(name), folder.path().join(GADGET[(piece + 1) % 3]));
@@ -205,12 +205,12 @@ fn errors_in_a_file_of_a_snapshot_name_that_file() {
         let error = open_type(&start, None).unwrap_err();
         assert!(error.path == path && matches!(error.fault, ReadFault::Io(_)), "{error}");
     }
-    // A duplicated file: the header states the number of particles.
+    // A duplicated file is detected by the number of particles in the header.
     let folder = copied("gadget");
     fs::copy(data(GADGET[2]), folder.path().join(GADGET[0])).unwrap();
     let error = open_type(&folder.path().join(GADGET[0]), None).unwrap_err();
     assert!(error.to_string().contains("announces 24 particles of PartType0"), "{error}");
-    // Without one of the attributes: its name is changed.
+    // One file lacks an attribute, whose name is changed.
     let folder = copied("gadget");
     let path = folder.path().join(GADGET[2]);
     let mut bytes = fs::read(&path).unwrap();
@@ -222,7 +222,7 @@ fn errors_in_a_file_of_a_snapshot_name_that_file() {
 }
 
 #[test]
-fn a_snapshot_of_more_files_than_there_can_be_is_refused_at_once() {
+fn a_snapshot_with_a_huge_file_count_is_refused_without_allocating() {
     let folder = copied("gadget");
     let path = folder.path().join(GADGET[0]);
     let mut bytes = fs::read(&path).unwrap();
@@ -240,13 +240,13 @@ fn a_snapshot_of_more_files_than_there_can_be_is_refused_at_once() {
 }
 
 #[test]
-fn only_wanted_attributes_are_read_and_all_where_one_is_not_there() {
+fn only_wanted_attributes_are_read_unless_one_is_missing() {
     let scratch = TempDir::new().unwrap();
     let unpacking = Unpacking { in_memory: 0, scratch: scratch.path(), control: None };
     let names = |of: &[meniscus::internals::particles::AttributeInfo]| -> Vec<String> {
         of.iter().map(|info| info.name.clone()).collect()
     };
-    let asked = ["ParticleIDs".to_owned()];
+    let ids = ["ParticleIDs".to_owned()];
     let wrong = ["nobody".to_owned()];
     let conditions = ["ParticleIDs>=0".parse().unwrap()];
     let only = |names, conditions| WantedAttributes::Only {
@@ -257,7 +257,7 @@ fn only_wanted_attributes_are_read_and_all_where_one_is_not_there() {
     let mut bytes = Vec::new();
     for (attributes, read, unread) in [
         (only(None, &[][..]), vec!["Velocities"], vec!["ParticleIDs"]),
-        (only(Some(&asked[..]), &[]), vec!["ParticleIDs"], vec!["Velocities"]),
+        (only(Some(&ids[..]), &[]), vec!["ParticleIDs"], vec!["Velocities"]),
         (only(Some(&[]), &[]), vec![], vec!["ParticleIDs", "Velocities"]),
         (only(Some(&wrong), &[]), vec!["ParticleIDs", "Velocities"], vec![]),
         (only(Some(&[]), &conditions), vec!["ParticleIDs"], vec!["Velocities"]),
@@ -275,13 +275,14 @@ fn only_wanted_attributes_are_read_and_all_where_one_is_not_there() {
         assert_eq!(positions(&file), positions(&open(GADGET[0]).unwrap()));
         bytes.push(file.particles.scratch_bytes());
     }
-    // Nine of f64 and fifteen of f32; each has 12 bytes of velocity and 8 of identifiers.
+    // Nine positions are f64 and fifteen f32. Each particle has 12 bytes of velocity and 8 of
+    // identifiers.
     let positions = 9 * 24 + 15 * 12;
     assert_eq!(bytes, [12, 8, 0, 20, 8, 20].map(|wide| positions + 24 * wide));
 }
 
 #[test]
-fn what_lies_in_a_file_as_it_is_takes_neither_memory_nor_scratch() {
+fn contiguous_arrays_are_read_in_place_without_scratch_files() {
     let nowhere = Unpacking { in_memory: 0, scratch: Path::new("nowhere"), control: None };
     let attributes =
         WantedAttributes::Only { names: None, conditions: &[], sizes: &SizeChoice::Ignored };
@@ -290,16 +291,16 @@ fn what_lies_in_a_file_as_it_is_takes_neither_memory_nor_scratch() {
         let file = open_wanted(&data(name), wanted, nowhere).unwrap();
         assert_eq!(file.particles.scratch_bytes(), 0, "{name}");
     }
-    // Chunks must be assembled.
+    // Chunks must be assembled in memory or scratch.
     let error = open_wanted(&data("grid.vtkhdf"), wanted, nowhere).unwrap_err();
     assert!(matches!(error.fault, ReadFault::Scratch(_)), "{error}");
 }
 
 #[test]
-fn damage_is_an_error_or_other_values_but_never_a_panic_nor_a_large_allocation() {
+fn damaged_files_cause_neither_panics_nor_large_allocations() {
     let folder = copied("gadget");
     let path = |name: &str| folder.path().join(name.split('#').next().unwrap());
-    // Every byte takes minutes.
+    // Testing every byte takes minutes.
     let every = std::env::var_os("MENISCUS_EVERY_BYTE").is_some();
     for (name, _) in FRAMES {
         let step = name.split_once('#').map(|(_, step)| format!("#{step}")).unwrap_or_default();
@@ -340,7 +341,7 @@ fn damage_is_an_error_or_other_values_but_never_a_panic_nor_a_large_allocation()
 }
 
 #[test]
-fn the_files_of_snapshots_in_a_folder_are_a_frame_each() {
+fn each_snapshot_in_a_folder_is_one_frame() {
     let folder = copied("gadget");
     let path = folder.path();
     // A second snapshot without a view, and a glob of the first two.
@@ -369,7 +370,7 @@ fn the_files_of_snapshots_in_a_folder_are_a_frame_each() {
         let arguments = [&inputs[..], &["-o", "m/", "--spacing", "1", "--overwrite"]].concat();
         assert_eq!(run(&arguments), expected, "{inputs:?}");
     }
-    // With a view of the first snapshot, which represents it.
+    // A view of a snapshot represents it.
     fs::copy(data("gadget_005.hdf5"), path.join("gadget_005.hdf5")).unwrap();
     fs::copy(data("gadget_005.hdf5"), path.join("gadget_006.hdf5")).unwrap();
     assert_eq!(run(&[".", "-o", "m/", "--spacing", "1", "--overwrite"]), expected);

@@ -1,4 +1,4 @@
-//! Damaged and lying files of either format.
+//! Damaged and inconsistent .ply and .vtk files.
 
 use std::io::Write;
 
@@ -12,14 +12,14 @@ use super::{
     toolkit,
 };
 
-/// All three readers, and every number that they accept.
+/// Reads with all three readers, and compares reading by position with reading in memory.
 fn read_all(format: Format, bytes: &[u8]) -> [Result<(), ReadFault>; 3] {
     let numbers = |file: ParticleFile| (positions(&file), attributes(&file));
     let particles = format.particles(bytes).map(numbers);
     if bytes.len() > 1 {
-        let mut written = NamedTempFile::new().expect("a file of its own");
-        written.write_all(bytes).expect("a file of its own");
-        let opened = open_bytes(written.path()).expect("a file of its own");
+        let mut written = NamedTempFile::new().expect("a temporary file");
+        written.write_all(bytes).expect("a temporary file");
+        let opened = open_bytes(written.path()).expect("a temporary file");
         if !vtk::is_text(opened.view()) {
             let [by_position, in_memory] = [opened.view(), bytes.into()].map(format.has_faces);
             assert_eq!(format!("{by_position:?}"), format!("{in_memory:?}"));
@@ -28,7 +28,7 @@ fn read_all(format: Format, bytes: &[u8]) -> [Result<(), ReadFault>; 3] {
         assert_eq!(
             format!("{by_position:?}"),
             format!("{particles:?}"),
-            "read by position, and in memory"
+            "reading by position differs from reading in memory"
         );
     }
     let particles = particles.map(|_| ());
@@ -36,7 +36,7 @@ fn read_all(format: Format, bytes: &[u8]) -> [Result<(), ReadFault>; 3] {
 }
 
 #[test]
-fn a_truncated_ply_is_refused_at_every_prefix() {
+fn a_truncated_ply_is_refused_at_every_length() {
     for encoding in ENCODINGS {
         let file = ply_with_face(encoding);
         let rows_end = match encoding {
@@ -67,7 +67,7 @@ fn with_ghosts(ascii: bool) -> Vec<VtkBuilder> {
 }
 
 #[test]
-fn a_vtk_with_flags_of_cells_and_a_flipped_byte_is_an_error_or_other_values() {
+fn flipped_bytes_in_a_vtk_with_cell_flags_never_panic() {
     let mut refused = 0;
     for ascii in [true, false] {
         for file in with_ghosts(ascii) {
@@ -84,7 +84,7 @@ fn a_vtk_with_flags_of_cells_and_a_flipped_byte_is_an_error_or_other_values() {
 }
 
 #[test]
-fn a_truncated_vtk_is_refused_at_every_prefix_that_is_no_shorter_file() {
+fn a_truncated_vtk_is_refused_unless_it_ends_after_a_section() {
     for ascii in [true, false] {
         for file in
             [splish(ascii), dual(ascii), toolkit(ascii)].into_iter().chain(with_ghosts(ascii))
@@ -106,7 +106,7 @@ fn a_truncated_vtk_is_refused_at_every_prefix_that_is_no_shorter_file() {
 }
 
 #[test]
-fn counts_that_the_file_cannot_hold_are_refused_before_any_memory_is_taken() {
+fn huge_counts_are_refused_before_any_allocation() {
     let huge = [
         "2147483647",
         "4294967295",
@@ -161,7 +161,7 @@ fn counts_that_the_file_cannot_hold_are_refused_before_any_memory_is_taken() {
 }
 
 #[test]
-fn components_of_an_array_without_tuples_cost_neither_memory_nor_time() {
+fn components_of_an_array_without_tuples_need_no_memory_or_time() {
     let head =
         "# vtk DataFile Version 5.1\nt\nBINARY\nDATASET POLYDATA\nPOINTS 0 float\n\nPOINT_DATA 0\n";
     let field = "FIELD FieldData 2\na 18446744073709551615 0 float\n\nb 9 0 float\n";

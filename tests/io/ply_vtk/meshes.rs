@@ -1,4 +1,4 @@
-//! Meshes of either format, read and written.
+//! Meshes in .ply and legacy .vtk files, read and written.
 
 use meniscus::internals::io::{CoordinateWidth, ReadFault, ply, vtk};
 use meniscus::internals::particles::Particles;
@@ -7,7 +7,7 @@ use meniscus::internals::surface::mesh::{Mesh, VertexAttribute};
 use super::{ENCODINGS, PLY, PlyBuilder, VTK, VtkBuilder, ply_with_face, some_mesh};
 
 #[test]
-fn a_real_mesh_reads_closed() {
+fn a_real_mesh_is_read_as_closed() {
     let bytes = std::fs::read("tests/data/spot.ply").unwrap();
     assert!(ply::has_faces(bytes[..].into()).unwrap());
     let mesh = ply::read_mesh(&bytes).unwrap();
@@ -20,7 +20,7 @@ fn a_real_mesh_reads_closed() {
 }
 
 #[test]
-fn polygons_are_fanned_and_cells_without_area_ignored() {
+fn polygons_are_split_into_fans_and_cells_without_area_are_ignored() {
     for encoding in ENCODINGS {
         let header = "element face 3\nproperty list uchar int vertex_indices\n\
                       element vertex 5\nproperty float x\nproperty float y\nproperty float z\n";
@@ -92,7 +92,7 @@ fn polygons_are_fanned_and_cells_without_area_ignored() {
 }
 
 #[test]
-fn a_face_beyond_the_vertices_is_named() {
+fn a_face_with_a_missing_vertex_is_refused_by_number() {
     for encoding in ENCODINGS {
         let good = ply_with_face(encoding);
         let bad = match encoding {
@@ -137,7 +137,7 @@ fn rounded(mut mesh: Mesh) -> Mesh {
 }
 
 #[test]
-fn a_written_mesh_reads_back_the_same() {
+fn a_written_mesh_reads_back_unchanged() {
     let whole = some_mesh();
     let bare = Mesh { normals: None, attributes: Vec::new(), ..whole.clone() };
     let scalar = Mesh { attributes: vec![whole.attributes[1].clone()], ..bare.clone() };
@@ -161,7 +161,7 @@ fn a_written_mesh_reads_back_the_same() {
 }
 
 #[test]
-fn names_of_attributes_cannot_break_a_header() {
+fn unusual_attribute_names_cannot_break_a_header() {
     let names = [
         "a b",
         "x",
@@ -213,7 +213,7 @@ fn names_of_attributes_cannot_break_a_header() {
 }
 
 #[test]
-fn the_bytes_of_a_mesh_do_not_depend_on_the_threads() {
+fn written_ply_and_vtk_are_independent_of_the_number_of_threads() {
     let count = 50_000;
     let mesh = Mesh {
         positions: (0..count).map(|i| [f64::from(i), f64::from(i).sin(), 0.5]).collect(),
@@ -233,7 +233,7 @@ fn the_bytes_of_a_mesh_do_not_depend_on_the_threads() {
 }
 
 #[test]
-fn normals_are_found_whatever_has_their_name_or_stands_twice_before_them() {
+fn vtk_normals_are_found_after_duplicate_arrays() {
     let values = [0.0, 0.0, 1.0, 0.0, 1.0, 0.0];
     for ascii in [true, false] {
         let points = || {

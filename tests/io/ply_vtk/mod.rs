@@ -46,7 +46,7 @@ impl Format {
 
     fn written(self, mesh: &Mesh, width: CoordinateWidth) -> Vec<u8> {
         let mut bytes = Vec::new();
-        (self.write_mesh)(&mut bytes, mesh, width).expect("a Vec takes all");
+        (self.write_mesh)(&mut bytes, mesh, width).expect("a Vec accepts all bytes");
         bytes
     }
 }
@@ -106,7 +106,7 @@ impl PlyBuilder {
         for (index, (kind, value)) in values.iter().enumerate() {
             match self.encoding {
                 "ascii" => write!(self.bytes, "{}{value}", if index == 0 { "" } else { " " })
-                    .expect("a Vec takes all"),
+                    .expect("a Vec accepts all bytes"),
                 "binary_little_endian" => self.bytes.extend(stored(kind, *value)),
                 _ => self.bytes.extend(stored_big(kind, *value)),
             }
@@ -157,7 +157,7 @@ impl VtkBuilder {
         for (index, value) in values.iter().enumerate() {
             match self.ascii {
                 true => write!(self.bytes, "{}{value}", if index == 0 { "" } else { " " })
-                    .expect("a Vec takes all"),
+                    .expect("a Vec accepts all bytes"),
                 false => self.bytes.extend(stored_big(kind, *value)),
             }
         }

@@ -1,4 +1,4 @@
-//! The pieces of a long file stay in order.
+//! Encoding in parallel writes the pieces of a long file in order.
 
 use std::io::{self, Write};
 
@@ -38,7 +38,7 @@ fn pieces_are_written_in_order_on_any_number_of_threads() {
 }
 
 #[test]
-fn a_writer_that_fails_ends_the_writing_with_its_error() {
+fn an_error_of_the_writer_ends_the_write() {
     struct Full(usize);
     impl Write for Full {
         fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
@@ -62,7 +62,7 @@ fn a_writer_that_fails_ends_the_writing_with_its_error() {
 }
 
 #[test]
-fn of_several_pieces_that_fail_the_first_one_is_named_and_all_before_it_are_written() {
+fn the_first_failing_piece_is_reported_after_all_before_it_are_written() {
     for first in [0, 1, 7, 8, 50, 99] {
         let mut out = Vec::new();
         let fault = write_pieces(&mut out, 100, |piece, out| {

@@ -10,7 +10,7 @@ use super::{
 };
 
 #[test]
-fn ply_scalars_of_every_type_and_encoding_are_read_to_the_bit() {
+fn ply_scalars_of_every_type_and_encoding_are_read_exactly() {
     let properties = [
         ("uint8", "a", 200.0),
         ("float", "z", f64::from(0.1f32)),
@@ -52,7 +52,7 @@ fn ply_scalars_of_every_type_and_encoding_are_read_to_the_bit() {
 }
 
 #[test]
-fn ply_properties_of_a_vector_are_one_attribute() {
+fn ply_properties_of_a_vector_become_one_attribute() {
     let spelled = [
         ["vx", "vy", "vz"],
         ["velocity_x", "velocity_y", "velocity_z"],
@@ -84,7 +84,7 @@ fn ply_properties_of_a_vector_are_one_attribute() {
 }
 
 #[test]
-fn ply_elements_around_the_vertices_are_passed() {
+fn other_ply_elements_are_skipped() {
     let header = "comment a comment \u{e9}\nelement camera 2\nproperty float fov\nproperty uchar flag\n\
                   element nothing 5\n\
                   element strand 2\nproperty short s\nproperty list uchar float weights\nobj_info anything\n\
@@ -126,7 +126,7 @@ fn ply_elements_around_the_vertices_are_passed() {
 }
 
 #[test]
-fn ply_headers_may_have_line_ends_of_either_kind() {
+fn ply_headers_with_crlf_line_ends_are_read() {
     for encoding in ENCODINGS {
         let file = ply_with_face(encoding);
         let end = file.windows(11).position(|w| w == b"end_header\n").unwrap() + 11;
@@ -143,7 +143,7 @@ fn ply_headers_may_have_line_ends_of_either_kind() {
 }
 
 #[test]
-fn ply_shares_of_a_colour_are_one_attribute_of_bytes_or_of_floats() {
+fn ply_colour_channels_become_one_byte_or_float_attribute() {
     let xyz = "element vertex 1\nproperty float x\nproperty float y\nproperty float z\n";
     let bytes = AttributeKind::ByteColour;
     let floats = AttributeKind::Colour;
@@ -178,7 +178,7 @@ fn ply_shares_of_a_colour_are_one_attribute_of_bytes_or_of_floats() {
 }
 
 #[test]
-fn lists_of_ply_vertices_are_passed_and_capitals_name_the_same_axes() {
+fn ply_vertex_lists_are_skipped_and_axis_names_ignore_case() {
     let header = "element vertex 2\nproperty list uchar int near\nproperty double X\n\
                   property float Z\nproperty double Y\nproperty int64 id\n\
                   property list ushort double weights\n";
@@ -207,7 +207,7 @@ fn lists_of_ply_vertices_are_passed_and_capitals_name_the_same_axes() {
         let read = PLY.particles(&file).unwrap();
         assert_eq!(positions(&read), [[1.5, 2.5, 3.5], [4.5, 5.5, 6.5]], "{encoding}");
         assert_eq!(attribute(&read, "id"), [77.0, 78.0], "{encoding}");
-        assert_eq!(read.particles.attributes().len(), 1, "lists are no attributes");
+        assert_eq!(read.particles.attributes().len(), 1, "lists became attributes");
         for cut in 2..8 {
             assert!(PLY.particles(&file[..file.len() - cut]).is_err(), "{encoding} {cut}");
         }
@@ -215,7 +215,7 @@ fn lists_of_ply_vertices_are_passed_and_capitals_name_the_same_axes() {
 }
 
 #[test]
-fn ply_files_that_we_do_not_read_are_refused_with_the_reason() {
+fn invalid_ply_files_are_refused_with_the_reason() {
     let xyz = "property float x\nproperty float y\nproperty float z\n";
     let header = |lines: &str| format!("ply\nformat ascii 1.0\n{lines}end_header\n");
     let refused = [

@@ -11,7 +11,7 @@ use super::{
 };
 
 #[test]
-fn vtk_layouts_of_every_program_are_read_to_the_bit() {
+fn vtk_files_of_every_program_are_read_exactly() {
     let v = vec![1.0, 2.0, 3.0, 4.0, 5.0, 6.0];
     for ascii in [true, false] {
         type Wanted = Vec<(&'static str, Vec<f32>)>;
@@ -48,7 +48,7 @@ fn vtk_layouts_of_every_program_are_read_to_the_bit() {
 }
 
 #[test]
-fn vtk_arrays_of_every_type_are_read_to_the_bit() {
+fn vtk_arrays_of_every_type_are_read_exactly() {
     let kinds = [
         ("char", -100.0),
         ("signed_char", -3.0),
@@ -85,7 +85,7 @@ fn vtk_arrays_of_every_type_are_read_to_the_bit() {
 }
 
 #[test]
-fn vtk_files_that_disagree_with_themselves_are_refused_with_the_reason() {
+fn inconsistent_vtk_files_are_refused_with_the_reason() {
     let head = "# vtk DataFile Version 3.0\nt\nASCII\n";
     let points = format!("{head}DATASET POLYDATA\nPOINTS 1 float\n1 2 3\n");
     let refused = [
@@ -117,7 +117,7 @@ fn vtk_files_that_disagree_with_themselves_are_refused_with_the_reason() {
 }
 
 #[test]
-fn the_simulators_own_frame_reads_as_its_record_says() {
+fn a_splishsplash_vtk_frame_matches_the_values_of_its_simulation() {
     let path = Path::new("tests/data/dambreak_small/ParticleData_Fluid_10.vtk");
     let file = vtk::read_particles(open_bytes(path).unwrap(), Unpacking::in_memory()).unwrap();
     let positions = positions(&file);
@@ -136,7 +136,7 @@ fn the_simulators_own_frame_reads_as_its_record_says() {
     assert!((fastest - 7.032591819763184).abs() < 1e-6, "{fastest}");
     let mut ids = attribute(&file, "id");
     ids.sort_by(f32::total_cmp);
-    assert!(ids.windows(2).all(|pair| pair[0] < pair[1]), "every id is there once");
+    assert!(ids.windows(2).all(|pair| pair[0] < pair[1]), "an id occurs twice");
     // The exporter writes its first field under a wrong name.
     assert_eq!(attribute(&file, "pressure"), attribute(&file, "density"));
     assert_eq!(file.particles.attributes().len(), 4);
@@ -192,7 +192,7 @@ fn left(bytes: &[u8]) -> Vec<usize> {
 }
 
 #[test]
-fn points_whose_vertices_are_all_copies_or_hidden_are_left_out() {
+fn points_whose_vertices_are_all_ghosts_are_omitted() {
     let order = [5., 4., 3., 2., 1., 0.];
     let all: Vec<usize> = (0..6).collect();
     for (ascii, version) in [(true, "3.0"), (false, "3.0"), (true, "5.1"), (false, "5.1")] {
@@ -243,7 +243,7 @@ fn points_whose_vertices_are_all_copies_or_hidden_are_left_out() {
 }
 
 #[test]
-fn other_cells_than_vertices_leave_no_point_out() {
+fn flags_of_cells_other_than_vertices_omit_no_points() {
     let flags = |file: VtkBuilder, count: usize| field(file, "vtkGhostType", &vec![1.0; count]);
     let start = |ascii| {
         VtkBuilder::new("3.0", ascii, "POLYDATA").line("POINTS 2 double").data("double", &TWO)
@@ -271,7 +271,7 @@ fn other_cells_than_vertices_leave_no_point_out() {
 }
 
 #[test]
-fn flags_of_many_cells_are_read_piece_by_piece() {
+fn flags_of_many_cells_are_read_in_chunks() {
     let count = 40_000;
     let corners: Vec<f64> = (0..count).rev().map(f64::from).collect();
     let flags: Vec<f64> = (0..count).map(|cell| f64::from(cell % 7 / 6)).collect();
@@ -286,7 +286,7 @@ fn flags_of_many_cells_are_read_piece_by_piece() {
 }
 
 #[test]
-fn cells_that_are_not_as_announced_are_refused() {
+fn inconsistent_cell_counts_are_refused() {
     let order = [5., 4., 3., 2., 1., 0.];
     for types in [None, Some(&[1.0; 6][..])] {
         for version in ["3.0", "5.1"] {
