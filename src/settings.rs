@@ -503,7 +503,7 @@ mod tests {
     }
 
     #[test]
-    fn every_setting_is_kept_by_its_key_and_comes_back() {
+    fn settings_round_trip_through_json_under_their_keys() {
         let Ok(Value::Object(map)) = serde_json::to_value(all()) else { panic!("no map") };
         let keys: Vec<String> = Settings::ALL.iter().map(|setting| setting.key()).collect();
         assert!(map.keys().all(|key| keys.contains(key)) && map.len() == keys.len(), "{map:?}");
@@ -514,7 +514,7 @@ mod tests {
     }
 
     #[test]
-    fn settings_that_make_the_same_mesh_are_kept_alike() {
+    fn settings_that_make_the_same_mesh_are_stored_alike() {
         let nothing = Settings::default().kept();
         let said = Settings {
             iso: Some(Iso::Auto),
@@ -538,7 +538,7 @@ mod tests {
     }
 
     #[test]
-    fn every_setting_has_help_of_one_line_and_can_be_cleared() {
+    fn every_setting_has_one_line_of_help_and_can_be_cleared() {
         let mut settings = all();
         for setting in Settings::ALL {
             let help = setting.help();
@@ -554,14 +554,14 @@ mod tests {
     }
 
     #[test]
-    fn names_of_settings_in_lists_are_those_of_settings() {
+    fn lists_of_setting_names_contain_only_settings() {
         for name in OF_PARTICLES {
             assert!(Settings::ALL.contains(&Setting::named(name)), "{name}");
         }
     }
 
     #[test]
-    fn the_first_setting_that_is_given_otherwise_is_found() {
+    fn the_first_given_setting_that_differs_is_found() {
         let (all, nothing) = (all(), Settings::default());
         assert_eq!(all.given_otherwise(&nothing, |_| true), Some(Setting("spacing")));
         let of_surface = |setting: Setting| !setting.needs_particles();

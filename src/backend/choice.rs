@@ -195,7 +195,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_gpu_of_a_container_is_found_under_any_number() {
+    fn a_gpu_device_node_with_any_number_is_detected() {
         let nodes = tempfile::tempdir().expect("a temporary folder can be made");
         assert!(!may_have_gpu(nodes.path()));
         for node in ["nvidia3", "nvidiactl"] {

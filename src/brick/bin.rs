@@ -537,7 +537,7 @@ mod tests {
     }
 
     #[test]
-    fn kept_places_equal_those_of_a_second_reading() {
+    fn kept_places_equal_the_places_of_a_second_pass() {
         let grid = Grid::new(DVec3::ZERO, 1.0).unwrap();
         let walls = Domain::new(&grid, DVec3::ZERO, DVec3::splat(1000.0)).unwrap();
         let kept = CountingRoom { places: usize::MAX, ..CountingRoom::BINS };

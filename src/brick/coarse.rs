@@ -319,32 +319,33 @@ mod tests {
     #[derive(Debug)]
     struct CountingPages {
         field: Arc<DifField>,
-        asked: Arc<AtomicUsize>,
+        requests: Arc<AtomicUsize>,
     }
 
     impl PageSource for CountingPages {
         fn samples(&self, page: usize) -> Vec<u16> {
-            self.asked.fetch_add(1, Ordering::Relaxed);
+            self.requests.fetch_add(1, Ordering::Relaxed);
             self.field.stored(page).into_owned()
         }
     }
 
     #[test]
-    fn pages_beyond_memory_are_made_once_with_scratch_and_equal_those_in_memory() {
+    fn pages_beyond_memory_are_computed_once_if_there_is_a_scratch_folder() {
         let fine = noise(3);
         let folder = tempfile::tempdir().unwrap();
         let cells = CellBox { lo: IVec3::splat(-10), hi: IVec3::splat(40) };
         let expected = Arc::new(fine.halved(None, 0.5, None)).halved(None, 0.5, None).gather(cells);
         for scratch in [Some(folder.path()), None, Some(Path::new("/nowhere"))] {
-            let asked = Arc::new(AtomicUsize::new(0));
-            let source = CountingPages { field: Arc::clone(&fine), asked: Arc::clone(&asked) };
+            let requests = Arc::new(AtomicUsize::new(0));
+            let source =
+                CountingPages { field: Arc::clone(&fine), requests: Arc::clone(&requests) };
             // No page fits into a cache of this size.
             let beyond = DifField::paged(HALVED, fine.infos().to_vec(), Box::new(source), 1);
             let wide = Arc::new(Arc::new(beyond).halved(None, 0.5, scratch));
-            let made = asked.swap(0, Ordering::Relaxed);
+            let made = requests.swap(0, Ordering::Relaxed);
             let wider = wide.halved(None, 0.5, scratch);
             assert!(made > 0 && wider.gather(cells).samples() == expected.samples(), "{scratch:?}");
-            assert_eq!(asked.load(Ordering::Relaxed) == 0, scratch == Some(folder.path()));
+            assert_eq!(requests.load(Ordering::Relaxed) == 0, scratch == Some(folder.path()));
         }
     }
 }

@@ -97,7 +97,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_multiset_decodes_and_takes_little_more_than_the_minimum() {
+    fn every_multiset_is_decoded_from_nearly_the_minimum_size() {
         let mut state = 1_u64;
         for greatest in [1, 5, 1000, (1 << 51) - 1, (77 << 51) - 1, u64::MAX] {
             for count in [1, 2, 3, 64, 65, 1000, 20_000] {

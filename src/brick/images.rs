@@ -337,7 +337,7 @@ mod tests {
     }
 
     #[test]
-    fn images_follow_the_particles_and_do_not_depend_on_the_ranges_of_reads() {
+    fn images_follow_the_particles_for_any_ranges_of_reads() {
         let grid = Grid::new(DVec3::ZERO, 0.02).unwrap();
         let periodic = Periodic::new(&grid, [Some([0.0, 1.0]), None, Some([0.0, 1.0])], 3).unwrap();
         let at = |i: usize, a: usize| ((i * [7919, 6761, 5879][a]) % 40_009) as f64 / 40_009.0;

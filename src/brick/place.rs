@@ -219,7 +219,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_bins_coordinates_survive_packing() {
+    fn the_coordinates_of_a_bin_survive_packing() {
         for bin in [
             IVec3::ZERO,
             IVec3::new(-1, 1, -2),

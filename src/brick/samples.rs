@@ -195,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn samples_around_near_cells_are_taken_once_and_leave_zeros() {
+    fn taking_sparse_samples_around_cells_leaves_zeros() {
         let shape = PageShape { side: BrickSide::Sixteen, ghost_layer: 1 };
         let cells = [[0, 0, 0], [15, 15, 15], [15, 14, 15], [3, 9, 7], [3, 9, 7]];
         let edge = shape.edge() as usize;

@@ -116,7 +116,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn slabs_are_small_relative_to_their_share_and_between_a_page_and_a_huge_page() {
+    fn the_slab_size_depends_on_the_share_within_fixed_limits() {
         for (share, bytes) in
             [(0, 1 << 14), (1 << 20, 1 << 16), ((1 << 21) - 1, 1 << 16), (u64::MAX, 1 << 21)]
         {

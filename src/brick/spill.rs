@@ -513,7 +513,7 @@ mod tests {
     }
 
     #[test]
-    fn runs_are_the_same_in_memory_in_a_file_and_in_both() {
+    fn runs_are_the_same_in_memory_and_in_a_file_or_split_between_them() {
         let (expected, in_file) = visited(0, 0);
         assert_eq!(expected.iter().map(|(_, records)| records.len()).sum::<usize>(), PARTICLES);
         assert!(in_file.iter().all(|&[memory, file]| memory == 0 && file > 6 * PARTICLES as u64));
@@ -523,7 +523,7 @@ mod tests {
         assert!(in_memory[0][0] >= all, "{in_memory:?}");
         assert!(
             in_memory.is_sorted_by(|a, b| a[0] > b[0]),
-            "runs give back what they took: {in_memory:?}"
+            "visited runs keep their memory: {in_memory:?}"
         );
         let (bins, in_both) = visited(all / 2, 0);
         assert!(bins == expected);
@@ -532,7 +532,7 @@ mod tests {
     }
 
     #[test]
-    fn memory_that_a_visitor_keeps_moves_runs_to_the_file() {
+    fn memory_kept_by_a_visitor_moves_runs_to_the_file() {
         let (expected, _) = visited(0, 0);
         // At the end the kept memory takes the whole budget.
         let (_, in_memory) = visited(u64::MAX, 0);
@@ -542,6 +542,6 @@ mod tests {
         for (seen, &[memory, _]) in bytes.iter().enumerate().skip(1) {
             assert!(memory + seen as u64 * kept <= room, "{seen} runs: {bytes:?}");
         }
-        assert!(bytes.last().unwrap()[1] > 0, "nothing moved: {bytes:?}");
+        assert!(bytes.last().unwrap()[1] > 0, "no run moved to the file: {bytes:?}");
     }
 }

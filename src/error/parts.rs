@@ -108,7 +108,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_that_follow_one_another_are_a_range_and_many_are_cut_short() {
+    fn consecutive_numbers_are_shown_as_ranges_and_long_lists_are_shortened() {
         assert_eq!(shortened(&[3]), "3");
         assert_eq!(shortened(&[0, 1, 2, 5, 7, 8]), "0 to 2, 5, 7 to 8");
         let odd: Vec<u32> = (0..100).map(|i| 2 * i + 1).collect();

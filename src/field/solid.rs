@@ -245,7 +245,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn shares_outside_rise_from_0_to_1_and_both_sides_sum_to_1() {
+    fn the_share_outside_a_solid_rises_symmetrically_from_0_to_1() {
         let cells = CellBox { lo: IVec3::ZERO, hi: IVec3::new(101, 1, 1) };
         let mut distances = Block::zero(cells);
         for (to, at) in distances.samples_mut().iter_mut().zip(-50..) {

@@ -529,7 +529,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wall_with_drops_beyond_it_in_some_frames_is_a_wall_of_all_frames() {
+    fn a_wall_is_kept_if_only_some_frames_have_drops_beyond_it() {
         let mut water = lattice([50, 20, 40], 0.5);
         water.retain(waves);
         let tight = ends(&water);
@@ -542,16 +542,16 @@ mod tests {
         let expected = wall(&[&tight]);
         assert!(expected.is_some());
         assert_eq!(wall(&[&tight, &leaking, &tight]), expected);
-        assert_eq!(wall(&[&tight, &leaking, &leaking]), None, "shown by one");
+        assert_eq!(wall(&[&tight, &leaking, &leaking]), None, "only one frame shows the wall");
     }
 
     #[test]
-    fn a_scene_decides_which_sides_are_walls_and_the_particles_their_position() {
+    fn the_scene_selects_the_walls_and_the_particles_place_them() {
         let dam = ends(&lattice([30, 30, 40], 0.0));
         // Fluid keeps a spacing from the boundary's particles.
         let scene = Walls([[Some(-1.0), Some(90.0)], [Some(-1.0), None], [Some(-1.0), Some(41.0)]]);
-        let (found, is_of_these) = common(std::slice::from_ref(&dam), Some(&scene), None);
-        assert!(is_of_these);
+        let (found, matches) = common(std::slice::from_ref(&dam), Some(&scene), None);
+        assert!(matches);
         assert_eq!(
             found,
             Walls([[Some(0.0), Some(90.0)], [Some(0.0), None], [Some(0.0), Some(40.0)]])
@@ -562,7 +562,7 @@ mod tests {
     }
 
     #[test]
-    fn walls_are_moved_for_particles_slightly_beyond_them_and_opened_for_others() {
+    fn walls_are_moved_for_near_outliers_and_removed_for_distant_ones() {
         let walls = Walls([[Some(0.0), Some(10.0)], [Some(0.0), None], [None, Some(5.0)]]);
         let bounds =
             Bounds { lo: DVec3::new(0.0, -0.25, -9.0), hi: DVec3::new(9.0, 90.0, 8.0), finite: 9 };
@@ -573,7 +573,7 @@ mod tests {
     }
 
     #[test]
-    fn walls_have_few_digits_and_contain_the_outermost_particle() {
+    fn rounded_walls_still_contain_the_outermost_particle() {
         for (end, wall, reach, spacing) in [
             (1, 1.234_567_891, 1.234_567_891, 0.05),
             (0, -1.234_567_891, -1.234_567_891, 0.05),

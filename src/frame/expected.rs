@@ -126,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn a_surface_in_the_middle_of_a_bin_has_as_many_vertices_as_one_at_its_face() {
+    fn surfaces_inside_a_bin_and_at_its_face_have_equal_vertex_counts() {
         let column = |counts: [usize; 3]| -> Vec<_> {
             (0..).map(|z| IVec3::new(0, 0, z)).zip(counts).filter(|&(_, count)| count > 0).collect()
         };
@@ -154,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn the_mean_block_is_weighted_by_vertices() {
+    fn the_expected_block_size_is_weighted_by_vertices() {
         // A single drop changes little if eight bins of one block are full.
         let full =
             (CellBox { lo: IVec3::ZERO, hi: IVec3::splat(2) }).cubes(1).map(|bin| (bin, 4096));

@@ -187,7 +187,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_domains_cells_are_those_with_their_centre_inside() {
+    fn the_cells_of_a_domain_have_their_centre_inside() {
         let grid = Grid::new(DVec3::ZERO, 0.1).unwrap();
         let aligned = Domain::new(&grid, DVec3::ZERO, DVec3::new(0.3, 0.7, 1.0)).unwrap();
         assert_eq!(aligned.cells(), CellBox { lo: IVec3::ZERO, hi: IVec3::new(3, 7, 10) });

@@ -286,7 +286,7 @@ mod tests {
     }
 
     #[test]
-    fn images_are_whole_numbers_of_steps_away_and_all_corners_have_seven() {
+    fn images_are_whole_periods_away_and_a_corner_has_seven() {
         let grid = Grid::new(DVec3::new(0.3, -7.0, 1e-3), 0.037).unwrap();
         let cube = Periodic::new(&grid, [Some([0.0, 1.1]); 3], 2).unwrap();
         let images =

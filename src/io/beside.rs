@@ -209,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn when_several_jobs_replace_a_folder_at_once_the_last_wins_and_none_fails() {
+    fn concurrent_replacements_of_a_folder_all_succeed() {
         let within = tempfile::tempdir().unwrap();
         let (list, piece) = (within.path().join("m.list"), within.path().join("m/m_0.piece"));
         let job = |name: &str| {
@@ -223,11 +223,11 @@ mod tests {
                 .map(|job| job.join().unwrap())
         });
         assert!(["a", "b", "c"].contains(&&*fs::read_to_string(piece).unwrap()));
-        assert_eq!(fs::read_dir(&within).unwrap().count(), 1, "nothing else is left");
+        assert_eq!(fs::read_dir(&within).unwrap().count(), 1, "other files remain");
     }
 
     #[test]
-    fn names_that_are_taken_before_the_folder_gets_its_own_are_refused_and_what_has_them_stays() {
+    fn existing_lists_and_pieces_are_refused_and_kept() {
         for taken in ["m/m_0.piece", "m.list"] {
             let within = tempfile::tempdir().unwrap();
             let folder = filled(within.path(), "a");
@@ -237,12 +237,12 @@ mod tests {
             let refused = folder.keep(&within.path().join("m.list"), false).unwrap_err();
             assert_eq!(refused.kind(), ErrorKind::AlreadyExists);
             assert_eq!(fs::read_to_string(&theirs).unwrap(), "theirs");
-            assert_eq!(fs::read_dir(&within).unwrap().count(), 1, "nothing else is left");
+            assert_eq!(fs::read_dir(&within).unwrap().count(), 1, "other files remain");
         }
     }
 
     #[test]
-    fn a_turn_is_one_jobs_at_a_time_and_comes_when_that_has_ended() {
+    fn only_one_job_has_the_turn_until_it_drops_it() {
         let within = tempfile::tempdir().unwrap();
         let list = within.path().join("m.list");
         let first = turn(&list).unwrap();

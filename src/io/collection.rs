@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn parts_of_one_time_step_are_one_frame_and_names_are_read_as_windows_and_urls_spell_them() {
+    fn equal_time_steps_are_one_frame_and_windows_and_url_paths_are_read() {
         let list = r#"<VTKFile type="Collection"><Collection>
             <DataSet timestep="0.5" group="" part="1" file="b%20c.vtp"/>
             <DataSet timestep="0.5" part="0" file="d\a.vtp"/>
@@ -198,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn lists_that_are_cut_off_empty_or_of_lists_are_refused() {
+    fn truncated_empty_and_recursive_lists_are_refused() {
         for (name, text) in [
             ("s.pvd", ""),
             ("s.pvd", "<VTKFile><Collection><DataSet file=\"a.vtp\"/>"),

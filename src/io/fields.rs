@@ -270,7 +270,7 @@ mod tests {
     }
 
     #[test]
-    fn particles_run_along_the_first_axis_where_both_fit() {
+    fn the_first_axis_counts_particles_if_both_axes_fit() {
         let found = |shape: &[u64]| {
             let arranged = arrange(&fields(&[("pos", shape)])).unwrap();
             arranged.map(|a| (a.axes[0], a.rows, a.frames))
@@ -283,7 +283,7 @@ mod tests {
     }
 
     #[test]
-    fn attributes_are_of_as_many_particles_along_whichever_axis() {
+    fn attributes_match_the_particle_count_along_any_axis() {
         let all = fields(&[
             ("C", &[9, 20]),
             ("F", &[20, 3, 3]),
@@ -300,7 +300,7 @@ mod tests {
     }
 
     #[test]
-    fn grids_and_velocities_are_no_positions() {
+    fn grids_and_velocities_are_not_taken_for_positions() {
         let grid = fields(&[("x", &[8, 8]), ("y", &[8, 8]), ("z", &[8, 8])]);
         assert!(arrange(&grid).unwrap().is_none());
         let axes = fields(&[("x", &[8]), ("y", &[9]), ("z", &[10])]);

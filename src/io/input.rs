@@ -290,7 +290,7 @@ mod tests {
     const ADVISED: [&str; 4] = ["h5", "h5md", "h5part", "hdf5"];
 
     #[test]
-    fn the_extensions_that_messages_know_are_those_that_have_a_reader() {
+    fn messages_list_exactly_the_extensions_that_have_a_reader() {
         let known: BTreeSet<&str> = KNOWN
             .split(&[',', ' '][..])
             .filter_map(|word| word.rsplit_once('.'))

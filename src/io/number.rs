@@ -234,7 +234,7 @@ mod tests {
     }
 
     #[test]
-    fn short_decimals_are_the_numbers_that_the_standard_library_reads() {
+    fn decimals_are_parsed_like_the_standard_library_parses_them() {
         for word in [
             "0",
             "-0",
@@ -270,7 +270,7 @@ mod tests {
     }
 
     #[test]
-    fn exponents_of_fortran_are_read_and_numbers_run_together_are_not() {
+    fn fortran_exponents_are_read_but_joined_numbers_are_not() {
         let same = [
             ("1.5D-01", 0.15),
             ("1.5d+3", 1500.0),
@@ -291,7 +291,7 @@ mod tests {
     }
 
     #[test]
-    fn a_decimal_comma_excludes_points_and_thousands() {
+    fn a_decimal_comma_excludes_decimal_points_and_thousands_separators() {
         let comma = |word: &str| with_decimal(word.as_bytes(), Decimal::Comma);
         assert_eq!(comma("-0,25e1"), Some(-2.5));
         assert_eq!(comma("3"), Some(3.0));

@@ -528,7 +528,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mesh_in_pieces_of_any_size_is_read_back_whole_with_each_vertex_once() {
+    fn pieces_of_any_size_read_back_as_the_mesh_with_unique_vertices() {
         // An octahedron whose vertices each belong to four triangles, in no order.
         let corner = |axis: usize, sign: f64| -> [f64; 3] {
             std::array::from_fn(|k| if k == axis { sign } else { 0.0 })
@@ -570,7 +570,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mesh_that_a_format_cannot_number_is_refused_before_anything_is_written_or_read() {
+    fn a_mesh_too_large_for_a_format_is_refused_before_any_reading() {
         let mesh = HugeMesh { vertices: 1 << 33, triangles: 1 << 34 };
         for (format, limit) in [
             (MeshFormat::Ply, "at most 4294967296 vertices;"),
@@ -594,7 +594,7 @@ mod tests {
     }
 
     #[test]
-    fn a_refused_mesh_leaves_no_file_and_names_the_formats_that_can() {
+    fn a_too_large_mesh_leaves_no_file_and_the_error_names_other_formats() {
         let folder = tempfile::tempdir().unwrap();
         let output = MeshOutput::prepare(&folder.path().join("a.vtk"), Replace::Refuse).unwrap();
         let mesh = HugeMesh { vertices: 1 << 31, triangles: 1 << 31 };
@@ -610,7 +610,7 @@ mod tests {
     }
 
     #[test]
-    fn the_largest_mesh_that_a_format_can_number_is_not_refused_and_one_more_is() {
+    fn each_format_accepts_exactly_up_to_its_largest_mesh() {
         const U32: u64 = u32::MAX as u64;
         for (format, vertices, triangles) in [
             (MeshFormat::Ply, Some(U32 + 1), None),

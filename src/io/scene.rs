@@ -272,7 +272,7 @@ mod tests {
     }
 
     #[test]
-    fn the_tank_of_splishsplash_is_a_fixed_box_that_is_a_wall() {
+    fn the_splishsplash_tank_is_its_static_wall_box() {
         let tank =
             Walls([[Some(-2.0), Some(2.0)], [Some(0.0), Some(3.0)], [Some(-0.75), Some(0.75)]]);
         let scene = splishsplash(&body("")).unwrap();
@@ -287,7 +287,7 @@ mod tests {
     }
 
     #[test]
-    fn the_tank_of_dualsphysics_is_its_largest_boundary_box_with_the_faces_that_it_fills() {
+    fn the_dualsphysics_tank_is_the_filled_faces_of_its_largest_box() {
         let case = |moved: &str| {
             let drawn = |fill: &str, size: [f64; 3]| {
                 let [x, y, z] = size;

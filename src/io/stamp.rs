@@ -109,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stamp_distinguishes_files_of_equal_size_and_time_by_name_but_not_by_folder() {
+    fn a_stamp_depends_on_name_size_and_time_but_not_on_the_folder() {
         let (folder, other) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
         let stamp = |folder: &Path, name: &str, bytes: &[u8], seconds: u64| {
             Stamp::of(&write(folder.join(name), bytes, seconds)).unwrap()

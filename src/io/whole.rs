@@ -409,7 +409,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_filled_gets_its_name_when_it_is_kept_and_leaves_nothing_if_it_never_is() {
+    fn a_file_appears_when_kept_and_a_dropped_file_leaves_nothing() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.ply");
         let file = filled(&path);
@@ -421,7 +421,7 @@ mod tests {
     }
 
     #[test]
-    fn a_name_that_was_taken_between_filling_and_keeping_is_refused_and_stays_as_it_is() {
+    fn a_file_that_appeared_before_keeping_is_refused_and_kept() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.ply");
         let file = filled(&path);

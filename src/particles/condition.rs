@@ -238,7 +238,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn conditions_are_written_as_they_are_read() {
+    fn conditions_round_trip_through_their_text() {
         for (text, plain) in [
             ("Type=3", "Type=3"),
             (" mk = 0, 2 ", "mk=0,2"),
@@ -256,7 +256,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_condition_is_refused() {
+    fn invalid_conditions_are_refused() {
         for text in [
             "", "Type", "=3", "Type=", "Type=1,", "a<1,2", "a<b", "a<nan", "a=1 and", "a=1=2",
             "a!1",
@@ -266,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn stored_numbers_compare_with_the_decimals_they_were_rounded_from() {
+    fn stored_f32_values_compare_equal_to_their_decimal_text() {
         use Comparison::{Equal, Greater, GreaterOrEqual, Less, LessOrEqual, NotEqual};
         let tenth = f64::from(0.1_f32);
         for (comparison, stored, values, holds) in [

@@ -321,7 +321,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn bytes_of_colours_come_back_and_nothing_lies_beyond_them() {
+    fn colour_bytes_round_trip_and_fractions_are_clamped() {
         for byte in 0..=u8::MAX {
             assert_eq!(AttributeKind::ByteColour.byte(f32::from(byte)), byte);
         }
@@ -330,7 +330,7 @@ mod tests {
     }
 
     #[test]
-    fn colours_have_the_name_and_the_components_of_one() {
+    fn colours_are_recognised_by_name_and_component_count() {
         let is_colour = |name, components| AttributeKind::of_floats(name, components).is_colour();
         assert!(is_colour("Cd", 3) && is_colour("RGBA", 4) && is_colour("Colors", 3));
         assert!(!is_colour("Cd", 1) && !is_colour("velocity", 3) && !is_colour("red", 3));

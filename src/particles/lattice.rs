@@ -103,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lattice_comes_to_stand_at_the_sound_place_wherever_it_was() {
+    fn the_origin_moves_any_lattice_to_the_sound_place() {
         for (per_cell, at) in
             [(1.0, [0.0; 3]), (1.0, [0.5; 3]), (2.0, [0.25, -0.5, 7.1]), (3.0, [1e-9; 3])]
         {
@@ -123,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn a_step_that_does_not_divide_the_cell_and_disorder_leave_the_origin_alone() {
+    fn other_lattice_steps_and_disorder_keep_the_origin() {
         assert_eq!(sound_origin(&lattice(0.0391, [0.0; 3])[..], DVec3::ZERO, 0.05), None);
         let mut state = 1u64;
         let mut unit = || {

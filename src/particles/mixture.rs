@@ -237,7 +237,7 @@ mod tests {
     }
 
     #[test]
-    fn a_shell_around_a_fluid_is_its_boundary() {
+    fn a_shell_around_a_fluid_is_recognised_as_its_boundary() {
         let tank = lattice(12, |p| {
             let is_wall = p.abs().max_element() > 10;
             (is_wall && p.z < 12 || !is_wall && p.z < 3).then_some(if is_wall { 7.0 } else { 2.0 })
@@ -259,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn layers_and_mixed_fluids_are_no_boundary() {
+    fn layers_and_mixed_fluids_are_not_taken_for_boundaries() {
         let layers = lattice(10, |p| Some(f32::from(p.z > 0)));
         let mixed =
             lattice(10, |p| Some((p.x * 7 + p.y * 13 + p.z * 29).rem_euclid(3).min(1) as f32));

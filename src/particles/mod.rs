@@ -419,7 +419,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn bounds_leave_out_positions_that_are_not_finite_wherever_they_are() {
+    fn bounds_ignore_non_finite_positions_at_any_index() {
         let all: Vec<[f64; 3]> =
             (0..11).map(|i: i32| [f64::from(i * 7 % 11), f64::from(-i), 2.5]).collect();
         for len in 0..all.len() {

@@ -145,7 +145,7 @@ mod tests {
     use crate::particles::{CHUNK, Cloud};
 
     #[test]
-    fn values_that_occur_are_listed_in_order_with_their_counts() {
+    fn occurring_values_are_listed_in_order_with_their_counts() {
         let count = 3 * CHUNK;
         let positions = vec![[0.0_f64; 3]; count];
         let phase: Vec<f32> = (0..count).map(|i| [-1.0, 2.5, -0.0, 0.0][i % 4]).collect();

@@ -101,7 +101,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn selected_rows_are_found_by_their_number_among_the_selected() {
+    fn rows_are_found_by_their_number_among_the_selected_rows() {
         for rows in [0, 1, 63, 64, 65, 4096, 4097, 20_000] {
             for every in [1, 2, 63, 64, 65, 5000] {
                 let selected: Vec<usize> =

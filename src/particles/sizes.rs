@@ -457,7 +457,7 @@ mod tests {
     }
 
     #[test]
-    fn radii_are_recognised_and_others_have_to_be_named() {
+    fn radii_are_recognised_but_other_size_attributes_must_be_named() {
         let usual = |names: &[&str]| {
             SizeChoice::Usual.columns(&infos(names)).unwrap().map(|columns| columns.size)
         };
@@ -473,7 +473,7 @@ mod tests {
     }
 
     #[test]
-    fn cube_roots_are_those_of_the_system() {
+    fn cube_roots_match_the_standard_library() {
         for exponent in -300..300 {
             let x = 1.37 * 10_f64.powi(exponent);
             assert!((cube_root(x) / x.cbrt() - 1.0).abs() < 1e-14, "{x}");
@@ -495,7 +495,7 @@ mod tests {
     }
 
     #[test]
-    fn sizes_and_their_density_are_found_whatever_a_radius_means() {
+    fn sizes_and_density_are_found_for_any_meaning_of_the_radius() {
         let (positions, radii) = two();
         for times in [1.0_f32, 1.25, 0.5] {
             let radii: Vec<f32> = radii.iter().map(|radius| radius * times).collect();
@@ -509,7 +509,7 @@ mod tests {
     }
 
     #[test]
-    fn sizes_that_are_no_sizes_are_counted_and_one_size_is_none() {
+    fn invalid_sizes_are_counted_and_a_single_size_is_ignored() {
         let (positions, mut radii) = two();
         (radii[0], radii[1], radii[2], radii[3]) = (0.0, f32::NAN, -1.0, 1e9);
         let cloud = Cloud::new(&positions).with("radius", &radii);

@@ -254,7 +254,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn words_with_blanks_and_apostrophes_are_one_word_to_a_shell() {
+    fn shell_words_with_spaces_and_apostrophes_are_quoted() {
         for (text, word) in [
             ("Type=1", "Type=1"),
             ("a<1", "'a<1'"),
@@ -342,9 +342,9 @@ mod tests {
         ]
     }
 
-    /// A change of a message or its advice shows in the list. Set `MENISCUS_UPDATE=1` to write it.
+    /// The list shows every change of a message or its advice. `MENISCUS_UPDATE=1` rewrites the list.
     #[test]
-    fn advice_is_as_the_list_has_it() {
+    fn every_advice_matches_the_committed_list() {
         let warnings = warnings();
         let lines = errors().iter().map(error_message).collect::<Vec<_>>().into_iter();
         let lines = lines.chain(warnings.iter().map(|warning| warning_message(warning, None)));

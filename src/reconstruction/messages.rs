@@ -66,7 +66,7 @@ fn names() -> Vec<String> {
 }
 
 #[test]
-fn every_message_is_as_the_list_has_it() {
+fn every_message_matches_the_committed_list() {
     let listed = format!("{}{}{}", requests(), files(), frames());
     let file = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/messages.txt");
     if std::env::var_os("MENISCUS_UPDATE").is_some() {

@@ -162,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn text_and_numbers_set_the_same() {
+    fn text_and_numbers_set_equal_values() {
         let numbers = |name, numbers: &[f64]| set(name, numbers).unwrap();
         let text = |name, text: &str| set(name, text).unwrap();
         assert_eq!(text("spacing", "5e-2"), numbers("spacing", &[0.05]));
@@ -186,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn values_of_another_type_are_refused_with_the_type_that_is_expected() {
+    fn values_of_a_wrong_type_are_refused_with_the_expected_type() {
         for (name, text, expected) in [
             ("spacing", "0,05", "expected a number"),
             ("spacing", "", "expected a number"),

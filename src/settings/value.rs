@@ -206,7 +206,7 @@ mod tests {
         }
     }
 
-    fn are_called_as_in_files<T: FromSource + Serialize + Debug>(count: usize) {
+    fn assert_same_names_as_in_files<T: FromSource + Serialize + Debug>(count: usize) {
         for index in 0..count {
             let source = IndexSource(index, RefCell::default());
             let value = T::taken(&source).unwrap();
@@ -217,11 +217,11 @@ mod tests {
     }
 
     #[test]
-    fn callers_call_values_as_files_do() {
-        are_called_as_in_files::<IndicatorKind>(3);
-        are_called_as_in_files::<MethodName>(4);
-        are_called_as_in_files::<InputFormat>(14);
-        are_called_as_in_files::<UpAxis>(2);
-        are_called_as_in_files::<PeriodicMesh>(2);
+    fn value_names_are_the_same_for_callers_and_files() {
+        assert_same_names_as_in_files::<IndicatorKind>(3);
+        assert_same_names_as_in_files::<MethodName>(4);
+        assert_same_names_as_in_files::<InputFormat>(14);
+        assert_same_names_as_in_files::<UpAxis>(2);
+        assert_same_names_as_in_files::<PeriodicMesh>(2);
     }
 }

@@ -107,7 +107,7 @@ mod tests {
     }
 
     #[test]
-    fn a_selection_takes_both_ends_and_steps_from_the_first() {
+    fn a_selection_includes_both_ends_and_steps_from_its_first_frame() {
         let numbers = |selection: Selection| {
             selection
                 .of(frames(&[1, 2, 3, 4, 5, 6, 7]))

@@ -110,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn gaps_follow_from_the_largest_step_that_reaches_all_frames() {
+    fn gaps_are_counted_in_the_largest_step_that_reaches_all_frames() {
         let found = gaps(&frames(&[0, 10, 20, 40, 50, 90]));
         assert_eq!((found.step, &*found.ranges, found.count()), (10, &[(30, 30), (60, 80)][..], 4));
         assert!(!found.sparse);
@@ -129,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn gaps_between_time_stamps_are_ranges() {
+    fn gaps_between_huge_frame_numbers_are_ranges() {
         let stamps = [i64::MIN, 0, 1_700_000_000_000_000_000, 1_700_000_000_016_666_667, i64::MAX];
         let found = gaps(&frames(&stamps));
         assert_eq!((found.count(), found.sparse), (u64::MAX - 4, true));

@@ -342,7 +342,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_of_cases_and_counted_fractions_are_not_pieces_and_times() {
+    fn case_numbers_are_not_pieces_and_counted_decimals_are_not_times() {
         let names = |prefix: &str, numbers: &[&str]| -> Vec<String> {
             numbers.iter().map(|number| format!("{prefix}{number}.csv")).collect()
         };
@@ -366,7 +366,7 @@ mod tests {
     }
 
     #[test]
-    fn of_a_single_file_the_last_number_before_the_extension_is_the_frame_s() {
+    fn the_last_number_in_a_single_file_name_is_the_frame_number() {
         for (name, pattern) in [
             ("ParticleData_Fluid_12.bgeo", "ParticleData_Fluid_{}.bgeo"),
             ("fluid.0042.bgeo.gz", "fluid.{}.bgeo"),
@@ -384,7 +384,7 @@ mod tests {
     }
 
     #[test]
-    fn the_number_that_varies_is_the_frame_s_wherever_it_is() {
+    fn the_number_that_varies_is_the_frame_number() {
         for (names, pattern) in [
             (&["frame_0001_v2.ply", "frame_0002_v2.ply"][..], "frame_{}_v2.ply"),
             (&["run2024_01.xyz", "run2024_02.xyz"], "run2024_{}.xyz"),
@@ -401,7 +401,7 @@ mod tests {
     }
 
     #[test]
-    fn names_of_a_random_pattern_give_that_pattern_in_any_order() {
+    fn names_from_a_random_pattern_give_back_the_pattern_in_any_order() {
         let mut state = 1_u64;
         let mut pick = |below: usize| {
             state = state
@@ -436,7 +436,7 @@ mod tests {
     }
 
     #[test]
-    fn another_number_distinguishes_simulations_that_ran_side_by_side() {
+    fn another_varying_number_distinguishes_simulations() {
         let fluids = |name: fn(u32, u32) -> String, frames: [u32; 2]| {
             let names: Vec<_> = (0..2)
                 .flat_map(|fluid| (frames[fluid as usize]..9).map(move |i| name(fluid, i)))
@@ -452,7 +452,7 @@ mod tests {
     }
 
     #[test]
-    fn names_that_leave_a_choice_are_refused_with_the_patterns() {
+    fn ambiguous_names_are_refused_with_the_possible_patterns() {
         for (names, choices) in [
             (&["run1_0001.ply", "run2_0002.ply"][..], ["\"run{}_0001.ply\"", "\"run1_{}.ply\""]),
             (&["a1_1.xyz", "a1_2.xyz", "a2_1.xyz", "a2_2.xyz"], ["\"a{}_1.xyz\"", "\"a1_{}.xyz\""]),
@@ -490,7 +490,7 @@ mod tests {
     }
 
     #[test]
-    fn decimals_that_go_on_from_one_whole_number_to_the_next_are_times() {
+    fn decimals_that_span_several_integers_are_times() {
         let quarters: Vec<_> =
             (0..12).map(|i| format!("f_{}.{:02}.xyz", i / 4, i % 4 * 25)).collect();
         assert_eq!(patterns(&quarters).unwrap(), ["f_{time}.xyz"]);
@@ -532,7 +532,7 @@ mod tests {
     }
 
     #[test]
-    fn the_number_of_a_process_is_that_of_a_piece_where_every_frame_has_the_same() {
+    fn a_process_number_is_a_piece_if_every_frame_has_the_same_ones() {
         for (names, pattern) in [
             (&["a_1_rank0", "a_1_rank1", "a_2_rank0", "a_2_rank1"][..], "a_{}_rank{piece}"),
             (&["proc_0.t7", "proc_1.t7", "proc_2.t7"], "proc_{piece}.t{}"),

@@ -606,7 +606,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_glob_takes_no_files_of_folders_below_its_own() {
+    fn a_glob_does_not_match_files_in_subfolders() {
         let inputs = Inputs::Glob("sim/*_?.[xp]*".to_owned());
         assert!(
             inputs.takes(Path::new("sim/f_1.xyz")) && inputs.takes(Path::new("sim/mesh_1.ply"))
@@ -618,7 +618,7 @@ mod tests {
     }
 
     #[test]
-    fn a_glob_of_names_that_begin_with_a_dot_does_not_leave_its_folder() {
+    fn a_glob_with_leading_dots_does_not_match_parent_folders() {
         let folder = tempfile::tempdir().unwrap();
         let names = ["f_1.xyz", ".a/f_2.xyz", ".a/.b/f_3.xyz", "a/f_4.xyz"]
             .map(|name| folder.path().join(name));

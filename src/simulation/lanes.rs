@@ -57,7 +57,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn whatever_is_divided_fits_the_budget() {
+    fn every_division_into_lanes_fits_the_budget() {
         for frames in [1, 2, 100] {
             for (threads, chunk) in [(1, 0), (2, 24 << 20), (64, 0), (64, 24 << 20)] {
                 for budget in [16 << 20, 100 << 20, 8 << 30, 1 << 40] {
@@ -83,7 +83,7 @@ mod tests {
     }
 
     #[test]
-    fn who_is_alone_is_alone_and_comes_through_a_crowd() {
+    fn a_frame_that_enters_alone_excludes_others_and_does_not_starve() {
         let gate = FrameGate::new(3, 1);
         let inside = AtomicUsize::new(0);
         std::thread::scope(|scope| {

@@ -168,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn outputs_keep_the_inputs_padding_and_the_sequence_has_no_number() {
+    fn outputs_keep_the_padding_of_the_input_numbers() {
         let folder = outputs("mesh/", "sim/Fluid_{}.bgeo.gz");
         assert_eq!(folder.path(7, "007"), Path::new("mesh/Fluid_007.ply"));
         assert_eq!(simulation(&folder), Path::new("mesh/Fluid.ply"));
@@ -182,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn outputs_in_a_folder_keep_the_text_behind_the_number() {
+    fn outputs_in_a_folder_keep_the_text_after_the_number() {
         for (input, output, series) in [
             ("frame_{}_v2.xyz", "frame_01_v2.ply", "frame_v2.ply"),
             ("{}_oil.csv", "01_oil.ply", "frames_oil.ply"),

@@ -308,7 +308,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_pattern_matches_what_it_writes() {
+    fn a_pattern_matches_exactly_the_names_that_it_writes() {
         let padded = Pattern::parse(Path::new("a/x_{:04}.ply")).unwrap().unwrap();
         assert_eq!(padded.path(42, "42"), Path::new("a/x_0042.ply"));
         assert_eq!(padded.digits("x_0042.ply"), Some("0042"));

@@ -136,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_may_be_a_piece_where_a_number_of_its_own_follows_its_frame_s() {
+    fn a_vtk_file_may_be_a_piece_if_a_number_follows_the_frame_number() {
         for (name, may_be) in [
             ("pool_1_0.vtp", true),
             ("pool_0001_12.vtu", true),

@@ -149,7 +149,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_are_found_in_the_notation_of_any_program() {
+    fn placeholders_are_found_in_the_notations_of_other_programs() {
         let number = |name: &str| all(name).pop().map(|(at, placeholder)| (at.start, placeholder));
         for (name, width) in [
             ("f_{}.npy", None),

@@ -268,7 +268,7 @@ mod tests {
     }
 
     #[test]
-    fn a_record_holds_only_for_the_same_input_output_and_settings() {
+    fn a_record_is_valid_only_for_the_same_input_output_and_settings() {
         let folder = tempfile::tempdir().unwrap();
         let [input, output] = ["in_1.xyz", "out_1.ply"].map(|name| folder.path().join(name));
         fs::write(&input, "particles").unwrap();
@@ -288,7 +288,7 @@ mod tests {
         assert_eq!(records.of(&frame(1), &folder.path().join("b.ply"), 5), None, "another output");
         assert!(record.is_whole(&output));
         fs::write(&output, "mess").unwrap();
-        assert!(!record.is_whole(&output), "other bytes of the same number");
+        assert!(!record.is_whole(&output), "other bytes of the same length");
         assert!(!record.is_whole(folder.path()), "no file");
         fs::write(&output, "mes").unwrap();
         assert_eq!(current(5), None, "a truncated output");
@@ -298,7 +298,7 @@ mod tests {
     }
 
     #[test]
-    fn logs_end_in_one_file_in_the_frames_order_and_what_came_last_holds() {
+    fn merged_logs_are_one_ordered_file_in_which_the_latest_record_wins() {
         let folder = tempfile::tempdir().unwrap();
         let [first, second, alive] = [(); 3].map(|()| Log::new(folder.path().to_owned()));
         let keep = |log: &Log, records: &[(i64, u32)]| {
@@ -318,11 +318,7 @@ mod tests {
 
         drop(first);
         second.merge().unwrap();
-        assert_eq!(
-            names(folder.path()),
-            ["frames.3.jsonl", "frames.jsonl"],
-            "what is written to stays"
-        );
+        assert_eq!(names(folder.path()), ["frames.3.jsonl", "frames.jsonl"], "an open log is kept");
         assert!(all().eq(before));
         keep(&alive, &[(12, 3)]);
         alive.merge().unwrap();

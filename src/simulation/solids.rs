@@ -75,7 +75,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn frames_have_the_solids_of_all_and_those_of_their_numbers_however_many_zeros_these_have() {
+    fn frames_have_shared_solids_and_those_of_their_number_with_any_padding() {
         let folder = tempfile::tempdir().unwrap();
         let path = |name: &str| folder.path().join(name);
         std::fs::write(path("ship_0002.obj"), "").unwrap();

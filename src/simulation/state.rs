@@ -260,7 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn a_state_comes_back_to_the_last_bit() {
+    fn a_stored_state_is_loaded_exactly_and_shared_between_processes() {
         let folder = tempfile::tempdir().unwrap();
         let store = StateFolder::beside(&folder.path().join("fluid.ply"));
         assert_eq!(store.load().unwrap(), None);

@@ -295,7 +295,7 @@ mod tests {
     }
 
     #[test]
-    fn the_distance_of_a_turned_box_is_that_of_its_formula() {
+    fn the_distance_of_a_rotated_box_matches_its_formula() {
         let (half, angle) = (DVec3::new(1.0, 1.5, 0.7), 0.3_f64);
         let solid = solid(vec![turned_box(-half, half, angle)]);
         for level in 0..2 {
@@ -320,7 +320,7 @@ mod tests {
     }
 
     #[test]
-    fn distances_do_not_depend_on_the_box_of_cells() {
+    fn solid_distances_are_independent_of_the_box_of_cells() {
         let solid = solid(vec![turned_box(DVec3::splat(-1.0), DVec3::splat(1.1), 0.4)]);
         let whole = solid.distances(&grid(), 0, cells(12), 1e-4, 8000);
         let part = CellBox { lo: IVec3::new(-5, 1, -11), hi: IVec3::new(10, 9, 2) };
@@ -328,7 +328,7 @@ mod tests {
     }
 
     #[test]
-    fn overlapping_boxes_are_one_solid_and_a_box_that_faces_into_it_is_a_cavity() {
+    fn overlapping_boxes_are_one_solid_and_an_inverted_box_is_a_cavity() {
         let [outer, inner] =
             [2.0, 1.0].map(|half| turned_box(DVec3::splat(-half), DVec3::splat(half), 0.0));
         let both = |mut a: Mesh, b: &Mesh| {
@@ -355,7 +355,7 @@ mod tests {
     }
 
     #[test]
-    fn meshes_that_are_not_closed_or_face_both_ways_are_refused_with_their_edges() {
+    fn open_and_inconsistent_solids_are_refused_with_their_bad_edges() {
         let whole = turned_box(DVec3::ZERO, DVec3::ONE, 0.0);
         let fault = |mesh: &Mesh| {
             Solid::new(vec![whole.clone(), mesh.clone()], SolidOffset::DEFAULT).unwrap_err()

@@ -166,7 +166,7 @@ mod tests {
     use std::fs;
 
     #[test]
-    fn what_is_abandoned_leaves_no_file_and_what_is_finished_stays() {
+    fn abandon_deletes_unfinished_outputs_and_keeps_finished_ones() {
         let folder = tempfile::tempdir().unwrap();
         let [done, begun] = ["done", "begun"].map(|name| folder.path().join(name));
         let cancel = Cancel::new();
@@ -184,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn folders_made_for_an_abandoned_output_go_with_it_and_those_that_hold_something_stay() {
+    fn abandon_deletes_the_empty_folders_made_for_unfinished_outputs() {
         let folder = tempfile::tempdir().unwrap();
         let [outer, inner] = ["outer", "outer/inner"].map(|name| folder.path().join(name));
         let cancel = Cancel::new();

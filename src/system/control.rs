@@ -174,14 +174,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_part_that_took_long_is_reported_although_it_is_less_than_a_step() {
-        let last_report = Arc::new(Mutex::new(Vec::new()));
-        let hear = Arc::clone(&last_report);
-        let watcher: Watcher = Arc::new(move |progress| hear.lock().unwrap().push(progress.done));
+    fn slow_work_is_reported_even_below_the_reporting_step() {
+        let reports = Arc::new(Mutex::new(Vec::new()));
+        let sink = Arc::clone(&reports);
+        let watcher: Watcher = Arc::new(move |progress| sink.lock().unwrap().push(progress.done));
         let control = Control { progress: Some(watcher), ..Control::default() };
         let meter = control.meter(Stage::Meshing, 1 << 20);
         std::thread::sleep(2 * LONG);
         meter.add(1);
-        assert_eq!(*last_report.lock().unwrap(), [1.0 / f64::from(1 << 20)]);
+        assert_eq!(*reports.lock().unwrap(), [1.0 / f64::from(1 << 20)]);
     }
 }

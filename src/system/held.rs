@@ -68,7 +68,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_held_is_written_read_and_renamed_but_not_taken() {
+    fn a_held_file_can_be_read_and_renamed_but_not_taken() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("log");
         let mut file = create(&path).unwrap();

@@ -175,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn files_of_all_sizes_hold_what_was_written_in_order() {
+    fn files_of_all_sizes_contain_the_written_bytes_in_order() {
         let cached = 2 * PAGE;
         for folder in folders() {
             for size in [
@@ -199,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_written_past_the_cache_is_written_through_it() {
+    fn unaligned_data_is_written_through_the_cache() {
         // The pages of the file and those of the written data are offset.
         for folder in folders() {
             let bytes = bytes(3 * PIECE + 5);
@@ -209,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn a_disk_that_is_full_is_an_error() {
+    fn writing_past_the_cache_to_a_full_disk_is_an_error() {
         let Ok(full) = fs::OpenOptions::new().write(true).open("/dev/full") else { return };
         let mut out = PastCache::after(0, &full);
         assert!(out.write_all(&bytes(PIECE)).and_then(|()| out.finish()).is_err());

@@ -230,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn any_number_of_files_is_read_and_few_of_them_are_open() {
+    fn many_files_are_read_while_only_a_few_stay_open() {
         let folder = tempfile::tempdir().unwrap();
         let path = |number: usize| folder.path().join(number.to_string());
         let files = 4 * MOST_OPEN;

@@ -506,14 +506,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_kept_chunk_fills_an_allocation() {
+    fn a_chunk_of_kept_records_fills_one_allocation() {
         let bytes = CHUNK as u64 * (RECORD_BYTES + HOME_BYTES);
         assert!((PIECE - PIECE / 1000..=PIECE).contains(&bytes), "{bytes} of {PIECE}");
         assert!((CHUNK as u64 * RECORD_BYTES).is_multiple_of(ALIGNMENT));
     }
 
     #[test]
-    fn runs_are_limited_in_bins_and_particles_and_no_bin_is_split() {
+    fn runs_are_limited_in_bins_and_particles_without_splitting_bins() {
         let counts = [3, 1, 9, 2, 2, 2, 2, 0, 1];
         let mut first = vec![0];
         counts.iter().for_each(|count| first.push(first[first.len() - 1] + count));

@@ -148,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn in_fine_cells_a_plateau_is_the_theta_of_a_particle_times_their_number_per_cell() {
+    fn the_plateau_in_fine_cells_is_theta_times_particles_per_cell() {
         let mean = MeanCount::new(1.25).unwrap();
         for spacing in [3.0, 4.0, 7.5] {
             let a_cell = f64::powi(spacing, -3);
@@ -163,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn in_coarse_cells_a_plateau_is_that_of_many_particles() {
+    fn the_plateau_in_coarse_cells_approaches_that_of_many_particles() {
         let mean = MeanCount::new(64.0).unwrap();
         assert!((0.93..1.0).contains(&share(Indicator::Counting(mean), 0.25)));
         assert!((0.85..1.0).contains(&share(Indicator::Symmetry, 0.25)));

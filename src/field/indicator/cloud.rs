@@ -249,7 +249,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn shares_preserve_the_total_the_position_and_its_square() {
+    fn weights_preserve_the_sum_and_the_first_two_moments() {
         let whole = 65536.0;
         for offset in 0..FRACTIONS {
             let shares = shares(offset).map(|share| f64::from(share) / whole);
@@ -262,7 +262,7 @@ mod tests {
     }
 
     #[test]
-    fn the_minimum_amount_leaves_something_in_a_particles_own_cell() {
+    fn the_minimum_amount_leaves_a_sample_in_the_particles_own_cell() {
         assert_eq!(Amount::of_spacing(1e-3).steps(), LEAST_AMOUNT);
         assert_eq!(Amount::of_spacing(4.0).steps(), GREATEST_AMOUNT);
         for offset in [0, FRACTIONS / 2, FRACTIONS - 1] {
@@ -272,7 +272,7 @@ mod tests {
     }
 
     #[test]
-    fn shares_beyond_walls_move_to_the_cell_before_them() {
+    fn weights_beyond_a_wall_move_to_the_last_cell_inside() {
         let tank = CellBox { lo: IVec3::new(16, -40, 3), hi: IVec3::new(17, 40, 32) };
         let walls = CloudLimits::of(tank, IVec3::new(1, 0, 0)).unwrap();
         assert_eq!(walls.fold(0, 0, [1, 20, 300]), [0, 321, 0], "one cell between two walls");

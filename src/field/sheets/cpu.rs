@@ -330,7 +330,7 @@ mod tests {
     }
 
     #[test]
-    fn sheets_and_threads_have_the_volume_of_their_particles_in_any_orientation() {
+    fn sheets_and_threads_have_their_thickness_in_any_orientation() {
         let width = (made().around.variance() + 0.25).sqrt() * CELL;
         let normal = DVec3::new(0.36, 0.48, 0.8);
         let other = normal.any_orthonormal_vector();

@@ -45,7 +45,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn logarithms_and_powers_are_right_to_the_last_bits() {
+    fn integer_log2_and_exp2_are_accurate_to_a_few_units() {
         let one = f64::from(1 << BITS);
         for sample in 1..=u16::MAX {
             let error = f64::from(log2(sample)) - f64::from(sample).log2() * one;

@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn distances_are_mixed_in_the_finer_spacings() {
+    fn mixed_distances_are_in_units_of_the_finer_spacing() {
         let [zero, one] = [32768, 40960];
         let fine = block([one, one, NONE, one]);
         let coarse = finer_spacings(block([one, one, one, NONE]));
@@ -143,7 +143,7 @@ mod tests {
     }
 
     #[test]
-    fn shares_are_1_where_both_densities_are_0() {
+    fn the_fine_share_is_1_where_both_densities_are_0() {
         let found = share(&block([0, 5, 7, 0]), &block([0, 10, 7, 3]));
         assert_eq!(found.samples(), [32768, 16384, 32768, 0]);
     }

@@ -138,7 +138,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_size_has_its_volume_in_its_octave() {
+    fn each_size_contributes_its_volume_to_its_octave() {
         let octaves = Octaves::new(1.0, 8.0, 0.5);
         assert_eq!(octaves.count, 4);
         let one = octaves.share(1.0).amount;
@@ -152,7 +152,7 @@ mod tests {
             assert!((found - fraction).abs() < 1e-3, "{size}: {found}");
         }
         assert_eq!(octaves.share(8.0).octave, 3);
-        assert_eq!(octaves.share(0.5).amount, one.div_ceil(8), "smaller ones keep their volume");
+        assert_eq!(octaves.share(0.5).amount, one.div_ceil(8), "a smaller size has its own volume");
         assert_eq!(octaves.share(f64::from(0.1_f32) * 20.0), octaves.share(2.0));
     }
 

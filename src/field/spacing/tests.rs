@@ -116,7 +116,7 @@ fn neighbours_measure_a_layer_that_is_too_thin_to_count_in_a_sample() {
 }
 
 #[test]
-fn deep_fluid_is_counted_and_never_called_thin() {
+fn deep_fluid_is_measured_by_counting_and_never_called_thin() {
     for side in [16, 30] {
         for jitter in [0.0, 0.1, 0.3, 0.5] {
             let found = estimated(&layers([side; 3], jitter));
@@ -129,7 +129,7 @@ fn deep_fluid_is_counted_and_never_called_thin() {
 }
 
 #[test]
-fn a_hundred_particles_are_enough() {
+fn a_hundred_particles_suffice_for_an_estimate() {
     for jitter in [0.0, 0.2, 0.4] {
         let found = estimated(&turned(layers([5, 5, 4], jitter)));
         assert!((found.spacing - 1.0).abs() < 0.12 && !found.thin, "{jitter}: {found:?}");
@@ -243,7 +243,7 @@ fn duplicates_and_clumps_are_excluded_from_a_sample_of_many() {
 }
 
 #[test]
-fn particles_in_a_plane_are_distinguished_from_particles_with_a_few_beside_it() {
+fn a_plane_of_particles_is_detected_only_if_all_lie_in_it() {
     let mut particles: Vec<[f64; 3]> =
         layers([800, 800, 1], 0.2).into_iter().map(|[x, y, _]| [x, y, 0.25]).collect();
     let found = evidence(&particles[..]).unwrap();
@@ -275,7 +275,7 @@ fn many_particles_in_sheets_and_threads_are_searched_at_their_own_scale() {
 }
 
 #[test]
-fn a_plane_across_an_axis_is_found_and_measured_in_it() {
+fn a_plane_across_any_axis_is_found_and_its_spacing_measured_in_it() {
     for axis in 0..3 {
         let mut particles = layers([50, 40, 1], 0.2);
         particles.iter_mut().for_each(|p| {

@@ -307,7 +307,7 @@ mod tests {
     }
 
     #[test]
-    fn times_at_equal_distances_are_a_start_and_a_distance_and_others_are_listed() {
+    fn uniform_times_are_stored_as_start_and_step_and_others_as_a_list() {
         assert_eq!(at(&[0.5, 0.75, 1.0, 1.25]), (0.25, vec![0.5]));
         let rounded: Vec<f64> = (1..=250).map(|frame| f64::from(frame) / 24.0).collect();
         let (per_cycle, first) = at(&rounded);

@@ -111,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn known_texts_have_their_known_hashes() {
+    fn known_texts_have_the_reference_hashes() {
         for (text, digest) in [
             ("", "00000000000000000000000000000000"),
             ("hello", "cbd8a7b341bd9b025b1e906a48ae1d19"),
@@ -124,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn bytes_in_pieces_of_any_size_have_the_hash_of_all_of_them() {
+    fn hashing_in_pieces_of_any_size_gives_the_same_hash() {
         let bytes: Vec<u8> = (0..=255).collect();
         for length in [0, 1, 15, 16, 17, 100, 256] {
             for piece in 1..40 {

@@ -45,7 +45,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_copy_may_overlap_itself() {
+    fn an_lzf_copy_may_overlap_itself() {
         assert_eq!(unpack(&[1, 7, 8, 0x20, 1, 0xe0, 2, 0]).unwrap(), {
             let mut all = vec![7, 8, 7, 8, 7];
             all.extend([7; 11]);
@@ -54,7 +54,7 @@ mod tests {
     }
 
     #[test]
-    fn every_cut_and_every_distance_is_checked() {
+    fn truncated_data_and_invalid_lzf_distances_are_errors() {
         for damaged in [&[3, 1, 2][..], &[0x20], &[0x20, 0], &[0, 5, 0x20, 1], &[0, 5, 0xe0, 3]] {
             assert!(unpack(damaged).is_err(), "{damaged:?}");
         }

@@ -301,7 +301,7 @@ mod tests {
     use crate::surface::mesh::Mesh;
 
     #[test]
-    fn corners_turn_clockwise_as_seen_from_outside() {
+    fn written_triangles_are_clockwise_seen_from_outside() {
         let positions = vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
         let mesh = Mesh { positions, triangles: vec![[0, 1, 2]], ..Mesh::default() };
         let mut bytes = Vec::new();

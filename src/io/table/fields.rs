@@ -213,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn a_comment_begins_where_a_field_begins_and_nowhere_else() {
+    fn a_comment_can_begin_only_at_the_start_of_a_field() {
         assert_eq!(fields("1,2,1.#QNAN", b',', 3), ["1", "2", "1.#QNAN"]);
         assert_eq!(fields("1, 2, 3 # a, b", b',', 3), ["1", "2", "3"]);
         assert_eq!(fields("1;2;3;# end", b';', 3), ["1", "2", "3"]);
@@ -222,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn quotes_hide_separators_and_an_unclosed_quote_is_a_value() {
+    fn quotes_hide_separators_but_an_unclosed_quote_is_a_value() {
         assert_eq!(fields("\"a, \"\"b\"\"\", 2,3", b',', 3), ["\"a, \"\"b\"\"\"", "2", "3"]);
         assert_eq!(fields("1,\",3", b',', 3), ["1", "\"", "3"]);
         assert_eq!(fields("'a b' 2 3", b' ', 3), ["'a b'", "2", "3"]);
@@ -230,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn the_last_separator_opens_a_field_if_one_is_missing() {
+    fn a_trailing_separator_starts_a_field_only_if_one_is_missing() {
         assert_eq!(fields("1;2;3;", b';', 3), ["1", "2", "3"]);
         assert_eq!(fields("1,2,", b',', 3), ["1", "2", ""]);
         assert_eq!(fields("1,,", b',', 4), ["1", "", ""]);

@@ -184,7 +184,7 @@ mod tests {
     use super::IndexWidth;
 
     #[test]
-    fn indices_are_as_wide_as_the_greatest_one_needs() {
+    fn the_index_width_fits_the_greatest_index() {
         for (greatest, width, bytes) in
             [(0x7fff_ffff, IndexWidth::I32, 4), (0x8000_0000, IndexWidth::I64, 8)]
         {

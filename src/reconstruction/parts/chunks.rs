@@ -173,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn a_chunk_is_read_as_it_was_written_and_nothing_else_is_one() {
+    fn chunks_round_trip_through_text_and_invalid_text_is_refused() {
         let nowhere = BinnedChunk { bins: None, ..chunk(3, 5, 0) };
         for chunk in [chunk(0, 4096, -3), chunk(7, 1, 2), nowhere] {
             assert_eq!(BinnedChunk::try_from(chunk.to_string()), Ok(chunk));
@@ -185,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_read_are_the_chunks_that_touch_and_the_pieces_that_have_one() {
+    fn only_chunks_that_touch_the_part_and_their_pieces_are_read() {
         let first = MortonKey::of(IVec3::ZERO);
         let stretch = Stretch { first, end: MortonKey(first.0 + 1) };
         let wanted =

@@ -284,7 +284,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn blocks_are_cut_into_parts_of_about_equal_work_whatever_their_number() {
+    fn blocks_are_divided_into_parts_of_about_equal_work() {
         let keys = [3, 4, 9, 12, 13, 20_u64];
         let work: Vec<_> =
             keys.into_iter().zip([1, 1, 1, 1, 1, 1]).map(|(k, w)| (MortonKey(k), w)).collect();

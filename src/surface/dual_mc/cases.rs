@@ -107,7 +107,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_combination_has_a_fan_of_at_most_five_triangles() {
+    fn every_case_has_at_most_five_triangles() {
         let sizes: Vec<usize> = TABLE.iter().map(Vec::len).collect();
         assert_eq!(sizes.iter().max(), Some(&5));
         assert_eq!((sizes[0], sizes[255]), (0, 0));
@@ -115,7 +115,7 @@ mod tests {
     }
 
     #[test]
-    fn every_crossed_edge_is_used_and_no_other() {
+    fn every_case_uses_exactly_its_crossed_edges() {
         for (case, triangles) in TABLE.iter().enumerate() {
             for corner in 0..8_u8 {
                 for axis in (0..3_u8).filter(|axis| corner >> axis & 1 == 0) {
@@ -128,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn a_single_inside_corner_is_cut_off_by_a_triangle_that_faces_away_from_it() {
+    fn a_single_inside_corner_has_one_outward_facing_triangle() {
         for corner in 0..8_u8 {
             let [triangle] = TABLE[1 << corner][..] else { panic!("one triangle") };
             let at = |e: CellEdge| {

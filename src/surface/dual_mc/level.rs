@@ -103,7 +103,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_fraction_is_kept_to_a_step_and_never_lies_on_a_sample() {
+    fn a_crossing_keeps_its_fraction_and_never_lies_on_a_sample() {
         let kept = |lower, upper| Crossings::Fractions.fraction(ZeroLevel.ends(lower, upper));
         for (lower, upper, fraction) in [(1.0, -3.0, 0.25), (-0.7, 0.1, 0.875), (2.0, 2.0, 0.5)] {
             assert!((kept(lower, upper) - fraction).abs() <= 2_f64.powi(-32));

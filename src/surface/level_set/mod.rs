@@ -215,7 +215,7 @@ mod tests {
     use crate::surface::mesh::Mesh;
 
     #[test]
-    fn distances_of_an_octahedron_are_those_of_its_nearest_triangle_on_the_side_of_the_voxel() {
+    fn level_set_distances_match_the_nearest_triangle_with_the_right_sign() {
         const RADIUS: f64 = 61.3;
         let corner = |axis: usize, sign: f64| -> [f64; 3] {
             std::array::from_fn(|k| if k == axis { sign * RADIUS } else { 0.25 })

@@ -72,7 +72,7 @@ mod tests {
     }
 
     #[test]
-    fn a_coarse_copy_has_a_vertex_a_cell_at_most_half_a_cell_from_the_surface() {
+    fn a_clustered_mesh_has_at_most_one_vertex_per_cell() {
         let mesh = square();
         let bounds = bounds_of(&mesh.positions).unwrap();
         let coarse = clustered(&mesh, bounds, 8).unwrap();
@@ -87,7 +87,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mesh_of_one_place_and_an_empty_one_have_no_triangles() {
+    fn clustered_points_and_empty_meshes_have_no_triangles() {
         let point =
             Mesh { positions: vec![[1.0; 3]; 3], triangles: vec![[0, 1, 2]], ..Mesh::default() };
         let coarse = clustered(&point, [[1.0; 3]; 2], 8).unwrap();

@@ -168,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn small_triangles_that_are_drawn_at_once_show_what_those_drawn_in_rows_do() {
+    fn the_fast_path_for_small_triangles_fills_the_same_pixels() {
         let mut state = 7_u64;
         let mut unit = || {
             state = state

@@ -195,7 +195,7 @@ mod sketch_tests {
     use super::*;
 
     #[test]
-    fn light_that_changes_evenly_is_what_it_is_at_every_pixel() {
+    fn linear_light_is_interpolated_exactly() {
         let light = |x: usize, y: usize| {
             Vec3::new(x as f32, y as f32, 2.0 * x as f32 - 3.0 * y as f32 + 7.0)
         };
@@ -217,7 +217,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_quick_exponential_is_that_of_the_library_to_a_thousandth() {
+    fn quick_exp_is_accurate_to_a_thousandth() {
         for n in 0..100_000 {
             let x = -1e-3 * n as f32;
             assert!(

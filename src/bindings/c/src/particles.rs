@@ -422,7 +422,7 @@ mod tests {
     }
 
     #[test]
-    fn positions_are_read_in_any_order_from_any_place() {
+    fn positions_are_read_with_any_alignment_stride_and_number_type() {
         let expected = vec![[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]];
         let by_axis: [f64; 6] = [1.0, 4.0, 2.0, 5.0, 3.0, 6.0];
         let backwards: [f64; 6] = [6.0, 5.0, 4.0, 3.0, 2.0, 1.0];
@@ -463,7 +463,7 @@ mod tests {
     }
 
     #[test]
-    fn what_no_memory_can_hold_is_refused() {
+    fn positions_that_cannot_fit_in_memory_are_refused() {
         let one = [0.0_f64; 3];
         let positions = one.as_ptr().cast();
         for given in [

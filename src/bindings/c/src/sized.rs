@@ -106,7 +106,7 @@ mod tests {
     }
 
     #[test]
-    fn a_smaller_structure_lacks_nothing_and_a_larger_one_must_not_ask_for_more() {
+    fn short_structures_are_completed_and_unknown_fields_must_be_zero() {
         // SAFETY: each is as large as it says, or says nonsense and is not looked at.
         unsafe {
             let whole = read(at(&mut [24, 5, 6]), "two").unwrap();
@@ -124,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn as_much_is_filled_as_the_caller_knows() {
+    fn only_the_fields_that_the_caller_knows_are_filled() {
         let value = Two { size: 24, one: 5, two: 6 };
         // SAFETY: each is as large as it says.
         unsafe {

@@ -140,7 +140,7 @@ mod tests {
     }
 
     #[test]
-    fn a_panic_is_a_code_and_a_message() {
+    fn a_panic_becomes_a_status_code_and_a_message() {
         assert_eq!(call(|| panic!("number {}", 7)), MeniscusStatus::Internal);
         assert_eq!(last(), "a bug of meniscus: number 7");
         assert_eq!(call(|| std::panic::panic_any(7)), MeniscusStatus::Internal);
@@ -150,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn a_message_is_its_threads_own_and_outlives_what_succeeds() {
+    fn the_last_message_is_per_thread_and_survives_successful_calls() {
         assert_eq!(call(|| Err(Failure::request("one"))), MeniscusStatus::Request);
         std::thread::spawn(|| {
             assert_eq!(last(), "");

@@ -25,7 +25,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 }
 
 #[test]
-fn the_header_is_made_of_the_sources_as_they_are() {
+fn the_committed_c_header_is_up_to_date() {
     let made = String::from_utf8(header().expect("made")).expect("text");
     let there = std::fs::read_to_string(interface().join("include/meniscus.h")).expect("there");
     assert!(made == there, "`cargo run -p meniscus-c-header` renews include/meniscus.h");
