@@ -90,7 +90,7 @@ fn a_ball_covers_the_area_that_its_perspective_projection_predicts() {
 }
 
 #[test]
-fn the_default_camera_frames_every_box_completely_and_closely() {
+fn every_box_fits_the_picture_and_nearly_fills_it_from_any_direction() {
     let mut random = Random::new(3);
     for n in 0..60 {
         let size = [(); 3].map(|()| 10.0_f64.powf(2.0 * random.unit() - 1.0));
@@ -665,9 +665,9 @@ fn the_up_axis_of_a_picture_comes_from_the_mesh_file_or_its_listing() {
         let input = if output.contains("{}") { "f_{}.xyz" } else { "f_1.xyz" };
         program::run(folder.path(), &[&common[..], &[input, "-o", output]].concat(), 0);
         let mesh = output.replace("{}", "1");
-        let said = drawn(&mesh, &[]);
-        assert!(said == drawn(&mesh, &["--up", "z"]), "{output}");
-        assert!(said != drawn(&mesh, &["--up", "y"]), "{output}");
+        let default = drawn(&mesh, &[]);
+        assert!(default == drawn(&mesh, &["--up", "z"]), "{output}");
+        assert!(default != drawn(&mesh, &["--up", "y"]), "{output}");
     }
     let rotated = [&common[..], &["f_1.xyz", "-o", "y.ply", "--up", "y"]].concat();
     program::run(folder.path(), &rotated, 0);
@@ -680,7 +680,7 @@ fn invalid_render_requests_are_refused_and_leave_no_files() {
     fs::write(folder.path().join("there.png"), "mine").unwrap();
     fs::write(folder.path().join("bad.ply"), "ply\nformat ascii 1.0\nelement vertex 3\n").unwrap();
     let before = listing(folder.path());
-    for (arguments, code, said) in [
+    for (arguments, code, expected) in [
         (&["ball_2.ply", "-o", "there.png"][..], 2, "there.png: exists"),
         (&["ball_2.ply", "-o", "a.jpg"], 2, "a.jpg: unknown extension; supported: .png, and .apng"),
         (&["ball_{}.ply", "-o", "a_{}.apng"], 2, "unknown extension; supported: .png"),
@@ -715,7 +715,7 @@ fn invalid_render_requests_are_refused_and_leave_no_files() {
         let out = render(folder.path(), arguments);
         let errors = String::from_utf8_lossy(&out.stderr);
         assert_eq!(out.status.code(), Some(code), "{arguments:?}: {errors}");
-        assert!(errors.contains(said), "{arguments:?}: {errors}");
+        assert!(errors.contains(expected), "{arguments:?}: {errors}");
         assert_eq!(listing(folder.path()), before, "{arguments:?}");
     }
     assert_eq!(fs::read(folder.path().join("there.png")).unwrap(), b"mine");
@@ -773,16 +773,16 @@ fn a_preview_is_written_beside_the_mesh_and_does_not_change_it() {
     assert!(near(&pixels("seen.png"), &pixels("first.png")));
     // An existing picture is not replaced, and then no mesh is made.
     fs::write(at("other.png"), "mine").unwrap();
-    let said = run(&[frame, "-o", "other.ply", "--preview"], 2);
-    assert!(said.contains("other.png: exists") && !at("other.ply").exists(), "{said}");
+    let messages = run(&[frame, "-o", "other.ply", "--preview"], 2);
+    assert!(messages.contains("other.png: exists") && !at("other.ply").exists(), "{messages}");
     run(&[frame, "-o", "p.ply", "--parts", "2", "--plan", "--preview"], 2);
 
     let frames = data.join("ParticleData_Fluid_{}.bgeo");
     let frames = frames.to_str().unwrap();
     run(&[frames, "-o", "mesh_{}.ply", "--preview"], 0);
     assert_eq!(png_size(&at("mesh.png")), [3 * 640 + 2 * 4, 360]);
-    let said = run(&[frames, "-o", "mesh_{}.ply", "--preview"], 2);
-    assert!(said.contains("mesh.png: exists"), "{said}");
+    let messages = run(&[frames, "-o", "mesh_{}.ply", "--preview"], 2);
+    assert!(messages.contains("mesh.png: exists"), "{messages}");
     // Resuming draws its own sheet again, and it replaces no other picture.
     let sheet = fs::read(at("mesh.png")).unwrap();
     let picture = Picture::new().size(8, 8).draw(&Mesh::default()).unwrap();
@@ -829,11 +829,14 @@ fn previews_of_unreadable_formats_equal_those_of_readable_formats() {
         assert_eq!(fs::read(at(&sheet)).unwrap(), whole, "{output}");
     }
     run(&["-o", "c_{}.glb"], 0);
-    let said = run(&["-o", "c_{}.glb", "--preview", "--resume"], 0);
-    assert!(said.contains("c_1.glb to c_20.glb") && !at("c.png").exists(), "{said}");
+    let messages = run(&["-o", "c_{}.glb", "--preview", "--resume"], 0);
+    assert!(messages.contains("c_1.glb to c_20.glb") && !at("c.png").exists(), "{messages}");
     fs::remove_file(at("c_10.glb")).unwrap();
-    let said = run(&["-o", "c_{}.glb", "--preview", "--resume"], 0);
-    assert!(said.contains("c_1.glb") && said.contains("1 of 3") && at("c.png").exists(), "{said}");
+    let messages = run(&["-o", "c_{}.glb", "--preview", "--resume"], 0);
+    assert!(
+        messages.contains("c_1.glb") && messages.contains("1 of 3") && at("c.png").exists(),
+        "{messages}"
+    );
 }
 
 fn listing(folder: &Path) -> Vec<String> {

@@ -227,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn existing_lists_and_pieces_are_refused_and_kept() {
+    fn a_list_or_piece_that_appeared_before_keeping_is_refused_and_kept() {
         for taken in ["m/m_0.piece", "m.list"] {
             let within = tempfile::tempdir().unwrap();
             let folder = filled(within.path(), "a");

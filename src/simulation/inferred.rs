@@ -519,7 +519,7 @@ mod tests {
     }
 
     #[test]
-    fn a_dash_after_a_separator_or_beside_names_without_it_is_a_sign() {
+    fn a_dash_is_a_sign_after_a_separator_or_if_other_names_lack_it() {
         for (names, pattern) in [
             (&["f_-0010.npy", "f_-0009.npy"][..], "f_{}.npy"),
             (&["f_-1.npy", "f_0.npy", "f_1.npy"], "f_{}.npy"),

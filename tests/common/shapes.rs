@@ -110,7 +110,7 @@ pub fn moved(mesh: &Mesh, by: [f64; 3]) -> Mesh {
 }
 
 /// Adds normals that point away from the origin, velocities, and each vertex's number as a value.
-pub fn dressed(mut mesh: Mesh) -> Mesh {
+pub fn with_attributes(mut mesh: Mesh) -> Mesh {
     let values = |f: fn(usize, &[f64; 3]) -> Vec<f32>| {
         mesh.positions.iter().enumerate().flat_map(|(n, p)| f(n, p)).collect::<Vec<_>>()
     };

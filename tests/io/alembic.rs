@@ -17,7 +17,7 @@ use meniscus::internals::surface::mesh::{Mesh, VertexAttribute};
 use meniscus::{Reconstruction, Simulation};
 
 use crate::common::files::names;
-use crate::common::shapes::{dressed, moved, sphere};
+use crate::common::shapes::{moved, sphere, with_attributes};
 
 /// A completely read archive.
 struct Archive {
@@ -238,7 +238,7 @@ const SHAPE: &str = "/fluid/fluidShape/.geom";
 
 #[test]
 fn an_alembic_archive_contains_all_values_and_clockwise_triangles() {
-    let mut mesh = dressed(moved(&sphere(1.0, 2), [0.5, 0.0, -3.0]));
+    let mut mesh = with_attributes(moved(&sphere(1.0, 2), [0.5, 0.0, -3.0]));
     let vertices = mesh.positions.len();
     let whole: Vec<i64> = (0..vertices as i64).map(|number| number << 20).collect();
     let values = whole.iter().map(|&x| x as f32).collect();
@@ -346,7 +346,7 @@ fn an_empty_alembic_mesh_has_empty_arrays_and_bounds() {
 
 #[test]
 fn an_alembic_archive_is_independent_of_the_number_of_threads() {
-    let mesh = dressed(sphere(1.0, 6));
+    let mesh = with_attributes(sphere(1.0, 6));
     let on = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| written(&mesh, 0.5))
@@ -411,11 +411,11 @@ fn a_frame_archive_is_complete_after_each_added_frame() {
     let (archive, frames) = archive_in(folder.path());
     // The second frame has no attributes, the fourth is empty, and the third comes last.
     let meshes = [
-        (1, dressed(sphere(1.0, 2))),
+        (1, with_attributes(sphere(1.0, 2))),
         (2, sphere(1.5, 1)),
         (4, Mesh::default()),
-        (5, dressed(moved(&sphere(0.5, 2), [0.0, 1.0, 0.0]))),
-        (3, dressed(sphere(2.0, 1))),
+        (5, with_attributes(moved(&sphere(0.5, 2), [0.0, 1.0, 0.0]))),
+        (3, with_attributes(sphere(2.0, 1))),
     ];
     let mut expected: BTreeMap<i64, &Mesh> = BTreeMap::new();
     for (number, mesh) in &meshes {
@@ -458,7 +458,7 @@ fn end_of_arrays(mesh: &Mesh) -> u64 {
 
 #[test]
 fn an_interrupted_archive_addition_resumes_to_the_same_bytes() {
-    let meshes = [1, 2, 3].map(|number| dressed(sphere(f64::from(number), 1)));
+    let meshes = [1, 2, 3].map(|number| with_attributes(sphere(f64::from(number), 1)));
     let add = |archive: &FrameArchive, frames: &Path, number: usize| {
         let listed = frame_file(frames, number as i64, &meshes[number - 1]);
         archive.add(&listed, 7, numbers).unwrap();

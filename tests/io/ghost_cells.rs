@@ -162,7 +162,7 @@ fn invalid_cell_counts_and_indices_are_reported_with_their_partition() {
     let corners = |last: i64| longs(&[0, 1, 2, 0, 1, 0, 1, 1, 2, last]);
     let data = |of_step: i64| longs(&[0, of_step, 15]);
     let first = |cell: i64| longs(&[0, cell, 0]);
-    for (from, to, says) in [
+    for (from, to, message) in [
         (corners(2), corners(4), "partition 3: cell 4 of 5 refers to point 4 of 4"),
         (corners(2), corners(-1), "partition 3: cell 4 of 5 refers to point -1 of 4"),
         (ids_of(5), ids_of(4), "partition 3: 5 cells refer to 4 points"),
@@ -177,8 +177,8 @@ fn invalid_cell_counts_and_indices_are_reported_with_their_partition() {
     ] {
         let damaged = replaced(&bytes, &from, &to);
         let (result, largest) = memory::largest_allocation(|| read(&damaged, 1));
-        let fault = result.expect_err(says).to_string();
-        assert!(fault.contains(says), "{fault} instead of {says}");
+        let fault = result.expect_err(message).to_string();
+        assert!(fault.contains(message), "{fault} instead of {message}");
         assert!(largest < 1 << 20, "{largest} bytes for: {fault}");
     }
     // The errors of files in which one of several equal entries is wrong.
@@ -190,14 +190,14 @@ fn invalid_cell_counts_and_indices_are_reported_with_their_partition() {
         });
         damaged.filter_map(|read| read.err().map(|fault| fault.to_string())).collect()
     };
-    for (cell, says) in [
+    for (cell, message) in [
         (1 << 40, "partition 2: Offsets has 0 numbers of 5"),
         (1 << 40, "partition 3: Connectivity has 0 numbers of 5"),
         (-6, "-6 in CellOffsets"),
         (-6, "-6 in ConnectivityIdOffsets"),
     ] {
         let found = faults(&bytes, &first(6), &first(cell), Some(1));
-        assert!(found.iter().any(|fault| fault.contains(says)), "{found:?} without {says}");
+        assert!(found.iter().any(|fault| fault.contains(message)), "{found:?} without {message}");
     }
     // Points stay if the offsets of cells have other lengths.
     let ends = |last: i64| longs(&[5, 0, 1, 2, 3, 4, last]);
@@ -213,8 +213,8 @@ fn invalid_cell_counts_and_indices_are_reported_with_their_partition() {
         faults(&damaged, &right, &wrong, None)
     });
     let damaged: Vec<String> = damaged.collect();
-    let says = "vtkGhostType must have one number for each of 23 cells";
-    assert!(damaged.iter().any(|fault| fault.contains(says)), "{damaged:?}");
+    let message = "vtkGhostType must have one number for each of 23 cells";
+    assert!(damaged.iter().any(|fault| fault.contains(message)), "{damaged:?}");
 }
 
 #[test]

@@ -12,7 +12,7 @@ use meniscus::internals::surface::mesh::source::{MeshSource, Outline, Vertices};
 use meniscus::internals::surface::mesh::{Mesh, VertexAttribute};
 use serde_json::Value;
 
-use crate::common::shapes::{dressed, moved, sphere};
+use crate::common::shapes::{moved, sphere, with_attributes};
 
 fn written(mesh: &Mesh, width: CoordinateWidth, layout: GlbLayout) -> (Value, Vec<u8>) {
     let mut bytes = Vec::new();
@@ -90,7 +90,7 @@ fn soup<T: PartialOrd + Copy>(positions: &[[T; 3]], triangles: &[[u32; 3]]) -> V
 
 #[test]
 fn a_plain_glb_preserves_the_mesh_and_its_velocity_in_f32() {
-    let mesh = dressed(moved(&sphere(0.7, 4), [1e-3, -3.0, 1.0 / 3.0]));
+    let mesh = with_attributes(moved(&sphere(0.7, 4), [1e-3, -3.0, 1.0 / 3.0]));
     let (json, binary) = written(&mesh, CoordinateWidth::F32, GlbLayout::PLAIN);
     let attributes = &json["meshes"][0]["primitives"][0]["attributes"];
     let named = |name: &str| floats(&elements(&json, &binary, number(&attributes[name])));
@@ -158,7 +158,7 @@ fn glb_vertices_are_in_the_order_of_their_first_use() {
 
 #[test]
 fn a_compressed_glb_is_accurate_to_half_a_quantization_step() {
-    let mesh = dressed(moved(&sphere(0.7, 4), [-5.0, 2.0, 1.0 / 3.0]));
+    let mesh = with_attributes(moved(&sphere(0.7, 4), [-5.0, 2.0, 1.0 / 3.0]));
     let (json, binary) = written(&mesh, CoordinateWidth::F32, meshopt(UpAxis::Y));
     for list in ["extensionsUsed", "extensionsRequired"] {
         assert_eq!(

@@ -36,10 +36,10 @@ fn an_h5part_step_is_a_frame_with_its_time_and_vector_columns() {
     assert_eq!(attribute(&two, "v"), v);
     assert_eq!(attribute(&two, "id")[59], 59.0);
 
-    for (name, says) in [("steps.h5part", "steps 0 to 10"), ("steps.h5part#1", "no step 1")] {
+    for (name, message) in [("steps.h5part", "steps 0 to 10"), ("steps.h5part#1", "no step 1")] {
         let error = open(name).unwrap_err();
         assert!(
-            matches!(&error.fault, ReadFault::Unsupported(what) if what.contains(says)),
+            matches!(&error.fault, ReadFault::Unsupported(what) if what.contains(message)),
             "{error}"
         );
     }
@@ -175,8 +175,8 @@ fn an_h5part_file_with_steps_is_converted_as_a_sequence() {
         let output = command(folder.path(), &["reconstruct"]).args(arguments).output().unwrap();
         (output.status.code(), String::from_utf8(output.stderr).unwrap())
     };
-    let (code, said) = run(&["sim.h5part", "-o", "m/", "--spacing", "0.25"]);
-    assert_eq!(code, Some(0), "{said}");
+    let (code, messages) = run(&["sim.h5part", "-o", "m/", "--spacing", "0.25"]);
+    assert_eq!(code, Some(0), "{messages}");
     let list: serde_json::Value =
         serde_json::from_slice(&fs::read(folder.path().join("m/sim.ply.json")).unwrap()).unwrap();
     let listed: Vec<_> = list["frames"]
@@ -189,11 +189,11 @@ fn an_h5part_file_with_steps_is_converted_as_a_sequence() {
         listed,
         [("sim_0.ply", Some(0.0)), ("sim_2.ply", Some(0.5)), ("sim_10.ply", Some(2.5))]
     );
-    let (code, said) = run(&["sim.h5part", "-o", "m/", "--spacing", "0.25", "--resume"]);
+    let (code, messages) = run(&["sim.h5part", "-o", "m/", "--spacing", "0.25", "--resume"]);
     assert_eq!(code, Some(0));
-    assert!(said.contains("3 of 3 frames are already finished"), "{said}");
-    let (code, said) = run(&["sim.h5part", "-o", "n/", "--watch"]);
-    assert!(code == Some(2) && said.contains("--watch"), "{said}");
-    let (code, said) = run(&["sim.h5part#2", "-o", "one.ply", "--spacing", "0.25"]);
-    assert_eq!(code, Some(0), "{said}");
+    assert!(messages.contains("3 of 3 frames are already finished"), "{messages}");
+    let (code, messages) = run(&["sim.h5part", "-o", "n/", "--watch"]);
+    assert!(code == Some(2) && messages.contains("--watch"), "{messages}");
+    let (code, messages) = run(&["sim.h5part#2", "-o", "one.ply", "--spacing", "0.25"]);
+    assert_eq!(code, Some(0), "{messages}");
 }

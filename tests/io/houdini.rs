@@ -456,7 +456,7 @@ fn files_that_are_not_point_geometries_are_refused_with_the_reason() {
 }
 
 /// A mesh larger than a chunk, with an attribute of each kind.
-fn dressed() -> Mesh {
+fn mesh_with_attributes() -> Mesh {
     let mut mesh = sphere(0.7, 6);
     let count = mesh.positions.len();
     let values = |size: usize| numbers(count, size).into_iter().map(|x| x as f32 / 100.0);
@@ -480,7 +480,7 @@ fn dressed() -> Mesh {
 
 #[test]
 fn a_written_bgeo_sc_contains_points_with_all_attributes() {
-    let mesh = dressed();
+    let mesh = mesh_with_attributes();
     for width in [CoordinateWidth::F32, CoordinateWidth::F64] {
         let mut bytes = Vec::new();
         MeshFormat::BgeoSc.write(&mut bytes, &mesh, width).unwrap();
@@ -512,7 +512,7 @@ fn a_written_bgeo_sc_contains_points_with_all_attributes() {
 
 #[test]
 fn a_written_bgeo_sc_is_independent_of_the_number_of_threads() {
-    let mesh = dressed();
+    let mesh = mesh_with_attributes();
     let written = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         let mut bytes = Vec::new();

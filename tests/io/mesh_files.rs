@@ -15,7 +15,7 @@ use meniscus::internals::surface::mesh::{Mesh, VertexAttribute};
 #[cfg(unix)]
 use crate::common::alone::alone_after;
 use crate::common::files::names;
-use crate::common::shapes::{cuboid, dressed, moved, sphere, torus};
+use crate::common::shapes::{cuboid, moved, sphere, torus, with_attributes};
 
 #[cfg(not(feature = "hdf5"))]
 const FORMATS: [MeshFormat; 5] =
@@ -49,7 +49,7 @@ fn soup(mesh: &Mesh) -> Vec<[[f64; 3]; 3]> {
 
 #[test]
 fn every_format_preserves_everything_that_it_supports_exactly() {
-    let mesh = dressed(moved(&sphere(0.7, 3), [1e-3, -300., 1.0 / 3.0]));
+    let mesh = with_attributes(moved(&sphere(0.7, 3), [1e-3, -300., 1.0 / 3.0]));
     for format in FORMATS {
         for width in [CoordinateWidth::F32, CoordinateWidth::F64] {
             let read = format.read(&written(format, &mesh, width)).unwrap();
@@ -137,7 +137,7 @@ fn integer_attributes_beyond_f32_precision_are_preserved() {
 
 #[test]
 fn colliding_attribute_names_are_renamed_uniquely_and_reported() {
-    let mut mesh = dressed(sphere(0.7, 1));
+    let mut mesh = with_attributes(sphere(0.7, 1));
     assert!(mesh.normals.is_some());
     let names = ["Normals", "GlobalPointIds", "a/b", "a_b", "a b", "nx", "velocity_"];
     let values = |number: usize| vec![number as f32; mesh.positions.len()];
@@ -174,7 +174,7 @@ fn colliding_attribute_names_are_renamed_uniquely_and_reported() {
 
 #[test]
 fn mesh_files_are_independent_of_the_number_of_threads() {
-    let mesh = dressed(torus(300, 100));
+    let mesh = with_attributes(torus(300, 100));
     for format in FORMATS {
         let on = |threads| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
@@ -332,7 +332,7 @@ fn extra_stl_bytes_after_the_last_triangle_are_refused() {
 
 #[test]
 fn a_vtp_header_lists_its_arrays_with_their_offsets() {
-    let mut mesh = dressed(cuboid([0.; 3], [1.; 3]));
+    let mut mesh = with_attributes(cuboid([0.; 3], [1.; 3]));
     mesh.attributes[1].name = "a \"<b>\" & c\n\u{1}".to_owned();
     let bytes = written(MeshFormat::Vtp, &mesh, CoordinateWidth::F64);
     let end = bytes.windows(2).position(|two| two == b"\n_").unwrap();
@@ -450,7 +450,7 @@ fn invalid_vtp_files_are_refused_with_the_reason() {
 
 #[test]
 fn a_truncated_file_is_refused_at_every_length() {
-    let mesh = dressed(cuboid([0.; 3], [1.; 3]));
+    let mesh = with_attributes(cuboid([0.; 3], [1.; 3]));
     for format in [MeshFormat::Ply, MeshFormat::Vtp, MeshFormat::Stl] {
         let bytes = written(format, &mesh, CoordinateWidth::F32);
         let whole = bytes.trim_ascii_end().len();
@@ -477,7 +477,7 @@ fn a_truncated_file_is_refused_at_every_length() {
 
 #[test]
 fn a_flipped_byte_is_an_error_or_a_valid_mesh_but_never_a_panic() {
-    let mesh = dressed(cuboid([0.; 3], [1.; 3]));
+    let mesh = with_attributes(cuboid([0.; 3], [1.; 3]));
     let texts = [(MeshFormat::Vtp, VTP_TEXT.as_bytes().to_vec())];
     let files = FORMATS.map(|format| (format, written(format, &mesh, CoordinateWidth::F64)));
     for (format, mut bytes) in files.into_iter().chain(texts) {
@@ -518,7 +518,7 @@ fn huge_vtp_counts_and_lengths_are_refused_without_allocating() {
 
 #[test]
 fn vtp_arrays_that_share_their_data_are_refused() {
-    let bytes = written(MeshFormat::Vtp, &dressed(torus(20, 10)), CoordinateWidth::F32);
+    let bytes = written(MeshFormat::Vtp, &with_attributes(torus(20, 10)), CoordinateWidth::F32);
     let text = bytes.windows(12).position(|part| part == b"</PointData>").unwrap();
     let again =
         b"<DataArray type=\"Float32\" Name=\"x\" NumberOfComponents=\"3\" format=\"appended\" offset=\"0\"/>";

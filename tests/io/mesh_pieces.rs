@@ -12,7 +12,7 @@ use meniscus::internals::io::{CoordinateWidth, UpAxis, WriteFault};
 use meniscus::internals::surface::mesh::Mesh;
 use meniscus::internals::surface::mesh::source::{MeshSource, Outline, Vertices};
 
-use crate::common::shapes::{dressed, torus};
+use crate::common::shapes::{torus, with_attributes};
 
 const FORMATS: [MeshFormat; 8] = [
     MeshFormat::Ply,
@@ -118,7 +118,7 @@ fn cuts(mesh: &Mesh) -> [Cut; 4] {
 fn the_bytes_of_a_mesh_are_independent_of_its_pieces() {
     let bare = torus(200, 100);
     assert!(bare.pieces() > 1, "the mesh has only one piece");
-    for mesh in [Mesh::default(), dressed(torus(200, 100)), bare] {
+    for mesh in [Mesh::default(), with_attributes(torus(200, 100)), bare] {
         for format in FORMATS {
             for width in [CoordinateWidth::F32, CoordinateWidth::F64] {
                 let whole = written(format, &mesh, width);
@@ -153,7 +153,7 @@ fn a_source_without_pieces_is_read_back_as_an_empty_mesh() {
 
 #[test]
 fn an_unreadable_piece_fails_the_write_and_leaves_no_file() {
-    let mesh = dressed(torus(40, 30));
+    let mesh = with_attributes(torus(40, 30));
     for format in FORMATS {
         for (lost, first) in
             [([Some(3), None], 3), ([None, Some(50)], 50), ([Some(99), Some(0)], 99)]

@@ -19,7 +19,7 @@ use crate::build::{VtkXml, tuples};
 use crate::common::files::{self, tree};
 use crate::common::particle_files::{attribute, positions};
 use crate::common::program::command;
-use crate::common::shapes::{dressed, torus};
+use crate::common::shapes::{torus, with_attributes};
 
 fn data(name: &str) -> PathBuf {
     files::data("simulations").join(name)
@@ -261,7 +261,7 @@ fn piece_names_are_resolved_in_windows_and_url_spelling() {
 
 #[test]
 fn an_error_in_a_piece_names_the_file_of_the_piece() {
-    for (name, text, says) in [
+    for (name, text, message) in [
         ("p/0.vtu", "<VTKFile".to_owned(), "ends without </VTKFile>"),
         (
             "p/1.vtu",
@@ -276,8 +276,8 @@ fn an_error_in_a_piece_names_the_file_of_the_piece() {
     ] {
         let set = Set::new();
         set.write(name, &text);
-        let error = set.open().expect_err(says);
-        assert!(error.path == set.path(name) && error.to_string().contains(says), "{error}");
+        let error = set.open().expect_err(message);
+        assert!(error.path == set.path(name) && error.to_string().contains(message), "{error}");
     }
     let set = Set::new();
     fs::remove_file(set.path("p/1.vtu")).unwrap();
@@ -325,10 +325,10 @@ fn pieces_in_a_folder_of_lists_are_not_taken_for_frames() {
     for inputs in [".", "*.*vtu"] {
         let arguments = ["reconstruct", inputs, "-o", "m/", "--spacing", "1", "--overwrite"];
         let output = command(&set.path(""), &arguments).output().unwrap();
-        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        let messages = String::from_utf8_lossy(&output.stderr).into_owned();
         // In a folder, the list without a number is not a frame.
         let expected = if inputs == "." { Some(0) } else { output.status.code() };
-        assert_eq!(output.status.code(), expected, "{said}");
+        assert_eq!(output.status.code(), expected, "{messages}");
         if inputs == "." {
             let list: serde_json::Value =
                 serde_json::from_slice(&fs::read(set.path("m/a.ply.json")).unwrap()).unwrap();
@@ -347,7 +347,7 @@ fn pieces_in_a_folder_of_lists_are_not_taken_for_frames() {
 fn a_pvtp_mesh_is_a_list_and_a_folder_that_read_back_unchanged() {
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("torus.pvtp");
-    let mesh = dressed(torus(20, 10));
+    let mesh = with_attributes(torus(20, 10));
     let write = |replace| {
         let output = MeshOutput::prepare(&path, replace)?;
         output.write(&mesh, CoordinateWidth::F64)
@@ -478,7 +478,7 @@ fn inconsistent_cells_are_refused_and_damage_never_panics() {
     for polydata in [true, false] {
         let whole = with_cells(polydata, &[5, 4, 3, 2, 1, 0], "vtkGhostType", &[1, 0, 0, 1, 0, 0]);
         let name = if polydata { "NumberOfVerts" } else { "NumberOfCells" };
-        for (from, to, says) in [
+        for (from, to, message) in [
             (">5 4 3 2 1 0<", ">5 4 3 2 1 6<", "refers to point 6 of 6"),
             (">5 4 3 2 1 0<", ">5 4 3 2 1 -1<", "refers to point -1 of 6"),
             (">5 4 3 2 1 0<", ">5 4 3 2 1<", "6 cells refer to 5 points"),
@@ -492,8 +492,8 @@ fn inconsistent_cells_are_refused_and_damage_never_panics() {
         ] {
             let text = whole.replace(from, to);
             assert_ne!(text, whole);
-            let error = points_left(polydata, &text).expect_err(says);
-            assert!(error.to_string().contains(says), "{error}");
+            let error = points_left(polydata, &text).expect_err(message);
+            assert!(error.to_string().contains(message), "{error}");
         }
         let folder = TempDir::new().unwrap();
         let path = folder.path().join(if polydata { "a.vtp" } else { "a.vtu" });

@@ -567,7 +567,7 @@ fn a_bi4_part_is_read_completely_from_any_of_its_pieces() {
         assert_eq!(attributes(&file), [("Idp", 1), ("Vel", 3)]);
         assert_eq!(attribute(&file, "Idp"), [5.0, 6.0, 7.0].repeat(3));
     }
-    for (piece, bytes, said) in [
+    for (piece, bytes, expected) in [
         (1, layout(1).build(&points)[..500].to_vec(), "truncated"),
         (2, layout(1).build(&points), "piece 1 of 3 where piece 2 of 3 was expected"),
         (
@@ -578,9 +578,9 @@ fn a_bi4_part_is_read_completely_from_any_of_its_pieces() {
     ] {
         let right = std::fs::read(path(piece)).unwrap();
         std::fs::write(path(piece), bytes).unwrap();
-        let error = open_particles(&path(0)).expect_err(said);
+        let error = open_particles(&path(0)).expect_err(expected);
         assert_eq!(error.path, path(piece));
-        assert!(error.to_string().contains(said), "{error}");
+        assert!(error.to_string().contains(expected), "{error}");
         std::fs::write(path(piece), right).unwrap();
     }
     // Each piece is read in its own byte order.

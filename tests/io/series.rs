@@ -15,14 +15,14 @@ use meniscus::internals::surface::mesh::source::MeshSource;
 use serde_json::Value;
 
 use crate::common::files::names;
-use crate::common::shapes::{dressed, moved, sphere};
+use crate::common::shapes::{moved, sphere, with_attributes};
 
 fn series(folder: &Path, format: MeshFormat, fps: Option<f64>) -> Series {
     Series { format, simulation: folder.join(format!("pool{format}")), fps, up: UpAxis::Z }
 }
 
 fn frame(frame: i64, file: &str, time: Option<f64>) -> SeriesFrame {
-    let mesh = dressed(sphere(1.0, 1));
+    let mesh = with_attributes(sphere(1.0, 1));
     SeriesFrame {
         frame,
         time,
@@ -150,7 +150,7 @@ fn word(bytes: &[u8], at: u64) -> u64 {
 
 #[test]
 fn a_usd_layer_contains_raw_arrays_and_valid_section_offsets() {
-    let mesh = dressed(moved(&sphere(1.0, 2), [0.5, 0.0, -3.0]));
+    let mesh = with_attributes(moved(&sphere(1.0, 2), [0.5, 0.0, -3.0]));
     let bytes = layer(&mesh);
     assert_eq!(bytes[..16], *b"PXR-USDC\0\x08\0\0\0\0\0\0");
     let contents = word(&bytes, 16);
@@ -199,7 +199,7 @@ fn a_usd_layer_contains_raw_arrays_and_valid_section_offsets() {
 #[test]
 fn a_usd_layer_is_independent_of_threads_and_extension() {
     let folder = tempfile::tempdir().unwrap();
-    let mesh = dressed(sphere(1.0, 5));
+    let mesh = with_attributes(sphere(1.0, 5));
     let on = |threads| {
         rayon::ThreadPoolBuilder::new()
             .num_threads(threads)

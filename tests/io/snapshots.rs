@@ -120,14 +120,14 @@ fn particle_types_can_be_named_and_default_to_gas_or_fluid() {
     assert_eq!(positions(&dark), [[[1.0; 3]; 4].as_slice(), [[2.0; 3]; 2].as_slice()].concat());
     assert_eq!(positions(&open_type(&data("pysph_40.hdf5"), "wall").unwrap()), points()[..3]);
     assert_eq!(open_type(&data("openpmd.h5#200"), "water").unwrap().particles.len(), 24);
-    for (name, kind, says) in [
+    for (name, kind, message) in [
         (GADGET[0], "PartType4", "no particles of type PartType4; available: PartType0, PartType1"),
         ("pysph_40.hdf5", "gas", "available: fluid, wall"),
         ("openpmd.h5#100", "ions", "available: water"),
     ] {
         let error = open_type(&data(name), kind).unwrap_err();
         assert!(
-            matches!(&error.fault, ReadFault::Unsupported(what) if what.contains(says)),
+            matches!(&error.fault, ReadFault::Unsupported(what) if what.contains(message)),
             "{error}"
         );
         assert!(error.path.ends_with(name), "{error}");
@@ -151,7 +151,7 @@ fn steps_and_iterations_are_frames_with_their_own_numbers_and_times() {
     assert!(
         positions(&later).iter().zip(points()).all(|(a, b)| (a[0] - b[0] - 10.0).abs() < 1e-12)
     );
-    for (name, says) in [
+    for (name, message) in [
         ("steps.vtkhdf", "steps 0 to 2"),
         ("steps.vtkhdf#3", "no step 3"),
         ("grid.vtkhdf#0", "no step 0"),
@@ -161,7 +161,7 @@ fn steps_and_iterations_are_frames_with_their_own_numbers_and_times() {
     ] {
         let error = open(name).unwrap_err();
         assert!(
-            matches!(&error.fault, ReadFault::Unsupported(what) if what.contains(says)),
+            matches!(&error.fault, ReadFault::Unsupported(what) if what.contains(message)),
             "{error}"
         );
     }
@@ -190,9 +190,9 @@ fn an_error_in_a_snapshot_names_the_file_that_causes_it() {
         let folder = copied("gadget");
         let (path, start) = (folder.path().join(name), folder.path().join(GADGET[(piece + 1) % 3]));
         let bytes = fs::read(&path).unwrap();
-        let refused = |says: &str| {
-            let error = open_type(&start, None).expect_err(says);
-            assert!(error.path == path && error.to_string().contains(says), "{error}");
+        let refused = |message: &str| {
+            let error = open_type(&start, None).expect_err(message);
+            assert!(error.path == path && error.to_string().contains(message), "{error}");
         };
         for cut in [100, bytes.len() / 2, bytes.len() - 1] {
             fs::write(&path, &bytes[..cut]).unwrap();

@@ -27,14 +27,15 @@ fn folder_with_ball() -> TempDir {
     folder
 }
 
-/// Runs `reconstruct`, which must fail with `code`, print `says`, and leave the folder unchanged.
+/// Runs `reconstruct`, which must fail with `code`, print `message`, and leave the folder
+/// unchanged.
 #[track_caller]
-fn assert_refused(folder: &Path, arguments: &[&str], code: i32, says: &[&str]) {
+fn assert_refused(folder: &Path, arguments: &[&str], code: i32, message: &[&str]) {
     let before = names(folder);
     let output = meniscus(folder, &[&["reconstruct"], arguments].concat());
     let errors = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(code), "{arguments:?}: {errors}");
-    for word in says {
+    for word in message {
         assert!(errors.contains(word), "{arguments:?} does not print {word:?}: {errors}");
     }
     assert!(!errors.contains("panicked"), "{errors}");
@@ -112,7 +113,7 @@ fn the_output_is_independent_of_threads_particle_order_and_run() {
 fn invalid_arguments_exit_with_2_and_leave_no_files() {
     let folder = folder_with_ball();
     let ball = |more: &[&'static str]| [&["ball.xyz", "-o", "out.ply"], more].concat();
-    for (arguments, says) in [
+    for (arguments, message) in [
         (vec!["ball.xyz"], "--output"),
         (vec!["ball.xyz", "-o", "out.fbx"], "out.fbx"),
         (vec!["ball.xyz", "-o", "out"], "out"),
@@ -164,7 +165,7 @@ fn invalid_arguments_exit_with_2_and_leave_no_files() {
         (ball(&["--memory", "much"]), "--memory"),
         (ball(&["--backend", "abacus"]), "abacus"),
     ] {
-        assert_refused(folder.path(), &arguments, 2, &[says]);
+        assert_refused(folder.path(), &arguments, 2, &[message]);
     }
 }
 
@@ -189,7 +190,7 @@ fn every_method_makes_a_watertight_ball_and_is_named_in_the_statistics() {
 #[test]
 fn kernel_methods_do_not_mention_an_indicator() {
     let folder = folder_with_ball();
-    for (method, says) in
+    for (method, has_indicator) in
         [("dif", true), ("mueller", false), ("zhu-bridson", false), ("yu-turk", false)]
     {
         let given = [
@@ -206,7 +207,7 @@ fn kernel_methods_do_not_mention_an_indicator() {
         let run = meniscus(folder.path(), &given);
         assert!(run.status.success(), "{method}: {run:?}");
         let notes = String::from_utf8(run.stderr).unwrap();
-        assert_eq!(notes.contains("indicator"), says, "{method}: {notes}");
+        assert_eq!(notes.contains("indicator"), has_indicator, "{method}: {notes}");
     }
 }
 
@@ -337,7 +338,7 @@ fn invalid_input_exits_with_3_and_is_named() {
     put("inf.xyz", &with(77, [f64::INFINITY, 0.0, 0.0]));
     put("far.xyz", &with(5, [0.0, 0.0, 1e30]));
     put("noise.bgeo", &[7; 500]);
-    for (file, more, says) in [
+    for (file, more, message) in [
         ("missing.ply", &[][..], &["missing.ply", "No such file"][..]),
         ("empty.ply", &[], &["empty.ply", "empty"]),
         ("none.ply", &[], &["none.ply", "no particles"]),
@@ -351,7 +352,7 @@ fn invalid_input_exits_with_3_and_is_named() {
         ("far.xyz", &["--spacing", "0.5"], &["far.xyz", "particle 5 ", "cells"]),
         ("noise.bgeo", &[], &["noise.bgeo"]),
     ] {
-        assert_refused(folder.path(), &[&[file, "-o", "out.ply"], more].concat(), 3, says);
+        assert_refused(folder.path(), &[&[file, "-o", "out.ply"], more].concat(), 3, message);
     }
 }
 
@@ -455,20 +456,20 @@ fn a_dry_run_prints_estimates_and_writes_nothing() {
     let folder = folder_with_ball();
     let run = meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", "out.ply", "--dry-run"]);
     assert!(run.status.success());
-    let said = String::from_utf8_lossy(&run.stdout).into_owned();
-    assert!(said.contains("memory"), "{said}");
+    let messages = String::from_utf8_lossy(&run.stdout).into_owned();
+    assert!(messages.contains("memory"), "{messages}");
     assert_eq!(names(folder.path()), ["ball.xyz"]);
     // The predicted number of triangles of a small frame is exact, because all of it is computed.
     let figure = |name: &str| -> u64 {
-        let line = said.lines().find_map(|line| line.strip_prefix(&format!("{name}: about ")));
+        let line = messages.lines().find_map(|line| line.strip_prefix(&format!("{name}: about ")));
         line.unwrap().split(' ').next().unwrap().parse().unwrap()
     };
-    assert!((1..600).contains(&figure("time")), "{said}");
+    assert!((1..600).contains(&figure("time")), "{messages}");
     assert!(
         meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", "out.ply"]).status.success()
     );
     let mesh = read_mesh(&folder.path().join("out.ply")).unwrap();
-    assert_eq!(figure("triangles"), mesh.triangles.len() as u64, "{said}");
+    assert_eq!(figure("triangles"), mesh.triangles.len() as u64, "{messages}");
 }
 
 #[test]
@@ -762,7 +763,7 @@ fn devices_lists_the_devices_of_the_vulkan_loader() {
 fn invalid_simplify_component_compress_and_up_options_are_refused() {
     let folder = folder_with_ball();
     let ball = ["ball.xyz", "--spacing", "0.5", "-o"];
-    for (arguments, says) in [
+    for (arguments, message) in [
         (&["a.ply", "--simplify", "0"][..], "--simplify"),
         (&["a.ply", "--simplify", "4.1"], "at most 4 cells"),
         (&["a.ply", "--simplify", "nan"], "--simplify"),
@@ -770,7 +771,7 @@ fn invalid_simplify_component_compress_and_up_options_are_refused() {
         (&["a.ply", "--compress"], "--compress applies only to .glb"),
         (&["a.glb", "--up", "z"], "y always points up in .glb; use --particles-up z"),
     ] {
-        assert_refused(folder.path(), &[&ball[..], arguments].concat(), 2, &[says]);
+        assert_refused(folder.path(), &[&ball[..], arguments].concat(), 2, &[message]);
     }
     let all = [&ball[..], &["a.ply", "--smallest-component", "1e9"]].concat();
     assert_refused(
@@ -794,9 +795,9 @@ fn a_simplified_ball_is_watertight_and_its_simplification_is_reported() {
         String::from_utf8(output.stderr).unwrap()
     };
     run(&["-o", "whole.ply"]);
-    let said = run(&["-o", "less.ply", "--simplify", "0.25", "--smallest-component", "10"]);
-    assert!(said.contains("simplified within 0.25 cells"), "{said}");
-    assert!(said.contains("0 components of less than 10 cells left out"), "{said}");
+    let messages = run(&["-o", "less.ply", "--simplify", "0.25", "--smallest-component", "10"]);
+    assert!(messages.contains("simplified within 0.25 cells"), "{messages}");
+    assert!(messages.contains("0 components of less than 10 cells left out"), "{messages}");
     let [whole, less] =
         ["whole.ply", "less.ply"].map(|name| read_mesh(&folder.path().join(name)).unwrap());
     assert!(less.triangles.len() * 2 < whole.triangles.len());
@@ -883,12 +884,12 @@ fn fine_cells_give_the_same_bytes_for_any_threads_budget_and_packing() {
 fn cells_too_fine_for_the_indicator_are_refused_with_a_usable_size() {
     let folder = folder_with_ball();
     let finest = ["ball.xyz", "-o", "out.ply", "--spacing", "0.5", "--cell", "0.09"];
-    let says = [
+    let message = [
         "ball.xyz",
         "smaller than 0.1 spacings",
         "use cells of 0.0505 or more (--cell 0.1 or more)",
     ];
-    assert_refused(folder.path(), &finest, 2, &says);
+    assert_refused(folder.path(), &finest, 2, &message);
     let enough = [
         "reconstruct",
         "ball.xyz",
@@ -1062,11 +1063,11 @@ fn a_mesh_is_refused_as_particles_but_points_with_vertex_cells_are_read() {
         let meshed = meniscus(folder.path(), &["reconstruct", "ball.mnf", "-o", mesh, "--quiet"]);
         assert!(meshed.status.success(), "{mesh}");
         let faces = read_mesh(&folder.path().join(mesh)).unwrap().triangles.len();
-        let says = format!("{mesh}: holds a mesh ({faces} faces), not particles");
-        assert_refused(folder.path(), &[mesh, "-o", "out.ply"], 3, &[&says]);
+        let message = format!("{mesh}: holds a mesh ({faces} faces), not particles");
+        assert_refused(folder.path(), &[mesh, "-o", "out.ply"], 3, &[&message]);
         let packed = meniscus(folder.path(), &["pack", mesh, "-o", "out.mnf"]);
         let errors = String::from_utf8_lossy(&packed.stderr);
-        assert!(packed.status.code() == Some(3) && errors.contains(&says), "{errors}");
+        assert!(packed.status.code() == Some(3) && errors.contains(&message), "{errors}");
         assert!(!folder.path().join("out.mnf").exists());
         let info = meniscus(folder.path(), &["info", mesh]);
         assert!(String::from_utf8_lossy(&info.stdout).contains("triangles"), "{mesh}");
@@ -1118,16 +1119,16 @@ fn check_and_info_accept_folders_globs_and_patterns() {
     for meshes in ["mesh", "mesh/", "mesh/m_*.ply", "mesh/m_{}.ply"] {
         for command in ["check", "info"] {
             let run = meniscus(folder.path(), &[command, meshes]);
-            let said = String::from_utf8(run.stdout).unwrap();
+            let messages = String::from_utf8(run.stdout).unwrap();
             assert!(
                 run.status.success(),
                 "{command} {meshes}: {}",
                 String::from_utf8_lossy(&run.stderr)
             );
             let place = |name: &str| {
-                said.find(name).unwrap_or_else(|| panic!("{command} {meshes}: {said}"))
+                messages.find(name).unwrap_or_else(|| panic!("{command} {meshes}: {messages}"))
             };
-            assert!(place("m_2.ply") < place("m_10.ply"), "{said}");
+            assert!(place("m_2.ply") < place("m_10.ply"), "{messages}");
         }
     }
     fs::create_dir(folder.path().join("empty")).unwrap();
@@ -1202,23 +1203,24 @@ fn every_setting_is_an_option_and_pack_refuses_surface_settings() {
     for given in [&["--smooth", "2"][..], &["--normals"], &["--method", "mueller"], &["--up", "z"]]
     {
         let run = meniscus(folder.path(), &[&["pack", "one.xyz", "-o", "one.mnf"], given].concat());
-        let said = String::from_utf8_lossy(&run.stderr).into_owned();
-        assert_eq!(run.status.code(), Some(2), "{said}");
-        assert!(said.contains(&format!("{} is for surfaces", given[0])), "{said}");
+        let messages = String::from_utf8_lossy(&run.stderr).into_owned();
+        assert_eq!(run.status.code(), Some(2), "{messages}");
+        assert!(messages.contains(&format!("{} is for surfaces", given[0])), "{messages}");
     }
 }
 
 /// Packs a particle and reconstructs it, with the default method given explicitly.
 fn pack_with_the_default_method(folder: &Path) {
     let given = ["--spacing", "1", "--method", "dif"];
-    let pack = meniscus(folder, &[&["pack", "one.xyz", "-o", "said.mnf"], &given[..]].concat());
+    let pack = meniscus(folder, &[&["pack", "one.xyz", "-o", "given.mnf"], &given[..]].concat());
     assert!(pack.status.success(), "{}", String::from_utf8_lossy(&pack.stderr));
-    let draw = meniscus(folder, &["reconstruct", "said.mnf", "-o", "said.ply", "--method", "dif"]);
+    let draw =
+        meniscus(folder, &["reconstruct", "given.mnf", "-o", "given.ply", "--method", "dif"]);
     assert!(draw.status.success(), "{}", String::from_utf8_lossy(&draw.stderr));
     let named =
-        meniscus(folder, &["reconstruct", "said.mnf", "-o", "named.ply", "--format", "csv"]);
+        meniscus(folder, &["reconstruct", "given.mnf", "-o", "named.ply", "--format", "csv"]);
     assert_eq!(named.status.code(), Some(2));
-    let info = meniscus(folder, &["info", "said.mnf", "--format", "csv"]);
+    let info = meniscus(folder, &["info", "given.mnf", "--format", "csv"]);
     assert!(String::from_utf8_lossy(&info.stdout).contains("packed frame"));
 }
 
@@ -1228,9 +1230,9 @@ fn a_given_format_overrides_the_file_extension() {
     let path = |name: &str| folder.path().join(name);
     let run = |arguments: &[&str], code: i32| {
         let run = meniscus(folder.path(), arguments);
-        let said = String::from_utf8_lossy(&[run.stdout, run.stderr].concat()).into_owned();
-        assert_eq!(run.status.code(), Some(code), "{arguments:?}: {said}");
-        said
+        let messages = String::from_utf8_lossy(&[run.stdout, run.stderr].concat()).into_owned();
+        assert_eq!(run.status.code(), Some(code), "{arguments:?}: {messages}");
+        messages
     };
     run(&["reconstruct", "ball.xyz", "-o", "known.ply"], 0);
     let known = fs::read(path("known.ply")).unwrap();
@@ -1240,8 +1242,8 @@ fn a_given_format_overrides_the_file_extension() {
         assert!(fs::read(path("named.ply")).unwrap() == known, "{name}");
         assert!(run(&["info", name, "--format", "xyz"], 0).contains("spacing"));
     }
-    let said = run(&["reconstruct", "dump_1.out", "-o", "other.ply"], 2);
-    assert!(said.contains("extension") && said.contains("--format"), "{said}");
+    let messages = run(&["reconstruct", "dump_1.out", "-o", "other.ply"], 2);
+    assert!(messages.contains("extension") && messages.contains("--format"), "{messages}");
     // As another format.
     run(&["reconstruct", "dump_1.out", "-o", "other.ply", "--format", "bgeo"], 3);
     fs::copy(path("ball.xyz"), path("dump_3.out")).unwrap();

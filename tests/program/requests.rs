@@ -21,10 +21,10 @@ use crate::common::scene::Random;
 
 /// Runs the program, which must refuse with code 2 and leave the folder unchanged.
 #[track_caller]
-fn refused(folder: &Path, arguments: &[&str], says: &str) {
+fn refused(folder: &Path, arguments: &[&str], message: &str) {
     let before = tree(folder);
     let errors = run(folder, arguments, 2);
-    assert!(errors.contains(says), "{arguments:?} does not print {says:?}: {errors}");
+    assert!(errors.contains(message), "{arguments:?} does not print {message:?}: {errors}");
     assert!(tree(folder) == before, "{arguments:?} left something behind");
 }
 
@@ -631,12 +631,13 @@ fn particles_missing_from_the_surface_are_counted_and_reported() {
         run(folder.path(), &[&["reconstruct"], arguments, &symmetry].concat(), 0)
     };
     let count = body.len() + 201;
-    let said = format!("warning: at least 201 of {count} particles are missing from the surface");
+    let warning =
+        format!("warning: at least 201 of {count} particles are missing from the surface");
     let notes = with(&["f_3.xyz", "-o", "a.ply"]);
-    assert!(notes.contains(&said), "{notes}");
+    assert!(notes.contains(&warning), "{notes}");
     for budget in [&[][..], &["--memory", "16MiB", "--threads", "1"]] {
         let notes = with(&[&["f_3.xyz", "-o", "a.ply"], budget].concat());
-        assert!(notes.contains(&said), "{budget:?}: {notes}");
+        assert!(notes.contains(&warning), "{budget:?}: {notes}");
     }
     for few in ["f_1.xyz", "f_2.xyz"] {
         let notes = with(&[few, "-o", "a.ply"]);

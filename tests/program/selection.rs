@@ -100,9 +100,9 @@ fn a_condition_selects_the_same_particles_in_every_format() {
     .enumerate()
     {
         let mesh = format!("{number}.obj");
-        let said = reconstruct(folder, &[&[file, "-o", &mesh], conditions].concat(), 0);
-        assert_eq!(read(&mesh), read("fluid.obj"), "{file} {conditions:?}: {said}");
-        assert!(said.contains(" particles left out"), "{said}");
+        let messages = reconstruct(folder, &[&[file, "-o", &mesh], conditions].concat(), 0);
+        assert_eq!(read(&mesh), read("fluid.obj"), "{file} {conditions:?}: {messages}");
+        assert!(messages.contains(" particles left out"), "{messages}");
     }
 }
 
@@ -156,12 +156,12 @@ fn inapplicable_conditions_are_refused_with_the_available_values() {
         ("tank.csv", "Type=5", 3, &["Type=5", "0 (", "1 ("]),
         ("words.csv", "Phase=solid", 3, &["Phase=solid", "fluid (", "the wall ("]),
     ] {
-        let said = reconstruct(folder, &[file, "-o", "none.ply", "--where", condition], code);
-        assert!(facts.iter().all(|fact| said.contains(fact)), "{condition}: {said}");
-        assert!(said.contains(file) && !folder.join("none.ply").exists(), "{said}");
+        let messages = reconstruct(folder, &[file, "-o", "none.ply", "--where", condition], code);
+        assert!(facts.iter().all(|fact| messages.contains(fact)), "{condition}: {messages}");
+        assert!(messages.contains(file) && !folder.join("none.ply").exists(), "{messages}");
     }
-    let said = reconstruct(folder, &["tank.csv", "-o", "none.ply", "--where", "Type"], 2);
-    assert!(said.contains("--where") && said.contains("Type=1"), "{said}");
+    let messages = reconstruct(folder, &["tank.csv", "-o", "none.ply", "--where", "Type"], 2);
+    assert!(messages.contains("--where") && messages.contains("Type=1"), "{messages}");
 }
 
 #[test]
@@ -169,14 +169,14 @@ fn a_boundary_around_the_fluid_causes_a_warning_and_info_counts_it() {
     let folder = scenes();
     let folder = folder.path();
     for file in ["tank.csv", "tank.ply", "tank.vtk"] {
-        let said = reconstruct(folder, &[file, "-o", "all.ply", "--overwrite"], 0);
-        assert!(said.contains("--where Type=0"), "{file}: {said}");
-        let said =
+        let messages = reconstruct(folder, &[file, "-o", "all.ply", "--overwrite"], 0);
+        assert!(messages.contains("--where Type=0"), "{file}: {messages}");
+        let messages =
             reconstruct(folder, &[file, "-o", "all.ply", "--overwrite", "--where", "Type=0"], 0);
-        assert!(!said.contains("warning"), "{file}: {said}");
+        assert!(!messages.contains("warning"), "{file}: {messages}");
     }
-    let said = reconstruct(folder, &["words.csv", "-o", "all.ply", "--overwrite"], 0);
-    assert!(said.contains("--where phase=fluid"), "{said}");
+    let messages = reconstruct(folder, &["words.csv", "-o", "all.ply", "--overwrite"], 0);
+    assert!(messages.contains("--where phase=fluid"), "{messages}");
     let walls = tank().iter().filter(|(_, kind)| *kind == 1).count() as u64;
     let values = &info(folder, &[])["values"][0];
     assert_eq!(

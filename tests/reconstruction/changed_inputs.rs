@@ -149,15 +149,15 @@ fn truncating_an_input_during_decoding_is_an_error_or_has_no_effect() {
             let file = OpenOptions::new().write(true).open(&path).unwrap();
             file.set_len([0, whole.len() as u64 / 3][step as usize % 2]).unwrap();
             let output = child.wait_with_output().unwrap();
-            let says = String::from_utf8(output.stderr).unwrap();
+            let errors = String::from_utf8(output.stderr).unwrap();
             assert!(
                 matches!(output.status.code(), Some(0 | 3)),
-                "{} {:?}: {says}",
+                "{} {:?}: {errors}",
                 path.display(),
                 output.status
             );
-            assert!(says.is_empty() || says.contains("ball."), "{says}");
-            changed += i32::from(says.contains("changed while it was read"));
+            assert!(errors.is_empty() || errors.contains("ball."), "{errors}");
+            changed += i32::from(errors.contains("changed while it was read"));
         }
     }
     assert!(changed > 0, "no file was shortened while it was read");

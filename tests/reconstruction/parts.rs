@@ -232,8 +232,8 @@ fn settings_and_inputs_changed_since_the_plan_are_refused_by_name() {
             (&["--attributes", "none"], "attributes"),
             (&["--spacing", "0.05"], "spacing"),
         ] {
-            let says = run(folder, &[&with(step)[..], options].concat(), 2);
-            assert!(says.contains("other settings") && says.contains(name), "{says}");
+            let errors = run(folder, &[&with(step)[..], options].concat(), 2);
+            assert!(errors.contains("other settings") && errors.contains(name), "{errors}");
         }
         let other = [&["dam.bgeo", "-o", "m.ply", "--parts", "4"], step].concat();
         assert!(run(folder, &other, 2).contains("(parts)"));
@@ -292,9 +292,9 @@ fn merging_refuses_missing_damaged_and_foreign_parts() {
     assert!(whole.len() > 20_000);
 
     let merge = with(&["--merge"]);
-    let refused = |says: &str| {
+    let refused = |message: &str| {
         let found = run(folder, &merge, 3);
-        assert!(found.contains(says) && found.contains("meniscus-parts"), "{found}");
+        assert!(found.contains(message) && found.contains("meniscus-parts"), "{found}");
         assert!(!folder.join("m.ply").exists());
     };
     for name in ["part_0", "part_2"] {
@@ -338,8 +338,8 @@ fn merging_refuses_missing_damaged_and_foreign_parts() {
         fs::write(&plan, other).unwrap();
         let output = command(folder, &with(&["--merge", "--overwrite"])).output().unwrap();
         assert_eq!(output.status.code(), Some(2), "{:?} was not detected", &text[at - 30..at + 3]);
-        let says = String::from_utf8(output.stderr).unwrap();
-        assert!(says.contains("plan.json"), "{says}");
+        let errors = String::from_utf8(output.stderr).unwrap();
+        assert!(errors.contains("plan.json"), "{errors}");
     }
     for damaged in [&text[..text.len() / 2], "", "{}", "[]"] {
         fs::write(&plan, damaged).unwrap();
@@ -359,7 +359,7 @@ fn invalid_requests_for_parts_are_refused_and_leave_no_files() {
     run(folder, &["splash.xyz", "-o", "there.ply", "--spacing", "0.8", "-q"], 0);
     let before = names(folder);
     let ask = |more: &[&'static str]| [&["splash.xyz", "-o", "m.ply"], more].concat();
-    for (arguments, says) in [
+    for (arguments, message) in [
         (ask(&["--parts", "2"]), "--plan, --part I or --merge"),
         (ask(&["--parts", "2", "--plan", "--merge"]), "cannot be used with"),
         (ask(&["--parts", "2", "--part", "0", "--merge"]), "cannot be used with"),
@@ -387,7 +387,7 @@ fn invalid_requests_for_parts_are_refused_and_leave_no_files() {
         (vec!["x.mnf", "-o", "m.ply", "--parts", "2", "--plan"], "x.mnf"),
     ] {
         let errors = run(folder, &arguments, 2);
-        assert!(errors.contains(says), "{arguments:?}: {errors}");
+        assert!(errors.contains(message), "{arguments:?}: {errors}");
         assert_eq!(names(folder), before, "{arguments:?} left something behind");
     }
     // An error of the input is not reported as an error of the request.

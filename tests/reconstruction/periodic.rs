@@ -280,7 +280,7 @@ fn invalid_periodic_boxes_are_refused_with_the_reason() {
     particles.push([24.5, 3.0, 3.0]);
     fs::write(folder.path().join("astray.xyz"), raw(&particles)).unwrap();
     let before = fs::read_dir(folder.path()).unwrap().count();
-    for (options, code, says) in [
+    for (options, code, message) in [
         (&["--periodic", "0,-,0,24,-"][..], 2, "6 numbers"),
         (&["--periodic", "0,-,0,-,-,24"], 2, "one end of x is open"),
         (&["--periodic", "-,-,-,-,-,-"], 2, "open along every axis"),
@@ -302,7 +302,7 @@ fn invalid_periodic_boxes_are_refused_with_the_reason() {
     ] {
         let options = with(&with(&POOL, &["-o", "mesh.ply"]), options);
         let errors = run(folder.path(), &options, code);
-        assert!(errors.contains(says), "{options:?} does not print {says:?}: {errors}");
+        assert!(errors.contains(message), "{options:?} does not print {message:?}: {errors}");
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), before, "{options:?}");
     }
     let astray =
@@ -387,8 +387,8 @@ fn a_packed_frame_keeps_its_periodic_box_and_allows_both_mesh_ends() {
     let errors =
         run(folder.path(), &["reconstruct", "pool.mnf", "--periodic", BOX, "-o", "box.ply"], 2);
     assert!(errors.contains("--periodic needs the particles"), "{errors}");
-    let said = command(folder.path(), &["info", "pool.mnf"]).output().unwrap().stdout;
-    assert!(String::from_utf8(said).unwrap().contains("x 0 to 24, z 0 to 24"));
+    let info = command(folder.path(), &["info", "pool.mnf"]).output().unwrap().stdout;
+    assert!(String::from_utf8(info).unwrap().contains("x 0 to 24, z 0 to 24"));
 }
 
 #[test]

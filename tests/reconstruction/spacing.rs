@@ -131,10 +131,13 @@ fn the_spacing_warning_names_both_spacings_and_the_options_to_use() {
     for given in [["--spacing", "0.025"], ["--radius", "0.0125"]] {
         let arguments =
             ["reconstruct", "f_1.xyz", "-o", "m.ply", "--overwrite", given[0], given[1]];
-        let said = run(folder.path(), &arguments, 0);
-        assert!(said.contains("spacing 0.025") && said.contains("about 0.050"), "{said}");
-        assert!(said.contains("--radius 0.025 or --spacing 0.050"), "{said}");
-        assert_eq!(said.matches("looks too small").count(), 1, "{said}");
+        let messages = run(folder.path(), &arguments, 0);
+        assert!(
+            messages.contains("spacing 0.025") && messages.contains("about 0.050"),
+            "{messages}"
+        );
+        assert!(messages.contains("--radius 0.025 or --spacing 0.050"), "{messages}");
+        assert_eq!(messages.matches("looks too small").count(), 1, "{messages}");
     }
     let info = command(folder.path(), &["info", "f_1.xyz", "--json"]).output().unwrap();
     let info: serde_json::Value = serde_json::from_slice(&info.stdout).unwrap();
@@ -150,12 +153,12 @@ fn packing_and_meshing_a_packed_frame_warn_about_a_wrong_spacing() {
         let pack = ["pack", "f.xyz", "-o", "f.mnf", "--overwrite", "--spacing", spacing];
         let draw = ["reconstruct", "f.mnf", "-o", "f.ply", "--overwrite"];
         for arguments in [&pack[..], &draw[..]] {
-            let said = run(folder.path(), arguments, 0);
+            let messages = run(folder.path(), arguments, 0);
             match how {
                 Some(how) => {
-                    assert!(said.contains(&format!("looks too {how}")), "{spacing}: {said}")
+                    assert!(messages.contains(&format!("looks too {how}")), "{spacing}: {messages}")
                 }
-                None => assert!(!said.contains("looks too"), "{said}"),
+                None => assert!(!messages.contains("looks too"), "{messages}"),
             }
         }
     }
@@ -278,8 +281,8 @@ fn a_slab_ends_when_an_emitter_adds_more_layers() {
     for (frame, count) in [(1, 1), (2, 8)] {
         fs::write(folder.path().join(format!("f_{frame}.xyz")), raw(&layers(count))).unwrap();
     }
-    let said = run(folder.path(), &["reconstruct", "f_{}.xyz", "-o", "m_{}.ply"], 0);
-    assert!(said.contains("one spacing thick"), "{said}");
+    let messages = run(folder.path(), &["reconstruct", "f_{}.xyz", "-o", "m_{}.ply"], 0);
+    assert!(messages.contains("one spacing thick"), "{messages}");
     let volume_of = |frame: u32| {
         let mesh = read_mesh(&folder.path().join(format!("m_{frame}.ply"))).unwrap();
         measure(&mesh).volume.unwrap()

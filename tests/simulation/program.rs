@@ -270,7 +270,7 @@ fn invalid_sequence_requests_are_refused_and_leave_no_files() {
     fs::copy(folder.path().join("in/f_1.xyz"), folder.path().join("in/g_1.xyz")).unwrap();
     fs::create_dir(folder.path().join("none")).unwrap();
     let before = tree(folder.path());
-    for (arguments, code, says) in [
+    for (arguments, code, message) in [
         (vec!["in/f_{}.xyz", "-o", "one.ply"], 2, "{}"),
         (
             vec!["in", "-o", "out_{}.ply"],
@@ -306,7 +306,7 @@ fn invalid_sequence_requests_are_refused_and_leave_no_files() {
         (vec!["in/h_{}.xyz", "-o", "out_{}.ply"], 3, "no file matches"),
     ] {
         let errors = run(folder.path(), &arguments, code);
-        assert!(errors.contains(says), "{arguments:?}: {errors}");
+        assert!(errors.contains(message), "{arguments:?}: {errors}");
         assert!(tree(folder.path()) == before, "{arguments:?} left something");
     }
     fs::create_dir(folder.path().join("out")).unwrap();
@@ -658,7 +658,7 @@ fn the_plateau_is_measured_on_the_first_frame_with_an_interior() {
 }
 
 #[test]
-fn many_leading_frames_of_spray_derive_the_plateau_from_the_spacing() {
+fn after_many_frames_of_spray_the_plateau_follows_from_the_spacing() {
     let folder = TempDir::new().unwrap();
     for frame in 1..=65 {
         let spray: Vec<[f64; 3]> =
@@ -1055,8 +1055,8 @@ fn listings_contain_all_frames_and_bounds_regardless_of_the_jobs() {
         }
 
         names.iter().for_each(|name| fs::remove_file(out.join(name)).unwrap());
-        let said = convert(&["--resume"]);
-        assert!(said.contains("5 of 5 frames are already finished"), "{said}");
+        let messages = convert(&["--resume"]);
+        assert!(messages.contains("5 of 5 frames are already finished"), "{messages}");
         assert!(listings(&out) == whole, "{extension}: after a run without work");
         fs::remove_dir_all(&out).unwrap();
         convert(&["--frames", "11..12"]);
@@ -1114,8 +1114,8 @@ fn post_processing_gives_a_sequence_the_bytes_of_its_single_frames() {
     assert!(sizes[3] < sizes[0] / 2 && sizes[6] < sizes[0], "{sizes:?}");
 
     let all = ["f_{}.xyz", "-o", "none_{}.ply", "--smallest-component", "1e9"];
-    let said = run(folder.path(), &all, 0);
-    assert!(said.contains("all components are below --smallest-component"), "{said}");
+    let messages = run(folder.path(), &all, 0);
+    assert!(messages.contains("all components are below --smallest-component"), "{messages}");
     assert_eq!(read_mesh(&folder.path().join("none_2.ply")).unwrap().triangles.len(), 0);
 }
 
@@ -1364,9 +1364,10 @@ fn frames_emptied_by_a_condition_and_omitted_attributes_are_reported() {
         let table = format!("x,y,z,Type\n{rows}");
         fs::write(folder.path().join(format!("f_{frame}.csv")), table).unwrap();
     }
-    let said = run(folder.path(), &["f_{}.csv", "-o", "m_{}.ply", "--where", "Type=1"], 0);
-    let warnings: Vec<_> = said.lines().filter(|line| line.starts_with("warning: f_")).collect();
-    assert!(matches!(warnings[..], [only] if only.contains("f_2.csv")), "{said}");
+    let messages = run(folder.path(), &["f_{}.csv", "-o", "m_{}.ply", "--where", "Type=1"], 0);
+    let warnings: Vec<_> =
+        messages.lines().filter(|line| line.starts_with("warning: f_")).collect();
+    assert!(matches!(warnings[..], [only] if only.contains("f_2.csv")), "{messages}");
     assert!(read_mesh(&folder.path().join("m_2.ply")).unwrap().triangles.is_empty());
 
     // One of the two inputs of each frame lacks the attribute.
@@ -1374,7 +1375,7 @@ fn frames_emptied_by_a_condition_and_omitted_attributes_are_reported() {
         fs::write(folder.path().join(format!("g_{frame}.xyz")), raw(&ball(frame + 3))).unwrap();
     }
     let both = ["f_{}.csv", "g_{}.xyz", "--together", "-o", "j_{}.ply", "--spacing", "0.5"];
-    let said = run(folder.path(), &both, 0);
-    assert_eq!(said.matches("left out: attribute Type").count(), 1, "{said}");
-    assert!(said.contains("left out of 3 frames"), "{said}");
+    let messages = run(folder.path(), &both, 0);
+    assert_eq!(messages.matches("left out: attribute Type").count(), 1, "{messages}");
+    assert!(messages.contains("left out of 3 frames"), "{messages}");
 }

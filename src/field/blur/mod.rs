@@ -156,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn the_variance_is_that_of_the_gaussian_after_the_cut() {
+    fn the_variance_accounts_for_the_truncation_of_the_gaussian() {
         assert!((Weights::box3().variance() - 2.0 / 3.0).abs() < 1e-4);
         for sigma in [2.0, 3.2, 6.4, 10.0] {
             let ratio = Weights::gaussian(Sigma::new(sigma).unwrap()).variance() / (sigma * sigma);

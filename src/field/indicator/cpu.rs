@@ -108,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn a_full_cell_is_never_zero_and_an_empty_one_always() {
+    fn symmetry_is_zero_only_in_empty_cells() {
         let last = f64::from(FRACTIONS - 1);
         for n in [1.0, 2.0, 7.0, 1e6] {
             for [x, y, z] in [[0.0; 3], [last; 3], [0.0, last, 0.0]] {

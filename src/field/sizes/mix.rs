@@ -149,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn powers_of_two_are_precise_enough_for_a_radius() {
+    fn integer_exp2_is_accurate_to_0_4_percent() {
         for power in (0..=32768_u16).step_by(1024) {
             let exact = 32768.0 * (f64::from(power) / 32768.0).exp2();
             assert!((f64::from(exp2(power)) / exact - 1.0).abs() < 0.004, "{power}");

@@ -472,7 +472,7 @@ mod tests {
     }
 
     #[test]
-    fn the_lowest_group_is_found_below_a_larger_one() {
+    fn the_lowest_dense_group_of_values_is_found() {
         let mut values: Vec<f64> = (0..100).map(|i| 1.0 + 0.001 * f64::from(i)).collect();
         values.extend((0..800).map(|i| 5.0 + 0.01 * f64::from(i)));
         values.insert(0, 0.1);

@@ -84,7 +84,7 @@ fn estimates_do_not_depend_on_the_order_of_many_particles() {
 }
 
 #[test]
-fn a_sample_of_a_lattice_is_random_for_any_spacing() {
+fn a_sample_of_a_lattice_covers_its_columns_for_any_spacing() {
     for spacing in [1.0, 1.0 / 64.0, 0.02] {
         let side = 110;
         let of =
@@ -137,7 +137,7 @@ fn a_hundred_particles_suffice_for_an_estimate() {
 }
 
 #[test]
-fn neighbours_measure_bars_and_sheets_with_gaps_which_are_thin() {
+fn bars_and_sheets_with_gaps_are_measured_by_neighbours() {
     for width in 1..=5 {
         for gap in [1, 3, 5] {
             for jitter in [0.1, 0.3] {
@@ -155,7 +155,7 @@ fn neighbours_measure_bars_and_sheets_with_gaps_which_are_thin() {
 }
 
 #[test]
-fn shells_are_measured_by_the_density_within_them() {
+fn a_shell_is_measured_by_its_surface_density() {
     let shell: Vec<[f64; 3]> = (0..20_000)
         .map(|i| {
             let (z, turn) = (2.0 * unit(2 * i) - 1.0, std::f64::consts::TAU * unit(2 * i + 1));
@@ -324,7 +324,7 @@ fn single_precision_is_detected_with_its_step() {
 }
 
 #[test]
-fn cube_samples_have_all_particles_of_their_cubes_in_any_order() {
+fn cube_samples_contain_all_particles_of_their_cubes_in_any_order() {
     let particles = layers([60; 3], 0.3);
     let sample_of = |chunk: usize, reverse: bool| {
         let in_cubes = CubeSample::new(Cubes::for_spacing(1.0), particles.len());

@@ -290,20 +290,41 @@ fn inconsistent_cell_counts_are_refused() {
     let order = [5., 4., 3., 2., 1., 0.];
     for types in [None, Some(&[1.0; 6][..])] {
         for version in ["3.0", "5.1"] {
-            let says = |corners: &[f64], flags: &[f64], from: &str, to: &str, says: &str| {
-                let file = flagged(true, version, 6, corners, types, |file| {
-                    field(file, "vtkGhostType", flags)
-                });
-                let text = String::from_utf8(file.bytes).unwrap();
-                assert!(text.contains(from), "{text}");
-                let fault =
-                    VTK.particles(text.replace(from, to).as_bytes()).expect_err(says).to_string();
-                assert!(fault.contains(says), "{fault} instead of {says}");
-            };
+            let assert_refused =
+                |corners: &[f64], flags: &[f64], from: &str, to: &str, message: &str| {
+                    let file = flagged(true, version, 6, corners, types, |file| {
+                        field(file, "vtkGhostType", flags)
+                    });
+                    let text = String::from_utf8(file.bytes).unwrap();
+                    assert!(text.contains(from), "{text}");
+                    let fault = VTK
+                        .particles(text.replace(from, to).as_bytes())
+                        .expect_err(message)
+                        .to_string();
+                    assert!(fault.contains(message), "{fault} instead of {message}");
+                };
             let flags = [1.; 6];
-            says(&[5., 4., 3., 2., 1., 6.], &flags, "", "", "cell 5 of 6 refers to point 6 of 6");
-            says(&[5., 4., 3., 2., 1., -1.], &flags, "", "", "cell 5 of 6 refers to point -1 of 6");
-            says(&order, &[1.; 5], "", "", "vtkGhostType must have one number for each of 6 cells");
+            assert_refused(
+                &[5., 4., 3., 2., 1., 6.],
+                &flags,
+                "",
+                "",
+                "cell 5 of 6 refers to point 6 of 6",
+            );
+            assert_refused(
+                &[5., 4., 3., 2., 1., -1.],
+                &flags,
+                "",
+                "",
+                "cell 5 of 6 refers to point -1 of 6",
+            );
+            assert_refused(
+                &order,
+                &[1.; 5],
+                "",
+                "",
+                "vtkGhostType must have one number for each of 6 cells",
+            );
             let keyword = if types.is_some() { "CELLS" } else { "VERTICES" };
             match version {
                 "5.1" => {
@@ -322,7 +343,7 @@ fn inconsistent_cell_counts_are_refused() {
                     assert!(fault.contains("6 cells refer to 5 points"), "{fault}");
                 }
                 _ if types.is_none() => {
-                    says(
+                    assert_refused(
                         &order,
                         &flags,
                         "VERTICES 6 12",
@@ -330,9 +351,21 @@ fn inconsistent_cell_counts_are_refused() {
                         "7 cells of a point each, but 12 numbers",
                     );
                     let huge = "VERTICES 9223372036854775814 12";
-                    says(&order, &flags, "VERTICES 6 12", huge, "of a point each, but 12 numbers");
+                    assert_refused(
+                        &order,
+                        &flags,
+                        "VERTICES 6 12",
+                        huge,
+                        "of a point each, but 12 numbers",
+                    );
                 }
-                _ => says(&order, &flags, "CELLS 6 12", "CELLS 7 12", "7 CELLS, but 6 CELL_TYPES"),
+                _ => assert_refused(
+                    &order,
+                    &flags,
+                    "CELLS 6 12",
+                    "CELLS 7 12",
+                    "7 CELLS, but 6 CELL_TYPES",
+                ),
             }
         }
     }
