@@ -35,8 +35,8 @@ enum Disorder {
     /// On a lattice, moved by up to this share of a spacing.
     Jittered(f64),
     Random,
-    /// As in FLIP: at a random position in each cell of a lattice, and a quarter of them beside
-    /// another.
+    /// As in FLIP: at a random position in each cell of a lattice, with a quarter of the particles
+    /// next to another particle.
     Clumped,
 }
 
@@ -106,8 +106,8 @@ fn deep_median(field: &Dense<f64>, edge: f64, depth: i32) -> f64 {
     *deep.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
-/// The plateau of a cube of particles, and its difference from that of a dense oracle in f64: in
-/// the isovalue, which is a share of it, or in the density of clouds.
+/// The relative deviation of the plateau of a cube of particles from a dense oracle in f64, and the
+/// plateau. The isovalue, a fixed share of the plateau, is compared, or the density of clouds.
 fn deviation_from_oracle(particles: &[[f64; 3]], frame: &Engine, edge: f64) -> (f64, Plateau) {
     let (indicator, facts) = (dif(frame).indicator, frame.facts());
     let (recipe, measured) = recipe(frame, &surfacing());
@@ -195,8 +195,8 @@ fn places(surface: &StitchedSurface) -> HashMap<IVec3, Vec<DVec3>> {
     places
 }
 
-/// The distances from the vertices of `one`, at least this far from a place, to the nearest
-/// vertices of `other`, sorted; infinite if there is none within a cell.
+/// The sorted distances of the vertices of `one` from the nearest vertices of `other`, for vertices
+/// farther than `away` from `place`. A distance is infinite if no vertex is within a cell.
 fn displacements(
     one: &StitchedSurface,
     other: &StitchedSurface,

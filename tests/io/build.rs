@@ -1,4 +1,4 @@
-//! Files of every binary layout, written byte by byte from the formats' descriptions.
+//! Builders of files in every binary layout, byte by byte from the descriptions of the formats.
 
 #[path = "build/houdini.rs"]
 pub mod houdini;
@@ -20,21 +20,21 @@ pub fn tuples(count: usize) -> Vec<[f64; 3]> {
 
 pub fn gzip(bytes: &[u8]) -> Vec<u8> {
     let mut encoder = GzEncoder::new(Vec::new(), Compression::best());
-    encoder.write_all(bytes).expect("memory takes all");
-    encoder.finish().expect("memory takes all")
+    encoder.write_all(bytes).expect("memory accepts all bytes");
+    encoder.finish().expect("memory accepts all bytes")
 }
 
 pub fn zlib(bytes: &[u8]) -> Vec<u8> {
     let mut encoder = ZlibEncoder::new(Vec::new(), Compression::best());
-    encoder.write_all(bytes).expect("memory takes all");
-    encoder.finish().expect("memory takes all")
+    encoder.write_all(bytes).expect("memory accepts all bytes");
+    encoder.finish().expect("memory accepts all bytes")
 }
 
 pub fn xz(bytes: &[u8]) -> Vec<u8> {
     let options = XzOptions::with_preset(0);
-    let mut encoder = XzWriter::new(Vec::new(), options).expect("memory takes all");
-    encoder.write_all(bytes).expect("memory takes all");
-    encoder.finish().expect("memory takes all")
+    let mut encoder = XzWriter::new(Vec::new(), options).expect("memory accepts all bytes");
+    encoder.write_all(bytes).expect("memory accepts all bytes");
+    encoder.finish().expect("memory accepts all bytes")
 }
 
 pub fn raw(points: &[[f64; 3]]) -> Vec<u8> {
@@ -74,14 +74,14 @@ pub fn npz(arrays: &[(&str, Vec<u8>)], compression: CompressionMethod) -> Vec<u8
     let mut archive = ZipWriter::new(Cursor::new(Vec::new()));
     for (name, array) in arrays {
         let options = SimpleFileOptions::default().compression_method(compression);
-        archive.start_file(format!("{name}.npy"), options).expect("memory takes all");
-        archive.write_all(array).expect("memory takes all");
+        archive.start_file(format!("{name}.npy"), options).expect("memory accepts all bytes");
+        archive.write_all(array).expect("memory accepts all bytes");
     }
-    archive.finish().expect("memory takes all").into_inner()
+    archive.finish().expect("memory accepts all bytes").into_inner()
 }
 
-/// The positions, velocities twice as large, and ids, beside an array that does not belong to the
-/// particles.
+/// An archive of positions, velocities twice as large, and ids, with an array that does not belong
+/// to the particles.
 pub fn npz_frame(points: &[[f64; 3]], compression: CompressionMethod) -> Vec<u8> {
     let doubled: Vec<_> = points.iter().map(|p| p.map(|x| 2.0 * x)).collect();
     let mut ids = npy_header("<i4", false, &format!("({},)", points.len()));

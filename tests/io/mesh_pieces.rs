@@ -29,7 +29,7 @@ const FORMATS: [MeshFormat; 8] = [
 struct Cut {
     mesh: Mesh,
     pieces: Vec<[Range<usize>; 2]>,
-    /// The piece of vertices and that of triangles that cannot be read.
+    /// The unreadable piece of vertices, and the unreadable piece of triangles.
     lost: [Option<usize>; 2],
 }
 

@@ -89,8 +89,8 @@ fn wide_attributes_have_the_values_of_narrow_ones_at_little_more_memory() {
     for (of_narrow, of_wide) in narrow.values.chunks(3).zip(wide.values.chunks(WIDE)) {
         assert!(of_wide.iter().enumerate().all(|(i, value)| *value == of_narrow[i % 3]));
     }
-    // The threads' memory for smoothing does not grow with the components; that of the vertex
-    // attributes does.
+    // The memory of the threads for smoothing does not grow with the components. The memory of the
+    // vertex attributes does.
     let meshing = |carried| {
         let sampling = carrying(carried);
         CountedFrame::for_surface(&particles, &sampling, &surfacing(), None)

@@ -815,7 +815,7 @@ fn a_lattice_in_the_first_frame_does_not_distort_the_calibration() {
         serde_json::from_slice::<Value>(&text).unwrap()["shared"].clone()
     };
     let number = |value: &Value| value.as_f64().unwrap();
-    // Its own isovalue is 0.0003; that of the last frame alone 0.2093.
+    // The isovalue of the first frame alone is 0.0003, and of the last frame alone 0.2093.
     let symmetry =
         ["ParticleData_Fluid_{}.bgeo", "-o", "s_{}.ply", "--cell", "1", "--indicator", "symmetry"];
     run(folder.path(), &symmetry, 0);
@@ -832,7 +832,7 @@ fn a_lattice_in_the_first_frame_does_not_distort_the_calibration() {
     assert_eq!(number(&counting["mu0"]), 1.0);
     assert!(number(&counting["isovalue"]) < 0.4, "{counting}");
 
-    // Clouds are the same wherever the lattice is.
+    // Clouds do not depend on the position of the lattice.
     run(folder.path(), &["ParticleData_Fluid_{}.bgeo", "-o", "d_{}.ply", "--cell", "1"], 0);
     let clouds = shared("d.ply.meniscus");
     assert_eq!(clouds["frame"], 1);

@@ -1,5 +1,5 @@
-//! Geometries of Houdini since version 12: a tree of JSON, in text or binary, alone or in a
-//! container.
+//! Builders of Houdini geometries since version 12: a tree of JSON, in text or binary, plain or in
+//! a container.
 
 use std::collections::HashMap;
 
@@ -130,7 +130,7 @@ pub fn numeric(
     Value::List(vec![definition(name, "numeric"), data])
 }
 
-/// A point attribute of texts, by their indices; -1 is none.
+/// A string attribute of points by indices into `texts`, where -1 means no string.
 pub fn strings(name: &str, texts: &[&str], numbers: &[f64], layout: &Layout) -> Value {
     let data = keyed(vec![
         ("size", Value::Integer(1)),
