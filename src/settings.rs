@@ -158,8 +158,8 @@ settings! {
     ///
     /// Particles of several sizes get a surface that follows their own spacings. By the
     /// attribute's name, its values are radii (half of a particle's spacing), diameters, volumes,
-    /// or masses, which need a density attribute. none treats all particles as one size. For the
-    /// indicator cloud.
+    /// or masses, which need a density attribute. none treats all particles as one size. Only for
+    /// the indicator cloud.
     #[arg(value_name = "NAME", conflicts_with_all = ["spacing", "radius"], help_heading = "Input", hide_short_help = true)]
     size: Option<String>,
 
@@ -167,7 +167,7 @@ settings! {
     #[arg(value_name = "LENGTH", conflicts_with = "cell", allow_negative_numbers = true, help_heading = "Surface", hide_short_help = true)]
     cell_size: Option<f64>,
 
-    /// Edge of a cell, in spacings [default: 0.5].
+    /// Edge of a cell as a multiple of the spacing; smaller is finer [default: 0.5].
     ///
     /// The default for the indicators counting and symmetry is 0.6667.
     #[arg(value_name = "RATIO", allow_negative_numbers = true, help_heading = "Surface")]
@@ -200,19 +200,19 @@ settings! {
     #[arg(value_name = "X0,Y0,Z0,X1,Y1,Z1|auto", allow_hyphen_values = true, help_heading = "Input")]
     domain: Option<Tank>,
 
-    /// Periodic box: beyond a face, the fluid continues as behind the opposite face.
+    /// Periodic box: what leaves it through one face enters at the opposite one.
     ///
     /// `-` for both ends of an axis leaves it open: 0,-,0,1,-,1 is periodic along x and z.
     /// Particles on an upper face count as on the lower one. Other particles outside are an error,
-    /// unless invalid particles are skipped.
+    /// or are left out with the invalid ones.
     #[arg(value_name = "X0,Y0,Z0,X1,Y1,Z1", allow_hyphen_values = true, help_heading = "Input")]
     periodic: Option<Faces>,
 
-    /// A closed mesh at which the fluid ends, such as an obstacle.
+    /// A closed mesh that the fluid ends at, such as an obstacle.
     ///
-    /// Any mesh format that can be read. You can give several. The mesh has the units and axes of
+    /// Any mesh format that meniscus reads. Repeat the option for several solids. The mesh has the units and axes of
     /// the particles. {} in the name is the frame's number: solid.{}.obj gives each frame its own
-    /// mesh. For the indicator cloud.
+    /// mesh. Only for the indicator cloud.
     #[arg(value_name = "MESH", help_heading = "Input")]
     solid: Option<Vec<String>>,
 
@@ -232,20 +232,20 @@ settings! {
     #[arg(value_name = "VALUE", allow_negative_numbers = true, help_heading = "Surface", hide_short_help = true)]
     mu0: Option<f64>,
 
-    /// Leave out and count particles that are not finite or too far away, instead of an error.
+    /// Leave out and count particles that are not finite or outside the grid, instead of failing.
     #[arg(help_heading = "Input", hide_short_help = true)]
     skip_invalid: bool,
 
-    /// Smoothing width in spacings; more is calmer [default: 1.6].
+    /// Smoothing width in spacings, from 0.8 to 4; larger is smoother [default: 1.6].
     ///
-    /// Use 2 for noisy FLIP particles, and less to see every ripple. For the indicator cloud.
+    /// Use 2 for noisy FLIP particles, and less to see every ripple. Only for the indicator cloud.
     #[arg(value_name = "SPACINGS", allow_negative_numbers = true, help_heading = "Surface")]
     smooth: Option<f64>,
 
-    /// Join particles of sheets and threads up to this distance [default: 2.15].
+    /// Join particles of sheets and threads up to this many spacings apart [default: 2.15].
     ///
-    /// 0 turns this off. 2.15 joins the particles of a sheet that is stretched to twice the
-    /// spacing. For the indicator cloud.
+    /// From 1 to 3, or 0 to turn it off. The default, a little over 2, holds a sheet that is
+    /// stretched to twice the spacing. Only for the indicator cloud.
     #[arg(value_name = "SPACINGS", allow_negative_numbers = true, help_heading = "Surface")]
     sheets: Option<f64>,
 
@@ -275,11 +275,11 @@ settings! {
     #[arg(value_enum, value_name = "ENDS", help_heading = "Surface", hide_short_help = true)]
     periodic_mesh: Option<PeriodicMesh>,
 
-    /// Add vertex normals, from the field's gradient.
+    /// Add vertex normals.
     #[arg(help_heading = "Output")]
     normals: bool,
 
-    /// Particle attributes for the vertices, or none [default: velocity].
+    /// Particle attributes to transfer to the mesh, or `none` [default: velocity].
     ///
     /// They are interpolated. By default the mesh has velocities if the particles have them and the
     /// format can store them.
@@ -290,8 +290,8 @@ settings! {
     #[arg(value_name = "CELLS", allow_negative_numbers = true, help_heading = "Output")]
     simplify: Option<f64>,
 
-    /// Leave out drops and bubbles of less than this volume, in cells.
-    #[arg(alias = "drop-smaller", value_name = "CELLS3", allow_negative_numbers = true, help_heading = "Output", hide_short_help = true)]
+    /// Leave out drops and bubbles that are smaller than this many cells in volume.
+    #[arg(alias = "drop-smaller", value_name = "CELLS", allow_negative_numbers = true, help_heading = "Output", hide_short_help = true)]
     smallest_component: Option<f64>,
 
     /// Leave out drops of fewer particles, estimated from their volume [default: 1, keeps all].
@@ -302,7 +302,7 @@ settings! {
     #[arg(help_heading = "Output", hide_short_help = true)]
     compress: bool,
 
-    /// Axis that points up in the mesh: rotate it if another axis points up in the particles.
+    /// Rotate the mesh so that this axis points up, if another one does in the particles.
     ///
     /// In .glb and .abc, y always points up [default: as in the particles].
     #[arg(value_enum, help_heading = "Output", hide_short_help = true)]

@@ -28,7 +28,7 @@ pub enum PartsError {
     #[error("{}: the output of a mesh in parts must be a regular file", .0.display())]
     NoFile(PathBuf),
     /// The plan does not exist yet.
-    #[error("{}: there is no plan yet", .0.display())]
+    #[error("{}: there is no plan yet; make it first", .0.display())]
     NoPlan(PathBuf),
     /// A damaged plan.
     #[error("{}: {what}", path.display())]
@@ -47,7 +47,7 @@ pub enum PartsError {
         differing: String,
     },
     /// Particles that differ from those of the plan.
-    #[error("{}: differs from the input of {}, or has changed since", input.display(), plan.display())]
+    #[error("{}: is not the file that {} was made for, or has changed since", input.display(), plan.display())]
     Changed {
         /// The particles' file.
         input: PathBuf,

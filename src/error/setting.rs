@@ -26,6 +26,11 @@ pub enum Conflict {
     Packing,
     /// Packing particles of several sizes.
     PackedSizes,
+    /// Particles of several sizes.
+    SeveralSizes {
+        /// The attribute with the sizes.
+        attribute: String,
+    },
     /// A frame that was already sampled with another value.
     Sampled,
     /// Particles and a surface on a device.
@@ -79,7 +84,7 @@ impl SettingConflict {
                 named("smooth"),
             ),
             (Conflict::Indicator(_), "solid" | "solid_offset") => {
-                format!("{setting} is for {} cloud", named("indicator"))
+                format!("{setting} applies only to {} cloud", named("indicator"))
             }
             (Conflict::Indicator(_), _) => format!(
                 "{setting} applies only to {} cloud; for others, use {}",
@@ -91,8 +96,8 @@ impl SettingConflict {
             }
             (Conflict::Packed(path), _) => {
                 format!(
-                    "{}: {setting} needs the particles, which a packed frame does not \
-                         contain",
+                    "{}: {setting} needs the particles, but a packed frame does not \
+                         contain them",
                     path.display()
                 )
             }
@@ -106,6 +111,11 @@ impl SettingConflict {
                 "a packed frame holds particles of one size; use {setting} none to pack them as \
                  such, or make their surface from the particles"
             ),
+            (Conflict::SeveralSizes { attribute }, _) => format!(
+                "{setting} needs particles of one size, but the attribute {attribute} gives them \
+                 several; use {} none to ignore it",
+                named("size")
+            ),
             (Conflict::Sampled, _) => {
                 format!(
                     "{setting} cannot change in a frame that is already sampled; sample the \
@@ -116,7 +126,7 @@ impl SettingConflict {
                 format!("{setting} does not apply to a surface on a device")
             }
             (Conflict::Format { path, .. }, "compress") => {
-                format!("{}: {setting} applies only to .glb", path.display())
+                format!("{}: {setting} applies only to .glb and .vdb", path.display())
             }
             (Conflict::Format { format, .. }, "up") => format!(
                 "{setting} z: y always points up in {format}; use {} z if z points up in the particles",

@@ -44,7 +44,7 @@ pub enum SimulationError {
         range: RangeInclusive<f64>,
     },
     /// An invalid timeout.
-    #[error("watch must be a number of seconds, got {0}")]
+    #[error("watch must be a number of seconds of at least 0, got {0}")]
     Timeout(f64),
     /// Steps inside one file, which cannot be watched.
     #[error("{0}: cannot watch the steps inside one file")]
@@ -91,7 +91,7 @@ pub enum SimulationError {
         fault: std::io::Error,
     },
     /// A damaged state file, or one of another version.
-    #[error("{}: {what}", path.display())]
+    #[error("{}: cannot be used: {what}", path.display())]
     State {
         /// The file.
         path: PathBuf,

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use crate::brick::unpack;
 use crate::grid::{BIN, FRACTIONS, Grid};
 
-/// Particles that have the same position as another one, to 1 / [`FRACTIONS`] of a cell.
+/// Particles that share their position with another particle, to 1 / [`FRACTIONS`] of a cell.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct CoincidentParticles {

@@ -53,7 +53,7 @@ pub enum FrameError {
         iso: Isovalue,
     },
     /// No middle of a cell is inside of the surface of clouds.
-    #[error("the surface is empty: it contains no cell's centre")]
+    #[error("the surface is empty: no cell's centre is inside the fluid")]
     NoDistanceSurface,
     /// The calibration was measured on a frame with another indicator, so it cannot be used.
     #[error(
@@ -63,7 +63,7 @@ pub enum FrameError {
     OtherIndicator,
     /// The images were made for filters with a smaller reach.
     #[error(
-        "the frame has images up to {there} cells beyond its periodic faces, but this smoothing \
+        "the frame holds particles up to {there} cells beyond its periodic faces, but this smoothing \
          needs {needed}; sample the particles again with this smoothing"
     )]
     FewImages {
@@ -79,7 +79,7 @@ pub enum FrameError {
     #[error(transparent)]
     Kernels(#[from] TooManyCells),
     /// The field of a kernel method is positive nowhere.
-    #[error("the surface is empty: it contains no cell's centre")]
+    #[error("the surface is empty: no cell's centre is inside the fluid")]
     NoKernelSurface,
     /// The scratch files for data beyond the memory budget would not fit on the disk; nothing was
     /// written.

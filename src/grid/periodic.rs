@@ -56,8 +56,8 @@ impl PeriodicMesh {
 pub enum PeriodicError {
     /// The corners are not in order, or not finite.
     #[error(
-        "the periodic box's corners must be finite, and the second above the first along each \
-         axis that is not open"
+        "the periodic box's corners must be finite, and the second must be above the first along \
+         each periodic axis"
     )]
     Corners,
     /// No axis is periodic.
@@ -74,8 +74,8 @@ pub enum PeriodicError {
     },
     /// Filters would reach a particle and its image at the same time.
     #[error(
-        "the periodic box is {} wide along {axis}, less than twice the reach of the filters, \
-         {}; use a smaller cell size or less smoothing, or leave {axis} open",
+        "the periodic box is {} wide along {axis}, less than twice the reach of the \
+         filters, which is {}; use a smaller cell size or less smoothing, or leave {axis} open",
         shown(*width), shown(*reach)
     )]
     Narrow {

@@ -43,7 +43,7 @@ pub enum ReadFault {
     #[error("damaged compressed data: {0}")]
     Compression(String),
     /// The file ends before its header says so.
-    #[error("truncated: {what} needs {needed} bytes, the file has {have}")]
+    #[error("truncated: {needed} bytes are needed for {what}, but the file has {have}")]
     Truncated {
         /// Name of the current part.
         what: String,
@@ -198,11 +198,11 @@ pub enum WriteFault {
     /// An error of the system.
     #[error("{0}")]
     Io(#[from] std::io::Error),
-    /// The output exists already, and may not be replaced.
-    #[error("exists already")]
+    /// The output already exists, and may not be replaced.
+    #[error("already exists")]
     Exists,
-    /// The output of a frame exists already, and may not be replaced.
-    #[error("exists already")]
+    /// The output of a frame already exists, and may not be replaced.
+    #[error("already exists")]
     ExistsInSimulation,
     /// An unknown extension.
     #[error("unknown extension; supported: {known}")]

@@ -124,7 +124,7 @@ impl fmt::Display for UnreadPart {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Attribute(AttributeInfo { name, components, .. }) => {
-                write!(f, "attribute {name} ({components}), which is not in all pieces")
+                write!(f, "attribute {name} (components: {components}), which some pieces lack")
             }
             Self::Block { name, holds } => write!(f, "block {name}, which holds {holds}"),
             Self::Primitives { kinds, points } => {

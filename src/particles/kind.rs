@@ -51,7 +51,7 @@ pub enum KindFault {
     #[error(
         "colour {name} has the value {greatest} and looks like bytes from 0 to 255, but the \
          calibration frame has colours from 0 to 1. Store colours in the same way in all \
-         frames, start the sequence at a frame with bright colours, or leave the attribute out"
+         frames, start the sequence at a frame whose colours exceed 1, or leave the attribute out"
     )]
     Scale {
         /// The name of the attribute.

@@ -51,8 +51,10 @@ pub enum Meaning {
 /// The choice of the attribute with the particles' sizes.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub enum SizeChoice {
-    /// All particles have one size.
+    /// All particles have one size, whatever the attributes.
     Ignored,
+    /// All particles must have one size, because the setting with this name needs it.
+    OneFor(&'static str),
     /// An attribute that is certainly a radius, if there is one.
     #[default]
     Usual,
@@ -147,7 +149,7 @@ impl SizeChoice {
     pub fn columns(&self, infos: &[AttributeInfo]) -> Result<Option<SizeAttributes>, SizeFault> {
         match self {
             Self::Ignored => Ok(None),
-            Self::Usual => {
+            Self::Usual | Self::OneFor(_) => {
                 let is_usual =
                     |info: &AttributeInfo| info.components == 1 && is_among(&info.name, &USUAL);
                 let size = infos.iter().position(is_usual);

@@ -35,9 +35,10 @@ use notes::Verdict;
 /// signals of the process, and an interrupt ends the process with 130.
 pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     process::set_up();
+    interrupt::catch_lack_of_memory();
     let arguments: Vec<OsString> = arguments.into_iter().collect();
     process::on_own_stack(move || match Arguments::of_command_line(&arguments) {
-        Ok(Arguments { command }) => code(execute(command)),
+        Ok(Arguments { command }) => code(process::on_all_cores(|| execute(command))),
         Err(error) => {
             // If the pipe is closed, there is no reader for an error message.
             let _ = error.print();
@@ -69,7 +70,6 @@ pub fn error_message(error: &Error) -> String {
 }
 
 fn execute(command: Command) -> Result<Verdict, Error> {
-    process::start_threads();
     match command {
         Command::Reconstruct(options) => reconstruct::run(&options),
         Command::Pack(options) => pack::run(&options),

@@ -89,7 +89,7 @@ fn plan(options: &ReconstructOptions, parts: &Parts, notes: &Notes) -> Result<Ve
     print(&listed(&planned))?;
     report_stages(&planned.timings, notes);
     if planned.parts.iter().any(|part| part.needs.is_none()) {
-        notes.say(format!("{}: the plan exists already", planned.path.display()));
+        notes.say(format!("{}: the plan already exists", planned.path.display()));
     }
     Ok(Verdict::Good)
 }

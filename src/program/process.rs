@@ -1,8 +1,9 @@
 //! Setting up the process: freed memory, the limit on file sizes, and threads.
 
 use std::panic::resume_unwind;
-use std::sync::mpsc::channel;
 use std::thread;
+
+use rayon::ThreadPoolBuilder;
 
 /// Bytes of the stack of commands: the default size on most systems.
 const STACK: usize = 8 << 20;
@@ -22,27 +23,15 @@ pub fn on_own_stack<T: Send + 'static>(work: impl FnOnce() -> T + Clone + Send +
     }
 }
 
-/// Starts the global threads, for commands without their own. Falls back to this thread if the
-/// system starts none.
-pub fn start_threads() {
-    let all = rayon::ThreadPoolBuilder::new;
-    // The global pool can be built only once, so this first tries to start another pool, and ends
-    // it.
-    let (ended, ends) = channel();
-    let end = move |_| {
-        let _ = ended.send(());
-    };
-    let tried = all().exit_handler(end).build();
-    let builder = match tried {
-        Ok(pool) => {
-            let threads = pool.current_num_threads();
-            drop(pool);
-            ends.iter().take(threads).for_each(drop);
-            all()
-        }
-        Err(_) => all().num_threads(1).use_current_thread(),
-    };
-    let _ = builder.build_global();
+/// Runs `work` on threads of its own, one per core, for the parts of commands that have no threads
+/// yet. Falls back to this thread if the system starts none.
+pub fn on_all_cores<T: Send>(work: impl FnOnce() -> T + Send) -> T {
+    let threads = || ThreadPoolBuilder::new().stack_size(STACK);
+    let one = |_| threads().num_threads(1).use_current_thread().build();
+    match threads().build().or_else(one) {
+        Ok(pool) => pool.install(work),
+        Err(_) => work(),
+    }
 }
 
 /// Keeps up to 8 MiB of freed memory per thread. Frames, and blocks of a frame that exceeds its

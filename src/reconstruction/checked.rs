@@ -201,14 +201,21 @@ fn sampling(settings: &Settings, surfacing: &Surfacing) -> Result<SamplingReques
     Ok(request)
 }
 
-/// The choice of sizes, unless another setting needs particles of one size.
+/// The choice of sizes. A given spacing is the size of all particles; other settings need particles
+/// of one size.
 fn size(settings: &Settings) -> SizeChoice {
-    let has_one = settings.spacing_or_radius().is_some()
-        || settings.solid.is_some()
-        || settings.periodic.is_some()
-        || settings.kernels().is_some()
-        || settings.indicator.unwrap_or_default() != IndicatorKind::Cloud;
-    if has_one { SizeChoice::Ignored } else { settings.size_choice() }
+    let needs_one = [
+        ("solid", settings.solid.is_some()),
+        ("periodic", settings.periodic.is_some()),
+        ("method", settings.kernels().is_some()),
+        ("indicator", settings.indicator.unwrap_or_default() != IndicatorKind::Cloud),
+    ];
+    match settings.size_choice() {
+        _ if settings.spacing_or_radius().is_some() => SizeChoice::Ignored,
+        SizeChoice::Usual => (needs_one.into_iter().find(|(_, is_given)| *is_given))
+            .map_or(SizeChoice::Usual, |(name, _)| SizeChoice::OneFor(name)),
+        chosen => chosen,
+    }
 }
 
 /// Decides the method, and rejects settings that do not apply to it, except those of an indicator's

@@ -5,7 +5,7 @@ use std::path::Path;
 use glam::DVec3;
 
 use crate::brick::{BinPlan, Census, CountingRoom, InvalidParticles};
-use crate::error::Error;
+use crate::error::{Conflict, Error, SettingConflict};
 use crate::field::indicator::IndicatorKind;
 use crate::field::spacing::{
     ALL, CubeSample, Cubes, EvenSample, Evidence, NoEstimate, Plane, SampleSurvey, SpacingDraft,
@@ -20,6 +20,7 @@ use crate::io::scene::{spacing_beside, tank_beside};
 use crate::particles::mixture::mixture;
 use crate::particles::sizes::{SizeChoice, SizeFault, Sizes};
 use crate::particles::{Particles, bounds};
+use crate::settings::Setting;
 
 use super::cells::{CellSize, Cells, FoundWalls, Slab, SpacingHints};
 use super::lattice::on_sound_grid;
@@ -269,16 +270,20 @@ impl SamplingRequest {
         Ok((cells, done))
     }
 
-    /// The sizes of the particles, if they have several.
+    /// The sizes of the particles, if they have several and may have.
     fn sizes(&self, particles: &(impl Particles + ?Sized)) -> Result<Option<Sizes>, Error> {
         let found = self.size.columns(particles.attributes()).and_then(|columns| match columns {
             Some(columns) => Sizes::found(particles, &columns),
             None => Ok(None),
         });
-        match found {
+        match (found, &self.size) {
             // The user did not ask for this attribute.
-            Err(SizeFault::NoSize { .. }) if self.size == SizeChoice::Usual => Ok(None),
-            found => Ok(found?),
+            (Err(SizeFault::NoSize { .. }), SizeChoice::Usual | SizeChoice::OneFor(_)) => Ok(None),
+            (Ok(Some(Sizes { attribute, .. })), SizeChoice::OneFor(needs_one)) => {
+                let with = Conflict::SeveralSizes { attribute };
+                Err(SettingConflict { setting: Setting::named(needs_one), with }.into())
+            }
+            (found, _) => Ok(found?),
         }
     }
 

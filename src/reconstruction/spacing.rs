@@ -302,7 +302,7 @@ impl fmt::Display for SpacingWarning {
                     None => {}
                 }
                 if *spray {
-                    write!(f, "; it can be right for spray, or threads of single particles")?;
+                    write!(f, "; this can be right for spray and for threads of single particles")?;
                 }
                 Ok(())
             }
@@ -332,15 +332,15 @@ impl fmt::Display for SpacingWarning {
             Self::Random { used } => write!(
                 f,
                 "the particles are at random positions, like spray: their mean distance {} is \
-                 used as the spacing, and may be larger than that of the fluid",
+                 used as the spacing; the true spacing may be smaller",
                 about(*used)
             ),
             Self::Sizes { attribute, invalid, usual, larger, coarsest } => {
                 if *invalid > 0 {
                     write!(
                         f,
-                        "{invalid} particles have no positive, finite {attribute}: they count as \
-                         size {}",
+                        "{invalid} particles have no positive, finite {attribute}: they are \
+                         treated as size {}",
                         about(*usual)
                     )?;
                 }
@@ -349,7 +349,7 @@ impl fmt::Display for SpacingWarning {
                     write!(
                         f,
                         "{and}{larger} particles are larger than 64 times the smallest: they \
-                         count as size {}",
+                         are treated as size {}",
                         about(*coarsest)
                     )?;
                 }

@@ -173,7 +173,10 @@ impl fmt::Display for Warning {
             Self::Coincident { found, of } => {
                 let CoincidentParticles { particles, most, at, alone, .. } = found;
                 let at = at.map(|c| significant(c, 6)).join(", ");
-                write!(f, "{particles} of {of} particles have the same position as another one")?;
+                write!(
+                    f,
+                    "{particles} of {of} particles share their position with another particle"
+                )?;
                 match (*alone, *most) {
                     (true, most) => {
                         write!(f, "; {most} are at ({at}), far from all others, like unused slots")
@@ -184,7 +187,7 @@ impl fmt::Display for Warning {
             }
             Self::MissingValues { attribute, without, of } => write!(
                 f,
-                "{without} of {of} particles have no finite 32-bit {attribute}: vertices use \
+                "{without} of {of} particles have no {attribute} that is finite in 32 bits: vertices use \
                  the values of the others"
             ),
             Self::DeviceFallback(what) => f.write_str(what),
@@ -232,7 +235,7 @@ impl fmt::Display for Warning {
             }
             Self::InvertedSolid(path) => write!(
                 f,
-                "{}: the triangles of the solid face inwards; they are taken to face outwards",
+                "{}: the triangles of the solid face inwards; meniscus treats them as facing outwards",
                 path.display()
             ),
             Self::ThinSolid { path, thickness, cell_size } => write!(
@@ -249,7 +252,7 @@ impl fmt::Display for Warning {
                     f.write_str("the mesh is empty: the field is nowhere above the isovalue")
                 }
                 EmptyReason::Distances => {
-                    f.write_str("the mesh is empty: the surface contains no cell's centre")
+                    f.write_str("the mesh is empty: no cell's centre is inside the fluid")
                 }
                 EmptyReason::TooSmall(all) => {
                     write!(f, "the mesh is empty: all components are below {}", all.limits())

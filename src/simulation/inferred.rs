@@ -169,7 +169,7 @@ fn frame_number(files: &[&FrameCandidate]) -> Result<FrameNumber, SimulationErro
     let choices = choices.join(" or ");
     Err(SimulationError::Names(match decimal {
         Some(_) => format!(
-            "{}: its numbers can be one decimal or two integers; name the frames with \
+            "{}: the numbers in this name can be one decimal or two integers; name the frames with \
              {choices}, where {{time}} is a decimal",
             first.path.display()
         ),

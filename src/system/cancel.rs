@@ -4,6 +4,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard};
+use std::time::Duration;
 
 use thiserror::Error;
 
@@ -76,13 +77,17 @@ impl Cancel {
     /// Renamed files stay; pending records of frames are written first.
     pub fn abandon(&self) {
         let held = self.0.undisturbed.write().unwrap_or_else(PoisonError::into_inner);
-        for path in &*self.unfinished() {
-            let _ = std::fs::remove_file(path);
-            remove_belongings(path);
-        }
-        // Folders are removed only if they are empty.
-        for path in &*self.unfinished() {
-            let _ = std::fs::remove_dir(path);
+        remove(&self.unfinished());
+        std::mem::forget(held);
+    }
+
+    /// Like [`abandon`](Self::abandon), for a process that lacks memory. Waits for other threads at
+    /// most 0.1 s, because the calling thread may itself begin or end an output.
+    pub fn abandon_soon(&self) {
+        let soon = || (0..100).inspect(|_| std::thread::sleep(Duration::from_millis(1)));
+        let held = soon().find_map(|_| self.0.undisturbed.try_write().ok());
+        if let Some(unfinished) = soon().find_map(|_| self.0.unfinished.try_lock().ok()) {
+            remove(&unfinished);
         }
         std::mem::forget(held);
     }
@@ -124,6 +129,17 @@ pub(crate) fn belonging(temporary: &Path, ending: &str) -> PathBuf {
     let mut name = temporary.as_os_str().to_owned();
     name.push(ending);
     name.into()
+}
+
+/// Removes temporary files with their folders, and folders that are empty then.
+fn remove(unfinished: &[PathBuf]) {
+    for path in unfinished {
+        let _ = std::fs::remove_file(path);
+    }
+    unfinished.iter().for_each(|path| remove_belongings(path));
+    for path in unfinished {
+        let _ = std::fs::remove_dir(path);
+    }
 }
 
 /// Removes the folders of a temporary file.

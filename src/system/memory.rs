@@ -1,10 +1,11 @@
 //! Available and peak memory of this process.
 
+use std::alloc::{Layout, handle_alloc_error};
 use std::fs::read_to_string;
 use std::io;
 
 use bytemuck::Zeroable;
-use bytemuck::allocation::zeroed_vec;
+use bytemuck::allocation::try_zeroed_vec;
 use memmap2::MmapMut;
 
 use crate::grid::units::MemoryBudget;
@@ -72,9 +73,16 @@ pub fn peak_memory() -> Option<u64> {
 /// A vector of zeros, in huge pages if the system has them: random writes then need fewer page
 /// lookups and page faults.
 pub(crate) fn zeroed_in_huge_pages<T: Zeroable>(len: usize) -> Vec<T> {
-    let zeros = zeroed_vec(len);
+    let zeros = zeroed(len);
     advise_huge_pages(&zeros);
     zeros
+}
+
+/// A vector of zeros. Without memory for it, it ends the process as every other vector does.
+pub(crate) fn zeroed<T: Zeroable>(len: usize) -> Vec<T> {
+    try_zeroed_vec(len).unwrap_or_else(|()| {
+        handle_alloc_error(Layout::array::<T>(len).expect("an array of at most isize::MAX bytes"))
+    })
 }
 
 /// An empty vector with this capacity, in huge pages if the system has them.

@@ -309,6 +309,49 @@ fn a_full_disk_exits_with_4_and_leaves_no_files() {
 
 #[test]
 #[cfg(target_os = "linux")]
+fn without_memory_or_threads_commands_exit_with_an_error_and_leave_no_files() {
+    let folder = folder_with_ball();
+    meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", "ball.ply"]);
+    let commands = [
+        "reconstruct ball.xyz -o out.ply --backend cpu --cell 0.25",
+        "reconstruct ball.xyz -o out.glb --backend cpu --simplify 0.2",
+        "reconstruct ball.xyz -o out/{}.ply --backend cpu",
+        "pack ball.xyz -o out.mnf",
+        "info ball.ply",
+        "check ball.ply",
+        "compare ball.ply ball.ply",
+        "render ball.ply -o out.png",
+    ];
+    let mut results = [0; 2];
+    // Stacks of threads count as data, so threads cannot be started in the small limits.
+    for kib in [1, 2, 4, 6, 8, 12, 16, 20, 24, 30, 40, 60, 1000].map(|mib| 1000 * mib) {
+        for command in commands {
+            let limited = in_shell(folder.path(), &format!("ulimit -d {kib}"), command);
+            let errors = String::from_utf8_lossy(&limited.stderr);
+            let code = limited.status.code();
+            assert!(
+                matches!(code, Some(0 | 2 | 3 | 4)),
+                "{kib} KiB, {command}: {code:?}, {errors}"
+            );
+            assert!(!errors.contains("panicked"), "{kib} KiB, {command}: {errors}");
+            if code == Some(0) {
+                results[0] += 1;
+                for out in ["out.ply", "out.glb", "out.mnf", "out.png"] {
+                    let _ = fs::remove_file(folder.path().join(out));
+                }
+                let _ = fs::remove_dir_all(folder.path().join("out"));
+            } else {
+                results[1] += 1;
+                assert!(!errors.is_empty(), "{kib} KiB, {command}");
+            }
+            assert_eq!(names(folder.path()), ["ball.ply", "ball.xyz"], "{kib} KiB, {command}");
+        }
+    }
+    assert!(results.iter().all(|&count| count > 20), "{results:?}");
+}
+
+#[test]
+#[cfg(target_os = "linux")]
 fn the_default_memory_budget_respects_ulimit() {
     let folder = folder_with_ball();
     let run =
@@ -948,7 +991,7 @@ fn drops_without_a_cell_centre_fail_alone_but_are_empty_in_a_sequence() {
         folder.path(),
         &alone,
         3,
-        &["d_1.xyz", "contains no cell's centre", "use smaller cells"],
+        &["d_1.xyz", "no cell's centre is inside the fluid", "use smaller cells"],
     );
     let run = meniscus(
         folder.path(),
@@ -957,7 +1000,7 @@ fn drops_without_a_cell_centre_fail_alone_but_are_empty_in_a_sequence() {
     let notes = String::from_utf8_lossy(&run.stderr);
     assert!(
         run.status.success()
-            && notes.contains("d_1.xyz: the mesh is empty: the surface contains no cell's centre"),
+            && notes.contains("d_1.xyz: the mesh is empty: no cell's centre is inside the fluid"),
         "{notes}"
     );
     let empty = read_mesh(&folder.path().join("m_1.ply")).unwrap();

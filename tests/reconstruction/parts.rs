@@ -241,7 +241,7 @@ fn settings_and_inputs_changed_since_the_plan_are_refused_by_name() {
     // Settings of the machine do not matter.
     run(folder, &with(&["--part", "0", "--threads", "1", "--memory", "1GiB"]), 0);
     // An equal plan is kept, and another replaces it only on request.
-    assert!(run(folder, &with(&["--plan"]), 0).contains("exists already"));
+    assert!(run(folder, &with(&["--plan"]), 0).contains("already exists"));
     assert!(run(folder, &with(&["--plan", "--normals"]), 2).contains("--resume or --overwrite"));
     assert_eq!(fs::read(&plan).unwrap(), kept);
     run(folder, &with(&["--plan", "--resume", "--normals"]), 0);
@@ -257,7 +257,7 @@ fn settings_and_inputs_changed_since_the_plan_are_refused_by_name() {
     let of_twin =
         |step: &[&'static str]| [&["twin.bgeo", "-o", "m.ply", "--parts", "3"], step].concat();
     for step in [&["--plan"][..], &["--part", "0"], &["--merge"]] {
-        assert!(run(folder, &of_twin(step), 3).contains("twin.bgeo: differs from the input of"));
+        assert!(run(folder, &of_twin(step), 3).contains("twin.bgeo: is not the file that"));
     }
     assert_eq!(fs::read(&plan).unwrap(), kept);
     run(folder, &of_twin(&["--plan", "--resume"]), 0);

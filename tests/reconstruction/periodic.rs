@@ -383,7 +383,7 @@ fn a_packed_frame_keeps_its_periodic_box_and_allows_both_mesh_ends() {
     }
     let errors =
         run(folder.path(), &["reconstruct", "pool.mnf", "--smooth", "2.5", "-o", "calm.ply"], 2);
-    assert!(errors.contains("images up to"), "{errors}");
+    assert!(errors.contains("particles up to"), "{errors}");
     let errors =
         run(folder.path(), &["reconstruct", "pool.mnf", "--periodic", BOX, "-o", "box.ply"], 2);
     assert!(errors.contains("--periodic needs the particles"), "{errors}");

@@ -736,7 +736,7 @@ fn a_frame_whose_kernels_reach_no_cell_centre_becomes_an_empty_mesh() {
     let coarse = ["--method", "mueller", "--spacing", "0.5", "--cell", "2"];
     let notes = run(folder.path(), &with(&coarse), 0);
     assert!(
-        notes.contains("f_2.xyz: the mesh is empty: the surface contains no cell's centre"),
+        notes.contains("f_2.xyz: the mesh is empty: no cell's centre is inside the fluid"),
         "{notes}"
     );
     let [ball, nothing] =

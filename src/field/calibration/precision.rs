@@ -44,9 +44,9 @@ pub const ON_CORNERS: f64 = 0.2;
 pub enum TooFine {
     /// The field's steps are too large.
     #[error(
-        "cells of {} are too fine for 16-bit samples: the field deep in the fluid is \
-         {plateau:.1} of 65535, so one step moves the surface by {step_cells:.3} cells (at most \
-         {COARSEST_STEP} are allowed); {remedy}",
+        "cells of {} are too fine: one step of a 16-bit sample moves the surface by \
+         {step_cells:.3} cells, and at most {COARSEST_STEP} are allowed (the field deep in the \
+         fluid is {plateau:.1} of 65535); {remedy}",
         shown(*cell_size)
     )]
     Steps {
@@ -72,7 +72,7 @@ pub enum TooFine {
     },
     /// Too many cells are empty to determine the positions of particles in them.
     #[error(
-        "cells of {} are too fine for symmetry, because at most one of eight contains a \
+        "cells of {} are too fine for symmetry, because at most one cell in eight would contain a \
          particle: use cells of {} or more",
         shown(*cell_size), shown(roundly_above(FINEST_OF_SYMMETRY * spacing))
     )]

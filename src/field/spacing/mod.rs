@@ -106,8 +106,8 @@ pub enum NoEstimate {
     },
     /// Coordinates that are too coarse.
     #[error(
-        "their single-precision coordinates are too coarse so far from the origin, with steps \
-         of {}",
+        "so far from the origin, single-precision coordinates have steps of {}, which is too \
+         coarse",
         shown(*step)
     )]
     SinglePrecision {

@@ -210,7 +210,7 @@ fn read_whole(mut file: &File) -> io::Result<Result<End, &'static str>> {
     Ok(if end.magic != MAGIC {
         Err("truncated, or not a part of a mesh")
     } else if crc.finalize() != end.crc || end.bytes != before || end.nothing != 0 {
-        Err("wrong CRC-32")
+        Err("its checksum is wrong")
     } else {
         Ok(end)
     })

@@ -214,7 +214,9 @@ impl Parts {
             let with = Conflict::Setting(Setting::named("parts"));
             return Err(SettingConflict { setting: Setting::named("size"), with }.into());
         }
-        checked.sampling.size = SizeChoice::Ignored;
+        if checked.sampling.size == SizeChoice::Usual {
+            checked.sampling.size = SizeChoice::OneFor("parts");
+        }
         if !(1..=MOST_PARTS).contains(&self.count) {
             return Err(PartsError::Count { asked: self.count, most: MOST_PARTS }.into());
         }

@@ -76,7 +76,7 @@ pub enum Side {
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 pub enum CompareError {
     /// No triangle has an area.
-    #[error("the {} has no triangle with an area", .0.name())]
+    #[error("every triangle of the {} has zero area", .0.name())]
     NoSurface(Side),
     /// A coordinate is not finite, or so large that its powers overflow.
     #[error("vertex {vertex} of the {} is not a point within 1e70 of the origin", side.name())]

@@ -3,10 +3,10 @@
 use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use bytemuck::allocation::zeroed_vec;
 use rayon::prelude::*;
 
 use crate::system::bits::ones;
+use crate::system::memory::zeroed;
 
 /// Numbers per task.
 const NUMBERS: u32 = 1 << 13;
@@ -28,7 +28,7 @@ pub(super) struct RankedSet {
 impl AtomicSet {
     /// An empty set for a range.
     pub(super) fn none_of(range: Range<u32>) -> Self {
-        Self { first: range.start, words: zeroed_vec(range.len().div_ceil(64)) }
+        Self { first: range.start, words: zeroed(range.len().div_ceil(64)) }
     }
 
     /// Bytes of a ranked set in a range of `numbers`.

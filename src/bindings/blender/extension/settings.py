@@ -56,14 +56,14 @@ class MeniscusSurface(bpy.types.PropertyGroup):
     first: IntProperty(name="First", description="The frame number of the sequence at the start", default=0, update=_changed)
     step: FloatProperty(
         name="Step",
-        description="Frame numbers of the sequence per frame of the scene: below 1 is slow motion, with repeated frames",
+        description="How far the frame number of the sequence advances with each frame of the scene: below 1 is slow motion, with repeated frames",
         default=1.0,
         min=0.0,
         update=_changed,
     )
     fps: FloatProperty(
-        name="Numbers a Second",
-        description="Frame numbers of the sequence per second of the simulation, for motion blur; 0 for the frame rate of the scene",
+        name="Files per Second",
+        description="Frame rate of the simulation, for motion blur; 0 for the frame rate of the scene",
         default=0.0,
         min=0.0,
         update=_changed,
@@ -78,7 +78,7 @@ class MeniscusSurface(bpy.types.PropertyGroup):
     )
     cell_viewport: FloatProperty(
         name="Cells, Viewport",
-        description="Edge of a cell in spacings, in the viewport",
+        description="Size of a cell as a multiple of the particle spacing, in the viewport; smaller is finer",
         default=1.0,
         min=0.05,
         soft_max=2.0,
@@ -86,7 +86,7 @@ class MeniscusSurface(bpy.types.PropertyGroup):
     )
     cell_render: FloatProperty(
         name="Render",
-        description="Edge of a cell in spacings, in renders and conversions",
+        description="Size of a cell as a multiple of the particle spacing, in renders and conversions; smaller is finer",
         default=CELL,
         min=0.05,
         soft_max=2.0,
@@ -113,8 +113,8 @@ class MeniscusSurface(bpy.types.PropertyGroup):
         update=_changed,
     )
     smooth: FloatProperty(
-        name="Calm",
-        description="Smoothing width in spacings: more makes calmer water, 2 suits noisy FLIP",
+        name="Smoothing",
+        description="Smoothing width in particle spacings, from 0.8 to 4: more is smoother, 2 suits noisy FLIP",
         default=CALM,
         min=0.0,
         soft_min=1.0,

@@ -230,7 +230,7 @@ static void files_are_refused(const char *folder) {
     MeniscusStatus status = (call);                                                                            \
     refused(status, MENISCUS_STATUS_##kind, message, NULL, __LINE__);                                          \
   } while (0)
-  WRITE(REQUEST, "exists already", meniscus_mesh_write(made, path, 0, NULL));
+  WRITE(REQUEST, "already exists", meniscus_mesh_write(made, path, 0, NULL));
   WRITE(REQUEST, "path is NULL", meniscus_mesh_write(made, NULL, 0, NULL));
   WRITE(REQUEST, "mesh is NULL", meniscus_mesh_write(NULL, path, 0, NULL));
   WRITE(REQUEST, "mesh.doc", meniscus_mesh_write(made, "mesh.doc", 0, NULL));
@@ -238,7 +238,7 @@ static void files_are_refused(const char *folder) {
   char below[sizeof path + 32];
   snprintf(below, sizeof below, "%s/none/mesh.ply", path);
   WRITE(OUTPUT, "none/mesh.ply", meniscus_mesh_write(made, below, 0, NULL));
-  WRITE(REQUEST, "exists already", meniscus_check_output(path, NULL, 0));
+  WRITE(REQUEST, "already exists", meniscus_check_output(path, NULL, 0));
   OK(meniscus_check_output(path, NULL, 1));
   MeniscusOptions *heat = OPTIONS("attributes", "heat");
   WRITE(REQUEST, ".obj cannot store attributes", meniscus_check_output("new.obj", heat, 0));

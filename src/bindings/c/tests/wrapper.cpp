@@ -63,7 +63,7 @@ static void test(const std::string &folder) {
   CHECK(missing && mesh.report().particles == 512 && mesh.warnings().empty());
   const std::string path = folder + "/wrapped.ply";
   CHECK(mesh.overwrite(path) > 1000);
-  CHECK(failure([&] { mesh.write(path); }, "exists already") == MENISCUS_STATUS_REQUEST);
+  CHECK(failure([&] { mesh.write(path); }, "already exists") == MENISCUS_STATUS_REQUEST);
 
   // A callback cancels by its result, and its exceptions reach the caller.
   options.on_progress([](const MeniscusProgress &) { return false; });

@@ -219,7 +219,7 @@ impl Mesh {
     /// Raises
     /// ------
     /// meniscus.FileError
-    ///     If it exists already, or cannot be written; an OSError.
+    ///     If it already exists, or cannot be written; an OSError.
     /// meniscus.InputError
     ///     For an unknown extension, or data that the format cannot store; a ValueError.
     #[pyo3(signature = (path, *, overwrite=false, preview=false))]

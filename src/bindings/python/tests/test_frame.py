@@ -45,7 +45,7 @@ def test_it_is_packed_as_by_the_program_and_opened_again(tmp_path: Path, program
     opened = meniscus.Frame.load(tmp_path / "ours.mnf", smooth=2.0)
     assert same(opened.surface(), meniscus.reconstruct(ball, spacing=1.0, smooth=2.0))
     assert same(opened.surface(smooth=None), frame.surface())
-    with pytest.raises(meniscus.FileError, match="exists already"):
+    with pytest.raises(meniscus.FileError, match="already exists"):
         frame.save(tmp_path / "ours.mnf")
     assert frame.save(tmp_path / "ours.mnf", overwrite=True) == size
     with pytest.raises(meniscus.InputError, match="method needs the particles"):

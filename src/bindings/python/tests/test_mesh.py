@@ -110,7 +110,7 @@ def test_a_file_appears_whole_and_is_replaced_only_where_that_is_asked_for(tmp_p
     path = tmp_path / "mesh.ply"
     size = mesh.write(str(path))
     assert size == path.stat().st_size
-    with pytest.raises(meniscus.FileError, match=r"mesh\.ply: exists already") as raised:
+    with pytest.raises(meniscus.FileError, match=r"mesh\.ply: already exists") as raised:
         mesh.write(path)
     assert isinstance(raised.value, OSError)
     assert mesh.write(path, overwrite=True) == size

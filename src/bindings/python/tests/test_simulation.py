@@ -106,7 +106,7 @@ def test_files_become_the_files_of_the_program(tmp_path: Path, program: Any, dam
     # A second run does nothing with resume, and is an error without.
     (again,) = meniscus.Simulation(inputs, tmp_path / "ours" / "{:03}.ply", normals=True, resume=True).run()
     assert again.made == 0 and again.complete
-    with pytest.raises(meniscus.FileError, match="exists already"):
+    with pytest.raises(meniscus.FileError, match="already exists"):
         meniscus.Simulation(inputs, tmp_path / "ours" / "{:03}.ply", normals=True).run()
     assert meniscus.Simulation(inputs, tmp_path / "plan" / "{}.ply").plan() == [1, 10, 20]
 
