@@ -20,7 +20,7 @@ fn corners_at(number: u32, block: Block, tile: vec3<u32>) -> Corners {
     ));
 }
 
-// The tile with a Morton index in the block, relative to the first meshed tile.
+// The tile with this Morton index in its block, as an offset from the first meshed tile.
 fn tile_at(block: Block, index: u32) -> vec3<i32> {
     return vec3<i32>(tile_from_morton(index)) - (block.tiles_lo & vec3(BLOCK - 1)) / i32(TILE);
 }

@@ -29,7 +29,7 @@ use crate::surface::solid::Solid;
 use crate::system::control::Meter;
 use crate::vulkan::Device;
 
-/// Starts frames on the CPU or a device: the part of a [`Backend`] that differs between them.
+/// Starts frames, which is the part of a [`Backend`] that is specific to the CPU or a device.
 pub trait Executor: Debug + Send + Sync {
     /// Returns the name of the CPU or device, for people.
     fn name(&self) -> String;

@@ -35,14 +35,14 @@ use zhu_bridson::ZhuBridson;
 pub enum KernelMethod {
     /// Mueller, Charypar and Gross 2003 (their eq. 2).
     Mueller {
-        /// Where the surface is: the field is about 1 deep in the fluid.
+        /// The isovalue of the surface. Deep in the fluid, the field is about 1.
         iso: f64,
     },
     /// Zhu and Bridson 2005.
     ZhuBridson,
     /// Yu and Turk 2013.
     YuTurk {
-        /// Where the surface is, as for Mueller.
+        /// The isovalue of the surface, as for Mueller.
         iso: f64,
     },
 }
@@ -51,7 +51,7 @@ impl KernelMethod {
     /// The isovalue half-way between inside and outside.
     pub const HALF: f64 = 0.5;
 
-    /// Where the surface is, if it is not where the method says.
+    /// The isovalue of the surface, unless the method defines it.
     #[must_use]
     pub fn iso(self) -> Option<f64> {
         match self {
@@ -60,8 +60,8 @@ impl KernelMethod {
         }
     }
 
-    /// How far particles of a spacing in cells decide the field, in cells: by their kernels, and by
-    /// the neighbours that tell of these.
+    /// The distance in cells within which a particle affects the field: through its kernel, and
+    /// through the neighbours that shape the kernel. `spacing` is in cells.
     #[must_use]
     pub fn reach(self, spacing: f64) -> i32 {
         let support = Spacing::SUPPORT * spacing;

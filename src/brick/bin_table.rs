@@ -1,7 +1,7 @@
 //! A table of the bins that a range of particles touches, indexed by their coordinates.
 //!
 //! Particles come in any order, so lookups in the table of a large frame are scattered. Bins are
-//! grouped into cubes: a hash table finds a cube, a small cache has the cubes of recent lookups,
+//! grouped into cubes: a hash table finds a cube, a small cache holds the cubes of recent lookups,
 //! and the counters of neighbouring bins share a cache line of the CPU.
 
 use std::hash::BuildHasher;

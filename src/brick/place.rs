@@ -113,7 +113,7 @@ impl Placer {
     }
 
     /// Calls `each` with the index of a chunk's first particle, the positions and their addresses,
-    /// until it fails.
+    /// until it returns an error.
     pub fn for_each_chunk<E>(
         &self,
         particles: &(impl Particles + ?Sized),

@@ -50,9 +50,9 @@ impl BinPlan {
         runs
     }
 
-    /// The second reading, into a scratch file in `folder`: puts each of the same `particles`, with
-    /// the attributes whose numbers are in `carried`, into its run. Buffers take `buffer_bytes` in
-    /// total, and runs `memory_bytes`; the rest of the runs is in the file.
+    /// Reads the same `particles` a second time, and writes each to its run, with the attributes
+    /// whose indices are in `carried`. Buffers take `buffer_bytes` in total, and runs
+    /// `memory_bytes`; the rest of the runs goes to a scratch file in `folder`.
     ///
     /// # Errors
     /// If the scratch file cannot be created or written. The inner error is

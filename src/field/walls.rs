@@ -318,9 +318,9 @@ fn rounded(end: usize, wall: f64, reach: f64, spacing: f64) -> f64 {
 
 /// The walls that hold in all examined frames, with the help of a scene's walls if they are known.
 ///
-/// With one frame, its planes are the walls. With several frames, a side has a wall if at least two
-/// frames, and at least a third of all, show one at the same place, if these are more than the
-/// frames that end elsewhere, and if in no frame more than some drops are farther out. The upper
+/// With one frame, its planes are the walls. With several frames, a side has a wall under three
+/// conditions: at least two frames, and at least a third of all, show one at the same place; fewer
+/// frames end elsewhere; and no frame has more than stray drops beyond it. The upper
 /// side is free unless a scene has a wall there. It is the upper side of the axis `up` if that is
 /// known, otherwise of y if both y and z have a wall. Also returns whether the scene belongs to
 /// these particles.

@@ -2,8 +2,8 @@
 //! smoothing removes.
 //!
 //! A tile that the surface does not pass through is completely inside or outside. Along a row of
-//! tiles this changes only in tiles that the surface passes through, so one pass along x finds the
-//! tiles with particles that are outside.
+//! tiles, inside and outside alternate only at tiles that the surface passes through, so one pass
+//! along x finds the tiles with particles that are outside.
 
 use std::io;
 

@@ -58,7 +58,7 @@ pub(super) fn region_by_region<'a>(
     })
 }
 
-/// A field with everything that drawing its surface needs, for every method.
+/// A field with everything that is needed to mesh it, for every method.
 pub(super) struct DrawableField<'a> {
     /// The parts of blocks that the surface can pass through, in Morton order.
     pub(super) regions: Vec<CellBox>,

@@ -24,8 +24,8 @@ const HEAD: usize = 64;
 /// Number of identifiers per read.
 const IDS: usize = 1 << 15;
 
-/// Reads the part at `path`. `bytes` are those of its first piece: `Part_p00_0000.bi4` may have
-/// `Part_p01_0000.bi4` and further pieces beside it.
+/// Reads the part at `path`. `bytes` holds its first piece. A part can have further pieces in the
+/// same folder, such as `Part_p01_0000.bi4` beside `Part_p00_0000.bi4`.
 ///
 /// # Errors
 /// Those of [`read_particles`], with the piece; a missing piece is [`ReadFault::Io`].

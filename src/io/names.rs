@@ -153,7 +153,7 @@ fn colour(names: &[&str], [shares @ .., alpha]: &[&str; 4]) -> Option<Vec<usize>
     Some(columns)
 }
 
-/// A name of the position that occurs twice, as in `x,y,z,x,y,z`.
+/// The name of a position column that appears twice, as in `x,y,z,x,y,z`.
 pub fn repeated_position(names: &[String]) -> Option<&str> {
     let mut seen = HashSet::new();
     let once: Vec<String> = names.iter().filter(|name| seen.insert(*name)).cloned().collect();
@@ -172,8 +172,8 @@ fn without_unit(name: &str) -> &str {
     name[..end].trim()
 }
 
-/// Splits `vel.x` into the stem `vel.` and the axis 0. The stem includes the name of its first
-/// axis: `x`, `X` or `0`.
+/// Splits `vel.x` into its stem and the axis 0. The stem is `vel.` with the name of the first axis
+/// in this notation: `x`, `X` or `0`.
 fn component(name: &str) -> Option<((&str, char), usize)> {
     let name = name.strip_suffix(']').unwrap_or(name);
     let last = name.chars().next_back()?;

@@ -110,10 +110,10 @@ pub(super) fn pass(lines: &mut TextLines) -> Result<bool, ReadFault> {
     Ok(XyzFrame::next(lines)?.is_some())
 }
 
-/// Reads the frame at a place.
+/// Reads the frame at a position of the file.
 ///
 /// # Errors
-/// [`ReadFault::Line`] for an invalid line, an incomplete frame, and columns without a position;
+/// [`ReadFault::Line`] for an invalid line, an incomplete frame, and columns that give no position;
 /// [`ReadFault::Unsupported`] for columns of integers without names.
 pub(super) fn read(
     bytes: Bytes,

@@ -94,10 +94,10 @@ pub trait Particles: Sync {
     /// If `first + out.len()` exceeds [`len`](Self::len).
     fn positions(&self, first: usize, out: &mut [[f64; 3]]);
 
-    /// Checks, after reading, that the particles did not change meanwhile.
+    /// Checks that the particles did not change while they were read.
     ///
     /// # Errors
-    /// [`RereadError`], for particles of a file that changed: discard what was read.
+    /// [`RereadError`] if their file changed. Everything that was read must be discarded then.
     fn check(&self) -> Result<(), RereadError> {
         Ok(())
     }

@@ -129,7 +129,8 @@ fn component(name: &str) -> Option<(&str, usize)> {
 }
 
 impl Condition {
-    /// The number of its attribute; `None` for a position, or if there is no such attribute.
+    /// The index of the attribute that this condition tests; `None` for a position, or if there is
+    /// no such attribute.
     pub(crate) fn attribute(&self, infos: &[AttributeInfo]) -> Option<usize> {
         let of_component =
             || component(&self.name).and_then(|(name, _)| attribute_called(name, infos));

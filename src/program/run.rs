@@ -72,7 +72,7 @@ impl RunOptions {
             request = request.threads(threads);
         }
         let budget = self.memory.map_or_else(default_memory, |size| MemoryBudget(size.as_u64()));
-        // Missing folders will be created below the first existing one.
+        // Missing folders will be created in the nearest existing parent.
         let beside =
             output.ancestors().skip(1).find(|folder| folder.is_dir()).unwrap_or(Path::new("."));
         let scratch = self.scratch.as_deref().or(Some(beside).filter(|_| !is_device(output)));

@@ -107,7 +107,7 @@ impl ChosenSampling {
 /// readings.
 const MOST_HINTED: usize = 1 << 24;
 
-/// A function that gets the positions of all particles, in pieces and in any order.
+/// A callback that receives the positions of all particles, in pieces and in any order.
 type LookAtAll<'a> = &'a (dyn Fn(&[[f64; 3]]) + Sync);
 
 /// The spacing whose usual cell size is this one.
@@ -404,8 +404,8 @@ impl SamplingRequest {
         })
     }
 
-    /// The origin of the grid for particles around `middle`, if half of the cells of a grid around
-    /// 0 would not reach them.
+    /// The origin to use for particles around `middle`, if they are outside the middle half of a
+    /// grid whose origin is 0.
     fn origin_for(&self, middle: Option<DVec3>, size: f64) -> Option<[f64; 3]> {
         let middle = middle.filter(|_| self.origin.is_none())?;
         let reach = f64::from(CELL_LIMIT) / 2.0 * size;

@@ -283,8 +283,8 @@ pub(crate) fn of_frame(engine: &Engine) -> Vec<Warning> {
     warnings
 }
 
-/// Puts the warnings about the spacing before the others. A contradicted spacing replaces the
-/// warning about crowded particles, because it says more.
+/// Puts the warnings about the spacing before the others. If the given spacing is contradicted, the
+/// warning about crowded particles is dropped, because it says less.
 pub(crate) fn with_spacing_warnings(
     cells: Option<&Cells>,
     mut warnings: Vec<Warning>,

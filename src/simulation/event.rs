@@ -215,7 +215,7 @@ pub struct Summary {
     pub made: usize,
     /// Failed frames, in order.
     pub failed: Vec<Arc<FrameFailed>>,
-    /// The error that prevented this simulation, one of several.
+    /// The error that stopped this simulation, if several simulations were converted.
     pub error: Option<Arc<Error>>,
     /// Frames that are missing between others.
     pub missing: Vec<MissingFrames>,

@@ -105,7 +105,8 @@ fn times(files: &[&FrameCandidate]) -> Option<Pattern> {
         all(number).map(|text| text.split('.').next().unwrap_or(text)).collect();
     let fractions: BTreeSet<&str> =
         all(number).map(|text| text.split_once('.').map_or("", |(_, fraction)| fraction)).collect();
-    // Decimals can end in 0 if all have the same length, but not among shorter ones: 0.9, 0.10.
+    // Decimals may end in 0 only if all have the same number of digits: 0.9 and 0.10 are not
+    // decimals.
     let lengths: BTreeSet<usize> = fractions.iter().map(|fraction| fraction.len()).collect();
     if lengths.len() > 1 && fractions.iter().any(|f| f.len() > 1 && f.ends_with('0')) {
         return None;

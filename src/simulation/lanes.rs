@@ -24,7 +24,7 @@ impl Division {
     /// Lanes for `frames`: one per thread, and one more to compensate for uneven frames and
     /// reading. Each thread reserves `chunk` bytes.
     pub(super) fn of(frames: usize, threads: usize, budget: MemoryBudget, chunk: u64) -> Self {
-        // Each lane has at least one thread, and a frame that runs alone has all threads.
+        // Each lane has at least one thread, and each thread needs a chunk.
         let left = |lanes: usize| budget.0.saturating_sub(chunk * threads.max(lanes) as u64);
         let affordable = |lanes: &usize| left(*lanes) / LEAST >= *lanes as u64;
         let lanes = (1..=frames.min(threads + 1)).rev().find(affordable).unwrap_or(1);

@@ -1,7 +1,7 @@
 //! The pattern of a simulation's file names: which digits are the frame's number.
 //!
 //! In a name, `{}` stands for the number, which may be negative; `{time}` for a decimal by which
-//! frames are ordered; `{piece}` for the number of one of a frame's files. Notations of other
+//! frames are ordered; `{piece}` for the number of a piece, if a frame is stored in several files. Notations of other
 //! programs are read as `{}`: `%04d`, `####`, `$F4`, `<frame>`. Without a pattern,
 //! `inferred::infer` finds it from all names together.
 

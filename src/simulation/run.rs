@@ -28,7 +28,7 @@ use super::small_meshes::SmallMeshes;
 use super::solids::SolidNames;
 use super::state::{State, StateFolder, StateLookup};
 
-/// Maximum number of repeated calibrations if files change without being watched.
+/// Maximum number of repeated calibrations if files change while nothing watches them.
 const ATTEMPTS: usize = 3;
 
 /// The inputs of one of several simulations, and its result.

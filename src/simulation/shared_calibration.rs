@@ -82,8 +82,8 @@ pub enum Trust {
     Sound,
 }
 
-/// Measures particles for their whole simulation, in the chosen cells, or on the grid and with the
-/// method of an earlier `lattice`.
+/// Calibrates a simulation on these particles, in the chosen cells, or on the grid and with the
+/// method of an earlier frame whose particles form a `lattice`.
 pub(super) fn measure_in(
     cells: &Cells,
     lattice: Option<(Grid, Method)>,

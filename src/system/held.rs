@@ -54,7 +54,7 @@ fn options() -> OpenOptions {
         use std::os::windows::fs::OpenOptionsExt;
         const READ: u32 = 1;
         const DELETE: u32 = 4;
-        // Others may read, rename and delete the file, but not write it.
+        // Others may read, rename and delete the file, but not write to it.
         options.share_mode(READ | DELETE);
     }
     options

@@ -63,8 +63,8 @@ pub fn repeated(particles: &[[f64; 3]], faces: Faces) -> Vec<[f64; 3]> {
 /// A vertex: its position, its normal and its attributes, to the bit.
 type Vertex = Vec<u64>;
 
-/// The triangles between the faces, without a margin, by the data of their vertices, each from its
-/// least vertex on.
+/// The triangles between the faces, without a margin. Each is the data of its vertices, rotated so
+/// that the smallest vertex comes first.
 pub fn triangles_within(mesh: &Mesh, faces: Faces, margin: f64) -> BTreeSet<[Vertex; 3]> {
     let within = |p: &[f64; 3]| {
         let between =

@@ -35,7 +35,7 @@ pub fn page_words(shape: PageShape) -> u32 {
 
 /// Maximum number of work groups in a row that every device supports.
 pub const GROUP_ROW: u32 = 1 << 15;
-/// Words along an axis that one thread of a separable operation computes.
+/// Number of 32-bit words along an axis that one thread of a separable operation computes.
 pub const RUN: u32 = 4;
 
 /// A padded block, laid out as in `block.wgsl`.

@@ -101,8 +101,8 @@ fn depths_row(
 /// large, except deep in the fluid; [`NONE`] where no particle is near.
 ///
 /// # Panics
-/// If `calm` and `fine` do not cover their mean difference, or if that and `near` do not cover each
-/// other.
+/// If `calm` or `fine` is smaller than the box of their mean difference, or if this box and that of
+/// `near` differ.
 pub fn mixed(
     bulk: &Bulk,
     Depths { calm, fine, apart }: &Depths<impl AsRef<Block>>,

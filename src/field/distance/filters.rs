@@ -18,8 +18,8 @@ use super::{Bulk, Drops, FARTHEST, InsideBricks, Ramp, UNITS, Width, ZERO, away,
 const WIDTHS: [f64; 3] = [0.625, 1.0, 1.5];
 /// The cut-off of their Gaussians, in standard deviations.
 const CUT: f64 = 2.2;
-/// The standard deviation of the Gaussian that averages the difference of the two surfaces, in
-/// requested widths, and its cut-off.
+/// The standard deviation of the Gaussian that averages the difference of the two surfaces, as a
+/// multiple of the requested width, and its cut-off in standard deviations.
 const AROUND: f64 = 0.5625;
 const AROUND_CUT: f64 = 1.7;
 /// The mean difference at which noise ends and shape begins, and the one from which on it is all
@@ -163,8 +163,8 @@ impl DistanceFilters {
         self
     }
 
-    /// Makes the filters for particles `spacing` cells apart and a finer mesh, for which drops and
-    /// sheets are refined by splines.
+    /// Replaces the filters of drops and sheets by those for particles `spacing` cells apart, for a
+    /// caller that interpolates drops and sheets on a finer mesh by splines.
     #[must_use]
     pub fn refining(self, sheets: SheetStretch, spacing: f64) -> Self {
         let (drops, sheets) = thin_fluid(sheets, spacing, self.drops_level, true);

@@ -138,7 +138,7 @@ pub fn mixed(
     batch.dispatch(&pipelines.mix, &views, &push, blocks.groups(&pipelines.mix))
 }
 
-/// Replaces clouds by the distance by which cells with particles lie outside of the calm surface.
+/// Overwrites each cloud sample by the cell's distance outside the calm surface.
 ///
 /// # Errors
 /// The errors of the device.

@@ -248,7 +248,7 @@ impl CellCounts {
                         })
                     })
                 };
-                // Cells before the first or after the last of these have no particles.
+                // The outermost layer of cells is empty.
                 let inner = x * y + x + 1..counts.len().saturating_sub(x * y + x + 1);
                 let inner = inner.filter(|&index| counts[index] > 0 && around(index));
                 inner.map(|index| counts[index] as usize).collect()

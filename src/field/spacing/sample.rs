@@ -115,8 +115,8 @@ impl EvenSample {
 }
 
 impl SampledPositions {
-    /// Sorts on this thread only: other threads may wait for the lock, and if this thread helped
-    /// them it would wait for itself.
+    /// Sorts on this thread only. A parallel sort could steal work of a thread that waits for the
+    /// same lock, which is a deadlock.
     fn drop_duplicates(&mut self) {
         let all = self.positions.len();
         self.positions.sort_unstable_by_key(|position| position.map(f64::to_bits));

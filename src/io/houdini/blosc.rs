@@ -42,7 +42,7 @@ enum Codec {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Shuffle {
     None,
-    /// The first bytes of all numbers, then the second ones, and so on.
+    /// The first byte of every number, then the second byte of every number, and so on.
     Bytes,
     /// The lowest bits of all numbers, then the next ones, and so on.
     Bits,

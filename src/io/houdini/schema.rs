@@ -48,7 +48,7 @@ pub struct Geometry {
 pub struct HoudiniAttribute {
     pub name: Rc<str>,
     pub values: PointValues,
-    /// The texts for the values, if they are numbers of texts; empty if there are too many.
+    /// The strings, if the values are indices of strings; empty if there are too many.
     pub texts: Option<Vec<Rc<str>>>,
 }
 

@@ -59,7 +59,7 @@ pub fn open_frame(path: &Path, cache_bytes: u64) -> Result<SampledDif, ReadError
 /// checked.
 ///
 /// # Errors
-/// Those of [`open_frame`] about the index.
+/// As [`open_frame`], for the index only.
 pub fn frame_from_file(file: &File, cache_bytes: u64) -> Result<SampledDif, ReadFault> {
     let Index { facts, indicator, infos, pages } = read_index(PrivateBytes::map(file)?)?;
     Ok(SampledDif::new(facts, indicator, pages.into_dif(infos, cache_bytes)))

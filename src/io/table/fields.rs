@@ -103,7 +103,7 @@ fn trimmed(line: &[u8]) -> &[u8] {
 ///
 /// Quotes around a field hide separators. A comment starts with `#` after a blank, or at the start
 /// of a field after the last expected one; before that, `#` may be a value. A separator at the end
-/// of the line starts another field only if one is missing.
+/// of the line counts as an empty field only if the line has too few fields.
 pub struct LineFields<'a> {
     line: &'a [u8],
     at: usize,

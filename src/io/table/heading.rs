@@ -358,7 +358,7 @@ pub fn is_row(line: &[u8]) -> bool {
     }
 }
 
-/// Whether a line has words before its numbers like all following lines; otherwise it is a title.
+/// Whether a line starts with words, as every later line does. Otherwise it is a title.
 fn is_row_of_words(line: &[u8], rows: &[u8]) -> bool {
     unnamed(line).is_some_and(|row| {
         row.first > 0

@@ -1,4 +1,5 @@
-//! Merges parts: lists the blocks of all parts in order, and continues like a single run.
+//! Merges parts: lists the blocks of all parts in order, and then stitches and writes them as a
+//! single run does.
 
 use crate::brick::FrameFacts;
 use crate::error::{Error, PartsError};

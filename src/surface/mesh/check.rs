@@ -82,7 +82,7 @@ pub struct Topology {
     /// Triangles with the same three vertices as an earlier one, in any orientation.
     ///
     /// Not a defect by itself: two triangles back to back are closed and manifold. Any other twin
-    /// is also a crowded or misoriented edge.
+    /// also makes a crowded or misoriented edge.
     pub twin_triangles: Defects<[u32; 3]>,
     /// Vertices without a sound triangle. Not a defect.
     pub unreferenced_vertices: Defects<u32>,

@@ -45,7 +45,7 @@ pub struct Outline {
 /// A lattice of places: `origin` plus `step` times integer coordinates.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Lattice {
-    /// The place with the coordinates (0, 0, 0), in the mesh's unit of length.
+    /// The position of the coordinates (0, 0, 0), in the mesh's unit of length.
     pub origin: [f64; 3],
     /// The distance of neighbours, in the mesh's unit of length.
     pub step: f64,

@@ -92,7 +92,7 @@ impl RankedSet {
         all.filter(move |at| (start..end).contains(at)).map(|at| at + self.first)
     }
 
-    /// Maps the members of a range, on several threads, in their order.
+    /// Maps the members of a range in parallel. The results are in the order of the members.
     pub(super) fn map<T: Send + Copy + Default>(
         &self,
         range: Range<u32>,

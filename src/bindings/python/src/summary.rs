@@ -116,7 +116,7 @@ impl Event {
 /// failures : dict of int to str
 ///     The error of each failed frame.
 /// error : str or None
-///     The error that prevented this simulation, one of several.
+///     The error that stopped this simulation, if several were converted.
 /// missing : list of str
 ///     Frames that are missing between others, one line each.
 /// complete : bool
