@@ -171,7 +171,7 @@ impl Sampling {
         let attributes = particles.attributes();
         let sorted = self.sorted_attributes().into_iter();
         let components = sorted.map(|index| attributes[index].components).collect();
-        let drawing = surfacing.drawing(*method, *spacing, grid, components);
+        let extraction = surfacing.extraction(*method, *spacing, grid, components);
         let shape = method.indicator().map(|kind| kind.shape(*side));
         // Meshed blocks also have surface from the bins next to them.
         let near = |bin: IVec3| {
@@ -179,7 +179,8 @@ impl Sampling {
             stretch == Stretch::ALL || around.cubes(1).any(|bin| stretch.holds_bin(bin))
         };
         let lookup = BinPlan::lookup_bytes(particles.len(), stretch != Stretch::ALL);
-        let estimate = MemoryEstimate::of(bins, shape, &drawing, particles.resident_bytes(), near);
+        let estimate =
+            MemoryEstimate::of(bins, shape, &extraction, particles.resident_bytes(), near);
         let sampling = rayon::current_num_threads() as u64 * lookup;
         MemoryEstimate { sampling, ..estimate }.and_backend(resources.host_bytes())
     }
@@ -193,9 +194,10 @@ impl Sampling {
         blocks: u64,
         bins: u64,
     ) -> u64 {
-        let drawing = surfacing.drawing(self.method, self.spacing, &self.grid, components.to_vec());
+        let extraction =
+            surfacing.extraction(self.method, self.spacing, &self.grid, components.to_vec());
         let estimate =
-            MemoryEstimate::without_particles(&drawing).and_backend(self.resources.host_bytes());
+            MemoryEstimate::without_particles(&extraction).and_backend(self.resources.host_bytes());
         let index = blocks * Spool::BLOCK_BYTES + bins * OccupiedTiles::BIN_BYTES;
         MemoryEstimate { index, ..estimate }.surface_share(self.resources.budget)
     }

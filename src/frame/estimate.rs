@@ -62,7 +62,7 @@ pub struct MemoryEstimate {
 
 /// The memory of the surface stages.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Drawing {
+pub struct Extraction {
     /// Bytes of a block while its field is made.
     pub block_bytes: u64,
     /// The distance within which particles affect the attributes of a cell, in cells.
@@ -117,7 +117,7 @@ pub struct OverBudget {
     pub fitting_cell_size: f64,
 }
 
-impl Drawing {
+impl Extraction {
     /// Bytes of a vertex, without its tile.
     fn vertex_bytes(&self) -> u64 {
         vertex_bytes(self.normals, &self.components)
@@ -185,11 +185,11 @@ impl MemoryEstimate {
     pub fn of(
         bins: impl Iterator<Item = (MortonKey, usize)> + Clone,
         shape: Option<PageShape>,
-        drawing: &Drawing,
+        extraction: &Extraction,
         input: u64,
         meshed: impl Fn(IVec3) -> bool,
     ) -> Self {
-        let mut estimate = Self { input, ..Self::without_particles(drawing) };
+        let mut estimate = Self { input, ..Self::without_particles(extraction) };
         let nonzero =
             |count: usize, shape: PageShape| count.saturating_mul(shape.cells_a_particle());
         let page = |count: usize, shape: PageShape| {
@@ -198,34 +198,37 @@ impl MemoryEstimate {
         };
         if let Some(shape) = shape {
             let by_bin = bins.clone().map(|(key, count)| (key, nonzero(count, shape)));
-            estimate.add_wide(wide_bytes(by_bin, drawing.wide_levels));
+            estimate.add_wide(wide_bytes(by_bin, extraction.wide_levels));
         }
         for (_, count) in bins.clone() {
-            estimate.particles += count as u64 * Bins::particle_bytes(&drawing.components);
+            estimate.particles += count as u64 * Bins::particle_bytes(&extraction.components);
             estimate.spilled +=
-                count as u64 * SpilledBins::least_particle_bytes(&drawing.components);
+                count as u64 * SpilledBins::least_particle_bytes(&extraction.components);
             estimate.add_bin(shape.map_or(0, |shape| page(count, shape)));
         }
-        estimate.and_surface(&drawing.surface(bins, meshed), drawing)
+        estimate.and_surface(&extraction.surface(bins, meshed), extraction)
     }
 
     /// An estimate for pages whose samples are in a file.
-    pub fn of_surface(pages: &[PageInfo], shape: PageShape, drawing: &Drawing) -> Self {
-        let mut estimate = Self::without_particles(drawing);
+    pub fn of_surface(pages: &[PageInfo], shape: PageShape, extraction: &Extraction) -> Self {
+        let mut estimate = Self::without_particles(extraction);
         let full_cells = |page: &PageInfo| (page.key, page.full_count as usize);
         let nonzero = |(key, full): (MortonKey, usize)| (key, full * shape.cells_a_particle());
-        estimate
-            .add_wide(wide_bytes(pages.iter().map(full_cells).map(nonzero), drawing.wide_levels));
+        estimate.add_wide(wide_bytes(
+            pages.iter().map(full_cells).map(nonzero),
+            extraction.wide_levels,
+        ));
         pages.iter().for_each(|page| estimate.add_bin(page.most_bytes(shape) as u64));
-        estimate.and_surface(&drawing.surface(pages.iter().map(full_cells), |_| true), drawing)
+        estimate
+            .and_surface(&extraction.surface(pages.iter().map(full_cells), |_| true), extraction)
     }
 
     /// An estimate before there are any particles.
-    pub fn without_particles(drawing: &Drawing) -> Self {
+    pub fn without_particles(extraction: &Extraction) -> Self {
         Self {
             program: PROGRAM + THREAD * rayon::current_num_threads() as u64,
-            meshing: drawing.meshing_bytes(&ExpectedVertices::MOST),
-            carried: !drawing.components.is_empty(),
+            meshing: extraction.meshing_bytes(&ExpectedVertices::MOST),
+            carried: !extraction.components.is_empty(),
             ..Self::default()
         }
     }
@@ -236,9 +239,9 @@ impl MemoryEstimate {
     }
 
     /// Sets the memory of the surface from the expected vertices.
-    fn and_surface(self, expected: &ExpectedVertices, drawing: &Drawing) -> Self {
-        let surface = (drawing.vertex_bytes() + TILE_SHARE) * expected.vertices;
-        let meshing = drawing.meshing_bytes(expected);
+    fn and_surface(self, expected: &ExpectedVertices, extraction: &Extraction) -> Self {
+        let surface = (extraction.vertex_bytes() + TILE_SHARE) * expected.vertices;
+        let meshing = extraction.meshing_bytes(expected);
         Self { surface, vertices: expected.vertices, meshing, ..self }
     }
 

@@ -9,7 +9,7 @@ use crate::grid::units::Sigma;
 use crate::grid::{Grid, PeriodicMesh};
 use crate::surface::dual_mc::{Crossings, Normals};
 
-use super::surface::{DrawableField, region_by_region};
+use super::surface::{ExtractableField, region_by_region};
 use super::{FrameError, Resources};
 
 /// The kernels of a frame.
@@ -41,10 +41,14 @@ impl SampledKernels {
         Ok(Self { facts, method, field, attribute_smoothing: attribute_smoothing(spacing.cells()) })
     }
 
-    /// The field from which the surface is drawn.
-    pub(super) fn drawn(&self, normals: Normals, periodic_mesh: PeriodicMesh) -> DrawableField<'_> {
+    /// The field from which the surface is extracted.
+    pub(super) fn extracted(
+        &self,
+        normals: Normals,
+        periodic_mesh: PeriodicMesh,
+    ) -> ExtractableField<'_> {
         let walls = self.facts.mesh_walls(periodic_mesh).map(|walls| walls.cells());
-        DrawableField {
+        ExtractableField {
             regions: self.field.regions(walls),
             crossings: Crossings::Fractions,
             attribute_smoothing: self.attribute_smoothing.clone(),

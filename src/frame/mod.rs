@@ -57,7 +57,7 @@ use binned::HostBins;
 use kernels::{SampledKernels, kernel_spacing};
 use sink::FieldSink;
 use sizes::SampledSizes;
-use surface::DrawableField;
+use surface::ExtractableField;
 
 /// The field of a frame, with everything else that its surface needs.
 #[derive(Debug)]
@@ -207,13 +207,13 @@ impl Engine {
         })
     }
 
-    /// Takes a frame that was sampled earlier, to draw surfaces with the memory of `surfacing`.
+    /// Takes a frame that was sampled earlier, to extract surfaces with the memory of `surfacing`.
     #[must_use]
     pub fn from_sampled(sampled: SampledDif, surfacing: &Surfacing, resources: Resources) -> Self {
         let SampledDif { facts, indicator, dif, .. } = &sampled;
         let method = Method::from(*indicator);
-        let drawing = surfacing.drawing(method, facts.spacing, &facts.grid, Vec::new());
-        let estimate = MemoryEstimate::of_surface(dif.infos(), dif.shape(), &drawing);
+        let extraction = surfacing.extraction(method, facts.spacing, &facts.grid, Vec::new());
+        let estimate = MemoryEstimate::of_surface(dif.infos(), dif.shape(), &extraction);
         let estimate = estimate.and_backend(resources.host_bytes());
         let surface_share = estimate.surface_share(resources.budget);
         let stages = resources.backend.executor().start(resources.budget);
@@ -336,7 +336,7 @@ impl Engine {
     ) -> Result<CalibratedFrame<'a>, FrameError> {
         let &Surfacing { normals, periodic_mesh, .. } = surfacing;
         self.check_image_reach(surfacing)?;
-        let (drawn, measured) = match &self.field {
+        let (extracted, measured) = match &self.field {
             SampledField::Dif { sampled, stages } => {
                 let kind = sampled.indicator.kind();
                 let (calibration, measured) = match known {
@@ -354,7 +354,7 @@ impl Engine {
                 let FrameFacts { spacing, grid, .. } = &sampled.facts;
                 let smoothing = surfacing.attribute_smoothing(kind, *spacing, grid);
                 (
-                    DrawableField::of_dif(
+                    ExtractableField::of_dif(
                         sampled,
                         &**stages,
                         recipe,
@@ -366,11 +366,11 @@ impl Engine {
                     measured,
                 )
             }
-            SampledField::Kernels(sampled) => (sampled.drawn(normals, periodic_mesh), None),
+            SampledField::Kernels(sampled) => (sampled.extracted(normals, periodic_mesh), None),
             SampledField::Sizes(sampled) => {
                 let measured = sampled.calibrated();
                 let calibration = known.copied().unwrap_or(measured.calibration);
-                (sampled.drawn(surfacing, &calibration), known.is_none().then_some(measured))
+                (sampled.extracted(surfacing, &calibration), known.is_none().then_some(measured))
             }
         };
         Ok(CalibratedFrame {
@@ -382,7 +382,7 @@ impl Engine {
             measured,
             normals,
             walls: self.facts().mesh_walls(periodic_mesh),
-            drawn,
+            extracted,
         })
     }
 

@@ -1,4 +1,4 @@
-//! Requests: the parameters for sampling a frame and for drawing its surface.
+//! Requests: the parameters for sampling a frame and for extracting its surface.
 
 use std::sync::Arc;
 
@@ -14,7 +14,7 @@ use crate::field::distance::{BULK_GAIN, DistanceFilters, InsideBricks};
 use crate::field::indicator::{IndicatorKind, SampledDif, WideCells};
 use crate::field::recipe::{Detail, Filters, PaperFilters, Recipe};
 use crate::field::solid::SolidFill;
-use crate::frame::estimate::Drawing;
+use crate::frame::estimate::Extraction;
 use crate::grid::stretch::DecidingCells;
 use crate::grid::units::{Isovalue, MeanCount, SheetStretch, Sigma, Smooth};
 use crate::grid::{BLOCK, CellBox, Domain, Grid, Periodic, PeriodicMesh};
@@ -122,7 +122,7 @@ impl Sampling {
 /// The width of the Gaussian that smooths the attributes of clouds, in spacings.
 const ATTRIBUTES_SMOOTHED: f64 = 0.8;
 
-/// The parameters for drawing a surface. Kernels use only the normals.
+/// The parameters for extracting a surface. Kernels use only the normals.
 #[derive(Debug, Clone)]
 pub struct Surfacing {
     /// The smoothing width; only for clouds.
@@ -218,15 +218,15 @@ impl Surfacing {
     }
 
     /// The memory of the surface, for a spacing in cells and the components of its attributes.
-    pub(super) fn drawing(
+    pub(super) fn extraction(
         &self,
         method: Method,
         spacing: Option<f64>,
         grid: &Grid,
         components: Vec<usize>,
-    ) -> Drawing {
+    ) -> Extraction {
         let spacing_cells = spacing.map(|spacing| spacing / grid.cell_size());
-        let plain = Drawing {
+        let plain = Extraction {
             // Dual cells reach one cell up, and normals one cell in both directions.
             block_bytes: KernelMethod::CELL_BYTES * ((BLOCK + 3) as u64).pow(3),
             carried_halo: attribute_smoothing(spacing.unwrap_or(0.0) / grid.cell_size()).halo(),
@@ -238,7 +238,7 @@ impl Surfacing {
         };
         let Some(kind) = method.indicator() else { return plain };
         let filters = self.filters(kind, spacing, grid);
-        Drawing {
+        Extraction {
             block_bytes: filters.block_bytes() + self.fill_bytes(&filters, spacing, grid),
             carried_halo: self.attribute_smoothing(kind, spacing, grid).halo(),
             keeps_details: filters.keeps_details(),

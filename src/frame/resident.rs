@@ -29,7 +29,7 @@ use super::{FrameError, Surfacing};
 /// Bytes of a vertex, three f32, and of a triangle, three u32.
 const ROW: u64 = 12;
 
-/// The parameters for sampling a frame and for drawing its surface.
+/// The parameters for sampling a frame and for extracting its surface.
 #[derive(Debug, Clone)]
 pub struct DeviceRequest {
     /// The grid of cells.

@@ -12,7 +12,7 @@ use crate::grid::CellBox;
 use crate::surface::dual_mc::{block_mesh, dual_cells};
 
 use super::sink::FieldSink;
-use super::surface::{DrawableField, region_by_region};
+use super::surface::{ExtractableField, region_by_region};
 use super::{FrameError, Resources, SizedParticles, Surfacing};
 
 /// The clouds of a frame's particles, by octaves of their sizes.
@@ -88,12 +88,12 @@ impl SampledSizes {
         }
     }
 
-    /// The field from which the surface is drawn.
-    pub(super) fn drawn(
+    /// The field from which the surface is extracted.
+    pub(super) fn extracted(
         &self,
         surfacing: &Surfacing,
         calibration: &Calibration,
-    ) -> DrawableField<'_> {
+    ) -> ExtractableField<'_> {
         let &Surfacing { smooth, sheets, normals, periodic_mesh, .. } = surfacing;
         let plateau = match *calibration {
             Calibration::Clouds { plateau } => plateau,
@@ -105,7 +105,7 @@ impl SampledSizes {
         let within = walls.map(|walls| walls.grown(1, 0));
         let cut = |cells: CellBox| within.map_or(cells, |within| cells.intersection(&within));
         let regions = self.clouds.regions(field.reach()).into_iter().map(cut);
-        DrawableField {
+        ExtractableField {
             regions: regions.filter(|cells| !cells.is_empty()).collect(),
             crossings: iso.into(),
             attribute_smoothing: self.attribute_smoothing(surfacing),

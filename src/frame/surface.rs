@@ -59,7 +59,7 @@ pub(super) fn region_by_region<'a>(
 }
 
 /// A field with everything that is needed to mesh it, for every method.
-pub(super) struct DrawableField<'a> {
+pub(super) struct ExtractableField<'a> {
     /// The parts of blocks that the surface can pass through, in Morton order.
     pub(super) regions: Vec<CellBox>,
     pub(super) contour: Box<Contour<'a>>,
@@ -70,7 +70,7 @@ pub(super) struct DrawableField<'a> {
     pub(super) nothing: FrameError,
 }
 
-impl<'a> DrawableField<'a> {
+impl<'a> ExtractableField<'a> {
     /// The DIF of a frame, with a recipe.
     pub(super) fn of_dif(
         sampled: &'a SampledDif,
@@ -118,7 +118,7 @@ pub struct CalibratedFrame<'a> {
     pub(super) normals: Normals,
     /// The walls at which the mesh ends.
     pub(super) walls: Option<Domain>,
-    pub(super) drawn: DrawableField<'a>,
+    pub(super) extracted: ExtractableField<'a>,
 }
 
 impl<'a> CalibratedFrame<'a> {
@@ -138,9 +138,15 @@ impl<'a> CalibratedFrame<'a> {
         let attributes = self.carried.map_or(Vec::new(), |(_, infos)| infos.clone());
         let spool = self.blocks(timings)?;
         if spool.is_empty() {
-            return Err(self.drawn.nothing);
+            return Err(self.extracted.nothing);
         }
-        Ok(StitchedSurface::new(spool, facts.grid, self.walls, self.drawn.crossings, attributes))
+        Ok(StitchedSurface::new(
+            spool,
+            facts.grid,
+            self.walls,
+            self.extracted.crossings,
+            attributes,
+        ))
     }
 
     /// The meshes of the blocks that the surface passes through, not stitched yet; there may be
@@ -160,12 +166,12 @@ impl<'a> CalibratedFrame<'a> {
     /// The blocks that the surface can pass through, in Morton order, with the number of their
     /// cells that it can pass through.
     pub fn passed(&self) -> impl Iterator<Item = (MortonKey, usize)> + '_ {
-        self.drawn.regions.iter().map(|cells| (block_of(cells), cells.volume()))
+        self.extracted.regions.iter().map(|cells| (block_of(cells), cells.volume()))
     }
 
     /// Restricts the frame to the blocks in a stretch.
     pub fn within(mut self, stretch: Stretch) -> Self {
-        self.drawn.regions.retain(|cells| {
+        self.extracted.regions.retain(|cells| {
             let key = block_of(cells);
             stretch.first <= key && key < stretch.end
         });
@@ -184,7 +190,7 @@ impl<'a> CalibratedFrame<'a> {
         let least = BLOCKS_A_THREAD * rayon::current_num_threads();
         // Any of these blocks may be full of spray.
         let block = blocks_bytes(1, block_vertices(true), spool.vertex_bytes());
-        let mut regions = &self.drawn.regions[..];
+        let mut regions = &self.extracted.regions[..];
         let calibrating = if self.measured.is_some() { CALIBRATING } else { 0.0 };
         let meter = self.control.meter(Stage::Meshing, regions.len()).between(calibrating, 1.0);
         meter.go_on()?;
@@ -192,7 +198,7 @@ impl<'a> CalibratedFrame<'a> {
             let left = share.saturating_sub(spool.bytes_in_memory());
             let fitting = usize::try_from(left / block).unwrap_or(usize::MAX);
             let (batch, later) = regions.split_at(fitting.max(least).min(regions.len()));
-            (self.drawn.contour)(batch, &meter, &finish, &mut |blocks| {
+            (self.extracted.contour)(batch, &meter, &finish, &mut |blocks| {
                 if wide {
                     return self.carry_in_groups(blocks, spool);
                 }
@@ -235,7 +241,8 @@ impl<'a> CalibratedFrame<'a> {
     /// Carries the particles' attributes to the vertices.
     fn carry(&self, mesh: &mut BlockMesh) -> io::Result<()> {
         let Some((bins, infos)) = self.carried else { return Ok(()) };
-        let (smoothing, crossings) = (&self.drawn.attribute_smoothing, self.drawn.crossings);
+        let (smoothing, crossings) =
+            (&self.extracted.attribute_smoothing, self.extracted.crossings);
         for (index, info) in infos.iter().enumerate() {
             let attribute = (index, info.components);
             let values = if info.kind.is_whole() {

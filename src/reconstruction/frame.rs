@@ -127,7 +127,7 @@ impl Frame {
     /// # Errors
     /// [`Error::Frame`] if there is no surface, or scratch files fail, and [`Error::Cancelled`].
     pub fn surface(&self) -> Result<Surface, Error> {
-        self.draw(&self.ready.checked, self.timings.clone())
+        self.extract(&self.ready.checked, self.timings.clone())
     }
 
     /// Makes a surface with other settings, from smoothing to simplifying. Settings that need the
@@ -147,24 +147,28 @@ impl Frame {
         kind.map_or(Ok(()), |kind| checked.settings.check_indicator_settings(kind))?;
         checked.resources = self.ready.checked.resources.clone();
         checked.resources.control = request.control.clone();
-        self.draw(&Arc::new(checked), Timings::default())
+        self.extract(&Arc::new(checked), Timings::default())
     }
 
-    fn draw(&self, checked: &Arc<CheckedRequest>, mut timings: Timings) -> Result<Surface, Error> {
+    fn extract(
+        &self,
+        checked: &Arc<CheckedRequest>,
+        mut timings: Timings,
+    ) -> Result<Surface, Error> {
         timings.skip();
         let threads = &self.ready.threads;
-        let drawn = threads.install(|| {
+        let extracted = threads.install(|| {
             let known = checked.calibration.as_ref();
-            checked.draw(&self.sampled.engine, known, &mut timings)
+            checked.extract(&self.sampled.engine, known, &mut timings)
         });
-        let mut drawn = drawn.map_err(|error| match &self.path {
+        let mut extracted = extracted.map_err(|error| match &self.path {
             Some(path) => error.of_file(path),
             None => error,
         })?;
-        let report = &mut drawn.report;
+        let report = &mut extracted.report;
         report.add_cells(self.sampled.cells.clone(), self.sampled.moved);
         (report.timings, report.threads) = (timings, threads.current_num_threads());
-        Ok(Surface::new(drawn, checked, threads, self.up))
+        Ok(Surface::new(extracted, checked, threads, self.up))
     }
 
     /// Writes the frame's samples to a file, from which surfaces can be made later.

@@ -2,12 +2,12 @@
 //!
 //! There are four ways to a frame's mesh, with the same steps:
 //!
-//! | | planned | sampled | drawn | written |
+//! | | planned | sampled | extracted | written |
 //! |---|---|---|---|---|
-//! | whole: `opened`, `frame` | cells by a look at the particles, which counts them too | all particles, `CheckedRequest::engine` | `draw` | `output` |
+//! | whole: `opened`, `frame` | cells by a look at the particles, which counts them too | all particles, `CheckedRequest::engine` | `extract` | `output` |
 //! | in parts: `parts` | once for all parts, `parts/plan.rs`, kept in `plan.json` | the bins that decide its blocks, `parts/make.rs` | its blocks alone, not stitched; `parts/merge.rs` stitches all | a file of blocks, then `output` |
-//! | of a simulation: `simulation` | calibrated on one frame, `simulation/freeze.rs` | in parallel or alone, `simulation/one_frame.rs` | `draw_or_empty` | filled by its lane, named by another thread |
-//! | live: `simulation/live.rs` | calibrated on the first suitable frame, in memory | all particles, `CheckedRequest::engine` | `draw_or_empty` | by its caller |
+//! | of a simulation: `simulation` | calibrated on one frame, `simulation/freeze.rs` | in parallel or alone, `simulation/one_frame.rs` | `extract_or_empty` | filled by its lane, named by another thread |
+//! | live: `simulation/live.rs` | calibrated on the first suitable frame, in memory | all particles, `CheckedRequest::engine` | `extract_or_empty` | by its caller |
 //!
 //! The guide `limits.md` lists limits.
 
@@ -16,7 +16,7 @@ mod attributes;
 mod builder;
 mod cells;
 mod checked;
-mod draw;
+mod extract;
 mod frame;
 mod info;
 mod lattice;
@@ -43,7 +43,7 @@ mod width;
 pub use builder::Reconstruction;
 pub use cells::{CellSize, Cells, FoundWalls, Slab, SpacingHints};
 pub(crate) use checked::{CheckedRequest, StartedRequest};
-pub(crate) use draw::DrawnSurface;
+pub(crate) use extract::ExtractedSurface;
 pub use frame::Frame;
 pub use info::{FrameInfo, Info, MeshInfo, ParticlesInfo, info, info_with};
 pub use lattice::{moved, on_sound_grid, origin_for_lattice};

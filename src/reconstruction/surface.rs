@@ -19,7 +19,7 @@ use crate::system::control::Control;
 
 use super::SinglePrecision;
 use super::checked::CheckedRequest;
-use super::draw::{DrawnMesh, DrawnSurface};
+use super::extract::{ExtractedMesh, ExtractedSurface};
 use super::output::{Output, coordinate_width};
 use super::report::Report;
 use super::threads::Threads;
@@ -32,7 +32,7 @@ const PREVIEW: [usize; 2] = [640, 360];
 
 /// A closed, oriented 2-manifold around the fluid.
 pub struct Surface {
-    drawn: DrawnSurface,
+    extracted: ExtractedSurface,
     /// The threads that made the surface and write it; stopped in between, because a surface may be
     /// kept for long.
     threads: Threads,
@@ -48,20 +48,20 @@ pub struct Surface {
 impl Surface {
     /// Combines a surface with its request, its threads, and the up axis of its particles.
     pub(crate) fn new(
-        drawn: DrawnSurface,
+        extracted: ExtractedSurface,
         checked: &CheckedRequest,
         threads: &Arc<rayon::ThreadPool>,
         particles_up: UpAxis,
     ) -> Self {
         let (settings, control) = (checked.settings.clone(), checked.resources.control.clone());
         let memory = checked.resources.budget;
-        Self { drawn, threads: threads.into(), settings, control, memory, particles_up }
+        Self { extracted, threads: threads.into(), settings, control, memory, particles_up }
     }
 
     /// The mesh, in the pieces in which it is stored.
     #[must_use]
     pub fn mesh(&self) -> &dyn MeshSource {
-        self.drawn.mesh.source()
+        self.extracted.mesh.source()
     }
 
     /// Copies the whole mesh into memory.
@@ -71,10 +71,10 @@ impl Surface {
     /// [`Error::Threads`].
     pub fn to_mesh(&self) -> Result<Mesh, Error> {
         let threads = self.threads.started().map_err(Error::Threads)?;
-        let mesh = threads.install(|| match &self.drawn.mesh {
-            DrawnMesh::Empty(mesh) => Ok(mesh.clone()),
-            DrawnMesh::Whole(mesh) => mesh.to_mesh(),
-            DrawnMesh::Reduced(mesh) => in_one_piece(mesh),
+        let mesh = threads.install(|| match &self.extracted.mesh {
+            ExtractedMesh::Empty(mesh) => Ok(mesh.clone()),
+            ExtractedMesh::Whole(mesh) => mesh.to_mesh(),
+            ExtractedMesh::Reduced(mesh) => in_one_piece(mesh),
         });
         Ok(mesh?)
     }
@@ -82,7 +82,7 @@ impl Surface {
     /// The report on the reconstruction.
     #[must_use]
     pub fn report(&self) -> &Report {
-        &self.drawn.report
+        &self.extracted.report
     }
 
     /// Draws a picture of the mesh, on the threads that made it, with the up axis of its particles.
@@ -115,7 +115,7 @@ impl Surface {
     /// # Errors
     /// [`Error::Write`] if the mesh is in a scratch file that cannot be read.
     pub fn warnings_in(&self, format: MeshFormat) -> Result<Vec<Warning>, Error> {
-        let coarse = self.drawn.precision == SinglePrecision::TooCoarse && !format.holds_f64();
+        let coarse = self.extracted.precision == SinglePrecision::TooCoarse && !format.holds_f64();
         let mut warnings: Vec<_> =
             coarse.then_some(Warning::Coarse { format }).into_iter().collect();
         let threads = self.threads.started().map_err(Error::Threads)?;
@@ -163,7 +163,7 @@ impl Surface {
     pub fn write_to(&self, output: Output) -> Result<u64, Error> {
         let format = output.format();
         let orientation = self.settings.orientation(self.particles_up, format);
-        let width = coordinate_width(self.drawn.precision, format, output.path())?;
+        let width = coordinate_width(self.extracted.precision, format, output.path())?;
         let output = output.with_layout(self.settings.layout(orientation));
         let turned = orientation.turned(self.mesh());
         let threads = self.threads.started().map_err(Error::Threads)?;

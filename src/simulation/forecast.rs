@@ -162,8 +162,9 @@ impl Setup<'_> {
         let (census, estimate) = (counted.census(), counted.estimate());
         let frame =
             Engine::sample_counted(counted, resources.budget, &mut timings).map_err(in_file)?;
-        let drawn = frame.calibrate(&checked.surfacing, shared.calibration.as_ref(), &mut timings);
-        let mesh = drawn.and_then(|frame| frame.surface(&mut timings)).map_err(in_file)?;
+        let extracted =
+            frame.calibrate(&checked.surfacing, shared.calibration.as_ref(), &mut timings);
+        let mesh = extracted.and_then(|frame| frame.surface(&mut timings)).map_err(in_file)?;
         let bytes = mesh_bytes(mesh.vertex_count(), mesh.triangle_count());
         let share = largest.bytes().max(1) as f64;
         let scale =

@@ -12,7 +12,7 @@ use crate::particles::kind::{SettledKind, known_of, settled_for_all};
 use crate::particles::sizes::Sizes;
 use crate::particles::{Particles, carried_infos};
 use crate::reconstruction::{
-    self, DrawnSurface, Reconstruction, Report, SinglePrecision, Slab, SpacingWarning,
+    self, ExtractedSurface, Reconstruction, Report, SinglePrecision, Slab, SpacingWarning,
     StartedRequest, Surface, Warning,
 };
 use crate::system::timings::Timings;
@@ -106,27 +106,30 @@ impl LiveSimulation {
     pub fn frame(&mut self, particles: &(impl Particles + ?Sized)) -> Result<Surface, Error> {
         let threads = Arc::clone(&self.ready.threads);
         self.ready.checked.go_on()?;
-        let drawn = threads.install(|| match self.ready.checked.selected(particles)? {
-            Some(selected) => self.drawn_or_empty(&selected as &dyn Particles),
-            None => self.drawn_or_empty(particles),
+        let extracted = threads.install(|| match self.ready.checked.selected(particles)? {
+            Some(selected) => self.extracted_or_empty(&selected as &dyn Particles),
+            None => self.extracted_or_empty(particles),
         })?;
-        Ok(Surface::new(drawn, &self.ready.checked, &threads, UpAxis::Y))
+        Ok(Surface::new(extracted, &self.ready.checked, &threads, UpAxis::Y))
     }
 
     /// Makes the surface of a frame, or an empty mesh for a frame without particles.
-    fn drawn_or_empty(
+    fn extracted_or_empty(
         &mut self,
         particles: &(impl Particles + ?Sized),
-    ) -> Result<DrawnSurface, Error> {
-        match self.drawn(particles) {
+    ) -> Result<ExtractedSurface, Error> {
+        match self.extracted(particles) {
             Err(Error::Frame { fault: FrameError::NoParticles(census), .. }) => {
                 self.empty(particles, self.facts(census)?)
             }
-            drawn => drawn,
+            extracted => extracted,
         }
     }
 
-    fn drawn(&mut self, particles: &(impl Particles + ?Sized)) -> Result<DrawnSurface, Error> {
+    fn extracted(
+        &mut self,
+        particles: &(impl Particles + ?Sized),
+    ) -> Result<ExtractedSurface, Error> {
         let Self { ready, known, settled } = self;
         let checked = &ready.checked;
         let mut timings = Timings::default();
@@ -164,13 +167,13 @@ impl LiveSimulation {
         let sampling = sampling.sized(sizes.as_ref(), particles)?;
         let sampling = Sampling { kinds: kinds.clone(), ..sampling };
         let engine = checked.engine(particles, &sampling, None, &mut timings)?;
-        let mut drawn =
-            checked.draw_or_empty(&engine, calibration.as_ref(), infos, None, &mut timings)?;
-        drawn.report.timings = timings;
+        let mut extracted =
+            checked.extract_or_empty(&engine, calibration.as_ref(), infos, None, &mut timings)?;
+        extracted.report.timings = timings;
         let past = past.into_iter().map(Warning::BeyondWall);
         let first = spacing_warnings.into_iter().map(Warning::Spacing).chain(past);
-        drawn.report.warnings.splice(0..0, first);
-        Ok(drawn)
+        extracted.report.warnings.splice(0..0, first);
+        Ok(extracted)
     }
 
     /// Facts of a frame without particles. Cells have size 1 until the simulation has cells.
@@ -192,7 +195,7 @@ impl LiveSimulation {
         &self,
         particles: &(impl Particles + ?Sized),
         facts: FrameFacts,
-    ) -> Result<DrawnSurface, Error> {
+    ) -> Result<ExtractedSurface, Error> {
         let checked = &self.ready.checked;
         let carried = checked.settings.carried(particles.attributes(), None)?;
         let kinds = self.known.as_ref().map_or(&[][..], |known| &known.kinds);
@@ -200,7 +203,7 @@ impl LiveSimulation {
         let mesh = checked.empty_mesh(infos);
         let report =
             Report::of_facts(facts, None, &checked.surfacing, checked.resources.backend.name());
-        Ok(DrawnSurface { mesh, precision: SinglePrecision::Enough, report })
+        Ok(ExtractedSurface { mesh, precision: SinglePrecision::Enough, report })
     }
 }
 

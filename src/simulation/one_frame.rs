@@ -24,7 +24,7 @@ use crate::io::{ParticleFile, ReadError, ReadFault, WriteError, WriteFault};
 use crate::particles::kind::known_of;
 use crate::particles::{AttributeInfo, Particles, carried_infos};
 use crate::reconstruction::{
-    CheckedRequest, DrawnSurface, Orientation, Output, Report, SinglePrecision, SpacingSource,
+    CheckedRequest, ExtractedSurface, Orientation, Output, Report, SinglePrecision, SpacingSource,
     SpacingWarning, TemporaryOutput, Warning, coordinate_width, made_of, refuse_same_file,
 };
 use crate::surface::mesh::Mesh;
@@ -160,8 +160,8 @@ impl Conversion<'_> {
             ready?;
         let (mesh, precision, mut report) = match &sampled {
             Some(sampled) => {
-                let draw = || Self::surface(checked, path, sampled, shared, infos, &mut timings);
-                let DrawnSurface { mesh, precision, report } = permit.run(draw)?;
+                let extract = || Self::surface(checked, path, sampled, shared, infos, &mut timings);
+                let ExtractedSurface { mesh, precision, report } = permit.run(extract)?;
                 (mesh, precision, Some(report))
             }
             None => (checked.empty_mesh(infos), SinglePrecision::Enough, None),
@@ -358,19 +358,19 @@ impl Conversion<'_> {
         shared: &SharedCalibration,
         infos: Vec<AttributeInfo>,
         timings: &mut Timings,
-    ) -> Result<DrawnSurface, Error> {
+    ) -> Result<ExtractedSurface, Error> {
         let known = shared.calibration.as_ref();
         let calibration_frame =
             known.filter(|_| checked.surfacing.iso.is_none()).map(|_| shared.frame);
-        let drawn = checked.draw_or_empty(sampled, known, infos, calibration_frame, timings);
-        let mut drawn = drawn.map_err(|fault| Error::from(fault).of_file(path))?;
+        let extracted = checked.extract_or_empty(sampled, known, infos, calibration_frame, timings);
+        let mut extracted = extracted.map_err(|fault| Error::from(fault).of_file(path))?;
         // The sum over all frames is reported at the end.
-        drawn.report.warnings.retain(|warning| !matches!(warning, Warning::Lost { .. }));
-        for warning in &mut drawn.report.warnings {
+        extracted.report.warnings.retain(|warning| !matches!(warning, Warning::Lost { .. }));
+        for warning in &mut extracted.report.warnings {
             if let Warning::Shortfall { calibration_frame: by, .. } = warning {
                 *by = calibration_frame;
             }
         }
-        Ok(drawn)
+        Ok(extracted)
     }
 }

@@ -8,7 +8,7 @@ use std::time::Duration;
 use meniscus::error::{Cause, Error};
 use meniscus::internals::brick::{BinPlan, BrickSide, CountingRoom, InvalidParticles};
 use meniscus::internals::field::indicator::{PageRule, indicate};
-use meniscus::internals::frame::estimate::{Drawing, MemoryEstimate, MemoryPlan};
+use meniscus::internals::frame::estimate::{Extraction, MemoryEstimate, MemoryPlan};
 use meniscus::internals::frame::{
     CountedFrame, Detail, Engine, FrameError, Normals, Resources, Sampling, Surfacing,
 };
@@ -135,7 +135,7 @@ fn spray_is_stored_sparsely_within_the_estimated_memory() {
                 CountingRoom::BINS,
             );
             let plan = plan.unwrap();
-            let drawing = Drawing {
+            let extraction = Extraction {
                 block_bytes: 4 * 41_u64.pow(3),
                 carried_halo: 3,
                 keeps_details: false,
@@ -145,7 +145,8 @@ fn spray_is_stored_sparsely_within_the_estimated_memory() {
                 components: Vec::new(),
             };
             let counted = plan.keys().iter().copied().zip(plan.counts());
-            let estimate = MemoryEstimate::of(counted, Some(rule.shape()), &drawing, 0, |_| true);
+            let estimate =
+                MemoryEstimate::of(counted, Some(rule.shape()), &extraction, 0, |_| true);
             let bins = plan.fill(&particles[..], &[]).unwrap();
             let pages = indicate(&bins, 0..bins.keys().len(), &rule).unwrap();
             let (mut taken, mut sparse) = (0, 0);

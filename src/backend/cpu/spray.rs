@@ -136,8 +136,8 @@ fn drop_in(
     let mut shares = None;
     if blocks.narrowed(&outlying, level, ramp) {
         let thin = thin_shares(distances, &mut blocks).ok()?;
-        let drawn = thin.block.box_of(|share| share >= least_share);
-        inside = inside.union(&refined_from(drops_level, drawn));
+        let shown = thin.block.box_of(|share| share >= least_share);
+        inside = inside.union(&refined_from(drops_level, shown));
         shares = Some((thin, blocks.wanted));
     }
     inside = inside.intersection(&cells);

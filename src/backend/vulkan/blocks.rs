@@ -49,7 +49,7 @@ impl DeviceFrame {
         let (mut tiles, mut ends) = (GrowingBuffer::default(), GrowingBuffer::default());
         let (mut blocks, mut written) = (Vec::new(), None);
         self.each_batch(state, surfaces, regions, &|| true, &mut |_, lane, batch, begins| {
-            let totals = begins[batch.drawn.len()];
+            let totals = begins[batch.meshed.len()];
             if totals.tiles == 0 {
                 return Ok(());
             }
@@ -63,7 +63,7 @@ impl DeviceFrame {
             written = Some(lane.download.submit(lane.compute.last())?);
             lane.download.wait()?;
             let sizes = begins.windows(2).map(|begins| begins[1].since(&begins[0]));
-            let coords = batch.drawn().map(block_of);
+            let coords = batch.meshed().map(block_of);
             blocks.extend(coords.zip(sizes).filter(|(_, size)| size.tiles > 0));
             Ok::<_, VulkanError>(())
         })?;
@@ -182,7 +182,7 @@ impl Contouring<'_> {
         let mut batch = BlockBatch::new(self, left);
         *next += batch.regions.len();
         match &self.surfaces.recipe.filters {
-            Filters::Paper(_) => self.draw(lane, &batch)?,
+            Filters::Paper(_) => self.mesh_regions(lane, &batch)?,
             Filters::Distances(distances) => {
                 batch.wide = Some(self.make_wide(lane, &batch.regions, distances)?)
             }
@@ -196,16 +196,20 @@ impl Contouring<'_> {
             return Ok(());
         }
         self.choose(lane, batch)?;
-        self.draw(lane, batch)
+        self.mesh_regions(lane, batch)
     }
 
-    /// Records and submits the surfaces of the regions to draw.
-    pub(super) fn draw(&self, lane: &mut Lane, batch: &BlockBatch) -> Result<(), VulkanError> {
+    /// Records and submits the surfaces of the regions to mesh.
+    pub(super) fn mesh_regions(
+        &self,
+        lane: &mut Lane,
+        batch: &BlockBatch,
+    ) -> Result<(), VulkanError> {
         lane.begin()?;
-        if batch.drawn.is_empty() {
+        if batch.meshed.is_empty() {
             return Ok(());
         }
-        let outputs = self.outputs(lane, batch.drawn.len() as u64, batch.room)?;
+        let outputs = self.outputs(lane, batch.meshed.len() as u64, batch.room)?;
         let read = lane.buffer(
             &self.frame.device,
             "tallies read",
@@ -228,7 +232,7 @@ impl Contouring<'_> {
         Ok(())
     }
 
-    /// The field on the regions to draw, with the paper's filters.
+    /// The field on the regions to mesh, with the paper's filters.
     fn filter(&self, lane: &mut Lane, batch: &BlockBatch) -> Result<BatchField, VulkanError> {
         let device = &self.frame.device;
         let [source] = &self.sources()[..] else {
@@ -236,7 +240,7 @@ impl Contouring<'_> {
         };
         let from = self.samples(source.level);
         let mut grid = LevelBlocks::default();
-        for region in batch.drawn() {
+        for region in batch.meshed() {
             grid.push_sampled(
                 source.cells(self.surfaces.normals.cells(region)),
                 region.tiled(),
@@ -310,14 +314,14 @@ impl Contouring<'_> {
     }
 
     /// Waits for a batch, and passes it to `take`. A batch with more vertices than its buffers can
-    /// hold is drawn again, in parts if it exceeds its share.
+    /// hold is meshed again, in parts if it exceeds its share.
     fn finish<E: From<VulkanError>>(
         &self,
         lane: &mut Lane,
         mut batch: BlockBatch,
         take: &mut TakeBatch<'_, E>,
     ) -> Result<(), E> {
-        let count = batch.drawn.len();
+        let count = batch.meshed.len();
         if count == 0 {
             return take(self, lane, &batch, &[BlockTally::default()]);
         }
@@ -331,7 +335,7 @@ impl Contouring<'_> {
         }
         if 2 * vertices * self.vertex_bytes() <= self.bytes {
             batch.room = vertices;
-            self.draw(lane, &batch)?;
+            self.mesh_regions(lane, &batch)?;
             return self.finish(lane, batch, take);
         }
         let (first, second) = batch.regions.split_at(batch.regions.len() / 2);
@@ -353,8 +357,8 @@ impl Contouring<'_> {
         begins: &[BlockTally],
     ) -> Result<Vec<Option<BlockMesh>>, VulkanError> {
         let device = &self.frame.device;
-        let totals = begins[batch.drawn.len()];
-        // A lane that has not drawn yet has no buffers to read.
+        let totals = begins[batch.meshed.len()];
+        // A lane that has not meshed yet has no buffers to read.
         if totals.tiles == 0 {
             return Ok(vec![None; batch.regions.len()]);
         }
@@ -380,8 +384,8 @@ impl Contouring<'_> {
         lane.download.submit(lane.compute.last())?;
         lane.download.wait()?;
         let mut meshes = vec![None; batch.regions.len()];
-        let drawn = batch.drawn.par_iter().zip(begins.par_windows(2));
-        let made: Vec<_> = drawn
+        let meshed = batch.meshed.par_iter().zip(begins.par_windows(2));
+        let made: Vec<_> = meshed
             .map(|(&number, begins)| {
                 let (begin, size) = (begins[0], begins[1].since(&begins[0]));
                 if size.tiles == 0 {
@@ -412,7 +416,7 @@ impl Contouring<'_> {
                 Some(mesh)
             })
             .collect();
-        batch.drawn.iter().zip(made).for_each(|(&number, mesh)| meshes[number] = mesh);
+        batch.meshed.iter().zip(made).for_each(|(&number, mesh)| meshes[number] = mesh);
         Ok(meshes)
     }
 

@@ -48,10 +48,10 @@ pub(super) struct BlockBatch {
     pub(super) room: u64,
     /// The bulk of the batch in wide cells, if the field is made from distances.
     pub(super) wide: Option<WideBulk>,
-    /// Numbers of the regions to draw: all that can have a surface.
-    pub(super) drawn: Vec<usize>,
+    /// Numbers of the regions to mesh: all that can have a surface.
+    pub(super) meshed: Vec<usize>,
     /// The parts of these regions in which particles stand out, each with the index of its region
-    /// in `drawn`.
+    /// in `meshed`.
     pub(super) parts: Vec<(usize, CellBox)>,
 }
 
@@ -97,14 +97,14 @@ impl BlockBatch {
             regions: regions[..count].to_vec(),
             room: MOST_VERTICES.max(count as u64 * BLOCK_ROOM),
             wide: None,
-            drawn: (0..count).collect(),
+            meshed: (0..count).collect(),
             parts: Vec::new(),
         }
     }
 
-    /// The regions to draw.
-    pub(super) fn drawn(&self) -> impl Iterator<Item = CellBox> + Clone + '_ {
-        self.drawn.iter().map(|&number| self.regions[number])
+    /// The regions to mesh.
+    pub(super) fn meshed(&self) -> impl Iterator<Item = CellBox> + Clone + '_ {
+        self.meshed.iter().map(|&number| self.regions[number])
     }
 }
 

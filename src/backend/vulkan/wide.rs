@@ -1,7 +1,7 @@
 //! Distances: first the bulk in wide cells, then the field in the cells of the mesh.
 //!
 //! Neighbouring regions share wide cells. The device probes these, so that only regions with a
-//! surface are drawn, and drops are only made in the parts in which particles stand out.
+//! surface are meshed, and drops are only made in the parts in which particles stand out.
 
 use std::rc::Rc;
 
@@ -28,7 +28,7 @@ const PARTS: usize = 2;
 const DROPS: usize = 3;
 
 impl Contouring<'_> {
-    /// Decides, after the wide cells were made, which regions to draw, and in which of their parts
+    /// Decides, after the wide cells were made, which regions to mesh, and in which of their parts
     /// particles stand out.
     pub(super) fn choose(
         &self,
@@ -45,7 +45,7 @@ impl Contouring<'_> {
         let read = lane.known("seen read", (size_of::<ProbeResult>() * count) as u64);
         // SAFETY: the batch that writes it has finished, and the lane has not begun another.
         let seen: Vec<ProbeResult> = unsafe { read.read(0, count) };
-        batch.drawn.clear();
+        batch.meshed.clear();
         for (number, ((&region, probe), seen)) in
             batch.regions.iter().zip(&wide.probes).zip(&seen).enumerate()
         {
@@ -62,8 +62,8 @@ impl Contouring<'_> {
             // Cells are weighted means of wide cells. A region that is all inside has no surface
             // only away from walls.
             if (part.is_some() || seen.above > 0) && (at_walls || seen.below > 0) {
-                batch.parts.extend(part.map(|part| (batch.drawn.len(), part)));
-                batch.drawn.push(number);
+                batch.parts.extend(part.map(|part| (batch.meshed.len(), part)));
+                batch.meshed.push(number);
             }
         }
         Ok(())
@@ -138,7 +138,7 @@ impl Contouring<'_> {
         Ok(WideBulk { blocks, of_regions, probes, fields })
     }
 
-    /// The field on the regions to draw, from the bulk in wide cells and from drops in their parts.
+    /// The field on the regions to mesh, from the bulk in wide cells and from drops in their parts.
     pub(super) fn join_wide(
         &self,
         lane: &mut Lane,
@@ -150,7 +150,7 @@ impl Contouring<'_> {
         let (level, halo) = (distances.drops_level, distances.drops_halo());
         let from = self.samples(level);
         let [mut cells, mut parts, mut drops] = <[LevelBlocks; 3]>::default();
-        for region in batch.drawn() {
+        for region in batch.meshed() {
             cells.push(self.surfaces.normals.cells(region), region.tiled());
         }
         for &(_, part) in &batch.parts {
@@ -158,9 +158,9 @@ impl Contouring<'_> {
             let around = wide_cells(level, part).grown(halo, halo);
             drops.push_sampled(around, NO_TILES, from, None);
         }
-        let of_wide = |number: usize| wide.of_regions[batch.drawn[number]];
+        let of_wide = |number: usize| wide.of_regions[batch.meshed[number]];
         let numbers: [Vec<u32>; 4] = [
-            (0..batch.drawn.len()).map(of_wide).collect(),
+            (0..batch.meshed.len()).map(of_wide).collect(),
             batch.parts.iter().map(|&(number, _)| of_wide(number)).collect(),
             batch.parts.iter().map(|&(number, _)| number as u32).collect(),
             (0..batch.parts.len() as u32).collect(),

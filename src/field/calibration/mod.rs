@@ -57,7 +57,7 @@ impl Calibration {
         }
     }
 
-    /// Whether it is of this kind of indicator, whose surfaces alone can be drawn by it.
+    /// Whether it is of this kind of indicator, the only one whose surfaces it suits.
     #[must_use]
     pub fn suits(&self, kind: IndicatorKind) -> bool {
         matches!(self, Self::Clouds { .. }) == (kind == IndicatorKind::Cloud)

@@ -130,8 +130,8 @@ fn mixed_row(to: &mut [u16], [calm, fine, apart, near]: [&[u16]; 4], bulk: &Bulk
         let shallow = 4096 - deep.of(calm);
         let share = (shape * shallow) >> 12;
         let (calm, fine) = (i32::from(calm), i32::from(fine));
-        let drawn = (calm + (((fine - calm) * share as i32 + 2048) >> 12)) as u16;
-        *to = if near == NONE { NONE } else { drawn };
+        let blended = (calm + (((fine - calm) * share as i32 + 2048) >> 12)) as u16;
+        *to = if near == NONE { NONE } else { blended };
     }
 }
 

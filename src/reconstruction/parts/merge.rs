@@ -6,7 +6,7 @@ use crate::error::{Error, PartsError};
 use crate::frame::{FrameError, OccupiedTiles, Sampling, Shortfall, simplified};
 use crate::grid::units::Isovalue;
 use crate::reconstruction::checked::{CheckedRequest, StartedRequest};
-use crate::reconstruction::draw::{DrawnSurface, Findings};
+use crate::reconstruction::extract::{ExtractedSurface, Findings};
 use crate::reconstruction::report::Report;
 use crate::reconstruction::surface::Surface;
 use crate::reconstruction::warning::of_particles;
@@ -44,7 +44,7 @@ impl Parts {
         let StartedRequest { checked, threads } = checked.on_threads()?;
         let mut timings = Timings::default();
         let control = &checked.resources.control;
-        let drawn = threads.install(|| {
+        let extracted = threads.install(|| {
             let join = || joined(&plan, fingerprint, &checked, &folder);
             let joined = control.during(Stage::Reading, join)?;
             timings.done("verify");
@@ -53,13 +53,13 @@ impl Parts {
             let indicator = Some(plan.indicator(indicator)?);
             let backend = checked.resources.backend.name();
             let report = Report::of_facts(facts, indicator, &checked.surfacing, backend);
-            drawn(&plan, &checked, &sampling, joined, report, &mut timings)
+            extracted(&plan, &checked, &sampling, joined, report, &mut timings)
                 .map_err(|error| error.of_file(&self.input))
         });
-        let mut drawn = drawn?;
-        drawn.report.timings = timings;
+        let mut extracted = extracted?;
+        extracted.report.timings = timings;
         let up = checked.settings.usual_up(&self.input);
-        Ok(Surface::new(drawn, &checked, &threads, up))
+        Ok(Surface::new(extracted, &checked, &threads, up))
     }
 }
 
@@ -99,14 +99,14 @@ fn joined(
 }
 
 /// Makes the surface from the meshes, with the same steps as a single run.
-fn drawn(
+fn extracted(
     plan: &SharedPlan,
     checked: &CheckedRequest,
     sampling: &Sampling,
     joined: MergedParts,
     mut report: Report,
     timings: &mut Timings,
-) -> Result<DrawnSurface, Error> {
+) -> Result<ExtractedSurface, Error> {
     let FrameFacts { grid, census, spacing, .. } = report.facts;
     let walls = report.facts.mesh_walls(checked.surfacing.periodic_mesh);
     let MergedParts { spool, occupied, lacking, bins } = joined;

@@ -18,8 +18,8 @@ use super::report::Report;
 use super::warning::{EmptyReason, Warning, lost_warning, of_isovalue};
 
 /// A surface without the threads that made it.
-pub(crate) struct DrawnSurface {
-    pub(crate) mesh: DrawnMesh,
+pub(crate) struct ExtractedSurface {
+    pub(crate) mesh: ExtractedMesh,
     pub(crate) precision: SinglePrecision,
     pub(crate) report: Report,
 }
@@ -36,14 +36,14 @@ pub(crate) struct Findings {
 }
 
 /// A mesh in memory, or in scratch files if it exceeds its share of the memory.
-pub(crate) enum DrawnMesh {
+pub(crate) enum ExtractedMesh {
     /// The mesh of a frame that has no surface.
     Empty(Mesh),
     Whole(StitchedSurface),
     Reduced(SimplifiedSurface),
 }
 
-impl DrawnMesh {
+impl ExtractedMesh {
     /// The mesh, piece by piece.
     pub(crate) fn source(&self) -> &dyn MeshSource {
         match self {
@@ -57,28 +57,28 @@ impl DrawnMesh {
 impl CheckedRequest {
     /// Makes the surface of a frame with a given calibration, or one that is measured on it, and
     /// removes components that are too small.
-    pub(crate) fn draw(
+    pub(crate) fn extract(
         &self,
         engine: &Engine,
         known: Option<&Calibration>,
         timings: &mut Timings,
-    ) -> Result<DrawnSurface, Error> {
-        let (surface, report) = self.draw_whole(engine, known, timings)?;
+    ) -> Result<ExtractedSurface, Error> {
+        let (surface, report) = self.extract_whole(engine, known, timings)?;
         Ok(self.reduce_of(engine, surface, report, timings)?)
     }
 
-    /// Like [`draw`](Self::draw), for one of many frames. A frame without a surface gives an empty
+    /// Like [`extract`](Self::extract), for one of many frames. A frame without a surface gives an empty
     /// mesh with the attributes `infos`, and a warning with the reason. `calibration_frame` is the
     /// frame on which the calibration was measured.
-    pub(crate) fn draw_or_empty(
+    pub(crate) fn extract_or_empty(
         &self,
         engine: &Engine,
         known: Option<&Calibration>,
         infos: Vec<AttributeInfo>,
         calibration_frame: Option<i64>,
         timings: &mut Timings,
-    ) -> Result<DrawnSurface, FrameError> {
-        let drawn = self.draw_whole(engine, known, timings).and_then(|(surface, report)| {
+    ) -> Result<ExtractedSurface, FrameError> {
+        let extracted = self.extract_whole(engine, known, timings).and_then(|(surface, report)| {
             let whole = report.clone();
             match self.reduce_of(engine, surface, report, timings) {
                 Err(FrameError::NothingLeft(all)) => {
@@ -90,10 +90,10 @@ impl CheckedRequest {
                         calibration_frame,
                     ))
                 }
-                drawn => drawn,
+                extracted => extracted,
             }
         });
-        match drawn {
+        match extracted {
             Err(fault) => {
                 let why = EmptyReason::of(&fault).ok_or(fault)?;
                 let mut report = Report::of(engine, &self.surfacing);
@@ -101,7 +101,7 @@ impl CheckedRequest {
                 report.lost = engine.facts().census.binned as u64;
                 Ok(self.empty(report, why, infos, calibration_frame))
             }
-            drawn => drawn,
+            extracted => extracted,
         }
     }
 
@@ -112,24 +112,28 @@ impl CheckedRequest {
         why: EmptyReason,
         infos: Vec<AttributeInfo>,
         calibration_frame: Option<i64>,
-    ) -> DrawnSurface {
+    ) -> ExtractedSurface {
         let clouds = report.is_clouds();
         report.warnings.push(Warning::Empty { why, clouds, calibration_frame });
-        DrawnSurface { mesh: self.empty_mesh(infos), precision: SinglePrecision::Enough, report }
+        ExtractedSurface {
+            mesh: self.empty_mesh(infos),
+            precision: SinglePrecision::Enough,
+            report,
+        }
     }
 
     /// An empty mesh with the expected attributes, which every program can load.
-    pub(crate) fn empty_mesh(&self, infos: Vec<AttributeInfo>) -> DrawnMesh {
+    pub(crate) fn empty_mesh(&self, infos: Vec<AttributeInfo>) -> ExtractedMesh {
         let mesh = Mesh {
             normals: (self.surfacing.normals == Normals::Gradient).then(Vec::new),
             attributes: infos.into_iter().map(VertexAttribute::without_values).collect(),
             ..Mesh::default()
         };
-        DrawnMesh::Empty(mesh)
+        ExtractedMesh::Empty(mesh)
     }
 
-    /// Draws the whole surface of a frame.
-    fn draw_whole(
+    /// Extracts the whole surface of a frame.
+    fn extract_whole(
         &self,
         engine: &Engine,
         known: Option<&Calibration>,
@@ -180,7 +184,7 @@ impl CheckedRequest {
         surface: StitchedSurface,
         report: Report,
         timings: &mut Timings,
-    ) -> Result<DrawnSurface, FrameError> {
+    ) -> Result<ExtractedSurface, FrameError> {
         let control = &self.resources.control;
         self.reduce(surface, report, |surface| {
             engine.simplify(surface, &self.reduction, control, timings)
@@ -193,14 +197,14 @@ impl CheckedRequest {
         surface: StitchedSurface,
         mut report: Report,
         simplify: impl FnOnce(StitchedSurface) -> Result<SimplifiedSurface, FrameError>,
-    ) -> Result<DrawnSurface, FrameError> {
+    ) -> Result<ExtractedSurface, FrameError> {
         let precision = SinglePrecision::of(&surface);
         if self.reduction.is_none() {
-            return Ok(DrawnSurface { mesh: DrawnMesh::Whole(surface), precision, report });
+            return Ok(ExtractedSurface { mesh: ExtractedMesh::Whole(surface), precision, report });
         }
         let simplified = simplify(surface)?;
         report.too_small = Some(simplified.too_small());
-        Ok(DrawnSurface { mesh: DrawnMesh::Reduced(simplified), precision, report })
+        Ok(ExtractedSurface { mesh: ExtractedMesh::Reduced(simplified), precision, report })
     }
 }
 
