@@ -177,8 +177,8 @@ impl MeshFormat {
         let arrays = 1 + usize::from(mesh.has_normals()) + mesh.attributes().len();
         match self {
             Self::Ply | Self::Obj | Self::Stl => 2,
-            // Vertices and triangles once, and the vertices once more for attributes.
-            Self::Vdb { .. } => 3,
+            // Vertices and triangles once, and the vertices again for attributes.
+            Self::Vdb { .. } => 2 + vdb::attribute_readings(&mesh.attributes()),
             // Each array of the vertices separately, with up to two for a colour, and triangles.
             Self::BgeoSc => arrays + 2,
             // Each array of the vertices separately, and triangles.

@@ -6,7 +6,7 @@
 use glam::IVec3;
 use rayon::prelude::*;
 
-use crate::surface::level_set::{LEAF, VOXELS};
+use crate::surface::level_set::{LEAF, VOXELS, place_in_leaf};
 
 use super::values::{Kind, put_sides};
 
@@ -20,8 +20,32 @@ pub struct TreeLeaf {
     pub corner: IVec3,
     /// Bits of the active voxels.
     pub active: [u64; VOXELS / 64],
-    /// Whether the first and the last voxel are inside.
-    pub inside: [bool; 2],
+    /// Bits of the voxels inside the surface.
+    pub inside: [u64; VOXELS / 64],
+}
+
+impl TreeLeaf {
+    /// The coordinates of the active voxels, in order.
+    pub fn active_voxels(&self) -> impl Iterator<Item = IVec3> {
+        let is_active = |i: &usize| self.active[i / 64] >> (i % 64) & 1 == 1;
+        (0..VOXELS).filter(is_active).map(|i| self.corner + place_in_leaf(i))
+    }
+
+    /// The least and the greatest coordinates of the active voxels.
+    pub fn bounds(&self) -> Option<[IVec3; 2]> {
+        let voxels = self.active_voxels().map(|voxel| [voxel; 2]);
+        voxels.reduce(|[a, b], [c, d]| [a.min(c), b.max(d)])
+    }
+
+    /// The numbers of inactive voxels inside the surface, and of all inactive voxels.
+    pub fn sides(&self) -> [usize; 2] {
+        let inactive = self.active.map(|word| !word);
+        let inside = self.inside.iter().zip(&inactive).map(|(inside, word)| inside & word);
+        [
+            inside.map(|word| word.count_ones() as usize).sum(),
+            inactive.iter().map(|word| word.count_ones() as usize).sum(),
+        ]
+    }
 }
 
 /// A node above the leaves: its bytes, and whether its first and last voxels are inside.
@@ -31,12 +55,12 @@ struct Node {
     inside: [bool; 2],
 }
 
-/// The bytes of the tree without the values of its leaves, which are in the order of [`sorted`].
+/// The bytes of the tree without the values of its leaves, which are in the order of [`sort_key`].
 pub fn topology(leaves: &[TreeLeaf], kind: Kind, background: f32, zip: bool) -> Vec<u8> {
     let leaf = |leaf: &TreeLeaf| Node {
         corner: leaf.corner,
         bytes: leaf.active.iter().flat_map(|word| word.to_le_bytes()).collect(),
-        inside: leaf.inside,
+        inside: [leaf.inside[0] & 1 == 1, leaf.inside[VOXELS / 64 - 1] >> 63 == 1],
     };
     let leaves: Vec<_> = leaves.par_iter().map(leaf).collect();
     let lower = above(leaves, LEAF, LOG2[0], kind, zip);
@@ -44,12 +68,12 @@ pub fn topology(leaves: &[TreeLeaf], kind: Kind, background: f32, zip: bool) -> 
     let tiles = root_tiles(&upper);
 
     let mut out = 1i32.to_le_bytes().to_vec();
-    out.extend(kind.value(background));
+    out.extend(kind.background(background));
     out.extend((tiles.len() as u32).to_le_bytes());
     out.extend((upper.len() as u32).to_le_bytes());
     for corner in tiles {
         out.extend(corner.to_array().map(i32::to_le_bytes).as_flattened());
-        out.extend(kind.value(-background));
+        out.extend(kind.background(-background));
         out.push(0);
     }
     for node in upper {
@@ -61,7 +85,7 @@ pub fn topology(leaves: &[TreeLeaf], kind: Kind, background: f32, zip: bool) -> 
 
 /// Brings leaves into the order in which the tree has them: by node of the root, by node below
 /// that, and by place in that node, with z fastest.
-pub fn sort_key(corner: &IVec3) -> [[i32; 3]; 3] {
+pub fn sort_key(corner: IVec3) -> [[i32; 3]; 3] {
     [LEAF << (LOG2[0] + LOG2[1]), LEAF << LOG2[0], LEAF]
         .map(|edge| corner.div_euclid(IVec3::splat(edge)).to_array())
 }
