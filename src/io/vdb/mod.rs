@@ -13,11 +13,12 @@
 //! than 0.002 voxels, unless their range exceeds it. Only values of the band are stored; with
 //! compression, they are also encoded by zlib.
 //!
-//! The writer keeps positions and triangles of the mesh in memory, distances and nearest triangles
-//! of all voxels in the band, and values of one attribute at a time; with compression, also one
-//! encoded grid.
+//! The writer keeps positions and triangles of the mesh in memory, distances and nearest triangles of
+//! all voxels in the band, and values of one attribute at a time; with compression, also one encoded
+//! grid. The metadata of grids, also of other programs, is read back.
 
 mod archive;
+mod read;
 mod tree;
 mod values;
 
@@ -34,6 +35,7 @@ use crate::surface::mesh::source::{Lattice, MeshSource, Outline};
 use super::encode::{in_order, write_pieces};
 use super::names::unique_names;
 use archive::{GridHead, header};
+pub use read::{GridInfo, read_grids};
 use tree::{TreeLeaf, sort_key, topology};
 use values::{Kind, put_sides, put_zipped, sides_bytes};
 
@@ -65,19 +67,20 @@ struct AttributeValues {
     values: Vec<f32>,
 }
 
-/// The leaves of a block, with their numbers one after another.
+/// What is known of the active voxels of a block's leaves, leaf by leaf.
 struct StoredBlock {
-    leaves: Vec<StoredLeaf>,
     /// Distances, as in the file.
     distances: Vec<u8>,
-    /// The nearest triangle of each active voxel; empty for a mesh without attributes.
+    /// The nearest triangles; empty for a mesh without attributes.
     triangles: Vec<u32>,
 }
 
+/// A leaf, with the place of its active voxels.
 struct StoredLeaf {
     tree: TreeLeaf,
-    /// The active voxels among those of the block.
-    voxels: Range<usize>,
+    block: u32,
+    /// The first of its active voxels among those of the block.
+    first: u32,
 }
 
 /// Writes grids one after another.
@@ -89,7 +92,7 @@ struct GridWriter<'a> {
     lattice: Lattice,
     zip: bool,
     /// All leaves, in the tree's order.
-    leaves: &'a [TreeLeaf],
+    leaves: &'a [StoredLeaf],
     /// The number of active voxels.
     voxels: u64,
     /// The least and the greatest coordinates of active voxels.
@@ -116,33 +119,35 @@ pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, zip: bool) -> io::
         Ok(StoredBlock::new(leaves, distance, lattice, !attributes.is_empty()))
     };
     let blocks = level_set.map(stored)?;
-
-    let all = blocks.iter().flat_map(|block| block.leaves.iter().map(move |leaf| (block, leaf)));
-    let mut all: Vec<(&StoredBlock, &StoredLeaf)> = all.collect();
-    all.par_sort_unstable_by_key(|(_, leaf)| sort_key(leaf.tree.corner));
-    let leaves: Vec<TreeLeaf> = all.iter().map(|(_, leaf)| leaf.tree.clone()).collect();
-    let all_bounds = leaves.par_iter().filter_map(TreeLeaf::bounds);
+    let count = blocks.iter().map(|(_, leaves)| leaves.len()).sum();
+    let mut leaves: Vec<StoredLeaf> = Vec::with_capacity(count);
+    let mut all = Vec::with_capacity(blocks.len());
+    for (number, (block, of_block)) in (0..).zip(blocks) {
+        leaves.extend(of_block.into_iter().map(|leaf| StoredLeaf { block: number, ..leaf }));
+        all.push(block);
+    }
+    let blocks: Vec<StoredBlock> = all;
+    leaves.par_sort_unstable_by_key(|leaf| sort_key(leaf.tree.corner));
+    let all_bounds = leaves.par_iter().filter_map(|leaf| leaf.tree.bounds());
     let bounds = all_bounds.reduce_with(|[a, b], [c, d]| [a.min(c), b.max(d)]).unwrap_or_default();
-    let voxels = blocks.iter().flat_map(|block| &block.leaves).map(|leaf| leaf.voxels.len() as u64);
-    let voxels = voxels.sum();
+    let voxels = leaves.iter().map(|leaf| leaf.tree.active_count() as u64).sum();
 
     let grids = attribute_grids(&attributes);
-    let head = header(id(&blocks, voxels), 1 + grids.len());
+    let head = header(id(&blocks, &leaves, voxels), 1 + grids.len());
     out.write_all(&head)?;
     let at = head.len() as u64;
     let mut writer = GridWriter { out, at, mesh, lattice, zip, leaves: &leaves, voxels, bounds };
     let size = distance.bytes();
     writer.write(SURFACE, distance, |leaf, out| {
-        let (block, StoredLeaf { voxels, .. }) = all[leaf];
-        out.extend(&block.distances[voxels.start * size..voxels.end * size]);
+        let distances = &blocks[leaf.block as usize].distances[leaf.first as usize * size..];
+        out.extend(&distances[..leaf.tree.active_count() * size]);
     })?;
     for grids in together(&grids) {
         let values = AttributeValues::read(mesh, grids)?;
         for grid in grids {
             let kind = values.kind_of(grid, &attributes[grid.attribute]);
             writer.write(&grid.name, kind, |leaf, out| {
-                let (block, leaf) = all[leaf];
-                let triangles = &block.triangles[leaf.voxels.clone()];
+                let triangles = &blocks[leaf.block as usize].triangles[leaf.first as usize..];
                 for (voxel, &triangle) in leaf.tree.active_voxels().zip(triangles) {
                     let point = level_set.nearest_point(triangle, voxel);
                     values.put(out, grid, kind, point);
@@ -154,7 +159,12 @@ pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, zip: bool) -> io::
 }
 
 impl StoredBlock {
-    fn new(leaves: Vec<Leaf>, distance: Kind, lattice: Lattice, with_triangles: bool) -> Self {
+    fn new(
+        leaves: Vec<Leaf>,
+        distance: Kind,
+        lattice: Lattice,
+        with_triangles: bool,
+    ) -> (Self, Vec<StoredLeaf>) {
         let (mut distances, mut triangles) = (Vec::new(), Vec::new());
         let (size, mut end) = (lattice.step as f32, 0);
         let leaf = |leaf: Leaf| {
@@ -162,15 +172,15 @@ impl StoredBlock {
             if with_triangles {
                 triangles.extend(&leaf.triangles);
             }
-            let start = end;
-            end += leaf.distances.len();
+            let first = end;
+            end += leaf.distances.len() as u32;
             let Leaf { corner, active, inside, .. } = leaf;
-            StoredLeaf { tree: TreeLeaf { corner, active, inside }, voxels: start..end }
+            StoredLeaf { tree: TreeLeaf { corner, active, inside }, block: 0, first }
         };
         let leaves = leaves.into_iter().map(leaf).collect();
         distances.shrink_to_fit();
         triangles.shrink_to_fit();
-        Self { leaves, distances, triangles }
+        (Self { distances, triangles }, leaves)
     }
 }
 
@@ -237,27 +247,28 @@ impl AttributeValues {
 }
 
 impl GridWriter<'_> {
-    /// Writes a grid. `put` appends the values of the active voxels of a leaf, given by its number.
+    /// Writes a grid. `put` appends the values of the active voxels of a leaf.
     fn write(
         &mut self,
         name: &str,
         kind: Kind,
-        put: impl Fn(usize, &mut Vec<u8>) + Sync,
+        put: impl Fn(&StoredLeaf, &mut Vec<u8>) + Sync,
     ) -> io::Result<()> {
         let Self { mesh, leaves, zip, lattice, voxels, bounds, .. } = *self;
         let encode = |chunk: usize, out: &mut Vec<u8>| {
             mesh.go_on()?;
             let mut values = Vec::new();
             let numbers = chunk * LEAVES_TOGETHER..leaves.len().min((chunk + 1) * LEAVES_TOGETHER);
-            for (number, leaf) in numbers.clone().zip(&leaves[numbers]) {
-                out.extend(leaf.active.iter().flat_map(|word| word.to_le_bytes()));
-                put_sides(out, kind, leaf.sides(), &leaf.inside.map(|word| !word));
+            for leaf in &leaves[numbers] {
+                let TreeLeaf { active, inside, .. } = &leaf.tree;
+                out.extend(active.iter().flat_map(|word| word.to_le_bytes()));
+                put_sides(out, kind, leaf.tree.sides(), &inside.map(|word| !word));
                 if zip {
                     values.clear();
-                    put(number, &mut values);
+                    put(leaf, &mut values);
                     put_zipped(out, &values);
                 } else {
-                    put(number, out);
+                    put(leaf, out);
                 }
             }
             Ok(())
@@ -276,11 +287,13 @@ impl GridWriter<'_> {
             Some(chunks) => chunks.iter().map(|bytes| bytes.len() as u64).sum(),
             None => {
                 let mask = VOXELS as u64 / 8;
-                let sides = leaves.iter().map(|leaf| mask + sides_bytes(kind, leaf.sides(), mask));
-                sides.sum::<u64>() + voxels * kind.bytes() as u64
+                let sides = |leaf: &StoredLeaf| sides_bytes(kind, leaf.tree.sides(), mask);
+                let masks = leaves.iter().map(|leaf| mask + sides(leaf)).sum::<u64>();
+                masks + voxels * kind.bytes() as u64
             }
         };
-        let tree = topology(leaves, kind, BAND * lattice.step as f32, zip);
+        let tree = leaves.iter().map(|leaf| &leaf.tree);
+        let tree = topology(tree, kind, BAND * lattice.step as f32, zip);
         let head = GridHead { name: name.to_owned(), kind, lattice, zip, voxels, bounds };
         let head = head.bytes(self.at, tree.len() as u64, bytes);
         self.out.write_all(&head)?;
@@ -295,14 +308,12 @@ impl GridWriter<'_> {
 }
 
 /// Numbers that tell files apart, from their distances.
-fn id(blocks: &[StoredBlock], voxels: u64) -> [u32; 4] {
+fn id(blocks: &[StoredBlock], leaves: &[StoredLeaf], voxels: u64) -> [u32; 4] {
     let mut distances = crc32fast::Hasher::new();
+    blocks.iter().for_each(|block| distances.update(&block.distances));
     let mut places = crc32fast::Hasher::new();
-    for block in blocks {
-        distances.update(&block.distances);
-        let corners = block.leaves.iter().flat_map(|leaf| leaf.tree.corner.to_array());
-        corners.for_each(|corner| places.update(&corner.to_le_bytes()));
-    }
+    let corners = leaves.iter().flat_map(|leaf| leaf.tree.corner.to_array());
+    corners.for_each(|corner| places.update(&corner.to_le_bytes()));
     [distances.finalize(), places.finalize(), (voxels >> 32) as u32, voxels as u32]
 }
 

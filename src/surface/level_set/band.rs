@@ -20,39 +20,62 @@ const LEAVES: i32 = BLOCK / LEAF;
 /// Distances that differ by less are equal, and the triangle that faces the voxel more decides on
 /// which side it is.
 const EQUAL: f32 = 1e-4;
+/// Squares of equal distances within a cube differ by less.
+const EQUAL_SQUARES: f32 = 4e-4;
 /// The largest [`margin`] of a voxel from which a triangle can be the nearest of one of the block's.
 const MOST_USEFUL: f32 = BAND - 1.0;
-/// Marks a voxel without a triangle.
-const NONE: u32 = u32::MAX;
+/// Coordinates this close to an integer are that integer, in f64.
+const ROUNDING: f64 = 1e-6;
+/// A triangle may touch a voxel of which the square of its distance is less, in f32.
+const TOUCHING: f32 = 1e-8;
+/// Makes up for distances that are found slightly too large.
+const SLACK: f32 = 0.1;
 
-/// The nearest triangle of a voxel.
+/// The coordinates of a voxel of a [`Band`].
+type Place = [u8; 3];
+
+/// What is known of a voxel.
 #[derive(Debug, Clone, Copy)]
-struct NearestTriangle {
-    /// The triangle's number in the block's list, or [`NONE`].
-    number: u32,
-    /// The square of its distance.
+struct KnownVoxel {
+    /// The square of the distance of the nearest triangle.
     squared: f32,
+    /// The number of that triangle in the block's list, or one of the marks below.
+    number: u32,
+    /// Negative inside. The absolute value is the distance of the voxel from the plane of the nearest
+    /// triangle that touches its cubes: the larger it is, the more the triangle faces the voxel.
+    height: f32,
 }
 
-impl NearestTriangle {
-    const NONE: Self = Self { number: NONE, squared: f32::INFINITY };
+/// Marks a voxel at the border, where no triangle spreads.
+const BORDER: u32 = u32::MAX;
+/// Marks a voxel that was visited, and has no triangle yet.
+const VISITED: u32 = u32::MAX - 1;
+/// Marks a voxel that was not visited.
+const UNKNOWN: u32 = u32::MAX - 2;
+
+impl KnownVoxel {
+    fn marked(number: u32) -> Self {
+        Self { squared: f32::INFINITY, number, height: 0.0 }
+    }
+
+    fn has_triangle(self) -> bool {
+        self.number < UNKNOWN
+    }
 
     fn is_in_band(self) -> bool {
         self.squared < BAND * BAND
+    }
+
+    fn is_inside(self) -> bool {
+        self.height < 0.0
     }
 }
 
 /// What is known of the voxels of a block and its margin.
 pub struct Band {
-    nearest: Vec<NearestTriangle>,
-    /// The distance of the nearest triangle's plane from voxels that a triangle touched: the larger
-    /// it is, the more the triangle faces the voxel.
-    facing: Vec<f32>,
-    inside: Vec<bool>,
-    /// Whether the voxel was visited, or never is: those at the border.
-    listed: Vec<bool>,
+    voxels: Vec<KnownVoxel>,
     /// All visited voxels.
-    visited: Vec<usize>,
+    visited: Vec<Place>,
 }
 
 /// The triangles near a block, relative to its [`band_corner`], without those that are too flat.
@@ -60,7 +83,7 @@ pub struct Band {
 pub struct BlockTriangles {
     triangles: Vec<Triangle>,
     /// The least and the greatest corner of the cubes that each triangle touches.
-    boxes: Vec<[IVec3; 2]>,
+    boxes: Vec<[Place; 2]>,
     /// The number of each triangle in the mesh.
     numbers: Vec<u32>,
 }
@@ -69,8 +92,12 @@ impl BlockTriangles {
     pub fn add(&mut self, corners: [DVec3; 3], number: u32) {
         if let Some(triangle) = Triangle::new(corners) {
             let [a, b, c] = corners;
-            let low = a.min(b).min(c).floor().as_ivec3().max(IVec3::ONE);
-            let high = a.max(b).max(c).ceil().as_ivec3().min(IVec3::splat(EDGE - 2));
+            let [low, high] = [a.min(b).min(c), a.max(b).max(c)]
+                .map(|at| at.clamp(DVec3::ZERO, DVec3::splat(f64::from(EDGE - 1))));
+            // Casts round down.
+            let low = low.to_array().map(|at| ((at + ROUNDING) as u8).max(1));
+            let up = |at: f64| (at - ROUNDING) as u8 + 1;
+            let high = high.to_array().map(|at| up(at).min(EDGE as u8 - 2));
             self.triangles.push(triangle);
             self.boxes.push([low, high]);
             self.numbers.push(number);
@@ -78,19 +105,19 @@ impl BlockTriangles {
     }
 }
 
-fn index(at: IVec3) -> usize {
-    ((at.x * EDGE + at.y) * EDGE + at.z) as usize
+fn index([x, y, z]: Place) -> usize {
+    let edge = EDGE as usize;
+    (usize::from(x) * edge + usize::from(y)) * edge + usize::from(z)
 }
 
-fn place(index: usize) -> IVec3 {
-    let (index, edge) = (index as i32, EDGE);
-    IVec3::new(index / (edge * edge), index / edge % edge, index % edge)
+fn coordinates(place: Place) -> IVec3 {
+    place.map(i32::from).into()
 }
 
 /// The distance of a voxel from the block; less than that by one, so that neighbours of the block's
 /// voxels count as in it.
-fn margin(at: IVec3) -> f32 {
-    let from_low = at - (MARGIN + 1);
+fn margin(place: Place) -> f32 {
+    let from_low = coordinates(place) - (MARGIN + 1);
     let from_high = from_low - (BLOCK - 1);
     let outside = (-from_low).max(from_high).max(IVec3::ZERO);
     if outside == IVec3::ZERO {
@@ -99,37 +126,61 @@ fn margin(at: IVec3) -> f32 {
     (outside.as_vec3().length() - 1.0).max(0.0)
 }
 
-fn is_border(voxel: usize) -> bool {
-    let at = place(voxel);
-    at.min_element() == 0 || at.max_element() == EDGE - 1
+/// The squared distance below which a voxel visits a neighbour that may be `reach` voxels from the
+/// surface.
+///
+/// A voxel at a distance d ≥ 1 has a neighbour across a face with a squared distance of at most
+/// d² - 2 d / √3 + 1: the one along the axis on which the nearest point is furthest.
+fn passing_on(reach: f32) -> f32 {
+    if reach < 1.0 {
+        return 0.0;
+    }
+    reach * reach - 2.0 * reach / 3f32.sqrt() + 1.0 + SLACK
 }
 
-/// The offsets of a voxel's 26 neighbours, those across its faces first.
-const AROUND: [isize; 26] = {
-    let mut offsets = [0; 26];
+/// A step to a neighbour, and the difference of the indices.
+#[derive(Debug, Clone, Copy)]
+struct Step {
+    along: [i8; 3],
+    offset: isize,
+}
+
+impl Step {
+    fn from(self, place: Place) -> Place {
+        let [x, y, z] = self.along;
+        let [a, b, c] = place;
+        [a.wrapping_add_signed(x), b.wrapping_add_signed(y), c.wrapping_add_signed(z)]
+    }
+}
+
+/// The number of a voxel's neighbours across its faces.
+const FACES: usize = 6;
+
+/// The steps to a voxel's 26 neighbours, those across its faces first.
+const AROUND: [Step; 26] = {
+    let mut steps = [Step { along: [0; 3], offset: 0 }; 26];
     let (mut faces, mut others) = (0, FACES);
     let mut i = 0;
     while i < 27 {
-        let (x, y, z) = (i / 9 - 1, i / 3 % 3 - 1, i % 3 - 1);
-        let offset = (x * EDGE as isize + y) * EDGE as isize + z;
+        let along = [i / 9 - 1, i / 3 % 3 - 1, i % 3 - 1];
+        let [x, y, z] = along;
+        let offset = (x as isize * EDGE as isize + y as isize) * EDGE as isize + z as isize;
+        let step = Step { along, offset };
         match x * x + y * y + z * z {
             0 => {}
             1 => {
-                offsets[faces] = offset;
+                steps[faces] = step;
                 faces += 1;
             }
             _ => {
-                offsets[others] = offset;
+                steps[others] = step;
                 others += 1;
             }
         }
         i += 1;
     }
-    offsets
+    steps
 };
-
-/// The number of a voxel's neighbours across its faces.
-const FACES: usize = 6;
 
 /// The voxel of a block's [`Band`] with the coordinates (0, 0, 0).
 pub fn band_corner(block: IVec3) -> IVec3 {
@@ -138,66 +189,66 @@ pub fn band_corner(block: IVec3) -> IVec3 {
 
 impl Band {
     pub fn new() -> Self {
-        let voxels = EDGE.pow(3) as usize;
-        Self {
-            nearest: vec![NearestTriangle::NONE; voxels],
-            facing: vec![0.0; voxels],
-            inside: vec![false; voxels],
-            listed: (0..voxels).map(is_border).collect(),
-            visited: Vec::new(),
+        let mut voxels = vec![KnownVoxel::marked(UNKNOWN); EDGE.pow(3) as usize];
+        let last = EDGE as u8 - 1;
+        for x in 0..=last {
+            for y in 0..=last {
+                let is_inner = |at| at > 0 && at < last;
+                let step = if is_inner(x) && is_inner(y) { usize::from(last) } else { 1 };
+                for z in (0..=last).step_by(step) {
+                    voxels[index([x, y, z])] = KnownVoxel::marked(BORDER);
+                }
+            }
         }
+        Self { voxels, visited: Vec::new() }
     }
 
     /// The leaves of a block with voxels in the band.
     pub fn leaves(&mut self, block: IVec3, near: &BlockTriangles) -> Vec<Leaf> {
         self.touch(near);
         self.spread(&near.triangles);
-        let mut with_band = [false; LEAVES.pow(3) as usize];
-        let in_band = self.visited.iter().filter(|&&voxel| self.nearest[voxel].is_in_band());
-        for &voxel in in_band {
-            let at = (place(voxel) - (MARGIN + 1)).div_euclid(IVec3::splat(LEAF));
+        let mut has_band = [false; LEAVES.pow(3) as usize];
+        for &place in self.visited.iter().filter(|&&place| self.voxels[index(place)].is_in_band()) {
+            let at = (coordinates(place) - (MARGIN + 1)).div_euclid(IVec3::splat(LEAF));
             if at.min_element() >= 0 && at.max_element() < LEAVES {
-                with_band[((at.x * LEAVES + at.y) * LEAVES + at.z) as usize] = true;
+                has_band[((at.x * LEAVES + at.y) * LEAVES + at.z) as usize] = true;
             }
         }
         let corner = |i: usize| {
             let i = i as i32;
             IVec3::new(i / (LEAVES * LEAVES), i / LEAVES % LEAVES, i % LEAVES) * LEAF
         };
-        let wanted = (0..with_band.len()).filter(|&i| with_band[i]).map(corner);
-        let leaves = wanted.map(|corner| self.leaf(block, corner, &near.numbers)).collect();
-        self.forget();
-        leaves
-    }
-
-    /// Returns to the state of a new band.
-    fn forget(&mut self) {
-        for voxel in self.visited.drain(..) {
-            self.nearest[voxel] = NearestTriangle::NONE;
-            self.listed[voxel] = false;
+        let corners = (0..has_band.len()).filter(|&i| has_band[i]).map(corner);
+        let leaves = corners.map(|corner| self.leaf(block, corner, &near.numbers)).collect();
+        for place in self.visited.drain(..) {
+            self.voxels[index(place)] = KnownVoxel::marked(UNKNOWN);
         }
+        leaves
     }
 
     /// Compares each triangle with the corners of the cubes that it touches.
     fn touch(&mut self, near: &BlockTriangles) {
-        for (number, (triangle, &[low, high])) in (0..).zip(near.triangles.iter().zip(&near.boxes))
-        {
+        for ((number, triangle), &[low, high]) in (0..).zip(&near.triangles).zip(&near.boxes) {
+            let is_within = coordinates(low).min_element() > MARGIN
+                && coordinates(high).max_element() <= MARGIN + BLOCK;
             // Four voxels at a time, as most triangles are in one cube.
-            for x in low.x..=high.x {
-                for y in (low.y..=high.y).step_by(2) {
-                    for z in (low.z..=high.z).step_by(2) {
-                        let four = [(y, z), (y, z + 1), (y + 1, z), (y + 1, z + 1)];
-                        let places = [
-                            Vec4::splat(x as f32),
-                            four.map(|(y, _)| y as f32).into(),
-                            four.map(|(_, z)| z as f32).into(),
-                        ];
-                        let Distances { squared, heights } = triangle.distances(places);
-                        for (i, (y, z)) in four.into_iter().enumerate() {
-                            if y <= high.y && z <= high.z {
-                                let at = IVec3::new(x, y, z);
-                                let nearest = NearestTriangle { number, squared: squared[i] };
-                                self.learn_touching(at, nearest, heights[i]);
+            for x in low[0]..=high[0] {
+                for y in (low[1]..=high[1]).step_by(2) {
+                    for z in (low[2]..=high[2]).step_by(2) {
+                        let four = [[x, y, z], [x, y, z + 1], [x, y + 1, z], [x, y + 1, z + 1]];
+                        let along = |axis: usize| four.map(|place| f32::from(place[axis])).into();
+                        let Distances { squared, heights } =
+                            triangle.distances([Vec4::splat(f32::from(x)), along(1), along(2)]);
+                        for (i, place) in four.into_iter().enumerate() {
+                            if place[1] <= high[1]
+                                && place[2] <= high[2]
+                                && (is_within || margin(place) <= MOST_USEFUL)
+                            {
+                                let (squared, height) = (squared[i], heights[i]);
+                                self.learn(place, KnownVoxel { squared, number, height });
+                                if squared < TOUCHING {
+                                    self.touch_around(place, number, triangle);
+                                }
                             }
                         }
                     }
@@ -206,88 +257,99 @@ impl Band {
         }
     }
 
+    /// Compares a triangle that touches a voxel with all neighbours: it may touch their cubes as well.
+    fn touch_around(&mut self, place: Place, number: u32, triangle: &Triangle) {
+        for step in &AROUND {
+            let to = step.from(place);
+            if self.voxels[index(to)].number != BORDER && margin(to) <= MOST_USEFUL {
+                let places = to.map(|at| Vec4::splat(f32::from(at)));
+                let Distances { squared: [squared, ..], heights: [height, ..] } =
+                    triangle.distances(places);
+                self.learn(to, KnownVoxel { squared, number, height });
+            }
+        }
+    }
+
     /// Takes a triangle that touches one of the voxel's cubes as its nearest, if it is.
-    fn learn_touching(&mut self, at: IVec3, found: NearestTriangle, height: f32) {
-        if margin(at) > MOST_USEFUL {
+    #[inline]
+    fn learn(&mut self, place: Place, found: KnownVoxel) {
+        let known = &mut self.voxels[index(place)];
+        if found.squared > known.squared + EQUAL_SQUARES {
             return;
         }
-        let voxel = index(at);
-        let known = self.nearest[voxel];
-        let is_first = known.number == NONE;
-        let equal = EQUAL * (2.0 * found.squared.sqrt() + EQUAL);
-        let is_nearer = is_first || found.squared < known.squared - equal;
-        if is_nearer || found.squared < known.squared + equal && height.abs() > self.facing[voxel] {
-            let squared = found.squared.min(known.squared);
-            self.nearest[voxel] = NearestTriangle { number: found.number, squared };
-            self.facing[voxel] = height.abs();
-            self.inside[voxel] = height < 0.0;
+        if !known.has_triangle() {
+            self.visited.push(place);
         }
-        if is_first {
-            self.listed[voxel] = true;
-            self.visited.push(voxel);
+        let equal = EQUAL * (2.0 * found.squared.sqrt() + EQUAL);
+        let faces_more = found.height.abs() > known.height.abs();
+        if found.squared < known.squared - equal
+            || found.squared < known.squared + equal && faces_more
+        {
+            *known = KnownVoxel { squared: found.squared.min(known.squared), ..found };
         }
     }
 
     /// Passes triangles on from the visited voxels to all voxels in the band.
     fn spread(&mut self, triangles: &[Triangle]) {
         // A triangle that touches none of a voxel's cubes is at least one voxel away.
-        let touched = self.visited.iter().copied();
-        let far: Vec<_> = touched.filter(|&voxel| self.nearest[voxel].squared > 1.0).collect();
+        let is_far = |place: &Place| self.voxels[index(*place)].squared > 1.0;
+        let far: Vec<Place> = self.visited.iter().copied().filter(is_far).collect();
         self.pull(triangles, &far);
-        let mut front = 0..self.visited.len();
+        let mut front = self.visited.clone();
         while !front.is_empty() {
-            for i in front.clone() {
-                let voxel = self.visited[i];
-                // No nearest triangle of the block's voxels spreads through a voxel further on.
-                let left = BAND - margin(place(voxel));
-                if self.nearest[voxel].squared >= left * left {
-                    continue;
-                }
-                for &step in &AROUND[..FACES] {
-                    let neighbour = voxel.wrapping_add_signed(step);
-                    if !self.listed[neighbour] {
-                        self.listed[neighbour] = true;
-                        self.inside[neighbour] = self.inside[voxel];
-                        self.visited.push(neighbour);
+            let mut next = Vec::new();
+            for place in front {
+                let (at, known) = (index(place), self.voxels[index(place)]);
+                for step in &AROUND[..FACES] {
+                    let neighbour = &mut self.voxels[at.wrapping_add_signed(step.offset)];
+                    if neighbour.number != UNKNOWN {
+                        continue;
+                    }
+                    let to = step.from(place);
+                    // No nearest triangle of the block's voxels spreads through a voxel further on.
+                    if known.squared < passing_on(BAND - margin(to)) {
+                        let height = if known.is_inside() { -1.0 } else { 1.0 };
+                        *neighbour = KnownVoxel { height, ..KnownVoxel::marked(VISITED) };
+                        next.push(to);
                     }
                 }
             }
-            front = front.end..self.visited.len();
-            let next = self.visited[front.clone()].to_vec();
+            self.visited.extend(&next);
             self.pull(triangles, &next);
+            front = next;
         }
     }
 
     /// Gives voxels the nearest of the triangles that they and their neighbours knew before.
-    fn pull(&mut self, triangles: &[Triangle], voxels: &[usize]) {
-        let found: Vec<_> =
-            voxels.iter().map(|&voxel| self.nearest_around(triangles, voxel)).collect();
-        voxels.iter().zip(found).for_each(|(&voxel, found)| self.nearest[voxel] = found);
+    fn pull(&mut self, triangles: &[Triangle], places: &[Place]) {
+        let found: Vec<KnownVoxel> =
+            places.iter().map(|&place| self.nearest_around(triangles, place)).collect();
+        places.iter().zip(found).for_each(|(&place, found)| self.voxels[index(place)] = found);
     }
 
     /// The nearest of the triangles that a voxel and its 26 neighbours know.
-    fn nearest_around(&self, triangles: &[Triangle], voxel: usize) -> NearestTriangle {
-        let mut best = self.nearest[voxel];
-        let mut numbers = [NONE; AROUND.len() + 3];
+    fn nearest_around(&self, triangles: &[Triangle], place: Place) -> KnownVoxel {
+        let voxel = index(place);
+        let mut best = self.voxels[voxel];
+        let mut numbers = [0; AROUND.len() + 3];
         let mut count = 0;
-        for step in AROUND {
-            let number = self.nearest[voxel.wrapping_add_signed(step)].number;
-            let is_new =
-                number != NONE && number != best.number && !numbers[..count].contains(&number);
-            numbers[count] = number;
-            count += usize::from(is_new);
-        }
-        if count == 0 {
-            return best;
+        for step in &AROUND {
+            let known = self.voxels[voxel.wrapping_add_signed(step.offset)];
+            let number = known.number;
+            if known.has_triangle() && number != best.number && !numbers[..count].contains(&number)
+            {
+                numbers[count] = number;
+                count += 1;
+            }
         }
         let first = numbers[0];
         numbers[count..].fill(first);
-        let at = place(voxel).as_vec3().to_array();
+        let at = place.map(f32::from);
         for numbers in numbers[..count.next_multiple_of(4)].as_chunks::<4>().0 {
             let four = numbers.map(|number| &triangles[number as usize]);
             for (&number, squared) in numbers.iter().zip(Triangle::squared_of(four, at)) {
                 if squared < best.squared {
-                    best = NearestTriangle { number, squared };
+                    best = KnownVoxel { squared, number, ..best };
                 }
             }
         }
@@ -296,19 +358,21 @@ impl Band {
 
     /// A leaf of the block that has voxels in the band.
     fn leaf(&self, block: IVec3, corner: IVec3, numbers: &[u32]) -> Leaf {
-        let voxel = |i: usize| index(corner + (MARGIN + 1) + place_in_leaf(i));
+        let voxel = |i: usize| {
+            let place = corner + (MARGIN + 1) + place_in_leaf(i);
+            self.voxels[index(place.to_array().map(|at| at as u8))]
+        };
         let mut leaf = Leaf::at(block * BLOCK + corner);
-        let first = (0..VOXELS).map(voxel).find(|&voxel| self.nearest[voxel].is_in_band());
-        let first_inside = first.is_some_and(|first| self.inside[first]);
+        let first = (0..VOXELS).map(voxel).find(|voxel| voxel.is_in_band());
+        let first_inside = first.is_some_and(KnownVoxel::is_inside);
         for i in 0..VOXELS {
-            let voxel = voxel(i);
-            let nearest = self.nearest[voxel];
-            let inside = if nearest.is_in_band() {
-                let distance = nearest.squared.sqrt();
+            let known = voxel(i);
+            let inside = if known.is_in_band() {
+                let distance = known.squared.sqrt();
                 leaf.active[i / 64] |= 1 << (i % 64);
-                leaf.distances.push(if self.inside[voxel] { -distance } else { distance });
-                leaf.triangles.push(numbers[nearest.number as usize]);
-                self.inside[voxel]
+                leaf.distances.push(if known.is_inside() { -distance } else { distance });
+                leaf.triangles.push(numbers[known.number as usize]);
+                known.is_inside()
             } else {
                 // No surface is between this voxel and the one before along an axis.
                 let edge = LEAF as usize;

@@ -14,7 +14,7 @@ use glam::{DVec3, IVec3};
 use hashbrown::HashMap;
 use rayon::prelude::*;
 
-use crate::surface::mesh::source::{Lattice, MeshSource, Outline};
+use crate::surface::mesh::source::{Indexed, Lattice, MeshSource, Outline};
 
 use band::{Band, BlockTriangles, MARGIN, band_corner};
 
@@ -192,8 +192,7 @@ fn each_block_near([a, b, c]: [DVec3; 3], mut take: impl FnMut(IVec3)) {
     let extent = normal.abs().element_sum() * (f64::from(BLOCK) / 2.0 + reach);
     let is_near = |block: IVec3| {
         let centre = (block.as_dvec3() + 0.5) * f64::from(BLOCK);
-        // Not so for NaN: a triangle without a plane is near.
-        !(normal.dot(centre - a).abs() > extent)
+        normal.dot(centre - a).abs() <= extent
     };
     for x in low.x..=high.x {
         for y in low.y..=high.y {
@@ -212,7 +211,7 @@ fn invalid(what: &str) -> io::Error {
 }
 
 /// The positions of all vertices, and all triangles.
-fn gathered(mesh: &dyn MeshSource) -> io::Result<(Vec<[f64; 3]>, Vec<[u32; 3]>)> {
+fn gathered(mesh: &dyn MeshSource) -> io::Result<Indexed> {
     let Outline { vertices, triangles, pieces, .. } = mesh.outline();
     if vertices > u64::from(u32::MAX) || triangles >= u64::from(u32::MAX) {
         return Err(invalid("a level set needs a mesh of at most 4294967295 triangles"));

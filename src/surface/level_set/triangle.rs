@@ -35,7 +35,7 @@ impl Triangle {
         let normal = ab.cross(ac);
         let longest = ab.length_squared().max(ac.length_squared()).max(b.distance_squared(c));
         let area = normal.length();
-        if !(area > LEAST_HEIGHT * longest.sqrt()) {
+        if area <= LEAST_HEIGHT * longest.sqrt() {
             return None;
         }
         let length = ab.length();
