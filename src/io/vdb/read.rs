@@ -1,4 +1,4 @@
-//! What the grids of a file are, by their names and metadata, without the values of voxels. Files of
+//! Lists the grids of a file with their names and metadata, without the values of voxels. Files of
 //! other programs are read as well.
 
 use std::collections::BTreeMap;

@@ -29,6 +29,8 @@ const BLOCK: i32 = 64;
 /// Upper limit of the coordinates of a vertex, in voxels. Differences of coordinates of voxels fit
 /// an i32.
 const FARTHEST: f64 = (1 << 29) as f64;
+const TOO_FAR: &str = "a vertex is not finite, or more than 2^29 cells from the grid's origin; \
+                       use larger cells";
 /// Triangles whose blocks are found together.
 const TRIANGLES_TOGETHER: usize = 1 << 14;
 
@@ -102,7 +104,7 @@ impl LevelSet {
         // The array is reused.
         let positions: Vec<DVec3> = positions.into_iter().map(voxel).collect();
         if !positions.par_iter().all(|place| place.abs().cmplt(DVec3::splat(FARTHEST)).all()) {
-            return Err(invalid("the mesh extends over more than 2^30 voxels; use larger cells"));
+            return Err(invalid(TOO_FAR));
         }
         Ok(Self { positions, triangles })
     }
@@ -184,9 +186,10 @@ impl<T> BlocksByPlace<T> {
 /// from its plane.
 fn each_block_near([a, b, c]: [DVec3; 3], mut take: impl FnMut(IVec3)) {
     let reach = f64::from(MARGIN);
-    let edge = IVec3::splat(BLOCK);
-    let low = (a.min(b).min(c) - reach).floor().as_ivec3().div_euclid(edge);
-    let high = (a.max(b).max(c) + reach).ceil().as_ivec3().div_euclid(edge);
+    let [low, high] = [block_of(a.min(b).min(c) - reach), block_of(a.max(b).max(c) + reach + 1.0)];
+    if low == high {
+        return take(low);
+    }
     let normal = (b - a).cross(c - a);
     // Half the edges of the block and twice the reach, projected onto the normal.
     let extent = normal.abs().element_sum() * (f64::from(BLOCK) / 2.0 + reach);
@@ -204,6 +207,13 @@ fn each_block_near([a, b, c]: [DVec3; 3], mut take: impl FnMut(IVec3)) {
             }
         }
     }
+}
+
+/// The block of a place.
+fn block_of(place: DVec3) -> IVec3 {
+    // Positive numbers round down without a call.
+    let blocks = (place + 2.0 * FARTHEST).as_uvec3() / BLOCK as u32;
+    blocks.as_ivec3() - 2 * FARTHEST as i32 / BLOCK
 }
 
 fn invalid(what: &str) -> io::Error {
