@@ -244,13 +244,14 @@ pub mod files {
     pub use crate::io::series::SeriesFrame;
     pub use crate::io::stamp::Stamp;
     pub use crate::io::stamp::is_same_file;
+    pub use crate::io::vdb::GridInfo;
     pub use crate::io::whole::Replace;
     pub use crate::io::{ParticleFile, UnreadPart, UpAxis};
     pub use crate::particles::occurring::{Value, ValueCounts};
     pub use crate::particles::{AttributeInfo, AttributeKind, Label, velocity_attribute};
     pub use crate::reconstruction::{
-        FrameInfo, Info, MeshInfo, Output, PackReport, PackedOutput, ParticlesInfo, info,
-        info_with, open_particles, usual_up,
+        FrameInfo, Info, MeshInfo, Output, PackReport, PackedOutput, ParticlesInfo, VolumeInfo,
+        info, info_with, open_particles, usual_up,
     };
     pub use crate::simulation::{FrameFile, files, frames};
 }

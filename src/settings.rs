@@ -298,7 +298,8 @@ settings! {
     #[arg(value_name = "PARTICLES", value_parser = clap::value_parser!(u32).range(1..), help_heading = "Output", hide_short_help = true)]
     smallest_drop: Option<u32>,
 
-    /// Write a .glb file quantized and compressed (EXT_meshopt_compression).
+    /// Write a .glb file quantized and compressed (EXT_meshopt_compression), or a .vdb file
+    /// compressed by zlib.
     #[arg(help_heading = "Output", hide_short_help = true)]
     compress: bool,
 

@@ -177,8 +177,8 @@ impl MeshFormat {
         let arrays = 1 + usize::from(mesh.has_normals()) + mesh.attributes().len();
         match self {
             Self::Ply | Self::Obj | Self::Stl => 2,
-            // Vertices and triangles once, and the vertices once more for attributes.
-            Self::Vdb { .. } => 3,
+            // Vertices and triangles once, and the vertices again for attributes.
+            Self::Vdb { .. } => 2 + vdb::attribute_readings(&mesh.attributes()),
             // Each array of the vertices separately, with up to two for a colour, and triangles.
             Self::BgeoSc => arrays + 2,
             // Each array of the vertices separately, and triangles.
@@ -197,7 +197,7 @@ impl MeshFormat {
     }
 
     /// Whether its writer keeps much of a mesh in memory: the positions of all vertices, 24 bytes
-    /// each, or all data that is compressed. A plain .glb needs 4 bytes per vertex, all others a
+    /// each, all data that is compressed, or a level set with the mesh. A plain .glb needs 4 bytes per vertex, all others a
     /// few pieces per thread.
     #[must_use]
     pub fn holds_whole_mesh(self) -> bool {

@@ -6,8 +6,8 @@ use bytesize::ByteSize;
 use clap::Args;
 use meniscus::error::{shown, significant};
 use meniscus::files::{
-    AttributeInfo, FrameInfo, Info, InputFormat, MeshFormat, MeshInfo, ParticlesInfo, ValueCounts,
-    files, info_with, is_packed,
+    AttributeInfo, FrameInfo, GridInfo, Info, InputFormat, MeshFormat, MeshInfo, ParticlesInfo,
+    ValueCounts, VolumeInfo, files, info_with, is_packed,
 };
 use meniscus::{Error, Settings, Where};
 
@@ -16,7 +16,7 @@ use super::notes::{Verdict, corners, point, print, print_json};
 
 #[derive(Args)]
 pub struct InfoOptions {
-    /// Particle files, packed frames (.mnf) or meshes; also folders, globs, or patterns with {} for
+    /// Particle files, packed frames (.mnf), meshes or volumes (.vdb); also folders, globs, or patterns with {} for
     /// the frame number.
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
@@ -202,6 +202,30 @@ fn describe(info: &Info) -> String {
             line("attributes", names(attributes));
             format!("{}: mesh", file.display())
         }
+        Info::Volume(VolumeInfo { file, grids, .. }) => {
+            for grid in grids {
+                let GridInfo { name, active_voxels, voxel_size, bounds, .. } = grid;
+                line(name, kind_of(grid));
+                active_voxels.iter().for_each(|voxels| line("  voxels", voxels.to_string()));
+                match voxel_size {
+                    Some([x, y, z]) if x == y && y == z => line("  voxel size", shown(*x)),
+                    Some(edges) => line("  voxel size", point(edges)),
+                    None => {}
+                }
+                bounds.iter().for_each(|bounds| line("  box", corners(bounds)));
+            }
+            format!("{}: OpenVDB, {} grids", file.display(), grids.len())
+        }
     };
     format!("{title}\n{}", lines.join("\n"))
+}
+
+/// The class of a grid and the type of its values.
+fn kind_of(grid: &GridInfo) -> String {
+    let GridInfo { class, value_type, half, .. } = grid;
+    let half = if *half { ", half precision" } else { "" };
+    match &**class {
+        "unknown" => format!("{value_type}{half}"),
+        class => format!("{class}, {value_type}{half}"),
+    }
 }

@@ -350,7 +350,8 @@ setters! {
     smallest_drop: u32,
     /// Leaves out and counts particles that are not finite or too far away, instead of an error.
     skip_invalid: bool,
-    /// Writes `.glb` files quantized and compressed (EXT_meshopt_compression).
+    /// Writes `.glb` files quantized and compressed (EXT_meshopt_compression), and `.vdb` files
+    /// compressed by zlib.
     compress: bool,
     /// Sets the axis that points up in mesh files; rotates the mesh if another axis points up in
     /// the particles.

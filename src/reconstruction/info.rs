@@ -1,4 +1,4 @@
-//! Contents of a particle file, a packed frame or a mesh.
+//! Contents of a particle file, a packed frame, a mesh or a volume.
 
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
@@ -11,11 +11,12 @@ use crate::error::Error;
 use crate::field::indicator::SampledDif;
 use crate::frame::{CountedFrame, Resources};
 use crate::grid::units::{MeanCount, MemoryBudget};
-use crate::io::bytes::Unpacking;
+use crate::io::bytes::{Unpacking, open_bytes};
 use crate::io::collection::{frame_of, is_list};
 use crate::io::input::{InputFormat, KNOWN, file_and_step, holds_mesh, open_wanted};
 use crate::io::mnf::{is_packed, open_frame};
-use crate::io::output::read_mesh;
+use crate::io::output::{MeshFormat, read_mesh};
+use crate::io::vdb::{GridInfo, read_grids};
 use crate::io::wanted::{WantedAttributes, WantedParticles};
 use crate::io::{ReadError, ReadFault};
 use crate::particles::occurring::{ValueCounts, occurring};
@@ -40,6 +41,8 @@ pub enum Info {
     Frame(FrameInfo),
     /// A mesh.
     Mesh(MeshInfo),
+    /// Grids of voxels.
+    Volume(VolumeInfo),
 }
 
 /// Contents of a particle file.
@@ -139,12 +142,24 @@ pub struct MeshInfo {
     pub attributes: Vec<AttributeInfo>,
 }
 
+/// Contents of a `.vdb`.
+#[derive(Debug, Clone, Serialize)]
+#[non_exhaustive]
+pub struct VolumeInfo {
+    /// The file.
+    pub file: PathBuf,
+    /// The grids, in the file's order.
+    pub grids: Vec<GridInfo>,
+}
+
 /// The extensions of all supported files, for a message.
 static ALL_KNOWN: LazyLock<String> = LazyLock::new(|| {
-    format!("particles: {KNOWN}; packed frames: .mnf; meshes: .ply, .obj, .vtk, .vtp and .stl")
+    format!(
+        "particles: {KNOWN}; packed frames: .mnf; volumes: .vdb; meshes: .ply, .obj, .vtk, .vtp and .stl"
+    )
 });
 
-/// Reads the content summary of a particle file, a packed frame or a mesh.
+/// Reads the content summary of a particle file, a packed frame, a mesh or a volume.
 ///
 /// # Errors
 /// [`Error::Read`].
@@ -167,6 +182,8 @@ pub fn info_with(path: impl AsRef<Path>, settings: &Settings) -> Result<Info, Er
     }
     if is_packed(path) {
         frame(path).map(Info::Frame)
+    } else if matches!(MeshFormat::of(path), Some(MeshFormat::Vdb { .. })) {
+        volume(path).map(Info::Volume)
     } else if settings.format.is_some() {
         particles(path, settings).map(Info::Particles)
     } else if holds_mesh(path)? {
@@ -210,6 +227,12 @@ fn mesh(path: &Path) -> Result<MeshInfo, Error> {
         normals: mesh.normals.is_some(),
         attributes: attributes.map(VertexAttribute::info).collect(),
     })
+}
+
+fn volume(path: &Path) -> Result<VolumeInfo, Error> {
+    let bytes = open_bytes(path)?;
+    let grids = read_grids(bytes.view()).map_err(|fault| ReadError::new(path, fault))?;
+    Ok(VolumeInfo { file: path.to_owned(), grids })
 }
 
 fn particles(path: &Path, settings: &Settings) -> Result<ParticlesInfo, Error> {

@@ -22,6 +22,9 @@ use super::opened::{Input, OpenedFrame};
 /// Minimum number of particles in the sample. A frame with up to twice as many is made completely.
 const SAMPLE: usize = 200_000;
 
+/// Bytes of memory for each vertex of a mesh that is written as a level set with its velocity.
+const LEVEL_SET_BYTES: u64 = 120;
+
 /// Resources that a frame needs, estimated before sampling.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
@@ -103,7 +106,10 @@ impl OpenedFrame {
             scratch: file.particles.scratch_bytes() + estimate.scratch(plan),
             scratch_folder: resources.scratch.clone(),
             simplifying: checked.reduction.tolerance.map(|_| simplified),
-            writing: holds.then_some(3 * estimate.surface),
+            writing: holds.then(|| match format {
+                MeshFormat::Vdb { .. } => LEVEL_SET_BYTES * estimate.vertices,
+                _ => 3 * estimate.surface,
+            }),
             triangles,
             disk: mesh_bytes(triangles / 2, triangles),
             seconds,

@@ -23,3 +23,4 @@ mod readers;
 mod series;
 #[cfg(feature = "hdf5")]
 mod snapshots;
+mod vdb;

@@ -7,9 +7,9 @@ use crate::surface::mesh::source::Lattice;
 
 use super::values::Kind;
 
-const MAGIC: i64 = 0x5644_4220;
+pub const MAGIC: i64 = 0x5644_4220;
 /// The first version of the format that has all of what is written here.
-const VERSION: u32 = 224;
+pub const VERSION: u32 = 224;
 /// A version of OpenVDB that writes this version of the format.
 const LIBRARY: [u32; 2] = [10, 0];
 

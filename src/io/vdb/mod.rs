@@ -5,16 +5,20 @@
 //! | `surface` | class "level set": the signed distance in the mesh's unit of length, negative inside, in a band of three voxels on either side |
 //! | `v`, `Cd` and others | class "unknown": at the voxels of the band, the attribute's value at the nearest point of the surface |
 //!
-//! The voxels are the cells of the particles' grid. Attributes with one component are float or int32
-//! grids, and those with three are vec3s grids; others are a grid for each component.
+//! The voxels are the cells of the particles' grid. Attributes with one component are float grids, or
+//! int32 or int64 grids for integers, and those with three are vec3s grids; others are a grid for each
+//! component.
 //!
 //! Distances, velocities and colours are stored in half precision, which moves a distance by less
 //! than 0.002 voxels, unless their range exceeds it. Only values of the band are stored; with
 //! compression, they are also encoded by zlib.
 //!
-//! The writer keeps the mesh in memory, and the encoded values of all leaves.
+//! The writer keeps positions and triangles of the mesh in memory, distances and nearest triangles of
+//! all voxels in the band, and values of one attribute at a time; with compression, also one encoded
+//! grid. The metadata of grids, also of other programs, is read back.
 
 mod archive;
+mod read;
 mod tree;
 mod values;
 
@@ -22,15 +26,18 @@ use std::io::{self, Write};
 use std::ops::Range;
 
 use glam::IVec3;
+use rayon::prelude::*;
 
 use crate::particles::{AttributeInfo, AttributeKind, colour_attribute};
-use crate::surface::level_set::{BAND, Leaf, LeafVoxel, LevelSet, VOXELS};
+use crate::surface::level_set::{BAND, Leaf, LevelSet, SurfacePoint, VOXELS};
 use crate::surface::mesh::source::{Lattice, MeshSource, Outline};
 
+use super::encode::{in_order, write_pieces};
 use super::names::unique_names;
 use archive::{GridHead, header};
+pub use read::{GridInfo, read_grids};
 use tree::{TreeLeaf, sort_key, topology};
-use values::{Kind, put_sides};
+use values::{Kind, put_sides, put_zipped, sides_bytes};
 
 /// The name of the grid of distances.
 const SURFACE: &str = "surface";
@@ -38,58 +45,58 @@ const SURFACE: &str = "surface";
 const UNIT: Lattice = Lattice { origin: [0.0; 3], step: 1.0 };
 /// Sizes of voxels for which half precision is enough.
 const HALF_SIZES: Range<f64> = 1e-4..1e4;
-/// Largest velocity in half precision.
-const HALF_MOST: f32 = 6e4;
+/// Greatest components of velocities for which half precision is enough.
+const HALF_VELOCITIES: Range<f32> = 1e-2..6e4;
+/// Numbers of a vertex that are in memory at a time, unless one grid has more.
+const NUMBERS_AT_ONCE: usize = 16;
+/// Leaves that are encoded together.
+const LEAVES_TOGETHER: usize = 64;
 
-/// A grid, and the source of its values.
-struct Grid {
+/// A grid of some components of an attribute.
+#[derive(Debug, Clone, PartialEq)]
+struct AttributeGrid {
     name: String,
-    kind: Kind,
-    /// `None` for distances.
-    source: Option<AttributeSource>,
+    attribute: usize,
+    components: Range<usize>,
 }
 
-/// Some components of an attribute.
-struct AttributeSource {
-    index: usize,
-    /// Components of each vertex.
-    stride: usize,
+/// The values of some components of an attribute at all vertices.
+struct AttributeValues {
     components: Range<usize>,
     kind: AttributeKind,
+    values: Vec<f32>,
 }
 
-impl AttributeSource {
-    /// The attribute at the nearest point of the surface to a voxel: interpolated between the
-    /// corners of the triangle, or an integer of the nearest corner.
-    fn put(&self, out: &mut Vec<f32>, voxel: &LeafVoxel, corners: [u32; 3], values: &[f32]) {
-        let LeafVoxel { shares, .. } = voxel;
-        let value = |corner: u32, component| values[corner as usize * self.stride + component];
-        if self.kind.is_whole() {
-            let nearest = (0..3).max_by(|&a, &b| shares[a].total_cmp(&shares[b])).unwrap_or(0);
-            out.extend(self.components.clone().map(|component| value(corners[nearest], component)));
-            return;
-        }
-        out.extend(self.components.clone().map(|component| {
-            let all = corners.iter().zip(shares);
-            let mean = all.map(|(&corner, share)| value(corner, component) * share).sum();
-            if self.kind.is_colour() { self.kind.share(mean) } else { mean }
-        }));
-    }
+/// What is known of the active voxels of a block's leaves, leaf by leaf.
+struct StoredBlock {
+    /// Distances, as in the file.
+    distances: Vec<u8>,
+    /// The nearest triangles; empty for a mesh without attributes.
+    triangles: Vec<u32>,
 }
 
-/// The leaves of a block, encoded for each grid.
-struct EncodedBlock {
-    leaves: Vec<EncodedLeaf>,
-    /// For each grid the leaves' bytes, one after another.
-    bytes: Vec<Vec<u8>>,
+/// A leaf, with the place of its active voxels.
+struct StoredLeaf {
+    tree: TreeLeaf,
+    block: u32,
+    /// The first of its active voxels among those of the block.
+    first: u32,
 }
 
-struct EncodedLeaf {
-    leaf: TreeLeaf,
-    /// The least and the greatest coordinates of its active voxels.
+/// Writes grids one after another.
+struct GridWriter<'a> {
+    out: &'a mut dyn Write,
+    /// Bytes written.
+    at: u64,
+    mesh: &'a dyn MeshSource,
+    lattice: Lattice,
+    zip: bool,
+    /// All leaves, in the tree's order.
+    leaves: &'a [StoredLeaf],
+    /// The number of active voxels.
+    voxels: u64,
+    /// The least and the greatest coordinates of active voxels.
     bounds: [IVec3; 2],
-    /// For each grid the place in the block's bytes.
-    ranges: Vec<Range<usize>>,
 }
 
 /// Writes a closed mesh as a level set, with a grid for each attribute.
@@ -98,81 +105,216 @@ struct EncodedLeaf {
 /// Those of `mesh` and `out`; and before anything is written those of [`LevelSet::new`], and
 /// [`io::ErrorKind::InvalidInput`] for a mesh with triangles but without a lattice.
 pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, zip: bool) -> io::Result<()> {
-    let Outline { lattice, triangles, .. } = mesh.outline();
+    let Outline { lattice, triangles, attributes, .. } = mesh.outline();
     let lattice = lattice.or((triangles == 0).then_some(UNIT)).ok_or_else(|| {
         io::Error::new(
             io::ErrorKind::InvalidInput,
-            "a .vdb is made from particles, not from a mesh",
+            "a .vdb needs the grid of the particles: reconstruct them with the output name.vdb",
         )
     })?;
-    let values = attribute_values(mesh)?;
     let level_set = LevelSet::new(mesh, lattice)?;
-    let grids = grids(&mesh.attributes(), &values, lattice.step);
-    let encode = |leaves: Vec<Leaf>| {
+    let distance = Kind::Distance { half: HALF_SIZES.contains(&lattice.step) };
+    let stored = |leaves| {
         mesh.go_on()?;
-        Ok(encoded(&leaves, &grids, &values, &level_set, (lattice, zip)))
+        Ok(StoredBlock::new(leaves, distance, lattice, !attributes.is_empty()))
     };
-    let blocks = level_set.map(encode).into_iter().collect::<io::Result<Vec<_>>>()?;
-    drop(values);
+    let blocks = level_set.map(stored)?;
+    let count = blocks.iter().map(|(_, leaves)| leaves.len()).sum();
+    let mut leaves: Vec<StoredLeaf> = Vec::with_capacity(count);
+    let mut all = Vec::with_capacity(blocks.len());
+    for (number, (block, of_block)) in (0..).zip(blocks) {
+        leaves.extend(of_block.into_iter().map(|leaf| StoredLeaf { block: number, ..leaf }));
+        all.push(block);
+    }
+    let blocks: Vec<StoredBlock> = all;
+    leaves.par_sort_unstable_by_key(|leaf| sort_key(leaf.tree.corner));
+    let all_bounds = leaves.par_iter().filter_map(|leaf| leaf.tree.bounds());
+    let bounds = all_bounds.reduce_with(|[a, b], [c, d]| [a.min(c), b.max(d)]).unwrap_or_default();
+    let voxels = leaves.iter().map(|leaf| leaf.tree.active_count() as u64).sum();
 
-    let all = blocks.iter().enumerate();
-    let all = all.flat_map(|(block, encoded)| encoded.leaves.iter().map(move |leaf| (block, leaf)));
-    let mut leaves: Vec<(usize, &EncodedLeaf)> = all.collect();
-    leaves.sort_by_cached_key(|(_, encoded)| sort_key(&encoded.leaf.corner));
-    let of_tree: Vec<_> = leaves.iter().map(|(_, encoded)| encoded.leaf.clone()).collect();
-    let active =
-        of_tree.iter().flat_map(|leaf| leaf.active).map(|word| u64::from(word.count_ones()));
-    let voxels = active.sum();
-    let least = leaves.iter().map(|(_, leaf)| leaf.bounds[0]).reduce(IVec3::min);
-    let greatest = leaves.iter().map(|(_, leaf)| leaf.bounds[1]).reduce(IVec3::max);
-    let bounds = [least, greatest].map(Option::unwrap_or_default);
-
-    let mut at = 0;
-    let mut put = |bytes: &[u8]| {
-        at += bytes.len() as u64;
-        out.write_all(bytes).map(|()| at)
-    };
-    let mut end = put(&header(id(&blocks, leaves.len(), voxels), grids.len()))?;
-    for (number, Grid { name, kind, .. }) in grids.iter().enumerate() {
-        let background = BAND * lattice.step as f32;
-        let tree = topology(&of_tree, *kind, background, zip);
-        let bytes = |&(block, encoded): &(usize, &EncodedLeaf)| -> &[u8] {
-            &blocks[block].bytes[number][encoded.ranges[number].clone()]
-        };
-        let total = leaves.iter().map(|leaf| bytes(leaf).len() as u64).sum();
-        let head = GridHead { name: name.clone(), kind: *kind, lattice, zip, voxels, bounds };
-        put(&head.bytes(end, tree.len() as u64, total))?;
-        put(&tree)?;
-        for leaf in &leaves {
-            end = put(bytes(leaf))?;
+    let grids = attribute_grids(&attributes);
+    let head = header(id(&blocks, &leaves, voxels), 1 + grids.len());
+    out.write_all(&head)?;
+    let at = head.len() as u64;
+    let mut writer = GridWriter { out, at, mesh, lattice, zip, leaves: &leaves, voxels, bounds };
+    let size = distance.bytes();
+    writer.write(SURFACE, distance, |leaf, out| {
+        let distances = &blocks[leaf.block as usize].distances[leaf.first as usize * size..];
+        out.extend(&distances[..leaf.tree.active_count() * size]);
+    })?;
+    for grids in together(&grids) {
+        let values = AttributeValues::read(mesh, grids)?;
+        for grid in grids {
+            let kind = values.kind_of(grid, &attributes[grid.attribute]);
+            writer.write(&grid.name, kind, |leaf, out| {
+                let triangles = &blocks[leaf.block as usize].triangles[leaf.first as usize..];
+                for (voxel, &triangle) in leaf.tree.active_voxels().zip(triangles) {
+                    let point = level_set.nearest_point(triangle, voxel);
+                    values.put(out, grid, kind, point);
+                }
+            })?;
         }
     }
     Ok(())
 }
 
-/// Numbers that tell files apart, from their content.
-fn id(blocks: &[EncodedBlock], leaves: usize, voxels: u64) -> [u32; 4] {
-    let mut values = crc32fast::Hasher::new();
-    blocks.iter().flat_map(|block| &block.bytes).for_each(|bytes| values.update(bytes));
-    [values.finalize(), leaves as u32, (voxels >> 32) as u32, voxels as u32]
+impl StoredBlock {
+    fn new(
+        leaves: Vec<Leaf>,
+        distance: Kind,
+        lattice: Lattice,
+        with_triangles: bool,
+    ) -> (Self, Vec<StoredLeaf>) {
+        let (mut distances, mut triangles) = (Vec::new(), Vec::new());
+        let (size, mut end) = (lattice.step as f32, 0);
+        let leaf = |leaf: Leaf| {
+            leaf.distances.iter().for_each(|&voxels| distance.put(&mut distances, voxels * size));
+            if with_triangles {
+                triangles.extend(&leaf.triangles);
+            }
+            let first = end;
+            end += leaf.distances.len() as u32;
+            let Leaf { corner, active, inside, .. } = leaf;
+            StoredLeaf { tree: TreeLeaf { corner, active, inside }, block: 0, first }
+        };
+        let leaves = leaves.into_iter().map(leaf).collect();
+        distances.shrink_to_fit();
+        triangles.shrink_to_fit();
+        (Self { distances, triangles }, leaves)
+    }
 }
 
-/// The values of all attributes at all vertices.
-fn attribute_values(mesh: &dyn MeshSource) -> io::Result<Vec<Vec<f32>>> {
-    let infos = mesh.attributes();
-    let mut all = vec![Vec::new(); infos.len()];
-    if infos.is_empty() {
-        return Ok(all);
-    }
-    for (values, info) in all.iter_mut().zip(&infos) {
-        let numbers = (mesh.vertex_count() as usize).saturating_mul(info.components);
+impl AttributeValues {
+    /// Reads the components of some grids of the same attribute.
+    fn read(mesh: &dyn MeshSource, grids: &[AttributeGrid]) -> io::Result<Self> {
+        let attribute = grids[0].attribute;
+        let AttributeInfo { components: stride, kind, .. } = mesh.attributes()[attribute];
+        let components = grids[0].components.start..grids[grids.len() - 1].components.end;
+        let mut values = Vec::new();
+        let numbers = (mesh.vertex_count() as usize).saturating_mul(components.len());
         values.try_reserve_exact(numbers).map_err(|_| io::ErrorKind::OutOfMemory)?;
+        let make = |piece, out: &mut Vec<f32>| {
+            let vertices = mesh.vertices(piece)?;
+            let all = vertices.attributes[attribute].chunks_exact(stride);
+            all.for_each(|values| out.extend_from_slice(&values[components.clone()]));
+            Ok(())
+        };
+        in_order(mesh.pieces(), make, |piece| {
+            values.extend_from_slice(piece);
+            Ok(())
+        })?;
+        Ok(Self { components, kind, values })
     }
-    for piece in 0..mesh.pieces() {
-        let vertices = mesh.vertices(piece)?;
-        all.iter_mut().zip(&vertices.attributes).for_each(|(all, values)| all.extend(&values[..]));
+
+    /// The type of a grid's values.
+    fn kind_of(&self, grid: &AttributeGrid, info: &AttributeInfo) -> Kind {
+        match self.kind {
+            AttributeKind::Signed => Kind::Int32,
+            AttributeKind::Unsigned | AttributeKind::Wide => Kind::Int64,
+            AttributeKind::Number | AttributeKind::Colour | AttributeKind::ByteColour => {
+                let half = self.kind.is_colour() || info.is_velocity() && self.fits_half();
+                Kind::Real { components: grid.components.len(), half }
+            }
+        }
     }
-    Ok(all)
+
+    /// Whether the greatest number is within [`HALF_VELOCITIES`], or all are 0.
+    fn fits_half(&self) -> bool {
+        let greatest = self.values.par_iter().map(|value| value.abs());
+        let greatest = greatest.reduce(|| 0.0, |a, b| if a > b || a.is_nan() { a } else { b });
+        greatest == 0.0 || HALF_VELOCITIES.contains(&greatest)
+    }
+
+    /// Appends the value at a point of the surface: interpolated between the corners of the
+    /// triangle, or an integer of the nearest corner.
+    fn put(&self, out: &mut Vec<u8>, grid: &AttributeGrid, kind: Kind, point: SurfacePoint) {
+        let SurfacePoint { corners, shares } = point;
+        let (first, stride) = (self.components.start, self.components.len());
+        let value = |corner: usize, component: usize| {
+            self.values[corners[corner] as usize * stride + component - first]
+        };
+        for component in grid.components.clone() {
+            let number = if self.kind.is_whole() {
+                let nearest = (0..3).max_by(|&a, &b| shares[a].total_cmp(&shares[b]));
+                value(nearest.unwrap_or(0), component)
+            } else {
+                let mean = (0..3).map(|corner| value(corner, component) * shares[corner]).sum();
+                if self.kind.is_colour() { self.kind.share(mean) } else { mean }
+            };
+            kind.put(out, number);
+        }
+    }
+}
+
+impl GridWriter<'_> {
+    /// Writes a grid. `put` appends the values of the active voxels of a leaf.
+    fn write(
+        &mut self,
+        name: &str,
+        kind: Kind,
+        put: impl Fn(&StoredLeaf, &mut Vec<u8>) + Sync,
+    ) -> io::Result<()> {
+        let Self { mesh, leaves, zip, lattice, voxels, bounds, .. } = *self;
+        let encode = |chunk: usize, out: &mut Vec<u8>| {
+            mesh.go_on()?;
+            let mut values = Vec::new();
+            let numbers = chunk * LEAVES_TOGETHER..leaves.len().min((chunk + 1) * LEAVES_TOGETHER);
+            for leaf in &leaves[numbers] {
+                let TreeLeaf { active, inside, .. } = &leaf.tree;
+                out.extend(active.iter().flat_map(|word| word.to_le_bytes()));
+                put_sides(out, kind, leaf.tree.sides(), &inside.map(|word| !word));
+                if zip {
+                    values.clear();
+                    put(leaf, &mut values);
+                    put_zipped(out, &values);
+                } else {
+                    put(leaf, out);
+                }
+            }
+            Ok(())
+        };
+        let chunks = leaves.len().div_ceil(LEAVES_TOGETHER);
+        let zipped: Option<Vec<Vec<u8>>> = zip
+            .then(|| {
+                let chunk = |chunk| {
+                    let mut bytes = Vec::new();
+                    encode(chunk, &mut bytes).map(|()| bytes)
+                };
+                (0..chunks).into_par_iter().map(chunk).collect::<io::Result<_>>()
+            })
+            .transpose()?;
+        let bytes = match &zipped {
+            Some(chunks) => chunks.iter().map(|bytes| bytes.len() as u64).sum(),
+            None => {
+                let mask = VOXELS as u64 / 8;
+                let sides = |leaf: &StoredLeaf| sides_bytes(kind, leaf.tree.sides(), mask);
+                let masks = leaves.iter().map(|leaf| mask + sides(leaf)).sum::<u64>();
+                masks + voxels * kind.bytes() as u64
+            }
+        };
+        let tree = leaves.iter().map(|leaf| &leaf.tree);
+        let tree = topology(tree, kind, BAND * lattice.step as f32, zip);
+        let head = GridHead { name: name.to_owned(), kind, lattice, zip, voxels, bounds };
+        let head = head.bytes(self.at, tree.len() as u64, bytes);
+        self.out.write_all(&head)?;
+        self.out.write_all(&tree)?;
+        match zipped {
+            Some(chunks) => chunks.iter().try_for_each(|bytes| self.out.write_all(bytes))?,
+            None => write_pieces(self.out, chunks, encode)?,
+        }
+        self.at += (head.len() + tree.len()) as u64 + bytes;
+        Ok(())
+    }
+}
+
+/// Numbers that tell files apart, from their distances.
+fn id(blocks: &[StoredBlock], leaves: &[StoredLeaf], voxels: u64) -> [u32; 4] {
+    let mut distances = crc32fast::Hasher::new();
+    blocks.iter().for_each(|block| distances.update(&block.distances));
+    let mut places = crc32fast::Hasher::new();
+    let corners = leaves.iter().flat_map(|leaf| leaf.tree.corner.to_array());
+    corners.for_each(|corner| places.update(&corner.to_le_bytes()));
+    [distances.finalize(), places.finalize(), (voxels >> 32) as u32, voxels as u32]
 }
 
 /// The names of attributes: Houdini's for the velocity and the first colour, and others as they are
@@ -192,73 +334,36 @@ pub fn attribute_names(infos: &[AttributeInfo]) -> Vec<String> {
     known.into_iter().filter_map(name).collect()
 }
 
-fn grids(infos: &[AttributeInfo], values: &[Vec<f32>], size: f64) -> Vec<Grid> {
-    let half = HALF_SIZES.contains(&size);
-    let mut grids =
-        vec![Grid { name: SURFACE.to_owned(), kind: Kind::Distance { half }, source: None }];
-    let names = attribute_names(infos);
-    for (index, (&AttributeInfo { components: stride, kind, .. }, name)) in
-        infos.iter().zip(names).enumerate()
-    {
-        let is_small = || values[index].iter().all(|value| value.abs() < HALF_MOST);
-        let half = kind.is_colour() || infos[index].is_velocity() && is_small();
-        let mut add = |name, components: Range<usize>| {
-            let of_grid = if kind.is_whole() {
-                Kind::Whole
-            } else {
-                Kind::Real { components: components.len(), half }
-            };
-            let source = Some(AttributeSource { index, stride, components, kind });
-            grids.push(Grid { name, kind: of_grid, source });
-        };
+/// How often the attributes of a mesh are read.
+pub fn attribute_readings(infos: &[AttributeInfo]) -> usize {
+    together(&attribute_grids(infos)).count()
+}
+
+/// The grids of all attributes.
+fn attribute_grids(infos: &[AttributeInfo]) -> Vec<AttributeGrid> {
+    let mut grids = Vec::new();
+    for (attribute, (info, name)) in infos.iter().zip(attribute_names(infos)).enumerate() {
         // The alpha of a colour is not stored.
-        match if kind.is_colour() { 3 } else { stride } {
-            1 => add(name, 0..1),
-            3 if !kind.is_whole() => add(name, 0..3),
-            components => (0..components).for_each(|c| add(format!("{name}_{c}"), c..c + 1)),
+        let components = if info.kind.is_colour() { 3 } else { info.components };
+        match components {
+            1 => grids.push(AttributeGrid { name, attribute, components: 0..1 }),
+            3 if !info.kind.is_whole() => {
+                grids.push(AttributeGrid { name, attribute, components: 0..3 })
+            }
+            _ => grids.extend((0..components).map(|component| AttributeGrid {
+                name: format!("{name}_{component}"),
+                attribute,
+                components: component..component + 1,
+            })),
         }
     }
+    let names = unique_names(grids.iter().map(|grid| &*grid.name), &[SURFACE], str::to_owned);
+    grids.iter_mut().zip(names).for_each(|(grid, name)| grid.name = name);
     grids
 }
 
-fn encoded(
-    leaves: &[Leaf],
-    grids: &[Grid],
-    values: &[Vec<f32>],
-    level_set: &LevelSet,
-    (lattice, zip): (Lattice, bool),
-) -> EncodedBlock {
-    let mut bytes = vec![Vec::new(); grids.len()];
-    let mut numbers = Vec::new();
-    let size = lattice.step as f32;
-    let leaf = |leaf: &Leaf| {
-        let sides = [leaf.inside_the_surface(), VOXELS - leaf.voxels.len()];
-        let outside = leaf.inside.map(|word| !word);
-        let ranges = grids.iter().zip(&mut bytes).map(|(grid, out)| {
-            let start = out.len();
-            out.extend(leaf.active.iter().flat_map(|word| word.to_le_bytes()));
-            put_sides(out, grid.kind, sides, &outside);
-            numbers.clear();
-            for voxel in &leaf.voxels {
-                match &grid.source {
-                    None => numbers.push(voxel.distance * size),
-                    Some(source) => {
-                        let corners = level_set.corners(voxel.triangle);
-                        source.put(&mut numbers, voxel, corners, &values[source.index]);
-                    }
-                }
-            }
-            grid.kind.put(out, &numbers, zip);
-            start..out.len()
-        });
-        let ranges = ranges.collect();
-        let of_tree = TreeLeaf {
-            corner: leaf.corner,
-            active: leaf.active,
-            inside: [leaf.is_inside(0), leaf.is_inside(VOXELS - 1)],
-        };
-        EncodedLeaf { leaf: of_tree, bounds: leaf.bounds(), ranges }
-    };
-    let leaves = leaves.iter().map(leaf).collect();
-    EncodedBlock { leaves, bytes }
+/// Successive grids of the same attribute, as many as are read at once.
+fn together(grids: &[AttributeGrid]) -> impl Iterator<Item = &[AttributeGrid]> {
+    let of_attributes = grids.chunk_by(|a, b| a.attribute == b.attribute);
+    of_attributes.flat_map(|grids| grids.chunks(NUMBERS_AT_ONCE))
 }

@@ -6,7 +6,7 @@
 use glam::IVec3;
 use rayon::prelude::*;
 
-use crate::surface::level_set::{LEAF, VOXELS};
+use crate::surface::level_set::{LEAF, VOXELS, place_in_leaf};
 
 use super::values::{Kind, put_sides};
 
@@ -14,14 +14,43 @@ use super::values::{Kind, put_sides};
 const LOG2: [u32; 2] = [4, 5];
 
 /// A leaf of the tree without its values.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub struct TreeLeaf {
     /// The coordinates of the first voxel.
     pub corner: IVec3,
     /// Bits of the active voxels.
     pub active: [u64; VOXELS / 64],
-    /// Whether the first and the last voxel are inside.
-    pub inside: [bool; 2],
+    /// Bits of the voxels inside the surface.
+    pub inside: [u64; VOXELS / 64],
+}
+
+impl TreeLeaf {
+    /// The coordinates of the active voxels, in order.
+    pub fn active_voxels(&self) -> impl Iterator<Item = IVec3> {
+        let is_active = |i: &usize| self.active[i / 64] >> (i % 64) & 1 == 1;
+        (0..VOXELS).filter(is_active).map(|i| self.corner + place_in_leaf(i))
+    }
+
+    /// The number of active voxels.
+    pub fn active_count(&self) -> usize {
+        self.active.iter().map(|word| word.count_ones() as usize).sum()
+    }
+
+    /// The least and the greatest coordinates of the active voxels.
+    pub fn bounds(&self) -> Option<[IVec3; 2]> {
+        let voxels = self.active_voxels().map(|voxel| [voxel; 2]);
+        voxels.reduce(|[a, b], [c, d]| [a.min(c), b.max(d)])
+    }
+
+    /// The numbers of inactive voxels inside the surface, and of all inactive voxels.
+    pub fn sides(&self) -> [usize; 2] {
+        let inactive = self.active.map(|word| !word);
+        let inside = self.inside.iter().zip(&inactive).map(|(inside, word)| inside & word);
+        [
+            inside.map(|word| word.count_ones() as usize).sum(),
+            inactive.iter().map(|word| word.count_ones() as usize).sum(),
+        ]
+    }
 }
 
 /// A node above the leaves: its bytes, and whether its first and last voxels are inside.
@@ -31,25 +60,30 @@ struct Node {
     inside: [bool; 2],
 }
 
-/// The bytes of the tree without the values of its leaves, which are in the order of [`sorted`].
-pub fn topology(leaves: &[TreeLeaf], kind: Kind, background: f32, zip: bool) -> Vec<u8> {
+/// The bytes of the tree without the values of its leaves, which are in the order of [`sort_key`].
+pub fn topology<'a>(
+    leaves: impl Iterator<Item = &'a TreeLeaf>,
+    kind: Kind,
+    background: f32,
+    zip: bool,
+) -> Vec<u8> {
     let leaf = |leaf: &TreeLeaf| Node {
         corner: leaf.corner,
         bytes: leaf.active.iter().flat_map(|word| word.to_le_bytes()).collect(),
-        inside: leaf.inside,
+        inside: [leaf.inside[0] & 1 == 1, leaf.inside[VOXELS / 64 - 1] >> 63 == 1],
     };
-    let leaves: Vec<_> = leaves.par_iter().map(leaf).collect();
+    let leaves: Vec<_> = leaves.map(leaf).collect();
     let lower = above(leaves, LEAF, LOG2[0], kind, zip);
     let upper = above(lower, LEAF << LOG2[0], LOG2[1], kind, zip);
     let tiles = root_tiles(&upper);
 
     let mut out = 1i32.to_le_bytes().to_vec();
-    out.extend(kind.value(background));
+    out.extend(kind.background(background));
     out.extend((tiles.len() as u32).to_le_bytes());
     out.extend((upper.len() as u32).to_le_bytes());
     for corner in tiles {
         out.extend(corner.to_array().map(i32::to_le_bytes).as_flattened());
-        out.extend(kind.value(-background));
+        out.extend(kind.background(-background));
         out.push(0);
     }
     for node in upper {
@@ -61,7 +95,7 @@ pub fn topology(leaves: &[TreeLeaf], kind: Kind, background: f32, zip: bool) -> 
 
 /// Brings leaves into the order in which the tree has them: by node of the root, by node below
 /// that, and by place in that node, with z fastest.
-pub fn sort_key(corner: &IVec3) -> [[i32; 3]; 3] {
+pub fn sort_key(corner: IVec3) -> [[i32; 3]; 3] {
     [LEAF << (LOG2[0] + LOG2[1]), LEAF << LOG2[0], LEAF]
         .map(|edge| corner.div_euclid(IVec3::splat(edge)).to_array())
 }
@@ -129,4 +163,31 @@ fn root_tiles(nodes: &[Node]) -> Vec<IVec3> {
         (1..=count).map(move |i| low + IVec3::Z * (i * edge))
     });
     between.collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_root_has_tiles_between_nodes_of_a_column_that_face_inwards() {
+        const EDGE: i32 = 4096;
+        // The last voxel of the lower leaf and the first of the upper one are inside.
+        let leaf = |z: i32, inside: u64| {
+            let corner = IVec3::new(-EDGE, 0, z);
+            TreeLeaf { corner, active: [1 << 20; 8], inside: [inside; 8] }
+        };
+        let leaves = [leaf(-3 * EDGE - 8, !0), leaf(2 * EDGE, !0), leaf(3 * EDGE, 0)];
+        let kind = Kind::Distance { half: false };
+        let tree = topology(leaves.iter(), kind, 3.0, false);
+        let word = |at: usize| i32::from_le_bytes(tree[at..][..4].try_into().unwrap());
+        let [buffers, tiles, children] = [word(0), word(8), word(12)];
+        assert_eq!([buffers, tiles, children], [1, 5, 3]);
+        for (i, z) in (-3..2).enumerate() {
+            let at = 16 + 17 * i;
+            assert_eq!([0, 4, 8].map(|k| word(at + k)), [-EDGE, 0, z * EDGE]);
+            assert_eq!(tree[at + 12..at + 17], [&(-3f32).to_le_bytes()[..], &[0]].concat());
+        }
+        assert_eq!([0, 4, 8].map(|k| word(16 + 17 * 5 + k)), [-EDGE, 0, -4 * EDGE]);
+    }
 }

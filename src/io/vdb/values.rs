@@ -25,7 +25,8 @@ pub enum Kind {
         components: usize,
         half: bool,
     },
-    Whole,
+    Int32,
+    Int64,
 }
 
 impl Kind {
@@ -34,7 +35,8 @@ impl Kind {
         let value = match self {
             Self::Distance { .. } | Self::Real { components: 1, .. } => "float",
             Self::Real { .. } => "vec3s",
-            Self::Whole => "int32",
+            Self::Int32 => "int32",
+            Self::Int64 => "int64",
         };
         let half = if self.is_half() { "_HalfFloat" } else { "" };
         format!("Tree_{value}_5_4_3{half}")
@@ -44,25 +46,43 @@ impl Kind {
         matches!(self, Self::Distance { half: true } | Self::Real { half: true, .. })
     }
 
-    /// One value whose components are all `number`; a number of half precision still has four bytes.
-    pub fn value(self, number: f32) -> Vec<u8> {
+    /// Bytes of a value of an active voxel.
+    pub fn bytes(self) -> usize {
+        match self {
+            Self::Distance { half } => {
+                if half {
+                    2
+                } else {
+                    4
+                }
+            }
+            Self::Real { components, half } => components * if half { 2 } else { 4 },
+            Self::Int32 => 4,
+            Self::Int64 => 8,
+        }
+    }
+
+    /// The background or its negation, for a background of distances of `number`: grids other than
+    /// distances have zeros. Numbers have four bytes also in grids of half precision.
+    pub fn background(self, number: f32) -> Vec<u8> {
         match self {
             Self::Distance { half: true } => f16::from_f32(number).to_f32().to_le_bytes().to_vec(),
             Self::Distance { half: false } => number.to_le_bytes().to_vec(),
             Self::Real { components, .. } => vec![0; 4 * components],
-            Self::Whole => vec![0; 4],
+            Self::Int32 => vec![0; 4],
+            Self::Int64 => vec![0; 8],
         }
     }
 
-    /// Appends numbers, those of a value together; integers as their 32 bits.
-    pub fn put(self, out: &mut Vec<u8>, numbers: &[f32], zip: bool) {
-        let mut bytes = Vec::with_capacity(4 * numbers.len());
-        if self.is_half() {
-            bytes.extend(numbers.iter().flat_map(|&number| f16::from_f32(number).to_le_bytes()));
-        } else {
-            bytes.extend(numbers.iter().flat_map(|number| number.to_le_bytes()));
+    /// Appends a number of a value; an integer as its 32 bits.
+    pub fn put(self, out: &mut Vec<u8>, number: f32) {
+        match self {
+            _ if self.is_half() => out.extend(f16::from_f32(number).to_le_bytes()),
+            Self::Distance { .. } | Self::Real { .. } | Self::Int32 => {
+                out.extend(number.to_le_bytes());
+            }
+            Self::Int64 => out.extend(i64::from(number.to_bits()).to_le_bytes()),
         }
-        if zip { put_zipped(out, &bytes) } else { out.extend(bytes) }
     }
 
     /// Appends the active values of a node that has none.
@@ -71,14 +91,17 @@ impl Kind {
             out.extend(0i64.to_le_bytes());
         }
     }
+
+    fn has_sides(self) -> bool {
+        matches!(self, Self::Distance { .. })
+    }
 }
 
 /// Appends which inactive values of a node are inside: `inside` of `all`, and a mask of those that
 /// are outside.
 pub fn put_sides(out: &mut Vec<u8>, kind: Kind, [inside, all]: [usize; 2], outside: &[u64]) {
-    let has_sides = matches!(kind, Kind::Distance { .. });
     match inside {
-        _ if !has_sides => out.push(OUTSIDE),
+        _ if !kind.has_sides() => out.push(OUTSIDE),
         0 => out.push(OUTSIDE),
         _ if inside == all => out.push(INSIDE),
         _ => {
@@ -88,9 +111,14 @@ pub fn put_sides(out: &mut Vec<u8>, kind: Kind, [inside, all]: [usize; 2], outsi
     }
 }
 
+/// The number of bytes that [`put_sides`] appends for a mask of `mask` bytes.
+pub fn sides_bytes(kind: Kind, [inside, all]: [usize; 2], mask: u64) -> u64 {
+    if kind.has_sides() && inside > 0 && inside < all { 1 + mask } else { 1 }
+}
+
 /// Appends zlib's encoding after its length; or the bytes as they are, after their negated length,
 /// unless that makes them shorter.
-fn put_zipped(out: &mut Vec<u8>, bytes: &[u8]) {
+pub fn put_zipped(out: &mut Vec<u8>, bytes: &[u8]) {
     let zipped = || -> io::Result<Vec<u8>> {
         let mut encoder = ZlibEncoder::new(Vec::new(), Compression::fast());
         encoder.write_all(bytes)?;

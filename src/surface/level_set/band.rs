@@ -5,93 +5,182 @@
 //! neighbours. The lattice's edge between such a voxel and a neighbour that no triangle touched does
 //! not cross the surface, so that both are on one side of it.
 
-use glam::{IVec3, Vec3};
+use glam::{DVec3, IVec3, Vec4};
 
-use super::triangle::{NearestPoint, Triangle};
-use super::{BAND, BLOCK, LEAF, Leaf, LeafVoxel, VOXELS};
+use super::triangle::{Distances, Triangle};
+use super::{BAND, BLOCK, LEAF, Leaf, VOXELS, place_in_leaf};
 
 /// Voxels around a block in which triangles spread.
-const MARGIN: i32 = BAND as i32 + 1;
+pub const MARGIN: i32 = BAND as i32 + 1;
 /// Voxels along the edge of a block with its margin, and one more at each end that no triangle
 /// reaches.
 const EDGE: i32 = BLOCK + 2 * MARGIN + 2;
+/// Leaves along the edge of a block.
+const LEAVES: i32 = BLOCK / LEAF;
 /// Distances that differ by less are equal, and the triangle that faces the voxel more decides on
 /// which side it is.
 const EQUAL: f32 = 1e-4;
-/// A triangle whose squared distance is less by at most this is not compared.
-const NO_NEARER: f32 = 1e-3;
+/// Squares of equal distances within a cube differ by less.
+const EQUAL_SQUARES: f32 = 4e-4;
 /// The largest [`margin`] of a voxel from which a triangle can be the nearest of one of the block's.
 const MOST_USEFUL: f32 = BAND - 1.0;
-/// Marks a voxel without a triangle.
-const NONE: u32 = u32::MAX;
+/// Coordinates this close to an integer are that integer, in f64.
+const ROUNDING: f64 = 1e-6;
+/// A triangle may touch a voxel of which the square of its distance is less, in f32.
+const TOUCHING: f32 = 1e-8;
+/// Makes up for distances that are found slightly too large.
+const SLACK: f32 = 0.1;
+
+/// The coordinates of a voxel of a [`Band`].
+type Place = [u8; 3];
+
+/// What is known of a voxel.
+#[derive(Debug, Clone, Copy)]
+struct KnownVoxel {
+    /// The square of the distance of the nearest triangle.
+    squared: f32,
+    /// The number of that triangle in the block's list, or one of the marks below.
+    number: u32,
+    /// Negative inside. The absolute value is the distance of the voxel from the plane of the nearest
+    /// triangle that touches its cubes: the larger it is, the more the triangle faces the voxel.
+    height: f32,
+}
+
+/// Marks a voxel at the border, where no triangle spreads.
+const BORDER: u32 = u32::MAX;
+/// Marks a voxel that was visited, and has no triangle yet.
+const VISITED: u32 = u32::MAX - 1;
+/// Marks a voxel that was not visited.
+const UNKNOWN: u32 = u32::MAX - 2;
+
+impl KnownVoxel {
+    fn marked(number: u32) -> Self {
+        Self { squared: f32::INFINITY, number, height: 0.0 }
+    }
+
+    fn has_triangle(self) -> bool {
+        self.number < UNKNOWN
+    }
+
+    fn is_in_band(self) -> bool {
+        self.squared < BAND * BAND
+    }
+
+    fn is_inside(self) -> bool {
+        self.height < 0.0
+    }
+}
 
 /// What is known of the voxels of a block and its margin.
 pub struct Band {
-    /// The number of the nearest triangle in the block's list.
-    nearest: Vec<u32>,
-    /// The square of its distance.
-    squared: Vec<f32>,
-    /// The distance of the nearest triangle's plane: the larger it is, the more the triangle faces
-    /// the voxel.
-    facing: Vec<f32>,
-    inside: Vec<bool>,
-    /// Whether the voxel is in a list of voxels to be compared, or never is.
-    listed: Vec<bool>,
-    /// The voxels that never are: those at the border.
-    border: Vec<bool>,
-    /// The distance of the voxel from the block.
-    margin: Vec<f32>,
+    voxels: Vec<KnownVoxel>,
+    /// All visited voxels.
+    visited: Vec<Place>,
 }
 
-fn index(at: IVec3) -> usize {
-    ((at.x * EDGE + at.y) * EDGE + at.z) as usize
+/// The triangles near a block, relative to its [`band_corner`], without those that are too flat.
+#[derive(Debug, Default)]
+pub struct BlockTriangles {
+    triangles: Vec<Triangle>,
+    /// The least and the greatest corner of the cubes that each triangle touches.
+    boxes: Vec<[Place; 2]>,
+    /// The number of each triangle in the mesh.
+    numbers: Vec<u32>,
 }
 
-fn place(index: usize) -> IVec3 {
-    let (index, edge) = (index as i32, EDGE);
-    IVec3::new(index / (edge * edge), index / edge % edge, index % edge)
+impl BlockTriangles {
+    pub fn add(&mut self, corners: [DVec3; 3], number: u32) {
+        if let Some(triangle) = Triangle::new(corners) {
+            let [a, b, c] = corners;
+            let [low, high] = [a.min(b).min(c), a.max(b).max(c)]
+                .map(|at| at.clamp(DVec3::ZERO, DVec3::splat(f64::from(EDGE - 1))));
+            // Casts round down.
+            let low = low.to_array().map(|at| ((at + ROUNDING) as u8).max(1));
+            let up = |at: f64| (at - ROUNDING) as u8 + 1;
+            let high = high.to_array().map(|at| up(at).min(EDGE as u8 - 2));
+            self.triangles.push(triangle);
+            self.boxes.push([low, high]);
+            self.numbers.push(number);
+        }
+    }
+}
+
+fn index([x, y, z]: Place) -> usize {
+    let edge = EDGE as usize;
+    (usize::from(x) * edge + usize::from(y)) * edge + usize::from(z)
+}
+
+fn coordinates(place: Place) -> IVec3 {
+    place.map(i32::from).into()
 }
 
 /// The distance of a voxel from the block; less than that by one, so that neighbours of the block's
 /// voxels count as in it.
-fn margin(voxel: usize) -> f32 {
-    let from_low = place(voxel) - (MARGIN + 1);
+fn margin(place: Place) -> f32 {
+    let from_low = coordinates(place) - (MARGIN + 1);
     let from_high = from_low - (BLOCK - 1);
     let outside = (-from_low).max(from_high).max(IVec3::ZERO);
+    if outside == IVec3::ZERO {
+        return 0.0;
+    }
     (outside.as_vec3().length() - 1.0).max(0.0)
 }
 
-fn is_border(voxel: usize) -> bool {
-    let at = place(voxel);
-    at.min_element() == 0 || at.max_element() == EDGE - 1
+/// The squared distance below which a voxel visits a neighbour that may be `reach` voxels from the
+/// surface.
+///
+/// A voxel at a distance d ≥ 1 has a neighbour across a face with a squared distance of at most
+/// d² - 2 d / √3 + 1: the one along the axis on which the nearest point is furthest.
+fn passing_on(reach: f32) -> f32 {
+    if reach < 1.0 {
+        return 0.0;
+    }
+    reach * reach - 2.0 * reach / 3f32.sqrt() + 1.0 + SLACK
 }
 
-/// The offsets of a voxel's 26 neighbours, those across its faces first.
-const AROUND: [isize; 26] = {
-    let mut offsets = [0; 26];
+/// A step to a neighbour, and the difference of the indices.
+#[derive(Debug, Clone, Copy)]
+struct Step {
+    along: [i8; 3],
+    offset: isize,
+}
+
+impl Step {
+    fn from(self, place: Place) -> Place {
+        let [x, y, z] = self.along;
+        let [a, b, c] = place;
+        [a.wrapping_add_signed(x), b.wrapping_add_signed(y), c.wrapping_add_signed(z)]
+    }
+}
+
+/// The number of a voxel's neighbours across its faces.
+const FACES: usize = 6;
+
+/// The steps to a voxel's 26 neighbours, those across its faces first.
+const AROUND: [Step; 26] = {
+    let mut steps = [Step { along: [0; 3], offset: 0 }; 26];
     let (mut faces, mut others) = (0, FACES);
     let mut i = 0;
     while i < 27 {
-        let (x, y, z) = (i / 9 - 1, i / 3 % 3 - 1, i % 3 - 1);
-        let offset = (x * EDGE as isize + y) * EDGE as isize + z;
+        let along = [i / 9 - 1, i / 3 % 3 - 1, i % 3 - 1];
+        let [x, y, z] = along;
+        let offset = (x as isize * EDGE as isize + y as isize) * EDGE as isize + z as isize;
+        let step = Step { along, offset };
         match x * x + y * y + z * z {
             0 => {}
             1 => {
-                offsets[faces] = offset;
+                steps[faces] = step;
                 faces += 1;
             }
             _ => {
-                offsets[others] = offset;
+                steps[others] = step;
                 others += 1;
             }
         }
         i += 1;
     }
-    offsets
+    steps
 };
-
-/// The number of a voxel's neighbours across its faces.
-const FACES: usize = 6;
 
 /// The voxel of a block's [`Band`] with the coordinates (0, 0, 0).
 pub fn band_corner(block: IVec3) -> IVec3 {
@@ -100,156 +189,190 @@ pub fn band_corner(block: IVec3) -> IVec3 {
 
 impl Band {
     pub fn new() -> Self {
-        let voxels = EDGE.pow(3) as usize;
-        Self {
-            nearest: vec![NONE; voxels],
-            squared: vec![f32::INFINITY; voxels],
-            facing: vec![0.0; voxels],
-            inside: vec![false; voxels],
-            listed: vec![false; voxels],
-            border: (0..voxels).map(is_border).collect(),
-            margin: (0..voxels).map(margin).collect(),
+        let mut voxels = vec![KnownVoxel::marked(UNKNOWN); EDGE.pow(3) as usize];
+        let last = EDGE as u8 - 1;
+        for x in 0..=last {
+            for y in 0..=last {
+                let is_inner = |at| at > 0 && at < last;
+                let step = if is_inner(x) && is_inner(y) { usize::from(last) } else { 1 };
+                for z in (0..=last).step_by(step) {
+                    voxels[index([x, y, z])] = KnownVoxel::marked(BORDER);
+                }
+            }
         }
+        Self { voxels, visited: Vec::new() }
     }
 
-    /// The leaves of a block, by its triangles relative to the [`band_corner`]; those without area are
-    /// `None`.
-    pub fn leaves(&mut self, block: IVec3, triangles: &[Option<Triangle>]) -> Vec<Leaf> {
-        self.nearest.fill(NONE);
-        self.squared.fill(f32::INFINITY);
-        self.facing.fill(0.0);
-        self.listed.copy_from_slice(&self.border);
-        let touched = self.touch(triangles);
-        self.spread(triangles, touched);
-        let leaves = BLOCK / LEAF;
-        let corners = (0..leaves.pow(3))
-            .map(|i| IVec3::new(i / leaves.pow(2), i / leaves % leaves, i % leaves) * LEAF);
-        corners.filter_map(|corner| self.leaf(block, corner, triangles)).collect()
+    /// The leaves of a block with voxels in the band.
+    pub fn leaves(&mut self, block: IVec3, near: &BlockTriangles) -> Vec<Leaf> {
+        self.touch(near);
+        self.spread(&near.triangles);
+        let mut has_band = [false; LEAVES.pow(3) as usize];
+        for &place in self.visited.iter().filter(|&&place| self.voxels[index(place)].is_in_band()) {
+            let at = (coordinates(place) - (MARGIN + 1)).div_euclid(IVec3::splat(LEAF));
+            if at.min_element() >= 0 && at.max_element() < LEAVES {
+                has_band[((at.x * LEAVES + at.y) * LEAVES + at.z) as usize] = true;
+            }
+        }
+        let corner = |i: usize| {
+            let i = i as i32;
+            IVec3::new(i / (LEAVES * LEAVES), i / LEAVES % LEAVES, i % LEAVES) * LEAF
+        };
+        let corners = (0..has_band.len()).filter(|&i| has_band[i]).map(corner);
+        let leaves = corners.map(|corner| self.leaf(block, corner, &near.numbers)).collect();
+        for place in self.visited.drain(..) {
+            self.voxels[index(place)] = KnownVoxel::marked(UNKNOWN);
+        }
+        leaves
     }
 
-    /// Compares each triangle with the corners of the cubes that it touches, and returns these.
-    fn touch(&mut self, triangles: &[Option<Triangle>]) -> Vec<usize> {
-        let mut touched = Vec::new();
-        let last = Vec3::splat((EDGE - 2) as f32);
-        for (number, triangle) in triangles.iter().enumerate() {
-            let Some(triangle) = triangle else { continue };
-            let [low, high] = triangle.bounds();
-            let low = low.floor().max(Vec3::ONE).as_ivec3();
-            let high = high.ceil().min(last).as_ivec3();
-            for x in low.x..=high.x {
-                for y in low.y..=high.y {
-                    for z in low.z..=high.z {
-                        let at = IVec3::new(x, y, z);
-                        if self.compare_touched(at, triangle, number as u32) {
-                            touched.push(index(at));
+    /// Compares each triangle with the corners of the cubes that it touches.
+    fn touch(&mut self, near: &BlockTriangles) {
+        for ((number, triangle), &[low, high]) in (0..).zip(&near.triangles).zip(&near.boxes) {
+            let is_within = coordinates(low).min_element() > MARGIN
+                && coordinates(high).max_element() <= MARGIN + BLOCK;
+            // Four voxels at a time, as most triangles are in one cube.
+            for x in low[0]..=high[0] {
+                for y in (low[1]..=high[1]).step_by(2) {
+                    for z in (low[2]..=high[2]).step_by(2) {
+                        let four = [[x, y, z], [x, y, z + 1], [x, y + 1, z], [x, y + 1, z + 1]];
+                        let along = |axis: usize| four.map(|place| f32::from(place[axis])).into();
+                        let Distances { squared, heights } =
+                            triangle.distances([Vec4::splat(f32::from(x)), along(1), along(2)]);
+                        for (i, place) in four.into_iter().enumerate() {
+                            if place[1] <= high[1]
+                                && place[2] <= high[2]
+                                && (is_within || margin(place) <= MOST_USEFUL)
+                            {
+                                let (squared, height) = (squared[i], heights[i]);
+                                self.learn(place, KnownVoxel { squared, number, height });
+                                if squared < TOUCHING {
+                                    self.touch_around(place, number, triangle);
+                                }
+                            }
                         }
                     }
                 }
             }
         }
-        touched
     }
 
-    /// Compares a voxel with a triangle nearby, and returns whether it is the voxel's first.
-    fn compare_touched(&mut self, at: IVec3, triangle: &Triangle, number: u32) -> bool {
-        let (index, voxel) = (index(at), at.as_vec3());
-        if self.margin[index] > MOST_USEFUL {
-            return false;
+    /// Compares a triangle that touches a voxel with all neighbours: it may touch their cubes as well.
+    fn touch_around(&mut self, place: Place, number: u32, triangle: &Triangle) {
+        for step in &AROUND {
+            let to = step.from(place);
+            if self.voxels[index(to)].number != BORDER && margin(to) <= MOST_USEFUL {
+                let places = to.map(|at| Vec4::splat(f32::from(at)));
+                let Distances { squared: [squared, ..], heights: [height, ..] } =
+                    triangle.distances(places);
+                self.learn(to, KnownVoxel { squared, number, height });
+            }
         }
-        let is_first = self.nearest[index] == NONE;
-        if !is_first && triangle.least_squared(voxel) > self.squared[index] + EQUAL {
-            return false;
-        }
-        let NearestPoint { squared, .. } = triangle.nearest(voxel);
-        let (height, known) = (triangle.height(voxel), self.squared[index]);
-        let equal = EQUAL * (2.0 * squared.sqrt() + EQUAL);
-        let is_nearer = is_first || squared < known - equal;
-        if is_nearer || squared < known + equal && height.abs() > self.facing[index] {
-            self.nearest[index] = number;
-            self.squared[index] = if is_nearer { squared } else { squared.min(known) };
-            self.facing[index] = height.abs();
-            self.inside[index] = height < 0.0;
-        }
-        is_first
     }
 
-    fn spread(&mut self, triangles: &[Option<Triangle>], touched: Vec<usize>) {
+    /// Takes a triangle that touches one of the voxel's cubes as its nearest, if it is.
+    #[inline]
+    fn learn(&mut self, place: Place, found: KnownVoxel) {
+        let known = &mut self.voxels[index(place)];
+        if found.squared > known.squared + EQUAL_SQUARES {
+            return;
+        }
+        if !known.has_triangle() {
+            self.visited.push(place);
+        }
+        let equal = EQUAL * (2.0 * found.squared.sqrt() + EQUAL);
+        let faces_more = found.height.abs() > known.height.abs();
+        if found.squared < known.squared - equal
+            || found.squared < known.squared + equal && faces_more
+        {
+            *known = KnownVoxel { squared: found.squared.min(known.squared), ..found };
+        }
+    }
+
+    /// Passes triangles on from the visited voxels to all voxels in the band.
+    fn spread(&mut self, triangles: &[Triangle]) {
         // A triangle that touches none of a voxel's cubes is at least one voxel away.
-        let far = touched.iter().copied().filter(|&voxel| self.squared[voxel] > 1.0);
-        let far: Vec<_> = far.map(|voxel| (voxel, self.nearest_around(triangles, voxel))).collect();
-        self.set(far);
-        let mut front = touched;
+        let is_far = |place: &Place| self.voxels[index(*place)].squared > 1.0;
+        let far: Vec<Place> = self.visited.iter().copied().filter(is_far).collect();
+        self.pull(triangles, &far);
+        let mut front = self.visited.clone();
         while !front.is_empty() {
             let mut next = Vec::new();
-            for voxel in front {
-                // No nearest triangle of the block's voxels spreads through a voxel further on.
-                let left = BAND - self.margin[voxel];
-                if self.squared[voxel] >= left * left {
-                    continue;
-                }
-                for &step in &AROUND[..FACES] {
-                    let neighbour = voxel.wrapping_add_signed(step);
-                    if self.nearest[neighbour] == NONE && !self.listed[neighbour] {
-                        self.listed[neighbour] = true;
-                        self.inside[neighbour] = self.inside[voxel];
-                        next.push(neighbour);
+            for place in front {
+                let (at, known) = (index(place), self.voxels[index(place)]);
+                for step in &AROUND[..FACES] {
+                    let neighbour = &mut self.voxels[at.wrapping_add_signed(step.offset)];
+                    if neighbour.number != UNKNOWN {
+                        continue;
+                    }
+                    let to = step.from(place);
+                    // No nearest triangle of the block's voxels spreads through a voxel further on.
+                    if known.squared < passing_on(BAND - margin(to)) {
+                        let height = if known.is_inside() { -1.0 } else { 1.0 };
+                        *neighbour = KnownVoxel { height, ..KnownVoxel::marked(VISITED) };
+                        next.push(to);
                     }
                 }
             }
-            let found = next.iter().map(|&voxel| (voxel, self.nearest_around(triangles, voxel)));
-            let found = found.collect();
-            self.set(found);
+            self.visited.extend(&next);
+            self.pull(triangles, &next);
             front = next;
         }
     }
 
-    fn set(&mut self, found: Vec<(usize, (u32, f32))>) {
-        for (voxel, (nearest, squared)) in found {
-            (self.nearest[voxel], self.squared[voxel]) = (nearest, squared);
-        }
+    /// Gives voxels the nearest of the triangles that they and their neighbours knew before.
+    fn pull(&mut self, triangles: &[Triangle], places: &[Place]) {
+        let found: Vec<KnownVoxel> =
+            places.iter().map(|&place| self.nearest_around(triangles, place)).collect();
+        places.iter().zip(found).for_each(|(&place, found)| self.voxels[index(place)] = found);
     }
 
     /// The nearest of the triangles that a voxel and its 26 neighbours know.
-    fn nearest_around(&self, triangles: &[Option<Triangle>], voxel: usize) -> (u32, f32) {
-        let at = place(voxel).as_vec3();
-        let (mut best, mut squared) = (self.nearest[voxel], self.squared[voxel]);
-        for step in AROUND {
-            let number = self.nearest[voxel.wrapping_add_signed(step)];
-            if number == NONE || number == best {
-                continue;
-            }
-            let triangle = triangles[number as usize].as_ref().expect("voxels know only triangles");
-            if triangle.least_squared(at) >= squared - NO_NEARER {
-                continue;
-            }
-            let nearest = triangle.nearest(at).squared;
-            if nearest < squared {
-                (best, squared) = (number, nearest);
+    fn nearest_around(&self, triangles: &[Triangle], place: Place) -> KnownVoxel {
+        let voxel = index(place);
+        let mut best = self.voxels[voxel];
+        let mut numbers = [0; AROUND.len() + 3];
+        let mut count = 0;
+        for step in &AROUND {
+            let known = self.voxels[voxel.wrapping_add_signed(step.offset)];
+            let number = known.number;
+            if known.has_triangle() && number != best.number && !numbers[..count].contains(&number)
+            {
+                numbers[count] = number;
+                count += 1;
             }
         }
-        (best, squared)
+        let first = numbers[0];
+        numbers[count..].fill(first);
+        let at = place.map(f32::from);
+        for numbers in numbers[..count.next_multiple_of(4)].as_chunks::<4>().0 {
+            let four = numbers.map(|number| &triangles[number as usize]);
+            for (&number, squared) in numbers.iter().zip(Triangle::squared_of(four, at)) {
+                if squared < best.squared {
+                    best = KnownVoxel { squared, number, ..best };
+                }
+            }
+        }
+        best
     }
 
-    /// A leaf of the block, if any of its voxels is within the band.
-    fn leaf(&self, block: IVec3, corner: IVec3, triangles: &[Option<Triangle>]) -> Option<Leaf> {
-        let at = |i: usize| {
-            let i = i as i32;
-            corner + MARGIN + 1 + IVec3::new(i / (LEAF * LEAF), i / LEAF % LEAF, i % LEAF)
+    /// A leaf of the block that has voxels in the band.
+    fn leaf(&self, block: IVec3, corner: IVec3, numbers: &[u32]) -> Leaf {
+        let voxel = |i: usize| {
+            let place = corner + (MARGIN + 1) + place_in_leaf(i);
+            self.voxels[index(place.to_array().map(|at| at as u8))]
         };
-        let is_active = |voxel: usize| self.squared[voxel] < BAND * BAND;
-        let first = (0..VOXELS).map(|i| index(at(i))).find(|&voxel| is_active(voxel))?;
         let mut leaf = Leaf::at(block * BLOCK + corner);
+        let first = (0..VOXELS).map(voxel).find(|voxel| voxel.is_in_band());
+        let first_inside = first.is_some_and(KnownVoxel::is_inside);
         for i in 0..VOXELS {
-            let place = at(i);
-            let voxel = index(place);
-            let inside = if is_active(voxel) {
-                let number = self.nearest[voxel];
-                let triangle = triangles[number as usize].as_ref().expect("one is nearest");
-                let NearestPoint { squared, shares } = triangle.nearest(place.as_vec3());
-                let distance = if self.inside[voxel] { -squared.sqrt() } else { squared.sqrt() };
+            let known = voxel(i);
+            let inside = if known.is_in_band() {
+                let distance = known.squared.sqrt();
                 leaf.active[i / 64] |= 1 << (i % 64);
-                leaf.voxels.push(LeafVoxel { distance, triangle: number, shares });
-                self.inside[voxel]
+                leaf.distances.push(if known.is_inside() { -distance } else { distance });
+                leaf.triangles.push(numbers[known.number as usize]);
+                known.is_inside()
             } else {
                 // No surface is between this voxel and the one before along an axis.
                 let edge = LEAF as usize;
@@ -257,10 +380,10 @@ impl Band {
                     [(i % edge, 1), (i / edge % edge, edge), (i / (edge * edge), edge * edge)]
                         .into_iter()
                         .find(|&(along, _)| along > 0);
-                before.map_or(self.inside[first], |(_, step)| leaf.is_inside(i - step))
+                before.map_or(first_inside, |(_, step)| leaf.is_inside(i - step))
             };
             leaf.inside[i / 64] |= u64::from(inside) << (i % 64);
         }
-        Some(leaf)
+        leaf
     }
 }

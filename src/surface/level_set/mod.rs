@@ -9,16 +9,14 @@ mod band;
 mod triangle;
 
 use std::io;
-use std::ops::Range;
 
 use glam::{DVec3, IVec3};
 use hashbrown::HashMap;
 use rayon::prelude::*;
 
-use crate::surface::mesh::source::{Lattice, MeshSource, Outline};
+use crate::surface::mesh::source::{Indexed, Lattice, MeshSource, Outline};
 
-use band::{Band, band_corner};
-use triangle::Triangle;
+use band::{Band, BlockTriangles, MARGIN, band_corner};
 
 /// Half the width of the band, in voxels.
 pub const BAND: f32 = 3.0;
@@ -28,19 +26,13 @@ pub const LEAF: i32 = 8;
 pub const VOXELS: usize = (LEAF * LEAF * LEAF) as usize;
 /// Voxels along the edge of a block.
 const BLOCK: i32 = 64;
-/// Largest coordinate of a voxel.
-const FARTHEST: f64 = (1 << 30) as f64;
-
-/// A voxel in the band.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct LeafVoxel {
-    /// The distance from the surface in voxels, negative inside.
-    pub distance: f32,
-    /// The triangle with the nearest point.
-    pub triangle: u32,
-    /// The shares of its corners in that point; their sum is 1.
-    pub shares: [f32; 3],
-}
+/// Upper limit of the coordinates of a vertex, in voxels. Differences of coordinates of voxels fit
+/// an i32.
+const FARTHEST: f64 = (1 << 29) as f64;
+const TOO_FAR: &str = "a vertex is not finite, or more than 2^29 cells from the grid's origin; \
+                       use larger cells";
+/// Triangles whose blocks are found together.
+const TRIANGLES_TOGETHER: usize = 1 << 14;
 
 /// 8³ voxels, numbered with z fastest.
 #[derive(Debug, Clone, PartialEq)]
@@ -51,174 +43,226 @@ pub struct Leaf {
     pub active: [u64; VOXELS / 64],
     /// Bits of the voxels inside the surface.
     pub inside: [u64; VOXELS / 64],
-    /// The voxels in the band, in order.
-    pub voxels: Vec<LeafVoxel>,
+    /// The distance of each voxel in the band from the surface in voxels, negative inside.
+    pub distances: Vec<f32>,
+    /// The triangle with the nearest point to each voxel in the band.
+    pub triangles: Vec<u32>,
 }
 
 impl Leaf {
     fn at(corner: IVec3) -> Self {
-        Self { corner, active: [0; 8], inside: [0; 8], voxels: Vec::new() }
-    }
-
-    /// The number of voxels inside the surface that are not in the band.
-    pub fn inside_the_surface(&self) -> usize {
-        let words = self.inside.iter().zip(&self.active);
-        words.map(|(inside, active)| (inside & !active).count_ones() as usize).sum()
-    }
-
-    /// The least and the greatest coordinates of the voxels in the band.
-    pub fn bounds(&self) -> [IVec3; 2] {
-        let is_active = |i: &usize| self.active[i / 64] >> (i % 64) & 1 == 1;
-        let place = |i: usize| {
-            IVec3::new(i as i32 / (LEAF * LEAF), i as i32 / LEAF % LEAF, i as i32 % LEAF)
-        };
-        let mut places = (0..VOXELS).filter(is_active).map(place);
-        let first = places.next().unwrap_or_default();
-        let [low, high] = places.fold([first; 2], |[low, high], at| [low.min(at), high.max(at)]);
-        [self.corner + low, self.corner + high]
+        Self {
+            corner,
+            active: [0; VOXELS / 64],
+            inside: [0; VOXELS / 64],
+            distances: Vec::new(),
+            triangles: Vec::new(),
+        }
     }
 
     /// Whether voxel number `i` is inside the surface.
-    pub fn is_inside(&self, i: usize) -> bool {
+    fn is_inside(&self, i: usize) -> bool {
         self.inside[i / 64] >> (i % 64) & 1 == 1
     }
 }
 
-/// A mesh in memory, with the triangles of each block.
-#[derive(Debug)]
-pub struct LevelSet {
-    /// The positions of the vertices, in voxels.
-    positions: Vec<DVec3>,
-    triangles: Vec<[u32; 3]>,
-    blocks: Vec<IVec3>,
-    /// For each block the range of its triangles in `lists`.
-    ranges: Vec<Range<usize>>,
-    lists: Vec<u32>,
+/// The coordinates of voxel number `i` of a leaf, relative to its first.
+pub fn place_in_leaf(i: usize) -> IVec3 {
+    let i = i as i32;
+    IVec3::new(i / (LEAF * LEAF), i / LEAF % LEAF, i % LEAF)
 }
 
+/// The nearest point of a triangle to a voxel.
+#[derive(Debug, Clone, Copy)]
+pub struct SurfacePoint {
+    /// The vertices of the triangle.
+    pub corners: [u32; 3],
+    /// The share of each of them in the point; their sum is 1.
+    pub shares: [f32; 3],
+}
+
+/// A closed mesh in memory, in voxels.
+#[derive(Debug)]
+pub struct LevelSet {
+    positions: Vec<DVec3>,
+    triangles: Vec<[u32; 3]>,
+}
+
+/// A block with the triangles near it, in lists that are in order.
+type BlockLists = (IVec3, Vec<Vec<u32>>);
+
 impl LevelSet {
-    /// Reads a closed mesh into memory: 24 bytes for each vertex, and about 30 for each triangle.
+    /// Reads a closed mesh into memory: 24 bytes for each vertex, and 12 for each triangle.
     ///
     /// # Errors
     /// Those of `mesh`; [`io::ErrorKind::OutOfMemory`]; and [`io::ErrorKind::InvalidInput`] for a
-    /// mesh with too many vertices or that extends too far.
+    /// mesh with too many vertices, or with coordinates that are not finite or too large.
     pub fn new(mesh: &dyn MeshSource, lattice: Lattice) -> io::Result<Self> {
-        let (positions, triangles) = gathered(mesh, lattice)?;
-        let mut numbers: HashMap<IVec3, u32> = HashMap::new();
-        let mut blocks = Vec::new();
-        let mut counts: Vec<usize> = Vec::new();
-        each_block(&positions, &triangles, |block, _| {
-            let number = *numbers.entry(block).or_insert_with(|| {
-                blocks.push(block);
-                counts.push(0);
-                blocks.len() as u32 - 1
-            });
-            counts[number as usize] += 1;
-        });
-        let ends = counts.iter().scan(0, |end, count| {
-            *end += count;
-            Some(*end)
-        });
-        let ranges: Vec<_> = ends.zip(&counts).map(|(end, count)| end - count..end).collect();
-        let mut lists = Vec::new();
-        let all = ranges.last().map_or(0, |range| range.end);
-        lists.try_reserve_exact(all).map_err(|_| io::ErrorKind::OutOfMemory)?;
-        lists.resize(all, 0);
-        let mut next: Vec<_> = ranges.iter().map(|range| range.start).collect();
-        each_block(&positions, &triangles, |block, triangle| {
-            let next = &mut next[numbers[&block] as usize];
-            lists[*next] = triangle;
-            *next += 1;
-        });
-        Ok(Self { positions, triangles, blocks, ranges, lists })
+        let (positions, triangles) = gathered(mesh)?;
+        let origin = DVec3::from(lattice.origin);
+        let voxel = |position: [f64; 3]| (DVec3::from(position) - origin) / lattice.step;
+        // The array is reused.
+        let positions: Vec<DVec3> = positions.into_iter().map(voxel).collect();
+        if !positions.par_iter().all(|place| place.abs().cmplt(DVec3::splat(FARTHEST)).all()) {
+            return Err(invalid(TOO_FAR));
+        }
+        Ok(Self { positions, triangles })
     }
 
-    /// The corners of a triangle.
-    pub fn corners(&self, triangle: u32) -> [u32; 3] {
-        self.triangles[triangle as usize]
+    /// The nearest point of a triangle to a voxel.
+    pub fn nearest_point(&self, triangle: u32, voxel: IVec3) -> SurfacePoint {
+        let corners = self.triangles[triangle as usize];
+        let from_voxel = |vertex| self.position(vertex) - voxel.as_dvec3();
+        SurfacePoint { corners, shares: triangle::shares(corners.map(from_voxel)) }
+    }
+
+    fn position(&self, vertex: u32) -> DVec3 {
+        self.positions[vertex as usize]
     }
 
     /// Calls `make` with the leaves of each block, on all threads, and returns the results in an
-    /// order that depends only on the mesh.
-    pub fn map<T: Send>(&self, make: impl Fn(Vec<Leaf>) -> T + Sync) -> Vec<T> {
-        let block = |band: &mut Band, (&block, range): (&IVec3, &Range<usize>)| {
-            make(self.leaves(band, block, &self.lists[range.clone()]))
+    /// order that depends only on the mesh. Needs about 6 bytes for each triangle meanwhile.
+    ///
+    /// # Errors
+    /// One of those of `make`.
+    pub fn map<T: Send>(
+        &self,
+        make: impl Fn(Vec<Leaf>) -> io::Result<T> + Sync,
+    ) -> io::Result<Vec<T>> {
+        let block = |band: &mut Band, (block, lists): BlockLists| {
+            let corner = band_corner(block).as_dvec3();
+            let mut near = BlockTriangles::default();
+            for number in lists.into_iter().flatten() {
+                let corners = self.triangles[number as usize];
+                near.add(corners.map(|vertex| self.position(vertex) - corner), number);
+            }
+            make(band.leaves(block, &near))
         };
-        self.blocks.par_iter().zip(&self.ranges).map_init(Band::new, block).collect()
+        self.blocks().into_par_iter().map_init(Band::new, block).collect()
     }
 
-    fn leaves(&self, band: &mut Band, block: IVec3, list: &[u32]) -> Vec<Leaf> {
-        let corner = band_corner(block).as_dvec3();
-        let place = |vertex: u32| (self.positions[vertex as usize] - corner).as_vec3();
-        let triangles: Vec<_> =
-            list.iter().map(|&t| Triangle::new(self.corners(t).map(place))).collect();
-        let mut leaves = band.leaves(block, &triangles);
-        let voxels = leaves.iter_mut().flat_map(|leaf| &mut leaf.voxels);
-        voxels.for_each(|voxel| voxel.triangle = list[voxel.triangle as usize]);
-        leaves
+    /// All blocks with triangles nearby, in the order of their first triangles.
+    fn blocks(&self) -> Vec<BlockLists> {
+        let lists = |(chunk, triangles): (usize, &[[u32; 3]])| {
+            let mut lists = BlocksByPlace::default();
+            for (number, corners) in (chunk * TRIANGLES_TOGETHER..).zip(triangles) {
+                let corners = corners.map(|vertex| self.position(vertex));
+                each_block_near(corners, |block| lists.of(block).push(number as u32));
+            }
+            lists.blocks
+        };
+        let chunks = self.triangles.par_chunks(TRIANGLES_TOGETHER).enumerate();
+        let chunks: Vec<Vec<(IVec3, Vec<u32>)>> = chunks.map(lists).collect();
+        let mut all = BlocksByPlace::default();
+        chunks.into_iter().flatten().for_each(|(block, list)| all.of(block).push(list));
+        all.blocks
     }
 }
 
-/// Calls `take` with each triangle and each block whose voxels can be near it.
-fn each_block(positions: &[DVec3], triangles: &[[u32; 3]], mut take: impl FnMut(IVec3, u32)) {
-    for (number, triangle) in (0..).zip(triangles) {
-        let [a, b, c] = triangle.map(|vertex| positions[vertex as usize]);
-        let low = (a.min(b).min(c) - f64::from(BAND)).floor().as_ivec3();
-        let high = (a.max(b).max(c) + f64::from(BAND)).ceil().as_ivec3();
-        let edge = IVec3::splat(BLOCK);
-        let (low, high) = (low.div_euclid(edge), high.div_euclid(edge));
-        for x in low.x..=high.x {
-            for y in low.y..=high.y {
-                for z in low.z..=high.z {
-                    take(IVec3::new(x, y, z), number);
+/// Lists of blocks, in the order in which the blocks were first named.
+#[derive(Debug)]
+struct BlocksByPlace<T> {
+    blocks: Vec<(IVec3, Vec<T>)>,
+    numbers: HashMap<IVec3, usize>,
+}
+
+impl<T> Default for BlocksByPlace<T> {
+    fn default() -> Self {
+        Self { blocks: Vec::new(), numbers: HashMap::new() }
+    }
+}
+
+impl<T> BlocksByPlace<T> {
+    fn of(&mut self, block: IVec3) -> &mut Vec<T> {
+        let number = *self.numbers.entry(block).or_insert_with(|| {
+            self.blocks.push((block, Vec::new()));
+            self.blocks.len() - 1
+        });
+        &mut self.blocks[number].1
+    }
+}
+
+/// Calls `take` with the blocks that are near a triangle: at most [`MARGIN`] away from its box and
+/// from its plane.
+fn each_block_near([a, b, c]: [DVec3; 3], mut take: impl FnMut(IVec3)) {
+    let reach = f64::from(MARGIN);
+    let [low, high] = [block_of(a.min(b).min(c) - reach), block_of(a.max(b).max(c) + reach + 1.0)];
+    if low == high {
+        return take(low);
+    }
+    let normal = (b - a).cross(c - a);
+    // Half the edges of the block and twice the reach, projected onto the normal.
+    let extent = normal.abs().element_sum() * (f64::from(BLOCK) / 2.0 + reach);
+    let is_near = |block: IVec3| {
+        let centre = (block.as_dvec3() + 0.5) * f64::from(BLOCK);
+        normal.dot(centre - a).abs() <= extent
+    };
+    for x in low.x..=high.x {
+        for y in low.y..=high.y {
+            for z in low.z..=high.z {
+                let block = IVec3::new(x, y, z);
+                if is_near(block) {
+                    take(block);
                 }
             }
         }
     }
 }
 
-/// All positions in voxels, and all triangles.
-fn gathered(mesh: &dyn MeshSource, lattice: Lattice) -> io::Result<(Vec<DVec3>, Vec<[u32; 3]>)> {
+/// The block of a place.
+fn block_of(place: DVec3) -> IVec3 {
+    // Positive numbers round down without a call.
+    let blocks = (place + 2.0 * FARTHEST).as_uvec3() / BLOCK as u32;
+    blocks.as_ivec3() - 2 * FARTHEST as i32 / BLOCK
+}
+
+fn invalid(what: &str) -> io::Error {
+    io::Error::new(io::ErrorKind::InvalidInput, what.to_owned())
+}
+
+/// The positions of all vertices, and all triangles.
+fn gathered(mesh: &dyn MeshSource) -> io::Result<Indexed> {
     let Outline { vertices, triangles, pieces, .. } = mesh.outline();
-    let invalid = |what: &str| io::Error::new(io::ErrorKind::InvalidInput, what.to_owned());
     if vertices > u64::from(u32::MAX) || triangles >= u64::from(u32::MAX) {
         return Err(invalid("a level set needs a mesh of at most 4294967295 triangles"));
     }
-    let mut positions: Vec<DVec3> = Vec::new();
+    if let Some(indexed) = mesh.at_once()? {
+        return Ok(indexed);
+    }
+    let mut positions = Vec::new();
     let mut all: Vec<[u32; 3]> = Vec::new();
     positions.try_reserve_exact(vertices as usize).map_err(|_| io::ErrorKind::OutOfMemory)?;
     all.try_reserve_exact(triangles as usize).map_err(|_| io::ErrorKind::OutOfMemory)?;
-    let voxel =
-        |position: [f64; 3]| (DVec3::from(position) - DVec3::from(lattice.origin)) / lattice.step;
-    if let Some((places, faces)) = mesh.at_once()? {
-        positions.extend(places.into_iter().map(voxel));
-        all.extend(faces);
-    } else {
-        for piece in 0..pieces {
-            positions.extend(mesh.vertices(piece)?.positions.iter().copied().map(voxel));
-        }
-        for piece in 0..pieces {
-            all.extend(mesh.triangles(piece)?.into_iter().map(|corners| corners.map(|v| v as u32)));
-        }
+    for piece in 0..pieces {
+        positions.extend_from_slice(&mesh.vertices(piece)?.positions);
     }
-    if positions.iter().any(|place| !(place.abs().max_element() < FARTHEST)) {
-        return Err(invalid("the mesh extends over more than 2^30 voxels; use larger cells"));
+    for piece in 0..pieces {
+        all.extend(mesh.triangles(piece)?.into_iter().map(|corners| corners.map(|v| v as u32)));
     }
     Ok((positions, all))
 }
 
 #[cfg(test)]
 mod tests {
-    use glam::Vec3;
-
     use super::*;
     use crate::surface::mesh::Mesh;
 
-    #[test]
-    fn level_set_distances_match_the_nearest_triangle_with_the_right_sign() {
-        const RADIUS: f64 = 61.3;
+    /// The distance from the nearest point of the nearest triangle, by the shares of its corners.
+    fn distance(level_set: &LevelSet, voxel: IVec3) -> f64 {
+        let nearest = |triangle: u32| {
+            let SurfacePoint { corners, shares } = level_set.nearest_point(triangle, voxel);
+            let share =
+                |(&corner, share): (&u32, f32)| level_set.position(corner) * f64::from(share);
+            let point: DVec3 = corners.iter().zip(shares).map(share).sum();
+            point.distance(voxel.as_dvec3())
+        };
+        (0..level_set.triangles.len() as u32).map(nearest).fold(f64::MAX, f64::min)
+    }
+
+    /// An octahedron around `centre`, whose faces point outwards.
+    fn octahedron(centre: [f64; 3], radius: f64) -> Mesh {
         let corner = |axis: usize, sign: f64| -> [f64; 3] {
-            std::array::from_fn(|k| if k == axis { sign * RADIUS } else { 0.25 })
+            std::array::from_fn(|k| centre[k] + if k == axis { sign * radius } else { 0.0 })
         };
         let positions: Vec<_> =
             [0, 1, 2].into_iter().flat_map(|k| [corner(k, 1.0), corner(k, -1.0)]).collect();
@@ -226,30 +270,60 @@ mod tests {
             let odd = (x + y + z) % 2 == 1;
             if odd { [x, 4 + z, 2 + y] } else { [x, 2 + y, 4 + z] }
         };
-        let triangles: Vec<_> = (0..8).map(|i| faces([i & 1, i >> 1 & 1, i >> 2])).collect();
-        let mesh = Mesh { positions: positions.clone(), triangles, ..Mesh::default() };
+        let triangles = (0..8).map(|i| faces([i & 1, i >> 1 & 1, i >> 2])).collect();
+        Mesh { positions, triangles, ..Mesh::default() }
+    }
+
+    #[test]
+    fn distances_of_an_octahedron_are_exact_in_the_whole_band_and_negative_inside() {
+        const RADIUS: f64 = 61.3;
+        let centre = [0.25, -0.125, 64.5];
         let lattice = Lattice { origin: [0.0; 3], step: 1.0 };
-        let level_set = LevelSet::new(&mesh, lattice).unwrap();
-        let place = |vertex: u32| DVec3::from(positions[vertex as usize]).as_vec3();
-        let all: Vec<_> =
-            (0..8).map(|t| Triangle::new(level_set.corners(t).map(place)).unwrap()).collect();
+        let level_set = LevelSet::new(&octahedron(centre, RADIUS), lattice).unwrap();
         let mut checked = 0;
-        for leaf in level_set.map(|leaves| leaves).into_iter().flatten() {
-            let mut voxels = leaf.voxels.iter();
-            for i in (0..VOXELS).filter(|i| leaf.active[i / 64] >> (i % 64) & 1 == 1) {
-                let i = i as i32;
-                let at = leaf.corner + IVec3::new(i / 64, i / 8 % 8, i % 8);
-                let at: Vec3 = at.as_vec3();
-                let nearest = all.iter().map(|t| t.nearest(at).squared).fold(f32::MAX, f32::min);
-                let inside = all.iter().all(|t| t.height(at) < 0.0);
-                let expected = if inside { -nearest.sqrt() } else { nearest.sqrt() };
-                let found = voxels.next().unwrap().distance;
-                assert!((found - expected).abs() < 1e-3, "{at}: {found}, not {expected}");
-                checked += 1;
+        for leaf in level_set.map(Ok).unwrap().into_iter().flatten() {
+            let mut distances = leaf.distances.iter();
+            for i in 0..VOXELS {
+                let at = leaf.corner + place_in_leaf(i);
+                let from_centre = (at.as_dvec3() - DVec3::from(centre)).abs().element_sum();
+                let inside = from_centre < RADIUS;
+                assert_eq!(leaf.is_inside(i), inside, "{at}");
+                let exact = distance(&level_set, at);
+                let is_active = leaf.active[i / 64] >> (i % 64) & 1 == 1;
+                if (exact - 3.0).abs() > 1e-4 {
+                    assert_eq!(is_active, exact < 3.0, "{at}: {exact}");
+                }
+                if is_active {
+                    let expected = if inside { -exact } else { exact };
+                    let found = f64::from(*distances.next().unwrap());
+                    assert!((found - expected).abs() < 1e-4, "{at}: {found}, not {expected}");
+                    checked += 1;
+                }
             }
         }
         // A band of six voxels around the area.
         let area = 8.0 * 3f64.sqrt() / 4.0 * (2f64.sqrt() * RADIUS).powi(2);
         assert!((f64::from(checked) / (6.0 * area) - 1.0).abs() < 0.05, "{checked} of {area}");
+    }
+
+    #[test]
+    fn a_mesh_that_is_not_finite_or_too_far_away_is_refused() {
+        let lattice = Lattice { origin: [0.0; 3], step: 1.0 };
+        for far in [f64::NAN, f64::INFINITY, 1e9] {
+            for axis in 0..3 {
+                let mut mesh = octahedron([0.0; 3], 5.0);
+                mesh.positions[0][axis] = far;
+                let fault = LevelSet::new(&mesh, lattice).unwrap_err();
+                assert_eq!(fault.kind(), io::ErrorKind::InvalidInput, "{far} along {axis}");
+            }
+        }
+    }
+
+    #[test]
+    fn blocks_are_near_the_plane_of_a_large_triangle_and_not_only_its_box() {
+        let corners = [[0.0; 3], [4000.0, 0.0, 4000.0], [0.0, 4000.0, 4000.0]].map(DVec3::from);
+        let mut blocks = 0;
+        each_block_near(corners, |_| blocks += 1);
+        assert!((62 * 62..10 * 62 * 62).contains(&blocks), "{blocks}");
     }
 }

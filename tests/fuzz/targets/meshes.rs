@@ -1,7 +1,11 @@
 //! Readers of meshes, and writers with unusual meshes.
 
+use std::io;
+
 use meniscus::internals::io::CoordinateWidth;
 use meniscus::internals::io::output::MeshFormat;
+use meniscus::internals::io::vdb::read_grids;
+use meniscus::internals::surface::mesh::source::{Lattice, MeshSource, Outline, Vertices};
 use meniscus::mesh::{Mesh, VertexAttribute, check, measure};
 
 use super::Target;
@@ -23,6 +27,7 @@ pub fn targets() -> Vec<Target> {
         reader!("mesh-vtp", Vtp, 3000, || written(MeshFormat::Vtp), VTU),
         reader!("mesh-stl", Stl, 5000, stls, STL),
         reader!("mesh-vtkhdf", VtkHdf, 1000, || written(MeshFormat::VtkHdf), VTKHDF),
+        Target { name: "vdb-grids", runs: 5000, run: grids, seeds: vdbs, words: VDB },
         Target {
             name: "mesh-names",
             runs: 10000,
@@ -77,6 +82,8 @@ pub const VTK: &[&str] = &[
 ];
 const STL: &[&str] = &["solid", "facet normal", "outer loop", "vertex", "endfacet"];
 const VTKHDF: &[&str] = &["VTKHDF", "Polygons", "Connectivity"];
+const VDB: &[&str] =
+    &["AffineMap", "ScaleMap", "_HalfFloat", "file_bbox_min", "\u{1e}0", "\0\0\0\0"];
 const NAMES: &[&str] = &["nx", "x", "red", "NORMALS", "end_header", "\"", "&", "%20", "\n"];
 const OBJ: &[&str] =
     &["v ", "f ", "vn ", "vt ", "//", "-1", "4294967296", "\\\n", "o a\n", "l 1 2\n"];
@@ -95,6 +102,40 @@ fn read(format: MeshFormat, data: &[u8]) {
     let _ = measure(&mesh);
     let again = round(MeshFormat::Ply, &mesh);
     assert!(again.triangles == mesh.triangles && bits(&again.positions) == bits(&mesh.positions));
+}
+
+/// Lists the grids of a file, which must be within it.
+fn grids(data: &[u8]) {
+    match read_grids(data.into()) {
+        Ok(grids) => assert!(32 * grids.len() <= data.len(), "more grids than bytes"),
+        Err(fault) => assert!(!fault.to_string().is_empty()),
+    }
+}
+
+/// A mesh with the lattice of its samples.
+struct OnLattice(Mesh);
+
+impl MeshSource for OnLattice {
+    fn outline(&self) -> Outline {
+        let lattice = Some(Lattice { origin: [0.1; 3], step: 0.5 });
+        Outline { lattice, ..self.0.outline() }
+    }
+    fn vertices(&self, piece: usize) -> io::Result<Vertices<'_>> {
+        self.0.vertices(piece)
+    }
+    fn triangles(&self, piece: usize) -> io::Result<Vec<[u64; 3]>> {
+        self.0.triangles(piece)
+    }
+}
+
+fn vdbs() -> Vec<Vec<u8>> {
+    let write = |(mesh, zip)| {
+        let mut bytes = Vec::new();
+        let format = MeshFormat::Vdb { zip };
+        format.write(&mut bytes, &OnLattice(mesh), CoordinateWidth::F32).unwrap();
+        bytes
+    };
+    [(Mesh::default(), false), (mesh(), true)].map(write).to_vec()
 }
 
 fn bits(positions: &[[f64; 3]]) -> Vec<u64> {

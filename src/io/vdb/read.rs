@@ -1,0 +1,206 @@
+//! Lists the grids of a file with their names and metadata, without the values of voxels. Files of
+//! other programs are read as well.
+
+use std::collections::BTreeMap;
+
+use serde::Serialize;
+
+use crate::io::bytes::ByteView;
+use crate::io::columns::Endian;
+use crate::io::cursor::Cursor;
+use crate::io::{ReadFault, malformed};
+
+use super::archive::{MAGIC, VERSION};
+
+/// The first version that has a compression and offsets for each grid as they are read here.
+const FIRST_VERSION: u32 = 222;
+/// Bytes of a file's identifier.
+const ID: u64 = 36;
+/// Upper limit of the bytes of a text, and of a value of metadata that is read.
+const LONGEST: u32 = 1 << 16;
+/// Separates the name of a grid from a number that tells apart grids of that name.
+const SEPARATOR: char = '\u{1e}';
+/// Marks the type of a tree in half precision.
+const HALF: &str = "_HalfFloat";
+
+/// A grid of a `.vdb`.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct GridInfo {
+    /// The name, which may be empty.
+    pub name: String,
+    /// The class, such as `level set` or `fog volume`.
+    pub class: String,
+    /// The type of the values, such as `float`, `vec3s` or `int32`; of the whole tree, if the tree is
+    /// not of the usual shape.
+    pub value_type: String,
+    /// Whether numbers are stored in half precision.
+    pub half: bool,
+    /// The number of active voxels, if the file has it.
+    pub active_voxels: Option<u64>,
+    /// The least and the greatest index of active voxels, if the file has them.
+    pub index_bounds: Option<[[i32; 3]; 2]>,
+    /// The edges of a voxel, unless the transform is of a type that is not read.
+    pub voxel_size: Option<[f64; 3]>,
+    /// The centres of the voxels at `index_bounds`, unless the transform turns or is not read.
+    pub bounds: Option<[[f64; 3]; 2]>,
+}
+
+/// The transform from indices to places.
+#[derive(Debug, Default)]
+struct Transform {
+    /// The edges of a voxel.
+    size: Option<[f64; 3]>,
+    /// The place of index 0, if the axes are parallel.
+    origin: Option<[f64; 3]>,
+}
+
+/// The grids of a file, in its order.
+///
+/// # Errors
+/// [`ReadFault::Truncated`] and [`ReadFault::Malformed`] for damage, and [`ReadFault::Unsupported`]
+/// for another version, or a file without offsets of its grids.
+pub fn read_grids(bytes: ByteView) -> Result<Vec<GridInfo>, ReadFault> {
+    let start = |at| Cursor::new(bytes, at, Endian::Little);
+    let mut file = start(0);
+    if file.u64("the header")? != MAGIC as u64 {
+        return Err(malformed(0, "not an OpenVDB file"));
+    }
+    let version = file.u32("the header")?;
+    if !(FIRST_VERSION..=VERSION).contains(&version) {
+        let what = format!(
+            "version {version} of the OpenVDB format is not supported, only {FIRST_VERSION} to \
+             {VERSION}"
+        );
+        return Err(ReadFault::Unsupported(what));
+    }
+    // The version of the library.
+    file.u64("the header")?;
+    let has_offsets = file.take("the header", 1)?[0] != 0;
+    file.take("the identifier", ID)?;
+    metadata(&mut file)?;
+    let count = file.u32("the number of grids")?;
+    if count > 0 && !has_offsets {
+        let what = "the file does not say where its grids are; it was written to a stream";
+        return Err(ReadFault::Unsupported(what.to_owned()));
+    }
+    let mut grids = Vec::new();
+    for _ in 0..count {
+        let name = text(&mut file, "the name of a grid")?;
+        let tree = text(&mut file, "the type of a grid")?;
+        // An instance has the tree of this grid, after its own metadata and transform.
+        text(&mut file, "the parent of a grid")?;
+        let descriptor_at = file.at();
+        let [grid, _, end] = [
+            file.u64("the offset of a grid")?,
+            file.u64("the offset of a grid")?,
+            file.u64("the offset of a grid")?,
+        ];
+        let len = bytes.len() as u64;
+        if grid < file.at() as u64 || end < grid {
+            return Err(malformed(descriptor_at, format!("a grid from {grid} to {end}")));
+        }
+        if end > len {
+            let what = format!("grid {name}");
+            return Err(ReadFault::Truncated { what, needed: end, have: len });
+        }
+        let mut at = start(grid as usize);
+        at.u32("the compression of a grid")?;
+        let metadata = metadata(&mut at)?;
+        let transform = transform(&mut at)?;
+        grids.push(GridInfo::new(&name, &tree, &metadata, &transform));
+        file = start(end as usize);
+    }
+    Ok(grids)
+}
+
+impl GridInfo {
+    fn new(
+        name: &str,
+        tree: &str,
+        metadata: &BTreeMap<String, Vec<u8>>,
+        transform: &Transform,
+    ) -> Self {
+        let stored = tree.strip_suffix(HALF);
+        let tree = stored.unwrap_or(tree);
+        let usual = tree.strip_prefix("Tree_").and_then(|tree| tree.strip_suffix("_5_4_3"));
+        let class = metadata.get("class").map(|class| String::from_utf8_lossy(class).into_owned());
+        let corner = |name: &str| -> Option<[i32; 3]> {
+            let (words, []) = metadata.get(name)?.as_chunks::<4>() else { return None };
+            Some(<[[u8; 4]; 3]>::try_from(words).ok()?.map(i32::from_le_bytes))
+        };
+        let index_bounds = corner("file_bbox_min").zip(corner("file_bbox_max"));
+        let index_bounds = index_bounds.map(<[_; 2]>::from);
+        // Those of a grid without active voxels are the other way round.
+        let index_bounds =
+            index_bounds.filter(|[low, high]| low.iter().zip(high).all(|(low, high)| low <= high));
+        let place = |(origin, size): ([f64; 3], [f64; 3]), index: [i32; 3]| -> [f64; 3] {
+            std::array::from_fn(|axis| origin[axis] + size[axis] * f64::from(index[axis]))
+        };
+        let axes = transform.origin.zip(transform.size);
+        let voxels = metadata.get("file_voxel_count").and_then(|count| count[..].try_into().ok());
+        Self {
+            name: name.split(SEPARATOR).next().unwrap_or_default().to_owned(),
+            class: class.unwrap_or_else(|| "unknown".to_owned()),
+            value_type: usual.unwrap_or(tree).to_owned(),
+            half: stored.is_some(),
+            active_voxels: voxels.map(u64::from_le_bytes),
+            index_bounds,
+            voxel_size: transform.size,
+            bounds: axes.zip(index_bounds).map(|(axes, corners)| corners.map(|at| place(axes, at))),
+        }
+    }
+}
+
+/// A text after its length.
+fn text(file: &mut Cursor, what: &str) -> Result<String, ReadFault> {
+    let at = file.at();
+    let length = file.u32(what)?;
+    if length > LONGEST {
+        return Err(malformed(at, format!("{what} has {length} bytes")));
+    }
+    Ok(String::from_utf8_lossy(file.take(what, length.into())?).into_owned())
+}
+
+/// Values by their names, as bytes.
+fn metadata(file: &mut Cursor) -> Result<BTreeMap<String, Vec<u8>>, ReadFault> {
+    const WHAT: &str = "metadata";
+    let count = file.u32(WHAT)?;
+    let mut all = BTreeMap::new();
+    for _ in 0..count {
+        let name = text(file, WHAT)?;
+        let _type = text(file, WHAT)?;
+        let length = file.u32(WHAT)?;
+        if length > LONGEST {
+            file.skip(WHAT, length.into(), 1)?;
+        } else {
+            all.insert(name, file.take(WHAT, length.into())?.to_vec());
+        }
+    }
+    Ok(all)
+}
+
+fn transform(file: &mut Cursor) -> Result<Transform, ReadFault> {
+    let kind = text(file, "the transform of a grid")?;
+    let mut numbers = |count: usize| -> Result<Vec<f64>, ReadFault> {
+        (0..count).map(|_| file.f64("the transform of a grid")).collect()
+    };
+    let mut vector =
+        || -> Result<[f64; 3], ReadFault> { Ok(numbers(3)?.try_into().expect("three were read")) };
+    Ok(match &*kind {
+        // The place of index 0, and factors, whose signs the edges of a voxel lack.
+        "UniformScaleTranslateMap" | "ScaleTranslateMap" => {
+            Transform { origin: Some(vector()?), size: Some(vector()?) }
+        }
+        "UniformScaleMap" | "ScaleMap" => {
+            Transform { origin: Some([0.0; 3]), size: Some(vector()?) }
+        }
+        "TranslationMap" => Transform { origin: Some(vector()?), size: Some([1.0; 3]) },
+        "AffineMap" | "UnitaryMap" => {
+            let matrix = numbers(16)?;
+            let row = |row: usize| matrix[4 * row..][..3].iter().map(|x| x * x).sum::<f64>().sqrt();
+            Transform { origin: None, size: Some([0, 1, 2].map(row)) }
+        }
+        _ => Transform::default(),
+    })
+}
