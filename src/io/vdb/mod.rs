@@ -67,7 +67,7 @@ struct AttributeValues {
     values: Vec<f32>,
 }
 
-/// What is known of the active voxels of a block's leaves, leaf by leaf.
+/// Distances and nearest triangles of a block's active voxels, leaf by leaf.
 struct StoredBlock {
     /// Distances, as in the file.
     distances: Vec<u8>,

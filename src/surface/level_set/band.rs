@@ -34,7 +34,7 @@ const SLACK: f32 = 0.1;
 /// The coordinates of a voxel of a [`Band`].
 type Place = [u8; 3];
 
-/// What is known of a voxel.
+/// The nearest known triangle of a voxel, and the side on which the voxel is.
 #[derive(Debug, Clone, Copy)]
 struct KnownVoxel {
     /// The square of the distance of the nearest triangle.
@@ -71,7 +71,7 @@ impl KnownVoxel {
     }
 }
 
-/// What is known of the voxels of a block and its margin.
+/// The voxels of a block and its margin.
 pub struct Band {
     voxels: Vec<KnownVoxel>,
     /// All visited voxels.
