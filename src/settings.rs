@@ -167,7 +167,7 @@ settings! {
     #[arg(value_name = "LENGTH", conflicts_with = "cell", allow_negative_numbers = true, help_heading = "Surface", hide_short_help = true)]
     cell_size: Option<f64>,
 
-    /// Edge of a cell as a multiple of the spacing; smaller is finer [default: 0.5].
+    /// Edge of a cell in spacings; smaller is finer [default: 0.5].
     ///
     /// The default for the indicators counting and symmetry is 0.6667.
     #[arg(value_name = "RATIO", allow_negative_numbers = true, help_heading = "Surface")]
@@ -200,7 +200,7 @@ settings! {
     #[arg(value_name = "X0,Y0,Z0,X1,Y1,Z1|auto", allow_hyphen_values = true, help_heading = "Input")]
     domain: Option<Tank>,
 
-    /// Periodic box: what leaves it through one face enters at the opposite one.
+    /// Periodic box, whose opposite faces are joined.
     ///
     /// `-` for both ends of an axis leaves it open: 0,-,0,1,-,1 is periodic along x and z.
     /// Particles on an upper face count as on the lower one. Other particles outside are an error,
@@ -236,9 +236,10 @@ settings! {
     #[arg(help_heading = "Input", hide_short_help = true)]
     skip_invalid: bool,
 
-    /// Smoothing width in spacings, from 0.8 to 4; larger is smoother [default: 1.6].
+    /// Smoothing width in spacings, from 0.8 to 4 [default: 1.6].
     ///
-    /// Use 2 for noisy FLIP particles, and less to see every ripple. Only for the indicator cloud.
+    /// Larger is smoother: use 2 for noisy FLIP particles, and less to see every ripple. Only for
+    /// the indicator cloud.
     #[arg(value_name = "SPACINGS", allow_negative_numbers = true, help_heading = "Surface")]
     smooth: Option<f64>,
 

@@ -28,7 +28,7 @@ pub enum PartsError {
     #[error("{}: the output of a mesh in parts must be a regular file", .0.display())]
     NoFile(PathBuf),
     /// The plan does not exist yet.
-    #[error("{}: there is no plan yet; make it first", .0.display())]
+    #[error("{}: there is no plan yet", .0.display())]
     NoPlan(PathBuf),
     /// A damaged plan.
     #[error("{}: {what}", path.display())]

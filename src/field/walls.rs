@@ -154,8 +154,12 @@ impl Ends {
             .collect();
         let (lo, per_spacing) = (bounds.lo, 1.0 / spacing);
         finite_chunks(particles).for_each(|chunk| {
-            for &position in chunk.iter().filter(held) {
-                sides.iter().for_each(|side| side.add(position.into(), lo, per_spacing));
+            // Most particles are far from all sides.
+            let is_near = |position: &&[f64; 3]| {
+                sides.iter().any(|side| side.depth(**position, per_spacing) < BEHIND[1])
+            };
+            for &position in chunk.iter().filter(is_near).filter(held) {
+                sides.iter().for_each(|side| side.add(position, lo, per_spacing));
             }
         });
         let mut ends = Self {
@@ -189,10 +193,16 @@ impl SideColumns {
         Self { axis, end, at, stride, row, columns, area }
     }
 
+    /// The distance of a particle from the outermost one, in spacings.
+    #[inline(always)]
+    fn depth(&self, position: [f64; 3], per_spacing: f64) -> f64 {
+        (self.at - position[self.axis]).abs() * per_spacing
+    }
+
     /// Counts a particle.
     #[inline(always)]
-    fn add(&self, position: DVec3, lo: DVec3, per_spacing: f64) {
-        let depth = (self.at - position[self.axis]).abs() * per_spacing;
+    fn add(&self, position: [f64; 3], lo: DVec3, per_spacing: f64) {
+        let depth = self.depth(position, per_spacing);
         if depth >= BEHIND[1] {
             return;
         }
@@ -280,8 +290,13 @@ impl ColumnCounts {
 /// Bounds of the particles that a grid can hold; `None` where it holds none.
 #[must_use]
 pub fn bounds_held(particles: &(impl Particles + ?Sized), grid: &Grid) -> Option<Bounds> {
+    let is_held = |position: [f64; 3]| grid.place(position).is_ok();
     let of_chunk = |chunk: Vec<[f64; 3]>| {
-        let held = chunk.into_iter().filter(|&position| grid.place(position).is_ok());
+        let all = Bounds::of(&chunk);
+        if is_held(all.lo.into()) && is_held(all.hi.into()) {
+            return all;
+        }
+        let held = chunk.into_iter().filter(|&position| is_held(position));
         Bounds::of(&held.collect::<Vec<_>>())
     };
     let bounds = finite_chunks(particles).map(of_chunk).reduce(|| Bounds::NONE, Bounds::joined);

@@ -33,10 +33,10 @@ pub struct ReconstructOptions {
     pub together: bool,
     #[command(flatten)]
     pub settings: Settings,
-    /// Mesh file: .ply, .obj, .vtk, .vtp, .pvtp, .vtkhdf, .stl, .usdc, .glb, .bgeo.sc, .abc
-    /// or .vdb.
+    /// Mesh file, whose extension selects the format.
     ///
-    /// For a simulation: a pattern with {} or {:04} for the frame number, a folder, or one .abc for
+    /// .ply, .obj, .vtk, .vtp, .pvtp, .vtkhdf, .stl, .usdc, .glb, .bgeo.sc, .abc or .vdb. For a
+    /// simulation: a pattern with {} or {:04} for the frame number, a folder, or one .abc for
     /// all frames.
     #[arg(short, long, help_heading = "Output")]
     pub output: PathBuf,
