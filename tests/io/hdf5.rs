@@ -24,7 +24,7 @@ fn open(name: &str) -> Result<ParticleFile, ReadError> {
 
 #[test]
 fn a_step_is_a_frame_with_its_time_and_columns_of_one_vector_belong_together() {
-    assert_eq!(steps(&data("steps.h5part")).unwrap(), [0, 2, 10]);
+    assert_eq!(steps(&data("steps.h5part"), None).unwrap(), [0, 2, 10]);
     let [zero, two] = ["steps.h5part#0", "steps.h5part#2"].map(|name| open(name).unwrap());
     assert_eq!((zero.particles.len(), zero.time, two.time), (60, Some(0.0), Some(0.5)));
     let names: Vec<_> =
@@ -101,7 +101,7 @@ fn components_along_the_first_axis_are_read_as_well() {
 
 #[test]
 fn frames_of_h5md_have_the_particles_that_are_there_and_what_was_stored_with_them() {
-    assert_eq!(steps(&data("h5md.h5")).unwrap(), [0, 1, 2]);
+    assert_eq!(steps(&data("h5md.h5"), None).unwrap(), [0, 1, 2]);
     let [one, two] = ["h5md.h5#1", "h5md.h5#2"].map(|name| open(name).unwrap());
     assert_eq!((one.time, one.box_size), (Some(0.5), Some([1.0, 2.0, 3.0])));
     assert_eq!(positions(&two), points(2.0));
@@ -115,12 +115,9 @@ fn frames_of_h5md_have_the_particles_that_are_there_and_what_was_stored_with_the
 
 #[test]
 fn of_several_groups_of_particles_one_has_to_be_named() {
-    assert_eq!(steps(&data("groups.h5")).unwrap(), [3, 20]);
-    let open = |particle_type| {
-        let wanted = WantedParticles { particle_type, ..WantedParticles::default() };
-        open_wanted(&data("groups.h5#20"), wanted, Unpacking::in_memory())
-    };
-    let error = open(None).unwrap_err();
+    assert_eq!(steps(&data("groups.h5"), None).unwrap(), [3, 20]);
+    let open = |condition: &str| open_where("groups.h5#20", condition);
+    let error = open("x>0").unwrap_err();
     assert!(
         matches!(&error.fault, ReadFault::Unsupported(what) if what.contains("sand, wall")),
         "{error}"

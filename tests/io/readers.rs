@@ -1005,7 +1005,9 @@ fn an_xyz_has_a_count_a_comment_and_rows() {
 #[test]
 fn frames_of_an_xyz_and_steps_of_a_dump_are_read_one_by_one() {
     let frames = "1\na\nO 1 1 1\n2\nb\nO 2 2 2\nO 3 3 3\n";
-    let steps = |text: &str, format| text_format::steps(text.as_bytes().to_vec().into(), format);
+    let steps = |text: &str, format| {
+        text_format::steps(text.as_bytes().to_vec().into(), TextHint::Extension(Some(format)))
+    };
     let step = |text: &str, format, step| {
         read_text(text.as_bytes().to_vec().into(), format, step, WantedAttributes::All)
     };

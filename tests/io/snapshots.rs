@@ -136,10 +136,10 @@ fn types_of_particles_are_named_and_gas_or_fluid_is_meant_without_a_name() {
 
 #[test]
 fn steps_are_frames_with_numbers_and_times_of_their_own() {
-    assert_eq!(steps(&data("steps.vtkhdf")).unwrap(), [0, 1, 2]);
-    assert_eq!(steps(&data("openpmd.h5")).unwrap(), [100, 200]);
+    assert_eq!(steps(&data("steps.vtkhdf"), None).unwrap(), [0, 1, 2]);
+    assert_eq!(steps(&data("openpmd.h5"), None).unwrap(), [100, 200]);
     for (name, _) in FRAMES.into_iter().filter(|(name, _)| !name.contains('#')) {
-        assert_eq!(steps(&data(name)).unwrap(), [0; 0], "{name}");
+        assert_eq!(steps(&data(name), None).unwrap(), [0; 0], "{name}");
     }
     let second = open("steps.vtkhdf#1").unwrap();
     assert_eq!((second.particles.len(), second.time), (8, Some(0.75)));
@@ -309,7 +309,11 @@ fn damage_is_an_error_or_other_values_but_never_a_panic_nor_a_large_allocation()
         let read = |bytes: &[u8]| {
             fs::write(path(name), bytes).unwrap();
             let (result, largest) = memory::largest_allocation(|| {
-                let _ = (steps(&path(name)), holds_mesh(&path(name)), snapshot_pieces(&path(name)));
+                let _ = (
+                    steps(&path(name), None),
+                    holds_mesh(&path(name)),
+                    snapshot_pieces(&path(name)),
+                );
                 open_type(&opened, None)
             });
             // The maximum for any unpacked file.

@@ -340,7 +340,7 @@ pub fn read_through(read: Result<ParticleFile, ReadFault>) {
 
 fn run_text(data: &[u8], format: InputFormat) {
     let (all, hint) = (WantedAttributes::All, TextHint::Extension(Some(format)));
-    let steps = text_format::steps(own(data), format).unwrap_or_default();
+    let steps = text_format::steps(own(data), hint).unwrap_or_default();
     for step in [None, steps.last().copied()] {
         let read = text_format::read_particles(own(data), hint, (None, step), all, memory());
         read_through(read);
