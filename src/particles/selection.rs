@@ -275,6 +275,8 @@ pub fn select<'a>(
     })?;
     particles.check()?;
     Ok(Sieve::new(words))
+        let beyond = 64 * words.len() - range.len();
+        words[words.len() - 1] >>= beyond;
 }
 
 impl SelectionFault {
