@@ -7,8 +7,9 @@ use std::path::{Path, PathBuf};
 use meniscus::internals::io::bytes::Unpacking;
 use meniscus::internals::io::input::{open_particles, open_wanted, steps};
 use meniscus::internals::io::wanted::WantedParticles;
-use meniscus::internals::io::{ParticleFile, ReadError, ReadFault, h5};
+use meniscus::internals::io::{ParticleFile, ReadError, ReadFault, UnreadPart, h5};
 use meniscus::internals::particles::Particles;
+use meniscus::internals::particles::selection::SelectionFault;
 
 use crate::common::files;
 use crate::common::particle_files::{attribute, positions};
@@ -64,6 +65,12 @@ fn data_sets_at_the_root_are_a_frame_however_they_are_packed() {
         positions(&open_particles(&data("packed.h5"), unpacking).unwrap()),
         positions(&packed)
     );
+}
+
+fn open_where(name: &str, condition: &str) -> Result<ParticleFile, ReadError> {
+    let conditions = [condition.parse().expect("is a condition")];
+    let wanted = WantedParticles { conditions: &conditions, ..WantedParticles::default() };
+    open_wanted(&data(name), wanted, Unpacking::in_memory())
 }
 
 fn names(file: &ParticleFile) -> Vec<(&str, usize)> {
@@ -122,11 +129,50 @@ fn of_several_groups_of_particles_one_has_to_be_named() {
         matches!(&error.fault, ReadFault::Unsupported(what) if what.contains("sand, wall")),
         "{error}"
     );
-    let sand = open(Some("sand")).unwrap();
+    let sand = open("type=sand").unwrap();
     assert_eq!((positions(&sand), sand.time), (points(20.0), Some(5.0)));
     assert_eq!(sand.particle_types, ["sand", "wall"]);
-    assert_eq!(open(Some("ParticleTypes/wall")).unwrap().particles.len(), 4);
-    assert!(open(Some("PartType0")).is_err());
+    assert_eq!(open("type=ParticleTypes/wall").unwrap().particles.len(), 4);
+    assert!(open("type=PartType0").is_err() && open("type=1").is_err());
+}
+
+#[test]
+fn a_type_is_a_group_or_else_a_value_of_the_attribute_of_that_name() {
+    let open = |condition: &str| open_where("types.h5", condition);
+    for (condition, group, count) in [
+        ("x>-1", "PartType0", 60),
+        ("type=wall", "wall", 60),
+        ("type=1", "PartType0", 20),
+        ("type=0,2", "PartType0", 40),
+        ("type!=1", "PartType0", 40),
+        ("type=wall and type=1", "wall", 20),
+        ("type=2 and type=wall", "wall", 20),
+    ] {
+        let file = open(condition).unwrap();
+        assert_eq!((&*file.particle_types[0], file.particles.len()), (group, count), "{condition}");
+    }
+    let none = open("type=3").unwrap();
+    assert!(none.particles.is_empty() && none.none_selected.is_some());
+    let error = open("type=sand and type=1").unwrap_err();
+    assert!(
+        matches!(&error.fault, ReadFault::Unsupported(what) if what.contains("PartType0, wall")),
+        "{error}"
+    );
+    let error = open_where("groups.h5#20", "type=sand and type=1").unwrap_err();
+    assert!(
+        matches!(&error.fault, ReadFault::Selection(SelectionFault::Types { condition, known })
+            if condition == "type=1" && *known == ["sand", "wall"]),
+        "{error}"
+    );
+}
+
+#[test]
+fn an_array_with_too_many_numbers_per_particle_is_named() {
+    let file = open("types.h5").unwrap();
+    assert_eq!(names(&file), [("type", 1), ("gradient", 9)]);
+    assert_eq!(attribute(&file, "gradient"), (0..540).map(|x| x as f32).collect::<Vec<_>>());
+    let wide = UnreadPart::WideArray { name: "spectrum".into(), numbers: 100 };
+    assert_eq!(file.left_out, [wide]);
 }
 
 #[test]

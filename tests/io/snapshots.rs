@@ -6,6 +6,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use meniscus::Where;
 use meniscus::internals::io::bytes::Unpacking;
 use meniscus::internals::io::frame_files::snapshot_pieces;
 use meniscus::internals::io::input::{holds_mesh, open_particles, open_wanted, steps};
@@ -40,7 +41,9 @@ fn open(name: &str) -> Result<ParticleFile, ReadError> {
 }
 
 fn open_type<'a>(path: &Path, name: impl Into<Option<&'a str>>) -> Result<ParticleFile, ReadError> {
-    let wanted = WantedParticles { particle_type: name.into(), ..WantedParticles::default() };
+    let condition = |name| format!("type={name}").parse().expect("is a condition");
+    let conditions: Vec<Where> = name.into().map(condition).into_iter().collect();
+    let wanted = WantedParticles { conditions: &conditions, ..WantedParticles::default() };
     open_wanted(path, wanted, Unpacking::in_memory())
 }
 

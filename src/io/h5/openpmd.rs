@@ -72,7 +72,7 @@ pub fn read_particles(
     }
     let all = checked(iteration.group(path))?;
     let (known, _) = checked(all.member_names())?;
-    let kind = chosen_type(&known, wanted.particle_type, None)?;
+    let kind = chosen_type(&known, wanted.conditions, None)?;
     let species = checked(all.group(&kind))?;
     Ok(ParticleFile {
         time,
