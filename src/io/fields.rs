@@ -3,10 +3,10 @@
 
 use super::error::{no_step, several_steps};
 use super::names::{Quantity, quantities};
-use super::{ReadFault, malformed};
+use super::{ReadFault, UnreadPart, malformed};
 
 /// Maximum number of components of an attribute: more are a matrix or a spectrum.
-const MOST_COMPONENTS: u64 = 64;
+pub const MOST_COMPONENTS: u64 = 64;
 
 /// Names of vectors other than positions, in lower case and without suffixes.
 const NO_POSITIONS: [&str; 14] = [
@@ -72,6 +72,8 @@ pub struct Arrangement {
     pub position: LocatedQuantity,
     /// All other quantities with the same number of particles.
     pub attributes: Vec<LocatedQuantity>,
+    /// Arrays with the same number of particles and too many numbers for an attribute.
+    pub left_out: Vec<UnreadPart>,
 }
 
 impl Arrangement {
@@ -209,6 +211,7 @@ fn arrange_along(fields: &[NamedArray], axes: Axes) -> Result<Option<Arrangement
     }
     // Arrays with the axes of the position first, then those that hold for each frame.
     let mut columns = NamedColumns::default();
+    let mut left_out = Vec::new();
     let mut chosen = vec![Axes::Particles; fields.len()];
     for (number, NamedArray { name, shape }) in fields.iter().enumerate() {
         let fitting = [axes, Axes::Particles, Axes::Components].into_iter().find_map(|axes| {
@@ -219,6 +222,8 @@ fn arrange_along(fields: &[NamedArray], axes: Axes) -> Result<Option<Arrangement
         if let Some((axes, extent)) = fitting {
             chosen[number] = axes;
             columns.push(number, name, extent.components);
+        } else if let Some(numbers) = too_many(shape, rows, frames) {
+            left_out.push(UnreadPart::WideArray { name: name.clone(), numbers });
         }
     }
     let found = columns.position();
@@ -228,7 +233,20 @@ fn arrange_along(fields: &[NamedArray], axes: Axes) -> Result<Option<Arrangement
         axes: chosen,
         position,
         attributes,
+        left_out,
     }))
+}
+
+/// The numbers per particle of an array, if they are too many for an attribute.
+fn too_many(shape: &[u64], rows: u64, frames: Option<u64>) -> Option<u64> {
+    let axes = match *shape {
+        [first, second, ref axes @ ..] if Some(first) == frames && second == rows => axes,
+        [first, ref axes @ ..] if first == rows => axes,
+        [ref axes @ .., last] if last == rows => axes,
+        _ => return None,
+    };
+    let numbers = axes.iter().fold(1, |product: u64, &size| product.saturating_mul(size));
+    (numbers > MOST_COMPONENTS).then_some(numbers)
 }
 
 /// The only array of shape (N, 3), (3, N) or (T, N, 3) without the name of another vector.

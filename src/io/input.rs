@@ -136,17 +136,18 @@ fn read(
     };
     match reader {
         FormatReader::Text => {
-            let hint = match wanted.format {
-                Some(format) => TextHint::Named(format),
-                None => TextHint::Extension(InputFormat::of(file)),
-            };
+            let hint = TextHint::of(file, wanted.format);
             let frame = (stamp.map(|stamp| (file, stamp)), step);
             text_format::read_particles(bytes, hint, frame, wanted.attributes, unpacking)
                 .map_err(fail)
         }
         FormatReader::Steps(read) => read(path, bytes, step, wanted, unpacking),
-        FormatReader::OneFile(read) => read(bytes, unpacking).map_err(fail),
         FormatReader::Arrays(read) => read(bytes, step, unpacking).map_err(fail),
+        FormatReader::OneFile(_) | FormatReader::Pieces(_) if step.is_some() => {
+            let what = "its format has a single frame; remove # and the number from its name";
+            Err(fail(ReadFault::Unsupported(what.to_owned())))
+        }
+        FormatReader::OneFile(read) => read(bytes, unpacking).map_err(fail),
         FormatReader::Pieces(open) => open(path, bytes, wanted, unpacking),
     }
 }
@@ -160,28 +161,31 @@ pub fn file_and_step(path: &Path) -> (&Path, Option<u64>) {
         let file = Path::new(file);
         let holds_steps = match InputFormat::of(file) {
             _ if is_list(file) => true,
-            Some(format) => matches!(format, Csv | Hdf5 | Lammps | Npy | Npz | Xyz),
-            // The format is given instead of an extension.
-            None => file.is_file() && !path.exists(),
+            Some(Csv | Hdf5 | Lammps | Npy | Npz | Xyz) => true,
+            // The request may name another format than the extension.
+            _ => file.is_file() && !path.exists(),
         };
         Some((file, step.parse().ok().filter(|_| holds_steps)?))
     });
     cut.map_or((path, None), |(file, step)| (file, Some(step)))
 }
 
-/// The numbers of the frames in a file, in order; empty if it is one frame.
+/// The numbers of the frames in a file, in order; empty if it is one frame. `format` is that of the
+/// request, if it differs from that of the extension.
 ///
 /// # Errors
 /// [`ReadError`] if the format can have several frames and the file cannot be read.
-pub fn steps(path: &Path) -> Result<Vec<u64>, ReadError> {
+pub fn steps(path: &Path, format: Option<InputFormat>) -> Result<Vec<u64>, ReadError> {
     if is_list(path) {
         let frames = collection::listed(path)?.len() as u64;
         return Ok((0..frames).filter(|_| frames > 1).collect());
     }
     use InputFormat::{Csv, Lammps, Xyz};
-    match InputFormat::of(path) {
-        Some(format @ (Csv | Lammps | Xyz)) => text_format::steps(open_bytes(path)?, format)
-            .map_err(|fault| ReadError::new(path, fault)),
+    match format.or_else(|| InputFormat::of(path)) {
+        Some(Csv | Lammps | Xyz) => {
+            text_format::steps(open_bytes(path)?, TextHint::of(path, format))
+                .map_err(|fault| ReadError::new(path, fault))
+        }
         #[cfg(feature = "hdf5")]
         Some(InputFormat::Hdf5) => {
             super::h5::steps(open_bytes(path)?).map_err(|fault| ReadError::new(path, fault))

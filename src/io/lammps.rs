@@ -5,6 +5,7 @@
 //! command `dump`, and "Triclinic simulation boxes"). `sim.dump#1000` names a step.
 
 use super::bytes::{Bytes, Unpacking};
+use super::number::ParseNumber;
 use super::table::{Cell, Separator, Syntax, TableColumns, TextTable, excerpt, names_of};
 use super::text::{LinePlace, TextLines};
 use super::wanted::WantedAttributes;
@@ -190,7 +191,7 @@ fn bounds(lines: &mut TextLines, words: &str) -> Result<Cell, ReadFault> {
     let mut rows = Vec::new();
     for _ in 0..3 {
         let line = lines.line()?.unwrap_or_default();
-        let numbers = line.split_ascii_whitespace().map(|word| word.parse::<f64>().ok());
+        let numbers = line.split_ascii_whitespace().map(|word| f64::of(word.as_bytes()));
         let row = numbers.collect::<Option<Vec<_>>>();
         let fault =
             || lines.fault(format!("{} are not valid bounds of a box", excerpt(line.as_bytes())));

@@ -118,6 +118,13 @@ pub enum UnreadPart {
         /// Number of their points.
         points: u64,
     },
+    /// An array with more numbers per particle than an attribute can have.
+    WideArray {
+        /// The array's name.
+        name: String,
+        /// Numbers per particle.
+        numbers: u64,
+    },
 }
 
 impl fmt::Display for UnreadPart {
@@ -132,6 +139,12 @@ impl fmt::Display for UnreadPart {
                 let kinds = kinds.collect::<Vec<_>>().join(", ");
                 write!(f, "{kinds} and their {points} points")
             }
+            Self::WideArray { name, numbers } => write!(
+                f,
+                "array {name}, which has {numbers} numbers per particle; attributes can have up \
+                 to {}",
+                fields::MOST_COMPONENTS
+            ),
         }
     }
 }

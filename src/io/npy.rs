@@ -31,7 +31,7 @@ pub fn read_particles(bytes: Bytes, step: Option<u64>) -> Result<ParticleFile, R
     let fields = header.fields(POSITION);
     let arranged = arrange(&fields)?.ok_or_else(|| header.no_position())?;
     let frame = arranged.frame(step)?;
-    let Arrangement { rows, axes, position, attributes, .. } = arranged;
+    let Arrangement { rows, axes, position, attributes, left_out, .. } = arranged;
     for place in &position.places {
         header.expect_position(place.field)?;
     }
@@ -50,7 +50,7 @@ pub fn read_particles(bytes: Bytes, step: Option<u64>) -> Result<ParticleFile, R
     let position = columns(&position).try_into().expect("found with three");
     let particles: ColumnStore =
         ColumnStore::new(bytes, ParticleRows::All(rows as usize), position, attributes);
-    Ok(ParticleFile::new(particles, "NumPy .npy"))
+    Ok(ParticleFile { left_out, ..ParticleFile::new(particles, "NumPy .npy") })
 }
 
 /// The numbers of the frames in an array with several frames; empty for one frame.

@@ -47,7 +47,7 @@ pub fn read_particles(
     let contents = Contents::of(&arrays);
     let arranged = contents.arranged()?.ok_or_else(|| no_position(&arrays, &contents))?;
     let frame = arranged.frame(step)?;
-    let Arrangement { rows, axes, position, attributes, .. } = arranged;
+    let Arrangement { rows, axes, position, attributes, left_out, .. } = arranged;
     for place in &position.places {
         let (array, member) = contents.sources[place.field];
         arrays[array].header.expect_position(member)?;
@@ -73,7 +73,7 @@ pub fn read_particles(
     let bytes = unpacked.map_or(bytes, Bytes::Kept);
     let particles: ColumnStore =
         ColumnStore::new(bytes, ParticleRows::All(rows as usize), position, attributes);
-    Ok(ParticleFile::new(particles, "NumPy .npz"))
+    Ok(ParticleFile { left_out, ..ParticleFile::new(particles, "NumPy .npz") })
 }
 
 /// The numbers of the frames in an archive whose arrays have several; empty for one frame.

@@ -10,6 +10,7 @@ use crate::surface::mesh::source::MeshSource;
 
 use super::beside::FolderInProgress;
 use super::bytes::{Bytes, open_bytes, open_whole};
+use super::compression::plain_name;
 use super::vtp::divided::{Divided, MOST_TRIANGLES};
 use super::whole::{FilledFile, MadeFolders, Replace, WholeFile, fault_of};
 use super::{CoordinateWidth, ReadError, ReadFault, UpAxis, WriteError, WriteFault};
@@ -316,13 +317,15 @@ impl MeshFormat {
     }
 }
 
-/// Reads the mesh at `path` in the format of its extension; the file may be compressed.
+/// Reads the mesh at `path` in the format of its extension. The file may be compressed, with or
+/// without a further extension such as `.gz`.
 ///
 /// # Errors
 /// Those of [`MeshFormat::read`] and of the system, and [`ReadFault::UnknownExtension`].
 pub fn read_mesh(path: &Path) -> Result<Mesh, ReadError> {
     let unknown = || ReadError::new(path, ReadFault::UnknownExtension { known: MeshFormat::KNOWN });
-    let format = MeshFormat::of(path).ok_or_else(unknown)?;
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let format = MeshFormat::of(Path::new(plain_name(&name))).ok_or_else(unknown)?;
     let read = match format {
         MeshFormat::Pvtp => return vtp::parallel::read_mesh(path),
         MeshFormat::VtkHdf => read_hdf(open_bytes(path)?),

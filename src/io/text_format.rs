@@ -44,6 +44,11 @@ pub enum TextHint {
 }
 
 impl TextHint {
+    /// The format of the request, or that of the file's extension.
+    pub fn of(path: &Path, named: Option<InputFormat>) -> Self {
+        named.map_or_else(|| Self::Extension(InputFormat::of(path)), Self::Named)
+    }
+
     /// Whether a file may contain raw numbers.
     fn may_be_raw(self) -> bool {
         matches!(self, Self::Extension(Some(InputFormat::Xyz)) | Self::Named(InputFormat::Xyz))
@@ -238,8 +243,7 @@ pub fn read_particles(
 ///
 /// # Errors
 /// [`ReadFault::Line`] for an invalid file with several frames.
-pub fn steps(bytes: Bytes, extension: InputFormat) -> Result<Vec<u64>, ReadFault> {
-    let hint = TextHint::Extension(Some(extension));
+pub fn steps(bytes: Bytes, hint: TextHint) -> Result<Vec<u64>, ReadFault> {
     let bytes = decoded(bytes, hint, Unpacking::for_a_look())?;
     let frames = Frames::of(bytes.view(), hint)?;
     frames.check(bytes.view())?;

@@ -19,13 +19,12 @@ pub(super) const TAG: &str = "tag";
 /// Selects which particles of an input are read, and which of their attributes.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct WantedParticles<'a> {
-    /// Name of the type in the input, if it has several. By default gas, a fluid, or the only type.
-    pub particle_type: Option<&'a str>,
     /// Format of the input, if it differs from that of its extension.
     pub format: Option<InputFormat>,
     /// Required attributes. Formats that are read as a whole return others too.
     pub attributes: WantedAttributes<'a>,
-    /// Conditions by which particles are selected.
+    /// Conditions by which particles are selected. `type=wall` names the type of particles in an
+    /// input with several; by default it is gas, a fluid, or the only type.
     pub conditions: &'a [Where],
     /// Pieces to read, for an input in several files.
     pub pieces: WantedPieces<'a>,
@@ -126,13 +125,20 @@ impl ParticleFile {
         let infos = self.particles.attributes();
         let mut tested = Vec::new();
         for condition in conditions.iter().flat_map(Where::conditions) {
-            // The reader has already chosen a type, unless it is an attribute.
+            // The reader has already chosen a type. `type` may also be an attribute.
             match self.particle_types.first() {
-                Some(own) if condition.is_of_type() && condition.attribute(infos).is_none() => {
+                Some(own)
+                    if condition.is_of_type()
+                        && (condition.attribute(infos).is_none()
+                            || condition.values == [&**own]) =>
+                {
                     let name = condition.name.clone();
                     let order = || ReadFault::Selection(SelectionFault::Order { name });
                     if condition.values.len() > 1 || !condition.of_text(own).ok_or_else(order)? {
-                        return Err(ReadFault::Selection(SelectionFault::Types));
+                        return Err(ReadFault::Selection(SelectionFault::Types {
+                            condition: condition.to_string(),
+                            known: self.particle_types.clone(),
+                        }));
                     }
                 }
                 _ => tested.push(condition),

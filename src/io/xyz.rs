@@ -8,6 +8,7 @@
 use super::bytes::{ByteView, Bytes, Unpacking};
 use super::columns::{Column, ColumnStore, Endian, ParticleRows, Scalar};
 use super::names::{Quantity, repeated_position};
+use super::number::ParseNumber;
 use super::table::unnamed_columns;
 use super::table::{HEAD, Separator, Syntax, TableColumns, TextTable, excerpt, is_row, names_of};
 use super::text::{LinePlace, TextLines};
@@ -199,7 +200,7 @@ impl XyzFrame {
             cell: None,
         };
         let file = table.read(bytes, wanted, unpacking, "XYZ")?;
-        let time = value(&comment, "Time").and_then(|time| time.parse().ok());
+        let time = value(&comment, "Time").and_then(|time| f64::of(time.as_bytes()));
         let box_size = value(&comment, "Lattice").and_then(box_of);
         Ok(ParticleFile { time, box_size, ..file })
     }
@@ -245,7 +246,7 @@ fn columns_of(properties: &str) -> Result<TableColumns, String> {
 
 /// The edges of a box along the axes, from the nine numbers of its vectors.
 fn box_of(lattice: &str) -> Option<[f64; 3]> {
-    let numbers = lattice.split_ascii_whitespace().map(|word| word.parse().ok());
+    let numbers = lattice.split_ascii_whitespace().map(|word| f64::of(word.as_bytes()));
     let vectors: [f64; 9] = numbers.collect::<Option<Vec<f64>>>()?.try_into().ok()?;
     let is_along = (0..9).all(|i| i % 4 == 0 || vectors[i] == 0.0);
     is_along.then_some([vectors[0], vectors[4], vectors[8]])

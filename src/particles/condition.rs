@@ -89,16 +89,15 @@ impl Where {
         &self.0
     }
 
-    /// The selected type of particles, if any.
-    pub(crate) fn particle_type(several: &[Self]) -> Option<&str> {
-        let is_it = |condition: &&Condition| {
-            condition.is_of_type() && condition.comparison == Comparison::Equal
-        };
-        let mut conditions = several.iter().flat_map(Self::conditions);
-        match &conditions.find(is_it)?.values[..] {
-            [only] => Some(only),
+    /// The types of particles that conditions such as `type=wall` name.
+    pub(crate) fn types(several: &[Self]) -> impl Iterator<Item = &str> {
+        let conditions = several.iter().flat_map(Self::conditions);
+        conditions.filter_map(|condition| match &condition.values[..] {
+            [only] if condition.is_of_type() && condition.comparison == Comparison::Equal => {
+                Some(&**only)
+            }
             _ => None,
-        }
+        })
     }
 
     /// Joins several into one.

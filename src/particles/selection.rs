@@ -57,9 +57,17 @@ pub enum SelectionFault {
         /// The name in the condition.
         name: String,
     },
-    /// Several types, although one type is read at a time.
-    #[error("cannot select several types of particles at once; name one type of this file")]
-    Types,
+    /// A condition that no single type of particles satisfies.
+    #[error(
+        "cannot select particles by {condition}: one type is read at a time; available: {}",
+        listed(known)
+    )]
+    Types {
+        /// The condition.
+        condition: String,
+        /// The types of the input.
+        known: Vec<String>,
+    },
     /// No particle satisfies all conditions.
     #[error("none of {of} particles satisfies {conditions}{}", occur(values))]
     None {
@@ -268,6 +276,8 @@ pub fn select<'a>(
         let first = group * GROUP;
         let range = first..particles.len().min(first + GROUP);
         words.fill(u64::MAX);
+        let beyond = 64 * words.len() - range.len();
+        words[words.len() - 1] >>= beyond;
         for test in &tests {
             test.apply(particles, range.clone(), words);
         }

@@ -19,7 +19,8 @@ pub fn run(options: &ReconstructOptions) -> Result<Verdict, Error> {
     if options.together {
         return run_together(options);
     }
-    match (Simulation::detect(&options.inputs, &options.output)?, options.parts.parts) {
+    let format = options.settings.format;
+    match (Simulation::detect(&options.inputs, &options.output, format)?, options.parts.parts) {
         (Some(_), Some(_)) => {
             let what = "--parts is for one frame; divide a simulation by --frames";
             Err(Error::Request(what.into()))
@@ -37,7 +38,7 @@ fn run_together(options: &ReconstructOptions) -> Result<Verdict, Error> {
             "--parts reads a single file and cannot be used with --together".into(),
         ));
     }
-    match Simulation::detect_together(&options.inputs, &options.output)? {
+    match Simulation::detect_together(&options.inputs, &options.output, options.settings.format)? {
         Some(simulation) => simulation::run(options, simulation),
         None => {
             let is_known =

@@ -6,7 +6,7 @@ use crate::io::output::MeshFormat;
 use crate::io::wanted::{WantedAttributes, WantedParticles};
 use crate::particles::sizes::SizeChoice;
 use crate::particles::{AttributeInfo, attribute_called, velocity_attribute};
-use crate::settings::{Settings, Where};
+use crate::settings::Settings;
 
 use super::checked::CheckedRequest;
 
@@ -24,7 +24,6 @@ impl Settings {
         let attributes = WantedAttributes::Only { names, conditions, sizes };
         WantedParticles {
             format: self.format,
-            particle_type: Where::particle_type(self.conditions()),
             attributes,
             conditions,
             ..WantedParticles::default()

@@ -61,6 +61,14 @@ fn path(text: &str) -> PathBuf {
     text.into()
 }
 
+fn types() -> SelectionFault {
+    SelectionFault::Types { condition: "type=sand,wall".into(), known: kinds() }
+}
+
+fn kinds() -> Vec<String> {
+    ["sand", "wall"].map(str::to_owned).to_vec()
+}
+
 fn names() -> Vec<String> {
     ["velocity", "density"].map(str::to_owned).to_vec()
 }
@@ -94,7 +102,7 @@ fn requests() -> String {
         Domain(DomainError::Thin { axis: 'x' }),
         Periodic(PeriodicError::Open),
         Read(ReadError::new("frame_1.vtk", ReadFault::Empty)),
-        Selection(SelectionFault::Types),
+        Selection(types()),
         Vulkan(VulkanError::NoDevice),
         Write(WriteError::new("mesh.ply".as_ref(), full_disk())),
         Frame { path: Some(path("frame_1.vtk")), fault: FrameError::NoSpacing },
@@ -217,7 +225,7 @@ fn files() -> String {
             other: path("b.ply"),
             of_other: ColourScale::Shares,
         },
-        Selection(SelectionFault::Types),
+        Selection(types()),
         Unsupported("HDF5 needs meniscus built with the feature hdf5".into()),
         UnknownExtension { known: ".bgeo, .csv" },
     );
@@ -226,7 +234,7 @@ fn files() -> String {
         Component { name: "velocity".into(), attribute: "velocity".into(), components: 3 },
         Text { name: "Type".into(), value: "water".into() },
         Order { name: "material".into() },
-        Types,
+        Types { condition: "type=sand,wall".into(), known: kinds() },
         None {
             of: 100,
             conditions: "Type=7".into(),
@@ -363,7 +371,7 @@ fn warnings(all: &mut String) {
         InvertedSolid(path("ship.obj")),
         ThinSolid { path: path("plate.obj"), thickness: 0.01, cell_size: 0.025 },
         LeftOut(block),
-        NoneSelected(SelectionFault::Types),
+        NoneSelected(types()),
         Empty { why: EmptyReason::Field, clouds, calibration_frame },
         Empty { why: EmptyReason::Distances, clouds, calibration_frame },
         Empty {
@@ -377,6 +385,7 @@ fn warnings(all: &mut String) {
         Attribute(known),
         Block { name: "walls".into(), holds: "a grid".into() },
         Primitives { kinds: vec![("polygons".into(), 12)], points: 8 },
+        WideArray { name: "spectrum".into(), numbers: 100 },
     );
     let contradicted = |given, mistake, spray| SpacingWarning::Contradicted {
         given,

@@ -4,7 +4,7 @@ use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf, is_separator};
 
 use crate::error::{Error, FPS, SimulationError};
-use crate::io::input::is_known;
+use crate::io::input::{InputFormat, is_known};
 use crate::reconstruction::Reconstruction;
 
 use super::frame_file::Selection;
@@ -80,13 +80,18 @@ impl Simulation {
 
     /// A request for a simulation if the inputs and the output name one; `None` if both name a
     /// single frame. The output of a single file is taken literally unless it has `{}`: then `##`
-    /// and `%04d` do not stand for frame numbers.
+    /// and `%04d` do not stand for frame numbers. `format` is that of the inputs, if it differs from
+    /// that of their extension.
     ///
     /// # Errors
     /// [`Error::Simulation`] for names that do not determine frame numbers, and [`Error::Request`]
     /// for several inputs and one output.
-    pub fn detect(inputs: &[PathBuf], output: &Path) -> Result<Option<Self>, Error> {
-        let several = Inputs::of(inputs)?;
+    pub fn detect(
+        inputs: &[PathBuf],
+        output: &Path,
+        format: Option<InputFormat>,
+    ) -> Result<Option<Self>, Error> {
+        let several = Inputs::of(inputs, format)?;
         if several.is_none() && is_foreign(output) {
             return Ok(None);
         }
@@ -102,17 +107,22 @@ impl Simulation {
     }
 
     /// A request for a simulation whose inputs are [joined](Self::together), if the output names
-    /// one; `None` if it names a single frame.
+    /// one; `None` if it names a single frame. `format` is that of the inputs, if it differs from
+    /// that of their extension.
     ///
     /// # Errors
     /// [`Error::Simulation`] for names that do not determine frame numbers, and [`Error::Request`]
     /// for the frames of a simulation and one output.
-    pub fn detect_together(inputs: &[PathBuf], output: &Path) -> Result<Option<Self>, Error> {
+    pub fn detect_together(
+        inputs: &[PathBuf],
+        output: &Path,
+        format: Option<InputFormat>,
+    ) -> Result<Option<Self>, Error> {
         if Naming::of(output)?.is_some() {
             return Ok(Some(Self::of_files(inputs, output).together()));
         }
         for input in inputs {
-            let Some(several) = Inputs::of(std::slice::from_ref(input))? else { continue };
+            let Some(several) = Inputs::of(std::slice::from_ref(input), format)? else { continue };
             let is_one = || {
                 let found = several.simulations(None)?;
                 let frames = found.iter().map(Sequence::list).collect::<Result<Vec<_>, _>>()?;
@@ -211,10 +221,11 @@ impl Simulation {
             );
             return Err(SimulationError::Names(what).into());
         };
+        let format = self.request.settings.format;
         if self.together {
-            return Ok((Inputs::together(&self.inputs)?, naming));
+            return Ok((Inputs::together(&self.inputs, format)?, naming));
         }
-        let inputs = match (Inputs::of(&self.inputs)?, &self.inputs[..]) {
+        let inputs = match (Inputs::of(&self.inputs, format)?, &self.inputs[..]) {
             (Some(inputs), _) => inputs,
             // The folder does not exist yet.
             (None, [path])

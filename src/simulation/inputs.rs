@@ -11,7 +11,7 @@ use std::time::Duration;
 use glob::MatchOptions;
 
 use crate::io::collection::{is_list, listed};
-use crate::io::input::{holds_mesh, is_known, steps};
+use crate::io::input::{InputFormat, holds_mesh, is_known, steps};
 
 use crate::error::{Error, SimulationError};
 
@@ -36,7 +36,12 @@ pub enum Inputs {
     /// A list of files.
     Files(Vec<PathBuf>),
     /// Steps inside one file.
-    Steps(PathBuf),
+    Steps {
+        /// The file.
+        file: PathBuf,
+        /// The format of the request, if it differs from that of the extension.
+        format: Option<InputFormat>,
+    },
     /// Several inputs whose frames with the same number are joined.
     Together(Vec<Inputs>),
 }
@@ -53,16 +58,20 @@ pub struct Sequence {
 }
 
 impl Inputs {
-    /// Interprets the arguments as a simulation; `None` if they name one file.
+    /// Interprets the arguments as a simulation; `None` if they name one file. `format` is that of
+    /// the request, if it differs from that of the extension.
     ///
     /// # Errors
     /// [`SimulationError::Names`] for an invalid pattern.
-    pub fn of(arguments: &[PathBuf]) -> Result<Option<Self>, SimulationError> {
+    pub fn of(
+        arguments: &[PathBuf],
+        format: Option<InputFormat>,
+    ) -> Result<Option<Self>, SimulationError> {
         let [path] = arguments else { return Ok(Some(Self::Files(arguments.to_vec()))) };
         if path.is_file() {
             // A file that cannot be read is reported as a single frame.
-            let several = steps(path).is_ok_and(|steps| steps.len() > 1);
-            return Ok(several.then(|| Self::Steps(path.clone())));
+            let several = steps(path, format).is_ok_and(|steps| steps.len() > 1);
+            return Ok(several.then(|| Self::Steps { file: path.clone(), format }));
         }
         if path.is_dir() {
             return Ok(Some(Self::Folder(path.clone())));
@@ -78,8 +87,11 @@ impl Inputs {
     ///
     /// # Errors
     /// [`SimulationError::Names`] for an invalid pattern.
-    pub fn together(arguments: &[PathBuf]) -> Result<Self, SimulationError> {
-        let each = arguments.iter().map(|argument| Self::of(std::slice::from_ref(argument)));
+    pub fn together(
+        arguments: &[PathBuf],
+        format: Option<InputFormat>,
+    ) -> Result<Self, SimulationError> {
+        let each = arguments.iter().map(|one| Self::of(std::slice::from_ref(one), format));
         let each = each.collect::<Result<Vec<_>, _>>()?;
         let is_file = |argument: &Option<Self>| argument.is_none();
         let has_number =
@@ -99,7 +111,7 @@ impl Inputs {
     pub fn describe(&self) -> String {
         match self {
             Self::Pattern(pattern) => pattern.to_string(),
-            Self::Folder(path) | Self::Steps(path) => path.display().to_string(),
+            Self::Folder(path) | Self::Steps { file: path, .. } => path.display().to_string(),
             Self::Glob(pattern) => pattern.clone(),
             Self::Files(files) => {
                 files.first().map_or(String::new(), |file| file.display().to_string())
@@ -127,7 +139,7 @@ impl Inputs {
         let sequence = |pattern| Sequence { source: self.clone(), pattern, patience };
         let mut files = match self {
             Self::Pattern(pattern) => return Ok(vec![sequence(Some(pattern.clone()))]),
-            Self::Steps(_) => return Ok(vec![sequence(None)]),
+            Self::Steps { .. } => return Ok(vec![sequence(None)]),
             Self::Together(members) => {
                 let found = members_of(members)?;
                 let pattern = found.iter().find_map(|sequence| sequence.pattern.clone());
@@ -191,7 +203,7 @@ impl Inputs {
         let folder = match self {
             Self::Pattern(pattern) => Some(pattern.folder()),
             Self::Folder(folder) => Some(&**folder),
-            Self::Glob(_) | Self::Files(_) | Self::Steps(_) | Self::Together(_) => None,
+            Self::Glob(_) | Self::Files(_) | Self::Steps { .. } | Self::Together(_) => None,
         };
         if let Some(folder) = folder.filter(|folder| !folder.exists()) {
             return SimulationError::NoFolder(folder.to_owned());
@@ -247,7 +259,7 @@ impl Inputs {
             }
             Self::Together(members) => members_of(members)
                 .is_ok_and(|members| members.iter().any(|member| member.takes(path))),
-            Self::Steps(_) | Self::Files(_) => false,
+            Self::Steps { .. } | Self::Files(_) => false,
         }
     }
 
@@ -260,7 +272,7 @@ impl Inputs {
                 pattern.rsplit(is_separator).next().is_some_and(|name| name.starts_with(['.', '[']))
             }
             Self::Folder(_) => false,
-            Self::Files(_) | Self::Steps(_) | Self::Together(_) => true,
+            Self::Files(_) | Self::Steps { .. } | Self::Together(_) => true,
         };
         !asks && path.file_name().is_some_and(|name| name.as_encoded_bytes().starts_with(b"."))
     }
@@ -293,7 +305,7 @@ impl Inputs {
                 whole_frames(paths.filter(|path| path.is_file() && !self.hides(path)).collect())
             }
             Self::Files(files) => whole_frames(files.clone()),
-            Self::Steps(_) | Self::Together(_) => Vec::new(),
+            Self::Steps { .. } | Self::Together(_) => Vec::new(),
         })
     }
 }
@@ -337,8 +349,9 @@ impl Sequence {
                 let lists = members.iter().map(Self::list).collect::<Result<_, _>>()?;
                 return joined(&members, lists);
             }
-            (Inputs::Steps(file), _) => {
-                let steps = steps(file).map_err(|e| SimulationError::Names(e.to_string()))?;
+            (Inputs::Steps { file, format }, _) => {
+                let steps =
+                    steps(file, *format).map_err(|e| SimulationError::Names(e.to_string()))?;
                 let path = |number| PathBuf::from(format!("{}#{number}", file.display()));
                 let counted = |number: u64| counted(number as i64, path(number));
                 steps.into_iter().map(counted).collect()
@@ -459,7 +472,7 @@ fn below(pattern: &str) -> String {
 /// [`Error::Simulation`] for a folder that cannot be read, names that do not determine frame
 /// numbers, files of several simulations, and inputs without frames.
 pub fn frames(inputs: &[PathBuf]) -> Result<Vec<FrameFile>, Error> {
-    let inputs = Inputs::of(inputs)?.unwrap_or_else(|| Inputs::Files(inputs.to_vec()));
+    let inputs = Inputs::of(inputs, None)?.unwrap_or_else(|| Inputs::Files(inputs.to_vec()));
     Ok(inputs.only()?.1)
 }
 
@@ -472,7 +485,7 @@ pub fn frames(inputs: &[PathBuf]) -> Result<Vec<FrameFile>, Error> {
 pub fn files(arguments: &[PathBuf], wanted: impl Fn(&Path) -> bool) -> Result<Vec<PathBuf>, Error> {
     let mut all = Vec::new();
     for argument in arguments {
-        let mut found = match Inputs::of(std::slice::from_ref(argument))? {
+        let mut found = match Inputs::of(std::slice::from_ref(argument), None)? {
             Some(Inputs::Folder(folder)) => files_in(&folder, &wanted)?,
             Some(inputs @ Inputs::Glob(_)) => {
                 let files = inputs.candidates()?.into_iter().map(|file| file.path);
@@ -490,7 +503,7 @@ pub fn files(arguments: &[PathBuf], wanted: impl Fn(&Path) -> bool) -> Result<Ve
             None if argument.to_string_lossy().ends_with(is_separator) => {
                 return Err(SimulationError::NoFolder(argument.clone()).into());
             }
-            Some(Inputs::Steps(_) | Inputs::Files(_) | Inputs::Together(_)) | None => {
+            Some(Inputs::Steps { .. } | Inputs::Files(_) | Inputs::Together(_)) | None => {
                 vec![argument.clone()]
             }
         };

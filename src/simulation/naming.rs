@@ -97,7 +97,7 @@ impl Naming {
             Self::Folder(folder) => folder.clone(),
         };
         let (prefix, tail) = match (inputs.source(), inputs.pattern()) {
-            (Inputs::Steps(file), _) => (
+            (Inputs::Steps { file, .. }, _) => (
                 format!("{}_", file.file_stem().unwrap_or_default().to_string_lossy()),
                 String::new(),
             ),
@@ -160,7 +160,7 @@ mod tests {
     use super::*;
 
     fn outputs(naming: &str, input: &str) -> Pattern {
-        let inputs = Inputs::of(&[input.into()]).unwrap().unwrap();
+        let inputs = Inputs::of(&[input.into()], None).unwrap().unwrap();
         Naming::of(Path::new(naming))
             .unwrap()
             .unwrap()

@@ -265,7 +265,7 @@ impl Pictures {
                 _ => Inputs::Files(files),
             }
         } else {
-            match (Inputs::of(&self.meshes)?, &self.meshes[..]) {
+            match (Inputs::of(&self.meshes, None)?, &self.meshes[..]) {
                 (Some(inputs), [_, ..]) => inputs,
                 (_, [mesh]) => return Ok((None, vec![alone(mesh)])),
                 _ => return Err(SimulationError::NoFrames("no mesh".into()).into()),

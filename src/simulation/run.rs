@@ -165,7 +165,7 @@ impl Simulation {
     fn prepare(&self) -> Result<(Inputs, Naming, CheckedRequest), Error> {
         self.validate()?;
         let (inputs, naming) = self.names()?;
-        if matches!(inputs, Inputs::Steps(_)) && self.watch.is_some() {
+        if matches!(inputs, Inputs::Steps { .. }) && self.watch.is_some() {
             return Err(SimulationError::Steps(inputs.describe()).into());
         }
         let mut checked = self.request.checked_without_solids()?;

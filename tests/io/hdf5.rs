@@ -6,8 +6,9 @@ use std::path::{Path, PathBuf};
 use meniscus::internals::io::bytes::Unpacking;
 use meniscus::internals::io::input::{open_particles, open_wanted, steps};
 use meniscus::internals::io::wanted::WantedParticles;
-use meniscus::internals::io::{ParticleFile, ReadError, ReadFault, h5};
+use meniscus::internals::io::{ParticleFile, ReadError, ReadFault, UnreadPart, h5};
 use meniscus::internals::particles::Particles;
+use meniscus::internals::particles::selection::SelectionFault;
 
 use crate::common::files;
 use crate::common::particle_files::{attribute, positions};
@@ -23,7 +24,7 @@ fn open(name: &str) -> Result<ParticleFile, ReadError> {
 
 #[test]
 fn an_h5part_step_is_a_frame_with_its_time_and_vector_columns() {
-    assert_eq!(steps(&data("steps.h5part")).unwrap(), [0, 2, 10]);
+    assert_eq!(steps(&data("steps.h5part"), None).unwrap(), [0, 2, 10]);
     let [zero, two] = ["steps.h5part#0", "steps.h5part#2"].map(|name| open(name).unwrap());
     assert_eq!((zero.particles.len(), zero.time, two.time), (60, Some(0.0), Some(0.5)));
     let names: Vec<_> =
@@ -65,6 +66,12 @@ fn root_data_sets_are_a_frame_even_if_chunked_and_compressed() {
     );
 }
 
+fn open_where(name: &str, condition: &str) -> Result<ParticleFile, ReadError> {
+    let conditions = [condition.parse().expect("is a condition")];
+    let wanted = WantedParticles { conditions: &conditions, ..WantedParticles::default() };
+    open_wanted(&data(name), wanted, Unpacking::in_memory())
+}
+
 fn names(file: &ParticleFile) -> Vec<(&str, usize)> {
     file.particles.attributes().iter().map(|a| (&*a.name, a.components)).collect()
 }
@@ -100,7 +107,7 @@ fn arrays_with_components_along_the_first_axis_are_read() {
 
 #[test]
 fn h5md_frames_contain_only_the_present_particles_and_their_data() {
-    assert_eq!(steps(&data("h5md.h5")).unwrap(), [0, 1, 2]);
+    assert_eq!(steps(&data("h5md.h5"), None).unwrap(), [0, 1, 2]);
     let [one, two] = ["h5md.h5#1", "h5md.h5#2"].map(|name| open(name).unwrap());
     assert_eq!((one.time, one.box_size), (Some(0.5), Some([1.0, 2.0, 3.0])));
     assert_eq!(positions(&two), points(2.0));
@@ -114,21 +121,57 @@ fn h5md_frames_contain_only_the_present_particles_and_their_data() {
 
 #[test]
 fn one_of_several_particle_groups_must_be_named() {
-    assert_eq!(steps(&data("groups.h5")).unwrap(), [3, 20]);
-    let open = |particle_type| {
-        let wanted = WantedParticles { particle_type, ..WantedParticles::default() };
-        open_wanted(&data("groups.h5#20"), wanted, Unpacking::in_memory())
-    };
-    let error = open(None).unwrap_err();
+    assert_eq!(steps(&data("groups.h5"), None).unwrap(), [3, 20]);
+    let open = |condition: &str| open_where("groups.h5#20", condition);
+    let error = open("x>0").unwrap_err();
     assert!(
         matches!(&error.fault, ReadFault::Unsupported(what) if what.contains("sand, wall")),
         "{error}"
     );
-    let sand = open(Some("sand")).unwrap();
+    let sand = open("type=sand").unwrap();
     assert_eq!((positions(&sand), sand.time), (points(20.0), Some(5.0)));
     assert_eq!(sand.particle_types, ["sand", "wall"]);
-    assert_eq!(open(Some("ParticleTypes/wall")).unwrap().particles.len(), 4);
-    assert!(open(Some("PartType0")).is_err());
+    assert_eq!(open("type=ParticleTypes/wall").unwrap().particles.len(), 4);
+    assert!(open("type=PartType0").is_err() && open("type=1").is_err());
+}
+
+#[test]
+fn a_type_is_a_group_or_else_a_value_of_the_attribute_of_that_name() {
+    let open = |condition: &str| open_where("types.h5", condition);
+    for (condition, group, count) in [
+        ("x>-1", "PartType0", 60),
+        ("type=wall", "wall", 60),
+        ("type=1", "PartType0", 20),
+        ("type=0,2", "PartType0", 40),
+        ("type!=1", "PartType0", 40),
+        ("type=wall and type=1", "wall", 20),
+        ("type=2 and type=wall", "wall", 20),
+    ] {
+        let file = open(condition).unwrap();
+        assert_eq!((&*file.particle_types[0], file.particles.len()), (group, count), "{condition}");
+    }
+    let none = open("type=3").unwrap();
+    assert!(none.particles.is_empty() && none.none_selected.is_some());
+    let error = open("type=sand and type=1").unwrap_err();
+    assert!(
+        matches!(&error.fault, ReadFault::Unsupported(what) if what.contains("PartType0, wall")),
+        "{error}"
+    );
+    let error = open_where("groups.h5#20", "type=sand and type=1").unwrap_err();
+    assert!(
+        matches!(&error.fault, ReadFault::Selection(SelectionFault::Types { condition, known })
+            if condition == "type=1" && *known == ["sand", "wall"]),
+        "{error}"
+    );
+}
+
+#[test]
+fn an_array_with_too_many_numbers_per_particle_is_named() {
+    let file = open("types.h5").unwrap();
+    assert_eq!(names(&file), [("type", 1), ("gradient", 9)]);
+    assert_eq!(attribute(&file, "gradient"), (0..540).map(|x| x as f32).collect::<Vec<_>>());
+    let wide = UnreadPart::WideArray { name: "spectrum".into(), numbers: 100 };
+    assert_eq!(file.left_out, [wide]);
 }
 
 #[test]

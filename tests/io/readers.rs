@@ -9,7 +9,7 @@ use meniscus::internals::io::scene::spacing_beside;
 use meniscus::internals::io::text_format::TextHint;
 use meniscus::internals::io::wanted::{WantedAttributes, WantedParticles};
 use meniscus::internals::io::{
-    ParticleFile, ReadError, ReadFault, bgeo, bi4, json, npy, npz, text_format, vtk, vtp,
+    ParticleFile, ReadError, ReadFault, bgeo, bi4, json, npy, npz, ply, text_format, vtk, vtp,
 };
 use meniscus::internals::particles::sizes::SizeChoice;
 use meniscus::internals::particles::{Particles, RereadError, velocity_attribute};
@@ -859,6 +859,10 @@ fn named_columns_become_attributes_with_their_components() {
     assert_eq!(attribute(&file, "Vel"), [4.0, 5.0, 6.0, -4.0, -5.0, -6.0]);
     assert_eq!(attribute(&file, "Rhop"), [1000.0, 1001.0]);
 
+    let file = text("#\n# <x> <y> <z> <id> <a b> <v> <v> <v> \n1 2 3 4 5 6 7 8 \n\n").unwrap();
+    assert_eq!(positions(&file), [[1.0, 2.0, 3.0]]);
+    assert_eq!(attributes(&file), [("id", 1), ("a b", 1), ("v", 3)]);
+
     let file =
         text("id,vx,z,index,vy,y,x,vz,n:0,n:1,n:2,n:3\n1,2,3,8,4,5,6,7,9,10,11,12\n").unwrap();
     assert_eq!(positions(&file), [[6.0, 5.0, 3.0]]);
@@ -881,6 +885,51 @@ fn nan_and_infinity_are_read_in_all_spellings_of_text_formats() {
 }
 
 #[test]
+fn exponents_mean_the_same_in_every_text_format() {
+    let vtk = "# vtk DataFile Version 3.0\nx\nASCII\nDATASET POLYDATA\nPOINTS 2 double\n";
+    let vtu = "<VTKFile type=\"UnstructuredGrid\"><UnstructuredGrid>\
+        <Piece NumberOfPoints=\"2\" NumberOfCells=\"0\"><Points><DataArray type=\"Float64\" \
+        NumberOfComponents=\"3\" format=\"ascii\">";
+    let ply = "ply\nformat ascii 1.0\nelement vertex 2\nproperty double x\nproperty double y\n\
+        property double z\nend_header\n";
+    let dump = "ITEM: TIMESTEP\n0\nITEM: NUMBER OF ATOMS\n2\nITEM: BOX BOUNDS pp pp pp\n\
+        0.0D+00 1.5D+03\n0 1e5\n0 1\nITEM: ATOMS x y z\n";
+    let rows = "1.5D+03 0.14-270 1e5\n-1.5d3 1.5E+3 -2Q2\n";
+    let formats: [(Reader, String, &str); 9] = [
+        (TEXT, String::new(), ""),
+        (TEXT, "x y z\n".into(), ""),
+        (TEXT, "VARIABLES = x y z\nZONE I=2, DATAPACKING=POINT\n".into(), ""),
+        (XYZ, String::new(), ""),
+        (XYZ, "2\nTime=1.5D+03 Lattice=\"1d1 0 0 0 1D1 0 0 0 1\"\n".into(), ""),
+        (VTK, vtk.into(), ""),
+        (VTU, vtu.into(), "</DataArray></Points></Piece></UnstructuredGrid></VTKFile>"),
+        (|bytes| ply::read_particles(bytes, Unpacking::in_memory()), ply.into(), ""),
+        (
+            |bytes| read_text(bytes, InputFormat::Lammps, None, WantedAttributes::All),
+            dump.into(),
+            "",
+        ),
+    ];
+    let expected = [[1500.0, 0.14e-270, 1e5], [-1500.0, 1500.0, -200.0]];
+    for (reader, head, tail) in formats {
+        let text = head + rows + tail;
+        let file = read(reader, text.as_bytes()).unwrap_or_else(|e| panic!("{e}: {text}"));
+        assert_eq!(positions(&file), expected, "{text}");
+        match file.format {
+            "XYZ" => {
+                assert_eq!((file.time, file.box_size), (Some(1500.0), Some([10.0, 10.0, 1.0])))
+            }
+            "LAMMPS dump" => assert_eq!(file.box_size, Some([1500.0, 1e5, 1.0])),
+            _ => {}
+        }
+    }
+    let commas = rows.replace(' ', ",");
+    assert_eq!(positions(&text(&commas).unwrap()), expected);
+    let semicolons = commas.replace(',', ";").replace('.', ",");
+    assert_eq!(positions(&text(&semicolons).unwrap()), expected);
+}
+
+#[test]
 fn an_invalid_line_is_reported_with_its_number_and_text() {
     let cases = [
         ("1,2,3\n4,5\n", 2, "\"4,5\""),
@@ -896,6 +945,8 @@ fn an_invalid_line_is_reported_with_its_number_and_text() {
         ("hello\n", 1, "\"hello\""),
         ("first\nsecond\n", 1, "\"first\""),
         ("x,y\n1,2\n", 1, "\"x\", \"y\""),
+        ("# x y rho\n1 2 3\n", 1, "\"rho\""),
+        ("# <x> <y> <id> <a b>\n1 2 3 4\n\n5 6 7 8\n", 1, "\"a b\""),
     ];
     for (table, at, shown) in cases {
         match text(table) {
@@ -1005,7 +1056,9 @@ fn xyz_frames_consist_of_a_count_a_comment_and_rows() {
 #[test]
 fn frames_of_xyz_files_and_steps_of_lammps_dumps_are_read_separately() {
     let frames = "1\na\nO 1 1 1\n2\nb\nO 2 2 2\nO 3 3 3\n";
-    let steps = |text: &str, format| text_format::steps(text.as_bytes().to_vec().into(), format);
+    let steps = |text: &str, format| {
+        text_format::steps(text.as_bytes().to_vec().into(), TextHint::Extension(Some(format)))
+    };
     let step = |text: &str, format, step| {
         read_text(text.as_bytes().to_vec().into(), format, step, WantedAttributes::All)
     };

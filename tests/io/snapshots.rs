@@ -6,6 +6,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use meniscus::Where;
 use meniscus::internals::io::bytes::Unpacking;
 use meniscus::internals::io::frame_files::snapshot_pieces;
 use meniscus::internals::io::input::{holds_mesh, open_particles, open_wanted, steps};
@@ -40,7 +41,9 @@ fn open(name: &str) -> Result<ParticleFile, ReadError> {
 }
 
 fn open_type<'a>(path: &Path, name: impl Into<Option<&'a str>>) -> Result<ParticleFile, ReadError> {
-    let wanted = WantedParticles { particle_type: name.into(), ..WantedParticles::default() };
+    let condition = |name| format!("type={name}").parse().expect("is a condition");
+    let conditions: Vec<Where> = name.into().map(condition).into_iter().collect();
+    let wanted = WantedParticles { conditions: &conditions, ..WantedParticles::default() };
     open_wanted(path, wanted, Unpacking::in_memory())
 }
 
@@ -136,10 +139,10 @@ fn particle_types_can_be_named_and_default_to_gas_or_fluid() {
 
 #[test]
 fn steps_and_iterations_are_frames_with_their_own_numbers_and_times() {
-    assert_eq!(steps(&data("steps.vtkhdf")).unwrap(), [0, 1, 2]);
-    assert_eq!(steps(&data("openpmd.h5")).unwrap(), [100, 200]);
+    assert_eq!(steps(&data("steps.vtkhdf"), None).unwrap(), [0, 1, 2]);
+    assert_eq!(steps(&data("openpmd.h5"), None).unwrap(), [100, 200]);
     for (name, _) in FRAMES.into_iter().filter(|(name, _)| !name.contains('#')) {
-        assert_eq!(steps(&data(name)).unwrap(), [0; 0], "{name}");
+        assert_eq!(steps(&data(name), None).unwrap(), [0; 0], "{name}");
     }
     let second = open("steps.vtkhdf#1").unwrap();
     assert_eq!((second.particles.len(), second.time), (8, Some(0.75)));
@@ -310,7 +313,11 @@ fn damaged_files_cause_neither_panics_nor_large_allocations() {
         let read = |bytes: &[u8]| {
             fs::write(path(name), bytes).unwrap();
             let (result, largest) = memory::largest_allocation(|| {
-                let _ = (steps(&path(name)), holds_mesh(&path(name)), snapshot_pieces(&path(name)));
+                let _ = (
+                    steps(&path(name), None),
+                    holds_mesh(&path(name)),
+                    snapshot_pieces(&path(name)),
+                );
                 open_type(&opened, None)
             });
             // The maximum for any unpacked file.

@@ -1299,3 +1299,52 @@ fn a_given_format_overrides_the_file_extension() {
     }
     assert!(fs::read(path("parts.ply")).unwrap() == known);
 }
+
+#[test]
+fn frames_inside_a_file_are_found_in_the_format_that_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let run = |arguments: &[&str], code: i32| {
+        let run = meniscus(folder.path(), arguments);
+        let said = String::from_utf8_lossy(&[run.stdout, run.stderr].concat()).into_owned();
+        assert_eq!(run.status.code(), Some(code), "{arguments:?}: {said}");
+        said
+    };
+    let ball = fill(10.0, 2.0, 0.2, 3, |p| p.length() < 5.0);
+    let frame = |by: f64| {
+        let rows = ball.iter().map(|[x, y, z]| format!("O {} {y} {z}\n", x + by));
+        format!("{}\n\n{}", ball.len(), rows.collect::<String>())
+    };
+    let frames = [0.0, 5.0].map(frame);
+    fs::write(path("sim.xyz"), frames.concat()).unwrap();
+    fs::write(path("one.xyz"), &frames[1]).unwrap();
+    run(&["reconstruct", "sim.xyz", "-o", "known/"], 0);
+    let known = ["sim_0.ply", "sim_1.ply"].map(|mesh| fs::read(path("known").join(mesh)).unwrap());
+    // A name without an extension, and with that of a format of single frames.
+    for (number, name) in ["sim", "sim.out", "sim.vtk"].iter().enumerate() {
+        fs::copy(path("sim.xyz"), path(name)).unwrap();
+        let out = format!("out_{number}");
+        run(&["reconstruct", name, "-o", &format!("{out}/"), "--format", "xyz"], 0);
+        let made = ["sim_0.ply", "sim_1.ply"].map(|m| fs::read(path(&out).join(m)).unwrap());
+        assert!(made == known, "{name}");
+        let second = format!("{name}#1");
+        run(&["reconstruct", &second, "-o", "second.ply", "--format", "xyz", "--overwrite"], 0);
+        run(&["reconstruct", "one.xyz", "-o", "one.ply", "--overwrite"], 0);
+        assert!(fs::read(path("second.ply")).unwrap() == fs::read(path("one.ply")).unwrap());
+        assert!(run(&["info", &second, "--format", "xyz"], 0).contains("XYZ"));
+    }
+    // The files of a list have the format that is named.
+    fs::write(
+        path("list.pvd"),
+        "<VTKFile type=\"Collection\"><Collection><DataSet timestep=\"0\" file=\"sim#0\"/>\
+         <DataSet timestep=\"1\" file=\"sim#1\"/></Collection></VTKFile>",
+    )
+    .unwrap();
+    run(&["reconstruct", "list.pvd", "-o", "listed/", "--format", "xyz"], 0);
+    let made = ["list_0.ply", "list_1.ply"].map(|m| fs::read(path("listed").join(m)).unwrap());
+    assert!(made == known);
+    // A format of single frames has none with a number.
+    fs::copy(path("one.xyz"), path("points.json")).unwrap();
+    let said = run(&["info", "points.json#0"], 3);
+    assert!(said.contains("single frame"), "{said}");
+}

@@ -63,3 +63,11 @@ with h5py.File(f"{folder}/groups.h5", "w", libver="latest") as file:
         frame.attrs["time"] = number / 4
         frame["ParticleTypes/sand/position"] = points + number
         frame["ParticleTypes/wall/position"] = np.zeros((4, 3), "f4")
+# Two groups with an attribute called as the choice of a group is, and rows of up to 100 numbers.
+with h5py.File(f"{folder}/types.h5", "w", libver="latest") as file:
+    for name in ("PartType0", "wall"):
+        group = file.create_group(name)
+        group["position"] = points
+        group["type"] = (np.arange(60) % 3).astype("u1")
+        group["gradient"] = np.arange(540, dtype="f4").reshape(60, 3, 3)
+        group["spectrum"] = np.zeros((60, 100), "i1")

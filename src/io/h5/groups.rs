@@ -11,6 +11,7 @@ use crate::io::columns::{Endian, Scalar};
 use crate::io::fields::{Arrangement, Axes, ColumnIndex, NamedArray, arrange};
 use crate::io::{ReadFault, malformed};
 use crate::particles::AttributeInfo;
+use crate::particles::condition::Where;
 
 use super::contents::{self, DEEPEST, MOST_GROUPS};
 use super::file::{H5File, checked, time_of, times_in};
@@ -79,7 +80,7 @@ impl GroupCandidate {
 
     /// The columns of a frame.
     pub fn table(&self, frame: u64) -> Result<H5Table, ReadFault> {
-        let Arrangement { rows, axes, position, attributes, .. } = &self.arrangement;
+        let Arrangement { rows, axes, position, attributes, left_out, .. } = &self.arrangement;
         let arrays = self.fields.iter().zip(&self.sources).zip(axes);
         let arrays: Vec<H5Array> = arrays
             .map(|((field, source), axes)| {
@@ -109,7 +110,7 @@ impl GroupCandidate {
             true => h5md::present(&arrays, &attributes)?,
             false => None,
         };
-        Ok(H5Table { arrays, position, attributes, present })
+        Ok(H5Table { arrays, position, attributes, left_out: left_out.clone(), present })
     }
 }
 
@@ -192,15 +193,15 @@ impl GroupSearch {
         }
     }
 
-    /// The candidate that is `named`, or the only one, and the names of all with the chosen one
-    /// first; empty if there is only one.
+    /// The candidate that a condition names, or the only one, and the names of all with the chosen
+    /// one first; empty if there is only one that no condition names.
     ///
     /// # Errors
     /// [`ReadFault::Unsupported`] if there is none, with the contents of `root`, or several.
     pub fn chosen(
         mut self,
         root: &Group,
-        named: Option<&str>,
+        wanted: &[Where],
     ) -> Result<(GroupCandidate, Vec<String>), ReadFault> {
         if self.candidates.is_empty() {
             return Err(match self.fault {
@@ -216,24 +217,26 @@ impl GroupSearch {
             let is_unique = paths.iter().filter(|other| last(other) == short).count() == 1;
             if is_unique && !short.is_empty() { short } else { path.clone() }
         });
-        let names: Vec<String> = names.collect();
+        let mut names: Vec<String> = names.collect();
         if let [only] = &names[..] {
             // The name may be a value of an attribute instead.
-            let called = named.filter(|named| named == only || **named == paths[0]);
+            let called = Where::types(wanted).find(|named| named == only || **named == paths[0]);
             return Ok((
                 self.candidates.swap_remove(0),
                 called.map(str::to_owned).into_iter().collect(),
             ));
         }
-        let by_path = named.and_then(|named| paths.iter().position(|path| path == named));
-        let index = match by_path {
-            Some(index) => index,
+        let by_path = Where::types(wanted)
+            .find_map(|named| Some((paths.iter().position(|path| path == named)?, named)));
+        let (index, chosen) = match by_path {
+            Some((index, path)) => (index, path.to_owned()),
             None => {
-                let chosen = chosen_type(&names, named, Some(USUAL))?;
-                names.iter().position(|name| *name == chosen).expect("one of them")
+                let chosen = chosen_type(&names, wanted, Some(USUAL))?;
+                let index = names.iter().position(|name| *name == chosen).expect("one of them");
+                (index, chosen)
             }
         };
-        let chosen = names[index].clone();
+        names[index].clone_from(&chosen);
         Ok((self.candidates.swap_remove(index), types(names, &chosen)))
     }
 }

@@ -77,7 +77,7 @@ pub fn box_size(group: &Group, frame: u64) -> Option<[f64; 3]> {
     let fixed = || all.dataset("edges").ok();
     let edges = match all.group("edges") {
         Ok(element) => {
-            let edges = H5Array::new(element.dataset(VALUE).ok()?).filter(|a| a.components == 3)?;
+            let edges = H5Array::new(element.dataset(VALUE).ok()?)?;
             (frame < edges.rows).then(|| edges.doubles([frame, frame + 1]).ok())??
         }
         Err(_) => match fixed().and_then(H5Array::new) {
@@ -87,7 +87,15 @@ pub fn box_size(group: &Group, frame: u64) -> Option<[f64; 3]> {
             _ => numbers(&all, "edges")?,
         },
     };
-    let edges: [f64; 3] = edges.try_into().ok()?;
+    lengths(&edges)
+}
+
+/// The lengths of edges along the axes, from their lengths or vectors.
+fn lengths(edges: &[f64]) -> Option<[f64; 3]> {
+    let edges = match *edges {
+        [x, y, z] | [x, 0.0, 0.0, 0.0, y, 0.0, 0.0, 0.0, z] => [x, y, z],
+        _ => return None,
+    };
     edges.iter().all(|edge| edge.is_finite() && *edge > 0.0).then_some(edges)
 }
 
@@ -109,4 +117,20 @@ pub fn present(
     }
     let present = Sieve::new(present);
     Ok((present.count() as u64 != array.rows).then_some(present))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::lengths;
+
+    #[test]
+    fn a_box_along_the_axes_is_given_by_lengths_or_vectors() {
+        assert_eq!(lengths(&[1.0, 2.0, 3.0]), Some([1.0, 2.0, 3.0]));
+        let vectors = [1.0, 0.0, -0.0, 0.0, 2.0, 0.0, 0.0, 0.0, 3.0];
+        assert_eq!(lengths(&vectors), Some([1.0, 2.0, 3.0]));
+        let tilted = [1.0, 0.5, 0.0, 0.0, 2.0, 0.0, 0.0, 0.0, 3.0];
+        for none in [&tilted[..], &[1.0, 0.0, 3.0], &[1.0, 2.0], &[1.0, f64::NAN, 3.0]] {
+            assert_eq!(lengths(none), None, "{none:?}");
+        }
+    }
 }

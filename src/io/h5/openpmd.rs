@@ -64,9 +64,15 @@ pub fn read_particles(
         time_of(&iteration).map(|time| time * number(&iteration, "timeUnitSI").unwrap_or(1.0));
     let path = root.attribute("particlesPath").and_then(|path| path.read_string());
     let path = path.unwrap_or_else(|_| "particles/".to_owned());
-    let all = checked(iteration.group(path.trim_matches('/')))?;
+    let path = path.trim_matches('/');
+    let (groups, _) = checked(iteration.member_names())?;
+    if !groups.iter().any(|group| path.split('/').next() == Some(group)) {
+        let what = format!("iteration {step} contains no particles, only meshes");
+        return Err(ReadFault::Unsupported(what));
+    }
+    let all = checked(iteration.group(path))?;
     let (known, _) = checked(all.member_names())?;
-    let kind = chosen_type(&known, wanted.particle_type, None)?;
+    let kind = chosen_type(&known, wanted.conditions, None)?;
     let species = checked(all.group(&kind))?;
     Ok(ParticleFile {
         time,

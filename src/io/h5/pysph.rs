@@ -18,7 +18,7 @@ pub const SOLVER: &str = "solver_data";
 pub fn read_particles(file: H5File, wanted: WantedParticles) -> Result<ParticleFile, ReadFault> {
     let time = time_of(&file.group(SOLVER)?);
     let (known, _) = checked(file.group(PARTICLES)?.member_names())?;
-    let kind = chosen_type(&known, wanted.particle_type, Some("fluid"))?;
+    let kind = chosen_type(&known, wanted.conditions, Some("fluid"))?;
     let arrays = H5Array::by_name(&file.group(&format!("{PARTICLES}/{kind}/arrays"))?)?;
     let file = table(arrays)?.read(file, "PySPH HDF5", wanted.attributes)?;
     let particle_types = types(known, &kind);
@@ -42,15 +42,6 @@ fn table(arrays: Vec<H5Array>) -> Result<H5Table, ReadFault> {
     let velocity =
         vector(["u", "v", "w"]).filter(|v| v.iter().all(|&axis| arrays[axis].rows == rows));
     let places = |columns: [usize; 3]| columns.map(|array| -> Place { (array, 0) });
-    let info = |name: &str, components| AttributeInfo::new(name, components);
-    let mut attributes: Vec<_> =
-        velocity.map(|v| (info("velocity", 3), places(v).to_vec())).into_iter().collect();
-    let used: Vec<usize> = position.into_iter().chain(velocity.into_iter().flatten()).collect();
-    for (index, array) in arrays.iter().enumerate() {
-        if array.rows == rows && !used.contains(&index) {
-            let places = (0..array.components).map(|component| (index, component)).collect();
-            attributes.push((info(&array.name, array.components), places));
-        }
-    }
-    Ok(H5Table { arrays, position: places(position), attributes, present: None })
+    let velocity = velocity.map(|v| (AttributeInfo::new("velocity", 3), places(v).to_vec()));
+    Ok(H5Table::with_others(arrays, places(position), velocity.into_iter().collect()))
 }

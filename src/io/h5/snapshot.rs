@@ -14,9 +14,10 @@ use crate::io::frame_files::snapshot_piece;
 use crate::io::wanted::{WantedParticles, WantedPieces};
 use crate::io::{ParticleFile, Pieces, ReadError, ReadFault, malformed};
 use crate::particles::Particles;
+use crate::particles::condition::Where;
 
 use super::file::{H5File, checked, number, numbers, time_of};
-use super::table::{H5Array, H5Table, chosen_type, types};
+use super::table::{H5Array, H5Table, named_type, no_type, types};
 
 /// Name of the group with the snapshot's header.
 pub const HEADER: &str = "Header";
@@ -114,8 +115,7 @@ pub fn open_particles(
 ) -> Result<ParticleFile, ReadError> {
     let fail = |fault| ReadError::new(path, fault);
     let header = file.root().and_then(|root| SnapshotHeader::read(&root)).map_err(fail)?;
-    let kind =
-        chosen_type(&header.types(), wanted.particle_type.or(Some(GAS)), None).map_err(fail)?;
+    let kind = snapshot_type(&header.types(), wanted.conditions).map_err(fail)?;
     let read = if header.files == 1 && !header.is_view {
         read_piece(file, &kind, wanted, &header, None).map_err(fail)?
     } else {
@@ -137,13 +137,14 @@ pub fn open_particles(
         // Waits for all files, so that the error is always that of the first piece.
         let all: Vec<_> = paths.par_iter().enumerate().map(open).collect();
         let all = all.into_iter().collect::<Result<Vec<_>, _>>()?;
-        let unread =
-            all.iter().find(|file| !file.particles.is_empty()).map(|file| file.unread.clone());
+        let filled = all.iter().find(|file| !file.particles.is_empty());
+        let (unread, left_out) =
+            filled.map_or_else(Default::default, |f| (f.unread.clone(), f.left_out.clone()));
         let all = all.into_iter().map(|file| file.particles).collect();
         let joined =
             Pieces::join(all).map_err(|(piece, fault)| ReadError::new(&paths[piece], fault))?;
-        let unread = unread.unwrap_or_default();
-        ParticleFile { unread, ..ParticleFile::new(joined, "SWIFT or GADGET HDF5 in pieces") }
+        let format = "SWIFT or GADGET HDF5 in pieces";
+        ParticleFile { unread, left_out, ..ParticleFile::new(joined, format) }
     };
     if let WantedPieces::All = wanted.pieces {
         check_total(&header, &kind, read.particles.len()).map_err(fail)?;
@@ -151,6 +152,15 @@ pub fn open_particles(
     let particle_types = types(header.types(), &kind);
     let SnapshotHeader { time, box_size, unit_metres, .. } = header;
     Ok(ParticleFile { time, box_size, unit_metres, particle_types, ..read })
+}
+
+/// The type that a condition names, or gas.
+fn snapshot_type(known: &[String], wanted: &[Where]) -> Result<String, ReadFault> {
+    match named_type(known, wanted)? {
+        Some(named) => Ok(named.to_owned()),
+        None if known.iter().any(|name| name == GAS) => Ok(GAS.to_owned()),
+        None => Err(no_type(known, GAS)),
+    }
 }
 
 /// Checks that the files contain the total number of particles in their headers.

@@ -65,7 +65,7 @@ pub fn read_particles(
         (None, [(first, _), .., (last, _)]) => return Err(several_steps(*first, *last)),
     };
     let (candidate, particle_types) =
-        GroupSearch::of(&group, &file)?.chosen(&group, wanted.particle_type)?;
+        GroupSearch::of(&group, &file)?.chosen(&group, wanted.conditions)?;
     candidate.check_frames(&file)?;
     let frame = candidate.arrangement.frame(frame)?;
     let time = candidate.time(frame).or_else(|| match candidate.frames() {

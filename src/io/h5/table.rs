@@ -13,19 +13,18 @@ use hdf5_reader::{ByteOrder, Dataset, Datatype, H5Type, SliceInfo, SliceInfoElem
 use crate::io::bytes::{Bytes, UnpackBuffer};
 use crate::io::columns::{Column, ColumnStore, Endian, ParticleRows, Scalar};
 use crate::io::encode::in_order;
+use crate::io::fields::MOST_COMPONENTS;
 use crate::io::vertices::{columns, integer};
 use crate::io::wanted::WantedAttributes;
-use crate::io::{ParticleFile, ReadFault, malformed};
+use crate::io::{ParticleFile, ReadFault, UnreadPart, malformed};
 use crate::particles::AttributeInfo;
+use crate::particles::condition::Where;
 use crate::particles::sieve::Sieve;
 
 use super::file::{H5File, checked};
 
 /// Bytes per decoding step, unless chunks are larger.
 const WINDOW: u64 = 1 << 20;
-/// Maximum number of components of an attribute: more are a matrix or a spectrum.
-const MOST_COMPONENTS: u64 = 64;
-
 /// Maximum number of types of particles in an error.
 const LISTED: usize = 20;
 
@@ -62,14 +61,22 @@ pub(super) enum RowPart {
 impl H5Array {
     /// All rows of a data set; `None` if they are not numbers.
     pub fn new(set: Dataset) -> Option<Self> {
+        Self::of_any_width(set).filter(|array| !array.is_wide())
+    }
+
+    /// All rows of a data set, which may have more numbers than an attribute.
+    fn of_any_width(set: Dataset) -> Option<Self> {
         let name = set.name().rsplit('/').next().unwrap_or_default().to_owned();
-        let (components, rows) = match *set.shape() {
-            [rows] => (1, rows),
-            [rows, components @ 1..=MOST_COMPONENTS] => (components as usize, rows),
-            _ => return None,
-        };
+        let (&rows, axes) = set.shape().split_first()?;
+        let components = axes.iter().try_fold(1u64, |product, &size| product.checked_mul(size))?;
+        let components = usize::try_from(components).ok().filter(|components| *components > 0)?;
         let number = scalar(set.dtype())?;
         Some(Self::of(Arc::new(set), name, number, rows, components, RowPart::Row))
+    }
+
+    /// Whether the rows have more numbers than an attribute.
+    fn is_wide(&self) -> bool {
+        self.components as u64 > MOST_COMPONENTS
     }
 
     /// A part of each row of a data set.
@@ -84,9 +91,9 @@ impl H5Array {
         Self { set, name, scalar, endian, components, first: 0, rows, part }
     }
 
-    /// All arrays of a group, in the order of the file.
+    /// All arrays of a group, in the order of the file; [`H5Table`] leaves out wide ones.
     pub fn all_of(group: &Group) -> Result<Vec<Self>, ReadFault> {
-        Ok(checked(group.datasets())?.into_iter().filter_map(Self::new).collect())
+        Ok(checked(group.datasets())?.into_iter().filter_map(Self::of_any_width).collect())
     }
 
     /// All arrays of a group, in the order of their names.
@@ -441,6 +448,8 @@ pub(super) struct H5Table {
     pub arrays: Vec<H5Array>,
     pub position: [Place; 3],
     pub attributes: Vec<(AttributeInfo, Vec<Place>)>,
+    /// Arrays with too many numbers for an attribute.
+    pub left_out: Vec<UnreadPart>,
     /// Numbers of the rows with particles; `None` if all have some.
     pub present: Option<Sieve>,
 }
@@ -453,16 +462,36 @@ impl H5Table {
     pub fn of_arrays(arrays: Vec<H5Array>, position: &str) -> Option<Self> {
         let is_it = |array: &H5Array| array.name == position && array.components == 3;
         let found = arrays.iter().position(is_it)?;
-        let rows = arrays[found].rows;
-        let others =
-            arrays.iter().enumerate().filter(|(index, a)| *index != found && a.rows == rows);
-        let attributes = others.map(|(index, array)| {
-            let info = AttributeInfo::new(&array.name, array.components);
-            (info, (0..array.components).map(|component| (index, component)).collect())
-        });
-        let attributes = attributes.collect();
         let position = [0, 1, 2].map(|component| (found, component));
-        Some(Self { arrays, position, attributes, present: None })
+        Some(Self::with_others(arrays, position, Vec::new()))
+    }
+
+    /// Uses every array with the same number of rows as an attribute, except those that are used
+    /// already.
+    pub fn with_others(
+        arrays: Vec<H5Array>,
+        position: [Place; 3],
+        mut attributes: Vec<(AttributeInfo, Vec<Place>)>,
+    ) -> Self {
+        let rows = arrays[position[0].0].rows;
+        let mut used = vec![false; arrays.len()];
+        let places = attributes.iter().flat_map(|(_, places)| places);
+        position.iter().chain(places).for_each(|&(array, _)| used[array] = true);
+        let mut left_out = Vec::new();
+        for (index, array) in arrays.iter().enumerate() {
+            let H5Array { name, components, .. } = array;
+            if used[index] || array.rows != rows {
+                continue;
+            }
+            if array.is_wide() {
+                let numbers = *components as u64;
+                left_out.push(UnreadPart::WideArray { name: name.clone(), numbers });
+            } else {
+                let places = (0..*components).map(|component| (index, component)).collect();
+                attributes.push((AttributeInfo::new(name, *components), places));
+            }
+        }
+        Self { arrays, position, attributes, left_out, present: None }
     }
 
     /// Number of rows.
@@ -480,7 +509,7 @@ impl H5Table {
     ) -> Result<ParticleFile, ReadFault> {
         let rows = usize::try_from(self.rows())
             .map_err(|_| malformed(0, "more rows than can be addressed"))?;
-        let Self { arrays, position, attributes, present } = self;
+        let Self { arrays, position, attributes, left_out, present } = self;
         let infos: Vec<AttributeInfo> = attributes.iter().map(|(info, _)| info.clone()).collect();
         let mut reads = wanted.among(&infos).into_iter();
         let (attributes, unread): (Vec<_>, Vec<_>) =
@@ -497,8 +526,12 @@ impl H5Table {
         let mut members = BTreeMap::new();
         let mut found: Vec<Vec<Column>> = Vec::new();
         for (array, used) in arrays.iter().zip(used) {
+            // It may have any number of components.
+            if !used {
+                found.push(Vec::new());
+                continue;
+            }
             found.push(match array.in_place(&file).filter(|_| in_file) {
-                _ if !used => Vec::new(),
                 Some(columns) => columns,
                 None if rows == 0 => array.decoded_columns(0),
                 None => {
@@ -526,7 +559,7 @@ impl H5Table {
         let bytes = if in_file { file.into_bytes() } else { Bytes::Kept(decoded.finish()?) };
         let rows = present.map_or(ParticleRows::All(rows), ParticleRows::Selected);
         let particles: ColumnStore = ColumnStore::new(bytes, rows, position, attributes);
-        Ok(ParticleFile { unread, ..ParticleFile::new(particles, format) })
+        Ok(ParticleFile { unread, left_out, ..ParticleFile::new(particles, format) })
     }
 }
 
@@ -536,28 +569,55 @@ pub(super) fn types(known: Vec<String>, chosen: &str) -> Vec<String> {
     [chosen.to_owned()].into_iter().chain(others).collect()
 }
 
-/// The chosen type of particles: by its name, or `usual`, or the only one.
+/// The chosen type of particles: the one that a condition names, or `usual`, or the only one.
 pub(super) fn chosen_type(
     known: &[String],
-    named: Option<&str>,
+    wanted: &[Where],
     usual: Option<&str>,
 ) -> Result<String, ReadFault> {
+    match (named_type(known, wanted)?, known) {
+        (Some(named), _) => Ok(named.to_owned()),
+        (None, []) => Err(ReadFault::Unsupported("no particles at all".to_owned())),
+        (None, [only]) => Ok(only.clone()),
+        (None, _) => usual
+            .filter(|usual| known.iter().any(|name| name == usual))
+            .map(str::to_owned)
+            .ok_or_else(|| {
+                ReadFault::Unsupported(format!(
+                    "particles of several types: {}; choose one as the particle type",
+                    list_of(known)
+                ))
+            }),
+    }
+}
+
+/// The type of particles that a condition names, if any. A number that names no type may be a value
+/// of the attribute `type`.
+///
+/// # Errors
+/// [`ReadFault::Unsupported`] if conditions name only types that do not exist.
+pub(super) fn named_type<'a>(
+    known: &[String],
+    wanted: &'a [Where],
+) -> Result<Option<&'a str>, ReadFault> {
+    let named = Where::types(wanted).find(|name| known.iter().any(|known| known == name));
+    let is_name = |name: &&str| name.parse::<f64>().is_err();
+    match (named, Where::types(wanted).find(is_name)) {
+        (None, Some(missing)) => Err(no_type(known, missing)),
+        (named, _) => Ok(named),
+    }
+}
+
+/// The error that there are no particles of the type `missing`.
+pub(super) fn no_type(known: &[String], missing: &str) -> ReadFault {
+    let list = list_of(known);
+    ReadFault::Unsupported(format!("no particles of type {missing}; available: {list}"))
+}
+
+fn list_of(known: &[String]) -> String {
     let mut list = known.iter().take(LISTED).cloned().collect::<Vec<_>>().join(", ");
     if let more @ 1.. = known.len().saturating_sub(LISTED) {
         list += &format!(", and {more} more");
     }
-    let is_there = |name: &&str| known.iter().any(|known| known == name);
-    match (named, known) {
-        (Some(name), _) if is_there(&name) => Ok(name.to_owned()),
-        (Some(name), _) => {
-            Err(ReadFault::Unsupported(format!("no particles of type {name}; available: {list}")))
-        }
-        (None, []) => Err(ReadFault::Unsupported("no particles at all".to_owned())),
-        (None, [only]) => Ok(only.clone()),
-        (None, _) => usual.filter(is_there).map(str::to_owned).ok_or_else(|| {
-            ReadFault::Unsupported(format!(
-                "particles of several types: {list}; choose one as the particle type"
-            ))
-        }),
-    }
+    list
 }

@@ -130,8 +130,10 @@ impl Heading {
             if is_comment(content) {
                 let content = content.trim_ascii_start();
                 let marks = content.iter().take_while(|byte| b"#%!/".contains(byte)).count();
-                let names = names_of(&content[marks..], separator_of(content));
-                if repeated_position(&names).is_some() {
+                let content = &content[marks..];
+                let names = names_in_brackets(content)
+                    .unwrap_or_else(|| names_of(content, separator_of(content)));
+                if repeated_position(&names).is_some() || name_plane(&names) {
                     titles.push(TitleLine { line, names });
                 } else {
                     comment = TableColumns::of(names).or(comment);
@@ -261,6 +263,26 @@ pub fn unnamed_columns(rows: &[u8]) -> Result<Option<(Syntax, TableColumns)>, Re
 pub fn names_of(line: &[u8], separator: Separator) -> Vec<String> {
     let name = |name| String::from_utf8_lossy(unquoted(name)).into_owned();
     LineFields::new(line, separator, 0).take(MOST_FIELDS).map(name).collect()
+}
+
+/// The names in a line such as `<x> <y> <velocity> <velocity>`, as deal.II writes it: the components
+/// of a vector have the same name.
+fn names_in_brackets(line: &[u8]) -> Option<Vec<String>> {
+    let inside = line.trim_ascii().strip_prefix(b"<")?.strip_suffix(b">")?;
+    let inside = String::from_utf8_lossy(inside);
+    let names: Vec<&str> = inside.split("> <").take(MOST_FIELDS).collect();
+    let runs = names.chunk_by(|one, next| one == next);
+    let components = |run: &[&str]| match run {
+        [only] => vec![(*only).to_owned()],
+        several => (0..several.len()).map(|index| format!("{}:{index}", several[0])).collect(),
+    };
+    Some(runs.flat_map(components).collect())
+}
+
+/// Whether names include `x` and `y`, but no position in three dimensions.
+fn name_plane(names: &[String]) -> bool {
+    let has = |axis: &str| names.iter().any(|name| name.eq_ignore_ascii_case(axis));
+    has("x") && has("y") && quantities(names).is_none()
 }
 
 /// The separator of a line of names: tabs if there are any, because names may contain blanks.

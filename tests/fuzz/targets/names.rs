@@ -99,8 +99,8 @@ fn frames(data: &[u8]) {
         }
     }
     let inputs = [folder.join(request)];
-    let _ = Simulation::detect(&inputs, &folder.join("m_{}.ply"));
-    let Ok(Some(inputs)) = Inputs::of(&inputs) else { return };
+    let _ = Simulation::detect(&inputs, &folder.join("m_{}.ply"), None);
+    let Ok(Some(inputs)) = Inputs::of(&inputs, None) else { return };
     assert!(!inputs.describe().is_empty());
     for inputs in inputs.simulations(None).unwrap_or_default() {
         let Ok(found) = inputs.list() else { continue };

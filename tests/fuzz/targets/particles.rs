@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use meniscus::Where;
 use meniscus::internals::io::bytes::{Bytes, Unpacking};
 use meniscus::internals::io::input::InputFormat;
 use meniscus::internals::io::text_format::TextHint;
@@ -340,7 +341,7 @@ pub fn read_through(read: Result<ParticleFile, ReadFault>) {
 
 fn run_text(data: &[u8], format: InputFormat) {
     let (all, hint) = (WantedAttributes::All, TextHint::Extension(Some(format)));
-    let steps = text_format::steps(own(data), format).unwrap_or_default();
+    let steps = text_format::steps(own(data), hint).unwrap_or_default();
     for step in [None, steps.last().copied()] {
         let read = text_format::read_particles(own(data), hint, (None, step), all, memory());
         read_through(read);
@@ -369,9 +370,12 @@ fn run_vtu(data: &[u8]) {
 fn run_hdf5(data: &[u8]) {
     let Some((choice, data)) = data.split_first() else { return };
     let step = u64::from(choice & 3).checked_sub(1);
-    let particle_type =
-        [None, Some("0"), Some("fluid"), Some("PartType1")][usize::from(choice >> 2 & 3)];
-    let wanted = WantedParticles { particle_type, ..WantedParticles::default() };
+    let types = [None, Some("type=0"), Some("type=fluid"), Some("type=PartType1")];
+    let conditions: Vec<Where> = types[usize::from(choice >> 2 & 3)]
+        .into_iter()
+        .map(|condition| condition.parse().expect("is a condition"))
+        .collect();
+    let wanted = WantedParticles { conditions: &conditions, ..WantedParticles::default() };
     let read = h5::open_particles(Path::new("nowhere/a_0.hdf5"), own(data), step, wanted, memory());
     read_through(read.map_err(|error| error.fault));
     let _ = (h5::steps(own(data)), h5::has_faces(own(data)));

@@ -205,7 +205,7 @@ fn run_info(data: &[u8]) {
     if let Err(error) = files::info(&path) {
         assert!(!error.to_string().is_empty());
     }
-    let _ = steps(&path);
+    let _ = steps(&path, None);
     let frame = open_particles(Path::new(&format!("{}#0", path.display())), memory());
     read_through(frame.map_err(|error| error.fault));
 }
