@@ -280,9 +280,9 @@ settings! {
     #[arg(help_heading = "Output")]
     normals: bool,
 
-    /// Particle attributes to transfer to the mesh, or `none` [default: velocity].
+    /// Attributes to transfer to the mesh [default: velocity].
     ///
-    /// They are interpolated. By default the mesh has velocities if the particles have them and the
+    /// They are interpolated; none transfers none. By default the mesh has velocities if the particles have them and the
     /// format can store them.
     #[arg(value_name = "NAME,...", value_delimiter = ',', help_heading = "Output")]
     attributes: Option<Vec<String>>,
