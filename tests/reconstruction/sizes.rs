@@ -4,6 +4,7 @@ use std::f64::consts::PI;
 
 use meniscus::error::{Conflict, Error, SizeFault};
 use meniscus::files::Replace;
+use meniscus::internals::field::indicator::IndicatorKind;
 use meniscus::internals::grid::units::MemoryBudget;
 use meniscus::mesh::{Mesh, measure};
 use meniscus::{Cloud, Reconstruction, SpacingSource, SpacingWarning, Warning};
@@ -276,6 +277,36 @@ fn attributes_and_settings_that_cannot_define_sizes_are_refused() {
     let Err(Error::SettingConflict(conflict)) = frame.pack(output) else { panic!("packed") };
     assert!(matches!(conflict.with, Conflict::PackedSizes));
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+}
+
+#[test]
+fn settings_that_need_one_size_refuse_particles_of_several_sizes() {
+    let water = Sized::pools(&[1.0, 2.0]);
+    let radii = water.radii();
+    let cloud = Cloud::new(&water.positions).with("radius", &radii);
+    let folder = tempfile::tempdir().unwrap();
+    let [input, output] = ["water.csv", "water.ply"].map(|name| folder.path().join(name));
+    let rows = water.positions.iter().zip(&radii);
+    let rows = rows.map(|([x, y, z], radius)| format!("{x},{y},{z},{radius}\n"));
+    let table = "x,y,z,radius\n".to_owned() + &rows.collect::<String>();
+    std::fs::write(&input, table).unwrap();
+    let needs_one = |error: Error, name: &str| {
+        let Error::SettingConflict(conflict) = error else { panic!("{name}: {error}") };
+        assert_eq!(conflict.setting.name(), name);
+        assert!(
+            matches!(&conflict.with, Conflict::SeveralSizes { attribute } if attribute == "radius")
+        );
+    };
+    for (request, name) in [
+        (request().periodic([Some([-1.0, 200.0]), None, None]), "periodic"),
+        (request().indicator(IndicatorKind::Counting), "indicator"),
+    ] {
+        needs_one(request.run(&cloud).unwrap_err(), name);
+        request.size("none").run(&cloud).unwrap();
+    }
+    needs_one(request().parts(&input, &output, 2).plan().unwrap_err(), "parts");
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "no plan is left");
+    request().size("none").parts(&input, &output, 2).plan().unwrap();
 }
 
 #[test]
