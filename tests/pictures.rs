@@ -681,7 +681,7 @@ fn invalid_render_requests_are_refused_and_leave_no_files() {
     fs::write(folder.path().join("bad.ply"), "ply\nformat ascii 1.0\nelement vertex 3\n").unwrap();
     let before = listing(folder.path());
     for (arguments, code, expected) in [
-        (&["ball_2.ply", "-o", "there.png"][..], 2, "there.png: exists"),
+        (&["ball_2.ply", "-o", "there.png"][..], 2, "there.png: already exists"),
         (&["ball_2.ply", "-o", "a.jpg"], 2, "a.jpg: unknown extension; supported: .png, and .apng"),
         (&["ball_{}.ply", "-o", "a_{}.apng"], 2, "unknown extension; supported: .png"),
         (&["ball_2.ply", "-o", "a.apng"], 2, "an animation needs several meshes"),
@@ -774,7 +774,10 @@ fn a_preview_is_written_beside_the_mesh_and_does_not_change_it() {
     // An existing picture is not replaced, and then no mesh is made.
     fs::write(at("other.png"), "mine").unwrap();
     let messages = run(&[frame, "-o", "other.ply", "--preview"], 2);
-    assert!(messages.contains("other.png: exists") && !at("other.ply").exists(), "{messages}");
+    assert!(
+        messages.contains("other.png: already exists") && !at("other.ply").exists(),
+        "{messages}"
+    );
     run(&[frame, "-o", "p.ply", "--parts", "2", "--plan", "--preview"], 2);
 
     let frames = data.join("ParticleData_Fluid_{}.bgeo");
@@ -782,7 +785,7 @@ fn a_preview_is_written_beside_the_mesh_and_does_not_change_it() {
     run(&[frames, "-o", "mesh_{}.ply", "--preview"], 0);
     assert_eq!(png_size(&at("mesh.png")), [3 * 640 + 2 * 4, 360]);
     let messages = run(&[frames, "-o", "mesh_{}.ply", "--preview"], 2);
-    assert!(messages.contains("mesh.png: exists"), "{messages}");
+    assert!(messages.contains("mesh.png: already exists"), "{messages}");
     // Resuming draws its own sheet again, and it replaces no other picture.
     let sheet = fs::read(at("mesh.png")).unwrap();
     let picture = Picture::new().size(8, 8).draw(&Mesh::default()).unwrap();

@@ -198,8 +198,8 @@ impl MeshFormat {
     }
 
     /// Whether its writer keeps much of a mesh in memory: the positions of all vertices, 24 bytes
-    /// each, all data that is compressed, or a level set with the mesh. A plain .glb needs 4 bytes per vertex, all others a
-    /// few pieces per thread.
+    /// each, all data that is compressed, or a level set with the mesh. A plain .glb needs 4 bytes
+    /// per vertex, all others a few pieces per thread.
     #[must_use]
     pub fn holds_whole_mesh(self) -> bool {
         let compressed =
