@@ -143,7 +143,10 @@ pub(super) fn refuse_named(
     with: impl FnOnce() -> Conflict,
 ) -> Result<(), Error> {
     debug_assert!(names.iter().all(|name| Settings::ALL.contains(&Setting::named(name))));
-    refuse(settings, &Settings::default(), |setting| names.contains(&setting.name()), with)
+    // `none` as the size goes with everything.
+    let applies = |name| name != "size" || settings.asks_for_sizes();
+    let is_meant = |setting: Setting| names.contains(&setting.name()) && applies(setting.name());
+    refuse(settings, &Settings::default(), is_meant, with)
 }
 
 fn sampling(settings: &Settings, surfacing: &Surfacing) -> Result<SamplingRequest, Error> {
