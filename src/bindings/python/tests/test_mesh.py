@@ -96,7 +96,7 @@ def test_doubts_are_python_warnings(ball: Any) -> None:
     assert any("too large" in warning for warning in mesh.report.warnings)
     with pytest.warns(meniscus.MeshWarning, match="0.5 may be their radius"):
         meniscus.reconstruct(ball, spacing=0.5)
-    with pytest.warns(meniscus.MeshWarning, match="same position"):
+    with pytest.warns(meniscus.MeshWarning, match="share their position"):
         meniscus.reconstruct(np.concatenate([ball, ball]), spacing=1.0)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
