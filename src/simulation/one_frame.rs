@@ -27,7 +27,6 @@ use crate::reconstruction::{
     CheckedRequest, ExtractedSurface, Orientation, Output, Report, SinglePrecision, SpacingSource,
     SpacingWarning, TemporaryOutput, Warning, coordinate_width, made_of, refuse_same_file,
 };
-use crate::surface::mesh::Mesh;
 use crate::surface::mesh::source::BoundedMesh;
 use crate::system::control::Stage;
 use crate::system::timings::Timings;
@@ -49,8 +48,8 @@ pub(super) struct WrittenFrame {
     target: PathBuf,
     replaces: ReplaceableFiles,
     record: Record,
-    /// A small mesh for the contact sheet, if the format cannot be read again.
-    small: Option<Mesh>,
+    /// The file of a small mesh for the contact sheet, if the format cannot be read again.
+    small: Option<Vec<u8>>,
     done: ConvertedFrame,
 }
 
@@ -228,7 +227,7 @@ impl Conversion<'_> {
         }
         if !self.format.is_read() {
             // Stored before the mesh's record, so that a small mesh never is older than the record.
-            self.small_meshes().keep(record.mesh.frame, small.as_ref())?;
+            self.small_meshes().keep(record.mesh.frame, small.as_deref())?;
         }
         file.keep()?;
         drop(held);

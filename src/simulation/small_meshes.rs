@@ -36,7 +36,8 @@ impl SmallMeshes {
         sweep(&self.0);
     }
 
-    /// Makes the small mesh of a mesh in `bounds`; `None` if that needs more than `memory` bytes.
+    /// Makes the file of a small mesh of a mesh in `bounds`; `None` if that needs more than `memory`
+    /// bytes.
     ///
     /// # Errors
     /// If the mesh cannot be read from its scratch file.
@@ -44,28 +45,28 @@ impl SmallMeshes {
         mesh: &dyn MeshSource,
         bounds: Option<Bounds>,
         memory: u64,
-    ) -> std::io::Result<Option<Mesh>> {
-        match bounds {
-            None => Ok(Some(Mesh::default())),
-            Some(_) if mesh.vertex_count().saturating_mul(BYTES_A_VERTEX) > memory => Ok(None),
-            Some(bounds) => clustered(mesh, bounds, CELLS).map(Some),
-        }
+    ) -> std::io::Result<Option<Vec<u8>>> {
+        let small = match bounds {
+            None => Mesh::default(),
+            Some(_) if mesh.vertex_count().saturating_mul(BYTES_A_VERTEX) > memory => {
+                return Ok(None);
+            }
+            Some(bounds) => clustered(mesh, bounds, CELLS)?,
+        };
+        let mut file = Vec::new();
+        MeshFormat::Ply.write(&mut file, &small, CoordinateWidth::F64)?;
+        Ok(Some(file))
     }
 
-    /// Stores the small mesh of a frame, and replaces an earlier one. Without a new one, removes
+    /// Stores the file of a frame's small mesh, and replaces an earlier one. Without a new one, removes
     /// the earlier one, because it belongs to another mesh.
     ///
     /// # Errors
     /// Errors of the system.
-    pub(super) fn keep(&self, frame: i64, mesh: Option<&Mesh>) -> Result<(), WriteError> {
+    pub(super) fn keep(&self, frame: i64, file: Option<&[u8]>) -> Result<(), WriteError> {
         let path = self.path(frame);
-        let kept = match mesh {
-            Some(mesh) => {
-                let mut bytes = Vec::new();
-                make_folder(&self.0)
-                    .and_then(|()| MeshFormat::Ply.write(&mut bytes, mesh, CoordinateWidth::F64))
-                    .and_then(|()| replace_small(&path, &bytes))
-            }
+        let kept = match file {
+            Some(file) => make_folder(&self.0).and_then(|()| replace_small(&path, file)),
             None => fs::remove_file(&path).or_else(|fault| match fault.kind() {
                 ErrorKind::NotFound | ErrorKind::NotADirectory => Ok(()),
                 _ => Err(fault),
