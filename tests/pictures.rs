@@ -11,6 +11,8 @@ use std::fs::{self, File};
 use std::io::BufReader;
 use std::path::Path;
 use std::process::Output;
+#[cfg(unix)]
+use std::process::{Child, Command};
 
 use common::files::raw;
 use common::fill;
@@ -672,6 +674,28 @@ fn the_up_axis_of_a_picture_comes_from_the_mesh_file_or_its_listing() {
     let rotated = [&common[..], &["f_1.xyz", "-o", "y.ply", "--up", "y"]].concat();
     program::run(folder.path(), &rotated, 0);
     assert!(drawn("y.ply", &[]) == drawn("y.ply", &["--up", "y"]));
+}
+
+#[cfg(unix)]
+#[test]
+fn an_interrupted_picture_leaves_no_files() {
+    let folder = frames();
+    let before = listing(folder.path());
+    for output in ["large.png", "made/large.png", "moves.apng"] {
+        let meshes = if output == "moves.apng" { "ball_*.ply" } else { "ball_2.ply" };
+        let arguments = ["render", meshes, "-o", output, "--size", "8000x8000"];
+        let mut child = command(folder.path(), &arguments).spawn().unwrap();
+        let beside = folder.path().join(output).parent().unwrap().to_owned();
+        let has_begun = |_: &Child| {
+            let files = fs::read_dir(&beside).into_iter().flatten().flatten();
+            files.map(|file| file.file_name()).any(|name| name.to_string_lossy().starts_with('.'))
+        };
+        program::wait_until(&mut child, "its temporary file", has_begun);
+        let interrupted = Command::new("kill").args(["-INT", &child.id().to_string()]).status();
+        assert!(interrupted.unwrap().success());
+        assert_eq!(child.wait().unwrap().code(), Some(130), "{output}");
+        assert_eq!(listing(folder.path()), before, "{output}");
+    }
 }
 
 #[test]

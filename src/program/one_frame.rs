@@ -53,8 +53,10 @@ pub fn ready(options: &ReconstructOptions, inputs: &[PathBuf]) -> Result<Prepare
     let output = request.output(&options.output, replace)?;
     // Preparing the output has created its folder.
     options.prepare_stats()?;
-    let preview =
-        options.preview.then(|| PictureFile::beside(&options.output, replace)).transpose()?;
+    let preview = options
+        .preview
+        .then(|| PictureFile::beside(&options.output, replace, &interrupt::handle()))
+        .transpose()?;
     if let (Some(preview), Some(stats)) = (&preview, &options.stats) {
         refuse_same_file(preview.path(), stats)?;
     }

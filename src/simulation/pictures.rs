@@ -18,7 +18,7 @@ use crate::io::whole::{MadeFolders, Replace, WholeFile};
 use crate::io::{UpAxis, WriteError, WriteFault};
 use crate::reconstruction::Threads;
 use crate::surface::picture::{Animation, Image, Picture, PictureError, Scope, source_of_png};
-use crate::system::cancel::Cancel;
+use crate::system::cancel::{Cancel, UnfinishedOutput};
 
 use super::builder::Simulation;
 use super::frame_file::FrameFile;
@@ -63,28 +63,46 @@ pub struct Pictures {
     cancel: Cancel,
 }
 
-/// A prepared file for a picture: a `.png` that appears completely or not at all.
+/// A prepared file for pictures, such as a `.png`, that appears completely or not at all.
 #[derive(Debug)]
-pub struct PictureFile(
-    WholeFile,
-    #[expect(dead_code, reason = "dropped after the file")] MadeFolders,
-);
+pub struct PictureFile {
+    file: WholeFile,
+    #[expect(dead_code, reason = "dropped after the file")]
+    folders: MadeFolders,
+    #[expect(dead_code, reason = "dropped after the file")]
+    unfinished: UnfinishedOutput,
+}
 
 impl PictureFile {
-    /// Checks before the work that a picture can be written.
+    /// Checks before the work that a picture can be written. [`Cancel::abandon`] removes it until
+    /// it is complete.
     ///
     /// # Errors
     /// [`Error::Write`].
-    pub fn prepare(path: impl AsRef<Path>, replace: Replace) -> Result<Self, Error> {
+    pub fn prepare(
+        path: impl AsRef<Path>,
+        replace: Replace,
+        cancel: &Cancel,
+    ) -> Result<Self, Error> {
         let path = path.as_ref();
-        let folders = MadeFolders::of(path)?;
-        let file = WholeFile::prepare(path, replace)?;
-        match extension(path) == PNG || file.is_direct() {
-            true => Ok(Self(file, folders)),
+        let prepared = Self::of_pictures(path, replace, cancel)?;
+        match extension(path) == PNG || prepared.file.is_direct() {
+            true => Ok(prepared),
             false => {
                 Err(WriteError::new(path, WriteFault::UnknownExtension { known: ".png" }).into())
             }
         }
+    }
+
+    /// Prepares a file of any extension.
+    fn of_pictures(path: &Path, replace: Replace, cancel: &Cancel) -> Result<Self, WriteError> {
+        let prepare = || {
+            let folders = MadeFolders::of(path)?;
+            Ok((WholeFile::prepare(path, replace)?, folders))
+        };
+        let ((file, folders), unfinished) =
+            cancel.guard(prepare, |(file, folders)| file.leftovers(folders))?;
+        Ok(Self { file, folders, unfinished })
     }
 
     /// Checks before the work that a picture can be written beside a mesh, under its name with
@@ -92,14 +110,18 @@ impl PictureFile {
     ///
     /// # Errors
     /// [`Error::Write`].
-    pub fn beside(mesh: impl AsRef<Path>, replace: Replace) -> Result<Self, Error> {
-        Self::prepare(mesh.as_ref().with_extension(PNG), replace)
+    pub fn beside(
+        mesh: impl AsRef<Path>,
+        replace: Replace,
+        cancel: &Cancel,
+    ) -> Result<Self, Error> {
+        Self::prepare(mesh.as_ref().with_extension(PNG), replace, cancel)
     }
 
     /// The file.
     #[must_use]
     pub fn path(&self) -> &Path {
-        self.0.path()
+        self.file.path()
     }
 
     /// Writes the picture, and returns the file's size in bytes.
@@ -112,7 +134,7 @@ impl PictureFile {
 
     /// Writes the picture with a text that names its meshes.
     fn write_of(self, image: &Image, source: Option<&str>) -> Result<u64, Error> {
-        Ok(self.0.write(|out| image.write_png_of(out, source))?)
+        Ok(self.file.write(|out| image.write_png_of(out, source))?)
     }
 }
 
@@ -137,8 +159,8 @@ const RATES: RangeInclusive<f64> = 0.1..=1000.0;
 enum PictureTarget {
     One(PictureFile),
     Each(Vec<PathBuf>),
-    Sheet(WholeFile),
-    Animation(WholeFile),
+    Sheet(PictureFile),
+    Animation(PictureFile),
 }
 
 impl Pictures {
@@ -223,7 +245,8 @@ impl Pictures {
         };
         let said = || frames.iter().find_map(|frame| up_said(&frame.path)).unwrap_or(UpAxis::Y);
         self.picture = self.picture.up_unless_set(said);
-        let _folders = MadeFolders::of(&self.output)?;
+        let make = || MadeFolders::of(&self.output);
+        let (_folders, _unfinished) = self.cancel.guard(make, |made| made.paths().to_vec())?;
         let target = self.target(sequence.as_ref(), &frames)?;
         let size = match target {
             PictureTarget::Sheet(_) => {
@@ -312,23 +335,23 @@ impl Pictures {
             for file in &files {
                 self.refuse_inputs(frames, file)?;
                 // Not kept: this only checks that the file can be written.
-                drop(PictureFile::prepare(file, self.replace)?);
+                drop(PictureFile::prepare(file, self.replace, &self.cancel)?);
             }
             return Ok(PictureTarget::Each(files));
         }
         self.refuse_inputs(frames, output)?;
-        let file = WholeFile::prepare(output, self.replace)?;
+        let file = PictureFile::of_pictures(output, self.replace, &self.cancel)?;
         match extension(output) {
             APNG if frames.len() > 1 => Ok(PictureTarget::Animation(file)),
             APNG => Err(Error::Request(format!(
                 "{}: an animation needs several meshes",
                 output.display()
             ))),
-            _ if extension(output) != PNG && !file.is_direct() => {
+            _ if extension(output) != PNG && !file.file.is_direct() => {
                 Err(fail(output, WriteFault::UnknownExtension { known: KNOWN }))
             }
             _ if frames.len() > 1 => Ok(PictureTarget::Sheet(file)),
-            _ => Ok(PictureTarget::One(PictureFile(file, MadeFolders::of(output)?))),
+            _ => Ok(PictureTarget::One(file)),
         }
     }
 
@@ -369,7 +392,7 @@ impl Pictures {
             PictureTarget::Each(files) => {
                 for next in drawn {
                     let (n, frame, image) = next?;
-                    PictureFile::prepare(&files[n], self.replace)?.write(&image)?;
+                    PictureFile::prepare(&files[n], self.replace, &self.cancel)?.write(&image)?;
                     done(n, frame, &files[n]);
                 }
             }
@@ -382,14 +405,14 @@ impl Pictures {
                 }
                 let sheet = Image::sheet(&images, COLUMNS);
                 let source = self.source.as_deref();
-                file.write(|out| {
+                file.file.write(|out| {
                     sheet.as_ref().map_or(Ok(()), |sheet| sheet.write_png_of(out, source))
                 })?;
             }
             PictureTarget::Animation(file) => {
                 // An error of the picture is returned as it is, not as an error of the file.
                 let mut fault = None;
-                let written = file.write(|out| {
+                let written = file.file.write(|out| {
                     let mut animation: Option<Animation<'_>> = None;
                     let mut out = Some(out);
                     for next in drawn.by_ref() {
@@ -600,7 +623,7 @@ impl Simulation {
         let (overwrite, resume) = (self.overwrite, self.resume);
         let sheet = Sheet { pictures, path, overwrite, resume, small };
         if sheet.path.exists() {
-            drop(PictureFile::prepare(&sheet.path, sheet.replace())?);
+            drop(PictureFile::prepare(&sheet.path, sheet.replace(), &sheet.pictures.cancel)?);
         }
         self.sheet = true;
         Ok(sheet)

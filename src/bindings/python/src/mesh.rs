@@ -6,7 +6,7 @@ use std::sync::OnceLock;
 use meniscus::files::{AttributeKind, Replace};
 use meniscus::mesh::{Measures, VertexAttribute, check, measure};
 use meniscus::picture::PictureFile;
-use meniscus::{Reconstruction, Surface};
+use meniscus::{Cancel, Reconstruction, Surface};
 use numpy::prelude::*;
 use numpy::{Element, PyArray1, PyArray2};
 use pyo3::prelude::*;
@@ -235,7 +235,8 @@ impl Mesh {
         let replace = if overwrite { Replace::Allow } else { Replace::Refuse };
         let (bytes, warnings) = with_progress(py, None, work, || {
             let output = request.output(&path, replace)?;
-            let picture = preview.then(|| PictureFile::beside(&path, replace)).transpose()?;
+            let picture =
+                preview.then(|| PictureFile::beside(&path, replace, &Cancel::new())).transpose()?;
             let warnings = self.surface.warnings_in(output.format())?;
             let bytes = self.surface.write_to(output)?;
             if let Some(file) = picture {
