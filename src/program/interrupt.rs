@@ -3,6 +3,8 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{LazyLock, OnceLock};
+#[cfg(unix)]
+use std::time::Duration;
 
 use meniscus::Cancel;
 
@@ -31,24 +33,27 @@ static ABORTED: OnceLock<Cancel> = OnceLock::new();
 #[cfg(unix)]
 pub fn catch_lack_of_memory() {
     extern "C" fn abandon(_: libc::c_int) {
-        if let Some(cancel) = ABORTED.get() {
-            cancel.abandon_soon();
-        }
+        static IS_ABANDONED: AtomicBool = AtomicBool::new(false);
         const MESSAGE: &[u8] =
             b"meniscus: aborted, probably for lack of memory; a smaller --memory \
             and fewer --threads need less\n";
-        // SAFETY: both functions may be called in a handler.
-        unsafe {
-            libc::write(libc::STDERR_FILENO, MESSAGE.as_ptr().cast(), MESSAGE.len());
-            libc::_exit(2);
+        if IS_ABANDONED.swap(true, Ordering::Relaxed) {
+            // Another thread removes the files, or this one lacks memory for that.
+            std::thread::sleep(Duration::from_millis(300));
+        } else {
+            // SAFETY: may be called in a handler.
+            unsafe { libc::write(libc::STDERR_FILENO, MESSAGE.as_ptr().cast(), MESSAGE.len()) };
+            if let Some(cancel) = ABORTED.get() {
+                cancel.abandon_soon();
+            }
         }
+        // SAFETY: may be called in a handler.
+        unsafe { libc::_exit(2) };
     }
-    // SAFETY: `abandon` waits at most 0.2 s, and never returns. If it lacks memory itself,
-    // the second SIGABRT ends the process.
+    // SAFETY: `abandon` waits at most 0.3 s, and never returns.
     unsafe {
         let mut action: libc::sigaction = std::mem::zeroed();
         action.sa_sigaction = abandon as extern "C" fn(libc::c_int) as libc::sighandler_t;
-        action.sa_flags = libc::SA_RESETHAND;
         libc::sigaction(libc::SIGABRT, &action, std::ptr::null_mut());
     }
 }
