@@ -210,9 +210,9 @@ settings! {
 
     /// A closed mesh that the fluid ends at, such as an obstacle.
     ///
-    /// Any mesh format that meniscus reads. Repeat the option for several solids. The mesh has the units and axes of
-    /// the particles. {} in the name is the frame's number: solid.{}.obj gives each frame its own
-    /// mesh. Only for the indicator cloud.
+    /// Any mesh format that meniscus reads. Repeat the option for several solids. The mesh has the
+    /// units and axes of the particles. {} in the name is the frame's number: solid.{}.obj gives
+    /// each frame its own mesh. Only for the indicator cloud.
     #[arg(value_name = "MESH", help_heading = "Input")]
     solid: Option<Vec<String>>,
 
@@ -282,8 +282,8 @@ settings! {
 
     /// Attributes to transfer to the mesh [default: velocity].
     ///
-    /// They are interpolated; none transfers none. By default the mesh has velocities if the particles have them and the
-    /// format can store them.
+    /// They are interpolated; none transfers none. By default the mesh has velocities if the
+    /// particles have them and the format can store them.
     #[arg(value_name = "NAME,...", value_delimiter = ',', help_heading = "Output")]
     attributes: Option<Vec<String>>,
 

@@ -16,8 +16,8 @@ use super::notes::{Verdict, corners, point, print, print_json};
 
 #[derive(Args)]
 pub struct InfoOptions {
-    /// Particle files, packed frames (.mnf), meshes or volumes (.vdb); also folders, globs, or patterns with {} for
-    /// the frame number.
+    /// Particle files, packed frames (.mnf), meshes or volumes (.vdb); also folders, globs, or
+    /// patterns with {} for the frame number.
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
     /// Format of particle files [default: by their extension].

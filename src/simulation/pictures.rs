@@ -245,8 +245,6 @@ impl Pictures {
         };
         let said = || frames.iter().find_map(|frame| up_said(&frame.path)).unwrap_or(UpAxis::Y);
         self.picture = self.picture.up_unless_set(said);
-        let make = || MadeFolders::of(&self.output);
-        let (_folders, _unfinished) = self.cancel.guard(make, |made| made.paths().to_vec())?;
         let target = self.target(sequence.as_ref(), &frames)?;
         let size = match target {
             PictureTarget::Sheet(_) => {

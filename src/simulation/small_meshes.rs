@@ -36,8 +36,8 @@ impl SmallMeshes {
         sweep(&self.0);
     }
 
-    /// Makes the file of a small mesh of a mesh in `bounds`; `None` if that needs more than `memory`
-    /// bytes.
+    /// Makes the file of a small mesh of a mesh in `bounds`; `None` if that needs more than
+    /// `memory` bytes.
     ///
     /// # Errors
     /// If the mesh cannot be read from its scratch file.
@@ -58,8 +58,8 @@ impl SmallMeshes {
         Ok(Some(file))
     }
 
-    /// Stores the file of a frame's small mesh, and replaces an earlier one. Without a new one, removes
-    /// the earlier one, because it belongs to another mesh.
+    /// Stores the file of a frame's small mesh, and replaces an earlier one. Without a new one,
+    /// removes the earlier one, because it belongs to another mesh.
     ///
     /// # Errors
     /// Errors of the system.

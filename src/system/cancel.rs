@@ -82,7 +82,7 @@ impl Cancel {
     }
 
     /// Like [`abandon`](Self::abandon), for a process that lacks memory. Waits for other threads at
-    /// most 0.1 s, because the calling thread may itself begin or end an output.
+    /// most 0.2 s, because the calling thread may itself begin or end an output.
     pub fn abandon_soon(&self) {
         let soon = || (0..100).inspect(|_| std::thread::sleep(Duration::from_millis(1)));
         let held = soon().find_map(|_| self.0.undisturbed.try_write().ok());

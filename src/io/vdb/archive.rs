@@ -30,7 +30,7 @@ pub struct GridHead {
     pub bounds: [IVec3; 2],
 }
 
-/// The header of a file with `grids` grids; `id` tells files apart.
+/// The header of a file with this identifier and this number of grids.
 pub fn header(id: [u32; 4], grids: usize) -> Vec<u8> {
     let mut out = MAGIC.to_le_bytes().to_vec();
     out.extend([VERSION, LIBRARY[0], LIBRARY[1]].map(u32::to_le_bytes).as_flattened());

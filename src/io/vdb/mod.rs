@@ -5,17 +5,17 @@
 //! | `surface` | class "level set": the signed distance in the mesh's unit of length, negative inside, in a band of three voxels on either side |
 //! | `v`, `Cd` and others | class "unknown": at the voxels of the band, the attribute's value at the nearest point of the surface |
 //!
-//! The voxels are the cells of the particles' grid. Attributes with one component are float grids, or
-//! int32 or int64 grids for integers, and those with three are vec3s grids; others are a grid for each
-//! component.
+//! The voxels are the cells of the particles' grid. Attributes with one component are float grids,
+//! or int32 or int64 grids for integers. Those with three components are vec3s grids. Others are a
+//! grid for each component.
 //!
 //! Distances, velocities and colours are stored in half precision, which moves a distance by less
 //! than 0.002 voxels, unless their range exceeds it. Only values of the band are stored; with
 //! compression, they are also encoded by zlib.
 //!
-//! The writer keeps positions and triangles of the mesh in memory, distances and nearest triangles of
-//! all voxels in the band, and values of one attribute at a time; with compression, also one encoded
-//! grid. The metadata of grids, also of other programs, is read back.
+//! The writer keeps in memory the positions and triangles of the mesh, the distances and nearest
+//! triangles of all voxels in the band, and the values of one attribute at a time; with
+//! compression, also one encoded grid. The metadata of grids, also of other programs, is read back.
 
 mod archive;
 mod read;

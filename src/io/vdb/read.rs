@@ -11,6 +11,7 @@ use crate::io::cursor::Cursor;
 use crate::io::{ReadFault, malformed};
 
 use super::archive::{MAGIC, VERSION};
+use super::values::HALF;
 
 /// The first version that has a compression and offsets for each grid as they are read here.
 const FIRST_VERSION: u32 = 222;
@@ -18,10 +19,8 @@ const FIRST_VERSION: u32 = 222;
 const ID: u64 = 36;
 /// Upper limit of the bytes of a text, and of a value of metadata that is read.
 const LONGEST: u32 = 1 << 16;
-/// Separates the name of a grid from a number that tells apart grids of that name.
+/// Separates a grid's name from the number that distinguishes it from others of that name.
 const SEPARATOR: char = '\u{1e}';
-/// Marks the type of a tree in half precision.
-const HALF: &str = "_HalfFloat";
 
 /// A grid of a `.vdb`.
 #[derive(Debug, Clone, PartialEq, Serialize)]

@@ -13,6 +13,9 @@ const INSIDE: u8 = 1;
 /// Marks nodes with a mask of the inactive values that are the background and not its negation.
 const BOTH: u8 = 3;
 
+/// Ends the type of a tree in half precision.
+pub const HALF: &str = "_HalfFloat";
+
 /// The type of a grid's values.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
@@ -38,7 +41,7 @@ impl Kind {
             Self::Int32 => "int32",
             Self::Int64 => "int64",
         };
-        let half = if self.is_half() { "_HalfFloat" } else { "" };
+        let half = if self.is_half() { HALF } else { "" };
         format!("Tree_{value}_5_4_3{half}")
     }
 
@@ -48,16 +51,10 @@ impl Kind {
 
     /// Bytes of a value of an active voxel.
     pub fn bytes(self) -> usize {
+        let number = if self.is_half() { 2 } else { 4 };
         match self {
-            Self::Distance { half } => {
-                if half {
-                    2
-                } else {
-                    4
-                }
-            }
-            Self::Real { components, half } => components * if half { 2 } else { 4 },
-            Self::Int32 => 4,
+            Self::Distance { .. } | Self::Int32 => number,
+            Self::Real { components, .. } => components * number,
             Self::Int64 => 8,
         }
     }

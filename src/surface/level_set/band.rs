@@ -2,8 +2,8 @@
 //!
 //! Voxels at the corners of the lattice's cubes that a triangle touches are compared with it. From
 //! there the triangles spread from voxel to voxel, nearest first: a voxel compares those of its 26
-//! neighbours. The lattice's edge between such a voxel and a neighbour that no triangle touched does
-//! not cross the surface, so that both are on one side of it.
+//! neighbours. The lattice's edge between such a voxel and a neighbour that no triangle touched
+//! does not cross the surface, so that both are on one side of it.
 
 use glam::{DVec3, IVec3, Vec4};
 
@@ -22,7 +22,8 @@ const LEAVES: i32 = BLOCK / LEAF;
 const EQUAL: f32 = 1e-4;
 /// Squares of equal distances within a cube differ by less.
 const EQUAL_SQUARES: f32 = 4e-4;
-/// The largest [`margin`] of a voxel from which a triangle can be the nearest of one of the block's.
+/// The largest [`margin`] of a voxel from which a triangle can be the nearest of a voxel of the
+/// block.
 const MOST_USEFUL: f32 = BAND - 1.0;
 /// Coordinates this close to an integer are that integer, in f64.
 const ROUNDING: f64 = 1e-6;
@@ -41,8 +42,9 @@ struct KnownVoxel {
     squared: f32,
     /// The number of that triangle in the block's list, or one of the marks below.
     number: u32,
-    /// Negative inside. The absolute value is the distance of the voxel from the plane of the nearest
-    /// triangle that touches its cubes: the larger it is, the more the triangle faces the voxel.
+    /// Negative inside. The absolute value is the distance of the voxel from the plane of the
+    /// nearest triangle that touches its cubes: the larger it is, the more the triangle faces the
+    /// voxel.
     height: f32,
 }
 
@@ -257,7 +259,8 @@ impl Band {
         }
     }
 
-    /// Compares a triangle that touches a voxel with all neighbours: it may touch their cubes as well.
+    /// Compares a triangle that touches a voxel with all neighbours, because it may touch their
+    /// cubes as well.
     fn touch_around(&mut self, place: Place, number: u32, triangle: &Triangle) {
         for step in &AROUND {
             let to = step.from(place);

@@ -2,8 +2,8 @@
 //! in a band of three voxels on either side of the surface.
 //!
 //! Space is cut into blocks of 64³ voxels, which do not depend on each other. `Band` computes the
-//! distances of one. Only the 8³ voxels of a [`Leaf`] with a voxel in the band are stored; all other
-//! voxels are inside or outside.
+//! distances of one. Only the 8³ voxels of a [`Leaf`] with a voxel in the band are stored; all
+//! other voxels are inside or outside.
 
 mod band;
 mod triangle;
