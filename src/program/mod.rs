@@ -35,7 +35,7 @@ use notes::Verdict;
 /// signals of the process, and an interrupt ends the process with 130.
 pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     process::set_up();
-    interrupt::catch_lack_of_memory();
+    interrupt::catch_crashes();
     let arguments: Vec<OsString> = arguments.into_iter().collect();
     process::on_own_stack(move || match Arguments::of_command_line(&arguments) {
         Ok(Arguments { command }) => code(process::on_all_cores(|| execute(command))),

@@ -54,14 +54,25 @@ fn group_available() -> Option<u64> {
 /// Bytes that remain within this process's limits on data and address space. Files that are mapped
 /// later also use address space.
 fn limit_available() -> Option<u64> {
-    let limits = read_to_string("/proc/self/limits").ok()?;
-    let left = |limit: &str, used: &str| {
-        let line = limits.lines().find_map(|line| line.strip_prefix(limit))?;
-        let limit: u64 = line.split_whitespace().next()?.parse().ok()?;
-        Some(limit.saturating_sub(kib_field(&read_to_string("/proc/self/status").ok()?, used)?))
+    let left = |name: &str, used: &str| {
+        let used = kib_field(&read_to_string("/proc/self/status").ok()?, used)?;
+        Some(limit(name)?.saturating_sub(used))
     };
     let all = [left("Max data size", "VmData:"), left("Max address space", "VmSize:")];
     all.into_iter().flatten().min()
+}
+
+/// Bytes of the stacks of threads that do not choose their size, such as those of Vulkan drivers.
+#[must_use]
+pub fn default_stack() -> Option<u64> {
+    limit("Max stack size")
+}
+
+/// This process's limit of that name in `/proc`, if it has one.
+fn limit(name: &str) -> Option<u64> {
+    let limits = read_to_string("/proc/self/limits").ok()?;
+    let line = limits.lines().find_map(|line| line.strip_prefix(name))?;
+    line.split_whitespace().next()?.parse().ok()
 }
 
 /// Peak resident memory of this process in bytes, including mapped files.

@@ -6,7 +6,13 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use ash::{ext, khr, vk};
 
+use crate::system::memory::default_stack;
+
 use super::{MOST_BUFFERS, MOST_SHARED, MOST_THREADS, VulkanError};
+
+/// The smallest limit on the stack with which drivers are used. Threads of lavapipe overflow one of
+/// 16 KiB.
+const LEAST_STACK: u64 = 256 << 10;
 
 const VALIDATION: &CStr = c"VK_LAYER_KHRONOS_validation";
 
@@ -119,7 +125,11 @@ impl Instance {
     ///
     /// # Errors
     /// [`VulkanError::NoLoader`] and [`VulkanError::NoValidation`] if they are not installed.
+    /// [`VulkanError::SmallStack`] if threads of drivers would crash.
     pub fn connect(validation: bool) -> Result<Arc<Self>, VulkanError> {
+        if let Some(limit) = default_stack().filter(|&limit| limit < LEAST_STACK) {
+            return Err(VulkanError::SmallStack { limit, least: LEAST_STACK });
+        }
         // SAFETY: the loaded library is the system's Vulkan loader.
         let entry =
             unsafe { ash::Entry::load() }.map_err(|e| VulkanError::NoLoader(e.to_string()))?;

@@ -40,6 +40,17 @@ pub enum VulkanError {
     /// The machine has no Vulkan loader, or the loader does not start.
     #[error("no Vulkan loader: {0}")]
     NoLoader(String),
+    /// The threads of drivers would overflow their stacks.
+    #[error(
+        "Vulkan drivers need a stack of at least {} KiB, but the limit is {} KiB: raise it with \
+         `ulimit -s`", least >> 10, limit >> 10
+    )]
+    SmallStack {
+        /// The limit on the stack, in bytes.
+        limit: u64,
+        /// The smallest limit with which drivers are used.
+        least: u64,
+    },
     /// The validation layer was requested, but is not installed.
     #[error("the Vulkan validation layer is not installed")]
     NoValidation,

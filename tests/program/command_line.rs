@@ -359,6 +359,23 @@ fn without_memory_or_threads_commands_exit_with_an_error_and_leave_no_files() {
 
 #[test]
 #[cfg(target_os = "linux")]
+fn devices_are_not_used_if_threads_of_drivers_would_overflow_their_stacks() {
+    let folder = folder_with_ball();
+    let reconstruct = "reconstruct ball.xyz -o out.ply --overwrite --backend";
+    for kib in [16, 255] {
+        let limit = format!("ulimit -s {kib}");
+        let run = in_shell(folder.path(), &limit, &format!("{reconstruct} vulkan"));
+        let errors = String::from_utf8_lossy(&run.stderr);
+        assert_eq!(run.status.code(), Some(5), "{errors}");
+        assert!(errors.contains(&format!("{kib} KiB")) && errors.contains("ulimit -s"), "{errors}");
+        assert_eq!(names(folder.path()), ["ball.xyz"]);
+    }
+    let run = in_shell(folder.path(), "ulimit -s 16", &format!("{reconstruct} cpu"));
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+}
+
+#[test]
+#[cfg(target_os = "linux")]
 fn the_default_memory_budget_respects_ulimit() {
     let folder = folder_with_ball();
     let run =
@@ -639,14 +656,17 @@ fn statistics_never_replace_inputs_or_outputs_or_outlive_a_failed_run() {
 }
 
 #[test]
-fn an_interrupt_exits_with_130_and_leaves_no_files() {
+fn interrupts_and_crashes_leave_no_files() {
+    use std::os::unix::process::ExitStatusExt;
+    const SEGMENTATION_FAULT: i32 = 11;
     let folder = TempDir::new().unwrap();
     let pipe = folder.path().join("pipe.xyz");
     assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
     // Nothing is written to the pipe, so the run waits for its particles.
-    for output in ["out.ply", "made/here/out.ply"] {
+    let outputs = ["out.ply", "made/here/out.ply"];
+    for (signal, output) in outputs.iter().flat_map(|output| [("INT", output), ("SEGV", output)]) {
         let mut child = command(folder.path(), &["reconstruct", "pipe.xyz", "-o", output])
-            .stderr(std::process::Stdio::null())
+            .stderr(std::process::Stdio::piped())
             .spawn()
             .unwrap();
         let place = folder.path().join(output);
@@ -658,9 +678,15 @@ fn an_interrupt_exits_with_130_and_leaves_no_files() {
         // This returns when the run opens the pipe for reading.
         let _writer = fs::File::options().write(true).open(&pipe).unwrap();
         let id = child.id().to_string();
-        assert!(Command::new("kill").args(["-INT", &id]).status().unwrap().success());
-        assert_eq!(child.wait().unwrap().code(), Some(130));
-        assert_eq!(names(folder.path()), ["pipe.xyz"], "{output}");
+        assert!(Command::new("kill").args(["-s", signal, &id]).status().unwrap().success());
+        let run = child.wait_with_output().unwrap();
+        if signal == "INT" {
+            assert_eq!(run.status.code(), Some(130));
+        } else {
+            assert_eq!(run.status.signal(), Some(SEGMENTATION_FAULT));
+        }
+        assert!(!run.stderr.is_empty(), "{signal}: no message");
+        assert_eq!(names(folder.path()), ["pipe.xyz"], "{signal}, {output}");
     }
 }
 
