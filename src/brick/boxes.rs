@@ -147,6 +147,10 @@ impl<P: Particles + ?Sized> Particles for WithBoxes<'_, P> {
         self.particles.check()
     }
 
+    fn goes_on(&self) -> bool {
+        self.particles.goes_on()
+    }
+
     fn resident_bytes(&self) -> u64 {
         self.particles.resident_bytes() + size_of_val(&self.chunks[..]) as u64
     }

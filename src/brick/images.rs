@@ -253,6 +253,10 @@ impl<P: Particles + ?Sized> Particles for WithImages<'_, P> {
         self.particles.check()
     }
 
+    fn goes_on(&self) -> bool {
+        self.particles.goes_on()
+    }
+
     fn resident_bytes(&self) -> u64 {
         let counts = self.images.as_ref().map_or(0, |images| size_of_val(&images.before[..]));
         self.particles.resident_bytes() + counts as u64

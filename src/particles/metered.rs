@@ -20,6 +20,14 @@ impl<'a, P: Particles + ?Sized> MeteredParticles<'a, P> {
         Self { particles, control, meter: control.meter(stage, particles.len()) }
     }
 
+    /// The particles are read this many times in the stage.
+    #[must_use]
+    pub fn readings(self, readings: usize) -> Self {
+        let Self { particles, control, meter } = self;
+        let parts = particles.len().saturating_mul(readings);
+        Self { particles, control, meter: control.meter(meter.stage(), parts) }
+    }
+
     /// Starts to count again, for the part of a stage that ends at `to`.
     pub fn begin(&mut self, stage: Stage, to: f64) {
         self.meter = self.control.meter(stage, self.particles.len()).between(0.0, to);
@@ -41,6 +49,10 @@ impl<P: Particles + ?Sized> Particles for MeteredParticles<'_, P> {
 
     fn check(&self) -> Result<(), RereadError> {
         self.particles.check()
+    }
+
+    fn goes_on(&self) -> bool {
+        self.meter.goes_on() && self.particles.goes_on()
     }
 
     fn resident_bytes(&self) -> u64 {

@@ -102,6 +102,11 @@ pub trait Particles: Sync {
         Ok(())
     }
 
+    /// Whether reading goes on. After a cancel it does not, and what is read are not numbers.
+    fn goes_on(&self) -> bool {
+        true
+    }
+
     /// Bytes of memory that the particles occupy.
     fn resident_bytes(&self) -> u64 {
         0

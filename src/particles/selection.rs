@@ -346,6 +346,10 @@ impl<P: Particles + ?Sized> Particles for SelectedParticles<'_, P> {
         self.particles.check()
     }
 
+    fn goes_on(&self) -> bool {
+        self.particles.goes_on()
+    }
+
     fn resident_bytes(&self) -> u64 {
         self.particles.resident_bytes() + self.sieve.bytes()
     }

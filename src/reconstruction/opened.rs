@@ -92,6 +92,11 @@ impl CheckedRequest {
         Cow::Owned(Self { sampling, ..self.clone() })
     }
 
+    fn metered<'a, P: Particles + ?Sized>(&'a self, particles: &'a P) -> MeteredParticles<'a, P> {
+        let metered = MeteredParticles::new(particles, &self.resources.control, Stage::Reading);
+        metered.readings(self.sampling.readings(particles.len()))
+    }
+
     /// Returns an error if the work was cancelled.
     pub(crate) fn go_on(&self) -> Result<(), Error> {
         Ok(self.resources.control.cancel.go_on()?)
@@ -104,7 +109,7 @@ impl CheckedRequest {
         source: SpacingHints<'_>,
     ) -> Result<ChosenSampling, Error> {
         let carried = self.settings.carried(particles.attributes(), None)?;
-        let particles = MeteredParticles::new(particles, &self.resources.control, Stage::Reading);
+        let particles = self.metered(particles);
         self.sampling.sampling(&particles, source, carried, self.resources.clone())
     }
 
@@ -115,7 +120,7 @@ impl CheckedRequest {
         source: SpacingHints<'_>,
     ) -> Result<ChosenSampling, Error> {
         let carried = self.settings.carried(particles.attributes(), None)?;
-        let particles = MeteredParticles::new(particles, &self.resources.control, Stage::Reading);
+        let particles = self.metered(particles);
         self.sampling.sampling_and_plan(&particles, source, carried, self.resources.clone())
     }
 }

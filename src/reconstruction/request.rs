@@ -115,6 +115,11 @@ fn usual_spacing(cell_size: f64) -> f64 {
     2.0 * cell_size
 }
 
+/// Returns an error if reading the particles was cancelled.
+fn go_on(particles: &(impl Particles + ?Sized)) -> Result<(), Error> {
+    if particles.goes_on() { Ok(()) } else { Err(Error::Cancelled) }
+}
+
 impl SamplingRequest {
     /// Edge of a cell.
     pub fn cell_size(&self) -> CellSize {
@@ -253,21 +258,31 @@ impl SamplingRequest {
             Some(sizes) => (self.cells_for_sizes(particles, sizes)?, None),
             None => self.cells_by(particles, from, read)?,
         };
+        go_on(particles)?;
         if !cells.warnings.iter().any(|warning| matches!(warning, SpacingWarning::Mixed(_))) {
             cells.warnings.extend(mixture(particles).map(SpacingWarning::Mixed));
         }
-        let is_sought = match self.search {
-            WallSearch::Never => false,
-            WallSearch::Hint => particles.len() <= MOST_HINTED,
-            WallSearch::Walls => true,
-        };
-        if is_sought {
+        if self.seeks_walls(particles.len()) {
             let ends = self.ends(particles, &cells)?;
             let found = ends.map(|ends| self.walls_of(&[ends], from.path));
             cells.walls =
                 found.filter(|found| self.search == WallSearch::Walls || !found.walls.is_open());
         }
         Ok((cells, done))
+    }
+
+    fn seeks_walls(&self, particles: usize) -> bool {
+        match self.search {
+            WallSearch::Never => false,
+            WallSearch::Hint => particles <= MOST_HINTED,
+            WallSearch::Walls => true,
+        }
+    }
+
+    /// How often particles are usually read to choose and count cells: for the spacing, for the
+    /// count, and twice for walls.
+    pub fn readings(&self, particles: usize) -> usize {
+        2 + 2 * usize::from(self.seeks_walls(particles))
     }
 
     /// The sizes of the particles, if they have several and may have.
@@ -331,6 +346,7 @@ impl SamplingRequest {
                 Some(_) => SampleSurvey::of(in_cubes.sample(), spacing),
                 None => survey(particles, spacing),
             };
+            go_on(particles)?;
             let taken = (is_scene && done.is_some()).then(|| share.taken());
             let draft = taken.filter(|taken| taken.larger().is_none()).and_then(SpacingDraft::of);
             let evidence = draft.zip(look.clone()).map(|(draft, look)| draft.with(look.neighbours));
@@ -358,6 +374,7 @@ impl SamplingRequest {
         } else {
             for_each_chunk(particles, |positions| share.add(positions));
         }
+        go_on(particles)?;
         let taken = share.taken();
         let draft = if taken.larger().is_none() { SpacingDraft::of(taken) } else { None };
         let Some(draft) = draft else {
@@ -368,12 +385,13 @@ impl SamplingRequest {
             done = read(size(known), &|positions| in_cubes.add(positions));
             sample = done.is_some().then(|| in_cubes.sample());
         }
+        go_on(particles)?;
         let suits = usual.is_none_or(|usual| draft.suits(usual));
         let evidence = match sample.filter(|sample| suits && !sample.positions.is_empty()) {
-            Some(sample) => draft.with_sample(sample),
+            Some(sample) => Some(draft.with_sample(sample)),
             None => draft.completed(particles),
         };
-        Ok((self.cells_by_evidence(particles, from, Some(evidence))?, done))
+        Ok((self.cells_by_evidence(particles, from, evidence)?, done))
     }
 
     /// The cells for particles with a known spacing: their size, their origin if it must be far
@@ -465,6 +483,7 @@ impl SamplingRequest {
         evidence: Option<Evidence>,
     ) -> Result<Cells, Error> {
         let path = || from.path.map(Path::to_owned);
+        go_on(particles)?;
         if particles.is_empty() {
             return Err(Error::Frame {
                 path: path(),

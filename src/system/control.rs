@@ -136,6 +136,11 @@ impl Meter<'_> {
         Self { span: [from, to], ..self }
     }
 
+    /// The stage whose parts are counted.
+    pub fn stage(&self) -> Stage {
+        self.stage
+    }
+
     /// Returns an error if the caller cancelled the work.
     pub fn go_on(&self) -> Result<(), Cancelled> {
         self.control.cancel.go_on()

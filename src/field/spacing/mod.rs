@@ -134,27 +134,30 @@ pub fn estimate(particles: &(impl Particles + ?Sized)) -> Option<f64> {
 }
 
 /// Reads the particles and collects the evidence about their spacing; `None` if there are no finite
-/// particles. Up to [`ALL`] particles are read once, more particles twice or more.
+/// particles, or if the reading was cancelled. Up to [`ALL`] particles are read once, more particles
+/// twice or more.
 pub fn evidence(particles: &(impl Particles + ?Sized)) -> Option<Evidence> {
     if particles.len() <= ALL {
         let (positions, bounds) = gathered(particles);
-        return of_all(positions, bounds);
+        return if particles.goes_on() { of_all(positions, bounds) } else { None };
     }
     let share = EvenSample::of(particles.len());
     for_each_chunk(particles, |positions| share.add(positions));
     let mut taken = share.taken();
-    while let Some(larger) = taken.larger() {
+    while let Some(larger) = taken.larger().filter(|_| particles.goes_on()) {
         for_each_chunk(particles, |positions| larger.add(positions));
         taken = larger.taken();
     }
-    Some(SpacingDraft::of(taken)?.completed(particles))
+    SpacingDraft::of(taken)?.completed(particles)
 }
 
 /// Reads the particles and searches for neighbours at the scale of a known spacing; `None` if there
-/// are no particles. Few particles that do not confirm the spacing are read twice.
+/// are no particles, or if the reading was cancelled. Few particles that do not confirm the spacing
+/// are read twice.
 pub fn survey(particles: &(impl Particles + ?Sized), spacing: f64) -> Option<SampleSurvey> {
+    let of = |sample| if particles.goes_on() { SampleSurvey::of(sample, spacing) } else { None };
     if particles.len() <= FEWEST_SAMPLED {
-        return SampleSurvey::of(NeighbourSample::whole(gathered(particles).0), spacing);
+        return of(NeighbourSample::whole(gathered(particles).0));
     }
     let sample = |new: fn(Cubes, usize) -> CubeSample| {
         let in_cubes = new(Cubes::for_spacing(spacing), particles.len());
@@ -163,13 +166,14 @@ pub fn survey(particles: &(impl Particles + ?Sized), spacing: f64) -> Option<Sam
     };
     if particles.len() <= ALL {
         let few = sample(CubeSample::few);
-        if let Some(place) = CoordinateFacts::of_sample(&few)
+        if particles.goes_on()
+            && let Some(place) = CoordinateFacts::of_sample(&few)
             && let Some(neighbours) = Neighbours::of_few(few, spacing)
         {
             return Some(SampleSurvey { neighbours, place });
         }
     }
-    SampleSurvey::of(sample(CubeSample::new), spacing)
+    of(sample(CubeSample::new))
 }
 
 /// A survey of a sample of particles, at the scale of a known spacing.
@@ -315,12 +319,16 @@ impl SpacingDraft {
         within(spacing / self.scale, 2.5)
     }
 
-    /// Reads the particles for a search for neighbours: once, if the scale is known.
-    pub fn completed(mut self, particles: &(impl Particles + ?Sized)) -> Evidence {
+    /// Reads the particles for a search for neighbours: once, if the scale is known. Returns `None`
+    /// if the reading was cancelled.
+    pub fn completed(mut self, particles: &(impl Particles + ?Sized)) -> Option<Evidence> {
         const READINGS: u32 = 8;
         for _ in 1..READINGS {
             let in_cubes = self.in_cubes();
             for_each_chunk(particles, |positions| in_cubes.add(positions));
+            if !particles.goes_on() {
+                return None;
+            }
             let sample = in_cubes.sample();
             if sample.positions.is_empty() {
                 self.scale /= 8.0;
@@ -332,12 +340,12 @@ impl SpacingDraft {
                     self.scale = suggested
                 }
                 None if self.counted.is_none() => self.scale *= 4.0,
-                _ => return self.with(neighbours),
+                _ => return Some(self.with(neighbours)),
             }
         }
         let in_cubes = self.in_cubes();
         for_each_chunk(particles, |positions| in_cubes.add(positions));
-        self.with_sample(in_cubes.sample())
+        Some(self.with_sample(in_cubes.sample()))
     }
 
     /// Adds the neighbours in a sample, as far as they are needed to check the count.

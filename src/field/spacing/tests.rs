@@ -268,7 +268,7 @@ fn many_particles_in_sheets_and_threads_are_searched_at_their_own_scale() {
         for factor in [100.0, 0.01] {
             draft.scale = factor;
             let again = SpacingDraft { place: draft.place, counted: draft.counted, ..draft };
-            let found = again.completed(&particles[..]).estimate().unwrap();
+            let found = again.completed(&particles[..]).unwrap().estimate().unwrap();
             assert!((found.spacing - 1.0).abs() < 0.12, "{factor}: {found:?}");
         }
     }
@@ -367,5 +367,46 @@ fn samples_of_duplicates_do_not_depend_on_threads() {
     assert_eq!((one.1, one.2.len()), (one.0.len(), twice.len() / 2));
     for _ in 0..4 {
         assert!(taken(8) == one);
+    }
+}
+
+/// Particles that a cancel turns into NaN after some positions, and the number of positions read.
+struct Cancelled<'a> {
+    particles: &'a [[f64; 3]],
+    after: usize,
+    read: std::sync::atomic::AtomicUsize,
+}
+
+impl Particles for Cancelled<'_> {
+    fn len(&self) -> usize {
+        self.particles.len()
+    }
+
+    fn positions(&self, first: usize, out: &mut [[f64; 3]]) {
+        out.copy_from_slice(&self.particles[first..first + out.len()]);
+        if !self.goes_on() {
+            out.fill([f64::NAN; 3]);
+        }
+        self.read.fetch_add(out.len(), std::sync::atomic::Ordering::Relaxed);
+    }
+
+    fn goes_on(&self) -> bool {
+        self.read.load(std::sync::atomic::Ordering::Relaxed) < self.after
+    }
+}
+
+#[test]
+fn a_cancel_ends_the_estimate_with_the_current_reading() {
+    let many = layers([90; 3], 0.2);
+    assert!(many.len() > ALL);
+    let few = &many[..ALL / 2];
+    for (particles, share) in [(few, 0.5), (&many, 0.0), (&many, 0.5), (&many, 1.5)] {
+        let after = (particles.len() as f64 * share) as usize;
+        let cancelled = Cancelled { particles, after, read: 0.into() };
+        assert_eq!(evidence(&cancelled), None);
+        let readings = cancelled.read.into_inner() / particles.len();
+        assert_eq!(readings, share as usize + 1, "of {} cancelled at {share}", particles.len());
+        let cancelled = Cancelled { particles, after, read: 0.into() };
+        assert_eq!(survey(&cancelled, 1.0).is_none(), share < 1.0);
     }
 }
