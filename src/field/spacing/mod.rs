@@ -144,11 +144,14 @@ pub fn evidence(particles: &(impl Particles + ?Sized)) -> Option<Evidence> {
     let share = EvenSample::of(particles.len());
     for_each_chunk(particles, |positions| share.add(positions));
     let mut taken = share.taken();
-    while let Some(larger) = taken.larger().filter(|_| particles.goes_on()) {
+    while particles.goes_on() {
+        let Some(larger) = taken.larger() else {
+            return SpacingDraft::of(taken)?.completed(particles);
+        };
         for_each_chunk(particles, |positions| larger.add(positions));
         taken = larger.taken();
     }
-    SpacingDraft::of(taken)?.completed(particles)
+    None
 }
 
 /// Reads the particles and searches for neighbours at the scale of a known spacing; `None` if there
