@@ -147,11 +147,17 @@ settings! {
     /// Distance between neighbouring particles.
     ///
     /// The default comes from the file or a scene file beside it, or else is estimated.
-    #[arg(value_name = "LENGTH", conflicts_with = "radius", allow_negative_numbers = true, help_heading = "Input")]
+    #[arg(
+        value_name = "LENGTH", conflicts_with = "radius", allow_negative_numbers = true,
+        help_heading = "Input"
+    )]
     spacing: Option<f64>,
 
     /// Half of the spacing.
-    #[arg(value_name = "LENGTH", allow_negative_numbers = true, help_heading = "Input", hide_short_help = true)]
+    #[arg(
+        value_name = "LENGTH", allow_negative_numbers = true, help_heading = "Input",
+        hide_short_help = true
+    )]
     radius: Option<f64>,
 
     /// Attribute with the sizes of the particles, or none [default: pscale or radius].
@@ -160,11 +166,17 @@ settings! {
     /// attribute's name, its values are radii (half of a particle's spacing), diameters, volumes,
     /// or masses, which need a density attribute. none treats all particles as one size. Only for
     /// the indicator cloud.
-    #[arg(value_name = "NAME", conflicts_with_all = ["spacing", "radius"], help_heading = "Input", hide_short_help = true)]
+    #[arg(
+        value_name = "NAME", conflicts_with_all = ["spacing", "radius"], help_heading = "Input",
+        hide_short_help = true
+    )]
     size: Option<String>,
 
     /// Edge of a cell.
-    #[arg(value_name = "LENGTH", conflicts_with = "cell", allow_negative_numbers = true, help_heading = "Surface", hide_short_help = true)]
+    #[arg(
+        value_name = "LENGTH", conflicts_with = "cell", allow_negative_numbers = true,
+        help_heading = "Surface", hide_short_help = true
+    )]
     cell_size: Option<f64>,
 
     /// Edge of a cell in spacings; smaller is finer [default: 0.5].
@@ -174,7 +186,10 @@ settings! {
     cell: Option<f64>,
 
     /// A corner of the grid's cells [default: 0,0,0].
-    #[arg(value_name = "X,Y,Z", value_parser = faces::point, allow_hyphen_values = true, help_heading = "Surface", hide_short_help = true)]
+    #[arg(
+        value_name = "X,Y,Z", value_parser = faces::point, allow_hyphen_values = true,
+        help_heading = "Surface", hide_short_help = true
+    )]
     origin: Option<[f64; 3]>,
 
     /// Format of the input [default: by its extension].
@@ -197,7 +212,9 @@ settings! {
     /// The surface ends exactly on the walls. Particles outside are left out. `-` leaves a side
     /// open. auto uses the tank in the scene file beside the input, or the planes at which the
     /// particles end, and leaves out no particle.
-    #[arg(value_name = "X0,Y0,Z0,X1,Y1,Z1|auto", allow_hyphen_values = true, help_heading = "Input")]
+    #[arg(
+        value_name = "X0,Y0,Z0,X1,Y1,Z1|auto", allow_hyphen_values = true, help_heading = "Input"
+    )]
     domain: Option<Tank>,
 
     /// Periodic box, whose opposite faces are joined.
@@ -220,7 +237,10 @@ settings! {
     ///
     /// A positive value leaves a gap. A negative one lets the fluid reach into solids, so that no
     /// gap shows in a picture.
-    #[arg(value_name = "SPACINGS", allow_negative_numbers = true, help_heading = "Input", hide_short_help = true)]
+    #[arg(
+        value_name = "SPACINGS", allow_negative_numbers = true, help_heading = "Input",
+        hide_short_help = true
+    )]
     solid_offset: Option<f64>,
 
     /// How a cell's sample is computed from its particles [default: cloud].
@@ -229,7 +249,10 @@ settings! {
 
     /// Mean number of particles in cells that contain any, for the indicator counting [default:
     /// measured].
-    #[arg(value_name = "VALUE", allow_negative_numbers = true, help_heading = "Surface", hide_short_help = true)]
+    #[arg(
+        value_name = "VALUE", allow_negative_numbers = true, help_heading = "Surface",
+        hide_short_help = true
+    )]
     mu0: Option<f64>,
 
     /// Leave out and count particles that are not finite or outside the grid, instead of failing.
@@ -256,7 +279,10 @@ settings! {
 
     /// Standard deviation of the Gaussian, for the indicators counting and symmetry
     /// [default: one spacing, but at least one cell].
-    #[arg(value_name = "CELLS", allow_negative_numbers = true, help_heading = "Surface", hide_short_help = true)]
+    #[arg(
+        value_name = "CELLS", allow_negative_numbers = true, help_heading = "Surface",
+        hide_short_help = true
+    )]
     sigma: Option<f64>,
 
     /// Isovalue between 0 and 1, for the indicators counting and symmetry and the methods mueller
@@ -264,7 +290,10 @@ settings! {
     ///
     /// auto is 0.47 of the field deep in the fluid. If no fluid is deep enough, that field is
     /// computed from the spacing. For kernel methods auto is 0.5.
-    #[arg(value_name = "VALUE|auto", allow_hyphen_values = true, help_heading = "Surface", hide_short_help = true)]
+    #[arg(
+        value_name = "VALUE|auto", allow_hyphen_values = true, help_heading = "Surface",
+        hide_short_help = true
+    )]
     iso: Option<Iso>,
 
     /// Recover details that smoothing removes, such as drops, for the indicators counting and
@@ -292,11 +321,17 @@ settings! {
     simplify: Option<f64>,
 
     /// Leave out drops and bubbles that are smaller than this many cells in volume.
-    #[arg(alias = "drop-smaller", value_name = "CELLS", allow_negative_numbers = true, help_heading = "Output", hide_short_help = true)]
+    #[arg(
+        alias = "drop-smaller", value_name = "CELLS", allow_negative_numbers = true,
+        help_heading = "Output", hide_short_help = true
+    )]
     smallest_component: Option<f64>,
 
     /// Leave out drops of fewer particles, estimated from their volume [default: 1, keeps all].
-    #[arg(value_name = "PARTICLES", value_parser = clap::value_parser!(u32).range(1..), help_heading = "Output", hide_short_help = true)]
+    #[arg(
+        value_name = "PARTICLES", value_parser = clap::value_parser!(u32).range(1..),
+        help_heading = "Output", hide_short_help = true
+    )]
     smallest_drop: Option<u32>,
 
     /// Write a .glb file quantized and compressed (EXT_meshopt_compression), or a .vdb file

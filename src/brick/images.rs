@@ -104,7 +104,7 @@ impl<'a, P: Particles + ?Sized> WithImages<'a, P> {
 }
 
 /// A position between the faces, and its steps.
-type Placed = ([f64; 3], [i64; 3]);
+type Wrapped = ([f64; 3], [i64; 3]);
 
 /// A particle that cannot be binned.
 enum MisplacedParticle {
@@ -125,13 +125,13 @@ impl Images<'_> {
     }
 
     /// The position of a particle between the faces, and its steps; `None` outside of the domain.
-    fn placed(&self, position: [f64; 3]) -> Result<Option<Placed>, MisplacedParticle> {
+    fn placed(&self, position: [f64; 3]) -> Result<Option<Wrapped>, MisplacedParticle> {
         let inside = self.periodic.inside(position).map_err(MisplacedParticle::Astray)?;
         let steps = self.placer.place(inside).map_err(MisplacedParticle::Unplaced)?;
         Ok(steps.map(|steps| (inside, steps)))
     }
 
-    fn images(&self, (inside, steps): Placed) -> impl Iterator<Item = [f64; 3]> + use<> {
+    fn images(&self, (inside, steps): Wrapped) -> impl Iterator<Item = [f64; 3]> + use<> {
         self.periodic.images(&self.placer.grid, inside, steps)
     }
 

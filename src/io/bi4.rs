@@ -283,7 +283,7 @@ impl Case {
     }
 
     /// Stores the value called `name` if it is used.
-    fn note(&mut self, name: &[u8], kind: Kind, value: &[u8], endian: Endian) {
+    fn note(&mut self, name: &[u8], kind: Bi4Type, value: &[u8], endian: Endian) {
         let whole =
             matches!(kind.scalar, Some(Scalar::U32 | Scalar::U64)).then(|| number(value, endian));
         match name {
@@ -316,7 +316,7 @@ struct Bi4Array {
 
 /// A type of value.
 #[derive(Clone, Copy)]
-struct Kind {
+struct Bi4Type {
     /// `None` for texts and booleans.
     scalar: Option<Scalar>,
     components: usize,
@@ -324,7 +324,7 @@ struct Kind {
     size: Option<u64>,
 }
 
-impl Kind {
+impl Bi4Type {
     fn read(cursor: &mut Cursor) -> Result<Self, ReadFault> {
         let at = cursor.at();
         let code = cursor.u32("a type")?;
@@ -418,7 +418,7 @@ impl Bi4Tree {
         tag(cursor, b"\nVALUES")?;
         for _ in 0..cursor.u32("the number of values")? {
             let name = text(cursor, "a value's name")?.to_vec();
-            let kind = Kind::read(cursor)?;
+            let kind = Bi4Type::read(cursor)?;
             let value = match kind.size {
                 Some(size) => cursor.take("a value", size)?,
                 None => text(cursor, "a text")?,
@@ -436,7 +436,7 @@ impl Bi4Array {
         tag(cursor, b"\nARRAY")?;
         let name = String::from_utf8_lossy(text(cursor, "an array's name")?).into_owned();
         cursor.take("an array's flag", 4)?;
-        let kind = Kind::read(cursor)?;
+        let kind = Bi4Type::read(cursor)?;
         let at = cursor.at();
         let mut size = |what| if wide { cursor.u64(what) } else { cursor.u32(what).map(u64::from) };
         let count = size("an array's count")?;

@@ -19,7 +19,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 use crate::particles::AttributeInfo;
-use crate::surface::mesh::source::Bounds;
+use crate::surface::mesh::source::Corners;
 
 use super::output::MeshFormat;
 use super::usd::stage::{Manifest, stage};
@@ -50,7 +50,7 @@ pub struct SeriesFrame {
     /// Number of triangles of the mesh.
     pub triangles: u64,
     /// The mesh's bounding box as programs show it; `None` for an empty mesh.
-    pub bounds: Option<Bounds>,
+    pub bounds: Option<Corners>,
     /// Whether vertices have normals.
     pub normals: bool,
     /// Attributes of the vertices, besides normals.

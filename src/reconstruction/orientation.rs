@@ -6,7 +6,7 @@ use crate::io::UpAxis;
 use crate::io::glb::{GlbCompression, GlbLayout};
 use crate::io::input::InputFormat;
 use crate::io::output::MeshFormat;
-use crate::surface::mesh::source::Bounds;
+use crate::surface::mesh::source::Corners;
 use crate::surface::mesh::source::MeshSource;
 use crate::surface::mesh::up::TurnedMesh;
 
@@ -75,7 +75,7 @@ impl Orientation {
     }
 
     /// The bounding box of the mesh on the screen of a viewer.
-    pub(crate) fn shown_bounds(&self, bounds: Option<Bounds>) -> Option<Bounds> {
+    pub(crate) fn shown_bounds(&self, bounds: Option<Corners>) -> Option<Corners> {
         let [a, b] = bounds?.map(|corner| self.file.turned(self.shown, corner));
         Some([std::array::from_fn(|i| a[i].min(b[i])), std::array::from_fn(|i| a[i].max(b[i]))])
     }

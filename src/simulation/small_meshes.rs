@@ -10,7 +10,7 @@ use crate::io::whole::{make_folder, replace_small, sweep};
 use crate::io::{CoordinateWidth, WriteError};
 use crate::surface::mesh::Mesh;
 use crate::surface::mesh::clustered::{BYTES_A_VERTEX, clustered};
-use crate::surface::mesh::source::{Bounds, MeshSource};
+use crate::surface::mesh::source::{Corners, MeshSource};
 
 /// Cells along the longest edge of a mesh: about one for every second pixel of a picture on a
 /// sheet.
@@ -43,7 +43,7 @@ impl SmallMeshes {
     /// If the mesh cannot be read from its scratch file.
     pub(super) fn of(
         mesh: &dyn MeshSource,
-        bounds: Option<Bounds>,
+        bounds: Option<Corners>,
         memory: u64,
     ) -> std::io::Result<Option<Vec<u8>>> {
         let small = match bounds {

@@ -85,7 +85,7 @@ impl<'a> LayerPages<'a> {
         Ok((volumes.into_iter().flatten().collect(), fractions.into_iter().flatten().collect()))
     }
 
-    fn page(&self, room: &mut [u16], group: Range<usize>) -> io::Result<(Page, Page)> {
+    fn page(&self, room: &mut [u16], group: Range<usize>) -> io::Result<(FilledPage, FilledPage)> {
         let own: IVec3 = self.bins.keys()[group.start].coord() >> self.octave as i32;
         let (mut volumes, mut fractions) = (Vec::new(), Vec::new());
         for bin in group {
@@ -116,7 +116,7 @@ impl<'a> LayerPages<'a> {
 }
 
 /// A page, unless it is empty.
-type Page = Option<(PageInfo, PageSamples)>;
+type FilledPage = Option<(PageInfo, PageSamples)>;
 
 /// The part of the clouds that is gathered.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

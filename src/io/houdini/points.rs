@@ -11,7 +11,7 @@ use crate::particles::Label;
 
 use super::json::{JsonNumber, JsonNumbers, Storage};
 use super::schema::{
-    HoudiniAttribute, MOST_TEXTS, NumberLocation, NumberRun, Pages, PointValues, ValueLayout,
+    HoudiniAttribute, MOST_TEXTS, NumberLocation, NumberRun, PointPages, PointValues, ValueLayout,
 };
 
 /// Points of a page per step.
@@ -48,7 +48,7 @@ impl<'a> NumberBytes<'a> {
         };
         match &values.data {
             ValueLayout::Tuples(run) => tuples(*run),
-            ValueLayout::Pages(Pages { run, groups, .. }) => match &groups[..] {
+            ValueLayout::Pages(PointPages { run, groups, .. }) => match &groups[..] {
                 [only] if !only.has_constants() => tuples(*run),
                 _ => None,
             },
@@ -82,7 +82,7 @@ impl<'a> NumberBytes<'a> {
     }
 
     /// Passes the numbers of a run to `take`, in batches.
-    fn each(&self, run: NumberRun, take: &mut Take) -> Result<(), ReadFault> {
+    fn each(&self, run: NumberRun, take: &mut TakeStored) -> Result<(), ReadFault> {
         let NumberRun { place, numbers } = run;
         for first in (0..numbers.count).step_by(ROWS as usize) {
             let part = numbers.part(first, ROWS.min(numbers.count - first));
@@ -94,7 +94,12 @@ impl<'a> NumberBytes<'a> {
     }
 
     /// Passes the tuples of all pages to `take`, in batches.
-    fn each_of_pages(&self, pages: &Pages, points: u64, take: &mut Take) -> Result<(), ReadFault> {
+    fn each_of_pages(
+        &self,
+        pages: &PointPages,
+        points: u64,
+        take: &mut TakeStored,
+    ) -> Result<(), ReadFault> {
         let NumberRun { place, numbers } = pages.run;
         let width = numbers.storage.scalar().size();
         let stride =
@@ -139,7 +144,7 @@ impl<'a> NumberBytes<'a> {
 }
 
 /// Consumes stored bytes.
-type Take<'a> = dyn FnMut(&[u8]) -> Result<(), ReadFault> + 'a;
+type TakeStored<'a> = dyn FnMut(&[u8]) -> Result<(), ReadFault> + 'a;
 
 /// A column for each component of an attribute, from its first column.
 fn components(first: Column, values: &PointValues) -> Vec<Column> {

@@ -68,12 +68,12 @@ pub enum ValueLayout {
     /// Component by component.
     Arrays(Vec<NumberRun>),
     /// Page by page.
-    Pages(Pages),
+    Pages(PointPages),
 }
 
 /// Pages of points, divided into groups of components.
 #[derive(Debug)]
-pub struct Pages {
+pub struct PointPages {
     pub run: NumberRun,
     /// Points per page.
     pub size: u64,
@@ -100,7 +100,7 @@ impl ComponentGroup {
     }
 }
 
-impl Pages {
+impl PointPages {
     /// Count of numbers in the pages of `points`; `None` if it overflows.
     fn count(&self, points: u64) -> Option<u64> {
         let counted = self.groups.iter().map(|group| {
@@ -617,7 +617,7 @@ impl SchemaReader<'_, '_, '_> {
                 let groups = packing.into_iter().zip(flags);
                 let groups = groups
                     .map(|(components, (_, constant))| ComponentGroup { components, constant });
-                let pages = Pages { run, size, groups: groups.collect() };
+                let pages = PointPages { run, size, groups: groups.collect() };
                 let expected = pages.count(points);
                 if Some(run.numbers.count) != expected {
                     return Err(wrong_count(run.numbers.count, expected));

@@ -29,7 +29,7 @@ use glam::IVec3;
 use rayon::prelude::*;
 
 use crate::particles::{AttributeInfo, AttributeKind, colour_attribute};
-use crate::surface::level_set::{BAND, Leaf, LevelSet, SurfacePoint, VOXELS};
+use crate::surface::level_set::{BAND, Leaf, LevelSet, NearestPoint, VOXELS};
 use crate::surface::mesh::source::{Lattice, MeshSource, Outline};
 
 use super::encode::{in_order, write_pieces};
@@ -227,8 +227,8 @@ impl AttributeValues {
 
     /// Appends the value at a point of the surface: interpolated between the corners of the
     /// triangle, or an integer of the nearest corner.
-    fn put(&self, out: &mut Vec<u8>, grid: &AttributeGrid, kind: Kind, point: SurfacePoint) {
-        let SurfacePoint { corners, shares } = point;
+    fn put(&self, out: &mut Vec<u8>, grid: &AttributeGrid, kind: Kind, point: NearestPoint) {
+        let NearestPoint { corners, shares } = point;
         let (first, stride) = (self.components.start, self.components.len());
         let value = |corner: usize, component: usize| {
             self.values[corners[corner] as usize * stride + component - first]

@@ -54,7 +54,7 @@ impl TreeLeaf {
 }
 
 /// A node above the leaves: its bytes, and whether its first and last voxels are inside.
-struct Node {
+struct InnerNode {
     corner: IVec3,
     bytes: Vec<u8>,
     inside: [bool; 2],
@@ -67,7 +67,7 @@ pub fn topology<'a>(
     background: f32,
     zip: bool,
 ) -> Vec<u8> {
-    let leaf = |leaf: &TreeLeaf| Node {
+    let leaf = |leaf: &TreeLeaf| InnerNode {
         corner: leaf.corner,
         bytes: leaf.active.iter().flat_map(|word| word.to_le_bytes()).collect(),
         inside: [leaf.inside[0] & 1 == 1, leaf.inside[VOXELS / 64 - 1] >> 63 == 1],
@@ -101,9 +101,9 @@ pub fn sort_key(corner: IVec3) -> [[i32; 3]; 3] {
 }
 
 /// The nodes above `children`, which are in order and `edge` voxels wide.
-fn above(children: Vec<Node>, edge: i32, log2: u32, kind: Kind, zip: bool) -> Vec<Node> {
-    let parent = |child: &Node| child.corner.div_euclid(IVec3::splat(edge << log2));
-    let groups: Vec<&[Node]> = children.chunk_by(|a, b| parent(a) == parent(b)).collect();
+fn above(children: Vec<InnerNode>, edge: i32, log2: u32, kind: Kind, zip: bool) -> Vec<InnerNode> {
+    let parent = |child: &InnerNode| child.corner.div_euclid(IVec3::splat(edge << log2));
+    let groups: Vec<&[InnerNode]> = children.chunk_by(|a, b| parent(a) == parent(b)).collect();
     groups
         .into_par_iter()
         .map(|children| {
@@ -112,10 +112,17 @@ fn above(children: Vec<Node>, edge: i32, log2: u32, kind: Kind, zip: bool) -> Ve
         .collect()
 }
 
-fn node(corner: IVec3, children: &[Node], edge: i32, log2: u32, kind: Kind, zip: bool) -> Node {
+fn node(
+    corner: IVec3,
+    children: &[InnerNode],
+    edge: i32,
+    log2: u32,
+    kind: Kind,
+    zip: bool,
+) -> InnerNode {
     let side = 1usize << log2;
     let slots = side.pow(3);
-    let number = |child: &Node| {
+    let number = |child: &InnerNode| {
         let at = (child.corner - corner) / edge;
         (((at.x as usize) << log2 | at.y as usize) << log2) | at.z as usize
     };
@@ -150,11 +157,11 @@ fn node(corner: IVec3, children: &[Node], edge: i32, log2: u32, kind: Kind, zip:
     kind.put_none(&mut bytes, zip);
     children.iter().for_each(|child| bytes.extend(&child.bytes));
     let first = of_child[0].map_or(last[0], |child| child.inside[0]);
-    Node { corner, bytes, inside: [first, last[slots - 1]] }
+    InnerNode { corner, bytes, inside: [first, last[slots - 1]] }
 }
 
 /// The corners of the root's tiles: those between two nodes of a column, inside the surface.
-fn root_tiles(nodes: &[Node]) -> Vec<IVec3> {
+fn root_tiles(nodes: &[InnerNode]) -> Vec<IVec3> {
     let edge = LEAF << (LOG2[0] + LOG2[1]);
     let between = nodes.windows(2).flat_map(|pair| {
         let [low, high] = [pair[0].corner, pair[1].corner];

@@ -281,7 +281,7 @@ fn numbers<T: ParseNumber>(text: &[u8], at: usize) -> Result<Vec<T>, ReadFault> 
     }
 }
 
-type Take<'t> = dyn FnMut(&[u8]) -> Result<(), ReadFault> + 't;
+type TakeBytes<'t> = dyn FnMut(&[u8]) -> Result<(), ReadFault> + 't;
 
 /// An array that is not text.
 struct StoredArray<'a> {
@@ -295,7 +295,7 @@ impl StoredArray<'_> {
         &self,
         points: Option<usize>,
         allowance: &mut u64,
-        take: &mut Take<'_>,
+        take: &mut TakeBytes<'_>,
     ) -> Result<(), ReadFault> {
         let size = self.array.scalar.size();
         // A batch may end within a number.
@@ -315,7 +315,7 @@ impl StoredArray<'_> {
         &self,
         points: Option<usize>,
         allowance: &mut u64,
-        take: &mut Take<'_>,
+        take: &mut TakeBytes<'_>,
     ) -> Result<(), ReadFault> {
         let mut stream: Box<dyn Read> = match self.array.data {
             DataLocation::Base64(ref text) => {
@@ -396,7 +396,7 @@ impl StoredArray<'_> {
         &self,
         packed: &mut io::Take<impl Read>,
         length: u64,
-        take: &mut Take<'_>,
+        take: &mut TakeBytes<'_>,
     ) -> Result<(), ReadFault> {
         if length > MOST_LZ4 {
             return Err(ReadFault::Unsupported(format!(
@@ -422,7 +422,7 @@ impl StoredArray<'_> {
         &self,
         mut plain: impl Read,
         length: u64,
-        take: &mut Take<'_>,
+        take: &mut TakeBytes<'_>,
     ) -> Result<(), ReadFault> {
         let damaged = |what: String| self.damaged(what);
         let mut chunk = Vec::new();
@@ -451,7 +451,7 @@ impl StoredArray<'_> {
         &self,
         stream: &mut dyn Read,
         length: u64,
-        take: &mut Take<'_>,
+        take: &mut TakeBytes<'_>,
     ) -> Result<(), ReadFault> {
         let mut chunk = vec![0; length.min(CHUNK as u64) as usize];
         let mut left = length;

@@ -7,7 +7,7 @@
 
 use glam::{DVec3, IVec3, Vec4};
 
-use super::triangle::{Distances, Triangle};
+use super::triangle::{Triangle, TriangleDistances};
 use super::{BAND, BLOCK, LEAF, Leaf, VOXELS, place_in_leaf};
 
 /// Voxels around a block in which triangles spread.
@@ -33,7 +33,7 @@ const TOUCHING: f32 = 1e-8;
 const SLACK: f32 = 0.1;
 
 /// The coordinates of a voxel of a [`Band`].
-type Place = [u8; 3];
+type VoxelOffset = [u8; 3];
 
 /// The nearest known triangle of a voxel, and the side on which the voxel is.
 #[derive(Debug, Clone, Copy)]
@@ -77,7 +77,7 @@ impl KnownVoxel {
 pub struct Band {
     voxels: Vec<KnownVoxel>,
     /// All visited voxels.
-    visited: Vec<Place>,
+    visited: Vec<VoxelOffset>,
 }
 
 /// The triangles near a block, relative to its [`band_corner`], without those that are too flat.
@@ -85,7 +85,7 @@ pub struct Band {
 pub struct BlockTriangles {
     triangles: Vec<Triangle>,
     /// The least and the greatest corner of the cubes that each triangle touches.
-    boxes: Vec<[Place; 2]>,
+    boxes: Vec<[VoxelOffset; 2]>,
     /// The number of each triangle in the mesh.
     numbers: Vec<u32>,
 }
@@ -107,18 +107,18 @@ impl BlockTriangles {
     }
 }
 
-fn index([x, y, z]: Place) -> usize {
+fn index([x, y, z]: VoxelOffset) -> usize {
     let edge = EDGE as usize;
     (usize::from(x) * edge + usize::from(y)) * edge + usize::from(z)
 }
 
-fn coordinates(place: Place) -> IVec3 {
+fn coordinates(place: VoxelOffset) -> IVec3 {
     place.map(i32::from).into()
 }
 
 /// The distance of a voxel from the block; less than that by one, so that neighbours of the block's
 /// voxels count as in it.
-fn margin(place: Place) -> f32 {
+fn margin(place: VoxelOffset) -> f32 {
     let from_low = coordinates(place) - (MARGIN + 1);
     let from_high = from_low - (BLOCK - 1);
     let outside = (-from_low).max(from_high).max(IVec3::ZERO);
@@ -148,7 +148,7 @@ struct Step {
 }
 
 impl Step {
-    fn from(self, place: Place) -> Place {
+    fn from(self, place: VoxelOffset) -> VoxelOffset {
         let [x, y, z] = self.along;
         let [a, b, c] = place;
         [a.wrapping_add_signed(x), b.wrapping_add_signed(y), c.wrapping_add_signed(z)]
@@ -239,7 +239,7 @@ impl Band {
                     for z in (low[2]..=high[2]).step_by(2) {
                         let four = [[x, y, z], [x, y, z + 1], [x, y + 1, z], [x, y + 1, z + 1]];
                         let along = |axis: usize| four.map(|place| f32::from(place[axis])).into();
-                        let Distances { squared, heights } =
+                        let TriangleDistances { squared, heights } =
                             triangle.distances([Vec4::splat(f32::from(x)), along(1), along(2)]);
                         for (i, place) in four.into_iter().enumerate() {
                             if place[1] <= high[1]
@@ -261,12 +261,12 @@ impl Band {
 
     /// Compares a triangle that touches a voxel with all neighbours, because it may touch their
     /// cubes as well.
-    fn touch_around(&mut self, place: Place, number: u32, triangle: &Triangle) {
+    fn touch_around(&mut self, place: VoxelOffset, number: u32, triangle: &Triangle) {
         for step in &AROUND {
             let to = step.from(place);
             if self.voxels[index(to)].number != BORDER && margin(to) <= MOST_USEFUL {
                 let places = to.map(|at| Vec4::splat(f32::from(at)));
-                let Distances { squared: [squared, ..], heights: [height, ..] } =
+                let TriangleDistances { squared: [squared, ..], heights: [height, ..] } =
                     triangle.distances(places);
                 self.learn(to, KnownVoxel { squared, number, height });
             }
@@ -275,7 +275,7 @@ impl Band {
 
     /// Takes a triangle that touches one of the voxel's cubes as its nearest, if it is.
     #[inline]
-    fn learn(&mut self, place: Place, found: KnownVoxel) {
+    fn learn(&mut self, place: VoxelOffset, found: KnownVoxel) {
         let known = &mut self.voxels[index(place)];
         if found.squared > known.squared + EQUAL_SQUARES {
             return;
@@ -295,8 +295,8 @@ impl Band {
     /// Passes triangles on from the visited voxels to all voxels in the band.
     fn spread(&mut self, triangles: &[Triangle]) {
         // A triangle that touches none of a voxel's cubes is at least one voxel away.
-        let is_far = |place: &Place| self.voxels[index(*place)].squared > 1.0;
-        let far: Vec<Place> = self.visited.iter().copied().filter(is_far).collect();
+        let is_far = |place: &VoxelOffset| self.voxels[index(*place)].squared > 1.0;
+        let far: Vec<VoxelOffset> = self.visited.iter().copied().filter(is_far).collect();
         self.pull(triangles, &far);
         let mut front = self.visited.clone();
         while !front.is_empty() {
@@ -324,14 +324,14 @@ impl Band {
     }
 
     /// Gives voxels the nearest of the triangles that they and their neighbours knew before.
-    fn pull(&mut self, triangles: &[Triangle], places: &[Place]) {
+    fn pull(&mut self, triangles: &[Triangle], places: &[VoxelOffset]) {
         let found: Vec<KnownVoxel> =
             places.iter().map(|&place| self.nearest_around(triangles, place)).collect();
         places.iter().zip(found).for_each(|(&place, found)| self.voxels[index(place)] = found);
     }
 
     /// The nearest of the triangles that a voxel and its 26 neighbours know.
-    fn nearest_around(&self, triangles: &[Triangle], place: Place) -> KnownVoxel {
+    fn nearest_around(&self, triangles: &[Triangle], place: VoxelOffset) -> KnownVoxel {
         let voxel = index(place);
         let mut best = self.voxels[voxel];
         let mut numbers = [0; AROUND.len() + 3];

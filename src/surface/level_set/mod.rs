@@ -74,7 +74,7 @@ pub fn place_in_leaf(i: usize) -> IVec3 {
 
 /// The nearest point of a triangle to a voxel.
 #[derive(Debug, Clone, Copy)]
-pub struct SurfacePoint {
+pub struct NearestPoint {
     /// The vertices of the triangle.
     pub corners: [u32; 3],
     /// The share of each of them in the point; their sum is 1.
@@ -110,10 +110,10 @@ impl LevelSet {
     }
 
     /// The nearest point of a triangle to a voxel.
-    pub fn nearest_point(&self, triangle: u32, voxel: IVec3) -> SurfacePoint {
+    pub fn nearest_point(&self, triangle: u32, voxel: IVec3) -> NearestPoint {
         let corners = self.triangles[triangle as usize];
         let from_voxel = |vertex| self.position(vertex) - voxel.as_dvec3();
-        SurfacePoint { corners, shares: triangle::shares(corners.map(from_voxel)) }
+        NearestPoint { corners, shares: triangle::shares(corners.map(from_voxel)) }
     }
 
     fn position(&self, vertex: u32) -> DVec3 {
@@ -250,7 +250,7 @@ mod tests {
     /// The distance from the nearest point of the nearest triangle, by the shares of its corners.
     fn distance(level_set: &LevelSet, voxel: IVec3) -> f64 {
         let nearest = |triangle: u32| {
-            let SurfacePoint { corners, shares } = level_set.nearest_point(triangle, voxel);
+            let NearestPoint { corners, shares } = level_set.nearest_point(triangle, voxel);
             let share =
                 |(&corner, share): (&u32, f32)| level_set.position(corner) * f64::from(share);
             let point: DVec3 = corners.iter().zip(shares).map(share).sum();

@@ -7,7 +7,7 @@ use std::collections::HashMap;
 use std::io;
 
 use super::Mesh;
-use super::source::{Bounds, MeshSource};
+use super::source::{Corners, MeshSource};
 
 /// Bytes of memory that [`clustered`] needs for each vertex of the mesh.
 pub const BYTES_A_VERTEX: u64 = size_of::<u32>() as u64;
@@ -18,7 +18,7 @@ pub const BYTES_A_VERTEX: u64 = size_of::<u32>() as u64;
 ///
 /// # Errors
 /// If the mesh cannot be read from its scratch file.
-pub fn clustered(mesh: &dyn MeshSource, [lo, hi]: Bounds, cells: u32) -> io::Result<Mesh> {
+pub fn clustered(mesh: &dyn MeshSource, [lo, hi]: Corners, cells: u32) -> io::Result<Mesh> {
     let extent = (0..3).map(|axis| hi[axis] - lo[axis]).fold(0.0, f64::max);
     let step = if extent > 0.0 { extent / f64::from(cells) } else { 1.0 };
     let cell = |p: [f64; 3]| -> [u32; 3] {

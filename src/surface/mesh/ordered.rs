@@ -8,7 +8,7 @@ use hashbrown::HashMap;
 use meshopt::optimize_vertex_cache;
 use rayon::prelude::*;
 
-use super::source::{Bounds, bounds_of, joined};
+use super::source::{Corners, bounds_of, joined};
 use super::source::{MeshSource, Outline, Vertices};
 
 /// A mesh with its vertices and triangles in a better order within each piece. Needs 4 bytes per
@@ -19,7 +19,7 @@ pub struct OrderedMesh<'a> {
     ranks: Vec<u32>,
     /// The number of the first vertex of each piece, and the total.
     firsts: Vec<u64>,
-    bounds: Option<Bounds>,
+    bounds: Option<Corners>,
 }
 
 impl<'a> OrderedMesh<'a> {
@@ -47,7 +47,7 @@ impl<'a> OrderedMesh<'a> {
     }
 
     /// Minimum and maximum corner of all vertices.
-    pub fn bounds(&self) -> Option<Bounds> {
+    pub fn bounds(&self) -> Option<Corners> {
         self.bounds
     }
 

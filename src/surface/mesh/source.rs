@@ -245,15 +245,15 @@ impl MeshSource for MeteredMesh<'_> {
 }
 
 /// Minimum and maximum corner.
-pub type Bounds = [[f64; 3]; 2];
+pub type Corners = [[f64; 3]; 2];
 
 /// The bounding box of positions; `None` if there are none.
-pub fn bounds_of(positions: &[[f64; 3]]) -> Option<Bounds> {
+pub fn bounds_of(positions: &[[f64; 3]]) -> Option<Corners> {
     positions.iter().map(|&p| [p, p]).reduce(joined)
 }
 
 /// The bounding box of two boxes.
-pub fn joined([lo, hi]: Bounds, [p, q]: Bounds) -> Bounds {
+pub fn joined([lo, hi]: Corners, [p, q]: Corners) -> Corners {
     [
         std::array::from_fn(|axis| lo[axis].min(p[axis])),
         std::array::from_fn(|axis| hi[axis].max(q[axis])),
@@ -263,7 +263,7 @@ pub fn joined([lo, hi]: Bounds, [p, q]: Bounds) -> Bounds {
 /// Passes a mesh on, and records the bounding box of the vertices that were read.
 pub struct BoundedMesh<'a> {
     mesh: &'a dyn MeshSource,
-    bounds: Mutex<Option<Bounds>>,
+    bounds: Mutex<Option<Corners>>,
 }
 
 impl<'a> BoundedMesh<'a> {
@@ -273,7 +273,7 @@ impl<'a> BoundedMesh<'a> {
     }
 
     /// The bounding box of the vertices that were read: the whole mesh after writing it.
-    pub fn bounds(&self) -> Option<Bounds> {
+    pub fn bounds(&self) -> Option<Corners> {
         *self.bounds.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DVec2, DVec3};
 
-use crate::surface::mesh::source::Bounds;
+use crate::surface::mesh::source::Corners;
 
 /// The vertical field of view in degrees, similar to a lens of 70 mm.
 const FIELD_OF_VIEW: f64 = 28.0;
@@ -53,7 +53,7 @@ pub(super) struct Camera {
 impl Camera {
     /// The eye for a view of a box. The axes of `world` are right, up and towards the viewer;
     /// `width` is in heights.
-    pub(super) fn new(view: Option<View>, bounds: Bounds, world: DMat3, width: f64) -> Self {
+    pub(super) fn new(view: Option<View>, bounds: Corners, world: DMat3, width: f64) -> Self {
         let [lo, hi] = bounds.map(DVec3::from);
         let (middle, half) = ((lo + hi) / 2.0, (hi - lo) / 2.0);
         let focal = 0.5 / (FIELD_OF_VIEW.to_radians() / 2.0).tan();
@@ -152,7 +152,7 @@ impl Camera {
 }
 
 /// The centre and the radius of the circumscribed ball of a box.
-pub(super) fn ball(bounds: Bounds) -> (DVec3, f64) {
+pub(super) fn ball(bounds: Corners) -> (DVec3, f64) {
     let [lo, hi] = bounds.map(DVec3::from);
     ((lo + hi) / 2.0, ((hi - lo).length() / 2.0).max(f64::MIN_POSITIVE.sqrt()))
 }

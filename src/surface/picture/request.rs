@@ -6,7 +6,7 @@ use glam::{DMat3, DVec3};
 use thiserror::Error;
 
 use crate::surface::mesh::compare::CompareError;
-use crate::surface::mesh::source::{Bounds, joined};
+use crate::surface::mesh::source::{Corners, joined};
 use crate::surface::mesh::up::UpAxis;
 
 use super::camera::View;
@@ -19,7 +19,7 @@ const DEFAULT_SIZE: [usize; 2] = [1920, 1080];
 #[non_exhaustive]
 pub struct Scope {
     /// The box that is completely visible; `None` without vertices.
-    pub bounds: Option<Bounds>,
+    pub bounds: Option<Corners>,
     /// The range of the attribute that is shown; for distances, the range of 99 of 100 vertices.
     pub range: Option<[f32; 2]>,
     /// Whether values are beyond the range, which the legend shows.

@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DVec3, Vec2, Vec3};
 
-use crate::surface::mesh::source::Bounds;
+use crate::surface::mesh::source::Corners;
 
 use super::camera::{Camera, ball};
 use super::colour::{Colour, Palette};
@@ -66,7 +66,7 @@ impl<'a> Scene<'a> {
     /// Prepares a picture from its raster and the sun's raster.
     pub(super) fn new(
         picture: &'a Picture,
-        [lo, hi]: Bounds,
+        [lo, hi]: Corners,
         (camera, raster): (&'a Camera, &'a Raster),
         visible: &'a VisibleTriangles,
         sun: &'a Sunlight,

@@ -7,7 +7,7 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 use crate::surface::mesh::source::MeshSource;
-use crate::surface::mesh::source::{Bounds, joined};
+use crate::surface::mesh::source::{Corners, joined};
 use crate::system::memory::zeroed_in_huge_pages;
 
 use super::camera::FARTHEST;
@@ -291,7 +291,7 @@ fn put<P: Sync, T: Copy + Send + Sync>(
 }
 
 /// The bounding box of the visible positions.
-fn box_of(places: &[[f64; 3]]) -> Option<Bounds> {
+fn box_of(places: &[[f64; 3]]) -> Option<Corners> {
     let none = [[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]];
     // Without branches: invisible positions are replaced by neutral ones.
     let found = places.iter().fold(none, |[lo, hi], place| {

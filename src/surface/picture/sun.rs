@@ -3,7 +3,7 @@
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
-use crate::surface::mesh::source::Bounds;
+use crate::surface::mesh::source::Corners;
 
 use super::camera::{Camera, ball};
 use super::light::SUN;
@@ -26,7 +26,7 @@ pub(super) struct SunView {
 
 impl SunView {
     /// An empty view of a box, with `samples` along an edge.
-    pub(super) fn new([lo, hi]: Bounds, world: DMat3, samples: usize) -> Self {
+    pub(super) fn new([lo, hi]: Corners, world: DMat3, samples: usize) -> Self {
         let (middle, radius) = ball([lo, hi]);
         let back = world * SUN.normalize().as_dvec3();
         let camera = Camera::far(middle, radius, SUN_FAR, back, world);

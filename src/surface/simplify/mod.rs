@@ -52,7 +52,7 @@ const MEASURING: f64 = 0.1;
 const BOX: i32 = 4;
 
 /// Triangles as vertex numbers in the whole mesh.
-type Triangles = Vec<[u64; 3]>;
+type WholeTriangles = Vec<[u64; 3]>;
 
 /// A surface with fewer triangles. Its pieces are the chunks of the second pass.
 #[derive(Debug)]
@@ -155,7 +155,7 @@ pub fn simplify(
     let mut kept = VertexSet::none_of(surface.vertex_count());
     let mut triangle_count = 0;
     for chunks in shifted.chunks(batch) {
-        let done: Vec<Triangles> = chunks
+        let done: Vec<WholeTriangles> = chunks
             .par_iter()
             .map(|(home, pieces)| {
                 let start = homes.partition_point(|(other, ..)| other < home);
@@ -248,7 +248,7 @@ impl Passes<'_> {
 
     /// Simplifies the triangles inside the given pieces, and returns the triangles with their
     /// treatment in the second pass.
-    fn first(&self, pieces: &[usize]) -> io::Result<Vec<((MortonKey, Fate), Triangles)>> {
+    fn first(&self, pieces: &[usize]) -> io::Result<Vec<((MortonKey, Fate), WholeTriangles)>> {
         self.meter.go_on()?;
         let chunk = ChunkVertices::load(self.surface, pieces)?;
         let mut sorted = SortedTriangles::default();
@@ -302,10 +302,10 @@ impl Passes<'_> {
         pieces: &[usize],
         between: &Lists<[u64; 3]>,
         lists: impl Iterator<Item = (Fate, usize)>,
-    ) -> io::Result<Triangles> {
+    ) -> io::Result<WholeTriangles> {
         self.meter.go_on()?;
         self.meter.add(1);
-        let mut result = Triangles::new();
+        let mut result = WholeTriangles::new();
         let mut left = Vec::new();
         let chunk = ChunkVertices::load(self.surface, pieces)?;
         for (fate, list) in lists {
@@ -353,7 +353,7 @@ impl Passes<'_> {
 /// Lists of triangles by their target.
 #[derive(Default)]
 struct SortedTriangles {
-    lists: Vec<((MortonKey, Fate), Triangles)>,
+    lists: Vec<((MortonKey, Fate), WholeTriangles)>,
 }
 
 impl SortedTriangles {
