@@ -31,7 +31,7 @@ pub use crate::surface::stitch::WholeMeshError;
 pub use crate::vulkan::VulkanError;
 pub use parts::PartsError;
 pub use setting::{Conflict, SettingConflict};
-pub use simulation::{FPS, SimulationError};
+pub use simulation::{FPS, SimulationError, WhyOne};
 
 use crate::system::cancel::Cancelled;
 

@@ -1,5 +1,6 @@
 //! Errors of converting a simulation.
 
+use std::fmt;
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
@@ -71,15 +72,14 @@ pub enum SimulationError {
     #[error("{0}")]
     Names(String),
     /// Files of several simulations where only one is possible.
-    #[error(
-        "{from}: contains several simulations: {families}; name one of them, or write the \
-         meshes into a folder"
-    )]
+    #[error("{from}: contains several simulations: {families}; name one of them{why}")]
     Several {
         /// The folder or pattern.
         from: String,
         /// The simulations with their numbers of frames.
         families: String,
+        /// The reason why only one is possible.
+        why: WhyOne,
     },
     /// A folder or the state that cannot be read.
     #[error("{}: {fault}", path.display())]
@@ -110,4 +110,25 @@ pub enum SimulationError {
         /// The names of the settings that differ.
         differing: String,
     },
+}
+
+/// The reason why only one simulation is possible.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum WhyOne {
+    /// What was requested is for one simulation.
+    Request,
+    /// The output is a pattern, which has the same names for each of them.
+    Pattern,
+    /// In one folder, their meshes would have the same names.
+    Names,
+}
+
+impl fmt::Display for WhyOne {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Request => "",
+            Self::Pattern => ", or write the meshes into a folder",
+            Self::Names => ", because in one folder their meshes would have the same names",
+        })
+    }
 }

@@ -16,7 +16,7 @@ use crate::error::{
     ColourScale, CompareError, Conflict, DomainError, Error, FrameError, KindFault, NoEstimate,
     OverBudget, PartsError, PeriodicError, PictureError, ReadError, ReadFault, Remedy, RereadError,
     SelectionFault, Setting, SettingConflict, SimulationError, SizeFault, TooFine, UnitError,
-    VulkanError, WholeMeshError, WriteError, WriteFault,
+    VulkanError, WholeMeshError, WhyOne, WriteError, WriteFault,
 };
 use crate::field::calibration::NoMeanCount;
 use crate::field::indicator::IndicatorKind;
@@ -251,6 +251,7 @@ fn files() -> String {
         Io(full_disk()), Exists, ExistsInSimulation, UnknownExtension { known: ".ply, .obj" },
         Unsupported(".stl stores coordinates as f32, and these are out of its range".into()),
     );
+    let families = || "oil_{} (8), water_{} (8)".into();
     examples!(text, SimulationError:
         NoFrames("sim".into()),
         NoMatch("sim/frame_{}.bgeo".into()),
@@ -265,7 +266,9 @@ fn files() -> String {
         Range { first: 5, last: 3 },
         Step,
         Names("f_1_2.csv: the numbers in this name can be one decimal or two integers".into()),
-        Several { from: "sim".into(), families: "oil_{} (8), water_{} (8)".into() },
+        Several { from: "sim".into(), families: families(), why: WhyOne::Request },
+        Several { from: "sim".into(), families: families(), why: WhyOne::Pattern },
+        Several { from: "sim".into(), families: families(), why: WhyOne::Names },
         Io { path: path("mesh"), fault: full_disk() },
         State { path: path("mesh/f.ply.meniscus/state.json"), what: "expected value".into() },
         Busy(path("mesh/f.ply.meniscus")),

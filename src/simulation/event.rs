@@ -313,7 +313,8 @@ impl fmt::Display for Summary {
             return error.fmt(f);
         }
         let Self { folder, made, seconds, .. } = self;
-        write!(f, "{}: {made} frames in {seconds:.2} s", folder.display())
+        let frames = if *made == 1 { "frame" } else { "frames" };
+        write!(f, "{}: {made} {frames} in {seconds:.2} s", folder.display())
     }
 }
 

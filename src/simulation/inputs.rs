@@ -13,7 +13,7 @@ use glob::MatchOptions;
 use crate::io::collection::{is_list, listed};
 use crate::io::input::{InputFormat, holds_mesh, is_known, steps};
 
-use crate::error::{Error, SimulationError};
+use crate::error::{Error, SimulationError, WhyOne};
 
 use super::frame_file::{FrameFile, neighbours};
 use super::inferred::infer;
@@ -191,7 +191,7 @@ impl Inputs {
     pub fn only(&self) -> Result<(Sequence, Vec<FrameFile>), SimulationError> {
         let mut found = self.simulations(None)?;
         if found.len() > 1 {
-            return Err(self.several(&found));
+            return Err(self.several(&found, WhyOne::Request));
         }
         let sequence = found.pop().ok_or_else(|| self.no_frames())?;
         let frames = sequence.list()?;
@@ -222,7 +222,7 @@ impl Inputs {
     }
 
     /// The error for several simulations, with their names.
-    pub fn several(&self, simulations: &[Sequence]) -> SimulationError {
+    pub fn several(&self, simulations: &[Sequence], why: WhyOne) -> SimulationError {
         let each = simulations.iter().filter_map(|sequence| {
             let Pattern { prefix, suffix, .. } = sequence.pattern.as_ref()?;
             Some(format!(
@@ -233,6 +233,7 @@ impl Inputs {
         SimulationError::Several {
             from: self.describe(),
             families: each.collect::<Vec<_>>().join(", "),
+            why,
         }
     }
 

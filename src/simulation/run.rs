@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::thread::sleep;
 use std::time::Instant;
 
-use crate::error::{Cause, Error, SimulationError};
+use crate::error::{Cause, Error, SimulationError, WhyOne};
 use crate::io::alembic::frame_archive::FrameArchive;
 use crate::io::mnf::is_packed;
 use crate::io::series::Series;
@@ -239,12 +239,16 @@ impl Simulation {
         if simulations.is_empty() {
             return Err(inputs.no_frames().into());
         }
-        if simulations.len() > 1
-            && (self.planned
-                || self.watch.is_some()
-                || !have_different_names(&simulations, &naming))
-        {
-            return Err(inputs.several(&simulations).into());
+        if simulations.len() > 1 {
+            let why = match &naming {
+                _ if self.planned || self.watch.is_some() => Some(WhyOne::Request),
+                _ if have_different_names(&simulations, &naming) => None,
+                Naming::Folder(_) => Some(WhyOne::Names),
+                Naming::Pattern(_) | Naming::Archive { .. } => Some(WhyOne::Pattern),
+            };
+            if let Some(why) = why {
+                return Err(inputs.several(&simulations, why).into());
+            }
         }
         if let Some(joined) =
             simulations.iter().find(|found| found.is_joined() && self.watch.is_some())

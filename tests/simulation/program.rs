@@ -277,7 +277,7 @@ fn invalid_sequence_requests_are_refused_and_leave_no_files() {
             2,
             "several simulations: f_{}.xyz (3), g_{}.xyz (1); name one",
         ),
-        (vec!["in/*.xyz", "-o", "out_{}.ply"], 2, "several simulations"),
+        (vec!["in/*.xyz", "-o", "out_{}.ply"], 2, "into a folder"),
         (vec!["in", "-o", "out/", "--watch"], 2, "several simulations"),
         (vec!["in", "-o", "out/", "--plan"], 2, "several simulations"),
         (
@@ -1204,6 +1204,7 @@ fn each_fluid_in_a_folder_becomes_its_own_sequence() {
     fs::write(folder.path().join("in/oil_2.csv"), "x,y,z\n1,2,3\n").unwrap();
     let errors = run(folder.path(), &["in", "-o", "other/"], 2);
     assert!(errors.contains("oil_{}.csv (1), oil_{}.xyz (4)"), "{errors}");
+    assert!(errors.contains("same names") && !errors.contains("into a folder"), "{errors}");
 }
 
 /// Halves of a ball's particles.
