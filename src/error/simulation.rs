@@ -115,7 +115,7 @@ pub enum SimulationError {
 /// The reason why only one simulation is possible.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum WhyOne {
-    /// What was requested is for one simulation.
+    /// The request is for one simulation.
     Request,
     /// The output is a pattern, which has the same names for each of them.
     Pattern,

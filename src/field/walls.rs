@@ -321,7 +321,7 @@ fn outside(end: usize, at: f64, of: f64) -> f64 {
 /// The wall at a coordinate with few digits, which is easy to copy. It is moved outwards by at most
 /// a thousandth of the spacing, and particles up to `reach` stay inside.
 fn rounded(end: usize, wall: f64, reach: f64, spacing: f64) -> f64 {
-    let digits = (3.0 - spacing.log10().floor()).clamp(0.0, 15.0) as usize;
+    let digits = (3.0 - libm::log10(spacing).floor()).clamp(0.0, 15.0) as usize;
     let step = 10_f64.powi(-(digits as i32));
     let short = |at: f64| format!("{at:.digits$}").parse().unwrap_or(wall);
     let candidates = [0.0, 1.0, 2.0].map(|steps: f64| short(outward(end, wall, steps * step)));

@@ -54,7 +54,7 @@ fn places(particles: &(impl Particles + ?Sized), origin: DVec3, step: f64) -> [O
     let circle: Vec<[i64; 2]> = (0..PLACES)
         .map(|place| {
             let angle = TAU * place as f64 / PLACES as f64;
-            [angle.cos(), angle.sin()].map(|x| (x * ONE).round() as i64)
+            [libm::cos(angle), libm::sin(angle)].map(|x| (x * ONE).round() as i64)
         })
         .collect();
     let of_chunk = |chunk: usize| {
@@ -86,8 +86,8 @@ fn places(particles: &(impl Particles + ?Sized), origin: DVec3, step: f64) -> [O
     );
     sums.map(|[cos, sin, count]| {
         let (cos, sin) = (cos as f64, sin as f64);
-        let coherent = cos.hypot(sin) > COHERENT * ONE * count as f64;
-        coherent.then(|| (sin.atan2(cos) / TAU * PLACES as f64).round())
+        let coherent = libm::hypot(cos, sin) > COHERENT * ONE * count as f64;
+        coherent.then(|| (libm::atan2(sin, cos) / TAU * PLACES as f64).round())
     })
 }
 

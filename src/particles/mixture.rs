@@ -182,7 +182,7 @@ struct FluidCells {
 
 impl FluidCells {
     fn of(BoundingBox([lo, hi]): BoundingBox, particles: usize) -> Self {
-        let count = (particles as f64 / IN_CELL).cbrt().clamp(1.0, FINEST).floor();
+        let count = libm::cbrt(particles as f64 / IN_CELL).clamp(1.0, FINEST).floor();
         Self {
             lo,
             scale: count / (hi - lo).max(DVec3::splat(f64::MIN_POSITIVE)),

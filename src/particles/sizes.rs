@@ -246,17 +246,9 @@ impl Meaning {
     }
 }
 
-/// A cube root by Newton's method, the same on every machine; NaN for invalid numbers.
+/// The cube root; NaN for numbers that are no volume.
 fn cube_root(x: f64) -> f64 {
-    if !(x > 0.0 && x.is_finite()) {
-        return f64::NAN;
-    }
-    // A third of the exponent is close enough as a start.
-    let mut root = f64::from_bits(x.to_bits() / 3 + 0x2a9f_7893_0000_0000);
-    for _ in 0..5 {
-        root -= (root - x / (root * root)) / 3.0;
-    }
-    root
+    if x > 0.0 && x.is_finite() { libm::cbrt(x) } else { f64::NAN }
 }
 
 impl Sizes {
@@ -472,15 +464,6 @@ mod tests {
         assert!(matches!(named("mass", &["mass", "h"]), Err(SizeFault::NoDensity { .. })));
         assert!(matches!(named("radius", &["h"]), Err(SizeFault::NoAttribute { .. })));
         assert_eq!(named("volume", &["volume"]).unwrap().meaning, Meaning::Volume);
-    }
-
-    #[test]
-    fn cube_roots_match_the_standard_library() {
-        for exponent in -300..300 {
-            let x = 1.37 * 10_f64.powi(exponent);
-            assert!((cube_root(x) / x.cbrt() - 1.0).abs() < 1e-14, "{x}");
-        }
-        assert!(cube_root(0.0).is_nan() && cube_root(-1.0).is_nan());
     }
 
     /// Two cubes of particles side by side, of spacings 1 and 2.

@@ -52,7 +52,7 @@ impl FixedPoint {
     /// The finest step at which magnitudes up to `greatest` fit 30 bits.
     fn for_magnitude(greatest: f32) -> Self {
         let exponent =
-            if greatest > 0.0 { 29 - f64::from(greatest).log2().floor() as i32 } else { 0 };
+            if greatest > 0.0 { 29 - libm::log2(f64::from(greatest)).floor() as i32 } else { 0 };
         Self { steps_per_unit: 2f64.powi(exponent) }
     }
 

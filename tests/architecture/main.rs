@@ -146,3 +146,29 @@ fn first_lines_of_docs_stand_alone() {
     assert!(seen > 2000, "only {seen} were seen");
     assert!(going_on.is_empty(), "{going_on:#?}");
 }
+
+/// Functions of the standard library whose last bits differ between systems; `libm` has them for
+/// all. Pictures may differ by as little.
+#[test]
+fn meshes_depend_on_no_function_that_systems_round_differently() {
+    const NAMES: [&str; 18] = [
+        "cbrt", "exp", "exp2", "exp_m1", "ln", "ln_1p", "log", "log2", "log10", "powf", "sin",
+        "cos", "tan", "sin_cos", "asin", "acos", "atan2", "hypot",
+    ];
+    let mut calls = Vec::new();
+    for path in imports::files(&source()) {
+        let file = path.strip_prefix(source()).unwrap().to_string_lossy().replace('\\', "/");
+        let is_exempt = ["bindings/", "surface/picture/"].iter().any(|room| file.starts_with(room))
+            || file.ends_with("tests.rs");
+        let text = std::fs::read_to_string(&path).unwrap();
+        // Tests may compare with the standard library.
+        let code = text.split("\nmod tests").next().unwrap();
+        for (line, number) in code.lines().zip(1..).filter(|_| !is_exempt) {
+            let is_comment = line.trim_start().starts_with("//");
+            if !is_comment && NAMES.iter().any(|name| line.contains(&format!(".{name}("))) {
+                calls.push(format!("{file}:{number}: {}", line.trim()));
+            }
+        }
+    }
+    assert!(calls.is_empty(), "use libm: {calls:#?}");
+}

@@ -656,6 +656,7 @@ fn statistics_never_replace_inputs_or_outputs_or_outlive_a_failed_run() {
 }
 
 #[test]
+#[cfg(unix)]
 fn interrupts_and_crashes_leave_no_files() {
     use std::os::unix::process::ExitStatusExt;
     const SEGMENTATION_FAULT: i32 = 11;

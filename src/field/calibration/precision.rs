@@ -153,7 +153,7 @@ pub fn check_cell_size(
             return Remedy::Origin((grid.origin() + grid.cell_size() / 2.0).to_array());
         }
         // The plateau grows with the cell's volume.
-        Remedy::Cells(roundly_above(cell_size * (step_cells / COARSEST_STEP).cbrt()))
+        Remedy::Cells(roundly_above(cell_size * libm::cbrt(step_cells / COARSEST_STEP)))
     })
 }
 

@@ -33,7 +33,7 @@ pub fn sheets(numbers: &SheetConstants, density: &Block) -> Option<SheetFields<B
     let cells = density.cells().grown(-step, -step);
     // Logarithms are only needed around samples that reach the minimum, within the error of the
     // logarithm.
-    let least = (f64::from(numbers.least - 2) / f64::from(ONE)).exp2() as u16;
+    let least = libm::exp2(f64::from(numbers.least - 2) / f64::from(ONE)) as u16;
     let dense = density.box_of(|sample| sample >= least).intersection(&cells);
     if dense.is_empty() {
         return None;

@@ -40,6 +40,8 @@ pub use logarithm::{EXP2, LOG2};
 
 use std::f64::consts::{LN_2, LOG2_E, PI, TAU};
 
+use libm::log2;
+
 use crate::field::blur::Weights;
 use crate::field::distance::{LEAST_VARIANCE, Ramp, gaussian};
 use crate::grid::units::SheetStretch;
@@ -199,33 +201,32 @@ impl Sheets {
         let level = -(drops.radius / drops.width).powi(2) / 2.0;
         let least_size = (LEAST_CELLS * mesh_cell + LEAST_MORE).min(LEAST_MOST);
         let average = (AVERAGE / cell).powi(2).max(0.5);
-        let stretches =
-            [0.5 * of_sheet(1.0).log2(), of_thread(1.0).log2() - THREADS_FARTHER.log2()];
-        let gone = (stretch * GONE).log2();
+        let stretches = [0.5 * log2(of_sheet(1.0)), log2(of_thread(1.0)) - log2(THREADS_FARTHER)];
+        let gone = log2(stretch * GONE);
         // Half of the density's logarithm for a sheet, all of it for a thread, interpolated in
         // between.
         let least_density = (2.0 * (stretches[0] - gone)).min(stretches[1] - gone);
         let numbers = SheetConstants {
             step,
-            least: fixed(plateau.log2() + least_density - MOST_MORE * LOG2_E - 0.02),
+            least: fixed(log2(plateau) + least_density - MOST_MORE * LOG2_E - 0.02),
             slope: fixed(LN_2 * apart / 2.0),
             bend: fixed(LN_2 * apart * apart),
             // Minus the rounding error of each axis.
             least_across: (THICK[0] * f64::from(ONE) / (LN_2 * apart * apart)) as i32 - 4,
-            plateau: fixed(plateau.log2()),
+            plateau: fixed(log2(plateau)),
             most_more: fixed(MOST_MORE),
             sizes: [
-                fixed(2.0 * (0.5 / of_sheet(1.0)).log2()),
-                fixed((1.0 / (PI * of_thread(1.0))).log2()),
-                fixed(2.0 / 3.0 * (0.75 / (PI * of_drop(1.0))).log2()),
+                fixed(2.0 * log2(0.5 / of_sheet(1.0))),
+                fixed(log2(1.0 / (PI * of_thread(1.0)))),
+                fixed(2.0 / 3.0 * log2(0.75 / (PI * of_drop(1.0)))),
             ],
-            least_size: fixed(2.0 * least_size.log2()),
+            least_size: fixed(2.0 * log2(least_size)),
             stretches: stretches.map(fixed),
             share: fixed(level * LOG2_E),
-            by_directions: fixed(0.5 * (profile_joined / (profile * profile)).log2()),
+            by_directions: fixed(0.5 * log2(profile_joined / (profile * profile))),
             by_size: fixed(LOG2_E / (2.0 * profile_joined)),
             by_distance: fixed(LOG2_E / 2.0 * (width / profile).powi(2)),
-            torn: ramp([stretch.log2(), gone]),
+            torn: ramp([log2(stretch), gone]),
             impure: ramp(IMPURE),
             thin: ramp(THICK),
             round: ramp(ROUND),

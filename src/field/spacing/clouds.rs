@@ -39,6 +39,6 @@ pub fn spacing_by_clouds(frame: &SampledDif) -> Option<f64> {
         }
     }
     let particles = around / held / f64::from(wide.amount().steps());
-    let spacing = frame.facts.spacing? * 3.0 * wide.edge / particles.cbrt();
+    let spacing = frame.facts.spacing? * 3.0 * wide.edge / libm::cbrt(particles);
     (spacing.is_finite() && spacing > 0.0).then_some(spacing)
 }

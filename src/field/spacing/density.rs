@@ -74,7 +74,7 @@ pub fn spacings(particles: &[[f64; 3]], bounds: &Bounds, enough_share: f64) -> O
     let extent = hi - lo;
     let volume: f64 =
         extent.to_array().iter().map(|e| e.max(1e-3 * extent.max_element())).product();
-    let mut cell = (TARGETS[0] * volume / finite as f64).cbrt();
+    let mut cell = libm::cbrt(TARGETS[0] * volume / finite as f64);
     if !(cell.is_finite() && cell > 0.0) {
         return None;
     }
@@ -99,7 +99,7 @@ pub fn spacings(particles: &[[f64; 3]], bounds: &Bounds, enough_share: f64) -> O
             // Coarse particles have interior cells only if these are wider.
             let wider = || two_of(at_corner.twice_as_wide().interior(), 2.0 * cell);
             Spacings {
-                mean: cell * (cells as f64 / total as f64).cbrt(),
+                mean: cell * libm::cbrt(cells as f64 / total as f64),
                 two: two_of(inside, cell).or_else(wider),
             }
         })
@@ -149,7 +149,7 @@ fn two_of(mut counts: Vec<usize>, cell: f64) -> Option<[f64; 2]> {
     } else {
         return None;
     };
-    let spacing = |part: &[usize]| cell * (cells(part) / particles(part)).cbrt();
+    let spacing = |part: &[usize]| cell * libm::cbrt(cells(part) / particles(part));
     is_even(other).then(|| [spacing(of(0.5, 2.0)), spacing(other)])
 }
 
@@ -285,7 +285,7 @@ fn cell_for(
         if (0.6..1.6).contains(&(typical as f64 / target)) {
             return Some((cell, counted));
         }
-        cell *= (target / typical as f64).cbrt().clamp(0.1, 10.0);
+        cell *= libm::cbrt(target / typical as f64).clamp(0.1, 10.0);
     }
     Some((cell, counts(cell)?))
 }

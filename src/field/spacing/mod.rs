@@ -299,7 +299,7 @@ impl SpacingDraft {
         // A layer may be too thin for interior cells in a sample of this size: then its neighbours
         // decide.
         let counted = density::spacings(&positions, &bounds, ENOUGH_SHARE);
-        let counted = counted.map(|counted| counted.scaled(part.cbrt()));
+        let counted = counted.map(|counted| counted.scaled(libm::cbrt(part)));
         // Particles that cannot be counted may be sheets, where the distances in the sample grow
         // with the root of its share.
         let in_sheets = || Some(2.4 * part.sqrt() * scale_of(positions)?);

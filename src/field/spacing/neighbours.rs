@@ -167,7 +167,7 @@ impl Neighbours {
             })
         });
         let solid: Vec<&Neighbourhood> = all.iter().filter(|of| of.solid).collect();
-        let density = |of: &&Neighbourhood| of.spacing(OF_SOLID, |k| (k * 0.75 / PI).cbrt());
+        let density = |of: &&Neighbourhood| of.spacing(OF_SOLID, |k| libm::cbrt(k * 0.75 / PI));
         let mut solids: Vec<f64> = solid.iter().map(density).collect();
         solids.sort_unstable_by(f64::total_cmp);
         let by_solid = densest(&solids).filter(|_| enough(solids.len()));

@@ -371,13 +371,13 @@ fn samples_of_duplicates_do_not_depend_on_threads() {
 }
 
 /// Particles that a cancel turns into NaN after some positions, and the number of positions read.
-struct Cancelled<'a> {
+struct Interrupted<'a> {
     particles: &'a [[f64; 3]],
     after: usize,
     read: std::sync::atomic::AtomicUsize,
 }
 
-impl Particles for Cancelled<'_> {
+impl Particles for Interrupted<'_> {
     fn len(&self) -> usize {
         self.particles.len()
     }
@@ -402,11 +402,11 @@ fn a_cancel_ends_the_estimate_with_the_current_reading() {
     let few = &many[..ALL / 2];
     for (particles, share) in [(few, 0.5), (&many, 0.0), (&many, 0.5), (&many, 1.5)] {
         let after = (particles.len() as f64 * share) as usize;
-        let cancelled = Cancelled { particles, after, read: 0.into() };
+        let cancelled = Interrupted { particles, after, read: 0.into() };
         assert_eq!(evidence(&cancelled), None);
         let readings = cancelled.read.into_inner() / particles.len();
         assert_eq!(readings, share as usize + 1, "of {} cancelled at {share}", particles.len());
-        let cancelled = Cancelled { particles, after, read: 0.into() };
+        let cancelled = Interrupted { particles, after, read: 0.into() };
         assert_eq!(survey(&cancelled, 1.0).is_none(), share < 1.0);
     }
 }

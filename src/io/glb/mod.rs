@@ -52,5 +52,5 @@ pub enum GlbCompression {
 pub fn grid_step(extent: f64) -> f64 {
     // One step may be lost at either end, because the mesh's box is not aligned to the grid.
     let least = extent.max(f64::MIN_POSITIVE) / f64::from(u16::MAX - 1);
-    2f64.powi(least.log2().ceil() as i32)
+    2f64.powi(libm::log2(least).ceil() as i32)
 }

@@ -141,7 +141,7 @@ struct ComponentSums {
 impl ComponentSums {
     /// Whether the enclosed volume is within rounding errors of zero.
     fn is_flat(&self) -> bool {
-        self.sextuple_volume.value().abs() <= FLAT * self.doubled_area.value().powf(1.5)
+        self.sextuple_volume.value().abs() <= FLAT * libm::pow(self.doubled_area.value(), 1.5)
     }
 }
 
@@ -269,5 +269,5 @@ fn least_angle([a, b, c]: [DVec3; 3], doubled: f64) -> f64 {
     let across = [(b, c, a), (c, a, b), (a, b, c)];
     let cosine_scaled = across.map(|(from, to, apex)| (from - apex).dot(to - apex));
     // atan2 decreases in its second argument, so the smallest angle has the greatest one.
-    doubled.atan2(cosine_scaled.into_iter().fold(f64::NEG_INFINITY, f64::max)).to_degrees()
+    libm::atan2(doubled, cosine_scaled.into_iter().fold(f64::NEG_INFINITY, f64::max)).to_degrees()
 }

@@ -13,7 +13,8 @@
 use glam::{Vec3A, Vec4};
 
 use super::surface::{
-    EditableMesh, HalfEdge, Incident, NONE, OutgoingEdges, VertexState, scaled_normal, squared_near,
+    EditableMesh, HalfEdge, Incident, NONE, OutgoingEdges, VertexState, cross, scaled_normal,
+    squared_near,
 };
 use super::surface::{PatchTopology, Surroundings};
 
@@ -513,7 +514,7 @@ impl CollapseState<'_, '_> {
                 let [a, b, c] = corners.map(
                     |corner| if corner == vertex { from } else { surface.positions[corner as usize] } - to,
                 );
-                a.dot(b.cross(c))
+                a.dot(cross(b, c))
             };
             near.iter().map(of).sum()
         };

@@ -2,7 +2,7 @@
 //!
 //! There is no spatial index. Searches start from a known nearby triangle.
 
-use glam::Vec3A;
+use glam::{Vec3A, Vec3Swizzles};
 
 /// The absence of a triangle.
 pub const NONE: u32 = u32::MAX;
@@ -211,7 +211,7 @@ impl<'a> EditableMesh<'a> {
                 self.positions[corners[b] as usize] - start,
             ];
             let normal = self.normal(triangle);
-            normal.cross(a).dot(point - start) >= 0.0 && normal.cross(b).dot(point - start) <= 0.0
+            cross(normal, a).dot(point - start) >= 0.0 && cross(normal, b).dot(point - start) <= 0.0
         };
         self.star(vertex).find(is_towards).unwrap_or(self.at(vertex))
     }
@@ -275,7 +275,7 @@ impl<'a> EditableMesh<'a> {
     pub fn leads(&self, from: u32, to: u32, normal: Vec3A, distance: f32) -> bool {
         let start = self.positions[from as usize];
         let ahead = self.positions[to as usize] - start;
-        let (leftward, length) = (normal.cross(ahead), ahead.length_squared());
+        let (leftward, length) = (cross(normal, ahead), ahead.length_squared());
         let shrink = length.recip();
         let seen = |vertex: u32| {
             let offset = self.positions[vertex as usize] - start;
@@ -450,9 +450,14 @@ impl<'a> EditableMesh<'a> {
     }
 }
 
+/// The cross product, rounded alike on every processor; on ARM, that of [`Vec3A`] is fused.
+pub fn cross(a: Vec3A, b: Vec3A) -> Vec3A {
+    (a.zxy() * b - a * b.zxy()).zxy()
+}
+
 /// The outward normal, as long as twice the triangle's area.
 pub fn scaled_normal([a, b, c]: [Vec3A; 3]) -> Vec3A {
-    (b - a).cross(c - a)
+    cross(b - a, c - a)
 }
 
 /// Without `map`, which is slower here.
@@ -481,7 +486,7 @@ pub fn squared_near(
     let mut least = f32::INFINITY;
     for [from, to] in [[a, b], [b, c], [c, a]] {
         // Outside this side.
-        if from.cross(to).dot(normal) <= 0.0 {
+        if cross(from, to).dot(normal) <= 0.0 {
             let ahead = to - from;
             let along = (-from.dot(ahead) / ahead.length_squared()).clamp(0.0, 1.0);
             least = least.min((from + ahead * along).length_squared());
