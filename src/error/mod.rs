@@ -33,6 +33,7 @@ pub use parts::PartsError;
 pub use setting::{Conflict, SettingConflict};
 pub use simulation::{FPS, SimulationError, WhyOne};
 
+use crate::io::UnreadPart;
 use crate::system::cancel::Cancelled;
 
 /// Anything that can go wrong between a particle file and a mesh file.
@@ -127,7 +128,10 @@ pub enum Error {
         fault: PictureError,
     },
     /// An attribute that the particles do not have.
-    #[error("{}no attribute {name:?}; available: {}", file(path.as_deref()), listed(known))]
+    #[error(
+        "{}no attribute {name:?}{}; available: {}",
+        file(path.as_deref()), because(left_out.as_deref()), listed(known)
+    )]
     NoAttribute {
         /// The file, if the particles come from one.
         path: Option<PathBuf>,
@@ -135,6 +139,8 @@ pub enum Error {
         name: String,
         /// The names of the available attributes.
         known: Vec<String>,
+        /// The part of the file with that name, if it was left out.
+        left_out: Option<String>,
     },
     /// Sizes of particles that no attribute determines.
     #[error("{}{fault}", file(path.as_deref()))]
@@ -203,6 +209,10 @@ fn listed(names: &[String]) -> String {
     if names.is_empty() { "none".into() } else { names.join(", ") }
 }
 
+fn because(left_out: Option<&str>) -> String {
+    left_out.map_or_else(String::new, |part| format!(" (left out: {part})"))
+}
+
 /// The kind of an error: what has to change.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
@@ -264,6 +274,16 @@ impl Error {
         | Self::NoAttribute { path, .. } = &mut self
         {
             path.get_or_insert_with(|| file.to_owned());
+        }
+        self
+    }
+
+    /// Adds that the missing attribute was left out, if it is among these parts of its file.
+    #[must_use]
+    pub(crate) fn of_left_out(mut self, parts: &[UnreadPart]) -> Self {
+        if let Self::NoAttribute { name, left_out, .. } = &mut self {
+            let is_missing = |part: &&UnreadPart| part.attribute() == Some(&**name);
+            *left_out = parts.iter().find(is_missing).map(ToString::to_string);
         }
         self
     }

@@ -127,6 +127,18 @@ pub enum UnreadPart {
     },
 }
 
+impl UnreadPart {
+    /// The name of the attribute, if it is one.
+    #[must_use]
+    pub fn attribute(&self) -> Option<&str> {
+        match self {
+            Self::Attribute(info) => Some(&info.name),
+            Self::WideArray { name, .. } => Some(name),
+            Self::Block { .. } | Self::Primitives { .. } => None,
+        }
+    }
+}
+
 impl fmt::Display for UnreadPart {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {

@@ -47,6 +47,7 @@ impl Settings {
                 path: None,
                 name: name.clone(),
                 known: all.iter().map(|info| info.name.clone()).collect(),
+                left_out: None,
             };
             let found = attribute_called(name, all).ok_or_else(missing)?;
             if !carried.contains(&found) {

@@ -87,6 +87,10 @@ fn every_message_matches_the_committed_list() {
     assert_eq!(listed.lines().count(), kept.lines().count(), "{}", file.display());
 }
 
+fn wide() -> UnreadPart {
+    UnreadPart::WideArray { name: "spectrum".into(), numbers: 100 }
+}
+
 fn requests() -> String {
     let mut text = "Every error and warning of the library, with example values.\n".to_owned();
     examples!(text, Error:
@@ -112,8 +116,13 @@ fn requests() -> String {
         Mesh { path: path("mesh.ply"), fault: CompareError::NoSurface(Side::Mesh) },
         Solid { path: path("ship.obj"), fault: SolidFault::Open { edges: 3 } },
         Picture { path: Some(path("mesh.ply")), fault: PictureError::Size(0, 99) },
-        NoAttribute { path: Some(path("frame_1.vtk")), name: "heat".into(), known: names() },
-        NoAttribute { path: None, name: "heat".into(), known: Vec::new() },
+        NoAttribute {
+            path: Some(path("frame_1.vtk")),
+            name: "spectrum".into(),
+            known: names(),
+            left_out: Some(wide().to_string()),
+        },
+        NoAttribute { path: None, name: "heat".into(), known: Vec::new(), left_out: None },
         Sizes {
             path: Some(path("frame_1.vtk")),
             fault: SizeFault::NoAttribute { name: "size".into(), known: names() },

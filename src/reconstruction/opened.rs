@@ -62,7 +62,7 @@ impl StartedRequest {
             timings.done("open");
             let source = SpacingHints { path: Some(path), spacing: file.spacing };
             let chosen = checked.hinted().choose_and_plan(&file.particles, source);
-            let chosen = chosen.map_err(|error| error.of_file(path))?;
+            let chosen = chosen.map_err(|error| error.of_file(path).of_left_out(&file.left_out))?;
             timings.done(chosen.stage());
             Ok::<_, Error>(Input::Particles { file: Box::new(file), chosen: Box::new(chosen) })
         };
