@@ -28,9 +28,15 @@ pub fn run(folder: &Path, arguments: &[&str], code: i32) -> String {
 /// Runs the program in a shell, after the commands in `before`, such as limits. The shell splits
 /// the arguments.
 pub fn in_shell(folder: &Path, before: &str, arguments: &str) -> Output {
+    shell_command(folder, before, arguments).output().unwrap()
+}
+
+/// A command of [`in_shell`], not started yet. The program takes the place of the shell.
+pub fn shell_command(folder: &Path, before: &str, arguments: &str) -> Command {
     let script = format!("{before}\nexec \"$0\" {arguments}");
     let mut command = Command::new("bash");
-    command.current_dir(folder).args(["-c", &script, MENISCUS.unwrap()]).output().unwrap()
+    command.current_dir(folder).args(["-c", &script, MENISCUS.unwrap()]);
+    command
 }
 
 /// Waits until `reached` returns true, which must happen before `child` ends.

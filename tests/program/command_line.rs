@@ -11,7 +11,7 @@ use meniscus::internals::surface::mesh::measure::measure;
 use tempfile::TempDir;
 
 use crate::common::files::{data, names, raw};
-use crate::common::program::{command, in_shell, wait_until};
+use crate::common::program::{command, in_shell, shell_command, wait_until};
 use crate::common::scene::Random;
 use crate::common::{device, fill, splashes};
 
@@ -667,7 +667,9 @@ fn interrupts_and_crashes_leave_no_files() {
     // Nothing is written to the pipe, so the run waits for its particles.
     let outputs = ["out.ply", "made/here/out.ply"];
     for (signal, output) in outputs.iter().flat_map(|output| [("INT", output), ("SEGV", output)]) {
-        let mut child = command(folder.path(), &["reconstruct", "pipe.xyz", "-o", output])
+        // A crash may otherwise write the memory of the process into the folder.
+        let reconstruct = format!("reconstruct pipe.xyz -o {output}");
+        let mut child = shell_command(folder.path(), "ulimit -c 0", &reconstruct)
             .stderr(std::process::Stdio::piped())
             .spawn()
             .unwrap();
