@@ -23,9 +23,7 @@ impl<'a, P: Particles + ?Sized> MeteredParticles<'a, P> {
     /// The particles are read this many times in the stage.
     #[must_use]
     pub fn readings(self, readings: usize) -> Self {
-        let Self { particles, control, meter } = self;
-        let parts = particles.len().saturating_mul(readings);
-        Self { particles, control, meter: control.meter(meter.stage(), parts) }
+        Self { meter: self.meter.times(readings), ..self }
     }
 
     /// Starts to count again, for the part of a stage that ends at `to`.

@@ -102,7 +102,8 @@ pub trait Particles: Sync {
         Ok(())
     }
 
-    /// Whether reading goes on. After a cancel it does not, and what is read are not numbers.
+    /// Whether the particles can still be read. After a cancel, all reads fill their output with
+    /// NaN.
     fn goes_on(&self) -> bool {
         true
     }

@@ -466,6 +466,12 @@ mod tests {
         assert_eq!(named("volume", &["volume"]).unwrap().meaning, Meaning::Volume);
     }
 
+    #[test]
+    fn numbers_that_are_no_volume_have_no_cube_root() {
+        assert!((cube_root(27.0) - 3.0).abs() < 1e-14);
+        assert!([0.0, -1.0, f64::NAN, f64::INFINITY].iter().all(|&x| cube_root(x).is_nan()));
+    }
+
     /// Two cubes of particles side by side, of spacings 1 and 2.
     fn two() -> (Vec<[f64; 3]>, Vec<f32>) {
         let cube = |first: f64, spacing: f64, count: i32| {

@@ -136,9 +136,9 @@ impl Meter<'_> {
         Self { span: [from, to], ..self }
     }
 
-    /// The stage whose parts are counted.
-    pub fn stage(&self) -> Stage {
-        self.stage
+    /// Multiplies the number of parts.
+    pub fn times(self, times: usize) -> Self {
+        Self { parts: self.parts.saturating_mul(times), ..self }
     }
 
     /// Returns an error if the caller cancelled the work.

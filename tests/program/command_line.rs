@@ -406,8 +406,9 @@ fn invalid_input_exits_with_3_and_is_named() {
     put("inf.xyz", &with(77, [f64::INFINITY, 0.0, 0.0]));
     put("far.xyz", &with(5, [0.0, 0.0, 1e30]));
     put("noise.bgeo", &[7; 500]);
+    let missing = if cfg!(windows) { "os error 2" } else { "No such file" };
     for (file, more, message) in [
-        ("missing.ply", &[][..], &["missing.ply", "os error 2"][..]),
+        ("missing.ply", &[][..], &["missing.ply", missing][..]),
         ("empty.ply", &[], &["empty.ply", "empty"]),
         ("none.ply", &[], &["none.ply", "no particles"]),
         ("one.xyz", &[], &["one.xyz", "spacing", "--spacing"]),

@@ -134,8 +134,8 @@ pub fn estimate(particles: &(impl Particles + ?Sized)) -> Option<f64> {
 }
 
 /// Reads the particles and collects the evidence about their spacing; `None` if there are no finite
-/// particles, or if the reading was cancelled. Up to [`ALL`] particles are read once, more particles
-/// twice or more.
+/// particles, or if the reading was cancelled. Up to [`ALL`] particles are read once, more
+/// particles twice or more.
 pub fn evidence(particles: &(impl Particles + ?Sized)) -> Option<Evidence> {
     if particles.len() <= ALL {
         let (positions, bounds) = gathered(particles);
