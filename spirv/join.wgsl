@@ -1,6 +1,6 @@
 //! with block ramp
 // The bulk's surface, blended with the drops in proportion to the distance by which nearby
-// particles lie outside of it.
+// particles lie outside of it, and with sheets earlier, according to their certainty.
 
 struct JoinPush {
     // The sample at which drops begin to fade in.
@@ -12,6 +12,8 @@ struct JoinPush {
     radius: i32,
     // The standard deviation of a drop.
     width: i32,
+    // The distance by which a certain sheet stands out earlier.
+    earlier: u32,
 }
 
 var<immediate> push: JoinPush;
@@ -25,11 +27,14 @@ var<immediate> push: JoinPush;
 @group(0) @binding(4) var<storage, read> shares: array<u32>;
 // The distance from the middle of a normal density at which it has a share of its maximum.
 @group(0) @binding(5) var<storage, read> away: array<i32>;
+// The certainty of sheets, on the parts.
+@group(0) @binding(6) var<storage, read> certainty: array<u32>;
 // The bulk's surface; replaced by the field.
-@group(0) @binding(6) var<storage, read_write> field: array<u32>;
+@group(0) @binding(7) var<storage, read_write> field: array<u32>;
 
-fn joined(bulk: u32, outlying: u32, share: u32) -> u32 {
-    let weight = ramp_at(outlying, Ramp(push.begin, push.range, push.slope));
+fn joined(bulk: u32, outlying: u32, share: u32, certain: u32) -> u32 {
+    let stands_out = min(outlying + ((certain * push.earlier) >> 12u), 65535u);
+    let weight = ramp_at(stands_out, Ramp(push.begin, push.range, push.slope));
     if weight == 0u {
         return bulk;
     }
@@ -54,5 +59,7 @@ fn join(@builtin(global_invocation_id) id: vec3<u32>) {
     let a = field[word];
     let b = near[own.field + id.x];
     let c = shares[own.field + id.x];
-    field[word] = joined(a & 0xffffu, b & 0xffffu, c & 0xffffu) | joined(a >> 16u, b >> 16u, c >> 16u) << 16u;
+    let d = certainty[own.field + id.x];
+    let first = joined(a & 0xffffu, b & 0xffffu, c & 0xffffu, d & 0xffffu);
+    field[word] = first | joined(a >> 16u, b >> 16u, c >> 16u, d >> 16u) << 16u;
 }

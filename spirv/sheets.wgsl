@@ -18,6 +18,8 @@ struct SheetsPush {
     thread_size: i32,
     drop_size: i32,
     least_size: i32,
+    rim: i32,
+    least: i32,
     sheet_stretch: i32,
     thread_stretch: i32,
     share: i32,
@@ -26,14 +28,6 @@ struct SheetsPush {
     by_distance: i32,
     torn_begin: u32,
     torn_range: u32,
-    impure_begin: u32,
-    impure_range: u32,
-    thin_begin: u32,
-    thin_range: u32,
-    round_begin: u32,
-    round_range: u32,
-    beyond_begin: u32,
-    beyond_range: u32,
 }
 
 var<immediate> push: SheetsPush;
@@ -45,6 +39,7 @@ var<immediate> push: SheetsPush;
 const ONE: i32 = 1 << SHEET_BITS;
 const MOST_BEND: i32 = 2 * ONE;
 const MOST_SLOPE: i32 = 4 * ONE;
+const MOST_MINOR: i32 = 4 * ONE;
 
 fn ramp_of(begin: u32, range: u32) -> Ramp {
     return Ramp(begin, range, ((1u << 28u) + range - 1u) / range);
@@ -105,6 +100,10 @@ fn impurity(row: vec3<i32>, m: mat3x3i) -> i32 {
     return apart.x * apart.x + apart.y * apart.y + apart.z * apart.z;
 }
 
+fn minor(a: vec2<i32>, b: vec2<i32>) -> i32 {
+    return clamp((a.x * b.x - a.y * b.y) >> SHEET_BITS, -MOST_MINOR, MOST_MINOR);
+}
+
 // The share and the certainty at a cell.
 fn sheeted(block: Block, cell: vec3<i32>) -> vec2<u32> {
     let x = vec3(push.step, 0, 0);
@@ -132,10 +131,21 @@ fn sheeted(block: Block, cell: vec3<i32>) -> vec2<u32> {
         vec3(twists.x, bends.y, twists.z),
         vec3(twists.y, twists.z, bends.z),
     );
-    let impure = min(u32(impurity(b.x, b) + impurity(b.y, b) + impurity(b.z, b)) >> SHEET_BITS, 65535u);
+    let away_from_projection = impurity(b.x, b) + impurity(b.y, b) + impurity(b.z, b);
+    let impure = min(away_from_projection >> SHEET_BITS, 65535);
     let directions = clamp(bends.x + bends.y + bends.z, 0, 3 * ONE);
     let threaded = clamp(directions - ONE, 0, ONE);
     let rounded = max(directions - 2 * ONE, 0);
+    let rim = max(min(impure * BY_RIM, ONE), threaded);
+
+    // det(I - B).
+    let d = vec3(ONE) - bends;
+    let spread = (d.x * minor(vec2(d.y, twists.z), vec2(d.z, twists.z))
+        - twists.x * minor(vec2(twists.x, -twists.z), vec2(d.z, twists.y))
+        - twists.y * minor(vec2(twists.y, -twists.z), vec2(d.y, twists.x))) >> SHEET_BITS;
+    let flat_ramp = ramp_at(u32(clamp(spread, 0, 65535)), ramp_of(FLAT_BEGIN, FLAT_RANGE));
+    let flat = 4096 - i32(flat_ramp);
+    let less_impure = u32(max(impure - ((IMPURE_IF_FLAT * flat) >> SHEET_BITS), 0));
 
     let along = times(b, g);
     let middle = held(2 * along - times(b, along), MOST_BEND);
@@ -147,19 +157,21 @@ fn sheeted(block: Block, cell: vec3<i32>) -> vec2<u32> {
     let sheet_stretch = push.sheet_stretch + (((push.thread_stretch - push.sheet_stretch) * threaded) >> SHEET_BITS);
     let stretch = u32(clamp(sheet_stretch - ((thick * (ONE / 2 + threaded / 2)) >> SHEET_BITS), 0, 65535));
     let whole = 4096u - ramp_at(stretch, ramp_of(push.torn_begin, push.torn_range));
-    let pure_share = 4096u - ramp_at(impure, ramp_of(push.impure_begin, push.impure_range));
-    let thin = ramp_at(u32(directions), ramp_of(push.thin_begin, push.thin_range));
-    let stretched = 4096u - ramp_at(u32(directions), ramp_of(push.round_begin, push.round_range));
-    let here = 4096u - ramp_at(u32(beyond), ramp_of(push.beyond_begin, push.beyond_range));
+    let pure_share = 4096u - ramp_at(less_impure, ramp_of(IMPURE_BEGIN, IMPURE_RANGE));
+    let thin = ramp_at(u32(directions), ramp_of(THIN_BEGIN, THIN_RANGE));
+    let stretched = 4096u - ramp_at(u32(directions), ramp_of(ROUND_BEGIN, ROUND_RANGE));
+    let less_beyond = u32(max(beyond - ((BEYOND_IF_FLAT * flat) >> SHEET_BITS), 0));
+    let here = 4096u - ramp_at(less_beyond, ramp_of(BEYOND_BEGIN, BEYOND_RANGE));
     let all = (((whole * pure_share) >> 12u) * ((((thin * stretched) >> 12u) * here) >> 12u)) >> 12u;
     let certain = (all * all) >> 12u;
-    if certain == 0u {
-        return vec2(0u);
+    if centre < push.least {
+        return vec2(0u, certain);
     }
     let of_size = push.sheet_size
         + (((push.thread_size - push.sheet_size) * threaded + (push.drop_size - push.thread_size) * rounded) >> SHEET_BITS);
     let size = ((thick * (2 * ONE - threaded - rounded / 3)) >> SHEET_BITS) + of_size;
-    let square = two_to(clamp(size, push.least_size, ONE)) >> 3u;
+    let least_size = push.least_size + ((push.rim * rim) >> SHEET_BITS);
+    let square = two_to(clamp(size, least_size, ONE)) >> 3u;
     let share = push.share
         + ((push.by_directions * max(directions, ONE) + push.by_size * square - push.by_distance * away) >> SHEET_BITS);
     return vec2(u32(two_to(clamp(share, -15 * ONE, 0))), certain);

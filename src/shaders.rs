@@ -149,7 +149,7 @@ pub const INDICATE: Shader = Shader {
 pub const JOIN: Shader = Shader {
     name: "join",
     code: include_bytes!("../spirv/join.spv"),
-    buffers: &["parts", "blocks", "homes", "near", "shares", "away", "field"],
+    buffers: &["parts", "blocks", "homes", "near", "shares", "away", "certainty", "field"],
     push_bytes: size_of::<JoinPush>() as u32,
     group: 256,
 };
@@ -173,7 +173,7 @@ pub const MIX_BOTH: Shader = Shader {
 pub const OUTLYING: Shader = Shader {
     name: "outlying",
     code: include_bytes!("../spirv/outlying.spv"),
-    buffers: &["calm", "field"],
+    buffers: &["calm", "fine", "field"],
     push_bytes: size_of::<OutlyingPush>() as u32,
     group: 256,
 };
@@ -402,6 +402,7 @@ pub struct JoinPush {
     pub slope: u32,
     pub radius: i32,
     pub width: i32,
+    pub earlier: u32,
 }
 
 #[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
@@ -427,6 +428,9 @@ pub struct MixBothPush {
 pub struct OutlyingPush {
     pub words: u32,
     pub least: u32,
+    pub begin: u32,
+    pub begin_of_sheets: u32,
+    pub apart: u32,
 }
 
 #[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
@@ -480,6 +484,8 @@ pub struct SheetsPush {
     pub thread_size: i32,
     pub drop_size: i32,
     pub least_size: i32,
+    pub rim: i32,
+    pub least: i32,
     pub sheet_stretch: i32,
     pub thread_stretch: i32,
     pub share: i32,
@@ -488,14 +494,6 @@ pub struct SheetsPush {
     pub by_distance: i32,
     pub torn_begin: u32,
     pub torn_range: u32,
-    pub impure_begin: u32,
-    pub impure_range: u32,
-    pub thin_begin: u32,
-    pub thin_range: u32,
-    pub round_begin: u32,
-    pub round_range: u32,
-    pub beyond_begin: u32,
-    pub beyond_range: u32,
 }
 
 #[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]

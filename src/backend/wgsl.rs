@@ -8,7 +8,10 @@ use crate::field::indicator::vulkan::{CLOUD_SAMPLES, OCTANT};
 use crate::field::indicator::{
     DISTANCE_SCALE, GHOST_LAYER, SHARE_BITS, SQUARE_BITS, THETA_PER_DISTANCE,
 };
-use crate::field::sheets::{BITS, EXP2, LOG2, LOG2_OF_E};
+use crate::field::sheets::{
+    BEYOND, BEYOND_IF_FLAT, BITS, BY_RIM, EXP2, FLAT, IMPURE, IMPURE_IF_FLAT, LOG2, LOG2_OF_E,
+    ROUND, THIN,
+};
 use crate::grid::units::FULL;
 use crate::grid::{BIN, BLOCK, BLOCK_TILES, CELL_LIMIT, FRACTION_BITS, TILE};
 use crate::surface::dual_mc::vulkan::{SIGN_TILES, TILE_WORDS};
@@ -28,6 +31,19 @@ pub fn wgsl_constants() -> Vec<(&'static str, &'static str, i64)> {
         ("DISTANCE_ZERO", "i32", ZERO.into()),
         ("MOST_APART", "i32", MOST_APART.into()),
         ("SHEET_BITS", "u32", BITS.into()),
+        ("IMPURE_BEGIN", "u32", IMPURE.begin.into()),
+        ("IMPURE_RANGE", "u32", IMPURE.range.into()),
+        ("FLAT_BEGIN", "u32", FLAT.begin.into()),
+        ("FLAT_RANGE", "u32", FLAT.range.into()),
+        ("THIN_BEGIN", "u32", THIN.begin.into()),
+        ("THIN_RANGE", "u32", THIN.range.into()),
+        ("ROUND_BEGIN", "u32", ROUND.begin.into()),
+        ("ROUND_RANGE", "u32", ROUND.range.into()),
+        ("BEYOND_BEGIN", "u32", BEYOND.begin.into()),
+        ("BEYOND_RANGE", "u32", BEYOND.range.into()),
+        ("IMPURE_IF_FLAT", "i32", IMPURE_IF_FLAT.into()),
+        ("BEYOND_IF_FLAT", "i32", BEYOND_IF_FLAT.into()),
+        ("BY_RIM", "i32", BY_RIM.into()),
         ("LOG2_A", "i32", LOG2[0].into()),
         ("LOG2_B", "i32", LOG2[1].into()),
         ("LOG2_C", "i32", LOG2[2].into()),

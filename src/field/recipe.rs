@@ -6,7 +6,9 @@
 
 use crate::field::blur::{FieldCount, Filter, Smoothing, Weights};
 use crate::field::detail::Recovery;
-use crate::field::distance::{Bulk, Depths, DistanceFilters, Drops, InsideBricks, Ramp, Width};
+use crate::field::distance::{
+    Bulk, Depths, DistanceFilters, Drops, InsideBricks, StandsOut, Width,
+};
 use crate::field::indicator::IndicatorKind;
 use crate::field::sheets::{SheetFields, Sheets};
 use crate::grid::units::{Isovalue, Sigma};
@@ -180,6 +182,15 @@ impl PaperFilters {
     }
 }
 
+/// The shares of drops blended with those of sheets, and the certainty of the sheets.
+#[derive(Debug, Clone)]
+pub struct ThinShares<T> {
+    /// The shares.
+    pub shares: T,
+    /// The certainty of the sheets, if there are any.
+    pub certainty: Option<T>,
+}
+
 /// The surface of the bulk in wide cells, and the distance by which nearby particles lie outside of
 /// the calm surface.
 #[derive(Debug, Clone)]
@@ -207,7 +218,7 @@ pub fn calm_and_bulk<F: Fields>(
     distances: &DistanceFilters,
     fields: &mut F,
 ) -> Result<WithCalm<F::Field>, F::Error> {
-    let DistanceFilters { level, bulk, near, least, inside, .. } = distances;
+    let DistanceFilters { level, bulk, near, least, stands_out, inside, .. } = distances;
     let clouds = fields.samples(*level, distances.wide_halo())?;
     let filled = fields.filled(&clouds)?;
     let mut share = |width: &Width| fields.blur(filled.clone(), &width.weights);
@@ -215,7 +226,7 @@ pub fn calm_and_bulk<F: Fields>(
     let shares = [share(narrow)?, share(middle)?, share(wide)?];
     drop(filled);
     let Depths { calm, fine, apart } = fields.depths(bulk, shares)?;
-    let outlying = fields.outlying(&calm, clouds, *least)?;
+    let outlying = fields.outlying([&calm, &fine], clouds, (*least, stands_out))?;
     let apart = fields.blur(apart, &bulk.around)?;
     let outlying = fields.spread(outlying, *near)?;
     let depths = Depths { calm: calm.clone(), fine, apart };
@@ -229,41 +240,60 @@ pub fn joined<F: Fields>(
     fields: &mut F,
     wide: WideFields<F::Field>,
 ) -> Result<F::Field, F::Error> {
-    let DistanceFilters { level, ramp, drops_level, drops, .. } = distances;
-    fields.probe(&wide, *level, ramp)?;
-    let bulk = fields.refined(wide.bulk, *level)?;
-    if !fields.narrowed(&wide.outlying, *level, ramp) {
+    let DistanceFilters { level, stands_out, drops, .. } = distances;
+    let begin = stands_out.begin();
+    fields.probe(&wide, *level, begin)?;
+    let bulk = fields.refined(wide.bulk, 0, 0)?;
+    if !fields.narrowed(&wide.outlying, *level, begin) {
         return Ok(bulk);
     }
-    let near = fields.refined(wide.outlying, *level)?;
-    if !fields.narrowed(&near, 0, ramp) {
+    let near = fields.refined(wide.outlying, 0, 0)?;
+    if !fields.narrowed(&near, 0, begin) {
         return Ok(bulk);
     }
-    let shares = thin_shares(distances, fields)?;
-    let shares = fields.refined(shares, *drops_level)?;
-    fields.joined(bulk, near, shares, (drops, ramp))
+    let ThinShares { shares, certainty } = thin_shares(distances, fields)?;
+    let shares = fields.refined(shares, 0, 0)?;
+    let certainty = certainty.map(|certainty| fields.refined(certainty, 0, 0)).transpose()?;
+    fields.joined(bulk, near, ThinShares { shares, certainty }, (drops, stands_out))
 }
 
 /// The shares of drops and of sheets, in the cells of the drops' level.
 pub fn thin_shares<F: Fields>(
     distances: &DistanceFilters,
     fields: &mut F,
-) -> Result<F::Field, F::Error> {
-    let DistanceFilters { drops_level, drops, sheets, .. } = distances;
-    let clouds = fields.samples(*drops_level, distances.drops_halo())?;
-    let sheets = sheets.as_ref().filter(|sheets| fields.may_hold(sheets, &clouds));
-    let density = sheets.map(|sheets| fields.blur(clouds.clone(), &sheets.around)).transpose()?;
-    let clouds = fields.nearer(clouds, *drops_level, drops.halo());
+) -> Result<ThinShares<F::Field>, F::Error> {
+    let DistanceFilters { drops_level, drops, .. } = distances;
+    let sheets = sheets(distances, fields)?;
+    let clouds = fields.samples(*drops_level, drops.halo())?;
     let around = fields.blur(clouds.clone(), &drops.around)?;
     let shares = fields.quotient(clouds, around, drops.bits)?;
-    let mut shares = fields.blur(shares, &drops.spread)?;
-    if let (Some(by), Some(density)) = (sheets, density)
-        && let Some(SheetFields { shares: of_sheets, certainty }) = fields.sheets(by, density)?
-    {
-        let certainty = fields.blur(certainty, &by.average)?;
-        shares = fields.blended(shares, SheetFields { shares: of_sheets, certainty })?;
+    let shares = fields.blur(shares, &drops.spread)?;
+    let Some(SheetFields { shares: of_sheets, certainty }) = sheets else {
+        return Ok(ThinShares { shares, certainty: None });
+    };
+    let shares = fields.blended(shares, of_sheets, &certainty)?;
+    Ok(ThinShares { shares, certainty: Some(certainty) })
+}
+
+/// Sheets in the cells of the drops' level, from the density in wide cells; `None` if there are
+/// none.
+fn sheets<F: Fields>(
+    distances: &DistanceFilters,
+    fields: &mut F,
+) -> Result<Option<SheetFields<F::Field>>, F::Error> {
+    let DistanceFilters { level, drops_level, sheets, .. } = distances;
+    let Some(by) = sheets else { return Ok(None) };
+    let clouds = fields.samples(*level, distances.sheets_halo())?;
+    if !fields.may_hold(by, &clouds) {
+        return Ok(None);
     }
-    Ok(shares)
+    let density = fields.blur(clouds, &by.around)?;
+    let density = fields.refined(density, *drops_level, by.halo())?;
+    let Some(SheetFields { shares, certainty }) = fields.sheets(by, density)? else {
+        return Ok(None);
+    };
+    let certainty = fields.blur(certainty, &by.average)?;
+    Ok(Some(SheetFields { shares, certainty }))
 }
 
 /// A backend's fields, and the filters on them. A clone refers to the same field.
@@ -316,12 +346,13 @@ pub trait Fields {
         near: &Self::Field,
     ) -> Result<Self::Field, Self::Error>;
 
-    /// The distance by which particles lie outside of the calm surface.
+    /// The distance by which particles lie outside of the calm surface, from the calm surface and
+    /// the fine one, and from the minimum cloud of a cell with a particle.
     fn outlying(
         &mut self,
-        calm: &Self::Field,
+        surfaces: [&Self::Field; 2],
         clouds: Self::Field,
-        least: u16,
+        by: (u16, &StandsOut),
     ) -> Result<Self::Field, Self::Error>;
 
     /// The greatest sample within `reach` cells along each axis; edge cells are repeated beyond
@@ -333,16 +364,22 @@ pub trait Fields {
         &mut self,
         wide: &WideFields<Self::Field>,
         level: u32,
-        ramp: &Ramp,
+        begin: u16,
     ) -> Result<(), Self::Error>;
 
-    /// A field of cells 2^`level` times as wide, interpolated at the middles of the requested
+    /// A field of wider cells, interpolated at the middles of cells 2^`level` times as wide as the
+    /// requested ones: those whose middles surround the requested cells, with a halo of `halo`
     /// cells.
-    fn refined(&mut self, wide: Self::Field, level: u32) -> Result<Self::Field, Self::Error>;
+    fn refined(
+        &mut self,
+        wide: Self::Field,
+        level: u32,
+        halo: i32,
+    ) -> Result<Self::Field, Self::Error>;
 
     /// Whether particles stand out in any cell, according to cells 2^`level` times as wide. If so,
     /// further samples and fields are restricted to the cells where they can.
-    fn narrowed(&mut self, near: &Self::Field, level: u32, ramp: &Ramp) -> bool;
+    fn narrowed(&mut self, near: &Self::Field, level: u32, begin: u16) -> bool;
 
     /// Clouds divided by the clouds around them.
     fn quotient(
@@ -355,9 +392,6 @@ pub trait Fields {
     /// Whether clouds can contain a sheet, checked before they are smoothed.
     fn may_hold(&mut self, sheets: &Sheets, clouds: &Self::Field) -> bool;
 
-    /// The part of samples within a smaller halo, if the backend needs the samples cropped.
-    fn nearer(&mut self, field: Self::Field, level: u32, halo: i32) -> Self::Field;
-
     /// Sheets of the smoothed density; `None` if there are certainly none.
     fn sheets(
         &mut self,
@@ -365,11 +399,12 @@ pub trait Fields {
         density: Self::Field,
     ) -> Result<Option<SheetFields<Self::Field>>, Self::Error>;
 
-    /// The shares of drops, blended with those of sheets.
+    /// The shares of drops, blended with those of sheets according to their certainty.
     fn blended(
         &mut self,
         drops: Self::Field,
-        sheets: SheetFields<Self::Field>,
+        sheets: Self::Field,
+        certainty: &Self::Field,
     ) -> Result<Self::Field, Self::Error>;
 
     /// The field, made from the bulk's surface and drops.
@@ -377,8 +412,8 @@ pub trait Fields {
         &mut self,
         bulk: Self::Field,
         near: Self::Field,
-        shares: Self::Field,
-        by: (&Drops, &Ramp),
+        thin: ThinShares<Self::Field>,
+        by: (&Drops, &StandsOut),
     ) -> Result<Self::Field, Self::Error>;
 }
 

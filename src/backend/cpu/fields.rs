@@ -2,16 +2,18 @@
 
 use std::rc::Rc;
 
+use glam::IVec3;
+
 use crate::brick::Block;
 use crate::field::blur::{Weights, blur_of_few, blur_while};
 use crate::field::detail::{lost, raise};
 use crate::field::distance::{
-    Bulk, Depths, DistanceFilters, Drops, InsideBricks, NONE, Ramp, UNITS, depths, joined, mixed,
-    outlying, outlying_part, quotient, refined, spread, wide_cells,
+    Bulk, Depths, DistanceFilters, Drops, InsideBricks, NONE, StandsOut, UNITS, depths, joined,
+    mixed, outlying, outlying_part, quotient, refined, spread, wide_cells,
 };
 use crate::field::indicator::SampledDif;
 use crate::field::recipe::{
-    Fields, Filters, Recipe, WideFields, bulk, joined as joined_fields, walls_at,
+    Fields, Filters, Recipe, ThinShares, WideFields, bulk, joined as joined_fields, walls_at,
 };
 use crate::field::sheets::{SheetFields, Sheets, blend, holds_any, sheets};
 use crate::field::solid::{FARTHEST, STEPS, SolidFill, WHOLE, cut, outside};
@@ -176,6 +178,9 @@ pub(super) struct Blocks<'a> {
     decides: bool,
     /// Whether almost all samples are 0.
     few: bool,
+    /// The distance by which nearby particles lie outside of the calm surface, in the grid's cells,
+    /// and the greatest one at which nothing stands out.
+    near: Option<(Rc<Block>, u16)>,
 }
 
 impl<'a> Blocks<'a> {
@@ -204,6 +209,7 @@ impl<'a> Blocks<'a> {
             field_use,
             decides,
             few: false,
+            near: None,
         }
     }
 
@@ -338,11 +344,11 @@ impl Fields for Blocks<'_> {
 
     fn outlying(
         &mut self,
-        calm: &BlockField,
+        [calm, fine]: [&BlockField; 2],
         clouds: BlockField,
-        least: u16,
+        by: (u16, &StandsOut),
     ) -> Result<BlockField, StopSignal> {
-        let mut block = outlying(&calm.block, &clouds.block, least);
+        let mut block = outlying(&calm.block, Some(&fine.block), &clouds.block, by);
         // Inside a solid the surface continues, and no particle stands out.
         let outside = self.outside.take().map(|outside| outside.part(block.cells()));
         let shares = outside.iter().flat_map(|outside| outside.samples());
@@ -366,11 +372,11 @@ impl Fields for Blocks<'_> {
         &mut self,
         wide: &WideFields<BlockField>,
         level: u32,
-        ramp: &Ramp,
+        begin: u16,
     ) -> Result<(), StopSignal> {
         // Cells are weighted means of wide ones.
         let cells = wide_cells(level, self.cells);
-        let drops = !outlying_part(&wide.outlying.block, cells, ramp).is_empty();
+        let drops = !outlying_part(&wide.outlying.block, cells, begin).is_empty();
         if self.field_use.may_show(&wide.bulk.block, cells, drops) {
             Ok(())
         } else {
@@ -378,16 +384,23 @@ impl Fields for Blocks<'_> {
         }
     }
 
-    fn refined(&mut self, wide: BlockField, level: u32) -> Result<BlockField, StopSignal> {
-        Ok(self.field(refined(&wide.block, level, self.wanted), 0))
+    fn refined(
+        &mut self,
+        wide: BlockField,
+        level: u32,
+        halo: i32,
+    ) -> Result<BlockField, StopSignal> {
+        let cells = wide_cells(level, self.wanted).grown(halo, halo);
+        Ok(self.field(refined(&wide.block, wide.level - level, cells), level))
     }
 
-    fn narrowed(&mut self, near: &BlockField, level: u32, ramp: &Ramp) -> bool {
-        let part = outlying_part(&near.block, wide_cells(level, self.wanted), ramp);
+    fn narrowed(&mut self, near: &BlockField, level: u32, begin: u16) -> bool {
+        let part = outlying_part(&near.block, wide_cells(level, self.wanted), begin);
         // A wide cell also affects its neighbours' cells.
         let further = i32::from(level > 0);
         let CellBox { lo, hi } = part.grown(further, further);
         self.wanted = self.wanted.intersection(&CellBox { lo: lo << level, hi: hi << level });
+        self.near = (level == 0).then(|| (Rc::clone(&near.block), begin));
         !part.is_empty()
     }
 
@@ -407,20 +420,26 @@ impl Fields for Blocks<'_> {
         holds_any(sheets, &clouds.block)
     }
 
-    fn nearer(&mut self, field: BlockField, level: u32, halo: i32) -> BlockField {
-        let cells = wide_cells(level, self.wanted).grown(halo, halo);
-        if cells == field.block.cells() {
-            return field;
-        }
-        BlockField { block: Rc::new(field.block.part(cells)), level: field.level }
-    }
-
     fn sheets(
         &mut self,
         by: &Sheets,
         density: BlockField,
     ) -> Result<Option<SheetFields<BlockField>>, StopSignal> {
-        let found = sheets(&by.numbers, &density.block);
+        let around = |(near, begin): &(Rc<Block>, u16)| {
+            // A cell of drops also affects its neighbours' cells.
+            let reach = by.average.reach() + i32::from(density.level > 0);
+            let further = reach - by.numbers.step;
+            let mut needed = Block::zero(density.block.cells().grown(further, further));
+            for ([y, z], row) in near.rows(self.wanted) {
+                for (x, _) in (self.wanted.lo.x..).zip(row).filter(|&(_, near)| near > begin) {
+                    let place = needed.index(IVec3::new(x, y, z) >> density.level);
+                    needed.samples_mut()[place] = 1;
+                }
+            }
+            spread(needed, reach)
+        };
+        let needed = self.near.as_ref().map(around);
+        let found = sheets(by, &density.block, needed.as_ref());
         Ok(found.map(|SheetFields { shares, certainty }| SheetFields {
             shares: self.field(shares, density.level),
             certainty: self.field(certainty, density.level),
@@ -430,22 +449,22 @@ impl Fields for Blocks<'_> {
     fn blended(
         &mut self,
         drops: BlockField,
-        sheets: SheetFields<BlockField>,
+        sheets: BlockField,
+        certainty: &BlockField,
     ) -> Result<BlockField, StopSignal> {
-        let SheetFields { shares, certainty } = &sheets;
-        let sheets = SheetFields { shares: &*shares.block, certainty: &*certainty.block };
-        Ok(self.field(blend(&drops.block, sheets), drops.level))
+        Ok(self.field(blend(&drops.block, &sheets.block, &certainty.block), drops.level))
     }
 
     fn joined(
         &mut self,
         bulk: BlockField,
         near: BlockField,
-        shares: BlockField,
-        (drops, ramp): (&Drops, &Ramp),
+        ThinShares { shares, certainty }: ThinShares<BlockField>,
+        (drops, stands_out): (&Drops, &StandsOut),
     ) -> Result<BlockField, StopSignal> {
-        let block =
-            joined(Rc::unwrap_or_clone(bulk.block), &near.block, &shares.block, drops, ramp);
+        let certainty = certainty.as_ref().map(|certainty| &*certainty.block);
+        let block = Rc::unwrap_or_clone(bulk.block);
+        let block = joined(block, &near.block, &shares.block, certainty, drops, stands_out);
         Ok(BlockField { block: Rc::new(block), level: bulk.level })
     }
 }

@@ -3,7 +3,7 @@
 use crate::brick::Block;
 use crate::field::blur::{Weights, blur};
 use crate::field::distance::{DistanceFilters, away, outlying, refined, spread, wide_cells};
-use crate::field::recipe::{Recipe, WideFields, calm_and_bulk, thin_shares, walls_at};
+use crate::field::recipe::{Recipe, ThinShares, WideFields, calm_and_bulk, thin_shares, walls_at};
 use crate::field::sizes::{
     OctaveDrops, SizedClouds, averaging, finer_spacings, growth, mixed, share,
 };
@@ -37,8 +37,8 @@ struct OctaveShares {
     octave: usize,
     /// The distance by which nearby particles lie outside of the calm surface, in wide cells.
     outlying: Block,
-    /// The shares of drops, in the cells in which they are made.
-    shares: Block,
+    /// The shares of drops and sheets, in the cells in which they are made.
+    thin: ThinShares<Block>,
 }
 
 impl<'a> SizedField<'a> {
@@ -225,7 +225,7 @@ impl<'a> SizedField<'a> {
         cells: CellBox,
     ) -> Option<OctaveShares> {
         let (recipe, distances) = &self.recipes[octave.min(1)];
-        let DistanceFilters { level, least, ramp, .. } = distances;
+        let DistanceFilters { level, least, stands_out, .. } = distances;
         let sampled = self.clouds.octave(octave);
         // Particles of the octave outside of the calm surface.
         let walls = self.walls(octave as u32 + level);
@@ -235,8 +235,8 @@ impl<'a> SizedField<'a> {
         }
         self.make(surfaces, octave, cells);
         let calm = &surfaces[octave].as_ref()?.calm;
-        let mut outlying = spread(outlying(calm, &clouds, *least), self.near());
-        if outlying.samples().iter().all(|&sample| sample <= ramp.begin) {
+        let mut outlying = spread(outlying(calm, None, &clouds, (*least, stands_out)), self.near());
+        if outlying.samples().iter().all(|&sample| sample <= stands_out.begin()) {
             return None;
         }
         walls.into_iter().for_each(|walls| outlying.repeat_edges(walls));
@@ -244,28 +244,35 @@ impl<'a> SizedField<'a> {
             sampled.wide(level).gather_within(cells, self.walls(octave as u32 + level))
         };
         let mut blocks = Blocks::of_density(recipe, sampled, &own, self.cells(octave, cells));
-        let shares = thin_shares(distances, &mut blocks).ok()?;
-        let shares = shares.block.part(shares.block.cells());
-        Some(OctaveShares { octave, outlying, shares })
+        let ThinShares { shares, certainty } = thin_shares(distances, &mut blocks).ok()?;
+        let cells = shares.block.cells();
+        let thin = ThinShares {
+            shares: shares.block.part(cells),
+            certainty: certainty.map(|certainty| certainty.block.part(cells)),
+        };
+        Some(OctaveShares { octave, outlying, thin })
     }
 
     /// Whether drops can add to the inside.
-    fn has_inside(&self, OctaveShares { octave, shares, .. }: &OctaveShares) -> bool {
+    fn has_inside(&self, OctaveShares { octave, thin, .. }: &OctaveShares) -> bool {
         let drops = &self.distances(*octave).drops;
-        let greatest = shares.samples().iter().copied().max().unwrap_or(0);
+        let greatest = thin.shares.samples().iter().copied().max().unwrap_or(0);
         away(greatest, drops.width) < drops.radius + self.growth
     }
 
     /// Joins drops to a field in the finest spacings.
     fn with_drops(&self, field: Block, made: &OctaveShares) -> Block {
-        let OctaveShares { octave, outlying, shares } = made;
-        let DistanceFilters { level, drops_level, ramp, drops, .. } = self.distances(*octave);
+        let OctaveShares { octave, outlying, thin } = made;
+        let DistanceFilters { level, drops_level, stands_out, drops, .. } = self.distances(*octave);
         let (cells, of) = (field.cells(), *octave as u32);
         let near = &refined(outlying, of + level, cells);
-        let shares = &refined(shares, of + drops_level, cells);
+        let on_cells = |block: &Block| refined(block, of + drops_level, cells);
+        let (shares, certainty) = (&on_cells(&thin.shares), thin.certainty.as_ref().map(on_cells));
+        let certainty = certainty.as_ref();
         let (sizes, growth) = (self.sizes(*octave, cells), self.growth);
         let sizes = sizes.as_ref();
-        OctaveDrops { octave: of, near, shares, sizes, drops, growth, ramp }.joined(field)
+        OctaveDrops { octave: of, near, shares, certainty, sizes, drops, growth, stands_out }
+            .joined(field)
     }
 
     /// The mean logarithm of the sizes of an octave's particles around some of the finest cells;

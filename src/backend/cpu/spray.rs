@@ -7,7 +7,9 @@ use glam::IVec3;
 use crate::brick::Block;
 use crate::field::distance::DistanceFilters;
 use crate::field::indicator::SampledDif;
-use crate::field::recipe::{Fields, Filters, Recipe, WideFields, bulk, thin_shares, walls_at};
+use crate::field::recipe::{
+    Fields, Filters, Recipe, ThinShares, WideFields, bulk, thin_shares, walls_at,
+};
 use crate::grid::{CellBox, TILE};
 
 use super::fields::{BlockField, Blocks, FieldUse, wide_volume};
@@ -106,7 +108,7 @@ fn drop_in(
     sampled: &SampledDif,
     cells: CellBox,
 ) -> Option<DropField> {
-    let DistanceFilters { level, near, least, ref ramp, drops_level, ref drops, .. } = *distances;
+    let DistanceFilters { level, near, least, stands_out, drops_level, ref drops, .. } = *distances;
     let wide = distances.wide_cells(cells);
     let wide_walls = walls_at(level, sampled.facts.walls());
     let clouds = sampled.wide(level).gather_within(wide.grown(near, near), wide_walls);
@@ -134,9 +136,9 @@ fn drop_in(
     let threshold = recipe.iso.threshold();
     let mut inside = refined_from(level, bulk.block.box_of(|sample| sample > threshold));
     let mut shares = None;
-    if blocks.narrowed(&outlying, level, ramp) {
+    if blocks.narrowed(&outlying, level, stands_out.begin()) {
         let thin = thin_shares(distances, &mut blocks).ok()?;
-        let shown = thin.block.box_of(|share| share >= least_share);
+        let shown = thin.shares.block.box_of(|share| share >= least_share);
         inside = inside.union(&refined_from(drops_level, shown));
         shares = Some((thin, blocks.wanted));
     }
@@ -148,13 +150,16 @@ fn drop_in(
     let covered = sampled.facts.walls().is_none_or(|walls| walls.covers(&cells));
     let around = inside.grown(AROUND, AROUND).intersection(&cells);
     blocks.wanted = if covered { around } else { cells };
-    let mut field = blocks.refined(bulk, level).ok()?;
+    let mut field = blocks.refined(bulk, 0, 0).ok()?;
     if let Some((shares, thin)) = shares {
         blocks.wanted = blocks.wanted.intersection(&thin);
         if !blocks.wanted.is_empty() {
-            let near = blocks.refined(outlying, level).ok()?;
-            let shares = blocks.refined(shares, drops_level).ok()?;
-            field = blocks.joined(field, near, shares, (drops, ramp)).ok()?;
+            let near = blocks.refined(outlying, 0, 0).ok()?;
+            let ThinShares { shares, certainty } = shares;
+            let shares = blocks.refined(shares, 0, 0).ok()?;
+            let certainty = certainty.and_then(|certainty| blocks.refined(certainty, 0, 0).ok());
+            let thin = ThinShares { shares, certainty };
+            field = blocks.joined(field, near, thin, (drops, &stands_out)).ok()?;
         }
     }
     Some(DropField { inside, field: Rc::unwrap_or_clone(field.block) })

@@ -35,12 +35,14 @@ const MOST_VERTICES: u64 = 3 * (BLOCK * BLOCK * BLOCK) as u64;
 /// Number of fields in wide cells that exist at once: clouds, two surfaces and their difference,
 /// another field, and its temporary.
 pub(super) const WIDE_FIELDS: usize = 6;
-/// Number of fields for drops: clouds, their smoothed density, the clouds around them, and a
-/// temporary.
-pub(super) const DROPS_FIELDS: usize = 4;
+/// Number of fields for sheets in wide cells: clouds, their smoothed density, and a temporary.
+pub(super) const SHEETS_FIELDS: usize = 3;
+/// Number of fields for drops: the shares of sheets and their certainty, clouds, the clouds around
+/// them, and a temporary.
+pub(super) const DROPS_FIELDS: usize = 5;
 /// Number of fields of the parts in which particles stand out: their distance outside of the
-/// surface, and shares.
-pub(super) const PART_FIELDS: usize = 2;
+/// surface, shares, and the certainty of sheets.
+pub(super) const PART_FIELDS: usize = 3;
 /// The regions of a batch in a lane.
 pub(super) struct BlockBatch {
     pub(super) regions: Vec<CellBox>,
@@ -188,7 +190,13 @@ impl<'a> Contouring<'a> {
             Filters::Distances(distances) => {
                 let wide = (distances.level, distances.wide_halo());
                 let drops = (distances.drops_level, distances.drops_halo());
-                vec![
+                let sheets = FieldLevel {
+                    level: distances.level,
+                    halo: distances.sheets_halo(),
+                    sampled: true,
+                    fields: SHEETS_FIELDS as u64,
+                };
+                let mut levels = vec![
                     FieldLevel {
                         level: wide.0,
                         halo: wide.1,
@@ -207,7 +215,9 @@ impl<'a> Contouring<'a> {
                         sampled: false,
                         fields: 1 + PART_FIELDS as u64,
                     },
-                ]
+                ];
+                levels.extend(distances.sheets.is_some().then_some(sheets));
+                levels
             }
         }
     }
@@ -235,6 +245,7 @@ impl<'a> Contouring<'a> {
             gathered,
             cells: 0,
             parts: None,
+            drops: 0,
         }
     }
 }

@@ -8,8 +8,8 @@ use crate::field::blur::Weights;
 use crate::field::blur::vulkan::blur;
 use crate::field::detail::vulkan::{lost, raise};
 use crate::field::distance::vulkan::{depths, join, mixed, outlying, quotient, refine, spread};
-use crate::field::distance::{Bulk, Depths, Drops, InsideBricks, Ramp};
-use crate::field::recipe::{Fields, WideFields, walls_at};
+use crate::field::distance::{Bulk, Depths, Drops, InsideBricks, StandsOut};
+use crate::field::recipe::{Fields, ThinShares, WideFields, walls_at};
 use crate::field::sheets::vulkan::{blend, sheets as make_sheets};
 use crate::field::sheets::{SheetFields, Sheets};
 use crate::grid::CellBox;
@@ -55,6 +55,8 @@ pub(super) struct PaddedFields<'a> {
     /// there are any.
     pub(super) cells: usize,
     pub(super) parts: Option<usize>,
+    /// The blocks in which sheets are made, around these parts.
+    pub(super) drops: usize,
 }
 
 impl PaddedFields<'_> {
@@ -206,14 +208,14 @@ impl Fields for PaddedFields<'_> {
 
     fn outlying(
         &mut self,
-        calm: &Rc<PaddedSamples>,
+        [calm, fine]: [&Rc<PaddedSamples>; 2],
         clouds: Rc<PaddedSamples>,
-        least: u16,
+        by: (u16, &StandsOut),
     ) -> Result<Rc<PaddedSamples>, VulkanError> {
         let of = calm.of;
-        self.stage("distances", 2, of);
-        let views = [&calm.samples, &clouds.samples];
-        outlying(self.commands, &self.pipelines.distance, &self.grids[of].blocks, least, views)?;
+        self.stage("distances", 3, of);
+        let views = [&calm.samples, &fine.samples, &clouds.samples];
+        outlying(self.commands, &self.pipelines.distance, &self.grids[of].blocks, by, views)?;
         Ok(Rc::new(PaddedSamples { samples: clouds.samples.clone(), margin: calm.margin, of }))
     }
 
@@ -239,7 +241,7 @@ impl Fields for PaddedFields<'_> {
         &mut self,
         _: &WideFields<Rc<PaddedSamples>>,
         _: u32,
-        _: &Ramp,
+        _: u16,
     ) -> Result<(), VulkanError> {
         Ok(())
     }
@@ -248,11 +250,14 @@ impl Fields for PaddedFields<'_> {
         &mut self,
         wide: Rc<PaddedSamples>,
         level: u32,
+        halo: i32,
     ) -> Result<Rc<PaddedSamples>, VulkanError> {
-        let of = self.cells;
+        let of = if halo == 0 { self.cells } else { self.drops };
+        debug_assert_eq!(level, self.grids[of].level);
         self.stage("distances", 1, of);
         let to = self.take(of);
         let grids = [&self.grids[wide.of].blocks, &self.grids[of].blocks];
+        let level = self.grids[wide.of].level - level;
         let (within, walls) = (self.within(of, wide.of), self.walls(of));
         let views = [&wide.samples, &to];
         refine(self.commands, &self.pipelines.distance, grids, &within, level, walls, views)?;
@@ -262,7 +267,7 @@ impl Fields for PaddedFields<'_> {
 
     /// From here on fields are refined for the parts in which particles stand out, if there are
     /// any.
-    fn narrowed(&mut self, _: &Rc<PaddedSamples>, _: u32, _: &Ramp) -> bool {
+    fn narrowed(&mut self, _: &Rc<PaddedSamples>, _: u32, _: u16) -> bool {
         self.cells = self.parts.unwrap_or(self.cells);
         self.parts.is_some()
     }
@@ -287,10 +292,6 @@ impl Fields for PaddedFields<'_> {
         true
     }
 
-    fn nearer(&mut self, field: Rc<PaddedSamples>, _: u32, _: i32) -> Rc<PaddedSamples> {
-        field
-    }
-
     fn sheets(
         &mut self,
         sheets: &Sheets,
@@ -313,16 +314,16 @@ impl Fields for PaddedFields<'_> {
     fn blended(
         &mut self,
         drops: Rc<PaddedSamples>,
-        SheetFields { shares, certainty }: SheetFields<Rc<PaddedSamples>>,
+        sheets: Rc<PaddedSamples>,
+        certainty: &Rc<PaddedSamples>,
     ) -> Result<Rc<PaddedSamples>, VulkanError> {
         let of = drops.of;
         self.stage("sheets", 3, of);
-        let views = [&shares.samples, &certainty.samples, &drops.samples];
+        let views = [&sheets.samples, &certainty.samples, &drops.samples];
         blend(self.commands, &self.pipelines.blend, &self.grids[of].blocks, views)?;
         let margin = drops.margin.max(certainty.margin);
         let samples = drops.samples.clone();
-        self.give(shares);
-        self.give(certainty);
+        self.give(sheets);
         Ok(Rc::new(PaddedSamples { samples, margin, of }))
     }
 
@@ -330,15 +331,16 @@ impl Fields for PaddedFields<'_> {
         &mut self,
         bulk: Rc<PaddedSamples>,
         near: Rc<PaddedSamples>,
-        shares: Rc<PaddedSamples>,
-        by: (&Drops, &Ramp),
+        ThinShares { shares, certainty }: ThinShares<Rc<PaddedSamples>>,
+        by: (&Drops, &StandsOut),
     ) -> Result<Rc<PaddedSamples>, VulkanError> {
         self.stage("drops", 3, near.of);
         let views = [&bulk.samples, &near.samples, &shares.samples];
         let blocks = [near.of, bulk.of].map(|of| &self.grids[of].blocks);
         let homes = self.within(near.of, bulk.of);
         let away = &self.constants.tables.away;
-        join(self.commands, &self.pipelines.distance, blocks, &homes, by, away, views)?;
+        let certainty = certainty.as_ref().map(|certainty| &certainty.samples);
+        join(self.commands, &self.pipelines.distance, blocks, &homes, by, away, views, certainty)?;
         Ok(bulk)
     }
 }

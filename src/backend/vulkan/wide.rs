@@ -14,7 +14,8 @@ use crate::surface::dual_mc::dual_cells;
 use crate::vulkan::{BufferKind, View, VulkanError};
 
 use super::contouring::{
-    BatchField, BlockBatch, Contouring, DROPS_FIELDS, PART_FIELDS, WIDE_FIELDS, WideBulk,
+    BatchField, BlockBatch, Contouring, DROPS_FIELDS, PART_FIELDS, SHEETS_FIELDS, WIDE_FIELDS,
+    WideBulk,
 };
 use super::fields::{PaddedBlocks, PaddedSamples};
 use super::grids::{LevelBlocks, NO_TILES};
@@ -26,6 +27,7 @@ const WIDE: usize = 0;
 const CELLS: usize = 1;
 const PARTS: usize = 2;
 const DROPS: usize = 3;
+const SHEETS: usize = 4;
 
 impl Contouring<'_> {
     /// Decides, after the wide cells were made, which regions to mesh, and in which of their parts
@@ -131,7 +133,7 @@ impl Contouring<'_> {
         let views = [&part(&inputs, &probes_at), &fields.bulk, &fields.outlying, &seen];
         let commands = &mut lane.compute;
         commands.stage("distances", fields.bulk.bytes() + fields.outlying.bytes());
-        let by = (self.surfaces.recipe.iso, &distances.ramp);
+        let by = (self.surfaces.recipe.iso, distances.stands_out.begin());
         probe(commands, pipelines, &blocks, probes.len() as u32, by, views)?;
         commands.copy(&seen, &read);
         commands.submit(&[uploaded])?;
@@ -148,8 +150,8 @@ impl Contouring<'_> {
     ) -> Result<BatchField, VulkanError> {
         let device = &self.frame.device;
         let (level, halo) = (distances.drops_level, distances.drops_halo());
-        let from = self.samples(level);
-        let [mut cells, mut parts, mut drops] = <[LevelBlocks; 3]>::default();
+        let (from, from_wide) = (self.samples(level), self.samples(distances.level));
+        let [mut cells, mut parts, mut drops, mut sheets] = <[LevelBlocks; 4]>::default();
         for region in batch.meshed() {
             cells.push(self.surfaces.normals.cells(region), region.tiled());
         }
@@ -157,6 +159,11 @@ impl Contouring<'_> {
             parts.push(part, NO_TILES);
             let around = wide_cells(level, part).grown(halo, halo);
             drops.push_sampled(around, NO_TILES, from, None);
+            if distances.sheets.is_some() {
+                let halo = distances.sheets_halo();
+                let around = distances.wide_cells(part).grown(halo, halo);
+                sheets.push_sampled(around, NO_TILES, from_wide, None);
+            }
         }
         let of_wide = |number: usize| wide.of_regions[batch.meshed[number]];
         let numbers: [Vec<u32>; 4] = [
@@ -166,19 +173,22 @@ impl Contouring<'_> {
             (0..batch.parts.len() as u32).collect(),
         ];
         let mut layout = BufferLayout::default();
-        let places =
-            [&cells, &parts, &drops].map(|grid| grid.place(&mut layout, page_bytes(from.shape())));
+        let grids = [(&cells, from), (&parts, from), (&drops, from), (&sheets, from_wide)];
+        let places = grids.map(|(grid, from)| grid.place(&mut layout, page_bytes(from.shape())));
         let numbers_at =
             numbers.each_ref().map(|numbers| layout.place(size_of_val(&numbers[..]) as u64));
         let staged = lane.buffer(device, "staged", BufferKind::Upload, layout.bytes)?;
         let inputs = lane.buffer(device, "inputs", BufferKind::Device, layout.bytes)?;
         let mut free = Vec::new();
-        for (name, count, grid) in
-            [("cells", 1, &cells), ("parts", PART_FIELDS, &parts), ("drops", DROPS_FIELDS, &drops)]
-        {
+        for (name, count, grid) in [
+            ("cells", 1, &cells),
+            ("parts", PART_FIELDS, &parts),
+            ("drops", DROPS_FIELDS, &drops),
+            ("sheets", SHEETS_FIELDS, &sheets),
+        ] {
             free.push(lane.fields(device, name, count, grid.field_bytes())?);
         }
-        for (grid, places) in [&cells, &parts, &drops].into_iter().zip(&places) {
+        for ((grid, from), places) in grids.into_iter().zip(&places) {
             // SAFETY: the lane waited for the readers of its staging buffer, which no other lane
             // uses.
             unsafe { grid.stage(&staged, places, from) };
@@ -189,21 +199,23 @@ impl Contouring<'_> {
         }
         let uploaded = lane.send(&staged, &inputs)?;
 
-        let [wide_of_cells, wide_of_parts, homes, of_drops] =
+        let [wide_of_cells, wide_of_parts, homes, of_parts] =
             numbers_at.each_ref().map(|at| part(&inputs, at));
         let blocks = cells.on_device(&inputs, &places[0]);
         let within = [
             Vec::new(),
             vec![(WIDE, wide_of_cells)],
-            vec![(WIDE, wide_of_parts), (CELLS, homes), (DROPS, of_drops)],
+            vec![(WIDE, wide_of_parts), (CELLS, homes), (DROPS, of_parts.clone())],
+            vec![(SHEETS, of_parts)],
             Vec::new(),
         ];
         let all = [wide.blocks.clone(), blocks.clone()].into_iter().chain(
-            [(&parts, &places[1]), (&drops, &places[2])]
+            [(&parts, &places[1]), (&drops, &places[2]), (&sheets, &places[3])]
                 .map(|(grid, places)| grid.on_device(&inputs, places)),
         );
         let free = std::iter::once(Vec::new()).chain(free);
-        let grids = all.zip(within).zip(free).zip([distances.level, 0, 0, level]);
+        let levels = [distances.level, 0, 0, level, distances.level];
+        let grids = all.zip(within).zip(free).zip(levels);
         let padded = |(((blocks, within), free), level)| PaddedBlocks {
             blocks,
             level,
@@ -215,6 +227,11 @@ impl Contouring<'_> {
         fields.cells = CELLS;
         if !batch.parts.is_empty() {
             fields.parts = Some(PARTS);
+            fields.drops = DROPS;
+            if distances.sheets.is_some() {
+                let pages = places[3].pages(&inputs, from_wide, Some(&self.constants));
+                fields.gather(SHEETS, &pages)?;
+            }
             fields.gather(DROPS, &places[2].pages(&inputs, from, Some(&self.constants)))?;
         }
         let known = |samples: &View| {

@@ -7,7 +7,9 @@ use crate::brick::Block;
 use crate::grid::CellBox;
 
 use super::inverse_normal::{AWAY, DEPTHS};
-use super::{Bulk, Depths, Drops, MOST_APART, NONE, Ramp, ZERO, spline, spline_bits, wide_cells};
+use super::{
+    Bulk, Depths, Drops, MOST_APART, NONE, Ramp, StandsOut, ZERO, spline, spline_bits, wide_cells,
+};
 
 /// Bits of a share below the index of a table with 1024 steps.
 const BETWEEN_BITS: u32 = 5;
@@ -136,19 +138,37 @@ fn mixed_row(to: &mut [u16], [calm, fine, apart, near]: [&[u16]; 4], bulk: &Bulk
 }
 
 /// The distance by which each cell with a particle lies outside of the calm surface; [`NONE`] for
-/// cells without particles.
+/// cells without particles. With the fine surface, distances are reduced in the bulk, where no sheet
+/// needs to stand out early.
 ///
 /// # Panics
-/// If `clouds` does not cover `bulk`.
-pub fn outlying(bulk: &Block, clouds: &Block, least: u16) -> Block {
-    let cells = bulk.cells();
+/// If `fine` or `clouds` does not cover `calm`.
+pub fn outlying(
+    calm: &Block,
+    fine: Option<&Block>,
+    clouds: &Block,
+    (least, stands_out): (u16, &StandsOut),
+) -> Block {
+    let cells = calm.cells();
     let width = cells.size().x as usize;
     let mut field = Block::zero(cells);
-    let rows = bulk.rows(cells).zip(clouds.rows(cells));
-    for (to, ((_, bulk), (_, clouds))) in field.samples_mut().chunks_exact_mut(width).zip(rows) {
-        outlying_row(to, bulk, clouds, least);
+    let rows = calm.rows(cells).zip(clouds.rows(cells));
+    for (to, (([y, z], calm), (_, clouds))) in field.samples_mut().chunks_exact_mut(width).zip(rows)
+    {
+        outlying_row(to, calm, clouds, least);
+        if let Some(fine) = fine {
+            let first = fine.index(IVec3::new(cells.lo.x, y, z));
+            of_particles(to, calm, &fine.samples()[first..first + width], stands_out);
+        }
     }
     field
+}
+
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
+fn of_particles(to: &mut [u16], calm: &[u16], fine: &[u16], stands_out: &StandsOut) {
+    for ((to, &calm), &fine) in to.iter_mut().zip(calm).zip(fine) {
+        *to = stands_out.of_particle(*to, i32::from(fine) - i32::from(calm));
+    }
 }
 
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
@@ -322,17 +342,17 @@ fn greatest_of(samples: &[u16]) -> u16 {
     greatest
 }
 
-/// The part of some cells in which particles stand out from the calm surface.
+/// The part of some cells in which particles lie farther than `begin` outside of the calm surface.
 ///
 /// # Panics
 /// If `near` does not cover these cells.
-pub fn outlying_part(near: &Block, cells: CellBox, ramp: &Ramp) -> CellBox {
+pub fn outlying_part(near: &Block, cells: CellBox, begin: u16) -> CellBox {
     let mut part = CellBox::EMPTY;
     for ([y, z], row) in near.rows(cells) {
-        if greatest_of(row) <= ramp.begin {
+        if greatest_of(row) <= begin {
             continue;
         }
-        let stands_out = |near: &u16| *near > ramp.begin;
+        let stands_out = |near: &u16| *near > begin;
         let first = row.iter().position(stands_out).unwrap_or(0) as i32;
         let last = row.iter().rposition(stands_out).unwrap_or(0) as i32;
         let lo = IVec3::new(cells.lo.x + first, y, z);
@@ -350,22 +370,48 @@ pub fn away(share: u16, width: i32) -> i32 {
 }
 
 /// The field: the surface of the bulk, blended with the drops in proportion to the distance by
-/// which nearby particles lie outside of the calm surface. Drops are needed only where that
-/// distance is large enough.
+/// which nearby particles lie outside of the calm surface, and with sheets earlier, according to
+/// their certainty. The shares are needed only where that distance is large enough.
 ///
 /// # Panics
-/// If `bulk` or `near` does not cover the shares.
-pub fn joined(mut bulk: Block, near: &Block, shares: &Block, drops: &Drops, ramp: &Ramp) -> Block {
+/// If `bulk`, `near` or `certainty` does not cover the shares.
+pub fn joined(
+    mut bulk: Block,
+    near: &Block,
+    shares: &Block,
+    certainty: Option<&Block>,
+    drops: &Drops,
+    stands_out: &StandsOut,
+) -> Block {
     let part = shares.cells();
     let width = part.size().x as usize;
+    let mut earlier = vec![0; width];
     for (([y, z], shares), (_, near)) in shares.rows(part).zip(near.rows(part)) {
-        if greatest_of(near) <= ramp.begin {
+        if greatest_of(near) <= stands_out.begin() {
             continue;
         }
-        let first = bulk.index(IVec3::new(part.lo.x, y, z));
-        joined_row(&mut bulk.samples_mut()[first..first + width], near, shares, drops, ramp);
+        let row = IVec3::new(part.lo.x, y, z);
+        let near = match certainty {
+            Some(certainty) => {
+                let certainty = &certainty.samples()[certainty.index(row)..][..width];
+                standing_out(&mut earlier, near, certainty, stands_out);
+                &earlier[..]
+            }
+            None => near,
+        };
+        let first = bulk.index(row);
+        let bulk = &mut bulk.samples_mut()[first..first + width];
+        joined_row(bulk, near, shares, drops, &stands_out.ramp);
     }
     bulk
+}
+
+/// The distances by which particles stand out, increased for sheets according to their certainty.
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
+fn standing_out(to: &mut [u16], near: &[u16], certainty: &[u16], stands_out: &StandsOut) {
+    for ((to, &near), &certain) in to.iter_mut().zip(near).zip(certainty) {
+        *to = stands_out.of_sheet(near, certain);
+    }
 }
 
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]

@@ -7,11 +7,13 @@ use glam::IVec3;
 use crate::brick::halved_from_box;
 use crate::field::blur::Weights;
 use crate::field::indicator::{Amount, GHOST_LAYER, WideCells};
-use crate::field::sheets::{DropShape, Sheets};
+use crate::field::sheets::{DropShape, STANDS_OUT_EARLIER, Sheets};
 use crate::grid::units::{SheetStretch, Smooth};
 use crate::grid::{BLOCK, CellBox};
 
-use super::{Bulk, Drops, FARTHEST, InsideBricks, Ramp, UNITS, Width, ZERO, away, wide_cells};
+use super::{
+    Bulk, Drops, FARTHEST, InsideBricks, Ramp, StandsOut, UNITS, Width, ZERO, away, wide_cells,
+};
 
 /// The widths under which clouds are smoothed, relative to the requested width: the first two give
 /// the fine surface, the last two the calm one.
@@ -42,6 +44,9 @@ const NEAR: f64 = 1.0;
 /// The distances of a particle's centre outside of the calm surface at which it begins to stand
 /// out, and from which on it stands out completely, in spacings.
 const STANDS_OUT: [f64; 2] = [0.4, 1.0];
+/// The least difference of the fine and the calm surface in a sheet, in spacings: both agree in the
+/// bulk.
+const SHEETS_APART: f64 = 0.3;
 /// The standard deviation of a particle's drop, in spacings.
 const DROP_WIDTH: f64 = 0.6;
 /// The radius of the drop of a single particle in fine cells, in spacings.
@@ -58,7 +63,7 @@ const LEAST_DROP_RADIUS: f64 = 0.38;
 const DROP_CUT: f64 = 2.6;
 
 /// The variance of the spline that interpolates wide cells, in squared wide cells.
-const SPLINE: f64 = 0.25;
+pub(in crate::field) const SPLINE: f64 = 0.25;
 
 /// All parameters of distances from clouds except the plateau.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -71,8 +76,8 @@ pub struct DistanceFilters {
     pub near: i32,
     /// The minimum sample of a wide cell that contains a particle's centre.
     pub least: u16,
-    /// The distances from the calm surface at which drops fade in.
-    pub ramp: Ramp,
+    /// The distances from the calm surface at which drops and sheets fade in.
+    pub stands_out: StandsOut,
     /// Drops are made in cells 2^`drops_level` times as wide: half the width of wide cells, or the
     /// grid's cells.
     pub drops_level: u32,
@@ -141,13 +146,17 @@ impl DistanceFilters {
             deep: ramp(DEEP, ZERO),
         };
         let drops_level = wide.level.saturating_sub(1);
-        let (drops, sheets) = thin_fluid(sheets, spacing, drops_level, drops_level > 0);
+        let (drops, sheets) = thin_fluid(sheets, spacing, wide, drops_level > 0);
         Self {
             level: wide.level,
             bulk,
             near: (NEAR / wide.edge).round().max(1.0) as i32,
             least: ((amount / 9.0) as u16).max(1),
-            ramp: ramp(STANDS_OUT, ZERO),
+            stands_out: StandsOut {
+                ramp: ramp(STANDS_OUT, ZERO),
+                earlier: sheets.as_ref().map_or(0, |_| (STANDS_OUT_EARLIER * UNITS) as u16),
+                apart: (SHEETS_APART * UNITS) as u16,
+            },
             drops_level,
             drops,
             sheets,
@@ -167,7 +176,7 @@ impl DistanceFilters {
     /// caller that interpolates drops and sheets on a finer mesh by splines.
     #[must_use]
     pub fn refining(self, sheets: SheetStretch, spacing: f64) -> Self {
-        let (drops, sheets) = thin_fluid(sheets, spacing, self.drops_level, true);
+        let (drops, sheets) = thin_fluid(sheets, spacing, WideCells::of_spacing(spacing), true);
         Self { drops, sheets, ..self }
     }
 
@@ -216,7 +225,19 @@ impl DistanceFilters {
         self.bulk_reach() + self.near.max(self.bulk.around.reach())
     }
 
-    /// The halo of drops, in the cells in which they are made.
+    /// The halo of the wide cells from whose density sheets are made, in wide cells.
+    #[must_use]
+    pub fn sheets_halo(&self) -> i32 {
+        let further = |sheets: &Sheets| {
+            // From a cell of drops to the wide cell that contains it.
+            let halo =
+                if self.level > self.drops_level { sheets.halo() / 2 + 1 } else { sheets.halo() };
+            sheets.around.reach() + halo
+        };
+        self.sheets.as_ref().map_or(0, further)
+    }
+
+    /// The halo of drops and sheets, in the cells in which they are made.
     #[must_use]
     pub fn drops_halo(&self) -> i32 {
         self.sheets.as_ref().map_or(0, Sheets::halo).max(self.drops.halo())
@@ -232,7 +253,7 @@ impl DistanceFilters {
             // contribute to wide cells.
             ((halo + spline) << level) + 2 * ((1 << level) - 1)
         };
-        let wide = in_wide(self.level, self.wide_halo());
+        let wide = in_wide(self.level, self.wide_halo().max(self.sheets_halo()));
         wide.max(in_wide(self.drops_level, self.drops_halo())) + GHOST_LAYER
     }
 
@@ -241,7 +262,8 @@ impl DistanceFilters {
     #[must_use]
     pub fn seen(&self, cells: CellBox) -> CellBox {
         let wide = self.wide_cells(cells);
-        let bulk = wide.grown(self.wide_halo(), self.wide_halo());
+        let halo = self.wide_halo().max(self.sheets_halo());
+        let bulk = wide.grown(halo, halo);
         let inside = InsideBricks::bricks_around(wide).grown(self.inside_reach, self.inside_reach);
         let drops = wide_cells(self.drops_level, cells).grown(self.drops_halo(), self.drops_halo());
         halved_from_all(self.level, bulk.union(&inside))
@@ -276,23 +298,26 @@ impl DistanceFilters {
         let halo = self.drops_halo();
         let drops = wide_cells(self.drops_level, cells(BLOCK)).grown(halo, halo);
         let drops = 7 * volume_bytes(drops) + 4 * volume_bytes(cells(BLOCK));
+        let halo = self.sheets_halo();
+        let sheets = 3 * volume_bytes(self.wide_cells(cells(BLOCK)).grown(halo, halo));
+        let drops = drops + sheets;
         let wide = 2 * volume_bytes(self.wide_cells(cells(2 * BLOCK)));
         self.bulk_bytes(self.wide_cells(cells(2 * BLOCK))).max(drops + wide)
     }
 }
 
-/// Makes the parameters of drops and sheets for particles `spacing` cells apart, in cells 2^`level`
-/// times as wide, with or without refinement by splines.
+/// Makes the parameters of drops and sheets for particles `spacing` cells apart, in cells half as
+/// wide as wide cells, or in the grid's own cells if they are no finer. `is_refined` says whether
+/// splines interpolate them on the mesh.
 fn thin_fluid(
     sheets: SheetStretch,
     spacing: f64,
-    level: u32,
+    wide: WideCells,
     is_refined: bool,
 ) -> (Drops, Option<Sheets>) {
-    let in_drops = spacing / f64::from(1 << level);
+    let in_drops = spacing / f64::from(1 << wide.level.saturating_sub(1));
     let (drops, shape) = Drops::new(in_drops, is_refined);
-    let amount = Amount::of_spacing(in_drops).steps();
-    (drops, Sheets::new(sheets, 1.0 / in_drops, 1.0 / spacing, amount, shape))
+    (drops, Sheets::new(sheets, [1.0 / spacing, 1.0 / in_drops], wide, shape))
 }
 
 /// The cells from which some cells, 2^`level` times as wide, are made.

@@ -21,7 +21,8 @@
 //!    wide cells, or in the grid's own cells if they are no finer.
 //! 5. Joined. A particle stands out if its centre lies outside of the calm surface, by O = -E in
 //!    its wide cell. The greatest O within a spacing blends the bulk's surface with drops, from 0.4
-//!    to 1 d. Where no particle is near, there is no surface.
+//!    to 1 d, and up to 0.35 d earlier with [sheets](super::sheets). Where no particle is near,
+//!    there is no surface.
 //!
 //! Every blur is one of [`blur`](super::blur); quadratic B-splines interpolate wide cells; ramps
 //! are 3 x^2 - 2 x^3. Distances are 16-bit samples: 32768 + 8192 d.
@@ -34,7 +35,7 @@ pub mod vulkan;
 
 pub use cpu::{away, depths, joined, mixed, outlying, outlying_part, quotient, refined, spread};
 pub use filters::{BULK_GAIN, DistanceFilters};
-pub(in crate::field) use filters::{LEAST_VARIANCE, gaussian};
+pub(in crate::field) use filters::{LEAST_VARIANCE, SPLINE, gaussian};
 pub use inside::{BRICK, InsideBricks};
 pub use inverse_normal::{AWAY, DEPTHS};
 
@@ -118,8 +119,8 @@ pub struct Ramp {
 
 impl Ramp {
     /// Makes a ramp that rises from `begin` to `begin + range`.
-    pub fn new(begin: u16, range: u16) -> Self {
-        Self { begin, range, slope: (1_u32 << 28).div_ceil(range.into()) }
+    pub const fn new(begin: u16, range: u16) -> Self {
+        Self { begin, range, slope: (1_u32 << 28).div_ceil(range as u32) }
     }
 
     /// The height of the ramp, 0 to 4096: 3 x^2 - 2 x^3 for x from 0 to 1.
@@ -127,6 +128,38 @@ impl Ramp {
     pub fn of(self, value: u16) -> u32 {
         let x = (u32::from(value.saturating_sub(self.begin).min(self.range)) * self.slope) >> 16;
         (((x * x) >> 8) * (3 * 4096 - 2 * x)) >> 16
+    }
+}
+
+/// The distances outside of the calm surface at which drops and sheets replace the bulk's surface.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct StandsOut {
+    /// Over the distance, for drops.
+    pub ramp: Ramp,
+    /// The distance by which a certain sheet stands out earlier, in units.
+    pub earlier: u16,
+    /// The least difference of the fine and the calm surface in a sheet, in units.
+    pub apart: u16,
+}
+
+impl StandsOut {
+    /// The greatest distance at which nothing stands out.
+    pub fn begin(&self) -> u16 {
+        self.ramp.begin - self.earlier
+    }
+
+    /// The distance by which a particle lies outside, if no sheet needs it to stand out earlier.
+    #[inline(always)]
+    pub fn of_particle(&self, distance: u16, apart: i32) -> u16 {
+        let may_be_sheet = apart >= i32::from(self.apart) || distance > self.ramp.begin;
+        if may_be_sheet { distance } else { distance.min(self.begin()) }
+    }
+
+    /// The distance that counts for a sheet of some certainty, in 4096ths.
+    #[inline(always)]
+    pub fn of_sheet(&self, distance: u16, certainty: u16) -> u16 {
+        let earlier = (u32::from(certainty) * u32::from(self.earlier)) >> 12;
+        distance.saturating_add(earlier as u16)
     }
 }
 

@@ -15,7 +15,7 @@ use crate::shaders::{
 use crate::vulkan::{Batch, ComputePipeline, View, VulkanError};
 
 use super::inside::PART;
-use super::{AWAY, Bulk, DEPTHS, Drops, Ramp};
+use super::{AWAY, Bulk, DEPTHS, Drops, StandsOut};
 
 /// Edge of the largest cubes that a device supports, in parts.
 const WIDEST_CUBE: u32 = 4;
@@ -138,7 +138,8 @@ pub fn mixed(
     batch.dispatch(&pipelines.mix, &views, &push, blocks.groups(&pipelines.mix))
 }
 
-/// Overwrites each cloud sample by the cell's distance outside the calm surface.
+/// Overwrites each cloud sample by the cell's distance outside the calm surface, from both surfaces
+/// and from the minimum cloud of a cell with a particle.
 ///
 /// # Errors
 /// The errors of the device.
@@ -146,13 +147,19 @@ pub fn outlying(
     batch: &mut Batch,
     pipelines: &DistancePipelines,
     blocks: &DeviceBlocks,
-    least: u16,
-    [calm, clouds]: [&View; 2],
+    (least, stands_out): (u16, &StandsOut),
+    [calm, fine, clouds]: [&View; 3],
 ) -> Result<(), VulkanError> {
-    let push = OutlyingPush { words: blocks.words, least: least.into() };
+    let push = OutlyingPush {
+        words: blocks.words,
+        least: least.into(),
+        begin: stands_out.ramp.begin.into(),
+        begin_of_sheets: stands_out.begin().into(),
+        apart: stands_out.apart.into(),
+    };
     batch.dispatch(
         &pipelines.outlying,
-        &[calm, clouds].map(Clone::clone),
+        &[calm, fine, clouds].map(Clone::clone),
         &push,
         blocks.flat_groups(&pipelines.outlying),
     )
@@ -210,7 +217,7 @@ pub struct ProbeResult {
 }
 
 /// Probes `count` regions of wide `blocks`: whether they have cells inside and outside of an
-/// isovalue, and where particles stand out beyond the begin of a ramp. Writes `results`.
+/// isovalue, and where particles lie farther than `begin` outside. Writes `results`.
 ///
 /// # Errors
 /// The errors of the device.
@@ -219,10 +226,10 @@ pub fn probe(
     pipelines: &DistancePipelines,
     blocks: &DeviceBlocks,
     count: u32,
-    (iso, ramp): (Isovalue, &Ramp),
+    (iso, begin): (Isovalue, u16),
     [probes, bulk, outlying, results]: [&View; 4],
 ) -> Result<(), VulkanError> {
-    let push = ProbePush { threshold: iso.threshold().into(), begin: ramp.begin.into() };
+    let push = ProbePush { threshold: iso.threshold().into(), begin: begin.into() };
     let views = [&blocks.blocks, probes, bulk, outlying, results].map(Clone::clone);
     batch.dispatch(&pipelines.probe, &views, &push, [1, count, 1])
 }
@@ -268,7 +275,8 @@ pub fn quotient(
 }
 
 /// Replaces the bulk's surface by the field in `parts` of `blocks`. `homes` has the number of each
-/// part's block, and `table` the distances for shares. `near` and `shares` are on the parts.
+/// part's block, and `table` the distances for shares. `near`, `shares` and `certainty` are on the
+/// parts; without `certainty` there are no sheets.
 ///
 /// # Errors
 /// The errors of the device.
@@ -277,9 +285,10 @@ pub fn join(
     pipelines: &DistancePipelines,
     [parts, blocks]: [&DeviceBlocks; 2],
     homes: &View,
-    (drops, ramp): (&Drops, &Ramp),
+    (drops, StandsOut { ramp, earlier, .. }): (&Drops, &StandsOut),
     table: &View,
     [bulk, near, shares]: [&View; 3],
+    certainty: Option<&View>,
 ) -> Result<(), VulkanError> {
     let push = JoinPush {
         begin: ramp.begin.into(),
@@ -287,7 +296,10 @@ pub fn join(
         slope: ramp.slope,
         radius: drops.radius,
         width: drops.width,
+        earlier: certainty.map_or(0, |_| u32::from(*earlier)),
     };
-    let views = [&parts.blocks, &blocks.blocks, homes, near, shares, table, bulk].map(Clone::clone);
+    let certainty = certainty.unwrap_or(shares);
+    let views = [&parts.blocks, &blocks.blocks, homes, near, shares, table, certainty, bulk]
+        .map(Clone::clone);
     batch.dispatch(&pipelines.join, &views, &push, parts.groups(&pipelines.join))
 }

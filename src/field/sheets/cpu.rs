@@ -4,9 +4,13 @@ use glam::IVec3;
 use multiversion::multiversion;
 
 use crate::brick::Block;
+use crate::field::distance::spread;
 
 use super::logarithm::{exp2, log2};
-use super::{BITS, LOG2_OF_E, ONE, SheetConstants, SheetFields, Sheets};
+use super::{
+    BEYOND, BEYOND_IF_FLAT, BITS, BY_RIM, FLAT, IMPURE, IMPURE_IF_FLAT, LOG2_OF_E, ONE, ROUND,
+    SheetConstants, SheetFields, Sheets, THIN,
+};
 
 /// Cells that are processed at a time.
 const LANES: usize = 16;
@@ -14,6 +18,8 @@ const LANES: usize = 16;
 /// The maximum of g, B and the distance from the middle.
 const MOST_SLOPE: i32 = 4 * ONE;
 const MOST_BEND: i32 = 2 * ONE;
+/// The maximum of a minor of I - B.
+const MOST_MINOR: i32 = 4 * ONE;
 
 /// Whether some samples can hold a sheet, which needs more than one particle.
 pub fn holds_any(sheets: &Sheets, clouds: &Block) -> bool {
@@ -27,8 +33,13 @@ pub fn holds_any(sheets: &Sheets, clouds: &Block) -> bool {
     false
 }
 
-/// Sheets of the smoothed density; `None` if there are none.
-pub fn sheets(numbers: &SheetConstants, density: &Block) -> Option<SheetFields<Block>> {
+/// Sheets of the smoothed density; `None` if there are none. Shares are only made within the reach
+/// of the average certainty, and where `needed` is not 0.
+///
+/// # Panics
+/// If `needed` does not cover the sheets.
+pub fn sheets(by: &Sheets, density: &Block, needed: Option<&Block>) -> Option<SheetFields<Block>> {
+    let numbers = &by.numbers;
     let step = numbers.step;
     let cells = density.cells().grown(-step, -step);
     // Logarithms are only needed around samples that reach the minimum, within the error of the
@@ -40,54 +51,61 @@ pub fn sheets(numbers: &SheetConstants, density: &Block) -> Option<SheetFields<B
     }
     let density = density.part(dense.grown(step, step));
     let (mut shares, mut certainty) = (Block::zero(cells), Block::zero(cells));
-    let [_, row, slab] = shares.strides();
-    let to_place = |cell: IVec3| {
-        let at = (cell - cells.lo).as_usizevec3();
-        at.x + at.y * row + at.z * slab
-    };
-    let mut logarithms = vec![0; density.samples().len()];
+    // Several cells are processed at a time, also at the end of the last row.
+    let mut logarithms = vec![0; density.samples().len() + LANES];
     logarithms_of(&mut logarithms, density.samples());
     let strides = density.strides().map(|stride| stride as isize * step as isize);
     let [x, y, z] = strides;
     let width = dense.size().x as usize;
-    let (mut places, mut lanes) = (Vec::with_capacity(LANES), Taps::default());
     let mut candidates = vec![0; width];
+    let mut made = vec![false; density.rows(dense).count() * width.div_ceil(LANES)];
     let mut any = false;
-    let mut finish = |places: &mut Vec<usize>, lanes: &Taps<[i32; LANES]>| {
-        let found = sheets_of_each(numbers, lanes);
-        for (place, (share, certain)) in places.drain(..).zip(found) {
-            shares.samples_mut()[place] = share;
-            certainty.samples_mut()[place] = certain;
-            any |= certain > 0;
-        }
-    };
-    for ([y_cell, z_cell], _) in density.rows(dense) {
+    for (([y_cell, z_cell], _), made) in
+        density.rows(dense).zip(made.chunks_mut(width.div_ceil(LANES)))
+    {
         let row = IVec3::new(dense.lo.x, y_cell, z_cell);
-        let (first, to) = (density.index(row), to_place(row));
+        let (first, to) = (density.index(row), shares.index(row));
+        let needed = needed.map(|needed| &needed.samples()[needed.index(row)..][..width]);
         let row = |offset: isize| &logarithms[first.wrapping_add_signed(offset)..][..width];
         let beside = [row(-x), row(x), row(-y), row(y), row(-z), row(z)];
         may_be_sheets(&mut candidates, numbers, row(0), beside);
-        for (i, _) in candidates.iter().enumerate().filter(|&(_, &so)| so > 0) {
-            let at = |offset: isize| i32::from(logarithms[(first + i).wrapping_add_signed(offset)]);
-            let lane = places.len();
-            lanes.put(
-                lane,
-                Taps {
-                    centre: at(0),
-                    below: [at(-x), at(-y), at(-z)],
-                    above: [at(x), at(y), at(z)],
-                    same: [at(x + y) + at(-x - y), at(x + z) + at(-x - z), at(y + z) + at(-y - z)],
-                    opposite: [at(x - y) + at(y - x), at(x - z) + at(z - x), at(y - z) + at(z - y)],
-                },
-            );
-            places.push(to + i);
-            if places.len() == LANES {
-                finish(&mut places, &lanes);
-            }
+        for (candidate, &needed) in candidates.iter_mut().zip(needed.into_iter().flatten()) {
+            *candidate &= u16::from(needed > 0);
+        }
+        let pieces = candidates.chunks(LANES).zip(made).zip((0..).step_by(LANES));
+        for ((piece, made), start) in
+            pieces.filter(|((piece, _), _)| piece.iter().any(|&candidate| candidate > 0))
+        {
+            *made = true;
+            let found = sheets_of_each(numbers, &logarithms, first + start, strides);
+            let place = to + start..to + start + piece.len();
+            shares.samples_mut()[place.clone()].copy_from_slice(&found.0[..piece.len()]);
+            certainty.samples_mut()[place].copy_from_slice(&found.1[..piece.len()]);
+            any |= found.1[..piece.len()].iter().any(|&certain| certain > 0);
         }
     }
-    finish(&mut places, &lanes);
-    any.then_some(SheetFields { shares, certainty })
+    if !any {
+        return None;
+    }
+
+    let reach = by.average.reach();
+    let mut near = Block::zero(cells.grown(reach, reach));
+    near.put(&certainty);
+    let near = spread(near, reach);
+    for (([y_cell, z_cell], near), made) in near.rows(dense).zip(made.chunks(width.div_ceil(LANES)))
+    {
+        let row = IVec3::new(dense.lo.x, y_cell, z_cell);
+        let (first, to) = (density.index(row), shares.index(row));
+        let pieces = near.chunks(LANES).zip(made).zip((0..).step_by(LANES));
+        for ((piece, _), start) in
+            pieces.filter(|((piece, made), _)| !**made && piece.iter().any(|&certain| certain > 0))
+        {
+            let (found, _) = sheets_of_each(numbers, &logarithms, first + start, strides);
+            shares.samples_mut()[to + start..][..piece.len()]
+                .copy_from_slice(&found[..piece.len()]);
+        }
+    }
+    Some(SheetFields { shares, certainty })
 }
 
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
@@ -112,27 +130,46 @@ fn may_be_sheets(to: &mut [u16], numbers: &SheetConstants, row: &[u16], beside: 
     }
 }
 
-/// Sheets at several cells at a time, as in [`SheetConstants::sheet`].
+/// Sheets at several adjacent cells at a time, as in [`SheetConstants::sheet`]. `strides` are the
+/// distances of the samples for differences.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
-fn sheets_of_each(numbers: &SheetConstants, lanes: &Taps<[i32; LANES]>) -> [(u16, u16); LANES] {
+fn sheets_of_each(
+    numbers: &SheetConstants,
+    logarithms: &[u16],
+    first: usize,
+    [x, y, z]: [isize; 3],
+) -> ([u16; LANES], [u16; LANES]) {
+    let at = |offset: isize| -> &[u16; LANES] {
+        let taps = logarithms[first.wrapping_add_signed(offset)..].first_chunk();
+        taps.expect("there are enough samples beyond the last row")
+    };
+    let (centre, below, above) = (at(0), [at(-x), at(-y), at(-z)], [at(x), at(y), at(z)]);
+    let same = [[at(x + y), at(-x - y)], [at(x + z), at(-x - z)], [at(y + z), at(-y - z)]];
+    let opposite = [[at(x - y), at(y - x)], [at(x - z), at(z - x)], [at(y - z), at(z - y)]];
     let (mut shares, mut certainty) = ([0; LANES], [0; LANES]);
     for lane in 0..LANES {
-        let (share, certain) = numbers.sheet(&lanes.at(lane));
-        shares[lane] = share;
-        certainty[lane] = certain;
+        let one = |taps: &[u16; LANES]| i32::from(taps[lane]);
+        let sum = |[a, b]: [&[u16; LANES]; 2]| one(a) + one(b);
+        (shares[lane], certainty[lane]) = numbers.sheet(&Taps {
+            centre: one(centre),
+            below: [one(below[0]), one(below[1]), one(below[2])],
+            above: [one(above[0]), one(above[1]), one(above[2])],
+            same: [sum(same[0]), sum(same[1]), sum(same[2])],
+            opposite: [sum(opposite[0]), sum(opposite[1]), sum(opposite[2])],
+        });
     }
-    std::array::from_fn(|lane| (shares[lane], certainty[lane]))
+    (shares, certainty)
 }
 
 /// Blends the shares of drops with those of sheets, weighted by the certainty of the sheets.
-pub fn blend(drops: &Block, sheets: SheetFields<&Block>) -> Block {
-    let cells = drops.cells().intersection(&sheets.certainty.cells());
+pub fn blend(drops: &Block, sheets: &Block, certainty: &Block) -> Block {
+    let cells = drops.cells().intersection(&certainty.cells());
     let mut shares = drops.part(cells);
     let width = cells.size().x as usize;
-    for ([y, z], certainty) in sheets.certainty.rows(cells) {
+    for ([y, z], certainty) in certainty.rows(cells) {
         let row = IVec3::new(cells.lo.x, y, z);
-        let (to, from) = (shares.index(row), sheets.shares.index(row));
-        let of_sheets = &sheets.shares.samples()[from..from + width];
+        let (to, from) = (shares.index(row), sheets.index(row));
+        let of_sheets = &sheets.samples()[from..from + width];
         let shares = &mut shares.samples_mut()[to..to + width];
         for ((share, &sheet), &certain) in shares.iter_mut().zip(of_sheets).zip(certainty) {
             if certain > 0 {
@@ -145,41 +182,16 @@ pub fn blend(drops: &Block, sheets: SheetFields<&Block>) -> Block {
     shares
 }
 
-/// Logarithms of the density around one cell, or around several cells.
-#[derive(Default)]
-struct Taps<T = i32> {
-    centre: T,
+/// Logarithms of the density around a cell.
+struct Taps {
+    centre: i32,
     /// One step down along x, y and z.
-    below: [T; 3],
-    above: [T; 3],
+    below: [i32; 3],
+    above: [i32; 3],
     /// For each diagonal of the planes xy, xz and yz, the sum of its two ends: both steps in the
     /// same direction, and in opposite directions.
-    same: [T; 3],
-    opposite: [T; 3],
-}
-
-impl Taps<[i32; LANES]> {
-    fn put(&mut self, lane: usize, taps: Taps) {
-        self.centre[lane] = taps.centre;
-        for axis in 0..3 {
-            self.below[axis][lane] = taps.below[axis];
-            self.above[axis][lane] = taps.above[axis];
-            self.same[axis][lane] = taps.same[axis];
-            self.opposite[axis][lane] = taps.opposite[axis];
-        }
-    }
-
-    #[inline(always)]
-    fn at(&self, lane: usize) -> Taps {
-        let of = |lanes: &[[i32; LANES]; 3]| [lanes[0][lane], lanes[1][lane], lanes[2][lane]];
-        Taps {
-            centre: self.centre[lane],
-            below: of(&self.below),
-            above: of(&self.above),
-            same: of(&self.same),
-            opposite: of(&self.opposite),
-        }
-    }
+    same: [i32; 3],
+    opposite: [i32; 3],
 }
 
 #[inline(always)]
@@ -198,7 +210,7 @@ impl SheetConstants {
     #[inline(always)]
     fn is_round(&self, seconds: [i32; 3]) -> bool {
         let [x, y, z] = seconds.map(|second| self.bend(second));
-        x + y + z >= i32::from(self.round.begin) + i32::from(self.round.range)
+        x + y + z >= i32::from(ROUND.begin) + i32::from(ROUND.range)
     }
 
     /// A cell's share of a sheet, and the certainty of the sheet.
@@ -229,9 +241,22 @@ impl SheetConstants {
                 impure += apart * apart;
             }
         }
-        let impure = (impure >> BITS).min(u16::MAX.into()) as u16;
+        let impure = (impure >> BITS).min(u16::MAX.into());
         let directions = (xx + yy + zz).clamp(0, 3 * ONE);
         let (threaded, rounded) = ((directions - ONE).clamp(0, ONE), (directions - 2 * ONE).max(0));
+        let rim = (impure * BY_RIM).min(ONE).max(threaded);
+
+        // det(I - B).
+        let [x, y, z] = [ONE - xx, ONE - yy, ONE - zz];
+        let minor = |a: [i32; 2], b: [i32; 2]| {
+            ((a[0] * b[0] - a[1] * b[1]) >> BITS).clamp(-MOST_MINOR, MOST_MINOR)
+        };
+        let spread = (x * minor([y, yz], [z, yz])
+            - xy * minor([xy, -yz], [z, xz])
+            - xz * minor([xz, -yz], [y, xy]))
+            >> BITS;
+        let flat = 4096 - FLAT.of(spread.clamp(0, u16::MAX.into()) as u16) as i32;
+        let impure = (impure - ((IMPURE_IF_FLAT * flat) >> BITS)).max(0) as u16;
 
         let along = times(g);
         let twice = times(along);
@@ -247,11 +272,12 @@ impl SheetConstants {
         let stretch = sheet + (((thread - sheet) * threaded) >> BITS) - ((density * power) >> BITS);
         let stretch = stretch.clamp(0, u16::MAX.into()) as u16;
         let passed = |share: u32, ramp: u32| (share * ramp) >> BITS;
+        let still_beyond = (beyond - ((BEYOND_IF_FLAT * flat) >> BITS)).max(0) as u16;
         let certain = passed(
-            passed(4096 - self.torn.of(stretch), 4096 - self.impure.of(impure)),
+            passed(4096 - self.torn.of(stretch), 4096 - IMPURE.of(impure)),
             passed(
-                passed(self.thin.of(directions as u16), 4096 - self.round.of(directions as u16)),
-                4096 - self.beyond.of(beyond as u16),
+                passed(THIN.of(directions as u16), 4096 - ROUND.of(directions as u16)),
+                4096 - BEYOND.of(still_beyond),
             ),
         );
         // The ramp is applied twice: otherwise pieces of uncertain sheets would be visible.
@@ -262,14 +288,15 @@ impl SheetConstants {
         let size = ((density * power) >> BITS)
             + sheet
             + (((thread - sheet) * threaded + (round - thread) * rounded) >> BITS);
-        let size = exp2(size.clamp(self.least_size, ONE)) >> 3;
+        let least_size = self.least_size + ((self.rim * rim) >> BITS);
+        let size = exp2(size.max(least_size).min(ONE)) >> 3;
         let share = self.share
             + ((self.by_directions * directions.clamp(ONE, 3 * ONE) + self.by_size * size
                 - self.by_distance * away)
                 >> BITS);
         let share = exp2(share.clamp(-15 * ONE, 0)) as u16;
         // No branches, because several cells are processed at a time.
-        (if certain == 0 { 0 } else { share }, certain as u16)
+        (if taps.centre < self.least { 0 } else { share }, certain as u16)
     }
 }
 

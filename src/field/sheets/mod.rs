@@ -16,15 +16,21 @@
 //!    across a sheet and compensates for the missing particles beyond a rim. T = tr B is the number
 //!    of directions across. The density at the middle is that of a sheet (1), a thread (2) or a
 //!    ball (3) with the particles' volume under the Gaussian; this gives its half thickness or
-//!    radius R. The cells need a minimum of `LEAST_CELLS`.
+//!    radius R. The cells need a minimum of `LEAST_CELLS`, and of `LEAST_RIM_CELLS` in threads and
+//!    at rims, which would fray otherwise.
 //! 4. Certainty. There is a sheet if neighbours are no farther apart than requested, according to
 //!    the density at the middle, and if B is nearly a projection: the squared distance
 //!    |B - B^2|^2 is at most 0.06 in sheets, in threads and at their rims, and twice that in spray.
-//!    Neither a thick body (T < 0.4) nor a drop of a few particles (T > 2.45) is a sheet.
-//! 5. Blended. The certainty is averaged under a Gaussian of 0.36 spacings, so that no crumbs of
+//!    At a corner of a sheet it is that large, too, but det(I - B), the product of the particles'
+//!    variances, shows that they lie in a plane. Neither a thick body (T < 0.4) nor a drop of a few
+//!    particles (T > 2.45) is a sheet.
+//! 5. Blended. The certainty is averaged under a Gaussian of 0.55 spacings, so that no crumbs of
 //!    single cells remain at rims and in spray. It is the weight with which the shares of drops
 //!    (see [`distance`](super::distance)) are blended with those of the sheet, which have the
 //!    minimum width for the cells and reach the level of a drop's surface at R.
+//! 6. Joined. A sheet replaces the bulk's surface earlier than drops do, by `STANDS_OUT_EARLIER`
+//!    times its certainty: the surface of the bulk vanishes from a sheet before its particles stand
+//!    out.
 //!
 //! Derivatives are differences of logarithms over about a spacing, which are exact for Gaussians.
 //! Everything is integer arithmetic: numbers have 12 fraction bits unless stated otherwise, and
@@ -43,7 +49,8 @@ use std::f64::consts::{LN_2, LOG2_E, PI, TAU};
 use libm::log2;
 
 use crate::field::blur::Weights;
-use crate::field::distance::{LEAST_VARIANCE, Ramp, gaussian};
+use crate::field::distance::{LEAST_VARIANCE, Ramp, SPLINE, gaussian};
+use crate::field::indicator::WideCells;
 use crate::grid::units::SheetStretch;
 
 /// Fraction bits.
@@ -59,28 +66,43 @@ const WIDTH: f64 = 1.5;
 const CUT: f64 = 2.6;
 /// The standard deviation of the Gaussian that averages certainty, in spacings; the narrowest
 /// filter is 1:2:1.
-const AVERAGE: f64 = 0.36;
+const AVERAGE: f64 = 0.55;
 /// The width of a sheet's profile, in spacings, and its minimum in cells of the sheet.
 const PROFILE: f64 = 0.45;
 const PROFILE_CELLS: f64 = 0.9;
-/// The minimum half thickness, in cells of the mesh and in spacings, and the maximum of this
-/// minimum in spacings, for coarse cells.
-const LEAST_CELLS: f64 = 0.9;
+/// The minimum half thickness in cells of the mesh, in sheets and at their rims and in threads. To
+/// both `LEAST_MORE` spacings are added, and for coarse cells both are at most `LEAST_MOST`
+/// spacings.
+const LEAST_CELLS: f64 = 0.6;
+const LEAST_RIM_CELLS: f64 = 0.85;
 const LEAST_MORE: f64 = 0.05;
 const LEAST_MOST: f64 = 1.0;
 /// The factor beyond the requested stretch at which sheets end.
 const GONE: f64 = 1.12;
 /// The factor by which threads may be stretched farther than sheets: spray seldom looks like
 /// threads.
-const THREADS_FARTHER: f64 = 1.1;
+const THREADS_FARTHER: f64 = 1.15;
 /// The squared distances of B from a projection between which drops replace sheets.
-const IMPURE: [f64; 2] = [0.06, 0.09];
+pub const IMPURE: Ramp = ramp([0.06, 0.09]);
+/// 1 over the squared distance of B from a projection that counts as rim.
+pub const BY_RIM: i32 = 16;
+/// The determinants of I - B between which particles no longer lie in a plane.
+pub const FLAT: Ramp = ramp([0.01, 0.05]);
+/// The increase of both limits of [`IMPURE`] where particles lie in a plane.
+pub const IMPURE_IF_FLAT: i32 = fixed(0.08);
+/// The increase of both limits of [`BEYOND`] where particles lie in a plane.
+pub const BEYOND_IF_FLAT: i32 = fixed(0.45);
+/// The number of directions across at which sheets begin to fade in.
+const LEAST_ACROSS: f64 = 0.4;
 /// The numbers of directions across between which sheets fade in.
-const THICK: [f64; 2] = [0.4, 0.7];
-const ROUND: [f64; 2] = [2.2, 2.45];
+pub const THIN: Ramp = ramp([LEAST_ACROSS, 0.7]);
+/// The numbers of directions across between which sheets fade out again.
+pub const ROUND: Ramp = ramp([2.2, 2.45]);
 /// The differences of the logarithm at the middle between which sheets fade out, because the middle
 /// is not near.
-const BEYOND: [f64; 2] = [0.6, 0.75];
+pub const BEYOND: Ramp = ramp([0.6, 0.75]);
+/// The distance by which sheets stand out earlier than drops, in spacings.
+pub(in crate::field) const STANDS_OUT_EARLIER: f64 = 0.35;
 /// The maximum difference between the logarithms of the density at the middle and at the cell, to
 /// base e.
 const MOST_MORE: f64 = 0.7;
@@ -88,7 +110,7 @@ const MOST_MORE: f64 = 0.7;
 /// The parameters of thin fluid, for the density in the cells of drops.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Sheets {
-    /// Smooths the density.
+    /// Smooths the density in wide cells.
     pub around: Weights,
     /// The minimum sum of samples in the surroundings of a sheet.
     pub least: u32,
@@ -101,7 +123,7 @@ pub struct Sheets {
 /// The sheets in some cells.
 #[derive(Debug, Clone)]
 pub struct SheetFields<F> {
-    /// Shares like those of drops, in 32768ths; 0 without a sheet.
+    /// Shares like those of drops, in 32768ths; 0 where hardly any particle is near.
     pub shares: F,
     /// The certainty of the sheets, in 4096ths.
     pub certainty: F,
@@ -128,6 +150,8 @@ pub struct SheetConstants {
     pub sizes: [i32; 3],
     /// The logarithm of the minimum R^2.
     pub least_size: i32,
+    /// The increase of this logarithm at rims and in threads.
+    pub rim: i32,
     /// The logarithm of the stretch, minus half or all of the density's logarithm: for sheets and
     /// threads.
     pub stretches: [i32; 2],
@@ -142,23 +166,15 @@ pub struct SheetConstants {
     pub by_distance: i32,
     /// Over the stretch's logarithm.
     pub torn: Ramp,
-    /// Over the squared distance from a projection.
-    pub impure: Ramp,
-    /// Over T.
-    pub thin: Ramp,
-    /// Over T.
-    pub round: Ramp,
-    /// Over the increase of the density's logarithm to the middle.
-    pub beyond: Ramp,
 }
 
 /// Converts a number to fixed point.
-fn fixed(value: f64) -> i32 {
-    (value * f64::from(ONE)).round() as i32
+const fn fixed(value: f64) -> i32 {
+    (value * ONE as f64).round() as i32
 }
 
-fn ramp([begin, end]: [f64; 2]) -> Ramp {
-    Ramp::new(fixed(begin).max(0) as u16, fixed(end - begin).max(1) as u16)
+const fn ramp([begin, end]: [f64; 2]) -> Ramp {
+    Ramp::new(fixed(begin) as u16, fixed(end - begin) as u16)
 }
 
 /// The drops in the same cells, as far as they affect sheets.
@@ -173,19 +189,21 @@ pub struct DropShape {
 }
 
 impl Sheets {
-    /// Makes sheets for particles stretched apart to `stretch`, in cells of `cell` spacings that
-    /// hold `amount` of a particle, for a mesh of `mesh_cell` spacings.
+    /// Makes sheets for particles stretched apart to `stretch`, for a mesh whose cells have
+    /// `mesh_cell` spacings, in cells of `cell` spacings. Their density is interpolated from `wide`
+    /// cells.
     pub fn new(
         stretch: SheetStretch,
-        cell: f64,
-        mesh_cell: f64,
-        amount: u16,
+        [mesh_cell, cell]: [f64; 2],
+        wide: WideCells,
         drops: DropShape,
     ) -> Option<Self> {
         let stretch = stretch.spacings()?;
-        let (weights, width) = gaussian(WIDTH / cell, LEAST_VARIANCE, CUT);
-        let width = width * cell;
-        let plateau = f64::from(amount) * cell.powi(3);
+        let spline = if wide.level > 0 { SPLINE } else { 0.0 };
+        let (weights, width) =
+            gaussian(((WIDTH / wide.edge).powi(2) - spline).sqrt(), LEAST_VARIANCE, CUT);
+        let width = (width * width + spline).sqrt() * wide.edge;
+        let plateau = wide.plateau();
         // A plateau three times as high must still fit into a sample.
         let gain = (0..12)
             .take_while(|&bits| 3.0 * plateau * f64::from(2 << bits) <= 65536.0)
@@ -199,7 +217,8 @@ impl Sheets {
         let profile = PROFILE.max(PROFILE_CELLS * cell);
         let profile_joined = profile * profile + drops.spline * cell * cell;
         let level = -(drops.radius / drops.width).powi(2) / 2.0;
-        let least_size = (LEAST_CELLS * mesh_cell + LEAST_MORE).min(LEAST_MOST);
+        let [least_size, least_rim] = [LEAST_CELLS, LEAST_RIM_CELLS]
+            .map(|cells| 2.0 * log2((cells * mesh_cell + LEAST_MORE).min(LEAST_MOST)));
         let average = (AVERAGE / cell).powi(2).max(0.5);
         let stretches = [0.5 * log2(of_sheet(1.0)), log2(of_thread(1.0)) - log2(THREADS_FARTHER)];
         let gone = log2(stretch * GONE);
@@ -212,7 +231,7 @@ impl Sheets {
             slope: fixed(LN_2 * apart / 2.0),
             bend: fixed(LN_2 * apart * apart),
             // Minus the rounding error of each axis.
-            least_across: (THICK[0] * f64::from(ONE) / (LN_2 * apart * apart)) as i32 - 4,
+            least_across: (LEAST_ACROSS * f64::from(ONE) / (LN_2 * apart * apart)) as i32 - 4,
             plateau: fixed(log2(plateau)),
             most_more: fixed(MOST_MORE),
             sizes: [
@@ -220,21 +239,18 @@ impl Sheets {
                 fixed(log2(1.0 / (PI * of_thread(1.0)))),
                 fixed(2.0 / 3.0 * log2(0.75 / (PI * of_drop(1.0)))),
             ],
-            least_size: fixed(2.0 * log2(least_size)),
+            least_size: fixed(least_size),
+            rim: fixed(least_rim - least_size),
             stretches: stretches.map(fixed),
             share: fixed(level * LOG2_E),
             by_directions: fixed(0.5 * log2(profile_joined / (profile * profile))),
             by_size: fixed(LOG2_E / (2.0 * profile_joined)),
             by_distance: fixed(LOG2_E / 2.0 * (width / profile).powi(2)),
             torn: ramp([log2(stretch), gone]),
-            impure: ramp(IMPURE),
-            thin: ramp(THICK),
-            round: ramp(ROUND),
-            beyond: ramp(BEYOND),
         };
         Some(Self {
             around: weights.gaining(gain),
-            least: 3 * u32::from(amount) / 2,
+            least: 3 * u32::from(wide.amount().steps()) / 2,
             average: Weights::of_variance(average, (2.0 * average.sqrt()).round() as i32),
             numbers,
         })
@@ -249,8 +265,8 @@ impl Sheets {
         self
     }
 
-    /// The distance within which cells affect a sheet, in its cells.
+    /// The distance within which the smoothed density affects a sheet, in the sheet's cells.
     pub fn halo(&self) -> i32 {
-        self.around.reach() + self.numbers.step + self.average.reach()
+        self.numbers.step + self.average.reach()
     }
 }

@@ -22,7 +22,7 @@ pub fn sheets(
     [density, shares, certainty]: [&View; 3],
 ) -> Result<(), VulkanError> {
     let [walls_lo, walls_hi] = wall_bounds(walls);
-    let SheetConstants { torn, impure, thin, round, beyond, .. } = numbers;
+    let SheetConstants { torn, .. } = numbers;
     let push = SheetsPush {
         walls_lo,
         step: numbers.step,
@@ -35,6 +35,8 @@ pub fn sheets(
         thread_size: numbers.sizes[1],
         drop_size: numbers.sizes[2],
         least_size: numbers.least_size,
+        rim: numbers.rim,
+        least: numbers.least,
         sheet_stretch: numbers.stretches[0],
         thread_stretch: numbers.stretches[1],
         share: numbers.share,
@@ -43,14 +45,6 @@ pub fn sheets(
         by_distance: numbers.by_distance,
         torn_begin: torn.begin.into(),
         torn_range: torn.range.into(),
-        impure_begin: impure.begin.into(),
-        impure_range: impure.range.into(),
-        thin_begin: thin.begin.into(),
-        thin_range: thin.range.into(),
-        round_begin: round.begin.into(),
-        round_range: round.range.into(),
-        beyond_begin: beyond.begin.into(),
-        beyond_range: beyond.range.into(),
     };
     let views = [&blocks.blocks, density, shares, certainty].map(Clone::clone);
     batch.dispatch(pipeline, &views, &push, blocks.groups(pipeline))

@@ -1,7 +1,7 @@
 //! Distances of several octaves, mixed by the sizes of nearby particles, and the drops of each.
 
 use crate::brick::Block;
-use crate::field::distance::{Drops, NONE, Ramp, ZERO, away};
+use crate::field::distance::{Drops, NONE, StandsOut, ZERO, away};
 
 /// 1, of shares.
 const WHOLE: u32 = 1 << 15;
@@ -73,14 +73,16 @@ pub struct OctaveDrops<'a> {
     pub near: &'a Block,
     /// The shares of drops.
     pub shares: &'a Block,
+    /// The certainty of sheets, if there are any.
+    pub certainty: Option<&'a Block>,
     /// The mean logarithm of the particles' sizes in the octave, in 32768ths.
     pub sizes: Option<&'a Block>,
     /// The radius and the width of the smallest drops.
     pub drops: &'a Drops,
     /// The growth of the radius from a size to twice that size, in units.
     pub growth: i32,
-    /// The distances from the surface at which drops fade in.
-    pub ramp: &'a Ramp,
+    /// The distances from the surface at which drops and sheets fade in.
+    pub stands_out: &'a StandsOut,
 }
 
 impl OctaveDrops<'_> {
@@ -90,12 +92,14 @@ impl OctaveDrops<'_> {
     /// If the fields are on different cells.
     #[must_use]
     pub fn joined(&self, mut field: Block) -> Block {
-        let Self { octave, near, shares, sizes, drops, growth, ramp } = *self;
+        let Self { octave, near, shares, certainty, sizes, drops, growth, stands_out } = *self;
         let cells = field.cells();
         assert!(near.cells() == cells && shares.cells() == cells, "one box of cells");
-        assert!(sizes.is_none_or(|sizes| sizes.cells() == cells), "one box of cells");
+        let mut others = [certainty, sizes].into_iter().flatten();
+        assert!(others.all(|other| other.cells() == cells), "one box of cells");
         for (at, to) in field.samples_mut().iter_mut().enumerate() {
-            let weight = ramp.of(near.samples()[at]);
+            let certain = certainty.map_or(0, |certainty| certainty.samples()[at]);
+            let weight = stands_out.ramp.of(stands_out.of_sheet(near.samples()[at], certain));
             if weight == 0 {
                 continue;
             }
