@@ -50,6 +50,9 @@ struct Options {
     /// Programs to compare, for the topic quality.
     #[arg(long, value_name = "TABLE")]
     methods: Option<PathBuf>,
+    /// Run only this part of the topic quality.
+    #[arg(long)]
+    part: Option<quality::Part>,
     /// Folders of frames of simulations, y up, for the topic quality.
     #[arg(long, value_name = "DIR", num_args = 1..)]
     simulations: Vec<PathBuf>,

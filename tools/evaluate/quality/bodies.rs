@@ -10,7 +10,7 @@ use meniscus::internals::surface::mesh::compare::compare;
 use rayon::prelude::*;
 
 use super::components::{Count, components};
-use super::lines::{Board, Line, Points, cell_name};
+use super::lines::{Board, Line, Lost, Points, cell_name};
 use super::programs::{Method, Program};
 use crate::meshes::{sphere, torus};
 use crate::sample::{Lattice, fill, place};
@@ -27,7 +27,7 @@ const RADIUS: f64 = 5.0;
 const BALLS: usize = 8;
 
 /// A rotated lattice.
-fn lattice(number: usize, jitter: f64) -> Lattice {
+pub fn lattice(number: usize, jitter: f64) -> Lattice {
     let axis = (place(number) - 0.5).normalize();
     let turn = DQuat::from_axis_angle(axis, 1.0 + number as f64);
     Lattice { shift: place(number), turn, jitter, inset: 0.0, seed: number as u64 }
@@ -118,6 +118,7 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
                     rows: vec![row("mean"), row("Hausdorff")],
                     cell,
                     scenes: vec![fill(solid, &lattice(number, jitter))],
+                    lost: Lost::Row,
                     read: Box::new(move |meshes| {
                         Ok(distances(&truth, &meshes[0])?.map(figure).into())
                     }),
@@ -136,6 +137,7 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
         rows: vec![format!("volume, {sampling}")],
         cell: None,
         scenes: vec![balls(&ball, jitter)],
+        lost: Lost::Row,
         read: Box::new(|meshes| {
             let volume = Count::of(&components(&meshes[0]).0).volume;
             let truth = 4.0 / 3.0 * std::f64::consts::PI * RADIUS.powi(3) * BALLS as f64;

@@ -1,14 +1,13 @@
-//! Sheets, chains, drops and bubbles: how much of them the surface keeps, and in how many
-//! components.
+//! Sheets and chains beside a bulk, drops and bubbles: how much of them the surface keeps, and in
+//! how many components.
 
 use glam::{DVec2, DVec3, IVec3};
 use meniscus::internals::surface::mesh::Mesh;
-use meniscus::internals::surface::mesh::measure::measure;
 
 use super::bodies::JITTER;
-use super::components::{Component, Count, components};
+use super::components::{Component, Count, components, handles};
 use super::heights::Columns;
-use super::lines::{Board, Line, Points, cell_name};
+use super::lines::{Board, Line, Lost, Points, cell_name};
 use crate::sample::{cuboid, place};
 use crate::scene::Random;
 use crate::tables::mean;
@@ -50,6 +49,7 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
         rows: SHEETS.into_iter().flat_map(sheet_rows).collect(),
         cell: None,
         scenes: vec![sheets()],
+        lost: Lost::Row,
         read: Box::new(|meshes| {
             Ok(SHEETS
                 .iter()
@@ -70,6 +70,7 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
         rows: GAPS.into_iter().flat_map(chain_rows).collect(),
         cell: None,
         scenes: vec![chains()],
+        lost: Lost::Row,
         read: Box::new(|meshes| {
             Ok((0..GAPS.len()).flat_map(|gap| chain_texts(&meshes[0], gap)).collect())
         }),
@@ -89,6 +90,7 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
             rows: SIZES.map(row).into(),
             cell,
             scenes: vec![drops(bulk)],
+            lost: Lost::Row,
             read: Box::new(|meshes| {
                 let (found, _) = components(&meshes[0]);
                 Ok((0..SIZES.len()).map(|size| drop_text(&found, size)).collect())
@@ -104,6 +106,7 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
         rows: AIR.map(air_row).into(),
         cell: None,
         scenes: vec![air()],
+        lost: Lost::Row,
         read: Box::new(|meshes| {
             let (found, _) = components(&meshes[0]);
             Ok((0..AIR.len()).map(|radius| air_text(&found, radius)).collect())
@@ -115,6 +118,7 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
             .into(),
         cell: None,
         scenes: vec![disorder()],
+        lost: Lost::Row,
         read: Box::new(|meshes| {
             let (found, _) = components(&meshes[0]);
             let half = 1.5 * f64::from(EDGE);
@@ -158,13 +162,12 @@ fn sheet_texts(mesh: &Mesh, number: usize, &(_, layers, _): &(&str, i32, f64)) -
     };
     let triangles = mesh.triangles.iter().filter(near).copied().collect();
     let sheet = Mesh { positions: mesh.positions.clone(), triangles, ..Mesh::default() };
-    let measures = measure(&sheet);
-    let holes = measures.components as i64 - measures.euler_characteristic.div_euclid(2);
-    let volume = Count::of(&components(&sheet).0).volume / f64::from(WIDTH * WIDTH * layers);
+    let (found, _) = components(&sheet);
+    let volume = Count::of(&found).volume / f64::from(WIDTH * WIDTH * layers);
     if sheet.triangles.is_empty() {
         return [(); 2].map(|()| "lost".into());
     }
-    [format!("{}, {holes}", measures.components), format!("{volume:.2}")]
+    [format!("{}, {}", found.len(), handles(&sheet)), format!("{volume:.2}")]
 }
 
 /// The base of a chain, on top of the bulk.

@@ -2,6 +2,7 @@
 
 use glam::DVec3;
 use meniscus::internals::surface::mesh::Mesh;
+use meniscus::internals::surface::mesh::measure::measure;
 use petgraph::unionfind::UnionFind;
 
 /// A set of triangles that share vertices.
@@ -48,6 +49,12 @@ pub fn components(mesh: &Mesh) -> (Vec<Component>, Vec<Option<usize>>) {
     }
     let of_vertices = roots.iter().map(|&root| numbers[root as usize]).collect();
     (components, of_vertices)
+}
+
+/// Number of handles of all components: of holes through a sheet.
+pub fn handles(mesh: &Mesh) -> i64 {
+    let measures = measure(mesh);
+    measures.components as i64 - measures.euler_characteristic.div_euclid(2)
 }
 
 /// Numbers of pieces and bubbles, and volume of a mesh.

@@ -14,7 +14,7 @@ use meniscus::internals::surface::mesh::Mesh;
 use super::clumps::CELLS;
 use super::components::{Count, components};
 use super::heights::Columns;
-use super::lines::{Board, Line, Points, cell_name};
+use super::lines::{Board, Line, Lost, Points, cell_name};
 use crate::tables::{figure, mean};
 use crate::{Options, Outcome};
 
@@ -147,6 +147,7 @@ pub fn run(options: &Options, board: &Board, dam: &[Frame], given: &[Frame]) -> 
             ],
             cell: None,
             scenes: vec![frame.points.clone()],
+            lost: Lost::Row,
             read: Box::new(move |meshes| {
                 let all = Count::of(&components(&meshes[0]).0);
                 let [height, slope] = roughness(&columns, &calm, &meshes[0]);
@@ -171,6 +172,7 @@ pub fn run(options: &Options, board: &Board, dam: &[Frame], given: &[Frame]) -> 
                 )],
                 cell: Some(cell),
                 scenes: vec![last.points.clone()],
+                lost: Lost::Row,
                 read: Box::new(|meshes| Ok(vec![Count::of(&components(&meshes[0]).0).text()])),
             });
         }
@@ -183,6 +185,7 @@ pub fn run(options: &Options, board: &Board, dam: &[Frame], given: &[Frame]) -> 
         )],
         cell: None,
         scenes: dam.iter().map(|frame| frame.points.clone()).collect(),
+        lost: Lost::Row,
         read: Box::new(move |meshes| {
             let volumes = meshes
                 .iter()

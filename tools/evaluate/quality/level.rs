@@ -7,7 +7,7 @@ use glam::{DVec2, DVec3, IVec3};
 use super::bodies::JITTER;
 use super::components::{Count, components};
 use super::heights::{Columns, Top};
-use super::lines::{Board, Line, Points, cell_name};
+use super::lines::{Board, Line, Lost, Points, cell_name};
 use crate::sample::{cuboid, place};
 use crate::scene::Random;
 use crate::tables::{figure, mean, signed};
@@ -46,6 +46,7 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
                 rows: ["bias", "RMS", "slope in degrees", "bubbles"].map(row).into(),
                 cell,
                 scenes: seeds.clone().map(|seed| pool(jitter, seed, 0)).collect(),
+                lost: Lost::Row,
                 read: Box::new(|meshes| {
                     let columns = middle(f64::from(WIDTH) - 2.0 * MARGIN);
                     let of = meshes.iter().enumerate().map(|(seed, mesh)| {
@@ -68,6 +69,7 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
         rows: vec![format!("length {length}, amplitude {amplitude}")],
         cell: None,
         scenes: seeds.clone().map(|seed| wavy(length, amplitude, seed)).collect(),
+        lost: Lost::Row,
         read: Box::new(move |meshes| {
             let columns = middle((2.0 * MARGIN / length).floor() * length);
             let kept = meshes.iter().map(|mesh| {

@@ -27,8 +27,18 @@ pub struct Line {
     /// In spacings; none for the default of each method.
     pub cell: Option<f64>,
     pub scenes: Vec<Points>,
+    pub lost: Lost,
     /// Returns a text for each row from the meshes of all scenes.
     pub read: Reading,
+}
+
+/// What is lost if a method finds no surface of a scene.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Lost {
+    /// The rows say `none`.
+    Row,
+    /// The mesh of the scene is empty. The rows say `none` if all are.
+    Scene,
 }
 
 /// The methods, and a folder for intermediate files.
@@ -113,10 +123,16 @@ impl Board {
             return all("");
         }
         let meshes = inputs.iter().map(|input| self.mesh(method, input, line.cell));
-        match meshes.collect::<Outcome<Option<Vec<Mesh>>>>()? {
-            Some(meshes) => (line.read)(&meshes),
-            None => all("none"),
+        let meshes = meshes.collect::<Outcome<Vec<Option<Mesh>>>>()?;
+        let needed = match line.lost {
+            Lost::Row => meshes.len(),
+            Lost::Scene => 1,
+        };
+        if meshes.iter().flatten().count() < needed {
+            return all("none");
         }
+        let meshes: Vec<Mesh> = meshes.into_iter().map(Option::unwrap_or_default).collect();
+        (line.read)(&meshes)
     }
 }
 

@@ -14,12 +14,28 @@ mod level;
 mod lines;
 mod programs;
 mod rest;
+mod sheets;
 mod speed;
 mod views;
+
+use clap::ValueEnum;
 
 use crate::{Options, Outcome};
 use frames::Frame;
 use lines::Board;
+
+/// A part of the comparison.
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Part {
+    Bodies,
+    Level,
+    Frames,
+    Clumps,
+    Sheets,
+    Rest,
+    Speed,
+    Views,
+}
 
 pub fn run(options: &Options) -> Outcome<()> {
     let table = options
@@ -33,11 +49,20 @@ pub fn run(options: &Options) -> Outcome<()> {
     let given = options.simulations.iter().map(|folder| Frame::middle_of(folder));
     let given: Vec<Frame> = given.collect::<Outcome<_>>()?;
 
-    bodies::run(options, &board)?;
-    level::run(options, &board)?;
-    frames::run(options, &board, &dam, &given)?;
-    clumps::run(options, &board)?;
-    rest::run(options, &board, &dam)?;
-    speed::run(options, &board)?;
-    views::run(options, &board, &dam, &given)
+    for part in Part::value_variants() {
+        if options.part.is_some_and(|only| only != *part) {
+            continue;
+        }
+        match part {
+            Part::Bodies => bodies::run(options, &board),
+            Part::Level => level::run(options, &board),
+            Part::Frames => frames::run(options, &board, &dam, &given),
+            Part::Clumps => clumps::run(options, &board),
+            Part::Sheets => sheets::run(options, &board),
+            Part::Rest => rest::run(options, &board, &dam),
+            Part::Speed => speed::run(options, &board),
+            Part::Views => views::run(options, &board, &dam, &given),
+        }?;
+    }
+    Ok(())
 }

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use super::bodies::JITTER;
 use super::frames::Frame;
 use super::heights::Columns;
-use super::lines::{Board, Line, Points};
+use super::lines::{Board, Line, Lost, Points};
 use crate::sample::cuboid;
 use crate::scene::Random;
 use crate::tables::{figure, mean};
@@ -39,6 +39,7 @@ pub fn run(options: &Options, board: &Board, dam: &[Frame]) -> Outcome<()> {
             rows: vec![format!("pool, jittered by {jitter}: greatest move in a step, in cells")],
             cell: Some(CELL),
             scenes: (0..=STEPS).map(raised).collect(),
+            lost: Lost::Row,
             read: Box::new(|meshes| {
                 let columns =
                     Columns::over(DVec2::splat(MARGIN), DVec2::splat(f64::from(WIDTH) - MARGIN));
@@ -63,6 +64,7 @@ pub fn run(options: &Options, board: &Board, dam: &[Frame]) -> Outcome<()> {
             )],
             cell: Some(CELL),
             scenes,
+            lost: Lost::Row,
             read: Box::new(move |meshes| {
                 let far = meshes.windows(2).zip(&steps).map(|(pair, points)| -> Outcome<f64> {
                     Ok(compare(&pair[1], &carried(&pair[0], points, &directions))?.from_mesh.rms)

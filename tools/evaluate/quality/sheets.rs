@@ -1,0 +1,375 @@
+//! Thin sheets, shells and threads of stretched particles, and spray: how many pieces the surface
+//! has, how many holes, and how much volume.
+
+use glam::{DVec3, IVec3};
+use meniscus::internals::surface::mesh::Mesh;
+use petgraph::unionfind::UnionFind;
+
+use super::bodies::lattice;
+use super::components::{Component, Count, components, handles};
+use super::lines::{Board, Line, Lost, Points, cell_name};
+use crate::sample::cuboid;
+use crate::scene::Random;
+use crate::tables::{figure, mean};
+use crate::{Options, Outcome};
+
+const CELLS: [f64; 2] = [0.5, 0.25];
+/// Numbers of layers, and by how much they are stretched.
+const SHEETS: [(i32, &[f64]); 3] =
+    [(1, &[1.0, 1.3, 1.6, 1.9]), (2, &[1.0, 1.3, 1.6, 1.9]), (3, &[1.3, 1.6])];
+/// Number of particles along the edges of a sheet.
+const WIDTH: i32 = 40;
+const JITTER: f64 = 0.2;
+/// Radius of a spherical shell, the distance between its particles, and their jitter.
+const RADIUS: f64 = 12.0;
+const APART: f64 = 1.4;
+const SHELL_JITTER: f64 = 0.1;
+/// Number of threads and of their particles, and by how much they are stretched.
+const THREADS: usize = 24;
+const LINKS: usize = 20;
+const STRETCHES: [f64; 3] = [1.4, 1.8, 2.1];
+const THREAD_JITTER: f64 = 0.1;
+/// Edge length of the box that holds the centres of threads, and the minimum distance between
+/// particles of different threads.
+const BOX: f64 = 60.0;
+const CLEARANCE: f64 = 7.0;
+/// Mean distances between drops of spray, their number, and the distance within which they are a
+/// cluster.
+const SPRAY: [f64; 2] = [3.0, 4.0];
+const DROPS: usize = 1200;
+const LINKAGE: f64 = 1.9;
+/// Layers, number of frames and last stretch of the sheets that stretch slowly.
+const SLOW: [i32; 2] = [1, 2];
+const FRAMES: usize = 30;
+const LAST: f64 = 2.4;
+
+pub fn run(options: &Options, board: &Board) -> Outcome<()> {
+    let cells = options.choose(&CELLS[..], &CELLS[..1]);
+    let seeds = 0..options.choose(3, 2);
+
+    let kinds = SHEETS
+        .iter()
+        .flat_map(|&(layers, stretches)| stretches.iter().map(move |&by| (layers, by)));
+    let sheets = in_cells(kinds, cells).map(|((layers, stretch), cell)| Line {
+        rows: vec![format!(
+            "{} stretched {stretch:.1} times, {}",
+            of(layers),
+            cell_name(Some(cell))
+        )],
+        cell: Some(cell),
+        lost: Lost::Scene,
+        scenes: seeds.clone().map(|seed| sheet(layers, stretch, seed)).collect(),
+        read: Box::new(move |meshes| {
+            let volume = f64::from(WIDTH * WIDTH * layers);
+            Ok(vec![text(meshes.iter().map(|mesh| Tear::of_sheet(mesh, volume)).collect())])
+        }),
+    });
+    let shells = cells.iter().map(|&cell| {
+        let scenes: Vec<Points> = seeds.clone().map(shell).collect();
+        let volume = scenes[0].len() as f64;
+        Line {
+            rows: vec![format!(
+                "shell of radius {RADIUS}, particles {APART} apart, {}",
+                cell_name(Some(cell))
+            )],
+            cell: Some(cell),
+            lost: Lost::Scene,
+            scenes,
+            read: Box::new(move |meshes| {
+                Ok(vec![text(meshes.iter().map(|mesh| Tear::of_shell(mesh, volume)).collect())])
+            }),
+        }
+    });
+    board.table(
+        &format!(
+            "turned sheets whose layers are 1 / stretch^2 apart, jittered by {JITTER}: pieces / \
+             holes / volume over the particles', mean of {}",
+            seeds.len()
+        ),
+        sheets.chain(shells).collect(),
+    )?;
+
+    let threads = in_cells(STRETCHES, cells).map(|(stretch, cell)| Line {
+        rows: vec![format!("stretched {stretch} times, {}", cell_name(Some(cell)))],
+        cell: Some(cell),
+        lost: Lost::Scene,
+        scenes: seeds.clone().map(|seed| threads(stretch, seed)).collect(),
+        read: Box::new(|meshes| {
+            let counts = meshes.iter().map(|mesh| Count::of(&components(mesh).0));
+            let pieces = mean(counts.clone().map(|count| count.components as f64));
+            let volume = mean(counts.map(|count| count.volume));
+            let [threads, particles] = [THREADS, THREADS * LINKS].map(|count| count as f64);
+            Ok(vec![format!("{:.2} / {:.2}", pieces / threads, volume / particles)])
+        }),
+    });
+    board.table(
+        &format!(
+            "threads of {LINKS} particles, jittered by {THREAD_JITTER}: pieces of a thread / \
+             volume over the particles', mean of {} times {THREADS}",
+            seeds.len()
+        ),
+        threads.collect(),
+    )?;
+
+    let spray = in_cells(SPRAY, cells).map(|(apart, cell)| {
+        let scenes: Vec<Points> = seeds.clone().map(|seed| spray(apart, seed)).collect();
+        let clusters: usize = scenes.iter().map(|scene| clusters(scene)).sum();
+        Line {
+            rows: vec![format!("{apart} apart on average, {}", cell_name(Some(cell)))],
+            cell: Some(cell),
+            lost: Lost::Scene,
+            scenes,
+            read: Box::new(move |meshes| {
+                let pieces: usize =
+                    meshes.iter().map(|mesh| Count::of(&components(mesh).0).components).sum();
+                Ok(vec![figure(pieces as f64 / clusters as f64)])
+            }),
+        }
+    });
+    board.table(
+        &format!(
+            "spray at random places: pieces over clusters of particles that are at most \
+             {LINKAGE} apart"
+        ),
+        spray.collect(),
+    )?;
+
+    let slow = in_cells(SLOW, cells).map(|(layers, cell)| {
+        let row = |what: &str| format!("{}, {}: {what}", of(layers), cell_name(Some(cell)));
+        Line {
+            rows: [
+                "stretch at which it opens",
+                "frames in which holes close again",
+                "greatest change of volume before",
+            ]
+            .map(row)
+            .into(),
+            cell: Some(cell),
+            lost: Lost::Scene,
+            scenes: (0..FRAMES).map(|frame| sheet(layers, slow(frame), 0)).collect(),
+            read: Box::new(move |meshes| {
+                let volume = f64::from(WIDTH * WIDTH * layers);
+                let tears: Vec<Tear> =
+                    meshes.iter().map(|mesh| Tear::of_sheet(mesh, volume)).collect();
+                Ok(opening(&tears).into())
+            }),
+        }
+    });
+    board.table(
+        &format!("sheets that stretch from 1 to {LAST} times in {FRAMES} frames"),
+        slow.collect(),
+    )
+}
+
+/// Each kind in each size of cells.
+fn in_cells<T: Copy>(
+    kinds: impl IntoIterator<Item = T>,
+    cells: &[f64],
+) -> impl Iterator<Item = (T, f64)> {
+    kinds.into_iter().flat_map(|kind| cells.iter().map(move |&cell| (kind, cell)))
+}
+
+fn of(layers: i32) -> String {
+    format!("{layers} layer{}", if layers == 1 { "" } else { "s" })
+}
+
+/// The stretch in a frame.
+fn slow(frame: usize) -> f64 {
+    1.0 + (LAST - 1.0) * frame as f64 / (FRAMES - 1) as f64
+}
+
+/// A sheet around its centre. A seed has the same jitter at every stretch.
+fn sheet(layers: i32, stretch: f64, seed: usize) -> Points {
+    let lattice = lattice(seed, JITTER);
+    let size = IVec3::new(WIDTH, layers, WIDTH);
+    let scale = DVec3::new(stretch, stretch.powi(-2), stretch);
+    let mut random = Random::new(lattice.seed);
+    let ordered = cuboid(IVec3::ZERO, size, 0.0, &mut Random::new(0));
+    ordered
+        .into_iter()
+        .map(|p| {
+            let place = scale * (DVec3::from(p) - size.as_dvec3() / 2.0);
+            (lattice.shift + lattice.turn * (place + off(JITTER, &mut random))).into()
+        })
+        .collect()
+}
+
+/// Each coordinate is at most `jitter` from 0.
+fn off(jitter: f64, random: &mut Random) -> DVec3 {
+    DVec3::from([(); 3].map(|()| jitter * (2.0 * random.unit() - 1.0)))
+}
+
+/// Points on a sphere around 0, on a spiral of equal steps in height and of golden angles.
+fn spiral(count: usize) -> impl Iterator<Item = DVec3> {
+    let turn = std::f64::consts::PI * (3.0 - 5.0_f64.sqrt());
+    (0..count).map(move |n| {
+        let height = 1.0 - (2 * n + 1) as f64 / count as f64;
+        let (sin, cos) = (turn * n as f64).sin_cos();
+        let radius = (1.0 - height * height).sqrt();
+        DVec3::new(radius * cos, height, radius * sin)
+    })
+}
+
+fn shell(seed: usize) -> Points {
+    let lattice = lattice(seed, SHELL_JITTER);
+    let mut random = Random::new(lattice.seed);
+    let count = (4.0 * std::f64::consts::PI * (RADIUS / APART).powi(2)).round() as usize;
+    spiral(count)
+        .map(|way| {
+            let place = RADIUS * way + off(SHELL_JITTER, &mut random);
+            (lattice.shift + lattice.turn * place).into()
+        })
+        .collect()
+}
+
+/// In random directions, at random places far from each other.
+fn threads(stretch: f64, seed: usize) -> Points {
+    let mut random = Random::new(seed as u64);
+    let mut particles: Points = Vec::new();
+    while particles.len() < THREADS * LINKS {
+        let height = 2.0 * random.unit() - 1.0;
+        let (sin, cos) = (std::f64::consts::TAU * random.unit()).sin_cos();
+        let radius = (1.0 - height * height).sqrt();
+        let step = stretch * DVec3::new(radius * cos, height, radius * sin);
+        let middle = DVec3::from([(); 3].map(|()| BOX * random.unit()));
+        let thread: Vec<DVec3> = (0..LINKS)
+            .map(|n| {
+                middle
+                    + (n as f64 - (LINKS - 1) as f64 / 2.0) * step
+                    + off(THREAD_JITTER, &mut random)
+            })
+            .collect();
+        let is_far =
+            |p: &DVec3| particles.iter().all(|&other| p.distance(DVec3::from(other)) > CLEARANCE);
+        if thread.iter().all(is_far) {
+            particles.extend(thread.into_iter().map(<[f64; 3]>::from));
+        }
+    }
+    particles
+}
+
+/// Drops in a box with one particle in a cube of edge `apart`.
+fn spray(apart: f64, seed: usize) -> Points {
+    let mut random = Random::new(seed as u64);
+    let edge = apart * (DROPS as f64).cbrt();
+    (0..DROPS).map(|_| [(); 3].map(|()| edge * random.unit())).collect()
+}
+
+/// Number of sets of particles that are connected by steps of at most `LINKAGE`.
+fn clusters(particles: &[[f64; 3]]) -> usize {
+    let mut joined = UnionFind::<usize>::new(particles.len());
+    let pairs = (0..particles.len()).flat_map(|a| (0..a).map(move |b| (a, b)));
+    let are_near = |&(a, b): &(usize, usize)| {
+        DVec3::from(particles[a]).distance(DVec3::from(particles[b])) <= LINKAGE
+    };
+    particles.len() - pairs.filter(are_near).filter(|&(a, b)| joined.union(a, b)).count()
+}
+
+/// How much of a sheet is left.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Tear {
+    pieces: usize,
+    holes: i64,
+    /// Over that of the particles.
+    volume: f64,
+}
+
+impl Tear {
+    fn of_sheet(mesh: &Mesh, volume: f64) -> Self {
+        let count = Count::of(&components(mesh).0);
+        Self { pieces: count.components, holes: handles(mesh), volume: count.volume / volume }
+    }
+
+    /// A whole shell has an inner surface. The first hole joins it to the outer one, and only
+    /// further holes are handles.
+    fn of_shell(mesh: &Mesh, volume: f64) -> Self {
+        let is_inner = |component: &Component| {
+            component.volume < 0.0 && (component.hi - component.lo).min_element() > RADIUS
+        };
+        let first = !components(mesh).0.iter().any(is_inner);
+        let tear = Self::of_sheet(mesh, volume);
+        Self { holes: tear.holes + i64::from(first), ..tear }
+    }
+
+    fn is_open(&self) -> bool {
+        self.pieces != 1 || self.holes > 0
+    }
+}
+
+fn text(tears: Vec<Tear>) -> String {
+    let count =
+        |value: f64| if value.fract() == 0.0 { value.to_string() } else { format!("{value:.1}") };
+    let pieces = mean(tears.iter().map(|tear| tear.pieces as f64));
+    let holes = mean(tears.iter().map(|tear| tear.holes as f64));
+    let volume = mean(tears.iter().map(|tear| tear.volume));
+    format!("{} / {} / {volume:.2}", count(pieces), count(holes))
+}
+
+/// The stretch at which a slow sheet opens, number of frames after that with fewer holes than the
+/// one before and no more pieces, and the greatest relative change of volume from frame to frame
+/// before it opens.
+fn opening(tears: &[Tear]) -> [String; 3] {
+    let opens = tears.iter().position(Tear::is_open);
+    let (whole, open) = tears.split_at(opens.unwrap_or(tears.len()));
+    let closes = |pair: &&[Tear]| pair[1].holes < pair[0].holes && pair[1].pieces <= pair[0].pieces;
+    let change = |pair: &[Tear]| (pair[1].volume / pair[0].volume - 1.0).abs();
+    [
+        opens.map_or("never".into(), |frame| format!("{:.2} (frame {frame})", slow(frame))),
+        open.windows(2).filter(closes).count().to_string(),
+        figure(whole.windows(2).map(change).fold(0.0, f64::max)),
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::meshes::{moved, sphere, torus, union};
+
+    #[test]
+    fn particles_are_as_far_apart_as_the_stretch() {
+        let sheet = sheet(2, 1.5, 1);
+        assert_eq!(sheet.len(), 3200);
+        let [one, other] = [sheet[0], sheet[79]].map(DVec3::from);
+        let diagonal = DVec3::new(1.5 * 39.0, 1.0 / 2.25, 0.0).length();
+        assert!((one.distance(other) - diagonal).abs() < 4.0 * JITTER, "{one} {other}");
+
+        let shell = shell(0);
+        let nearest = |(n, &p): (usize, &[f64; 3])| {
+            let others = shell.iter().enumerate().filter(|&(other, _)| other != n);
+            let distances = others.map(|(_, &other)| DVec3::from(p).distance(DVec3::from(other)));
+            distances.fold(f64::INFINITY, f64::min)
+        };
+        let apart = mean(shell.iter().enumerate().map(nearest));
+        assert!((apart / APART - 1.0).abs() < 0.15, "{apart}");
+    }
+
+    #[test]
+    fn threads_are_single_clusters_at_their_own_distance() {
+        let threads = threads(1.4, 0);
+        assert_eq!((threads.len(), clusters(&threads)), (THREADS * LINKS, THREADS));
+        assert_eq!(clusters(&[[0.0; 3], [1.5, 0.0, 0.0], [3.0, 0.0, 0.0], [9.0; 3]]), 2);
+    }
+
+    #[test]
+    fn the_first_hole_of_a_shell_joins_its_inner_surface_to_the_outer_one() {
+        let mut inner = sphere(10.0, 2);
+        inner.triangles.iter_mut().for_each(|triangle| triangle.swap(0, 1));
+        let whole = Tear::of_shell(&union(&sphere(13.0, 2), &inner), 1.0);
+        assert_eq!((whole.pieces, whole.holes), (1, 0));
+        let open = Tear::of_shell(&sphere(13.0, 2), 1.0);
+        assert_eq!((open.pieces, open.holes), (1, 1));
+        let ring = union(&torus(24, 12), &moved(&sphere(1.0, 2), [9.0, 0.0, 0.0]));
+        let ring = Tear::of_sheet(&ring, 1.0);
+        assert_eq!((ring.pieces, ring.holes), (2, 1));
+    }
+
+    #[test]
+    fn a_sheet_opens_once_and_its_holes_close_again() {
+        let tear = |(pieces, holes, volume)| Tear { pieces, holes, volume };
+        let tears = [(1, 0, 1.0), (1, 0, 1.1), (1, 3, 1.2), (1, 2, 1.2), (1, 4, 1.2), (3, 2, 1.2)];
+        let found = opening(&tears.map(tear));
+        assert_eq!(found, ["1.10 (frame 2)".into(), "1".into(), "0.100".to_owned()]);
+        assert_eq!(opening(&[tear((1, 0, 1.0))])[0], "never");
+        assert_eq!(text(tears[1..3].iter().copied().map(tear).collect()), "1 / 1.5 / 1.15");
+    }
+}
