@@ -1,12 +1,22 @@
-// Surfaces of particles by OpenVDB's points::rasterizeSmoothSpheres (Zhu and Bridson's), file to file.
+// Surfaces of particles by OpenVDB, file to file: by points::rasterizeSmoothSpheres (Zhu and Bridson's), or by points::pca
+// and points::rasterizeSdf with ellipsoids (Yu and Turk's), which OpenVDB has since version 12.1.
 //
-// usage: openvdb IN.xyz OUT.ply SPACING VOXEL ISOVALUE THREADS
+// usage: openvdb METHOD IN.xyz OUT.ply SPACING VOXEL ISOVALUE THREADS
+//        openvdb --version
 //
-// IN.xyz: raw f32 triples. VOXEL and ISOVALUE, a distance outwards, are in units of SPACING.
-// Spheres have half a spacing as their radius, and the search radius is two.
+// IN.xyz: raw f32 triples. VOXEL and ISOVALUE, a distance outwards, are in units of SPACING. METHOD:
+//
+// - spheres: half a spacing is their radius, and the search radius is two.
+// - ellipsoids: OpenVDB's defaults, with half a spacing as the radius. The search radius of 2.5 finds the 20 neighbours
+//   of the default threshold at the surface too.
+// - tuned: a level pool is level, and sheets hold. Particles with three neighbours are ellipsoids.
 #include <openvdb/openvdb.h>
 #include <openvdb/points/PointConversion.h>
 #include <openvdb/points/PointRasterizeSDF.h>
+#if __has_include(<openvdb/points/PrincipalComponentAnalysis.h>)
+#define HAS_ELLIPSOIDS
+#include <openvdb/points/PrincipalComponentAnalysis.h>
+#endif
 #include <openvdb/tools/VolumeToMesh.h>
 #include <tbb/global_control.h>
 
@@ -15,6 +25,7 @@
 #include <cstring>
 #include <fstream>
 #include <iterator>
+#include <stdexcept>
 #include <string>
 #include <vector>
 
@@ -31,16 +42,51 @@ std::vector<openvdb::Vec3s> read(const char* path) {
     return points;
 }
 
-openvdb::FloatGrid::Ptr rasterize(const std::vector<openvdb::Vec3s>& points, const double spacing, const double voxel) {
-    const auto transform = openvdb::math::Transform::createLinearTransform(voxel);
-    // Bins of about a spacing suit the rasterizer, independent of the voxels.
+openvdb::points::PointDataGrid::Ptr bin(const std::vector<openvdb::Vec3s>& points, const double spacing) {
+    // Bins of about a spacing suit the rasterizers, independent of the voxels.
     const auto bins = openvdb::math::Transform::createLinearTransform(spacing);
     const openvdb::points::PointAttributeVector<openvdb::Vec3s> positions(points);
     const auto index =
         openvdb::tools::createPointIndexGrid<openvdb::tools::PointIndexGrid>(positions, *bins);
-    const auto grid = openvdb::points::createPointDataGrid<openvdb::points::NullCodec, openvdb::points::PointDataGrid>(
+    return openvdb::points::createPointDataGrid<openvdb::points::NullCodec, openvdb::points::PointDataGrid>(
         *index, positions, *bins);
-    return openvdb::points::rasterizeSmoothSpheres(*grid, 0.5 * spacing, 2.0 * spacing, half_width, transform);
+}
+
+#ifdef HAS_ELLIPSOIDS
+openvdb::FloatGrid::Ptr ellipsoids(openvdb::points::PointDataGrid& points, const openvdb::points::PcaSettings& settings,
+                                   const double radius, const openvdb::math::Transform::Ptr& transform) {
+    const openvdb::points::PcaAttributes attributes;
+    openvdb::points::pca(points, settings, attributes);
+    openvdb::points::EllipsoidSettings<> shapes;
+    shapes.radius = attributes.stretch;
+    shapes.xform = attributes.xform;
+    shapes.pws = attributes.positionWS;
+    shapes.radiusScale = openvdb::Vec3d(radius);
+    shapes.halfband = half_width;
+    shapes.transform = transform;
+    return openvdb::gridPtrCast<openvdb::FloatGrid>(openvdb::points::rasterizeSdf(points, shapes)[0]);
+}
+#endif
+
+openvdb::FloatGrid::Ptr rasterize(const std::string& method, const std::vector<openvdb::Vec3s>& points,
+                                  const double spacing, const double voxel) {
+    const auto transform = openvdb::math::Transform::createLinearTransform(voxel);
+    const auto grid = bin(points, spacing);
+    if (method == "spheres") {
+        return openvdb::points::rasterizeSmoothSpheres(*grid, 0.5 * spacing, 2.0 * spacing, half_width, transform);
+    }
+#ifdef HAS_ELLIPSOIDS
+    openvdb::points::PcaSettings settings;
+    settings.searchRadius = static_cast<float>(2.5 * spacing);
+    if (method == "ellipsoids") return ellipsoids(*grid, settings, 0.5 * spacing, transform);
+    if (method == "tuned") {
+        settings.neighbourThreshold = 3;
+        settings.averagePositions = 0.5f;
+        settings.nonAnisotropicStretch = 0.5f;
+        return ellipsoids(*grid, settings, 1.2 * spacing, transform);
+    }
+#endif
+    throw std::invalid_argument("this version of OpenVDB does not have the method " + method);
 }
 
 // Quads are cut in two. OpenVDB's polygons face inwards.
@@ -70,15 +116,23 @@ void write(const char* path, const openvdb::FloatGrid& surface, const double iso
 }  // namespace
 
 int main(int count, char** arguments) {
-    if (count != 7) {
-        std::fprintf(stderr, "usage: openvdb IN.xyz OUT.ply SPACING VOXEL ISOVALUE THREADS\n");
+    if (count == 2 && std::string(arguments[1]) == "--version") {
+#ifdef HAS_ELLIPSOIDS
+        std::printf("OpenVDB %s with ellipsoids\n", openvdb::getLibraryVersionString());
+#else
+        std::printf("OpenVDB %s\n", openvdb::getLibraryVersionString());
+#endif
+        return 0;
+    }
+    if (count != 8) {
+        std::fprintf(stderr, "usage: openvdb METHOD IN.xyz OUT.ply SPACING VOXEL ISOVALUE THREADS\n");
         return 2;
     }
-    const double spacing = std::stod(arguments[3]);
-    const auto threads = static_cast<std::size_t>(std::stoul(arguments[6]));
+    const double spacing = std::stod(arguments[4]);
+    const auto threads = static_cast<std::size_t>(std::stoul(arguments[7]));
     const tbb::global_control limit(tbb::global_control::max_allowed_parallelism, threads);
     openvdb::initialize();
-    const auto surface = rasterize(read(arguments[1]), spacing, spacing * std::stod(arguments[4]));
-    write(arguments[2], *surface, spacing * std::stod(arguments[5]));
+    const auto surface = rasterize(arguments[1], read(arguments[2]), spacing, spacing * std::stod(arguments[5]));
+    write(arguments[3], *surface, spacing * std::stod(arguments[6]));
     return 0;
 }

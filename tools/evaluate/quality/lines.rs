@@ -119,7 +119,7 @@ impl Board {
 
     fn texts(&self, line: &Line, inputs: &[PathBuf], method: &Method) -> Outcome<Vec<String>> {
         let all = |text: &str| Ok(vec![text.to_owned(); line.rows.len()]);
-        if !line.scenes.iter().all(|scene| method.takes(scene.len())) {
+        if !method.takes_all(line.scenes.iter().map(Vec::len)) {
             return all("");
         }
         let meshes = inputs.iter().map(|input| self.mesh(method, input, line.cell));

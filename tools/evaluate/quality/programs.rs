@@ -9,6 +9,8 @@ use crate::Outcome;
 
 /// Sets with more particles count as large.
 const MANY: usize = 200_000;
+/// More scenes than this for one row are left out for programs that start slowly.
+const SCENES: usize = 10;
 
 /// A program and its settings.
 #[derive(Debug, Clone, PartialEq)]
@@ -18,11 +20,20 @@ pub struct Program {
     pub cell: Option<f64>,
     /// The default isovalue, then others to try.
     pub isos: Vec<String>,
-    /// Whether it is made for many particles.
-    pub takes_many: bool,
+    pub takes: Takes,
     /// Words with `{in}`, `{out}`, `{cell}` and `{cubes}` (a cell in spacings and in radii),
     /// `{iso}` and `{threads}`.
     command: String,
+}
+
+/// The scenes that a program is run with.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Takes {
+    Many,
+    /// Not large sets of particles.
+    Few,
+    /// A run takes seconds even for few particles.
+    Slow,
 }
 
 /// A program with one of its isovalues: a column of the tables.
@@ -35,8 +46,8 @@ pub struct Method {
     pub documented: bool,
 }
 
-/// Reads the programs of a table: name, cell or `-`, isovalues or `-`, `many` or `few` particles,
-/// and command, separated by tabs.
+/// Reads the programs of a table: name, cell or `-`, isovalues or `-`, `many` or `few` particles
+/// or `slow`, and command, separated by tabs.
 pub fn read(path: &Path) -> Outcome<Vec<Program>> {
     fs::read_to_string(path)?.lines().map(Program::parse).collect()
 }
@@ -51,7 +62,12 @@ impl Program {
             name: name.into(),
             cell: known(cell).map(|cell| cell.parse()).transpose()?,
             isos: known(isos).iter().flat_map(|isos| isos.split(' ').map(str::to_owned)).collect(),
-            takes_many: takes == "many",
+            takes: match takes {
+                "many" => Takes::Many,
+                "few" => Takes::Few,
+                "slow" => Takes::Slow,
+                _ => return Err(format!("many, few or slow is needed, not `{takes}`").into()),
+            },
             command: command.into(),
         })
     }
@@ -74,7 +90,13 @@ impl Program {
 impl Method {
     /// Whether it is run with this many particles.
     pub fn takes(&self, particles: usize) -> bool {
-        self.program.takes_many || particles <= MANY
+        self.program.takes == Takes::Many || particles <= MANY
+    }
+
+    /// Whether it is run with all of these numbers of particles for one row.
+    pub fn takes_all(&self, scenes: impl ExactSizeIterator<Item = usize>) -> bool {
+        let starts = self.program.takes != Takes::Slow || scenes.len() <= SCENES;
+        starts && scenes.into_iter().all(|particles| self.takes(particles))
     }
 
     /// The words of the command, without those with an unknown variable.
@@ -127,5 +149,9 @@ mod tests {
         assert_eq!(words(&program.documented(), None), "one a -t=0.6 -o b");
         assert_eq!(words(&program.best("0.5"), Some(0.25)), "one a -c=0.5 -t=0.5 -o b");
         assert!(program.documented().takes(MANY) && !program.documented().takes(MANY + 1));
+        assert!(program.documented().takes_all(vec![MANY; SCENES + 1].into_iter()));
+        let slow = Program { takes: Takes::Slow, ..program }.documented();
+        assert!(!slow.takes_all(vec![1; SCENES + 1].into_iter()));
+        assert!(slow.takes_all(vec![1; SCENES].into_iter()));
     }
 }

@@ -1,6 +1,8 @@
 //! Thin sheets, shells and threads of stretched particles, and spray: how many pieces the surface
 //! has, how many holes, and how much volume.
 
+use std::ops::Range;
+
 use glam::{DVec3, IVec3};
 use meniscus::internals::surface::mesh::Mesh;
 use petgraph::unionfind::UnionFind;
@@ -43,26 +45,42 @@ const SLOW: [i32; 2] = [1, 2];
 const FRAMES: usize = 30;
 const LAST: f64 = 2.4;
 
-pub fn run(options: &Options, board: &Board) -> Outcome<()> {
-    let cells = options.choose(&CELLS[..], &CELLS[..1]);
-    let seeds = 0..options.choose(3, 2);
+/// The sizes of cells and the numbers of the samples that rows are measured with.
+struct Samples<'a> {
+    cells: &'a [f64],
+    seeds: Range<usize>,
+}
 
+pub fn run(options: &Options, board: &Board) -> Outcome<()> {
+    let samples =
+        Samples { cells: options.choose(&CELLS[..], &CELLS[..1]), seeds: 0..options.choose(3, 2) };
+    still(board, &samples)?;
+    in_threads(board, &samples)?;
+    in_spray(board, &samples)?;
+    let (layers, frames) = options.choose((&SLOW[..], FRAMES), (&SLOW[..1], FRAMES / 2));
+    stretching(board, &samples, layers, frames)
+}
+
+/// Sheets and shells.
+fn still(board: &Board, Samples { cells, seeds }: &Samples) -> Outcome<()> {
     let kinds = SHEETS
         .iter()
         .flat_map(|&(layers, stretches)| stretches.iter().map(move |&by| (layers, by)));
-    let sheets = in_cells(kinds, cells).map(|((layers, stretch), cell)| Line {
-        rows: vec![format!(
-            "{} stretched {stretch:.1} times, {}",
-            of(layers),
-            cell_name(Some(cell))
-        )],
-        cell: Some(cell),
-        lost: Lost::Scene,
-        scenes: seeds.clone().map(|seed| sheet(layers, stretch, seed)).collect(),
-        read: Box::new(move |meshes| {
-            let volume = f64::from(WIDTH * WIDTH * layers);
-            Ok(vec![text(meshes.iter().map(|mesh| Tear::of_sheet(mesh, volume)).collect())])
-        }),
+    let sheets = in_cells(kinds, cells).map(|((layers, stretch), cell)| {
+        let volume = f64::from(WIDTH * WIDTH * layers);
+        Line {
+            rows: vec![format!(
+                "{} stretched {stretch:.1} times, {}",
+                of(layers),
+                cell_name(Some(cell))
+            )],
+            cell: Some(cell),
+            lost: Lost::Scene,
+            scenes: seeds.clone().map(|seed| sheet(layers, stretch, seed)).collect(),
+            read: Box::new(move |meshes| {
+                Ok(vec![text(meshes.iter().map(|mesh| Tear::of_sheet(mesh, volume)).collect())])
+            }),
+        }
     });
     let shells = cells.iter().map(|&cell| {
         let scenes: Vec<Points> = seeds.clone().map(shell).collect();
@@ -87,9 +105,11 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
             seeds.len()
         ),
         sheets.chain(shells).collect(),
-    )?;
+    )
+}
 
-    let threads = in_cells(STRETCHES, cells).map(|(stretch, cell)| Line {
+fn in_threads(board: &Board, Samples { cells, seeds }: &Samples) -> Outcome<()> {
+    let lines = in_cells(STRETCHES, cells).map(|(stretch, cell)| Line {
         rows: vec![format!("stretched {stretch} times, {}", cell_name(Some(cell)))],
         cell: Some(cell),
         lost: Lost::Scene,
@@ -108,10 +128,12 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
              volume over the particles', mean of {} times {THREADS}",
             seeds.len()
         ),
-        threads.collect(),
-    )?;
+        lines.collect(),
+    )
+}
 
-    let spray = in_cells(SPRAY, cells).map(|(apart, cell)| {
+fn in_spray(board: &Board, Samples { cells, seeds }: &Samples) -> Outcome<()> {
+    let lines = in_cells(SPRAY, cells).map(|(apart, cell)| {
         let scenes: Vec<Points> = seeds.clone().map(|seed| spray(apart, seed)).collect();
         let clusters: usize = scenes.iter().map(|scene| clusters(scene)).sum();
         Line {
@@ -131,11 +153,14 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
             "spray at random places: pieces over clusters of particles that are at most \
              {LINKAGE} apart"
         ),
-        spray.collect(),
-    )?;
+        lines.collect(),
+    )
+}
 
-    let slow = in_cells(SLOW, cells).map(|(layers, cell)| {
+fn stretching(board: &Board, samples: &Samples, layers: &[i32], frames: usize) -> Outcome<()> {
+    let lines = in_cells(layers.iter().copied(), samples.cells).map(|(layers, cell)| {
         let row = |what: &str| format!("{}, {}: {what}", of(layers), cell_name(Some(cell)));
+        let volume = f64::from(WIDTH * WIDTH * layers);
         Line {
             rows: [
                 "stretch at which it opens",
@@ -146,9 +171,8 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
             .into(),
             cell: Some(cell),
             lost: Lost::Scene,
-            scenes: (0..FRAMES).map(|frame| sheet(layers, slow(frame), 0)).collect(),
+            scenes: (0..frames).map(|n| sheet(layers, slow(n, frames), 0)).collect(),
             read: Box::new(move |meshes| {
-                let volume = f64::from(WIDTH * WIDTH * layers);
                 let tears: Vec<Tear> =
                     meshes.iter().map(|mesh| Tear::of_sheet(mesh, volume)).collect();
                 Ok(opening(&tears).into())
@@ -156,8 +180,8 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
         }
     });
     board.table(
-        &format!("sheets that stretch from 1 to {LAST} times in {FRAMES} frames"),
-        slow.collect(),
+        &format!("sheets that stretch from 1 to {LAST} times in {frames} frames"),
+        lines.collect(),
     )
 }
 
@@ -174,8 +198,8 @@ fn of(layers: i32) -> String {
 }
 
 /// The stretch in a frame.
-fn slow(frame: usize) -> f64 {
-    1.0 + (LAST - 1.0) * frame as f64 / (FRAMES - 1) as f64
+fn slow(frame: usize, frames: usize) -> f64 {
+    1.0 + (LAST - 1.0) * frame as f64 / (frames - 1) as f64
 }
 
 /// A sheet around its centre. A seed has the same jitter at every stretch.
@@ -314,7 +338,9 @@ fn opening(tears: &[Tear]) -> [String; 3] {
     let closes = |pair: &&[Tear]| pair[1].holes < pair[0].holes && pair[1].pieces <= pair[0].pieces;
     let change = |pair: &[Tear]| (pair[1].volume / pair[0].volume - 1.0).abs();
     [
-        opens.map_or("never".into(), |frame| format!("{:.2} (frame {frame})", slow(frame))),
+        opens.map_or("never".into(), |frame| {
+            format!("{:.2} (frame {frame})", slow(frame, tears.len()))
+        }),
         open.windows(2).filter(closes).count().to_string(),
         figure(whole.windows(2).map(change).fold(0.0, f64::max)),
     ]
@@ -368,7 +394,7 @@ mod tests {
         let tear = |(pieces, holes, volume)| Tear { pieces, holes, volume };
         let tears = [(1, 0, 1.0), (1, 0, 1.1), (1, 3, 1.2), (1, 2, 1.2), (1, 4, 1.2), (3, 2, 1.2)];
         let found = opening(&tears.map(tear));
-        assert_eq!(found, ["1.10 (frame 2)".into(), "1".into(), "0.100".to_owned()]);
+        assert_eq!(found, ["1.56 (frame 2)".into(), "1".into(), "0.100".to_owned()]);
         assert_eq!(opening(&[tear((1, 0, 1.0))])[0], "never");
         assert_eq!(text(tears[1..3].iter().copied().map(tear).collect()), "1 / 1.5 / 1.15");
     }

@@ -3,7 +3,7 @@
 use std::num::NonZero;
 
 use super::lines::Board;
-use super::programs::Method;
+use super::programs::{Method, Takes};
 use crate::scene::splash;
 use crate::tables::Table;
 use crate::{Options, Outcome};
@@ -19,7 +19,7 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
     let threads = std::thread::available_parallelism().map_or(1, NonZero::get).min(THREADS);
     let particles: Vec<[f64; 3]> = splash(count, 1).into_iter().map(|p| p.map(f64::from)).collect();
     let input = board.input(&particles)?;
-    let timed = |method: &&Method| method.documented && method.program.takes_many;
+    let timed = |method: &&Method| method.documented && method.program.takes == Takes::Many;
     let methods: Vec<&Method> = board.methods.iter().filter(timed).collect();
     let head: Vec<&str> =
         [""].into_iter().chain(methods.iter().map(|method| &*method.name)).collect();
