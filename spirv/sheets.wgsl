@@ -143,8 +143,9 @@ fn sheeted(block: Block, cell: vec3<i32>) -> vec2<u32> {
     let spread = (d.x * minor(vec2(d.y, twists.z), vec2(d.z, twists.z))
         - twists.x * minor(vec2(twists.x, -twists.z), vec2(d.z, twists.y))
         - twists.y * minor(vec2(twists.y, -twists.z), vec2(d.y, twists.x))) >> SHEET_BITS;
-    let flat_ramp = ramp_at(u32(clamp(spread, 0, 65535)), ramp_of(FLAT_BEGIN, FLAT_RANGE));
-    let flat = 4096 - i32(flat_ramp);
+    let determinant = u32(clamp(spread, 0, 65535));
+    let flat = 4096 - i32(ramp_at(determinant, ramp_of(FLAT_BEGIN, FLAT_RANGE)));
+    let no_body = 4096u - ramp_at(determinant, ramp_of(THICK_BEGIN, THICK_RANGE));
     let less_impure = u32(max(impure - ((IMPURE_IF_FLAT * flat) >> SHEET_BITS), 0));
 
     let along = times(b, g);
@@ -163,7 +164,8 @@ fn sheeted(block: Block, cell: vec3<i32>) -> vec2<u32> {
     let less_beyond = u32(max(beyond - ((BEYOND_IF_FLAT * flat) >> SHEET_BITS), 0));
     let here = 4096u - ramp_at(less_beyond, ramp_of(BEYOND_BEGIN, BEYOND_RANGE));
     let all = (((whole * pure_share) >> 12u) * ((((thin * stretched) >> 12u) * here) >> 12u)) >> 12u;
-    let certain = (all * all) >> 12u;
+    let thin_all = (all * no_body) >> 12u;
+    let certain = (thin_all * thin_all) >> 12u;
     if centre < push.least {
         return vec2(0u, certain);
     }

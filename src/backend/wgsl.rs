@@ -10,7 +10,7 @@ use crate::field::indicator::{
 };
 use crate::field::sheets::{
     BEYOND, BEYOND_IF_FLAT, BITS, BY_RIM, EXP2, FLAT, IMPURE, IMPURE_IF_FLAT, LOG2, LOG2_OF_E,
-    ROUND, THIN,
+    ROUND, THICK, THIN,
 };
 use crate::grid::units::FULL;
 use crate::grid::{BIN, BLOCK, BLOCK_TILES, CELL_LIMIT, FRACTION_BITS, TILE};
@@ -35,6 +35,8 @@ pub fn wgsl_constants() -> Vec<(&'static str, &'static str, i64)> {
         ("IMPURE_RANGE", "u32", IMPURE.range.into()),
         ("FLAT_BEGIN", "u32", FLAT.begin.into()),
         ("FLAT_RANGE", "u32", FLAT.range.into()),
+        ("THICK_BEGIN", "u32", THICK.begin.into()),
+        ("THICK_RANGE", "u32", THICK.range.into()),
         ("THIN_BEGIN", "u32", THIN.begin.into()),
         ("THIN_RANGE", "u32", THIN.range.into()),
         ("ROUND_BEGIN", "u32", ROUND.begin.into()),

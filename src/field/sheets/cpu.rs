@@ -9,7 +9,7 @@ use crate::field::distance::spread;
 use super::logarithm::{exp2, log2};
 use super::{
     BEYOND, BEYOND_IF_FLAT, BITS, BY_RIM, FLAT, IMPURE, IMPURE_IF_FLAT, LOG2_OF_E, ONE, ROUND,
-    SheetConstants, SheetFields, Sheets, THIN,
+    SheetConstants, SheetFields, Sheets, THICK, THIN,
 };
 
 /// Cells that are processed at a time.
@@ -255,7 +255,8 @@ impl SheetConstants {
             - xy * minor([xy, -yz], [z, xz])
             - xz * minor([xz, -yz], [y, xy]))
             >> BITS;
-        let flat = 4096 - FLAT.of(spread.clamp(0, u16::MAX.into()) as u16) as i32;
+        let spread = spread.clamp(0, u16::MAX.into()) as u16;
+        let flat = 4096 - FLAT.of(spread) as i32;
         let impure = (impure - ((IMPURE_IF_FLAT * flat) >> BITS)).max(0) as u16;
 
         let along = times(g);
@@ -280,6 +281,7 @@ impl SheetConstants {
                 4096 - BEYOND.of(still_beyond),
             ),
         );
+        let certain = passed(certain, 4096 - THICK.of(spread));
         // The ramp is applied twice: otherwise pieces of uncertain sheets would be visible.
         let certain = passed(certain, certain);
 
@@ -307,30 +309,35 @@ mod tests {
     use glam::DVec3;
 
     use super::*;
+    use crate::field::indicator::WideCells;
     use crate::field::sheets::DropShape;
     use crate::grid::units::SheetStretch;
 
     const CELL: f64 = 0.5;
+    const WIDE: WideCells = WideCells { level: 2, edge: 1.0 };
     const DROPS: DropShape = DropShape { radius: 0.5, width: 0.6, spline: 0.0 };
 
     fn made() -> Sheets {
-        Sheets::new(SheetStretch::DEFAULT, CELL, 0.25, 1 << 15, DROPS).expect("there are sheets")
+        let sheets = Sheets::new(SheetStretch::DEFAULT, [0.25, CELL], WIDE, DROPS);
+        sheets.expect("there are sheets")
     }
 
-    /// The share at `away` spacings from the middle of a thin body, relative to the share on a
-    /// drop's surface. The body is thin along the axes `across`, and its density is `density` of
-    /// the plateau.
-    fn beyond_surface(across: &[DVec3], density: f64, away: f64) -> f64 {
-        let width = (made().around.variance() + 0.25).sqrt() * CELL;
+    /// The standard deviation of the density that shows sheets: that of the filter, of the clouds
+    /// and of the spline.
+    fn width() -> f64 {
+        (made().around.variance() + 0.5).sqrt() * WIDE.edge
+    }
+
+    /// The share and the certainty of a sheet where the binary logarithm of the density, relative
+    /// to the plateau, depends on the place.
+    fn sheet_at(place: DVec3, logarithm: impl Fn(DVec3) -> f64) -> (u16, u16) {
         let numbers = made().numbers;
         let step = f64::from(numbers.step) * CELL;
         let at = |x: i32, y: i32, z: i32| {
-            let place = across[0] * away + DVec3::new(x.into(), y.into(), z.into()) * step;
-            let squared: f64 = across.iter().map(|axis| axis.dot(place).powi(2)).sum();
-            let logarithm = density.log2() - squared / (2.0 * width * width) * LOG2_E;
-            numbers.plateau + (logarithm * f64::from(ONE)).round() as i32
+            let place = place + DVec3::new(x.into(), y.into(), z.into()) * step;
+            numbers.plateau + (logarithm(place) * f64::from(ONE)).round() as i32
         };
-        let taps = Taps {
+        numbers.sheet(&Taps {
             centre: at(0, 0, 0),
             below: [at(-1, 0, 0), at(0, -1, 0), at(0, 0, -1)],
             above: [at(1, 0, 0), at(0, 1, 0), at(0, 0, 1)],
@@ -344,9 +351,18 @@ mod tests {
                 at(1, 0, -1) + at(-1, 0, 1),
                 at(0, 1, -1) + at(0, -1, 1),
             ],
-        };
+        })
+    }
+
+    /// The share at `away` spacings from the middle of a thin body, relative to the share on a
+    /// drop's surface. The body is thin along the axes `across`, and its density is `density` of
+    /// the plateau.
+    fn beyond_surface(across: &[DVec3], density: f64, away: f64) -> f64 {
+        let (share, certain) = sheet_at(across[0] * away, |place| {
+            let squared: f64 = across.iter().map(|axis| axis.dot(place).powi(2)).sum();
+            density.log2() - squared / (2.0 * width() * width()) * LOG2_E
+        });
         let surface = (-0.5 * (DROPS.radius / DROPS.width).powi(2)).exp() * 32768.0;
-        let (share, certain) = numbers.sheet(&taps);
         f64::from(share) * f64::from(certain) / f64::from(ONE) - surface
     }
 
@@ -358,13 +374,13 @@ mod tests {
 
     #[test]
     fn sheets_and_threads_have_their_thickness_in_any_orientation() {
-        let width = (made().around.variance() + 0.25).sqrt() * CELL;
+        let width = width();
         let normal = DVec3::new(0.36, 0.48, 0.8);
         let other = normal.any_orthonormal_vector();
         for [first, second] in [[DVec3::Y, DVec3::X], [normal, other], [other, normal]] {
             for thickness in [0.3, 0.7, 0.9] {
                 let density = thickness / (TAU.sqrt() * width);
-                let expected = (0.5 * thickness).max(0.275);
+                let expected = (0.5 * thickness).max(0.2);
                 let found = half_thickness(&[first], density);
                 assert!((found - expected).abs() < 0.03, "{first} {thickness}: {found}");
             }
@@ -380,5 +396,31 @@ mod tests {
             let alone = (TAU.sqrt() * width).powi(-3);
             assert_eq!(half_thickness(&[first, second, third], alone), 0.0);
         }
+    }
+
+    /// The binary logarithm of the share of a half space x < 0 under the density's Gaussian.
+    fn half(x: f64) -> f64 {
+        (0.5 * libm::erfc(x / width() / 2.0_f64.sqrt())).log2()
+    }
+
+    #[test]
+    fn sheets_reach_to_their_corners_and_thick_bodies_and_clusters_are_no_sheets() {
+        let gaussian = |x: f64| -x * x / (2.0 * width() * width()) * LOG2_E;
+        let stretched = |stretch: f64| (stretch.powi(-2) / (TAU.sqrt() * width())).log2();
+        let certainty =
+            |place: DVec3, logarithm: &dyn Fn(DVec3) -> f64| sheet_at(place, logarithm).1;
+        let corner = |p: DVec3| stretched(1.6) + gaussian(p.z) + half(p.x) + half(p.y);
+        assert!(certainty(DVec3::new(-20.0, -20.0, 0.0), &corner) > 4000);
+        assert!(certainty(DVec3::new(0.0, -20.0, 0.0), &corner) > 3000);
+        assert!(certainty(DVec3::ZERO, &corner) > 2000);
+        // The surface of a bulk, and its edge.
+        for outside in [-0.5, 0.0, 0.5] {
+            assert_eq!(certainty(DVec3::splat(outside), &|p| half(p.x)), 0);
+            assert_eq!(certainty(DVec3::splat(outside), &|p| half(p.x) + half(p.y)), 0);
+        }
+        // As many particles as at the corner, spread in all directions.
+        let wide = |x: f64| gaussian(x) * 0.5;
+        let cluster = |p: DVec3| stretched(1.6) - 2.0 + wide(p.x) + wide(p.y) + wide(p.z);
+        assert_eq!(certainty(DVec3::ZERO, &cluster), 0);
     }
 }

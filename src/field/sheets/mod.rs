@@ -22,8 +22,8 @@
 //!    the density at the middle, and if B is nearly a projection: the squared distance
 //!    |B - B^2|^2 is at most 0.06 in sheets, in threads and at their rims, and twice that in spray.
 //!    At a corner of a sheet it is that large, too, but det(I - B), the product of the particles'
-//!    variances, shows that they lie in a plane. Neither a thick body (T < 0.4) nor a drop of a few
-//!    particles (T > 2.45) is a sheet.
+//!    variances, shows that they lie in a plane. Neither a thick body (T < 0.4), nor its surface
+//!    (det(I - B) > 0.35), nor a drop of a few particles (T > 2.45) is a sheet.
 //! 5. Blended. The certainty is averaged under a Gaussian of 0.55 spacings, so that no crumbs of
 //!    single cells remain at rims and in spray. It is the weight with which the shares of drops
 //!    (see [`distance`](super::distance)) are blended with those of the sheet, which have the
@@ -88,6 +88,8 @@ pub const IMPURE: Ramp = ramp([0.06, 0.09]);
 pub const BY_RIM: i32 = 16;
 /// The determinants of I - B between which particles no longer lie in a plane.
 pub const FLAT: Ramp = ramp([0.01, 0.05]);
+/// The determinants of I - B between which a sheet becomes the surface of a thick body.
+pub const THICK: Ramp = ramp([0.2, 0.35]);
 /// The increase of both limits of [`IMPURE`] where particles lie in a plane.
 pub const IMPURE_IF_FLAT: i32 = fixed(0.08);
 /// The increase of both limits of [`BEYOND`] where particles lie in a plane.
