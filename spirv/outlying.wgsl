@@ -1,5 +1,6 @@
-// The distance by which cells with particles lie outside of the calm surface; 0 for other cells. It
-// is reduced in the bulk, where no sheet needs to stand out early.
+//! with ramp
+// The distance by which cells with particles lie outside of the calm surface; 0 for other cells.
+// Small distances are reduced where the fine surface agrees with the calm one.
 
 struct OutlyingPush {
     // Words of the field.
@@ -9,8 +10,10 @@ struct OutlyingPush {
     // The sample at which drops begin to stand out, and the one at which sheets do.
     begin: u32,
     begin_of_sheets: u32,
-    // The least difference of the fine and the calm surface in a sheet.
-    apart: u32,
+    // Over the difference of the fine and the calm surface.
+    apart_begin: u32,
+    apart_range: u32,
+    apart_slope: u32,
 }
 
 var<immediate> push: OutlyingPush;
@@ -19,18 +22,26 @@ var<immediate> push: OutlyingPush;
 // Clouds; replaced by the field.
 @group(0) @binding(2) var<storage, read_write> field: array<u32>;
 
+fn outside(calm: u32, fine: u32, cloud: u32) -> u32 {
+    if cloud < push.least {
+        return 0u;
+    }
+    let distance = max(FULL - calm, 1u);
+    let apart = Ramp(push.apart_begin, push.apart_range, push.apart_slope);
+    let differs = ramp_at(max(fine, calm) - calm, apart);
+    let most = push.begin_of_sheets + (((push.begin - push.begin_of_sheets) * differs) >> 12u);
+    return select(min(distance, most), distance, distance > push.begin);
+}
+
 @compute @workgroup_size(256)
 fn outlying(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     let word = id.x + 256u * groups.x * id.y;
     if word >= push.words {
         return;
     }
-    let distances = vec2(calm[word] & 0xffffu, calm[word] >> 16u);
-    let finer = vec2(fine[word] & 0xffffu, fine[word] >> 16u);
-    let clouds = vec2(field[word] & 0xffffu, field[word] >> 16u);
-    let out = max(vec2(FULL) - distances, vec2(1u));
-    let may_be_sheet = (finer >= distances + vec2(push.apart)) | (out > vec2(push.begin));
-    let counts = select(min(out, vec2(push.begin_of_sheets)), out, may_be_sheet);
-    let kept = select(vec2(0u), counts, clouds >= vec2(push.least));
-    field[word] = kept.x | kept.y << 16u;
+    let a = calm[word];
+    let b = fine[word];
+    let c = field[word];
+    let first = outside(a & 0xffffu, b & 0xffffu, c & 0xffffu);
+    field[word] = first | outside(a >> 16u, b >> 16u, c >> 16u) << 16u;
 }

@@ -39,7 +39,6 @@ var<immediate> push: SheetsPush;
 const ONE: i32 = 1 << SHEET_BITS;
 const MOST_BEND: i32 = 2 * ONE;
 const MOST_SLOPE: i32 = 4 * ONE;
-const MOST_MINOR: i32 = 4 * ONE;
 
 fn ramp_of(begin: u32, range: u32) -> Ramp {
     return Ramp(begin, range, ((1u << 28u) + range - 1u) / range);
@@ -101,7 +100,7 @@ fn impurity(row: vec3<i32>, m: mat3x3i) -> i32 {
 }
 
 fn minor(a: vec2<i32>, b: vec2<i32>) -> i32 {
-    return clamp((a.x * b.x - a.y * b.y) >> SHEET_BITS, -MOST_MINOR, MOST_MINOR);
+    return (a.x * b.x - a.y * b.y) / ONE;
 }
 
 // The share and the certainty at a cell.
@@ -140,10 +139,10 @@ fn sheeted(block: Block, cell: vec3<i32>) -> vec2<u32> {
 
     // det(I - B).
     let d = vec3(ONE) - bends;
-    let spread = (d.x * minor(vec2(d.y, twists.z), vec2(d.z, twists.z))
+    let product_of_variances = (d.x * minor(vec2(d.y, twists.z), vec2(d.z, twists.z))
         - twists.x * minor(vec2(twists.x, -twists.z), vec2(d.z, twists.y))
         - twists.y * minor(vec2(twists.y, -twists.z), vec2(d.y, twists.x))) >> SHEET_BITS;
-    let determinant = u32(clamp(spread, 0, 65535));
+    let determinant = u32(clamp(product_of_variances, 0, 65535));
     let flat = 4096 - i32(ramp_at(determinant, ramp_of(FLAT_BEGIN, FLAT_RANGE)));
     let no_body = 4096u - ramp_at(determinant, ramp_of(THICK_BEGIN, THICK_RANGE));
     let less_impure = u32(max(impure - ((IMPURE_IF_FLAT * flat) >> SHEET_BITS), 0));

@@ -430,7 +430,9 @@ pub struct OutlyingPush {
     pub least: u32,
     pub begin: u32,
     pub begin_of_sheets: u32,
-    pub apart: u32,
+    pub apart_begin: u32,
+    pub apart_range: u32,
+    pub apart_slope: u32,
 }
 
 #[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]

@@ -154,7 +154,7 @@ impl Surfaces<'_> {
         let facts = &self.sampled.facts;
         let is_near = |solid: &&Solid| {
             let offset = solid.offset().abs() * facts.spacing_cells_or_one();
-            let further = distances.wide_halo().max(offset.ceil() as i32) + 4;
+            let further = distances.widest_halo().max(offset.ceil() as i32) + 4;
             solid.is_near(&facts.grid, distances.level, wide.grown(further, further))
         };
         self.solid.filter(is_near).is_some()

@@ -201,23 +201,24 @@ pub struct WideFields<T> {
     pub outlying: T,
 }
 
-/// The calm surface, with the wide fields that were computed from it.
-pub type WithCalm<T> = (T, WideFields<T>);
+/// The calm and the fine surface, with the wide fields that were computed from them.
+pub type WithSurfaces<T> = ([T; 2], WideFields<T>);
 
 /// Makes the wide fields that distances need, once for all cells within `cells`.
 pub fn bulk<F: Fields>(
     distances: &DistanceFilters,
     fields: &mut F,
 ) -> Result<WideFields<F::Field>, F::Error> {
-    let (_, wide) = calm_and_bulk(distances, fields)?;
+    let (_, wide) = surfaces_and_bulk(distances, fields)?;
     Ok(wide)
 }
 
-/// Computes the calm surface, and from it the bulk and how far particles lie outside of it.
-pub fn calm_and_bulk<F: Fields>(
+/// Computes the calm and the fine surface, and from them the bulk and how far particles lie outside
+/// of it.
+pub fn surfaces_and_bulk<F: Fields>(
     distances: &DistanceFilters,
     fields: &mut F,
-) -> Result<WithCalm<F::Field>, F::Error> {
+) -> Result<WithSurfaces<F::Field>, F::Error> {
     let DistanceFilters { level, bulk, near, least, stands_out, inside, .. } = distances;
     let clouds = fields.samples(*level, distances.wide_halo())?;
     let filled = fields.filled(&clouds)?;
@@ -229,9 +230,9 @@ pub fn calm_and_bulk<F: Fields>(
     let outlying = fields.outlying([&calm, &fine], clouds, (*least, stands_out))?;
     let apart = fields.blur(apart, &bulk.around)?;
     let outlying = fields.spread(outlying, *near)?;
-    let depths = Depths { calm: calm.clone(), fine, apart };
+    let depths = Depths { calm: calm.clone(), fine: fine.clone(), apart };
     let bulk = fields.mixed(bulk, inside, depths, &outlying)?;
-    Ok((calm, WideFields { bulk, outlying }))
+    Ok(([calm, fine], WideFields { bulk, outlying }))
 }
 
 /// The field, made from the wide fields and, where drops are possible, from drops in narrow cells.
@@ -287,7 +288,10 @@ fn sheets<F: Fields>(
     if !fields.may_hold(by, &clouds) {
         return Ok(None);
     }
-    let density = fields.blur(clouds, &by.around)?;
+    // A thin layer on a solid is no sheet.
+    let filled = fields.filled(&clouds)?;
+    drop(clouds);
+    let density = fields.blur(filled, &by.around)?;
     let density = fields.refined(density, *drops_level, by.halo())?;
     let Some(SheetFields { shares, certainty }) = fields.sheets(by, density)? else {
         return Ok(None);
@@ -347,7 +351,8 @@ pub trait Fields {
     ) -> Result<Self::Field, Self::Error>;
 
     /// The distance by which particles lie outside of the calm surface, from the calm surface and
-    /// the fine one, and from the minimum cloud of a cell with a particle.
+    /// the fine one, and from the minimum cloud of a cell with a particle: see
+    /// [`StandsOut::of_particle`].
     fn outlying(
         &mut self,
         surfaces: [&Self::Field; 2],
@@ -367,9 +372,8 @@ pub trait Fields {
         begin: u16,
     ) -> Result<(), Self::Error>;
 
-    /// A field of wider cells, interpolated at the middles of cells 2^`level` times as wide as the
-    /// requested ones: those whose middles surround the requested cells, with a halo of `halo`
-    /// cells.
+    /// Interpolates a field of wider cells at the middles of cells of `level`: those around the
+    /// requested cells, with a halo of `halo` cells. With a halo, they are the cells of drops.
     fn refined(
         &mut self,
         wide: Self::Field,

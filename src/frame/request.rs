@@ -214,7 +214,7 @@ impl Surfacing {
         }
         let blocks = CellBox { lo: IVec3::NEG_ONE, hi: IVec3::splat(2 * BLOCK + 2) };
         let wide = distances.wide_cells(blocks.grown(further, further));
-        SolidFill::bytes(wide.grown(distances.wide_halo(), distances.wide_halo()))
+        SolidFill::bytes(wide.grown(distances.widest_halo(), distances.widest_halo()))
     }
 
     /// The memory of the surface, for a spacing in cells and the components of its attributes.

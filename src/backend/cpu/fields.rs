@@ -348,7 +348,7 @@ impl Fields for Blocks<'_> {
         clouds: BlockField,
         by: (u16, &StandsOut),
     ) -> Result<BlockField, StopSignal> {
-        let mut block = outlying(&calm.block, Some(&fine.block), &clouds.block, by);
+        let mut block = outlying([&calm.block, &fine.block], &clouds.block, by);
         // Inside a solid the surface continues, and no particle stands out.
         let outside = self.outside.take().map(|outside| outside.part(block.cells()));
         let shares = outside.iter().flat_map(|outside| outside.samples());

@@ -3,7 +3,9 @@
 use crate::brick::Block;
 use crate::field::blur::{Weights, blur};
 use crate::field::distance::{DistanceFilters, away, outlying, refined, spread, wide_cells};
-use crate::field::recipe::{Recipe, ThinShares, WideFields, calm_and_bulk, thin_shares, walls_at};
+use crate::field::recipe::{
+    Recipe, ThinShares, WideFields, surfaces_and_bulk, thin_shares, walls_at,
+};
 use crate::field::sizes::{
     OctaveDrops, SizedClouds, averaging, finer_spacings, growth, mixed, share,
 };
@@ -28,8 +30,18 @@ pub struct SizedField<'a> {
 struct OctaveSurface {
     /// The calm surface, from which drops stand out.
     calm: Block,
+    /// The fine surface.
+    fine: Block,
     /// The bulk's surface.
     bulk: Block,
+}
+
+impl OctaveSurface {
+    /// No surface.
+    fn none(wide: CellBox) -> Self {
+        let [calm, fine, bulk] = [(); 3].map(|()| Block::zero(wide));
+        Self { calm, fine, bulk }
+    }
 }
 
 /// The drops of an octave, in its own cells.
@@ -154,18 +166,23 @@ impl<'a> SizedField<'a> {
             .then(|| self.own_surface(octave, cells));
         let next = any(|share| share > 0).then(|| {
             self.make(surfaces, octave + 1, cells);
-            let OctaveSurface { calm, bulk } = surfaces[octave + 1].as_ref().expect("it was made");
-            [calm, bulk].map(|field| finer_spacings(refined(field, 1, wide)))
+            let OctaveSurface { calm, fine, bulk } =
+                surfaces[octave + 1].as_ref().expect("it was made");
+            [calm, fine, bulk].map(|field| finer_spacings(refined(field, 1, wide)))
         });
         surfaces[octave] = Some(match (own, next) {
-            (Some(own), Some([calm, bulk])) => {
+            (Some(own), Some([calm, fine, bulk])) => {
                 let shares = shares.expect("an octave has a share of its own");
                 let mixed = |own: Block, next: &Block| mixed(own, next, &shares);
-                OctaveSurface { calm: mixed(own.calm, &calm), bulk: mixed(own.bulk, &bulk) }
+                OctaveSurface {
+                    calm: mixed(own.calm, &calm),
+                    fine: mixed(own.fine, &fine),
+                    bulk: mixed(own.bulk, &bulk),
+                }
             }
-            (None, Some([calm, bulk])) => OctaveSurface { calm, bulk },
+            (None, Some([calm, fine, bulk])) => OctaveSurface { calm, fine, bulk },
             (Some(own), None) => own,
-            (None, None) => OctaveSurface { calm: Block::zero(wide), bulk: Block::zero(wide) },
+            (None, None) => OctaveSurface::none(wide),
         });
     }
 
@@ -209,11 +226,12 @@ impl<'a> SizedField<'a> {
             walls.into_iter().for_each(|walls| block.repeat_edges(walls));
             block
         };
-        match calm_and_bulk(distances, &mut blocks) {
-            Ok((calm, WideFields { bulk, .. })) => {
-                OctaveSurface { calm: on_wide(&calm.block), bulk: on_wide(&bulk.block) }
+        match surfaces_and_bulk(distances, &mut blocks) {
+            Ok(([calm, fine], WideFields { bulk, .. })) => {
+                let [calm, fine, bulk] = [calm, fine, bulk].map(|field| on_wide(&field.block));
+                OctaveSurface { calm, fine, bulk }
             }
-            Err(_) => OctaveSurface { calm: Block::zero(wide), bulk: Block::zero(wide) },
+            Err(_) => OctaveSurface::none(wide),
         }
     }
 
@@ -234,8 +252,9 @@ impl<'a> SizedField<'a> {
             return None;
         }
         self.make(surfaces, octave, cells);
-        let calm = &surfaces[octave].as_ref()?.calm;
-        let mut outlying = spread(outlying(calm, None, &clouds, (*least, stands_out)), self.near());
+        let OctaveSurface { calm, fine, .. } = surfaces[octave].as_ref()?;
+        let outlying = outlying([calm, fine], &clouds, (*least, stands_out));
+        let mut outlying = spread(outlying, self.near());
         if outlying.samples().iter().all(|&sample| sample <= stands_out.begin()) {
             return None;
         }

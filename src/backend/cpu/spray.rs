@@ -157,7 +157,8 @@ fn drop_in(
             let near = blocks.refined(outlying, 0, 0).ok()?;
             let ThinShares { shares, certainty } = shares;
             let shares = blocks.refined(shares, 0, 0).ok()?;
-            let certainty = certainty.and_then(|certainty| blocks.refined(certainty, 0, 0).ok());
+            let certainty =
+                certainty.map(|certainty| blocks.refined(certainty, 0, 0)).transpose().ok()?;
             let thin = ThinShares { shares, certainty };
             field = blocks.joined(field, near, thin, (drops, &stands_out)).ok()?;
         }

@@ -138,36 +138,34 @@ fn mixed_row(to: &mut [u16], [calm, fine, apart, near]: [&[u16]; 4], bulk: &Bulk
 }
 
 /// The distance by which each cell with a particle lies outside of the calm surface; [`NONE`] for
-/// cells without particles. With the fine surface, distances are reduced in the bulk, where no sheet
-/// needs to stand out early.
+/// cells without particles. Small distances are reduced where the fine surface agrees with the calm
+/// one.
 ///
 /// # Panics
 /// If `fine` or `clouds` does not cover `calm`.
 pub fn outlying(
-    calm: &Block,
-    fine: Option<&Block>,
+    [calm, fine]: [&Block; 2],
     clouds: &Block,
     (least, stands_out): (u16, &StandsOut),
 ) -> Block {
     let cells = calm.cells();
     let width = cells.size().x as usize;
     let mut field = Block::zero(cells);
-    let rows = calm.rows(cells).zip(clouds.rows(cells));
-    for (to, (([y, z], calm), (_, clouds))) in field.samples_mut().chunks_exact_mut(width).zip(rows)
+    let rows = calm.rows(cells).zip(fine.rows(cells)).zip(clouds.rows(cells));
+    for (to, (((_, calm), (_, fine)), (_, clouds))) in
+        field.samples_mut().chunks_exact_mut(width).zip(rows)
     {
         outlying_row(to, calm, clouds, least);
-        if let Some(fine) = fine {
-            let first = fine.index(IVec3::new(cells.lo.x, y, z));
-            of_particles(to, calm, &fine.samples()[first..first + width], stands_out);
-        }
+        reduced_in_bulk(to, [calm, fine], stands_out);
     }
     field
 }
 
+/// Reduces distances as in [`StandsOut::of_particle`].
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
-fn of_particles(to: &mut [u16], calm: &[u16], fine: &[u16], stands_out: &StandsOut) {
+fn reduced_in_bulk(to: &mut [u16], [calm, fine]: [&[u16]; 2], stands_out: &StandsOut) {
     for ((to, &calm), &fine) in to.iter_mut().zip(calm).zip(fine) {
-        *to = stands_out.of_particle(*to, i32::from(fine) - i32::from(calm));
+        *to = stands_out.of_particle(*to, fine.saturating_sub(calm));
     }
 }
 
@@ -385,7 +383,7 @@ pub fn joined(
 ) -> Block {
     let part = shares.cells();
     let width = part.size().x as usize;
-    let mut earlier = vec![0; width];
+    let mut distances = vec![0; width];
     for (([y, z], shares), (_, near)) in shares.rows(part).zip(near.rows(part)) {
         if greatest_of(near) <= stands_out.begin() {
             continue;
@@ -394,8 +392,8 @@ pub fn joined(
         let near = match certainty {
             Some(certainty) => {
                 let certainty = &certainty.samples()[certainty.index(row)..][..width];
-                standing_out(&mut earlier, near, certainty, stands_out);
-                &earlier[..]
+                standing_out(&mut distances, near, certainty, stands_out);
+                &distances[..]
             }
             None => near,
         };

@@ -44,9 +44,9 @@ const NEAR: f64 = 1.0;
 /// The distances of a particle's centre outside of the calm surface at which it begins to stand
 /// out, and from which on it stands out completely, in spacings.
 const STANDS_OUT: [f64; 2] = [0.4, 1.0];
-/// The least difference of the fine and the calm surface in a sheet, in spacings: both agree in the
-/// bulk.
-const SHEETS_APART: f64 = 0.3;
+/// The differences of the fine and the calm surface between which sheets begin to stand out earlier
+/// than drops, in spacings: both surfaces agree in the bulk.
+const SHEETS_APART: [f64; 2] = [0.25, 0.35];
 /// The standard deviation of a particle's drop, in spacings.
 const DROP_WIDTH: f64 = 0.6;
 /// The radius of the drop of a single particle in fine cells, in spacings.
@@ -154,8 +154,8 @@ impl DistanceFilters {
             least: ((amount / 9.0) as u16).max(1),
             stands_out: StandsOut {
                 ramp: ramp(STANDS_OUT, ZERO),
-                earlier: sheets.as_ref().map_or(0, |_| (STANDS_OUT_EARLIER * UNITS) as u16),
-                apart: (SHEETS_APART * UNITS) as u16,
+                earlier: sheets.as_ref().map_or(0, |_| (STANDS_OUT_EARLIER * UNITS).round() as u16),
+                apart: ramp(SHEETS_APART, 0),
             },
             drops_level,
             drops,
@@ -237,6 +237,12 @@ impl DistanceFilters {
         self.sheets.as_ref().map_or(0, further)
     }
 
+    /// The halo of wide cells for everything that is made from them, in wide cells.
+    #[must_use]
+    pub fn widest_halo(&self) -> i32 {
+        self.wide_halo().max(self.sheets_halo())
+    }
+
     /// The halo of drops and sheets, in the cells in which they are made.
     #[must_use]
     pub fn drops_halo(&self) -> i32 {
@@ -253,7 +259,7 @@ impl DistanceFilters {
             // contribute to wide cells.
             ((halo + spline) << level) + 2 * ((1 << level) - 1)
         };
-        let wide = in_wide(self.level, self.wide_halo().max(self.sheets_halo()));
+        let wide = in_wide(self.level, self.widest_halo());
         wide.max(in_wide(self.drops_level, self.drops_halo())) + GHOST_LAYER
     }
 
@@ -262,7 +268,7 @@ impl DistanceFilters {
     #[must_use]
     pub fn seen(&self, cells: CellBox) -> CellBox {
         let wide = self.wide_cells(cells);
-        let halo = self.wide_halo().max(self.sheets_halo());
+        let halo = self.widest_halo();
         let bulk = wide.grown(halo, halo);
         let inside = InsideBricks::bricks_around(wide).grown(self.inside_reach, self.inside_reach);
         let drops = wide_cells(self.drops_level, cells).grown(self.drops_halo(), self.drops_halo());
@@ -297,7 +303,7 @@ impl DistanceFilters {
         let cells = |edge: i32| CellBox { lo: IVec3::NEG_ONE, hi: IVec3::splat(edge + 2) };
         let halo = self.drops_halo();
         let drops = wide_cells(self.drops_level, cells(BLOCK)).grown(halo, halo);
-        let drops = 7 * volume_bytes(drops) + 4 * volume_bytes(cells(BLOCK));
+        let drops = 8 * volume_bytes(drops) + 4 * volume_bytes(cells(BLOCK));
         let halo = self.sheets_halo();
         let sheets = 3 * volume_bytes(self.wide_cells(cells(BLOCK)).grown(halo, halo));
         let drops = drops + sheets;

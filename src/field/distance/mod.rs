@@ -21,8 +21,8 @@
 //!    wide cells, or in the grid's own cells if they are no finer.
 //! 5. Joined. A particle stands out if its centre lies outside of the calm surface, by O = -E in
 //!    its wide cell. The greatest O within a spacing blends the bulk's surface with drops, from 0.4
-//!    to 1 d, and up to 0.35 d earlier with [sheets](super::sheets). Where no particle is near,
-//!    there is no surface.
+//!    to 1 d. [Sheets](super::sheets) stand out up to 0.35 d earlier, where the fine and the calm
+//!    surface are apart. Where no particle is near, there is no surface.
 //!
 //! Every blur is one of [`blur`](super::blur); quadratic B-splines interpolate wide cells; ramps
 //! are 3 x^2 - 2 x^3. Distances are 16-bit samples: 32768 + 8192 d.
@@ -138,8 +138,9 @@ pub struct StandsOut {
     pub ramp: Ramp,
     /// The distance by which a certain sheet stands out earlier, in units.
     pub earlier: u16,
-    /// The least difference of the fine and the calm surface in a sheet, in units.
-    pub apart: u16,
+    /// Over the difference of the fine and the calm surface, which agree in the bulk: sheets stand
+    /// out earlier where the surfaces differ.
+    pub apart: Ramp,
 }
 
 impl StandsOut {
@@ -148,11 +149,14 @@ impl StandsOut {
         self.ramp.begin - self.earlier
     }
 
-    /// The distance by which a particle lies outside, if no sheet needs it to stand out earlier.
+    /// The distance by which a particle lies outside, for a difference of the fine and the calm
+    /// surface. In the bulk, distances at which drops do not stand out are reduced, so that nothing
+    /// needs to be made there.
     #[inline(always)]
-    pub fn of_particle(&self, distance: u16, apart: i32) -> u16 {
-        let may_be_sheet = apart >= i32::from(self.apart) || distance > self.ramp.begin;
-        if may_be_sheet { distance } else { distance.min(self.begin()) }
+    pub fn of_particle(&self, distance: u16, apart: u16) -> u16 {
+        let earlier = (u32::from(self.earlier) * self.apart.of(apart)) >> 12;
+        let most = self.begin() + earlier as u16;
+        if distance > self.ramp.begin { distance } else { distance.min(most) }
     }
 
     /// The distance that counts for a sheet of some certainty, in 4096ths.

@@ -155,7 +155,9 @@ pub fn outlying(
         least: least.into(),
         begin: stands_out.ramp.begin.into(),
         begin_of_sheets: stands_out.begin().into(),
-        apart: stands_out.apart.into(),
+        apart_begin: stands_out.apart.begin.into(),
+        apart_range: stands_out.apart.range.into(),
+        apart_slope: stands_out.apart.slope,
     };
     batch.dispatch(
         &pipelines.outlying,

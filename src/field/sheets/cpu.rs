@@ -18,8 +18,6 @@ const LANES: usize = 16;
 /// The maximum of g, B and the distance from the middle.
 const MOST_SLOPE: i32 = 4 * ONE;
 const MOST_BEND: i32 = 2 * ONE;
-/// The maximum of a minor of I - B.
-const MOST_MINOR: i32 = 4 * ONE;
 
 /// Whether some samples can hold a sheet, which needs more than one particle.
 pub fn holds_any(sheets: &Sheets, clouds: &Block) -> bool {
@@ -33,8 +31,9 @@ pub fn holds_any(sheets: &Sheets, clouds: &Block) -> bool {
     false
 }
 
-/// Sheets of the smoothed density; `None` if there are none. Shares are only made within the reach
-/// of the average certainty, and where `needed` is not 0.
+/// Sheets of the smoothed density; `None` if there are none. With `needed`, certainty is only made
+/// where that block is not 0. Shares are only made within the reach of the average from cells with
+/// certainty.
 ///
 /// # Panics
 /// If `needed` does not cover the sheets.
@@ -248,15 +247,13 @@ impl SheetConstants {
 
         // det(I - B).
         let [x, y, z] = [ONE - xx, ONE - yy, ONE - zz];
-        let minor = |a: [i32; 2], b: [i32; 2]| {
-            ((a[0] * b[0] - a[1] * b[1]) >> BITS).clamp(-MOST_MINOR, MOST_MINOR)
-        };
-        let spread = (x * minor([y, yz], [z, yz])
+        let minor = |a: [i32; 2], b: [i32; 2]| (a[0] * b[0] - a[1] * b[1]) / ONE;
+        let determinant = (x * minor([y, yz], [z, yz])
             - xy * minor([xy, -yz], [z, xz])
             - xz * minor([xz, -yz], [y, xy]))
             >> BITS;
-        let spread = spread.clamp(0, u16::MAX.into()) as u16;
-        let flat = 4096 - FLAT.of(spread) as i32;
+        let determinant = determinant.clamp(0, u16::MAX.into()) as u16;
+        let flat = 4096 - FLAT.of(determinant) as i32;
         let impure = (impure - ((IMPURE_IF_FLAT * flat) >> BITS)).max(0) as u16;
 
         let along = times(g);
@@ -281,7 +278,7 @@ impl SheetConstants {
                 4096 - BEYOND.of(still_beyond),
             ),
         );
-        let certain = passed(certain, 4096 - THICK.of(spread));
+        let certain = passed(certain, 4096 - THICK.of(determinant));
         // The ramp is applied twice: otherwise pieces of uncertain sheets would be visible.
         let certain = passed(certain, certain);
 
@@ -411,8 +408,9 @@ mod tests {
             |place: DVec3, logarithm: &dyn Fn(DVec3) -> f64| sheet_at(place, logarithm).1;
         let corner = |p: DVec3| stretched(1.6) + gaussian(p.z) + half(p.x) + half(p.y);
         assert!(certainty(DVec3::new(-20.0, -20.0, 0.0), &corner) > 4000);
-        assert!(certainty(DVec3::new(0.0, -20.0, 0.0), &corner) > 3000);
-        assert!(certainty(DVec3::ZERO, &corner) > 2000);
+        // The outermost particles are half their distance within the edges.
+        assert!(certainty(DVec3::new(-0.8, -20.0, 0.0), &corner) > 3000);
+        assert!(certainty(DVec3::new(-0.8, -0.8, 0.0), &corner) > 2000);
         // The surface of a bulk, and its edge.
         for outside in [-0.5, 0.0, 0.5] {
             assert_eq!(certainty(DVec3::splat(outside), &|p| half(p.x)), 0);

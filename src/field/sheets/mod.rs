@@ -4,11 +4,12 @@
 //! particles no longer touch. The density alone shows the position and the thickness of such a
 //! sheet, and whether there is one.
 //!
-//! 1. Shape. Let rho be the density smoothed by a Gaussian of width s, and L its logarithm. The
-//!    first and second derivatives of L are the moments of the particles under that Gaussian: s^2
-//!    grad L is their mean offset, and s^2 (I + s^2 Hess L) their covariance. With g = s grad L and
-//!    B = -s^2 Hess L, an eigenvalue of B is 1 across a sheet or a thread, where the particles have
-//!    no width, and 0 along it, where nothing changes.
+//! 1. Shape. Let rho be the density smoothed by a Gaussian of width s, which is made in wide cells
+//!    and interpolated by splines, and L its logarithm. The first and second derivatives of L are
+//!    the moments of the particles under that Gaussian: s^2 grad L is their mean offset, and s^2 (I
+//!    + s^2 Hess L) their covariance. With g = s grad L and B = -s^2 Hess L, an eigenvalue of B is 1
+//!    across a sheet or a thread, where the particles have no width, and 0 along it, where nothing
+//!    changes.
 //! 2. Distance. The middle of the sheet lies at s (2 B - B^2) g: along the sheet this is 0, across
 //!    it the mean offset. At a rim B is in between, so the distance to the middle grows smoothly
 //!    there.
@@ -19,11 +20,12 @@
 //!    radius R. The cells need a minimum of `LEAST_CELLS`, and of `LEAST_RIM_CELLS` in threads and
 //!    at rims, which would fray otherwise.
 //! 4. Certainty. There is a sheet if neighbours are no farther apart than requested, according to
-//!    the density at the middle, and if B is nearly a projection: the squared distance
-//!    |B - B^2|^2 is at most 0.06 in sheets, in threads and at their rims, and twice that in spray.
-//!    At a corner of a sheet it is that large, too, but det(I - B), the product of the particles'
-//!    variances, shows that they lie in a plane. Neither a thick body (T < 0.4), nor its surface
-//!    (det(I - B) > 0.35), nor a drop of a few particles (T > 2.45) is a sheet.
+//!    the density at the middle, if the middle is near, and if B is nearly a projection: the squared
+//!    distance |B - B^2|^2 is at most 0.06 in sheets, in threads and at their rims, and often twice
+//!    that in spray. It is as large at the corners of a sheet, where the middle seems far, too. But
+//!    there det(I - B), the product of the particles' variances, shows that they lie in a plane, and
+//!    both limits are wider. Neither a thick body (T < 0.4), nor its surface (det(I - B) > 0.35),
+//!    nor a drop of a few particles (T > 2.45) is a sheet.
 //! 5. Blended. The certainty is averaged under a Gaussian of 0.55 spacings, so that no crumbs of
 //!    single cells remain at rims and in spray. It is the weight with which the shares of drops
 //!    (see [`distance`](super::distance)) are blended with those of the sheet, which have the
@@ -70,12 +72,13 @@ const AVERAGE: f64 = 0.55;
 /// The width of a sheet's profile, in spacings, and its minimum in cells of the sheet.
 const PROFILE: f64 = 0.45;
 const PROFILE_CELLS: f64 = 0.9;
-/// The minimum half thickness in cells of the mesh, in sheets and at their rims and in threads. To
-/// both `LEAST_MORE` spacings are added, and for coarse cells both are at most `LEAST_MOST`
-/// spacings.
+/// The minimum half thickness of sheets, in cells of the mesh.
 const LEAST_CELLS: f64 = 0.6;
+/// The minimum half thickness of rims and threads, in cells of the mesh.
 const LEAST_RIM_CELLS: f64 = 0.85;
+/// The spacings that are added to both.
 const LEAST_MORE: f64 = 0.05;
+/// The maximum of both sums, in spacings, for coarse cells.
 const LEAST_MOST: f64 = 1.0;
 /// The factor beyond the requested stretch at which sheets end.
 const GONE: f64 = 1.12;
@@ -84,11 +87,12 @@ const GONE: f64 = 1.12;
 const THREADS_FARTHER: f64 = 1.15;
 /// The squared distances of B from a projection between which drops replace sheets.
 pub const IMPURE: Ramp = ramp([0.06, 0.09]);
-/// 1 over the squared distance of B from a projection that counts as rim.
+/// 1 over the squared distance of B from a projection at which a cell counts fully as a rim.
 pub const BY_RIM: i32 = 16;
-/// The determinants of I - B between which particles no longer lie in a plane.
+/// The determinants of I - B between which `IMPURE_IF_FLAT` and `BEYOND_IF_FLAT` fade out, because
+/// the particles do not lie in a plane.
 pub const FLAT: Ramp = ramp([0.01, 0.05]);
-/// The determinants of I - B between which a sheet becomes the surface of a thick body.
+/// The determinants of I - B between which sheets fade out at the surface of a thick body.
 pub const THICK: Ramp = ramp([0.2, 0.35]);
 /// The increase of both limits of [`IMPURE`] where particles lie in a plane.
 pub const IMPURE_IF_FLAT: i32 = fixed(0.08);
@@ -109,7 +113,8 @@ pub(in crate::field) const STANDS_OUT_EARLIER: f64 = 0.35;
 /// base e.
 const MOST_MORE: f64 = 0.7;
 
-/// The parameters of thin fluid, for the density in the cells of drops.
+/// The parameters of thin fluid, for a density in wide cells that is interpolated in the cells of
+/// drops.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Sheets {
     /// Smooths the density in wide cells.
@@ -125,7 +130,8 @@ pub struct Sheets {
 /// The sheets in some cells.
 #[derive(Debug, Clone)]
 pub struct SheetFields<F> {
-    /// Shares like those of drops, in 32768ths; 0 where hardly any particle is near.
+    /// Shares like those of drops, in 32768ths; valid within the reach of the average from cells
+    /// with certainty.
     pub shares: F,
     /// The certainty of the sheets, in 4096ths.
     pub certainty: F,
