@@ -340,7 +340,8 @@ impl Fields for PaddedFields<'_> {
         let homes = self.within(near.of, bulk.of);
         let away = &self.constants.tables.away;
         let certainty = certainty.as_ref().map(|certainty| &certainty.samples);
-        join(self.commands, &self.pipelines.distance, blocks, &homes, by, away, views, certainty)?;
+        let tables = [&homes, away];
+        join(self.commands, &self.pipelines.distance, blocks, by, tables, views, certainty)?;
         Ok(bulk)
     }
 }

@@ -286,9 +286,8 @@ pub fn join(
     batch: &mut Batch,
     pipelines: &DistancePipelines,
     [parts, blocks]: [&DeviceBlocks; 2],
-    homes: &View,
     (drops, StandsOut { ramp, earlier, .. }): (&Drops, &StandsOut),
-    table: &View,
+    [homes, table]: [&View; 2],
     [bulk, near, shares]: [&View; 3],
     certainty: Option<&View>,
 ) -> Result<(), VulkanError> {

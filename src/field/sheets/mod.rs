@@ -6,10 +6,10 @@
 //!
 //! 1. Shape. Let rho be the density smoothed by a Gaussian of width s, which is made in wide cells
 //!    and interpolated by splines, and L its logarithm. The first and second derivatives of L are
-//!    the moments of the particles under that Gaussian: s^2 grad L is their mean offset, and s^2 (I
-//!    + s^2 Hess L) their covariance. With g = s grad L and B = -s^2 Hess L, an eigenvalue of B is 1
-//!    across a sheet or a thread, where the particles have no width, and 0 along it, where nothing
-//!    changes.
+//!    the moments of the particles under that Gaussian: s^2 grad L is their mean offset, and
+//!    s^2 (I + s^2 Hess L) their covariance. With g = s grad L and B = -s^2 Hess L, an eigenvalue of
+//!    B is 1 across a sheet or a thread, where the particles have no width, and 0 along it, where
+//!    nothing changes.
 //! 2. Distance. The middle of the sheet lies at s (2 B - B^2) g: along the sheet this is 0, across
 //!    it the mean offset. At a rim B is in between, so the distance to the middle grows smoothly
 //!    there.
