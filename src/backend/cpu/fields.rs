@@ -452,7 +452,8 @@ impl Fields for Blocks<'_> {
         sheets: BlockField,
         certainty: &BlockField,
     ) -> Result<BlockField, StopSignal> {
-        Ok(self.field(blend(&drops.block, &sheets.block, &certainty.block), drops.level))
+        let block = Rc::unwrap_or_clone(drops.block);
+        Ok(self.field(blend(block, &sheets.block, &certainty.block), drops.level))
     }
 
     fn joined(

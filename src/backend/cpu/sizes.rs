@@ -1,5 +1,7 @@
 //! The field of particles of several sizes, on blocks in a thread's memory.
 
+use std::rc::Rc;
+
 use crate::brick::Block;
 use crate::field::blur::{Weights, blur};
 use crate::field::distance::{DistanceFilters, away, outlying, refined, spread, wide_cells};
@@ -264,10 +266,9 @@ impl<'a> SizedField<'a> {
         };
         let mut blocks = Blocks::of_density(recipe, sampled, &own, self.cells(octave, cells));
         let ThinShares { shares, certainty } = thin_shares(distances, &mut blocks).ok()?;
-        let cells = shares.block.cells();
         let thin = ThinShares {
-            shares: shares.block.part(cells),
-            certainty: certainty.map(|certainty| certainty.block.part(cells)),
+            shares: Rc::unwrap_or_clone(shares.block),
+            certainty: certainty.map(|certainty| Rc::unwrap_or_clone(certainty.block)),
         };
         Some(OctaveShares { octave, outlying, thin })
     }

@@ -146,7 +146,7 @@ impl DistanceFilters {
             deep: ramp(DEEP, ZERO),
         };
         let drops_level = wide.level.saturating_sub(1);
-        let (drops, sheets) = thin_fluid(sheets, spacing, wide, drops_level > 0);
+        let (drops, sheets) = thin_fluid(sheets, spacing, drops_level > 0);
         Self {
             level: wide.level,
             bulk,
@@ -176,7 +176,7 @@ impl DistanceFilters {
     /// caller that interpolates drops and sheets on a finer mesh by splines.
     #[must_use]
     pub fn refining(self, sheets: SheetStretch, spacing: f64) -> Self {
-        let (drops, sheets) = thin_fluid(sheets, spacing, WideCells::of_spacing(spacing), true);
+        let (drops, sheets) = thin_fluid(sheets, spacing, true);
         Self { drops, sheets, ..self }
     }
 
@@ -301,26 +301,20 @@ impl DistanceFilters {
     #[must_use]
     pub fn block_bytes(&self) -> u64 {
         let cells = |edge: i32| CellBox { lo: IVec3::NEG_ONE, hi: IVec3::splat(edge + 2) };
-        let halo = self.drops_halo();
-        let drops = wide_cells(self.drops_level, cells(BLOCK)).grown(halo, halo);
-        let drops = 8 * volume_bytes(drops) + 4 * volume_bytes(cells(BLOCK));
-        let halo = self.sheets_halo();
-        let sheets = 3 * volume_bytes(self.wide_cells(cells(BLOCK)).grown(halo, halo));
-        let drops = drops + sheets;
-        let wide = 2 * volume_bytes(self.wide_cells(cells(2 * BLOCK)));
-        self.bulk_bytes(self.wide_cells(cells(2 * BLOCK))).max(drops + wide)
+        let around = |cells: CellBox, halo: i32| volume_bytes(cells.grown(halo, halo));
+        let drops = around(wide_cells(self.drops_level, cells(BLOCK)), self.drops_halo());
+        let sheets = around(self.wide_cells(cells(BLOCK)), self.sheets_halo());
+        let all = self.wide_cells(cells(2 * BLOCK));
+        let thin = 8 * drops + 3 * sheets + 4 * volume_bytes(cells(BLOCK));
+        self.bulk_bytes(all).max(thin + 2 * volume_bytes(all))
     }
 }
 
 /// Makes the parameters of drops and sheets for particles `spacing` cells apart, in cells half as
 /// wide as wide cells, or in the grid's own cells if they are no finer. `is_refined` says whether
 /// splines interpolate them on the mesh.
-fn thin_fluid(
-    sheets: SheetStretch,
-    spacing: f64,
-    wide: WideCells,
-    is_refined: bool,
-) -> (Drops, Option<Sheets>) {
+fn thin_fluid(sheets: SheetStretch, spacing: f64, is_refined: bool) -> (Drops, Option<Sheets>) {
+    let wide = WideCells::of_spacing(spacing);
     let in_drops = spacing / f64::from(1 << wide.level.saturating_sub(1));
     let (drops, shape) = Drops::new(in_drops, is_refined);
     (drops, Sheets::new(sheets, [1.0 / spacing, 1.0 / in_drops], wide, shape))

@@ -57,11 +57,11 @@ pub fn sheets(by: &Sheets, density: &Block, needed: Option<&Block>) -> Option<Sh
     let [x, y, z] = strides;
     let width = dense.size().x as usize;
     let mut candidates = vec![0; width];
-    let mut made = vec![false; density.rows(dense).count() * width.div_ceil(LANES)];
+    // Whether each piece of a row was made.
+    let in_row = width.div_ceil(LANES);
+    let mut made = vec![false; density.rows(dense).count() * in_row];
     let mut any = false;
-    for (([y_cell, z_cell], _), made) in
-        density.rows(dense).zip(made.chunks_mut(width.div_ceil(LANES)))
-    {
+    for (([y_cell, z_cell], _), made) in density.rows(dense).zip(made.chunks_mut(in_row)) {
         let row = IVec3::new(dense.lo.x, y_cell, z_cell);
         let (first, to) = (density.index(row), shares.index(row));
         let needed = needed.map(|needed| &needed.samples()[needed.index(row)..][..width]);
@@ -91,8 +91,7 @@ pub fn sheets(by: &Sheets, density: &Block, needed: Option<&Block>) -> Option<Sh
     let mut near = Block::zero(cells.grown(reach, reach));
     near.put(&certainty);
     let near = spread(near, reach);
-    for (([y_cell, z_cell], near), made) in near.rows(dense).zip(made.chunks(width.div_ceil(LANES)))
-    {
+    for (([y_cell, z_cell], near), made) in near.rows(dense).zip(made.chunks(in_row)) {
         let row = IVec3::new(dense.lo.x, y_cell, z_cell);
         let (first, to) = (density.index(row), shares.index(row));
         let pieces = near.chunks(LANES).zip(made).zip((0..).step_by(LANES));
@@ -161,15 +160,16 @@ fn sheets_of_each(
 }
 
 /// Blends the shares of drops with those of sheets, weighted by the certainty of the sheets.
-pub fn blend(drops: &Block, sheets: &Block, certainty: &Block) -> Block {
-    let cells = drops.cells().intersection(&certainty.cells());
-    let mut shares = drops.part(cells);
+///
+/// # Panics
+/// If a field of sheets does not cover the drops.
+pub fn blend(mut drops: Block, sheets: &Block, certainty: &Block) -> Block {
+    let cells = drops.cells();
     let width = cells.size().x as usize;
-    for ([y, z], certainty) in certainty.rows(cells) {
-        let row = IVec3::new(cells.lo.x, y, z);
-        let (to, from) = (shares.index(row), sheets.index(row));
-        let of_sheets = &sheets.samples()[from..from + width];
-        let shares = &mut shares.samples_mut()[to..to + width];
+    let rows = sheets.rows(cells).zip(certainty.rows(cells));
+    for (shares, ((_, of_sheets), (_, certainty))) in
+        drops.samples_mut().chunks_exact_mut(width).zip(rows)
+    {
         for ((share, &sheet), &certain) in shares.iter_mut().zip(of_sheets).zip(certainty) {
             if certain > 0 {
                 let drop = i32::from(*share).min(1 << 15);
@@ -178,7 +178,7 @@ pub fn blend(drops: &Block, sheets: &Block, certainty: &Block) -> Block {
             }
         }
     }
-    shares
+    drops
 }
 
 /// Logarithms of the density around a cell.

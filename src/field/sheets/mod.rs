@@ -7,9 +7,9 @@
 //! 1. Shape. Let rho be the density smoothed by a Gaussian of width s, which is made in wide cells
 //!    and interpolated by splines, and L its logarithm. The first and second derivatives of L are
 //!    the moments of the particles under that Gaussian: s^2 grad L is their mean offset, and
-//!    s^2 (I + s^2 Hess L) their covariance. With g = s grad L and B = -s^2 Hess L, an eigenvalue of
-//!    B is 1 across a sheet or a thread, where the particles have no width, and 0 along it, where
-//!    nothing changes.
+//!    s^2 (I + s^2 Hess L) their covariance. With g = s grad L and B = -s^2 Hess L, an eigenvalue
+//!    of B is 1 across a sheet or a thread, where the particles have no width, and 0 along it,
+//!    where nothing changes.
 //! 2. Distance. The middle of the sheet lies at s (2 B - B^2) g: along the sheet this is 0, across
 //!    it the mean offset. At a rim B is in between, so the distance to the middle grows smoothly
 //!    there.
@@ -20,12 +20,12 @@
 //!    radius R. The cells need a minimum of `LEAST_CELLS`, and of `LEAST_RIM_CELLS` in threads and
 //!    at rims, which would fray otherwise.
 //! 4. Certainty. There is a sheet if neighbours are no farther apart than requested, according to
-//!    the density at the middle, if the middle is near, and if B is nearly a projection: the squared
-//!    distance |B - B^2|^2 is at most 0.06 in sheets, in threads and at their rims, and often twice
-//!    that in spray. It is as large at the corners of a sheet, where the middle seems far, too. But
-//!    there det(I - B), the product of the particles' variances, shows that they lie in a plane, and
-//!    both limits are wider. Neither a thick body (T < 0.4), nor its surface (det(I - B) > 0.35),
-//!    nor a drop of a few particles (T > 2.45) is a sheet.
+//!    the density at the middle, if the middle is near, and if B is nearly a projection: the
+//!    squared distance |B - B^2|^2 is at most 0.06 in sheets, in threads and at their rims, and
+//!    often twice that in spray. It is as large at the corners of a sheet, where the middle seems
+//!    far, too. But there det(I - B), the product of the particles' variances, shows that they lie
+//!    in a plane, and both limits are wider. Neither a thick body (T < 0.4), nor its surface
+//!    (det(I - B) > 0.35), nor a drop of a few particles (T > 2.45) is a sheet.
 //! 5. Blended. The certainty is averaged under a Gaussian of 0.55 spacings, so that no crumbs of
 //!    single cells remain at rims and in spray. It is the weight with which the shares of drops
 //!    (see [`distance`](super::distance)) are blended with those of the sheet, which have the
