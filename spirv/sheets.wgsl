@@ -19,6 +19,8 @@ struct SheetsPush {
     drop_size: i32,
     least_size: i32,
     rim: i32,
+    gradual: i32,
+    by_gradual: i32,
     least: i32,
     sheet_stretch: i32,
     thread_stretch: i32,
@@ -172,7 +174,9 @@ fn sheeted(block: Block, cell: vec3<i32>) -> vec2<u32> {
         + (((push.thread_size - push.sheet_size) * threaded + (push.drop_size - push.thread_size) * rounded) >> SHEET_BITS);
     let size = ((thick * (2 * ONE - threaded - rounded / 3)) >> SHEET_BITS) + of_size;
     let least_size = push.least_size + ((push.rim * rim) >> SHEET_BITS);
-    let square = two_to(clamp(size, least_size, ONE)) >> 3u;
+    let closer = max(push.gradual - abs(size - least_size), 0);
+    let gradual_size = max(size, least_size) + ((((closer * closer) >> SHEET_BITS) * push.by_gradual) >> SHEET_BITS);
+    let square = two_to(min(gradual_size, ONE)) >> 3u;
     let share = push.share
         + ((push.by_directions * max(directions, ONE) + push.by_size * square - push.by_distance * away) >> SHEET_BITS);
     return vec2(u32(two_to(clamp(share, -15 * ONE, 0))), certain);

@@ -487,6 +487,8 @@ pub struct SheetsPush {
     pub drop_size: i32,
     pub least_size: i32,
     pub rim: i32,
+    pub gradual: i32,
+    pub by_gradual: i32,
     pub least: i32,
     pub sheet_stretch: i32,
     pub thread_stretch: i32,

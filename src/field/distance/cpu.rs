@@ -156,7 +156,10 @@ pub fn outlying(
         field.samples_mut().chunks_exact_mut(width).zip(rows)
     {
         outlying_row(to, calm, clouds, least);
-        reduced_in_bulk(to, [calm, fine], stands_out);
+        // Distances up to `begin` stay what they are.
+        if greatest_of(to) > stands_out.begin() {
+            reduced_in_bulk(to, [calm, fine], stands_out);
+        }
     }
     field
 }

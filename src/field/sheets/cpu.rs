@@ -65,6 +65,9 @@ pub fn sheets(by: &Sheets, density: &Block, needed: Option<&Block>) -> Option<Sh
         let row = IVec3::new(dense.lo.x, y_cell, z_cell);
         let (first, to) = (density.index(row), shares.index(row));
         let needed = needed.map(|needed| &needed.samples()[needed.index(row)..][..width]);
+        if needed.is_some_and(|needed| !any_of(needed)) {
+            continue;
+        }
         let row = |offset: isize| &logarithms[first.wrapping_add_signed(offset)..][..width];
         let beside = [row(-x), row(x), row(-y), row(y), row(-z), row(z)];
         may_be_sheets(&mut candidates, numbers, row(0), beside);
@@ -72,15 +75,13 @@ pub fn sheets(by: &Sheets, density: &Block, needed: Option<&Block>) -> Option<Sh
             *candidate &= u16::from(needed > 0);
         }
         let pieces = candidates.chunks(LANES).zip(made).zip((0..).step_by(LANES));
-        for ((piece, made), start) in
-            pieces.filter(|((piece, _), _)| piece.iter().any(|&candidate| candidate > 0))
-        {
+        for ((piece, made), start) in pieces.filter(|((candidates, _), _)| any_of(candidates)) {
             *made = true;
             let found = sheets_of_each(numbers, &logarithms, first + start, strides);
             let place = to + start..to + start + piece.len();
             shares.samples_mut()[place.clone()].copy_from_slice(&found.0[..piece.len()]);
             certainty.samples_mut()[place].copy_from_slice(&found.1[..piece.len()]);
-            any |= found.1[..piece.len()].iter().any(|&certain| certain > 0);
+            any |= any_of(&found.1[..piece.len()]);
         }
     }
     if !any {
@@ -95,8 +96,7 @@ pub fn sheets(by: &Sheets, density: &Block, needed: Option<&Block>) -> Option<Sh
         let row = IVec3::new(dense.lo.x, y_cell, z_cell);
         let (first, to) = (density.index(row), shares.index(row));
         let pieces = near.chunks(LANES).zip(made).zip((0..).step_by(LANES));
-        for ((piece, _), start) in
-            pieces.filter(|((piece, made), _)| !**made && piece.iter().any(|&certain| certain > 0))
+        for ((piece, _), start) in pieces.filter(|((certain, made), _)| !**made && any_of(certain))
         {
             let (found, _) = sheets_of_each(numbers, &logarithms, first + start, strides);
             shares.samples_mut()[to + start..][..piece.len()]
@@ -104,6 +104,12 @@ pub fn sheets(by: &Sheets, density: &Block, needed: Option<&Block>) -> Option<Sh
         }
     }
     Some(SheetFields { shares, certainty })
+}
+
+/// Whether any of some values is not 0.
+fn any_of(values: &[u16]) -> bool {
+    // Without an exit, so that several are tested at a time.
+    values.iter().fold(0, |any, &value| any | value) > 0
 }
 
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
@@ -288,7 +294,9 @@ impl SheetConstants {
             + sheet
             + (((thread - sheet) * threaded + (round - thread) * rounded) >> BITS);
         let least_size = self.least_size + ((self.rim * rim) >> BITS);
-        let size = exp2(size.max(least_size).min(ONE)) >> 3;
+        let closer = (self.gradual - (size - least_size).abs()).max(0);
+        let size = size.max(least_size) + ((((closer * closer) >> BITS) * self.by_gradual) >> BITS);
+        let size = exp2(size.min(ONE)) >> 3;
         let share = self.share
             + ((self.by_directions * directions.clamp(ONE, 3 * ONE) + self.by_size * size
                 - self.by_distance * away)
@@ -369,21 +377,29 @@ mod tests {
         inside.take_while(|&away| beyond_surface(across, density, away) > 0.0).last().unwrap_or(0.0)
     }
 
+    /// A half thickness or radius that approaches its minimum gradually, in cells of a quarter of a
+    /// spacing.
+    fn with_minimum(own: f64, least: f64) -> f64 {
+        let [own, least] = [own, least].map(|size| 2.0 * size.log2());
+        let closer = (2.2 - (own - least).abs()).max(0.0);
+        (0.5 * (own.max(least) + closer * closer / 8.8)).exp2()
+    }
+
     #[test]
     fn sheets_and_threads_have_their_thickness_in_any_orientation() {
         let width = width();
         let normal = DVec3::new(0.36, 0.48, 0.8);
         let other = normal.any_orthonormal_vector();
         for [first, second] in [[DVec3::Y, DVec3::X], [normal, other], [other, normal]] {
-            for thickness in [0.3, 0.7, 0.9] {
+            for thickness in [0.26, 0.3, 0.4, 0.7, 0.9] {
                 let density = thickness / (TAU.sqrt() * width);
-                let expected = (0.5 * thickness).max(0.2);
+                let expected = with_minimum(0.5 * thickness, 0.205);
                 let found = half_thickness(&[first], density);
                 assert!((found - expected).abs() < 0.03, "{first} {thickness}: {found}");
             }
             for area in [0.5, 1.0] {
                 let density = area / (TAU * width * width);
-                let expected = (area / PI).sqrt();
+                let expected = with_minimum((area / PI).sqrt(), 0.2625);
                 let found = half_thickness(&[first, second], density);
                 assert!((found - expected).abs() < 0.03, "{first} {area}: {found}");
             }

@@ -18,7 +18,9 @@
 //!    of directions across. The density at the middle is that of a sheet (1), a thread (2) or a
 //!    ball (3) with the particles' volume under the Gaussian; this gives its half thickness or
 //!    radius R. The cells need a minimum of `LEAST_CELLS`, and of `LEAST_RIM_CELLS` in threads and
-//!    at rims, which would fray otherwise.
+//!    at rims, which would fray otherwise. R approaches the minimum gradually: with a = log2 R^2, b
+//!    that of the minimum and w = `GRADUAL` over the cell, the result is
+//!    max(a, b) + max(w - |a - b|, 0)^2 / 4w. The volume of a stretching sheet then changes slowly.
 //! 4. Certainty. There is a sheet if neighbours are no farther apart than requested, according to
 //!    the density at the middle, if the middle is near, and if B is nearly a projection: the
 //!    squared distance |B - B^2|^2 is at most 0.06 in sheets, in threads and at their rims, and
@@ -73,13 +75,18 @@ const AVERAGE: f64 = 0.55;
 const PROFILE: f64 = 0.45;
 const PROFILE_CELLS: f64 = 0.9;
 /// The minimum half thickness of sheets, in cells of the mesh.
-const LEAST_CELLS: f64 = 0.6;
+const LEAST_CELLS: f64 = 0.62;
 /// The minimum half thickness of rims and threads, in cells of the mesh.
 const LEAST_RIM_CELLS: f64 = 0.85;
 /// The spacings that are added to both.
 const LEAST_MORE: f64 = 0.05;
 /// The maximum of both sums, in spacings, for coarse cells.
 const LEAST_MOST: f64 = 1.0;
+/// The difference from the minimum's log2 R^2 within which a thickness is increased, times the
+/// mesh's cell in spacings.
+const GRADUAL: f64 = 0.55;
+/// The maximum of this difference, for fine cells.
+const MOST_GRADUAL: f64 = 4.0;
 /// The factor beyond the requested stretch at which sheets end.
 const GONE: f64 = 1.12;
 /// The factor by which threads may be stretched farther than sheets: spray seldom looks like
@@ -160,6 +167,10 @@ pub struct SheetConstants {
     pub least_size: i32,
     /// The increase of this logarithm at rims and in threads.
     pub rim: i32,
+    /// The difference of these logarithms within which the thickness approaches the minimum.
+    pub gradual: i32,
+    /// 1 over 4 times this difference.
+    pub by_gradual: i32,
     /// The logarithm of the stretch, minus half or all of the density's logarithm: for sheets and
     /// threads.
     pub stretches: [i32; 2],
@@ -227,6 +238,7 @@ impl Sheets {
         let level = -(drops.radius / drops.width).powi(2) / 2.0;
         let [least_size, least_rim] = [LEAST_CELLS, LEAST_RIM_CELLS]
             .map(|cells| 2.0 * log2((cells * mesh_cell + LEAST_MORE).min(LEAST_MOST)));
+        let gradual = (GRADUAL / mesh_cell).min(MOST_GRADUAL);
         let average = (AVERAGE / cell).powi(2).max(0.5);
         let stretches = [0.5 * log2(of_sheet(1.0)), log2(of_thread(1.0)) - log2(THREADS_FARTHER)];
         let gone = log2(stretch * GONE);
@@ -249,6 +261,8 @@ impl Sheets {
             ],
             least_size: fixed(least_size),
             rim: fixed(least_rim - least_size),
+            gradual: fixed(gradual),
+            by_gradual: fixed(0.25 / gradual),
             stretches: stretches.map(fixed),
             share: fixed(level * LOG2_E),
             by_directions: fixed(0.5 * log2(profile_joined / (profile * profile))),

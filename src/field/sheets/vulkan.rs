@@ -36,6 +36,8 @@ pub fn sheets(
         drop_size: numbers.sizes[2],
         least_size: numbers.least_size,
         rim: numbers.rim,
+        gradual: numbers.gradual,
+        by_gradual: numbers.by_gradual,
         least: numbers.least,
         sheet_stretch: numbers.stretches[0],
         thread_stretch: numbers.stretches[1],
