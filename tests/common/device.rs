@@ -1,10 +1,11 @@
 //! The Vulkan device of the tests. Everything is validated, and the tests check that work really
 //! runs on the device.
 
+use std::cell::RefCell;
 use std::fmt::Display;
 use std::io::{self, Write};
 use std::ops::Range;
-use std::sync::{Arc, Mutex, OnceLock};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 
 use meniscus::internals::backend::{Backend, Executor, Stages, Surfaces, Take, Vulkan, Work};
 use meniscus::internals::brick::{Bins, DifField, Pages};
@@ -122,10 +123,39 @@ pub fn contoured(
     all
 }
 
+/// Validation layers before 1.4.304 look up the instances and devices of a process in one table, in
+/// every call and without a lock (issue 4391 of Vulkan-ValidationLayers): no thread may make a call
+/// while another makes or frees an instance or a device. So tests with devices of their own run
+/// alone, and those on the shared device beside each other.
+static LAYER: RwLock<()> = RwLock::new(());
+
+/// How a thread holds `LAYER`, to its end: a test frees its devices before that.
+#[derive(Default)]
+#[allow(dead_code, reason = "guards are only held")]
+enum Held {
+    #[default]
+    Not,
+    Alone(RwLockWriteGuard<'static, ()>),
+    Shared(RwLockReadGuard<'static, ()>),
+}
+
+thread_local! {
+    static HELD: RefCell<Held> = const { RefCell::new(Held::Not) };
+}
+
+fn hold_alone() {
+    if !HELD.with_borrow(|held| matches!(held, Held::Alone(_))) {
+        // Two threads that both keep theirs would wait for each other.
+        HELD.take();
+        HELD.set(Held::Alone(LAYER.write().unwrap_or_else(PoisonError::into_inner)));
+    }
+}
+
 /// The device to test: the one that `MENISCUS_TEST_DEVICE` names, or the best. If
 /// `MENISCUS_REQUIRE_VULKAN` is `gpu` or `any`, the validation layer is optional; for `gpu`, a
-/// device that computes on the CPU fails the test.
+/// device that computes on the CPU fails the test. From here on, the test runs alone.
 pub fn chosen() -> Result<(Arc<Instance>, DeviceInfo), VulkanError> {
+    hold_alone();
     let demanded = std::env::var("MENISCUS_REQUIRE_VULKAN").unwrap_or_default();
     let [gpu, any] = ["gpu", "any"].map(|kind| demanded == kind);
     let instance = match Instance::connect(true) {
@@ -154,14 +184,21 @@ pub fn open(options: &DeviceOptions) -> Result<(Device, ValidationLog), VulkanEr
 }
 
 /// One watched device for all tests of a file. Validation errors so far fail the test that calls
-/// this.
+/// this. A test must not have a device of its own as well.
 pub fn shared() -> Result<Backend, &'static VulkanError> {
     static SHARED: OnceLock<Result<(Backend, ValidationLog), VulkanError>> = OnceLock::new();
     let open_watched = || {
         let (device, log) = open(&DeviceOptions::default())?;
         Ok((watched(device)?, log))
     };
-    let (backend, log) = SHARED.get_or_init(open_watched).as_ref()?;
+    // The thread that opens it may wait for this one.
+    HELD.take();
+    let opened = SHARED.get_or_init(open_watched);
+    HELD.set(Held::Shared(match HELD.take() {
+        Held::Alone(alone) => RwLockWriteGuard::downgrade(alone),
+        _ => LAYER.read().unwrap_or_else(PoisonError::into_inner),
+    }));
+    let (backend, log) = opened.as_ref()?;
     assert_eq!(log.messages(), [""; 0]);
     Ok(backend.clone())
 }
