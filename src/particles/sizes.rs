@@ -141,6 +141,31 @@ pub struct Sizes {
     pub larger: u64,
 }
 
+/// The sizes of a frame's particles.
+#[derive(Debug, Clone, PartialEq)]
+pub enum FoundSizes {
+    /// All particles have one size.
+    One {
+        /// The attribute.
+        attribute: String,
+        /// The size according to the attribute.
+        size: f64,
+        /// Number of particles without a valid size.
+        invalid: u64,
+    },
+    /// The particles have several sizes.
+    Several(Sizes),
+}
+
+/// Numbers of particles whose sizes are replaced.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct StraySizes {
+    /// Particles without a valid size.
+    pub invalid: u64,
+    /// Particles larger than the largest size.
+    pub larger: u64,
+}
+
 impl SizeChoice {
     /// The attributes with the sizes; `None` if all particles have one size.
     ///
@@ -270,20 +295,43 @@ impl Sizes {
         })
     }
 
-    /// Measures the sizes of particles; `None` if all have one size.
+    /// Counts the particles of another frame without a valid size, and those larger than the
+    /// largest size.
+    pub fn strays(
+        &self,
+        particles: &(impl Particles + ?Sized),
+        columns: &SizeAttributes,
+    ) -> StraySizes {
+        let most = self.coarsest / self.scale * (1.0 + f64::from(f32::EPSILON));
+        let of_chunk = |range: std::ops::Range<usize>| {
+            let sizes = columns.read(particles, range.start, range.len());
+            let count = |is: &dyn Fn(f64) -> bool| sizes.iter().filter(|&&size| is(size)).count();
+            StraySizes {
+                invalid: count(&f64::is_nan) as u64,
+                larger: count(&|size| size > most) as u64,
+            }
+        };
+        chunks(particles, of_chunk).reduce(StraySizes::default, |a, b| StraySizes {
+            invalid: a.invalid + b.invalid,
+            larger: a.larger + b.larger,
+        })
+    }
+
+    /// Measures the sizes of particles.
     ///
     /// # Errors
     /// [`SizeFault::NoSize`].
     pub fn found(
         particles: &(impl Particles + ?Sized),
         columns: &SizeAttributes,
-    ) -> Result<Option<Self>, SizeFault> {
+    ) -> Result<FoundSizes, SizeFault> {
         let attribute = particles.attributes()[columns.size].name.clone();
         let census = SizeCounts::of(particles, columns);
         let none = || SizeFault::NoSize { name: attribute.clone() };
         let (finest, quantile) = census.range().ok_or_else(none)?;
         if quantile < ONE_SIZE * finest {
-            return Ok(None);
+            let (size, invalid) = (census.middle(), census.invalid);
+            return Ok(FoundSizes::One { attribute, size, invalid });
         }
         let most = MOST_TIMES * finest;
         let (coarsest, usual) = (census.most().min(most), census.middle());
@@ -312,7 +360,7 @@ impl Sizes {
                 (sizes.scale, sizes.density) = (scale, Some(1.0));
             }
         }
-        Ok(Some(sizes))
+        Ok(FoundSizes::Several(sizes))
     }
 }
 
@@ -485,6 +533,13 @@ mod tests {
         (positions, radii)
     }
 
+    fn several(particles: &impl Particles, columns: &SizeAttributes) -> Sizes {
+        match Sizes::found(particles, columns) {
+            Ok(FoundSizes::Several(sizes)) => sizes,
+            other => panic!("several sizes: {other:?}"),
+        }
+    }
+
     #[test]
     fn sizes_and_density_are_found_for_any_meaning_of_the_radius() {
         let (positions, radii) = two();
@@ -492,7 +547,7 @@ mod tests {
             let radii: Vec<f32> = radii.iter().map(|radius| radius * times).collect();
             let cloud = Cloud::new(&positions).with("radius", &radii);
             let columns = SizeChoice::Usual.columns(cloud.attributes()).unwrap().unwrap();
-            let sizes = Sizes::found(&cloud, &columns).unwrap().unwrap();
+            let sizes = several(&cloud, &columns);
             assert!((sizes.finest - 1.0).abs() < 1e-6, "{times}: {sizes:?}");
             assert!((sizes.coarsest - 2.0).abs() < 1e-6, "{times}: {sizes:?}");
             assert!((sizes.density.unwrap() - 1.0).abs() < 1e-6, "{times}: {sizes:?}");
@@ -505,11 +560,18 @@ mod tests {
         (radii[0], radii[1], radii[2], radii[3]) = (0.0, f32::NAN, -1.0, 1e9);
         let cloud = Cloud::new(&positions).with("radius", &radii);
         let columns = SizeChoice::Usual.columns(cloud.attributes()).unwrap().unwrap();
-        let sizes = Sizes::found(&cloud, &columns).unwrap().unwrap();
+        let sizes = several(&cloud, &columns);
         assert_eq!((sizes.invalid, sizes.larger, sizes.coarsest), (3, 1, 64.0));
-        let same = vec![0.5_f32; positions.len()];
-        let cloud = Cloud::new(&positions).with("radius", &same);
-        assert_eq!(Sizes::found(&cloud, &columns), Ok(None));
+        let mut same = vec![0.5_f32; positions.len()];
+        same[7] = -1.0;
+        let of_one = Cloud::new(&positions).with("radius", &same);
+        let one = FoundSizes::One { attribute: "radius".to_owned(), size: 1.0, invalid: 1 };
+        assert_eq!(Sizes::found(&of_one, &columns), Ok(one));
+        // Of another frame.
+        let half = Sizes { coarsest: 0.99, ..sizes };
+        assert_eq!(half.strays(&of_one, &columns), StraySizes { invalid: 1, larger: 71_999 });
+        let whole = Sizes { coarsest: 1.0, ..half };
+        assert_eq!(whole.strays(&of_one, &columns), StraySizes { invalid: 1, larger: 0 });
         let none = vec![f32::NAN; positions.len()];
         let cloud = Cloud::new(&positions).with("radius", &none);
         assert!(matches!(Sizes::found(&cloud, &columns), Err(SizeFault::NoSize { .. })));

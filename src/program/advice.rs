@@ -168,6 +168,9 @@ pub fn spacing_message(warning: &SpacingWarning) -> String {
             "{warning}; if an attribute holds the particles' sizes, use --size, or else --spacing to \
              choose another"
         ),
+        SpacingWarning::MoreSizes { .. } => {
+            format!("{warning}; convert frames of several sizes apart from the others")
+        }
         SpacingWarning::Sizes { .. } => {
             format!("{warning}; use --size none to treat all as one size")
         }

@@ -419,6 +419,7 @@ fn warnings(all: &mut String) {
         Thin { used: 0.05, counted: Some(0.1), nearest: 0.04 },
         Thin { used: 0.05, counted: None, nearest: 0.04 },
         Random { used: 0.05 },
+        MoreSizes { attribute: "pscale".into(), sizes: [0.05, 0.2], used: 0.1 },
         Mixed(Mixture {
             attribute: "Type".into(),
             boundary: (Value::Number(1.0), 500),

@@ -18,7 +18,7 @@ use crate::grid::{CELL_LIMIT, Domain, DomainError, Grid, Periodic, Walls};
 use crate::io::UpAxis;
 use crate::io::scene::{spacing_beside, tank_beside};
 use crate::particles::mixture::mixture;
-use crate::particles::sizes::{SizeChoice, SizeFault, Sizes};
+use crate::particles::sizes::{FoundSizes, SizeChoice, SizeFault, Sizes};
 use crate::particles::{Particles, bounds};
 use crate::settings::Setting;
 
@@ -254,10 +254,13 @@ impl SamplingRequest {
         from: SpacingHints<'_>,
         read: impl FnMut(f64, LookAtAll<'_>) -> Option<T>,
     ) -> Result<(Cells, Option<T>), Error> {
-        let (mut cells, done) = match self.sizes(particles)? {
-            Some(sizes) => (self.cells_for_sizes(particles, sizes)?, None),
-            None => self.cells_by(particles, from, read)?,
+        let sizes = self.sizes(particles)?;
+        let invalid = sizes.as_ref().and_then(SpacingWarning::of_sizes);
+        let (mut cells, done) = match sizes {
+            Some(FoundSizes::Several(sizes)) => (self.cells_for_sizes(particles, sizes)?, None),
+            Some(FoundSizes::One { .. }) | None => self.cells_by(particles, from, read)?,
         };
+        cells.warnings.extend(invalid);
         go_on(particles)?;
         if !cells.warnings.iter().any(|warning| matches!(warning, SpacingWarning::Mixed(_))) {
             cells.warnings.extend(mixture(particles).map(SpacingWarning::Mixed));
@@ -285,21 +288,48 @@ impl SamplingRequest {
         2 + 2 * usize::from(self.seeks_walls(particles))
     }
 
-    /// The sizes of the particles, if they have several and may have.
-    fn sizes(&self, particles: &(impl Particles + ?Sized)) -> Result<Option<Sizes>, Error> {
-        let found = self.size.columns(particles.attributes()).and_then(|columns| match columns {
-            Some(columns) => Sizes::found(particles, &columns),
-            None => Ok(None),
+    /// The sizes of the particles, if an attribute holds them.
+    fn sizes(&self, particles: &(impl Particles + ?Sized)) -> Result<Option<FoundSizes>, Error> {
+        let columns = self.size.columns(particles.attributes());
+        let found = columns.and_then(|columns| {
+            columns.map(|columns| Sizes::found(particles, &columns)).transpose()
         });
         match (found, &self.size) {
             // The user did not ask for this attribute.
             (Err(SizeFault::NoSize { .. }), SizeChoice::Usual | SizeChoice::OneFor(_)) => Ok(None),
-            (Ok(Some(Sizes { attribute, .. })), SizeChoice::OneFor(needs_one)) => {
+            (
+                Ok(Some(FoundSizes::Several(Sizes { attribute, .. }))),
+                SizeChoice::OneFor(needs_one),
+            ) => {
                 let with = Conflict::SeveralSizes { attribute };
                 Err(SettingConflict { setting: Setting::named(needs_one), with }.into())
             }
             (found, _) => Ok(found?),
         }
+    }
+
+    /// The warning about the sizes of particles in a frame for which other particles determined the
+    /// spacing and the sizes.
+    ///
+    /// # Errors
+    /// [`Error::Sizes`] if the frame has no such attribute.
+    pub fn warning_of_sizes(
+        &self,
+        (spacing, sizes): (Option<f64>, Option<&Sizes>),
+        particles: &(impl Particles + ?Sized),
+    ) -> Result<Option<SpacingWarning>, Error> {
+        if let Some(sizes) = sizes {
+            let columns = sizes.columns(particles.attributes())?;
+            return Ok(SpacingWarning::of_strays(sizes, sizes.strays(particles, &columns)));
+        }
+        Ok(match (self.sizes(particles)?, spacing) {
+            (Some(FoundSizes::Several(found)), Some(used)) => Some(SpacingWarning::MoreSizes {
+                attribute: found.attribute,
+                sizes: [found.finest, found.coarsest],
+                used,
+            }),
+            (found, _) => found.as_ref().and_then(SpacingWarning::of_sizes),
+        })
     }
 
     /// The cells that follow from the smallest size.
@@ -311,8 +341,7 @@ impl SamplingRequest {
         let middle = bounds(particles).map(|bounds| (bounds.lo + bounds.hi) / 2.0);
         let source = SpacingSource::Sizes(sizes.attribute.clone());
         let cells = self.cells_of(sizes.finest, source, middle, None)?;
-        let warnings = SpacingWarning::of_sizes(&sizes).into_iter().collect();
-        Ok(Cells { sizes: Some(sizes), warnings, ..cells })
+        Ok(Cells { sizes: Some(sizes), ..cells })
     }
 
     /// Chooses the cells for particles, and uses the caller's `read` if a separate reading of all

@@ -9,7 +9,7 @@ use crate::field::spacing::{Evidence, Neighbours, SpacingEstimate, evidence, sur
 use crate::grid::units::{shown, significant};
 use crate::particles::Particles;
 use crate::particles::mixture::Mixture;
-use crate::particles::sizes::Sizes;
+use crate::particles::sizes::{FoundSizes, Sizes, StraySizes};
 
 /// Serializes a path as it is displayed, because not every path is Unicode.
 fn as_text<S: Serializer>(path: &Path, to: S) -> Result<S::Ok, S::Error> {
@@ -101,6 +101,15 @@ pub enum SpacingWarning {
         larger: u64,
         /// The largest size that is used.
         coarsest: f64,
+    },
+    /// The particles of this frame have several sizes, but those of the calibration frame one.
+    MoreSizes {
+        /// The attribute.
+        attribute: String,
+        /// The smallest and the largest size of this frame.
+        sizes: [f64; 2],
+        /// The size that is used for all.
+        used: f64,
     },
     /// The single-precision coordinates are too coarse for the spacing.
     SinglePrecision {
@@ -223,11 +232,32 @@ impl SpacingWarning {
     }
 
     /// The warning about sizes, if some are invalid.
-    pub(super) fn of_sizes(sizes: &Sizes) -> Option<Self> {
-        let &Sizes { invalid, usual, larger, coarsest, .. } = sizes;
-        let attribute = sizes.attribute.clone();
-        (invalid + larger > 0).then_some(Self::Sizes {
-            attribute,
+    pub(super) fn of_sizes(sizes: &FoundSizes) -> Option<Self> {
+        match sizes {
+            FoundSizes::Several(sizes) => {
+                let &Sizes { invalid, larger, .. } = sizes;
+                Self::of_strays(sizes, StraySizes { invalid, larger })
+            }
+            &FoundSizes::One { ref attribute, size, invalid } => {
+                (invalid > 0).then(|| Self::Sizes {
+                    attribute: attribute.clone(),
+                    invalid,
+                    usual: size,
+                    larger: 0,
+                    coarsest: size,
+                })
+            }
+        }
+    }
+
+    /// The warning about particles whose sizes are replaced, if there are any.
+    pub(super) fn of_strays(
+        sizes: &Sizes,
+        StraySizes { invalid, larger }: StraySizes,
+    ) -> Option<Self> {
+        let &Sizes { usual, coarsest, .. } = sizes;
+        (invalid + larger > 0).then(|| Self::Sizes {
+            attribute: sizes.attribute.clone(),
             invalid,
             usual,
             larger,
@@ -348,13 +378,21 @@ impl fmt::Display for SpacingWarning {
                     let and = if *invalid > 0 { "; " } else { "" };
                     write!(
                         f,
-                        "{and}{larger} particles are larger than 64 times the smallest: they \
-                         are treated as size {}",
-                        about(*coarsest)
+                        "{and}{larger} particles are larger than {coarsest}, the largest size: \
+                         they are treated as size {coarsest}",
+                        coarsest = about(*coarsest)
                     )?;
                 }
                 Ok(())
             }
+            Self::MoreSizes { attribute, sizes: [least, most], used } => write!(
+                f,
+                "{attribute} means sizes from {} to {} in this frame, but the calibration frame \
+                 has one size: all particles are treated as size {}",
+                about(*least),
+                about(*most),
+                about(*used)
+            ),
             Self::SinglePrecision { step, spacing } => write!(
                 f,
                 "single-precision coordinates so far from the origin have steps of {}, more \

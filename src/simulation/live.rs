@@ -134,7 +134,8 @@ impl LiveSimulation {
         let checked = &ready.checked;
         let mut timings = Timings::default();
         let mut spacing_warnings = Vec::new();
-        if !*settled {
+        let is_measured = !*settled;
+        if is_measured {
             let found;
             (found, spacing_warnings) = measured(ready, particles, known.as_ref())?;
             *settled = found.trust == Trust::Sound;
@@ -160,6 +161,10 @@ impl LiveSimulation {
         let infos = known_of(carried_infos(particles.attributes(), &carried), kinds);
         let resources = checked.resources.clone();
         let request = &checked.sampling;
+        if !is_measured {
+            let known = (spacing, sizes.as_ref());
+            spacing_warnings.extend(request.warning_of_sizes(known, particles)?);
+        }
         let (request, past) =
             request.in_walls_around(known_walls.as_ref(), particles, spacing, &grid);
         let request = request.in_slab(slab.filter(|slab| slab.holds(particles)));

@@ -152,7 +152,7 @@ impl Conversion<'_> {
             opened;
         timings.skip();
         let ready = match particles {
-            Some(file) => self.sample(checked, path, file, shared, &mut timings),
+            Some(file) => self.sample(checked, frame, file, shared, &mut timings),
             None => self.unpack(checked, path, &mut timings),
         };
         let MeshableFrame { frame: sampled, mut left_out, mut warnings, infos, time, permit } =
@@ -275,13 +275,13 @@ impl Conversion<'_> {
     fn sample(
         &self,
         checked: &CheckedRequest,
-        path: &Path,
+        frame: &FrameFile,
         file: ParticleFile,
         shared: &SharedCalibration,
         timings: &mut Timings,
     ) -> Result<MeshableFrame<'_>, Error> {
         let CheckedRequest { settings, surfacing, resources, .. } = checked;
-        let control = &resources.control;
+        let (control, path) = (&resources.control, &frame.path);
         let in_file = |fault: FrameError| Error::from(fault).of_file(path);
         let [share, alone] = [self.division.share, self.division.alone]
             .map(|whole| self.frame_budget(checked, whole));
@@ -301,6 +301,14 @@ impl Conversion<'_> {
                 self.setup.send(Event::SpacingWarning(Box::new(warning.clone())))
             });
         }
+        let (spacing, sizes) = (shared.spacing, shared.sizes.as_ref());
+        // For the calibration frame, there was such a warning when it was measured.
+        let of_sizes = if frame.number == shared.frame {
+            None
+        } else {
+            let of_sizes = checked.sampling.warning_of_sizes((spacing, sizes), &file.particles);
+            of_sizes.map_err(|error| error.of_file(path))?
+        };
         control.begin(Stage::Counting);
         let mut counted = CountedFrame::for_surface(&file.particles, &sampling, surfacing, None);
         timings.done("count");
@@ -331,7 +339,8 @@ impl Conversion<'_> {
         let left_out = OmittedCounts { unselected: file.unselected as u64, ..census.into() };
         let parts = file.left_out.iter().cloned().map(Warning::LeftOut);
         let none_selected = file.none_selected.clone().map(Warning::NoneSelected);
-        let warnings = past.into_iter().chain(none_selected).chain(parts).collect();
+        let of_sizes = of_sizes.map(Warning::Spacing);
+        let warnings = past.into_iter().chain(of_sizes).chain(none_selected).chain(parts).collect();
         Ok(MeshableFrame { frame, left_out, warnings, infos, time: file.time, permit })
     }
 

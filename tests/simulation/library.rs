@@ -10,8 +10,8 @@ use meniscus::error::{Conflict, SettingConflict};
 use meniscus::files::Replace;
 use meniscus::internals::field::calibration::CALIBRATING;
 use meniscus::{
-    Cancel, Cause, Error, Event, IndicatorKind, LiveSimulation, MemoryBudget, Progress,
-    Reconstruction, Simulation, Stage, Summary, Warning,
+    Cancel, Cause, Cloud, Error, Event, IndicatorKind, LiveSimulation, MemoryBudget, Progress,
+    Reconstruction, Simulation, SpacingWarning, Stage, Summary, Warning,
 };
 use tempfile::TempDir;
 
@@ -622,4 +622,81 @@ fn detected_walls_cover_all_frames_survive_resume_and_drop_no_particle() {
     let (again, done) = convert(simulation(folder.path(), "mesh").resume());
     assert_eq!((again, done.len()), (found, 1));
     assert_eq!(done[&9].report.as_ref().unwrap().facts.domain.unwrap().walls(), [lo, hi]);
+}
+
+/// A cube of particles of spacing 1, and one of spacing 2 beside it.
+fn of_two_sizes() -> (Vec<[f64; 3]>, Vec<f32>) {
+    let cube = |first: f64, spacing: f64, count: i32| {
+        let at = move |i: i32| (f64::from(i) + 0.5) * spacing;
+        (0..count.pow(3))
+            .map(move |i| [first + at(i % count), at(i / count % count), at(i / count / count)])
+    };
+    let positions: Vec<_> = cube(0.0, 1.0, 16).chain(cube(16.0, 2.0, 8)).collect();
+    let radii = positions.iter().map(|p| if p[0] < 16.0 { 0.5 } else { 1.0 }).collect();
+    (positions, radii)
+}
+
+/// The warnings about sizes.
+fn about_sizes(warnings: &[Warning]) -> Vec<SpacingWarning> {
+    let of_sizes = |warning: &Warning| match warning {
+        Warning::Spacing(
+            sizes @ (SpacingWarning::Sizes { .. } | SpacingWarning::MoreSizes { .. }),
+        ) => Some(sizes.clone()),
+        _ => None,
+    };
+    warnings.iter().filter_map(of_sizes).collect()
+}
+
+#[test]
+fn sizes_that_the_calibration_frame_does_not_have_are_reported() {
+    let (positions, radii) = of_two_sizes();
+    let one = vec![0.5_f32; positions.len()];
+    let mut faulty = radii.clone();
+    (faulty[0], faulty[1]) = (-1.0, f32::NAN);
+    let frames = |first: &[f32], second: &[f32]| {
+        let mut live = LiveSimulation::new(&Reconstruction::new().cell(0.5)).unwrap();
+        [first, second].map(|radii| {
+            let cloud = Cloud::new(&positions).with("radius", radii);
+            about_sizes(&live.frame(&cloud).unwrap().report().warnings)
+        })
+    };
+    let [none, several] = frames(&one, &radii);
+    assert_eq!(none, []);
+    assert!(
+        matches!(&several[..], [SpacingWarning::MoreSizes { sizes: [1.0, 2.0], .. }]),
+        "{several:?}"
+    );
+    let [none, strays] = frames(&radii, &faulty);
+    assert_eq!(none, []);
+    assert!(matches!(&strays[..], [SpacingWarning::Sizes { invalid: 2, .. }]), "{strays:?}");
+
+    // From files. The greatest is the calibration frame.
+    let folder = TempDir::new().unwrap();
+    let mut invalid = one.clone();
+    invalid[5] = 0.0;
+    for (number, digits, radii) in [(1, 9, &one), (2, 2, &invalid), (3, 2, &radii)] {
+        let rows = positions.iter().zip(radii);
+        let text: String =
+            rows.map(|([x, y, z], radius)| format!("{x},{y},{z},{radius:.digits$}\n")).collect();
+        fs::write(folder.path().join(format!("in_{number}.csv")), format!("x,y,z,radius\n{text}"))
+            .unwrap();
+    }
+    let mut found = BTreeMap::new();
+    Simulation::new(folder.path().join("in_{}.csv"), folder.path().join("out_{}.ply"))
+        .reconstruction(Reconstruction::new().cell(0.5).threads(2))
+        .run(|event| {
+            if let Event::Done(done) = event {
+                found.insert(done.mesh.frame, about_sizes(&done.warnings));
+            }
+        })
+        .unwrap();
+    assert_eq!(found[&1], []);
+    assert!(
+        matches!(&found[&2][..], [SpacingWarning::Sizes { invalid: 1, larger: 0, usual: 1.0, .. }]),
+        "{found:?}"
+    );
+    assert!(
+        matches!(&found[&3][..], [SpacingWarning::MoreSizes { sizes: [1.0, 2.0], .. }]),
+        "{found:?}"
+    );
 }
