@@ -171,48 +171,68 @@ mod surface;
 mod system;
 mod vulkan;
 
+#[doc = include_str!("links.md")]
 #[doc = include_str!("method.md")]
 pub mod method {}
 
 /// Guides for users: formats, spacing, simulations, animations, pictures, tanks and periodic boxes,
 /// choosing options, accuracy, speed, GPUs, limits, guarantees; and a page for contributors.
 pub mod guide {
+    #[doc = include_str!("links.md")]
     #[doc = include_str!("field/accuracy.md")]
     pub mod accuracy {}
+    #[doc = include_str!("links.md")]
     #[doc = include_str!("simulation/animations.md")]
     pub mod animations {}
+    #[doc = include_str!("links.md")]
     #[doc = include_str!("changelog.md")]
     pub mod changelog {}
+    #[doc = include_str!("links.md")]
     #[doc = include_str!("field/choosing.md")]
     pub mod choosing {}
+    #[doc = include_str!("links.md")]
     #[doc = include_str!("contributing.md")]
     pub mod contributing {}
+    #[doc = include_str!("links.md")]
     #[doc = include_str!("io/formats.md")]
     pub mod formats {}
+    #[doc = include_str!("links.md")]
     #[doc = include_str!("glossary.md")]
     pub mod glossary {}
+    #[doc = include_str!("links.md")]
     #[doc = include_str!("vulkan/guide.md")]
     pub mod gpus {}
+    #[doc = include_str!("links.md")]
     #[doc = include_str!("reconstruction/limits.md")]
     pub mod limits {}
+    #[doc = include_str!("links.md")]
     #[doc = include_str!("reconstruction/parts/parts.md")]
     pub mod machines {}
+    #[doc = include_str!("links.md")]
     #[doc = include_str!("io/mnf/packed.md")]
     pub mod packed {}
+    #[doc = include_str!("links.md")]
     #[doc = include_str!("reconstruction/periodic.md")]
     pub mod periodic {}
+    #[doc = include_str!("links.md")]
     #[doc = include_str!("reconstruction/tanks.md")]
     pub mod tanks {}
+    #[doc = include_str!("links.md")]
     #[doc = include_str!("surface/picture/guide.md")]
     pub mod pictures {}
+    #[doc = include_str!("links.md")]
     #[doc = include_str!("surface/simplify/guide.md")]
     pub mod simplifying {}
+    #[doc = include_str!("links.md")]
     #[doc = include_str!("simulation/guide.md")]
     pub mod simulations {}
+    #[doc = include_str!("links.md")]
     #[doc = include_str!("field/spacing/guide.md")]
     pub mod spacing {}
+    #[doc = include_str!("links.md")]
     #[doc = include_str!("frame/speed.md")]
     pub mod speed {}
+    #[doc = include_str!("links.md")]
     #[doc = include_str!("system/trust.md")]
     pub mod trust {}
 }

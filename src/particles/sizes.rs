@@ -66,7 +66,7 @@ pub enum SizeChoice {
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum SizeFault {
     /// The attribute does not exist.
-    #[error("no attribute {name:?} for sizes; available: {}", listed(known))]
+    #[error("no attribute {name:?} to take sizes from; available: {}", listed(known))]
     NoAttribute {
         /// The requested name.
         name: String,
@@ -83,8 +83,8 @@ pub enum SizeFault {
     },
     /// Masses without a density.
     #[error(
-        "attribute {name:?} holds masses, but there is no density to tell the volume; available: \
-         {}",
+        "attribute {name:?} holds masses, but no attribute holds the densities to compute volumes; \
+         available: {}",
         listed(known)
     )]
     NoDensity {

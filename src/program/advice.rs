@@ -43,7 +43,7 @@ fn in_options(error: &Error) -> Option<String> {
             format!("--{error}")
         }
         Error::Simulation(SimulationError::Steps(inputs)) => {
-            format!("{inputs}: --watch cannot follow the steps inside one file")
+            format!("{inputs}: --watch cannot follow steps inside one file")
         }
         Error::Simulation(SimulationError::Range { first, last }) => {
             format!("--start {first} is after --end {last}")
@@ -165,8 +165,8 @@ pub fn spacing_message(warning: &SpacingWarning) -> String {
             format!("{warning}; use --where {} to select the fluid", shell_word(&fluid.to_string()))
         }
         SpacingWarning::TwoResolutions { .. } => format!(
-            "{warning}; if an attribute holds the particles' sizes, use --size, or else --spacing to \
-             choose another"
+            "{warning}; use --size if an attribute holds the particles' sizes, or --spacing to choose a \
+             different spacing"
         ),
         SpacingWarning::Sizes { .. } => {
             format!("{warning}; use --size none to treat all as one size")
@@ -203,7 +203,7 @@ pub fn warning_message(warning: &Warning, options: Option<&ReconstructOptions>) 
         }
         Warning::Lost { smoothed, .. } => format!("{warning}; {}", on_lost(*smoothed)),
         Warning::ThinSolid { .. } => {
-            "; use smaller cells, a thicker mesh or a greater --solid-offset".into()
+            format!("{warning}; use smaller cells, a thicker mesh or a larger --solid-offset")
         }
         Warning::Shortfall { clouds, calibration_frame, .. }
         | Warning::Empty { why: EmptyReason::Field, clouds, calibration_frame } => {

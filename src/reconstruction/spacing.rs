@@ -302,14 +302,17 @@ impl fmt::Display for SpacingWarning {
                     None => {}
                 }
                 if *spray {
-                    write!(f, "; this can be right for spray and for threads of single particles")?;
+                    write!(
+                        f,
+                        "; this can be right for spray and for filaments of single particles"
+                    )?;
                 }
                 Ok(())
             }
             Self::Mixed(Mixture { attribute, boundary, fluid }) => write!(
                 f,
-                "the {} particles with {attribute}={} surround the {} with {attribute}={}, as a \
-                 boundary surrounds a fluid; all are meshed together",
+                "the {} particles with {attribute}={} surround the {} with {attribute}={} and look like \
+                 a boundary; all of them are meshed as one fluid",
                 boundary.1, boundary.0, fluid.1, fluid.0
             ),
             Self::Thin { used, counted, nearest } => {
@@ -339,8 +342,8 @@ impl fmt::Display for SpacingWarning {
                 if *invalid > 0 {
                     write!(
                         f,
-                        "{invalid} particles have no positive, finite {attribute}: they are \
-                         treated as size {}",
+                        "{invalid} particles have no positive, finite {attribute}; size {} is used \
+                         for them",
                         about(*usual)
                     )?;
                 }
@@ -348,8 +351,8 @@ impl fmt::Display for SpacingWarning {
                     let and = if *invalid > 0 { "; " } else { "" };
                     write!(
                         f,
-                        "{and}{larger} particles are larger than 64 times the smallest: they \
-                         are treated as size {}",
+                        "{and}{larger} particles are more than 64 times larger than the smallest; \
+                         size {} is used for them",
                         about(*coarsest)
                     )?;
                 }

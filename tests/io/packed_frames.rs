@@ -190,7 +190,7 @@ fn a_periodic_box_is_preserved_and_damage_to_it_is_detected() {
         (faces, 0_f64.to_le_bytes().into(), "corner"),
         (faces + 8, 9.5_f64.to_le_bytes().into(), "corner"),
         (faces + 8, (-1e9_f64).to_le_bytes().into(), "from the origin"),
-        (faces + 32, 2.5_f64.to_le_bytes().into(), "less than twice the reach"),
+        (faces + 32, 2.5_f64.to_le_bytes().into(), "which is twice the reach"),
         (faces + 48, u32::MAX.to_le_bytes().into(), "no periodic box"),
         (faces + 52, 1_u32.to_le_bytes().into(), "no periodic box"),
         (footer + 32, 1_u32.to_le_bytes().into(), "cannot be that of"),

@@ -1286,7 +1286,7 @@ fn every_setting_is_an_option_and_pack_refuses_surface_settings() {
         let run = meniscus(folder.path(), &[&["pack", "one.xyz", "-o", "one.mnf"], given].concat());
         let messages = String::from_utf8_lossy(&run.stderr).into_owned();
         assert_eq!(run.status.code(), Some(2), "{messages}");
-        assert!(messages.contains(&format!("{} is for surfaces", given[0])), "{messages}");
+        assert!(messages.contains(&format!("{} has no effect on packing", given[0])), "{messages}");
     }
 }
 
