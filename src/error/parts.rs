@@ -24,7 +24,7 @@ pub enum PartsError {
         /// The number of parts.
         of: u32,
     },
-    /// An output that cannot have a folder of parts beside it.
+    /// An output that cannot have a folder of parts next to it.
     #[error("{}: the output of a mesh in parts must be a regular file", .0.display())]
     NoFile(PathBuf),
     /// The plan does not exist yet.

@@ -216,7 +216,7 @@ impl Smooth {
     }
 }
 
-/// The maximum distance between neighbouring particles of a sheet or a thread before it tears, in
+/// The maximum distance between neighbouring particles of a sheet or a filament before it tears, in
 /// spacings.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SheetStretch(Option<f64>);

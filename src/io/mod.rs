@@ -87,7 +87,7 @@ pub struct ParticleFile {
     pub particle_types: Vec<String>,
     /// Number of ghost particles, copies from other pieces, which were left out.
     pub ghosts: usize,
-    /// Number of particles that fail a condition.
+    /// Number of particles that do not satisfy a condition.
     pub unselected: usize,
     /// The error if all particles fail a condition.
     pub none_selected: Option<SelectionFault>,

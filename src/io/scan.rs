@@ -210,8 +210,8 @@ impl<'a> Lines<'a> {
     /// Reads the rest of this line and skips its end (LF or CR LF); `None` at the end of the file.
     ///
     /// # Errors
-    /// [`ReadFault::Malformed`] for a line that is not text or is too long for a header, and those
-    /// of [`ahead`](Self::ahead).
+    /// [`ReadFault::Malformed`] for a line that is not text or is too long for a header, and the
+    /// errors of [`ahead`](Self::ahead).
     pub fn line(&mut self) -> Result<Option<String>, ReadFault> {
         for looked_at in [SHORT_LINE, LONGEST_LINE] {
             let ahead = self.ahead(looked_at)?;

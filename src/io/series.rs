@@ -94,7 +94,7 @@ struct ListedFile {
 /// Maximum size in bytes of a list that is read: about 200,000 frames.
 const LARGEST_LISTING: u64 = 64 << 20;
 
-/// The up axis of a mesh from a list beside it; `None` without a list.
+/// The up axis of a mesh from a list next to it; `None` without a list.
 pub(super) fn listed_up(mesh: &Path) -> Option<UpAxis> {
     let folder = mesh.parent()?;
     let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };

@@ -48,7 +48,7 @@ pub(super) fn decode_pieces<T: Send>(
 /// current pieces are in memory.
 ///
 /// # Errors
-/// Those of `take`, and [`ReadFault::Changed`] or [`ReadFault::Io`] if the text has changed or
+/// The errors of `take`, and [`ReadFault::Changed`] or [`ReadFault::Io`] if the text has changed or
 /// cannot be read.
 pub(super) fn decode_windows<T: Send>(
     source: &InputBytes,
@@ -105,7 +105,7 @@ fn in_pieces<T: Send>(
 /// Appends the numbers of a `text` within `source` as little-endian f64.
 ///
 /// # Errors
-/// [`ReadFault::Line`] for invalid numbers, and those of [`UnpackBuffer::push`].
+/// [`ReadFault::Line`] for invalid numbers, and the errors of [`UnpackBuffer::push`].
 pub(super) fn decode_numbers(
     source: Slice,
     text: Range<usize>,

@@ -116,7 +116,7 @@ impl Reconstruction {
         self
     }
 
-    /// Finds the walls of the tank, from a scene file beside the input, or as the planes at which
+    /// Finds the walls of the tank, from a scene file next to the input, or as the planes at which
     /// the particles end. No particle is outside these walls, and an uncertain side stays open.
     ///
     /// ```
@@ -329,8 +329,8 @@ setters! {
     mu0: f64,
     /// Sets the smoothing width in spacings, for clouds: 1.6 by default, more for calmer water.
     smooth: f64,
-    /// Joins particles of thin sheets and threads up to this distance in spacings, 2.15 by default,
-    /// for clouds. 0 turns this off.
+    /// Joins particles of thin sheets and filaments up to this distance in spacings, 2.15 by
+    /// default, for clouds. 0 turns this off.
     sheets: f64,
     /// Sets the distance between the fluid and solids in spacings; if it is negative, the fluid
     /// reaches into them.

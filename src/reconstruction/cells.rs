@@ -1,4 +1,4 @@
-//! Cell size, from a spacing that is given, in the file, in a scene file beside it, or estimated,
+//! Cell size, from a spacing that is given, in the file, in a scene file next to it, or estimated,
 //! in this order.
 
 use std::fmt;

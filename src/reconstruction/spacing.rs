@@ -23,7 +23,7 @@ pub enum SpacingSource {
     Given,
     /// The particles' file.
     File,
-    /// A scene file beside it.
+    /// A scene file next to it.
     Scene(#[serde(serialize_with = "as_text")] PathBuf),
     /// The smallest size of the particles, by an attribute.
     Sizes(String),

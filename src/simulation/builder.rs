@@ -15,7 +15,7 @@ use super::pattern::is_foreign;
 
 /// A request for the mesh of each frame of a simulation.
 ///
-/// Grid and calibration are measured once and stored beside the outputs, so that all frames are
+/// Grid and calibration are measured once and stored next to the outputs, so that all frames are
 /// consistent, whichever process makes them.
 ///
 /// ```no_run
@@ -204,7 +204,7 @@ impl Simulation {
         self
     }
 
-    /// Names a file that the caller writes beside the meshes; an error if the conversion writes it
+    /// Names a file that the caller writes next to the meshes; an error if the conversion writes it
     /// as well.
     pub fn beside(mut self, file: impl Into<PathBuf>) -> Self {
         self.beside.push(file.into());

@@ -185,7 +185,7 @@ impl Inputs {
     /// The only simulation in the inputs, with its frames in order.
     ///
     /// # Errors
-    /// Those of [`simulations`](Self::simulations) and [`Sequence::list`],
+    /// The errors of [`simulations`](Self::simulations) and [`Sequence::list`],
     /// [`SimulationError::Several`] for several simulations, and [`SimulationError::NoFrames`] or
     /// [`SimulationError::NoMatch`] without frames.
     pub fn only(&self) -> Result<(Sequence, Vec<FrameFile>), SimulationError> {
@@ -457,7 +457,7 @@ impl Sequence {
 }
 
 /// A glob for names that begin with a dot, but not `.` and `..`, which would match too: these would
-/// include frames beside the folder, and several such components would never end.
+/// include frames next to the folder, and several such components would never end.
 fn below(pattern: &str) -> String {
     let name = |name: &str| match name.strip_prefix('.') {
         Some(rest) if rest.contains(['*', '?', '[']) => format!("[.]{rest}"),

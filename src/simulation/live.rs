@@ -101,8 +101,8 @@ impl LiveSimulation {
     /// A frame without particles, or without a surface, is an empty mesh.
     ///
     /// # Errors
-    /// Those of [`Reconstruction::run`], except for missing particles or surfaces. Later frames can
-    /// still succeed.
+    /// The errors of [`Reconstruction::run`], except for missing particles or surfaces. Later
+    /// frames can still succeed.
     pub fn frame(&mut self, particles: &(impl Particles + ?Sized)) -> Result<Surface, Error> {
         let threads = Arc::clone(&self.ready.threads);
         self.ready.checked.go_on()?;

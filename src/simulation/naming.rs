@@ -53,12 +53,12 @@ impl Naming {
     /// Like [`of`](Self::of) for the output of several frames, which may be one archive.
     ///
     /// # Errors
-    /// Those of [`of`](Self::of).
+    /// The errors of [`of`](Self::of).
     pub fn of_several(path: &Path) -> Result<Option<Self>, SimulationError> {
         Ok(Self::of(path)?.or_else(|| Self::of_archive(path)))
     }
 
-    /// The names for an Alembic archive: its frames and the state are in a folder beside it.
+    /// The names for an Alembic archive: its frames and the state are in a folder next to it.
     fn of_archive(path: &Path) -> Option<Self> {
         let MeshFormat::Abc(_) = MeshFormat::of(path)? else { return None };
         let mut folder = path.as_os_str().to_owned();

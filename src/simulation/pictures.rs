@@ -105,7 +105,7 @@ impl PictureFile {
         Ok(Self { file, folders, unfinished })
     }
 
-    /// Checks before the work that a picture can be written beside a mesh, under its name with
+    /// Checks before the work that a picture can be written next to a mesh, under its name with
     /// `.png`.
     ///
     /// # Errors
@@ -567,12 +567,12 @@ impl fmt::Display for SheetDone {
 }
 
 impl Simulation {
-    /// Checks before the work that a contact sheet can be written beside the meshes. It has their
+    /// Checks before the work that a contact sheet can be written next to the meshes. It has their
     /// name without numbers, or is `frames.png`. An existing sheet is replaced if the simulation
     /// replaces its outputs, or resumes and it is a sheet of them.
     ///
     /// For formats that cannot be read, [`run`](Self::run) then keeps a small mesh of each frame
-    /// beside the state, for this run and those that resume it.
+    /// next to the state, for this run and those that resume it.
     ///
     /// # Errors
     /// [`Error::Write`].
@@ -638,7 +638,7 @@ impl Sheet {
     /// Draws the existing meshes.
     ///
     /// # Errors
-    /// Those of [`Pictures::run`].
+    /// The errors of [`Pictures::run`].
     pub fn draw(self) -> Result<SheetDone, Error> {
         let mut pictures = self.pictures.clone().replace(self.replace());
         pictures.source = Some(self.source());

@@ -1,4 +1,4 @@
-//! Stretched sheets and threads of particles.
+//! Stretched sheets and filaments of particles.
 
 use glam::{DMat3, DVec3};
 use meniscus::Reconstruction;

@@ -47,7 +47,7 @@ const CHANCE: f64 = 0.2;
 const ENOUGH_FOR_SCATTER: usize = 100;
 /// The minimum share of flat neighbourhoods in sheets of a single layer.
 const SHEETS: f64 = 0.6;
-/// Along threads of single particles, the third neighbour is farther away than the second by more
+/// Along filaments of single particles, the third neighbour is farther away than the second by more
 /// than this factor.
 const THREAD: f64 = 1.35;
 /// A count and the neighbours agree if they differ by less than this factor.
@@ -222,7 +222,7 @@ impl Neighbours {
     }
 
     /// The spacing from the density around deep particles, with the share of such particles; `None`
-    /// if it does not fit the distances of their nearest neighbours, as between sheets or threads
+    /// if it does not fit the distances of their nearest neighbours, as between sheets or filaments
     /// that are close together.
     pub fn measured(&self) -> Option<(f64, f64)> {
         let [_, second, third, _] = self.nearest?;

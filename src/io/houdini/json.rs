@@ -129,7 +129,7 @@ impl JsonNumbers {
     /// Passes each number to `take`, in order.
     ///
     /// # Errors
-    /// Those of `take` and of reading.
+    /// The errors of `take` and of reading.
     pub fn each(
         self,
         bytes: ByteView,

@@ -95,8 +95,8 @@ impl LevelSet {
     /// Reads a closed mesh into memory: 24 bytes for each vertex, and 12 for each triangle.
     ///
     /// # Errors
-    /// Those of `mesh`; [`io::ErrorKind::OutOfMemory`]; and [`io::ErrorKind::InvalidInput`] for a
-    /// mesh with too many vertices, or with coordinates that are not finite or too large.
+    /// The errors of `mesh`; [`io::ErrorKind::OutOfMemory`]; and [`io::ErrorKind::InvalidInput`]
+    /// for a mesh with too many vertices, or with coordinates that are not finite or too large.
     pub fn new(mesh: &dyn MeshSource, lattice: Lattice) -> io::Result<Self> {
         let (positions, triangles) = gathered(mesh)?;
         let origin = DVec3::from(lattice.origin);

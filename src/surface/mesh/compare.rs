@@ -150,7 +150,7 @@ impl SearchableSurface {
     /// Prepares a reference mesh.
     ///
     /// # Errors
-    /// Those of [`compare`] for the reference.
+    /// The errors of [`compare`] for the reference.
     pub fn reference(mesh: &Mesh) -> Result<Self, CompareError> {
         let origin = mesh.positions.first().map_or(DVec3::ZERO, |&p| DVec3::from(p));
         Self::new(mesh, origin, Side::Reference)

@@ -1,4 +1,4 @@
-//! Sheets and chains beside a bulk, drops and bubbles: how much of them the surface keeps, and in
+//! Sheets and chains next to a bulk, drops and bubbles: how much of them the surface keeps, and in
 //! how many components.
 
 use glam::{DVec2, DVec3, IVec3};

@@ -257,7 +257,7 @@ impl Simulation {
         Ok(ended.into_iter().map(Summary::from).collect())
     }
 
-    /// Calibrates all frames, stores the calibration beside the outputs, and returns the frame
+    /// Calibrates all frames, stores the calibration next to the outputs, and returns the frame
     /// numbers: for several jobs, each of which converts some frames.
     ///
     /// Returns
