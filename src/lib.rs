@@ -126,18 +126,18 @@
 //! block surfaces --stitch--> mesh [--simplify-->] --write--> file           surface::stitch, io
 //! ```
 //!
-//! All arithmetic from a particle to the field is on integers, so the result depends only on the
-//! input, and not on the order of the particles, the threads, or the storage of the field. Every
-//! mesh is a closed, oriented 2-manifold. Neighbouring blocks share a vertex because it has the
-//! same grid edge, never because it has the same position.
+//! From particles to the field, all arithmetic is on integers. The result therefore depends only on
+//! the input, and not on the order of the particles, the threads, or the storage of the field.
+//! Every mesh is a closed, oriented 2-manifold. Neighbouring blocks share a vertex because it has
+//! the same grid edge, never because it has the same position.
 //!
-//! [`method`] has the formulas and their sources, [`guide`] everything for users,
-//! [`guide::glossary`] the terms. To change meniscus, see [`guide::contributing`] and
+//! [`method`] has the formulas and their sources, [`guide`] is the guide for users, and
+//! [`guide::glossary`] explains the terms. To change meniscus, see [`guide::contributing`] and
 //! [`internals`].
 //!
 //! # Features
 //!
-//! All are on by default, and a library that only makes meshes needs none of them.
+//! All are on by default. To make meshes, you need none of them.
 //!
 //! | feature | adds |
 //! |---|---|

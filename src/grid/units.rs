@@ -25,7 +25,7 @@ pub enum UnitError {
     /// The distance up to which particles of sheets are joined.
     #[error("sheets must be 0, or from {least} to {most} spacings, got {0}", least = SheetStretch::LEAST, most = SheetStretch::MOST)]
     SheetStretch(f64),
-    /// The distance up to which particles form a sheet.
+    /// The distance between the fluid and a solid.
     #[error("solid-offset must be from {least} to {most} spacings, got {0}", least = SolidOffset::LEAST, most = SolidOffset::MOST)]
     SolidOffset(f64),
     /// The tolerance of simplification.
@@ -261,8 +261,8 @@ impl SolidOffset {
     /// The maximum offset.
     pub const MOST: f64 = 2.0;
 
-    /// The default: a picture shows no gap between the fluid and a solid. It is larger than the
-    /// rounding of curved solids and edges by cells.
+    /// The default, which hides the gap between the fluid and a solid in pictures: it is larger
+    /// than the gap at curved faces and edges, which cells cut off.
     pub const DEFAULT: Self = Self(-0.1);
 
     /// An offset in spacings.

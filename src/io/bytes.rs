@@ -219,7 +219,7 @@ impl<'a> Slice<'a> {
             let start = range.start.saturating_sub(FAULT_AROUND);
             let length = range.end - start;
             // SAFETY: the map is of a file and never written: pages that are dropped are read
-            // again. That the system may refuse is no matter.
+            // again. If the system refuses, nothing changes.
             let _ = unsafe {
                 map.unchecked_advise_range(memmap2::UncheckedAdvice::DontNeed, start, length)
             };

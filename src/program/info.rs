@@ -46,7 +46,7 @@ pub fn run(options: &InfoOptions) -> Result<Verdict, Error> {
     if options.json {
         print_json(&infos)?;
     }
-    // The caller prints the last one.
+    // The caller prints the last error.
     let last = errors.pop();
     errors.iter().for_each(say_error);
     last.map_or(Ok(Verdict::Good), Err)

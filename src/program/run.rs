@@ -131,7 +131,7 @@ pub fn bytes_of<'a>(files: impl IntoIterator<Item = &'a Path>) -> Option<u64> {
     devices::bytes_of(files)
 }
 
-/// Whether an output is a device file, beside which no other files can be created.
+/// Whether an output is a device file, so that no other files can be created next to it.
 fn is_device(output: &Path) -> bool {
     output.starts_with("/dev")
 }

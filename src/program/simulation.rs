@@ -82,7 +82,7 @@ struct Listener<'a> {
     notes: Notes,
     /// Bars of the current simulation, with the notes that are printed above them.
     bars: Option<(ProgressBars, Notes)>,
-    /// Parts of frames that were not read, with the number of frames that have each.
+    /// Parts of frames that were not read, each with the number of its frames.
     left_out: BTreeMap<String, usize>,
     /// The failure to write the statistics.
     broken: Option<Error>,

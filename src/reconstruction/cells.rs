@@ -1,5 +1,5 @@
-//! Cell size, from a spacing that is given, in the file, in a scene file next to it, or estimated,
-//! in this order.
+//! Cell size, from the first spacing that is known: given, in the file, in a scene file near it, or
+//! estimated.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -29,10 +29,10 @@ pub enum CellSize {
 impl CellSize {
     /// The default: half a spacing.
     ///
-    /// In cells of two thirds, single drops are angular, and their volume depends on their
-    /// position; half a spacing takes hardly longer, because the surface is made in the same wide
-    /// cells. Renders of single drops need a quarter. The indicators counting and symmetry use two
-    /// thirds, because symmetry fails in half a spacing.
+    /// In cells of two thirds of a spacing, single drops are angular, and their volume depends on
+    /// their position. Cells of half a spacing take hardly longer, because the surface is made in
+    /// the same wide cells. Renders of single drops need a quarter. The indicators counting and
+    /// symmetry use two thirds, because symmetry fails in cells of half a spacing.
     pub fn usual(method: Method) -> Self {
         match method.indicator() {
             Some(IndicatorKind::Cloud) | None => Self::Spacings(0.5),

@@ -43,8 +43,8 @@ pub struct SamplingRequest {
     pub search: WallSearch,
     /// The axis that points up, if known: 0, 1 or 2.
     pub up: Option<usize>,
-    /// The faces of a periodic box along each axis, `None` for open axes, and the surface that the
-    /// images beyond the faces must suffice for.
+    /// The faces of a periodic box along each axis, `None` for open axes, and the surface for which
+    /// the images beyond the faces must suffice.
     pub periodic: Option<([Option<[f64; 2]>; 3], Surfacing)>,
     /// The spacing of the particles, if the caller knows it.
     pub spacing: Option<f64>,

@@ -70,7 +70,8 @@ pub enum SpacingWarning {
         found: f64,
         /// The likely mistake.
         mistake: Option<SpacingMistake>,
-        /// Whether the particles may be spray or threads, which are farther apart than the spacing.
+        /// Whether the particles may be spray or filaments, whose particles are farther apart than
+        /// the spacing.
         spray: bool,
     },
     /// The fluid is too thin for a reliable estimate.
@@ -117,7 +118,7 @@ pub enum SpacingWarning {
 pub enum SpacingMistake {
     /// The radius of the particles was given: half the spacing.
     Radius,
-    /// Twice the spacing was given: a support radius, or the spacing taken for a radius.
+    /// Twice the spacing was given: a support radius, or a spacing that was mistaken for a radius.
     Double,
     /// The length is in another unit, which is this multiple of the positions' unit.
     Unit(f64),
@@ -125,7 +126,7 @@ pub enum SpacingMistake {
 
 /// Minimum ratio of a given to the true spacing without a warning.
 const TOO_SMALL: f64 = 0.78;
-/// Maximum ratio. In between the surface is good, and estimates can be wrong by as much.
+/// Maximum ratio. Between the two, the surface is good, and the estimate may be wrong by as much.
 const TOO_LARGE: f64 = 1.36;
 /// Additional factor for an uncertain estimate.
 const UNSURE: f64 = 1.1;

@@ -85,7 +85,7 @@ pub enum Warning {
         shortfall: Shortfall,
         /// Whether the indicator is cloud.
         clouds: bool,
-        /// The calibration frame, if it is another one.
+        /// The calibration frame, if it is a different frame.
         calibration_frame: Option<i64>,
     },
     /// Vertices become equal in a format that has no indices.

@@ -16,7 +16,7 @@ use super::pattern::is_foreign;
 /// A request for the mesh of each frame of a simulation.
 ///
 /// Grid and calibration are measured once and stored next to the outputs, so that all frames are
-/// consistent, whichever process makes them.
+/// consistent, even if several processes make them.
 ///
 /// ```no_run
 /// use meniscus::Simulation;

@@ -23,7 +23,8 @@ use super::shared_calibration::{FrameMeasurements, Trust, measure_in};
 ///
 /// Cells, grid and calibration are measured on the first frame with fluid deeper than the reach of
 /// the filters (for the indicator counting, also not a lattice), and kept for all later frames.
-/// Before that, [`is_settled`](Self::is_settled) is false, and each frame is measured by itself.
+/// Before that frame, [`is_settled`](Self::is_settled) is false, and each frame is measured
+/// separately.
 ///
 /// ```
 /// use meniscus::{LiveSimulation, Reconstruction};

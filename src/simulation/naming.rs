@@ -35,8 +35,8 @@ impl Naming {
     /// # Errors
     /// [`SimulationError::Names`] for an invalid pattern.
     pub fn of(path: &Path) -> Result<Option<Self>, SimulationError> {
-        // A folder with the name of a mesh file is not a folder of outputs: it is in the way of the
-        // mesh.
+        // A folder with the name of a mesh file is not a folder of outputs: the mesh could not have
+        // its name.
         let is_folder = path.is_dir() && MeshFormat::of(path).is_none();
         if is_folder || path.to_string_lossy().ends_with(std::path::is_separator) {
             return Ok(Some(Self::Folder(path.to_owned())));

@@ -43,8 +43,8 @@ const FPS: f64 = 24.0;
 /// A request for pictures of meshes in files.
 ///
 /// One mesh gives one picture. For several, the output is a folder or a pattern with `{}` for a
-/// picture of each, `.apng` for an animation, or `.png` for a contact sheet. All have the same
-/// camera, which sees all of them, and the same range of values.
+/// picture of each, `.apng` for an animation, or `.png` for a contact sheet. All pictures have the
+/// same camera, which has all meshes in view, and the same range of values.
 #[derive(Debug, Clone)]
 #[must_use]
 pub struct Pictures {
@@ -165,8 +165,8 @@ enum PictureTarget {
 
 impl Pictures {
     /// Pictures of files, a folder, a glob, or a pattern with `{}` for the frame number. Unless the
-    /// picture sets the up axis, it is z if the first mesh whose file or listing records the axis
-    /// has z up, else y.
+    /// picture sets the up axis, it is that of the first mesh whose file or listing records one, or
+    /// y if none does.
     pub fn new<I: Into<PathBuf>>(
         picture: Picture,
         meshes: impl IntoIterator<Item = I>,

@@ -205,7 +205,7 @@ impl Neighbours {
         there >= ENOUGH && there as f64 >= SOME * self.queried as f64
     }
 
-    /// The spacing that the nearest neighbours suggest, whatever their number.
+    /// The spacing that the nearest neighbours suggest, for any number of them.
     pub fn suggested(&self) -> Option<f64> {
         let [first, second, third, fourth] = self.nearest?;
         // In an ordered fluid three or four neighbours are about a spacing away, and in a
