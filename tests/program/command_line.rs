@@ -310,7 +310,7 @@ fn a_full_disk_exits_with_4_and_leaves_no_files() {
 
 #[test]
 #[cfg(target_os = "linux")]
-fn without_memory_or_threads_commands_exit_with_an_error_and_leave_no_files() {
+fn commands_without_memory_or_threads_fail_and_leave_no_files() {
     let folder = folder_with_ball();
     meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", "ball.ply"]);
     for number in [1, 2] {

@@ -49,7 +49,7 @@ const ENOUGH_FOR_SCATTER: usize = 100;
 const SHEETS: f64 = 0.6;
 /// Along filaments of single particles, the third neighbour is farther away than the second by more
 /// than this factor.
-const THREAD: f64 = 1.35;
+const FILAMENT: f64 = 1.35;
 /// A count and the neighbours agree if they differ by less than this factor.
 const AGREED: f64 = 1.07;
 /// The minimum share of the queried particles for an estimate.
@@ -213,7 +213,7 @@ impl Neighbours {
         // away.
         let order = ((first / fourth - 0.7) / 0.2).clamp(0.0, 1.0);
         let near = third + order * (fourth - third);
-        let suggested = if third > THREAD * second {
+        let suggested = if third > FILAMENT * second {
             (first + second) / 2.0
         } else {
             self.sheet.filter(|sheet| (0.8..1.25).contains(&(sheet / third))).unwrap_or(near)
@@ -228,7 +228,7 @@ impl Neighbours {
         let [_, second, third, _] = self.nearest?;
         let (spacing, share) = self.solid?;
         let fits = (0.85..1.07).contains(&(spacing / self.by_third()?));
-        (fits && third <= THREAD * second).then_some((spacing, share))
+        (fits && third <= FILAMENT * second).then_some((spacing, share))
     }
 
     /// The distance to the third neighbour as a spacing: disorder reduces it, by 14 % for randomly

@@ -275,7 +275,7 @@ mod tests {
     }
 
     #[test]
-    fn distances_of_an_octahedron_are_exact_in_the_whole_band_and_negative_inside() {
+    fn distances_of_an_octahedron_are_exact_and_negative_inside() {
         const RADIUS: f64 = 61.3;
         let centre = [0.25, -0.125, 64.5];
         let lattice = Lattice { origin: [0.0; 3], step: 1.0 };
