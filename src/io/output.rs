@@ -385,7 +385,7 @@ fn read_hdf(_: Bytes) -> Result<Mesh, ReadFault> {
 fn several_files() -> io::Error {
     io::Error::new(
         io::ErrorKind::InvalidInput,
-        "a .pvtp needs a folder of pieces beside it; write another format",
+        "a .pvtp needs a folder for its pieces; choose another format",
     )
 }
 

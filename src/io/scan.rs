@@ -111,11 +111,11 @@ impl<'a> Scanner<'a> {
         let word = self.word();
         T::of(word).ok_or_else(|| {
             let found = match (word.is_empty(), start == self.bytes.len()) {
-                (true, true) => "the file ends".to_owned(),
-                (true, false) => "the line ends".to_owned(),
-                _ => format!("{:?} stands", String::from_utf8_lossy(&word[..word.len().min(40)])),
+                (true, true) => "the end of the file".to_owned(),
+                (true, false) => "the end of the line".to_owned(),
+                _ => format!("{:?}", String::from_utf8_lossy(&word[..word.len().min(40)])),
             };
-            self.fault(start, format!("{found} where a number should"))
+            self.fault(start, format!("expected a number, found {found}"))
         })
     }
 

@@ -142,7 +142,7 @@ pub(super) fn utf8(bytes: Bytes, unpacking: Unpacking) -> Result<Bytes, ReadFaul
         return Ok(bytes);
     };
     if !view.len().is_multiple_of(2) {
-        return Err(malformed(view.len() - 1, "half a character of UTF-16"));
+        return Err(malformed(view.len() - 1, "an incomplete UTF-16 character"));
     }
     let unit = match endian {
         Endian::Little => u16::from_le_bytes,

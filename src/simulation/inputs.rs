@@ -146,7 +146,7 @@ impl Inputs {
                 return match &found[..] {
                     [] => Ok(Vec::new()),
                     [only] if !only.is_joined() => Err(SimulationError::Names(format!(
-                        "{}: is the only simulation; name another one to join it with",
+                        "{}: is the only simulation; name another one to join with it",
                         only.describe()
                     ))),
                     _ => Ok(vec![sequence(pattern)]),
@@ -431,7 +431,7 @@ impl Sequence {
         }
         let patterns: Vec<_> = patterns.iter().map(|new| format!("\"{new}\"")).collect();
         Err(SimulationError::Names(format!(
-            "the frames began as \"{pattern}\", but files that came later differ in another number; name the frames with {}",
+            "the first frames matched \"{pattern}\", but later files differ in another number; use the input pattern {}",
             patterns.join(" or ")
         )))
     }

@@ -103,7 +103,7 @@ pub struct Nesting(Vec<JsonEvent>);
 impl Nesting {
     pub fn begin(&mut self, event: JsonEvent) -> Result<JsonEvent, String> {
         if self.0.len() == DEEPEST {
-            return Err(format!("lists in more than {DEEPEST} lists"));
+            return Err(format!("lists are nested more than {DEEPEST} levels deep"));
         }
         self.0.push(event.clone());
         Ok(event)

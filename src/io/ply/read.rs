@@ -268,7 +268,7 @@ fn decode(
         },
     )?;
     if (decoded.len() as usize) < all {
-        return Err(scan.fault(source.len(), "the file ends where a number should".into()));
+        return Err(scan.fault(source.len(), "expected a number, found the end of the file".into()));
     }
     decoded.finish()
 }

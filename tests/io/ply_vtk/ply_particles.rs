@@ -239,7 +239,7 @@ fn invalid_ply_files_are_refused_with_the_reason() {
         ),
         (
             header(&format!("element vertex 1\n{xyz}")) + "\n1 two 3\n",
-            "line 9: \"two\" stands where",
+            "line 9: expected a number, found \"two\"",
         ),
         (header("element vertex -1\n"), "line 3: \"-1\" is not a count"),
         (header("property float x\n"), "line 3: a property without an element"),
