@@ -132,7 +132,7 @@ impl Isovalue {
     }
 
     /// The isovalue of distances, which is at 0: see [`distance`](crate::field::distance).
-    pub const NO_DISTANCE: Self = Self(u16::MAX / 2);
+    pub const ZERO_DISTANCE: Self = Self(u16::MAX / 2);
 
     /// The greatest field value that is outside.
     #[must_use]

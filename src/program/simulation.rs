@@ -24,7 +24,7 @@ pub fn run(options: &ReconstructOptions, simulation: Simulation) -> Result<Verdi
         simulation = simulation.overwrite();
     }
     if let Some(stats) = &options.stats {
-        simulation = simulation.beside(stats);
+        simulation = simulation.also_writes(stats);
     }
     let request = options.request()?;
     let simulation = simulation.reconstruction(request.clone());

@@ -44,7 +44,7 @@ impl CellSize {
 /// The origin of particles, as far as it affects their spacing.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct SpacingHints<'a> {
-    /// The file, beside which there may be a scene file.
+    /// The file; a scene file may be near it.
     pub path: Option<&'a Path>,
     /// The spacing in the file.
     pub spacing: Option<f64>,

@@ -578,7 +578,7 @@ impl Simulation {
     /// [`Error::Write`].
     pub fn sheet(&mut self) -> Result<Sheet, Error> {
         let path = beside(&self.output);
-        if let Some(other) = self.beside.iter().find(|other| is_same_file(other, &path)) {
+        if let Some(other) = self.also_written.iter().find(|other| is_same_file(other, &path)) {
             return Err(Error::SameFile { path: other.clone(), other: path });
         }
         let (inputs, naming) = self.names()?;

@@ -66,7 +66,7 @@ pub const SIMULATION: [&str; 10] = [
 ///     Join the frames with the same number from all inputs, such as several fluids. Each input is
 ///     a name with ``{}``, a folder or a glob.
 /// preview : bool, optional
-///     Draw a contact sheet of the frames beside the meshes, as .png.
+///     Draw a contact sheet of the frames next to the meshes, as .png.
 /// attributes : list of str, optional
 ///     Attributes for the vertices; by default, the velocity.
 /// format : str, optional
