@@ -33,10 +33,10 @@ pub struct Periodic {
 #[serde(rename_all = "kebab-case")]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 pub enum PeriodicMesh {
-    /// On the faces, closed as at the walls of a tank.
+    /// Ends on the faces, closed as at the walls of a tank.
     #[default]
     Cut,
-    /// Beyond the faces, by the reach of the filters, so that adjacent copies overlap.
+    /// Continues beyond the faces by the reach of the filters, so that adjacent copies overlap.
     Overlap,
 }
 
