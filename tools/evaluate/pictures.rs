@@ -63,7 +63,7 @@ impl Scene {
         };
         let spacing = known
             .or_else(|| spacing::estimate(&*particles))
-            .ok_or("the spacing is not to be found")?;
+            .ok_or("the spacing is not known")?;
         let bounds = bounds(&*particles).ok_or("there are no particles")?;
         Ok(Self { particles, spacing, camera: Camera::of([bounds.lo, bounds.hi]) })
     }

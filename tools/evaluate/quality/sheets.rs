@@ -163,9 +163,9 @@ fn stretching(board: &Board, samples: &Samples, layers: &[i32], frames: usize) -
         let volume = f64::from(WIDTH * WIDTH * layers);
         Line {
             rows: [
-                "stretch at which it opens",
+                "stretch at the first hole",
                 "frames in which holes close again",
-                "greatest change of volume before",
+                "largest change of volume before",
             ]
             .map(row)
             .into(),
