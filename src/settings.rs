@@ -319,7 +319,7 @@ settings! {
     #[arg(value_name = "NAME,...", value_delimiter = ',', help_heading = "Output")]
     attributes: Option<Vec<String>>,
 
-    /// Reduce the number of triangles; no part of the surface moves by more than this many cells.
+    /// Reduce triangles; the surface moves by at most this many cells.
     #[arg(value_name = "CELLS", allow_negative_numbers = true, help_heading = "Output")]
     simplify: Option<f64>,
 

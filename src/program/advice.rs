@@ -337,6 +337,7 @@ mod tests {
             Warning::OnCorners { mean: 0.02, origin: [0.5; 3] },
             Warning::Lost { lost: 12, of: 1000, smoothed: true },
             Warning::Lost { lost: 12, of: 1000, smoothed: false },
+            Warning::ThinSolid { path: path("plate.obj"), thickness: 0.01, cell_size: 0.025 },
             empty(EmptyReason::Field, Some(1)),
             empty(EmptyReason::TooSmall(TooSmall { components: 1, drops: 2 }), None),
         ]

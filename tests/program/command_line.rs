@@ -942,7 +942,7 @@ fn fine_cells_give_the_same_bytes_for_any_threads_budget_and_packing() {
     // The notes differ: clouds report too little depth, counting derives its plateau from the
     // spacing.
     for (indicator, note) in
-        [("cloud", "because no fluid is deep enough"), ("counting", "computed from the spacing")]
+        [("cloud", "because the fluid is too shallow"), ("counting", "computed from the spacing")]
     {
         let fine = ["--cell", "0.333333", "--indicator", indicator];
         let (whole, notes) =
