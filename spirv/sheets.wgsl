@@ -1,5 +1,5 @@
 //! with block ramp
-// Shares and certainty of sheets and threads, from the smoothed density. Cells beyond a wall repeat
+// Shares and certainty of sheets and filaments, from the smoothed density. Cells beyond a wall repeat
 // the outermost cell before it. The formulas are in src/field/sheets/mod.rs; numbers have
 // SHEET_BITS fraction bits, and logarithms are binary.
 

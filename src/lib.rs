@@ -126,18 +126,18 @@
 //! block surfaces --stitch--> mesh [--simplify-->] --write--> file           surface::stitch, io
 //! ```
 //!
-//! All arithmetic from a particle to the field is on integers, so the result depends only on the
-//! input, and not on the order of the particles, the threads, or the storage of the field. Every
-//! mesh is a closed, oriented 2-manifold. Neighbouring blocks share a vertex because it has the
-//! same grid edge, never because it has the same position.
+//! From particles to the field, all arithmetic is on integers. The result therefore depends only on
+//! the input, and not on the order of the particles, the threads, or the storage of the field.
+//! Every mesh is a closed, oriented 2-manifold. Neighbouring blocks share a vertex because it has
+//! the same grid edge, never because it has the same position.
 //!
-//! [`method`] has the formulas and their sources, [`guide`] everything for users,
-//! [`guide::glossary`] the terms. To change meniscus, see [`guide::contributing`] and
+//! [`method`] has the formulas and their sources, [`guide`] is the guide for users, and
+//! [`guide::glossary`] explains the terms. To change meniscus, see [`guide::contributing`] and
 //! [`internals`].
 //!
 //! # Features
 //!
-//! All are on by default, and a library that only makes meshes needs none of them.
+//! All are on by default. To make meshes, you need none of them.
 //!
 //! | feature | adds |
 //! |---|---|
@@ -171,48 +171,68 @@ mod surface;
 mod system;
 mod vulkan;
 
+#[doc = include_str!("links.md")]
 #[doc = include_str!("method.md")]
 pub mod method {}
 
 /// Guides for users: formats, spacing, simulations, animations, pictures, tanks and periodic boxes,
 /// choosing options, accuracy, speed, GPUs, limits, guarantees; and a page for contributors.
 pub mod guide {
+    #[doc = include_str!("links.md")]
     #[doc = include_str!("field/accuracy.md")]
     pub mod accuracy {}
+    #[doc = include_str!("links.md")]
     #[doc = include_str!("simulation/animations.md")]
     pub mod animations {}
+    #[doc = include_str!("links.md")]
     #[doc = include_str!("changelog.md")]
     pub mod changelog {}
+    #[doc = include_str!("links.md")]
     #[doc = include_str!("field/choosing.md")]
     pub mod choosing {}
+    #[doc = include_str!("links.md")]
     #[doc = include_str!("contributing.md")]
     pub mod contributing {}
+    #[doc = include_str!("links.md")]
     #[doc = include_str!("io/formats.md")]
     pub mod formats {}
+    #[doc = include_str!("links.md")]
     #[doc = include_str!("glossary.md")]
     pub mod glossary {}
+    #[doc = include_str!("links.md")]
     #[doc = include_str!("vulkan/guide.md")]
     pub mod gpus {}
+    #[doc = include_str!("links.md")]
     #[doc = include_str!("reconstruction/limits.md")]
     pub mod limits {}
+    #[doc = include_str!("links.md")]
     #[doc = include_str!("reconstruction/parts/parts.md")]
     pub mod machines {}
+    #[doc = include_str!("links.md")]
     #[doc = include_str!("io/mnf/packed.md")]
     pub mod packed {}
+    #[doc = include_str!("links.md")]
     #[doc = include_str!("reconstruction/periodic.md")]
     pub mod periodic {}
+    #[doc = include_str!("links.md")]
     #[doc = include_str!("reconstruction/tanks.md")]
     pub mod tanks {}
+    #[doc = include_str!("links.md")]
     #[doc = include_str!("surface/picture/guide.md")]
     pub mod pictures {}
+    #[doc = include_str!("links.md")]
     #[doc = include_str!("surface/simplify/guide.md")]
     pub mod simplifying {}
+    #[doc = include_str!("links.md")]
     #[doc = include_str!("simulation/guide.md")]
     pub mod simulations {}
+    #[doc = include_str!("links.md")]
     #[doc = include_str!("field/spacing/guide.md")]
     pub mod spacing {}
+    #[doc = include_str!("links.md")]
     #[doc = include_str!("frame/speed.md")]
     pub mod speed {}
+    #[doc = include_str!("links.md")]
     #[doc = include_str!("system/trust.md")]
     pub mod trust {}
 }

@@ -81,7 +81,7 @@ impl std::fmt::Display for Setting {
 
 macro_rules! settings {
     ($( $(#[doc = $doc:literal])* #[arg($($arg:tt)*)] $name:ident: $type:ty, )*) => {
-        /// Settings of a surface. A setting that is not given is measured, or has its default.
+        /// Settings of a surface. A setting without a value is measured, or has its default.
         #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
         #[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
         #[cfg_attr(feature = "cli", derive(clap::Args))]
@@ -101,11 +101,11 @@ macro_rules! settings {
             /// The lines of documentation of each setting, in the same order.
             const DOCS: &[&[&str]] = &[$(&[$($doc),*]),*];
 
-            /// Sets the setting of this name in snake case from a caller's value; `false` if no
-            /// setting has the name.
+            /// Sets the setting with this name in snake case from a caller's value, and returns
+            /// `false` if no setting has the name.
             ///
             /// # Errors
-            /// Those of the source, for a value of another type.
+            /// The errors of the source, if the value has the wrong type.
             pub fn set<S: Source>(&mut self, name: &str, source: &S) -> Result<bool, S::Error> {
                 $(if name == const { Setting::of_field(stringify!($name)) }.0 {
                     self.$name = FromSource::taken(source)?;
@@ -114,8 +114,8 @@ macro_rules! settings {
                 Ok(false)
             }
 
-            /// Returns the setting of this name in snake case to its default; `false` if no setting
-            /// has the name.
+            /// Resets the setting with this name in snake case to its default, and returns `false`
+            /// if no setting has the name.
             pub fn clear(&mut self, name: &str) -> bool {
                 $(if name == const { Setting::of_field(stringify!($name)) }.0 {
                     self.$name = Default::default();
@@ -146,7 +146,8 @@ macro_rules! settings {
 settings! {
     /// Distance between neighbouring particles.
     ///
-    /// The default comes from the file or a scene file beside it, or else is estimated.
+    /// By default, it comes from the particle file or from the simulator's scene file near it. If
+    /// neither has it, it is estimated from the particles.
     #[arg(
         value_name = "LENGTH", conflicts_with = "radius", allow_negative_numbers = true,
         help_heading = "Input"
@@ -160,12 +161,12 @@ settings! {
     )]
     radius: Option<f64>,
 
-    /// Attribute with the sizes of the particles, or none [default: pscale or radius].
+    /// Attribute that holds the particles' sizes, if they differ [default: pscale or radius].
     ///
-    /// Particles of several sizes get a surface that follows their own spacings. By the
-    /// attribute's name, its values are radii (half of a particle's spacing), diameters, volumes,
-    /// or masses, which need a density attribute. none treats all particles as one size. Only for
-    /// the indicator cloud.
+    /// Each region of the fluid is meshed at its own particle spacing. The name of the attribute
+    /// says what its values are: radii (half of a particle's spacing), diameters, volumes, or
+    /// masses, which need a density attribute as well. `none` treats all particles as one size.
+    /// Only for the indicator cloud.
     #[arg(
         value_name = "NAME", conflicts_with_all = ["spacing", "radius"], help_heading = "Input",
         hide_short_help = true
@@ -181,7 +182,7 @@ settings! {
 
     /// Edge of a cell in spacings; smaller is finer [default: 0.5].
     ///
-    /// The default for the indicators counting and symmetry is 0.6667.
+    /// For the indicators counting and symmetry, the default is 0.6667.
     #[arg(value_name = "RATIO", allow_negative_numbers = true, help_heading = "Surface")]
     cell: Option<f64>,
 
@@ -196,13 +197,13 @@ settings! {
     #[arg(value_enum, value_name = "NAME", help_heading = "Input", hide_short_help = true)]
     format: Option<InputFormat>,
 
-    /// Use only particles that satisfy conditions on their attributes.
+    /// Use only particles whose attributes satisfy a condition, such as Type=1.
     ///
-    /// A condition is a name, one of =, !=, <, <=, > and >=, and a value: Type=1, age<2.5,
-    /// phase!=boundary. Several values after = are alternatives: mk=0,2. `and` joins conditions
-    /// that must all hold. `velocity.y` or `velocity[1]` is a component of a vector; x, y and z are
-    /// the position. In a file with several types of particles, type selects one of them, such as
-    /// type=PartType1 in a SWIFT or GADGET snapshot, an array of PySPH, or a species of openPMD
+    /// A condition is an attribute, a comparison (=, !=, <, <=, > or >=) and a value: Type=1,
+    /// age<2.5, phase!=boundary. mk=0,2 accepts either value. `and` joins conditions that must all
+    /// hold. `velocity.y` and `velocity[1]` are the same component of a vector; x, y and z are the
+    /// position. If a file has several types of particles, type selects one of them: a type of a
+    /// SWIFT or GADGET snapshot, such as type=PartType1, an array of PySPH, or a species of openPMD
     /// [default: gas, else fluid].
     #[arg(value_name = "CONDITION", help_heading = "Input")]
     r#where: Option<Vec<Where>>,
@@ -210,8 +211,8 @@ settings! {
     /// Walls of a tank, or auto to find them [default: unbounded].
     ///
     /// The surface ends exactly on the walls. Particles outside are left out. `-` leaves a side
-    /// open. auto uses the tank in the scene file beside the input, or the planes at which the
-    /// particles end, and leaves out no particle.
+    /// open. auto takes the walls from the simulator's scene file, or looks for planes at which the
+    /// particles end; it leaves out no particles.
     #[arg(
         value_name = "X0,Y0,Z0,X1,Y1,Z1|auto", allow_hyphen_values = true, help_heading = "Input"
     )]
@@ -219,35 +220,35 @@ settings! {
 
     /// Periodic box, whose opposite faces are joined.
     ///
-    /// `-` for both ends of an axis leaves it open: 0,-,0,1,-,1 is periodic along x and z.
-    /// Particles on an upper face count as on the lower one. Other particles outside are an error,
-    /// or are left out with the invalid ones.
+    /// `-` for both ends of an axis leaves the axis open: 0,-,0,1,-,1 is periodic along x and z. A
+    /// particle exactly on an upper face counts as being on the lower face. Any other particle outside the
+    /// box is an error, unless invalid particles are skipped.
     #[arg(value_name = "X0,Y0,Z0,X1,Y1,Z1", allow_hyphen_values = true, help_heading = "Input")]
     periodic: Option<Faces>,
 
-    /// A closed mesh that the fluid ends at, such as an obstacle.
+    /// Closed mesh of a solid object where the fluid ends, such as an obstacle.
     ///
-    /// Any mesh format that meniscus reads. Repeat the option for several solids. The mesh has the
-    /// units and axes of the particles. {} in the name is the frame's number: solid.{}.obj gives
-    /// each frame its own mesh. Only for the indicator cloud.
+    /// The mesh has the units and axes of the particles, in any mesh format that meniscus reads.
+    /// Repeat the option for several solids. {} in the name stands for the frame number:
+    /// solid.{}.obj gives each frame its own mesh. Only for the indicator cloud.
     #[arg(value_name = "MESH", help_heading = "Input")]
     solid: Option<Vec<String>>,
 
     /// Distance between the fluid and solids, in spacings [default: -0.1].
     ///
-    /// A positive value leaves a gap. A negative one lets the fluid reach into solids, so that no
-    /// gap shows in a picture.
+    /// A positive value leaves a gap. A negative value lets the fluid reach into the solids, which
+    /// hides gaps in pictures.
     #[arg(
         value_name = "SPACINGS", allow_negative_numbers = true, help_heading = "Input",
         hide_short_help = true
     )]
     solid_offset: Option<f64>,
 
-    /// How a cell's sample is computed from its particles [default: cloud].
+    /// Rule that computes the value of a cell from the particles in it [default: cloud].
     #[arg(value_enum, help_heading = "Surface", hide_short_help = true)]
     indicator: Option<IndicatorKind>,
 
-    /// Mean number of particles in cells that contain any, for the indicator counting [default:
+    /// Mean number of particles in non-empty cells, for the indicator counting [default:
     /// measured].
     #[arg(
         value_name = "VALUE", allow_negative_numbers = true, help_heading = "Surface",
@@ -255,29 +256,31 @@ settings! {
     )]
     mu0: Option<f64>,
 
-    /// Leave out and count particles that are not finite or outside the grid, instead of failing.
+    /// Skip and count particles with non-finite positions or positions outside the grid, which are
+    /// otherwise an error.
     #[arg(help_heading = "Input", hide_short_help = true)]
     skip_invalid: bool,
 
     /// Smoothing width in spacings, from 0.8 to 4 [default: 1.6].
     ///
-    /// Larger is smoother: use 2 for noisy FLIP particles, and less to see every ripple. Only for
-    /// the indicator cloud.
+    /// Larger is smoother: use 2 for noisy FLIP particles, and a smaller value to keep every
+    /// ripple. Only for the indicator cloud.
     #[arg(value_name = "SPACINGS", allow_negative_numbers = true, help_heading = "Surface")]
     smooth: Option<f64>,
 
-    /// Join particles of sheets and threads up to this many spacings apart [default: 2.15].
+    /// Join particles of thin sheets and filaments up to this many spacings apart [default: 2.15].
     ///
-    /// From 1 to 3, or 0 to turn it off. The default, a little over 2, holds a sheet that is
-    /// stretched to twice the spacing. Only for the indicator cloud.
+    /// From 1 to 3, or 0 to turn it off. With the default, a sheet stays whole if it is stretched
+    /// to twice the spacing. Only for the indicator cloud.
     #[arg(value_name = "SPACINGS", allow_negative_numbers = true, help_heading = "Surface")]
     sheets: Option<f64>,
 
-    /// Method: discrete indicator functions, or a kernel method for comparison [default: dif].
+    /// Method that makes the field: discrete indicator functions, or a kernel method for comparison
+    /// [default: dif].
     #[arg(value_enum, help_heading = "Surface", hide_short_help = true)]
     method: Option<MethodName>,
 
-    /// Standard deviation of the Gaussian, for the indicators counting and symmetry
+    /// Standard deviation of the smoothing Gaussian, for the indicators counting and symmetry
     /// [default: one spacing, but at least one cell].
     #[arg(
         value_name = "CELLS", allow_negative_numbers = true, help_heading = "Surface",
@@ -288,8 +291,8 @@ settings! {
     /// Isovalue between 0 and 1, for the indicators counting and symmetry and the methods mueller
     /// and yu-turk [default: auto].
     ///
-    /// auto is 0.47 of the field deep in the fluid. If no fluid is deep enough, that field is
-    /// computed from the spacing. For kernel methods auto is 0.5.
+    /// auto is 0.47 times the value of the field deep inside the fluid. If the fluid is too shallow
+    /// to measure that value, it is computed from the spacing. For kernel methods, auto is 0.5.
     #[arg(
         value_name = "VALUE|auto", allow_hyphen_values = true, help_heading = "Surface",
         hide_short_help = true
@@ -311,23 +314,23 @@ settings! {
 
     /// Attributes to transfer to the mesh [default: velocity].
     ///
-    /// They are interpolated; none transfers none. By default the mesh has velocities if the
-    /// particles have them and the format can store them.
+    /// The values are interpolated from particles to vertices. `none` transfers no attributes. By
+    /// default, the mesh has velocities if the particles have them and the format can store them.
     #[arg(value_name = "NAME,...", value_delimiter = ',', help_heading = "Output")]
     attributes: Option<Vec<String>>,
 
-    /// Use fewer triangles; the surface moves at most this many cells.
+    /// Reduce triangles; the surface moves by at most this many cells.
     #[arg(value_name = "CELLS", allow_negative_numbers = true, help_heading = "Output")]
     simplify: Option<f64>,
 
-    /// Leave out drops and bubbles that are smaller than this many cells in volume.
+    /// Remove drops and bubbles with a volume of less than this many cells.
     #[arg(
         alias = "drop-smaller", value_name = "CELLS", allow_negative_numbers = true,
         help_heading = "Output", hide_short_help = true
     )]
     smallest_component: Option<f64>,
 
-    /// Leave out drops of fewer particles, estimated from their volume [default: 1, keeps all].
+    /// Remove drops that have fewer particles, estimated from their volume [default: 1, keeps all].
     #[arg(
         value_name = "PARTICLES", value_parser = clap::value_parser!(u32).range(1..),
         help_heading = "Output", hide_short_help = true
@@ -339,9 +342,9 @@ settings! {
     #[arg(help_heading = "Output", hide_short_help = true)]
     compress: bool,
 
-    /// Rotate the mesh so that this axis points up, if another one does in the particles.
+    /// Rotate the mesh so that this axis points up [default: the up axis of the particles].
     ///
-    /// In .glb and .abc, y always points up [default: as in the particles].
+    /// In .glb and .abc, y always points up.
     #[arg(value_enum, help_heading = "Output", hide_short_help = true)]
     up: Option<UpAxis>,
 
@@ -353,8 +356,8 @@ settings! {
 /// Settings by their keys, as state files and plans store them.
 pub type StoredSettings = Map<String, Value>;
 
-/// Names of the settings that differ from those kept by a run of `version`, or "version" if that
-/// differs, since another version may give another mesh; empty if nothing differs.
+/// Names of the settings that differ from those stored by a run of `version`, or "version" if that
+/// differs, because another version may give a different mesh. Empty if nothing differs.
 pub(crate) fn differing(version: &str, kept: &StoredSettings, wanted: &StoredSettings) -> String {
     if version != env!("CARGO_PKG_VERSION") {
         return "version".into();
@@ -391,8 +394,8 @@ impl Setting {
         OF_PARTICLES.contains(&self.0)
     }
 
-    /// Whether the setting affects packed frames, which store samples of particles of one size, and
-    /// have no kernel method.
+    /// Whether the setting affects packed frames. They store samples of particles of one size, and
+    /// no kernel method.
     #[must_use]
     pub fn is_of_samples(self) -> bool {
         self.needs_particles() && !["method", "size"].contains(&self.0)
@@ -416,7 +419,7 @@ impl Settings {
         }
     }
 
-    /// Whether the sizes of the particles are asked for.
+    /// Whether the request names an attribute for the sizes of the particles.
     #[must_use]
     pub fn asks_for_sizes(&self) -> bool {
         matches!(self.size_choice(), SizeChoice::Named(_))
@@ -456,7 +459,7 @@ impl Settings {
         }
     }
 
-    /// The kernel method, if the field is made by one.
+    /// The kernel method, if the request uses one.
     #[must_use]
     pub fn kernels(&self) -> Option<KernelMethod> {
         match self.method {

@@ -184,7 +184,7 @@ fn attribute_values_span_the_colour_map_and_appear_in_the_legend() {
 }
 
 #[test]
-fn triangles_behind_and_beside_the_camera_are_clipped() {
+fn triangles_behind_the_camera_and_to_its_sides_are_clipped() {
     let mesh = torus(40, 30);
     let mut random = Random::new(11);
     for n in 0..150 {
@@ -766,7 +766,7 @@ fn a_cancelled_or_failed_animation_leaves_no_file() {
 }
 
 #[test]
-fn a_preview_is_written_beside_the_mesh_and_does_not_change_it() {
+fn a_preview_is_written_next_to_the_mesh_and_does_not_change_it() {
     let folder = TempDir::new().unwrap();
     let at = |name: &str| folder.path().join(name);
     let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/dambreak_small");

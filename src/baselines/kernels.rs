@@ -17,10 +17,10 @@ use crate::system::scratch::Lists;
 use super::neighbours::{NeighbourGrid, places};
 use super::scheme::Scheme;
 
-/// Particles whose kernels are worked out at once, or those of one bin.
+/// Number of particles whose kernels are computed together, unless a single bin has more.
 const BATCH: usize = 1 << 17;
-/// Cells beyond a block that its normals look at: one up to the dual cells' corners, and one more
-/// all round.
+/// Number of cells beyond a block that its normals need: one for the corners of the dual cells, and
+/// one more on all sides.
 const MARGIN: i32 = 2;
 
 /// The field of a frame by a kernel method, ready to be meshed block by block.
@@ -31,8 +31,7 @@ pub trait KernelField: Debug + Send + Sync {
     /// The surface through a region, `None` where there is none. Cells outside of `walls` are ghost
     /// points.
     ///
-    /// # Errors
-    /// Where kernels are in a scratch file that cannot be read.
+    /// # Errors If kernels are in a scratch file that cannot be read.
     fn mesh(
         &self,
         region: CellBox,

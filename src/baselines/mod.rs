@@ -1,10 +1,10 @@
 //! The kernel methods that the paper compares against (section 3), on the same bins, dual grid and
 //! stitching.
 //!
-//! Each sums something over the particles around the centre of a cell. What a particle adds is
-//! worked out once, as its kernel, from the particles around it; then the field of a block is the
-//! sum of the kernels that reach it. Here a field is real, and positive inside the fluid. Lengths
-//! are in cells.
+//! Each method sums contributions of the particles around the centre of a cell. The kernel of a
+//! particle, which is its contribution, is computed once from the particles around it. The field of
+//! a block is then the sum of the kernels that reach it. Here a field is real, and positive inside
+//! the fluid. Lengths are in cells.
 //!
 //! Sums run over the bins along the Morton curve, and in each over the particles by cell and place,
 //! so that they are the same on any number of threads. Particles are placed to 1 / 8192 of a cell,
@@ -89,11 +89,10 @@ impl KernelMethod {
         (size_of::<<ZhuBridson as Scheme>::Sum>() + size_of::<f64>()) as u64;
 }
 
-/// Works out the kernels of all particles of `bins`, which must be [sorted](Bins::sorted). Those
+/// Computes the kernels of all particles of `bins`, which must be [sorted](Bins::sorted). Kernels
 /// beyond `bytes` go to a scratch file in `folder`.
 ///
-/// # Errors
-/// Where scratch files fail.
+/// # Errors If scratch files fail.
 pub fn kernel_field(
     bins: &Bins,
     method: KernelMethod,

@@ -23,7 +23,8 @@ impl Mueller {
     }
 }
 
-/// The number density at a place, over that of a particle alone: sum_j w(x_j - place).
+/// The number density at a place, divided by the density of a single particle: sum_j w(x_j -
+/// place).
 pub fn density(place: DVec3, support: f64, neighbours: &NeighbourGrid) -> f64 {
     let mut density = 0.0;
     neighbours

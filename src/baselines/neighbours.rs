@@ -32,8 +32,7 @@ pub fn places(contents: &BinContents<'_>, corner: IVec3) -> impl Iterator<Item =
 impl NeighbourGrid {
     /// The particles in `cells`, placed relative to the corner of the cell `origin`.
     ///
-    /// # Errors
-    /// Where particles are in a scratch file that cannot be read.
+    /// # Errors If particles are in a scratch file that cannot be read.
     pub fn load(bins: &Bins, cells: CellBox, origin: IVec3) -> io::Result<Self> {
         let local = CellBox { lo: cells.lo - origin, hi: cells.hi - origin };
         let mut near =
@@ -68,7 +67,7 @@ impl NeighbourGrid {
         local.x + size.x * (local.y + size.y * local.z)
     }
 
-    /// Calls `visit` with every particle nearer to `place` than `radius`, as seen from there, and
+    /// Calls `visit` with every particle within `radius` of `place`: its offset from `place`, and
     /// its squared distance.
     #[inline]
     pub fn within(&self, place: DVec3, radius: f64, mut visit: impl FnMut(DVec3, f64)) {

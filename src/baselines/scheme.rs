@@ -21,7 +21,7 @@ impl Spacing {
     /// Kernels of more cells would take more memory than a thread has.
     pub const MAX: f64 = 16.0;
 
-    /// How far an isotropic kernel reaches, in spacings: four times the particles' radius.
+    /// The reach of an isotropic kernel, in spacings: four times the particles' radius.
     pub const SUPPORT: f64 = 2.0;
 
     /// A spacing in cells.
@@ -56,9 +56,10 @@ pub(super) fn weight(squared: f64) -> f64 {
 
 /// How a method makes a field of particles.
 pub(super) trait Scheme: Debug + Send + Sync {
-    /// The kernel of a particle: what it adds to sums; places are relative to its bin's corner.
+    /// The kernel of a particle, which is its contribution to sums; positions are relative to its
+    /// bin's corner.
     type Kernel: Pod + Send + Sync + Debug;
-    /// The sum of what kernels add at a point, from which the field is made.
+    /// The sum of the kernels at a point, from which the field is computed.
     type Sum: Copy + Default;
 
     /// How far from a particle others tell in its kernel.
@@ -73,6 +74,6 @@ pub(super) trait Scheme: Debug + Send + Sync {
     /// Adds what it adds at a point, given as seen from its place.
     fn add(&self, kernel: &Self::Kernel, point: DVec3, sum: &mut Self::Sum);
 
-    /// The field where so much was summed up.
+    /// The field at a point with this sum.
     fn field(&self, sum: Self::Sum) -> f64;
 }

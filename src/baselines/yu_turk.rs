@@ -13,11 +13,12 @@
 //!   (their eq. 15);
 //! - G_i = A diag(1 / s'_k) A^T / h (their eq. 16).
 //!
-//! k_r = 4, k_n = 0.5 and N_e = 25 are theirs; so is lambda = 0.9, but with h two spacings that
-//! moves the particles of a flat surface inwards by more than a spacing, and 1/2 is what the
-//! implementation takes that the paper compared with (Kim, Fluid Engine Development, 2016). Their
-//! k_s, to make k_s C about the identity deep in the fluid, depends on the unit of length; its
-//! value without one follows from a uniform density: C is then 0.15 R^2 times the identity.
+//! k_r = 4, k_n = 0.5 and N_e = 25 are from their paper. Their lambda is 0.9, but if h is two
+//! spacings, this moves the particles of a flat surface inwards by more than a spacing. Therefore
+//! lambda is 1/2, as in the implementation to which the DIF paper compares (Kim, Fluid Engine
+//! Development, 2016). Their k_s makes k_s C about the identity deep in the fluid, and depends on
+//! the unit of length. Here it follows from a uniform density, for which C is 0.15 R^2 times the
+//! identity.
 
 use glam::{DMat3, DVec3};
 use glamx::DSymmetricEigen3;
@@ -26,7 +27,7 @@ use super::mueller::density;
 use super::neighbours::NeighbourGrid;
 use super::scheme::{Scheme, Spacing, weight};
 
-/// How far a centre moves towards the mean of its neighbours.
+/// The fraction of the way by which a centre moves towards the mean of its neighbours.
 const LAMBDA: f64 = 0.5;
 /// The most that a kernel may be longer than it is wide.
 const K_R: f64 = 4.0;
@@ -36,8 +37,9 @@ const K_N: f64 = 0.5;
 const N_EPSILON: usize = 25;
 /// The neighbourhood's radius, over h.
 const NEIGHBOURHOOD: f64 = 2.0;
-/// How far particles decide the field, over h: the neighbours of one, and its kernel, which in a
-/// fluid is hardly longer than twice as far as it reaches where the density is uniform.
+/// The distance within which particles affect the field, divided by h: that of the neighbours of a
+/// particle, plus its kernel. In a fluid, a kernel hardly ever exceeds twice its reach in uniform
+/// density.
 pub const REACH: f64 = NEIGHBOURHOOD + 2.0;
 /// The eigenvalues of C, over R^2, where the density is uniform.
 const UNIFORM: f64 = 0.15;

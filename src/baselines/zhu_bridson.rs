@@ -1,8 +1,8 @@
 //! Zhu and Bridson 2005, "Animating sand as a fluid".
 //!
 //! phi(x) = |x - xbar| - r with xbar = sum_j x_j w(x - x_j) / sum_j w(x - x_j), where w reaches 4 r
-//! and r is half of the spacing. Where no particle is that near, phi is what it is at the most
-//! elsewhere: 3 r.
+//! and r is half of the spacing. Where no particle is that near, phi has its maximum elsewhere: 3
+//! r.
 
 use glam::DVec3;
 

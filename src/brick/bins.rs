@@ -100,8 +100,7 @@ impl Bins {
         }
     }
 
-    /// Memory of a bin in tables until the surface is done, in bytes, whatever its number of
-    /// particles.
+    /// Memory of a bin in tables until the surface is done, in bytes, for any number of particles.
     pub const TABLE_BYTES: u64 = 344;
 
     /// For each attribute, the number of particles without a finite value: either it exceeds f32,

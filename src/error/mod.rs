@@ -93,7 +93,7 @@ pub enum Error {
     /// A simulation that cannot be converted.
     #[error(transparent)]
     Simulation(#[from] SimulationError),
-    /// A mesh that cannot be in memory as a whole.
+    /// A mesh that is too large to be in memory as a whole.
     #[error(transparent)]
     WholeMesh(#[from] WholeMeshError),
     /// An error of a mesh in parts.
@@ -152,7 +152,7 @@ pub enum Error {
         fault: SizeFault,
     },
     /// A memory limit that is too small for any frame.
-    #[error("{}at least {} of memory is needed", to_simplify(*simplifying), ByteSize(*least))]
+    #[error("{}the memory limit must be at least {}", to_simplify(*simplifying), ByteSize(*least))]
     LittleMemory {
         /// The minimum in bytes.
         least: u64,
@@ -213,7 +213,7 @@ fn because(left_out: Option<&str>) -> String {
     left_out.map_or_else(String::new, |part| format!(" (left out: {part})"))
 }
 
-/// The kind of an error: what has to change.
+/// The kind of an error, which says what has to change.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Cause {
@@ -288,7 +288,7 @@ impl Error {
         self
     }
 
-    /// Returns the kind of the error: what has to change.
+    /// Returns the kind of the error, which says what has to change.
     #[must_use]
     pub fn cause(&self) -> Cause {
         match self {

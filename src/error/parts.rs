@@ -24,7 +24,7 @@ pub enum PartsError {
         /// The number of parts.
         of: u32,
     },
-    /// An output that cannot have a folder of parts beside it.
+    /// An output that cannot have a folder of parts next to it.
     #[error("{}: the output of a mesh in parts must be a regular file", .0.display())]
     NoFile(PathBuf),
     /// The plan does not exist yet.
@@ -39,7 +39,7 @@ pub enum PartsError {
         what: String,
     },
     /// A plan with other settings.
-    #[error("{}: the plan was made with other settings ({differing})", path.display())]
+    #[error("{}: the plan was made with different settings ({differing})", path.display())]
     Settings {
         /// The plan's file.
         path: PathBuf,
@@ -47,7 +47,10 @@ pub enum PartsError {
         differing: String,
     },
     /// Particles that differ from those of the plan.
-    #[error("{}: is not the file that {} was made for, or has changed since", input.display(), plan.display())]
+    #[error(
+        "{}: is not the file for which {} was made, or has changed since then",
+        input.display(), plan.display()
+    )]
     Changed {
         /// The particles' file.
         input: PathBuf,

@@ -103,17 +103,17 @@ impl SettingConflict {
             }
             (Conflict::Packing, _) => {
                 format!(
-                    "{setting} is for surfaces: use it when you reconstruct the packed \
+                    "{setting} has no effect on packing: use it when you reconstruct the packed \
                          frame"
                 )
             }
             (Conflict::PackedSizes, _) => format!(
-                "a packed frame holds particles of one size; use {setting} none to pack them as \
-                 such, or make their surface from the particles"
+                "a packed frame cannot hold particles of different sizes; use {setting} none to treat \
+                 all as one size, or reconstruct the particles without packing"
             ),
             (Conflict::SeveralSizes { attribute }, _) => format!(
                 "{setting} needs particles of one size, but the attribute {attribute} gives them \
-                 several; use {} none to ignore it",
+                 different sizes; use {} none to ignore the attribute",
                 named("size")
             ),
             (Conflict::Sampled, _) => {

@@ -48,13 +48,13 @@ pub enum SimulationError {
     #[error("watch must be a number of seconds of at least 0, got {0}")]
     Timeout(f64),
     /// Steps inside one file, which cannot be watched.
-    #[error("{0}: cannot watch the steps inside one file")]
+    #[error("{0}: cannot watch steps inside one file")]
     Steps(String),
     /// Frames in several files. They cannot be watched, because no file shows that a frame is
     /// complete.
     #[error(
-        "{0}: cannot watch frames that are in several files, because no file shows when a frame \
-         is complete; convert them once the simulation is over"
+        "{0}: cannot watch frames that are split into several files, because no file shows when a \
+         frame is complete; convert them after the simulation"
     )]
     Joined(String),
     /// A first frame after the last.
@@ -99,11 +99,11 @@ pub enum SimulationError {
         what: String,
     },
     /// A conversion with other settings that writes to the same outputs.
-    #[error("{}: another conversion with other settings is running there; wait for it, or \
-             choose another output", .0.display())]
+    #[error("{}: a conversion with different settings is running in this folder; wait until it \
+             ends, or choose another output", .0.display())]
     Busy(PathBuf),
     /// A state from a run with other settings.
-    #[error("{}: the existing frames were made with other settings ({differing})", path.display())]
+    #[error("{}: the existing frames were made with different settings ({differing})", path.display())]
     Settings {
         /// The state file.
         path: PathBuf,

@@ -152,7 +152,7 @@ impl Recipe {
 
     /// Makes the recipe for distances, which are 0 on the surface.
     pub fn of_distances(distances: DistanceFilters) -> Self {
-        Self { filters: Filters::Distances(Box::new(distances)), iso: Isovalue::NO_DISTANCE }
+        Self { filters: Filters::Distances(Box::new(distances)), iso: Isovalue::ZERO_DISTANCE }
     }
 
     /// Makes the field from the samples, on any backend.

@@ -52,13 +52,13 @@ pub enum FrameError {
         /// The isovalue, given or measured.
         iso: Isovalue,
     },
-    /// No middle of a cell is inside of the surface of clouds.
+    /// No cell's centre is inside the surface of the clouds.
     #[error("the surface is empty: no cell's centre is inside the fluid")]
     NoDistanceSurface,
-    /// The calibration was measured on a frame with another indicator, so it cannot be used.
+    /// The calibration was measured on a frame with a different indicator, so it cannot be used.
     #[error(
-        "its indicator differs from that of the calibration frame; pack it again with the \
-             same indicator"
+        "this packed frame has a different indicator than the calibration frame; pack it again \
+         with the same indicator"
     )]
     OtherIndicator,
     /// The images were made for filters with a smaller reach.
@@ -120,7 +120,8 @@ pub enum FrameError {
     TooManyVertices,
     /// The surface does not fit into the caller's buffers.
     #[error(
-        "the surface has {vertices} vertices and {triangles} triangles, more than its buffers hold"
+        "the surface has {vertices} vertices and {triangles} triangles, more than the given buffers \
+         can hold"
     )]
     NoSpace {
         /// Three f32 each.

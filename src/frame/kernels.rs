@@ -18,7 +18,7 @@ pub(super) struct SampledKernels {
     pub(super) facts: FrameFacts,
     pub(super) method: KernelMethod,
     field: Box<dyn KernelField>,
-    /// A Gaussian with the reach of the kernels.
+    /// A Gaussian that has the same reach as the kernels.
     attribute_smoothing: Smoothing,
 }
 

@@ -77,7 +77,7 @@ pub struct ResidentSurface {
     pub indices: View,
     /// The number of triangles.
     pub triangles: u32,
-    /// The isovalue of the surface: given, measured, or [`Isovalue::NO_DISTANCE`] for clouds.
+    /// The isovalue of the surface: given, measured, or [`Isovalue::ZERO_DISTANCE`] for clouds.
     pub iso: Isovalue,
     /// The calibration of the surface, for the other frames of a simulation.
     pub calibration: Calibration,

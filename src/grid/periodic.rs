@@ -33,10 +33,10 @@ pub struct Periodic {
 #[serde(rename_all = "kebab-case")]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 pub enum PeriodicMesh {
-    /// On the faces, closed as at the walls of a tank.
+    /// Ends on the faces, closed as at the walls of a tank.
     #[default]
     Cut,
-    /// Beyond the faces, by the reach of the filters, so that adjacent copies overlap.
+    /// Continues beyond the faces by the reach of the filters, so that adjacent copies overlap.
     Overlap,
 }
 
@@ -56,27 +56,27 @@ impl PeriodicMesh {
 pub enum PeriodicError {
     /// The corners are not in order, or not finite.
     #[error(
-        "the periodic box's corners must be finite, and the second must be above the first along \
-         each periodic axis"
+        "the corners of the periodic box must be finite, and the second must be above the first \
+         along each periodic axis"
     )]
     Corners,
     /// No axis is periodic.
     #[error("the periodic box is open along every axis; give both ends of at least one axis")]
     Open,
-    /// A mesh should end at periodic faces, but there is no periodic box.
-    #[error("how the mesh ends at periodic faces can only be set with a periodic box")]
+    /// The end of the mesh at periodic faces is set, but there is no periodic box.
+    #[error("periodic-mesh can only be set with a periodic box")]
     NoBox,
     /// Walls along a periodic axis.
-    #[error("{axis} is periodic: a domain can have walls only along open axes")]
+    #[error("the domain has a wall along {axis}, which is periodic: leave that side open")]
     Walled {
         /// x, y or z.
         axis: char,
     },
     /// Filters would reach a particle and its image at the same time.
     #[error(
-        "the periodic box is {} wide along {axis}, less than twice the reach of the \
-         filters, which is {}; use a smaller cell size or less smoothing, or leave {axis} open",
-        shown(*width), shown(*reach)
+        "the periodic box is {} wide along {axis}, but must be at least {} wide, which is twice the \
+         reach of the filters; use a smaller cell size or less smoothing, or leave {axis} open",
+        shown(*width), shown(2.0 * *reach)
     )]
     Narrow {
         /// x, y or z.
@@ -88,7 +88,7 @@ pub enum PeriodicError {
     },
     /// Beyond the grid.
     #[error(
-        "the periodic box with the reach of the filters extends more than {CELL_LIMIT} cells \
+        "the periodic box and the reach of the filters beyond it extend more than {CELL_LIMIT} cells \
          from the origin; use a larger cell size"
     )]
     TooFar,

@@ -25,7 +25,7 @@ pub enum UnitError {
     /// The distance up to which particles of sheets are joined.
     #[error("sheets must be 0, or from {least} to {most} spacings, got {0}", least = SheetStretch::LEAST, most = SheetStretch::MOST)]
     SheetStretch(f64),
-    /// The distance up to which particles form a sheet.
+    /// The distance between the fluid and a solid.
     #[error("solid-offset must be from {least} to {most} spacings, got {0}", least = SolidOffset::LEAST, most = SolidOffset::MOST)]
     SolidOffset(f64),
     /// The tolerance of simplification.
@@ -132,7 +132,7 @@ impl Isovalue {
     }
 
     /// The isovalue of distances, which is at 0: see [`distance`](crate::field::distance).
-    pub const NO_DISTANCE: Self = Self(u16::MAX / 2);
+    pub const ZERO_DISTANCE: Self = Self(u16::MAX / 2);
 
     /// The greatest field value that is outside.
     #[must_use]
@@ -216,7 +216,7 @@ impl Smooth {
     }
 }
 
-/// The maximum distance between neighbouring particles of a sheet or a thread before it tears, in
+/// The maximum distance between neighbouring particles of a sheet or a filament before it tears, in
 /// spacings.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SheetStretch(Option<f64>);
@@ -261,8 +261,8 @@ impl SolidOffset {
     /// The maximum offset.
     pub const MOST: f64 = 2.0;
 
-    /// The default: a picture shows no gap between the fluid and a solid. It is larger than the
-    /// rounding of curved solids and edges by cells.
+    /// The default, which hides the gap between the fluid and a solid in pictures: it is larger
+    /// than the gap at curved faces and edges, which cells cut off.
     pub const DEFAULT: Self = Self(-0.1);
 
     /// An offset in spacings.

@@ -1,4 +1,4 @@
-//! A folder of files that a list file beside it names. The folder is renamed to its final name
+//! A folder of files that a list file next to it names. The folder is renamed to its final name
 //! before the list, so that a list never names missing files.
 //!
 //! Until then, its name is derived from the list's temporary file, and it is removed with that file
@@ -30,7 +30,7 @@ pub struct FolderInProgress {
 }
 
 impl FolderInProgress {
-    /// Creates a folder beside the file at `place`, with its name but another extension, for files
+    /// Creates a folder next to the file at `place`, with its name but another extension, for files
     /// with the extension `extension`.
     ///
     /// # Errors
@@ -43,7 +43,7 @@ impl FolderInProgress {
         Ok(Self { temporary, replaced, place, stem, extension, sum: Hasher::new() })
     }
 
-    /// Checks that the folder beside the file at `place` does not exist, or contains only files of
+    /// Checks that the folder next to the file at `place` does not exist, or contains only files of
     /// this kind, which may be replaced.
     ///
     /// # Errors
@@ -172,7 +172,7 @@ impl Drop for FolderInProgress {
     }
 }
 
-/// The folder beside a file, and its name.
+/// The folder next to a file, and its name.
 fn named(place: &Path) -> io::Result<(PathBuf, String)> {
     let stem = place.file_stem().and_then(|stem| stem.to_str()).map(str::to_owned);
     let no_text = || {
@@ -200,7 +200,7 @@ fn is_piece(name: &str, stem: &str, extension: &str) -> bool {
 mod tests {
     use super::*;
 
-    /// A folder with one file beside `m.list`, as job `job` makes it.
+    /// A folder with one file next to `m.list`, as job `job` makes it.
     fn filled(within: &Path, job: &str) -> FolderInProgress {
         let mut folder =
             FolderInProgress::begin(&within.join("m.list"), &within.join(job), "piece").unwrap();

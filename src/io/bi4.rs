@@ -25,10 +25,10 @@ const HEAD: usize = 64;
 const IDS: usize = 1 << 15;
 
 /// Reads the part at `path`. `bytes` holds its first piece. A part can have further pieces in the
-/// same folder, such as `Part_p01_0000.bi4` beside `Part_p00_0000.bi4`.
+/// same folder, such as `Part_p01_0000.bi4` next to `Part_p00_0000.bi4`.
 ///
 /// # Errors
-/// Those of [`read_particles`], with the piece; a missing piece is [`ReadFault::Io`].
+/// The errors of [`read_particles`], with the piece; a missing piece is [`ReadFault::Io`].
 pub fn open_particles(
     path: &Path,
     bytes: Bytes,

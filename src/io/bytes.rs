@@ -219,7 +219,7 @@ impl<'a> Slice<'a> {
             let start = range.start.saturating_sub(FAULT_AROUND);
             let length = range.end - start;
             // SAFETY: the map is of a file and never written: pages that are dropped are read
-            // again. That the system may refuse is no matter.
+            // again. If the system refuses, nothing changes.
             let _ = unsafe {
                 map.unchecked_advise_range(memmap2::UncheckedAdvice::DontNeed, start, length)
             };
@@ -541,7 +541,7 @@ pub fn open_whole(path: &Path) -> Result<PrivateBytes, ReadError> {
 /// bytes is valid for the returned stamp, if there is one.
 ///
 /// # Errors
-/// Those of [`open_bytes_within`].
+/// The errors of [`open_bytes_within`].
 pub fn open_for_frame(
     path: &Path,
     unpacking: Unpacking,
@@ -591,7 +591,7 @@ pub fn open_for_frame(
 /// Opens `path` like [`open_bytes`], and unpacks it within the limits of `unpacking`.
 ///
 /// # Errors
-/// Those of [`open_bytes`], and [`ReadFault::Scratch`] if the scratch file cannot be written.
+/// The errors of [`open_bytes`], and [`ReadFault::Scratch`] if the scratch file cannot be written.
 pub fn open_bytes_within(path: &Path, unpacking: Unpacking) -> Result<Bytes, ReadError> {
     let fail = |fault: ReadFault| ReadError::new(path, fault);
     let file = File::open(path).map_err(|e| fail(e.into()))?;

@@ -90,7 +90,7 @@ pub fn open_particles(
 /// The frame with this number in `list`, or the only one. `path` is the name for errors.
 ///
 /// # Errors
-/// Those of [`open_particles`], except for the files of the frame.
+/// The errors of [`open_particles`], except for the files of the frame.
 pub fn frame_of(path: &Path, list: &Path, number: Option<u64>) -> Result<ListedFrame, ReadError> {
     let frames = listed(list)?;
     let count = frames.len();

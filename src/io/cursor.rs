@@ -68,7 +68,7 @@ impl<'a> Cursor<'a> {
     /// The bytes of a number, the lowest first.
     ///
     /// # Errors
-    /// Those of [`take`](Self::take).
+    /// The errors of [`take`](Self::take).
     pub fn array<const N: usize>(&mut self, what: &str) -> Result<[u8; N], ReadFault> {
         let mut array = [0; N];
         array.copy_from_slice(self.take(what, N as u64)?);

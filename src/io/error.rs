@@ -37,7 +37,7 @@ pub enum ReadFault {
     #[error("the file is empty")]
     Empty,
     /// An error of the scratch file into which the input is unpacked or decoded.
-    #[error("scratch file for its contents: {0}")]
+    #[error("cannot write its contents to a scratch file: {0}")]
     Scratch(#[source] std::io::Error),
     /// A damaged compressed stream.
     #[error("damaged compressed data: {0}")]

@@ -53,11 +53,11 @@ pub fn open_particles(path: &Path, unpacking: Unpacking) -> Result<ParticleFile,
 }
 
 /// Opens a particle file like [`open_particles`] for the wanted particles. Other types and pieces
-/// are not read, and particles that fail a condition are left out.
+/// are not read, and particles that do not satisfy a condition are left out.
 ///
 /// # Errors
-/// Those of [`open_particles`], [`ReadFault::Unsupported`] for a type of particles that does not
-/// exist, and [`ReadFault::Selection`] for a condition that cannot be applied.
+/// The errors of [`open_particles`], [`ReadFault::Unsupported`] for a type of particles that does
+/// not exist, and [`ReadFault::Selection`] for a condition that cannot be applied.
 pub fn open_wanted(
     path: &Path,
     wanted: WantedParticles,
@@ -78,7 +78,7 @@ pub fn open_wanted(
 /// have.
 ///
 /// # Errors
-/// Those of [`open_wanted`], [`ReadFault::Twice`] for a file that is named twice,
+/// The errors of [`open_wanted`], [`ReadFault::Twice`] for a file that is named twice,
 /// [`ReadFault::ColourScale`] for colours of different scales, and [`ReadFault::Unsupported`] for
 /// files with different units of length.
 pub fn open_joined(

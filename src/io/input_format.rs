@@ -15,29 +15,29 @@ pub enum InputFormat {
     Bgeo,
     /// DualSPHysics' .bi4.
     Bi4,
-    /// Tables of text, as in .csv, .txt and .dat.
+    /// Text tables, such as .csv, .txt and .dat.
     Csv,
-    /// HDF5: VTKHDF, SWIFT, GADGET, openPMD, PySPH, H5Part, H5MD, or any groups and tables.
+    /// HDF5: VTKHDF, SWIFT, GADGET, openPMD, PySPH, H5Part, H5MD, or any groups or tables.
     Hdf5,
     /// A list of positions in JSON.
     Json,
     /// LAMMPS dumps in text.
     Lammps,
-    /// An array of NumPy.
+    /// A NumPy array.
     Npy,
-    /// Arrays of NumPy in one file.
+    /// Several NumPy arrays in one file.
     Npz,
     /// Stanford's .ply.
     Ply,
-    /// VTK's lists of files: .pvtp and .pvtu of pieces, .vtm, .vtpd and .vtpc of blocks.
+    /// VTK files that list other files: .pvtp and .pvtu (pieces), .vtm, .vtpd and .vtpc (blocks).
     Pvtp,
-    /// Tecplot in text.
+    /// Tecplot text files.
     Tecplot,
     /// Legacy VTK.
     Vtk,
-    /// VTK's XML, .vtp and .vtu.
+    /// VTK XML: .vtp and .vtu.
     Vtp,
-    /// XYZ, or floats of 32 bits without a header, three for each particle.
+    /// XYZ text, or raw 32-bit floats without a header, three for each particle.
     Xyz,
 }
 

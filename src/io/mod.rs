@@ -87,7 +87,7 @@ pub struct ParticleFile {
     pub particle_types: Vec<String>,
     /// Number of ghost particles, copies from other pieces, which were left out.
     pub ghosts: usize,
-    /// Number of particles that fail a condition.
+    /// Number of particles that do not satisfy a condition.
     pub unselected: usize,
     /// The error if all particles fail a condition.
     pub none_selected: Option<SelectionFault>,
@@ -143,9 +143,9 @@ impl fmt::Display for UnreadPart {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Attribute(AttributeInfo { name, components, .. }) => {
-                write!(f, "attribute {name} (components: {components}), which some pieces lack")
+                write!(f, "attribute {name} (components: {components}), missing from some pieces")
             }
-            Self::Block { name, holds } => write!(f, "block {name}, which holds {holds}"),
+            Self::Block { name, holds } => write!(f, "block {name}, which contains {holds}"),
             Self::Primitives { kinds, points } => {
                 let kinds = kinds.iter().map(|(kind, count)| format!("{count} {kind}"));
                 let kinds = kinds.collect::<Vec<_>>().join(", ");
@@ -153,8 +153,7 @@ impl fmt::Display for UnreadPart {
             }
             Self::WideArray { name, numbers } => write!(
                 f,
-                "array {name}, which has {numbers} numbers per particle; attributes can have up \
-                 to {}",
+                "array {name}, with {numbers} numbers per particle; at most {} are supported",
                 fields::MOST_COMPONENTS
             ),
         }

@@ -56,7 +56,7 @@ pub fn read_particles(bytes: Bytes, step: Option<u64>) -> Result<ParticleFile, R
 /// The numbers of the frames in an array with several frames; empty for one frame.
 ///
 /// # Errors
-/// Those of [`read_particles`] about the header.
+/// The errors of [`read_particles`] about the header.
 pub fn steps(bytes: ByteView) -> Result<Vec<u64>, ReadFault> {
     let header = NpyHeader::read(bytes)?;
     let Some(arranged) = arrange(&header.fields(POSITION))? else { return Ok(Vec::new()) };

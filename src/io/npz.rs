@@ -79,7 +79,7 @@ pub fn read_particles(
 /// The numbers of the frames in an archive whose arrays have several; empty for one frame.
 ///
 /// # Errors
-/// Those of [`read_particles`] about headers.
+/// The errors of [`read_particles`] about headers.
 pub fn steps(bytes: &Bytes) -> Result<Vec<u64>, ReadFault> {
     let arrays = unless_changed(bytes, arrays(bytes))?;
     let arranged = Contents::of(&arrays).arranged()?;

@@ -192,5 +192,5 @@ fn resolve(number: &[u8], what: &str, count: usize) -> Result<usize, String> {
     let index = if parsed < 0 { count.checked_sub(distance) } else { distance.checked_sub(1) };
     index
         .filter(|&index| index < count)
-        .ok_or_else(|| format!("{what} {parsed} of the {count} so far"))
+        .ok_or_else(|| format!("{what} {parsed}, but only {count} are defined so far"))
 }

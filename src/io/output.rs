@@ -24,7 +24,7 @@ pub enum MeshFormat {
     Obj,
     Vtk,
     Vtp,
-    /// A list of .vtp files in a folder beside it.
+    /// A list of .vtp files in a folder next to it.
     Pvtp,
     VtkHdf,
     Stl,
@@ -266,8 +266,8 @@ impl MeshFormat {
     /// Writes all data of `mesh` that the format can store, in several passes over its pieces.
     ///
     /// # Errors
-    /// Those of `mesh` and `out`, and those of [`check_counts`](Self::check_counts) before anything
-    /// is written.
+    /// The errors of `mesh` and `out`, and the errors of [`check_counts`](Self::check_counts)
+    /// before anything is written.
     ///
     /// # Panics
     /// If the number of normals or attributes differs from that of vertices, the pieces are not
@@ -321,7 +321,7 @@ impl MeshFormat {
 /// without a further extension such as `.gz`.
 ///
 /// # Errors
-/// Those of [`MeshFormat::read`] and of the system, and [`ReadFault::UnknownExtension`].
+/// The errors of [`MeshFormat::read`] and of the system, and [`ReadFault::UnknownExtension`].
 pub fn read_mesh(path: &Path) -> Result<Mesh, ReadError> {
     let unknown = || ReadError::new(path, ReadFault::UnknownExtension { known: MeshFormat::KNOWN });
     let name = path.file_name().unwrap_or_default().to_string_lossy();
@@ -385,7 +385,7 @@ fn read_hdf(_: Bytes) -> Result<Mesh, ReadFault> {
 fn several_files() -> io::Error {
     io::Error::new(
         io::ErrorKind::InvalidInput,
-        "a .pvtp needs a folder of pieces beside it; write another format",
+        "a .pvtp needs a folder for its pieces; choose another format",
     )
 }
 
@@ -401,7 +401,7 @@ impl MeshOutput {
     /// format. Pipes and devices need no extension: their format is .ply.
     ///
     /// # Errors
-    /// [`WriteFault::UnknownExtension`], and those of [`WholeFile::prepare`].
+    /// [`WriteFault::UnknownExtension`], and the errors of [`WholeFile::prepare`].
     pub fn prepare(path: &Path, replace: Replace) -> Result<Self, WriteError> {
         let unknown =
             || WriteError::new(path, WriteFault::UnknownExtension { known: MeshFormat::KNOWN });
@@ -442,7 +442,7 @@ impl MeshOutput {
     /// Writes `mesh`. Returns the file's size in bytes.
     ///
     /// # Errors
-    /// Those of [`WholeFile::write`], and [`WriteFault::Unsupported`] for more vertices or
+    /// The errors of [`WholeFile::write`], and [`WriteFault::Unsupported`] for more vertices or
     /// triangles than the format can store.
     ///
     /// # Panics
@@ -454,8 +454,8 @@ impl MeshOutput {
     /// Writes `mesh` to the temporary file.
     ///
     /// # Errors
-    /// Those of [`WholeFile::fill`], and [`WriteFault::Unsupported`] for more vertices or triangles
-    /// than the format can store.
+    /// The errors of [`WholeFile::fill`], and [`WriteFault::Unsupported`] for more vertices or
+    /// triangles than the format can store.
     ///
     /// # Panics
     /// Like [`MeshFormat::write`].

@@ -111,11 +111,11 @@ impl<'a> Scanner<'a> {
         let word = self.word();
         T::of(word).ok_or_else(|| {
             let found = match (word.is_empty(), start == self.bytes.len()) {
-                (true, true) => "the file ends".to_owned(),
-                (true, false) => "the line ends".to_owned(),
-                _ => format!("{:?} stands", String::from_utf8_lossy(&word[..word.len().min(40)])),
+                (true, true) => "the end of the file".to_owned(),
+                (true, false) => "the end of the line".to_owned(),
+                _ => format!("{:?}", String::from_utf8_lossy(&word[..word.len().min(40)])),
             };
-            self.fault(start, format!("{found} where a number should"))
+            self.fault(start, format!("expected a number, found {found}"))
         })
     }
 
@@ -210,8 +210,8 @@ impl<'a> Lines<'a> {
     /// Reads the rest of this line and skips its end (LF or CR LF); `None` at the end of the file.
     ///
     /// # Errors
-    /// [`ReadFault::Malformed`] for a line that is not text or is too long for a header, and those
-    /// of [`ahead`](Self::ahead).
+    /// [`ReadFault::Malformed`] for a line that is not text or is too long for a header, and the
+    /// errors of [`ahead`](Self::ahead).
     pub fn line(&mut self) -> Result<Option<String>, ReadFault> {
         for looked_at in [SHORT_LINE, LONGEST_LINE] {
             let ahead = self.ahead(looked_at)?;

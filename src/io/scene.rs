@@ -1,4 +1,4 @@
-//! Spacing of the particles and walls of their tank, from a simulator's scene file beside the
+//! Spacing of the particles and walls of their tank, from a simulator's scene file next to the
 //! frames.
 //!
 //! SPlisHSPlasH's scene is JSON with the radius, half of the spacing; its tank is a box that is a

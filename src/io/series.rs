@@ -2,12 +2,12 @@
 //! each completely or not at all, so that a conversion can be viewed before its end. For frames
 //! `pool_1.vtp`, `pool_2.vtp` and so on:
 //!
-//! | meshes | files beside them |
+//! | meshes | files next to them |
 //! |---|---|
 //! | all | `pool.vtp.json`: each frame's file, time, counts and box |
 //! | .vtp, .pvtp | `pool.pvd` and `pool.vtp.series` for ParaView |
 //! | .vtk, .vtkhdf, .ply, .stl | `pool.vtk.series` and the like for ParaView |
-//! | .usdc | `pool.usda`, a stage of value clips, and `pool.manifest.usda`, what the clips hold |
+//! | .usdc | `pool.usda`, a stage of value clips, and `pool.manifest.usda`, which declares their attributes |
 //!
 //! Times are those of the inputs, in seconds, if they are strictly increasing; else the frame
 //! numbers divided by the frame rate, if it is given; else the frame numbers.
@@ -94,7 +94,7 @@ struct ListedFile {
 /// Maximum size in bytes of a list that is read: about 200,000 frames.
 const LARGEST_LISTING: u64 = 64 << 20;
 
-/// The up axis of a mesh from a list beside it; `None` without a list.
+/// The up axis of a mesh from a list next to it; `None` without a list.
 pub(super) fn listed_up(mesh: &Path) -> Option<UpAxis> {
     let folder = mesh.parent()?;
     let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };

@@ -38,8 +38,8 @@ const RECORD: usize = 50;
 /// is always f32.
 ///
 /// # Errors
-/// Those of `mesh` and `out`, and before anything is written [`io::ErrorKind::OutOfMemory`] without
-/// memory for the positions.
+/// The errors of `mesh` and `out`, and before anything is written [`io::ErrorKind::OutOfMemory`]
+/// without memory for the positions.
 ///
 /// # Panics
 /// Like [`MeshFormat::write`](crate::io::output::MeshFormat::write).
@@ -73,7 +73,7 @@ pub fn write_mesh(
 /// join the surface there.
 ///
 /// # Errors
-/// Those of `mesh`, and [`io::ErrorKind::OutOfMemory`] without memory for the positions.
+/// The errors of `mesh`, and [`io::ErrorKind::OutOfMemory`] without memory for the positions.
 pub fn merged_vertices(mesh: &dyn MeshSource) -> io::Result<u64> {
     let positions =
         mesh.whole_positions().map_or_else(|| gathered(mesh).map(Cow::Owned), |p| Ok(p.into()))?;

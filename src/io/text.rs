@@ -48,7 +48,7 @@ pub(super) fn decode_pieces<T: Send>(
 /// current pieces are in memory.
 ///
 /// # Errors
-/// Those of `take`, and [`ReadFault::Changed`] or [`ReadFault::Io`] if the text has changed or
+/// The errors of `take`, and [`ReadFault::Changed`] or [`ReadFault::Io`] if the text has changed or
 /// cannot be read.
 pub(super) fn decode_windows<T: Send>(
     source: &InputBytes,
@@ -105,7 +105,7 @@ fn in_pieces<T: Send>(
 /// Appends the numbers of a `text` within `source` as little-endian f64.
 ///
 /// # Errors
-/// [`ReadFault::Line`] for invalid numbers, and those of [`UnpackBuffer::push`].
+/// [`ReadFault::Line`] for invalid numbers, and the errors of [`UnpackBuffer::push`].
 pub(super) fn decode_numbers(
     source: Slice,
     text: Range<usize>,
@@ -142,7 +142,7 @@ pub(super) fn utf8(bytes: Bytes, unpacking: Unpacking) -> Result<Bytes, ReadFaul
         return Ok(bytes);
     };
     if !view.len().is_multiple_of(2) {
-        return Err(malformed(view.len() - 1, "half a character of UTF-16"));
+        return Err(malformed(view.len() - 1, "an incomplete UTF-16 character"));
     }
     let unit = match endian {
         Endian::Little => u16::from_le_bytes,

@@ -27,7 +27,7 @@ pub(super) fn noted(mesh: &dyn MeshSource, [before, after]: [&str; 2]) -> String
     note(mesh).map_or(String::new(), |note| format!("{before}{note}{after}"))
 }
 
-/// The up axis in a mesh's file or in a list beside it; `None` if neither has it.
+/// The up axis in a mesh's file or in a list next to it; `None` if neither has it.
 #[must_use]
 pub fn up_said(mesh: &Path) -> Option<UpAxis> {
     let noted = || {

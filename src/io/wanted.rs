@@ -116,7 +116,7 @@ impl WantedAttributes<'_> {
 }
 
 impl ParticleFile {
-    /// Removes the particles that fail a condition.
+    /// Removes the particles that do not satisfy a condition.
     pub(super) fn selected(
         mut self,
         conditions: &[Where],

@@ -40,7 +40,7 @@ pub struct WholeFile {
 
 #[derive(Debug)]
 enum WriteTarget {
-    /// A temporary file beside `place`, which will be renamed to it.
+    /// A temporary file next to `place`, which will be renamed to it.
     Temporary { file: NamedTempFile, place: PathBuf, replace: Replace },
     /// An existing pipe or device, which is written directly.
     Direct,
@@ -293,8 +293,8 @@ fn metadata(path: &Path) -> io::Result<Option<fs::Metadata>> {
     }
 }
 
-/// Paths of open files of this process: these may be files, but no other file can be created beside
-/// them.
+/// Paths of open files of this process: these may be files, but no other file can be created next
+/// to them.
 const OPEN: [&str; 4] = ["/dev/stdout", "/dev/stderr", "/dev/fd", "/proc/self/fd"];
 
 /// Whether the output is written directly.

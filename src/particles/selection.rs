@@ -50,8 +50,8 @@ pub enum SelectionFault {
     },
     /// An order comparison of texts.
     #[error(
-        "cannot select particles by {name:?}: its values are texts, which can only be compared \
-         by = and !="
+        "cannot select particles by {name:?}: its values are text, which can only be compared with \
+         = and !="
     )]
     Order {
         /// The name in the condition.
@@ -93,7 +93,7 @@ fn listed(names: &[String]) -> String {
 fn occur(values: &[ValueCounts]) -> String {
     let one = |of: &ValueCounts| {
         let listed = of.values.iter().map(|(value, count)| format!("{value} ({count})"));
-        format!("; {} is {}", of.name, listed.collect::<Vec<_>>().join(", "))
+        format!("; values of {}: {}", of.name, listed.collect::<Vec<_>>().join(", "))
     };
     values.iter().map(one).collect()
 }

@@ -51,7 +51,7 @@ pub enum Meaning {
 /// The choice of the attribute with the particles' sizes.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub enum SizeChoice {
-    /// All particles have one size, whatever the attributes.
+    /// All particles have one size; attributes are ignored.
     Ignored,
     /// All particles must have one size, because the setting with this name needs it.
     OneFor(&'static str),
@@ -66,7 +66,7 @@ pub enum SizeChoice {
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum SizeFault {
     /// The attribute does not exist.
-    #[error("no attribute {name:?} for sizes; available: {}", listed(known))]
+    #[error("no attribute {name:?} to take sizes from; available: {}", listed(known))]
     NoAttribute {
         /// The requested name.
         name: String,
@@ -83,8 +83,8 @@ pub enum SizeFault {
     },
     /// Masses without a density.
     #[error(
-        "attribute {name:?} holds masses, but there is no density to tell the volume; available: \
-         {}",
+        "attribute {name:?} holds masses, but no attribute holds the densities to compute volumes; \
+         available: {}",
         listed(known)
     )]
     NoDensity {
@@ -124,8 +124,8 @@ pub struct Sizes {
     pub attribute: String,
     /// The meaning of the attribute's numbers.
     pub meaning: Meaning,
-    /// Ratio of the size to the attribute's, if particles fill more or less space than their
-    /// attribute says.
+    /// Factor by which the attribute's sizes are scaled, because the particles fill more or less
+    /// space than the attribute says.
     pub scale: f64,
     /// The smallest size, without strays.
     pub finest: f64,

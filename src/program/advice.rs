@@ -43,7 +43,7 @@ fn in_options(error: &Error) -> Option<String> {
             format!("--{error}")
         }
         Error::Simulation(SimulationError::Steps(inputs)) => {
-            format!("{inputs}: --watch cannot follow the steps inside one file")
+            format!("{inputs}: --watch cannot follow steps inside one file")
         }
         Error::Simulation(SimulationError::Range { first, last }) => {
             format!("--start {first} is after --end {last}")
@@ -165,8 +165,8 @@ pub fn spacing_message(warning: &SpacingWarning) -> String {
             format!("{warning}; use --where {} to select the fluid", shell_word(&fluid.to_string()))
         }
         SpacingWarning::TwoResolutions { .. } => format!(
-            "{warning}; if an attribute holds the particles' sizes, use --size, or else --spacing to \
-             choose another"
+            "{warning}; use --size if an attribute holds the particles' sizes, or --spacing to choose a \
+             different spacing"
         ),
         SpacingWarning::MoreSizes { .. } => {
             format!("{warning}; convert frames of several sizes apart from the others")
@@ -206,7 +206,7 @@ pub fn warning_message(warning: &Warning, options: Option<&ReconstructOptions>) 
         }
         Warning::Lost { smoothed, .. } => format!("{warning}; {}", on_lost(*smoothed)),
         Warning::ThinSolid { .. } => {
-            "; use smaller cells, a thicker mesh or a greater --solid-offset".into()
+            format!("{warning}; use smaller cells, a thicker mesh or a larger --solid-offset")
         }
         Warning::Shortfall { clouds, calibration_frame, .. }
         | Warning::Empty { why: EmptyReason::Field, clouds, calibration_frame } => {
@@ -340,6 +340,7 @@ mod tests {
             Warning::OnCorners { mean: 0.02, origin: [0.5; 3] },
             Warning::Lost { lost: 12, of: 1000, smoothed: true },
             Warning::Lost { lost: 12, of: 1000, smoothed: false },
+            Warning::ThinSolid { path: path("plate.obj"), thickness: 0.01, cell_size: 0.025 },
             empty(EmptyReason::Field, Some(1)),
             empty(EmptyReason::TooSmall(TooSmall { components: 1, drops: 2 }), None),
         ]

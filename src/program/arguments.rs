@@ -7,7 +7,7 @@ use meniscus::Settings;
 
 use super::{devices, foreign, info, inspect, options, pack, render, shells};
 
-/// Turn particle fluids into watertight surface meshes.
+/// Turn the particles of fluid simulations into watertight triangle meshes.
 #[derive(Parser)]
 #[command(version, about, propagate_version = true)]
 pub struct Arguments {
@@ -17,9 +17,9 @@ pub struct Arguments {
 
 #[derive(Subcommand)]
 pub enum Command {
-    /// Make a mesh of a frame of particles, or of each frame of a simulation.
+    /// Make a mesh from the particles of a frame, or of each frame of a simulation.
     Reconstruct(Box<options::ReconstructOptions>),
-    /// Pack a frame, to mesh it later with different smoothing or isovalues.
+    /// Save a packed frame, to mesh it later with different smoothing or isovalues.
     Pack(Box<pack::PackOptions>),
     /// Print what particle files, packed frames or meshes contain.
     Info(info::InfoOptions),

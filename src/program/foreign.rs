@@ -19,12 +19,12 @@ const FOREIGN: &[(&[&str], &str, &str)] = &[
     (
         &["--mesh-smoothing-iters", "--mesh-smoothing-weights", "--smoothing-iterations"],
         "smooth",
-        "makes the surface smoother, by its width in spacings",
+        "sets the smoothing width, in spacings",
     ),
     (
         &["-c", "--cube-size"],
         "cell-size",
-        "sets the edge of a cell as a length; --cell sets it in spacings, two particle radii each",
+        "sets the edge of a cell as a length; --cell sets it in spacings of two particle radii",
     ),
     (&["--voxel-size", "--grid-size", "--resolution"], "cell-size", "sets the edge of a cell"),
     (
@@ -32,18 +32,18 @@ const FOREIGN: &[(&[&str], &str, &str)] = &[
         "iso",
         "sets the isovalue, for the indicators counting and symmetry and for kernel methods",
     ),
-    (&["--mesh-cleanup", "--decimate", "--decimation"], "simplify", "makes fewer triangles"),
-    (&["-a", "--interpolate-attribute"], "attributes", "takes all names, with commas between"),
-    (&["--sph-normals", "--normals-smoothing-iters"], "normals", "takes them from the field"),
+    (&["--mesh-cleanup", "--decimate", "--decimation"], "simplify", "reduces the triangles"),
+    (&["-a", "--interpolate-attribute"], "attributes", "takes names separated by commas"),
+    (&["--sph-normals", "--normals-smoothing-iters"], "normals", "computes them from the field"),
     (
         &["--particle-aabb-min", "--particle-aabb-max", "--domain-min", "--domain-max", "--aabb"],
         "domain",
         "takes both corners: X0,Y0,Z0,X1,Y1,Z1",
     ),
-    (&["--output-file", "--output-dir", "--out"], "output", "names the mesh, or their folder"),
+    (&["--output-file", "--output-dir", "--out"], "output", "names a mesh, or a folder of meshes"),
     (&["-s", "--start-index", "--start-frame"], "start", "is the first frame"),
     (&["-e", "--end-index", "--end-frame"], "end", "is the last frame"),
-    (&["-n", "-j", "--num-threads", "--jobs"], "threads", "sets their number"),
+    (&["-n", "-j", "--num-threads", "--jobs"], "threads", "sets the number of threads"),
 ];
 
 /// Options that name the input in other programs.
@@ -62,7 +62,7 @@ pub fn explained(mut error: Error, command: &mut Command, subcommand: Option<&st
     let same = FOREIGN.iter().find(|(names, ours, _)| names.contains(&&*named) && is_ours(ours));
     let tip = match same {
         Some((_, ours, what)) => format!("use '--{ours}', which {what}"),
-        None if INPUT.contains(&&*named) => "inputs have no option: give their paths alone".into(),
+        None if INPUT.contains(&&*named) => "inputs need no option: give only their paths".into(),
         None => return error,
     };
     error.remove(ContextKind::SuggestedArg);

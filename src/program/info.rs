@@ -16,14 +16,14 @@ use super::notes::{Verdict, corners, point, print, print_json};
 
 #[derive(Args)]
 pub struct InfoOptions {
-    /// Particle files, packed frames (.mnf), meshes or volumes (.vdb); also folders, globs, or
-    /// patterns with {} for the frame number.
+    /// Particle files, packed frames (.mnf), meshes or volumes (.vdb). Folders, globs and patterns
+    /// with {} for the frame number also work.
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
     /// Format of particle files [default: by their extension].
     #[arg(long, value_enum, value_name = "NAME")]
     format: Option<InputFormat>,
-    /// Use only particles that satisfy conditions on their attributes, such as Type=1.
+    /// Use only particles whose attributes satisfy a condition, such as Type=1.
     #[arg(long, value_name = "CONDITION")]
     r#where: Option<Vec<Where>>,
     /// Print JSON: a list with one entry per file.
@@ -46,7 +46,7 @@ pub fn run(options: &InfoOptions) -> Result<Verdict, Error> {
     if options.json {
         print_json(&infos)?;
     }
-    // The caller prints the last one.
+    // The caller prints the last error.
     let last = errors.pop();
     errors.iter().for_each(say_error);
     last.map_or(Ok(Verdict::Good), Err)
@@ -109,14 +109,14 @@ fn describe(info: &Info) -> String {
             if let Some(edges) = box_size {
                 line(
                     "file's box",
-                    format!("edges {edges:?}; may be periodic, the file does not say"),
+                    format!("edges {edges:?}; the file does not say whether it is periodic"),
                 );
             }
             if let Some(metres) = unit_metres {
                 line("unit", format!("{metres:?} m, from the file"));
             }
             if *unselected > 0 {
-                line("left out", format!("{unselected} particles that fail the conditions"));
+                line("left out", format!("{unselected} particles that do not satisfy --where"));
             }
             line("attributes", names(attributes));
             for ValueCounts { name, values } in values {

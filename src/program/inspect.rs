@@ -23,7 +23,7 @@ pub struct CheckOptions {
 
 #[derive(Args)]
 pub struct CompareOptions {
-    /// Reference mesh; distances are positive outside it.
+    /// Reference mesh. Distances are positive outside it and negative inside.
     reference: PathBuf,
     /// Mesh to compare with the reference.
     mesh: PathBuf,

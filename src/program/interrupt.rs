@@ -14,7 +14,7 @@ static CANCEL: LazyLock<Cancel> = LazyLock::new(|| {
     let _ = ctrlc::set_handler(|| {
         CANCEL.abandon();
         let what = if RESUMABLE.load(Ordering::Relaxed) {
-            "what is done stays; --resume goes on"
+            "finished frames are kept; --resume continues"
         } else {
             "nothing was written"
         };
@@ -35,8 +35,8 @@ static UNFINISHED: OnceLock<Cancel> = OnceLock::new();
 pub fn catch_crashes() {
     extern "C" fn abort(_: libc::c_int) {
         abandon(
-            b"meniscus: aborted, probably for lack of memory; a smaller --memory \
-            and fewer --threads need less\n",
+            b"meniscus: aborted, probably because memory ran out; use a smaller --memory \
+            or fewer --threads\n",
         );
         // SAFETY: may be called in a handler.
         unsafe { libc::_exit(2) };
@@ -46,8 +46,8 @@ pub fn catch_crashes() {
         // make it wait for ever.
         unsafe { libc::alarm(2) };
         abandon(
-            b"meniscus: crashed. On a Vulkan device, its driver may be the cause: try --backend \
-            cpu. Otherwise, please report this\n",
+            b"meniscus: crashed. If it used a Vulkan device, the driver may be the cause: try \
+            --backend cpu. Otherwise, please report this\n",
         );
         // SAFETY: may be called in a handler. The signal waits until this handler returns, and then
         // ends the process.

@@ -67,7 +67,7 @@ pub fn ready(options: &ReconstructOptions, inputs: &[PathBuf]) -> Result<Prepare
     Ok(PreparedRequest { request, output, preview, notes })
 }
 
-/// Draws the preview beside a mesh.
+/// Draws the preview next to a mesh.
 fn draw_preview(surface: &Surface, file: PictureFile, notes: &Notes) -> Result<(), Error> {
     let image = surface.preview()?;
     let what = format!("{}: {} x {} pixels", file.path().display(), image.width(), image.height());

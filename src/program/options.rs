@@ -10,13 +10,14 @@ use super::parts::PartsOptions;
 use super::run::RunOptions;
 use super::simulation::SimulationOptions;
 
-const INPUT: &str = "Particle files: one frame, or the frames of a simulation";
+const INPUT: &str = "Particle files of one frame, or of all frames of a simulation";
 
 /// The possible inputs, for `--help`.
 fn inputs() -> String {
     format!(
-        "One frame: {}; or a packed frame (.mnf). A simulation: several files, a folder, a glob, a pattern with {{}} for the \
-         frame number, a list (.pvd, .series), or one file with several steps, such as .h5part or .vtkhdf.",
+        "One frame can be any of these files: {}; or a packed frame (.mnf). A simulation can be several files, a folder, a \
+         glob, a pattern with {{}} for the frame number, a list (.pvd, .series), or one file with several steps, such as \
+         .h5part or .vtkhdf.",
         InputFormat::KNOWN
     )
 }
@@ -25,28 +26,28 @@ fn inputs() -> String {
 pub struct ReconstructOptions {
     #[arg(required = true, value_name = "INPUT", help = INPUT, long_help = format!("{INPUT}.\n\n{}", inputs()))]
     pub inputs: Vec<PathBuf>,
-    /// Make one surface of the particles of all inputs, such as several fluids.
+    /// Make one surface from the particles of all inputs, such as several fluids.
     ///
-    /// With several simulations, frames with the same number make one surface. Name each input
-    /// once. An attribute that one of the inputs lacks is left out.
+    /// If the inputs are several simulations, frames with the same number make one surface. Name
+    /// each input once. Attributes that are missing from one of the inputs are left out.
     #[arg(long, help_heading = "Simulations", hide_short_help = true)]
     pub together: bool,
     #[command(flatten)]
     pub settings: Settings,
-    /// Mesh file, whose extension selects the format.
+    /// Mesh file; its extension selects the format.
     ///
     /// .ply, .obj, .vtk, .vtp, .pvtp, .vtkhdf, .stl, .usdc, .glb, .bgeo.sc, .abc or .vdb. For a
-    /// simulation: a pattern with {} or {:04} for the frame number, a folder, or one .abc for
+    /// simulation, give a pattern with {} or {:04} for the frame number, a folder, or one .abc for
     /// all frames.
     #[arg(short, long, help_heading = "Output")]
     pub output: PathBuf,
-    /// Draw a .png beside the mesh; a contact sheet for a simulation.
+    /// Draw a .png next to the mesh, or a contact sheet for a simulation.
     #[arg(long, help_heading = "Output")]
     pub preview: bool,
     /// Print what would be done without doing it.
     #[arg(long, help_heading = "Output")]
     pub dry_run: bool,
-    /// Append counts, times and settings to this file, as one line of JSON per frame.
+    /// Append one line of JSON per frame to this file, with counts, times and settings.
     #[arg(long, value_name = "FILE", help_heading = "Output", hide_short_help = true)]
     pub stats: Option<PathBuf>,
     #[command(flatten)]

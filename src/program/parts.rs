@@ -19,7 +19,7 @@ pub fn run(options: &ReconstructOptions, input: &Path, count: u32) -> Result<Ver
     let step = options.parts.step(options.simulation.plan)?;
     let refused = match step {
         _ if options.dry_run => {
-            Some("--dry-run does not support --parts: --plan prints what each part takes")
+            Some("--dry-run does not support --parts: --plan prints the needs of each part")
         }
         PartsStep::Plan | PartsStep::Part(_) if options.stats.is_some() => {
             Some("--stats needs --merge: the other steps of --parts make no mesh")
@@ -99,7 +99,7 @@ fn listed(planned: &PartsPlan) -> String {
     let mut lines = Vec::new();
     for (number, part) in planned.parts.iter().enumerate() {
         let mut line = format!(
-            "part {number}: {} particles, {} with its surroundings",
+            "part {number}: {} particles, or {} with those within reach of the filters",
             part.particles, part.kept
         );
         if let Some(PartNeeds { memory, in_core, scratch, .. }) = part.needs {
@@ -139,14 +139,14 @@ fn make(
 
 #[derive(Args)]
 pub struct PartsOptions {
-    /// Make the mesh of one frame in N parts: run with --plan, then --part I for each part, then
-    /// --merge.
+    /// Make the mesh of one frame in N parts: run with --plan, then with --part I for each part,
+    /// then with --merge.
     ///
-    /// All runs need the same settings, and can be on different machines. The plan and the parts
-    /// are in a folder beside the output, with .meniscus-parts appended to its name.
+    /// All runs need the same settings, but can be on different machines. The plan and the parts
+    /// are in a folder next to the output, which has the output's name and .meniscus-parts.
     #[arg(long, value_name = "N", value_parser = value_parser!(u32).range(1..), help_heading = "Clusters", hide_short_help = true)]
     pub parts: Option<u32>,
-    /// Make part I, counted from 0, in any order. A part that was killed can be made again.
+    /// Make part I, from 0 to N - 1. Parts can be made in any order, and again if a run was killed.
     #[arg(
         long,
         value_name = "I",
@@ -156,7 +156,7 @@ pub struct PartsOptions {
         hide_short_help = true
     )]
     part: Option<u32>,
-    /// Check all parts, and write the mesh, byte for byte that of a single run.
+    /// Check all parts, and join them to the mesh, which has the same bytes as from a single run.
     #[arg(
         long,
         requires = "parts",

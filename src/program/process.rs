@@ -14,8 +14,8 @@ pub fn set_up() {
     outlive_large_files();
 }
 
-/// Runs `work` on a thread with a large enough stack, whatever the limit of the process (`ulimit
-/// -s`). Falls back to this thread if the system starts no other.
+/// Runs `work` on a thread with a large enough stack, independent of the limit of the process
+/// (`ulimit -s`). Falls back to this thread if the system starts no other.
 pub fn on_own_stack<T: Send + 'static>(work: impl FnOnce() -> T + Clone + Send + 'static) -> T {
     match thread::Builder::new().stack_size(STACK).spawn(work.clone()) {
         Ok(worker) => worker.join().unwrap_or_else(|panic| resume_unwind(panic)),
@@ -41,8 +41,8 @@ pub fn on_all_cores<T: Send>(work: impl FnOnce() -> T + Send) -> T {
 fn keep_freed() {
     for (parameter, bytes) in [(libc::M_MMAP_THRESHOLD, 1 << 20), (libc::M_TRIM_THRESHOLD, 8 << 20)]
     {
-        // SAFETY: takes two numbers, before any other thread is started. Where it refuses, all
-        // stays as it was.
+        // SAFETY: takes two numbers, before any other thread is started. If it refuses, nothing
+        // changes.
         unsafe { libc::mallopt(parameter, bytes) };
     }
 }

@@ -12,7 +12,7 @@ use super::notes::Notes;
 pub enum ProgressMode {
     /// Bars on a terminal, else a line for each frame.
     Auto,
-    /// Bars, also if the output is not a terminal.
+    /// Bars, even if the output is not a terminal.
     Always,
     /// A line for each frame.
     Never,

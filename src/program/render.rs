@@ -20,18 +20,18 @@ pub struct RenderOptions {
     /// Meshes: files, a folder, a glob, or a pattern with {} for the frame number.
     #[arg(required = true, value_name = "MESH")]
     meshes: Vec<PathBuf>,
-    /// Picture: .png. For several meshes: a folder or a pattern with {} for a picture of each,
-    /// .apng for an animation, .png for a contact sheet.
+    /// Picture of a mesh: .png. Of several meshes: a folder or a pattern with {} for one picture of
+    /// each, .apng for an animation, or .png for a contact sheet.
     #[arg(short, long)]
     output: PathBuf,
     /// Width and height in pixels
     /// [default: 1920x1080; 960x540 in an animation, 640x360 on a sheet].
     #[arg(long, value_name = "WxH", value_parser = size)]
     size: Option<[usize; 2]>,
-    /// Camera position [default: sees everything from the front and above].
+    /// Camera position [default: from the front and above, with everything in view].
     ///
-    /// Two or three numbers: degrees around and above the meshes, and a zoom factor. Six numbers:
-    /// the eye, and the point that it looks at.
+    /// Two or three numbers are the degrees around and above the meshes, and a zoom factor. Six
+    /// numbers are the position of the camera, and the point that it looks at.
     #[arg(long, value_name = "NUMBERS", value_delimiter = ',', allow_hyphen_values = true)]
     camera: Option<Vec<f64>>,
     /// Axis that points up [default: from the mesh file or the simulation's listing, else y].
@@ -43,21 +43,22 @@ pub struct RenderOptions {
     /// Show the edges of the triangles.
     #[arg(long)]
     wireframe: bool,
-    /// Colour: water; a colour such as ff8800; an attribute such as velocity, with a colour map as
-    /// in velocity:turbo; or distance:red-blue with --reference.
+    /// Colour: water, a colour such as ff8800, an attribute such as velocity or velocity:turbo (with
+    /// a colour map), or, with --reference, distance:red-blue.
     #[arg(long, visible_alias = "color", value_name = "COLOUR", default_value = "water", default_value_if("reference", ArgPredicate::IsPresent, "distance"), value_parser = colour)]
     colour: ColourArgument,
-    /// Colour by the distance from this mesh, negative inside, in the meshes' unit of length.
+    /// Colour by the signed distance from this mesh, in the meshes' unit of length; negative is
+    /// inside.
     #[arg(long, value_name = "MESH")]
     reference: Option<PathBuf>,
-    /// Pictures per second of an animation.
+    /// Frames per second of an animation.
     #[arg(long, value_name = "RATE")]
     fps: Option<f64>,
-    /// Threads to use [default: all cores].
+    /// Number of threads [default: one per core].
     #[arg(long, value_name = "N")]
     threads: Option<usize>,
-    /// Memory for a mesh and its picture, such as 512MiB; a larger .ply is streamed
-    /// [default: three quarters of the available memory].
+    /// Limit of memory for a mesh and its picture, such as 512MiB [default: three quarters of the
+    /// available memory].
     #[arg(long, value_name = "SIZE")]
     memory: Option<ByteSize>,
     /// Replace existing pictures.
@@ -120,7 +121,7 @@ fn view(numbers: &[f64]) -> Result<View, Error> {
         [azimuth, elevation, zoom] => Ok(View::From { azimuth, elevation, zoom }),
         [a, b, c, d, e, f] => Ok(View::At { eye: [a, b, c], target: [d, e, f] }),
         _ => {
-            let what = "--camera takes degrees around and above, and optionally a zoom; or six numbers: the eye, and the point that it looks at";
+            let what = "--camera takes degrees around and above, and optionally a zoom factor; or six numbers: the position of the camera and the point that it looks at";
             Err(Error::Request(what.to_owned()))
         }
     }

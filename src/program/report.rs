@@ -40,7 +40,9 @@ pub fn report_opened(inputs: &[PathBuf], opened: &OpenedFrame, notes: &Notes) {
     }
     match opened.walls() {
         Some((found, true)) => notes.say(found.to_string()),
-        Some((_, false)) => notes.say("the particles end at planes like walls: try --domain auto"),
+        Some((_, false)) => {
+            notes.say("the particles end at planes, which may be walls: try --domain auto");
+        }
         None => {}
     }
 }
@@ -101,7 +103,7 @@ fn report_calibration(
     let &MeasuredCalibration { calibration, plateau, step_cells } = measured;
     let facts = &report.facts;
     notes.detail(format!(
-        "a step of the field moves the surface by {} cells",
+        "the smallest step of the field moves the surface by {} cells",
         significant(step_cells, 3)
     ));
     let Some(iso) = calibration.iso().map(Isovalue::value) else {
@@ -115,7 +117,7 @@ fn report_calibration(
                     Some(_) => "spacing",
                     None => "spacing of one cell (the spacing is unknown)",
                 };
-                format!("density: one particle per cubed {spacing} assumed, because no fluid is deep enough to measure")
+                format!("density: assumed to be one particle per cubed {spacing}, because the fluid is too shallow to measure")
             }
         });
         return;
@@ -128,7 +130,7 @@ fn report_calibration(
             notes.say(format!("isovalue {iso}, {share} of the interior plateau {fluid}"));
         }
         Plateau::Shallow { .. } => notes.say(format!(
-            "isovalue {iso}, {share} of the plateau {fluid} computed from {}: almost no fluid is deep enough to measure",
+            "isovalue {iso}, {share} of the plateau {fluid}, which is computed from {} because the fluid is too shallow to measure",
             if facts.spacing.is_some() { "the spacing" } else { "a spacing of one cell (the spacing is unknown)" }
         )),
     }

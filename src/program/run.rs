@@ -14,22 +14,22 @@ const MOST_THREADS: usize = 1024;
 
 #[derive(Args)]
 pub struct RunOptions {
-    /// Backend for the computation.
+    /// Where to compute: on the CPU or on a GPU.
     #[arg(long, value_enum, default_value_t = BackendName::Auto, help_heading = "Machine")]
     backend: BackendName,
-    /// Vulkan device, by number, UUID or part of its name (see `meniscus devices`)
-    /// [default: the best].
+    /// Vulkan device, by its number, UUID or part of its name, as `meniscus devices` lists them
+    /// [default: the best device].
     #[arg(long, value_name = "DEVICE", help_heading = "Machine", hide_short_help = true)]
     device: Option<String>,
-    /// Threads to use [default: all cores].
+    /// Number of threads [default: one per core].
     #[arg(long, value_name = "N", help_heading = "Machine", hide_short_help = true)]
     threads: Option<usize>,
-    /// Memory to use, such as 512MiB or 8GiB.
+    /// Limit of memory, such as 512MiB or 8GiB.
     ///
     /// The default is three quarters of the available memory.
     #[arg(long, value_name = "SIZE", help_heading = "Machine")]
     memory: Option<ByteSize>,
-    /// Folder for scratch files of frames that exceed the memory [default: the output's folder].
+    /// Folder for scratch files, if a frame exceeds the memory limit [default: the output's folder].
     #[arg(long, value_name = "DIR", help_heading = "Machine", hide_short_help = true)]
     scratch: Option<PathBuf>,
     /// Replace existing outputs.
@@ -131,7 +131,7 @@ pub fn bytes_of<'a>(files: impl IntoIterator<Item = &'a Path>) -> Option<u64> {
     devices::bytes_of(files)
 }
 
-/// Whether an output is a device file, beside which no other files can be created.
+/// Whether an output is a device file, so that no other files can be created next to it.
 fn is_device(output: &Path) -> bool {
     output.starts_with("/dev")
 }

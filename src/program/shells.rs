@@ -12,13 +12,13 @@ use super::notes::print;
 
 #[derive(Args)]
 pub struct CompletionOptions {
-    /// Shell.
+    /// Name of the shell.
     shell: Shell,
 }
 
 #[derive(Args)]
 pub struct ManualOptions {
-    /// Existing folder for the pages.
+    /// Existing folder for the man pages.
     folder: PathBuf,
 }
 

@@ -24,7 +24,7 @@ pub fn run(options: &ReconstructOptions, simulation: Simulation) -> Result<Verdi
         simulation = simulation.overwrite();
     }
     if let Some(stats) = &options.stats {
-        simulation = simulation.beside(stats);
+        simulation = simulation.also_writes(stats);
     }
     let request = options.request()?;
     let simulation = simulation.reconstruction(request.clone());
@@ -82,7 +82,7 @@ struct Listener<'a> {
     notes: Notes,
     /// Bars of the current simulation, with the notes that are printed above them.
     bars: Option<(ProgressBars, Notes)>,
-    /// Parts of frames that were not read, with the number of frames that have each.
+    /// Parts of frames that were not read, each with the number of its frames.
     left_out: BTreeMap<String, usize>,
     /// The failure to write the statistics.
     broken: Option<Error>,
@@ -230,7 +230,7 @@ fn incomplete(summary: &Summary) -> String {
 
 #[derive(Args)]
 pub struct SimulationOptions {
-    /// The first frame of the simulation.
+    /// First frame to convert.
     #[arg(
         long,
         value_name = "N",
@@ -239,7 +239,7 @@ pub struct SimulationOptions {
         hide_short_help = true
     )]
     start: Option<i64>,
-    /// The last frame of the simulation.
+    /// Last frame to convert.
     #[arg(
         long,
         value_name = "N",
@@ -248,31 +248,31 @@ pub struct SimulationOptions {
         hide_short_help = true
     )]
     end: Option<i64>,
-    /// Every Nth frame.
+    /// Convert every Nth frame.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..), help_heading = "Simulations", hide_short_help = true)]
     step: Option<u64>,
-    /// Convert only these frames, both ends included, as one of several jobs.
+    /// Convert only frames A to B, inclusive, in this one of several jobs.
     #[arg(long, value_name = "A..B", value_parser = range, allow_hyphen_values = true, help_heading = "Simulations", hide_short_help = true)]
     frames: Option<(i64, i64)>,
     /// Resume an interrupted conversion.
     ///
-    /// Keeps finished frames and makes the others. Changed settings are an error; --overwrite makes
-    /// all frames again.
+    /// Finished frames are kept, and the others are made. If the settings changed, this is an error;
+    /// --overwrite makes all frames again.
     #[arg(long, help_heading = "Simulations")]
     pub resume: bool,
-    /// Follow a running simulation.
+    /// Convert frames as a running simulation writes them.
     ///
-    /// Stops after the frame of --end, or if no new frame has appeared for SECONDS.
+    /// The conversion stops after the frame of --end, or when no new frame has appeared for SECONDS.
     #[arg(long, value_name = "SECONDS", num_args = 0..=1, require_equals = true, default_missing_value = "inf", help_heading = "Simulations")]
     pub watch: Option<f64>,
-    /// Frames per second, if the files have no times.
+    /// Frames per second of the simulation, if the files have no times.
     #[arg(long, value_name = "RATE", help_heading = "Simulations", hide_short_help = true)]
     pub fps: Option<f64>,
-    /// Calibrate, write the state file, and print the frame numbers, one per line, without
-    /// converting; with --parts, plan the parts.
+    /// Prepare a conversion by several jobs: calibrate, write the state file, and print the frame
+    /// numbers, one per line. With --parts, plan the parts.
     #[arg(long, conflicts_with_all = ["watch", "dry_run"], help_heading = "Simulations", hide_short_help = true)]
     pub plan: bool,
-    /// Progress: bars, or a line for each frame.
+    /// Show progress as bars, or as a line for each frame.
     #[arg(long, value_enum, default_value_t = ProgressMode::Auto, help_heading = "Messages", hide_short_help = true)]
     pub progress: ProgressMode,
 }

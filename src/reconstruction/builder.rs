@@ -17,11 +17,11 @@ use crate::system::cancel::Cancel;
 use crate::system::control::{Control, Progress};
 use crate::vulkan::Device;
 
-/// A request for the surface of particles. Settings that are not given are measured, or have their
+/// A request for the surface of particles. Settings without a value are measured, or have their
 /// defaults.
 ///
-/// Numbers are checked when the request runs. Each run has its own threads, and changes nothing
-/// outside.
+/// Numbers are checked when the request runs. Each run has its own threads, and changes no global
+/// state.
 ///
 /// ```
 /// use meniscus::Reconstruction;
@@ -116,7 +116,7 @@ impl Reconstruction {
         self
     }
 
-    /// Finds the walls of the tank, from a scene file beside the input, or as the planes at which
+    /// Finds the walls of the tank, from a scene file next to the input, or as the planes at which
     /// the particles end. No particle is outside these walls, and an uncertain side stays open.
     ///
     /// ```
@@ -142,11 +142,12 @@ impl Reconstruction {
         self
     }
 
-    /// Sets a periodic box by its faces along x, y and z; `None` is an open axis. Beyond a face,
-    /// the fluid continues as behind the opposite face.
+    /// Sets a periodic box by its faces along x, y and z; `None` is an open axis. Fluid that leaves
+    /// the box at a face enters at the opposite face.
     ///
-    /// Particles on an upper face count as on the lower one. Other particles outside are an error,
-    /// or left out with [`skip_invalid`](Self::skip_invalid). Open axes can have walls.
+    /// A particle exactly on an upper face counts as being on the lower face. Other particles
+    /// outside are an error, unless [`skip_invalid`](Self::skip_invalid) leaves them out. Open axes
+    /// can have walls.
     ///
     /// ```
     /// use meniscus::Reconstruction;
@@ -167,7 +168,7 @@ impl Reconstruction {
         self
     }
 
-    /// Uses one of the kernel methods that the paper compares with.
+    /// Uses one of the kernel methods to which the paper compares its own.
     pub fn method(mut self, method: KernelMethod) -> Self {
         self.settings.method = Some(match method {
             KernelMethod::Mueller { .. } => MethodName::Mueller,
@@ -181,14 +182,14 @@ impl Reconstruction {
     }
 
     /// Sets the isovalue, between 0 and 1, for counting, symmetry and the kernel methods. By
-    /// default it is measured, and 0.5 for kernel methods.
+    /// default, it is measured; for kernel methods, it is 0.5.
     pub fn iso(mut self, value: f64) -> Self {
         self.settings.iso = Some(Iso::Value(value));
         self
     }
 
-    /// Interpolates these attributes of the particles to the vertices. By default, the velocity if
-    /// the particles have it.
+    /// Interpolates these attributes of the particles to the vertices. The default is the velocity,
+    /// if the particles have it.
     pub fn attributes(mut self, names: impl IntoIterator<Item = impl Into<String>>) -> Self {
         self.settings.attributes = Some(names.into_iter().map(Into::into).collect());
         self
@@ -197,7 +198,7 @@ impl Reconstruction {
     /// Uses only particles that satisfy conditions on their attributes.
     ///
     /// If an input has several types of particles, `type` selects one: `PartType1` of a snapshot,
-    /// an array of PySPH, a species of openPMD. By default that is gas, `fluid`, or the only type.
+    /// an array of PySPH, a species of openPMD. The default is gas, `fluid`, or the only type.
     ///
     /// ```
     /// use meniscus::{Cloud, Reconstruction, Where};
@@ -283,9 +284,9 @@ impl Reconstruction {
         self
     }
 
-    /// Sets the attribute with the sizes of the particles: by its name radii, diameters, volumes, or
-    /// masses, which need a density. `pscale` and `radius` are recognised; `none` treats all
-    /// particles as one size. Sizes apply to clouds.
+    /// Sets the attribute that holds the particles' sizes. Its name says what its values are:
+    /// radii, diameters, volumes, or masses, which need a density. Without this setting, `pscale`
+    /// and `radius` are used; `none` treats all particles as one size. Sizes apply to clouds.
     pub fn size(mut self, attribute: impl Into<String>) -> Self {
         self.settings.size = Some(attribute.into());
         self
@@ -321,16 +322,16 @@ macro_rules! setters {
 setters! {
     /// Sets a corner of the grid's cells.
     origin: [f64; 3],
-    /// Sets how the mesh ends at the faces of a periodic box. The default is on the faces.
+    /// Sets how the mesh ends at the faces of a periodic box. By default, it ends on the faces.
     periodic_mesh: PeriodicMesh,
-    /// Sets the indicator: cloud by default; counting and symmetry are the paper's.
+    /// Sets the indicator. The default is cloud; counting and symmetry are from the paper.
     indicator: IndicatorKind,
-    /// Sets `mu0`, the mean number of particles in cells that contain any, for counting.
+    /// Sets `mu0`, the mean number of particles in non-empty cells, for counting.
     mu0: f64,
-    /// Sets the smoothing width in spacings, for clouds: 1.6 by default, more for calmer water.
+    /// Sets the smoothing width in spacings, for clouds: 1.6 by default. Larger is smoother.
     smooth: f64,
-    /// Joins particles of thin sheets and threads up to this distance in spacings, 2.15 by default,
-    /// for clouds. 0 turns this off.
+    /// Joins particles of thin sheets and filaments up to this distance in spacings, 2.15 by
+    /// default, for clouds. 0 turns this off.
     sheets: f64,
     /// Sets the distance between the fluid and solids in spacings; if it is negative, the fluid
     /// reaches into them.
@@ -342,13 +343,15 @@ setters! {
     detail: bool,
     /// Adds vertex normals, from the field's gradient.
     normals: bool,
-    /// Uses fewer triangles; the surface moves no farther than this distance in cells.
+    /// Reduces the number of triangles; no part of the surface moves farther than this distance in
+    /// cells.
     simplify: f64,
-    /// Leaves out drops and bubbles with less than this volume in cells.
+    /// Removes drops and bubbles with less than this volume in cells.
     smallest_component: f64,
-    /// Leaves out drops with fewer particles, estimated from their volume.
+    /// Removes drops that have fewer particles, estimated from their volume.
     smallest_drop: u32,
-    /// Leaves out and counts particles that are not finite or too far away, instead of an error.
+    /// Skips and counts particles that are not finite or too far away, which are otherwise an
+    /// error.
     skip_invalid: bool,
     /// Writes `.glb` files quantized and compressed (EXT_meshopt_compression), and `.vdb` files
     /// compressed by zlib.

@@ -1,5 +1,5 @@
-//! Cell size, from a spacing that is given, in the file, in a scene file beside it, or estimated,
-//! in this order.
+//! Cell size, from the first spacing that is known: given, in the file, in a scene file near it, or
+//! estimated.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -29,10 +29,10 @@ pub enum CellSize {
 impl CellSize {
     /// The default: half a spacing.
     ///
-    /// In cells of two thirds, single drops are angular, and their volume depends on their
-    /// position; half a spacing takes hardly longer, because the surface is made in the same wide
-    /// cells. Renders of single drops need a quarter. The indicators counting and symmetry use two
-    /// thirds, because symmetry fails in half a spacing.
+    /// In cells of two thirds of a spacing, single drops are angular, and their volume depends on
+    /// their position. Cells of half a spacing take hardly longer, because the surface is made in
+    /// the same wide cells. Renders of single drops need a quarter. The indicators counting and
+    /// symmetry use two thirds, because symmetry fails in cells of half a spacing.
     pub fn usual(method: Method) -> Self {
         match method.indicator() {
             Some(IndicatorKind::Cloud) | None => Self::Spacings(0.5),
@@ -44,7 +44,7 @@ impl CellSize {
 /// The origin of particles, as far as it affects their spacing.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct SpacingHints<'a> {
-    /// The file, beside which there may be a scene file.
+    /// The file; a scene file may be near it.
     pub path: Option<&'a Path>,
     /// The spacing in the file.
     pub spacing: Option<f64>,

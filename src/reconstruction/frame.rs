@@ -137,7 +137,7 @@ impl Frame {
     ///
     /// # Errors
     /// [`Error::Unit`], [`Error::SettingConflict`], also for changed settings of the sampling, and
-    /// those of [`surface`](Self::surface).
+    /// the errors of [`surface`](Self::surface).
     pub fn surface_by(&self, request: &Reconstruction) -> Result<Surface, Error> {
         let mut checked = request.checked()?;
         let kind = self.sampled.engine.method().indicator();

@@ -63,7 +63,7 @@ pub struct ParticlesInfo {
     pub attributes: Vec<AttributeInfo>,
     /// Attributes with few different values, and how often each value occurs.
     pub values: Vec<ValueCounts>,
-    /// The number of particles that fail the conditions.
+    /// The number of particles that do not satisfy the conditions.
     pub unselected: usize,
     /// The number of ghost particles, copies from other pieces, which are left out.
     pub ghosts: usize,

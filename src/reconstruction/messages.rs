@@ -258,7 +258,7 @@ fn files() -> String {
     );
     examples!(text, WriteFault:
         Io(full_disk()), Exists, ExistsInSimulation, UnknownExtension { known: ".ply, .obj" },
-        Unsupported(".stl stores coordinates as f32, and these are out of its range".into()),
+        Unsupported(".stl stores coordinates as f32, and some of these are out of its range".into()),
     );
     let families = || "oil_{} (8), water_{} (8)".into();
     examples!(text, SimulationError:
@@ -274,7 +274,7 @@ fn files() -> String {
         Joined("sim/f_{}_{piece}.npy".into()),
         Range { first: 5, last: 3 },
         Step,
-        Names("f_1_2.csv: the numbers in this name can be one decimal or two integers".into()),
+        Names("f_1_2.csv: the numbers in this name could be one decimal number or two integers".into()),
         Several { from: "sim".into(), families: families(), why: WhyOne::Request },
         Several { from: "sim".into(), families: families(), why: WhyOne::Pattern },
         Several { from: "sim".into(), families: families(), why: WhyOne::Names },
@@ -302,7 +302,7 @@ fn files() -> String {
     );
     examples!(text, PictureError:
         Size(0, 99),
-        View("the eye and the point that it looks at must differ"),
+        View("the camera and the point that it looks at must be at different positions"),
         Map { name: "rainbow".into(), known: "viridis, turbo".into() },
         NoAttribute { name: "heat".into(), known: "velocity".into() },
         Reference(CompareError::NoSurface(Side::Reference)),

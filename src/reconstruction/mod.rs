@@ -1,13 +1,13 @@
 //! The facade: particles to a surface in one call, and the policy that chooses defaults.
 //!
-//! There are four ways to a frame's mesh, with the same steps:
+//! There are four ways to make a frame's mesh, with the same steps:
 //!
-//! | | planned | sampled | extracted | written |
+//! | | plan | sample | extract | write |
 //! |---|---|---|---|---|
-//! | whole: `opened`, `frame` | cells by a look at the particles, which counts them too | all particles, `CheckedRequest::engine` | `extract` | `output` |
-//! | in parts: `parts` | once for all parts, `parts/plan.rs`, kept in `plan.json` | the bins that decide its blocks, `parts/make.rs` | its blocks alone, not stitched; `parts/merge.rs` stitches all | a file of blocks, then `output` |
-//! | of a simulation: `simulation` | calibrated on one frame, `simulation/freeze.rs` | in parallel or alone, `simulation/one_frame.rs` | `extract_or_empty` | filled by its lane, named by another thread |
-//! | live: `simulation/live.rs` | calibrated on the first suitable frame, in memory | all particles, `CheckedRequest::engine` | `extract_or_empty` | by its caller |
+//! | a whole frame: `opened`, `frame` | chooses the cells and counts the particles in one reading | all particles, `CheckedRequest::engine` | `extract` | `output` |
+//! | in parts: `parts` | once for all parts, `parts/plan.rs`, stored in `plan.json` | the bins that affect the part's blocks, `parts/make.rs` | only its blocks; `parts/merge.rs` stitches all | a file of blocks, then `output` |
+//! | of a simulation: `simulation` | calibrated on one frame, `simulation/freeze.rs` | in parallel or alone, `simulation/one_frame.rs` | `extract_or_empty` | its lane fills the file, and another thread renames it |
+//! | live: `simulation/live.rs` | calibrated on the first suitable frame, in memory | all particles, `CheckedRequest::engine` | `extract_or_empty` | the caller |
 //!
 //! The guide `limits.md` lists limits.
 

@@ -144,7 +144,7 @@ impl OpenedFrame {
         }
     }
 
-    /// The number of particles that fail a condition.
+    /// The number of particles that do not satisfy a condition.
     #[must_use]
     pub fn unselected(&self) -> usize {
         match &self.input {

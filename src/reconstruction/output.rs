@@ -81,7 +81,7 @@ pub(crate) fn coordinate_width(
         SinglePrecision::TooCoarse => Ok(CoordinateWidth::F32),
         SinglePrecision::Exceeded => {
             let what = format!(
-                "{format} stores coordinates as f32, and these are out of its \
+                "{format} stores coordinates as f32, and some of these are out of its \
                                range; use .ply"
             );
             Err(WriteError::new(path, WriteFault::Unsupported(what)))

@@ -13,7 +13,7 @@ use crate::settings::Settings;
 use crate::system::memory::default_memory;
 
 /// Opens a particle file with all attributes, with the format and the particle type of `settings`.
-/// If the file has no spacing, a scene file beside it may provide one.
+/// If the file has no spacing, a scene file next to it may provide one.
 ///
 /// ```no_run
 /// use meniscus::{Particles, Reconstruction, Settings, files};

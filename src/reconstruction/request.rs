@@ -43,8 +43,8 @@ pub struct SamplingRequest {
     pub search: WallSearch,
     /// The axis that points up, if known: 0, 1 or 2.
     pub up: Option<usize>,
-    /// The faces of a periodic box along each axis, `None` for open axes, and the surface that the
-    /// images beyond the faces must suffice for.
+    /// The faces of a periodic box along each axis, `None` for open axes, and the surface for which
+    /// the images beyond the faces must suffice.
     pub periodic: Option<([Option<[f64; 2]>; 3], Surfacing)>,
     /// The spacing of the particles, if the caller knows it.
     pub spacing: Option<f64>,
@@ -203,7 +203,7 @@ impl SamplingRequest {
         Ok(Ends::of(particles, spacing, flat, &self.grid_of(cells)?))
     }
 
-    /// The walls that some frames and the scene file beside them indicate.
+    /// The walls that some frames and the scene file next to them indicate.
     pub fn walls_of(&self, frames: &[Ends], path: Option<&Path>) -> FoundWalls {
         let scene = path.and_then(tank_beside);
         let usual = path.filter(|path| usual_up(path) == UpAxis::Z).map(|_| 2);
@@ -221,7 +221,7 @@ impl SamplingRequest {
             && self.periodic.as_ref().is_none_or(|(faces, _)| faces[axis].is_none())
     }
 
-    /// The spacing from the caller, the file, or a scene file beside it.
+    /// The spacing from the caller, the file, or a scene file next to it.
     fn given(&self, from: SpacingHints<'_>) -> Option<(f64, SpacingSource)> {
         let scene = || {
             let (spacing, path) = spacing_beside(from.path?)?;

@@ -43,7 +43,7 @@ impl Reconstruction {
     /// Reconstructs the surface of the particles in a file, or of a packed frame.
     ///
     /// # Errors
-    /// [`Error::Read`], and those of [`run`](Self::run).
+    /// [`Error::Read`], and the errors of [`run`](Self::run).
     pub fn run_file(&self, path: impl AsRef<Path>) -> Result<Surface, Error> {
         self.open(path)?.sample()?.surface()
     }
@@ -51,7 +51,7 @@ impl Reconstruction {
     /// Samples particles in memory once, for several surfaces with different settings.
     ///
     /// # Errors
-    /// Those of [`run`](Self::run).
+    /// The errors of [`run`](Self::run).
     pub fn sample(&self, particles: &(impl Particles + ?Sized)) -> Result<Frame, Error> {
         self.checked()?.on_threads()?.sample(particles)
     }
@@ -59,7 +59,7 @@ impl Reconstruction {
     /// Opens a particle file or a packed frame.
     ///
     /// # Errors
-    /// [`Error::Read`], and those of [`run`](Self::run) that need no particles.
+    /// [`Error::Read`], and the errors of [`run`](Self::run) that need no particles.
     pub fn open(&self, path: impl AsRef<Path>) -> Result<OpenedFrame, Error> {
         self.open_together(&[path.as_ref()])
     }
@@ -67,8 +67,8 @@ impl Reconstruction {
     /// Opens several files as one frame, such as several fluids, with the attributes that all have.
     ///
     /// # Errors
-    /// [`Error::Read`], and those of [`run`](Self::run) that need no particles; [`Error::Request`]
-    /// for no file.
+    /// [`Error::Read`], and the errors of [`run`](Self::run) that need no particles;
+    /// [`Error::Request`] for no file.
     pub fn open_together(&self, paths: &[impl AsRef<Path>]) -> Result<OpenedFrame, Error> {
         let paths: Vec<&Path> = paths.iter().map(AsRef::as_ref).collect();
         self.checked()?.on_threads()?.open(&paths)

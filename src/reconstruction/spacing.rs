@@ -23,7 +23,7 @@ pub enum SpacingSource {
     Given,
     /// The particles' file.
     File,
-    /// A scene file beside it.
+    /// A scene file next to it.
     Scene(#[serde(serialize_with = "as_text")] PathBuf),
     /// The smallest size of the particles, by an attribute.
     Sizes(String),
@@ -70,7 +70,8 @@ pub enum SpacingWarning {
         found: f64,
         /// The likely mistake.
         mistake: Option<SpacingMistake>,
-        /// Whether the particles may be spray or threads, which are farther apart than the spacing.
+        /// Whether the particles may be spray or filaments, whose particles are farther apart than
+        /// the spacing.
         spray: bool,
     },
     /// The fluid is too thin for a reliable estimate.
@@ -126,7 +127,7 @@ pub enum SpacingWarning {
 pub enum SpacingMistake {
     /// The radius of the particles was given: half the spacing.
     Radius,
-    /// Twice the spacing was given: a support radius, or the spacing taken for a radius.
+    /// Twice the spacing was given: a support radius, or a spacing that was mistaken for a radius.
     Double,
     /// The length is in another unit, which is this multiple of the positions' unit.
     Unit(f64),
@@ -134,7 +135,7 @@ pub enum SpacingMistake {
 
 /// Minimum ratio of a given to the true spacing without a warning.
 const TOO_SMALL: f64 = 0.78;
-/// Maximum ratio. In between the surface is good, and estimates can be wrong by as much.
+/// Maximum ratio. Between the two, the surface is good, and the estimate may be wrong by as much.
 const TOO_LARGE: f64 = 1.36;
 /// Additional factor for an uncertain estimate.
 const UNSURE: f64 = 1.1;
@@ -332,14 +333,17 @@ impl fmt::Display for SpacingWarning {
                     None => {}
                 }
                 if *spray {
-                    write!(f, "; this can be right for spray and for threads of single particles")?;
+                    write!(
+                        f,
+                        "; this can be right for spray and for filaments of single particles"
+                    )?;
                 }
                 Ok(())
             }
             Self::Mixed(Mixture { attribute, boundary, fluid }) => write!(
                 f,
-                "the {} particles with {attribute}={} surround the {} with {attribute}={}, as a \
-                 boundary surrounds a fluid; all are meshed together",
+                "the {} particles with {attribute}={} surround the {} with {attribute}={} and look like \
+                 a boundary; all of them are meshed as one fluid",
                 boundary.1, boundary.0, fluid.1, fluid.0
             ),
             Self::Thin { used, counted, nearest } => {
@@ -369,8 +373,8 @@ impl fmt::Display for SpacingWarning {
                 if *invalid > 0 {
                     write!(
                         f,
-                        "{invalid} particles have no positive, finite {attribute}: they are \
-                         treated as size {}",
+                        "{invalid} particles have no positive, finite {attribute}; size {} is used \
+                         for them",
                         about(*usual)
                     )?;
                 }
@@ -378,9 +382,15 @@ impl fmt::Display for SpacingWarning {
                     let and = if *invalid > 0 { "; " } else { "" };
                     write!(
                         f,
+<<<<<<< HEAD
                         "{and}{larger} particles are larger than {coarsest}, the largest size: \
                          they are treated as size {coarsest}",
                         coarsest = about(*coarsest)
+=======
+                        "{and}{larger} particles are more than 64 times larger than the smallest; \
+                         size {} is used for them",
+                        about(*coarsest)
+>>>>>>> h_c56
                     )?;
                 }
                 Ok(())

@@ -103,7 +103,7 @@ impl Surface {
     /// Draws a small picture of the mesh with its ground, as a first look.
     ///
     /// # Errors
-    /// Those of [`picture`](Self::picture).
+    /// The errors of [`picture`](Self::picture).
     #[cfg(feature = "pictures")]
     pub fn preview(&self) -> Result<Image, Error> {
         let [width, height] = PREVIEW;
@@ -145,7 +145,7 @@ impl Surface {
     /// Writes the mesh like [`write`](Self::write), and replaces an existing file.
     ///
     /// # Errors
-    /// Those of [`write`](Self::write).
+    /// The errors of [`write`](Self::write).
     pub fn overwrite(&self, path: impl AsRef<Path>) -> Result<u64, Error> {
         self.write_to(Output::prepare(
             &self.settings,

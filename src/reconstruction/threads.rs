@@ -6,8 +6,8 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 
 /// Threads of a request. They exist only while work runs; later work starts new ones.
 ///
-/// Callers keep hundreds of surfaces, and fork processes, in which the parent's threads do not
-/// exist.
+/// Callers may keep hundreds of surfaces. They may also fork, and the parent's threads do not exist
+/// in the child process.
 #[derive(Debug, Clone)]
 pub(crate) struct Threads {
     pool: Weak<ThreadPool>,

@@ -85,7 +85,7 @@ pub enum Warning {
         shortfall: Shortfall,
         /// Whether the indicator is cloud.
         clouds: bool,
-        /// The calibration frame, if it is another one.
+        /// The calibration frame, if it is a different frame.
         calibration_frame: Option<i64>,
     },
     /// Vertices become equal in a format that has no indices.
@@ -179,7 +179,10 @@ impl fmt::Display for Warning {
                 )?;
                 match (*alone, *most) {
                     (true, most) => {
-                        write!(f, "; {most} are at ({at}), far from all others, like unused slots")
+                        write!(
+                            f,
+                            "; {most} are at ({at}), far from all others, and may be unused slots"
+                        )
                     }
                     (false, most) if most > 2 => write!(f, "; {most} are at ({at})"),
                     (false, _) => write!(f, ", such as at ({at})"),
@@ -187,8 +190,8 @@ impl fmt::Display for Warning {
             }
             Self::MissingValues { attribute, without, of } => write!(
                 f,
-                "{without} of {of} particles have no {attribute} that is finite in 32 bits: vertices use \
-                 the values of the others"
+                "{without} of {of} particles have no finite 32-bit value of {attribute}; vertices near \
+                 them take the values of other particles"
             ),
             Self::DeviceFallback(what) => f.write_str(what),
             Self::OnCorners { mean, .. } => write!(
@@ -206,12 +209,15 @@ impl fmt::Display for Warning {
             ),
             Self::BeyondWall(BeyondWall { axis, wall, reach, moved }) => {
                 let [wall, reach] = [wall, reach].map(|at| significant(*at, 6));
-                let what =
-                    if moved.is_some() { "the wall is moved there" } else { "that side is open" };
+                let what = if moved.is_some() {
+                    "the wall is moved there"
+                } else {
+                    "that side of the tank is open"
+                };
                 write!(
                     f,
-                    "particles reach {axis} = {reach}, beyond the wall found at {wall}: {what} \
-                     in this frame"
+                    "particles reach {axis} = {reach}, beyond the wall that was found at {axis} = \
+                     {wall}; in this frame, {what}"
                 )
             }
             Self::Lost { lost, of, .. } => {
@@ -220,7 +226,7 @@ impl fmt::Display for Warning {
             Self::Shortfall { shortfall, .. } => shortfall.fmt(f),
             Self::Merged { vertices, format } => write!(
                 f,
-                "{vertices} vertices have the same f32 position as another one, and {format} \
+                "{vertices} vertices have the same f32 position as another vertex, and {format} \
                  cannot distinguish them; .ply can"
             ),
             Self::Renamed { attribute, name, format } => {
@@ -240,7 +246,7 @@ impl fmt::Display for Warning {
             ),
             Self::ThinSolid { path, thickness, cell_size } => write!(
                 f,
-                "{}: what the fluid ends at is about {} thick, less than a cell of {}: it may have holes",
+                "{}: with its offset, the solid is about {} thick, thinner than a cell of {}; it may have holes",
                 path.display(),
                 significant(*thickness, 2),
                 significant(*cell_size, 3)

@@ -1,4 +1,4 @@
-//! Values of settings as text or as numbers, for callers that have nothing else: C, files, forms.
+//! Values of settings as text or as numbers, for callers without other types: C, files, forms.
 
 use super::{Faces, Source, Where, faces};
 use crate::grid::Walls;

@@ -88,7 +88,7 @@ pub trait Source {
     fn walls(&self) -> Result<Walls, Self::Error>;
     /// Takes conditions on particles.
     fn conditions(&self) -> Result<Where, Self::Error>;
-    /// Whether the value is this word.
+    /// Whether the value is equal to this word.
     fn is_word(&self, word: &str) -> bool;
 }
 

@@ -15,8 +15,8 @@ use super::pattern::is_foreign;
 
 /// A request for the mesh of each frame of a simulation.
 ///
-/// Grid and calibration are measured once and stored beside the outputs, so that all frames are
-/// consistent, whichever process makes them.
+/// Grid and calibration are measured once and stored next to the outputs, so that all frames are
+/// consistent, even if several processes make them.
 ///
 /// ```no_run
 /// use meniscus::Simulation;
@@ -36,7 +36,7 @@ pub struct Simulation {
     pub(super) overwrite: bool,
     pub(super) watch: Option<f64>,
     pub(super) fps: Option<f64>,
-    pub(super) beside: Vec<PathBuf>,
+    pub(super) also_written: Vec<PathBuf>,
     /// Whether to only plan, without converting, which every job may do.
     pub(super) planned: bool,
     /// Whether a contact sheet will be drawn.
@@ -71,7 +71,7 @@ impl Simulation {
             overwrite: false,
             watch: None,
             fps: None,
-            beside: Vec::new(),
+            also_written: Vec::new(),
             planned: false,
             sheet: false,
             together: false,
@@ -204,10 +204,10 @@ impl Simulation {
         self
     }
 
-    /// Names a file that the caller writes beside the meshes; an error if the conversion writes it
-    /// as well.
-    pub fn beside(mut self, file: impl Into<PathBuf>) -> Self {
-        self.beside.push(file.into());
+    /// Names a file that the caller writes during the conversion. If the conversion would write the
+    /// same file, [`run`](Self::run) fails.
+    pub fn also_writes(mut self, file: impl Into<PathBuf>) -> Self {
+        self.also_written.push(file.into());
         self
     }
 

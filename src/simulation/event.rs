@@ -155,7 +155,7 @@ pub struct OmittedCounts {
     pub lost: u64,
     /// Drops below the limits.
     pub drops: u64,
-    /// Particles that fail the conditions.
+    /// Particles that do not satisfy the conditions.
     pub unselected: u64,
 }
 
@@ -219,8 +219,7 @@ pub struct Summary {
     pub error: Option<Arc<Error>>,
     /// Frames that are missing between others.
     pub missing: Vec<MissingFrames>,
-    /// Numbers without a file, if more are missing than exist: then they are not counted as
-    /// missing.
+    /// Numbers without a file, if more files are missing than exist. They do not count as missing.
     pub chosen: Option<Gaps>,
     /// Particles and drops that are left out of the surfaces.
     pub left_out: OmittedCounts,
@@ -260,7 +259,7 @@ impl fmt::Display for Event {
             Self::Waiting { inputs } => write!(f, "{inputs}: waiting for the first frame"),
             Self::SpacingWarning(warning) => write!(f, "warning: {warning}"),
             Self::Restarted { state, differing } => {
-                write!(f, "{}: starting again, because these changed: {differing}", state.display())
+                write!(f, "{}: starting again, because of changes: {differing}", state.display())
             }
             Self::Resumed { state, shared } => {
                 write!(f, "resuming with {}: {shared}", state.display())
@@ -270,8 +269,8 @@ impl fmt::Display for Event {
             }
             Self::Measured { shared, trust, .. } => {
                 let what = match trust {
-                    Trust::Shallow => "almost no fluid is deep enough to measure",
-                    Trust::Lattice | Trust::Sound => "all particles stand on a lattice",
+                    Trust::Shallow => "the fluid is too shallow to measure it reliably",
+                    Trust::Lattice | Trust::Sound => "all particles are on a lattice",
                 };
                 write!(f, "warning: {what}; measured on frame {}: {shared}", shared.frame)
             }

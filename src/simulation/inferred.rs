@@ -170,13 +170,13 @@ fn frame_number(files: &[&FrameCandidate]) -> Result<FrameNumber, SimulationErro
     let choices = choices.join(" or ");
     Err(SimulationError::Names(match decimal {
         Some(_) => format!(
-            "{}: the numbers in this name can be one decimal or two integers; name the frames with \
-             {choices}, where {{time}} is a decimal",
+            "{}: the numbers in this name could be one decimal number or two integers; use the input \
+             pattern {choices}, where {{time}} is a decimal number",
             first.path.display()
         ),
         None => format!(
-            "more than one number varies in these names: frames could be numbered by {choices}; give one of these patterns as the \
-             input, or rename the files so that only the frame's number varies"
+            "more than one number varies in these file names, so the frame number is ambiguous: give one of the patterns {choices} as \
+             the input, or rename the files so that only the frame number varies"
         ),
     }))
 }

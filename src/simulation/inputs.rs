@@ -146,7 +146,7 @@ impl Inputs {
                 return match &found[..] {
                     [] => Ok(Vec::new()),
                     [only] if !only.is_joined() => Err(SimulationError::Names(format!(
-                        "{}: is the only simulation; name another one to join it with",
+                        "{}: is the only simulation; name another one to join with it",
                         only.describe()
                     ))),
                     _ => Ok(vec![sequence(pattern)]),
@@ -185,7 +185,7 @@ impl Inputs {
     /// The only simulation in the inputs, with its frames in order.
     ///
     /// # Errors
-    /// Those of [`simulations`](Self::simulations) and [`Sequence::list`],
+    /// The errors of [`simulations`](Self::simulations) and [`Sequence::list`],
     /// [`SimulationError::Several`] for several simulations, and [`SimulationError::NoFrames`] or
     /// [`SimulationError::NoMatch`] without frames.
     pub fn only(&self) -> Result<(Sequence, Vec<FrameFile>), SimulationError> {
@@ -431,7 +431,7 @@ impl Sequence {
         }
         let patterns: Vec<_> = patterns.iter().map(|new| format!("\"{new}\"")).collect();
         Err(SimulationError::Names(format!(
-            "the frames began as \"{pattern}\", but files that came later differ in another number; name the frames with {}",
+            "the first frames matched \"{pattern}\", but later files differ in another number; use the input pattern {}",
             patterns.join(" or ")
         )))
     }
@@ -457,7 +457,7 @@ impl Sequence {
 }
 
 /// A glob for names that begin with a dot, but not `.` and `..`, which would match too: these would
-/// include frames beside the folder, and several such components would never end.
+/// include frames next to the folder, and several such components would never end.
 fn below(pattern: &str) -> String {
     let name = |name: &str| match name.strip_prefix('.') {
         Some(rest) if rest.contains(['*', '?', '[']) => format!("[.]{rest}"),

@@ -23,7 +23,8 @@ use super::shared_calibration::{FrameMeasurements, Trust, measure_in};
 ///
 /// Cells, grid and calibration are measured on the first frame with fluid deeper than the reach of
 /// the filters (for the indicator counting, also not a lattice), and kept for all later frames.
-/// Before that, [`is_settled`](Self::is_settled) is false, and each frame is measured by itself.
+/// Before that frame, [`is_settled`](Self::is_settled) is false, and each frame is measured
+/// separately.
 ///
 /// ```
 /// use meniscus::{LiveSimulation, Reconstruction};
@@ -101,8 +102,8 @@ impl LiveSimulation {
     /// A frame without particles, or without a surface, is an empty mesh.
     ///
     /// # Errors
-    /// Those of [`Reconstruction::run`], except for missing particles or surfaces. Later frames can
-    /// still succeed.
+    /// The errors of [`Reconstruction::run`], except for missing particles or surfaces. Later
+    /// frames can still succeed.
     pub fn frame(&mut self, particles: &(impl Particles + ?Sized)) -> Result<Surface, Error> {
         let threads = Arc::clone(&self.ready.threads);
         self.ready.checked.go_on()?;

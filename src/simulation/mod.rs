@@ -2,8 +2,8 @@
 //! frames.
 //!
 //! Everything on which a surface depends besides its own particles is measured on the first
-//! suitable frame, and stored in a state file beside the outputs. After that, frames are
-//! independent: each process gives the same bytes. A finished frame leaves a record beside the
+//! suitable frame, and stored in a state file next to the outputs. After that, frames are
+//! independent: each process gives the same bytes. A finished frame leaves a record next to the
 //! state. The record is written after the output was renamed, so an output with a record is
 //! complete.
 //!

@@ -35,8 +35,8 @@ impl Naming {
     /// # Errors
     /// [`SimulationError::Names`] for an invalid pattern.
     pub fn of(path: &Path) -> Result<Option<Self>, SimulationError> {
-        // A folder with the name of a mesh file is not a folder of outputs: it is in the way of the
-        // mesh.
+        // A folder with the name of a mesh file is not a folder of outputs: the mesh could not have
+        // its name.
         let is_folder = path.is_dir() && MeshFormat::of(path).is_none();
         if is_folder || path.to_string_lossy().ends_with(std::path::is_separator) {
             return Ok(Some(Self::Folder(path.to_owned())));
@@ -53,12 +53,12 @@ impl Naming {
     /// Like [`of`](Self::of) for the output of several frames, which may be one archive.
     ///
     /// # Errors
-    /// Those of [`of`](Self::of).
+    /// The errors of [`of`](Self::of).
     pub fn of_several(path: &Path) -> Result<Option<Self>, SimulationError> {
         Ok(Self::of(path)?.or_else(|| Self::of_archive(path)))
     }
 
-    /// The names for an Alembic archive: its frames and the state are in a folder beside it.
+    /// The names for an Alembic archive: its frames and the state are in a folder next to it.
     fn of_archive(path: &Path) -> Option<Self> {
         let MeshFormat::Abc(_) = MeshFormat::of(path)? else { return None };
         let mut folder = path.as_os_str().to_owned();

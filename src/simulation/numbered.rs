@@ -49,7 +49,7 @@ pub(super) fn whole(
     for (number, pieces) in frames {
         if let Some(lacking) = all.iter().find(|piece| !pieces.contains_key(piece)) {
             return Err(SimulationError::Names(format!(
-                "{pattern}: frame {number} lacks piece {lacking}, which other frames have; add it, or leave that frame out"
+                "{pattern}: frame {number} has no piece {lacking}, but other frames do; add the piece, or leave that frame out"
             )));
         }
         let mut pieces = pieces.into_values();
@@ -92,7 +92,7 @@ pub(super) fn joined(
             let (has, lacks) =
                 if own.contains(number) { (first, sequence) } else { (sequence, first) };
             return Err(SimulationError::Names(format!(
-                "{} has frame {number}, {} does not; joined inputs need frames of the same numbers",
+                "{} has frame {number}, but {} does not; joined inputs need the same frame numbers",
                 has.source().describe(),
                 lacks.source().describe()
             )));
@@ -100,7 +100,7 @@ pub(super) fn joined(
         let times = |(a, b): (&FrameFile, &FrameFile)| a.time != b.time;
         if let Some((one, other)) = frames.iter().zip(&list).find(|(a, b)| times((a, b))) {
             return Err(SimulationError::Names(format!(
-                "{} and {} are at different times; joined inputs need frames of the same times",
+                "{} and {} have different times; the frames of joined inputs need the same times",
                 one.path.display(),
                 other.path.display()
             )));

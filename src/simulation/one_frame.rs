@@ -226,7 +226,8 @@ impl Conversion<'_> {
             return Err(WriteError::new(&target, WriteFault::Exists).into());
         }
         if !self.format.is_read() {
-            // Stored before the mesh's record, so that a small mesh never is older than the record.
+            // Stored before the record of the mesh, so that the small mesh is never older than the
+            // record.
             self.small_meshes().keep(record.mesh.frame, small.as_deref())?;
         }
         file.keep()?;

@@ -43,8 +43,8 @@ const FPS: f64 = 24.0;
 /// A request for pictures of meshes in files.
 ///
 /// One mesh gives one picture. For several, the output is a folder or a pattern with `{}` for a
-/// picture of each, `.apng` for an animation, or `.png` for a contact sheet. All have the same
-/// camera, which sees all of them, and the same range of values.
+/// picture of each, `.apng` for an animation, or `.png` for a contact sheet. All pictures have the
+/// same camera, which has all meshes in view, and the same range of values.
 #[derive(Debug, Clone)]
 #[must_use]
 pub struct Pictures {
@@ -105,7 +105,7 @@ impl PictureFile {
         Ok(Self { file, folders, unfinished })
     }
 
-    /// Checks before the work that a picture can be written beside a mesh, under its name with
+    /// Checks before the work that a picture can be written next to a mesh, under its name with
     /// `.png`.
     ///
     /// # Errors
@@ -165,8 +165,8 @@ enum PictureTarget {
 
 impl Pictures {
     /// Pictures of files, a folder, a glob, or a pattern with `{}` for the frame number. Unless the
-    /// picture sets the up axis, it is z if the first mesh whose file or listing records the axis
-    /// has z up, else y.
+    /// picture sets the up axis, it is that of the first mesh whose file or listing records one, or
+    /// y if none does.
     pub fn new<I: Into<PathBuf>>(
         picture: Picture,
         meshes: impl IntoIterator<Item = I>,
@@ -567,18 +567,18 @@ impl fmt::Display for SheetDone {
 }
 
 impl Simulation {
-    /// Checks before the work that a contact sheet can be written beside the meshes. It has their
+    /// Checks before the work that a contact sheet can be written next to the meshes. It has their
     /// name without numbers, or is `frames.png`. An existing sheet is replaced if the simulation
     /// replaces its outputs, or resumes and it is a sheet of them.
     ///
     /// For formats that cannot be read, [`run`](Self::run) then keeps a small mesh of each frame
-    /// beside the state, for this run and those that resume it.
+    /// next to the state, for this run and those that resume it.
     ///
     /// # Errors
     /// [`Error::Write`].
     pub fn sheet(&mut self) -> Result<Sheet, Error> {
         let path = beside(&self.output);
-        if let Some(other) = self.beside.iter().find(|other| is_same_file(other, &path)) {
+        if let Some(other) = self.also_written.iter().find(|other| is_same_file(other, &path)) {
             return Err(Error::SameFile { path: other.clone(), other: path });
         }
         let (inputs, naming) = self.names()?;
@@ -638,7 +638,7 @@ impl Sheet {
     /// Draws the existing meshes.
     ///
     /// # Errors
-    /// Those of [`Pictures::run`].
+    /// The errors of [`Pictures::run`].
     pub fn draw(self) -> Result<SheetDone, Error> {
         let mut pictures = self.pictures.clone().replace(self.replace());
         pictures.source = Some(self.source());

@@ -52,7 +52,7 @@ impl Simulation {
     /// [pool](crate::Reconstruction::pool).
     ///
     /// # Errors
-    /// Those of [`Reconstruction::run`](crate::Reconstruction::run) that concern all frames,
+    /// The errors of [`Reconstruction::run`](crate::Reconstruction::run) that concern all frames,
     /// [`Error::Simulation`], [`Error::SameFile`], [`Error::Write`] if nothing more can be written,
     /// [`Error::Vulkan`], and [`Error::Cancelled`].
     pub fn run(&self, hear: impl FnMut(Event)) -> Result<Vec<Summary>, Error> {
@@ -102,11 +102,11 @@ impl Simulation {
         convert(&Conversion::new(setup, series.format, store, wanted), kept, &frames, &series)
     }
 
-    /// Calibrates all frames, stores the calibration beside the outputs, and returns the frame
+    /// Calibrates all frames, stores the calibration next to the outputs, and returns the frame
     /// numbers: for several jobs, each of which converts [some frames](Self::frames).
     ///
     /// # Errors
-    /// Those of [`run`](Self::run).
+    /// The errors of [`run`](Self::run).
     pub fn plan(&self, hear: impl FnMut(Event)) -> Result<Vec<i64>, Error> {
         let plan = Self { watch: None, planned: true, ..self.clone() };
         let numbers = plan.each(hear, |begun| {
@@ -127,7 +127,7 @@ impl Simulation {
     /// Estimates the resources of the conversion, and writes nothing.
     ///
     /// # Errors
-    /// Those of [`run`](Self::run).
+    /// The errors of [`run`](Self::run).
     pub fn forecast(&self, hear: impl FnMut(Event)) -> Result<Vec<Forecast>, Error> {
         let forecasts = self.each(hear, |begun| {
             let CheckedSimulation { setup, store, frames, found, .. } = begun;

@@ -199,8 +199,8 @@ impl Setup<'_> {
                 )));
             }
         }
-        for beside in &self.simulation.beside {
-            let own = Identity::of(beside);
+        for written in &self.simulation.also_written {
+            let own = Identity::of(written);
             let outputs = frames.iter().map(|frame| self.output(frame));
             let archive = self.archive.iter().map(|archive| archive.path().to_owned());
             let others = outputs.chain(series.files()).chain([store.state_path()]).chain(archive);
@@ -208,7 +208,7 @@ impl Setup<'_> {
             if let Some(other) =
                 taken.or_else(|| others.into_iter().find(|other| Identity::of(other) == own))
             {
-                return Err(same_file(beside, &other));
+                return Err(same_file(written, &other));
             }
         }
         Ok(())

@@ -1,4 +1,4 @@
-//! Small meshes beside the state: coarse copies of frames whose format cannot be read again, for
+//! Small meshes next to the state: coarse copies of frames whose format cannot be read again, for
 //! the contact sheet.
 
 use std::fs;

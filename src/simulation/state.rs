@@ -1,4 +1,4 @@
-//! Files in a folder beside the outputs, with the simulation's name and `.meniscus`: `state.json`
+//! Files in a folder next to the outputs, with the simulation's name and `.meniscus`: `state.json`
 //! with the shared calibration, and the [records](super::records) of finished frames.
 
 use std::fs::{self, File};
@@ -171,7 +171,8 @@ impl StateFolder {
     ///
     /// # Errors
     /// [`SimulationError::Settings`], [`SimulationError::Busy`] if another process works with the
-    /// stale state of other settings, [`SimulationError::Io`] and those of [`load`](Self::load).
+    /// stale state of other settings, [`SimulationError::Io`] and the errors of
+    /// [`load`](Self::load).
     pub fn add(&self, state: &State) -> Result<State, SimulationError> {
         let (folder, path) = (self.folder(), self.state_path());
         let fail = |fault| SimulationError::Io { path: path.clone(), fault };

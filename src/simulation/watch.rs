@@ -1,5 +1,5 @@
 //! Finds the complete frames of a running simulation: those whose file has not changed for a while.
-//! A frame that changes after all, because its file grows or is replaced, is reported again.
+//! If a frame changes later, because its file grows or is replaced, it is reported again.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};

@@ -31,8 +31,8 @@ pub enum SolidFault {
     Mesh(#[from] CompareError),
     /// The mesh has holes.
     #[error(
-        "{edges} edges of the mesh have a triangle on one side only, and a solid must be closed: fill its holes, or join vertices \
-         that are apart by a rounding"
+        "a solid must be closed, but {edges} edges of the mesh have a triangle on only one side: fill the holes, or merge \
+         vertices that differ only by rounding"
     )]
     Open {
         /// Number of edges with only one triangle.
@@ -40,8 +40,8 @@ pub enum SolidFault {
     },
     /// Neighbouring triangles face opposite ways.
     #[error(
-        "triangles on both sides of {edges} edges face opposite ways, so that inside and outside are not defined: recalculate the \
-         normals of the mesh, or turn the triangles that face inwards"
+        "at {edges} edges of the mesh, the two triangles face opposite ways, so its inside is not defined: recalculate the \
+         normals of the mesh, or flip the triangles that face inwards"
     )]
     Inconsistent {
         /// Number of such edges.

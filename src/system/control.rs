@@ -72,8 +72,8 @@ pub struct Control {
 }
 
 impl Control {
-    /// Runs a stage, and reports to the caller when it begins and when it succeeds. A stage during
-    /// which the caller cancels fails with [`Cancelled`], whatever `work` returned.
+    /// Runs a stage, and reports to the caller when it begins and when it succeeds. If the caller
+    /// cancels during a stage, the stage fails with [`Cancelled`], even if `work` succeeded.
     pub(crate) fn during<T, E: From<Cancelled>>(
         &self,
         stage: Stage,

@@ -122,8 +122,8 @@ fn advise_huge_pages<T>(memory: &[T]) {
     let first = bytes.align_offset(HUGE).min(size_of_val(memory));
     let whole = (size_of_val(memory) - first) / HUGE * HUGE;
     if whole > 0 {
-        // SAFETY: the pages are all within the memory, whose contents stay as they are. Where there
-        // are no huge pages, it refuses, and all stays as it was.
+        // SAFETY: the pages are all within the memory, whose contents stay as they are. If there
+        // are no huge pages, it refuses, and nothing changes.
         unsafe { libc::madvise(bytes.add(first).cast_mut().cast(), whole, libc::MADV_HUGEPAGE) };
     }
 }

@@ -131,7 +131,8 @@ impl ReopenedFile {
     /// Fills `bytes` from position `at`.
     ///
     /// # Errors
-    /// Those of [`file`](Self::file), and [`io::ErrorKind::UnexpectedEof`] past the file's end.
+    /// The errors of [`file`](Self::file), and [`io::ErrorKind::UnexpectedEof`] past the file's
+    /// end.
     pub fn read_exact_at(&self, at: u64, bytes: &mut [u8]) -> Result<(), ReopenedError> {
         Ok(read_exact_at(&*self.file()?, at, bytes)?)
     }

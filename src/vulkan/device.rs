@@ -56,7 +56,7 @@ pub enum Queues {
     All,
     /// One for everything.
     One,
-    /// One for everything, used as if it were two: copies wait for shaders, and shaders for copies.
+    /// A single queue for shaders and copies: copies wait for shaders, and shaders for copies.
     OneAsTwo,
 }
 
@@ -510,7 +510,7 @@ impl SharedDevice {
     pub(super) fn noting(&self, call: &'static str) -> impl Fn(vk::Result) -> VulkanError + '_ {
         move |result| {
             let error = VulkanError::of(call)(result);
-            // A lost device stays lost, whatever a later call returns.
+            // A lost device stays lost, even if a later call succeeds.
             if error == VulkanError::Lost || self.lost.load(Ordering::Relaxed) {
                 self.lose()
             } else {

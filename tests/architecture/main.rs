@@ -6,6 +6,7 @@
 #![allow(clippy::unwrap_used)]
 
 mod imports;
+mod links;
 mod manifests;
 
 use std::collections::{BTreeMap, BTreeSet};

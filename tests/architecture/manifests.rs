@@ -52,6 +52,7 @@ fn addresses_are_those_of_the_repository() {
     let address = env!("CARGO_PKG_REPOSITORY");
     let named = [
         "src/changelog.md",
+        "src/links.md",
         "src/bindings/python/pyproject.toml",
         "src/bindings/blender/extension/blender_manifest.toml",
         "tools/package/recipe.yaml",

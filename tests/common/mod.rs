@@ -88,7 +88,7 @@ pub fn reconstruct(
     let mut timings = Timings::default();
     let frame = Engine::sample(particles, sampling, &mut timings).unwrap();
     let calibrated = frame.calibrate(surfacing, None, &mut timings).unwrap();
-    let iso = calibrated.measured().unwrap().calibration.iso().unwrap_or(Isovalue::NO_DISTANCE);
+    let iso = calibrated.measured().unwrap().calibration.iso().unwrap_or(Isovalue::ZERO_DISTANCE);
     let mesh = calibrated.surface(&mut timings).unwrap().to_mesh().unwrap();
     (frame, Reconstructed { mesh, iso })
 }

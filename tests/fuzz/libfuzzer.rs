@@ -17,7 +17,7 @@ use libfuzzer_sys::fuzz_target;
 static RUN: OnceLock<fn(&[u8])> = OnceLock::new();
 
 /// The target. Its seeds are written into the folder that `MENISCUS_SEEDS` names, and its words
-/// into a file beside it.
+/// into a file next to it.
 fn chosen() -> fn(&[u8]) {
     targets::on_one_thread();
     let name = std::env::var("MENISCUS_FUZZ").unwrap_or_default();

@@ -246,10 +246,10 @@ fn invalid_obj_lines_are_reported_with_their_number() {
         MeshFormat::Obj.read(text.as_bytes()).unwrap_err().to_string()
     };
     for (tail, expected) in [
-        ("v 1 2", "line 4: the line ends where a number should"),
-        ("v 1 2 x", "line 4: \"x\" stands where a number should"),
+        ("v 1 2", "line 4: expected a number, found the end of the line"),
+        ("v 1 2 x", "line 4: expected a number, found \"x\""),
         ("f 1 2", "line 4: a face of 2 corners"),
-        ("f 1 2 4", "line 4: vertex 4 of the 3 so far"),
+        ("f 1 2 4", "line 4: vertex 4, but only 3 are defined so far"),
         ("f 1 2 0", "line 4: vertex 0 of the 3 so far"),
         ("f 1 2 -4", "line 4: vertex -4 of the 3 so far"),
         (

@@ -1221,7 +1221,7 @@ fn an_unknown_extension_is_refused_before_the_file_is_opened() {
 }
 
 #[test]
-fn the_spacing_is_found_in_scene_files_beside_or_above_the_frames() {
+fn the_spacing_is_found_in_scene_files_next_to_or_above_the_frames() {
     let (spacing, scene) =
         spacing_beside(&data("dambreak_small/ParticleData_Fluid_1.bgeo")).unwrap();
     assert_eq!((spacing, scene), (0.05, data("dambreak_small/scene.json")));

@@ -390,7 +390,7 @@ fn bodies() -> Vec<Body> {
 }
 
 #[test]
-fn voxels_of_the_band_have_distances_within_a_tenth_of_a_voxel_and_all_others_their_side() {
+fn voxels_in_the_band_have_distances_and_other_voxels_have_a_side() {
     for (what, mesh, distance) in bodies() {
         let bytes = written(&on_lattice(mesh), false);
         let grids = decoded(&bytes);
@@ -596,7 +596,7 @@ fn a_mesh_without_triangles_is_a_grid_without_voxels() {
 }
 
 #[test]
-fn a_mesh_without_a_lattice_or_with_a_coordinate_that_is_no_number_makes_no_file() {
+fn a_mesh_without_a_lattice_or_with_a_nan_coordinate_makes_no_file() {
     let cube = cuboid([0.0; 3], [1.0; 3]);
     let mut broken = cube.clone();
     broken.positions[3][1] = f64::NAN;

@@ -310,7 +310,7 @@ fn a_full_disk_exits_with_4_and_leaves_no_files() {
 
 #[test]
 #[cfg(target_os = "linux")]
-fn without_memory_or_threads_commands_exit_with_an_error_and_leave_no_files() {
+fn commands_without_memory_or_threads_fail_and_leave_no_files() {
     let folder = folder_with_ball();
     meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", "ball.ply"]);
     for number in [1, 2] {
@@ -942,7 +942,7 @@ fn fine_cells_give_the_same_bytes_for_any_threads_budget_and_packing() {
     // The notes differ: clouds report too little depth, counting derives its plateau from the
     // spacing.
     for (indicator, note) in
-        [("cloud", "because no fluid is deep enough"), ("counting", "computed from the spacing")]
+        [("cloud", "because the fluid is too shallow"), ("counting", "computed from the spacing")]
     {
         let fine = ["--cell", "0.333333", "--indicator", indicator];
         let (whole, notes) =
@@ -1286,7 +1286,7 @@ fn every_setting_is_an_option_and_pack_refuses_surface_settings() {
         let run = meniscus(folder.path(), &[&["pack", "one.xyz", "-o", "one.mnf"], given].concat());
         let messages = String::from_utf8_lossy(&run.stderr).into_owned();
         assert_eq!(run.status.code(), Some(2), "{messages}");
-        assert!(messages.contains(&format!("{} is for surfaces", given[0])), "{messages}");
+        assert!(messages.contains(&format!("{} has no effect on packing", given[0])), "{messages}");
     }
 }
 

@@ -408,16 +408,15 @@ fn attribute_values_beyond_f32_are_reported() {
     let count = particles.len();
     let notes = run(folder.path(), &one, 0);
     assert!(
-        notes.contains(&format!(
-            "{count} of {count} particles have no heat that is finite in 32 bits"
-        )),
+        notes
+            .contains(&format!("{count} of {count} particles have no finite 32-bit value of heat")),
         "{notes}"
     );
     let all = [&["reconstruct", "f_{}.csv", "-o", "m_{}.ply"], &heat[..]].concat();
     let notes = run(folder.path(), &all, 0);
     assert!(
         notes.contains(&format!(
-            "f_2.csv: 1 of {count} particles have no heat that is finite in 32 bits"
+            "f_2.csv: 1 of {count} particles have no finite 32-bit value of heat"
         )),
         "{notes}"
     );
@@ -425,9 +424,11 @@ fn attribute_values_beyond_f32_are_reported() {
     assert!(mesh.attributes[0].values.iter().all(|value| (value - 7.0).abs() < 1e-4));
     // The same with a budget that spills the particles.
     let spilled = [&all[..], &["--overwrite", "--memory", "16MiB", "--threads", "1"]].concat();
-    assert!(run(folder.path(), &spilled, 0).contains(&format!(
-        "f_2.csv: 1 of {count} particles have no heat that is finite in 32 bits"
-    )));
+    assert!(
+        run(folder.path(), &spilled, 0).contains(&format!(
+            "f_2.csv: 1 of {count} particles have no finite 32-bit value of heat"
+        ))
+    );
 }
 
 #[test]

@@ -386,7 +386,7 @@ fn frames_lists_a_simulation_and_refuses_missing_or_ambiguous_inputs() {
     let numbers =
         |input: &str| listed(input).unwrap().iter().map(|frame| frame.number).collect::<Vec<_>>();
     assert_eq!(numbers(""), [9, 10]);
-    // A mesh beside the particles is not a frame.
+    // A mesh next to the particles is not a frame.
     Reconstruction::new().run(&ball()).unwrap().write(dir.path().join("mesh_1.ply")).unwrap();
     assert_eq!(
         [numbers(""), numbers("pool_{}.xyz"), numbers("pool_*")],

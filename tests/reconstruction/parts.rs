@@ -171,7 +171,7 @@ fn merged_parts_report_the_warnings_of_a_single_run() {
     let single = run(folder, &[&["mist.csv", "-o", "one.ply"], &options[..]].concat(), 0);
     for word in [
         "missing from the surface",
-        "no heat that is finite in 32 bits",
+        "no finite 32-bit value of heat",
         "looks too large",
         "not finite",
     ] {
@@ -236,7 +236,7 @@ fn settings_and_inputs_changed_since_the_plan_are_refused_by_name() {
             (&["--spacing", "0.05"], "spacing"),
         ] {
             let errors = run(folder, &[&with(step)[..], options].concat(), 2);
-            assert!(errors.contains("other settings") && errors.contains(name), "{errors}");
+            assert!(errors.contains("different settings") && errors.contains(name), "{errors}");
         }
         let other = [&["dam.bgeo", "-o", "m.ply", "--parts", "4"], step].concat();
         assert!(run(folder, &other, 2).contains("(parts)"));
@@ -260,7 +260,7 @@ fn settings_and_inputs_changed_since_the_plan_are_refused_by_name() {
     let of_twin =
         |step: &[&'static str]| [&["twin.bgeo", "-o", "m.ply", "--parts", "3"], step].concat();
     for step in [&["--plan"][..], &["--part", "0"], &["--merge"]] {
-        assert!(run(folder, &of_twin(step), 3).contains("twin.bgeo: is not the file that"));
+        assert!(run(folder, &of_twin(step), 3).contains("twin.bgeo: is not the file for which"));
     }
     assert_eq!(fs::read(&plan).unwrap(), kept);
     run(folder, &of_twin(&["--plan", "--resume"]), 0);

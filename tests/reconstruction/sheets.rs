@@ -1,4 +1,4 @@
-//! Stretched sheets and threads of particles.
+//! Stretched sheets and filaments of particles.
 
 use glam::{DMat3, DVec3};
 use meniscus::Reconstruction;
@@ -83,7 +83,7 @@ fn sheet_handling_does_not_connect_the_drops_of_spray() {
 }
 
 #[test]
-fn stretched_threads_of_particles_stay_connected() {
+fn stretched_filaments_of_particles_stay_connected() {
     let along = DVec3::new(0.6, 0.48, 0.64);
     for stretch in [1.4, 1.8, 2.1] {
         let particles: Vec<[f64; 3]> =

@@ -34,7 +34,7 @@ impl Sized {
         self
     }
 
-    /// Pools of particles of several sizes beside each other along x, each as wide as it is long.
+    /// Pools of particles of several sizes next to each other along x, each as wide as it is long.
     fn pools(sizes: &[f64]) -> Self {
         let mut random = Random::new(5);
         let pool = |all: Self, (i, &size): (usize, &f64)| {

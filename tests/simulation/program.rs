@@ -372,10 +372,10 @@ fn kernel_methods_match_single_frames_and_a_new_method_needs_overwrite() {
     assert!(made(&small).0 == first, "other threads and memory");
 
     let errors = run(folder.path(), &with(&["--method", "yu-turk"]), 2);
-    assert!(errors.contains("other settings (method)"), "{errors}");
+    assert!(errors.contains("different settings (method)"), "{errors}");
     let errors = run(folder.path(), &with(&["--method", "yu-turk", "--resume"]), 2);
     assert!(
-        errors.contains("other settings (method)") && errors.contains("--overwrite"),
+        errors.contains("different settings (method)") && errors.contains("--overwrite"),
         "{errors}"
     );
     assert!(tree(&folder.path().join("out")) == first, "a refused run changed the output");
@@ -387,7 +387,7 @@ fn kernel_methods_match_single_frames_and_a_new_method_needs_overwrite() {
     let (again, notes) = made(&["--method", "yu-turk", "--resume"]);
     assert!(notes.contains("3 of 3 frames are already finished") && again == other, "{notes}");
     let (_, notes) = made(&["--resume", "--overwrite"]);
-    assert!(notes.contains("starting again, because these changed: method"), "{notes}");
+    assert!(notes.contains("starting again, because of changes: method"), "{notes}");
 }
 
 #[test]
@@ -667,7 +667,7 @@ fn after_many_frames_of_spray_the_plateau_follows_from_the_spacing() {
     }
     fs::write(folder.path().join("f_66.xyz"), raw(&ball(1))).unwrap();
     let notes = run(folder.path(), &["f_{}.xyz", "-o", "m_{}.ply", "--spacing", "0.5"], 0);
-    assert!(notes.contains("warning: almost no fluid is deep enough to measure"), "{notes}");
+    assert!(notes.contains("warning: the fluid is too shallow to measure it reliably"), "{notes}");
     assert!(notes.contains("density 1.000 particles per cubed spacing"), "{notes}");
     let mesh = read_mesh(&folder.path().join("m_66.ply")).unwrap();
     let volume = measure(&mesh).volume.unwrap() / (ball(1).len() as f64 * 0.125);

@@ -175,7 +175,7 @@ pub fn held(surface: &StitchedSurface, particles: usize, spacing: f64) -> Outcom
     match Shortfall::of(surface, None, particles, None, spacing)? {
         None => Ok(surface.volume()? / (particles as f64 * spacing.powi(3))),
         Some(shortfall) => {
-            Err(format!("what was timed is no surface of the fluid: {shortfall}").into())
+            Err(format!("the timed surface is not that of the fluid: {shortfall}").into())
         }
     }
 }

@@ -61,9 +61,8 @@ impl Scene {
                 (Box::new(file.particles), file.spacing)
             }
         };
-        let spacing = known
-            .or_else(|| spacing::estimate(&*particles))
-            .ok_or("the spacing is not to be found")?;
+        let spacing =
+            known.or_else(|| spacing::estimate(&*particles)).ok_or("the spacing is not known")?;
         let bounds = bounds(&*particles).ok_or("there are no particles")?;
         Ok(Self { particles, spacing, camera: Camera::of([bounds.lo, bounds.hi]) })
     }

@@ -41,7 +41,7 @@ pub fn run(options: &Options) -> Outcome<()> {
         }
     }
     table.print(&format!(
-        "a level pool is raised by a cell in {STEPS} steps: how far its surface moves against it in one step at the most, in cells"
+        "a level pool is raised by one cell in {STEPS} steps: the largest movement of its surface relative to it in one step, in cells"
     ));
     Ok(())
 }

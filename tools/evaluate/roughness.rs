@@ -68,7 +68,7 @@ pub fn run(options: &Options) -> Outcome<()> {
         "sheets of jittered particles above a pool: components, holes in them, mean thickness in spacings",
     );
     drops.print(&format!(
-        "components above a pool of {} drops: fewer are lost, more are torn",
+        "components above a pool of {} drops: with fewer, drops are lost; with more, they are torn",
         DROPS * DROPS
     ));
     Ok(())

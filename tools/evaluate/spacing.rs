@@ -58,9 +58,9 @@ pub fn run(options: &Options) -> Outcome<()> {
     for (name, particles) in made(options.quick) {
         estimates.row(estimate(&name, &particles, 1.0));
     }
-    estimates.print("Spacing over the true one, and the warnings");
+    estimates.print("Estimated spacing divided by the true one, and the warnings");
     if !options.files.is_empty() {
-        given.show("What is said of a spacing that is given");
+        given.show("Warnings about a given spacing");
         cost.show("Milliseconds, all processors");
     }
     Ok(())

@@ -24,8 +24,8 @@ const CUT: f64 = 2.2;
 /// multiple of the requested width, and its cut-off in standard deviations.
 const AROUND: f64 = 0.5625;
 const AROUND_CUT: f64 = 1.7;
-/// The mean difference at which noise ends and shape begins, and the one from which on it is all
-/// shape, in spacings.
+/// The mean differences of the surfaces between which noise changes to shape: below the first it is
+/// all noise, and above the second all shape. In spacings.
 const APART: [f64; 2] = [0.07, 0.14];
 /// The depths between which the fine surface fades out, in spacings: noise has bubbles deeper in
 /// the fluid.
@@ -45,8 +45,13 @@ const NEAR: f64 = 1.0;
 /// out, and from which on it stands out completely, in spacings.
 const STANDS_OUT: [f64; 2] = [0.4, 1.0];
 /// The differences of the fine and the calm surface between which sheets begin to stand out earlier
+<<<<<<< HEAD
 /// than drops, in spacings: both surfaces agree in the bulk.
 const SHEETS_APART: [f64; 2] = [0.35, 0.45];
+=======
+/// than drops, in spacings. In the bulk, both surfaces agree.
+const SHEETS_APART: [f64; 2] = [0.25, 0.35];
+>>>>>>> h_c56
 /// The standard deviation of a particle's drop, in spacings.
 const DROP_WIDTH: f64 = 0.6;
 /// The radius of the drop of a single particle in fine cells, in spacings.

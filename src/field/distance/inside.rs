@@ -4,8 +4,8 @@
 //! A brick of 4^3 wide cells is full if every cube of about 4 spacings that overlaps it holds at
 //! least 0.85 of the number of particles that the plateau implies. A brick is inside if its 26
 //! neighbours are also full. The field has its maximum there at every stage, so that meshes stay
-//! closed whatever lies inside. Cubes slide by two wide cells, so that a bubble is found in any
-//! position: a bubble with a radius of two spacings takes a quarter of some cube.
+//! closed, even if the fluid has bubbles there. Cubes slide by two wide cells, so that a bubble is
+//! found in any position: a bubble with a radius of two spacings takes a quarter of some cube.
 
 use glam::{IVec3, USizeVec3};
 use hashbrown::HashMap;

@@ -43,11 +43,11 @@ use crate::grid::units::{FULL, MeanCount};
 #[serde(rename_all = "kebab-case")]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 pub enum IndicatorKind {
-    /// The distance of the particles' centroid from the cell's centre (eq. 7).
+    /// The distance of the particles' centroid from the cell's centre (eq. 7 of the paper).
     Symmetry,
-    /// The number of particles in the cell (eq. 6).
+    /// The number of particles in the cell (eq. 6 of the paper).
     Counting,
-    /// The share of the particles' clouds that lies in the cell.
+    /// The density of the particles, each of which is spread over nearby cells as a cloud.
     #[default]
     Cloud,
 }

@@ -417,7 +417,7 @@ mod tests {
     }
 
     #[test]
-    fn sheets_reach_to_their_corners_and_thick_bodies_and_clusters_are_no_sheets() {
+    fn sheets_reach_their_corners_and_thick_bodies_are_not_sheets() {
         let gaussian = |x: f64| -x * x / (2.0 * width() * width()) * LOG2_E;
         let stretched = |stretch: f64| (stretch.powi(-2) / (TAU.sqrt() * width())).log2();
         let certainty =

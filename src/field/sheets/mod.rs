@@ -1,29 +1,34 @@
-//! Sheets and threads: thin fluid as films and strings through its particles.
+//! Thin sheets and filaments: a body through their particles instead of single drops.
 //!
-//! The particles of a splash lie in sheets and threads, which stretch until the drops around single
-//! particles no longer touch. The density alone shows the position and the thickness of such a
+//! The particles of a splash lie in sheets and filaments, which stretch until the drops around
+//! single particles no longer touch. The density alone shows the position and the thickness of such a
 //! sheet, and whether there is one.
 //!
 //! 1. Shape. Let rho be the density smoothed by a Gaussian of width s, which is made in wide cells
 //!    and interpolated by splines, and L its logarithm. The first and second derivatives of L are
 //!    the moments of the particles under that Gaussian: s^2 grad L is their mean offset, and
 //!    s^2 (I + s^2 Hess L) their covariance. With g = s grad L and B = -s^2 Hess L, an eigenvalue
-//!    of B is 1 across a sheet or a thread, where the particles have no width, and 0 along it,
+//!    of B is 1 across a sheet or a filament, where the particles have no width, and 0 along it,
 //!    where nothing changes.
 //! 2. Distance. The middle of the sheet lies at s (2 B - B^2) g: along the sheet this is 0, across
 //!    it the mean offset. At a rim B is in between, so the distance to the middle grows smoothly
 //!    there.
 //! 3. Thickness. At the middle the density is rho e^E, E = 2 g.g - 3/2 g.Bg, which is g.g / 2
 //!    across a sheet and compensates for the missing particles beyond a rim. T = tr B is the number
-//!    of directions across. The density at the middle is that of a sheet (1), a thread (2) or a
+//!    of directions across. The density at the middle is that of a sheet (1), a filament (2) or a
 //!    ball (3) with the particles' volume under the Gaussian; this gives its half thickness or
+<<<<<<< HEAD
 //!    radius R. The cells need a minimum of `LEAST_CELLS`, and of `LEAST_RIM_CELLS` in threads and
 //!    at rims, which would fray otherwise. R approaches the minimum gradually: with a = log2 R^2, b
 //!    that of the minimum and w = `GRADUAL` over the cell, the result is
 //!    max(a, b) + max(w - |a - b|, 0)^2 / 4w. The volume of a stretching sheet then changes slowly.
+=======
+//!    radius R. The cells need a minimum of `LEAST_CELLS`, and of `LEAST_RIM_CELLS` in filaments
+//!    and at rims, which would fray otherwise.
+>>>>>>> h_c56
 //! 4. Certainty. There is a sheet if neighbours are no farther apart than requested, according to
 //!    the density at the middle, if the middle is near, and if B is nearly a projection: the
-//!    squared distance |B - B^2|^2 is at most 0.06 in sheets, in threads and at their rims, and
+//!    squared distance |B - B^2|^2 is at most 0.06 in sheets, in filaments and at their rims, and
 //!    often twice that in spray. It is as large at the corners of a sheet, where the middle seems
 //!    far, too. But there det(I - B), the product of the particles' variances, shows that they lie
 //!    in a plane, and both limits are wider. Neither a thick body (T < 0.4), nor its surface
@@ -75,8 +80,13 @@ const AVERAGE: f64 = 0.55;
 const PROFILE: f64 = 0.45;
 const PROFILE_CELLS: f64 = 0.9;
 /// The minimum half thickness of sheets, in cells of the mesh.
+<<<<<<< HEAD
 const LEAST_CELLS: f64 = 0.62;
 /// The minimum half thickness of rims and threads, in cells of the mesh.
+=======
+const LEAST_CELLS: f64 = 0.6;
+/// The minimum half thickness of rims and filaments, in cells of the mesh.
+>>>>>>> h_c56
 const LEAST_RIM_CELLS: f64 = 0.85;
 /// The spacings that are added to both.
 const LEAST_MORE: f64 = 0.05;
@@ -89,8 +99,8 @@ const GRADUAL: f64 = 0.55;
 const MOST_GRADUAL: f64 = 4.0;
 /// The factor beyond the requested stretch at which sheets end.
 const GONE: f64 = 1.12;
-/// The factor by which threads may be stretched farther than sheets: spray seldom looks like
-/// threads.
+/// The factor by which filaments may be stretched farther than sheets: spray seldom looks like
+/// filaments.
 const THREADS_FARTHER: f64 = 1.15;
 /// The squared distances of B from a projection between which drops replace sheets.
 pub const IMPURE: Ramp = ramp([0.06, 0.09]);
@@ -161,18 +171,18 @@ pub struct SheetConstants {
     pub plateau: i32,
     /// The maximum increase of the logarithm to the middle.
     pub most_more: i32,
-    /// log2 R^2 minus 2, 1 and 2/3 times the density's logarithm: for sheets, threads and drops.
+    /// log2 R^2 minus 2, 1 and 2/3 times the density's logarithm: for sheets, filaments and drops.
     pub sizes: [i32; 3],
     /// The logarithm of the minimum R^2.
     pub least_size: i32,
-    /// The increase of this logarithm at rims and in threads.
+    /// The increase of this logarithm at rims and in filaments.
     pub rim: i32,
     /// The difference of these logarithms within which the thickness approaches the minimum.
     pub gradual: i32,
     /// 1 over 4 times this difference.
     pub by_gradual: i32,
     /// The logarithm of the stretch, minus half or all of the density's logarithm: for sheets and
-    /// threads.
+    /// filaments.
     pub stretches: [i32; 2],
     /// The logarithm of a share at R = 0; the following factors apply to T, R^2 and the squared
     /// distance from the middle.
@@ -242,7 +252,7 @@ impl Sheets {
         let average = (AVERAGE / cell).powi(2).max(0.5);
         let stretches = [0.5 * log2(of_sheet(1.0)), log2(of_thread(1.0)) - log2(THREADS_FARTHER)];
         let gone = log2(stretch * GONE);
-        // Half of the density's logarithm for a sheet, all of it for a thread, interpolated in
+        // Half of the density's logarithm for a sheet, all of it for a filament, interpolated in
         // between.
         let least_density = (2.0 * (stretches[0] - gone)).min(stretches[1] - gone);
         let numbers = SheetConstants {

@@ -47,9 +47,9 @@ const CHANCE: f64 = 0.2;
 const ENOUGH_FOR_SCATTER: usize = 100;
 /// The minimum share of flat neighbourhoods in sheets of a single layer.
 const SHEETS: f64 = 0.6;
-/// Along threads of single particles, the third neighbour is farther away than the second by more
+/// Along filaments of single particles, the third neighbour is farther away than the second by more
 /// than this factor.
-const THREAD: f64 = 1.35;
+const FILAMENT: f64 = 1.35;
 /// A count and the neighbours agree if they differ by less than this factor.
 const AGREED: f64 = 1.07;
 /// The minimum share of the queried particles for an estimate.
@@ -205,7 +205,7 @@ impl Neighbours {
         there >= ENOUGH && there as f64 >= SOME * self.queried as f64
     }
 
-    /// The spacing that the nearest neighbours suggest, whatever their number.
+    /// The spacing that the nearest neighbours suggest, for any number of them.
     pub fn suggested(&self) -> Option<f64> {
         let [first, second, third, fourth] = self.nearest?;
         // In an ordered fluid three or four neighbours are about a spacing away, and in a
@@ -213,7 +213,7 @@ impl Neighbours {
         // away.
         let order = ((first / fourth - 0.7) / 0.2).clamp(0.0, 1.0);
         let near = third + order * (fourth - third);
-        let suggested = if third > THREAD * second {
+        let suggested = if third > FILAMENT * second {
             (first + second) / 2.0
         } else {
             self.sheet.filter(|sheet| (0.8..1.25).contains(&(sheet / third))).unwrap_or(near)
@@ -222,13 +222,13 @@ impl Neighbours {
     }
 
     /// The spacing from the density around deep particles, with the share of such particles; `None`
-    /// if it does not fit the distances of their nearest neighbours, as between sheets or threads
+    /// if it does not fit the distances of their nearest neighbours, as between sheets or filaments
     /// that are close together.
     pub fn measured(&self) -> Option<(f64, f64)> {
         let [_, second, third, _] = self.nearest?;
         let (spacing, share) = self.solid?;
         let fits = (0.85..1.07).contains(&(spacing / self.by_third()?));
-        (fits && third <= THREAD * second).then_some((spacing, share))
+        (fits && third <= FILAMENT * second).then_some((spacing, share))
     }
 
     /// The distance to the third neighbour as a spacing: disorder reduces it, by 14 % for randomly

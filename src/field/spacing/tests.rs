@@ -254,10 +254,10 @@ fn a_plane_of_particles_is_detected_only_if_all_lie_in_it() {
 }
 
 #[test]
-fn many_particles_in_sheets_and_threads_are_searched_at_their_own_scale() {
+fn many_particles_in_sheets_and_filaments_are_searched_at_their_scale() {
     let sheet = turned(layers([800, 800, 1], 0.2));
-    let threads = turned(bars([40_000, 1, 1], 6, 0.1));
-    for particles in [sheet, threads] {
+    let filaments = turned(bars([40_000, 1, 1], 6, 0.1));
+    for particles in [sheet, filaments] {
         assert!(particles.len() > ALL);
         let found = estimated(&particles);
         assert!((found.spacing - 1.0).abs() < 0.12, "{found:?}");

@@ -1,5 +1,6 @@
 //! MurmurHash3 (x64, 128 bits, seed 0) by Austin Appleby, which is in the public domain: Alembic
-//! stores it in front of each array. Readers recognise equal arrays by it, also of different files.
+//! stores it in front of each array. Readers use it to recognise equal arrays, even in different
+//! files.
 
 use std::io::{self, Write};
 

@@ -1,6 +1,6 @@
 //! One archive for all frames of a simulation. It grows frame by frame, and is complete after each.
 //!
-//! Each frame is first written to a file of its own, in a folder beside the archive. The bytes of
+//! Each frame is first written to a file of its own, in a folder next to the archive. The bytes of
 //! this file are appended to the archive, followed by groups that list all frames so far. The last
 //! write replaces the position of the root group in the header. So a reader finds a complete
 //! archive at any time, also after a crash. The file of the frame is removed then.
@@ -95,7 +95,7 @@ impl FrameArchive {
     /// Checks before the work that an existing file or folder at the path can be replaced.
     ///
     /// # Errors
-    /// Those of [`WholeFile::prepare`].
+    /// The errors of [`WholeFile::prepare`].
     pub fn check(&self) -> Result<(), WriteError> {
         if self.path.exists() {
             WholeFile::prepare(&self.path, Replace::Allow).map(drop)

@@ -7,12 +7,12 @@
 //! With compression, everything is quantized (KHR_mesh_quantization) and encoded
 //! (EXT_meshopt_compression, which requires version 0 of the vertex codec):
 //!
-//! | what | as | off by at most |
+//! | data | stored as | maximum error |
 //! |---|---|---|
-//! | positions | u16 on a grid whose step is a power of two, the least that spans the mesh | half a step along each axis |
+//! | positions | u16 on a grid; its step is the smallest power of two that spans the mesh | half a step along each axis |
 //! | normals | 8-bit octahedral | about a degree |
-//! | other values | 15-bit mantissas, an exponent a vertex | 2^-14 of a vertex's greatest component |
-//! | triangles | as they are | |
+//! | other values | 15-bit mantissas, and one exponent per vertex | 2^-14 of the vertex's largest component |
+//! | triangles | unchanged | |
 //!
 //! The grid is anchored at the origin, so that resting fluid does not flicker between frames.
 

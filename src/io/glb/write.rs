@@ -21,8 +21,8 @@ use super::{GlbCompression, GlbLayout, grid_step};
 /// leading underscore. Attributes with more than four components are left out.
 ///
 /// # Errors
-/// Those of `mesh` and `out`, and before anything is written [`io::ErrorKind::InvalidInput`] for
-/// more than 4 GiB.
+/// The errors of `mesh` and `out`, and before anything is written [`io::ErrorKind::InvalidInput`]
+/// for more than 4 GiB.
 ///
 /// # Panics
 /// Like [`MeshFormat::write`](crate::io::output::MeshFormat::write).

@@ -63,7 +63,7 @@ impl H5Layout {
     }
 }
 
-/// Reads a frame of the file at `path` with these bytes. Other files of a snapshot are beside it.
+/// Reads a frame of the file at `path` with these bytes. Other files of a snapshot are next to it.
 ///
 /// # Errors
 /// [`ReadFault::Unsupported`] if a step or a type of particles must be chosen or does not exist,
@@ -121,8 +121,8 @@ pub fn has_faces(bytes: Bytes) -> Result<bool, ReadFault> {
 /// Reads the polygons of a VTKHDF file as a mesh, divided into triangles from their first corner.
 ///
 /// # Errors
-/// Those of [`open_particles`], and [`ReadFault::Unsupported`] for strips, other layouts and data
-/// sets, and several steps.
+/// The errors of [`open_particles`], and [`ReadFault::Unsupported`] for strips, other layouts and
+/// data sets, and several steps.
 pub fn read_mesh(bytes: Bytes) -> Result<Mesh, ReadFault> {
     let file = H5File::open(bytes, Unpacking::in_memory())?;
     match H5Layout::of(&file)? {

@@ -2,7 +2,7 @@
 //! gas, in one or several files.
 //!
 //! `base.0.hdf5`, `base.1.hdf5` and so on are one snapshot, and each stores their number. Of a file
-//! `base.hdf5` beside them, whose data sets are views of the others, only this number is read.
+//! `base.hdf5` next to them, whose data sets are views of the others, only this number is read.
 
 use std::path::{Path, PathBuf};
 

@@ -70,14 +70,14 @@ impl BloscHeader {
             return Err(Damaged("its version is not 1 or 2"));
         }
         if number(4) != length {
-            return Err(Damaged("it unpacks to another length than the index says"));
+            return Err(Damaged("its unpacked length differs from the index"));
         }
         if number(12) != chunk.len() {
-            return Err(Damaged("it is of another length than the index says"));
+            return Err(Damaged("its length differs from the index"));
         }
         let block = number(8);
         if type_size == 0 || (block == 0 && length > 0) {
-            return Err(Damaged("blocks or numbers without bytes"));
+            return Err(Damaged("the size of its blocks or numbers is 0"));
         }
         let codec = match flags >> 5 {
             0 => Codec::BloscLz,
@@ -85,7 +85,7 @@ impl BloscHeader {
             2 => return Err(BloscFault::Unknown("Snappy")),
             3 => Codec::Zlib,
             4 => Codec::Zstd,
-            _ => return Err(Damaged("its compression has no name")),
+            _ => return Err(Damaged("its compression is unknown")),
         };
         let filter = match flags {
             _ if flags & 4 != 0 => Shuffle::Bits,
@@ -112,7 +112,7 @@ pub fn unpack(chunk: &[u8], out: &mut [u8]) -> Result<(), BloscFault> {
     let rest = &chunk[HEADER..];
     if header.is_stored {
         if rest.len() != out.len() {
-            return Err(Damaged("its bytes are not as many as it says"));
+            return Err(Damaged("its length differs from its header"));
         }
         out.copy_from_slice(rest);
         return Ok(());
@@ -126,7 +126,7 @@ pub fn unpack(chunk: &[u8], out: &mut [u8]) -> Result<(), BloscFault> {
         let at = chunk.get(at..at + 4).ok_or(Damaged("it ends within its blocks' offsets"))?;
         let at = u32::from_le_bytes([at[0], at[1], at[2], at[3]]) as usize;
         let packed = chunk.get(at..).filter(|_| at >= HEADER);
-        let packed = packed.ok_or(Damaged("a block is outside"))?;
+        let packed = packed.ok_or(Damaged("a block is outside of the chunk"))?;
         if header.filter == Shuffle::None {
             unpack_block(&header, packed, block)?;
             continue;
@@ -178,7 +178,7 @@ fn unpack_block(header: &BloscHeader, mut packed: &[u8], out: &mut [u8]) -> Resu
     // The number of bytes of a split block is a multiple of its streams, except in the last block.
     let each = out.len() / streams;
     if each * streams != out.len() {
-        return Err(Damaged("a block is not of whole numbers"));
+        return Err(Damaged("a block ends within a number"));
     }
     for stream in out.chunks_mut(each) {
         let length;
@@ -193,7 +193,7 @@ fn unpack_block(header: &BloscHeader, mut packed: &[u8], out: &mut [u8]) -> Resu
         if length == stream.len() {
             stream.copy_from_slice(own);
         } else if decompress(header.codec, own, stream) != Some(stream.len()) {
-            return Err(Damaged("a block does not unpack"));
+            return Err(Damaged("a block cannot be unpacked"));
         }
     }
     Ok(())

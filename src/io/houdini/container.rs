@@ -173,7 +173,7 @@ impl<'a> ContainerWriter<'a> {
     /// Starts a container.
     ///
     /// # Errors
-    /// Those of `out`.
+    /// The errors of `out`.
     pub fn new(out: &'a mut dyn Write) -> io::Result<Self> {
         out.write_all(MAGIC)?;
         out.write_all(&0_u64.to_be_bytes())?;

@@ -103,7 +103,7 @@ pub struct Nesting(Vec<JsonEvent>);
 impl Nesting {
     pub fn begin(&mut self, event: JsonEvent) -> Result<JsonEvent, String> {
         if self.0.len() == DEEPEST {
-            return Err(format!("lists in more than {DEEPEST} lists"));
+            return Err(format!("lists are nested more than {DEEPEST} levels deep"));
         }
         self.0.push(event.clone());
         Ok(event)
@@ -129,7 +129,7 @@ impl JsonNumbers {
     /// Passes each number to `take`, in order.
     ///
     /// # Errors
-    /// Those of `take` and of reading.
+    /// The errors of `take` and of reading.
     pub fn each(
         self,
         bytes: ByteView,

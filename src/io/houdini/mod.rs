@@ -70,7 +70,7 @@ impl GeometryForm {
 /// Opens a geometry of any version of Houdini.
 ///
 /// # Errors
-/// Those of [`read_particles`].
+/// The errors of [`read_particles`].
 pub(super) fn open_particles(
     path: &Path,
     bytes: Bytes,
@@ -104,7 +104,7 @@ pub fn read_particles(
 /// primitives.
 ///
 /// # Errors
-/// Those of [`read_particles`] for damage and scratch files.
+/// The errors of [`read_particles`] for damage and scratch files.
 pub fn read_points(
     bytes: Bytes,
     wanted: WantedAttributes,

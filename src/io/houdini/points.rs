@@ -217,7 +217,8 @@ impl<'a> UnpackedColumns<'a> {
     /// `None` if there are too many texts for a label, or several per point.
     ///
     /// # Errors
-    /// [`ReadFault::Malformed`] for a number without a text, and those of [`push`](Self::push).
+    /// [`ReadFault::Malformed`] for a number without a text, and the errors of
+    /// [`push`](Self::push).
     pub fn push_texts(
         &mut self,
         attribute: &HoudiniAttribute,

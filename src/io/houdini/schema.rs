@@ -323,7 +323,7 @@ impl SchemaReader<'_, '_, '_> {
     ) -> Result<NumberRun, ReadFault> {
         match first {
             JsonEvent::Numbers(JsonNumbers { storage: Storage::Bits, .. }) => {
-                return Err(self.json.fault(format!("{what} is an array of truths")));
+                return Err(self.json.fault(format!("{what} is an array of booleans")));
             }
             JsonEvent::Numbers(numbers) => {
                 return Ok(NumberRun { place: NumberLocation::Document, numbers });
@@ -734,7 +734,7 @@ impl SchemaReader<'_, '_, '_> {
                         || numbers.storage != own.storage
                         || numbers.count != *components
                     {
-                        let what = format!("attribute {name}: tuples that are not alike");
+                        let what = format!("attribute {name}: its tuples differ in type or length");
                         return Err(self.json.fault(what));
                     }
                     run.numbers.count += numbers.count;

@@ -52,7 +52,7 @@ impl<'a> Text<'a> {
             escaped = byte == b'\\' && !escaped;
             ends
         });
-        let end = end.ok_or_else(|| self.fault("a text without an end".to_owned()))? + 2;
+        let end = end.ok_or_else(|| self.fault("a string without an end".to_owned()))? + 2;
         self.at += end;
         let quoted = &rest[..end];
         if !quoted.contains(&b'\\') {
@@ -60,7 +60,7 @@ impl<'a> Text<'a> {
         }
         serde_json::from_slice::<String>(quoted)
             .map(Rc::from)
-            .map_err(|fault| self.fault(format!("a text that is no JSON: {fault}")))
+            .map_err(|fault| self.fault(format!("invalid JSON text: {fault}")))
     }
 
     fn word(&mut self) -> Result<JsonEvent, ReadFault> {
@@ -82,7 +82,7 @@ impl<'a> Text<'a> {
                 (None, None) => {
                     let found = &rest[..length.clamp(1, 40)];
                     let found = String::from_utf8_lossy(found);
-                    return Err(self.fault(format!("{found:?} stands where a value should")));
+                    return Err(self.fault(format!("found {found:?} instead of a value")));
                 }
             },
         })
@@ -118,7 +118,7 @@ impl Json for Text<'_> {
         self.value_at = self.at;
         match self.rest() {
             [] => Ok(()),
-            _ => Err(self.fault("more stands behind the geometry".to_owned())),
+            _ => Err(self.fault("there is more data after the geometry".to_owned())),
         }
     }
 }

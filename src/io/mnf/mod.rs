@@ -4,34 +4,34 @@
 //! All numbers are little-endian. A page contains the bricks of one bin of 16^3 cells. The file is
 //! written sequentially, so its summary is at the end.
 //!
-//! | part | bytes | what |
+//! | part | bytes | content |
 //! |---|---|---|
-//! | header | 8 | `89 4D 4E 46 0D 0A 1A 0A`: any change of line ends shows |
+//! | header | 8 | `89 4D 4E 46 0D 0A 1A 0A`, which detects a conversion of line ends |
 //! | | 4 | version: 2 |
 //! | | 4 | edge of a brick in cells: 4, 8 or 16 |
-//! | pages | | each a zstd frame of its samples, in the order of their keys and without gaps |
+//! | pages | | one zstd frame of samples per page, in the order of the keys and without gaps |
 //! | footer | 3 x 8 | origin of the grid, f64 |
 //! | | 8 | edge of a cell, f64 |
 //! | | 4 | 1 if there are walls, plus 2 if the box is periodic, else 0 |
 //! | | 4 | indicator: 0 symmetry, 1 counting, 2 cloud |
-//! | | 6 x 8 | lower and upper corner of the walls, f64; -inf and inf along an axis without; 0 if there are none |
+//! | | 6 x 8 | lower and upper corner of the walls, f64; -inf and inf for sides without a wall; 0 if there are no walls |
 //! | | 8 | mu0, f64; 0 for symmetry and cloud |
 //! | | 8 | spacing of the particles, f64; 0 if it is not known |
 //! | | 4 x 8 | particles in cells, not finite, beyond the grid, outside of the walls |
 //! | if periodic | 6 x 8 | lower and upper corner of the box, f64; -inf and inf along an open axis |
-//! | | 4 | how far images of particles stand beyond the box, in cells; they are in the pages |
+//! | | 4 | distance up to which images of particles exist beyond the box, in cells; the pages include them |
 //! | | 4 | 0 |
 //! | footer | 8 | number of pages |
-//! | index, per page | 8 | Morton key of its bin: 21 bits an axis, x lowest, each biased by 2^20 |
-//! | | 8 | where it begins in the file |
-//! | | 8 | a bit for every brick that is stored, by its Morton index in the bin |
+//! | index, per page | 8 | Morton key of its bin: 21 bits per axis, x lowest, each biased by 2^20 |
+//! | | 8 | offset of the page in the file |
+//! | | 8 | one bit for each stored brick, by its Morton index in the bin |
 //! | | 4 | bytes of the compressed page |
 //! | | 4 | CRC-32 of these bytes |
 //! | | 4 | number of full cells |
 //! | | 6 | tightest box around them: lowest cell, and one past the highest, in cells of the bin |
 //! | | 2 | 0 |
-//! | tail | 8 | where the footer begins |
-//! | | 4 | CRC-32 of the header, the footer, the index and the number before this |
+//! | tail | 8 | offset of the footer in the file |
+//! | | 4 | CRC-32 of the header, the footer, the index and the offset of the footer |
 //! | | 8 | `0A 1A 0A 0D 46 4E 4D 89` |
 //!
 //! The samples of a page are those of its bricks in order, x fastest in each brick: first the low

@@ -291,7 +291,7 @@ fn read_facts(cursor: &mut Cursor<'_>) -> Result<(FrameFacts, Indicator, u64), R
     let domain = match walls {
         0 | PERIODIC => None,
         WALLS | BOTH => Some(Domain::new(&grid, lo, hi).map_err(|e| fault(&e))?),
-        _ => return Err(fault(&"neither walls nor none")),
+        _ => return Err(fault(&"invalid flags of walls")),
     };
     let mean = cursor.f64("mu0")?;
     let mean = || MeanCount::new(mean).map_err(|e| fault(&e));
@@ -384,7 +384,7 @@ fn read_entry(
     let info = PageInfo { key, bricks, full, full_count };
     let wrong = [
         (MortonKey::of(coord) != key, "a page's key names no bin"),
-        (bricks == 0 || beyond != 0, "a page's bricks are none, or not of its bin"),
+        (bricks == 0 || beyond != 0, "a page has no bricks, or bricks outside of its bin"),
         (local.is_empty() || local.hi.max_element() > BIN, "a page's box is not in its bin"),
         (!limits.covers(&full), "a page's box is beyond the grid or the walls"),
         (

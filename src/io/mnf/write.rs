@@ -44,7 +44,7 @@ impl<W: Write> FrameWriter<W> {
     /// Starts a frame with pages of one shape. Writes are large, so `out` needs no buffer.
     ///
     /// # Errors
-    /// Those of `out`. This also holds for the methods below.
+    /// The errors of `out`. This also holds for the methods below.
     pub fn create(mut out: W, shape: PageShape) -> io::Result<Self> {
         let mut header = [0; HEADER];
         header[..8].copy_from_slice(&MAGIC);

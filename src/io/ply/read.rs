@@ -21,7 +21,7 @@ const PIECE: usize = 1 << 16;
 /// Reads a file of particles with [`read_points`].
 ///
 /// # Errors
-/// [`ReadFault::Mesh`] if there are faces, and those of [`read_points`].
+/// [`ReadFault::Mesh`] if there are faces, and the errors of [`read_points`].
 pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
     let header = PlyHeader::parse(bytes.view())?;
     let is_of_mesh = |element: &&Element| ["face", "tristrips"].contains(&element.name.as_str());
@@ -72,7 +72,7 @@ fn points(
 /// Whether there are faces, so that the file is a mesh. Reads only the header.
 ///
 /// # Errors
-/// Those of [`read_mesh`] about the header.
+/// The errors of [`read_mesh`] about the header.
 pub fn has_faces(bytes: ByteView) -> Result<bool, ReadFault> {
     Ok(faces(&PlyHeader::parse(bytes)?)?.is_some())
 }
@@ -80,7 +80,7 @@ pub fn has_faces(bytes: ByteView) -> Result<bool, ReadFault> {
 /// Reads vertices and faces. Polygons are divided into triangles from their first corner.
 ///
 /// # Errors
-/// Those of [`read_points`], [`ReadFault::Malformed`] for a face with a missing vertex, and
+/// The errors of [`read_points`], [`ReadFault::Malformed`] for a face with a missing vertex, and
 /// [`ReadFault::Unsupported`] for triangle strips.
 pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
     let view = ByteView::from(bytes);
@@ -268,7 +268,7 @@ fn decode(
         },
     )?;
     if (decoded.len() as usize) < all {
-        return Err(scan.fault(source.len(), "the file ends where a number should".into()));
+        return Err(scan.fault(source.len(), "expected a number, found the end of the file".into()));
     }
     decoded.finish()
 }

@@ -37,7 +37,7 @@ impl StreamedMesh {
     /// read vertices and faces independently.
     ///
     /// # Errors
-    /// Those of [`read_mesh`](super::read_mesh) about the header.
+    /// The errors of [`read_mesh`](super::read_mesh) about the header.
     pub fn open(bytes: Bytes, again: Bytes) -> Result<Option<Self>, ReadFault> {
         let header = PlyHeader::parse(bytes.view())?;
         let Some((element, _)) = faces(&header)? else { return Ok(None) };

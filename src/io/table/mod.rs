@@ -106,7 +106,8 @@ impl TextTable {
     /// Decodes the rows.
     ///
     /// # Errors
-    /// Those of [`read`], and [`ReadFault::Line`] if there are fewer rows than the file announces.
+    /// The errors of [`read`], and [`ReadFault::Line`] if there are fewer rows than the file
+    /// announces.
     pub fn read(
         self,
         bytes: Bytes,

@@ -18,7 +18,7 @@ use super::layout::{CellCorners, CellKind, VtkArray, VtkCells, VtkLayout, is_tex
 /// Reads a file of particles with [`read_points`].
 ///
 /// # Errors
-/// [`ReadFault::Mesh`] if a cell has an area or a volume, and those of [`read_points`].
+/// [`ReadFault::Mesh`] if a cell has an area or a volume, and the errors of [`read_points`].
 pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
     let bytes = unless_text(bytes, unpacking)?;
     let layout = VtkLayout::parse(bytes.view())?;
@@ -106,7 +106,7 @@ fn faces<'a>(
 /// divided from their first corner. Vertices and lines are ignored.
 ///
 /// # Errors
-/// Those of [`read_points`], [`ReadFault::Malformed`] for a cell with a missing point, and
+/// The errors of [`read_points`], [`ReadFault::Malformed`] for a cell with a missing point, and
 /// [`ReadFault::Unsupported`] for cells with a volume.
 pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
     let view = ByteView::from(bytes);

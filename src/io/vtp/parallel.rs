@@ -25,7 +25,7 @@ use super::read::{NumberedMesh, counts, read_block, read_numbered, read_particle
 /// without particles.
 ///
 /// # Errors
-/// Those of [`read_particles`](super::read_particles) with the piece; a missing piece is
+/// The errors of [`read_particles`](super::read_particles) with the piece; a missing piece is
 /// [`ReadFault::Io`]. [`ReadFault::Unsupported`] if no block contains particles.
 pub fn open_particles(
     path: &Path,
@@ -106,7 +106,7 @@ pub fn pieces(path: &Path) -> Result<Vec<PathBuf>, ReadError> {
 /// have the same global identifier; without identifiers they stay separate.
 ///
 /// # Errors
-/// Those of [`read_mesh`](super::read_mesh) with the piece.
+/// The errors of [`read_mesh`](super::read_mesh) with the piece.
 pub fn read_mesh(path: &Path) -> Result<Mesh, ReadError> {
     let mut all = JoinedMesh::default();
     for piece in pieces(path)? {

@@ -46,7 +46,7 @@ fn unless_encoded(bytes: Bytes, unpacking: Unpacking) -> Result<Bytes, ReadFault
 /// Reads a block, or returns its contents if these are not particles.
 ///
 /// # Errors
-/// Those of [`read_particles`], except for meshes.
+/// The errors of [`read_particles`], except for meshes.
 pub(super) fn read_block(
     bytes: Bytes,
     unpacking: Unpacking,
@@ -137,7 +137,7 @@ pub(super) fn counts(bytes: ByteView) -> Result<PieceCounts, ReadFault> {
 /// Vertices, lines and cell data are ignored.
 ///
 /// # Errors
-/// Those of [`read_particles`], and [`ReadFault::Unsupported`] for triangle strips and an
+/// The errors of [`read_particles`], and [`ReadFault::Unsupported`] for triangle strips and an
 /// UnstructuredGrid.
 pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
     Ok(read_numbered(bytes)?.mesh)

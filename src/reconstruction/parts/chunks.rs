@@ -1,8 +1,8 @@
-//! Chunks of the input with their bounding boxes, from which a part knows what it need not read.
+//! Chunks of the input with their bounding boxes, which show each part the chunks that it can skip.
 //!
-//! The input's order decides how well this works. If consecutive particles are near each other, a
-//! part reads little more than its own particles. If the order is random, every chunk is
-//! everywhere, and every part reads all.
+//! Their use depends on the order of the input. If consecutive particles are near each other, a
+//! part reads little more than its own particles. If the order is random, each chunk extends over
+//! the whole fluid, and every part reads all chunks.
 
 use std::fmt;
 use std::ops::Range;

@@ -118,7 +118,7 @@ fn extracted(
     }
     let share =
         sampling.merging_share(&checked.surfacing, &components(plan), spool.len() as u64, bins);
-    let crossings = iso.unwrap_or(Isovalue::NO_DISTANCE);
+    let crossings = iso.unwrap_or(Isovalue::ZERO_DISTANCE);
     let surface = StitchedSurface::new(spool, grid, walls, crossings, plan.attributes.clone());
     let resources = &checked.resources;
     let in_scratch =

@@ -1,7 +1,7 @@
 //! One frame's mesh in parts, each made by its own process on any machine, and merged to the bytes
 //! of a single run.
 //!
-//! `plan.json` and the parts' files are in a folder beside the output, with `.meniscus-parts`
+//! `plan.json` and the parts' files are in a folder next to the output, with `.meniscus-parts`
 //! appended to its name. The plan samples the whole frame once, measures what a single run would,
 //! and cuts the Morton curve of blocks into stretches of about equal work. A part samples the bins
 //! that decide its blocks' meshes ([`DecidingCells`](crate::grid::stretch::DecidingCells): what
@@ -160,8 +160,8 @@ pub struct PartDone {
 }
 
 impl Reconstruction {
-    /// A request for the mesh of a particle file in `count` parts. The parts are in a folder beside
-    /// the output until they are merged.
+    /// A request for the mesh of a particle file in `count` parts. The parts are in a folder next
+    /// to the output until they are merged.
     pub fn parts(
         &self,
         input: impl Into<PathBuf>,

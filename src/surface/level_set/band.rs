@@ -1,4 +1,4 @@
-//! The distances of one block: every voxel within the band learns its nearest triangle.
+//! The distances of one block: finds the nearest triangle of every voxel within the band.
 //!
 //! Voxels at the corners of the lattice's cubes that a triangle touches are compared with it. From
 //! there the triangles spread from voxel to voxel, nearest first: a voxel compares those of its 26
@@ -27,7 +27,7 @@ const EQUAL_SQUARES: f32 = 4e-4;
 const MOST_USEFUL: f32 = BAND - 1.0;
 /// Coordinates this close to an integer are that integer, in f64.
 const ROUNDING: f64 = 1e-6;
-/// A triangle may touch a voxel of which the square of its distance is less, in f32.
+/// A triangle may touch a voxel if the square of its distance is less than this, in f32.
 const TOUCHING: f32 = 1e-8;
 /// Makes up for distances that are found slightly too large.
 const SLACK: f32 = 0.1;
@@ -80,7 +80,8 @@ pub struct Band {
     visited: Vec<VoxelOffset>,
 }
 
-/// The triangles near a block, relative to its [`band_corner`], without those that are too flat.
+/// The triangles near a block, relative to its [`band_corner`], without triangles that are too
+/// flat.
 #[derive(Debug, Default)]
 pub struct BlockTriangles {
     triangles: Vec<Triangle>,
@@ -323,7 +324,8 @@ impl Band {
         }
     }
 
-    /// Gives voxels the nearest of the triangles that they and their neighbours knew before.
+    /// Gives each voxel the nearest of the triangles that were known to it and its neighbours
+    /// before.
     fn pull(&mut self, triangles: &[Triangle], places: &[VoxelOffset]) {
         let found: Vec<KnownVoxel> =
             places.iter().map(|&place| self.nearest_around(triangles, place)).collect();

@@ -95,8 +95,8 @@ impl LevelSet {
     /// Reads a closed mesh into memory: 24 bytes for each vertex, and 12 for each triangle.
     ///
     /// # Errors
-    /// Those of `mesh`; [`io::ErrorKind::OutOfMemory`]; and [`io::ErrorKind::InvalidInput`] for a
-    /// mesh with too many vertices, or with coordinates that are not finite or too large.
+    /// The errors of `mesh`; [`io::ErrorKind::OutOfMemory`]; and [`io::ErrorKind::InvalidInput`]
+    /// for a mesh with too many vertices, or with coordinates that are not finite or too large.
     pub fn new(mesh: &dyn MeshSource, lattice: Lattice) -> io::Result<Self> {
         let (positions, triangles) = gathered(mesh)?;
         let origin = DVec3::from(lattice.origin);
@@ -275,7 +275,7 @@ mod tests {
     }
 
     #[test]
-    fn distances_of_an_octahedron_are_exact_in_the_whole_band_and_negative_inside() {
+    fn distances_of_an_octahedron_are_exact_and_negative_inside() {
         const RADIUS: f64 = 61.3;
         let centre = [0.25, -0.125, 64.5];
         let lattice = Lattice { origin: [0.0; 3], step: 1.0 };

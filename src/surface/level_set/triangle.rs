@@ -1,8 +1,8 @@
 //! Distances from triangles, four at a time.
 //!
 //! Each triangle has a frame of its own in which it lies in the plane z = 0, with the first corner
-//! at the origin and the first edge along x. There the distance is the height z, and the distance
-//! in the plane from a triangle of which three numbers are known.
+//! at the origin and the first edge along x. In this frame, the distance consists of the height z,
+//! and of the distance in the plane from a triangle that three numbers describe.
 
 use glam::{DVec3, Mat4, Vec4, Vec4Swizzles};
 
@@ -46,8 +46,8 @@ impl Triangle {
         Some(Self { axes: [row(x), row(y), row(z)], shape: shape.into() })
     }
 
-    /// The distances of four places, given by their coordinates along each axis, from this
-    /// triangle.
+    /// The distances of four points from this triangle; the points are given by their coordinates
+    /// along each axis.
     pub fn distances(&self, [x, y, z]: [Vec4; 3]) -> TriangleDistances {
         let along = |axis: Vec4| axis.xxxx() * x + axis.yyyy() * y + axis.zzzz() * z + axis.wwww();
         let [u, v, height] = self.axes.map(along);

@@ -79,7 +79,7 @@ pub enum CompareError {
     #[error("every triangle of the {} has zero area", .0.name())]
     NoSurface(Side),
     /// A coordinate is not finite, or so large that its powers overflow.
-    #[error("vertex {vertex} of the {} is not a point within 1e70 of the origin", side.name())]
+    #[error("vertex {vertex} of the {} is not finite, or farther than 1e70 from the origin", side.name())]
     NotFinite {
         /// The mesh that the vertex belongs to.
         side: Side,
@@ -150,7 +150,7 @@ impl SearchableSurface {
     /// Prepares a reference mesh.
     ///
     /// # Errors
-    /// Those of [`compare`] for the reference.
+    /// The errors of [`compare`] for the reference.
     pub fn reference(mesh: &Mesh) -> Result<Self, CompareError> {
         let origin = mesh.positions.first().map_or(DVec3::ZERO, |&p| DVec3::from(p));
         Self::new(mesh, origin, Side::Reference)

@@ -32,8 +32,8 @@ impl Picture {
     /// A mesh that exceeds the memory limit is read in batches, several times.
     ///
     /// # Errors
-    /// Those of [`check`](Self::check), [`PictureError::NoAttribute`], [`PictureError::Memory`] and
-    /// [`PictureError::Io`].
+    /// The errors of [`check`](Self::check), [`PictureError::NoAttribute`],
+    /// [`PictureError::Memory`] and [`PictureError::Io`].
     pub fn draw(&self, mesh: &dyn MeshSource) -> Result<Image, PictureError> {
         self.check()?;
         let values = ColourSource::new(&self.colour, mesh)?;

@@ -105,7 +105,7 @@ impl Image {
     /// Writes a `.png` file.
     ///
     /// # Errors
-    /// Those of `out`.
+    /// The errors of `out`.
     pub fn write_png(&self, out: &mut dyn Write) -> io::Result<()> {
         self.write_png_of(out, None)
     }
@@ -146,7 +146,7 @@ impl<'a> Animation<'a> {
     /// Starts a file of `images` images like the first, `fps` per second, which repeats forever.
     ///
     /// # Errors
-    /// Those of `out`, and [`io::ErrorKind::InvalidInput`] for no image.
+    /// The errors of `out`, and [`io::ErrorKind::InvalidInput`] for no image.
     pub fn begin(out: &'a mut dyn Write, first: &Image, images: u32, fps: f64) -> io::Result<Self> {
         let mut encoder = first.encoder(out);
         encoder.set_animated(images, 0)?;

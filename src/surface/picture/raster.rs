@@ -117,7 +117,7 @@ impl Raster {
     }
 
     /// The column and row of a corner in half samples: odd numbers are between samples. Corners
-    /// beside the picture are clamped. A corner without a place has even numbers beyond all
+    /// next to the picture are clamped. A corner without a place has even numbers beyond all
     /// samples.
     #[inline(always)]
     pub(super) fn halves(&self, corner: Corner) -> [u16; 2] {
@@ -338,7 +338,7 @@ fn turn_of(sample: [i32; 2], p: Corner, q: Corner, turn: i64) -> i64 {
 #[inline(always)]
 fn halves(at: i32, samples: i32) -> u16 {
     let half = 2 * (at >> STEP_BITS) + i32::from(at & (STEPS - 1) != 0);
-    // Places beside the picture are between two samples that do not exist, and no result is less
+    // Places next to the picture are between two samples that do not exist, and no result is less
     // than 1.
     (half.clamp(-1, 2 * samples - 1) + 2) as u16
 }

@@ -165,7 +165,9 @@ impl Picture {
                 Err(PictureError::View("angles must be finite, and the zoom positive"))
             }
             Some(View::At { eye, target }) if !finite(&[eye, target].concat()) || eye == target => {
-                Err(PictureError::View("the eye and the point that it looks at must differ"))
+                Err(PictureError::View(
+                    "the camera and the point that it looks at must be at different positions",
+                ))
             }
             _ => Ok(()),
         }

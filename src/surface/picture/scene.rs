@@ -115,7 +115,7 @@ impl<'a> Scene<'a> {
         }
         let lights = surfaces.map(|(surface, sample, towards)| match sample {
             // Samples are averaged after clipping, so that a bright highlight does not hide the
-            // edge beside it.
+            // edge next to it.
             Some(_) => self.light_exactly(&surface, towards).min(Vec3::ONE),
             None => self.behind(self.camera.eye, self.direction(towards)),
         });

@@ -170,7 +170,7 @@ struct CollapseState<'a, 'b> {
     /// Vertices at the other ends of checked segments, which need checks again.
     looked_at: Vec<u32>,
     quadrics: Vec<Quadric>,
-    /// For each vertex, its smallest error and its target, or `NONE` if they must be computed.
+    /// For each vertex, its smallest error and its target; `NONE` if they are not computed yet.
     best: Vec<(f32, u32)>,
     /// Vertices whose neighbourhood has changed.
     changed: Vec<u32>,

@@ -1,9 +1,9 @@
 //! Joins the surfaces of all blocks into one mesh, by the identity of dual edges.
 //!
 //! A vertex's number is its block's base, plus its tile's, plus its rank among the tile's crossed
-//! edges: it follows from their order. Nothing is searched by position, and nothing depends on
-//! distance. Tiles are ordered along the Morton curve. Positions and triangles are computed on
-//! request, block by block, and never stored.
+//! edges: it follows from their order. Positions and distances are not used. Tiles are ordered
+//! along the Morton curve. Positions and triangles are computed on request, block by block, and
+//! never stored.
 
 mod coarse;
 mod numbers;

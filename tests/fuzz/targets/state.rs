@@ -1,4 +1,4 @@
-//! The files beside the meshes of a conversion: damaged states and records; and scenes beside
+//! The files next to the meshes of a conversion: damaged states and records; and scenes beside
 //! particles.
 
 use std::fs;
@@ -102,7 +102,7 @@ fn state(data: &[u8]) {
     }
 }
 
-/// For any file beside the particles, the spacing is a valid length or unknown.
+/// For any file next to the particles, the spacing is a valid length or unknown.
 fn scene(name: &str, data: &[u8]) {
     let folder = folder::empty("scene");
     fs::write(folder.join(name), data).unwrap();

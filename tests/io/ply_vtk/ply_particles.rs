@@ -225,13 +225,13 @@ fn invalid_ply_files_are_refused_with_the_reason() {
         ),
         (
             header(&format!("element vertex 1\nproperty list char int n\n{xyz}")) + "4 1 2 3 4\n",
-            "line 9: the line ends where a number",
+            "line 9: expected a number, found the end of the line",
         ),
         (header("element vertex 0\nproperty float x\nproperty float y\n"), "no property `z`"),
         (header("element point 0\n"), "no element `vertex`"),
         (
             header(&format!("element vertex 1\n{xyz}")) + "1.25 2\n",
-            "line 8: the line ends where a number",
+            "line 8: expected a number, found the end of the line",
         ),
         (
             header(&format!("element vertex 1\n{xyz}")) + "1 2 3 4\n",
@@ -239,7 +239,7 @@ fn invalid_ply_files_are_refused_with_the_reason() {
         ),
         (
             header(&format!("element vertex 1\n{xyz}")) + "\n1 two 3\n",
-            "line 9: \"two\" stands where",
+            "line 9: expected a number, found \"two\"",
         ),
         (header("element vertex -1\n"), "line 3: \"-1\" is not a count"),
         (header("property float x\n"), "line 3: a property without an element"),

@@ -65,7 +65,7 @@ pub fn methods(options: &Options, programs: &[Program]) -> Outcome<Vec<Method>> 
     };
     let mut methods = Vec::new();
     println!(
-        "isovalues: mean distance of a sphere and a torus that are reported nowhere, in spacings:\n"
+        "isovalues: mean distance of a sphere and a torus that are in no other table, in spacings:\n"
     );
     for program in programs {
         methods.push(program.documented());

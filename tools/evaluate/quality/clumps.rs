@@ -1,4 +1,4 @@
-//! Sheets and chains beside a bulk, drops and bubbles: how much of them the surface keeps, and in
+//! Sheets and chains next to a bulk, drops and bubbles: how much of them the surface keeps, and in
 //! how many components.
 
 use glam::{DVec2, DVec3, IVec3};
@@ -76,7 +76,7 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
         }),
     };
     board.table(
-        "chains of 8 single particles out of a bulk: 1 component is whole, mean of 6",
+        "chains of 8 single particles that leave a bulk: whole if there is 1 component, mean of 6",
         vec![chains],
     )?;
 

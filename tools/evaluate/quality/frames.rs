@@ -47,7 +47,7 @@ impl Frame {
         let known =
             file.spacing.or_else(|| Some(spacing_beside(path)?.0)).or_else(|| estimate(particles));
         let spacing =
-            known.ok_or_else(|| format!("{}: the spacing is not to be found", path.display()))?;
+            known.ok_or_else(|| format!("{}: the spacing is not known", path.display()))?;
         let mut points = vec![[0.0; 3]; particles.len()];
         particles.positions(0, &mut points);
         points.iter_mut().flatten().for_each(|x| *x /= spacing);
@@ -157,7 +157,7 @@ pub fn run(options: &Options, board: &Board, dam: &[Frame], given: &[Frame]) -> 
         });
     }
     board.table(
-        "water of simulations: what a Gaussian of 3 spacings leaves of calm regions",
+        "water of simulations: calm regions, minus the same smoothed by a Gaussian of 3 spacings",
         lines,
     )?;
 

@@ -36,7 +36,7 @@ pub fn run(options: &Options, board: &Board, dam: &[Frame]) -> Outcome<()> {
         let pool = cuboid(lo, IVec3::new(WIDTH, 0, WIDTH), jitter, &mut Random::new(16));
         let raised = |step: usize| pool.iter().map(|&[x, y, z]| [x, y + rise(step), z]).collect();
         Line {
-            rows: vec![format!("pool, jittered by {jitter}: greatest move in a step, in cells")],
+            rows: vec![format!("pool, jittered by {jitter}: largest movement in a step, in cells")],
             cell: Some(CELL),
             scenes: (0..=STEPS).map(raised).collect(),
             lost: Lost::Row,
@@ -59,7 +59,7 @@ pub fn run(options: &Options, board: &Board, dam: &[Frame]) -> Outcome<()> {
         let (scenes, directions) = (steps.clone(), frame.directions.clone());
         Line {
             rows: vec![format!(
-                "{}: RMS distance from the carried to the next surface",
+                "{}: RMS distance from the moved surface to the next one",
                 frame.name
             )],
             cell: Some(CELL),

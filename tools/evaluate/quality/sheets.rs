@@ -1,4 +1,4 @@
-//! Thin sheets, shells and threads of stretched particles, and spray: how many pieces the surface
+//! Thin sheets, shells and filaments of stretched particles, and spray: how many pieces the surface
 //! has, how many holes, and how much volume.
 
 use std::ops::Range;
@@ -26,13 +26,13 @@ const JITTER: f64 = 0.2;
 const RADIUS: f64 = 12.0;
 const APART: f64 = 1.4;
 const SHELL_JITTER: f64 = 0.1;
-/// Number of threads and of their particles, and by how much they are stretched.
-const THREADS: usize = 24;
+/// Number of filaments and of their particles, and by how much they are stretched.
+const FILAMENTS: usize = 24;
 const LINKS: usize = 20;
 const STRETCHES: [f64; 3] = [1.4, 1.8, 2.1];
-const THREAD_JITTER: f64 = 0.1;
-/// Edge length of the box that holds the centres of threads, and the minimum distance between
-/// particles of different threads.
+const FILAMENT_JITTER: f64 = 0.1;
+/// Edge length of the box that holds the centres of filaments, and the minimum distance between
+/// particles of different filaments.
 const BOX: f64 = 60.0;
 const CLEARANCE: f64 = 7.0;
 /// Mean distances between drops of spray, their number, and the distance within which they are a
@@ -55,7 +55,7 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
     let samples =
         Samples { cells: options.choose(&CELLS[..], &CELLS[..1]), seeds: 0..options.choose(3, 2) };
     still(board, &samples)?;
-    in_threads(board, &samples)?;
+    in_filaments(board, &samples)?;
     in_spray(board, &samples)?;
     let (layers, frames) = options.choose((&SLOW[..], FRAMES), (&SLOW[..1], FRAMES / 2));
     stretching(board, &samples, layers, frames)
@@ -108,24 +108,24 @@ fn still(board: &Board, Samples { cells, seeds }: &Samples) -> Outcome<()> {
     )
 }
 
-fn in_threads(board: &Board, Samples { cells, seeds }: &Samples) -> Outcome<()> {
+fn in_filaments(board: &Board, Samples { cells, seeds }: &Samples) -> Outcome<()> {
     let lines = in_cells(STRETCHES, cells).map(|(stretch, cell)| Line {
         rows: vec![format!("stretched {stretch} times, {}", cell_name(Some(cell)))],
         cell: Some(cell),
         lost: Lost::Scene,
-        scenes: seeds.clone().map(|seed| threads(stretch, seed)).collect(),
+        scenes: seeds.clone().map(|seed| filaments(stretch, seed)).collect(),
         read: Box::new(|meshes| {
             let counts = meshes.iter().map(|mesh| Count::of(&components(mesh).0));
             let pieces = mean(counts.clone().map(|count| count.components as f64));
             let volume = mean(counts.map(|count| count.volume));
-            let [threads, particles] = [THREADS, THREADS * LINKS].map(|count| count as f64);
-            Ok(vec![format!("{:.2} / {:.2}", pieces / threads, volume / particles)])
+            let [filaments, particles] = [FILAMENTS, FILAMENTS * LINKS].map(|count| count as f64);
+            Ok(vec![format!("{:.2} / {:.2}", pieces / filaments, volume / particles)])
         }),
     });
     board.table(
         &format!(
-            "threads of {LINKS} particles, jittered by {THREAD_JITTER}: pieces of a thread / \
-             volume over the particles', mean of {} times {THREADS}",
+            "filaments of {LINKS} particles, jittered by {FILAMENT_JITTER}: pieces of a filament / \
+             volume over the particles', mean of {} times {FILAMENTS}",
             seeds.len()
         ),
         lines.collect(),
@@ -163,9 +163,9 @@ fn stretching(board: &Board, samples: &Samples, layers: &[i32], frames: usize) -
         let volume = f64::from(WIDTH * WIDTH * layers);
         Line {
             rows: [
-                "stretch at which it opens",
+                "stretch at the first hole",
                 "frames in which holes close again",
-                "greatest change of volume before",
+                "largest change of volume before",
             ]
             .map(row)
             .into(),
@@ -247,26 +247,26 @@ fn shell(seed: usize) -> Points {
 }
 
 /// In random directions, at random places far from each other.
-fn threads(stretch: f64, seed: usize) -> Points {
+fn filaments(stretch: f64, seed: usize) -> Points {
     let mut random = Random::new(seed as u64);
     let mut particles: Points = Vec::new();
-    while particles.len() < THREADS * LINKS {
+    while particles.len() < FILAMENTS * LINKS {
         let height = 2.0 * random.unit() - 1.0;
         let (sin, cos) = (std::f64::consts::TAU * random.unit()).sin_cos();
         let radius = (1.0 - height * height).sqrt();
         let step = stretch * DVec3::new(radius * cos, height, radius * sin);
         let middle = DVec3::from([(); 3].map(|()| BOX * random.unit()));
-        let thread: Vec<DVec3> = (0..LINKS)
+        let filament: Vec<DVec3> = (0..LINKS)
             .map(|n| {
                 middle
                     + (n as f64 - (LINKS - 1) as f64 / 2.0) * step
-                    + off(THREAD_JITTER, &mut random)
+                    + off(FILAMENT_JITTER, &mut random)
             })
             .collect();
         let is_far =
             |p: &DVec3| particles.iter().all(|&other| p.distance(DVec3::from(other)) > CLEARANCE);
-        if thread.iter().all(is_far) {
-            particles.extend(thread.into_iter().map(<[f64; 3]>::from));
+        if filament.iter().all(is_far) {
+            particles.extend(filament.into_iter().map(<[f64; 3]>::from));
         }
     }
     particles
@@ -370,9 +370,9 @@ mod tests {
     }
 
     #[test]
-    fn threads_are_single_clusters_at_their_own_distance() {
-        let threads = threads(1.4, 0);
-        assert_eq!((threads.len(), clusters(&threads)), (THREADS * LINKS, THREADS));
+    fn filaments_are_single_clusters_at_their_own_distance() {
+        let filaments = filaments(1.4, 0);
+        assert_eq!((filaments.len(), clusters(&filaments)), (FILAMENTS * LINKS, FILAMENTS));
         assert_eq!(clusters(&[[0.0; 3], [1.5, 0.0, 0.0], [3.0, 0.0, 0.0], [9.0; 3]]), 2);
     }
 

@@ -123,7 +123,7 @@ def _request(
     sampling, filters = sampling_of(settings, cell), filters_of(settings)
     if settings.source == "OBJECT":
         if settings.object is None:
-            raise Refused("Choose an object whose vertices are the particles")
+            raise Refused("Choose the object whose vertices are the particles")
         if depsgraph is None:
             return None
         positions, velocity = vertices.particles_of(settings.object, depsgraph)
@@ -165,7 +165,7 @@ def update(mesh: bpy.types.Mesh, scene: bpy.types.Scene, depsgraph: bpy.types.De
     began, status = time.perf_counter(), Status()
     try:
         if mesh.is_editmode:
-            raise Refused("The surface waits until its mesh is no longer edited")
+            raise Refused("The surface is updated when its mesh leaves Edit Mode")
         request = _request(settings, scene.frame_current, depsgraph, status)
         if request is None:
             return

@@ -29,7 +29,7 @@ def fill(mesh: bpy.types.Mesh, arrays: Arrays, velocity_scale: float) -> None:
     """
     corners = arrays.triangles.size
     if corners > MOST_CORNERS:
-        raise TooLarge(f"{corners // 3} triangles are more than a mesh of Blender's can have, {MOST_CORNERS // 3}: larger cells make fewer")
+        raise TooLarge(f"The surface has {corners // 3} triangles, but a mesh in Blender can have at most {MOST_CORNERS // 3}: use larger cells")
     mesh.clear_geometry()
     mesh.vertices.add(len(arrays.vertices))
     mesh.vertices.foreach_set("co", arrays.vertices.reshape(-1))

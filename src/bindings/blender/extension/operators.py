@@ -95,7 +95,7 @@ def _done(operator: bpy.types.Operator, added: bpy.types.Object) -> Done:
 
 
 class AddFiles(bpy.types.Operator, ImportHelper):
-    """Add the live surface of a sequence of particle files, or of packed frames"""
+    """Add a live surface of a sequence of particle files or packed frames"""
 
     bl_idname = "meniscus.add_files"
     bl_label = "Fluid Surface of Files"
@@ -112,7 +112,7 @@ class AddFiles(bpy.types.Operator, ImportHelper):
 
 
 class AddObject(bpy.types.Operator):
-    """Add the live surface of the active object's vertices, or of its point cloud"""
+    """Add a live surface of the vertices or the point cloud of the active object"""
 
     bl_idname = "meniscus.add_object"
     bl_label = "Fluid Surface of Vertices"
@@ -142,7 +142,7 @@ class Reread(bpy.types.Operator):
 
 
 class Measure(bpy.types.Operator):
-    """Use the spacing from the file of this frame, or an estimate from its particles, for all frames"""
+    """Take the spacing from the file of this frame, or estimate it from its particles, and use it for all frames"""
 
     bl_idname = "meniscus.measure"
     bl_label = "Measure the Spacing"
@@ -255,7 +255,7 @@ class Convert(bpy.types.Operator):
             self.report({"ERROR"}, "This Blender is built without USD, which is needed to play the meshes")
             return {"CANCELLED"}
         if mesh.meniscus.output.startswith("//") and not bpy.data.filepath:
-            self.report({"ERROR"}, "Save the file first, or choose another folder for the meshes: // is the folder of the file")
+            self.report({"ERROR"}, "Save the .blend file first, or choose another folder for the meshes: // means the folder of the .blend file")
             return {"CANCELLED"}
         conversion = Conversion(order_of(mesh, context.scene))
         uid = mesh.session_uid

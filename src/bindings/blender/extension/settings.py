@@ -43,20 +43,20 @@ class MeniscusSurface(bpy.types.PropertyGroup):
     )
     object: PointerProperty(
         name="Object",
-        description="The object whose vertices or points, after modifiers and in world space, are the particles",
+        description="Object whose vertices or points are the particles, after modifiers and in world space",
         type=bpy.types.Object,
         update=_changed,
     )
     where: StringProperty(
         name="Where",
-        description="Use only particles that satisfy conditions: Type=1, mk=0,2, age<2.5; type=PartType1 for a file with several types",
+        description="Use only particles whose attributes satisfy a condition: Type=1, mk=0,2 for either value, age<2.5; type=PartType1 for a file with several types",
         update=_changed,
     )
-    start: IntProperty(name="Start", description="The scene's frame at which the sequence starts", default=1, update=_changed)
-    first: IntProperty(name="First", description="The frame number of the sequence at the start", default=0, update=_changed)
+    start: IntProperty(name="Start", description="Frame of the scene at which the sequence starts", default=1, update=_changed)
+    first: IntProperty(name="First", description="Frame number of the file that is shown at the start", default=0, update=_changed)
     step: FloatProperty(
         name="Step",
-        description="How far the frame number of the sequence advances with each frame of the scene: below 1 is slow motion, with repeated frames",
+        description="Frames of the sequence per frame of the scene; below 1 is slow motion, and repeats frames",
         default=1.0,
         min=0.0,
         update=_changed,
@@ -70,7 +70,7 @@ class MeniscusSurface(bpy.types.PropertyGroup):
     )
     spacing: FloatProperty(
         name="Spacing",
-        description="Distance between neighbouring particles, in their unit; 0 to use that of the file, or estimate it for each frame",
+        description="Distance between neighbouring particles, in the unit of the particles; 0 takes it from the file of each frame, or estimates it",
         default=0.0,
         precision=5,
         step=0.1,
@@ -94,7 +94,7 @@ class MeniscusSurface(bpy.types.PropertyGroup):
     )
     tank: BoolProperty(
         name="Tank",
-        description="End the fluid exactly at walls; particles beyond are left out",
+        description="End the fluid exactly at the walls of a tank; particles outside are left out",
         default=False,
         update=_changed,
     )
@@ -114,7 +114,7 @@ class MeniscusSurface(bpy.types.PropertyGroup):
     )
     smooth: FloatProperty(
         name="Smoothing",
-        description="Smoothing width in particle spacings, from 0.8 to 4: more is smoother, 2 suits noisy FLIP",
+        description="Smoothing width in particle spacings, from 0.8 to 4; larger is smoother, 2 is good for noisy FLIP",
         default=CALM,
         min=0.0,
         soft_min=1.0,
@@ -124,7 +124,7 @@ class MeniscusSurface(bpy.types.PropertyGroup):
     )
     smallest_drop: IntProperty(
         name="Smallest Drop",
-        description="Leave out drops with fewer particles",
+        description="Remove drops that have fewer particles",
         default=0,
         min=0,
         soft_max=100,
@@ -132,7 +132,7 @@ class MeniscusSurface(bpy.types.PropertyGroup):
     )
     simplify: FloatProperty(
         name="Simplify",
-        description="Use fewer triangles; the surface moves at most this many cells. 0 keeps all triangles",
+        description="Reduce the number of triangles; the surface moves at most this many cells. 0 keeps all triangles",
         default=0.0,
         min=0.0,
         soft_max=0.5,
@@ -141,12 +141,12 @@ class MeniscusSurface(bpy.types.PropertyGroup):
     )
     attributes: StringProperty(
         name="Attributes",
-        description="Names of the particles' attributes for the vertices, separated by commas; by default, the velocity",
+        description="Names of the particle attributes to transfer to the mesh, separated by commas; by default, only the velocity",
         update=_changed,
     )
     output: StringProperty(
         name="Output",
-        description="The folder for the meshes of a conversion",
+        description="Folder for the mesh files of a conversion",
         subtype="DIR_PATH",
         default="//surfaces/",
     )
@@ -159,7 +159,7 @@ class MeniscusPreferences(bpy.types.AddonPreferences):
 
     cache: IntProperty(
         name="Cache (MiB)",
-        description="Memory for cached surfaces of frames, besides the surface that is shown",
+        description="Memory limit for cached surfaces, in addition to the surface that is shown",
         default=1024,
         min=0,
         update=lambda self, _context: live.bound_cache(self.cache),

@@ -124,7 +124,7 @@ enum MeniscusSpacingSource
   MENISCUS_SPACING_SOURCE_GIVEN = 1,
   // The particles' file.
   MENISCUS_SPACING_SOURCE_FILE = 2,
-  // A scene file beside the particles' file.
+  // A scene file next to the particles' file.
   MENISCUS_SPACING_SOURCE_SCENE = 3,
   // An estimate from the particles.
   MENISCUS_SPACING_SOURCE_ESTIMATED = 4,

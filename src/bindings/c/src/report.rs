@@ -15,7 +15,7 @@ pub enum MeniscusSpacingSource {
     Given = 1,
     /// The particles' file.
     File = 2,
-    /// A scene file beside the particles' file.
+    /// A scene file next to the particles' file.
     Scene = 3,
     /// An estimate from the particles.
     Estimated = 4,

@@ -84,7 +84,7 @@ static void options_are_refused(void) {
   OPTION("iso does not apply to this method", "method", "zhu-bridson", "iso", "0.5");
   OPTION("simplify must be", "simplify", "-1");
   OPTION("smallest-component must be", "smallest-component", "nan");
-  OPTION("of memory is needed", "memory", "1");
+  OPTION("the memory limit must be at least", "memory", "1");
   OPTION("cannot start threads: their number must be from 1 to 1024", "threads", "4000000000");
   OPTION("device: the backend is cpu", "backend", "cpu", "device", "0");
   OPTION("backend: kernel methods run on the CPU", "backend", "vulkan", "method", "mueller");

@@ -27,7 +27,7 @@ use crate::work::Work;
 ///     All attributes, with the names in the file: float32, and for integers int32, uint32 or, if
 ///     the file stores 64 bits, int64.
 /// spacing : float or None
-///     Distance between neighbouring particles, from the file or a scene file beside it.
+///     Distance between neighbouring particles, from the file or a scene file near it.
 /// time : float or None
 ///     The simulation's time in seconds, from the file.
 /// up : str

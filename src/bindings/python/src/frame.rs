@@ -34,7 +34,7 @@ const OF_FRAMES: &[KeywordGroup] = &[
 ///
 /// Raises
 /// ------
-/// Those of ``reconstruct``.
+/// The errors of ``reconstruct``.
 #[pyclass(frozen, module = "meniscus")]
 pub struct Frame {
     sampled: Arc<meniscus::Frame>,

@@ -209,7 +209,7 @@ impl Mesh {
     /// overwrite : bool
     ///     Whether an existing file may be replaced.
     /// preview : bool
-    ///     Also draw a picture beside it, with its name and .png.
+    ///     Also draw a picture next to it, with its name and .png.
     ///
     /// Returns
     /// -------

@@ -11,26 +11,25 @@ use crate::work::{Work, with_progress};
 /// Reconstructs the surface of particles: a closed, oriented, 2-manifold triangle mesh.
 ///
 /// Keywords are the options of ``meniscus reconstruct``, whose ``--help`` describes them in detail.
-/// All are optional: by default they are estimated or have fixed values. Lengths are in the unit of
-/// the positions.
+/// All of them are optional. Lengths are in the unit of the positions.
 ///
 /// Parameters
 /// ----------
 /// positions : array of shape (N, 3), float32 or float64
-///     A NumPy array, or any object that shares its memory by DLPack, the array interface or the buffer protocol; with any strides, also
-///     read-only. It is read in place, and never copied.
+///     A NumPy array, or any object that shares its memory by DLPack, the array interface or the buffer protocol. It may have any strides
+///     and be read-only. It is read in place, and never copied.
 /// velocity : array of shape (N, 3), optional
 ///     Velocities; the mesh has them as ``attributes["velocity"]``.
 /// attributes : mapping from names to arrays of shape (N,) or (N, K), optional
-///     Further values to interpolate to the vertices. ``v`` and similar names become ``velocity``. Integers, such as identifiers, are taken
-///     from the particle nearest to a vertex, and must fit into 32 bits.
+///     Further values to interpolate to the vertices. ``v`` and similar names become ``velocity``. A vertex takes integers, such as
+///     identifiers, from the nearest particle; they must fit into 32 bits.
 /// where : str or list of str, optional
-///     Use only particles whose ``attributes`` satisfy conditions, such as "Type=1" or "age<2.5 and z>0".
+///     Use only particles whose ``attributes`` satisfy a condition, such as "Type=1" or "age<2.5 and z>0".
 /// spacing, radius : float, optional
 ///     Distance between neighbouring particles, or half of it. Estimated if neither is given.
 /// size : str, optional
-///     Attribute with the sizes of the particles: by its name radii, diameters, volumes, or masses, which need a density. "pscale" and
-///     "radius" are recognised; "none" treats all particles as one size.
+///     Attribute that holds the particles' sizes, if they differ; "pscale" and "radius" are found without it. The name says what the values
+///     are: radii, diameters, volumes, or masses, which need a density. "none" treats all particles as one size.
 /// cell, cell_size : float, optional
 ///     Edge of a cell in spacings (0.5 by default; use 0.25 for renders), or as a length.
 /// origin : three floats, optional
@@ -42,15 +41,21 @@ use crate::work::{Work, with_progress};
 /// periodic_mesh : "cut" or "overlap", optional
 ///     How the mesh ends at the faces of a periodic box.
 /// indicator : "cloud", "counting" or "symmetry", optional
-///     How a cell's sample is computed; "cloud" by default, the others are the paper's.
+///     Rule that computes the value of a cell from its particles: "cloud" by default; the others are from the paper.
 /// mu0 : float, optional
-///     Mean number of particles in cells that contain any, for counting.
+///     Mean number of particles in non-empty cells, for counting.
 /// method : "dif", "mueller", "zhu-bridson" or "yu-turk", optional
 ///     Discrete indicator functions, or a kernel method for comparison.
 /// skip_invalid : bool, optional
-///     Leave out particles that are not finite or too far away, instead of an error.
+///     Skip particles that are not finite or too far away, which are otherwise an error.
 /// smooth : float, optional
-///     Smoothing width in spacings, 1.6 by default; more is calmer, 2 for noisy FLIP particles.
+///     Smoothing width in spacings, 1.6 by default; larger is smoother, 2 is good for noisy FLIP particles.
+/// sheets : float, optional
+///     Join particles of thin sheets and filaments up to this many spacings apart, 2.15 by default; 0 turns it off.
+/// solid : list of str, optional
+///     Files of closed meshes where the fluid ends, such as obstacles.
+/// solid_offset : float, optional
+///     Distance between the fluid and solids in spacings, -0.1 by default.
 /// sigma : float, optional
 ///     Standard deviation of the Gaussian in cells, for counting and symmetry.
 /// iso : float or "auto", optional
@@ -60,27 +65,28 @@ use crate::work::{Work, with_progress};
 /// normals : bool, optional
 ///     Add vertex normals, from the field's gradient.
 /// simplify : float, optional
-///     Use fewer triangles; the surface moves no farther than this number of cells.
+///     Reduce the number of triangles; no part of the surface moves by more than this many cells.
 /// smallest_component : float, optional
-///     Leave out components with less than this volume in cells.
+///     Remove drops and bubbles with a volume of less than this many cells.
 /// smallest_drop : int, optional
-///     Leave out drops with fewer particles.
+///     Remove drops that have fewer particles.
 /// compress : bool, optional
 ///     Write .glb files quantized and compressed.
 /// up, particles_up : "y" or "z", optional
 ///     Axis that points up in mesh files, and in the particles.
 /// backend : "auto", "cpu" or "vulkan", optional
-///     Backend; the mesh has the same bytes on all.
+///     Where to compute; the mesh has the same bytes everywhere.
 /// device : str or int, optional
 ///     Vulkan device, by number, UUID or part of its name.
 /// threads : int, optional
-///     Threads to use; all cores by default.
+///     Number of threads; one per core by default.
 /// memory : int in bytes or a str such as "512MiB", optional
 ///     Memory limit; larger frames use scratch files. The default is three quarters of the available memory.
 /// scratch : str or os.PathLike, optional
 ///     Folder for scratch files; by default the system's temporary folder.
 /// progress : callable, optional
-///     Called on the caller's thread with the name of a stage and its progress from 0 to 1. An exception cancels the work.
+///     A function that is called on the caller's thread with the name of a stage and its progress from 0 to 1. An exception in it cancels
+///     the work.
 ///
 /// Returns
 /// -------
@@ -89,13 +95,13 @@ use crate::work::{Work, with_progress};
 /// Raises
 /// ------
 /// TypeError
-///     For an array of another type, or one on a device.
+///     If an array has the wrong type, or is on a device.
 /// meniscus.InputError
-///     For numbers out of range, arrays of another shape, and particles without a surface. It is a ValueError.
+///     If a number is out of range, an array has the wrong shape, or the particles have no surface. It is a ValueError.
 /// meniscus.FileError
-///     For scratch files that fail. It is an OSError.
+///     If a scratch file cannot be written. It is an OSError.
 /// meniscus.DeviceError
-///     For a requested device that cannot be used.
+///     If the requested device cannot be used.
 /// KeyboardInterrupt
 ///     On Ctrl-C.
 #[pyfunction]

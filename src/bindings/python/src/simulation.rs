@@ -66,7 +66,7 @@ pub const SIMULATION: [&str; 10] = [
 ///     Join the frames with the same number from all inputs, such as several fluids. Each input is
 ///     a name with ``{}``, a folder or a glob.
 /// preview : bool, optional
-///     Draw a contact sheet of the frames beside the meshes, as .png.
+///     Draw a contact sheet of the frames next to the meshes, as .png.
 /// attributes : list of str, optional
 ///     Attributes for the vertices; by default, the velocity.
 /// format : str, optional
@@ -257,7 +257,7 @@ impl Simulation {
         Ok(ended.into_iter().map(Summary::from).collect())
     }
 
-    /// Calibrates all frames, stores the calibration beside the outputs, and returns the frame
+    /// Calibrates all frames, stores the calibration next to the outputs, and returns the frame
     /// numbers: for several jobs, each of which converts some frames.
     ///
     /// Returns

@@ -144,7 +144,7 @@ def test_numbers_out_of_range_say_what_and_where(ball: Any) -> None:
         ({"threads": 0}, "threads"),
         ({"threads": -1}, "^threads: -1 is out of range"),
         ({"memory": "lots"}, "^memory: "),
-        ({"memory": 1}, "of memory is needed"),
+        ({"memory": 1}, "the memory limit must be at least"),
         ({"spacing": 1.0, "radius": 0.5}, "^radius: spacing is given|^spacing: radius is given"),
         ({"cell": 0.5, "cell_size": 0.5}, "is given, and both say the same"),
         ({"domain": (0, 0, 0, 1, 1)}, "^domain: six numbers"),

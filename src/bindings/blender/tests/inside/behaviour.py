@@ -303,7 +303,7 @@ def an_edited_mesh_is_left_alone() -> None:
     shown = dam()
     bpy.ops.object.mode_set(mode="EDIT")
     bpy.context.scene.frame_set(20)
-    assert "edited" in live.status_of(shown.data).error
+    assert "Edit Mode" in live.status_of(shown.data).error
     bpy.ops.object.mode_set(mode="OBJECT")
     bpy.context.scene.frame_set(20)
     assert shows(shown.data, expected(20))
