@@ -389,6 +389,7 @@ pub use simulation::{
     Event, Forecast, FrameCounts, FrameDone, FrameFailed, LargestFrame, LiveSimulation,
     MissingFrames, OmittedCounts, SharedCalibration, Simulation, Summary, Trust,
 };
+pub use surface::level_set::Volume;
 pub use surface::simplify::TooSmall;
 pub use system::cancel::Cancel;
 pub use system::control::{Progress, Stage};

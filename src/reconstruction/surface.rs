@@ -1,6 +1,7 @@
 //! A reconstructed surface, and writing it.
 
 use std::fmt;
+use std::io;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -9,13 +10,14 @@ use crate::grid::units::MemoryBudget;
 use crate::io::output::MeshFormat;
 use crate::io::whole::Replace;
 use crate::io::{UpAxis, WriteError, stl};
-use crate::surface::mesh::source::{MeshSource, Outline};
+use crate::surface::level_set::Volume;
+use crate::surface::mesh::source::{MeshSource, MeteredMesh, Outline};
 use crate::surface::mesh::{Mesh, VertexAttribute};
 #[cfg(feature = "pictures")]
 use crate::surface::picture::{Effort, Image, Picture};
 use crate::surface::stitch::WholeMeshError;
 use crate::system::cancel::Cancel;
-use crate::system::control::Control;
+use crate::system::control::{Control, Stage};
 
 use super::SinglePrecision;
 use super::checked::CheckedRequest;
@@ -77,6 +79,25 @@ impl Surface {
             ExtractedMesh::Reduced(mesh) => in_one_piece(mesh),
         });
         Ok(mesh?)
+    }
+
+    /// Computes the signed distance from the surface in a band of three voxels on either side, as
+    /// in a .vdb file. The voxels are the cells of the grid. Bricks take 2 KiB each.
+    ///
+    /// # Errors
+    /// [`Error::Request`] for cells so small that coordinates of voxels overflow,
+    /// [`Error::WholeMesh`] if a scratch file cannot be read or memory is full,
+    /// [`Error::Cancelled`] by the handle of the request, and [`Error::Threads`].
+    pub fn volume(&self) -> Result<Volume, Error> {
+        let threads = self.threads.started().map_err(Error::Threads)?;
+        let control = &self.control;
+        let readings = 2;
+        let metered = MeteredMesh::new(self.mesh(), readings, control, Stage::Writing);
+        threads.install(|| Volume::of(&metered)).map_err(|fault| match fault.kind() {
+            _ if control.cancel.is_cancelled() => Error::Cancelled,
+            io::ErrorKind::InvalidInput => Error::Request(fault.to_string()),
+            _ => WholeMeshError::Scratch(fault).into(),
+        })
     }
 
     /// The report on the reconstruction.

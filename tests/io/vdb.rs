@@ -13,7 +13,7 @@ use meniscus::internals::io::{CoordinateWidth, ReadFault};
 use meniscus::internals::particles::AttributeKind;
 use meniscus::internals::surface::mesh::source::{Lattice, MeshSource, Outline, Vertices};
 use meniscus::internals::surface::mesh::{Mesh, VertexAttribute};
-use meniscus::{MemoryBudget, Reconstruction};
+use meniscus::{MemoryBudget, Reconstruction, Volume};
 
 use crate::common::fill;
 use crate::common::shapes::{cuboid, moved, sphere, union};
@@ -582,6 +582,28 @@ fn threads_and_memory_change_no_byte_of_a_level_set() {
     assert!(bytes(Reconstruction::new().threads(2)) == expected, "two threads");
     let small = Reconstruction::new().threads(2).memory(MemoryBudget(24 << 20));
     assert!(bytes(small) == expected, "a small budget");
+}
+
+#[test]
+fn a_volume_in_memory_has_the_bricks_and_distances_of_a_file() {
+    let particles = fill(14.0, 2.0, 0.2, 3, |p| p.length() < 7.0);
+    let surface = Reconstruction::new().spacing(0.5).run(&particles[..]).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.vdb");
+    surface.write(&path).unwrap();
+    let grids = decoded(&fs::read(&path).unwrap());
+    let Volume { origin, voxel_size, corners, distances } = surface.volume().unwrap();
+    assert_eq!((origin, voxel_size), (grids[0].origin, grids[0].step));
+    let leaves: Vec<Index> = grids[0].leaves.keys().copied().collect();
+    assert!(corners == leaves && corners.len() > 100, "{}", corners.len());
+    for (corner, brick) in corners.iter().zip(distances.chunks(512)) {
+        let values = &grids[0].leaves[corner].values;
+        assert_eq!(brick.len(), values.len());
+        for (i, (&distance, value)) in brick.iter().zip(values).enumerate() {
+            let error = (f64::from(distance) - value[0]).abs() / voxel_size;
+            assert!(error < 2e-3, "{corner:?}, {i}: {distance}, not {}", value[0]);
+        }
+    }
 }
 
 #[test]

@@ -80,6 +80,31 @@ for frame in listing["frames"]:
         mesh.loops.foreach_get("vertex_index", corners)
         assert (normals * expected("nx", "ny", "nz")[corners]).sum(1).min() > 0.999
     print(f"dam.abc at frame {frame['frame']}: {counts(mesh)}, volume {volume:.3f}")
+# A Volume object follows the frames.
+bpy.ops.wm.read_factory_settings(use_empty=True)
+numbers_of_files = [frame["frame"] for frame in listing["frames"]]
+volume = bpy.data.volumes.new("dam")
+volume.filepath = f"{folder}/dam_{numbers_of_files[0]}.vdb"
+volume.is_sequence = True
+volume.frame_start = numbers_of_files[0]
+volume.frame_offset = numbers_of_files[0] - 1
+volume.frame_duration = numbers_of_files[-1] - numbers_of_files[0] + 1
+shown = bpy.data.objects.new("dam", volume)
+bpy.context.collection.objects.link(shown)
+for frame in listing["frames"]:
+    bpy.context.scene.frame_set(frame["frame"])
+    evaluated = shown.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    grids = evaluated.data.grids
+    assert grids.load(), grids.error_message
+    assert [(grid.name, grid.data_type) for grid in grids] == [("surface", "FLOAT"), ("v", "VECTOR_FLOAT")]
+    assert grids.frame_filepath.endswith(f"/dam_{frame['frame']}.vdb"), grids.frame_filepath
+    # The box has whole leaves of 8 voxels.
+    points = columns(f"{folder}/{frame['file']}")("x", "y", "z")
+    corners = np.array([tuple(corner) for corner in evaluated.bound_box])
+    leaf = 8 * grids[0].matrix_object[0][0]
+    beyond = [points.min(0) - corners.min(0), corners.max(0) - points.max(0)]
+    assert np.min(beyond) >= 0 and np.max(beyond) < 2 * leaf, (beyond, leaf)
+    print(f"dam_{frame['frame']}.vdb: {len(grids)} grids, box {corners.min(0)} to {corners.max(0)}")
 if not has_usd:
     print("this Blender is built without USD")
     sys.exit(0)

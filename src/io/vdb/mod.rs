@@ -29,8 +29,8 @@ use glam::IVec3;
 use rayon::prelude::*;
 
 use crate::particles::{AttributeInfo, AttributeKind, colour_attribute};
-use crate::surface::level_set::{BAND, Leaf, LevelSet, NearestPoint, VOXELS};
-use crate::surface::mesh::source::{Lattice, MeshSource, Outline};
+use crate::surface::level_set::{BAND, Leaf, LevelSet, NearestPoint, VOXELS, lattice_of};
+use crate::surface::mesh::source::{Lattice, MeshSource};
 
 use super::encode::{in_order, write_pieces};
 use super::names::unique_names;
@@ -41,8 +41,6 @@ use values::{Kind, put_sides, put_zipped, sides_bytes};
 
 /// The name of the grid of distances.
 const SURFACE: &str = "surface";
-/// The lattice of an empty mesh.
-const UNIT: Lattice = Lattice { origin: [0.0; 3], step: 1.0 };
 /// Sizes of voxels for which half precision is enough.
 const HALF_SIZES: Range<f64> = 1e-4..1e4;
 /// Greatest components of velocities for which half precision is enough.
@@ -105,13 +103,14 @@ struct GridWriter<'a> {
 /// Those of `mesh` and `out`; and before anything is written those of [`LevelSet::new`], and
 /// [`io::ErrorKind::InvalidInput`] for a mesh with triangles but without a lattice.
 pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, zip: bool) -> io::Result<()> {
-    let Outline { lattice, triangles, attributes, .. } = mesh.outline();
-    let lattice = lattice.or((triangles == 0).then_some(UNIT)).ok_or_else(|| {
+    let outline = mesh.outline();
+    let lattice = lattice_of(&outline).ok_or_else(|| {
         io::Error::new(
             io::ErrorKind::InvalidInput,
             "a .vdb needs the grid of the particles: reconstruct them with the output name.vdb",
         )
     })?;
+    let attributes = outline.attributes;
     let level_set = LevelSet::new(mesh, lattice)?;
     let distance = Kind::Distance { half: HALF_SIZES.contains(&lattice.step) };
     let stored = |leaves| {

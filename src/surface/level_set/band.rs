@@ -5,6 +5,8 @@
 //! neighbours. The lattice's edge between such a voxel and a neighbour that no triangle touched
 //! does not cross the surface, so that both are on one side of it.
 
+use std::ops::Range;
+
 use glam::{DVec3, IVec3, Vec4};
 
 use super::triangle::{Triangle, TriangleDistances};
@@ -20,8 +22,6 @@ const LEAVES: i32 = BLOCK / LEAF;
 /// Distances that differ by less are equal, and the triangle that faces the voxel more decides on
 /// which side it is.
 const EQUAL: f32 = 1e-4;
-/// Squares of equal distances within a cube differ by less.
-const EQUAL_SQUARES: f32 = 4e-4;
 /// The largest [`margin`] of a voxel from which a triangle can be the nearest of a voxel of the
 /// block.
 const MOST_USEFUL: f32 = BAND - 1.0;
@@ -71,6 +71,88 @@ impl KnownVoxel {
     fn is_inside(self) -> bool {
         self.height < 0.0
     }
+}
+
+/// The steps from the lowest corner of a cube to its corners, z fastest.
+const CORNERS: [VoxelOffset; 8] = {
+    let mut corners = [[0; 3]; 8];
+    let mut i = 0;
+    while i < 8 {
+        corners[i as usize] = [i >> 2, i >> 1 & 1, i & 1];
+        i += 1;
+    }
+    corners
+};
+
+/// Four [`KnownVoxel`]s.
+#[derive(Debug, Clone, Copy)]
+struct FourVoxels {
+    squared: Vec4,
+    /// The bits of numbers.
+    numbers: Vec4,
+    heights: Vec4,
+}
+
+impl FourVoxels {
+    fn of(known: [KnownVoxel; 4]) -> Self {
+        Self {
+            squared: known.map(|known| known.squared).into(),
+            numbers: known.map(|known| f32::from_bits(known.number)).into(),
+            heights: known.map(|known| known.height).into(),
+        }
+    }
+
+    fn voxels(self) -> [KnownVoxel; 4] {
+        let (squared, numbers) = (self.squared.to_array(), self.numbers.to_array());
+        let heights = self.heights.to_array();
+        std::array::from_fn(|i| KnownVoxel {
+            squared: squared[i],
+            number: numbers[i].to_bits(),
+            height: heights[i],
+        })
+    }
+
+    /// The nearest of two triangles that touch the voxel's cubes; of two at equal distances, the
+    /// one that faces the voxel more.
+    #[inline(always)]
+    fn or(self, found: Self) -> Self {
+        let equal = (found.squared.sqrt() * 2.0 + EQUAL) * EQUAL;
+        let faces_more = found.heights.abs().cmpgt(self.heights.abs());
+        let is_nearer = found.squared.cmplt(self.squared - equal);
+        let is_better = is_nearer | found.squared.cmplt(self.squared + equal) & faces_more;
+        Self {
+            squared: Vec4::select(is_better, found.squared.min(self.squared), self.squared),
+            numbers: Vec4::select(is_better, found.numbers, self.numbers),
+            heights: Vec4::select(is_better, found.heights, self.heights),
+        }
+    }
+}
+
+/// Compares triangles with the corners of a cube, in the order of [`CORNERS`].
+fn nearest_of(
+    known: [KnownVoxel; 8],
+    low: VoxelOffset,
+    numbers: Range<u32>,
+    triangles: &[Triangle],
+) -> [KnownVoxel; 8] {
+    let [a, b, c, d, e, f, g, h] = known;
+    let mut nearest = [[a, b, c, d], [e, f, g, h]].map(FourVoxels::of);
+    let [x, y, z] = splat(low);
+    let (y, z) = (y + Vec4::new(0.0, 0.0, 1.0, 1.0), z + Vec4::new(0.0, 1.0, 0.0, 1.0));
+    for number in numbers {
+        let triangle = &triangles[number as usize];
+        let bits = Vec4::splat(f32::from_bits(number));
+        for (nearest, x) in nearest.iter_mut().zip([x, x + 1.0]) {
+            let TriangleDistances { squared, heights } = triangle.distances([x, y, z]);
+            *nearest = nearest.or(FourVoxels { squared, numbers: bits, heights });
+        }
+    }
+    let [[a, b, c, d], [e, f, g, h]] = nearest.map(FourVoxels::voxels);
+    [a, b, c, d, e, f, g, h]
+}
+
+fn splat(place: VoxelOffset) -> [Vec4; 3] {
+    place.map(|at| Vec4::splat(f32::from(at)))
 }
 
 /// The voxels of a block and its margin.
@@ -231,29 +313,52 @@ impl Band {
 
     /// Compares each triangle with the corners of the cubes that it touches.
     fn touch(&mut self, near: &BlockTriangles) {
-        for ((number, triangle), &[low, high]) in (0..).zip(&near.triangles).zip(&near.boxes) {
-            let is_within = coordinates(low).min_element() > MARGIN
-                && coordinates(high).max_element() <= MARGIN + BLOCK;
-            // Four voxels at a time, as most triangles are in one cube.
-            for x in low[0]..=high[0] {
+        let mut first = 0;
+        for boxes in near.boxes.chunk_by(|a, b| a == b) {
+            let [low, high] = boxes[0];
+            let numbers = first..first + boxes.len() as u32;
+            first = numbers.end;
+            for x in (low[0]..=high[0]).step_by(2) {
                 for y in (low[1]..=high[1]).step_by(2) {
                     for z in (low[2]..=high[2]).step_by(2) {
-                        let four = [[x, y, z], [x, y, z + 1], [x, y + 1, z], [x, y + 1, z + 1]];
-                        let along = |axis: usize| four.map(|place| f32::from(place[axis])).into();
-                        let TriangleDistances { squared, heights } =
-                            triangle.distances([Vec4::splat(f32::from(x)), along(1), along(2)]);
-                        for (i, place) in four.into_iter().enumerate() {
-                            if place[1] <= high[1]
-                                && place[2] <= high[2]
-                                && (is_within || margin(place) <= MOST_USEFUL)
-                            {
-                                let (squared, height) = (squared[i], heights[i]);
-                                self.learn(place, KnownVoxel { squared, number, height });
-                                if squared < TOUCHING {
-                                    self.touch_around(place, number, triangle);
-                                }
-                            }
-                        }
+                        self.touch_cube([x, y, z], high, numbers.clone(), &near.triangles);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Compares triangles with the corners of a cube, except corners beyond `high` or too far from
+    /// the block.
+    fn touch_cube(
+        &mut self,
+        low: VoxelOffset,
+        high: VoxelOffset,
+        numbers: Range<u32>,
+        triangles: &[Triangle],
+    ) {
+        let places = CORNERS.map(|along| std::array::from_fn(|axis| low[axis] + along[axis]));
+        let is_within = coordinates(low).min_element() > MARGIN
+            && coordinates(low).max_element() < MARGIN + BLOCK;
+        let is_useful = places.map(|place: VoxelOffset| {
+            (0..3).all(|axis| place[axis] <= high[axis])
+                && (is_within || margin(place) <= MOST_USEFUL)
+        });
+        let before: [KnownVoxel; 8] = std::array::from_fn(|i| {
+            if is_useful[i] { self.voxels[index(places[i])] } else { KnownVoxel::marked(BORDER) }
+        });
+        let after = nearest_of(before, low, numbers.clone(), triangles);
+        for i in (0..CORNERS.len()).filter(|&i| is_useful[i]) {
+            if !before[i].has_triangle() {
+                self.visited.push(places[i]);
+            }
+            self.voxels[index(places[i])] = after[i];
+            // The square may be that of another triangle at an equal distance.
+            if after[i].squared < 4.0 * TOUCHING {
+                for number in numbers.clone() {
+                    let triangle = &triangles[number as usize];
+                    if triangle.distances(splat(places[i])).squared.x < TOUCHING {
+                        self.touch_around(places[i], number, triangle);
                     }
                 }
             }
@@ -266,31 +371,20 @@ impl Band {
         for step in &AROUND {
             let to = step.from(place);
             if self.voxels[index(to)].number != BORDER && margin(to) <= MOST_USEFUL {
-                let places = to.map(|at| Vec4::splat(f32::from(at)));
-                let TriangleDistances { squared: [squared, ..], heights: [height, ..] } =
-                    triangle.distances(places);
-                self.learn(to, KnownVoxel { squared, number, height });
+                let TriangleDistances { squared, heights } = triangle.distances(splat(to));
+                let found = KnownVoxel { squared: squared.x, number, height: heights.x };
+                self.learn(to, found);
             }
         }
     }
 
     /// Takes a triangle that touches one of the voxel's cubes as its nearest, if it is.
-    #[inline]
     fn learn(&mut self, place: VoxelOffset, found: KnownVoxel) {
         let known = &mut self.voxels[index(place)];
-        if found.squared > known.squared + EQUAL_SQUARES {
-            return;
-        }
         if !known.has_triangle() {
             self.visited.push(place);
         }
-        let equal = EQUAL * (2.0 * found.squared.sqrt() + EQUAL);
-        let faces_more = found.height.abs() > known.height.abs();
-        if found.squared < known.squared - equal
-            || found.squared < known.squared + equal && faces_more
-        {
-            *known = KnownVoxel { squared: found.squared.min(known.squared), ..found };
-        }
+        *known = FourVoxels::of([*known; 4]).or(FourVoxels::of([found; 4])).voxels()[0];
     }
 
     /// Passes triangles on from the visited voxels to all voxels in the band.
@@ -339,13 +433,10 @@ impl Band {
         let mut numbers = [0; AROUND.len() + 3];
         let mut count = 0;
         for step in &AROUND {
+            // Without a branch: which neighbours know a triangle is hard to predict.
             let known = self.voxels[voxel.wrapping_add_signed(step.offset)];
-            let number = known.number;
-            if known.has_triangle() && number != best.number && !numbers[..count].contains(&number)
-            {
-                numbers[count] = number;
-                count += 1;
-            }
+            numbers[count] = known.number;
+            count += usize::from(known.has_triangle() & (known.number != best.number));
         }
         let first = numbers[0];
         numbers[count..].fill(first);

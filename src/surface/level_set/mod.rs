@@ -7,6 +7,7 @@
 
 mod band;
 mod triangle;
+mod volume;
 
 use std::io;
 
@@ -17,6 +18,7 @@ use rayon::prelude::*;
 use crate::surface::mesh::source::{Indexed, Lattice, MeshSource, Outline};
 
 use band::{Band, BlockTriangles, MARGIN, band_corner};
+pub use volume::Volume;
 
 /// Half the width of the band, in voxels.
 pub const BAND: f32 = 3.0;
@@ -31,6 +33,8 @@ const BLOCK: i32 = 64;
 const FARTHEST: f64 = (1 << 29) as f64;
 const TOO_FAR: &str = "a vertex is not finite, or more than 2^29 cells from the grid's origin; \
                        use larger cells";
+/// The lattice of an empty mesh.
+const UNIT: Lattice = Lattice { origin: [0.0; 3], step: 1.0 };
 /// Triangles whose blocks are found together.
 const TRIANGLES_TOGETHER: usize = 1 << 14;
 
@@ -79,6 +83,11 @@ pub struct NearestPoint {
     pub corners: [u32; 3],
     /// The share of each of them in the point; their sum is 1.
     pub shares: [f32; 3],
+}
+
+/// The lattice of a mesh: that of its particles' cells, and any lattice for an empty mesh.
+pub fn lattice_of(outline: &Outline) -> Option<Lattice> {
+    outline.lattice.or((outline.triangles == 0).then_some(UNIT))
 }
 
 /// A closed mesh in memory, in voxels.

@@ -22,9 +22,9 @@ pub struct Triangle {
 /// Squared distances from triangles, and heights above their planes.
 #[derive(Debug, Clone, Copy)]
 pub struct TriangleDistances {
-    pub squared: [f32; 4],
+    pub squared: Vec4,
     /// Negative behind the triangle.
-    pub heights: [f32; 4],
+    pub heights: Vec4,
 }
 
 impl Triangle {
@@ -48,15 +48,13 @@ impl Triangle {
 
     /// The distances of four points from this triangle; the points are given by their coordinates
     /// along each axis.
+    #[inline]
     pub fn distances(&self, [x, y, z]: [Vec4; 3]) -> TriangleDistances {
         let along = |axis: Vec4| axis.xxxx() * x + axis.yyyy() * y + axis.zzzz() * z + axis.wwww();
         let [u, v, height] = self.axes.map(along);
         let shape = self.shape;
         let in_plane = squared_in_plane([u, v], [shape.xxxx(), shape.yyyy(), shape.zzzz()]);
-        TriangleDistances {
-            squared: (in_plane + height * height).to_array(),
-            heights: height.to_array(),
-        }
+        TriangleDistances { squared: in_plane + height * height, heights: height }
     }
 
     /// The squared distances of a place from four triangles.

@@ -1,4 +1,4 @@
-"""Converts a sequence to meshes on disk, on a separate thread, with settings that are independent of Blender once it runs."""
+"""Converts a sequence to meshes or volumes on disk, on a separate thread, with settings that are independent of Blender once it runs."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ class Order:
 
     inputs: str
     output: str
-    stage: str
+    #: The file that plays all meshes; None for volumes, which Blender plays by their names.
+    stage: str | None
     fps: float
     particles_up: str | None
     sampling: Sampling

@@ -13,7 +13,7 @@ import meniscus
 from bpy.props import StringProperty
 from bpy_extras.io_utils import ImportHelper
 
-from . import live
+from . import live, volumes
 from .conversion import Conversion, Order
 from .surfaces.playing import reading
 from .surfaces.sequence import EXTENSIONS, number_of, sequence_of
@@ -169,15 +169,35 @@ def order_of(mesh: bpy.types.Mesh, scene: bpy.types.Scene) -> Order:
     folder = bpy.path.abspath(settings.output)
     name = bpy.path.clean_name(mesh.name).replace(".", "_").rstrip("_-")
     # The library names the stage after the layers, without their number.
+    are_volumes = settings.converted == "VOLUMES"
     return Order(
         inputs=bpy.path.abspath(settings.path),
-        output=os.path.join(folder, f"{name}_{{}}.usdc"),
-        stage=os.path.join(folder, f"{name}.usda"),
+        output=os.path.join(folder, f"{name}_{{:04}}.vdb" if are_volumes else f"{name}_{{}}.usdc"),
+        stage=None if are_volumes else os.path.join(folder, f"{name}.usda"),
         fps=scene.render.fps / scene.render.fps_base,
         particles_up=live.particles_up(mesh),
         sampling=live.sampling_of(settings, settings.cell_render),
         filters=live.filters_of(settings),
     )
+
+
+def _replace(mesh: bpy.types.Mesh) -> None:
+    """Hides a live surface, which is shown by other objects from now on."""
+    for shown in bpy.data.objects:
+        if shown.data == mesh:
+            shown.hide_render = True
+            shown.hide_viewport = True
+    mesh.meniscus.live = False
+
+
+def play_volumes(context: bpy.types.Context, mesh: bpy.types.Mesh, output: str) -> bpy.types.Object:
+    """Shows a conversion's volumes with a Volume object, instead of the live surface."""
+    files = volumes.files_of(output)
+    if not files:
+        raise OSError(f"{output}: no files")
+    added = volumes.add(context, f"{mesh.name} Volume", files, live.timing_of(mesh.meniscus))
+    _replace(mesh)
+    return added
 
 
 def play(context: bpy.types.Context, mesh: bpy.types.Mesh, stage: str) -> list[bpy.types.Object]:
@@ -186,11 +206,7 @@ def play(context: bpy.types.Context, mesh: bpy.types.Mesh, stage: str) -> list[b
     window = context.window or (context.window_manager.windows[0] if context.window_manager.windows else None)
     with context.temp_override(window=window) if window else context.temp_override():
         bpy.ops.wm.usd_import(filepath=stage, set_frame_range=False, relative_path=False)
-    for shown in bpy.data.objects:
-        if shown.data == mesh:
-            shown.hide_render = True
-            shown.hide_viewport = True
-    mesh.meniscus.live = False
+    _replace(mesh)
     played = [added for added in bpy.data.objects if added not in before]
     for added in played:
         if added.type == "MESH":
@@ -228,15 +244,19 @@ def _poll(uid: int) -> float | None:
         return 0.2
     if conversion.is_complete:
         try:
-            play(bpy.context, mesh, conversion.order.stage)
-            conversion.message = f"Played from {conversion.order.stage}"
+            order = conversion.order
+            if order.stage is None:
+                play_volumes(bpy.context, mesh, order.output)
+            else:
+                play(bpy.context, mesh, order.stage)
+            conversion.message = f"Played from {order.stage or order.output}"
         except (RuntimeError, OSError, ValueError) as error:
             conversion.error = str(error).strip()
     return None
 
 
 class Convert(bpy.types.Operator):
-    """Convert the sequence to mesh files in the background, and play them as a mesh sequence cache"""
+    """Convert the sequence to files in the background, and play them as a mesh sequence cache or a volume"""
 
     bl_idname = "meniscus.convert"
     bl_label = "Convert"
@@ -251,11 +271,11 @@ class Convert(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> Done:
         mesh = _active(context)
-        if not bpy.app.build_options.usd:
+        if mesh.meniscus.converted == "MESHES" and not bpy.app.build_options.usd:
             self.report({"ERROR"}, "This Blender is built without USD, which is needed to play the meshes")
             return {"CANCELLED"}
         if mesh.meniscus.output.startswith("//") and not bpy.data.filepath:
-            self.report({"ERROR"}, "Save the .blend file first, or choose another folder for the meshes: // means the folder of the .blend file")
+            self.report({"ERROR"}, "Save the .blend file first, or choose another folder for the files: // means the folder of the .blend file")
             return {"CANCELLED"}
         conversion = Conversion(order_of(mesh, context.scene))
         uid = mesh.session_uid

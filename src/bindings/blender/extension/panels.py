@@ -124,6 +124,7 @@ class MENISCUS_PT_conversion(_Panel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout, mesh = self.layout, context.mesh
         layout.use_property_split = True
+        layout.prop(mesh.meniscus, "converted")
         layout.prop(mesh.meniscus, "output")
         conversion = conversion_of(mesh)
         layout.operator(Convert.bl_idname)

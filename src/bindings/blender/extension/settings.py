@@ -144,9 +144,18 @@ class MeniscusSurface(bpy.types.PropertyGroup):
         description="Names of the particle attributes to transfer to the mesh, separated by commas; by default, only the velocity",
         update=_changed,
     )
+    converted: EnumProperty(
+        name="Files",
+        description="The files of a conversion",
+        items=[
+            ("MESHES", "Meshes", "A mesh of each frame (.usdc), played as a mesh sequence cache"),
+            ("VOLUMES", "Volumes", "A level set of each frame (.vdb), with velocities, played by a Volume object"),
+        ],
+        default="MESHES",
+    )
     output: StringProperty(
         name="Output",
-        description="Folder for the mesh files of a conversion",
+        description="Folder for the files of a conversion",
         subtype="DIR_PATH",
         default="//surfaces/",
     )

@@ -1,13 +1,14 @@
-"""A stage has the times of the live surface."""
+"""A stage and volumes have the times of the live surface."""
 
 from __future__ import annotations
 
 import json
+from math import floor
 from pathlib import Path
 
 import pytest
-from surfaces.playing import reading
-from surfaces.sequence import Timing
+from surfaces.playing import reading, volume_offset
+from surfaces.sequence import Timing, shown_at
 
 
 def listing(folder: Path, frames: list[tuple[int, float]], fps: float = 25.0) -> Path:
@@ -33,3 +34,15 @@ def test_times_of_the_simulation_and_steps_go_their_own_way(tmp_path: Path) -> N
 
 def test_one_frame_is_where_it_is(tmp_path: Path) -> None:
     assert reading(listing(tmp_path, [(7, 0.28)]), Timing(start=1, first=7)).offset == pytest.approx(1 - 7)
+
+
+@pytest.mark.parametrize("timing", [Timing(), Timing(start=10, first=3), Timing(start=5, first=8, step=2.0), Timing(start=-4, first=2, step=0.3)])
+def test_a_volume_shows_the_file_of_the_live_surface(timing: Timing) -> None:
+    first, last = 2, 17
+    frames = [(number, Path(f"water_{number}.vdb")) for number in range(first, last + 1)]
+    expression = volume_offset(timing, first, last)
+    for frame in range(-20, 60):
+        offset = eval(expression, {"frame": frame, "floor": floor, "max": max, "min": min})
+        # As Blender counts the frames of a volume that stays beyond its ends.
+        shown = max(frame - timing.start + 1, 1) + offset
+        assert shown == shown_at(frames, timing, frame).number, frame

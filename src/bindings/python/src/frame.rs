@@ -8,11 +8,12 @@ use meniscus::files::Replace;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::errors::other;
+use crate::errors::{other, warn};
 use crate::files::paths;
 use crate::mesh::Mesh;
 use crate::options::{KeywordGroup, Keywords};
 use crate::particles::Arrays;
+use crate::volume::Volume;
 use crate::work::{Work, with_progress};
 
 /// The groups of keywords of a frame from a file.
@@ -194,6 +195,35 @@ impl Frame {
         let request = work.holds(self.request("surface", keywords, py)?, progress.is_some());
         let surface = with_progress(py, progress, work, || self.sampled.surface_by(&request))?;
         Mesh::new(py, surface, request)
+    }
+
+    /// Computes the signed distance from the surface that ``surface`` makes with these keywords.
+    ///
+    /// Returns
+    /// -------
+    /// Volume
+    #[pyo3(
+        signature = (*, progress=None, **keywords),
+        text_signature = "($self, *, periodic_mesh=None, smooth=None, sheets=None, solid=None, solid_offset=None, sigma=None, iso=None, detail=None, normals=None, \
+            simplify=None, smallest_component=None, smallest_drop=None, compress=None, up=None, particles_up=None, progress=None)"
+    )]
+    fn volume(
+        &self,
+        py: Python<'_>,
+        progress: Option<&Bound<'_, PyAny>>,
+        keywords: Option<&Bound<'_, PyDict>>,
+    ) -> PyResult<Volume> {
+        self.refuse_other_process()?;
+        let work = Work::new();
+        let request = work.holds(self.request("volume", keywords, py)?, progress.is_some());
+        let mut warnings = Vec::new();
+        let volume = with_progress(py, progress, work, || {
+            let surface = self.sampled.surface_by(&request)?;
+            warnings.extend(surface.report().warnings.iter().map(ToString::to_string));
+            surface.volume()
+        })?;
+        warn(py, warnings)?;
+        Volume::new(py, volume)
     }
 
     /// The axis that points up in the particles: "y" or "z".

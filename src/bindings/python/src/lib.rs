@@ -19,6 +19,7 @@ mod report;
 mod simulation;
 mod summary;
 mod values;
+mod volume;
 mod work;
 
 use pyo3::prelude::*;
@@ -43,6 +44,8 @@ mod _meniscus {
     use crate::simulation::Simulation;
     #[pymodule_export]
     use crate::summary::{Event, Summary};
+    #[pymodule_export]
+    use crate::volume::Volume;
 
     use super::*;
 

@@ -87,3 +87,39 @@ def test_particles_of_several_files_make_one_surface(tmp_path: Path, program: An
         meniscus.Frame.load(7)  # type: ignore[arg-type]
     with pytest.raises(meniscus.InputError, match="no file"):
         meniscus.Frame.load([])
+
+
+def test_its_volume_has_the_distances_from_its_surface(ball: Any) -> None:
+    frame = meniscus.Frame(ball, spacing=1.0)
+    mesh, volume = frame.surface(), frame.volume()
+    bricks = len(volume.origins)
+    assert volume.origins.shape == (bricks, 3) and volume.values.shape == (bricks, 8, 8, 8)
+    assert volume.voxel_size == mesh.report.cell_size == 0.5
+    assert (volume.origins % 8 == 0).all() and np.array_equal(volume.origins, np.unique(volume.origins, axis=0))
+    band = 3 * volume.voxel_size
+    assert np.abs(volume.values).max() == band
+    # Each vertex is on an edge between two voxels, where the distance changes its sign.
+    voxels = (mesh.vertices - volume.transform[:3, 3]) / volume.voxel_size
+    assert (np.abs(voxels - np.rint(voxels)) < 1e-4).sum(axis=1).min() >= 2
+    brick = {tuple(origin): i for i, origin in enumerate(volume.origins)}
+    for ends in zip(np.floor(voxels + 1e-4).astype(int), np.ceil(voxels - 1e-4).astype(int), strict=True):
+        low, high = (volume.values[brick[tuple(at // 8 * 8)]][tuple(at % 8)] for at in ends)
+        assert low * high <= 0 and max(abs(low), abs(high)) <= volume.voxel_size + 1e-5
+    # The distance of a voxel outside is at most that of the nearest vertex, and almost as large.
+    steps = np.stack(np.meshgrid(*[np.arange(8)] * 3, indexing="ij"), axis=-1)
+    places = (volume.origins[:, None, None, None] + steps) * volume.voxel_size + volume.transform[:3, 3]
+    inner = np.abs(volume.values) < band
+    nearest = np.array([np.linalg.norm(mesh.vertices - place, axis=1).min() for place in places[inner]])
+    distances = np.abs(volume.values[inner])
+    assert (distances <= nearest + 1e-5).all() and (nearest**2 - distances**2 < volume.voxel_size**2).all()
+    inside = np.linalg.norm(places, axis=-1) < 7.0
+    assert inside.any() and (volume.values[inside] < 0).all()
+
+
+def test_its_volume_is_that_of_other_keywords(ball: Any) -> None:
+    frame = meniscus.Frame(ball, spacing=1.0)
+    calm = frame.volume(smooth=2.5)
+    assert not np.array_equal(calm.values, frame.volume().values)
+    assert np.array_equal(calm.values, meniscus.Frame(ball, spacing=1.0, smooth=2.5, threads=1).volume().values)
+    with pytest.raises(TypeError, match="unexpected keyword argument 'spacing'"):
+        frame.volume(spacing=2.0)  # type: ignore[call-arg]

@@ -154,6 +154,7 @@ def test_the_stub_has_the_keywords_of_each_function() -> None:
         (meniscus.Frame, in_stub(frame, "__new__")),
         (meniscus.Frame.load, in_stub(frame, "load")),
         (meniscus.Frame.surface, in_stub(frame, "surface")),
+        (meniscus.Frame.volume, in_stub(frame, "volume")),
         (meniscus.Simulation, in_stub(CLASSES["Simulation"], "__new__")),
     ]
     for function, stub in pairs:

@@ -1,4 +1,4 @@
-"""The times of a conversion's stage, so that it shows the same as the live surface."""
+"""The times of a conversion's stage or volumes, so that they show the same as the live surface."""
 
 from __future__ import annotations
 
@@ -36,3 +36,12 @@ def reading(listing: Path, timing: Timing) -> Reading:
     codes = (last["time"] - first["time"]) * fps / numbers if numbers else 1.0
     at_start = first["time"] * fps + codes * (timing.first - first["frame"])
     return Reading(timing.start, at_start, codes * timing.step)
+
+
+def volume_offset(timing: Timing, first: int, last: int) -> str:
+    """The frame offset of a Volume that plays the files `first` to `last`, as a driver expression.
+
+    Blender adds it to the number of the scene's frame, counted from 1 at the start, and at least 1.
+    """
+    number = f"{timing.first} + floor((frame - {timing.start}) * {timing.step:.9g} + 1e-6)"
+    return f"max({first}, min({last}, {number})) - max(frame - {timing.start} + 1, 1)"

@@ -408,6 +408,30 @@ def vertices_are_rendered_in_fine_cells_too() -> None:
 
 
 @check
+def a_conversion_to_volumes_is_played_by_a_volume() -> None:
+    shown, scene = dam(), bpy.context.scene
+    output = options.folder / "vdb"
+    shutil.rmtree(output, ignore_errors=True)
+    settings = shown.data.meniscus
+    settings.converted, settings.output = "VOLUMES", str(output) + os.sep
+    assert bpy.ops.meniscus.convert() == {"FINISHED"}
+    conversion = operators.conversion_of(shown.data)
+    conversion.join()
+    assert (conversion.done, conversion.total, conversion.error, conversion.problems) == (3, 3, "", []), vars(conversion)
+    assert operators._poll(shown.data.session_uid) is None and not conversion.error, conversion.error
+    (played,) = (each for each in bpy.data.objects if each.type == "VOLUME")
+    assert shown.hide_render and not settings.live
+    files = sorted(output.glob("*.vdb"))
+    for frame, file in enumerate(files, settings.start):
+        scene.frame_set(frame)
+        evaluated = played.evaluated_get(bpy.context.evaluated_depsgraph_get())
+        grids = evaluated.data.grids
+        assert grids.load() and [grid.name for grid in grids] == ["surface", "v"], grids.error_message
+        assert os.path.samefile(bpy.path.abspath(grids.frame_filepath), file), (frame, grids.frame_filepath)
+    bpy.data.objects.remove(played)
+
+
+@check
 def a_conversion_is_played_as_a_sequence_cache() -> None:
     shown, scene = dam(), bpy.context.scene
     scene.render.fps = 25

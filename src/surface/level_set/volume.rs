@@ -1,0 +1,64 @@
+//! A level set as dense bricks in memory.
+
+use std::io;
+
+use rayon::prelude::*;
+
+use crate::surface::mesh::source::{Lattice, MeshSource};
+
+use super::{BAND, Leaf, LevelSet, VOXELS, lattice_of};
+
+/// The signed distance from a surface at the voxels of a grid, in bricks of 8³ voxels. Only bricks
+/// with a voxel that is nearer than three voxels to the surface are stored.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Volume {
+    /// The position of the voxel with the coordinates (0, 0, 0), in the particles' unit of length.
+    pub origin: [f64; 3],
+    /// The distance of neighbouring voxels.
+    pub voxel_size: f64,
+    /// The coordinates of the first voxel of each brick, in ascending order.
+    pub corners: Vec<[i32; 3]>,
+    /// The distances of the 512 voxels of each brick, z fastest: negative inside, in the particles'
+    /// unit of length, and three voxels where the surface is farther away.
+    pub distances: Vec<f32>,
+}
+
+impl Volume {
+    /// The level set of a closed mesh.
+    ///
+    /// # Errors
+    /// Those of [`LevelSet::new`], and [`io::ErrorKind::InvalidInput`] for a mesh with triangles
+    /// but without a lattice.
+    pub fn of(mesh: &dyn MeshSource) -> io::Result<Self> {
+        let lattice = lattice_of(&mesh.outline()).ok_or(io::ErrorKind::InvalidInput)?;
+        let leaves = LevelSet::new(mesh, lattice)?.map(|leaves| {
+            mesh.go_on()?;
+            Ok(leaves)
+        })?;
+        let mut leaves: Vec<Leaf> = leaves.into_iter().flatten().collect();
+        leaves.par_sort_unstable_by_key(|leaf| leaf.corner.to_array());
+        let Lattice { origin, step: voxel_size } = lattice;
+        let mut distances = Vec::new();
+        let count = leaves.len().saturating_mul(VOXELS);
+        distances.try_reserve_exact(count).map_err(|_| io::ErrorKind::OutOfMemory)?;
+        distances.resize(count, 0.0);
+        let bricks = distances.par_chunks_exact_mut(VOXELS).zip(&leaves);
+        bricks.for_each(|(brick, leaf)| put_distances(brick, leaf, voxel_size as f32));
+        let corners = leaves.iter().map(|leaf| leaf.corner.to_array()).collect();
+        Ok(Self { origin, voxel_size, corners, distances })
+    }
+}
+
+fn put_distances(brick: &mut [f32], leaf: &Leaf, voxel_size: f32) {
+    let mut known = leaf.distances.iter();
+    for (i, distance) in brick.iter_mut().enumerate() {
+        let voxels = if leaf.active[i / 64] >> (i % 64) & 1 == 1 {
+            *known.next().expect("one distance for each active voxel")
+        } else if leaf.is_inside(i) {
+            -BAND
+        } else {
+            BAND
+        };
+        *distance = voxels * voxel_size;
+    }
+}
