@@ -382,15 +382,9 @@ impl fmt::Display for SpacingWarning {
                     let and = if *invalid > 0 { "; " } else { "" };
                     write!(
                         f,
-<<<<<<< HEAD
-                        "{and}{larger} particles are larger than {coarsest}, the largest size: \
-                         they are treated as size {coarsest}",
+                        "{and}{larger} particles are larger than the largest size, {coarsest}, \
+                         which is used for them",
                         coarsest = about(*coarsest)
-=======
-                        "{and}{larger} particles are more than 64 times larger than the smallest; \
-                         size {} is used for them",
-                        about(*coarsest)
->>>>>>> h_c56
                     )?;
                 }
                 Ok(())
@@ -398,7 +392,7 @@ impl fmt::Display for SpacingWarning {
             Self::MoreSizes { attribute, sizes: [least, most], used } => write!(
                 f,
                 "{attribute} means sizes from {} to {} in this frame, but the calibration frame \
-                 has one size: all particles are treated as size {}",
+                 has one size; size {} is used for all particles",
                 about(*least),
                 about(*most),
                 about(*used)

@@ -45,13 +45,8 @@ const NEAR: f64 = 1.0;
 /// out, and from which on it stands out completely, in spacings.
 const STANDS_OUT: [f64; 2] = [0.4, 1.0];
 /// The differences of the fine and the calm surface between which sheets begin to stand out earlier
-<<<<<<< HEAD
-/// than drops, in spacings: both surfaces agree in the bulk.
-const SHEETS_APART: [f64; 2] = [0.35, 0.45];
-=======
 /// than drops, in spacings. In the bulk, both surfaces agree.
-const SHEETS_APART: [f64; 2] = [0.25, 0.35];
->>>>>>> h_c56
+const SHEETS_APART: [f64; 2] = [0.35, 0.45];
 /// The standard deviation of a particle's drop, in spacings.
 const DROP_WIDTH: f64 = 0.6;
 /// The radius of the drop of a single particle in fine cells, in spacings.

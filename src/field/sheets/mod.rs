@@ -17,15 +17,10 @@
 //!    across a sheet and compensates for the missing particles beyond a rim. T = tr B is the number
 //!    of directions across. The density at the middle is that of a sheet (1), a filament (2) or a
 //!    ball (3) with the particles' volume under the Gaussian; this gives its half thickness or
-<<<<<<< HEAD
-//!    radius R. The cells need a minimum of `LEAST_CELLS`, and of `LEAST_RIM_CELLS` in threads and
-//!    at rims, which would fray otherwise. R approaches the minimum gradually: with a = log2 R^2, b
-//!    that of the minimum and w = `GRADUAL` over the cell, the result is
-//!    max(a, b) + max(w - |a - b|, 0)^2 / 4w. The volume of a stretching sheet then changes slowly.
-=======
 //!    radius R. The cells need a minimum of `LEAST_CELLS`, and of `LEAST_RIM_CELLS` in filaments
-//!    and at rims, which would fray otherwise.
->>>>>>> h_c56
+//!    and at rims, which would fray otherwise. R approaches the minimum gradually: with a = log2 R^2, b that
+//!    of the minimum and w = `GRADUAL` over the cell, the result is max(a, b) +
+//!    max(w - |a - b|, 0)^2 / 4w. The volume of a stretching sheet then changes slowly.
 //! 4. Certainty. There is a sheet if neighbours are no farther apart than requested, according to
 //!    the density at the middle, if the middle is near, and if B is nearly a projection: the
 //!    squared distance |B - B^2|^2 is at most 0.06 in sheets, in filaments and at their rims, and
@@ -80,13 +75,8 @@ const AVERAGE: f64 = 0.55;
 const PROFILE: f64 = 0.45;
 const PROFILE_CELLS: f64 = 0.9;
 /// The minimum half thickness of sheets, in cells of the mesh.
-<<<<<<< HEAD
 const LEAST_CELLS: f64 = 0.62;
-/// The minimum half thickness of rims and threads, in cells of the mesh.
-=======
-const LEAST_CELLS: f64 = 0.6;
 /// The minimum half thickness of rims and filaments, in cells of the mesh.
->>>>>>> h_c56
 const LEAST_RIM_CELLS: f64 = 0.85;
 /// The spacings that are added to both.
 const LEAST_MORE: f64 = 0.05;
