@@ -155,7 +155,8 @@ impl Surfaces<'_> {
         let is_near = |solid: &&Solid| {
             let offset = solid.offset().abs() * facts.spacing_cells_or_one();
             let further = distances.widest_halo().max(offset.ceil() as i32) + 4;
-            solid.is_near(&facts.grid, distances.level, wide.grown(further, further))
+            let around = wide.grown(further, further);
+            solid.is_near(&facts.grid, facts.periodic.as_ref(), distances.level, around)
         };
         self.solid.filter(is_near).is_some()
     }

@@ -18,7 +18,7 @@ use glam::{DMat3, DVec3, IVec3};
 
 use crate::brick::Block;
 use crate::field::blur::{Weights, blur};
-use crate::field::distance::{NONE, ZERO};
+use crate::field::distance::{NONE, ZERO, spread};
 use crate::grid::CellBox;
 
 /// The share of a cell that must be outside of a solid for its density to be used.
@@ -110,6 +110,7 @@ impl SolidFill {
             let beyond = u32::from(share.saturating_sub(USABLE));
             *share = (beyond * u32::from(WHOLE) / u32::from(WHOLE - USABLE)) as u16;
         }
+        let in_reach = spread(usable.clone(), self.fit.reach());
         let density = blur(clouds.part(around), &self.mean, None);
         let share = blur(outside.part(around), &self.mean.clone().gaining(0), None);
         for cell in places(part) {
@@ -119,7 +120,9 @@ impl SolidFill {
             }
             let index = filled.index(cell);
             let own = u64::from(filled.samples()[index]);
-            let sample = match self.fitted(&dense, &usable, cell) {
+            let fitted =
+                (in_reach.at(cell) > 0).then(|| self.fitted(&dense, &usable, cell)).flatten();
+            let sample = match fitted {
                 Some(fitted) => {
                     let usable = u64::from(usable.at(cell));
                     (own * usable + fitted * (u64::from(WHOLE) - usable)) >> 15

@@ -138,16 +138,21 @@ impl Ends {
     /// Examines the ends of the particles that the grid can hold; returns `None` if there are none,
     /// or if `spacing` is unusable. Particles in a plane have no ends along the axis `flat`.
     ///
-    /// The particles are read twice. Memory use is a few megabytes at most.
+    /// The particles are read once if their bounds are known, and twice otherwise. Memory use is a
+    /// few megabytes at most.
     #[must_use]
     pub fn of(
         particles: &(impl Particles + ?Sized),
+        known: Option<Bounds>,
         spacing: f64,
         flat: Option<usize>,
         grid: &Grid,
     ) -> Option<Self> {
         let held = |position: &&[f64; 3]| grid.place(**position).is_ok();
-        let bounds = bounds_held(particles, grid)?;
+        let is_held = |bounds: &Bounds| {
+            [bounds.lo, bounds.hi].iter().all(|&corner| grid.place(corner.into()).is_ok())
+        };
+        let bounds = known.filter(is_held).or_else(|| bounds_held(particles, grid))?;
         let axes = (0..3).filter(|axis| flat != Some(*axis));
         let sides: Vec<SideColumns> = axes
             .flat_map(|axis| [0, 1].map(|end| SideColumns::of(axis, end, &bounds, spacing, flat)))
@@ -467,7 +472,10 @@ mod tests {
 
     fn ends(positions: &[[f64; 3]]) -> Ends {
         let grid = Grid::new(DVec3::ZERO, 0.5).unwrap();
-        Ends::of(positions, 1.0, None, &grid).unwrap()
+        let ends = Ends::of(positions, None, 1.0, None, &grid).unwrap();
+        let known = Some(Bounds::of(positions));
+        assert_eq!(Ends::of(positions, known, 1.0, None, &grid).as_ref(), Some(&ends));
+        ends
     }
 
     fn walls(positions: &[[f64; 3]]) -> Walls {

@@ -63,8 +63,8 @@ pub enum FrameError {
     OtherIndicator,
     /// The images were made for filters with a smaller reach.
     #[error(
-        "the frame holds particles up to {there} cells beyond its periodic faces, but this smoothing \
-         needs {needed}; sample the particles again with this smoothing"
+        "the frame holds particles up to {there} cells beyond its periodic faces, but this surface \
+         needs {needed}; sample the particles again for this surface"
     )]
     FewImages {
         /// The reach of the filters beyond a face, in cells.

@@ -140,7 +140,9 @@ pub struct Surfacing {
     pub normals: Normals,
     /// The end of the mesh at the faces of a periodic box.
     pub periodic_mesh: PeriodicMesh,
-    /// Solids at which the fluid ends, if there are any; only for clouds.
+    /// Whether the fluid ends at solids, which may be read later; only for clouds.
+    pub at_solids: bool,
+    /// The solids, once they are read.
     pub solid: Option<Arc<Solid>>,
 }
 
@@ -154,6 +156,7 @@ impl Surfacing {
         detail: Detail::Smoothed,
         normals: Normals::None,
         periodic_mesh: PeriodicMesh::Cut,
+        at_solids: false,
         solid: None,
     };
 
@@ -198,7 +201,7 @@ impl Surfacing {
     /// The distance beyond the halo of the field within which particles affect its continuation
     /// into a solid, in cells; 0 without a solid.
     fn fill_reach(&self, spacing: Option<f64>, grid: &Grid) -> i32 {
-        if self.solid.is_none() {
+        if !self.at_solids {
             return 0;
         }
         let wide = WideCells::of_spacing(spacing.map_or(1.0, |spacing| spacing / grid.cell_size()));
@@ -263,7 +266,7 @@ impl Surfacing {
                 [kernels.reach(spacing_cells), attribute_smoothing(spacing_cells).halo()]
             }
             Method::Indicator { kind, .. } => [
-                self.filters(kind, spacing, grid).halo(),
+                self.filters(kind, spacing, grid).halo() + self.fill_reach(spacing, grid),
                 self.attribute_smoothing(kind, spacing, grid).halo(),
             ],
         };

@@ -153,7 +153,6 @@ fn sampling(settings: &Settings, surfacing: &Surfacing) -> Result<SamplingReques
     let exclusive = [
         ("radius", settings.radius.is_some() && settings.spacing.is_some(), "spacing"),
         ("cell_size", settings.cell_size.is_some() && settings.cell.is_some(), "cell"),
-        ("solid", settings.solid.is_some() && settings.periodic.is_some(), "periodic"),
         ("size", settings.asks_for_sizes() && settings.spacing.is_some(), "spacing"),
         ("size", settings.asks_for_sizes() && settings.radius.is_some(), "radius"),
         ("size", settings.asks_for_sizes() && settings.solid.is_some(), "solid"),
@@ -266,6 +265,7 @@ fn surfacing(settings: &Settings) -> Result<Surfacing, Error> {
         detail: if settings.detail { Detail::Recovered } else { Detail::Smoothed },
         normals: if settings.normals { Normals::Gradient } else { Normals::None },
         periodic_mesh: settings.periodic_mesh.unwrap_or_default(),
+        at_solids: !settings.solid_files().is_empty(),
         solid: None,
     })
 }

@@ -1,6 +1,7 @@
 //! The settings for sampling particles, as far as they are known without the particles.
 
 use std::path::Path;
+use std::sync::{Mutex, PoisonError};
 
 use glam::DVec3;
 
@@ -19,7 +20,7 @@ use crate::io::UpAxis;
 use crate::io::scene::{spacing_beside, tank_beside};
 use crate::particles::mixture::mixture;
 use crate::particles::sizes::{FoundSizes, SizeChoice, SizeFault, Sizes};
-use crate::particles::{Particles, bounds};
+use crate::particles::{Bounds, Particles, bounds};
 use crate::settings::Setting;
 
 use super::cells::{CellSize, Cells, FoundWalls, Slab, SpacingHints};
@@ -103,8 +104,8 @@ impl ChosenSampling {
     }
 }
 
-/// Maximum number of particles for finding walls that were not requested, because this needs two
-/// readings.
+/// Maximum number of particles for finding walls that were not requested, because this needs
+/// another reading.
 const MOST_HINTED: usize = 1 << 24;
 
 /// A callback that receives the positions of all particles, in pieces and in any order.
@@ -192,15 +193,17 @@ impl SamplingRequest {
         }
     }
 
-    /// The ends of a frame's particles; `None` if the spacing is unknown.
-    pub fn ends(
+    /// The ends of a frame's particles, whose bounds may be known; `None` if the spacing is
+    /// unknown.
+    fn ends(
         &self,
         particles: &(impl Particles + ?Sized),
+        known: Option<Bounds>,
         cells: &Cells,
     ) -> Result<Option<Ends>, Error> {
         let Some(spacing) = cells.spacing() else { return Ok(None) };
         let flat = cells.slab.map(|slab| slab.axis);
-        Ok(Ends::of(particles, spacing, flat, &self.grid_of(cells)?))
+        Ok(Ends::of(particles, known, spacing, flat, &self.grid_of(cells)?))
     }
 
     /// The walls that some frames and the scene file next to them indicate.
@@ -252,21 +255,39 @@ impl SamplingRequest {
         &self,
         particles: &(impl Particles + ?Sized),
         from: SpacingHints<'_>,
-        read: impl FnMut(f64, LookAtAll<'_>) -> Option<T>,
+        mut read: impl FnMut(f64, LookAtAll<'_>) -> Option<T>,
     ) -> Result<(Cells, Option<T>), Error> {
+        let seeks_walls = self.seeks_walls(particles.len());
+        let mut known = None;
+        let read_with_bounds = |size: f64, look: LookAtAll<'_>| {
+            if !seeks_walls {
+                return read(size, look);
+            }
+            let all = Mutex::new(Bounds::NONE);
+            let done = read(size, &|positions| {
+                look(positions);
+                let own = Bounds::of(positions);
+                let mut all = all.lock().unwrap_or_else(PoisonError::into_inner);
+                *all = all.joined(own);
+            })?;
+            known = all.into_inner().ok().filter(|bounds| bounds.finite > 0);
+            Some(done)
+        };
         let sizes = self.sizes(particles)?;
         let invalid = sizes.as_ref().and_then(SpacingWarning::of_sizes);
         let (mut cells, done) = match sizes {
             Some(FoundSizes::Several(sizes)) => (self.cells_for_sizes(particles, sizes)?, None),
-            Some(FoundSizes::One { .. }) | None => self.cells_by(particles, from, read)?,
+            Some(FoundSizes::One { .. }) | None => {
+                self.cells_by(particles, from, read_with_bounds)?
+            }
         };
         cells.warnings.extend(invalid);
         go_on(particles)?;
         if !cells.warnings.iter().any(|warning| matches!(warning, SpacingWarning::Mixed(_))) {
             cells.warnings.extend(mixture(particles).map(SpacingWarning::Mixed));
         }
-        if self.seeks_walls(particles.len()) {
-            let ends = self.ends(particles, &cells)?;
+        if seeks_walls {
+            let ends = self.ends(particles, known, &cells)?;
             let found = ends.map(|ends| self.walls_of(&[ends], from.path));
             cells.walls =
                 found.filter(|found| self.search == WallSearch::Walls || !found.walls.is_open());
@@ -283,9 +304,10 @@ impl SamplingRequest {
     }
 
     /// How often particles are usually read to choose and count cells: for the spacing, for the
-    /// count, and twice for walls.
+    /// count, and for walls, for which few particles are read twice.
     pub fn readings(&self, particles: usize) -> usize {
-        2 + 2 * usize::from(self.seeks_walls(particles))
+        let for_walls = if particles > ALL { 1 } else { 2 };
+        if self.seeks_walls(particles) { 2 + for_walls } else { 2 }
     }
 
     /// The sizes of the particles, if an attribute holds them.

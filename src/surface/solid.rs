@@ -7,17 +7,20 @@
 //!
 //! A distance depends only on the cell, not on the box of cells in a request: cells are processed
 //! in cubes of 4^3, bounded by the distance of the cube's centre.
+//!
+//! In a periodic box a solid repeats as the fluid does: it has copies one box width away along each
+//! periodic axis.
 
 use glam::{DVec3, IVec3};
+use rayon::prelude::*;
 use thiserror::Error;
 
 use crate::brick::Block;
 use crate::grid::units::SolidOffset;
-use crate::grid::{CellBox, Grid, TILE};
+use crate::grid::{CellBox, Grid, Periodic, TILE};
 
 use super::mesh::Mesh;
-use super::mesh::compare::{CompareError, SearchableSurface};
-use super::mesh::measure::measure;
+use super::mesh::tree::{CompareError, Side, TriangleTree};
 
 /// Bytes of memory of a solid per triangle, including its share of the vertices.
 const TRIANGLE_BYTES: u64 = 320;
@@ -52,7 +55,7 @@ pub enum SolidFault {
 /// Closed meshes at which a fluid ends.
 #[derive(Debug)]
 pub struct Solid {
-    meshes: Vec<SearchableSurface>,
+    meshes: Vec<TriangleTree>,
     offset: SolidOffset,
     triangles: u64,
     turned: Vec<usize>,
@@ -74,17 +77,17 @@ impl Solid {
         };
         for (number, mesh) in meshes.into_iter().enumerate() {
             let mesh = joined(mesh);
-            let surface =
-                SearchableSurface::reference(&mesh).map_err(|fault| (number, fault.into()))?;
             refuse_unclosed(&mesh).map_err(|fault| (number, fault))?;
-            let measures = measure(&mesh);
-            let volume = measures.volume.unwrap_or(f64::INFINITY);
+            let origin = mesh.positions.first().map_or(DVec3::ZERO, |&p| DVec3::from(p));
+            let tree = TriangleTree::new(&mesh, origin, Side::Reference)
+                .map_err(|fault| (number, fault.into()))?;
+            let [volume, area] = volume_and_area(&tree);
             if volume < 0.0 {
                 solid.turned.push(number);
             }
-            solid.thickness.push(2.0 * volume.abs() / measures.area);
+            solid.thickness.push(2.0 * volume.abs() / area);
             solid.triangles += mesh.triangles.len() as u64;
-            solid.meshes.push(surface);
+            solid.meshes.push(tree);
         }
         Ok(solid)
     }
@@ -101,7 +104,7 @@ impl Solid {
         &self.turned
     }
 
-    /// The thickness of each mesh: that of a plate with its volume and area; infinite if unknown.
+    /// The thickness of each mesh: that of a plate with its volume and area.
     #[must_use]
     pub fn thickness(&self) -> &[f64] {
         &self.thickness
@@ -116,19 +119,25 @@ impl Solid {
     /// Whether some cells, 2^`level` times as wide as those of the grid, may contain a part of a
     /// solid, or lie in one.
     #[must_use]
-    pub fn is_near(&self, grid: &Grid, level: u32, cells: CellBox) -> bool {
-        let world = |cell: IVec3| grid.world_from_cells(cell.as_dvec3() * width(level));
-        let (lo, hi) = (world(cells.lo), world(cells.hi));
-        self.meshes.iter().any(|mesh| mesh.meets(lo, hi) || winds(mesh, (lo + hi) / 2.0))
+    pub fn is_near(
+        &self,
+        grid: &Grid,
+        periodic: Option<&Periodic>,
+        level: u32,
+        cells: CellBox,
+    ) -> bool {
+        let (lo, hi) = corners(grid, level, cells);
+        self.copies(periodic).any(|copy| copy.meets(lo, hi) || copy.winds((lo + hi) / 2.0))
     }
 
     /// Signed distances of the centres of some cells, 2^`level` times as wide as those of the grid,
     /// in steps of length `step`: negative in a solid, and at most 32767 steps. Distances of more
-    /// than `most` steps are clamped.
+    /// than `most` steps, which are longer than a cell, are clamped.
     #[must_use]
     pub fn distances(
         &self,
         grid: &Grid,
+        periodic: Option<&Periodic>,
         level: u32,
         cells: CellBox,
         step: f64,
@@ -136,14 +145,42 @@ impl Solid {
     ) -> Block<i16> {
         let mut nearest = Block::zero(cells);
         nearest.samples_mut().fill(most);
-        for mesh in &self.meshes {
-            let own = distances_from(mesh, grid, level, cells, step, most);
-            for (nearest, own) in nearest.samples_mut().iter_mut().zip(own.samples()) {
-                *nearest = (*nearest).min(*own);
+        let (lo, hi) = corners(grid, level, cells);
+        let farthest = f64::from(most) * step;
+        for copy in self.copies(periodic) {
+            if copy.meets(lo - farthest, hi + farthest) {
+                let own = copy.distances(grid, level, cells, step, most);
+                for (nearest, own) in nearest.samples_mut().iter_mut().zip(own.samples()) {
+                    *nearest = (*nearest).min(*own);
+                }
+            } else if copy.winds((lo + hi) / 2.0) {
+                nearest.samples_mut().fill(-most);
             }
         }
         nearest
     }
+
+    /// The meshes, and in a periodic box their copies.
+    fn copies<'a>(&'a self, periodic: Option<&Periodic>) -> impl Iterator<Item = PlacedMesh<'a>> {
+        let widths = periodic.map_or([None; 3], |periodic| {
+            periodic.faces().map(|faces| faces.map(|[lo, hi]| hi - lo))
+        });
+        let along = move |axis: usize| {
+            let sides = if widths[axis].is_some() { -1..=1 } else { 0..=0 };
+            sides.map(move |side| f64::from(side) * widths[axis].unwrap_or(0.0))
+        };
+        let shifts = along(2)
+            .flat_map(move |z| along(1).flat_map(move |y| along(0).map(move |x| [x, y, z])));
+        shifts.flat_map(|shift| {
+            self.meshes.iter().map(move |mesh| PlacedMesh { mesh, shift: shift.into() })
+        })
+    }
+}
+
+/// The lowest and the highest corner of cells 2^`level` times as wide as those of the grid.
+fn corners(grid: &Grid, level: u32, cells: CellBox) -> (DVec3, DVec3) {
+    let world = |cell: IVec3| grid.world_from_cells(cell.as_dvec3() * width(level));
+    (world(cells.lo), world(cells.hi))
 }
 
 /// Number of grid cells along a cell that is 2^`level` times as wide.
@@ -151,72 +188,132 @@ fn width(level: u32) -> f64 {
     f64::from(1_u32 << level)
 }
 
-/// Whether a mesh winds around a place.
-fn winds(mesh: &SearchableSurface, place: DVec3) -> bool {
-    let passed = mesh.crossings([place.y, place.z], place.x);
-    passed.iter().filter(|(x, _)| *x > place.x).map(|(_, sign)| sign).sum::<i32>() != 0
+/// A mesh at a displacement.
+struct PlacedMesh<'a> {
+    mesh: &'a TriangleTree,
+    shift: DVec3,
 }
 
-fn distances_from(
-    mesh: &SearchableSurface,
-    grid: &Grid,
-    level: u32,
-    cells: CellBox,
-    step: f64,
-    most: i16,
-) -> Block<i16> {
-    let mut distances = Block::zero(cells);
-    let farthest = f64::from(most) * step;
-    let place = |cell: DVec3| grid.world_from_cells(cell * width(level));
-    let centre = |cell: IVec3| place(cell.as_dvec3() + 0.5);
-    let to_centre = grid.cell_size() * width(level) * 0.5 * 3_f64.sqrt();
-    distances.samples_mut().fill(most);
-    for cube in cells.cubes(TILE) {
-        let cube = CellBox::cube(cube, TILE);
-        let middle = place((cube.lo + cube.hi).as_dvec3() / 2.0);
-        let to_corner = f64::from(TILE - 1) * to_centre;
-        let Some(of_middle) = mesh.distance_within(middle, farthest + to_corner) else { continue };
-        let part = cube.intersection(&cells);
-        for z in part.lo.z..part.hi.z {
-            for y in part.lo.y..part.hi.y {
-                for x in part.lo.x..part.hi.x {
+impl PlacedMesh<'_> {
+    /// Whether the bounding box of any triangle meets a box.
+    fn meets(&self, lo: DVec3, hi: DVec3) -> bool {
+        self.mesh.meets(lo - self.shift, hi - self.shift)
+    }
+
+    /// Whether the mesh winds around a place.
+    fn winds(&self, place: DVec3) -> bool {
+        let place = place - self.shift;
+        let passed = self.mesh.crossings([place.y, place.z], place.x);
+        passed.iter().filter(|(x, _)| *x > place.x).map(|(_, sign)| sign).sum::<i32>() != 0
+    }
+
+    fn distances(
+        &self,
+        grid: &Grid,
+        level: u32,
+        cells: CellBox,
+        step: f64,
+        most: i16,
+    ) -> Block<i16> {
+        let mut distances = Block::zero(cells);
+        let farthest = f64::from(most) * step;
+        let place = |cell: DVec3| grid.world_from_cells(cell * width(level)) - self.shift;
+        let centre = |cell: IVec3| place(cell.as_dvec3() + 0.5);
+        let to_centre = grid.cell_size() * width(level) * 0.5 * 3_f64.sqrt();
+        distances.samples_mut().fill(most);
+        for cube in cells.cubes(TILE) {
+            let cube = CellBox::cube(cube, TILE);
+            let middle = place((cube.lo + cube.hi).as_dvec3() / 2.0);
+            let to_corner = f64::from(TILE - 1) * to_centre;
+            let reach = farthest + to_corner;
+            let Some((of_middle, nearest)) = self.mesh.distance_within(middle, reach, None) else {
+                continue;
+            };
+            let mut near = nearest;
+            let part = cube.intersection(&cells);
+            for z in part.lo.z..part.hi.z {
+                for y in part.lo.y..part.hi.y {
+                    for x in part.lo.x..part.hi.x {
+                        let cell = IVec3::new(x, y, z);
+                        let at = centre(cell);
+                        // The triangle inequality through the cube's centre.
+                        let bound = (of_middle + at.distance(middle)).min(farthest) * (1.0 + 1e-9);
+                        let found = self.mesh.distance_within(at, bound, Some(near));
+                        if let Some((distance, nearest)) = found {
+                            near = nearest;
+                            let steps = (distance / step).round().min(f64::from(most));
+                            let index = distances.index(cell);
+                            distances.samples_mut()[index] = steps as i16;
+                        }
+                    }
+                }
+            }
+        }
+        self.negate_inside(&mut distances, most, centre);
+        distances
+    }
+
+    /// Negates the distances of the cells in the mesh, whose centres are given.
+    fn negate_inside(
+        &self,
+        distances: &mut Block<i16>,
+        most: i16,
+        centre: impl Fn(IVec3) -> DVec3,
+    ) {
+        let cells = distances.cells();
+        let width = cells.size().x as usize;
+        for z in cells.lo.z..cells.hi.z {
+            for y in cells.lo.y..cells.hi.y {
+                let first = IVec3::new(cells.lo.x, y, z);
+                let index = distances.index(first);
+                let row = |first: usize| first..first + width;
+                if distances.samples()[row(index)].iter().all(|&distance| distance == most) {
+                    // No surface is between two neighbours that are both farther from it.
+                    let before = [(y, cells.lo.y, IVec3::Y), (z, cells.lo.z, IVec3::Z)];
+                    let before = before.into_iter().filter(|(at, lo, _)| at > lo);
+                    let is_inside = before.into_iter().find_map(|(_, _, axis)| {
+                        let row = row(distances.index(first - axis));
+                        let mut all = distances.samples()[row].iter();
+                        all.find(|distance| distance.abs() == most).map(|&distance| distance < 0)
+                    });
+                    if let Some(is_inside) = is_inside {
+                        let distance = if is_inside { -most } else { most };
+                        distances.samples_mut()[row(index)].fill(distance);
+                        continue;
+                    }
+                }
+                let line = centre(first);
+                let mut passed = self.mesh.crossings([line.y, line.z], line.x);
+                if passed.is_empty() {
+                    continue;
+                }
+                passed.sort_unstable_by(|a, b| b.0.total_cmp(&a.0));
+                let mut winding = 0;
+                let mut passed = passed.into_iter().peekable();
+                for x in (cells.lo.x..cells.hi.x).rev() {
                     let cell = IVec3::new(x, y, z);
-                    let at = centre(cell);
-                    // The triangle inequality through the cube's centre.
-                    let bound = (of_middle + at.distance(middle)).min(farthest);
-                    if let Some(distance) = mesh.distance_within(at, bound * (1.0 + 1e-9)) {
-                        let steps = (distance / step).round().min(f64::from(most));
+                    let at = centre(cell).x;
+                    while let Some((_, sign)) = passed.next_if(|(passed, _)| *passed > at) {
+                        winding += sign;
+                    }
+                    if winding != 0 {
                         let index = distances.index(cell);
-                        distances.samples_mut()[index] = steps as i16;
+                        distances.samples_mut()[index] = -distances.samples()[index];
                     }
                 }
             }
         }
     }
-    for z in cells.lo.z..cells.hi.z {
-        for y in cells.lo.y..cells.hi.y {
-            let first = centre(IVec3::new(cells.lo.x, y, z));
-            let mut passed = mesh.crossings([first.y, first.z], first.x);
-            if passed.is_empty() {
-                continue;
-            }
-            passed.sort_unstable_by(|a, b| b.0.total_cmp(&a.0));
-            let mut winding = 0;
-            let mut passed = passed.into_iter().peekable();
-            for x in (cells.lo.x..cells.hi.x).rev() {
-                let cell = IVec3::new(x, y, z);
-                let at = centre(cell).x;
-                while let Some((_, sign)) = passed.next_if(|(passed, _)| *passed > at) {
-                    winding += sign;
-                }
-                if winding != 0 {
-                    let index = distances.index(cell);
-                    distances.samples_mut()[index] = -distances.samples()[index];
-                }
-            }
-        }
+}
+
+/// The volume within a mesh, negative if it faces inwards, and its area.
+fn volume_and_area(mesh: &TriangleTree) -> [f64; 2] {
+    let (mut sextuple_volume, mut doubled_area) = (0.0, 0.0);
+    for [a, b, c] in (0..mesh.triangles().len()).map(|triangle| mesh.corners(triangle)) {
+        sextuple_volume += a.dot(b.cross(c));
+        doubled_area += (b - a).cross(c - a).length();
     }
-    distances
+    [sextuple_volume / 6.0, doubled_area / 2.0]
 }
 
 /// Merges the vertices of a mesh that have the same position.
@@ -224,7 +321,7 @@ fn joined(mesh: Mesh) -> Mesh {
     let mut order: Vec<u32> = (0..mesh.positions.len() as u32).collect();
     // Adding 0 makes both zeros equal.
     let key = |vertex: u32| mesh.positions[vertex as usize].map(|x| (x + 0.0).to_bits());
-    order.sort_unstable_by_key(|&vertex| (key(vertex), vertex));
+    order.par_sort_unstable_by_key(|&vertex| (key(vertex), vertex));
     let mut first_of: Vec<u32> = (0..mesh.positions.len() as u32).collect();
     for together in order.chunk_by(|&a, &b| key(a) == key(b)) {
         together.iter().for_each(|&vertex| first_of[vertex as usize] = together[0]);
@@ -245,7 +342,7 @@ fn refuse_unclosed(mesh: &Mesh) -> Result<(), SolidFault> {
     let edges = mesh.triangles.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]);
     let mut edges: Vec<([u32; 2], i8)> =
         edges.map(|[a, b]| if a < b { ([a, b], 1) } else { ([b, a], -1) }).collect();
-    edges.sort_unstable();
+    edges.par_sort_unstable();
     let (mut open, mut inconsistent) = (0, 0);
     for sides in edges.chunk_by(|a, b| a.0 == b.0) {
         let sum: i32 = sides.iter().map(|(_, direction)| i32::from(*direction)).sum();
@@ -300,7 +397,7 @@ mod tests {
         let solid = solid(vec![turned_box(-half, half, angle)]);
         for level in 0..2 {
             let cells = cells(16 >> level);
-            let found = solid.distances(&grid(), level, cells, 1e-3, 900);
+            let found = solid.distances(&grid(), None, level, cells, 1e-3, 900);
             for z in cells.lo.z..cells.hi.z {
                 for y in cells.lo.y..cells.hi.y {
                     for x in cells.lo.x..cells.hi.x {
@@ -322,9 +419,9 @@ mod tests {
     #[test]
     fn solid_distances_are_independent_of_the_box_of_cells() {
         let solid = solid(vec![turned_box(DVec3::splat(-1.0), DVec3::splat(1.1), 0.4)]);
-        let whole = solid.distances(&grid(), 0, cells(12), 1e-4, 8000);
+        let whole = solid.distances(&grid(), None, 0, cells(12), 1e-4, 8000);
         let part = CellBox { lo: IVec3::new(-5, 1, -11), hi: IVec3::new(10, 9, 2) };
-        assert_eq!(solid.distances(&grid(), 0, part, 1e-4, 8000), whole.part(part));
+        assert_eq!(solid.distances(&grid(), None, 0, part, 1e-4, 8000), whole.part(part));
     }
 
     #[test]
@@ -344,7 +441,7 @@ mod tests {
         let middle = |mesh: Mesh| {
             let solid = solid(vec![mesh]);
             let cell = CellBox { lo: IVec3::ZERO, hi: IVec3::ONE };
-            solid.distances(&grid(), 0, cell, 1e-3, 500).at(IVec3::ZERO)
+            solid.distances(&grid(), None, 0, cell, 1e-3, 500).at(IVec3::ZERO)
         };
         assert_eq!(middle(both(outer.clone(), &inner)), -500);
         assert_eq!(middle(both(outer, &inwards)), 500);

@@ -432,6 +432,22 @@ impl Particles for CountedPasses {
 }
 
 #[test]
+fn walls_are_found_with_one_more_pass_over_many_particles() {
+    let pool = fill(84.0, 1.0, 0.2, 3, |p| p.y < 0.0 && p.abs().max_element() < 52.0);
+    assert!(pool.len() > 1 << 19, "{}", pool.len());
+    let passes = |request: Reconstruction| {
+        let counted = CountedPasses { particles: pool.clone(), passes: 0.into() };
+        let frame = request.spacing(1.0).cell_size(1.0).sample(&counted).unwrap();
+        drop(frame);
+        counted.passes.into_inner()
+    };
+    // With walls that are to be found, the spacing is checked before the count.
+    let (plain, sought) =
+        (passes(Reconstruction::new()), passes(Reconstruction::new().find_domain()));
+    assert_eq!(sought, plain + 2);
+}
+
+#[test]
 fn particles_are_counted_during_the_spacing_estimate_without_another_pass() {
     let ball = fill(44.0, 2.0, 0.2, 3, |p| p.length() < 21.0);
     assert!(ball.len() > 1 << 18);

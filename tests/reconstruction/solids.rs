@@ -3,21 +3,28 @@
 use std::fmt::Write;
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use glam::DVec3;
 use meniscus::error::{Conflict, Error, ReadFault, SolidFault};
 use meniscus::internals::backend::{Backend, Vulkan};
-use meniscus::internals::grid::units::MemoryBudget;
+use meniscus::internals::field::indicator::IndicatorKind;
+use meniscus::internals::frame::{Engine, Method, Normals, Sampling, Surfacing};
+use meniscus::internals::grid::units::{MemoryBudget, SolidOffset};
+use meniscus::internals::grid::{Grid, Periodic};
+use meniscus::internals::surface::solid::Solid;
+use meniscus::internals::system::timings::Timings;
 use meniscus::internals::vulkan::DeviceOptions;
 use meniscus::mesh::{Mesh, measure};
-use meniscus::{Reconstruction, Warning};
+use meniscus::{PeriodicMesh, Reconstruction, Warning};
 use tempfile::TempDir;
 
 use crate::common::device;
 use crate::common::files::bytes_of;
+use crate::common::periodic::{Faces, repeated, triangles_within};
 use crate::common::scene::Random;
 use crate::common::shapes::{cuboid, moved, sphere};
-use crate::common::watertight;
+use crate::common::{sampling, surfacing, watertight};
 
 /// Size of a pool along x and z, and its water level.
 const SIZE: f64 = 30.0;
@@ -177,6 +184,85 @@ fn a_device_makes_the_same_mesh_with_solids_as_the_cpu() {
 }
 
 #[test]
+fn in_a_periodic_box_solids_repeat_as_the_fluid_does() {
+    let folder = TempDir::new().unwrap();
+    let edge = 40.0;
+    let faces: Faces = [Some([0.0, edge]), None, Some([0.0, edge])];
+    // Most of the ball is beyond the faces of a corner. All coordinates are dyadic, so that copies
+    // have the same digits.
+    let dyadic = |p: DVec3| (p * 1024.0).floor() / 1024.0;
+    let mut solid = moved(&sphere(5.0, 3), [-2.0, 4.0, -1.0]);
+    for position in &mut solid.positions {
+        *position = dyadic(DVec3::from(*position)).to_array();
+    }
+    let from_solid = |p: DVec3| {
+        let centre = DVec3::new(-2.0, 4.0, -1.0);
+        let shifts = [0.0, edge].into_iter().flat_map(|x| [0.0, edge].map(|z| [x, 0.0, z]));
+        shifts.map(|s| p.distance(centre + DVec3::from(s)) - 5.0).fold(f64::MAX, f64::min)
+    };
+    let mut random = Random::new(3);
+    let mut water = Vec::new();
+    for cell in
+        (0..40 * 40 * 7).map(|i| DVec3::from([i % 40, i / 1600, i / 40 % 40].map(f64::from)))
+    {
+        let p = dyadic(cell + DVec3::from([(); 3].map(|()| random.unit())));
+        if from_solid(p) > 0.0 {
+            water.push(p.to_array());
+        }
+    }
+    let copies =
+        [-edge, 0.0, edge].into_iter().flat_map(|x| [-edge, 0.0, edge].map(|z| [x, 0.0, z]));
+    let copies: Vec<Mesh> = copies.map(|shift| moved(&solid, shift)).collect();
+    let offset = SolidOffset::new(0.0).unwrap();
+    let at_solids = |meshes: Vec<Mesh>, periodic_mesh: PeriodicMesh| Surfacing {
+        at_solids: true,
+        solid: Some(Arc::new(Solid::new(meshes, offset).unwrap())),
+        normals: Normals::Gradient,
+        periodic_mesh,
+        ..surfacing()
+    };
+    let (method, grid) = (Method::from(IndicatorKind::Cloud), Grid::new(DVec3::ZERO, 0.5).unwrap());
+    let of_all = at_solids(copies, PeriodicMesh::Cut);
+    let reach = of_all.reach(method, Some(1.0), &grid);
+    let periodic = Some(Periodic::new(&grid, faces, reach).unwrap());
+    let alone =
+        Sampling { method, grid, spacing: Some(1.0), side: method.brick_side(), ..sampling() };
+    let in_box = Sampling { periodic, ..alone.clone() };
+    let timings = &mut Timings::default();
+    let frame = Engine::sample(&water[..], &in_box, timings).unwrap();
+    // The density of both is that of the box.
+    let calibrated = of_all.calibrate(frame.dif().unwrap()).unwrap().calibration;
+    let mut meshed = |frame: &Engine, surfacing: &Surfacing| {
+        let frame = frame.calibrate(surfacing, Some(&calibrated), timings).unwrap();
+        frame.surface(timings).unwrap().to_mesh().unwrap()
+    };
+    let around = Engine::sample(&repeated(&water, faces)[..], &alone, &mut Timings::default());
+    let all = meshed(&around.unwrap(), &of_all);
+    for (ends, margin) in [(PeriodicMesh::Cut, 1.0), (PeriodicMesh::Overlap, 0.0)] {
+        let mesh = meshed(&frame, &at_solids(vec![solid.clone()], ends));
+        assert_eq!(watertight::defect(&mesh), None);
+        let [found, expected] = [&mesh, &all].map(|mesh| triangles_within(mesh, faces, margin));
+        let both = found.intersection(&expected).count();
+        assert!(
+            expected.len() > 5000 && found == expected,
+            "{ends:?}: {both} of {} and {} triangles",
+            found.len(),
+            expected.len()
+        );
+    }
+    // Files, and a mesh at the faces that the ball does not reach.
+    let file = written(&folder, "ball.obj", &solid);
+    let request = at(Reconstruction::new().spacing(1.0).cell_size(0.5).periodic(faces), &file);
+    let mesh = request.run(&water[..]).unwrap().to_mesh().unwrap();
+    assert_eq!(watertight::defect(&mesh), None);
+    let behind =
+        |p: &&[f64; 3]| p[0] > edge - 9.0 && p[2] > edge - 9.0 && (0.5..5.0).contains(&p[1]);
+    let behind = mesh.positions.iter().filter(behind).map(|&p| from_solid(DVec3::from(p)));
+    let on = behind.filter(|distance| distance.abs() < 0.2).count();
+    assert!(on > 50, "{on} vertices are at the solid");
+}
+
+#[test]
 fn a_solid_wall_divides_water_and_a_too_thin_wall_causes_a_warning() {
     let folder = TempDir::new().unwrap();
     let wall = |half: f64| cuboid([13.0 - half, -1.0, -1.0], [13.0 + half, 30.0, SIZE + 1.0]);
@@ -254,15 +340,14 @@ fn invalid_solids_are_refused_with_their_file_and_bad_edges() {
 
 #[test]
 fn settings_that_conflict_with_solids_are_refused_by_name() {
-    let solid = || Reconstruction::new().spacing(1.0).solids(["ball.obj"]);
     let particles = [[0.0; 3]];
     let refused = |request: Reconstruction| match request.run(&particles[..]) {
         Err(Error::SettingConflict(conflict)) => (conflict.setting.name(), conflict.with),
         other => panic!("{other:?}"),
     };
-    let periodic = solid().periodic([Some([0.0, 4.0]), None, None]);
+    let with_sizes = Reconstruction::new().solids(["ball.obj"]).size("pscale");
     assert!(
-        matches!(refused(periodic), ("solid", Conflict::Setting(other)) if other.name() == "periodic")
+        matches!(refused(with_sizes), ("size", Conflict::Setting(other)) if other.name() == "solid")
     );
     let offset = Reconstruction::new().spacing(1.0).solid_offset(0.1);
     assert!(

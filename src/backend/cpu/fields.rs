@@ -105,7 +105,8 @@ fn cut_by(solid: &Solid, sampled: &SampledDif, field: &mut Block) {
     let offset = solid.offset() * UNITS;
     // Normals use two cells beyond a vertex's cell.
     let most = (offset.abs() + 3.0 * cell / spacing * UNITS).ceil().min(f64::from(i16::MAX)) as i16;
-    let mut distances = solid.distances(&facts.grid, 0, field.cells(), spacing / UNITS, most);
+    let (grid, periodic, step) = (&facts.grid, facts.periodic.as_ref(), spacing / UNITS);
+    let mut distances = solid.distances(grid, periodic, 0, field.cells(), step, most);
     facts.walls().into_iter().for_each(|walls| distances.repeat_edges(walls));
     cut(field, &distances, offset.round() as i32, most);
 }
@@ -267,14 +268,15 @@ impl Fields for Blocks<'_> {
 
     fn filled(&mut self, clouds: &BlockField) -> Result<BlockField, StopSignal> {
         let (level, cells) = (clouds.level, clouds.block.cells());
-        let grid = &self.sampled.facts.grid;
+        let (grid, periodic) = (&self.sampled.facts.grid, self.sampled.facts.periodic.as_ref());
         // A cell's cloud reaches beyond it.
-        let is_near = |solid: &&Solid| solid.is_near(grid, level, cells.grown(2, 2));
+        let is_near = |solid: &&Solid| solid.is_near(grid, periodic, level, cells.grown(2, 2));
         let Some(solid) = self.solid.filter(is_near) else { return Ok(clouds.clone()) };
         let width = grid.cell_size() * f64::from(1_u32 << level);
         let fill = fill(self.sampled, level);
         let around = cells.grown(fill.reach(), fill.reach());
-        let mut shares = outside(&solid.distances(grid, level, around, width / STEPS, FARTHEST));
+        let distances = solid.distances(grid, periodic, level, around, width / STEPS, FARTHEST);
+        let mut shares = outside(&distances);
         let walls = self.walls(level);
         walls.into_iter().for_each(|walls| shares.repeat_edges(walls));
         let clouds = self.sampled.wide(level).gather_within(around, walls);

@@ -8,6 +8,7 @@ pub mod measure;
 pub mod ordered;
 pub mod source;
 pub mod spool;
+pub mod tree;
 pub mod up;
 
 pub use block::{BlockMesh, Tile, TileMask, bits, cell_of_bit};

@@ -26,11 +26,15 @@ class Order:
     particles_up: str | None
     sampling: Sampling
     filters: Filters
+    #: The files of the solids, with {} for the frame's number, and their distance from the fluid.
+    solids: tuple[str, ...] = ()
+    solid_offset: float | None = None
 
     def keywords(self) -> dict[str, Any]:
         """The keywords of the library's conversion: finished frames are kept if their settings are the same, and made again otherwise."""
         of = [(each.name, getattr(part, each.name)) for part in (self.sampling, self.filters) for each in fields(part)]
-        return {name: value for name, value in of if value is not None} | {
+        solids = {"solid": self.solids, "solid_offset": self.solid_offset} if self.solids else {}
+        return {name: value for name, value in of if value is not None} | solids | {
             "fps": self.fps,
             "up": "z",
             "particles_up": self.particles_up,

@@ -14,11 +14,12 @@ import bpy
 import meniscus
 from bpy.app.handlers import persistent
 
-from . import meshes, vertices
+from . import meshes, solids, vertices
 from .surfaces.arrays import Arrays, OutOfRange
 from .surfaces.cache import Cache
 from .surfaces.request import Filters, FromFile, FromPoints, Maker, Request, Sampling
 from .surfaces.sequence import Listings, Timing, shown_at
+from .surfaces.solids import Solids
 
 #: Key of the custom property with the request of a mesh.
 MADE = "meniscus_made"
@@ -84,7 +85,7 @@ def surfaces() -> Iterator[bpy.types.Mesh]:
     return (mesh for mesh in bpy.data.meshes if mesh.meniscus.source != "NONE" and mesh.library is None)
 
 
-def _typed(value: float) -> float:
+def typed(value: float) -> float:
     """The number as the user typed it: Blender stores it in single precision, where 0.05 is 0.0500000007."""
     return float(f"{value:.7g}")
 
@@ -93,26 +94,31 @@ def sampling_of(settings: bpy.types.PropertyGroup, cell: float) -> Sampling:
     """The sampling in the settings of a mesh."""
     names = tuple(name.strip() for name in settings.attributes.split(",") if name.strip())
     return Sampling(
-        spacing=_typed(settings.spacing) or None,
-        cell=_typed(cell),
+        spacing=typed(settings.spacing) or None,
+        cell=typed(cell),
         attributes=names or None,
         where=settings.where.strip() or None,
-        domain=tuple(_typed(value) for value in (*settings.tank_low, *settings.tank_high)) if settings.tank else None,
+        domain=tuple(typed(value) for value in (*settings.tank_low, *settings.tank_high)) if settings.tank else None,
     )
 
 
 def filters_of(settings: bpy.types.PropertyGroup) -> Filters:
     """The filters in the settings of a mesh."""
     return Filters(
-        smooth=_typed(settings.smooth),
+        smooth=typed(settings.smooth),
         smallest_drop=settings.smallest_drop or None,
-        simplify=_typed(settings.simplify) or None,
+        simplify=typed(settings.simplify) or None,
     )
+
+
+def solids_of(settings: bpy.types.PropertyGroup, depsgraph: bpy.types.Depsgraph) -> Solids:
+    """The solids in the settings of a mesh, as they are in a graph."""
+    return solids.solids_of(settings, typed(settings.solid_offset), depsgraph)
 
 
 def timing_of(settings: bpy.types.PropertyGroup) -> Timing:
     """The timing of files in the settings of a mesh."""
-    return Timing(settings.start, settings.first, _typed(settings.step))
+    return Timing(settings.start, settings.first, typed(settings.step))
 
 
 def _request(
@@ -121,16 +127,17 @@ def _request(
     """The request for the surface that a mesh should show; None if it is unknown."""
     cell = settings.cell_render if _state.renders else settings.cell_viewport
     sampling, filters = sampling_of(settings, cell), filters_of(settings)
+    if settings.source == "OBJECT" and settings.object is None:
+        raise Refused("Choose the object whose vertices are the particles")
+    if depsgraph is None and _is_of_objects(settings.id_data):
+        return None
+    touched = solids_of(settings, depsgraph) if depsgraph is not None else Solids()
     if settings.source == "OBJECT":
-        if settings.object is None:
-            raise Refused("Choose the object whose vertices are the particles")
-        if depsgraph is None:
-            return None
         positions, velocity = vertices.particles_of(settings.object, depsgraph)
         if not len(positions):
             raise Refused(f"{settings.object.name} has no vertices and no points at frame {frame}")
         status.file = f"{len(positions)} vertices of {settings.object.name}"
-        return Request(FromPoints(positions, velocity, sampling), filters)
+        return Request(FromPoints(positions, velocity, sampling), filters, touched)
     if not settings.path.strip():
         raise Refused("No files are chosen")
     path = bpy.path.abspath(settings.path)
@@ -139,7 +146,7 @@ def _request(
     status.file = shown.path
     if shown.is_gap:
         status.notes += (f"Frame {shown.wanted} is missing: showing frame {shown.number}",)
-    return Request(FromFile(shown.path, sampling), filters)
+    return Request(FromFile(shown.path, sampling), filters, touched)
 
 
 def _arrays(request: Request, maker: Maker) -> Arrays:
@@ -205,7 +212,7 @@ def update_all(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None, wh
 def refresh(mesh: bpy.types.Mesh) -> None:
     """Updates a mesh whose settings have changed."""
     context = bpy.context
-    update(mesh, context.scene, context.evaluated_depsgraph_get() if mesh.meniscus.source == "OBJECT" else None)
+    update(mesh, context.scene, context.evaluated_depsgraph_get() if _is_of_objects(mesh) else None)
 
 
 def reread(mesh: bpy.types.Mesh) -> None:
@@ -234,26 +241,31 @@ def spacing_used(mesh: bpy.types.Mesh) -> float | None:
     return arrays.spacing if arrays else None
 
 
-def _is_of_files(mesh: bpy.types.Mesh) -> bool:
-    return mesh.meniscus.source == "FILES"
+def _is_of_objects(mesh: bpy.types.Mesh) -> bool:
+    """Whether a surface needs other objects: its particles, or its solids."""
+    return mesh.meniscus.source == "OBJECT" or mesh.meniscus.solids is not None
 
 
-def _is_of_object(mesh: bpy.types.Mesh) -> bool:
-    return mesh.meniscus.source == "OBJECT"
+def _needs(mesh: bpy.types.Mesh, changed: set[bpy.types.Object]) -> bool:
+    """Whether a surface needs one of some objects."""
+    settings = mesh.meniscus
+    source = {settings.object} if settings.source == "OBJECT" else set()
+    touched = set(solids.objects_of(settings.solids)) if settings.solids is not None else set()
+    return bool(changed & (source | touched))
 
 
 @persistent
 def _before_frame(scene: bpy.types.Scene, _depsgraph: object = None) -> None:
     # Cycles evaluates times between frames for motion blur. Velocities provide that, so the mesh stays that of its frame.
     if scene.frame_subframe == 0.0:
-        update_all(scene, None, _is_of_files)
+        update_all(scene, None, lambda mesh: not _is_of_objects(mesh))
 
 
 @persistent
 def _after_frame(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
-    # The positions of vertices at a frame are known after its evaluation.
+    # The positions of objects at a frame are known after its evaluation.
     if scene.frame_subframe == 0.0:
-        update_all(scene, depsgraph, _is_of_object)
+        update_all(scene, depsgraph, _is_of_objects)
 
 
 @persistent
@@ -262,7 +274,7 @@ def _after_change(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> Non
         return
     changed = {each.id.original for each in depsgraph.updates if isinstance(each.id, bpy.types.Object)}
     if changed:
-        update_all(scene, depsgraph, lambda mesh: _is_of_object(mesh) and mesh.meniscus.object in changed)
+        update_all(scene, depsgraph, lambda mesh: _needs(mesh, changed))
 
 
 @persistent

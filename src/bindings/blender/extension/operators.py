@@ -13,10 +13,11 @@ import meniscus
 from bpy.props import StringProperty
 from bpy_extras.io_utils import ImportHelper
 
-from . import live, volumes
+from . import live, solids, volumes
 from .conversion import Conversion, Order
 from .surfaces.playing import reading
 from .surfaces.sequence import EXTENSIONS, number_of, sequence_of
+from .vertices import Hidden
 
 Done = Set[str]
 
@@ -164,20 +165,29 @@ class Measure(bpy.types.Operator):
 
 
 def order_of(mesh: bpy.types.Mesh, scene: bpy.types.Scene) -> Order:
-    """The conversion with a surface's settings."""
+    """The conversion with a surface's settings. Writes the solids of all frames.
+
+    Raises what the library raises for the names of files, `Hidden` and `OSError`.
+    """
     settings = mesh.meniscus
     folder = bpy.path.abspath(settings.output)
     name = bpy.path.clean_name(mesh.name).replace(".", "_").rstrip("_-")
+    inputs, offset, files = bpy.path.abspath(settings.path), live.typed(settings.solid_offset), []
+    if settings.solids is not None:
+        numbers = (number for number, _ in meniscus.list_frames(inputs))
+        files = solids.exported(settings, offset, scene, numbers, Path(folder, f"{name}_solids"))
     # The library names the stage after the layers, without their number.
     are_volumes = settings.converted == "VOLUMES"
     return Order(
-        inputs=bpy.path.abspath(settings.path),
+        inputs=inputs,
         output=os.path.join(folder, f"{name}_{{:04}}.vdb" if are_volumes else f"{name}_{{}}.usdc"),
         stage=None if are_volumes else os.path.join(folder, f"{name}.usda"),
         fps=scene.render.fps / scene.render.fps_base,
         particles_up=live.particles_up(mesh),
         sampling=live.sampling_of(settings, settings.cell_render),
         filters=live.filters_of(settings),
+        solids=tuple(files),
+        solid_offset=offset,
     )
 
 
@@ -277,7 +287,11 @@ class Convert(bpy.types.Operator):
         if mesh.meniscus.output.startswith("//") and not bpy.data.filepath:
             self.report({"ERROR"}, "Save the .blend file first, or choose another folder for the files: // means the folder of the .blend file")
             return {"CANCELLED"}
-        conversion = Conversion(order_of(mesh, context.scene))
+        try:
+            conversion = Conversion(order_of(mesh, context.scene))
+        except (Hidden, meniscus.Error, OSError) as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
         uid = mesh.session_uid
         _conversions[uid] = conversion
         conversion.start()

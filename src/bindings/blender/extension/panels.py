@@ -90,6 +90,9 @@ class MENISCUS_PT_shape(_Panel, bpy.types.Panel):
         if settings.tank:
             sampled.prop(settings, "tank_low")
             sampled.prop(settings, "tank_high")
+        layout.prop(settings, "solids")
+        if settings.solids is not None:
+            layout.prop(settings, "solid_offset")
         if packed:
             _sentence(layout, context, "Packed frames keep the spacing and the cells of packing, and have no velocities", "INFO")
         layout.prop(settings, "smooth")

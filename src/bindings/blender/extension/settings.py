@@ -8,7 +8,7 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, FloatVectorProp
 from . import live
 
 #: Default widths, drops and distances of a surface, as in the library.
-CELL, CALM = 0.5, 1.6
+CELL, CALM, SOLID_OFFSET = 0.5, 1.6, -0.1
 
 
 def _changed(settings: MeniscusSurface, _context: bpy.types.Context) -> None:
@@ -110,6 +110,22 @@ class MeniscusSurface(bpy.types.PropertyGroup):
         description="The tank's highest corner, in the particles' coordinates",
         precision=5,
         default=(1.0, 1.0, 1.0),
+        update=_changed,
+    )
+    solids: PointerProperty(
+        name="Solids",
+        description="End the fluid at the objects of this collection, which must be closed meshes: obstacles, vessels, ships",
+        type=bpy.types.Collection,
+        update=_changed,
+    )
+    solid_offset: FloatProperty(
+        name="Offset",
+        description="Distance between the fluid and the solids, in particle spacings: a positive one leaves a gap, a negative one lets the fluid "
+        "reach into the solids, so that no gap shows",
+        default=SOLID_OFFSET,
+        min=-0.5,
+        max=2.0,
+        step=10,
         update=_changed,
     )
     smooth: FloatProperty(

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from surfaces.arrays import Arrays
 from surfaces.request import Filters, FromFile, FromPoints, Maker, Request, Sampling
+from surfaces.solids import SolidMesh, Solids
 
 
 def request_of(path: Path, **changed: object) -> Request:
@@ -81,6 +82,36 @@ def test_packed_frames_take_no_settings_of_sampling(sequence: Path) -> None:
     assert len(made.triangles) > 0 and made.spacing == 1.0
     other = FromFile(str(packed), Sampling(spacing=7.0, cell=0.3))
     assert other.key == request_of(packed).source.key
+
+
+def cube(centre: float, half: float) -> SolidMesh:
+    """A cube whose triangles face outwards."""
+    corners = np.array([[x, y, z] for z in (-1.0, 1.0) for y in (-1.0, 1.0) for x in (-1.0, 1.0)]) * half + centre
+    quads = np.array([[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]], np.int32)
+    return SolidMesh("Cube.001", corners, np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]))
+
+
+def test_solids_end_the_fluid_and_belong_to_the_key(sequence: Path, tmp_path: Path) -> None:
+    asked = request_of(sequence / "ball_006.npy")
+    touching = [replace(asked, solids=Solids(meshes, offset)) for meshes, offset in [((cube(5.0, 3.0),), 0.0), ((cube(5.0, 3.0),), 0.5), ((cube(4.0, 3.0),), 0.0)]]
+    assert len({each.name for each in [asked, *touching]}) == 4
+    assert replace(asked, solids=Solids((), 0.5)).name == asked.name
+    file = tmp_path / "cube.ply"
+    cube(5.0, 3.0).write(file)
+    written = file.stat().st_mtime_ns
+    cube(5.0, 3.0).write(file)
+    assert file.stat().st_mtime_ns == written, "the same mesh is not written again"
+    made = Maker().make(touching[0])
+    expected = meniscus.Frame.load(asked.source.path, spacing=1.0, cell=1.0).surface(solid=[str(file)], solid_offset=0.0)
+    assert np.array_equal(made.vertices, expected.vertices.astype(np.float32)) and made.warnings == ()
+    assert not ((made.vertices > 2.5) & (made.vertices < 7.5)).all(axis=1).any()
+
+
+def test_an_open_solid_is_the_librarys_sentence_with_its_name(sequence: Path) -> None:
+    whole = cube(5.0, 3.0)
+    open_one = SolidMesh("Ship", whole.vertices, whole.triangles[:-1])
+    with pytest.raises(meniscus.Error, match=r"Ship-0-solid\.ply.*3 edges"):
+        Maker().make(replace(request_of(sequence / "ball_006.npy"), solids=Solids((open_one,))))
 
 
 def test_no_particles_are_the_librarys_sentence(tmp_path: Path) -> None:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import tempfile
 from collections.abc import Hashable
 from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
 from typing import Any
 
 import meniscus
@@ -13,6 +15,7 @@ import numpy.typing as npt
 
 from .arrays import Arrays
 from .sequence import stamp_of
+from .solids import Solids
 
 #: Packed frames have their own cells and spacing, and no attributes.
 PACKED = ".mnf"
@@ -100,11 +103,14 @@ class Request:
 
     source: FromFile | FromPoints
     filters: Filters
+    solids: Solids = Solids()
 
     @property
     def key(self) -> Hashable:
         """Changes if the surface would change."""
-        return self.source.key, self.filters
+        key = self.source.key, self.filters
+        # Surfaces without solids keep the names that older versions gave them.
+        return (*key, self.solids.key) if self.solids.meshes else key
 
     @property
     def name(self) -> str:
@@ -129,7 +135,11 @@ class Maker:
             # Frees the memory of the last samples first.
             self._frame = None
             self._frame, self._key = request.source.sample(), key
-        return Arrays.of(self._frame.surface(**_given(request.filters)))
+        if not request.solids.meshes:
+            return Arrays.of(self._frame.surface(**_given(request.filters)))
+        with tempfile.TemporaryDirectory(prefix="meniscus-") as folder:
+            solid = request.solids.written(Path(folder))
+            return Arrays.of(self._frame.surface(**_given(request.filters), solid=solid, solid_offset=request.solids.offset))
 
     @property
     def particles_up(self) -> str | None:

@@ -232,7 +232,7 @@ def vertices_of_an_object_are_particles() -> None:
     assert len(made) <= 1, made
     bpy.data.objects.remove(source)
     scene.frame_set(2)
-    assert "No object" in live.status_of(shown.data).error and sizes(shown.data) == (0, 0)
+    assert "Choose an object" in live.status_of(shown.data).error and sizes(shown.data) == (0, 0)
 
 
 @check
@@ -254,6 +254,77 @@ def a_point_cloud_of_geometry_nodes_is_particles() -> None:
     shown = bpy.context.object
     shown.data.meniscus.spacing = 0.1
     assert shows(shown.data, meniscus.reconstruct(points, spacing=0.1, cell=1.0)), live.status_of(shown.data)
+
+
+def cube_in(collection: bpy.types.Collection, size: float, place: tuple[float, float, float]) -> bpy.types.Object:
+    """Adds a cube to a collection."""
+    bpy.ops.mesh.primitive_cube_add(size=size, location=place)
+    added = bpy.context.object
+    collection.objects.link(added)
+    return added
+
+
+def touches(shown: bpy.types.Object, cube: bpy.types.Object, half: float) -> bool:
+    """Whether many vertices of a surface are on the sides of a cube, and none is deeper in it than a cell."""
+    world = positions(shown.data) @ np.array(shown.matrix_world)[:3, :3].T + np.array(shown.matrix_world)[:3, 3]
+    outside = np.abs(world - np.array(cube.matrix_world)[:3, 3]).max(axis=1) - half
+    return int((np.abs(outside) < 0.01).sum()) > 50 and bool((outside > -0.05).all())
+
+
+@check
+def the_fluid_ends_at_the_objects_of_a_collection() -> None:
+    shown, scene = dam(), bpy.context.scene
+    scene.frame_set(20)
+    collection = bpy.data.collections.new("obstacles")
+    scene.collection.children.link(collection)
+    # In deep fluid, whose y is up in the file.
+    cube = cube_in(collection, 0.4, (-1.5, 0.0, 0.2))
+    bpy.context.view_layer.update()
+    assert not touches(shown, cube, 0.2)
+    made.clear()
+    shown.data.meniscus.solid_offset = 0.0
+    shown.data.meniscus.solids = collection
+    assert not live.status_of(shown.data).error, live.status_of(shown.data)
+    assert len(made) == 1 and touches(shown, cube, 0.2), made
+    # A moved solid makes another surface, and so does one that moves with the frames.
+    cube.location.x += 0.3
+    bpy.context.view_layer.update()
+    assert len(made) == 2 and touches(shown, cube, 0.2), made
+    cube.keyframe_insert("location", frame=20)
+    cube.location.x -= 0.4
+    cube.keyframe_insert("location", frame=10)
+    for frame in (10, 20, 10):
+        scene.frame_set(frame)
+        assert touches(shown, cube, 0.2), (frame, live.status_of(shown.data))
+    output = options.folder / "solids"
+    shutil.rmtree(output, ignore_errors=True)
+    shown.data.meniscus.output = str(output) + os.sep
+    order = operators.order_of(shown.data, scene)
+    assert scene.frame_current == 10 and shown.data.meniscus.live
+    files = [Path(order.solids[0].replace("{}", str(number))) for number in (1, 10, 20)]
+    assert len(order.solids) == 1 and len({file.read_bytes() for file in files}) == 2, order
+    conversion = operators.Conversion(order)
+    conversion.start()
+    conversion.join()
+    assert (conversion.done, conversion.error, conversion.problems) == (3, "", []), vars(conversion)
+    # A hidden solid goes on, also in renders, and a mesh with a hole is refused.
+    cube.hide_viewport = cube.hide_render = True
+    scene.frame_set(20)
+    assert touches(shown, cube, 0.2), live.status_of(shown.data)
+    prepared_for_pictures(shown)
+    scene.render.filepath = str(options.folder / "touching.png")
+    drawn: list[bool] = []
+    bpy.app.handlers.render_post.append(lambda *_: drawn.append(touches(shown, cube, 0.2)))
+    bpy.ops.render.render(write_still=True)
+    bpy.app.handlers.render_post.clear()
+    assert drawn == [True], drawn
+    hole = bpy.data.meshes.new("hole")
+    hole.from_pydata([v.co[:] for v in cube.data.vertices], [], [p.vertices[:] for p in cube.data.polygons][:5])
+    cube.data = hole
+    bpy.context.view_layer.update()
+    assert "edges" in live.status_of(shown.data).error and sizes(shown.data) == (0, 0), live.status_of(shown.data)
+    shown.data.meniscus.solids = None
+    assert shows(shown.data, expected(20))
 
 
 @check

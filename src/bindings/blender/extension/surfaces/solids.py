@@ -1,0 +1,70 @@
+"""Solids as closed meshes in memory, which the library reads from files."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Hashable, Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+_FACE = np.dtype([("corners", "u1"), ("vertices", "<i4", 3)])
+
+
+@dataclass(frozen=True)
+class SolidMesh:
+    """A closed triangle mesh, in the particles' coordinates."""
+
+    name: str
+    vertices: npt.NDArray[np.float64]
+    triangles: npt.NDArray[np.int32]
+    digest: bytes = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "digest", hashlib.blake2b(self.to_ply(), digest_size=16).digest())
+
+    def to_ply(self) -> bytes:
+        """The mesh as a binary PLY file."""
+        head = (
+            "ply\nformat binary_little_endian 1.0\n"
+            f"element vertex {len(self.vertices)}\nproperty double x\nproperty double y\nproperty double z\n"
+            f"element face {len(self.triangles)}\nproperty list uchar int vertex_indices\nend_header\n"
+        )
+        faces = np.empty(len(self.triangles), _FACE)
+        faces["corners"], faces["vertices"] = 3, self.triangles
+        return head.encode() + self.vertices.astype("<f8").tobytes() + faces.tobytes()
+
+    def write(self, path: Path) -> None:
+        """Writes the mesh, unless the file already holds it: the library makes frames again whose solid is newer."""
+        data = self.to_ply()
+        if not path.is_file() or path.read_bytes() != data:
+            path.write_bytes(data)
+
+
+@dataclass(frozen=True)
+class Solids:
+    """The solids that the fluid touches, and the distance between them in spacings. None is the library's default."""
+
+    meshes: tuple[SolidMesh, ...] = ()
+    offset: float | None = None
+
+    @property
+    def key(self) -> Hashable:
+        """Changes if the surface would change."""
+        return tuple(mesh.digest for mesh in self.meshes), self.offset if self.meshes else None
+
+    def written(self, folder: Path) -> list[str]:
+        """Writes the meshes into a folder, under their names, and returns the files."""
+        files = [folder / f"{name}.ply" for name in unique(mesh.name for mesh in self.meshes)]
+        for mesh, file in zip(self.meshes, files):
+            mesh.write(file)
+        return [str(file) for file in files]
+
+
+def unique(names: Iterable[str]) -> list[str]:
+    """Names for files, made of letters, digits and dashes, and all different."""
+    safe = ["".join(c if c.isascii() and c.isalnum() else "-" for c in name) for name in names]
+    # Files with names that differ only in case are the same on some systems. Digits at the end would look like the number of a frame.
+    return [f"{name}-{number}-solid" for number, name in enumerate(safe)]
