@@ -16,6 +16,7 @@ __all__ = [
     "Report",
     "Simulation",
     "Summary",
+    "Volume",
     "__version__",
     "list_frames",
     "program",
