@@ -208,6 +208,12 @@ impl Surfacing {
         (SolidFill::new(wide.edge).reach() + 1) << wide.level
     }
 
+    /// Memory of the solids that are read, in bytes.
+    #[must_use]
+    pub fn solid_bytes(&self) -> u64 {
+        self.solid.as_ref().map_or(0, |solid| solid.bytes())
+    }
+
     /// Memory of clouds while they are continued into a solid, in bytes.
     fn fill_bytes(&self, filters: &Filters, spacing: Option<f64>, grid: &Grid) -> u64 {
         let Filters::Distances(distances) = filters else { return 0 };

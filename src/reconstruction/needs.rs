@@ -35,7 +35,7 @@ pub struct Needs {
     pub cell_size: f64,
     /// Memory limit in bytes.
     pub budget: u64,
-    /// Peak memory of the frame within the limit, in bytes.
+    /// Peak memory of the frame and its solids within the limit, in bytes.
     pub memory: u64,
     /// Peak memory without scratch files, in bytes.
     pub in_core: u64,
@@ -94,15 +94,16 @@ impl OpenedFrame {
             counted.map_err(|fault| self.in_file(fault))?;
         let resources = &checked.resources;
         let plan = estimate.plan(resources.budget);
+        let solids = checked.surfacing.solid_bytes();
         // Two passes hold each remaining triangle as three 64-bit numbers.
         let simplified = [BYTES_A_THREAD * checked.threads as u64, 3 * estimate.surface];
         let holds = checked.settings.holds_whole_mesh(format);
         Ok(Some(Needs {
             census,
             cell_size: sampling.grid.cell_size(),
-            budget: resources.budget.0,
-            memory: estimate.peak(plan),
-            in_core: estimate.in_core(),
+            budget: resources.budget.0 + solids,
+            memory: estimate.peak(plan) + solids,
+            in_core: estimate.in_core() + solids,
             scratch: file.particles.scratch_bytes() + estimate.scratch(plan),
             scratch_folder: resources.scratch.clone(),
             simplifying: checked.reduction.tolerance.map(|_| simplified),

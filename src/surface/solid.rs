@@ -22,8 +22,8 @@ use crate::grid::{CellBox, Grid, Periodic, TILE};
 use super::mesh::Mesh;
 use super::mesh::tree::{CompareError, Side, TriangleTree};
 
-/// Bytes of memory of a solid per triangle, including its share of the vertices.
-const TRIANGLE_BYTES: u64 = 320;
+/// Bytes of memory per triangle while a solid is made, including its share of the vertices.
+const TRIANGLE_BYTES: u64 = 360;
 
 /// A mesh that cannot be a solid.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]

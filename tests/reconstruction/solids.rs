@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use glam::DVec3;
 use meniscus::error::{Conflict, Error, ReadFault, SolidFault};
+use meniscus::files::MeshFormat;
 use meniscus::internals::backend::{Backend, Vulkan};
 use meniscus::internals::field::indicator::IndicatorKind;
 use meniscus::internals::frame::{Engine, Method, Normals, Sampling, Surfacing};
@@ -20,7 +21,7 @@ use meniscus::{PeriodicMesh, Reconstruction, Warning};
 use tempfile::TempDir;
 
 use crate::common::device;
-use crate::common::files::bytes_of;
+use crate::common::files::{bytes_of, raw};
 use crate::common::periodic::{Faces, repeated, triangles_within};
 use crate::common::scene::Random;
 use crate::common::shapes::{cuboid, moved, sphere};
@@ -260,6 +261,24 @@ fn in_a_periodic_box_solids_repeat_as_the_fluid_does() {
     let behind = mesh.positions.iter().filter(behind).map(|&p| from_solid(DVec3::from(p)));
     let on = behind.filter(|distance| distance.abs() < 0.2).count();
     assert!(on > 50, "{on} vertices are at the solid");
+}
+
+#[test]
+fn forecasts_contain_the_memory_of_solids() {
+    let folder = TempDir::new().unwrap();
+    let (ball, input) = (ball(), folder.path().join("pool.xyz"));
+    fs::write(&input, raw(&pool(0.3, from_ball))).unwrap();
+    let solid = written(&folder, "ball.obj", &ball);
+    let budget = MemoryBudget(1 << 30);
+    let needs = |request: Reconstruction| {
+        request.memory(budget).open(&input).unwrap().needs(MeshFormat::Ply).unwrap().unwrap()
+    };
+    let (plain, with_solid) = (needs(request(0.5)), needs(at(request(0.5), &solid)));
+    let least = 300 * ball.triangles.len() as u64;
+    assert!(
+        with_solid.memory >= plain.memory + least && with_solid.in_core >= plain.in_core + least
+    );
+    assert_eq!([plain.budget, with_solid.budget], [budget.0; 2]);
 }
 
 #[test]

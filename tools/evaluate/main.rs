@@ -19,6 +19,7 @@ mod sample;
 #[path = "../bench/scene.rs"]
 mod scene;
 mod shapes;
+mod solids;
 mod spacing;
 mod speed;
 mod tables;
@@ -75,6 +76,8 @@ enum Topic {
     Roughness,
     /// Stability of the surface of a pool at rest.
     Rest,
+    /// A ball that moves through a pool: its contact line from frame to frame.
+    Solids,
     /// Seconds per frame (table 1).
     Speed,
     /// Stage times by resolution (figure 14), and recovering details (figure 15).
@@ -113,6 +116,7 @@ fn main() -> ExitCode {
         Topic::Accuracy => &[accuracy::run],
         Topic::Roughness => &[roughness::run],
         Topic::Rest => &[rest::run],
+        Topic::Solids => &[solids::run],
         Topic::Speed => &[speed::run],
         Topic::Resolution => &[resolution::run],
         Topic::Parameters => &[pictures::parameters],
@@ -125,6 +129,7 @@ fn main() -> ExitCode {
             accuracy::run,
             roughness::run,
             rest::run,
+            solids::run,
             speed::run,
             resolution::run,
             pictures::parameters,

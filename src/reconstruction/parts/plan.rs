@@ -89,7 +89,7 @@ impl Parts {
             indicator: begun.indicator,
             census: plan.census,
             calibration,
-            budget: begun.checked.resources.budget.0,
+            budget: begun.checked.resources.budget.0 + begun.checked.surfacing.solid_bytes(),
             scratch_folder: begun.checked.resources.scratch.clone(),
             timings,
             path,
@@ -184,7 +184,9 @@ impl Parts {
         let needs = (0..).zip(&shared).map(|(part, known)| {
             let bins = known.iter().map(|&bin| bins[bin as usize]);
             let estimate = sampling.estimate(particles, surfacing, bins, plan.stretch(part));
-            PartNeeds::of(&estimate, sampling.resources.budget, particles.scratch_bytes())
+            let needs =
+                PartNeeds::of(&estimate, sampling.resources.budget, particles.scratch_bytes());
+            needs.with(surfacing.solid_bytes())
         });
         let needs = needs.collect();
         timings.done("share out");
@@ -276,6 +278,11 @@ impl PartNeeds {
             in_core: estimate.in_core(),
             scratch: input_scratch + estimate.scratch(plan),
         }
+    }
+
+    /// With more memory, in bytes.
+    fn with(self, bytes: u64) -> Self {
+        Self { memory: self.memory + bytes, in_core: self.in_core + bytes, ..self }
     }
 }
 

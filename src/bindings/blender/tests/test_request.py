@@ -93,7 +93,8 @@ def cube(centre: float, half: float) -> SolidMesh:
 
 def test_solids_end_the_fluid_and_belong_to_the_key(sequence: Path, tmp_path: Path) -> None:
     asked = request_of(sequence / "ball_006.npy")
-    touching = [replace(asked, solids=Solids(meshes, offset)) for meshes, offset in [((cube(5.0, 3.0),), 0.0), ((cube(5.0, 3.0),), 0.5), ((cube(4.0, 3.0),), 0.0)]]
+    given = [(cube(5.0, 3.0), 0.0), (cube(5.0, 3.0), 0.5), (cube(4.0, 3.0), 0.0)]
+    touching = [replace(asked, solids=Solids((mesh,), offset)) for mesh, offset in given]
     assert len({each.name for each in [asked, *touching]}) == 4
     assert replace(asked, solids=Solids((), 0.5)).name == asked.name
     file = tmp_path / "cube.ply"
