@@ -250,14 +250,17 @@ fn invalid_obj_lines_are_reported_with_their_number() {
         ("v 1 2 x", "line 4: expected a number, found \"x\""),
         ("f 1 2", "line 4: a face of 2 corners"),
         ("f 1 2 4", "line 4: vertex 4, but only 3 are defined so far"),
-        ("f 1 2 0", "line 4: vertex 0 of the 3 so far"),
-        ("f 1 2 -4", "line 4: vertex -4 of the 3 so far"),
+        ("f 1 2 0", "line 4: vertex 0, but only 3 are defined so far"),
+        ("f 1 2 -4", "line 4: vertex -4, but only 3 are defined so far"),
         (
             "f 1 2 9223372036854775808",
             "line 4: \"9223372036854775808\" is not the number of a vertex",
         ),
-        ("f 1 2 -9223372036854775808", "line 4: vertex -9223372036854775808 of the 3 so far"),
-        ("f 1//1 2//1 3//1", "line 4: normal 1 of the 0 so far"),
+        (
+            "f 1 2 -9223372036854775808",
+            "line 4: vertex -9223372036854775808, but only 3 are defined so far",
+        ),
+        ("f 1//1 2//1 3//1", "line 4: normal 1, but only 0 are defined so far"),
         ("f 1 /2 3", "line 4: \"\" is not the number of a vertex"),
         ("\nhello", "line 5: \"hello\" does not begin a valid .obj line"),
     ] {

@@ -112,7 +112,10 @@ fn inconsistent_vtk_files_are_refused_with_the_reason() {
     }
     let bad = points.replace("1 2 3", "1 2x 3");
     assert!(
-        VTK.particles(bad.as_bytes()).unwrap_err().to_string().contains("line 6: \"2x\" stands")
+        VTK.particles(bad.as_bytes())
+            .unwrap_err()
+            .to_string()
+            .contains("line 6: expected a number, found \"2x\"")
     );
 }
 
