@@ -188,60 +188,98 @@ impl<B: Windows> ColumnStore<B> {
 
     /// Writes `K` adjacent numbers of every particle to the start of each group of `step` numbers
     /// of `out`.
-    fn tuples<T, const K: usize, const N: usize>(
+    fn read_tuples<T: NearestCast, const K: usize>(
         &self,
         column: &Column,
         first: usize,
         out: &mut [T],
         step: usize,
-        number: impl Fn([u8; N]) -> T,
     ) {
-        let tuple = |out: &mut [T], bytes: &[u8]| {
-            let (stored, _) = bytes.as_chunks::<N>();
-            for (out, stored) in out[..K].iter_mut().zip(&stored[..K]) {
-                *out = number(*stored);
-            }
-        };
+        let size = K * column.scalar.size();
         let count = out.len().div_ceil(step);
+        self.each_window(column, size, first..first.saturating_add(count), &mut |window| {
+            let groups =
+                window.particles.start * step..(window.particles.end * step).min(out.len());
+            column.decode::<T, K>(&window, &mut out[groups], step);
+        });
+    }
+
+    /// Passes on the windows with the first `size` bytes of `column` of each particle of a range.
+    fn each_window(
+        &self,
+        column: &Column,
+        size: usize,
+        particles: Range<usize>,
+        read: &mut dyn FnMut(Window<'_>),
+    ) {
+        let (first, count) = (particles.start, particles.len());
         match &self.rows {
             ParticleRows::All(rows) => {
-                let end = first.saturating_add(count);
+                let end = particles.end;
                 assert!(end <= *rows, "particles {first} to {end} of {rows}");
                 if count > 0 {
                     let start = column.offset + first * column.stride;
-                    let end = start + (count - 1) * column.stride + K * N;
+                    let end = start + (count - 1) * column.stride + size;
                     self.bytes.with(start..end, |bytes| {
-                        if column.stride == K * N && step == K {
-                            // Without gaps on either side, this is vectorized.
-                            for (out, stored) in out.iter_mut().zip(bytes.as_chunks::<N>().0) {
-                                *out = number(*stored);
-                            }
-                            return;
-                        }
-                        for (out, row) in out.chunks_mut(step).zip(bytes.chunks(column.stride)) {
-                            tuple(out, row);
-                        }
+                        read(Window { particles: 0..count, rows: None, bytes });
                     });
                 }
             }
             ParticleRows::Selected(sieve) => {
-                let (mut out, mut near) = (out, Vec::with_capacity(NEAR.min(count)));
+                let (mut done, mut near) = (0, Vec::with_capacity(NEAR.min(count)));
                 let mut rows = sieve.rows(first).take(count).peekable();
                 while let Some(&row) = rows.peek() {
                     // Nearby rows are read as one window.
                     near.clear();
-                    near.extend(std::iter::from_fn(|| rows.next_if(|&other| other - row < NEAR)));
-                    let (to, rest) = out.split_at_mut((near.len() * step).min(out.len()));
+                    let next = || rows.next_if(|&other| other - row < NEAR);
+                    near.extend(std::iter::from_fn(next).map(|other| other - row));
+                    let particles = done..done + near.len();
+                    done = particles.end;
                     let start = column.offset + row * column.stride;
-                    let last = near.last().map_or(0, |&last| last - row);
-                    self.bytes.with(start..start + last * column.stride + K * N, |bytes| {
-                        for (out, &other) in to.chunks_mut(step).zip(&near) {
-                            tuple(out, &bytes[(other - row) * column.stride..]);
-                        }
+                    let last = near.last().copied().unwrap_or_default();
+                    self.bytes.with(start..start + last * column.stride + size, |bytes| {
+                        read(Window { particles, rows: Some(&near), bytes });
                     });
-                    out = rest;
                 }
-                assert!(out.is_empty(), "particles from {first} on of {}", sieve.count());
+                assert!(done == count, "particles from {first} on of {}", sieve.count());
+            }
+        }
+    }
+}
+
+/// Some particles' bytes of a column.
+struct Window<'a> {
+    /// The particles, counted from the first that is read.
+    particles: Range<usize>,
+    /// The row of each particle, counted from the window's first; `None` for all rows in turn.
+    rows: Option<&'a [usize]>,
+    bytes: &'a [u8],
+}
+
+impl Window<'_> {
+    /// Converts `K` adjacent numbers of every particle to the start of each group of `step` numbers
+    /// of `out`.
+    ///
+    /// This is compiled for each pair of types, so it contains nothing else.
+    fn convert<T, const K: usize, const N: usize>(
+        &self,
+        stride: usize,
+        out: &mut [T],
+        step: usize,
+        number: impl Fn([u8; N]) -> T,
+    ) {
+        if self.rows.is_none() && stride == K * N && step == K {
+            // Without gaps on either side, this is vectorized.
+            for (out, stored) in out.iter_mut().zip(self.bytes.as_chunks::<N>().0) {
+                *out = number(*stored);
+            }
+            return;
+        }
+        for (particle, out) in out.chunks_mut(step).enumerate() {
+            let row = self.rows.map_or(particle, |rows| rows[particle]);
+            let stored = self.bytes[row * stride..][..K * N].as_chunks::<N>().0;
+            for (out, stored) in out[..K].iter_mut().zip(stored) {
+                *out = number(*stored);
             }
         }
     }
@@ -394,27 +432,27 @@ macro_rules! stored {
             })*
         }
 
-        impl<B: Windows> ColumnStore<B> {
-            /// Calls [`tuples`](Self::tuples) for the type and byte order of `column`.
-            fn read_tuples<T: NearestCast, const K: usize>(
+        impl Column {
+            /// Calls [`Window::convert`] for the type and byte order of the column.
+            fn decode<T: NearestCast, const K: usize>(
                 &self,
-                column: &Column,
-                first: usize,
+                window: &Window<'_>,
                 out: &mut [T],
                 step: usize,
             ) {
-                match (column.scalar, column.endian) {
-                    (Scalar::F16, Endian::Little) => self.tuples::<T, K, _>(
-                        column, first, out, step, |b| T::f32(f16::from_le_bytes(b).into()),
+                let stride = self.stride;
+                match (self.scalar, self.endian) {
+                    (Scalar::F16, Endian::Little) => window.convert::<T, K, _>(
+                        stride, out, step, |bytes| T::f32(f16::from_le_bytes(bytes).into()),
                     ),
-                    (Scalar::F16, Endian::Big) => self.tuples::<T, K, _>(
-                        column, first, out, step, |b| T::f32(f16::from_be_bytes(b).into()),
+                    (Scalar::F16, Endian::Big) => window.convert::<T, K, _>(
+                        stride, out, step, |bytes| T::f32(f16::from_be_bytes(bytes).into()),
                     ),
-                    $((Scalar::$scalar, Endian::Little) => self.tuples::<T, K, _>(
-                        column, first, out, step, |bytes| T::$type($type::from_le_bytes(bytes)),
+                    $((Scalar::$scalar, Endian::Little) => window.convert::<T, K, _>(
+                        stride, out, step, |bytes| T::$type($type::from_le_bytes(bytes)),
                     ),
-                    (Scalar::$scalar, Endian::Big) => self.tuples::<T, K, _>(
-                        column, first, out, step, |bytes| T::$type($type::from_be_bytes(bytes)),
+                    (Scalar::$scalar, Endian::Big) => window.convert::<T, K, _>(
+                        stride, out, step, |bytes| T::$type($type::from_be_bytes(bytes)),
                     ),)*
                 }
             }

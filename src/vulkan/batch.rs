@@ -188,7 +188,7 @@ impl Batch {
         let most = self.device.limits.groups;
         assert!(groups.iter().all(|&n| n <= most), "{groups:?} groups of {pipeline:?}");
         if !groups.contains(&0) {
-            self.bind(pipeline, buffers, push)?;
+            self.bind(pipeline, buffers, bytemuck::bytes_of(push))?;
             let [x, y, z] = groups;
             // SAFETY: the commands are being recorded, and a shader is bound.
             unsafe { self.device.raw.cmd_dispatch(self.commands, x, y, z) };
@@ -209,7 +209,7 @@ impl Batch {
         groups: &View,
     ) -> Result<(), VulkanError> {
         assert!(self.owns(groups) && groups.bytes >= 12, "groups of {pipeline:?}");
-        self.bind(pipeline, buffers, push)?;
+        self.bind(pipeline, buffers, bytemuck::bytes_of(push))?;
         // SAFETY: the commands are being recorded, and a shader is bound.
         unsafe {
             let raw = &self.device.raw;
@@ -224,9 +224,8 @@ impl Batch {
         &mut self,
         pipeline: &Arc<ComputePipeline>,
         buffers: &[View],
-        push: &impl Pod,
+        push: &[u8],
     ) -> Result<(), VulkanError> {
-        let push = bytemuck::bytes_of(push);
         assert_eq!(buffers.len(), pipeline.shader.buffers.len(), "buffers of {pipeline:?}");
         assert_eq!(push.len(), pipeline.shader.push_bytes as usize, "push block of {pipeline:?}");
         let limits = self.device.limits;
