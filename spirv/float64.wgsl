@@ -55,7 +55,7 @@ fn rounded(sign: u32, significand: vec2<u32>, exponent: i32) -> vec2<u32> {
     let rest = bits.x & 0x7ffu;
     bits = right(bits, 11u);
     bits = plus(bits, vec2(u32(rest + (bits.x & 1u) > 0x400u), 0u));
-    // The hidden bit, if it is set, adds the last 1 to the exponent.
+    // The hidden bit, if it is set, carries into the exponent and adds the missing 1.
     return vec2(bits.x, sign | (bits.y + (u32(biased - 1) << 20u)));
 }
 

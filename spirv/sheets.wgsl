@@ -15,7 +15,7 @@ struct SheetsPush {
     plateau: i32,
     most_more: i32,
     sheet_size: i32,
-    thread_size: i32,
+    filament_size: i32,
     drop_size: i32,
     least_size: i32,
     rim: i32,
@@ -23,7 +23,7 @@ struct SheetsPush {
     by_gradual: i32,
     least: i32,
     sheet_stretch: i32,
-    thread_stretch: i32,
+    filament_stretch: i32,
     share: i32,
     by_directions: i32,
     by_size: i32,
@@ -135,9 +135,9 @@ fn sheeted(block: Block, cell: vec3<i32>) -> vec2<u32> {
     let away_from_projection = impurity(b.x, b) + impurity(b.y, b) + impurity(b.z, b);
     let impure = min(away_from_projection >> SHEET_BITS, 65535);
     let directions = clamp(bends.x + bends.y + bends.z, 0, 3 * ONE);
-    let threaded = clamp(directions - ONE, 0, ONE);
+    let narrow = clamp(directions - ONE, 0, ONE);
     let rounded = max(directions - 2 * ONE, 0);
-    let rim = max(min(impure * BY_RIM, ONE), threaded);
+    let rim = max(min(impure * BY_RIM, ONE), narrow);
 
     // det(I - B).
     let d = vec3(ONE) - bends;
@@ -156,8 +156,8 @@ fn sheeted(block: Block, cell: vec3<i32>) -> vec2<u32> {
     let more = min(beyond, push.most_more);
     let thick = centre + ((more * LOG2_E) >> SHEET_BITS) - push.plateau;
 
-    let sheet_stretch = push.sheet_stretch + (((push.thread_stretch - push.sheet_stretch) * threaded) >> SHEET_BITS);
-    let stretch = u32(clamp(sheet_stretch - ((thick * (ONE / 2 + threaded / 2)) >> SHEET_BITS), 0, 65535));
+    let sheet_stretch = push.sheet_stretch + (((push.filament_stretch - push.sheet_stretch) * narrow) >> SHEET_BITS);
+    let stretch = u32(clamp(sheet_stretch - ((thick * (ONE / 2 + narrow / 2)) >> SHEET_BITS), 0, 65535));
     let whole = 4096u - ramp_at(stretch, ramp_of(push.torn_begin, push.torn_range));
     let pure_share = 4096u - ramp_at(less_impure, ramp_of(IMPURE_BEGIN, IMPURE_RANGE));
     let thin = ramp_at(u32(directions), ramp_of(THIN_BEGIN, THIN_RANGE));
@@ -171,8 +171,8 @@ fn sheeted(block: Block, cell: vec3<i32>) -> vec2<u32> {
         return vec2(0u, certain);
     }
     let of_size = push.sheet_size
-        + (((push.thread_size - push.sheet_size) * threaded + (push.drop_size - push.thread_size) * rounded) >> SHEET_BITS);
-    let size = ((thick * (2 * ONE - threaded - rounded / 3)) >> SHEET_BITS) + of_size;
+        + (((push.filament_size - push.sheet_size) * narrow + (push.drop_size - push.filament_size) * rounded) >> SHEET_BITS);
+    let size = ((thick * (2 * ONE - narrow - rounded / 3)) >> SHEET_BITS) + of_size;
     let least_size = push.least_size + ((push.rim * rim) >> SHEET_BITS);
     let closer = max(push.gradual - abs(size - least_size), 0);
     let gradual_size = max(size, least_size) + ((((closer * closer) >> SHEET_BITS) * push.by_gradual) >> SHEET_BITS);

@@ -221,8 +221,8 @@ settings! {
     /// Periodic box, whose opposite faces are joined.
     ///
     /// `-` for both ends of an axis leaves the axis open: 0,-,0,1,-,1 is periodic along x and z. A
-    /// particle exactly on an upper face counts as being on the lower face. Any other particle outside the
-    /// box is an error, unless invalid particles are skipped.
+    /// particle exactly on an upper face counts as being on the lower face. Any other particle
+    /// outside the box is an error, unless invalid particles are skipped.
     #[arg(value_name = "X0,Y0,Z0,X1,Y1,Z1", allow_hyphen_values = true, help_heading = "Input")]
     periodic: Option<Faces>,
 
@@ -270,8 +270,8 @@ settings! {
 
     /// Join particles of thin sheets and filaments up to this many spacings apart [default: 2.15].
     ///
-    /// From 1 to 3, or 0 to turn it off. With the default, a sheet stays whole if it is stretched
-    /// to twice the spacing. Only for the indicator cloud.
+    /// From 1 to 3; 0 turns this off. With the default, a sheet stays whole if it is stretched to
+    /// twice the spacing. Only for the indicator cloud.
     #[arg(value_name = "SPACINGS", allow_negative_numbers = true, help_heading = "Surface")]
     sheets: Option<f64>,
 

@@ -45,7 +45,8 @@ impl NeighbourGrid {
                 places(&contents, coord * BIN - origin).filter(|(cell, _)| local.contains(*cell));
             found.extend(inside.map(|(cell, place)| (near.index(cell), place)));
         }
-        // Counts become starts, and starts move on as the cells fill up.
+        // A counting sort: the counts become the start of each cell, and a start advances with each
+        // particle that is placed.
         found.iter().for_each(|&(cell, _)| near.starts[cell] += 1);
         let mut total = 0;
         for start in &mut near.starts {

@@ -25,7 +25,7 @@ impl ZhuBridson {
 impl Scheme for ZhuBridson {
     /// Place.
     type Kernel = [f64; 3];
-    /// The sums of weighted places as seen from the point, and of weights.
+    /// The sum of the weighted positions relative to the point, and the sum of the weights.
     type Sum = [f64; 4];
 
     fn neighbourhood(&self) -> f64 {

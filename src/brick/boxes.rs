@@ -12,7 +12,7 @@ use crate::particles::{AttributeInfo, Particles, RereadError};
 
 use super::bins::AXIS_BITS;
 
-/// Positions per group: their coordinates fill vectors of any width.
+/// Positions per group, a multiple of the lanes of every vector width.
 const LANES: usize = 8;
 
 /// Particles with a bounding box per chunk, which grows while they are read.

@@ -241,7 +241,7 @@ mod tests {
     use super::*;
     use crate::brick::Pages;
 
-    /// A few bins of noise with one full cell among `among` cells.
+    /// A few bins of noise in which one of every `among` cells is full.
     fn noise(among: u64) -> Arc<DifField> {
         let mut state = 7_u64;
         let mut random = move || {

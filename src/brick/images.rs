@@ -219,8 +219,8 @@ impl Images<'_> {
     }
 }
 
-/// Splits a slice for particles from `first` on into the part for the `own` particles and the part
-/// for images.
+/// Splits a slice that starts at particle `first` into the part for the `own` particles and the
+/// part for images.
 fn split<T>(out: &mut [T], width: usize, first: usize, own: usize) -> (&mut [T], &mut [T]) {
     let at = width * own.saturating_sub(first);
     out.split_at_mut(at.min(out.len()))

@@ -17,7 +17,7 @@ pub(super) const CHUNK: usize = 512;
 /// Number of particles after which the pages of a mapped file are released; a multiple of
 /// [`CHUNK`].
 const RELEASE: usize = CHUNK << 3;
-/// Positions per group: their coordinates fill vectors of any width.
+/// Positions per group, a multiple of the lanes of every vector width.
 const LANES: usize = 8;
 
 /// The bin and the record of a particle.

@@ -96,7 +96,7 @@ pub enum Error {
     /// A mesh that is too large to be in memory as a whole.
     #[error(transparent)]
     WholeMesh(#[from] WholeMeshError),
-    /// An error of a mesh in parts.
+    /// An error while a mesh is made in parts.
     #[error(transparent)]
     Parts(#[from] PartsError),
     /// A mesh that cannot be compared.
@@ -201,7 +201,7 @@ fn same_file(path: &Path, other: &Path) -> String {
         other if other.to_string() == path.to_string() => {
             format!("{path}: used twice in this request; choose another file")
         }
-        other => format!("{path}: is the same file as {other}; choose another file"),
+        other => format!("{path}: this is the same file as {other}; choose another file"),
     }
 }
 

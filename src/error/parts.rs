@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use thiserror::Error;
 
-/// An error of a mesh in parts.
+/// An error while a mesh is made in parts.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum PartsError {
@@ -48,7 +48,7 @@ pub enum PartsError {
     },
     /// Particles that differ from those of the plan.
     #[error(
-        "{}: is not the file for which {} was made, or has changed since then",
+        "{}: this is not the file for which {} was made, or it has changed since then",
         input.display(), plan.display()
     )]
     Changed {

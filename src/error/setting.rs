@@ -112,7 +112,7 @@ impl SettingConflict {
                  all as one size, or reconstruct the particles without packing"
             ),
             (Conflict::SeveralSizes { attribute }, _) => format!(
-                "{setting} needs particles of one size, but the attribute {attribute} gives them \
+                "{setting} needs particles of one size, but the attribute {attribute:?} gives them \
                  different sizes; use {} none to ignore the attribute",
                 named("size")
             ),

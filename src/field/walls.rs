@@ -525,7 +525,7 @@ mod tests {
             found.0.map(|ends| ends.map(|end| end.is_some())),
             [[false; 2], [true, false], [true; 2]]
         );
-        // Particles past a wall leave it uncertain.
+        // If particles lie beyond a wall, the wall is uncertain.
         let mut leaking = lattice([50, 20, 40], 0.5);
         leaking.retain(waves);
         leaking.push([-3.0, 5.0, 5.0]);

@@ -88,8 +88,9 @@ impl<'a, P: Particles + ?Sized> CountedFrame<'a, P> {
         Ok((particles, plan))
     }
 
-    /// Counts only the particles in some bins, possibly none, and in a periodic box their images.
-    /// All particles were counted earlier, when invalid particles were refused or skipped.
+    /// Counts only the particles in the given bins (there may be none) and, in a periodic box,
+    /// their images. All particles were counted earlier, when invalid particles were refused or
+    /// skipped.
     pub fn of_wanted(
         particles: &'a P,
         sampling: &'a Sampling,

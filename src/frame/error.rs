@@ -63,8 +63,8 @@ pub enum FrameError {
     OtherIndicator,
     /// The images were made for filters with a smaller reach.
     #[error(
-        "the frame holds particles up to {there} cells beyond its periodic faces, but this surface \
-         needs {needed}; sample the particles again for this surface"
+        "the frame holds copies of particles up to {there} cells beyond its periodic faces, but \
+         these settings need {needed}; sample the particles again with these settings"
     )]
     FewImages {
         /// The reach of the filters beyond a face, in cells.
@@ -78,7 +78,7 @@ pub enum FrameError {
     /// The grid is too fine for kernels.
     #[error(transparent)]
     Kernels(#[from] TooManyCells),
-    /// The field of a kernel method is positive nowhere.
+    /// The field of a kernel method is not positive anywhere.
     #[error("the surface is empty: no cell's centre is inside the fluid")]
     NoKernelSurface,
     /// The scratch files for data beyond the memory budget would not fit on the disk; nothing was

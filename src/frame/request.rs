@@ -263,8 +263,8 @@ impl Surfacing {
     /// cells.
     #[must_use]
     pub fn reach(&self, method: Method, spacing: Option<f64>, grid: &Grid) -> i32 {
-        /// The number of cells beyond the face on which the field is needed: for a dual cell across
-        /// the face, for normals there, and for the position of the face in its cell.
+        /// How many cells beyond the face need the field: one for the dual cell across the face,
+        /// one for normals, and one because the face can lie anywhere in its cell.
         const BEYOND: i32 = 3;
         let spacing_cells = spacing.map_or(1.0, |spacing| spacing / grid.cell_size());
         let [field, attributes] = match method {

@@ -79,8 +79,8 @@ pub struct Domain {
 pub enum DomainError {
     /// The corners are not in order, or not numbers.
     #[error(
-        "the second corner of the domain must be above the first along each axis with two walls, \
-         and coordinates must be numbers"
+        "the domain's second corner must have larger coordinates than its first along each axis \
+         with two walls, and all coordinates must be numbers"
     )]
     Corners,
     /// Less than one layer of cells between the walls.

@@ -56,7 +56,7 @@ impl PeriodicMesh {
 pub enum PeriodicError {
     /// The corners are not in order, or not finite.
     #[error(
-        "the corners of the periodic box must be finite, and the second must be above the first \
+        "the corners of the periodic box must be finite, and the second must be larger than the first \
          along each periodic axis"
     )]
     Corners,

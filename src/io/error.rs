@@ -78,7 +78,7 @@ pub enum ReadFault {
         faces: u64,
     },
     /// A file that is joined with itself.
-    #[error("is the same input as {}; name each input once", other.display())]
+    #[error("this is the same input as {}; list each input only once", other.display())]
     Twice {
         /// The other name of the file.
         other: PathBuf,

@@ -143,9 +143,9 @@ impl fmt::Display for UnreadPart {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Attribute(AttributeInfo { name, components, .. }) => {
-                write!(f, "attribute {name} (components: {components}), missing from some pieces")
+                write!(f, "attribute {name:?} (components: {components}), which some pieces lack")
             }
-            Self::Block { name, holds } => write!(f, "block {name}, which contains {holds}"),
+            Self::Block { name, holds } => write!(f, "block {name:?}, which contains {holds}"),
             Self::Primitives { kinds, points } => {
                 let kinds = kinds.iter().map(|(kind, count)| format!("{count} {kind}"));
                 let kinds = kinds.collect::<Vec<_>>().join(", ");
@@ -153,7 +153,7 @@ impl fmt::Display for UnreadPart {
             }
             Self::WideArray { name, numbers } => write!(
                 f,
-                "array {name}, with {numbers} numbers per particle; at most {} are supported",
+                "array {name:?}, with {numbers} numbers per particle; at most {} are supported",
                 fields::MOST_COMPONENTS
             ),
         }

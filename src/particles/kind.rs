@@ -34,7 +34,7 @@ pub enum AttributeKind {
 pub enum KindFault {
     /// An integer that the mesh cannot store.
     #[error(
-        "attribute {name} has the value {value}, but the mesh stores it as integers from {} to \
+        "attribute {name:?} has the value {value}, but the mesh stores it as integers from {} to \
          {}. Store the attribute as floating-point numbers, or leave it out",
         limits[0],
         limits[1]
@@ -49,7 +49,7 @@ pub enum KindFault {
     },
     /// A colour from 0 to 255 in a sequence whose colours are from 0 to 1.
     #[error(
-        "colour {name} has the value {greatest} and looks like bytes from 0 to 255, but the \
+        "colour {name:?} has the value {greatest} and looks like bytes from 0 to 255, but the \
          calibration frame has colours from 0 to 1. Store colours in the same way in all \
          frames, start the sequence at a frame whose colours exceed 1, or leave the attribute out"
     )]

@@ -28,8 +28,8 @@ pub struct ReconstructOptions {
     pub inputs: Vec<PathBuf>,
     /// Make one surface from the particles of all inputs, such as several fluids.
     ///
-    /// If the inputs are several simulations, frames with the same number make one surface. Name
-    /// each input once. Attributes that are missing from one of the inputs are left out.
+    /// If the inputs are several simulations, frames with the same number make one surface. List
+    /// each input only once. Attributes that are missing from one of the inputs are left out.
     #[arg(long, help_heading = "Simulations", hide_short_help = true)]
     pub together: bool,
     #[command(flatten)]

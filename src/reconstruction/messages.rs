@@ -162,7 +162,7 @@ fn requests() -> String {
         NoLoader("libvulkan.so.1: cannot open shared object file".into()),
         SmallStack { limit: 16 << 10, least: 256 << 10 },
         NoValidation, NoDevice,
-        NotFound { wanted: "radeon".into(), known: "0 llvmpipe".into() },
+        NotFound { wanted: "radeon".into(), known: "[0] llvmpipe".into() },
         Unsuitable { device: "old GPU".into(), lacks: "it does not support Vulkan 1.2" },
         OutOfMemory { bytes: 1 << 30 },
         Lost,

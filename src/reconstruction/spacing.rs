@@ -240,25 +240,23 @@ impl SpacingWarning {
                 Self::of_strays(sizes, StraySizes { invalid, larger })
             }
             &FoundSizes::One { ref attribute, size, invalid } => {
-                (invalid > 0).then(|| Self::Sizes {
-                    attribute: attribute.clone(),
-                    invalid,
-                    usual: size,
-                    larger: 0,
-                    coarsest: size,
-                })
+                Self::replaced(attribute, [size; 2], StraySizes { invalid, larger: 0 })
             }
         }
     }
 
     /// The warning about particles whose sizes are replaced, if there are any.
-    pub(super) fn of_strays(
-        sizes: &Sizes,
+    pub(super) fn of_strays(sizes: &Sizes, strays: StraySizes) -> Option<Self> {
+        Self::replaced(&sizes.attribute, [sizes.usual, sizes.coarsest], strays)
+    }
+
+    fn replaced(
+        attribute: &str,
+        [usual, coarsest]: [f64; 2],
         StraySizes { invalid, larger }: StraySizes,
     ) -> Option<Self> {
-        let &Sizes { usual, coarsest, .. } = sizes;
         (invalid + larger > 0).then(|| Self::Sizes {
-            attribute: sizes.attribute.clone(),
+            attribute: attribute.into(),
             invalid,
             usual,
             larger,

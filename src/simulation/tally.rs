@@ -62,8 +62,8 @@ impl<'a> Tally<'a> {
         }
     }
 
-    /// Adds frames that are already finished. For frames whose bytes must be checked, the bytes
-    /// must match the record.
+    /// Adds frames that are already finished. A frame that must be checked is added only if its
+    /// bytes match the record.
     pub(super) fn list(
         &mut self,
         frames: &[FrameFile],

@@ -207,7 +207,7 @@ fn interpolate(
 ) {
     let index = cells.map(|cell| weight.index(cell));
     let weights = index.map(|i| weight.samples()[i]);
-    // An end without particles in reach has no value.
+    // An end of the edge that no particle reaches has no value.
     let shares = match weights.map(|w| w > 0.0) {
         [true, true] => [(1.0 - upper_share) / weights[0], upper_share / weights[1]],
         [true, false] => [1.0 / weights[0], 0.0],

@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-/// Seconds of each stage by name, in the order in which they ended.
+/// Names and seconds of the stages, in the order in which they ended.
 #[derive(Debug, Clone)]
 pub struct Timings {
     last: Instant,

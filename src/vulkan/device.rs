@@ -48,7 +48,7 @@ pub struct DeviceOptions {
     pub binaries: HashMap<&'static str, Vec<u8>>,
 }
 
-/// The queues of a device to use.
+/// Which queues of a device to use.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Queues {
     /// One for shaders, and another for copies if the device has a family only for copies.
@@ -176,7 +176,7 @@ pub(super) struct QueueState {
 }
 
 impl QueueState {
-    /// Waits until all work has finished; a lost device has none.
+    /// Waits until all work has finished; at once if the device is lost.
     pub(super) fn idle(&self, device: &ash::Device) -> Result<(), vk::Result> {
         let queue = self.raw.lock().unwrap_or_else(PoisonError::into_inner);
         // SAFETY: the queue belongs to the device, and is locked: nothing else uses it.

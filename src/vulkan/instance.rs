@@ -258,7 +258,7 @@ impl Instance {
             return Err(match choice {
                 DeviceChoice::Named(wanted) if !devices.is_empty() => {
                     let known: Vec<_> =
-                        devices.iter().map(|d| format!("{} {}", d.index, d.name)).collect();
+                        devices.iter().map(|d| format!("[{}] {}", d.index, d.name)).collect();
                     VulkanError::NotFound { wanted: wanted.clone(), known: known.join(", ") }
                 }
                 _ => VulkanError::NoDevice,

@@ -58,7 +58,7 @@ pub enum VulkanError {
     #[error("no Vulkan device found")]
     NoDevice,
     /// No device of that number or name.
-    #[error("no Vulkan device {wanted:?}; available: {known}")]
+    #[error("no Vulkan device matches {wanted:?}; available: {known}")]
     NotFound {
         /// The requested number or name.
         wanted: String,

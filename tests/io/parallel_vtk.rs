@@ -431,7 +431,7 @@ fn points_whose_vertices_are_all_ghosts_are_omitted() {
             let found = points_left(polydata, &with_cells(polydata, &order, name, &flags)).unwrap();
             assert_eq!(found, left, "{name} {flags:?}");
         }
-        // A point with another vertex of its own stays, and so does a point without a vertex.
+        // A point with a second vertex stays, and so does a point without a vertex.
         let text = with_cells(polydata, &[0, 0, 1, 2, 2], "vtkGhostType", &[1, 0, 1, 1, 1]);
         assert_eq!(points_left(polydata, &text).unwrap(), [0, 3, 4, 5]);
         // Flags of cells with several points do not apply to the points.

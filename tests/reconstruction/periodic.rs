@@ -324,7 +324,7 @@ fn invalid_periodic_boxes_are_refused_with_the_reason() {
 #[test]
 fn a_particle_on_an_upper_face_moves_to_the_lower_one_despite_rounding() {
     let folder = TempDir::new().unwrap();
-    // In single precision, 24.1 is more than 24.1.
+    // 24.1 in f32 is more than 24.1 in f64.
     assert!(f64::from(24.1_f32) > 24.1);
     for (name, x) in [("low", 0.0), ("high", 24.1)] {
         let mut particles = fluid(19, DVec3::splat(24.0));

@@ -8,8 +8,8 @@ use crate::brick::Block;
 use crate::field::blur::{Weights, blur_of_few, blur_while};
 use crate::field::detail::{lost, raise};
 use crate::field::distance::{
-    Bulk, Depths, DistanceFilters, Drops, InsideBricks, NONE, StandsOut, UNITS, depths, joined,
-    mixed, outlying, outlying_part, quotient, refined, spread, wide_cells,
+    Bulk, Depths, DistanceFilters, Drops, InsideBricks, NONE, StandsOut, UNITS, depths,
+    greatest_of, joined, mixed, outlying, outlying_part, quotient, refined, spread, wide_cells,
 };
 use crate::field::indicator::SampledDif;
 use crate::field::recipe::{
@@ -23,10 +23,6 @@ use crate::surface::solid::Solid;
 
 /// Samples that are tested together.
 const PIECE: usize = 1 << 10;
-
-fn maximum(samples: &[u16]) -> u16 {
-    samples.iter().fold(0, |maximum, &sample| maximum.max(sample))
-}
 
 /// A block is sparse if at most one in `FEW` samples is not 0.
 const FEW: usize = 8;
@@ -135,14 +131,14 @@ impl FieldUse {
         // that is all inside has no surface only away from walls.
         let threshold = iso.threshold();
         let mut pieces = block.samples().chunks(PIECE);
-        let any_inside = pieces.clone().any(|piece| maximum(piece) > threshold);
+        let any_inside = pieces.clone().any(|piece| greatest_of(piece) > threshold);
         any_inside && (!away_from_walls || pieces.any(|piece| minimum(piece) <= threshold))
     }
 
     /// Whether a surface can pass with any filters: if all samples are 0, there is none.
     fn may_show_any(self, block: &Block) -> bool {
         matches!(self, Self::Everywhere)
-            || block.samples().chunks(PIECE).any(|piece| maximum(piece) > 0)
+            || block.samples().chunks(PIECE).any(|piece| greatest_of(piece) > 0)
     }
 
     /// Whether a surface can pass according to the distances in wide cells; with `drops`, drops can

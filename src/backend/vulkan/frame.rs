@@ -70,8 +70,8 @@ impl DeviceFrame {
         !std::mem::take(&mut *self.residents()).is_empty()
     }
 
-    /// Adds the field in cells 2^`level` times as wide, and drops the fields of this and higher
-    /// levels.
+    /// Adds the field of `level`, whose cells are 2^`level` times as wide, after removing the
+    /// fields of this and higher levels.
     pub(super) fn add_resident(&self, level: usize, resident: ResidentPages) {
         let mut residents = self.residents();
         residents.truncate(level);

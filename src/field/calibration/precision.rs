@@ -44,9 +44,9 @@ pub const ON_CORNERS: f64 = 0.2;
 pub enum TooFine {
     /// The field's steps are too large.
     #[error(
-        "cells of {} are too fine for 16-bit samples: the smallest step of the field moves the \
-         surface by {step_cells:.3} cells, but at most {COARSEST_STEP} are allowed (deep in the \
-         fluid, the field is {plateau:.1} of 65535); {remedy}",
+        "cells of {} are too fine for 16-bit samples: rounding moves the surface by up to \
+         {step_cells:.3} cells, and the limit is {COARSEST_STEP} (deep in the fluid, the field is \
+         only {plateau:.1} of 65535); {remedy}",
         shown(*cell_size)
     )]
     Steps {

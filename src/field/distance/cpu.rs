@@ -335,7 +335,7 @@ fn quotient_row(to: &mut [u16], clouds: &[u16], around: &[u16], bits: u32) {
 
 /// The greatest of some samples.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
-fn greatest_of(samples: &[u16]) -> u16 {
+pub fn greatest_of(samples: &[u16]) -> u16 {
     let mut greatest = 0;
     for &sample in samples {
         greatest = greatest.max(sample);

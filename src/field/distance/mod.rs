@@ -33,7 +33,9 @@ mod inside;
 mod inverse_normal;
 pub mod vulkan;
 
-pub use cpu::{away, depths, joined, mixed, outlying, outlying_part, quotient, refined, spread};
+pub use cpu::{
+    away, depths, greatest_of, joined, mixed, outlying, outlying_part, quotient, refined, spread,
+};
 pub use filters::{BULK_GAIN, DistanceFilters};
 pub(in crate::field) use filters::{LEAST_VARIANCE, SPLINE, gaussian};
 pub use inside::{BRICK, InsideBricks};

@@ -4,7 +4,7 @@ use glam::IVec3;
 use multiversion::multiversion;
 
 use crate::brick::Block;
-use crate::field::distance::spread;
+use crate::field::distance::{greatest_of, spread};
 
 use super::logarithm::{exp2, log2};
 use super::{
@@ -65,7 +65,7 @@ pub fn sheets(by: &Sheets, density: &Block, needed: Option<&Block>) -> Option<Sh
         let row = IVec3::new(dense.lo.x, y_cell, z_cell);
         let (first, to) = (density.index(row), shares.index(row));
         let needed = needed.map(|needed| &needed.samples()[needed.index(row)..][..width]);
-        if needed.is_some_and(|needed| !any_of(needed)) {
+        if needed.is_some_and(|needed| greatest_of(needed) == 0) {
             continue;
         }
         let row = |offset: isize| &logarithms[first.wrapping_add_signed(offset)..][..width];
@@ -75,13 +75,15 @@ pub fn sheets(by: &Sheets, density: &Block, needed: Option<&Block>) -> Option<Sh
             *candidate &= u16::from(needed > 0);
         }
         let pieces = candidates.chunks(LANES).zip(made).zip((0..).step_by(LANES));
-        for ((piece, made), start) in pieces.filter(|((candidates, _), _)| any_of(candidates)) {
+        for ((piece, made), start) in
+            pieces.filter(|((candidates, _), _)| greatest_of(candidates) > 0)
+        {
             *made = true;
             let found = sheets_of_each(numbers, &logarithms, first + start, strides);
             let place = to + start..to + start + piece.len();
             shares.samples_mut()[place.clone()].copy_from_slice(&found.0[..piece.len()]);
             certainty.samples_mut()[place].copy_from_slice(&found.1[..piece.len()]);
-            any |= any_of(&found.1[..piece.len()]);
+            any |= greatest_of(&found.1[..piece.len()]) > 0;
         }
     }
     if !any {
@@ -96,7 +98,8 @@ pub fn sheets(by: &Sheets, density: &Block, needed: Option<&Block>) -> Option<Sh
         let row = IVec3::new(dense.lo.x, y_cell, z_cell);
         let (first, to) = (density.index(row), shares.index(row));
         let pieces = near.chunks(LANES).zip(made).zip((0..).step_by(LANES));
-        for ((piece, _), start) in pieces.filter(|((certain, made), _)| !**made && any_of(certain))
+        for ((piece, _), start) in
+            pieces.filter(|((certain, made), _)| !**made && greatest_of(certain) > 0)
         {
             let (found, _) = sheets_of_each(numbers, &logarithms, first + start, strides);
             shares.samples_mut()[to + start..][..piece.len()]
@@ -104,12 +107,6 @@ pub fn sheets(by: &Sheets, density: &Block, needed: Option<&Block>) -> Option<Sh
         }
     }
     Some(SheetFields { shares, certainty })
-}
-
-/// Whether any of some values is not 0.
-fn any_of(values: &[u16]) -> bool {
-    // Without an exit, so that several are tested at a time.
-    values.iter().fold(0, |any, &value| any | value) > 0
 }
 
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
@@ -248,8 +245,8 @@ impl SheetConstants {
         }
         let impure = (impure >> BITS).min(u16::MAX.into());
         let directions = (xx + yy + zz).clamp(0, 3 * ONE);
-        let (threaded, rounded) = ((directions - ONE).clamp(0, ONE), (directions - 2 * ONE).max(0));
-        let rim = (impure * BY_RIM).min(ONE).max(threaded);
+        let (narrow, rounded) = ((directions - ONE).clamp(0, ONE), (directions - 2 * ONE).max(0));
+        let rim = (impure * BY_RIM).min(ONE).max(narrow);
 
         // det(I - B).
         let [x, y, z] = [ONE - xx, ONE - yy, ONE - zz];
@@ -271,9 +268,9 @@ impl SheetConstants {
         let more = beyond.min(self.most_more);
         let density = taps.centre + ((more * LOG2_OF_E) >> BITS) - self.plateau;
 
-        let [sheet, thread] = self.stretches;
-        let power = ONE / 2 + threaded / 2;
-        let stretch = sheet + (((thread - sheet) * threaded) >> BITS) - ((density * power) >> BITS);
+        let [sheet, filament] = self.stretches;
+        let power = ONE / 2 + narrow / 2;
+        let stretch = sheet + (((filament - sheet) * narrow) >> BITS) - ((density * power) >> BITS);
         let stretch = stretch.clamp(0, u16::MAX.into()) as u16;
         let passed = |share: u32, ramp: u32| (share * ramp) >> BITS;
         let still_beyond = (beyond - ((BEYOND_IF_FLAT * flat) >> BITS)).max(0) as u16;
@@ -288,11 +285,11 @@ impl SheetConstants {
         // The ramp is applied twice: otherwise pieces of uncertain sheets would be visible.
         let certain = passed(certain, certain);
 
-        let [sheet, thread, round] = self.sizes;
-        let power = 2 * ONE - threaded - rounded / 3;
+        let [sheet, filament, round] = self.sizes;
+        let power = 2 * ONE - narrow - rounded / 3;
         let size = ((density * power) >> BITS)
             + sheet
-            + (((thread - sheet) * threaded + (round - thread) * rounded) >> BITS);
+            + (((filament - sheet) * narrow + (round - filament) * rounded) >> BITS);
         let least_size = self.least_size + ((self.rim * rim) >> BITS);
         let closer = (self.gradual - (size - least_size).abs()).max(0);
         let size = size.max(least_size) + ((((closer * closer) >> BITS) * self.by_gradual) >> BITS);
@@ -386,7 +383,7 @@ mod tests {
     }
 
     #[test]
-    fn sheets_and_threads_have_their_thickness_in_any_orientation() {
+    fn sheets_and_filaments_have_their_thickness_in_any_orientation() {
         let width = width();
         let normal = DVec3::new(0.36, 0.48, 0.8);
         let other = normal.any_orthonormal_vector();

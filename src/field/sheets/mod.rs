@@ -1,8 +1,8 @@
 //! Thin sheets and filaments: a body through their particles instead of single drops.
 //!
 //! The particles of a splash lie in sheets and filaments, which stretch until the drops around
-//! single particles no longer touch. The density alone shows the position and the thickness of such a
-//! sheet, and whether there is one.
+//! single particles no longer touch. The density alone shows whether there is such a sheet, where
+//! it lies, and how thick it is.
 //!
 //! 1. Shape. Let rho be the density smoothed by a Gaussian of width s, which is made in wide cells
 //!    and interpolated by splines, and L its logarithm. The first and second derivatives of L are
@@ -18,8 +18,8 @@
 //!    of directions across. The density at the middle is that of a sheet (1), a filament (2) or a
 //!    ball (3) with the particles' volume under the Gaussian; this gives its half thickness or
 //!    radius R. The cells need a minimum of `LEAST_CELLS`, and of `LEAST_RIM_CELLS` in filaments
-//!    and at rims, which would fray otherwise. R approaches the minimum gradually: with a = log2 R^2, b that
-//!    of the minimum and w = `GRADUAL` over the cell, the result is max(a, b) +
+//!    and at rims, which would fray otherwise. R approaches the minimum gradually: with a = log2 R^2,
+//!    b that of the minimum and w = `GRADUAL` over the cell, the result is max(a, b) +
 //!    max(w - |a - b|, 0)^2 / 4w. The volume of a stretching sheet then changes slowly.
 //! 4. Certainty. There is a sheet if neighbours are no farther apart than requested, according to
 //!    the density at the middle, if the middle is near, and if B is nearly a projection: the
@@ -91,7 +91,7 @@ const MOST_GRADUAL: f64 = 4.0;
 const GONE: f64 = 1.12;
 /// The factor by which filaments may be stretched farther than sheets: spray seldom looks like
 /// filaments.
-const THREADS_FARTHER: f64 = 1.15;
+const FILAMENTS_FARTHER: f64 = 1.15;
 /// The squared distances of B from a projection between which drops replace sheets.
 pub const IMPURE: Ramp = ramp([0.06, 0.09]);
 /// 1 over the squared distance of B from a projection at which a cell counts fully as a rim.
@@ -231,7 +231,7 @@ impl Sheets {
         let step = if cell < 0.55 - 1e-9 { 2 } else { 1 };
         let apart = width / (f64::from(step) * cell);
         let of_sheet = |thickness: f64| thickness / (TAU.sqrt() * width);
-        let of_thread = |area: f64| area / (TAU * width * width);
+        let of_filament = |area: f64| area / (TAU * width * width);
         let of_drop = |volume: f64| volume / (TAU.sqrt() * width).powi(3);
         let profile = PROFILE.max(PROFILE_CELLS * cell);
         let profile_joined = profile * profile + drops.spline * cell * cell;
@@ -240,7 +240,8 @@ impl Sheets {
             .map(|cells| 2.0 * log2((cells * mesh_cell + LEAST_MORE).min(LEAST_MOST)));
         let gradual = (GRADUAL / mesh_cell).min(MOST_GRADUAL);
         let average = (AVERAGE / cell).powi(2).max(0.5);
-        let stretches = [0.5 * log2(of_sheet(1.0)), log2(of_thread(1.0)) - log2(THREADS_FARTHER)];
+        let stretches =
+            [0.5 * log2(of_sheet(1.0)), log2(of_filament(1.0)) - log2(FILAMENTS_FARTHER)];
         let gone = log2(stretch * GONE);
         // Half of the density's logarithm for a sheet, all of it for a filament, interpolated in
         // between.
@@ -256,7 +257,7 @@ impl Sheets {
             most_more: fixed(MOST_MORE),
             sizes: [
                 fixed(2.0 * log2(0.5 / of_sheet(1.0))),
-                fixed(log2(1.0 / (PI * of_thread(1.0)))),
+                fixed(log2(1.0 / (PI * of_filament(1.0)))),
                 fixed(2.0 / 3.0 * log2(0.75 / (PI * of_drop(1.0)))),
             ],
             least_size: fixed(least_size),

@@ -178,7 +178,7 @@ fn check_total(header: &SnapshotHeader, kind: &str, found: usize) -> Result<(), 
     }
 }
 
-/// The particles of one file, which may be one of `of` pieces.
+/// The particles of one file, which may be one of several pieces; `of` is their number.
 fn read_piece(
     file: H5File,
     kind: &str,

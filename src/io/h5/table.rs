@@ -383,7 +383,7 @@ pub(super) struct RowWindows {
 }
 
 impl RowWindows {
-    /// The first row of a window and the end of its rows, of `all` rows.
+    /// The first row of a window and the end of the window, in a table of `all` rows.
     pub fn rows(&self, index: usize, all: u64) -> [u64; 2] {
         let end = |index: u64| (self.lead + self.size * index).min(all);
         match index as u64 {

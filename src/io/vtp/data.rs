@@ -46,7 +46,7 @@ pub(super) struct JoinedArray<'a> {
 pub(super) struct PieceArray<'a> {
     /// Number of points of the piece.
     pub points: usize,
-    /// `None` if the piece lacks the array: its values are zeros.
+    /// `None` if the piece lacks the array; its values then count as 0.
     pub array: Option<&'a VtpArray>,
 }
 

@@ -1,9 +1,9 @@
 //! Checks whether a mesh is closed, oriented and 2-manifold, and where it is not.
 //!
-//! Every vertex is checked separately, with its star: each edge is checked at its lower-numbered
-//! end, and the triangles around a vertex are connected by shared edges or not. This needs no
-//! hashing, and sorts only the few spokes of a vertex. Findings are in the order of the vertices,
-//! with any number of threads.
+//! Every vertex is checked separately, with the triangles around it: each edge at its
+//! lower-numbered end, and whether shared edges connect all the triangles. This needs no hash
+//! table, and sorts only the few edges of a vertex. Findings are in the order of the vertices, with
+//! any number of threads.
 
 use std::fmt;
 

@@ -41,7 +41,8 @@ const TURN: f32 = 0.2;
 /// Two triangles fold back on each other if the cosine between their normals is below this: 170
 /// degrees.
 const FOLD: f32 = -0.985;
-/// A triangle is a sliver if the squared sine of its smallest angle is less: 10 degrees.
+/// A triangle is a sliver if the squared sine of its smallest angle is less than this, that of 10
+/// degrees.
 const SLIVER: f32 = 0.03;
 /// Maximum number of triangles of a closed part whose volume is checked with every collapse: a part
 /// that is smaller than the distance could vanish or turn inside out.

@@ -40,9 +40,9 @@ impl TooSmall {
     #[must_use]
     pub fn limits(self) -> &'static str {
         match (self.components, self.drops) {
-            (_, 0) => "the smallest component",
-            (0, _) => "the smallest drop",
-            _ => "the smallest component and the smallest drop",
+            (_, 0) => "the limit smallest-component",
+            (0, _) => "the limit smallest-drop",
+            _ => "the limits smallest-component and smallest-drop",
         }
     }
 }

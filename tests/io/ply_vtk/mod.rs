@@ -131,7 +131,7 @@ fn ply_with_face(encoding: &'static str) -> Vec<u8> {
     file.row(&[("uchar", 3.0), ("int", 0.0), ("int", 1.0), ("int", 2.0)]).bytes
 }
 
-/// Sections of a .vtk file, and their ends, where the file may end.
+/// Sections of a .vtk file, and the offsets at which the file may end.
 struct VtkBuilder {
     ascii: bool,
     bytes: Vec<u8>,

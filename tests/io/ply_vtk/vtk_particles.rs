@@ -220,7 +220,7 @@ fn points_whose_vertices_are_all_ghosts_are_omitted() {
                     "{version}, ascii {ascii}: {name} {flags:?}"
                 );
             }
-            // A point with another vertex of its own stays, and so does a point without a vertex.
+            // A point with a second vertex stays, and so does a point without a vertex.
             assert_eq!(
                 read(&[0., 0., 1., 2., 2.], "vtkGhostType", &[1., 0., 1., 1., 1.]),
                 [0, 3, 4, 5]

@@ -1,5 +1,5 @@
-//! Measures how stable surfaces are from frame to frame: of a pool that moves through a cell, and
-//! of flowing water.
+//! Measures how stable the surface is from frame to frame, for a pool that moves by one cell and
+//! for flowing water.
 
 use std::collections::HashMap;
 

@@ -246,7 +246,7 @@ fn shell(seed: usize) -> Points {
         .collect()
 }
 
-/// In random directions, at random places far from each other.
+/// Filaments in random directions, at random places far apart.
 fn filaments(stretch: f64, seed: usize) -> Points {
     let mut random = Random::new(seed as u64);
     let mut particles: Points = Vec::new();

@@ -68,7 +68,8 @@ def test_frames_are_shown_by_their_numbers() -> None:
 def test_steps_go_on_faster_or_slower() -> None:
     assert [Timing(1, 0, 5.0).number(frame) for frame in (1, 2, 3)] == [0, 5, 10]
     assert [Timing(1, 0, 0.5).number(frame) for frame in (0, 1, 2, 3, 4)] == [-1, 0, 0, 1, 1]
-    # A typed third is slightly too small, but three of them still make one.
+    # 0.3333333, as typed by a user, is slightly less than 1/3, but three such steps still advance
+    # one frame.
     assert [Timing(0, 0, 0.3333333).number(frame) for frame in (2, 3, 9)] == [0, 1, 3]
 
 

@@ -452,12 +452,12 @@ struct MeniscusCancel *meniscus_cancel_new(void);
 
 // Cancels all work with this handle. Any thread may call it at any time; NULL is ignored.
 //
-// `cancel` is NULL, or a handle that is not freed yet.
+// `cancel` is NULL or a handle that has not been freed.
 void meniscus_cancel(const struct MeniscusCancel *cancel);
 
 // Frees a handle; NULL is ignored.
 //
-// `cancel` is NULL, or a handle that is not freed yet.
+// `cancel` is NULL or a handle that has not been freed.
 void meniscus_cancel_free(struct MeniscusCancel *cancel);
 
 // Converts the files of a simulation to mesh files, as the program does: with one calibration, in
@@ -545,18 +545,18 @@ MeniscusStatus meniscus_frame_pack(const struct MeniscusFrame *frame,
 
 // Returns the number of warnings about the frame's particles; 0 for NULL.
 //
-// `frame` is NULL, or a handle that is not freed yet.
+// `frame` is NULL or a handle that has not been freed.
 size_t meniscus_frame_warning_count(const struct MeniscusFrame *frame);
 
 // Returns a warning by its index, as text that is valid until the frame is freed; NULL if there is
 // no such warning.
 //
-// `frame` is NULL, or a handle that is not freed yet.
+// `frame` is NULL or a handle that has not been freed.
 const char *meniscus_frame_warning(const struct MeniscusFrame *frame, size_t index);
 
 // Frees a frame; NULL is ignored.
 //
-// `frame` is NULL, or a handle that is not freed yet.
+// `frame` is NULL or a handle that has not been freed.
 void meniscus_frame_free(struct MeniscusFrame *frame);
 
 // Starts a simulation with its threads.
@@ -582,48 +582,48 @@ MeniscusStatus meniscus_simulation_frame(struct MeniscusSimulation *simulation,
 // Returns 1 once cells, grid and calibration are fixed, else 0; 0 for NULL, and while a frame is
 // made.
 //
-// `simulation` is NULL, or a handle that is not freed yet.
+// `simulation` is NULL or a handle that has not been freed.
 int32_t meniscus_simulation_is_settled(const struct MeniscusSimulation *simulation);
 
 // Frees a simulation; NULL is ignored. Its meshes stay valid.
 //
-// `simulation` is NULL, or a handle that is not freed yet.
+// `simulation` is NULL or a handle that has not been freed.
 void meniscus_simulation_free(struct MeniscusSimulation *simulation);
 
 // Frees a mesh, with all memory that it has lent; NULL is ignored.
 //
-// `mesh` is NULL, or a handle that is not freed yet.
+// `mesh` is NULL or a handle that has not been freed.
 void meniscus_mesh_free(struct MeniscusMesh *mesh);
 
 // Returns the number of vertices; 0 for NULL.
 //
-// `mesh` is NULL, or a handle that is not freed yet.
+// `mesh` is NULL or a handle that has not been freed.
 uint64_t meniscus_mesh_vertex_count(const struct MeniscusMesh *mesh);
 
 // Returns the number of triangles; 0 for NULL.
 //
-// `mesh` is NULL, or a handle that is not freed yet.
+// `mesh` is NULL or a handle that has not been freed.
 uint64_t meniscus_mesh_triangle_count(const struct MeniscusMesh *mesh);
 
 // Returns 1 if vertices have normals, else 0; 0 for NULL.
 //
-// `mesh` is NULL, or a handle that is not freed yet.
+// `mesh` is NULL or a handle that has not been freed.
 int32_t meniscus_mesh_has_normals(const struct MeniscusMesh *mesh);
 
 // Returns the number of attributes of the vertices, without normals; 0 for NULL.
 //
-// `mesh` is NULL, or a handle that is not freed yet.
+// `mesh` is NULL or a handle that has not been freed.
 size_t meniscus_mesh_attribute_count(const struct MeniscusMesh *mesh);
 
 // Returns the name of an attribute by its index, valid until the mesh is freed; NULL if there is
 // no such attribute.
 //
-// `mesh` is NULL, or a handle that is not freed yet.
+// `mesh` is NULL or a handle that has not been freed.
 const char *meniscus_mesh_attribute_name(const struct MeniscusMesh *mesh, size_t index);
 
 // Returns the number of components of an attribute by its index; 0 if there is no such attribute.
 //
-// `mesh` is NULL, or a handle that is not freed yet.
+// `mesh` is NULL or a handle that has not been freed.
 uint64_t meniscus_mesh_attribute_components(const struct MeniscusMesh *mesh, size_t index);
 
 // Copies the vertices' positions as float: 3 numbers per vertex.
@@ -669,7 +669,7 @@ MeniscusStatus meniscus_mesh_normals(const struct MeniscusMesh *mesh, float *out
 // Returns 1 if the attribute with this index has integers, whose exact values
 // meniscus_mesh_attribute_whole copies; else 0, also if there is no such attribute.
 //
-// `mesh` is NULL, or a handle that is not freed yet.
+// `mesh` is NULL or a handle that has not been freed.
 int32_t meniscus_mesh_attribute_is_whole(const struct MeniscusMesh *mesh, size_t index);
 
 // Copies an attribute of the vertices by its index, with the components of each vertex together.
@@ -695,32 +695,32 @@ MeniscusStatus meniscus_mesh_attribute_whole(const struct MeniscusMesh *mesh,
 // Lends the whole mesh, in memory that the first call allocates, and that is freed with the mesh.
 // MENISCUS_STATUS_REQUEST for a mesh of more than 2^32 vertices.
 //
-// `mesh` is NULL, or a handle that is not freed yet; `arrays` is NULL or points to a structure
+// `mesh` is NULL or a handle that has not been freed; `arrays` is NULL or points to a structure
 // with the size in its first field.
 MeniscusStatus meniscus_mesh_arrays(const struct MeniscusMesh *mesh, struct MeniscusArrays *arrays);
 
 // Returns the number of warnings about the surface, or about its request; 0 for NULL.
 //
-// `mesh` is NULL, or a handle that is not freed yet.
+// `mesh` is NULL or a handle that has not been freed.
 size_t meniscus_mesh_warning_count(const struct MeniscusMesh *mesh);
 
 // Returns a warning by its index, as text that is valid until the mesh is freed; NULL if there is
 // no such warning.
 //
-// `mesh` is NULL, or a handle that is not freed yet.
+// `mesh` is NULL or a handle that has not been freed.
 const char *meniscus_mesh_warning(const struct MeniscusMesh *mesh, size_t index);
 
 // Reports how the mesh was made.
 //
-// `mesh` is NULL, or a handle that is not freed yet; `report` is NULL or points to a structure
+// `mesh` is NULL or a handle that has not been freed; `report` is NULL or points to a structure
 // with the size in its first field.
 MeniscusStatus meniscus_mesh_report(const struct MeniscusMesh *mesh, struct MeniscusReport *report);
 
 // Checks that the mesh is closed, oriented and 2-manifold, and measures it. Needs memory for a
 // copy of the mesh, like meniscus_mesh_arrays.
 //
-// `mesh` is NULL, or a handle that is not freed yet; `check` is NULL or points to a structure with
-// the size in its first field.
+// `mesh` is NULL or a handle that has not been freed; `check` is NULL or points to a structure
+// whose first field holds its size.
 MeniscusStatus meniscus_mesh_check(const struct MeniscusMesh *mesh, struct MeniscusCheck *check);
 
 // Writes the mesh to a file whose extension selects the format: completely or not at all, with the
@@ -754,12 +754,12 @@ struct MeniscusOptions *meniscus_options_new(void);
 // Copies options, with their callbacks and their cancel handle, to be freed by
 // meniscus_options_free. A copy of NULL has no values.
 //
-// `options` is NULL, or a handle that is not freed yet.
+// `options` is NULL or a handle that has not been freed.
 struct MeniscusOptions *meniscus_options_copy(const struct MeniscusOptions *options);
 
 // Frees options; NULL is ignored.
 //
-// `options` is NULL, or a handle that is not freed yet.
+// `options` is NULL or a handle that has not been freed.
 void meniscus_options_free(struct MeniscusOptions *options);
 
 // Sets an option from text, as on the command line: `meniscus_options_set(options, "domain",
@@ -796,7 +796,7 @@ MeniscusStatus meniscus_options_set_numbers(struct MeniscusOptions *options,
 // A simulation of meniscus_simulation_new calls it until that simulation is freed, any other call
 // until the call returns.
 //
-// `options` is NULL, or a handle that is not freed yet.
+// `options` is NULL or a handle that has not been freed.
 MeniscusStatus meniscus_options_on_progress(struct MeniscusOptions *options,
                                             MeniscusProgressCallback progress,
                                             void *user);
@@ -804,7 +804,7 @@ MeniscusStatus meniscus_options_on_progress(struct MeniscusOptions *options,
 // Sets the function that meniscus_convert calls with the events of a conversion, and its argument.
 // NULL for no function.
 //
-// `options` is NULL, or a handle that is not freed yet.
+// `options` is NULL or a handle that has not been freed.
 MeniscusStatus meniscus_options_on_event(struct MeniscusOptions *options, MeniscusEventCallback event, void *user);
 
 // Sets the handle with which any thread can cancel the work; NULL for none. The handle may be
@@ -812,7 +812,7 @@ MeniscusStatus meniscus_options_on_event(struct MeniscusOptions *options, Menisc
 //
 // If a callback ends the work, the handle counts as cancelled.
 //
-// Pointers are NULL, or handles that are not freed yet.
+// Pointers are NULL or handles that have not been freed.
 MeniscusStatus meniscus_options_cancel_by(struct MeniscusOptions *options, const struct MeniscusCancel *cancel);
 
 // Returns the key of an option by its index; NULL if there is no such option. The text is static.

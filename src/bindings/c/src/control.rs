@@ -84,7 +84,7 @@ pub extern "C" fn meniscus_cancel_new() -> *mut MeniscusCancel {
 
 /// Cancels all work with this handle. Any thread may call it at any time; NULL is ignored.
 ///
-/// `cancel` is NULL, or a handle that is not freed yet.
+/// `cancel` is NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_cancel(cancel: *const MeniscusCancel) {
     // SAFETY: as for this function.
@@ -95,7 +95,7 @@ pub unsafe extern "C" fn meniscus_cancel(cancel: *const MeniscusCancel) {
 
 /// Frees a handle; NULL is ignored.
 ///
-/// `cancel` is NULL, or a handle that is not freed yet.
+/// `cancel` is NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_cancel_free(cancel: *mut MeniscusCancel) {
     // SAFETY: as for this function.
@@ -105,7 +105,7 @@ pub unsafe extern "C" fn meniscus_cancel_free(cancel: *mut MeniscusCancel) {
 /// Frees the target of a handle; NULL is ignored.
 ///
 /// # Safety
-/// `handle` is NULL, or came from a `Box` that is not freed yet.
+/// `handle` is NULL or came from a `Box` that has not been freed.
 pub unsafe fn free<T>(handle: *mut T) {
     if !handle.is_null() {
         // SAFETY: as for this function.
@@ -125,7 +125,8 @@ pub struct Listener {
 /// therefore the lock is reentrant.
 struct CallbackSlot(ReentrantMutex<Cell<Option<Listener>>>);
 
-// SAFETY: one thread at a time uses what `user` points to, and the caller allows any thread.
+// SAFETY: only one thread at a time uses `*user`, and the caller has agreed that it may be any
+// thread.
 unsafe impl Send for CallbackSlot {}
 // SAFETY: as above.
 unsafe impl Sync for CallbackSlot {}

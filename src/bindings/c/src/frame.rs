@@ -32,7 +32,7 @@ impl MeniscusFrame {
 /// Does work whose result is a handle: NULL on failure.
 ///
 /// # Safety
-/// `out` is NULL, or points to a pointer.
+/// `out` is NULL or points to a pointer.
 pub unsafe fn making<T>(
     out: *mut *mut T,
     what: &str,
@@ -167,7 +167,7 @@ pub unsafe extern "C" fn meniscus_sample_file(
 /// The frame of a handle.
 ///
 /// # Safety
-/// `frame` is NULL, or a handle that is not freed yet.
+/// `frame` is NULL or a handle that has not been freed.
 unsafe fn of<'a>(frame: *const MeniscusFrame) -> Outcome<&'a MeniscusFrame> {
     // SAFETY: as for this function.
     unsafe { frame.as_ref() }.ok_or_else(|| Failure::request("frame is NULL"))
@@ -228,7 +228,7 @@ pub unsafe extern "C" fn meniscus_frame_pack(
 
 /// Returns the number of warnings about the frame's particles; 0 for NULL.
 ///
-/// `frame` is NULL, or a handle that is not freed yet.
+/// `frame` is NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_frame_warning_count(frame: *const MeniscusFrame) -> usize {
     // SAFETY: as for this function.
@@ -238,7 +238,7 @@ pub unsafe extern "C" fn meniscus_frame_warning_count(frame: *const MeniscusFram
 /// Returns a warning by its index, as text that is valid until the frame is freed; NULL if there is
 /// no such warning.
 ///
-/// `frame` is NULL, or a handle that is not freed yet.
+/// `frame` is NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_frame_warning(
     frame: *const MeniscusFrame,
@@ -253,7 +253,7 @@ pub unsafe extern "C" fn meniscus_frame_warning(
 
 /// Frees a frame; NULL is ignored.
 ///
-/// `frame` is NULL, or a handle that is not freed yet.
+/// `frame` is NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_frame_free(frame: *mut MeniscusFrame) {
     // SAFETY: as for this function.

@@ -79,7 +79,7 @@ pub unsafe extern "C" fn meniscus_simulation_frame(
 /// Returns 1 once cells, grid and calibration are fixed, else 0; 0 for NULL, and while a frame is
 /// made.
 ///
-/// `simulation` is NULL, or a handle that is not freed yet.
+/// `simulation` is NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_simulation_is_settled(
     simulation: *const MeniscusSimulation,
@@ -92,7 +92,7 @@ pub unsafe extern "C" fn meniscus_simulation_is_settled(
 
 /// Frees a simulation; NULL is ignored. Its meshes stay valid.
 ///
-/// `simulation` is NULL, or a handle that is not freed yet.
+/// `simulation` is NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_simulation_free(simulation: *mut MeniscusSimulation) {
     // SAFETY: as for this function.

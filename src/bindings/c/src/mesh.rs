@@ -189,7 +189,7 @@ impl MeniscusMesh {
 /// The mesh of a handle.
 ///
 /// # Safety
-/// `mesh` is NULL, or a handle that is not freed yet.
+/// `mesh` is NULL or a handle that has not been freed.
 unsafe fn of<'a>(mesh: *const MeniscusMesh) -> Outcome<&'a MeniscusMesh> {
     // SAFETY: as for this function.
     unsafe { mesh.as_ref() }.ok_or_else(|| Failure::request("mesh is NULL"))
@@ -210,7 +210,7 @@ unsafe fn asked<T: Copy>(
 
 /// Frees a mesh, with all memory that it has lent; NULL is ignored.
 ///
-/// `mesh` is NULL, or a handle that is not freed yet.
+/// `mesh` is NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_free(mesh: *mut MeniscusMesh) {
     // SAFETY: as for this function.
@@ -219,7 +219,7 @@ pub unsafe extern "C" fn meniscus_mesh_free(mesh: *mut MeniscusMesh) {
 
 /// Returns the number of vertices; 0 for NULL.
 ///
-/// `mesh` is NULL, or a handle that is not freed yet.
+/// `mesh` is NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_vertex_count(mesh: *const MeniscusMesh) -> u64 {
     // SAFETY: as for this function.
@@ -228,7 +228,7 @@ pub unsafe extern "C" fn meniscus_mesh_vertex_count(mesh: *const MeniscusMesh) -
 
 /// Returns the number of triangles; 0 for NULL.
 ///
-/// `mesh` is NULL, or a handle that is not freed yet.
+/// `mesh` is NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_triangle_count(mesh: *const MeniscusMesh) -> u64 {
     // SAFETY: as for this function.
@@ -237,7 +237,7 @@ pub unsafe extern "C" fn meniscus_mesh_triangle_count(mesh: *const MeniscusMesh)
 
 /// Returns 1 if vertices have normals, else 0; 0 for NULL.
 ///
-/// `mesh` is NULL, or a handle that is not freed yet.
+/// `mesh` is NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_has_normals(mesh: *const MeniscusMesh) -> i32 {
     // SAFETY: as for this function.
@@ -246,7 +246,7 @@ pub unsafe extern "C" fn meniscus_mesh_has_normals(mesh: *const MeniscusMesh) ->
 
 /// Returns the number of attributes of the vertices, without normals; 0 for NULL.
 ///
-/// `mesh` is NULL, or a handle that is not freed yet.
+/// `mesh` is NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_attribute_count(mesh: *const MeniscusMesh) -> usize {
     // SAFETY: as for this function.
@@ -256,7 +256,7 @@ pub unsafe extern "C" fn meniscus_mesh_attribute_count(mesh: *const MeniscusMesh
 /// Returns the name of an attribute by its index, valid until the mesh is freed; NULL if there is
 /// no such attribute.
 ///
-/// `mesh` is NULL, or a handle that is not freed yet.
+/// `mesh` is NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_attribute_name(
     mesh: *const MeniscusMesh,
@@ -270,7 +270,7 @@ pub unsafe extern "C" fn meniscus_mesh_attribute_name(
 
 /// Returns the number of components of an attribute by its index; 0 if there is no such attribute.
 ///
-/// `mesh` is NULL, or a handle that is not freed yet.
+/// `mesh` is NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_attribute_components(
     mesh: *const MeniscusMesh,
@@ -389,7 +389,7 @@ pub unsafe extern "C" fn meniscus_mesh_normals(
 /// Returns 1 if the attribute with this index has integers, whose exact values
 /// meniscus_mesh_attribute_whole copies; else 0, also if there is no such attribute.
 ///
-/// `mesh` is NULL, or a handle that is not freed yet.
+/// `mesh` is NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_attribute_is_whole(
     mesh: *const MeniscusMesh,
@@ -457,7 +457,7 @@ pub unsafe extern "C" fn meniscus_mesh_attribute_whole(
 /// Lends the whole mesh, in memory that the first call allocates, and that is freed with the mesh.
 /// MENISCUS_STATUS_REQUEST for a mesh of more than 2^32 vertices.
 ///
-/// `mesh` is NULL, or a handle that is not freed yet; `arrays` is NULL or points to a structure
+/// `mesh` is NULL or a handle that has not been freed; `arrays` is NULL or points to a structure
 /// with the size in its first field.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_arrays(
@@ -487,7 +487,7 @@ pub unsafe extern "C" fn meniscus_mesh_arrays(
 
 /// Returns the number of warnings about the surface, or about its request; 0 for NULL.
 ///
-/// `mesh` is NULL, or a handle that is not freed yet.
+/// `mesh` is NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_warning_count(mesh: *const MeniscusMesh) -> usize {
     // SAFETY: as for this function.
@@ -497,7 +497,7 @@ pub unsafe extern "C" fn meniscus_mesh_warning_count(mesh: *const MeniscusMesh) 
 /// Returns a warning by its index, as text that is valid until the mesh is freed; NULL if there is
 /// no such warning.
 ///
-/// `mesh` is NULL, or a handle that is not freed yet.
+/// `mesh` is NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_warning(
     mesh: *const MeniscusMesh,
@@ -511,7 +511,7 @@ pub unsafe extern "C" fn meniscus_mesh_warning(
 
 /// Reports how the mesh was made.
 ///
-/// `mesh` is NULL, or a handle that is not freed yet; `report` is NULL or points to a structure
+/// `mesh` is NULL or a handle that has not been freed; `report` is NULL or points to a structure
 /// with the size in its first field.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_report(
@@ -525,8 +525,8 @@ pub unsafe extern "C" fn meniscus_mesh_report(
 /// Checks that the mesh is closed, oriented and 2-manifold, and measures it. Needs memory for a
 /// copy of the mesh, like meniscus_mesh_arrays.
 ///
-/// `mesh` is NULL, or a handle that is not freed yet; `check` is NULL or points to a structure with
-/// the size in its first field.
+/// `mesh` is NULL or a handle that has not been freed; `check` is NULL or points to a structure
+/// whose first field holds its size.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_check(
     mesh: *const MeniscusMesh,

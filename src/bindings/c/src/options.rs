@@ -250,7 +250,7 @@ impl RequestParts {
     /// errors.
     ///
     /// # Safety
-    /// `options` is NULL, or not freed yet.
+    /// `options` is NULL or has not been freed.
     pub unsafe fn new(options: *const MeniscusOptions) -> Outcome<Self> {
         // SAFETY: as for this function.
         let asked = unsafe { Self::for_frames(options) };
@@ -325,7 +325,7 @@ pub fn replacing(overwrite: i32) -> Replace {
 /// The options of a handle.
 ///
 /// # Safety
-/// `options` is NULL, or a handle that is not freed yet, and that no other thread uses meanwhile.
+/// `options` is NULL or a handle that has not been freed, and that no other thread uses meanwhile.
 unsafe fn of<'a>(options: *mut MeniscusOptions) -> Outcome<&'a mut MeniscusOptions> {
     // SAFETY: as for this function.
     unsafe { options.as_mut() }.ok_or_else(|| Failure::request("options is NULL"))
@@ -349,7 +349,7 @@ pub extern "C" fn meniscus_options_new() -> *mut MeniscusOptions {
 /// Copies options, with their callbacks and their cancel handle, to be freed by
 /// meniscus_options_free. A copy of NULL has no values.
 ///
-/// `options` is NULL, or a handle that is not freed yet.
+/// `options` is NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_options_copy(
     options: *const MeniscusOptions,
@@ -361,7 +361,7 @@ pub unsafe extern "C" fn meniscus_options_copy(
 
 /// Frees options; NULL is ignored.
 ///
-/// `options` is NULL, or a handle that is not freed yet.
+/// `options` is NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_options_free(options: *mut MeniscusOptions) {
     // SAFETY: as for this function.
@@ -443,7 +443,7 @@ pub unsafe extern "C" fn meniscus_options_set_numbers(
 /// A simulation of meniscus_simulation_new calls it until that simulation is freed, any other call
 /// until the call returns.
 ///
-/// `options` is NULL, or a handle that is not freed yet.
+/// `options` is NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_options_on_progress(
     options: *mut MeniscusOptions,
@@ -460,7 +460,7 @@ pub unsafe extern "C" fn meniscus_options_on_progress(
 /// Sets the function that meniscus_convert calls with the events of a conversion, and its argument.
 /// NULL for no function.
 ///
-/// `options` is NULL, or a handle that is not freed yet.
+/// `options` is NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_options_on_event(
     options: *mut MeniscusOptions,
@@ -479,7 +479,7 @@ pub unsafe extern "C" fn meniscus_options_on_event(
 ///
 /// If a callback ends the work, the handle counts as cancelled.
 ///
-/// Pointers are NULL, or handles that are not freed yet.
+/// Pointers are NULL or handles that have not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_options_cancel_by(
     options: *mut MeniscusOptions,

@@ -354,7 +354,7 @@ impl Particles for CallerParticles {
             unsafe { from_raw_parts(from.at.cast::<[f64; 3]>(), self.count) }.positions(first, out);
         } else {
             for (particle, to) in (first..).zip(out) {
-                // SAFETY: the particle is there, as was looked at.
+                // SAFETY: the index was checked above, so the particle exists.
                 *to = [0, 1, 2].map(|axis| unsafe { from.get(particle, axis) });
             }
         }
@@ -369,7 +369,7 @@ impl Particles for CallerParticles {
         assert!(first + out.len() / from.components <= self.count, "particles beyond the last");
         for (particle, to) in (first..).zip(out.chunks_exact_mut(from.components)) {
             for (component, to) in to.iter_mut().enumerate() {
-                // SAFETY: the particle is there, as was looked at.
+                // SAFETY: the index was checked above, so the particle exists.
                 *to = unsafe { from.get(particle, component) } as f32;
             }
         }
@@ -379,7 +379,7 @@ impl Particles for CallerParticles {
         let from = &self.values[index];
         assert!(component < from.components && first + out.len() <= self.count, "no such number");
         for (particle, to) in (first..).zip(out) {
-            // SAFETY: the particle is there, as was looked at.
+            // SAFETY: the index was checked above, so the particle exists.
             *to = unsafe { from.get(particle, component) };
         }
     }
@@ -389,7 +389,8 @@ impl Particles for CallerParticles {
         assert!(first + out.len() / from.components <= self.count, "particles beyond the last");
         for (particle, to) in (first..).zip(out.chunks_exact_mut(from.components)) {
             for (component, to) in to.iter_mut().enumerate() {
-                // SAFETY: the particle is there, as was looked at. 32 bits are exact in f64.
+                // SAFETY: the index was checked above, so the particle exists. 32 bits are exact in
+                // f64.
                 *to = unsafe { from.get(particle, component) } as i64;
             }
         }

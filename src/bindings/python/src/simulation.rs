@@ -53,7 +53,7 @@ pub const SIMULATION: [&str; 10] = [
 ///     The first and last frame of the simulation, and the step between frames. Numbers may be
 ///     negative.
 /// frames : pair of int, optional
-///     Convert only these frames, both ends included, as one of several jobs.
+///     Convert only these frames, both included, as one of several jobs.
 /// resume : bool, optional
 ///     Resume an interrupted conversion.
 /// overwrite : bool, optional
