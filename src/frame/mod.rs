@@ -391,7 +391,11 @@ impl Engine {
         let FrameFacts { periodic: Some(periodic), spacing, grid, .. } = self.facts() else {
             return Ok(());
         };
-        let needed = surfacing.reach(self.method(), *spacing, grid);
+        let coarsest = match (&self.field, *spacing) {
+            (SampledField::Sizes(sampled), Some(spacing)) => Some(spacing * sampled.coarsest()),
+            _ => None,
+        };
+        let needed = surfacing.reach(self.method(), *spacing, coarsest, grid);
         let there = periodic.reach();
         if needed > there { Err(FrameError::FewImages { needed, there }) } else { Ok(()) }
     }

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use glam::IVec3;
 
+use crate::backend::SizedField;
 use crate::baselines::KernelMethod;
 use crate::brick::{BrickSide, InvalidParticles};
 use crate::field::blur::{Filter, Smoothing};
@@ -13,6 +14,7 @@ use crate::field::calibration::{
 use crate::field::distance::{BULK_GAIN, DistanceFilters, InsideBricks};
 use crate::field::indicator::{IndicatorKind, SampledDif, WideCells};
 use crate::field::recipe::{Detail, Filters, PaperFilters, Recipe};
+use crate::field::sizes::Octaves;
 use crate::field::solid::SolidFill;
 use crate::frame::estimate::Extraction;
 use crate::grid::stretch::DecidingCells;
@@ -100,16 +102,32 @@ impl Sampling {
         self.carried.iter().copied().chain(sizes).collect()
     }
 
+    /// The largest size of particles of several sizes.
+    #[must_use]
+    pub fn coarsest(&self) -> Option<f64> {
+        self.sizes.as_ref().map(|sized| sized.sizes.coarsest)
+    }
+
     /// The cells whose particles affect a block's mesh, for an indicator. Kernels are not
-    /// supported.
-    pub fn sight(&self, kind: IndicatorKind, surfacing: &Surfacing) -> DecidingCells {
+    /// supported. `coarsest` is the largest size of particles of several sizes.
+    pub fn sight(
+        &self,
+        kind: IndicatorKind,
+        surfacing: &Surfacing,
+        coarsest: Option<f64>,
+    ) -> DecidingCells {
         let block = CellBox::cube(IVec3::ZERO, BLOCK);
-        let filters = surfacing.filters(kind, self.spacing, &self.grid);
-        // A particle also affects the cells around its own.
-        let ghost_layer = kind.shape(self.side).ghost_layer;
-        let further = ghost_layer + surfacing.fill_reach(self.spacing, &self.grid);
-        let of_field = filters.seen(surfacing.normals.cells(block)).grown(further, further);
-        let halo = surfacing.attribute_smoothing(kind, self.spacing, &self.grid).halo();
+        let cells = surfacing.normals.cells(block);
+        let [field, halo] = surfacing.halos(kind, self.spacing, coarsest, &self.grid);
+        let of_field = if coarsest.is_some() {
+            cells.grown(field, field)
+        } else {
+            let filters = surfacing.filters(kind, self.spacing, &self.grid);
+            // A particle also affects the cells around its own.
+            let ghost_layer = kind.shape(self.side).ghost_layer;
+            let further = ghost_layer + surfacing.fill_reach(self.spacing, &self.grid);
+            filters.seen(cells).grown(further, further)
+        };
         let of_attributes = if self.carried.is_empty() {
             CellBox::EMPTY
         } else {
@@ -260,9 +278,15 @@ impl Surfacing {
     }
 
     /// The distance beyond a periodic face within which particles affect the surface before it, in
-    /// cells.
+    /// cells. `coarsest` is the largest size of particles of several sizes.
     #[must_use]
-    pub fn reach(&self, method: Method, spacing: Option<f64>, grid: &Grid) -> i32 {
+    pub fn reach(
+        &self,
+        method: Method,
+        spacing: Option<f64>,
+        coarsest: Option<f64>,
+        grid: &Grid,
+    ) -> i32 {
         /// How many cells beyond the face need the field: one for the dual cell across the face,
         /// one for normals, and one because the face can lie anywhere in its cell.
         const BEYOND: i32 = 3;
@@ -271,12 +295,35 @@ impl Surfacing {
             Method::Kernels(kernels) => {
                 [kernels.reach(spacing_cells), attribute_smoothing(spacing_cells).halo()]
             }
-            Method::Indicator { kind, .. } => [
-                self.filters(kind, spacing, grid).halo() + self.fill_reach(spacing, grid),
-                self.attribute_smoothing(kind, spacing, grid).halo(),
-            ],
+            Method::Indicator { kind, .. } => self.halos(kind, spacing, coarsest, grid),
         };
         field.max(attributes) + BEYOND
+    }
+
+    /// The distances within which particles affect the field and the attributes of a cell, in
+    /// cells.
+    fn halos(
+        &self,
+        kind: IndicatorKind,
+        spacing: Option<f64>,
+        coarsest: Option<f64>,
+        grid: &Grid,
+    ) -> [i32; 2] {
+        let filled = self.fill_reach(spacing, grid);
+        let sizes = spacing.zip(coarsest);
+        let Some((finest, coarsest)) = sizes else {
+            return [
+                self.filters(kind, spacing, grid).halo() + filled,
+                self.attribute_smoothing(kind, spacing, grid).halo(),
+            ];
+        };
+        let cell = grid.cell_size();
+        let coarser = Octaves::new(finest, coarsest, cell).count - 1;
+        let widest = finest * f64::from(1_u32 << coarser);
+        [
+            (SizedField::halo(self.smooth, self.sheets, finest / cell) + filled) << coarser,
+            self.attribute_smoothing(kind, Some(widest), grid).halo(),
+        ]
     }
 
     /// Returns the smoothing of attributes: the field's; for clouds, a width between drops and

@@ -99,12 +99,14 @@ impl SampledSizes {
             Calibration::Clouds { plateau } => plateau,
             Calibration::Indicator { .. } => self.calibrated().plateau.value(),
         };
-        let field = SizedField::new(&self.clouds, smooth, sheets, plateau);
+        let field = SizedField::new(&self.clouds, smooth, sheets, surfacing.solid.clone(), plateau);
         let iso = field.iso();
         let walls = self.facts.mesh_walls(periodic_mesh).map(|walls| walls.cells());
         let within = walls.map(|walls| walls.grown(1, 0));
         let cut = |cells: CellBox| within.map_or(cells, |within| cells.intersection(&within));
         let regions = self.clouds.regions(field.reach()).into_iter().map(cut);
+        // The filters use cells beyond a periodic face, but the mesh ends there.
+        let faces = walls.filter(|_| self.facts.periodic.is_some());
         ExtractableField {
             regions: regions.filter(|cells| !cells.is_empty()).collect(),
             crossings: iso.into(),
@@ -112,17 +114,24 @@ impl SampledSizes {
             nothing: FrameError::no_surface(field.recipe()),
             contour: region_by_region(move |region| {
                 let away = walls.is_none_or(|walls| walls.covers(&dual_cells(region)));
-                let samples = field.on(normals.cells(region), away);
-                Ok(samples.and_then(|samples| block_mesh(&samples, region, iso, normals, walls)))
+                let Some(mut samples) = field.on(normals.cells(region), away) else {
+                    return Ok(None);
+                };
+                faces.into_iter().for_each(|faces| samples.repeat_edges(faces));
+                Ok(block_mesh(&samples, region, iso, normals, walls))
             }),
         }
     }
 
     /// Attributes are smoothed as widely as the coarsest particles need.
     fn attribute_smoothing(&self, surfacing: &Surfacing) -> Smoothing {
-        let coarsest = f64::from(1_u32 << (self.clouds.octaves() - 1));
-        let spacing = self.facts.spacing.map(|spacing| spacing * coarsest);
+        let spacing = self.facts.spacing.map(|spacing| spacing * self.coarsest());
         surfacing.attribute_smoothing(IndicatorKind::Cloud, spacing, &self.facts.grid)
+    }
+
+    /// The spacing of the coarsest octave over that of the finest.
+    pub(super) fn coarsest(&self) -> f64 {
+        f64::from(1_u32 << (self.clouds.octaves() - 1))
     }
 }
 
@@ -131,7 +140,7 @@ fn in_octave(facts: &FrameFacts, octave: u32) -> FrameFacts {
     FrameFacts {
         grid: facts.grid.in_wider_cells(octave),
         domain: facts.domain.map(|domain| domain.in_wider_cells(octave)),
-        periodic: None,
+        periodic: facts.periodic.map(|periodic| periodic.in_wider_cells(octave)),
         spacing: facts.spacing.map(|spacing| spacing * f64::from(1_u32 << octave)),
         ..*facts
     }

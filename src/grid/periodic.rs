@@ -127,6 +127,18 @@ impl Periodic {
         Ok(Self { faces, reach, period, reach_length })
     }
 
+    /// The same box on a grid with cells 2^`octaves` times as wide.
+    #[must_use]
+    pub fn in_wider_cells(self, octaves: u32) -> Self {
+        let Self { faces, reach, period, reach_length } = self;
+        Self {
+            faces: faces.in_wider_cells(octaves),
+            reach: reach >> octaves,
+            period: period.map(|steps| steps >> octaves),
+            reach_length,
+        }
+    }
+
     /// Checks the faces as far as possible without a cell size.
     ///
     /// # Errors

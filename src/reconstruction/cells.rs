@@ -149,6 +149,12 @@ impl Cells {
         self.walls.as_ref().map(|found| &found.walls)
     }
 
+    /// The spacing and the sizes, if known.
+    #[must_use]
+    pub fn lengths(&self) -> (Option<f64>, Option<&Sizes>) {
+        (self.spacing(), self.sizes.as_ref())
+    }
+
     /// The spacing, if known.
     #[must_use]
     pub fn spacing(&self) -> Option<f64> {

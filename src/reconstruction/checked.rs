@@ -155,8 +155,6 @@ fn sampling(settings: &Settings, surfacing: &Surfacing) -> Result<SamplingReques
         ("cell_size", settings.cell_size.is_some() && settings.cell.is_some(), "cell"),
         ("size", settings.asks_for_sizes() && settings.spacing.is_some(), "spacing"),
         ("size", settings.asks_for_sizes() && settings.radius.is_some(), "radius"),
-        ("size", settings.asks_for_sizes() && settings.solid.is_some(), "solid"),
-        ("size", settings.asks_for_sizes() && settings.periodic.is_some(), "periodic"),
     ];
     if let Some((setting, _, other)) = exclusive.into_iter().find(|(_, both, _)| *both) {
         let (setting, with) = (Setting::named(setting), Conflict::Setting(Setting::named(other)));
@@ -207,8 +205,6 @@ fn sampling(settings: &Settings, surfacing: &Surfacing) -> Result<SamplingReques
 /// of one size.
 fn size(settings: &Settings) -> SizeChoice {
     let needs_one = [
-        ("solid", settings.solid.is_some()),
-        ("periodic", settings.periodic.is_some()),
         ("method", settings.kernels().is_some()),
         ("indicator", settings.indicator.unwrap_or_default() != IndicatorKind::Cloud),
     ];

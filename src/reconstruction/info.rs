@@ -303,7 +303,7 @@ fn memory(particles: &impl Particles, cells: &Cells) -> Option<u64> {
     let grid = request.grid_of(cells).ok()?;
     let carried = Settings::default().carried(particles.attributes(), None).ok()?;
     let sampling =
-        request.sampling_on(grid, request.method, cells.spacing(), carried, resources).ok()?;
+        request.sampling_on(grid, request.method, cells.lengths(), carried, resources).ok()?;
     let sampling = sampling.sized(cells.sizes.as_ref(), particles).ok()?;
     let counted = CountedFrame::of(particles, &sampling).ok()?;
     Some(counted.estimate().in_core())

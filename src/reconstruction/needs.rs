@@ -140,11 +140,13 @@ fn forecast(
         });
     }
     // Blocks need particles from as far away as the largest ones see.
-    let kind = sampling.method.indicator().filter(|_| sampling.sizes.is_none());
-    let Some(kind) = kind else { return Ok((expected, None)) };
+    let Some(kind) = sampling.method.indicator() else { return Ok((expected, None)) };
     let stretch = sample(counted.bins());
     drop(counted);
-    let wanted = WantedBins { stretch, sight: sampling.sight(kind, &checked.surfacing) };
+    let wanted = WantedBins {
+        stretch,
+        sight: sampling.sight(kind, &checked.surfacing, sampling.coarsest()),
+    };
     let counted = CountedFrame::of_wanted(&file.particles, sampling, &checked.surfacing, wanted)?;
     let Some(part) = accepted(tried(checked, counted, stretch))? else {
         return Ok((expected, None));

@@ -637,7 +637,7 @@ impl SamplingRequest {
         let grid = self.grid_of(&cells)?;
         let request = self.in_walls(cells.found()).in_slab(cells.slab);
         let sampling =
-            request.sampling_on(grid, self.method, cells.spacing(), carried, resources)?;
+            request.sampling_on(grid, self.method, cells.lengths(), carried, resources)?;
         let sampling = sampling.sized(cells.sizes.as_ref(), particles)?;
         if self.origin.is_some() {
             return Ok(ChosenSampling { sampling, cells, moved: false, plan: None });
@@ -655,7 +655,7 @@ impl SamplingRequest {
         }
     }
 
-    /// The sampling on a known grid.
+    /// The sampling on a known grid, for the spacing and the sizes of the particles.
     ///
     /// # Errors
     /// [`Error::Domain`] and [`Error::Periodic`]; [`Error::Frame`] for cells that are too fine to
@@ -664,7 +664,7 @@ impl SamplingRequest {
         &self,
         grid: Grid,
         method: Method,
-        spacing: Option<f64>,
+        (spacing, sizes): (Option<f64>, Option<&Sizes>),
         carried: Vec<usize>,
         resources: Resources,
     ) -> Result<Sampling, Error> {
@@ -684,7 +684,8 @@ impl SamplingRequest {
         if let Some((faces, surfacing)) = &self.periodic {
             // The reach of the filters is only known for valid cells.
             sampling.check_fit(surfacing)?;
-            let reach = surfacing.reach(method, spacing, &grid);
+            let coarsest = sizes.map(|sizes| sizes.coarsest);
+            let reach = surfacing.reach(method, spacing, coarsest, &grid);
             sampling.periodic = Some(Periodic::new(&grid, *faces, reach)?);
         }
         Ok(sampling)

@@ -246,7 +246,7 @@ impl fmt::Display for Warning {
             ),
             Self::ThinSolid { path, thickness, cell_size } => write!(
                 f,
-                "{}: with its offset, the solid is about {} thick, thinner than a cell of {}: fluid may leak through it; use smaller cells or a larger offset",
+                "{}: with its offset, the solid is about {} thick, thinner than a cell of {}; fluid may leak through it",
                 path.display(),
                 significant(*thickness, 2),
                 significant(*cell_size, 3)

@@ -169,7 +169,8 @@ impl LiveSimulation {
         let (request, past) =
             request.in_walls_around(known_walls.as_ref(), particles, spacing, &grid);
         let request = request.in_slab(slab.filter(|slab| slab.holds(particles)));
-        let sampling = request.sampling_on(grid, method, spacing, carried, resources)?;
+        let sampling =
+            request.sampling_on(grid, method, (spacing, sizes.as_ref()), carried, resources)?;
         let sampling = sampling.sized(sizes.as_ref(), particles)?;
         let sampling = Sampling { kinds: kinds.clone(), ..sampling };
         let engine = checked.engine(particles, &sampling, None, &mut timings)?;

@@ -129,7 +129,13 @@ impl Setup<'_> {
         let method = request.method.calibrated(shared.calibration.as_ref());
         let slab = shared.slab.filter(|slab| slab.holds(particles));
         let request = request.in_slab(slab);
-        let sampling = request.sampling_on(grid, method, shared.spacing, carried, resources)?;
+        let sampling = request.sampling_on(
+            grid,
+            method,
+            (shared.spacing, shared.sizes.as_ref()),
+            carried,
+            resources,
+        )?;
         let sampling = sampling.sized(shared.sizes.as_ref(), particles)?;
         let sampling = Sampling { kinds: shared.kinds.clone(), ..sampling };
         Ok((sampling, past.into_iter().map(Warning::BeyondWall).collect()))

@@ -97,7 +97,7 @@ pub(super) fn measure_in(
         None => (request.grid_of(cells)?, request.method),
     };
     let in_slab = request.in_walls(cells.found()).in_slab(cells.slab);
-    let sampling = in_slab.sampling_on(grid, method, cells.spacing(), Vec::new(), resources)?;
+    let sampling = in_slab.sampling_on(grid, method, cells.lengths(), Vec::new(), resources)?;
     let sampling = sampling.sized(cells.sizes.as_ref(), particles)?;
     let is_settled = lattice.is_some() || request.origin.is_some();
     let origin = if is_settled { Origin::Given } else { Origin::Free };

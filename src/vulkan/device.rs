@@ -48,7 +48,7 @@ pub struct DeviceOptions {
     pub binaries: HashMap<&'static str, Vec<u8>>,
 }
 
-/// Which queues of a device to use.
+/// The queues that are used on a device.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Queues {
     /// One for shaders, and another for copies if the device has a family only for copies.

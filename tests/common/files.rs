@@ -1,10 +1,12 @@
 //! Files of the tests: sample data, particles and surfaces as bytes, and the content of folders.
 
 use std::collections::BTreeMap;
+use std::fmt::Write;
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use meniscus::Surface;
+use meniscus::mesh::Mesh;
 
 /// The file or folder in `tests/data` with this path.
 pub fn data(path: &str) -> PathBuf {
@@ -14,6 +16,19 @@ pub fn data(path: &str) -> PathBuf {
 /// Particles as a `.xyz` file of numbers: an f32 for each coordinate, little-endian.
 pub fn raw<T: Copy + Into<f64>>(particles: &[[T; 3]]) -> Vec<u8> {
     particles.iter().flatten().flat_map(|&x| (x.into() as f32).to_le_bytes()).collect()
+}
+
+/// A mesh as the text of a `.obj` file.
+pub fn text_of_obj(mesh: &Mesh) -> String {
+    let mut text = String::new();
+    for [x, y, z] in &mesh.positions {
+        writeln!(text, "v {x} {y} {z}").unwrap();
+    }
+    for triangle in &mesh.triangles {
+        let [a, b, c] = triangle.map(|vertex| vertex + 1);
+        writeln!(text, "f {a} {b} {c}").unwrap();
+    }
+    text
 }
 
 /// The bytes of the `.ply` file of a surface.

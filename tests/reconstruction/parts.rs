@@ -515,7 +515,7 @@ fn the_halo_of_the_cloud_recipe_is_exactly_the_reach_of_a_particle() {
             let surfacing =
                 Surfacing { smooth: Smooth::new(smooth).unwrap(), normals, ..surfacing() };
             let cells = needed(normals);
-            let seen = sampling.sight(IndicatorKind::Cloud, &surfacing).cells(IVec3::ZERO);
+            let seen = sampling.sight(IndicatorKind::Cloud, &surfacing, None).cells(IVec3::ZERO);
             let outermost = if sides.start == 0 { seen.lo } else { seen.hi - 1 };
             let by = |plateau: u16| {
                 let surfacing = &surfacing;
@@ -566,7 +566,7 @@ fn the_halo_of_the_counting_recipe_is_exactly_the_reach_of_a_particle() {
         let sigma = Some(Sigma::new(sigma).unwrap());
         let plain = Surfacing { sigma, detail, normals, ..surfacing() };
         let cells = needed(normals);
-        let seen = sampling.sight(kind, &plain).cells(IVec3::ZERO);
+        let seen = sampling.sight(kind, &plain, None).cells(IVec3::ZERO);
         let calibration = |threshold: u16| {
             let iso = Isovalue::new((f64::from(threshold) + 0.5) / 65535.0).unwrap();
             Calibration::Indicator { mean: Some(one), iso }
@@ -629,7 +629,7 @@ fn carried_attributes_extend_the_cells_that_a_block_depends_on() {
         let sampling = Sampling { method: kind.into(), spacing: Some(1.5), ..sampling() };
         let with = Sampling { carried: vec![0], ..sampling.clone() };
         let [bare, carrying] =
-            [&sampling, &with].map(|s| s.sight(kind, &surfacing()).cells(IVec3::ZERO));
+            [&sampling, &with].map(|s| s.sight(kind, &surfacing(), None).cells(IVec3::ZERO));
         let halo = surfacing().attribute_smoothing(kind, sampling.spacing, &sampling.grid).halo();
         let attributes = CellBox { lo: IVec3::splat(-halo), hi: IVec3::splat(BLOCK + 1 + halo) };
         assert_eq!(carrying, bare.union(&attributes));
@@ -651,7 +651,7 @@ fn a_part_counts_only_the_wanted_particles() {
         [Stretch { first, end: MortonKey(first.0 + 1) }, Stretch { first, ..Stretch::ALL }]
     {
         let wanted =
-            WantedBins { stretch, sight: sampling.sight(IndicatorKind::Cloud, &surfacing) };
+            WantedBins { stretch, sight: sampling.sight(IndicatorKind::Cloud, &surfacing, None) };
         let part = CountedFrame::of_wanted(&particles[..], &sampling, &surfacing, wanted).unwrap();
         let expected: Vec<_> =
             all.iter().filter(|(bin, _)| wanted.hold(bin.coord())).copied().collect();

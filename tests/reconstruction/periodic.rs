@@ -50,7 +50,7 @@ fn assert_watertight(mesh: &Mesh, what: &str) {
 fn in_box(method: impl Into<Method>, cell: f64, faces: Faces) -> Sampling {
     let (method, grid) = (method.into(), Grid::new(DVec3::ZERO, cell).unwrap());
     let periodic =
-        Periodic::new(&grid, faces, surfacing().reach(method, Some(1.0), &grid)).unwrap();
+        Periodic::new(&grid, faces, surfacing().reach(method, Some(1.0), None, &grid)).unwrap();
     let periodic = Some(periodic);
     Sampling { method, grid, periodic, spacing: Some(1.0), side: method.brick_side(), ..sampling() }
 }

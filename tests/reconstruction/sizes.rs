@@ -2,14 +2,20 @@
 
 use std::f64::consts::PI;
 
-use meniscus::error::{Conflict, Error, SizeFault};
+use glam::DVec3;
+use meniscus::error::{Conflict, Error, PeriodicError, SizeFault};
 use meniscus::files::Replace;
 use meniscus::internals::field::indicator::IndicatorKind;
 use meniscus::internals::grid::units::MemoryBudget;
 use meniscus::mesh::{Mesh, measure};
-use meniscus::{Cloud, Reconstruction, SpacingSource, SpacingWarning, Warning};
+use meniscus::{
+    Cloud, KernelMethod, PeriodicMesh, Reconstruction, SpacingSource, SpacingWarning, Warning,
+};
 
+use crate::common::files::text_of_obj;
+use crate::common::periodic::{Faces, repeated, triangles_within};
 use crate::common::scene::Random;
+use crate::common::shapes::{moved, sphere};
 use crate::common::watertight;
 
 /// Particles with their sizes.
@@ -121,8 +127,7 @@ fn a_lone_particle_of_any_size_keeps_about_its_volume() {
                 .map(|triangle| triangle.map(|corner| corner as usize))
                 .filter(|triangle| of_drop(&triangle[0]))
                 .map(|triangle| {
-                    let [a, b, c] =
-                        triangle.map(|corner| glam::DVec3::from(mesh.positions[corner]));
+                    let [a, b, c] = triangle.map(|corner| DVec3::from(mesh.positions[corner]));
                     a.dot(b.cross(c)) / 6.0
                 })
                 .sum();
@@ -263,14 +268,10 @@ fn attributes_and_settings_that_cannot_define_sizes_are_refused() {
     assert!(matches!(fault("velocity"), SizeFault::Components { components: 3, .. }));
     assert!(matches!(fault("mass"), SizeFault::NoDensity { .. }));
     assert!(matches!(fault("width"), SizeFault::NoSize { .. }));
-    for (request, other) in [
-        (request().size("radius").spacing(1.0), "spacing"),
-        (request().size("radius").periodic([Some([0.0, 1.0]), None, None]), "periodic"),
-    ] {
-        let Err(Error::SettingConflict(conflict)) = request.run(&cloud) else { panic!("{other}") };
-        assert_eq!(conflict.setting.name(), "size");
-        assert!(matches!(&conflict.with, Conflict::Setting(setting) if setting.name() == other));
-    }
+    let both = request().size("radius").spacing(1.0);
+    let Err(Error::SettingConflict(conflict)) = both.run(&cloud) else { panic!("spacing") };
+    assert_eq!(conflict.setting.name(), "size");
+    assert!(matches!(&conflict.with, Conflict::Setting(setting) if setting.name() == "spacing"));
     let folder = tempfile::tempdir().unwrap();
     let frame = request().sample(&cloud).unwrap();
     let output = request().packed_output(folder.path().join("a.mnf"), Replace::Refuse).unwrap();
@@ -284,12 +285,6 @@ fn settings_that_need_one_size_refuse_particles_of_several_sizes() {
     let water = Sized::pools(&[1.0, 2.0]);
     let radii = water.radii();
     let cloud = Cloud::new(&water.positions).with("radius", &radii);
-    let folder = tempfile::tempdir().unwrap();
-    let [input, output] = ["water.csv", "water.ply"].map(|name| folder.path().join(name));
-    let rows = water.positions.iter().zip(&radii);
-    let rows = rows.map(|([x, y, z], radius)| format!("{x},{y},{z},{radius}\n"));
-    let table = "x,y,z,radius\n".to_owned() + &rows.collect::<String>();
-    std::fs::write(&input, table).unwrap();
     let needs_one = |error: Error, name: &str| {
         let Error::SettingConflict(conflict) = error else { panic!("{name}: {error}") };
         assert_eq!(conflict.setting.name(), name);
@@ -298,15 +293,148 @@ fn settings_that_need_one_size_refuse_particles_of_several_sizes() {
         );
     };
     for (request, name) in [
-        (request().periodic([Some([-1.0, 200.0]), None, None]), "periodic"),
+        (request().method(KernelMethod::ZhuBridson), "method"),
         (request().indicator(IndicatorKind::Counting), "indicator"),
     ] {
         needs_one(request.run(&cloud).unwrap_err(), name);
         request.size("none").run(&cloud).unwrap();
     }
-    needs_one(request().parts(&input, &output, 2).plan().unwrap_err(), "parts");
-    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "no plan is left");
-    request().size("none").parts(&input, &output, 2).plan().unwrap();
+}
+
+/// Two pools next to each other along x that fill a periodic box, with coordinates that are
+/// multiples of 2^-10, so that copies have the same digits.
+fn pools_in_a_box() -> (Sized, Faces) {
+    let mut random = Random::new(21);
+    let edges = [112.0, 96.0];
+    let mut water = Sized::default()
+        .with([[0.0; 3], [edges[0] / 2.0, edges[1], 12.0]], 1.0, &mut random)
+        .with([[edges[0] / 2.0, 0.0, 0.0], [edges[0], edges[1], 12.0]], 2.0, &mut random);
+    for position in &mut water.positions {
+        *position = position.map(|x| (x * 1024.0).floor() / 1024.0);
+    }
+    (water, [Some([0.0, edges[0]]), Some([0.0, edges[1]]), None])
+}
+
+#[test]
+fn in_a_periodic_box_sized_particles_have_the_surface_of_explicit_copies() {
+    let (water, faces) = pools_in_a_box();
+    let radii = water.radii();
+    let cloud = Cloud::new(&water.positions).with("radius", &radii);
+    let calibrated = request().periodic(faces).run(&cloud).unwrap().report().calibration.unwrap();
+    let positions = repeated(&water.positions, faces);
+    let all = Sized { positions, sizes: water.sizes.repeat(9) };
+    let around = all.mesh(&request().calibrated(calibrated).normals(true));
+    for (ends, margin) in [(PeriodicMesh::Cut, 1.0), (PeriodicMesh::Overlap, 0.0)] {
+        let request = request().periodic(faces).periodic_mesh(ends).normals(true);
+        let mesh = water.mesh(&request);
+        assert_eq!(watertight::defect(&mesh), None);
+        let [found, expected] = [&mesh, &around].map(|mesh| triangles_within(mesh, faces, margin));
+        let both = found.intersection(&expected).count();
+        assert!(
+            expected.len() > 50_000 && found == expected,
+            "{ends:?}: {both} of {} and {} triangles",
+            found.len(),
+            expected.len()
+        );
+        assert!(water.mesh(&request.threads(1).memory(MemoryBudget(24 << 20))) == mesh);
+    }
+    let narrow = request().periodic([Some([0.0, 112.0]), Some([0.0, 60.0]), None]);
+    let error = narrow.skip_invalid(true).run(&cloud).unwrap_err();
+    assert!(matches!(error, Error::Periodic(PeriodicError::Narrow { axis: 'y', .. })), "{error}");
+}
+
+#[test]
+fn sized_water_ends_at_solids_and_keeps_its_level_up_to_them() {
+    let radius = 9.0;
+    // In fine water, in coarse water, and at the seam between them.
+    let centres = [[20.0, 20.0], [80.0, 20.0], [48.0, 44.0]].map(|[x, y]| [x, y, DEPTH]);
+    let from_solid = |p: [f64; 3]| {
+        let from = |centre: &[f64; 3]| DVec3::from(p).distance(DVec3::from(*centre)) - radius;
+        centres.iter().map(from).fold(f64::MAX, f64::min)
+    };
+    let mut random = Random::new(8);
+    let all = Sized::default().with([[0.0; 3], [48.0, 64.0, DEPTH]], 1.0, &mut random).with(
+        [[48.0, 0.0, 0.0], [96.0, 64.0, DEPTH]],
+        2.0,
+        &mut random,
+    );
+    let mut water = Sized::default();
+    for (position, size) in all.positions.iter().zip(&all.sizes) {
+        if from_solid(*position) > 0.0 {
+            water.positions.push(*position);
+            water.sizes.push(*size);
+        }
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let balls = centres.map(|centre| moved(&sphere(radius, 5), centre));
+    let solids: Vec<String> = (0..3)
+        .map(|i| {
+            let path = folder.path().join(format!("ball{i}.obj"));
+            std::fs::write(&path, text_of_obj(&balls[i])).unwrap();
+            path.to_str().unwrap().to_owned()
+        })
+        .collect();
+    let plain = request().domain([0.0; 3], [96.0, 64.0, f64::INFINITY]);
+    let at_solids = plain.clone().solids(&solids).solid_offset(0.0);
+    for cell in [0.25, 0.5] {
+        let mesh = water.mesh(&at_solids.clone().cell(cell));
+        assert_eq!(watertight::defect(&mesh), None);
+        assert_eq!(measure(&mesh).components, 1);
+        for (centre, size) in centres.into_iter().zip([1.0, 2.0, 2.0]) {
+            let from = |p: &[f64; 3]| DVec3::from(*p).distance(DVec3::from(centre)) - radius;
+            let under = |p: &&[f64; 3]| p[2] < DEPTH - 2.0 * size && from(p).abs() < 0.5;
+            let errors: Vec<f64> = mesh.positions.iter().filter(under).map(from).collect();
+            let [bias, rms] = mean_and_rms(&errors);
+            assert!(bias.abs() < 0.02 && rms < 0.04, "cells {cell}, {centre:?}: {bias} {rms}");
+            // The contact line is at the ball's equator.
+            let beside = |p: &&[f64; 3]| {
+                (p[2] - DEPTH).abs() < 1.5 * size && (0.5 * size..2.0 * size).contains(&from(p))
+            };
+            let level: Vec<f64> =
+                mesh.positions.iter().filter(beside).map(|p| (p[2] - DEPTH) / size).collect();
+            let [bias, rms] = mean_and_rms(&level);
+            assert!(bias.abs() < 0.05 && rms < 0.1, "level {cell}, {centre:?}: {bias} {rms}");
+        }
+        let with_less = at_solids.clone().cell(cell).threads(1).memory(MemoryBudget(24 << 20));
+        assert!(water.mesh(&with_less) == mesh);
+    }
+}
+
+#[test]
+fn sized_particles_in_parts_give_the_mesh_of_a_single_run() {
+    let (water, faces) = pools_in_a_box();
+    let folder = tempfile::tempdir().unwrap();
+    let [input, output, ball] =
+        ["water.csv", "water.ply", "ball.obj"].map(|name| folder.path().join(name));
+    let rows = water.positions.iter().zip(water.radii());
+    let rows = rows.map(|([x, y, z], radius)| format!("{x},{y},{z},{radius},{x}\n"));
+    let table = "x,y,z,radius,heat\n".to_owned() + &rows.collect::<String>();
+    std::fs::write(&input, table).unwrap();
+    std::fs::write(&ball, text_of_obj(&moved(&sphere(8.0, 3), [56.0, 40.0, 12.0]))).unwrap();
+    let plain = request().attributes(["heat"]).normals(true);
+    for request in [
+        plain.clone().memory(MemoryBudget(64 << 20)),
+        plain.clone().periodic(faces),
+        plain.clone().solids([ball.to_str().unwrap()]),
+    ] {
+        let whole = request.open(&input).unwrap().sample().unwrap().surface().unwrap();
+        let whole = whole.to_mesh().unwrap();
+        let parts = request.parts(&input, &output, 5);
+        let plan = parts.plan().unwrap();
+        let kept: Vec<u64> = plan.parts.iter().map(|share| share.kept).collect();
+        assert!(kept.iter().any(|&kept| kept < water.sizes.len() as u64), "{kept:?}");
+        (0..5).for_each(|part| drop(parts.part(part).unwrap()));
+        assert!(parts.merge().unwrap().to_mesh().unwrap() == whole);
+        std::fs::remove_dir_all(parts.folder()).unwrap();
+    }
+}
+
+/// Bias and root mean square.
+fn mean_and_rms(errors: &[f64]) -> [f64; 2] {
+    assert!(errors.len() > 50, "{} vertices", errors.len());
+    let count = errors.len() as f64;
+    let squares: f64 = errors.iter().map(|error| error * error).sum();
+    [errors.iter().sum::<f64>() / count, (squares / count).sqrt()]
 }
 
 #[test]
@@ -316,7 +444,7 @@ fn a_small_ball_in_coarse_water_keeps_its_surface() {
     let fine = Sized::default().with([[36.0, 36.0, 44.0], [60.0, 60.0, 68.0]], 1.0, &mut random);
     let mut all = coarse.clone();
     for (position, size) in fine.positions.iter().zip(&fine.sizes) {
-        let from = glam::DVec3::from(*position).distance(glam::DVec3::new(48.0, 48.0, 56.0));
+        let from = DVec3::from(*position).distance(DVec3::new(48.0, 48.0, 56.0));
         if from < 10.0 {
             all.positions.push(*position);
             all.sizes.push(*size);

@@ -1,6 +1,5 @@
 //! Solids: water ends at their surfaces.
 
-use std::fmt::Write;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -21,7 +20,7 @@ use meniscus::{PeriodicMesh, Reconstruction, Warning};
 use tempfile::TempDir;
 
 use crate::common::device;
-use crate::common::files::{bytes_of, raw};
+use crate::common::files::{bytes_of, raw, text_of_obj};
 use crate::common::periodic::{Faces, repeated, triangles_within};
 use crate::common::scene::Random;
 use crate::common::shapes::{cuboid, moved, sphere};
@@ -83,16 +82,8 @@ fn ball() -> Mesh {
 
 /// Writes a mesh as .obj.
 fn written(folder: &TempDir, name: &str, mesh: &Mesh) -> PathBuf {
-    let mut text = String::new();
-    for [x, y, z] in &mesh.positions {
-        writeln!(text, "v {x} {y} {z}").unwrap();
-    }
-    for triangle in &mesh.triangles {
-        let [a, b, c] = triangle.map(|vertex| vertex + 1);
-        writeln!(text, "f {a} {b} {c}").unwrap();
-    }
     let path = folder.path().join(name);
-    fs::write(&path, text).unwrap();
+    fs::write(&path, text_of_obj(mesh)).unwrap();
     path
 }
 
@@ -224,7 +215,7 @@ fn in_a_periodic_box_solids_repeat_as_the_fluid_does() {
     };
     let (method, grid) = (Method::from(IndicatorKind::Cloud), Grid::new(DVec3::ZERO, 0.5).unwrap());
     let of_all = at_solids(copies, PeriodicMesh::Cut);
-    let reach = of_all.reach(method, Some(1.0), &grid);
+    let reach = of_all.reach(method, Some(1.0), None, &grid);
     let periodic = Some(Periodic::new(&grid, faces, reach).unwrap());
     let alone =
         Sampling { method, grid, spacing: Some(1.0), side: method.brick_side(), ..sampling() };
@@ -364,10 +355,6 @@ fn settings_that_conflict_with_solids_are_refused_by_name() {
         Err(Error::SettingConflict(conflict)) => (conflict.setting.name(), conflict.with),
         other => panic!("{other:?}"),
     };
-    let with_sizes = Reconstruction::new().solids(["ball.obj"]).size("pscale");
-    assert!(
-        matches!(refused(with_sizes), ("size", Conflict::Setting(other)) if other.name() == "solid")
-    );
     let offset = Reconstruction::new().spacing(1.0).solid_offset(0.1);
     assert!(
         matches!(refused(offset), ("solid_offset", Conflict::Needs(other)) if other.name() == "solid")

@@ -94,8 +94,40 @@ fn fill(sampled: &SampledDif, level: u32) -> SolidFill {
     SolidFill::new(f64::from(1_u32 << level) / sampled.facts.spacing_cells_or_one())
 }
 
+/// The shares of the clouds of some cells 2^`level` times as wide that are outside of a solid;
+/// `None` if it is not near.
+pub(super) fn outside_of(
+    solid: &Solid,
+    sampled: &SampledDif,
+    level: u32,
+    cells: CellBox,
+    reach: i32,
+) -> Option<Block> {
+    let (grid, periodic) = (&sampled.facts.grid, sampled.facts.periodic.as_ref());
+    // A cell's cloud reaches beyond it.
+    if !solid.is_near(grid, periodic, level, cells.grown(2, 2)) {
+        return None;
+    }
+    let width = grid.cell_size() * f64::from(1_u32 << level);
+    let cells = cells.grown(reach, reach);
+    let distances = solid.distances(grid, periodic, level, cells, width / STEPS, FARTHEST);
+    let mut shares = outside(&distances);
+    let walls = walls_at(level, sampled.facts.walls());
+    walls.into_iter().for_each(|walls| shares.repeat_edges(walls));
+    Some(shares)
+}
+
+/// Inside a solid the surface continues, and no particle stands out.
+pub(super) fn none_inside(outlying: &mut Block, outside: &Block) {
+    let outside = outside.part(outlying.cells());
+    let samples = outlying.samples_mut().iter_mut().zip(outside.samples());
+    for (sample, _) in samples.filter(|(_, share)| **share < WHOLE / 2) {
+        *sample = (*sample).max(NONE + 1);
+    }
+}
+
 /// Cuts the field on some cells by a solid.
-fn cut_by(solid: &Solid, sampled: &SampledDif, field: &mut Block) {
+pub(super) fn cut_by(solid: &Solid, sampled: &SampledDif, field: &mut Block) {
     let facts = &sampled.facts;
     let (cell, spacing) = (facts.grid.cell_size(), facts.spacing.unwrap_or(facts.grid.cell_size()));
     let offset = solid.offset() * UNITS;
@@ -186,10 +218,11 @@ impl<'a> Blocks<'a> {
         recipe: &Recipe,
         sampled: &'a SampledDif,
         density: Density<'a>,
+        solid: Option<&'a Solid>,
         cells: CellBox,
     ) -> Self {
         let density = Some(density);
-        Self { density, ..Self::new(recipe, sampled, cells, FieldUse::Everywhere) }
+        Self { density, solid, ..Self::new(recipe, sampled, cells, FieldUse::Everywhere) }
     }
 
     fn new(recipe: &Recipe, sampled: &'a SampledDif, cells: CellBox, field_use: FieldUse) -> Self {
@@ -236,6 +269,13 @@ impl Blocks<'_> {
         walls_at(level, self.sampled.facts.walls())
     }
 
+    fn gathered(&self, level: u32, cells: CellBox) -> Block {
+        match self.density {
+            Some(density) => density(level, cells),
+            None => self.sampled.wide(level).gather_within(cells, self.walls(level)),
+        }
+    }
+
     fn field(&self, mut block: Block, level: u32) -> BlockField {
         if let Some(walls) = self.walls(level) {
             block.repeat_edges(walls);
@@ -249,11 +289,7 @@ impl Fields for Blocks<'_> {
     type Error = StopSignal;
 
     fn samples(&mut self, level: u32, halo: i32) -> Result<BlockField, StopSignal> {
-        let cells = wide_cells(level, self.wanted).grown(halo, halo);
-        let block = match self.density {
-            Some(density) => density(level, cells),
-            None => self.sampled.wide(level).gather_within(cells, self.walls(level)),
-        };
+        let block = self.gathered(level, wide_cells(level, self.wanted).grown(halo, halo));
         let goes_on = if self.decides {
             self.field_use.may_cut(&block)
         } else {
@@ -264,19 +300,13 @@ impl Fields for Blocks<'_> {
 
     fn filled(&mut self, clouds: &BlockField) -> Result<BlockField, StopSignal> {
         let (level, cells) = (clouds.level, clouds.block.cells());
-        let (grid, periodic) = (&self.sampled.facts.grid, self.sampled.facts.periodic.as_ref());
-        // A cell's cloud reaches beyond it.
-        let is_near = |solid: &&Solid| solid.is_near(grid, periodic, level, cells.grown(2, 2));
-        let Some(solid) = self.solid.filter(is_near) else { return Ok(clouds.clone()) };
-        let width = grid.cell_size() * f64::from(1_u32 << level);
         let fill = fill(self.sampled, level);
-        let around = cells.grown(fill.reach(), fill.reach());
-        let distances = solid.distances(grid, periodic, level, around, width / STEPS, FARTHEST);
-        let mut shares = outside(&distances);
-        let walls = self.walls(level);
-        walls.into_iter().for_each(|walls| shares.repeat_edges(walls));
-        let clouds = self.sampled.wide(level).gather_within(around, walls);
-        let filled = fill.filled(&clouds, &shares, cells, walls);
+        let shares = self
+            .solid
+            .and_then(|solid| outside_of(solid, self.sampled, level, cells, fill.reach()));
+        let Some(shares) = shares else { return Ok(clouds.clone()) };
+        let clouds = self.gathered(level, shares.cells());
+        let filled = fill.filled(&clouds, &shares, cells, self.walls(level));
         self.outside = Some(Rc::new(shares));
         Ok(BlockField { block: Rc::new(filled), level })
     }
@@ -347,14 +377,7 @@ impl Fields for Blocks<'_> {
         by: (u16, &StandsOut),
     ) -> Result<BlockField, StopSignal> {
         let mut block = outlying([&calm.block, &fine.block], &clouds.block, by);
-        // Inside a solid the surface continues, and no particle stands out.
-        let outside = self.outside.take().map(|outside| outside.part(block.cells()));
-        let shares = outside.iter().flat_map(|outside| outside.samples());
-        for (sample, _) in
-            block.samples_mut().iter_mut().zip(shares).filter(|(_, share)| **share < WHOLE / 2)
-        {
-            *sample = (*sample).max(NONE + 1);
-        }
+        self.outside.take().iter().for_each(|outside| none_inside(&mut block, outside));
         Ok(BlockField { block: Rc::new(block), level: calm.level })
     }
 

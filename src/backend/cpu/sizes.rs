@@ -1,10 +1,12 @@
 //! The field of particles of several sizes, on blocks in a thread's memory.
 
 use std::rc::Rc;
+use std::sync::Arc;
 
 use crate::brick::Block;
 use crate::field::blur::{Weights, blur};
 use crate::field::distance::{DistanceFilters, away, outlying, refined, spread, wide_cells};
+use crate::field::indicator::WideCells;
 use crate::field::recipe::{
     Recipe, ThinShares, WideFields, surfaces_and_bulk, thin_shares, walls_at,
 };
@@ -13,13 +15,16 @@ use crate::field::sizes::{
 };
 use crate::grid::CellBox;
 use crate::grid::units::{Isovalue, SheetStretch, Smooth};
+use crate::surface::solid::Solid;
 
-use super::fields::Blocks;
+use super::fields::{Blocks, cut_by, none_inside, outside_of};
 
 /// Computes the field of clouds of several sizes.
 #[derive(Debug)]
 pub struct SizedField<'a> {
     clouds: &'a SizedClouds,
+    /// A solid that cuts the field, if there is one.
+    solid: Option<Arc<Solid>>,
     /// The recipes of the finest octave, and of the others, whose drops are refined.
     recipes: [(Recipe, DistanceFilters); 2],
     /// Averages sizes, in wide cells of an octave.
@@ -62,6 +67,7 @@ impl<'a> SizedField<'a> {
         clouds: &'a SizedClouds,
         smooth: Smooth,
         sheets: SheetStretch,
+        solid: Option<Arc<Solid>>,
         plateau: u16,
     ) -> Self {
         let spacing = clouds.octave(0).facts.spacing_cells_or_one();
@@ -72,7 +78,7 @@ impl<'a> SizedField<'a> {
             (Recipe::of_distances(distances.clone()), distances)
         });
         let averaging = averaging(clouds.wide_cells());
-        Self { clouds, recipes, averaging, growth: growth(spacing) }
+        Self { clouds, solid, recipes, averaging, growth: growth(spacing) }
     }
 
     /// The isovalue of the surface.
@@ -91,6 +97,17 @@ impl<'a> SizedField<'a> {
     #[must_use]
     pub fn reach(&self) -> i32 {
         self.clouds.octave(0).dif.ghost_layer() + self.distances(0).reach()
+    }
+
+    /// The distance within which particles affect the surface, in cells of the coarsest octave.
+    #[must_use]
+    pub fn halo(smooth: Smooth, sheets: SheetStretch, spacing_cells: f64) -> i32 {
+        let finest = DistanceFilters::new(smooth, sheets, spacing_cells);
+        let wide = WideCells::of_spacing(spacing_cells);
+        // Surfaces are made where drops are near, from the sizes around, and interpolated.
+        let further = 2 * finest.near + averaging(wide).reach() + 2;
+        let halo = finest.halo().max(finest.refining(sheets, spacing_cells).halo());
+        halo + (further << wide.level)
     }
 
     /// The maximum distance of a drop from a particle of its octave, in wide cells: the largest
@@ -125,6 +142,9 @@ impl<'a> SizedField<'a> {
     /// does not depend on the box.
     #[must_use]
     pub fn on(&self, cells: CellBox, away_from_walls: bool) -> Option<Block> {
+        let solid = self.solid.as_deref().filter(|solid| self.is_at(solid, cells));
+        // At a solid, fluid has a surface even if it is all inside.
+        let away_from_walls = away_from_walls && solid.is_none();
         let mut surfaces: Vec<Option<OctaveSurface>> =
             (0..self.clouds.octaves()).map(|_| None).collect();
         self.make(&mut surfaces, 0, cells);
@@ -147,7 +167,17 @@ impl<'a> SizedField<'a> {
             field = self.with_drops(field, &drops);
         }
         self.walls(0).into_iter().for_each(|walls| field.repeat_edges(walls));
+        solid.into_iter().for_each(|solid| cut_by(solid, self.clouds.octave(0), &mut field));
         Some(field)
+    }
+
+    /// Whether a solid, with its offset, may cut the field on some of the finest cells.
+    fn is_at(&self, solid: &Solid, cells: CellBox) -> bool {
+        let facts = &self.clouds.octave(0).facts;
+        let offset = solid.offset().abs() * facts.spacing_cells_or_one();
+        let further = offset.ceil() as i32 + 2;
+        let around = cells.grown(further, further);
+        solid.is_near(&facts.grid, facts.periodic.as_ref(), 0, around)
     }
 
     /// Makes the surface of an octave, mixed with those of the coarser ones.
@@ -221,7 +251,7 @@ impl<'a> SizedField<'a> {
             hi: (wide.hi - further) << distances.level,
         };
         let sampled = self.clouds.octave(octave);
-        let mut blocks = Blocks::of_density(recipe, sampled, &density, own);
+        let mut blocks = Blocks::of_density(recipe, sampled, &density, self.solid.as_deref(), own);
         let walls = self.walls(octave as u32 + distances.level);
         let on_wide = |block: &Block| {
             let mut block = block.part(wide);
@@ -255,7 +285,10 @@ impl<'a> SizedField<'a> {
         }
         self.make(surfaces, octave, cells);
         let OctaveSurface { calm, fine, .. } = surfaces[octave].as_ref()?;
-        let outlying = outlying([calm, fine], &clouds, (*least, stands_out));
+        let mut outlying = outlying([calm, fine], &clouds, (*least, stands_out));
+        let solid = self.solid.as_deref();
+        let outside = solid.and_then(|solid| outside_of(solid, sampled, *level, clouds.cells(), 0));
+        outside.iter().for_each(|outside| none_inside(&mut outlying, outside));
         let mut outlying = spread(outlying, self.near());
         if outlying.samples().iter().all(|&sample| sample <= stands_out.begin()) {
             return None;
@@ -264,7 +297,8 @@ impl<'a> SizedField<'a> {
         let own = |level: u32, cells: CellBox| {
             sampled.wide(level).gather_within(cells, self.walls(octave as u32 + level))
         };
-        let mut blocks = Blocks::of_density(recipe, sampled, &own, self.cells(octave, cells));
+        let cells = self.cells(octave, cells);
+        let mut blocks = Blocks::of_density(recipe, sampled, &own, solid, cells);
         let ThinShares { shares, certainty } = thin_shares(distances, &mut blocks).ok()?;
         let thin = ThinShares {
             shares: Rc::unwrap_or_clone(shares.block),

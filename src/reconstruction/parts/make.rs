@@ -91,7 +91,8 @@ impl Parts {
         threads.install(|| {
             let wanted = |carried: Vec<usize>| {
                 let sampling = plan.sampling(checked, carried)?;
-                let sight = sampling.sight(indicator, &checked.surfacing);
+                let coarsest = plan.cells.sizes.as_ref().map(|sizes| sizes.coarsest);
+                let sight = sampling.sight(indicator, &checked.surfacing, coarsest);
                 Ok::<_, Error>((sampling, WantedBins { stretch: mark.stretch, sight }))
             };
             // The reach depends on whether there are attributes, but not on which.
@@ -119,6 +120,7 @@ impl Parts {
             }
             file.particles.keep(reading.ranges.iter().cloned());
             let (sampling, bins) = wanted(carried)?;
+            let sampling = sampling.sized(plan.cells.sizes.as_ref(), &file.particles)?;
             let count =
                 || CountedFrame::of_wanted(&file.particles, &sampling, &checked.surfacing, bins);
             let counted = control.during(Stage::Counting, count)?;

@@ -132,7 +132,9 @@ fn extracted(
     let lost = occupied.lost(&surface).map_err(in_scratch)?;
     drop(occupied);
     let own = report.facts.own_cells();
-    let shortfall = spacing
+    // With several sizes, the spacing does not give a volume.
+    let one_size = spacing.filter(|_| plan.cells.sizes.is_none());
+    let shortfall = one_size
         .map(|spacing| {
             Shortfall::of(&surface, own, census.binned, plan.coincident.as_ref(), spacing)
         })

@@ -28,7 +28,6 @@ use crate::field::indicator::IndicatorKind;
 use crate::frame::Method;
 use crate::io::input::file_and_step;
 use crate::io::mnf::is_packed;
-use crate::particles::sizes::SizeChoice;
 use crate::system::timings::Timings;
 
 use super::Cells;
@@ -209,14 +208,7 @@ impl Parts {
 
     /// Checks the request without a plan.
     fn begin(&self) -> Result<PartsRequest, Error> {
-        let mut checked = self.request.checked()?;
-        if checked.settings.asks_for_sizes() {
-            let with = Conflict::Setting(Setting::named("parts"));
-            return Err(SettingConflict { setting: Setting::named("size"), with }.into());
-        }
-        if checked.sampling.size == SizeChoice::Usual {
-            checked.sampling.size = SizeChoice::OneFor("parts");
-        }
+        let checked = self.request.checked()?;
         if !(1..=MOST_PARTS).contains(&self.count) {
             return Err(PartsError::Count { asked: self.count, most: MOST_PARTS }.into());
         }

@@ -158,7 +158,8 @@ impl Parts {
             (sampled.and_then(|sampled| sampled.indicator.mean()), sampled.and_then(mean_symmetry));
         let coincident = engine.coincident();
         drop(engine);
-        let shared = shared(&bins, &cuts, sampling.sight(indicator, surfacing));
+        let sight = sampling.sight(indicator, surfacing, sampling.coarsest());
+        let shared = shared(&bins, &cuts, sight);
         let parts = shares(&bins, &cuts, &shared);
         let plan = SharedPlan {
             meniscus: env!("CARGO_PKG_VERSION").into(),

@@ -205,7 +205,7 @@ impl SharedPlan {
         let method = checked.sampling.method.with_mean(mean);
         let resources = checked.resources.clone();
         let request = checked.sampling.in_walls(self.cells.found()).in_slab(self.cells.slab);
-        request.sampling_on(self.grid()?, method, self.cells.spacing(), carried, resources)
+        request.sampling_on(self.grid()?, method, self.cells.lengths(), carried, resources)
     }
 
     /// The facts of the whole frame.

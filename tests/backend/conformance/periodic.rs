@@ -28,7 +28,7 @@ fn sampling(backend: &TestBackend, kind: IndicatorKind, cell: f64) -> Sampling {
 }
 
 fn in_box(sampling: &Sampling, surfacing: &Surfacing, faces: Faces) -> Sampling {
-    let reach = surfacing.reach(sampling.method, sampling.spacing, &sampling.grid);
+    let reach = surfacing.reach(sampling.method, sampling.spacing, None, &sampling.grid);
     let periodic = Periodic::new(&sampling.grid, faces, reach).unwrap();
     Sampling { periodic: Some(periodic), ..sampling.clone() }
 }
