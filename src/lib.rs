@@ -3,9 +3,11 @@
 //! | to | use |
 //! |---|---|
 //! | mesh one frame, from memory or a file | [`Reconstruction`], which gives a [`Surface`] and a [`Report`] |
+//! | get vertices, triangles and attributes in memory | [`Surface::to_mesh`], which gives a [`mesh::Mesh`] |
+//! | get a level set | [`Surface::volume`], which gives a [`Volume`] |
 //! | try several surfaces of the same particles | [`Reconstruction::sample`], which gives a [`Frame`] |
 //! | convert the files of a simulation | [`Simulation`] |
-//! | mesh the frames of a simulation while it runs | [`LiveSimulation`] |
+//! | mesh frames from memory with one calibration, such as those of a running simulation | [`LiveSimulation`] |
 //! | mesh a frame that exceeds one machine | [`Parts`] |
 //! | add attributes to positions in memory | [`Cloud`] |
 //! | set every option of the program | [`Settings`] |
