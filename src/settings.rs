@@ -202,9 +202,9 @@ settings! {
     /// A condition is an attribute, a comparison (=, !=, <, <=, > or >=) and a value: Type=1,
     /// age<2.5, phase!=boundary. mk=0,2 accepts either value. `and` joins conditions that must all
     /// hold. `velocity.y` and `velocity[1]` are the same component of a vector; x, y and z are the
-    /// position. If a file has several types of particles, type selects one of them: a type of a
-    /// SWIFT or GADGET snapshot, such as type=PartType1, an array of PySPH, or a species of openPMD
-    /// [default: gas, else fluid].
+    /// position. If a file has several types of particles, type=NAME selects one of them. NAME is a
+    /// type of a SWIFT or GADGET snapshot, such as PartType1, an array of PySPH, or a species of
+    /// openPMD [default: gas, else fluid].
     #[arg(value_name = "CONDITION", help_heading = "Input")]
     r#where: Option<Vec<Where>>,
 
@@ -222,7 +222,7 @@ settings! {
     ///
     /// `-` for both ends of an axis leaves the axis open: 0,-,0,1,-,1 is periodic along x and z. A
     /// particle exactly on an upper face counts as being on the lower face. Any other particle
-    /// outside the box is an error, unless invalid particles are skipped.
+    /// outside the box is an error, unless you skip invalid particles.
     #[arg(value_name = "X0,Y0,Z0,X1,Y1,Z1", allow_hyphen_values = true, help_heading = "Input")]
     periodic: Option<Faces>,
 

@@ -85,7 +85,8 @@ impl DifField {
         self.store.cache_bytes()
     }
 
-    /// Returns the samples in another memory than the host's, such as a device's, if there are any.
+    /// Returns the samples that are not in the host's memory but, for example, in a device's, if
+    /// there are any.
     pub fn remote(&self) -> Option<&dyn RemotePages> {
         match &self.store {
             PageStore::Remote { pages, .. } => Some(&**pages),

@@ -293,8 +293,8 @@ fn metadata(path: &Path) -> io::Result<Option<fs::Metadata>> {
     }
 }
 
-/// Paths of open files of this process: these may be files, but no other file can be created next
-/// to them.
+/// Paths that stand for open files of this process. They may refer to files, but no other file can
+/// be created next to them.
 const OPEN: [&str; 4] = ["/dev/stdout", "/dev/stderr", "/dev/fd", "/proc/self/fd"];
 
 /// Whether the output is written directly.

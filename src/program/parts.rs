@@ -143,7 +143,8 @@ pub struct PartsOptions {
     /// then with --merge.
     ///
     /// All runs need the same settings, but can be on different machines. The plan and the parts
-    /// are in a folder next to the output, which has the output's name and .meniscus-parts.
+    /// are in a folder next to the output. Its name is that of the output, followed by
+    /// .meniscus-parts.
     #[arg(long, value_name = "N", value_parser = value_parser!(u32).range(1..), help_heading = "Clusters", hide_short_help = true)]
     pub parts: Option<u32>,
     /// Make part I, from 0 to N - 1. Parts can be made in any order, and again if a run was killed.
@@ -156,7 +157,8 @@ pub struct PartsOptions {
         hide_short_help = true
     )]
     part: Option<u32>,
-    /// Check all parts, and join them to the mesh, which has the same bytes as from a single run.
+    /// Check all parts, and join them into the mesh, which has the same bytes as that of a single
+    /// run.
     #[arg(
         long,
         requires = "parts",

@@ -20,8 +20,8 @@ pub struct RenderOptions {
     /// Meshes: files, a folder, a glob, or a pattern with {} for the frame number.
     #[arg(required = true, value_name = "MESH")]
     meshes: Vec<PathBuf>,
-    /// Picture of a mesh: .png. Of several meshes: a folder or a pattern with {} for one picture of
-    /// each, .apng for an animation, or .png for a contact sheet.
+    /// For one mesh: a .png. For several meshes: a folder or a pattern with {} (a picture of each
+    /// mesh), an .apng (an animation), or a .png (a contact sheet).
     #[arg(short, long)]
     output: PathBuf,
     /// Width and height in pixels
@@ -30,8 +30,8 @@ pub struct RenderOptions {
     size: Option<[usize; 2]>,
     /// Camera position [default: from the front and above, with everything in view].
     ///
-    /// Two or three numbers are the degrees around and above the meshes, and a zoom factor. Six
-    /// numbers are the position of the camera, and the point that it looks at.
+    /// Two numbers are the degrees around and above the meshes; an optional third is a zoom factor.
+    /// Six numbers are the position of the camera, and the point that it looks at.
     #[arg(long, value_name = "NUMBERS", value_delimiter = ',', allow_hyphen_values = true)]
     camera: Option<Vec<f64>>,
     /// Axis that points up [default: from the mesh file or the simulation's listing, else y].

@@ -523,7 +523,7 @@ pub struct Sheet {
     small: Option<SmallMeshes>,
 }
 
-/// A finished contact sheet. It displays as one line of text.
+/// A finished contact sheet. `Display` prints it as one line.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 #[must_use = "meshes may be missing on it"]

@@ -121,7 +121,7 @@ const LONG: Duration = Duration::from_millis(50);
 pub struct Meter<'a> {
     control: &'a Control,
     stage: Stage,
-    /// The range of the stage that the parts make up.
+    /// The range within the stage that the parts cover.
     span: [f64; 2],
     parts: usize,
     done: AtomicUsize,

@@ -16,7 +16,7 @@ pub struct Faults {
 }
 
 impl Faults {
-    /// Counts one call down; returns whether it must fail.
+    /// Decrements the count of calls; returns whether this call must fail.
     pub(super) fn strikes(countdown: &AtomicU64) -> bool {
         let count = |left: u64| (left > 0).then(|| left - 1);
         countdown.fetch_update(Ordering::Relaxed, Ordering::Relaxed, count) == Ok(1)

@@ -395,7 +395,7 @@ fn sized_water_ends_at_solids_and_keeps_its_level_up_to_them() {
             let [bias, rms] = mean_and_rms(&level);
             assert!(bias.abs() < 0.05 && rms < 0.1, "level {cell}, {centre:?}: {bias} {rms}");
         }
-        let with_less = at_solids.clone().cell(cell).threads(1).memory(MemoryBudget(24 << 20));
+        let with_less = at_solids.clone().cell(cell).threads(1).memory(MemoryBudget(40 << 20));
         assert!(water.mesh(&with_less) == mesh);
     }
 }
@@ -421,8 +421,9 @@ fn sized_particles_in_parts_give_the_mesh_of_a_single_run() {
         let whole = whole.to_mesh().unwrap();
         let parts = request.parts(&input, &output, 5);
         let plan = parts.plan().unwrap();
-        let kept: Vec<u64> = plan.parts.iter().map(|share| share.kept).collect();
-        assert!(kept.iter().any(|&kept| kept < water.sizes.len() as u64), "{kept:?}");
+        // In the periodic box there are images as well.
+        let all = plan.parts.iter().map(|share| share.kept).max().unwrap();
+        assert!(plan.parts.iter().any(|share| share.kept < all), "each part samples everything");
         (0..5).for_each(|part| drop(parts.part(part).unwrap()));
         assert!(parts.merge().unwrap().to_mesh().unwrap() == whole);
         std::fs::remove_dir_all(parts.folder()).unwrap();

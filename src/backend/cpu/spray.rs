@@ -63,9 +63,9 @@ pub(super) fn drops(recipe: &Recipe, sampled: &SampledDif, parts: &[CellBox]) ->
     parts.iter().filter_map(drop).collect()
 }
 
-/// The field on those of the `cells` of a region whose dual cells can have a surface; `None` if
-/// there is no surface. It consists of whole tiles like `cells`, or of all of them if `walls` do
-/// not cover these.
+/// The field on the part of `cells` in which dual cells can have a surface; `None` if there is no
+/// surface. Like `cells`, this part consists of whole tiles. If `walls` do not cover `cells`, it is
+/// all of them.
 pub(super) fn field(drops: &[DropField], cells: CellBox, walls: Option<CellBox>) -> Option<Block> {
     let inside = drops.iter().map(|drop| drop.inside.intersection(&cells));
     let inside = inside.filter(|inside| !inside.is_empty());

@@ -16,7 +16,8 @@ pub struct SampledDif {
     pub indicator: Indicator,
     /// The samples.
     pub dif: Arc<DifField>,
-    /// Clouds in cells 2, 4, ... times as wide, up to wide cells; made at the first access.
+    /// Clouds in cells that are 2, 4, ... times as wide as the grid's, up to wide cells. They are
+    /// made at the first access.
     wide: OnceLock<Vec<Arc<DifField>>>,
     /// The number of levels beyond the frame's wide cells.
     more_levels: u32,

@@ -20,7 +20,7 @@ pub enum Separator {
 }
 
 impl Syntax {
-    /// Fields between blanks, and decimal points, as simulators usually write.
+    /// Blanks between fields and a decimal point in numbers, as most simulators write them.
     pub const BLANKS: Self = Self { separator: Separator::Blanks, decimal: Decimal::Point };
 
     /// All supported combinations in order of preference. A comma is preferably a separator, not a

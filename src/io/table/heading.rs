@@ -10,7 +10,7 @@ use crate::io::number::{Decimal, is_overflow};
 use super::excerpt;
 use super::fields::{LineFields, Separator, Syntax, is_comment, lines, unquoted};
 
-/// Maximum number of lines before the names of the columns, without blank lines and comments.
+/// Maximum number of lines before the names of the columns, not counting blank lines and comments.
 const HEADER_LINES: usize = 32;
 /// Bytes in which the head is searched, doubled while these contain too few lines.
 pub const HEAD: usize = 64 << 10;

@@ -12,9 +12,9 @@ use super::source::{Corners, MeshSource};
 /// Bytes of memory that [`clustered`] needs for each vertex of the mesh.
 pub const BYTES_A_VERTEX: u64 = size_of::<u32>() as u64;
 
-/// A copy of `mesh`, which lies in `bounds`, with one vertex for each cell of a lattice of `cells`
-/// along the longest edge of that box: the mean of the mesh's vertices there. Triangles with two
-/// equal corners are left out, and so are normals and attributes.
+/// A coarser copy of `mesh`. The longest edge of its box `bounds` is divided into `cells` cells,
+/// and each cell gets one vertex: the mean of the mesh's vertices in it. Triangles with two equal
+/// corners are left out, and so are normals and attributes.
 ///
 /// # Errors
 /// If the mesh cannot be read from its scratch file.

@@ -197,8 +197,8 @@ pub struct MeteredMesh<'a> {
 }
 
 impl<'a> MeteredMesh<'a> {
-    /// Counts the reads of a mesh whose reader reads the vertices or triangles of each piece
-    /// several times.
+    /// Counts how often a mesh is read, if its reader goes through the vertices or triangles of
+    /// each piece several times.
     pub fn new(
         mesh: &'a dyn MeshSource,
         readings: usize,

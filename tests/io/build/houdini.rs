@@ -367,7 +367,7 @@ pub struct Container {
     /// Bytes of a chunk and of a block, unpacked.
     pub chunk: usize,
     pub block: usize,
-    /// Whether blocks are compressed as a stream for each byte of their numbers.
+    /// Whether each block is compressed as several streams, one for each byte of its numbers.
     pub split: bool,
 }
 

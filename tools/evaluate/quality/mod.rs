@@ -1,5 +1,5 @@
 //! Compares the quality of surfaces with those of other programs. Every program reads and writes
-//! files, by a table of command lines.
+//! files. A table gives their command lines.
 //!
 //! `tools/compare/quality` finds the programs, writes the table and runs this. Lengths are in
 //! spacings of the particles, which are 1 in all files. The best isovalue of a program is chosen on

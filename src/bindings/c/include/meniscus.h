@@ -418,8 +418,8 @@ typedef struct MeniscusEvent {
   // The warnings about a finished frame, one per line; NULL if there are none. Valid during the
   // callback.
   const char *warnings;
-  // The number of the frame, for stages, and for frames that finished or failed; negative before
-  // frame 0.
+  // The number of the frame, in events about stages and about frames that finished or failed.
+  // Frames before frame 0 have negative numbers.
   int64_t frame;
   // Frames that have finished or failed so far, if known.
   uint64_t done;
@@ -793,8 +793,8 @@ MeniscusStatus meniscus_options_set_numbers(struct MeniscusOptions *options,
 // Sets the function that is called with the progress of a frame, and its argument; a conversion
 // does not call it. NULL for no function.
 //
-// A simulation of meniscus_simulation_new calls it until that simulation is freed, any other call
-// until the call returns.
+// A simulation made by meniscus_simulation_new can call it until the simulation is freed. Any other
+// function calls it only before it returns.
 //
 // `options` is NULL or a handle that has not been freed.
 MeniscusStatus meniscus_options_on_progress(struct MeniscusOptions *options,

@@ -54,8 +54,8 @@ pub struct MeniscusEvent {
     /// The warnings about a finished frame, one per line; NULL if there are none. Valid during the
     /// callback.
     pub warnings: *const c_char,
-    /// The number of the frame, for stages, and for frames that finished or failed; negative before
-    /// frame 0.
+    /// The number of the frame, in events about stages and about frames that finished or failed.
+    /// Frames before frame 0 have negative numbers.
     pub frame: i64,
     /// Frames that have finished or failed so far, if known.
     pub done: u64,

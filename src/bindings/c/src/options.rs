@@ -440,8 +440,8 @@ pub unsafe extern "C" fn meniscus_options_set_numbers(
 /// Sets the function that is called with the progress of a frame, and its argument; a conversion
 /// does not call it. NULL for no function.
 ///
-/// A simulation of meniscus_simulation_new calls it until that simulation is freed, any other call
-/// until the call returns.
+/// A simulation made by meniscus_simulation_new can call it until the simulation is freed. Any
+/// other function calls it only before it returns.
 ///
 /// `options` is NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]

@@ -171,7 +171,8 @@ impl Frame {
         })
     }
 
-    /// Makes a surface with these keywords; others have the values of the constructor.
+    /// Makes a surface with these keywords. All other settings have the values from the
+    /// constructor.
     ///
     /// Keywords are those of ``reconstruct`` that do not need the particles. Threads and memory
     /// remain those of the frame.

@@ -245,7 +245,8 @@ def _surface(
         for name, values in attributes.items():
             empty.point_attributes[name] = np.empty((0, *values.shape[1:]), dtype)
         return empty, SurfaceReconstruction(nothing, UniformGrid(particles, (0, 0, 0), cell_size), inside)
-    # Named by numbers, because the mesh would rename attributes with a usual name of the velocity.
+    # Attributes get numbers as names, because the mesh would rename an attribute with a common name
+    # for velocity.
     numbered = {str(number): _floats(values) for number, values in enumerate(attributes.values())}
     whole = reconstruct(
         particles,
