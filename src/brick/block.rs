@@ -328,8 +328,11 @@ impl Block {
             if !any_full(piece) {
                 continue;
             }
-            let full = (first..).zip(piece).filter(|&(_, &sample)| sample > 0);
-            cells.extend(full.map(|(place, _)| self.cell(place)));
+            for (place, &sample) in (first..).zip(piece) {
+                if sample > 0 {
+                    cells.push(self.cell(place));
+                }
+            }
             if cells.len() > most {
                 return None;
             }

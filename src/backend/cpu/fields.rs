@@ -300,10 +300,9 @@ impl Fields for Blocks<'_> {
 
     fn filled(&mut self, clouds: &BlockField) -> Result<BlockField, StopSignal> {
         let (level, cells) = (clouds.level, clouds.block.cells());
+        let Some(solid) = self.solid else { return Ok(clouds.clone()) };
         let fill = fill(self.sampled, level);
-        let shares = self
-            .solid
-            .and_then(|solid| outside_of(solid, self.sampled, level, cells, fill.reach()));
+        let shares = outside_of(solid, self.sampled, level, cells, fill.reach());
         let Some(shares) = shares else { return Ok(clouds.clone()) };
         let clouds = self.gathered(level, shares.cells());
         let filled = fill.filled(&clouds, &shares, cells, self.walls(level));
