@@ -5,7 +5,9 @@ use std::sync::Arc;
 
 use crate::brick::Block;
 use crate::field::blur::{Weights, blur};
-use crate::field::distance::{DistanceFilters, away, outlying, refined, spread, wide_cells};
+use crate::field::distance::{
+    DistanceFilters, away, outlying, outlying_part, refined, spread, wide_cells,
+};
 use crate::field::indicator::WideCells;
 use crate::field::recipe::{
     Recipe, ThinShares, WideFields, surfaces_and_bulk, thin_shares, walls_at,
@@ -54,6 +56,8 @@ impl OctaveSurface {
 /// The drops of an octave, in its own cells.
 struct OctaveShares {
     octave: usize,
+    /// Those of the finest cells in which particles stand out.
+    part: CellBox,
     /// The distance by which nearby particles lie outside of the calm surface, in wide cells.
     outlying: Block,
     /// The shares of drops and sheets, in the cells in which they are made.
@@ -294,17 +298,26 @@ impl<'a> SizedField<'a> {
             return None;
         }
         walls.into_iter().for_each(|walls| outlying.repeat_edges(walls));
+        let wide_level = octave as u32 + level;
+        let part = outlying_part(&outlying, wide_cells(wide_level, cells), stands_out.begin());
+        // A wide cell also affects its neighbours' cells.
+        let further = i32::from(wide_level > 0);
+        let CellBox { lo, hi } = part.grown(further, further);
+        let part = cells.intersection(&CellBox { lo: lo << wide_level, hi: hi << wide_level });
+        if part.is_empty() {
+            return None;
+        }
         let own = |level: u32, cells: CellBox| {
             sampled.wide(level).gather_within(cells, self.walls(octave as u32 + level))
         };
-        let cells = self.cells(octave, cells);
-        let mut blocks = Blocks::of_density(recipe, sampled, &own, solid, cells);
+        let own_part = self.cells(octave, part);
+        let mut blocks = Blocks::of_density(recipe, sampled, &own, solid, own_part);
         let ThinShares { shares, certainty } = thin_shares(distances, &mut blocks).ok()?;
         let thin = ThinShares {
             shares: Rc::unwrap_or_clone(shares.block),
             certainty: certainty.map(|certainty| Rc::unwrap_or_clone(certainty.block)),
         };
-        Some(OctaveShares { octave, outlying, thin })
+        Some(OctaveShares { octave, part, outlying, thin })
     }
 
     /// Whether drops can add to the inside.
@@ -316,14 +329,14 @@ impl<'a> SizedField<'a> {
 
     /// Joins drops to a field in the finest spacings.
     fn with_drops(&self, field: Block, made: &OctaveShares) -> Block {
-        let OctaveShares { octave, outlying, thin } = made;
-        let DistanceFilters { level, drops_level, stands_out, drops, .. } = self.distances(*octave);
-        let (cells, of) = (field.cells(), *octave as u32);
+        let &OctaveShares { octave, part: cells, ref outlying, ref thin } = made;
+        let DistanceFilters { level, drops_level, stands_out, drops, .. } = self.distances(octave);
+        let of = octave as u32;
         let near = &refined(outlying, of + level, cells);
         let on_cells = |block: &Block| refined(block, of + drops_level, cells);
         let (shares, certainty) = (&on_cells(&thin.shares), thin.certainty.as_ref().map(on_cells));
         let certainty = certainty.as_ref();
-        let (sizes, growth) = (self.sizes(*octave, cells), self.growth);
+        let (sizes, growth) = (self.sizes(octave, cells), self.growth);
         let sizes = sizes.as_ref();
         OctaveDrops { octave: of, near, shares, certainty, sizes, drops, growth, stands_out }
             .joined(field)

@@ -248,6 +248,12 @@ impl SizedClouds {
 fn add(sum: &mut Block, block: &Block, factor: f64) {
     const BITS: u32 = 16;
     let factor = (factor * f64::from(1_u32 << BITS)).round() as u64;
+    if factor == 1 << BITS {
+        for (to, &sample) in sum.samples_mut().iter_mut().zip(block.samples()) {
+            *to = to.saturating_add(sample);
+        }
+        return;
+    }
     for (to, &sample) in sum.samples_mut().iter_mut().zip(block.samples()) {
         let scaled = (u64::from(sample) * factor + (1 << (BITS - 1))) >> BITS;
         *to = (u64::from(*to) + scaled).min(u16::MAX.into()) as u16;

@@ -1,7 +1,9 @@
 //! Distances of several octaves, mixed by the sizes of nearby particles, and the drops of each.
 
+use glam::IVec3;
+
 use crate::brick::Block;
-use crate::field::distance::{Drops, NONE, StandsOut, ZERO, away};
+use crate::field::distance::{Drops, NONE, StandsOut, ZERO, away, greatest_of};
 
 /// 1, of shares.
 const WHOLE: u32 = 1 << 15;
@@ -86,31 +88,38 @@ pub struct OctaveDrops<'a> {
 }
 
 impl OctaveDrops<'_> {
-    /// Joins the drops to a field in the finest spacings.
+    /// Joins the drops to a field in the finest spacings, on the cells of the shares.
     ///
     /// # Panics
-    /// If the fields are on different cells.
+    /// If the other fields are on different cells, or `field` does not cover them.
     #[must_use]
     pub fn joined(&self, mut field: Block) -> Block {
         let Self { octave, near, shares, certainty, sizes, drops, growth, stands_out } = *self;
-        let cells = field.cells();
-        assert!(near.cells() == cells && shares.cells() == cells, "one box of cells");
-        let mut others = [certainty, sizes].into_iter().flatten();
+        let cells = shares.cells();
+        let mut others = [Some(near), certainty, sizes].into_iter().flatten();
         assert!(others.all(|other| other.cells() == cells), "one box of cells");
-        for (at, to) in field.samples_mut().iter_mut().enumerate() {
-            let certain = certainty.map_or(0, |certainty| certainty.samples()[at]);
-            let weight = stands_out.ramp.of(stands_out.of_sheet(near.samples()[at], certain));
-            if weight == 0 {
+        let width = cells.size().x as usize;
+        for (row, ([y, z], near)) in near.rows(cells).enumerate() {
+            if greatest_of(near) <= stands_out.begin() {
                 continue;
             }
-            let size = sizes.map_or(0, |sizes| sizes.samples()[at]);
-            let more = (i64::from(growth) * i64::from(exp2(size) - WHOLE)) >> 15;
-            let distance =
-                (drops.radius + more as i32 - away(shares.samples()[at], drops.width)) << octave;
-            let bulk = i32::from(*to) - ZERO;
-            let out = (distance - bulk).max(0);
-            let joined = bulk + ((i64::from(out) * i64::from(weight) + 2048) >> 12) as i32;
-            *to = (joined + ZERO).clamp(i32::from(NONE) + 1, u16::MAX.into()) as u16;
+            let first = field.index(IVec3::new(cells.lo.x, y, z));
+            let to = &mut field.samples_mut()[first..first + width];
+            for ((at, to), &near) in (row * width..).zip(to).zip(near) {
+                let certain = certainty.map_or(0, |certainty| certainty.samples()[at]);
+                let weight = stands_out.ramp.of(stands_out.of_sheet(near, certain));
+                if weight == 0 {
+                    continue;
+                }
+                let size = sizes.map_or(0, |sizes| sizes.samples()[at]);
+                let more = (i64::from(growth) * i64::from(exp2(size) - WHOLE)) >> 15;
+                let radius = drops.radius + more as i32;
+                let distance = (radius - away(shares.samples()[at], drops.width)) << octave;
+                let bulk = i32::from(*to) - ZERO;
+                let out = (distance - bulk).max(0);
+                let joined = bulk + ((i64::from(out) * i64::from(weight) + 2048) >> 12) as i32;
+                *to = (joined + ZERO).clamp(i32::from(NONE) + 1, u16::MAX.into()) as u16;
+            }
         }
         field
     }
