@@ -9,7 +9,7 @@ use crate::grid::units::Sigma;
 use crate::grid::{Grid, PeriodicMesh};
 use crate::surface::dual_mc::{Crossings, Normals};
 
-use super::surface::{ExtractableField, region_by_region};
+use super::surface::{ExtractableField, cube_by_cube};
 use super::{FrameError, Resources};
 
 /// The kernels of a frame.
@@ -53,7 +53,10 @@ impl SampledKernels {
             crossings: Crossings::Fractions,
             attribute_smoothing: self.attribute_smoothing.clone(),
             nothing: FrameError::NoKernelSurface,
-            contour: region_by_region(move |region| self.field.mesh(region, normals, walls)),
+            contour: cube_by_cube(1, move |regions| {
+                let meshes = regions.iter().map(|&region| self.field.mesh(region, normals, walls));
+                meshes.filter_map(Result::transpose).collect()
+            }),
         }
     }
 }

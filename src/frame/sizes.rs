@@ -1,7 +1,7 @@
 //! A frame of particles of several sizes.
 
 use crate::backend::SizedField;
-use crate::brick::{Bins, FrameFacts};
+use crate::brick::{Bins, Block, FrameFacts};
 use crate::field::blur::Smoothing;
 use crate::field::calibration::{Calibration, MeasuredCalibration, Plateau};
 use crate::field::distance::UNITS;
@@ -12,7 +12,7 @@ use crate::grid::CellBox;
 use crate::surface::dual_mc::{block_mesh, dual_cells};
 
 use super::sink::FieldSink;
-use super::surface::{ExtractableField, region_by_region};
+use super::surface::{ExtractableField, cube_by_cube};
 use super::{FrameError, Resources, SizedParticles, Surfacing};
 
 /// The clouds of a frame's particles, by octaves of their sizes.
@@ -24,6 +24,8 @@ pub(super) struct SampledSizes {
     density: Option<f64>,
 }
 
+/// Edge of a cube of blocks that are meshed together, in blocks.
+const BLOCKS_TOGETHER: i32 = 2;
 /// Bins of an octave per batch of pages.
 const TOGETHER: usize = 1 << 7;
 
@@ -112,13 +114,16 @@ impl SampledSizes {
             crossings: iso.into(),
             attribute_smoothing: self.attribute_smoothing(surfacing),
             nothing: FrameError::no_surface(field.recipe()),
-            contour: region_by_region(move |region| {
-                let away = walls.is_none_or(|walls| walls.covers(&dual_cells(region)));
-                let Some(mut samples) = field.on(normals.cells(region), away) else {
-                    return Ok(None);
+            contour: cube_by_cube(BLOCKS_TOGETHER, move |regions| {
+                let away = |region| walls.is_none_or(|walls| walls.covers(&dual_cells(region)));
+                let boxes = regions.iter().map(|&region| (normals.cells(region), away(region)));
+                let fields = field.on_each(boxes.collect());
+                let mesh = |(field, &region): (Option<Block>, &CellBox)| {
+                    let mut field = field?;
+                    faces.into_iter().for_each(|faces| field.repeat_edges(faces));
+                    block_mesh(&field, region, iso, normals, walls)
                 };
-                faces.into_iter().for_each(|faces| samples.repeat_edges(faces));
-                Ok(block_mesh(&samples, region, iso, normals, walls))
+                Ok(fields.zip(regions).filter_map(mesh).collect())
             }),
         }
     }

@@ -36,23 +36,28 @@ pub(super) type Push<'a> = dyn FnMut(Vec<BlockMesh>) -> io::Result<()> + 'a;
 type Contour<'a> =
     dyn Fn(&[CellBox], &Meter<'_>, &Finish<'_>, &mut Push<'_>) -> io::Result<()> + Sync + 'a;
 
-/// Meshes each region with `mesh`, and finishes the mesh on the same thread: sums of a field and of
-/// attributes use different resources of a core, so they run well side by side.
-pub(super) fn region_by_region<'a>(
-    mesh: impl Fn(CellBox) -> io::Result<Option<BlockMesh>> + Sync + 'a,
+/// Meshes the regions of each cube of `edge` blocks with `mesh`, and finishes their meshes on the
+/// same thread: sums of a field and of attributes use different resources of a core, so they run
+/// well side by side.
+pub(super) fn cube_by_cube<'a>(
+    edge: i32,
+    mesh: impl Fn(&[CellBox]) -> io::Result<Vec<BlockMesh>> + Sync + 'a,
 ) -> Box<Contour<'a>> {
     Box::new(move |regions, meter, finish, push| {
-        let block = |&region: &CellBox| {
+        let cube = |region: &CellBox| region.lo.div_euclid(IVec3::splat(edge * BLOCK));
+        let meshes = |regions: &[CellBox]| {
             if !meter.goes_on() {
-                return Ok(None);
+                return Ok(Vec::new());
             }
-            let mut block = mesh(region)?;
-            block.as_mut().map_or(Ok(()), finish)?;
-            meter.add(1);
-            Ok(block)
+            let mut blocks = mesh(regions)?;
+            blocks.iter_mut().try_for_each(finish)?;
+            meter.add(regions.len());
+            Ok(blocks)
         };
         regions.chunks(REGIONS_TOGETHER).try_for_each(|regions| {
-            let blocks: Vec<_> = regions.par_iter().map(block).collect::<io::Result<_>>()?;
+            // In Morton order neighbours are consecutive.
+            let cubes: Vec<_> = regions.chunk_by(|a, b| cube(a) == cube(b)).collect();
+            let blocks: Vec<_> = cubes.into_par_iter().map(meshes).collect::<io::Result<_>>()?;
             push(blocks.into_iter().flatten().collect())
         })
     })

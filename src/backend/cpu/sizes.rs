@@ -141,18 +141,48 @@ impl<'a> SizedField<'a> {
         walls_at(level, self.clouds.octave(0).facts.walls())
     }
 
-    /// Makes the final field on a box of the finest cells; `None` if the bulk shows that no surface
-    /// can pass through it. `away_from_walls` says whether the box is away from walls. A sample
-    /// does not depend on the box.
-    #[must_use]
-    pub fn on(&self, cells: CellBox, away_from_walls: bool) -> Option<Block> {
+    /// Makes the final field on each of some nearby boxes of the finest cells, one after another;
+    /// `None` if the bulk shows that no surface can pass through the box. Each box comes with
+    /// whether it is away from walls. A sample does not depend on the boxes, which share the
+    /// surfaces of octaves if this saves work.
+    pub fn on_each(&self, boxes: Vec<(CellBox, bool)>) -> impl Iterator<Item = Option<Block>> {
+        let none = || (0..self.clouds.octaves()).map(|_| None).collect();
+        let all = boxes.iter().fold(CellBox::EMPTY, |all, (cells, _)| all.union(cells));
+        let apart: usize = boxes.iter().map(|(cells, _)| self.volume(*cells)).sum();
+        let together = self.volume(all) <= apart;
+        let mut of_all: Vec<Option<OctaveSurface>> = none();
+        boxes.into_iter().map(move |(cells, away_from_walls)| {
+            if together {
+                self.on((cells, all), away_from_walls, &mut of_all)
+            } else {
+                self.on((cells, cells), away_from_walls, &mut none())
+            }
+        })
+    }
+
+    /// The number of wide cells of all octaves from which the surfaces on a box of the finest cells
+    /// are made.
+    fn volume(&self, cells: CellBox) -> usize {
+        let around = |octave| {
+            let halo = self.distances(octave).wide_halo();
+            self.wide(octave, cells).grown(halo, halo)
+        };
+        (0..self.clouds.octaves()).map(|octave| around(octave).volume()).sum()
+    }
+
+    /// Makes the final field on some of the finest cells, with the surfaces of octaves for a box
+    /// that contains them.
+    fn on(
+        &self,
+        (cells, around): (CellBox, CellBox),
+        away_from_walls: bool,
+        surfaces: &mut [Option<OctaveSurface>],
+    ) -> Option<Block> {
         let solid = self.solid.as_deref().filter(|solid| self.is_at(solid, cells));
         // At a solid, fluid has a surface even if it is all inside.
         let away_from_walls = away_from_walls && solid.is_none();
-        let mut surfaces: Vec<Option<OctaveSurface>> =
-            (0..self.clouds.octaves()).map(|_| None).collect();
-        self.make(&mut surfaces, 0, cells);
-        let bulk = surfaces[0].as_ref().map(|surface| surface.bulk.clone())?;
+        self.make(surfaces, 0, around);
+        let bulk = surfaces[0].as_ref()?.bulk.part(self.wide(0, cells));
         // Drops only add to the inside.
         let threshold = self.iso().threshold();
         if away_from_walls && bulk.samples().iter().all(|&sample| sample > threshold) {
@@ -160,7 +190,7 @@ impl<'a> SizedField<'a> {
         }
         let octaves = (0..surfaces.len()).rev();
         let drops: Vec<OctaveShares> =
-            octaves.filter_map(|octave| self.drops(octave, &mut surfaces, cells)).collect();
+            octaves.filter_map(|octave| self.drops(octave, surfaces, (cells, around))).collect();
         if bulk.samples().iter().all(|&sample| sample <= threshold)
             && !drops.iter().any(|drops| self.has_inside(drops))
         {
@@ -276,20 +306,22 @@ impl<'a> SizedField<'a> {
         &self,
         octave: usize,
         surfaces: &mut [Option<OctaveSurface>],
-        cells: CellBox,
+        (cells, around): (CellBox, CellBox),
     ) -> Option<OctaveShares> {
         let (recipe, distances) = &self.recipes[octave.min(1)];
         let DistanceFilters { level, least, stands_out, .. } = distances;
         let sampled = self.clouds.octave(octave);
         // Particles of the octave outside of the calm surface.
         let walls = self.walls(octave as u32 + level);
-        let clouds = sampled.wide(*level).gather_within(self.wide(octave, cells), walls);
+        let wide = self.wide(octave, cells);
+        let clouds = sampled.wide(*level).gather_within(wide, walls);
         if clouds.samples().iter().all(|sample| sample < least) {
             return None;
         }
-        self.make(surfaces, octave, cells);
+        self.make(surfaces, octave, around);
         let OctaveSurface { calm, fine, .. } = surfaces[octave].as_ref()?;
-        let mut outlying = outlying([calm, fine], &clouds, (*least, stands_out));
+        let [calm, fine] = [calm, fine].map(|field| field.part(wide));
+        let mut outlying = outlying([&calm, &fine], &clouds, (*least, stands_out));
         let solid = self.solid.as_deref();
         let outside = solid.and_then(|solid| outside_of(solid, sampled, *level, clouds.cells(), 0));
         outside.iter().for_each(|outside| none_inside(&mut outlying, outside));
