@@ -118,8 +118,8 @@ impl SettingConflict {
             ),
             (Conflict::Sampled, _) => {
                 format!(
-                    "{setting} cannot change in a frame that is already sampled; sample the \
-                     particles again"
+                    "the setting {setting} cannot change in a frame that is already sampled; sample \
+                     the particles again"
                 )
             }
             (Conflict::OnDevice, _) => {
@@ -129,7 +129,8 @@ impl SettingConflict {
                 format!("{}: {setting} applies only to .glb and .vdb", path.display())
             }
             (Conflict::Format { format, .. }, "up") => format!(
-                "{setting} z: y always points up in {format}; use {} z if z points up in the particles",
+                "{setting} z is not possible: in {format}, y always points up; use {} z if z points \
+                 up in the particles",
                 named("particles_up")
             ),
             (Conflict::Format { path, format }, _) => {

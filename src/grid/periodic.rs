@@ -67,7 +67,9 @@ pub enum PeriodicError {
     #[error("periodic-mesh can only be set with a periodic box")]
     NoBox,
     /// Walls along a periodic axis.
-    #[error("the domain has a wall along {axis}, which is periodic: leave that side open")]
+    #[error(
+        "the domain has a wall at an end of {axis}, which is periodic: leave both ends of {axis} open"
+    )]
     Walled {
         /// x, y or z.
         axis: char,
@@ -127,7 +129,7 @@ impl Periodic {
         Ok(Self { faces, reach, period, reach_length })
     }
 
-    /// The same box on a grid with cells 2^`octaves` times as wide.
+    /// Converts the box to a grid with cells 2^`octaves` times as wide.
     #[must_use]
     pub fn in_wider_cells(self, octaves: u32) -> Self {
         let Self { faces, reach, period, reach_length } = self;

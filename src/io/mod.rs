@@ -143,7 +143,10 @@ impl fmt::Display for UnreadPart {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Attribute(AttributeInfo { name, components, .. }) => {
-                write!(f, "attribute {name:?} (components: {components}), which some pieces lack")
+                write!(
+                    f,
+                    "attribute {name:?} (components: {components}), which some parts of the frame lack"
+                )
             }
             Self::Block { name, holds } => write!(f, "block {name:?}, which contains {holds}"),
             Self::Primitives { kinds, points } => {

@@ -186,7 +186,7 @@ fn conflicts(text: &mut String) {
         ("cell", Conflict::Packed(path("frame.mnf"))),
         ("smooth", Conflict::Packing),
         ("size", Conflict::PackedSizes),
-        ("solid", Conflict::SeveralSizes { attribute: "pscale".into() }),
+        ("method", Conflict::SeveralSizes { attribute: "pscale".into() }),
         ("cell", Conflict::Sampled),
         ("simplify", Conflict::OnDevice),
         ("compress", Conflict::Format { path: mesh(), format: MeshFormat::Obj }),

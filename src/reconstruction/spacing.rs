@@ -318,14 +318,14 @@ impl fmt::Display for SpacingWarning {
                     Some(SpacingMistake::Unit(factor)) if *factor < 1.0 => {
                         write!(
                             f,
-                            "; it may be in a unit {} times larger than the positions'",
+                            "; its unit may be {} times larger than that of the positions",
                             1.0 / factor
                         )?;
                     }
                     Some(SpacingMistake::Unit(factor)) => {
                         write!(
                             f,
-                            "; it may be in a unit {factor} times smaller than the positions'"
+                            "; its unit may be {factor} times smaller than that of the positions"
                         )?;
                     }
                     None => {}

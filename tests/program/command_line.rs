@@ -850,7 +850,7 @@ fn invalid_simplify_component_compress_and_up_options_are_refused() {
         (&["a.ply", "--simplify", "nan"], "--simplify"),
         (&["a.ply", "--smallest-component", "-1"], "--smallest-component"),
         (&["a.ply", "--compress"], "--compress applies only to .glb"),
-        (&["a.glb", "--up", "z"], "y always points up in .glb; use --particles-up z"),
+        (&["a.glb", "--up", "z"], "in .glb, y always points up; use --particles-up z"),
     ] {
         assert_refused(folder.path(), &[&ball[..], arguments].concat(), 2, &[message]);
     }
@@ -860,7 +860,7 @@ fn invalid_simplify_component_compress_and_up_options_are_refused() {
         &all,
         3,
         &[
-            "all of its 1 components are below the smallest component; use a smaller --smallest-component",
+            "all of its 1 components are below the limit smallest-component; use a smaller --smallest-component",
         ],
     );
 }

@@ -260,7 +260,9 @@ fn settings_and_inputs_changed_since_the_plan_are_refused_by_name() {
     let of_twin =
         |step: &[&'static str]| [&["twin.bgeo", "-o", "m.ply", "--parts", "3"], step].concat();
     for step in [&["--plan"][..], &["--part", "0"], &["--merge"]] {
-        assert!(run(folder, &of_twin(step), 3).contains("twin.bgeo: is not the file for which"));
+        assert!(
+            run(folder, &of_twin(step), 3).contains("twin.bgeo: this is not the file for which")
+        );
     }
     assert_eq!(fs::read(&plan).unwrap(), kept);
     run(folder, &of_twin(&["--plan", "--resume"]), 0);

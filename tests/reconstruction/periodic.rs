@@ -288,7 +288,11 @@ fn invalid_periodic_boxes_are_refused_with_the_reason() {
         (&["--periodic", "0,-,nan,24,-,24"], 2, "must be finite, and the second"),
         (&["--periodic", "0,-,0,inf,-,24"], 2, "must be finite, and the second"),
         (&["--periodic", "0,-,0,24,-,20"], 2, "20 wide along z, but must be at least"),
-        (&["--periodic", BOX, "--domain", "0,0,0,24,20,24"], 2, "along x, which is periodic"),
+        (
+            &["--periodic", BOX, "--domain", "0,0,0,24,20,24"],
+            2,
+            "at an end of x, which is periodic",
+        ),
         (&["--periodic", "0,-,0,1e9,-,24"], 2, "from the origin"),
         (&["--periodic", BOX, "--cell", "1e-12"], 2, "smaller than 0.1 spacings"),
         (

@@ -1377,6 +1377,6 @@ fn frames_emptied_by_a_condition_and_omitted_attributes_are_reported() {
     }
     let both = ["f_{}.csv", "g_{}.xyz", "--together", "-o", "j_{}.ply", "--spacing", "0.5"];
     let messages = run(folder.path(), &both, 0);
-    assert_eq!(messages.matches("left out: attribute Type").count(), 1, "{messages}");
+    assert_eq!(messages.matches("left out: attribute \"Type\"").count(), 1, "{messages}");
     assert!(messages.contains("left out of 3 frames"), "{messages}");
 }

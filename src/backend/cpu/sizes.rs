@@ -56,7 +56,7 @@ impl OctaveSurface {
 /// The drops of an octave, in its own cells.
 struct OctaveShares {
     octave: usize,
-    /// Those of the finest cells in which particles stand out.
+    /// A box of the finest cells that contains all in which particles stand out.
     part: CellBox,
     /// The distance by which nearby particles lie outside of the calm surface, in wide cells.
     outlying: Block,
