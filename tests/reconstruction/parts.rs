@@ -277,7 +277,7 @@ fn settings_and_inputs_changed_since_the_plan_are_refused_by_name() {
     let bytes = fs::read(folder.join("dam.bgeo")).unwrap();
     fs::write(folder.join("dam.bgeo"), bytes).unwrap();
     for step in [&["--part", "0", "--overwrite"][..], &["--merge", "--overwrite"]] {
-        assert!(run(folder, &with(step), 3).contains("or has changed since"));
+        assert!(run(folder, &with(step), 3).contains("or it has changed since"));
     }
     fs::remove_file(folder.join("dam.bgeo")).unwrap();
     assert!(run(folder, &with(&["--merge", "--overwrite"]), 3).contains("dam.bgeo"));

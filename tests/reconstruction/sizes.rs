@@ -375,7 +375,7 @@ fn sized_water_ends_at_solids_and_keeps_its_level_up_to_them() {
         })
         .collect();
     let plain = request().domain([0.0; 3], [96.0, 64.0, f64::INFINITY]);
-    let at_solids = plain.clone().solids(&solids).solid_offset(0.0);
+    let at_solids = plain.solids(&solids).solid_offset(0.0);
     for cell in [0.25, 0.5] {
         let mesh = water.mesh(&at_solids.clone().cell(cell));
         assert_eq!(watertight::defect(&mesh), None);
@@ -415,7 +415,7 @@ fn sized_particles_in_parts_give_the_mesh_of_a_single_run() {
     for request in [
         plain.clone().memory(MemoryBudget(64 << 20)),
         plain.clone().periodic(faces),
-        plain.clone().solids([ball.to_str().unwrap()]),
+        plain.solids([ball.to_str().unwrap()]),
     ] {
         let whole = request.open(&input).unwrap().sample().unwrap().surface().unwrap();
         let whole = whole.to_mesh().unwrap();

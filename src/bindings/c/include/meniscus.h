@@ -793,8 +793,8 @@ MeniscusStatus meniscus_options_set_numbers(struct MeniscusOptions *options,
 // Sets the function that is called with the progress of a frame, and its argument; a conversion
 // does not call it. NULL for no function.
 //
-// A simulation made by meniscus_simulation_new can call it until the simulation is freed. Any other
-// function calls it only before it returns.
+// A simulation made by meniscus_simulation_new can call it until the simulation is freed. Any
+// other function calls it only before it returns.
 //
 // `options` is NULL or a handle that has not been freed.
 MeniscusStatus meniscus_options_on_progress(struct MeniscusOptions *options,
