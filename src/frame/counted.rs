@@ -172,7 +172,8 @@ impl Sampling {
         let attributes = particles.attributes();
         let sorted = self.sorted_attributes().into_iter();
         let components = sorted.map(|index| attributes[index].components).collect();
-        let extraction = surfacing.extraction(*method, *spacing, grid, components);
+        let coarsest = self.coarsest();
+        let extraction = surfacing.extraction(*method, *spacing, coarsest, grid, components);
         let shape = method.indicator().map(|kind| kind.shape(*side));
         // Meshed blocks also have surface from the bins next to them.
         let near = |bin: IVec3| {
@@ -196,7 +197,7 @@ impl Sampling {
         bins: u64,
     ) -> u64 {
         let extraction =
-            surfacing.extraction(self.method, self.spacing, &self.grid, components.to_vec());
+            surfacing.extraction(self.method, self.spacing, None, &self.grid, components.to_vec());
         let estimate =
             MemoryEstimate::without_particles(&extraction).and_backend(self.resources.host_bytes());
         let index = blocks * Spool::BLOCK_BYTES + bins * OccupiedTiles::BIN_BYTES;

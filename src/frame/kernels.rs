@@ -53,8 +53,12 @@ impl SampledKernels {
             crossings: Crossings::Fractions,
             attribute_smoothing: self.attribute_smoothing.clone(),
             nothing: FrameError::NoKernelSurface,
-            contour: cube_by_cube(1, move |regions| {
-                let meshes = regions.iter().map(|&region| self.field.mesh(region, normals, walls));
+            contour: cube_by_cube(1, move |regions, meter| {
+                let regions = regions.iter().take_while(|_| meter.goes_on());
+                let meshes = regions.map(|&region| {
+                    meter.add(1);
+                    self.field.mesh(region, normals, walls)
+                });
                 meshes.filter_map(Result::transpose).collect()
             }),
         }

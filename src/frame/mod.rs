@@ -212,7 +212,7 @@ impl Engine {
     pub fn from_sampled(sampled: SampledDif, surfacing: &Surfacing, resources: Resources) -> Self {
         let SampledDif { facts, indicator, dif, .. } = &sampled;
         let method = Method::from(*indicator);
-        let extraction = surfacing.extraction(method, facts.spacing, &facts.grid, Vec::new());
+        let extraction = surfacing.extraction(method, facts.spacing, None, &facts.grid, Vec::new());
         let estimate = MemoryEstimate::of_surface(dif.infos(), dif.shape(), &extraction);
         let estimate = estimate.and_backend(resources.host_bytes());
         let surface_share = estimate.surface_share(resources.budget);

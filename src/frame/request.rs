@@ -244,11 +244,13 @@ impl Surfacing {
         SolidFill::bytes(wide.grown(distances.widest_halo(), distances.widest_halo()))
     }
 
-    /// The memory of the surface, for a spacing in cells and the components of its attributes.
+    /// The memory of the surface, for a spacing, the largest size of particles of several sizes,
+    /// and the components of its attributes.
     pub(super) fn extraction(
         &self,
         method: Method,
         spacing: Option<f64>,
+        coarsest: Option<f64>,
         grid: &Grid,
         components: Vec<usize>,
     ) -> Extraction {
@@ -265,9 +267,16 @@ impl Surfacing {
         };
         let Some(kind) = method.indicator() else { return plain };
         let filters = self.filters(kind, spacing, grid);
+        let block_bytes = match (spacing_cells, coarsest) {
+            (Some(cells), Some(coarsest)) => {
+                let octaves = Octaves::new(cells, coarsest / grid.cell_size(), 1.0).count;
+                SizedField::block_bytes(self.smooth, self.sheets, cells, octaves)
+            }
+            _ => filters.block_bytes(),
+        };
         Extraction {
-            block_bytes: filters.block_bytes() + self.fill_bytes(&filters, spacing, grid),
-            carried_halo: self.attribute_smoothing(kind, spacing, grid).halo(),
+            block_bytes: block_bytes + self.fill_bytes(&filters, spacing, grid),
+            carried_halo: self.halos(kind, spacing, coarsest, grid)[1],
             keeps_details: filters.keeps_details(),
             wide_levels: match kind {
                 IndicatorKind::Cloud => WideCells::of_spacing(spacing_cells.unwrap_or(1.0)).level,

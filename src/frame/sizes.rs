@@ -114,16 +114,18 @@ impl SampledSizes {
             crossings: iso.into(),
             attribute_smoothing: self.attribute_smoothing(surfacing),
             nothing: FrameError::no_surface(field.recipe()),
-            contour: cube_by_cube(BLOCKS_TOGETHER, move |regions| {
+            contour: cube_by_cube(BLOCKS_TOGETHER, move |regions, meter| {
                 let away = |region| walls.is_none_or(|walls| walls.covers(&dual_cells(region)));
                 let boxes = regions.iter().map(|&region| (normals.cells(region), away(region)));
                 let fields = field.on_each(boxes.collect());
-                let mesh = |(field, &region): (Option<Block>, &CellBox)| {
+                let mesh = |(&region, field): (&CellBox, Option<Block>)| {
+                    meter.add(1);
                     let mut field = field?;
                     faces.into_iter().for_each(|faces| field.repeat_edges(faces));
                     block_mesh(&field, region, iso, normals, walls)
                 };
-                Ok(fields.zip(regions).filter_map(mesh).collect())
+                let regions = regions.iter().take_while(|_| meter.goes_on());
+                Ok(regions.zip(fields).filter_map(mesh).collect())
             }),
         }
     }

@@ -36,23 +36,22 @@ pub(super) type Push<'a> = dyn FnMut(Vec<BlockMesh>) -> io::Result<()> + 'a;
 type Contour<'a> =
     dyn Fn(&[CellBox], &Meter<'_>, &Finish<'_>, &mut Push<'_>) -> io::Result<()> + Sync + 'a;
 
-/// Meshes the regions of each cube of `edge` blocks with `mesh`, and finishes their meshes on the
-/// same thread: sums of a field and of attributes use different resources of a core, so they run
-/// well side by side.
+/// Meshes the regions of each cube of `edge` blocks with `mesh`, which counts them, and finishes
+/// their meshes on the same thread: sums of a field and of attributes use different resources of a
+/// core, so they run well side by side.
 pub(super) fn cube_by_cube<'a>(
     edge: i32,
-    mesh: impl Fn(&[CellBox]) -> io::Result<Vec<BlockMesh>> + Sync + 'a,
+    mesh: impl Fn(&[CellBox], &Meter<'_>) -> io::Result<Vec<BlockMesh>> + Sync + 'a,
 ) -> Box<Contour<'a>> {
     Box::new(move |regions, meter, finish, push| {
+        // Of few blocks, each is by itself, so that all threads have work.
+        let few = (edge * edge * edge) as usize * rayon::current_num_threads();
+        let edge = if regions.len() < few { 1 } else { edge };
         let cube = |region: &CellBox| region.lo.div_euclid(IVec3::splat(edge * BLOCK));
         let meshes = |regions: &[CellBox]| {
-            if !meter.goes_on() {
-                return Ok(Vec::new());
-            }
-            let mut blocks = mesh(regions)?;
+            let mut blocks = mesh(regions, meter)?;
             blocks.iter_mut().try_for_each(finish)?;
-            meter.add(regions.len());
-            Ok(blocks)
+            Ok::<_, io::Error>(blocks)
         };
         regions.chunks(REGIONS_TOGETHER).try_for_each(|regions| {
             // In Morton order neighbours are consecutive.

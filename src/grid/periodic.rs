@@ -129,7 +129,8 @@ impl Periodic {
         Ok(Self { faces, reach, period, reach_length })
     }
 
-    /// Converts the box to a grid with cells 2^`octaves` times as wide.
+    /// Converts the box to a grid with cells 2^`octaves` times as wide. Only the faces stay exact:
+    /// cells and steps are rounded.
     #[must_use]
     pub fn in_wider_cells(self, octaves: u32) -> Self {
         let Self { faces, reach, period, reach_length } = self;

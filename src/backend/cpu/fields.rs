@@ -96,7 +96,7 @@ fn fill(sampled: &SampledDif, level: u32) -> SolidFill {
 
 /// The shares of the clouds of some cells 2^`level` times as wide that are outside of a solid;
 /// `None` if it is not near.
-pub(super) fn outside_of(
+fn outside_of(
     solid: &Solid,
     sampled: &SampledDif,
     level: u32,
@@ -117,22 +117,18 @@ pub(super) fn outside_of(
     Some(shares)
 }
 
-/// Inside a solid the surface continues, and no particle stands out.
-pub(super) fn none_inside(outlying: &mut Block, outside: &Block) {
-    let outside = outside.part(outlying.cells());
-    let samples = outlying.samples_mut().iter_mut().zip(outside.samples());
-    for (sample, _) in samples.filter(|(_, share)| **share < WHOLE / 2) {
-        *sample = (*sample).max(NONE + 1);
-    }
-}
+/// The distance from the surface of a solid, or its offset, within which the field is cut, in cells:
+/// normals use two cells beyond a vertex's cell.
+pub(super) const CUT: i32 = 3;
 
 /// Cuts the field on some cells by a solid.
 pub(super) fn cut_by(solid: &Solid, sampled: &SampledDif, field: &mut Block) {
     let facts = &sampled.facts;
     let (cell, spacing) = (facts.grid.cell_size(), facts.spacing.unwrap_or(facts.grid.cell_size()));
     let offset = solid.offset() * UNITS;
-    // Normals use two cells beyond a vertex's cell.
-    let most = (offset.abs() + 3.0 * cell / spacing * UNITS).ceil().min(f64::from(i16::MAX)) as i16;
+    let most = (offset.abs() + f64::from(CUT) * cell / spacing * UNITS)
+        .ceil()
+        .min(f64::from(i16::MAX)) as i16;
     let (grid, periodic, step) = (&facts.grid, facts.periodic.as_ref(), spacing / UNITS);
     let mut distances = solid.distances(grid, periodic, 0, field.cells(), step, most);
     facts.walls().into_iter().for_each(|walls| distances.repeat_edges(walls));
@@ -376,7 +372,14 @@ impl Fields for Blocks<'_> {
         by: (u16, &StandsOut),
     ) -> Result<BlockField, StopSignal> {
         let mut block = outlying([&calm.block, &fine.block], &clouds.block, by);
-        self.outside.take().iter().for_each(|outside| none_inside(&mut block, outside));
+        // Inside a solid the bulk continues, although no particle is near.
+        let outside = self.outside.take().map(|outside| outside.part(block.cells()));
+        let shares = outside.iter().flat_map(|outside| outside.samples());
+        for (sample, _) in
+            block.samples_mut().iter_mut().zip(shares).filter(|(_, share)| **share < WHOLE / 2)
+        {
+            *sample = (*sample).max(NONE + 1);
+        }
         Ok(BlockField { block: Rc::new(block), level: calm.level })
     }
 

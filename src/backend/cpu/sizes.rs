@@ -3,23 +3,25 @@
 use std::rc::Rc;
 use std::sync::Arc;
 
+use glam::IVec3;
+
 use crate::brick::Block;
 use crate::field::blur::{Weights, blur};
 use crate::field::distance::{
     DistanceFilters, away, outlying, outlying_part, refined, spread, wide_cells,
 };
-use crate::field::indicator::WideCells;
+use crate::field::indicator::{GHOST_LAYER, WideCells};
 use crate::field::recipe::{
     Recipe, ThinShares, WideFields, surfaces_and_bulk, thin_shares, walls_at,
 };
 use crate::field::sizes::{
-    OctaveDrops, SizedClouds, averaging, finer_spacings, growth, mixed, share,
+    OctaveDrops, SizedClouds, WHOLE, averaging, finer_spacings, growth, mixed, share,
 };
-use crate::grid::CellBox;
 use crate::grid::units::{Isovalue, SheetStretch, Smooth};
+use crate::grid::{BLOCK, CellBox};
 use crate::surface::solid::Solid;
 
-use super::fields::{Blocks, cut_by, none_inside, outside_of};
+use super::fields::{Blocks, CUT, cut_by};
 
 /// Computes the field of clouds of several sizes.
 #[derive(Debug)]
@@ -106,12 +108,44 @@ impl<'a> SizedField<'a> {
     /// The distance within which particles affect the surface, in cells of the coarsest octave.
     #[must_use]
     pub fn halo(smooth: Smooth, sheets: SheetStretch, spacing_cells: f64) -> i32 {
+        let averaging = averaging(WideCells::of_spacing(spacing_cells)).reach();
         let finest = DistanceFilters::new(smooth, sheets, spacing_cells);
-        let wide = WideCells::of_spacing(spacing_cells);
-        // Surfaces are made where drops are near, from the sizes around, and interpolated.
-        let further = 2 * finest.near + averaging(wide).reach() + 2;
-        let halo = finest.halo().max(finest.refining(sheets, spacing_cells).halo());
-        halo + (further << wide.level)
+        let coarser = finest.clone().refining(sheets, spacing_cells);
+        let in_cells = |level: u32, halo: i32| {
+            // From a cell to the far end of its wide cell, and the cells beyond them that
+            // contribute to wide cells.
+            (halo << level) + 2 * ((1 << level) - 1)
+        };
+        let of = |distances: &DistanceFilters| {
+            let DistanceFilters { level, near, drops_level, .. } = *distances;
+            // Surfaces are made where drops are near, and interpolated from wide cells, and so is
+            // the density of coarser octaves. Filters of sizes and of distances begin there.
+            let wide = 2 + 2 * near + distances.widest_halo().max(averaging);
+            in_cells(level, wide).max(in_cells(drops_level, 2 + distances.drops_halo()))
+        };
+        of(&finest).max(of(&coarser)) + GHOST_LAYER
+    }
+
+    /// The maximum memory of a thread for neighbouring blocks of a frame with `octaves` octaves
+    /// while their field is made, in bytes.
+    #[must_use]
+    pub fn block_bytes(
+        smooth: Smooth,
+        sheets: SheetStretch,
+        spacing_cells: f64,
+        octaves: usize,
+    ) -> u64 {
+        /// Three surfaces of each octave, and the fields of one while they are made.
+        const FIELDS: usize = 3;
+        let distances = DistanceFilters::new(smooth, sheets, spacing_cells);
+        let blocks = CellBox { lo: IVec3::NEG_ONE, hi: IVec3::splat(2 * BLOCK + 2) };
+        let near = 2 * distances.near;
+        let wide =
+            |octave: usize| wide_cells(octave as u32 + distances.level, blocks).grown(near, near);
+        let kept = |octave| (FIELDS * wide(octave).volume() * size_of::<u16>()) as u64;
+        distances.block_bytes()
+            + distances.bulk_bytes(wide(0))
+            + (0..octaves).map(kept).sum::<u64>()
     }
 
     /// The maximum distance of a drop from a particle of its octave, in wide cells: the largest
@@ -209,7 +243,7 @@ impl<'a> SizedField<'a> {
     fn is_at(&self, solid: &Solid, cells: CellBox) -> bool {
         let facts = &self.clouds.octave(0).facts;
         let offset = solid.offset().abs() * facts.spacing_cells_or_one();
-        let further = offset.ceil() as i32 + 2;
+        let further = offset.ceil() as i32 + CUT;
         let around = cells.grown(further, further);
         solid.is_near(&facts.grid, facts.periodic.as_ref(), 0, around)
     }
@@ -262,7 +296,7 @@ impl<'a> SizedField<'a> {
         }
         let above = self.averaged(octave, self.clouds.above(octave, level, around));
         let all = self.averaged(octave, self.clouds.density(octave, level, around));
-        Some(share(&above, &all))
+        Some(share(&above, &all, WHOLE))
     }
 
     /// A density in wide cells of an octave, smoothed by the filter that averages sizes.
@@ -321,10 +355,7 @@ impl<'a> SizedField<'a> {
         self.make(surfaces, octave, around);
         let OctaveSurface { calm, fine, .. } = surfaces[octave].as_ref()?;
         let [calm, fine] = [calm, fine].map(|field| field.part(wide));
-        let mut outlying = outlying([&calm, &fine], &clouds, (*least, stands_out));
-        let solid = self.solid.as_deref();
-        let outside = solid.and_then(|solid| outside_of(solid, sampled, *level, clouds.cells(), 0));
-        outside.iter().for_each(|outside| none_inside(&mut outlying, outside));
+        let outlying = outlying([&calm, &fine], &clouds, (*least, stands_out));
         let mut outlying = spread(outlying, self.near());
         if outlying.samples().iter().all(|&sample| sample <= stands_out.begin()) {
             return None;
@@ -343,7 +374,7 @@ impl<'a> SizedField<'a> {
             sampled.wide(level).gather_within(cells, self.walls(octave as u32 + level))
         };
         let own_part = self.cells(octave, part);
-        let mut blocks = Blocks::of_density(recipe, sampled, &own, solid, own_part);
+        let mut blocks = Blocks::of_density(recipe, sampled, &own, self.solid.as_deref(), own_part);
         let ThinShares { shares, certainty } = thin_shares(distances, &mut blocks).ok()?;
         let thin = ThinShares {
             shares: Rc::unwrap_or_clone(shares.block),
@@ -384,6 +415,6 @@ impl<'a> SizedField<'a> {
         let fractions = fractions.wide(level).gather(around);
         let volumes = self.clouds.octave(octave).wide(level).gather(around);
         let [fractions, volumes] = [fractions, volumes].map(|block| self.averaged(octave, block));
-        Some(refined(&share(&fractions, &volumes), octave as u32 + level, cells))
+        Some(refined(&share(&fractions, &volumes, 0), octave as u32 + level, cells))
     }
 }

@@ -6,20 +6,20 @@ use crate::brick::Block;
 use crate::field::distance::{Drops, NONE, StandsOut, ZERO, away, greatest_of};
 
 /// 1, of shares.
-const WHOLE: u32 = 1 << 15;
+pub const WHOLE: u32 = 1 << 15;
 
-/// One smoothed density divided by another, in 32768ths; 1 where both are 0.
+/// One smoothed density divided by another, in 32768ths; `of_none` where both are 0.
 ///
 /// # Panics
 /// If the densities are on different cells.
 #[must_use]
-pub fn share(part: &Block, all: &Block) -> Block {
+pub fn share(part: &Block, all: &Block, of_none: u32) -> Block {
     assert!(part.cells() == all.cells(), "one box of cells");
     let mut shares = Block::zero(all.cells());
     let taps = part.samples().iter().zip(all.samples());
     for (to, (&part, &all)) in shares.samples_mut().iter_mut().zip(taps) {
         let whole = u32::from(part) * WHOLE + u32::from(all) / 2;
-        *to = whole.checked_div(all.into()).map_or(WHOLE, |share| share.min(WHOLE)) as u16;
+        *to = whole.checked_div(all.into()).map_or(of_none, |share| share.min(WHOLE)) as u16;
     }
     shares
 }
@@ -157,7 +157,7 @@ mod tests {
 
     #[test]
     fn the_fine_share_is_1_where_both_densities_are_0() {
-        let found = share(&block([0, 5, 7, 0]), &block([0, 10, 7, 3]));
+        let found = share(&block([0, 5, 7, 0]), &block([0, 10, 7, 3]), WHOLE);
         assert_eq!(found.samples(), [32768, 16384, 32768, 0]);
     }
 

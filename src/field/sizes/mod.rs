@@ -24,7 +24,7 @@ mod clouds;
 mod mix;
 
 pub use clouds::{Layer, LayerPages, SizedClouds};
-pub use mix::{OctaveDrops, finer_spacings, mixed, share};
+pub use mix::{OctaveDrops, WHOLE, finer_spacings, mixed, share};
 
 use crate::brick::BrickSide;
 use crate::field::blur::Weights;

@@ -237,7 +237,7 @@ def test_whole_numbers_are_those_of_a_particle_nearby(ball: Any, dtype: str) -> 
 
 def test_whole_numbers_that_a_mesh_does_not_hold_are_refused(ball: Any) -> None:
     ids = np.arange(len(ball)) + 2**40
-    with pytest.raises(meniscus.InputError, match="id has the value .* 2147483647"):
+    with pytest.raises(meniscus.InputError, match='"id" has the value .* 2147483647'):
         meniscus.reconstruct(ball, spacing=1.0, attributes={"id": ids})
 
 
