@@ -31,7 +31,8 @@ pub trait KernelField: Debug + Send + Sync {
     /// The surface through a region, `None` where there is none. Cells outside of `walls` are ghost
     /// points.
     ///
-    /// # Errors If kernels are in a scratch file that cannot be read.
+    /// # Errors
+    /// If kernels are in a scratch file that cannot be read.
     fn mesh(
         &self,
         region: CellBox,

@@ -92,7 +92,8 @@ impl KernelMethod {
 /// Computes the kernels of all particles of `bins`, which must be [sorted](Bins::sorted). Kernels
 /// beyond `bytes` go to a scratch file in `folder`.
 ///
-/// # Errors If scratch files fail.
+/// # Errors
+/// If scratch files fail.
 pub fn kernel_field(
     bins: &Bins,
     method: KernelMethod,

@@ -32,7 +32,8 @@ pub fn places(contents: &BinContents<'_>, corner: IVec3) -> impl Iterator<Item =
 impl NeighbourGrid {
     /// The particles in `cells`, placed relative to the corner of the cell `origin`.
     ///
-    /// # Errors If particles are in a scratch file that cannot be read.
+    /// # Errors
+    /// If particles are in a scratch file that cannot be read.
     pub fn load(bins: &Bins, cells: CellBox, origin: IVec3) -> io::Result<Self> {
         let local = CellBox { lo: cells.lo - origin, hi: cells.hi - origin };
         let mut near =

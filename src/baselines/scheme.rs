@@ -62,16 +62,16 @@ pub(super) trait Scheme: Debug + Send + Sync {
     /// The sum of the kernels at a point, from which the field is computed.
     type Sum: Copy + Default;
 
-    /// How far from a particle others tell in its kernel.
+    /// The distance from a particle within which others affect its kernel.
     fn neighbourhood(&self) -> f64;
 
     /// The kernel of a particle.
     fn kernel(&self, place: DVec3, neighbours: &NeighbourGrid) -> Self::Kernel;
 
-    /// Where it is, and how far it reaches along each axis.
+    /// The position of a kernel, and its reach along each axis.
     fn extent(&self, kernel: &Self::Kernel) -> [DVec3; 2];
 
-    /// Adds what it adds at a point, given as seen from its place.
+    /// Adds the contribution of a kernel at a point, which is relative to its position.
     fn add(&self, kernel: &Self::Kernel, point: DVec3, sum: &mut Self::Sum);
 
     /// The field at a point with this sum.

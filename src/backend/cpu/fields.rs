@@ -117,8 +117,8 @@ fn outside_of(
     Some(shares)
 }
 
-/// The distance from the surface of a solid, or its offset, within which the field is cut, in cells:
-/// normals use two cells beyond a vertex's cell.
+/// The distance from a solid with its offset within which the field is cut, in cells: normals use
+/// two cells beyond a vertex's cell.
 pub(super) const CUT: i32 = 3;
 
 /// Cuts the field on some cells by a solid.
@@ -139,6 +139,16 @@ pub(super) fn cut_by(solid: &Solid, sampled: &SampledDif, field: &mut Block) {
 pub(super) fn wide_volume(distances: &DistanceFilters, cells: CellBox) -> usize {
     let halo = distances.wide_halo();
     distances.wide_cells(cells).grown(halo, halo).volume()
+}
+
+/// The cells that depend on any of some cells 2^`level` times as wide.
+pub(super) fn refined_from(level: u32, wide: CellBox) -> CellBox {
+    if wide.is_empty() {
+        return wide;
+    }
+    let further = i32::from(level > 0);
+    let CellBox { lo, hi } = wide.grown(further, further);
+    CellBox { lo: lo << level, hi: hi << level }
 }
 
 /// The part of a field that is needed.
@@ -419,10 +429,7 @@ impl Fields for Blocks<'_> {
 
     fn narrowed(&mut self, near: &BlockField, level: u32, begin: u16) -> bool {
         let part = outlying_part(&near.block, wide_cells(level, self.wanted), begin);
-        // A wide cell also affects its neighbours' cells.
-        let further = i32::from(level > 0);
-        let CellBox { lo, hi } = part.grown(further, further);
-        self.wanted = self.wanted.intersection(&CellBox { lo: lo << level, hi: hi << level });
+        self.wanted = self.wanted.intersection(&refined_from(level, part));
         self.near = (level == 0).then(|| (Rc::clone(&near.block), begin));
         !part.is_empty()
     }

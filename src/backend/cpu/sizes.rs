@@ -8,7 +8,7 @@ use glam::IVec3;
 use crate::brick::Block;
 use crate::field::blur::{Weights, blur};
 use crate::field::distance::{
-    DistanceFilters, away, outlying, outlying_part, refined, spread, wide_cells,
+    DistanceFilters, away, halo_in_cells, outlying, outlying_part, refined, spread, wide_cells,
 };
 use crate::field::indicator::{GHOST_LAYER, WideCells};
 use crate::field::recipe::{
@@ -21,7 +21,7 @@ use crate::grid::units::{Isovalue, SheetStretch, Smooth};
 use crate::grid::{BLOCK, CellBox};
 use crate::surface::solid::Solid;
 
-use super::fields::{Blocks, CUT, cut_by};
+use super::fields::{Blocks, CUT, cut_by, refined_from};
 
 /// Computes the field of clouds of several sizes.
 #[derive(Debug)]
@@ -111,17 +111,12 @@ impl<'a> SizedField<'a> {
         let averaging = averaging(WideCells::of_spacing(spacing_cells)).reach();
         let finest = DistanceFilters::new(smooth, sheets, spacing_cells);
         let coarser = finest.clone().refining(sheets, spacing_cells);
-        let in_cells = |level: u32, halo: i32| {
-            // From a cell to the far end of its wide cell, and the cells beyond them that
-            // contribute to wide cells.
-            (halo << level) + 2 * ((1 << level) - 1)
-        };
         let of = |distances: &DistanceFilters| {
             let DistanceFilters { level, near, drops_level, .. } = *distances;
             // Surfaces are made where drops are near, and interpolated from wide cells, and so is
             // the density of coarser octaves. Filters of sizes and of distances begin there.
             let wide = 2 + 2 * near + distances.widest_halo().max(averaging);
-            in_cells(level, wide).max(in_cells(drops_level, 2 + distances.drops_halo()))
+            halo_in_cells(level, wide).max(halo_in_cells(drops_level, 2 + distances.drops_halo()))
         };
         of(&finest).max(of(&coarser)) + GHOST_LAYER
     }
@@ -363,10 +358,7 @@ impl<'a> SizedField<'a> {
         walls.into_iter().for_each(|walls| outlying.repeat_edges(walls));
         let wide_level = octave as u32 + level;
         let part = outlying_part(&outlying, wide_cells(wide_level, cells), stands_out.begin());
-        // A wide cell also affects its neighbours' cells.
-        let further = i32::from(wide_level > 0);
-        let CellBox { lo, hi } = part.grown(further, further);
-        let part = cells.intersection(&CellBox { lo: lo << wide_level, hi: hi << wide_level });
+        let part = cells.intersection(&refined_from(wide_level, part));
         if part.is_empty() {
             return None;
         }

@@ -12,7 +12,7 @@ use crate::field::recipe::{
 };
 use crate::grid::{CellBox, TILE};
 
-use super::fields::{BlockField, Blocks, FieldUse, wide_volume};
+use super::fields::{BlockField, Blocks, FieldUse, refined_from, wide_volume};
 
 /// Spray has particles in at most one of this many cells.
 const FEW: usize = 16;
@@ -88,16 +88,6 @@ pub(super) fn field(drops: &[DropField], cells: CellBox, walls: Option<CellBox>)
         }
     }
     Some(field)
-}
-
-/// The cells that depend on any of some cells 2^`level` times as wide.
-fn refined_from(level: u32, wide: CellBox) -> CellBox {
-    if wide.is_empty() {
-        return wide;
-    }
-    let further = i32::from(level > 0);
-    let CellBox { lo, hi } = wide.grown(further, further);
-    CellBox { lo: lo << level, hi: hi << level }
 }
 
 /// The drops in a box of cells; `None` if there is no surface.

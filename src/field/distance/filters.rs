@@ -255,9 +255,7 @@ impl DistanceFilters {
     pub fn halo(&self) -> i32 {
         let in_wide = |level: u32, halo: i32| {
             let spline = i32::from(level > 0);
-            // From a cell to the far end of its wide cell, and the cells beyond them that
-            // contribute to wide cells.
-            ((halo + spline) << level) + 2 * ((1 << level) - 1)
+            halo_in_cells(level, halo + spline)
         };
         let wide = in_wide(self.level, self.widest_halo());
         wide.max(in_wide(self.drops_level, self.drops_halo())) + GHOST_LAYER
@@ -323,6 +321,13 @@ fn thin_fluid(sheets: SheetStretch, spacing: f64, is_refined: bool) -> (Drops, O
 /// The cells from which some cells, 2^`level` times as wide, are made.
 fn halved_from_all(level: u32, wide: CellBox) -> CellBox {
     (0..level).fold(wide, |wide, _| halved_from_box(wide))
+}
+
+/// A halo of cells 2^`level` times as wide in cells: from a cell to the far end of its wide cell,
+/// and the cells beyond the halo that contribute to wide cells.
+#[must_use]
+pub fn halo_in_cells(level: u32, halo: i32) -> i32 {
+    (halo << level) + 2 * ((1 << level) - 1)
 }
 
 /// Bytes of the samples of some cells.

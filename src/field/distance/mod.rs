@@ -36,7 +36,7 @@ pub mod vulkan;
 pub use cpu::{
     away, depths, greatest_of, joined, mixed, outlying, outlying_part, quotient, refined, spread,
 };
-pub use filters::{BULK_GAIN, DistanceFilters};
+pub use filters::{BULK_GAIN, DistanceFilters, halo_in_cells};
 pub(in crate::field) use filters::{LEAST_VARIANCE, SPLINE, gaussian};
 pub use inside::{BRICK, InsideBricks};
 pub use inverse_normal::{AWAY, DEPTHS};
