@@ -5,6 +5,7 @@ use crate::brick::{Bins, FrameFacts};
 use crate::field::blur::Smoothing;
 use crate::field::indicator::IndicatorKind;
 use crate::frame::estimate::MemoryPlan;
+use crate::grid::LevelRegion;
 use crate::grid::units::Sigma;
 use crate::grid::{Grid, PeriodicMesh};
 use crate::surface::dual_mc::{Crossings, Normals};
@@ -49,13 +50,13 @@ impl SampledKernels {
     ) -> ExtractableField<'_> {
         let walls = self.facts.mesh_walls(periodic_mesh).map(|walls| walls.cells());
         ExtractableField {
-            regions: self.field.regions(walls),
+            regions: self.field.regions(walls).into_iter().map(LevelRegion::finest).collect(),
             crossings: Crossings::Fractions,
-            attribute_smoothing: self.attribute_smoothing.clone(),
+            attribute_smoothing: vec![self.attribute_smoothing.clone()],
             nothing: FrameError::NoKernelSurface,
             contour: cube_by_cube(1, move |regions, meter| {
                 let regions = regions.iter().take_while(|_| meter.goes_on());
-                let meshes = regions.map(|&region| {
+                let meshes = regions.map(|&LevelRegion { cells: region, .. }| {
                     meter.add(1);
                     self.field.mesh(region, normals, walls)
                 });

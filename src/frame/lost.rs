@@ -170,7 +170,10 @@ impl OccupiedTiles {
     /// surface passes through it or through a tile that touches it from below. If a bin also has
     /// other tiles, only one particle per tile counts.
     pub fn lost(&self, surface: &StitchedSurface) -> io::Result<u64> {
-        let bins = Row::sorted(self, surface)?;
+        let bins = match surface.widest_level() {
+            0 => Row::sorted(self, surface)?,
+            widest => Row::in_wider_tiles(self, surface, widest)?,
+        };
         let passed = |place: IVec3| {
             let bin = Row::key(place.div_euclid(IVec3::splat(SIDE)));
             let found = bins.binary_search_by_key(&bin, |row| Row::key(row.bin));
@@ -243,6 +246,50 @@ impl Row {
                 last.inside_behind |= passed * behind;
             }
         }
+        Ok(Self::merged(all))
+    }
+
+    /// Like [`sorted`](Self::sorted), for a surface with cells of several levels: tiles and bins are
+    /// those of the widest one.
+    fn in_wider_tiles(
+        occupied: &OccupiedTiles,
+        surface: &StitchedSurface,
+        widest: u8,
+    ) -> io::Result<Vec<Self>> {
+        let widest = i32::from(widest);
+        let bin_of = |place: IVec3| place.div_euclid(IVec3::splat(SIDE));
+        let holding = |&(bin, particles, tiles): &(IVec3, u32, TileMask)| {
+            let places = bits(tiles).map(|bit| (bin * SIDE + cell_of_bit(bit)) >> widest);
+            let occupied = places.fold(0, |all, place| all | bit_of(place));
+            Self { bin: bin >> widest, particles, occupied, ..Self::default() }
+        };
+        let mut all: Vec<Self> = occupied.bins.iter().map(holding).collect();
+        // Behind the last surface in a tile, the rest of the tile is on one side.
+        let mut passed: Vec<([i32; 3], i32, bool)> = Vec::new();
+        for piece in 0..surface.pieces() {
+            let (block, level) = (surface.block(piece), surface.level(piece));
+            let own = i32::from(level.level);
+            for tile in &*surface.tiles(piece)? {
+                let place = tile.corner(block) / TILE;
+                let narrower = level.of_tile(tile).narrower[1] >> (TILE - 1) & 1 == 1;
+                let behind = narrower || tile.corners[1] >> (TILE - 1) & 1 == 1;
+                let wide = (place >> (widest - own)).to_array();
+                passed.push((wide, (place.x + 1) << own, behind));
+            }
+        }
+        passed.par_sort_unstable();
+        let last_of_each = passed.chunk_by(|a, b| a.0 == b.0).filter_map(<[_]>::last);
+        all.extend(last_of_each.map(|&(place, _, behind)| {
+            let place = IVec3::from(place);
+            let passed = bit_of(place);
+            let inside_behind = if behind { passed } else { 0 };
+            Self { bin: bin_of(place), passed, inside_behind, ..Self::default() }
+        }));
+        Ok(Self::merged(all))
+    }
+
+    /// Sorts bins by rows, and merges those with the same coordinates.
+    fn merged(mut all: Vec<Self>) -> Vec<Self> {
         all.par_sort_unstable_by_key(|row| Self::key(row.bin));
         all.dedup_by(|other, one| {
             let same = other.bin == one.bin;
@@ -254,7 +301,7 @@ impl Row {
             }
             same
         });
-        Ok(all)
+        all
     }
 }
 

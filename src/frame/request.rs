@@ -14,7 +14,7 @@ use crate::field::calibration::{
 use crate::field::distance::{BULK_GAIN, DistanceFilters, InsideBricks};
 use crate::field::indicator::{IndicatorKind, SampledDif, WideCells};
 use crate::field::recipe::{Detail, Filters, PaperFilters, Recipe};
-use crate::field::sizes::Octaves;
+use crate::field::sizes::{FinerBlocks, Octaves};
 use crate::field::solid::SolidFill;
 use crate::frame::estimate::Extraction;
 use crate::grid::stretch::DecidingCells;
@@ -37,6 +37,8 @@ pub struct SizedParticles {
     pub sizes: Sizes,
     /// The attributes.
     pub columns: SizeAttributes,
+    /// The blocks with finer particles of a whole frame, for particles that are a part of it.
+    pub finer: Option<Arc<FinerBlocks>>,
 }
 
 /// The parameters for sampling a frame.
@@ -89,7 +91,7 @@ impl Sampling {
     ) -> Result<Self, SizeFault> {
         let sized = |sizes: &Sizes| {
             let columns = sizes.columns(particles.attributes())?;
-            Ok(SizedParticles { sizes: sizes.clone(), columns })
+            Ok(SizedParticles { sizes: sizes.clone(), columns, finer: None })
         };
         Ok(Self { sizes: sizes.map(sized).transpose()?, ..self })
     }

@@ -1,15 +1,24 @@
 //! A frame of particles of several sizes.
 
+use std::sync::Arc;
+
 use crate::backend::SizedField;
 use crate::brick::{Bins, Block, FrameFacts};
 use crate::field::blur::Smoothing;
 use crate::field::calibration::{Calibration, MeasuredCalibration, Plateau};
 use crate::field::distance::UNITS;
 use crate::field::indicator::{Indicator, IndicatorKind};
-use crate::field::sizes::{Layer, LayerPages, Octaves, SIDE, SizedClouds};
+use crate::field::recipe::walls_at;
+use crate::field::sizes::{
+    BlockLevels, FinerBlocks, Layer, LayerPages, Octaves, SIDE, SizedClouds, in_finer_spacings,
+};
 use crate::frame::estimate::{MemoryEstimate, MemoryPlan};
-use crate::grid::CellBox;
-use crate::surface::dual_mc::{block_mesh, dual_cells};
+use crate::grid::units::Isovalue;
+use crate::grid::{CellBox, LevelRegion};
+use crate::surface::dual_mc::levels::{LevelField, LevelFields, cells_by_level, mixed_block_mesh};
+use crate::surface::dual_mc::{Normals, block_mesh, dual_cells};
+use crate::surface::mesh::{BlockLevel, BlockMesh};
+use crate::system::control::Meter;
 
 use super::sink::FieldSink;
 use super::surface::{ExtractableField, cube_by_cube};
@@ -19,7 +28,11 @@ use super::{FrameError, Resources, SizedParticles, Surfacing};
 #[derive(Debug)]
 pub(super) struct SampledSizes {
     pub(super) facts: FrameFacts,
-    clouds: SizedClouds,
+    /// The clouds as seen from each level of cells.
+    clouds: Vec<SizedClouds>,
+    /// The blocks with particles of finer octaves, which determine the levels of cells.
+    finer: Arc<FinerBlocks>,
+    levels: BlockLevels,
     /// The particles' volume per cubed unit deep in the fluid, if it is known.
     density: Option<f64>,
 }
@@ -71,7 +84,16 @@ impl SampledSizes {
             Ok::<Layer, FrameError>(Layer { volume: volume?, fraction: fraction? })
         };
         let layers = (0..octaves.count).map(layer).collect::<Result<_, _>>()?;
-        Ok(Self { facts, clouds: SizedClouds::new(layers), density: sized.sizes.density })
+        let clouds = SizedClouds::new(layers);
+        let finer = match (&sized.finer, facts.periodic) {
+            // The cells at opposite faces of a periodic box are the same.
+            (_, Some(_)) => Arc::default(),
+            (Some(finer), None) => Arc::clone(finer),
+            (None, None) => clouds.finer_blocks().into(),
+        };
+        let levels = BlockLevels::new(&finer);
+        let clouds = (0..levels.count()).map(|level| clouds.from_octave(level)).collect();
+        Ok(Self { facts, clouds, finer, levels, density: sized.sizes.density })
     }
 
     /// The calibration of this frame, from its density.
@@ -97,49 +119,140 @@ impl SampledSizes {
         calibration: &Calibration,
     ) -> ExtractableField<'_> {
         let &Surfacing { smooth, sheets, normals, periodic_mesh, .. } = surfacing;
+        let levels = &self.levels;
         let plateau = match *calibration {
             Calibration::Clouds { plateau } => plateau,
             Calibration::Indicator { .. } => self.calibrated().plateau.value(),
         };
-        let field = SizedField::new(&self.clouds, smooth, sheets, surfacing.solid.clone(), plateau);
-        let iso = field.iso();
         let walls = self.facts.mesh_walls(periodic_mesh).map(|walls| walls.cells());
-        let within = walls.map(|walls| walls.grown(1, 0));
-        let cut = |cells: CellBox| within.map_or(cells, |within| cells.intersection(&within));
-        let regions = self.clouds.regions(field.reach()).into_iter().map(cut);
+        let of_level = |(level, clouds)| FieldOfLevel {
+            field: SizedField::new(clouds, smooth, sheets, surfacing.solid.clone(), plateau),
+            walls: walls_at(level, walls),
+        };
+        let fields: Vec<_> = (0..).zip(&self.clouds).map(of_level).collect();
+        let FieldOfLevel { field, .. } = &fields[0];
+        let iso = field.iso();
+        let within = |level: u8| walls_at(level.into(), walls).map(|walls| walls.grown(1, 0));
+        let cut = |LevelRegion { level, cells }| {
+            let cells = within(level).map_or(cells, |within| cells.intersection(&within));
+            LevelRegion { level, cells }
+        };
+        let regions = levels.regions(self.clouds[0].surface_boxes(field.reach())).into_iter();
+        let regions = regions.map(cut).filter(|region| !region.cells.is_empty()).collect();
         // The filters use cells beyond a periodic face, but the mesh ends there.
         let faces = walls.filter(|_| self.facts.periodic.is_some());
         ExtractableField {
-            regions: regions.filter(|cells| !cells.is_empty()).collect(),
+            regions,
             crossings: iso.into(),
-            attribute_smoothing: self.attribute_smoothing(surfacing),
+            attribute_smoothing: self.attribute_smoothings(surfacing),
             nothing: FrameError::no_surface(field.recipe()),
             contour: cube_by_cube(BLOCKS_TOGETHER, move |regions, meter| {
-                let away = |region| walls.is_none_or(|walls| walls.covers(&dual_cells(region)));
-                let boxes = regions.iter().map(|&region| (normals.cells(region), away(region)));
-                let fields = field.on_each(boxes.collect());
-                let mesh = |(&region, field): (&CellBox, Option<Block>)| {
-                    meter.add(1);
-                    let mut field = field?;
-                    faces.into_iter().for_each(|faces| field.repeat_edges(faces));
-                    block_mesh(&field, region, iso, normals, walls)
-                };
-                let regions = regions.iter().take_while(|_| meter.goes_on());
-                Ok(regions.zip(fields).filter_map(mesh).collect())
+                let mut meshes = Vec::new();
+                let is_uniform =
+                    |region: &LevelRegion| levels.of(region.level, region.block()).is_uniform();
+                // Regions of a cube have one level.
+                for regions in regions.chunk_by(|a, b| is_uniform(a) && is_uniform(b)) {
+                    let of_level = &fields[usize::from(regions[0].level)];
+                    if is_uniform(&regions[0]) {
+                        let found = of_level.meshes(regions, faces, (iso, normals), meter);
+                        let seams = |region| mixed_meshes(levels, &fields, region, iso, normals);
+                        for (&region, mesh) in regions.iter().zip(found) {
+                            meshes.extend(levels.seams(region).into_iter().filter_map(seams));
+                            meshes.extend(mesh);
+                        }
+                    } else if meter.goes_on() {
+                        meter.add(1);
+                        let own = levels.seams(regions[0]).into_iter().chain([regions[0]]);
+                        let own = own.filter_map(|region| {
+                            mixed_meshes(levels, &fields, region, iso, normals)
+                        });
+                        meshes.extend(own);
+                    }
+                }
+                Ok(meshes)
             }),
         }
     }
 
-    /// Attributes are smoothed as widely as the coarsest particles need.
-    fn attribute_smoothing(&self, surfacing: &Surfacing) -> Smoothing {
+    /// The smoothing of attributes in cells of each level: as widely as the coarsest particles
+    /// need.
+    fn attribute_smoothings(&self, surfacing: &Surfacing) -> Vec<Smoothing> {
         let spacing = self.facts.spacing.map(|spacing| spacing * self.coarsest());
-        surfacing.attribute_smoothing(IndicatorKind::Cloud, spacing, &self.facts.grid)
+        let grids =
+            (0..self.levels.count() as u32).map(|level| self.facts.grid.in_wider_cells(level));
+        grids
+            .map(|grid| surfacing.attribute_smoothing(IndicatorKind::Cloud, spacing, &grid))
+            .collect()
     }
 
     /// The spacing of the coarsest octave over that of the finest.
     pub(super) fn coarsest(&self) -> f64 {
-        f64::from(1_u32 << (self.clouds.octaves() - 1))
+        f64::from(1_u32 << (self.clouds[0].octaves() - 1))
     }
+
+    /// The blocks with particles of finer octaves.
+    pub(super) fn finer_blocks(&self) -> &Arc<FinerBlocks> {
+        &self.finer
+    }
+}
+
+/// The field in the cells of a level.
+struct FieldOfLevel<'a> {
+    field: SizedField<'a>,
+    /// The walls of the mesh in these cells.
+    walls: Option<CellBox>,
+}
+
+impl FieldOfLevel<'_> {
+    /// The meshes of regions of blocks whose dual cells have this level only.
+    fn meshes(
+        &self,
+        regions: &[LevelRegion],
+        faces: Option<CellBox>,
+        (iso, normals): (Isovalue, Normals),
+        meter: &Meter<'_>,
+    ) -> Vec<Option<BlockMesh>> {
+        let walls = self.walls;
+        let away = |region| walls.is_none_or(|walls| walls.covers(&dual_cells(region)));
+        let of = |region: &LevelRegion| (normals.cells(region.cells), away(region.cells));
+        let fields = self.field.on_each(regions.iter().map(of).collect());
+        let mesh = |(region, field): (&LevelRegion, Option<Block>)| {
+            meter.add(1);
+            let mut field = field?;
+            faces.into_iter().for_each(|faces| field.repeat_edges(faces));
+            let mesh = block_mesh(&field, region.cells, iso, normals, walls)?;
+            let level = BlockLevel { level: region.level, ..BlockLevel::default() };
+            Some(BlockMesh { level, ..mesh })
+        };
+        let regions = regions.iter().take_while(|_| meter.goes_on());
+        regions.zip(fields).map(mesh).collect()
+    }
+
+    fn on(&self, cells: CellBox) -> LevelField {
+        LevelField { field: self.field.everywhere_on(cells), walls: self.walls }
+    }
+}
+
+/// The mesh of a region of a block whose dual cells have several levels.
+fn mixed_meshes(
+    levels: &BlockLevels,
+    fields: &[FieldOfLevel<'_>],
+    region: LevelRegion,
+    iso: Isovalue,
+    normals: Normals,
+) -> Option<BlockMesh> {
+    let (block, LevelRegion { level, cells }) = (region.block(), region);
+    let of_block = levels.of(level, block);
+    let [own, wide] = cells_by_level(block, of_block, cells);
+    // Normals use the field around the ends of an edge.
+    let further = i32::from(normals == Normals::Gradient);
+    let level = usize::from(level);
+    let fields = LevelFields {
+        own: fields[level].on(own.grown(further, further)),
+        wide: (!wide.is_empty()).then(|| fields[level + 1].on(wide.grown(further, further))),
+        narrowed: in_finer_spacings,
+    };
+    mixed_block_mesh(&fields, (block, of_block), cells, iso, normals)
 }
 
 /// The facts of a frame on the grid of an octave.

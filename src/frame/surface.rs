@@ -12,10 +12,10 @@ use crate::field::blur::Filter;
 use crate::field::blur::Smoothing;
 use crate::field::calibration::{CALIBRATING, MeasuredCalibration};
 use crate::field::indicator::SampledDif;
-use crate::field::recipe::Recipe;
+use crate::field::recipe::{Recipe, walls_at};
 use crate::frame::estimate::{BLOCKS_A_THREAD, CARRIED_BYTES};
 use crate::grid::stretch::Stretch;
-use crate::grid::{BLOCK, CellBox, Domain, MortonKey, PeriodicMesh};
+use crate::grid::{BLOCK, CellBox, Domain, LevelRegion, MortonKey, PeriodicMesh};
 use crate::particles::AttributeInfo;
 use crate::surface::attribute::{are_wide, nearest_values, vertex_values};
 use crate::surface::dual_mc::{Crossings, Normals, block_vertices};
@@ -34,21 +34,23 @@ pub(super) type Finish<'a> = dyn Fn(&mut BlockMesh) -> io::Result<()> + Sync + '
 pub(super) type Push<'a> = dyn FnMut(Vec<BlockMesh>) -> io::Result<()> + 'a;
 /// Meshes some regions of a field, finishes every mesh, and passes them on.
 type Contour<'a> =
-    dyn Fn(&[CellBox], &Meter<'_>, &Finish<'_>, &mut Push<'_>) -> io::Result<()> + Sync + 'a;
+    dyn Fn(&[LevelRegion], &Meter<'_>, &Finish<'_>, &mut Push<'_>) -> io::Result<()> + Sync + 'a;
 
 /// Meshes the regions of each cube of `edge` blocks with `mesh`, which counts them, and finishes
 /// their meshes on the same thread: sums of a field and of attributes use different resources of a
 /// core, so they run well side by side.
 pub(super) fn cube_by_cube<'a>(
     edge: i32,
-    mesh: impl Fn(&[CellBox], &Meter<'_>) -> io::Result<Vec<BlockMesh>> + Sync + 'a,
+    mesh: impl Fn(&[LevelRegion], &Meter<'_>) -> io::Result<Vec<BlockMesh>> + Sync + 'a,
 ) -> Box<Contour<'a>> {
     Box::new(move |regions, meter, finish, push| {
         // Of few blocks, each is by itself, so that all threads have work.
         let few = (edge * edge * edge) as usize * rayon::current_num_threads();
         let edge = if regions.len() < few { 1 } else { edge };
-        let cube = |region: &CellBox| region.lo.div_euclid(IVec3::splat(edge * BLOCK));
-        let meshes = |regions: &[CellBox]| {
+        let cube = |region: &LevelRegion| {
+            (region.level, region.cells.lo.div_euclid(IVec3::splat(edge * BLOCK)))
+        };
+        let meshes = |regions: &[LevelRegion]| {
             let mut blocks = mesh(regions, meter)?;
             blocks.iter_mut().try_for_each(finish)?;
             Ok::<_, io::Error>(blocks)
@@ -65,11 +67,12 @@ pub(super) fn cube_by_cube<'a>(
 /// A field with everything that is needed to mesh it, for every method.
 pub(super) struct ExtractableField<'a> {
     /// The parts of blocks that the surface can pass through, in Morton order.
-    pub(super) regions: Vec<CellBox>,
+    pub(super) regions: Vec<LevelRegion>,
     pub(super) contour: Box<Contour<'a>>,
     /// The positions of vertices on their edges.
     pub(super) crossings: Crossings,
-    pub(super) attribute_smoothing: Smoothing,
+    /// The smoothing of attributes in cells of each level.
+    pub(super) attribute_smoothing: Vec<Smoothing>,
     /// The error if there is no surface.
     pub(super) nothing: FrameError,
 }
@@ -88,14 +91,15 @@ impl<'a> ExtractableField<'a> {
         let all =
             Surfaces { sampled, recipe: &recipe, solid: solid.as_deref(), normals, periodic_mesh };
         Self {
-            regions: all.regions(),
+            regions: all.regions().into_iter().map(LevelRegion::finest).collect(),
             crossings: recipe.iso.into(),
             nothing: FrameError::no_surface(&recipe),
-            attribute_smoothing,
+            attribute_smoothing: vec![attribute_smoothing],
             contour: Box::new(move |regions, meter, finish, push| {
                 let solid = solid.as_deref();
                 let surfaces = Surfaces { sampled, recipe: &recipe, solid, normals, periodic_mesh };
-                stages.contour(&surfaces, regions, meter, &mut |blocks| {
+                let regions: Vec<CellBox> = regions.iter().map(|region| region.cells).collect();
+                stages.contour(&surfaces, &regions, meter, &mut |blocks| {
                     let mut blocks: Vec<_> = blocks.into_iter().flatten().collect();
                     blocks.par_iter_mut().try_for_each(finish)?;
                     push(blocks)
@@ -105,9 +109,9 @@ impl<'a> ExtractableField<'a> {
     }
 }
 
-/// The block of a region.
-fn block_of(region: &CellBox) -> MortonKey {
-    MortonKey::of(region.lo.div_euclid(IVec3::splat(BLOCK)))
+/// The first of the finest blocks in the block of a region.
+fn block_of(region: &LevelRegion) -> MortonKey {
+    MortonKey::of(region.block() << i32::from(region.level))
 }
 
 /// A frame with everything that its surface needs.
@@ -170,13 +174,13 @@ impl<'a> CalibratedFrame<'a> {
     /// The blocks that the surface can pass through, in Morton order, with the number of their
     /// cells that it can pass through.
     pub fn passed(&self) -> impl Iterator<Item = (MortonKey, usize)> + '_ {
-        self.extracted.regions.iter().map(|cells| (block_of(cells), cells.volume()))
+        self.extracted.regions.iter().map(|region| (block_of(region), region.cells.volume()))
     }
 
     /// Restricts the frame to the blocks in a stretch.
     pub fn within(mut self, stretch: Stretch) -> Self {
-        self.extracted.regions.retain(|cells| {
-            let key = block_of(cells);
+        self.extracted.regions.retain(|region| {
+            let key = block_of(region);
             stretch.first <= key && key < stretch.end
         });
         self
@@ -245,14 +249,16 @@ impl<'a> CalibratedFrame<'a> {
     /// Carries the particles' attributes to the vertices.
     fn carry(&self, mesh: &mut BlockMesh) -> io::Result<()> {
         let Some((bins, infos)) = self.carried else { return Ok(()) };
-        let (smoothing, crossings) =
-            (&self.extracted.attribute_smoothing, self.extracted.crossings);
+        let level = mesh.level.level;
+        let smoothing = &self.extracted.attribute_smoothing[usize::from(level)];
+        let (crossings, walls) =
+            (self.extracted.crossings, walls_at(level.into(), self.facts.walls()));
         for (index, info) in infos.iter().enumerate() {
             let attribute = (index, info.components);
             let values = if info.kind.is_whole() {
                 nearest_values(bins, attribute, smoothing.halo(), mesh, crossings)
             } else {
-                vertex_values(bins, attribute, smoothing, mesh, crossings, self.facts.walls())
+                vertex_values(bins, attribute, smoothing, mesh, crossings, walls)
             };
             mesh.attributes.push(values?);
         }

@@ -32,6 +32,10 @@ pub const BLOCK: i32 = 32;
 /// Tiles of a block.
 pub const BLOCK_TILES: u32 = (BLOCK / TILE).pow(3) as u32;
 
+/// Number of levels of cells in a frame: each level's cells are twice as wide as those of the one
+/// before.
+pub const MOST_LEVELS: usize = 7;
+
 /// Cells from the origin to the end of the addressable grid along each half axis. A Morton key has
 /// 21 bits per axis for tiles, minus a margin for the reach of the widest filter.
 pub const CELL_LIMIT: i32 = (TILE << 20) - 4 * BLOCK;
@@ -196,6 +200,29 @@ impl CellBox {
         (lo.z..hi.z).flat_map(move |z| {
             (lo.y..hi.y).flat_map(move |y| (lo.x..hi.x).map(move |x| IVec3::new(x, y, z)))
         })
+    }
+}
+
+/// Part of a block in which there can be a surface.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct LevelRegion {
+    /// The level of the block's cells.
+    pub level: u8,
+    /// The part, in cells of that level.
+    pub cells: CellBox,
+}
+
+impl LevelRegion {
+    /// A part of one of the finest blocks.
+    #[must_use]
+    pub fn finest(cells: CellBox) -> Self {
+        Self { level: 0, cells }
+    }
+
+    /// The block, in blocks of its level.
+    #[must_use]
+    pub fn block(&self) -> IVec3 {
+        self.cells.lo.div_euclid(IVec3::splat(BLOCK))
     }
 }
 

@@ -66,7 +66,7 @@ impl FixedPoint {
 }
 
 /// The values of a particle attribute at the vertices of a block, with the components of each
-/// vertex together.
+/// vertex together. The smoothing and the walls are in cells of the block.
 ///
 /// # Errors
 /// If a scratch file with particles cannot be read.
@@ -97,7 +97,8 @@ pub fn vertex_values(
     let mut values = vec![0.0; edges.len() * components];
     for first in (0..components).step_by(AT_ONCE) {
         let group = first..components.min(first + AT_ONCE);
-        let sums = sums(bins, (attribute, components), group.clone(), cells)?;
+        let level = mesh.level.level.into();
+        let sums = sums(bins, (attribute, components), group.clone(), (cells, level))?;
         let sums: Vec<_> = sums.into_iter().map(smooth).collect();
         let (weight, sums) = sums.split_last().expect("the weights come last");
         let vertices = values.chunks_exact_mut(components).zip(&edges).zip(&mesh.ends);
@@ -109,7 +110,7 @@ pub fn vertex_values(
 }
 
 /// The integers of a particle attribute at the vertices of a block, with the components of each
-/// vertex together: the values of the nearest particle within `reach` cells, or zeros.
+/// vertex together: the values of the nearest particle within `reach` cells of the block, or zeros.
 ///
 /// # Errors
 /// If a scratch file with particles cannot be read.
@@ -131,15 +132,18 @@ pub fn nearest_values(
     // Particles sorted by cell; `starts` has the first index of each cell.
     let mut found: Vec<(usize, [i64; 3], Vec<u32>)> = Vec::new();
     let index_of = Block::<u8>::zero(cells);
-    for coord in cells.cubes(BIN) {
+    let level = i32::from(mesh.level.level);
+    let finest = CellBox { lo: cells.lo << level, hi: cells.hi << level };
+    for coord in finest.cubes(BIN) {
         let Ok(bin) = bins.keys().binary_search(&MortonKey::of(coord)) else { continue };
         let contents = bins.contents(bin)?;
         let tuples = contents.attributes[attribute].chunks_exact(components);
         for ((local, offset), tuple) in contents.particles().zip(tuples) {
-            let cell = cell_of(coord, local);
+            let own = cell_of(coord, local);
+            let cell = own >> level;
             if cells.contains(cell) {
                 let steps = [0, 1, 2]
-                    .map(|axis| i64::from(cell[axis]) << FRACTION_BITS | i64::from(offset[axis]));
+                    .map(|axis| i64::from(own[axis]) << FRACTION_BITS | i64::from(offset[axis]));
                 let words = tuple.iter().map(|word| word.to_bits()).collect();
                 found.push((index_of.index(cell), steps, words));
             }
@@ -154,13 +158,15 @@ pub fn nearest_values(
     };
     let mut values = Vec::with_capacity(edges.len() * components);
     for (&(cell, axis), &ends) in edges.iter().zip(&mesh.ends) {
-        let half = 1_i64 << (FRACTION_BITS - 1);
-        let mut place = [0, 1, 2].map(|a| (i64::from(cell[a]) << FRACTION_BITS) + half);
+        // A cell of the block in steps of the finest.
+        let bits = FRACTION_BITS + level as u32;
+        let half = 1_i64 << (bits - 1);
+        let mut place = [0, 1, 2].map(|a| (i64::from(cell[a]) << bits) + half);
         place[axis] += (crossings.fraction(ends) * (2 * half) as f64).round() as i64;
         let mut best: Option<(i64, [i64; 3], &[u32])> = None;
         for shell in 0..=reach {
             // All particles in outer shells are farther than this.
-            let passed = (i64::from(shell) << FRACTION_BITS) - 3 * half;
+            let passed = (i64::from(shell) << bits) - 3 * half;
             if best.is_some_and(|(squared, ..)| passed > 0 && squared < passed * passed) {
                 break;
             }
@@ -220,24 +226,25 @@ fn interpolate(
     }
 }
 
-/// For each cell, the sums of a `group` of components over its particles, followed by the number of
-/// particles. All components have the same step.
+/// For each cell of a level, the sums of a `group` of components over its particles, followed by the
+/// number of particles. All components have the same step.
 fn sums(
     bins: &Bins,
     (attribute, components): (usize, usize),
     group: Range<usize>,
-    cells: CellBox,
+    (cells, level): (CellBox, i32),
 ) -> io::Result<Vec<Block<f64>>> {
     let mut sums: Vec<Block<i64>> = vec![Block::zero(cells); group.len() + 1];
     let mut greatest = 0.0;
     let mut seen: Vec<usize> = Vec::new();
     let mut values: Vec<f32> = Vec::new();
-    for coord in cells.cubes(BIN) {
+    let finest = CellBox { lo: cells.lo << level, hi: cells.hi << level };
+    for coord in finest.cubes(BIN) {
         let Ok(bin) = bins.keys().binary_search(&MortonKey::of(coord)) else { continue };
         let contents = bins.contents(bin)?;
         let tuples = contents.attributes[attribute].chunks_exact(components);
         for ((local, _), tuple) in contents.particles().zip(tuples) {
-            let cell = cell_of(coord, local);
+            let cell = cell_of(coord, local) >> level;
             if cells.contains(cell) && tuple.iter().all(|x| x.is_finite()) {
                 seen.push(sums[0].index(cell));
                 values.extend_from_slice(&tuple[group.clone()]);

@@ -29,7 +29,8 @@ pub struct SizedField<'a> {
     clouds: &'a SizedClouds,
     /// A solid that cuts the field, if there is one.
     solid: Option<Arc<Solid>>,
-    /// The recipes of the finest octave, and of the others, whose drops are refined.
+    /// The recipes of the first octave that is seen, and of the others: except for the finest of
+    /// all, their drops are refined.
     recipes: [(Recipe, DistanceFilters); 2],
     /// Averages sizes, in wide cells of an octave.
     averaging: Weights,
@@ -79,7 +80,8 @@ impl<'a> SizedField<'a> {
         let spacing = clouds.octave(0).facts.spacing_cells_or_one();
         let finest = DistanceFilters::new(smooth, sheets, spacing);
         let coarser = finest.clone().refining(sheets, spacing);
-        let recipes = [finest, coarser].map(|distances| {
+        let first = if clouds.is_finest() { finest } else { coarser.clone() };
+        let recipes = [first, coarser].map(|distances| {
             let distances = distances.of_half_amounts().with_plateau(plateau / 2);
             (Recipe::of_distances(distances.clone()), distances)
         });
@@ -207,9 +209,9 @@ impl<'a> SizedField<'a> {
         away_from_walls: bool,
         surfaces: &mut [Option<OctaveSurface>],
     ) -> Option<Block> {
-        let solid = self.solid.as_deref().filter(|solid| self.is_at(solid, cells));
         // At a solid, fluid has a surface even if it is all inside.
-        let away_from_walls = away_from_walls && solid.is_none();
+        let is_at_solid = || self.solid.as_deref().is_some_and(|solid| self.is_at(solid, cells));
+        let away_from_walls = away_from_walls && !is_at_solid();
         self.make(surfaces, 0, around);
         let bulk = surfaces[0].as_ref()?.bulk.part(self.wide(0, cells));
         // Drops only add to the inside.
@@ -217,21 +219,45 @@ impl<'a> SizedField<'a> {
         if away_from_walls && bulk.samples().iter().all(|&sample| sample > threshold) {
             return None;
         }
-        let octaves = (0..surfaces.len()).rev();
-        let drops: Vec<OctaveShares> =
-            octaves.filter_map(|octave| self.drops(octave, surfaces, (cells, around))).collect();
+        let drops = self.all_drops(surfaces, (cells, around));
         if bulk.samples().iter().all(|&sample| sample <= threshold)
             && !drops.iter().any(|drops| self.has_inside(drops))
         {
             return None;
         }
-        let mut field = refined(&bulk, self.distances(0).level, cells);
+        Some(self.joined(&bulk, drops, cells))
+    }
+
+    /// Makes the final field on some of the finest cells, even if no surface passes through them.
+    #[must_use]
+    pub fn everywhere_on(&self, cells: CellBox) -> Block {
+        let mut surfaces: Vec<_> = (0..self.clouds.octaves()).map(|_| None).collect();
+        self.make(&mut surfaces, 0, cells);
+        let bulk = surfaces[0].as_ref().map(|surface| surface.bulk.part(self.wide(0, cells)));
+        let drops = self.all_drops(&mut surfaces, (cells, cells));
+        self.joined(&bulk.expect("it was made"), drops, cells)
+    }
+
+    /// The drops of all octaves, from the coarsest on.
+    fn all_drops(
+        &self,
+        surfaces: &mut [Option<OctaveSurface>],
+        (cells, around): (CellBox, CellBox),
+    ) -> Vec<OctaveShares> {
+        let octaves = (0..surfaces.len()).rev();
+        octaves.filter_map(|octave| self.drops(octave, surfaces, (cells, around))).collect()
+    }
+
+    /// The field of a bulk and its drops, cut by the solid.
+    fn joined(&self, bulk: &Block, drops: Vec<OctaveShares>, cells: CellBox) -> Block {
+        let mut field = refined(bulk, self.distances(0).level, cells);
         for drops in drops {
             field = self.with_drops(field, &drops);
         }
         self.walls(0).into_iter().for_each(|walls| field.repeat_edges(walls));
+        let solid = self.solid.as_deref().filter(|solid| self.is_at(solid, cells));
         solid.into_iter().for_each(|solid| cut_by(solid, self.clouds.octave(0), &mut field));
-        Some(field)
+        field
     }
 
     /// Whether a solid, with its offset, may cut the field on some of the finest cells.

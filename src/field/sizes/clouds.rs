@@ -2,6 +2,7 @@
 
 use std::io;
 use std::ops::Range;
+use std::sync::Arc;
 
 use glam::IVec3;
 use rayon::prelude::*;
@@ -10,7 +11,7 @@ use crate::brick::{Bins, Block, PageInfo, PageSamples, Pages, coarsened};
 use crate::field::distance::{refined, wide_cells};
 use crate::field::indicator::{Amount, Clouds, SampledDif, WideCells};
 use crate::field::recipe::walls_at;
-use crate::grid::{BIN, CellBox, block_parts};
+use crate::grid::{BIN, CellBox};
 
 use super::{Octaves, SIDE};
 
@@ -23,10 +24,13 @@ pub struct Layer {
     pub fraction: SampledDif,
 }
 
-/// All clouds, in octaves from the finest on.
-#[derive(Debug)]
+/// All clouds, in octaves from the finest on. They can be seen from any octave: it counts as octave
+/// 0 then, and its cells as the finest, although finer clouds are part of all densities.
+#[derive(Debug, Clone)]
 pub struct SizedClouds {
-    layers: Vec<Layer>,
+    layers: Arc<[Layer]>,
+    /// The first octave, among all layers.
+    first: usize,
 }
 
 /// Makes the pages of one octave from bins whose last attributes give the sizes.
@@ -136,25 +140,37 @@ impl SizedClouds {
     #[must_use]
     pub fn new(layers: Vec<Layer>) -> Self {
         assert!(!layers.is_empty(), "no octave");
-        Self { layers }
+        Self { layers: layers.into(), first: 0 }
+    }
+
+    /// The same clouds, as seen from an octave.
+    #[must_use]
+    pub fn from_octave(&self, octave: usize) -> Self {
+        Self { layers: Arc::clone(&self.layers), first: self.first + octave }
+    }
+
+    /// Whether octave 0 is the finest of all.
+    #[must_use]
+    pub fn is_finest(&self) -> bool {
+        self.first == 0
     }
 
     /// The clouds of the particles in one octave.
     #[must_use]
     pub fn octave(&self, octave: usize) -> &SampledDif {
-        &self.layers[octave].volume
+        &self.layers[self.first + octave].volume
     }
 
     /// The clouds of an octave's particles, times the logarithms of their sizes in it.
     #[must_use]
     pub fn fractions(&self, octave: usize) -> Option<&SampledDif> {
-        self.layers.get(octave).map(|layer| &layer.fraction)
+        self.layers.get(self.first + octave).map(|layer| &layer.fraction)
     }
 
     /// The number of octaves.
     #[must_use]
     pub fn octaves(&self) -> usize {
-        self.layers.len()
+        self.layers.len() - self.first
     }
 
     /// The density of all particles, in cells 2^`level` times as wide as those of an octave.
@@ -167,6 +183,7 @@ impl SizedClouds {
     /// its own.
     #[must_use]
     pub fn may_hold(&self, octave: usize, level: u32, cells: CellBox) -> bool {
+        let octave = self.first + octave;
         let wide = octave as u32 + level;
         let near = cells.grown(1, 1);
         (0_u32..).zip(&self.layers[..=octave]).any(|(of, layer)| {
@@ -187,8 +204,9 @@ impl SizedClouds {
         let finest_walls = self.layers[0].volume.facts.walls();
         let mut sum = Block::zero(cells);
         // A requested cell has 2^wide cells of the finest octave along an axis.
+        let octave = self.first + octave;
         let wide = octave as u32 + level;
-        for (of, layer) in (0_u32..).zip(&self.layers) {
+        for (of, layer) in (0_u32..).zip(&*self.layers) {
             let field = match (part, (of as usize).cmp(&octave)) {
                 (CloudPart::All, _) | (CloudPart::Above, std::cmp::Ordering::Greater) => {
                     &layer.volume
@@ -222,19 +240,17 @@ impl SizedClouds {
         f64::from(Amount::of_spacing(spacing).steps()) / (spacing * spacing * spacing)
     }
 
-    /// The parts of blocks of the finest cells that can contain a surface, in Morton order: those
-    /// within `reach` cells of an octave of its particles.
-    #[must_use]
-    pub fn regions(&self, reach: i32) -> Vec<CellBox> {
-        let boxes = (0_i32..).zip(&self.layers).flat_map(|(octave, layer)| {
+    /// The boxes of the finest cells that can contain a surface: those within `reach` cells of an
+    /// octave of its particles.
+    pub fn surface_boxes(&self, reach: i32) -> impl Iterator<Item = CellBox> + '_ {
+        (0_i32..).zip(&*self.layers).flat_map(move |(octave, layer)| {
             // Fluid between two octaves also has the surface of the coarser one.
             let further = if layer.fraction.dif.infos().is_empty() { reach } else { 2 * reach };
             layer.volume.dif.infos().iter().map(move |info| {
                 let CellBox { lo, hi } = info.full.grown(further + 1, further);
                 CellBox { lo: lo << octave, hi: hi << octave }
             })
-        });
-        block_parts(boxes)
+        })
     }
 
     /// The wide cells of every octave, which have the same edge in its spacings.

@@ -57,7 +57,8 @@ pub fn finer_spacings(mut field: Block) -> Block {
 }
 
 /// Converts a distance to spacings that are half as long.
-fn in_finer_spacings(sample: u16) -> u16 {
+#[must_use]
+pub fn in_finer_spacings(sample: u16) -> u16 {
     if sample == NONE {
         return NONE;
     }

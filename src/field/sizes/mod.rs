@@ -17,22 +17,28 @@
 //! 4. Drops. In each octave, particles that lie outside of R_k add their drops and sheets. Their
 //!    radius grows with the mean logarithm of the sizes of the octave's nearby particles.
 //!
+//! 5. Cells. Blocks without particles below octave k nearby are made of the cells of octave k, with
+//!    the field as seen from that octave: R_k is their bulk. See `levels`.
+//!
 //! No sample depends on the box of cells in which it is made: where a share is 0, its factor is not
 //! computed.
 
 mod clouds;
+mod levels;
 mod mix;
 
 pub use clouds::{Layer, LayerPages, SizedClouds};
-pub use mix::{OctaveDrops, WHOLE, finer_spacings, mixed, share};
+pub use levels::{BlockLevels, FinerBlocks};
+pub use mix::{OctaveDrops, WHOLE, finer_spacings, in_finer_spacings, mixed, share};
 
 use crate::brick::BrickSide;
 use crate::field::blur::Weights;
 use crate::field::distance::{UNITS, gaussian};
 use crate::field::indicator::{Amount, IndicatorKind, WideCells};
+use crate::grid::MOST_LEVELS;
 
 /// The maximum number of octaves: sizes are at most 64 times the smallest.
-pub const MOST_OCTAVES: usize = 7;
+pub const MOST_OCTAVES: usize = MOST_LEVELS;
 
 /// The width of the Gaussian that averages sizes, in spacings of the octave.
 const MIXED: f64 = 1.5;

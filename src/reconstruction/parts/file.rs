@@ -3,7 +3,7 @@
 //!
 //! ```text
 //! meshes of all blocks, in Morton order       as a spool keeps them
-//! blocks                                      24 bytes each: coordinates, tiles, vertices, triangles
+//! blocks                                      28 bytes each: coordinates, tiles, vertices, triangles, level
 //! bins that hold particles                    24 bytes each: coordinates, particles, tiles
 //! for each attribute, particles without it    8 bytes each
 //! end                                         64 bytes: how many of each there are, whose part it is, and a CRC-32 of all before
@@ -21,13 +21,13 @@ use crc32fast::Hasher;
 
 use crate::error::PartsError;
 use crate::frame::{OccupiedBin, OccupiedTiles};
-use crate::grid::MortonKey;
 use crate::grid::stretch::Stretch;
-use crate::surface::mesh::spool::{ListedBlock, Spool, SpoolFile, vertex_bytes};
+use crate::surface::mesh::BlockLevel;
+use crate::surface::mesh::spool::{ListedBlock, Spool, SpoolFile, block_place, vertex_bytes};
 use crate::system::reopened::ReopenedFile;
 
 /// "meniscus part" and the version of the format, in the machine's byte order.
-const MAGIC: u64 = 0x3150_5f73_7563_6e6d;
+const MAGIC: u64 = 0x3250_5f73_7563_6e6d;
 
 /// Bytes per read when a whole file is checked.
 const PIECE: usize = 1 << 18;
@@ -173,9 +173,13 @@ impl PartFile {
         let lacking: Vec<u64> = list(&file, &mut at, end.attributes.into()).map_err(io)?;
         let vertex = vertex_bytes(mark.normals, components);
         let meshes: u64 = blocks.iter().map(|block| block.bytes(vertex)).sum();
-        let key = |block: &ListedBlock| MortonKey::of(block.block.into());
-        let in_order = blocks.is_sorted_by(|a, b| key(a) < key(b));
-        let within = blocks.iter().all(|block| mark.stretch.holds(block.block.into()));
+        let levels = blocks.iter().map(|block| BlockLevel::unpacked(block.level));
+        let levels: Option<Vec<_>> = levels.collect();
+        let levels = levels.ok_or_else(inconsistent)?;
+        let placed = blocks.iter().zip(levels).map(|(block, level)| (block.block.into(), level));
+        let placed: Vec<_> = placed.collect();
+        let in_order = placed.is_sorted_by(|&a, &b| block_place(a.0, a.1) < block_place(b.0, b.1));
+        let within = placed.iter().all(|&(block, level)| mark.stretch.holds(level.home(block)));
         if meshes != meshes_end || lacking.len() != components.len() || !in_order || !within {
             return Err(inconsistent());
         }

@@ -5,6 +5,10 @@
 //! open. The segments around a cell form closed loops, and each crossed edge is on one loop. A loop
 //! becomes a fan around an apex none of whose diagonals is in a face of the cell. Each diagonal is
 //! then an edge of this cell's triangles only, and the mesh is a 2-manifold.
+//!
+//! Where cells of two levels touch, several corners of a dual cell can be one wide cell, and several
+//! of its edges one edge (Schaefer and Warren 2004). The loops are then shorter, and the rule holds
+//! for the faces that remain.
 
 use std::sync::LazyLock;
 
@@ -37,7 +41,60 @@ pub static TABLE: LazyLock<[Triangles; 256]> =
     LazyLock::new(|| std::array::from_fn(|case| triangles(case as u8)));
 
 fn triangles(case: u8) -> Triangles {
-    loops(case).iter().flat_map(|polygon| fan(polygon)).collect()
+    loops(case).iter().flat_map(|polygon| fan(polygon, share_face)).collect()
+}
+
+/// The corners of a dual cell that are the same wide cell.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct JoinedCorners {
+    /// The corners in wide cells, one bit per corner.
+    pub wide: u8,
+    /// The axes along which the lower and the upper corners are in the same wide cell.
+    pub axes: u8,
+}
+
+impl JoinedCorners {
+    /// The lowest corner in the same cell.
+    fn corner(self, corner: u8) -> u8 {
+        if self.wide >> corner & 1 == 1 { corner & !self.axes } else { corner }
+    }
+
+    /// The edge that stands for all edges between the same two cells: its ends are the lowest
+    /// corners.
+    fn edge(self, edge: CellEdge) -> (u8, u8) {
+        (self.corner(edge.corner), self.corner(edge.corner | 1 << edge.axis))
+    }
+
+    /// Whether the edges of the cell, or others between the same cells, are in a common face.
+    fn share_face(self, a: CellEdge, b: CellEdge) -> bool {
+        let same = |edge| edges().filter(move |&other| self.edge(other) == self.edge(edge));
+        same(a).any(|a| same(b).any(|b| share_face(a, b)))
+    }
+
+    /// The triangles of a combination of inside corners; joined corners are on the same side.
+    #[must_use]
+    pub fn triangles(self, case: u8) -> Triangles {
+        let joined = |polygon: &Vec<CellEdge>| {
+            let mut polygon = polygon.clone();
+            polygon.dedup_by_key(|edge| self.edge(*edge));
+            while polygon.len() > 1
+                && self.edge(polygon[0]) == self.edge(polygon[polygon.len() - 1])
+            {
+                polygon.pop();
+            }
+            // Two edges are one edge of the mesh, without area.
+            if polygon.len() < 3 { Vec::new() } else { fan(&polygon, |a, b| self.share_face(a, b)) }
+        };
+        loops(case).iter().flat_map(joined).collect()
+    }
+}
+
+/// All edges of a cell.
+fn edges() -> impl Iterator<Item = CellEdge> {
+    (0..8_u8).flat_map(|corner| {
+        let axes = (0..3_u8).filter(move |axis| corner >> axis & 1 == 0);
+        axes.map(move |axis| CellEdge { corner, axis })
+    })
 }
 
 /// The corners of each face in cyclic order, counter-clockwise seen from outside of the cell.
@@ -92,8 +149,8 @@ fn share_face(a: CellEdge, b: CellEdge) -> bool {
     faces().any(|face| corners(a).iter().chain(&corners(b)).all(|corner| face.contains(corner)))
 }
 
-/// Triangles that fill a loop.
-fn fan(polygon: &[CellEdge]) -> Triangles {
+/// Triangles that fill a loop, if `share_face` tells which edges are in a common face.
+fn fan(polygon: &[CellEdge], share_face: impl Fn(CellEdge, CellEdge) -> bool) -> Triangles {
     let len = polygon.len();
     let at = |i: usize| polygon[i % len];
     let apex = (0..len)
@@ -112,6 +169,52 @@ mod tests {
         assert_eq!(sizes.iter().max(), Some(&5));
         assert_eq!((sizes[0], sizes[255]), (0, 0));
         assert!(sizes[1..255].iter().all(|&n| n > 0));
+    }
+
+    /// All ways in which cells of two levels can meet in a dual cell, with the signs of its corners.
+    fn joined_cases() -> impl Iterator<Item = (JoinedCorners, u8)> {
+        let of = |axes: u8| (1..255_u8).map(move |wide| JoinedCorners { wide, axes });
+        let whole = |joined: &JoinedCorners| {
+            // A wide cell contains all corners that share it.
+            (0..8_u8).filter(|corner| joined.wide >> corner & 1 == 1).all(|corner| {
+                (0..3).all(|axis| {
+                    joined.axes >> axis & 1 == 0 || joined.wide >> (corner ^ 1 << axis) & 1 == 1
+                })
+            })
+        };
+        let possible = |&(joined, case): &(JoinedCorners, u8)| {
+            (0..8).all(|corner| case >> corner & 1 == case >> joined.corner(corner) & 1)
+        };
+        let cases = |joined| (0..=255_u8).map(move |case| (joined, case));
+        (0..8).flat_map(of).filter(whole).flat_map(cases).filter(possible)
+    }
+
+    #[test]
+    fn where_levels_meet_a_cells_triangles_have_no_diagonal_in_a_face() {
+        let mut seen = 0;
+        for (joined, case) in joined_cases() {
+            // For each pair of edges, the number of triangle sides from the first to the second.
+            let mut sides = std::collections::BTreeMap::new();
+            for triangle in joined.triangles(case) {
+                let corners = triangle.map(|edge| joined.edge(edge));
+                assert!(corners[0] != corners[1] && corners[1] != corners[2]);
+                assert!(corners[2] != corners[0]);
+                for i in 0..3 {
+                    let (a, b) = (triangle[i], triangle[(i + 1) % 3]);
+                    let key = (joined.edge(a), joined.edge(b));
+                    *sides.entry(key).or_insert((0, joined.share_face(a, b))) =
+                        (1, joined.share_face(a, b));
+                }
+            }
+            for (&(a, b), &(_, in_face)) in &sides {
+                // A side without its opposite is on the border of the cell's surface, in a face;
+                // a side with its opposite is inside.
+                let inner = sides.contains_key(&(b, a));
+                assert_eq!(inner, !in_face, "{joined:?}, case {case:08b}: {a:?} {b:?}");
+                seen += 1;
+            }
+        }
+        assert!(seen > 1000, "{seen}");
     }
 
     #[test]

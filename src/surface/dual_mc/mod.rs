@@ -14,6 +14,7 @@
 pub mod cases;
 mod cpu;
 mod level;
+pub mod levels;
 pub mod vulkan;
 
 pub use cpu::{block_mesh, contour, normal};

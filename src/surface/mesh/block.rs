@@ -6,7 +6,7 @@
 
 use glam::IVec3;
 
-use crate::grid::{BLOCK, TILE, local_from_morton};
+use crate::grid::{BLOCK, MOST_LEVELS, TILE, local_from_morton};
 
 /// One bit for each cell of a tile: bit x + 4 y + 16 z.
 pub type TileMask = u64;
@@ -41,7 +41,7 @@ pub struct Tile {
 }
 
 impl Tile {
-    /// The lowest cell of the tile, in the block at `block`.
+    /// The lowest cell of the tile, in the block at `block` of its level.
     pub fn corner(&self, block: IVec3) -> IVec3 {
         block * BLOCK + local_from_morton(self.index as usize) * TILE
     }
@@ -64,20 +64,146 @@ impl Tile {
     pub fn case(&self, bit: u32) -> usize {
         self.corners.iter().enumerate().map(|(k, c)| ((c >> bit & 1) as usize) << k).sum()
     }
+}
 
-    /// The edges with vertices, in the order of the vertices: lower cell relative to the tile, and
-    /// axis.
-    pub fn edges(&self) -> impl Iterator<Item = (IVec3, usize)> + use<'_> {
-        (0..3).flat_map(|axis| bits(self.crossed(axis)).map(move |bit| (cell_of_bit(bit), axis)))
+/// The level of a block's cells, and which neighbouring blocks have wider or narrower cells.
+///
+/// Cells of level k are 2^k times as wide as the finest. Cells of levels k and k + 1 can touch. The
+/// surface between them is made on the lattice of level k, by a block of that level, where a wide
+/// cell counts as 2^3 cells with one sample. Such a block can itself lie among wide cells. A vertex
+/// between two wide cells belongs to their block.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct BlockLevel {
+    /// The level of the block's lattice.
+    pub level: u8,
+    /// Those of the block (bit 0) and its upper neighbours (bit x + 2 y + 4 z) with wider cells.
+    pub wider: u8,
+    /// Those with narrower cells.
+    pub narrower: u8,
+}
+
+/// For each corner of a tile's dual cells, whether it is in wider or in narrower cells.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct TileLevels {
+    /// Corners in wider cells.
+    pub wider: [TileMask; 8],
+    /// Corners in narrower cells.
+    pub narrower: [TileMask; 8],
+}
+
+/// The cells of a tile with the highest coordinate, for each axis.
+const LAST: [TileMask; 3] = [0x8888_8888_8888_8888, 0xf000_f000_f000_f000, 0xffff << 48];
+
+impl BlockLevel {
+    /// The number in which all fields are packed.
+    #[must_use]
+    pub fn packed(self) -> u32 {
+        u32::from_le_bytes([self.level, self.wider, self.narrower, 0])
+    }
+
+    /// The inverse of [`packed`](Self::packed); `None` for a number that it never returns.
+    #[must_use]
+    pub fn unpacked(packed: u32) -> Option<Self> {
+        let [level, wider, narrower, nothing] = packed.to_le_bytes();
+        let valid = nothing == 0 && wider & narrower == 0 && usize::from(level) < MOST_LEVELS;
+        valid.then_some(Self { level, wider, narrower })
+    }
+
+    /// Whether all cells of the block and of its upper neighbours have its level.
+    #[must_use]
+    pub fn is_uniform(self) -> bool {
+        self.wider == 0 && self.narrower == 0
+    }
+
+    /// The first of the finest blocks that a block of this level contains.
+    #[must_use]
+    pub fn first_block(self, block: IVec3) -> IVec3 {
+        block << i32::from(self.level)
+    }
+
+    /// The first of the finest blocks in the block whose cells have this level or, at a seam, the
+    /// next one: blocks at seams are made with the wide cells that they lie in.
+    #[must_use]
+    pub fn home(self, block: IVec3) -> IVec3 {
+        let wider = i32::from(self.wider & 1);
+        (block >> wider) << (i32::from(self.level) + wider)
+    }
+
+    /// The levels of the corners of a tile's dual cells.
+    #[must_use]
+    pub fn of_tile(self, tile: &Tile) -> TileLevels {
+        if self.is_uniform() {
+            return TileLevels::default();
+        }
+        let place = local_from_morton(tile.index as usize);
+        // Along these axes, the upper corners of the last dual cells are in the next block.
+        let at_end = place.to_array().map(|along| along == BLOCK / TILE - 1);
+        let in_block = |corner: usize, block: usize| {
+            (0..3).fold(!0, |cells: TileMask, axis| {
+                let beyond = if at_end[axis] && corner >> axis & 1 == 1 { LAST[axis] } else { 0 };
+                cells & if block >> axis & 1 == 1 { beyond } else { !beyond }
+            })
+        };
+        let of = |blocks: u8| {
+            std::array::from_fn(|corner| {
+                let blocks = (0..8).filter(|block| blocks >> block & 1 == 1);
+                blocks.fold(0, |cells, block| cells | in_block(corner, block))
+            })
+        };
+        TileLevels { wider: of(self.wider), narrower: of(self.narrower) }
+    }
+
+    /// For each axis, the cells of a tile whose dual edge has a vertex of this block.
+    #[inline]
+    #[must_use]
+    pub fn crossed(self, tile: &Tile) -> [TileMask; 3] {
+        let crossed = [0, 1, 2].map(|axis| tile.crossed(axis));
+        if self.is_uniform() {
+            return crossed;
+        }
+        let TileLevels { wider, narrower } = self.of_tile(tile);
+        [0, 1, 2].map(|axis| {
+            let upper = 1 << axis;
+            crossed[axis] & !(wider[0] & wider[upper]) & !(narrower[0] | narrower[upper])
+        })
+    }
+
+    /// The dual cells of a tile that have triangles of this block.
+    #[inline]
+    #[must_use]
+    pub fn mixed(self, tile: &Tile) -> TileMask {
+        if self.is_uniform() {
+            return tile.mixed();
+        }
+        let TileLevels { wider, narrower } = self.of_tile(tile);
+        let all_wider = wider.iter().fold(!0, |all, corner| all & corner);
+        let any_narrower = narrower.iter().fold(0, |any, corner| any | corner);
+        tile.mixed() & !all_wider & !any_narrower
+    }
+
+    /// The edges of a tile with vertices of this block, in the order of the vertices: lower cell
+    /// relative to the tile, and axis.
+    pub fn edges(self, tile: &Tile) -> impl Iterator<Item = (IVec3, usize)> + use<> {
+        let crossed = self.crossed(tile);
+        (0..3).flat_map(move |axis| bits(crossed[axis]).map(move |bit| (cell_of_bit(bit), axis)))
+    }
+
+    /// Whether a cell of the block's lattice, at most one beyond the upper faces of `block`, is
+    /// part of a wider cell.
+    #[must_use]
+    pub fn is_wider(self, block: IVec3, cell: IVec3) -> bool {
+        let beyond = cell.cmpge((block + 1) * BLOCK);
+        self.wider >> beyond.bitmask() & 1 == 1
     }
 }
 
 impl BlockMesh {
-    /// The edges with vertices, in the order of the vertices: lower cell in the world, and axis.
+    /// The edges with vertices, in the order of the vertices: lower cell on the block's lattice,
+    /// and axis.
     pub fn edges(&self) -> impl Iterator<Item = (IVec3, usize)> + '_ {
         self.tiles.iter().flat_map(|tile| {
             let corner = tile.corner(self.block);
-            tile.edges().map(move |(cell, axis)| (corner + cell, axis))
+            self.level.edges(tile).map(move |(cell, axis)| (corner + cell, axis))
         })
     }
 }
@@ -85,8 +211,10 @@ impl BlockMesh {
 /// The surface of one block.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct BlockMesh {
-    /// The block's coordinates in blocks.
+    /// The block's coordinates in blocks of its level.
     pub block: IVec3,
+    /// The level of its cells.
+    pub level: BlockLevel,
     /// The tiles with vertices, in Morton order.
     pub tiles: Vec<Tile>,
     /// The stored bits of every vertex: the field at both ends of its edge, or a fraction.

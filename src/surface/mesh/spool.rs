@@ -10,12 +10,13 @@ use crate::grid::{BLOCK_TILES, MortonKey};
 use crate::system::reopened::ReopenedFile;
 use crate::system::scratch::Scratch;
 
-use super::{BlockMesh, Tile};
+use super::{BlockLevel, BlockMesh, Tile};
 
 /// The place of a block's surface in memory or file, and in the whole mesh.
 #[derive(Debug, Clone, Copy)]
 struct SpoolEntry {
     block: IVec3,
+    level: BlockLevel,
     first_vertex: u64,
     first_triangle: u64,
     tiles: u32,
@@ -25,7 +26,7 @@ struct SpoolEntry {
     at: u64,
 }
 
-/// Block surfaces in the order of insertion, which must be Morton order.
+/// Block surfaces in the order of insertion, which must be that of [`block_place`].
 #[derive(Debug)]
 pub struct Spool {
     index: Vec<SpoolEntry>,
@@ -57,6 +58,8 @@ pub struct ListedBlock {
     pub vertices: u32,
     /// Number of triangles.
     pub triangles: u32,
+    /// The level of its cells, [packed](BlockLevel::packed).
+    pub level: u32,
 }
 
 /// The surfaces of consecutive blocks in a file.
@@ -126,11 +129,12 @@ impl Spool {
 
     /// Adds a block's surface at offset `at`, if it is in a file.
     fn list(&mut self, listed: ListedBlock, at: u64) {
-        let ListedBlock { block, tiles, vertices, triangles } = listed;
+        let ListedBlock { block, tiles, vertices, triangles, level } = listed;
         let (first_vertex, first_triangle) = (self.vertices(), self.triangles());
         self.bytes += listed.bytes(self.vertex_bytes());
         self.index.push(SpoolEntry {
             block: block.into(),
+            level: BlockLevel::unpacked(level).expect("levels are checked when they are read"),
             first_vertex,
             first_triangle,
             tiles,
@@ -142,11 +146,14 @@ impl Spool {
 
     /// All blocks as entries of a file's list.
     pub fn listed(&self) -> impl ExactSizeIterator<Item = ListedBlock> + '_ {
-        self.index.iter().map(|&SpoolEntry { block, tiles, vertices, triangles, .. }| ListedBlock {
-            block: block.to_array(),
-            tiles,
-            vertices,
-            triangles,
+        self.index.iter().map(|&SpoolEntry { block, level, tiles, vertices, triangles, .. }| {
+            ListedBlock {
+                block: block.to_array(),
+                tiles,
+                vertices,
+                triangles,
+                level: level.packed(),
+            }
         })
     }
 
@@ -201,6 +208,7 @@ impl Spool {
             tiles: block.tiles.len() as u32,
             vertices: block.ends.len() as u32,
             triangles: block.triangle_count as u32,
+            level: block.level.packed(),
         };
         let at = match &mut self.store {
             BlockStore::Memory(blocks) => {
@@ -244,14 +252,19 @@ impl Spool {
         self.normals
     }
 
-    /// The coordinates of every block in blocks.
-    pub fn blocks(&self) -> impl Iterator<Item = IVec3> + '_ {
-        self.index.iter().map(|entry| entry.block)
+    /// The coordinates of every block in blocks of its level, and its level.
+    pub fn blocks(&self) -> impl Iterator<Item = (IVec3, BlockLevel)> + '_ {
+        self.index.iter().map(|entry| (entry.block, entry.level))
     }
 
-    /// The coordinates of block number `i`.
+    /// The coordinates of block number `i` in blocks of its level.
     pub fn block(&self, i: usize) -> IVec3 {
         self.index[i].block
+    }
+
+    /// The level of block number `i`.
+    pub fn level(&self, i: usize) -> BlockLevel {
+        self.index[i].level
     }
 
     /// The number in the whole mesh of the first vertex of block number `i`.
@@ -269,10 +282,10 @@ impl Spool {
         [self.index[i].vertices as usize, self.index[i].triangles as usize]
     }
 
-    /// The number of the block at `coord`, if it contains the surface.
-    pub fn find(&self, coord: IVec3) -> Option<usize> {
-        let key = MortonKey::of(coord);
-        self.index.binary_search_by_key(&key, |entry| MortonKey::of(entry.block)).ok()
+    /// The number of the block at `coord` of a level, if it contains the surface.
+    pub fn find(&self, coord: IVec3, level: u8) -> Option<usize> {
+        let place = block_place(coord, BlockLevel { level, ..BlockLevel::default() });
+        self.index.binary_search_by_key(&place, |entry| block_place(entry.block, entry.level)).ok()
     }
 
     /// The tiles of block number `i`.
@@ -315,6 +328,7 @@ impl Spool {
         let attributes = self.components.iter().map(|n| read_array(file, &mut at, n * vertices));
         Ok(BlockMesh {
             block: entry.block,
+            level: entry.level,
             tiles,
             ends,
             normals,
@@ -322,6 +336,12 @@ impl Spool {
             triangle_count: entry.triangles as usize,
         })
     }
+}
+
+/// The place of a block in the order of a spool: by the last of the finest blocks that it contains,
+/// so that a block's triangles refer to vertices of its own and of later blocks.
+pub fn block_place(block: IVec3, level: BlockLevel) -> (MortonKey, u8) {
+    (MortonKey::of(level.first_block(block + 1) - 1), level.level)
 }
 
 /// The file that contains block number `i`.

@@ -189,7 +189,8 @@ impl PieceParts {
                 *numbers.entry(root(&mut lesser, vertex)).or_insert(next)
             })
             .collect();
-        let from = (surface.block(piece) * BLOCK).as_dvec3();
+        let block = surface.level(piece).first_block(surface.block(piece));
+        let from = (block * BLOCK).as_dvec3();
         let mut parts = vec![PartSums { from, volume: 0.0, area: DVec3::ZERO }; numbers.len()];
         for triangle in triangles {
             let corners = triangle.map(local);

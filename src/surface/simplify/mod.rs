@@ -128,11 +128,13 @@ pub fn simplify(
     };
     let begun = if left_out.is_some() { MEASURING } else { 0.0 };
     let blocks: Vec<IVec3> = surface.blocks().collect();
-    let aligned = grouped(&blocks, aligned_chunk);
-    let shifted = grouped(&blocks, shifted_chunk);
+    let scale = Scale(1 << surface.widest_level());
+    let aligned = grouped(&blocks, |block| scale.aligned_chunk(block));
+    let shifted = grouped(&blocks, |block| scale.shifted_chunk(block));
     let chunks = aligned.len() + shifted.len();
     let meter = control.meter(Stage::Simplifying, chunks).between(begun, 1.0);
-    let passes = Passes { surface: &surface, left_out, tolerance: reduction.tolerance, meter };
+    let tolerance = reduction.tolerance;
+    let passes = Passes { surface: &surface, scale, left_out, tolerance, meter };
     let batch = 2 * rayon::current_num_threads();
 
     let mut between = Lists::in_memory();
@@ -192,12 +194,35 @@ pub fn simplify(
     })
 }
 
-fn aligned_chunk(block: IVec3) -> IVec3 {
-    block >> CHUNK.ilog2()
-}
+/// The edge of the surface's widest cells in the finest cells. All lengths that relate to a cell grow
+/// with it, so that a block of the widest cells is in one chunk.
+#[derive(Debug, Clone, Copy)]
+struct Scale(i32);
 
-fn shifted_chunk(block: IVec3) -> IVec3 {
-    aligned_chunk(block + CHUNK / 2)
+impl Scale {
+    /// Edge of a chunk in the finest blocks.
+    fn chunk(self) -> i32 {
+        CHUNK * self.0
+    }
+
+    fn aligned_chunk(self, block: IVec3) -> IVec3 {
+        block >> self.chunk().ilog2()
+    }
+
+    fn shifted_chunk(self, block: IVec3) -> IVec3 {
+        self.aligned_chunk(block + self.chunk() / 2)
+    }
+
+    /// Whether all cells have the same size.
+    fn is_uniform(self) -> bool {
+        self.0 == 1
+    }
+
+    /// Cells at the corners of a dual cell, or beyond: those of its vertices are between them. A
+    /// vertex between two wide cells can be one wide cell further down.
+    fn corners(self, cell: IVec3) -> [IVec3; 2] {
+        if self.is_uniform() { [cell, cell + 1] } else { [cell - self.0, cell + 2 * self.0] }
+    }
 }
 
 /// The pieces of each chunk, in Morton order.
@@ -222,6 +247,7 @@ enum Fate {
 
 struct Passes<'a> {
     surface: &'a StitchedSurface,
+    scale: Scale,
     left_out: Option<VertexSet>,
     /// Without a tolerance, all triangles stay.
     tolerance: Option<Tolerance>,
@@ -257,15 +283,19 @@ impl Passes<'_> {
             self.triangles(piece, |cell, triangle| match chunk.local(triangle) {
                 Some(local) => inside.push(local),
                 // The cells of its vertices are at the corners of the dual cell.
-                None => sorted.push(self.home([cell, cell + 1]), triangle),
+                None => sorted.push(self.home(self.scale.corners(cell)), triangle),
             })?;
         }
         let patch = Patch {
             positions: &chunk.positions,
             reference: &inside,
             triangles: &inside,
-            pinned: &chunk.pins(),
-            outside: Surroundings::DualCells,
+            pinned: &chunk.pins(self.scale),
+            outside: if self.scale.is_uniform() {
+                Surroundings::DualCells
+            } else {
+                Surroundings::Simplified
+            },
         };
         for triangle in self.simplified(patch) {
             let cells = triangle.map(|vertex| chunk.cells[vertex as usize]);
@@ -278,18 +308,21 @@ impl Passes<'_> {
     /// Maximum distance in cells between a triangle's vertices and the surface within the tolerance
     /// of it.
     fn reach(&self) -> i32 {
-        self.tolerance.map_or(0, |tolerance| tolerance.cells().ceil() as i32) + 1
+        let Scale(widest) = self.scale;
+        let further = if self.scale.is_uniform() { 1 } else { 2 * widest };
+        self.tolerance.map_or(0, |tolerance| tolerance.cells().ceil() as i32) + further
     }
 
     /// The shifted chunk of a triangle whose vertices have these cells, and its treatment there. A
     /// triangle is simplified only if all of the surface within its tolerance is in the chunk.
     fn home<const N: usize>(&self, cells: [IVec3; N]) -> (MortonKey, Fate) {
         let block = cells[0] >> BLOCK.ilog2();
-        let chunk = shifted_chunk(block);
-        let lo = (chunk * CHUNK - CHUNK / 2) * BLOCK;
+        let (chunk, edge) = (self.scale.shifted_chunk(block), self.scale.chunk());
+        let lo = (chunk * edge - edge / 2) * BLOCK;
         let reach = self.reach();
-        let inner = CellBox { lo, hi: lo + CHUNK * BLOCK }.grown(-reach, -reach);
-        let is_beside = |x: i32| (x + BAND).rem_euclid(CHUNK * BLOCK) < 2 * BAND;
+        let inner = CellBox { lo, hi: lo + edge * BLOCK }.grown(-reach, -reach);
+        let band = BAND * self.scale.0;
+        let is_beside = |x: i32| (x + band).rem_euclid(edge * BLOCK) < 2 * band;
         let is_near_seam = cells.iter().any(|cell| cell.to_array().into_iter().any(is_beside));
         let is_inside = cells.iter().all(|&cell| inner.contains(cell));
         let fate = if is_near_seam && is_inside { Fate::Simplify } else { Fate::Keep };
@@ -481,12 +514,10 @@ impl ChunkVertices {
     }
 
     /// Vertices on the lines of a coarse lattice.
-    fn pins(&self) -> Vec<u32> {
+    fn pins(&self, scale: Scale) -> Vec<u32> {
+        let spacing = PIN_SPACING * scale.0;
         let on_line = |cell: &IVec3| {
-            cell.to_array()
-                .into_iter()
-                .filter(|x| x.rem_euclid(PIN_SPACING) == PIN_SPACING / 2)
-                .count()
+            cell.to_array().into_iter().filter(|x| x.rem_euclid(spacing) == spacing / 2).count()
                 >= 2
         };
         (0..).zip(&self.cells).filter(|(_, cell)| on_line(cell)).map(|(vertex, _)| vertex).collect()

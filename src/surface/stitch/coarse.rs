@@ -11,7 +11,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use crate::surface::mesh::source::{Indexed, MeshSource, Outline, Vertices};
-use crate::surface::mesh::{BlockMesh, Tile, TileMask, bits};
+use crate::surface::mesh::{BlockLevel, BlockMesh, Tile, TileMask, bits};
 use crate::system::memory::zeroed_in_huge_pages;
 
 use super::{StitchedSurface, split};
@@ -28,8 +28,9 @@ pub(super) struct CoarseMesh<'a> {
 }
 
 /// The groups of 2 x 2 x 2 cells of a tile that have vertices, by their lowest cells.
-fn groups(tile: &Tile) -> TileMask {
-    let crossed = tile.crossed(0) | tile.crossed(1) | tile.crossed(2);
+fn groups(tile: &Tile, level: BlockLevel) -> TileMask {
+    let [x, y, z] = level.crossed(tile);
+    let crossed = x | y | z;
     let along_x = crossed | crossed >> 1;
     let along_y = along_x | along_x >> 4;
     (along_y | along_y >> 16) & LOWEST
@@ -44,7 +45,8 @@ impl<'a> CoarseMesh<'a> {
     /// Counts the remaining vertices.
     pub(super) fn new(fine: &'a StitchedSurface) -> io::Result<Self> {
         let count = |piece: usize| -> io::Result<u64> {
-            Ok(fine.tiles(piece)?.iter().map(|tile| u64::from(groups(tile).count_ones())).sum())
+            let of = |tile: &Tile| u64::from(groups(tile, fine.level(piece)).count_ones());
+            Ok(fine.tiles(piece)?.iter().map(of).sum())
         };
         let counts: Vec<u64> =
             (0..fine.pieces()).into_par_iter().map(count).collect::<io::Result<_>>()?;
@@ -65,9 +67,9 @@ impl<'a> CoarseMesh<'a> {
         let places = self.fine.positions(block);
         let (mut places, mut rest) = (places.iter(), to);
         for tile in &block.tiles {
-            let groups = groups(tile);
+            let groups = groups(tile, block.level);
             let mut sums = [(DVec3::ZERO, 0.0); 8];
-            for bit in (0..3).flat_map(|axis| bits(tile.crossed(axis))) {
+            for bit in block.level.crossed(tile).into_iter().flat_map(bits) {
                 let (sum, count) = &mut sums[rank(groups, bit)];
                 *sum += DVec3::from(*places.next().expect("a place for every edge"));
                 *count += 1.0;
@@ -91,7 +93,7 @@ impl<'a> CoarseMesh<'a> {
             |found, tile| {
                 // The first tile of a block has the block's first vertex.
                 next = if tile.first_vertex == 0 { self.firsts[found] } else { next };
-                let (groups, first) = (groups(tile), next);
+                let (groups, first) = (groups(tile, self.fine.level(found)), next);
                 next += u64::from(groups.count_ones());
                 move |bit| first + rank(groups, bit) as u64
             },

@@ -23,7 +23,7 @@ use crate::particles::AttributeInfo;
 use crate::surface::dual_mc::Crossings;
 use crate::surface::mesh::source::{Indexed, MeshSource};
 use crate::surface::mesh::spool::Spool;
-use crate::surface::mesh::{BlockMesh, Mesh, Tile, VertexAttribute, bits, cell_of_bit};
+use crate::surface::mesh::{BlockLevel, BlockMesh, Mesh, Tile, VertexAttribute, bits, cell_of_bit};
 use crate::system::memory::zeroed_in_huge_pages;
 
 use numbers::VertexNumbers;
@@ -67,9 +67,10 @@ impl StitchedSurface {
 
     /// The maximum absolute coordinate of the corners of the mesh's blocks.
     pub fn farthest_coordinate(&self) -> f64 {
-        let corners = |block: IVec3| {
+        let corners = |(block, level): (IVec3, BlockLevel)| {
             let CellBox { lo, hi } = CellBox::cube(block, BLOCK);
-            [lo, hi].map(|cells| self.grid.world_from_cells(cells.as_dvec3()).abs().max_element())
+            let grid = self.grid.in_wider_cells(level.level.into());
+            [lo, hi].map(|cells| grid.world_from_cells(cells.as_dvec3()).abs().max_element())
         };
         self.spool.blocks().flat_map(corners).fold(0.0, f64::max)
     }
@@ -161,32 +162,44 @@ impl StitchedSurface {
         Ok(columns.iter().sum::<f64>() * self.grid.cell_size().powi(3))
     }
 
-    /// The contribution of a block to the lengths of all columns along x, in cells.
+    /// The contribution of a block to the lengths of all columns along x, in the finest cells.
     fn block_columns(&self, block: &BlockMesh, within: Option<CellBox>) -> f64 {
+        let edge = f64::from(1_u32 << block.level.level);
         let of_tile = |tile: &Tile| {
             let first = tile.corner(block.block);
             let ends = &block.ends[tile.first_vertex as usize..];
-            let crossings = bits(tile.crossed(0)).zip(ends).map(|(bit, &ends)| {
+            let crossings = bits(block.level.crossed(tile)[0]).zip(ends).map(|(bit, &ends)| {
                 let cell = first + cell_of_bit(bit);
-                let mut x = f64::from(cell.x) + self.crossings.fraction(ends);
+                let [lower, upper] = [cell, cell + IVec3::X].map(|cell| middle(block, cell).x);
+                let fraction = self.crossings.fraction(ends);
+                let mut x = edge * (lower + (upper - lower) * fraction);
                 if let Some(CellBox { lo, hi }) = within {
-                    let column = cell.with_x(lo.x);
+                    let column = (cell << i32::from(block.level.level)).with_x(lo.x);
                     if column.cmplt(lo).any() || column.cmpge(hi).any() {
                         return 0.0;
                     }
-                    // Centres are at integers.
-                    x = x.clamp(f64::from(lo.x) - 0.5, f64::from(hi.x) - 0.5);
+                    x = x.clamp(f64::from(lo.x), f64::from(hi.x));
                 }
                 if tile.corners[0] >> bit & 1 == 1 { x } else { -x }
             });
             crossings.sum::<f64>()
         };
-        block.tiles.iter().map(of_tile).sum()
+        block.tiles.iter().map(of_tile).sum::<f64>() * edge * edge
     }
 
-    /// The block of each piece, in Morton order.
+    /// The first of the finest blocks in each piece, in Morton order.
     pub fn blocks(&self) -> impl Iterator<Item = IVec3> + '_ {
-        self.spool.blocks()
+        self.spool.blocks().map(|(block, level)| level.first_block(block))
+    }
+
+    /// The widest level of any piece.
+    pub fn widest_level(&self) -> u8 {
+        self.spool.blocks().map(|(_, level)| level.level).max().unwrap_or(0)
+    }
+
+    /// The level of a piece.
+    pub fn level(&self, piece: usize) -> BlockLevel {
+        self.spool.level(piece)
     }
 
     /// The tiles of a piece.
@@ -197,7 +210,7 @@ impl StitchedSurface {
         self.spool.tiles(piece)
     }
 
-    /// The block of a piece.
+    /// The block of a piece, in blocks of its level.
     pub fn block(&self, piece: usize) -> IVec3 {
         self.spool.block(piece)
     }
@@ -217,7 +230,8 @@ impl StitchedSurface {
         self.spool.counts(piece)[0]
     }
 
-    /// For each vertex of a piece, the lower cell of its edge, and its position in cells.
+    /// For each vertex of a piece, the lower cell of its edge, and its position, both in the finest
+    /// cells.
     ///
     /// # Errors
     /// If the scratch file cannot be read.
@@ -226,12 +240,14 @@ impl StitchedSurface {
         let positions = self.positions(&block);
         let mut places = Vec::with_capacity(positions.len());
         block.edges().for_each(|(cell, _)| {
+            let cell = cell << i32::from(block.level.level);
             places.push((cell, self.grid.cells_from_world(positions[places.len()]).into()));
         });
         Ok(places)
     }
 
-    /// Calls `put` with each triangle of a piece, and the lowest corner of its dual cell.
+    /// Calls `put` with each triangle of a piece, and the lowest corner of its dual cell in the finest
+    /// cells.
     ///
     /// # Errors
     /// If the scratch file cannot be read.
@@ -240,17 +256,31 @@ impl StitchedSurface {
         piece: usize,
         mut put: impl FnMut(IVec3, [u64; 3]),
     ) -> io::Result<()> {
-        self.emit(piece, |_, cell, triangle| put(cell, triangle))
+        let level = i32::from(self.spool.level(piece).level);
+        self.emit(piece, |_, cell, triangle| put(cell << level, triangle))
     }
 
     /// The only place with floating-point arithmetic: v = (1 - a) p_i + a p_j, or a point of the
     /// wall.
     fn place(&self, block: &BlockMesh, positions: &mut [[f64; 3]]) {
+        let level = block.level.level.into();
+        let grid = self.grid.in_wider_cells(level);
+        let domain = self.domain.map(|domain| domain.in_wider_cells(level));
+        let uniform = block.level.is_uniform();
         let place = |cell: IVec3, axis: usize, ends: [u16; 2]| {
+            let fraction = self.crossings.fraction(ends);
             let mut cells = cell.as_dvec3() + 0.5;
-            cells[axis] += self.crossings.fraction(ends);
-            let mut world = self.grid.world_from_cells(cells);
-            if let Some(domain) = &self.domain {
+            // Beyond a wall there are only ghost points.
+            let is_within = |cell| domain.is_none_or(|domain| domain.cells().contains(cell));
+            if uniform || !is_within(cell) || !is_within(cell + IVec3::AXES[axis]) {
+                cells[axis] += fraction;
+            } else {
+                let [lower, upper] =
+                    [cell, cell + IVec3::AXES[axis]].map(|cell| middle(block, cell));
+                cells = lower + (upper - lower) * fraction;
+            }
+            let mut world = grid.world_from_cells(cells);
+            if let Some(domain) = &domain {
                 let [lower, upper] = domain.walls();
                 if cell[axis] < domain.cells().lo[axis] {
                     world[axis] = lower[axis];
@@ -305,17 +335,42 @@ impl StitchedSurface {
         }
         let mut numbers = NUMBERS.take().unwrap_or_else(VertexNumbers::new);
         let (block, own) = (self.spool.block(i), self.spool.tiles(i)?);
+        let level = self.spool.level(i);
+        let mut wider: Vec<IVec3> = Vec::new();
         for neighbour in 0..8 {
             let coord = block + IVec3::new(neighbour & 1, neighbour >> 1 & 1, neighbour >> 2);
-            let Some(found) = self.spool.find(coord) else { continue };
+            if level.wider >> neighbour & 1 == 1 && !wider.contains(&(coord >> 1)) {
+                wider.push(coord >> 1);
+            }
+            let Some(found) = self.spool.find(coord, level.level) else { continue };
             let tiles = if found == i { Cow::Borrowed(&*own) } else { self.spool.tiles(found)? };
+            let of_found = self.spool.level(found);
             for tile in tiles.iter() {
-                numbers.enter(tile, tile.corner(coord) - block * BLOCK, numbered(found, tile));
+                let corner = tile.corner(coord) - block * BLOCK;
+                numbers.enter(tile, of_found, corner, numbered(found, tile));
             }
         }
-        numbers.triangles(block, &own, &mut put);
+        for coord in wider {
+            let Some(found) = self.spool.find(coord, level.level + 1) else { continue };
+            let of_found = self.spool.level(found);
+            for tile in self.spool.tiles(found)?.iter() {
+                let corner = tile.corner(coord) * 2 - block * BLOCK;
+                numbers.enter_wider(tile, of_found, corner, numbered(found, tile));
+            }
+        }
+        numbers.triangles((block, level), &own, &mut put);
         NUMBERS.set(Some(numbers));
         Ok(())
+    }
+}
+
+/// The middle of a cell of a block's lattice, or of the wide cell that it is part of, in cells of
+/// the block.
+fn middle(block: &BlockMesh, cell: IVec3) -> DVec3 {
+    if !block.level.is_uniform() && block.level.is_wider(block.block, cell) {
+        (cell & !1).as_dvec3() + 1.0
+    } else {
+        cell.as_dvec3() + 0.5
     }
 }
 

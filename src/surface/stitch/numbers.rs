@@ -9,8 +9,9 @@ use multiversion::multiversion;
 
 use crate::grid::BLOCK;
 use crate::surface::dual_mc::cases::{CellEdge, TABLE};
+use crate::surface::dual_mc::levels::{at_corners, joined_triangles};
 use crate::surface::mesh::source::{Indexed, Lattice, MeshSource, Outline, Vertices};
-use crate::surface::mesh::{Tile, bits, cell_of_bit};
+use crate::surface::mesh::{BlockLevel, Tile, bits, cell_of_bit};
 
 use super::StitchedSurface;
 use super::coarse::CoarseMesh;
@@ -45,12 +46,18 @@ impl VertexNumbers {
     /// Sets the numbers of the vertices of a tile whose lowest cell is at `corner`, relative to the
     /// block; `number` is called with the bit of each vertex in order.
     #[inline]
-    pub(super) fn enter(&mut self, tile: &Tile, corner: IVec3, mut number: impl FnMut(u32) -> u64) {
+    pub(super) fn enter(
+        &mut self,
+        tile: &Tile,
+        level: BlockLevel,
+        corner: IVec3,
+        mut number: impl FnMut(u32) -> u64,
+    ) {
         if corner.max_element() >= EDGE as i32 {
             return;
         }
-        for axis in 0..3 {
-            for bit in bits(tile.crossed(axis)) {
+        for (axis, crossed) in level.crossed(tile).into_iter().enumerate() {
+            for bit in bits(crossed) {
                 let (cell, number) = (corner + cell_of_bit(bit), number(bit));
                 if cell.max_element() < EDGE as i32 {
                     self.numbers[index(cell) + axis] = number;
@@ -59,14 +66,43 @@ impl VertexNumbers {
         }
     }
 
+    /// Like [`enter`](Self::enter), for a tile of wider cells: each of its edges is four edges of
+    /// the block's lattice. `corner` is in cells of that lattice.
+    pub(super) fn enter_wider(
+        &mut self,
+        tile: &Tile,
+        level: BlockLevel,
+        corner: IVec3,
+        mut number: impl FnMut(u32) -> u64,
+    ) {
+        let is_inside = |cell: IVec3| cell.min_element() >= 0 && cell.max_element() < EDGE as i32;
+        for (axis, crossed) in level.crossed(tile).into_iter().enumerate() {
+            for bit in bits(crossed) {
+                let (lowest, number) = (corner + 2 * cell_of_bit(bit), number(bit));
+                for side in 0..4 {
+                    let mut cell = lowest + IVec3::AXES[axis];
+                    cell[(axis + 1) % 3] += side & 1;
+                    cell[(axis + 2) % 3] += side >> 1;
+                    if is_inside(cell) {
+                        self.numbers[index(cell) + axis] = number;
+                    }
+                }
+            }
+        }
+    }
+
     /// Calls `put` with the rank, the dual cell and the vertices of each triangle of a block.
     pub(super) fn triangles<F: FnMut(usize, IVec3, [u64; 3])>(
         &self,
-        block: IVec3,
+        (block, level): (IVec3, BlockLevel),
         tiles: &[Tile],
         put: &mut F,
     ) {
-        triangles(&self.numbers, block, tiles, put);
+        if level.is_uniform() {
+            triangles(&self.numbers, block, tiles, put);
+        } else {
+            mixed_triangles(&self.numbers, (block, level), tiles, put);
+        }
     }
 }
 
@@ -91,6 +127,33 @@ fn triangles<F: FnMut(usize, IVec3, [u64; 3])>(
     }
 }
 
+/// Like [`triangles`], for a block whose dual cells join cells of several levels.
+fn mixed_triangles<F: FnMut(usize, IVec3, [u64; 3])>(
+    numbers: &[u64],
+    (block, level): (IVec3, BlockLevel),
+    tiles: &[Tile],
+    put: &mut F,
+) {
+    let mut rank = 0;
+    for tile in tiles {
+        let corner = tile.corner(block);
+        let wider = level.of_tile(tile).wider;
+        for bit in bits(level.mixed(tile)) {
+            let cell = corner + cell_of_bit(bit);
+            let numbers = &numbers[index(cell - block * BLOCK)..];
+            for edges in joined_triangles(cell, tile.case(bit), at_corners(&wider, bit)) {
+                put(rank, cell, edges.map(|edge| numbers[usize::from(place(edge))]));
+                rank += 1;
+            }
+        }
+    }
+}
+
+/// The offset of an edge from the number of the dual cell's lowest corner.
+fn place(edge: CellEdge) -> u16 {
+    (index(edge.offset()) + usize::from(edge.axis)) as u16
+}
+
 /// The index of a cell's first number.
 fn index(cell: IVec3) -> usize {
     let cell = cell.as_usizevec3();
@@ -99,7 +162,6 @@ fn index(cell: IVec3) -> usize {
 
 /// [`TABLE`], with each edge as an offset from the number of the dual cell's lowest corner.
 static FANS: LazyLock<[Vec<[u16; 3]>; 256]> = LazyLock::new(|| {
-    let place = |edge: CellEdge| (index(edge.offset()) + usize::from(edge.axis)) as u16;
     std::array::from_fn(|case| TABLE[case].iter().map(|triangle| triangle.map(place)).collect())
 });
 

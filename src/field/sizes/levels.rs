@@ -1,0 +1,179 @@
+//! The level of the cells in each block, which follows the sizes of nearby particles.
+//!
+//! Blocks form an octree: a block of level k has 32^3 cells, each 2^k of the finest along an axis.
+//! It is divided into blocks of level k - 1 if it or one of its 26 neighbours contains particles of
+//! an octave below k. So the levels of blocks that touch differ by at most one.
+
+use glam::IVec3;
+use hashbrown::{HashMap, HashSet};
+
+use crate::grid::{BIN, BLOCK, CellBox, LevelRegion, MortonKey};
+use crate::surface::mesh::BlockLevel;
+
+use super::SizedClouds;
+
+/// Edge of a block in bins, as a binary logarithm.
+const BLOCK_BINS: i32 = (BLOCK / BIN).ilog2() as i32;
+
+/// The blocks of each level from 1 that contain particles of a finer octave.
+pub type FinerBlocks = Vec<Vec<[i32; 3]>>;
+
+/// The level of the cells of each block.
+#[derive(Debug, Clone, Default)]
+pub struct BlockLevels {
+    /// The blocks of each level from 1 that are divided into blocks of the level below.
+    divided: Vec<HashSet<IVec3>>,
+}
+
+impl SizedClouds {
+    /// The blocks of each level from 1 that contain particles of a finer octave, in Morton order.
+    #[must_use]
+    pub fn finer_blocks(&self) -> FinerBlocks {
+        let mut below: Vec<IVec3> = Vec::new();
+        let levels = (1..self.octaves()).map(|level| {
+            let of_octave = self.octave(level - 1).dif.infos().iter();
+            // A block of this level has twice as many bins of the octave below along an axis.
+            let blocks = of_octave.map(|info| info.key.coord() >> (BLOCK_BINS + 1));
+            below = below.iter().map(|&block| block >> 1).chain(blocks).collect();
+            below.sort_unstable_by_key(|&block| MortonKey::of(block));
+            below.dedup();
+            below.iter().map(IVec3::to_array).collect()
+        });
+        levels.collect()
+    }
+}
+
+impl BlockLevels {
+    /// All cells are of the finest level.
+    #[must_use]
+    pub fn finest() -> Self {
+        Self::default()
+    }
+
+    /// From the blocks that contain particles of a finer octave.
+    #[must_use]
+    pub fn new(finer: &FinerBlocks) -> Self {
+        let near = |blocks: &Vec<[i32; 3]>| {
+            let around = |&block: &[i32; 3]| {
+                CellBox { lo: IVec3::from(block) - 1, hi: IVec3::from(block) + 2 }.cubes(1)
+            };
+            blocks.iter().flat_map(around).collect()
+        };
+        Self { divided: finer.iter().map(near).collect() }
+    }
+
+    /// The number of levels.
+    #[must_use]
+    pub fn count(&self) -> usize {
+        self.divided.len() + 1
+    }
+
+    /// Whether a block of a level is divided into narrower ones.
+    fn is_divided(&self, level: u8, block: IVec3) -> bool {
+        let of_level = usize::from(level).checked_sub(1).and_then(|i| self.divided.get(i));
+        of_level.is_some_and(|divided| divided.contains(&block))
+    }
+
+    /// Whether a block of a level is part of a wider one that is not divided.
+    fn is_in_wider(&self, level: u8, block: IVec3) -> bool {
+        usize::from(level) + 1 < self.count() && !self.is_divided(level + 1, block >> 1)
+    }
+
+    /// A block on the lattice of a level, with the levels of its cells and of its upper neighbours'.
+    #[must_use]
+    pub fn of(&self, level: u8, block: IVec3) -> BlockLevel {
+        let mut of_block = BlockLevel { level, ..BlockLevel::default() };
+        if self.count() == 1 {
+            return of_block;
+        }
+        for upper in 0..8 {
+            let block = block + IVec3::new(upper & 1, upper >> 1 & 1, upper >> 2);
+            of_block.wider |= u8::from(self.is_in_wider(level, block)) << upper;
+            of_block.narrower |= u8::from(self.is_divided(level, block)) << upper;
+        }
+        of_block
+    }
+
+    /// The first of the finest blocks in the block whose cells contain one of the finest cells.
+    #[must_use]
+    pub fn home(&self, cell: IVec3) -> IVec3 {
+        let block = cell.div_euclid(IVec3::splat(BLOCK));
+        let level = i32::from(self.level_of(block));
+        block >> level << level
+    }
+
+    /// The level of the cells in one of the finest blocks.
+    #[must_use]
+    pub fn level_of(&self, block: IVec3) -> u8 {
+        let levels = (1..self.count() as u8).rev();
+        levels
+            .take_while(|&level| self.is_divided(level, block >> i32::from(level)))
+            .last()
+            .map_or(self.count() as u8 - 1, |level| level - 1)
+    }
+
+    /// The parts of blocks that overlap some boxes of the finest cells, as one box per block, in
+    /// the Morton order of their first cells.
+    #[must_use]
+    pub fn regions(&self, boxes: impl Iterator<Item = CellBox>) -> Vec<LevelRegion> {
+        let widest = self.count() as u8 - 1;
+        let mut parts: HashMap<(u8, IVec3), CellBox> = HashMap::new();
+        for cells in boxes {
+            let mut blocks: Vec<(u8, IVec3)> =
+                cells.cubes(BLOCK << widest).map(|block| (widest, block)).collect();
+            while let Some((level, block)) = blocks.pop() {
+                let own = CellBox::cube(block, BLOCK << level);
+                let part = own.intersection(&cells);
+                if part.is_empty() {
+                    continue;
+                }
+                if self.is_divided(level, block) {
+                    let children = CellBox { lo: 2 * block, hi: 2 * block + 2 };
+                    blocks.extend(children.cubes(1).map(|block| (level - 1, block)));
+                    continue;
+                }
+                let CellBox { lo, hi } = part;
+                let shift = i32::from(level);
+                let part = CellBox { lo: lo >> shift, hi: ((hi - 1) >> shift) + 1 };
+                let of_block = parts.entry((level, block)).or_insert(CellBox::EMPTY);
+                *of_block = of_block.union(&part);
+            }
+        }
+        let mut regions: Vec<LevelRegion> =
+            parts.into_iter().map(|((level, _), cells)| LevelRegion { level, cells }).collect();
+        let first = |region: &LevelRegion| MortonKey::of(region.block() << i32::from(region.level));
+        regions.sort_unstable_by_key(first);
+        regions
+    }
+
+    /// The blocks of the level below in a block that lie at narrower cells, with the parts of them
+    /// in which cells of both levels meet, in Morton order.
+    #[must_use]
+    pub fn seams(&self, region: LevelRegion) -> Vec<LevelRegion> {
+        let LevelRegion { level, cells } = region;
+        let (Some(below), true) = (level.checked_sub(1), self.count() > 1) else {
+            return Vec::new();
+        };
+        // A cell further on each side, because the wide ones are rounded.
+        let near = CellBox { lo: 2 * cells.lo, hi: 2 * cells.hi }.grown(2, 2);
+        let mut children: Vec<IVec3> = CellBox::cube(region.block(), 2).cubes(1).collect();
+        children.sort_unstable_by_key(|&block| MortonKey::of(block));
+        let seam = |block: IVec3| {
+            let BlockLevel { wider, .. } = self.of(below, block);
+            let part = (1..8_u8).filter(|upper| wider >> upper & 1 == 0).fold(
+                CellBox::EMPTY,
+                |all, upper| {
+                    // The last layer of cells along each axis on which the blocks differ.
+                    let own = CellBox::cube(block, BLOCK);
+                    let is_last = |axis: usize| upper >> axis & 1 == 1;
+                    let lo = [0, 1, 2]
+                        .map(|axis| if is_last(axis) { own.hi[axis] - 1 } else { own.lo[axis] });
+                    all.union(&CellBox { lo: lo.into(), hi: own.hi })
+                },
+            );
+            let cells = part.intersection(&near);
+            (!cells.is_empty()).then_some(LevelRegion { level: below, cells })
+        };
+        children.into_iter().filter_map(seam).collect()
+    }
+}

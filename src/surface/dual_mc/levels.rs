@@ -1,0 +1,228 @@
+//! Marching cubes where cells of two levels touch.
+//!
+//! On the lattice of the narrower level, a wide cell counts as 2^3 cells with its sample. The dual
+//! cells at the corners of narrow cells join them to the wide ones (Schaefer and Warren 2004): no
+//! gap remains, because every edge between two cells has one vertex. An edge that joins cells of
+//! two levels ends at the middle of the wide cell.
+
+use glam::{DVec3, IVec3};
+
+use crate::brick::Block;
+use crate::grid::units::Isovalue;
+use crate::grid::{BLOCK, CellBox, TILE, local_morton};
+use crate::surface::mesh::{BlockLevel, BlockMesh, Tile, bits, cell_of_bit};
+
+use super::cases::{JoinedCorners, TABLE, Triangles};
+use super::{Crossings, Normals, dual_cells, normal};
+
+/// A field on the cells of one level, and the walls on that level.
+#[derive(Debug)]
+pub struct LevelField {
+    /// The samples.
+    pub field: Block,
+    /// The cells inside of the walls, if there are any.
+    pub walls: Option<CellBox>,
+}
+
+impl LevelField {
+    fn is_within_walls(&self, cell: IVec3) -> bool {
+        self.walls.is_none_or(|walls| walls.contains(cell))
+    }
+
+    /// The differences of the field along each axis around a cell.
+    fn falling(&self, cell: IVec3) -> DVec3 {
+        let sample = |cell: IVec3| f64::from(self.field.samples()[self.field.index(cell)]);
+        DVec3::from([0, 1, 2].map(|axis| {
+            let step = IVec3::AXES[axis];
+            sample(cell - step) - sample(cell + step)
+        }))
+    }
+}
+
+/// The fields from which a block of cells of several levels is meshed.
+#[derive(Debug)]
+pub struct LevelFields {
+    /// The field on the block's own level, on all of its cells.
+    pub own: LevelField,
+    /// The field on the next level, on all wide cells, in its own spacing.
+    pub wide: Option<LevelField>,
+    /// Converts a sample of the next level to the block's spacing.
+    pub narrowed: fn(u16) -> u16,
+}
+
+/// The sample of a cell, as the dual cells of a block use it.
+#[derive(Debug, Clone, Copy)]
+struct CellSample {
+    sample: u16,
+    is_within_walls: bool,
+}
+
+/// A block, its level, and the fields of its cells.
+struct Mixed<'a> {
+    fields: &'a LevelFields,
+    block: IVec3,
+    level: BlockLevel,
+}
+
+/// The cells of a block's dual cells with the block's own level, and those of wider cells, which are
+/// in cells of the next level.
+#[must_use]
+pub fn cells_by_level(block: IVec3, level: BlockLevel, region: CellBox) -> [CellBox; 2] {
+    let cells = dual_cells(region);
+    let own = CellBox::cube(block, BLOCK);
+    let mut boxes = [CellBox::EMPTY; 2];
+    for beyond in 0..8_u8 {
+        let part = [0, 1, 2].map(|axis| beyond >> axis & 1 == 1);
+        let part = CellBox {
+            lo: IVec3::from(std::array::from_fn::<_, 3, _>(|axis| {
+                if part[axis] { own.hi[axis] } else { own.lo[axis] }
+            })),
+            hi: IVec3::from(std::array::from_fn::<_, 3, _>(|axis| {
+                own.hi[axis] + i32::from(part[axis])
+            })),
+        };
+        let part = part.intersection(&cells);
+        if part.is_empty() || level.narrower >> beyond & 1 == 1 {
+            continue;
+        }
+        let is_wider = level.wider >> beyond & 1 == 1;
+        boxes[usize::from(is_wider)] = boxes[usize::from(is_wider)].union(&part);
+    }
+    let [own, CellBox { lo, hi }] = boxes;
+    [own, if lo.cmplt(hi).all() { CellBox { lo: lo >> 1, hi: (hi + 1) >> 1 } } else { boxes[1] }]
+}
+
+impl Mixed<'_> {
+    fn is_wider(&self, cell: IVec3) -> bool {
+        self.level.is_wider(self.block, cell)
+    }
+
+    fn of(&self, cell: IVec3) -> CellSample {
+        match &self.fields.wide {
+            Some(wide) if self.is_wider(cell) => CellSample {
+                sample: (self.fields.narrowed)(wide.field.samples()[wide.field.index(cell >> 1)]),
+                is_within_walls: wide.is_within_walls(cell >> 1),
+            },
+            _ => {
+                let LevelField { field, .. } = &self.fields.own;
+                // Narrower cells have vertices in their own blocks.
+                let known = field.cells().contains(cell);
+                CellSample {
+                    sample: if known { field.samples()[field.index(cell)] } else { 0 },
+                    is_within_walls: self.fields.own.is_within_walls(cell),
+                }
+            }
+        }
+    }
+
+    fn falling(&self, cell: IVec3) -> DVec3 {
+        match &self.fields.wide {
+            Some(wide) if self.is_wider(cell) => wide.falling(cell >> 1),
+            _ => self.fields.own.falling(cell),
+        }
+    }
+
+    /// The outward normal of a vertex.
+    fn normal(&self, cell: IVec3, axis: usize, fraction: f64) -> [f32; 3] {
+        let step = IVec3::AXES[axis];
+        let ends = [cell, cell + step];
+        let [lower, upper] = ends.map(|cell| self.of(cell));
+        let along = DVec3::AXES[axis].as_vec3().to_array();
+        match (lower.is_within_walls, upper.is_within_walls) {
+            (false, true) => along.map(|x| -x),
+            (true, false) => along,
+            _ => {
+                let falls_up = lower.sample > upper.sample;
+                normal((cell, axis), fraction, falls_up, ends.map(|cell| self.falling(cell)), None)
+            }
+        }
+    }
+}
+
+/// The triangles of a dual cell with the given inside corners and corners in wider cells.
+pub fn joined_triangles(cell: IVec3, case: usize, wider: u8) -> Triangles {
+    if wider == 0 {
+        return TABLE[case].clone();
+    }
+    // Even cells and the next ones are in the same wide cell.
+    let axes = (0..3).fold(0, |axes, axis| axes | u8::from(cell[axis] & 1 == 0) << axis);
+    JoinedCorners { wide: wider, axes }.triangles(case as u8)
+}
+
+/// The surface in the tiles of `region`, a part of one block, whose cells or whose upper neighbours'
+/// cells have several levels; `None` if there is no surface. A sample has a surface at `iso`.
+///
+/// # Panics
+/// If the fields do not cover the cells that [`cells_by_level`] returns, and one more cell on each
+/// side for normals.
+#[must_use]
+pub fn mixed_block_mesh(
+    fields: &LevelFields,
+    (block, level): (IVec3, BlockLevel),
+    region: CellBox,
+    iso: Isovalue,
+    normals: Normals,
+) -> Option<BlockMesh> {
+    let mixed = Mixed { fields, block, level };
+    let mut mesh = BlockMesh { block, level, ..BlockMesh::default() };
+    let region = region.tiled();
+    let cells = dual_cells(region);
+    let mut inside = Block::<u8>::zero(cells);
+    let size = cells.size();
+    for (i, to) in inside.samples_mut().iter_mut().enumerate() {
+        let i = i as i32;
+        let at = IVec3::new(i % size.x, i / size.x % size.y, i / (size.x * size.y));
+        let CellSample { sample, is_within_walls } = mixed.of(cells.lo + at);
+        *to = u8::from(is_within_walls && sample > iso.threshold());
+    }
+    let tile_edge = IVec3::splat(TILE);
+    let mut tiles: Vec<IVec3> = region.cubes(TILE).collect();
+    let index = |tile: IVec3| local_morton(tile - block * (BLOCK / TILE)) as u32;
+    tiles.sort_unstable_by_key(|&tile| index(tile));
+    for place in tiles {
+        let mut tile = Tile { index: index(place), first_vertex: 0, corners: [0; 8] };
+        for (k, corner) in (0_i32..).zip(&mut tile.corners) {
+            let offset = IVec3::new(k & 1, k >> 1 & 1, k >> 2);
+            for bit in 0..64 {
+                let cell = place * tile_edge + cell_of_bit(bit) + offset;
+                *corner |= u64::from(inside.samples()[inside.index(cell)]) << bit;
+            }
+        }
+        let crossed = level.crossed(&tile);
+        let dual = level.mixed(&tile);
+        if dual == 0 && crossed == [0; 3] {
+            continue;
+        }
+        tile.first_vertex = mesh.ends.len() as u32;
+        for (cell, axis) in level.edges(&tile) {
+            let cell = place * tile_edge + cell;
+            let [lower, upper] = [cell, cell + IVec3::AXES[axis]].map(|cell| mixed.of(cell));
+            // Beyond a wall, the field repeats the cell on the other side.
+            let ends = match (lower.is_within_walls, upper.is_within_walls) {
+                (true, false) => [lower.sample; 2],
+                (false, true) => [upper.sample; 2],
+                _ => [lower.sample, upper.sample],
+            };
+            mesh.ends.push(ends);
+            if normals == Normals::Gradient {
+                let fraction = Crossings::from(iso).fraction(ends);
+                mesh.normals.push(mixed.normal(cell, axis, fraction));
+            }
+        }
+        let wider = level.of_tile(&tile).wider;
+        mesh.triangle_count += bits(dual)
+            .map(|bit| {
+                let cell = place * tile_edge + cell_of_bit(bit);
+                joined_triangles(cell, tile.case(bit), at_corners(&wider, bit)).len()
+            })
+            .sum::<usize>();
+        mesh.tiles.push(tile);
+    }
+    (!mesh.tiles.is_empty()).then_some(mesh)
+}
+
+/// The corners of a dual cell whose bits are set, one bit per corner.
+#[must_use]
+pub fn at_corners(corners: &[u64; 8], bit: u32) -> u8 {
+    (0..8).fold(0, |all, k| all | ((corners[k] >> bit & 1) as u8) << k)
+}
