@@ -41,6 +41,7 @@ use crate::backend::{Stages, Work};
 use crate::brick::{BinnedParticles, Bins, FrameFacts};
 use crate::field::calibration::{Calibration, indicate};
 use crate::field::indicator::{Indicator, SampledDif};
+use crate::field::sizes::FinerBlocks;
 use crate::field::spacing::spacing_by_clouds;
 use crate::frame::estimate::MemoryEstimate;
 use crate::grid::stretch::Stretch;
@@ -298,6 +299,16 @@ impl Engine {
     #[must_use]
     pub fn has_sizes(&self) -> bool {
         matches!(self.field, SampledField::Sizes(_))
+    }
+
+    /// The blocks with particles of finer octaves, which determine the cells of particles of several
+    /// sizes.
+    #[must_use]
+    pub fn finer_blocks(&self) -> Option<&FinerBlocks> {
+        match &self.field {
+            SampledField::Sizes(sampled) => Some(sampled.finer_blocks()),
+            SampledField::Dif { .. } | SampledField::Kernels(_) => None,
+        }
     }
 
     /// The method that made the field. An indicator has its mu0, given or measured.

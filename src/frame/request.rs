@@ -38,7 +38,7 @@ pub struct SizedParticles {
     /// The attributes.
     pub columns: SizeAttributes,
     /// The blocks with finer particles of a whole frame, for particles that are a part of it.
-    pub finer: Option<Arc<FinerBlocks>>,
+    pub finer: Option<FinerBlocks>,
 }
 
 /// The parameters for sampling a frame.
@@ -96,6 +96,14 @@ impl Sampling {
         Ok(Self { sizes: sizes.map(sized).transpose()?, ..self })
     }
 
+    /// For particles that are a part of a frame: the same with the frame's blocks of finer
+    /// particles.
+    #[must_use]
+    pub fn with_finer(mut self, finer: &FinerBlocks) -> Self {
+        self.sizes.iter_mut().for_each(|sized| sized.finer = Some(finer.clone()));
+        self
+    }
+
     /// The numbers of the attributes that are sorted with the particles: first those for the
     /// vertices, then those with the sizes.
     #[must_use]
@@ -110,6 +118,13 @@ impl Sampling {
         self.sizes.as_ref().map(|sized| sized.sizes.coarsest)
     }
 
+    /// The number of octaves of particles of several sizes, of which `coarsest` is the largest.
+    fn octaves(&self, coarsest: Option<f64>) -> usize {
+        let cell = self.grid.cell_size();
+        let sizes = self.spacing.zip(coarsest);
+        sizes.map_or(1, |(finest, coarsest)| Octaves::new(finest, coarsest, cell).count)
+    }
+
     /// The cells whose particles affect a block's mesh, for an indicator. Kernels are not
     /// supported. `coarsest` is the largest size of particles of several sizes.
     pub fn sight(
@@ -118,7 +133,11 @@ impl Sampling {
         surfacing: &Surfacing,
         coarsest: Option<f64>,
     ) -> DecidingCells {
-        let block = CellBox::cube(IVec3::ZERO, BLOCK);
+        // The block of the widest cells that begins with this one, with the cells beyond its faces
+        // that dual cells and normals use.
+        let widest = if self.periodic.is_some() { 0 } else { self.octaves(coarsest) - 1 };
+        let further = if widest == 0 { 0 } else { 4 << widest };
+        let block = CellBox::cube(IVec3::ZERO, BLOCK << widest).grown(further, further);
         let cells = surfacing.normals.cells(block);
         let [field, halo] = surfacing.halos(kind, self.spacing, coarsest, &self.grid);
         let of_field = if coarsest.is_some() {

@@ -1,7 +1,5 @@
 //! A frame of particles of several sizes.
 
-use std::sync::Arc;
-
 use crate::backend::SizedField;
 use crate::brick::{Bins, Block, FrameFacts};
 use crate::field::blur::Smoothing;
@@ -14,10 +12,10 @@ use crate::field::sizes::{
 };
 use crate::frame::estimate::{MemoryEstimate, MemoryPlan};
 use crate::grid::units::Isovalue;
-use crate::grid::{CellBox, LevelRegion};
+use crate::grid::{BlockLevel, CellBox, LevelRegion};
 use crate::surface::dual_mc::levels::{LevelField, LevelFields, cells_by_level, mixed_block_mesh};
 use crate::surface::dual_mc::{Normals, block_mesh, dual_cells};
-use crate::surface::mesh::{BlockLevel, BlockMesh};
+use crate::surface::mesh::BlockMesh;
 use crate::system::control::Meter;
 
 use super::sink::FieldSink;
@@ -31,7 +29,7 @@ pub(super) struct SampledSizes {
     /// The clouds as seen from each level of cells.
     clouds: Vec<SizedClouds>,
     /// The blocks with particles of finer octaves, which determine the levels of cells.
-    finer: Arc<FinerBlocks>,
+    finer: FinerBlocks,
     levels: BlockLevels,
     /// The particles' volume per cubed unit deep in the fluid, if it is known.
     density: Option<f64>,
@@ -87,9 +85,9 @@ impl SampledSizes {
         let clouds = SizedClouds::new(layers);
         let finer = match (&sized.finer, facts.periodic) {
             // The cells at opposite faces of a periodic box are the same.
-            (_, Some(_)) => Arc::default(),
-            (Some(finer), None) => Arc::clone(finer),
-            (None, None) => clouds.finer_blocks().into(),
+            (_, Some(_)) => FinerBlocks::new(),
+            (Some(finer), None) => finer.clone(),
+            (None, None) => clouds.finer_blocks(),
         };
         let levels = BlockLevels::new(&finer);
         let clouds = (0..levels.count()).map(|level| clouds.from_octave(level)).collect();
@@ -191,7 +189,7 @@ impl SampledSizes {
     }
 
     /// The blocks with particles of finer octaves.
-    pub(super) fn finer_blocks(&self) -> &Arc<FinerBlocks> {
+    pub(super) fn finer_blocks(&self) -> &FinerBlocks {
         &self.finer
     }
 }

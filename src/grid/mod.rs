@@ -6,11 +6,13 @@
 //! particles are integers and do not depend on their order.
 
 mod domain;
+mod levels;
 mod periodic;
 pub mod stretch;
 pub mod units;
 
 pub use domain::{Domain, DomainError, Walls};
+pub use levels::{BlockLevel, LevelRegion};
 pub use periodic::{Periodic, PeriodicError, PeriodicMesh};
 
 use glam::{DVec3, IVec3};
@@ -200,29 +202,6 @@ impl CellBox {
         (lo.z..hi.z).flat_map(move |z| {
             (lo.y..hi.y).flat_map(move |y| (lo.x..hi.x).map(move |x| IVec3::new(x, y, z)))
         })
-    }
-}
-
-/// Part of a block in which there can be a surface.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct LevelRegion {
-    /// The level of the block's cells.
-    pub level: u8,
-    /// The part, in cells of that level.
-    pub cells: CellBox,
-}
-
-impl LevelRegion {
-    /// A part of one of the finest blocks.
-    #[must_use]
-    pub fn finest(cells: CellBox) -> Self {
-        Self { level: 0, cells }
-    }
-
-    /// The block, in blocks of its level.
-    #[must_use]
-    pub fn block(&self) -> IVec3 {
-        self.cells.lo.div_euclid(IVec3::splat(BLOCK))
     }
 }
 

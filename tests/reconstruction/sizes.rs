@@ -411,13 +411,19 @@ fn sized_particles_in_parts_give_the_mesh_of_a_single_run() {
     let [one, other] = balls.map(|centre| moved(&sphere(8.0, 3), centre));
     std::fs::write(&ball, text_of_obj(&union(&one, &other))).unwrap();
     let (in_box, faces) = pools_in_a_box();
-    let pools = Sized::pools(&[1.0, 2.0, 4.0]);
+    // Long enough for parts that do not need all of it.
+    let mut random = Random::new(17);
+    let long = [[64.0, 0.0, 0.0], [384.0, 32.0, 16.0]];
+    let two = Sized::default().with([[0.0; 3], [64.0, 32.0, 16.0]], 1.0, &mut random);
+    let two = two.with(long, 2.0, &mut random);
+    let more = [[3.0 * WIDTH, 0.0, 0.0], [9.0 * WIDTH, WIDTH, DEPTH]];
+    let three = Sized::pools(&[1.0, 2.0, 4.0]).with(more, 4.0, &mut random);
     let plain = request().attributes(["heat"]).normals(true);
     let at_solid = plain.clone().solids([ball.to_str().unwrap()]).solid_offset(0.0);
     for (water, request) in [
-        (&in_box, plain.clone().memory(MemoryBudget(64 << 20))),
+        (&two, plain.clone().memory(MemoryBudget(64 << 20))),
         (&in_box, plain.periodic(faces)),
-        (&pools, at_solid),
+        (&three, at_solid),
     ] {
         let rows = water.positions.iter().zip(water.radii());
         let rows = rows.map(|([x, y, z], radius)| format!("{x},{y},{z},{radius},{x}\n"));

@@ -143,7 +143,7 @@ impl SizedClouds {
         Self { layers: layers.into(), first: 0 }
     }
 
-    /// The same clouds, as seen from an octave.
+    /// Returns the same clouds with another first octave.
     #[must_use]
     pub fn from_octave(&self, octave: usize) -> Self {
         Self { layers: Arc::clone(&self.layers), first: self.first + octave }

@@ -7,8 +7,7 @@
 use glam::IVec3;
 use hashbrown::{HashMap, HashSet};
 
-use crate::grid::{BIN, BLOCK, CellBox, LevelRegion, MortonKey};
-use crate::surface::mesh::BlockLevel;
+use crate::grid::{BIN, BLOCK, BlockLevel, CellBox, LevelRegion, MortonKey};
 
 use super::SizedClouds;
 

@@ -21,8 +21,8 @@ use crc32fast::Hasher;
 
 use crate::error::PartsError;
 use crate::frame::{OccupiedBin, OccupiedTiles};
+use crate::grid::BlockLevel;
 use crate::grid::stretch::Stretch;
-use crate::surface::mesh::BlockLevel;
 use crate::surface::mesh::spool::{ListedBlock, Spool, SpoolFile, block_place, vertex_bytes};
 use crate::system::reopened::ReopenedFile;
 

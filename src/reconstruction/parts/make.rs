@@ -121,6 +121,7 @@ impl Parts {
             file.particles.keep(reading.ranges.iter().cloned());
             let (sampling, bins) = wanted(carried)?;
             let sampling = sampling.sized(plan.cells.sizes.as_ref(), &file.particles)?;
+            let sampling = sampling.with_finer(&plan.finer_blocks);
             let count =
                 || CountedFrame::of_wanted(&file.particles, &sampling, &checked.surfacing, bins);
             let counted = control.during(Stage::Counting, count)?;

@@ -157,6 +157,7 @@ impl Parts {
         let (mean, mean_symmetry) =
             (sampled.and_then(|sampled| sampled.indicator.mean()), sampled.and_then(mean_symmetry));
         let coincident = engine.coincident();
+        let finer_blocks = engine.finer_blocks().cloned().unwrap_or_default();
         drop(engine);
         let sight = sampling.sight(indicator, surfacing, sampling.coarsest());
         let shared = shared(&bins, &cuts, sight);
@@ -177,6 +178,7 @@ impl Parts {
             measured: measured.map(Into::into),
             mean_symmetry,
             coincident,
+            finer_blocks,
             attributes: settled(particles, &sampling.carried, &[])
                 .map_err(|fault| Error::from(FrameError::from(fault)).of_file(&self.input))?,
             parts,

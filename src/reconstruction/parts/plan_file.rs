@@ -10,6 +10,7 @@ use crate::brick::{Census, FrameFacts};
 use crate::error::{Error, PartsError};
 use crate::field::calibration::{Calibration, MeasuredCalibration, Plateau};
 use crate::field::indicator::{Indicator, IndicatorKind};
+use crate::field::sizes::FinerBlocks;
 use crate::frame::{CoincidentParticles, Sampling};
 use crate::grid::stretch::Stretch;
 use crate::grid::units::MeanCount;
@@ -56,6 +57,9 @@ pub(super) struct SharedPlan {
     /// Particles with the same position as others.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) coincident: Option<CoincidentParticles>,
+    /// The blocks with finer particles, for particles of several sizes.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(super) finer_blocks: FinerBlocks,
     /// Attributes that go to the vertices.
     pub(super) attributes: Vec<AttributeInfo>,
     pub(super) parts: Vec<BlockShare>,

@@ -9,8 +9,8 @@ use glam::{DVec3, IVec3};
 
 use crate::brick::Block;
 use crate::grid::units::Isovalue;
-use crate::grid::{BLOCK, CellBox, TILE, local_morton};
-use crate::surface::mesh::{BlockLevel, BlockMesh, Tile, bits, cell_of_bit};
+use crate::grid::{BLOCK, BlockLevel, CellBox, TILE, local_morton};
+use crate::surface::mesh::{BlockMesh, Tile, bits, cell_of_bit};
 
 use super::cases::{JoinedCorners, TABLE, Triangles};
 use super::{Crossings, Normals, dual_cells, normal};

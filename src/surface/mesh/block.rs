@@ -6,7 +6,7 @@
 
 use glam::IVec3;
 
-use crate::grid::{BLOCK, MOST_LEVELS, TILE, local_from_morton};
+use crate::grid::{BLOCK, BlockLevel, TILE, local_from_morton};
 
 /// One bit for each cell of a tile: bit x + 4 y + 16 z.
 pub type TileMask = u64;
@@ -66,22 +66,6 @@ impl Tile {
     }
 }
 
-/// The level of a block's cells, and which neighbouring blocks have wider or narrower cells.
-///
-/// Cells of level k are 2^k times as wide as the finest. Cells of levels k and k + 1 can touch. The
-/// surface between them is made on the lattice of level k, by a block of that level, where a wide
-/// cell counts as 2^3 cells with one sample. Such a block can itself lie among wide cells. A vertex
-/// between two wide cells belongs to their block.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct BlockLevel {
-    /// The level of the block's lattice.
-    pub level: u8,
-    /// Those of the block (bit 0) and its upper neighbours (bit x + 2 y + 4 z) with wider cells.
-    pub wider: u8,
-    /// Those with narrower cells.
-    pub narrower: u8,
-}
-
 /// For each corner of a tile's dual cells, whether it is in wider or in narrower cells.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct TileLevels {
@@ -95,40 +79,6 @@ pub struct TileLevels {
 const LAST: [TileMask; 3] = [0x8888_8888_8888_8888, 0xf000_f000_f000_f000, 0xffff << 48];
 
 impl BlockLevel {
-    /// The number in which all fields are packed.
-    #[must_use]
-    pub fn packed(self) -> u32 {
-        u32::from_le_bytes([self.level, self.wider, self.narrower, 0])
-    }
-
-    /// The inverse of [`packed`](Self::packed); `None` for a number that it never returns.
-    #[must_use]
-    pub fn unpacked(packed: u32) -> Option<Self> {
-        let [level, wider, narrower, nothing] = packed.to_le_bytes();
-        let valid = nothing == 0 && wider & narrower == 0 && usize::from(level) < MOST_LEVELS;
-        valid.then_some(Self { level, wider, narrower })
-    }
-
-    /// Whether all cells of the block and of its upper neighbours have its level.
-    #[must_use]
-    pub fn is_uniform(self) -> bool {
-        self.wider == 0 && self.narrower == 0
-    }
-
-    /// The first of the finest blocks that a block of this level contains.
-    #[must_use]
-    pub fn first_block(self, block: IVec3) -> IVec3 {
-        block << i32::from(self.level)
-    }
-
-    /// The first of the finest blocks in the block whose cells have this level or, at a seam, the
-    /// next one: blocks at seams are made with the wide cells that they lie in.
-    #[must_use]
-    pub fn home(self, block: IVec3) -> IVec3 {
-        let wider = i32::from(self.wider & 1);
-        (block >> wider) << (i32::from(self.level) + wider)
-    }
-
     /// The levels of the corners of a tile's dual cells.
     #[must_use]
     pub fn of_tile(self, tile: &Tile) -> TileLevels {
@@ -186,14 +136,6 @@ impl BlockLevel {
     pub fn edges(self, tile: &Tile) -> impl Iterator<Item = (IVec3, usize)> + use<> {
         let crossed = self.crossed(tile);
         (0..3).flat_map(move |axis| bits(crossed[axis]).map(move |bit| (cell_of_bit(bit), axis)))
-    }
-
-    /// Whether a cell of the block's lattice, at most one beyond the upper faces of `block`, is
-    /// part of a wider cell.
-    #[must_use]
-    pub fn is_wider(self, block: IVec3, cell: IVec3) -> bool {
-        let beyond = cell.cmpge((block + 1) * BLOCK);
-        self.wider >> beyond.bitmask() & 1 == 1
     }
 }
 

@@ -11,7 +11,7 @@ pub mod spool;
 pub mod tree;
 pub mod up;
 
-pub use block::{BlockLevel, BlockMesh, Tile, TileLevels, TileMask, bits, cell_of_bit};
+pub use block::{BlockMesh, Tile, TileLevels, TileMask, bits, cell_of_bit};
 
 use std::borrow::Cow;
 use std::ops::Range;

@@ -6,11 +6,11 @@ use std::path::Path;
 
 use glam::IVec3;
 
-use crate::grid::{BLOCK_TILES, MortonKey};
+use crate::grid::{BLOCK_TILES, BlockLevel, MortonKey};
 use crate::system::reopened::ReopenedFile;
 use crate::system::scratch::Scratch;
 
-use super::{BlockLevel, BlockMesh, Tile};
+use super::{BlockMesh, Tile};
 
 /// The place of a block's surface in memory or file, and in the whole mesh.
 #[derive(Debug, Clone, Copy)]

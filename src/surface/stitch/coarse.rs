@@ -10,8 +10,9 @@ use std::io;
 use glam::DVec3;
 use rayon::prelude::*;
 
+use crate::grid::BlockLevel;
 use crate::surface::mesh::source::{Indexed, MeshSource, Outline, Vertices};
-use crate::surface::mesh::{BlockLevel, BlockMesh, Tile, TileMask, bits};
+use crate::surface::mesh::{BlockMesh, Tile, TileMask, bits};
 use crate::system::memory::zeroed_in_huge_pages;
 
 use super::{StitchedSurface, split};

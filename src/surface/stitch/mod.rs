@@ -18,12 +18,12 @@ use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 use thiserror::Error;
 
-use crate::grid::{BLOCK, CellBox, Domain, Grid};
+use crate::grid::{BLOCK, BlockLevel, CellBox, Domain, Grid};
 use crate::particles::AttributeInfo;
 use crate::surface::dual_mc::Crossings;
 use crate::surface::mesh::source::{Indexed, MeshSource};
 use crate::surface::mesh::spool::Spool;
-use crate::surface::mesh::{BlockLevel, BlockMesh, Mesh, Tile, VertexAttribute, bits, cell_of_bit};
+use crate::surface::mesh::{BlockMesh, Mesh, Tile, VertexAttribute, bits, cell_of_bit};
 use crate::system::memory::zeroed_in_huge_pages;
 
 use numbers::VertexNumbers;

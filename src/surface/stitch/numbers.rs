@@ -7,11 +7,11 @@ use std::sync::LazyLock;
 use glam::IVec3;
 use multiversion::multiversion;
 
-use crate::grid::BLOCK;
+use crate::grid::{BLOCK, BlockLevel};
 use crate::surface::dual_mc::cases::{CellEdge, TABLE};
 use crate::surface::dual_mc::levels::{at_corners, joined_triangles};
 use crate::surface::mesh::source::{Indexed, Lattice, MeshSource, Outline, Vertices};
-use crate::surface::mesh::{BlockLevel, Tile, bits, cell_of_bit};
+use crate::surface::mesh::{Tile, bits, cell_of_bit};
 
 use super::StitchedSurface;
 use super::coarse::CoarseMesh;
