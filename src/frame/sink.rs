@@ -137,8 +137,11 @@ impl FieldSink {
                 Ok(SampledDif::new(facts, indicator, DifField::in_memory(shape, pages)))
             }
             Self::File { file, writer, cache_bytes, folder, .. } => {
-                writer.finish(&facts, indicator)?;
-                let sampled = frame_from_file(&file, cache_bytes).map_err(io::Error::other)?;
+                // The file would lose the walls of an octave, which follow from the finest cells.
+                let open = FrameFacts { domain: None, periodic: None, ..facts };
+                writer.finish(&open, indicator)?;
+                let mut sampled = frame_from_file(&file, cache_bytes).map_err(io::Error::other)?;
+                sampled.facts = facts;
                 Ok(sampled.with_scratch(&folder))
             }
         }

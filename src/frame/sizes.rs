@@ -130,10 +130,18 @@ impl SampledSizes {
         let fields: Vec<_> = (0..).zip(&self.clouds).map(of_level).collect();
         let FieldOfLevel { field, .. } = &fields[0];
         let iso = field.iso();
-        let within = |level: u8| walls_at(level.into(), walls).map(|walls| walls.grown(1, 0));
-        let cut = |LevelRegion { level, cells }| {
-            let cells = within(level).map_or(cells, |within| cells.intersection(&within));
-            LevelRegion { level, cells }
+        let cut = |region: LevelRegion| {
+            let LevelRegion { level, cells } = region;
+            // At a wall, wide cells can reach further than the narrow ones that touch them.
+            let touches_wide = levels.of(level, region.block()).wider != 0;
+            let within = if touches_wide {
+                let wider = walls_at(u32::from(level) + 1, walls);
+                wider.map(|CellBox { lo, hi }| CellBox { lo: 2 * lo, hi: 2 * hi })
+            } else {
+                walls_at(level.into(), walls)
+            };
+            let cut = |within: CellBox| cells.intersection(&within.grown(1, 0));
+            LevelRegion { level, cells: within.map_or(cells, cut) }
         };
         let regions = levels.regions(self.clouds[0].surface_boxes(field.reach())).into_iter();
         let regions = regions.map(cut).filter(|region| !region.cells.is_empty()).collect();

@@ -185,6 +185,12 @@ impl CellBox {
         Self { lo: self.lo.min(other.lo), hi: self.hi.max(other.hi) }
     }
 
+    /// The smallest box that contains this one and the cells of another that are nearest to it.
+    pub fn with_nearest(&self, other: &Self) -> Self {
+        let nearest = |cell: IVec3| cell.clamp(other.lo, other.hi - 1);
+        self.union(&Self { lo: nearest(self.lo), hi: nearest(self.hi - 1) + 1 })
+    }
+
     /// The smallest box of whole tiles that contains this one.
     pub fn tiled(&self) -> Self {
         let tile = IVec3::splat(TILE);

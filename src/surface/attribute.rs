@@ -87,7 +87,8 @@ pub fn vertex_values(
         return Ok(Vec::new());
     }
     let reach = smoothing.halo();
-    let cells = used.grown(reach, reach);
+    // Beyond a wall, the sums are those of the nearest cell before it.
+    let cells = walls.map_or(used, |walls| used.with_nearest(&walls)).grown(reach, reach);
     let smooth = |mut sum: Block<f64>| {
         if let Some(walls) = walls {
             sum.repeat_edges(walls);

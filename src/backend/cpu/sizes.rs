@@ -232,10 +232,7 @@ impl<'a> SizedField<'a> {
     /// Beyond a wall, it also covers the nearest cells before the wall.
     #[must_use]
     pub fn everywhere_on(&self, cells: CellBox) -> Block {
-        let cells = self.walls(0).map_or(cells, |CellBox { lo, hi }| {
-            let nearest = |cell: IVec3| cell.clamp(lo, hi - 1);
-            cells.union(&CellBox { lo: nearest(cells.lo), hi: nearest(cells.hi - 1) + 1 })
-        });
+        let cells = self.walls(0).map_or(cells, |walls| cells.with_nearest(&walls));
         let mut surfaces: Vec<_> = (0..self.clouds.octaves()).map(|_| None).collect();
         self.make(&mut surfaces, 0, cells);
         let bulk = surfaces[0].as_ref().map(|surface| surface.bulk.part(self.wide(0, cells)));
