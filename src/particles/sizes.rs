@@ -5,8 +5,7 @@
 //! and a mass is the volume times the density. Programs define radii differently, so sizes are
 //! scaled until the particles fill the cubes deep in the fluid.
 
-use std::collections::HashMap;
-
+use hashbrown::HashMap;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -481,7 +480,7 @@ fn filling(
         })
     };
     let mut inside: Vec<u64> =
-        cells.par_iter().filter(|(cell, _)| is_inside(cell)).map(|(_, &volume)| volume).collect();
+        cells.iter().filter(|(cell, _)| is_inside(cell)).map(|(_, &volume)| volume).collect();
     if inside.len() < ENOUGH {
         return None;
     }

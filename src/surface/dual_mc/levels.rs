@@ -115,6 +115,40 @@ impl Mixed<'_> {
         }
     }
 
+    /// For each of some cells, 1 inside of the surface and 0 outside.
+    fn inside(&self, cells: CellBox, iso: Isovalue) -> Block<u8> {
+        let mut inside = Block::zero(cells);
+        // Most cells have the block's own level.
+        let LevelField { field, walls } = &self.fields.own;
+        let block = CellBox::cube(self.block, BLOCK);
+        let own = if self.is_wider(block.lo) { CellBox::EMPTY } else { cells.intersection(&block) };
+        let own = own.intersection(&field.cells());
+        let own = walls.map_or(own, |walls| own.intersection(&walls));
+        let width = own.size().x.max(0) as usize;
+        if !own.is_empty() {
+            for ([y, z], row) in field.rows(own) {
+                let first = inside.index(IVec3::new(own.lo.x, y, z));
+                let to = &mut inside.samples_mut()[first..first + width];
+                to.iter_mut()
+                    .zip(row)
+                    .for_each(|(to, &sample)| *to = u8::from(sample > iso.threshold()));
+            }
+        }
+        for z in cells.lo.z..cells.hi.z {
+            for y in cells.lo.y..cells.hi.y {
+                let is_own = |x| own.contains(IVec3::new(x, y, z));
+                for x in (cells.lo.x..cells.hi.x).filter(|&x| !is_own(x)) {
+                    let cell = IVec3::new(x, y, z);
+                    let CellSample { sample, is_within_walls } = self.of(cell);
+                    let at = inside.index(cell);
+                    inside.samples_mut()[at] =
+                        u8::from(is_within_walls && sample > iso.threshold());
+                }
+            }
+        }
+        inside
+    }
+
     fn falling(&self, cell: IVec3) -> DVec3 {
         match &self.fields.wide {
             Some(wide) if self.is_wider(cell) => wide.falling(cell >> 1),
@@ -167,19 +201,18 @@ pub fn mixed_block_mesh(
     let mut mesh = BlockMesh { block, level, ..BlockMesh::default() };
     let region = region.tiled();
     let cells = dual_cells(region);
-    let mut inside = Block::<u8>::zero(cells);
-    let size = cells.size();
-    for (i, to) in inside.samples_mut().iter_mut().enumerate() {
-        let i = i as i32;
-        let at = IVec3::new(i % size.x, i / size.x % size.y, i / (size.x * size.y));
-        let CellSample { sample, is_within_walls } = mixed.of(cells.lo + at);
-        *to = u8::from(is_within_walls && sample > iso.threshold());
-    }
+    let inside = mixed.inside(cells, iso);
     let tile_edge = IVec3::splat(TILE);
     let mut tiles: Vec<IVec3> = region.cubes(TILE).collect();
     let index = |tile: IVec3| local_morton(tile - block * (BLOCK / TILE)) as u32;
     tiles.sort_unstable_by_key(|&tile| index(tile));
     for place in tiles {
+        let near = CellBox::cube(place, TILE).grown(0, 1);
+        let count: usize =
+            inside.rows(near).flat_map(|(_, row)| row).map(|&cell| usize::from(cell)).sum();
+        if count == 0 || count == near.volume() {
+            continue;
+        }
         let mut tile = Tile { index: index(place), first_vertex: 0, corners: [0; 8] };
         for (k, corner) in (0_i32..).zip(&mut tile.corners) {
             let offset = IVec3::new(k & 1, k >> 1 & 1, k >> 2);
