@@ -6,7 +6,7 @@ mod vulkan;
 mod wgsl;
 
 pub use choice::Backend;
-pub use cpu::{Cpu, SizedField, field};
+pub use cpu::{BoxSide, Cpu, SizedField, field};
 pub use vulkan::{DeviceSurfaces, ResidentFrame, Vulkan};
 pub use wgsl::wgsl_constants;
 

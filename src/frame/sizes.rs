@@ -1,6 +1,6 @@
 //! A frame of particles of several sizes.
 
-use crate::backend::SizedField;
+use crate::backend::{BoxSide, SizedField};
 use crate::brick::{Bins, Block, FrameFacts};
 use crate::field::blur::Smoothing;
 use crate::field::calibration::{Calibration, MeasuredCalibration, Plateau};
@@ -234,8 +234,16 @@ impl FieldOfLevel<'_> {
         regions.zip(fields).map(mesh).collect()
     }
 
-    fn on(&self, cells: CellBox) -> LevelField {
-        LevelField { field: self.field.everywhere_on(cells), walls: self.walls }
+    /// The field on some cells of dual cells, or the side that all of them are on.
+    fn on(&self, cells: CellBox) -> Result<Block, BoxSide> {
+        let away = self.walls.is_none_or(|walls| walls.covers(&cells));
+        self.field.crossed_on(cells.with_nearest_of(self.walls), away)
+    }
+
+    /// A field that was made, or was not because no surface passes through these cells alone.
+    fn completed(&self, field: Result<Block, BoxSide>, cells: CellBox) -> LevelField {
+        let field = field.unwrap_or_else(|_| self.field.everywhere_on(cells));
+        LevelField { field, walls: self.walls }
     }
 }
 
@@ -250,12 +258,26 @@ fn mixed_meshes(
     let (block, LevelRegion { level, cells }) = (region.block(), region);
     let of_block = levels.of(level, block);
     let [own, wide] = cells_by_level(block, of_block, cells);
+    if own.is_empty() {
+        return None;
+    }
     // Normals use the field around the ends of an edge.
     let further = i32::from(normals == Normals::Gradient);
-    let level = usize::from(level);
+    let of_own = &fields[usize::from(level)];
+    let of_wide = fields.get(usize::from(level) + 1).filter(|_| !wide.is_empty());
+    let own = own.grown(further, further);
+    let wide = if of_wide.is_some() { wide.grown(further, further) } else { wide };
+    let found = of_own.on(own);
+    let found_wide = of_wide.map(|of_wide| of_wide.on(wide));
+    let sides = [Some(&found), found_wide.as_ref()].into_iter().flatten();
+    if let Some(Some(_)) =
+        sides.map(|found| found.as_ref().err()).reduce(|a, b| a.filter(|_| a == b))
+    {
+        return None;
+    }
     let fields = LevelFields {
-        own: fields[level].on(own.grown(further, further)),
-        wide: (!wide.is_empty()).then(|| fields[level + 1].on(wide.grown(further, further))),
+        own: of_own.completed(found, own),
+        wide: of_wide.zip(found_wide).map(|(of_wide, found)| of_wide.completed(found, wide)),
         narrowed: in_finer_spacings,
     };
     mixed_block_mesh(&fields, (block, of_block), cells, iso, normals)

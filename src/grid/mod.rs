@@ -191,6 +191,11 @@ impl CellBox {
         self.union(&Self { lo: nearest(self.lo), hi: nearest(self.hi - 1) + 1 })
     }
 
+    /// This box [with the nearest cells](Self::with_nearest) within walls, if there are any.
+    pub fn with_nearest_of(&self, walls: Option<Self>) -> Self {
+        walls.map_or(*self, |walls| self.with_nearest(&walls))
+    }
+
     /// The smallest box of whole tiles that contains this one.
     pub fn tiled(&self) -> Self {
         let tile = IVec3::splat(TILE);

@@ -377,11 +377,14 @@ impl SizeCounts {
     fn of(particles: &(impl Particles + ?Sized), columns: &SizeAttributes) -> Self {
         let of_chunk = |range: std::ops::Range<usize>| {
             let mut census = Self { steps: HashMap::new(), invalid: 0 };
-            for size in columns.read(particles, range.start, range.len()) {
-                if size.is_nan() {
-                    census.invalid += 1;
+            let sizes = columns.read(particles, range.start, range.len());
+            // Successive particles often have one size.
+            for sizes in sizes.chunk_by(|a, b| a == b) {
+                if sizes[0].is_nan() {
+                    census.invalid += sizes.len() as u64;
                 } else {
-                    census.add(size.to_bits() >> STEP_BITS, (1, size, size));
+                    let (count, size) = (sizes.len() as u64, sizes[0]);
+                    census.add(size.to_bits() >> STEP_BITS, (count, size, size));
                 }
             }
             census

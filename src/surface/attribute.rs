@@ -88,7 +88,7 @@ pub fn vertex_values(
     }
     let reach = smoothing.halo();
     // Beyond a wall, the sums are those of the nearest cell before it.
-    let cells = walls.map_or(used, |walls| used.with_nearest(&walls)).grown(reach, reach);
+    let cells = used.with_nearest_of(walls).grown(reach, reach);
     let smooth = |mut sum: Block<f64>| {
         if let Some(walls) = walls {
             sum.repeat_edges(walls);

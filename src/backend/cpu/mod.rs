@@ -5,7 +5,7 @@ mod sizes;
 mod spray;
 
 pub use fields::field;
-pub use sizes::SizedField;
+pub use sizes::{BoxSide, SizedField};
 
 use std::io;
 use std::ops::Range;

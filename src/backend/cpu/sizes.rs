@@ -38,6 +38,15 @@ pub struct SizedField<'a> {
     growth: i32,
 }
 
+/// The side of all of a box of cells through which no surface passes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum BoxSide {
+    /// The box is inside the fluid.
+    Inside,
+    /// The box is outside of the fluid.
+    Outside,
+}
+
 /// The surface in the wide cells of an octave and in its spacings.
 struct OctaveSurface {
     /// The calm surface, from which drops stand out.
@@ -177,18 +186,31 @@ impl<'a> SizedField<'a> {
     /// whether it is away from walls. A sample does not depend on the boxes, which share the
     /// surfaces of octaves if this saves work.
     pub fn on_each(&self, boxes: Vec<(CellBox, bool)>) -> impl Iterator<Item = Option<Block>> {
-        let none = || (0..self.clouds.octaves()).map(|_| None).collect();
+        let none = || self.no_surfaces();
         let all = boxes.iter().fold(CellBox::EMPTY, |all, (cells, _)| all.union(cells));
         let apart: usize = boxes.iter().map(|(cells, _)| self.volume(*cells)).sum();
         let together = self.volume(all) <= apart;
-        let mut of_all: Vec<Option<OctaveSurface>> = none();
+        let mut of_all = none();
         boxes.into_iter().map(move |(cells, away_from_walls)| {
             if together {
-                self.on((cells, all), away_from_walls, &mut of_all)
+                self.on((cells, all), away_from_walls, &mut of_all).ok()
             } else {
-                self.on((cells, cells), away_from_walls, &mut none())
+                self.on((cells, cells), away_from_walls, &mut none()).ok()
             }
         })
+    }
+
+    /// Makes the final field on some of the finest cells, as [`on_each`](Self::on_each) does.
+    ///
+    /// # Errors
+    /// [`BoxSide`] if no surface can pass through the box.
+    pub fn crossed_on(&self, cells: CellBox, away_from_walls: bool) -> Result<Block, BoxSide> {
+        self.on((cells, cells), away_from_walls, &mut self.no_surfaces())
+    }
+
+    /// No surface of any octave yet.
+    fn no_surfaces(&self) -> Vec<Option<OctaveSurface>> {
+        (0..self.clouds.octaves()).map(|_| None).collect()
     }
 
     /// The number of wide cells of all octaves from which the surfaces on a box of the finest cells
@@ -208,36 +230,42 @@ impl<'a> SizedField<'a> {
         (cells, around): (CellBox, CellBox),
         away_from_walls: bool,
         surfaces: &mut [Option<OctaveSurface>],
-    ) -> Option<Block> {
+    ) -> Result<Block, BoxSide> {
         // At a solid, fluid has a surface even if it is all inside.
         let is_at_solid = || self.solid.as_deref().is_some_and(|solid| self.is_at(solid, cells));
         let away_from_walls = away_from_walls && !is_at_solid();
         self.make(surfaces, 0, around);
-        let bulk = surfaces[0].as_ref()?.bulk.part(self.wide(0, cells));
+        let bulk = self.bulk(surfaces, cells);
         // Drops only add to the inside.
         let threshold = self.iso().threshold();
         if away_from_walls && bulk.samples().iter().all(|&sample| sample > threshold) {
-            return None;
+            return Err(BoxSide::Inside);
         }
         let drops = self.all_drops(surfaces, (cells, around));
         if bulk.samples().iter().all(|&sample| sample <= threshold)
             && !drops.iter().any(|drops| self.has_inside(drops))
         {
-            return None;
+            return Err(BoxSide::Outside);
         }
-        Some(self.joined(&bulk, drops, cells))
+        Ok(self.joined(&bulk, drops, cells))
     }
 
     /// Makes the final field on some of the finest cells, even if no surface passes through them.
     /// Beyond a wall, it also covers the nearest cells before the wall.
     #[must_use]
     pub fn everywhere_on(&self, cells: CellBox) -> Block {
-        let cells = self.walls(0).map_or(cells, |walls| cells.with_nearest(&walls));
-        let mut surfaces: Vec<_> = (0..self.clouds.octaves()).map(|_| None).collect();
+        let cells = cells.with_nearest_of(self.walls(0));
+        let mut surfaces = self.no_surfaces();
         self.make(&mut surfaces, 0, cells);
-        let bulk = surfaces[0].as_ref().map(|surface| surface.bulk.part(self.wide(0, cells)));
+        let bulk = self.bulk(&surfaces, cells);
         let drops = self.all_drops(&mut surfaces, (cells, cells));
-        self.joined(&bulk.expect("it was made"), drops, cells)
+        self.joined(&bulk, drops, cells)
+    }
+
+    /// The bulk's surface for some of the finest cells, from surfaces that were made.
+    fn bulk(&self, surfaces: &[Option<OctaveSurface>], cells: CellBox) -> Block {
+        let first = surfaces[0].as_ref().expect("it was made");
+        first.bulk.part(self.wide(0, cells))
     }
 
     /// The drops of all octaves, from the coarsest on.

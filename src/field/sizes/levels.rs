@@ -1,20 +1,23 @@
 //! The level of the cells in each block, which follows the sizes of nearby particles.
 //!
 //! Blocks form an octree: a block of level k has 32^3 cells, each 2^k of the finest along an axis.
-//! It is divided into blocks of level k - 1 if it or one of its 26 neighbours contains particles of
-//! an octave below k. So the levels of blocks that touch differ by at most one.
+//! It is divided into blocks of level k - 1 if particles of octave k - 1 are near it, or if one of
+//! the blocks that it touches has a divided child that it also touches. So the levels of blocks that
+//! touch differ by at most one.
 
 use glam::IVec3;
 use hashbrown::{HashMap, HashSet};
 
-use crate::grid::{BIN, BLOCK, BlockLevel, CellBox, LevelRegion, MortonKey};
+use crate::grid::{BLOCK, BlockLevel, CellBox, LevelRegion, MortonKey};
 
 use super::SizedClouds;
 
-/// Edge of a block in bins, as a binary logarithm.
-const BLOCK_BINS: i32 = (BLOCK / BIN).ilog2() as i32;
+/// The distance from a particle of an octave at which cells can be those of the next one, in cells
+/// of the next one: beyond the reach of the drops of the finer octave, and of the filter that
+/// averages sizes.
+const MARGIN: i32 = 12;
 
-/// The blocks of each level from 1 that contain particles of a finer octave.
+/// The blocks of each level from 1 that are near particles of the octave below.
 pub type FinerBlocks = Vec<Vec<[i32; 3]>>;
 
 /// The level of the cells of each block.
@@ -25,20 +28,21 @@ pub struct BlockLevels {
 }
 
 impl SizedClouds {
-    /// The blocks of each level from 1 that contain particles of a finer octave, in Morton order.
+    /// The blocks of each level from 1 that are near particles of the octave below, in Morton
+    /// order.
     #[must_use]
     pub fn finer_blocks(&self) -> FinerBlocks {
-        let mut below: Vec<IVec3> = Vec::new();
-        let levels = (1..self.octaves()).map(|level| {
-            let of_octave = self.octave(level - 1).dif.infos().iter();
-            // A block of this level has twice as many bins of the octave below along an axis.
-            let blocks = of_octave.map(|info| info.key.coord() >> (BLOCK_BINS + 1));
-            below = below.iter().map(|&block| block >> 1).chain(blocks).collect();
-            below.sort_unstable_by_key(|&block| MortonKey::of(block));
-            below.dedup();
-            below.iter().map(IVec3::to_array).collect()
-        });
-        levels.collect()
+        let of_level = |level: usize| {
+            let boxes = self.octave(level - 1).dif.infos().iter().map(|info| {
+                let CellBox { lo, hi } = info.full;
+                CellBox { lo: lo >> 1, hi: ((hi - 1) >> 1) + 1 }.grown(MARGIN, MARGIN)
+            });
+            let mut blocks: Vec<IVec3> = boxes.flat_map(|cells| cells.cubes(BLOCK)).collect();
+            blocks.sort_unstable_by_key(|&block| MortonKey::of(block));
+            blocks.dedup();
+            blocks.iter().map(IVec3::to_array).collect()
+        };
+        (1..self.octaves()).map(of_level).collect()
     }
 }
 
@@ -49,16 +53,19 @@ impl BlockLevels {
         Self::default()
     }
 
-    /// From the blocks that contain particles of a finer octave.
+    /// From the blocks of each level that are near particles of the octave below.
     #[must_use]
     pub fn new(finer: &FinerBlocks) -> Self {
-        let near = |blocks: &Vec<[i32; 3]>| {
-            let around = |&block: &[i32; 3]| {
-                CellBox { lo: IVec3::from(block) - 1, hi: IVec3::from(block) + 2 }.cubes(1)
-            };
-            blocks.iter().flat_map(around).collect()
-        };
-        Self { divided: finer.iter().map(near).collect() }
+        let mut divided: Vec<HashSet<IVec3>> = Vec::new();
+        for blocks in finer {
+            let mut of_level: HashSet<IVec3> = blocks.iter().map(|&block| block.into()).collect();
+            for &block in divided.last().into_iter().flatten() {
+                let around = CellBox { lo: block - 1, hi: block + 2 };
+                of_level.extend(around.cubes(1).map(|block| block >> 1));
+            }
+            divided.push(of_level);
+        }
+        Self { divided }
     }
 
     /// The number of levels.
