@@ -64,31 +64,32 @@ pub fn is_packed(path: &Path) -> bool {
 const MAGIC: [u8; 8] = *b"\x89MNF\r\n\x1a\n";
 const END_MAGIC: [u8; 8] = *b"\n\x1a\n\rFNM\x89";
 const VERSION: u32 = 2;
-/// The previous version. Its frames can be read, except clouds.
+/// The previous version of the format. Its frames can be read, except those with clouds.
 const FIRST_VERSION: u32 = 1;
 
-/// Bits of the footer's flags: there are walls; the box is periodic.
+/// Bits of the flags in the footer. One means that there are walls, the other that the box is
+/// periodic.
 const WALLS: u32 = 1;
 const PERIODIC: u32 = 2;
 const BOTH: u32 = WALLS | PERIODIC;
 
-/// Bytes of the header.
+/// Number of bytes of the header.
 const HEADER: usize = 16;
-/// Bytes of the footer before the index.
+/// Number of bytes of the footer, which precedes the index.
 const FACTS: usize = 144;
-/// Bytes of a page's entry in the index.
+/// Number of bytes of a page's entry in the index.
 const ENTRY: usize = 44;
-/// Bytes of the tail.
+/// Number of bytes of the tail.
 const TAIL: usize = 20;
 
-/// Splits samples into their low bytes, followed by their high bytes. This compresses better, and
-/// does not depend on the machine's byte order.
+/// Divides samples into their low bytes and their high bytes, which follow. This order compresses
+/// better, and does not depend on the machine's byte order.
 fn planes_from_samples(samples: &[u16]) -> Vec<u8> {
     let bytes = |byte: usize| samples.iter().map(move |sample| sample.to_le_bytes()[byte]);
     bytes(0).chain(bytes(1)).collect()
 }
 
-/// The inverse of [`planes_from_samples`].
+/// Joins the low and high bytes of samples, the inverse of [`planes_from_samples`].
 fn samples_from_planes(planes: &[u8]) -> Vec<u16> {
     let (low, high) = planes.split_at(planes.len() / 2);
     low.iter().zip(high).map(|(&low, &high)| u16::from_le_bytes([low, high])).collect()
