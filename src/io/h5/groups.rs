@@ -133,8 +133,7 @@ impl GroupSearch {
                 continue;
             }
             if seen.len() > MOST_GROUPS {
-                // Groups that are not searched might also have positions, so the choice would be
-                // arbitrary.
+                // Groups that are not searched might also have positions, so this is an error.
                 return Err(ReadFault::Unsupported(format!(
                     "HDF5 with more than {MOST_GROUPS} groups; copy the particles' group to a \
                      separate file, for example by h5copy"
@@ -224,7 +223,7 @@ impl GroupSearch {
         });
         let mut names: Vec<String> = names.collect();
         if let [only] = &names[..] {
-            // If no condition names the candidate, the condition may be about an attribute.
+            // A condition that does not name the candidate may be about an attribute `type`.
             let called = Where::types(wanted).find(|named| named == only || **named == paths[0]);
             return Ok((
                 self.candidates.swap_remove(0),

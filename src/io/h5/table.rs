@@ -530,7 +530,7 @@ impl H5Table {
         let mut members = BTreeMap::new();
         let mut found: Vec<Vec<Column>> = Vec::new();
         for (array, used) in arrays.iter().zip(used) {
-            // An unused array has no columns, whatever its number of components.
+            // An unused array needs no columns. It may have any number of components.
             if !used {
                 found.push(Vec::new());
                 continue;

@@ -34,16 +34,19 @@
 //! | | 4 | CRC-32 of the header, the footer, the index and the offset of the footer |
 //! | | 8 | `0A 1A 0A 0D 46 4E 4D 89` |
 //!
-//! The samples of a page are those of its bricks in order, x fastest in each brick: first the low
-//! bytes of all samples, then the high bytes. For symmetry, samples are the DIF, 0 to 65535. For
-//! counting, they are numbers of particles, at most 65535, and the DIF is theta(N) = min(N, mu0) /
-//! mu0 in 65535ths, rounded. For cloud, a brick has a ghost layer of one cell on every side, and
-//! its samples are the amounts of its own particles, which depend on their spacing in cells
-//! ([`Amount`](crate::field::indicator::Amount)); the value of a cell is the sum over all bricks,
-//! at most 65535. A cell is full if its value in its own page is not 0.
+//! A page contains the samples of its bricks in order, with x fastest in each brick. The low bytes
+//! of all samples come first, then the high bytes.
 //!
-//! Version 1 differed only for clouds, whose size depended on mu0. Such frames are rejected; other
-//! frames of version 1 can be read.
+//! For symmetry, a sample is the DIF, from 0 to 65535. For counting, a sample is a number of
+//! particles, at most 65535, and the DIF is theta(N) = min(N, mu0) / mu0 in 65535ths, rounded. For
+//! cloud, a brick has a ghost layer of one cell on every side, and a sample is what the particles
+//! of the brick add to a cell. Each particle adds an
+//! [`Amount`](crate::field::indicator::Amount) in total, which depends on the spacing in cells. The
+//! value of a cell is the sum over all bricks, at most 65535. A cell is full if its value in its
+//! own page is not 0.
+//!
+//! Version 1 differs only for clouds, whose size depends on mu0. Clouds of version 1 are rejected,
+//! and other frames of version 1 can be read.
 //!
 //! The guide for users is `packed.md`.
 

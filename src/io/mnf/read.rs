@@ -100,7 +100,7 @@ struct MappedPages {
     first: Vec<u64>,
     /// Number of bricks in each page.
     bricks: Vec<u8>,
-    /// Checksums of the pages. They are needed only until the pages were checked.
+    /// Checksums of the pages. They are not needed after the pages have been checked.
     checksums: Vec<u32>,
 }
 
@@ -216,7 +216,7 @@ fn read_index(bytes: PrivateBytes) -> Result<Index, ReadFault> {
     }
     let full_cells: u64 = infos.iter().map(|info| u64::from(info.full_count)).sum();
     let shape = indicator.kind().shape(side);
-    // A particle in the corner of a periodic box has seven images.
+    // A cell in the corner of a periodic box has seven images.
     let places = if facts.periodic.is_some() { 8 } else { 1 };
     let most = places * shape.cells_a_particle() as u64;
     if full_cells > most.saturating_mul(facts.census.binned as u64) {

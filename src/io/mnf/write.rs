@@ -13,7 +13,7 @@ use crate::grid::units::MeanCount;
 
 use super::{END_MAGIC, HEADER, MAGIC, PERIODIC, TAIL, VERSION, WALLS, planes_from_samples};
 
-/// Level of zstd. Writing must be fast, and higher levels do not compress noise better.
+/// Compression level of zstd. Writing must be fast, and higher levels do not compress noise better.
 const LEVEL: i32 = 1;
 /// Number of pages that a thread compresses with one context.
 const CHUNK: usize = 64;

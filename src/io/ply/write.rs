@@ -18,8 +18,8 @@ const FACE: usize = 1 + 3 * size_of::<u32>();
 ///
 /// Vertices have x, y and z as float or double by `width`, then nx, ny and nz, and vx, vy and vz
 /// for an attribute `velocity` of three components. The first colour is written as bytes red,
-/// green, blue and optionally alpha. Other attributes are properties `name`, or `name_0`, `name_1`,
-/// .... Faces are lists of three vertex indices.
+/// green, blue and optionally alpha. Other attributes are properties `name`, or `name_0`, `name_1`
+/// and so on. Faces are lists of three vertex indices.
 ///
 /// A name with white space or a conflict is changed with underscores, because the format cannot
 /// store it.

@@ -114,7 +114,7 @@ impl FileTail {
         let times = self.end();
         self.put(&[1, 0f64.to_bits()]);
         let at = self.end();
-        // Each part follows the number of bytes to its start, 8, because the parts are adjacent.
+        // The offset to a part precedes it. It is 8 bytes, because the parts are adjacent.
         self.put(&[8, UsdValue::at(DOUBLE_VECTOR, times).0, 8, 1, value.0]);
         UsdValue::at(TIME_SAMPLES, at)
     }

@@ -53,7 +53,7 @@ pub fn header(id: [u32; 4], grids: usize) -> Vec<u8> {
 
 impl GridHead {
     /// The bytes of the grid before its tree, at byte `at` of the file. The tree takes `topology`
-    /// bytes without the values of its leaves, and these take `leaves` bytes.
+    /// bytes without the values of its leaves. The values take `leaves` bytes.
     pub fn bytes(&self, at: u64, topology: u64, leaves: u64) -> Vec<u8> {
         let mut out = Vec::new();
         put_text(&mut out, &self.name);

@@ -95,8 +95,10 @@ impl Kind {
     }
 }
 
-/// Appends which inactive values of a node are inside the surface. There are `inside` of `all`. The
-/// bits of `outside` are set for values outside, and are appended if there are both.
+/// Appends which inactive values of a node are inside the surface.
+///
+/// Of `all` inactive values, `inside` are inside. The mask `outside` has a bit for each value
+/// outside, and is appended if there are values on both sides.
 pub fn put_sides(out: &mut Vec<u8>, kind: Kind, [inside, all]: [usize; 2], outside: &[u64]) {
     match inside {
         _ if !kind.has_sides() => out.push(OUTSIDE),

@@ -537,7 +537,7 @@ fn scalar_named(name: &str) -> Option<Scalar> {
         "unsigned_char" => Scalar::U8,
         "short" => Scalar::I16,
         "unsigned_short" => Scalar::U16,
-        // Identifiers are stored as int in the file, whatever their width in memory.
+        // Identifiers are stored as int in the file, even if VTK uses 64 bits in memory.
         "int" | "vtkidtype" => Scalar::I32,
         "unsigned_int" => Scalar::U32,
         "long" | "vtktypeint64" => Scalar::I64,

@@ -32,7 +32,7 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
     points(bytes, &layout, unpacking)
 }
 
-/// Reads the points as particles, whatever the cells. Binary arrays are read in place. Text is
+/// Reads the points as particles, even of a mesh. Binary arrays are read in place. Text is
 /// decoded to columns of f64.
 ///
 /// Every numeric array in `POINT_DATA` is an attribute, with its decoded name. Strings, bits,

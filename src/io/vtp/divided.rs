@@ -20,8 +20,8 @@ use super::write::{COMMENT, GLOBAL_IDS, declared, escaped, roles, write_piece};
 /// Maximum number of triangles per piece.
 pub(in crate::io) const MOST_TRIANGLES: u64 = 1 << 20;
 
-/// A mesh divided into pieces with equal numbers of triangles. The pieces of its source do not
-/// matter.
+/// A mesh divided into pieces with equal numbers of triangles. They do not depend on the pieces of
+/// the source.
 pub(in crate::io) struct Divided<'a> {
     mesh: &'a dyn MeshSource,
     width: CoordinateWidth,
