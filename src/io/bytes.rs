@@ -610,8 +610,8 @@ pub fn open_bytes_within(path: &Path, unpacking: Unpacking) -> Result<Bytes, Rea
         let Some(compression) = Compression::of(head) else {
             return ReopenedFile::new(path, file).map(Bytes::File).map_err(|e| fail(e.into()));
         };
-        // Reads a large file by position, because these reads do not count as memory of this
-        // process.
+        // Unpacks a large file while reading it, so that its compressed bytes are not in memory as
+        // a whole.
         if len > ALWAYS_UNPACKED {
             return unpack(compression, file, len, unpacking).map(Bytes::Kept).map_err(fail);
         }

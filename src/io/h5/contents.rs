@@ -49,8 +49,8 @@ pub fn no_position(root: &Group) -> Result<ReadFault, ReadFault> {
     Ok(ReadFault::Unsupported(what))
 }
 
-/// A line for each of the first groups and data sets below `root`, and the number of the remaining
-/// ones.
+/// A line for each of the first groups and data sets below `root`, and the number of
+/// remaining groups and data sets.
 fn lines(root: &Group) -> Result<(Vec<String>, usize), ReadFault> {
     let (mut lines, mut more) = (Vec::new(), 0);
     let mut push = |line: &dyn Fn() -> String| match lines.len() < LINES {

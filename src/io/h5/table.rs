@@ -573,8 +573,8 @@ pub(super) fn types(known: Vec<String>, chosen: &str) -> Vec<String> {
     [chosen.to_owned()].into_iter().chain(others).collect()
 }
 
-/// The chosen type of particles: the type that a condition names, or else `usual`, or else the only
-/// type.
+/// The chosen type of particles: the type that a condition names, or else the only type, or else
+/// `usual`.
 pub(super) fn chosen_type(
     known: &[String],
     wanted: &[Where],
