@@ -1,8 +1,8 @@
-//! A folder of files that a list file next to it names. The folder is renamed to its final name
-//! before the list, so that a list never names missing files.
+//! Writes a folder of files, and renames it together with the list file that names these files.
 //!
-//! Until then, its name is derived from the list's temporary file, and it is removed with that file
-//! if the work is abandoned.
+//! The folder gets its final name before the list, so that a list never names missing files. Until
+//! then, the folder's name is derived from the name of the list's temporary file. If the work is
+//! abandoned, both are removed.
 
 use std::fs::{self, File, TryLockError};
 use std::io::{self, ErrorKind, Write};
@@ -16,26 +16,25 @@ use crate::system::cancel::{BELONGINGS, belonging};
 
 use super::whole::counted_in;
 
-/// A folder that is being filled. Without [`keep`](Self::keep), it is removed on drop.
+/// A folder that is being filled. It is removed on drop unless [`keep`](Self::keep) is called.
 #[derive(Debug)]
 pub struct FolderInProgress {
     temporary: PathBuf,
-    /// The temporary name of a replaced folder until it is removed.
+    /// The temporary name of an existing folder that is replaced, until it is removed.
     replaced: PathBuf,
     place: PathBuf,
     stem: String,
     extension: &'static str,
-    /// Checksum of the files so far.
+    /// Checksum of the files that were written so far.
     sum: Hasher,
 }
 
 impl FolderInProgress {
-    /// Creates a folder next to the file at `place`, with its name but another extension, for files
-    /// with the extension `extension`.
+    /// Creates a temporary folder for files with the extension `extension`. Its final name will be
+    /// the name of the file at `place` without the extension.
     ///
     /// # Errors
-    /// Errors of the system, and [`io::ErrorKind::AlreadyExists`] and
-    /// [`io::ErrorKind::InvalidInput`] as in [`check`](Self::check).
+    /// Errors of the system, and [`io::ErrorKind::InvalidInput`] for a name that is not Unicode.
     pub fn begin(place: &Path, temporary: &Path, extension: &'static str) -> io::Result<Self> {
         let (place, stem) = named(place)?;
         let [temporary, replaced] = BELONGINGS.map(|ending| belonging(temporary, ending));
@@ -43,8 +42,8 @@ impl FolderInProgress {
         Ok(Self { temporary, replaced, place, stem, extension, sum: Hasher::new() })
     }
 
-    /// Checks that the folder next to the file at `place` does not exist, or contains only files of
-    /// this kind, which may be replaced.
+    /// Checks that the folder next to the file at `place` does not exist, or may be replaced
+    /// because it contains only files of this kind.
     ///
     /// # Errors
     /// [`io::ErrorKind::AlreadyExists`] for a folder that may not be replaced, and
@@ -74,13 +73,13 @@ impl FolderInProgress {
         if empty || replaceable { Ok(()) } else { Err(ErrorKind::AlreadyExists.into()) }
     }
 
-    /// Name of file number `number`, relative to the parent of the folder.
+    /// Path of file number `number`, relative to the parent of the folder.
     pub fn name(&self, number: u64) -> String {
         let Self { stem, extension, .. } = self;
         format!("{stem}/{stem}_{number}.{extension}")
     }
 
-    /// Writes file number `number`, the next one, and waits until it is on disk.
+    /// Writes file number `number`, and waits until it is on disk. Files must be written in order.
     ///
     /// # Errors
     /// Errors of the system and of `content`.
@@ -97,21 +96,24 @@ impl FolderInProgress {
         file.sync_all()
     }
 
-    /// Combines the checksum of the list with that of the files.
+    /// Combines the checksum `crc` of the list, which has `bytes` bytes, with the checksum of the
+    /// files.
     pub fn sum_behind(&self, crc: u32, bytes: u64) -> u32 {
         let mut all = Hasher::new_with_initial_len(crc, bytes);
         all.combine(&self.sum);
         all.finalize()
     }
 
-    /// Renames the folder to its final name. An existing folder is removed if it is `replaceable`,
-    /// after the file at `named`, which lists its files. Another process that does this at the same
-    /// time waits for the end of [`turn`]; without file locks it continues, and the last folder
-    /// stays.
+    /// Renames the folder to its final name.
+    ///
+    /// If a folder with this name exists and is `replaceable`, removes first the file at `named`,
+    /// which lists its files, and then that folder. Other processes that write the same output wait
+    /// for the lock of [`turn`]. Without file locks they do not wait, and the folder of the last
+    /// process stays.
     ///
     /// # Errors
-    /// [`io::ErrorKind::AlreadyExists`] if a folder with this name was created meanwhile and may
-    /// not be replaced, and errors of the system.
+    /// [`io::ErrorKind::AlreadyExists`] if the file at `named` or the folder exists and is not
+    /// `replaceable`, and errors of the system.
     pub fn keep(self, named: &Path, replaceable: bool) -> io::Result<()> {
         if !replaceable && named.symlink_metadata().is_ok() {
             return Err(ErrorKind::AlreadyExists.into());
@@ -139,7 +141,7 @@ impl FolderInProgress {
 /// Maximum number of attempts if other processes keep creating the folder.
 const TRIES: u32 = 100;
 
-/// Ignores errors about missing files, which were moved or removed already.
+/// Ignores the error that a file is missing, because another process may have moved or removed it.
 fn unless_gone(done: io::Result<()>) -> io::Result<()> {
     done.or_else(|fault| if fault.kind() == ErrorKind::NotFound { Ok(()) } else { Err(fault) })
 }
@@ -148,8 +150,8 @@ fn unless_gone(done: io::Result<()>) -> io::Result<()> {
 const PATIENCE: Duration = Duration::from_secs(2);
 const PAUSE: Duration = Duration::from_millis(2);
 
-/// Locks the parent folder, so that a list and its folder are renamed together by one job. `None`
-/// if the system has no such lock, or another process does not release it.
+/// Locks the parent folder of `place`, so that one process at a time renames a list and its folder.
+/// `None` if the system has no such lock, or another process does not release it in time.
 pub fn turn(place: &Path) -> Option<File> {
     let folder =
         place.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
@@ -172,7 +174,7 @@ impl Drop for FolderInProgress {
     }
 }
 
-/// The folder next to a file, and its name.
+/// The folder next to the file at `place`, and the folder's name.
 fn named(place: &Path) -> io::Result<(PathBuf, String)> {
     let stem = place.file_stem().and_then(|stem| stem.to_str()).map(str::to_owned);
     let no_text = || {
@@ -200,7 +202,7 @@ fn is_piece(name: &str, stem: &str, extension: &str) -> bool {
 mod tests {
     use super::*;
 
-    /// A folder with one file next to `m.list`, as job `job` makes it.
+    /// Creates a folder with one file next to `m.list`. The file contains the name of the job.
     fn filled(within: &Path, job: &str) -> FolderInProgress {
         let mut folder =
             FolderInProgress::begin(&within.join("m.list"), &within.join(job), "piece").unwrap();

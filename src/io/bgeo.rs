@@ -1,7 +1,7 @@
 //! Reads Houdini's classic .bgeo ("BgeoV", version 5), as partio and SPlisHSPlasH write it.
 //!
-//! Everything is big endian. A header names the attributes. Then each point is one record: x, y, z,
-//! w and the attributes, four bytes per number. The rest of the file is not read.
+//! All numbers are big endian. A header defines the attributes. Then each point is one record of x,
+//! y, z, w and the attributes, with four bytes per number. The rest of the file is not read.
 
 use crate::particles::AttributeInfo;
 
@@ -10,16 +10,16 @@ use super::columns::{Column, ColumnStore, Endian, ParticleRows, Scalar};
 use super::cursor::Cursor;
 use super::{ParticleFile, ReadFault, malformed};
 
-/// Bytes of every number of a point.
+/// Number of bytes of each number of a point.
 const NUMBER: u64 = 4;
 
 /// Reads the header and the names of the attributes. The points are read later.
 ///
-/// A vector or a list of numbers is one attribute; indexed strings are skipped. Positions are not
+/// A vector or a list of numbers is one attribute. Indexed strings are skipped. Positions are not
 /// divided by the weight w, which is 1 for all points outside of curves.
 ///
 /// # Errors
-/// [`ReadFault::Unsupported`] for plain strings; [`ReadFault::Malformed`] and
+/// [`ReadFault::Unsupported`] for strings that are not indexed, [`ReadFault::Malformed`] and
 /// [`ReadFault::Truncated`] for a header that does not fit the file.
 pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
     let mut cursor = Cursor::new(bytes.view(), 0, Endian::Big);
@@ -75,7 +75,7 @@ pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
 struct Definition {
     name: String,
     components: u16,
-    /// `None` for indices into strings.
+    /// The type of the numbers. `None` for indices of strings.
     scalar: Option<Scalar>,
 }
 

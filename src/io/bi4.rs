@@ -2,9 +2,9 @@
 //! files.
 //!
 //! A file head of 64 bytes is followed by a tree of items. An item has named values, named arrays
-//! and child items, each preceded by the size of its definition. The root's values describe the
-//! case. Its child `PART_xxxx` has one array per quantity. Fixed, moving and floating particles are
-//! in the same arrays; fluid particles have higher numbers.
+//! and child items. The size of its definition precedes each of them. The values of the root item
+//! describe the case. The root's child item `PART_xxxx` has one array per quantity. The arrays mix
+//! fixed, moving, floating and fluid particles, and fluid particles have the highest identifiers.
 
 use std::path::{Path, PathBuf};
 
@@ -21,14 +21,15 @@ use super::wanted::WantedParticles;
 use super::{ParticleFile, Pieces, ReadError, ReadFault, malformed};
 
 const HEAD: usize = 64;
-/// Number of identifiers per read.
+/// Number of particle identifiers per read.
 const IDS: usize = 1 << 15;
 
 /// Reads the part at `path`. `bytes` holds its first piece. A part can have further pieces in the
 /// same folder, such as `Part_p01_0000.bi4` next to `Part_p00_0000.bi4`.
 ///
 /// # Errors
-/// The errors of [`read_particles`], with the piece; a missing piece is [`ReadFault::Io`].
+/// The errors of [`read_particles`] for the piece that has them. A missing piece is
+/// [`ReadFault::Io`].
 pub fn open_particles(
     path: &Path,
     bytes: Bytes,
@@ -77,12 +78,12 @@ pub fn open_particles(
     })
 }
 
-/// Whether a file's name is that of a piece other than the first.
+/// Whether the name of the file at `path` is that of a .bi4 piece other than the first.
 pub fn is_later_piece(path: &Path) -> bool {
     PieceName::of(path).is_some_and(|name| name.number > 0)
 }
 
-/// The existing other pieces of the part whose first piece is `path`.
+/// The existing further pieces of the part whose first piece is `path`.
 pub(super) fn later_pieces(path: &Path) -> Vec<PathBuf> {
     let first = PieceName::of(path).filter(|name| name.number == 0);
     first.map_or(Vec::new(), |name| {
@@ -125,13 +126,14 @@ impl<'a> PieceName<'a> {
     }
 }
 
-/// Reads the tree, and selects the fluid. The arrays are read later.
+/// Reads the tree, and selects the fluid particles. The arrays are read later.
 ///
-/// Every array of numbers with one entry per particle becomes an attribute, except positions.
+/// Every numeric array with one entry per particle becomes an attribute, except the positions.
 ///
 /// # Errors
-/// [`ReadFault::Unsupported`] for the simulator's other files and for a piece of a part;
-/// [`ReadFault::Malformed`] and [`ReadFault::Truncated`] for a tree that does not fit the file.
+/// [`ReadFault::Unsupported`] for other files of the simulator and for one of several pieces of a
+/// part, [`ReadFault::Malformed`] and [`ReadFault::Truncated`] for a tree that does not fit the
+/// file.
 pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
     let piece = Bi4Piece::read(bytes.view())?;
     let Case { pieces, spacing, time, .. } = piece.case;
@@ -148,7 +150,7 @@ pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
 /// The particles of one file.
 struct Bi4Piece {
     case: Case,
-    /// The arrays with an entry for every particle.
+    /// The arrays that have one entry per particle.
     arrays: Vec<Bi4Array>,
     /// The index of the array of positions, which has three components.
     position: usize,
@@ -157,7 +159,7 @@ struct Bi4Piece {
 }
 
 impl Bi4Piece {
-    /// The fluid particles as columns of the file.
+    /// Makes columns of the fluid particles.
     fn store(self, bytes: Bytes) -> ColumnStore {
         let Self { arrays, position, fluid, endian, .. } = self;
         let columns = |array: &Bi4Array| {
@@ -207,7 +209,7 @@ impl Bi4Piece {
     }
 }
 
-/// The fluid rows of the arrays: `rows` rows from `first` on.
+/// The rows of the arrays that are fluid particles. `rows` counts from row `first`.
 struct FluidRows {
     first: usize,
     rows: ParticleRows,
@@ -248,7 +250,7 @@ impl FluidRows {
     }
 }
 
-/// An unsigned number of up to eight bytes.
+/// An unsigned integer of up to eight bytes.
 fn number(bytes: &[u8], endian: Endian) -> u64 {
     let push = |number: u64, &byte: &u8| number << 8 | u64::from(byte);
     match endian {
@@ -257,10 +259,10 @@ fn number(bytes: &[u8], endian: Endian) -> u64 {
     }
 }
 
-/// The values of the file that are used: counts, pieces, spacing and time.
+/// Values from the file: counts, number of pieces, spacing and time.
 #[derive(Default)]
 struct Case {
-    /// CaseNfixed, CaseNmoving and CaseNfloat.
+    /// The numbers of other particles: CaseNfixed, CaseNmoving and CaseNfloat.
     not_fluid: [Option<u64>; 3],
     pieces: u64,
     piece: Option<u64>,
@@ -269,7 +271,7 @@ struct Case {
 }
 
 impl Case {
-    /// The lowest number of a fluid particle.
+    /// The lowest identifier of a fluid particle, which is the number of other particles.
     fn boundary(&self) -> Result<u64, ReadFault> {
         self.not_fluid.iter().try_fold(0u64, |sum, count| sum.checked_add((*count)?)).ok_or_else(
             || {
@@ -282,7 +284,7 @@ impl Case {
         )
     }
 
-    /// Stores the value called `name` if it is used.
+    /// Stores the value called `name` if this is a known name.
     fn note(&mut self, name: &[u8], kind: Bi4Type, value: &[u8], endian: Endian) {
         let whole =
             matches!(kind.scalar, Some(Scalar::U32 | Scalar::U64)).then(|| number(value, endian));
@@ -305,22 +307,22 @@ impl Case {
     }
 }
 
-/// An array of the part, which was checked to lie within the file.
+/// An array of the part. Its bytes were checked to lie within the file.
 struct Bi4Array {
     name: String,
-    /// Type and number of components.
+    /// Type of the numbers, and number of components.
     shape: (Scalar, usize),
     count: usize,
     offset: usize,
 }
 
-/// A type of value.
+/// The type of a value or of an array's entries.
 #[derive(Clone, Copy)]
 struct Bi4Type {
-    /// `None` for texts and booleans.
+    /// The type of the numbers. `None` for texts and booleans.
     scalar: Option<Scalar>,
     components: usize,
-    /// Bytes of a value; `None` if it has a length prefix.
+    /// Number of bytes of a value. `None` if each value is preceded by its length.
     size: Option<u64>,
 }
 
@@ -352,7 +354,7 @@ impl Bi4Type {
     }
 }
 
-/// The items of a file as a flat list: all values, and the arrays of its part.
+/// The contents of a file as a flat list: the values of all items, and the arrays of the part.
 struct Bi4Tree {
     case: Case,
     arrays: Vec<Bi4Array>,
@@ -385,8 +387,8 @@ impl Bi4Tree {
         };
         let mut cursor = Cursor::new(bytes, HEAD, endian);
         let mut tree = Self { case: Case::default(), arrays: Vec::new(), endian };
-        // An item's children follow it directly, so the number of remaining items is sufficient
-        // state.
+        // An item's children follow it directly, so that the number of remaining items is enough to
+        // continue.
         let mut to_come: u64 = 1;
         while to_come > 0 {
             to_come = to_come - 1 + tree.item(&mut cursor, wide)?;
@@ -430,7 +432,7 @@ impl Bi4Tree {
 }
 
 impl Bi4Array {
-    /// `None` for an array without numbers.
+    /// Reads an array. `None` if its entries are not numbers.
     fn read(cursor: &mut Cursor, wide: bool) -> Result<Option<Self>, ReadFault> {
         cursor.u32("an array's size")?;
         tag(cursor, b"\nARRAY")?;
@@ -458,7 +460,7 @@ impl Bi4Array {
     }
 }
 
-/// Bytes with a length prefix.
+/// Reads bytes that are preceded by their length.
 fn text<'c>(cursor: &'c mut Cursor, what: &str) -> Result<&'c [u8], ReadFault> {
     let length = cursor.u32(what)?;
     cursor.take(what, length.into())

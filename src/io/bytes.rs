@@ -19,40 +19,40 @@ use crate::system::reopened::{FileStamp, ReopenedFile, read_exact_at};
 use super::compression::{Compression, DICTIONARY};
 use super::{ReadError, ReadFault};
 
-/// Bytes per unpacking step.
+/// Bytes that are unpacked per step.
 const CHUNK: u64 = 1 << 18;
 /// Maximum compression ratio. Particles compress to a half or a tenth; only a malicious file
 /// exceeds this.
 const GREATEST_RATIO: u64 = 128;
 
-/// When a page is read, the system may map up to this many bytes before it.
+/// When a page of a map is read, the system may also map up to this many bytes before the page.
 #[cfg(unix)]
 const FAULT_AROUND: usize = 64 << 10;
 
-/// Size up to which every file may be unpacked.
+/// Unpacked size in bytes that is allowed at any compression ratio.
 const ALWAYS_UNPACKED: u64 = 64 << 20;
 
 /// The bytes of a file, read-only.
 #[derive(Debug)]
 pub enum Bytes {
-    /// In an uncompressed file, which is read by position, and never mapped.
+    /// Bytes in an uncompressed file, which is read by position and never mapped.
     File(ReopenedFile),
-    /// Unpacked or read into memory or a scratch file.
+    /// Bytes that were unpacked or read into memory or a scratch file.
     Kept(PrivateBytes),
 }
 
 /// Bytes that no other program changes.
 #[derive(Debug)]
 pub enum PrivateBytes {
-    /// A mapped scratch file.
+    /// Bytes in a mapped scratch file.
     Scratch(Arc<Mmap>),
-    /// In memory.
+    /// Bytes in memory.
     Owned(Vec<u8>),
 }
 
 impl Bytes {
-    /// Reads all bytes of the file into memory or a scratch file. Decoding takes long, and this
-    /// prevents changes by other programs meanwhile.
+    /// Reads all bytes of the file into memory or a scratch file. Decoding takes long, and other
+    /// programs cannot change this copy meanwhile.
     ///
     /// # Errors
     /// [`ReadFault::Changed`] and [`ReadFault::Io`] for a file that has changed or cannot be read,
@@ -84,7 +84,7 @@ impl Bytes {
             file.check()?;
             return read.and_then(|()| copied.finish());
         };
-        // An unexpected end means that the file has changed.
+        // If the file ended early, another program has shortened it.
         file.check()?;
         Ok(read?)
     }
@@ -105,17 +105,17 @@ impl From<Vec<u8>> for Bytes {
 }
 
 impl PrivateBytes {
-    /// Maps a whole file that no other process can access, or that is trusted to keep its size.
+    /// Maps a file that no other process can access, or that is trusted to keep its size.
     ///
     /// # Errors
     /// Errors of the system.
     pub fn map(file: &File) -> io::Result<Self> {
-        // SAFETY: the map is never written through. Another program that shortens the file
-        // meanwhile can end the run by a signal, as it can for every mapping reader.
+        // SAFETY: the map is never written through. If another program shortens the file meanwhile,
+        // a signal can end the process. This holds for every program that reads by mapping.
         unsafe { Mmap::map(file) }.map(|map| Self::Scratch(Arc::new(map)))
     }
 
-    /// Bytes of scratch files.
+    /// Number of bytes in scratch files.
     pub fn scratch_bytes(&self) -> u64 {
         match self {
             Self::Scratch(map) => map.len() as u64,
@@ -131,12 +131,12 @@ impl PrivateBytes {
         }
     }
 
-    /// Releases the memory of a range; reading it again restores it.
+    /// Releases the memory of a range. A later access reads the bytes again.
     pub fn release(&self, range: Range<usize>) {
         self.slice().release(range);
     }
 
-    /// The bytes, with the map that can release their memory.
+    /// The bytes, with the map that can release their memory if they are in a scratch file.
     pub fn slice(&self) -> Slice<'_> {
         match self {
             Self::Scratch(map) => Slice { bytes: map, map: Some(map) },
@@ -161,7 +161,7 @@ impl Deref for PrivateBytes {
     }
 }
 
-/// The last file, with a result that is valid while the file is unchanged.
+/// A cache of one result for the last file. The result is valid while the file is unchanged.
 #[derive(Debug)]
 pub struct LastFile<T>(Mutex<Option<(PathBuf, FileStamp, T)>>);
 
@@ -172,7 +172,7 @@ impl<T> Default for LastFile<T> {
 }
 
 impl<T: Clone> LastFile<T> {
-    /// Starts without a file.
+    /// Creates an empty cache.
     pub const fn new() -> Self {
         Self(Mutex::new(None))
     }
@@ -181,25 +181,25 @@ impl<T: Clone> LastFile<T> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The result for an unchanged file.
+    /// The cached result, if it is for this file and the file is unchanged.
     pub fn get(&self, path: &Path, stamp: FileStamp) -> Option<T> {
         let last = self.last();
         let (of, known, result) = last.as_ref()?;
         ((of.as_path(), *known) == (path, stamp)).then(|| result.clone())
     }
 
-    /// Stores the result for a file, and replaces any other.
+    /// Caches the result for a file, in place of any other.
     pub fn keep(&self, path: &Path, stamp: FileStamp, result: T) {
         *self.last() = Some((path.to_owned(), stamp, result));
     }
 
-    /// Removes the result.
+    /// Removes the cached result.
     pub fn forget(&self) {
         *self.last() = None;
     }
 }
 
-/// Bytes in memory, or in a map that can release it.
+/// Bytes in memory, or in a map whose memory can be released.
 #[derive(Debug, Clone, Copy)]
 pub struct Slice<'a> {
     bytes: &'a [u8],
@@ -207,18 +207,18 @@ pub struct Slice<'a> {
 }
 
 impl<'a> Slice<'a> {
-    /// The bytes, with their own lifetime.
+    /// The bytes, with the lifetime of the data instead of this slice.
     pub fn bytes(self) -> &'a [u8] {
         self.bytes
     }
 
-    /// Releases the memory of a range; reading it again restores it.
+    /// Releases the memory of a range. A later access reads the bytes again.
     pub fn release(self, range: Range<usize>) {
         #[cfg(unix)]
         if let Some(map) = self.map {
             let start = range.start.saturating_sub(FAULT_AROUND);
             let length = range.end - start;
-            // SAFETY: the map is of a file and never written: pages that are dropped are read
+            // SAFETY: the map is of a file and never written, so the system reads dropped pages
             // again. If the system refuses, nothing changes.
             let _ = unsafe {
                 map.unchecked_advise_range(memmap2::UncheckedAdvice::DontNeed, start, length)
@@ -246,9 +246,9 @@ impl Deref for Slice<'_> {
 /// Random access to bytes in memory or in a file.
 #[derive(Debug, Clone, Copy)]
 pub enum ByteView<'a> {
-    /// In a file, read by position.
+    /// Bytes in a file that is read by position.
     File(&'a ReopenedFile),
-    /// In memory, or mapped.
+    /// Bytes in memory or in a map.
     Kept(Slice<'a>),
 }
 
@@ -268,7 +268,7 @@ impl<'a> ByteView<'a> {
         self.len() == 0
     }
 
-    /// The bytes of a range.
+    /// The bytes of `range`, which are borrowed if they are in memory.
     ///
     /// # Errors
     /// [`ReadFault::Changed`] and [`ReadFault::Io`] for a file that has changed or cannot be read.
@@ -281,7 +281,7 @@ impl<'a> ByteView<'a> {
                 assert!(range.end <= self.len(), "bytes to {} of {}", range.end, self.len());
                 let mut bytes = vec![0; range.len()];
                 if let Err(lost) = file.read_exact_at(range.start as u64, &mut bytes) {
-                    // An unexpected end means that the file has changed.
+                    // If the file ended early, another program has shortened it.
                     file.check()?;
                     return Err(lost.into());
                 }
@@ -291,10 +291,11 @@ impl<'a> ByteView<'a> {
         }
     }
 
-    /// The bytes of a text file, which was read as a whole.
+    /// The bytes in memory of a text file, which was read as a whole.
     ///
     /// # Errors
-    /// [`ReadFault::Changed`] if they are in a file: the file was not text when this was checked.
+    /// [`ReadFault::Changed`] if the bytes are not in memory. Then, the file was not text when it
+    /// was opened, and has changed since.
     pub fn kept(self) -> Result<Slice<'a>, ReadFault> {
         match self {
             Self::File(_) => Err(ReadFault::Changed),
@@ -302,7 +303,7 @@ impl<'a> ByteView<'a> {
         }
     }
 
-    /// Releases the memory of a range; reading it again restores it.
+    /// Releases the memory of a range. A later access reads the bytes again.
     pub fn release(self, range: Range<usize>) {
         if let Self::Kept(slice) = self {
             slice.release(range);
@@ -327,20 +328,20 @@ impl<'a> From<&'a [u8]> for ByteView<'a> {
     }
 }
 
-/// Bytes after which memory is released.
+/// Number of bytes after which memory is released.
 const WINDOW: u64 = 1 << 20;
 
-/// Reads bytes sequentially, and releases the memory of bytes that were read.
+/// Reads bytes sequentially, and releases the memory of the bytes behind its position.
 #[derive(Debug)]
 pub struct SequentialReader<'a> {
     bytes: ByteView<'a>,
     at: u64,
-    /// Start of the bytes whose memory is not released yet.
+    /// Start of the bytes whose memory has not been released.
     held_from: u64,
 }
 
 impl<'a> SequentialReader<'a> {
-    /// Starts at byte `at`.
+    /// Starts to read at byte `at`.
     pub fn new(bytes: ByteView<'a>, at: usize) -> Self {
         Self { bytes, at: at as u64, held_from: at as u64 }
     }
@@ -398,21 +399,22 @@ impl Drop for SequentialReader<'_> {
 /// The memory and scratch folder that unpacking or decoding an input may use.
 #[derive(Debug, Clone, Copy)]
 pub struct Unpacking<'a> {
-    /// Bytes of memory; a larger result goes to a mapped scratch file.
+    /// Maximum bytes of memory for the result. A larger result goes to a mapped scratch file.
     pub in_memory: u64,
     /// The folder for scratch files.
     pub scratch: &'a Path,
-    /// Progress and cancellation for the caller, if any.
+    /// Receives progress and can cancel the work. `None` to do neither.
     pub control: Option<&'a Control>,
 }
 
 impl Unpacking<'static> {
-    /// No limit: everything is unpacked into memory.
+    /// Unpacks everything into memory, without a limit.
     pub fn in_memory() -> Self {
         Self { in_memory: u64::MAX, scratch: Path::new("."), control: None }
     }
 
-    /// For inspecting a file: large results go to a scratch file in the system's temporary folder.
+    /// Limits for inspecting a file. A large result goes to a scratch file in the system's
+    /// temporary folder.
     pub fn for_a_look() -> Self {
         static FOLDER: LazyLock<PathBuf> = LazyLock::new(std::env::temp_dir);
         Self { in_memory: ALWAYS_UNPACKED, scratch: &FOLDER, control: None }
@@ -420,14 +422,14 @@ impl Unpacking<'static> {
 }
 
 impl Unpacking<'_> {
-    /// Returns an error if the work was cancelled.
+    /// Returns an error if the caller has cancelled the work.
     pub(super) fn go_on(&self) -> Result<(), ReadFault> {
         let Some(control) = self.control else { return Ok(()) };
         Ok(control.cancel.go_on().map_err(io::Error::from)?)
     }
 }
 
-/// A reader of a packed file that reports its progress to the caller.
+/// A reader of a compressed file that reports its progress to the caller.
 struct MeteredBytes<'a, R> {
     bytes: R,
     meter: Option<Meter<'a>>,
@@ -456,13 +458,13 @@ impl<R: Read> Read for MeteredBytes<'_, R> {
 pub struct UnpackBuffer<'a> {
     unpacking: Unpacking<'a>,
     memory: Vec<u8>,
-    /// The scratch file with all bytes, if they exceed the memory.
+    /// The scratch file with all bytes, if they exceed the memory limit.
     file: Option<File>,
     len: u64,
 }
 
 impl<'a> UnpackBuffer<'a> {
-    /// An empty buffer.
+    /// Creates an empty buffer.
     pub fn new(unpacking: Unpacking<'a>) -> Self {
         Self { unpacking, memory: Vec::new(), file: None, len: 0 }
     }
@@ -504,7 +506,7 @@ impl<'a> UnpackBuffer<'a> {
         Ok(())
     }
 
-    /// Returns all bytes.
+    /// Returns the appended bytes, mapped if they are in a scratch file.
     ///
     /// # Errors
     /// [`ReadFault::Scratch`] if the scratch file cannot be mapped.
@@ -516,12 +518,12 @@ impl<'a> UnpackBuffer<'a> {
     }
 }
 
-/// Opens `path` for reading by position. If it is compressed by gzip, xz or zstd, with any
-/// extension, unpacks it with the limits of [`for_a_look`](Unpacking::for_a_look).
+/// Opens `path` for reading by position. A file that is compressed by gzip, xz or zstd, with any
+/// extension, is unpacked with the limits of [`for_a_look`](Unpacking::for_a_look).
 ///
 /// # Errors
 /// [`ReadFault::Io`] for errors of the system, [`ReadFault::Empty`] for an empty file, and
-/// [`ReadFault::Compression`] for a damaged stream, or one whose compression ratio is too high.
+/// [`ReadFault::Compression`] for a damaged stream or one whose compression ratio is too high.
 pub fn open_bytes(path: &Path) -> Result<Bytes, ReadError> {
     open_bytes_within(path, Unpacking::for_a_look())
 }
@@ -534,11 +536,11 @@ pub fn open_whole(path: &Path) -> Result<PrivateBytes, ReadError> {
         .map_err(|fault| ReadError::new(path, fault))
 }
 
-/// Opens `path` like [`open_bytes_within`], for one of several frames in it.
+/// Opens `path` like [`open_bytes_within`], to read one of several frames.
 ///
-/// A compressed file is unpacked into a scratch file, which is kept until a different file is
-/// opened here or this one changes, so that later frames need no unpacking. Data derived from the
-/// bytes is valid for the returned stamp, if there is one.
+/// A compressed file is unpacked into a scratch file, so that later frames need no unpacking. The
+/// scratch file is kept until this function opens a different file, or the compressed file changes.
+/// The caller may keep data derived from the bytes as long as the file has the returned stamp.
 ///
 /// # Errors
 /// The errors of [`open_bytes_within`].
@@ -547,7 +549,7 @@ pub fn open_for_frame(
     unpacking: Unpacking,
 ) -> Result<(Bytes, Option<FileStamp>), ReadError> {
     static UNPACKED: LastFile<Arc<Mmap>> = LastFile::new();
-    /// Other frames of the file wait until it is unpacked.
+    /// Lets threads that read other frames of the file wait until it is unpacked.
     static TURN: Mutex<()> = Mutex::new(());
     let compressed = File::open(path)
         .and_then(|file| {
@@ -557,7 +559,8 @@ pub fn open_for_frame(
             read_exact_at(&file, 0, head)?;
             Ok(Compression::of(head).map(|_| stamp))
         })
-        // The next attempt to open it reports the error.
+        // Ignores the error, because `open_bytes_within` opens the file again and reports the
+        // error.
         .unwrap_or_default();
     // Without a memory limit, no scratch file is used.
     let compressed = compressed.filter(|_| unpacking.in_memory < u64::MAX);
@@ -575,7 +578,7 @@ pub fn open_for_frame(
                 UNPACKED.keep(path, stamp, Arc::clone(&map));
                 return Ok((Bytes::Kept(PrivateBytes::Scratch(map)), compressed));
             }
-            // The file may fit in memory.
+            // The scratch file cannot be written, but the bytes may fit in memory.
             Err(ReadError { fault: ReadFault::Scratch(_), .. }) => {}
             other => return Ok((other?, None)),
         }
@@ -607,7 +610,8 @@ pub fn open_bytes_within(path: &Path, unpacking: Unpacking) -> Result<Bytes, Rea
         let Some(compression) = Compression::of(head) else {
             return ReopenedFile::new(path, file).map(Bytes::File).map_err(|e| fail(e.into()));
         };
-        // Reads by position do not count as memory of this process.
+        // Unpacks a large file while reading it, so that its compressed bytes are not in memory as
+        // a whole.
         if len > ALWAYS_UNPACKED {
             return unpack(compression, file, len, unpacking).map(Bytes::Kept).map_err(fail);
         }
@@ -638,15 +642,15 @@ fn file_bytes(file: &File, count: u64) -> Result<PrivateBytes, ReadFault> {
     Ok(PrivateBytes::Owned(bytes))
 }
 
-/// The maximum number of bytes that a file of `packed` bytes may unpack to.
+/// The maximum number of bytes that a compressed file of `packed` bytes may unpack to.
 pub(super) fn unpacked_limit(packed: u64) -> u64 {
     packed.saturating_mul(GREATEST_RATIO).max(ALWAYS_UNPACKED)
 }
 
-/// Unpacks a small file with a single gzip stream in one call, which takes half of the time. `None`
-/// for a damaged file or one with several streams.
+/// Unpacks a small file with a single gzip stream in one call, in half the time of a stream
+/// decoder. `None` for a damaged file or one with several streams.
 fn unpack_at_once(packed: &[u8], in_memory: u64) -> Option<Vec<u8>> {
-    // A stream ends with the length of its content.
+    // A gzip stream ends with the length of its content.
     let trailer = packed.last_chunk::<4>()?;
     let len = u32::from_le_bytes(*trailer);
     if u64::from(len) > in_memory.min(ALWAYS_UNPACKED) {
@@ -655,12 +659,12 @@ fn unpack_at_once(packed: &[u8], in_memory: u64) -> Option<Vec<u8>> {
     let mut unpacked = vec![0; len as usize];
     let written = Decompressor::new().gzip_decompress(packed, &mut unpacked).ok()?;
     // Decompression stops at the end of the first stream, which ends with this length. If the
-    // length occurs only at the end of the file, there is one stream.
+    // length occurs only at the end of the file, the file has a single stream.
     let ends = memmem::find(packed, trailer)? + trailer.len();
     (written == unpacked.len() && ends == packed.len()).then_some(unpacked)
 }
 
-/// Unpacks a file of `count` bytes.
+/// Unpacks a compressed file of `count` bytes.
 fn unpack(
     compression: Compression,
     packed: impl Read,
@@ -688,7 +692,7 @@ fn unpack(
     })
 }
 
-/// All bytes of `source`, as long as their number passes `check`.
+/// Reads all bytes of `source`. After each step, `check` gets their number and may return an error.
 fn collect(
     mut source: impl Read,
     unpacking: Unpacking,

@@ -16,12 +16,12 @@ use super::vtp::each_tag;
 use super::wanted::WantedParticles;
 use super::{ParticleFile, ReadError, ReadFault, malformed};
 
-/// A frame in a list.
+/// A frame that a list contains.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ListedFrame {
     /// The time, if the list has it.
     pub time: Option<f64>,
-    /// The files with particles of this frame, in the order of their parts.
+    /// The files with the particles of this frame, in the order of their part numbers.
     pub files: Vec<PathBuf>,
 }
 
@@ -31,12 +31,13 @@ pub fn is_list(path: &Path) -> bool {
     matches!(extension.as_deref(), Some("pvd" | "series"))
 }
 
-/// The frames in a list, in order. Data sets with the same time are parts of one frame.
+/// The frames in a list, in the order of the list. Data sets with the same time are parts of one
+/// frame.
 ///
 /// # Errors
 /// [`ReadError`] for a list that cannot be read, is empty, or contains another list.
 pub fn listed(path: &Path) -> Result<Arc<[ListedFrame]>, ReadError> {
-    // A simulation reads the list for each of its frames.
+    // Caches the last list, because a simulation needs the list for each of its frames.
     static LAST: LastFile<Arc<[ListedFrame]>> = LastFile::new();
     let Ok(metadata) = path.metadata() else { return read_list(path).map(Into::into) };
     let stamp = FileStamp::of(&metadata);
@@ -69,11 +70,11 @@ fn read_list(path: &Path) -> Result<Vec<ListedFrame>, ReadError> {
     Err(ReadError::new(path, malformed(0, fault)))
 }
 
-/// Opens a frame of a list by its number, or the only one.
+/// Opens frame number `number` of a list. Without a number, the list must have a single frame.
 ///
 /// # Errors
 /// [`ReadError`] if the list or a file of the frame cannot be read, and [`ReadFault::Unsupported`]
-/// for a number that does not exist, or without a number if there are several frames.
+/// for a number that does not exist, or for several frames without a number.
 pub fn open_particles(
     path: &Path,
     list: &Path,
@@ -87,10 +88,11 @@ pub fn open_particles(
     Ok(ParticleFile { time: time.or(opened.time), ..opened })
 }
 
-/// The frame with this number in `list`, or the only one. `path` is the name for errors.
+/// Frame number `number` of `list`. Without a number, the list must have a single frame. Errors
+/// name `path`.
 ///
 /// # Errors
-/// The errors of [`open_particles`], except for the files of the frame.
+/// The errors of [`open_particles`], except for errors of the frame's own files.
 pub fn frame_of(path: &Path, list: &Path, number: Option<u64>) -> Result<ListedFrame, ReadError> {
     let frames = listed(list)?;
     let count = frames.len();
@@ -108,10 +110,10 @@ pub fn frame_of(path: &Path, list: &Path, number: Option<u64>) -> Result<ListedF
     Ok(frames[number].clone())
 }
 
-/// Names of files with their times.
+/// For each time, the names of the files.
 type Named = Vec<(Option<f64>, Vec<String>)>;
 
-/// The entries of a .pvd.
+/// Parses the entries of a .pvd.
 fn collection(bytes: &[u8]) -> Result<Named, ReadFault> {
     let mut sets: Vec<(Option<f64>, i64, String)> = Vec::new();
     each_tag(bytes, |tag| {
@@ -152,7 +154,7 @@ struct FileOfSeries {
     time: Option<f64>,
 }
 
-/// The entries of a .series.
+/// Parses the entries of a .series.
 fn series(bytes: &[u8]) -> Result<Named, ReadFault> {
     let series: FileSeries = serde_json::from_slice(bytes)
         .map_err(|fault| ReadFault::Line { line: fault.line() as u64, what: fault.to_string() })?;

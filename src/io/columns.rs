@@ -1,5 +1,5 @@
-//! The common form of all particle formats: columns of numbers with a fixed stride in a range of
-//! bytes.
+//! Columns of numbers with a fixed stride in a range of bytes, the common form of all particle
+//! formats.
 //!
 //! The reader of a binary format parses the header and locates the columns. The reader of a text
 //! format first decodes the text into little-endian columns. Apart from this, formats are handled
@@ -17,10 +17,10 @@ use crate::particles::{AttributeInfo, AttributeKind, Label, Particles, RereadErr
 
 use super::windows::{InputBytes, WindowPool, Windows};
 
-/// Bytes per released range of memory.
+/// Granularity in bytes at which memory is released.
 const WINDOW: usize = 1 << 20;
 
-/// Range of rows within which selected rows are read together.
+/// Selected rows within this number of rows are read together.
 const NEAR: usize = 1 << 10;
 
 /// The type of a stored number.
@@ -46,7 +46,7 @@ impl Scalar {
         matches!(self, Self::F16 | Self::F32 | Self::F64)
     }
 
-    /// The kind of an attribute with this type of numbers.
+    /// The kind of an attribute whose numbers have this type.
     pub fn kind_of(self, info: &AttributeInfo) -> AttributeKind {
         let kind = match self {
             Self::F16 | Self::F32 | Self::F64 => return info.kind,
@@ -69,53 +69,54 @@ pub enum Endian {
     Big,
 }
 
-/// The location of a tuple of numbers for every particle: particle `i` has its components from byte
-/// `offset + i * stride` on.
+/// The location of one number of every particle: the number of particle `i` starts at byte
+/// `offset + i * stride`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Column {
-    /// Offset of particle 0's first component, in bytes from the start of the data.
+    /// Offset of particle 0's number, in bytes from the start of the data.
     pub offset: usize,
-    /// Bytes from one particle to the next.
+    /// Bytes from one particle's number to the next particle's.
     pub stride: usize,
-    /// Type of every component.
+    /// Type of the numbers.
     pub scalar: Scalar,
-    /// Byte order of every component.
+    /// Byte order of the numbers.
     pub endian: Endian,
 }
 
 impl Column {
-    /// The column of component `index`, if this is component 0.
+    /// The column of component `index` of a tuple, if `self` is the column of component 0.
     pub fn component(self, index: usize) -> Self {
         Self { offset: self.offset + index * self.scalar.size(), ..self }
     }
 }
 
-/// The numbers of a particle file as they are stored, in memory, borrowed, or read from the file.
+/// The columns of a particle file, in memory, borrowed, or read from the file on demand.
 #[derive(Debug)]
 pub struct ColumnStore<B = InputBytes> {
     bytes: B,
     rows: ParticleRows,
-    /// x, y and z, which need not be adjacent (a .ply may order its properties freely).
+    /// Columns of x, y and z, which need not be adjacent (a .ply may order its properties freely).
     position: [Column; 3],
     infos: Vec<AttributeInfo>,
     /// For each attribute, one column per component.
     columns: Vec<Vec<Column>>,
     labels: Vec<Label>,
-    /// For each label, the column of numbers, and the index of the text for each number.
+    /// For each text attribute, a column of numbers, and a table from these numbers to indices of
+    /// texts.
     texts: Vec<(Column, Vec<u32>)>,
 }
 
 /// The rows of the columns that contain particles.
 #[derive(Debug)]
 pub enum ParticleRows {
-    /// The first rows, up to this number.
+    /// The first rows, in this number.
     All(usize),
-    /// Selected rows: a .bi4 mixes fluid with boundary, and conditions select particles.
+    /// Selected rows. A .bi4 mixes fluid with boundary particles, and conditions select particles.
     Selected(Sieve),
 }
 
 impl ParticleRows {
-    /// The number of rows.
+    /// The number of rows that contain particles.
     pub fn count(&self) -> usize {
         match self {
             Self::All(count) => *count,
@@ -125,11 +126,12 @@ impl ParticleRows {
 }
 
 impl<B: Windows> ColumnStore<B> {
-    /// Combines columns with their bytes. If several attributes have the same name, the first is
-    /// kept.
+    /// Combines columns with their bytes. Of several attributes with the same name, keeps the
+    /// first.
     ///
     /// # Panics
-    /// If a column exceeds the bytes, or its numbers overlap: readers must check a header's counts.
+    /// If a column exceeds the bytes, or numbers overlap. Readers must check a header's counts
+    /// first.
     pub fn new(
         bytes: impl Into<B>,
         rows: ParticleRows,
@@ -167,10 +169,12 @@ impl<B: Windows> ColumnStore<B> {
         Self { bytes, rows, position, infos, columns, labels, texts }
     }
 
-    /// Fills the tuples of `out`, which have one number per column, from particle `first` on.
+    /// Fills `out` with one tuple per particle, from particle `first` on. A tuple has one number
+    /// per column.
     fn read<T: NearestCast>(&self, columns: &[Column], first: usize, out: &mut [T]) {
         let width = columns.len();
-        // With a single row, a stride may be shorter than a tuple.
+        // A stride shorter than a tuple, which a single row may have, excludes reading whole
+        // tuples.
         let neighbours =
             columns.iter().enumerate().all(|(i, column)| *column == columns[0].component(i));
         match columns {
@@ -186,8 +190,8 @@ impl<B: Windows> ColumnStore<B> {
         }
     }
 
-    /// Writes `K` adjacent numbers of every particle to the start of each group of `step` numbers
-    /// of `out`.
+    /// Reads `K` adjacent numbers of each particle, and writes them to the start of the particle's
+    /// group of `step` numbers in `out`.
     fn read_tuples<T: NearestCast, const K: usize>(
         &self,
         column: &Column,
@@ -204,7 +208,7 @@ impl<B: Windows> ColumnStore<B> {
         });
     }
 
-    /// Passes on the windows with the first `size` bytes of `column` of each particle of a range.
+    /// Calls `read` with windows that hold the first `size` bytes of `column` for all `particles`.
     fn each_window(
         &self,
         column: &Column,
@@ -229,7 +233,7 @@ impl<B: Windows> ColumnStore<B> {
                 let (mut done, mut near) = (0, Vec::with_capacity(NEAR.min(count)));
                 let mut rows = sieve.rows(first).take(count).peekable();
                 while let Some(&row) = rows.peek() {
-                    // Nearby rows are read as one window.
+                    // Reads nearby rows as one window.
                     near.clear();
                     let next = || rows.next_if(|&other| other - row < NEAR);
                     near.extend(std::iter::from_fn(next).map(|other| other - row));
@@ -247,20 +251,22 @@ impl<B: Windows> ColumnStore<B> {
     }
 }
 
-/// Some particles' bytes of a column.
+/// The bytes of a column for some particles.
 struct Window<'a> {
-    /// The particles, counted from the first that is read.
+    /// The particles, counted from the first particle of the read.
     particles: Range<usize>,
-    /// The row of each particle, counted from the window's first; `None` for all rows in turn.
+    /// The row of each particle, counted from the first row of the window. `None` for consecutive
+    /// rows.
     rows: Option<&'a [usize]>,
     bytes: &'a [u8],
 }
 
 impl Window<'_> {
-    /// Converts `K` adjacent numbers of every particle to the start of each group of `step` numbers
-    /// of `out`.
+    /// Converts `K` adjacent numbers of each particle, and writes them to the start of the
+    /// particle's group of `step` numbers in `out`.
     ///
-    /// This is compiled for each pair of types, so it contains nothing else.
+    /// The compiler makes a copy for each pair of types, so this function contains only the
+    /// conversion.
     fn convert<T, const K: usize, const N: usize>(
         &self,
         stride: usize,
@@ -269,7 +275,7 @@ impl Window<'_> {
         number: impl Fn([u8; N]) -> T,
     ) {
         if self.rows.is_none() && stride == K * N && step == K {
-            // Without gaps on either side, this is vectorized.
+            // Without gaps in input and output, the compiler vectorizes this loop.
             for (out, stored) in out.iter_mut().zip(self.bytes.as_chunks::<N>().0) {
                 *out = number(*stored);
             }
@@ -286,8 +292,8 @@ impl Window<'_> {
 }
 
 impl ColumnStore {
-    /// Adds labels. Each has a column of numbers, like attributes, and the index of the label's
-    /// text for each number.
+    /// Adds text attributes. Each has a column of numbers, and a table from these numbers to
+    /// indices of its texts.
     #[must_use]
     pub fn with_labels(
         self,
@@ -297,7 +303,7 @@ impl ColumnStore {
         Self { labels, texts, ..self }
     }
 
-    /// Keeps only the particles that a sieve selects.
+    /// Keeps only the particles that `sieve` selects.
     pub fn select(&mut self, sieve: Sieve) {
         self.rows = ParticleRows::Selected(match &self.rows {
             ParticleRows::All(_) => sieve,
@@ -305,7 +311,7 @@ impl ColumnStore {
         });
     }
 
-    /// Bytes of memory of the selection.
+    /// Bytes of memory that the selection of rows takes.
     pub fn sieve_bytes(&self) -> u64 {
         match &self.rows {
             ParticleRows::All(_) => 0,
@@ -313,17 +319,17 @@ impl ColumnStore {
         }
     }
 
-    /// Bytes of scratch files with the numbers.
+    /// Number of bytes in scratch files.
     pub fn scratch_bytes(&self) -> u64 {
         self.bytes.scratch_bytes()
     }
 
-    /// Bytes of the file with the numbers.
+    /// Number of bytes in the input file, which is read in windows.
     pub fn file_bytes(&self) -> u64 {
         self.bytes.file_bytes()
     }
 
-    /// Reads through the windows of a shared shelf.
+    /// Makes these columns use the windows of `shelf`, which several files share.
     pub fn share(&mut self, shelf: &Arc<WindowPool>) {
         self.bytes.share(shelf);
     }
@@ -359,7 +365,8 @@ impl<B: Windows> Particles for ColumnStore<B> {
         let len = self.bytes.count();
         for group in windows.chunk_by(|a, b| b.start < a.end) {
             let end = group.iter().map(|window| window.end).max().unwrap_or_default().min(len);
-            // Small ranges are delayed until later ones complete a window.
+            // Releases only complete windows. A later call releases a window that is incomplete
+            // now.
             let [begin, end] = [group[0].start, end].map(|at| at / WINDOW * WINDOW);
             if begin < end {
                 self.bytes.release(begin..end);
@@ -397,7 +404,7 @@ impl<B: Windows> Particles for ColumnStore<B> {
     }
 }
 
-/// The operations of each type. Half floats become f32 first.
+/// Defines the operations of each number type. Half floats are converted to f32 first.
 macro_rules! stored {
     ($($scalar:ident $type:ident),*) => {
         impl Scalar {
@@ -410,7 +417,7 @@ macro_rules! stored {
             }
         }
 
-        /// A type to which any stored number converts, to the nearest value.
+        /// A type to which every number type converts, to the nearest value.
         trait NearestCast: Copy {
             $(fn $type(value: $type) -> Self;)*
         }

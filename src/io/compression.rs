@@ -1,4 +1,4 @@
-//! Compressed files: gzip, zstd or xz, detected by their first bytes.
+//! Compressed files: gzip, xz or zstd, detected by the first bytes of the file.
 
 use std::io::{self, BufReader, Read};
 
@@ -6,31 +6,31 @@ use flate2::read::MultiGzDecoder;
 use lzma_rust2::XzReader;
 use zstd::stream::read::Decoder as ZstdDecoder;
 
-/// Extensions of compressed files, which follow the extension of their format.
+/// Extensions of compressed files, which come after the extension of the format.
 pub const EXTENSIONS: [&str; 3] = ["gz", "xz", "zst"];
 
-/// Maximum bytes of history that a decoder may keep: `xz -9` uses 64 MiB, and `zstd --ultra -22`
-/// 128 MiB.
+/// Maximum dictionary in bytes that a decoder may keep. `xz -9` needs 64 MiB, and
+/// `zstd --ultra -22` 128 MiB.
 pub const DICTIONARY: u64 = 1 << 27;
-/// Upper bound of the bytes that an xz decoder needs besides its dictionary.
+/// Upper bound of the bytes of memory that an xz decoder needs besides its dictionary.
 const OVERHEAD: u64 = 1 << 20;
 
-/// A compression of whole files.
+/// The compression of a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Compression {
-    /// RFC 1952.
+    /// The gzip format (RFC 1952).
     Gzip,
-    /// The container of LZMA2 streams.
+    /// The .xz format, a container of LZMA2 streams.
     Xz,
-    /// RFC 8878.
+    /// The Zstandard format (RFC 8878).
     Zstd,
 }
 
 impl Compression {
-    /// Bytes at the start of a file that identify its compression.
+    /// Number of bytes at the start of a file that identify its compression.
     pub const MAGIC: usize = 6;
 
-    /// The compression of a file that starts with these bytes.
+    /// The compression of a file that starts with `head`. `None` if the file is not compressed.
     pub fn of(head: &[u8]) -> Option<Self> {
         let magics: [(&[u8], Self); 3] = [
             (&[0x1f, 0x8b], Self::Gzip),
@@ -43,7 +43,7 @@ impl Compression {
     /// Unpacks a stream of bytes, which may contain several compressed streams.
     ///
     /// # Errors
-    /// If there is no memory for the decoder.
+    /// If the system has no memory for the decoder.
     pub fn unpack<'a>(self, packed: impl Read + 'a) -> io::Result<Box<dyn Read + 'a>> {
         Ok(match self {
             Self::Gzip => Box::new(MultiGzDecoder::new(packed)),
@@ -59,12 +59,12 @@ impl Compression {
 
 /// Unpacks the streams of an .xz.
 ///
-/// A dictionary of more than 128 MiB is [`io::ErrorKind::OutOfMemory`].
+/// A dictionary of more than 128 MiB gives an [`io::ErrorKind::OutOfMemory`] error.
 pub fn unpack_xz<'a>(packed: impl Read + 'a) -> Box<dyn Read + 'a> {
     Box::new(XzReader::new_mem_limit(packed, true, ((DICTIONARY + OVERHEAD) >> 10) as u32))
 }
 
-/// The name of a file without the extension of its compression.
+/// The name of a file without the extension of a compression, such as `.gz`.
 pub fn plain_name(name: &str) -> &str {
     let plain = name.rsplit_once('.').filter(|(_, extension)| {
         EXTENSIONS.iter().any(|compressed| extension.eq_ignore_ascii_case(compressed))

@@ -1,4 +1,4 @@
-//! Reads a binary header: every step is checked against the available bytes.
+//! Reads the header of a binary file. Every read is checked against the available bytes.
 
 use std::borrow::Cow;
 
@@ -6,22 +6,22 @@ use super::bytes::ByteView;
 use super::columns::Endian;
 use super::{ReadFault, malformed};
 
-/// Bytes per read from a file.
+/// Bytes per read from the file.
 const WINDOW: usize = 16 << 10;
 
-/// A position in the bytes of a file, which every read advances.
+/// A position in the bytes of a file. Every read advances it.
 #[derive(Debug, Clone)]
 pub struct Cursor<'a> {
     bytes: ByteView<'a>,
     at: usize,
     endian: Endian,
-    /// The last bytes that were read, from `window_at` on.
+    /// The bytes of the last read from the file, which start at `window_at`.
     window: Cow<'a, [u8]>,
     window_at: usize,
 }
 
 impl<'a> Cursor<'a> {
-    /// Starts at byte `at` of `bytes`.
+    /// Creates a cursor at byte `at` of `bytes`.
     pub fn new(bytes: ByteView<'a>, at: usize, endian: Endian) -> Self {
         let window = match bytes {
             ByteView::File(_) => Cow::Owned(Vec::new()),
@@ -35,7 +35,7 @@ impl<'a> Cursor<'a> {
         self.at
     }
 
-    /// Skips `count` records of `stride` bytes, and returns their start.
+    /// Skips `count` records of `stride` bytes each. Returns the position of the first record.
     ///
     /// # Errors
     /// [`ReadFault::Truncated`] if the file ends before the records do.
@@ -50,11 +50,11 @@ impl<'a> Cursor<'a> {
         Ok(start)
     }
 
-    /// The next `count` bytes.
+    /// Reads the next `count` bytes.
     ///
     /// # Errors
     /// [`ReadFault::Truncated`], and [`ReadFault::Changed`] or [`ReadFault::Io`] if the file cannot
-    /// be read. This also holds for all methods below.
+    /// be read. All methods below return these errors too.
     pub fn take(&mut self, what: &str, count: u64) -> Result<&[u8], ReadFault> {
         let start = self.skip(what, count, 1)?;
         if start < self.window_at || self.window_at + self.window.len() < self.at {
@@ -65,7 +65,7 @@ impl<'a> Cursor<'a> {
         Ok(&self.window[start - self.window_at..][..count as usize])
     }
 
-    /// The bytes of a number, the lowest first.
+    /// Reads the bytes of a number, the least significant byte first.
     ///
     /// # Errors
     /// The errors of [`take`](Self::take).
@@ -78,27 +78,27 @@ impl<'a> Cursor<'a> {
         Ok(array)
     }
 
-    /// A 16-bit number.
+    /// Reads an unsigned 16-bit integer.
     pub fn u16(&mut self, what: &str) -> Result<u16, ReadFault> {
         self.array(what).map(u16::from_le_bytes)
     }
 
-    /// A 32-bit number.
+    /// Reads an unsigned 32-bit integer.
     pub fn u32(&mut self, what: &str) -> Result<u32, ReadFault> {
         self.array(what).map(u32::from_le_bytes)
     }
 
-    /// A 64-bit number.
+    /// Reads an unsigned 64-bit integer.
     pub fn u64(&mut self, what: &str) -> Result<u64, ReadFault> {
         self.array(what).map(u64::from_le_bytes)
     }
 
-    /// A double.
+    /// Reads a 64-bit floating-point number.
     pub fn f64(&mut self, what: &str) -> Result<f64, ReadFault> {
         self.array(what).map(f64::from_le_bytes)
     }
 
-    /// A count that the format stores as a signed number.
+    /// Reads a count that the format stores as a signed integer.
     ///
     /// # Errors
     /// [`ReadFault::Malformed`] for a negative count.

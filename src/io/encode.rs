@@ -1,4 +1,4 @@
-//! Encodes a mesh's pieces on all threads, and writes them in order.
+//! Encodes the pieces of a mesh on all threads, and writes them in order.
 
 use std::io::{self, Write};
 use std::ops::Range;
@@ -9,13 +9,13 @@ use crate::surface::mesh::source::{MeshSource, Vertices};
 
 use super::CoordinateWidth;
 
-/// Writes the output of `encode` for pieces 0 to `pieces`, in order.
+/// Calls `encode` for pieces 0 to `pieces - 1`, and writes the results in order.
 ///
-/// While this thread writes one batch of pieces, the pool encodes the next. Each batch has at most
-/// two pieces per thread. The bytes do not depend on the number of threads.
+/// While this thread writes one batch of pieces, the thread pool encodes the next batch. A batch
+/// has at most two pieces per thread. The bytes do not depend on the number of threads.
 ///
 /// # Errors
-/// The first error of `encode` or `out`, in the order of the pieces; nothing is written after it.
+/// The first error of `encode` or `out`, in the order of the pieces. Nothing is written after it.
 pub fn write_pieces(
     out: &mut dyn Write,
     pieces: usize,
@@ -24,13 +24,13 @@ pub fn write_pieces(
     in_order(pieces, encode, |bytes| out.write_all(bytes))
 }
 
-/// Pieces in a batch: enough to keep all threads busy.
+/// Number of pieces in a batch, enough to keep all threads busy.
 fn pieces_at_once() -> usize {
     2 * rayon::current_num_threads()
 }
 
-/// Like [`write_pieces`], for any type that `make` appends to a buffer and `take` consumes in
-/// order.
+/// Like [`write_pieces`], for values of any type. `make` appends the values of a piece to a buffer,
+/// and `take` consumes the buffers in order.
 pub(super) fn in_order<T: Send>(
     pieces: usize,
     make: impl Fn(usize, &mut Vec<T>) -> io::Result<()> + Sync,
@@ -58,11 +58,11 @@ fn in_batches<T: Send>(
     take_all(&mut ready[..made], &mut take)
 }
 
-/// The values of a piece, and whether they are complete.
+/// The values that were made of a piece, and whether this succeeded.
 type Made<T> = (Vec<T>, io::Result<()>);
 
-/// Makes as many of `pieces` as there are `buffers`, on the pool, while `meanwhile` runs on this
-/// thread. Returns their number.
+/// Makes the values of `pieces` on the thread pool, at most one piece per buffer, while `meanwhile`
+/// runs on this thread. Returns the number of pieces made.
 fn make_while<T: Send>(
     buffers: &mut [Made<T>],
     pieces: Range<usize>,
@@ -92,7 +92,7 @@ fn take_all<T>(
     })
 }
 
-/// Writes the output of `encode` for the vertices, piece by piece.
+/// Calls `encode` for the vertices of each piece, and writes the results in order.
 ///
 /// # Panics
 /// If a piece's arrays differ in length, or the pieces do not contain all vertices.
@@ -102,7 +102,7 @@ pub(super) fn write_vertices(
     encode: impl Fn(&Vertices, &mut Vec<u8>) + Sync,
 ) -> io::Result<()> {
     let attributes = mesh.attributes();
-    // A piece with wide attributes is large, so that only one is encoded at a time.
+    // A piece with wide attributes is large, so a batch has only one of these pieces.
     let wide = are_wide(attributes.iter().map(|info| info.components));
     let batch = if wide { 1 } else { pieces_at_once() };
     let count = AtomicU64::new(0);
@@ -128,8 +128,8 @@ pub(super) fn write_vertices(
     Ok(())
 }
 
-/// Writes attribute number `index` of the vertices, little-endian, piece by piece: colours as
-/// bytes, integers with 32 bits, all others as f32.
+/// Writes attribute number `index` of the vertices, little-endian, piece by piece. Colours are
+/// written as bytes, and all other kinds as f32.
 pub(super) fn write_attribute(
     out: &mut dyn Write,
     mesh: &dyn MeshSource,
@@ -167,10 +167,10 @@ pub(super) fn put_position(out: &mut Vec<u8>, position: [f64; 3], width: Coordin
     }
 }
 
-/// Writes the output of `encode` for the triangles, piece by piece.
+/// Calls `encode` for the triangles of each piece, and writes the results in order.
 ///
 /// # Panics
-/// If a triangle has a missing vertex, or the pieces do not contain all triangles.
+/// If a triangle refers to a missing vertex, or the pieces do not contain all triangles.
 pub(super) fn write_triangles(
     out: &mut dyn Write,
     mesh: &dyn MeshSource,

@@ -13,21 +13,21 @@ use crate::system::reopened::ReopenedError;
 #[derive(Debug, Error)]
 #[error("{}: {fault}", path.display())]
 pub struct ReadError {
-    /// Path of the file.
+    /// Path of the input file.
     pub path: PathBuf,
-    /// The fault.
+    /// The kind of the error, with its facts.
     #[source]
     pub fault: ReadFault,
 }
 
 impl ReadError {
-    /// An error with its file.
+    /// Combines an error with the path of its file.
     pub fn new(path: impl Into<PathBuf>, fault: ReadFault) -> Self {
         Self { path: path.into(), fault }
     }
 }
 
-/// A fault of an input file.
+/// The kind of an error of reading an input file.
 #[derive(Debug, Error)]
 pub enum ReadFault {
     /// An error of the system, such as a missing file.
@@ -42,22 +42,22 @@ pub enum ReadFault {
     /// A damaged compressed stream.
     #[error("damaged compressed data: {0}")]
     Compression(String),
-    /// The file ends before its header says so.
+    /// The file ends before the end that its header implies.
     #[error("truncated: {needed} bytes are needed for {what}, but the file has {have}")]
     Truncated {
-        /// Name of the current part.
+        /// Name of the part of the file that needs these bytes.
         what: String,
         /// The expected end, in bytes from the start of the (unpacked) file.
         needed: u64,
-        /// The end of the file.
+        /// The size of the (unpacked) file in bytes.
         have: u64,
     },
-    /// A violation of the format.
+    /// The file violates its format.
     #[error("at byte {at}: {what}")]
     Malformed {
         /// Position in bytes from the start of the (unpacked) file.
         at: u64,
-        /// Description of the fault: the found or expected bytes.
+        /// Description of the violation, with the bytes that were found or expected.
         what: String,
     },
     /// A line of a text file that cannot be parsed.
@@ -65,25 +65,25 @@ pub enum ReadFault {
     Line {
         /// Number of the line, from 1.
         line: u64,
-        /// Description of the fault: the found or expected text.
+        /// Description of the error, with the text that was found or expected.
         what: String,
     },
     /// The file was changed while it was read.
     #[error("changed while it was read")]
     Changed,
-    /// A mesh instead of particles. Its vertices are not used as particles.
+    /// The file contains a mesh instead of particles. Vertices of a mesh are not used as particles.
     #[error("holds a mesh ({faces} faces), not particles")]
     Mesh {
         /// Number of cells with an area or a volume.
         faces: u64,
     },
-    /// A file that is joined with itself.
+    /// A file that occurs twice in a list of files to join.
     #[error("this is the same input as {}; list each input only once", other.display())]
     Twice {
-        /// The other name of the file.
+        /// The other name of the file in the list.
         other: PathBuf,
     },
-    /// A colour whose scale differs from that in a joined file.
+    /// A colour whose numbers have different scales in two joined files.
     #[error(
         "colour {attribute} has {scale}, but in {} {of_other}; store it in the same way in \
          both, or leave the attribute out",
@@ -102,7 +102,7 @@ pub enum ReadFault {
     /// A condition that cannot be applied to these particles.
     #[error("{0}")]
     Selection(SelectionFault),
-    /// A valid file that this library does not support, with a suggestion.
+    /// A valid file that this library does not support. The text says what to do.
     #[error("{0}")]
     Unsupported(String),
     /// An unknown extension.
@@ -113,7 +113,7 @@ pub enum ReadFault {
     },
 }
 
-/// The scale of a colour's numbers in a file.
+/// The scale of the numbers that store a colour in a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ColourScale {
     /// Floating-point numbers from 0 to 1.
@@ -122,7 +122,7 @@ pub enum ColourScale {
     Bytes,
     /// Floating-point numbers from 0 to 255.
     LargeShares,
-    /// Integers that exceed bytes.
+    /// Integers wider than a byte, whose scale is unknown.
     Whole,
 }
 
@@ -160,7 +160,7 @@ pub(super) fn malformed(at: usize, what: impl Into<String>) -> ReadFault {
     ReadFault::Malformed { at: at as u64, what: what.into() }
 }
 
-/// The error for several steps without a choice.
+/// The error if a file has several steps and the caller chose none.
 pub(super) fn several_steps(first: u64, last: u64) -> ReadFault {
     let what = format!(
         "contains several frames, steps {first} to {last}; append #{first} to the name to \
@@ -174,19 +174,19 @@ pub(super) fn no_step(step: u64) -> ReadFault {
     ReadFault::Unsupported(format!("there is no step {step}"))
 }
 
-/// An error of writing a file. Nothing remains of the file.
+/// An error of writing a file. No part of the file remains.
 #[derive(Debug, Error)]
 #[error("{}: {fault}", path.display())]
 pub struct WriteError {
-    /// Path of the file.
+    /// Path of the output.
     pub path: PathBuf,
-    /// The fault.
+    /// The kind of the error, with its facts.
     #[source]
     pub fault: WriteFault,
 }
 
 impl WriteError {
-    /// An error with its file.
+    /// Combines an error with the path of its file.
     pub fn new(path: &Path, fault: impl Into<WriteFault>) -> Self {
         Self { path: path.to_owned(), fault: fault.into() }
     }
@@ -210,7 +210,7 @@ pub enum WriteFault {
         /// List of the known extensions.
         known: &'static str,
     },
-    /// Data that the format cannot store, or too much of it.
+    /// Data that the format cannot store, or more data than it can store.
     #[error("{0}")]
     Unsupported(String),
 }

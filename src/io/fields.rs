@@ -1,14 +1,14 @@
-//! Interprets named arrays of numbers: finds the position, the axis of the particles, and the
+//! Interprets named arrays of numbers. Finds the position, the axis of the particles, and the
 //! attributes.
 
 use super::error::{no_step, several_steps};
 use super::names::{Quantity, quantities};
 use super::{ReadFault, UnreadPart, malformed};
 
-/// Maximum number of components of an attribute: more are a matrix or a spectrum.
+/// Maximum number of components of an attribute. An array with more is a matrix or a spectrum.
 pub const MOST_COMPONENTS: u64 = 64;
 
-/// Names of vectors other than positions, in lower case and without suffixes.
+/// Beginnings of names of vectors other than positions, in lower case.
 const NO_POSITIONS: [&str; 14] = [
     "acc", "color", "colour", "disp", "force", "mom", "norm", "omega", "stress", "vel", "vort",
     "grad", "spin", "torque",
@@ -26,27 +26,27 @@ pub struct NamedArray {
 /// Meaning of an array's axes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Axes {
-    /// Particles, and components: (N,), (N, 3) or (N, 3, 3).
+    /// Particles and components: (N,), (N, 3) or (N, 3, 3).
     Particles,
-    /// Components, and particles: (3, N).
+    /// Components and particles: (3, N).
     Components,
     /// Frames, particles and components: (T, N) or (T, N, 3).
     Frames,
 }
 
-/// Numbers of frames, particles and components of an array.
+/// The numbers of frames, particles and components that an array's shape gives.
 struct ArrayExtent {
     frames: Option<u64>,
     rows: u64,
     components: u64,
 }
 
-/// A column of an array.
+/// The place of a column: an array, and a component of it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ColumnIndex {
-    /// The array's number.
+    /// The index of the array.
     pub field: usize,
-    /// The component's number along the array's last axis.
+    /// The index of the component along the array's last axis.
     pub component: usize,
 }
 
@@ -59,36 +59,37 @@ pub struct LocatedQuantity {
     pub places: Vec<ColumnIndex>,
 }
 
-/// The interpretation of arrays with the same number of particles.
+/// The interpretation of arrays that have the same number of particles.
 #[derive(Debug)]
 pub struct Arrangement {
     /// Number of particles in each frame.
     pub rows: u64,
-    /// Number of frames, if the position has such an axis.
+    /// Number of frames, if the position has an axis for frames.
     pub frames: Option<u64>,
-    /// The axes of every array; undefined for arrays that are not used.
+    /// The axes of every array. Arbitrary for arrays that are not used.
     pub axes: Vec<Axes>,
-    /// The position, with three components.
+    /// The position, which has three components.
     pub position: LocatedQuantity,
-    /// All other quantities with the same number of particles.
+    /// The other quantities with the same number of particles.
     pub attributes: Vec<LocatedQuantity>,
-    /// Arrays with the same number of particles and too many numbers for an attribute.
+    /// Arrays with the same number of particles, but with too many numbers per particle.
     pub left_out: Vec<UnreadPart>,
 }
 
 impl Arrangement {
-    /// The numbers of the frames; empty if there is one frame.
+    /// The numbers of the frames. Empty if there is a single frame.
     pub fn steps(&self) -> Vec<u64> {
-        // Frames without particles take no bytes, so the file's size does not limit their number.
+        // Frames of 0 particles take no bytes, so the file's size does not limit the number of
+        // frames.
         let frames = self.frames.filter(|frames| *frames > 1 && self.rows > 0);
         (0..frames.unwrap_or(0)).collect()
     }
 
-    /// The frame with number `step`, or the only one.
+    /// The frame with number `step`. If `step` is `None`, there must be a single frame.
     ///
     /// # Errors
-    /// [`ReadFault::Unsupported`] if `step` is missing and there are several frames, or does not
-    /// exist.
+    /// [`ReadFault::Unsupported`] for a step that does not exist, or for several frames without a
+    /// `step`.
     pub fn frame(&self, step: Option<u64>) -> Result<u64, ReadFault> {
         match (step, self.frames) {
             (None, None | Some(1)) => Ok(0),
@@ -103,7 +104,7 @@ impl Arrangement {
 }
 
 impl Axes {
-    /// The array's extent, if its shape fits these axes.
+    /// The array's extent, or `None` if an array with these axes cannot have this shape.
     fn extent(self, shape: &[u64]) -> Option<ArrayExtent> {
         let components = |axes: &[u64]| {
             let product = axes.iter().try_fold(1u64, |product, &size| product.checked_mul(size))?;
@@ -123,14 +124,14 @@ impl Axes {
         })
     }
 
-    /// The number of components of an array with these axes.
+    /// The number of components of an array with these axes and this shape.
     pub fn components(self, shape: &[u64]) -> usize {
         self.extent(shape).map_or(0, |extent| extent.components as usize)
     }
 }
 
-/// Names and places of the columns of arrays. Components of a vector have names that belong
-/// together.
+/// Names and places of the columns of arrays. A vector gives three columns, with the names
+/// `name.x`, `name.y` and `name.z`.
 #[derive(Default)]
 struct NamedColumns {
     names: Vec<String>,
@@ -153,7 +154,7 @@ impl NamedColumns {
         self.places.extend(places);
     }
 
-    /// Splits off the position.
+    /// Separates the position from the other quantities.
     fn position(self) -> Option<(LocatedQuantity, Vec<LocatedQuantity>)> {
         let Self { names, places, others } = self;
         let found = |q: Quantity| LocatedQuantity {
@@ -165,14 +166,16 @@ impl NamedColumns {
     }
 }
 
-/// Finds the position among arrays by its name: with shape (N, 3), else (3, N), else (T, N, 3), or
-/// as three arrays of N numbers. An array of shape (3, 3) has three particles. Every other array
-/// with the same number of particles is an attribute.
+/// Finds the position among arrays by its name.
+///
+/// Tries the shape (N, 3) or three arrays of N numbers first, then (3, N), then (T, N, 3). An array
+/// of shape (3, 3) has three particles. Every other array with the same number of particles is an
+/// attribute.
 ///
 /// Returns `None` if no array is a position.
 ///
 /// # Errors
-/// [`ReadFault::Malformed`] for a position in arrays of different lengths.
+/// [`ReadFault::Malformed`] if the position consists of arrays of different lengths.
 pub fn arrange(fields: &[NamedArray]) -> Result<Option<Arrangement>, ReadFault> {
     for axes in [Axes::Particles, Axes::Components, Axes::Frames] {
         if let Some(arrangement) = arrange_along(fields, axes)? {
@@ -186,7 +189,8 @@ fn arrange_along(fields: &[NamedArray], axes: Axes) -> Result<Option<Arrangement
     let mut candidates = NamedColumns::default();
     for (number, NamedArray { name, shape }) in fields.iter().enumerate() {
         let Some(extent) = axes.extent(shape) else { continue };
-        // Arrays (T, N) called x, y and z can be frames or the nodes of a grid.
+        // Arrays (T, N) called x, y and z are not used: their axes may be frames, or the nodes of a
+        // grid.
         let may_be = match axes {
             Axes::Particles => shape.len() <= 2,
             Axes::Components => true,
@@ -209,7 +213,8 @@ fn arrange_along(fields: &[NamedArray], axes: Axes) -> Result<Option<Arrangement
         let what = format!("the arrays of the position differ in length: {}", names.join(", "));
         return Err(malformed(0, what));
     }
-    // Arrays with the axes of the position first, then those that hold for each frame.
+    // Prefers the axes of the position, then tries arrays without frames, which hold for each
+    // frame.
     let mut columns = NamedColumns::default();
     let mut left_out = Vec::new();
     let mut chosen = vec![Axes::Particles; fields.len()];
@@ -237,7 +242,7 @@ fn arrange_along(fields: &[NamedArray], axes: Axes) -> Result<Option<Arrangement
     }))
 }
 
-/// The numbers per particle of an array, if they are too many for an attribute.
+/// The number of values per particle of an array, if this exceeds [`MOST_COMPONENTS`].
 fn too_many(shape: &[u64], rows: u64, frames: Option<u64>) -> Option<u64> {
     let axes = match *shape {
         [first, second, ref axes @ ..] if Some(first) == frames && second == rows => axes,
@@ -249,7 +254,8 @@ fn too_many(shape: &[u64], rows: u64, frames: Option<u64>) -> Option<u64> {
     (numbers > MOST_COMPONENTS).then_some(numbers)
 }
 
-/// The only array of shape (N, 3), (3, N) or (T, N, 3) without the name of another vector.
+/// The single array of shape (N, 3), else (3, N), else (T, N, 3) whose name is not that of another
+/// vector.
 pub fn only_vector(fields: &[NamedArray]) -> Option<usize> {
     let is_other = |name: &str| {
         let name = name.to_ascii_lowercase();
@@ -269,7 +275,7 @@ pub fn only_vector(fields: &[NamedArray]) -> Option<usize> {
     })
 }
 
-/// A shape as Python writes it.
+/// A shape in Python's notation.
 pub fn shown(shape: &[u64]) -> String {
     match shape {
         [one] => format!("({one},)"),

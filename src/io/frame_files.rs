@@ -1,4 +1,4 @@
-//! The files that a frame consists of.
+//! Finds the files that a frame consists of.
 
 use std::path::{Path, PathBuf};
 
@@ -9,7 +9,7 @@ use super::input_format::InputFormat;
 use super::input_format::extension;
 use super::{ReadError, bi4, vtp};
 
-/// The pieces that a file lists; empty for other formats.
+/// The pieces that the file at `path` names. Empty for formats that do not name pieces.
 ///
 /// # Errors
 /// [`ReadError`] if the file cannot be read.
@@ -20,16 +20,16 @@ pub fn pieces_named(path: &Path) -> Result<Vec<PathBuf>, ReadError> {
     }
 }
 
-/// The file of a frame, and its other pieces that exist.
+/// The file of a frame, and the existing files of its other pieces.
 pub fn files_of(path: &Path) -> Vec<PathBuf> {
     let (file, step) = file_and_step(path);
-    // The list may have grown, which does not affect earlier frames.
+    // A simulation may append frames to the list, which does not change earlier frames.
     if let Some(frames) = is_list(file).then(|| listed(file).ok()).flatten() {
         let frame = usize::try_from(step.unwrap_or(0)).ok().and_then(|step| frames.get(step));
         return frame.map_or(Vec::new(), |f| f.files.iter().flat_map(|f| files_of(f)).collect());
     }
     let mut files = vec![file.to_owned()];
-    // An error is reported when the file is read.
+    // Ignores an error here, because reading the file reports it.
     let named = pieces_named(file).unwrap_or_default().into_iter();
     let snapshot =
         snapshot_pieces(file).filter(|pieces| *pieces > 1).map_or(Vec::new(), |pieces| {
@@ -45,13 +45,13 @@ pub fn files_of(path: &Path) -> Vec<PathBuf> {
     files
 }
 
-/// The number of files of the snapshot that contains this one; `None` for other files.
+/// The number of files of the snapshot that `path` belongs to. `None` for other files.
 #[cfg(feature = "hdf5")]
 pub fn snapshot_pieces(path: &Path) -> Option<u64> {
     matches!(extension(path).as_deref(), Some("h5" | "hdf5")).then(|| super::h5::pieces_of(path))?
 }
 
-/// This build does not read snapshots.
+/// A build without HDF5 does not read snapshots.
 #[cfg(not(feature = "hdf5"))]
 pub fn snapshot_pieces(_: &Path) -> Option<u64> {
     None

@@ -1,9 +1,9 @@
-//! Finds points that are copies or hidden because their cells are: programs that divide cells among
-//! pieces flag cells, not points.
+//! Finds points that are copies or hidden because all of their cells are flagged.
 //!
-//! In a set of particles, cells are vertices with one point each. If all cells are vertices, a
-//! point is left out if it has cells and all of them are flagged. Flags of other cells are ignored.
-//! This needs memory of one bit per cell and two bits per point.
+//! Programs that divide cells among pieces flag cells, not points. In a set of particles, each cell
+//! is a vertex with one point. If all cells are vertices, a point is left out if it has cells and
+//! all of them are flagged. Flags of other cells are ignored. The memory is one bit per cell and
+//! two bits per point.
 
 use std::ops::Range;
 
@@ -14,11 +14,11 @@ use super::columns::Scalar;
 use super::wanted::GHOSTS;
 
 /// Bits of VTK's flags for a cell that is a copy (1), refined by finer cells (8), or hidden (32).
-/// Other bits are about neighbours.
+/// Other bits describe neighbours of copies.
 const LEFT_OUT: i64 = 1 | 8 | 32;
 /// Type number of a vertex cell.
 pub(super) const VERTEX: i64 = 1;
-/// Type number of a cell of several vertices, the last type without length.
+/// Type number of a cell of several vertices. It is the last type whose cells store no length.
 pub(super) const POLY_VERTEX: i64 = 2;
 
 /// Whether an array of cell data can contain flags.
@@ -26,7 +26,7 @@ pub(super) fn is_flag(name: &str, components: usize, scalar: Scalar) -> bool {
     GHOSTS.contains(&name) && components == 1 && !scalar.is_float()
 }
 
-/// A list of booleans.
+/// A list of bits.
 struct Bits(Vec<u64>);
 
 impl Bits {
@@ -50,20 +50,21 @@ pub(super) struct VertexCells {
 }
 
 impl VertexCells {
-    /// Vertices without flags. The caller has checked that the file contains `count` vertices.
+    /// Creates unflagged vertex cells. The caller has checked that the file contains `count` cells.
     pub fn new(count: usize) -> Self {
         Self { count, flagged: Bits::new(count) }
     }
 
-    /// Starts an array of flags with this name.
+    /// Starts an array of flags, called `name`, with one flag per cell.
     pub fn flags<'a>(&'a mut self, name: &'a str) -> Flags<'a> {
-        // Before there were bits, the array had levels of copies.
+        // The older array stores levels of copies instead of bits, so that any level but 0 means a
+        // copy.
         let mask = if name == GHOSTS[0] { LEFT_OUT } else { i64::MAX };
         Flags { vertices: self, name, mask, count: 0 }
     }
 }
 
-/// An array of flags, which are added one by one.
+/// An array of flags. The reader adds the flags one by one.
 pub(super) struct Flags<'a> {
     vertices: &'a mut VertexCells,
     name: &'a str,
@@ -79,7 +80,7 @@ impl Flags<'_> {
         }
     }
 
-    /// Checks that there was one flag per cell.
+    /// Checks that one flag was added per cell.
     pub fn end(self) -> Result<(), String> {
         let cells = self.vertices.count;
         if self.count == cells {
@@ -89,7 +90,7 @@ impl Flags<'_> {
     }
 }
 
-/// The points of the vertices, which are added one by one.
+/// The points of the vertex cells. The reader adds the points one by one.
 pub(super) struct VertexPoints<'a> {
     vertices: &'a VertexCells,
     points: usize,
@@ -100,8 +101,8 @@ pub(super) struct VertexPoints<'a> {
 }
 
 impl<'a> VertexPoints<'a> {
-    /// Starts with no flagged point of `points`. The caller has checked that the file contains that
-    /// many.
+    /// Starts without flagged points. The caller has checked that the file contains `points`
+    /// points.
     pub fn new(vertices: &'a VertexCells, points: usize) -> Self {
         let [copies, own] = [0; 2].map(|_| Bits::new(points));
         Self { vertices, points, copies, own, count: 0, strayed: None }
@@ -123,7 +124,8 @@ impl<'a> VertexPoints<'a> {
         }
     }
 
-    /// Ranges of the points that are kept, in order; or what is wrong with the cells.
+    /// Ranges of the points that are kept, in order. The error describes what is wrong with the
+    /// cells.
     pub fn left(self) -> Result<Vec<Range<usize>>, String> {
         let (points, cells) = (self.points, self.vertices.count);
         if let Some((cell, point)) = self.strayed {
@@ -149,7 +151,8 @@ pub(super) fn append(ranges: &mut Vec<Range<usize>>, next: Range<usize>) {
 }
 
 impl ParticleFile {
-    /// Keeps the points in these ranges, or all if there are none. The others are ghosts.
+    /// Keeps the points in the ranges `left`, or all points if it is `None`. Removed points are
+    /// ghosts.
     pub(super) fn with_points(mut self, left: Option<Vec<Range<usize>>>) -> Self {
         if let Some(left) = left {
             let all = self.particles.len();

@@ -52,8 +52,8 @@ pub fn open_particles(path: &Path, unpacking: Unpacking) -> Result<ParticleFile,
     open_wanted(path, WantedParticles::default(), unpacking)
 }
 
-/// Opens a particle file like [`open_particles`] for the wanted particles. Other types and pieces
-/// are not read, and particles that do not satisfy a condition are left out.
+/// Opens a particle file like [`open_particles`], but reads only the wanted particles. It skips
+/// other types and pieces, and particles that fail a condition.
 ///
 /// # Errors
 /// The errors of [`open_particles`], [`ReadFault::Unsupported`] for a type of particles that does
@@ -91,13 +91,13 @@ pub fn open_joined(
     }
     refuse_twice(paths.iter().copied())?;
     let share = Unpacking { in_memory: unpacking.in_memory / paths.len() as u64, ..unpacking };
-    // Here, the files are the pieces.
+    // `wanted.pieces` selects among the files, so all pieces of each file are read.
     let whole = WantedParticles { pieces: WantedPieces::All, ..wanted };
     let open = |(number, path): (usize, &&Path)| match wanted.pieces.hold(number) {
         true => open_wanted(path, whole, share),
         false => Ok(ParticleFile::new(Pieces::default(), "no file")),
     };
-    // Waits for all files, so that the error is always that of the first file.
+    // Opens all files before it returns, so that the error is always that of the first faulty file.
     let files: Vec<_> = paths.par_iter().enumerate().map(open).collect();
     let files = files.into_iter().collect::<Result<Vec<_>, _>>()?;
     let named: Vec<_> = paths.iter().copied().zip(&files).collect();
@@ -162,7 +162,7 @@ pub fn file_and_step(path: &Path) -> (&Path, Option<u64>) {
         let holds_steps = match InputFormat::of(file) {
             _ if is_list(file) => true,
             Some(Csv | Hdf5 | Lammps | Npy | Npz | Xyz) => true,
-            // The request may name another format than the extension.
+            // The caller may override the format that the extension implies.
             _ => file.is_file() && !path.exists(),
         };
         Some((file, step.parse().ok().filter(|_| holds_steps)?))
@@ -170,8 +170,8 @@ pub fn file_and_step(path: &Path) -> (&Path, Option<u64>) {
     cut.map_or((path, None), |(file, step)| (file, Some(step)))
 }
 
-/// The numbers of the frames in a file, in order; empty if it is one frame. `format` is that of the
-/// request, if it differs from that of the extension.
+/// The numbers of the frames in a file, in order. Empty if the file is a single frame. `format`
+/// overrides the format that the extension implies.
 ///
 /// # Errors
 /// [`ReadError`] if the format can have several frames and the file cannot be read.
@@ -200,14 +200,14 @@ pub fn steps(path: &Path, format: Option<InputFormat>) -> Result<Vec<u64>, ReadE
     }
 }
 
-/// Whether a file of a folder may be a frame, by its extension. A .json in a folder may be
-/// anything, so it must be named.
+/// Whether a file in a folder may be a frame, judged by its extension. A .json file may contain
+/// anything, so this is false for it, and the user must name such a file.
 pub fn is_known(path: &Path) -> bool {
     InputFormat::of(path).is_some_and(|format| format != InputFormat::Json)
 }
 
-/// Whether a file contains a mesh instead of particles, by its extension, or by its faces if the
-/// format supports both.
+/// Whether a file contains a mesh instead of particles. The extension decides, or the presence of
+/// faces if the format supports both.
 ///
 /// # Errors
 /// [`ReadError`] if such a file cannot be read.
@@ -231,25 +231,25 @@ pub fn holds_mesh(path: &Path) -> Result<bool, ReadError> {
     let bytes = match extension.as_deref() {
         Some("vtk") => vtk::unless_text(bytes, Unpacking::in_memory()),
         Some("vtp") => vtp::unless_text(bytes),
-        // For a .ply, only the header is read.
+        // Only the header of a .ply is read, so its text need not be converted.
         _ => Ok(bytes),
     };
     bytes.and_then(|bytes| has_faces(bytes.view())).map_err(|fault| ReadError::new(path, fault))
 }
 
 enum FormatReader {
-    /// A text, which may have several frames.
+    /// Reads text files, which may contain several frames.
     Text,
     OneFile(fn(Bytes, Unpacking) -> Result<ParticleFile, ReadFault>),
-    /// Arrays, which may have several frames.
+    /// Reads arrays, which may contain several frames.
     Arrays(fn(Bytes, Option<u64>, Unpacking) -> Result<ParticleFile, ReadFault>),
-    /// A file with several frames or one.
+    /// Reads files that contain one or several frames.
     Steps(StepReader),
-    /// A file that may have other pieces.
+    /// Reads files that may name further files, the other pieces of the same frame.
     Pieces(fn(&Path, Bytes, WantedParticles, Unpacking) -> Result<ParticleFile, ReadError>),
 }
 
-/// Reads the frame with a number, or the only one.
+/// Reads the frame with the given number. Without a number, the file must have a single frame.
 type StepReader =
     fn(&Path, Bytes, Option<u64>, WantedParticles, Unpacking) -> Result<ParticleFile, ReadError>;
 
@@ -258,7 +258,7 @@ const HDF5: StepReader = super::h5::open_particles;
 #[cfg(not(feature = "hdf5"))]
 const HDF5: StepReader = |path, _, _, _, _| Err(ReadError::new(path, no_hdf5()));
 
-/// The error of a build without HDF5.
+/// The error for HDF5 input in a build without HDF5.
 #[cfg(not(feature = "hdf5"))]
 pub(super) fn no_hdf5() -> ReadFault {
     ReadFault::Unsupported("HDF5 needs meniscus built with the feature hdf5".to_owned())
@@ -290,7 +290,7 @@ mod tests {
     use super::*;
     use crate::io::compression::EXTENSIONS;
 
-    /// Extensions that are recognised only for a better error.
+    /// Extensions that have a reader only so that its error can give advice.
     const ADVISED: [&str; 4] = ["h5", "h5md", "h5part", "hdf5"];
 
     #[test]

@@ -1,4 +1,4 @@
-//! Formats of particle files, and the extensions that name them.
+//! Formats of particle files, and the extensions of each format.
 
 use std::path::Path;
 
@@ -64,7 +64,7 @@ impl InputFormat {
     }
 }
 
-/// The extension in lower case, without that of a compression.
+/// The extension in lower case, without an extension of compression such as `.gz`.
 pub(super) fn extension(path: &Path) -> Option<String> {
     let name = path.file_name()?.to_string_lossy().to_ascii_lowercase();
     let (_, extension) = plain_name(&name).rsplit_once('.')?;

@@ -14,10 +14,11 @@ use super::stamp::Identity;
 use super::wanted::WantedAttributes;
 use super::{ParticleFile, Pieces, ReadError, ReadFault};
 
-/// Rejects a file, or a frame of a file, that occurs twice among the paths, under any names.
+/// Returns an error if two paths, with the same or different names, refer to the same file and
+/// frame.
 ///
 /// # Errors
-/// [`ReadFault::Twice`].
+/// [`ReadFault::Twice`] with the first repeated path.
 pub fn refuse_twice<'a>(paths: impl IntoIterator<Item = &'a Path>) -> Result<(), ReadError> {
     let mut known: HashMap<(Identity, Option<u64>), &Path> = HashMap::new();
     for path in paths {
@@ -33,13 +34,13 @@ pub fn refuse_twice<'a>(paths: impl IntoIterator<Item = &'a Path>) -> Result<(),
     Ok(())
 }
 
-/// Rejects requested colours whose scale differs between files.
+/// Returns an error if a requested colour has different scales in different files.
 ///
 /// Bytes and fractions from 0 to 1 can be joined. Floating-point numbers from 0 to 255 cannot be
 /// joined with fractions, nor colours with plain numbers.
 ///
 /// # Errors
-/// [`ReadFault::ColourScale`].
+/// [`ReadFault::ColourScale`] with the first file whose scale differs.
 pub(super) fn refuse_other_scales(
     files: &[(&Path, &ParticleFile)],
     wanted: WantedAttributes,
@@ -81,7 +82,7 @@ pub(super) fn refuse_other_scales(
     Ok(())
 }
 
-/// The scale of a colour; `None` if its values fit any scale.
+/// The scale of a colour. `None` if its values fit any scale.
 fn scale_of(particles: &Pieces, index: usize) -> Option<ColourScale> {
     Some(match particles.attributes()[index].kind {
         AttributeKind::ByteColour => ColourScale::Bytes,
@@ -93,7 +94,7 @@ fn scale_of(particles: &Pieces, index: usize) -> Option<ColourScale> {
     })
 }
 
-/// Whether colours of two scales can be joined: bytes become fractions.
+/// Whether colours of two scales can be joined. Bytes can be joined with fractions by division.
 fn is_joinable(one: ColourScale, other: ColourScale) -> bool {
     use ColourScale::{Bytes, Shares};
     one == other || matches!((one, other), (Bytes, Shares) | (Shares, Bytes))

@@ -1,4 +1,4 @@
-//! Reads JSON: a list of positions, each a list of x, y and z, as in splashsurf.
+//! Reads a JSON list of positions, each a list of x, y and z, as splashsurf writes it.
 
 use std::fmt;
 
@@ -10,14 +10,14 @@ use super::{ParticleFile, ReadFault};
 
 /// Bytes of a position.
 const TRIPLE: usize = 3 * size_of::<f64>();
-/// Bytes per batch.
+/// Number of bytes that are buffered before they are appended to the positions.
 const CHUNK: usize = 1 << 16;
 
 /// Reads a list of positions.
 ///
 /// # Errors
-/// [`ReadFault::Line`] for text that is not JSON or not a list of triples of numbers;
-/// [`ReadFault::Scratch`] if the scratch file fails.
+/// [`ReadFault::Line`] for text that is not JSON or not a list of triples of numbers, and
+/// [`ReadFault::Scratch`] if the scratch file cannot be written.
 pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
     let text = bytes.read_whole(unpacking)?;
     let text = text.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&text);
@@ -42,7 +42,7 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
     Ok(ParticleFile::new(store, "JSON"))
 }
 
-/// Processes positions one by one, without a list of all.
+/// Decodes positions one by one, without a list of all positions in memory.
 struct Positions<'a, 'u> {
     rows: &'a mut UnpackBuffer<'u>,
     scratch: &'a mut Result<(), ReadFault>,

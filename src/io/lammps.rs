@@ -1,8 +1,8 @@
-//! Reads LAMMPS dumps in text: steps, each with its box and a row per atom.
+//! Reads LAMMPS dumps in text. Each step has its box and a row per atom.
 //!
-//! The position is `x y z`, else `xu yu zu`, else `xs ys zs` or `xsu ysu zsu`. The last two are
+//! The position is `x y z`, else `xu yu zu`, else `xs ys zs`, else `xsu ysu zsu`. The last two are
 //! fractions of the edges of the box, which may be a parallelepiped (LAMMPS' documentation of the
-//! command `dump`, and "Triclinic simulation boxes"). `sim.dump#1000` names a step.
+//! command `dump`, and "Triclinic simulation boxes"). `sim.dump#1000` is the step with number 1000.
 
 use super::bytes::{Bytes, Unpacking};
 use super::number::ParseNumber;
@@ -14,8 +14,8 @@ use super::{ParticleFile, ReadFault};
 /// Start of a section's first line.
 const ITEM: &str = "ITEM:";
 
-/// Names of the columns of a position in order of preference, and whether they are fractions of the
-/// box.
+/// Names of the columns of a position, in order of preference. The flag is true for fractions of
+/// the box.
 const POSITIONS: [([&str; 3], bool); 4] = [
     (["x", "y", "z"], false),
     (["xu", "yu", "zu"], false),
@@ -30,32 +30,32 @@ struct DumpStep {
     cell: Option<Cell>,
     names: Vec<String>,
     atoms: u64,
-    /// Number of existing rows.
+    /// The number of rows that the step contains.
     rows: u64,
     start: usize,
     end: usize,
     lines_above: u64,
 }
 
-/// Whether a text starts like a dump.
+/// Whether a text starts like a LAMMPS dump.
 pub(super) fn is_dump(head: &[u8]) -> bool {
     let head = head.strip_prefix(b"\xef\xbb\xbf").unwrap_or(head).trim_ascii_start();
     head.starts_with(ITEM.as_bytes())
 }
 
-/// Skips a step and returns its number; `None` at the end of the file.
+/// Skips a step and returns its number. `None` at the end of the file.
 ///
 /// # Errors
-/// [`ReadFault::Line`] for an invalid line, and [`ReadFault::Unsupported`] for a dump of other
-/// things than atoms.
+/// [`ReadFault::Line`] for an invalid line, and [`ReadFault::Unsupported`] for a dump of anything
+/// but atoms.
 pub(super) fn pass(lines: &mut TextLines) -> Result<Option<u64>, ReadFault> {
     Ok(DumpStep::next(lines)?.map(|step| step.number))
 }
 
-/// Reads the step at a place.
+/// Reads the step that starts at a place in the file.
 ///
 /// # Errors
-/// [`ReadFault::Line`] for an invalid line, an incomplete step, and columns without a position.
+/// [`ReadFault::Line`] for an invalid line, an incomplete step, or columns without a position.
 pub(super) fn read(
     bytes: Bytes,
     place: LinePlace,
@@ -71,7 +71,7 @@ pub(super) fn read(
 }
 
 impl DumpStep {
-    /// Reads the header of a step and skips its rows; `None` at the end of the file.
+    /// Reads the header of a step and skips its rows. `None` at the end of the file.
     fn next(lines: &mut TextLines) -> Result<Option<Self>, ReadFault> {
         let (mut number, mut atoms, mut time, mut cell) = (None, None, None, None);
         loop {
@@ -153,7 +153,7 @@ impl DumpStep {
         for (number, name) in names.iter_mut().enumerate() {
             match columns.iter().position(|&column| column == number) {
                 Some(axis) => ["x", "y", "z"][axis].clone_into(name),
-                // A coordinate of another kind than the position.
+                // Renames a column that would be taken for the position.
                 None if matches!(&**name, "x" | "y" | "z") => name.push('_'),
                 None => {}
             }
@@ -179,14 +179,14 @@ impl DumpStep {
     }
 }
 
-/// The value on the next line.
+/// Parses the value on the next line.
 fn value<T: std::str::FromStr>(lines: &mut TextLines) -> Result<T, ReadFault> {
     let line = lines.line()?.unwrap_or_default();
     line.parse()
         .map_err(|_| lines.fault(format!("{} is not a valid number", excerpt(line.as_bytes()))))
 }
 
-/// The box in three lines after `BOX BOUNDS` and these words.
+/// Reads the box from the three lines after `BOX BOUNDS`. `words` is the rest of that line.
 fn bounds(lines: &mut TextLines, words: &str) -> Result<Cell, ReadFault> {
     let mut rows = Vec::new();
     for _ in 0..3 {
@@ -198,13 +198,13 @@ fn bounds(lines: &mut TextLines, words: &str) -> Result<Cell, ReadFault> {
         rows.push(row.filter(|row| (2..=4).contains(&row.len())).ok_or_else(fault)?);
     }
     Ok(match (words, &rows[0][..], &rows[1][..], &rows[2][..]) {
-        // General edges, with their origin.
+        // A box with arbitrary edges and its origin.
         (words, &[ax, ay, az, ox], &[bx, by, bz, oy], &[cx, cy, cz, oz])
             if words.contains("abc") =>
         {
             Cell { origin: [ox, oy, oz], edges: [[ax, ay, az], [bx, by, bz], [cx, cy, cz]] }
         }
-        // The bounding box of a parallelepiped, and its tilts.
+        // The bounding box of a parallelepiped, with its tilt factors.
         (_, &[xlo, xhi, xy], &[ylo, yhi, xz], &[zlo, zhi, yz]) => {
             let of = |pick: fn(f64, f64) -> f64, tilts: [f64; 3]| tilts.into_iter().fold(0.0, pick);
             let (low, high) = ([xy, xz, xy + xz], [yz, yz, yz]);

@@ -1,23 +1,23 @@
-//! Resolves paths in lists of files.
+//! Resolves paths that a list of files names.
 
 use std::path::{Component, Path, PathBuf};
 
 use super::names::percent_decoded;
 
-/// The path of a file in a list in `folder`. Names may have backslashes, or percent codes as in a
-/// URL: the first variant for which a file exists is used.
+/// The path of a file that a list in `folder` calls `name`. A name may have backslashes, or percent
+/// codes as in a URL. Returns the first variant for which a file exists.
 pub fn resolved(folder: &Path, name: &str) -> PathBuf {
     let slashed = name.replace('\\', "/");
     let decoded = [percent_decoded(name), percent_decoded(&slashed)];
     let spellings = [name, &slashed, &decoded[0], &decoded[1]];
     let path = |spelling: &&str| within(folder, Path::new(spelling));
-    // Most names have one variant, and need no system call.
+    // For most names, all variants are equal, and no system call is needed.
     let differ = spellings.iter().any(|spelling| *spelling != name);
     let found = spellings.iter().map(path).find(|path| !differ || path.exists());
     found.unwrap_or_else(|| path(&spellings[1]))
 }
 
-/// The path of a name in a folder, without `.`, and without `..` if the result is the same.
+/// The path `name` in `folder`, without `.`, and without `..` if that leads to the same file.
 fn within(folder: &Path, name: &Path) -> PathBuf {
     let mut plain = folder.to_owned();
     for part in name.components() {
@@ -32,6 +32,6 @@ fn within(folder: &Path, name: &Path) -> PathBuf {
     }
     let (same, whole) = (|path: &Path| path.canonicalize().ok(), folder.join(name));
     let has_parents = name.components().any(|part| part == Component::ParentDir);
-    // A symbolic link may lead elsewhere.
+    // If a folder is a symbolic link, `..` may lead to another folder, so that `..` must stay.
     if has_parents && same(&whole) != same(&plain) { whole } else { plain }
 }

@@ -1,4 +1,5 @@
-//! Files: one format each, readers and writers side by side, chosen by extension.
+//! Readers and writers of files. Each format has its own module, and the extension selects the
+//! format.
 //!
 //! `formats.md` describes all formats, and `../contributing.md` how to add one. Both are pages of
 //! the docs.
@@ -70,9 +71,9 @@ pub use pieces::{PieceChunk, Pieces};
 /// A particle file whose header was parsed, and whose counts were checked against its size.
 #[derive(Debug)]
 pub struct ParticleFile {
-    /// The numbers, read on demand.
+    /// Positions and attributes of the particles, read on demand.
     pub particles: Pieces,
-    /// The name of the file's format.
+    /// The format's name, for messages.
     pub format: &'static str,
     /// The spacing of the particles, if the file has it.
     pub spacing: Option<f64>,
@@ -82,18 +83,18 @@ pub struct ParticleFile {
     pub box_size: Option<[f64; 3]>,
     /// The file's unit of length in metres, if the file has it. Coordinates are in this unit.
     pub unit_metres: Option<f64>,
-    /// Types of particles in the file, with the one that was read first; empty if the only type has
-    /// no name.
+    /// Names of the particle types in the file. The first is the type that was read. Empty if the
+    /// file has a single type without a name.
     pub particle_types: Vec<String>,
-    /// Number of ghost particles, copies from other pieces, which were left out.
+    /// Number of ghost particles (copies of particles of other pieces) that were left out.
     pub ghosts: usize,
-    /// Number of particles that do not satisfy a condition.
+    /// Number of particles that were left out because they fail a condition.
     pub unselected: usize,
-    /// The error if all particles fail a condition.
+    /// The error to report if all particles fail a condition.
     pub none_selected: Option<SelectionFault>,
     /// Attributes of the file that were not requested.
     pub unread: Vec<AttributeInfo>,
-    /// Names of arrays of text, which the reader skips.
+    /// Names of text arrays, which the reader skips.
     pub texts: Vec<String>,
     /// Parts of the input that are not read.
     pub left_out: Vec<UnreadPart>,
@@ -111,24 +112,24 @@ pub enum UnreadPart {
         /// Contents of the block.
         holds: String,
     },
-    /// Polygons and other primitives among particles, with their points.
+    /// Polygons and other primitives in a particle file, and the points that they use.
     Primitives {
-        /// Each kind with its count.
+        /// The name of each kind of primitive, with the number of primitives.
         kinds: Vec<(String, u64)>,
-        /// Number of their points.
+        /// Number of points that the primitives use.
         points: u64,
     },
     /// An array with more numbers per particle than an attribute can have.
     WideArray {
         /// The array's name.
         name: String,
-        /// Numbers per particle.
+        /// Number of values per particle.
         numbers: u64,
     },
 }
 
 impl UnreadPart {
-    /// The name of the attribute, if it is one.
+    /// The attribute's name if this part is an attribute or an array.
     #[must_use]
     pub fn attribute(&self) -> Option<&str> {
         match self {
@@ -164,7 +165,7 @@ impl fmt::Display for UnreadPart {
 }
 
 impl ParticleFile {
-    /// A file of particles without other data.
+    /// Creates a file with `particles`, and without types, times or other data.
     #[must_use]
     pub fn new(particles: impl Into<Pieces>, format: &'static str) -> Self {
         Self {
@@ -185,7 +186,7 @@ impl ParticleFile {
     }
 }
 
-/// The width of a mesh file's coordinates, if its format supports both.
+/// Number type of the coordinates in a mesh file, for formats that support both.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum CoordinateWidth {
     /// f32, which all programs support.

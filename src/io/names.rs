@@ -1,9 +1,9 @@
-//! Names of columns and attributes: which columns belong together (`vx`, `vy`, `vz` are one
-//! velocity), and unique names of attributes in a file.
+//! Names of columns and attributes. Finds columns that belong together (`vx`, `vy` and `vz` are one
+//! velocity), and makes the names of attributes in a file unique.
 
 use std::collections::{HashMap, HashSet};
 
-/// Names of a position in order of preference. The empty name stands for plain `x`, `y`, `z`.
+/// Names of a position in order of preference. The empty name stands for columns `x`, `y` and `z`.
 const POSITION: [&str; 25] = [
     "",
     "points",
@@ -41,16 +41,16 @@ pub const COLOURS: [[&str; 4]; 3] = [
     ["r", "g", "b", "a"],
 ];
 
-/// One quantity of a table.
+/// One quantity of a table, such as a position or a velocity.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Quantity {
     /// The name without unit and component.
     pub name: String,
-    /// Numbers of its columns: one, or those of x, y and z.
+    /// Indices of its columns: one column, or the columns of x, y and z, or of a colour.
     pub columns: Vec<usize>,
 }
 
-/// Decodes percent codes: `%20` is a space.
+/// Decodes percent codes. For example, `%20` becomes a space.
 pub fn percent_decoded(name: &str) -> String {
     let mut bytes = Vec::with_capacity(name.len());
     let mut rest = name.as_bytes();
@@ -67,8 +67,8 @@ fn percent_code(bytes: &[u8]) -> Option<u8> {
     u8::from_str_radix(std::str::from_utf8(digits).ok()?, 16).ok()
 }
 
-/// Unique names of attributes in a file: each as `spelled` returns it, with underscores appended if
-/// that is `taken`.
+/// Unique names of attributes in a file. Each name is converted by `spelled`. Underscores are
+/// appended while the name is in `taken` or already used.
 pub fn unique_names<'a>(
     names: impl IntoIterator<Item = &'a str>,
     taken: &[&str],
@@ -87,10 +87,10 @@ pub fn unique_names<'a>(
 
 /// Finds the position among the columns called `names`, and then all other quantities in order.
 ///
-/// Columns are one vector if their names differ only in a final `x`, `y`, `z`, or `0`, `1`, `2`
-/// after a separator: `Pos.x [m]`, `"Points:0"`, `vel_x`, `vel[0]`, `vx`; each axis occurs once.
-/// Likewise, `red`, `green`, `blue` and optionally `alpha`, or `r`, `g`, `b` and `a`, are one
-/// colour, called `color`. `None` without a position.
+/// Columns are one vector if their names differ only in a final `x`, `y`, `z`, or in a final `0`,
+/// `1`, `2` after a separator, and each axis occurs once. Examples are `Pos.x [m]`, `"Points:0"`,
+/// `vel_x`, `vel[0]` and `vx`. Likewise, `red`, `green`, `blue` and optionally `alpha`, or `r`,
+/// `g`, `b` and `a`, are one colour, called `color`. Returns `None` if there is no position.
 pub fn quantities(names: &[String]) -> Option<(Quantity, Vec<Quantity>)> {
     let names: Vec<&str> = names.iter().map(|name| without_unit(name)).collect();
     let mut vectors = HashMap::<_, [Vec<usize>; 3]>::new();
@@ -127,7 +127,8 @@ pub fn quantities(names: &[String]) -> Option<(Quantity, Vec<Quantity>)> {
         |q: &Quantity| names[q.columns[0]].chars().any(|letter| letter.is_ascii_uppercase());
     let position = POSITION.iter().find_map(|position| {
         let called = |q: &Quantity| q.columns.len() == 3 && q.name.eq_ignore_ascii_case(position);
-        // If there is a current position `x`, then `X` is that of the reference configuration.
+        // If a file has both `x` and `X`, `x` is the current position, and `X` the reference
+        // configuration.
         let all = || all.iter().enumerate().filter(|(_, q)| called(q));
         all().find(|(_, q)| !is_upper(q)).or_else(|| all().next()).map(|(index, _)| index)
     })?;
@@ -138,7 +139,7 @@ pub fn quantities(names: &[String]) -> Option<(Quantity, Vec<Quantity>)> {
     Some((position, all))
 }
 
-/// The columns of a colour's components, each of which occurs once.
+/// The columns of a colour's components. `None` if a name is missing or occurs twice.
 fn colour(names: &[&str], [shares @ .., alpha]: &[&str; 4]) -> Option<Vec<usize>> {
     let called = |share: &str| {
         let columns = names.iter().enumerate().filter(|(_, n)| n.eq_ignore_ascii_case(share));
@@ -172,8 +173,8 @@ fn without_unit(name: &str) -> &str {
     name[..end].trim()
 }
 
-/// Splits `vel.x` into its stem and the axis 0. The stem is `vel.` with the name of the first axis
-/// in this notation: `x`, `X` or `0`.
+/// Splits the name of a vector's component, such as `vel.x`, into its stem and its axis (here 0).
+/// The stem is `vel.` with the name of the first axis in this notation: `x`, `X` or `0`.
 fn component(name: &str) -> Option<((&str, char), usize)> {
     let name = name.strip_suffix(']').unwrap_or(name);
     let last = name.chars().next_back()?;

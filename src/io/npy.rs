@@ -1,8 +1,10 @@
-//! Reads NumPy's .npy: positions of f32 or f64 in an array of shape (N, 3), (3, N) or, for several
-//! frames, (T, N, 3), or in a structured array, in either byte order and with either order of axes.
+//! Reads positions of f32 or f64 from NumPy's .npy.
 //!
-//! The header is a Python dictionary. It is parsed by the few rules of NumPy's own writer, because
-//! a general parser of literals can take hours for a kilobyte of brackets.
+//! The array has shape (N, 3), (3, N) or, for several frames, (T, N, 3), or is a structured array.
+//! Both byte orders and both orders of axes are supported.
+//!
+//! The header is a Python dictionary. It is parsed by the few rules that NumPy's own writer
+//! follows, because a general parser of Python literals can take hours for a kilobyte of brackets.
 
 use crate::particles::AttributeInfo;
 
@@ -12,20 +14,20 @@ use super::cursor::Cursor;
 use super::fields::{Arrangement, Axes, ColumnIndex, LocatedQuantity, NamedArray, arrange, shown};
 use super::{ParticleFile, ReadFault, malformed};
 
-/// Name of a field with positions.
+/// Name of a field or array with positions.
 pub(super) const POSITION: &str = "pos";
-/// Description of the elements of a structured array.
+/// Description, for messages, of the elements of a structured array.
 const STRUCTURE: &str = "of a structure";
 /// Maximum number of members of a structure.
 const MOST_MEMBERS: usize = 1 << 10;
 
-/// Reads the header; the array is read later. `step` is the number of a frame, for an array with
+/// Reads the header. The array is read later. `step` is the number of a frame in an array with
 /// several frames.
 ///
 /// # Errors
-/// [`ReadFault::Unsupported`] for other shapes or elements and for a frame that must be chosen or
-/// does not exist, [`ReadFault::Malformed`] and [`ReadFault::Truncated`] for a header that is
-/// invalid or does not fit the file.
+/// [`ReadFault::Unsupported`] for other shapes or elements, for a missing `step` if there are
+/// several frames, and for a `step` that does not exist. [`ReadFault::Malformed`] and
+/// [`ReadFault::Truncated`] for a header that is invalid or does not fit the file.
 pub fn read_particles(bytes: Bytes, step: Option<u64>) -> Result<ParticleFile, ReadFault> {
     let header = NpyHeader::read(bytes.view())?;
     let fields = header.fields(POSITION);
@@ -53,7 +55,7 @@ pub fn read_particles(bytes: Bytes, step: Option<u64>) -> Result<ParticleFile, R
     Ok(ParticleFile { left_out, ..ParticleFile::new(particles, "NumPy .npy") })
 }
 
-/// The numbers of the frames in an array with several frames; empty for one frame.
+/// The numbers of the frames in an array with several frames. Empty if there is a single frame.
 ///
 /// # Errors
 /// The errors of [`read_particles`] about the header.
@@ -64,11 +66,11 @@ pub fn steps(bytes: ByteView) -> Result<Vec<u64>, ReadFault> {
     Ok(arranged.steps())
 }
 
-/// The contents of an array's header.
+/// The contents of the header of an array.
 pub(super) struct NpyHeader {
-    /// The numbers in an element: one, or the known members of a structure.
+    /// The members of an element: a single number, or the numeric members of a structure.
     members: Vec<StructMember>,
-    /// Size of an element; 0 for objects, texts and similar types.
+    /// Size of an element in bytes. 0 for types without a fixed size, such as objects.
     element_bytes: u64,
     /// The element type in NumPy's notation.
     descr: String,
@@ -78,15 +80,15 @@ pub(super) struct NpyHeader {
     pub start: usize,
 }
 
-/// The numbers of a member in every element.
+/// A member of every element, with one number or an array of numbers.
 struct StructMember {
-    /// The name; empty for an array of numbers.
+    /// The member's name. Empty if the elements are plain numbers.
     name: String,
     endian: Endian,
     scalar: Scalar,
-    /// The shape of the member.
+    /// The sizes of the axes of the member. Empty for a single number.
     shape: Vec<u64>,
-    /// Bytes from the start of the element.
+    /// Offset of the member in bytes from the start of the element.
     offset: u64,
 }
 
@@ -158,7 +160,8 @@ impl NpyHeader {
         self.descr.ends_with('O')
     }
 
-    /// The arrays of numbers in this one, whose name is `name`.
+    /// The numeric arrays in this array: each member of a structure, or the array itself, called
+    /// `name`.
     pub fn fields(&self, name: &str) -> Vec<NamedArray> {
         let fields = self.members.iter().map(|member| NamedArray {
             name: if member.name.is_empty() { name.to_owned() } else { member.name.clone() },
@@ -167,7 +170,7 @@ impl NpyHeader {
         fields.collect()
     }
 
-    /// Checks that the numbers of a field may be positions.
+    /// Checks that the numbers of field number `field` are floating-point and so may be positions.
     pub fn expect_position(&self, field: usize) -> Result<(), ReadFault> {
         match self.members.get(field).map(|member| member.scalar) {
             Some(Scalar::F16 | Scalar::F32 | Scalar::F64) => Ok(()),
@@ -175,7 +178,7 @@ impl NpyHeader {
         }
     }
 
-    /// The error that the elements are not numbers, with a suggestion.
+    /// The error if the elements are not numbers, with a suggestion.
     fn no_numbers(&self) -> ReadFault {
         ReadFault::Unsupported(match self.is_pickled() {
             true => "pickled Python objects are not supported; save an array of numbers with \
@@ -194,7 +197,7 @@ impl NpyHeader {
         })
     }
 
-    /// The error that the array has no positions, with a suggestion.
+    /// The error if the array contains no positions, with a suggestion.
     fn no_position(&self) -> ReadFault {
         let remedy = match self.shape[..] {
             _ if !self.is_numeric() => return self.no_numbers(),
@@ -224,19 +227,19 @@ impl NpyHeader {
         self.shape.iter().fold(1, |product: u64, &size| product.saturating_mul(size))
     }
 
-    /// Bytes of all elements.
+    /// Number of bytes of all elements.
     pub fn data_bytes(&self) -> u64 {
         self.elements().saturating_mul(self.element_bytes)
     }
 
-    /// Rejects a header that announces more data than `bytes`.
+    /// Returns an error if the header announces more data than `bytes` contains.
     fn expect_elements(&self, bytes: ByteView) -> Result<(), ReadFault> {
         let mut cursor = Cursor::new(bytes, self.start, Endian::Little);
         cursor.skip("the array", self.elements(), self.element_bytes).map(|_| ())
     }
 
-    /// A component of a field in a frame; the first element is at byte `at`. The data must have
-    /// been checked to exist.
+    /// The column of component `component` of a field in frame `frame`. The first element is at
+    /// byte `at`. The caller has checked that the data is within the file.
     pub fn column(
         &self,
         at: usize,
@@ -262,7 +265,7 @@ impl NpyHeader {
         Column { offset, stride: strides[rows], scalar: member.scalar, endian: member.endian }
     }
 
-    /// Distance in bytes between neighbours along each axis.
+    /// Distances in bytes between neighbours along each axis.
     fn strides(&self, member: &StructMember) -> Vec<usize> {
         fn running(bytes: u64, sizes: &[u64], fortran: bool) -> Vec<usize> {
             let mut strides = vec![0; sizes.len()];
@@ -283,7 +286,7 @@ impl NpyHeader {
     }
 }
 
-/// The text after `'key':` in the dictionary, up to its end.
+/// The text after `'key':` in the dictionary `header`, to the end of the header.
 fn value_of<'a>(header: &'a str, key: &str) -> Option<&'a str> {
     ['\'', '"'].iter().find_map(|quote| {
         let (_, rest) = header.split_once(&format!("{quote}{key}{quote}"))?;
@@ -291,14 +294,14 @@ fn value_of<'a>(header: &'a str, key: &str) -> Option<&'a str> {
     })
 }
 
-/// Splits off the quoted text at the start of `text`.
+/// Splits `text` into the quoted string at its start, without quotes, and the rest.
 fn quoted(text: &str) -> Option<(&str, &str)> {
     let quote = text.chars().next().filter(|quote| matches!(quote, '\'' | '"'))?;
     text[1..].split_once(quote)
 }
 
-/// The members of `[('x', '<f4'), ('pos', '<f8', (3,))]` that are numbers, and the total size;
-/// `None` for nested structures, and for objects.
+/// Parses a structure such as `[('x', '<f4'), ('pos', '<f8', (3,))]`. Returns its numeric members
+/// and its total size in bytes. `None` for nested structures and for objects.
 fn structure(descr: &str) -> Option<(Vec<StructMember>, u64)> {
     let skip = |text: &'_ str, mark: char| -> Option<usize> {
         let rest = text.trim_start().strip_prefix(mark)?.trim_start();
@@ -335,7 +338,7 @@ fn structure(descr: &str) -> Option<(Vec<StructMember>, u64)> {
     None
 }
 
-/// Size of an element of a type in NumPy's notation, such as `<f4`, `|S5` or `|V8`.
+/// Size in bytes of an element type in NumPy's notation, such as `<f4`, `|S5` or `|V8`.
 fn item_bytes(kind: &str) -> Option<u64> {
     let kind = kind.trim_start_matches(['<', '>', '|', '=']);
     let (letter, size) = kind.split_at_checked(1)?;
@@ -349,7 +352,7 @@ fn item_bytes(kind: &str) -> Option<u64> {
     }
 }
 
-/// The type of a notation such as `<f4`.
+/// The byte order and the number type of a notation such as `<f4`.
 fn element(descr: &str) -> Option<(Endian, Scalar)> {
     let (order, kind) = descr.split_at_checked(1)?;
     let endian = if order == ">" { Endian::Big } else { Endian::Little };
@@ -371,7 +374,7 @@ fn element(descr: &str) -> Option<(Endian, Scalar)> {
     known.then_some((endian, scalar))
 }
 
-/// The sizes in `(N, 3)`.
+/// Parses a shape such as `(N, 3)`. `at` is its position for errors.
 fn shape(shape: &str, at: usize) -> Result<Vec<u64>, ReadFault> {
     let inside = shape.strip_prefix('(').and_then(|rest| rest.split_once(')'));
     let (inside, _) = inside.ok_or_else(|| malformed(at, "'shape' is not a tuple"))?;

@@ -1,8 +1,9 @@
-//! Reads NumPy's .npz: a zip archive of .npy arrays, one per quantity, each with a row per
+//! Reads NumPy's .npz: a zip archive of .npy arrays. Each array is a quantity, with one row per
 //! particle.
 //!
-//! Uncompressed arrays (`np.savez`) are read in place. If one is compressed
-//! (`np.savez_compressed`), all are unpacked. The archive's checksums are verified in both cases.
+//! Uncompressed arrays (`np.savez`) are read in place. If an array that is read is compressed
+//! (`np.savez_compressed`), all arrays that are read are unpacked first. Checksums are always
+//! verified.
 
 use std::io::Read;
 
@@ -21,23 +22,26 @@ use super::fields::{
 use super::npy::{NpyHeader, POSITION};
 use super::{ParticleFile, ReadFault, malformed};
 
-/// Bytes per unpacking step.
+/// Number of bytes that are unpacked per step.
 const CHUNK: u64 = 1 << 18;
-/// Maximum length of the header of an array of numbers.
+/// Maximum length in bytes of the header of a numeric array.
 const LONGEST_HEADER: u64 = 1 << 16;
-/// Maximum number of arrays in an error.
+/// Maximum number of arrays that an error lists.
 const LISTED: usize = 20;
 
-/// Reads the headers of the arrays and finds the position: an array (N, 3), (3, N) or, for several
-/// frames, (T, N, 3), called `pos`, `position`, `x` or similar, or three arrays `x`, `y`, `z`, or
-/// the only vector without the name of another quantity. `step` is the number of a frame.
+/// Reads the headers of the arrays, and finds the position.
 ///
-/// Every other array of N rows of numbers is an attribute; `vx`, `vy` and `vz` are one.
+/// The position is an array of shape (N, 3), (3, N) or, for several frames, (T, N, 3), called
+/// `pos`, `position`, `x` or similar, or three arrays `x`, `y`, `z`. If there are none, it is the
+/// only vector whose name is not that of another quantity. `step` is the number of a frame.
+///
+/// Every other numeric array with N rows is an attribute. `vx`, `vy` and `vz` are one attribute.
 ///
 /// # Errors
-/// [`ReadFault::Compression`] for a damaged archive or a compression ratio that is too high;
-/// [`ReadFault::Unsupported`] if no position is found, and for unknown compression and encryption;
-/// [`ReadFault::Malformed`] for invalid arrays; [`ReadFault::Scratch`] if the scratch file fails.
+/// [`ReadFault::Compression`] for a damaged archive or a compression ratio that is too high,
+/// [`ReadFault::Unsupported`] if no position is found and for unknown compression or encryption,
+/// [`ReadFault::Malformed`] for invalid arrays, and [`ReadFault::Scratch`] if the scratch file
+/// cannot be written.
 pub fn read_particles(
     bytes: Bytes,
     step: Option<u64>,
@@ -76,7 +80,8 @@ pub fn read_particles(
     Ok(ParticleFile { left_out, ..ParticleFile::new(particles, "NumPy .npz") })
 }
 
-/// The numbers of the frames in an archive whose arrays have several; empty for one frame.
+/// The numbers of the frames in an archive whose arrays have several frames. Empty for a single
+/// frame.
 ///
 /// # Errors
 /// The errors of [`read_particles`] about headers.
@@ -89,19 +94,19 @@ pub fn steps(bytes: &Bytes) -> Result<Vec<u64>, ReadFault> {
 /// An array of the archive.
 struct NpzArray {
     name: String,
-    /// The array's number in the archive.
+    /// The index of the array's file in the archive.
     entry: usize,
     header: NpyHeader,
-    /// The position of the data in the file, if uncompressed.
+    /// The offset in bytes of the array's file in the archive. `None` if it is compressed.
     stored_at: Option<u64>,
-    /// Unpacked size, including the header.
+    /// Unpacked size in bytes, including the header.
     bytes: u64,
 }
 
-/// The fields of all arrays.
+/// The named fields of all arrays: plain arrays, and members of structures.
 struct Contents {
     fields: Vec<NamedArray>,
-    /// Array and member of each field.
+    /// The array number and the member number of each field.
     sources: Vec<(usize, usize)>,
 }
 
@@ -114,7 +119,8 @@ impl Contents {
                 if field.shape.is_empty() {
                     continue;
                 }
-                // If several structures have positions, it is not clear which ones are meant.
+                // With several structures, the array's name is added, so that it is clear whose
+                // positions are used.
                 if header.is_structured() && structures > 1 {
                     field.name = format!("{name}.{}", field.name);
                 }
@@ -136,7 +142,7 @@ impl Contents {
     }
 }
 
-/// The error that no position was found, with the contents of the archive and a suggestion.
+/// The error if no position was found, with the contents of the archive and a suggestion.
 fn no_position(arrays: &[NpzArray], contents: &Contents) -> ReadFault {
     let list = |all: Vec<String>| {
         let more = all.len().saturating_sub(LISTED);
@@ -171,7 +177,7 @@ fn archive(bytes: &Bytes) -> Result<Archive<'_>, ReadFault> {
     ZipArchive::new(SequentialReader::new(bytes.view(), 0)).map_err(fault)
 }
 
-/// Returns the result, or an error if the file has changed meanwhile.
+/// Returns `read`, except that an error becomes [`ReadFault::Changed`] if the file has changed.
 fn unless_changed<T>(bytes: &Bytes, read: Result<T, ReadFault>) -> Result<T, ReadFault> {
     read.or_else(|fault| {
         bytes.view().check()?;
@@ -188,7 +194,7 @@ fn fault(error: ZipError) -> ReadFault {
     }
 }
 
-/// All arrays. Those of numbers have the length in their headers.
+/// Reads the headers of all arrays. The size of a numeric array must match its header.
 fn arrays(bytes: &Bytes) -> Result<Vec<NpzArray>, ReadFault> {
     let mut archive = archive(bytes)?;
     let mut arrays = Vec::new();
@@ -202,7 +208,8 @@ fn arrays(bytes: &Bytes) -> Result<Vec<NpzArray>, ReadFault> {
         let damaged = |e: std::io::Error| ReadFault::Compression(format!("array {name}: {e}"));
         file.by_ref().take(LONGEST_HEADER).read_to_end(&mut head).map_err(damaged)?;
         let header = NpyHeader::read(head[..].into()).map_err(|fault| match fault {
-            // The position is relative to the array, while elsewhere it is in the file.
+            // The reader of the header reports positions relative to the array, so the error names
+            // the array.
             ReadFault::Unsupported(_) => fault,
             fault => malformed(stored_at.unwrap_or(0) as usize, format!("array {name}: {fault}")),
         })?;
@@ -216,8 +223,8 @@ fn arrays(bytes: &Bytes) -> Result<Vec<NpzArray>, ReadFault> {
     Ok(arrays)
 }
 
-/// Unpacks what is necessary, and verifies checksums. Returns the start of each array, in the file
-/// or in the unpacked bytes.
+/// Unpacks the needed arrays if any is compressed, and verifies checksums. Returns the start of
+/// each array, in the file or in the unpacked bytes.
 fn unpack(
     bytes: &Bytes,
     arrays: &[NpzArray],

@@ -1,7 +1,7 @@
 //! Parses numbers in text, in the notations of C, Fortran, Python and Microsoft's C library.
 
-/// Maximum length of a number that is rewritten before parsing: with a decimal comma, or with a
-/// Fortran exponent.
+/// Maximum length in bytes of a number that is rewritten before parsing. Numbers with a decimal
+/// comma or a Fortran exponent are rewritten.
 const LONGEST: usize = 64;
 
 /// The decimal separator.
@@ -15,7 +15,7 @@ pub enum Decimal {
 
 /// A number that can be parsed from a word of text.
 pub trait ParseNumber: Sized {
-    /// The number, or `None` if the word is not a number.
+    /// The number that `word` represents. `None` if the word is not a number.
     fn of(word: &[u8]) -> Option<Self>;
 }
 
@@ -33,7 +33,8 @@ parsed!(i64, u64, usize, f32);
 
 impl ParseNumber for f64 {
     fn of(word: &[u8]) -> Option<Self> {
-        // The notation of C and Python first. The others are rare and do not overlap with it.
+        // Tries the notation of C and Python first. The other notations are rare and do not overlap
+        // with it.
         short(word)
             .or_else(|| std::str::from_utf8(word).ok()?.parse().ok())
             .or_else(|| not_finite(word))
@@ -41,15 +42,16 @@ impl ParseNumber for f64 {
     }
 }
 
-/// A decimal with few digits and a small exponent: f64 represents both parts exactly, so their
-/// product or quotient is the nearest f64 (Clinger, "How to Read Floating Point Numbers
-/// Accurately", 1990).
+/// Parses a decimal number with few digits and a small exponent.
+///
+/// f64 represents the digits and the power of ten exactly, so that their product or quotient is the
+/// nearest f64 (Clinger, "How to Read Floating Point Numbers Accurately", 1990).
 fn short(word: &[u8]) -> Option<f64> {
-    /// The resulting integer is less than 2^53.
+    /// Maximum number of digits. The integer of these digits is less than 2^53.
     const MOST: usize = 15;
-    /// Characters of a sign, a point, and an exponent of two digits.
+    /// Maximum number of other characters: a sign, a point, and an exponent of two digits.
     const BESIDE: usize = 6;
-    /// 10^22 is the greatest power that f64 represents exactly.
+    /// Powers of ten that f64 represents exactly. 10^22 is the greatest.
     const POWERS: [f64; 23] = [
         1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15, 1e16,
         1e17, 1e18, 1e19, 1e20, 1e21, 1e22,
@@ -86,7 +88,7 @@ fn short(word: &[u8]) -> Option<f64> {
     Some(if negative { -number } else { number })
 }
 
-/// An exponent of one or two digits.
+/// Parses an exponent of one or two digits with an optional sign.
 fn short_exponent(text: &[u8]) -> Option<i32> {
     let (sign, digits) = match text {
         [b'-', digits @ ..] => (-1, digits),
@@ -101,13 +103,14 @@ fn short_exponent(text: &[u8]) -> Option<i32> {
     }
 }
 
-/// The number in a word with this decimal separator.
+/// Parses the number in `word` with the decimal separator `decimal`.
 pub fn with_decimal(word: &[u8], decimal: Decimal) -> Option<f64> {
     if decimal == Decimal::Point {
         return f64::of(word);
     }
     if !word.contains(&b',') {
-        // With decimal commas, a point separates thousands.
+        // If commas are decimal separators, a point separates thousands, and such a number is not
+        // read.
         return f64::of(word).filter(|number| !number.is_finite() || !word.contains(&b'.'));
     }
     if word.contains(&b'.') {
@@ -116,7 +119,7 @@ pub fn with_decimal(word: &[u8], decimal: Decimal) -> Option<f64> {
     let mut buffer = [0; LONGEST];
     let rewritten = buffer.get_mut(..word.len())?;
     rewritten.copy_from_slice(word);
-    // A second comma becomes a second point, which makes the number invalid.
+    // A second comma becomes a second point, so that the number is rejected.
     rewritten.iter_mut().filter(|byte| **byte == b',').for_each(|byte| *byte = b'.');
     f64::of(rewritten)
 }
@@ -126,7 +129,7 @@ pub fn is_overflow(word: &[u8]) -> bool {
     !word.is_empty() && word.iter().all(|&byte| byte == b'*')
 }
 
-/// NaN and infinity in notations that [`str::parse`] does not accept.
+/// Parses NaN and infinity in notations that [`str::parse`] does not accept.
 fn not_finite(word: &[u8]) -> Option<f64> {
     let (negative, rest) = match word {
         [b'-', rest @ ..] => (true, rest),
@@ -139,13 +142,14 @@ fn not_finite(word: &[u8]) -> Option<f64> {
     upper.make_ascii_uppercase();
     let infinity = if negative { f64::NEG_INFINITY } else { f64::INFINITY };
     if let Some(payload) = upper.strip_prefix(b"NAN") {
-        // `nan(ind)` and `nan(0x7)` of C, and NANQ and NANS of IBM's compilers.
+        // C writes `nan(ind)` and `nan(0x7)`. IBM's compilers write NANQ and NANS.
         let known = matches!(payload, b"Q" | b"S")
             || matches!(payload, [b'(', inside @ .., b')'] if inside.iter().all(is_of_payload));
         return known.then_some(f64::NAN);
     }
-    // Before 2015, Microsoft's library formatted these as the digit 1 with a name as its fraction,
-    // rounded to the requested digits and padded with zeros: 1.#QNAN, 1.#INF00e+000, 1.#IO.
+    // Before 2015, Microsoft's C library wrote NaN and infinity as the digit 1 with a name as its
+    // fraction. The name was rounded to the requested digits and padded with zeros: 1.#QNAN,
+    // 1.#INF00e+000, 1.#IO.
     let name = upper.strip_prefix(b"1.")?;
     let name = match name.iter().position(|&byte| byte == b'E') {
         Some(at) if is_exponent(&name[at + 1..]) => &name[..at],
@@ -155,7 +159,7 @@ fn not_finite(word: &[u8]) -> Option<f64> {
     match &name[..end] {
         b"#INF" => Some(infinity),
         b"#QNAN" | b"#SNAN" | b"#IND" | b"#NAN" => Some(f64::NAN),
-        // After rounding, NaN and infinity may look the same.
+        // Rounded names that NaN and infinity may share are read as NaN.
         b"#QNB" | b"#SNB" | b"#QO" | b"#SO" | b"#IO" | b"#R" | b"#T" | b"#J" | b"$" => {
             Some(f64::NAN)
         }
@@ -172,14 +176,15 @@ fn is_exponent(digits: &[u8]) -> bool {
     !digits.is_empty() && digits.iter().all(u8::is_ascii_digit)
 }
 
-/// Fortran's exponents: D or Q instead of E, or no letter before three digits.
+/// Parses Fortran's exponents: D or Q instead of E, or no letter before three digits.
 fn fortran(word: &[u8]) -> Option<f64> {
     let sign = usize::from(matches!(word.first(), Some(b'+' | b'-')));
     let at = sign + word[sign..].iter().position(|b| !b.is_ascii_digit() && *b != b'.')?;
     let (mantissa, exponent) = word.split_at(at);
     let exponent = match exponent {
         [b'D' | b'd' | b'Q' | b'q', exponent @ ..] if is_exponent(exponent) => exponent,
-        // `1.5-10` could also be two numbers without a separator.
+        // Requires three digits and a point, because `1.5-10` could be two numbers without a
+        // separator.
         [b'+' | b'-', digits @ ..] if digits.len() == 3 && mantissa.contains(&b'.') => exponent,
         _ => return None,
     };

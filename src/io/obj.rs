@@ -1,10 +1,10 @@
-//! Wavefront .obj: text with a line for each vertex (`v`), normal (`vn`) and face (`f`, numbered
-//! from 1).
+//! Wavefront .obj: text with one line for each vertex (`v`), normal (`vn`) and face (`f`). Vertices
+//! and normals are numbered from 1.
 //!
-//! The format has no attributes except a colour, which many programs write and read after the
-//! vertex's position, from 0 to 1. A normal belongs to a corner of a face, not to a vertex.
-//! [`read_mesh`] keeps normals only if they have the numbers of their vertices, as [`write_mesh`]
-//! writes them.
+//! Many programs write and read a colour from 0 to 1 after a vertex's position. The format has no
+//! other attributes. A normal belongs to a corner of a face, not to a vertex. [`write_mesh`] gives
+//! each normal the number of its vertex, and [`read_mesh`] keeps normals only if all have the
+//! numbers of their vertices.
 
 use std::fmt;
 use std::io::{self, Write};
@@ -25,8 +25,8 @@ const IGNORED: [&[u8]; 14] = [
     b"lod", b"bevel",
 ];
 
-/// Writes vertices with their first colour, normals and triangles. Numbers have enough digits to be
-/// read back exactly as f32 or f64.
+/// Writes vertices with the first colour attribute, normals and triangles. Numbers have enough
+/// digits to be read back exactly as f32 or f64.
 ///
 /// # Panics
 /// Like [`MeshFormat::write`](crate::io::output::MeshFormat::write).
@@ -37,7 +37,7 @@ pub fn write_mesh(
 ) -> io::Result<()> {
     out.write_all(noted(mesh, ["# ", "\n"]).as_bytes())?;
     if mesh.vertex_count() == 0 {
-        // An empty file could be mistaken for one that was not written.
+        // A completely empty file could be mistaken for an incomplete one.
         writeln!(out, "# no vertices")?;
     }
     let infos = mesh.attributes();
@@ -82,14 +82,15 @@ fn put(out: &mut Vec<u8>, line: fmt::Arguments) {
     out.write_fmt(line).expect("memory takes whatever is written to it");
 }
 
-/// Reads vertices, normals that have the numbers of their vertices, and faces, divided into
-/// triangles from their first corner.
+/// Reads vertices, normals and faces. Polygons are divided into triangles from their first corner.
+///
+/// Normals are kept only if all have the numbers of their vertices.
 ///
 /// Texture coordinates, groups, materials, points and lines are ignored.
 ///
 /// # Errors
-/// [`ReadFault::Line`] for an invalid line, a face with fewer than three corners or with an
-/// undefined vertex; [`ReadFault::Unsupported`] for more vertices than a mesh can have.
+/// [`ReadFault::Line`] for an invalid line and for a face with fewer than three corners or an
+/// undefined vertex, [`ReadFault::Unsupported`] for more vertices than a mesh can have.
 pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
     let mut scan = Scanner::new(bytes, 0);
     let mut reading = ObjMesh { numbered_alike: true, ..ObjMesh::default() };
@@ -112,7 +113,7 @@ pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
     }
 }
 
-/// Three numbers on the rest of this line.
+/// Parses three numbers from the rest of the line.
 pub(super) fn vector<T: ParseNumber>(scan: &mut Scanner) -> Result<[T; 3], ReadFault> {
     let mut next = || {
         scan.skip_blanks();
@@ -126,7 +127,7 @@ struct ObjMesh {
     positions: Vec<[f64; 3]>,
     normals: Vec<[f32; 3]>,
     triangles: Vec<[u32; 3]>,
-    /// Whether every corner so far has a normal with its vertex's number.
+    /// Whether the normal of every corner so far has the number of the corner's vertex.
     numbered_alike: bool,
     corners: Vec<u32>,
 }
@@ -158,8 +159,8 @@ impl ObjMesh {
         }
     }
 
-    /// The vertex of a corner `vertex`, `vertex/texture`, `vertex//normal` or
-    /// `vertex/texture/normal`.
+    /// The vertex index of a corner, which has the form `vertex`, `vertex/texture`,
+    /// `vertex//normal` or `vertex/texture/normal`.
     fn corner(&mut self, word: &[u8]) -> Result<usize, String> {
         let mut parts = word.split(|&byte| byte == b'/');
         let vertex = resolve(parts.next().unwrap_or_default(), "vertex", self.positions.len())?;
@@ -182,7 +183,8 @@ impl ObjMesh {
     }
 }
 
-/// Converts a number from 1 on, or from the end if it is negative, to an index below `count`.
+/// Converts a number to an index below `count`. Positive numbers count from 1, negative ones from
+/// the end.
 fn resolve(number: &[u8], what: &str, count: usize) -> Result<usize, String> {
     let shown = || String::from_utf8_lossy(&number[..number.len().min(40)]).into_owned();
     let parsed: Option<i64> =

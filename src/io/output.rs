@@ -24,17 +24,17 @@ pub enum MeshFormat {
     Obj,
     Vtk,
     Vtp,
-    /// A list of .vtp files in a folder next to it.
+    /// The format .pvtp: a list of .vtp files in a folder next to the list.
     Pvtp,
     VtkHdf,
     Stl,
     Usdc(UpAxis),
     Glb(glb::GlbLayout),
-    /// Houdini's, compressed by Blosc.
+    /// Houdini's .bgeo.sc, compressed by Blosc.
     BgeoSc,
-    /// Alembic's, with one sample at this time.
+    /// Alembic's .abc, with one sample at this time.
     Abc(alembic::SampleTime),
-    /// A level set of OpenVDB, and whether its values are compressed.
+    /// OpenVDB's .vdb with a level set. `zip` selects whether its values are compressed.
     Vdb {
         zip: bool,
     },
@@ -126,7 +126,7 @@ impl MeshFormat {
         }
     }
 
-    /// Whether this library can read it.
+    /// Whether this library can read the format.
     #[must_use]
     pub fn is_read(self) -> bool {
         !matches!(
@@ -135,26 +135,27 @@ impl MeshFormat {
         )
     }
 
-    /// Whether it can store normals of vertices.
+    /// Whether the format can store normals of vertices.
     #[must_use]
     pub fn holds_normals(self) -> bool {
         !matches!(self, Self::Stl | Self::Vdb { .. })
     }
 
-    /// Whether it can store velocities and other attributes of vertices.
+    /// Whether the format can store velocities and other attributes of vertices.
     #[must_use]
     pub fn holds_attributes(self) -> bool {
         !matches!(self, Self::Obj | Self::Stl)
     }
 
-    /// Whether it can store colours of vertices.
+    /// Whether the format can store colours of vertices.
     #[must_use]
     pub fn holds_colours(self) -> bool {
         self != Self::Stl
     }
 
-    /// The attributes whose names the format cannot store or uses already, with their names in the
-    /// file. General conventions, such as the capitals of .glb, do not count.
+    /// Pairs of an attribute's name and its different name in the file, for names that the format
+    /// cannot store or already uses. General conventions, such as the capitals of .glb, do not
+    /// count.
     #[must_use]
     pub fn renamed(self, attributes: &[AttributeInfo], has_normals: bool) -> Vec<[String; 2]> {
         let names = match self {
@@ -173,33 +174,33 @@ impl MeshFormat {
         both.map(|(info, name)| [info.name.clone(), name]).collect()
     }
 
-    /// How often its writer reads the vertices or the triangles of a mesh.
+    /// How many times the writer reads the vertices or the triangles of a mesh.
     pub(crate) fn readings(self, mesh: &dyn MeshSource) -> usize {
         let arrays = 1 + usize::from(mesh.has_normals()) + mesh.attributes().len();
         match self {
             Self::Ply | Self::Obj | Self::Stl => 2,
-            // Vertices and triangles once, and the vertices again for attributes.
+            // Reads vertices and triangles once, and then the vertices for the attributes.
             Self::Vdb { .. } => 2 + vdb::attribute_readings(&mesh.attributes()),
-            // Each array of the vertices separately, with up to two for a colour, and triangles.
+            // Reads the vertices for each array, up to twice for a colour, and the triangles once.
             Self::BgeoSc => arrays + 2,
-            // Each array of the vertices separately, and triangles.
+            // Reads the vertices for each array, and the triangles once.
             Self::Vtk | Self::Vtp | Self::Pvtp | Self::VtkHdf | Self::Usdc(_) => arrays + 1,
-            // Additionally vertices and triangles once for their order.
+            // Reads vertices and triangles once more than other formats, to determine their order.
             Self::Glb(_) => 2 + arrays + 1,
-            // Each array of the vertices separately, and triangles, twice.
+            // Reads the vertices for each array, and the triangles, twice each.
             Self::Abc(_) => 2 * (arrays + 1),
         }
     }
 
-    /// Whether it can store coordinates in f64.
+    /// Whether the format can store coordinates in f64.
     #[must_use]
     pub fn holds_f64(self) -> bool {
         !matches!(self, Self::Stl | Self::Usdc(_) | Self::Abc(_))
     }
 
-    /// Whether its writer keeps much of a mesh in memory: the positions of all vertices, 24 bytes
-    /// each, all data that is compressed, or a level set with the mesh. A plain .glb needs 4 bytes
-    /// per vertex, all others a few pieces per thread.
+    /// Whether the writer keeps much of a mesh in memory: the positions of all vertices (24 bytes
+    /// each), all data to compress, or a level set with the mesh. An uncompressed .glb needs 4
+    /// bytes per vertex. The other formats need a few pieces per thread.
     #[must_use]
     pub fn holds_whole_mesh(self) -> bool {
         let compressed =
@@ -211,7 +212,7 @@ impl MeshFormat {
         }
     }
 
-    /// Maximum numbers of vertices and triangles.
+    /// Maximum number of vertices, and maximum number of triangles.
     fn most(self) -> [u64; 2] {
         const I32: u64 = i32::MAX as u64;
         const I64: u64 = i64::MAX as u64;
@@ -220,16 +221,17 @@ impl MeshFormat {
             // Indices are u32.
             Self::Ply => [U32 + 1, u64::MAX],
             Self::Obj => [u64::MAX; 2],
-            // Every triangle takes four numbers, whose total is an i32.
+            // Each triangle takes four numbers, and the total of these numbers is an i32.
             Self::Vtk => [I32, I32 / 4],
-            // The end of the last triangle is three times the number of triangles.
+            // The offset after the last triangle, three times the number of triangles, is an i64.
             Self::Vtp | Self::Pvtp | Self::VtkHdf | Self::BgeoSc => [I64, I64 / 3],
             Self::Stl => [u64::MAX, U32],
             Self::Vdb { .. } => [U32, U32 - 1],
             Self::Usdc(_) => [I32, u64::MAX / 3],
-            // Bytes are counted in 63 bits, and a triangle has 16.
+            // Sizes in bytes have 63 bits, and a triangle takes 16 bytes.
             Self::Abc(_) => [I32, I64 / 32],
-            // 4 GiB: positions of 12 bytes per vertex, and indices of 12 bytes per triangle.
+            // A file has at most 4 GiB. Positions take 12 bytes per vertex, and indices 12 bytes
+            // per triangle.
             Self::Glb(_) => [U32 / 12; 2],
         }
     }
@@ -239,10 +241,11 @@ impl MeshFormat {
         vertices <= most_vertices && triangles <= most_triangles
     }
 
-    /// Checks that the format can store this number of vertices and triangles.
+    /// Checks that the format can store these numbers of vertices and triangles.
     ///
     /// # Errors
-    /// [`io::ErrorKind::InvalidInput`] if it cannot, with the limit and the formats that can.
+    /// [`io::ErrorKind::InvalidInput`] if it cannot. The message has the limit and the formats that
+    /// can.
     pub fn check_counts(self, vertices: u64, triangles: u64) -> io::Result<()> {
         if self.can_number(vertices, triangles) {
             return Ok(());
@@ -270,8 +273,8 @@ impl MeshFormat {
     /// before anything is written.
     ///
     /// # Panics
-    /// If the number of normals or attributes differs from that of vertices, the pieces are not
-    /// complete, or a triangle has a missing vertex.
+    /// If the number of normals or attributes differs from the number of vertices, the pieces are
+    /// not complete, or a triangle refers to a missing vertex.
     pub fn write(
         self,
         out: &mut dyn Write,
@@ -295,10 +298,10 @@ impl MeshFormat {
         }
     }
 
-    /// Reads a whole file.
+    /// Reads a mesh from the bytes of a file.
     ///
     /// # Errors
-    /// For damage, and for unsupported features of the format; never panics.
+    /// For damaged files, and for unsupported features of the format. It never panics.
     pub fn read(self, bytes: &[u8]) -> Result<Mesh, ReadFault> {
         match self {
             Self::Ply => ply::read_mesh(bytes),
@@ -334,16 +337,16 @@ pub fn read_mesh(path: &Path) -> Result<Mesh, ReadError> {
     read.map_err(|fault| ReadError::new(path, fault))
 }
 
-/// A mesh in memory, or streamed from its file.
+/// A mesh that was opened: in memory, or streamed from its file.
 pub enum OpenedMesh {
     /// The whole mesh in memory.
     Whole(Mesh),
-    /// In its file.
+    /// A mesh that is streamed from its .ply file.
     Streamed(Box<ply::StreamedMesh>),
 }
 
 impl OpenedMesh {
-    /// The mesh, piece by piece.
+    /// The mesh as a source of pieces.
     pub fn source(&self) -> &dyn MeshSource {
         match self {
             Self::Whole(mesh) => mesh,
@@ -352,11 +355,11 @@ impl OpenedMesh {
     }
 }
 
-/// Bytes of memory per byte of a binary file: the file and the resulting mesh.
+/// Bytes of memory per byte of a binary mesh file, for the file's bytes and the resulting mesh.
 const BYTES_A_BYTE: u64 = 3;
 
-/// Opens the mesh at `path`. If it would need more than `memory` bytes, a .ply from this library is
-/// streamed.
+/// Opens the mesh at `path`. A .ply from this library is streamed if the whole mesh would need more
+/// than `memory` bytes.
 pub fn open_mesh(path: &Path, memory: u64) -> Result<OpenedMesh, ReadError> {
     let large =
         std::fs::metadata(path).is_ok_and(|file| file.len().saturating_mul(BYTES_A_BYTE) > memory);
@@ -397,8 +400,8 @@ pub struct MeshOutput {
 }
 
 impl MeshOutput {
-    /// Checks before the work that a mesh can be written to `path`, whose extension selects the
-    /// format. Pipes and devices need no extension: their format is .ply.
+    /// Checks, before the mesh is computed, that a mesh can be written to `path`, whose extension
+    /// selects the format. Pipes and devices need no extension. Their format is .ply.
     ///
     /// # Errors
     /// [`WriteFault::UnknownExtension`], and the errors of [`WholeFile::prepare`].
@@ -434,7 +437,7 @@ impl MeshOutput {
         Self { format: self.format.at(seconds), ..self }
     }
 
-    /// The temporary file and the created folders, which an interrupt must remove.
+    /// The temporary file and the created folders, which an interrupt handler must remove.
     pub(crate) fn leftovers(&self, folders: &MadeFolders) -> Vec<PathBuf> {
         self.file.leftovers(folders)
     }
@@ -472,10 +475,10 @@ impl MeshOutput {
     }
 }
 
-/// Extension of the pieces of a .pvtp.
+/// Extension of the files in the folder of a .pvtp.
 const PIECE: &str = "vtp";
 
-/// Writes a mesh as a list of pieces with at most `most` triangles each.
+/// Writes a mesh as a list of files, each with at most `most` triangles.
 fn divide(
     file: WholeFile,
     mesh: &dyn MeshSource,
@@ -504,7 +507,7 @@ mod tests {
     use super::*;
     use crate::surface::mesh::source::{Outline, Vertices};
 
-    /// A mesh with large counts and no data.
+    /// A mesh that reports large counts but has no data.
     struct HugeMesh {
         vertices: u64,
         triangles: u64,

@@ -1,8 +1,8 @@
 //! The particles of an input in one or several pieces: concatenated, without ghosts.
 //!
-//! A simulation on many nodes writes a piece per node, which may contain copies of its neighbours'
-//! particles. These ghosts are flagged. A range of rows without ghosts is a span, and the spans of
-//! all pieces in order are the particles.
+//! A simulation on many nodes writes one piece per node. A piece may contain flagged copies of
+//! particles of other nodes, called ghosts. A span is a range of consecutive rows without ghosts.
+//! The particles are the spans of all pieces in order.
 
 use std::collections::{HashMap, HashSet};
 use std::ops::Range;
@@ -15,42 +15,42 @@ use super::columns::ColumnStore;
 use super::windows::WindowPool;
 use super::{ParticleFile, ReadFault, UnreadPart, malformed};
 
-/// Flags per batch.
+/// Number of flags that are read per batch.
 const FLAGS: usize = 1 << 14;
 
 /// The particles of all pieces.
 #[derive(Debug, Default)]
 pub struct Pieces {
     stores: Vec<ColumnStore>,
-    /// The spans in the order of their particles.
+    /// The spans in the order of their particles, without gaps.
     spans: Vec<Span>,
     len: usize,
     infos: Vec<AttributeInfo>,
-    /// Labels, if there is only one piece.
+    /// The text attributes, if there is only one piece.
     labels: Vec<Label>,
-    /// For every piece, the numbers of its attributes in the order of `infos`.
+    /// For every piece, the piece's number of each attribute in `infos`.
     numbers: Vec<Vec<usize>>,
-    /// The number of every piece in the input, where pieces may have no particles.
+    /// For every piece, its number in the input. Pieces without particles have no entry.
     of_input: Vec<usize>,
 }
 
 /// Consecutive particles of one piece.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PieceChunk {
-    /// The number of the piece in the input.
+    /// The number of the piece in the input, which also counts pieces without particles.
     pub piece: usize,
-    /// The number of particles.
+    /// The number of particles in the chunk.
     pub count: usize,
 }
 
-/// Consecutive particles of one piece.
+/// A range of consecutive rows of one piece, all of them particles.
 #[derive(Debug, Clone, Copy)]
 struct Span {
-    /// The index of the first one among all particles.
+    /// The index of the span's first particle among the particles of all pieces.
     first: usize,
-    /// The number of the piece.
+    /// The number of the piece among the pieces with particles.
     piece: usize,
-    /// The index of the first one in the piece.
+    /// The row of the span's first particle in the piece.
     row: usize,
 }
 
@@ -65,13 +65,15 @@ impl From<ColumnStore> for Pieces {
 }
 
 impl Pieces {
-    /// Joins pieces. Their attributes must be the same, but may have any order and number type; a
-    /// piece without particles may lack them. Colours in bytes become fractions from 0 to 1 if
-    /// another piece has floating-point numbers. Labels are kept only for a single piece.
+    /// Joins pieces, whose attributes must have the same names and numbers of components.
+    ///
+    /// Attributes may have any order and number type, and a piece without particles may lack
+    /// attributes. Colours in bytes become fractions from 0 to 1 if another piece has
+    /// floating-point colours. Text attributes are kept only if there is a single piece.
     ///
     /// # Errors
-    /// The number of the piece whose attributes differ from those before, and
-    /// [`ReadFault::Malformed`] with the attributes.
+    /// The number of the first piece whose attributes differ from those of the pieces before it,
+    /// with [`ReadFault::Malformed`].
     pub fn join(parts: Vec<Self>) -> Result<Self, (usize, ReadFault)> {
         let filled = parts.iter().find(|part| !part.is_empty()).or(parts.first());
         let infos = filled.map_or_else(Vec::new, |part| part.infos.clone());
@@ -102,8 +104,8 @@ impl Pieces {
         Ok(all)
     }
 
-    /// Removes the particles whose scalar attribute `flags` is not 0, and that attribute. Returns
-    /// the number of these particles.
+    /// Removes the particles whose scalar attribute `flags` is not 0, and then the attribute.
+    /// Returns the number of removed particles.
     pub(super) fn leave_out(&mut self, flags: usize) -> usize {
         let (mut spans, mut len) = (Vec::new(), 0);
         let mut values = vec![0.0; FLAGS];
@@ -130,7 +132,7 @@ impl Pieces {
         dropped
     }
 
-    /// Keeps the attributes for which `keep` returns true.
+    /// Removes the attributes for which `keep` returns false.
     pub(super) fn retain_attributes(&mut self, keep: impl Fn(&AttributeInfo) -> bool) {
         for number in (0..self.infos.len())
             .rev()
@@ -148,7 +150,7 @@ impl Pieces {
         }
     }
 
-    /// Divides the particles of each piece into chunks of at most `most`.
+    /// Divides the particles of each piece into chunks of at most `most` particles.
     ///
     /// # Panics
     /// If `most` is 0.
@@ -163,7 +165,7 @@ impl Pieces {
         chunks.collect()
     }
 
-    /// Keeps only the particles in some ranges, which are in order.
+    /// Keeps only the particles in `ranges`, which must be in ascending order.
     pub fn keep(&mut self, ranges: impl IntoIterator<Item = Range<usize>>) {
         let (mut spans, mut len) = (Vec::<Span>::new(), 0);
         for range in ranges {
@@ -175,7 +177,7 @@ impl Pieces {
         (self.spans, self.len) = (spans, len);
     }
 
-    /// Keeps only the particles that a sieve selects.
+    /// Keeps only the particles that `sieve` selects.
     pub(super) fn select(&mut self, sieve: &Sieve) {
         let stores = self.stores.iter().map(|store| Sieve::none(store.len()));
         let mut kept: Vec<Vec<u64>> = stores.collect();
@@ -193,20 +195,20 @@ impl Pieces {
         }
     }
 
-    /// Bytes of scratch files with the numbers.
+    /// Number of bytes in scratch files.
     pub fn scratch_bytes(&self) -> u64 {
         self.stores.iter().map(ColumnStore::scratch_bytes).sum()
     }
 
-    /// Whether an attribute is a colour that is stored as bytes in this piece, and as fractions in
-    /// another.
+    /// Whether attribute number `index` is a colour that this piece stores as bytes, and another
+    /// piece as fractions.
     fn is_byte_among_shares(&self, piece: usize, index: usize) -> bool {
         let stored = &self.stores[piece].attributes()[self.numbers[piece][index]];
         (self.infos[index].kind, stored.kind) == (AttributeKind::Colour, AttributeKind::ByteColour)
     }
 
-    /// Calls `take` for each span within `range`, clipped to it, with its number of particles and
-    /// the index of its first one within `range`.
+    /// Calls `take` for each span within `range`, clipped to `range`. It also gets the span's
+    /// number of particles, and the offset of its first particle from the start of `range`.
     fn each_span(&self, range: Range<usize>, mut take: impl FnMut(Span, usize, usize)) {
         assert!(range.end <= self.len, "particles {range:?} of {}", self.len);
         let mut first = range.start;
@@ -222,10 +224,10 @@ impl Pieces {
 }
 
 /// Joins files to one set of particles, in order, with the attributes that all of them have. The
-/// format, the unit and the types of particles are those of the first file.
+/// first file determines the format, the unit and the types of particles.
 ///
 /// # Errors
-/// The number of the file that cannot be joined with those before, and the reason.
+/// The number of the first file that cannot be joined with the files before it, and the reason.
 pub(super) fn join_files(mut files: Vec<ParticleFile>) -> Result<ParticleFile, (usize, ReadFault)> {
     let partial = keep_shared_attributes(&mut files).into_iter().map(UnreadPart::Attribute);
     let blocks = files.iter().flat_map(|file| file.left_out.iter().cloned());
@@ -263,7 +265,7 @@ pub(super) fn join_files(mut files: Vec<ParticleFile>) -> Result<ParticleFile, (
     })
 }
 
-/// Removes and returns attributes that some of the files with particles lack.
+/// Removes and returns the attributes that at least one file with particles lacks.
 fn keep_shared_attributes(files: &mut [ParticleFile]) -> Vec<AttributeInfo> {
     let filled = || files.iter().filter(|file| !file.particles.is_empty());
     let mut partial: Vec<AttributeInfo> = Vec::new();
@@ -288,12 +290,13 @@ fn keep_shared_attributes(files: &mut [ParticleFile]) -> Vec<AttributeInfo> {
     partial
 }
 
-/// Whether attributes are the same; the number types may differ between pieces.
+/// Whether two attributes have the same name and number of components. Their number types may
+/// differ.
 fn same(a: &AttributeInfo, b: &AttributeInfo) -> bool {
     (&a.name, a.components) == (&b.name, b.components)
 }
 
-/// The numbers of `own` attributes in the order of `infos`.
+/// For each attribute of `infos`, the number of the same attribute in `own`.
 fn same_attributes(
     infos: &[AttributeInfo],
     own: &[AttributeInfo],

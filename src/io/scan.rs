@@ -7,36 +7,39 @@ use super::bytes::{ByteView, Slice};
 use super::number::ParseNumber;
 use super::{ReadFault, malformed};
 
-/// Maximum length of a header's line, so that binary data is detected early.
+/// Maximum length of a header's line in bytes, so that binary data is detected early.
 const LONGEST_LINE: usize = 64 << 10;
-/// Bytes in which the end of a line is searched first.
+/// Number of bytes that are first searched for the end of a line.
 const SHORT_LINE: usize = 1 << 8;
-/// Bytes after which memory is released.
+/// Number of bytes after which memory is released.
 const PASSED: usize = 1 << 20;
 
-/// A position in a text, moving forward.
+/// A position in a text, which moves only forward.
 #[derive(Debug, Clone)]
 pub struct Scanner<'a> {
     bytes: &'a [u8],
     at: usize,
-    /// The bytes that can release memory, and the start of those that have not.
+    /// The bytes whose memory can be released, and the start of the bytes that are not yet
+    /// released.
     store: Option<Slice<'a>>,
     held: usize,
 }
 
 impl<'a> Scanner<'a> {
-    /// Starts at byte `at` of `bytes`, or at their end.
+    /// Creates a scanner at byte `at` of `bytes`, or at their end if `at` is beyond it.
     pub fn new(bytes: &'a [u8], at: usize) -> Self {
         let at = at.min(bytes.len());
         Self { bytes, at, store: None, held: at }
     }
 
-    /// Starts at byte `at` of `store`, and releases the memory of bytes that were passed.
+    /// Creates a scanner at byte `at` of `store` that releases the memory of bytes before its
+    /// position.
     pub fn releasing(store: Slice<'a>, at: usize) -> Self {
         Self { store: Some(store), ..Self::new(store.bytes(), at) }
     }
 
-    /// Scans a range of `store`, and releases the memory of bytes that were passed.
+    /// Creates a scanner of a range of `store` that releases the memory of bytes before its
+    /// position.
     pub fn releasing_to(store: Slice<'a>, range: Range<usize>) -> Self {
         Self { store: Some(store), ..Self::new(&store.bytes()[..range.end], range.start) }
     }
@@ -56,7 +59,7 @@ impl<'a> Scanner<'a> {
         self.at
     }
 
-    /// The remaining bytes.
+    /// The bytes from the position to the end.
     pub fn rest(&self) -> &'a [u8] {
         &self.bytes[self.at..]
     }
@@ -64,7 +67,7 @@ impl<'a> Scanner<'a> {
     /// Skips `count` bytes, which contain `what`.
     ///
     /// # Errors
-    /// [`ReadFault::Truncated`] if there are fewer.
+    /// [`ReadFault::Truncated`] if fewer bytes remain.
     pub fn skip(&mut self, count: usize, what: &str) -> Result<(), ReadFault> {
         if count > self.rest().len() {
             return Err(ReadFault::Truncated {
@@ -77,7 +80,7 @@ impl<'a> Scanner<'a> {
         Ok(())
     }
 
-    /// Skips the rest of this line and its end; false at the end of the file.
+    /// Skips the rest of this line and its line end. Returns false at the end of the file.
     pub fn skip_line(&mut self) -> bool {
         let rest = self.rest();
         self.pass(rest.iter().position(|&b| b == b'\n').map_or(rest.len(), |end| end + 1));
@@ -94,7 +97,7 @@ impl<'a> Scanner<'a> {
         self.at += self.rest().iter().take_while(|b| matches!(b, b' ' | b'\t')).count();
     }
 
-    /// Reads a word; empty if none starts here.
+    /// Reads a word. The result is empty if no word starts at this position.
     pub fn word(&mut self) -> &'a [u8] {
         let rest = self.rest();
         let length = rest.iter().position(u8::is_ascii_whitespace).unwrap_or(rest.len());
@@ -105,7 +108,7 @@ impl<'a> Scanner<'a> {
     /// Reads a number.
     ///
     /// # Errors
-    /// [`ReadFault::Line`] if there is none.
+    /// [`ReadFault::Line`] if no number starts at this position.
     pub fn number<T: ParseNumber>(&mut self) -> Result<T, ReadFault> {
         let start = self.at;
         let word = self.word();
@@ -119,14 +122,14 @@ impl<'a> Scanner<'a> {
         })
     }
 
-    /// Rejects `count` numbers of `what` that exceed the remaining bytes, because each except the
-    /// last takes two bytes.
+    /// Returns an error if `count` numbers cannot fit in the remaining bytes. Every number except
+    /// the last takes at least two bytes, with the space after it.
     pub fn expect_numbers(&self, count: usize, what: &str) -> Result<(), ReadFault> {
         let needed = count.saturating_mul(2).saturating_sub(1);
         self.clone().skip(needed, what)
     }
 
-    /// A fault in the line that contains byte `at`.
+    /// An error in the line that contains byte `at`.
     pub fn fault(&self, at: usize, what: String) -> ReadFault {
         ReadFault::Line { line: 1 + ends(&self.bytes[..at]), what }
     }
@@ -137,7 +140,7 @@ fn ends(text: &[u8]) -> u64 {
     text.iter().filter(|&&b| b == b'\n').count() as u64
 }
 
-/// A position in a file with lines before or between blocks of binary data, moving forward.
+/// A position in a file that may contain lines and blocks of binary data. It moves only forward.
 #[derive(Debug, Clone)]
 pub struct Lines<'a> {
     bytes: ByteView<'a>,
@@ -145,7 +148,7 @@ pub struct Lines<'a> {
 }
 
 impl<'a> Lines<'a> {
-    /// Starts at byte `at` of `bytes`, or at their end.
+    /// Creates a reader at byte `at` of `bytes`, or at their end if `at` is beyond it.
     pub fn new(bytes: ByteView<'a>, at: usize) -> Self {
         Self { bytes, at: at.min(bytes.len()) }
     }
@@ -155,11 +158,11 @@ impl<'a> Lines<'a> {
         self.at
     }
 
-    /// The next `count` bytes, or fewer at the end.
+    /// The next `count` bytes, or fewer at the end of the file. The position does not change.
     ///
     /// # Errors
-    /// [`ReadFault::Changed`] and [`ReadFault::Io`] if they cannot be read. This also holds for the
-    /// methods below.
+    /// [`ReadFault::Changed`] and [`ReadFault::Io`] if the file cannot be read. The methods below
+    /// return these errors too.
     pub fn ahead(&self, count: usize) -> Result<Cow<'a, [u8]>, ReadFault> {
         self.bytes.read(self.at..self.bytes.len().min(self.at.saturating_add(count)))
     }
@@ -167,7 +170,7 @@ impl<'a> Lines<'a> {
     /// Skips `count` bytes, which contain `what`.
     ///
     /// # Errors
-    /// [`ReadFault::Truncated`] if there are fewer.
+    /// [`ReadFault::Truncated`] if fewer bytes remain.
     pub fn skip(&mut self, count: usize, what: &str) -> Result<(), ReadFault> {
         let have = self.bytes.len();
         if count > have - self.at {
@@ -181,7 +184,8 @@ impl<'a> Lines<'a> {
         Ok(())
     }
 
-    /// Skips bytes up to the first for which `stops` returns true; false at the end of the file.
+    /// Skips bytes until `stops` returns true for the next byte. Returns false at the end of the
+    /// file.
     fn skip_to(&mut self, stops: impl Fn(u8) -> bool) -> Result<bool, ReadFault> {
         let mut count = SHORT_LINE;
         loop {
@@ -195,7 +199,7 @@ impl<'a> Lines<'a> {
         }
     }
 
-    /// Skips the rest of this line and its end; false at the end of the file.
+    /// Skips the rest of this line and its line end. Returns false at the end of the file.
     pub fn skip_line(&mut self) -> Result<bool, ReadFault> {
         let start = self.at;
         self.at += usize::from(self.skip_to(|byte| byte == b'\n')?);
@@ -207,7 +211,8 @@ impl<'a> Lines<'a> {
         self.skip_to(|byte| !byte.is_ascii_whitespace()).map(|_| ())
     }
 
-    /// Reads the rest of this line and skips its end (LF or CR LF); `None` at the end of the file.
+    /// Reads the rest of this line and skips its line end (LF or CR LF). `None` at the end of the
+    /// file.
     ///
     /// # Errors
     /// [`ReadFault::Malformed`] for a line that is not text or is too long for a header, and the
@@ -230,7 +235,8 @@ impl<'a> Lines<'a> {
         Err(malformed(self.at, "expected a line of text"))
     }
 
-    /// A fault in the line that contains byte `at`, or an error of reading the file up to there.
+    /// An error in the line that contains byte `at`, or the error of reading the file up to this
+    /// byte.
     pub fn fault(&self, at: usize, what: String) -> ReadFault {
         let pieces = (0..at).step_by(LONGEST_LINE).map(|start| start..at.min(start + LONGEST_LINE));
         let counted =

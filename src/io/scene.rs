@@ -1,8 +1,8 @@
-//! Spacing of the particles and walls of their tank, from a simulator's scene file next to the
-//! frames.
+//! Finds the spacing of the particles and the walls of their tank in a simulator's scene file.
 //!
-//! SPlisHSPlasH's scene is JSON with the radius, half of the spacing; its tank is a box that is a
-//! wall. DualSPHysics' case is XML with the spacing `dp`; its tank is the largest box of boundary
+//! The scene file is in the folder of the frames or its parent folder. SPlisHSPlasH's scene is JSON
+//! with the particle radius, which is half of the spacing. Its tank is a box-shaped wall.
+//! DualSPHysics' case is XML with the spacing `dp`. Its tank is the largest box of boundary
 //! particles, with the faces that the box fills.
 
 use std::fs::File;
@@ -16,26 +16,26 @@ use serde::Deserialize;
 use crate::grid::Walls;
 use crate::grid::units::positive_length;
 
-/// Maximum size of a scene in bytes; results in JSON may be larger.
+/// Maximum size of a scene file in bytes. Larger .json files may be results, and are skipped.
 const LARGEST: u64 = 16 << 20;
 
-/// The data of a scene about particles.
+/// What a scene says about the particles and their tank.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct SceneFacts {
     spacing: f64,
     tank: Option<Walls>,
 }
 
-/// The spacing of the particles at `path`, and the file that has it.
+/// The spacing of the particles at `path`, and the path of the scene file that contains it.
 ///
-/// Tries every .json and .xml in the folder of the file in the order of their names, then those of
-/// the parent folder. Invalid files and other contents are skipped.
+/// Tries the .json and .xml files in the folder of `path` in the order of their names, then those
+/// in the parent folder. Invalid files and files with other contents are skipped.
 pub fn spacing_beside(path: &Path) -> Option<(f64, PathBuf)> {
     scene_beside(path).map(|(scene, path)| (scene.spacing, path))
 }
 
-/// The walls of the tank in the scene with the spacing of the particles at `path`, and the scene's
-/// file.
+/// The walls of the tank around the particles at `path`, and the path of the scene file that
+/// contains them. The scene is the one of [`spacing_beside`].
 pub fn tank_beside(path: &Path) -> Option<(Walls, PathBuf)> {
     let (scene, path) = scene_beside(path)?;
     scene.tank.map(|tank| (tank, path))
@@ -47,7 +47,7 @@ fn scene_beside(path: &Path) -> Option<(SceneFacts, PathBuf)> {
     [folder, &above(folder)].iter().find_map(|folder| scene_in(folder))
 }
 
-/// The parent folder, by name if possible.
+/// The path of the parent folder, without `..` if possible.
 fn above(folder: &Path) -> PathBuf {
     match (folder.components().next_back(), folder.parent()) {
         (Some(Component::Normal(_)), Some(parent)) if parent.as_os_str().is_empty() => ".".into(),
@@ -92,15 +92,16 @@ fn read_small(path: &Path) -> Option<Vec<u8>> {
     Some(bytes)
 }
 
-/// The box from `lo` with these edges; `None` if it is invalid.
+/// The six walls of a box with its lowest corner at `lo`. `None` for an invalid box.
 fn walls_of(lo: [f64; 3], size: [f64; 3]) -> Option<Walls> {
     let is_box = lo.iter().all(|at| at.is_finite()) && size.iter().all(|&edge| edge > 0.0);
     let ends = |axis: usize| [lo[axis], lo[axis] + size[axis]].map(Some);
     is_box.then(|| Walls([0, 1, 2].map(ends)))
 }
 
-/// Twice `Configuration.particleRadius`, and the only body that is a wall, if it is a box without
-/// rotation.
+/// Reads a scene of SPlisHSPlasH: twice `Configuration.particleRadius`, and the body that is a
+/// wall. The tank is `None` if several bodies are walls, or if the wall is not a box, is rotated or
+/// moves.
 fn splishsplash(json: &[u8]) -> Option<SceneFacts> {
     #[derive(Deserialize)]
     #[serde(rename_all = "PascalCase")]
@@ -137,7 +138,7 @@ fn splishsplash(json: &[u8]) -> Option<SceneFacts> {
         }
     }
     impl Body {
-        /// A unit box, scaled.
+        /// The walls of a scaled unit box that does not move or rotate. `None` for other bodies.
         fn walls(&self) -> Option<Walls> {
             let is_box = self.geometry_file.rsplit(['/', '\\']).next() == Some("UnitBox.obj");
             let is_fixed = !self.is_dynamic && self.rotation_angle == 0.0;
@@ -155,8 +156,8 @@ fn splishsplash(json: &[u8]) -> Option<SceneFacts> {
     Some(SceneFacts { spacing: 2.0 * configuration.particle_radius, tank })
 }
 
-/// `<dp value="..">` among the constants of a `<case>`, else `<definition dp="..">`, and the largest
-/// `<drawbox>` of a boundary.
+/// Reads a case of DualSPHysics: `<dp value="..">` among the constants of a `<case>`, else
+/// `<definition dp="..">`, and the largest `<drawbox>` of boundary particles.
 fn dualsphysics(xml: &[u8]) -> Option<SceneFacts> {
     let number = |element: &BytesStart, attribute: &str| -> Option<f64> {
         let attribute = element.try_get_attribute(attribute).ok()??;
@@ -190,18 +191,18 @@ fn dualsphysics(xml: &[u8]) -> Option<SceneFacts> {
     Some(SceneFacts { spacing: constant.or(defined)?, tank: boxes.tank() })
 }
 
-/// The boxes of a case.
+/// The boxes that a case draws.
 #[derive(Debug, Default)]
 struct CaseBoxes {
-    /// Whether current commands draw boundary particles.
+    /// Whether the current commands draw boundary particles.
     is_boundary: bool,
-    /// Whether boxes are moved by a transformation.
+    /// Whether a command transforms boxes. Then, the walls of the tank are unknown.
     is_moved: bool,
     is_fill: bool,
     fill: String,
     lo: Option<[f64; 3]>,
     size: Option<[f64; 3]>,
-    /// Volumes of boxes, and their walls.
+    /// The volume of each box of boundary particles, and its filled faces as walls.
     walled: Vec<(f64, Walls)>,
 }
 
@@ -242,8 +243,8 @@ impl CaseBoxes {
     }
 }
 
-/// The faces of a box in a fill mode such as `bottom | left` or `all^top`: the lower and the upper
-/// one along each axis.
+/// The faces that a fill mode such as `bottom | left` or `all^top` fills: the lower face and the
+/// upper face along each axis. `None` for an unknown mode.
 fn filled(fill: &str) -> Option<[[bool; 2]; 3]> {
     const FACES: [[&str; 2]; 3] = [["left", "right"], ["front", "back"], ["bottom", "top"]];
     let mut words = fill.split('^').map(str::trim);

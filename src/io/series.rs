@@ -1,6 +1,7 @@
-//! Lists of a simulation's frames for other programs. They are rewritten as frames are finished,
-//! each completely or not at all, so that a conversion can be viewed before its end. For frames
-//! `pool_1.vtp`, `pool_2.vtp` and so on:
+//! Lists of a simulation's frames, for other programs.
+//!
+//! The lists are rewritten as frames are finished, each completely or not at all, so that a viewer
+//! can show the frames before the conversion ends. For frames `pool_1.vtp`, `pool_2.vtp` and so on:
 //!
 //! | meshes | files next to them |
 //! |---|---|
@@ -9,8 +10,9 @@
 //! | .vtk, .vtkhdf, .ply, .stl | `pool.vtk.series` and the like for ParaView |
 //! | .usdc | `pool.usda`, a stage of value clips, and `pool.manifest.usda`, which declares their attributes |
 //!
-//! Times are those of the inputs, in seconds, if they are strictly increasing; else the frame
-//! numbers divided by the frame rate, if it is given; else the frame numbers.
+//! The times are the inputs' times in seconds, if these are strictly increasing. Otherwise, they
+//! are the frame numbers divided by the frame rate. Without a frame rate, they are the frame
+//! numbers.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -27,12 +29,12 @@ use super::vtp::escaped;
 use super::whole::replace_small;
 use super::{UpAxis, WriteError};
 
-/// Frames per second in USD and Alembic if no frame rate is given: USD's default.
+/// Frames per second in USD and Alembic if no frame rate is given. This is USD's default.
 pub const FRAMES_A_SECOND: f64 = 24.0;
-/// Time codes closer than this to an integer are rounded.
+/// Time codes that differ from an integer by less than this are rounded.
 const WHOLE: f64 = 1e-6;
 
-/// A frame with a mesh.
+/// A frame that has a mesh, as a list describes it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SeriesFrame {
     /// The frame's number.
@@ -41,30 +43,30 @@ pub struct SeriesFrame {
     pub time: Option<f64>,
     /// Name of the mesh's file, in the folder of the lists.
     pub file: String,
-    /// Size of that file.
+    /// Size of the mesh's file in bytes.
     pub bytes: u64,
-    /// Number of used particles.
+    /// Number of particles that were used for the mesh.
     pub particles: u64,
     /// Number of vertices of the mesh.
     pub vertices: u64,
     /// Number of triangles of the mesh.
     pub triangles: u64,
-    /// The mesh's bounding box as programs show it; `None` for an empty mesh.
+    /// The mesh's bounding box as programs show it. `None` for an empty mesh.
     pub bounds: Option<Corners>,
-    /// Whether vertices have normals.
+    /// Whether the vertices have normals.
     pub normals: bool,
     /// Attributes of the vertices, besides normals.
     pub attributes: Vec<AttributeInfo>,
 }
 
-/// The files that list the frames of a simulation.
+/// The lists of the frames of a simulation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Series {
     /// Format of the meshes, with the up axis if the format stores it.
     pub format: MeshFormat,
-    /// Path of the frames without their number: `mesh/pool.vtp`.
+    /// Path of the frames without their numbers, such as `mesh/pool.vtp`.
     pub simulation: PathBuf,
-    /// Frames per second, if known.
+    /// Frames per second, if the frame rate is known.
     pub fps: Option<f64>,
     /// The up axis of the meshes as programs show them.
     pub up: UpAxis,
@@ -73,13 +75,13 @@ pub struct Series {
 /// The time of a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct FrameTime {
-    /// In seconds, or the frame number.
+    /// Time in seconds, or the frame number if the time and the frame rate are unknown.
     time: f64,
-    /// USD's time code.
+    /// USD's time code of the frame.
     code: f64,
 }
 
-/// The up axis and the files in a list of frames.
+/// The up axis and the files' names in a .json list of frames.
 #[derive(Deserialize)]
 struct Listing {
     up: String,
@@ -91,10 +93,10 @@ struct ListedFile {
     file: String,
 }
 
-/// Maximum size in bytes of a list that is read: about 200,000 frames.
+/// Maximum size in bytes of a .json list that is read. It allows about 200,000 frames.
 const LARGEST_LISTING: u64 = 64 << 20;
 
-/// The up axis of a mesh from a list next to it; `None` without a list.
+/// The up axis that a .json list next to a mesh records. `None` without such a list.
 pub(super) fn listed_up(mesh: &Path) -> Option<UpAxis> {
     let folder = mesh.parent()?;
     let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
@@ -115,7 +117,7 @@ pub(super) fn listed_up(mesh: &Path) -> Option<UpAxis> {
 }
 
 impl Series {
-    /// The files that [`write`](Self::write) writes. The first has all data.
+    /// Paths of the lists that [`write`](Self::write) writes. The first list contains all data.
     pub fn files(&self) -> Vec<PathBuf> {
         let list = self.appended(".json");
         match self.format {
@@ -132,7 +134,7 @@ impl Series {
             | MeshFormat::Vdb { .. } => {
                 vec![list]
             }
-            // Files are written before the stage that refers to them.
+            // The stage comes last, because it refers to the manifest.
             MeshFormat::Usdc(_) => vec![list, self.clips(), self.simulation.with_extension("usda")],
         }
     }
@@ -143,12 +145,13 @@ impl Series {
         name.into()
     }
 
-    /// The path of the manifest, which declares the contents of USD's clips.
+    /// The path of the manifest, a USD layer that declares the attributes of the clips.
     fn clips(&self) -> PathBuf {
         self.simulation.with_extension("manifest.usda")
     }
 
-    /// Lists `frames`, which are in the order of their numbers, and replaces earlier lists.
+    /// Writes the lists of `frames`, which must be in the order of their numbers, and replaces
+    /// earlier lists.
     ///
     /// # Errors
     /// Errors of the system.
@@ -162,8 +165,8 @@ impl Series {
         Ok(())
     }
 
-    /// The times of `frames` in seconds, which are in the order of their numbers. Without times and
-    /// a frame rate, there are [`FRAMES_A_SECOND`].
+    /// The times of `frames` in seconds. `frames` must be in the order of their numbers. Without
+    /// times and a frame rate, the frame rate is [`FRAMES_A_SECOND`].
     #[must_use]
     pub fn times(&self, frames: &[SeriesFrame]) -> Vec<f64> {
         let rate = self.codes_a_second();

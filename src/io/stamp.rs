@@ -11,21 +11,22 @@ use super::ReadError;
 use super::frame_files::files_of;
 use super::input::file_and_step;
 
-/// Sizes, times and names of an input's files, and its frame number. They distinguish it from other
-/// inputs and from earlier versions.
+/// Sizes, times and names of an input's files, and its frame number.
+///
+/// A stamp distinguishes an input from other inputs and from its earlier versions.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Stamp {
     /// Total size of all files.
     pub bytes: u64,
-    /// Modification time of the newest file in nanoseconds.
+    /// Modification time of the newest file, in nanoseconds since 1970.
     pub modified: u64,
-    /// CRC-32 of each file's name, size and time, and of the frame's number.
+    /// CRC-32 of each file's name, size and time, and of the number of the frame.
     #[serde(default)]
     pub files: u32,
 }
 
 impl Stamp {
-    /// The stamp of a file with all its frames and existing pieces.
+    /// The stamp of the input at `path`, with all its frames and existing pieces.
     ///
     /// # Errors
     /// [`ReadError`] with the file that is missing or cannot be accessed.
@@ -33,7 +34,7 @@ impl Stamp {
         Self::of_all([path])
     }
 
-    /// The stamp of several files of one frame.
+    /// The stamp of several files that form one frame.
     ///
     /// # Errors
     /// [`ReadError`] with the file that is missing or cannot be accessed.
@@ -46,12 +47,13 @@ impl Stamp {
                     found.map_err(|fault| ReadError::new(&file, fault.into()))?;
                 let since = modified.duration_since(UNIX_EPOCH).unwrap_or_default();
                 let (size, modified) = (metadata.len(), since.as_nanos() as u64);
-                // Folders are ignored, because they may have other names on other machines.
+                // Ignores the names of folders, because the same folder may have other names on
+                // other machines.
                 files.update(file.file_name().unwrap_or_default().as_encoded_bytes());
                 [size, modified].iter().for_each(|number| files.update(&number.to_le_bytes()));
                 (bytes, newest) = (bytes + size, newest.max(modified));
             }
-            // A file with a single frame has no number.
+            // An input that is a single frame has no frame number.
             if let (_, Some(step)) = file_and_step(path) {
                 files.update(&step.to_le_bytes());
             }
@@ -60,17 +62,17 @@ impl Stamp {
     }
 }
 
-/// A file's identity, which distinguishes it from all others.
+/// The identity of a file, equal for all paths of this file.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub enum Identity {
     /// An existing file.
     File(FileId),
-    /// A file that does not exist yet, with the canonical name of its folder.
+    /// The path of a file that does not exist yet, with the canonical path of its folder.
     Name(PathBuf),
 }
 
 impl Identity {
-    /// The identity of a path.
+    /// The identity of the file at `path`.
     pub fn of(path: &Path) -> Self {
         if let Ok(id) = get_file_id(path) {
             return Self::File(id);
@@ -82,7 +84,7 @@ impl Identity {
     }
 }
 
-/// Whether two names refer to the same file.
+/// Whether two paths refer to the same file.
 #[must_use]
 pub fn is_same_file(one: &Path, other: &Path) -> bool {
     Identity::of(one) == Identity::of(other)

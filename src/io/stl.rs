@@ -1,12 +1,12 @@
-//! .stl: independent triangles with the coordinates of their corners; written in binary, read also
-//! in text.
+//! .stl: independent triangles with the coordinates of their corners. Binary files are written, and
+//! binary and text files are read.
 //!
 //! The format has no shared vertices, so the reader merges corners with exactly equal coordinates.
-//! This is the only place where positions identify vertices: a mesh that touches itself is joined
-//! there after reading. Binary coordinates are f32, and there are no attributes.
+//! No other part of the library identifies vertices by position. If a mesh touches itself, reading
+//! joins it there. Binary coordinates are f32, and there are no attributes.
 //!
-//! It is also the only format whose writer needs the positions of all vertices, 24 bytes each,
-//! unless they are in memory already.
+//! The writer keeps the positions of all vertices in memory, 24 bytes each, unless the mesh already
+//! does.
 
 use std::borrow::Cow;
 use std::io::{self, Write};
@@ -24,22 +24,22 @@ use super::scan::Scanner;
 use super::up::note;
 use super::{CoordinateWidth, ReadFault, malformed};
 
-/// The title must not start with "solid", which marks a text file.
+/// The title of a binary file. It must not start with "solid", which marks a text file.
 const TITLE: &[u8; 80] =
     b"binary STL, written by meniscus                                                 ";
 
-/// Bytes of the title and the number of triangles.
+/// Number of bytes of the title and the count of triangles.
 const HEADER: usize = TITLE.len() + 4;
 
-/// Bytes of a normal, three corners, and an unused number.
+/// Number of bytes of a triangle: a normal, three corners, and an unused number.
 const RECORD: usize = 50;
 
-/// Writes the triangles in binary, with their normals (zero for triangles without area). The width
-/// is always f32.
+/// Writes the triangles in binary, with their normals. Triangles without area have the normal zero.
+/// The coordinates are always f32.
 ///
 /// # Errors
-/// The errors of `mesh` and `out`, and before anything is written [`io::ErrorKind::OutOfMemory`]
-/// without memory for the positions.
+/// The errors of `mesh` and `out`. Before anything is written, [`io::ErrorKind::OutOfMemory`] if
+/// the positions do not fit in memory.
 ///
 /// # Panics
 /// Like [`MeshFormat::write`](crate::io::output::MeshFormat::write).
@@ -69,15 +69,15 @@ pub fn write_mesh(
     })
 }
 
-/// Number of vertices with the same f32 position as another one. Programs that merge equal corners
-/// join the surface there.
+/// Number of vertices that merge into another vertex because their f32 positions are equal.
+/// Programs that merge equal corners join the surface there.
 ///
 /// # Errors
-/// The errors of `mesh`, and [`io::ErrorKind::OutOfMemory`] without memory for the positions.
+/// The errors of `mesh`, and [`io::ErrorKind::OutOfMemory`] if the positions do not fit in memory.
 pub fn merged_vertices(mesh: &dyn MeshSource) -> io::Result<u64> {
     let positions =
         mesh.whole_positions().map_or_else(|| gathered(mesh).map(Cow::Owned), |p| Ok(p.into()))?;
-    // Adding 0 makes both zeros equal.
+    // Adding 0 turns the negative zero into the positive zero.
     let mut places: Vec<[u32; 3]> =
         positions.par_iter().map(|position| position.map(|x| (x as f32 + 0.0).to_bits())).collect();
     drop(positions);
@@ -85,7 +85,7 @@ pub fn merged_vertices(mesh: &dyn MeshSource) -> io::Result<u64> {
     Ok(places.windows(2).filter(|pair| pair[0] == pair[1]).count() as u64)
 }
 
-/// The positions of all pieces.
+/// Collects the positions of all pieces in one vector.
 fn gathered(mesh: &dyn MeshSource) -> io::Result<Vec<[f64; 3]>> {
     let mut positions = Vec::new();
     let count = usize::try_from(mesh.vertex_count()).map_err(|_| io::ErrorKind::OutOfMemory)?;
@@ -101,14 +101,14 @@ fn gathered(mesh: &dyn MeshSource) -> io::Result<Vec<[f64; 3]>> {
     Ok(positions)
 }
 
-/// Reads triangles, binary or text, and merges corners with equal coordinates. Normals are ignored.
+/// Reads a binary or text file, and merges corners with equal coordinates. Normals are ignored.
 ///
 /// # Errors
 /// [`ReadFault::Truncated`] or [`ReadFault::Malformed`] for a binary file whose length does not fit
-/// its number of triangles, [`ReadFault::Line`] for invalid text.
+/// its number of triangles, and [`ReadFault::Line`] for invalid text.
 pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
-    // Some binary files start with "solid" as well, but no text has the length that its bytes 80 to
-    // 83 would require.
+    // Tries binary first, because some binary files also start with "solid". Bytes 80 to 83 of a
+    // text do not give the length of the file.
     match records(bytes) {
         Ok(records) => joined(records.flat_map(corners)),
         Err(_) if bytes.starts_with(b"solid") => joined(text(bytes)?.into_iter()),
@@ -116,7 +116,7 @@ pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
     }
 }
 
-/// The triangles of a binary file.
+/// The records of the triangles in a binary file.
 fn records(bytes: &[u8]) -> Result<impl Iterator<Item = &[u8; RECORD]>, ReadFault> {
     let have = bytes.len() as u64;
     let truncated =
@@ -147,7 +147,7 @@ fn corners(record: &[u8; RECORD]) -> [[f64; 3]; 3] {
     [3, 6, 9].map(|first| [0, 1, 2].map(|axis| number(first + axis)))
 }
 
-/// The corners of a text file's triangles, with one statement per line.
+/// The corners of the triangles in a text file, which has one statement per line.
 fn text(bytes: &[u8]) -> Result<Vec<[f64; 3]>, ReadFault> {
     let mut scan = Scanner::new(bytes, 0);
     let mut corners = Vec::new();
@@ -178,12 +178,12 @@ fn text(bytes: &[u8]) -> Result<Vec<[f64; 3]>, ReadFault> {
     }
 }
 
-/// The context in a text file.
+/// The statement that contains the current line of a text file.
 #[derive(Clone, Copy)]
 enum TextContext {
     Nothing,
     Solid,
-    /// In a triangle whose first corner has this number.
+    /// In a triangle. `first` is the number of its first corner.
     Loop {
         first: usize,
     },
@@ -199,7 +199,8 @@ impl TextContext {
     }
 }
 
-/// Merges corners with equal coordinates into vertices, in the order of first use.
+/// Merges corners with equal coordinates into vertices. Vertices are in the order of their first
+/// corners.
 fn joined(corners: impl Iterator<Item = [f64; 3]>) -> Result<Mesh, ReadFault> {
     let mut mesh = Mesh::default();
     let mut known = HashMap::new();

@@ -1,5 +1,5 @@
-//! Reads Tecplot in text: one zone of points, with values point by point or variable by variable
-//! ("Data Format Guide", Tecplot 360).
+//! Reads Tecplot text files with one zone of points. Values are ordered point by point or variable
+//! by variable ("Data Format Guide", Tecplot 360).
 
 use std::ops::{ControlFlow, Range};
 
@@ -17,12 +17,12 @@ use super::{ParticleFile, ReadFault};
 /// Bytes of a number.
 const WIDTH: usize = size_of::<f64>();
 
-/// Maximum number of zones in a message.
+/// Maximum number of zones that a message lists.
 const ZONES_SHOWN: usize = 8;
-/// Bytes of a zone's first line that are examined.
+/// Number of bytes of a zone's first line that are examined.
 const LONGEST_RECORD: usize = 1 << 10;
 
-/// Records of a header.
+/// First words of the records in a header.
 const KEYWORDS: [&str; 8] = [
     "TITLE",
     "VARIABLES",
@@ -41,16 +41,16 @@ enum ZonePacking {
     Block,
 }
 
-/// A zone as its header describes it.
+/// A zone, with the properties that its header gives.
 #[derive(Debug, Default)]
 struct Zone {
-    /// Points along I, J and K.
+    /// Numbers of points along I, J and K.
     points: [Option<usize>; 3],
     packing: Option<ZonePacking>,
     time: Option<f64>,
 }
 
-/// Whether lines at the start of a text are records of Tecplot.
+/// Whether the start of a text consists of Tecplot records.
 pub(super) fn is_tecplot(head: &[u8]) -> bool {
     let head = String::from_utf8_lossy(head);
     let mut lines = head.lines().map(str::trim).filter(|line| !line.is_empty());
@@ -65,7 +65,7 @@ pub(super) fn is_tecplot(head: &[u8]) -> bool {
     })
 }
 
-/// The keyword at the start of a line, and the rest.
+/// Splits a line into the keyword at its start and the rest. `None` for other lines.
 fn keyword(line: &str) -> Option<(&'static str, &str)> {
     let line = line.trim_start_matches('\u{feff}');
     let word = line.split(|c: char| c == '=' || c.is_ascii_whitespace()).next()?;
@@ -73,11 +73,11 @@ fn keyword(line: &str) -> Option<(&'static str, &str)> {
     Some((known, line[word.len()..].trim_start()))
 }
 
-/// Reads the only zone.
+/// Reads the zone of a file with a single zone.
 ///
 /// # Errors
-/// [`ReadFault::Unsupported`] for several zones, elements, shared variables, and an unspecified
-/// order of values; [`ReadFault::Line`] for an invalid line, and a wrong number of values.
+/// [`ReadFault::Unsupported`] for several zones, for elements or shared variables, and if the order
+/// of values is not specified. [`ReadFault::Line`] for an invalid line or a wrong number of values.
 pub(super) fn read(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
     let mut lines = TextLines::new(bytes.view())?;
     let mut names = Vec::new();
@@ -160,7 +160,7 @@ pub(super) fn read(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, R
             }
         }
     };
-    // Without a number of points, values can only be point by point.
+    // If the header gives no number of points, the values can only be point by point.
     let packing = match (zone.packing, zone.points[0]) {
         (Some(packing), _) => packing,
         (None, None) => ZonePacking::Point,
@@ -193,7 +193,7 @@ fn is_number(word: &str) -> bool {
     f64::of(word.as_bytes()).is_some()
 }
 
-/// The names of variables, quoted or separated by blanks or commas.
+/// Parses the names of variables, which are quoted or separated by blanks or commas.
 fn variables(text: &str) -> Vec<String> {
     let mut names = Vec::new();
     let mut rest = text;
@@ -213,7 +213,7 @@ fn variables(text: &str) -> Vec<String> {
 }
 
 impl Zone {
-    /// Processes a line of the zone's record.
+    /// Parses a line of the zone's header.
     fn say(&mut self, text: &str) -> Result<(), String> {
         let mut rest = text;
         loop {
@@ -264,7 +264,7 @@ impl Zone {
     }
 }
 
-/// The titles of all zones, or a replacement for a missing title.
+/// The titles of all zones, with a replacement for missing titles.
 fn zones_of(source: &InputBytes) -> Result<Vec<String>, ReadFault> {
     let title = |line: &[u8]| {
         let line = String::from_utf8_lossy(line.get(..LONGEST_RECORD).unwrap_or(line));
@@ -290,7 +290,8 @@ fn zones_of(source: &InputBytes) -> Result<Vec<String>, ReadFault> {
     Ok(zones)
 }
 
-/// Decodes the numbers of a range; or returns the line where another zone starts.
+/// Decodes the numbers of a range. If another zone starts within the range, returns the number of
+/// its line.
 fn decode(
     source: &InputBytes,
     range: Range<usize>,
@@ -318,7 +319,7 @@ fn decode(
     let mut passed = lines_above;
     let mut numbers = UnpackBuffer::new(unpacking);
     let mut other_zone = None;
-    /// Records that may precede another zone.
+    /// First words of records that may precede another zone.
     const BETWEEN: [&[u8]; 6] =
         [b"ZONE", b"TITLE", b"TITLE=", b"VARIABLES", b"VARIABLES=", b"DATASETAUXDATA"];
     decode_windows(source, range, is_end, decode, |piece| {

@@ -1,5 +1,5 @@
-//! Decodes text piece by piece on all threads, so that neither the text nor its contents need be in
-//! memory as a whole.
+//! Decodes text piece by piece on all threads. Neither the text nor its contents need to fit in
+//! memory.
 
 use std::borrow::Cow;
 use std::ops::{ControlFlow, Range};
@@ -15,22 +15,24 @@ use super::{ReadFault, malformed};
 
 /// Bytes per read when lines are skipped.
 const WINDOW: usize = 1 << 18;
-/// Bytes of the longest line of a header.
+/// Maximum length in bytes of a line in a header.
 const LONGEST_LINE: usize = 1 << 16;
-/// Byte order marks.
+/// Byte order marks of UTF-8 and UTF-16.
 const UTF8: &[u8] = b"\xef\xbb\xbf";
 const UTF16: [([u8; 2], Endian); 2] = [([0xff, 0xfe], Endian::Little), ([0xfe, 0xff], Endian::Big)];
 
 /// Minimum size of a piece in bytes.
 const PIECE: usize = 1 << 16;
-/// Bytes in which the end of a piece is searched at once.
+/// Number of bytes that are searched at once for the end of a piece.
 const LOOKED_AT: usize = 1 << 12;
-/// Pieces per thread between two releases of memory.
+/// Number of pieces per thread that are decoded before memory is released.
 const PIECES: usize = 4;
 
-/// Divides a `range` of `source` into pieces that end after a byte `end`, decodes them with
-/// `decode`, and passes the results to `take` in order, until that breaks. The memory of decoded
-/// text is released.
+/// Divides a `range` of `source` into pieces, decodes the pieces on all threads, and passes the
+/// results to `take` in order.
+///
+/// Each piece ends after a byte for which `is_end` returns true. Decoding stops when `take` breaks.
+/// The memory of decoded text is released.
 pub(super) fn decode_pieces<T: Send>(
     source: Slice,
     range: Range<usize>,
@@ -44,8 +46,9 @@ pub(super) fn decode_pieces<T: Send>(
     in_pieces(range, end_from, decode, take, |done| source.release(done))
 }
 
-/// Like [`decode_pieces`] for a text in windows. Each piece is decoded independently, and only the
-/// current pieces are in memory.
+/// Like [`decode_pieces`], for a text that is read in windows.
+///
+/// Each piece is decoded independently, and only the pieces that are being decoded are in memory.
 ///
 /// # Errors
 /// The errors of `take`, and [`ReadFault::Changed`] or [`ReadFault::Io`] if the text has changed or
@@ -67,13 +70,13 @@ pub(super) fn decode_windows<T: Send>(
     };
     let decode = |piece: Range<usize>| source.with(piece, &decode);
     let decoded = in_pieces(range, end_from, decode, take, |done| source.release(done));
-    // Unreadable bytes were replaced by zeros.
+    // A failed read returned zeros, so the result is only valid if this check succeeds.
     source.check().map_err(ReadFault::from)?;
     decoded
 }
 
-/// Decodes pieces and passes on the results. `end_from` returns the end of the piece that contains
-/// a position.
+/// Decodes pieces of `range` and passes the results to `take`. `end_from` returns the end of the
+/// piece that contains a position.
 fn in_pieces<T: Send>(
     range: Range<usize>,
     end_from: impl Fn(usize) -> Option<usize>,
@@ -102,7 +105,8 @@ fn in_pieces<T: Send>(
     Ok(())
 }
 
-/// Appends the numbers of a `text` within `source` as little-endian f64.
+/// Decodes the numbers of the text in range `text` of `source`, and appends them as little-endian
+/// f64.
 ///
 /// # Errors
 /// [`ReadFault::Line`] for invalid numbers, and the errors of [`UnpackBuffer::push`].
@@ -129,11 +133,11 @@ pub(super) fn decode_numbers(
     })
 }
 
-/// Decodes a text in UTF-16 with a byte order mark; other texts are unchanged.
+/// Converts UTF-16 with a byte order mark to UTF-8. Returns other texts unchanged.
 ///
 /// # Errors
-/// [`ReadFault::Malformed`] for an incomplete character at the end, and errors of reading and of
-/// the scratch file.
+/// [`ReadFault::Malformed`] for an incomplete character at the end, and errors of reading the text
+/// or of writing the scratch file.
 pub(super) fn utf8(bytes: Bytes, unpacking: Unpacking) -> Result<Bytes, ReadFault> {
     let view = bytes.view();
     let mark = view.read(0..view.len().min(2))?;
@@ -153,7 +157,8 @@ pub(super) fn utf8(bytes: Bytes, unpacking: Unpacking) -> Result<Bytes, ReadFaul
     for at in (2..view.len()).step_by(WINDOW) {
         let end = view.len().min(at + WINDOW);
         units.extend(view.read(at..end)?.as_chunks().0.iter().map(|&bytes| unit(bytes)));
-        // The first half of a surrogate pair waits for the second.
+        // If the window ends with the first half of a surrogate pair, decodes it with the next
+        // window.
         let waits = end < view.len() && matches!(units.last(), Some(0xd800..0xdc00));
         let half = if waits { units.pop() } else { None };
         let decoded: String = char::decode_utf16(units.drain(..))
@@ -166,19 +171,19 @@ pub(super) fn utf8(bytes: Bytes, unpacking: Unpacking) -> Result<Bytes, ReadFaul
     text.finish().map(Bytes::Kept)
 }
 
-/// The start of a line.
+/// The position of the start of a line.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct LinePlace {
     /// Bytes from the start of the text.
     pub at: usize,
-    /// Number of lines before it.
+    /// Number of lines above this line.
     pub lines_above: u64,
 }
 
 /// Reads the lines of a text sequentially, in windows.
 pub(super) struct TextLines<'a> {
     view: ByteView<'a>,
-    /// The end of the last line that is not blank.
+    /// The end of the last line read that is not blank.
     end: usize,
     at: usize,
     passed: u64,
@@ -187,7 +192,7 @@ pub(super) struct TextLines<'a> {
 }
 
 impl<'a> TextLines<'a> {
-    /// Starts at the first line, after a byte order mark.
+    /// Creates a reader at the first line. A byte order mark is skipped.
     pub fn new(view: ByteView<'a>) -> Result<Self, ReadFault> {
         let marked = *view.read(0..view.len().min(UTF8.len()))? == *UTF8;
         let at = if marked { UTF8.len() } else { 0 };
@@ -196,18 +201,18 @@ impl<'a> TextLines<'a> {
         Ok(Self { view, end, at, passed: 0, window: Cow::Borrowed(&[]), window_at: at })
     }
 
-    /// Starts at a later line.
+    /// Creates a reader at the line that starts at `place`.
     pub fn at(view: ByteView<'a>, place: LinePlace) -> Result<Self, ReadFault> {
         let LinePlace { at, lines_above } = place;
         Ok(Self { at, passed: lines_above, window_at: at, ..Self::new(view)? })
     }
 
-    /// The place of the next line.
+    /// The place where the next line starts.
     pub fn place(&self) -> LinePlace {
         LinePlace { at: self.at, lines_above: self.passed }
     }
 
-    /// A fault in the last line.
+    /// An error in the line that was read last.
     pub fn fault(&self, what: impl Into<String>) -> ReadFault {
         ReadFault::Line { line: self.passed.max(1), what: what.into() }
     }
@@ -220,7 +225,7 @@ impl<'a> TextLines<'a> {
         Ok(&self.window[self.at - self.window_at..])
     }
 
-    /// Reads a line without its end and surrounding blanks; `None` if only blank lines remain.
+    /// Reads a line without its line end and surrounding blanks. `None` if only blank lines remain.
     ///
     /// # Errors
     /// [`ReadFault::Line`] for a line that is too long for a header, and errors of reading.
@@ -248,13 +253,13 @@ impl<'a> TextLines<'a> {
         }
     }
 
-    /// Skips up to `count` lines, and returns their number.
+    /// Skips `count` lines, or fewer at the end of the text. Returns the number of skipped lines.
     ///
     /// # Errors
     /// Errors of reading.
     pub fn skip(&mut self, count: u64) -> Result<u64, ReadFault> {
         let mut skipped = 0;
-        // Whether the current line has no end yet.
+        // Whether bytes of a line without a line end were skipped.
         let mut begun = false;
         while skipped < count {
             let ahead = self.ahead()?;

@@ -1,13 +1,13 @@
-//! Text files of particles: detects the format from the content, and finds the frames.
+//! Reads text files of particles. Detects the format from the content, and finds the frames.
 //!
 //! | format | recognised by | frames |
 //! |---|---|---|
-//! | LAMMPS dump | a first line that begins with `ITEM:` | its steps |
+//! | LAMMPS dump | a first line that begins with `ITEM:` | its steps, by their numbers |
 //! | Tecplot | lines that begin with `VARIABLES` or `ZONE` | one |
-//! | XYZ | the number of particles alone on the first line | its frames, from 0 |
+//! | XYZ | a first line that contains only the number of particles | its frames, numbered from 0 |
 //! | table | anything else | one |
 //!
-//! If the request names a format, it is not detected. UTF-16 with a byte order mark is decoded
+//! If the caller names a format, nothing is detected. UTF-16 with a byte order mark is decoded
 //! first.
 
 use std::path::Path;
@@ -22,7 +22,7 @@ use super::text::{LinePlace, TextLines, utf8};
 use super::wanted::WantedAttributes;
 use super::{ParticleFile, ReadFault, lammps, table, tecplot, xyz};
 
-/// Bytes that identify the format.
+/// Number of bytes at the start of a file from which the format is detected.
 const SNIFFED: usize = 4 << 10;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -34,22 +34,22 @@ enum TextFormat {
     Table,
 }
 
-/// Knowledge of the format before its content is read.
+/// What the caller knows about the format before the content is read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TextHint {
-    /// The format of the file's extension; the content decides.
+    /// The format of the file's extension. The content may show another format.
     Extension(Option<InputFormat>),
-    /// The format of the request.
+    /// The format that the caller named.
     Named(InputFormat),
 }
 
 impl TextHint {
-    /// The format of the request, or that of the file's extension.
+    /// The format that the caller named, or else the format of the extension.
     pub fn of(path: &Path, named: Option<InputFormat>) -> Self {
         named.map_or_else(|| Self::Extension(InputFormat::of(path)), Self::Named)
     }
 
-    /// Whether a file may contain raw numbers.
+    /// Whether the file may contain raw numbers instead of text.
     fn may_be_raw(self) -> bool {
         matches!(self, Self::Extension(Some(InputFormat::Xyz)) | Self::Named(InputFormat::Xyz))
     }
@@ -76,13 +76,15 @@ impl TextFormat {
             Some(Tecplot) => Self::Tecplot,
             None if by_extension == Some(Lammps) || lammps::is_dump(&head) => Self::Lammps,
             None if tecplot::is_tecplot(&head) => Self::Tecplot,
-            // A file with the extension of XYZ may be a table that contains only positions.
+            // An .xyz may also be a table of positions, without the number of particles on the
+            // first line.
             None | Some(Xyz) if xyz::has_count(bytes)? => Self::Xyz,
             _ => Self::Table,
         })
     }
 
-    /// Skips a frame after `before` others, and returns its number; `None` at the end of the file.
+    /// Skips one frame and returns its number. `before` is the number of frames above. `None` at
+    /// the end.
     fn pass(self, lines: &mut TextLines, before: u64) -> Result<Option<u64>, ReadFault> {
         match self {
             Self::Lammps => lammps::pass(lines),
@@ -92,18 +94,18 @@ impl TextFormat {
     }
 }
 
-/// The frames of a text, with their start.
+/// The places of all frames in a text.
 #[derive(Debug)]
 struct Frames {
     format: TextFormat,
-    /// Numbers and places, in the order of the file.
+    /// Number and place of each frame, in the order of the file.
     all: Vec<(u64, LinePlace)>,
-    /// The start of the invalid part of the text, if any.
+    /// Where the invalid part of the text starts. `None` if the text is valid.
     broken: Option<LinePlace>,
 }
 
 impl Frames {
-    /// Scans the whole text.
+    /// Scans a text for frames, up to its end or the first invalid line.
     fn of(view: ByteView, hint: TextHint) -> Result<Self, ReadFault> {
         let format = TextFormat::of(view, hint)?;
         let mut frames = Self { format, all: Vec::new(), broken: None };
@@ -124,15 +126,16 @@ impl Frames {
         Ok(frames)
     }
 
-    /// The error of the invalid part, if any.
+    /// Returns the error of the invalid part of the text, if there is one.
     fn check(&self, view: ByteView) -> Result<(), ReadFault> {
         let Some(place) = self.broken else { return Ok(()) };
         let passed = self.format.pass(&mut TextLines::at(view, place)?, self.all.len() as u64);
-        // If it is valid now, the file has changed.
+        // If this part is valid now, the file has changed since it was scanned.
         passed.and(Err(ReadFault::Changed))
     }
 
-    /// The numbers, in order. A step that occurs twice, for example after a restart, counts once.
+    /// The numbers of the frames in ascending order. A number that occurs twice, for example after
+    /// a restart, is listed once.
     fn numbers(&self) -> Vec<u64> {
         let mut numbers: Vec<u64> = self.all.iter().map(|(number, _)| *number).collect();
         numbers.sort_unstable();
@@ -140,8 +143,8 @@ impl Frames {
         numbers
     }
 
-    /// The place of the frame with a number, or of the only one. Frames before an invalid line can
-    /// be read by their numbers.
+    /// The place of frame number `step`. Without `step`, the text must have a single frame. Frames
+    /// above an invalid line can only be read by their numbers.
     fn find(&self, view: ByteView, step: Option<u64>) -> Result<LinePlace, ReadFault> {
         let found = match step {
             Some(step) => self.all.iter().find(|(number, _)| *number == step),
@@ -163,7 +166,7 @@ impl Frames {
     }
 }
 
-/// Whether bytes are text; the last character may be incomplete.
+/// Whether the start of a file is text. The last character may be incomplete.
 fn is_text(start: &[u8]) -> bool {
     let text = match std::str::from_utf8(start) {
         Ok(text) => text,
@@ -173,7 +176,7 @@ fn is_text(start: &[u8]) -> bool {
     text.chars().all(|c| !c.is_control() || c.is_ascii_whitespace())
 }
 
-/// Decodes UTF-16, unless the file may contain raw numbers that look like it.
+/// Decodes UTF-16, except in a file of raw numbers, which can look like UTF-16.
 fn decoded(bytes: Bytes, hint: TextHint, unpacking: Unpacking) -> Result<Bytes, ReadFault> {
     if hint.may_be_raw() {
         let view = bytes.view();
@@ -186,16 +189,16 @@ fn decoded(bytes: Bytes, hint: TextHint, unpacking: Unpacking) -> Result<Bytes, 
     utf8(bytes, unpacking)
 }
 
-/// Reads a frame of a text file, or its only one. In an .xyz, bytes that are not text are raw
-/// little-endian f32 triples.
+/// Reads the frame with the given step of a text file. Without a step, the file must have a single
+/// frame. In an .xyz, bytes that are not text are read as raw little-endian f32 triples.
 ///
-/// The starts of frames are cached for a file with its stamp, so that each frame can be read
-/// without those before it.
+/// The places of frames are cached for a file with its stamp, so that a later call can read a frame
+/// without scanning the frames above it.
 ///
 /// # Errors
-/// [`ReadFault::Line`] for an invalid line; [`ReadFault::Unsupported`] if a frame must be chosen or
-/// does not exist; [`ReadFault::Malformed`] for raw bytes that are not whole triples;
-/// [`ReadFault::Scratch`] if the scratch file fails.
+/// [`ReadFault::Line`] for an invalid line, [`ReadFault::Unsupported`] for a missing step if there
+/// are several frames and for a step that does not exist, [`ReadFault::Malformed`] for raw bytes
+/// that are not complete triples, and [`ReadFault::Scratch`] if the scratch file cannot be written.
 pub fn read_particles(
     bytes: Bytes,
     hint: TextHint,
@@ -239,10 +242,10 @@ pub fn read_particles(
     }
 }
 
-/// The numbers of the frames in a file, in order; empty for a file with a single frame.
+/// The numbers of the frames in a file, in ascending order. Empty if the format has a single frame.
 ///
 /// # Errors
-/// [`ReadFault::Line`] for an invalid file with several frames.
+/// [`ReadFault::Line`] for an invalid line in a format with several frames.
 pub fn steps(bytes: Bytes, hint: TextHint) -> Result<Vec<u64>, ReadFault> {
     let bytes = decoded(bytes, hint, Unpacking::for_a_look())?;
     let frames = Frames::of(bytes.view(), hint)?;

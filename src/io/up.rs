@@ -1,8 +1,9 @@
-//! The axis that points up, in files whose format cannot store it: in a comment or a title.
+//! Records which axis points up, in the comment or title of a file whose format cannot store the
+//! axis.
 //!
-//! Only z is recorded; without a record y points up, as most programs expect. `.ply`, `.obj`,
-//! `.vtk`, `.vtp`, `.pvtp` and `.stl` have comments or titles; the listing of a simulation records
-//! it for all formats.
+//! Only z is recorded. Without a record, y points up, as most programs expect. `.ply`, `.obj`,
+//! `.vtk`, `.vtp`, `.pvtp` and `.stl` have comments or titles. For all formats, the listing of a
+//! simulation also records the axis.
 
 use std::fs::File;
 use std::io::Read;
@@ -14,20 +15,21 @@ use super::{UpAxis, series};
 
 /// The text of the comment, without the delimiters of a format.
 const NOTE: &str = "meniscus: z points up";
-/// Bytes at the start of a file in which the comment is searched.
+/// Number of bytes at the start of a file that are searched for the comment.
 const SEARCHED: u64 = 512;
 
-/// The comment for a mesh, if it needs one.
+/// The comment for the file of `mesh`, if its up axis is z.
 pub(super) fn note(mesh: &dyn MeshSource) -> Option<&'static str> {
     (mesh.up() == UpAxis::Z).then_some(NOTE)
 }
 
-/// The comment for a mesh with the delimiters of a format, or nothing.
+/// The comment for the file of `mesh` with a format's delimiters, or an empty string if y is up.
 pub(super) fn noted(mesh: &dyn MeshSource, [before, after]: [&str; 2]) -> String {
     note(mesh).map_or(String::new(), |note| format!("{before}{note}{after}"))
 }
 
-/// The up axis in a mesh's file or in a list next to it; `None` if neither has it.
+/// The up axis that a mesh's file, or else a list next to it, records. `None` if neither records
+/// it.
 #[must_use]
 pub fn up_said(mesh: &Path) -> Option<UpAxis> {
     let noted = || {

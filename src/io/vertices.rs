@@ -1,5 +1,5 @@
-//! Helpers for readers of formats that contain either particles or a mesh: columns of vertices, and
-//! triangles from polygons.
+//! Helpers for readers of formats that contain either particles or a mesh. They convert columns of
+//! vertices and polygons.
 
 use crate::particles::{AttributeInfo, Particles, velocity_attribute};
 use crate::surface::mesh::{Mesh, VertexAttribute};
@@ -15,7 +15,7 @@ pub(super) struct FileVertices {
     pub count: usize,
     pub position: [Column; 3],
     pub attributes: Vec<(AttributeInfo, Vec<Column>)>,
-    /// The number of the attribute with normals of three components.
+    /// The index of the attribute with normals, which has three components.
     pub normals: Option<usize>,
 }
 
@@ -28,19 +28,19 @@ impl FileVertices {
         ParticleFile::new(particles, format)
     }
 
-    /// Makes a mesh.
+    /// Makes a mesh of the vertices and `triangles`.
     pub fn into_mesh(self, bytes: &[u8], triangles: Vec<[u32; 3]>) -> Mesh {
         let bytes = self.decoded.as_deref().unwrap_or(bytes);
         let normals = self.normals.map(|index| self.attributes[index].0.name.clone());
         let store: ColumnStore<&[u8]> =
             ColumnStore::new(bytes, ParticleRows::All(self.count), self.position, self.attributes);
-        // Duplicate attributes were removed, so numbers have changed.
+        // Attributes with the same name were removed, so that the index may have changed.
         let normals = normals.and_then(|name| normals_called(&name, &store));
         whole(&store, normals, triangles)
     }
 }
 
-/// Makes a mesh; attribute number `normals` has the normals.
+/// Makes a mesh. Attribute number `normals` becomes the normals of the vertices.
 fn whole(store: &dyn Particles, normals: Option<usize>, triangles: Vec<[u32; 3]>) -> Mesh {
     let count = store.len();
     let mut positions = vec![[0.0; 3]; count];
@@ -68,19 +68,20 @@ fn whole(store: &dyn Particles, normals: Option<usize>, triangles: Vec<[u32; 3]>
     Mesh { positions, triangles, normals, attributes }
 }
 
-/// A mesh from points and their attributes; the one called `normals` has the normals.
+/// Makes a mesh from points and their attributes. The attribute `normals` becomes the normals.
 #[cfg(feature = "hdf5")]
 pub(super) fn mesh_of(points: &dyn Particles, normals: &str, triangles: Vec<[u32; 3]>) -> Mesh {
     whole(points, normals_called(normals, points), triangles)
 }
 
-/// The number of the attribute with this name, if it can be normals.
+/// The index of the attribute `name`, if it has three components, as normals must have.
 fn normals_called(name: &str, points: &dyn Particles) -> Option<usize> {
     let is_normals = |info: &AttributeInfo| info.name == name && info.components == 3;
     points.attributes().iter().position(is_normals)
 }
 
-/// Adjacent columns: `components` of them from byte `offset` on, in rows of `stride` bytes.
+/// The columns of a tuple of `components` adjacent numbers. The tuple of row 0 starts at byte
+/// `offset`, and each row has `stride` bytes.
 pub(super) fn columns(
     offset: usize,
     stride: usize,
@@ -93,14 +94,14 @@ pub(super) fn columns(
         .collect()
 }
 
-/// Collects triangles from the polygons of a file.
+/// Divides the polygons of a file into triangles, and collects them.
 pub(super) struct Triangles {
     vertices: usize,
     pub triangles: Vec<[u32; 3]>,
 }
 
 impl Triangles {
-    /// An empty list of triangles for a mesh with `vertices`.
+    /// Creates an empty list of triangles for a mesh with `vertices` vertices.
     pub fn new(vertices: usize) -> Result<Self, ReadFault> {
         if u32::try_from(vertices).is_err() {
             return Err(ReadFault::Unsupported(format!(
@@ -110,8 +111,8 @@ impl Triangles {
         Ok(Self { vertices, triangles: Vec::new() })
     }
 
-    /// Divides face number `face`, stored at byte `at`, into triangles from its first corner.
-    /// Points and lines have no area and are ignored.
+    /// Divides face number `face`, stored at byte `at`, into a fan of triangles around its first
+    /// corner. Points and lines have no area and are ignored.
     pub fn polygon(&mut self, face: usize, at: usize, corners: &[i64]) -> Result<(), ReadFault> {
         self.check(face, at, corners)?;
         if let [apex, rim @ ..] = corners {
@@ -121,7 +122,8 @@ impl Triangles {
         Ok(())
     }
 
-    /// Every three consecutive corners of a strip are a triangle; every second one is reversed.
+    /// Adds the triangles of a strip: every three consecutive corners, with every second one
+    /// reversed.
     pub fn strip(&mut self, face: usize, at: usize, corners: &[i64]) -> Result<(), ReadFault> {
         self.check(face, at, corners)?;
         self.triangles.extend(corners.windows(3).enumerate().map(|(i, c)| {
@@ -142,7 +144,7 @@ impl Triangles {
     }
 }
 
-/// The integer in `bytes`; `None` for other types.
+/// The integer in `bytes`. `None` for floating-point types.
 pub(super) fn integer(scalar: Scalar, endian: Endian, bytes: &[u8]) -> Option<i64> {
     let chunk2 =
         || bytes.first_chunk().map(|&b| order(endian, b, u16::from_le_bytes, u16::from_be_bytes));
@@ -158,7 +160,7 @@ pub(super) fn integer(scalar: Scalar, endian: Endian, bytes: &[u8]) -> Option<i6
         Scalar::I32 => chunk4().map(|value| i64::from(value as i32)),
         Scalar::U32 => chunk4().map(i64::from),
         Scalar::I64 => chunk8().map(|value| value as i64),
-        // Values beyond i64 are invalid as counts and indices; -1 is always rejected.
+        // Counts and indices beyond i64 are invalid. The result is -1, which every caller rejects.
         Scalar::U64 => chunk8().map(|value| i64::try_from(value).unwrap_or(-1)),
         Scalar::F16 | Scalar::F32 | Scalar::F64 => None,
     }

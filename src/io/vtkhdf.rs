@@ -1,8 +1,9 @@
-//! Writes meshes as VTKHDF, which is HDF5: PolyData with one partition, every data set contiguous.
+//! Writes meshes as VTKHDF, a layout of HDF5: PolyData with one partition. Every data set is
+//! contiguous.
 //!
-//! All sizes are known in advance, so the file is written sequentially: the superblock (version 0),
-//! the headers of all groups and data sets (version 1, with links in them), then the data.
-//! [`h5`](super::input) and other HDF5 readers can read it.
+//! All sizes are known in advance, so the file is written sequentially. It consists of the
+//! superblock (version 0), the headers of all groups and data sets (version 1, with the links in
+//! them), and the data. [`h5`](super::input) and other HDF5 readers can read it.
 
 use std::io::{self, Write};
 
@@ -12,13 +13,14 @@ use super::CoordinateWidth;
 use super::columns::Scalar;
 use super::vtp::arrays::{Array, point_data, points, polygons};
 
-/// The undefined address.
+/// HDF5's undefined address.
 const NOWHERE: u64 = u64::MAX;
-/// Bytes of the superblock.
+/// Number of bytes of the superblock.
 const SUPERBLOCK: u64 = 96;
 
-/// Writes `mesh` with all of its attributes, little-endian: points as f32 or f64 by `width`,
-/// indices with 32 bits if they fit.
+/// Writes `mesh` with all of its attributes, little-endian.
+///
+/// Points are f32 or f64 by `width`, and indices have 32 bits if they fit.
 ///
 /// A slash in a name, which HDF5 reserves for paths, becomes an underscore.
 ///
@@ -40,7 +42,7 @@ pub fn write_mesh(
     root.write_data(&mut out, mesh)
 }
 
-/// A named object in a group.
+/// The name of an object in a group, and the object.
 type Link = (String, Node);
 
 enum Node {
@@ -49,10 +51,10 @@ enum Node {
 }
 
 enum DatasetContent {
-    /// Counts.
+    /// Integers that the file stores as i64.
     Counts(Vec<u64>),
     Array(Array<'static>),
-    /// Ends of the triangles' corners, preceded by 0.
+    /// An array that starts with 0, followed by the end of each triangle's corners.
     Ends(Array<'static>),
 }
 
@@ -97,7 +99,7 @@ fn root(mesh: &dyn MeshSource, width: CoordinateWidth) -> Node {
     group(vec![("VTKHDF", vtk)])
 }
 
-/// A name without slashes, which HDF5 reserves for paths.
+/// Replaces slashes, which HDF5 reserves for paths, by underscores.
 pub(super) fn spelled(name: &str) -> String {
     name.replace('/', "_")
 }
@@ -119,19 +121,19 @@ fn set(array: Array<'static>) -> Node {
     let components = array.components as u64;
     let shape = match components {
         1 => vec![array.length],
-        // Arrays without components have rows nevertheless.
+        // An array of tuples has two axes. With 0 components, the number of rows is still needed.
         _ => vec![array.length / components.max(1), components],
     };
     Node::Set { scalar: array.scalar(), shape, data: DatasetContent::Array(array) }
 }
 
 impl Node {
-    /// The messages of the header, with the addresses of its `links` or of its data.
+    /// The messages of the header. `addresses` are those of the linked objects, or of the data.
     fn messages(&self, addresses: &[u64]) -> Vec<u8> {
         let mut messages = Messages::default();
         match self {
             Self::Group { links, attributes } => {
-                // Links are in the header itself, not in a heap.
+                // Links are stored in the header, not in a heap.
                 messages.add(
                     0x02,
                     &[&[0, 0], &NOWHERE.to_le_bytes()[..], &NOWHERE.to_le_bytes()].concat(),
@@ -140,7 +142,7 @@ impl Node {
                 for ((name, _), address) in links.iter().zip(addresses) {
                     let name = &name.as_bytes()[..name.len().min(usize::from(u16::MAX) / 2)];
                     let length = (name.len() as u16).to_le_bytes();
-                    // A hard link with a UTF-8 name.
+                    // A hard link whose name is UTF-8.
                     messages.add(
                         0x06,
                         &[&[1, 0x11, 1], &length[..], name, &address.to_le_bytes()].concat(),
@@ -151,7 +153,7 @@ impl Node {
             Self::Set { scalar, shape, .. } => {
                 messages.add(0x01, &dataspace(shape));
                 messages.add(0x03, &datatype(*scalar));
-                // There is no fill value, because everything is written.
+                // No fill value, because all data is written.
                 messages.add(0x05, &[2, 2, 2, 0]);
                 let (bytes, address) = (self.data_bytes(), addresses[0]);
                 messages.add(
@@ -170,12 +172,12 @@ impl Node {
         }
     }
 
-    /// Bytes of this header.
+    /// Number of bytes of this object's header.
     fn own_bytes(&self) -> u64 {
         self.messages(&vec![0; self.links().len().max(1)]).len() as u64
     }
 
-    /// Bytes of this header and of all headers below.
+    /// Number of bytes of this object's header and of the headers of all objects below it.
     fn header_bytes(&self) -> u64 {
         self.own_bytes() + self.links().iter().map(|(_, node)| node.header_bytes()).sum::<u64>()
     }
@@ -187,8 +189,8 @@ impl Node {
         }
     }
 
-    /// Appends the header at address `at`, and all headers below; `data` is the address of the next
-    /// data.
+    /// Appends the header of this object at address `at`, and then the headers of all objects below
+    /// it. `data` is the next free address for data, and is advanced.
     fn encode(&self, at: u64, data: &mut u64, out: &mut Vec<u8>) {
         let bytes = self.data_bytes();
         let addresses = match self {
@@ -210,7 +212,8 @@ impl Node {
         }
     }
 
-    /// Writes the data of all objects below in the order of [`encode`](Self::encode).
+    /// Writes the data of this object and of all objects below it, in the order of
+    /// [`encode`](Self::encode).
     fn write_data(&self, out: &mut CountingOutput, mesh: &dyn MeshSource) -> io::Result<()> {
         match self {
             Self::Group { links, .. } => {
@@ -237,7 +240,7 @@ impl HdfAttribute {
     fn encoded(&self) -> Vec<u8> {
         let (name, kind, space, value) = match self {
             Self::Text(name, text) => {
-                // A string without a terminator; the type has its length.
+                // A string without a terminator. Its type contains its length.
                 let kind = [&[0x13, 1, 0, 0], &(text.len() as u32).to_le_bytes()[..]].concat();
                 (name, kind, dataspace(&[]), text.as_bytes().to_vec())
             }
@@ -260,7 +263,7 @@ impl HdfAttribute {
     }
 }
 
-/// The messages of an object's header.
+/// Collects the messages of an object's header.
 #[derive(Default)]
 struct Messages {
     bytes: Vec<u8>,
@@ -278,7 +281,7 @@ impl Messages {
         self.count += 1;
     }
 
-    /// The complete header: version 1, with one reference.
+    /// Returns the complete header of version 1, with a reference count of one.
     fn with_prefix(self) -> Vec<u8> {
         let mut header = vec![1, 0];
         header.extend(self.count.to_le_bytes());
@@ -301,7 +304,7 @@ fn dataspace(shape: &[u64]) -> Vec<u8> {
     space
 }
 
-/// Little-endian numbers: IEEE 754, or two's complement.
+/// The message of a number type: IEEE 754 or two's complement, little-endian.
 fn datatype(scalar: Scalar) -> Vec<u8> {
     let size = scalar.size() as u8;
     let float = |sign: u8, exponent_at: u8, exponent: u8, bias: u16| {
@@ -318,10 +321,10 @@ fn datatype(scalar: Scalar) -> Vec<u8> {
     }
 }
 
-/// The superblock of a file that ends at byte `end`; the root's header follows.
+/// The superblock of a file that ends at byte `end`. The root's header follows the superblock.
 fn superblock(end: u64) -> Vec<u8> {
     let mut block = b"\x89HDF\r\n\x1a\n\0\0\0\0\0\x08\x08\0".to_vec();
-    // Sizes of B-tree nodes, of which there are none.
+    // The sizes of B-tree nodes. The file contains no B-trees.
     block.extend([4, 0, 16, 0, 0, 0, 0, 0]);
     for address in [0, NOWHERE, end, NOWHERE, 0, SUPERBLOCK] {
         block.extend(address.to_le_bytes());

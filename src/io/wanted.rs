@@ -1,4 +1,4 @@
-//! Parts of an input that are wanted: a type of particles, some of their attributes, and no ghosts.
+//! Selects which parts of an input are read: a type of particles, some attributes, and no ghosts.
 
 use crate::particles::condition::Where;
 use crate::particles::mixture::is_kind;
@@ -10,10 +10,10 @@ use super::bytes::Unpacking;
 use super::input_format::InputFormat;
 use super::{ParticleFile, ReadFault};
 
-/// Names of VTK's flags of points or cells that are copies or hidden: the current one, and the one
-/// for levels of copies before version 6.3.
+/// Names of the array in which VTK flags points or cells that are copies or hidden. VTK before
+/// version 6.3 uses the second name, and stores levels of copies in it.
 pub(super) const GHOSTS: [&str; 2] = ["vtkGhostType", "vtkGhostLevels"];
-/// Name of PySPH's flag for copies of particles.
+/// Name of the array in which PySPH flags copies of particles.
 pub(super) const TAG: &str = "tag";
 
 /// Selects which particles of an input are read, and which of their attributes.
@@ -21,7 +21,7 @@ pub(super) const TAG: &str = "tag";
 pub struct WantedParticles<'a> {
     /// Format of the input, if it differs from that of its extension.
     pub format: Option<InputFormat>,
-    /// Required attributes. Formats that are read as a whole return others too.
+    /// Attributes to read. Readers that always read all attributes return more than these.
     pub attributes: WantedAttributes<'a>,
     /// Conditions by which particles are selected. `type=wall` names the type of particles in an
     /// input with several; by default it is gas, a fluid, or the only type.
@@ -30,18 +30,19 @@ pub struct WantedParticles<'a> {
     pub pieces: WantedPieces<'a>,
 }
 
-/// The wanted pieces of an input in several files. The others are not opened, and count as empty.
+/// The pieces to read, for an input in several files. Other pieces are not opened, and count as
+/// empty.
 #[derive(Debug, Clone, Copy, Default)]
 pub enum WantedPieces<'a> {
     /// All pieces.
     #[default]
     All,
-    /// Pieces with these numbers, from 0 and in order.
+    /// Pieces with these numbers, counted from 0, in ascending order.
     Numbered(&'a [usize]),
 }
 
 impl WantedPieces<'_> {
-    /// Whether a piece is wanted.
+    /// Whether piece number `piece` is wanted.
     pub fn hold(&self, piece: usize) -> bool {
         match self {
             Self::All => true,
@@ -49,7 +50,7 @@ impl WantedPieces<'_> {
         }
     }
 
-    /// Number of wanted pieces, of `all`.
+    /// Number of wanted pieces if the input has `all` pieces.
     pub fn of(&self, all: usize) -> usize {
         match self {
             Self::All => all,
@@ -58,33 +59,33 @@ impl WantedPieces<'_> {
     }
 }
 
-/// The wanted attributes.
+/// The attributes to read.
 #[derive(Debug, Clone, Copy, Default)]
 pub enum WantedAttributes<'a> {
     /// All attributes.
     #[default]
     All,
-    /// Some attributes, and those in conditions.
+    /// Some attributes, and the attributes that conditions test.
     Only {
-        /// Names for [`attribute_called`]; without names, the velocity.
+        /// Names for [`attribute_called`]. `None` requests the velocity.
         names: Option<&'a [String]>,
         /// Conditions by which particles are selected.
         conditions: &'a [Where],
-        /// The sizes of the particles.
+        /// Selects the attributes that give the sizes of the particles. These are read too.
         sizes: &'a SizeChoice,
     },
 }
 
 impl WantedAttributes<'_> {
-    /// Whether to read the label with this name.
+    /// Whether to read the text attribute `name`.
     pub fn hold_label(&self, name: &str) -> bool {
         let Self::Only { conditions, .. } = self else { return true };
         let mut conditions = conditions.iter().flat_map(Where::conditions);
         is_kind(name) || conditions.any(|condition| condition.name.eq_ignore_ascii_case(name))
     }
 
-    /// Whether to read each of an input's attributes. If a wanted one is missing, all are read, so
-    /// that the error can list them.
+    /// For each attribute of an input, whether to read it. If a wanted attribute is missing, all
+    /// are read, so that the error can list them.
     pub fn among(&self, infos: &[AttributeInfo]) -> Vec<bool> {
         let Self::Only { .. } = self else { return vec![true; infos.len()] };
         let is_flag = |name: &str| GHOSTS.contains(&name) || name == TAG || is_kind(name);
@@ -95,8 +96,8 @@ impl WantedAttributes<'_> {
         infos.iter().enumerate().map(reads).collect()
     }
 
-    /// Whether each of an input's attributes is requested by name, by a condition, or as the
-    /// velocity; `None` if a requested one is missing, or all are read.
+    /// For each attribute of an input, whether it is requested by name, by a condition, as a size
+    /// or as the velocity. `None` if a requested attribute is missing, or if all are to be read.
     pub fn asked_among(&self, infos: &[AttributeInfo]) -> Option<Vec<bool>> {
         let Self::Only { names, conditions, sizes } = self else { return None };
         let sizes = sizes.columns(infos).ok()?;
@@ -116,7 +117,7 @@ impl WantedAttributes<'_> {
 }
 
 impl ParticleFile {
-    /// Removes the particles that do not satisfy a condition.
+    /// Removes the particles that fail a condition.
     pub(super) fn selected(
         mut self,
         conditions: &[Where],
@@ -125,7 +126,8 @@ impl ParticleFile {
         let infos = self.particles.attributes();
         let mut tested = Vec::new();
         for condition in conditions.iter().flat_map(Where::conditions) {
-            // The reader has already chosen a type. `type` may also be an attribute.
+            // The reader has already chosen the type that a condition on `type` names, unless the
+            // file has an attribute `type`.
             match self.particle_types.first() {
                 Some(own)
                     if condition.is_of_type()
@@ -170,10 +172,10 @@ impl ParticleFile {
         Ok(self)
     }
 
-    /// Rejects a file in which all particles fail a condition.
+    /// Returns an error if all particles of the file fail a condition.
     ///
     /// # Errors
-    /// [`ReadFault::Selection`].
+    /// [`ReadFault::Selection`] in that case.
     pub fn with_some(mut self) -> Result<Self, ReadFault> {
         self.none_selected.take().map_or(Ok(self), |fault| Err(ReadFault::Selection(fault)))
     }
@@ -183,7 +185,7 @@ impl ParticleFile {
         GHOSTS.iter().fold(self, |file, flag| file.without(flag))
     }
 
-    /// Removes the particles whose attribute `flag` is not 0, and that attribute.
+    /// Removes the particles whose attribute `flag` is not 0, and then removes that attribute.
     pub(super) fn without(mut self, flag: &str) -> Self {
         let is_it = |info: &AttributeInfo| info.name == flag && info.components == 1;
         if let Some(index) = self.particles.attributes().iter().position(is_it) {

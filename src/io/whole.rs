@@ -1,5 +1,5 @@
-//! A file that appears completely or not at all: as many errors as possible are found before the
-//! work, and later errors leave nothing behind.
+//! Writes a file completely or not at all. As many errors as possible are found before the mesh is
+//! computed, and a later error leaves no file behind.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufWriter, Write};
@@ -15,7 +15,7 @@ use crate::system::past_cache::PastCache;
 use super::beside::{FolderInProgress, turn};
 use super::{WriteError, WriteFault};
 
-/// Prefix of temporary files' names, by which leftovers can be recognised.
+/// Prefix of the names of temporary files, by which [`sweep`] recognises leftovers.
 const PREFIX: &str = ".meniscus-";
 const SUFFIX: &str = ".tmp";
 
@@ -30,25 +30,25 @@ pub enum Replace {
 
 /// A file that is prepared for writing.
 ///
-/// If it is dropped without [`write`](Self::write), or that fails, nothing remains.
+/// If it is dropped before [`write`](Self::write), or if `write` fails, no file remains.
 #[derive(Debug)]
 pub struct WholeFile {
-    /// The given path, for messages.
+    /// The path that the caller gave, for messages.
     path: PathBuf,
     target: WriteTarget,
 }
 
 #[derive(Debug)]
 enum WriteTarget {
-    /// A temporary file next to `place`, which will be renamed to it.
+    /// A temporary file in the folder of `place`. Writing ends by renaming it to `place`.
     Temporary { file: NamedTempFile, place: PathBuf, replace: Replace },
     /// An existing pipe or device, which is written directly.
     Direct,
 }
 
 impl WholeFile {
-    /// Checks before the work that `path` is free or may be replaced, and creates a temporary file
-    /// in its folder. Pipes and devices are written directly.
+    /// Checks, before any data is written, that `path` is free or may be replaced, and creates a
+    /// temporary file in its folder. Pipes and devices are written directly.
     ///
     /// # Errors
     /// [`WriteFault::Exists`], and [`WriteFault::Io`] for errors of the system.
@@ -64,24 +64,24 @@ impl WholeFile {
         if replace == Replace::Refuse && path.symlink_metadata().is_ok() {
             return Err(fail(WriteFault::Exists));
         }
-        // For a symbolic link, its target is replaced, not the link.
+        // A symbolic link stays, and its target is replaced.
         let there = found.and_then(|_| path.canonicalize().ok());
         let place = there.unwrap_or_else(|| path.to_owned());
         let file = temporary_beside(&place).map_err(|e| fail(e.into()))?;
         Ok(Self { path: path.to_owned(), target: WriteTarget::Temporary { file, place, replace } })
     }
 
-    /// Whether it is a pipe or a device, which needs no extension.
+    /// Whether the output is a pipe or a device, which needs no extension.
     pub fn is_direct(&self) -> bool {
         matches!(self.target, WriteTarget::Direct)
     }
 
-    /// The given path.
+    /// The path that the caller gave.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// The final path of the file, through links; `None` for a pipe or a device.
+    /// The final path of the file, with symbolic links resolved. `None` for a pipe or a device.
     pub(super) fn place(&self) -> Option<&Path> {
         match &self.target {
             WriteTarget::Temporary { place, .. } => Some(place),
@@ -89,13 +89,13 @@ impl WholeFile {
         }
     }
 
-    /// The temporary file and the created folders, which an interrupt must remove.
+    /// The temporary file and the created folders, which an interrupt handler must remove.
     pub(crate) fn leftovers(&self, folders: &MadeFolders) -> Vec<PathBuf> {
         let folders = folders.paths().iter().map(PathBuf::as_path);
         self.temporary().into_iter().chain(folders).map(Path::to_owned).collect()
     }
 
-    /// The temporary file, which an interrupt must remove.
+    /// The temporary file, which an interrupt handler must remove.
     pub fn temporary(&self) -> Option<&Path> {
         match &self.target {
             WriteTarget::Temporary { file, .. } => Some(file.path()),
@@ -133,7 +133,7 @@ impl WholeFile {
             WriteTarget::Direct => {
                 let open = OpenOptions::new().write(true).open(&self.path);
                 match open.and_then(|mut file| counted(&mut file, crc, content)) {
-                    // If the reader of a pipe stops early, this is not an error.
+                    // A reader that closes a pipe early is not an error.
                     Err(fault) if fault.kind() == io::ErrorKind::BrokenPipe => Ok((0, None)),
                     outcome => outcome,
                 }
@@ -158,17 +158,17 @@ pub struct FilledFile {
     file: WholeFile,
     bytes: u64,
     crc: u32,
-    /// A folder that is renamed before the file.
+    /// The folder of further files that this file names. It is renamed before this file.
     folder: Option<FolderInProgress>,
 }
 
 impl FilledFile {
-    /// Adds the folder of all files that this one names. It is renamed before this file.
+    /// Adds the folder of the files that this file names. The folder is renamed before this file.
     pub(super) fn after(self, folder: FolderInProgress) -> Self {
         Self { crc: folder.sum_behind(self.crc, self.bytes), folder: Some(folder), ..self }
     }
 
-    /// CRC-32 of its bytes, and of those of the files that it names; 0 for a pipe whose reader
+    /// CRC-32 of the bytes of this file and of the files that it names. 0 for a pipe whose reader
     /// stopped early.
     pub fn crc(&self) -> u32 {
         self.crc
@@ -190,7 +190,8 @@ impl FilledFile {
             WriteTarget::Direct => Ok(()),
             WriteTarget::Temporary { file, place, replace } => {
                 let synced = file.as_file().sync_all();
-                // The folder and the file that names its content must be from the same job.
+                // Locks the parent folder, so that the folder and the file that names it come from
+                // the same process.
                 let _turn = folder.as_ref().and_then(|_| turn(&place));
                 let before =
                     |folder: FolderInProgress| folder.keep(&place, replace == Replace::Allow);
@@ -215,8 +216,8 @@ pub fn replace_small(path: &Path, content: &[u8]) -> io::Result<()> {
     Ok(())
 }
 
-/// Removes temporary files of killed processes in `folder`. Files of running processes, on this
-/// machine or another that shares the folder, are locked, and stay.
+/// Removes temporary files of killed processes in `folder`. Temporary files of running processes
+/// are locked, even if the process runs on another machine that shares the folder, and stay.
 pub fn sweep(folder: &Path) {
     let Ok(entries) = fs::read_dir(folder) else { return };
     for path in entries.filter_map(|entry| Some(entry.ok()?.path())) {
@@ -228,8 +229,8 @@ pub fn sweep(folder: &Path) {
         if !(name.starts_with(PREFIX) && name.ends_with(SUFFIX)) {
             continue;
         }
-        // The file stays locked until its name is removed. A process that has just created it
-        // detects this, and creates another.
+        // The lock is held until the file is removed. A process that has just created this file
+        // notices the removal, and creates another file.
         if let Ok(_taken) = held::take(&path) {
             let _ = fs::remove_file(&path);
             remove_belongings(&path);
@@ -237,17 +238,17 @@ pub fn sweep(folder: &Path) {
     }
 }
 
-/// [Sweeps](sweep) the folder of a file, which need not exist.
+/// [Sweeps](sweep) the folder of `file`. The file need not exist.
 pub fn sweep_beside(file: &Path) {
     sweep(folder_of(file));
 }
 
-/// The folders that were created for a file. They are removed again if they stay empty.
+/// Folders that were created for a file. Dropping this value removes those that are empty.
 #[derive(Debug)]
 pub struct MadeFolders(Vec<PathBuf>);
 
 impl MadeFolders {
-    /// Creates the folder of a file with its parents, unless they exist.
+    /// Creates the folder of `file` and its missing parents.
     ///
     /// # Errors
     /// Errors of the system.
@@ -260,7 +261,7 @@ impl MadeFolders {
         Ok(made)
     }
 
-    /// The folders, the innermost first.
+    /// The created folders, the innermost first.
     pub(crate) fn paths(&self) -> &[PathBuf] {
         &self.0
     }
@@ -268,7 +269,7 @@ impl MadeFolders {
 
 impl Drop for MadeFolders {
     fn drop(&mut self) {
-        // The innermost first. A folder with content is not removed.
+        // The innermost folder comes first. `remove_dir` fails for a folder that is not empty.
         self.0.iter().for_each(|folder| drop(fs::remove_dir(folder)));
     }
 }
@@ -277,7 +278,8 @@ fn folder_of(file: &Path) -> &Path {
     file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
-/// The temporary file of a folder, by its name.
+/// The path of the temporary file to which a temporary folder belongs, derived from the folder's
+/// name.
 fn belongs_to(folder: &Path) -> Option<PathBuf> {
     let name = folder.file_name()?.to_str().filter(|name| name.starts_with(PREFIX))?;
     let file = BELONGINGS.iter().find_map(|ending| name.strip_suffix(ending))?;
@@ -293,17 +295,17 @@ fn metadata(path: &Path) -> io::Result<Option<fs::Metadata>> {
     }
 }
 
-/// Paths that stand for open files of this process. They may refer to files, but no other file can
-/// be created next to them.
+/// Paths of open files of this process. Such a path may refer to a regular file, but no temporary
+/// file can be created next to it.
 const OPEN: [&str; 4] = ["/dev/stdout", "/dev/stderr", "/dev/fd", "/proc/self/fd"];
 
-/// Whether the output is written directly.
+/// Whether the output is a pipe, a device or an open file, which is written directly.
 fn is_direct(path: &Path, found: Option<&fs::Metadata>) -> bool {
     let is_open = || OPEN.iter().any(|open| path.starts_with(open));
     found.is_some_and(|found| !found.is_dir() && (!found.is_file() || is_open()))
 }
 
-/// Creates a folder with its parents, unless they exist.
+/// Creates a folder and its missing parents.
 ///
 /// # Errors
 /// Errors of the system, with their kind and message.
@@ -312,8 +314,8 @@ pub fn make_folder(folder: &Path) -> io::Result<()> {
         .map_err(|fault| io::Error::new(fault.kind(), format!("cannot create the folder: {fault}")))
 }
 
-/// Creates a file in the same folder, so that it can be renamed atomically, with the permissions of
-/// a new file.
+/// Creates a temporary file in the folder of `place`, so that it can be renamed to `place`
+/// atomically. It has the permissions of a new file.
 fn temporary_beside(place: &Path) -> io::Result<NamedTempFile> {
     let folder = folder_of(place);
     let mut builder = tempfile::Builder::new();
@@ -339,7 +341,7 @@ fn temporary_beside(place: &Path) -> io::Result<NamedTempFile> {
     }
 }
 
-/// Errors of the format's writer have no error number of the system.
+/// Converts an error of writing. An error of the format's writer has no error number of the system.
 pub(super) fn fault_of(fault: io::Error) -> WriteFault {
     match (fault.kind(), fault.raw_os_error()) {
         (io::ErrorKind::AlreadyExists, _) => WriteFault::Exists,
@@ -348,11 +350,12 @@ pub(super) fn fault_of(fault: io::Error) -> WriteFault {
     }
 }
 
-/// Bytes per write: small pieces are combined, and large ones divided, because the system would
-/// need new memory for them.
+/// Maximum bytes per write. Small pieces are combined, and large pieces are divided, because the
+/// system would need additional memory for them.
 const AT_ONCE: usize = 256 << 10;
 
-/// The number of bytes that `content` writes to `out`, and their checksum, if one is computed.
+/// Lets `content` write to `out`. Returns the number of bytes, and their checksum if `crc` is
+/// given.
 pub(super) fn counted(
     out: impl Write,
     crc: Option<Hasher>,
@@ -366,7 +369,7 @@ pub(super) fn counted(
     Ok((bytes, crc))
 }
 
-/// Like [`counted`] for an empty file, which bypasses the system's cache if it becomes large.
+/// Like [`counted`] for an empty file. A large file bypasses the system's cache.
 pub(super) fn counted_in(
     file: &File,
     crc: Option<Hasher>,

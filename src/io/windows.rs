@@ -1,9 +1,9 @@
-//! Access to the bytes of columns in windows: in memory, in a mapped scratch file, or in the input
-//! itself.
+//! Access to the bytes of columns in windows. The bytes are in memory, in a mapped scratch file, or
+//! in the input file.
 //!
-//! The input is read by position into buffers, one per thread, and never mapped: if another program
-//! shortens or rewrites a file meanwhile, this is an error of that frame, while a map would end the
-//! process with a signal. All files of an input share their buffers.
+//! An input file is read by position into buffers, one per thread, and never mapped. If another
+//! program shortens a mapped file, a signal ends the process. A read by position instead returns an
+//! error for one frame. All files of an input share their buffers.
 
 use std::fmt::Debug;
 use std::ops::Range;
@@ -15,24 +15,24 @@ use crate::system::reopened::{read_exact_at, will_read};
 
 use super::bytes::{Bytes, PrivateBytes};
 
-/// Bytes per read if a thread continues where it was.
+/// Bytes per read if a thread continues at the end of its last read.
 const LARGE: usize = 1 << 18;
 /// Bytes per read at other positions.
 const SMALL: usize = 1 << 14;
-/// Minimum number of bytes that the system is asked to read ahead of a thread. The system checks
-/// its cache for each request, so requests do not overlap.
+/// Minimum number of bytes to request ahead of a thread's position. The system searches its cache
+/// for each request, so requests do not overlap.
 const AHEAD: usize = 1 << 22;
 
-/// Bytes with access in windows.
+/// A source of bytes that is accessed in windows.
 pub trait Windows: Sync + Debug {
     /// Number of bytes.
     fn count(&self) -> usize;
 
-    /// Passes on the bytes of a range. If they cannot be read, passes on zeros, and
+    /// Calls `read` with the bytes of a range. If they cannot be read, calls it with zeros, and
     /// [`check`](Self::check) fails from then on.
     ///
     /// # Panics
-    /// If the range exceeds the bytes.
+    /// If the range exceeds the bytes of the source.
     fn with<R>(&self, range: Range<usize>, read: impl FnOnce(&[u8]) -> R) -> R;
 
     /// Bytes of memory that cannot be released.
@@ -40,7 +40,7 @@ pub trait Windows: Sync + Debug {
         0
     }
 
-    /// Releases the memory of a range; reading it again restores it.
+    /// Releases the memory of a range. A later access reads the bytes again.
     fn release(&self, range: Range<usize>) {
         let _ = range;
     }
@@ -61,17 +61,17 @@ impl Windows for &[u8] {
     }
 }
 
-/// Bytes of an input, in memory or in its file.
+/// Bytes of an input, in memory, in a scratch file, or in the input file.
 #[derive(Debug)]
 pub enum InputBytes {
-    /// In memory or in a scratch file.
+    /// Bytes in memory or in a scratch file.
     Kept(PrivateBytes),
-    /// In the input's file.
+    /// Bytes in the input file.
     File(FileWindows),
 }
 
 impl InputBytes {
-    /// Bytes of scratch files.
+    /// Number of bytes in scratch files.
     #[must_use]
     pub fn scratch_bytes(&self) -> u64 {
         match self {
@@ -80,7 +80,7 @@ impl InputBytes {
         }
     }
 
-    /// Bytes that are read from the input's file in windows.
+    /// Number of bytes in the input file, which is read in windows.
     #[must_use]
     pub fn file_bytes(&self) -> u64 {
         match self {
@@ -89,7 +89,7 @@ impl InputBytes {
         }
     }
 
-    /// Reads through the windows of a shared shelf.
+    /// Makes this input use the windows of `shelf`, which several files share.
     pub fn share(&mut self, shelf: &Arc<WindowPool>) {
         if let Self::File(file) = self {
             file.shelf = Arc::clone(shelf);
@@ -149,7 +149,7 @@ impl Windows for InputBytes {
     }
 }
 
-/// A file that is read by position.
+/// An input file that is read by position, in windows.
 #[derive(Debug)]
 pub struct FileWindows {
     file: ReopenedFile,
@@ -157,20 +157,20 @@ pub struct FileWindows {
     fault: OnceLock<RereadError>,
 }
 
-/// Unused windows of several files; the most recently used one is last.
+/// Unused windows of several files. The most recently used window is last.
 #[derive(Debug, Default)]
 pub struct WindowPool {
     idle: Mutex<Vec<FileWindow>>,
 }
 
-/// A range of bytes of a file.
+/// A buffer with a range of bytes of a file.
 #[derive(Debug, Default)]
 struct FileWindow {
-    /// The file's number.
+    /// Number of the file, see [`ReopenedFile::number`].
     file: u64,
     at: usize,
     bytes: Vec<u8>,
-    /// The end of the range that the system was asked to read.
+    /// End of the bytes that the system was asked to read ahead.
     advised: usize,
 }
 
@@ -181,19 +181,20 @@ impl FileWindow {
 }
 
 impl WindowPool {
-    /// Windows per thread, which reads a few columns in turn.
+    /// Windows per thread. A thread alternates between a few columns.
     const A_THREAD: usize = 4;
 
     fn most() -> usize {
         Self::A_THREAD * rayon::current_num_threads()
     }
 
-    /// Bytes of all windows of files with this total size.
+    /// Bytes of memory that the windows use, for files with this total size.
     pub fn resident_bytes(file_bytes: u64) -> u64 {
         file_bytes.min((Self::most() * LARGE) as u64)
     }
 
-    /// A window of a file that contains byte `at`, or ends there, or the least recently used one.
+    /// Takes the window of the file that contains byte `at` or ends there. If there is none,
+    /// returns an empty window for byte `at`, in a new buffer or the least recently used one.
     fn take(&self, file: u64, at: usize) -> FileWindow {
         let mut idle = self.idle.lock().unwrap_or_else(PoisonError::into_inner);
         let holds =
@@ -205,7 +206,7 @@ impl WindowPool {
             None if idle.len() < Self::most() => FileWindow::default(),
             None => idle.remove(0),
         };
-        // The window has other bytes.
+        // The window holds bytes of another range or file, which are discarded.
         let mut bytes = window.bytes;
         bytes.clear();
         FileWindow { file, at: 0, bytes, advised: 0 }

@@ -1,9 +1,9 @@
-//! Reads XYZ: the number of particles, a comment, and a row per particle, frame by frame; and .xyz
-//! as raw f32 triples without a header.
+//! Reads XYZ text, and raw f32 triples without a header that use the same extension.
 //!
-//! Columns are those of extended XYZ (`Properties=species:S:1:pos:R:3`), else those that the
-//! comment names. Else the position is the first three numbers, after the name or the atomic number
-//! of an element. `sim.xyz#3` is the fourth frame.
+//! A frame in text is the number of particles, a comment, and a row per particle. The columns are
+//! those of extended XYZ (`Properties=species:S:1:pos:R:3`), or else the names in the comment.
+//! Otherwise, the position is the first three numbers, after the name or the atomic number of an
+//! element. `sim.xyz#3` is the fourth frame.
 
 use super::bytes::{ByteView, Bytes, Unpacking};
 use super::columns::{Column, ColumnStore, Endian, ParticleRows, Scalar};
@@ -16,14 +16,14 @@ use super::wanted::WantedAttributes;
 use super::windows::{InputBytes, Windows};
 use super::{ParticleFile, ReadFault, malformed};
 
-/// Bytes of raw numbers that distinguish f64 from f32.
+/// Number of raw bytes that are sampled to distinguish f64 from f32.
 const SAMPLED: usize = 4080;
 
 /// Reads raw little-endian f32 triples.
 ///
 /// # Errors
-/// [`ReadFault::Malformed`] for bytes that are not whole triples, and [`ReadFault::Unsupported`]
-/// for f64.
+/// [`ReadFault::Malformed`] for an incomplete triple at the end, and [`ReadFault::Unsupported`] for
+/// f64.
 pub(super) fn read_raw(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
     const TRIPLE: usize = 12;
     let source = InputBytes::from(bytes);
@@ -47,31 +47,34 @@ pub(super) fn read_raw(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
     Ok(ParticleFile::new(particles, "raw f32 .xyz"))
 }
 
-/// Whether raw numbers are plausible lengths as f64, but some are not as f32: the lower half of an
-/// f64 is an f32 of arbitrary magnitude.
+/// Whether raw numbers are f64: all are plausible lengths as f64, but many are not as f32. The
+/// lower half of an f64, read as an f32, has an arbitrary magnitude.
 fn are_f64(raw: &[u8]) -> bool {
     let is_length = |number: f64| number == 0.0 || (1e-12..1e12).contains(&number.abs());
     let wide = raw.as_chunks().0.iter().map(|&bytes| f64::from_le_bytes(bytes));
     let narrow = raw.as_chunks().0.iter().map(|&bytes| f64::from(f32::from_le_bytes(bytes)));
     let far = narrow.filter(|&number| !is_length(number)).count();
-    // A few particles in f32 may have flown away.
+    // Requires many implausible numbers, because a few particles may have flown far away.
     wide.into_iter().all(is_length) && far * 8 > raw.len() / size_of::<f32>()
 }
 
-/// A frame of a file.
+/// A frame of a file in text.
 struct XyzFrame {
-    /// The announced number of particles.
+    /// The number of particles that the frame announces.
     count: u64,
     comment: String,
-    /// Number of existing rows.
+    /// The number of rows that the frame contains.
     rows: u64,
     start: usize,
     end: usize,
     lines_above: u64,
 }
 
-/// Whether a text starts with the number of its particles. If that many rows follow immediately, it
-/// is a table with a title; so is one with named columns that are not those of a frame.
+/// Whether a text starts with the number of its particles, as a frame does.
+///
+/// A number with exactly that many rows directly below it is the title of a table. So is a number
+/// above a line of column names, unless exactly that many rows follow before the next frame or the
+/// end.
 ///
 /// # Errors
 /// Errors of reading.
@@ -92,18 +95,18 @@ pub(super) fn has_count(view: ByteView) -> Result<bool, ReadFault> {
     })
 }
 
-/// The number of particles, in a line with nothing else.
+/// Parses the number of particles, in a line that contains nothing else.
 fn count_of(line: &str) -> Option<u64> {
     line.bytes().all(|byte| byte.is_ascii_digit()).then(|| line.parse().ok())?
 }
 
-/// The names in a comment.
+/// The names of columns in a frame's comment.
 fn names_in(comment: &str) -> Vec<String> {
     let comment = comment.trim_start_matches(['#', '%', '!', '/']);
     names_of(comment.as_bytes(), Separator::of(comment.as_bytes()))
 }
 
-/// Skips a frame; false at the end of the file.
+/// Skips a frame. Returns false at the end of the file.
 ///
 /// # Errors
 /// [`ReadFault::Line`] for an invalid line between frames.
@@ -111,11 +114,11 @@ pub(super) fn pass(lines: &mut TextLines) -> Result<bool, ReadFault> {
     Ok(XyzFrame::next(lines)?.is_some())
 }
 
-/// Reads the frame at a position of the file.
+/// Reads the frame that starts at a place in the file.
 ///
 /// # Errors
-/// [`ReadFault::Line`] for an invalid line, an incomplete frame, and columns that give no position;
-/// [`ReadFault::Unsupported`] for columns of integers without names.
+/// [`ReadFault::Line`] for an invalid line, an incomplete frame, or columns without a position, and
+/// [`ReadFault::Unsupported`] for integer columns without names.
 pub(super) fn read(
     bytes: Bytes,
     place: LinePlace,
@@ -131,7 +134,7 @@ pub(super) fn read(
 }
 
 impl XyzFrame {
-    /// Reads the header of a frame and skips its rows; `None` at the end of the file.
+    /// Reads the header of a frame and skips its rows. `None` at the end of the file.
     fn next(lines: &mut TextLines) -> Result<Option<Self>, ReadFault> {
         let line = loop {
             match lines.line()? {
@@ -206,7 +209,7 @@ impl XyzFrame {
     }
 }
 
-/// The value of a key in a comment of extended XYZ, as `Time=0.5` or `Lattice="1 0 0 ..."`.
+/// The value of `key` in a comment of extended XYZ, such as `Time=0.5` or `Lattice="1 0 0 ..."`.
 fn value<'a>(comment: &'a str, key: &str) -> Option<&'a str> {
     let lower = comment.to_ascii_lowercase();
     let start =
@@ -221,7 +224,7 @@ fn value<'a>(comment: &'a str, key: &str) -> Option<&'a str> {
     }
 }
 
-/// The columns of `species:S:1:pos:R:3`.
+/// Parses the columns of a property list such as `species:S:1:pos:R:3`.
 fn columns_of(properties: &str) -> Result<TableColumns, String> {
     /// Maximum number of columns of a property.
     const MOST: usize = 64;
@@ -234,7 +237,7 @@ fn columns_of(properties: &str) -> Result<TableColumns, String> {
         };
         let count = count.parse().ok().filter(|count| (1..=MOST).contains(count));
         let count = count.ok_or_else(|| format!("{}: {name} has no number of columns", shown()))?;
-        // The abbreviation of ASE.
+        // ASE abbreviates the name of the velocity.
         let name = if name == "velo" { "velocity" } else { name };
         match count {
             1 => names.push(name.to_owned()),
@@ -244,7 +247,7 @@ fn columns_of(properties: &str) -> Result<TableColumns, String> {
     TableColumns::of(names).ok_or_else(|| format!("{} without pos:R:3", shown()))
 }
 
-/// The edges of a box along the axes, from the nine numbers of its vectors.
+/// The edges of a box that is aligned to the axes, from the nine numbers of its vectors.
 fn box_of(lattice: &str) -> Option<[f64; 3]> {
     let numbers = lattice.split_ascii_whitespace().map(|word| f64::of(word.as_bytes()));
     let vectors: [f64; 9] = numbers.collect::<Option<Vec<f64>>>()?.try_into().ok()?;

@@ -1,24 +1,24 @@
-//! An archive in Ogawa (AbcCoreOgawa, file version 0): time samplings, and a tree of objects with
-//! properties.
+//! An archive in Ogawa (AbcCoreOgawa, file version 0) with time samplings, and a tree of objects
+//! with properties.
 //!
-//! The children of the root group are the version, the library's version, the top object, metadata,
-//! time samplings, and the list of metadata that headers name by index. An object is a group of its
-//! compound property, its child objects, and their headers with two hashes. A compound property is
-//! a group of its properties and their headers. A scalar property is a group of one block per
-//! sample; an array property is a group of two, of which the second holds the dimensions if there
-//! are several. The block of a sample is its digest and its values.
+//! The children of the root group are the file version, the library version, the top object,
+//! metadata, time samplings, and the list of metadata that headers name by index. An object is a
+//! group of its compound property, its child objects, and their headers with two hashes. A compound
+//! property is a group of its properties and their headers. A scalar property is a group of one
+//! block per sample. An array property is a group of two children per sample: the block, and its
+//! dimensions if there are several. The block of a sample is its digest and its values.
 
 use super::content_hash::{ContentHasher, Digest};
 use super::ogawa::{OgawaBlocks, OgawaChild};
 
-/// The version of the library whose files these are: 1.8.0.
+/// The version of the Alembic library that writes this format: 1.8.0.
 const LIBRARY_VERSION: i32 = 1_08_00;
-/// Alembic's time per cycle of samplings that list all of their times.
+/// The time per cycle with which Alembic marks a sampling that lists all of its times.
 const ACYCLIC: f64 = f64::MAX / 32.0;
-/// The index of metadata that is not in the list.
+/// The index in a header whose metadata is not in the list.
 const NOT_LISTED: usize = 255;
 
-/// A type of numbers, with Alembic's number of it.
+/// A number type, with the number that Alembic gives it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum AbcPod {
     Bool = 0,
@@ -40,15 +40,15 @@ impl AbcPod {
     }
 }
 
-/// The name and type of a property with values.
+/// The name and type of a property that has values.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AbcHeader {
     pub name: String,
     pub metadata: String,
-    /// Whether a sample is one element, not an array.
+    /// Whether a sample is a single element instead of an array.
     pub scalar: bool,
     pub pod: AbcPod,
-    /// Numbers in an element.
+    /// Number of values in an element.
     pub extent: u8,
 }
 
@@ -57,12 +57,12 @@ pub struct AbcHeader {
 pub struct AbcSample {
     pub block: OgawaChild,
     pub digest: Digest,
-    /// Number of elements.
+    /// Number of elements in the array.
     pub elements: u64,
 }
 
 impl AbcSample {
-    /// An array of no elements.
+    /// A sample that is an empty array.
     pub fn empty() -> Self {
         Self { block: OgawaChild::NO_DATA, digest: ContentHasher::of(&[]), elements: 0 }
     }
@@ -73,7 +73,7 @@ pub enum AbcProperty {
     Values {
         header: AbcHeader,
         samples: Vec<AbcSample>,
-        /// The number of its time sampling.
+        /// The index of the time sampling.
         sampling: u32,
     },
     Compound {
@@ -83,7 +83,7 @@ pub enum AbcProperty {
     },
 }
 
-/// An object of the tree.
+/// An object in the tree of an archive.
 pub struct AbcObject {
     pub name: &'static str,
     pub metadata: String,
@@ -95,19 +95,19 @@ pub struct AbcObject {
 pub struct TimeSampling {
     per_cycle: f64,
     times: Vec<f64>,
-    /// The largest number of samples of a property with this sampling.
+    /// The largest number of samples of any property with this sampling.
     samples: u32,
 }
 
 impl TimeSampling {
-    /// The default sampling, which is number 0: one sample per second from time 0.
+    /// The default time sampling, which has index 0: one sample per second from time 0.
     fn of_constants() -> Self {
         Self { per_cycle: 1.0, times: vec![0.0], samples: 1 }
     }
 
-    /// The sampling at these times, which are strictly increasing.
+    /// The time sampling with these times in seconds, which must be strictly increasing.
     pub fn at(times: &[f64]) -> Self {
-        // Alembic's tolerance when it looks for the sample of a time.
+        // The tolerance in seconds with which Alembic finds the sample of a time.
         const TOLERANCE: f64 = 1e-5;
         let samples = times.len() as u32;
         let per_cycle = match times {
@@ -133,8 +133,8 @@ impl TimeSampling {
     }
 }
 
-/// The groups of an archive from position `at` on, and the root group. Properties may name the time
-/// sampling as number 1; number 0 is for constants.
+/// Encodes an archive from byte `at` on. Returns the bytes, and the root group. Properties name
+/// `sampling` by index 1. Index 0 is the sampling of constants.
 pub fn archive(
     at: u64,
     sampling: &TimeSampling,
@@ -159,7 +159,7 @@ pub fn archive(
 }
 
 impl AbcObject {
-    /// Appends the object. Returns its group, and a hash of everything in it.
+    /// Appends the object. Returns its group, and a hash of all data in it.
     fn put(&self, blocks: &mut OgawaBlocks, list: &mut MetadataList) -> (OgawaChild, Digest) {
         let (compound, of_properties) = put_compound(&self.properties, blocks, list);
         let mut group = vec![compound];
@@ -187,8 +187,8 @@ impl AbcObject {
     }
 }
 
-/// Appends the properties of an object or a compound. Returns their group, and a hash of all
-/// headers and samples.
+/// Appends the properties of an object or a compound property. Returns their group, and a hash of
+/// all headers and samples.
 fn put_compound(
     properties: &[AbcProperty],
     blocks: &mut OgawaBlocks,
@@ -228,7 +228,8 @@ fn put_value_header(
 ) {
     let kind = if header.scalar { 1 } else { 2 };
     let is_homogeneous = samples.iter().all(|sample| sample.elements == samples[0].elements);
-    // If no range of changing samples is stored, all of them change, or none does.
+    // No range of changing samples is stored. The flag says whether no sample or all samples
+    // change.
     let is_constant = samples.len() < 2;
     let bits = kind
         | (header.pod as u32) << 4
@@ -241,7 +242,7 @@ fn put_value_header(
     put_header(out, bits, numbers, &header.name, &header.metadata, list);
 }
 
-/// Appends a property header: its bits and numbers, its name and its metadata.
+/// Appends the header of a property: flags, numbers, name and metadata.
 fn put_header(
     out: &mut Vec<u8>,
     bits: u32,
@@ -251,7 +252,7 @@ fn put_header(
     list: &mut MetadataList,
 ) {
     let sizes = [name.len() as u32, metadata.len() as u32];
-    // All numbers have the width of the largest.
+    // All numbers of a header are stored with the width of the largest.
     let (code, width) = match numbers.iter().chain(&sizes).copied().fold(0, u32::max) {
         ..=0xff => (0, 1),
         0x100..=0xffff => (1, 2),
@@ -270,12 +271,13 @@ fn put_header(
     }
 }
 
-/// Metadata that headers name by index.
+/// The list of metadata that headers name by index.
 #[derive(Default)]
 struct MetadataList(Vec<String>);
 
 impl MetadataList {
-    /// The index of metadata: 0 for none, or [`NOT_LISTED`] if it is long or the list is full.
+    /// The index of `metadata`: 0 for empty metadata, [`NOT_LISTED`] if it is long or the list is
+    /// full.
     fn index(&mut self, metadata: &str) -> usize {
         if metadata.is_empty() {
             return 0;
@@ -314,7 +316,7 @@ mod tests {
         assert!((per_cycle - 1.0 / 24.0).abs() < 1e-12 && first == [1.0 / 24.0]);
         assert_eq!(at(&[2.0]), (1.0, vec![2.0]));
         assert_eq!(at(&[0.0, 0.1, 0.3]), (ACYCLIC, vec![0.0, 0.1, 0.3]));
-        // Not uniform, although the difference is below the tolerance of Alembic.
+        // These times are not uniform, although the difference is below Alembic's tolerance.
         assert_eq!(at(&[0.0, 1e-6, 3e-6]), (ACYCLIC, vec![0.0, 1e-6, 3e-6]));
     }
 }

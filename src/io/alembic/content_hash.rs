@@ -1,6 +1,7 @@
-//! MurmurHash3 (x64, 128 bits, seed 0) by Austin Appleby, which is in the public domain: Alembic
-//! stores it in front of each array. Readers use it to recognise equal arrays, even in different
-//! files.
+//! MurmurHash3 (x64, 128 bits, seed 0) by Austin Appleby, which is in the public domain.
+//!
+//! Alembic stores this hash in front of each array. Readers recognise equal arrays by it, even in
+//! different files.
 
 use std::io::{self, Write};
 
@@ -15,7 +16,7 @@ pub type Digest = [u8; 16];
 pub struct ContentHasher {
     state: [u64; 2],
     bytes: u64,
-    /// The bytes after the last whole block.
+    /// The bytes after the last complete block.
     rest: [u8; BLOCK],
 }
 
@@ -27,7 +28,7 @@ impl ContentHasher {
         hasher.finish()
     }
 
-    /// Adds bytes to those that are hashed.
+    /// Appends bytes to the hashed data.
     pub fn update(&mut self, mut bytes: &[u8]) {
         let begun = self.rest_length();
         self.bytes += bytes.len() as u64;
@@ -56,7 +57,7 @@ impl ContentHasher {
         *y = (*y ^ b).rotate_left(31).wrapping_add(*x).wrapping_mul(5).wrapping_add(0x3849_5ab5);
     }
 
-    /// The hash of all bytes so far.
+    /// The hash of all bytes that were added.
     pub fn finish(mut self) -> Digest {
         let rest = self.rest_length();
         self.rest[rest..].fill(0);
@@ -86,7 +87,7 @@ impl Write for ContentHasher {
     }
 }
 
-/// The two halves of a block, each mixed by the two constants. Zeros stay zeros.
+/// The two halves of a block, each mixed with both constants. A block of zeros stays zero.
 fn mixed(block: [u8; BLOCK]) -> [u64; 2] {
     let [a, b] = bytemuck::cast::<_, [[u8; 8]; 2]>(block).map(u64::from_le_bytes);
     [

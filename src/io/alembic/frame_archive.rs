@@ -1,13 +1,15 @@
-//! One archive for all frames of a simulation. It grows frame by frame, and is complete after each.
+//! One archive for all frames of a simulation. It grows frame by frame, and is complete after each
+//! frame.
 //!
-//! Each frame is first written to a file of its own, in a folder next to the archive. The bytes of
+//! Each frame is first written to a separate file, in a folder next to the archive. The bytes of
 //! this file are appended to the archive, followed by groups that list all frames so far. The last
 //! write replaces the position of the root group in the header. So a reader finds a complete
-//! archive at any time, also after a crash. The file of the frame is removed then.
+//! archive at any time, also after a crash. Then the file of the frame is removed.
 //!
-//! `archive.json` in the folder says where the frames are. It is replaced after the header; bytes
-//! that it does not know are removed by the next addition. Groups of earlier additions stay unused
-//! in the archive, 16 bytes per frame and array, and so does a frame that is made again.
+//! `archive.json` in the folder says where the frames are in the archive. It is replaced after the
+//! header. The next addition removes bytes that `archive.json` does not list. Groups of earlier
+//! additions stay unused in the archive, 16 bytes per frame and array. A frame that is computed
+//! again also leaves its old bytes there.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File, OpenOptions};
@@ -27,42 +29,42 @@ use super::content_hash::Digest;
 use super::geometry::{AbcArray, arrays, objects, positions};
 use super::ogawa::{HEADER, LENGTH, OgawaChild, header};
 
-/// The archive of a simulation.
+/// The archive of a simulation, and the folder of its frames.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FrameArchive {
     path: PathBuf,
     folder: PathBuf,
 }
 
-/// The frames in an archive.
+/// The frames that an archive contains, as `archive.json` stores them.
 #[derive(Debug, Default, Serialize, Deserialize)]
 pub struct ArchivedFrames {
     #[serde(skip)]
     archive: PathBuf,
-    /// The fingerprint of the state that all frames were made with.
+    /// The fingerprint of the state with which all frames were computed.
     fingerprint: u32,
-    /// The position of the root group.
+    /// The position of the archive's root group in bytes.
     root: u64,
-    /// Bytes of the archive.
+    /// Size of the archive in bytes.
     end: u64,
     frames: BTreeMap<i64, ArchivedFrame>,
 }
 
 #[derive(Debug, Clone, Serialize, Deserialize)]
 struct ArchivedFrame {
-    /// The position of the frame's file in the archive.
+    /// The position in bytes of the frame's file in the archive.
     at: u64,
     mesh: SeriesFrame,
 }
 
 impl ArchivedFrames {
-    /// Whether the archive has this mesh of the frame.
+    /// Whether the archive contains this mesh for this frame.
     #[must_use]
     pub fn holds(&self, mesh: &SeriesFrame) -> bool {
         self.frames.get(&mesh.frame).is_some_and(|archived| archived.mesh == *mesh)
     }
 
-    /// CRC-32 of the bytes of a frame's file in the archive; `None` if they cannot be read.
+    /// CRC-32 of the bytes of a frame's file in the archive. `None` if they cannot be read.
     #[must_use]
     pub fn crc(&self, frame: i64) -> Option<u32> {
         let ArchivedFrame { at, mesh } = self.frames.get(&frame)?;
@@ -73,26 +75,26 @@ impl ArchivedFrames {
 }
 
 impl FrameArchive {
-    /// The archive at `path`, whose frames are in `folder` before they are added.
+    /// An archive at `path`. Files of frames are in `folder` before they are added.
     #[must_use]
     pub fn new(path: PathBuf, folder: PathBuf) -> Self {
         Self { path, folder }
     }
 
-    /// The archive's file.
+    /// The path of the archive.
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// The folder of the archive.
+    /// The folder that contains the archive.
     #[must_use]
     pub fn parent(&self) -> &Path {
         let folder = self.path.parent().filter(|folder| !folder.as_os_str().is_empty());
         folder.unwrap_or(Path::new("."))
     }
 
-    /// Checks before the work that an existing file or folder at the path can be replaced.
+    /// Checks, before frames are computed, that an existing file at the path can be replaced.
     ///
     /// # Errors
     /// The errors of [`WholeFile::prepare`].
@@ -108,7 +110,7 @@ impl FrameArchive {
         self.folder.join("archive.json")
     }
 
-    /// The frames in the archive; none if it is damaged.
+    /// The frames that the archive contains. Empty if the archive is damaged.
     #[must_use]
     pub fn frames(&self) -> ArchivedFrames {
         let read = || {
@@ -120,7 +122,7 @@ impl FrameArchive {
         ArchivedFrames { archive: self.path.clone(), ..read().unwrap_or_default() }
     }
 
-    /// Begins a new archive with the next frame. The old one stays until then.
+    /// Makes the next frame start a new archive. The old archive stays until then.
     ///
     /// # Errors
     /// Errors of the system.
@@ -133,9 +135,11 @@ impl FrameArchive {
         }
     }
 
-    /// Adds the frame in a file of the folder, and removes the file. If there is none, the frame
-    /// was added before. `times` returns the times of frames in seconds, in their order. An archive
-    /// of another `fingerprint` is replaced.
+    /// Adds the frame in file `mesh.file` of the folder, and removes the file. If the file does not
+    /// exist, the frame was added before.
+    ///
+    /// `times` returns the times of frames in seconds, in the order of the frames. An archive with
+    /// a different `fingerprint` is replaced.
     ///
     /// # Errors
     /// Errors of the system.
@@ -150,7 +154,8 @@ impl FrameArchive {
         if fs::metadata(&path).map_or(0, |file| file.len()) != mesh.bytes {
             return Ok(());
         }
-        // Other jobs may add frames as well, where the file system has locks.
+        // Other processes may add frames at the same time. Locks the folder, if the file system has
+        // locks.
         let alone = File::open(&self.folder).ok().filter(|folder| folder.lock().is_ok());
         let mut known = self.frames();
         if known.fingerprint != fingerprint {
@@ -158,7 +163,7 @@ impl FrameArchive {
         }
         let crc_of_file = || File::open(&path).and_then(crc).ok();
         if known.holds(mesh) && known.crc(mesh.frame) == crc_of_file() {
-            // An earlier process was killed before it removed the file.
+            // An earlier process was killed after it added the frame, before it removed the file.
             return fs::remove_file(&path).map_err(fail);
         }
         self.append(&mut known, mesh, &path, times)?;
@@ -214,7 +219,8 @@ impl FrameArchive {
     }
 }
 
-/// Appends a frame's file and groups to an archive, and then changes its root.
+/// Appends the file of a frame and the groups to an archive, and then changes the root in the
+/// header.
 fn extend(
     path: &Path,
     known: &ArchivedFrames,
@@ -227,7 +233,7 @@ fn extend(
     archive.seek(SeekFrom::Start(HEADER - 8))?;
     archive.read_exact(&mut root_there)?;
     if u64::from_le_bytes(root_there) != known.root {
-        // An earlier process was killed before it stored the table.
+        // An earlier process was killed after it changed the header, before it stored the table.
         set_root(&mut archive, known.root)?;
     }
     archive.set_len(known.end)?;
@@ -238,14 +244,15 @@ fn extend(
     set_root(&mut archive, root.position())
 }
 
-/// Writes the last 8 bytes of the header.
+/// Writes the position of the root group, the last 8 bytes of the header.
 fn set_root(archive: &mut File, root: u64) -> io::Result<()> {
     archive.seek(SeekFrom::Start(HEADER - 8))?;
     archive.write_all(&root.to_le_bytes())?;
     archive.sync_data()
 }
 
-/// The arrays of a frame whose file begins at `read` in `file`, and at `at` in the archive.
+/// The arrays of a frame. Its file starts at byte `read` of `file`, and at byte `at` of the
+/// archive.
 fn samples_of(
     file: &mut File,
     read: u64,

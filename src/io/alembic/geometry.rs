@@ -1,4 +1,4 @@
-//! A polygon mesh (schema AbcGeom_PolyMesh_v1): its arrays, and the objects that hold them.
+//! A polygon mesh (schema AbcGeom_PolyMesh_v1): its arrays, and the objects that contain them.
 
 use std::collections::HashSet;
 
@@ -9,14 +9,14 @@ use super::archive::{AbcHeader, AbcObject, AbcPod, AbcProperty, AbcSample};
 use super::content_hash::{ContentHasher, Digest};
 use super::ogawa::{HEADER, LENGTH, OgawaBlocks, OgawaChild};
 
-/// The number of the time sampling of the mesh.
+/// The index of the time sampling of the mesh.
 const OF_FRAMES: u32 = 1;
 
 /// An array of a mesh, or its bounding box.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AbcArray {
     pub header: AbcHeader,
-    /// Whether the schema does not define it: it is in `.arbGeomParams`.
+    /// Whether the array is in `.arbGeomParams`, because the schema does not define it.
     pub is_arbitrary: bool,
     pub elements: u64,
     pub source: AbcSource,
@@ -26,19 +26,19 @@ pub struct AbcArray {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum AbcSource {
     Positions,
-    /// The box of the positions, which are written before.
+    /// The bounding box of the positions. Positions must be written before it.
     Bounds,
     Corners,
     CornerCounts,
     Normals,
-    /// The attribute with this number.
+    /// The attribute with this index.
     Attribute(usize),
-    /// The attribute with this number, from 0 to 1.
+    /// The attribute with this index, a colour converted to values from 0 to 1.
     Colour(usize),
 }
 
 impl AbcArray {
-    /// Bytes of the values.
+    /// Number of bytes of the values.
     pub fn bytes(&self) -> u64 {
         let width = match self.header.pod {
             AbcPod::Bool => 1,
@@ -48,12 +48,12 @@ impl AbcArray {
         self.elements * u64::from(self.header.extent) * width
     }
 
-    /// Bytes of the values and their digest.
+    /// Number of bytes of the values and their digest.
     pub fn block_length(&self) -> u64 {
         size_of::<Digest>() as u64 + self.bytes()
     }
 
-    /// The values in the block at a position; an empty array has none.
+    /// The sample whose block is at byte `at`. An empty array has no block.
     pub fn sample(&self, at: u64, digest: Digest) -> AbcSample {
         let block = if self.bytes() == 0 { OgawaChild::NO_DATA } else { OgawaChild::data(at) };
         AbcSample { block, digest, elements: self.elements }
@@ -112,7 +112,7 @@ pub fn arrays(mesh: &Outline) -> Vec<AbcArray> {
             2 | 3 if pod == AbcPod::F32 => "vector",
             _ => "",
         };
-        // Other values of several numbers are several elements.
+        // Attributes without a type in Alembic are stored as several elements of one number.
         let (extent, times) = match info.components {
             components if meaning.is_empty() => (1, components),
             components => (components as u8, 1),
@@ -125,7 +125,7 @@ pub fn arrays(mesh: &Outline) -> Vec<AbcArray> {
     all
 }
 
-/// The positions of the arrays' blocks in a file of one mesh, and the end of the last one.
+/// The position of each array's block in a file of one mesh, and the end of the last block.
 pub fn positions(arrays: &[AbcArray]) -> (Vec<u64>, u64) {
     let mut end = HEADER;
     let mut place = |array: &AbcArray| {
@@ -137,11 +137,11 @@ pub fn positions(arrays: &[AbcArray]) -> (Vec<u64>, u64) {
     (positions, end)
 }
 
-/// The metadata of values of the vertices: `times` elements of `extent` numbers each.
+/// The metadata of values at vertices. Each vertex has `times` elements of `extent` numbers.
 fn parameter(pod: AbcPod, extent: u8, times: usize, meaning: &str) -> String {
     let interpretation =
         if meaning.is_empty() { String::new() } else { format!("interpretation={meaning};") };
-    // Readers take other pairs of numbers for texture coordinates.
+    // Without this flag, readers take pairs of numbers for texture coordinates.
     let not_uv = if extent == 2 { "notUV=1;" } else { "" };
     format!(
         "arrayExtent={times};geoScope=vtx;{interpretation}isGeomParam=true;{not_uv}\
@@ -150,13 +150,13 @@ fn parameter(pod: AbcPod, extent: u8, times: usize, meaning: &str) -> String {
     )
 }
 
-/// Whether an attribute is the schema's `.velocities`.
+/// Whether an attribute becomes `.velocities` of the schema.
 fn is_velocity(info: &AttributeInfo) -> bool {
     info.is_velocity() && !info.kind.is_whole()
 }
 
-/// The unique names of attributes in the file: letters, digits and underscores, as Maya and Houdini
-/// require.
+/// The unique names of attributes in the file. They contain letters, digits and underscores, as
+/// Maya and Houdini require.
 pub fn attribute_names(attributes: &[AttributeInfo], has_normals: bool) -> Vec<String> {
     let mut taken = HashSet::from(["P".to_owned()]);
     taken.extend(has_normals.then(|| "N".to_owned()));
@@ -176,8 +176,8 @@ pub fn attribute_names(attributes: &[AttributeInfo], has_normals: bool) -> Vec<S
     attributes.iter().map(name).collect()
 }
 
-/// The objects of an archive with the arrays of each frame. An array that a frame lacks is empty
-/// there.
+/// The objects of an archive. `frames` contains the arrays of each frame. If a frame lacks an
+/// array, it is empty in that frame.
 pub fn objects(frames: &[Vec<(AbcArray, AbcSample)>], blocks: &mut OgawaBlocks) -> Vec<AbcObject> {
     let (mut own, mut arbitrary) = (Vec::new(), Vec::new());
     let mut seen = HashSet::new();
@@ -207,7 +207,7 @@ pub fn objects(frames: &[Vec<(AbcArray, AbcSample)>], blocks: &mut OgawaBlocks) 
         properties: vec![compound(".geom", MESH, own)],
         children: Vec::new(),
     };
-    // The identity, which the transform of a parent applies to.
+    // The transform is the identity, relative to its parent.
     let digest = ContentHasher::of(&[1]);
     let block = blocks.data(&[&digest[..], &[1]].concat());
     let inherits = AbcProperty::Values {

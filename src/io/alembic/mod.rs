@@ -1,14 +1,14 @@
-//! Alembic in its Ogawa form: an archive with one polygon mesh, whose topology may change from
+//! Alembic in its Ogawa form. An archive contains one polygon mesh, whose topology may change from
 //! frame to frame.
 //!
 //! The archive has a transform `/fluid`, which is the identity, and the mesh `/fluid/fluidShape`.
-//! In Alembic, y points up, polygons are clockwise as seen from outside, and velocities are in units
-//! of length per second. Readers take a mesh whose topology changes from the nearest frame, and may
-//! move it by its velocities.
+//! In Alembic, y points up, polygons are clockwise as seen from outside, and velocities are in
+//! units of length per second. If the topology changes, readers show the mesh of the nearest frame,
+//! and may move it by its velocities.
 //!
-//! `ogawa.rs` has groups and data blocks, `archive.rs` objects and properties in them, and
-//! `geometry.rs` the properties of a mesh. There is no specification: the sources of Alembic 1.8
-//! define the format (`Ogawa/OGroup.cpp`, `AbcCoreOgawa` and `AbcGeom/OPolyMesh.cpp`).
+//! `ogawa.rs` implements groups and data blocks, `archive.rs` the objects and properties in them,
+//! and `geometry.rs` the properties of a mesh. Alembic has no specification. The sources of Alembic
+//! 1.8 define the format (`Ogawa/OGroup.cpp`, `AbcCoreOgawa` and `AbcGeom/OPolyMesh.cpp`).
 
 mod archive;
 pub mod content_hash;
@@ -23,7 +23,7 @@ pub use write::write_mesh;
 /// The time of a mesh in seconds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SampleTime {
-    /// The bits of an f64, which can be compared.
+    /// The bits of the f64, so that times can be compared with `Eq`.
     bits: u64,
 }
 

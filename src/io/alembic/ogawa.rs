@@ -1,12 +1,12 @@
-//! Ogawa: groups and data blocks at positions in a file. A group lists its children; a header
-//! names the root group.
+//! Ogawa, a container of groups and data blocks at positions in a file. A group lists its children,
+//! and the header names the root group.
 
-/// Bytes before the first block.
+/// Number of bytes before the first block.
 pub const HEADER: u64 = 16;
-/// Bytes of a data block before its content.
+/// Number of bytes of a data block before its content, which store the content's length.
 pub const LENGTH: u64 = 8;
 
-/// Marks a child that is data, not a group.
+/// The bit that marks a child as data instead of a group.
 const IS_DATA: u64 = 1 << 63;
 
 /// A child of a group: the position of a group or data block, or nothing.
@@ -14,30 +14,30 @@ const IS_DATA: u64 = 1 << 63;
 pub struct OgawaChild(u64);
 
 impl OgawaChild {
-    /// Data of no bytes.
+    /// A data block without content.
     pub const NO_DATA: Self = Self(IS_DATA);
 
-    /// The position of a group.
+    /// The position of a group in bytes.
     pub fn position(self) -> u64 {
         self.0
     }
 
-    /// The data block at a position.
+    /// The data block at byte `at`.
     pub fn data(at: u64) -> Self {
         Self(IS_DATA | at)
     }
 }
 
-/// The header of a complete file of version 1.
+/// The header of a complete file. The format version is 1.
 pub fn header(root: OgawaChild) -> Vec<u8> {
     let mut header = b"Ogawa\xff\0\x01".to_vec();
     header.extend(root.0.to_le_bytes());
     header
 }
 
-/// Groups and small data blocks, one after the other.
+/// Encodes groups and small data blocks in order.
 pub struct OgawaBlocks {
-    /// The position of the first one.
+    /// The position of the first group or block in bytes.
     at: u64,
     bytes: Vec<u8>,
 }
@@ -58,7 +58,7 @@ impl OgawaBlocks {
     }
 
     pub fn group(&mut self, children: &[OgawaChild]) -> OgawaChild {
-        // A group without children has no position.
+        // A group without children is not stored, and has no position.
         if children.is_empty() {
             return OgawaChild(0);
         }

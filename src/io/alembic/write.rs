@@ -1,5 +1,5 @@
-//! Writing one mesh as an archive, piece by piece: each array is encoded twice, first for its hash,
-//! which the file has in front of the array.
+//! Writes one mesh as an archive, piece by piece. Each array is encoded twice, the first time for
+//! its hash, which precedes the array in the file.
 
 use std::io::{self, Write};
 use std::sync::{Mutex, PoisonError};
@@ -13,15 +13,17 @@ use super::content_hash::ContentHasher;
 use super::geometry::{AbcArray, AbcSource, arrays, objects, positions};
 use super::ogawa::header;
 
-/// Triangles per write of corner counts.
+/// Number of triangles per write of corner counts.
 const COUNTS: u64 = 1 << 12;
 
-/// The smallest and the largest coordinates in an empty box, as Alembic stores it.
+/// The lowest and the highest corner that Alembic stores for an empty box.
 const EMPTY_BOX: [[f64; 3]; 2] = [[f64::MAX; 3], [f64::MIN; 3]];
 
-/// Writes `mesh` as an archive with one sample: positions as f32, an attribute `velocity` of three
-/// components as `.velocities`, normals as `N`, and others under their name as values of the
-/// vertices. Colours are from 0 to 1.
+/// Writes `mesh` as an archive with one sample.
+///
+/// Positions are f32, and normals are `N`. An attribute `velocity` of three components is
+/// `.velocities`. Other attributes are values at the vertices, with their own names. Colours are
+/// from 0 to 1.
 ///
 /// # Panics
 /// Like [`MeshFormat::write`](crate::io::output::MeshFormat::write).
@@ -50,7 +52,7 @@ pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, time: SampleTime) 
 }
 
 impl AbcArray {
-    /// Writes the values. Positions set the `bounds`.
+    /// Writes the values of the array. Positions also update `bounds`.
     fn write(
         &self,
         out: &mut dyn Write,
@@ -104,7 +106,7 @@ impl AbcArray {
             AbcSource::Normals => {
                 write_floats(out, mesh, |vertices| vertices.normals.as_flattened())
             }
-            // Integers are stored as their 32 bits.
+            // Integers are passed as their 32 bits in f32 values.
             AbcSource::Attribute(index) => {
                 write_floats(out, mesh, |vertices| &vertices.attributes[index])
             }

@@ -1,4 +1,4 @@
-//! The JSON of a .glb file.
+//! The JSON document of a .glb file.
 
 use serde_json::{Map, Value, json};
 
@@ -14,12 +14,12 @@ fn asset() -> Value {
     json!({ "version": "2.0", "generator": concat!("meniscus ", env!("CARGO_PKG_VERSION")) })
 }
 
-/// A scene without a mesh, because accessors, views and buffers must not be empty.
+/// A document without a mesh, because accessors, views and buffers must not be empty.
 pub fn empty_document() -> Value {
     json!({ "asset": asset(), "scene": 0, "scenes": [{ "nodes": [0] }], "nodes": [{}] })
 }
 
-/// A scene of all views with their encoded sizes in bytes; positions are within `bounds`.
+/// The document for all views. `encoded` sizes are in bytes, and positions are within `bounds`.
 pub fn document(
     layout: GlbLayout,
     space: Space,
@@ -61,13 +61,13 @@ pub fn document(
         document["extensionsRequired"] = extensions;
         let fallback = json!({ "EXT_meshopt_compression": { "fallback": true } });
         document["buffers"] = json!([{ "byteLength": encoded_end }, { "byteLength": plain_end, "extensions": fallback }]);
-        // Half a step along each axis.
+        // The maximum error of a position along each axis, which is half a step.
         document["asset"]["extras"] = json!({ "positionError": space.step / 2.0 });
     }
     document
 }
 
-/// The view of uncompressed elements.
+/// The JSON of a view of uncompressed elements.
 fn buffer_view(view: &GlbView, offset: u64) -> Value {
     let mut buffer_view = json!({
         "buffer": 0,
@@ -99,7 +99,7 @@ fn compression(view: &GlbView, offset: u64, length: u64) -> Value {
     compression
 }
 
-/// The accessor of a view: the type, number and bounds of its elements.
+/// The accessor of a view, with the type, number and bounds of its elements.
 fn accessor(
     view: &GlbView,
     number: usize,
@@ -127,11 +127,11 @@ fn accessor(
     accessor
 }
 
-/// The node, with the position and rotation of the mesh.
+/// The node that shows the mesh, with its position and rotation.
 fn node(up: UpAxis, space: Space) -> Value {
     let mut node = json!({ "mesh": 0 });
     if up == UpAxis::Z {
-        // A quarter turn about x, from z to y.
+        // A rotation by a quarter turn about x, which turns z to y.
         let half = std::f64::consts::FRAC_1_SQRT_2;
         node["rotation"] = json!([-half, 0.0, 0.0, half]);
     }
@@ -149,7 +149,7 @@ fn node(up: UpAxis, space: Space) -> Value {
     node
 }
 
-/// The aligned offset after `bytes`.
+/// The lowest multiple of 4 that is not less than `bytes`.
 pub fn aligned(bytes: u64) -> u64 {
     bytes.next_multiple_of(4)
 }

@@ -1,10 +1,10 @@
-//! glTF 2.0 in one binary file: a scene of one node with one mesh of one primitive.
+//! glTF 2.0 in one binary file. The scene has one node with one mesh of one primitive.
 //!
 //! Positions, NORMAL, `_VELOCITY`, other attributes, and u32 indices each have their own buffer
-//! view, in an order that suits vertex caches. In glTF, y points up. If z points up in the
-//! particles, the node rotates the mesh.
+//! view. Vertices and triangles have an order that suits vertex caches. In glTF, y points up. If z
+//! points up in the particles, the node rotates the mesh.
 //!
-//! With compression, everything is quantized (KHR_mesh_quantization) and encoded
+//! With compression, all data is quantized (KHR_mesh_quantization) and encoded
 //! (EXT_meshopt_compression, which requires version 0 of the vertex codec):
 //!
 //! | data | stored as | maximum error |
@@ -29,7 +29,7 @@ use super::UpAxis;
 pub struct GlbLayout {
     /// The axis of the particles that points up.
     pub up: UpAxis,
-    /// The compression.
+    /// How numbers are stored.
     pub compression: GlbCompression,
 }
 
@@ -38,19 +38,19 @@ impl GlbLayout {
     pub const PLAIN: Self = Self { up: UpAxis::Y, compression: GlbCompression::None };
 }
 
-/// The storage of numbers.
+/// How the numbers of a mesh are stored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum GlbCompression {
-    /// Plain f32 and u32 numbers.
+    /// f32 and u32 numbers, without compression.
     None,
     /// Quantized and encoded by meshoptimizer's codecs.
     Meshopt,
 }
 
-/// The step of the grid of compressed positions: the smallest power of two of which 2^16 - 2 steps
+/// The grid step of compressed positions. It is the smallest power of two for which 2^16 - 2 steps
 /// span `extent`.
 pub fn grid_step(extent: f64) -> f64 {
-    // One step may be lost at either end, because the mesh's box is not aligned to the grid.
+    // The mesh's box is not aligned to the grid, so each end may take an additional step.
     let least = extent.max(f64::MIN_POSITIVE) / f64::from(u16::MAX - 1);
     2f64.powi(libm::log2(least).ceil() as i32)
 }

@@ -19,14 +19,15 @@ const UNSIGNED_INT: u32 = 5125;
 const UNSIGNED_SHORT: u32 = 5123;
 pub const BYTE: u32 = 5120;
 
-/// Bits of the components of a compressed normal, and of the mantissas of other values.
+/// Numbers of bits of a component of a compressed normal, and of a mantissa of other values.
 const NORMAL_BITS: i32 = 8;
 const MANTISSA_BITS: i32 = 15;
-/// The version of the vertex codec that the extension requires, and its best level.
+/// The version of meshoptimizer's vertex codec that the extension requires, and the codec's best
+/// level.
 const CODEC: Option<i32> = Some(0);
 const LEVEL: i32 = 2;
 
-/// The origin and step of stored positions.
+/// The origin and the grid step of stored positions.
 #[derive(Clone, Copy)]
 pub struct Space {
     pub origin: [f64; 3],
@@ -48,12 +49,12 @@ impl Space {
 /// A buffer view with its accessor.
 pub struct GlbView {
     pub what: ViewContent,
-    /// The name in the file; empty for indices.
+    /// The name of the attribute in the file. Empty for indices.
     pub name: String,
     pub components: usize,
     pub scalar: u32,
     pub count: u64,
-    /// Bytes from one element to the next.
+    /// Number of bytes from one element to the next.
     pub stride: u64,
 }
 
@@ -61,12 +62,12 @@ pub struct GlbView {
 pub enum ViewContent {
     Positions,
     Normals,
-    /// The attribute with this number.
+    /// The attribute with this index, and its kind.
     Attribute(usize, AttributeKind),
     Indices,
 }
 
-/// The views of all data of a mesh, ending with the indices.
+/// The views of all data of a mesh. The last view has the indices.
 pub fn views(mesh: &OrderedMesh, compression: GlbCompression) -> Vec<GlbView> {
     let vertices = mesh.vertex_count();
     let view = |what, name: &str, components, scalar, stride| GlbView {
@@ -106,7 +107,7 @@ pub fn views(mesh: &OrderedMesh, compression: GlbCompression) -> Vec<GlbView> {
     views
 }
 
-/// Unique names of the attributes in the file; `None` for attributes that the format cannot store.
+/// The name of each attribute in the file. `None` for an attribute that the format cannot store.
 fn names(attributes: &[AttributeInfo]) -> Vec<Option<String>> {
     let mut taken: Vec<String> = Vec::new();
     let mut colours = (0..).map(|number| format!("COLOR_{number}"));
@@ -160,7 +161,7 @@ impl GlbView {
         }
     }
 
-    /// The compressed elements.
+    /// Returns the elements, compressed.
     pub fn encoded(&self, mesh: &OrderedMesh, space: Space) -> io::Result<Vec<u8>> {
         let encoded = match self.what {
             ViewContent::Positions => {
@@ -185,7 +186,7 @@ impl GlbView {
             ViewContent::Attribute(index, kind) => {
                 let stored = |&value: &f32| match stored(kind, value) {
                     value if value.is_finite() => value,
-                    // NaN and infinity have no exponent.
+                    // NaN and infinity have no exponent, and are stored as 0.
                     _ => 0.0,
                 };
                 let values = gathered(mesh, |vertices, out| {
@@ -217,7 +218,8 @@ impl GlbView {
     }
 }
 
-/// A value as f32, the only type of the format here: colours from 0 to 1, and rounded integers.
+/// Converts a value for the file, which stores attributes as f32. Colours are from 0 to 1, and
+/// integers are rounded.
 fn stored(kind: AttributeKind, value: f32) -> f32 {
     if kind.is_colour() { kind.share(value) } else { kind.number(value) }
 }

@@ -12,17 +12,17 @@ use super::document::{aligned, document, empty_document};
 use super::view::{GlbView, Space, views};
 use super::{GlbCompression, GlbLayout, grid_step};
 
-/// Writes `mesh` with this layout. Without compression, it is streamed and needs 4 bytes per
-/// vertex; with compression, it is in memory.
+/// Writes `mesh` with this layout. Without compression, the data is streamed, and the memory is 4
+/// bytes per vertex. With compression, all data is in memory.
 ///
 /// Positions are f32. With [`CoordinateWidth::F64`], they are relative to the centre of the mesh's
-/// box, which is the position of the node. Colours are COLOR_0, COLOR_1 and so on, from 0 to 1,
-/// without conversion of the colour space. Other attributes have their name in upper case with a
-/// leading underscore. Attributes with more than four components are left out.
+/// bounding box, and the node moves the mesh there. Colours are COLOR_0, COLOR_1 and so on, from 0
+/// to 1, without conversion of the colour space. Other attributes have their names in upper case
+/// with a leading underscore. Attributes with more than four components are left out.
 ///
 /// # Errors
-/// The errors of `mesh` and `out`, and before anything is written [`io::ErrorKind::InvalidInput`]
-/// for more than 4 GiB.
+/// The errors of `mesh` and `out`. Before anything is written, [`io::ErrorKind::InvalidInput`] for
+/// more than 4 GiB of data.
 ///
 /// # Panics
 /// Like [`MeshFormat::write`](crate::io::output::MeshFormat::write).
@@ -74,7 +74,7 @@ pub fn write_mesh(
     }
 }
 
-/// Writes the header before the `stored` bytes of numbers.
+/// Writes the header and the JSON `document`, which precede the `stored` bytes of data.
 fn write_header(out: &mut dyn Write, document: &Value, stored: u64) -> io::Result<()> {
     let mut json = document.to_string().into_bytes();
     json.resize(json.len().next_multiple_of(4), b' ');

@@ -1,4 +1,4 @@
-//! A summary of a file's contents, for the error if no position is found.
+//! Summarises the contents of a file, for the error if no position is found.
 
 use std::collections::BTreeSet;
 
@@ -14,18 +14,18 @@ use super::table::scalar;
 
 /// Maximum number of groups that are searched.
 pub const MOST_GROUPS: usize = 1 << 10;
-/// Maximum depth of groups.
+/// Maximum depth of nested groups that are searched.
 pub const DEEPEST: usize = 8;
 /// Maximum number of lines of the summary.
 const LINES: usize = 20;
-/// Maximum number of listed members of a compound type.
+/// Maximum number of members of a compound type that the summary lists.
 const MEMBERS: usize = 12;
-/// Prefix of the members of pandas' tables, whose column names are pickled.
+/// Prefix of members that pandas stores in tables. The names of their columns are pickled.
 const PANDAS: &str = "values_block_";
-/// Maximum length of a name.
+/// Maximum length of a name in characters.
 const LETTERS: usize = 100;
 
-/// The error that no position was found, with the contents of `root`.
+/// The error if no position was found. It lists the contents of `root`.
 ///
 /// # Errors
 /// If the contents cannot be read.
@@ -49,7 +49,8 @@ pub fn no_position(root: &Group) -> Result<ReadFault, ReadFault> {
     Ok(ReadFault::Unsupported(what))
 }
 
-/// The first groups and data sets below `root`, and the number of others.
+/// A line for each of the first groups and data sets below `root`, and the number of
+/// remaining groups and data sets.
 fn lines(root: &Group) -> Result<(Vec<String>, usize), ReadFault> {
     let (mut lines, mut more) = (Vec::new(), 0);
     let mut push = |line: &dyn Fn() -> String| match lines.len() < LINES {
@@ -86,19 +87,19 @@ fn lines(root: &Group) -> Result<(Vec<String>, usize), ReadFault> {
     Ok((lines, more))
 }
 
-/// A name shortened to a line.
+/// A name that is shortened to [`LETTERS`] characters.
 fn short(name: &str) -> String {
     let shown: String = name.chars().take(LETTERS).flat_map(char::escape_debug).collect();
     if name.chars().nth(LETTERS).is_some() { format!("{shown}...") } else { shown }
 }
 
-/// A data type as NumPy writes it.
+/// The name of a data type in NumPy's notation.
 fn kind(kind: &Datatype) -> String {
     match kind {
         Datatype::FixedPoint { size, signed, .. } => {
             format!("{}int{}", if *signed { "" } else { "u" }, u32::from(*size) * 8)
         }
-        // It may be float16 or bfloat16, which the HDF5 library does not distinguish.
+        // The HDF5 library does not distinguish float16 and bfloat16, so neither is supported.
         Datatype::FloatingPoint { size: 2, .. } => "float16, which is not supported".to_owned(),
         Datatype::FloatingPoint { size, .. } => format!("float{}", u32::from(*size) * 8),
         Datatype::Compound { fields, .. } => {

@@ -1,4 +1,4 @@
-//! An HDF5 file with limits on the memory of its data.
+//! An HDF5 file. Limits bound the memory for its data.
 
 use std::io;
 use std::sync::Arc;
@@ -15,19 +15,19 @@ use crate::io::{ReadFault, malformed};
 use super::lzf;
 use super::table::{H5Array, RowPart, scalar};
 
-/// Names of attributes and data sets for the time of a step or a file.
+/// Names of the attribute or data set that contains the time of a step or a file.
 const TIMES: [&str; 5] = ["TimeValue", "time", "Time", "TIME", "t"];
-/// Bytes of decoded chunks that are cached for other rows.
+/// Number of bytes of decoded chunks that are cached, because several rows are in one chunk.
 const CHUNKS: u64 = 16 << 20;
-/// Bytes per read after which memory is released.
+/// Reads of at least this number of bytes release their memory.
 const LARGE: usize = 64 << 10;
 
-/// An open file. All its data sets must be dropped before its bytes are taken.
+/// An open file. All of its data sets must be dropped before [`into_bytes`](Self::into_bytes).
 pub(super) struct H5File<'a> {
     hdf: Hdf5File,
     bytes: Arc<Bytes>,
     pub unpacking: Unpacking<'a>,
-    /// Maximum bytes of unpacked data.
+    /// Maximum number of bytes that the file's data may unpack to.
     pub limit: u64,
 }
 
@@ -68,13 +68,14 @@ impl<'a> H5File<'a> {
         self.bytes.view().check()
     }
 
-    /// The file's bytes, for columns that are read in place.
+    /// Returns the file's bytes, from which columns can be read in place.
     pub fn into_bytes(self) -> Bytes {
         drop(self.hdf);
         Arc::into_inner(self.bytes).expect("the library has let go of the file")
     }
 
-    /// The position of a data set's rows in the file, if they are contiguous and uncompressed.
+    /// The position of a data set's rows in the file. `None` unless they are contiguous and
+    /// uncompressed.
     pub fn place(&self, set: &Dataset, bytes: u64) -> Option<u64> {
         let header = self.hdf.get_or_parse_header(set.address()).ok()?;
         let elsewhere = |message: &HdfMessage| {
@@ -93,7 +94,7 @@ impl<'a> H5File<'a> {
     }
 }
 
-/// Numbers and names of unsupported filters.
+/// Numbers and names of compression filters that are not supported.
 const FILTERS: [(&str, &str); 8] = [
     ("305", "LZO"),
     ("307", "bzip2"),
@@ -105,7 +106,7 @@ const FILTERS: [(&str, &str); 8] = [
     ("32026", "Blosc2"),
 ];
 
-/// Converts errors of the HDF5 library.
+/// Converts an error of the HDF5 library.
 pub(super) fn checked<T>(parsed: Parsed<T>) -> Result<T, ReadFault> {
     parsed.map_err(|error| match error {
         Error::Io(fault) => ReadFault::Io(fault),
@@ -113,7 +114,7 @@ pub(super) fn checked<T>(parsed: Parsed<T>) -> Result<T, ReadFault> {
     })
 }
 
-/// The error for an unsupported filter, if that is the cause.
+/// The error for an unsupported filter. `None` if the error has another cause.
 fn filter_in(error: &Error) -> Option<ReadFault> {
     match error {
         Error::Context { source, .. } => filter_in(source),
@@ -129,12 +130,12 @@ fn filter_in(error: &Error) -> Option<ReadFault> {
     }
 }
 
-/// The time in an attribute of a group.
+/// The time that an attribute of a group contains.
 pub(super) fn time_of(group: &Group) -> Option<f64> {
     TIMES.iter().find_map(|name| number(group, name)).filter(|time| time.is_finite())
 }
 
-/// The time in a data set of a group, which has one time for all frames or one for each.
+/// The time that a data set of a group contains: one time for all frames, or one time per frame.
 pub(super) fn times_in(group: &Group, frame: Option<(u64, u64)>) -> Option<f64> {
     let (_, sets) = group.member_names().ok()?;
     let set = TIMES.iter().chain(&["times"]).find_map(|name| {
@@ -146,7 +147,7 @@ pub(super) fn times_in(group: &Group, frame: Option<(u64, u64)>) -> Option<f64> 
     number_of(set, frame).filter(|time| numbers == frames && time.is_finite())
 }
 
-/// A number in a data set with at most one long axis.
+/// Number `index` of a data set in which at most one axis is longer than 1.
 pub(super) fn number_of(set: Dataset, index: u64) -> Option<f64> {
     let rows = match *set.shape() {
         [] | [1, 1] => 1,
@@ -159,12 +160,12 @@ pub(super) fn number_of(set: Dataset, index: u64) -> Option<f64> {
     numbers.first().copied()
 }
 
-/// A number in an attribute of a group.
+/// The number that an attribute of a group contains.
 pub(super) fn number(group: &Group, name: &str) -> Option<f64> {
     group.attribute(name).ok()?.read_as_f64().ok()
 }
 
-/// All numbers in an attribute of a group.
+/// All numbers that an attribute of a group contains.
 pub(super) fn numbers(group: &Group, name: &str) -> Option<Vec<f64>> {
     let attribute = group.attribute(name).ok()?;
     let whole = |values: Vec<i64>| values.into_iter().map(|value| value as f64).collect();
@@ -181,7 +182,7 @@ pub(super) fn numbers(group: &Group, name: &str) -> Option<Vec<f64>> {
     .ok()
 }
 
-/// Reads ranges of the file for the HDF5 library, without caching.
+/// Gives the HDF5 library access to ranges of the file, without a cache.
 struct Ranges(Arc<Bytes>);
 
 impl Storage for Ranges {

@@ -1,5 +1,5 @@
-//! Finds groups of particles anywhere in a file: data sets with the same number of rows, tables of
-//! a compound type, and elements of H5MD.
+//! Finds groups of particles anywhere in a file. A group of particles has data sets with the same
+//! number of rows, a table of a compound type, or elements of H5MD.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -18,12 +18,12 @@ use super::file::{H5File, checked, time_of, times_in};
 use super::h5md;
 use super::table::{H5Array, H5Table, RowPart, chosen_type, scalar, types};
 
-/// The type of particles that is read by default: gas, as in snapshots.
+/// The type of particles that is read by default, which is gas in snapshots.
 const USUAL: &str = "PartType0";
 
-/// A group, or a table in a group, with positions of particles.
+/// A group, or a table in a group, that contains positions of particles.
 pub(super) struct GroupCandidate {
-    /// Path relative to the searched group; `/` for that group.
+    /// Path relative to the searched group. `/` for the searched group.
     path: String,
     group: Group,
     fields: Vec<NamedArray>,
@@ -31,14 +31,14 @@ pub(super) struct GroupCandidate {
     pub arrangement: Arrangement,
 }
 
-/// The storage of a field.
+/// Where a field is stored: in a data set, or in a member of its compound type.
 struct FieldStorage {
     set: Arc<Dataset>,
     number: (Scalar, Endian),
     member: Option<CompoundMember>,
 }
 
-/// A field in the rows of a data set.
+/// The location of a field in the rows of a data set, in bytes.
 #[derive(Clone, Copy)]
 struct CompoundMember {
     offset: usize,
@@ -46,12 +46,12 @@ struct CompoundMember {
 }
 
 impl GroupCandidate {
-    /// Number of frames, if the position has several.
+    /// Number of frames, if the arrays have an axis for frames.
     pub fn frames(&self) -> Option<u64> {
         self.arrangement.frames
     }
 
-    /// Rejects more frames than the file's size allows.
+    /// Returns an error if the file's size does not allow the number of frames.
     pub fn check_frames(&self, file: &H5File) -> Result<(), ReadFault> {
         let Arrangement { frames, rows, .. } = self.arrangement;
         let bytes = frames.unwrap_or(1).checked_mul(rows.max(1)).and_then(|n| n.checked_mul(12));
@@ -64,7 +64,7 @@ impl GroupCandidate {
         }
     }
 
-    /// The time of a frame.
+    /// The time of frame number `frame`.
     pub fn time(&self, frame: u64) -> Option<f64> {
         match self.frames() {
             None => time_of(&self.group).or_else(|| times_in(&self.group, None)),
@@ -73,12 +73,12 @@ impl GroupCandidate {
         }
     }
 
-    /// Edges of the box in a frame, for H5MD.
+    /// Edges of the box in frame number `frame`, if the group has the structure of H5MD.
     pub fn box_size(&self, frame: u64) -> Option<[f64; 3]> {
         h5md::box_size(&self.group, frame)
     }
 
-    /// The columns of a frame.
+    /// The positions and attributes of frame number `frame`.
     pub fn table(&self, frame: u64) -> Result<H5Table, ReadFault> {
         let Arrangement { rows, axes, position, attributes, left_out, .. } = &self.arrangement;
         let arrays = self.fields.iter().zip(&self.sources).zip(axes);
@@ -114,26 +114,26 @@ impl GroupCandidate {
     }
 }
 
-/// The groups and tables with positions below `root`, in the order of their paths.
+/// The groups and tables below a group that contain positions, in the order of their paths.
 pub(super) struct GroupSearch {
     pub candidates: Vec<GroupCandidate>,
-    /// Error of a group that would otherwise have positions.
+    /// The first error in a group that has positions but cannot be read.
     fault: Option<ReadFault>,
 }
 
 impl GroupSearch {
-    /// Searches `root` and all groups below.
+    /// Searches `root` and all groups below it.
     pub fn of(root: &Group, file: &H5File) -> Result<Self, ReadFault> {
         let mut search = Self { candidates: Vec::new(), fault: None };
         let mut seen = BTreeSet::new();
-        // Groups to search, the next one last.
+        // Stack of groups to search. The last group is searched next.
         let mut ahead = vec![(String::new(), root.clone(), 0)];
         while let Some((path, group, depth)) = ahead.pop() {
             if !seen.insert(group.address()) {
                 continue;
             }
             if seen.len() > MOST_GROUPS {
-                // A group that is not searched may also have positions.
+                // Groups that are not searched might also have positions, so this is an error.
                 return Err(ReadFault::Unsupported(format!(
                     "HDF5 with more than {MOST_GROUPS} groups; copy the particles' group to a \
                      separate file, for example by h5copy"
@@ -169,7 +169,7 @@ impl GroupSearch {
                 fields.push_table(set)?;
                 search.push(joined(&name), &group, fields);
             }
-            // Groups with such names contain references, as MATLAB writes them.
+            // Skips groups such as `#refs#`, in which MATLAB stores references.
             let below = groups.into_iter().rev().filter(|group| !group.name().starts_with('#'));
             if depth < DEEPEST {
                 ahead
@@ -193,11 +193,15 @@ impl GroupSearch {
         }
     }
 
-    /// The candidate that a condition names, or the only one, and the names of all with the chosen
-    /// one first; empty if there is only one that no condition names.
+    /// Returns the candidate that a condition names, or else the only candidate, and the names of
+    /// all candidates.
+    ///
+    /// The name of the returned candidate is the first. There are no names if a single candidate
+    /// exists and no condition names it.
     ///
     /// # Errors
-    /// [`ReadFault::Unsupported`] if there is none, with the contents of `root`, or several.
+    /// [`ReadFault::Unsupported`] if there is no candidate, with the contents of `root`, or if a
+    /// choice among several candidates is missing.
     pub fn chosen(
         mut self,
         root: &Group,
@@ -209,7 +213,7 @@ impl GroupSearch {
                 None => contents::no_position(root)?,
             });
         }
-        // The last component of a path is enough if it is unique.
+        // The last component of a path is used as name if it is unique.
         let last = |path: &str| path.rsplit('/').next().unwrap_or_default().to_owned();
         let paths: Vec<String> = self.candidates.iter().map(|c| c.path.clone()).collect();
         let names = paths.iter().map(|path| {
@@ -219,7 +223,7 @@ impl GroupSearch {
         });
         let mut names: Vec<String> = names.collect();
         if let [only] = &names[..] {
-            // The name may be a value of an attribute instead.
+            // A condition that does not name the candidate may be about an attribute `type`.
             let called = Where::types(wanted).find(|named| named == only || **named == paths[0]);
             return Ok((
                 self.candidates.swap_remove(0),
@@ -241,7 +245,7 @@ impl GroupSearch {
     }
 }
 
-/// Fields of a group or of a table.
+/// The fields of a group or of a table.
 #[derive(Default)]
 struct GroupFields {
     fields: Vec<NamedArray>,
@@ -254,7 +258,7 @@ impl GroupFields {
         self.sources.push(source);
     }
 
-    /// Adds a data set, if it has numbers.
+    /// Adds a data set if it contains numbers.
     fn push(&mut self, name: String, set: Dataset) {
         if let Some(number) = scalar(set.dtype()).filter(|_| set.ndim() > 0) {
             let shape = set.shape().to_vec();
@@ -262,7 +266,7 @@ impl GroupFields {
         }
     }
 
-    /// Adds a block of columns, as pandas writes them.
+    /// Adds a data set that pandas wrote as a block of columns.
     fn push_block(&mut self, set: Dataset, items: &[String]) {
         let (Some(number), &[rows, width]) = (scalar(set.dtype()), set.shape()) else { return };
         if width != items.len() as u64 {
@@ -276,7 +280,7 @@ impl GroupFields {
         }
     }
 
-    /// Adds the members of a compound type that are numbers, or arrays of numbers.
+    /// Adds the members of a compound type that are numbers or arrays of numbers.
     fn push_table(&mut self, set: Dataset) -> Result<(), ReadFault> {
         let (&[rows], Datatype::Compound { size, .. }) = (set.shape(), set.dtype()) else {
             return Ok(());
@@ -331,7 +335,7 @@ pub(super) fn last_name(path: &str) -> &str {
     path.rsplit('/').next().unwrap_or_default()
 }
 
-/// Names of the data sets that are blocks of columns in pandas' fixed format, with the names of the
+/// The data sets that are blocks of columns in pandas' fixed format, each with the names of its
 /// columns.
 fn pandas_items(sets: &[Dataset]) -> Result<Vec<(String, Vec<String>)>, ReadFault> {
     let mut all = Vec::new();

@@ -1,4 +1,4 @@
-//! Reads H5MD: each element of a group of particles is a group with values, steps and times.
+//! Reads H5MD. In a group of particles, each element is a group with values, steps and times.
 
 use hdf5_reader::Dataset;
 use hdf5_reader::group::Group;
@@ -15,13 +15,13 @@ const POSITION: &str = "position";
 const VALUE: &str = "value";
 const STEP: &str = "step";
 const TIME: &str = "time";
-/// Name of the particles' numbers; a row with the number -1 has no particle in this frame.
+/// Name of the element with identifiers of particles. A row with identifier -1 is empty in a frame.
 const ID: &str = "id";
-/// Rows per read of numbers.
+/// Number of rows whose identifiers are read at once.
 const WINDOW: u64 = 1 << 16;
 
-/// The values of the elements in some groups, by name. Elements with other steps than the position
-/// are left out.
+/// The elements of `groups`: their names and data sets of values. An element is left out if its
+/// steps differ from the steps of the position.
 pub fn elements(groups: &[Group], file: &H5File) -> Result<Vec<(String, Dataset)>, ReadFault> {
     let mut all = Vec::new();
     for group in groups {
@@ -40,7 +40,7 @@ pub fn elements(groups: &[Group], file: &H5File) -> Result<Vec<(String, Dataset)
     Ok(all.map(|(name, values, _)| (name, values)).collect())
 }
 
-/// The steps of an element, if they are stored.
+/// The step of each frame of an element. `None` if the file does not store them.
 fn steps(group: &Group, sets: &[String], file: &H5File) -> Result<Option<Vec<i64>>, ReadFault> {
     if !sets.iter().any(|name| name == STEP) {
         return Ok(None);
@@ -60,18 +60,18 @@ pub fn is_group(group: &Group) -> Result<bool, ReadFault> {
     Ok(sets.iter().any(|name| name == VALUE))
 }
 
-/// The time of a frame, from the element of the position.
+/// The time of a frame, as the element `position` stores it.
 pub fn time(group: &Group, frame: u64) -> Option<f64> {
     let times = group.group(POSITION).ok()?.dataset(TIME).ok()?;
     let time = match times.ndim() {
-        // A single number is the time between frames.
+        // A single number is the time between two frames.
         0 => number_of(times, 0)? * frame as f64,
         _ => number_of(times, frame)?,
     };
     time.is_finite().then_some(time)
 }
 
-/// Edges of a box that is aligned to the axes.
+/// Edges of the box, if it is aligned to the axes.
 pub fn box_size(group: &Group, frame: u64) -> Option<[f64; 3]> {
     let all = group.group("box").ok()?;
     let fixed = || all.dataset("edges").ok();
@@ -90,7 +90,7 @@ pub fn box_size(group: &Group, frame: u64) -> Option<[f64; 3]> {
     lengths(&edges)
 }
 
-/// The lengths of edges along the axes, from their lengths or vectors.
+/// The edges of a box that is aligned to the axes. `edges` are three lengths or three vectors.
 fn lengths(edges: &[f64]) -> Option<[f64; 3]> {
     let edges = match *edges {
         [x, y, z] | [x, 0.0, 0.0, 0.0, y, 0.0, 0.0, 0.0, z] => [x, y, z],
@@ -99,7 +99,7 @@ fn lengths(edges: &[f64]) -> Option<[f64; 3]> {
     edges.iter().all(|edge| edge.is_finite() && *edge > 0.0).then_some(edges)
 }
 
-/// Numbers of the rows with particles; `None` if all have some.
+/// Selects the rows that contain particles. `None` if all rows contain particles.
 pub fn present(
     arrays: &[H5Array],
     attributes: &[(AttributeInfo, Vec<Place>)],

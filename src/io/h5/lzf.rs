@@ -1,11 +1,12 @@
-//! Decompresses LZF, the compression of h5py: literals, and copies of earlier bytes.
+//! Decompresses LZF, the compression of h5py. It consists of literals and copies of earlier bytes.
 
 use hdf5_reader::error::{Error, Result};
 
-/// The filter's number in HDF5.
+/// The number of this filter in HDF5.
 pub const ID: u16 = 32000;
 
-/// Unpacks a chunk. Three bytes unpack to at most 264, so the chunk's size bounds the memory.
+/// Unpacks a chunk. Every three bytes unpack to at most 264 bytes, so the chunk's size bounds the
+/// memory.
 pub fn unpack(packed: &[u8]) -> Result<Vec<u8>> {
     read(packed).ok_or_else(|| Error::InvalidData("damaged LZF data".to_owned()))
 }
@@ -32,7 +33,7 @@ fn read(mut packed: &[u8]) -> Option<Vec<u8>> {
         }
         let distance = (low << 8) + byte()? + 1;
         let start = unpacked.len().checked_sub(distance)?;
-        // The copy may overlap the bytes that it appends.
+        // The copy may overlap the bytes that it appends, so bytes are copied one by one.
         for at in start..start + length + 2 {
             unpacked.push(unpacked[at]);
         }

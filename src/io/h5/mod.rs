@@ -1,4 +1,4 @@
-//! Reads HDF5 with the layouts of common simulators.
+//! Reads HDF5 files with the layouts of common simulators.
 //!
 //! | layout | identified by | frames |
 //! |---|---|---|
@@ -35,7 +35,7 @@ use super::{ParticleFile, ReadError, ReadFault};
 use file::H5File;
 pub use snapshot::pieces_of;
 
-/// The layout of a file. Without a known layout, a file is searched for groups of particles.
+/// The layout of a file. A file without a known layout is searched for groups of particles.
 enum H5Layout {
     VtkHdf,
     OpenPmd,
@@ -63,14 +63,15 @@ impl H5Layout {
     }
 }
 
-/// Reads a frame of the file at `path` with these bytes. Other files of a snapshot are next to it.
+/// Reads a frame of the file at `path`. `bytes` are those of this file. A snapshot has further
+/// files next to it.
 ///
 /// # Errors
-/// [`ReadFault::Unsupported`] if a step or a type of particles must be chosen or does not exist,
-/// and if no position is found; [`ReadFault::Malformed`] for violations of HDF5 or the layout, and
-/// data sets of different lengths; [`ReadFault::Compression`] if the compression ratio is too high;
-/// [`ReadFault::Scratch`] for an error of the scratch file; [`ReadFault::Io`] for a missing piece,
-/// which the error names.
+/// [`ReadFault::Unsupported`] for a missing choice among several steps or types of particles, for a
+/// step or a type that does not exist, and if no position is found. [`ReadFault::Malformed`] for
+/// violations of HDF5 or the layout, and for data sets of different lengths.
+/// [`ReadFault::Compression`] if the compression ratio is too high. [`ReadFault::Scratch`] if the
+/// scratch file cannot be written. [`ReadFault::Io`] for a missing piece.
 pub fn open_particles(
     path: &Path,
     bytes: Bytes,
@@ -95,7 +96,7 @@ pub fn open_particles(
     }
 }
 
-/// The numbers of the frames in a file, in order; empty for a file with a single frame.
+/// The numbers of the frames in a file, in order. Empty for a file with a single frame.
 ///
 /// # Errors
 /// [`ReadFault::Malformed`] for a file that is not HDF5.
@@ -109,7 +110,7 @@ pub fn steps(bytes: Bytes) -> Result<Vec<u64>, ReadFault> {
     }
 }
 
-/// Whether a file has polygons in VTKHDF. A file without any data also counts as a mesh.
+/// Whether a file is a mesh: VTKHDF PolyData with polygons or strips, or without any points.
 pub fn has_faces(bytes: Bytes) -> Result<bool, ReadFault> {
     let file = H5File::open(bytes, Unpacking::in_memory())?;
     match H5Layout::of(&file)? {
@@ -118,11 +119,12 @@ pub fn has_faces(bytes: Bytes) -> Result<bool, ReadFault> {
     }
 }
 
-/// Reads the polygons of a VTKHDF file as a mesh, divided into triangles from their first corner.
+/// Reads the polygons of a VTKHDF file as a mesh. They are divided into triangles from their first
+/// corner.
 ///
 /// # Errors
-/// The errors of [`open_particles`], and [`ReadFault::Unsupported`] for strips, other layouts and
-/// data sets, and several steps.
+/// The errors of [`open_particles`], and [`ReadFault::Unsupported`] for strips, for several steps,
+/// and for layouts and data sets other than PolyData in VTKHDF.
 pub fn read_mesh(bytes: Bytes) -> Result<Mesh, ReadFault> {
     let file = H5File::open(bytes, Unpacking::in_memory())?;
     match H5Layout::of(&file)? {

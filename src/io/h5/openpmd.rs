@@ -1,6 +1,6 @@
-//! Reads openPMD in HDF5: species of particles with records in known units.
+//! Reads openPMD in HDF5. A species of particles has records, whose units are known.
 //!
-//! The position of a particle is `position` plus `positionOffset`, each with its own unit. All
+//! The position of a particle is `position` plus `positionOffset`, which have separate units. All
 //! values are converted to SI units.
 
 use std::io;
@@ -19,11 +19,11 @@ use crate::particles::AttributeInfo;
 use super::file::{H5File, checked, number, numbers, time_of};
 use super::table::{H5Array, RowWindows, chosen_type, fault_of, types};
 
-/// Groups of a species that are not attributes of its particles.
+/// Groups of a species that are not read as attributes of its particles.
 const NO_RECORDS: [&str; 3] = ["position", "positionOffset", "particlePatches"];
 const AXES: [&str; 3] = ["x", "y", "z"];
 
-/// The group of all iterations, whose path the root specifies.
+/// The group that contains all iterations. An attribute of the root gives its path.
 fn iterations(root: &Group) -> Result<Group, ReadFault> {
     let base = root.attribute("basePath").and_then(|path| path.read_string());
     let base = base.unwrap_or_else(|_| "/data/%T/".to_owned());
@@ -33,7 +33,7 @@ fn iterations(root: &Group) -> Result<Group, ReadFault> {
         .try_fold(root.clone(), |group, name| checked(group.group(name)))
 }
 
-/// The numbers of the iterations, in order.
+/// The numbers of the iterations, in ascending order.
 pub fn steps(file: &H5File) -> Result<Vec<u64>, ReadFault> {
     let (groups, _) = checked(iterations(&file.root()?)?.member_names())?;
     let mut steps: Vec<u64> = groups.iter().filter_map(|name| name.parse().ok()).collect();
@@ -41,7 +41,8 @@ pub fn steps(file: &H5File) -> Result<Vec<u64>, ReadFault> {
     Ok(steps)
 }
 
-/// Reads the particles of an iteration, of the `wanted` species or the only one.
+/// Reads the particles of an iteration. They are of the `wanted` species, or else of the only
+/// species.
 pub fn read_particles(
     file: H5File,
     step: Option<u64>,
@@ -91,12 +92,12 @@ struct Component {
 
 enum RecordValues {
     Stored(Box<H5Array>),
-    /// One value for all particles, and their number.
+    /// One value for all particles, and the number of particles.
     Constant(f64, u64),
 }
 
 impl Component {
-    /// A data set, or a group with one value for all particles.
+    /// Reads a component: a data set, or a group with one value for all particles.
     fn named(group: &Group, name: &str) -> Result<Option<Self>, ReadFault> {
         let (groups, sets) = checked(group.member_names())?;
         if sets.iter().any(|set| set == name) {
@@ -128,7 +129,7 @@ impl Component {
         }
     }
 
-    /// Values of some rows, in SI units.
+    /// The values of a range of rows, in SI units.
     fn doubles(&self, rows: [u64; 2]) -> Result<Vec<f64>, ReadFault> {
         let mut values = match &self.values {
             RecordValues::Stored(array) => array.doubles(rows)?,
@@ -141,7 +142,7 @@ impl Component {
     }
 }
 
-/// A record with one or three components.
+/// Reads a record with one or three components. `None` for other records.
 fn record(species: &Group, name: &str) -> Result<Option<Vec<Component>>, ReadFault> {
     if let Some(scalar) = Component::named(species, name)? {
         return Ok(Some(vec![scalar]));
@@ -207,7 +208,7 @@ fn particles(
     Ok(ParticleFile { unread, ..ParticleFile::new(store, "openPMD HDF5") })
 }
 
-/// Appends the sums of components, and returns their columns.
+/// Appends the values of `components`, plus the values of `added` if given. Returns the columns.
 fn columns_of(
     components: &[Component],
     added: Option<&[Component]>,

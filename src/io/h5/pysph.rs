@@ -1,5 +1,5 @@
-//! Reads PySPH's output in HDF5: `particles` has a group for each array of particles, and the
-//! solver's data has the time.
+//! Reads PySPH's output in HDF5. `particles` has one group for each array of particles.
+//! `solver_data` has the time.
 
 use crate::io::wanted::{TAG, WantedParticles};
 use crate::io::{ParticleFile, ReadFault, malformed};
@@ -8,13 +8,13 @@ use crate::particles::AttributeInfo;
 use super::file::{H5File, checked, time_of};
 use super::table::{H5Array, H5Table, Place, chosen_type, types};
 
-/// Name of the group of the arrays of particles.
+/// Name of the group that contains the arrays of particles.
 pub const PARTICLES: &str = "particles";
-/// Name of the group with the solver's time.
+/// Name of the group that contains the solver's time.
 pub const SOLVER: &str = "solver_data";
 
-/// Reads the particles of the `wanted` array, or of `fluid`. Particles with a non-zero `tag` are
-/// copies, from other processes or for periodic boundaries, and are left out.
+/// Reads the particles of the `wanted` array, or else of `fluid`. Particles whose `tag` is not 0
+/// are left out. They are copies from other processes or for periodic boundaries.
 pub fn read_particles(file: H5File, wanted: WantedParticles) -> Result<ParticleFile, ReadFault> {
     let time = time_of(&file.group(SOLVER)?);
     let (known, _) = checked(file.group(PARTICLES)?.member_names())?;
@@ -25,7 +25,7 @@ pub fn read_particles(file: H5File, wanted: WantedParticles) -> Result<ParticleF
     Ok(ParticleFile { time, particle_types, ..file.without(TAG) })
 }
 
-/// Columns by name: `x`, `y` and `z` are the position, `u`, `v` and `w` the velocity.
+/// Finds columns by name. `x`, `y` and `z` are the position, and `u`, `v` and `w` are the velocity.
 fn table(arrays: Vec<H5Array>) -> Result<H5Table, ReadFault> {
     let named =
         |name: &str| arrays.iter().position(|array| array.name == name && array.components == 1);

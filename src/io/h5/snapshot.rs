@@ -1,8 +1,9 @@
-//! Reads snapshots of SWIFT and GADGET: a group for each type of particles, with `PartType0` for
-//! gas, in one or several files.
+//! Reads snapshots of SWIFT and GADGET, in one or several files. A snapshot has a group for each
+//! type of particles. `PartType0` is gas.
 //!
-//! `base.0.hdf5`, `base.1.hdf5` and so on are one snapshot, and each stores their number. Of a file
-//! `base.hdf5` next to them, whose data sets are views of the others, only this number is read.
+//! `base.0.hdf5`, `base.1.hdf5` and so on are one snapshot. Each of them stores the number of
+//! files. If there is also a file `base.hdf5`, its data sets are views of the other files. Only the
+//! number of files is read from it.
 
 use std::path::{Path, PathBuf};
 
@@ -19,30 +20,30 @@ use crate::particles::condition::Where;
 use super::file::{H5File, checked, number, numbers, time_of};
 use super::table::{H5Array, H5Table, named_type, no_type, types};
 
-/// Name of the group with the snapshot's header.
+/// Name of the group that contains the header.
 pub const HEADER: &str = "Header";
-/// Prefix of the names of the groups of particles.
+/// Prefix of the names of groups of particles.
 const TYPE: &str = "PartType";
 const GAS: &str = "PartType0";
 const POSITION: &str = "Coordinates";
 const FORMAT: &str = "SWIFT or GADGET HDF5";
 
-/// The header of every file of a snapshot.
+/// The header of a file of a snapshot.
 #[derive(Debug, Clone, PartialEq)]
 struct SnapshotHeader {
-    /// Numbers of particles in this file by type.
+    /// Number of particles of each type in this file.
     here: Vec<u64>,
-    /// Numbers of particles in all files by type.
+    /// Number of particles of each type in all files.
     total: Option<Vec<u64>>,
     files: u64,
     time: Option<f64>,
     box_size: Option<[f64; 3]>,
     unit_metres: Option<f64>,
-    /// Whether the file's data sets are views of other files.
+    /// Whether the data sets of this file are views of other files.
     is_view: bool,
 }
 
-/// Whether the header is that of a file of a snapshot.
+/// Whether the root has the header of a snapshot.
 pub fn says_pieces(root: &Group) -> bool {
     root.group(HEADER).is_ok_and(|header| header.attribute("NumPart_ThisFile").is_ok())
 }
@@ -80,7 +81,7 @@ impl SnapshotHeader {
         })
     }
 
-    /// The types with particles in any of the files.
+    /// Names of the types that have particles in any file.
     fn types(&self) -> Vec<String> {
         let counts = self.total.as_ref().unwrap_or(&self.here);
         (0..)
@@ -90,13 +91,14 @@ impl SnapshotHeader {
             .collect()
     }
 
-    /// Whether another file may belong to the same snapshot.
+    /// Whether a file with the header `other` can belong to the same snapshot.
     fn is_like(&self, other: &Self) -> bool {
         self.files == other.files && self.time == other.time && self.total == other.total
     }
 }
 
-/// The unit of length: in a group for SWIFT, in the header or among the parameters for GADGET.
+/// The unit of length in metres. SWIFT stores it in a group, GADGET in the header or the
+/// parameters.
 fn unit_metres(root: &Group, header: &Group) -> Option<f64> {
     let swift = || number(&root.group("Units").ok()?, "Unit length in cgs (U_L)");
     let gadget = || {
@@ -106,7 +108,8 @@ fn unit_metres(root: &Group, header: &Group) -> Option<f64> {
     swift().or_else(gadget).map(|centimetres| centimetres / 100.0).filter(|metres| *metres > 0.0)
 }
 
-/// Reads all files of the snapshot of `file`, at `path`: particles of the `wanted` type, or gas.
+/// Reads all files of the snapshot to which `file` belongs. Particles have the `wanted` type, or
+/// else gas.
 pub fn open_particles(
     path: &Path,
     file: H5File,
@@ -134,7 +137,8 @@ pub fn open_particles(
             });
             read.map_err(|fault| ReadError::new(piece, fault))
         };
-        // Waits for all files, so that the error is always that of the first piece.
+        // Reads all files before it returns, so that the error is always that of the first faulty
+        // piece.
         let all: Vec<_> = paths.par_iter().enumerate().map(open).collect();
         let all = all.into_iter().collect::<Result<Vec<_>, _>>()?;
         let filled = all.iter().find(|file| !file.particles.is_empty());
@@ -154,7 +158,7 @@ pub fn open_particles(
     Ok(ParticleFile { time, box_size, unit_metres, particle_types, ..read })
 }
 
-/// The type that a condition names, or gas.
+/// The type that a condition names. Gas if no condition names a type.
 fn snapshot_type(known: &[String], wanted: &[Where]) -> Result<String, ReadFault> {
     match named_type(known, wanted)? {
         Some(named) => Ok(named.to_owned()),
@@ -163,7 +167,7 @@ fn snapshot_type(known: &[String], wanted: &[Where]) -> Result<String, ReadFault
     }
 }
 
-/// Checks that the files contain the total number of particles in their headers.
+/// Checks that all files together contain the number of particles that their headers announce.
 fn check_total(header: &SnapshotHeader, kind: &str, found: usize) -> Result<(), ReadFault> {
     let index: usize = kind[TYPE.len()..].parse().unwrap_or(usize::MAX);
     match header.total.as_ref().and_then(|total| total.get(index)) {
@@ -178,7 +182,7 @@ fn check_total(header: &SnapshotHeader, kind: &str, found: usize) -> Result<(), 
     }
 }
 
-/// The particles of one file, which may be one of several pieces; `of` is their number.
+/// Reads the particles of one file of a snapshot. `of` is the number of files.
 fn read_piece(
     file: H5File,
     kind: &str,
@@ -210,7 +214,7 @@ fn read_piece(
     table.read(file, FORMAT, wanted.attributes)
 }
 
-/// The paths of a snapshot's files, all of which exist.
+/// The paths of the files of a snapshot. Returns an error if a file does not exist.
 fn piece_paths(path: &Path, header: &SnapshotHeader) -> Result<Vec<PathBuf>, ReadError> {
     let base = snapshot_piece(path).filter(|(_, number)| !header.is_view && *number < header.files);
     let base = base.map_or_else(|| path.to_owned(), |(base, _)| base);
@@ -225,14 +229,14 @@ fn piece_paths(path: &Path, header: &SnapshotHeader) -> Result<Vec<PathBuf>, Rea
     let mut paths = Vec::new();
     for number in 0..header.files {
         let piece = path.with_file_name(format!("{stem}.{number}.{extension}"));
-        // The loop stops at the first missing file, even if the header announces far too many.
+        // Stops at the first missing file, in case the header announces far too many files.
         piece.metadata().map_err(|fault| ReadError::new(&piece, fault.into()))?;
         paths.push(piece);
     }
     Ok(paths)
 }
 
-/// The number of files of a snapshot, from one of them; `None` for other files.
+/// The number of files of the snapshot to which `path` belongs. `None` for other files.
 pub fn pieces_of(path: &Path) -> Option<u64> {
     let file = H5File::open(open_bytes(path).ok()?, Unpacking::in_memory()).ok()?;
     let root = file.root().ok().filter(says_pieces)?;

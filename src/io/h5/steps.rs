@@ -1,5 +1,5 @@
-//! Reads particles in groups of any name, and frames: numbered groups such as H5Part's `Step#12`,
-//! or the first axis of the arrays.
+//! Reads particles in groups of any name, in one or several frames. Frames are numbered groups,
+//! such as `Step#12` of H5Part, or the first axis of arrays.
 
 use hdf5_reader::group::Group;
 
@@ -12,7 +12,7 @@ use super::groups::GroupSearch;
 
 /// Prefix of the names of H5Part's groups.
 const STEP: &str = "step#";
-/// Words before the number of a group of a frame, in lower case.
+/// Words before the number in the name of a frame's group, in lower case.
 const WORDS: [&str; 14] = [
     "step",
     "timestep",
@@ -29,7 +29,7 @@ const WORDS: [&str; 14] = [
     "state",
     "dump",
 ];
-/// Names of the groups in which frames may be named only by a number, in lower case.
+/// Names of groups, in lower case, that may contain frames whose names are only numbers.
 const PARENTS: [&str; 12] = [
     "timestepdata",
     "timesteps",
@@ -45,9 +45,10 @@ const PARENTS: [&str; 12] = [
     "trajectory",
 ];
 
-/// Reads a frame: from the group with its number, from arrays whose first axis counts frames, or
-/// from a file with a single frame. If there are several groups of particles, reads the `wanted`
-/// one.
+/// Reads a frame.
+///
+/// The frame is in a numbered group, in arrays whose first axis counts frames, or is the whole
+/// file. If there are several groups of particles, the `wanted` group is read.
 pub fn read_particles(
     file: H5File,
     step: Option<u64>,
@@ -85,7 +86,7 @@ pub fn read_particles(
     })
 }
 
-/// The numbers of the frames, in order; empty for a file with a single frame.
+/// The numbers of the frames, in order. Empty for a file with a single frame.
 pub fn steps(file: &H5File) -> Result<Vec<u64>, ReadFault> {
     let root = file.root()?;
     let numbered = numbered(&root, file)?;
@@ -94,7 +95,7 @@ pub fn steps(file: &H5File) -> Result<Vec<u64>, ReadFault> {
     }
     let search = GroupSearch::of(&root, file)?;
     let several = search.candidates.iter().filter(|c| c.frames().is_some_and(|frames| frames > 1));
-    // Which of several groups is meant is checked when one is read.
+    // Does not choose a group yet. Reading a frame returns an error if the choice is missing.
     let Some(longest) = several.max_by_key(|candidate| candidate.frames()) else {
         return Ok(Vec::new());
     };
@@ -102,8 +103,8 @@ pub fn steps(file: &H5File) -> Result<Vec<u64>, ReadFault> {
     Ok(longest.arrangement.steps())
 }
 
-/// The groups of frames, in the order of their numbers: those of H5Part, or numbered groups with
-/// positions in one group or the root.
+/// The groups of frames, in the order of their numbers. They are those of H5Part, or numbered
+/// groups with positions in one group or the root.
 fn numbered(root: &Group, file: &H5File) -> Result<Vec<(u64, Group)>, ReadFault> {
     let groups = checked(root.groups())?;
     let h5part = in_group(&groups, |name| name.strip_prefix(STEP)?.parse().ok());
@@ -128,7 +129,7 @@ fn numbered(root: &Group, file: &H5File) -> Result<Vec<(u64, Group)>, ReadFault>
     Ok(Vec::new())
 }
 
-/// Groups that have a number, from their names in lower case.
+/// The groups whose names contain a number, and these numbers. `number` gets names in lower case.
 fn in_group(groups: &[Group], number: impl Fn(&str) -> Option<u64>) -> Vec<(u64, Group)> {
     let number = |group: &Group| {
         let name = group.name().to_ascii_lowercase();
@@ -140,7 +141,7 @@ fn in_group(groups: &[Group], number: impl Fn(&str) -> Option<u64>) -> Vec<(u64,
     found
 }
 
-/// The number of a frame in a group's name; both names are in lower case.
+/// The number of the frame that a group's name contains. Both names are in lower case.
 fn step_number(name: &str, parent: &str) -> Option<u64> {
     let digits = name.trim_start_matches(|letter: char| !letter.is_ascii_digit());
     let word = name[..name.len() - digits.len()].trim_end_matches(['#', '_', '-', ' ', ':', '=']);

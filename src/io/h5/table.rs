@@ -1,5 +1,5 @@
-//! Data sets of numbers with one row per particle, as columns: read in place if all are contiguous
-//! and uncompressed, otherwise decoded.
+//! Columns of numbers from data sets with one row per particle. They are read in place if all data
+//! sets are contiguous and uncompressed. Otherwise, they are decoded.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -23,14 +23,14 @@ use crate::particles::sieve::Sieve;
 
 use super::file::{H5File, checked};
 
-/// Bytes per decoding step, unless chunks are larger.
+/// Number of bytes per decoding step, unless chunks are larger.
 const WINDOW: u64 = 1 << 20;
-/// Maximum number of types of particles in an error.
+/// Maximum number of particle types that an error lists.
 const LISTED: usize = 20;
 
 const NATIVE: Endian = if cfg!(target_endian = "big") { Endian::Big } else { Endian::Little };
 
-/// An array of numbers with one row per particle: a data set, or a range of its rows, or a part of
+/// An array of numbers with one row per particle: a data set, a range of its rows, or a part of
 /// each row.
 pub(super) struct H5Array {
     pub set: Arc<Dataset>,
@@ -38,33 +38,34 @@ pub(super) struct H5Array {
     pub scalar: Scalar,
     endian: Endian,
     pub components: usize,
-    /// The first row.
+    /// The data set's row that is row 0 of the array.
     pub first: u64,
-    /// The number of rows.
+    /// Number of rows in the array.
     pub rows: u64,
     part: RowPart,
 }
 
-/// The numbers of a row in a data set.
+/// Which numbers of a data set form a row of an array.
 #[derive(Clone, Copy)]
 pub(super) enum RowPart {
-    /// A row of the first axis.
+    /// All numbers at an index of the first axis.
     Row,
-    /// A row of the second axis, in this frame of the first axis.
+    /// All numbers at an index of the second axis, in this frame of the first axis.
     Frame(u64),
-    /// One number of every row of the first axis; particles are along the second.
+    /// One number from each index of the first axis. The second axis counts particles.
     Columns,
     /// The numbers from byte `offset` on, in a row of `stride` bytes.
     Member { offset: usize, stride: usize },
 }
 
 impl H5Array {
-    /// All rows of a data set; `None` if they are not numbers.
+    /// All rows of a data set. `None` if they are not numbers, or too many per row for an
+    /// attribute.
     pub fn new(set: Dataset) -> Option<Self> {
         Self::of_any_width(set).filter(|array| !array.is_wide())
     }
 
-    /// All rows of a data set, which may have more numbers than an attribute.
+    /// All rows of a data set, which may have too many numbers per row for an attribute.
     fn of_any_width(set: Dataset) -> Option<Self> {
         let name = set.name().rsplit('/').next().unwrap_or_default().to_owned();
         let (&rows, axes) = set.shape().split_first()?;
@@ -74,12 +75,12 @@ impl H5Array {
         Some(Self::of(Arc::new(set), name, number, rows, components, RowPart::Row))
     }
 
-    /// Whether the rows have more numbers than an attribute.
+    /// Whether rows have too many numbers for an attribute.
     fn is_wide(&self) -> bool {
         self.components as u64 > MOST_COMPONENTS
     }
 
-    /// A part of each row of a data set.
+    /// An array whose rows are a part of each row of a data set.
     pub fn of(
         set: Arc<Dataset>,
         name: String,
@@ -91,7 +92,8 @@ impl H5Array {
         Self { set, name, scalar, endian, components, first: 0, rows, part }
     }
 
-    /// All arrays of a group, in the order of the file; [`H5Table`] leaves out wide ones.
+    /// All arrays of a group, in the order of the file. [`H5Table`] leaves out those with wide
+    /// rows.
     pub fn all_of(group: &Group) -> Result<Vec<Self>, ReadFault> {
         Ok(checked(group.datasets())?.into_iter().filter_map(Self::of_any_width).collect())
     }
@@ -103,14 +105,14 @@ impl H5Array {
         Ok(arrays)
     }
 
-    /// The data set called `name` in a group, which must exist and contain numbers.
+    /// The array `name` of a group. Returns an error if it does not exist or contains no numbers.
     pub fn named(group: &Group, name: &str) -> Result<Self, ReadFault> {
         let set = checked(group.dataset(name))?;
         Self::new(set)
             .ok_or_else(|| malformed(0, format!("{name} does not consist of rows of numbers")))
     }
 
-    /// Restricts the array to `rows` rows from `first` on.
+    /// Restricts the array to `rows` rows, starting at row `first`.
     pub fn part(self, first: u64, rows: u64) -> Result<Self, ReadFault> {
         if first.checked_add(rows).is_none_or(|end| end > self.rows) {
             let Self { name, rows: all, .. } = &self;
@@ -122,7 +124,7 @@ impl H5Array {
         Ok(Self { first: self.first + first, rows, ..self })
     }
 
-    /// Bytes per row.
+    /// Number of bytes per row.
     fn stride(&self) -> usize {
         match self.part {
             RowPart::Member { stride, .. } => stride,
@@ -130,7 +132,8 @@ impl H5Array {
         }
     }
 
-    /// Rejects more rows than the file's size allows, after the decoded bytes `before`.
+    /// Returns an error if the file's size does not allow this number of rows, after `before`
+    /// decoded bytes.
     fn check(&self, before: u64, limit: u64) -> Result<(), ReadFault> {
         let end =
             self.rows.checked_mul(self.stride() as u64).and_then(|bytes| bytes.checked_add(before));
@@ -142,16 +145,16 @@ impl H5Array {
         Ok(())
     }
 
-    /// Decodes the rows, and appends them.
+    /// Decodes the rows, and appends them to `decoded`.
     fn decode(&self, decoded: &mut UnpackBuffer, file: &H5File) -> Result<(), ReadFault> {
         self.check(decoded.len(), file.limit)?;
         let windows = self.windows();
-        // Components that are stored separately are decoded one after the other.
+        // Components that are stored separately are decoded one after another.
         let passes = if let RowPart::Columns = self.part { self.components } else { 1 };
         let count = windows.count * passes;
         let window =
             |index: usize| (windows.rows(index % windows.count, self.rows), index / windows.count);
-        // One batch of windows is decoded while another is stored.
+        // Bytes in memory: one batch of windows is decoded while the previous batch is stored.
         let held = 4
             * rayon::current_num_threads() as u64
             * windows.size.saturating_mul(self.stride() as u64);
@@ -174,13 +177,13 @@ impl H5Array {
         read.map_err(fault_of)
     }
 
-    /// The columns of decoded data that starts at byte `start`.
+    /// The columns of the array in decoded data. Row 0 is at byte `start`.
     fn decoded_columns(&self, start: usize) -> Vec<Column> {
         let endian = if let RowPart::Member { .. } = self.part { self.endian } else { NATIVE };
         self.columns(start, self.rows, endian)
     }
 
-    /// The columns in the file, if the rows can be read in place.
+    /// The columns of the array in the file. `None` if they cannot be read in place.
     fn in_place(&self, file: &H5File) -> Option<Vec<Column>> {
         let stride = self.stride() as u64;
         let all = *self.set.shape().first()?;
@@ -217,7 +220,7 @@ impl H5Array {
         }
     }
 
-    /// Windows of rows that consist of whole chunks.
+    /// Divides the rows into windows that consist of complete chunks.
     pub fn windows(&self) -> RowWindows {
         let axis = usize::from(matches!(self.part, RowPart::Frame(_) | RowPart::Columns));
         let chunk =
@@ -225,14 +228,14 @@ impl H5Array {
         let chunk = u64::from(chunk).min(self.rows.max(1));
         let fit = WINDOW / (chunk * self.stride() as u64).max(1);
         let size = chunk * fit.max(1);
-        // The first window ends at the end of a chunk.
+        // The first window is shorter, so that it ends where a chunk ends.
         let lead = (size - self.first % size).min(self.rows);
         let count = usize::from(lead > 0) + (self.rows - lead).div_ceil(size) as usize;
         RowWindows { lead, size, count }
     }
 
-    /// Appends the bytes of some rows: numbers in the machine's byte order, other data unchanged.
-    /// `component` selects one of several components that are stored separately.
+    /// Appends the bytes of a range of rows. Numbers get the machine's byte order, and compound
+    /// rows are unchanged. `component` selects a component if components are stored separately.
     fn bytes(&self, rows: [u64; 2], component: usize, out: &mut Vec<u8>) -> Result<(), ReadFault> {
         fn put<T: H5Type + NoUninit>(
             array: &H5Array,
@@ -264,7 +267,7 @@ impl H5Array {
             Scalar::U32 => put::<u32>(self, rows, component, out),
             Scalar::I64 => put::<i64>(self, rows, component, out),
             Scalar::U64 => put::<u64>(self, rows, component, out),
-            // HDF5 has no such number type.
+            // [`scalar`] rejects half floats, so that no array has this type.
             Scalar::F16 => Err(malformed(
                 0,
                 format!("{} has 16-bit floats, which are not supported", self.name),
@@ -274,7 +277,7 @@ impl H5Array {
         }
     }
 
-    /// All numbers as doubles.
+    /// The numbers of a range of rows as f64.
     pub fn doubles(&self, rows: [u64; 2]) -> Result<Vec<f64>, ReadFault> {
         Ok(match self.scalar {
             Scalar::I8 => self.values::<i8>(rows, 0)?.into_iter().map(f64::from).collect(),
@@ -300,18 +303,18 @@ impl H5Array {
         })
     }
 
-    /// Rejects rows that the file's size does not allow.
+    /// Returns an error if the file's size does not allow the number of rows.
     pub fn check_small(&self, file: &H5File) -> Result<(), ReadFault> {
         self.check(0, file.limit)
     }
 
-    /// All numbers as integers, for a small data set or a mesh.
+    /// All numbers as integers. The array must be small, or belong to a mesh.
     pub fn integers(&self, file: &H5File) -> Result<Vec<i64>, ReadFault> {
         self.check(0, file.limit)?;
         self.some_integers([0, self.rows])
     }
 
-    /// The numbers of some rows as integers.
+    /// The numbers of a range of rows as integers.
     pub fn some_integers(&self, rows: [u64; 2]) -> Result<Vec<i64>, ReadFault> {
         let mut bytes = Vec::new();
         self.bytes(rows, 0, &mut bytes)?;
@@ -321,7 +324,7 @@ impl H5Array {
         numbers.collect::<Option<_>>().ok_or_else(no_integers)
     }
 
-    /// The part of the data set with some rows.
+    /// The part of the data set that contains a range of rows.
     fn selection(&self, [start, end]: [u64; 2], component: usize) -> SliceInfo {
         let slice = |start, end| SliceInfoElem::Slice { start, end, step: 1 };
         let rows = slice(self.first + start, self.first + end);
@@ -348,8 +351,8 @@ impl H5Array {
     }
 }
 
-/// Elements of any type as the file stores them. The first of several elements holds the bytes of
-/// all, to avoid an allocation per element.
+/// Bytes of elements of any type, as the file stores them. The first element of a range holds the
+/// bytes of all its elements, to avoid an allocation per element.
 #[derive(Clone)]
 struct RawElement(Vec<u8>);
 
@@ -373,17 +376,17 @@ impl H5Type for RawElement {
     }
 }
 
-/// The division of a data set's rows into windows.
+/// How the rows of a data set are divided into windows.
 pub(super) struct RowWindows {
-    /// Rows of the first window.
+    /// Number of rows in the first window.
     lead: u64,
-    /// Rows of the other windows, except the last.
+    /// Number of rows in each further window. The last window may have fewer.
     size: u64,
     pub count: usize,
 }
 
 impl RowWindows {
-    /// The first row of a window and the end of the window, in a table of `all` rows.
+    /// The first row and the end of window number `index`, in a table of `all` rows.
     pub fn rows(&self, index: usize, all: u64) -> [u64; 2] {
         let end = |index: u64| (self.lead + self.size * index).min(all);
         match index as u64 {
@@ -392,19 +395,19 @@ impl RowWindows {
         }
     }
 
-    /// The number of the window with a row.
+    /// The number of the window that contains a row.
     pub fn holding(&self, row: u64) -> usize {
         row.checked_sub(self.lead).map_or(0, |beyond| 1 + (beyond / self.size) as usize)
     }
 
-    /// Divides `rows` of `stride` bytes each without a data set.
+    /// Divides `rows` rows of `stride` bytes each, without regard to chunks.
     pub fn of(rows: u64, stride: u64) -> Self {
         let size = (WINDOW / stride.max(1)).max(1);
         Self { lead: size.min(rows), size, count: rows.div_ceil(size) as usize }
     }
 }
 
-/// Extracts a fault from an I/O error.
+/// Converts an I/O error, which may contain an error of reading.
 pub(super) fn fault_of(error: io::Error) -> ReadFault {
     match error.downcast::<ReadFault>() {
         Ok(fault) => fault,
@@ -412,7 +415,7 @@ pub(super) fn fault_of(error: io::Error) -> ReadFault {
     }
 }
 
-/// The number type of a data type, if it is one.
+/// The number type and byte order of a data type. `None` for other types.
 pub(super) fn scalar(kind: &Datatype) -> Option<(Scalar, Endian)> {
     let (scalar, order) = match kind {
         Datatype::FixedPoint { size, signed, byte_order } => {
@@ -443,22 +446,22 @@ pub(super) fn scalar(kind: &Datatype) -> Option<(Scalar, Endian)> {
 /// A column: the index of an array and of its component.
 pub(super) type Place = (usize, usize);
 
-/// Columns of several arrays with the same number of rows.
+/// Columns from several arrays with the same number of rows.
 pub(super) struct H5Table {
     pub arrays: Vec<H5Array>,
     pub position: [Place; 3],
     pub attributes: Vec<(AttributeInfo, Vec<Place>)>,
-    /// Arrays with too many numbers for an attribute.
+    /// Arrays with too many numbers per row for an attribute.
     pub left_out: Vec<UnreadPart>,
-    /// Numbers of the rows with particles; `None` if all have some.
+    /// The rows that contain particles. `None` if all rows do.
     pub present: Option<Sieve>,
 }
 
 impl H5Table {
-    /// Uses every array with the same number of rows as an attribute, except the one called
-    /// `position`, which has three components.
+    /// Makes a table of arrays with the same number of rows. The array `position` is the position,
+    /// and all others are attributes.
     ///
-    /// Returns `None` without such a position.
+    /// Returns `None` if there is no array `position` with three components.
     pub fn of_arrays(arrays: Vec<H5Array>, position: &str) -> Option<Self> {
         let is_it = |array: &H5Array| array.name == position && array.components == 3;
         let found = arrays.iter().position(is_it)?;
@@ -466,8 +469,8 @@ impl H5Table {
         Some(Self::with_others(arrays, position, Vec::new()))
     }
 
-    /// Uses every array with the same number of rows as an attribute, except those that are used
-    /// already.
+    /// Makes a table of the given columns. Every other array with the same number of rows is an
+    /// attribute, too.
     pub fn with_others(
         arrays: Vec<H5Array>,
         position: [Place; 3],
@@ -494,13 +497,13 @@ impl H5Table {
         Self { arrays, position, attributes, left_out, present: None }
     }
 
-    /// Number of rows.
+    /// Number of rows in the table.
     pub fn rows(&self) -> u64 {
         self.arrays[self.position[0].0].rows
     }
 
-    /// The particles with the wanted attributes. If every used array can be read in place, the
-    /// columns are those of the file, otherwise all are decoded.
+    /// Reads the particles with the wanted attributes. The columns are in the file if every used
+    /// array can be read in place. Otherwise, all used arrays are decoded.
     pub fn read(
         self,
         file: H5File,
@@ -522,11 +525,12 @@ impl H5Table {
         let wanted = || arrays.iter().zip(&used).filter(|(_, used)| **used).map(|(array, _)| array);
         let in_file = rows == 0 || wanted().all(|array| array.in_place(&file).is_some());
         let mut decoded = UnpackBuffer::new(file.unpacking);
-        // The start of the rows with several arrays as members.
+        // For each data set with members, the start of its decoded rows, which several arrays
+        // share.
         let mut members = BTreeMap::new();
         let mut found: Vec<Vec<Column>> = Vec::new();
         for (array, used) in arrays.iter().zip(used) {
-            // It may have any number of components.
+            // An unused array needs no columns. It may have any number of components.
             if !used {
                 found.push(Vec::new());
                 continue;
@@ -563,13 +567,14 @@ impl H5Table {
     }
 }
 
-/// All types of particles, with the chosen one first.
+/// The names of all types of particles. The chosen type is the first.
 pub(super) fn types(known: Vec<String>, chosen: &str) -> Vec<String> {
     let others = known.into_iter().filter(|name| name != chosen);
     [chosen.to_owned()].into_iter().chain(others).collect()
 }
 
-/// The chosen type of particles: the one that a condition names, or `usual`, or the only one.
+/// The chosen type of particles: the type that a condition names, or else the only type, or else
+/// `usual`.
 pub(super) fn chosen_type(
     known: &[String],
     wanted: &[Where],
@@ -591,11 +596,11 @@ pub(super) fn chosen_type(
     }
 }
 
-/// The type of particles that a condition names, if any. A number that names no type may be a value
-/// of the attribute `type`.
+/// The type of particles that a condition names. A condition with a number that names no type may
+/// be about the attribute `type`.
 ///
 /// # Errors
-/// [`ReadFault::Unsupported`] if conditions name only types that do not exist.
+/// [`ReadFault::Unsupported`] if all types that conditions name do not exist.
 pub(super) fn named_type<'a>(
     known: &[String],
     wanted: &'a [Where],
@@ -608,7 +613,7 @@ pub(super) fn named_type<'a>(
     }
 }
 
-/// The error that there are no particles of the type `missing`.
+/// The error if there are no particles of the type `missing`.
 pub(super) fn no_type(known: &[String], missing: &str) -> ReadFault {
     let list = list_of(known);
     ReadFault::Unsupported(format!("no particles of type {missing}; available: {list}"))

@@ -1,5 +1,5 @@
-//! Reads Houdini's binary JSON: a type byte before each value, and texts that are defined once and
-//! then referred to by number.
+//! Reads Houdini's binary JSON. A type byte precedes each value. A text is defined once, and then
+//! referred to by number.
 
 use std::collections::HashMap;
 use std::rc::Rc;
@@ -15,10 +15,10 @@ use super::json::{Json, JsonEvent, JsonNumbers, Nesting, Storage};
 
 /// The first byte of a document.
 const MAGIC: u8 = 0x7f;
-/// The next word, which shows the byte order.
+/// The word after the first byte. Its bytes show the byte order.
 const WORD: u32 = u32::from_le_bytes(*b"NSJb");
 
-/// The byte order of a file that starts with these bytes, if it is binary JSON.
+/// The byte order of a file that starts with `head`. `None` if the file is not binary JSON.
 pub fn byte_order(head: &[u8]) -> Option<Endian> {
     let (&MAGIC, rest) = head.split_first()? else { return None };
     let word = *rest.first_chunk()?;
@@ -29,20 +29,20 @@ pub fn byte_order(head: &[u8]) -> Option<Endian> {
     }
 }
 
-/// A document in binary.
+/// A document in binary JSON.
 pub struct Binary<'a> {
     cursor: Cursor<'a>,
     len: usize,
-    /// The type byte of the last value.
+    /// Position of the type byte of the last value.
     value_at: usize,
     nesting: Nesting,
     tokens: HashMap<u64, Rc<str>>,
-    /// Remaining texts in an array of texts.
+    /// Number of remaining texts in an array of texts. `None` outside of such an array.
     texts: Option<u64>,
 }
 
 impl<'a> Binary<'a> {
-    /// Starts at the beginning of a file whose byte order is known from [`byte_order`].
+    /// Creates a reader at the start of a file. [`byte_order`] determines `endian`.
     pub fn new(bytes: ByteView<'a>, endian: Endian) -> Self {
         let start = 1 + size_of_val(&WORD);
         Self {
@@ -63,7 +63,7 @@ impl<'a> Binary<'a> {
         self.array().map(u8::from_le_bytes)
     }
 
-    /// A length or the number of a text.
+    /// Reads a length, or the number of a text.
     fn length(&mut self) -> Result<u64, ReadFault> {
         Ok(match self.byte()? {
             short @ ..=0xf0 => short.into(),
@@ -80,7 +80,7 @@ impl<'a> Binary<'a> {
         Ok(String::from_utf8_lossy(bytes).into())
     }
 
-    /// A text that was defined before.
+    /// Reads the number of a text that was defined before, and returns the text.
     fn token(&mut self) -> Result<Rc<str>, ReadFault> {
         let number = self.length()?;
         let known = self.tokens.get(&number).cloned();

@@ -1,20 +1,22 @@
-//! Chunks of Blosc 1: blocks of bytes, shuffled so that the first bytes of all numbers are
-//! adjacent, and compressed by one of several codecs.
+//! Chunks of Blosc 1.
 //!
-//! The format is that of c-blosc's README_HEADER.rst; numbers are little endian.
+//! A chunk consists of blocks. In a block, bytes are shuffled so that the first bytes of all
+//! numbers are adjacent, and compressed by one of several codecs. The format is described in
+//! c-blosc's README_HEADER.rst. Numbers are little endian.
 
 use libdeflater::Decompressor;
 
-/// Bytes of the header of a chunk.
+/// Number of bytes of the header of a chunk.
 const HEADER: usize = 16;
-/// Maximum size of numbers whose bytes are compressed separately.
+/// Maximum number size in bytes of a block that is split into one stream per byte of a number.
 const MOST_SPLITS: usize = 16;
-/// Minimum count of numbers in a block that is split.
+/// Minimum number of values in a block that is split.
 const LEAST_SPLIT: usize = 128;
-/// Maximum distance of a match that BloscLZ encodes in 13 bits.
+/// Maximum distance in bytes of a match whose distance BloscLZ encodes in 13 bits.
 const FARTHEST: usize = 8191;
 
-/// Bytes of a number and of a block in written chunks, as in Houdini's.
+/// Number of bytes of a number and of a block in chunks that are written. Houdini uses the same
+/// sizes.
 const WRITTEN_TYPE: usize = 4;
 const WRITTEN_BLOCK: usize = 1 << 19;
 
@@ -42,9 +44,9 @@ enum Codec {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Shuffle {
     None,
-    /// The first byte of every number, then the second byte of every number, and so on.
+    /// The first bytes of all numbers, then the second bytes of all numbers, and so on.
     Bytes,
-    /// The lowest bits of all numbers, then the next ones, and so on.
+    /// The lowest bits of all numbers, then the second lowest bits, and so on.
     Bits,
 }
 
@@ -96,7 +98,7 @@ impl BloscHeader {
         Ok(Self { codec, filter, is_stored, may_split, type_size, block })
     }
 
-    /// The number of streams in a block of `bytes`.
+    /// The number of compressed streams in a block that unpacks to `bytes` bytes.
     fn streams(&self, bytes: usize) -> usize {
         let is_split = self.may_split
             && bytes == self.block
@@ -106,7 +108,7 @@ impl BloscHeader {
     }
 }
 
-/// Unpacks a chunk that fills `out`.
+/// Unpacks a chunk. Its unpacked size must be the length of `out`.
 pub fn unpack(chunk: &[u8], out: &mut [u8]) -> Result<(), BloscFault> {
     let header = BloscHeader::of(chunk, out.len())?;
     let rest = &chunk[HEADER..];
@@ -141,7 +143,7 @@ pub fn unpack(chunk: &[u8], out: &mut [u8]) -> Result<(), BloscFault> {
     Ok(())
 }
 
-/// Compresses a chunk by LZ4, with its bytes shuffled as 32-bit numbers.
+/// Compresses a chunk by LZ4. Its bytes are shuffled as those of 32-bit numbers.
 pub fn pack(bytes: &[u8]) -> Vec<u8> {
     let header = |flags: u8, length: usize| {
         let mut header = vec![2, 1, flags, WRITTEN_TYPE as u8];
@@ -160,7 +162,7 @@ pub fn pack(bytes: &[u8]) -> Vec<u8> {
         let (numbers, rest) = block.as_chunks::<WRITTEN_TYPE>();
         (0..WRITTEN_TYPE).for_each(|byte| shuffled.extend(numbers.iter().map(|n| n[byte])));
         shuffled.extend(rest);
-        // Not split, so that blocks of any length have the same form.
+        // Blocks are not split into streams, so that blocks of any length have the same form.
         let small = lz4_flex::block::compress(&shuffled);
         let small = if small.len() < shuffled.len() { &small } else { &shuffled };
         packed.extend((small.len() as u32).to_le_bytes());
@@ -175,7 +177,8 @@ pub fn pack(bytes: &[u8]) -> Vec<u8> {
 
 fn unpack_block(header: &BloscHeader, mut packed: &[u8], out: &mut [u8]) -> Result<(), BloscFault> {
     let streams = header.streams(out.len());
-    // The number of bytes of a split block is a multiple of its streams, except in the last block.
+    // All blocks except the last contain complete numbers, so that their streams have equal
+    // lengths.
     let each = out.len() / streams;
     if each * streams != out.len() {
         return Err(Damaged("a block ends within a number"));
@@ -199,7 +202,7 @@ fn unpack_block(header: &BloscHeader, mut packed: &[u8], out: &mut [u8]) -> Resu
     Ok(())
 }
 
-/// Decompresses data, and returns the number of bytes.
+/// Decompresses data into `out`. Returns the number of bytes, or `None` for damaged data.
 fn decompress(codec: Codec, packed: &[u8], out: &mut [u8]) -> Option<usize> {
     match codec {
         Codec::BloscLz => blosc_lz(packed, out),
@@ -209,10 +212,10 @@ fn decompress(codec: Codec, packed: &[u8], out: &mut [u8]) -> Option<usize> {
     }
 }
 
-/// Decompresses BloscLZ: literals and matches, as in FastLZ.
+/// Decompresses BloscLZ, which consists of literals and matches, as in FastLZ.
 fn blosc_lz(mut packed: &[u8], out: &mut [u8]) -> Option<usize> {
     let mut at = 0;
-    // The first byte has no bits for a match.
+    // The first control byte is always that of a literal, so its upper bits have another meaning.
     let mut control = next(&mut packed)? & 0x1f;
     loop {
         if control < 32 {
@@ -242,7 +245,7 @@ fn blosc_lz(mut packed: &[u8], out: &mut [u8]) -> Option<usize> {
             if end > out.len() {
                 return None;
             }
-            // The match may overlap its output.
+            // The match may overlap the bytes that it appends, so bytes are copied one by one.
             for to in at..end {
                 out[to] = out[from + (to - at)];
             }
@@ -261,7 +264,7 @@ fn next(packed: &mut &[u8]) -> Option<usize> {
     Some(usize::from(*first))
 }
 
-/// Reverses the byte shuffle. The bytes of an incomplete number come last.
+/// Reverses the byte shuffle. The bytes of an incomplete number at the end are not shuffled.
 fn restore_bytes(shuffled: &[u8], type_size: usize, out: &mut [u8]) {
     let count = out.len() / type_size;
     let whole = count * type_size;
@@ -278,7 +281,8 @@ fn restore_bytes(shuffled: &[u8], type_size: usize, out: &mut [u8]) {
     out[whole..].copy_from_slice(&shuffled[whole..]);
 }
 
-/// Reverses the byte shuffle for a number size that is known at compile time.
+/// Reverses the byte shuffle for numbers of `N` bytes, a constant with which the loop is
+/// vectorized.
 fn restore<const N: usize>(shuffled: &[u8], out: &mut [u8]) {
     let count = out.len() / N;
     if count == 0 {
@@ -290,8 +294,8 @@ fn restore<const N: usize>(shuffled: &[u8], out: &mut [u8]) {
     }
 }
 
-/// Reverses the bit shuffle, in which the lowest bits of each byte of all numbers come first. If
-/// the count of numbers is not a multiple of 8, the rest is unshuffled.
+/// Reverses the bit shuffle, in which the lowest bits of each byte of all numbers come first.
+/// Numbers after the last multiple of 8 are not shuffled.
 fn restore_bits(shuffled: &[u8], type_size: usize, out: &mut [u8]) {
     let count = out.len() / type_size;
     if !count.is_multiple_of(8) {

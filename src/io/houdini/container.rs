@@ -1,9 +1,9 @@
 //! The container of `.bgeo.sc`: consecutive chunks of Blosc, and an index.
 //!
-//! "scf1", the length of metadata and the metadata, the chunks, the offsets of all chunks except
-//! the first, relative to the start of the chunks, the unpacked size of all chunks except the last,
-//! the unpacked size of the last, the length of this index, and "1fcs". Numbers have 64 bits and
-//! are big endian.
+//! A container consists of "scf1", the length of the metadata, the metadata, the chunks, an index,
+//! and "1fcs". The index has the offsets of all chunks except the first, relative to the start of
+//! the chunks. Then follow the unpacked size of each chunk except the last, the unpacked size of
+//! the last chunk, and the length of the index. Numbers have 64 bits and are big endian.
 
 use std::io::{self, Write};
 
@@ -20,28 +20,29 @@ use super::blosc;
 pub const MAGIC: &[u8] = b"scf1";
 /// The last bytes of a container.
 const END: &[u8] = b"1fcs";
-/// Bytes of a number.
+/// Number of bytes of a number.
 const NUMBER: u64 = 8;
-/// Maximum unpacked size of a chunk; Houdini's are 1 MiB.
+/// Maximum unpacked size of a chunk in bytes. Houdini's chunks have 1 MiB.
 const LARGEST: u64 = 64 << 20;
 
-/// Unpacked size of written chunks, as in Houdini's.
+/// Unpacked size of chunks that are written, in bytes. Houdini uses the same size.
 const CHUNK: usize = 1 << 20;
 
-/// The chunks of a container with their unpacked sizes.
+/// The chunks of a container, and their unpacked sizes.
 struct Chunks<'a> {
     view: ByteView<'a>,
-    /// The start of each chunk, and the end of the last.
+    /// The start of each chunk, and the end of the last chunk, in bytes.
     bounds: Vec<usize>,
     each: u64,
     last: u64,
 }
 
-/// Unpacks a container, with as many parallel chunks as the memory allows.
+/// Unpacks a container. Unpacks as many chunks in parallel as the memory allows.
 ///
 /// # Errors
-/// [`ReadFault::Malformed`] and [`ReadFault::Truncated`] for damage; [`ReadFault::Compression`] for
-/// a compression ratio that is too high; [`ReadFault::Unsupported`] for an unknown codec.
+/// [`ReadFault::Malformed`] and [`ReadFault::Truncated`] for damaged files,
+/// [`ReadFault::Compression`] for a compression ratio that is too high, and
+/// [`ReadFault::Unsupported`] for an unknown codec.
 pub fn unpack(bytes: Bytes, unpacking: Unpacking) -> Result<PrivateBytes, ReadFault> {
     let view = bytes.view();
     let chunks = Chunks::of(view)?;
@@ -123,7 +124,7 @@ impl<'a> Chunks<'a> {
         Ok(Self { view, bounds, each, last })
     }
 
-    /// Unpacked size of some chunks.
+    /// Total unpacked size of a range of chunks in bytes.
     fn length(&self, chunks: std::ops::Range<usize>) -> u64 {
         let has_last = chunks.end == self.bounds.len() - 1;
         let full = chunks.len() as u64 - u64::from(has_last);
@@ -134,7 +135,7 @@ impl<'a> Chunks<'a> {
         self.length(0..self.bounds.len() - 1)
     }
 
-    /// Unpacks chunks from `first` on into `out`.
+    /// Unpacks the chunks from number `first` on, until `out` is full.
     fn unpack(&self, first: usize, out: &mut [u8], unpacking: Unpacking) -> Result<(), ReadFault> {
         let pieces = out.par_chunks_mut(self.each as usize).zip(&self.bounds[first..]);
         let pieces = pieces.zip(&self.bounds[first + 1..]);
@@ -150,27 +151,27 @@ impl<'a> Chunks<'a> {
                 blosc::BloscFault::Damaged(what) => malformed(start, format!("chunk: {what}")),
             })
         });
-        // The first error in order, with any number of threads.
+        // Collects all results first, so that the error is always that of the first damaged chunk.
         let results: Vec<Result<(), ReadFault>> = results.collect();
         results.into_iter().collect()
     }
 }
 
-/// Writes a container: compresses a few chunks at once, on all threads.
+/// Writes a container. It compresses a few chunks at once, on all threads.
 pub struct ContainerWriter<'a> {
     out: &'a mut dyn Write,
-    /// Bytes that are not compressed yet.
+    /// Bytes that have not been compressed.
     waiting: Vec<u8>,
     at_once: usize,
-    /// Bytes of written chunks.
+    /// Number of bytes of the chunks that were written.
     written: u64,
-    /// The start of each chunk, relative to the first.
+    /// Position of each chunk, relative to the first chunk.
     starts: Vec<u64>,
     last: usize,
 }
 
 impl<'a> ContainerWriter<'a> {
-    /// Starts a container.
+    /// Writes the start of a container.
     ///
     /// # Errors
     /// The errors of `out`.
@@ -195,10 +196,10 @@ impl<'a> ContainerWriter<'a> {
         Ok(())
     }
 
-    /// Writes the remaining chunks and the index.
+    /// Compresses and writes the remaining bytes, and writes the index.
     ///
     /// # Errors
-    /// Errors of the output.
+    /// The errors of the output.
     pub fn finish(mut self) -> io::Result<()> {
         self.pack()?;
         let starts = self.starts.iter().skip(1).copied();
@@ -220,7 +221,7 @@ impl Write for ContainerWriter<'_> {
         Ok(taken)
     }
 
-    /// Called when the chunks are full.
+    /// Does nothing, because chunks are written when enough bytes are waiting.
     fn flush(&mut self) -> io::Result<()> {
         Ok(())
     }

@@ -1,7 +1,7 @@
-//! Events of Houdini's JSON, which its text and binary forms share.
+//! Events of Houdini's JSON. The text form and the binary form have the same events.
 //!
-//! There is no tree of values: readers process one event after the other, and long arrays of
-//! numbers are not copied.
+//! No tree of values is built. Readers process one event after another, and long arrays of numbers
+//! are not copied.
 
 use std::rc::Rc;
 
@@ -11,7 +11,7 @@ use crate::io::ReadFault;
 use crate::io::bytes::ByteView;
 use crate::io::columns::{Endian, Scalar};
 
-/// Maximum depth of nested lists and maps. Nested packed geometry needs about ten levels each.
+/// Maximum depth of nested lists and maps. Each level of nested packed geometry needs about ten.
 const DEEPEST: usize = 1024;
 
 /// A step through a JSON document.
@@ -28,14 +28,14 @@ pub enum JsonEvent {
     Integer(i64),
     Real(f64),
     Text(Rc<str>),
-    /// A list of numbers of one type.
+    /// A list of numbers with the same type.
     Numbers(JsonNumbers),
 }
 
-/// A type of numbers.
+/// The type of stored numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Storage {
-    /// Booleans, 32 in a word.
+    /// Booleans, 32 in each word.
     Bits,
     /// 16-bit IEEE floating-point numbers.
     Half,
@@ -43,7 +43,7 @@ pub enum Storage {
 }
 
 impl Storage {
-    /// The type to which these numbers are converted.
+    /// The number type that these numbers have after reading.
     pub fn scalar(self) -> Scalar {
         match self {
             Self::Scalar(scalar) => scalar,
@@ -52,7 +52,7 @@ impl Storage {
         }
     }
 
-    /// Bytes of `count` numbers.
+    /// Number of bytes of `count` numbers.
     pub fn bytes(self, count: u64) -> u64 {
         match self {
             Self::Bits => count.div_ceil(32).saturating_mul(4),
@@ -62,41 +62,41 @@ impl Storage {
     }
 }
 
-/// Consecutive numbers in the document's bytes.
+/// A range of consecutive numbers in the document.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct JsonNumbers {
-    /// Offset of the first.
+    /// Position of the first number in bytes.
     pub at: usize,
     pub storage: Storage,
     pub count: u64,
 }
 
-/// A number in a list.
+/// A number of a list, after reading.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum JsonNumber {
     Integer(i64),
     Real(f64),
 }
 
-/// A document that is read sequentially.
+/// A JSON document that is read sequentially.
 pub trait Json {
-    /// The next event.
+    /// Reads the next event.
     ///
     /// # Errors
-    /// Damage of the document, and errors of reading its bytes.
+    /// Errors about damage of the document, and errors of reading its bytes.
     fn next(&mut self) -> Result<JsonEvent, ReadFault>;
 
-    /// A fault at the last position.
+    /// An error at the position of the last event.
     fn fault(&self, what: String) -> ReadFault;
 
     /// Checks that the document ends here.
     ///
     /// # Errors
-    /// For remaining bytes.
+    /// An error if bytes remain.
     fn end(&mut self) -> Result<(), ReadFault>;
 }
 
-/// The open lists and maps.
+/// The stack of lists and maps that have not ended.
 #[derive(Debug, Default)]
 pub struct Nesting(Vec<JsonEvent>);
 
@@ -117,16 +117,16 @@ impl Nesting {
     }
 }
 
-/// Numbers per read.
+/// Number of values that are read at once.
 const AT_ONCE: u64 = 1 << 12;
 
 impl JsonNumbers {
-    /// A range of `count` numbers from `first` on.
+    /// The range of `count` numbers that starts at number `first`.
     pub fn part(self, first: u64, count: u64) -> Self {
         Self { at: self.at + self.storage.bytes(first) as usize, count, ..self }
     }
 
-    /// Passes each number to `take`, in order.
+    /// Calls `take` with each number, in order.
     ///
     /// # Errors
     /// The errors of `take` and of reading.
@@ -151,7 +151,7 @@ impl JsonNumbers {
 macro_rules! numbers {
     ($($scalar:ident $type:ident $number:ident),*) => {
         impl Storage {
-            /// The number at an index among stored numbers.
+            /// The number at `index` in the bytes `stored`.
             #[allow(clippy::cast_lossless)] // One line for all types, u64 among them.
             fn number(self, stored: &[u8], index: usize, endian: Endian) -> JsonNumber {
                 match self {
@@ -183,14 +183,14 @@ macro_rules! numbers {
         })*
 
         impl JsonNumber {
-            /// Appends the number as little-endian bytes; `None` if the type cannot represent it.
+            /// Appends the number as little-endian bytes. `None` if the type cannot represent it.
             pub fn put(self, scalar: Scalar, out: &mut Vec<u8>) -> Option<()> {
                 match scalar {
                     $(Scalar::$scalar => {
                         let stored = $type::of(self)?;
                         out.extend_from_slice(&stored.to_le_bytes());
                     })*
-                    // Half floats become f32.
+                    // Half floats are read as f32, so this type does not occur here.
                     Scalar::F16 => return None,
                 }
                 Some(())
@@ -199,7 +199,7 @@ macro_rules! numbers {
     };
 }
 
-/// A type of stored numbers.
+/// A number type that can be read from stored bytes.
 trait FromStoredBytes: Sized {
     fn from_bytes(bytes: &[u8], endian: Endian) -> Self;
 }
@@ -209,7 +209,7 @@ numbers!(
     U32 u32 Integer, I64 i64 Integer, U64 u64 Integer, F32 f32 Real, F64 f64 Real
 );
 
-/// A type to which numbers of a text are converted.
+/// A number type to which the numbers of a text can be converted.
 trait FromJsonNumber: Sized {
     fn of(number: JsonNumber) -> Option<Self>;
 }
@@ -220,7 +220,7 @@ macro_rules! whole {
             fn of(number: JsonNumber) -> Option<Self> {
                 match number {
                     JsonNumber::Integer(whole) => Self::try_from(whole).ok(),
-                    // As `1.0` or `1e3`.
+                    // An integer that the text writes as `1.0` or `1e3`.
                     JsonNumber::Real(real) => {
                         let whole = real as i64;
                         (whole as f64 == real).then(|| Self::try_from(whole).ok())?

@@ -1,8 +1,8 @@
-//! Reads Houdini's geometry since version 12: `.geo` in text, `.bgeo` in binary, `.bgeo.sc`
+//! Reads Houdini's geometry since version 12: `.geo` is text, `.bgeo` is binary, and `.bgeo.sc` is
 //! compressed by Blosc.
 //!
-//! The content determines the form, not the extension: a `.bgeo` may also have the classic format.
-//! Points are particles unless they belong to a primitive that is not a particle system.
+//! The content determines the form, not the extension. A `.bgeo` may also have the classic format.
+//! A point is a particle unless it belongs to a primitive other than a particle system.
 
 mod binary;
 mod blosc;
@@ -30,12 +30,12 @@ use schema::{Geometry, HoudiniAttribute, NumberLocation};
 use text::Text;
 pub use write::{attribute_names, write_mesh};
 
-/// Bytes that identify the form of a file.
+/// Number of bytes at the start of a file from which its form is detected.
 const HEAD: usize = 64;
-/// Bytes of a position.
+/// Number of bytes of a position.
 const POSITION: u64 = 12;
 
-/// A form of a geometry.
+/// The form of a geometry file.
 enum GeometryForm {
     Classic,
     Binary(Endian),
@@ -83,8 +83,9 @@ pub(super) fn open_particles(
 /// Reads the particles of a geometry of any version of Houdini.
 ///
 /// # Errors
-/// Damage, with its position; [`ReadFault::Unsupported`] if all points belong to polygons, packed
-/// geometry or other primitives; [`ReadFault::Scratch`] if the scratch file fails.
+/// [`ReadFault::Malformed`] and [`ReadFault::Truncated`] for damaged files,
+/// [`ReadFault::Unsupported`] if all points belong to polygons, packed geometry or other
+/// primitives, and [`ReadFault::Scratch`] if the scratch file cannot be written.
 pub fn read_particles(
     bytes: Bytes,
     wanted: WantedAttributes,
@@ -100,11 +101,11 @@ pub fn read_particles(
     }
 }
 
-/// Reads all points of a geometry since version 12, including those of polygons and other
-/// primitives.
+/// Reads all points of a geometry since version 12. Points of polygons and other primitives are
+/// included.
 ///
 /// # Errors
-/// The errors of [`read_particles`] for damage and scratch files.
+/// The errors of [`read_particles`] for damaged files and scratch files.
 pub fn read_points(
     bytes: Bytes,
     wanted: WantedAttributes,
@@ -114,7 +115,7 @@ pub fn read_points(
     OpenedGeometry::of(bytes, form, unpacking)?.arrange(None, wanted, unpacking)
 }
 
-/// A geometry with the bytes of its numbers.
+/// A geometry, and the bytes that contain its numbers.
 struct OpenedGeometry {
     geometry: Geometry,
     bytes: Bytes,
@@ -132,7 +133,7 @@ impl OpenedGeometry {
                 let form = GeometryForm::of(unpacked.view())?;
                 (unpacked, form, "Houdini .bgeo.sc")
             }
-            // A text is read as a whole, so that other programs cannot change it meanwhile.
+            // Text is read as a whole, so that other programs cannot change it while it is decoded.
             GeometryForm::Text => (Bytes::Kept(bytes.read_whole(unpacking)?), form, "Houdini .geo"),
             form => (bytes, form, "Houdini .bgeo"),
         };
@@ -153,7 +154,8 @@ impl OpenedGeometry {
             }
         };
         view.check()?;
-        // Pages with one value can announce any number of points.
+        // A file of constant pages can announce any number of points, so their number is bounded
+        // here.
         if geometry.points > unpacked_limit(view.len() as u64) / POSITION {
             let what = format!("{} points in {} bytes", geometry.points, view.len());
             return Err(ReadFault::Compression(what));
@@ -166,10 +168,11 @@ impl OpenedGeometry {
         NumberBytes { document: self.bytes.view(), endian: self.endian, gathered: &self.gathered }
     }
 
-    /// The points that belong to no primitive, or to a particle system; `None` if all do.
+    /// Selects the points that are particles, because no primitive other than a particle system
+    /// uses them. `None` if all points are particles.
     ///
     /// # Errors
-    /// [`ReadFault::Unsupported`] if there are points and all belong to primitives.
+    /// [`ReadFault::Unsupported`] if there are points, but no particles.
     fn loose(&self) -> Result<Option<Sieve>, ReadFault> {
         let geometry = &self.geometry;
         if geometry.kinds.is_empty() {
@@ -177,7 +180,7 @@ impl OpenedGeometry {
         }
         let points = geometry.points;
         let run = geometry.vertex_points;
-        // Each point has a vertex, so the file's size bounds the memory.
+        // The memory for a bit per point is bounded, because the number of points was checked.
         let mut bound = Sieve::none(points as usize);
         let mut vertex = 0;
         let (bytes, endian) = self.stores().of(run.place);
@@ -212,7 +215,7 @@ impl OpenedGeometry {
         Ok(Some(sieve).filter(|sieve| (sieve.count() as u64) < points))
     }
 
-    /// The selected points, or all, with the wanted attributes.
+    /// Makes columns of the selected points, or of all points, with the wanted attributes.
     fn arrange(
         self,
         selected: Option<Sieve>,

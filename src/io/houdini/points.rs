@@ -1,4 +1,4 @@
-//! Columns of a geometry's points: in the file, or unpacked from pages.
+//! Columns of a geometry's points. They are in the file, or unpacked from pages.
 
 use std::borrow::Cow;
 use std::collections::BTreeSet;
@@ -14,10 +14,10 @@ use super::schema::{
     HoudiniAttribute, MOST_TEXTS, NumberLocation, NumberRun, PointPages, PointValues, ValueLayout,
 };
 
-/// Points of a page per step.
+/// Number of points of a page that are unpacked at once.
 const ROWS: u64 = 1 << 13;
 
-/// The bytes that contain numbers.
+/// The bytes that contain numbers: the document, and the numbers copied from JSON lists.
 #[derive(Clone, Copy)]
 pub struct NumberBytes<'a> {
     pub document: ByteView<'a>,
@@ -26,7 +26,7 @@ pub struct NumberBytes<'a> {
 }
 
 impl<'a> NumberBytes<'a> {
-    /// The bytes at a place, with their byte order.
+    /// The bytes of a location, and their byte order.
     pub fn of(&self, place: NumberLocation) -> (ByteView<'a>, Endian) {
         match place {
             NumberLocation::Document => (self.document, self.endian),
@@ -34,7 +34,8 @@ impl<'a> NumberBytes<'a> {
         }
     }
 
-    /// The columns of an attribute, if its numbers are stored like columns.
+    /// The location and the columns of an attribute. `None` if its numbers do not have a constant
+    /// stride.
     pub fn columns(&self, values: &PointValues) -> Option<(NumberLocation, Vec<Column>)> {
         let column = |run: NumberRun, components: u64| {
             let Storage::Scalar(scalar) = run.numbers.storage else { return None };
@@ -61,7 +62,7 @@ impl<'a> NumberBytes<'a> {
         }
     }
 
-    /// The bytes of some numbers; 16-bit numbers are widened to 32 bits.
+    /// The bytes of a range of numbers. Half floats are converted to f32.
     fn stored(&self, run: NumberRun) -> Result<Cow<'a, [u8]>, ReadFault> {
         let NumberRun { place, numbers } = run;
         let (bytes, endian) = self.of(place);
@@ -81,7 +82,7 @@ impl<'a> NumberBytes<'a> {
         Ok(Cow::Owned(wide))
     }
 
-    /// Passes the numbers of a run to `take`, in batches.
+    /// Calls `take` with the bytes of the numbers of a run, in batches.
     fn each(&self, run: NumberRun, take: &mut TakeStored) -> Result<(), ReadFault> {
         let NumberRun { place, numbers } = run;
         for first in (0..numbers.count).step_by(ROWS as usize) {
@@ -93,7 +94,7 @@ impl<'a> NumberBytes<'a> {
         Ok(())
     }
 
-    /// Passes the tuples of all pages to `take`, in batches.
+    /// Calls `take` with the bytes of the tuples of all pages, in batches.
     fn each_of_pages(
         &self,
         pages: &PointPages,
@@ -105,7 +106,7 @@ impl<'a> NumberBytes<'a> {
         let stride =
             width * pages.groups.iter().map(|group| group.components as usize).sum::<usize>();
         let mut tuples = Vec::new();
-        // The first number of the page.
+        // Index of the first number of the page.
         let mut at = 0;
         for page in 0..points.div_ceil(pages.size) {
             let rows = pages.size.min(points - page * pages.size);
@@ -143,34 +144,34 @@ impl<'a> NumberBytes<'a> {
     }
 }
 
-/// Consumes stored bytes.
+/// A function that consumes the bytes of numbers.
 type TakeStored<'a> = dyn FnMut(&[u8]) -> Result<(), ReadFault> + 'a;
 
-/// A column for each component of an attribute, from its first column.
+/// The columns of all components of an attribute. `first` is the column of component 0.
 fn components(first: Column, values: &PointValues) -> Vec<Column> {
     (0..values.components as usize).map(|index| first.component(index)).collect()
 }
 
-/// A label, the column of its numbers, and the index of its text for each number.
+/// A label, the column of its numbers, and the index in the label for each number.
 type LabelColumn = (Label, (Column, Vec<u32>));
 
-/// Unpacked numbers, attribute by attribute.
+/// The unpacked columns of attributes, one attribute after another.
 pub struct UnpackedColumns<'a> {
     stores: NumberBytes<'a>,
     unpacked: UnpackBuffer<'a>,
     points: u64,
-    /// Bytes that may still be added.
+    /// Maximum number of bytes that may still be added.
     left: u64,
 }
 
 impl<'a> UnpackedColumns<'a> {
-    /// Starts without attributes, for a number of points.
+    /// Starts without attributes. Each attribute must have `points` values.
     pub fn new(stores: NumberBytes<'a>, points: u64, unpacking: Unpacking<'a>) -> Self {
         let left = unpacked_limit(stores.document.len() as u64);
         Self { stores, unpacked: UnpackBuffer::new(unpacking), points, left }
     }
 
-    /// The bytes of all columns.
+    /// Returns the bytes of all columns.
     pub fn finish(self) -> Result<PrivateBytes, ReadFault> {
         self.unpacked.finish()
     }
@@ -178,15 +179,15 @@ impl<'a> UnpackedColumns<'a> {
     /// Unpacks an attribute.
     ///
     /// # Errors
-    /// [`ReadFault::Compression`] for more bytes than a file of this size may unpack to, and errors
-    /// of reading and of the scratch file.
+    /// [`ReadFault::Compression`] for more bytes than a file of this size may unpack to, errors of
+    /// reading, and errors of the scratch file.
     pub fn push(&mut self, attribute: &HoudiniAttribute) -> Result<Vec<Column>, ReadFault> {
         let HoudiniAttribute { name, values, .. } = attribute;
         let run = match &values.data {
             ValueLayout::Tuples(run) => run,
             ValueLayout::Pages(pages) => &pages.run,
             ValueLayout::Arrays(runs) => {
-                // Without points, there may be no arrays.
+                // A geometry without points may have no arrays.
                 let none = self.start(name, Scalar::F64, Endian::Little, 1)?;
                 let mut columns = vec![none; values.components as usize];
                 for (column, run) in columns.iter_mut().zip(runs) {
@@ -210,14 +211,16 @@ impl<'a> UnpackedColumns<'a> {
         Ok(components(first, values))
     }
 
-    /// Unpacks an attribute of texts: each number is that of the file plus one, because the file
-    /// uses -1 for no text. Also returns its label, and the index of the label's text for each
+    /// Unpacks a text attribute. Returns its label, its column, and the index in the label for each
     /// number.
     ///
-    /// `None` if there are too many texts for a label, or several per point.
+    /// The file uses -1 for an empty text, so each number in the column is the number in the file
+    /// plus one.
+    ///
+    /// Returns `None` if there are too many texts for a label, or several texts per point.
     ///
     /// # Errors
-    /// [`ReadFault::Malformed`] for a number without a text, and the errors of
+    /// [`ReadFault::Malformed`] for a number that has no text, and the errors of
     /// [`push`](Self::push).
     pub fn push_texts(
         &mut self,
@@ -271,7 +274,7 @@ impl<'a> UnpackedColumns<'a> {
         Ok(Some((Label { name: (**name).to_owned(), texts }, (column, places))))
     }
 
-    /// Reserves bytes for an attribute, and returns its start.
+    /// Reserves bytes for an attribute, and returns the column of its first component.
     fn start(
         &mut self,
         name: &str,

@@ -8,22 +8,22 @@ use crate::io::number::ParseNumber;
 
 use super::json::{Json, JsonEvent, Nesting};
 
-/// Bytes after which memory is released.
+/// Number of bytes after which memory is released.
 const PASSED: usize = 1 << 20;
 
 /// A document in text.
 pub struct Text<'a> {
     store: Slice<'a>,
     at: usize,
-    /// Offset of the bytes whose memory is not released yet.
+    /// Position of the first byte whose memory has not been released.
     held: usize,
-    /// Start of the last value.
+    /// Position of the last value that was read.
     value_at: usize,
     nesting: Nesting,
 }
 
 impl<'a> Text<'a> {
-    /// Starts at the beginning of a text.
+    /// Creates a reader at the start of a text. A byte order mark is skipped.
     pub fn new(store: Slice<'a>) -> Self {
         let at = if store.starts_with(b"\xef\xbb\xbf") { 3 } else { 0 };
         Self { store, at, held: at, value_at: at, nesting: Nesting::default() }
@@ -33,7 +33,7 @@ impl<'a> Text<'a> {
         &self.store.bytes()[self.at..]
     }
 
-    /// Skips blanks and separators. In lists of keys and values, separators are optional.
+    /// Skips blanks, commas and colons. In lists of keys and values, writers may omit separators.
     fn skip_blanks(&mut self) {
         let is_blank = |byte: &&u8| byte.is_ascii_whitespace() || matches!(byte, b',' | b':');
         self.at += self.rest().iter().take_while(is_blank).count();
@@ -43,7 +43,7 @@ impl<'a> Text<'a> {
         }
     }
 
-    /// A quoted text.
+    /// Reads a text in quotes.
     fn quoted(&mut self) -> Result<Rc<str>, ReadFault> {
         let rest = self.rest();
         let mut escaped = false;

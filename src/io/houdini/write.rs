@@ -1,6 +1,7 @@
-//! Writes `.bgeo.sc`: triangles as one run of polygons, in chunks of Blosc.
+//! Writes `.bgeo.sc`: triangles as one run of polygons, compressed in chunks by Blosc.
 //!
-//! Houdini's polygons are clockwise seen from outside, so corners are written in that order.
+//! In Houdini, polygons are clockwise as seen from outside, so corners are written in reverse
+//! order.
 
 use std::collections::HashSet;
 use std::io::{self, Write};
@@ -13,15 +14,15 @@ use crate::surface::mesh::source::MeshSource;
 
 use super::container::ContainerWriter;
 
-/// Points per page, as in Houdini's files.
+/// Number of points per page, as in Houdini's files.
 const PAGE: u64 = 1024;
 
-/// Values of every point.
+/// An attribute or the positions of points.
 struct PointArray {
     name: String,
     components: usize,
     storage: Type,
-    /// Houdini's name of the values' meaning.
+    /// Houdini's name for the kind of the values, such as a vector or a colour.
     meaning: &'static str,
     numbers: ValueSource,
 }
@@ -32,11 +33,12 @@ enum ValueSource {
     Positions(CoordinateWidth),
     Normals,
     Attribute(usize),
-    /// Components of a colour from 0 to 1.
+    /// A range of components of the attribute with this index, a colour converted to values from 0
+    /// to 1.
     Shares(usize, [usize; 2]),
 }
 
-/// A type of values.
+/// A number type.
 #[derive(Clone, Copy)]
 enum Type {
     F32,
@@ -46,7 +48,7 @@ enum Type {
 }
 
 impl Type {
-    /// The name of the type, and its byte in binary JSON.
+    /// The name of the type, and the byte that stands for it in binary JSON.
     fn spelled(self) -> (&'static str, u8) {
         match self {
             Self::F32 => ("fpreal32", 0x19),
@@ -57,8 +59,8 @@ impl Type {
     }
 }
 
-/// Writes `mesh` with all of its attributes: velocity as `v`, normals as `N`, and a colour as `Cd`,
-/// with its alpha as `Alpha`.
+/// Writes `mesh` with all of its attributes. A velocity is `v`, normals are `N`, and a colour is
+/// `Cd`, with its alpha in `Alpha`.
 ///
 /// # Panics
 /// Like [`MeshFormat::write`](crate::io::output::MeshFormat::write).
@@ -120,7 +122,7 @@ fn write_document(
     out.write_all(&tail.0)
 }
 
-/// The names of attributes in the file, including `v` and `Cd`.
+/// Names of the attributes in the file. A velocity is `v`, and a colour is `Cd`.
 pub fn attribute_names(attributes: &[AttributeInfo], has_normals: bool) -> Vec<String> {
     let mut taken: HashSet<String> = HashSet::from(["P".to_owned()]);
     taken.extend(has_normals.then(|| "N".to_owned()));
@@ -146,7 +148,7 @@ pub fn attribute_names(attributes: &[AttributeInfo], has_normals: bool) -> Vec<S
     names.collect()
 }
 
-/// A valid name in Houdini: letters, digits and underscores, not starting with a digit.
+/// Converts a name to a valid name in Houdini: letters, digits and underscores, no digit first.
 fn identifier(name: &str) -> String {
     let plain = name.replace(|c: char| !c.is_ascii_alphanumeric() && c != '_', "_");
     let is_begun = plain.starts_with(|c: char| !c.is_ascii_digit());
@@ -182,7 +184,7 @@ fn arrays(mesh: &dyn MeshSource, width: CoordinateWidth) -> Vec<PointArray> {
         let (name, meaning) = if info.is_velocity() { ("v", "vector") } else { (&**name, "") };
         let storage = match info.kind {
             AttributeKind::Signed | AttributeKind::Wide => Type::I32,
-            // Houdini has no unsigned 32-bit integers.
+            // Houdini has no unsigned 32-bit type, so the next wider type is used.
             AttributeKind::Unsigned => Type::I64,
             _ => Type::F32,
         };
@@ -227,7 +229,7 @@ impl PointArray {
                         let words = vertices.attributes[index].iter();
                         words.for_each(|&word| out.extend(kind.whole(word).to_le_bytes()));
                     })?,
-                    // Integers are stored as their 32 bits.
+                    // Integers are passed as their 32 bits in f32 values.
                     _ => write_floats(out, mesh, |vertices| &vertices.attributes[index])?,
                 }
             }
@@ -289,7 +291,7 @@ impl Tokens {
         self
     }
 
-    /// The start of an array, whose numbers follow.
+    /// Starts an array of `count` numbers. The numbers must follow.
     fn array(&mut self, storage: Type, count: u64) -> &mut Self {
         self.byte(0x40).byte(storage.spelled().1).length(count)
     }

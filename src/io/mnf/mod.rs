@@ -34,16 +34,19 @@
 //! | | 4 | CRC-32 of the header, the footer, the index and the offset of the footer |
 //! | | 8 | `0A 1A 0A 0D 46 4E 4D 89` |
 //!
-//! The samples of a page are those of its bricks in order, x fastest in each brick: first the low
-//! bytes of all samples, then the high bytes. For symmetry, samples are the DIF, 0 to 65535. For
-//! counting, they are numbers of particles, at most 65535, and the DIF is theta(N) = min(N, mu0) /
-//! mu0 in 65535ths, rounded. For cloud, a brick has a ghost layer of one cell on every side, and
-//! its samples are the amounts of its own particles, which depend on their spacing in cells
-//! ([`Amount`](crate::field::indicator::Amount)); the value of a cell is the sum over all bricks,
-//! at most 65535. A cell is full if its value in its own page is not 0.
+//! A page contains the samples of its bricks in order, with x fastest in each brick. The low bytes
+//! of all samples come first, then the high bytes.
 //!
-//! Version 1 differed only for clouds, whose size depended on mu0. Such frames are rejected; other
-//! frames of version 1 can be read.
+//! For symmetry, a sample is the DIF, from 0 to 65535. For counting, a sample is a number of
+//! particles, at most 65535, and the DIF is theta(N) = min(N, mu0) / mu0 in 65535ths, rounded. For
+//! cloud, a brick has a ghost layer of one cell on every side, and a sample is what the particles
+//! of the brick add to a cell. Each particle adds an
+//! [`Amount`](crate::field::indicator::Amount) in total, which depends on the spacing in cells. The
+//! value of a cell is the sum over all bricks, at most 65535. A cell is full if its value in its
+//! own page is not 0.
+//!
+//! Version 1 differs only for clouds, whose size depends on mu0. Clouds of version 1 are rejected,
+//! and other frames of version 1 can be read.
 //!
 //! The guide for users is `packed.md`.
 
@@ -64,31 +67,32 @@ pub fn is_packed(path: &Path) -> bool {
 const MAGIC: [u8; 8] = *b"\x89MNF\r\n\x1a\n";
 const END_MAGIC: [u8; 8] = *b"\n\x1a\n\rFNM\x89";
 const VERSION: u32 = 2;
-/// The previous version. Its frames can be read, except clouds.
+/// The previous version of the format. Its frames can be read, except those with clouds.
 const FIRST_VERSION: u32 = 1;
 
-/// Bits of the footer's flags: there are walls; the box is periodic.
+/// Bits of the flags in the footer. One means that there are walls, the other that the box is
+/// periodic.
 const WALLS: u32 = 1;
 const PERIODIC: u32 = 2;
 const BOTH: u32 = WALLS | PERIODIC;
 
-/// Bytes of the header.
+/// Number of bytes of the header.
 const HEADER: usize = 16;
-/// Bytes of the footer before the index.
+/// Number of bytes of the footer, which precedes the index.
 const FACTS: usize = 144;
-/// Bytes of a page's entry in the index.
+/// Number of bytes of a page's entry in the index.
 const ENTRY: usize = 44;
-/// Bytes of the tail.
+/// Number of bytes of the tail.
 const TAIL: usize = 20;
 
-/// Splits samples into their low bytes, followed by their high bytes. This compresses better, and
-/// does not depend on the machine's byte order.
+/// Divides samples into their low bytes and their high bytes, which follow. This order compresses
+/// better, and does not depend on the machine's byte order.
 fn planes_from_samples(samples: &[u16]) -> Vec<u8> {
     let bytes = |byte: usize| samples.iter().map(move |sample| sample.to_le_bytes()[byte]);
     bytes(0).chain(bytes(1)).collect()
 }
 
-/// The inverse of [`planes_from_samples`].
+/// Joins the low and high bytes of samples, the inverse of [`planes_from_samples`].
 fn samples_from_planes(planes: &[u8]) -> Vec<u16> {
     let (low, high) = planes.split_at(planes.len() / 2);
     low.iter().zip(high).map(|(&low, &high)| u16::from_le_bytes([low, high])).collect()

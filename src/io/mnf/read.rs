@@ -24,22 +24,24 @@ use super::{
     samples_from_planes,
 };
 
-/// Bytes of the map that are read before its memory is released.
+/// Number of bytes that are read from the map before its memory is released.
 const RELEASED: u64 = 4 << 20;
-/// Bytes that the system maps around an accessed byte.
+/// Number of bytes that the system maps around an accessed byte.
 const AROUND: u64 = 64 << 10;
-/// Bytes per check.
+/// Number of bytes per step of computing a checksum.
 const CHUNK: usize = 1 << 20;
 
-/// Opens a frame of any size. This reads and checks every byte, but keeps only the index. Samples
-/// are read again when they are needed, and the most recently used pages stay in memory, up to
-/// `cache_bytes`. A few MiB of the file are mapped at a time.
+/// Opens a packed frame of any size.
+///
+/// This reads and checks every byte, but keeps only the index in memory. Samples are read again
+/// when they are needed. The most recently used pages stay in memory, up to `cache_bytes`. The map
+/// of the file takes a few MiB of memory at a time.
 ///
 /// If another program changes the file while the field is in use, the process ends with a panic or
 /// a signal.
 ///
 /// # Errors
-/// Errors of the system; [`ReadFault::Truncated`], [`ReadFault::Malformed`] and
+/// Errors of the system, [`ReadFault::Truncated`], [`ReadFault::Malformed`] and
 /// [`ReadFault::Compression`] for an invalid or damaged frame, and [`ReadFault::Unsupported`] for a
 /// frame of another version.
 pub fn open_frame(path: &Path, cache_bytes: u64) -> Result<SampledDif, ReadError> {
@@ -55,17 +57,17 @@ pub fn open_frame(path: &Path, cache_bytes: u64) -> Result<SampledDif, ReadError
     Ok(SampledDif::new(facts, indicator, pages.into_dif(infos, cache_bytes)))
 }
 
-/// Opens a frame that this process wrote and no other process can access. Its samples are not
+/// Opens a frame that this process wrote and that no other process can access. Samples are not
 /// checked.
 ///
 /// # Errors
-/// As [`open_frame`], for the index only.
+/// The errors of [`open_frame`] that concern the index.
 pub fn frame_from_file(file: &File, cache_bytes: u64) -> Result<SampledDif, ReadFault> {
     let Index { facts, indicator, infos, pages } = read_index(PrivateBytes::map(file)?)?;
     Ok(SampledDif::new(facts, indicator, pages.into_dif(infos, cache_bytes)))
 }
 
-/// A map whose memory is released repeatedly.
+/// A map of a file, whose memory is released repeatedly.
 #[derive(Debug)]
 struct MapWindow {
     bytes: PrivateBytes,
@@ -73,7 +75,7 @@ struct MapWindow {
 }
 
 impl MapWindow {
-    /// Must be called after every access, with the number of bytes.
+    /// Counts accessed bytes, and releases memory. Must be called after every access.
     fn looked_at(&self, bytes: u64) {
         if self.looked_at.fetch_add(bytes, Ordering::Relaxed) + bytes > RELEASED {
             self.looked_at.store(0, Ordering::Relaxed);
@@ -94,11 +96,11 @@ impl MapWindow {
 struct MappedPages {
     window: MapWindow,
     shape: PageShape,
-    /// The start of each page, and the end of the last one.
+    /// The position of each page, and the end of the last page, in bytes.
     first: Vec<u64>,
     /// Number of bricks in each page.
     bricks: Vec<u8>,
-    /// Checksums of the pages until they are checked.
+    /// Checksums of the pages. They are not needed after the pages have been checked.
     checksums: Vec<u32>,
 }
 
@@ -107,7 +109,8 @@ impl MappedPages {
         &self.window.bytes[self.first[page] as usize..self.first[page + 1] as usize]
     }
 
-    /// The samples of a page; `None` for a damaged zstd stream, or one of the wrong size.
+    /// Decompresses the samples of a page. `None` for a damaged zstd stream or a wrong number of
+    /// samples.
     fn decompress(&self, page: usize) -> Option<Vec<u16>> {
         thread_local! {
             static SCRATCH: RefCell<(Decompressor<'static>, Vec<u8>)> = RefCell::default();
@@ -121,7 +124,7 @@ impl MappedPages {
         })
     }
 
-    /// Checks that all pages match `infos`.
+    /// Checks that the samples of all pages match `infos`.
     fn check(&self, infos: &[PageInfo]) -> Result<(), ReadFault> {
         let fault = infos.par_iter().enumerate().find_map_first(|(page, info)| {
             let compressed = self.compressed(page);
@@ -158,7 +161,7 @@ impl PageSource for MappedPages {
     }
 }
 
-/// All metadata, with the positions of the pages.
+/// The metadata of a frame, and the positions of its pages.
 struct Index {
     facts: FrameFacts,
     indicator: Indicator,
@@ -213,7 +216,7 @@ fn read_index(bytes: PrivateBytes) -> Result<Index, ReadFault> {
     }
     let full_cells: u64 = infos.iter().map(|info| u64::from(info.full_count)).sum();
     let shape = indicator.kind().shape(side);
-    // In a corner of a periodic box, a cell has seven images.
+    // A cell in the corner of a periodic box has seven images.
     let places = if facts.periodic.is_some() { 8 } else { 1 };
     let most = places * shape.cells_a_particle() as u64;
     if full_cells > most.saturating_mul(facts.census.binned as u64) {
@@ -248,7 +251,7 @@ fn read_header(bytes: &[u8]) -> Result<(u32, BrickSide), ReadFault> {
     }
 }
 
-/// The start of the footer, after checking it.
+/// Checks the tail of the file, and returns the position of the footer.
 fn read_tail(window: &MapWindow) -> Result<usize, ReadFault> {
     let bytes = &window.bytes;
     let have = bytes.len() as u64;
@@ -279,7 +282,7 @@ fn read_tail(window: &MapWindow) -> Result<usize, ReadFault> {
     Ok(footer as usize)
 }
 
-/// The frame's facts, its indicator, and its number of pages.
+/// Reads the facts about the frame, its indicator, and the number of pages.
 fn read_facts(cursor: &mut Cursor<'_>) -> Result<(FrameFacts, Indicator, u64), ReadFault> {
     let at = cursor.at();
     let fault = |error: &dyn std::fmt::Display| malformed(at, error.to_string());
@@ -327,7 +330,7 @@ fn read_facts(cursor: &mut Cursor<'_>) -> Result<(FrameFacts, Indicator, u64), R
     Ok((FrameFacts { grid, domain, periodic, census, spacing }, indicator, count))
 }
 
-/// The periodic box. An open axis extends from -inf to inf.
+/// Reads the periodic box. An open axis extends from -inf to inf.
 fn read_periodic(cursor: &mut Cursor<'_>, grid: &Grid) -> Result<Periodic, ReadFault> {
     let at = cursor.at();
     let (lo, hi) = (read_point(cursor)?, read_point(cursor)?);
@@ -348,7 +351,7 @@ fn read_point(cursor: &mut Cursor<'_>) -> Result<DVec3, ReadFault> {
     Ok(DVec3::new(x()?, x()?, x()?))
 }
 
-/// A page's entry in the index.
+/// The entry of a page in the index.
 struct PageEntry {
     info: PageInfo,
     offset: u64,
@@ -356,7 +359,7 @@ struct PageEntry {
     checksum: u32,
 }
 
-/// Reads one entry, and checks it without regard to others.
+/// Reads the entry of a page, and checks it without regard to other pages.
 fn read_entry(
     cursor: &mut Cursor<'_>,
     side: BrickSide,

@@ -13,38 +13,39 @@ use crate::grid::units::MeanCount;
 
 use super::{END_MAGIC, HEADER, MAGIC, PERIODIC, TAIL, VERSION, WALLS, planes_from_samples};
 
-/// Speed matters, and higher levels do not compress noise better.
+/// Compression level of zstd. Writing must be fast, and higher levels do not compress noise better.
 const LEVEL: i32 = 1;
-/// Pages that one thread compresses with one context.
+/// Number of pages that a thread compresses with one context.
 const CHUNK: usize = 64;
 
-/// Writes a frame page by page. The memory holds the index and one batch of compressed pages.
+/// Writes a frame page by page. The index and one batch of compressed pages are in memory.
 ///
-/// All readers reject a file without [`finish`](Self::finish).
+/// A file without a call of [`finish`](Self::finish) is incomplete, and all readers reject it.
 #[derive(Debug)]
 pub struct FrameWriter<W> {
     out: W,
     shape: PageShape,
     header: [u8; HEADER],
-    /// Bytes written so far.
+    /// Number of bytes that were written.
     at: u64,
     pages: u64,
     index: Vec<u8>,
     last: Option<PageInfo>,
 }
 
-/// Consecutive compressed pages.
+/// Compressed pages that are adjacent in the file.
 struct CompressedPages {
     bytes: Vec<u8>,
-    /// Length and checksum of each page.
+    /// Length in bytes and checksum of each page.
     parts: Vec<(usize, u32)>,
 }
 
 impl<W: Write> FrameWriter<W> {
-    /// Starts a frame with pages of one shape. Writes are large, so `out` needs no buffer.
+    /// Writes the header of a frame whose pages have this shape. Writes are large, so `out` needs
+    /// no buffer.
     ///
     /// # Errors
-    /// The errors of `out`. This also holds for the methods below.
+    /// The errors of `out`. The methods below return them too.
     pub fn create(mut out: W, shape: PageShape) -> io::Result<Self> {
         let mut header = [0; HEADER];
         header[..8].copy_from_slice(&MAGIC);
@@ -54,12 +55,14 @@ impl<W: Write> FrameWriter<W> {
         Ok(Self { out, shape, header, at: HEADER as u64, pages: 0, index: Vec::new(), last: None })
     }
 
-    /// Appends pages; `samples` returns all samples of a page's bricks. Pages are compressed on all
-    /// threads and written in order. The bytes depend neither on the threads nor on the division of
-    /// pages among calls.
+    /// Appends pages. `samples` returns the samples of all bricks of a page.
+    ///
+    /// Pages are compressed on all threads and written in order. The bytes depend neither on the
+    /// number of threads nor on how the pages are divided among calls.
     ///
     /// # Panics
-    /// If the pages are not in the order of their keys, or their samples do not match their bricks.
+    /// If pages are not in the order of their keys, or if the number of samples does not match
+    /// their bricks.
     pub fn push<'a, P: Sync>(
         &mut self,
         pages: &'a [(PageInfo, P)],
@@ -82,7 +85,7 @@ impl<W: Write> FrameWriter<W> {
         Ok(())
     }
 
-    /// Adds a page to the index.
+    /// Adds the entry of a page to the index.
     fn enter(&mut self, info: &PageInfo, length: usize, checksum: u32) {
         let corner = info.key.coord() * BIN;
         let index = &mut self.index;
@@ -100,7 +103,7 @@ impl<W: Write> FrameWriter<W> {
         self.pages += 1;
     }
 
-    /// Writes the metadata. Returns the size of the file.
+    /// Writes the footer, the index and the tail. Returns the size of the file in bytes.
     pub fn finish(mut self, facts: &FrameFacts, indicator: Indicator) -> io::Result<u64> {
         let mut footer = footer(facts, indicator);
         footer.extend(self.pages.to_le_bytes());
@@ -117,7 +120,7 @@ impl<W: Write> FrameWriter<W> {
     }
 }
 
-/// The footer, except for the number of pages.
+/// The footer without the number of pages.
 fn footer(facts: &FrameFacts, indicator: Indicator) -> Vec<u8> {
     let walls = facts.domain.map_or([0.0; 6], |domain| {
         let [lo, hi] = domain.walls().map(|corner| corner.to_array());
@@ -159,7 +162,7 @@ fn compress<'a, P>(
     shape: PageShape,
 ) -> io::Result<CompressedPages> {
     let mut compressor = Compressor::new(LEVEL)?;
-    // The index has the size.
+    // The index implies the size of each page.
     compressor.set_parameter(CParameter::ContentSizeFlag(false))?;
     let mut compressed =
         CompressedPages { bytes: Vec::new(), parts: Vec::with_capacity(pages.len()) };
@@ -173,11 +176,11 @@ fn compress<'a, P>(
     Ok(compressed)
 }
 
-/// Writes a whole frame of any size. Returns the size of the file.
+/// Writes a complete frame of any size. Returns the size of the file in bytes.
 pub fn write_frame(out: impl Write, frame: &SampledDif) -> io::Result<u64> {
     let field = &frame.dif;
     let mut writer = FrameWriter::create(out, field.shape())?;
-    // Two chunks per thread at a time, to reduce the wait for the last one.
+    // Two chunks per thread form a batch, to reduce the wait for the last chunk.
     let batch = 2 * CHUNK * rayon::current_num_threads();
     for first in (0..field.infos().len()).step_by(batch) {
         let infos = field.infos()[first..].iter().take(batch);

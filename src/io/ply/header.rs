@@ -5,7 +5,7 @@ use crate::io::bytes::ByteView;
 use crate::io::columns::{Endian, Scalar};
 use crate::io::scan::Lines;
 
-/// Length of the longest keyword of a comment, including the following blank.
+/// Number of bytes of the longest keyword of a comment, with the blank after it.
 const REMARK: usize = "obj_info ".len();
 
 /// The encoding of the rows.
@@ -15,16 +15,16 @@ pub(super) enum Encoding {
     Binary(Endian),
 }
 
-/// A value of a row, or a list of values with a length prefix.
+/// A property of each row: a value, or a list of values after their number.
 #[derive(Debug, Clone)]
 pub(super) struct PlyProperty {
     pub name: String,
     pub scalar: Scalar,
-    /// The type of a list's length; `None` for a value.
+    /// The type of the number of list values. `None` if the property is a single value.
     pub list: Option<Scalar>,
 }
 
-/// An element: rows with the same properties.
+/// An element: a number of rows with the same properties.
 #[derive(Debug)]
 pub(super) struct Element {
     pub name: String,
@@ -33,18 +33,18 @@ pub(super) struct Element {
 }
 
 impl Element {
-    /// Bytes of a row in binary; `None` if rows differ in length.
+    /// Number of bytes of a binary row. `None` if rows contain lists and so differ in length.
     pub fn row(&self) -> Option<usize> {
         self.properties.iter().map(|p| p.list.is_none().then(|| p.scalar.size())).sum()
     }
 
-    /// The element without list properties.
+    /// A copy of the element without its list properties.
     pub fn without_lists(&self) -> Self {
         let properties = self.properties.iter().filter(|p| p.list.is_none()).cloned().collect();
         Self { name: self.name.clone(), count: self.count, properties }
     }
 
-    /// The index of the property with this name, or with the name in another case.
+    /// The index of the property `name`. An exact match has priority over a match in another case.
     pub fn property(&self, name: &str) -> Option<usize> {
         let exact = self.properties.iter().position(|p| p.name == name);
         exact.or_else(|| self.properties.iter().position(|p| p.name.eq_ignore_ascii_case(name)))

@@ -1,8 +1,8 @@
 //! .ply, the Stanford format: particles or meshes, in text or in binary with either byte order.
 //!
-//! A header lists elements in the order of their data, each with a count and its properties.
-//! `vertex` contains particles or the vertices of a mesh; `face` contains polygons, and a file
-//! without any is a particle file.
+//! A header lists the elements in the order of their data, each with a count and its properties.
+//! The element `vertex` contains particles or the vertices of a mesh. The element `face` contains
+//! polygons. A file without faces is a particle file.
 
 mod header;
 mod read;
@@ -14,7 +14,7 @@ pub use stream::StreamedMesh;
 pub(in crate::io) use write::attribute_names;
 pub use write::write_mesh;
 
-/// Properties that form an attribute with three components.
+/// Names of three properties that together form an attribute.
 const GROUPS: [(&str, [&str; 3]); 4] = [
     ("velocity", ["vx", "vy", "vz"]),
     ("velocity", ["velocity_x", "velocity_y", "velocity_z"]),
@@ -22,5 +22,5 @@ const GROUPS: [(&str, [&str; 3]); 4] = [
     (NORMAL, ["nx", "ny", "nz"]),
 ];
 
-/// Name of the attribute of nx, ny and nz.
+/// Name of the attribute that nx, ny and nz form.
 const NORMAL: &str = "normal";

@@ -1,4 +1,4 @@
-//! Reads .ply files: the rows of `vertex` in place, the lists of `face` as triangles.
+//! Reads .ply files. Rows of `vertex` are read in place, and lists of `face` become triangles.
 
 use std::ops::{ControlFlow, Range};
 
@@ -15,7 +15,7 @@ use super::header::{Element, Encoding, PlyHeader, PlyProperty};
 use super::{GROUPS, NORMAL};
 use crate::io::names::{COLOUR, COLOURS};
 
-/// Bytes of rows per batch.
+/// Number of bytes of rows that are collected before they are appended to the result.
 const PIECE: usize = 1 << 16;
 
 /// Reads a file of particles with [`read_points`].
@@ -32,19 +32,20 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
     }
 }
 
-/// Reads the rows of `vertex` as particles, regardless of faces. Binary rows are read in place;
-/// text becomes columns of f64.
+/// Reads the rows of `vertex` as particles, whether or not there are faces. Binary rows are read in
+/// place. Text is decoded to columns of f64.
 ///
-/// x, y and z may be at any position among the properties. vx, vy and vz (`velocity_x`, `vel_x`,
-/// ...) are the attribute `velocity`, nx, ny and nz `normal`, and red, green, blue and optionally
-/// alpha `color`. Consecutive properties `a_0`, `a_1`, ... are one attribute `a`, and any other
-/// property is an attribute. Lists are skipped, and later elements are not read.
+/// The properties x, y and z may have any order and place. vx, vy and vz (or `velocity_x`, `vel_x`,
+/// ...) are the attribute `velocity`. nx, ny and nz are `normal`. red, green, blue and optionally
+/// alpha are `color`. Consecutive properties `a_0`, `a_1`, ... are one attribute `a`. Every other
+/// property is an attribute of its own name. Lists are skipped, and elements after `vertex` are not
+/// read.
 ///
 /// # Errors
 /// [`ReadFault::Line`] for an invalid header or row of text, [`ReadFault::Truncated`] for fewer
-/// rows than the header announces, [`ReadFault::Malformed`] without vertices with x, y and z;
-/// [`ReadFault::Scratch`] if rows of text, or rows with lists, are decoded and the scratch file
-/// fails.
+/// rows than the header announces, [`ReadFault::Malformed`] for vertices without x, y and z, and
+/// [`ReadFault::Scratch`] if decoded rows do not fit in memory and the scratch file cannot be
+/// written.
 pub fn read_points(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
     let header = PlyHeader::parse(bytes.view())?;
     points(bytes, &header, unpacking)
@@ -61,7 +62,7 @@ fn points(
         Encoding::Binary(Endian::Big) => "PLY, binary big-endian",
     };
     let is_text = header.encoding == Encoding::Ascii;
-    // The end of rows with lists depends on each list.
+    // If rows have lists, their end is unknown until the lists are read.
     let vertex = header.elements.iter().position(|element| element.name == "vertex");
     let mut upto = header.elements.iter().take(vertex.map_or(0, |vertex| vertex + 1));
     let whole = is_text || upto.any(|element| element.row().is_none());
@@ -141,7 +142,8 @@ pub(super) fn vertices(
     Ok(FileVertices { decoded, count: element.count, position, attributes, normals })
 }
 
-/// The attributes formed by `properties` except `position`: names, and indices of properties.
+/// Groups the properties except `position` into attributes. Returns each name with the property
+/// indices.
 fn group(properties: &[PlyProperty], position: [usize; 3]) -> Vec<(String, Vec<usize>)> {
     let named = |name: &str| properties.iter().position(|p| p.name.eq_ignore_ascii_case(name));
     let whole = |members: [&str; 3]| members.into_iter().map(named).collect::<Option<Vec<_>>>();
@@ -175,8 +177,8 @@ fn group(properties: &[PlyProperty], position: [usize; 3]) -> Vec<(String, Vec<u
     attributes
 }
 
-/// The properties `a_0`, `a_1`, ... from index `first` on as `a`, or a single property under its
-/// own name.
+/// The attribute that starts with property `first`: `a` with the properties `a_0`, `a_1`, ..., or a
+/// single property with its own name.
 fn numbered_run(properties: &[PlyProperty], taken: &[bool], first: usize) -> (String, Vec<usize>) {
     let name = &properties[first].name;
     let Some(base) = name.strip_suffix("_0") else {
@@ -208,7 +210,7 @@ fn text_columns(element: &Element) -> Vec<Column> {
     columns(0, 8 * components, components, Scalar::F64, Endian::Little)
 }
 
-/// Binary rows without their lists, so that all have the same size.
+/// Copies binary rows without their lists, so that all rows have the same size.
 fn plain_rows(
     bytes: &[u8],
     encoding: Encoding,
@@ -237,7 +239,7 @@ fn plain_rows(
     rows.finish()
 }
 
-/// Rows of text as little-endian f64, without their lists.
+/// Decodes rows of text to little-endian f64, without their lists.
 fn decode(
     source: Slice,
     at: usize,
@@ -259,7 +261,7 @@ fn decode(
         |(rows, outcome)| {
             let missing = all - decoded.len() as usize;
             decoded.push(&rows[..rows.len().min(missing)])?;
-            // Lines after the last row may be anything.
+            // Lines after the last row are ignored, even if they are invalid.
             if rows.len() >= missing {
                 Ok(ControlFlow::Break(()))
             } else {
@@ -273,7 +275,7 @@ fn decode(
     decoded.finish()
 }
 
-/// The rows of complete lines, up to the first invalid one, and its error.
+/// Decodes the rows of complete lines. Returns the rows above the first invalid row, and its error.
 fn decode_rows(
     source: Slice,
     lines: Range<usize>,
@@ -315,7 +317,8 @@ fn end_row(scan: &mut Scanner) -> Result<(), ReadFault> {
     }
 }
 
-/// The element of faces, if there are any, and the index of the property with the corners.
+/// The element of faces and the index of its property with the corners. `None` if there are no
+/// faces.
 pub(super) fn faces(header: &PlyHeader) -> Result<Option<(&Element, usize)>, ReadFault> {
     let filled =
         |name| header.elements.iter().find(|element| element.name == name && element.count > 0);
@@ -342,7 +345,7 @@ pub(super) fn faces(header: &PlyHeader) -> Result<Option<(&Element, usize)>, Rea
     Ok(Some((element, list)))
 }
 
-/// The start of the rows of `element`, after all elements before it.
+/// The start of the rows of `element`, which follow the rows of all elements before it.
 pub(super) fn start(
     bytes: ByteView,
     header: &PlyHeader,
@@ -386,8 +389,8 @@ fn skip(
     }
 }
 
-/// Visits every row of `element` from byte `at` on, with its number, its position, and the list in
-/// property number `list`. Returns the end of the rows.
+/// Calls a function with every row of `element` from byte `at` on: the row's number, its position,
+/// and the list in property number `list`. Returns the end of the rows.
 fn walk(
     bytes: &[u8],
     encoding: Encoding,
@@ -422,7 +425,7 @@ fn walk(
     Ok(scan.at())
 }
 
-/// The number of values of `property`: the length of its list, or one.
+/// The number of values of `property` in a row: the length of its list, or one.
 fn list_length(
     scan: &mut Scanner,
     encoding: Encoding,

@@ -1,4 +1,4 @@
-//! A mesh that is read from its file piece by piece.
+//! A mesh that is read piece by piece from its .ply file.
 
 use std::io;
 
@@ -13,28 +13,30 @@ use crate::surface::mesh::source::{MeshSource, Outline, Vertices};
 use super::header::{Encoding, PlyHeader};
 use super::read::{faces, start, vertices};
 
-/// Vertices or triangles per piece.
+/// Number of vertices or triangles per piece.
 const PIECE: usize = 1 << 15;
-/// Bytes of a triangle: the number of corners, and their vertex numbers.
+/// Number of bytes of a triangle: the number of corners, and their vertex indices.
 const ROW: usize = 1 + 3 * size_of::<u32>();
 
-/// The mesh of a binary .ply file, of which only the current pieces are in memory.
+/// The mesh of a binary .ply file. Only the pieces that are being read are in memory.
 #[derive(Debug)]
 pub struct StreamedMesh {
     vertices: Pieces,
-    /// The numbers of the vertices' attributes: of the normals, and of all others.
+    /// The index of the attribute with the normals, and the indices of all other attributes.
     normals: Option<usize>,
     others: Vec<usize>,
     faces: InputBytes,
-    /// The start of the triangles.
+    /// The position of the first triangle in the file.
     at: usize,
     outline: Outline,
 }
 
 impl StreamedMesh {
-    /// Opens a mesh in the form that this library writes: little-endian, only triangles, 32-bit
-    /// corners, and nothing after them; `None` for any other. The file's bytes are given twice, to
-    /// read vertices and faces independently.
+    /// Opens a mesh in the form that this library writes: little-endian, only triangles with 32-bit
+    /// corners, and nothing after them. `None` for other files.
+    ///
+    /// `bytes` and `again` are the same file, opened twice to read vertices and faces
+    /// independently.
     ///
     /// # Errors
     /// The errors of [`read_mesh`](super::read_mesh) about the header.

@@ -11,16 +11,18 @@ use crate::surface::mesh::source::MeshSource;
 
 use super::{GROUPS, NORMAL};
 
-/// Bytes of a face: the number of corners, and their vertex numbers.
+/// Number of bytes of a face: the number of corners, and their vertex indices.
 const FACE: usize = 1 + 3 * size_of::<u32>();
 
-/// Writes `mesh` in little-endian binary: x, y, z as float or double by `width`; nx, ny, nz, and
-/// vx, vy, vz for an attribute `velocity` of three components; the first colour as bytes red,
-/// green, blue and optionally alpha; other attributes as `name`, or `name_0`, `name_1`, ...; and
-/// faces as lists of three.
+/// Writes `mesh` in little-endian binary.
 ///
-/// A name that the format cannot store, because of white space or a conflict, is changed with
-/// underscores.
+/// Vertices have x, y and z as float or double by `width`, then nx, ny and nz, and vx, vy and vz
+/// for an attribute `velocity` of three components. The first colour is written as bytes red,
+/// green, blue and optionally alpha. Other attributes are properties `name`, or `name_0`, `name_1`
+/// and so on. Faces are lists of three vertex indices.
+///
+/// A name with white space or a conflict is changed with underscores, because the format cannot
+/// store it.
 ///
 /// # Panics
 /// Like [`MeshFormat::write`](crate::io::output::MeshFormat::write).
@@ -50,7 +52,8 @@ pub fn write_mesh(
     })?;
     write_triangles(out, mesh, |triangles, out| {
         let first = out.len();
-        // Each face starts with its number of corners, 3, with which all bytes are initialized.
+        // Each face starts with its number of corners, 3. All bytes are set to 3, and the indices
+        // overwritten.
         out.resize(first + triangles.len() * FACE, 3);
         for (face, corners) in out[first..].as_chunks_mut::<FACE>().0.iter_mut().zip(triangles) {
             face[1..].copy_from_slice(
@@ -65,7 +68,7 @@ fn header(mesh: &dyn MeshSource, width: CoordinateWidth) -> String {
         CoordinateWidth::F32 => "float",
         CoordinateWidth::F64 => "double",
     };
-    // The bytes are the same if no index exceeds i32, and all programs support int.
+    // Up to i32::MAX, int and uint have the same bytes. All programs support int.
     let index = if mesh.vertex_count() <= i32::MAX as u64 { "int" } else { "uint" };
     let infos = mesh.attributes();
     let normals = if mesh.has_normals() { 3 } else { 0 };
@@ -91,7 +94,7 @@ fn header(mesh: &dyn MeshSource, width: CoordinateWidth) -> String {
     )
 }
 
-/// Names of the attributes, without the numbers of components.
+/// Names of the attributes, without suffixes for components.
 pub(in crate::io) fn attribute_names(
     attributes: &[AttributeInfo],
     has_normals: bool,
@@ -99,7 +102,7 @@ pub(in crate::io) fn attribute_names(
     named(attributes, has_normals).into_iter().map(|(name, _)| name).collect()
 }
 
-/// The unique names of the properties of `vertex`.
+/// Names of the properties of `vertex`. All of them are different.
 fn property_names(mesh: &dyn MeshSource) -> Vec<String> {
     let properties =
         named(&mesh.attributes(), mesh.has_normals()).into_iter().flat_map(|(_, names)| names);
@@ -111,13 +114,13 @@ fn group(name: &str) -> Option<Vec<String>> {
     Some(members.map(str::to_owned).to_vec())
 }
 
-/// The names of positions and normals.
+/// The property names of positions and normals.
 fn fixed(has_normals: bool) -> Vec<String> {
     let normals = if has_normals { group(NORMAL) } else { None };
     ["x", "y", "z"].map(str::to_owned).into_iter().chain(normals.into_iter().flatten()).collect()
 }
 
-/// The name of each attribute, and the names of its properties.
+/// For each attribute, its name in the file and the names of its properties.
 fn named(attributes: &[AttributeInfo], has_normals: bool) -> Vec<(String, Vec<String>)> {
     let mut taken = fixed(has_normals);
     let colour = colour_attribute(attributes);

@@ -4,7 +4,7 @@ use memchr::memchr;
 
 use crate::io::number::{Decimal, with_decimal};
 
-/// The separator of fields and the decimal separator of a table.
+/// The notation of a table: the separator of fields and the decimal separator.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Syntax {
     pub separator: Separator,
@@ -20,11 +20,11 @@ pub enum Separator {
 }
 
 impl Syntax {
-    /// Blanks between fields and a decimal point in numbers, as most simulators write them.
+    /// Blanks between fields, and a decimal point in numbers. Most simulators write this notation.
     pub const BLANKS: Self = Self { separator: Separator::Blanks, decimal: Decimal::Point };
 
-    /// All supported combinations in order of preference. A comma is preferably a separator, not a
-    /// decimal comma.
+    /// All supported notations, in order of preference. A comma is tried as a separator before it
+    /// is tried as a decimal comma.
     pub const ALL: [Self; 7] = [
         Self { separator: Separator::Byte(b';'), decimal: Decimal::Point },
         Self { separator: Separator::Byte(b';'), decimal: Decimal::Comma },
@@ -35,7 +35,7 @@ impl Syntax {
         Self { separator: Separator::Blanks, decimal: Decimal::Comma },
     ];
 
-    /// The number in a field: `None` for other values, NaN for an empty cell.
+    /// The number in a field. NaN for an empty or missing value, `None` for other text.
     pub fn number(self, field: &[u8]) -> Option<f64> {
         if let number @ Some(_) = with_decimal(field, self.decimal) {
             return number;
@@ -44,27 +44,27 @@ impl Syntax {
         if is_missing(field) { Some(f64::NAN) } else { with_decimal(field, self.decimal) }
     }
 
-    /// Whether a field contains a number.
+    /// Whether a field contains a number. Missing values do not count.
     pub fn is_number(self, field: &[u8]) -> bool {
         !is_missing(unquoted(field)) && self.number(field).is_some()
     }
 }
 
 impl Separator {
-    /// The separator that occurs in a line.
+    /// The separator of a line: a semicolon or a comma if the line contains one, else blanks.
     pub fn of(line: &[u8]) -> Self {
         [b';', b','].into_iter().find(|byte| line.contains(byte)).map_or(Self::Blanks, Self::Byte)
     }
 }
 
-/// Whether a field is a word for a missing value.
+/// Whether a field is empty or a word for a missing value.
 fn is_missing(field: &[u8]) -> bool {
-    // "Na" is sodium.
+    // "Na" is not among these words, because it is the symbol of sodium.
     const WORDS: [&str; 8] = ["NA", "N/A", "n/a", "null", "NULL", "Null", "none", "None"];
     field.is_empty() || WORDS.iter().any(|word| field == word.as_bytes())
 }
 
-/// A field without its quotes.
+/// The content of a field, without quotes around it.
 pub fn unquoted(field: &[u8]) -> &[u8] {
     match field {
         [b'"', inside @ .., b'"'] | [b'\'', inside @ .., b'\''] => inside.trim_ascii(),
@@ -77,8 +77,8 @@ pub fn is_comment(line: &[u8]) -> bool {
     matches!(line.trim_ascii_start(), [b'#' | b'%' | b'!', ..] | [b'/', b'/', ..])
 }
 
-/// The non-blank lines: number from 1, first byte, and content without surrounding spaces. Tabs are
-/// kept, because they may separate empty cells.
+/// The lines that are not blank: line number from 1, position of the first byte, and content
+/// without surrounding spaces. Surrounding tabs are kept, because they may separate empty cells.
 pub fn lines(text: &[u8]) -> impl Iterator<Item = (u64, usize, &[u8])> {
     let mut at = 0;
     let lines = std::iter::from_fn(move || {
@@ -91,7 +91,7 @@ pub fn lines(text: &[u8]) -> impl Iterator<Item = (u64, usize, &[u8])> {
     lines.filter(|(.., content)| content.iter().any(|byte| !byte.is_ascii_whitespace()))
 }
 
-/// A line without its end and surrounding spaces.
+/// A line without its line end and surrounding spaces.
 fn trimmed(line: &[u8]) -> &[u8] {
     let is_cut = |byte: &u8| matches!(byte, b' ' | b'\r' | b'\n');
     let end = line.iter().rposition(|byte| !is_cut(byte)).map_or(0, |last| last + 1);
@@ -101,25 +101,25 @@ fn trimmed(line: &[u8]) -> &[u8] {
 
 /// The trimmed fields of a line, up to a comment.
 ///
-/// Quotes around a field hide separators. A comment starts with `#` after a blank, or at the start
-/// of a field after the last expected one; before that, `#` may be a value. A separator at the end
-/// of the line counts as an empty field only if the line has too few fields.
+/// Separators within quotes belong to the field. A comment starts with `#` after a blank, or at the
+/// start of a field after the last expected field. Elsewhere, `#` may be a value. A separator at
+/// the end of the line counts as an empty field only if the line has too few fields.
 pub struct LineFields<'a> {
     line: &'a [u8],
     at: usize,
     separator: Separator,
-    /// Number of expected fields.
+    /// Number of expected fields that were not returned yet.
     missing: usize,
-    /// Whether the last field ended with a separator.
+    /// Whether a separator ended the last field.
     open: bool,
-    /// Whether `#` occurs.
+    /// Whether the line contains `#`.
     marked: bool,
 }
 
 impl<'a> LineFields<'a> {
     pub fn new(line: &'a [u8], separator: Separator, expected: usize) -> Self {
         let line = match separator {
-            // The first and the last cell may be empty.
+            // A tab at the start or end of the line separates an empty cell, so it is kept.
             Separator::Byte(b'\t') => line,
             _ => line.trim_ascii(),
         };
@@ -142,13 +142,13 @@ impl<'a> LineFields<'a> {
         }
     }
 
-    /// The end of a quoted field; `None` if it is not quoted.
+    /// The end of a quoted field. `None` if the field is not quoted.
     fn quoted_end(&self) -> Option<usize> {
         let quote = self.line[self.at];
         let mut at = self.at + 1;
         loop {
             at += memchr(quote, self.line.get(at..)?)? + 1;
-            // A quote within quotes is doubled.
+            // Two quotes within a quoted field stand for one quote.
             if self.line.get(at) == Some(&quote) {
                 at += 1;
                 continue;

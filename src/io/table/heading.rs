@@ -1,4 +1,4 @@
-//! The head of a table: the start of its rows, its syntax, and its columns.
+//! Reads the head of a table: where its rows start, its notation, and its columns.
 
 use std::collections::HashMap;
 
@@ -10,29 +10,30 @@ use crate::io::number::{Decimal, is_overflow};
 use super::excerpt;
 use super::fields::{LineFields, Separator, Syntax, is_comment, lines, unquoted};
 
-/// Maximum number of lines before the names of the columns, not counting blank lines and comments.
+/// Maximum number of lines before the line of column names, without blank lines and comments.
 const HEADER_LINES: usize = 32;
-/// Bytes in which the head is searched, doubled while these contain too few lines.
+/// Number of bytes that are first searched for the head. It is doubled while they have too few
+/// lines.
 pub const HEAD: usize = 64 << 10;
 /// Maximum size of the head in bytes.
 const LONGEST_HEAD: usize = 16 << 20;
 /// Maximum number of fields in a line of a table of particles.
 pub const MOST_FIELDS: usize = 4096;
-/// Number of rows whose first column is examined.
+/// Number of rows whose fields are examined.
 const SAMPLED_ROWS: usize = 256;
 
-/// The head of a table, up to its first row.
+/// The contents of the head of a table, which ends before the first row.
 #[derive(Debug)]
 pub struct Heading {
-    /// The first byte of the first row.
+    /// The position of the first byte of the first row.
     pub start: usize,
-    /// The number of lines above it.
+    /// The number of lines above the first row.
     pub lines_above: u64,
     pub syntax: Syntax,
     pub columns: TableColumns,
 }
 
-/// The columns of a table with their quantities.
+/// The columns of a table, and the quantities that they form.
 #[derive(Debug)]
 pub struct TableColumns {
     /// Names of all columns.
@@ -41,24 +42,24 @@ pub struct TableColumns {
     pub attributes: Vec<Quantity>,
 }
 
-/// A line that is not a row of numbers.
+/// A line above the first row that is not a row of numbers.
 struct TitleLine {
     line: u64,
     names: Vec<String>,
 }
 
-/// A row of a table without names.
+/// The layout of a row in a table without column names.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct UnnamedColumns {
     syntax: Syntax,
-    /// The column of x.
+    /// The index of the column of x. Columns of y and z follow.
     first: usize,
     fields: usize,
 }
 
 impl TableColumns {
-    /// Columns with these names; `None` without a position, or with several. Attributes with equal
-    /// names are distinguished by the numbers of their columns: `a_column4` and `a_column7`.
+    /// The columns with these names. `None` without a unique position. Attributes with equal names
+    /// get the numbers of their columns as suffixes: `a_column4` and `a_column7`.
     pub fn of(names: Vec<String>) -> Option<Self> {
         let (position, mut attributes) = quantities(&names)?;
         let mut times = HashMap::new();
@@ -71,7 +72,7 @@ impl TableColumns {
         Some(Self { names, position, attributes })
     }
 
-    /// Columns without names; three columns from `first` on are the position.
+    /// Columns of a table without names. The three columns from `first` on are the position.
     pub fn unnamed(first: usize, fields: usize) -> Self {
         let mut names: Vec<String> = (1..=fields).map(|column| column.to_string()).collect();
         for (name, axis) in names[first..].iter_mut().zip(["x", "y", "z"]) {
@@ -81,7 +82,7 @@ impl TableColumns {
         Self { names, position, attributes: Vec::new() }
     }
 
-    /// Removes and returns the attributes whose first rows have text instead of numbers.
+    /// Removes and returns the attributes that have text instead of numbers in the first rows.
     pub fn take_texts(&mut self, rows: &[u8], syntax: Syntax) -> Vec<Quantity> {
         let mut numbers = vec![false; self.names.len()];
         let mut texts = numbers.clone();
@@ -97,7 +98,7 @@ impl TableColumns {
 }
 
 impl Heading {
-    /// Finds the head of a text, and reads no more than necessary.
+    /// Finds the head of a text that starts at byte `start`. Reads no more bytes than necessary.
     pub fn of(text: ByteView, start: usize) -> Result<Self, ReadFault> {
         let mut looked_at = HEAD;
         loop {
@@ -106,7 +107,7 @@ impl Heading {
             let known = lines(&head).filter(|(.., content)| !is_comment(content));
             let whole = end == text.len();
             if whole || looked_at >= LONGEST_HEAD || known.count() > HEADER_LINES + 2 {
-                // The last line may be incomplete.
+                // The last line may be incomplete, and is cut off.
                 let cut = head.iter().rposition(|&byte| byte == b'\n').map_or(0, |end| end + 1);
                 let head = if whole { &head[..] } else { &head[..cut] };
                 let found = Self::find(head)?;
@@ -148,7 +149,7 @@ impl Heading {
                 first = Some((line, start, content));
                 break;
             }
-            // A single number is the number of rows or steps.
+            // A line with a single integer gives the number of rows or steps.
             let row =
                 !is_whole(content) && (is_row(content) || is_row_of_words(content, &text[start..]));
             if row && titles.is_empty() {
@@ -156,7 +157,8 @@ impl Heading {
                 break;
             }
             if row {
-                // After a title without a position, this may be the first row or another title.
+                // Below a title without a position, this line may be the first row or another
+                // title.
                 first = first.or(Some((line, start, content)));
             } else {
                 let names = names_of(content, separator_of(content));
@@ -192,7 +194,7 @@ impl Heading {
         if let Some((names, content)) = named {
             let columns = TableColumns::of(names).expect("they name a position");
             let found = Syntax::of_row(row, &columns).map(|syntax| (syntax, columns));
-            // Tabs may align names that are separated by blanks.
+            // Names that are separated by blanks may be aligned with tabs.
             let aligned = || {
                 let columns = TableColumns::of(names_of(content, Separator::Blanks))?;
                 Some((Syntax::of_row(row, &columns)?, columns))
@@ -237,10 +239,10 @@ impl Heading {
     }
 }
 
-/// The columns of rows without names; `None` if the first is not a row.
+/// The columns of rows without column names. `None` if the first line is not a row.
 ///
 /// # Errors
-/// [`ReadFault::Unsupported`] if integers precede the possible position.
+/// [`ReadFault::Unsupported`] if rows start with integers that may be atomic numbers or x.
 pub fn unnamed_columns(rows: &[u8]) -> Result<Option<(Syntax, TableColumns)>, ReadFault> {
     let Some((_, _, row)) = lines(rows).next() else { return Ok(None) };
     let Some(found) = unnamed(row) else { return Ok(None) };
@@ -251,7 +253,8 @@ pub fn unnamed_columns(rows: &[u8]) -> Result<Option<(Syntax, TableColumns)>, Re
                         name the columns by Properties=";
             return Err(ReadFault::Unsupported(what.to_owned()));
         }
-        // Otherwise it is x, by which rows may be sorted.
+        // The first column has atomic numbers or counts the rows. In other cases, it is x, as in
+        // sorted rows.
         (true, true) if are_elements(rows, found) || counts(rows, found) => 1,
         _ => found.first,
     };
@@ -265,8 +268,8 @@ pub fn names_of(line: &[u8], separator: Separator) -> Vec<String> {
     LineFields::new(line, separator, 0).take(MOST_FIELDS).map(name).collect()
 }
 
-/// The names in a line such as `<x> <y> <velocity> <velocity>`, as deal.II writes it: the components
-/// of a vector have the same name.
+/// The names in a line such as `<x> <y> <velocity> <velocity>`. deal.II writes these lines, and
+/// gives all components of a vector the same name.
 fn names_in_brackets(line: &[u8]) -> Option<Vec<String>> {
     let inside = line.trim_ascii().strip_prefix(b"<")?.strip_suffix(b">")?;
     let inside = String::from_utf8_lossy(inside);
@@ -279,13 +282,14 @@ fn names_in_brackets(line: &[u8]) -> Option<Vec<String>> {
     Some(runs.flat_map(components).collect())
 }
 
-/// Whether names include `x` and `y`, but no position in three dimensions.
+/// Whether names include `x` and `y`, but form no position in three dimensions.
 fn name_plane(names: &[String]) -> bool {
     let has = |axis: &str| names.iter().any(|name| name.eq_ignore_ascii_case(axis));
     has("x") && has("y") && quantities(names).is_none()
 }
 
-/// The separator of a line of names: tabs if there are any, because names may contain blanks.
+/// The separator of a line of names. A tab has priority over blanks, because names may contain
+/// blanks.
 fn separator_of(line: &[u8]) -> Separator {
     match Separator::of(line) {
         Separator::Blanks if line.contains(&b'\t') => Separator::Byte(b'\t'),
@@ -294,8 +298,8 @@ fn separator_of(line: &[u8]) -> Separator {
 }
 
 impl Syntax {
-    /// The syntax with which a row has a field for each column, and numbers in the columns of the
-    /// position.
+    /// The first notation in which `row` has one field per column, and numbers in the columns of
+    /// the position.
     fn of_row(row: &[u8], columns: &TableColumns) -> Option<Self> {
         Self::ALL.into_iter().find(|syntax| {
             let mut fields = 0;
@@ -308,7 +312,7 @@ impl Syntax {
     }
 }
 
-/// The fields of rows that are not comments.
+/// The fields of each row. Comments are skipped.
 fn rows_of(
     rows: &[u8],
     syntax: Syntax,
@@ -319,7 +323,7 @@ fn rows_of(
         .map(move |(.., content)| LineFields::new(content, syntax.separator, expected))
 }
 
-/// The syntax with decimal commas, if the first number with a decimal separator has one.
+/// Returns `syntax` with the decimal separator that occurs first in the rows, a comma or a point.
 fn with_decimals(syntax: Syntax, rows: &[u8], columns: &TableColumns) -> Syntax {
     let comma = Syntax { decimal: Decimal::Comma, ..syntax };
     if syntax.separator == Separator::Byte(b',') {
@@ -343,8 +347,8 @@ fn with_decimals(syntax: Syntax, rows: &[u8], columns: &TableColumns) -> Syntax 
     syntax
 }
 
-/// The layout of a row without names: three numbers come first, or after a word, or after an
-/// integer and a word.
+/// The layout of a row without column names. The position is the first three numbers, after
+/// nothing, after a word, or after an integer and a word.
 fn unnamed(row: &[u8]) -> Option<UnnamedColumns> {
     let all = Syntax::ALL.map(|syntax| {
         let fields = LineFields::new(row, syntax.separator, 0).take(MOST_FIELDS + 1);
@@ -353,7 +357,7 @@ fn unnamed(row: &[u8]) -> Option<UnnamedColumns> {
     let between_blanks = LineFields::new(row, Separator::Blanks, 0).count();
     let found = |first: fn(Syntax, &[&[u8]]) -> Option<usize>| {
         all.iter().find_map(|(syntax, fields)| {
-            // Tabs are blanks, unless there are empty cells or blanks within cells.
+            // Tries tabs as separators only if a cell is empty or contains blanks.
             if syntax.separator == Separator::Byte(b'\t') && fields.len() == between_blanks {
                 return None;
             }
@@ -380,7 +384,8 @@ pub fn is_row(line: &[u8]) -> bool {
     }
 }
 
-/// Whether a line starts with words, as every later line does. Otherwise it is a title.
+/// Whether a line starts with words and all later lines have the same layout. Otherwise, it is a
+/// title.
 fn is_row_of_words(line: &[u8], rows: &[u8]) -> bool {
     unnamed(line).is_some_and(|row| {
         row.first > 0
@@ -388,7 +393,7 @@ fn is_row_of_words(line: &[u8], rows: &[u8]) -> bool {
     })
 }
 
-/// Whether no field of a line below names is a number, so that it contains units.
+/// Whether a line below the names contains units, because none of its fields is a number.
 fn is_units(line: &[u8]) -> bool {
     Syntax::ALL.iter().all(|syntax| {
         LineFields::new(line, syntax.separator, 0).all(|field| {
@@ -407,14 +412,14 @@ fn is_whole(field: &[u8]) -> bool {
     !field.is_empty() && field.len() < 20 && field.iter().all(u8::is_ascii_digit)
 }
 
-/// Whether the first column of the first rows has only integers.
+/// Whether the first column of the sampled rows contains only integers.
 fn has_whole_first(rows: &[u8], row: UnnamedColumns) -> bool {
     rows_of(rows, row.syntax, row.fields)
         .take(SAMPLED_ROWS)
         .all(|mut fields| fields.next().is_some_and(is_whole))
 }
 
-/// Whether the first column of the first rows may be atomic numbers.
+/// Whether the first column of the sampled rows contains only possible atomic numbers.
 fn are_elements(rows: &[u8], row: UnnamedColumns) -> bool {
     let number = |field: &[u8]| std::str::from_utf8(field).ok()?.parse::<u64>().ok();
     rows_of(rows, row.syntax, row.fields)
@@ -422,7 +427,7 @@ fn are_elements(rows: &[u8], row: UnnamedColumns) -> bool {
         .all(|mut fields| fields.next().and_then(number).is_some_and(|n| (1..=118).contains(&n)))
 }
 
-/// Whether each of the next three columns has numbers with fractions.
+/// Whether each of the three columns after the first contains numbers with fractions.
 fn has_fractions(rows: &[u8], row: UnnamedColumns) -> bool {
     let mut fractions = [false; 3];
     for fields in rows_of(rows, row.syntax, row.fields).take(SAMPLED_ROWS) {
@@ -433,7 +438,8 @@ fn has_fractions(rows: &[u8], row: UnnamedColumns) -> bool {
     fractions == [true; 3]
 }
 
-/// Whether the first column of rows without names counts them, and the next three are the position.
+/// Whether the first column of rows without column names counts the rows, and the position follows
+/// it.
 fn counts(rows: &[u8], row: UnnamedColumns) -> bool {
     let mut seen = std::collections::HashSet::new();
     let sample = || rows_of(rows, row.syntax, row.fields).take(SAMPLED_ROWS);
@@ -447,7 +453,7 @@ fn counts(rows: &[u8], row: UnnamedColumns) -> bool {
         && has_fractions(rows, row)
 }
 
-/// Rejects a line before the first row that looks like a row with an invalid field.
+/// Returns an error if a line above the first row looks like a row with an invalid field.
 fn refuse_rows_above(titles: &[TitleLine], fields: usize) -> Result<(), ReadFault> {
     let is_number =
         |name: &String| is_overflow(name.as_bytes()) || Syntax::BLANKS.is_number(name.as_bytes());

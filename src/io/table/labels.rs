@@ -1,22 +1,23 @@
-//! Columns of text: a list of the different texts, and a number in every row.
+//! Columns of text. They are stored as a list of different texts, and the number of a text in every
+//! row.
 
 use std::collections::HashMap;
 use std::sync::Mutex;
 
 use crate::particles::Label;
 
-/// Maximum number of different texts of a label.
+/// Maximum number of different texts in a column.
 const MOST: usize = 4096;
 
-/// The texts of a column in the rows so far.
+/// The different texts of a column in the rows that were decoded so far, with their numbers.
 #[derive(Debug, Default)]
 pub struct Texts(Mutex<HashMap<Vec<u8>, u32>>);
 
-/// A thread's cache of the texts.
+/// A thread's cache of texts and their numbers.
 pub type Known = HashMap<Vec<u8>, u32>;
 
 impl Texts {
-    /// The number of a text; undefined if there are too many texts.
+    /// The number of a text. Arbitrary if the column has too many different texts.
     pub fn number(&self, known: &mut Known, text: &[u8]) -> u32 {
         if let Some(&number) = known.get(text) {
             return number;
@@ -31,14 +32,14 @@ impl Texts {
         number
     }
 
-    /// The label, and for the number of each text its index in the label; `None` if there are too
-    /// many texts.
+    /// The label, and the index in the label for each text's number. `None` if there are too many
+    /// different texts.
     pub fn label(self, name: &str) -> Option<(Label, Vec<u32>)> {
         let all = self.0.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
         if all.len() > MOST {
             return None;
         }
-        // Threads may have found the texts in any order.
+        // Sorts the texts, because their numbers depend on the order in which threads found them.
         let mut texts: Vec<_> = all.into_iter().collect();
         texts.sort();
         let mut places = vec![0; texts.len()];

@@ -1,9 +1,10 @@
-//! Reads tables of text: a line per particle, decoded to little-endian f64 with the position first.
+//! Reads tables of text with one line per particle. They are decoded to little-endian f64, position
+//! first.
 //!
 //! The first rows determine the separator of fields and the decimal separator. A line that names
-//! `x`, `y` and `z` (see [`names`]) specifies the columns, even in a comment; the lines before it
-//! are skipped, and so is a line of units after it. Without such a line, the first three columns
-//! are the position, and the others are ignored because they have no names. Fields of unused
+//! `x`, `y` and `z` (see [`names`]) specifies the columns, even if it is a comment. Lines above it
+//! are skipped, and so is a line of units below it. Without such a line, the first three columns
+//! are the position, and the other columns are ignored because they have no names. Fields of unused
 //! columns are not parsed.
 //!
 //! [`names`]: super::names
@@ -33,23 +34,23 @@ use labels::{Known, Texts};
 pub(super) use fields::{Separator, Syntax};
 pub(super) use heading::{HEAD, TableColumns, is_row, names_of, unnamed_columns};
 
-/// Bytes of a number.
+/// Number of bytes of a decoded number.
 const WIDTH: usize = size_of::<f64>();
 
-/// The rows of a text, with the meaning of their fields.
+/// The rows of a table, and the meaning of their fields.
 pub(super) struct TextTable {
-    /// Bytes of the rows, and number of lines before them.
+    /// The range of bytes of the rows.
     pub rows: Range<usize>,
     pub lines_above: u64,
     pub syntax: Syntax,
     pub columns: TableColumns,
-    /// The number of rows, if the file has it.
+    /// The number of rows that the file announces, if any.
     pub count: Option<u64>,
-    /// The box, if the coordinates are fractions of it.
+    /// The simulation box, if coordinates are fractions of its edges.
     pub cell: Option<Cell>,
 }
 
-/// An origin, and the three edges of a box.
+/// A box: its origin and its three edges.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Cell {
     pub origin: [f64; 3],
@@ -57,7 +58,7 @@ pub(super) struct Cell {
 }
 
 impl Cell {
-    /// The place at these fractions of the edges.
+    /// The place at `fractions` of the edges from the origin.
     fn place(&self, fractions: [f64; 3]) -> [f64; 3] {
         [0, 1, 2].map(|axis| {
             let along = |edge: usize| fractions[edge] * self.edges[edge][axis];
@@ -69,8 +70,9 @@ impl Cell {
 /// Reads a table whose head starts at byte `start`.
 ///
 /// # Errors
-/// [`ReadFault::Line`] for a row with a wrong number of fields, a field that must be a number but
-/// is not, and a header without a position; [`ReadFault::Scratch`] if the scratch file fails.
+/// [`ReadFault::Line`] for a row with a wrong number of fields, for a required number that is
+/// invalid, and for a header without a position. [`ReadFault::Scratch`] if the scratch file cannot
+/// be written.
 pub(super) fn read(
     bytes: Bytes,
     start: usize,
@@ -84,21 +86,21 @@ pub(super) fn read(
     table.read(bytes, wanted, unpacking, "text table")
 }
 
-/// The target of a parsed field.
+/// Where the number of a field is stored, and what an invalid field means.
 #[derive(Debug, Clone, Copy)]
 struct FieldTarget {
-    /// The index among the numbers of a row.
+    /// The index of the number in a decoded row.
     place: usize,
-    /// The treatment of a field that is not a number.
+    /// What happens if the field is not a number.
     otherwise: BadFieldPolicy,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum BadFieldPolicy {
     Refuse,
-    /// The column has text and is dropped as an attribute.
+    /// The column contains text, so the attribute is left out.
     Drop,
-    /// The text of the field belongs to the label with this number.
+    /// The field is a text of the label with this number.
     Label(usize),
 }
 
@@ -180,7 +182,7 @@ impl TextTable {
         Ok(ParticleFile { unread, ..ParticleFile::new(store, format) })
     }
 
-    /// Decodes all rows, in their order.
+    /// Decodes all rows in order.
     fn decode(
         &self,
         source: &InputBytes,
@@ -206,7 +208,8 @@ impl TextTable {
         rows.finish()
     }
 
-    /// The numbers of complete lines, and the number of lines; or the invalid line and its error.
+    /// Decodes the rows of a piece of text. Returns their numbers and the number of lines, or the
+    /// number of an invalid line and its error.
     fn decode_piece(
         &self,
         piece: &[u8],

@@ -1,7 +1,7 @@
-//! The structure of a binary layer ("crate", version 0.8.0): values, followed by tables of tokens,
-//! fields, paths and specs, which are stored as LZ4 blocks of literals only.
+//! The structure of a binary layer ("crate", version 0.8.0). Values are followed by tables of
+//! tokens, fields, paths and specs. The tables are stored as LZ4 blocks that contain only literals.
 
-/// Bytes before the first value.
+/// Number of bytes before the first value.
 pub(super) const HEADER: u64 = 88;
 
 /// Type numbers of values and of specs.
@@ -20,7 +20,7 @@ const PSEUDO_ROOT: i32 = 7;
 const PRIM: i32 = 6;
 const ATTRIBUTE: i32 = 1;
 
-/// A value: its type, and its position or inline content.
+/// A value: its type, and its position in the file or its content.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct UsdValue(u64);
 
@@ -33,17 +33,17 @@ impl UsdValue {
         Self(1 << 62 | kind << 48 | payload)
     }
 
-    /// An array whose length is at `offset`; an empty one has no position.
+    /// An array that starts with its length at `offset`. An empty array has no position.
     pub fn array(kind: u64, offset: u64, length: u64) -> Self {
         Self(1 << 63 | Self::at(kind, if length == 0 { 0 } else { offset }).0)
     }
 
-    /// `def`, with the number 0.
+    /// The specifier `def`, which has the number 0.
     pub fn def() -> Self {
         Self::inlined(SPECIFIER, 0)
     }
 
-    /// `uniform`, with the number 1.
+    /// The variability `uniform`, which has the number 1.
     pub fn uniform() -> Self {
         Self::inlined(VARIABILITY, 1)
     }
@@ -52,24 +52,25 @@ impl UsdValue {
         Self::inlined(INT, value.into())
     }
 
-    /// A double that f32 represents exactly.
+    /// A double. f32 must represent its value exactly.
     pub fn double(value: f32) -> Self {
         Self::inlined(DOUBLE, value.to_bits().into())
     }
 }
 
-/// The end of a file: values other than arrays, and all tables.
+/// The end of a file: all values except arrays, and all tables.
 pub(super) struct FileTail {
-    /// The position of the section.
+    /// The position of this part in the file, in bytes.
     at: u64,
     values: Vec<u8>,
     tokens: Vec<String>,
     fields: Vec<(u32, UsdValue)>,
-    /// Numbers of fields; each set ends with -1.
+    /// Indices of fields. -1 ends each set of fields.
     field_sets: Vec<i32>,
-    /// For each path, its element's token (negative for a property), and the jump to the next path.
+    /// For each path, the token of its last element (negative for a property), and the jump to the
+    /// next path.
     paths: Vec<(i32, i32)>,
-    /// For each path, the start of its fields, and its spec type.
+    /// For each path, the index of its first field in `field_sets`, and its spec type.
     specs: Vec<(i32, i32)>,
 }
 
@@ -78,7 +79,8 @@ impl FileTail {
         Self {
             at,
             values: Vec::new(),
-            // The element of the root. No element has token 0, because the sign must be visible.
+            // Token 0 is the root's. Other elements need a token above 0, because the sign marks
+            // properties.
             tokens: vec![String::new()],
             fields: Vec::new(),
             field_sets: Vec::new(),
@@ -107,12 +109,12 @@ impl FileTail {
         UsdValue::at(TOKEN_VECTOR, at)
     }
 
-    /// `value` at time 0.
+    /// Stores `value` as a time sample at time 0.
     pub fn sample(&mut self, value: UsdValue) -> UsdValue {
         let times = self.end();
         self.put(&[1, 0f64.to_bits()]);
         let at = self.end();
-        // Each part is preceded by its relative offset; the parts are adjacent.
+        // The offset to a part precedes it. It is 8 bytes, because the parts are adjacent.
         self.put(&[8, UsdValue::at(DOUBLE_VECTOR, times).0, 8, 1, value.0]);
         UsdValue::at(TIME_SAMPLES, at)
     }
@@ -129,7 +131,7 @@ impl FileTail {
         self.spec(0, -1, fields, PSEUDO_ROOT);
     }
 
-    /// The only prim. Its properties follow.
+    /// Adds the prim. Its properties must be added after it.
     pub fn prim(&mut self, name: &str, fields: &[(&str, UsdValue)]) {
         let element = self.token_index(name) as i32;
         self.spec(element, -1, fields, PRIM);
@@ -151,9 +153,9 @@ impl FileTail {
         self.field_sets.push(-1);
     }
 
-    /// The bytes, and the position of the table of contents.
+    /// Returns the bytes, and the position of the table of contents.
     pub fn finish(mut self) -> (Vec<u8>, u64) {
-        // The last property has no sibling.
+        // The last property has no sibling, which a jump of -2 marks.
         if let Some((_, jump)) = self.paths.last_mut() {
             *jump = -2;
         }
@@ -205,7 +207,7 @@ impl FileTail {
     }
 }
 
-/// The header of a file.
+/// The header of a file whose table of contents is at byte `contents_at`.
 pub(super) fn header(contents_at: u64) -> Vec<u8> {
     let mut header = b"PXR-USDC\0\x08\0\0\0\0\0\0".to_vec();
     header.extend(contents_at.to_le_bytes());
@@ -213,7 +215,7 @@ pub(super) fn header(contents_at: u64) -> Vec<u8> {
     header
 }
 
-/// One chunk: a zero, and an LZ4 block of literals.
+/// Stores bytes as one chunk: a zero, and an LZ4 block of literals.
 fn packed(bytes: &[u8]) -> Vec<u8> {
     const MOST: usize = 15;
     let mut out = vec![0, (bytes.len().min(MOST) as u8) << 4];
@@ -225,7 +227,8 @@ fn packed(bytes: &[u8]) -> Vec<u8> {
     out
 }
 
-/// Differences of consecutive numbers: two bits for each, for 0 or a following i32.
+/// Encodes the differences of consecutive numbers. A code of two bits says whether a difference is
+/// 0 or an i32 that follows.
 fn integers(numbers: impl ExactSizeIterator<Item = i32>) -> Vec<u8> {
     let mut codes = vec![0; numbers.len().div_ceil(4)];
     let mut differences = Vec::new();

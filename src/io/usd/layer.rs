@@ -1,4 +1,4 @@
-//! Writing one frame as a binary layer.
+//! Writes one frame as a binary layer.
 
 use std::io::{self, Write};
 use std::ops::Range;
@@ -12,16 +12,18 @@ use crate::surface::mesh::source::MeshSource;
 use super::crate_file::{FLOAT, FileTail, HEADER, INT, UINT, UsdValue, VEC3F, header};
 use super::{PRIM, UsdProperty, properties};
 
-/// Triangles per write of corner counts.
+/// Number of triangles per write of corner counts.
 const COUNTS: u64 = 1 << 16;
 
-/// Writes `mesh` as a .usdc layer: points as f32, as in the schema; an attribute `velocity` of
-/// three components as `velocities`, others as `primvars` under their name, with underscores for
-/// invalid characters. The first colour is `primvars:displayColor`, and its alpha
-/// `primvars:displayOpacity`.
+/// Writes `mesh` as a .usdc layer.
 ///
-/// The layer states the up axis, and nothing is rotated. The unit is 1 m, because no other is
-/// known.
+/// Points are f32, as the schema requires. An attribute `velocity` of three components is
+/// `velocities`. The first colour is `primvars:displayColor`, and its alpha is
+/// `primvars:displayOpacity`. Other attributes are `primvars` with their own names, in which
+/// underscores replace invalid characters.
+///
+/// The layer states the up axis, and no data is rotated. The unit is 1 m, because the actual unit
+/// is unknown.
 ///
 /// # Panics
 /// Like [`MeshFormat::write`](crate::io::output::MeshFormat::write).
@@ -47,11 +49,11 @@ pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, up: UpAxis) -> io:
     out.write_all(&tail)
 }
 
-/// An array of values, in the order of the properties.
+/// An array in the file. Arrays have the order of the properties.
 struct UsdArray {
     kind: u64,
     length: u64,
-    /// Bytes of an element.
+    /// Number of bytes of an element.
     width: u64,
     values: UsdValues,
 }
@@ -62,11 +64,11 @@ enum UsdValues {
     Corners,
     Extent,
     Normals,
-    /// The attribute with this number.
+    /// The attribute with this index.
     Attribute(usize),
-    /// Red, green and blue of the attribute with this number.
+    /// Red, green and blue of the attribute with this index.
     Colour(usize),
-    /// Alpha of the attribute with this number.
+    /// Alpha of the attribute with this index.
     Opacity(usize),
 }
 
@@ -148,7 +150,7 @@ fn tail(
 }
 
 impl UsdArray {
-    /// Bytes of the length, the values and the padding to a multiple of 8.
+    /// Number of bytes of the length, the values, and the padding to a multiple of 8.
     fn bytes(&self) -> u64 {
         8 + self.length * self.width + self.padding()
     }
@@ -213,7 +215,7 @@ impl UsdArray {
     }
 }
 
-/// Writes these components of a colour, from 0 to 1.
+/// Writes some components of a colour as f32 from 0 to 1.
 fn write_shares(
     out: &mut dyn Write,
     mesh: &dyn MeshSource,

@@ -1,9 +1,9 @@
-//! Universal Scene Description: a mesh as a binary layer, and a stage that plays many as one
-//! animated mesh.
+//! Universal Scene Description. A mesh is a binary layer. A stage plays many layers as one animated
+//! mesh.
 //!
-//! A layer contains one frame on the prim `/fluid`: its values once, as defaults for programs that
-//! open it alone, and as samples at time 0, which value clips read. A stage maps each layer to its
-//! time, so a layer depends only on its mesh. Velocities are in units of length per second.
+//! A layer contains one frame in the prim `/fluid`. Its values are stored as defaults, for programs
+//! that open the layer alone, and as samples at time 0, for value clips. A stage maps each layer to
+//! its time, so a layer depends only on its mesh. Velocities are in units of length per second.
 
 mod crate_file;
 mod layer;
@@ -16,18 +16,18 @@ use crate::particles::{AttributeInfo, AttributeKind, colour_attribute};
 /// Name of the prim that is the mesh.
 const PRIM: &str = "fluid";
 
-/// An attribute of the mesh with values for every frame.
+/// A property of the mesh with values for every frame.
 #[derive(Debug, Clone, PartialEq, Eq)]
 struct UsdProperty {
     name: String,
     kind: &'static str,
-    /// `vertex`, if it must be specified.
+    /// `vertex`, for properties whose interpolation must be specified.
     interpolation: Option<&'static str>,
-    /// Numbers per vertex, unless the type implies it.
+    /// Number of values per vertex. `None` if the type implies it.
     element_size: Option<usize>,
 }
 
-/// The properties of a mesh with these normals and attributes, in the order of a layer.
+/// The properties of a mesh with these normals and attributes, in the order of the layer.
 fn properties(has_normals: bool, attributes: &[AttributeInfo]) -> Vec<UsdProperty> {
     let plain = |name: &str, kind| UsdProperty {
         name: name.into(),
@@ -77,7 +77,7 @@ fn properties(has_normals: bool, attributes: &[AttributeInfo]) -> Vec<UsdPropert
     all
 }
 
-/// A valid name in USD: letters, digits and underscores, not starting with a digit.
+/// Converts a name to a valid identifier of USD: letters, digits and underscores, no digit first.
 fn identifier(name: &str) -> String {
     let plain = name.replace(|c: char| !c.is_ascii_alphanumeric() && c != '_', "_");
     if plain.starts_with(|c: char| c.is_ascii_digit()) || plain.is_empty() {

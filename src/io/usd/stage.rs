@@ -1,4 +1,5 @@
-//! A stage that plays layers as value clips, and the manifest of the clips: two small text files.
+//! Writes two small text files: a stage that plays layers as value clips, and the manifest of the
+//! clips.
 
 use std::fmt::Write;
 
@@ -7,10 +8,10 @@ use crate::particles::AttributeInfo;
 
 use super::{PRIM, properties};
 
-/// The stage's text. `clips` are layers with their time codes, in order; a layer is shown from its
-/// time to the next one's.
+/// The text of the stage. `clips` are the layers with their time codes, in order. A layer is shown
+/// from its time code to the time code of the next layer.
 ///
-/// Paths are relative to the stage.
+/// Paths of layers are relative to the stage.
 pub fn stage(
     clips: &[(f64, String)],
     manifest: &Manifest,
@@ -22,7 +23,7 @@ pub fn stage(
     let active = list(
         clips.iter().enumerate().map(|(index, (time, _))| format!("({time}, {index})")).collect(),
     );
-    // Each layer's time 0 is at its own time of the stage; a time that occurs twice is a jump.
+    // Time 0 of a layer is its time code on the stage. A time code that occurs twice makes a jump.
     let ends = clips.iter().skip(1).map(|(time, _)| Some(*time)).chain([None]);
     let times = clips.iter().zip(ends).flat_map(|((time, _), end)| {
         [Some(format!("({time}, 0)")), end.map(|end| format!("({end}, {})", end - time))]
@@ -46,19 +47,19 @@ pub fn stage(
     )
 }
 
-/// The manifest, which declares the contents of the clips.
+/// The manifest, which declares the attributes of the clips.
 #[derive(Debug, Clone)]
 pub struct Manifest {
-    /// Path relative to the stage.
+    /// Path of the manifest, relative to the stage.
     pub path: String,
     /// Whether any clip has normals.
     pub normals: bool,
-    /// Attributes of all clips.
+    /// Attributes that occur in any clip.
     pub attributes: Vec<AttributeInfo>,
 }
 
 impl Manifest {
-    /// The file's text.
+    /// The text of the manifest.
     pub fn text(&self) -> String {
         let declared = self.declarations();
         format!(
@@ -66,7 +67,8 @@ impl Manifest {
         )
     }
 
-    /// The stage's prim needs them too: a clip provides values only for declared attributes.
+    /// Declarations of the attributes. The stage also needs them, because a clip only provides
+    /// values for declared attributes.
     fn declarations(&self) -> String {
         let mut text = String::new();
         for property in properties(self.normals, &self.attributes) {

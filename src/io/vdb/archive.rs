@@ -1,5 +1,5 @@
-//! The parts of a file around its trees: the header, and for each grid its names, its metadata and
-//! the places of its voxels.
+//! The parts of a file outside of its trees: the header, and the names, metadata and transform of
+//! each grid.
 
 use glam::IVec3;
 
@@ -8,16 +8,16 @@ use crate::surface::mesh::source::Lattice;
 use super::values::Kind;
 
 pub const MAGIC: i64 = 0x5644_4220;
-/// The first version of the format that has all of what is written here.
+/// The first version of the format that has all features that are written here.
 pub const VERSION: u32 = 224;
-/// A version of OpenVDB that writes this version of the format.
+/// A version of the OpenVDB library that writes this version of the format.
 const LIBRARY: [u32; 2] = [10, 0];
 
-/// Flags of a grid's compression.
+/// Flags of a grid's compression: zlib, and only active values.
 const ZIP: u32 = 1;
 const ACTIVE_VALUES: u32 = 2;
 
-/// A grid without its tree.
+/// The data of a grid without its tree.
 #[derive(Debug, Clone)]
 pub struct GridHead {
     pub name: String,
@@ -30,11 +30,11 @@ pub struct GridHead {
     pub bounds: [IVec3; 2],
 }
 
-/// The header of a file with this identifier and this number of grids.
+/// The header of a file with the identifier `id` and `grids` grids.
 pub fn header(id: [u32; 4], grids: usize) -> Vec<u8> {
     let mut out = MAGIC.to_le_bytes().to_vec();
     out.extend([VERSION, LIBRARY[0], LIBRARY[1]].map(u32::to_le_bytes).as_flattened());
-    // Grids have offsets.
+    // This file has offsets of its grids.
     out.push(1);
     let [a, b, c, d] = id;
     let id = format!(
@@ -45,20 +45,20 @@ pub fn header(id: [u32; 4], grids: usize) -> Vec<u8> {
         c & 0xffff
     );
     out.extend(id.as_bytes());
-    // The file itself has no metadata.
+    // The file has no metadata of its own.
     out.extend(0u32.to_le_bytes());
     out.extend((grids as u32).to_le_bytes());
     out
 }
 
 impl GridHead {
-    /// The bytes of the grid before its tree, if they are at offset `at` of a file; the tree has
-    /// `topology` bytes and its leaves `leaves`.
+    /// The bytes of the grid before its tree, at byte `at` of the file. The tree takes `topology`
+    /// bytes without the values of its leaves. The values take `leaves` bytes.
     pub fn bytes(&self, at: u64, topology: u64, leaves: u64) -> Vec<u8> {
         let mut out = Vec::new();
         put_text(&mut out, &self.name);
         put_text(&mut out, &self.kind.tree());
-        // This grid has a tree of its own.
+        // An empty parent name means that this grid has its own tree.
         put_text(&mut out, "");
         let details = self.details();
         let begin = at + out.len() as u64 + 3 * size_of::<i64>() as u64;
@@ -68,7 +68,7 @@ impl GridHead {
         out
     }
 
-    /// Compression, metadata, and places of the voxels.
+    /// The grid's compression, metadata and transform.
     fn details(&self) -> Vec<u8> {
         let zip = if self.zip { ZIP } else { 0 };
         let mut out = (ACTIVE_VALUES | zip).to_le_bytes().to_vec();

@@ -1,21 +1,21 @@
-//! OpenVDB's `.vdb`: the surface as a level set, and attributes as further grids.
+//! OpenVDB's `.vdb`: the surface is a level set, and each attribute is stored in additional grids.
 //!
 //! | grid | values |
 //! |---|---|
 //! | `surface` | class "level set": the signed distance in the mesh's unit of length, negative inside, in a band of three voxels on either side |
 //! | `v`, `Cd` and others | class "unknown": at the voxels of the band, the attribute's value at the nearest point of the surface |
 //!
-//! The voxels are the cells of the particles' grid. Attributes with one component are float grids,
-//! or int32 or int64 grids for integers. Those with three components are vec3s grids. Others are a
-//! grid for each component.
+//! The voxels are the cells of the particles' grid. An attribute with one component is a float
+//! grid, or an int32 or int64 grid for integers. An attribute with three components is a vec3s
+//! grid. Other attributes have one grid per component.
 //!
-//! Distances, velocities and colours are stored in half precision, which moves a distance by less
-//! than 0.002 voxels, unless their range exceeds it. Only values of the band are stored; with
-//! compression, they are also encoded by zlib.
+//! Distances, velocities and colours are stored in half precision if their range allows it. This
+//! changes a distance by less than 0.002 voxels. Only values in the band are stored. With
+//! compression, zlib also encodes them.
 //!
 //! The writer keeps in memory the positions and triangles of the mesh, the distances and nearest
-//! triangles of all voxels in the band, and the values of one attribute at a time; with
-//! compression, also one encoded grid. The metadata of grids, also of other programs, is read back.
+//! triangles of all voxels in the band, and up to 16 values per vertex. With compression, it also
+//! keeps one encoded grid. Metadata of grids can be read, also from files of other programs.
 
 mod archive;
 mod read;
@@ -39,18 +39,18 @@ pub use read::{GridInfo, read_grids};
 use tree::{TreeLeaf, sort_key, topology};
 use values::{Kind, put_sides, put_zipped, sides_bytes};
 
-/// The name of the grid of distances.
+/// The name of the grid with the distances.
 const SURFACE: &str = "surface";
-/// Sizes of voxels for which half precision is enough.
+/// Edge lengths of voxels for which distances are stored in half precision.
 const HALF_SIZES: Range<f64> = 1e-4..1e4;
-/// Greatest components of velocities for which half precision is enough.
+/// Greatest components of velocities for which half precision is used.
 const HALF_VELOCITIES: Range<f32> = 1e-2..6e4;
-/// Numbers of a vertex that are in memory at a time, unless one grid has more.
+/// Maximum number of values per vertex that are in memory at the same time.
 const NUMBERS_AT_ONCE: usize = 16;
-/// Leaves that are encoded together.
+/// Number of leaves that are encoded together.
 const LEAVES_TOGETHER: usize = 64;
 
-/// A grid of some components of an attribute.
+/// A grid with one or several components of an attribute.
 #[derive(Debug, Clone, PartialEq)]
 struct AttributeGrid {
     name: String,
@@ -58,38 +58,38 @@ struct AttributeGrid {
     components: Range<usize>,
 }
 
-/// The values of some components of an attribute at all vertices.
+/// The values of one or several components of an attribute at all vertices.
 struct AttributeValues {
     components: Range<usize>,
     kind: AttributeKind,
     values: Vec<f32>,
 }
 
-/// Distances and nearest triangles of a block's active voxels, leaf by leaf.
+/// The distances and nearest triangles of a block's active voxels, leaf by leaf.
 struct StoredBlock {
-    /// Distances, as in the file.
+    /// The distances, encoded as in the file.
     distances: Vec<u8>,
-    /// The nearest triangles; empty for a mesh without attributes.
+    /// The nearest triangles. Empty for a mesh without attributes.
     triangles: Vec<u32>,
 }
 
-/// A leaf, with the place of its active voxels.
+/// A leaf, and where the values of its active voxels are stored.
 struct StoredLeaf {
     tree: TreeLeaf,
     block: u32,
-    /// The first of its active voxels among those of the block.
+    /// The index of its first active voxel among the active voxels of the block.
     first: u32,
 }
 
-/// Writes grids one after another.
+/// Writes the grids of a file in order.
 struct GridWriter<'a> {
     out: &'a mut dyn Write,
-    /// Bytes written.
+    /// Number of bytes that were written.
     at: u64,
     mesh: &'a dyn MeshSource,
     lattice: Lattice,
     zip: bool,
-    /// All leaves, in the tree's order.
+    /// All leaves, in the order of the tree.
     leaves: &'a [StoredLeaf],
     /// The number of active voxels.
     voxels: u64,
@@ -100,7 +100,7 @@ struct GridWriter<'a> {
 /// Writes a closed mesh as a level set, with a grid for each attribute.
 ///
 /// # Errors
-/// Those of `mesh` and `out`; and before anything is written those of [`LevelSet::new`], and
+/// The errors of `mesh` and `out`. Before anything is written, the errors of [`LevelSet::new`], and
 /// [`io::ErrorKind::InvalidInput`] for a mesh with triangles but without a lattice.
 pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, zip: bool) -> io::Result<()> {
     let outline = mesh.outline();
@@ -184,7 +184,7 @@ impl StoredBlock {
 }
 
 impl AttributeValues {
-    /// Reads the components of some grids of the same attribute.
+    /// Reads the components that `grids` contain, which belong to the same attribute.
     fn read(mesh: &dyn MeshSource, grids: &[AttributeGrid]) -> io::Result<Self> {
         let attribute = grids[0].attribute;
         let AttributeInfo { components: stride, kind, .. } = mesh.attributes()[attribute];
@@ -205,7 +205,7 @@ impl AttributeValues {
         Ok(Self { components, kind, values })
     }
 
-    /// The type of a grid's values.
+    /// The type of the values of `grid`.
     fn kind_of(&self, grid: &AttributeGrid, info: &AttributeInfo) -> Kind {
         match self.kind {
             AttributeKind::Signed => Kind::Int32,
@@ -217,15 +217,15 @@ impl AttributeValues {
         }
     }
 
-    /// Whether the greatest number is within [`HALF_VELOCITIES`], or all are 0.
+    /// Whether the greatest absolute value is within [`HALF_VELOCITIES`], or all values are 0.
     fn fits_half(&self) -> bool {
         let greatest = self.values.par_iter().map(|value| value.abs());
         let greatest = greatest.reduce(|| 0.0, |a, b| if a > b || a.is_nan() { a } else { b });
         greatest == 0.0 || HALF_VELOCITIES.contains(&greatest)
     }
 
-    /// Appends the value at a point of the surface: interpolated between the corners of the
-    /// triangle, or an integer of the nearest corner.
+    /// Appends the value at a point of the surface. It is interpolated between the corners of the
+    /// triangle. Integers are those of the nearest corner.
     fn put(&self, out: &mut Vec<u8>, grid: &AttributeGrid, kind: Kind, point: NearestPoint) {
         let NearestPoint { corners, shares } = point;
         let (first, stride) = (self.components.start, self.components.len());
@@ -306,7 +306,7 @@ impl GridWriter<'_> {
     }
 }
 
-/// Numbers that tell files apart, from their distances.
+/// An identifier of the file, derived from the distances and positions of its voxels.
 fn id(blocks: &[StoredBlock], leaves: &[StoredLeaf], voxels: u64) -> [u32; 4] {
     let mut distances = crc32fast::Hasher::new();
     blocks.iter().for_each(|block| distances.update(&block.distances));
@@ -316,8 +316,8 @@ fn id(blocks: &[StoredBlock], leaves: &[StoredLeaf], voxels: u64) -> [u32; 4] {
     [distances.finalize(), places.finalize(), (voxels >> 32) as u32, voxels as u32]
 }
 
-/// The names of attributes: Houdini's for the velocity and the first colour, and others as they are
-/// unless that name is taken.
+/// The names of attributes in the file. The velocity and the first colour get Houdini's names.
+/// Other attributes keep their names if these are free.
 pub fn attribute_names(infos: &[AttributeInfo]) -> Vec<String> {
     let colour = colour_attribute(infos);
     let known = |(index, info): (usize, &AttributeInfo)| {
@@ -333,12 +333,12 @@ pub fn attribute_names(infos: &[AttributeInfo]) -> Vec<String> {
     known.into_iter().filter_map(name).collect()
 }
 
-/// How often the attributes of a mesh are read.
+/// How many times the writer reads the attributes of a mesh.
 pub fn attribute_readings(infos: &[AttributeInfo]) -> usize {
     together(&attribute_grids(infos)).count()
 }
 
-/// The grids of all attributes.
+/// The grids that store the attributes.
 fn attribute_grids(infos: &[AttributeInfo]) -> Vec<AttributeGrid> {
     let mut grids = Vec::new();
     for (attribute, (info, name)) in infos.iter().zip(attribute_names(infos)).enumerate() {
@@ -361,7 +361,8 @@ fn attribute_grids(infos: &[AttributeInfo]) -> Vec<AttributeGrid> {
     grids
 }
 
-/// Successive grids of the same attribute, as many as are read at once.
+/// Divides the grids into runs that are read at once. The grids of a run belong to the same
+/// attribute.
 fn together(grids: &[AttributeGrid]) -> impl Iterator<Item = &[AttributeGrid]> {
     let of_attributes = grids.chunk_by(|a, b| a.attribute == b.attribute);
     of_attributes.flat_map(|grids| grids.chunks(NUMBERS_AT_ONCE))

@@ -1,5 +1,5 @@
-//! Lists the grids of a file with their names and metadata, without the values of voxels. Files of
-//! other programs are read as well.
+//! Lists the grids of a file with their names and metadata, but without values of voxels. Files of
+//! other programs are also supported.
 
 use std::collections::BTreeMap;
 
@@ -13,16 +13,16 @@ use crate::io::{ReadFault, malformed};
 use super::archive::{MAGIC, VERSION};
 use super::values::HALF;
 
-/// The first version that has a compression and offsets for each grid as they are read here.
+/// The first supported version. It stores a compression and offsets for each grid.
 const FIRST_VERSION: u32 = 222;
-/// Bytes of a file's identifier.
+/// Number of bytes of a file's identifier.
 const ID: u64 = 36;
-/// Upper limit of the bytes of a text, and of a value of metadata that is read.
+/// Maximum number of bytes of a text, and of a metadata value that is read.
 const LONGEST: u32 = 1 << 16;
-/// Separates a grid's name from the number that distinguishes it from others of that name.
+/// Separates a grid's name from a suffix that distinguishes grids of the same name.
 const SEPARATOR: char = '\u{1e}';
 
-/// A grid of a `.vdb`.
+/// Description of a grid in a `.vdb`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct GridInfo {
@@ -30,35 +30,36 @@ pub struct GridInfo {
     pub name: String,
     /// The class, such as `level set` or `fog volume`.
     pub class: String,
-    /// The type of the values, such as `float`, `vec3s` or `int32`; of the whole tree, if the tree is
-    /// not of the usual shape.
+    /// The type of the values, such as `float`, `vec3s` or `int32`. For a tree of an unusual shape,
+    /// the type of the tree.
     pub value_type: String,
     /// Whether numbers are stored in half precision.
     pub half: bool,
     /// The number of active voxels, if the file has it.
     pub active_voxels: Option<u64>,
-    /// The least and the greatest index of active voxels, if the file has them.
+    /// The least and the greatest index of active voxels along each axis, if the file has them.
     pub index_bounds: Option<[[i32; 3]; 2]>,
-    /// The edges of a voxel, unless the transform is of a type that is not read.
+    /// The edge lengths of a voxel. `None` for unsupported transforms.
     pub voxel_size: Option<[f64; 3]>,
-    /// The centres of the voxels at `index_bounds`, unless the transform turns or is not read.
+    /// The centres of the voxels at `index_bounds`. `None` for rotations and unsupported
+    /// transforms.
     pub bounds: Option<[[f64; 3]; 2]>,
 }
 
-/// The transform from indices to places.
+/// The transform from voxel indices to positions.
 #[derive(Debug, Default)]
 struct Transform {
-    /// The edges of a voxel.
+    /// The edge lengths of a voxel. `None` if unknown.
     size: Option<[f64; 3]>,
-    /// The place of index 0, if the axes are parallel.
+    /// The position of index 0, if voxels are aligned to the axes.
     origin: Option<[f64; 3]>,
 }
 
-/// The grids of a file, in its order.
+/// Reads descriptions of the grids of a file, in the order of the file.
 ///
 /// # Errors
-/// [`ReadFault::Truncated`] and [`ReadFault::Malformed`] for damage, and [`ReadFault::Unsupported`]
-/// for another version, or a file without offsets of its grids.
+/// [`ReadFault::Truncated`] and [`ReadFault::Malformed`] for damaged files, and
+/// [`ReadFault::Unsupported`] for another version, or a file without offsets of its grids.
 pub fn read_grids(bytes: ByteView) -> Result<Vec<GridInfo>, ReadFault> {
     let start = |at| Cursor::new(bytes, at, Endian::Little);
     let mut file = start(0);
@@ -73,7 +74,7 @@ pub fn read_grids(bytes: ByteView) -> Result<Vec<GridInfo>, ReadFault> {
         );
         return Err(ReadFault::Unsupported(what));
     }
-    // The version of the library.
+    // Skips the version of the library.
     file.u64("the header")?;
     let has_offsets = file.take("the header", 1)?[0] != 0;
     file.take("the identifier", ID)?;
@@ -87,7 +88,8 @@ pub fn read_grids(bytes: ByteView) -> Result<Vec<GridInfo>, ReadFault> {
     for _ in 0..count {
         let name = text(&mut file, "the name of a grid")?;
         let tree = text(&mut file, "the type of a grid")?;
-        // An instance has the tree of this grid, after its own metadata and transform.
+        // The parent's name is not needed. An instance shares the parent's tree, but has its own
+        // metadata.
         text(&mut file, "the parent of a grid")?;
         let descriptor_at = file.at();
         let [grid, _, end] = [
@@ -130,7 +132,7 @@ impl GridInfo {
         };
         let index_bounds = corner("file_bbox_min").zip(corner("file_bbox_max"));
         let index_bounds = index_bounds.map(<[_; 2]>::from);
-        // Those of a grid without active voxels are the other way round.
+        // A grid without active voxels has bounds whose least index exceeds the greatest.
         let index_bounds =
             index_bounds.filter(|[low, high]| low.iter().zip(high).all(|(low, high)| low <= high));
         let place = |(origin, size): ([f64; 3], [f64; 3]), index: [i32; 3]| -> [f64; 3] {
@@ -151,7 +153,7 @@ impl GridInfo {
     }
 }
 
-/// A text after its length.
+/// Reads a text after its length.
 fn text(file: &mut Cursor, what: &str) -> Result<String, ReadFault> {
     let at = file.at();
     let length = file.u32(what)?;
@@ -161,7 +163,7 @@ fn text(file: &mut Cursor, what: &str) -> Result<String, ReadFault> {
     Ok(String::from_utf8_lossy(file.take(what, length.into())?).into_owned())
 }
 
-/// Values by their names, as bytes.
+/// Reads metadata: a map from names to the bytes of values. Long values are skipped.
 fn metadata(file: &mut Cursor) -> Result<BTreeMap<String, Vec<u8>>, ReadFault> {
     const WHAT: &str = "metadata";
     let count = file.u32(WHAT)?;
@@ -187,7 +189,8 @@ fn transform(file: &mut Cursor) -> Result<Transform, ReadFault> {
     let mut vector =
         || -> Result<[f64; 3], ReadFault> { Ok(numbers(3)?.try_into().expect("three were read")) };
     Ok(match &*kind {
-        // The place of index 0, and factors, whose signs the edges of a voxel lack.
+        // The position of index 0, and the scale factors. Edge lengths without signs follow, and
+        // are not needed.
         "UniformScaleTranslateMap" | "ScaleTranslateMap" => {
             Transform { origin: Some(vector()?), size: Some(vector()?) }
         }

@@ -1,7 +1,8 @@
-//! The tree of a grid: a root with nodes of 32³ nodes of 16³ leaves of 8³ voxels.
+//! The tree of a grid: a root with nodes of 32^3 nodes of 16^3 leaves of 8^3 voxels.
 //!
-//! Where a node has no child, a tile says whether its voxels are inside or outside. Tiles are found
-//! as in a leaf: between neighbours of which one is a tile there is no surface.
+//! Where a node has no child, a tile says whether its voxels are inside or outside. The surface
+//! never runs between a tile and its neighbour, so that a tile is on the same side as its
+//! neighbour.
 
 use glam::IVec3;
 use rayon::prelude::*;
@@ -10,7 +11,8 @@ use crate::surface::level_set::{LEAF, VOXELS, place_in_leaf};
 
 use super::values::{Kind, put_sides};
 
-/// Children along the edge of each kind of inner node, from the leaves up, as powers of two.
+/// Number of children along an edge of each kind of inner node, as powers of two, lowest level
+/// first.
 const LOG2: [u32; 2] = [4, 5];
 
 /// A leaf of the tree without its values.
@@ -18,9 +20,9 @@ const LOG2: [u32; 2] = [4, 5];
 pub struct TreeLeaf {
     /// The coordinates of the first voxel.
     pub corner: IVec3,
-    /// Bits of the active voxels.
+    /// A bit for each voxel, set if the voxel is active.
     pub active: [u64; VOXELS / 64],
-    /// Bits of the voxels inside the surface.
+    /// A bit for each voxel, set if the voxel is inside the surface.
     pub inside: [u64; VOXELS / 64],
 }
 
@@ -42,7 +44,7 @@ impl TreeLeaf {
         voxels.reduce(|[a, b], [c, d]| [a.min(c), b.max(d)])
     }
 
-    /// The numbers of inactive voxels inside the surface, and of all inactive voxels.
+    /// The number of inactive voxels inside the surface, and the number of all inactive voxels.
     pub fn sides(&self) -> [usize; 2] {
         let inactive = self.active.map(|word| !word);
         let inside = self.inside.iter().zip(&inactive).map(|(inside, word)| inside & word);
@@ -60,7 +62,7 @@ struct InnerNode {
     inside: [bool; 2],
 }
 
-/// The bytes of the tree without the values of its leaves, which are in the order of [`sort_key`].
+/// The bytes of the tree without the values of its leaves. `leaves` must be sorted by [`sort_key`].
 pub fn topology<'a>(
     leaves: impl Iterator<Item = &'a TreeLeaf>,
     kind: Kind,
@@ -93,14 +95,14 @@ pub fn topology<'a>(
     out
 }
 
-/// Brings leaves into the order in which the tree has them: by node of the root, by node below
-/// that, and by place in that node, with z fastest.
+/// The key by which leaves are sorted in the tree: the node of the root, the node below it, and the
+/// place in that node, with z fastest.
 pub fn sort_key(corner: IVec3) -> [[i32; 3]; 3] {
     [LEAF << (LOG2[0] + LOG2[1]), LEAF << LOG2[0], LEAF]
         .map(|edge| corner.div_euclid(IVec3::splat(edge)).to_array())
 }
 
-/// The nodes above `children`, which are in order and `edge` voxels wide.
+/// The nodes above `children`, which are in the order of the tree and `edge` voxels wide.
 fn above(children: Vec<InnerNode>, edge: i32, log2: u32, kind: Kind, zip: bool) -> Vec<InnerNode> {
     let parent = |child: &InnerNode| child.corner.div_euclid(IVec3::splat(edge << log2));
     let groups: Vec<&[InnerNode]> = children.chunk_by(|a, b| parent(a) == parent(b)).collect();
@@ -131,7 +133,7 @@ fn node(
 
     let mut child_mask = vec![0u64; slots / 64];
     let mut outside = vec![0u64; slots / 64];
-    // Whether the last voxel of each slot is inside.
+    // For each slot, whether its last voxel is inside.
     let mut last = vec![false; slots];
     let (mut tiles, mut tiles_inside) = (0, 0);
     for slot in 0..slots {
@@ -151,7 +153,7 @@ fn node(
     }
     let mut bytes = Vec::new();
     bytes.extend(child_mask.iter().flat_map(|word| word.to_le_bytes()));
-    // No tile is active.
+    // The mask of active tiles is empty.
     bytes.resize(bytes.len() + slots / 8, 0);
     put_sides(&mut bytes, kind, [tiles_inside, tiles], &outside);
     kind.put_none(&mut bytes, zip);
@@ -160,7 +162,7 @@ fn node(
     InnerNode { corner, bytes, inside: [first, last[slots - 1]] }
 }
 
-/// The corners of the root's tiles: those between two nodes of a column, inside the surface.
+/// The corners of the root's tiles, which fill the inside between two nodes of a column.
 fn root_tiles(nodes: &[InnerNode]) -> Vec<IVec3> {
     let edge = LEAF << (LOG2[0] + LOG2[1]);
     let between = nodes.windows(2).flat_map(|pair| {
@@ -179,7 +181,7 @@ mod tests {
     #[test]
     fn a_root_has_tiles_between_nodes_of_a_column_that_face_inwards() {
         const EDGE: i32 = 4096;
-        // The last voxel of the lower leaf and the first of the upper one are inside.
+        // The last voxel of the lower leaf and the first voxel of the upper leaf are inside.
         let leaf = |z: i32, inside: u64| {
             let corner = IVec3::new(-EDGE, 0, z);
             TreeLeaf { corner, active: [1 << 20; 8], inside: [inside; 8] }

@@ -1,4 +1,4 @@
-//! Numbers of a grid as they stand in a file.
+//! Encodes the numbers of a grid for a file.
 
 use std::io::{self, Write};
 
@@ -6,24 +6,25 @@ use flate2::Compression;
 use flate2::write::ZlibEncoder;
 use half::f16;
 
-/// Marks nodes whose inactive values are all the background.
+/// Marks a node whose inactive values are all the background value.
 const OUTSIDE: u8 = 0;
-/// Marks nodes whose inactive values are all the negated background.
+/// Marks a node whose inactive values are all the negated background value.
 const INSIDE: u8 = 1;
-/// Marks nodes with a mask of the inactive values that are the background and not its negation.
+/// Marks a node with both inactive values. A mask has a bit for each value that is the background.
 const BOTH: u8 = 3;
 
-/// Ends the type of a tree in half precision.
+/// Suffix of the type of a tree that is stored in half precision.
 pub const HALF: &str = "_HalfFloat";
 
 /// The type of a grid's values.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
-    /// Signed distances: the only kind with values inside other than the background.
+    /// Signed distances. Only this kind has an inactive value inside that differs from the
+    /// background.
     Distance {
         half: bool,
     },
-    /// Numbers with this many components, 1 or 3.
+    /// Floating-point values with this number of components, 1 or 3.
     Real {
         components: usize,
         half: bool,
@@ -33,7 +34,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// The name of a tree with such values.
+    /// The type name of a tree with values of this kind.
     pub fn tree(self) -> String {
         let value = match self {
             Self::Distance { .. } | Self::Real { components: 1, .. } => "float",
@@ -49,7 +50,7 @@ impl Kind {
         matches!(self, Self::Distance { half: true } | Self::Real { half: true, .. })
     }
 
-    /// Bytes of a value of an active voxel.
+    /// Number of bytes of an active voxel's value.
     pub fn bytes(self) -> usize {
         let number = if self.is_half() { 2 } else { 4 };
         match self {
@@ -59,8 +60,8 @@ impl Kind {
         }
     }
 
-    /// The background or its negation, for a background of distances of `number`: grids other than
-    /// distances have zeros. Numbers have four bytes also in grids of half precision.
+    /// The background value. It is `number` in a grid of distances, and 0 in other grids. Numbers
+    /// have four bytes, even in grids of half precision.
     pub fn background(self, number: f32) -> Vec<u8> {
         match self {
             Self::Distance { half: true } => f16::from_f32(number).to_f32().to_le_bytes().to_vec(),
@@ -71,7 +72,7 @@ impl Kind {
         }
     }
 
-    /// Appends a number of a value; an integer as its 32 bits.
+    /// Appends a number. `number` contains an integer as its 32 bits.
     pub fn put(self, out: &mut Vec<u8>, number: f32) {
         match self {
             _ if self.is_half() => out.extend(f16::from_f32(number).to_le_bytes()),
@@ -82,7 +83,7 @@ impl Kind {
         }
     }
 
-    /// Appends the active values of a node that has none.
+    /// Appends the empty list of active values of a node without them.
     pub fn put_none(self, out: &mut Vec<u8>, zip: bool) {
         if zip && !self.is_half() {
             out.extend(0i64.to_le_bytes());
@@ -94,8 +95,10 @@ impl Kind {
     }
 }
 
-/// Appends which inactive values of a node are inside: `inside` of `all`, and a mask of those that
-/// are outside.
+/// Appends which inactive values of a node are inside the surface.
+///
+/// Of `all` inactive values, `inside` are inside. The mask `outside` has a bit for each value
+/// outside, and is appended if there are values on both sides.
 pub fn put_sides(out: &mut Vec<u8>, kind: Kind, [inside, all]: [usize; 2], outside: &[u64]) {
     match inside {
         _ if !kind.has_sides() => out.push(OUTSIDE),
@@ -108,13 +111,13 @@ pub fn put_sides(out: &mut Vec<u8>, kind: Kind, [inside, all]: [usize; 2], outsi
     }
 }
 
-/// The number of bytes that [`put_sides`] appends for a mask of `mask` bytes.
+/// The number of bytes that [`put_sides`] appends if its mask has `mask` bytes.
 pub fn sides_bytes(kind: Kind, [inside, all]: [usize; 2], mask: u64) -> u64 {
     if kind.has_sides() && inside > 0 && inside < all { 1 + mask } else { 1 }
 }
 
-/// Appends zlib's encoding after its length; or the bytes as they are, after their negated length,
-/// unless that makes them shorter.
+/// Appends `bytes` compressed by zlib, after their compressed size. If that is not shorter, appends
+/// the original bytes after their negated size.
 pub fn put_zipped(out: &mut Vec<u8>, bytes: &[u8]) {
     let zipped = || -> io::Result<Vec<u8>> {
         let mut encoder = ZlibEncoder::new(Vec::new(), Compression::fast());

@@ -8,42 +8,43 @@ use crate::io::scan::{Lines, Scanner};
 use crate::io::vertices::integer;
 use crate::io::{ReadFault, malformed};
 
-/// Maximum number of components of an empty array, whose size the file does not bound: those of a
-/// tensor.
+/// Maximum number of components of an empty array. The size of the file does not bound this number.
+/// A tensor has 9 components.
 const MOST_OF_NOTHING: usize = 9;
 
-/// Names of the field with the file's time: for VTK's readers, and from its newer writers.
+/// Names of the field that contains the time. VTK's readers use the first, and newer writers the
+/// second.
 const TIMES: [&str; 2] = ["TIME", "TimeValue"];
 
-/// The sections that are used.
+/// The sections of a file that the reader uses.
 #[derive(Debug)]
 pub(super) struct VtkLayout {
     pub ascii: bool,
     pub points: VtkArray,
-    /// Arrays of `POINT_DATA`, with one tuple per point.
+    /// Arrays of `POINT_DATA`, which have one tuple per point.
     pub attributes: Vec<VtkArray>,
-    /// The number of the attribute in `NORMALS`.
+    /// The index in `attributes` of the array in `NORMALS`.
     pub normals: Option<usize>,
-    /// Names of arrays of text, on points or elsewhere.
+    /// Names of text arrays, with values for points or anything else.
     pub texts: Vec<String>,
     /// The last `VERTICES` section.
     pub vertices: Option<CellCorners>,
-    /// Whether there are `LINES`, or several `VERTICES`.
+    /// Whether there are `LINES`, or several `VERTICES` sections.
     pub has_others: bool,
     pub cells: Vec<VtkCells>,
     /// Types of the cells of an `UNSTRUCTURED_GRID`.
     pub cell_types: Option<VtkArray>,
-    /// Arrays of `CELL_DATA` that flag ghosts.
+    /// Arrays of `CELL_DATA` that flag cells as ghosts.
     pub flags: Vec<VtkArray>,
-    /// The time, an array of one number.
+    /// The array of one number that contains the time.
     pub time: Option<VtkArray>,
 }
 
-/// Consecutive numbers.
+/// An array of consecutive numbers in the file.
 #[derive(Debug, Clone)]
 pub(super) struct VtkArray {
     pub name: String,
-    /// Start and end, in bytes from the start of the file.
+    /// Positions of the first byte and of the end, in bytes from the start of the file.
     pub at: usize,
     pub end: usize,
     pub tuples: usize,
@@ -51,7 +52,7 @@ pub(super) struct VtkArray {
     pub scalar: Scalar,
 }
 
-/// Cells as lists of point numbers.
+/// Cells, which are lists of point indices.
 #[derive(Debug)]
 pub(super) struct VtkCells {
     pub kind: CellKind,
@@ -62,19 +63,21 @@ pub(super) struct VtkCells {
 pub(super) enum CellKind {
     Polygons,
     Strips,
-    /// Cells with the types in `cell_types`.
+    /// Cells whose types are in `cell_types`.
     Typed,
 }
 
 #[derive(Debug)]
 pub(super) enum CellCorners {
-    /// `cells` records of the number of corners and the corners (before version 5).
+    /// A record for each of `cells` cells, with the number of corners and the corners (before
+    /// version 5).
     Counted { cells: usize, stream: VtkArray },
-    /// Cell i has the corners from offset i to offset i + 1.
+    /// An array of offsets and an array of corners. Cell i has the corners from offset i to offset
+    /// i + 1.
     Offsets { offsets: VtkArray, connectivity: VtkArray },
 }
 
-/// The target of a section of attributes, with its count.
+/// What a section of attributes describes, and the number of points or cells.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Owner {
     Points(usize),
@@ -84,12 +87,12 @@ enum Owner {
 struct LayoutParser<'a> {
     bytes: ByteView<'a>,
     lines: Lines<'a>,
-    /// Start of the current line.
+    /// The position of the current line.
     line_at: usize,
     ascii: bool,
     offsets: bool,
     owner: Option<Owner>,
-    /// Number of components of the last array.
+    /// Number of components of the last array that was read.
     components: usize,
     points: Option<VtkArray>,
     attributes: Vec<VtkArray>,
@@ -103,7 +106,7 @@ struct LayoutParser<'a> {
     time: Option<VtkArray>,
 }
 
-/// Whether the arrays are text, from the header.
+/// Whether the header announces text instead of binary arrays.
 pub fn is_text(bytes: ByteView) -> bool {
     LayoutParser::start(bytes).is_ok_and(|walk| walk.ascii)
 }
@@ -159,14 +162,15 @@ impl<'a> LayoutParser<'a> {
         })
     }
 
-    /// The next line with words.
+    /// Reads the next line that is not blank.
     fn next_line(&mut self) -> Result<Option<String>, ReadFault> {
         self.lines.skip_whitespace()?;
         self.line_at = self.lines.at();
         self.lines.line()
     }
 
-    /// The next line with words, after any `METADATA`; an error if the file ends before `what`.
+    /// Reads the next line that is not blank, after any `METADATA`. Returns an error if the file
+    /// ends before `what`.
     fn line_of(&mut self, what: &str) -> Result<String, ReadFault> {
         loop {
             match self.next_line()? {
@@ -317,7 +321,7 @@ impl<'a> LayoutParser<'a> {
     }
 
     /// Skips an array of the current attribute section, which has one tuple per point or cell.
-    /// Returns its number, if it is an attribute of points.
+    /// Returns the array's index if it is an attribute of points.
     fn attribute(
         &mut self,
         name: &str,
@@ -410,8 +414,7 @@ impl<'a> LayoutParser<'a> {
         array.ok_or_else(|| self.fault(format!("{name} of type {kind}")))
     }
 
-    /// Skips an array that starts here; returns it if it contains numbers. An array without values
-    /// may be missing.
+    /// Skips the array that starts here. Returns it if it contains numbers, and `None` otherwise.
     fn array(
         &mut self,
         name: &str,
@@ -462,8 +465,8 @@ impl<'a> LayoutParser<'a> {
         }))
     }
 
-    /// Skips strings: lines of text, or bytes with a length prefix whose first two bits are its
-    /// size.
+    /// Skips strings. In text, each is a line. In binary, each is preceded by its length. The first
+    /// two bits of the length give the size of the length.
     fn strings(&mut self, count: usize, name: &str) -> Result<(), ReadFault> {
         for _ in 0..count {
             if self.ascii {
@@ -483,8 +486,8 @@ impl<'a> LayoutParser<'a> {
         Ok(())
     }
 
-    /// Skips lines up to an empty one; the names of components, one per line, may be empty
-    /// themselves.
+    /// Skips `METADATA` up to an empty line. The names of components, one per line, may be empty
+    /// lines.
     fn metadata(&mut self) -> Result<(), ReadFault> {
         loop {
             match self.lines.line()?.as_deref().map(str::trim) {
@@ -503,7 +506,8 @@ impl<'a> LayoutParser<'a> {
 }
 
 impl VtkArray {
-    /// Count of numbers. It was checked against the file, so this cannot overflow.
+    /// Number of values, in all tuples. It was checked against the file, so the product cannot
+    /// overflow.
     pub fn values(&self) -> usize {
         self.tuples * self.components
     }
@@ -533,7 +537,7 @@ fn scalar_named(name: &str) -> Option<Scalar> {
         "unsigned_char" => Scalar::U8,
         "short" => Scalar::I16,
         "unsigned_short" => Scalar::U16,
-        // Ids are stored as int, with any width in memory.
+        // Identifiers are stored as int in the file, even if VTK uses 64 bits in memory.
         "int" | "vtkidtype" => Scalar::I32,
         "unsigned_int" => Scalar::U32,
         "long" | "vtktypeint64" => Scalar::I64,
@@ -544,10 +548,10 @@ fn scalar_named(name: &str) -> Option<Scalar> {
     })
 }
 
-/// Numbers per read.
+/// Number of values that are read at once.
 pub(super) const AT_ONCE: usize = 1 << 14;
 
-/// Passes on the numbers of an array, each with its index.
+/// Calls `take` with the index and value of each number of an array.
 pub(super) fn each_integer(
     bytes: ByteView,
     ascii: bool,
@@ -575,7 +579,7 @@ pub(super) fn each_integer(
 
 pub(super) type Integers<'a> = Box<dyn Iterator<Item = Result<i64, ReadFault>> + 'a>;
 
-/// The integers of an array in a file in memory.
+/// The integers of an array, for a file that is in memory.
 pub(super) fn integers<'a>(bytes: &'a [u8], ascii: bool, array: &'a VtkArray) -> Integers<'a> {
     let VtkArray { at, scalar, .. } = *array;
     if ascii {
@@ -588,7 +592,7 @@ pub(super) fn integers<'a>(bytes: &'a [u8], ascii: bool, array: &'a VtkArray) ->
     Box::new(stored(&bytes[at..at + array.values() * scalar.size()], array))
 }
 
-/// The integers in these bytes of a binary array.
+/// The integers in `bytes`, which are part of a binary array.
 pub(super) fn stored<'b>(
     bytes: &'b [u8],
     array: &'b VtkArray,

@@ -1,8 +1,8 @@
 //! Legacy .vtk, versions 2.0 to 5.1: particles or surfaces, in text or in big-endian binary.
 //!
-//! A header of three lines is followed by sections in almost any order. Each has a line of words
-//! and its array: `POINTS`, cells under several names, and in `POINT_DATA` or `CELL_DATA` the
-//! attributes. A file without cells that have an area contains particles.
+//! A header of three lines is followed by sections in almost any order. A section has a line of
+//! words, and then an array. `POINTS` are followed by cells under several names, and by attributes
+//! in `POINT_DATA` or `CELL_DATA`. A file is a particle file if no cell has an area.
 
 mod layout;
 mod read;

@@ -1,4 +1,5 @@
-//! Reads legacy .vtk files: the points and their attributes in place, the cells as triangles.
+//! Reads legacy .vtk files. Points and their attributes are read in place, and cells become
+//! triangles.
 
 use std::ops::Range;
 
@@ -31,25 +32,26 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
     points(bytes, &layout, unpacking)
 }
 
-/// Reads the points as particles, regardless of cells. Binary arrays are read in place; text
-/// becomes columns of f64.
+/// Reads the points as particles, even of a mesh. Binary arrays are read in place. Text is
+/// decoded to columns of f64.
 ///
-/// Every array of numbers in `POINT_DATA` is an attribute, with its decoded name. Strings, bits,
-/// colours and cell data are skipped, except flags of vertices that are copies or hidden: points
-/// with only such vertices are left out. The file's own `TIME` or `TimeValue` is the time.
+/// Every numeric array in `POINT_DATA` is an attribute, with its decoded name. Strings, bits,
+/// colours and cell data are skipped. Exceptions are cell data that flag vertices as copies or
+/// hidden: a point is left out if all of its vertices are flagged. `TIME` or `TimeValue` of the
+/// file is the time.
 ///
 /// # Errors
-/// [`ReadFault::Truncated`] for an array that exceeds the file, [`ReadFault::Malformed`] (in a text
-/// file [`ReadFault::Line`]) for invalid or contradictory sections, and [`ReadFault::Unsupported`]
-/// for data sets other than `UNSTRUCTURED_GRID` and `POLYDATA`; [`ReadFault::Scratch`] if text is
-/// decoded and the scratch file fails.
+/// [`ReadFault::Truncated`] for an array that exceeds the file, [`ReadFault::Malformed`] (or
+/// [`ReadFault::Line`] in a text file) for invalid or contradictory sections,
+/// [`ReadFault::Unsupported`] for data sets other than `UNSTRUCTURED_GRID` and `POLYDATA`, and
+/// [`ReadFault::Scratch`] if text is decoded and the scratch file cannot be written.
 pub fn read_points(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
     let bytes = unless_text(bytes, unpacking)?;
     let layout = VtkLayout::parse(bytes.view())?;
     points(bytes, &layout, unpacking)
 }
 
-/// The bytes in place, or as a whole if they are text.
+/// Returns the bytes in place. Reads them as a whole if they are text.
 pub(in crate::io) fn unless_text(bytes: Bytes, unpacking: Unpacking) -> Result<Bytes, ReadFault> {
     if is_text(bytes.view()) { bytes.read_whole(unpacking).map(Bytes::Kept) } else { Ok(bytes) }
 }
@@ -69,7 +71,7 @@ fn points(
     Ok(ParticleFile { time, texts, ..vertices.into_particles(bytes, format) }.with_points(left))
 }
 
-/// Whether a cell has an area or a volume, so that the file is a mesh.
+/// Whether the file is a mesh, because a cell has an area or a volume.
 pub fn has_faces(bytes: ByteView) -> Result<bool, ReadFault> {
     for found in faces(bytes, &VtkLayout::parse(bytes)?) {
         if found? > 0 {
@@ -79,7 +81,7 @@ pub fn has_faces(bytes: ByteView) -> Result<bool, ReadFault> {
     Ok(false)
 }
 
-/// Counts of cells with an area or a volume, to be summed.
+/// The numbers of cells with an area or a volume, one number per array. The caller adds them up.
 fn faces<'a>(
     bytes: ByteView<'a>,
     layout: &'a VtkLayout,
@@ -102,12 +104,13 @@ fn faces<'a>(
     untyped.chain(typed)
 }
 
-/// Reads points, and polygons, triangle strips, and cells of these types as triangles; polygons are
-/// divided from their first corner. Vertices and lines are ignored.
+/// Reads points, and cells as triangles: polygons, triangle strips, and typed cells with an area.
+///
+/// Polygons are divided into triangles from their first corner. Vertices and lines are ignored.
 ///
 /// # Errors
-/// The errors of [`read_points`], [`ReadFault::Malformed`] for a cell with a missing point, and
-/// [`ReadFault::Unsupported`] for cells with a volume.
+/// The errors of [`read_points`], [`ReadFault::Malformed`] for a cell that refers to a missing
+/// point, and [`ReadFault::Unsupported`] for cells with a volume.
 pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
     let view = ByteView::from(bytes);
     let layout = VtkLayout::parse(view)?;
@@ -141,7 +144,7 @@ const POLYGON: i64 = 7;
 const PIXEL: i64 = 8;
 const QUAD: i64 = 9;
 
-/// Whether cells of this type have neither area nor volume: empty cells, vertices and lines.
+/// Whether cells of this type are empty, vertices or lines, and so have neither area nor volume.
 fn is_thin(kind: i64) -> bool {
     (0..TRIANGLE).contains(&kind)
 }
@@ -183,7 +186,7 @@ fn vertices(
     })
 }
 
-/// The only number of an array.
+/// The number in an array of one number.
 fn number(bytes: ByteView, ascii: bool, array: &VtkArray) -> Result<Option<f64>, ReadFault> {
     let stored = bytes.read(array.at..array.end)?;
     if ascii {
@@ -196,7 +199,7 @@ fn number(bytes: ByteView, ascii: bool, array: &VtkArray) -> Result<Option<f64>,
     })
 }
 
-/// Visits each of `cells`: its number, the position of its array, and its corners.
+/// Calls a function with each of `cells`: its number, the position of its array, and its corners.
 fn visit(
     bytes: &[u8],
     ascii: bool,
@@ -243,7 +246,7 @@ fn visit(
     Ok(())
 }
 
-/// Ranges of the points that are kept; `None` if all are.
+/// Ranges of the points that are not ghosts. `None` if all points are kept.
 pub(super) fn not_ghosts(
     bytes: ByteView,
     layout: &VtkLayout,
@@ -259,7 +262,7 @@ pub(super) fn not_ghosts(
     };
     let (cells, mut all_vertices) = (corners.cells(), true);
     let points = match corners {
-        // Every second number is a count of points.
+        // Numbers with an even index are the numbers of points of the cells, which must be 1.
         CellCorners::Counted { stream, .. } => {
             each(stream, &mut |index, number| all_vertices &= index % 2 == 1 || number == 1)?;
             if all_vertices && Some(stream.tuples) != cells.checked_mul(2) {

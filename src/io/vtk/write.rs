@@ -1,4 +1,4 @@
-//! Writing legacy .vtk files.
+//! Writes legacy .vtk files.
 
 use std::io::{self, Write};
 
@@ -9,10 +9,11 @@ use crate::io::up::note;
 use crate::particles::{AttributeInfo, AttributeKind};
 use crate::surface::mesh::source::{MeshSource, Vertices};
 
-/// Writes `mesh` as binary POLYDATA of version 3.0: POINTS of float or double by `width`, POLYGONS,
-/// and in POINT_DATA the normals as NORMALS, an attribute `velocity` of three components as
-/// VECTORS, and all others as FIELD, because programs show only the first of several SCALARS.
-/// Colours are unsigned_char.
+/// Writes `mesh` as binary POLYDATA of version 3.0.
+///
+/// The file has POINTS of float or double by `width`, and POLYGONS. POINT_DATA has normals as
+/// NORMALS, an attribute `velocity` of three components as VECTORS, and all other attributes as
+/// FIELD, because programs show only the first of several SCALARS. Colours are unsigned_char.
 ///
 /// # Panics
 /// Like [`MeshFormat::write`](crate::io::output::MeshFormat::write).
@@ -89,7 +90,7 @@ fn write_points(
     writeln!(out)
 }
 
-/// Writes POLYGONS, unless there are none: VTK's reader rejects an empty section.
+/// Writes POLYGONS if there are triangles. VTK's reader rejects an empty section.
 fn write_polygons(out: &mut dyn Write, mesh: &dyn MeshSource) -> io::Result<()> {
     let triangles = mesh.triangle_count();
     if triangles == 0 {
@@ -117,18 +118,18 @@ fn write_floats(
     writeln!(out)
 }
 
-/// Names of the attributes, which differ from that of the normals.
+/// Names of the attributes, which differ from the name of the normals.
 pub(in crate::io) fn attribute_names(
     attributes: &[AttributeInfo],
     has_normals: bool,
 ) -> Vec<String> {
     let taken: &[&str] = if has_normals { &["Normals"] } else { &[] };
-    // A name must be a word.
+    // A name in the file must be a word, so it must not be empty.
     let spelled = |name: &str| if name.is_empty() { "_".into() } else { name.to_owned() };
     unique_names(attributes.iter().map(|info| &*info.name), taken, spelled)
 }
 
-/// A name as one word, with encoded characters.
+/// Encodes a name as one word, with percent codes.
 fn encoded(name: &str) -> String {
     let name = if name.is_empty() { "_" } else { name };
     let plain = |byte: &u8| byte.is_ascii_graphic() && !matches!(byte, b'%' | b'"');

@@ -1,5 +1,5 @@
-//! The arrays of a mesh in VTK's formats: points, their attributes, and triangles as corners and
-//! ends.
+//! The arrays of a mesh in VTK's formats: points, their attributes, and triangles. Triangles are
+//! stored as an array of corners and an array of ends.
 
 use std::io::{self, Write};
 
@@ -15,27 +15,27 @@ use crate::surface::mesh::source::MeshSource;
 use super::NORMALS;
 use super::write::GLOBAL_IDS;
 
-/// Triangles per write of ends.
+/// Number of triangles per write of ends.
 const ENDS: u64 = 1 << 14;
 
 /// An array in the file.
 pub(in crate::io) struct Array<'a> {
     pub name: String,
     pub components: usize,
-    /// Number of values, including all components.
+    /// Number of values. A tuple counts as several values.
     pub length: u64,
     numbers: ArraySource<'a>,
 }
 
 enum ArraySource<'a> {
     Normals,
-    /// The attribute with this number, with its type in the file.
+    /// The attribute with this index, and its number type in the file.
     Attribute(usize, Scalar),
     Positions(CoordinateWidth),
     Corners(IndexWidth),
     /// The end of each triangle's corners: 3, 6, 9, ...
     Ends(IndexWidth),
-    /// The numbers of vertices that several pieces share.
+    /// The indices that the vertices of a piece have in the whole mesh.
     Identifiers(&'a [u64]),
 }
 
@@ -45,7 +45,7 @@ pub(in crate::io) enum IndexWidth {
     I64,
 }
 
-/// Names of the attributes' arrays, which differ from those of normals and identifiers.
+/// Names of the attributes' arrays, which differ from the names of normals and identifiers.
 pub(in crate::io) fn attribute_names(
     infos: &[AttributeInfo],
     has_normals: bool,
@@ -55,7 +55,7 @@ pub(in crate::io) fn attribute_names(
     unique_names(infos.iter().map(|info| &*info.name), taken, spelled)
 }
 
-/// The type of an attribute's numbers in the file.
+/// The number type of an attribute in the file.
 fn scalar(info: &AttributeInfo) -> Scalar {
     match info.kind {
         AttributeKind::Colour | AttributeKind::ByteColour => Scalar::U8,
@@ -65,7 +65,7 @@ fn scalar(info: &AttributeInfo) -> Scalar {
     }
 }
 
-/// Normals, if there are any, and all attributes, with names by `spelled`.
+/// The arrays of normals, if there are any, and of all attributes. `spelled` converts their names.
 pub(in crate::io) fn point_data(
     mesh: &dyn MeshSource,
     spelled: impl Fn(&str) -> String,
@@ -84,13 +84,13 @@ pub(in crate::io) fn point_data(
     normals.into_iter().chain(attributes).collect()
 }
 
-/// The positions.
+/// The array of positions.
 pub(in crate::io) fn points(mesh: &dyn MeshSource, width: CoordinateWidth) -> Array<'static> {
     let numbers = ArraySource::Positions(width);
     Array { name: "Points".to_owned(), components: 3, length: 3 * mesh.vertex_count(), numbers }
 }
 
-/// The triangles' corners, and the end of each triangle's corners.
+/// The array of the triangles' corners, and the array of the ends of each triangle's corners.
 pub(in crate::io) fn polygons(mesh: &dyn MeshSource) -> [Array<'static>; 2] {
     let triangles = mesh.triangle_count();
     let width = IndexWidth::that_holds(mesh.vertex_count().max(3 * triangles));
@@ -106,7 +106,7 @@ pub(in crate::io) fn polygons(mesh: &dyn MeshSource) -> [Array<'static>; 2] {
     ]
 }
 
-/// The numbers of a piece's vertices in the whole mesh.
+/// The array of the indices that a piece's vertices have in the whole mesh.
 pub(super) fn identifiers<'a>(name: &str, numbers: &'a [u64]) -> Array<'a> {
     let length = numbers.len() as u64;
     Array {
@@ -118,7 +118,7 @@ pub(super) fn identifiers<'a>(name: &str, numbers: &'a [u64]) -> Array<'a> {
 }
 
 impl Array<'_> {
-    /// The type of its numbers.
+    /// The number type of the array.
     pub fn scalar(&self) -> Scalar {
         match self.numbers {
             ArraySource::Normals | ArraySource::Positions(CoordinateWidth::F32) => Scalar::F32,
@@ -137,7 +137,7 @@ impl Array<'_> {
         self.length * self.scalar().size() as u64
     }
 
-    /// Writes all numbers, little-endian.
+    /// Writes all values of the array, little-endian.
     pub fn write(&self, out: &mut dyn Write, mesh: &dyn MeshSource) -> io::Result<()> {
         match self.numbers {
             ArraySource::Normals => {

@@ -1,9 +1,9 @@
-//! The data of arrays: text, or a header of lengths and numbers, which may be in base64,
-//! compressed, or both.
+//! Decodes the data of arrays.
 //!
-//! Uncompressed data follows its length in bytes. Compressed data follows the number of blocks, the
-//! block size, the size of a smaller last block (0 if there is none) and each block's compressed
-//! size.
+//! An array is text, or a header of lengths with numbers, which may be in base64, compressed, or
+//! both. The header of uncompressed data is its length in bytes. The header of compressed data has
+//! the number of blocks, the block size, the size of a smaller last block (0 if there is none), and
+//! the compressed size of each block.
 //!
 //! Arrays with the same name in several pieces are joined.
 
@@ -26,32 +26,32 @@ use crate::io::{ReadFault, malformed};
 
 use super::layout::{Compressor, DataLocation, VtpArray, VtpLayout, VtpPiece};
 
-/// Bytes per decoding step.
+/// Number of bytes per decoding step.
 const CHUNK: usize = 1 << 16;
-/// Bytes after which memory is released.
+/// Number of bytes after which memory is released.
 const PASSED: usize = 1 << 20;
 /// Maximum size in bytes of an LZ4 block, which is unpacked as a whole.
 const MOST_LZ4: u64 = 64 << 20;
 /// Maximum compression ratio of LZ4.
 const LZ4_RATIO: u64 = 255;
 
-/// The arrays with one name in all pieces with points.
+/// An attribute or the positions: the corresponding arrays of all pieces with points.
 pub(super) struct JoinedArray<'a> {
     pub components: usize,
     pub parts: Vec<PieceArray<'a>>,
 }
 
-/// The array of one piece.
+/// The array of one piece of a [`JoinedArray`].
 #[derive(Clone, Copy)]
 pub(super) struct PieceArray<'a> {
-    /// Number of points of the piece.
+    /// Number of points in the piece.
     pub points: usize,
-    /// `None` if the piece lacks the array; its values then count as 0.
+    /// `None` if the piece lacks the array. The values are 0 then.
     pub array: Option<&'a VtpArray>,
 }
 
 impl JoinedArray<'_> {
-    /// The array, if it can be read in place.
+    /// The only array and its number of points, if it can be read in place.
     fn raw(&self) -> Option<(usize, &VtpArray)> {
         match *self.parts {
             [PieceArray { points, array: Some(array) }] => {
@@ -62,13 +62,13 @@ impl JoinedArray<'_> {
     }
 }
 
-/// Decodes the arrays of a file sequentially.
+/// Decodes the arrays of a file in order.
 pub(super) struct Decoder<'a> {
     layout: &'a VtpLayout<'a>,
     /// The decoded data of arrays that cannot be read in place.
     unpacked: UnpackBuffer<'a>,
-    /// Bytes that may still be decoded: several arrays can refer to the same data, so a small file
-    /// could require much memory.
+    /// Maximum number of bytes that may still be decoded. It bounds the memory for a small file in
+    /// which several arrays refer to the same data.
     allowance: u64,
 }
 
@@ -78,14 +78,15 @@ impl<'a> Decoder<'a> {
         Self { layout, unpacked: UnpackBuffer::new(unpacking), allowance }
     }
 
-    /// Whether all arrays of points can be read in place.
+    /// Whether all arrays with values for points can be read in place.
     pub fn all_raw(layout: &VtpLayout) -> bool {
         let is_raw = |array: &VtpArray| matches!(array.data, DataLocation::Raw(_));
         layout.compressor.is_none()
             && layout.pieces.iter().flat_map(VtpPiece::of_points).all(is_raw)
     }
 
-    /// Columns of the points, in the file or in the result of [`finish`](Self::finish).
+    /// Columns of the points. They are in the file, or else in the result of
+    /// [`finish`](Self::finish).
     pub fn columns(&mut self, arrays: &[JoinedArray]) -> Result<Vec<Vec<Column>>, ReadFault> {
         let raw: Option<Vec<_>> = arrays.iter().map(JoinedArray::raw).collect();
         match raw.filter(|_| self.layout.compressor.is_none()) {
@@ -119,7 +120,7 @@ impl<'a> Decoder<'a> {
         let offset = self.unpacked.len();
         let mut kinds = joined.parts.iter().filter_map(|part| part.array).map(|a| self.kind(a));
         let first = kinds.next().unwrap_or(DOUBLE);
-        // Numbers of different types become f64.
+        // If the pieces have different number types, all numbers are converted to f64.
         let kind = if kinds.all(|kind| kind == first) { first } else { DOUBLE };
         for part in &joined.parts {
             self.unpack_part(*part, joined.components, kind)?;
@@ -129,7 +130,7 @@ impl<'a> Decoder<'a> {
         Ok(columns(offset as usize, stride, joined.components, scalar, endian))
     }
 
-    /// Type and byte order of an array when it is unpacked.
+    /// Number type and byte order that an array has after decoding.
     fn kind(&self, array: &VtpArray) -> (Scalar, Endian) {
         match array.data {
             DataLocation::Text(_) => DOUBLE,
@@ -174,7 +175,7 @@ impl<'a> Decoder<'a> {
         })
     }
 
-    /// The decoded data; `None` if all columns are in the file.
+    /// Returns the decoded data. `None` if all columns are in the file.
     pub fn finish(self) -> Result<Option<PrivateBytes>, ReadFault> {
         if self.unpacked.is_empty() {
             return Ok(None);
@@ -183,7 +184,7 @@ impl<'a> Decoder<'a> {
         self.unpacked.finish().map(Some)
     }
 
-    /// All numbers of an array of integers.
+    /// Decodes all numbers of an integer array.
     pub fn integers(&mut self, array: &VtpArray) -> Result<Vec<i64>, ReadFault> {
         if let DataLocation::Text(text) = &array.data {
             return numbers(&self.layout.text()[..text.end], text.start);
@@ -195,7 +196,7 @@ impl<'a> Decoder<'a> {
         numbers.ok_or_else(|| no_integers(array))
     }
 
-    /// Passes on the numbers of an array of integers, each with its index.
+    /// Calls `take` with the index and value of each number of an integer array.
     pub fn each_integer(
         &mut self,
         array: &VtpArray,
@@ -223,7 +224,7 @@ impl<'a> Decoder<'a> {
         })
     }
 
-    /// The first number of an array.
+    /// Decodes the first number of an array.
     pub fn first(&mut self, array: &VtpArray) -> Result<Option<f64>, ReadFault> {
         if let DataLocation::Text(text) = &array.data {
             return Ok(numbers(&self.layout.text()[..text.end], text.start)?.first().copied());
@@ -244,10 +245,10 @@ impl<'a> Decoder<'a> {
     }
 }
 
-/// The type of decoded text, and of numbers of different types.
+/// The number type of decoded text, and of numbers whose types differ.
 const DOUBLE: (Scalar, Endian) = (Scalar::F64, Endian::Little);
 
-/// The nearest f64 of a number.
+/// Converts a stored number to the nearest f64.
 fn double((scalar, endian): (Scalar, Endian), number: &[u8]) -> f64 {
     let bits = |scalar| integer(scalar, endian, number).unwrap_or_default();
     match scalar {
@@ -257,7 +258,7 @@ fn double((scalar, endian): (Scalar, Endian), number: &[u8]) -> f64 {
     }
 }
 
-/// Size of an array with a value for each of `points`.
+/// Number of bytes of an array with a value for each of `points` points.
 fn expected_bytes(array: &VtpArray, points: usize) -> Result<u64, ReadFault> {
     let values = points.checked_mul(array.components).filter(|values| *values > 0);
     let bytes = values.and_then(|values| values.checked_mul(array.scalar.size()));
@@ -268,7 +269,7 @@ fn no_integers(array: &VtpArray) -> ReadFault {
     malformed(array.place(), format!("array {} does not contain integers", array.name))
 }
 
-/// The numbers of a text from byte `at` on.
+/// Parses the numbers of a text from byte `at` on.
 fn numbers<T: ParseNumber>(text: &[u8], at: usize) -> Result<Vec<T>, ReadFault> {
     let mut scan = Scanner::new(text, at);
     let mut numbers = Vec::new();
@@ -283,14 +284,15 @@ fn numbers<T: ParseNumber>(text: &[u8], at: usize) -> Result<Vec<T>, ReadFault> 
 
 type TakeBytes<'t> = dyn FnMut(&[u8]) -> Result<(), ReadFault> + 't;
 
-/// An array that is not text.
+/// An array that is stored as numbers, not as text.
 struct StoredArray<'a> {
     layout: &'a VtpLayout<'a>,
     array: &'a VtpArray,
 }
 
 impl StoredArray<'_> {
-    /// Passes on the bytes of each number, like [`read`](Self::read).
+    /// Calls `take` with the bytes of each number. Other arguments are those of
+    /// [`read`](Self::read).
     fn each_number(
         &self,
         points: Option<usize>,
@@ -298,7 +300,7 @@ impl StoredArray<'_> {
         take: &mut TakeBytes<'_>,
     ) -> Result<(), ReadFault> {
         let size = self.array.scalar.size();
-        // A batch may end within a number.
+        // A batch may end within a number, so the start of that number is kept for the next batch.
         let mut begun = Vec::new();
         self.read(points, allowance, &mut |chunk| {
             begun.extend_from_slice(chunk);
@@ -309,8 +311,8 @@ impl StoredArray<'_> {
         })
     }
 
-    /// Passes on the numbers' bytes in batches, if the `allowance` suffices: a value for each of
-    /// `points`, or all that exist.
+    /// Calls `take` with the bytes of the numbers in batches, and subtracts them from `allowance`.
+    /// There must be a value for each of `points`. Without `points`, all existing values are read.
     fn read(
         &self,
         points: Option<usize>,
@@ -348,7 +350,8 @@ impl StoredArray<'_> {
         };
         match self.layout.compressor {
             None => {
-                // Without encoding, the number of missing bytes is known.
+                // For raw data, checks the length first, because the error can tell how many bytes
+                // are missing.
                 if let DataLocation::Raw(_) = self.array.data {
                     self.raw_span()?;
                 }
@@ -365,7 +368,8 @@ impl StoredArray<'_> {
                     malformed(self.array.place(), what)
                 })?;
                 claim(full.checked_mul(block).and_then(|bytes| bytes.checked_add(last)))?;
-                // As many blocks as the file has lengths for.
+                // Each size is pushed as it is read, so that memory is bounded by the file, not by
+                // `count`.
                 let mut packed = Vec::new();
                 for _ in 0..count {
                     packed.push(self.number(&mut stream)?);
@@ -391,7 +395,7 @@ impl StoredArray<'_> {
         ReadFault::Compression(format!("array {}: {what}", self.array.name))
     }
 
-    /// Unpacks one LZ4 block, which must have `length` bytes.
+    /// Decompresses an LZ4 block, whose decompressed size must be `length` bytes.
     fn unpack_lz4(
         &self,
         packed: &mut io::Take<impl Read>,
@@ -405,7 +409,7 @@ impl StoredArray<'_> {
                 self.array.name
             )));
         }
-        // Incompressible data is only slightly longer than its content.
+        // Incompressible data grows only slightly in LZ4.
         if packed.limit() > length + length / LZ4_RATIO + 16 {
             return Err(self.damaged(format_args!("a block of more than {length} bytes")));
         }
@@ -417,7 +421,7 @@ impl StoredArray<'_> {
         self.unpack(&plain[..count], length, take)
     }
 
-    /// Unpacks one block, which must have `length` bytes.
+    /// Decompresses a block, whose decompressed size must be `length` bytes.
     fn unpack(
         &self,
         mut plain: impl Read,
@@ -464,7 +468,7 @@ impl StoredArray<'_> {
         Ok(())
     }
 
-    /// A length in the header.
+    /// Reads a length in the header of an array.
     fn number(&self, stream: &mut dyn Read) -> Result<u64, ReadFault> {
         let mut bytes = [0; 8];
         let bytes = &mut bytes[..self.layout.header.size()];
@@ -485,7 +489,7 @@ impl StoredArray<'_> {
         malformed(self.array.place(), what)
     }
 
-    /// The position of the numbers of an array that is neither encoded nor compressed.
+    /// The range of bytes of an array's numbers, which are neither encoded nor compressed.
     fn raw_span(&self) -> Result<std::ops::Range<usize>, ReadFault> {
         let VtpLayout { bytes, header, endian, .. } = self.layout;
         let have = bytes.len() as u64;
@@ -505,7 +509,7 @@ impl StoredArray<'_> {
     }
 }
 
-/// The remaining bytes of a text; the memory of bytes that were read is released.
+/// The remaining bytes of a text. The memory of bytes that were read is released.
 struct RemainingText<'a> {
     bytes: Slice<'a>,
     at: usize,
@@ -527,8 +531,8 @@ impl<'a> RemainingText<'a> {
     }
 }
 
-/// Decodes base64 with white space anywhere. Padding may end any group of four, because a header
-/// may be encoded separately and padded before the data.
+/// Decodes base64 with white space anywhere. Padding may end any group of four characters, because
+/// the header of an array may be encoded and padded before its data.
 struct Base64<'a> {
     text: RemainingText<'a>,
     plain: Vec<u8>,

@@ -1,8 +1,8 @@
-//! Writes a mesh as a .pvtp: a list of pieces, each a .vtp with a fixed number of triangles and
-//! their vertices.
+//! Writes a mesh as a .pvtp: a list of pieces. Each piece is a .vtp with a fixed number of
+//! triangles and their vertices.
 //!
-//! Vertices that several pieces share are in each of them. An array of global identifiers, their
-//! numbers in the whole mesh, shows which are the same.
+//! A vertex that several pieces share is stored in each of them. An array of global identifiers,
+//! the indices of the vertices in the whole mesh, shows which vertices are the same.
 
 use std::io::{self, Write};
 use std::ops::Range;
@@ -20,11 +20,12 @@ use super::write::{COMMENT, GLOBAL_IDS, declared, escaped, roles, write_piece};
 /// Maximum number of triangles per piece.
 pub(in crate::io) const MOST_TRIANGLES: u64 = 1 << 20;
 
-/// A mesh divided into pieces with equal numbers of triangles, independent of its source's pieces.
+/// A mesh divided into pieces with equal numbers of triangles. They do not depend on the pieces of
+/// the source.
 pub(in crate::io) struct Divided<'a> {
     mesh: &'a dyn MeshSource,
     width: CoordinateWidth,
-    /// Number of the first vertex of each of the source's pieces, and the total.
+    /// Index of the first vertex of each piece of the source, and the total number of vertices.
     vertices: Vec<u64>,
     triangles: Vec<u64>,
     pieces: u64,
@@ -63,7 +64,7 @@ impl<'a> Divided<'a> {
         self.pieces
     }
 
-    /// Writes the list of pieces, whose files have these `names`.
+    /// Writes the list of pieces. `names` are the paths of the pieces.
     pub fn write_list(&self, out: &mut dyn Write, names: &[String]) -> io::Result<()> {
         let numbered = self.pieces > 1;
         let mut arrays = point_data(self.mesh, str::to_owned);
@@ -116,7 +117,7 @@ impl<'a> Divided<'a> {
         Ok(triangles)
     }
 
-    /// The vertices with these numbers, which are in order.
+    /// The vertices with the indices `numbers`, which must be in ascending order.
     fn vertices(&self, mut numbers: &[u64]) -> io::Result<Mesh> {
         let infos = self.mesh.attributes();
         let attribute = |info: &crate::particles::AttributeInfo| VertexAttribute {

@@ -1,4 +1,4 @@
-//! Parses the XML: the arrays with their types and the positions of their data.
+//! Parses the XML of .vtp and .vtu files: the arrays, their types, and the positions of their data.
 
 use std::ops::Range;
 
@@ -9,24 +9,24 @@ use crate::io::bytes::{ByteView, PrivateBytes, Slice};
 use crate::io::columns::{Endian, Scalar};
 use crate::io::{ReadFault, malformed};
 
-/// Name of the array with the file's time.
+/// Name of the array that contains the time of the file.
 pub(super) const TIME: &str = "TimeValue";
 
-/// The part of the file that an array belongs to.
+/// The part of the file to which an array belongs.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Section {
     FieldData,
     PointData,
     CellData,
     Points,
-    /// Vertices of a PolyData.
+    /// Vertex cells of a PolyData.
     Verts,
     Polys,
     /// Cells of an UnstructuredGrid.
     Cells,
 }
 
-/// An array in the XML.
+/// An array that the XML declares.
 pub(super) struct VtpArray {
     pub section: Section,
     pub name: String,
@@ -35,25 +35,25 @@ pub(super) struct VtpArray {
     pub data: DataLocation,
 }
 
-/// The location of an array's data in the file.
+/// The location and the encoding of an array's data in the file.
 pub(super) enum DataLocation {
-    /// Decimal numbers in this text.
+    /// Decimal numbers in this range of the text.
     Text(Range<usize>),
-    /// A header of lengths and the numbers, in base64 in this text.
+    /// A header of lengths and the numbers, in base64 in this range of the text.
     Base64(Range<usize>),
-    /// A header of lengths and the numbers, as raw bytes from this position on.
+    /// A header of lengths and the numbers, as raw bytes from this byte on.
     Raw(u64),
-    /// At this offset of appended data, whose position is not known yet.
+    /// Data at this offset in the appended data, whose position in the file is not known yet.
     Appended(u64),
 }
 
 impl VtpArray {
-    /// Whether the position of its data is unknown.
+    /// Whether the position of the array's data is not known yet.
     fn is_to_come(&self) -> bool {
         matches!(self.data, DataLocation::Appended(_))
     }
 
-    /// A position for messages.
+    /// The position of the array's data, for messages.
     pub fn place(&self) -> usize {
         match &self.data {
             DataLocation::Text(text) | DataLocation::Base64(text) => text.start,
@@ -61,7 +61,7 @@ impl VtpArray {
         }
     }
 
-    /// The error of an array without a value for each of `points`.
+    /// The error for an array that lacks a value for each of `points` points.
     pub fn wrong_count(&self, points: usize) -> ReadFault {
         let Self { name, components, .. } = self;
         let what =
@@ -70,34 +70,35 @@ impl VtpArray {
     }
 }
 
-/// Bytes that show whether arrays can be read in place: then they contain all XML before the data.
+/// Number of bytes at the start of a file that must contain all XML, so that arrays can be read in
+/// place.
 pub(super) const HEAD: usize = 1 << 20;
-/// Additional bytes for the end of a tag that is cut off, and following blanks.
+/// Number of additional bytes, for the rest of an incomplete tag and blanks after it.
 const TAG: usize = 4 << 10;
-/// Bytes at the end of a file that are searched at once.
+/// Number of bytes that are searched at once, from the end of a file.
 const TAIL: usize = 1 << 10;
 
-/// The contents of the XML.
+/// The contents of a file's XML.
 pub(super) struct VtpLayout<'a> {
     pub bytes: ByteView<'a>,
-    /// The XML of a file that is not read as a whole.
+    /// The XML, if the file is not read as a whole.
     head: PrivateBytes,
     pub data_set: DataSet,
     pub endian: Endian,
-    /// Type of the lengths before an array's data.
+    /// Number type of the lengths before an array's data.
     pub header: Scalar,
-    /// Compression of blocks of data other than text.
+    /// Compression of arrays that are not text.
     pub compressor: Option<Compressor>,
-    /// The array with the file's time.
+    /// The array that contains the time of the file.
     pub time: Option<VtpArray>,
     pub pieces: Vec<VtpPiece>,
 }
 
-/// A piece of the data set: points, their attributes and cells.
+/// A piece of the data set, with points, their attributes, and cells.
 #[derive(Default)]
 pub(super) struct VtpPiece {
     pub points: usize,
-    /// Numbers of vertex cells, and lines, of a PolyData.
+    /// Number of vertex cells of a PolyData.
     pub vertices: usize,
     pub lines: usize,
     /// Number of cells of an UnstructuredGrid.
@@ -105,10 +106,11 @@ pub(super) struct VtpPiece {
     pub polygons: usize,
     pub strips: usize,
     pub normals: Option<String>,
-    /// Name of the array of global identifiers, by which pieces share points.
+    /// Name of the array of global identifiers. Points of different pieces with equal identifiers
+    /// are one.
     pub global_ids: Option<String>,
     pub arrays: Vec<VtpArray>,
-    /// Names of arrays of points that are not numbers.
+    /// Names of text arrays with values for points.
     pub texts: Vec<String>,
 }
 
@@ -118,13 +120,13 @@ pub(super) enum DataSet {
     UnstructuredGrid,
 }
 
-/// The compression of blocks.
+/// The compression of the blocks of an array.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Compressor {
     Zlib,
-    /// LZ4's block format.
+    /// The block format of LZ4.
     Lz4,
-    /// A stream of .xz.
+    /// The .xz format.
     Lzma,
 }
 
@@ -134,14 +136,14 @@ impl VtpPiece {
         self.polygons.saturating_add(self.strips)
     }
 
-    /// Arrays with a value for each point.
+    /// The arrays that have a value for each point.
     pub fn of_points(&self) -> impl Iterator<Item = &VtpArray> {
         let of_points =
             |array: &&VtpArray| matches!(array.section, Section::Points | Section::PointData);
         self.arrays.iter().filter(of_points)
     }
 
-    /// The array with this name.
+    /// The array called `name` in `section`.
     pub fn array(&self, section: Section, name: &str) -> Option<&VtpArray> {
         self.arrays.iter().find(|array| array.section == section && array.name == name)
     }
@@ -160,7 +162,7 @@ impl<'a> VtpLayout<'a> {
         Ok(Self { head, ..layout })
     }
 
-    /// Parses the XML in `text`, which must contain the start of appended data.
+    /// Parses the XML in `text`, which must include the start of the appended data.
     fn of_xml(bytes: ByteView<'a>, text: Slice) -> Result<Self, ReadFault> {
         let mut xml = Reader::from_reader(&*text);
         let mut layout = VtpLayout {
@@ -235,12 +237,12 @@ impl<'a> VtpLayout<'a> {
         self.time.iter_mut().chain(of_pieces)
     }
 
-    /// The number of points of all pieces.
+    /// The total number of points in all pieces.
     pub fn points(&self) -> usize {
         self.pieces.iter().fold(0, |sum, piece| sum.saturating_add(piece.points))
     }
 
-    /// The number of polygons and strips of all pieces.
+    /// The total number of polygons and strips in all pieces.
     pub fn faces(&self) -> usize {
         self.pieces.iter().fold(0, |sum, piece| sum.saturating_add(piece.faces()))
     }
@@ -293,8 +295,8 @@ impl<'a> VtpLayout<'a> {
                 let what = format!("the points have type {kind:?}, which is not numeric");
                 return Err(malformed(tag.at, what));
             }
-            // Strings and bits are not attributes. If another part needs this array, it is reported
-            // as missing.
+            // Strings and bits are not attributes. If another part needs this array, the reader
+            // reports that it is missing.
             if let (Section::PointData, Some(piece)) = (section, self.pieces.last_mut()) {
                 piece.texts.push(name);
             }
@@ -319,7 +321,7 @@ impl<'a> VtpLayout<'a> {
                         .ok_or_else(|| malformed(tag.at, format!("array {name} has no offset")))?,
                 )
             }
-            // VTK's own reader assumes this.
+            // VTK's own reader also assumes text if the format is missing.
             None | Some("ascii") => DataLocation::Text(text(xml, behind)),
             Some("binary") => DataLocation::Base64(text(xml, behind)),
             Some(other) => {
@@ -337,7 +339,8 @@ impl<'a> VtpLayout<'a> {
         Ok(())
     }
 
-    /// Adds the start of the data to the offsets so far. The rest of the XML is not read.
+    /// Replaces the offsets of appended arrays by positions in the file. Does not read the rest of
+    /// the XML.
     fn appended(&mut self, tag: &Tag, xml: &[u8], behind: usize) -> Result<(), ReadFault> {
         let mark =
             behind + xml[behind..].iter().take_while(|byte| byte.is_ascii_whitespace()).count();
@@ -365,7 +368,7 @@ impl<'a> VtpLayout<'a> {
         Ok(())
     }
 
-    /// The bytes of the texts: all, or those before appended data.
+    /// The bytes of the file's text: all bytes, or the bytes before appended data.
     pub fn text(&self) -> Slice<'_> {
         match self.bytes {
             ByteView::File(_) => self.head.slice(),
@@ -390,7 +393,7 @@ impl VtpPiece {
     }
 }
 
-/// Whether a file ends with the end tag of VTK's element.
+/// Whether a file ends with the tag that closes VTK's XML.
 fn ends_as_vtk(bytes: ByteView) -> Result<bool, ReadFault> {
     const END: &[u8] = b"</VTKFile>";
     let mut end = bytes.len();
@@ -410,16 +413,16 @@ fn ends_as_vtk(bytes: ByteView) -> Result<bool, ReadFault> {
     Ok(*bytes.read(end.saturating_sub(END.len())..end)? == *END)
 }
 
-/// The range from byte `at` to the next element.
+/// The range from byte `at` to the start of the next tag.
 fn text(xml: &[u8], at: usize) -> Range<usize> {
     let rest = &xml[at..];
     at..at + rest.iter().position(|&byte| byte == b'<').unwrap_or(rest.len())
 }
 
-/// Calls `take` with each element of a list of files, which must be complete.
+/// Calls `take` with each element of a list of files. The XML must be complete.
 ///
 /// # Errors
-/// [`ReadFault::Malformed`] for invalid or incomplete XML, and those of `take`.
+/// [`ReadFault::Malformed`] for invalid or incomplete XML, and the errors of `take`.
 pub(in crate::io) fn each_tag(
     bytes: &[u8],
     mut take: impl FnMut(&Tag<'_>) -> Result<(), ReadFault>,
@@ -441,7 +444,7 @@ pub(in crate::io) fn each_tag(
     }
 }
 
-/// An element with its position.
+/// An XML element, and its position for messages.
 pub(in crate::io) struct Tag<'a> {
     pub tag: &'a BytesStart<'a>,
     pub at: usize,

@@ -1,5 +1,6 @@
-//! Reads VTK's lists of files: a .pvtp or .pvtu names its pieces, .vtp or .vtu files with relative
-//! paths, whose points form one set. The blocks of a .vtm may also contain other things.
+//! Reads VTK's lists of files. A .pvtp or .pvtu names its pieces, which are .vtp or .vtu files with
+//! relative paths. The points of all pieces form one set. A .vtm names blocks, which may contain
+//! anything.
 
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
@@ -19,14 +20,14 @@ use crate::surface::mesh::Mesh;
 use super::layout::{Tag, each_tag};
 use super::read::{NumberedMesh, counts, read_block, read_numbered, read_particles, unless_text};
 
-/// Reads the points of all wanted pieces as particles, in the order of the pieces.
+/// Reads the points of all wanted pieces as particles, in the order of the list.
 ///
-/// Attributes that some pieces with particles lack are left out, and so are blocks of a .vtm
-/// without particles.
+/// An attribute is left out if a piece with particles lacks it. Blocks of a .vtm without particles
+/// are also left out.
 ///
 /// # Errors
-/// The errors of [`read_particles`](super::read_particles) with the piece; a missing piece is
-/// [`ReadFault::Io`]. [`ReadFault::Unsupported`] if no block contains particles.
+/// The errors of [`read_particles`](super::read_particles) for the piece that has them. A missing
+/// piece is [`ReadFault::Io`]. [`ReadFault::Unsupported`] if no block contains particles.
 pub fn open_particles(
     path: &Path,
     bytes: Bytes,
@@ -45,12 +46,13 @@ pub fn open_particles(
             Ok(Ok(ParticleFile::new(Pieces::default(), format)))
         }
     };
-    // Waits for all pieces, so that the error is always that of the first piece.
+    // Reads all pieces before it returns, so that the error is always that of the first faulty
+    // piece.
     let read: Vec<_> = sources.par_iter().enumerate().map(open).collect();
     let (mut files, mut left_out) = (Vec::new(), Vec::new());
     for read in read {
         match read? {
-            // Some pieces may lack flags.
+            // Removes ghosts piece by piece, because some pieces may lack flags.
             Ok(file) => files.push(file.without_ghosts()),
             Err(other) => {
                 left_out.push(other);
@@ -72,10 +74,10 @@ pub fn open_particles(
     Ok(ParticleFile { format, left_out, ..file })
 }
 
-/// Maximum number of blocks in a message.
+/// Maximum number of blocks that a message lists.
 const SHOWN: usize = 4;
 
-/// Whether there are polygons in any piece, or no data in all of them.
+/// Whether the pieces form a mesh, because any piece has polygons or no piece has points.
 ///
 /// # Errors
 /// [`ReadError`] if the pieces cannot be read.
@@ -93,20 +95,20 @@ pub fn has_faces(path: &Path) -> Result<bool, ReadError> {
     Ok(points == 0)
 }
 
-/// The pieces in a .pvtp or .pvtu, or the blocks in a .vtm.
+/// The paths of the pieces in a .pvtp or .pvtu, or of the blocks in a .vtm.
 ///
 /// # Errors
-/// [`ReadError`] if it cannot be read.
+/// [`ReadError`] if the list cannot be read.
 pub fn pieces(path: &Path) -> Result<Vec<PathBuf>, ReadError> {
     let sources = Sources::parse(path, &open_whole(path)?)?.sources;
     Ok(sources.into_iter().map(|source| source.path).collect())
 }
 
-/// Reads the triangles of all pieces as one mesh. Vertices of different pieces are merged if they
-/// have the same global identifier; without identifiers they stay separate.
+/// Reads the triangles of all pieces as one mesh. Vertices of different pieces are merged if their
+/// global identifiers are equal. Without identifiers, they stay separate.
 ///
 /// # Errors
-/// The errors of [`read_mesh`](super::read_mesh) with the piece.
+/// The errors of [`read_mesh`](super::read_mesh) for the piece that has them.
 pub fn read_mesh(path: &Path) -> Result<Mesh, ReadError> {
     let mut all = JoinedMesh::default();
     for piece in pieces(path)? {
@@ -117,11 +119,11 @@ pub fn read_mesh(path: &Path) -> Result<Mesh, ReadError> {
     Ok(all.mesh)
 }
 
-/// The joined mesh of the pieces so far.
+/// The mesh joined from the pieces that were read so far.
 #[derive(Default)]
 struct JoinedMesh {
     mesh: Mesh,
-    /// The vertex of each global identifier.
+    /// The vertex index for each global identifier.
     known: HashMap<i64, u32>,
     begun: bool,
 }
@@ -176,15 +178,15 @@ impl JoinedMesh {
     }
 }
 
-/// A file in a list.
+/// A file that a list names.
 struct ListedPiece {
     path: PathBuf,
-    /// The name of a block, which may contain anything.
+    /// The name of the block, if the file is a block. It may contain anything.
     block: Option<String>,
 }
 
 impl ListedPiece {
-    /// Reads the particles, or returns what a block contains instead.
+    /// Reads the particles. For a block without particles, returns a description of its contents.
     fn open(&self, unpacking: Unpacking) -> Result<Result<ParticleFile, UnreadPart>, ReadError> {
         let fail = |fault| ReadError::new(&self.path, fault);
         let open = || open_bytes_within(&self.path, unpacking);
@@ -199,7 +201,7 @@ impl ListedPiece {
     }
 }
 
-/// The files of a list, including those of nested lists.
+/// The files that a list and its nested lists name.
 struct Sources {
     sources: Vec<ListedPiece>,
     format: &'static str,
@@ -216,7 +218,7 @@ impl Sources {
         Ok(all)
     }
 
-    /// Adds the files of a list. Returns its format.
+    /// Adds the files of a list and its nested lists. Returns the format of the list.
     fn add(
         &mut self,
         path: &Path,
@@ -246,13 +248,13 @@ impl Sources {
     }
 }
 
-/// The content of a list.
+/// The contents of one list.
 struct List {
     files: Vec<PieceFile>,
     format: &'static str,
 }
 
-/// A file by its name in the list.
+/// An entry of a list.
 struct PieceFile {
     name: String,
     block: Option<String>,
@@ -269,7 +271,7 @@ impl List {
                     let name = name.ok_or_else(|| malformed(tag.at, "a piece without a Source"))?;
                     files.push(PieceFile { name, block: None });
                 }
-                // An empty block has no file.
+                // An empty block names no file.
                 ("DataSet", Some(Format { blocks: true, .. })) => {
                     if let Some(name) = tag.value("file")?.filter(|name| !name.is_empty()) {
                         let block = tag.value("name")?.unwrap_or_else(|| name.clone());
@@ -288,11 +290,11 @@ impl List {
     }
 }
 
-/// A kind of list.
+/// The kind of a list.
 #[derive(Clone, Copy)]
 struct Format {
     name: &'static str,
-    /// Whether its files are blocks, which may contain anything.
+    /// Whether the files are blocks, which may contain anything.
     blocks: bool,
 }
 

@@ -1,4 +1,4 @@
-//! Reads .vtp and .vtu files: the points and their attributes as columns, polygons as triangles.
+//! Reads .vtp and .vtu files. Points and attributes become columns, and polygons become triangles.
 
 use std::collections::HashSet;
 use std::ops::Range;
@@ -18,32 +18,33 @@ use super::NORMALS;
 use super::data::{Decoder, JoinedArray, PieceArray};
 use super::layout::{DataSet, HEAD, Section, VtpArray, VtpLayout, VtpPiece};
 
-/// Reads the points of all pieces as particles, regardless of lines, and of cells in a .vtu. Raw
-/// appended arrays of a single piece are read in place; if any array is text, base64 or compressed,
-/// or there are several pieces, all are decoded.
+/// Reads the points of all pieces as particles. Lines, and the cells of a .vtu, are ignored.
 ///
-/// Every array of numbers in `PointData` that all pieces have is an attribute; `TimeValue` in
-/// `FieldData` is the time. Points are left out if `CellData` flags their vertices as copies or as
+/// Raw appended arrays of a single piece are read in place. If there are several pieces, or any
+/// array is text, base64 or compressed, all arrays are decoded.
+///
+/// Every numeric array in `PointData` that all pieces have is an attribute. `TimeValue` in
+/// `FieldData` is the time. A point is left out if `CellData` flags its vertex cells as copies or
 /// hidden.
 ///
 /// # Errors
-/// [`ReadFault::Mesh`] if there are polygons; [`ReadFault::Truncated`] and [`ReadFault::Malformed`]
-/// for damage, [`ReadFault::Compression`] for data that cannot be unpacked, or whose compression
-/// ratio is too high; [`ReadFault::Unsupported`] for compressors other than zlib, LZ4 and LZMA, and
-/// data sets other than PolyData and UnstructuredGrid; [`ReadFault::Scratch`] if the scratch file
-/// fails.
+/// [`ReadFault::Mesh`] for a file with polygons, [`ReadFault::Truncated`] and
+/// [`ReadFault::Malformed`] for damaged files, [`ReadFault::Compression`] for data that cannot be
+/// decompressed or whose compression ratio is too high, [`ReadFault::Unsupported`] for compressors
+/// other than zlib, LZ4 and LZMA and for data sets other than PolyData and UnstructuredGrid, and
+/// [`ReadFault::Scratch`] if the scratch file cannot be written.
 pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
     points(unless_encoded(bytes, unpacking)?, unpacking)
 }
 
-/// The bytes in place, or read as a whole if arrays are text, encoded or compressed.
+/// Returns the bytes in place. Reads them as a whole if arrays are text, encoded or compressed.
 fn unless_encoded(bytes: Bytes, unpacking: Unpacking) -> Result<Bytes, ReadFault> {
     let view = bytes.view();
     let stays = !is_text(view)? && Decoder::all_raw(&VtpLayout::parse(view)?);
     Ok(if stays { bytes } else { Bytes::Kept(bytes.read_whole(unpacking)?) })
 }
 
-/// Reads a block, or returns its contents if these are not particles.
+/// Reads the particles of a block. For other blocks, returns a description of their contents.
 ///
 /// # Errors
 /// The errors of [`read_particles`], except for meshes.
@@ -58,7 +59,7 @@ pub(super) fn read_block(
     }
 }
 
-/// Description of a data set whose cells are not all points.
+/// Describes the contents of a data set that has cells other than points. `None` for particles.
 fn other_contents(layout: &VtpLayout) -> Result<Option<String>, ReadFault> {
     if layout.faces() > 0 {
         return Ok(Some(format!("a mesh of {} faces", layout.faces())));
@@ -74,7 +75,7 @@ fn other_contents(layout: &VtpLayout) -> Result<Option<String>, ReadFault> {
     Ok((others > 0).then(|| format!("{others} cells that are not points")))
 }
 
-/// Whether the file must be read as a whole: arrays are text, encoded or compressed.
+/// Whether the file must be read as a whole, because arrays are text, encoded or compressed.
 ///
 /// # Errors
 /// [`ReadFault::Changed`] and [`ReadFault::Io`] if the file cannot be read.
@@ -84,7 +85,7 @@ pub fn is_text(bytes: ByteView) -> Result<bool, ReadFault> {
     Ok(!has(b"encoding=\"raw\"") || has(b"compressor="))
 }
 
-/// The bytes in place, or in memory if the file must be read as a whole.
+/// Returns the bytes in place. Reads them into memory if the file must be read as a whole.
 pub(in crate::io) fn unless_text(bytes: Bytes) -> Result<Bytes, ReadFault> {
     if is_text(bytes.view())? {
         bytes.read_whole(Unpacking::in_memory()).map(Bytes::Kept)
@@ -114,14 +115,14 @@ fn points(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault>
     Ok(ParticleFile { time, left_out: names.left_out, texts, ..file }.with_points(left))
 }
 
-/// Whether there are polygons, so that the file is a mesh. A file without any data also counts as
-/// one.
+/// Whether the file is a mesh, because it has polygons. A file without points also counts as a
+/// mesh.
 pub fn has_faces(bytes: ByteView) -> Result<bool, ReadFault> {
     let PieceCounts { points, faces } = counts(bytes)?;
     Ok(points == 0 || faces > 0)
 }
 
-/// Number of points, and of polygons and strips.
+/// Numbers of points and of faces, which are polygons and strips.
 pub(super) struct PieceCounts {
     pub points: usize,
     pub faces: usize,
@@ -132,24 +133,25 @@ pub(super) fn counts(bytes: ByteView) -> Result<PieceCounts, ReadFault> {
     Ok(PieceCounts { points: layout.points(), faces: layout.faces() })
 }
 
-/// Reads points, their attributes, and polygons, divided into triangles from their first corner.
+/// Reads points, their attributes, and polygons. Polygons are divided into triangles from their
+/// first corner.
 ///
 /// Vertices, lines and cell data are ignored.
 ///
 /// # Errors
-/// The errors of [`read_particles`], and [`ReadFault::Unsupported`] for triangle strips and an
+/// The errors of [`read_particles`], and [`ReadFault::Unsupported`] for triangle strips and for an
 /// UnstructuredGrid.
 pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
     Ok(read_numbered(bytes)?.mesh)
 }
 
-/// A mesh with the global identifiers of its vertices.
+/// A mesh, and the global identifiers of its vertices.
 pub(super) struct NumberedMesh {
     pub mesh: Mesh,
     pub numbers: Option<Vec<i64>>,
 }
 
-/// Reads a mesh that may be a piece of another.
+/// Reads a mesh that may be a piece of a larger mesh.
 pub(super) fn read_numbered(bytes: &[u8]) -> Result<NumberedMesh, ReadFault> {
     let layout = VtpLayout::parse(bytes.into())?;
     if layout.data_set != DataSet::PolyData {
@@ -205,15 +207,15 @@ pub(super) fn read_numbered(bytes: &[u8]) -> Result<NumberedMesh, ReadFault> {
     Ok(NumberedMesh { mesh: vertices.into_mesh(bytes, triangles.triangles), numbers })
 }
 
-/// Attributes of the points.
+/// The attributes of the points of all pieces.
 struct Attributes<'a> {
-    /// Arrays that all pieces have, from one of them.
+    /// Arrays that all pieces have. Each is represented by the array of one piece.
     shared: Vec<&'a VtpArray>,
     left_out: Vec<UnreadPart>,
 }
 
-/// Attributes that all pieces with points have, in the order of the first of these pieces. Some
-/// pieces may lack flags of copies.
+/// Finds the attributes that all pieces with points have, in the order of the first piece. Pieces
+/// may lack an array that flags ghosts.
 fn attributes(pieces: &[VtpPiece]) -> Attributes<'_> {
     let filled: Vec<&VtpPiece> = pieces.iter().filter(|piece| piece.points > 0).collect();
     let mut all = Attributes { shared: Vec::new(), left_out: Vec::new() };
@@ -237,14 +239,14 @@ fn attributes(pieces: &[VtpPiece]) -> Attributes<'_> {
     all
 }
 
-/// The array of a piece that corresponds to an array of another.
+/// The array of `piece` with the same section, name and number of components as `array`.
 fn same<'a>(piece: &'a VtpPiece, array: &VtpArray) -> Option<&'a VtpArray> {
     piece.arrays.iter().find(|own| {
         (own.section, &own.name, own.components) == (array.section, &array.name, array.components)
     })
 }
 
-/// The points of all pieces, with the named attributes.
+/// The points of all pieces, with the values of `attributes`.
 fn vertices(
     layout: &VtpLayout,
     mut decoder: Decoder,
@@ -269,12 +271,13 @@ fn vertices(
             array.ok_or_else(|| malformed(0, "no array of points with three components"))?;
         parts.push(PieceArray { points: piece.points, array: Some(array) });
     }
-    // The positions first, because their size confirms the number of points.
+    // Positions are decoded first, because their size confirms the number of points.
     let mut arrays = vec![JoinedArray { components: 3, parts }];
     arrays.extend(attributes.iter().map(|&array| {
         let mut parts = Vec::new();
         for piece in &filled {
-            // In a single piece, several arrays with the same name are all read.
+            // A single piece may have several arrays with the same name, so that each array
+            // represents itself.
             let own = if filled.len() == 1 { Some(array) } else { same(piece, array) };
             parts.push(PieceArray { points: piece.points, array: own });
         }
@@ -294,12 +297,12 @@ fn vertices(
     })
 }
 
-/// Ranges of the points that are kept; `None` if all are.
+/// Ranges of the points that are not ghosts. `None` if all points are kept.
 fn not_ghosts(
     layout: &VtpLayout,
     decoder: &mut Decoder,
 ) -> Result<Option<Vec<Range<usize>>>, ReadFault> {
-    // The reader of the points rejects a number that exceeds the file.
+    // A number of points that exceeds the file is rejected later, when the points are read.
     if layout.points() as u64 > unpacked_limit(layout.bytes.len() as u64) {
         return Ok(None);
     }
@@ -320,14 +323,14 @@ fn not_ghosts(
     Ok((!all_left).then_some(left))
 }
 
-/// Ranges of points in one piece that are kept.
+/// Ranges of the points of one piece that are not ghosts. `None` if all points are kept.
 fn points_left(
     data_set: DataSet,
     piece: &VtpPiece,
     decoder: &mut Decoder,
 ) -> Result<Option<Vec<Range<usize>>>, ReadFault> {
     let (section, cells) = match data_set {
-        // Cells other than vertices come after these.
+        // In PolyData, vertices are the first cells, so that their flags come first.
         DataSet::PolyData => (Section::Verts, piece.vertices),
         DataSet::UnstructuredGrid => (Section::Cells, piece.cells),
     };

@@ -1,4 +1,4 @@
-//! Writing .vtp files.
+//! Writes .vtp files.
 
 use std::io::{self, Write};
 
@@ -11,16 +11,16 @@ use crate::surface::mesh::source::MeshSource;
 use super::NORMALS;
 use super::arrays::{Array, identifiers, point_data, points, polygons};
 
-/// Name of the array with the numbers of a piece's vertices in the whole mesh.
+/// Name of the array with the indices that a piece's vertices have in the whole mesh.
 pub(super) const GLOBAL_IDS: &str = "GlobalPointIds";
 
 /// The start and the end of a comment.
 pub(super) const COMMENT: [&str; 2] = ["<!-- ", " -->\n"];
 
-/// Writes `mesh` with all of its attributes, little-endian: points as Float32 or Float64 by
-/// `width`, indices as Int32 if they fit.
+/// Writes `mesh` with all of its attributes, little-endian. Points are Float32 or Float64 by
+/// `width`, and indices are Int32 if they fit.
 ///
-/// A control character in a name, which XML cannot represent, becomes U+FFFD.
+/// Control characters in a name become U+FFFD, because XML cannot represent them.
 ///
 /// # Panics
 /// Like [`MeshFormat::write`](crate::io::output::MeshFormat::write).
@@ -32,7 +32,7 @@ pub fn write_mesh(
     write_piece(out, mesh, width, None)
 }
 
-/// Writes a mesh, or a piece of one with the `numbers` of its vertices.
+/// Writes a mesh or a piece of a mesh. A piece has the `numbers` of its vertices in the whole mesh.
 pub(super) fn write_piece(
     out: &mut dyn Write,
     mesh: &dyn MeshSource,
@@ -77,7 +77,7 @@ pub(super) fn write_piece(
     out.write_all(b"\n</AppendedData>\n</VTKFile>\n")
 }
 
-/// XML attributes that name the arrays of normals, vectors and global identifiers.
+/// The XML attributes that say which arrays are normals, vectors and global identifiers.
 pub(super) fn roles(mesh: &dyn MeshSource, numbered: bool) -> String {
     let has_velocity = mesh.attributes().iter().any(AttributeInfo::is_velocity);
     let roles = [
@@ -92,7 +92,7 @@ pub(super) fn roles(mesh: &dyn MeshSource, numbered: bool) -> String {
         .collect()
 }
 
-/// The element that declares an array, with additional XML attributes.
+/// The XML element that declares an array. `more` contains additional XML attributes.
 pub(super) fn declared(element: &str, array: &Array, more: &str) -> String {
     let kind = match array.scalar() {
         Scalar::F64 => "Float64",
@@ -108,7 +108,7 @@ pub(super) fn declared(element: &str, array: &Array, more: &str) -> String {
     )
 }
 
-/// Escapes a name for a quoted XML attribute.
+/// Escapes a name for use in a quoted XML attribute.
 pub(in crate::io) fn escaped(name: &str) -> String {
     let mut escaped = String::new();
     for character in name.chars() {

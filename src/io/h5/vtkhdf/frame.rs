@@ -1,4 +1,4 @@
-//! The rows of a frame of VTKHDF: those of its step, partition by partition.
+//! Finds the rows of a frame in VTKHDF: the rows of its step, partition by partition.
 
 use hdf5_reader::group::Group;
 
@@ -7,13 +7,13 @@ use crate::io::h5::file::{H5File, checked, time_of};
 use crate::io::h5::table::{H5Array, H5Table};
 use crate::io::{ReadFault, malformed};
 
-/// The rows of a frame.
+/// The rows of a frame in the data sets.
 pub(super) struct FrameRows {
-    /// The number of the step, if there are steps.
+    /// The number of the step. `None` for a file without steps.
     pub step: Option<u64>,
-    /// The first partition, and the end of the partitions.
+    /// The number of the first partition, and the number after the last partition.
     pub parts: [u64; 2],
-    /// Row of the first point.
+    /// The row of the frame's first point.
     point: u64,
 }
 
@@ -42,12 +42,12 @@ impl FrameRows {
         Ok(Self { step: Some(step), parts: [first, end], point: at("PointOffsets")? })
     }
 
-    /// Numbers of points in the partitions.
+    /// The number of points in each partition.
     pub fn points(&self, file: &H5File, root: &Group) -> Result<Vec<u64>, ReadFault> {
         self.of_parts(file, root, "NumberOfPoints", 0)
     }
 
-    /// The entries of a data set for every partition, with `more` additional entries per partition.
+    /// The entries of a data set for all partitions, followed by `more` entries after these.
     pub fn of_parts(
         &self,
         file: &H5File,
@@ -60,7 +60,7 @@ impl FrameRows {
         part.integers(file)?.into_iter().map(|value| count(value, name)).collect()
     }
 
-    /// The columns of the points.
+    /// The positions and attributes of the points.
     pub fn table(&self, file: &H5File, root: &Group) -> Result<H5Table, ReadFault> {
         let rows = sum(&self.points(file, root)?)?;
         let mut arrays = vec![H5Array::named(root, "Points")?.part(self.point, rows)?];
@@ -104,7 +104,7 @@ pub(super) fn integers(file: &H5File, group: &Group, name: &str) -> Result<Vec<i
     H5Array::named(group, name)?.integers(file)
 }
 
-/// Converts a count, which must not be negative.
+/// Converts a count. Returns an error if it is negative.
 pub(super) fn count(value: i64, name: &str) -> Result<u64, ReadFault> {
     u64::try_from(value).map_err(|_| malformed(0, format!("{value} in {name}")))
 }
@@ -119,7 +119,7 @@ pub(super) fn entry(
     entries(file, group, name, index, 1).map(|entries| entries[0])
 }
 
-/// The numbers of entry `index` of a data set of counts, at least `least` of them.
+/// The numbers in entry `index` of a data set of counts. There must be at least `least` numbers.
 pub(super) fn entries(
     file: &H5File,
     group: &Group,
@@ -137,7 +137,7 @@ pub(super) fn entries(
     entries.into_iter().map(|value| count(value, name)).collect()
 }
 
-/// The number of steps; `None` for a file without steps.
+/// The number of steps. `None` for a file without steps.
 pub(super) fn step_count(root: &Group) -> Result<Option<u64>, ReadFault> {
     let Some(steps) = sub_group(root, "Steps")? else { return Ok(None) };
     let values = H5Array::named(&steps, "Values")?;

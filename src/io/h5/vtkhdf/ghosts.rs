@@ -1,9 +1,9 @@
-//! Finds points of VTKHDF that are left out because their cells are flagged.
+//! Finds points of VTKHDF that are ghosts, because all of their cells are flagged.
 //!
-//! The cells of all partitions are consecutive in every array. If there are several kinds, a
-//! partition's vertices come before its lines. `Offsets` has one entry more than cells for each
-//! partition. A partition with cells other than vertices keeps all of its points. Arrays are read
-//! in windows.
+//! In every array, the cells of all partitions are consecutive. If there are several kinds of
+//! cells, the vertices of a partition come before its lines. `Offsets` has one more entry than
+//! cells for each partition. All points are kept in a partition with cells other than vertices.
+//! Arrays are read in windows.
 
 use std::ops::Range;
 
@@ -17,16 +17,16 @@ use crate::io::{ReadFault, malformed};
 
 use super::frame::{FrameRows, count, entries, entry, sub_group, sum};
 
-/// The layout of a data set's cells.
+/// How the cells of a data set are stored.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum CellLayout {
-    /// In four groups, one per kind: PolyData.
+    /// In four groups, one per kind of cells, as in PolyData.
     ByKind,
-    /// With an array of types: UnstructuredGrid.
+    /// In one group with an array of types, as in UnstructuredGrid.
     Typed,
 }
 
-/// Ranges of the points that are kept; `None` if all are.
+/// Ranges of the points that are not ghosts. `None` if all points are kept.
 pub(super) fn left(
     file: &H5File,
     root: &Group,
@@ -51,7 +51,7 @@ pub(super) fn left(
     };
 
     let points = frame.points(file, root)?;
-    // The reader of the points rejects a number that exceeds the file.
+    // A number of points that exceeds the file is rejected later, when the points are read.
     if sum(&points)? > file.limit {
         return Ok(None);
     }
@@ -112,7 +112,7 @@ pub(super) fn left(
     Ok(Some(left))
 }
 
-/// The array of a group with this name, if it exists and has one number per row.
+/// The array `name` of a group. `None` if it does not exist or has several numbers per row.
 fn found(group: &Group, name: &str) -> Result<Option<H5Array>, ReadFault> {
     let (_, sets) = checked(group.member_names())?;
     if !sets.iter().any(|set| set == name) {
@@ -121,7 +121,7 @@ fn found(group: &Group, name: &str) -> Result<Option<H5Array>, ReadFault> {
     Ok(H5Array::new(checked(group.dataset(name))?).filter(|array| array.components == 1))
 }
 
-/// Adds the partition to a fault.
+/// Adds the number of the partition to an error.
 fn in_part(part: u64, fault: ReadFault) -> ReadFault {
     match fault {
         ReadFault::Malformed { at, what } => {
@@ -131,11 +131,11 @@ fn in_part(part: u64, fault: ReadFault) -> ReadFault {
     }
 }
 
-/// The first cells of a frame.
+/// The positions of a frame's first cell in the arrays.
 struct FirstCells {
     cell: u64,
     corner: u64,
-    /// Row of their data in arrays without their own offset.
+    /// The row of the first cell's data, in arrays whose offset is not stored.
     data: u64,
 }
 
@@ -154,7 +154,7 @@ impl FirstCells {
         Ok(Self { cell: cells[0], corner: corners[0], data: sum(&cells[..kinds])? })
     }
 
-    /// Partitions of earlier frames with entries in `Offsets`.
+    /// The number of partitions before this frame that have entries in `Offsets`.
     fn parts_before(
         &self,
         file: &H5File,
@@ -172,7 +172,8 @@ impl FirstCells {
         if sum(&before)? == self.cell {
             return Ok(first);
         }
-        // Steps share cells, or have none: counts the partitions of the cells before.
+        // Some steps share cells or have none, so only the partitions that contain the cells before
+        // this frame count.
         let mut cells = 0;
         let makes_up = |own: &&u64| {
             let needed = cells < self.cell;
@@ -182,7 +183,7 @@ impl FirstCells {
         Ok(before.iter().take_while(makes_up).count() as u64)
     }
 
-    /// Row of the first cell's data in an array with this name.
+    /// The row of the first cell's data in the array `name`.
     fn row_of_data(
         &self,
         file: &H5File,
@@ -202,17 +203,17 @@ impl FirstCells {
     }
 }
 
-/// The counts of a partition.
+/// The numbers of points and cells in a partition.
 struct PartitionCounts {
     points: usize,
     vertices: u64,
-    /// Number of points in the connectivity.
+    /// Number of point indices in the connectivity of the vertices.
     ids: u64,
-    /// Number of cells after the vertices.
+    /// Number of cells that follow the vertices.
     others: u64,
 }
 
-/// The arrays of cells, at the next partition.
+/// The arrays of cells, positioned at the next partition.
 struct Arrays {
     ends: NumberReader,
     types: Option<NumberReader>,
@@ -221,7 +222,8 @@ struct Arrays {
 }
 
 impl Arrays {
-    /// Ranges of the points of the next partition that are kept; `None` if all are.
+    /// Ranges of the points of the next partition that are not ghosts. `None` if all points are
+    /// kept.
     fn left(&mut self, part: &PartitionCounts) -> Result<Option<Vec<Range<usize>>>, ReadFault> {
         let &PartitionCounts { points, vertices: cells, ids, others } = part;
         let mut all_vertices = cells > 0 && others == 0;
@@ -256,19 +258,19 @@ impl Arrays {
     }
 }
 
-/// Reads the numbers of an array sequentially, with one window in memory.
+/// Reads the numbers of an array in order. One window is in memory.
 struct NumberReader {
     array: H5Array,
     windows: RowWindows,
-    /// The next row.
+    /// The row that is read next.
     at: u64,
-    /// Rows in memory, and their numbers.
+    /// The rows of the window in memory, and their numbers.
     held: Range<u64>,
     numbers: Vec<i64>,
 }
 
 impl NumberReader {
-    /// Starts at row `first`.
+    /// Creates a reader that starts at row `first`.
     fn new(array: H5Array, first: u64) -> Result<Self, ReadFault> {
         let first = first.min(array.rows);
         let rows = array.rows - first;
@@ -280,7 +282,7 @@ impl NumberReader {
         self.at = self.at.saturating_add(rows);
     }
 
-    /// Passes on `rows` numbers, each with its index.
+    /// Calls `take` with the index and value of each of the next `rows` numbers.
     fn each(&mut self, rows: u64, mut take: impl FnMut(usize, i64)) -> Result<(), ReadFault> {
         let H5Array { name, rows: all, .. } = &self.array;
         let end = self.at.saturating_add(rows);

@@ -1,7 +1,8 @@
 //! Reads VTKHDF: the points of PolyData and UnstructuredGrid, partition by partition, and the
 //! polygons of PolyData.
 //!
-//! Steps are consecutive in every data set; `Steps` has the start of each.
+//! The data of all steps is consecutive in every data set. The group `Steps` has the start of each
+//! step.
 
 mod frame;
 mod ghosts;
@@ -19,11 +20,11 @@ use super::file::{H5File, checked};
 use frame::{FrameRows, count, integers, step_count, sub_group, sum};
 use ghosts::CellLayout;
 
-/// Name of the group with all data.
+/// Name of the group that contains all data.
 pub const ROOT: &str = "VTKHDF";
 const POLY_DATA: &str = "PolyData";
 
-/// The group with all data, and the type of its data set.
+/// The group that contains all data, and the type of the data set.
 fn opened(file: &H5File) -> Result<(Group, String), ReadFault> {
     let root = file.group(ROOT)?;
     let kind = checked(root.attribute("Type").and_then(|kind| kind.read_string()))?;
@@ -36,7 +37,7 @@ fn opened(file: &H5File) -> Result<(Group, String), ReadFault> {
     }
 }
 
-/// The numbers of the steps; empty for a file with a single frame.
+/// The numbers of the steps. Empty for a file with a single frame.
 pub fn steps(file: &H5File) -> Result<Vec<u64>, ReadFault> {
     let (root, _) = opened(file)?;
     let steps = step_count(&root)?.unwrap_or(0);
@@ -48,8 +49,8 @@ pub fn steps(file: &H5File) -> Result<Vec<u64>, ReadFault> {
     Ok((0..steps).collect())
 }
 
-/// Reads the points as particles, if there are no faces. Points whose vertices are all flagged as
-/// copies or as hidden are left out.
+/// Reads the points as particles. The file must not have faces. A point is left out if all of its
+/// vertex cells are flagged as copies or hidden.
 pub fn read_particles(
     file: H5File,
     step: Option<u64>,
@@ -72,7 +73,7 @@ pub fn read_particles(
     Ok(ParticleFile { time, ..table.read(file, format, wanted)? }.with_points(left))
 }
 
-/// Number of polygons and strips of all partitions and steps.
+/// The total number of polygons and strips in all partitions and steps.
 fn faces(file: &H5File, root: &Group) -> Result<u64, ReadFault> {
     let mut faces = 0;
     for cells in ["Polygons", "Strips"] {
@@ -84,7 +85,7 @@ fn faces(file: &H5File, root: &Group) -> Result<u64, ReadFault> {
     Ok(faces)
 }
 
-/// Whether there are polygons or strips, or no data at all.
+/// Whether the file is a mesh: PolyData with polygons or strips, or without any points.
 pub fn has_faces(file: &H5File) -> Result<bool, ReadFault> {
     let (root, kind) = opened(file)?;
     if kind != POLY_DATA {
@@ -96,7 +97,7 @@ pub fn has_faces(file: &H5File) -> Result<bool, ReadFault> {
     Ok(integers(file, &root, "NumberOfPoints")?.iter().all(|&points| points == 0))
 }
 
-/// Reads the polygons of all partitions.
+/// Reads the polygons of all partitions as one mesh.
 pub fn read_mesh(file: H5File) -> Result<Mesh, ReadFault> {
     let (root, kind) = opened(&file)?;
     if kind != POLY_DATA {
@@ -128,7 +129,8 @@ pub fn read_mesh(file: H5File) -> Result<Mesh, ReadFault> {
     Ok(mesh)
 }
 
-/// Adds the polygons of all partitions. In each, corners are numbered from its first point.
+/// Adds the triangles of the polygons of all partitions. In the file, the corners of a partition
+/// count from its first point.
 fn add_polygons(
     file: &H5File,
     frame: &FrameRows,

@@ -1,4 +1,4 @@
-//! Attributes of points: their definitions, and the layouts of their numbers.
+//! Reads attributes of points: their definitions, and how their numbers are arranged.
 
 use std::rc::Rc;
 
@@ -10,15 +10,16 @@ use crate::io::ReadFault;
 use crate::io::columns::Scalar;
 use crate::io::houdini::json::{JsonEvent, JsonNumber, JsonNumbers, Storage};
 
-/// Maximum number of attributes; production files have a few hundred.
+/// Maximum number of attributes. Production files have a few hundred.
 const MOST_ATTRIBUTES: usize = 1 << 16;
 /// Maximum length of an attribute's name in bytes.
 const LONGEST_NAME: usize = 1 << 10;
-/// Maximum number of words for flags of constant pages, of all attributes: enough for 10^11 points.
+/// Maximum number of 64-bit words for flags of constant pages in all attributes, enough for 10^11
+/// points.
 const MOST_FLAGS: usize = 1 << 20;
 
 impl SchemaReader<'_, '_, '_> {
-    /// Reads definitions of attributes with their data.
+    /// Reads the definitions of attributes and their data.
     pub(super) fn attributes(&mut self, points: u64) -> Result<Vec<HoudiniAttribute>, ReadFault> {
         let mut attributes = Vec::new();
         self.pairs("the point attributes", |reader| {
@@ -40,7 +41,7 @@ impl SchemaReader<'_, '_, '_> {
             let attribute = match &*kind {
                 "numeric" => reader.numeric(name, points)?,
                 "string" => reader.strings(name, points)?,
-                // Lists of variable length, and dictionaries.
+                // Skips lists of variable length, and dictionaries.
                 _ => return reader.skip_value(),
             };
             attributes.extend(attribute);
@@ -96,7 +97,8 @@ impl SchemaReader<'_, '_, '_> {
         loop {
             match self.json.next()? {
                 JsonEvent::End => break,
-                // One additional text shows that there are too many.
+                // Reads one text more than the maximum, so that the list shows that there are too
+                // many.
                 JsonEvent::Text(text) if texts.len() <= MOST_TEXTS => texts.push(text),
                 JsonEvent::Text(_) => {}
                 other => return Err(self.json.fault(format!("{} among texts", shown(&other)))),
@@ -105,8 +107,8 @@ impl SchemaReader<'_, '_, '_> {
         Ok(())
     }
 
-    /// The values of an attribute, one per point. `None` for an attribute without numbers per
-    /// point.
+    /// Reads the values of an attribute, one per point. `None` if the attribute has no numbers for
+    /// points.
     fn values(&mut self, name: &str, points: u64) -> Result<Option<PointValues>, ReadFault> {
         let (mut components, mut page) = (None, None);
         let mut storage = Storage::Scalar(Scalar::F64);
@@ -118,7 +120,7 @@ impl SchemaReader<'_, '_, '_> {
                 "storage" => storage = reader.storage(name)?,
                 "pagesize" => page = Some(reader.count("pagesize")?),
                 "packing" => reader.each(|number| {
-                    // Negative and large values are rejected below.
+                    // Negative and large counts are rejected after all counts are read.
                     if let JsonNumber::Integer(count) = number
                         && packing.len() <= MOST_COMPONENTS as usize
                     {
@@ -147,7 +149,7 @@ impl SchemaReader<'_, '_, '_> {
         let all = points.checked_mul(components);
         let data = match (tuples, arrays, raw) {
             (Some((own, run)), None, None) => {
-                // Without points, there is no tuple from which to take the number.
+                // A geometry without points has no tuple that shows the number of components.
                 if own != components && points > 0 {
                     return Err(fault(format!("tuples of {own} numbers, not of {components}")));
                 }
@@ -157,7 +159,7 @@ impl SchemaReader<'_, '_, '_> {
                 ValueLayout::Tuples(run)
             }
             (None, Some(arrays), None) => {
-                // Without points, there may be no arrays.
+                // A geometry without points may have no arrays.
                 if arrays.len() as u64 != components && !(arrays.is_empty() && points == 0) {
                     return Err(fault(format!("{} arrays for {components} numbers", arrays.len())));
                 }
@@ -226,7 +228,8 @@ impl SchemaReader<'_, '_, '_> {
         })
     }
 
-    /// The number of flags and their bits, for each group of components.
+    /// Reads the flags of constant pages. For each group of components, returns their number and
+    /// their bits.
     fn page_flags(&mut self) -> Result<Vec<(u64, Vec<u64>)>, ReadFault> {
         match self.json.next()? {
             JsonEvent::List => {}
@@ -282,7 +285,8 @@ impl SchemaReader<'_, '_, '_> {
         }
     }
 
-    /// Lists with one number for each component, and the number of components.
+    /// Reads tuples, which are lists with one number per component. Returns the number of
+    /// components, too.
     fn tuples(&mut self, name: &str, storage: Storage) -> Result<(u64, NumberRun), ReadFault> {
         if self.json.next()? != JsonEvent::List {
             return Err(self.json.fault(format!("attribute {name}: expected a list of tuples")));
@@ -320,7 +324,7 @@ impl SchemaReader<'_, '_, '_> {
         }
     }
 
-    /// A list of numbers for each component.
+    /// Reads arrays, which are lists of numbers, one list per component.
     fn arrays(&mut self, name: &str, storage: Storage) -> Result<Vec<NumberRun>, ReadFault> {
         let mut arrays = Vec::new();
         match self.json.next()? {

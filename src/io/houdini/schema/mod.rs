@@ -1,7 +1,8 @@
-//! The contents of a Houdini geometry: the points' attributes, and the primitives that use points.
+//! The contents of a Houdini geometry: the attributes of points, and the primitives that use
+//! points.
 //!
-//! Lists alternate keys and values like maps. Numbers in short lists are copied to a separate
-//! buffer; arrays of numbers stay in the document.
+//! A map may also be written as a list in which keys and values alternate. Numbers in JSON lists
+//! are copied to a separate buffer. Arrays of numbers stay in the document.
 
 mod attributes;
 
@@ -15,77 +16,81 @@ use crate::particles::sieve::Sieve;
 
 use super::json::{Json, JsonEvent, JsonNumber, JsonNumbers, Storage};
 
-/// Maximum number of components of an attribute: more are a spectrum.
+/// Maximum number of components of an attribute. An attribute with more is a spectrum.
 pub const MOST_COMPONENTS: u64 = 64;
-/// Maximum number of texts of an attribute that can be used for selection.
+/// Maximum number of texts in an attribute by which particles can be selected.
 pub const MOST_TEXTS: usize = 4096;
 /// Maximum number of different kinds of primitives.
 const MOST_KINDS: usize = 64;
-/// Numbers per copy.
+/// Number of values that are copied at once.
 const CHUNK: usize = 1 << 13;
 
-/// A geometry, whose attributes have the announced length.
+/// A geometry. All attributes were checked to have the announced number of points.
 #[derive(Debug)]
 pub struct Geometry {
     pub points: u64,
     pub attributes: Vec<HoudiniAttribute>,
-    /// Number of primitives of each kind, with the file's names, without particle systems.
+    /// Number of primitives of each kind. Kinds have the names in the file, and particle systems do
+    /// not count.
     pub kinds: BTreeMap<Rc<str>, u64>,
-    /// The point of each vertex.
+    /// The index of the point of each vertex.
     pub vertex_points: NumberRun,
-    /// A bit for each vertex, set in particle systems; empty without particle systems.
+    /// A bit for each vertex, set if it belongs to a particle system. Empty without particle
+    /// systems.
     pub particle_vertices: Vec<u64>,
     /// The time in seconds.
     pub time: Option<f64>,
 }
 
-/// A value of every point.
+/// An attribute of points.
 #[derive(Debug)]
 pub struct HoudiniAttribute {
     pub name: Rc<str>,
     pub values: PointValues,
-    /// The strings, if the values are indices of strings; empty if there are too many.
+    /// For a text attribute, the texts that the values refer to by index. Empty if there are too
+    /// many.
     pub texts: Option<Vec<Rc<str>>>,
 }
 
-/// The numbers of all points.
+/// The values of an attribute at all points.
 #[derive(Debug)]
 pub struct PointValues {
-    /// Numbers per point.
+    /// Number of values per point.
     pub components: u64,
     pub data: ValueLayout,
 }
 
-/// The arrangement of numbers.
+/// How the values of an attribute are arranged in the document.
 #[derive(Debug)]
 pub enum ValueLayout {
-    /// Point by point.
+    /// Tuples, one per point.
     Tuples(NumberRun),
-    /// Component by component.
+    /// Arrays, one per component.
     Arrays(Vec<NumberRun>),
-    /// Page by page.
+    /// Pages of consecutive points.
     Pages(PointPages),
 }
 
-/// Pages of points, divided into groups of components.
+/// Pages of points. In a page, components are stored in groups.
 #[derive(Debug)]
 pub struct PointPages {
     pub run: NumberRun,
-    /// Points per page.
+    /// Number of points per page.
     pub size: u64,
     pub groups: Vec<ComponentGroup>,
 }
 
-/// Components that are stored together.
+/// Components of an attribute whose values are adjacent.
 #[derive(Debug)]
 pub struct ComponentGroup {
     pub components: u64,
-    /// A bit for each page that stores one tuple for all of its points; empty if no page does.
+    /// A bit for each page, set if the page stores one tuple for all of its points. Empty if no
+    /// page does.
     constant: Vec<u64>,
 }
 
 impl ComponentGroup {
-    /// Whether a page stores one tuple for all points.
+    /// Whether a page stores one tuple for all of its points.
     pub fn is_constant(&self, page: u64) -> bool {
         let word = self.constant.get((page / 64) as usize).copied().unwrap_or_default();
         word >> (page % 64) & 1 != 0
@@ -97,7 +102,7 @@ impl ComponentGroup {
 }
 
 impl PointPages {
-    /// Count of numbers in the pages of `points`; `None` if it overflows.
+    /// Number of values in the pages of `points` points. `None` if it overflows.
     fn count(&self, points: u64) -> Option<u64> {
         let counted = self.groups.iter().map(|group| {
             let constant: u64 =
@@ -113,16 +118,16 @@ impl PointPages {
     }
 }
 
-/// The location of numbers.
+/// The buffer that contains numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum NumberLocation {
-    /// In the document.
+    /// The bytes of the document.
     Document,
-    /// In the buffer of numbers from lists.
+    /// The buffer of numbers that were copied from JSON lists.
     Gathered,
 }
 
-/// Consecutive numbers.
+/// A range of consecutive numbers.
 #[derive(Debug, Clone, Copy)]
 pub struct NumberRun {
     pub place: NumberLocation,
@@ -130,7 +135,7 @@ pub struct NumberRun {
 }
 
 impl NumberRun {
-    /// A fault of a number in it. Numbers from lists have no position.
+    /// An error about a number in this range. Numbers from JSON lists have no position.
     pub fn fault(self, what: String) -> ReadFault {
         match self.place {
             NumberLocation::Document => malformed(self.numbers.at, what),
@@ -147,7 +152,7 @@ impl NumberRun {
 /// Reads the geometry of a document.
 ///
 /// # Errors
-/// Damage, with its position.
+/// [`ReadFault::Malformed`] and [`ReadFault::Truncated`] for damaged documents, with the position.
 pub fn read(
     json: &mut dyn Json,
     document: (ByteView, Endian),
@@ -169,7 +174,7 @@ pub fn read(
     })
 }
 
-/// The parts of a geometry that were read so far.
+/// The parts of a geometry that come before its attributes and primitives.
 #[derive(Default)]
 struct GeometryHead {
     points: Option<u64>,
@@ -192,7 +197,7 @@ impl SchemaReader<'_, '_, '_> {
         match key {
             "pointcount" => head.points = Some(self.count("pointcount")?),
             "info" => {
-                // Only the time matters.
+                // Reads only the time, and skips all other values.
                 let first = self.json.next()?;
                 if matches!(first, JsonEvent::List | JsonEvent::Map) {
                     self.entries_within(|reader, key| match (key, reader.json.next()?) {
@@ -238,7 +243,7 @@ impl SchemaReader<'_, '_, '_> {
         Ok(())
     }
 
-    /// Passes the key of each entry to `take`, which reads the value.
+    /// Reads a list or map of entries. Calls `take` with each key, and `take` reads the value.
     fn entries(
         &mut self,
         what: &str,
@@ -246,13 +251,13 @@ impl SchemaReader<'_, '_, '_> {
     ) -> Result<(), ReadFault> {
         match self.json.next()? {
             JsonEvent::List | JsonEvent::Map => self.entries_within(take),
-            // Some writers write an empty list like this.
+            // Some writers write an empty list as an empty array of numbers.
             JsonEvent::Numbers(JsonNumbers { count: 0, .. }) => Ok(()),
             _ => Err(self.json.fault(format!("expected {what} as a list of keys and values"))),
         }
     }
 
-    /// Processes the rest of a list after its start.
+    /// Reads the entries of a list or map after its start.
     fn entries_within(
         &mut self,
         mut take: impl FnMut(&mut Self, &str) -> Result<(), ReadFault>,
@@ -271,7 +276,7 @@ impl SchemaReader<'_, '_, '_> {
         self.skip(first)
     }
 
-    /// Skips the rest of a value that starts with this event.
+    /// Skips the rest of a value whose first event was `first`.
     fn skip(&mut self, first: JsonEvent) -> Result<(), ReadFault> {
         let mut event = first;
         let mut depth = 0_usize;
@@ -305,7 +310,7 @@ impl SchemaReader<'_, '_, '_> {
         }
     }
 
-    /// A list of numbers; those of a JSON list are copied as `storage`.
+    /// Reads a list of numbers. A JSON list is copied, and its numbers are converted to `storage`.
     fn numbers(&mut self, what: &str, storage: Storage) -> Result<NumberRun, ReadFault> {
         let first = self.json.next()?;
         self.numbers_from(first, what, storage)
@@ -360,7 +365,7 @@ impl SchemaReader<'_, '_, '_> {
         Ok(NumberRun { place: NumberLocation::Gathered, numbers })
     }
 
-    /// Copies numbers of the document, as one of several lists.
+    /// Copies numbers of the document to the buffer, because they are one of several lists.
     fn gather(&mut self, numbers: JsonNumbers) -> Result<NumberRun, ReadFault> {
         let (bytes, endian) = self.document;
         let scalar = numbers.storage.scalar();
@@ -379,7 +384,7 @@ impl SchemaReader<'_, '_, '_> {
         Ok(NumberRun { place: NumberLocation::Gathered, numbers })
     }
 
-    /// Passes each number of a list, or a single number, to `take`.
+    /// Calls `take` with each number of a list, or with a single number.
     fn each(&mut self, mut take: impl FnMut(JsonNumber)) -> Result<(), ReadFault> {
         let (bytes, endian) = self.document;
         match self.json.next()? {
@@ -409,7 +414,7 @@ impl SchemaReader<'_, '_, '_> {
         }
     }
 
-    /// Processes lists of pairs; `take` reads both values.
+    /// Reads a list of pairs. `take` reads both values of a pair.
     fn pairs(
         &mut self,
         what: &str,
@@ -437,7 +442,7 @@ impl SchemaReader<'_, '_, '_> {
         }
     }
 
-    /// Counts primitives by their kinds, and marks the vertices of particle systems.
+    /// Counts the primitives of each kind, and marks the vertices of particle systems.
     fn primitives(&mut self, head: &mut GeometryHead) -> Result<(), ReadFault> {
         let vertices = head.vertex_points.map_or(0, |run| run.numbers.count);
         self.pairs("the primitives", |reader| {
@@ -491,7 +496,7 @@ impl SchemaReader<'_, '_, '_> {
         })
     }
 
-    /// The number of values in a list, which are skipped.
+    /// Skips a list of values. Returns their number.
     fn items(&mut self) -> Result<u64, ReadFault> {
         match self.json.next()? {
             JsonEvent::Numbers(numbers) => return Ok(numbers.count),
@@ -511,7 +516,7 @@ impl SchemaReader<'_, '_, '_> {
     }
 }
 
-/// The description of an event for a message.
+/// Describes an event for a message.
 fn shown(event: &JsonEvent) -> String {
     match event {
         JsonEvent::List => "a list".to_owned(),
