@@ -2,8 +2,8 @@
 
 blender --background --python animation.py -- PARTICLES FOLDER [FRAMES] [PERCENT]
 
-PARTICLES is any file of the sequence. The script renders the first FRAMES frames of the scene, at PERCENT of
-1920 x 1080 pixels, and writes the pictures and the scene (scene.blend) into FOLDER.
+PARTICLES is any file of the sequence. The script renders the first FRAMES frames of the scene, at
+PERCENT of 1920 x 1080 pixels, and writes the pictures and the scene (scene.blend) into FOLDER.
 """
 
 import math

@@ -23,20 +23,23 @@ class Order:
 
     inputs: str
     output: str
-    #: The USD file that plays all meshes; None for volumes, which Blender finds by their file names.
+    #: The USD file that plays all meshes; None for volumes, which Blender finds by their file
+    #: names.
     stage: str | None
     fps: float
     particles_up: str | None
     sampling: Sampling
     filters: Filters
-    #: The solids' files, with {} for the frame number; `solid_offset` is their distance to the fluid.
+    #: The solids' files, with {} for the frame number; `solid_offset` is their distance to the
+    #: fluid.
     solids: tuple[str, ...] = ()
     solid_offset: float | None = None
 
     def keywords(self) -> dict[str, Any]:
         """The keywords for `meniscus.Simulation`.
 
-        With these, it keeps finished frames if their settings are the same, and otherwise makes them again.
+        With these, it keeps finished frames if their settings are the same, and otherwise makes
+        them again.
         """
         of = [(each.name, getattr(part, each.name)) for part in (self.sampling, self.filters) for each in fields(part)]
         solids = {"solid": self.solids, "solid_offset": self.solid_offset} if self.solids else {}

@@ -1,7 +1,8 @@
 """Surfaces that follow the scene: they are made again only if their frame, a setting or their input has changed.
 
-A mesh stores the name of the request that made it. If a mesh should show another request, the extension updates it.
-This also works after undo and in a reopened file, because Blender restores the name with the mesh.
+A mesh stores the name of the request that made it. If a mesh should show another request, the
+extension updates it. This also works after undo and in a reopened file, because Blender restores
+the name with the mesh.
 """
 
 from __future__ import annotations

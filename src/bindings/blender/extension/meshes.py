@@ -24,8 +24,8 @@ class TooLarge(Exception):
 def fill(mesh: bpy.types.Mesh, arrays: Arrays, velocity_scale: float) -> None:
     """Replaces the geometry of a mesh by a surface, and keeps the mesh's materials.
 
-    `velocity_scale` is the number of simulated seconds per second of the scene. Velocities are multiplied by it,
-    because Cycles computes motion blur from velocities per second of the scene.
+    `velocity_scale` is the number of simulated seconds per second of the scene. Velocities are
+    multiplied by it, because Cycles computes motion blur from velocities per second of the scene.
     """
     corners = arrays.triangles.size
     if corners > MOST_CORNERS:

@@ -55,7 +55,8 @@ def _add(context: bpy.types.Context, name: str) -> bpy.types.Object:
 def add_files(context: bpy.types.Context, path: str) -> bpy.types.Object:
     """Adds the surface of a sequence, given as a file, a folder or a name with {}.
 
-    The scene's first frame shows the first file. If y points up in the particles, the object is turned upright.
+    The scene's first frame shows the first file. If y points up in the particles, the object is
+    turned upright.
     """
     inputs = sequence_of(path)
     name = re.sub(r"[ _.-]*\{.*?\}", "", Path(inputs).name).split(".")[0] or "Surface"

@@ -11,7 +11,8 @@ import blender_zip
 import pytest
 
 WHEEL = "meniscus_surface-0.3.0-cp310-abi3-manylinux_2_28_x86_64.whl"
-#: Tags that extensions.blender.org accepts: https://docs.blender.org/manual/en/latest/advanced/extensions/
+#: Tags that extensions.blender.org accepts:
+#: https://docs.blender.org/manual/en/latest/advanced/extensions/
 TAGS = set(
     "3D View,Add Curve,Add Mesh,Animation,Bake,Camera,Compositing,Development,Game Engine,Geometry Nodes,Grease Pencil,Import-Export,Lighting,"
     "Material,Modeling,Mesh,Node,Object,Paint,Physics,Pipeline,Render,Rigging,Scene,Sculpt,Sequencer,System,Text Editor,Tracking,User Interface,"

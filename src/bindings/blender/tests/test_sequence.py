@@ -60,7 +60,8 @@ def test_frames_are_shown_by_their_numbers() -> None:
     timing = Timing(start=1, first=2)
     shown = [shown_at(FRAMES, timing, frame) for frame in range(-2, 9)]
     assert [each.number for each in shown] == [2, 2, 2, 2, 3, 3, 3, 6, 6, 6, 6]
-    # A gap is a missing file between others; frames before the first or after the last file are not.
+    # A gap is a missing file between others; frames before the first or after the last file are
+    # not.
     assert [each.is_gap for each in shown] == [False, False, False, False, False, True, True, False, False, False, False]
     assert shown[5].wanted == 4 and shown[5].path == "f_3.bgeo"
 

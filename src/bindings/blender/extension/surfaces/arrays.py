@@ -37,7 +37,8 @@ class Arrays:
             vertices=vertices,
             # uint32 and int32 agree on all indices: a Blender mesh has fewer than 2^31 vertices.
             triangles=mesh.triangles.view(np.int32),
-            # Blender's integers are signed: values from 2^31 on become negative, with the same bits.
+            # Blender's integers are signed: values from 2^31 on become negative, with the same
+            # bits.
             attributes={
                 name: values.view(np.int32) if values.dtype == np.uint32 else values for name, values in mesh.attributes.items()
             },

@@ -1,7 +1,7 @@
 """Finds the file of a sequence for a frame of the scene.
 
-The library lists the frames of a name, a folder or a file with several steps. This module selects one of them for each
-frame of the scene.
+The library lists the frames of a name, a folder or a file with several steps. This module selects
+one of them for each frame of the scene.
 """
 
 from __future__ import annotations
@@ -86,7 +86,8 @@ def number_of(path: str) -> int | None:
 def shown_at(frames: list[tuple[int, Path]], timing: Timing, frame: int) -> Shown:
     """The file to show at a frame of the scene.
 
-    This is the first file before the start, the last file after the end, and the previous file in a gap.
+    This is the first file before the start, the last file after the end, and the previous file in a
+    gap.
     """
     wanted = timing.number(frame)
     at = max(bisect.bisect_right(frames, wanted, key=lambda known: known[0]) - 1, 0)

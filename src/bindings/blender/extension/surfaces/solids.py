@@ -50,7 +50,8 @@ class SolidMesh:
 class Solids:
     """The solids that the fluid touches.
 
-    `offset` is the distance between the fluid and the solids in spacings; None is the library's default.
+    `offset` is the distance between the fluid and the solids in spacings; None is the library's
+    default.
     """
 
     meshes: tuple[SolidMesh, ...] = ()

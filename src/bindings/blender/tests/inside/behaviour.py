@@ -531,7 +531,8 @@ def a_conversion_is_played_as_a_sequence_cache() -> None:
     lowest = np.min([np.array(evaluated.matrix_world) @ [*corner, 1.0] for corner in evaluated.bound_box], axis=0)
     upright = np.min([np.array(shown.matrix_world) @ [*corner, 1.0] for corner in positions(shown.data)], axis=0)
     assert abs(lowest[:3] - upright[:3]).max() < 0.1, (lowest, upright)
-    # With another start frame and step, the sequence cache shows the same times as the live surface.
+    # With another start frame and step, the sequence cache shows the same times as the live
+    # surface.
     settings.start, settings.step = 5, 9.5
     bpy.data.objects.remove(played[0])
     (replayed,) = operators.play(bpy.context, shown.data, conversion.order.stage)
