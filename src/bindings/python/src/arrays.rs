@@ -208,7 +208,7 @@ impl Numbers {
     /// `at` is the address of one of the array's numbers.
     #[inline(always)]
     unsafe fn load(&self, at: *const u8) -> f64 {
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         unsafe {
             match self.kind {
                 Kind::F32 => loaded!(f32, at, self.aligned).into(),
@@ -224,7 +224,7 @@ impl Numbers {
     /// `at` is the address of one of the array's numbers.
     #[inline(always)]
     unsafe fn load_whole(&self, at: *const u8) -> i64 {
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         unsafe {
             match self.kind {
                 Kind::F32 => loaded!(f32, at, self.aligned) as i64,
