@@ -19,7 +19,7 @@ pub enum MeniscusSpacingSource {
     Scene = 3,
     /// The library estimated it from the particles.
     Estimated = 4,
-    /// It is the smallest size in an attribute of the particles.
+    /// The smallest size in an attribute of the particles gives it.
     Sizes = 5,
 }
 
