@@ -29,7 +29,7 @@ pub const ZERO: f64 = 32768.0;
 /// Minimum edge of a wide cell, in spacings.
 const LEAST_WIDE: f64 = 0.55;
 /// The three widths relative to the smoothing width, each with the minimum variance of its mask.
-/// The masks are cut off at this many widths.
+/// Masks are cut off at `CUT` standard deviations.
 const WIDTHS: [(f64, f64); 3] = [(0.625, 0.35), (1.0, 0.85), (1.5, 1.75)];
 const CUT: f64 = 2.2;
 /// The variance of the mask that averages the distance between the fine and the calm surface.
@@ -48,14 +48,16 @@ const DEEP: [f64; 2] = [0.3, 0.9];
 /// Distances from the calm surface, outwards in spacings, at which a particle begins to stand out,
 /// and at which it stands out fully.
 const STANDS_OUT: [f64; 2] = [0.4, 1.0];
-/// A wide cell counts as containing a particle if it has more than 1 / 9 of its cloud.
+/// A wide cell counts as containing a particle if it has at least this fraction of its cloud: 1 /
+/// 9.
 const PARTS: f64 = 9.0;
 /// Number of bits of precision that wide cells gain when a width is blurred.
 const GAIN: u32 = 2;
 /// The variance of the spline that interpolates wide cells, in squared wide cells.
 const SPLINE: f64 = 0.25;
-/// The width of a drop, the cutoff of its mask, its radius, and factors that reduce the radius in
-/// coarse cells: without and with refinement.
+/// The width of a drop, the cutoff of its mask, and its radius. In coarse cells, `LESS_RADIUS`
+/// divided by the squared spacing in cells is subtracted from the radius, without and with
+/// refinement.
 const DROP: f64 = 0.6;
 const DROP_CUT: f64 = 2.6;
 const DROP_RADIUS: f64 = 0.55;
