@@ -48,8 +48,7 @@ const DEEP: [f64; 2] = [0.3, 0.9];
 /// Distances from the calm surface, outwards in spacings, at which a particle begins to stand out,
 /// and at which it stands out fully.
 const STANDS_OUT: [f64; 2] = [0.4, 1.0];
-/// A wide cell counts as containing a particle if it has at least this fraction of its cloud: 1 /
-/// 9.
+/// A wide cell counts as containing a particle if it has at least 1 / `PARTS` of its cloud.
 const PARTS: f64 = 9.0;
 /// Number of bits of precision that wide cells gain when a width is blurred.
 const GAIN: u32 = 2;

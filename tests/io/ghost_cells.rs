@@ -15,8 +15,8 @@ use crate::memory;
 
 /// The steps of the files, each with its number of points and the points that are no ghosts.
 const STEPS: [(u64, usize, &[usize]); 4] = [
-    // Point 4 is a copy, 3 is refined and 1 is hidden. The flag of point 2 is no reason to remove
-    // it.
+    // Point 4 is a copy, 3 is refined and 1 is hidden. The flag of point 2, high connectivity, does
+    // not mean a ghost.
     (0, 6, &[0, 2, 5]),
     // Points 6 to 8 are in a partition with a line. Point 10 has a flagged and an unflagged vertex,
     // and point 12 has no vertex.
