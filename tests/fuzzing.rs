@@ -1,6 +1,8 @@
-//! Runs every target of `tests/fuzz` on stable Rust with mutations of its seeds, the same each
-//! time. libFuzzer runs for hours, this for seconds. `MENISCUS_FUZZ_RUNS=100` runs a hundred times
-//! as many, for the targets whose names contain `MENISCUS_FUZZ`.
+//! Runs every target of `tests/fuzz` on stable Rust for a few seconds, always with the same
+//! mutations of its seeds. libFuzzer runs them for hours (`tools/fuzz`).
+//!
+//! `MENISCUS_FUZZ_RUNS=100` multiplies the number of runs by 100, and `MENISCUS_FUZZ` selects the
+//! targets whose names contain it.
 #![cfg(feature = "cli")]
 #![allow(
     dead_code,
@@ -21,11 +23,12 @@ use std::time::{Duration, Instant};
 
 use targets::Target;
 
-/// Maximum bytes of seeds of fast targets that are damaged in every byte.
+/// In fast targets, every byte of a seed is damaged if the seed has less than this many bytes.
 const SHORT: usize = 2000;
 const QUICK: u32 = 2000;
 
-/// Runs a target with its seeds and mutations of them; returns their number and the time.
+/// Runs a target with its seeds and with mutations of them. Returns the number of runs and the
+/// time.
 fn fuzz(target: &Target, times: u32) -> (u32, Duration) {
     let begun = Instant::now();
     let seeds = (target.seeds)();
@@ -40,7 +43,7 @@ fn fuzz(target: &Target, times: u32) -> (u32, Duration) {
     for (number, seed) in seeds.iter().enumerate() {
         run(&format_args!("number {number}"), seed);
     }
-    // For fast targets, every byte is damaged.
+    // In fast targets, damage every byte of the small seeds.
     for (number, seed) in
         seeds.iter().enumerate().filter(|(_, seed)| target.runs >= QUICK && seed.len() < SHORT)
     {
@@ -71,7 +74,7 @@ fn no_mutation_of_any_input_brings_a_target_down() {
     chosen.reverse();
     let left = Mutex::new(chosen);
     let worker = || {
-        // Shared work of the library stays on this thread, so that no target waits for another.
+        // Keep the library's parallel work on this thread, so that no target waits for another.
         let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
         let next = || left.lock().unwrap().pop();
         while let Some(target) = next() {

@@ -1,5 +1,5 @@
-//! Pictures of meshes: every way of drawing shows the mesh, and picture files are complete or
-//! absent.
+//! Tests of pictures: every way of drawing shows the mesh, and a picture file is complete or does
+//! not exist.
 #![cfg(feature = "pictures")]
 #![allow(clippy::unwrap_used)]
 
@@ -44,7 +44,7 @@ fn red(image: &Image) -> usize {
     image.rgb().chunks(3).filter(|pixel| is_red(pixel)).count()
 }
 
-/// Rows and columns of the red pixels, from the first to the last.
+/// The bounding box of the red pixels: their first and last column, and their first and last row.
 fn red_box(image: &Image) -> [usize; 4] {
     let places = || {
         let pixels = image.rgb().chunks(3).enumerate().filter(|(_, pixel)| is_red(pixel));
@@ -83,7 +83,7 @@ fn a_ball_covers_the_area_that_its_perspective_projection_predicts() {
     for eye in [[0.0, 0.0, 1.0], [0.6, 0.8, 0.0], [0.0, 1.0, 0.0], [-0.48, -0.6, 0.64]] {
         let view = View::At { eye: eye.map(|x: f64| x * distance), target: [0.0; 3] };
         let image = Picture::new().size(300, 300).colour(RED).view(view).draw(&ball).unwrap();
-        // Half of the upright field of view is 14 degrees.
+        // Half of the vertical field of view is 14 degrees.
         let tangent = radius / (distance * distance - radius * radius).sqrt();
         let radius_seen = tangent / 14.0_f64.to_radians().tan() * size / 2.0;
         let (found, expected) = (red(&image) as f64, PI * radius_seen * radius_seen);
@@ -119,7 +119,7 @@ fn every_box_fits_the_picture_and_nearly_fills_it_from_any_direction() {
 
 #[test]
 fn the_up_axis_points_up_in_the_picture() {
-    // High along y, flat along the others.
+    // A tower that is tall along y.
     let tower = cuboid([0.0; 3], [1.0, 10.0, 1.0]);
     let draw = |up| red_box(&small().up(up).colour(RED).draw(&tower).unwrap());
     let [left, right, top, bottom] = draw(UpAxis::Y);
@@ -160,12 +160,12 @@ fn attribute_values_span_the_colour_map_and_appear_in_the_legend() {
     };
     assert_eq!(by("height", "viridis").scope_of(&mesh).unwrap().range, Some([-1.0, 1.0]));
     assert_eq!(by("velocity", "viridis").scope_of(&mesh).unwrap().range, Some([5.0, 5.0]));
-    // Red at the top and blue at the bottom: the reversed ends of the map.
+    // The colour map goes from red to blue, so low vertices are red and high vertices are blue.
     let image = by("height", "red-blue").draw(&mesh).unwrap();
     let at = |x: usize, y: usize| &image.rgb()[3 * (y * 160 + x)..][..3];
     let [bottom, top] = [at(80, 80), at(80, 40)];
     assert!(bottom[0] > bottom[2] && top[2] > top[0], "{bottom:?} {top:?}");
-    // The legend is at the right edge, where the backdrop would be.
+    // At the right edge, the legend replaces the backdrop.
     let plain = small().draw(&mesh).unwrap();
     let edge = |image: &Image| {
         image.rgb().chunks(3 * 160).map(|row| row[3 * 135..].to_vec()).collect::<Vec<_>>()
@@ -193,7 +193,7 @@ fn triangles_behind_the_camera_and_to_its_sides_are_clipped() {
         let picture = Picture::new().size(64, 48).view(view).ground(n % 2 == 0);
         assert_eq!(picture.draw(&mesh).unwrap().rgb().len(), 3 * 64 * 48);
     }
-    // From inside of the fluid, only the fluid is visible.
+    // A camera inside the fluid must see only the fluid.
     let ball = sphere(1.0, 4);
     let inside = View::At { eye: [0.0; 3], target: [0.0, 0.0, 1.0] };
     assert_eq!(
@@ -237,7 +237,7 @@ fn invalid_pictures_are_refused_and_invalid_triangles_ignored() {
 
 #[test]
 fn a_finely_triangulated_slab_shows_no_cracks() {
-    // A slab of many thin triangles, seen from an angle at which every edge is crossed by samples.
+    // A slab with many thin triangles, seen from an angle at which samples hit every edge.
     let side = 60_u32;
     let mut slab = cuboid([-1.0, -1.0, -0.1], [1.0, 1.0, 0.1]);
     slab.triangles.retain(|t| t.iter().any(|&v| slab.positions[v as usize][2] < 0.0));
@@ -255,7 +255,7 @@ fn a_finely_triangulated_slab_shows_no_cracks() {
     let view = View::At { eye: [0.3, 0.2, 2.0], target: [0.1, 0.0, 0.0] };
     let picture = small().view(view);
     let [fine, coarse] = [&slab, &plain].map(|mesh| picture.draw(mesh).unwrap());
-    // A crack would show the wall behind, or let a ray leave the body without entering it.
+    // Through a crack, the backdrop would be visible in the middle of the picture.
     let middle = |image: &Image| {
         let rows = image.rgb().chunks(3 * 160).skip(30).take(60);
         rows.flat_map(|row| row[3 * 40..3 * 120].to_vec()).collect::<Vec<u8>>()
@@ -274,7 +274,7 @@ fn a_draft_resembles_the_full_picture() {
     assert_ne!(full, draft);
     let differences: Vec<u8> =
         full.rgb().iter().zip(draft.rgb()).map(|(a, b)| a.abs_diff(*b)).collect();
-    // Only edges differ. A picture from another camera would differ on most of the body.
+    // Pixels may differ only at edges. With another camera, most of the body would differ.
     let far = differences.iter().filter(|&&difference| difference > 24).count();
     assert!(100 * far < differences.len(), "{far} of {} channels", differences.len());
 }
@@ -305,7 +305,7 @@ fn a_draft_draws_a_coarser_mesh_that_resembles_the_fine_one() {
         100 * far < 2 * channels && 100 * near < 6 * channels,
         "{far} and {near} of {channels}"
     );
-    // Pictures of triangles or of vertex attributes, and full pictures, use all of them.
+    // Pictures with a wireframe or attributes, and pictures that are no drafts, use all triangles.
     let by_velocity =
         Colour::Attribute { name: "velocity".into(), map: "viridis".parse().unwrap() };
     for picture in [draft.clone().wireframe(true), draft.colour(by_velocity), picture.clone()] {
@@ -351,7 +351,7 @@ fn a_coarser_mesh_is_closed_near_the_surface_and_the_same_in_pieces() {
             .extend(mesh.triangles(piece).unwrap().iter().map(|t| t.map(|vertex| vertex as u32)));
     }
     assert!(pieced == (positions, triangles));
-    // Every vertex is within two cells of the surface.
+    // Every vertex of the coarse mesh must be within two cells of the surface.
     let all = fine.at_once().unwrap().unwrap();
     let whole = surface.to_mesh().unwrap();
     assert!(all == (whole.positions.clone(), whole.triangles.clone()));
@@ -370,7 +370,7 @@ fn a_draft_is_independent_of_threads_and_memory() {
     let draw = |threads| on_threads(threads, || draft.draw(surface.mesh()).unwrap());
     let one = draw(1);
     assert!([2, 3, 7].into_iter().all(|threads| draw(threads) == one));
-    // Less than the memory of the mesh when all of it is visible.
+    // Drawing must also work with less memory than all visible triangles need.
     assert_eq!(draft.clone().memory(28 << 20).draw(surface.mesh()).unwrap(), one);
 }
 
@@ -387,7 +387,7 @@ fn a_mesh_larger_than_the_memory_budget_gives_the_same_picture() {
     {
         let picture = small().colour(colour);
         let whole = picture.draw(mesh).unwrap();
-        // Less than the memory of the vertices and triangles alone.
+        // This is less memory than the vertices and triangles need.
         let memory = 40 << 20;
         assert!(56 * mesh.vertex_count() + 12 * mesh.triangle_count() > memory);
         assert_eq!(picture.clone().memory(memory).draw(mesh).unwrap(), whole);
@@ -498,13 +498,13 @@ fn an_outlier_does_not_widen_the_colour_range_but_marks_the_legend() {
     let mut bounds = Scope::default();
     bounds.bounds = Some([[-1.2; 3], [1.2; 3]]);
     let mut ball = sphere(1.1, 5);
-    // Some vertices are inside the reference, some outside.
+    // Deform the ball, so that some vertices are inside the reference and some outside.
     ball.positions.iter_mut().for_each(|p| *p = p.map(|x| x * (1.0 + 0.1 * p[1])));
     let known = small().colour(colour.clone()).scope_of(&ball).unwrap();
     assert!(known.range.unwrap()[1] > 0.18);
     let farthest = (0..ball.positions.len())
         .min_by(|&a, &b| ball.positions[a][2].total_cmp(&ball.positions[b][2]));
-    // The outlier is behind the camera.
+    // Move one vertex far away, so that it is an outlier behind the camera.
     ball.positions[farthest.unwrap()] = [0.0, 0.0, -50.0];
     let found = small().colour(colour).scope_of(&ball).unwrap();
     assert!(
@@ -579,7 +579,7 @@ fn huge_tiny_degenerate_and_non_finite_meshes_can_be_drawn() {
     );
 }
 
-/// Balls that move, in numbered files, and an unrelated file.
+/// A folder with numbered meshes of a moving ball, and an unrelated file.
 fn frames() -> TempDir {
     let folder = TempDir::new().unwrap();
     for n in [2, 10, 7] {
@@ -779,7 +779,8 @@ fn a_preview_is_written_next_to_the_mesh_and_does_not_change_it() {
     run(&[frame, "-o", "seen.ply", "--preview"], 0);
     assert_eq!(fs::read(at("plain.ply")).unwrap(), fs::read(at("seen.ply")).unwrap());
     assert_eq!(png_size(&at("seen.png")), [640, 360]);
-    // The mesh's file gives the same picture, so the written mesh was drawn.
+    // Rendering the mesh file must give the same picture, because the preview shows the written
+    // mesh.
     fs::rename(at("seen.png"), at("first.png")).unwrap();
     let drawn =
         render(folder.path(), &["seen.ply", "-o", "seen.png", "--size", "640x360", "--ground"]);
@@ -795,7 +796,7 @@ fn a_preview_is_written_next_to_the_mesh_and_does_not_change_it() {
         bytes
     };
     assert!(near(&pixels("seen.png"), &pixels("first.png")));
-    // An existing picture is not replaced, and then no mesh is made.
+    // If the preview's file exists, the run fails and makes no mesh.
     fs::write(at("other.png"), "mine").unwrap();
     let messages = run(&[frame, "-o", "other.ply", "--preview"], 2);
     assert!(
@@ -810,7 +811,7 @@ fn a_preview_is_written_next_to_the_mesh_and_does_not_change_it() {
     assert_eq!(png_size(&at("mesh.png")), [3 * 640 + 2 * 4, 360]);
     let messages = run(&[frames, "-o", "mesh_{}.ply", "--preview"], 2);
     assert!(messages.contains("mesh.png: already exists"), "{messages}");
-    // Resuming draws its own sheet again, and it replaces no other picture.
+    // Resuming may replace the conversion's own sheet, but no other picture.
     let sheet = fs::read(at("mesh.png")).unwrap();
     let picture = Picture::new().size(8, 8).draw(&Mesh::default()).unwrap();
     let mut foreign = Vec::new();
@@ -849,7 +850,7 @@ fn previews_of_unreadable_formats_equal_those_of_readable_formats() {
         let (ours, read) = (pixels(&sheet), pixels("read.png"));
         let differing = ours.iter().zip(&read).filter(|(a, b)| a.abs_diff(**b) > 24).count();
         assert!(differing * 100 < ours.len(), "{output}: {differing} of {}", ours.len());
-        // Resuming draws the frames of both runs.
+        // After resuming, the sheet must show the frames of both runs.
         fs::remove_file(at(&output.replace("{}", "10"))).unwrap();
         let whole = fs::read(at(&sheet)).unwrap();
         run(&["-o", output, "--preview", "--resume"], 0);

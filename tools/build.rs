@@ -1,6 +1,6 @@
 //! Links the C++ runtime into the programs statically if the system has an archive of it.
-//! meshoptimizer needs little of it, and loading the shared library would take a third of the time
-//! of a small command.
+//! meshoptimizer needs only a small part of the runtime, but loading the shared library takes a
+//! third of the time of a short command.
 
 use std::env::var;
 use std::error::Error;
@@ -15,12 +15,12 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     let compiler = cc::Build::new().cpp(true).get_compiler();
     let asked = compiler.to_command().arg("-print-file-name=libstdc++.a").output()?;
-    // A compiler without the archive prints its bare name.
+    // If the compiler has no such archive, it prints the name without a folder.
     let archive = String::from_utf8(asked.stdout)?;
     let archive = Path::new(archive.trim());
     if archive.is_absolute() {
-        // The linker uses the first match, and searches this folder before that of the shared
-        // library.
+        // The linker searches this folder before the folder with the shared library, and uses the
+        // first library that it finds.
         let here = var("OUT_DIR")?;
         println!("cargo:rerun-if-changed={}", archive.display());
         fs::copy(archive, Path::new(&here).join("libstdc++.a"))?;

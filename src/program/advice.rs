@@ -1,5 +1,5 @@
-//! Adds advice to errors and warnings: options that help. The library describes the problem, but
-//! does not know the options of the program.
+//! Adds advice to errors and warnings: it names the options that help. The library describes the
+//! problem, but does not know the options of the program.
 
 use bytesize::ByteSize;
 use meniscus::error::{
@@ -23,7 +23,7 @@ pub fn error_message(error: &Error) -> String {
     in_options(error).unwrap_or_else(|| format!("{error}{}", advice(error)))
 }
 
-/// The text of an error that names options.
+/// The text of an error that has to name options, or `None` if the library's text suffices.
 fn in_options(error: &Error) -> Option<String> {
     Some(match error {
         Error::SettingConflict(_) | Error::Unit(_) => {
@@ -55,7 +55,7 @@ fn in_options(error: &Error) -> Option<String> {
     })
 }
 
-/// Whether the error is about the unknown extension of an input.
+/// Whether a particle file could not be read because its extension is unknown.
 fn is_of_unknown_particles(fault: &ReadFault) -> bool {
     matches!(fault, ReadFault::UnknownExtension { known } if known.split(", ").any(|known| known == ".bgeo"))
 }
@@ -192,7 +192,7 @@ fn on_lost(smoothed: bool) -> &'static str {
     if smoothed { "use --indicator cloud, which keeps drops" } else { "use smaller cells" }
 }
 
-/// The text of a warning, with advice that suits the other options.
+/// The text of a warning, with advice that depends on `options`.
 pub fn warning_message(warning: &Warning, options: Option<&ReconstructOptions>) -> String {
     match warning {
         Warning::Spacing(warning) => spacing_message(warning),
@@ -219,7 +219,7 @@ pub fn warning_message(warning: &Warning, options: Option<&ReconstructOptions>) 
     }
 }
 
-/// Advice for a surface that encloses too little.
+/// Advice for a surface that encloses too little volume.
 fn on_shortfall(
     options: Option<&ReconstructOptions>,
     clouds: bool,
@@ -238,7 +238,7 @@ fn on_shortfall(
     advice + "; is the --spacing correct?"
 }
 
-/// The options that left out all components.
+/// The names of the options that removed all components from the mesh.
 fn limits(too_small: TooSmall) -> &'static str {
     match (too_small.components, too_small.drops) {
         (_, 0) => "--smallest-component",
@@ -272,7 +272,7 @@ mod tests {
         text.into()
     }
 
-    /// Errors with advice, or with names of options in their text.
+    /// One example of each error with advice, or with names of options in its text.
     fn errors() -> Vec<Error> {
         let frame = |fault| Error::Frame { path: Some(path("f_1.vtk")), fault };
         let spacing = |why| Error::NoSpacing { path: None, particles: 7, why, suggested: None };

@@ -1,4 +1,4 @@
-//! The commands with their options.
+//! The commands of the program and their options.
 
 use std::ffi::OsString;
 
@@ -49,8 +49,8 @@ impl Arguments {
         Self::from_arg_matches(&matches).map_err(|error| error.format(&mut command))
     }
 
-    /// The commands and options for help, completions and man pages. `pack` has hidden options for
-    /// settings of a surface, to reject them with a reason.
+    /// The commands and options, as clap needs them for help, completions and man pages. `pack`
+    /// accepts the options of a surface as hidden options, to reject them with a reason.
     pub fn as_command() -> clap::Command {
         let is_of_surface = |id: &str| {
             Settings::ALL.iter().any(|setting| setting.name() == id && !setting.is_of_samples())

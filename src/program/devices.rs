@@ -14,7 +14,7 @@ pub struct DevicesOptions {
     json: bool,
 }
 
-/// Runs the command.
+/// Runs `meniscus devices`.
 pub fn run(options: &DevicesOptions) -> Result<Verdict, Error> {
     let devices = Instance::connect(false)?.devices()?;
     if options.json {

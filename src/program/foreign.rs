@@ -1,9 +1,10 @@
-//! Tips for users of other programs' options, with the option of this program that does the same.
+//! Tips for users who type an option of another program: they name the option with the same effect.
 
 use clap::Command;
 use clap::error::{ContextKind, ContextValue, Error, ErrorKind};
 
-/// Names in other programs, the option here, and a short explanation.
+/// Options of other programs, the option of this program with the same effect, and a short
+/// explanation.
 const FOREIGN: &[(&[&str], &str, &str)] = &[
     (&["-r", "--particle-radius"], "radius", "is the same length"),
     (

@@ -31,7 +31,7 @@ pub struct InfoOptions {
     json: bool,
 }
 
-/// Runs the command.
+/// Runs `meniscus info`.
 pub fn run(options: &InfoOptions) -> Result<Verdict, Error> {
     let InfoOptions { format, r#where, .. } = options;
     let settings = Settings { format: *format, r#where: r#where.clone(), ..Settings::default() };
@@ -46,13 +46,13 @@ pub fn run(options: &InfoOptions) -> Result<Verdict, Error> {
     if options.json {
         print_json(&infos)?;
     }
-    // The caller prints the last error.
+    // This function prints all errors but the last, which the caller prints.
     let last = errors.pop();
     errors.iter().for_each(say_error);
     last.map_or(Ok(Verdict::Good), Err)
 }
 
-/// Whether `info` lists this file of a folder.
+/// Whether `info` describes this file when the user names its folder.
 fn is_listed(file: &Path) -> bool {
     InputFormat::of(file).is_some() || MeshFormat::of(file).is_some() || is_packed(file)
 }

@@ -40,8 +40,8 @@ struct MeshCheck {
     measures: Measures,
 }
 
-/// Checks every mesh. The verdict is good only if all are closed, oriented 2-manifolds and every
-/// component encloses a volume.
+/// Checks every mesh. The verdict is good only if all meshes are closed, oriented 2-manifolds and
+/// every component encloses a volume.
 pub fn check(options: &CheckOptions) -> Result<Verdict, Error> {
     let mut all = Vec::new();
     for path in files(&options.meshes, |file| MeshFormat::of(file).is_some())? {

@@ -1,5 +1,6 @@
-//! Ctrl-C, termination, lack of memory and crashes: leave no half-written file. Ctrl-C and
-//! termination exit with 130, lack of memory with 2; crashes end the process by their signal.
+//! Removes half-written files after Ctrl-C, termination, lack of memory and crashes. The exit code
+//! is 130 after Ctrl-C or termination, and 2 after lack of memory. A crash ends the process by its
+//! signal.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{LazyLock, OnceLock};
@@ -10,7 +11,7 @@ use meniscus::Cancel;
 
 /// The cancel handle of this process.
 static CANCEL: LazyLock<Cancel> = LazyLock::new(|| {
-    // Fails if the caller of the library has installed a handler.
+    // `set_handler` fails if the caller of this library has installed a handler; that one stays.
     let _ = ctrlc::set_handler(|| {
         CANCEL.abandon();
         let what = if RESUMABLE.load(Ordering::Relaxed) {
@@ -26,11 +27,11 @@ static CANCEL: LazyLock<Cancel> = LazyLock::new(|| {
     cancel
 });
 
-/// The cancel handle, once it is there, for the handlers of signals.
+/// The cancel handle for signal handlers, set when `CANCEL` is first used.
 static UNFINISHED: OnceLock<Cancel> = OnceLock::new();
 
-/// Installs handlers of SIGABRT, which the standard library raises when no memory is left, and of
-/// the signals of a crash, which may happen in a driver.
+/// Installs signal handlers for SIGABRT, which the standard library raises when no memory is left,
+/// and for crashes, which may happen in a driver.
 #[cfg(unix)]
 pub fn catch_crashes() {
     extern "C" fn abort(_: libc::c_int) {
@@ -38,27 +39,27 @@ pub fn catch_crashes() {
             b"meniscus: aborted, probably because memory ran out; use a smaller --memory \
             or fewer --threads\n",
         );
-        // SAFETY: may be called in a handler.
+        // SAFETY: `_exit` may be called in a signal handler.
         unsafe { libc::_exit(2) };
     }
     extern "C" fn crash(signal: libc::c_int) {
-        // SAFETY: may be called in a handler. A crash that corrupted what `abandon` needs could
-        // make it wait for ever.
+        // SAFETY: `alarm` may be called in a signal handler. It ends the process if `abandon` waits
+        // for ever because the crash corrupted its data.
         unsafe { libc::alarm(2) };
         abandon(
             b"meniscus: crashed. If it used a Vulkan device, the driver may be the cause: try \
             --backend cpu. Otherwise, please report this\n",
         );
-        // SAFETY: may be called in a handler. The signal waits until this handler returns, and then
-        // ends the process.
+        // SAFETY: both functions may be called in a signal handler. The raised signal is blocked
+        // until this handler returns, and then ends the process.
         unsafe {
             libc::signal(signal, libc::SIG_DFL);
             libc::raise(signal);
         }
     }
     let handle = |signal, handler: extern "C" fn(libc::c_int)| {
-        // SAFETY: the handlers wait at most 2 s. They run on the stack that the standard library
-        // gives threads for handlers, because the usual one may be full.
+        // SAFETY: the handlers wait at most 2 s. They run on the separate stack that the standard
+        // library allocates for signal handlers, because the thread's own stack may be full.
         unsafe {
             let mut action: libc::sigaction = std::mem::zeroed();
             action.sa_sigaction = handler as libc::sighandler_t;
@@ -72,16 +73,16 @@ pub fn catch_crashes() {
     }
 }
 
-/// Prints the message and removes all unfinished files, in a handler of a signal.
+/// Prints the message and removes all unfinished files, from a signal handler.
 #[cfg(unix)]
 fn abandon(message: &[u8]) {
     static IS_ABANDONED: AtomicBool = AtomicBool::new(false);
     if IS_ABANDONED.swap(true, Ordering::Relaxed) {
-        // Another thread removes the files, or this one failed to.
+        // Another thread is removing the files, or this thread crashed while it did so.
         std::thread::sleep(Duration::from_millis(300));
         return;
     }
-    // SAFETY: may be called in a handler.
+    // SAFETY: `write` may be called in a signal handler.
     unsafe { libc::write(libc::STDERR_FILENO, message.as_ptr().cast(), message.len()) };
     if let Some(cancel) = UNFINISHED.get() {
         cancel.abandon_soon();
@@ -94,12 +95,12 @@ pub fn catch_crashes() {}
 /// Whether an interrupt keeps finished frames.
 static RESUMABLE: AtomicBool = AtomicBool::new(false);
 
-/// The handle to pass to all work, so that an interrupt removes half-written files.
+/// Returns the cancel handle to pass to all work, so that an interrupt removes half-written files.
 pub fn handle() -> Cancel {
     CANCEL.clone()
 }
 
-/// Declares that from now on frames are finished one by one, and are kept.
+/// Declares that an interrupt keeps finished frames from now on. Only affects the message.
 pub fn resumable() {
     RESUMABLE.store(true, Ordering::Relaxed);
 }

@@ -47,8 +47,8 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     })
 }
 
-/// Parses a command line, and returns the request and the settings of `reconstruct` without running
-/// it: for tests.
+/// For tests: parses a command line of `reconstruct`, and returns its settings and request without
+/// running it. Returns `None` for other commands.
 #[doc(hidden)]
 pub fn parsed(
     arguments: impl IntoIterator<Item = OsString>,
@@ -63,7 +63,7 @@ pub fn parsed(
     }
 }
 
-/// The text that the program prints for an error: for tests.
+/// For tests: returns the text that the program prints for an error.
 #[doc(hidden)]
 pub fn error_message(error: &Error) -> String {
     advice::error_message(error)

@@ -6,22 +6,22 @@ use indicatif::MultiProgress;
 use meniscus::Error;
 use meniscus::error::shown;
 
-/// Messages of a run, on standard error.
+/// Prints the messages of a run on standard error, with a level of detail.
 #[derive(Clone, Default)]
 pub struct Notes {
     quiet: bool,
     verbose: bool,
-    /// Bars below the messages.
+    /// Progress bars that stay below the messages.
     bars: Option<MultiProgress>,
 }
 
 impl Notes {
-    /// Messages with the given level of detail.
+    /// Selects the level of detail: `quiet` prints only errors, `verbose` also details.
     pub fn new(quiet: bool, verbose: bool) -> Self {
         Self { quiet, verbose, bars: None }
     }
 
-    /// Prints the messages above bars.
+    /// From now on, prints the messages above these progress bars.
     pub fn above(self, bars: MultiProgress) -> Self {
         Self { bars: Some(bars), ..self }
     }
@@ -47,7 +47,7 @@ impl Notes {
         }
     }
 
-    /// Prints a message even if quiet.
+    /// Prints an error, even if the option `quiet` is set.
     pub fn error(&self, text: impl AsRef<str>) {
         self.print(text.as_ref());
     }
@@ -60,7 +60,7 @@ impl Notes {
     }
 }
 
-/// Writes a line in one call. Ignores failures, so that the work continues.
+/// Writes a line to standard error in one call. Ignores failures, so that the work continues.
 pub fn say(text: &str) {
     let _ = io::stderr().lock().write_all(format!("{text}\n").as_bytes());
 }
@@ -69,7 +69,7 @@ pub fn say(text: &str) {
 pub enum Verdict {
     /// Success.
     Good,
-    /// The work was done, but found a defect or failed frames.
+    /// The command ended normally, but a mesh has a defect or frames failed.
     Bad,
 }
 

@@ -1,4 +1,4 @@
-//! One frame's mesh: checks before the work, and messages and files after it.
+//! The mesh of a single frame: checks before the reconstruction, and messages and files after it.
 
 use std::path::{Path, PathBuf};
 
@@ -14,7 +14,7 @@ use super::report::{report, report_device, report_stages, warn_all};
 use super::run::bytes_of;
 use super::stats::{MeshStats, record};
 
-/// Rejects a file that is both an input and an output, or two outputs.
+/// Rejects two paths that lead to the same file: an input and an output, or two outputs.
 pub fn refuse_same_file(one: &Path, other: &Path) -> Result<(), Error> {
     if is_same_file(one, other) {
         return Err(Error::SameFile { path: other.to_owned(), other: one.to_owned() });
@@ -51,7 +51,7 @@ pub fn ready(options: &ReconstructOptions, inputs: &[PathBuf]) -> Result<Prepare
     let replace = if options.run.overwrite { Replace::Allow } else { Replace::Refuse };
     let request = request.cancel(interrupt::handle());
     let output = request.output(&options.output, replace)?;
-    // Preparing the output has created its folder.
+    // `request.output` has created the output's folder, in which the statistics may be.
     options.prepare_stats()?;
     let preview = options
         .preview

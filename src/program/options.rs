@@ -1,4 +1,4 @@
-//! The options of `reconstruct`, their conflicts, and their translation for the library.
+//! The options of `reconstruct`, their conflicts, and their conversion to a request of the library.
 
 use std::path::PathBuf;
 

@@ -1,4 +1,4 @@
-//! `meniscus pack`: particles to a packed frame.
+//! `meniscus pack`: converts particles to a packed frame.
 
 use std::path::PathBuf;
 
@@ -26,7 +26,7 @@ pub struct PackOptions {
     run: RunOptions,
 }
 
-/// Runs the command.
+/// Runs `meniscus pack`.
 pub fn run(options: &PackOptions) -> Result<Verdict, Error> {
     let PackOptions { input, output, settings, run } = options;
     let notes = run.notes();

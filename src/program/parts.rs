@@ -1,5 +1,5 @@
-//! `meniscus reconstruct --parts`: the mesh of one frame in parts, made by several processes on any
-//! machines.
+//! `meniscus reconstruct --parts`: makes the mesh of one frame in parts, in several processes that
+//! may run on different machines.
 
 use std::path::Path;
 
@@ -14,7 +14,7 @@ use super::one_frame::{PreparedRequest, ready, write};
 use super::options::ReconstructOptions;
 use super::report::{report_cells, report_census, report_stages, warn_all};
 
-/// Runs the requested step of `count` parts.
+/// Runs the requested step: `--plan`, `--part` or `--merge`. The mesh has `count` parts.
 pub fn run(options: &ReconstructOptions, input: &Path, count: u32) -> Result<Verdict, Error> {
     let step = options.parts.step(options.simulation.plan)?;
     let refused = match step {
@@ -94,7 +94,7 @@ fn plan(options: &ReconstructOptions, parts: &Parts, notes: &Notes) -> Result<Ve
     Ok(Verdict::Good)
 }
 
-/// A line for each part: its particles and its resources.
+/// Describes each part on one line: its number of particles, its memory and its scratch files.
 fn listed(planned: &PartsPlan) -> String {
     let mut lines = Vec::new();
     for (number, part) in planned.parts.iter().enumerate() {
@@ -169,7 +169,7 @@ pub struct PartsOptions {
     merge: bool,
 }
 
-/// A step of a mesh in parts.
+/// One of the three steps that make a mesh in parts.
 pub enum PartsStep {
     Plan,
     Part(u32),
@@ -177,7 +177,7 @@ pub enum PartsStep {
 }
 
 impl PartsOptions {
-    /// The requested step; `plan` if --plan was given.
+    /// Returns the requested step. `plan` says whether --plan was given.
     pub fn step(&self, plan: bool) -> Result<PartsStep, Error> {
         match (plan, self.part, self.merge) {
             (true, ..) => Ok(PartsStep::Plan),

@@ -14,8 +14,8 @@ pub fn set_up() {
     outlive_large_files();
 }
 
-/// Runs `work` on a thread with a large enough stack, independent of the limit of the process
-/// (`ulimit -s`). Falls back to this thread if the system starts no other.
+/// Runs `work` on a thread with a stack of `STACK` bytes, which the stack limit of the process
+/// (`ulimit -s`) does not affect. Falls back to this thread if the system cannot start another.
 pub fn on_own_stack<T: Send + 'static>(work: impl FnOnce() -> T + Clone + Send + 'static) -> T {
     match thread::Builder::new().stack_size(STACK).spawn(work.clone()) {
         Ok(worker) => worker.join().unwrap_or_else(|panic| resume_unwind(panic)),
@@ -23,8 +23,8 @@ pub fn on_own_stack<T: Send + 'static>(work: impl FnOnce() -> T + Clone + Send +
     }
 }
 
-/// Runs `work` on threads of its own, one per core, for the parts of commands that have no threads
-/// yet. Falls back to this thread if the system starts none.
+/// Runs `work` in a new thread pool with one thread per core, for commands that create no thread
+/// pool themselves. Falls back to this thread if the system cannot start threads.
 pub fn on_all_cores<T: Send>(work: impl FnOnce() -> T + Send) -> T {
     let threads = || ThreadPoolBuilder::new().stack_size(STACK);
     let one = |_| threads().num_threads(1).use_current_thread().build();
@@ -34,15 +34,15 @@ pub fn on_all_cores<T: Send>(work: impl FnOnce() -> T + Send) -> T {
     }
 }
 
-/// Keeps up to 8 MiB of freed memory per thread. Frames, and blocks of a frame that exceeds its
-/// memory, free memory that the next one allocates again; returning it to the system in between
-/// would cost a page fault per page.
+/// Lets the allocator keep up to 8 MiB of freed memory per thread, instead of returning it to the
+/// system. The next frame or block allocates the memory again, which would cost a page fault per
+/// page.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 fn keep_freed() {
     for (parameter, bytes) in [(libc::M_MMAP_THRESHOLD, 1 << 20), (libc::M_TRIM_THRESHOLD, 8 << 20)]
     {
-        // SAFETY: takes two numbers, before any other thread is started. If it refuses, nothing
-        // changes.
+        // SAFETY: `mallopt` takes two numbers, and no other thread has started yet. If it rejects
+        // them, nothing changes.
         unsafe { libc::mallopt(parameter, bytes) };
     }
 }
@@ -55,7 +55,7 @@ fn keep_freed() {}
 /// signal that ends the process.
 #[cfg(unix)]
 fn outlive_large_files() {
-    // SAFETY: no handler is installed that could run, and no other thread is there yet.
+    // SAFETY: SIG_IGN installs no handler that could run, and no other thread has started yet.
     unsafe { libc::signal(libc::SIGXFSZ, libc::SIG_IGN) };
 }
 

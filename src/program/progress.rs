@@ -1,4 +1,4 @@
-//! Progress of a simulation: bars on a terminal, or a line for each frame.
+//! Shows the progress of a simulation: as bars on a terminal, or as a line for each frame.
 
 use std::io::{self, IsTerminal, Write};
 use std::time::Duration;
@@ -24,8 +24,8 @@ pub struct ProgressBars {
 }
 
 impl ProgressBars {
-    /// Starts bars for `bytes` of input, and returns the notes to use with them. The estimate of
-    /// the remaining time uses bytes, because frames differ in size.
+    /// Starts bars, and returns the notes that print above them. `bytes` is the size of all inputs:
+    /// the estimate of the remaining time uses it, because frames differ in size.
     pub fn start(mode: ProgressMode, bytes: u64, lanes: usize, notes: Notes) -> (Self, Notes) {
         let wanted = match mode {
             ProgressMode::Auto => io::stderr().is_terminal(),
@@ -67,7 +67,7 @@ impl ProgressBars {
         }
     }
 
-    /// Shows the number of finished frames, and advances the bar by the `bytes` of another one.
+    /// Shows the number of finished frames, and advances the bar by the `bytes` of the last frame.
     pub fn advance(&self, done: usize, frames: usize, failed: usize, bytes: u64) {
         let Some((bar, _)) = &self.bars else { return };
         let failed = if failed > 0 { format!(", {failed} failed") } else { String::new() };
@@ -90,8 +90,8 @@ impl ProgressBars {
     }
 }
 
-/// A terminal on standard error, also for callers that forward it to a terminal. Write errors are
-/// ignored.
+/// Draws bars on standard error even if it is no terminal, for callers that forward it to one.
+/// Ignores write errors.
 #[derive(Debug)]
 struct TerminalOutput;
 

@@ -1,4 +1,4 @@
-//! `meniscus reconstruct` for a single frame; `simulation` has the command for several.
+//! `meniscus reconstruct`: converts a single frame here, and a simulation in `simulation`.
 
 use std::path::{Path, PathBuf};
 
@@ -14,7 +14,7 @@ use super::parts;
 use super::report::report_opened;
 use super::simulation;
 
-/// Runs the command.
+/// Runs `meniscus reconstruct`.
 pub fn run(options: &ReconstructOptions) -> Result<Verdict, Error> {
     if options.together {
         return run_together(options);
@@ -31,7 +31,7 @@ pub fn run(options: &ReconstructOptions) -> Result<Verdict, Error> {
     }
 }
 
-/// Joins the inputs, as one frame or frame by frame.
+/// Runs `--together`: joins all inputs into one frame, or several simulations frame by frame.
 fn run_together(options: &ReconstructOptions) -> Result<Verdict, Error> {
     if options.parts.parts.is_some() {
         return Err(Error::Request(
@@ -64,7 +64,7 @@ fn run_frame(options: &ReconstructOptions, inputs: &[PathBuf]) -> Result<Verdict
     Ok(Verdict::Good)
 }
 
-/// The text of a dry run: what would be done, with estimates.
+/// Describes a reconstruction without running it, with estimates of memory, disk space and time.
 fn dry_run(
     options: &ReconstructOptions,
     opened: &OpenedFrame,

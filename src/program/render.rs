@@ -69,7 +69,7 @@ pub struct RenderOptions {
     quiet: bool,
 }
 
-/// Runs the command.
+/// Runs `meniscus render`.
 pub fn run(options: &RenderOptions) -> Result<Verdict, Error> {
     let notes = Notes::new(options.quiet, false);
     let memory = options.memory.map_or_else(|| default_memory().0, |size| size.as_u64());
@@ -134,7 +134,7 @@ enum ColourArgument {
     Named(String, Option<ColourMap>),
 }
 
-/// The name of the distance from a reference.
+/// The value of `--colour` that selects the distance from the reference mesh.
 const DISTANCE: &str = "distance";
 
 impl RenderOptions {

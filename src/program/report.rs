@@ -15,7 +15,7 @@ use super::advice::{spacing_message, warning_message};
 use super::notes::Notes;
 use super::options::ReconstructOptions;
 
-/// Prints what was opened, and the chosen cells.
+/// Prints the number of particles in the opened inputs, and the chosen cells.
 pub fn report_opened(inputs: &[PathBuf], opened: &OpenedFrame, notes: &Notes) {
     let names: Vec<_> = inputs.iter().map(|input| input.display().to_string()).collect();
     notes.say(format!(
@@ -47,7 +47,7 @@ pub fn report_opened(inputs: &[PathBuf], opened: &OpenedFrame, notes: &Notes) {
     }
 }
 
-/// Prints the cells, the indicator, and the new origin of a grid that was moved.
+/// Prints the cell size, the indicator, and the new origin if the grid was moved.
 pub fn report_cells(
     cells: &Cells,
     indicator: Option<IndicatorKind>,
@@ -66,7 +66,7 @@ pub fn report_cells(
     }
 }
 
-/// Prints everything about a surface.
+/// Prints the warnings, the calibration and the removed components of a surface.
 pub fn report(options: &ReconstructOptions, report: &Report, mesh: &dyn MeshSource, notes: &Notes) {
     warn_all(&report.warnings, Some(options), notes);
     report
@@ -93,7 +93,7 @@ pub fn report(options: &ReconstructOptions, report: &Report, mesh: &dyn MeshSour
     }
 }
 
-/// Prints the level of the surface, and the resolution of the field.
+/// Prints the isovalue or the density of the surface, and the resolution of the field.
 fn report_calibration(
     report: &Report,
     measured: &MeasuredCalibration,
@@ -136,7 +136,7 @@ fn report_calibration(
     }
 }
 
-/// Prints how many particles are left out, and why.
+/// Prints how many particles were left out, for each reason.
 pub fn report_census(census: &Census, notes: &Notes) {
     for (count, what) in [
         (census.not_finite, "skipped: a coordinate is not finite"),
@@ -154,7 +154,7 @@ pub fn too_small(drops: u64, particles: u32) -> String {
     format!("{drops} drops of fewer than {particles} particles left out")
 }
 
-/// Prints the work of a device per frame, and the time of each stage.
+/// Prints the traffic with a device per frame, and the device's time for each stage.
 pub fn report_device(device: Option<&Device>, frames: usize, notes: &Notes) {
     let Some(device) = device else { return };
     let Counters { submissions, allocations, sent, received } = device.take_counters();
@@ -179,8 +179,8 @@ pub fn report_stages(timings: &Timings, notes: &Notes) {
     }
 }
 
-/// Prints the warnings about a surface, with advice. Warnings about the spacing were already
-/// printed when it was chosen.
+/// Prints the warnings about a surface, with advice. Skips warnings about the spacing, which were
+/// printed when the spacing was chosen, except for packed frames.
 pub fn warn_all(warnings: &[Warning], options: Option<&ReconstructOptions>, notes: &Notes) {
     let was_said = |warning: &&Warning| match warning {
         Warning::Spacing(SpacingWarning::Contradicted { source, .. }) => {

@@ -9,7 +9,7 @@ use meniscus::{Error, MemoryBudget, Reconstruction, default_memory};
 
 use super::notes::Notes;
 
-/// Maximum number of threads: more than the cores of any machine, and few enough to start.
+/// Maximum number of threads: more than a machine has cores, and few enough for a system to start.
 const MOST_THREADS: usize = 1024;
 
 #[derive(Args)]
@@ -54,8 +54,8 @@ enum BackendName {
 }
 
 impl RunOptions {
-    /// Sets threads, memory, scratch folder and backend. `input_bytes` is the size of the inputs,
-    /// if known, and called only if the choice of a backend needs it.
+    /// Sets threads, memory, scratch folder and backend of a request. `input_bytes` returns the
+    /// size of the inputs, if known. It is called only if the choice of a backend depends on it.
     pub fn machine(
         &self,
         request: Reconstruction,
@@ -72,7 +72,7 @@ impl RunOptions {
             request = request.threads(threads);
         }
         let budget = self.memory.map_or_else(default_memory, |size| MemoryBudget(size.as_u64()));
-        // Missing folders will be created in the nearest existing parent.
+        // The output's folder may not exist yet, so scratch files use the nearest existing parent.
         let beside =
             output.ancestors().skip(1).find(|folder| folder.is_dir()).unwrap_or(Path::new("."));
         let scratch = self.scratch.as_deref().or(Some(beside).filter(|_| !is_device(output)));
@@ -126,7 +126,7 @@ impl RunOptions {
     }
 }
 
-/// Bytes of particles in some files, if all exist and their sizes indicate it.
+/// Bytes of the particles in the files; `None` if a file is missing or its size does not show it.
 pub fn bytes_of<'a>(files: impl IntoIterator<Item = &'a Path>) -> Option<u64> {
     devices::bytes_of(files)
 }

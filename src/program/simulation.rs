@@ -1,4 +1,4 @@
-//! `meniscus reconstruct` for the frames of a simulation: options, and messages for its events.
+//! `meniscus reconstruct` for the frames of a simulation: its options, and its messages.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -17,7 +17,7 @@ use super::progress::{ProgressBars, ProgressMode};
 use super::report::{report_census, report_device, too_small, warn_all};
 use super::stats::{of_failed, of_frame};
 
-/// Runs the command for each simulation in the inputs.
+/// Runs `meniscus reconstruct` for each simulation in the inputs.
 pub fn run(options: &ReconstructOptions, simulation: Simulation) -> Result<Verdict, Error> {
     let mut simulation = options.simulation.of(simulation);
     if options.run.overwrite {
@@ -63,7 +63,7 @@ pub fn run(options: &ReconstructOptions, simulation: Simulation) -> Result<Verdi
         return Ok(listener.verdict());
     }
     let converted = simulation.run(hear);
-    // This failure cancelled the conversion, so it is the cause.
+    // A failure to write the statistics has cancelled the conversion, so it is the error to report.
     if let Some(error) = listener.broken.take() {
         return Err(error);
     }
@@ -76,15 +76,15 @@ pub fn run(options: &ReconstructOptions, simulation: Simulation) -> Result<Verdi
     Ok(listener.verdict())
 }
 
-/// Prints messages for events.
+/// Prints messages about the events of a conversion.
 struct Listener<'a> {
     options: &'a ReconstructOptions,
     notes: Notes,
     /// Bars of the current simulation, with the notes that are printed above them.
     bars: Option<(ProgressBars, Notes)>,
-    /// Parts of frames that were not read, each with the number of its frames.
+    /// Parts of files that were not read, each with the number of frames that have such a part.
     left_out: BTreeMap<String, usize>,
-    /// The failure to write the statistics.
+    /// The first error in writing the statistics.
     broken: Option<Error>,
     bad: bool,
     cancel: Cancel,
@@ -214,7 +214,7 @@ impl Listener<'_> {
     }
 }
 
-/// A line for each failed or missing frame, in order.
+/// Lists the failed and missing frames by their numbers, one per line.
 fn incomplete(summary: &Summary) -> String {
     let failed = summary.failed.iter();
     let failed = failed.map(|failed| {
@@ -284,7 +284,7 @@ fn range(text: &str) -> Result<(i64, i64), String> {
         .ok_or_else(|| "expected two increasing numbers, such as 100..199".to_owned())
 }
 
-/// Rejects an option that was given, but only applies to simulations.
+/// Returns an error if one of the options was given: they apply only to simulations.
 fn refuse_sequence_options(options: &[(&str, bool)]) -> Result<(), Error> {
     match options.iter().find(|(_, given)| *given) {
         None => Ok(()),

@@ -11,7 +11,7 @@ use serde_json::{Map, Value, json};
 use super::advice::error_message;
 use super::options::ReconstructOptions;
 
-/// The mesh of a frame.
+/// Facts about the mesh of a frame, for its record.
 pub struct MeshStats<'a> {
     pub input: &'a Path,
     pub output: &'a Path,
@@ -23,8 +23,8 @@ pub struct MeshStats<'a> {
 }
 
 impl ReconstructOptions {
-    /// Checks before the work that statistics can be appended, without creating the file. A folder
-    /// that will be created for the meshes need not exist yet.
+    /// Checks before the reconstruction that statistics can be appended, without creating the file.
+    /// The file's folder need not exist yet if it is the folder of the meshes.
     pub fn prepare_stats(&self) -> Result<(), Error> {
         let Some(path) = self
             .stats
@@ -46,7 +46,7 @@ impl ReconstructOptions {
         Ok(())
     }
 
-    /// Appends a line to the statistics, if requested.
+    /// Appends a line to the file of `--stats`, if the option was given.
     pub fn append_stats(&self, record: impl FnOnce() -> Value) -> Result<(), Error> {
         let Some(path) = &self.stats else { return Ok(()) };
         let file = OpenOptions::new().create(true).append(true).open(path);
@@ -55,7 +55,7 @@ impl ReconstructOptions {
     }
 }
 
-/// The record of a frame of a simulation.
+/// The record of a finished frame of a simulation, as one JSON object.
 pub fn of_frame(options: &ReconstructOptions, done: &FrameDone) -> Value {
     let FrameDone { input, output, mesh, report, lost, .. } = done;
     let mut stats = match report {
@@ -77,12 +77,12 @@ pub fn of_frame(options: &ReconstructOptions, done: &FrameDone) -> Value {
     stats
 }
 
-/// The record of a failed frame.
+/// The record of a failed frame of a simulation, as one JSON object.
 pub fn of_failed(failed: &FrameFailed) -> Value {
     json!({ "frame": failed.frame, "input": failed.input, "error": error_message(&failed.error) })
 }
 
-/// The record of a frame.
+/// The record of a mesh and its reconstruction, as one JSON object.
 pub fn record(options: &ReconstructOptions, report: &Report, made: &MeshStats<'_>) -> Value {
     let MeshStats { input, output, counts: [vertices, triangles, bytes], stages, lost } = made;
     let seconds =
@@ -129,7 +129,7 @@ pub fn record(options: &ReconstructOptions, report: &Report, made: &MeshStats<'_
     joined(of_run, of_field)
 }
 
-/// Combines the fields of two objects.
+/// Combines the fields of two JSON objects; a field of `other` replaces one with the same name.
 fn joined(mut one: Value, other: Value) -> Value {
     if let (Value::Object(one), Value::Object(other)) = (&mut one, other) {
         one.extend(other);

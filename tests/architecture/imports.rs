@@ -1,10 +1,10 @@
-//! Finds which files of a source tree import from which, by parsing their syntax.
+//! Finds all imports between the files of a source tree, by parsing their syntax.
 //!
-//! A path leads to the file that defines its item: a re-export is followed, and is no import
-//! itself. `mod child;` is no import either. So a `mod.rs` that only declares and re-exports
-//! imports from no file. A `mod.rs` that uses items of its children imports from them, and they
-//! import from it if they use items that it defines. Tests and comments do not count. In macros,
-//! names with `::` between them are a path.
+//! A file imports from the file that defines an item which it uses. Neither a re-export nor
+//! `mod child;` is an import, so a `mod.rs` that only declares and re-exports has no imports. A
+//! `mod.rs` that uses an item of its child imports from the child, and a child that uses an item of
+//! its `mod.rs` imports from it. Tests and comments are ignored. In macros, names with `::` between
+//! them are a path.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -19,7 +19,7 @@ use syn::{
 /// The crate name by which the program uses the library.
 const LIBRARY: &str = "meniscus";
 
-/// A module by the names of its ancestors and its own; empty for the library's root.
+/// The path of a module: the names of its ancestors, followed by its name. Empty for the root.
 type Module = Vec<String>;
 
 /// A file that names an item of another file.
@@ -28,13 +28,14 @@ pub struct Import {
     pub from: String,
     /// The file that defines the item.
     pub to: String,
-    /// The file of the module through which the item is named, and which may re-export it.
+    /// The file of the module in the import's path, which may only re-export the item.
     pub by: String,
     /// The name of the item in that module.
     pub path: String,
 }
 
-/// All imports between the files below a folder, by their paths in it.
+/// Finds all imports between the files below a folder. Files are named by their paths in the
+/// folder.
 pub fn imports(folder: &Path) -> BTreeSet<Import> {
     let tree = Tree::read(folder);
     let mut imports = BTreeSet::new();
@@ -47,8 +48,7 @@ pub fn imports(folder: &Path) -> BTreeSet<Import> {
     imports
 }
 
-/// The string literals in the code of all files below a folder, with their files. Comments and
-/// tests are left out.
+/// Finds all string literals below a folder, each with its file. Ignores comments and tests.
 pub fn texts(folder: &Path) -> Vec<(String, String)> {
     let mut texts = Vec::new();
     for path in files(folder) {
@@ -68,7 +68,7 @@ fn add_texts(tokens: TokenStream, add: &mut dyn FnMut(String)) {
                 if inside.replace(' ', "") == "cfg(test)" {
                     of_test = true;
                 } else if of_test {
-                    // Skips the test's item, up to the end of its body.
+                    // Skip the test up to the end of its body in braces.
                     of_test = group.delimiter() != Delimiter::Brace;
                 } else if !inside.starts_with("doc ") {
                     add_texts(group.stream(), add);
@@ -100,8 +100,8 @@ pub fn files(folder: &Path) -> Vec<PathBuf> {
 struct File {
     name: String,
     syntax: syn::File,
-    /// For each name known in the module, the path of the item, and whether other modules may use
-    /// it from here.
+    /// For each name that the module's `use` declarations define, the path of the item, and whether
+    /// they re-export it.
     uses: BTreeMap<String, (Vec<String>, bool)>,
 }
 
@@ -128,14 +128,14 @@ impl Tree {
             }
             (module, File { name, syntax, uses })
         };
-        // Each binding is a separate crate.
+        // Ignore the bindings, which are separate crates.
         let bindings = folder.join("bindings");
         let modules = files(folder).into_iter().filter(|path| !path.starts_with(&bindings));
         Self { modules: modules.map(file).collect() }
     }
 
-    /// The module that defines the item of a path, and the module through which the path names it;
-    /// `None` for items of other crates.
+    /// Finds the module that defines an item, and the module that its path names. Returns `None`
+    /// for items of other crates.
     fn find(&self, here: &[String], path: &[String]) -> Option<[Module; 2]> {
         let (first, rest) = path.split_first()?;
         let start = match first.as_str() {
@@ -147,7 +147,7 @@ impl Tree {
             }
             name => {
                 let (used, _) = self.modules.get(here)?.uses.get(name)?;
-                // The path leads back to its own name, so it is a crate or a macro of this file.
+                // A name that leads to itself is the name of a crate, or a macro of this file.
                 return if used[0] == *name {
                     None
                 } else {
@@ -166,7 +166,7 @@ impl Tree {
             }
             rest = later;
         }
-        // A module inside a file belongs to that file.
+        // A module without its own file belongs to the file of its parent.
         while !self.modules.contains_key(&by) {
             by.pop()?;
         }
@@ -181,7 +181,7 @@ fn joined(module: &[String], child: &str) -> Module {
     module.iter().cloned().chain([child.to_owned()]).collect()
 }
 
-/// The leaves of a `use`: the local name and the path of each.
+/// The items of a `use` declaration: the local name and the path of each item.
 fn leaves(tree: &UseTree) -> Vec<(String, Vec<String>)> {
     match tree {
         UseTree::Path(path) => leaves(&path.tree)
@@ -220,7 +220,7 @@ impl Names<'_> {
         }
     }
 
-    /// A path in code; items that a private `use` has already named are skipped.
+    /// Adds a path in code, unless a private `use` has already named its item.
     fn mention(&mut self, path: &[String]) {
         if self.file.uses.get(&path[0]).is_none_or(|(_, public)| *public) {
             self.name(path);
@@ -289,7 +289,7 @@ impl<'ast> Visit<'ast> for Names<'_> {
     }
 }
 
-/// All names in a macro, with those joined by `::` as one path.
+/// Finds all names in a macro. Names that are joined by `::` form one path.
 fn paths(tokens: TokenStream) -> Vec<Vec<String>> {
     let mut paths: Vec<Vec<String>> = Vec::new();
     let mut colons = 0;

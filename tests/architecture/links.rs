@@ -1,11 +1,11 @@
-//! Checks that the links of pages work in a repository and in rustdoc.
+//! Checks that the links of Markdown pages work both in the repository and in rustdoc.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use super::source;
 
-/// Adds all Markdown files in a folder, and in the folders below it.
+/// Adds all Markdown files below a folder to `pages`.
 fn find_pages(folder: &Path, pages: &mut Vec<PathBuf>) {
     for entry in std::fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();

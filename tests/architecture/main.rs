@@ -1,5 +1,5 @@
-//! Checks that imports go one way: every room uses only those before it. Within a room, files may
-//! use each other.
+//! Checks that imports go one way. The source has several rooms in a fixed order, and a room may
+//! only use the rooms before it. Within a room, files may use each other.
 //!
 //! `cargo test --test architecture -- --nocapture` prints every import. `architecture/imports.rs`
 //! defines what counts as an import.
@@ -14,7 +14,7 @@ use std::path::PathBuf;
 
 use imports::Import;
 
-/// The rooms, each after the rooms that it may use.
+/// The rooms in their order. Each room may use the rooms before it.
 const ROOMS: [&str; 19] = [
     "grid",
     "system",
@@ -37,7 +37,7 @@ const ROOMS: [&str; 19] = [
     "main",
 ];
 
-/// The names of the imports from one file to another.
+/// For each pair of files, the names of the imports from the first to the second.
 type Ties<'a> = BTreeMap<[&'a str; 2], Vec<&'a str>>;
 
 fn ties(imports: &BTreeSet<Import>) -> Ties<'_> {
@@ -50,7 +50,7 @@ fn source() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("src")
 }
 
-/// The index of a file's room.
+/// The index of a file's room in [`ROOMS`].
 fn room_of(file: &str) -> Option<usize> {
     ROOMS.iter().position(|room| {
         file.strip_prefix(room).is_some_and(|rest| rest.starts_with('/') || rest.starts_with(".rs"))
@@ -93,23 +93,23 @@ fn the_program_and_the_bindings_use_nothing_of_the_library_but_its_facade() {
     for file in program.into_iter().chain(bindings) {
         let text = std::fs::read_to_string(&file).unwrap();
         assert!(!text.contains("internals"), "{}: uses what may change", file.display());
-        // A separate crate can use only its own modules this way, through `super`.
+        // In the bindings, which are separate crates, `crate::` names only their own modules.
         let own = file.starts_with(source().join("bindings"));
         assert!(own || !text.contains("crate::"), "{}: uses what is private", file.display());
     }
 }
 
-/// First words of lines that continue a sentence and cannot stand alone.
+/// Words with which the first line of a comment must not begin, because it cannot stand alone then.
 const GOING_ON: [&str; 18] = [
     "Of", "What", "The same", "As", "Its", "Their", "Those", "These", "They", "It", "That", "So",
     "Whose", "Who", "Which", "There", "Another", "Such",
 ];
 
-/// First words that say too little for the summary line of a public item.
+/// Words with which the summary of a public item must not begin, because it then says too little.
 const TOO_LITTLE: [&str; 6] =
     ["#", "In ", "All of them", "The other.", "How many there are", "How it "];
 
-/// Whether the item after the documentation is public.
+/// Whether the lines begin with the documentation of a public item.
 fn is_public<'a>(lines: impl IntoIterator<Item = &'a str>) -> bool {
     let mut lines = lines.into_iter().map(str::trim_start);
     lines
@@ -148,8 +148,8 @@ fn first_lines_of_docs_stand_alone() {
     assert!(going_on.is_empty(), "{going_on:#?}");
 }
 
-/// Functions of the standard library whose last bits differ between systems; `libm` has them for
-/// all. Pictures may differ by as little.
+/// Some functions of the standard library return different last bits on different systems. Code
+/// must use `libm` instead, except for pictures, whose last bits may differ.
 #[test]
 fn meshes_depend_on_no_function_that_systems_round_differently() {
     const NAMES: [&str; 22] = [
@@ -162,7 +162,7 @@ fn meshes_depend_on_no_function_that_systems_round_differently() {
         let is_exempt = ["bindings/", "surface/picture/"].iter().any(|room| file.starts_with(room))
             || file.ends_with("tests.rs");
         let text = std::fs::read_to_string(&path).unwrap();
-        // Tests may compare with the standard library.
+        // Ignore tests, which may compare results with the standard library.
         let code = text.split("\nmod tests").next().unwrap();
         for (line, number) in code.lines().zip(1..).filter(|_| !is_exempt) {
             let is_comment = line.trim_start().starts_with("//");

@@ -1,10 +1,10 @@
-//! Checks that manifests agree: packages that are published together have one version, one
-//! repository and one minimum Rust version.
+//! Checks that the packages that are published together have the same version, repository and
+//! minimum Rust version in their manifests.
 
 use std::fs;
 use std::path::Path;
 
-/// Manifests with their own version, and the key before it.
+/// Manifests with a version, each with the key of its version.
 const VERSIONED: [&str; 6] = [
     "Cargo.toml",
     "src/bindings/c/Cargo.toml",

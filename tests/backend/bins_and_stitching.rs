@@ -1,4 +1,5 @@
-//! Results that stay on a device, particles in bins and stitched meshes, equal those of the CPU.
+//! Tests of data that stay on a device, bins of particles and stitched meshes: they equal the
+//! CPU's.
 
 use std::sync::Arc;
 
@@ -34,7 +35,7 @@ fn open() -> Option<(Device, ValidationLog)> {
     device::open(&DeviceOptions::default()).map_err(device::skip).ok()
 }
 
-/// A device whose shaders see at most `bytes` of a buffer.
+/// Opens a device whose shaders can access at most `bytes` of a buffer at once.
 fn open_narrow(bytes: u64) -> Option<(Device, ValidationLog)> {
     let options = DeviceOptions { storage_range: Some(bytes), ..DeviceOptions::default() };
     device::open(&options).map_err(device::skip).ok()
@@ -46,7 +47,7 @@ fn assert_valid(log: &ValidationLog) {
 
 fn upload<T: Pod>(device: &Device, values: &[T]) -> Arc<Buffer> {
     let buffer = device.buffer(BufferKind::Upload, size_of_val(values) as u64).unwrap();
-    // SAFETY: the buffer is not shared yet.
+    // SAFETY: nothing else uses the new buffer yet.
     unsafe { buffer.write(0, values) };
     buffer
 }
@@ -59,11 +60,11 @@ fn download<T: Pod>(device: &Device, buffer: &Arc<Buffer>, count: usize) -> Vec<
     batch.copy(&buffer.part(0, bytes), &read.whole());
     batch.submit(&[]).unwrap();
     batch.wait().unwrap();
-    // SAFETY: the only batch that writes it is done.
+    // SAFETY: the only batch that writes the buffer has finished.
     unsafe { read.read(0, count) }
 }
 
-// Arithmetic.
+// Tests of the shaders' arithmetic.
 
 const ARITHMETIC: &str = "//! with wide float64
 struct Case {
@@ -103,8 +104,8 @@ fn arithmetic(@builtin(global_invocation_id) id: vec3<u32>) {
 }
 ";
 
-/// A number of any kind: random bits, few bits, near other numbers, near the middle between two
-/// numbers, tiny, huge or special.
+/// A random f64 of any kind: random bits, few bits, close to a simple number, close to the middle
+/// between two numbers, tiny, huge or special.
 fn number(random: &mut Random) -> f64 {
     const SPECIAL: [f64; 10] = [
         0.0,
@@ -213,9 +214,9 @@ fn emulated_f64_arithmetic_matches_the_cpu() {
     assert_valid(&log);
 }
 
-// Bins.
+// Tests of bins.
 
-/// Bins, each with its particles ordered by their bits.
+/// Bins whose particles are sorted by their bits, so that the order of threads does not matter.
 #[derive(Debug, PartialEq)]
 struct Sorted {
     keys: Vec<MortonKey>,
@@ -490,9 +491,9 @@ fn binning_without_enough_memory_fails_and_frees_its_buffers() {
     assert_valid(&log);
 }
 
-// Meshes.
+// Tests of meshes.
 
-/// A field of bumps in several blocks, and the surface in each.
+/// The surface of a bumpy field, in several blocks.
 fn surfaces(region: CellBox, iso: Isovalue, walls: Option<CellBox>, seed: u64) -> Vec<BlockMesh> {
     let mut random = Random::new(seed);
     let mut bumps: Vec<[f64; 5]> = (0..40)
@@ -545,7 +546,7 @@ fn surfaces(region: CellBox, iso: Isovalue, walls: Option<CellBox>, seed: u64) -
     meshes.filter(|mesh| !mesh.tiles.is_empty()).collect()
 }
 
-/// Positions and triangles from the device.
+/// Stitches a mesh on the device, and downloads its positions and triangles.
 fn stitched(
     device: &Device,
     meshes: &[BlockMesh],
@@ -592,7 +593,7 @@ fn stitching_on_the_device_gives_the_mesh_of_the_cpu() {
     let scenes = [
         (DVec3::ZERO, 1.0, IVec3::new(-40, -32, -70), IVec3::new(40, 37, 21), None),
         (DVec3::new(0.1, -7.3, 1e-3), 0.37, IVec3::new(-64, 0, 0), IVec3::new(32, 96, 64), None),
-        // Walls that are not on cell faces, near zero, and so small that their f32 is subnormal.
+        // Walls that are not on cell faces; walls near zero; cells so small that f32 is subnormal.
         (DVec3::new(0.3, 0.0, 0.1), 0.25, IVec3::splat(-40), IVec3::splat(48), Some(0.1)),
         (DVec3::ZERO, 1e-40, IVec3::splat(-33), IVec3::splat(35), Some(0.0)),
         (DVec3::new(1e38, -1e38, 0.0), 2e37, IVec3::splat(-20), IVec3::splat(20), None),

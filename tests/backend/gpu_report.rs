@@ -1,4 +1,4 @@
-//! Prints the devices and the milliseconds per stage, which `tools/gpu/run` adds to its report.
+//! Prints the devices and the milliseconds of each stage, for the report of `tools/gpu/run`.
 
 #[path = "../../tools/bench/backends.rs"]
 #[allow(dead_code, clippy::duplicate_mod, reason = "the benchmark uses its command line")]
@@ -26,7 +26,7 @@ fn stages() {
     assert!(same, "bytes differ");
 }
 
-/// The numbers in an environment variable, or default ones.
+/// Reads a list of numbers from an environment variable, or from `otherwise` if it is not set.
 fn list<T: FromStr<Err: Debug>>(variable: &str, otherwise: &str) -> Vec<T> {
     let text = env::var(variable).unwrap_or_else(|_| otherwise.to_owned());
     text.split(',').map(|number| number.parse().unwrap()).collect()

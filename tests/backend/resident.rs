@@ -1,4 +1,4 @@
-//! Resident frames, which stay on a device, equal those of the CPU, rounded to f32.
+//! Tests of resident frames, whose meshes stay on a device: they equal the CPU's, rounded to f32.
 
 #[path = "../../tools/examples/resident.rs"]
 mod example;
@@ -57,8 +57,8 @@ fn settings(sampling: &Sampling, surfacing: &Surfacing) -> DeviceRequest {
     }
 }
 
-/// A spacing, in cells: large enough that clouds have wide cells, small enough for the paper's
-/// indicators.
+/// A spacing in cells for each indicator: clouds need a large one to have wide cells, and the
+/// paper's indicators need a small one.
 fn spacing(indicator: IndicatorKind) -> f64 {
     if indicator == IndicatorKind::Cloud { 3.0 } else { 0.8 }
 }
@@ -74,8 +74,8 @@ fn resident_frames_match_the_cpu_for_all_indicators_filters_and_walls() {
     let pipeline = Pipeline::new(&device).unwrap();
     let input = [positions(&device, &particles)];
     for indicator in INDICATORS {
-        // Clouds are also tested in cells of a third of a spacing, where wide cells are twice as
-        // wide.
+        // Also test clouds in cells of a third of a spacing, with wide cells twice as wide as
+        // cells.
         let spacings = if indicator == IndicatorKind::Cloud { &[0.8, 3.0][..] } else { &[0.8] };
         for (detail, sigma, smooth) in [(Detail::Smoothed, 1.0, 1.6), (Detail::Recovered, 1.5, 2.5)]
         {
@@ -199,7 +199,7 @@ fn a_resident_frame_with_a_given_calibration_measures_nothing() {
 #[test]
 fn a_resident_frame_of_many_bins_has_the_calibration_of_the_cpu() {
     let Some((device, _)) = open() else { return };
-    // Drops with increasing numbers of particles, so that each bin would give a different mu0.
+    // Drops have different numbers of particles, so that the mean over some bins differs from mu0.
     let mut random = Random::new(23);
     let mut particles: Vec<[f64; 3]> = Vec::new();
     for drop in 0..300 {
@@ -236,7 +236,7 @@ fn shaders_that_check_every_index_give_the_same_mesh() {
     assert_eq!(log.messages(), [""; 0]);
 }
 
-/// A device with more than the default features, if there is one.
+/// Opens a device with optional features; `None` if no device has them.
 fn open_with(options: &DeviceOptions) -> Option<(Device, ValidationLog)> {
     match device::open(options) {
         Err(VulkanError::Unsuitable { device, lacks }) => {
@@ -264,7 +264,7 @@ fn another_device_reads_the_surface_from_exported_memory() {
     let input = [positions(&device, &particles)];
     let settings = settings(&sampling(), &surfacing());
     let between = |exchange: &Exchange<'_>| {
-        // SAFETY: there is no semaphore.
+        // SAFETY: the exchange has no semaphores, which are the only unsafe part.
         unsafe { pipeline.surface_between(&input, &settings, exchange) }
     };
     let small = [1, 2].map(|_| device.buffer(BufferKind::Device, 4).unwrap().whole());
@@ -326,7 +326,7 @@ fn the_resident_example_makes_the_mesh_of_the_cpu_on_its_own_device() {
         Err(why) => return device::skip(why),
     };
     let particles: Vec<[f32; 3]> = splashes(37).iter().map(|p| p.map(|x| x as f32)).collect();
-    // The example assumes that the spacing is one cell.
+    // The example `resident` uses a spacing of one cell.
     let sampling = Sampling { spacing: Some(1.0), ..sampling() };
     let (_, expected) = reconstruct(&particles[..], &sampling, &surfacing());
     assert!(example::surface_of(number, &particles, 1.0).unwrap() == rounded(&expected.mesh));
@@ -347,7 +347,7 @@ fn invalid_resident_frames_fail_with_a_reason_and_free_their_memory() {
     let iso = Some(Isovalue::new(0.9).unwrap());
     let above = DeviceRequest { surfacing: Surfacing { iso, ..surfacing() }, ..scene };
     assert!(matches!(surface(&[[0.0; 3]], &above), FrameError::NoSurface { .. }));
-    // Drops far smaller than cells lie between the cell centres.
+    // A drop that is far smaller than a cell lies between the cell centres, so it has no surface.
     let dust = DeviceRequest { indicator: IndicatorKind::Cloud, spacing: Some(0.05), ..scene };
     assert!(matches!(surface(&[[0.0; 3]], &dust), FrameError::NoDistanceSurface));
     let fine = DeviceRequest { spacing: Some(11.0), ..dust };

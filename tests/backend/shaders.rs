@@ -1,4 +1,5 @@
-//! Shader binaries and their Rust table match their sources, and every device can run them.
+//! Tests that the shaders' binaries and their Rust table match the sources, and that devices run
+//! them.
 
 use std::fs;
 use std::io::Write;

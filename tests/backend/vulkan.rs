@@ -1,5 +1,5 @@
-//! The Vulkan backend with validation: each stage and whole frames compared with the CPU, little
-//! memory, and failures.
+//! Tests of the Vulkan backend with validation: stages and frames equal the CPU's, also with little
+//! memory and after failures.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -37,8 +37,8 @@ use crate::compile;
 
 const DETAILS: [Detail; 2] = [Detail::Smoothed, Detail::Recovered];
 
-/// Runs a test on its own device, if there is one, and checks the validation log after all objects
-/// are freed.
+/// Runs a test on a new device, and checks the validation log after all objects are freed. Skips
+/// the test if there is no device.
 fn validated<T>(test: impl FnOnce(&Device) -> T) -> Option<T> {
     validated_with(&DeviceOptions::default(), test)
 }
@@ -95,7 +95,7 @@ fn blurring_on_the_device_matches_the_cpu_for_every_reach_and_wall() {
     });
 }
 
-/// A block on the device, and its samples after a blur.
+/// Blurs a block on the device. Returns the block and its samples.
 fn blurred_on(
     device: &Device,
     pipeline: &Arc<meniscus::internals::vulkan::ComputePipeline>,
@@ -135,7 +135,7 @@ fn validation_reports_a_missing_barrier() {
     };
     let pipeline = Arc::new(device.pipeline(&BLUR).unwrap());
     let weights = Weights::gaussian(Sigma::new(1.0).unwrap());
-    // The blur along the second axis no longer waits for the blur along the first axis.
+    // Remove a barrier, so that the blur along the second axis does not wait for the first axis.
     device.faults().barrier.store(2, Ordering::Relaxed);
     blurred_on(
         &device,
@@ -151,7 +151,7 @@ fn validation_reports_a_missing_barrier() {
     );
 }
 
-/// Cells with one, two, and very many particles, at corners and elsewhere.
+/// Particles with one, two or very many in a cell, at corners of cells and elsewhere.
 fn crowds() -> Vec<[f64; 3]> {
     let mut random = Random::new(5);
     let mut particles = splashes(5);
@@ -161,8 +161,8 @@ fn crowds() -> Vec<[f64; 3]> {
     particles
 }
 
-/// Compares the pages of [`crowds`] by every rule on a device and on the CPU. Returns the work of
-/// the device for each rule, and the total work.
+/// Compares the pages of [`crowds`] on a device and on the CPU, for every rule. Returns the work
+/// that the device did for each rule, and all work of a rule.
 fn compare_pages_on(device: &Backend, budget: MemoryBudget) -> (Vec<Work>, Work) {
     let particles = crowds();
     let grid = Grid::new(glam::DVec3::ZERO, 1.0).unwrap();
@@ -255,7 +255,7 @@ fn the_device_makes_the_mesh_of_the_cpu_in_one_batch_and_in_many() {
     validated(|device| {
         let vulkan = watched(device.clone()).unwrap();
         assert_same_surfaces(&vulkan, &particles, MemoryBudget(8 << 30), "in one batch");
-        // A quarter of the budget is for the device, and half of that for batches.
+        // The device gets a quarter of the budget, and batches get half of it, so 4 MiB.
         assert_same_surfaces(&vulkan, &particles, MemoryBudget(32 << 20), "in many batches");
     });
 }
@@ -272,8 +272,7 @@ fn assert_same_fields(one: &DifField, other: &DifField, what: &str) {
 
 #[test]
 fn a_resident_field_with_its_wide_and_inside_cells_matches_the_cpu() {
-    // Particles at rest, deep enough for an interior, with spray around them, and others in cells
-    // of every octant.
+    // Fluid that is deep enough for an interior, in all octants around the origin, and spray.
     let mut random = Random::new(11);
     let mut particles: Vec<[f64; 3]> = Vec::new();
     for at in
@@ -288,7 +287,7 @@ fn a_resident_field_with_its_wide_and_inside_cells_matches_the_cpu() {
             [BrickSide::Four, BrickSide::Eight, BrickSide::Sixteen].map(|side| (indicator, side))
         }) {
             let cells = [(0.3, true), (0.3, false), (0.6, false), (1.1, true)];
-            // The paper's indicators use cells that contain at least one particle.
+            // The paper's indicators need cells with at least one particle.
             let cells = if indicator == IndicatorKind::Cloud { &cells[..] } else { &cells[3..] };
             for &(cell_size, walls) in cells {
                 let grid = Grid::new(glam::DVec3::splat(0.1), cell_size).unwrap();
@@ -407,7 +406,7 @@ fn shaders_that_check_every_index_give_the_same_bytes() {
 
 #[test]
 fn batches_without_a_surface_do_not_change_other_batches() {
-    // The ball is so deep that a block has no surface. With a tiny budget, this block is its own
+    // The ball is so large that one block has no surface. With a tiny budget, this block alone is a
     // batch.
     let lattice =
         CellBox::cube(IVec3::splat(-1), 9).union(&CellBox::cube(IVec3::ZERO, 10)).cubes(1);
@@ -557,7 +556,7 @@ fn bundled_frames_have_the_same_mesh_on_the_device_and_the_cpu() {
 
 #[test]
 fn batches_with_too_many_vertices_are_emitted_again() {
-    // White noise has a vertex on nearly every second edge, far more than a fluid.
+    // Use white noise, which has a vertex on nearly every second edge, far more than a fluid.
     let cells = CellBox { lo: IVec3::splat(-32), hi: IVec3::splat(64) };
     let mut random = Random::new(3);
     let pages = cells.cubes(16).map(|bin| {
@@ -585,7 +584,8 @@ fn batches_with_too_many_vertices_are_emitted_again() {
     assert!(vertices > 6144 * regions.len(), "{vertices} in {} blocks", regions.len());
     validated(|device| {
         let vulkan = watched(device.clone()).unwrap();
-        // A large budget emits them at once, a small one in halves.
+        // With a large budget, the device emits all vertices again at once; with a small one, in
+        // halves.
         for budget in [budget, MemoryBudget(96 << 20)] {
             let frame = vulkan.executor().start(budget);
             assert!(contoured(&*frame, &surfaces, &regions) == expected);
@@ -600,7 +600,7 @@ struct Outcome {
     on_device: Work,
 }
 
-/// The scenes for failing calls.
+/// The scenes in which calls of the device are made to fail.
 #[derive(Debug, Clone, Copy)]
 enum Scene {
     /// An indicator of the paper, on a device that shares the host's memory.
@@ -626,7 +626,7 @@ impl Scene {
         DeviceOptions { shares_host_memory, ..DeviceOptions::default() }
     }
 
-    /// The expected mesh.
+    /// The expected mesh, made on the CPU.
     fn mesh(self) -> Mesh {
         reconstruct(&splashes(29)[..], &self.sampling(), &surfacing()).1.mesh
     }
@@ -640,14 +640,15 @@ impl Scene {
         Outcome { mesh, warnings: frame.warnings(), on_device: frame.on_device() }
     }
 
-    /// The work of the whole frame on the device; `None` without a device.
+    /// The work of a complete frame on the device; `None` without a device.
     fn whole_work(self) -> Option<Work> {
         let run = |device: &Device| self.frame_on(watched(device.clone()).unwrap()).on_device;
         validated_with(&self.options(), run)
     }
 
-    /// Makes the first call of a kind fail, then the second, and so on, until no call fails. Checks
-    /// each time that the mesh is right and nothing leaks. Returns the outcomes.
+    /// Runs a frame repeatedly: first the first call of a kind fails, then the second, and so on,
+    /// until no call fails. Checks each time that the mesh is right and nothing leaks. Returns the
+    /// outcomes.
     fn fail_each(self, fault: fn(&Faults) -> &AtomicU64) -> Vec<Outcome> {
         let expected = self.mesh();
         let mut failed = Vec::new();
@@ -686,8 +687,8 @@ fn any_failed_allocation_leaves_the_right_mesh_and_leaks_no_memory() {
                 "{scene:?}, call {call}: the device did not continue with less memory"
             );
         }
-        // The device also works without a field's reserve, and reports nothing: once for the cells,
-        // and once for the wide cells.
+        // A failed allocation of a field's reserve gives no warning, because the device works
+        // without it. This happens for the cells and for the wide cells.
         assert!((1..=2).contains(&silent), "{scene:?}: {silent} without a warning");
     }
 }
@@ -723,7 +724,8 @@ fn work_falsely_reported_complete_leaves_the_right_mesh_and_no_leak() {
                 "{scene:?}, call {call}: {warnings:?}"
             );
         }
-        // Work is an upload, a computation and a read-back. The failed read-back is reported.
+        // Each unit of work uploads, computes and reads back. A failure to read back gives a
+        // warning.
         let reported = failed.iter().filter(|outcome| !outcome.warnings.is_empty()).count();
         assert!(reported > failed.len() / 3, "{scene:?}: {reported} of {}", failed.len());
     }

@@ -1,21 +1,20 @@
-//! Runs tests that limit or measure the whole process in their own process.
+//! Runs a test in a separate process, if it limits or measures the whole process.
 
 use std::process::Command;
 
-/// Set in the child process to the name of the test that it runs.
+/// The environment variable that names the test to run in the child process.
 const ALONE: &str = "MENISCUS_TEST_ALONE";
 
 /// Runs `test` in a child process in which no other test runs.
 ///
-/// `name` is the test that calls this, by its path in the test program, such as
-/// `facade::no_threads`.
+/// `name` is the path of the calling test in its test program, such as `facade::no_threads`.
 #[track_caller]
 pub fn alone(name: &str, test: impl FnOnce()) {
     run(name, Command::new(std::env::current_exe().unwrap()), test);
 }
 
-/// Like [`alone`], in a process that a shell starts after the commands in `before`, such as
-/// `ulimit`.
+/// Does the same as [`alone`], but a shell starts the child process, after the commands in
+/// `before`, such as `ulimit`.
 #[cfg(unix)]
 #[track_caller]
 pub fn alone_after(before: &str, name: &str, test: impl FnOnce()) {
@@ -35,6 +34,6 @@ fn run(name: &str, mut program: Command, test: impl FnOnce()) {
     let [says, errors] =
         [&output.stdout, &output.stderr].map(|bytes| String::from_utf8_lossy(bytes));
     assert!(output.status.success(), "{}: {says}{errors}", output.status);
-    // A wrong name selects no test, which is a success to the harness.
+    // With a wrong name, the harness runs no test and reports success.
     assert!(says.contains("1 passed"), "no test is called {name}: {says}");
 }

@@ -1,8 +1,8 @@
-//! Particles with attributes, in memory.
+//! Particles in memory with attributes, for the tests.
 
 use meniscus::internals::particles::{AttributeInfo, Particles};
 
-/// Positions, and the values of attributes.
+/// The positions of particles, and their attributes.
 pub struct Attributed {
     positions: Vec<[f64; 3]>,
     pub attributes: Vec<AttributeInfo>,
@@ -16,7 +16,7 @@ impl Attributed {
         Self { positions, attributes: Vec::new(), values: Vec::new() }
     }
 
-    /// Adds an attribute, computed from a particle's number and position.
+    /// Adds an attribute, whose value is a function of a particle's number and position.
     pub fn with<const N: usize>(
         mut self,
         name: &str,

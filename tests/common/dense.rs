@@ -1,8 +1,8 @@
-//! The oracle: METHOD.md on one dense array, as simple as possible.
+//! The oracle: implements METHOD.md on one dense array, as simply as possible.
 //!
-//! It is implemented twice: in the integers that the sparse field must equal to the bit, and in f64
-//! as the method is written. It uses none of the library's stages; only the marching-cubes table is
-//! shared, which has its own tests.
+//! There are two implementations. One uses the same integers as the sparse field, which must be
+//! equal to the bit. The other uses f64, as METHOD.md describes. The oracle shares no code with the
+//! library except the marching-cubes table, which has its own tests.
 
 use std::collections::BTreeMap;
 
@@ -12,12 +12,12 @@ use meniscus::internals::field::recipe::Detail;
 use meniscus::internals::grid::CellBox;
 use meniscus::internals::surface::dual_mc::cases::TABLE;
 
-/// The input of the oracle. Cells have edge 1, and the grid's origin is 0.
+/// The settings of the oracle. Cells have edge 1, and the grid's origin is 0.
 pub struct Method {
     pub indicator: Indicator,
     pub sigma: f64,
     pub detail: Detail,
-    /// The isovalue in 1 / 65535.
+    /// The isovalue, in units of 1 / 65535.
     pub iso: f64,
     pub walls: Option<CellBox>,
 }
@@ -53,14 +53,15 @@ impl<T: Copy + Default> Dense<T> {
         })
     }
 
-    /// The value of the cell in the box that is nearest to `cell`.
+    /// The value of the box's cell that is nearest to `cell`.
     pub fn nearest(&mut self, cell: IVec3) -> &mut T {
         let (local, size) =
             (cell.clamp(self.cells.lo, self.cells.hi - 1) - self.cells.lo, self.cells.size());
         &mut self.values[(local.x + size.x * (local.y + size.y * local.z)) as usize]
     }
 
-    /// Zero outside of the box, unless the box has walls: then the edge cell is repeated.
+    /// The value of a cell. Outside of the box, this is 0, or with walls the value of the nearest
+    /// cell of the box.
     pub fn at(&self, cell: IVec3, walls: Option<CellBox>) -> T {
         let cell =
             if walls.is_some() { cell.clamp(self.cells.lo, self.cells.hi - 1) } else { cell };
@@ -72,7 +73,8 @@ impl<T: Copy + Default> Dense<T> {
     }
 }
 
-/// Half of a filter's mask, centre first, with sum 1: the Gaussian of section 4.2.
+/// Half of the mask of the Gaussian of section 4.2, from the centre outwards. The full mask has sum
+/// 1.
 pub fn gaussian(sigma: f64) -> Vec<f64> {
     let taps = 3.max(2 * (3.0 * sigma).floor() as i32 - 1);
     let weight = |k: i32| (-f64::from(k * k) / (2.0 * sigma * sigma)).exp();
@@ -91,7 +93,7 @@ impl Method {
         self.indicator.mean().map_or(f64::NAN, |mean| mean.particles())
     }
 
-    /// All cells that the field can reach, or the cells between the walls.
+    /// The cells between the walls, or else all cells in which the field may not be 0.
     fn cells(&self, particles: &[[f64; 3]]) -> CellBox {
         self.walls.unwrap_or_else(|| {
             let reach = 2 * gaussian(self.sigma).len() as i32 + 2;
@@ -114,7 +116,7 @@ impl Method {
         by_cell
     }
 
-    /// The field in f64.
+    /// Computes the field in f64.
     pub fn real(&self, particles: &[[f64; 3]]) -> Dense<f64> {
         let by_cell = self.particles_by_cell(particles);
         let cells = self.cells(particles);
@@ -159,7 +161,7 @@ impl Method {
         }
     }
 
-    /// The field in the integers of the design: offsets of 13 bits, theta of 16.
+    /// Computes the field in the library's integers: offsets of 13 bits, and theta of 16 bits.
     pub fn integer(&self, particles: &[[f64; 3]]) -> Dense<u16> {
         let by_cell = self.particles_by_cell(particles);
         let cells = self.cells(particles);
@@ -217,7 +219,8 @@ impl Method {
     }
 }
 
-/// The order of cells in a mesh: tiles of 4^3 along the Morton curve, with x fastest in a tile.
+/// A key that sorts cells as in a mesh: tiles of 4^3 cells along the Morton curve, and in a tile x
+/// first.
 fn order_of(cell: IVec3) -> (u64, i32) {
     let tile = (cell.div_euclid(IVec3::splat(4)) + (1 << 20)).to_array();
     let mut morton = 0;
@@ -230,9 +233,9 @@ fn order_of(cell: IVec3) -> (u64, i32) {
     (morton, local.x + 4 * local.y + 16 * local.z)
 }
 
-/// Marching cubes over a whole dense field with isovalue `c`, in the field's unit.
+/// Meshes a dense field by marching cubes. The isovalue `c` is in the field's unit.
 pub fn mesh(field: &Dense<f64>, c: f64, walls: Option<CellBox>) -> (Vec<[f64; 3]>, Vec<[u32; 3]>) {
-    // Ghost points beyond the walls are outside; without walls the field is 0 there.
+    // Beyond the box, all cells are outside: there are walls, or the field is 0.
     let inside = |cell: IVec3| field.cells.contains(cell) && field.at(cell, None) > c;
     let dual = Dense::<u8>::new(field.cells.grown(1, 0), |_| 0)
         .iter()

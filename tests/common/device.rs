@@ -1,5 +1,5 @@
-//! The Vulkan device of the tests. Everything is validated, and the tests check that work really
-//! runs on the device.
+//! The Vulkan device of the tests. The validation layers check all calls, and the tests check that
+//! work really runs on the device.
 
 use std::cell::RefCell;
 use std::fmt::Display;
@@ -19,7 +19,7 @@ use meniscus::internals::vulkan::{
     VulkanError,
 };
 
-/// Runs frames on a device. The test fails if any work is not done there, or falls back to the CPU.
+/// A backend that runs frames on a device. The test fails if any work falls back to the CPU.
 pub fn watched(device: Device) -> Result<Backend, VulkanError> {
     Ok(Backend::of(Watched(Vulkan::new(device)?)))
 }
@@ -52,7 +52,7 @@ struct WatchedStages {
 }
 
 impl WatchedStages {
-    /// Fails unless the device did exactly the work since the last check, which is `more`.
+    /// Fails unless the device has done exactly the work `more` since the last check.
     fn assert_done(&self, more: Work) {
         let mut asked = self.asked.lock().unwrap();
         asked.pages += more.pages;
@@ -102,7 +102,7 @@ impl Stages for WatchedStages {
     }
 }
 
-/// All surfaces through some regions.
+/// Meshes several regions of a field on the backend.
 pub fn contoured(
     stages: &dyn Stages,
     surfaces: &Surfaces<'_>,
@@ -123,13 +123,15 @@ pub fn contoured(
     all
 }
 
-/// Validation layers before 1.4.304 look up the instances and devices of a process in one table, in
-/// every call and without a lock (issue 4391 of Vulkan-ValidationLayers): no thread may make a call
-/// while another makes or frees an instance or a device. So tests with devices of their own run
-/// alone, and those on the shared device beside each other.
+/// Works around a bug in validation layers before 1.4.304 (issue 4391 of Vulkan-ValidationLayers):
+/// every call reads a table of instances and devices without a lock. So while a thread creates or
+/// frees an instance or a device, no other thread may make a call. Tests that open a device lock
+/// this for writing, and run alone. Tests on the shared device lock it for reading, and run in
+/// parallel.
 static LAYER: RwLock<()> = RwLock::new(());
 
-/// How a thread holds `LAYER`, to its end: a test frees its devices before that.
+/// How a thread has locked `LAYER`. The lock lasts until the thread ends, after the test has freed
+/// its devices.
 #[derive(Default)]
 #[allow(dead_code, reason = "guards are only held")]
 enum Held {
@@ -145,15 +147,16 @@ thread_local! {
 
 fn hold_alone() {
     if !HELD.with_borrow(|held| matches!(held, Held::Alone(_))) {
-        // Two threads that both keep theirs would wait for each other.
+        // Release a read lock first: two threads with read locks would wait for each other.
         HELD.take();
         HELD.set(Held::Alone(LAYER.write().unwrap_or_else(PoisonError::into_inner)));
     }
 }
 
-/// The device to test: the one that `MENISCUS_TEST_DEVICE` names, or the best. If
-/// `MENISCUS_REQUIRE_VULKAN` is `gpu` or `any`, the validation layer is optional; for `gpu`, a
-/// device that computes on the CPU fails the test. From here on, the test runs alone.
+/// Chooses the device to test: the device that `MENISCUS_TEST_DEVICE` names, or the best device.
+///
+/// From this call on, the test runs alone. If `MENISCUS_REQUIRE_VULKAN` is `gpu` or `any`, the
+/// validation layer is optional. If it is `gpu`, a device that computes on the CPU fails the test.
 pub fn chosen() -> Result<(Arc<Instance>, DeviceInfo), VulkanError> {
     hold_alone();
     let demanded = std::env::var("MENISCUS_REQUIRE_VULKAN").unwrap_or_default();
@@ -183,15 +186,16 @@ pub fn open(options: &DeviceOptions) -> Result<(Device, ValidationLog), VulkanEr
     Ok((Device::open(&instance, &choice, options)?, instance.log()))
 }
 
-/// One watched device for all tests of a file. Validation errors so far fail the test that calls
-/// this. A test must not have a device of its own as well.
+/// Returns a device that all tests of a file share, and that fails a test if work falls back to the
+/// CPU. Also fails the calling test if there are validation errors. A test with the shared device
+/// must not open another.
 pub fn shared() -> Result<Backend, &'static VulkanError> {
     static SHARED: OnceLock<Result<(Backend, ValidationLog), VulkanError>> = OnceLock::new();
     let open_watched = || {
         let (device, log) = open(&DeviceOptions::default())?;
         Ok((watched(device)?, log))
     };
-    // The thread that opens it may wait for this one.
+    // Release this thread's lock first: the thread that opens the device may wait for it.
     HELD.take();
     let opened = SHARED.get_or_init(open_watched);
     HELD.set(Held::Shared(match HELD.take() {
@@ -203,14 +207,14 @@ pub fn shared() -> Result<Backend, &'static VulkanError> {
     Ok(backend.clone())
 }
 
-/// Reports that the calling test is skipped because there is no device, or fails it if
-/// `MENISCUS_REQUIRE_VULKAN` requires one.
+/// Prints that the calling test is skipped because there is no device. Fails the test if
+/// `MENISCUS_REQUIRE_VULKAN` requires a device.
 pub fn skip(why: impl Display) {
     assert!(
         std::env::var_os("MENISCUS_REQUIRE_VULKAN").is_none(),
         "a Vulkan device is demanded: {why}"
     );
     let thread = std::thread::current();
-    // Not through the harness, which hides the output of tests that pass.
+    // Write to stderr directly, because the harness hides what passing tests print.
     let _ = writeln!(io::stderr(), "skipped: {}: {why}", thread.name().unwrap_or("a test"));
 }

@@ -1,8 +1,9 @@
-//! The oracle of distances from clouds: the formulas on one dense array, as simple as possible, in
-//! the integers that the sparse field must equal to the bit, and in f64.
+//! The oracle of the distances from clouds: implements the formulas on one dense array, as simply
+//! as possible.
 //!
-//! It shares only the committed tables with the library. Cells have edge 1 and the grid's origin is
-//! 0.
+//! There are two implementations: in the library's integers, which must be equal to the bit, and in
+//! f64. The oracle shares only the committed tables with the library. Cells have edge 1, and the
+//! grid's origin is 0.
 
 use glam::{DVec3, IVec3};
 use meniscus::internals::field::distance::{AWAY, DEPTHS};
@@ -10,7 +11,7 @@ use meniscus::internals::grid::CellBox;
 
 use super::dense::Dense;
 
-/// The input of the oracle.
+/// The settings of the oracle.
 pub struct Distances {
     /// The spacing in cells.
     pub spacing: f64,
@@ -21,47 +22,49 @@ pub struct Distances {
     pub walls: Option<CellBox>,
 }
 
-/// Units per spacing, and the sample of distance 0.
+/// Units of a sample per spacing, and the sample that means distance 0.
 pub const UNITS: f64 = 8192.0;
 pub const ZERO: f64 = 32768.0;
 
 /// Minimum edge of a wide cell, in spacings.
 const LEAST_WIDE: f64 = 0.55;
-/// The three widths relative to the smoothing width, with the minimum variances and the cutoffs of
-/// their masks.
+/// The three widths relative to the smoothing width, each with the minimum variance of its mask.
+/// Masks are cut off at `CUT` standard deviations.
 const WIDTHS: [(f64, f64); 3] = [(0.625, 0.35), (1.0, 0.85), (1.5, 1.75)];
 const CUT: f64 = 2.2;
-/// The variance of the mask that averages the distance between both surfaces.
+/// The variance of the mask that averages the distance between the fine and the calm surface.
 const AROUND: f64 = 0.5625;
 const AROUND_CUT: f64 = 1.7;
 /// Minimum variance of all other masks.
 const LEAST_VARIANCE: f64 = 0.35;
-/// Maximum measurable depth of a width, and the maximum distance between both surfaces, in
-/// spacings.
+/// Maximum depth that a width can measure, and maximum distance between the fine and the calm
+/// surface, in spacings.
 const DEEPEST: f64 = 2.5;
 const FARTHEST_APART: f64 = 1.0;
-/// Distances between both surfaces at which noise ends and shape begins, and the depth from which
-/// the fine surface is not used.
+/// The distance between the fine and the calm surface, from where it is only noise to where it is
+/// shape; and the depths between which the fine surface is faded out. In spacings.
 const APART: [f64; 2] = [0.07, 0.14];
 const DEEP: [f64; 2] = [0.3, 0.9];
-/// Distances outside of the calm surface at which a particle begins to stand out, and stands out
-/// fully.
+/// Distances from the calm surface, outwards in spacings, at which a particle begins to stand out,
+/// and at which it stands out fully.
 const STANDS_OUT: [f64; 2] = [0.4, 1.0];
-/// The share of a particle that makes a wide cell count as containing its centre, as one over this.
+/// A wide cell counts as containing a particle if it has at least 1 / `PARTS` of its cloud.
 const PARTS: f64 = 9.0;
-/// Bits that wide cells gain by a width.
+/// Number of bits of precision that wide cells gain when a width is blurred.
 const GAIN: u32 = 2;
 /// The variance of the spline that interpolates wide cells, in squared wide cells.
 const SPLINE: f64 = 0.25;
-/// The width of a drop, its cutoff, its radius, and by how much the radius is smaller in coarse
-/// cells, refined or not.
+/// The width of a drop, the cutoff of its mask, and its radius. In coarse cells, `LESS_RADIUS`
+/// divided by the squared spacing in cells is subtracted from the radius, without and with
+/// refinement.
 const DROP: f64 = 0.6;
 const DROP_CUT: f64 = 2.6;
 const DROP_RADIUS: f64 = 0.55;
 const LESS_RADIUS: [f64; 2] = [0.29, 0.41];
 const LEAST_RADIUS: f64 = 0.38;
 
-/// Half of a Gaussian mask with this variance and cutoff, centre first, with sum 1.
+/// Half of a Gaussian mask with this variance and cutoff, from the centre outwards. The full mask
+/// has sum 1.
 fn gaussian(variance: f64, cut: f64) -> Vec<f64> {
     let reach = (cut * variance.sqrt()).round().max(1.0) as i32;
     let mask = |square: f64| -> Vec<f64> {
@@ -78,12 +81,12 @@ fn gaussian(variance: f64, cut: f64) -> Vec<f64> {
     mask(below)
 }
 
-/// The variance of a mask.
+/// The variance of a mask, of which `half` is one half.
 fn second(half: &[f64]) -> f64 {
     2.0 * (0_u32..).zip(half).map(|(k, weight)| f64::from(k * k) * weight).sum::<f64>()
 }
 
-/// A mask in 65536ths.
+/// Rounds the weights of a mask to integers, in units of 1 / 65536.
 fn integers(half: &[f64]) -> Vec<u64> {
     let mut weights: Vec<u64> =
         half.iter().map(|weight| (weight * 65536.0).round() as u64).collect();
@@ -91,19 +94,19 @@ fn integers(half: &[f64]) -> Vec<u64> {
     weights
 }
 
-/// The width of the clouds after a mask; clouds alone have a variance of a quarter of a squared
-/// cell.
+/// The standard deviation of clouds after a mask with this variance. Clouds have a variance of 0.25
+/// squared cells themselves.
 fn width(variance: f64) -> f64 {
     (variance + 0.25).sqrt()
 }
 
-/// The same for a mask in 65536ths.
+/// The same as [`width`], for a mask in units of 1 / 65536.
 fn integer_width(half: &[u64]) -> f64 {
     let moments = (0_u64..).zip(half).map(|(k, weight)| k * k * weight);
     width(2.0 * moments.sum::<u64>() as f64 / 65536.0)
 }
 
-/// Blurs along each axis; the gain of bits happens along the last.
+/// Blurs a field along each axis. The blur along the last axis adds `gain` bits of precision.
 fn blur(field: &Dense<u16>, half: &[u64], gain: u32, walls: Option<CellBox>) -> Dense<u16> {
     (0..3).fold(field.clone(), |field, axis| {
         let shift = if axis == 2 { 16 - gain } else { 16 };
@@ -126,7 +129,7 @@ fn looked_up(table: impl Fn(usize) -> i64, share: i64, bits: u32) -> i64 {
     low + ((((table(at + 1) - table(at)) << bits) * between) >> 5)
 }
 
-/// 3 x^2 - 2 x^3 in 4096ths, between two values in spacings.
+/// The step 3 x^2 - 2 x^3 in units of 1 / 4096, between two values in spacings.
 fn passed(value: i64, [begin, end]: [f64; 2]) -> i64 {
     let (begin, range) = (units(begin), units(end) - units(begin));
     let slope = ((1_i64 << 28) + range - 1) / range;
@@ -138,17 +141,17 @@ fn units(spacings: f64) -> i64 {
     (spacings * UNITS).round() as i64
 }
 
-/// Distance in wide cells from a particle within which there can be a surface.
+/// The surface is at most this many wide cells from a particle.
 fn near(edge: f64) -> i32 {
     (1.0 / edge).round().max(1.0) as i32
 }
 
-/// The amount that a particle adds, from the spacing in cells.
+/// The integer that represents one particle in a field of clouds, for a spacing in cells.
 pub fn amount(spacing: f64) -> u64 {
     ((32768.0 / (8.0 / spacing.powi(3)).max(1.0)) as u64).max(4)
 }
 
-/// The clouds of particles, each with this amount.
+/// The field of the particles' clouds. Each particle adds `amount` in total.
 pub fn clouds(
     particles: &[[f64; 3]],
     cells: CellBox,
@@ -162,7 +165,8 @@ pub fn clouds(
     {
         let cell = particle.floor().as_ivec3();
         let offset = particle - cell.as_dvec3();
-        // Shares by distance from the cell; a share beyond a wall goes to the cell before it.
+        // Divide the amount among three cells along each axis, by their distance. A share beyond a
+        // wall goes to the cell before the wall.
         let shares = [0, 1, 2].map(|axis: usize| {
             let twice = 2 * (offset[axis] * 8192.0).floor() as u64 + 1;
             let [below, above] = [16384 - twice, twice].map(|length| length * length / 8192);
@@ -185,7 +189,7 @@ pub fn clouds(
     Dense { cells, values: sums.values.iter().map(|&sum| sum.min(65535) as u16).collect() }
 }
 
-/// Sums into cells twice as wide, with a factor in 65536ths.
+/// Sums a field into cells twice as wide, and multiplies by a factor in units of 1 / 65536.
 fn halved(field: &Dense<u16>, walls: Option<CellBox>, factor: u64) -> Dense<u16> {
     let cells = CellBox { lo: field.cells.lo >> 1, hi: (field.cells.hi + 1) >> 1 };
     Dense::new(cells, |wide| {
@@ -210,11 +214,12 @@ impl Distances {
         wide
     }
 
-    /// The cells between the walls, or all that the field can reach, in whole wide cells.
+    /// The cells between the walls, or else all cells that the field can reach. Wide cells are
+    /// always complete.
     fn cells(&self, particles: &[[f64; 3]]) -> CellBox {
         self.walls.unwrap_or_else(|| {
-            // A surface is near a particle, and its values are averaged around it; splines reach
-            // one cell further.
+            // Add the distance of a surface from a particle, the reach of the mask that averages
+            // values, and one cell for the spline.
             let (level, edge) = self.wide();
             let reach = (near(edge) + self.around(edge).len() as i32 + 2) << level;
             let around = particles
@@ -227,7 +232,7 @@ impl Distances {
         })
     }
 
-    /// The masks of the three widths, from the edge of a wide cell.
+    /// The masks of the three widths, for wide cells with this edge in spacings.
     fn widths(&self, edge: f64) -> [Vec<f64>; 3] {
         WIDTHS.map(|(times, least)| {
             let cells = times * self.smooth / edge;
@@ -235,22 +240,23 @@ impl Distances {
         })
     }
 
-    /// The mask that averages the distance between both surfaces.
+    /// The mask that averages the distance between the fine and the calm surface.
     fn around(&self, edge: f64) -> Vec<f64> {
         gaussian((AROUND * self.smooth / edge).powi(2).max(LEAST_VARIANCE), AROUND_CUT)
     }
 
-    /// The variance that the spline from wide cells adds to a width of 0, in squared spacings.
+    /// The variance that the spline between wide cells adds, in squared spacings.
     fn spline(&self, edge: f64) -> f64 {
         if self.wide().0 > 0 { SPLINE / 2.0 * edge * edge } else { 0.0 }
     }
 
-    /// The field; wide cells in `inside` are inside by definition.
+    /// Computes the field in the library's integers. Wide cells for which `inside` holds are inside
+    /// without computation.
     pub fn integer(&self, particles: &[[f64; 3]], inside: impl Fn(IVec3) -> bool) -> Dense<u16> {
         let (level, edge) = self.wide();
         let cells = self.cells(particles);
         let fine = clouds(particles, cells, self.walls, amount(self.spacing));
-        // Clouds at every level, with the walls at that level.
+        // Clouds at every level of wide cells, each with the walls in cells of that level.
         let mut clouds = vec![(fine, self.walls)];
         for level in 0..level {
             let of = |level: u32| amount(self.spacing / f64::from(1 << level)) as f64;
@@ -264,8 +270,8 @@ impl Distances {
         let (wide, walls) = clouds.last().expect("there is one at level 0");
         let (bulk, outlying) = self.bulk(wide, *walls, edge, inside);
         let [bulk, outlying] = [bulk, outlying].map(|field| refined(&field, level, cells, *walls));
-        // Drops are computed in cells half as wide as wide cells, if these are wider than the
-        // grid's.
+        // Compute drops in cells half as wide as wide cells, or in the grid's cells if these are as
+        // wide.
         let level = level.max(1) - 1;
         let (fine, walls) = &clouds[level as usize];
         let drops = Drops::new(self.spacing / f64::from(1 << level), level > 0);
@@ -273,8 +279,8 @@ impl Distances {
         drops.joined(&shares, &bulk, &outlying)
     }
 
-    /// The surface of the bulk in wide cells, and how far particles lie outside of the calm surface
-    /// nearby.
+    /// Computes the distance from the surface of the bulk in wide cells, and how far particles
+    /// nearby are outside of the calm surface.
     fn bulk(
         &self,
         wide: &Dense<u16>,
@@ -346,7 +352,7 @@ impl Distances {
 
 /// The surface around single particles and small groups.
 struct Drops {
-    /// The spacing in cells, and the masks.
+    /// The spacing in cells.
     spacing: f64,
     around: Vec<f64>,
     spread: Vec<f64>,
@@ -354,7 +360,8 @@ struct Drops {
 }
 
 impl Drops {
-    /// For a spacing in cells, refined or not.
+    /// Creates the masks for a spacing in cells. `refined` says whether a spline refines the
+    /// result.
     fn new(spacing: f64, refined: bool) -> Self {
         let variance = (DROP * spacing).powi(2) - 0.25;
         let spline = if refined { SPLINE } else { 0.0 };
@@ -367,7 +374,7 @@ impl Drops {
         }
     }
 
-    /// Bits that the averages gain, and bits of a share.
+    /// Number of bits of precision that averages gain, and number of bits of a share.
     fn bits(&self) -> (u32, u32) {
         let amount = amount(self.spacing) as f64;
         let alone = amount
@@ -379,7 +386,7 @@ impl Drops {
         (gain, doublings(27.0 / 64.0 * amount / (alone * 2_f64.powi(gain as i32)), 49152.0))
     }
 
-    /// The share of clouds in their averaged surroundings, spread.
+    /// Computes each cell's share of the clouds around it, and blurs the shares.
     fn shares(&self, clouds: &Dense<u16>, walls: Option<CellBox>) -> Dense<u16> {
         let (gain, bits) = self.bits();
         let around = blur(clouds, &integers(&self.around), gain, walls);
@@ -390,7 +397,7 @@ impl Drops {
         blur(&shares, &integers(&self.spread), (15 + gain).saturating_sub(bits).min(15), walls)
     }
 
-    /// Joins the surfaces of the bulk, and of drops where particles stand out.
+    /// Joins the surface of the bulk with the surface of drops, where particles stand out.
     fn joined(&self, shares: &Dense<u16>, bulk: &Dense<u16>, outlying: &Dense<u16>) -> Dense<u16> {
         let width = units(integer_width(&integers(&self.around)) / self.spacing);
         Dense::new(shares.cells, |cell| {
@@ -407,7 +414,8 @@ impl Drops {
     }
 }
 
-/// The quadratic B-spline with the wide cells as control points, at the centres of cells.
+/// Interpolates wide cells at the centres of cells, by a quadratic B-spline whose control points
+/// are the wide cells.
 fn refined(wide: &Dense<u16>, level: u32, cells: CellBox, walls: Option<CellBox>) -> Dense<u16> {
     if level == 0 {
         return wide.clone();
@@ -435,7 +443,7 @@ fn refined(wide: &Dense<u16>, level: u32, cells: CellBox, walls: Option<CellBox>
 pub fn quantile(share: f64) -> f64 {
     let share = share.clamp(0.0002, 0.9998);
     let density = |z: f64| (-z * z / 2.0).exp() / std::f64::consts::TAU.sqrt();
-    // The distribution as a series around 0.
+    // The distribution function, as a series around 0.
     let below = |z: f64| {
         let next = |(term, k): (f64, f64)| (term * z * z / (2.0 * k + 1.0), k + 1.0);
         let terms = std::iter::successors(Some((z, 1.0)), |&term| Some(next(term)));
@@ -444,8 +452,8 @@ pub fn quantile(share: f64) -> f64 {
     (0..12).fold(0.0, |z, _| z + (share - below(z)) / density(z))
 }
 
-/// The distance from the centre of a standard normal density at which it has this share of its
-/// maximum, with the cutoff of the committed table.
+/// The distance from the centre at which the standard normal density has this share of its maximum,
+/// with the cutoff of the committed table.
 pub fn away(share: f64) -> f64 {
     (-2.0 * share.clamp(0.0001, 1.0).ln()).sqrt()
 }
@@ -459,7 +467,7 @@ fn b_spline(x: f64) -> f64 {
     }
 }
 
-/// 3 x^2 - 2 x^3 between two values.
+/// The step 3 x^2 - 2 x^3 between two values.
 fn risen(value: f64, [begin, end]: [f64; 2]) -> f64 {
     let x = ((value - begin) / (end - begin)).clamp(0.0, 1.0);
     x * x * (3.0 - 2.0 * x)
@@ -504,7 +512,8 @@ fn really_refined(
 }
 
 impl Distances {
-    /// Particles in each cell at every level, with the walls there, clamped to a sample's maximum.
+    /// The clouds at every level in f64, each with the walls at that level. A value is the number
+    /// of particles in a cell, clamped to the maximum of an integer sample.
     fn real_clouds(&self, particles: &[[f64; 3]]) -> Vec<(Dense<f64>, Option<CellBox>)> {
         let told = |level: u32, cloud: Dense<f64>| {
             let most = 65535.0 / amount(self.spacing / f64::from(1 << level)) as f64;
@@ -543,8 +552,8 @@ impl Distances {
         clouds
     }
 
-    /// Particles per cubed spacing under the narrowest width, in f64, in wide cells 2^level as wide
-    /// as cells.
+    /// Computes the density of wide cells in f64, blurred with the narrowest width, in particles
+    /// per cubed spacing. Also returns the level: wide cells are 2^level times as wide as cells.
     pub fn density(&self, particles: &[[f64; 3]]) -> (Dense<f64>, u32) {
         let (level, edge) = self.wide();
         let (wide, walls) = self.real_clouds(particles).pop().expect("there is one at level 0");
@@ -554,7 +563,7 @@ impl Distances {
         (Dense { cells: smooth.cells, values }, level)
     }
 
-    /// The field in f64, in spacings; -4 far from all particles.
+    /// Computes the field in f64: the distance in spacings, or -4 far from all particles.
     pub fn real(&self, particles: &[[f64; 3]]) -> Dense<f64> {
         let (level, edge) = self.wide();
         let cells = self.cells(particles);
@@ -582,15 +591,15 @@ impl Distances {
         })
     }
 
-    /// The surface of the bulk, and how far particles lie outside of the calm surface nearby, both
-    /// plus 4; 0 far from all particles.
+    /// Computes the distance from the surface of the bulk, and how far particles nearby are outside
+    /// of the calm surface. 4 is added to both, and they are 0 far from all particles.
     fn real_bulk(
         &self,
         wide: &Dense<f64>,
         walls: Option<CellBox>,
         edge: f64,
     ) -> (Dense<f64>, Dense<f64>) {
-        // The sample of a wide cell deep in the fluid, with the gain.
+        // The plateau is the sample of a wide cell deep in the fluid, with the gained bits.
         let plateau = f64::from(self.plateau) / (f64::from(1 << GAIN) * amount(1.0 / edge) as f64);
         let depths = self.widths(edge).map(|half| {
             let width = width(second(&half)) * edge;

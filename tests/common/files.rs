@@ -1,4 +1,5 @@
-//! Files of the tests: sample data, particles and surfaces as bytes, and the content of folders.
+//! Files for the tests: the data in `tests/data`, particles and meshes as bytes, contents of
+//! folders.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -13,7 +14,7 @@ pub fn data(path: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data").join(path)
 }
 
-/// Particles as a `.xyz` file of numbers: an f32 for each coordinate, little-endian.
+/// Particles as a binary `.xyz` file: a little-endian f32 for each coordinate.
 pub fn raw<T: Copy + Into<f64>>(particles: &[[T; 3]]) -> Vec<u8> {
     particles.iter().flatten().flat_map(|&x| (x.into() as f32).to_le_bytes()).collect()
 }
@@ -39,7 +40,7 @@ pub fn bytes_of(surface: &Surface) -> Vec<u8> {
     fs::read(path).unwrap()
 }
 
-/// The names of a folder's entries, in order.
+/// The sorted names of a folder's entries.
 pub fn names(folder: &Path) -> Vec<String> {
     let mut names: Vec<_> = fs::read_dir(folder)
         .unwrap()
@@ -49,7 +50,7 @@ pub fn names(folder: &Path) -> Vec<String> {
     names
 }
 
-/// The bytes of every file below a folder, by its path in the folder, with slashes.
+/// The bytes of every file below a folder. The key is the file's path in the folder, with slashes.
 pub fn tree(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     let mut files = BTreeMap::new();
     for name in names(folder) {

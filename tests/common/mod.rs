@@ -1,4 +1,4 @@
-//! Shared code of the tests: random scenes, particles, files, the program, settings, and the
+//! Code that all tests share: random scenes, particles, files, the program, settings, and the
 //! oracle.
 #![allow(dead_code, reason = "each test program uses its part")]
 
@@ -32,7 +32,8 @@ use scene::Random;
 pub const INDICATORS: [IndicatorKind; 3] =
     [IndicatorKind::Symmetry, IndicatorKind::Counting, IndicatorKind::Cloud];
 
-/// Default settings of the tests: cells of edge 1 at the origin, symmetry.
+/// Default settings of the tests: cells of edge 1, the grid's origin at 0, and the symmetry
+/// indicator.
 pub fn sampling() -> Sampling {
     Sampling {
         grid: Grid::new(DVec3::ZERO, 1.0).unwrap(),
@@ -59,12 +60,12 @@ pub struct Reconstructed {
     pub iso: Isovalue,
 }
 
-/// The field of a frame by an indicator.
+/// The field of a frame, which must have been made by an indicator.
 pub fn dif(frame: &Engine) -> &SampledDif {
     frame.dif().expect("an indicator makes the field")
 }
 
-/// A frame with this field, in cells of edge 1, without particles.
+/// A sampled frame with this field, in cells of edge 1 and without particles.
 pub fn sampled(dif: DifField) -> SampledDif {
     let (grid, census) = (sampling().grid, Census::default());
     SampledDif::new(
@@ -74,7 +75,7 @@ pub fn sampled(dif: DifField) -> SampledDif {
     )
 }
 
-/// The recipe of a frame, and its calibration.
+/// Calibrates a frame, and returns the recipe of its field and the calibration.
 pub fn recipe(frame: &Engine, surfacing: &Surfacing) -> (Recipe, MeasuredCalibration) {
     let measured = surfacing.calibrate(dif(frame)).unwrap();
     (surfacing.recipe(dif(frame), &measured.calibration), measured)
@@ -93,7 +94,7 @@ pub fn reconstruct(
     (frame, Reconstructed { mesh, iso })
 }
 
-/// Number of cells with particles.
+/// The number of cells that contain particles.
 pub fn full_cells(bins: &Bins) -> u64 {
     let of_bin = |bin: usize| {
         let contents = bins.contents(bin).unwrap();
@@ -137,8 +138,8 @@ pub fn shuffle<T>(items: &mut [T], random: &mut Random) {
     }
 }
 
-/// Particles of a lattice where `inside` holds, with `per_axis` particles along a cell's edge,
-/// jittered by a share of their spacing.
+/// Particles of a lattice at positions for which `inside` holds. There are `per_axis` particles
+/// along a cell's edge, jittered by a share of their spacing.
 pub fn fill(
     half: f64,
     per_axis: f64,

@@ -1,4 +1,4 @@
-//! The content of an opened particle file, in memory.
+//! Reads the content of an opened particle file into memory.
 
 use meniscus::internals::io::ParticleFile;
 use meniscus::internals::particles::Particles;

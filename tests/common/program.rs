@@ -5,10 +5,10 @@ use std::process::{Child, Command, Output};
 use std::thread::sleep;
 use std::time::Duration;
 
-/// The path of the program; `None` in tests of a device, which are built without it.
+/// The path of the program; `None` in tests that are built without the program to test a device.
 const MENISCUS: Option<&str> = option_env!("CARGO_BIN_EXE_meniscus");
 
-/// A command of the program in a folder, not started yet.
+/// A command that runs the program in a folder. It is not started yet.
 pub fn command(folder: &Path, arguments: &[&str]) -> Command {
     let mut command = Command::new(MENISCUS.unwrap());
     command.current_dir(folder).args(arguments);
@@ -31,7 +31,7 @@ pub fn in_shell(folder: &Path, before: &str, arguments: &str) -> Output {
     shell_command(folder, before, arguments).output().unwrap()
 }
 
-/// A command of [`in_shell`], not started yet. The program takes the place of the shell.
+/// The command of [`in_shell`], not started yet. The program replaces the shell's process.
 pub fn shell_command(folder: &Path, before: &str, arguments: &str) -> Command {
     let script = format!("{before}\nexec \"$0\" {arguments}");
     let mut command = Command::new("bash");

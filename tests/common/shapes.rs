@@ -1,13 +1,13 @@
 //! Meshes with known properties.
 
-// `tools/evaluate` uses some of them.
+// Each user of this file, such as `tools/evaluate`, needs only some of the functions.
 #![allow(dead_code)]
 
 use std::f64::consts::TAU;
 
 use meniscus::internals::surface::mesh::{Mesh, VertexAttribute};
 
-/// Axis-parallel, 8 vertices, 12 triangles.
+/// An axis-parallel box with 8 vertices and 12 triangles.
 pub fn cuboid(low: [f64; 3], high: [f64; 3]) -> Mesh {
     let corner = |n: usize| {
         std::array::from_fn(|axis| if n >> axis & 1 == 1 { high[axis] } else { low[axis] })
@@ -22,13 +22,13 @@ pub fn cuboid(low: [f64; 3], high: [f64; 3]) -> Mesh {
     }
 }
 
-/// An octahedron whose faces are split `depth` times and lifted to the unit sphere, then scaled.
+/// A sphere of this radius: an octahedron whose triangles are split `depth` times and moved onto
+/// the sphere.
 pub fn sphere(radius: f64, depth: u32) -> Mesh {
     let mut mesh = cone(&[[1., 0., 0.], [0., 1., 0.], [-1., 0., 0.], [0., -1., 0.]], [0., 0., 1.]);
     let below = cone(&[[0., -1., 0.], [-1., 0., 0.], [0., 1., 0.], [1., 0., 0.]], [0., 0., -1.]);
     mesh.positions.push([0., 0., -1.]);
-    // The lower rim runs in the opposite direction: its vertices 0, 1, 2, 3 are the upper rim's 3,
-    // 2, 1, 0.
+    // The rim of the lower cone runs in the opposite direction, so that vertex v is 3 - v there.
     mesh.triangles.extend(below.triangles.iter().map(|t| t.map(|v| if v < 4 { 3 - v } else { 5 })));
     for _ in 0..depth {
         mesh = split(&mesh);
@@ -40,7 +40,7 @@ pub fn sphere(radius: f64, depth: u32) -> Mesh {
     mesh
 }
 
-/// Triangles from every edge of a closed rim to an apex, the last vertex; open at the bottom.
+/// A cone without a base: a triangle from every edge of a closed rim to the apex, the last vertex.
 pub fn cone(rim: &[[f64; 3]], apex: [f64; 3]) -> Mesh {
     let n = rim.len() as u32;
     Mesh {
@@ -90,7 +90,7 @@ pub fn torus(around: u32, across: u32) -> Mesh {
     mesh
 }
 
-/// Both in one mesh.
+/// Combines two meshes into one.
 pub fn union(one: &Mesh, other: &Mesh) -> Mesh {
     let first = one.positions.len() as u32;
     let shifted = other.triangles.iter().map(|t| t.map(|v| v + first));

@@ -1,19 +1,18 @@
-//! Checks that a mesh is closed, oriented and manifold, directly by the definition and without the
-//! library.
+//! Checks that a mesh is closed, oriented and manifold, by the definition and without the library.
 
 use std::collections::HashMap;
 
 use meniscus::internals::surface::mesh::Mesh;
 
-/// The defect of a mesh; `None` for a closed, oriented 2-manifold whose vertices are all used,
-/// finite and distinct.
+/// Describes a defect of a mesh. Returns `None` for a closed, oriented 2-manifold whose vertices
+/// are all used, finite and distinct.
 pub fn defect(mesh: &Mesh) -> Option<String> {
     let count = mesh.positions.len();
     if let Some(at) = mesh.positions.iter().position(|p| !p.iter().all(|x| x.is_finite())) {
         return Some(format!("vertex {at} is nowhere"));
     }
-    // The outgoing edges of every vertex, each with the corner after it: following them goes around
-    // the vertex.
+    // For each vertex and each edge from it, the third corner of the edge's triangle. Following
+    // these corners leads around the vertex.
     let mut around: Vec<HashMap<u32, u32>> = vec![HashMap::new(); count];
     for (number, &[a, b, c]) in mesh.triangles.iter().enumerate() {
         if [a, b, c].iter().any(|&v| v as usize >= count) {

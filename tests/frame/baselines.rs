@@ -1,5 +1,5 @@
-//! Kernel methods: comparison with their definitions on one dense array, and properties of their
-//! meshes.
+//! Tests of kernel methods: they equal their definitions on one dense array, and their meshes have
+//! the expected properties.
 
 use std::f64::consts::PI;
 
@@ -40,16 +40,16 @@ fn spaced(spacing: f64) -> Sampling {
     Sampling { spacing: Some(spacing), ..sampling() }
 }
 
-/// Rounds particles to the positions of 13-bit offsets.
+/// Rounds coordinates to the positions that 13-bit offsets can represent.
 fn rounded_to_offsets(particles: Vec<[f64; 3]>) -> Vec<[f64; 3]> {
     particles.into_iter().map(|p| p.map(|x| ((x * 8192.0).floor() + 0.5) / 8192.0)).collect()
 }
 
-/// Each method by the definition of METHOD.md and its authors: a sum over all particles, in cells
-/// of edge 1, positive inside.
+/// Implements each method as METHOD.md and its authors define it: as a sum over all particles,
+/// which is positive inside. Cells have edge 1.
 struct Oracle {
     particles: Vec<DVec3>,
-    /// m / rho over the scale of W.
+    /// For each particle, m / rho divided by the scale of the kernel W.
     volumes: Vec<f64>,
     centres: Vec<DVec3>,
     shapes: Vec<DMat3>,
@@ -117,7 +117,7 @@ impl Oracle {
     }
 }
 
-/// Smoothed centre and G of Yu and Turk.
+/// The smoothed centre and the matrix G of Yu and Turk.
 fn anisotropy(x: DVec3, particles: &[DVec3], h: f64) -> (DVec3, DMat3) {
     let r = 2.0 * h;
     let near: Vec<(DVec3, f64)> = particles
@@ -222,7 +222,7 @@ fn a_lone_particle_becomes_a_ball_with_the_radius_of_its_kernel() {
 
 #[test]
 fn anisotropic_kernels_make_a_pool_flatter_than_isotropic_kernels() {
-    // Two cells per spacing, because flattened kernels are thinner than one cell.
+    // Use two cells per spacing, because flattened kernels can be thinner than a spacing.
     let pool = fill(24.0, 0.5, 0.3, 11, |p| p.z < 0.0 && p.z > -14.0);
     let roughness = |method| {
         let mesh = surface(&pool[..], &spaced(2.0), method);

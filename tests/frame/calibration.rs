@@ -1,5 +1,5 @@
-//! The calibration of the isovalue for all cell sizes: clumps do not affect it, and cells that are
-//! too fine for 16 bits are refused.
+//! Tests of the calibration for all cell sizes: clumps do not affect it, and cells that are too
+//! small for 16-bit samples are an error.
 
 use std::collections::HashMap;
 
@@ -35,12 +35,12 @@ enum Disorder {
     /// On a lattice, moved by up to this share of a spacing.
     Jittered(f64),
     Random,
-    /// As in FLIP: at a random position in each cell of a lattice, with a quarter of the particles
+    /// At a random position in each cell of a lattice, as in FLIP. A quarter of the particles are
     /// next to another particle.
     Clumped,
 }
 
-/// A cube with this edge from the origin, with this number of particles per unit of volume.
+/// A cube of particles with this edge from the origin, with `density` particles per unit of volume.
 fn cube(edge: f64, density: f64, disorder: Disorder, seed: u64) -> Vec<[f64; 3]> {
     let mut random = Random::new(seed);
     let step = density.cbrt().recip();
@@ -74,7 +74,7 @@ fn sampling_at(spacing: f64, method: impl Into<frame::Method>) -> Sampling {
     Sampling { method, spacing: Some(spacing), side, ..sampling() }
 }
 
-/// The check of the cell size before sampling.
+/// Runs the check of the cell size that precedes sampling.
 fn check_before_sampling(
     surfacing: &Surfacing,
     spacing: f64,
@@ -85,7 +85,7 @@ fn check_before_sampling(
 }
 
 fn scaled(particles: &[[f64; 3]], by: f64) -> Vec<[f64; 3]> {
-    // Off the faces of cells, where a lattice would be rounded to either side.
+    // Move particles off the faces of cells, because there rounding would decide about their cells.
     particles.iter().map(|p| p.map(|x| x * by + 0.137)).collect()
 }
 
@@ -106,8 +106,9 @@ fn deep_median(field: &Dense<f64>, edge: f64, depth: i32) -> f64 {
     *deep.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
-/// The relative deviation of the plateau of a cube of particles from a dense oracle in f64, and the
-/// plateau. The isovalue, a fixed share of the plateau, is compared, or the density of clouds.
+/// Compares the calibration of a cube of particles with a dense oracle in f64. Returns the relative
+/// deviation and the plateau. For clouds, this compares the density, and otherwise the isovalue,
+/// which is a fixed share of the plateau.
 fn deviation_from_oracle(particles: &[[f64; 3]], frame: &Engine, edge: f64) -> (f64, Plateau) {
     let (indicator, facts) = (dif(frame).indicator, frame.facts());
     let (recipe, measured) = recipe(frame, &surfacing());
@@ -146,7 +147,7 @@ fn the_plateau_matches_a_dense_oracle_for_all_cell_sizes() {
     let mut cases = Vec::new();
     for (i, density) in [0.5_f64, 1.0, 2.0, 4.0, 8.0].into_iter().enumerate() {
         for (j, disorder) in disorders.into_iter().enumerate() {
-            // Every density meets every disorder in two cell sizes, and every cell size meets both.
+            // Combine every density with every disorder, in two cell sizes that change.
             for cell in [CELLS[(i + j) % 6], CELLS[(i + j + 3) % 6]] {
                 // Clouds measure at most four times the expected number of particles.
                 cases.extend(
@@ -157,8 +158,8 @@ fn the_plateau_matches_a_dense_oracle_for_all_cell_sizes() {
         }
     }
     let off = cases.into_par_iter().filter_map(|(density, disorder, cell, indicator)| {
-        // Counts of a lattice beat with the cells, and their median is the same everywhere only
-        // over many beats.
+        // The counts of a regular lattice form a moire pattern with the cells. Only a large cube
+        // has enough periods of this pattern for a stable median.
         let beats =
             density < 1.0 && matches!((disorder, indicator), (Disorder::Jittered(0.0), COUNTING));
         let edge = if beats {
@@ -184,7 +185,7 @@ fn the_plateau_matches_a_dense_oracle_for_all_cell_sizes() {
     assert!(off.is_empty(), "{off:#?}");
 }
 
-/// The vertices of a surface, by their cells.
+/// The vertices of a surface, by the cells that contain them.
 fn places(surface: &StitchedSurface) -> HashMap<IVec3, Vec<DVec3>> {
     let mut places: HashMap<IVec3, Vec<DVec3>> = HashMap::new();
     for piece in 0..surface.pieces() {
@@ -214,7 +215,8 @@ fn displacements(
     moved
 }
 
-/// Bodies from deep to thin, in spacings, each with a place for a clump.
+/// Bodies of particles, from deep to thin, each with a position for a clump. Lengths are in
+/// spacings.
 fn bodies() -> [(&'static str, Vec<[f64; 3]>, DVec3); 6] {
     let ball = |radius: f64| fill(12.0, 1.0, 0.3, 5, move |p| p.length() < radius);
     let mut random = Random::new(9);
@@ -243,8 +245,8 @@ fn duplicates_and_clumps_do_not_move_the_surface_elsewhere() {
         {
             let spacing = 1.0 / cell;
             let particles = scaled(&body, spacing);
-            // Recovered detail changes the surface for any isovalue, so the test also compares the
-            // isovalue, in particles per cell.
+            // Recovered details change the surface even for the same isovalue, so this test also
+            // compares the isovalue, in particles per cell.
             let isovalue = |frame: &Engine| match recipe(frame, &surfacing()).1.calibration {
                 Calibration::Indicator { mean, iso } => iso.value() * mean.unwrap().particles(),
                 Calibration::Clouds { plateau } => f64::from(plateau),
@@ -267,16 +269,16 @@ fn duplicates_and_clumps_do_not_move_the_surface_elsewhere() {
                 for moved in
                     [displacements(&clean, &with, there), displacements(&with, &clean, there)]
                 {
-                    // Along an edge that is nearly tangent to the surface, a vertex moves far. A
-                    // vertex that appears or disappears with the sign of one sample is up to its
-                    // cell's size from the next.
+                    // A few vertices may move far: vertices on an edge that is nearly tangent to
+                    // the surface, and vertices that appear or disappear when one sample changes
+                    // its sign.
                     let [most, all] =
                         [moved[moved.len() * 9 / 10], moved[moved.len() - 1]].map(|d| d / spacing);
                     let what = format!(
                         "{name}, {indicator:?}, cells of {cell}, {count} more: {most} spacings, {all}"
                     );
-                    // From the centre of the small ball, clouds of the largest width reach its
-                    // whole surface.
+                    // In the small ball, the clump affects the whole surface, because the widest
+                    // Gaussian of clouds reaches it from the centre.
                     let within = match indicator {
                         CLOUD if name == "small ball" => 0.1,
                         CLOUD => 0.01,
@@ -291,7 +293,7 @@ fn duplicates_and_clumps_do_not_move_the_surface_elsewhere() {
 
 #[test]
 fn without_an_interior_the_plateau_is_derived_from_the_spacing() {
-    // With less disorder, symmetry and counts depend on the position of the lattice on the grid.
+    // Use strong jitter, because otherwise symmetry and counts depend on the lattice's position.
     let pool = cube(24.0, 1.0, Disorder::Jittered(0.5), 1);
     for cell in [1.5, 1.0, 2.0 / 3.0, 0.5, 1.0 / 3.0] {
         for indicator in INDICATORS {
@@ -305,7 +307,7 @@ fn without_an_interior_the_plateau_is_derived_from_the_spacing() {
             let Plateau::Interior { median, .. } = deep else {
                 panic!("a pool of {cell}: {deep:?}")
             };
-            // The same mu0, which fewer particles per cell would change.
+            // Use the mu0 of the pool, because thinner bodies would have another one.
             let sampling = sampling_at(spacing, of_pool.method());
             for (name, body, _) in &bodies()[2..] {
                 let frame = sample(&scaled(body, spacing), &sampling);
@@ -389,11 +391,11 @@ fn the_volume_of_a_surface_matches_the_volume_of_its_mesh() {
     };
     for indicator in INDICATORS {
         close(&draw(&sample(&ball, &sampling_at(1.0, indicator)), &surfacing()), 0.01, "a ball");
-        // Walls on faces of cells cut off everything except a cube.
+        // Walls on cell faces cut off everything except a cube.
         let mut tank = sampling_at(1.0, indicator);
         tank.domain = Domain::new(&tank.grid, DVec3::splat(-8.0), DVec3::splat(8.0)).ok();
         close(&draw(&sample(&ball, &tank), &surfacing()), 0.01, "a full tank");
-        // Triangles cut off curvature within a cell, which is a large part of a drop or a sheet.
+        // The tolerance is large, because flat triangles remove a large part of drops and sheets.
         let splashes = sample(
             &crate::common::splashes(3),
             &Sampling { method: indicator.into(), ..sampling() },
@@ -439,7 +441,7 @@ fn one_step_of_the_isovalue_moves_the_surface_by_the_reported_distance() {
         let (recipe, measured) = recipe(&frame, &surfacing());
         let reported = measured.step_cells;
         assert!(reported < COARSEST_STEP);
-        // The vertices on the cube's upper face, away from its edges.
+        // Measure the vertices on the cube's upper face, away from its edges.
         let steps = 8;
         let face = |threshold: u16| {
             let iso = Isovalue::new((f64::from(threshold) + 0.5) / 65535.0).unwrap();
@@ -461,7 +463,7 @@ fn one_step_of_the_isovalue_moves_the_surface_by_the_reported_distance() {
     }
 }
 
-/// The check of this cell size for a pool, which must give the same before and after sampling.
+/// Checks a cell size for a pool. The check must give the same result before and after sampling.
 fn check_cell_size(indicator: IndicatorKind, cell: f64) -> Result<(), TooFine> {
     let spacing = 1.0 / cell;
     let sampling = sampling_at(spacing, indicator);
@@ -496,7 +498,7 @@ fn cells_too_fine_for_16_bits_are_refused_with_a_size_that_fits() {
                 else {
                     panic!("{indicator:?}, cells of {cell}: {:?}", refused(cell))
                 };
-                // The suggested size fits, and a slightly smaller one does not.
+                // The suggested cell size is allowed, and a slightly smaller one is not.
                 assert_eq!(
                     refused(cell * fitting),
                     Ok(()),
@@ -528,7 +530,7 @@ fn cells_needlessly_fine_for_clouds_are_refused_with_a_size_that_fits() {
         assert_eq!(refused(fitting), Ok(()), "{message}");
         assert!(refused(fitting * 0.97).is_err(), "{message}");
     }
-    // Without a spacing there is nothing to check.
+    // Without a spacing, every cell size is allowed.
     assert_eq!(surfacing().check_cell_size(CLOUD, None, None, &sampling().grid), Ok(()));
 }
 

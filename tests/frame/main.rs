@@ -1,5 +1,5 @@
-//! The field and the mesh of one frame: calibration, kernel methods, simplification and mesh
-//! checks.
+//! Tests of the field and the mesh of one frame: calibration, kernel methods, simplification and
+//! mesh checks.
 #![allow(clippy::unwrap_used)]
 
 mod baselines;

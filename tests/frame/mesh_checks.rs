@@ -1,4 +1,5 @@
-//! Checks of a mesh: defects with their places, measures, and distances from another mesh.
+//! Tests of the checks of a mesh: defects with their positions, measures, and distances from
+//! another mesh.
 
 use meniscus::internals::surface::mesh::Mesh;
 use meniscus::internals::surface::mesh::check::{Defects, check};
@@ -81,7 +82,7 @@ fn the_shared_apex_of_two_cones_is_a_pinched_vertex() {
 fn two_spheres_that_share_a_vertex_are_closed_but_not_a_manifold() {
     let mut mesh = union(&sphere(1., 2), &moved(&sphere(1., 2), [2., 0., 0.]));
     let second = mesh.positions.len() as u32 / 2;
-    // Vertex 0 of the first sphere is its rightmost, vertex 2 of the second sphere its leftmost.
+    // Merge vertex 0 of the first sphere, its rightmost, with vertex 2 of the second, its leftmost.
     for vertex in mesh.triangles.iter_mut().flatten().filter(|v| **v == second + 2) {
         *vertex = 0;
     }
@@ -248,7 +249,7 @@ fn an_empty_mesh_has_no_box_and_no_worst_triangle() {
 
 #[test]
 fn the_worst_triangle_is_reported_with_its_angle() {
-    // A regular octahedron, one with a needle, and one with a triangle of zero area.
+    // Compare a regular octahedron, an octahedron with a needle, and one with a triangle of area 0.
     let octahedron = sphere(1., 0);
     let quality = measure(&octahedron).quality;
     assert!((quality.worst_angle.unwrap() - 60.).abs() < 1e-9);
@@ -292,7 +293,7 @@ fn the_distance_of_an_offset_sphere_is_the_signed_offset() {
     let ball = sphere(1., 5);
     for offset in [0.01, -0.01] {
         let found = compare(&ball, &scaled(&ball, 1. + offset)).unwrap();
-        // The facets of a sphere of chords lie up to 0.0006 inside the sphere.
+        // The triangles of the mesh are chords, up to 0.0006 inside the true sphere.
         assert!((found.hausdorff - 0.01).abs() < 1e-5, "{found:?}");
         assert!((found.bias - offset).abs() < 2e-5, "{found:?}");
         for way in [&found.from_mesh, &found.from_reference] {
@@ -339,8 +340,8 @@ fn signs_are_right_if_the_nearest_point_is_on_an_edge_or_a_corner() {
 
 #[test]
 fn signs_are_independent_of_the_triangulation_around_a_corner() {
-    // A spike along x. Slivers on one side pull the normal of its tip towards them, unless the
-    // normals are weighted by angles.
+    // A spike along x with slivers on one side. The slivers would pull the normal of the tip to
+    // their side if normals were not weighted by angles.
     let quarter = std::f64::consts::FRAC_PI_2;
     let angles =
         (0..40).map(|i| quarter * f64::from(i) / 40.).chain([1., 2., 3.].map(|i| quarter * i));
@@ -355,7 +356,8 @@ fn signs_are_independent_of_the_triangulation_around_a_corner() {
     assert!((found.bias - found.from_mesh.mean).abs() < 1e-12, "{found:?}");
 }
 
-/// The outline, counter-clockwise and star-shaped from its fourth corner, extruded along z.
+/// Extrudes an outline along z. The outline must be counter-clockwise, and star-shaped as seen from
+/// its fourth corner.
 fn prism(outline: &[[f64; 3]], height: f64) -> Mesh {
     let n = outline.len() as u32;
     let mut mesh = Mesh { positions: outline.to_vec(), ..Mesh::default() };
@@ -380,13 +382,13 @@ fn a_vertex_of_many_triangles_does_not_slow_distance_queries() {
         .collect();
     let cone = cone(&rim, [0.0; 3]);
     let surface = SearchableSurface::reference(&cone).unwrap();
-    // The tip is the nearest point of all these places.
+    // All these points have the same nearest point: the tip.
     let places: Vec<_> = (0..100_000).map(|i| [0.0, 0.0, 1.0 + f64::from(i)]).collect();
     let begun = std::time::Instant::now();
     let distances = surface.signed_distances(&places);
     let seconds = begun.elapsed().as_secs_f64();
     assert!(distances.iter().zip(&places).all(|(distance, place)| *distance == place[2]));
-    // About 20 s if every point tests all triangles around the tip.
+    // This would take about 20 s if every query tested all triangles around the tip.
     assert!(seconds < 5.0, "{seconds} s");
 }
 

@@ -1,5 +1,5 @@
-//! Simplified surfaces are manifold, near the original and the same on every machine. Drops remain
-//! unless an option removes them.
+//! Tests of simplified surfaces: they are manifold, near the original, and the same on every
+//! machine. Drops remain unless an option removes them.
 
 use std::collections::HashMap;
 
@@ -84,7 +84,7 @@ fn simplification_keeps_topology_and_stays_within_the_tolerance() {
 
 #[test]
 fn simplification_removes_most_slivers_and_adds_none_to_flat_surfaces() {
-    // Triangles with an angle below 10 degrees.
+    // The number of triangles with an angle of less than 10 degrees.
     let slivers = |mesh: &Mesh| measure(mesh).quality.least_angles[..2].iter().sum::<usize>();
     for (what, particles, share) in [("splashes", splashes(5), 8), ("pool", pool(), 2)] {
         for indicator in INDICATORS {
@@ -92,7 +92,7 @@ fn simplification_removes_most_slivers_and_adds_none_to_flat_surfaces() {
             let whole = slivers(&surface(&particles, &sampling).to_mesh().unwrap());
             for cells in [0.05, 0.1, 0.5] {
                 let left = slivers(&simplified(&particles, &sampling, &within(cells)).0);
-                // Drops of clouds are curved everywhere, so fewer slivers are removed.
+                // With clouds, drops are curved everywhere, so simplifying removes fewer slivers.
                 let share =
                     if matches!(indicator, IndicatorKind::Cloud) { share.min(4) } else { share };
                 // A calm pool has almost no slivers.
@@ -142,7 +142,7 @@ fn simplification_is_independent_of_threads_and_scratch_files() {
     }
 }
 
-/// A slab that spans many chunks.
+/// A slab of fluid across many chunks of the simplification.
 fn pool() -> Vec<[f64; 3]> {
     fill(70.0, 1.0, 0.0, 1, |p| p.y.abs() < 8.0 && p.x.abs() < 69.0 && p.z.abs() < 69.0)
 }
@@ -150,8 +150,8 @@ fn pool() -> Vec<[f64; 3]> {
 #[test]
 fn a_flat_pool_is_simplified_across_block_seams() {
     let (mesh, _) = simplified(&pool(), &sampling(), &within(0.1));
-    // The seams of a single pass keep a vertex for every cell that they cross, above and below:
-    // 2384.
+    // A single pass would keep a vertex in every cell along the seams between chunks, on both sides
+    // of the slab: 2384 vertices.
     let flat = |p: &&[f64; 3]| p[0].abs() < 66.0 && p[2].abs() < 66.0;
     let count = mesh.positions.iter().filter(flat).count();
     assert!(count < 1000, "{count} vertices on flat ground");
@@ -160,7 +160,7 @@ fn a_flat_pool_is_simplified_across_block_seams() {
 #[test]
 fn small_drops_survive_the_largest_tolerance() {
     let mut particles = fill(12.0, 1.0, 0.0, 1, |p| p.length() < 10.0);
-    // Drops of a few particles, in the middle of a block, on its corner, and across two chunks.
+    // Add small drops in the middle of a block, on a corner of blocks, and across two chunks.
     let drop = fill(4.0, 2.0, 0.0, 1, |p| p.length() < 1.8);
     for centre in [[20.5, 0.5, 0.5], [32.0, 32.0, 32.0], [32.0, 64.0, 0.5]] {
         particles.extend(drop.iter().map(|&p| (DVec3::from(p) + DVec3::from(centre)).to_array()));
@@ -175,8 +175,8 @@ fn small_drops_survive_the_largest_tolerance() {
 
 #[test]
 fn components_below_the_volume_are_removed_across_blocks() {
-    // Balls around a corner of eight blocks, in the middle of a block, and far away, of about 113,
-    // 33 and 905 cells.
+    // A ball of about 113 cells around a corner of eight blocks, a ball of 33 cells in the middle
+    // of a block, and a ball of 905 cells far away.
     let balls = [(DVec3::ZERO, 3.0), (DVec3::splat(16.0), 2.0), (DVec3::new(3e5, -4e5, 0.0), 6.0)];
     let particles: Vec<[f64; 3]> = balls
         .iter()
@@ -208,8 +208,8 @@ fn components_below_the_volume_are_removed_across_blocks() {
 
 #[test]
 fn a_drop_on_a_corner_of_eight_blocks_is_one_component() {
-    // Eight blocks meet at the origin. A block then shares few vertices with each later block, and
-    // other blocks share some of them too.
+    // Put the drop around the origin, where eight blocks meet: a block shares few vertices with
+    // each other block, and three or more blocks share some of them.
     let places = [-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0];
     for (x, y, z) in
         places.iter().flat_map(|x| places.iter().flat_map(move |y| places.map(|z| (*x, *y, z))))
@@ -244,7 +244,7 @@ fn smallest_drop_counts_particles_for_any_cell_size_and_keeps_bubbles() {
             let reduction = Reduction { smallest_drop: Some(particles), ..Reduction::default() };
             let (mesh, gone) = simplified(&scaled, &sampling, &reduction);
             assert_eq!(gone, dropped, "drops of fewer than {particles} in cells of 1 / {cells}");
-            // The bulk, and the ball of air in it.
+            // Two components always remain: the bulk, and the bubble in it.
             assert_eq!(measure(&mesh).components as u64, 2 + 12 - dropped);
             assert!(check(&mesh).is_closed_oriented_manifold());
         }

@@ -1,10 +1,10 @@
-//! Fuzzes the C interface: calls in any order, with valid and invalid arguments, by
-//! `src/bindings/c/tests/random.c`.
+//! Fuzzes the C interface: `src/bindings/c/tests/random.c` makes calls in any order, with valid and
+//! invalid arguments.
 
 use std::ffi::{CString, c_char};
 use std::os::unix::ffi::OsStrExt;
 
-// Links the functions that the calls use.
+// Link the crate of the C interface, whose functions the C code calls.
 use meniscus_c as _;
 
 use crate::targets::{Target, folder};
@@ -28,6 +28,6 @@ pub fn target() -> Target {
 fn run(data: &[u8]) {
     let folder = folder::empty("c");
     let name = CString::new(folder.as_os_str().as_bytes()).unwrap();
-    // SAFETY: a text, and bytes that are there, while the call lasts.
+    // SAFETY: the name and the bytes exist as long as the call.
     unsafe { meniscus_calls_of_bytes(name.as_ptr(), data.as_ptr(), data.len()) };
 }

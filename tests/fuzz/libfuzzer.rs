@@ -16,12 +16,13 @@ use libfuzzer_sys::fuzz_target;
 
 static RUN: OnceLock<fn(&[u8])> = OnceLock::new();
 
-/// The target. Its seeds are written into the folder that `MENISCUS_SEEDS` names, and its words
-/// into a file next to it.
+/// Returns the function of the target that `MENISCUS_FUZZ` names. Writes its seeds into the folder
+/// that `MENISCUS_SEEDS` names, and its words into a file next to the folder.
 fn chosen() -> fn(&[u8]) {
     targets::on_one_thread();
     let name = std::env::var("MENISCUS_FUZZ").unwrap_or_default();
-    // Only for libFuzzer: on stable Rust, a test makes these calls.
+    // This target is only for libFuzzer: on stable Rust, the C interface's own test makes its
+    // calls.
     let mut all = targets::all();
     all.push(c::target());
     let names = || all.iter().map(|target| target.name).collect::<Vec<_>>().join("\n");

@@ -1,8 +1,8 @@
-//! Mutations of small files, determined by a number.
+//! Mutates small files. A number determines the mutation.
 
 use crate::scene::Random;
 
-/// Numbers that break counts and sizes.
+/// Numbers that are likely to reveal errors in the use of counts and sizes.
 const NUMBERS: [u64; 14] = [
     0,
     1,
@@ -20,7 +20,7 @@ const NUMBERS: [u64; 14] = [
     u64::MAX,
 ];
 
-/// The mutation of the seeds with this number, which may insert words.
+/// Returns mutation number `number` of one of the seeds. A mutation may insert one of the words.
 pub fn mutated(seeds: &[Vec<u8>], words: &[&str], number: u64) -> Vec<u8> {
     let mut random = Random::new(number.wrapping_mul(0x9e37_79b9_7f4a_7c15));
     let mut pick = |below: usize| (random.bits() % below.max(1) as u64) as usize;
@@ -60,7 +60,7 @@ pub fn mutated(seeds: &[Vec<u8>], words: &[&str], number: u64) -> Vec<u8> {
     data
 }
 
-/// Replaces `width` bytes by a number.
+/// Replaces `width` bytes by the bytes of a number.
 fn put_number(data: &mut [u8], at: usize, number: u64, width: usize, big: bool) {
     let mut bytes = number.to_le_bytes()[..width].to_vec();
     if big {
@@ -69,7 +69,7 @@ fn put_number(data: &mut [u8], at: usize, number: u64, width: usize, big: bool) 
     data[at..].iter_mut().zip(bytes).for_each(|(to, byte)| *to = byte);
 }
 
-/// Replaces the next number in decimal digits.
+/// Replaces the next number that is written in decimal digits.
 fn change_digits(data: &mut Vec<u8>, at: usize, number: u64) {
     let Some(first) = data[at..].iter().position(u8::is_ascii_digit).map(|first| at + first) else {
         return;

@@ -1,5 +1,5 @@
-//! Alembic archives: each array, its digest and its place in the tree match the sources of Alembic,
-//! and the file contains nothing else.
+//! Tests of Alembic archives: each array, its digest and its position in the tree are as in
+//! Alembic's own sources, and the file contains nothing else.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -19,14 +19,14 @@ use meniscus::{Reconstruction, Simulation};
 use crate::common::files::names;
 use crate::common::shapes::{moved, sphere, with_attributes};
 
-/// A completely read archive.
+/// The complete content of an archive.
 struct Archive {
     metadata: String,
-    /// The time per cycle, the times and the number of samples of each time sampling.
+    /// For each time sampling, its time per cycle, its times, and its number of samples.
     samplings: Vec<(f64, Vec<f64>, u32)>,
-    /// The properties with values by their path, such as `/fluid/fluidShape/.geom/P`.
+    /// The properties that have values, by their paths, such as `/fluid/fluidShape/.geom/P`.
     values: BTreeMap<String, Values>,
-    /// The metadata of objects and compounds by their path.
+    /// The metadata of objects and compound properties, by their paths.
     groups: BTreeMap<String, String>,
 }
 
@@ -51,12 +51,12 @@ impl Values {
 struct Reader<'a> {
     bytes: &'a [u8],
     listed: Vec<String>,
-    /// The blocks that were read: their starts and ends.
+    /// The start and the end of each block that was read.
     seen: BTreeMap<usize, usize>,
     found: Archive,
 }
 
-/// The child of a group.
+/// The offset of a child of a group.
 #[derive(Clone, Copy)]
 struct Child(u64);
 
@@ -174,8 +174,8 @@ impl<'a> Reader<'a> {
     }
 }
 
-/// Reads an archive, and returns the number of bytes of earlier versions of its groups. All other
-/// bytes must belong to the archive.
+/// Reads an archive. Also returns the number of unused bytes, which are earlier versions of groups.
+/// All other bytes must belong to the archive.
 fn read(bytes: &[u8]) -> (Archive, usize) {
     assert_eq!(bytes[..8], *b"Ogawa\xff\0\x01");
     let found = Archive {
@@ -272,7 +272,7 @@ fn an_alembic_archive_contains_all_values_and_clockwise_triangles() {
     assert_eq!(archive.values["/fluid/.xform/.inherits"].samples, [[1]]);
     assert_eq!(archive.values["/fluid/.xform/.inherits"].sampling, 0);
 
-    // The type, the number of numbers in an element, and the metadata.
+    // Check a property's type, the number of components of its elements, and its metadata.
     let of = |name: &str, pod: u32, extent: u32, metadata: &str| {
         let values = &archive.values[&format!("{SHAPE}/{name}")];
         assert_eq!((values.bits >> 4 & 15, values.bits >> 12 & 255), (pod, extent), "{name}");
@@ -360,7 +360,7 @@ fn metadata_and_names_of_any_length_are_preserved() {
     let vertices = mesh.positions.len();
     let long = "x".repeat(300);
     mesh.attributes = vec![VertexAttribute::new(&*long, 1, vec![1.0; vertices])];
-    // More different metadata than the list can hold.
+    // Use more different metadata than the archive's list can hold.
     let widths = 5..280;
     let wide = widths.clone().map(|components| {
         let name = format!("wide{components}");
@@ -376,7 +376,7 @@ fn metadata_and_names_of_any_length_are_preserved() {
     }
 }
 
-/// Writes a mesh into its own file in the folder of the frames of an archive.
+/// Writes a mesh to a file in the folder of an archive's frames.
 fn frame_file(folder: &Path, number: i64, mesh: &Mesh) -> SeriesFrame {
     let (file, bytes) = (format!("wave_{number}.abc"), written(mesh, number as f64));
     fs::create_dir_all(folder).unwrap();
@@ -409,7 +409,7 @@ fn archive_in(folder: &Path) -> (FrameArchive, std::path::PathBuf) {
 fn a_frame_archive_is_complete_after_each_added_frame() {
     let folder = tempfile::tempdir().unwrap();
     let (archive, frames) = archive_in(folder.path());
-    // The second frame has no attributes, the fourth is empty, and the third comes last.
+    // Frame 2 has no attributes, frame 4 has an empty mesh, and frame 3 is added last.
     let meshes = [
         (1, with_attributes(sphere(1.0, 2))),
         (2, sphere(1.5, 1)),
@@ -441,7 +441,7 @@ fn a_frame_archive_is_complete_after_each_added_frame() {
             assert_eq!(of(".selfBnds").samples[sample].len(), 48);
         }
     }
-    // Another state starts a new archive.
+    // A frame of a conversion with another state starts a new archive.
     let listed = frame_file(&frames, 9, &meshes[1].1);
     archive.add(&listed, 8, numbers).unwrap();
     let (found, unused) = read(&fs::read(archive.path()).unwrap());
@@ -449,7 +449,7 @@ fn a_frame_archive_is_complete_after_each_added_frame() {
     assert_eq!(unused, 16 + (listed.bytes - end_of_arrays(&meshes[1].1)) as usize);
 }
 
-/// The end of the arrays in the file of a mesh.
+/// The offset of the end of the arrays, in the file of a mesh.
 fn end_of_arrays(mesh: &Mesh) -> u64 {
     let arrays =
         [12 * mesh.vertex_count(), 48, 12 * mesh.triangle_count(), 4 * mesh.triangle_count()];
@@ -487,20 +487,20 @@ fn an_interrupted_archive_addition_resumes_to_the_same_bytes() {
         assert!(fs::read(archive.path()).unwrap() == whole);
         assert_eq!(names(&frames), ["archive.json"]);
     };
-    // Interrupted while the frame and the groups are written.
+    // Simulate a crash while the frame and the groups are written.
     for kept in [0, 1, 100, whole.len() - before[0].len()] {
         let bytes = [&before[0][..], &whole[before[0].len()..][..kept]].concat();
         resume(&bytes, &before[1]);
     }
-    // Interrupted between the header and the table.
+    // Simulate a crash after the header is written and before the table is.
     fs::write(archive.path(), &whole).unwrap();
     fs::write(&table, &before[1]).unwrap();
     add(&archive, &frames, 3);
     assert!(fs::read(archive.path()).unwrap() == whole);
-    // Interrupted before the file of the frame is removed.
+    // Simulate a crash before the frame's own file is removed.
     add(&archive, &frames, 3);
     assert!(fs::read(archive.path()).unwrap() == whole);
-    // A truncated archive has no known frames.
+    // In a truncated archive, no frames are known.
     fs::write(archive.path(), &whole[..whole.len() - 1]).unwrap();
     assert_eq!(archive.frames().crc(1), None);
 }
@@ -552,7 +552,7 @@ fn a_simulation_archive_is_independent_of_threads_and_resume() {
     let summaries = run(simulation("later/wave.abc", 2).resume());
     assert_eq!(summaries[0].made, 2);
     assert!(bytes == fs::read(at("later/wave.abc")).unwrap());
-    // A changed frame is replaced, and needs more space.
+    // If an input has changed, its frame in the archive is replaced by a larger one.
     fs::write(at("in/f_4.xyz"), fs::read(at("in/f_2.xyz")).unwrap()).unwrap();
     assert_eq!(run(simulation("later/wave.abc", 2).resume())[0].made, 1);
     let (changed, _) = read(&fs::read(at("later/wave.abc")).unwrap());

@@ -1,4 +1,4 @@
-//! Builders of files in every binary layout, byte by byte from the descriptions of the formats.
+//! Builds files in every binary layout, byte by byte as the formats' descriptions say.
 
 #[path = "build/houdini.rs"]
 pub mod houdini;
@@ -13,7 +13,7 @@ use lzma_rust2::{XzOptions, XzWriter};
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 
-/// Positions that f32 represents exactly, with distinct coordinates.
+/// Positions with different coordinates, all of which f32 represents exactly.
 pub fn tuples(count: usize) -> Vec<[f64; 3]> {
     (0..count).map(|i| [0, 1, 2].map(|axis| (3 * i + axis) as f64 * 0.375 - 2.0)).collect()
 }
@@ -69,7 +69,7 @@ pub fn npy(points: &[[f64; 3]], descr: &str, fortran: bool) -> Vec<u8> {
     bytes
 }
 
-/// Arrays in a zip archive.
+/// An .npz file: a zip archive of arrays with these names.
 pub fn npz(arrays: &[(&str, Vec<u8>)], compression: CompressionMethod) -> Vec<u8> {
     let mut archive = ZipWriter::new(Cursor::new(Vec::new()));
     for (name, array) in arrays {
@@ -80,7 +80,7 @@ pub fn npz(arrays: &[(&str, Vec<u8>)], compression: CompressionMethod) -> Vec<u8
     archive.finish().expect("memory accepts all bytes").into_inner()
 }
 
-/// An archive of positions, velocities twice as large, and ids, with an array that does not belong
+/// An .npz file with positions, velocities twice as large, ids, and an array that does not belong
 /// to the particles.
 pub fn npz_frame(points: &[[f64; 3]], compression: CompressionMethod) -> Vec<u8> {
     let doubled: Vec<_> = points.iter().map(|p| p.map(|x| 2.0 * x)).collect();
@@ -96,7 +96,7 @@ pub fn npz_frame(points: &[[f64; 3]], compression: CompressionMethod) -> Vec<u8>
     npz(&arrays, compression)
 }
 
-/// The position of the numbers in a .vtu or .vtp.
+/// Where a .vtu or .vtp stores its numbers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Placed {
     Ascii,
@@ -142,7 +142,7 @@ impl VtkXml {
         self.compressor != Compressor::None
     }
 
-    /// Points with ids and velocities twice as large, at time 1.5.
+    /// Builds a file at time 1.5, with ids and with velocities twice as large as the positions.
     pub fn build(self, points: &[[f64; 3]]) -> Vec<u8> {
         let mut appended = Vec::new();
         let mut array = |what: &str, kind: &str, numbers: &[f64]| {
@@ -222,7 +222,7 @@ impl VtkXml {
         bytes
     }
 
-    /// The header, and the data that follows it.
+    /// Encodes the data of an array, and returns its header and the data.
     fn packed(self, data: &[u8]) -> [Vec<u8>; 2] {
         const BLOCK: usize = 32;
         if !self.is_compressed() {
@@ -241,7 +241,7 @@ impl VtkXml {
         [lengths.flat_map(|length| self.length(length)).collect(), blocks.concat()]
     }
 
-    /// The header of a compressed array is encoded separately.
+    /// Encodes an array as base64. The header of a compressed array is encoded separately.
     fn base64(self, data: &[u8]) -> String {
         let [header, data] = self.packed(data);
         match self.is_compressed() {
@@ -259,8 +259,8 @@ impl VtkXml {
     }
 }
 
-/// Attributes id, v, an indexed string, uv, and a second v. No bytes follow the points, so that
-/// none is optional.
+/// A .bgeo with the attributes id, v, an indexed string, uv, and a second v. The points are the
+/// last bytes of the file, so that a reader needs every byte.
 pub fn bgeo(points: &[[f64; 3]]) -> Vec<u8> {
     let mut bytes = b"BgeoV".to_vec();
     let int = |bytes: &mut Vec<u8>, x: i32| bytes.extend(x.to_be_bytes());
@@ -302,13 +302,13 @@ pub fn bgeo(points: &[[f64; 3]]) -> Vec<u8> {
 /// The layout of a .bi4.
 #[derive(Clone, Copy)]
 pub struct Bi4 {
-    /// Big endian.
+    /// Whether numbers are big-endian.
     pub big: bool,
-    /// Array sizes in 64 bits.
+    /// Whether the sizes of arrays have 64 bits.
     pub wide: bool,
-    /// Positions and identifiers in 64 bits.
+    /// Whether positions and identifiers have 64 bits.
     pub double: bool,
-    /// Whether boundary and fluid alternate; otherwise the boundary comes first.
+    /// Whether boundary and fluid particles alternate. Otherwise the boundary comes first.
     pub mixed: bool,
     pub pieces: u32,
     /// The number of this piece.
@@ -316,8 +316,8 @@ pub struct Bi4 {
 }
 
 impl Bi4 {
-    /// A part with `points` as fluid numbered from 5 on, and 5 other particles. The spacing is
-    /// 0.25, and velocity twice the position.
+    /// Builds a part with fluid particles at `points`, numbered from 5 on, and 5 other particles.
+    /// The spacing is 0.25, and each velocity is twice the position.
     pub fn build(self, points: &[[f64; 3]]) -> Vec<u8> {
         let mut head = b"#FileJBD JPartDataBi4".to_vec();
         head.resize(58, b' ');

@@ -1,4 +1,5 @@
-//! Ghost flags on cells instead of points, in VTKHDF and legacy .vtk files of VTK and h5py.
+//! Tests of files in which cells, not points, are flagged as ghosts: VTKHDF and legacy .vtk files
+//! that VTK and h5py wrote.
 
 use std::fs;
 use std::path::Path;
@@ -12,20 +13,21 @@ use crate::common::files;
 use crate::common::particle_files::{attribute, positions};
 use crate::memory;
 
-/// The steps of the files, with the number of their points and those that remain.
+/// The steps of the files, each with its number of points and the points that are no ghosts.
 const STEPS: [(u64, usize, &[usize]); 4] = [
-    // Copies are 4, refined is 3, hidden is 1. The duplicate 2 does not matter.
+    // Point 4 is a copy, 3 is refined and 1 is hidden. The flag of point 2, high connectivity, does
+    // not mean a ghost.
     (0, 6, &[0, 2, 5]),
-    // 6 to 8 are in a partition with a line; 10 has its own vertex besides a copy, 12 has no
-    // vertex.
+    // Points 6 to 8 are in a partition with a line. Point 10 has a flagged and an unflagged vertex,
+    // and point 12 has no vertex.
     (1, 7, &[6, 7, 8, 10, 12]),
-    // The cells of step 0, with flags of other rows.
+    // This step has the cells of step 0, but other flags.
     (2, 6, &[1, 2, 3, 4]),
-    // The same as a separate partition.
+    // This step has the points and cells of step 0, as a separate partition.
     (3, 6, &[0, 2, 5]),
 ];
 
-/// The file of steps of a type of data set, and its bytes.
+/// The name and the bytes of the file with steps, for a kind of data set.
 fn file_of_steps(kind: &str) -> (String, Vec<u8>) {
     let name = format!("flags_{kind}.vtkhdf");
     let bytes = fs::read(files::data("simulations").join(&name)).unwrap();
@@ -56,7 +58,7 @@ fn ids(file: &ParticleFile) -> Vec<usize> {
     ids
 }
 
-/// Offsets of `from` in the file, which must exist.
+/// All offsets of the bytes `from` in the file, of which there must be one.
 fn places(bytes: &[u8], from: &[u8]) -> Vec<usize> {
     let places: Vec<usize> =
         (0..=bytes.len() - from.len()).filter(|&at| bytes[at..].starts_with(from)).collect();
@@ -119,7 +121,7 @@ fn missing_cell_arrays_keep_all_points_and_steps_need_cell_offsets() {
             replaced(&bytes, name.as_bytes(), name.replacen(&name[1..2], "~", 1).as_bytes())
         };
         let mut lost = vec!["Offsets", "Connectivity", "NumberOfConnectivityIds", "CellData"];
-        // Polygons need a count.
+        // If one of these data sets is missing, no point is a ghost. PolyData needs `Vertices`.
         lost.push(if kind == "poly" { "Vertices" } else { "NumberOfCells" });
         for name in lost {
             let file = read(&without(name), 0).unwrap();
@@ -132,7 +134,7 @@ fn missing_cell_arrays_keep_all_points_and_steps_need_cell_offsets() {
                 "{fault}"
             );
         }
-        // The flags then belong to the cells.
+        // Without offsets of cell data, the flags of the first step apply; without flags, none do.
         for name in ["CellDataOffsets", "vtkGhostType"] {
             let file = read(&without(name), 2).unwrap();
             let left: &[usize] =
@@ -140,11 +142,11 @@ fn missing_cell_arrays_keep_all_points_and_steps_need_cell_offsets() {
             assert_eq!(ids(&file), left, "{kind} without {name}");
         }
     }
-    // Without types, offsets show that cells have one point each.
+    // Without the types of cells, their offsets show that each cell has one point.
     let (_, bytes) = file_of_steps("grid");
     let file = read(&replaced(&bytes, b"\0Types\0", b"\0~ypes\0"), 0).unwrap();
     assert_eq!(ids(&file), [0, 2, 5]);
-    // A type other than vertex, although the cell has one point.
+    // Flags do not apply to a cell that has one point but is no vertex.
     let types = [[1; 9].as_slice(), &[3], &[1; 5]].concat();
     for (at, left) in [(0, &[0, 1, 2, 3, 4, 5][..]), (6, &[0, 2, 5])] {
         let mut other = types.clone();
@@ -158,7 +160,7 @@ fn invalid_cell_counts_and_indices_are_reported_with_their_partition() {
     let (_, bytes) = file_of_steps("grid");
     let counts = |cells: i64| longs(&[6, 0, 4, cells, 6]);
     let ids_of = |ids: i64| longs(&[6, 0, 5, ids, 6]);
-    // Of the fourth partition, after those of the third.
+    // The points of the cells of the third and the fourth partition.
     let corners = |last: i64| longs(&[0, 1, 2, 0, 1, 0, 1, 1, 2, last]);
     let data = |of_step: i64| longs(&[0, of_step, 15]);
     let first = |cell: i64| longs(&[0, cell, 0]);
@@ -181,7 +183,7 @@ fn invalid_cell_counts_and_indices_are_reported_with_their_partition() {
         assert!(fault.contains(message), "{fault} instead of {message}");
         assert!(largest < 1 << 20, "{largest} bytes for: {fault}");
     }
-    // The errors of files in which one of several equal entries is wrong.
+    // Damages each occurrence of `from` in turn, and returns the errors.
     let faults = |bytes: &[u8], from: &[u8], to: &[u8], step: Option<u64>| -> Vec<String> {
         let damaged = places(bytes, from).into_iter().map(|at| {
             let mut damaged = bytes.to_vec();
@@ -199,14 +201,14 @@ fn invalid_cell_counts_and_indices_are_reported_with_their_partition() {
         let found = faults(&bytes, &first(6), &first(cell), Some(1));
         assert!(found.iter().any(|fault| fault.contains(message)), "{found:?} without {message}");
     }
-    // Points stay if the offsets of cells have other lengths.
+    // If the offsets do not give each cell one point, no point is a ghost.
     let ends = |last: i64| longs(&[5, 0, 1, 2, 3, 4, last]);
     let file = read(&replaced(&bytes, &ends(5), &ends(6)), 1).unwrap();
     assert_eq!(ids(&file), (6..13).collect::<Vec<_>>());
-    // Without steps, all flags belong to cells.
+    // In a file without steps, every flag belongs to a cell.
     let whole = fs::read(files::data("simulations/cells.vtkhdf")).unwrap();
     let [right, wrong] = [24, 23].map(|count| longs(&[count]));
-    // Two counts must agree: those of the cells, and of their corners.
+    // The number of cells and the number of their points must agree.
     let damaged = places(&whole, &right).into_iter().flat_map(|at| {
         let mut damaged = whole.clone();
         damaged[at..at + 8].copy_from_slice(&wrong);
@@ -224,12 +226,12 @@ fn damaged_files_cause_neither_panics_nor_large_allocations() {
         let values = positions(&read(&whole, step).unwrap());
         let read = |bytes: &[u8]| {
             let (result, largest) = memory::largest_allocation(|| read(bytes, step));
-            // The maximum for any unpacked file.
+            // No file that is not compressed needs a larger block of memory.
             assert!(largest <= 64 << 20, "{name}: {largest} bytes");
             result.map(|file| positions(&file))
         };
         for length in 0..whole.len() {
-            // The missing bytes may have been padding.
+            // A truncated file may be valid if only padding is missing.
             if let Ok(found) = read(&whole[..length]) {
                 assert_eq!(found, values, "{name} cut at {length}");
             }

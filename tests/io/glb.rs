@@ -1,5 +1,5 @@
-//! glTF files, plain and compressed: a reader of the format finds the mesh, and a mesh that does
-//! not fit is refused.
+//! Tests of glTF files, plain and compressed: a separate reader finds the mesh, and a mesh that is
+//! too large is an error.
 
 use std::io;
 
@@ -36,7 +36,7 @@ fn number(value: &Value) -> usize {
     value.as_u64().unwrap() as usize
 }
 
-/// The bytes of the elements of an accessor, decompressed.
+/// The uncompressed bytes of an accessor's elements.
 fn elements(json: &Value, binary: &[u8], accessor: usize) -> Vec<u8> {
     let accessor = &json["accessors"][accessor];
     let view = &json["bufferViews"][number(&accessor["bufferView"])];
@@ -72,7 +72,8 @@ fn triangles(json: &Value, binary: &[u8]) -> Vec<[u32; 3]> {
     words.chunks_exact(3).map(|c| [c[0], c[1], c[2]]).collect()
 }
 
-/// Triangles as corner positions, each from its least corner on, in order.
+/// The corner positions of all triangles. Each triangle begins with its lowest corner, and
+/// triangles are sorted.
 fn soup<T: PartialOrd + Copy>(positions: &[[T; 3]], triangles: &[[u32; 3]]) -> Vec<[[T; 3]; 3]> {
     let mut soup: Vec<[[T; 3]; 3]> = triangles
         .iter()
@@ -110,7 +111,7 @@ fn a_plain_glb_preserves_the_mesh_and_its_velocity_in_f32() {
         (0..narrow.len()).map(|i| whole(&narrow[i], &normals[i], &of(i))).collect();
     expected.sort_by(|a, b| a.partial_cmp(b).unwrap());
     assert_eq!(found, expected);
-    // Bounds are those of the stored values.
+    // The listed bounds must be the bounds of the stored values.
     let accessor = &json["accessors"][number(&attributes["POSITION"])];
     for (bound, pick) in [("min", f32::min as fn(f32, f32) -> f32), ("max", f32::max)] {
         let listed: Vec<f32> = accessor[bound]
@@ -171,7 +172,7 @@ fn a_compressed_glb_is_accurate_to_half_a_quantization_step() {
     assert_eq!(node["scale"], serde_json::json!([step, step, step]));
     assert_eq!(json["asset"]["extras"]["positionError"], serde_json::json!(step / 2.0));
     let (plain_json, plain_binary) = written(&mesh, CoordinateWidth::F32, GlbLayout::PLAIN);
-    // The order is the same except for the codec, which rotates triangles.
+    // Compression keeps the order of vertices and triangles, but the codec rotates triangles.
     let positions = floats(&elements(&plain_json, &plain_binary, 0));
     let packed: Vec<u16> = elements(&json, &binary, 0)
         .chunks_exact(2)
@@ -222,7 +223,7 @@ fn the_glb_node_rotates_z_up_to_y_up_and_holds_large_offsets() {
     assert!(near.iter().flatten().all(|x| x.abs() <= 1.01));
 }
 
-/// A mesh that has only counts.
+/// A mesh of which only the numbers of vertices and triangles exist.
 struct Huge(u64);
 
 impl MeshSource for Huge {

@@ -1,4 +1,5 @@
-//! Particles in HDF5 files of h5py: every valid file is read, and damaged files never panic.
+//! Tests of particles in HDF5 files that h5py wrote: valid files are read, and damaged files never
+//! cause a panic.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -77,7 +78,7 @@ fn names(file: &ParticleFile) -> Vec<(&str, usize)> {
     file.particles.attributes().iter().map(|a| (&*a.name, a.components)).collect()
 }
 
-/// The points of all files, moved along all axes.
+/// The points of all files, moved by the same distance along each axis.
 fn points(by: f64) -> Vec<[f64; 3]> {
     let exact = positions(&open("steps.h5part#0").unwrap());
     exact.into_iter().map(|point| point.map(|x| x + by)).collect()
@@ -205,7 +206,7 @@ fn damaged_hdf5_files_never_panic_and_truncation_never_changes_values() {
         };
         let values = positions(&read(whole.clone()).unwrap());
         for length in 0..whole.len() {
-            // The missing bytes may have been padding.
+            // A truncated file may be valid if only padding is missing.
             if let Ok(file) = read(whole[..length].to_vec()) {
                 assert_eq!(positions(&file), values, "{name} cut at {length}");
             }

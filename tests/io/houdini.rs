@@ -1,4 +1,5 @@
-//! Houdini geometries: points are read in every form and arrangement, and damage is refused.
+//! Tests of Houdini geometries: points are read in every form and arrangement, and damage is an
+//! error.
 
 use std::path::Path;
 
@@ -24,7 +25,8 @@ fn read(bytes: Vec<u8>) -> Result<ParticleFile, ReadFault> {
     houdini::read_particles(bytes.into(), WantedAttributes::All, Unpacking::in_memory())
 }
 
-/// Numbers that every storage type represents exactly. Those of points 1024 to 2047 are equal.
+/// Numbers that every storage type represents exactly. Points 1024 to 2047 all have the same
+/// numbers.
 fn numbers(points: usize, components: usize) -> Vec<f64> {
     let number = |point: usize, component: usize| match point {
         1024..2048 => component as f64,
@@ -33,7 +35,7 @@ fn numbers(points: usize, components: usize) -> Vec<f64> {
     (0..points).flat_map(|point| (0..components).map(move |c| number(point, c))).collect()
 }
 
-/// A label's text for each particle.
+/// The text of a string attribute, for each particle.
 fn texts(file: &ParticleFile, name: &str) -> Vec<String> {
     let labels = file.particles.labels();
     let index = labels.iter().position(|label| label.name == name).expect(name);
@@ -42,7 +44,7 @@ fn texts(file: &ParticleFile, name: &str) -> Vec<String> {
     places.iter().map(|&place| labels[index].texts[place as usize].clone()).collect()
 }
 
-/// A position in f32 in one page.
+/// The attribute of positions, as f32 in one page.
 fn position(points: usize) -> Value {
     let layout = Layout::Pages(1024, vec![3]);
     numeric("P", "fpreal32", 3, tuples(points).as_flattened(), &layout)
@@ -63,7 +65,7 @@ fn every_storage_type_is_read_in_every_form_and_arrangement() {
     for form in Form::ALL {
         for (storage, ..) in STORAGES {
             for points in [0, 1, 1024, 1025, 2100] {
-                // Each file has all arrangements, one per attribute.
+                // Each file has one attribute for each arrangement.
                 let mut attributes = vec![position(points)];
                 let mut expected = Vec::new();
                 for components in [1, 2, 4] {
@@ -233,7 +235,8 @@ fn points_of_primitives_are_omitted_and_counted_by_kind() {
         keyed(vec![("type", text("run")), ("runtype", text("Poly"))]),
         Value::List(vec![Value::List(vec![Value::Numbers("int32", vec![0.0, 1.0, 2.0])])]),
     ]);
-    // Two triangles of points 0 to 3, a sphere at 5, a particle system of 6 and 8.
+    // Two triangles with the points 0 to 3, a sphere at point 5, and a particle system with the
+    // points 6 and 8.
     let vertices = [0.0, 1.0, 2.0, 2.0, 1.0, 3.0, 5.0, 6.0, 8.0];
     let primitives = vec![polygons, sphere, particles.clone(), run];
     for form in Form::ALL {
@@ -381,7 +384,7 @@ fn counts_beyond_the_file_size_are_refused_without_allocating() {
             assert!(largest < 1 << 20, "{largest} bytes: {fault}");
         }
     }
-    // Lengths in the binary form.
+    // Use lengths in the binary form that are far too large.
     for length in [vec![0xf4, 0xff, 0xff, 0xff, 0xff], [&[0xf8][..], &[0xff; 8]].concat()] {
         for kind in [0x27, 0x26, 0x40] {
             let mut bytes = b"\x7fNSJb\x5b".to_vec();
@@ -394,7 +397,7 @@ fn counts_beyond_the_file_size_are_refused_without_allocating() {
     }
     let packed = Container::USUAL.pack(&cloud(7, vec![position(7)]).document(Form::ALL[1]));
     let length = packed.len();
-    // Lengths of a container: metadata, header, chunks and index.
+    // Damage the lengths in a container: of its metadata, header, chunks and index.
     for (at, bytes) in [
         (4, 8),
         (12 + 16 + 4, 4),

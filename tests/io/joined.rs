@@ -1,4 +1,4 @@
-//! Joined files: their colours get one scale, and no colour is scaled twice.
+//! Tests of joined files: the colours of all files get the same scale, and none is scaled twice.
 
 use std::fs;
 use std::path::Path;
@@ -13,7 +13,7 @@ use tempfile::TempDir;
 
 use crate::common::particle_files::attribute;
 
-/// Writes two particles with one colour each, in a number type.
+/// Writes two particles, each with a colour of the number type `scalar`.
 fn coloured(path: &Path, scalar: &str, colours: [&str; 2]) {
     let properties: String =
         ["red", "green", "blue"].map(|name| format!("property {scalar} {name}\n")).concat();

@@ -1,4 +1,4 @@
-//! Reading and writing of every format: valid files are read, and damaged files are refused.
+//! Tests of reading and writing every format: valid files are read, and damaged files are errors.
 #![allow(clippy::unwrap_used)]
 
 mod alembic;

@@ -1,11 +1,11 @@
-//! The allocator of these tests refuses large blocks and measures the allocations of a call.
+//! The allocator of these tests, which refuses large blocks and measures the allocations of a call.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::sync::atomic::{AtomicBool, AtomicIsize, Ordering};
 
-/// The largest block that tests may allocate. A larger request means that a reader trusts the
-/// header of a file.
+/// The largest block that tests may allocate, in bytes. A request for a larger block means that a
+/// reader trusts a size in a file's header.
 const LARGEST_BLOCK: usize = 64 << 20;
 
 thread_local! {
@@ -16,7 +16,8 @@ thread_local! {
 
 /// Whether [`peak_of_process`] is measuring.
 static COUNTING: AtomicBool = AtomicBool::new(false);
-/// Bytes that all threads have allocated since counting began, and their maximum.
+/// The number of bytes that all threads hold, counted since the measurement began; and the peak of
+/// this number.
 static HELD: AtomicIsize = AtomicIsize::new(0);
 static PEAK: AtomicIsize = AtomicIsize::new(0);
 
@@ -34,7 +35,7 @@ unsafe impl GlobalAlloc for Meter {
                 HELD.fetch_add(layout.size() as isize, Ordering::Relaxed) + layout.size() as isize;
             PEAK.fetch_max(held, Ordering::Relaxed);
         }
-        // SAFETY: the caller guarantees the same to the system allocator.
+        // SAFETY: the caller's guarantees also hold for the system allocator.
         unsafe { System.alloc(layout) }
     }
 
@@ -42,7 +43,7 @@ unsafe impl GlobalAlloc for Meter {
         if COUNTING.load(Ordering::Relaxed) {
             HELD.fetch_sub(layout.size() as isize, Ordering::Relaxed);
         }
-        // SAFETY: the caller guarantees the same to the system allocator.
+        // SAFETY: the caller's guarantees also hold for the system allocator.
         unsafe { System.dealloc(pointer, layout) }
     }
 }
@@ -53,7 +54,8 @@ static METER: Meter = Meter;
 /// Returns the result of `call`, and the size in bytes of the largest block that this thread
 /// requests in it.
 ///
-/// The caller checks the size: blocks of this thread may be larger than [`LARGEST_BLOCK`].
+/// During the call, blocks of this thread may be larger than [`LARGEST_BLOCK`], so the caller must
+/// check the size.
 pub fn largest_allocation<T>(call: impl FnOnce() -> T) -> (T, usize) {
     LARGEST.set(0);
     let result = unlimited(call);

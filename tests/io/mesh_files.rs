@@ -1,5 +1,5 @@
-//! Mesh files: a written mesh is read unchanged, damage is refused, and a failed write leaves no
-//! file.
+//! Tests of mesh files: reading returns the written mesh, damage is an error, and a failed write
+//! leaves no file.
 
 use std::fs;
 use std::io::{self, Read};
@@ -55,7 +55,7 @@ fn every_format_preserves_everything_that_it_supports_exactly() {
         for width in [CoordinateWidth::F32, CoordinateWidth::F64] {
             let read = format.read(&written(format, &mesh, width)).unwrap();
             let wide = width == CoordinateWidth::F64 && format.holds_f64();
-            // The decimal text of an f32 reads as an f64 that rounds to the same f32.
+            // A reader of text reads an f32 as an f64 with other bits, so compare rounded meshes.
             let (read, expected) =
                 if wide { (read, mesh.clone()) } else { (narrowed(&read), narrowed(&mesh)) };
             assert_eq!(soup(&read), soup(&expected), "{format:?} {width:?}");
@@ -159,7 +159,7 @@ fn colliding_attribute_names_are_renamed_uniquely_and_reported() {
             "{format:?}: {:?}",
             read.attributes
         );
-        // A renamed attribute is reported.
+        // An attribute that the format renames must be reported.
         let renamed = format.renamed(&infos, true);
         for (attribute, name) in read.attributes.iter().zip(names) {
             let expected = renamed.iter().find(|[from, _]| from == name).map_or(name, |[_, to]| to);
@@ -229,9 +229,9 @@ fn obj_files_of_other_programs_are_read() {
     let mesh = MeshFormat::Obj.read(text).unwrap();
     assert_eq!(mesh.positions, [[0., 0., 0.], [1., 0., 0.], [1., 1., 0.], [0., 1., 0.]]);
     assert_eq!(mesh.triangles, [[0, 1, 2], [0, 2, 3], [0, 1, 2], [0, 1, 3]]);
-    // Four corners share one normal, so it is not a normal per vertex.
+    // All corners share one normal of the file, so the file has no normals of vertices.
     assert_eq!(mesh.normals, None);
-    // Normals belong to vertices only if all corners pair them in the same order.
+    // The file has normals of vertices only if every corner has the same index for both.
     let triangle = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 1\nvn 0 1 0\nvn 1 0 0\n";
     let normals =
         |face| MeshFormat::Obj.read(format!("{triangle}{face}").as_bytes()).unwrap().normals;
@@ -304,7 +304,7 @@ fn stl_files_of_other_programs_are_read() {
     let mesh = MeshFormat::Stl.read(text.as_bytes()).unwrap();
     assert_eq!(mesh.positions, [[0., 0., 0.], [1., 0., 0.], [0., 0.5, 0.]]);
     assert_eq!(mesh.triangles, [[0, 1, 2]]);
-    // A binary file that starts like text.
+    // A binary file may begin with "solid ", like a text file.
     let mut binary = written(MeshFormat::Stl, &mesh, CoordinateWidth::F32);
     binary[..6].copy_from_slice(b"solid ");
     assert_eq!(MeshFormat::Stl.read(&binary).unwrap(), mesh);
@@ -469,8 +469,8 @@ fn a_truncated_file_is_refused_at_every_length() {
     for length in 0..VTP_TEXT.len() {
         assert!(MeshFormat::Vtp.read(&VTP_TEXT.as_bytes()[..length]).is_err(), "{length}");
     }
-    // These two formats do not store the length of the rest. A file that ends between two sections
-    // or lines is complete.
+    // These two formats do not store the length of the file, so a file that ends between two lines
+    // or sections is valid.
     for format in [MeshFormat::Obj, MeshFormat::Vtk] {
         let bytes = written(format, &mesh, CoordinateWidth::F32);
         let readable =
@@ -559,7 +559,7 @@ fn the_extension_selects_the_mesh_format_ignoring_case() {
 
 #[test]
 fn an_existing_file_is_replaced_only_on_request_and_atomically() {
-    // The test also uses a folder in memory, under /dev.
+    // Also test a folder in memory, which is below /dev although it is no device.
     let shared = Path::new("/dev/shm").is_dir().then(|| tempfile::tempdir_in("/dev/shm").unwrap());
     for folder in shared.into_iter().chain([tempfile::tempdir().unwrap()]) {
         let path = folder.path().join("a.ply");

@@ -1,5 +1,5 @@
-//! Writing a mesh needs memory for the size of its pieces, not for their number. Only .stl also
-//! holds all positions.
+//! Tests that the memory for writing a mesh depends on the size of its pieces, and not on their
+//! number, except for .stl, which needs all positions.
 
 use std::borrow::Cow;
 use std::io;
@@ -13,7 +13,7 @@ use meniscus::internals::surface::mesh::source::{MeshSource, Outline, Vertices};
 use crate::common::alone::alone;
 use crate::memory::peak_of_process;
 
-/// Pieces that are generated on request.
+/// A mesh whose pieces are generated when they are read.
 struct Strip {
     pieces: usize,
 }
@@ -71,8 +71,8 @@ fn write_strips() {
         peak(format, 16);
         let [few, many] = [100, 400].map(|pieces| peak(format, pieces));
         let whole = if format.holds_whole_mesh() { 24 * VERTICES * 300 } else { 0 };
-        // Buffers for eight pieces, of at most 110 bytes per triangle as they double, and two
-        // unchanged pieces.
+        // Writing needs encoding buffers for eight pieces, with up to 110 bytes per triangle
+        // because buffers grow by doubling, and two pieces of the mesh.
         assert!(few - whole / 3 < (8 * 110 + 2 * 100) * TRIANGLES, "{format}: {few} bytes");
         assert!(
             (whole..whole + few / 4 * 5).contains(&many),

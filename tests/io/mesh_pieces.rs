@@ -1,4 +1,5 @@
-//! A mesh in any pieces is written like the whole mesh, and a piece that fails leaves no file.
+//! Tests that a mesh in any pieces gives the same file as the mesh in one piece, and that a piece
+//! that cannot be read leaves no file.
 
 use std::borrow::Cow;
 use std::fs;
@@ -25,16 +26,17 @@ const FORMATS: [MeshFormat; 8] = [
     MeshFormat::Abc(SampleTime::ZERO),
 ];
 
-/// A source that gives a mesh in these ranges of vertices and triangles.
+/// A source that divides a mesh into pieces, which are ranges of vertices and triangles.
 struct Cut {
     mesh: Mesh,
     pieces: Vec<[Range<usize>; 2]>,
-    /// The unreadable piece of vertices, and the unreadable piece of triangles.
+    /// The piece whose vertices cannot be read, and the piece whose triangles cannot be read.
     lost: [Option<usize>; 2],
 }
 
 impl Cut {
-    /// Cuts after the given numbers of vertices and triangles; the last pieces contain the rest.
+    /// Divides a mesh into pieces with these numbers of vertices and triangles. The last piece has
+    /// all that remain.
     fn new(mesh: &Mesh, vertices: &[usize], triangles: &[usize]) -> Self {
         let ranges = |sizes: &[usize], all: usize| -> Vec<Range<usize>> {
             let ends = sizes.iter().scan(0, |end, size| {
@@ -100,8 +102,8 @@ fn written(format: MeshFormat, mesh: &dyn MeshSource, width: CoordinateWidth) ->
     bytes
 }
 
-/// Cuts with empty pieces, with tiny pieces, and with all vertices and all triangles in different
-/// pieces.
+/// Several divisions of a mesh: with empty pieces, with tiny pieces, and with all vertices in one
+/// piece and all triangles in another.
 fn cuts(mesh: &Mesh) -> [Cut; 4] {
     let [vertices, triangles] = [mesh.positions.len(), mesh.triangles.len()];
     let ones: Vec<_> = (0..99).map(|i| i % 2).collect();

@@ -1,4 +1,5 @@
-//! Packed frames: the field from disk equals the field in memory, and damage is detected.
+//! Tests of packed frames: the field from the file equals the field in memory, and damage is
+//! detected.
 
 use std::fs;
 use std::io::Write;
@@ -25,7 +26,7 @@ use crate::common::{INDICATORS, full_cells, sampling, splashes, tank};
 
 const SIDES: [BrickSide; 3] = [BrickSide::Four, BrickSide::Eight, BrickSide::Sixteen];
 
-/// The field of `particles`, and the rest of a frame.
+/// Samples particles, and returns the frame.
 fn sample(
     particles: &(impl Particles + ?Sized),
     grid: Grid,
@@ -59,7 +60,7 @@ fn encoded(frame: &SampledDif) -> Vec<u8> {
     bytes
 }
 
-/// A few pages with very few particles, in a tank.
+/// A frame with a few pages and very few particles, in a tank.
 fn small() -> SampledDif {
     let mut particles: Vec<[f64; 3]> = splashes(5).into_iter().step_by(25).collect();
     particles.push([f64::NAN; 3]);
@@ -81,7 +82,7 @@ impl Folder {
     }
 }
 
-/// The error for damaged bytes with corrected checksums.
+/// The error that a frame gives, after its damaged bytes got correct checksums.
 fn refusal(folder: &Folder, bytes: &[u8]) -> String {
     open_frame(&folder.file(bytes), 1 << 20).expect_err("damage is not detected").fault.to_string()
 }
@@ -182,7 +183,7 @@ fn a_periodic_box_is_preserved_and_damage_to_it_is_detected() {
     let found = open_frame(&folder.file(&good), 0).unwrap();
     assert_eq!((found.facts, found.indicator), (frame.facts, frame.indicator));
     assert!(encoded(&found) == good);
-    // On Windows, a file that is mapped cannot be replaced.
+    // Unmap the file: Windows cannot replace a mapped file.
     drop(found);
     let Layout { footer, index } = Layout::of(&good);
     let (layout, faces) = (Layout { footer, index: index + 56 }, footer + 136);
@@ -254,7 +255,7 @@ fn every_flipped_byte_and_every_truncation_is_a_typed_error() {
     assert!(matches!(kind(&longer, "an extra byte"), ReadFault::Malformed { .. }));
 }
 
-/// Offsets of parts of the file, see the table in the module.
+/// The offsets of the footer and the index. The module of packed frames documents the format.
 struct Layout {
     footer: usize,
     index: usize,
@@ -327,7 +328,7 @@ fn invalid_values_with_valid_checksums_are_refused() {
         bad[at..at + patch.len()].copy_from_slice(&patch);
         layout.seal(&mut bad);
         if expected.is_empty() {
-            // The result may be another frame or an error, but not a panic.
+            // The result may be a frame or an error, but the library must not panic.
             let _ = open_frame(&folder.file(&bad), 0);
             continue;
         }
@@ -399,7 +400,7 @@ fn impossible_samples_in_the_ghost_layer_of_a_page_are_refused() {
     samples[0] = 1;
     assert!(refusal(&folder, &written(&samples)).contains("page 0 contains other cells"));
 
-    // The maximum number of particles that a file can state.
+    // Write the largest number of particles that the field in the file can have.
     let layout = Layout::of(&whole);
     whole[layout.footer + 104..][..8].fill(0xff);
     layout.seal(&mut whole);
@@ -418,7 +419,7 @@ fn unfinished_packed_frames_and_other_files_are_refused() {
     assert!(matches!(missing.fault, ReadFault::Io(_)), "{missing}");
 }
 
-/// A writer that accepts only this number of bytes.
+/// A writer that fails after this number of bytes.
 struct FullDisk(usize);
 
 impl Write for FullDisk {

@@ -1,5 +1,5 @@
-//! VTK files that list pieces: each particle is read once, a mesh is complete, and an error names
-//! its piece.
+//! Tests of VTK files that list pieces: each particle is read once, a mesh is complete, and an
+//! error names the piece.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -29,7 +29,7 @@ fn open(path: &Path) -> Result<ParticleFile, ReadError> {
     open_particles(path, Unpacking::in_memory())
 }
 
-/// A list and a folder with two pieces, of two and four points.
+/// A folder with a list and two pieces, which have two and four points.
 struct Set(TempDir);
 
 impl Set {
@@ -63,7 +63,8 @@ fn list(sources: &[&str]) -> String {
     )
 }
 
-/// Points at (i, 2 i, 3 i) + 0.1 with attributes i, some of them flagged.
+/// A piece with a point at (i, 2 i, 3 i) + 0.1 for each i in `points`. All attributes of the point
+/// are i. The points in `ghosts` are flagged.
 fn piece(kind: &str, points: &[usize], attributes: &[&str], ghosts: &[usize]) -> String {
     let numbers = |values: &mut dyn Iterator<Item = String>| values.collect::<Vec<_>>().join(" ");
     let where_ = numbers(
@@ -105,7 +106,7 @@ fn pieces_written_by_vtk_are_joined_without_ghosts() {
         assert_eq!(names, [("velocity", 3), ("id", 1)], "{name}");
         assert_eq!(attribute(&file, "id"), (0..24).map(|i| i as f32).collect::<Vec<_>>(), "{name}");
         assert!(!holds_mesh(&data(name)).unwrap(), "{name}");
-        // Every range is the same as in the whole, across ghosts and pieces.
+        // Every range of particles must be right, also across ghosts and pieces.
         for first in 0..=points.len() {
             for count in 0..=points.len() - first {
                 let mut part = vec![[0.0; 3]; count];
@@ -154,7 +155,7 @@ fn attributes_missing_in_a_piece_are_omitted_and_reported_by_name() {
     let set = Set::new();
     set.write("p/0.vtu", &piece("Float64", &[0, 1], &["id", "mass"], &[]));
     set.write("p/1.vtu", &piece("Float64", &[2, 3, 4, 5], &["T", "id"], &[3]));
-    // The same pieces in one file.
+    // Write both pieces into one file.
     let whole = |name: &str| fs::read_to_string(set.path(name)).unwrap();
     let (first, second) = (whole("p/0.vtu"), whole("p/1.vtu"));
     let more = &second[second.find("<Piece").unwrap()..second.find("</Unstr").unwrap()];
@@ -175,7 +176,7 @@ fn several_pieces_in_one_file_are_joined_for_all_encodings_and_types() {
     let points: Vec<[f64; 3]> = tuples(5);
     for layout in VtkXml::all() {
         let one = String::from_utf8_lossy(&layout.build(&points)).into_owned();
-        // Appended data occur once, and two pieces use them.
+        // Two pieces of a file may use the same appended data.
         let bytes = layout.build(&points);
         let (start, end) = (one.find("<Piece").unwrap(), one.find("</Unstr").unwrap());
         let text = piece("Float64", &[0, 1], &["id"], &[]);
@@ -326,7 +327,7 @@ fn pieces_in_a_folder_of_lists_are_not_taken_for_frames() {
         let arguments = ["reconstruct", inputs, "-o", "m/", "--spacing", "1", "--overwrite"];
         let output = command(&set.path(""), &arguments).output().unwrap();
         let messages = String::from_utf8_lossy(&output.stderr).into_owned();
-        // In a folder, the list without a number is not a frame.
+        // In the folder, the list is not a frame, because its name has no number.
         let expected = if inputs == "." { Some(0) } else { output.status.code() };
         assert_eq!(output.status.code(), expected, "{messages}");
         if inputs == "." {
@@ -358,7 +359,7 @@ fn a_pvtp_mesh_is_a_list_and_a_folder_that_read_back_unchanged() {
     assert_eq!(read_mesh(&path).unwrap(), mesh);
     assert!(holds_mesh(&path).unwrap());
 
-    // The list and the folder are replaced only with permission. Other files in the folder are
+    // The list and its folder are replaced only if this is allowed. Other files in the folder are
     // kept.
     let exists = |fault: &WriteFault| matches!(fault, WriteFault::Exists);
     assert!(exists(&write(Replace::Refuse).unwrap_err().fault));
@@ -380,8 +381,8 @@ fn a_pvtp_mesh_is_a_list_and_a_folder_that_read_back_unchanged() {
     assert!(read_mesh(&path).unwrap_err().path.ends_with("torus_0.vtp"));
 }
 
-/// Points as in [`piece`], with one vertex each in this order, and flags of these vertices under a
-/// name.
+/// A piece like that of [`piece`], with a vertex for each point in `order`. The vertices have these
+/// flags, under the given name.
 fn with_cells(polydata: bool, order: &[usize], name: &str, flags: &[u8]) -> String {
     let numbers = |values: &mut dyn Iterator<Item = usize>| {
         values.map(|value| value.to_string()).collect::<Vec<_>>().join(" ")
@@ -422,7 +423,7 @@ fn points_whose_vertices_are_all_ghosts_are_omitted() {
     for polydata in [true, false] {
         for (name, flags, left) in [
             ("vtkGhostType", [1, 0, 0, 8, 0, 32], &[1, 3, 4][..]),
-            // The flags for connectivity and exterior do not make a cell a ghost.
+            // The flags for high connectivity, low connectivity and exterior do not mean a ghost.
             ("vtkGhostType", [2, 4, 16, 0, 0, 0], &[0, 1, 2, 3, 4, 5]),
             ("vtkGhostLevels", [2, 1, 0, 0, 0, 0], &[0, 1, 2, 3]),
             ("vtkGhostType", [1; 6], &[]),
@@ -431,10 +432,10 @@ fn points_whose_vertices_are_all_ghosts_are_omitted() {
             let found = points_left(polydata, &with_cells(polydata, &order, name, &flags)).unwrap();
             assert_eq!(found, left, "{name} {flags:?}");
         }
-        // A point with a second vertex stays, and so does a point without a vertex.
+        // A point with an unflagged second vertex is no ghost, and neither is one without vertices.
         let text = with_cells(polydata, &[0, 0, 1, 2, 2], "vtkGhostType", &[1, 0, 1, 1, 1]);
         assert_eq!(points_left(polydata, &text).unwrap(), [0, 3, 4, 5]);
-        // Flags of cells with several points do not apply to the points.
+        // Flags of a cell with several points do not apply to its points.
         let text = with_cells(polydata, &order, "vtkGhostType", &[1; 6]);
         let line = text.replace(">1 2 3 4 5 6<", ">1 2 3 4 5 7<");
         assert_eq!(points_left(polydata, &line).unwrap().len(), 6);

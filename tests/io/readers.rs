@@ -1,4 +1,5 @@
-//! Particle files: the readers return what was written, refuse damage, and never panic.
+//! Tests of the readers of particle files: they return the written values, reject damaged files,
+//! and never panic.
 
 use std::io::{Seek, Write};
 use std::path::Path;
@@ -20,10 +21,10 @@ use crate::common::files::data;
 use crate::common::particle_files::{attribute, positions};
 use crate::memory;
 
-/// Compresses the bytes of a file.
+/// A function that compresses the bytes of a file.
 type Packer = fn(&[u8]) -> Vec<u8>;
 
-/// Compressions of whole files, by their extensions.
+/// Compressions of complete files, by the extensions that they add.
 const PACKERS: [(&str, Packer); 3] = [
     ("gz", gzip),
     ("xz", xz),
@@ -177,8 +178,8 @@ fn splishsplash_frames_match_the_values_of_their_simulation() {
     }
 }
 
-/// The expected values come from a separate program. It searched for the array tags in the bytes,
-/// and took the rows whose Idp is at least CaseNfixed + CaseNmoving + CaseNfloat = 7846.
+/// The expected values come from a separate program. It found the arrays by their tags, and
+/// selected the rows whose Idp is at least CaseNfixed + CaseNmoving + CaseNfloat = 7846.
 #[test]
 fn a_dualsphysics_part_gives_its_fluid_particles_and_spacing() {
     let file = open_particles(&data("dualsphysics_dambreak/Part_0005.bi4")).unwrap();
@@ -305,7 +306,7 @@ fn a_truncated_file_of_encoded_numbers_is_refused_at_every_length() {
     }
 }
 
-/// The result of a reader as text: all numbers, or a fault.
+/// The result of a reader as text: all numbers, or the error.
 fn outcome(file: Result<ParticleFile, ReadFault>) -> String {
     let numbers = |file: ParticleFile| {
         let values: Vec<_> =
@@ -321,7 +322,7 @@ fn reading_by_position_equals_reading_from_memory_at_every_length() {
     for (number, (name, reader, bytes)) in
         samples().into_iter().chain(encoded_samples()).enumerate()
     {
-        // A file of a single byte is read at once.
+        // Begin with two bytes, because a file with a single byte is read into memory.
         for cut in 2..=bytes.len() {
             let path = folder.path().join(format!("{number}.{cut}"));
             std::fs::write(&path, &bytes[..cut]).unwrap();
@@ -367,7 +368,7 @@ fn a_file_truncated_after_opening_is_reported_as_changed() {
             file.set_len(left as u64).unwrap();
             match reader(opened) {
                 Err(ReadFault::Changed) => {}
-                // Columns that begin after the cut have not been read yet.
+                // Opening a file does not read all columns, so `check` must find the truncation.
                 Ok(file) => assert_eq!(file.particles.check(), Err(RereadError::Changed), "{name}"),
                 Err(fault) => panic!("{name}: {fault}"),
             }
@@ -379,7 +380,7 @@ fn a_file_truncated_after_opening_is_reported_as_changed() {
 fn a_flipped_bit_in_checksummed_positions_is_detected() {
     let points = tuples(7);
     let mut files: Vec<(Reader, Vec<u8>)> = Vec::new();
-    // LZ4 blocks have no checksum.
+    // Leave out LZ4, whose blocks have no checksum.
     let compressed = |layout: &VtkXml| {
         matches!(layout.compressor, Compressor::Zlib | Compressor::Lzma)
             && layout.placed != build::Placed::Ascii
@@ -438,7 +439,7 @@ fn encoded_numbers_beyond_the_memory_limit_are_decoded_to_scratch_files() {
         assert_eq!(positions(&file), positions(&read(reader, &bytes).unwrap()));
         scratched += usize::from(file.particles.scratch_bytes() > 0);
     }
-    // All except the file whose appended data is raw, and the stored one.
+    // All files were unpacked to scratch files, except those that are read in place.
     assert_eq!(scratched, 32 + 12 - 4 + 1);
     let nowhere = Unpacking { in_memory: 100, scratch: Path::new("nowhere"), control: None };
     let path = folder.path().join("a.npz");
@@ -611,7 +612,7 @@ fn damaged_compressed_files_are_detected() {
                 let mut damaged = packed.clone();
                 damaged[at] ^= flip;
                 std::fs::write(&path, damaged).unwrap();
-                // These zstd files have no checksum, so numbers may differ.
+                // These zstd files have no checksum, so damage may change numbers without an error.
                 if let Ok(file) = open_particles(&path)
                     && extension != "zst"
                 {
@@ -636,7 +637,7 @@ fn concatenated_compressed_streams_are_read_as_one_file() {
                 .unwrap();
             assert_eq!(open_particles(&path).unwrap().particles.len(), count, "{extension}");
         }
-        // Bytes after a stream that are not a stream are damage.
+        // Bytes after a stream that do not form another stream are an error.
         let begun = &pack(&two)[..4];
         std::fs::write(&path, [&pack(&one), begun, b"rest"].concat()).unwrap();
         let fault = open_particles(&path).expect_err("refused").fault;
@@ -678,7 +679,8 @@ fn counts_beyond_the_file_size_are_refused_without_allocating() {
             .build(&points);
         let tags = bytes.windows(6).enumerate().filter(|(_, tag)| tag == b"\nARRAY");
         for tag in tags.map(|(at, _)| at).collect::<Vec<_>>() {
-            // After the tag, a name of 3 letters (as all three have), the flag and the type.
+            // The count follows the tag, a name (3 letters in all three arrays), the flag and the
+            // type.
             let count_at = tag + 6 + 4 + 3 + 4 + 4;
             let mut bytes = bytes.clone();
             let width = if wide { 8 } else { 4 };
@@ -723,7 +725,7 @@ fn huge_counts_of_encoded_numbers_are_refused_without_allocating() {
             for field in 0..if layout.is_compressed() { 3 } else { 1 } {
                 let width = if layout.wide { 8 } else { 4 };
                 let mut bytes = bytes.clone();
-                // The offset of the points' array, which the last element names.
+                // Find the offset of the array of points, which is in the last element.
                 let offset: usize = text
                     .split("Name=\"Points\"")
                     .nth(1)
@@ -769,7 +771,7 @@ fn a_last_vtk_block_without_any_blocks_is_refused() {
         .into_iter()
         .filter(|l| l.is_compressed() && l.placed == build::Placed::AppendedRaw)
     {
-        // The coordinates of two points are one block, which is not full.
+        // The coordinates of two points fit into one block, which is not full.
         let mut bytes = layout.build(&tuples(2));
         let text = String::from_utf8_lossy(&bytes).into_owned();
         let offset: usize = text
@@ -1093,7 +1095,7 @@ fn frames_of_xyz_files_and_steps_of_lammps_dumps_are_read_separately() {
 #[test]
 fn scaled_lammps_coordinates_follow_the_edges_of_the_box() {
     let boxes = [
-        // Tilted: x from 0 to 2 and y from 0 to 3, with xy 1, xz 0 and yz 0.5.
+        // A tilted box: x from 0 to 2 and y from 0 to 3, with the tilts xy 1, xz 0 and yz 0.5.
         "xy xz yz pp pp pp\n0 3 1\n0 3.5 0\n0 4 0.5\n",
         "abc origin pp pp pp\n2 0 0 0\n1 3 0 0\n0 0.5 4 0\n",
     ];
@@ -1269,7 +1271,7 @@ fn a_changed_compressed_file_of_frames_is_decompressed_again() {
     write("a.xyz", frames(0).as_bytes());
     write("b.xyz.gz", &gzip(frames(0).as_bytes()));
     for name in ["a.xyz", "b.xyz.gz"] {
-        // Without a scratch folder, memory is used.
+        // If there is no scratch folder, the file is unpacked in memory.
         for scratch in [Path::new("nowhere"), folder.path(), Path::new("nowhere")] {
             for (number, x) in [(2, 2.5), (0, 0.5), (1, 1.5)] {
                 let read = open(&format!("{name}#{number}"), scratch).unwrap();

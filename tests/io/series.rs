@@ -1,5 +1,5 @@
-//! Listings that describe a simulation to other programs, complete after each frame, and a USD
-//! stage with its layers.
+//! Tests of the listings of a simulation for other programs, which are valid after each frame, and
+//! of a USD stage with its layers.
 
 use std::fs;
 use std::path::Path;

@@ -1,5 +1,5 @@
-//! HDF5 frames of large simulation codes, each written by the library of its code: every valid file
-//! is read, and damaged files never panic.
+//! Tests of HDF5 frames of large simulation codes, each written by the library of that code: valid
+//! files are read, and damaged files never cause a panic.
 //!
 //! `MENISCUS_EVERY_BYTE=1` truncates each file at every byte, and flips every byte.
 
@@ -22,7 +22,7 @@ use crate::common::program::command;
 use crate::memory;
 
 const GADGET: [&str; 3] = ["gadget_005.0.hdf5", "gadget_005.1.hdf5", "gadget_005.2.hdf5"];
-/// Every file with one frame, and the number of its ghosts.
+/// Every file with a single frame, and its number of ghosts.
 const FRAMES: [(&str, usize); 6] = [
     ("swift_0003.hdf5", 0),
     ("gadget_005.0.hdf5", 0),
@@ -47,12 +47,12 @@ fn open_type<'a>(path: &Path, name: impl Into<Option<&'a str>>) -> Result<Partic
     open_wanted(path, wanted, Unpacking::in_memory())
 }
 
-/// The points of every file.
+/// The points, which are the same in every file.
 fn points() -> Vec<[f64; 3]> {
     positions(&open("points.csv").unwrap())
 }
 
-/// A copy of the files with this prefix.
+/// A folder with copies of the files whose names begin with this prefix.
 fn copied(prefix: &str) -> TempDir {
     let folder = TempDir::new().unwrap();
     for entry in fs::read_dir(data("")).unwrap().map(Result::unwrap) {
@@ -70,11 +70,11 @@ fn frames_of_every_simulation_code_give_the_same_particles() {
         let file = open(name).unwrap();
         let mut expected = points();
         if name == "grid.vtkhdf" {
-            // The flagged points.
+            // Remove the points that are flagged as ghosts.
             expected.remove(5);
             expected.remove(1);
         }
-        // The third GADGET file and the steps contain f32. openPMD computes the positions.
+        // Other files are not exact: some contain f32, and openPMD positions are computed.
         let exact = ["swift_0003.hdf5", "pysph_40.hdf5", "grid.vtkhdf"].contains(&name);
         let tolerance = if exact { 0.0 } else { 1e-6 };
         let shift = if name == "steps.vtkhdf#2" { 20.0 } else { 0.0 };
@@ -177,11 +177,11 @@ fn a_snapshot_is_read_completely_from_any_of_its_files_or_its_view() {
         assert_eq!(snapshot_pieces(&data(name)), Some(3));
         assert_eq!(positions(&open(name).unwrap()), whole, "{name}");
     }
-    // The first file contains f64 and the third f32. Neither is rounded to the other.
+    // The first file contains f64 and the third f32. The f64 positions must not be rounded to f32.
     assert_eq!(whole[..9], points()[..9]);
     let single: Vec<_> = points()[9..].iter().map(|p| p.map(|x| f64::from(x as f32))).collect();
     assert_eq!(whole[9..], single);
-    // One of the files lacks the type, and there is no view.
+    // One file has no particles of this type, and there is no virtual file that joins them.
     let folder = copied("gadget_005.");
     fs::remove_file(folder.path().join("gadget_005.hdf5")).unwrap();
     assert_eq!(open_type(&folder.path().join(GADGET[2]), None).unwrap().particles.len(), 24);
@@ -201,19 +201,19 @@ fn an_error_in_a_snapshot_names_the_file_that_causes_it() {
             fs::write(&path, &bytes[..cut]).unwrap();
             refused("");
         }
-        // A single file of another snapshot.
+        // The next file of the snapshot may not be the single file of another snapshot.
         fs::copy(data("swift_0003.hdf5"), &path).unwrap();
         refused("another snapshot");
         fs::remove_file(&path).unwrap();
         let error = open_type(&start, None).unwrap_err();
         assert!(error.path == path && matches!(error.fault, ReadFault::Io(_)), "{error}");
     }
-    // A duplicated file is detected by the number of particles in the header.
+    // The number of particles in the header shows that a file occurs twice.
     let folder = copied("gadget");
     fs::copy(data(GADGET[2]), folder.path().join(GADGET[0])).unwrap();
     let error = open_type(&folder.path().join(GADGET[0]), None).unwrap_err();
     assert!(error.to_string().contains("announces 24 particles of PartType0"), "{error}");
-    // One file lacks an attribute, whose name is changed.
+    // Change the name of an attribute in one file, so that this file lacks the attribute.
     let folder = copied("gadget");
     let path = folder.path().join(GADGET[2]);
     let mut bytes = fs::read(&path).unwrap();
@@ -278,8 +278,8 @@ fn only_wanted_attributes_are_read_unless_one_is_missing() {
         assert_eq!(positions(&file), positions(&open(GADGET[0]).unwrap()));
         bytes.push(file.particles.scratch_bytes());
     }
-    // Nine positions are f64 and fifteen f32. Each particle has 12 bytes of velocity and 8 of
-    // identifiers.
+    // Nine particles have f64 positions, and fifteen have f32 positions. Each particle has a
+    // velocity of 12 bytes and an identifier of 8 bytes.
     let positions = 9 * 24 + 15 * 12;
     assert_eq!(bytes, [12, 8, 0, 20, 8, 20].map(|wide| positions + 24 * wide));
 }
@@ -294,7 +294,7 @@ fn contiguous_arrays_are_read_in_place_without_scratch_files() {
         let file = open_wanted(&data(name), wanted, nowhere).unwrap();
         assert_eq!(file.particles.scratch_bytes(), 0, "{name}");
     }
-    // Chunks must be assembled in memory or scratch.
+    // Arrays in chunks need memory or scratch files, and here there is neither.
     let error = open_wanted(&data("grid.vtkhdf"), wanted, nowhere).unwrap_err();
     assert!(matches!(error.fault, ReadFault::Scratch(_)), "{error}");
 }
@@ -303,7 +303,7 @@ fn contiguous_arrays_are_read_in_place_without_scratch_files() {
 fn damaged_files_cause_neither_panics_nor_large_allocations() {
     let folder = copied("gadget");
     let path = |name: &str| folder.path().join(name.split('#').next().unwrap());
-    // Testing every byte takes minutes.
+    // By default, test only some bytes, because testing every byte takes minutes.
     let every = std::env::var_os("MENISCUS_EVERY_BYTE").is_some();
     for (name, _) in FRAMES {
         let step = name.split_once('#').map(|(_, step)| format!("#{step}")).unwrap_or_default();
@@ -320,7 +320,7 @@ fn damaged_files_cause_neither_panics_nor_large_allocations() {
                 );
                 open_type(&opened, None)
             });
-            // The maximum for any unpacked file.
+            // No file that is not compressed needs a larger block of memory.
             assert!(largest <= 64 << 20, "{name}: {largest} bytes");
             result.map(|file| positions(&file))
         };
@@ -331,7 +331,7 @@ fn damaged_files_cause_neither_panics_nor_large_allocations() {
         };
         let prefixes = (0..whole.len()).step_by(stride([3, 41]));
         for length in prefixes {
-            // The missing bytes may have been padding.
+            // A truncated file may be valid if only padding is missing.
             if let Ok(found) = read(&whole[..length]) {
                 assert_eq!(found, values, "{name} cut at {length}");
             }
@@ -351,7 +351,7 @@ fn damaged_files_cause_neither_panics_nor_large_allocations() {
 fn each_snapshot_in_a_folder_is_one_frame() {
     let folder = copied("gadget");
     let path = folder.path();
-    // A second snapshot without a view, and a glob of the first two.
+    // Add a second snapshot. Neither snapshot has a virtual file that joins its pieces.
     for (piece, name) in GADGET.iter().enumerate() {
         fs::copy(path.join(name), path.join(format!("gadget_006.{piece}.hdf5"))).unwrap();
     }
@@ -377,7 +377,7 @@ fn each_snapshot_in_a_folder_is_one_frame() {
         let arguments = [&inputs[..], &["-o", "m/", "--spacing", "1", "--overwrite"]].concat();
         assert_eq!(run(&arguments), expected, "{inputs:?}");
     }
-    // A view of a snapshot represents it.
+    // If a virtual file joins the pieces of a snapshot, it stands for the snapshot.
     fs::copy(data("gadget_005.hdf5"), path.join("gadget_005.hdf5")).unwrap();
     fs::copy(data("gadget_005.hdf5"), path.join("gadget_006.hdf5")).unwrap();
     assert_eq!(run(&[".", "-o", "m/", "--spacing", "1", "--overwrite"]), expected);

@@ -1,5 +1,5 @@
-//! OpenVDB's files: each voxel, tile and value of a level set is decoded as OpenVDB's sources say,
-//! and compared with exact distances.
+//! Tests of .vdb files: a separate reader decodes each voxel, tile and value as in OpenVDB's
+//! sources, and the tests compare them with exact distances.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -20,12 +20,12 @@ use crate::common::shapes::{cuboid, moved, sphere, union};
 
 type Index = [i32; 3];
 
-/// A file whose bytes are all read.
+/// A .vdb file, of which every byte must be read.
 struct Archive {
     grids: Vec<Grid>,
 }
 
-/// A grid whose bytes are all read.
+/// The content of a grid.
 struct Grid {
     name: String,
     tree: String,
@@ -33,7 +33,7 @@ struct Grid {
     origin: [f64; 3],
     step: f64,
     background: Vec<f64>,
-    /// Tiles by edge and corner.
+    /// The values of tiles, by the edge and the corner of the tile.
     tiles: BTreeMap<(i32, Index), Vec<f64>>,
     leaves: BTreeMap<Index, Leaf>,
 }
@@ -43,17 +43,17 @@ struct Leaf {
     values: Vec<Vec<f64>>,
 }
 
-/// The bytes of a node before its children.
+/// The masks and values of a node, which precede its children.
 struct Node {
     has_child: Vec<bool>,
     tiles: Vec<Vec<f64>>,
 }
 
-/// The values of a grid as a file has them.
+/// How a file stores the values of a grid.
 #[derive(Clone, Copy)]
 struct Values {
     components: usize,
-    /// Bytes of a number, and whether it is an integer.
+    /// Size of a number in bytes; `whole` says whether it is an integer.
     bytes: usize,
     whole: bool,
     half: bool,
@@ -184,7 +184,7 @@ impl Reader<'_> {
         grid
     }
 
-    /// A node of this edge, with all below it.
+    /// Reads an inner node with this edge, and all nodes below it.
     fn inner(
         &mut self,
         grid: &mut Grid,
@@ -218,8 +218,8 @@ impl Reader<'_> {
         }
     }
 
-    /// The values of a node: those of active voxels are stored, and others are the background or its
-    /// negation.
+    /// Reads the values of a node. The file stores only the values of active voxels; all others are
+    /// the background or its negative.
     fn values(&mut self, values: Values, background: &[f64], active: &[bool]) -> Vec<Vec<f64>> {
         let negated: Vec<f64> = background.iter().map(|number| -number).collect();
         let [kind] = self.array();
@@ -242,7 +242,7 @@ impl Reader<'_> {
 
     fn stored(&mut self, values: Values, count: usize) -> Vec<Vec<f64>> {
         let length = count * values.components * if values.half { 2 } else { values.bytes };
-        // OpenVDB reads nothing of an empty array in half precision.
+        // In half precision, OpenVDB reads no bytes for an array without values.
         if !values.zip || values.half && count == 0 {
             return values.read(self.take(length), values.half);
         }
@@ -310,7 +310,7 @@ impl Grid {
     }
 }
 
-/// A mesh with the lattice of its samples.
+/// A mesh whose source also knows the lattice of its samples.
 struct OnLattice {
     mesh: Mesh,
     lattice: Option<Lattice>,
@@ -352,7 +352,7 @@ fn minus(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     std::array::from_fn(|axis| a[axis] - b[axis])
 }
 
-/// The distance of a place from a box, negative inside.
+/// The distance of a point from a box, negative inside.
 fn from_box(place: [f64; 3], low: [f64; 3], high: [f64; 3]) -> f64 {
     let beyond: [f64; 3] =
         std::array::from_fn(|axis| (low[axis] - place[axis]).max(place[axis] - high[axis]));
@@ -362,13 +362,13 @@ fn from_box(place: [f64; 3], low: [f64; 3], high: [f64; 3]) -> f64 {
 
 type Body = (&'static str, Mesh, Box<dyn Fn([f64; 3]) -> f64>);
 
-/// Closed meshes with their exact distances.
+/// Closed meshes, each with a function for the exact distance.
 fn bodies() -> Vec<Body> {
     let centre = [0.4, -1.3, 6.9];
     let ball = moved(&sphere(2.0, 6), centre);
-    // Larger than a node of 128 voxels along one axis, and on both sides of voxel 0.
+    // A box with both signs of coordinates, longer along one axis than a node of 128 voxels.
     let (low, high) = ([-3.21, -2.0, 2.5], [6.0, 3.33, 15.9]);
-    // Two boxes with a common edge, and two balls that touch in a vertex of both.
+    // Two boxes that share an edge, and two balls that touch in a vertex.
     let (one, other) = ([[0.0, 0.0, 7.0], [1.5, 1.5, 9.0]], [[1.5, 1.5, 7.0], [3.0, 3.0, 9.0]]);
     let cubes = union(&cuboid(one[0], one[1]), &cuboid(other[0], other[1]));
     let second = [centre[0] + 3.0, centre[1], centre[2]];
@@ -423,7 +423,7 @@ fn voxels_in_the_band_have_distances_and_other_voxels_have_a_side() {
                     let exact = distance(surface.place(index)) / LATTICE.step;
                     let (value, is_active) = surface.at(index);
                     let voxels = value[0] / LATTICE.step;
-                    // Triangles are inside a ball by up to 0.01 voxels.
+                    // The triangles of a ball are up to 0.01 voxels inside the true ball.
                     if exact.abs() > 0.02 {
                         assert_eq!(voxels < 0.0, exact < 0.0, "{what}, {index:?}: {voxels}");
                     }
@@ -514,7 +514,7 @@ fn attributes_are_grids_of_their_values_at_the_nearest_point() {
             let component = if grid.name == "pair_0_" { 0 } else { component };
             for &index in &active {
                 let place = surface.place(index);
-                // Outside, the nearest point is unique.
+                // Compare attributes only outside of the box, where its nearest point is unique.
                 let outside = surface.at(index).0[0] > 0.0;
                 let nearest: [f64; 3] =
                     std::array::from_fn(|axis| place[axis].clamp(low[axis], high[axis]));
@@ -676,7 +676,7 @@ fn a_damaged_file_is_refused_or_read_and_never_a_panic() {
         }
     }
     assert_eq!(read_grids(damaged[..].into()).unwrap(), whole);
-    // The version, and whether there are offsets.
+    // Other versions, and files without offsets of grids, are unsupported.
     for (at, value) in [(8, 221), (8, 225), (20, 0)] {
         damaged[at] = value;
         let fault = read_grids(damaged[..].into()).unwrap_err();

@@ -1,5 +1,5 @@
-//! The slots that binning fills. The first items replace those that the file imports from its
-//! folder.
+//! Tests of the slots that binning fills, in the library's file. The first items replace the items
+//! that this file imports from its folder.
 
 use loom::sync::atomic;
 
@@ -15,7 +15,7 @@ use loom::sync::Arc;
 use loom::thread;
 use slots::Slots;
 
-/// The way spilled runs are read: threads fill slots of the same bins one after the other.
+/// Several threads fill slots of the same bins, as when spilled runs of particles are read.
 #[test]
 fn slots_have_all_values_after_the_threads_are_joined() {
     loom::model(|| {

@@ -1,5 +1,5 @@
-//! The gate of parallel frames. The first items replace those that the file imports from its
-//! folder.
+//! Tests of the gate of parallel frames, in the library's file. The first items replace the items
+//! that this file imports from its folder.
 
 mod sync {
     pub use loom::sync::{Condvar, Mutex, MutexGuard};
@@ -14,11 +14,12 @@ use loom::sync::Arc;
 use loom::sync::atomic::{AtomicUsize, Ordering};
 use loom::thread;
 
-/// At most `lanes` frames are inside together, a frame that needs to be alone is alone, and all
-/// come through.
+/// Checks that at most `lanes` frames are inside the gate at once, that a frame which must be alone
+/// is alone, and that every frame passes.
 fn try_gate(lanes: usize, alone: &'static [bool]) {
     let mut model = loom::model::Builder::new();
-    // Limits the preemptions: this tries most orders, and without a limit it would not end.
+    // Without a limit on preemptions, the test would not end. With this limit, it tries most
+    // orders.
     model.preemption_bound = Some(3);
     model.check(move || {
         let gate = Arc::new(Gate::new(lanes, 1));

@@ -1,4 +1,4 @@
-//! The command line of the program: results, exit codes, and no leftover files.
+//! Tests of the command line: results and exit codes are right, and no temporary files remain.
 
 use std::fs;
 use std::path::Path;
@@ -19,7 +19,7 @@ fn meniscus(folder: &Path, arguments: &[&str]) -> Output {
     command(folder, arguments).output().unwrap()
 }
 
-/// A folder with a ball of particles with spacing 0.5 in `ball.xyz`.
+/// A folder with a ball of particles at spacing 0.5, in the file `ball.xyz`.
 fn folder_with_ball() -> TempDir {
     let folder = TempDir::new().unwrap();
     let ball = fill(10.0, 2.0, 0.2, 3, |p| p.length() < 5.0);
@@ -249,7 +249,7 @@ fn an_existing_output_is_replaced_only_with_overwrite() {
     fs::write(&out, "precious").unwrap();
     assert_refused(folder.path(), &["ball.xyz", "-o", "out.ply"], 2, &["out.ply", "--overwrite"]);
     assert_eq!(fs::read(&out).unwrap(), b"precious");
-    // A failure keeps the existing file, even if it may be replaced.
+    // If the run fails, an existing file is kept, even with --overwrite.
     assert_refused(
         folder.path(),
         &["ball.xyz", "-o", "out.ply", "--overwrite", "--indicator", "counting", "--iso", "0.999"],
@@ -281,7 +281,7 @@ fn an_input_is_never_its_own_output() {
 fn an_unwritable_output_exits_with_4_before_the_input_is_opened() {
     let folder = folder_with_ball();
     assert_refused(folder.path(), &["ball.xyz", "-o", "ball.xyz/no/out.ply"], 4, &["ball.xyz/no"]);
-    // The output is checked first, before the input is opened.
+    // The program checks the output before it opens the input.
     assert_refused(
         folder.path(),
         &["missing.xyz", "-o", "ball.xyz/no/out.ply"],
@@ -300,7 +300,7 @@ fn an_unwritable_output_exits_with_4_before_the_input_is_opened() {
 #[test]
 fn a_full_disk_exits_with_4_and_leaves_no_files() {
     let folder = folder_with_ball();
-    // A limit on file size simulates a full disk; the shell ignores its signal.
+    // A limit on the size of files simulates a full disk.
     let run = in_shell(folder.path(), "ulimit -f 8", "reconstruct ball.xyz -o out.ply --quiet");
     let errors = String::from_utf8_lossy(&run.stderr);
     assert_eq!(run.status.code(), Some(4), "{errors}");
@@ -330,7 +330,7 @@ fn commands_without_memory_or_threads_fail_and_leave_no_files() {
     ];
     let inputs = ["ball.ply", "ball.xyz", "ball_1.xyz", "ball_2.xyz"];
     let mut results = [0; 2];
-    // Stacks of threads count as data, so threads cannot be started in the small limits.
+    // The limit also applies to the stacks of threads, so with a small limit no thread can start.
     for kib in [1, 2, 4, 6, 8, 12, 16, 20, 24, 30, 40, 60, 1000].map(|mib| 1000 * mib) {
         for command in commands {
             let limited = in_shell(folder.path(), &format!("ulimit -d {kib}"), command);
@@ -344,9 +344,10 @@ fn commands_without_memory_or_threads_fail_and_leave_no_files() {
                 let made = fs::remove_file(folder.path().join(out)).is_ok();
                 assert!(!made || code == Some(0), "{kib} KiB, {command}: {out}");
             }
-            // Frames that were finished in time remain.
+            // Delete the frames that were finished before memory ran out.
             let _ = fs::remove_dir_all(folder.path().join("out"));
-            // Where even the name of a file has no room, the next run removes it.
+            // If there was too little memory even to remove a temporary file, the next run removes
+            // it.
             if !errors.contains("aborted") && code != Some(0) {
                 let names = names(folder.path());
                 let others = names.iter().filter(|name| !name.ends_with(".tmp"));
@@ -496,7 +497,7 @@ fn skip_invalid_omits_and_counts_invalid_particles() {
 #[test]
 fn a_cell_size_too_small_for_the_memory_is_refused_with_one_that_fits() {
     let folder = TempDir::new().unwrap();
-    // Spray: every particle has its own bin.
+    // Use spray that is so sparse that every particle has its own bin.
     let mut random = Random::new(1);
     let spray: Vec<[f64; 3]> = (0..60_000).map(|_| [(); 3].map(|()| 1e5 * random.unit())).collect();
     fs::write(folder.path().join("spray.xyz"), raw(&spray)).unwrap();
@@ -528,7 +529,7 @@ fn a_dry_run_prints_estimates_and_writes_nothing() {
     let messages = String::from_utf8_lossy(&run.stdout).into_owned();
     assert!(messages.contains("memory"), "{messages}");
     assert_eq!(names(folder.path()), ["ball.xyz"]);
-    // The predicted number of triangles of a small frame is exact, because all of it is computed.
+    // A dry run computes a small frame completely, so its number of triangles is exact.
     let figure = |name: &str| -> u64 {
         let line = messages.lines().find_map(|line| line.strip_prefix(&format!("{name}: about ")));
         line.unwrap().split(' ').next().unwrap().parse().unwrap()
@@ -574,7 +575,7 @@ fn info_distinguishes_particles_from_meshes() {
     let spacing = infos[0]["spacing"].as_f64().unwrap();
     assert!((spacing / 0.5 - 1.0).abs() < 0.05, "{spacing}");
     assert_eq!(meniscus(folder.path(), &["info", "missing.ply"]).status.code(), Some(3));
-    // A bad file does not prevent the output for the others.
+    // A bad file does not prevent the output about the other files.
     let run =
         meniscus(folder.path(), &["info", "missing.ply", "ball.xyz", "absent.ply", "ball.ply"]);
     assert_eq!(run.status.code(), Some(3));
@@ -594,7 +595,7 @@ fn check_exits_0_only_for_a_closed_oriented_manifold() {
     assert_eq!(good.status.code(), Some(0));
     let checked: serde_json::Value = serde_json::from_slice(&good.stdout).unwrap();
     assert_eq!(checked[0]["measures"]["genus"], 0);
-    // One missing face is a hole.
+    // A mesh without one of its faces has a hole.
     let text = fs::read_to_string(folder.path().join("ball.obj")).unwrap();
     let last_face = text.trim_end().rfind("\nf ").unwrap();
     fs::write(folder.path().join("hole.obj"), &text[..=last_face]).unwrap();
@@ -665,10 +666,10 @@ fn interrupts_and_crashes_leave_no_files() {
     let folder = TempDir::new().unwrap();
     let pipe = folder.path().join("pipe.xyz");
     assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
-    // Nothing is written to the pipe, so the run waits for its particles.
+    // Nothing is written to the pipe, so the program waits for particles.
     let outputs = ["out.ply", "made/here/out.ply"];
     for (signal, output) in outputs.iter().flat_map(|output| [("INT", output), ("SEGV", output)]) {
-        // A crash may otherwise write the memory of the process into the folder.
+        // Forbid core files, which a crash may write into the folder.
         let reconstruct = format!("reconstruct pipe.xyz -o {output}");
         let mut child = shell_command(folder.path(), "ulimit -c 0", &reconstruct)
             .stderr(std::process::Stdio::piped())
@@ -680,7 +681,7 @@ fn interrupts_and_crashes_leave_no_files() {
             files.flatten().any(|file| file.file_name().to_string_lossy().starts_with('.'))
         };
         wait_until(&mut child, "its temporary file", begun);
-        // This returns when the run opens the pipe for reading.
+        // This call returns when the program has opened the pipe for reading.
         let _writer = fs::File::options().write(true).open(&pipe).unwrap();
         let id = child.id().to_string();
         assert!(Command::new("kill").args(["-s", signal, &id]).status().unwrap().success());
@@ -751,7 +752,7 @@ fn coordinates_beyond_f32_are_written_as_f64_or_refused() {
     }
 }
 
-/// Runs the program on a Vulkan device, with its pipelines cached in the folder.
+/// Runs the program on a Vulkan device. It caches its pipelines in the folder.
 fn on_vulkan(folder: &Path, arguments: &[&str], environment: &[(&str, &str)]) -> Output {
     let mut command = command(folder, arguments);
     command
@@ -761,7 +762,7 @@ fn on_vulkan(folder: &Path, arguments: &[&str], environment: &[(&str, &str)]) ->
         .unwrap()
 }
 
-/// Environment in which the Vulkan loader finds no driver.
+/// Environment variables with which the Vulkan loader finds no driver.
 const NO_DRIVER: [(&str, &str); 2] =
     [("VK_DRIVER_FILES", "/nowhere"), ("VK_ICD_FILENAMES", "/nowhere")];
 
@@ -786,7 +787,7 @@ fn the_output_is_independent_of_the_backend_and_the_memory_budget() {
                 stats["backend"].as_str().unwrap().starts_with("Vulkan"),
                 "{arguments:?}: {stats}"
             );
-            // The ball is around the origin, so every octant has a bin and a block.
+            // The ball is around the origin, so there are eight bins and eight blocks.
             let on_device = ["pages_on_device", "regions_on_device"].map(|key| stats[key].as_u64());
             assert_eq!(on_device, [Some(8); 2], "{arguments:?}: the CPU did some of the work");
         }
@@ -911,7 +912,7 @@ fn volume_and_component_count_of_real_frames_depend_little_on_cell_size() {
             let found = |cell: &str| {
                 let more = ["--cell", cell, "--indicator", indicator];
                 let (_, notes) = reconstructed(folder.path(), frame.to_str().unwrap(), &more);
-                // Counting loses drops of one particle, which clouds keep.
+                // A warning is allowed for counting, which loses drops of one particle.
                 let lost = indicator == "counting"
                     && notes.contains("are missing from the surface; use --indicator cloud");
                 assert!(lost || !notes.contains("warning"), "{notes}");
@@ -939,8 +940,7 @@ fn fine_cells_give_the_same_bytes_for_any_threads_budget_and_packing() {
     let folder = TempDir::new().unwrap();
     let frame = data("dambreak_small/ParticleData_Fluid_20.bgeo");
     let frame = frame.to_str().unwrap();
-    // The notes differ: clouds report too little depth, counting derives its plateau from the
-    // spacing.
+    // In shallow fluid, the messages about clouds and about counting differ.
     for (indicator, note) in
         [("cloud", "because the fluid is too shallow"), ("counting", "computed from the spacing")]
     {
@@ -1054,7 +1054,7 @@ fn a_surface_that_loses_most_of_its_particles_causes_a_warning() {
     assert!(!notes(&[]).contains("warning"));
     let lost = notes(&["--indicator", "counting", "--iso", "0.28"]);
     assert!(lost.contains("% of the volume of") && lost.contains("a lower --iso"), "{lost}");
-    // A ball, and three times as many particles of spray.
+    // A ball, and three times as many particles in spray.
     let mut random = Random::new(3);
     let ball = fill(10.0, 2.0, 0.2, 3, |p| p.length() < 4.0);
     let spray = (0..3 * ball.len()).map(|_| [(); 3].map(|()| 10.0 + 200.0 * random.unit()));
@@ -1140,7 +1140,7 @@ fn a_mesh_is_refused_as_particles_but_points_with_vertex_cells_are_read() {
     let packed = meniscus(folder.path(), &["pack", "ball.xyz", "-o", "ball.mnf", "--quiet"]);
     assert!(packed.status.success());
     for mesh in ["mesh.ply", "mesh.vtk", "mesh.vtp", "mesh.vtkhdf"] {
-        // A packed frame is still an input.
+        // A packed frame is an input of `reconstruct`, but a mesh is not.
         let meshed = meniscus(folder.path(), &["reconstruct", "ball.mnf", "-o", mesh, "--quiet"]);
         assert!(meshed.status.success(), "{mesh}");
         let faces = read_mesh(&folder.path().join(mesh)).unwrap().triangles.len();
@@ -1256,7 +1256,7 @@ fn printed_numbers_are_rounded_and_json_has_all_digits() {
     for command in ["info", "check"] {
         let text = String::from_utf8(meniscus(folder.path(), &[command, "a.ply"]).stdout).unwrap();
         let corners = text.lines().find(|line| line.trim().starts_with("box")).unwrap();
-        // Six numbers of six digits, and the zeros before their points.
+        // The box has six numbers. Each has up to six digits, and maybe a zero before its point.
         assert!((12..=42).contains(&digits(corners)), "{corners}");
     }
     let json = meniscus(folder.path(), &["check", "--json", "a.ply"]);
@@ -1290,7 +1290,7 @@ fn every_setting_is_an_option_and_pack_refuses_surface_settings() {
     }
 }
 
-/// Packs a particle and reconstructs it, with the default method given explicitly.
+/// Packs a particle and reconstructs it. The options name the default method explicitly.
 fn pack_with_the_default_method(folder: &Path) {
     let given = ["--spacing", "1", "--method", "dif"];
     let pack = meniscus(folder, &[&["pack", "one.xyz", "-o", "given.mnf"], &given[..]].concat());
@@ -1325,7 +1325,7 @@ fn a_given_format_overrides_the_file_extension() {
     }
     let messages = run(&["reconstruct", "dump_1.out", "-o", "other.ply"], 2);
     assert!(messages.contains("extension") && messages.contains("--format"), "{messages}");
-    // As another format.
+    // Reading the file in a wrong format is an error.
     run(&["reconstruct", "dump_1.out", "-o", "other.ply", "--format", "bgeo"], 3);
     fs::copy(path("ball.xyz"), path("dump_3.out")).unwrap();
     run(&["reconstruct", "dump_{}.out", "-o", "out/m_{}.ply", "--format", "xyz"], 0);
@@ -1358,7 +1358,7 @@ fn frames_inside_a_file_are_found_in_the_format_that_is_named() {
     fs::write(path("one.xyz"), &frames[1]).unwrap();
     run(&["reconstruct", "sim.xyz", "-o", "known/"], 0);
     let known = ["sim_0.ply", "sim_1.ply"].map(|mesh| fs::read(path("known").join(mesh)).unwrap());
-    // A name without an extension, and with that of a format of single frames.
+    // --format also applies to a name without an extension or with the extension of another format.
     for (number, name) in ["sim", "sim.out", "sim.vtk"].iter().enumerate() {
         fs::copy(path("sim.xyz"), path(name)).unwrap();
         let out = format!("out_{number}");
@@ -1371,7 +1371,7 @@ fn frames_inside_a_file_are_found_in_the_format_that_is_named() {
         assert!(fs::read(path("second.ply")).unwrap() == fs::read(path("one.ply")).unwrap());
         assert!(run(&["info", &second, "--format", "xyz"], 0).contains("XYZ"));
     }
-    // The files of a list have the format that is named.
+    // --format also applies to the files of a list.
     fs::write(
         path("list.pvd"),
         "<VTKFile type=\"Collection\"><Collection><DataSet timestep=\"0\" file=\"sim#0\"/>\
@@ -1381,7 +1381,7 @@ fn frames_inside_a_file_are_found_in_the_format_that_is_named() {
     run(&["reconstruct", "list.pvd", "-o", "listed/", "--format", "xyz"], 0);
     let made = ["list_0.ply", "list_1.ply"].map(|m| fs::read(path("listed").join(m)).unwrap());
     assert!(made == known);
-    // A format of single frames has none with a number.
+    // A step cannot be selected in a format with a single frame.
     fs::copy(path("one.xyz"), path("points.json")).unwrap();
     let said = run(&["info", "points.json#0"], 3);
     assert!(said.contains("single frame"), "{said}");

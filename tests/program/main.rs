@@ -1,4 +1,4 @@
-//! The program: its commands, options, exit codes and messages.
+//! Tests of the program: its commands, options, exit codes and messages.
 #![allow(clippy::unwrap_used)]
 
 mod command_line;

@@ -1,5 +1,5 @@
-//! Random pairs and triples of options on a small frame. Either the mesh is closed and the same for
-//! all threads, memory budgets and backends, or an error leaves no file.
+//! Tests random pairs and triples of options on a small frame. Either the mesh is closed and does
+//! not depend on threads, memory and backend, or there is an error and no file.
 //!
 //! `MENISCUS_OPTIONS=5000` tries 5000 combinations, and `MENISCUS_OPTION=77` repeats number 77.
 
@@ -15,10 +15,11 @@ use crate::common::fill;
 use crate::common::program::{command, run};
 use crate::common::scene::Random;
 
-/// Default number of combinations.
+/// Default number of combinations to try.
 const COMBINATIONS: u64 = 60;
 
-/// Options with values, most of them valid with at least some other options, and some invalid.
+/// Options, each with several values. Most values are valid with some other options, and some
+/// values are invalid.
 const OPTIONS: [(&str, &[&str]); 33] = [
     ("--spacing", &["1", "0.9", "0", "-1", "nan", "1e300"]),
     ("--radius", &["0.5", "0"]),
@@ -91,7 +92,7 @@ impl Run {
         );
     }
 
-    /// Checks the result of a run in a folder that contained `before`.
+    /// Checks the result of a run. `before` are the files in the folder before the run.
     fn check_result(&self, folder: &Path, before: &[String]) {
         self.ensure([0, 2, 3].contains(&self.code), "an unexpected exit code");
         self.ensure(!self.errors.contains("panicked"), "a panic");
@@ -120,7 +121,7 @@ impl Run {
     }
 }
 
-/// Two or three options, each with one of its values.
+/// A random combination of two or three options, each with one of its values.
 fn combination(random: &mut Random) -> Vec<String> {
     let mut options: Vec<(&str, &[&str])> = OPTIONS.to_vec();
     let mut arguments = Vec::new();
@@ -166,7 +167,7 @@ fn try_combination(seed: u64) {
         }
         let more = [option, value, "--overwrite"].map(str::to_owned);
         let again = Run::of(folder.path(), output, &[&arguments[..], &more].concat());
-        // With less memory it may fail.
+        // With less memory, the run may also fail.
         if again.code == 0 {
             again.ensure(fs::read(&mesh).unwrap() == bytes, "the bytes differ");
         } else {

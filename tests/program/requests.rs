@@ -1,5 +1,5 @@
-//! Unusual requests to the program: it loses and overwrites nothing, and it refuses invalid
-//! requests before the work.
+//! Tests of unusual requests: the program loses and overwrites no files, and rejects invalid
+//! requests before it starts.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
@@ -19,7 +19,7 @@ use crate::common::fill;
 use crate::common::program::{command, run, wait_until};
 use crate::common::scene::Random;
 
-/// Runs the program, which must refuse with code 2 and leave the folder unchanged.
+/// Runs the program, which must exit with code 2 and this message, and leave the folder unchanged.
 #[track_caller]
 fn refused(folder: &Path, arguments: &[&str], message: &str) {
     let before = tree(folder);
@@ -32,7 +32,7 @@ fn ball(radius: f64) -> Vec<[f64; 3]> {
     fill(2.0 * radius, 1.0, 0.3, 1, |p| p.length() < radius)
 }
 
-/// Particles as a .ply file that could be a mesh.
+/// Particles as a .ply file, which could also be a mesh by its extension.
 fn ply(particles: &[[f64; 3]]) -> Vec<u8> {
     let count = particles.len();
     let header = format!(
@@ -42,7 +42,7 @@ fn ply(particles: &[[f64; 3]]) -> Vec<u8> {
     [header.into_bytes(), raw(particles)].concat()
 }
 
-/// A folder with frames of these names, a ball each.
+/// A folder with frames of these names. Each frame is a ball.
 fn frames(names: &[&str]) -> TempDir {
     let folder = TempDir::new().unwrap();
     for name in names {
@@ -158,12 +158,12 @@ fn output_meshes_in_the_input_folder_are_not_taken_for_frames() {
             made.keys().filter(|name| name.ends_with(&format!("_1.{extension}"))).count(),
             1
         );
-        // The outputs of this run, and those of earlier runs.
+        // Neither the outputs of this run nor those of earlier runs are inputs.
         let again = ["reconstruct", ".", "-o", &output, "--spacing", "1", "--resume"];
         assert!(run(folder.path(), &again, 0).contains("2 of 2 frames are already finished"));
     }
     run(folder.path(), &["reconstruct", "*.xyz", "-o", "g_{}.ply", "--spacing", "1"], 0);
-    // Watches a simulation, with its own folder as output.
+    // Watch a simulation, and write the meshes into its folder.
     let watching = frames(&["f_1.xyz"]);
     let arguments =
         ["reconstruct", ".", "-o", "m_{}.vtk", "--spacing", "1", "--watch=30", "--end", "3"];
@@ -247,7 +247,7 @@ fn inputs_are_not_overwritten_through_links_or_other_paths() {
     ] {
         refused(folder.path(), &all(&["--stats", stats]), stats);
     }
-    // The same for one frame.
+    // The same must hold for a single frame.
     let one = [
         "reconstruct",
         "f_2.xyz",
@@ -367,7 +367,7 @@ fn resume_remakes_a_mesh_with_a_changed_byte() {
     fs::write(&path, flipped).unwrap();
     assert!(run(folder.path(), &all, 0).contains("1 of 2 frames are already finished"));
     assert!(fs::read(&path).unwrap() == whole);
-    // A copy with the same bytes is accepted.
+    // A copy of the mesh with the same bytes counts as finished.
     fs::write(&path, &whole).unwrap();
     assert!(run(folder.path(), &all, 0).contains("2 of 2 frames are already finished"));
 }
@@ -422,7 +422,7 @@ fn attribute_values_beyond_f32_are_reported() {
     );
     let mesh = read_mesh(&folder.path().join("m_2.ply")).unwrap();
     assert!(mesh.attributes[0].values.iter().all(|value| (value - 7.0).abs() < 1e-4));
-    // The same with a budget that spills the particles.
+    // The message must be the same with so little memory that particles are spilled.
     let spilled = [&all[..], &["--overwrite", "--memory", "16MiB", "--threads", "1"]].concat();
     assert!(
         run(folder.path(), &spilled, 0).contains(&format!(
@@ -449,7 +449,7 @@ fn a_wrong_spacing_of_the_scene_or_the_option_causes_a_warning() {
         .unwrap();
     let notes = run(folder.path(), &["reconstruct", "f_1.xyz", "-o", "b.ply"], 0);
     assert!(!notes.contains("looks too"), "{notes}");
-    // A given spacing is used, with a warning.
+    // The program uses a wrong --spacing, but prints a warning.
     for arguments in [["f_1.xyz", "-o", "c.ply"], ["f_{}.xyz", "-o", "n_{}.ply"]] {
         for spacing in ["20", "1e9", "1e300"] {
             let given = ["--spacing", spacing, "--overwrite"];
@@ -487,7 +487,7 @@ fn simplified_drops_of_a_few_triangles_keep_a_positive_volume() {
         let report: Value = serde_json::from_slice(&checked.stdout).unwrap();
         assert_eq!(report[0]["measures"]["flat_components"], 0, "cells of {cell}: {report:#}");
         assert_eq!(checked.status.code(), Some(0), "cells of {cell}");
-        // No drop turns inside out either.
+        // Check that each drop has a positive volume, so that no drop is inside out.
         let mesh = read_mesh(&folder.path().join("drops.ply")).unwrap();
         let mut volumes: BTreeMap<[i32; 3], f64> =
             places().map(|place| (place.to_array(), 0.0)).collect();
@@ -647,7 +647,7 @@ fn particles_missing_from_the_surface_are_counted_and_reported() {
         let notes = with(&[few, "-o", "a.ply"]);
         assert!(!notes.contains("missing from the surface"), "{few}: {notes}");
     }
-    // Clouds keep every particle.
+    // The cloud indicator keeps every particle.
     let clouds =
         run(folder.path(), &["reconstruct", "f_3.xyz", "-o", "b.ply", "--spacing", "1"], 0);
     assert!(!clouds.contains("missing from the surface"), "{clouds}");
@@ -665,7 +665,7 @@ fn particles_missing_from_the_surface_are_counted_and_reported() {
     ];
     let kernels = run(folder.path(), &kernels, 0);
     assert!(kernels.contains("missing from the surface"), "{kernels}");
-    // A simulation reports the sum over its frames, even if they contain nothing else.
+    // A simulation reports the sum over all frames, including frames that only have lost particles.
     let notes = with(&["f_{}.xyz", "-o", "m_{}.ply", "--stats", "stats.jsonl", "--skip-invalid"]);
     assert!(
         notes.contains(&format!("at least 202 of {} particles", 3 * body.len() + 202)),

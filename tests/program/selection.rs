@@ -1,4 +1,5 @@
-//! Conditions on attributes select particles: the surface is that of the selected particles.
+//! Tests of `--where`, which selects particles by their attributes: the surface equals the surface
+//! of the selected particles.
 
 use std::fmt::Write;
 use std::fs;
@@ -10,7 +11,7 @@ use tempfile::TempDir;
 use crate::common::fill;
 use crate::common::program::{command, run};
 
-/// A fluid, and a thick shell around it that is open at the top: positions and types.
+/// The positions and types of a fluid, and of a thick shell around it that is open at the top.
 fn tank() -> Vec<([f64; 3], u32)> {
     let all = fill(7.0, 1.0, 0.2, 5, |p| p.y < 5.0);
     let is_wall = |p: [f64; 3]| p[0].abs() > 4.0 || p[2].abs() > 4.0 || p[1] < -4.0;
@@ -58,7 +59,7 @@ fn xyz(comment: &str, particles: &[([f64; 3], u32)]) -> String {
     format!("{}\n{comment}\n{}", particles.len(), rows.collect::<String>())
 }
 
-/// A folder with the tank in several formats, and with its fluid alone.
+/// A folder with the tank in several formats, and with files that contain only its fluid.
 fn scenes() -> TempDir {
     let folder = TempDir::new().unwrap();
     let write = |name: &str, text: String| fs::write(folder.path().join(name), text).unwrap();
@@ -138,7 +139,7 @@ fn packed_frames_parts_and_sequences_apply_the_condition() {
     reconstruct(folder, &[&["tank/{}.csv", "-o", "tanks/{}.obj"], &chosen[..]].concat(), 0);
     reconstruct(folder, &["fluid/{}.csv", "-o", "fluids/{}.obj"], 0);
     assert_eq!(read("tanks/2.obj"), read("fluids/2.obj"));
-    // A conversion of other particles is not resumed.
+    // A conversion with another condition cannot be resumed.
     let other = ["tank/{}.csv", "-o", "tanks/{}.obj", "--resume", "--where", "Type=1"];
     assert!(reconstruct(folder, &other, 2).contains("where"));
 }
@@ -152,7 +153,7 @@ fn inapplicable_conditions_are_refused_with_the_available_values() {
         ("tank.csv", "Type=wall", 2, &["wall", "numbers"]),
         ("tank.csv", "Type.y=5", 2, &["Type.y", "1 components"]),
         ("words.csv", "phase<2", 2, &["phase", "its values are text"]),
-        // Another frame may have matching particles.
+        // A condition without a match is an error of the input, because other frames may match.
         ("tank.csv", "Type=5", 3, &["Type=5", "0 (", "1 ("]),
         ("words.csv", "Phase=solid", 3, &["Phase=solid", "fluid (", "the wall ("]),
     ] {

@@ -1,5 +1,5 @@
-//! Inputs that change while they are read: the frame fails with an error that names the file,
-//! without a signal or a wrong mesh.
+//! Tests of inputs that change while they are read: the frame fails with an error that names the
+//! file. There is no signal and no wrong mesh.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::Write;
@@ -26,7 +26,7 @@ fn written(folder: &TempDir) -> PathBuf {
     path
 }
 
-/// The error for a frame whose file is changed after it was opened.
+/// Opens a frame, changes its file, and returns the error of the frame.
 fn error_after(change: impl FnOnce(&Path)) -> Error {
     let folder = TempDir::new().unwrap();
     let path = written(&folder);
@@ -58,7 +58,7 @@ fn an_input_that_grows_or_is_rewritten_is_an_error() {
         OpenOptions::new().append(true).open(path).unwrap().write_all(&[0; 12]).unwrap()
     });
     assert!(is_changed(&error), "{error}");
-    // The same size, but another time.
+    // Write the same bytes again, so that only the file's time changes.
     let error = error_after(|path| {
         let bytes = fs::read(path).unwrap();
         let modified = fs::metadata(path).unwrap().modified().unwrap();
@@ -83,7 +83,7 @@ fn an_input_replaced_by_a_rename_is_read_from_the_original_file() {
     assert_eq!(surface.mesh().triangle_count(), whole.mesh().triangle_count());
 }
 
-/// The same particles in formats that are decoded: text, encoded or compressed.
+/// Writes the same particles in formats that must be decoded: text, encoded or compressed.
 fn decoded_formats(folder: &Path) -> Vec<PathBuf> {
     let particles = fill(40.0, 2.0, 0.2, 3, |p| p.length() < 20.0);
     let count = particles.len();
@@ -122,8 +122,8 @@ fn decoded_formats(folder: &Path) -> Vec<PathBuf> {
         .to_vec()
 }
 
-/// The bytes that a process has read, from all its files; the maximum if the system does not count
-/// them.
+/// The number of bytes that a process has read from all files; `u64::MAX` if the system does not
+/// count them.
 fn bytes_read(child: &Child) -> u64 {
     let counts = fs::read_to_string(format!("/proc/{}/io", child.id())).unwrap_or_default();
     let read = counts.lines().find_map(|line| line.strip_prefix("rchar: "));
@@ -163,7 +163,7 @@ fn truncating_an_input_during_decoding_is_an_error_or_has_no_effect() {
     assert!(changed > 0, "no file was shortened while it was read");
 }
 
-/// Particles, the first of which moves after `still` passes.
+/// Particles that can be read `still` times. After that, the first particle has moved by `by`.
 struct Unstable {
     particles: Vec<[f64; 3]>,
     still: usize,
@@ -190,7 +190,7 @@ fn a_particle_that_changes_its_bin_between_two_passes_is_an_error() {
     for by in [[9.0, 0.0, 0.0], [1e4, 0.0, 0.0], [f64::NAN, 0.0, 0.0]] {
         for budget in [MemoryBudget(1 << 30), MemoryBudget(32 << 20)] {
             let particles = fill(60.0, 2.0, 0.2, 3, |p| p.length() < 24.0);
-            // With such fine cells, the first pass keeps no positions, so there is a second pass.
+            // Use so many cells that positions are not kept after the first pass but read again.
             let request = Reconstruction::new().spacing(0.5).cell(0.15).memory(budget);
             let unstable =
                 |still| Unstable { particles: particles.clone(), still, passes: 0.into(), by };

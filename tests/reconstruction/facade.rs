@@ -1,4 +1,4 @@
-//! The facade of the library: reconstruction, reports, errors and sampled frames.
+//! Tests of the library's facade: reconstruction, reports, errors and sampled frames.
 
 use std::error::Error as _;
 use std::fs;
@@ -95,7 +95,7 @@ fn a_packed_frame_has_the_mesh_of_its_particles() {
 fn strided_positions_of_any_width_are_read_in_place() {
     let particles: Vec<[f32; 3]> = ball().iter().map(|p| p.map(|x| x as f32)).collect();
     let wide: Vec<[f64; 3]> = particles.iter().map(|p| p.map(f64::from)).collect();
-    // A structure with two other numbers before and one after.
+    // Each structure has two numbers before the position and one number after it.
     let structures: Vec<f32> =
         particles.iter().flat_map(|&[x, y, z]| [7.0, -1.0, x, y, z, f32::NAN]).collect();
     let strided = StridedPositions::new(&structures, 2, 6).unwrap();
@@ -133,7 +133,7 @@ fn a_report_contains_settings_measurements_and_skipped_particles() {
     assert!(again.report().measured.is_none() && bytes_of(&again) == bytes_of(&surface));
 }
 
-/// The key of the setting that an error concerns.
+/// The key of the setting that an error is about.
 fn key(error: &Error) -> String {
     match error {
         Error::Unit(unit) => unit.name().to_owned(),
@@ -164,7 +164,7 @@ fn settings_out_of_range_are_refused_before_the_input_is_opened() {
         ("memory", default().memory(MemoryBudget(1 << 10))),
         ("memory", default().memory(MemoryBudget(48 << 20)).threads(2).simplify(1.0)),
     ] {
-        // The file does not exist: the check happens before it is opened.
+        // The file does not exist, but the setting is checked before the file is opened.
         let error = request.run_file("there/is/none.bgeo").unwrap_err();
         assert_eq!(error.cause(), Cause::Request, "{what}: {error}");
         assert_eq!(key(&error), what, "{error}");
@@ -310,12 +310,12 @@ fn empty_frames_are_errors_alone_but_empty_meshes_in_a_live_simulation() {
         let mesh = surface.to_mesh().unwrap();
         counts(surface) == [0; 2] && mesh.normals.is_some() && mesh.positions.is_empty()
     };
-    // Before anything is measured, and after.
+    // A frame without particles is empty before and after the calibration is measured.
     assert!(empty(&simulation.frame(&none).unwrap()));
     assert!(!empty(&simulation.frame(&ball()).unwrap()) && simulation.is_settled());
     assert!(empty(&simulation.frame(&none).unwrap()));
     let drop = simulation.frame(&[[0.0; 3]]).unwrap();
-    // Particles that are left out on request are not counted as lost.
+    // Particles do not count as lost if an option removed them.
     let left_out = drop.report().too_small.map(|too_small| too_small.drops);
     assert!(empty(&drop) && drop.report().lost == 0 && left_out == Some(1), "{:?}", drop.report());
     let warned =
@@ -386,7 +386,7 @@ fn frames_lists_a_simulation_and_refuses_missing_or_ambiguous_inputs() {
     let numbers =
         |input: &str| listed(input).unwrap().iter().map(|frame| frame.number).collect::<Vec<_>>();
     assert_eq!(numbers(""), [9, 10]);
-    // A mesh next to the particles is not a frame.
+    // A mesh in the same folder is not a frame.
     Reconstruction::new().run(&ball()).unwrap().write(dir.path().join("mesh_1.ply")).unwrap();
     assert_eq!(
         [numbers(""), numbers("pool_{}.xyz"), numbers("pool_*")],
@@ -412,7 +412,7 @@ fn a_sampled_frame_keeps_the_up_axis_of_its_particles() {
     assert_eq!(up(Reconstruction::new().particles_up(UpAxis::Z)), UpAxis::Z);
 }
 
-/// Particles that count the passes over them.
+/// Particles that count how often they are read completely.
 struct CountedPasses {
     particles: Vec<[f64; 3]>,
     passes: AtomicUsize,
@@ -441,7 +441,7 @@ fn walls_are_found_with_one_more_pass_over_many_particles() {
         drop(frame);
         counted.passes.into_inner()
     };
-    // With walls that are to be found, the spacing is checked before the count.
+    // Finding walls needs two more passes, because the spacing is checked first.
     let (plain, sought) =
         (passes(Reconstruction::new()), passes(Reconstruction::new().find_domain()));
     assert_eq!(sought, plain + 2);

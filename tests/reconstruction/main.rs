@@ -1,5 +1,5 @@
-//! Reconstruction of one frame: the facade, spacing, sizes, solids, periodic boxes, parts, and the
-//! use of memory, files and threads.
+//! Tests of the reconstruction of one frame: the facade, spacing, sizes, solids, periodic boxes,
+//! parts, and the use of memory, files and threads.
 #![allow(clippy::unwrap_used)]
 
 mod changed_inputs;

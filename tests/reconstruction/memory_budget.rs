@@ -1,4 +1,5 @@
-//! Memory budgets: a frame that uses scratch files has the same mesh and stays within its budget.
+//! Tests of memory budgets: a frame that needs scratch files has the same mesh, and stays within
+//! its budget.
 
 use std::fs;
 use std::path::Path;
@@ -22,7 +23,7 @@ use crate::common::program::{command, in_shell, kill_when};
 use crate::common::scene::{Random, splash};
 use crate::common::{INDICATORS, reconstruct, sampling, splashes, surfacing, tank};
 
-/// Particles that move and have a temperature.
+/// Particles with the attributes velocity and temperature.
 fn moving(positions: Vec<[f64; 3]>) -> Attributed {
     Attributed::new(positions)
         .with("v", |_, position| {
@@ -48,7 +49,7 @@ fn spilling_particles_field_and_surface_does_not_change_the_mesh() {
             let surfacing =
                 Surfacing { detail: Detail::Recovered, normals: Normals::Gradient, ..surfacing() };
             let (_, expected) = reconstruct(&particles, &sampling, &surfacing);
-            // Far less than the program itself needs, so every share has its minimum.
+            // These budgets are so small that each share of the memory has its minimum size.
             for budget in [1 << 18, 1 << 20, 1 << 22] {
                 let resources = Resources::new(MemoryBudget(budget), scratch.path().to_owned());
                 let sampling = Sampling { resources, ..sampling.clone() };
@@ -89,8 +90,8 @@ fn wide_attributes_have_the_values_of_narrow_ones_at_little_more_memory() {
     for (of_narrow, of_wide) in narrow.values.chunks(3).zip(wide.values.chunks(WIDE)) {
         assert!(of_wide.iter().enumerate().all(|(i, value)| *value == of_narrow[i % 3]));
     }
-    // The memory of the threads for smoothing does not grow with the components. The memory of the
-    // vertex attributes does.
+    // With more components, the memory of vertex attributes grows, but not the memory that threads
+    // need for smoothing.
     let meshing = |carried| {
         let sampling = carrying(carried);
         CountedFrame::for_surface(&particles, &sampling, &surfacing(), None)
@@ -124,7 +125,7 @@ fn spray_is_stored_sparsely_within_the_estimated_memory() {
             .into_iter()
             .flat_map(|i| [BrickSide::Eight, BrickSide::Sixteen].map(|side| (i, side)))
         {
-            // Two particles per cell.
+            // The spacing for which a cell has two particles.
             let spacing_cells = 2_f64.cbrt().recip();
             let rule = PageRule { indicator, spacing_cells, side, walls: None };
             let plan = BinPlan::count(
@@ -181,14 +182,14 @@ fn spray_is_stored_sparsely_within_the_estimated_memory() {
     }
 }
 
-/// The peak that a run wrote to `stats`, in bytes.
+/// The peak memory in bytes that a run wrote to the file `stats`.
 fn peak(folder: &Path) -> u64 {
     let stats = fs::read_to_string(folder.join("stats")).unwrap();
     let stats: serde_json::Value = serde_json::from_str(stats.lines().last().unwrap()).unwrap();
     stats["peak_resident_bytes"].as_u64().unwrap()
 }
 
-/// A folder with 600 000 particles at spacing 1 in `splash.xyz`, and their surface in `whole.ply`.
+/// A folder with 600 000 particles at spacing 1 (`splash.xyz`), and their surface (`whole.ply`).
 fn folder_with_splash() -> TempDir {
     let folder = TempDir::new().unwrap();
     fs::write(folder.path().join("splash.xyz"), raw(&splash(600_000, 3))).unwrap();
@@ -212,8 +213,8 @@ fn a_budget_of_16_mib_gives_the_same_mesh_and_leaves_no_scratch_files() {
 #[test]
 fn a_full_scratch_folder_exits_with_4_and_leaves_no_files() {
     let folder = folder_with_splash();
-    // A limit on file size simulates a full disk. Either spilled particles or the mesh cannot be
-    // written.
+    // A limit on the size of files simulates a full disk. With the small limit, particles cannot be
+    // spilled; with the large one, the mesh cannot be written.
     for kib in [64, 3600] {
         let limits = format!("trap '' XFSZ; ulimit -f {kib}");
         let run = in_shell(
@@ -243,7 +244,7 @@ fn a_full_scratch_folder_exits_with_4_and_leaves_no_files() {
 #[test]
 fn a_frame_that_is_mostly_surface_stays_within_the_budget() {
     let (folder, mut random) = (TempDir::new().unwrap(), Random::new(7));
-    // Isolated drops in 5^3 blocks: with their details, they are all surface.
+    // Spray in 5^3 blocks. With recovered details, every drop has a surface.
     let coordinates = (0..450_000).flat_map(|_| (160.0 * random.unit() as f32).to_le_bytes());
     fs::write(folder.path().join("spray.xyz"), coordinates.collect::<Vec<u8>>()).unwrap();
     let reconstruct = |arguments: &str| {
@@ -252,7 +253,7 @@ fn a_frame_that_is_mostly_surface_stays_within_the_budget() {
         assert!(run.status.success(), "{arguments}: {}", String::from_utf8_lossy(&run.stderr));
         String::from_utf8(run.stdout).unwrap()
     };
-    // The program's own memory, mostly its code, is not part of the budget.
+    // Measure the memory of the program itself, mostly its code, which is not part of the budget.
     fs::write(folder.path().join("drop.xyz"), [0; 12]).unwrap();
     let drop =
         "reconstruct drop.xyz -o drop.ply --spacing 1 --cell-size 1 --threads 2 --stats stats";
@@ -280,7 +281,7 @@ fn a_frame_that_is_mostly_surface_stays_within_the_budget() {
     }
 }
 
-/// The bytes of the unnamed files in `scratch` that a process has open.
+/// The total size of the unnamed files in `scratch` that a process has opened, in bytes.
 #[cfg(target_os = "linux")]
 fn scratch_bytes(child: &Child, scratch: &Path) -> u64 {
     let Ok(open) = fs::read_dir(format!("/proc/{}/fd", child.id())) else { return 0 };
@@ -368,7 +369,8 @@ fn a_large_gzipped_input_is_decompressed_through_scratch_files() {
     let bytes = |name| fs::read(folder.path().join(name)).unwrap();
     assert!(bytes("whole.ply") == bytes("small.ply"));
     assert_eq!(names(folder.path()), ["small.ply", "splash.xyz", "splash.xyz.gz", "whole.ply"]);
-    // Without space for the decompressed data, the exit code is 4. A truncated input exits with 3.
+    // The exit code is 4 if there is no space for the decompressed data, and 3 for a truncated
+    // input.
     let full = in_shell(
         folder.path(),
         "trap '' XFSZ; ulimit -f 1024",
@@ -397,8 +399,8 @@ fn a_frame_that_fits_its_budget_uses_no_scratch_files() {
     assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
 }
 
-/// A folder with 1.5 million particles as a table, a .ply and a .vtk, all as text of about 45 MB,
-/// and their surface in `whole.ply`.
+/// A folder with 1.5 million particles as a table, a .ply and a .vtk, and their surface in
+/// `whole.ply`. The particle files are text of about 45 MB.
 fn folder_with_texts() -> TempDir {
     let folder = TempDir::new().unwrap();
     let lines: Vec<String> =
@@ -436,7 +438,8 @@ fn text_inputs_larger_than_the_budget_are_read_within_it() {
         let run = in_shell(folder.path(), "", &arguments);
         assert!(run.status.success(), "{name}: {}", String::from_utf8_lossy(&run.stderr));
         assert!(bytes("whole.ply") == bytes("small.ply"), "{name}");
-        // The program's mapped file counts too, and is larger without optimization.
+        // The peak includes the mapped program file, which is larger in a build without
+        // optimization.
         let peak = peak(folder.path());
         assert!(peak < 32 << 20, "{name}: {peak} bytes, of a file of {}", bytes(name).len());
         let full = in_shell(
@@ -455,7 +458,7 @@ fn text_inputs_larger_than_the_budget_are_read_within_it() {
 #[test]
 fn a_frame_too_large_for_any_memory_is_refused_before_the_work() {
     let mut particles = moving(splashes(31));
-    // Attributes of exbibytes, which are never read.
+    // Attributes that would need exbibytes, but are never read.
     particles.attributes[0].components = 1 << 36;
     let scratch = TempDir::new().unwrap();
     let resources = Resources::new(MemoryBudget(1 << 20), scratch.path().to_owned());

@@ -13,17 +13,19 @@ use crate::common::periodic::{repeated, triangles_within};
 use crate::common::scene::Random;
 use crate::common::{shuffle, watertight};
 
-/// Default number of frames.
+/// Default number of frames to try.
 const FRAMES: u64 = 4;
 
-/// Edge of a cell, in spacings. All lengths have few binary digits.
+/// Edge of a cell in spacings. All lengths have few binary digits, so that they are exact.
 const CELL: f64 = 0.5;
-/// Steps of coordinates per spacing. Particles are at half steps, so that none is on a cell face.
+/// Number of coordinate steps per spacing. Particles are at half steps, so that none is on a cell
+/// face.
 const STEPS: f64 = 64.0;
-/// Maximum distance of corresponding vertices, in spacings. Rounding differs between positions.
+/// Maximum distance between corresponding vertices, in spacings, because positions are rounded.
 const NEAR: f64 = 1e-9;
-/// Maximum distance of mirrored vertices. Positions in a cell are rounded down, which moves the
-/// surface most where the field is nearly flat, as at the rims of sheets.
+/// Maximum distance between corresponding vertices of mirrored meshes. Positions in a cell are
+/// rounded down, which moves the surface where the field is nearly flat, such as at the rims of
+/// sheets.
 const NEAR_IN_MIRROR: f64 = 0.1;
 
 /// Water at spacing 1 within 6 spacings of the origin: a pool, a ball or two, and spray.
@@ -57,7 +59,7 @@ fn arrays(particles: impl IntoIterator<Item = DVec3>) -> Vec<[f64; 3]> {
     particles.into_iter().map(|p| p.to_array()).collect()
 }
 
-/// A frame, and the request for its surface.
+/// A frame, the request for its surface, and its mesh.
 struct Frame {
     seed: u64,
     particles: Vec<DVec3>,
@@ -79,8 +81,7 @@ impl Frame {
             .threads(1);
         let surface = request.run(&arrays(particles.clone())).unwrap();
         let calibration = surface.report().calibration.unwrap();
-        // A frame's calibration depends on its orientation; the relations concern the surface for a
-        // given calibration.
+        // Fix the calibration, because its measurement depends on the orientation of the frame.
         let request = request.calibrated(calibration);
         Self { seed, particles, request, mesh: surface.to_mesh().unwrap(), calibration }
     }
@@ -93,12 +94,12 @@ impl Frame {
         mesh
     }
 
-    /// The mesh of moved particles.
+    /// Reconstructs the particles after they were moved by `place`.
     fn moved(&self, what: &str, place: impl Fn(DVec3) -> DVec3) -> Mesh {
         self.of(&self.request, &arrays(self.particles.iter().map(|&p| place(p))), what)
     }
 
-    /// Checks that a mesh has the frame's vertices at other positions, in any order.
+    /// Checks that a mesh has the frame's vertices, moved by `place` and in any order.
     fn assert_placed(&self, found: &Mesh, near: f64, what: &str, place: impl Fn(DVec3) -> DVec3) {
         let expected = self.mesh.positions.iter().map(|&p| place(p.into()));
         assert_same_places(found, expected, near, &format!("frame {}, {what}", self.seed));
@@ -107,7 +108,7 @@ impl Frame {
     }
 }
 
-/// Checks that a mesh has vertices near these positions, and as many.
+/// Checks that a mesh has exactly one vertex near each of these positions.
 fn assert_same_places(
     mesh: &Mesh,
     expected: impl IntoIterator<Item = DVec3>,
@@ -148,7 +149,7 @@ fn moving_a_frame_by_whole_blocks_moves_its_mesh(frame: &Frame, random: &mut Ran
     frame.assert_placed(&recentred(found, by), NEAR, "moved", |p| p);
 }
 
-/// A mesh moved back, so that its volume is computed near the origin.
+/// Moves a mesh back to the origin, where its volume is computed more precisely.
 fn recentred(mut mesh: Mesh, by: DVec3) -> Mesh {
     mesh.positions.iter_mut().for_each(|p| *p = (DVec3::from(*p) - by).to_array());
     mesh
@@ -195,7 +196,7 @@ fn a_periodic_box_has_the_mesh_of_repeated_particles(frame: &Frame, random: &mut
     let periodic = frame.request.clone().periodic(faces);
     let found = frame.of(&periodic, &particles, "periodic");
     let expected = frame.of(&frame.request, &repeated(&particles, faces), "repeated");
-    // The cut closes the mesh at the faces.
+    // Ignore triangles near the faces, where the cut closes the periodic mesh.
     let [found, expected] = [found, expected].map(|mesh| triangles_within(&mesh, faces, 1.5));
     assert!(found == expected && !found.is_empty(), "frame {}", frame.seed);
 }
@@ -217,7 +218,7 @@ fn threads_and_memory_do_not_change_the_mesh(frame: &Frame, _: &mut Random) {
 }
 
 fn finer_cells_enclose_about_the_same_volume(frame: &Frame, _: &mut Random) {
-    // A calibration is valid for one cell size.
+    // Except for clouds, a calibration is only valid for one cell size.
     let Calibration::Clouds { .. } = frame.calibration else { return };
     let request = Reconstruction::new().spacing(1.0).origin([0.0; 3]).threads(2);
     let particles = arrays(frame.particles.clone());

@@ -1,4 +1,4 @@
-//! Inputs with more pieces, and meshes with more parts, than a process may open files.
+//! Tests of inputs and meshes with more pieces than a process may open files.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::Write as _;
@@ -25,7 +25,7 @@ fn piece(folder: &Path, number: usize) -> PathBuf {
     folder.join(format!("ball_{number}.vtp"))
 }
 
-/// A ball in [`PIECES`] pieces, with raw appended data that is read in place, and in one file.
+/// A ball in one file, and in [`PIECES`] pieces whose raw appended data are read in place.
 fn scene() -> (TempDir, PathBuf, PathBuf) {
     let folder = TempDir::new().unwrap();
     let particles = ball();
@@ -99,7 +99,7 @@ fn a_mesh_is_merged_from_more_parts_than_open_files_allowed() {
     assert!(one == many);
 }
 
-/// Samples a frame whose pieces change after it was opened.
+/// Opens a frame, changes some of its pieces, and samples it.
 fn sample_after(changed: Range<usize>, change: impl Fn(&Path)) -> Result<u64, Error> {
     let (folder, pieces, _) = scene();
     let opened = Reconstruction::new().spacing(0.5).open(&pieces).unwrap();
@@ -125,15 +125,15 @@ fn a_changed_piece_is_an_error_whether_its_file_is_open_or_closed() {
             fs::metadata(path).unwrap().modified().unwrap() + std::time::Duration::from_secs(1);
         File::options().write(true).open(path).unwrap().set_modified(modified).unwrap();
     };
-    // Any piece except the last may have been closed since.
+    // Change pieces that the library may have closed: any piece except the last ones.
     for change in [shorter as fn(&Path), longer, later] {
         for changed in [PIECES / 2, PIECES - 20] {
             assert!(is_changed(&sample_after(changed..changed + 1, change).unwrap_err()));
         }
     }
-    // There are more pieces than open files, so some pieces have been closed.
+    // Not all of these pieces can still be open, so some are opened again.
     let many = 0..MAX_OPEN_FILES;
-    // Another file with the same name, size and time.
+    // Replace a piece by another file with the same name, size and time.
     let replaced = |path: &Path| {
         let (bytes, modified) =
             (fs::read(path).unwrap(), fs::metadata(path).unwrap().modified().unwrap());

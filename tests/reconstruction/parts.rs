@@ -1,4 +1,4 @@
-//! The mesh of one frame in parts: merging them gives the bytes of a single run for any division.
+//! Tests of meshes in parts: for any number of parts, merging gives the bytes of a single run.
 
 use std::fs;
 use std::path::Path;
@@ -33,7 +33,7 @@ fn run(folder: &Path, arguments: &[&str], code: i32) -> String {
     program::run(folder, &[&["reconstruct"], arguments, &["--backend", "cpu"]].concat(), code)
 }
 
-/// Plans, makes the parts in some order, and merges them, all with the same options.
+/// Plans a mesh, makes its parts in the given order, and merges them, always with the same options.
 #[track_caller]
 fn in_parts(
     folder: &Path,
@@ -52,8 +52,7 @@ fn in_parts(
     run(folder, &[&common[..], &["--merge"]].concat(), 0);
 }
 
-/// A folder with a real frame of a dam break, spray, and a disordered ball whose particles have
-/// velocities.
+/// A folder with three frames: a real dam break, spray, and a disordered ball with velocities.
 fn scenes() -> TempDir {
     let folder = TempDir::new().unwrap();
     let copy = |from: &str, to: &str| fs::copy(data(from), folder.path().join(to)).unwrap();
@@ -68,10 +67,10 @@ fn scenes() -> TempDir {
     folder
 }
 
-/// The messages of a run about its mesh, without times.
+/// The messages of a run about its mesh, without times and without lines that contain `about`.
 fn messages(text: &str, about: &str) -> Vec<String> {
     let timed = |line: &str| line.split(" in ").next().unwrap().to_owned();
-    // Parts are not searched for walls.
+    // Runs in parts do not search for walls, so remove this message.
     let is_hint = |line: &str| line.contains("the particles end at planes");
     text.lines().filter(|line| !line.contains(about) && !is_hint(line)).map(timed).collect()
 }
@@ -117,7 +116,7 @@ fn merged_parts_equal_a_single_run_with_any_options() {
         let expected = fs::read(folder.join(&one)).unwrap();
         for &count in counts {
             let many = format!("many_{number}_{count}.{format}");
-            // The parts are made from the last to the first.
+            // Make the parts in reverse order.
             let order: Vec<usize> = (0..count).rev().collect();
             in_parts(folder, input, &many, count, &order, options);
             assert!(
@@ -125,7 +124,7 @@ fn merged_parts_equal_a_single_run_with_any_options() {
                 "{input} in {count} {options:?}"
             );
             assert_eq!(names(&folder.join(format!("{many}.meniscus-parts"))).len(), 1 + count);
-            // All messages about the surface are repeated.
+            // The merge must print all messages about the surface that a single run prints.
             let count = count.to_string();
             let merge =
                 [&[input, "-o", &many, "--parts", &count, "--merge", "--overwrite"], options]
@@ -144,8 +143,8 @@ fn merged_parts_equal_a_single_run_with_any_options() {
 fn merged_parts_report_the_warnings_of_a_single_run() {
     let folder = TempDir::new().unwrap();
     let folder = folder.path();
-    // The fluid is denser than the spacing allows. Some drops contain no cell centre, and some
-    // values are missing.
+    // This frame causes several warnings: the fluid is denser than the spacing allows, some drops
+    // contain no cell centre, and some values are missing.
     let mut random = Random::new(11);
     let mut particles = fill(12.0, 2.0, 0.3, 1, |p| p.length() < 10.0);
     particles.extend((0..40).map(|_| std::array::from_fn(|_| 400.0 * random.unit() - 200.0)));
@@ -203,7 +202,7 @@ fn remaking_a_part_repeatedly_or_in_parallel_gives_the_same_file() {
     }
     let once = fs::read(&path).unwrap();
     assert!(run(folder, &with(&["--part", "1"]), 0).contains("made earlier"));
-    // A damaged part is made again with the same bytes, and leftovers of a killed process are
+    // A damaged part is made again with the same bytes, and temporary files of a killed process are
     // removed.
     fs::write(&path, &once[..once.len() / 2]).unwrap();
     let left = folder.join("m.ply.meniscus-parts/.meniscus-abc.tmp");
@@ -241,9 +240,9 @@ fn settings_and_inputs_changed_since_the_plan_are_refused_by_name() {
         let other = [&["dam.bgeo", "-o", "m.ply", "--parts", "4"], step].concat();
         assert!(run(folder, &other, 2).contains("(parts)"));
     }
-    // Settings of the machine do not matter.
+    // Threads and memory may differ from the plan.
     run(folder, &with(&["--part", "0", "--threads", "1", "--memory", "1GiB"]), 0);
-    // An equal plan is kept, and another replaces it only on request.
+    // A run with the same settings keeps the plan. A different plan replaces it only on request.
     assert!(run(folder, &with(&["--plan"]), 0).contains("already exists"));
     assert!(run(folder, &with(&["--plan", "--normals"]), 2).contains("--resume or --overwrite"));
     assert_eq!(fs::read(&plan).unwrap(), kept);
@@ -252,7 +251,7 @@ fn settings_and_inputs_changed_since_the_plan_are_refused_by_name() {
     run(folder, &with(&["--plan", "--overwrite"]), 0);
     assert_eq!(fs::read(&plan).unwrap(), kept, "the same plan has the same bytes");
 
-    // Another file with the same size and time.
+    // Use another file with the same size and time.
     let twin = folder.join("twin.bgeo");
     fs::copy(folder.join("dam.bgeo"), &twin).unwrap();
     let time = folder.join("dam.bgeo").metadata().unwrap().modified().unwrap();
@@ -273,7 +272,7 @@ fn settings_and_inputs_changed_since_the_plan_are_refused_by_name() {
     assert!(run(folder, &with(&["--merge"]), 2).contains("--overwrite replaces it"));
     assert!(run(folder, &with(&["--part", "0"]), 2).contains("--overwrite replaces it"));
 
-    // The same particles in a file with another time.
+    // Write the same particles again, so that only the file's time changes.
     let bytes = fs::read(folder.join("dam.bgeo")).unwrap();
     fs::write(folder.join("dam.bgeo"), bytes).unwrap();
     for step in [&["--part", "0", "--overwrite"][..], &["--merge", "--overwrite"]] {
@@ -309,7 +308,7 @@ fn merging_refuses_missing_damaged_and_foreign_parts() {
     for name in ["part_0", "part_2"] {
         fs::rename(folder.join(name), parts.join(name)).unwrap();
     }
-    // Changes a byte, near both ends and across the rest.
+    // Damage single bytes: near both ends of the file, and at equal distances between them.
     let all = whole.len();
     let places = (0..all).step_by(all / 25).chain(0..4).chain(all - 64..all);
     for at in places.collect::<Vec<_>>() {
@@ -331,7 +330,7 @@ fn merging_refuses_missing_damaged_and_foreign_parts() {
     fs::write(&part, &whole).unwrap();
     run(folder, &merge, 0);
 
-    // Changes a number of the plan.
+    // Change about 20 digits of the plan, one at a time.
     let plan = parts.join("plan.json");
     let text = fs::read_to_string(&plan).unwrap();
     let digits: Vec<usize> =
@@ -395,7 +394,7 @@ fn invalid_requests_for_parts_are_refused_and_leave_no_files() {
         assert!(errors.contains(message), "{arguments:?}: {errors}");
         assert_eq!(names(folder), before, "{arguments:?} left something behind");
     }
-    // An error of the input is not reported as an error of the request.
+    // An invalid input must exit with the code for inputs, and not for requests.
     fs::write(folder.join("none.xyz"), "").unwrap();
     run(folder, &["none.xyz", "-o", "m.ply", "--parts", "2", "--plan", "--spacing", "1"], 3);
     assert!(!folder.join("m.ply.meniscus-parts").exists());
@@ -441,7 +440,7 @@ fn the_library_plans_makes_and_merges_parts() {
         (many.facts, many.calibration, many.measured)
     );
     assert_eq!((&one.cells, one.lost, &one.warnings), (&many.cells, many.lost, &many.warnings));
-    // The plan stores the calibration of another frame.
+    // A calibration in the request must equal the calibration in the plan.
     let other = request.calibrated(Calibration::Clouds { plateau: 15_000 });
     assert!(matches!(
         other.parts(&input, &output, 4).merge(),
@@ -472,7 +471,7 @@ fn a_full_disk_exits_with_4_and_the_part_can_be_made_later() {
     run(folder, &[&common[..], &["--merge"]].concat(), 0);
 }
 
-/// The field in some cells by a recipe, of the particles in other cells.
+/// Computes the field in `cells` from only those particles that are in the cells `seen`.
 fn field_of(
     particles: &[[f64; 3]],
     seen: CellBox,
@@ -487,7 +486,7 @@ fn field_of(
     field(&recipe(&frame), dif(&frame), cells)
 }
 
-/// All six boxes that are narrower by one cell on one side.
+/// The six boxes that are smaller by one layer of cells on one side.
 fn narrower(cells: CellBox) -> [CellBox; 6] {
     std::array::from_fn(|side| {
         let mut less = cells;
@@ -507,12 +506,11 @@ fn needed(normals: Normals) -> CellBox {
 
 #[test]
 fn the_halo_of_the_cloud_recipe_is_exactly_the_reach_of_a_particle() {
-    // The widest Gaussians reach farthest in calm water, and the inside test reaches farthest
-    // elsewhere.
+    // In calm water, the widest Gaussian has the longest reach; elsewhere, the inside test has.
     for (spacing, smooth) in [(1.0, 3.0), (2.0, 3.0), (2.0, 1.6), (4.0, 1.6)] {
         let sampling =
             Sampling { method: IndicatorKind::Cloud.into(), spacing: Some(spacing), ..sampling() };
-        // The needed cells end in the middle of wide cells, where the cells beyond matter most.
+        // The needed cells end in the middle of wide cells, where the reach is longest.
         for (sides, normals) in [(0..3, Normals::None), (3..6, Normals::Gradient)] {
             let surfacing =
                 Surfacing { smooth: Smooth::new(smooth).unwrap(), normals, ..surfacing() };
@@ -523,8 +521,8 @@ fn the_halo_of_the_cloud_recipe_is_exactly_the_reach_of_a_particle() {
                 let surfacing = &surfacing;
                 move |frame: &Engine| surfacing.recipe(dif(frame), &Calibration::Clouds { plateau })
             };
-            // Particles with the same arrangement in all wide cells, in the outermost cells that
-            // matter.
+            // The same arrangement of particles in all wide cells, so that the outermost cells that
+            // matter contain particles.
             let lattice: Vec<[f64; 3]> = (seen.grown(20, 20).cubes(1))
                 .filter(|cell| (*cell - outermost) % spacing as i32 == IVec3::ZERO)
                 .map(|cell| (cell.as_dvec3() + 0.5).to_array())
@@ -533,7 +531,7 @@ fn the_halo_of_the_cloud_recipe_is_exactly_the_reach_of_a_particle() {
             let of = |seen: CellBox, plateau: u16| {
                 field_of(&lattice, seen, &sampling, by(plateau), cells)
             };
-            // The greatest plateau at which all cells are inside.
+            // Find the greatest plateau for which all cells are inside.
             let inside = |plateau: u16| of(all, plateau).samples().iter().all(|&x| x == u16::MAX);
             let (mut all_inside, mut not_all) = (1_u16, u16::MAX);
             assert!(inside(all_inside) && !inside(not_all));
@@ -541,8 +539,8 @@ fn the_halo_of_the_cloud_recipe_is_exactly_the_reach_of_a_particle() {
                 let middle = all_inside + (not_all - all_inside) / 2;
                 *(if inside(middle) { &mut all_inside } else { &mut not_all }) = middle;
             }
-            // The filters reach farthest where nothing is inside, and so shallow that the fine
-            // surface counts too.
+            // Filters reach farthest if no cell is inside, and if the fluid is so shallow that the
+            // fine surface is also used.
             let plateau = if smooth > 2.0 { all_inside / 2 * 3 } else { all_inside };
             let whole = of(all, plateau);
             assert!(of(seen, plateau) == whole, "{spacing} {smooth}");
@@ -581,8 +579,8 @@ fn the_halo_of_the_counting_recipe_is_exactly_the_reach_of_a_particle() {
         let all = CellBox { lo: IVec3::splat(-1000), hi: IVec3::splat(1000) };
         for (side, less) in narrower(seen).into_iter().enumerate() {
             let (axis, up) = (side % 3, if side < 3 { -1 } else { 1 });
-            // The outermost cell that matters, and a cell whose details are recovered in the
-            // outermost of the needed cells.
+            // Particles are in the outermost cell that matters, and in a cell whose recovered
+            // details reach the outermost needed cell.
             let at = |place: i32| {
                 let mut cell = IVec3::splat(16);
                 cell[axis] = place;
@@ -600,8 +598,8 @@ fn the_halo_of_the_counting_recipe_is_exactly_the_reach_of_a_particle() {
             let mut threshold = 1000;
             if detail == Detail::Recovered {
                 particles.push(middle(between));
-                // After smoothing, that cell is just lost alone, but not with the other cell
-                // nearby.
+                // Choose the threshold so that smoothing loses the second cell if it is alone, but
+                // not if the first cell is nearby.
                 let alone =
                     Engine::sample(&particles[1..], &sampling, &mut Timings::default()).unwrap();
                 let none = Surfacing { detail: Detail::Smoothed, ..plain.clone() };
@@ -610,7 +608,7 @@ fn the_halo_of_the_counting_recipe_is_exactly_the_reach_of_a_particle() {
                     .at(between);
             }
             let whole = field_of(&particles, all, &sampling, by(threshold), cells);
-            // A particle that gives the frame a surface.
+            // Add a particle that has a surface, because a frame without a surface is an error.
             particles.push(middle(at(edge - 16 * up)));
             let whole_with = field_of(&particles, all, &sampling, by(threshold), cells);
             assert!(field_of(&particles, seen, &sampling, by(threshold), cells) == whole_with);
@@ -626,7 +624,8 @@ fn the_halo_of_the_counting_recipe_is_exactly_the_reach_of_a_particle() {
 
 #[test]
 fn carried_attributes_extend_the_cells_that_a_block_depends_on() {
-    // The attributes reach as far as the field for the paper's indicators, and less far for clouds.
+    // For the paper's indicators, attributes have the same reach as the field; for clouds, a
+    // shorter one.
     for kind in [IndicatorKind::Symmetry, IndicatorKind::Cloud] {
         let sampling = Sampling { method: kind.into(), spacing: Some(1.5), ..sampling() };
         let with = Sampling { carried: vec![0], ..sampling.clone() };

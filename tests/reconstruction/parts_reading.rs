@@ -1,5 +1,5 @@
-//! A part reads only the particles near its range of the Morton curve, and detects changes there
-//! since the plan.
+//! Tests that a part reads only the particles near its range of the Morton curve, and detects
+//! changes of these particles since the plan.
 
 use std::fmt::Write as _;
 use std::fs::{self, File};
@@ -13,16 +13,17 @@ use crate::common::files::raw;
 use crate::common::scene::Random;
 use crate::common::shuffle;
 
-/// A long pool along x, in the order of a simulation that traverses its cells: x by x. Blocks at
-/// its sides, with almost no surface, come first along the curve, and belong to the first part; the
-/// last is at its end.
+/// A long pool along x, whose particles are sorted by x, as a simulation may sort them.
+///
+/// Blocks at the sides of the pool have almost no surface. They come first along the curve, and
+/// belong to the first part. The last part is at the end of the pool.
 fn pool() -> Vec<[f64; 3]> {
     let mut random = Random::new(3);
     let at = |i: usize| [i / 100, i / 10 % 10, i % 10].map(|c| 1.75 + 0.5 * c as f64);
     (0..100_000).map(|i| at(i).map(|x| x + 0.1 * random.unit())).collect()
 }
 
-/// A .vtp of points alone, each with a ghost flag, appended raw.
+/// A .vtp that contains only points with ghost flags, as raw appended data.
 fn vtp(particles: &[[f64; 3]], ghosts: &[u8]) -> Vec<u8> {
     let points = raw(particles);
     let mut bytes = format!(
@@ -43,8 +44,8 @@ fn vtp(particles: &[[f64; 3]], ghosts: &[u8]) -> Vec<u8> {
     bytes
 }
 
-/// Writes particles as a .pvtp with this number of pieces, each with the first particles of the
-/// next as ghosts.
+/// Writes particles as a .pvtp with this number of pieces. Each piece also has the first particles
+/// of the next piece, as ghosts.
 fn in_pieces(folder: &Path, particles: &[[f64; 3]], pieces: usize) -> PathBuf {
     let path = folder.join("pool.pvtp");
     let mut list = String::from("<VTKFile type=\"PPolyData\" version=\"1.0\"><PPolyData>\n");
@@ -77,7 +78,7 @@ fn change_silently(path: &Path, change: impl FnOnce(&mut [u8])) {
     File::options().write(true).open(path).unwrap().set_modified(modified).unwrap();
 }
 
-/// Makes a part again. Returns its bytes and the number of particles that were read for it.
+/// Makes a part again. Returns its bytes, and the number of particles that it read.
 fn made(parts: &Parts, part: u32) -> (Vec<u8>, usize) {
     let _ = fs::remove_file(parts.folder().join(format!("part_{part}")));
     let made = parts.part(part).unwrap();
@@ -110,15 +111,15 @@ fn a_part_reads_only_the_chunks_of_the_input_that_touch_it() {
     let least = whole.iter().map(|(_, read)| read).min().unwrap();
     assert!(4 * least < particles.len(), "{least} of {}", particles.len());
 
-    // A part depends only on nearby particles. Particles at the other end may be anything, even
+    // A part depends only on nearby particles. At the other end of the pool, particles may even be
     // NaN.
     change_silently(&input, |bytes| bytes[..12 * 8192].fill(0xff));
     assert_eq!(made(&parts, 7), whole[7]);
-    // A part that depends on changed particles is not made.
+    // A part that depends on the changed particles is an error.
     assert_refused(&parts, 0);
     change_silently(&input, |bytes| bytes.copy_from_slice(&raw(&particles)));
     assert_eq!(made(&parts, 0), whole[0]);
-    // A particle moved from this end to the other.
+    // Move a particle from this end of the pool to the other end.
     change_silently(&input, |bytes| bytes.copy_within(..12, 12 * (particles.len() - 1)));
     assert_refused(&parts, 7);
 }
@@ -137,7 +138,7 @@ fn a_part_opens_only_the_pieces_that_touch_it() {
     assert_eq!(made(&parts, 4), whole[4]);
     fs::remove_file(parts.folder().join("part_0")).unwrap();
     assert!(parts.part(0).unwrap_err().to_string().contains("piece_0.vtp: "));
-    // The stamp detects a missing piece anywhere.
+    // The input's stamp detects a missing piece, even if the part does not need it.
     fs::remove_file(piece(folder.path(), 0)).unwrap();
     assert_refused(&parts, 4);
 }
@@ -173,8 +174,8 @@ fn merged_parts_equal_a_single_run_for_any_order_and_pieces_of_the_input() {
     }
 }
 
-/// Water in a periodic box along x and z, whose length is no whole number of cells, up to a calm
-/// level: x by x.
+/// Calm water in a box that is periodic along x and z, sorted by x. The box's length is no whole
+/// number of cells.
 fn channel() -> ([f64; 3], Vec<[f64; 3]>) {
     let (edge, mut random) = ([200.2, 0.0, 13.7], Random::new(5));
     let particle = |i: usize| {
@@ -183,7 +184,7 @@ fn channel() -> ([f64; 3], Vec<[f64; 3]>) {
         at.map(|x| x + 0.1 * random.unit())
     };
     let mut particles: Vec<_> = (0..403 * 224).map(particle).collect();
-    // One particle on each face, in single precision, with nothing nearby.
+    // Add rows of particles on two faces of the box, with no other particles nearby.
     particles.extend((0..20).map(|i| [200.2, 14.0, 0.4 * f64::from(i)]));
     particles.extend((0..50).map(|i| [f64::from(i), 18.0, 13.7]));
     (edge, particles)

@@ -1,4 +1,4 @@
-//! Periodic boxes in the library and the program: surfaces, counts, states and errors.
+//! Tests of periodic boxes in the library and the program: surfaces, counts, states and errors.
 
 use std::fs;
 
@@ -34,8 +34,9 @@ const METHODS: [KernelMethod; 3] = [
     KernelMethod::YuTurk { iso: 0.4 },
 ];
 
-/// Particles with one direction each. Particle `i` has the direction of particle `i` modulo the
-/// length of `first`. All directions contain a 1, so that any selection is rounded in the same way.
+/// Particles with an attribute "direction", which depends on a particle's position in `first`. If
+/// there are more particles than in `first`, they repeat its directions. All directions contain a
+/// 1, so that any selection is rounded in the same way.
 fn with_directions(particles: &[[f64; 3]], first: &[[f64; 3]]) -> Attributed {
     let direction = |[x, _, z]: [f64; 3]| [(x as f32).sin(), 1.0, (z as f32).cos()];
     Attributed::new(particles.to_vec()).with("direction", |i, _| direction(first[i % first.len()]))
@@ -46,7 +47,7 @@ fn assert_watertight(mesh: &Mesh, what: &str) {
     assert!(report.is_closed_oriented_manifold(), "{what}: {report}");
 }
 
-/// The settings for particles with spacing 1 in cells of this size.
+/// Settings for a periodic box, with spacing 1 and this cell size.
 fn in_box(method: impl Into<Method>, cell: f64, faces: Faces) -> Sampling {
     let (method, grid) = (method.into(), Grid::new(DVec3::ZERO, cell).unwrap());
     let periodic =
@@ -156,7 +157,7 @@ fn a_periodic_mesh_is_independent_of_order_threads_and_memory() {
     }
 }
 
-/// The mean height of the upper side between two distances from the faces at x and z.
+/// The mean height of the mesh's upper side, at these distances from the box's faces along x and z.
 fn level(mesh: &Mesh, edge: f64, distances: std::ops::Range<f64>) -> f64 {
     let from_faces = |p: &&[f64; 3]| {
         let from = |x: f64| x.min(edge - x);
@@ -182,7 +183,7 @@ fn a_periodic_slab_is_as_high_at_the_faces_as_elsewhere() {
         let (near, far) = (level(&mesh, edge, 0.5..1.5), level(&mesh, edge, 6.0..20.0));
         assert!((near - far).abs() < 0.02, "{ends:?}: {near} at the faces, {far} elsewhere");
     }
-    // Without periodicity, the end of the fluid is rounded off.
+    // Without a periodic box, the surface is rounded off at the end of the fluid.
     let alone = usual().run(&particles[..]).unwrap().to_mesh().unwrap();
     assert!(level(&alone, edge, 6.0..20.0) - level(&alone, edge, 0.5..1.5) > 0.02);
 }
@@ -213,7 +214,7 @@ fn periodic_images_are_not_counted_as_particles() {
     let faces = [Some([0.0, 32.0]), None, Some([0.0, 32.0])];
     let mut particles = fluid(13, edges);
     particles.retain(|p| p[1] < 12.0);
-    // Particles along an edge of the box, each with three images.
+    // Add single particles along an edge of the box. Each has three images.
     particles.extend((0..30).map(|i| [0.25, 40.0 + 6.0 * f64::from(i), 31.75]));
     let counting = in_box(IndicatorKind::Counting, 1.0, faces);
     let (frame, _) = meshed(&particles[..], &counting, &surfacing());
@@ -234,7 +235,7 @@ fn periodic_images_are_not_counted_as_particles() {
             "{periodic_mesh:?}: {lost} particles lost, of 30 and the spray"
         );
         assert_eq!(frame.shortfall(&surface).unwrap(), None, "{periodic_mesh:?}");
-        // Almost no sample is above this isovalue.
+        // Choose an isovalue that almost no sample exceeds.
         let high = Surfacing { iso: Some(Isovalue::new(0.95).unwrap()), ..usual };
         let surface = frame.surface(&high, timings).unwrap();
         shares.push(frame.shortfall(&surface).unwrap().expect("almost nothing remains"));
@@ -259,7 +260,7 @@ fn settings_that_need_more_periodic_images_than_sampled_are_refused() {
     assert!(needed > there, "{needed} cells are needed, {there} exist");
 }
 
-/// A pool with spacing 1 in a box from 0 to 24 along x and z, in `pool.xyz`.
+/// A pool with spacing 1 in a box from 0 to 24 along x and z, and its file `pool.xyz`.
 fn pool() -> (TempDir, Vec<[f64; 3]>) {
     let folder = TempDir::new().unwrap();
     let particles = fluid(17, DVec3::splat(24.0));
@@ -328,7 +329,7 @@ fn invalid_periodic_boxes_are_refused_with_the_reason() {
 #[test]
 fn a_particle_on_an_upper_face_moves_to_the_lower_one_despite_rounding() {
     let folder = TempDir::new().unwrap();
-    // 24.1 in f32 is more than 24.1 in f64.
+    // Rounding 24.1 to f32 gives a larger number, which is beyond the face at 24.1 in f64.
     assert!(f64::from(24.1_f32) > 24.1);
     for (name, x) in [("low", 0.0), ("high", 24.1)] {
         let mut particles = fluid(19, DVec3::splat(24.0));

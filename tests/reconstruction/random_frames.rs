@@ -1,6 +1,6 @@
-//! Random particles, options and walls. The surface is closed, oriented and manifold, lies within
-//! its bounds, and is the same for all threads, particle orders, budgets, brick sizes, devices and
-//! packing. Otherwise the request is refused in the same way each time.
+//! Tests random particles, options and walls. The surface must be closed, oriented and manifold,
+//! and within its bounds. It must be the same for all threads, particle orders, budgets, brick
+//! sizes and devices, and after packing. If there is an error instead, it must always be the same.
 //!
 //! `MENISCUS_FRAMES=100000` tries 100000 frames, and `MENISCUS_FRAME=77` repeats number 77.
 
@@ -22,15 +22,15 @@ use meniscus::{
 use crate::common::scene::Random;
 use crate::common::{device, shuffle, watertight};
 
-/// Default number of frames.
+/// Default number of frames to try.
 const FRAMES: u64 = 400;
-/// At least one frame in this many must have a surface.
+/// At least one of this many frames must have a surface.
 const SURFACE_RATIO: u64 = 2;
 
-/// Particles with a velocity, and a number that is NaN for some.
+/// Particles with a velocity, and with an attribute that is NaN for some particles.
 struct Water {
     positions: Vec<[f64; 3]>,
-    /// Numbers that determine the attributes, independent of the order.
+    /// Numbers that determine the particles' attributes, so that these do not depend on the order.
     numbers: Vec<u32>,
     attributes: Vec<AttributeInfo>,
 }
@@ -42,7 +42,7 @@ impl Water {
         Self { positions, numbers, attributes: vec![info("velocity", 3), info("heat", 1)] }
     }
 
-    /// The same particles in another order.
+    /// The same particles in a random order.
     fn shuffled(&self, random: &mut Random) -> Self {
         let mut order: Vec<usize> = (0..self.positions.len()).collect();
         shuffle(&mut order, random);
@@ -138,7 +138,7 @@ fn some_particles(random: &mut Random) -> Vec<DVec3> {
         6 => (0..1 + random.bits() % 40)
             .map(|i| DVec3::new(i as f64 * 1.3 - 20.0, (i as f64).sin(), 0.0))
             .collect(),
-        // On faces and corners of cells and walls.
+        // Particles exactly on faces and corners of cells and walls.
         7 => (0..1 + random.bits() % 200)
             .map(|_| (anywhere(random, 5.0) * 2.0).round() / 2.0)
             .collect(),
@@ -167,7 +167,7 @@ impl Frame {
             let mut half =
                 || DVec3::from_array(std::array::from_fn(|_| between(random, 0.5, 6.0))) * spacing;
             let [lo, hi] = [half(), half()];
-            // Inverted corners, which are refused.
+            // In some frames, exchange the corners, which is an error.
             if seed.is_multiple_of(50) {
                 [centre + hi, centre - lo]
             } else {
@@ -196,12 +196,12 @@ impl Frame {
         }
     }
 
-    /// How the particles are sampled.
+    /// A request with random settings for sampling the particles.
     fn sampling(&self) -> Reconstruction {
         let mut random = Random::new(self.seed.wrapping_add(1));
         let random = &mut random;
         let mut request = Reconstruction::new().threads(1).scratch(std::env::temp_dir());
-        // Most frames are too unusual for an estimate.
+        // Set the spacing in most frames, because they are too unusual for an estimate.
         if !one_in(random, 20) {
             request = request.spacing(self.spacing * pick(random, &[1.0, 1.0, 1.0, 0.8, 1.3]));
         }
@@ -242,7 +242,7 @@ impl Frame {
         if one_in(random, 3) { request.attributes(["velocity", "heat"]) } else { request }
     }
 
-    /// The settings of drawing, which also apply to a packed frame.
+    /// Adds random settings for the surface, which also apply to a packed frame.
     fn drawing(&self, mut request: Reconstruction) -> Reconstruction {
         let mut random = Random::new(self.seed.wrapping_add(2));
         let random = &mut random;
@@ -261,7 +261,7 @@ impl Frame {
         if one_in(random, 4) && self.faces.iter().any(Option::is_some) {
             request = request.periodic_mesh(PeriodicMesh::Overlap);
         }
-        // Not all settings fit together; conflicts are refused.
+        // One frame in ten may have settings that conflict, which is an error.
         let any = one_in(random, 10);
         let (clouds, kernels) = (self.indicator == IndicatorKind::Cloud, self.kernels);
         match random.bits() % 8 {
@@ -273,7 +273,7 @@ impl Frame {
         }
     }
 
-    /// The defect of a mesh, if any.
+    /// Describes a defect of a mesh, if it has one.
     fn defect(&self, surface: &Surface, mesh: &Mesh) -> Option<String> {
         if mesh.triangles.is_empty() {
             return None;
@@ -288,7 +288,7 @@ impl Frame {
                 a.dot(b.cross(c))
             })
             .sum();
-        // The tolerance allows for rounding.
+        // Because of rounding, the volume may be slightly negative.
         if volume.is_nan() || volume < -1e-6 * self.spacing.powi(3) {
             wrong = wrong.or(Some(format!("it encloses {volume}")));
         }
@@ -334,12 +334,12 @@ impl Frame {
     }
 }
 
-/// The part of the result of a frame that must be the same each time.
+/// The mesh or the error message of a frame, which must be the same each time.
 fn outcome(surface: Result<Surface, Error>) -> Result<Mesh, String> {
     surface.map(|surface| surface.to_mesh().unwrap()).map_err(|error| error.to_string())
 }
 
-/// Compares meshes to the bit, including NaN.
+/// Checks that two results are equal. Meshes must be equal to the bit, including NaN.
 fn assert_same(found: &Result<Mesh, String>, expected: &Result<Mesh, String>, what: &str) {
     let bits = |mesh: &Mesh| -> Vec<Vec<u32>> {
         let of = |values: &[f32]| values.iter().map(|x| x.to_bits()).collect();
@@ -366,7 +366,8 @@ fn assert_same(found: &Result<Mesh, String>, expected: &Result<Mesh, String>, wh
     }
 }
 
-/// Reconstructs one frame in all ways and compares the results. Returns whether it has a surface.
+/// Reconstructs a frame in all ways, and compares the results. Returns whether the frame has a
+/// surface.
 fn try_frame(seed: u64) -> bool {
     let frame = Frame::new(seed);
     let request = frame.drawing(frame.sampling());
@@ -393,7 +394,7 @@ fn try_frame(seed: u64) -> bool {
     let threads = 2 + (random.bits() % 3) as usize;
     let other = frame.water.shuffled(random);
     let found = outcome(request.clone().threads(threads).run(&other));
-    // Which of several particles is reported first depends on their order.
+    // Do not compare two errors: an error names the first bad particle, which depends on the order.
     if expected.is_ok() || found.is_ok() {
         assert_same(
             &found,
@@ -425,12 +426,12 @@ fn try_frame(seed: u64) -> bool {
     mesh.is_some_and(|mesh| !mesh.triangles.is_empty())
 }
 
-/// The mesh of a packed frame.
+/// Packs a frame, and returns the mesh of the packed frame.
 fn packed(frame: &Frame) -> Result<Mesh, String> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.mnf");
     let request = frame.drawing(frame.sampling());
-    // Attributes are not packed.
+    // Packed frames have no attributes, so take the attributes from the sampled frame.
     let sampled = request.sample(&frame.water).map_err(|error| error.to_string())?;
     sampled.pack(request.packed_output(&path, Replace::Refuse).unwrap()).unwrap();
     let mut mesh = outcome(frame.drawing(Reconstruction::new().threads(1)).run_file(&path))?;
@@ -521,7 +522,7 @@ fn the_watertight_check_rejects_every_kind_of_defect() {
     assert!(defect_after(|mesh| mesh.positions.push([0.0; 3])).contains("no triangle uses"));
     assert!(defect_after(|mesh| mesh.positions[3][1] = f64::NAN).contains("nowhere"));
     assert!(defect_after(|mesh| mesh.triangles[5] = [7, 7, 8]).contains("two corners alike"));
-    // Two balls that share only one vertex.
+    // Make two balls that share exactly one vertex.
     let joined = defect_after(|mesh| {
         let last = mesh.positions.len() as u32 - 1;
         let other = |t: &[u32; 3]| t.map(|v| if v == 0 { 0 } else { v + last });

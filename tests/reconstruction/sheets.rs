@@ -1,4 +1,4 @@
-//! Stretched sheets and filaments of particles.
+//! Tests of stretched sheets and filaments of particles.
 
 use glam::{DMat3, DVec3};
 use meniscus::Reconstruction;
@@ -7,12 +7,13 @@ use meniscus::mesh::{Measures, measure};
 use crate::common::scene::Random;
 use crate::common::watertight;
 
-/// Particles along an edge of a sheet.
+/// Number of particles along an edge of a sheet.
 const EDGE: u32 = 14;
 
-/// A sheet that was stretched along both of its axes, so that its layers are closer together,
-/// rotated against the grid, with every particle moved by up to a fifth of a spacing along each
-/// axis.
+/// A jittered sheet that is rotated against the grid, and stretched along both of its axes.
+///
+/// Stretching brings its layers closer together. Jitter moves every particle by up to a fifth of a
+/// spacing along each axis.
 fn sheet(layers: u32, stretch: f64, random: &mut Random) -> Vec<[f64; 3]> {
     let turn = DMat3::from_euler(glam::EulerRot::XYZ, 0.5 + random.unit(), random.unit(), 0.3);
     let mut particles = Vec::new();
@@ -36,7 +37,8 @@ fn measured(particles: &[[f64; 3]], cell: f64, sheets: f64) -> Measures {
 
 #[test]
 fn sheets_stretched_to_1_9_spacings_stay_whole_and_keep_their_volume() {
-    // For cells of 0.5 and 0.25, the greatest volume over that of the particles.
+    // Layers, stretch, and the largest allowed ratio of the surface's volume to the particles',
+    // with cells of 0.5 and of 0.25.
     let sheets = [
         (1, 1.0, [1.3, 1.3]),
         (1, 1.08, [1.3, 1.2]),
@@ -65,7 +67,7 @@ fn a_sheet_stretched_beyond_the_limit_breaks_into_drops() {
     let particles = sheet(1, 2.6, &mut Random::new(3));
     let found = measured(&particles, 0.25, 2.15);
     assert!(found.components > particles.len() * 9 / 10, "{}", found.components);
-    // Corners of the sheet stay drops.
+    // A few particles at the corners of the sheet may remain drops.
     assert!(measured(&particles, 0.25, 3.0).components < 10);
 }
 

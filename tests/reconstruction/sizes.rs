@@ -1,4 +1,4 @@
-//! Frames with particles of several sizes.
+//! Tests of frames with particles of several sizes.
 
 use std::f64::consts::PI;
 
@@ -18,7 +18,7 @@ use crate::common::scene::Random;
 use crate::common::shapes::{moved, sphere, union};
 use crate::common::watertight;
 
-/// Particles with their sizes.
+/// The positions and sizes of particles.
 #[derive(Default, Clone)]
 struct Sized {
     positions: Vec<[f64; 3]>,
@@ -26,7 +26,7 @@ struct Sized {
 }
 
 impl Sized {
-    /// Adds a box of particles of one size, each moved by up to 0.3 of it.
+    /// Adds a box of particles of one size, jittered by up to 0.3 sizes.
     fn with(mut self, [lo, hi]: [[f64; 3]; 2], size: f64, random: &mut Random) -> Self {
         let count = [0, 1, 2].map(|axis| ((hi[axis] - lo[axis]) / size).round() as usize);
         for i in 0..count.iter().product::<usize>() {
@@ -40,7 +40,7 @@ impl Sized {
         self
     }
 
-    /// Pools of particles of several sizes next to each other along x, each as wide as it is long.
+    /// Square pools next to each other along x, each with particles of another size.
     fn pools(sizes: &[f64]) -> Self {
         let mut random = Random::new(5);
         let pool = |all: Self, (i, &size): (usize, &f64)| {
@@ -72,7 +72,8 @@ fn request() -> Reconstruction {
     Reconstruction::new()
 }
 
-/// Bias and root mean square of the water level in a range of x, away from other edges, in sizes.
+/// The bias and the RMS error of the water level in a range of x, away from the pool's edges. Both
+/// are in units of `size`.
 fn level(mesh: &Mesh, [from, to]: [f64; 2], size: f64) -> [f64; 2] {
     let is_there = |p: &&[f64; 3]| {
         (from..to).contains(&p[0]) && (10.0..38.0).contains(&p[1]) && p[2] > DEPTH - 1.5 * size
@@ -104,7 +105,7 @@ fn pools_of_several_particle_sizes_have_level_surfaces() {
         let [bias, rms] = level(&mesh, [seam - 2.0 * size, seam + 2.0 * size], size);
         assert!(bias.abs() < 0.1 && rms < 0.07, "seam {i}: {bias} {rms}");
     }
-    // If all particles count as one size, the coarse water is lost.
+    // If all particles count as the same size, the surface loses the coarse water.
     let one = measure(&water.mesh(&request().size("none")));
     assert!(one.components > 10 && one.volume.unwrap() < 0.7 * water.volume());
 }
@@ -139,7 +140,7 @@ fn a_lone_particle_of_any_size_keeps_about_its_volume() {
 
 #[test]
 fn mixed_particle_sizes_leave_no_bubbles() {
-    // Each cube contains one large particle, or eight small ones.
+    // Each cube contains either one large particle or eight small particles.
     let mut random = Random::new(9);
     let mut water = Sized::default();
     for i in 0..24 * 24 * 12 {
@@ -172,7 +173,7 @@ fn sized_meshes_are_independent_of_order_threads_memory_and_size_unit() {
     ] {
         assert!(mesh(&request) == expected);
     }
-    // The particles in reverse order, with equivalent size attributes.
+    // Reverse the particles, and give their sizes as other attributes with the same meaning.
     let reversed = |values: &[f32]| values.iter().rev().copied().collect::<Vec<_>>();
     let positions: Vec<[f64; 3]> = water.positions.iter().rev().copied().collect();
     let (heat, diameters) = (reversed(&heat), reversed(&water.sizes));
@@ -219,7 +220,7 @@ fn scaled_radii_are_corrected_by_the_density_of_the_fluid() {
 fn particles_of_one_size_give_the_same_mesh_as_without_sizes() {
     let water = Sized::pools(&[1.0]);
     let mut radii = water.radii();
-    // Sizes that differ by less than a tenth count as one.
+    // Sizes that differ by less than 10 % count as the same size.
     radii.iter_mut().step_by(3).for_each(|radius| *radius *= 1.08);
     let cloud = Cloud::new(&water.positions).with("radius", &radii);
     let with = request().run(&cloud).unwrap().to_mesh().unwrap();
@@ -301,11 +302,11 @@ fn settings_that_need_one_size_refuse_particles_of_several_sizes() {
     }
 }
 
-/// Two pools next to each other along x that fill a periodic box, with coordinates that are
-/// multiples of 2^-10, so that copies have the same digits.
+/// Two pools next to each other along x, in a periodic box. Coordinates are multiples of 2^-10, so
+/// that copies of particles are exact.
 fn pools_in_a_box() -> (Sized, Faces) {
     let mut random = Random::new(21);
-    // Along y, the box is hardly wider than it must be.
+    // Along y, the box has almost the minimum width.
     let edges = [112.0, 56.0];
     let mut water = Sized::default()
         .with([[0.0; 3], [edges[0] / 2.0, edges[1], 12.0]], 1.0, &mut random)
@@ -347,7 +348,7 @@ fn in_a_periodic_box_sized_particles_have_the_surface_of_explicit_copies() {
 #[test]
 fn sized_water_ends_at_solids_and_keeps_its_level_up_to_them() {
     let radius = 9.0;
-    // In fine water, in coarse water, and at the seam between them.
+    // Put balls into fine water, into coarse water, and at the seam between them.
     let centres = [[20.0, 20.0], [80.0, 20.0], [48.0, 44.0]].map(|[x, y]| [x, y, DEPTH]);
     let from_solid = |p: [f64; 3]| {
         let from = |centre: &[f64; 3]| DVec3::from(p).distance(DVec3::from(*centre)) - radius;
@@ -387,7 +388,7 @@ fn sized_water_ends_at_solids_and_keeps_its_level_up_to_them() {
             let errors: Vec<f64> = mesh.positions.iter().filter(under).map(from).collect();
             let [bias, rms] = mean_and_rms(&errors);
             assert!(bias.abs() < 0.02 && rms < 0.04, "cells {cell}, {centre:?}: {bias} {rms}");
-            // The contact line is at the ball's equator.
+            // Measure the water level next to the ball, whose equator is at the contact line.
             let beside = |p: &&[f64; 3]| {
                 (p[2] - DEPTH).abs() < 1.5 * size && (0.5 * size..2.0 * size).contains(&from(p))
             };
@@ -406,7 +407,7 @@ fn sized_particles_in_parts_give_the_mesh_of_a_single_run() {
     let folder = tempfile::tempdir().unwrap();
     let [input, output, ball] =
         ["water.csv", "water.ply", "ball.obj"].map(|name| folder.path().join(name));
-    // At a seam, and in the coarsest water.
+    // Put balls at a seam, and into the coarsest water.
     let balls = [[64.0, 40.0, DEPTH], [150.0, 30.0, DEPTH - 4.0]];
     let [one, other] = balls.map(|centre| moved(&sphere(8.0, 3), centre));
     std::fs::write(&ball, text_of_obj(&union(&one, &other))).unwrap();
@@ -433,7 +434,7 @@ fn sized_particles_in_parts_give_the_mesh_of_a_single_run() {
         let whole = whole.to_mesh().unwrap();
         let parts = request.parts(&input, &output, 5);
         let plan = parts.plan().unwrap();
-        // In the periodic box there are images as well.
+        // Compare with the largest part, because periodic images also count as particles.
         let all = plan.parts.iter().map(|share| share.kept).max().unwrap();
         assert!(plan.parts.iter().any(|share| share.kept < all), "each part samples everything");
         (0..5).for_each(|part| drop(parts.part(part).unwrap()));
@@ -442,7 +443,7 @@ fn sized_particles_in_parts_give_the_mesh_of_a_single_run() {
     }
 }
 
-/// Bias and root mean square.
+/// The mean and the root mean square of errors.
 fn mean_and_rms(errors: &[f64]) -> [f64; 2] {
     assert!(errors.len() > 50, "{} vertices", errors.len());
     let count = errors.len() as f64;

@@ -1,4 +1,4 @@
-//! Solids: water ends at their surfaces.
+//! Tests of solids, at whose surfaces water ends.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -26,18 +26,18 @@ use crate::common::scene::Random;
 use crate::common::shapes::{cuboid, moved, sphere};
 use crate::common::{sampling, surfacing, watertight};
 
-/// Size of a pool along x and z, and its water level.
+/// The size of the pool along x and z, and its water level.
 const SIZE: f64 = 30.0;
 const LEVEL: f64 = 13.0;
-/// A ball that is mostly under water.
+/// The centre of a ball that is mostly under water.
 const CENTRE: DVec3 = DVec3::new(15.0, 8.0, 15.0);
 const RADIUS: f64 = 9.0;
-/// Half of a box that is rotated about the centre of the ball.
+/// Half of the edge lengths of a box, which is rotated about the centre of the ball.
 const HALF: DVec3 = DVec3::new(7.0, 3.0, 6.0);
 const ANGLE: f64 = 0.5;
 
-/// Water outside of the solid that `distance` describes, each particle moved by up to a share of a
-/// spacing.
+/// Water outside of a solid. `distance` is the distance of a point from the solid, and `jitter` is
+/// in spacings.
 fn pool(jitter: f64, distance: impl Fn(DVec3) -> f64) -> Vec<[f64; 3]> {
     let mut random = Random::new(11);
     let mut water = Vec::new();
@@ -80,7 +80,7 @@ fn ball() -> Mesh {
     moved(&sphere(RADIUS, 5), CENTRE.to_array())
 }
 
-/// Writes a mesh as .obj.
+/// Writes a mesh as an .obj file, and returns its path.
 fn written(folder: &TempDir, name: &str, mesh: &Mesh) -> PathBuf {
     let path = folder.path().join(name);
     fs::write(&path, text_of_obj(mesh)).unwrap();
@@ -96,7 +96,7 @@ fn at(request: Reconstruction, solid: &Path) -> Reconstruction {
     request.solids([solid.to_str().unwrap()]).solid_offset(0.0)
 }
 
-/// Mean and root mean square.
+/// The mean and the root mean square of errors.
 fn mean_and_rms(errors: &[f64]) -> (f64, f64) {
     assert!(errors.len() > 50, "{} vertices", errors.len());
     let count = errors.len() as f64;
@@ -134,7 +134,7 @@ fn water_ends_at_solids_and_keeps_its_level_up_to_them() {
             let (level, _) = mean_and_rms(&of(&|p, d| is_level(p, d) && d > 4.0, &|p, _| p.y));
             let near = of(&|p, d| is_level(p, d) && d < 4.0, &|p, _| p.y - level);
             let (bias, rms) = mean_and_rms(&near);
-            // With a jitter of 0.5, the level far away already has noise of 0.07.
+            // With a jitter of 0.5, the level has noise of 0.07 even far from the solid.
             let most = if jitter < 0.4 { 0.1 } else { 0.14 };
             assert!(bias.abs() < 0.05 && rms < most, "{what}: level near the solid {bias}, {rms}");
         }
@@ -163,7 +163,7 @@ fn a_device_makes_the_same_mesh_with_solids_as_the_cpu() {
         Err(error) => return device::skip(error),
     };
     let folder = TempDir::new().unwrap();
-    // At a corner, so that there are blocks far from it.
+    // Put the ball at a corner of the pool, so that some blocks are far from it.
     let corner = DVec3::new(1.0, 9.0, 1.0);
     let solid = written(&folder, "ball.obj", &moved(&sphere(2.0, 3), corner.to_array()));
     let water = pool(0.5, |at| at.distance(corner) - 2.0);
@@ -180,8 +180,8 @@ fn in_a_periodic_box_solids_repeat_as_the_fluid_does() {
     let folder = TempDir::new().unwrap();
     let edge = 40.0;
     let faces: Faces = [Some([0.0, edge]), None, Some([0.0, edge])];
-    // Most of the ball is beyond the faces of a corner. All coordinates are dyadic, so that copies
-    // have the same digits.
+    // Most of the ball is beyond the faces at a corner of the box. Coordinates have few binary
+    // digits, so that copies are exact.
     let dyadic = |p: DVec3| (p * 1024.0).floor() / 1024.0;
     let mut solid = moved(&sphere(5.0, 3), [-2.0, 4.0, -1.0]);
     for position in &mut solid.positions {
@@ -222,7 +222,7 @@ fn in_a_periodic_box_solids_repeat_as_the_fluid_does() {
     let in_box = Sampling { periodic, ..alone.clone() };
     let timings = &mut Timings::default();
     let frame = Engine::sample(&water[..], &in_box, timings).unwrap();
-    // The density of both is that of the box.
+    // Use the calibration of the periodic box for both frames.
     let calibrated = of_all.calibrate(frame.dif().unwrap()).unwrap().calibration;
     let mut meshed = |frame: &Engine, surfacing: &Surfacing| {
         let frame = frame.calibrate(surfacing, Some(&calibrated), timings).unwrap();
@@ -242,7 +242,7 @@ fn in_a_periodic_box_solids_repeat_as_the_fluid_does() {
             expected.len()
         );
     }
-    // Files, and a mesh at the faces that the ball does not reach.
+    // Also test a solid from a file, and the mesh at the faces that the ball does not reach.
     let file = written(&folder, "ball.obj", &solid);
     let request = at(Reconstruction::new().spacing(1.0).cell_size(0.5).periodic(faces), &file);
     let mesh = request.run(&water[..]).unwrap().to_mesh().unwrap();
@@ -285,7 +285,7 @@ fn a_solid_wall_divides_water_and_a_too_thin_wall_causes_a_warning() {
     let surface = divided("wall.obj", 0.3, 0.0);
     assert_eq!(measure(&surface.to_mesh().unwrap()).components, 2);
     assert!(!surface.report().warnings.iter().any(is_thin));
-    // A gap compensates for the thin wall.
+    // A positive solid offset leaves a gap on both sides of the thin wall.
     let surface = divided("sheet.obj", 0.05, 0.25);
     assert_eq!(measure(&surface.to_mesh().unwrap()).components, 2);
     assert!(!surface.report().warnings.iter().any(is_thin));
@@ -310,7 +310,7 @@ fn solid_offset_moves_the_contact_surface_and_inverted_solids_are_flipped() {
         assert!(warns(&inwards.report().warnings) && !warns(&outwards.report().warnings));
         let mesh = outwards.to_mesh().unwrap();
         let vertices = mesh.positions.iter().map(|&p| DVec3::from(p));
-        // The ball reaches through the floor.
+        // Measure above the floor and below the level, because the ball reaches through the floor.
         let depths = 2.0..LEVEL - 2.0;
         let under = vertices.filter(|p| from_ball(*p).abs() < 1.5 && depths.contains(&p.y));
         let errors: Vec<f64> = under.map(|p| from_ball(p) - offset).collect();

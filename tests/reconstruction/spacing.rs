@@ -1,6 +1,8 @@
-//! The spacing from every source: an estimate, a setting, a file, a scene, a state or a packed
-//! frame. A warning is given if the particles contradict it. Also particles in a plane, at one
-//! position, and far from the origin.
+//! Tests of the spacing from every source: an estimate, a setting, a file, a scene, a state or a
+//! packed frame.
+//!
+//! The library warns if the particles contradict the spacing. Other tests have particles in a
+//! plane, at one position, and far from the origin.
 
 use std::fmt::Write as _;
 use std::fs;
@@ -23,7 +25,7 @@ use crate::common::program::{command, run};
 
 const SPACING: f64 = 0.05;
 
-/// A ball of fluid, about 3000 particles.
+/// A ball of about 3000 particles.
 fn ball() -> Vec<[f64; 3]> {
     let unit = fill(12.0, 1.0, 0.25, 3, |p| p.length() < 9.0);
     unit.into_iter().map(|p| p.map(|c| SPACING * c)).collect()
@@ -95,7 +97,7 @@ fn a_wrong_spacing_causes_a_warning_that_names_the_likely_mistake() {
 
 #[test]
 fn the_spacing_of_many_particles_is_verified_while_counting_them() {
-    // The estimate does not keep this many particles in memory.
+    // Use more particles than the estimate keeps in memory.
     let pool = fill(45.0, 1.0, 0.25, 7, |_| true);
     assert!(pool.len() > 600_000);
     for (given, contradicted) in
@@ -164,7 +166,7 @@ fn packing_and_meshing_a_packed_frame_warn_about_a_wrong_spacing() {
     }
 }
 
-/// Runs a simulation and returns the spacing warnings among its events.
+/// Runs a simulation, and returns the warnings about the spacing among its events.
 fn warnings_of(simulation: &Simulation) -> Vec<SpacingWarning> {
     let mut warnings = Vec::new();
     let on_event = |event| {
@@ -193,7 +195,7 @@ fn a_simulation_warns_once_about_a_wrong_spacing_and_again_on_resume() {
     assert_eq!(warnings.len(), 1, "{warnings:?}");
     assert!(contradiction(&warnings).is_some());
     assert_eq!(warnings_of(&by(SPACING).overwrite()), []);
-    // Later frames have another scale.
+    // Write later frames in another scale, so that they contradict the spacing of the state.
     frame(4, 3.0);
     frame(5, 3.0);
     let warnings = warnings_of(&by(SPACING).resume());
@@ -238,7 +240,7 @@ fn particles_in_a_plane_become_a_flat_slab_one_spacing_thick() {
             heights.iter().filter(|y| (**y - lo).abs() < 1e-9 || (**y - hi).abs() < 1e-9).count();
         assert!(heights.iter().all(|y| (lo - 1e-9..=hi + 1e-9).contains(y)));
         assert!(2 * ends > heights.len(), "{ends} of {} vertices are on the faces", heights.len());
-        // Explicit walls give the same mesh.
+        // The mesh must be the same as with explicit walls.
         let [x, z] = [f64::NEG_INFINITY; 2];
         let walled =
             Reconstruction::new().domain([x, lo, z], [-x, hi, -z]).spacing(spacing).run(&particles);
@@ -318,7 +320,7 @@ fn particles_far_from_the_origin_get_a_nearby_grid_origin() {
     assert!(state["shared"]["origin"][1].as_f64().unwrap() > 4e6, "{state}");
 }
 
-/// The only state file below a folder.
+/// The path of the only state file below a folder.
 fn state_file(folder: &Path) -> std::path::PathBuf {
     let folders =
         fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path().join("state.json"));

@@ -1,4 +1,5 @@
-//! Spray is meshed drop by drop. The mesh equals that of the field on whole regions.
+//! Tests of spray, which is meshed drop by drop. The mesh must be the same as if complete blocks
+//! were meshed.
 
 use glam::DVec3;
 use meniscus::internals::backend::{Cpu, Executor, Surfaces, field};
@@ -13,8 +14,7 @@ use crate::common::device::contoured;
 use crate::common::scene::Random;
 use crate::common::{dif, recipe, sampling, surfacing};
 
-/// Random particles, `apart` spacings apart on average, with a pair, a clump and a thread among
-/// them.
+/// Random particles, on average `apart` spacings apart, and also a pair, a clump and a thread.
 fn spray(apart: f64, random: &mut Random) -> Vec<[f64; 3]> {
     let edge = 5.0 * apart;
     let mut particles: Vec<[f64; 3]> =

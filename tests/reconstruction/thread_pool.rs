@@ -1,4 +1,5 @@
-//! The library leaves the global thread pool to the program that calls it.
+//! Tests that the library does not create the global thread pool, which belongs to the calling
+//! program.
 
 use meniscus::Reconstruction;
 
@@ -6,7 +7,7 @@ use crate::common::alone::alone;
 
 #[test]
 fn a_reconstruction_does_not_create_the_global_thread_pool() {
-    // A process can create its global pool only once.
+    // Run alone, because a process can create its global pool only once.
     let name = "thread_pool::a_reconstruction_does_not_create_the_global_thread_pool";
     alone(name, reconstruct_and_create_the_global_pool);
 }

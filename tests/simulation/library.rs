@@ -1,4 +1,4 @@
-//! The library converts simulations: the bytes of the program, events, cancellation, frames from
+//! Tests of simulations with the library: the program's bytes, events, cancellation, frames from
 //! memory, and frames that are sampled once and meshed repeatedly.
 
 use std::collections::BTreeMap;
@@ -19,10 +19,10 @@ use crate::common::files::{bytes_of, raw, tree};
 use crate::common::fill;
 use crate::common::program::command;
 
-/// Changes a request.
+/// A function that changes a request.
 type Change = fn(Reconstruction) -> Reconstruction;
 
-/// A falling drop of particles with spacing 0.5.
+/// The particles of a falling drop in a frame, with spacing 0.5.
 fn falling(frame: u64) -> Vec<[f32; 3]> {
     let drop = fill(10.0, 2.0, 0.2, 3 + frame, |p| p.length() < 5.0);
     drop.iter().map(|&[x, y, z]| [x as f32, (y - 0.3 * frame as f64) as f32, z as f32]).collect()
@@ -32,7 +32,7 @@ fn write(path: &Path, particles: &[[f32; 3]]) {
     fs::write(path, raw(particles)).unwrap();
 }
 
-/// A folder with this number of frames.
+/// A folder with this number of frames of a falling drop.
 fn simulated(frames: u64) -> TempDir {
     let folder = TempDir::new().unwrap();
     fs::create_dir(folder.path().join("sim")).unwrap();
@@ -144,15 +144,15 @@ fn events_report_measurement_start_progress_success_and_failure() {
     assert!(!summary.is_complete());
 }
 
-/// Converts four frames, of which the first is replaced when `is_time` returns true. Returns the
-/// files of this conversion, and those of a conversion of the final frames.
+/// Converts four frames, and replaces the first frame when `is_time` returns true. Returns the
+/// files of this conversion, and the files of a conversion of the final frames.
 fn converted_while_changed(
     change: fn(Simulation) -> Simulation,
     is_time: fn(&Event) -> bool,
 ) -> [BTreeMap<String, Vec<u8>>; 2] {
     let (folder, still) = (simulated(4), simulated(4));
     let first = folder.path().join("sim/drop_1.xyz");
-    // A different spacing and position.
+    // At first, frame 1 has another spacing and position.
     let early: Vec<[f32; 3]> = falling(7).iter().map(|p| p.map(|x| 1.3 * x)).collect();
     write(&first, &early);
     let mut is_early = true;
@@ -172,7 +172,7 @@ fn converted_while_changed(
     by(still.path()).run(|_| ()).unwrap().iter().for_each(|summary| assert!(summary.is_complete()));
     [folder, still].map(|folder| {
         let mut files = tree(&folder.path().join("mesh"));
-        // The state and the records contain the times of the inputs.
+        // Ignore the state and the records, which contain the times of the inputs.
         files.retain(|name, _| !name.contains(".meniscus"));
         files
     })
@@ -359,7 +359,8 @@ fn calibration_and_component_measurement_report_progress() {
         .run(&fill(30.0, 1.0, 0.3, 5, |_| true))
         .unwrap();
     let reports = reports.lock().unwrap();
-    // The first tenth of either stage is calibration, or measuring components.
+    // The first tenth of a stage is for calibrating (meshing) or measuring components
+    // (simplifying).
     for stage in [Stage::Meshing, Stage::Simplifying] {
         let shares = reports.iter().filter(|progress| progress.stage == stage).map(|of| of.done);
         let shares: Vec<f64> = shares.filter(|&done| done > 0.0 && done < 1.0).collect();
@@ -381,7 +382,7 @@ fn every_stage_reports_from_0_to_1_and_can_be_cancelled_at_its_end() {
         .run_file(&input)
         .unwrap();
     surface.write(folder.path().join("mesh.ply")).unwrap();
-    // The lock is free once the file is written.
+    // Writing has finished, so the callback does not hold the lock.
     let reports = std::mem::take(&mut *reports.lock().unwrap());
     let stages: Vec<_> = reports.chunk_by(|a, b| a.stage == b.stage).collect();
     let names: Vec<_> = stages.iter().map(|stage| stage[0].stage).collect();
@@ -401,7 +402,7 @@ fn every_stage_reports_from_0_to_1_and_can_be_cancelled_at_its_end() {
         });
         assert!(matches!(request.run_file(&input), Err(Error::Cancelled)), "{last}");
     }
-    // A file has its name only when it is complete.
+    // A cancelled write leaves no file, because a file gets its name only when it is complete.
     let cancel = Cancel::new();
     let output = request()
         .cancel(cancel.clone())
@@ -447,7 +448,7 @@ fn live_frames_from_memory_equal_frames_from_files() {
 
 #[test]
 fn a_live_simulation_keeps_its_first_measurements_for_later_frames() {
-    // A sheet has no interior to measure.
+    // A thin sheet has no interior, so it does not settle the calibration.
     let sheet: Vec<[f64; 3]> = fill(20.0, 2.0, 0.1, 7, |p| (0.0..0.5).contains(&p.y));
     let mut live = LiveSimulation::new(&Reconstruction::new().spacing(0.5)).unwrap();
     live.frame(&sheet[..]).unwrap();
@@ -458,7 +459,7 @@ fn a_live_simulation_keeps_its_first_measurements_for_later_frames() {
     let mut live = LiveSimulation::new(&Reconstruction::new()).unwrap();
     let first = live.frame(&falling(1)[..]).unwrap();
     assert!(live.is_settled());
-    // Half of the particles would give another spacing and another plateau.
+    // A frame with only half of the particles must keep the spacing and the plateau.
     let thinned: Vec<[f32; 3]> = falling(2).into_iter().step_by(2).collect();
     let second = live.frame(&thinned[..]).unwrap();
     let [one, other] = [&first, &second].map(|surface| surface.report());
@@ -539,7 +540,7 @@ fn inapplicable_settings_are_refused_and_named() {
 #[test]
 fn warnings_of_a_simulation_name_the_calibration_frame() {
     let folder = simulated(1);
-    // Particles eight times as far apart have at most an eighth of the plateau.
+    // A frame with a ninth of the particles has a much lower plateau.
     let far: Vec<[f32; 3]> = falling(1).into_iter().step_by(9).collect();
     write(&folder.path().join("sim/drop_2.xyz"), &far);
     let mut found = Vec::new();
@@ -559,7 +560,7 @@ fn warnings_of_a_simulation_name_the_calibration_frame() {
     assert!(found.iter().all(|warning| !warning.to_string().contains("--")), "{found:?}");
 }
 
-/// A tank from 0 to 24 along x and z, open at the top, with waves.
+/// Water with waves in a frame, in a tank from 0 to 24 along x and z that is open at the top.
 fn tank(frame: u64) -> Vec<[f32; 3]> {
     let waves = move |x: f64| 12.0 + 2.0 * (x / 3.0 + frame as f64).sin();
     let water = fill(12.0, 1.0, 0.3, 3 + frame, |_| true).into_iter();
@@ -571,7 +572,7 @@ fn tank(frame: u64) -> Vec<[f32; 3]> {
 fn detected_walls_cover_all_frames_survive_resume_and_drop_no_particle() {
     let folder = TempDir::new().unwrap();
     fs::create_dir(folder.path().join("sim")).unwrap();
-    // The walls are measured on frames 1, 3, 5, 7, 9, 11 and 13.
+    // The library measures the walls on frames 1, 3, 5 and so on, but not on frame 6.
     for frame in 1..=13 {
         let mut water = tank(frame);
         if frame == 6 {
@@ -617,14 +618,14 @@ fn detected_walls_cover_all_frames_survive_resume_and_drop_no_particle() {
             assert_eq!((passed.len(), walls), (0, [lo, hi]), "frame {number}");
         }
     }
-    // A resumed conversion has the same walls.
+    // A resumed conversion must use the same walls.
     fs::remove_file(folder.path().join("mesh/drop_9.ply")).unwrap();
     let (again, done) = convert(simulation(folder.path(), "mesh").resume());
     assert_eq!((again, done.len()), (found, 1));
     assert_eq!(done[&9].report.as_ref().unwrap().facts.domain.unwrap().walls(), [lo, hi]);
 }
 
-/// A cube of particles of spacing 1, and one of spacing 2 beside it.
+/// The positions and radii of a cube of particles with spacing 1, and of a cube with spacing 2.
 fn of_two_sizes() -> (Vec<[f64; 3]>, Vec<f32>) {
     let cube = |first: f64, spacing: f64, count: i32| {
         let at = move |i: i32| (f64::from(i) + 0.5) * spacing;
@@ -636,7 +637,7 @@ fn of_two_sizes() -> (Vec<[f64; 3]>, Vec<f32>) {
     (positions, radii)
 }
 
-/// The warnings about sizes.
+/// The warnings about the particles' sizes.
 fn about_sizes(warnings: &[Warning]) -> Vec<SpacingWarning> {
     let of_sizes = |warning: &Warning| match warning {
         Warning::Spacing(
@@ -670,7 +671,7 @@ fn sizes_that_the_calibration_frame_does_not_have_are_reported() {
     assert_eq!(none, []);
     assert!(matches!(&strays[..], [SpacingWarning::Sizes { invalid: 2, .. }]), "{strays:?}");
 
-    // From files. The greatest is the calibration frame.
+    // The same with files, where the largest frame calibrates the simulation.
     let folder = TempDir::new().unwrap();
     let mut invalid = one.clone();
     invalid[5] = 0.0;

@@ -1,4 +1,4 @@
-//! Conversion of the frames of a simulation, by the library and by the program.
+//! Tests of converting the frames of a simulation, with the library and with the program.
 #![allow(clippy::unwrap_used)]
 
 #[path = "../common/mod.rs"]

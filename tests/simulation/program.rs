@@ -1,5 +1,5 @@
-//! The program converts the frames of a simulation: every way to run it gives the same bytes, bad
-//! frames do not stop the others, and no temporary files remain.
+//! Tests of simulations with the program: every way to run it gives the same bytes, bad frames do
+//! not stop other frames, and no temporary files remain.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -28,7 +28,7 @@ fn run(folder: &Path, arguments: &[&str], code: i32) -> String {
     program::run(folder, &[&["reconstruct"], arguments].concat(), code)
 }
 
-/// A falling ball of disordered particles, in `in/f_N.xyz`.
+/// A folder with frames of a falling ball of disordered particles, in `in/f_N.xyz`.
 fn falling(frames: std::ops::RangeInclusive<u64>) -> TempDir {
     let folder = TempDir::new().unwrap();
     fs::create_dir(folder.path().join("in")).unwrap();
@@ -63,7 +63,7 @@ fn outputs_are_independent_of_threads_memory_jobs_and_job_order() {
     assert_eq!(first.len(), 9 + 4, "meshes, records, the state and two listings");
     assert!(first == bytes(&[&["--threads", "3"]]));
     assert!(first == bytes(&[&["--threads", "2", "--memory", "130MiB"]]));
-    // The last job sees the frames of all others.
+    // The last job writes the listings, which must contain the frames of all jobs.
     assert!(first == bytes(&[&["--frames", "6..9"], &["--frames", "1..2"], &["--frames", "3..5"]]));
     assert!(first == bytes(&[&["--plan"], &["--frames", "4..9"], &["--resume"]]));
 }
@@ -101,14 +101,14 @@ fn resuming_remakes_only_frames_that_are_damaged_unrecorded_or_changed() {
     let remade: Vec<_> = (0..8).filter(|&i| times()[i] != before[i]).map(|i| i + 1).collect();
     assert_eq!(remade, [2, 3, 4, 5]);
 
-    // A changed input is another frame.
+    // If an input has changed, --resume makes its frame again.
     fs::write(folder.path().join("in/f_7.xyz"), raw(&ball(11))).unwrap();
     let errors = run(folder.path(), &with(&["--resume"]), 0);
     assert!(errors.contains("7 of 8 frames"), "{errors}");
     let other = tree(&out);
     assert!(other["m_7.ply"] != whole["m_7.ply"] && other["m_6.ply"] == whole["m_6.ply"]);
 
-    // Other settings are refused, unless all frames may be made again.
+    // Other settings are an error, unless --overwrite allows to make all frames again.
     let errors = run(folder.path(), &with(&["--smooth", "1.3"]), 2);
     assert!(errors.contains("smooth") && errors.contains("--overwrite"), "{errors}");
     let errors = run(folder.path(), &with(&["--smooth", "1.3", "--resume"]), 2);
@@ -155,7 +155,7 @@ fn bad_frames_are_reported_with_causes_and_all_others_are_converted() {
     assert_eq!(lines.iter().filter(|line| line["error"].is_string()).count(), 2);
     assert!(lines.iter().all(|line| line["frame"].is_u64()));
 
-    // A bad first frame does not prevent the measurement on the others.
+    // If the first frame is bad, the calibration is measured on the other frames.
     fs::write(input(1), "").unwrap();
     let errors = run(folder.path(), &["in", "-o", "other/"], 1);
     assert!(errors.contains("frame 1: in/f_1.xyz: the file is empty"), "{errors}");
@@ -420,7 +420,7 @@ fn a_conversion_resumes_after_runs_that_failed_to_calibrate() {
     let folder = falling(1..=3);
     run(folder.path(), &ALL, 0);
     let before = tree(&folder.path().join("out"));
-    // The measured first frame is replaced during the run.
+    // Replace the first frame, on which the calibration was measured.
     fs::write(folder.path().join("in/f_1.xyz"), "seven").unwrap();
     run(folder.path(), &with(&["--resume", "--frames", "1..1"]), 1);
     for frame in 2..=3 {
@@ -467,7 +467,7 @@ fn resuming_does_not_replace_a_foreign_mesh_that_appeared_later() {
     }
     run(folder.path(), &with(&["--resume", "--overwrite"]), 0);
     assert_ne!(fs::read(&mesh).unwrap(), b"mine");
-    // A mesh of this conversion that was damaged is made again.
+    // If a mesh of this conversion was damaged, --resume makes it again.
     fs::write(&mesh, "mine").unwrap();
     run(folder.path(), &with(&["--resume"]), 0);
     assert_ne!(fs::read(&mesh).unwrap(), b"mine");
@@ -492,7 +492,7 @@ fn a_missing_input_folder_is_an_error_unless_watch_waits_for_it() {
         fs::create_dir(folder.path().join("none")).unwrap();
         fs::copy(folder.path().join("in/f_1.xyz"), folder.path().join("none/f_1.xyz")).unwrap();
         std::thread::sleep(Duration::from_secs(3));
-        // Some programs clear their folder and start again.
+        // Make the input folder disappear for a while, as programs do that clear their folder.
         fs::rename(folder.path().join("none"), folder.path().join("gone")).unwrap();
         std::thread::sleep(Duration::from_millis(700));
         fs::rename(folder.path().join("gone"), folder.path().join("none")).unwrap();
@@ -511,7 +511,7 @@ fn a_missing_input_folder_is_an_error_unless_watch_waits_for_it() {
 #[test]
 fn every_frame_uses_the_calibration_of_the_state_not_its_own() {
     let folder = falling(1..=1);
-    // Twice as dense, so that alone it would have another mu0 and another isovalue.
+    // Frame 2 is twice as dense, so that as a single frame it has another mu0 and isovalue.
     let dense: Vec<_> = ball(2).into_iter().chain(ball(3)).collect();
     fs::write(folder.path().join("in/f_2.xyz"), raw(&dense)).unwrap();
     for indicator in ["counting", "symmetry"] {
@@ -570,7 +570,8 @@ fn every_cloud_frame_uses_the_plateau_of_the_state_not_its_own() {
     };
     assert!(single(1) == made["m_1.ply"], "frame 1 uses its own plateau");
     assert!(single(2) != made["m_2.ply"], "frame 2 uses the plateau of frame 1");
-    // Only the plateau distinguishes them: with a third of it, there is more fluid.
+    // Exchange the frames. With the plateau of the thin frame, a third of the other, there is more
+    // fluid.
     fs::rename(folder.path().join("in/f_2.xyz"), folder.path().join("in/f_1.xyz")).unwrap();
     fs::write(folder.path().join("in/f_2.xyz"), raw(&ball(1))).unwrap();
     let (by_dense, dense) = shared(&more);
@@ -586,7 +587,7 @@ fn a_state_of_an_earlier_surface_version_is_refused_even_with_resume() {
     run(folder.path(), &ALL, 0);
     let path = folder.path().join("out/m.ply.meniscus/state.json");
     let mut state: Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
-    // Clouds had a mu0 and an isovalue.
+    // In the states of earlier versions, clouds had a mu0 and an isovalue.
     let shared = state["shared"].as_object_mut().unwrap();
     shared.remove("plateau").unwrap();
     shared.insert("mu0".into(), 2.5.into());
@@ -604,7 +605,7 @@ fn a_state_of_an_earlier_surface_version_is_refused_even_with_resume() {
         );
         assert!(tree(folder.path()) == before, "{more:?}");
     }
-    // A state of an earlier version with an option that no longer exists: other settings, which
+    // A state with an option that no longer exists counts as a state with other settings, which
     // --overwrite replaces.
     let settings = state["settings"].as_object_mut().unwrap();
     settings.insert("smooth".into(), 2.0.into());
@@ -633,7 +634,8 @@ fn the_plateau_is_measured_on_the_first_frame_with_an_interior() {
             fs::write(folder.path().join(format!("f_{number}.csv")), rows.collect::<String>())
                 .unwrap();
         }
-        // The spacing implies more than a third too many particles, and so another plateau.
+        // With this wrong spacing, the expected number of particles and the plateau are more than a
+        // third too large.
         run(
             folder.path(),
             &["f_{}.csv", "-o", "m_{}.ply", "--spacing", "0.45", "--origin", "0,0,0"],
@@ -762,7 +764,8 @@ fn frames_without_particles_or_surface_become_readable_empty_meshes() {
         for frame in [1, 2] {
             let mesh = read_mesh(&folder.path().join(format!("m_{frame}.{extension}"))).unwrap();
             assert_eq!((mesh.positions.len(), mesh.triangles.len()), (0, 0), "{extension}");
-            // The file does not show it: without vertices there are no values of an attribute.
+            // Search the file's bytes for the attribute's name, because an empty mesh has no
+            // values.
             let bytes = fs::read(folder.path().join(format!("m_{frame}.{extension}"))).unwrap();
             let names = |word: &[u8]| bytes.windows(word.len()).any(|window| window == word);
             assert_eq!(
@@ -777,7 +780,7 @@ fn frames_without_particles_or_surface_become_readable_empty_meshes() {
 #[test]
 fn a_frame_that_the_frozen_isovalue_nearly_empties_causes_a_warning() {
     let folder = TempDir::new().unwrap();
-    // Everything is measured on a fluid four times as dense as the next.
+    // The first frame, on which the calibration is measured, is four times as dense as the second.
     let dense = fill(10.0, 2.0, 0.3, 1, |p| p.length() < 6.0);
     let thin = fill(20.0, 1.26, 0.3, 1, |p| p.length() < 6.0);
     fs::write(folder.path().join("f_1.xyz"), raw(&dense)).unwrap();
@@ -815,15 +818,15 @@ fn a_lattice_in_the_first_frame_does_not_distort_the_calibration() {
         serde_json::from_slice::<Value>(&text).unwrap()["shared"].clone()
     };
     let number = |value: &Value| value.as_f64().unwrap();
-    // The isovalue of the first frame alone is 0.0003, and of the last frame alone 0.2093.
+    // As a single frame, the first frame has isovalue 0.0003, and the last frame 0.2093.
     let symmetry =
         ["ParticleData_Fluid_{}.bgeo", "-o", "s_{}.ply", "--cell", "1", "--indicator", "symmetry"];
     run(folder.path(), &symmetry, 0);
     let symmetry = shared("s.ply.meniscus");
     assert_eq!(symmetry["frame"], 1);
     assert!((number(&symmetry["isovalue"]) - 0.2093).abs() < 0.01, "{symmetry}");
-    // Counts on a lattice are all 1, and so is the plateau: a share of it would thin the splash by
-    // a third.
+    // In the first frame, particles are on a lattice, so all counts and the plateau are 1. With the
+    // isovalue of this plateau, the splash would lose a third of its volume.
     let counting =
         ["ParticleData_Fluid_{}.bgeo", "-o", "c_{}.ply", "--cell", "1", "--indicator", "counting"];
     run(folder.path(), &counting, 0);
@@ -847,7 +850,7 @@ fn a_lattice_in_the_first_frame_does_not_distort_the_calibration() {
     }
 }
 
-/// A settled pool, level or on a slope, with this jitter of the particles in spacings.
+/// A pool of particles at rest, which is level or on a slope. `jitter` is in spacings.
 fn pool(slope: DQuat, jitter: f64, shift: [f64; 3]) -> Vec<[f64; 3]> {
     let mut random = Random::new(9);
     let mut particles = Vec::new();
@@ -889,7 +892,8 @@ fn a_fluid_at_rest_does_not_flicker() {
         run(folder.path(), &["p_{}.xyz", "-o", "m_{}.ply", "--spacing", "0.1"], 0);
         let mesh = |frame: usize| read_mesh(&folder.path().join(format!("m_{frame}.ply"))).unwrap();
         assert_eq!(mesh(0), mesh(1), "particles at rest change the mesh");
-        // The surface relative to the particles, including its rounded rim, in spacings.
+        // The height of the surface relative to the particles in spacings, including its rounded
+        // rim.
         let level = |frame: usize| {
             let up = slope * DVec3::Y;
             level(&mesh(frame), up) / 0.1 - up.dot(shifts[frame].into())
@@ -901,7 +905,7 @@ fn a_fluid_at_rest_does_not_flicker() {
     }
 }
 
-/// The mean height of the upper side of a mesh along `up`.
+/// The mean height of a mesh's upper side, in the direction `up`.
 fn level(mesh: &Mesh, up: DVec3) -> f64 {
     let (mut area, mut sum) = (0.0, 0.0);
     for triangle in &mesh.triangles {
@@ -944,7 +948,7 @@ fn parallel_frames_stay_within_the_memory_budget() {
         run(folder.path(), &[&arguments[..], options, &["--stats", &stats]].concat(), 0);
         let text = fs::read_to_string(folder.path().join(stats)).unwrap();
         let last: Value = serde_json::from_str(text.lines().last().unwrap()).unwrap();
-        // Resident pages of mapped inputs count too: four megabytes per lane.
+        // The peak also includes mapped pages of the inputs, up to 4 MB per lane.
         let budget: u64 = memory.trim_end_matches("MiB").parse::<u64>().unwrap() << 20;
         assert!(last["peak_resident_bytes"].as_u64().unwrap() <= budget, "{memory}: {last}");
     }
@@ -996,7 +1000,7 @@ fn watch_converts_a_running_simulation_without_half_written_frames() {
         .unwrap();
     let path = |frame: u64| -> PathBuf { folder.path().join(format!("in/f_{frame}.xyz")) };
     for frame in 3..=5 {
-        // A writer that pauses for longer than the time after which a file counts as complete.
+        // In frame 4, pause for longer than the time after which a file counts as complete.
         let bytes = raw(&ball(frame));
         let half = bytes.len() / 2 / 12 * 12 + 5;
         fs::write(path(frame), &bytes[..half]).unwrap();
@@ -1015,7 +1019,7 @@ fn watch_converts_a_running_simulation_without_half_written_frames() {
     assert!(meshes(&folder) == meshes(&plain), "{errors}");
 }
 
-/// The listings of a simulation, by their names.
+/// The bytes of the listings of a simulation, by their names.
 fn listings(out: &Path) -> BTreeMap<String, Vec<u8>> {
     let mut files = tree(out);
     files.retain(|name, _| !name.contains('_') && !name.contains('/'));
@@ -1048,7 +1052,7 @@ fn listings_contain_all_frames_and_bounds_regardless_of_the_jobs() {
         assert_eq!((&last["frame"], &last["time"]), (&12.into(), &(12.0 / 25.0).into()));
         let coordinate =
             |corner: usize, axis: usize| last["bounds"][corner][axis].as_f64().unwrap();
-        // A ball of radius 5 in cells of 1, 0.84 below the origin.
+        // The last frame is a ball of radius 5 whose centre is 0.84 below the origin.
         for (axis, middle) in [0.0, -0.84, 0.0].into_iter().enumerate() {
             assert!((coordinate(0, axis) + 5.0 - middle).abs() < 0.6, "{last}");
             assert!((coordinate(1, axis) - 5.0 - middle).abs() < 0.6, "{last}");
@@ -1106,7 +1110,7 @@ fn post_processing_gives_a_sequence_the_bytes_of_its_single_frames() {
             assert!(many == one, "{options:?}: {name}");
             sizes.push(one.len());
         }
-        // Each is a setting that a simulation must keep.
+        // These settings must stay the same when a simulation is resumed.
         let refused = [&["f_{}.xyz", "-o", &many], &shared[..], &["--simplify", "0.3"]].concat();
         let errors = run(folder.path(), &refused, 2);
         assert!(errors.contains("simplify"), "{errors}");
@@ -1144,7 +1148,8 @@ fn the_up_axis_rotates_positions_normals_and_vectors_and_back() {
     assert_eq!(values(&z, "velocity")[..3], [1.0, -3.0, 2.0]);
     assert_eq!(values(&y, "mass"), values(&z, "mass"));
     assert_eq!(y.triangles, z.triangles);
-    // A mesh with z up stays, or is rotated in the opposite direction.
+    // If z is up in the particles, a mesh with z up is not rotated, and a mesh with y up is rotated
+    // in the opposite direction.
     assert!(mesh("zz.vtk", &["--particles-up", "z"]) == y);
     let back = mesh("zy.vtk", &["--particles-up", "z", "--up", "y"]);
     assert_eq!(y.positions.len(), back.positions.len());
@@ -1200,21 +1205,21 @@ fn each_fluid_in_a_folder_becomes_its_own_sequence() {
     run(folder.path(), &["in", "-o", "again/"], 1);
     let again = tree(&folder.path().join("again"));
     assert!(again["oil_4.ply"] == out["oil_4.ply"] && !again.contains_key("f_1.ply"));
-    // The same fluid in two formats would be two simulations with one name.
+    // A fluid in two formats would be two simulations with the same name, which is an error.
     fs::write(folder.path().join("in/oil_2.csv"), "x,y,z\n1,2,3\n").unwrap();
     let errors = run(folder.path(), &["in", "-o", "other/"], 2);
     assert!(errors.contains("oil_{}.csv (1), oil_{}.xyz (4)"), "{errors}");
     assert!(errors.contains("same names") && !errors.contains("into a folder"), "{errors}");
 }
 
-/// Halves of a ball's particles.
+/// The two halves of a ball's particles, for a frame.
 fn halves(frame: u64) -> [Vec<[f64; 3]>; 2] {
     let all = ball(frame);
     let (low, high) = all.split_at(all.len() / 2);
     [low.to_vec(), high.to_vec()]
 }
 
-/// The meshes in a folder, ordered by their names.
+/// The bytes of the meshes in a folder, sorted by name.
 fn meshes_in(folder: &Path) -> Vec<Vec<u8>> {
     let meshes = tree(folder).into_iter().filter(|(name, _)| name.ends_with(".ply"));
     meshes.map(|(_, bytes)| bytes).collect()
@@ -1269,7 +1274,7 @@ fn the_files_of_one_frame_are_merged_into_one_surface() {
         ["one.ply", "whole.ply"].map(|name| fs::read(folder.path().join(name)).unwrap());
     assert!(one == alone);
 
-    // If a piece or a frame is missing, nothing is made.
+    // If a piece or a frame is missing, no frame is converted.
     fs::remove_file(folder.path().join("ranks/f_2_rank1.xyz")).unwrap();
     fs::remove_file(folder.path().join("fluids/oil_2.xyz")).unwrap();
     for inputs in [&["ranks"][..], &["ranks/f_{}_rank{piece}.xyz"], &["fluids", "--together"]] {
@@ -1314,7 +1319,7 @@ fn negative_frame_numbers_are_accepted_and_times_are_sorted_by_value() {
     assert!(folder.path().join("meshes/f_1.1e1.ply").exists());
 }
 
-/// Writes a ball whose particles all have one colour, in floating-point numbers.
+/// Writes a ball whose particles all have the same colour, as floating-point numbers.
 fn coloured(path: &Path, frame: u64, colour: f32) {
     let rows: String = ball(frame)
         .iter()
@@ -1345,7 +1350,7 @@ fn a_colour_keeps_its_scale_when_it_fades_to_or_from_black() {
             assert!(!values.is_empty() && values.iter().all(is_equal), "{colour}: {:?}", values[0]);
         }
     }
-    // A byte colour among fractions fails for its frame only.
+    // If one frame has colours from 0 to 255 and the others from 0 to 1, only this frame fails.
     coloured(&folder.path().join("f_4.ply"), 4, 200.0);
     for frame in 1..4 {
         coloured(&folder.path().join(format!("f_{frame}.ply")), frame, 0.5);
@@ -1371,7 +1376,7 @@ fn frames_emptied_by_a_condition_and_omitted_attributes_are_reported() {
     assert!(matches!(warnings[..], [only] if only.contains("f_2.csv")), "{messages}");
     assert!(read_mesh(&folder.path().join("m_2.ply")).unwrap().triangles.is_empty());
 
-    // One of the two inputs of each frame lacks the attribute.
+    // In each frame, one of the two inputs lacks the attribute.
     for frame in 1..=3 {
         fs::write(folder.path().join(format!("g_{frame}.xyz")), raw(&ball(frame + 3))).unwrap();
     }

@@ -1,6 +1,6 @@
-//! Random events disturb a conversion: jobs in parallel are killed or interrupted, inputs appear,
-//! grow and are rewritten, outputs are damaged. A final run with `--resume` must give exactly the
-//! files of a single run with the same state.
+//! Tests conversions that random events disturb: parallel jobs are killed or interrupted, inputs
+//! appear, grow and are rewritten, and outputs are damaged. A final run with `--resume` must give
+//! exactly the files of a single run with the same state.
 //!
 //! `MENISCUS_SEQUENCES=500` tries 500 sequences, and `MENISCUS_SEQUENCE=77` repeats number 77.
 
@@ -18,7 +18,7 @@ use crate::common::files::{raw, tree};
 use crate::common::scene::Random;
 use crate::common::{fill, program};
 
-/// Default number of sequences.
+/// Default number of sequences to try.
 const SEQUENCES: u64 = 10;
 
 /// A conversion with random events.
@@ -26,9 +26,9 @@ struct Sequence {
     folder: TempDir,
     random: Random,
     frames: u64,
-    /// Number of inputs that were written; all are different.
+    /// Number of inputs that were written. Each input is different.
     written: u64,
-    /// Whether records were damaged. A mesh without a record counts as foreign, unless its input
+    /// Whether records were damaged. Without its record, a mesh counts as foreign, unless its input
     /// still gives the same bytes.
     lost_records: bool,
     format: &'static str,
@@ -104,7 +104,7 @@ impl Sequence {
         command
     }
 
-    /// A job for all frames or some of them.
+    /// Starts a job for all frames or for some frames.
     fn job(&mut self) -> Child {
         let some = self.pick(2) == 0;
         let first = 1 + self.pick(self.frames);
@@ -114,7 +114,7 @@ impl Sequence {
         self.command("out", more).spawn().unwrap()
     }
 
-    /// Waits for a job, kills it or interrupts it. The job must not panic.
+    /// Waits for a job, or kills or interrupts it. The job must not panic.
     fn end(&mut self, mut job: Child) {
         let how = self.pick(4);
         if how < 3 {
@@ -152,7 +152,7 @@ impl Sequence {
         let mut bytes = fs::read(path).unwrap();
         let name = path.file_name().unwrap().to_string_lossy().into_owned();
         self.note(format!("damage {name}"));
-        // The content of a record is trusted; it can be truncated or missing.
+        // Truncate or remove records, but do not change their content, which the program trusts.
         let is_record = name.ends_with(".jsonl");
         self.lost_records |= is_record;
         match self.pick(if is_record { 2 } else { 3 }) {
@@ -197,7 +197,7 @@ impl Sequence {
         }
     }
 
-    /// Makes all missing frames. With lost records the run may need `--overwrite` to replace
+    /// Makes all missing frames. If records were lost, the run may need `--overwrite` to replace
     /// meshes.
     fn finish(&self, out: &str) {
         let run = |options: &[&str]| {
@@ -217,8 +217,8 @@ impl Sequence {
             self.event();
         }
         self.finish("out");
-        // A state is measured once, from the inputs that were readable then: a frame that was being
-        // written is skipped.
+        // Start the single run with the same state: its calibration was measured only once, on the
+        // frames that were complete at that time.
         let state = format!("m.{}.meniscus/state.json", self.format);
         let [from, to] = ["out", "alone"].map(|name| self.folder.path().join(name).join(&state));
         fs::create_dir_all(to.parent().unwrap()).unwrap();

@@ -1,5 +1,5 @@
-//! `--watch` reads frames in pieces while a simulation writes them, and converts no incomplete
-//! frame.
+//! Tests `--watch` with frames in pieces: it reads them while a simulation writes them, and
+//! converts no incomplete frame.
 
 use std::fs;
 use std::path::Path;
@@ -12,7 +12,7 @@ use tempfile::TempDir;
 use crate::common::program::command;
 use crate::common::{files, fill};
 
-/// Half a ball: the first or second piece of a frame.
+/// The first or the second piece of a frame: half of a ball.
 fn piece(half: usize) -> Vec<u8> {
     let inside = |p: glam::DVec3| p.length() < 4.0 && (p.x < 0.0) == (half == 0);
     let particles = fill(8.0, 2.0, 0.2, 3, inside);
@@ -59,15 +59,14 @@ fn meshes(child: Child, folder: &Path) -> Vec<String> {
 
 #[test]
 fn pieces_written_before_their_index_are_not_frames() {
-    // No index exists at first, so nothing shows how pieces are named. The input is a folder or a
-    // glob.
+    // At first there is no index, so the program cannot know the names of pieces.
     for input in ["in", "in/f*"] {
         let folder = TempDir::new().unwrap();
         let sim = folder.path().join("in");
         fs::create_dir(&sim).unwrap();
         (1..=2).for_each(|frame| write_pieces(&sim, frame));
         let child = start(folder.path(), input, &["--watch=30", "--end", "3"]);
-        // Longer than the time after which a file counts as complete.
+        // Wait for longer than the time after which a file counts as complete.
         sleep(Duration::from_millis(1800));
         (1..=2).for_each(|frame| write_index(&sim, frame));
         write_pieces(&sim, 3);
@@ -97,7 +96,8 @@ fn pieces_without_an_index_are_recognised_by_another_frames_pieces() {
 fn files_named_like_pieces_are_frames_if_no_index_names_them() {
     let folder = TempDir::new().unwrap();
     write_pieces(folder.path(), 7);
-    // A folder needs the maximum wait. A pattern takes the files as frames at once.
+    // In a folder, files become frames only after the timeout of --watch. With a pattern, they are
+    // frames at once.
     for (input, more) in
         [(".", &["--watch=3"][..]), ("f_7_{}.vtp", &["--watch=30", "--end", "1", "--overwrite"])]
     {

@@ -1,6 +1,9 @@
-//! Prints a Markdown table of milliseconds per stage on a Vulkan device, with transfers apart, and
-//! on the CPU, and each stage's share of the device's memory bandwidth: for clouds, and for the
-//! paper's indicator with details. Fails if the bytes differ.
+//! Measures each stage of a frame on a Vulkan device and on the CPU, and prints a Markdown table.
+//!
+//! The table has the milliseconds of each stage, with transfers as separate stages, and the share
+//! of the device's memory bandwidth that the stage uses. The frames use the cloud indicator, and
+//! the paper's symmetry indicator with recovered details. Fails if the device's mesh differs from
+//! the CPU's.
 //!
 //! `cargo bench --bench backends [-- --device DEVICE] [--cells 256,384,512] [--millions 1,10,100]`
 
@@ -25,10 +28,10 @@ use meniscus::internals::vulkan::{
     BufferKind, Device, DeviceChoice, DeviceOptions, Instance, Queue, Timing, VulkanError,
 };
 
-/// Bytes of the copies that measure the device's bandwidth: more than caches hold, or as many as
-/// fit.
+/// Sizes in bytes of the copy that measures the device's bandwidth. The first is larger than
+/// caches; the second is for devices with too little memory for the first.
 const COPIED: [u64; 2] = [1 << 30, 64 << 20];
-/// The stages on the device, in order.
+/// The names of the stages on the device, in the order of the table's columns.
 const STAGES: [&str; 12] = [
     "upload",
     "indicate",
@@ -43,7 +46,7 @@ const STAGES: [&str; 12] = [
     "dual marching cubes",
     "download",
 ];
-/// The measured surfaces.
+/// The indicators whose surfaces are measured.
 const KINDS: [IndicatorKind; 2] = [IndicatorKind::Cloud, IndicatorKind::Symmetry];
 
 /// Options of the measurement.
@@ -52,13 +55,13 @@ pub struct Options {
     /// A device's number or a part of its name.
     #[arg(long)]
     pub device: Option<String>,
-    /// Cells along the scene's longest side.
+    /// Numbers of cells along the scene's longest side.
     #[arg(long, value_delimiter = ',', default_value = "256,384,512")]
     pub cells: Vec<u32>,
-    /// Particles, in millions.
+    /// Numbers of particles, in millions.
     #[arg(long, value_delimiter = ',', default_value = "1,10,100")]
     pub millions: Vec<f64>,
-    /// `cargo bench` passes this.
+    /// Ignored: `cargo bench` passes this flag.
     #[arg(long, hide = true)]
     pub bench: bool,
 }
@@ -106,7 +109,7 @@ pub fn measure(options: Options) -> Result<bool, Box<dyn Error>> {
                 done => done?,
             };
             sampling.resources.backend = vulkan.clone();
-            // The first run compiles shaders and allocates memory.
+            // Do not measure the first run: it compiles shaders and allocates memory.
             run(&particles, &sampling)?;
             drop(device.take_timings());
             let start = Instant::now();
@@ -152,7 +155,7 @@ fn sampling(cell: f64, kind: IndicatorKind, spacing: Option<f64>) -> Sampling {
     }
 }
 
-/// The timings of a frame, and a checksum of its mesh.
+/// Reconstructs a frame, and returns its timings and a checksum of its mesh.
 fn run(particles: &[[f32; 3]], sampling: &Sampling) -> Result<(Timings, u32), FrameError> {
     let is_cloud = sampling.method == IndicatorKind::Cloud.into();
     let surfacing = match is_cloud {
@@ -172,7 +175,8 @@ fn run(particles: &[[f32; 3]], sampling: &Sampling) -> Result<(Timings, u32), Fr
     Ok((timings, sum.finalize()))
 }
 
-/// Milliseconds, and the share of the device's bandwidth.
+/// A table entry: the milliseconds of a stage, and the share of the device's bandwidth that it
+/// uses.
 fn entry(timings: &[Timing], stage: &str, bandwidth: f64) -> String {
     match timings.iter().find(|timing| timing.stage == stage) {
         None => "-".into(),
@@ -183,7 +187,8 @@ fn entry(timings: &[Timing], stage: &str, bandwidth: f64) -> String {
     }
 }
 
-/// Bytes per second that the device reads and writes in copies of this size within its memory.
+/// Measures the device's memory bandwidth, reads plus writes, in bytes per second. It copies
+/// `bytes` from one buffer to another.
 fn bandwidth(device: &Device, bytes: u64) -> Result<f64, VulkanError> {
     let from = device.buffer(BufferKind::Device, bytes)?.whole();
     let to = device.buffer(BufferKind::Device, bytes)?.whole();

@@ -1,5 +1,5 @@
-//! Compares two ways to sum positions into cells on a Vulkan device: sorted by bins and added in
-//! shared memory, or added directly to the cells in device memory.
+//! Compares two ways to sum positions into cells on a Vulkan device: sort particles by bins and add
+//! them in shared memory, or add each particle directly to its cell in device memory.
 //!
 //! `cargo bench --bench binning [-- MILLIONS_OF_PARTICLES]`
 
@@ -47,7 +47,7 @@ fn upload<T: bytemuck::Pod>(device: &Device, values: &[T]) -> Result<View, Vulka
     let bytes = size_of_val(values) as u64;
     let (staged, buffer) =
         (device.buffer(BufferKind::Upload, bytes)?, device.buffer(BufferKind::Device, bytes)?);
-    // SAFETY: nobody else has the buffer yet.
+    // SAFETY: nothing else uses the new buffer yet.
     unsafe { staged.write(0, values) };
     run(device, |batch| {
         batch.copy(&staged.whole(), &buffer.whole());
@@ -56,7 +56,8 @@ fn upload<T: bytemuck::Pod>(device: &Device, values: &[T]) -> Result<View, Vulka
     Ok(buffer.whole())
 }
 
-/// Records, submits and waits; returns the seconds.
+/// Records a batch, submits it and waits for it. Returns the time from submission to end in
+/// seconds.
 fn run(
     device: &Device,
     record: impl FnOnce(&mut Batch) -> Result<(), VulkanError>,
@@ -74,7 +75,7 @@ fn best(mut work: impl FnMut() -> Result<f64, VulkanError>) -> Result<f64, Vulka
     (0..3).try_fold(f64::INFINITY, |best, _| Ok(best.min(work()?)))
 }
 
-/// The bins in a table in the layout of `bin_table.wgsl`, and the number of each slot's bin.
+/// Builds the hash table of bins in the layout of `bin_table.wgsl`, and lists the bin of each slot.
 fn table(bins: &DeviceBins) -> (Vec<[u32; 4]>, Vec<u32>) {
     let len = (4 * bins.keys.len()).next_power_of_two();
     let (mut slots, mut numbers) = (vec![[0; 4]; len], vec![0; len]);

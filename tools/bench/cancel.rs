@@ -1,9 +1,8 @@
-//! Measures how soon a cancelled frame ends, and the longest time without a progress report, for
-//! each stage.
+//! Measures for each stage how long a frame takes to end after a cancel, and the longest time
+//! without a progress report.
 //!
-//! `cargo run --release --example cancel -- INPUT OUTPUT.glb [RUNS]` reconstructs INPUT with
-//! simplification, once completely and then RUNS times with a cancel. The cancels are equally
-//! spaced over the complete run.
+//! `cargo run --release --example cancel -- INPUT OUTPUT.glb [RUNS]` reconstructs and simplifies
+//! INPUT once completely. Then it cancels RUNS further runs, each at a later time of the run.
 
 use std::path::Path;
 use std::sync::{Arc, Mutex};
@@ -12,10 +11,10 @@ use std::time::{Duration, Instant};
 use meniscus::files::Replace;
 use meniscus::{Cancel, Cause, Error, Progress, Reconstruction, Stage};
 
-/// A progress report and its time.
+/// A progress report: its time, its stage, and the finished fraction of the stage.
 type Heard = (Instant, Stage, f64);
 
-/// Reconstructs and writes a frame, and adds every report of progress to `heard`.
+/// Reconstructs and writes a frame, and adds every progress report to `heard`.
 fn run(
     input: &Path,
     output: &Path,
@@ -45,7 +44,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let whole = start.elapsed();
     std::fs::remove_file(output)?;
     println!("whole: {:.2} s", whole.as_secs_f64());
-    // The longest time without a report, by the stage in which it began.
+    // For each stage, the longest time after one of its reports until the next report, and the sum.
     let mut still: Vec<(Stage, Duration, Duration)> = Vec::new();
     let heard = std::mem::take(&mut *heard.lock().expect("nobody panics"));
     for (at, &(since, stage, _)) in heard.iter().enumerate() {

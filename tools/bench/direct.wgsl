@@ -1,5 +1,6 @@
 //! with wide float64 grid placing table
-// Adds every particle of a chunk straight to the sums of its cell: N, then low and high words along x, y and z.
+// Adds every particle of a chunk directly to the sums of its cell in device memory. A cell has 7
+// words: the number of particles, the low words of the sums of x, y and z, and their high words.
 
 struct Push {
     first: u32,
@@ -12,7 +13,7 @@ var<immediate> push: Push;
 @group(0) @binding(0) var<storage, read> grid: Grid;
 @group(0) @binding(1) var<storage, read> positions: array<u32>;
 @group(0) @binding(2) var<storage, read_write> slots: array<Slot>;
-// By slot, the number of its bin.
+// For each slot of the hash table, the number of its bin.
 @group(0) @binding(3) var<storage, read> bins: array<u32>;
 @group(0) @binding(4) var<storage, read_write> sums: array<atomic<u32>>;
 

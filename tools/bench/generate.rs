@@ -1,6 +1,8 @@
-//! Writes the benchmark scene as a particle file: raw f32 (.xyz), binary little-endian .ply, or a
-//! .pvtp with one box of space per piece, like simulations on many nodes. The particles are in
-//! random order, or in rows of cells.
+//! Writes the benchmark scene as a particle file: raw f32 (.xyz), binary little-endian .ply, or
+//! .pvtp.
+//!
+//! In a .pvtp, each piece has the particles of one box of space, like the output of a simulation on
+//! many nodes. The particles are in random order, or sorted by rows of cells.
 //!
 //! `cargo run --release --example generate -- MILLIONS OUTPUT [PIECES | rows]`
 
@@ -51,8 +53,8 @@ fn write_numbers(out: &mut impl Write, particles: &[[f32; 3]]) -> io::Result<()>
     particles.iter().flatten().try_for_each(|coordinate| out.write_all(&coordinate.to_le_bytes()))
 }
 
-/// Cuts particles across their longest extent into this many pieces of about equal size, and passes
-/// each on.
+/// Divides particles recursively, across their longest extent, into `pieces` boxes with about equal
+/// numbers of particles, and passes each box to `take`.
 fn divide(particles: &mut [[f32; 3]], pieces: usize, take: &mut impl FnMut(&[[f32; 3]])) {
     if pieces <= 1 || particles.is_empty() {
         return take(particles);
@@ -72,7 +74,8 @@ fn divide(particles: &mut [[f32; 3]], pieces: usize, take: &mut impl FnMut(&[[f3
     divide(above, pieces - first, take);
 }
 
-/// Writes a .pvtp, and in a folder of the same name one .vtp for each number of particles.
+/// Writes a .pvtp, and its pieces as .vtp files in a folder of the same name. `pieces` has the
+/// number of particles of each piece.
 fn write_pieces(path: &Path, particles: &[[f32; 3]], pieces: &[usize]) -> io::Result<()> {
     let folder = path.with_extension("");
     std::fs::create_dir_all(&folder)?;

@@ -1,8 +1,11 @@
-"""Measures the seconds of a call from NumPy to NumPy, compared with the library's own stage times, and with pysplashsurf.
+"""Measures how long a Python call takes from NumPy arrays to NumPy arrays.
+
+Compares the time with the library's own stage times, and with pysplashsurf.
 
 usage: python tools/bench/python.py PARTICLES [RUNS]
 
-Needs the wheel, and pysplashsurf 0.14 (PyPI). Runs take turns, on 2 threads; medians are printed.
+Needs the wheel, and pysplashsurf 0.14 (PyPI). The programs run alternately on 2 threads. Prints
+medians.
 """
 
 import statistics

@@ -37,7 +37,7 @@ pub fn splash(count: usize, seed: u64) -> Vec<[f32; 3]> {
 /// About `count` particles at spacing 1, in the order of a simulation that sorts them by the cells
 /// of its neighbour search: in rows of cells, with the spray at the end.
 pub fn splash_in_rows(count: usize, random: &mut Random) -> Vec<[f32; 3]> {
-    // The pool is four times as wide as deep and holds nearly all particles.
+    // The pool is four times as wide as it is deep, and holds 96 % of the particles.
     let depth = (count as f64 * 0.96 / 16.0).cbrt();
     let width = 4.0 * depth;
     let radius = 0.25 * depth;

@@ -23,7 +23,7 @@ use meniscus::internals::surface::stitch::StitchedSurface;
 use meniscus::internals::system::timings::Timings;
 use rayon::prelude::*;
 
-/// The best of a few runs, which other processes disturb least.
+/// The seconds and the result of the fastest of `runs` runs, which other processes disturb least.
 fn best_seconds<T>(runs: usize, mut work: impl FnMut() -> T) -> (f64, T) {
     let mut best: Option<(f64, T)> = None;
     for _ in 0..runs {
@@ -83,7 +83,7 @@ fn main() {
         CellBox::cube(glam::IVec3::ZERO, 33).grown(weights.reach(), weights.reach()),
     );
     let blocks = 4096;
-    // Each with a copy of its block.
+    // Each blur gets its own copy of the block.
     let (seconds, _) = best_seconds(3, || {
         (0..blocks)
             .into_par_iter()

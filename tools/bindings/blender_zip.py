@@ -13,7 +13,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 BINDINGS = ROOT / "src" / "bindings" / "blender"
 SOURCE = BINDINGS / "extension"
-#: Blender's names for the platforms of wheels.
+#: Blender's name for each platform in the name of a wheel.
 PLATFORMS = {
     r"(many|musl)?linux.*_x86_64": "linux-x64",
     r"(many|musl)?linux.*_aarch64": "linux-arm64",
@@ -25,7 +25,7 @@ PLATFORMS = {
 
 
 def platform_of(wheel: str) -> str:
-    """The platform of a wheel, by its name."""
+    """Blender's name for the platform of a wheel."""
     tags = wheel.removesuffix(".whl").rsplit("-", 1)[1].split(".")
     for tag in tags:
         for pattern, platform in PLATFORMS.items():
@@ -35,13 +35,16 @@ def platform_of(wheel: str) -> str:
 
 
 def manifest_with(manifest: str, wheel: str) -> str:
-    """The manifest of an extension with a wheel. The wheel is named before the first table, because later lines belong to tables."""
+    """Adds the name of a wheel to the text of a manifest.
+
+    The line must precede the first TOML table, because later lines belong to a table.
+    """
     named = f'wheels = ["./wheels/{wheel}"]\nplatforms = ["{platform_of(wheel)}"]\n\n'
     return manifest.replace("[permissions]", named + "[permissions]", 1)
 
 
 def pack(wheel: Path, folder: Path) -> Path:
-    """Writes the zip. Equal files give equal bytes."""
+    """Writes the zip, and returns its path. Equal files give a zip with equal bytes."""
     manifest = (SOURCE / "blender_manifest.toml").read_text()
     version = re.search(r'^version = "(.*)"$', manifest, re.M)
     name = re.search(r'^id = "(.*)"$', manifest, re.M)

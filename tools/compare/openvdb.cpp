@@ -1,15 +1,19 @@
-// Surfaces of particles by OpenVDB, file to file: by points::rasterizeSmoothSpheres (Zhu and Bridson's), or by points::pca
-// and points::rasterizeSdf with ellipsoids (Yu and Turk's), which OpenVDB has since version 12.1.
+// Makes the surface of a particle file with OpenVDB: with points::rasterizeSmoothSpheres (the
+// method of Zhu and Bridson), or with points::pca and points::rasterizeSdf on ellipsoids (the
+// method of Yu and Turk, since OpenVDB 12.1).
 //
 // usage: openvdb METHOD IN.xyz OUT.ply SPACING VOXEL ISOVALUE THREADS
 //        openvdb --version
 //
-// IN.xyz: raw f32 triples. VOXEL and ISOVALUE, a distance outwards, are in units of SPACING. METHOD:
+// IN.xyz: raw f32 triples. VOXEL and ISOVALUE are in units of SPACING; the isovalue is a distance
+// outwards. METHOD:
 //
-// - spheres: half a spacing is their radius, and the search radius is two.
-// - ellipsoids: OpenVDB's defaults, with half a spacing as the radius. The search radius of 2.5 finds the 20 neighbours
-//   of the default threshold at the surface too.
-// - tuned: a level pool is level, and sheets hold. Particles with three neighbours are ellipsoids.
+// - spheres: the spheres' radius is half a spacing, and the search radius is two spacings.
+// - ellipsoids: OpenVDB's defaults, with half a spacing as the radius. The search radius is 2.5
+//   spacings, so that particles at the surface also have the 20 neighbours that the default
+//   threshold requires.
+// - tuned: three neighbours suffice for an ellipsoid, so that a level pool is level and sheets do
+//   not tear.
 #include <openvdb/openvdb.h>
 #include <openvdb/points/PointConversion.h>
 #include <openvdb/points/PointRasterizeSDF.h>
@@ -31,7 +35,7 @@
 
 namespace {
 
-// Voxels on either side of the surface that hold distances.
+// The number of voxels on either side of the surface that store distances.
 const double half_width = openvdb::LEVEL_SET_HALF_WIDTH;
 
 std::vector<openvdb::Vec3s> read(const char* path) {
@@ -43,7 +47,7 @@ std::vector<openvdb::Vec3s> read(const char* path) {
 }
 
 openvdb::points::PointDataGrid::Ptr bin(const std::vector<openvdb::Vec3s>& points, const double spacing) {
-    // Bins of about a spacing suit the rasterizers, independent of the voxels.
+    // Bins of one spacing suit the rasterizers, whatever the size of the voxels.
     const auto bins = openvdb::math::Transform::createLinearTransform(spacing);
     const openvdb::points::PointAttributeVector<openvdb::Vec3s> positions(points);
     const auto index =
@@ -89,7 +93,8 @@ openvdb::FloatGrid::Ptr rasterize(const std::string& method, const std::vector<o
     throw std::invalid_argument("this version of OpenVDB does not have the method " + method);
 }
 
-// Quads are cut in two. OpenVDB's polygons face inwards.
+// Writes a .ply. Divides quads into two triangles, and reverses all polygons, because OpenVDB's
+// face inwards.
 void write(const char* path, const openvdb::FloatGrid& surface, const double isovalue) {
     std::vector<openvdb::Vec3s> points;
     std::vector<openvdb::Vec3I> triangles;

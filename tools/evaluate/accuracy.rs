@@ -1,5 +1,6 @@
-//! Measures the distances between surfaces and the meshes that were filled with particles (the
-//! paper's figure 13), and how they depend on the position of the particles' lattice on the grid.
+//! Measures the distances between surfaces and the true surfaces (the paper's figure 13): the
+//! meshes that were filled with particles. Also measures how the distances depend on the position
+//! of the particles' lattice relative to the grid.
 
 use glam::{DQuat, DVec3};
 use meniscus::internals::frame::{FrameError, Normals};
@@ -15,7 +16,7 @@ use crate::shapes::{Solid, solids};
 use crate::tables::{Table, figure, mean, mean_and_worst, percent, signed, worst};
 use crate::{Options, Outcome};
 
-/// Cell sizes, in spacings.
+/// The cell sizes to measure, in spacings.
 pub const CELLS: [f64; 5] = [0.5, 2.0 / 3.0, 1.0, 1.5, 2.0];
 fn cells(options: &Options) -> &'static [f64] {
     options.choose(&CELLS, &CELLS[2..3])
@@ -40,12 +41,13 @@ const HEAD: [&str; 9] = [
 #[derive(Debug, Clone, Copy)]
 pub struct Errors {
     pub hausdorff: f64,
-    /// In both directions, like the following.
+    /// Mean of both directions: from the surface to the true one, and back. The same holds for
+    /// `rms`.
     pub mean: f64,
     pub rms: f64,
-    /// Positive if the surface lies outside.
+    /// The mean signed distance, positive if the surface is outside of the true one.
     pub bias: f64,
-    /// Relative to the volume.
+    /// The error of the volume, relative to the true volume.
     pub volume: f64,
 }
 
@@ -64,7 +66,7 @@ impl Errors {
     }
 }
 
-/// The lattices of a sampling: at several positions in a cell and several rotations.
+/// Lattices without rotation, at several positions within a cell.
 pub fn places(options: &Options, cell: f64, jitter: f64) -> Vec<Lattice> {
     let at = |n: usize| Lattice {
         shift: cell * place(n),
@@ -84,8 +86,8 @@ pub fn turns(options: &Options, cell: f64, jitter: f64) -> Vec<Lattice> {
     turned.iter().zip(straight).map(|(&turn, lattice)| Lattice { turn, ..lattice }).collect()
 }
 
-/// None if a method finds no surface: a narrow filter at a high isovalue sees only single
-/// particles, and some cells are too small.
+/// The errors of a method on each lattice. None if the method finds no surface on one of them,
+/// because the cells are too small, or because the isovalue is too high for a narrow filter.
 pub fn errors(
     solid: &Solid,
     method: &Method,
@@ -109,7 +111,7 @@ pub fn errors(
     lattices.par_iter().map(of).collect()
 }
 
-/// A table's text for several surfaces, or for none.
+/// The cells of a table row: means and worst values of the errors, or "none".
 fn row(errors: Option<&[Errors]>, cell: f64) -> Vec<String> {
     let Some(errors) = errors else { return vec!["none".into()] };
     let of = |f: fn(&Errors) -> f64| errors.iter().map(f).collect::<Vec<_>>();
@@ -127,7 +129,7 @@ fn row(errors: Option<&[Errors]>, cell: f64) -> Vec<String> {
 
 pub fn run(options: &Options) -> Outcome<()> {
     let methods = Method::WITH_OTHER_ISOVALUES;
-    // By sampling, cell and method, over all solids.
+    // Errors over all solids, indexed by sampling, cell size and method.
     let mut all =
         vec![vec![vec![Some(Vec::new()); methods.len()]; cells(options).len()]; SAMPLINGS.len()];
     for solid in &solids(options)? {
@@ -160,7 +162,7 @@ pub fn run(options: &Options) -> Outcome<()> {
 
 type Figure = fn(&Errors) -> f64;
 
-/// The method with the smallest error over all solids, positions and rotations.
+/// Prints the methods with the smallest errors over all solids, positions and rotations.
 fn summary(options: &Options, methods: &[Method], all: &[Vec<Vec<Option<Vec<Errors>>>>]) {
     let figures: [(&str, Figure); 2] =
         [("mean distance", |e| e.mean), ("Hausdorff distance", |e| e.hausdorff)];

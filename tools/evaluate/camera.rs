@@ -1,4 +1,4 @@
-//! One camera for all compared pictures.
+//! The camera of all compared pictures.
 
 use std::fs::File;
 use std::io::BufWriter;
@@ -11,13 +11,13 @@ use meniscus::picture::{Colour, Image, Picture, Scope, View};
 use crate::Outcome;
 
 const TOWARDS: DVec3 = DVec3::new(0.55, 0.5, 1.0);
-/// Distance at which a ball fills the height of a picture, in radii: half of the vertical field of
-/// view is 14 degrees.
+/// The distance in radii at which a ball fills the height of a picture. Half of the vertical field
+/// of view is 14 degrees.
 const DISTANCE: f64 = 4.011;
-/// The default colour: opaque, so that only the surface is visible.
+/// The default colour. It is opaque, so that pictures show only the front of the surface.
 const WATER: Colour = Colour::Solid([92, 158, 214]);
 
-/// Views a ball, with y up.
+/// A camera that views a ball, with y up.
 #[derive(Debug, Clone, Copy)]
 pub struct Camera {
     pub centre: DVec3,
@@ -25,18 +25,18 @@ pub struct Camera {
 }
 
 impl Camera {
-    /// Views a whole box.
+    /// A camera that views the box with these corners completely.
     pub fn of([lo, hi]: [DVec3; 2]) -> Self {
         Self { centre: (lo + hi) / 2.0, radius: (hi - lo).length() / 2.0 }
     }
 
-    /// A picture of a mesh from this camera. The scene has the ball's size, independent of the
-    /// mesh.
+    /// Draws a mesh from this camera. The scene always has the size of the ball, so that pictures
+    /// of different meshes match.
     pub fn picture(&self, mesh: &Mesh, [width, height]: [usize; 2]) -> Outcome<Image> {
         self.coloured(mesh, [width, height], WATER, None)
     }
 
-    /// Like [`picture`](Self::picture), coloured by values in a range.
+    /// Draws a mesh like [`picture`](Self::picture), in `colour`, with its colour map over `range`.
     pub fn coloured(
         &self,
         mesh: &Mesh,
@@ -79,7 +79,7 @@ mod tests {
             [ball, Mesh::default()].map(|mesh| camera.picture(&mesh, [200, 200]).unwrap());
         let differ =
             image.rgb().chunks(3).zip(nothing.rgb().chunks(3)).filter(|(a, b)| a != b).count();
-        // At this distance, the ball's radius is a quarter of the picture's height.
+        // The camera is far enough for the ball's radius to be a quarter of the picture's height.
         let expected = std::f64::consts::PI * 50.0 * 50.0;
         assert!((differ as f64 / expected - 1.0).abs() < 0.05, "{differ} pixels, not {expected}");
     }

@@ -17,7 +17,7 @@ use crate::{Options, Outcome};
 type Dif = fn(f64, Iso) -> Method;
 
 const DIFS: [(&str, Dif); 2] = [("symmetry", Method::symmetry), ("counting", Method::counting)];
-/// The cost of a frame is the minimum of this many runs.
+/// Number of runs of a frame; the fastest run counts.
 const RUNS: usize = 3;
 
 pub fn run(options: &Options) -> Outcome<()> {
@@ -80,7 +80,7 @@ pub fn run(options: &Options) -> Outcome<()> {
     Ok(())
 }
 
-/// The larger of a cell and a spacing, in cells.
+/// The values of sigma to compare, in cells: a cell, and a spacing if it is larger than a cell.
 fn sigmas(cell: f64) -> Vec<f64> {
     if cell < 1.0 { vec![1.0, 1.0 / cell] } else { vec![1.0] }
 }

@@ -1,8 +1,9 @@
-//! Compares rules for the isovalue by the error of the surface, at many positions of a lattice of
-//! particles on the grid.
+//! Compares rules for the isovalue by the error of the surface, for a lattice of particles at many
+//! positions relative to the grid.
 //!
-//! Along the diagonal of a cell, a lattice's indicator takes all its values; for symmetry from 1 in
-//! the cells' centres to 0 at their corners.
+//! If the lattice moves along the diagonal of a cell, its indicator takes all its values. The
+//! symmetry indicator is 1 with particles in the cells' centres, and 0 with particles at the
+//! corners.
 
 use glam::{DQuat, DVec3, IVec3};
 use meniscus::internals::backend::field;
@@ -23,16 +24,16 @@ use crate::shapes::{Solid, solids};
 use crate::tables::{Table, figure, mean, signed, worst};
 use crate::{Options, Outcome};
 
-/// Rules for c.
+/// Rules for the isovalue c.
 #[derive(Debug, Clone, Copy)]
 enum Rule {
-    /// A share of the interior's median.
+    /// This share of the interior's median value.
     Median(f64),
-    /// A share of the interior's mean.
+    /// This share of the interior's mean value.
     Mean(f64),
-    /// The volume of the cells above it is the particles' volume.
+    /// The value for which the cells above it have the same volume as the particles.
     Volume,
-    /// The default share of the median, on a grid that was shifted to suit a lattice.
+    /// The default share of the median, on a grid whose origin suits the lattice.
     Moved,
 }
 
@@ -59,7 +60,7 @@ impl Rule {
     }
 }
 
-/// A plateau, and the errors of each rule; none for a rule without a surface.
+/// The plateau of a frame, and the errors of each rule; `None` if a rule gives no surface.
 struct Found {
     plateau: f64,
     errors: Vec<Option<Errors>>,
@@ -191,9 +192,10 @@ fn error_at(solid: &Solid, frame: &Engine, c: Option<f64>) -> Outcome<Option<Err
 
 /// Statistics of the smoothed field.
 struct Values {
-    /// In descending order.
+    /// The values of all cells, in descending order.
     sorted: Vec<u16>,
-    /// Over cells whose filters contain only fluid, by the true shape; small bodies have none.
+    /// The mean over cells so deep in the true shape that their filters contain only fluid. `None`
+    /// if the body has no such cells.
     interior_mean: Option<f64>,
 }
 
@@ -206,7 +208,7 @@ impl Values {
         for cells in sampled.dif.regions(reach, reach) {
             let field = field(recipe, sampled, cells);
             sorted.extend_from_slice(field.samples());
-            // A part of the cells is sufficient.
+            // Every fourth row of cells is enough for a mean.
             for ([y, z], row) in field.rows(cells).filter(|([y, z], _)| y % 2 == 0 && z % 2 == 0) {
                 let centre = |x| grid.world_from_cells(IVec3::new(x, y, z).as_dvec3() + 0.5);
                 let deep =
@@ -218,7 +220,7 @@ impl Values {
         Self { sorted, interior_mean: (!interior.is_empty()).then(|| mean(interior)) }
     }
 
-    /// The value that this many cells exceed.
+    /// The value that `cells` cells exceed.
     fn above(&self, cells: f64) -> f64 {
         let last = self.sorted.len() - 1;
         f64::from(self.sorted[(cells as usize).min(last)]) / f64::from(FULL)

@@ -41,29 +41,30 @@ struct Options {
     /// Folder for pictures.
     #[arg(long, value_name = "DIR", default_value = "target/evaluate")]
     out: PathBuf,
-    /// Particle files for the topic spacing, as FILE=SPACING; without the spacing if the file or
-    /// its name contains it.
+    /// Particle files for the topic spacing, as FILE=SPACING, or only FILE if the file or its name
+    /// contains the spacing.
     #[arg(long, value_name = "FILE[=SPACING]", num_args = 1..)]
     files: Vec<String>,
-    /// Particles for pictures, y up, instead of a splash.
+    /// Particle file for pictures, with y up. By default, the pictures show a splash.
     #[arg(long, value_name = "FILE")]
     frame: Option<PathBuf>,
-    /// Programs to compare, for the topic quality.
+    /// Table of the programs to compare, for the topic quality.
     #[arg(long, value_name = "TABLE")]
     methods: Option<PathBuf>,
     /// Run only this part of the topic quality.
     #[arg(long)]
     part: Option<quality::Part>,
-    /// Folders of frames of simulations, y up, for the topic quality.
+    /// Folders with the frames of simulations, with y up, for the topic quality.
     #[arg(long, value_name = "DIR", num_args = 1..)]
     simulations: Vec<PathBuf>,
-    /// Few particles and few runs, to check that everything works.
+    /// Use few particles and few runs, to check that everything works.
     #[arg(long)]
     quick: bool,
-    /// Particles in a mesh.
+    /// Number of particles to fill a mesh with.
     #[arg(long, value_name = "COUNT")]
     particles: Option<usize>,
-    /// Minimum depth of particles in a mesh, in spacings: at 0.5, spheres touch its surface.
+    /// Minimum depth of particles below a mesh's surface, in spacings. At 0.5, the particles'
+    /// spheres touch the surface.
     #[arg(long, value_name = "SPACINGS", default_value = "0")]
     inset: f64,
 }
@@ -72,35 +73,36 @@ struct Options {
 enum Topic {
     /// Distances to meshes filled with particles (the paper's figure 13).
     Accuracy,
-    /// Deviations of flat and round surfaces, holes in sheets, drops kept.
+    /// Roughness of flat and round surfaces, holes in sheets, and number of drops that remain.
     Roughness,
     /// Stability of the surface of a pool at rest.
     Rest,
-    /// A ball that moves through a pool: its contact line from frame to frame.
+    /// Stability of the contact line of a ball that moves through a pool.
     Solids,
     /// Seconds per frame (table 1).
     Speed,
-    /// Stage times by resolution (figure 14), and recovering details (figure 15).
+    /// Stage times for several resolutions (figure 14), and recovering details (figure 15).
     Resolution,
-    /// Contact sheets of sigma and c (figure 7).
+    /// Contact sheets for several values of sigma and c (figure 7).
     Parameters,
-    /// Every method from one camera, and bodies coloured by their distance from the true surface.
+    /// Pictures of every method from one camera, and of bodies coloured by the surface's distance
+    /// from the true one.
     Pictures,
-    /// Rules for the isovalue, by the position of a lattice on the grid.
+    /// Rules for the isovalue, at many positions of a lattice relative to the grid.
     Isovalue,
-    /// Cell, sigma and indicator: error against cost.
+    /// Error and cost for several cell sizes, sigmas and indicators.
     Defaults,
-    /// The estimated spacing relative to the true one, for files and for generated particles, and
-    /// the warnings for wrong ones.
+    /// The estimated spacing divided by the true one, for files and for generated particles, and
+    /// the warnings about wrong spacings.
     Spacing,
     /// Comparison with other programs.
     Quality,
-    /// All of these except quality, which needs the other programs.
+    /// All topics except quality, which needs other programs.
     All,
 }
 
 impl Options {
-    /// Numbers for a full or a quick run.
+    /// Returns `quick` for a quick run, or else `full`.
     fn choose<T>(&self, full: T, quick: T) -> T {
         if self.quick { quick } else { full }
     }

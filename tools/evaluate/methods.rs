@@ -1,4 +1,4 @@
-//! The compared methods, each from particles to a mesh, on one grid.
+//! The methods of this library that are compared, all on the same grid.
 
 use glam::DVec3;
 use meniscus::internals::baselines::KernelMethod;
@@ -18,9 +18,9 @@ use crate::Outcome;
 /// A method to make a surface from particles.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Method {
-    /// A discrete indicator function.
+    /// A discrete indicator function, smoothed and contoured.
     Dif { indicator: IndicatorKind, sigma: Sigmas, iso: Iso, detail: Detail },
-    /// Kernels.
+    /// A kernel method.
     Kernels(KernelMethod),
 }
 
@@ -36,7 +36,7 @@ pub enum Sigmas {
 /// The isovalue of the smoothed field.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Iso {
-    /// The default share of the interior plateau.
+    /// The library's default share of the interior plateau.
     Auto,
     /// A fixed value.
     At(f64),
@@ -52,7 +52,7 @@ impl Method {
     pub const MUELLER: Self = Self::Kernels(KernelMethod::Mueller { iso: KernelMethod::HALF });
     pub const ZHU_BRIDSON: Self = Self::Kernels(KernelMethod::ZhuBridson);
     pub const YU_TURK: Self = Self::Kernels(KernelMethod::YuTurk { iso: KernelMethod::HALF });
-    /// Our method, and the paper's five with the surface half-way between inside and outside.
+    /// Our method and the paper's five methods, with isovalues half-way between inside and outside.
     pub const ALL: &[Self] = &[
         Self::CLOUD,
         Self::SYMMETRY,
@@ -61,7 +61,8 @@ impl Method {
         Self::ZHU_BRIDSON,
         Self::YU_TURK,
     ];
-    /// The same with other isovalues: the paper's, and those that suit a lattice of particles best.
+    /// The methods of [`ALL`](Self::ALL), and four of them again with other isovalues: those of the
+    /// paper, and those that suit a lattice of particles best.
     pub const WITH_OTHER_ISOVALUES: &[Self] = &[
         Self::CLOUD,
         Self::SYMMETRY,
@@ -93,7 +94,7 @@ impl Method {
         }
     }
 
-    /// The default method, with other treatments of details that smoothing loses.
+    /// The symmetry and counting indicators with default settings, except for `detail`.
     pub fn detailed(detail: Detail) -> [Self; 2] {
         [IndicatorKind::Symmetry, COUNTING].map(|indicator| Self::by_default(indicator, detail))
     }
@@ -102,7 +103,7 @@ impl Method {
         Self::Dif { indicator, sigma: Sigmas::Auto, iso: Iso::Auto, detail }
     }
 
-    /// Name in tables.
+    /// The method's name in tables.
     pub fn name(&self) -> String {
         match *self {
             Self::Dif { indicator, sigma, iso, detail } => {
@@ -126,12 +127,12 @@ impl Method {
         }
     }
 
-    /// Name in file names.
+    /// The method's name in file names.
     pub fn slug(&self) -> String {
         self.name().to_lowercase().replace(", ", "-").replace(' ', "-")
     }
 
-    /// The surface of particles at this spacing.
+    /// Makes the surface of particles with this method.
     pub fn surface<P: Particles + ?Sized>(
         &self,
         particles: &P,
@@ -169,8 +170,8 @@ impl Iso {
     }
 }
 
-/// Volume inside a surface relative to the volume of its particles. A timed surface must contain at
-/// least half.
+/// The volume inside a surface, divided by the volume of its particles. Returns an error if the
+/// surface encloses too little, because its time would then mean nothing.
 pub fn held(surface: &StitchedSurface, particles: usize, spacing: f64) -> Outcome<f64> {
     match Shortfall::of(surface, None, particles, None, spacing)? {
         None => Ok(surface.volume()? / (particles as f64 * spacing.powi(3))),
@@ -184,7 +185,7 @@ pub fn grid(cell: f64) -> Outcome<Grid> {
     Ok(Grid::new(DVec3::ZERO, cell)?)
 }
 
-/// Everything in memory, on the CPU.
+/// Settings for sampling on the CPU, without a memory limit.
 pub fn sampling(grid: Grid, spacing: f64, method: impl Into<frame::Method>) -> Sampling {
     let method = method.into();
     Sampling {

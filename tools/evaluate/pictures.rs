@@ -24,22 +24,22 @@ use crate::shapes::{Solid, solids};
 use crate::{Options, Outcome};
 
 const SIZE: [usize; 2] = [960, 720];
-/// Size of a picture on the contact sheet.
+/// Width and height of a picture on the contact sheet, in pixels.
 const SMALL: [usize; 2] = [400, 300];
 const JITTER: f64 = 0.3;
-/// Distances from the true surface with full colour, in spacings.
+/// Distance from the true surface at which colours are saturated, in spacings.
 const FULL_COLOUR: f64 = 0.5;
 const SIGMAS: [f64; 4] = [0.8, 1.0, 1.2, 1.5];
 const ISOS: [Iso; 5] = [Iso::At(0.02), Iso::At(0.05), Iso::At(0.1), Iso::At(0.2), Iso::Auto];
 
-/// The particles in the pictures: of a file, or of a splash.
+/// The particles in the pictures, from a file or a generated splash.
 struct Scene {
     particles: Box<dyn Particles>,
     spacing: f64,
     camera: Camera,
 }
 
-/// The splash alone.
+/// The particles of a generated splash.
 struct Splash(Vec<[f32; 3]>);
 
 impl Particles for Splash {
@@ -97,7 +97,8 @@ pub fn run(options: &Options) -> Outcome<()> {
     Ok(())
 }
 
-/// A body's surface: blue inside of the true surface, red outside.
+/// Draws a body's surface, coloured by its distance from the true surface: blue inside, red
+/// outside.
 fn truth(options: &Options, solid: &Solid, method: &Method) -> Outcome<()> {
     let lattice = Lattice {
         shift: place(0),
@@ -119,7 +120,7 @@ fn truth(options: &Options, solid: &Solid, method: &Method) -> Outcome<()> {
     write_coloured(&mesh, &colours, &ply)?;
     let reach = DVec3::splat(solid.radius / 3_f64.sqrt());
     let camera = Camera::of([solid.centre - reach, solid.centre + reach]);
-    // The minimum of the map is red.
+    // The colour map starts with red, so negate distances to make the outside red.
     let values = distances.into_iter().map(|distance| -distance as f32).collect();
     mesh.attributes.push(VertexAttribute::new("inside", 1, values));
     let by_distance = Colour::Attribute { name: "inside".to_owned(), map: "red-blue".parse()? };
@@ -135,7 +136,7 @@ fn truth(options: &Options, solid: &Solid, method: &Method) -> Outcome<()> {
     Ok(())
 }
 
-/// Blue over white to red for -1 to 1.
+/// The colour of a value from -1 (blue) over 0 (white) to 1 (red).
 fn colour(share: f64) -> Vec3 {
     let share = share.clamp(-1.0, 1.0) as f32;
     let end = if share < 0.0 { Vec3::new(0.1, 0.25, 0.9) } else { Vec3::new(0.9, 0.15, 0.1) };
@@ -146,7 +147,7 @@ fn bytes(colour: Vec3) -> [u8; 3] {
     (colour * 255.0).round().to_array().map(|channel| channel as u8)
 }
 
-/// Written as .ply with red, green and blue, which programs show by default.
+/// Writes a mesh as .ply with vertex colours, which other programs show by default.
 fn write_coloured(mesh: &Mesh, colours: &[Vec3], path: &Path) -> Outcome<()> {
     let mut out = BufWriter::new(File::create(path)?);
     write!(
@@ -169,7 +170,7 @@ fn write_coloured(mesh: &Mesh, colours: &[Vec3], path: &Path) -> Outcome<()> {
     Ok(out.flush()?)
 }
 
-/// Contact sheets of sigma and c (the paper's figure 7).
+/// Draws contact sheets for several values of sigma and c (the paper's figure 7).
 pub fn parameters(options: &Options) -> Outcome<()> {
     fs::create_dir_all(&options.out)?;
     let scene = Scene::new(options)?;

@@ -1,5 +1,5 @@
-//! Stage times by resolution (the paper's figure 14), on the CPU and on a Vulkan device if there is
-//! one, and the cost and benefit of recovering details (its figure 15).
+//! Measures stage times for several resolutions (the paper's figure 14), on the CPU and on a Vulkan
+//! device if there is one. Also measures the cost and benefit of recovering details (figure 15).
 
 use std::time::Instant;
 
@@ -22,7 +22,7 @@ use crate::tables::Table;
 use crate::{Options, Outcome};
 
 const CELLS: [u32; 4] = [128, 256, 384, 512];
-/// The paper's stages, and the names of their parts on a device.
+/// The paper's stages, each with the names of this library's stages on a device.
 const STAGES: [(&str, &[&str]); 4] = [
     ("DIF", &["upload", "indicate"]),
     ("smoothing", &["gather", "blur", "detail"]),
@@ -73,7 +73,7 @@ fn best_device() -> Result<Device, VulkanError> {
     Device::open(&Instance::connect(false)?, &DeviceChoice::Best, &DeviceOptions::default())
 }
 
-/// Seconds of each of [`STAGES`] and of the whole frame, and triangles.
+/// The seconds of each of [`STAGES`], the seconds of the whole frame, and the number of triangles.
 type Figures = ([Option<f64>; 4], f64, u64);
 
 fn on_cpu(particles: &[[f32; 3]], cell: f64) -> Outcome<Figures> {
@@ -136,7 +136,7 @@ fn on_device(device: &Device, particles: &[[f32; 3]], cell: f64) -> Outcome<Figu
         held(&mesh, particles.len(), 1.0)?;
         Ok((seconds, mesh.triangle_count()))
     };
-    // The first run compiles shaders and allocates memory.
+    // Do not measure the first run: it compiles shaders and allocates memory.
     run()?;
     drop(device.take_timings());
     let (whole, triangles) = run()?;
@@ -147,7 +147,8 @@ fn on_device(device: &Device, particles: &[[f32; 3]], cell: f64) -> Outcome<Figu
     Ok((STAGES.map(|(_, parts)| Some(seconds(parts))), whole, triangles))
 }
 
-/// With the paper's parameters, c = 0.2, sigma = 1.2, counting, 256 cells.
+/// Measures recovering details with the paper's parameters: c = 0.2, sigma = 1.2, counting, 256
+/// cells.
 fn detail(options: &Options, particles: &[[f32; 3]], side: f64) -> Outcome<()> {
     let mut table = Table::new(&["c", "surface", "seconds", "components", "volume", "triangles"]);
     let sampling = sampling(grid(side / options.choose(256.0, 64.0))?, 1.0, COUNTING);

@@ -1,5 +1,5 @@
-//! Measures how stable the surface of a pool at rest is while the pool moves through a cell. As in
-//! a simulation, all frames use the grid, mu0 and isovalue of the first.
+//! Measures how stable the surface of a pool at rest is, while the pool rises by a cell. As in a
+//! simulation, all frames use the grid, mu0 and isovalue of the first frame.
 
 use glam::{DVec3, IVec3};
 use meniscus::internals::field::calibration::FINEST_OF_SYMMETRY;
@@ -19,7 +19,7 @@ use crate::{Options, Outcome};
 const CELLS: [f64; 3] = [0.5, 2.0 / 3.0, 1.0];
 /// Displacements of particles from their lattice, in spacings.
 const JITTERS: [f64; 5] = [0.0, 0.1, 0.2, 0.3, 0.5];
-/// Steps of the pool's movement through a cell.
+/// Number of steps in which the pool rises by a cell.
 const STEPS: u32 = 8;
 
 pub fn run(options: &Options) -> Outcome<()> {
@@ -72,7 +72,7 @@ fn greatest_move(indicator: IndicatorKind, cell: f64, jitter: f64) -> Outcome<f6
     Ok(heights.windows(2).map(|pair| (pair[1] - pair[0]).abs()).fold(0.0, f64::max) / cell)
 }
 
-/// Mean height of the middle of a pool's surface.
+/// The mean height of the central part of a pool's surface.
 fn level(mesh: &Mesh) -> f64 {
     let (mut area, mut sum) = (0.0, 0.0);
     for triangle in &mesh.triangles {

@@ -1,4 +1,5 @@
-//! Smoothness of surfaces of jittered particles, and how much of thin sheets and drops remains.
+//! Measures how smooth the surfaces of jittered particles are, and how many thin sheets and drops
+//! remain.
 
 use glam::{DQuat, DVec3, IVec3};
 use meniscus::internals::frame::{Detail, FrameError, Normals};
@@ -16,13 +17,13 @@ use crate::{Options, Outcome};
 
 const CELLS: [f64; 3] = [2.0 / 3.0, 1.0, 1.5];
 const JITTER: f64 = 0.3;
-/// Edge length of pools and sheets, in spacings; the parts within `MARGIN` of their edges are
-/// ignored.
+/// Edge length of pools and sheets, in spacings. Measurements ignore the parts within `MARGIN` of
+/// the edges.
 pub const WIDTH: i32 = 48;
 const MARGIN: f64 = 12.0;
-/// Vertices below this depth, in spacings, do not belong to the surface.
+/// Vertices deeper than this, in spacings, belong to bubbles and not to the surface.
 const NEAR: f64 = 2.0;
-/// Number of drops of each size along both axes of the pool, and their distance.
+/// Number of drops of each size along each axis of the pool, and the distance between drops.
 const DROPS: i32 = 7;
 const STEP: i32 = 10;
 
@@ -74,17 +75,17 @@ pub fn run(options: &Options) -> Outcome<()> {
     Ok(())
 }
 
-/// Errors of a surface.
+/// The errors of a surface.
 pub struct Deviation {
     pub bias: f64,
     pub rms: f64,
-    /// Number of bubbles, crumbs and tunnels: components after the first, and handles.
+    /// Number of bubbles, crumbs and tunnels: additional components plus handles.
     within: i64,
 }
 
 impl Deviation {
-    /// From the signed distances of vertices. Deep vertices belong to bubbles, and are not counted
-    /// as roughness.
+    /// Computes the errors from the vertices' signed distances to the true surface. Deep vertices
+    /// belong to bubbles, and do not count as roughness.
     fn of(mesh: &Mesh, distances: impl Iterator<Item = f64>) -> Self {
         let near: Vec<f64> = distances.filter(|&distance| distance > -NEAR).collect();
         let bias = mean(near.iter().copied());
@@ -98,7 +99,7 @@ impl Deviation {
     }
 }
 
-/// No mesh if there is no surface.
+/// The mesh of particles; an empty mesh if the method finds no surface.
 fn mesh(method: &Method, particles: &[[f64; 3]], cell: f64) -> Outcome<Mesh> {
     match method.surface(particles, grid(cell)?, 1.0, Normals::None, &mut Timings::default()) {
         Err(FrameError::NoSurface { .. } | FrameError::TooFine(_)) => Ok(Mesh::default()),
@@ -106,13 +107,14 @@ fn mesh(method: &Method, particles: &[[f64; 3]], cell: f64) -> Outcome<Mesh> {
     }
 }
 
-/// Different seeds, and a position in a cell.
+/// Moves particles to position `number` within a cell.
 fn shifted(particles: Vec<[f64; 3]>, cell: f64, number: usize) -> Vec<[f64; 3]> {
     let shift = cell * place(number);
     particles.into_iter().map(|p| (DVec3::from(p) + shift).into()).collect()
 }
 
-/// The surface of a pool with horizontal layers, at several heights of the pool in a cell.
+/// The errors of the surface of a level pool: the mean over several heights of the pool within a
+/// cell.
 pub fn pool(method: &Method, cell: f64) -> Outcome<Deviation> {
     let at_height = |number: usize| -> Outcome<Deviation> {
         let mut random = Random::new(number as u64);
@@ -143,7 +145,8 @@ fn around(method: &Method, ball: &Solid, cell: f64) -> Outcome<Deviation> {
     Ok(Deviation::of(&mesh, mesh.positions.iter().map(|&p| -ball.depth(p.into()))))
 }
 
-/// The components, holes and thickness of a sheet above a pool; the pool provides the plateau.
+/// Describes the components, holes and thickness of a sheet above a pool. The pool provides the
+/// plateau for the isovalue.
 fn sheet(method: &Method, cell: f64, layers: i32) -> Outcome<String> {
     let mut random = Random::new(1);
     let mut particles =
@@ -159,7 +162,7 @@ fn sheet(method: &Method, cell: f64, layers: i32) -> Outcome<String> {
     Ok(format!("{} components, {holes} holes, {thickness:.2}", measures.components))
 }
 
-/// Number of drops of `size` particles that remain above a pool.
+/// The number of components above a pool with drops of `size` particles.
 fn drops_kept(method: &Method, cell: f64, size: IVec3) -> Outcome<String> {
     let mut random = Random::new(2);
     let width = DROPS * STEP;
@@ -174,7 +177,7 @@ fn drops_kept(method: &Method, cell: f64, size: IVec3) -> Outcome<String> {
     Ok(measure(&drops).components.to_string())
 }
 
-/// The triangles above a height.
+/// The part of a mesh above a height.
 fn above(mesh: &Mesh, height: f64) -> Mesh {
     let above =
         |triangle: &&[u32; 3]| triangle.iter().all(|&v| mesh.positions[v as usize][1] > height);

@@ -1,10 +1,10 @@
-//! Bodies of fluid filled with particles at spacing 1, on a lattice with a position and a rotation
-//! relative to the grid, ordered or jittered.
+//! Fills bodies of fluid with particles at spacing 1, on a lattice that may be moved and rotated
+//! relative to the grid, and jittered.
 //!
-//! A particle represents a cube of edge 1. All lattice points inside the body are used, so the
-//! particles' volume is the body's for every position of the lattice. Particles whose spheres only
-//! touch the surface from inside (`inset` 0.5) fill less: on average over all positions, a body
-//! that is smaller by half a spacing on all sides.
+//! A particle represents a cube of edge 1. By default, all lattice points inside the body are used,
+//! so the particles have about the body's volume. With `inset` 0.5, the particles' spheres touch
+//! the body's surface from inside. Then the particles have, on average over all positions of the
+//! lattice, the volume of a body that is smaller by half a spacing on all sides.
 
 use glam::{DQuat, DVec3, IVec3};
 use rayon::prelude::*;
@@ -12,10 +12,10 @@ use rayon::prelude::*;
 use crate::scene::Random;
 use crate::shapes::Solid;
 
-/// Edge of a block of lattice points whose depth is queried together.
+/// Edge of a block of lattice points. One depth query often decides about a whole block.
 const BLOCK: i32 = 4;
 
-/// Positions of the particles of a body.
+/// The lattice of particles that fills a body.
 #[derive(Debug, Clone, Copy)]
 pub struct Lattice {
     /// Offset of the lattice from the grid, after the rotation.
@@ -23,12 +23,12 @@ pub struct Lattice {
     pub turn: DQuat,
     /// Maximum displacement of a particle along each axis.
     pub jitter: f64,
-    /// Minimum depth of particles.
+    /// Minimum depth of particles below the body's surface.
     pub inset: f64,
     pub seed: u64,
 }
 
-/// Fills `solid`.
+/// The particles that fill `solid`.
 pub fn fill(solid: &Solid, lattice: &Lattice) -> Vec<[f64; 3]> {
     let Lattice { shift, turn, jitter, inset, seed } = *lattice;
     let middle = turn.inverse() * (solid.centre - shift);
@@ -74,7 +74,7 @@ pub fn cuboid(lo: IVec3, hi: IVec3, jitter: f64, random: &mut Random) -> Vec<[f6
     particles
 }
 
-/// Position number `n` in the unit cube, from a sequence that fills it evenly (R3, Roberts 2018).
+/// Point number `n` of a sequence that fills the unit cube evenly (R3, Roberts 2018).
 pub fn place(n: usize) -> DVec3 {
     let step =
         DVec3::new(0.819_172_513_396_164_4, 0.671_043_606_703_789_3, 0.549_700_477_901_970_2);

@@ -1,4 +1,4 @@
-//! Closed meshes as bodies of fluid, scaled to a particle spacing of 1, with queries for depths.
+//! Closed meshes as bodies of fluid, scaled so that particles have spacing 1, with depth queries.
 
 use std::path::Path;
 
@@ -12,23 +12,23 @@ use parry3d_f64::shape::{TriMesh, TriMeshFlags};
 use crate::meshes::{sphere, torus};
 use crate::{Options, Outcome};
 
-/// Avoids positions exactly on the grid.
+/// The centre of all bodies, chosen so that no vertex is exactly on the grid.
 const CENTRE: DVec3 = DVec3::new(0.371, 0.113, 0.729);
 
-/// A closed mesh whose volume is that of its particles, each a cube of edge 1.
+/// A closed mesh, scaled so that its volume equals its number of particles.
 pub struct Solid {
     pub name: String,
     pub mesh: Mesh,
     pub volume: f64,
-    /// Centre of the box around it.
+    /// The centre of the mesh's bounding box.
     pub centre: DVec3,
-    /// Radius of the sphere around the box.
+    /// The radius of the sphere around the bounding box.
     pub radius: f64,
     search: TriMesh,
 }
 
 impl Solid {
-    /// Scales `mesh` to hold `particles`.
+    /// Scales a mesh so that `particles` cubes of edge 1 have its volume.
     pub fn new(name: &str, mut mesh: Mesh, particles: usize) -> Outcome<Self> {
         let measures = measure(&mesh);
         let (Some([lo, hi]), Some(volume)) =
@@ -61,7 +61,7 @@ impl Solid {
         Self::new(&name, read_mesh(path)?, particles)
     }
 
-    /// Distance to the surface, positive inside.
+    /// The distance of a point to the surface, positive inside.
     pub fn depth(&self, point: DVec3) -> f64 {
         let (nearest, _) = self.search.project_local_point_and_get_location(point, false);
         let distance = nearest.point.distance(point);
@@ -69,7 +69,7 @@ impl Solid {
     }
 }
 
-/// The sphere, the torus, and the meshes of files.
+/// The bodies: a sphere, a torus, and the meshes that the user named.
 pub fn solids(options: &Options) -> Outcome<Vec<Solid>> {
     let particles = options.particles();
     let (depth, across) = options.choose((5, 64), (4, 32));

@@ -1,9 +1,9 @@
-//! A ball that moves through a pool: how far the fluid is from it, and how much its surface changes
-//! from frame to frame near the contact line.
+//! Measures the surface around a ball that moves through a pool: its distance from the ball, and
+//! its changes from frame to frame near the contact line.
 //!
-//! The particles move on streamlines around the ball (potential flow), so the vertices of a frame,
-//! carried by the velocity there, should lie on the surface of the next frame. For comparison, the
-//! ball is water that moves in the same way.
+//! The particles move on the streamlines of a potential flow around the ball. If the vertices of a
+//! frame move with this flow, they should therefore lie on the surface of the next frame. For
+//! comparison, the same is measured with water in place of the ball.
 
 use std::fmt::Write;
 use std::fs;
@@ -22,19 +22,19 @@ use crate::scene::Random;
 use crate::tables::{Table, figure, mean, signed, worst};
 use crate::{Options, Outcome};
 
-/// The size of the pool, whose level is 0.
+/// The size of the pool in spacings. Its surface is at y = 0.
 const SIZE: IVec3 = IVec3::new(44, 12, 34);
 const RADIUS: f64 = 6.0;
 /// The centre of the ball in the first frame.
 const START: DVec3 = DVec3::new(17.0, -2.0, 17.0);
-/// The movement of the ball in a frame.
+/// The movement of the ball per frame.
 const MOVE: DVec3 = DVec3::new(0.5, 0.0, 0.0);
 const FRAMES: usize = 20;
-/// Steps of the particles in a frame.
+/// Number of integration steps of a particle's movement per frame.
 const STEPS: usize = 8;
-/// Distances of a level's vertex near the contact line from the ball, in spacings.
+/// Smallest and largest distance from the ball of vertices near the contact line, in spacings.
 const NEAR: [f64; 2] = [0.3, 4.0];
-/// The level sinks behind the ball; below this height there is no level.
+/// The pool's surface sinks behind the ball. Vertices below this height do not belong to it.
 const DEEP: f64 = -4.0;
 
 pub fn run(options: &Options) -> Outcome<()> {
@@ -93,7 +93,7 @@ fn from_ball(at: DVec3, frame: usize) -> f64 {
     at.distance(centre(frame)) - RADIUS
 }
 
-/// The velocity of a fluid around a moving ball, per frame: a dipole.
+/// The velocity of the fluid around a moving ball, per frame. This is the field of a dipole.
 fn velocity(at: DVec3, ball: DVec3) -> DVec3 {
     let away = at - ball;
     let distance = away.length().max(RADIUS);
@@ -101,7 +101,8 @@ fn velocity(at: DVec3, ball: DVec3) -> DVec3 {
     (RADIUS / distance).powi(3) * (3.0 * MOVE.dot(way) * way - MOVE) / 2.0
 }
 
-/// The position after a frame, by the midpoint method. The ball moves as a whole.
+/// A particle's position one frame later, by the midpoint method. Points inside the ball move with
+/// it.
 fn after(mut at: DVec3, frame: usize) -> DVec3 {
     if from_ball(at, frame) < 0.0 {
         return at + MOVE;
@@ -115,13 +116,13 @@ fn after(mut at: DVec3, frame: usize) -> DVec3 {
     at
 }
 
-/// The particles that were outside of the ball in the first frame.
+/// The particles of a frame that were outside of the ball in the first frame.
 fn outside(frame: &[[f64; 3]], first: &[[f64; 3]]) -> Vec<[f64; 3]> {
     let both = frame.iter().zip(first);
     both.filter(|(_, first)| from_ball(DVec3::from(**first), 0) > 0.0).map(|(&p, _)| p).collect()
 }
 
-/// The particles of each frame, with those in the ball.
+/// The particles of each frame, including particles inside the ball.
 fn frames(jitter: f64, count: usize) -> Vec<Vec<[f64; 3]>> {
     let lo = IVec3::new(0, -SIZE.y, 0);
     let first = cuboid(lo, IVec3::new(SIZE.x, 0, SIZE.z), jitter, &mut Random::new(7));
@@ -134,7 +135,8 @@ fn frames(jitter: f64, count: usize) -> Vec<Vec<[f64; 3]>> {
     })
 }
 
-/// The surfaces of all frames, at the ball if there is a folder for its meshes.
+/// The surfaces of all frames. If there is a `folder` for the meshes of the ball, the ball is a
+/// solid.
 fn surfaces(frames: &[Vec<[f64; 3]>], cell: f64, folder: Option<&Path>) -> Outcome<Vec<Mesh>> {
     let surface = |(frame, particles): (usize, &Vec<[f64; 3]>)| -> Outcome<Mesh> {
         let mut request = Reconstruction::new().spacing(1.0).cell(cell).threads(1);
@@ -160,8 +162,8 @@ fn to_obj(mesh: &Mesh) -> String {
     text
 }
 
-/// The RMS distance of the level's vertices near the contact line, carried to the next frame, from
-/// the surface there.
+/// Moves the vertices near the contact line to the next frame, and returns their RMS distance from
+/// the next frame's surface.
 fn change(meshes: &[Mesh]) -> Outcome<f64> {
     let [least, most] = NEAR;
     let squares = |(frame, pair): (usize, &[Mesh])| -> Outcome<Vec<f64>> {

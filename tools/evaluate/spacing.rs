@@ -1,5 +1,5 @@
-//! The estimated spacing relative to the true one: of particle files, and of particles generated at
-//! spacing 1.
+//! Compares the estimated spacing with the true one, for particle files and for particles generated
+//! at spacing 1.
 
 use std::path::Path;
 use std::time::Instant;
@@ -14,7 +14,7 @@ use crate::scene::Random;
 use crate::tables::{Table, figure};
 use crate::{Options, Outcome};
 
-/// Given spacings relative to the true one.
+/// Spacings that a user might give, divided by the true spacing.
 const GIVEN: [f64; 13] = [0.1, 0.25, 0.4, 0.5, 0.7, 0.85, 1.0, 1.1, 1.2, 1.5, 2.0, 4.0, 10.0];
 
 pub fn run(options: &Options) -> Outcome<()> {
@@ -66,7 +66,7 @@ pub fn run(options: &Options) -> Outcome<()> {
     Ok(())
 }
 
-/// The spacing in the name of a DualSPHysics table.
+/// The spacing in the name of a DualSPHysics table, after `Dp`.
 fn named(name: &str) -> Option<f64> {
     let rest = &name[name.find("Dp")? + 2..];
     let end = rest.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(rest.len());
@@ -121,7 +121,8 @@ fn said_of(particles: &[[f64; 3]], spacing: f64) -> String {
         .map_or_else(|error| error.to_string(), |cells| words(&cells))
 }
 
-/// Medians of seven times: of the estimate, and of a whole frame with a known spacing.
+/// A table row with the time of the estimate, the time of a whole frame with a known spacing, and
+/// their ratio. Each time is the median of seven runs.
 fn cost_of(name: &str, particles: &[[f64; 3]]) -> Outcome<[String; 4]> {
     let median = |mut run: Box<dyn FnMut() -> Outcome<()> + '_>| -> Outcome<f64> {
         let mut took = Vec::new();
@@ -163,14 +164,14 @@ fn layers([x, y, z]: [usize; 3], jitter: f64, random: &mut Random) -> Vec<[f64; 
     (0..x * y * z).map(|i| place(i).map(&mut off)).collect()
 }
 
-/// Rotated about all axes, with a different angle each time.
+/// Rotates particles by random angles about all axes.
 fn turned(particles: Vec<[f64; 3]>, random: &mut Random) -> Vec<[f64; 3]> {
     let [a, b, c] = [(); 3].map(|()| 6.0 * random.unit());
     let turn = DQuat::from_euler(EulerRot::XYZ, a, b, c);
     particles.into_iter().map(|p| (turn * DVec3::from(p)).into()).collect()
 }
 
-/// Particles in bars with gaps between them, or in sheets if the width is the length.
+/// Particles in bars with gaps between them, or in sheets if the width equals the length.
 fn bars(size: [usize; 3], gap: usize, jitter: f64, random: &mut Random) -> Vec<[f64; 3]> {
     let rows = if size[0] == size[1] { 1 } else { 6 };
     let mut all = Vec::new();

@@ -1,5 +1,5 @@
-//! Seconds per frame from particles in memory to a mesh in memory, at the sizes of the paper's
-//! scenes (its table 1).
+//! Measures the seconds per frame from particles in memory to a mesh in memory, for frames as large
+//! as the paper's scenes (its table 1).
 
 use std::time::Instant;
 
@@ -13,8 +13,8 @@ use crate::scene::splash;
 use crate::tables::{Table, deviation, mean};
 use crate::{Options, Outcome};
 
-/// One of the paper's scenes, with its times on one core for Mueller, Zhu-Bridson, Yu-Turk,
-/// counting, symmetry.
+/// The size of one of the paper's scenes, and the paper's times on one core for Mueller,
+/// Zhu-Bridson, Yu-Turk, counting and symmetry.
 struct PaperScene {
     name: &'static str,
     particles: f64,
@@ -40,13 +40,13 @@ const PAPER: [PaperScene; 4] = [
     scene("spaceship", 4.76e6, 384, 0.8, [129.78, 60.54, 899.84, 29.74, 34.16]),
 ];
 
-/// A method that takes longer per frame is measured on one frame only.
+/// A method that takes more seconds per frame is measured on one frame only.
 const PATIENCE: f64 = 10.0;
 
 impl PaperScene {
-    /// The default method, and the paper's five with the paper's seconds. The isovalue comes from
-    /// the plateau: the paper's isovalues would lose most of the fluid, because a cell has fewer
-    /// particles here than in its scenes.
+    /// The default method, and the paper's five methods with the paper's times. The isovalue is
+    /// measured on the plateau. The paper's isovalues would lose most of the fluid, because here
+    /// cells have fewer particles than in the paper's scenes.
     fn methods(&self) -> [(String, Method, Option<f64>); 6] {
         let &Self { sigma, seconds: [mueller, zhu_bridson, yu_turk, counting, symmetry], .. } =
             self;
@@ -91,7 +91,7 @@ pub fn run(options: &Options) -> Outcome<()> {
                 let (seconds, held) = seconds(&method, &frames, cells, &pool)?;
                 let mean = mean(seconds.iter().copied());
                 let ours = *ours.get_or_insert(mean);
-                // The paper's figures are for one core and all particles.
+                // Show the paper's times only for one thread and all particles, as in the paper.
                 let paper = paper.filter(|_| threads == 1 && !options.quick);
                 table.row([
                     scene.name.into(),
@@ -116,8 +116,8 @@ pub fn run(options: &Options) -> Outcome<()> {
     Ok(())
 }
 
-/// Seconds of each frame, after one that warms up the memory, and the volume inside the last
-/// surface relative to that of its particles.
+/// The seconds of each frame, and the volume inside the last surface divided by the volume of its
+/// particles. The first frame runs twice, and its first run does not count.
 fn seconds(
     method: &Method,
     frames: &[Vec<[f32; 3]>],
@@ -144,7 +144,7 @@ fn seconds(
     Ok((seconds.split_off(1), share))
 }
 
-/// Size of the box around particles with coordinates of at least 0.
+/// The largest coordinate, which is the longest side of a scene that begins at the origin.
 pub fn longest_side(particles: &[[f32; 3]]) -> f64 {
     particles.iter().flatten().fold(0.0_f32, |longest, &x| longest.max(x)).into()
 }

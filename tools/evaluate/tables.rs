@@ -1,6 +1,6 @@
-//! Markdown tables and their figures.
+//! Markdown tables, and the formats of their numbers.
 
-/// Rows of text under a heading that names the measurement and its command.
+/// A Markdown table, which is printed below a line that describes the measurement.
 pub struct Table {
     head: Vec<String>,
     rows: Vec<Vec<String>>,
@@ -15,12 +15,12 @@ impl Table {
         self.rows.push(cells.into_iter().collect());
     }
 
-    /// Prints it below a line with `what` it shows and its command.
+    /// Prints the table below a line with the description `what` and the command of this run.
     pub fn print(&self, what: &str) {
         self.show(&format!("{what} (`{}`)", command()));
     }
 
-    /// Prints it below a line with `what` it shows.
+    /// Prints the table below a line with the description `what`.
     pub fn show(&self, what: &str) {
         println!("{what}:\n\n| {} |", self.head.join(" | "));
         println!("|{}", "---|".repeat(self.head.len()));
@@ -43,7 +43,7 @@ pub fn mean(values: impl IntoIterator<Item = f64>) -> f64 {
     sum / count
 }
 
-/// Standard deviation of a sample.
+/// The standard deviation of a sample.
 pub fn deviation(values: &[f64]) -> f64 {
     let middle = mean(values.iter().copied());
     let squares: f64 = values.iter().map(|value| (value - middle).powi(2)).sum();
@@ -57,12 +57,12 @@ pub fn worst(values: impl IntoIterator<Item = f64>) -> f64 {
         .fold(0.0, |worst: f64, value| if value.abs() > worst.abs() { value } else { worst })
 }
 
-/// The mean of several values, with the worst in brackets.
+/// The mean of several values, followed by the value farthest from 0 in brackets.
 pub fn mean_and_worst(values: &[f64]) -> String {
     format!("{} ({})", figure(mean(values.iter().copied())), figure(worst(values.iter().copied())))
 }
 
-/// Three decimals are sufficient for a spacing.
+/// Formats a number with three decimals.
 pub fn figure(value: f64) -> String {
     format!("{value:.3}")
 }

@@ -1,10 +1,10 @@
-//! A program with its own Vulkan device passes its buffer of positions, and receives vertices and
-//! indices in its own buffers. The device waits for the positions, and drawing waits on the device
-//! for the surface.
+//! Shows how a program with its own Vulkan device uses the library without copies to the host: it
+//! passes its buffer of positions, and receives vertices and indices in its own buffers. All waits
+//! happen on the device: the library waits for the positions, and drawing waits for the surface.
 //!
 //! `cargo run --release --example resident -- OUTPUT.ply [NUMBER]` meshes a ball of particles on
-//! the first device, or on the one with this number in `meniscus devices`. The device can be a
-//! driver for the CPU, such as lavapipe.
+//! the first device, or on the device with this number in `meniscus devices`. The device may be a
+//! driver that computes on the CPU, such as lavapipe.
 
 use std::error::Error;
 
@@ -46,12 +46,12 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(std::fs::write(path, ply)?)
 }
 
-/// A buffer of the program, which is visible to the host.
+/// A buffer of the program, in memory that the host can access.
 struct Own {
     raw: vk::Buffer,
     memory: vk::DeviceMemory,
     bytes: u64,
-    /// Address for the host.
+    /// The address of the buffer's memory on the host.
     mapped: *mut u8,
 }
 
@@ -66,7 +66,7 @@ struct Program {
 
 impl Program {
     /// # Safety
-    /// The caller uses the result only as long as the device exists, and destroys it first.
+    /// The caller destroys the buffer before the device.
     unsafe fn buffer(&self, bytes: u64) -> Result<Own, Box<dyn Error>> {
         let usage = vk::BufferUsageFlags::STORAGE_BUFFER
             | vk::BufferUsageFlags::TRANSFER_SRC
@@ -95,7 +95,7 @@ impl Program {
     }
 
     /// # Safety
-    /// No one uses it any more.
+    /// Nothing uses the buffer any more.
     unsafe fn destroy(&self, buffer: &Own) {
         // SAFETY: all handles are this device's.
         unsafe {
@@ -104,11 +104,11 @@ impl Program {
         }
     }
 
-    /// Submits the copy of one buffer to another of the same size, between two values of a
-    /// timeline.
+    /// Submits a copy from one buffer to another of the same size. It waits for one value of a
+    /// timeline semaphore, and signals another.
     ///
     /// # Safety
-    /// All objects exist until the copy is done.
+    /// All objects exist until the copy has finished.
     unsafe fn copy(
         &self,
         pool: vk::CommandPool,
@@ -141,15 +141,13 @@ impl Program {
     }
 }
 
-/// Performs the work of a simulation and a renderer on a new device, with this number in the
-/// loader's list.
+/// Simulates, meshes and draws on a new device, the one with this number in the loader's list.
 pub fn surface_of(
     number: usize,
     particles: &[[f32; 3]],
     cell: f64,
 ) -> Result<Surface, Box<dyn Error>> {
-    // SAFETY: every handle is used while those that it was made from are alive, and destroyed once,
-    // in order.
+    // SAFETY: each handle is destroyed once, before the handles from which it was created.
     unsafe {
         let entry = ash::Entry::load()?;
         let application = vk::ApplicationInfo::default().api_version(vk::API_VERSION_1_2);
@@ -182,13 +180,13 @@ pub fn surface_of(
     }
 }
 
-/// Points in time of a frame on the program's timeline.
+/// Values of the program's timeline semaphore: the stages of a frame.
 const SIMULATED: u64 = 1;
 const MESHED: u64 = 2;
 const READ: u64 = 3;
 
 /// # Safety
-/// No one else uses the device.
+/// Nothing else uses the device.
 unsafe fn simulate_and_draw(
     program: &Program,
     particles: &[[f32; 3]],
@@ -196,7 +194,7 @@ unsafe fn simulate_and_draw(
 ) -> Result<Surface, Box<dyn Error>> {
     let Program { instance, physical, device, family, queue } = program;
     let bytes: &[u8] = bytemuck::cast_slice(particles);
-    // SAFETY: all handles are this device's, and destroyed once the device is done with them.
+    // SAFETY: all handles are this device's, and are destroyed after the device has used them.
     unsafe {
         let info = vk::CommandPoolCreateInfo::default().queue_family_index(*family);
         let pool = device.create_command_pool(&info, None)?;
@@ -205,8 +203,8 @@ unsafe fn simulate_and_draw(
         let timeline = device
             .create_semaphore(&vk::SemaphoreCreateInfo::default().push_next(&mut kind), None)?;
 
-        // The simulation leaves its particles in a storage buffer, and the host does not wait for
-        // it.
+        // The simulation writes its particles to a storage buffer, and the host does not wait for
+        // the end of the simulation.
         let simulated = program.buffer(bytes.len() as u64)?;
         let positions = program.buffer(bytes.len() as u64)?;
         simulated.mapped.copy_from_nonoverlapping(bytes.as_ptr(), bytes.len());
@@ -236,7 +234,8 @@ unsafe fn simulate_and_draw(
             calibration: None,
         };
         let moment = |value| SemaphorePoint { semaphore: timeline, value };
-        // The renderer has its own buffers, and makes larger ones if a surface has grown.
+        // The renderer creates the buffers for the surface, and larger ones if a surface needs
+        // them.
         let mut rows = [1_u64, 1];
         let (outputs, [vertices, triangles]) = loop {
             let own = [program.buffer(12 * rows[0])?, program.buffer(12 * rows[1])?];
@@ -256,7 +255,7 @@ unsafe fn simulate_and_draw(
                     let surface = surface?;
                     let found = [surface.vertices, surface.triangles];
                     let read = [program.buffer(own[0].bytes)?, program.buffer(own[1].bytes)?];
-                    // Drawing waits on the device until the surface is finished.
+                    // The device, not the host, waits for the surface before it draws.
                     program.copy(pool, [&own[0], &read[0]], timeline, [MESHED, READ])?;
                     program.copy(pool, [&own[1], &read[1]], timeline, [READ, READ + 1])?;
                     break ([own, read], found);

@@ -7,7 +7,7 @@ listing = json.load(open(f"{folder}/dam.ply.json"))
 
 
 def columns(path):
-    """The numbers of a .ply from meniscus by name."""
+    """Reads a .ply of meniscus, and returns its vertices' numbers by property name."""
     header, body = open(path, "rb").read().split(b"end_header\n", 1)
     lines = header.decode().splitlines()
     count = next(int(line.split()[2]) for line in lines if line.startswith("element vertex"))
@@ -42,7 +42,7 @@ for index, frame in enumerate(listing["frames"]):
     assert len(corners) == frame["triangles"]
     box = sample.getSelfBounds()
     assert np.allclose([tuple(box.min()), tuple(box.max())], [positions.min(0), positions.max(0)])
-    # In Alembic, the corners of a face are clockwise seen from outside.
+    # Alembic lists the corners of a face clockwise, seen from outside.
     a, b, c = (positions[corner].astype(float) for corner in corners.T)
     volume = -np.einsum("ij,ij->", a, np.cross(b - a, c - a)) / 6
     assert volume > 0

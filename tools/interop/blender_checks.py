@@ -6,7 +6,7 @@ folder = sys.argv[sys.argv.index("--") + 1]
 listing = json.load(open(f"{folder}/dam.ply.json"))
 
 
-# Debian's Blender 3.4 is built without USD.
+# Debian's Blender 3.4 cannot import USD.
 has_usd = "usd_import" in dir(bpy.ops.wm)
 kinds = ["ply", "usdc"] if has_usd else ["ply"]
 
@@ -36,7 +36,7 @@ for frame in listing["frames"]:
 
 
 def columns(path):
-    """The numbers of a .ply from meniscus by name, with z up."""
+    """Reads a .ply of meniscus, and returns its vertices' numbers by property name, with z up."""
     header, body = open(path, "rb").read().split(b"end_header\n", 1)
     lines = header.decode().splitlines()
     count = next(int(line.split()[2]) for line in lines if line.startswith("element vertex"))
@@ -66,7 +66,7 @@ for frame in listing["frames"]:
     points = numbers(mesh.vertices, "co", 3)
     assert np.array_equal(points, expected("x", "y", "z"))
     velocity = mesh.attributes.get("velocity")
-    # Blender 3.4 has no such attribute in Python.
+    # In Blender 3.4, Python cannot access this attribute.
     if velocity is not None:
         assert np.array_equal(numbers(velocity.data, "vector", 3), expected("vx", "vy", "vz"))
     mesh.calc_loop_triangles()
@@ -80,7 +80,7 @@ for frame in listing["frames"]:
         mesh.loops.foreach_get("vertex_index", corners)
         assert (normals * expected("nx", "ny", "nz")[corners]).sum(1).min() > 0.999
     print(f"dam.abc at frame {frame['frame']}: {counts(mesh)}, volume {volume:.3f}")
-# A Volume object follows the frames.
+# A Volume object must show the file of each frame.
 bpy.ops.wm.read_factory_settings(use_empty=True)
 numbers_of_files = [frame["frame"] for frame in listing["frames"]]
 volume = bpy.data.volumes.new("dam")
@@ -98,7 +98,7 @@ for frame in listing["frames"]:
     assert grids.load(), grids.error_message
     assert [(grid.name, grid.data_type) for grid in grids] == [("surface", "FLOAT"), ("v", "VECTOR_FLOAT")]
     assert grids.frame_filepath.endswith(f"/dam_{frame['frame']}.vdb"), grids.frame_filepath
-    # The box has whole leaves of 8 voxels.
+    # The bounding box is larger than the surface, because it consists of leaves of 8 voxels.
     points = columns(f"{folder}/{frame['file']}")("x", "y", "z")
     corners = np.array([tuple(corner) for corner in evaluated.bound_box])
     leaf = 8 * grids[0].matrix_object[0][0]

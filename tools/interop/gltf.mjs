@@ -1,4 +1,4 @@
-// See the script `gltf` beside this file.
+// The script `gltf` in this folder runs these checks.
 import fs from 'node:fs';
 import validator from 'gltf-validator';
 import { MeshoptDecoder } from 'meshoptimizer';
@@ -11,7 +11,7 @@ const demand = (holds, what) => {
     failed ||= !holds;
 };
 
-/** All elements of every accessor, as the file's reader sees them, the node's transformation applied. */
+/** Returns the elements of every accessor, decoded and with the node's transformation applied. */
 async function load(path) {
     const bytes = fs.readFileSync(path);
     const { issues } = await validator.validateBytes(new Uint8Array(bytes), { maxIssues: 20 });
@@ -52,7 +52,7 @@ async function load(path) {
     return { values, positions, indices: read(primitive.indices).flat(), error, size: bytes.length };
 }
 
-/** Each triangle from its least corner on, in order. */
+/** Rotates each triangle so that its lowest index comes first, and sorts the triangles. */
 const triangles = (indices) => {
     const all = [];
     for (let i = 0; i < indices.length; i += 3) {
@@ -69,7 +69,7 @@ if (compressedPath) {
     const packed = await load(compressedPath);
     demand(triangles(plain.indices) === triangles(packed.indices), `${plain.indices.length / 3} triangles are the same`);
     const off = greatest(plain.positions, packed.positions, (p, q) => Math.max(...p.map((x, i) => Math.abs(x - q[i]))));
-    // f32 coordinates of the plain file are rounded, too.
+    // The coordinates of the uncompressed file are also rounded, to f32.
     const rounding = greatest(plain.positions, plain.positions, (p) => Math.max(...p.map(Math.abs))) * 2 ** -23;
     demand(off <= packed.error + rounding, `positions are off by ${off}, stated are ${packed.error}`);
     for (const [name, values] of Object.entries(plain.values).filter(([name]) => name !== 'POSITION')) {

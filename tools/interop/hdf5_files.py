@@ -1,4 +1,4 @@
-"""Makes the HDF5 files of tests/data/h5 with h5py. usage: hdf5_files.py FOLDER"""
+"""Writes the HDF5 files of tests/data/h5 with h5py. usage: hdf5_files.py FOLDER"""
 
 import sys
 import h5py
@@ -22,10 +22,10 @@ with h5py.File(f"{folder}/packed.h5", "w", libver="latest") as file:
     file.create_dataset("mass", data=np.ones(60, "f4"))
     file.create_dataset("box", data=np.zeros((8, 3)))
     file["name"] = "pool"
-# More rows than a file of this size can hold.
+# A data set that declares more rows than a file of this size can contain.
 with h5py.File(f"{folder}/huge.h5", "w") as file:
     file.create_dataset("pos", shape=(1 << 40, 3), chunks=(1024, 3), dtype="f8")
-# A table of a compound type, as CB-Geo MPM and PyTables write them, in packed chunks.
+# A table with a compound type in compressed chunks, as CB-Geo MPM and PyTables write it.
 kinds = [("id", "u2"), ("coord_x", "f4"), ("coord_y", "f8"), ("coord_z", ">f4"), ("velocity", "f4", 3), ("name", "S3")]
 table = np.zeros(60, kinds)
 table["id"] = np.arange(60)
@@ -34,14 +34,14 @@ for axis, name in enumerate("xyz"):
 table["velocity"] = 2 * points
 with h5py.File(f"{folder}/table.h5", "w", libver="latest") as file:
     file.create_dataset("mpm/particles", data=table, chunks=(16,), compression="gzip")
-# Components along the first axis, as Taichi and MATLAB write them.
+# Arrays with the components along the first axis, as Taichi and MATLAB write them.
 with h5py.File(f"{folder}/columns.h5", "w", libver="latest") as file:
     file["x"] = points.T
     file.create_dataset("v", data=2 * points.T, chunks=(2, 25), compression="lzf")
     file["C"] = np.zeros((9, 60), "i1")
     file["X"] = np.zeros((3, 60), "f4")
     file["time"] = [[0.5]]
-# H5MD: three frames. The second has two particles fewer.
+# An H5MD file with three frames, of which the second has two particles fewer.
 with h5py.File(f"{folder}/h5md.h5", "w", libver="latest") as file:
     file.create_group("h5md").attrs["version"] = [1, 1]
     fluid = file.create_group("particles/fluid")
@@ -56,14 +56,15 @@ with h5py.File(f"{folder}/h5md.h5", "w", libver="latest") as file:
         element["step"], element["time"] = steps, times
     fluid["force/value"], fluid["force/step"] = np.zeros((3, 60, 3), "i1"), [0, 1, 2]
     fluid["mass"] = np.ones(60)
-# Frames in groups of two kinds of particles each, as EDEM writes them.
+# Frames as groups, each with groups for two kinds of particles, as EDEM writes them.
 with h5py.File(f"{folder}/groups.h5", "w", libver="latest") as file:
     for number in (3, 20):
         frame = file.create_group(f"TimestepData/{number}")
         frame.attrs["time"] = number / 4
         frame["ParticleTypes/sand/position"] = points + number
         frame["ParticleTypes/wall/position"] = np.zeros((4, 3), "f4")
-# Two groups with an attribute called as the choice of a group is, and rows of up to 100 numbers.
+# Two groups whose attribute has the name "type", which also selects a group, and arrays with up to
+# 100 numbers per row.
 with h5py.File(f"{folder}/types.h5", "w", libver="latest") as file:
     for name in ("PartType0", "wall"):
         group = file.create_group(name)

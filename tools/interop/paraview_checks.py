@@ -31,7 +31,7 @@ info = reader.GetDataInformation()
 assert (info.GetNumberOfPoints(), info.GetNumberOfCells()) == (0, 0)
 print("an empty simulation")
 
-# A mesh in pieces is read as one mesh.
+# ParaView must read a mesh in several pieces as one mesh.
 path = f"{folder}/fine.pvtp"
 checked = json.loads(subprocess.run([meniscus, "check", "--json", path], check=True, capture_output=True).stdout)[0]
 reader = OpenDataFile(path)
@@ -39,7 +39,8 @@ reader.UpdatePipeline()
 info = reader.GetDataInformation()
 report = checked["report"]
 assert info.GetNumberOfCells() == report["triangles"] and checked["closed_oriented_manifold"], (info.GetNumberOfCells(), checked)
-# Each piece has the vertices of its triangles. A vertex of two pieces occurs twice, with the same identifier.
+# Each piece has all vertices of its triangles. A vertex in two pieces therefore occurs twice, with
+# the same identifier.
 identifiers = [array for array in reader.PointData.keys() if reader.PointData[array].GetRange() == (0, report["vertices"] - 1)]
 assert len(identifiers) == 1, list(reader.PointData.keys())
 assert info.GetNumberOfPoints() > report["vertices"], info.GetNumberOfPoints()
@@ -49,7 +50,7 @@ pieces = len(list(pathlib.Path(f"{folder}/fine").glob("*.vtp")))
 assert pieces > 1, pieces
 print(f"fine.pvtp: {pieces} pieces, {report['vertices']} vertices in {identifiers[0]}, {report['triangles']} triangles")
 
-# Particles, as VTK itself writes them.
+# Write particles with VTK's own writers, for meniscus to read.
 count = 5000
 points, velocity, cells = vtkPoints(), vtkFloatArray(), vtkCellArray()
 velocity.SetName("velocity")

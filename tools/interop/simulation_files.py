@@ -1,9 +1,10 @@
-"""Particles in the formats of large simulation codes, each written by its own library.
+"""Writes particles in the formats of large simulation codes, each with the library of that code.
 
 usage: simulation_files.py FOLDER [COUNT]
 
-Needs numpy, h5py, vtk, openpmd-api, swiftsimio and pysph. Makes the files of tests/data/simulations with 24 particles. Every file holds the
-same points, those of points.csv, with a velocity of twice the position.
+Needs numpy, h5py, vtk, openpmd-api, swiftsimio and pysph. With COUNT 24, these are the files of
+tests/data/simulations. Every file has the points of points.csv. Each velocity is twice the
+position.
 """
 
 import os
@@ -21,7 +22,10 @@ def points(count):
 
 
 def vtk_set(kind, values, ghosts=(), ids=None, ghost_cells=None):
-    """PolyData or an UnstructuredGrid of points, those numbered `ghosts` flagged, or the vertices numbered `ghost_cells`."""
+    """Makes PolyData or an UnstructuredGrid of points.
+
+    The points numbered `ghosts`, or the vertices numbered `ghost_cells`, are flagged as ghosts.
+    """
     from vtk.util.numpy_support import numpy_to_vtk
     import vtk
 
@@ -62,7 +66,7 @@ def vtk_set(kind, values, ghosts=(), ids=None, ghost_cells=None):
 
 
 def overlapping(values):
-    """Two pieces of the points, each with four of the other's as ghosts."""
+    """Divides the points into two pieces. Each piece also has four points of the other piece, as ghosts."""
     half = len(values) // 2
     ids = np.arange(len(values))
     first, second = np.r_[0 : half + 4], np.r_[half - 4 : len(values)]
@@ -70,12 +74,12 @@ def overlapping(values):
 
 
 def vtk_pieces(folder, values):
-    """A .pvtp and a .pvtu as VTK's parallel writers make them, of two pieces with ghosts."""
+    """Writes a .pvtp and a .pvtu with two pieces and ghosts, with VTK's parallel writers."""
     import vtk
     from vtk.util.vtkAlgorithm import VTKPythonAlgorithmBase
 
     class Source(VTKPythonAlgorithmBase):
-        """Returns the requested piece, like every process of a simulation."""
+        """Returns the requested piece, like one process of a parallel simulation."""
 
         def __init__(self, kind, output):
             super().__init__(nInputPorts=0, nOutputPorts=1, outputType=output)
@@ -108,13 +112,13 @@ def vtk_pieces(folder, values):
 
 
 def vtkhdf(folder, values):
-    """VTKHDF as VTK's own writer makes it, and three steps in the layout of its specification."""
+    """Writes VTKHDF files with VTK's own writer, and a file with three steps as the specification says."""
     import vtk
 
     for kind in ["poly", "grid"]:
         writer = vtk.vtkHDFWriter()
         writer.SetFileName(f"{folder}/{kind}.vtkhdf")
-        # Chunks of the usual size would be mostly empty.
+        # Chunks of the default size would be mostly empty.
         writer.SetChunkSize(16)
         writer.SetInputData(vtk_set(kind, values, ghosts=[1, 5]))
         assert writer.Write()
@@ -122,7 +126,7 @@ def vtkhdf(folder, values):
         root = file.create_group("VTKHDF")
         root.attrs["Version"] = np.array([2, 0])
         root.attrs.create("Type", np.bytes_("PolyData"))
-        # Two partitions a step; the second step has fewer points.
+        # Each step has two partitions, and the second step has fewer points.
         counts = [[10, len(values) - 10], [5, 3], [len(values), 0]]
         flat = [part for step in counts for part in step]
         root["NumberOfPoints"] = np.array(flat)
@@ -147,7 +151,10 @@ def vtkhdf(folder, values):
 
 
 def ghost_cells(folder, values):
-    """Vertices that are flagged instead of their points, as VTK's own writers make them: VTKHDF, and legacy files in text and binary."""
+    """Writes files in which vertices, not points, are flagged as ghosts.
+
+    VTK's own writers write them as VTKHDF, and as legacy files in text and binary.
+    """
     import vtk
 
     flagged = dict(ghosts=None, ghost_cells=[1, 5])
@@ -165,27 +172,32 @@ def ghost_cells(folder, values):
             assert writer.Write()
 
 
-# Partitions of `ghost_steps`: points, for every vertex its point and flag, and flags of lines. The second point of the last one has two
-# vertices, and its fourth has none.
+# The partitions of `ghost_steps`. Each has points, the point and the flag of every vertex, and the
+# flags of lines. In the last partition, the second point has two vertices, and the fourth point has
+# none.
 PARTITIONS = [
     (6, [(5, 0), (4, 1), (3, 8), (2, 2), (1, 32), (0, 0)], []),
     (0, [], []),
     (3, [(0, 1), (1, 1), (2, 1)], [1]),
     (4, [(0, 1), (1, 1), (1, 0), (2, 1), (2, 1)], []),
 ]
-# Steps of `ghost_steps`: first partition, number of partitions, first point, and first cell, first corner of each kind, first data.
+# The steps of `ghost_steps`: first partition, number of partitions, first point, first cell of each
+# kind, first corner of each kind, and first value of the cells' data.
 STEPS = [
     (0, 2, 0, (0, 0), (0, 0), 0),
     (2, 2, 6, (6, 0), (6, 0), 6),
-    # Like the first, with other flags.
+    # The same as the first step, but with different flags.
     (0, 2, 0, (0, 0), (0, 0), 15),
-    # The points and cells of the first, as a separate partition.
+    # The points and cells of the first step, as a separate partition.
     (4, 1, 0, (0, 0), (0, 0), 0),
 ]
 
 
 def ghost_steps(folder, values):
-    """Steps in the layout of VTKHDF's specification whose partitions have flagged vertices: PolyData, and an UnstructuredGrid."""
+    """Writes steps whose partitions have vertices flagged as ghosts, as VTKHDF's specification says.
+
+    One file has PolyData, and one an UnstructuredGrid.
+    """
     first = PARTITIONS[0]
     flags = [flag for _, vertices, lines in PARTITIONS for flag in [flag for _, flag in vertices] + lines]
     flags += [1 - min(flag, 1) for _, flag in first[1]]
@@ -202,7 +214,7 @@ def ghost_steps(folder, values):
             root["CellData/vtkGhostType"] = np.array(flags, "u1")
 
             def cells(group, of_parts):
-                """Cells of every partition as lists of their corners. The last partition uses those of the first."""
+                """Writes the cells of every partition as lists of corners. The last partition uses the first one's cells."""
                 group["NumberOfCells"] = np.array([len(cells) for cells in of_parts])
                 group["NumberOfConnectivityIds"] = np.array([sum(map(len, cells)) for cells in of_parts])
                 ends = [np.cumsum([0] + [len(cell) for cell in cells]) for cells in of_parts[:-1]]
@@ -220,7 +232,8 @@ def ghost_steps(folder, values):
                 cells(root, of_parts)
                 root["Types"] = np.array([len(cell) * 2 - 1 for cells in of_parts[:-1] for cell in cells], "u1")
             steps = root.create_group("Steps")
-            # The cells of the last partition are found by number, which VTK supports only for PolyData.
+            # The last step refers to its cells by their offset, which VTK supports only for
+            # PolyData.
             told = STEPS if kind == "PolyData" else STEPS[:-1]
             steps.attrs["NSteps"] = len(told)
             steps["Values"] = TIME * np.arange(len(told))
@@ -234,7 +247,7 @@ def ghost_steps(folder, values):
 
 
 def swift(folder, values):
-    """A snapshot as swiftsimio makes it, with dark matter beside the gas."""
+    """Writes a snapshot with gas and dark matter with swiftsimio."""
     import unyt
     from swiftsimio import Writer, cosmo_array
 
@@ -252,7 +265,10 @@ def swift(folder, values):
 
 
 def gadget(folder, values):
-    """A snapshot in three files in GADGET's layout, the second without gas, and a view of them as SWIFT makes it."""
+    """Writes a snapshot in three files in GADGET's layout, and a virtual file that joins them, as SWIFT writes it.
+
+    The second file has no gas.
+    """
     cuts = [(0, 9, "f8"), (9, 9, "f8"), (9, len(values), "f4")]
     dark = [0, 4, 2]
     for number, (first, end, kind) in enumerate(cuts):
@@ -287,7 +303,10 @@ def gadget(folder, values):
 
 
 def openpmd(folder, values):
-    """Two iterations of a species: positions in millimetres from an offset in metres, an identifier, a constant weight."""
+    """Writes two iterations of a species.
+
+    It has positions in millimetres from an offset in metres, an identifier, and a constant weight.
+    """
     import openpmd_api as io
 
     series = io.Series(f"{folder}/openpmd.h5", io.Access.create, '{"hdf5": {"dataset": {"chunks": "none"}}}')
@@ -320,7 +339,7 @@ def openpmd(folder, values):
 
 
 def pysph(folder, values):
-    """PySPH's own output of a fluid with two ghosts and a wall."""
+    """Writes a fluid with two ghost particles and a wall with PySPH's own writer."""
     from pysph.base.utils import get_particle_array
     from pysph.solver.output import dump
 

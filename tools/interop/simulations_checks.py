@@ -59,7 +59,7 @@ check("openpmd.h5#200", values + 10, tolerance=1e-12)
 check("pysph_40.hdf5", values, 2)
 check("pysph_40.hdf5", values[:3], options=["--where", "type=wall"])
 
-# Meshes: VTK and h5py read the files, and the values must equal those of the .vtp in the same folder.
+# VTK and h5py read the meshes, whose values must equal those of the .vtp in the same folder.
 for ending in ["vtp", "pvtp", "vtkhdf"]:
     arguments = ["reconstruct", f"{folder}/grid_0007.pvtu", "-o", f"{folder}/mesh.{ending}", "-q", "--spacing", "0.2"]
     subprocess.check_call([meniscus, *arguments, "--normals", "--attributes", "velocity,id"])
@@ -74,7 +74,7 @@ def read(name):
 
 
 def arrays(data):
-    """The corners of every triangle with their attributes."""
+    """Returns the positions and attributes of the corners of every triangle."""
     corners = vtk_to_numpy(data.GetPolys().GetConnectivityArray())
     found = {"points": vtk_to_numpy(data.GetPoints().GetData())}
     for index in range(data.GetPointData().GetNumberOfArrays()):
@@ -97,7 +97,7 @@ with h5py.File(f"{folder}/mesh.vtkhdf") as file:
     assert file["VTKHDF"].attrs["Type"] == b"PolyData" and list(file["VTKHDF"].attrs["Version"]) == [2, 0]
     assert file["VTKHDF/Points"].chunks is None and file["VTKHDF/Points"].dtype == "<f4"
 
-# A mesh that VTK wrote.
+# Check that meniscus reads a mesh that VTK wrote.
 sphere = vtk.vtkSphereSource()
 sphere.SetThetaResolution(40)
 sphere.SetPhiResolution(20)

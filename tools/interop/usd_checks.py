@@ -38,7 +38,7 @@ assert UsdGeom.Mesh.ValidateTopology(corners, counts, 0)[0]
 assert list(UsdGeom.PointBased.ComputeExtent([])) == list(mesh.GetExtentAttr().Get(0))
 print("an empty layer")
 
-# The same numbers as in the .ply.
+# The layers must have the same numbers as the .ply files.
 def ply(path):
     import struct
     data = open(path, "rb").read()

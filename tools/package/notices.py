@@ -1,4 +1,6 @@
-"""Prints the licences of all crates that the program and the Python module link. Many licences require this from distributors of binaries.
+"""Prints the licences of all crates that the program and the Python module link.
+
+Many licences require that binaries are distributed with the licence's text.
 
 usage: notices.py [CARGO'S ARGUMENTS...]
 """
@@ -15,7 +17,7 @@ TEXTS = ("LICENSE", "LICENCE", "COPYING", "COPYRIGHT", "NOTICE", "UNLICENSE")
 
 
 def linked(arguments: list[str]) -> list[dict[str, str]]:
-    """The crates of a registry among the normal dependencies, direct or not, by name and version."""
+    """Returns all direct and indirect dependencies that come from a registry, sorted by name and version."""
     command = ["cargo", "metadata", "--format-version", "1", "--locked", *arguments]
     read = json.loads(subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.PIPE).stdout)
     packages = {package["id"]: package for package in read["packages"]}
@@ -35,7 +37,7 @@ def linked(arguments: list[str]) -> list[dict[str, str]]:
 
 
 def texts(crate: dict[str, str]) -> list[str]:
-    """The texts of a crate's licences, without duplicates."""
+    """Returns the texts of a crate's licence files, without duplicates."""
     folder = Path(crate["manifest_path"]).parent
     files = sorted(path for path in folder.rglob("*") if path.is_file() and path.name.upper().startswith(TEXTS))
     return list(dict.fromkeys(path.read_text(errors="replace").strip() for path in files if path.suffix != ".rs"))

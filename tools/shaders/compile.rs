@@ -1,5 +1,5 @@
-//! Compiles the shaders' sources to binaries and to their Rust table, for the command and for the
-//! tests.
+//! Compiles the shaders' sources to SPIR-V binaries and to a Rust table. The example `shaders` and
+//! the tests use this module.
 
 #[path = "table.rs"]
 mod table;
@@ -19,7 +19,7 @@ use rspirv::binary::Assemble;
 use rspirv::dr::{Instruction, Operand};
 use rspirv::spirv::{Decoration, Op, StorageClass, Word};
 
-/// A source that cannot be read or compiled: its name, the line and the cause.
+/// An error about a source that cannot be read or compiled, with its name, the line and the cause.
 pub type Fault = Box<dyn std::error::Error + Send + Sync>;
 
 /// A file that is generated from the sources: a binary, or the Rust table.
@@ -28,7 +28,7 @@ pub struct Made {
     pub bytes: Vec<u8>,
 }
 
-/// The files that are missing or outdated.
+/// Compiles all sources, and returns the generated files that are missing or outdated.
 pub fn outdated() -> Result<Vec<Made>, Fault> {
     let (mut made, mut modules) = (Vec::new(), BTreeMap::new());
     for name in programs()? {
@@ -44,7 +44,7 @@ pub fn outdated() -> Result<Vec<Made>, Fault> {
     Ok(made)
 }
 
-/// The names of the sources with an entry point, in order; the others are included in programs.
+/// The sorted names of the sources with an entry point. All other sources are parts of programs.
 pub fn programs() -> Result<Vec<String>, Fault> {
     let mut programs = Vec::new();
     for entry in fs::read_dir(folder())? {
@@ -58,24 +58,24 @@ pub fn programs() -> Result<Vec<String>, Fault> {
     Ok(programs)
 }
 
-/// Folder of sources and binaries.
+/// The folder of the sources and binaries.
 pub fn folder() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("spirv")
 }
 
-/// The text of a file of the folder, without included parts.
+/// Reads the text of a source, without the parts that it includes.
 fn read(name: &str) -> Result<String, Fault> {
     let file = folder().join(name).with_extension("wgsl");
     fs::read_to_string(&file).map_err(|cause| format!("{}: {cause}", file.display()).into())
 }
 
-/// The whole source of a program of the folder.
+/// Reads the complete source of a program: its constants, its included parts and its own text.
 pub fn source(name: &str) -> Result<String, Fault> {
     whole(&read(name)?)
 }
 
-/// Prepends the parts that a text's first line names, and before them the constants that the text
-/// uses.
+/// Completes a source: prepends the parts that its first line names, and before them the constants
+/// that it uses.
 pub fn whole(own: &str) -> Result<String, Fault> {
     let parts = own.lines().next().and_then(|line| line.strip_prefix("//! with ")).unwrap_or("");
     let parts = parts.split_whitespace().map(read).collect::<Result<String, Fault>>()?;
@@ -87,19 +87,19 @@ pub fn whole(own: &str) -> Result<String, Fault> {
     Ok(constants + &text)
 }
 
-/// A whole source, parsed.
+/// Parses a complete source.
 pub fn parsed(name: &str, source: &str) -> Result<Module, Fault> {
     naga::front::wgsl::parse_str(source)
         .map_err(|fault| format!("{name}: {}", fault.emit_to_string(source)).into())
 }
 
-/// A whole source as SPIR-V.
+/// Compiles a complete source to SPIR-V.
 pub fn compiled(name: &str, source: &str) -> Result<Vec<u8>, Fault> {
     compiled_with(name, source, BoundsCheckPolicy::Unchecked)
 }
 
-/// All programs with checks of every index into a buffer or an array: an index beyond the end
-/// becomes the last.
+/// Compiles all programs with bounds checks: an index beyond the end of a buffer or an array
+/// becomes the last index.
 pub fn checked() -> Result<HashMap<&'static str, Vec<u8>>, Fault> {
     let binary = |shader: &&Shader| {
         let checks = BoundsCheckPolicy::Restrict;
@@ -132,8 +132,8 @@ fn compiled_with(name: &str, source: &str, checks: BoundsCheckPolicy) -> Result<
     Ok(words.iter().flat_map(|word| word.to_le_bytes()).collect())
 }
 
-/// Removes the layouts of all types except those of storage buffers and push blocks: Vulkan allows
-/// none in the memory of a work group, but naga adds them to all arrays
+/// Removes the layout decorations of all types except those of storage buffers and push blocks.
+/// naga decorates all arrays, but Vulkan allows no layouts in workgroup memory
 /// (VUID-StandaloneSpirv-None-10684).
 fn without_idle_layouts(words: &[u32]) -> Result<Vec<u32>, Fault> {
     let mut module = rspirv::dr::load_words(words).map_err(|fault| fault.to_string())?;

@@ -1,14 +1,14 @@
-//! Rebuilds the shaders' binaries, `spirv/*.spv`, and their Rust table, `src/shaders.rs`, from the
-//! sources, `spirv/*.wgsl`.
+//! Compiles the shaders' sources, `spirv/*.wgsl`, to binaries, `spirv/*.spv`, and to a Rust table,
+//! `src/shaders.rs`.
 //!
-//! `cargo run --example shaders` writes outdated files and prints their names.
-//! `cargo run --example shaders -- --check` writes nothing, prints their names, and exits with 1 if
-//! there are any.
+//! `cargo run --example shaders` writes outdated files and prints their names. `cargo run --example
+//! shaders -- --check` only prints the names of outdated files, and exits with 1 if there are any.
 //!
-//! A source consists of the constants of `meniscus::internals::backend::wgsl_constants` that it
-//! uses, the parts that its first line names (`//! with wide float64`), and its file. Therefore a
-//! change of a constant in Rust changes binaries too. This program links the library: change the
-//! WGSL and run it before Rust code uses a new shader or field.
+//! A complete source consists of the constants of `meniscus::internals::backend::wgsl_constants`
+//! that it uses, the parts that its first line names (`//! with wide float64`), and its own file.
+//! Therefore a change of a constant in Rust also changes binaries. This program links the library.
+//! If a shader or a field is new, change the WGSL and run this program before you use it in Rust
+//! code.
 
 #[allow(dead_code, reason = "tests use the rest")]
 mod compile;
@@ -21,10 +21,10 @@ use clap::Parser;
 use compile::{Fault, Made};
 use tempfile::NamedTempFile;
 
-/// Rebuilds the shaders' binaries and their Rust table from the sources.
+/// Compile the shaders' sources to binaries and to their Rust table.
 #[derive(Parser)]
 struct Options {
-    /// Write nothing; fail if a file is outdated.
+    /// Write no files, and fail if a file is outdated.
     #[arg(long)]
     check: bool,
 }
@@ -52,11 +52,11 @@ fn run(options: &Options) -> Result<ExitCode, Fault> {
     Ok(if options.check && !outdated.is_empty() { ExitCode::FAILURE } else { ExitCode::SUCCESS })
 }
 
-/// Replaces a file, completely or not at all.
+/// Replaces a file by a temporary file, so that it is never half-written.
 fn write(Made { file, bytes }: &Made) -> Result<(), Fault> {
     let mut whole = NamedTempFile::new_in(file.parent().expect("files are in folders"))?;
     whole.write_all(bytes)?;
-    // Only its owner can access a temporary file.
+    // Only the owner can access a temporary file, so copy the permissions of the replaced file.
     if let Ok(replaced) = fs::metadata(file) {
         whole.as_file().set_permissions(replaced.permissions())?;
     }

@@ -1,4 +1,4 @@
-//! The Rust side of the shaders, `src/shaders.rs`, from their parsed sources.
+//! Generates the shaders' Rust table, `src/shaders.rs`, from their parsed sources.
 
 use std::collections::BTreeMap;
 
@@ -18,7 +18,7 @@ use bytemuck::{Pod, Zeroable};
 use crate::vulkan::Shader;
 ";
 
-/// Returns the text of `src/shaders.rs` for programs, by name.
+/// Returns the text of `src/shaders.rs` for these programs.
 pub fn rust(programs: &BTreeMap<String, Module>) -> Result<String, Fault> {
     let mut text = format!("{HEAD}\n/// Every shader, by name.\n");
     text += &format!("pub const SHADERS: [&Shader; {}] = [\n", programs.len());
@@ -42,7 +42,7 @@ pub fn rust(programs: &BTreeMap<String, Module>) -> Result<String, Fault> {
     Ok(text)
 }
 
-/// The constant that describes a shader.
+/// Returns the Rust constant that describes a shader.
 fn shader(name: &str, module: &Module, push: Option<&str>) -> Result<String, String> {
     let [entry] = &module.entry_points[..] else { return Err("needs one entry point".into()) };
     if entry.name != name {
@@ -67,7 +67,7 @@ pub const {constant}: Shader = Shader {{
     ))
 }
 
-/// Returns the names of the storage buffers that are bound to 0, 1, ... of set 0.
+/// Returns the names of the storage buffers in set 0, in the order of their bindings 0, 1, ...
 fn buffers(module: &Module) -> Result<Vec<&str>, String> {
     let mut buffers = BTreeMap::new();
     for (_, variable) in module.global_variables.iter() {

@@ -1,5 +1,5 @@
-//! Conformance tests of every backend: results equal the method to the bit, and surfaces are
-//! watertight with the right topology.
+//! Conformance tests of every backend: results equal those of an oracle to the bit, and surfaces
+//! are watertight with the right topology.
 
 mod oracle;
 mod periodic;
@@ -24,7 +24,7 @@ impl TestBackend {
         Ok(Self { backend: Backend::cpu() })
     }
 
-    /// A watched device: work that falls back to the CPU fails the test.
+    /// A Vulkan device. The test fails if any work falls back to the CPU.
     fn vulkan() -> Result<Self, &'static VulkanError> {
         Ok(Self { backend: common::device::shared()? })
     }
@@ -37,7 +37,7 @@ impl TestBackend {
     }
 }
 
-/// Makes one test per listed function and backend.
+/// Defines a test for each pair of a listed function and a backend.
 macro_rules! on_every_backend {
     ($($module:ident: $($test:ident)*;)*) => {
         on_every_backend! { cpu: $($module: $($test)*;)* }

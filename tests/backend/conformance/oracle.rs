@@ -1,4 +1,4 @@
-//! Compares the sparse pipeline with the method on one dense array.
+//! Compares the sparse pipeline with an oracle, which implements the method on one dense array.
 
 use std::sync::Arc;
 
@@ -19,7 +19,7 @@ use crate::common::distances::{Distances, UNITS, ZERO, away, quantile};
 use crate::common::scene::Random;
 use crate::common::{dif, fill, recipe, reconstruct, shuffle, splashes, surfacing, tank};
 
-/// Particles, and settings that the oracle implements.
+/// Particles and settings for a comparison with the oracle.
 struct Variant {
     particles: Vec<[f64; 3]>,
     sampling: Sampling,
@@ -48,7 +48,8 @@ fn variants(backend: &TestBackend, seed: u64) -> Vec<Variant> {
     variants
 }
 
-/// Clouds in cells of 1 to 1/8 spacing, so that wide cells are 1 to 8 times as wide as cells.
+/// Variants with clouds in cells of 1 to 1/8 spacing. Their wide cells are 1 to 8 times as wide as
+/// cells.
 fn of_clouds(backend: &TestBackend, seed: u64) -> Vec<Variant> {
     let deep = fill(14.0, 1.0, 0.3, seed, |p| p.abs().max_element() < 12.0);
     let water = water(seed);
@@ -67,7 +68,7 @@ fn of_clouds(backend: &TestBackend, seed: u64) -> Vec<Variant> {
         let method = IndicatorKind::Cloud.into();
         let mut sampling = Sampling { method, spacing: Some(spacing), ..backend.sampling() };
         if walls {
-            // Walls at odd cells, so that wide cells cross walls.
+            // Put walls at odd numbers of cells, so that wide cells cross the walls.
             let odd = |spacings: f64| 2.0 * (spacings * spacing / 2.0).floor() + 1.0;
             let [lo, hi] = [[-2.6, -3.4, -4.1], [3.2, 2.4, 4.4]].map(|p| DVec3::from(p.map(odd)));
             sampling.domain = Domain::new(&sampling.grid, lo, hi + DVec3::X).ok();
@@ -79,8 +80,7 @@ fn of_clouds(backend: &TestBackend, seed: u64) -> Vec<Variant> {
     cases.into_iter().map(variant).collect()
 }
 
-/// Disordered water with waves, a sheet, and particles alone, in pairs and in a chain, with a
-/// spacing of 1.
+/// Disordered water at spacing 1: waves, a sheet, single particles, pairs and a chain.
 fn water(seed: u64) -> Vec<[f64; 3]> {
     let mut random = Random::new(seed);
     let mut particles = fill(5.0, 1.0, 0.4, seed, |p| p.y < p.x.sin() - 0.6 && p.x + p.z < 4.0);
@@ -92,7 +92,7 @@ fn water(seed: u64) -> Vec<[f64; 3]> {
     particles
 }
 
-/// The field that the oracle computes.
+/// The field that the oracle computes, on a dense array.
 fn dense_field(frame: &Engine, Variant { particles, sampling, surfacing }: &Variant) -> Dense<u16> {
     if sampling.method != IndicatorKind::Cloud.into() {
         return oracle(frame, sampling, surfacing).integer(particles);
@@ -102,7 +102,7 @@ fn dense_field(frame: &Engine, Variant { particles, sampling, surfacing }: &Vari
     distances(frame, sampling, surfacing).integer(particles, is_inside)
 }
 
-/// The cells that are deep in a frame of clouds.
+/// The cells of a frame with clouds that are so deep that they are inside without computation.
 fn inside(frame: &Engine, surfacing: &Surfacing) -> Arc<InsideBricks> {
     let (recipe, _) = recipe(frame, surfacing);
     let Filters::Distances(distances) = recipe.filters else { panic!("clouds have distances") };
@@ -129,7 +129,8 @@ fn oracle(frame: &Engine, sampling: &Sampling, surfacing: &Surfacing) -> Method 
     }
 }
 
-/// Checks that the sparse field, computed block by block as for meshing, equals the dense field.
+/// Checks that the sparse field equals the dense field. The sparse field is computed block by
+/// block, as for meshing.
 fn assert_same_field(frame: &Engine, surfacing: &Surfacing, dense: &Dense<u16>, what: &str) {
     let (recipe, _) = recipe(frame, surfacing);
     let mut cells = 0;
@@ -206,7 +207,7 @@ pub fn the_mesh_of_spray_equals_the_mesh_of_the_dense_field(backend: &TestBacken
     }
 }
 
-/// Surfacing without sheets, which have their own tests.
+/// Settings without the joining of sheets, which other tests cover.
 fn without_sheets() -> Surfacing {
     Surfacing { sheets: SheetStretch::new(0.0).unwrap(), ..surfacing() }
 }
@@ -272,12 +273,12 @@ pub fn the_integer_field_and_its_vertices_approximate_the_method_in_f64(backend:
     }
 }
 
-/// Maximum errors of the integer distances within a spacing of the surface, in spacings: in 99 % of
-/// the cells, and in any cell.
+/// Maximum errors of the integer distances in spacings, within a spacing of the surface: the error
+/// of 99 % of the cells, and the error of any cell.
 const ERROR_99_PERCENT: f64 = 0.0045;
 const MAX_ERROR: f64 = 0.017;
 
-/// On the CPU only: devices compute the same integers.
+/// This test runs on the CPU only, because devices compute the same integers.
 #[test]
 fn integer_distances_are_within_a_fiftieth_of_a_spacing_of_f64() {
     let Ok(backend) = TestBackend::cpu();
@@ -313,7 +314,8 @@ fn committed_lookup_tables_match_their_functions() {
     }
 }
 
-/// Symmetry, counting, and clouds whose wide cells are 1 and 4 times as wide as cells.
+/// Variants with symmetry, with counting, and with clouds whose wide cells are 1 and 4 times as
+/// wide as cells.
 fn of_each_kind(backend: &TestBackend, seed: u64) -> impl Iterator<Item = Variant> {
     let which = [0, 8, 16, 22];
     variants(backend, seed)
@@ -347,7 +349,8 @@ pub fn moving_a_scene_by_whole_bins_moves_its_field(backend: &TestBackend) {
 }
 
 pub fn changing_cell_size_and_origin_scales_and_moves_the_mesh(backend: &TestBackend) {
-    // Powers of two and their multiples keep the same particles in the cells, to the bit.
+    // Scaling by a power of two, and moving by multiples of it, rounds nothing: cells keep exactly
+    // the same particles.
     let (cell, origin) = (0.25, DVec3::new(-3.0, 0.5, 10.0));
     for Variant { particles, sampling: unit, surfacing } in of_each_kind(backend, 17) {
         let placed: Vec<[f64; 3]> =

@@ -1,4 +1,5 @@
-//! Periodic boxes: the mesh equals that of a fluid with explicit copies.
+//! Tests of periodic boxes: the mesh equals the mesh of a fluid with explicit copies of its
+//! particles.
 
 use glam::DVec3;
 use meniscus::internals::backend::Backend;
@@ -33,7 +34,7 @@ fn in_box(sampling: &Sampling, surfacing: &Surfacing, faces: Faces) -> Sampling 
     Sampling { periodic: Some(periodic), ..sampling.clone() }
 }
 
-/// The mesh of particles, and its calibration.
+/// Reconstructs particles, and returns the mesh and the calibration.
 fn meshed(
     particles: &[[f64; 3]],
     sampling: &Sampling,
@@ -83,8 +84,8 @@ pub fn a_periodic_mesh_equals_the_mesh_of_repeated_particles(backend: &TestBacke
                 let alone = Sampling { method, ..sampling.clone() };
                 let (expected, _) =
                     meshed(&repeated(&particles, faces), &alone, &surfacing, calibration.as_ref());
-                // The mesh is cut between the outermost centres and the faces, where its gradient
-                // also ends.
+                // Near the faces, a cut mesh differs, because it is cut between the outermost cell
+                // centres and the faces, and because gradients end there.
                 let margin = if mesh == PeriodicMesh::Cut { 1.51 * cell } else { 0.0 };
                 let [found, expected] =
                     [&found, &expected].map(|mesh| triangles_within(mesh, faces, margin));
@@ -101,7 +102,7 @@ pub fn a_periodic_mesh_equals_the_mesh_of_repeated_particles(backend: &TestBacke
 }
 
 pub fn a_full_periodic_box_has_its_faces_as_surface(backend: &TestBackend) {
-    // The box has parts that are too deep to be searched, and its faces are not cell faces.
+    // The box is so large that blocks deep in it are skipped, and its faces are not cell faces.
     let edge = 61.3;
     let steps = || (0..61).map(|i| (f64::from(i) + 0.5) * edge / 61.0);
     let particles: Vec<[f64; 3]> =
@@ -118,13 +119,13 @@ pub fn a_full_periodic_box_has_its_faces_as_surface(backend: &TestBackend) {
         assert_eq!(found.bounds, Some([[0.0; 3], [edge; 3]]), "cells of {cell}");
         assert_eq!((found.components, found.genus), (1, Some(0)), "cells of {cell}");
         let share = found.volume.unwrap() / edge.powi(3);
-        // Edges are cut off by at most a cell.
+        // The mesh cuts off the edges of the box by at most a cell.
         assert!((1.0 - share).abs() < 0.005, "cells of {cell}: {share}");
     }
 }
 
 pub fn a_periodic_mesh_is_the_same_on_every_backend(backend: &TestBackend) {
-    // The edges are not multiples of cells or of wide cells.
+    // The box's edge lengths are no multiples of cells or wide cells.
     let edges = DVec3::new(31.0, 40.0, 29.0);
     let particles = fluid(9, edges);
     for (kind, cell) in

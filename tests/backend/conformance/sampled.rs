@@ -1,4 +1,4 @@
-//! Estimates of a large frame from a sample of its blocks.
+//! Tests of estimates for a large frame, which are computed from a sample of its blocks.
 
 use glam::{DVec3, IVec3};
 use meniscus::internals::backend::field;
@@ -12,7 +12,7 @@ use super::TestBackend;
 use crate::common::scene::splash;
 use crate::common::{dif, recipe, surfacing};
 
-/// Cells per spacing.
+/// Number of cells per spacing.
 const CELLS: f64 = 1.6;
 
 /// Water with waves, a sphere above it, a sheet and spray: about 400 bins, of which half contain

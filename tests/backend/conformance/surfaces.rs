@@ -1,5 +1,5 @@
-//! Surfaces of known shapes: closed, oriented, manifold, with the right genus and volume, and
-//! outward normals.
+//! Tests of surfaces of known shapes: they are closed, oriented and manifold, with the right genus
+//! and volume and with outward normals.
 
 use std::f64::consts::PI;
 
@@ -35,8 +35,8 @@ fn assert_watertight(mesh: &Mesh, what: &str) {
     assert!(report.is_closed_oriented_manifold(), "{what}: {report}");
 }
 
-/// Name, genus, volume in cells, and the inside of a shape that is at least 32 cells thick
-/// everywhere.
+/// The name, genus and volume in cells of a shape, and whether a point is inside it. Shapes are at
+/// least 32 cells thick everywhere.
 type Shape = (&'static str, i64, f64, fn(DVec3) -> bool);
 
 const SHAPES: [Shape; 3] = [
@@ -62,8 +62,9 @@ pub fn known_shapes_have_their_genus_and_volume(backend: &TestBackend) {
                 let measures = measure(&surface.mesh);
                 assert_eq!((measures.genus, measures.components), (Some(genus), 1), "{what}");
                 let error = measures.volume.unwrap() / volume - 1.0;
-                // A filter of variance v shrinks a sphere of radius R by 3 v / R^2. With the box
-                // after the Gaussian, v is 1.6 cells^2 for counting: 1.9 % of this sphere.
+                // A filter of variance v shrinks the volume of a sphere of radius R by the fraction
+                // 3 v / R^2. For counting, v is 1.6 cells^2, including the box filter after the
+                // Gaussian. This is 1.9 % for this sphere.
                 let curved = name == "sphere" && indicator != IndicatorKind::Symmetry;
                 assert!(
                     error.abs() < if curved { 0.019 } else { 0.01 },
@@ -88,7 +89,8 @@ pub fn the_normals_of_a_sphere_point_outwards(backend: &TestBackend) {
     assert!(measure(&surface.mesh).volume.unwrap() > 0.0);
 }
 
-/// The surface of a function's samples, in blocks of 32^3 cells, with zeros around them.
+/// The surface of a function that is sampled in cells, meshed in blocks of 32^3 cells. Outside of
+/// the samples, the field is 0.
 fn surface_of(
     backend: &TestBackend,
     blocks: CellBox,
@@ -104,7 +106,7 @@ fn surface_of(
     let mut pages: Vec<_> = cells.cubes(BIN).filter_map(page).collect();
     pages.sort_unstable_by_key(|(info, _)| info.key);
     let dif = DifField::in_memory(BrickSide::Sixteen.into(), pages);
-    // This filter is so narrow that it changes nothing.
+    // Use a Gaussian so narrow that it does not change the samples.
     let filters =
         PaperFilters::new(IndicatorKind::Symmetry, Sigma::new(0.01).unwrap(), Detail::Smoothed);
     let recipe = Recipe::of_paper(filters, iso);
@@ -142,7 +144,8 @@ pub fn the_surface_of_white_noise_over_27_blocks_is_a_closed_manifold(backend: &
 }
 
 pub fn all_pairs_of_adjacent_sign_patterns_give_a_closed_manifold(backend: &TestBackend) {
-    // Two inside values and one outside: 2^12 patterns of 2 x 2 x 3 samples, far apart.
+    // All 2^12 patterns of 2 x 2 x 3 samples, far apart: each sample is inside or outside, and
+    // inside samples have one of two values.
     let pattern = |cell: IVec3| {
         let (group, local) = (cell.div_euclid(IVec3::splat(6)), cell.rem_euclid(IVec3::splat(6)));
         let which = group.x + 16 * (group.y + 16 * group.z);
@@ -164,7 +167,7 @@ pub fn all_pairs_of_adjacent_sign_patterns_give_a_closed_manifold(backend: &Test
     assert_watertight(&mesh, "all patterns");
 }
 
-/// Clouds of particles one unit apart, with this cell size in spacings.
+/// Settings for clouds with spacing 1, with this cell size in spacings.
 fn of_spacings(backend: &TestBackend, cell: f64) -> Sampling {
     let grid = Grid::new(DVec3::ZERO, cell).unwrap();
     Sampling { method: IndicatorKind::Cloud.into(), grid, spacing: Some(1.0), ..backend.sampling() }
@@ -206,7 +209,7 @@ pub fn clouds_keep_drops_and_sheets_whole_without_changing_the_pool(backend: &Te
     }
 }
 
-/// On the CPU only: devices compute the same integers.
+/// This test runs on the CPU only, because devices compute the same integers.
 #[test]
 fn a_lone_particle_has_about_its_volume_for_any_cell_size_and_position() {
     let Ok(backend) = TestBackend::cpu();
@@ -214,7 +217,7 @@ fn a_lone_particle_has_about_its_volume_for_any_cell_size_and_position() {
     for cell in CELLS {
         let (mut least, mut most) = (f64::INFINITY, 0.0_f64);
         for i in 0..18 {
-            // Random positions in a cell, then corners where cells, wide cells and blocks meet.
+            // Use random positions in a cell, and corners where cells, wide cells or blocks meet.
             let particle = match i {
                 0..8 => [(); 3].map(|()| 4.0 * random.unit()),
                 8..16 => [i & 1, i >> 1 & 1, i >> 2 & 1].map(|half| 0.5 * cell * f64::from(half)),
@@ -235,7 +238,7 @@ fn a_lone_particle_has_about_its_volume_for_any_cell_size_and_position() {
     }
 }
 
-/// On the CPU only: devices compute the same integers.
+/// This test runs on the CPU only, because devices compute the same integers.
 #[test]
 fn particles_1_5_spacings_apart_form_one_chain_in_any_direction() {
     let Ok(backend) = TestBackend::cpu();
@@ -282,7 +285,7 @@ pub fn an_air_bubble_of_radius_2_spacings_survives(backend: &TestBackend) {
 }
 
 pub fn air_bubbles_of_radius_2_spacings_survive_deep_in_water(backend: &TestBackend) {
-    // The middle bubble is at a corner of eight bricks of wide cells, the others elsewhere.
+    // 27 bubbles. The central bubble is at a corner where eight bricks of wide cells meet.
     let places = (0..27).map(|i| IVec3::new(i % 3, i / 3 % 3, i / 9));
     let middles: Vec<DVec3> = places.map(|at| 17.0 * (at - 1).as_dvec3()).collect();
     let deep = |p: DVec3| p.abs().max_element() < 26.0;
@@ -340,7 +343,8 @@ pub fn a_tank_in_fine_cells_ends_at_its_walls_for_any_wide_cell_offset(backend: 
             let found = measure(&mesh);
             let ([low, high], volume) = (found.bounds.unwrap(), found.volume.unwrap());
             assert_eq!((low, high[0], high[2]), ((-walls).to_array(), 8.0, 8.0), "{what}");
-            // In wide cells that cross a wall, the outermost fluid is repeated beyond it.
+            // The surface may rise near the walls, because wide cells that cross a wall repeat the
+            // outermost fluid beyond it.
             println!("{what}: {}, up to {}", volume / 2048.0, high[1]);
             assert!(
                 (volume / 2048.0 - 1.0).abs() < 0.02 && high[1] < 0.35,
@@ -350,7 +354,7 @@ pub fn a_tank_in_fine_cells_ends_at_its_walls_for_any_wide_cell_offset(backend: 
     }
 }
 
-/// On the CPU, which also replaces devices without enough memory.
+/// This test runs on the CPU only, which also takes over if a device has too little memory.
 #[test]
 fn scratch_files_do_not_change_the_mesh_in_fine_cells() {
     let Ok(backend) = TestBackend::cpu();
@@ -400,8 +404,8 @@ pub fn splashes_are_watertight_for_all_indicators_filters_and_walls(backend: &Te
 }
 
 pub fn a_half_full_tank_ends_exactly_at_its_walls_and_keeps_its_volume(backend: &TestBackend) {
-    // Walls on cell faces, and walls that cut cells unevenly, where the lattice fills the tank less
-    // exactly.
+    // Test walls on cell faces, and walls that divide cells. The lattice does not fill the second
+    // tank exactly, so the tolerance is larger.
     for (lo, hi, tolerance) in [(-16.0, 16.0, 0.005), (-15.7, 16.4, 0.03)] {
         let (lo, hi) = (DVec3::splat(lo), DVec3::splat(hi));
         for indicator in INDICATORS {
@@ -494,8 +498,8 @@ pub fn a_million_coincident_particles_become_one_drop_or_an_error(backend: &Test
 }
 
 pub fn attributes_are_interpolated_smoothly_for_any_particle_order(backend: &TestBackend) {
-    // A rigid rotation about y, three times as fast as the unit; one particle has no velocity, and
-    // one value is NaN.
+    // The velocities are a rigid rotation about y. One particle has no velocity along y, and one
+    // value is NaN.
     let rotation = |i: usize, [x, _, z]: [f64; 3]| {
         [if i == 18 { f32::NAN } else { 3.0 * z as f32 }, f32::from(i != 17) * 0.5, -3.0 * x as f32]
     };
@@ -506,7 +510,7 @@ pub fn attributes_are_interpolated_smoothly_for_any_particle_order(backend: &Tes
     let [velocity] = &first.mesh.attributes[..] else { panic!("one attribute") };
     assert_eq!(velocity.values.len(), 3 * first.mesh.positions.len());
     for (&[x, _, z], v) in first.mesh.positions.iter().zip(velocity.values.chunks_exact(3)) {
-        // The values come from inside: up to two cells deeper than the vertex.
+        // The values come from particles up to two cells deeper than the vertex.
         assert!((f64::from(v[0]) - 3.0 * z).abs() < 6.0 && (f64::from(v[2]) + 3.0 * x).abs() < 6.0);
         assert!((v[1] - 0.5).abs() < 0.1);
     }

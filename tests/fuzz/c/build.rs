@@ -1,4 +1,5 @@
-//! Builds the random calls of the C interface's own test, driven by the fuzzer's bytes.
+//! Compiles `random.c`, the C interface's test of random calls, so that the fuzzer's bytes drive
+//! it.
 
 fn main() {
     let c = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../src/bindings/c");

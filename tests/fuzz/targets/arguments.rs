@@ -1,4 +1,4 @@
-//! The program's arguments: parsed into a request, which is not run.
+//! Fuzzes the program's arguments: they are parsed into a request, which is not run.
 
 use meniscus::program::{error_message, parsed};
 
@@ -60,13 +60,13 @@ const WORDS: &[&str] = &[
     "-0",
 ];
 
-/// One argument per line.
+/// Parses arguments, one per line.
 fn run(data: &[u8]) {
     let Ok(text) = str::from_utf8(data) else { return };
     let arguments = ["meniscus"].into_iter().chain(text.split('\n'));
     match parsed(arguments.map(Into::into)) {
         Ok(Some((settings, request))) => {
-            // The library checks numbers when the request runs.
+            // The library checks the range of numbers only when the request runs.
             assert_eq!(format!("{:?}", request.settings()), format!("{settings:?}"));
             let opened = request.open("there/is/none.xyz");
             assert!(opened.is_err_and(|error| !error_message(&error).is_empty()));

@@ -1,4 +1,4 @@
-//! A folder for each thread, in which files are written repeatedly.
+//! A temporary folder for each thread, in which targets write files repeatedly.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -9,24 +9,25 @@ thread_local! {
     static FOLDER: TempDir = in_memory().unwrap_or_else(|| tempfile::tempdir().unwrap());
 }
 
-/// A folder in memory, if there is one: truncating and writing a file again is slow on most disks.
+/// Creates a folder in a file system in memory, if there is one. Most disks are slow at truncating
+/// and rewriting files.
 fn in_memory() -> Option<TempDir> {
     tempfile::tempdir_in("/dev/shm").ok()
 }
 
-/// Path of a name in the folder.
+/// The path of a name in this thread's folder.
 pub fn path(name: &str) -> PathBuf {
     FOLDER.with(|folder| folder.path().join(name))
 }
 
-/// Writes a file there.
+/// Writes a file into this thread's folder.
 pub fn file(name: &str, bytes: &[u8]) -> PathBuf {
     let path = path(name);
     fs::write(&path, bytes).unwrap();
     path
 }
 
-/// Makes an empty folder in it.
+/// Makes an empty folder in this thread's folder.
 pub fn empty(name: &str) -> PathBuf {
     let folder = path(name);
     clear(&folder);

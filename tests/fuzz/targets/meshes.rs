@@ -1,4 +1,4 @@
-//! Readers of meshes, and writers with unusual meshes.
+//! Fuzzes the readers of meshes, and the writers with unusual meshes.
 
 use std::io;
 
@@ -11,7 +11,7 @@ use meniscus::mesh::{Mesh, VertexAttribute, check, measure};
 use super::Target;
 use super::particles::VTU;
 
-/// A reader of meshes, by the name of its format.
+/// Defines the target for the reader of a format.
 macro_rules! reader {
     ($name:literal, $format:ident, $runs:literal, $seeds:expr, $words:expr) => {{
         let run = |data: &[u8]| read(MeshFormat::$format, data);
@@ -88,7 +88,7 @@ const NAMES: &[&str] = &["nx", "x", "red", "NORMALS", "end_header", "\"", "&", "
 const OBJ: &[&str] =
     &["v ", "f ", "vn ", "vt ", "//", "-1", "4294967296", "\\\n", "o a\n", "l 1 2\n"];
 
-/// Reads a mesh, which must be valid for any bytes, and the same after it is written and read.
+/// Reads a mesh from any bytes. The mesh must be valid, and writing and reading must not change it.
 fn read(format: MeshFormat, data: &[u8]) {
     let mesh = match format.read(data) {
         Ok(mesh) => mesh,
@@ -104,7 +104,7 @@ fn read(format: MeshFormat, data: &[u8]) {
     assert!(again.triangles == mesh.triangles && bits(&again.positions) == bits(&mesh.positions));
 }
 
-/// Lists the grids of a file, which must be within it.
+/// Lists the grids of a .vdb file. All grids must lie within the file.
 fn grids(data: &[u8]) {
     match read_grids(data.into()) {
         Ok(grids) => assert!(32 * grids.len() <= data.len(), "more grids than bytes"),
@@ -112,7 +112,7 @@ fn grids(data: &[u8]) {
     }
 }
 
-/// A mesh with the lattice of its samples.
+/// A mesh whose source also knows the lattice of its samples, for .vdb files.
 struct OnLattice(Mesh);
 
 impl MeshSource for OnLattice {
@@ -142,19 +142,19 @@ fn bits(positions: &[[f64; 3]]) -> Vec<u64> {
     positions.as_flattened().iter().map(|x| x.to_bits()).collect()
 }
 
-/// Writes a mesh and reads it.
+/// Writes a mesh, and reads it again.
 fn round(format: MeshFormat, mesh: &Mesh) -> Mesh {
     let mut bytes = Vec::new();
     format.write(&mut bytes, mesh, CoordinateWidth::F64).unwrap();
     format.read(&bytes).unwrap_or_else(|fault| panic!("{format}, of our own: {fault}"))
 }
 
-/// Formats that name attributes.
+/// The mesh formats that store the names of attributes.
 const NAMING: [MeshFormat; 4] =
     [MeshFormat::Ply, MeshFormat::Vtk, MeshFormat::Vtp, MeshFormat::VtkHdf];
 
-/// Attributes with any names, as particles may have them, do not change the rest of the mesh. The
-/// first byte selects the format.
+/// Writes and reads a mesh whose attributes have any names. They must not change the rest of the
+/// mesh. The first byte selects the format.
 fn written_and_read(data: &[u8]) {
     let Some((&format, names)) = data.split_first() else { return };
     let format = NAMING[usize::from(format) % NAMING.len()];

@@ -1,7 +1,8 @@
-//! The fuzz targets: a function for each, and small seed files, all generated here.
+//! The fuzz targets: the function of each target, and its small seed files, which are generated.
 //!
-//! A target takes any bytes. It panics if the library panics, or if the library breaks a promise. A
-//! target compresses and checksums its bytes itself, so that mutations get past this.
+//! A target takes any bytes, and panics if the library panics or breaks a guarantee. If a format
+//! has compression or checksums, the target adds them to the mutated bytes, so that the library
+//! accepts them.
 
 mod arguments;
 pub mod folder;
@@ -21,7 +22,7 @@ pub mod build;
 pub struct Target {
     /// The name on the command line.
     pub name: &'static str,
-    /// Number of runs on stable Rust, which should take some tenths of a second.
+    /// Number of runs on stable Rust. All of them together should take less than a second.
     pub runs: u32,
     pub run: fn(&[u8]),
     /// The seeds of mutations.
@@ -44,10 +45,10 @@ pub fn all() -> Vec<Target> {
     all
 }
 
-/// Runs shared work on the calling thread: passing it on takes longer, and a target must be
-/// deterministic.
+/// Makes the library do parallel work on the calling thread, because targets must be deterministic,
+/// and because their work is too small for several threads.
 pub fn on_one_thread() {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).use_current_thread();
-    // Fails if this was called before.
+    // Ignore the error if this function was already called.
     let _ = pool.build_global();
 }

@@ -1,4 +1,4 @@
-//! Patterns of frame names, and the names made from them.
+//! Fuzzes patterns of frame names, and the names made from them.
 
 use std::fs::{self, File};
 use std::path::Path;
@@ -55,14 +55,14 @@ pub fn targets() -> Vec<Target> {
     ]
 }
 
-/// A valid pattern gives each number its own name.
+/// Parses a pattern. A valid pattern must give different numbers different names.
 fn patterns(data: &[u8]) {
     let Ok(text) = str::from_utf8(data) else { return };
     if let Ok(Some(pattern)) = Pattern::parse(Path::new(text)) {
         let paths = [0, 7, 1234, i64::MAX].map(|number| pattern.path(number, &number.to_string()));
         assert!((1..4).all(|i| !paths[..i].contains(&paths[i])), "{paths:?}");
-        // Only an input has pieces. Digits between `%` and `d`, or in `<f>`, are another program's
-        // notation, unless there is a file with this name.
+        // A name from a pattern must not be a pattern itself. Names with `%` or `<` are exempt,
+        // because other programs use them in patterns. `{piece}` is only allowed in inputs.
         let filled = paths[0].to_str().unwrap().replace("{piece}", "0");
         assert!(
             text.contains(['%', '<'])
@@ -73,13 +73,13 @@ fn patterns(data: &[u8]) {
     let _ = Naming::of(Path::new(text));
 }
 
-/// The first line is a request, the others are existing files: each frame has one number and one
-/// output, and frames are in order.
+/// Lists the frames of the pattern in the first line. The other lines name existing files. Each
+/// frame must have one number and one output, and frames must be in order.
 fn frames(data: &[u8]) {
     let Ok(text) = str::from_utf8(data) else { return };
     let mut lines = text.split('\n');
     let request = lines.next().unwrap_or_default();
-    // Only names in the folder.
+    // Ignore requests that could lead out of the folder.
     if request.contains("..")
         || request.contains("**")
         || request.contains('\0')

@@ -1,5 +1,5 @@
-//! Packed frames: with corrected checksums, built from pages that are mutated before packing, and
-//! drawn.
+//! Fuzzes packed frames: their bytes with corrected checksums, frames that are built from mutated
+//! pages, and their surfaces.
 
 use meniscus::internals::grid::CellBox;
 use meniscus::internals::io::mnf::open_frame;
@@ -35,7 +35,7 @@ pub fn targets() -> Vec<Target> {
 }
 
 const HEADER: usize = 16;
-/// The size of the footer without the number of pages and the periodic box.
+/// The size of the footer in bytes, without the number of pages and the periodic box.
 const FACTS: usize = 136;
 const PERIODIC: usize = 56;
 const ENTRY: usize = 44;
@@ -51,7 +51,7 @@ fn u32_at(bytes: &[u8], at: usize) -> Option<u32> {
     Some(u32::from_le_bytes(bytes.get(at..at + 4)?.try_into().unwrap()))
 }
 
-/// The start of a frame's footer, and of its index.
+/// The offsets of a frame's footer and of its index.
 fn layout(bytes: &[u8]) -> Option<(usize, usize)> {
     let tail = bytes.len().checked_sub(TAIL)?;
     let footer = usize::try_from(u64_at(bytes, tail)?)
@@ -62,7 +62,7 @@ fn layout(bytes: &[u8]) -> Option<(usize, usize)> {
     (index <= tail).then_some((footer, index))
 }
 
-/// The same bytes with correct checksums, as far as there is space for them.
+/// Corrects all checksums of a frame that lie within the bytes.
 fn sealed(data: &[u8]) -> Vec<u8> {
     let mut bytes = data.to_vec();
     let Some((footer, index)) = layout(&bytes) else { return bytes };
@@ -87,8 +87,8 @@ fn seal_footer(bytes: &mut [u8], footer: usize) {
     bytes[tail + 8..tail + 12].copy_from_slice(&hasher.finalize().to_le_bytes());
 }
 
-/// A frame from unpacked pages: version, side, footer, and for each page its key, bricks, full
-/// cells, box, and the length and bytes of its planes.
+/// Builds a frame from unpacked bytes: the version, the brick side and the footer, and for each
+/// page its key, bricks, full cells and box, and the length and the bytes of its planes.
 fn built(plain: &[u8]) -> Vec<u8> {
     let mut rest = plain;
     let mut take = |count: usize| {
@@ -137,7 +137,7 @@ fn built(plain: &[u8]) -> Vec<u8> {
     bytes
 }
 
-/// The inverse, for an undamaged frame.
+/// The inverse of [`built`], for an undamaged frame.
 fn unbuilt(frame: &[u8]) -> Vec<u8> {
     let (footer, index) = layout(frame).unwrap();
     let mut plain = vec![frame[8], frame[12]];
@@ -166,7 +166,8 @@ fn open(bytes: &[u8]) {
     }
 }
 
-/// Draws a frame: a frame that opens has a closed, oriented, manifold surface, or gives an error.
+/// Makes the surface of a frame. It must be closed, oriented and manifold, unless there is an
+/// error.
 fn draw(bytes: &[u8]) {
     let path = folder::file("b.mnf", bytes);
     let request = Reconstruction::new().threads(1).scratch(std::env::temp_dir());
@@ -183,7 +184,8 @@ fn draw(bytes: &[u8]) {
     }
 }
 
-/// Small frames of every indicator, between walls, in a periodic box, and of the first version.
+/// Small seed frames: of every indicator, with walls, with a periodic box, and of the first
+/// version.
 fn frames() -> Vec<Vec<u8>> {
     let particles: Vec<[f64; 3]> =
         (0..20_u32).map(|i| [i % 3, i / 3 % 3, i / 9].map(|c| f64::from(c) * 0.9 + 0.3)).collect();

@@ -1,4 +1,4 @@
-//! Readers of particles.
+//! Fuzzes the readers of particles.
 
 use std::path::Path;
 
@@ -297,7 +297,7 @@ const HDF5: &[&str] = &[
     "Step#1",
 ];
 
-/// Memory without a limit.
+/// Unpacks files in memory, without a limit.
 pub fn memory() -> Unpacking<'static> {
     Unpacking::in_memory()
 }
@@ -306,7 +306,7 @@ pub fn own(data: &[u8]) -> Bytes {
     data.to_vec().into()
 }
 
-/// Reads every number of a file: the same for all ranges.
+/// Reads all numbers of a file, in several ranges. Every range must give the same numbers.
 pub fn read_through(read: Result<ParticleFile, ReadFault>) {
     let file = match read {
         Ok(file) => file,
@@ -366,7 +366,7 @@ fn run_vtu(data: &[u8]) {
     let _ = (vtp::has_faces(data.into()), vtp::is_text(data.into()));
 }
 
-/// The first byte selects the step and the type of particles.
+/// Reads an HDF5 file. The first byte selects the step and the type of particles.
 fn run_hdf5(data: &[u8]) {
     let Some((choice, data)) = data.split_first() else { return };
     let step = u64::from(choice & 3).checked_sub(1);
@@ -490,7 +490,7 @@ pub fn vtus() -> Vec<Vec<u8>> {
 }
 
 fn hdf5s() -> Vec<Vec<u8>> {
-    // Files made by `tools/interop`.
+    // Seeds that other programs wrote, by the scripts in `tools/interop`.
     let files: [(u8, &[u8]); 14] = [
         (0, include_bytes!("../../data/h5/columns.h5")),
         (1, include_bytes!("../../data/h5/groups.h5")),

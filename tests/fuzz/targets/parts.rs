@@ -1,4 +1,4 @@
-//! Frames in parts: damaged files of parts, and random particles in random parts.
+//! Fuzzes frames in parts: damaged files of a plan and its parts, and random particles in parts.
 
 use std::fs;
 use std::path::PathBuf;
@@ -31,7 +31,7 @@ fn asked() -> Reconstruction {
     Reconstruction::new().spacing(1.0).cell(1.0).threads(1)
 }
 
-/// Names of the files of a plan and its parts.
+/// The names of the files of a plan and its two parts.
 const NAMES: [&str; 3] = ["plan.json", "part_0", "part_1"];
 
 fn parts() -> (Parts, PathBuf) {
@@ -39,7 +39,7 @@ fn parts() -> (Parts, PathBuf) {
     (asked().parts(input, output, 2), folder::path("out.ply.meniscus-parts"))
 }
 
-/// A frame in two parts.
+/// A frame in two parts, and its mesh.
 struct Whole {
     files: [Vec<u8>; 3],
     positions: Vec<[f64; 3]>,
@@ -54,7 +54,7 @@ fn whole() -> &'static Whole {
     })
 }
 
-/// A plan and its parts, in this thread's folder.
+/// Writes an undamaged plan and its parts into this thread's folder.
 fn fresh() -> (Parts, PathBuf) {
     let particles: Vec<[f64; 3]> = (0..30_u32)
         .map(|i| [i % 3, i / 3 % 3, 20 * (i / 15)].map(|c| f64::from(c) * 0.8))
@@ -67,8 +67,9 @@ fn fresh() -> (Parts, PathBuf) {
     (parts, files)
 }
 
-/// The first byte selects which file is replaced by the rest, and whether a part's checksum is
-/// corrected. The content of such a part is trusted, except for its lists.
+/// Replaces one of the files by the bytes, and merges the parts. The first byte selects the file,
+/// and whether the checksum of a part is corrected. With a correct checksum, the library trusts a
+/// part's content except its lists.
 fn damaged(data: &[u8]) {
     let Some((choice, data)) = data.split_first() else { return };
     thread_local! {
@@ -86,7 +87,7 @@ fn damaged(data: &[u8]) {
     }
     fs::write(folder.join(NAMES[which]), &bytes).unwrap();
     match parts.merge() {
-        // A correct checksum makes it valid.
+        // Only a corrected checksum allows another mesh.
         Ok(surface) => {
             let mesh = surface.to_mesh();
             if choice & 4 == 0 {
@@ -105,7 +106,7 @@ fn seeds() -> Vec<Vec<u8>> {
         .to_vec()
 }
 
-/// Random particles in several parts have the same surface as in one.
+/// Meshes random particles in several parts. The surface must be the same as that of a single run.
 fn merged(data: &[u8]) {
     let Some(([count, scale], data)) = data.split_first_chunk::<2>() else { return };
     let scale = [0.02, 0.1, 1.0, 40.0][usize::from(scale & 3)];

@@ -1,5 +1,4 @@
-//! The files next to the meshes of a conversion: damaged states and records; and scenes beside
-//! particles.
+//! Fuzzes the state and the records of a conversion, and scene files next to particles.
 
 use std::fs;
 
@@ -59,8 +58,8 @@ const RECORD: &[&str] = &[
     "null",
 ];
 
-/// Logs of several processes, divided by a byte that does not occur in text. Merging damaged logs
-/// loses no valid record.
+/// Merges the record files of several processes. A byte that does not occur in text separates them.
+/// No valid record of a damaged file may be lost.
 fn records(data: &[u8]) {
     let folder = folder::empty("out.ply.meniscus");
     let log = |number: usize| {
@@ -84,7 +83,7 @@ fn records(data: &[u8]) {
     }
 }
 
-/// A state that can be read is unchanged after it is written and read again.
+/// Reads a state. If it is valid, writing and reading it must not change it.
 fn state(data: &[u8]) {
     folder::empty("out.ply.meniscus");
     let store = StateFolder::beside(&folder::path("out.ply"));
@@ -102,7 +101,7 @@ fn state(data: &[u8]) {
     }
 }
 
-/// For any file next to the particles, the spacing is a valid length or unknown.
+/// Reads the spacing from a scene file. It must be a valid length, or unknown.
 fn scene(name: &str, data: &[u8]) {
     let folder = folder::empty("scene");
     fs::write(folder.join(name), data).unwrap();

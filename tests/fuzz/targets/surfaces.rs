@@ -1,4 +1,4 @@
-//! Random fields: their surface, and the simplified surface.
+//! Fuzzes meshing and simplification with random fields.
 
 use glam::{DVec3, IVec3};
 use meniscus::internals::backend::{Cpu, Executor, Surfaces};
@@ -29,17 +29,17 @@ pub fn targets() -> Vec<Target> {
     vec![Target { name: "fields", runs: 300, run, seeds, words: &[] }]
 }
 
-/// Edge of the cube of samples.
+/// The number of samples along the edge of the cube that the bytes fill.
 const EDGE: i32 = 9;
 
-/// The bytes are isovalue, tolerance, position of the samples among bins and blocks, and the
-/// samples.
+/// Meshes and simplifies a field. The bytes are the isovalue, the tolerance, the position of the
+/// samples, the options that remove components and drops, and the samples.
 fn run(data: &[u8]) {
     let Some(([iso, tolerance, place, drops], samples)) = data.split_first_chunk::<4>() else {
         return;
     };
     let Ok(iso) = Isovalue::new((f64::from(*iso) + 0.5) / 256.0) else { return };
-    // Within a block, and across the corner where eight blocks and bins meet.
+    // Place the samples within a block, or across the corner where eight blocks or bins meet.
     let lowest = IVec3::splat([0, -EDGE / 2, BIN - 3, 32 - EDGE / 2][usize::from(place & 3)]);
     let sample = |cell: IVec3| {
         let local = cell - lowest;
@@ -89,7 +89,7 @@ fn surface_of(lowest: IVec3, iso: Isovalue, sample: impl Fn(IVec3) -> u16) -> St
     let mut pages: Vec<_> = bins.cubes(1).filter_map(page).collect();
     pages.sort_unstable_by_key(|(info, _)| info.key);
     let dif = DifField::in_memory(BrickSide::Sixteen.into(), pages);
-    // This filter is so narrow that it changes nothing.
+    // Use a Gaussian so narrow that it does not change the samples.
     let filters =
         PaperFilters::new(IndicatorKind::Symmetry, Sigma::new(0.01).unwrap(), Detail::Smoothed);
     let recipe = Recipe::of_paper(filters, iso);

@@ -1,4 +1,4 @@
-//! Compressed or checksummed files around mutated bytes.
+//! Fuzzes compressed and checksummed files, which are made around mutated bytes.
 
 use std::path::Path;
 
@@ -11,7 +11,7 @@ use super::build::{self, gzip, xz};
 use super::particles::{self, NPY, memory, own, read_through};
 use super::{Target, folder, meshes};
 
-/// Compresses bytes.
+/// A function that compresses bytes.
 type Pack = dyn Fn(&[u8]) -> Vec<u8>;
 type PackBlock = fn(&[u8]) -> Vec<u8>;
 
@@ -31,14 +31,15 @@ pub fn targets() -> Vec<Target> {
     ]
 }
 
-/// The first byte selects the content, and whether all of it or the packed bytes are damaged.
+/// Reads gzip files. The first byte selects the format of the content, and whether the content or
+/// the compressed stream is damaged.
 fn run_gzip(data: &[u8]) {
     let Some((choice, data)) = data.split_first() else { return };
     let name =
         ["a.bgeo", "a.xyz", "a.npy.gz", "a.ply", "a.csv.gz", "a.bi4"][usize::from(choice & 7) % 6];
     let packed = match choice >> 3 & 3 {
         0 => [gzip(data), gzip(data)].concat(),
-        // A stream with any end.
+        // A compressed stream without its last bytes.
         1 => {
             let mut packed = gzip(data);
             let end = packed.len() - usize::from(choice >> 5);
@@ -64,7 +65,8 @@ fn gzips() -> Vec<Vec<u8>> {
     wrapped.chain([packed]).collect()
 }
 
-/// The first byte selects the compression, and whether damage occurs before or after it.
+/// Reads xz and zstd files. The first byte selects the compression, and whether the mutated bytes
+/// are the content or the compressed bytes.
 fn run_streams(data: &[u8]) {
     let Some((choice, data)) = data.split_first() else { return };
     let zstd = |data: &[u8]| zstd::encode_all(data, 1).unwrap();
@@ -75,7 +77,7 @@ fn run_streams(data: &[u8]) {
     let packed = match choice >> 1 & 3 {
         0 => pack(data),
         1 => [pack(data), pack(data)].concat(),
-        // A stream with any end.
+        // A compressed stream without its last bytes.
         2 => {
             let mut packed = pack(data);
             packed.truncate(packed.len().saturating_sub(usize::from(choice >> 3)));
@@ -99,7 +101,8 @@ fn streams() -> Vec<Vec<u8>> {
     ]
 }
 
-/// Arrays, each after its length in two bytes, in an archive with correct checksums.
+/// Reads an .npz archive with correct checksums. In the bytes, each array follows its length in two
+/// bytes.
 fn run_npz(data: &[u8]) {
     let Some((choice, mut data)) = data.split_first() else { return };
     let mut arrays = Vec::new();
@@ -121,7 +124,7 @@ fn arrays() -> Vec<Vec<u8>> {
     arrays.chunks(2).map(pair).collect()
 }
 
-/// Blocks of zlib, LZ4 or LZMA, with lengths from the first bytes.
+/// Reads a VTK file with blocks of zlib, LZ4 or LZMA. The first bytes define the lengths of blocks.
 fn run_blocks(data: &[u8]) {
     let Some((head, data)) = data.split_first_chunk::<8>() else { return };
     let [kind, points, block, last, count, ..] = *head;
@@ -137,7 +140,7 @@ fn run_blocks(data: &[u8]) {
     let whole: Vec<Vec<u8>> = data.chunks(block).map(pack).collect();
     let mut lengths = vec![whole.len() as u32, block as u32, (data.len() % block) as u32];
     lengths.extend(whole.iter().map(|block| block.len() as u32));
-    // Correct except for these bytes.
+    // All lengths are correct, except the one that `count` selects.
     if count != 0 {
         let at = usize::from(count) % lengths.len();
         lengths[at] = lengths[at].wrapping_add(u32::from(last)).wrapping_sub(128);
@@ -181,7 +184,8 @@ fn blocks() -> Vec<Vec<u8>> {
     .to_vec()
 }
 
-/// `info` of files, which are mapped here as in the program; the first byte selects the extension.
+/// Runs `info` on a file, which the library maps as in the program. The first byte selects the
+/// extension.
 fn run_info(data: &[u8]) {
     let Some((choice, data)) = data.split_first() else { return };
     let names = [

@@ -1,5 +1,5 @@
-//! Builders of Houdini geometries since version 12: a tree of JSON, in text or binary, plain or in
-//! a container.
+//! Builds geometry files of Houdini 12 and later: a tree of JSON in text or binary form, which may
+//! be in a compressed container.
 
 use std::collections::HashMap;
 
@@ -34,17 +34,18 @@ impl Form {
     ];
 }
 
-/// An arrangement of an attribute's numbers.
+/// An arrangement of an attribute's numbers in the file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Layout {
     Tuples,
     Arrays,
-    /// Pages of this many points, with their numbers in groups; pages of equal numbers are
-    /// constant.
+    /// Pages of this many points, whose components are in groups of these sizes. A page of equal
+    /// numbers is stored as a constant.
     Pages(usize, Vec<usize>),
 }
 
-/// Storage types with the bytes of a number, and its type in binary.
+/// The storage types, each with the size of a number in bytes, and the number's type in binary
+/// JSON.
 pub const STORAGES: [(&str, usize, u8); 9] = [
     ("fpreal16", 2, 0x18),
     ("fpreal32", 4, 0x19),
@@ -61,12 +62,12 @@ pub fn text(text: &str) -> Value {
     Value::Text(text.to_owned())
 }
 
-/// Keys and values, in a list.
+/// A list in which keys and values alternate.
 pub fn keyed(entries: Vec<(&str, Value)>) -> Value {
     Value::List(entries.into_iter().flat_map(|(key, value)| [text(key), value]).collect())
 }
 
-/// The values of `size` numbers for each point.
+/// The values of an attribute with `size` numbers for each point.
 pub fn values(storage: &'static str, size: usize, numbers: &[f64], layout: &Layout) -> Value {
     let mut entries = vec![("size", Value::Integer(size as i64)), ("storage", text(storage))];
     let list = |numbers: Vec<f64>| Value::Numbers(storage, numbers);
@@ -130,7 +131,7 @@ pub fn numeric(
     Value::List(vec![definition(name, "numeric"), data])
 }
 
-/// A string attribute of points by indices into `texts`, where -1 means no string.
+/// A string attribute of points. `numbers` are indices into `texts`, and -1 means no string.
 pub fn strings(name: &str, texts: &[&str], numbers: &[f64], layout: &Layout) -> Value {
     let data = keyed(vec![
         ("size", Value::Integer(1)),
@@ -156,7 +157,8 @@ pub fn cloud(points: usize, attributes: Vec<Value>) -> Value {
     geometry(points, attributes, &[], Vec::new())
 }
 
-/// A geometry with primitives, each with a kind and data, and the point of every vertex.
+/// A geometry with primitives. `vertices` has the point of every vertex, and each primitive has a
+/// kind and data.
 pub fn geometry(
     points: usize,
     attributes: Vec<Value>,
@@ -178,7 +180,7 @@ pub fn geometry(
 }
 
 impl Value {
-    /// The bytes of a document.
+    /// The bytes of a document with this value.
     pub fn document(&self, form: Form) -> Vec<u8> {
         let Form::Binary { big, tokens } = form else {
             let mut out = String::new();
@@ -330,7 +332,7 @@ impl Binary {
     }
 }
 
-/// Half precision of a number that it represents exactly, without subnormal numbers.
+/// Converts a number to half precision, which must represent it exactly as a normal number.
 fn half(number: f64) -> u16 {
     if number == 0.0 {
         return 0;
@@ -364,7 +366,7 @@ pub struct Container {
     pub codec: Codec,
     pub shuffle: Shuffle,
     pub type_size: usize,
-    /// Bytes of a chunk and of a block, unpacked.
+    /// The uncompressed sizes of a chunk and of a block in bytes.
     pub chunk: usize,
     pub block: usize,
     /// Whether each block is compressed as several streams, one for each byte of its numbers.
@@ -387,7 +389,7 @@ impl Container {
         out.extend(0_u64.to_be_bytes());
         let start = out.len();
         let (mut index, mut last) = (Vec::new(), 0);
-        // Empty data has no chunk.
+        // If there are no data, there are no chunks.
         let chunks: Vec<&[u8]> = match bytes {
             [] => vec![&[]],
             _ => bytes.chunks(self.chunk).collect(),

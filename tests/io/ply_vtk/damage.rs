@@ -1,4 +1,4 @@
-//! Damaged and inconsistent .ply and .vtk files.
+//! Tests of damaged and inconsistent .ply and .vtk files.
 
 use std::io::Write;
 
@@ -12,7 +12,7 @@ use super::{
     toolkit,
 };
 
-/// Reads with all three readers, and compares reading by position with reading in memory.
+/// Reads a file with all three readers, and compares reading from disk with reading from memory.
 fn read_all(format: Format, bytes: &[u8]) -> [Result<(), ReadFault>; 3] {
     let numbers = |file: ParticleFile| (positions(&file), attributes(&file));
     let particles = format.particles(bytes).map(numbers);
@@ -52,7 +52,8 @@ fn a_truncated_ply_is_refused_at_every_length() {
     }
 }
 
-/// Six points, some with flagged vertices, of both kinds of data sets and cells.
+/// Files with six points, some of whose vertices are flagged, with all kinds of data sets and
+/// cells.
 fn with_ghosts(ascii: bool) -> Vec<VtkBuilder> {
     let file = |version: &str, types: Option<&[f64]>| {
         let corners = [5., 4., 3., 2., 1., 0.];

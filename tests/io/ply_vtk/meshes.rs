@@ -1,4 +1,4 @@
-//! Meshes in .ply and legacy .vtk files, read and written.
+//! Tests of reading and writing meshes as .ply and legacy .vtk files.
 
 use meniscus::internals::io::{CoordinateWidth, ReadFault, ply, vtk};
 use meniscus::internals::particles::Particles;

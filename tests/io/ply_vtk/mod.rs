@@ -1,4 +1,4 @@
-//! Tests of .ply and legacy .vtk in both directions, and builders of such files.
+//! Tests of reading and writing .ply and legacy .vtk files, and builders of such files.
 
 mod damage;
 mod meshes;
@@ -62,7 +62,7 @@ fn attributes(file: &ParticleFile) -> Vec<(String, usize, Vec<f32>)> {
         .collect()
 }
 
-/// A number in the format's type with this name, little-endian.
+/// The little-endian bytes of a number, in the type that the format calls `kind`.
 fn stored(kind: &str, value: f64) -> Vec<u8> {
     match kind {
         "char" | "int8" | "signed_char" => (value as i8).to_le_bytes().to_vec(),
@@ -87,7 +87,8 @@ fn stored_big(kind: &str, value: f64) -> Vec<u8> {
 
 const ENCODINGS: [&str; 3] = ["ascii", "binary_little_endian", "binary_big_endian"];
 
-/// Data of a .ply file in one of [`ENCODINGS`], after a header given without its first two lines.
+/// Builds a .ply file in one of [`ENCODINGS`]. The caller gives the header without its first two
+/// lines.
 struct PlyBuilder {
     encoding: &'static str,
     bytes: Vec<u8>,
@@ -165,7 +166,7 @@ impl VtkBuilder {
         self
     }
 
-    /// Marks the file so far as complete, with or without the last line's end, unless that is a
+    /// Marks the file so far as complete. The last line break is optional, unless it ends a
     /// required empty line.
     fn end(mut self) -> Self {
         let length = self.bytes.len();
@@ -182,7 +183,7 @@ const TWO: [f64; 6] = [0.5, 1.0, -2.0, 1e-3, 4.5, 7.0];
 
 const TWO_POSITIONS: [[f64; 3]; 2] = [[0.5, 1.0, -2.0], [1e-3, 4.5, 7.0]];
 
-/// A file of the SPH library that writes `id`, `velocity` and `density`.
+/// A file as SPlisHSPlasH writes it, with `id`, `velocity` and `density`.
 fn splish(ascii: bool) -> VtkBuilder {
     VtkBuilder::new("4.1", ascii, "UNSTRUCTURED_GRID")
         .line("POINTS 2 double")
@@ -207,7 +208,7 @@ fn splish(ascii: bool) -> VtkBuilder {
         .end()
 }
 
-/// A file of the GPU SPH program that omits the number of components of SCALARS.
+/// A file as DualSPHysics writes it, without the number of components of SCALARS.
 fn dual(ascii: bool) -> VtkBuilder {
     VtkBuilder::new("3.0", ascii, "POLYDATA")
         .line("POINTS 2 double")
@@ -230,7 +231,7 @@ fn dual(ascii: bool) -> VtkBuilder {
         .end()
 }
 
-/// A file in the toolkit's version 5.1, with everything that may occur around the attributes.
+/// A file in VTK's version 5.1, with all sections that may occur before and after the attributes.
 fn toolkit(ascii: bool) -> VtkBuilder {
     let file = VtkBuilder::new("5.1", ascii, "UNSTRUCTURED_GRID")
         .line("FIELD FieldData 3")

@@ -1,10 +1,10 @@
-//! Encoding in parallel writes the pieces of a long file in order.
+//! Tests that parallel encoding writes the pieces of a long file in order.
 
 use std::io::{self, Write};
 
 use meniscus::internals::io::encode::write_pieces;
 
-/// The number of numbers in a piece, 0 for some.
+/// How many numbers a piece has; some pieces are empty.
 fn length(piece: usize) -> usize {
     piece * 7919 % 4096 / 16 * 16
 }

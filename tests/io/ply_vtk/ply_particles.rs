@@ -1,4 +1,4 @@
-//! Particles from .ply files.
+//! Tests of reading particles from .ply files.
 
 use meniscus::internals::io::{ReadFault, ply};
 use meniscus::internals::particles::{

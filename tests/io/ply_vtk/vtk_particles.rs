@@ -1,4 +1,4 @@
-//! Particles from legacy .vtk files.
+//! Tests of reading particles from legacy .vtk files.
 
 use std::path::Path;
 
@@ -140,13 +140,13 @@ fn a_splishsplash_vtk_frame_matches_the_values_of_its_simulation() {
     let mut ids = attribute(&file, "id");
     ids.sort_by(f32::total_cmp);
     assert!(ids.windows(2).all(|pair| pair[0] < pair[1]), "an id occurs twice");
-    // The exporter writes its first field under a wrong name.
+    // Because of a bug, the exporter writes the density also under the name "pressure".
     assert_eq!(attribute(&file, "pressure"), attribute(&file, "density"));
     assert_eq!(file.particles.attributes().len(), 4);
 }
 
-/// Points along x, with a vertex for each of `corners`, their types in an unstructured grid, and
-/// the lines under `CELL_DATA`.
+/// A file with points along x and a vertex for each of `corners`. In an unstructured grid, vertices
+/// have these types. `data` adds the lines after `CELL_DATA`.
 pub(super) fn flagged(
     ascii: bool,
     version: &str,
@@ -181,14 +181,14 @@ pub(super) fn flagged(
     data(file.end().line(&format!("CELL_DATA {cells}")).end()).end()
 }
 
-/// Flags as the toolkit writes them.
+/// Adds flags of cells, as VTK writes them.
 pub(super) fn field(file: VtkBuilder, name: &str, flags: &[f64]) -> VtkBuilder {
     let file =
         file.line("FIELD FieldData 1").line(&format!("{name} 1 {} unsigned_char", flags.len()));
     file.data("unsigned_char", flags)
 }
 
-/// Numbers of the remaining points.
+/// The numbers of the points that are no ghosts.
 fn left(bytes: &[u8]) -> Vec<usize> {
     let file = VTK.particles(bytes).expect("particles");
     positions(&file).iter().map(|position| position[0] as usize).collect()
@@ -220,13 +220,13 @@ fn points_whose_vertices_are_all_ghosts_are_omitted() {
                     "{version}, ascii {ascii}: {name} {flags:?}"
                 );
             }
-            // A point with a second vertex stays, and so does a point without a vertex.
+            // A point with an unflagged second vertex is no ghost, and neither is one without
+            // vertices.
             assert_eq!(
                 read(&[0., 0., 1., 2., 2.], "vtkGhostType", &[1., 0., 1., 1., 1.]),
                 [0, 3, 4, 5]
             );
-            // A single attribute as scalars, and values that are not one integer each and so are
-            // not flags.
+            // Flags may also be SCALARS. Only single integers are flags, not floats or pairs.
             for (kind, components, expected) in
                 [("int", 1, &[1, 3, 4][..]), ("float", 1, &all), ("int", 2, &all)]
             {

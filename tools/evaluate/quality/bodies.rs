@@ -1,5 +1,5 @@
-//! Bodies filled with particles: distances between the surfaces and the bodies, and the volume
-//! inside.
+//! Compares methods on bodies filled with particles: the distances between the surfaces and the
+//! bodies, and the enclosed volumes.
 
 use std::collections::HashSet;
 use std::path::PathBuf;
@@ -20,26 +20,28 @@ use crate::{Options, Outcome};
 
 pub const JITTER: f64 = 0.3;
 const SAMPLINGS: [(&str, f64); 2] = [("regular", 0.0), ("jittered", JITTER)];
-/// First number of the lattices on which isovalues are chosen; reported lattices have lower ones.
+/// Isovalues are chosen on lattices with numbers from here on. Results come from lattices with
+/// lower numbers.
 const CHOOSING: usize = 100;
 /// Radius and number of the balls whose volume is measured.
 const RADIUS: f64 = 5.0;
 const BALLS: usize = 8;
 
-/// A rotated lattice.
+/// The lattice with this number, which determines its rotation, position and jitter.
 pub fn lattice(number: usize, jitter: f64) -> Lattice {
     let axis = (place(number) - 0.5).normalize();
     let turn = DQuat::from_axis_angle(axis, 1.0 + number as f64);
     Lattice { shift: place(number), turn, jitter, inset: 0.0, seed: number as u64 }
 }
 
-/// The mean distance, averaged over both directions, and the maximum distance.
+/// The mean distance between two meshes, averaged over both directions, and the Hausdorff distance.
 fn distances(truth: &Mesh, mesh: &Mesh) -> Outcome<[f64; 2]> {
     let found = compare(truth, mesh)?;
     Ok([(found.from_mesh.mean + found.from_reference.mean) / 2.0, found.hausdorff])
 }
 
-/// Every program with its documented settings, and with its best isovalue if that differs.
+/// The methods to compare: every program with its documented settings, and again with its best
+/// isovalue if this differs from the documented one.
 pub fn methods(options: &Options, programs: &[Program]) -> Outcome<Vec<Method>> {
     let particles = options.choose(8_000, 2_000);
     let solids = [
@@ -104,7 +106,8 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
     let mut lines = Vec::new();
     for (number, solid) in solids.iter().enumerate() {
         for (sampling, jitter) in SAMPLINGS {
-            // The comparison takes most of the time.
+            // Use small cells only for jittered small bodies, because comparing fine meshes is
+            // slow.
             let cells = if jitter > 0.0 && solid.volume == few as f64 {
                 &[None, Some(0.5)][..]
             } else {
@@ -148,7 +151,7 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
         .table("balls of radius 5: the mesh's volume over theirs, mean of 8 lattices", lines.into())
 }
 
-/// Several bodies side by side, each on its own lattice.
+/// The particles of several balls side by side, each on a different lattice.
 fn balls(ball: &Solid, jitter: f64) -> Points {
     let of = |number: usize| {
         let by = DVec3::X * (6.0 * RADIUS * number as f64);
@@ -157,7 +160,7 @@ fn balls(ball: &Solid, jitter: f64) -> Points {
     (0..BALLS).flat_map(of).collect()
 }
 
-/// A ball of triangles with a spike on each, of `height` radii.
+/// A coarse ball with a spike on each triangle. The tips are `height` radii from the centre.
 fn star(height: f64) -> Mesh {
     let mut star = sphere(1.0, 1);
     let triangles = std::mem::take(&mut star.triangles);
@@ -170,7 +173,7 @@ fn star(height: f64) -> Mesh {
     star
 }
 
-/// A corner filled with cubes, `count` of them along each axis.
+/// A staircase in all three directions: unit cubes in a corner, `count` of them along each axis.
 fn steps(count: i32) -> Mesh {
     let range = || 0..count;
     let cubes: HashSet<IVec3> = range()

@@ -1,5 +1,5 @@
-//! Sheets and chains next to a bulk, drops and bubbles: how much of them the surface keeps, and in
-//! how many components.
+//! Compares methods on sheets and chains next to a bulk, on drops and on bubbles: how much of them
+//! the surface keeps, and in how many components.
 
 use glam::{DVec2, DVec3, IVec3};
 use meniscus::internals::surface::mesh::Mesh;
@@ -13,9 +13,9 @@ use crate::scene::Random;
 use crate::tables::mean;
 use crate::{Options, Outcome};
 
-/// From fine to coarse.
+/// Cell sizes in spacings, from fine to coarse.
 pub const CELLS: [f64; 4] = [0.25, 0.333, 0.5, 0.667];
-/// Distance between objects above a bulk.
+/// Vertical distance between objects above a bulk, in spacings.
 const STOREY: f64 = 12.0;
 const SHEETS: [(&str, i32, f64); 4] = [
     ("1 layer", 1, 1.0),
@@ -23,22 +23,22 @@ const SHEETS: [(&str, i32, f64); 4] = [
     ("1 layer, stretched 1.3 times", 1, 1.3),
     ("2 layers, stretched 1.3 times", 2, 1.3),
 ];
-/// Edge length of a sheet.
+/// Number of particles along the edges of a sheet.
 const WIDTH: i32 = 40;
-/// Gaps between the particles of a chain.
+/// Distances between the particles of a chain, in spacings.
 const GAPS: [f64; 3] = [1.0, 1.25, 1.5];
-/// Number of chains per gap, their distance, and their number of particles.
+/// Number of chains per gap, the distance between chains, and the number of particles of a chain.
 const CHAINS: usize = 6;
 const APART: f64 = 8.0;
 const LINKS: usize = 8;
-/// Number of drops of each size along both axes, and their distance.
+/// Number of drops of each size along each of two axes, and the distance between drops.
 const DROPS: usize = 7;
 const STEP: f64 = 10.0;
 const SIZES: [IVec3; 3] = [IVec3::ONE, IVec3::new(2, 1, 1), IVec3::splat(2)];
 /// Radii of air bubbles, and the number of each.
 const AIR: [f64; 2] = [2.0, 3.0];
 const BALLS: usize = 4;
-/// Edge length of a disordered bulk.
+/// Number of particles along the edges of a bulk.
 const EDGE: i32 = 24;
 
 pub fn run(options: &Options, board: &Board) -> Outcome<()> {
@@ -170,7 +170,7 @@ fn sheet_texts(mesh: &Mesh, number: usize, &(_, layers, _): &(&str, i32, f64)) -
     [format!("{}, {}", found.len(), handles(&sheet)), format!("{volume:.2}")]
 }
 
-/// The base of a chain, on top of the bulk.
+/// The position of a chain's base, on top of the bulk.
 fn foot(gap: usize, chain: usize) -> DVec3 {
     let off = place(CHAINS * gap + chain);
     APART * DVec3::new(1.0 + chain as f64, 0.0, 1.0 + gap as f64) + DVec3::new(off.x, -0.5, off.z)
@@ -192,8 +192,8 @@ fn chains() -> Points {
     particles
 }
 
-/// Number of components near a chain that are higher than the bulk, and number of its particles
-/// that are inside.
+/// Means over the chains with a gap: the number of components near a chain and above the bulk, and
+/// the share of its particles that are inside the surface.
 fn chain_texts(mesh: &Mesh, gap: usize) -> [String; 2] {
     let (found, of_vertices) = components(mesh);
     let of = |chain: usize| {
@@ -228,7 +228,7 @@ fn chain_texts(mesh: &Mesh, gap: usize) -> [String; 2] {
     [0, 1].map(|n| format!("{:.2}", mean(of.iter().map(|figures| figures[n]))))
 }
 
-/// Approximate position of a drop.
+/// The approximate position of a drop, by the index of its size and its number.
 fn drop_place(size: usize, number: usize) -> DVec3 {
     STEP * DVec3::new((number % DROPS) as f64, 1.0 + size as f64, (number / DROPS) as f64)
 }
@@ -263,7 +263,7 @@ fn drop_text(found: &[Component], size: usize) -> String {
     format!("{kept}; {least:.2}, {:.2}, {greatest:.2}", mean(volumes()))
 }
 
-/// The centre of an air bubble.
+/// The centre of an air bubble, by the index of its radius and its number.
 fn air_place(radius: usize, ball: usize) -> DVec3 {
     DVec3::new(8.0 + 12.0 * ball as f64, 10.0, 8.0 + 12.0 * radius as f64)
         + place(BALLS * radius + ball)
@@ -294,7 +294,7 @@ fn air_text(found: &[Component], radius: usize) -> String {
     format!("{kept}, {:.2}", mean(volumes.iter().map(|volume| volume / truth)))
 }
 
-/// Side by side: a slightly disordered bulk, and a random one.
+/// Two bulks side by side: one strongly jittered, one with random positions.
 fn disorder() -> Points {
     let mut random = Random::new(15);
     let mut particles = cuboid(IVec3::ZERO, IVec3::splat(EDGE), 0.5, &mut random);

@@ -5,10 +5,10 @@ use meniscus::internals::surface::mesh::Mesh;
 use meniscus::internals::surface::mesh::measure::measure;
 use petgraph::unionfind::UnionFind;
 
-/// A set of triangles that share vertices.
+/// A connected component: triangles that are connected through shared vertices.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Component {
-    /// Negative for a bubble.
+    /// The enclosed volume; negative for a bubble, whose triangles face inwards.
     pub volume: f64,
     pub lo: DVec3,
     pub hi: DVec3,
@@ -20,7 +20,7 @@ impl Component {
     }
 }
 
-/// The components, and the component of each vertex; none for unused vertices.
+/// Finds the components, and the index of each vertex's component; `None` for unused vertices.
 pub fn components(mesh: &Mesh) -> (Vec<Component>, Vec<Option<usize>>) {
     let mut joined = UnionFind::<u32>::new(mesh.positions.len());
     for &[a, b, c] in &mesh.triangles {
@@ -40,7 +40,7 @@ pub fn components(mesh: &Mesh) -> (Vec<Component>, Vec<Option<usize>>) {
             components.len() - 1
         });
         let component: &mut Component = &mut components[number];
-        // Relative to a corner of the component, for precision.
+        // Sum volumes relative to a vertex of the component, which is more precise.
         let origin = DVec3::from(mesh.positions[roots[triangle[0] as usize] as usize]);
         let [a, b, c] = triangle.map(|vertex| DVec3::from(mesh.positions[vertex as usize]));
         component.volume += (a - origin).dot((b - origin).cross(c - origin)) / 6.0;
@@ -51,13 +51,13 @@ pub fn components(mesh: &Mesh) -> (Vec<Component>, Vec<Option<usize>>) {
     (components, of_vertices)
 }
 
-/// Number of handles of all components: of holes through a sheet.
+/// The number of handles of all components. A hole through a sheet is a handle.
 pub fn handles(mesh: &Mesh) -> i64 {
     let measures = measure(mesh);
     measures.components as i64 - measures.euler_characteristic.div_euclid(2)
 }
 
-/// Numbers of pieces and bubbles, and volume of a mesh.
+/// The number of pieces, the number of bubbles, and the volume of a mesh.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Count {
     pub components: usize,

@@ -1,4 +1,5 @@
-//! Frames of simulations: roughness of calm water, number of components, and volume.
+//! Compares methods on frames of simulations: the roughness of calm water, the number of
+//! components, and the volume.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -18,25 +19,25 @@ use super::lines::{Board, Line, Lost, Points, cell_name};
 use crate::tables::{figure, mean};
 use crate::{Options, Outcome};
 
-/// Of the repository's dam break.
+/// The numbers of the frames of the repository's dam break.
 const DAM_BREAK: [&str; 3] = ["1", "10", "20"];
-/// Features wider than this Gaussian are not roughness.
+/// Standard deviation of the Gaussian in spacings. Wider features of the surface are not roughness.
 const SIGMA: f64 = 3.0;
-/// Size of the cells for finding calm water from particles.
+/// Edge of the square cells in which particles are examined for calm water, in spacings.
 const EDGE: f64 = 2.0;
-/// Number of those cells on either side that are examined.
+/// Number of neighbouring cells on either side that must also be calm.
 const REACH: i32 = 1;
-/// Maximum RMS distance of the particles on top of calm water from a plane.
+/// Water is calm if the RMS distance of its top particles from a plane is less than this.
 const CALM: f64 = 0.4;
-/// Minimum depth of calm water, and minimum share that its particles fill.
+/// Minimum depth of calm water, and the minimum share of this depth that particles fill.
 const DEPTH: f64 = 4.0;
 const FULL: f64 = 0.5;
 
-/// Particles at spacing 1, y up.
+/// A frame of a simulation, scaled to spacing 1, with y up.
 pub struct Frame {
     pub name: String,
     pub points: Points,
-    /// Direction in which each particle moves, of length 1 or 0; empty if unknown.
+    /// The direction of each particle's velocity, a vector of length 1 or 0; empty if unknown.
     pub directions: Vec<DVec3>,
 }
 
@@ -63,7 +64,7 @@ impl Frame {
         Ok(Self { name, points, directions })
     }
 
-    /// The middle one of a folder, by name.
+    /// Reads the middle frame of a folder, in the order of the files' names.
     pub fn middle_of(folder: &Path) -> Outcome<Self> {
         let entries: Vec<_> = std::fs::read_dir(folder)?.collect::<Result<_, _>>()?;
         let mut files: Vec<PathBuf> = entries.into_iter().map(|entry| entry.path()).collect();
@@ -76,7 +77,7 @@ impl Frame {
         Self::read(path, format!("{folder} {file}"))
     }
 
-    /// Points on water that is calm according to its particles.
+    /// A horizontal grid of points over the frame, and for each point whether the water is calm.
     fn calm(&self) -> (Columns, Vec<bool>) {
         let flat = |p: &[f64; 3]| DVec2::new(p[0], p[2]);
         let (lo, hi) = self
@@ -106,7 +107,7 @@ impl Frame {
     }
 }
 
-/// Whether the cells around a cell have water, which is nearly a plane.
+/// Whether the cells around a cell all have water, and its top is nearly a plane.
 fn is_calm(tops: &HashMap<IVec2, f64>, cell: IVec2) -> bool {
     let range = || -REACH..=REACH;
     let offs = range().flat_map(|x| range().map(move |y| IVec2::new(x, y)));
@@ -114,13 +115,13 @@ fn is_calm(tops: &HashMap<IVec2, f64>, cell: IVec2) -> bool {
         offs.map(|off| Some((off.as_dvec2(), *tops.get(&(cell + off))?))).collect();
     let Some(around) = around else { return false };
     let middle = mean(around.iter().map(|(_, top)| *top));
-    // The offsets are symmetrical, so each slope can be computed alone.
+    // The offsets are symmetric, so the slopes along x and z are independent.
     let slope: DVec2 = around.iter().map(|(off, top)| *off * (top - middle)).sum::<DVec2>()
         / around.iter().map(|(off, _)| off.x * off.x).sum::<f64>();
     mean(around.iter().map(|(off, top)| (top - middle - slope.dot(*off)).powi(2))).sqrt() < CALM
 }
 
-/// The frames of the repository's dam break.
+/// Reads the frames of the repository's dam break.
 pub fn dam_break() -> Outcome<Vec<Frame>> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/dambreak_small");
     let read = |number: &str| {
@@ -200,8 +201,8 @@ pub fn run(options: &Options, board: &Board, dam: &[Frame], given: &[Frame]) -> 
     board.table("the dam break by cells", lines)
 }
 
-/// RMS of the heights of calm water after subtracting their Gaussian, and RMS of the slope in
-/// degrees.
+/// The roughness of calm water: the RMS of its heights after subtracting their Gaussian mean, and
+/// the RMS of the remaining slope in degrees.
 fn roughness(columns: &Columns, calm: &[bool], mesh: &Mesh) -> [f64; 2] {
     let tops = columns.tops(mesh).into_iter().zip(calm);
     let heights: Vec<Option<f64>> =

@@ -1,10 +1,10 @@
-//! Heights of surfaces over the points of a horizontal grid.
+//! Measures the heights of surfaces at the points of a horizontal grid.
 
 use glam::{DMat3, DVec2, DVec3, IVec2};
 use meniscus::internals::surface::mesh::Mesh;
 use rayon::prelude::*;
 
-/// Points of a horizontal grid.
+/// The points of a horizontal grid.
 #[derive(Debug, Clone, Copy)]
 pub struct Columns {
     lo: DVec2,
@@ -12,16 +12,16 @@ pub struct Columns {
     pub size: [usize; 2],
 }
 
-/// Maximum height of a surface above a point.
+/// The highest point of a surface above a grid point.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Top {
     pub height: f64,
-    /// Angle to the horizontal, in radians.
+    /// The surface's angle to the horizontal, in radians.
     pub slope: f64,
 }
 
 impl Columns {
-    /// Points at half a spacing over a box of x and z.
+    /// A grid with half a spacing between points, over a box of x and z.
     pub fn over(lo: DVec2, hi: DVec2) -> Self {
         let step = 0.5;
         let size = ((hi - lo) / step).round().max(DVec2::ONE);
@@ -32,7 +32,7 @@ impl Columns {
         self.size[0] * self.size[1]
     }
 
-    /// x and z.
+    /// The coordinates x and z of a point.
     pub fn point(&self, number: usize) -> DVec2 {
         self.lo
             + self.step * DVec2::new((number % self.size[0]) as f64, (number / self.size[0]) as f64)
@@ -43,7 +43,7 @@ impl Columns {
         (to - from) / self.step
     }
 
-    /// The number of the point at a position, if it is on the grid.
+    /// The number of the point nearest to a position, or `None` outside of the grid.
     #[cfg(test)]
     pub fn nearest(&self, at: DVec2) -> Option<usize> {
         let place = ((at - self.lo) / self.step).round();
@@ -52,8 +52,8 @@ impl Columns {
             .then(|| place.x as usize + place.y as usize * self.size[0])
     }
 
-    /// Calls a function for every point below or above a triangle, with its number, the triangle's
-    /// height and its normal.
+    /// Calls a function for every grid point and every triangle above or below it, with the number
+    /// of the point, the triangle's height there, and the triangle's normal.
     pub fn cross(&self, mesh: &Mesh, mut call: impl FnMut(usize, f64, DVec3)) {
         for triangle in &mesh.triangles {
             let corners = triangle.map(|vertex| DVec3::from(mesh.positions[vertex as usize]));
@@ -81,7 +81,7 @@ impl Columns {
         }
     }
 
-    /// The maximum heights of a surface, among triangles that face upwards.
+    /// The highest point of a surface at each grid point, among triangles that face upwards.
     pub fn tops(&self, mesh: &Mesh) -> Vec<Option<Top>> {
         let mut tops = vec![None; self.count()];
         self.cross(mesh, |point, height, normal| {
@@ -93,8 +93,8 @@ impl Columns {
         tops
     }
 
-    /// Heights minus their Gaussian mean, where heights exist. A plane becomes zero, up to the
-    /// edges.
+    /// Subtracts from each height its Gaussian mean, computed where heights exist. A plane becomes
+    /// zero, even at the edges.
     pub fn without_gaussian(&self, heights: &[Option<f64>], sigma: f64) -> Vec<Option<f64>> {
         let reach = (3.0 * sigma / self.step).ceil() as i32;
         let offs: Vec<(IVec2, f64)> = (-reach..=reach)
@@ -105,7 +105,7 @@ impl Columns {
         let left = |n: usize| {
             let height = heights[n]?;
             let place = IVec2::new(n as i32 % width, n as i32 / width);
-            // The plane with the least weighted squares of distances.
+            // Fit a plane by weighted least squares.
             let (mut squares, mut sums) = (DMat3::ZERO, DVec3::ZERO);
             for &(off, weight) in &offs {
                 let at = place + off;

@@ -1,4 +1,5 @@
-//! Pools: how flat a level top is, and how much of waves remains.
+//! Compares methods on pools: how flat the surface of a level pool is, and how much of the waves'
+//! amplitude remains.
 
 use std::f64::consts::TAU;
 
@@ -13,11 +14,11 @@ use crate::scene::Random;
 use crate::tables::{figure, mean, signed};
 use crate::{Options, Outcome};
 
-/// Edge length and depth of the pools; the parts within `MARGIN` of their edges are ignored.
+/// Edge length and depth of the pools. Measurements ignore the parts within `MARGIN` of the edges.
 const WIDTH: i32 = 48;
 const DEPTH: i32 = 12;
 const MARGIN: f64 = 12.0;
-/// Wavelength and amplitude.
+/// Wavelength and amplitude of each kind of wave, in spacings.
 const WAVES: [[f64; 2]; 2] = [[5.0, 0.7], [8.0, 1.0]];
 
 fn pool(jitter: f64, seed: usize, top: i32) -> Points {
@@ -26,12 +27,12 @@ fn pool(jitter: f64, seed: usize, top: i32) -> Points {
     pool.into_iter().map(|p| (DVec3::from(p) + height(seed) * DVec3::Y).into()).collect()
 }
 
-/// Height of a pool's top: several positions in a cell.
+/// The height of a pool's top. Each seed gives a different position within a cell.
 fn height(seed: usize) -> f64 {
     place(seed).y
 }
 
-/// Over the middle, this many spacings along x.
+/// A grid over the middle of a pool, with a length of `along` spacings in the direction of x.
 fn middle(along: f64) -> Columns {
     Columns::over(DVec2::splat(MARGIN), DVec2::new(MARGIN + along, f64::from(WIDTH) - MARGIN))
 }
@@ -90,7 +91,7 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
     )
 }
 
-/// Mean error of the height, RMS about that mean, and RMS of the slope in degrees.
+/// The mean error of the height, the RMS deviation from this mean, and the RMS slope in degrees.
 fn deviation(tops: &[Top], truth: f64) -> [f64; 3] {
     let bias = mean(tops.iter().map(|top| top.height)) - truth;
     let rms = mean(tops.iter().map(|top| (top.height - truth - bias).powi(2))).sqrt();

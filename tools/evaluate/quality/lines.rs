@@ -1,5 +1,5 @@
-//! Tables with a column for each method: sets of particles, the meshes that each method makes from
-//! them, and their measurement.
+//! Makes tables with a column for each method: each method makes meshes from the same particles,
+//! and the rows show measurements of the meshes.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -21,27 +21,27 @@ pub type Points = Vec<[f64; 3]>;
 
 type Reading = Box<dyn Fn(&[Mesh]) -> Outcome<Vec<String>> + Send + Sync>;
 
-/// Scenes whose surfaces are measured together, for one row of a table or more.
+/// Scenes whose surfaces are measured together. They give one or more rows of a table.
 pub struct Line {
     pub rows: Vec<String>,
-    /// In spacings; none for the default of each method.
+    /// The cell size in spacings; `None` for the default of each method.
     pub cell: Option<f64>,
     pub scenes: Vec<Points>,
     pub lost: Lost,
-    /// Returns a text for each row from the meshes of all scenes.
+    /// Measures the meshes of all scenes, and returns a text for each row.
     pub read: Reading,
 }
 
-/// What is lost if a method finds no surface of a scene.
+/// The result if a method finds no surface in a scene.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Lost {
-    /// The rows say `none`.
+    /// All rows show `none`.
     Row,
-    /// The mesh of the scene is empty. The rows say `none` if all are.
+    /// The scene has an empty mesh. The rows show `none` only if all scenes have empty meshes.
     Scene,
 }
 
-/// The methods, and a folder for intermediate files.
+/// The methods to compare, and a folder for intermediate files.
 pub struct Board {
     pub methods: Vec<Method>,
     folder: TempDir,
@@ -53,13 +53,13 @@ impl Board {
         Ok(Self { methods, folder: TempDir::new()?, files: AtomicUsize::new(0) })
     }
 
-    /// A new file name.
+    /// A new file name in the folder for intermediate files.
     pub fn file(&self, extension: &str) -> PathBuf {
         let number = self.files.fetch_add(1, Ordering::Relaxed);
         self.folder.path().join(format!("{number}.{extension}"))
     }
 
-    /// None if the method finds no surface.
+    /// Runs a method on a particle file. Returns `None` if it finds no surface.
     pub fn mesh(
         &self,
         method: &Method,
@@ -73,7 +73,7 @@ impl Board {
         Ok((!mesh.triangles.is_empty()).then_some(mesh))
     }
 
-    /// Prints a table of all methods for `lines`.
+    /// Runs all methods on all scenes of `lines`, and prints a table.
     pub fn table(&self, heading: &str, lines: Vec<Line>) -> Outcome<()> {
         let start = Instant::now();
         let inputs: Vec<Vec<PathBuf>> =
@@ -106,7 +106,7 @@ impl Board {
         line.scenes.iter().map(|scene| self.input(scene)).collect()
     }
 
-    /// Writes raw f32 triples to a new file.
+    /// Writes particles to a new file, as raw f32 triples.
     pub fn input(&self, particles: &[[f64; 3]]) -> Outcome<PathBuf> {
         let path = self.file("xyz");
         let mut out = BufWriter::new(File::create(&path)?);
@@ -136,7 +136,7 @@ impl Board {
     }
 }
 
-/// For the name of a row.
+/// Describes a cell size, for the name of a row.
 pub fn cell_name(cell: Option<f64>) -> String {
     cell.map_or("own cells".into(), |cell| format!("cells {cell}"))
 }

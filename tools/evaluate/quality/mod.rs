@@ -1,9 +1,9 @@
-//! Compares the quality of surfaces with those of other programs. Every program reads and writes
-//! files. A table gives their command lines.
+//! Compares the quality of this library's surfaces with those of other programs. Every program
+//! reads and writes files. A table has the programs' command lines.
 //!
-//! `tools/compare/quality` finds the programs, writes the table and runs this. Lengths are in
-//! spacings of the particles, which are 1 in all files. The best isovalue of a program is chosen on
-//! bodies and lattices that are not reported.
+//! `tools/compare/quality` finds the programs, writes the table and runs this module. Lengths are
+//! in spacings of the particles, and the spacing is 1 in all files. Each program's best isovalue is
+//! chosen on other bodies and lattices than those whose results are shown.
 
 mod bodies;
 mod clumps;

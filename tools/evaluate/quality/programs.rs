@@ -1,4 +1,4 @@
-//! Programs that make surfaces from particle files.
+//! The compared programs, which make surfaces from particle files.
 
 use std::fs;
 use std::path::Path;
@@ -7,32 +7,32 @@ use std::time::Instant;
 
 use crate::Outcome;
 
-/// Sets with more particles count as large.
+/// Programs with [`Takes::Few`] or [`Takes::Slow`] get at most this many particles.
 const MANY: usize = 200_000;
-/// More scenes than this for one row are left out for programs that start slowly.
+/// Programs with [`Takes::Slow`] omit rows with more scenes than this.
 const SCENES: usize = 10;
 
 /// A program and its settings.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Program {
     pub name: String,
-    /// The default or recommended cells, in spacings; none if the program chooses them.
+    /// The default or recommended cell size in spacings; `None` if the program chooses it.
     pub cell: Option<f64>,
-    /// The default isovalue, then others to try.
+    /// The documented isovalue, followed by others to try.
     pub isos: Vec<String>,
     pub takes: Takes,
-    /// Words with `{in}`, `{out}`, `{cell}` and `{cubes}` (a cell in spacings and in radii),
-    /// `{iso}` and `{threads}`.
+    /// The command line with the variables `{in}`, `{out}`, `{cell}` (cell size in spacings),
+    /// `{cubes}` (cell size in radii), `{iso}` and `{threads}`.
     command: String,
 }
 
-/// The scenes that a program is run with.
+/// The scenes that a program is fast enough for.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Takes {
     Many,
-    /// Not large sets of particles.
+    /// Only scenes with few particles.
     Few,
-    /// A run takes seconds even for few particles.
+    /// Only scenes with few particles, and only rows with few scenes: the program starts slowly.
     Slow,
 }
 
@@ -42,12 +42,12 @@ pub struct Method {
     pub name: String,
     pub program: Program,
     iso: Option<String>,
-    /// Whether it is the default isovalue.
+    /// Whether `iso` is the documented isovalue.
     pub documented: bool,
 }
 
-/// Reads the programs of a table: name, cell or `-`, isovalues or `-`, `many` or `few` particles
-/// or `slow`, and command, separated by tabs.
+/// Reads the table of programs. Each line has five fields, separated by tabs: name, cell size or
+/// `-`, isovalues or `-`, `many`, `few` or `slow`, and command.
 pub fn read(path: &Path) -> Outcome<Vec<Program>> {
     fs::read_to_string(path)?.lines().map(Program::parse).collect()
 }
@@ -72,12 +72,12 @@ impl Program {
         })
     }
 
-    /// With the documented isovalue.
+    /// The program with its documented isovalue.
     pub fn documented(&self) -> Method {
         self.at(self.isos.first().cloned(), self.name.clone(), true)
     }
 
-    /// With the best isovalue.
+    /// The program with the best isovalue.
     pub fn best(&self, iso: &str) -> Method {
         self.at(Some(iso.into()), format!("{}, best: {iso}", self.name), false)
     }
@@ -88,18 +88,18 @@ impl Program {
 }
 
 impl Method {
-    /// Whether it is run with this many particles.
+    /// Whether the program runs with this many particles.
     pub fn takes(&self, particles: usize) -> bool {
         self.program.takes == Takes::Many || particles <= MANY
     }
 
-    /// Whether it is run with all of these numbers of particles for one row.
+    /// Whether the program runs on a row. `scenes` has the number of particles of each scene.
     pub fn takes_all(&self, scenes: impl ExactSizeIterator<Item = usize>) -> bool {
         let starts = self.program.takes != Takes::Slow || scenes.len() <= SCENES;
         starts && scenes.into_iter().all(|particles| self.takes(particles))
     }
 
-    /// The words of the command, without those with an unknown variable.
+    /// The words of the command line. Words with a variable that has no value are left out.
     fn words(&self, files: [&Path; 2], cell: Option<f64>, threads: usize) -> Vec<String> {
         let cell = cell.or(self.program.cell);
         let [input, output] = files.map(|file| Some(file.display().to_string()));
@@ -120,7 +120,7 @@ impl Method {
         self.program.command.split_whitespace().filter_map(filled).collect()
     }
 
-    /// The time in seconds; none if it failed or found no surface.
+    /// Runs the program, and returns its time in seconds; `None` if it failed or found no surface.
     pub fn run(
         &self,
         files: [&Path; 2],

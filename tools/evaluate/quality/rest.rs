@@ -1,5 +1,5 @@
-//! Measures how stable the surface is from frame to frame, for a pool that moves by one cell and
-//! for flowing water.
+//! Compares methods by the stability of the surface from frame to frame, for a pool that rises by
+//! one cell, and for flowing water.
 
 use std::collections::HashMap;
 
@@ -18,16 +18,16 @@ use crate::tables::{figure, mean};
 use crate::{Options, Outcome};
 
 const CELL: f64 = 0.5;
-/// Steps of the pool's movement through a cell, and of the flow.
+/// Number of steps in which the pool rises by a cell, and number of steps of the flow.
 const STEPS: usize = 8;
 const MOVES: usize = 3;
-/// Distance of the flow per step.
+/// Distance that particles flow in a step, in spacings.
 const MOVE: f64 = 0.1;
-/// Edge length and depth of the pool; the parts within `MARGIN` of its edges are ignored.
+/// Edge length and depth of the pool. Measurements ignore the parts within `MARGIN` of the edges.
 const WIDTH: i32 = 36;
 const DEPTH: i32 = 12;
 const MARGIN: f64 = 12.0;
-/// Particles within this distance move a vertex.
+/// A vertex moves with the particles within this distance.
 const NEAR: f64 = 2.5;
 
 pub fn run(options: &Options, board: &Board, dam: &[Frame]) -> Outcome<()> {
@@ -97,7 +97,8 @@ impl Frame {
     }
 }
 
-/// A mesh after a step, in which each vertex moves by the mean of the particles around it.
+/// The mesh after a step: each vertex moves by the weighted mean movement of the particles around
+/// it.
 fn carried(mesh: &Mesh, points: &[[f64; 3]], directions: &[DVec3]) -> Mesh {
     let cell = |p: DVec3| (p / NEAR).floor().as_ivec3();
     let mut particles: HashMap<IVec3, Vec<usize>> = HashMap::new();

@@ -1,5 +1,5 @@
-//! Thin sheets, shells and filaments of stretched particles, and spray: how many pieces the surface
-//! has, how many holes, and how much volume.
+//! Compares methods on stretched thin sheets, shells and filaments, and on spray: the number of
+//! pieces and holes of the surface, and its volume.
 
 use std::ops::Range;
 
@@ -16,7 +16,7 @@ use crate::tables::{figure, mean};
 use crate::{Options, Outcome};
 
 const CELLS: [f64; 2] = [0.5, 0.25];
-/// Numbers of layers, and by how much they are stretched.
+/// The number of layers of the sheets, and the factors by which they are stretched.
 const SHEETS: [(i32, &[f64]); 3] =
     [(1, &[1.0, 1.3, 1.6, 1.9]), (2, &[1.0, 1.3, 1.6, 1.9]), (3, &[1.3, 1.6])];
 /// Number of particles along the edges of a sheet.
@@ -26,7 +26,8 @@ const JITTER: f64 = 0.2;
 const RADIUS: f64 = 12.0;
 const APART: f64 = 1.4;
 const SHELL_JITTER: f64 = 0.1;
-/// Number of filaments and of their particles, and by how much they are stretched.
+/// The number of filaments, the number of particles of each, and the factors by which they are
+/// stretched.
 const FILAMENTS: usize = 24;
 const LINKS: usize = 20;
 const STRETCHES: [f64; 3] = [1.4, 1.8, 2.1];
@@ -35,17 +36,18 @@ const FILAMENT_JITTER: f64 = 0.1;
 /// particles of different filaments.
 const BOX: f64 = 60.0;
 const CLEARANCE: f64 = 7.0;
-/// Mean distances between drops of spray, their number, and the distance within which they are a
-/// cluster.
+/// Mean distances between the drops of a spray, the number of drops, and the largest distance
+/// between neighbours in a cluster.
 const SPRAY: [f64; 2] = [3.0, 4.0];
 const DROPS: usize = 1200;
 const LINKAGE: f64 = 1.9;
-/// Layers, number of frames and last stretch of the sheets that stretch slowly.
+/// The numbers of layers of the sheets that are stretched frame by frame, the number of frames, and
+/// the stretch in the last frame.
 const SLOW: [i32; 2] = [1, 2];
 const FRAMES: usize = 30;
 const LAST: f64 = 2.4;
 
-/// The sizes of cells and the numbers of the samples that rows are measured with.
+/// The cell sizes and the seeds of the random samples for the rows of a table.
 struct Samples<'a> {
     cells: &'a [f64],
     seeds: Range<usize>,
@@ -61,7 +63,7 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
     stretching(board, &samples, layers, frames)
 }
 
-/// Sheets and shells.
+/// Prints the table of sheets with a constant stretch, and of shells.
 fn still(board: &Board, Samples { cells, seeds }: &Samples) -> Outcome<()> {
     let kinds = SHEETS
         .iter()
@@ -185,7 +187,7 @@ fn stretching(board: &Board, samples: &Samples, layers: &[i32], frames: usize) -
     )
 }
 
-/// Each kind in each size of cells.
+/// All pairs of a kind and a cell size.
 fn in_cells<T: Copy>(
     kinds: impl IntoIterator<Item = T>,
     cells: &[f64],
@@ -197,12 +199,12 @@ fn of(layers: i32) -> String {
     format!("{layers} layer{}", if layers == 1 { "" } else { "s" })
 }
 
-/// The stretch in a frame.
+/// The stretch of a sheet in a frame, from 1 to [`LAST`].
 fn slow(frame: usize, frames: usize) -> f64 {
     1.0 + (LAST - 1.0) * frame as f64 / (frames - 1) as f64
 }
 
-/// A sheet around its centre. A seed has the same jitter at every stretch.
+/// The particles of a stretched sheet. The same seed gives the same jitter at every stretch.
 fn sheet(layers: i32, stretch: f64, seed: usize) -> Points {
     let lattice = lattice(seed, JITTER);
     let size = IVec3::new(WIDTH, layers, WIDTH);
@@ -218,12 +220,13 @@ fn sheet(layers: i32, stretch: f64, seed: usize) -> Points {
         .collect()
 }
 
-/// Each coordinate is at most `jitter` from 0.
+/// A random offset with coordinates from -`jitter` to `jitter`.
 fn off(jitter: f64, random: &mut Random) -> DVec3 {
     DVec3::from([(); 3].map(|()| jitter * (2.0 * random.unit() - 1.0)))
 }
 
-/// Points on a sphere around 0, on a spiral of equal steps in height and of golden angles.
+/// Evenly distributed points on the unit sphere: a spiral with equal steps in height, turned by the
+/// golden angle at each step.
 fn spiral(count: usize) -> impl Iterator<Item = DVec3> {
     let turn = std::f64::consts::PI * (3.0 - 5.0_f64.sqrt());
     (0..count).map(move |n| {
@@ -246,7 +249,7 @@ fn shell(seed: usize) -> Points {
         .collect()
 }
 
-/// Filaments in random directions, at random places far apart.
+/// The particles of filaments in random directions, at random positions far apart.
 fn filaments(stretch: f64, seed: usize) -> Points {
     let mut random = Random::new(seed as u64);
     let mut particles: Points = Vec::new();
@@ -272,14 +275,15 @@ fn filaments(stretch: f64, seed: usize) -> Points {
     particles
 }
 
-/// Drops in a box with one particle in a cube of edge `apart`.
+/// Random particles in a box, on average one in each cube of edge `apart`.
 fn spray(apart: f64, seed: usize) -> Points {
     let mut random = Random::new(seed as u64);
     let edge = apart * (DROPS as f64).cbrt();
     (0..DROPS).map(|_| [(); 3].map(|()| edge * random.unit())).collect()
 }
 
-/// Number of sets of particles that are connected by steps of at most `LINKAGE`.
+/// The number of clusters: sets of particles that are connected by distances of at most
+/// [`LINKAGE`].
 fn clusters(particles: &[[f64; 3]]) -> usize {
     let mut joined = UnionFind::<usize>::new(particles.len());
     let pairs = (0..particles.len()).flat_map(|a| (0..a).map(move |b| (a, b)));
@@ -289,12 +293,12 @@ fn clusters(particles: &[[f64; 3]]) -> usize {
     particles.len() - pairs.filter(are_near).filter(|&(a, b)| joined.union(a, b)).count()
 }
 
-/// How much of a sheet is left.
+/// How intact the surface of a sheet is.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Tear {
     pieces: usize,
     holes: i64,
-    /// Over that of the particles.
+    /// The volume of the surface, divided by the volume of the particles.
     volume: f64,
 }
 
@@ -304,8 +308,8 @@ impl Tear {
         Self { pieces: count.components, holes: handles(mesh), volume: count.volume / volume }
     }
 
-    /// A whole shell has an inner surface. The first hole joins it to the outer one, and only
-    /// further holes are handles.
+    /// Measures a shell. An intact shell has an inner and an outer surface. The first hole joins
+    /// them, and only further holes are handles.
     fn of_shell(mesh: &Mesh, volume: f64) -> Self {
         let is_inner = |component: &Component| {
             component.volume < 0.0 && (component.hi - component.lo).min_element() > RADIUS
@@ -329,9 +333,9 @@ fn text(tears: Vec<Tear>) -> String {
     format!("{} / {} / {volume:.2}", count(pieces), count(holes))
 }
 
-/// The stretch at which a slow sheet opens, number of frames after that with fewer holes than the
-/// one before and no more pieces, and the greatest relative change of volume from frame to frame
-/// before it opens.
+/// Describes how a sheet tears that is stretched frame by frame. Returns three texts: the stretch
+/// at which it opens; the number of later frames in which holes close; and the largest relative
+/// change of volume between two frames before it opens.
 fn opening(tears: &[Tear]) -> [String; 3] {
     let opens = tears.iter().position(Tear::is_open);
     let (whole, open) = tears.split_at(opens.unwrap_or(tears.len()));

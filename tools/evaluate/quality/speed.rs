@@ -1,4 +1,4 @@
-//! Seconds from file to file, for one program after the other.
+//! Compares the speed of methods: seconds from file to file, one program after the other.
 
 use std::num::NonZero;
 
@@ -9,9 +9,9 @@ use crate::tables::Table;
 use crate::{Options, Outcome};
 
 const CELLS: [f64; 2] = [0.5, 0.25];
-/// Maximum number of threads.
+/// Maximum number of threads of a program.
 const THREADS: usize = 2;
-/// After a run of this many seconds, there is no second one.
+/// A program runs a second time only if its first run took less than this many seconds.
 const LONG: f64 = 5.0;
 
 pub fn run(options: &Options, board: &Board) -> Outcome<()> {

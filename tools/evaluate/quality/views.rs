@@ -1,4 +1,4 @@
-//! Pictures of frames of every method, from one camera with one light.
+//! Draws pictures of frames with every method, all from the same camera and with the same light.
 
 use std::collections::HashMap;
 
@@ -12,17 +12,18 @@ use super::programs::Method;
 use crate::camera::{Camera, write_sheet};
 use crate::{Options, Outcome};
 
-/// Size of a picture on a sheet, and of one in a pair.
+/// Width and height in pixels of a picture on a sheet, and of a picture in a pair.
 const SMALL: [usize; 2] = [560, 420];
 const LARGE: [usize; 2] = [960, 720];
 const COLUMNS: usize = 3;
-/// Cuts off the corners of the box, and shows its content larger.
+/// Distance of the camera relative to a view of the whole box. It cuts off the box's corners, and
+/// shows its content larger.
 const FAR: f64 = 0.8;
-/// Radius of the region in close-ups, and of the particles that are meshed for it.
+/// Radius of the region in a close-up, and radius within which particles are meshed for it.
 const NEAR: f64 = 14.0;
 const AROUND: f64 = 30.0;
-/// Sizes of the cells in which particles are counted to find the most detailed region, and the
-/// minimum number of particles in them.
+/// To find the most detailed region, particles are counted in cells with this edge in spacings, and
+/// cells are counted in regions with this edge in cells.
 const COUNTED: f64 = 3.0;
 const REGION: i32 = 6;
 
@@ -47,7 +48,7 @@ pub fn run(options: &Options, board: &Board, dam: &[Frame], given: &[Frame]) -> 
     Ok(())
 }
 
-/// A sheet of all methods, and the first two side by side.
+/// Draws a sheet with all methods, and a larger picture of the first two methods side by side.
 fn views(
     options: &Options,
     board: &Board,
@@ -88,7 +89,7 @@ fn bounds(points: &[[f64; 3]]) -> (DVec3, DVec3) {
     points.iter().fold(none, |(lo, hi), &p| (lo.min(p.into()), hi.max(p.into())))
 }
 
-/// The middle of the region with the most partly filled cells.
+/// The centre of the region with the most cells that particles fill only partly.
 fn busiest(points: &[[f64; 3]]) -> DVec3 {
     let mut counts: HashMap<IVec3, usize> = HashMap::new();
     for &p in points {

@@ -2,8 +2,8 @@
 
 blender --background --python animation.py -- PARTICLES FOLDER [FRAMES] [PERCENT]
 
-PARTICLES is any file of the sequence. Pictures of the scene's first FRAMES frames, in PERCENT of 1920 x 1080, appear in FOLDER, with the
-scene beside them as scene.blend.
+PARTICLES is any file of the sequence. The script renders the first FRAMES frames of the scene, at
+PERCENT of 1920 x 1080 pixels, and writes the pictures and the scene (scene.blend) into FOLDER.
 """
 
 import math
@@ -37,7 +37,7 @@ for name, value in {"Base Color": (0.75, 0.92, 0.97, 1), "Roughness": 0.02, "IOR
     shader.inputs[name].default_value = value
 water.data.materials.append(glass)
 
-# The water has spread in the last frame, so its bounds contain everything.
+# The camera must see the water in all frames. It has spread farthest in the last one.
 scene.frame_set(frames)
 corners = np.array([water.matrix_world @ Vector(corner) for corner in water.bound_box])
 low, high = corners.min(axis=0), corners.max(axis=0)

@@ -1,4 +1,4 @@
-"""Live watertight surfaces of particle fluids, by the library meniscus, whose wheel comes with this extension."""
+"""Live watertight surfaces of particle fluids, made by the library meniscus, which this extension contains."""
 
 import warnings
 
@@ -9,7 +9,7 @@ from . import live, operators, panels, settings
 
 
 def register() -> None:
-    # Panels show them.
+    # Python need not print warnings about meshes, because panels show them.
     warnings.filterwarnings("ignore", category=meniscus.MeshWarning)
     settings.register()
     operators.register()

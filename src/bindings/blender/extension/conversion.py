@@ -1,4 +1,7 @@
-"""Converts a sequence to meshes or volumes on disk, on a separate thread, with settings that are independent of Blender once it runs."""
+"""Converts a sequence to mesh or volume files on a separate thread.
+
+The thread does not access Blender: an `Order` holds copies of all settings.
+"""
 
 from __future__ import annotations
 
@@ -20,18 +23,24 @@ class Order:
 
     inputs: str
     output: str
-    #: The file that plays all meshes; None for volumes, which Blender plays by their names.
+    #: The USD file that plays all meshes; None for volumes, which Blender finds by their file
+    #: names.
     stage: str | None
     fps: float
     particles_up: str | None
     sampling: Sampling
     filters: Filters
-    #: The files of the solids, with {} for the frame's number, and their distance from the fluid.
+    #: The solids' files, with {} for the frame number; `solid_offset` is their distance to the
+    #: fluid.
     solids: tuple[str, ...] = ()
     solid_offset: float | None = None
 
     def keywords(self) -> dict[str, Any]:
-        """The keywords of the library's conversion: finished frames are kept if their settings are the same, and made again otherwise."""
+        """The keywords for `meniscus.Simulation`.
+
+        With these, it keeps finished frames if their settings are the same, and otherwise makes
+        them again.
+        """
         of = [(each.name, getattr(part, each.name)) for part in (self.sampling, self.filters) for each in fields(part)]
         solids = {"solid": self.solids, "solid_offset": self.solid_offset} if self.solids else {}
         return {name: value for name, value in of if value is not None} | solids | {
@@ -57,36 +66,36 @@ class Conversion:
         self.error = ""
         self.problems: list[str] = []
         self._end = threading.Event()
-        # Python waits for all other threads before it calls exit handlers.
+        # Only a daemon thread lets Python call `_leave` at exit: it waits for other threads first.
         self._thread = threading.Thread(target=self._run, name="meniscus conversion", daemon=True)
         atexit.register(self._leave)
 
     def start(self) -> None:
-        """Starts the thread."""
+        """Starts the conversion on its thread."""
         self._thread.start()
 
     @property
     def runs(self) -> bool:
-        """Whether it is running."""
+        """Whether the conversion is running."""
         return self._thread.is_alive()
 
     @property
     def is_complete(self) -> bool:
-        """Whether all meshes are finished."""
+        """Whether the conversion ended without an error and was not cancelled."""
         return not self.runs and not self.error and not self._end.is_set()
 
     def cancel(self) -> None:
-        """Cancels it after the frames in progress. Finished frames are kept, and are not made again."""
+        """Cancels the conversion after the frames in progress; finished frames are kept."""
         self._end.set()
 
     def _leave(self) -> None:
-        """Ends with Blender: otherwise the thread would continue in an interpreter that is shut down."""
+        """Ends the conversion when Blender exits, because its thread must not outlive the interpreter."""
         self.cancel()
         if self.runs:
             self.join()
 
     def join(self) -> None:
-        """Waits until it has ended."""
+        """Waits until the conversion has ended."""
         self._thread.join()
 
     def _hear(self, event: meniscus.Event) -> None:

@@ -1,7 +1,8 @@
 """Surfaces that follow the scene: they are made again only if their frame, a setting or their input has changed.
 
-A mesh keeps the name of the request that made it. By that name, the extension recognises an outdated mesh, also after undo and in a file
-that is opened again, because the name is restored with the mesh.
+A mesh stores the name of the request that made it. If a mesh should show another request, the
+extension updates it. This also works after undo and in a reopened file, because Blender restores
+the name with the mesh.
 """
 
 from __future__ import annotations
@@ -21,26 +22,26 @@ from .surfaces.request import Filters, FromFile, FromPoints, Maker, Request, Sam
 from .surfaces.sequence import Listings, Timing, shown_at
 from .surfaces.solids import Solids
 
-#: Key of the custom property with the request of a mesh.
+#: The mesh's custom property that stores the name of the request that made it.
 MADE = "meniscus_made"
 MIB = 1 << 20
 
 
 @dataclass
 class Status:
-    """The state of a surface for its panel."""
+    """Facts about a surface that its panel shows."""
 
     error: str = ""
-    #: About the frame, even if its surface was not made again.
+    #: Notes about the current frame, such as a missing file.
     notes: tuple[str, ...] = ()
-    #: About the surface, from when it was made.
+    #: The library's warnings from when the surface was made.
     warnings: tuple[str, ...] = ()
     file: str = ""
     seconds: float = 0.0
 
 
 class _State:
-    """State that the file does not store. Meshes are identified by their session's number."""
+    """State that the .blend file does not store. Keys are the meshes' `session_uid`."""
 
     def __init__(self) -> None:
         self.reset()
@@ -62,26 +63,26 @@ _state = _State()
 
 
 class Refused(Exception):
-    """A surface that cannot be made, with the reason for its panel."""
+    """The settings do not define a surface. The message says why, and the panel shows it."""
 
 
 def bound_cache(mebibytes: int) -> None:
-    """Sets the memory limit of surfaces that are not shown."""
+    """Sets the memory limit of the cache of surfaces, in MiB."""
     _state.cache.bound = mebibytes * MIB
 
 
 def cached() -> tuple[int, int]:
-    """Number of cached surfaces, and their bytes."""
+    """The number of cached surfaces, and their size in bytes."""
     return len(_state.cache), _state.cache.nbytes
 
 
 def status_of(mesh: bpy.types.Mesh) -> Status:
-    """The state of a surface."""
+    """The facts that a surface's panel shows."""
     return _state.statuses.get(mesh.session_uid, Status())
 
 
 def surfaces() -> Iterator[bpy.types.Mesh]:
-    """The meshes that are surfaces, and can be modified."""
+    """All meshes that show a surface, except linked ones, which cannot be modified."""
     return (mesh for mesh in bpy.data.meshes if mesh.meniscus.source != "NONE" and mesh.library is None)
 
 
@@ -91,7 +92,7 @@ def typed(value: float) -> float:
 
 
 def sampling_of(settings: bpy.types.PropertyGroup, cell: float) -> Sampling:
-    """The sampling in the settings of a mesh."""
+    """Converts a surface's settings to the settings of the sampling."""
     names = tuple(name.strip() for name in settings.attributes.split(",") if name.strip())
     return Sampling(
         spacing=typed(settings.spacing) or None,
@@ -103,7 +104,7 @@ def sampling_of(settings: bpy.types.PropertyGroup, cell: float) -> Sampling:
 
 
 def filters_of(settings: bpy.types.PropertyGroup) -> Filters:
-    """The filters in the settings of a mesh."""
+    """Converts a surface's settings to the settings of the filters."""
     return Filters(
         smooth=typed(settings.smooth),
         smallest_drop=settings.smallest_drop or None,
@@ -112,19 +113,22 @@ def filters_of(settings: bpy.types.PropertyGroup) -> Filters:
 
 
 def solids_of(settings: bpy.types.PropertyGroup, depsgraph: bpy.types.Depsgraph) -> Solids:
-    """The solids in the settings of a mesh, as they are in a graph."""
+    """Returns the solids that a surface's settings name, as `depsgraph` evaluates them."""
     return solids.solids_of(settings, typed(settings.solid_offset), depsgraph)
 
 
 def timing_of(settings: bpy.types.PropertyGroup) -> Timing:
-    """The timing of files in the settings of a mesh."""
+    """Converts a surface's settings to the timing of its files."""
     return Timing(settings.start, settings.first, typed(settings.step))
 
 
 def _request(
     settings: bpy.types.PropertyGroup, frame: int, depsgraph: bpy.types.Depsgraph | None, status: Status
 ) -> Request | None:
-    """The request for the surface that a mesh should show; None if it is unknown."""
+    """Returns the request for the surface that a mesh should show.
+
+    Returns None if the request depends on objects but there is no `depsgraph` to evaluate them.
+    """
     cell = settings.cell_render if _state.renders else settings.cell_viewport
     sampling, filters = sampling_of(settings, cell), filters_of(settings)
     if settings.source == "OBJECT" and settings.object is None:
@@ -150,7 +154,7 @@ def _request(
 
 
 def _arrays(request: Request, maker: Maker) -> Arrays:
-    """The surface, from the cache or new."""
+    """Returns the requested surface from the cache, or makes it."""
     found = _state.cache.get(request.key)
     if found is None:
         found = maker.make(request)
@@ -159,13 +163,13 @@ def _arrays(request: Request, maker: Maker) -> Arrays:
 
 
 def _velocity_scale(settings: bpy.types.PropertyGroup, scene: bpy.types.Scene) -> float:
-    """Seconds of the simulation per second of the scene."""
+    """The number of simulated seconds per second of the scene."""
     scene_fps = scene.render.fps / scene.render.fps_base
     return settings.step * (scene_fps / settings.fps if settings.fps else 1.0)
 
 
 def update(mesh: bpy.types.Mesh, scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None = None) -> None:
-    """Updates a mesh to its settings and the scene's frame, if necessary."""
+    """Makes a mesh's surface again if its settings, its input or the scene's frame have changed."""
     settings = mesh.meniscus
     if settings.source == "NONE" or not settings.live:
         return
@@ -194,14 +198,14 @@ def update(mesh: bpy.types.Mesh, scene: bpy.types.Scene, depsgraph: bpy.types.De
             mesh.update()
         mesh[MADE] = ""
         if bpy.app.background or _state.renders:
-            # Nobody sees a panel there.
+            # There is no panel in background mode and during renders, so print the error.
             print(f"{mesh.name}: {status.error}", flush=True)
     status.seconds = time.perf_counter() - began
     _state.statuses[mesh.session_uid] = status
 
 
 def update_all(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None, which: Callable[[bpy.types.Mesh], bool]) -> None:
-    """Updates some or all surfaces, and removes the state of deleted ones."""
+    """Updates the surfaces that `which` selects, and removes the state of deleted meshes."""
     known = list(surfaces())
     _state.forget(set(_state.statuses) - {mesh.session_uid for mesh in known})
     for mesh in known:
@@ -225,13 +229,13 @@ def reread(mesh: bpy.types.Mesh) -> None:
 
 
 def particles_up(mesh: bpy.types.Mesh) -> str | None:
-    """The axis that points up in a surface's particles, if they were read."""
+    """The axis that points up in a surface's particles; None if no particles were read."""
     maker = _state.makers.get(mesh.session_uid)
     return maker.particles_up if maker else None
 
 
 def spacing_used(mesh: bpy.types.Mesh) -> float | None:
-    """The spacing of the surface that is shown."""
+    """The spacing of the surface that a mesh shows; None if it shows none."""
     settings = mesh.meniscus
     try:
         request = _request(settings, bpy.context.scene.frame_current, bpy.context.evaluated_depsgraph_get(), Status())
@@ -242,12 +246,12 @@ def spacing_used(mesh: bpy.types.Mesh) -> float | None:
 
 
 def _is_of_objects(mesh: bpy.types.Mesh) -> bool:
-    """Whether a surface needs other objects: its particles, or its solids."""
+    """Whether a surface depends on other objects, because of its particles or its solids."""
     return mesh.meniscus.source == "OBJECT" or mesh.meniscus.solids is not None
 
 
 def _needs(mesh: bpy.types.Mesh, changed: set[bpy.types.Object]) -> bool:
-    """Whether a surface needs one of some objects."""
+    """Whether a surface depends on one of the changed objects."""
     settings = mesh.meniscus
     source = {settings.object} if settings.source == "OBJECT" else set()
     touched = set(solids.objects_of(settings.solids)) if settings.solids is not None else set()
@@ -256,14 +260,15 @@ def _needs(mesh: bpy.types.Mesh, changed: set[bpy.types.Object]) -> bool:
 
 @persistent
 def _before_frame(scene: bpy.types.Scene, _depsgraph: object = None) -> None:
-    # Cycles evaluates times between frames for motion blur. Velocities provide that, so the mesh stays that of its frame.
+    # Cycles evaluates subframes for motion blur. The mesh must not change there: its velocities
+    # provide the blur.
     if scene.frame_subframe == 0.0:
         update_all(scene, None, lambda mesh: not _is_of_objects(mesh))
 
 
 @persistent
 def _after_frame(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
-    # The positions of objects at a frame are known after its evaluation.
+    # Blender knows the positions of objects at a frame only after it has evaluated the frame.
     if scene.frame_subframe == 0.0:
         update_all(scene, depsgraph, _is_of_objects)
 
@@ -310,7 +315,7 @@ def _after_render(_scene: bpy.types.Scene, _other: object = None) -> None:
     if bpy.app.background:
         back_to_the_viewport()
     else:
-        # Renders end on a separate thread.
+        # A render ends on a separate thread, but only the main thread may change meshes.
         bpy.app.timers.register(back_to_the_viewport, first_interval=0.0)
 
 

@@ -9,9 +9,9 @@ from .surfaces.arrays import Arrays
 
 #: Blender numbers the corners of a mesh with signed 32-bit integers.
 MOST_CORNERS = 2**31 - 1
-#: The types of attributes by their number of components.
+#: Blender's attribute type and the name of its values, by the number of components.
 _TYPES = {1: ("FLOAT", "value"), 2: ("FLOAT2", "vector"), 3: ("FLOAT_VECTOR", "vector"), 4: ("FLOAT_COLOR", "color")}
-#: The type of integers with one component, such as identifiers.
+#: Blender's attribute type and the name of its values, for integers such as identifiers.
 _WHOLE = ("INT", "value")
 #: The attribute from which Cycles computes motion blur.
 VELOCITY = "velocity"
@@ -22,10 +22,10 @@ class TooLarge(Exception):
 
 
 def fill(mesh: bpy.types.Mesh, arrays: Arrays, velocity_scale: float) -> None:
-    """Puts a surface into a mesh, and keeps its materials.
+    """Replaces the geometry of a mesh by a surface, and keeps the mesh's materials.
 
-    Cycles moves vertices by their velocity for motion blur, a second of the scene at a time: `velocity_scale` is how many seconds of the
-    simulation that is.
+    `velocity_scale` is the number of simulated seconds per second of the scene. Velocities are
+    multiplied by it, because Cycles computes motion blur from velocities per second of the scene.
     """
     corners = arrays.triangles.size
     if corners > MOST_CORNERS:
@@ -39,7 +39,7 @@ def fill(mesh: bpy.types.Mesh, arrays: Arrays, velocity_scale: float) -> None:
     mesh.polygons.foreach_set("loop_start", np.arange(0, corners, 3, dtype=np.int32))
     for name, values in arrays.attributes.items():
         kind = _TYPES.get(1 if values.ndim == 1 else values.shape[1])
-        # Names that Blender uses itself.
+        # Skip attributes that Blender has no type for, and names that Blender uses itself.
         if kind is None or name in mesh.attributes:
             continue
         if values.dtype == np.int32:

@@ -1,4 +1,4 @@
-"""Operators of buttons and menus: new surfaces, reloading, the spacing, and conversions."""
+"""Operators for buttons and menus: they add surfaces, reload files, measure the spacing and convert."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from .vertices import Hidden
 
 Done = Set[str]
 
-#: Conversions by the session's number of their mesh.
+#: The last conversion of each mesh, by the mesh's `session_uid`.
 _conversions: dict[int, Conversion] = {}
 
 
@@ -47,7 +47,7 @@ def _add(context: bpy.types.Context, name: str) -> bpy.types.Object:
         other.select_set(False)
     added.select_set(True)
     context.view_layer.objects.active = added
-    # Meshes change while a render runs, so windows must not read them meanwhile.
+    # Lock the windows during renders, because renders change meshes that windows would read.
     context.scene.render.use_lock_interface = True
     return added
 
@@ -55,23 +55,24 @@ def _add(context: bpy.types.Context, name: str) -> bpy.types.Object:
 def add_files(context: bpy.types.Context, path: str) -> bpy.types.Object:
     """Adds the surface of a sequence, given as a file, a folder or a name with {}.
 
-    Its first number is at the scene's first frame, and it stands upright whatever axis is up in its particles.
+    The scene's first frame shows the first file. If y points up in the particles, the object is
+    turned upright.
     """
     inputs = sequence_of(path)
     name = re.sub(r"[ _.-]*\{.*?\}", "", Path(inputs).name).split(".")[0] or "Surface"
     added = _add(context, name)
     settings = added.data.meniscus
-    # Nothing is made before all settings are set.
+    # Make no surface until all settings are set.
     settings.live = False
     settings.source, settings.path = "FILES", inputs
     settings.start = context.scene.frame_start
     try:
         settings.first = meniscus.list_frames(bpy.path.abspath(inputs))[0][0]
     except (meniscus.Error, OSError):
-        # The panel shows it.
+        # The surface's panel will show the error.
         settings.first = number_of(path) or 0
     settings.live = True
-    # One spacing for all frames, because otherwise their cells would differ.
+    # Use one spacing for all frames, because different spacings would give different cells.
     settings.spacing = live.spacing_used(added.data) or 0.0
     if live.particles_up(added.data) == "y":
         added.rotation_euler.x = math.pi / 2
@@ -88,7 +89,7 @@ def add_object(context: bpy.types.Context, source: bpy.types.Object) -> bpy.type
 
 
 def _done(operator: bpy.types.Operator, added: bpy.types.Object) -> Done:
-    """Ends an operator that has added a surface, and reports why the surface does not exist yet, if so."""
+    """Ends an operator that has added a surface, and reports the error if the surface could not be made."""
     error = live.status_of(added.data).error
     if error:
         operator.report({"WARNING"}, error)
@@ -102,7 +103,7 @@ class AddFiles(bpy.types.Operator, ImportHelper):
     bl_label = "Fluid Surface of Files"
     bl_options = {"REGISTER", "UNDO"}
 
-    # Blender truncates it after 255 characters.
+    # Blender truncates the filter after 255 characters.
     filter_glob: StringProperty(
         default=";".join(f"*{extension}" for extension in EXTENSIONS),
         options={"HIDDEN"},
@@ -165,9 +166,9 @@ class Measure(bpy.types.Operator):
 
 
 def order_of(mesh: bpy.types.Mesh, scene: bpy.types.Scene) -> Order:
-    """The conversion with a surface's settings. Writes the solids of all frames.
+    """Returns the order for a conversion with a surface's settings, and writes the solids of all frames.
 
-    Raises what the library raises for the names of files, `Hidden` and `OSError`.
+    Raises `Hidden`, `OSError`, and the library's errors about the names of files.
     """
     settings = mesh.meniscus
     folder = bpy.path.abspath(settings.output)
@@ -176,7 +177,7 @@ def order_of(mesh: bpy.types.Mesh, scene: bpy.types.Scene) -> Order:
     if settings.solids is not None:
         numbers = (number for number, _ in meniscus.list_frames(inputs))
         files = solids.exported(settings, offset, scene, numbers, Path(folder, f"{name}_solids"))
-    # The library names the stage after the layers, without their number.
+    # The library derives the stage's name from the meshes' names, without the number.
     are_volumes = settings.converted == "VOLUMES"
     return Order(
         inputs=inputs,
@@ -192,7 +193,7 @@ def order_of(mesh: bpy.types.Mesh, scene: bpy.types.Scene) -> Order:
 
 
 def _replace(mesh: bpy.types.Mesh) -> None:
-    """Hides a live surface, which is shown by other objects from now on."""
+    """Hides a live surface and stops its updates, because other objects replace it."""
     for shown in bpy.data.objects:
         if shown.data == mesh:
             shown.hide_render = True
@@ -201,7 +202,7 @@ def _replace(mesh: bpy.types.Mesh) -> None:
 
 
 def play_volumes(context: bpy.types.Context, mesh: bpy.types.Mesh, output: str) -> bpy.types.Object:
-    """Shows a conversion's volumes with a Volume object, instead of the live surface."""
+    """Replaces the live surface by a Volume object that plays a conversion's volumes."""
     files = volumes.files_of(output)
     if not files:
         raise OSError(f"{output}: no files")
@@ -211,7 +212,7 @@ def play_volumes(context: bpy.types.Context, mesh: bpy.types.Mesh, output: str) 
 
 
 def play(context: bpy.types.Context, mesh: bpy.types.Mesh, stage: str) -> list[bpy.types.Object]:
-    """Shows a conversion's meshes with Blender's own mesh sequence cache, instead of the live surface."""
+    """Replaces the live surface by objects that play a conversion's meshes (Mesh Sequence Cache)."""
     before = set(bpy.data.objects)
     window = context.window or (context.window_manager.windows[0] if context.window_manager.windows else None)
     with context.temp_override(window=window) if window else context.temp_override():
@@ -239,7 +240,7 @@ def _read_as_live(cache: bpy.types.CacheFile, mesh: bpy.types.Mesh, stage: str) 
 
 
 def _poll(uid: int) -> float | None:
-    """Monitors a conversion until it has ended."""
+    """Redraws the panels while a conversion runs, and plays the files once it is complete."""
     conversion = _conversions.get(uid)
     mesh = next((mesh for mesh in bpy.data.meshes if mesh.session_uid == uid), None)
     if conversion is None or mesh is None:

@@ -11,7 +11,7 @@ from .operators import AddFiles, AddObject, Cancel, Convert, Measure, Reread, co
 
 
 def _sentence(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, icon: str) -> None:
-    """Shows a sentence in several lines that fit the panel's width."""
+    """Shows a text in a panel, broken into lines that fit its width."""
     width = max(int(context.region.width / (7 * context.preferences.system.ui_scale)) - 6, 20)
     column = layout.column(align=True)
     for number, line in enumerate(textwrap.wrap(text, width)):

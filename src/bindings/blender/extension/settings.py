@@ -7,7 +7,8 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, FloatVectorProp
 
 from . import live
 
-#: Default widths, drops and distances of a surface, as in the library.
+#: The library's defaults of the cell size, the smoothing width and the solids' distance, in
+#: spacings.
 CELL, CALM, SOLID_OFFSET = 0.5, 1.6, -0.1
 
 
@@ -16,7 +17,7 @@ def _changed(settings: MeniscusSurface, _context: bpy.types.Context) -> None:
 
 
 class MeniscusSurface(bpy.types.PropertyGroup):
-    """The surface of particles in a mesh."""
+    """The settings of the surface that a mesh shows."""
 
     source: EnumProperty(
         name="Particles",
@@ -178,7 +179,7 @@ class MeniscusSurface(bpy.types.PropertyGroup):
 
 
 class MeniscusPreferences(bpy.types.AddonPreferences):
-    """Preferences for all surfaces."""
+    """Preferences that apply to all surfaces."""
 
     bl_idname = __package__
 

@@ -1,4 +1,4 @@
-"""Solids of a surface: the objects of a collection, after modifiers, as closed meshes in the particles' coordinates."""
+"""Solids of a surface: a collection's objects, after modifiers, as closed meshes in particle coordinates."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from .vertices import Hidden
 
 
 def objects_of(collection: bpy.types.Collection) -> list[bpy.types.Object]:
-    """The objects with faces, in the order of their names."""
+    """The objects of a collection that can have faces, sorted by name."""
     kinds = {"MESH", "CURVE", "SURFACE", "META", "FONT"}
     return sorted((each for each in collection.all_objects if each.type in kinds), key=lambda each: each.name)
 
 
 def solids_of(settings: bpy.types.PropertyGroup, offset: float, depsgraph: bpy.types.Depsgraph) -> Solids:
-    """The solids in the settings of a mesh, as they are in a graph.
+    """Returns the solids that a surface's settings name, as `depsgraph` evaluates them.
 
-    Raises `Hidden`.
+    Raises `Hidden` if an object is hidden, because Blender then does not evaluate its shape.
     """
     if settings.solids is None:
         return Solids()
     shown = next((each for each in depsgraph.scene.objects if each.data == settings.id_data), None)
-    # Vertices of an object are particles in world space.
+    # Particles of files are in the surface's space; particles of an object are in world space.
     to_world = np.array(shown.matrix_world) if shown is not None and settings.source == "FILES" else np.eye(4)
     to_particles = np.linalg.inv(to_world)
     objects = [each for each in objects_of(settings.solids) if each.data != settings.id_data]
@@ -54,20 +54,20 @@ def _mesh_of(source: bpy.types.Object, to_particles: np.ndarray, depsgraph: bpy.
     placed = to_particles @ np.array(evaluated.matrix_world)
     triangles = triangles.reshape(-1, 3)
     if np.linalg.det(placed[:3, :3]) < 0.0:
-        # A mirrored object faces inwards.
+        # The triangles of a mirrored object face inwards, so turn them round.
         triangles = triangles[:, ::-1]
     vertices = positions.reshape(-1, 3).astype(np.float64) @ placed[:3, :3].T + placed[:3, 3]
     return SolidMesh(source.name, vertices, np.ascontiguousarray(triangles))
 
 
 def exported(settings: bpy.types.PropertyGroup, offset: float, scene: bpy.types.Scene, numbers: Iterator[int], folder: Path) -> list[str]:
-    """Writes the solids of each frame number into a folder, for a conversion. Returns the names, with {} for the number.
+    """Writes the solids of each file number into a folder, for a conversion.
 
-    Raises `Hidden`.
+    Returns the files' names, with {} for the number. Raises `Hidden` like `solids_of`.
     """
     folder.mkdir(parents=True, exist_ok=True)
     shown_frame, shown_subframe, was_live = scene.frame_current, scene.frame_subframe, settings.live
-    # The surface itself need not follow.
+    # Do not update the live surface at the frames that are evaluated here.
     settings.live = False
     names: list[str] = []
     try:

@@ -23,11 +23,11 @@ def _read(data: bpy.types.Mesh | bpy.types.PointCloud, count: int) -> tuple[Floa
 
 
 class Hidden(Exception):
-    """An object that is not evaluated."""
+    """An object whose shape is unknown because Blender does not evaluate hidden objects."""
 
 
 def particles_of(source: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> tuple[Floats, Floats | None]:
-    """Positions, and velocities if there is an attribute with this name.
+    """Returns an object's positions, and its velocities if it has an attribute "velocity".
 
     Raises `Hidden`.
     """
@@ -36,7 +36,7 @@ def particles_of(source: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> tu
         # Geometry nodes can make a point cloud from any object.
         geometry = evaluated.evaluated_geometry()
     except TypeError:
-        # The other graph has another frame, and is not updated during a render.
+        # The other dependency graph cannot help: a render does not update it to its frame.
         where = "in renders" if depsgraph.mode == "RENDER" else "in the viewport"
         what = f"{source.name} is hidden {where}, where its vertices are then not known: vertices without faces are not drawn anyway"
         raise Hidden(what) from None

@@ -10,12 +10,12 @@ import bpy
 from .surfaces.playing import volume_offset
 from .surfaces.sequence import Timing, number_of
 
-#: The largest number of frames of a Volume's sequence.
+#: The largest number of frames that Blender accepts for a Volume.
 _LONGEST = 1048574
 
 
 def files_of(output: str) -> Mapping[int, Path]:
-    """The files of a conversion whose output has {:04} in its name, by their numbers."""
+    """The files of a conversion, by their numbers; `output` is their name with {:04} for the number."""
     found = Path(output)
     files = {number_of(str(file)): file for file in found.parent.glob(found.name.replace("{:04}", "*"))}
     return {number: files[number] for number in sorted(number for number in files if number is not None)}

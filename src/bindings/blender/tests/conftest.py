@@ -1,4 +1,4 @@
-"""Modules of the extension that need no Blender, and a sequence of small frames."""
+"""Makes the extension's modules that need no Blender importable, and a sequence of small frames."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ sys.path.insert(0, str(HERE.parents[3] / "tools" / "bindings"))
 
 @pytest.fixture()
 def sequence(tmp_path: Path) -> Path:
-    """Frames 2, 3 and 6 of a ball that grows."""
+    """A folder with frames 2, 3 and 6 of a growing ball."""
     for number in (2, 3, 6):
         steps = np.arange(-3.0 - number, 4.0 + number)
         points = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)

@@ -26,7 +26,7 @@ def test_a_value_that_does_not_fit_drives_out_nothing() -> None:
     cache.put("a", kib(1))
     cache.put("b", kib(3))
     assert cache.get("a") is not None and cache.get("b") is None
-    # An older value with its key does not stay either.
+    # A value that is too large also removes the old value with the same key.
     cache.put("a", kib(3))
     assert cache.get("a") is None and cache.nbytes == 0
 

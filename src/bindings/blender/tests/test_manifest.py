@@ -11,7 +11,8 @@ import blender_zip
 import pytest
 
 WHEEL = "meniscus_surface-0.3.0-cp310-abi3-manylinux_2_28_x86_64.whl"
-#: What extensions.blender.org accepts: https://docs.blender.org/manual/en/latest/advanced/extensions/
+#: Tags that extensions.blender.org accepts:
+#: https://docs.blender.org/manual/en/latest/advanced/extensions/
 TAGS = set(
     "3D View,Add Curve,Add Mesh,Animation,Bake,Camera,Compositing,Development,Game Engine,Geometry Nodes,Grease Pencil,Import-Export,Lighting,"
     "Material,Modeling,Mesh,Node,Object,Paint,Physics,Pipeline,Render,Rigging,Scene,Sculpt,Sequencer,System,Text Editor,Tracking,User Interface,"
@@ -34,7 +35,7 @@ def test_the_manifest_keeps_the_rules_of_the_extensions_platform() -> None:
     assert set(read["tags"]) <= TAGS and set(read["permissions"]) <= PERMISSIONS and set(read["license"]) <= LICENSES
     assert all(re.fullmatch(r"\d{4}(-\d{4})? \S.*", line) for line in read["copyright"])
     assert read["copyright"][0].split(" ", 1)[1] in (blender_zip.ROOT / "LICENSE-MIT").read_text()
-    # Blender rejects longer ones, and those that end with punctuation.
+    # Blender rejects texts of more than 64 characters, and texts that end with punctuation.
     for text in [read["tagline"], *read["permissions"].values()]:
         assert len(text) <= 64 and re.search(r"\w$|\)$", text), text
 
@@ -79,7 +80,7 @@ def test_the_zip_holds_all_modules_and_is_the_same_each_time(tmp_path: Path) -> 
     assert blender_zip.pack(wheel, tmp_path).read_bytes() == first
     names = set(zipfile.ZipFile(zipped).namelist())
     assert {"blender_manifest.toml", "__init__.py", "README.md", "LICENSE", f"wheels/{WHEEL}"} <= names
-    # All modules that the extension imports exist.
+    # Every module that the extension imports must be in the zip.
     for path in [name for name in names if name.endswith(".py")]:
         text = zipfile.ZipFile(zipped).read(path).decode()
         for module in re.findall(r"^from \.([\w.]+) import", text, re.M):

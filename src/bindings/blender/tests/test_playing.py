@@ -1,4 +1,4 @@
-"""A stage and volumes have the times of the live surface."""
+"""A converted stage and converted volumes show each frame when the live surface shows it."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ def listing(folder: Path, frames: list[tuple[int, float]], fps: float = 25.0) ->
 
 def test_numbers_over_the_rate_are_played_one_a_frame(tmp_path: Path) -> None:
     read = reading(listing(tmp_path, [(3, 0.12), (10, 0.4), (20, 0.8)]), Timing(start=1, first=3))
-    # At frame 1, the time code is that of number 3: 0.12 * 25.
+    # Frame 1 shows file 3, whose time code is 0.12 s * 25 per second = 3.
     assert read.offset == pytest.approx(1 - 3)
 
 
 def test_times_of_the_simulation_and_steps_go_their_own_way(tmp_path: Path) -> None:
-    # Ten numbers per second, every second one.
+    # The simulation has ten files per second, and each scene frame advances by two files.
     read = reading(listing(tmp_path, [(0, 1.0), (5, 1.5)]), Timing(start=11, first=1, step=2.0))
     assert read.offset is None
     code = eval(read.expression, {"frame": 13})
-    # Frame 13 shows number 5, at 1.5 s.
+    # Frame 13 shows file 5, whose time is 1.5 s.
     assert code == pytest.approx(1.5 * 25)
 
 
@@ -43,6 +43,6 @@ def test_a_volume_shows_the_file_of_the_live_surface(timing: Timing) -> None:
     expression = volume_offset(timing, first, last)
     for frame in range(-20, 60):
         offset = eval(expression, {"frame": frame, "floor": floor, "max": max, "min": min})
-        # As Blender counts the frames of a volume that stays beyond its ends.
+        # Blender computes the file number of a Volume in this way.
         shown = max(frame - timing.start + 1, 1) + offset
         assert shown == shown_at(frames, timing, frame).number, frame

@@ -54,7 +54,7 @@ def test_other_filters_need_no_particles_again(sequence: Path) -> None:
     maker = Maker()
     maker.make(request_of(file))
     stamp = file.stat()
-    # Reading it now would fail.
+    # Overwrite the file, so that the test fails if the maker reads it again.
     file.write_bytes(b"\0" * stamp.st_size)
     os.utime(file, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
     calm = maker.make(request_of(file, smooth=2.5))

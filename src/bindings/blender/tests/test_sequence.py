@@ -41,7 +41,7 @@ def test_every_file_that_the_library_reads_can_be_chosen() -> None:
     with pytest.raises(meniscus.InputError) as refused:
         meniscus.read_particles("water.abc")
     known = set(re.findall(r"\.\w+", str(refused.value).split("abc", 1)[1]))
-    # Packed frames, and lists of frames.
+    # The extension also offers packed frames and lists of frames, which are no particle files.
     assert set(EXTENSIONS) == known | {".mnf", ".pvd", ".series"}
     assert len(";".join(f"*{extension}" for extension in EXTENSIONS)) <= 255
 
@@ -60,7 +60,8 @@ def test_frames_are_shown_by_their_numbers() -> None:
     timing = Timing(start=1, first=2)
     shown = [shown_at(FRAMES, timing, frame) for frame in range(-2, 9)]
     assert [each.number for each in shown] == [2, 2, 2, 2, 3, 3, 3, 6, 6, 6, 6]
-    # A missing file between others is replaced, but not before the first or after the last.
+    # A gap is a missing file between others; frames before the first or after the last file are
+    # not.
     assert [each.is_gap for each in shown] == [False, False, False, False, False, True, True, False, False, False, False]
     assert shown[5].wanted == 4 and shown[5].path == "f_3.bgeo"
 
@@ -68,8 +69,7 @@ def test_frames_are_shown_by_their_numbers() -> None:
 def test_steps_go_on_faster_or_slower() -> None:
     assert [Timing(1, 0, 5.0).number(frame) for frame in (1, 2, 3)] == [0, 5, 10]
     assert [Timing(1, 0, 0.5).number(frame) for frame in (0, 1, 2, 3, 4)] == [-1, 0, 0, 1, 1]
-    # 0.3333333, as typed by a user, is slightly less than 1/3, but three such steps still advance
-    # one frame.
+    # A user who types 0.3333333 means 1/3: three scene frames must advance by one file.
     assert [Timing(0, 0, 0.3333333).number(frame) for frame in (2, 3, 9)] == [0, 1, 3]
 
 

@@ -20,7 +20,7 @@ int main(int count, char **arguments) {
     for (int axis = 0; axis < 3; axis++) water[i].position[axis] = 0.05f * (float)at[axis];
     water[i].velocity[1] = -9.81f * 0.05f;
   }
-  // The library reads them in place.
+  // The library reads the arrays in place, without a copy.
   const MeniscusAttribute velocity = {
       .size = sizeof velocity, .name = "velocity", .values = water[0].velocity, .components = 3, .stride = sizeof *water};
   const MeniscusParticles particles = {.size = sizeof particles,

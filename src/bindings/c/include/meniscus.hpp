@@ -1,8 +1,8 @@
-// meniscus for C++17: RAII handles, exceptions, and containers for meniscus.h, which documents
-// everything.
+// A C++17 wrapper of meniscus.h with RAII handles, exceptions and containers. meniscus.h has the
+// detailed documentation.
 //
-// A status other than MENISCUS_STATUS_OK is thrown as meniscus::Error. An exception of a callback
-// ends the work, and is rethrown by the call.
+// A status other than MENISCUS_STATUS_OK is thrown as meniscus::Error. If a callback throws an
+// exception, the call stops its work and throws the same exception.
 #ifndef MENISCUS_HPP
 #define MENISCUS_HPP
 
@@ -23,7 +23,7 @@
 
 namespace meniscus {
 
-// A failed call: what() says what is wrong, and where.
+// The error of a failed call: what() says what is wrong, and where.
 class Error : public std::runtime_error {
  public:
   Error(MeniscusStatus status, const std::string &what) : std::runtime_error(what), status(status) {}
@@ -60,7 +60,7 @@ constexpr int32_t number_type() {
   return std::is_same_v<T, float> ? MENISCUS_TYPE_F32 : MENISCUS_TYPE_F64;
 }
 
-// Particles in the caller's memory, which must stay unchanged while it is used. Strides are in
+// Particles in the caller's memory, which must not change while this object is used. Strides are in
 // bytes.
 class Particles {
  public:
@@ -84,7 +84,7 @@ class Particles {
     return *this;
   }
 
-  // The C structure, valid while this object is unchanged.
+  // The C structure, valid until this object changes or is destroyed.
   MeniscusParticles c() const {
     MeniscusParticles c = c_;
     c.attributes = attributes_.data(), c.attribute_count = attributes_.size();
@@ -121,7 +121,7 @@ class Cancel {
   detail::Handle<MeniscusCancel, meniscus_cancel_free> handle_{meniscus_cancel_new()};
 };
 
-// Options, by the keys of the program: `Options().set("spacing", 0.05).set("normals", true)`.
+// Options, set by their keys: `Options().set("spacing", 0.05).set("normals", true)`.
 class Options {
  public:
   Options() = default;
@@ -132,8 +132,8 @@ class Options {
     return *this;
   }
 
-  // Sets an option from a number, a switch or text. Throws if the key is unknown, or the value has
-  // another type.
+  // Sets an option from a number, a bool or a string. Throws if the key is unknown, or if the value
+  // has the wrong type.
   template <class T>
   Options &set(const std::string &key, const T &value) {
     if constexpr (std::is_same_v<T, bool>) {
@@ -152,12 +152,12 @@ class Options {
   Options &set(const std::string &key, const std::vector<double> &values) {
     return set_numbers(key, values.data(), values.size());
   }
-  // Returns an option to its default.
+  // Resets an option to its default.
   Options &clear(const std::string &key) {
     check(meniscus_options_set(handle_.get(), key.c_str(), nullptr));
     return *this;
   }
-  // Sets the function that is called with progress; it returns false to cancel the work.
+  // Sets the function that receives progress; it returns false to cancel the work.
   Options &on_progress(std::function<bool(const MeniscusProgress &)> progress) {
     on_progress_ = std::move(progress);
     return *this;
@@ -185,7 +185,7 @@ class Options {
 
 namespace detail {
 
-// Options of one call, with this object as the receiver of its progress.
+// A copy of the options for one call, whose progress callback also catches exceptions.
 class Asked {
  public:
   explicit Asked(const Options &options)
@@ -197,7 +197,7 @@ class Asked {
   Asked &operator=(const Asked &) = delete;
   const MeniscusOptions *c() const { return handle_.get(); }
 
-  // Throws the exception of the callback, or the error of the call.
+  // Throws the exception of the callback, if there was one, or else the error of the call.
   void check(MeniscusStatus status) {
     if (auto thrown = std::exchange(thrown_, nullptr)) std::rethrow_exception(thrown);
     meniscus::check(status);
@@ -229,13 +229,15 @@ class Mesh {
   uint64_t vertex_count() const { return meniscus_mesh_vertex_count(c()); }
   uint64_t triangle_count() const { return meniscus_mesh_triangle_count(c()); }
 
-  // x, y, z of each vertex. Every Span of a mesh is valid as long as the mesh lives.
+  // The coordinates x, y, z of each vertex. Every Span of a mesh is valid as long as the mesh
+  // lives.
   Span<double> positions() const { return {arrays().positions, 3 * arrays().vertex_count}; }
-  // The vertices of each triangle, counterclockwise seen from outside.
+  // The three vertices of each triangle, counterclockwise seen from outside.
   Span<uint32_t> triangles() const { return {arrays().triangles, 3 * arrays().triangle_count}; }
   // The normal of each vertex; empty if no normals were requested.
   Span<float> normals() const { return {arrays().normals, arrays().normals ? 3 * arrays().vertex_count : 0}; }
-  // The components of each vertex, of the attribute with this name; integers are rounded to float.
+  // All components of the attribute with this name, vertex by vertex; integers are rounded to
+  // float.
   Span<float> attribute(const std::string &name) const {
     const MeniscusArrays lent = arrays();
     for (const auto &one : Span(lent.attributes, lent.attribute_count)) {
@@ -244,7 +246,7 @@ class Mesh {
     throw std::out_of_range("the mesh has no attribute " + name);
   }
 
-  // Copies, as float or double.
+  // A copy of the positions, as float or double.
   template <class T>
   std::vector<T> copy_positions() const {
     static_assert(std::is_floating_point_v<T>, "coordinates are float or double");
@@ -256,7 +258,7 @@ class Mesh {
     }
     return out;
   }
-  // The exact components of each vertex, of the integer attribute with this name.
+  // The exact values of the integer attribute with this name, vertex by vertex.
   std::vector<int64_t> copy_whole(const std::string &name) const {
     for (std::size_t i = 0; i < meniscus_mesh_attribute_count(c()); i++) {
       if (name != meniscus_mesh_attribute_name(c(), i)) continue;
@@ -272,7 +274,7 @@ class Mesh {
     return out;
   }
 
-  // Warnings about the surface, or about its request.
+  // The warnings about the surface and about its request.
   std::vector<std::string> warnings() const {
     std::vector<std::string> all;
     for (std::size_t i = 0; i < meniscus_mesh_warning_count(c()); i++) all.emplace_back(meniscus_mesh_warning(c(), i));
@@ -281,9 +283,9 @@ class Mesh {
   MeniscusReport report() const { return filled<MeniscusReport>(meniscus_mesh_report); }
   MeniscusCheck checked() const { return filled<MeniscusCheck>(meniscus_mesh_check); }
 
-  // Writes a new file, and returns its size in bytes. An existing file is an error.
+  // Writes a new mesh file, and returns its size in bytes. Throws if the file exists.
   uint64_t write(const std::string &path) const { return write(path, 0); }
-  // Writes a file, and replaces an existing one.
+  // Writes a mesh file, and replaces an existing file.
   uint64_t overwrite(const std::string &path) const { return write(path, 1); }
 
   const MeniscusMesh *c() const { return handle_.get(); }
@@ -323,7 +325,7 @@ inline Mesh reconstruct(const std::string &path, const Options &options = {}) {
   return Mesh(mesh);
 }
 
-// A frame that is sampled once, from which several surfaces can be made.
+// A frame that is sampled once, so that several surfaces can be made from it.
 class Frame {
  public:
   explicit Frame(const Particles &particles, const Options &options = {}) {
@@ -336,20 +338,20 @@ class Frame {
     take(asked, [&](MeniscusFrame **frame) { return meniscus_sample_file(path.c_str(), asked.c(), frame); });
   }
 
-  // Makes the surface that was requested when the particles were sampled.
+  // Makes the surface with the options of the sampling.
   Mesh surface() const {
     MeniscusMesh *mesh = nullptr;
     check(meniscus_frame_surface(handle_.get(), nullptr, &mesh));
     return Mesh(mesh);
   }
-  // Makes a surface with other options.
+  // Makes a surface with different options.
   Mesh surface(const Options &options) const {
     detail::Asked asked(options);
     MeniscusMesh *mesh = nullptr;
     asked.check(meniscus_frame_surface(handle_.get(), asked.c(), &mesh));
     return Mesh(mesh);
   }
-  // Writes a new .mnf file, and returns its size in bytes. An existing file is an error.
+  // Packs the frame into a new .mnf file, and returns its size in bytes. Throws if the file exists.
   uint64_t pack(const std::string &path) const {
     uint64_t bytes = 0;
     check(meniscus_frame_pack(handle_.get(), path.c_str(), 0, &bytes));
@@ -366,7 +368,7 @@ class Frame {
   detail::Handle<MeniscusFrame, meniscus_frame_free> handle_;
 };
 
-// A running simulation: frames from memory, in order, with one calibration.
+// A running simulation: its frames come from memory, in order, and share one calibration.
 class Simulation {
  public:
   explicit Simulation(const Options &options = {}) : asked_(std::make_unique<detail::Asked>(options)) {

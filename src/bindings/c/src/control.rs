@@ -9,7 +9,7 @@ use parking_lot::ReentrantMutex;
 
 use crate::status::{ask, c_text};
 
-/// A stage between particles and a mesh file.
+/// A stage of the work from particles to a mesh file.
 #[repr(i32)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum MeniscusStage {
@@ -19,7 +19,7 @@ pub enum MeniscusStage {
     Reading = 1,
     /// Particles are counted in cells, to estimate the memory of the frame.
     Counting = 2,
-    /// A large frame waits for others to finish.
+    /// A large frame waits until other frames have finished.
     Waiting = 3,
     /// Particles are sampled on the grid.
     Sampling = 4,
@@ -46,11 +46,11 @@ impl From<Stage> for MeniscusStage {
     }
 }
 
-/// Progress of a frame. The library fills it, and later versions may append fields.
+/// Progress of a frame. The library fills the structure, and later versions may append fields.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct MeniscusProgress {
-    /// Size of this structure in the library.
+    /// Size of this structure in bytes, in the version of the library.
     pub size: usize,
     /// The name of the stage, such as "meshing"; valid during the callback.
     pub name: *const c_char,
@@ -63,105 +63,106 @@ pub struct MeniscusProgress {
 /// A function that receives progress. It returns 0 to continue; any other value cancels the work,
 /// and the call returns MENISCUS_STATUS_CANCELLED.
 ///
-/// Threads of the library call it, but only one at a time within a call, and never after the call
-/// has returned. It must not throw, nor leave by longjmp.
+/// Threads of the library call it, one at a time for each call of the library, and never after that
+/// call has returned. It must not throw an exception or leave by longjmp.
 pub type MeniscusProgressCallback =
     Option<unsafe extern "C" fn(user: *mut c_void, progress: *const MeniscusProgress) -> i32>;
 
-/// A handle with which any thread can cancel work. Current and later work with the handle ends with
-/// MENISCUS_STATUS_CANCELLED, so a cancelled handle cannot be reused. It may be freed while such
-/// work runs.
+/// A handle with which any thread can cancel work. Cancelled calls return
+/// MENISCUS_STATUS_CANCELLED. Later calls with the same handle do so too, so a cancelled handle
+/// cannot be reused. The handle may be freed while calls use it.
 #[derive(Debug, Default)]
 pub struct MeniscusCancel {
     pub cancel: Cancel,
 }
 
-/// Creates a handle, to be freed by meniscus_cancel_free.
+/// Creates a cancel handle, to be freed by meniscus_cancel_free.
 #[unsafe(no_mangle)]
 pub extern "C" fn meniscus_cancel_new() -> *mut MeniscusCancel {
     ask(std::ptr::null_mut(), || Box::into_raw(Box::default()))
 }
 
-/// Cancels all work with this handle. Any thread may call it at any time; NULL is ignored.
+/// Cancels all calls that use this handle. Any thread may call this function at any time; NULL is
+/// ignored.
 ///
 /// `cancel` is NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_cancel(cancel: *const MeniscusCancel) {
-    // SAFETY: as for this function.
+    // SAFETY: the caller upholds this function's contract.
     if let Some(handle) = unsafe { cancel.as_ref() } {
         ask((), || handle.cancel.cancel());
     }
 }
 
-/// Frees a handle; NULL is ignored.
+/// Frees a cancel handle; NULL is ignored.
 ///
 /// `cancel` is NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_cancel_free(cancel: *mut MeniscusCancel) {
-    // SAFETY: as for this function.
+    // SAFETY: the caller upholds this function's contract.
     unsafe { free(cancel) };
 }
 
-/// Frees the target of a handle; NULL is ignored.
+/// Frees a handle of any type; NULL is ignored.
 ///
 /// # Safety
 /// `handle` is NULL or came from a `Box` that has not been freed.
 pub unsafe fn free<T>(handle: *mut T) {
     if !handle.is_null() {
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         ask((), || drop(unsafe { Box::from_raw(handle) }));
     }
 }
 
-/// A callback with its argument.
+/// A progress callback with its argument `user`.
 #[derive(Clone, Copy)]
 pub struct Listener {
     pub callback: unsafe extern "C" fn(*mut c_void, *const MeniscusProgress) -> i32,
     pub user: *mut c_void,
 }
 
-/// A callback that is active only during a call: surfaces keep their progress callback, and may
-/// outlive its argument. A callback may call the library, which may call the callback again;
-/// therefore the lock is reentrant.
+/// Holds the callback only while it is active, during a call. Surfaces keep the slot, and may
+/// outlive the callback's argument. The lock is reentrant, because a callback may call the library,
+/// which may call the callback again.
 struct CallbackSlot(ReentrantMutex<Cell<Option<Listener>>>);
 
-// SAFETY: only one thread at a time uses `*user`, and the caller has agreed that it may be any
-// thread.
+// SAFETY: the lock lets only one thread at a time use `*user`, and the documentation of
+// `MeniscusProgressCallback` says that it may be any thread.
 unsafe impl Send for CallbackSlot {}
-// SAFETY: as above.
+// SAFETY: for the same reason as `Send`.
 unsafe impl Sync for CallbackSlot {}
 
-/// Progress and cancellation of a request.
+/// The progress callback and the cancel handle of a request.
 pub struct Control {
     cancel: Cancel,
-    /// Whether the handle belongs to the caller.
+    /// Whether the caller has set the cancel handle.
     is_given: bool,
     listener: Option<Listener>,
     slot: Arc<CallbackSlot>,
 }
 
-// SAFETY: as for `CallbackSlot`.
+// SAFETY: `listener` is only called through the `CallbackSlot`, which is `Send`.
 unsafe impl Send for Control {}
-// SAFETY: as above.
+// SAFETY: for the same reason as `Send`.
 unsafe impl Sync for Control {}
 
-/// Activates the callback until it is dropped.
+/// Keeps the callback active until this object is dropped.
 pub struct ActiveCallback<'a>(&'a Control);
 
 impl Control {
-    /// Takes an optional callback, and an optional cancel handle.
+    /// Creates a control from an optional callback and an optional cancel handle.
     pub fn new(listener: Option<Listener>, cancel: Option<Cancel>) -> Self {
         let is_given = cancel.is_some();
         Self { cancel: cancel.unwrap_or_default(), is_given, listener, slot: CallbackSlot::empty() }
     }
 
-    /// A copy for other work, which a cancel by the callback does not affect.
+    /// A copy for another frame: if the callback cancels one frame, the other continues.
     pub fn for_other_work(&self) -> Self {
         let cancel = if self.is_given { self.cancel.clone() } else { Cancel::new() };
         Self { cancel, slot: CallbackSlot::empty(), ..*self }
     }
 
-    /// The cancel handle of the work.
+    /// The cancel handle of the request.
     pub fn cancel(&self) -> &Cancel {
         &self.cancel
     }
@@ -176,7 +177,7 @@ impl Control {
         request.progress(move |progress| slot.call(progress, &cancel))
     }
 
-    /// Activates the callback.
+    /// Activates the callback as long as the result lives.
     pub fn activate(&self) -> ActiveCallback<'_> {
         self.slot.0.lock().set(self.listener);
         ActiveCallback(self)
@@ -205,7 +206,7 @@ impl CallbackSlot {
             done,
             stage: MeniscusStage::from(stage) as i32,
         };
-        // SAFETY: `user` belongs to this callback; both are valid during the call.
+        // SAFETY: the caller has set `user` for this callback, and both are valid during the call.
         if unsafe { callback(user, &raw const progress) } != 0 {
             cancel.cancel();
         }

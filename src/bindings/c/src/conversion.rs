@@ -1,5 +1,5 @@
-//! Converts the files of a simulation to mesh files, with the same state and records as the
-//! program.
+//! Converts the files of a simulation to mesh files. The state file and the records are the same as
+//! the program's.
 
 use std::ffi::{CString, c_char, c_void};
 use std::path::PathBuf;
@@ -21,19 +21,19 @@ pub enum MeniscusEventKind {
     Waiting = 1,
     /// The spacing may be wrong.
     SpacingWarning = 2,
-    /// The conversion starts again, because settings or its input changed.
+    /// The conversion starts from the beginning, because its settings or its input changed.
     Restarted = 3,
     /// An earlier conversion is resumed.
     Resumed = 4,
     /// The calibration that all frames share was measured.
     Measured = 5,
-    /// The conversion begins, and the number of frames is known.
+    /// The conversion of frames starts, and their number is known.
     Started = 6,
     /// A new frame appeared.
     FrameAppeared = 7,
-    /// A frame entered a stage, progressed in it, or left the last one.
+    /// A frame entered a stage, progressed in it, or left its last stage.
     Stage = 8,
-    /// A frame is finished: its mesh is complete, with its final name.
+    /// A frame is finished: its mesh file is complete and has its final name.
     Done = 9,
     /// A frame failed.
     Failed = 10,
@@ -43,25 +43,25 @@ pub enum MeniscusEventKind {
     Ended = 12,
 }
 
-/// An event of a conversion. The library fills it, and later versions may append fields.
+/// An event of a conversion. The library fills the structure, and later versions may append fields.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct MeniscusEvent {
-    /// Size of this structure in the library.
+    /// Size of this structure in bytes, in the version of the library.
     pub size: usize,
-    /// The event as a line of text; valid during the callback.
+    /// A description of the event, as a line of text; valid during the callback.
     pub text: *const c_char,
     /// The warnings about a finished frame, one per line; NULL if there are none. Valid during the
     /// callback.
     pub warnings: *const c_char,
-    /// The number of the frame, in events about stages and about frames that finished or failed.
-    /// Frames before frame 0 have negative numbers.
+    /// The number of the frame, in events about stages and about finished or failed frames. It may
+    /// be negative.
     pub frame: i64,
-    /// Frames that have finished or failed so far, if known.
+    /// Number of frames that have finished or failed so far, if known.
     pub done: u64,
-    /// All frames of the conversion, if known.
+    /// Number of all frames of the conversion, if known.
     pub total: u64,
-    /// Frames that have failed so far, if known.
+    /// Number of frames that have failed so far, if known.
     pub failed: u64,
     /// One of MeniscusEventKind.
     pub kind: i32,
@@ -72,39 +72,39 @@ pub struct MeniscusEvent {
 /// A function that receives events. It returns 0 to continue; any other value cancels the
 /// conversion, and keeps finished frames.
 ///
-/// It is called on the thread that called meniscus_convert. It must not throw, nor leave by
+/// meniscus_convert calls it on the caller's thread. It must not throw an exception or leave by
 /// longjmp.
 pub type MeniscusEventCallback =
     Option<unsafe extern "C" fn(user: *mut c_void, event: *const MeniscusEvent) -> i32>;
 
-/// A callback with its argument.
+/// An event callback with its argument `user`.
 #[derive(Clone, Copy)]
 pub struct EventListener {
     pub callback: unsafe extern "C" fn(*mut c_void, *const MeniscusEvent) -> i32,
     pub user: *mut c_void,
 }
 
-/// The end of a conversion. The caller sets `size`, and the library fills the rest.
+/// The result of a conversion. The caller sets `size`, and the library sets the other fields.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct MeniscusSummary {
     /// sizeof(MeniscusSummary).
     pub size: usize,
-    /// Frames that were made.
+    /// Number of frames that were made.
     pub made: u64,
-    /// Frames that failed.
+    /// Number of frames that failed.
     pub failed: u64,
-    /// Frames that are missing between others.
+    /// Number of frames that are missing between other frames.
     pub missing: u64,
-    /// Particles in the frames that were made.
+    /// Number of particles in the frames that were made.
     pub particles: u64,
-    /// Lower bound of the particles that are missing from surfaces.
+    /// Lower bound of the number of particles that are missing from the surfaces.
     pub lost: u64,
-    /// Duration in seconds.
+    /// Duration of the conversion in seconds.
     pub seconds: f64,
 }
 
-// SAFETY: numbers.
+// SAFETY: all fields are numbers.
 unsafe impl Growing for MeniscusSummary {
     const NAME: &str = "MeniscusSummary";
 }
@@ -117,13 +117,13 @@ fn notify(listener: Option<EventListener>, event: &Event, cancel: &Cancel) {
     let warnings: Option<CString> = (!warnings.is_empty()).then(|| c_text(warnings.join("\n")));
     let warnings = warnings.as_ref().map_or(std::ptr::null(), |warnings| warnings.as_ptr());
     let converted = MeniscusEvent { text: text.as_ptr(), warnings, ..converted };
-    // SAFETY: `user` belongs to this callback; both are valid during the call.
+    // SAFETY: the caller has set `user` for this callback, and both are valid during the call.
     if unsafe { callback(user, &raw const converted) } != 0 {
         cancel.cancel();
     }
 }
 
-/// An event as a C structure, with the warnings about its frame.
+/// Converts an event to the C structure, and returns the warnings about its frame.
 fn described(event: &Event) -> (MeniscusEvent, Vec<String>) {
     let mut converted = MeniscusEvent {
         size: size_of::<MeniscusEvent>(),
@@ -179,31 +179,31 @@ impl MeniscusEvent {
     }
 }
 
-/// The paths of a conversion's inputs.
+/// Reads the caller's array of input paths.
 ///
 /// # Safety
-/// As for [`pointers`].
+/// The requirements of [`pointers`].
 unsafe fn paths(inputs: *const *const c_char, count: usize) -> Outcome<Vec<PathBuf>> {
-    // SAFETY: as for this function.
+    // SAFETY: the caller upholds this function's contract.
     let names = unsafe { pointers(inputs, count, "inputs") }?;
     if names.is_empty() {
         return Err(Failure::request("input_count is 0"));
     }
-    // SAFETY: as for this function.
+    // SAFETY: the caller upholds this function's contract.
     names.iter().map(|&name| unsafe { path(name, "inputs") }).collect()
 }
 
-/// Converts the files of a simulation to mesh files, as the program does: with one calibration, in
-/// parallel, each file completely or not at all.
+/// Converts the files of a simulation to mesh files, like the program: several frames in parallel,
+/// all with the same calibration. Each file appears completely or not at all.
 ///
 /// `inputs`: one name with {} for the number, a folder, a glob or a file with several steps; or the
 /// files of `input_count` frames; or, with the option "together", inputs whose frames with the same
-/// number are joined. `output`: a name with {} or {:04} for the number, a folder, or one .abc for all
-/// frames. `options`: the frames and their settings; NULL for all defaults. Their progress function is
-/// not called. `summary`: NULL, or the structure to fill.
+/// number are joined. `output`: a name with {} or {:04} for the number, a folder, or one .abc for
+/// all frames. `options`: the settings and the selected frames; NULL for all defaults. Their
+/// progress function is not called. `summary`: NULL, or the structure to fill.
 ///
-/// MENISCUS_STATUS_INCOMPLETE if frames failed or are missing between others; the message describes
-/// the first. The other frames are finished.
+/// MENISCUS_STATUS_INCOMPLETE if frames failed or are missing between others: the message describes
+/// the first of them, and all other frames are finished.
 ///
 /// Pointers are NULL or point to the described data.
 #[unsafe(no_mangle)]
@@ -215,12 +215,12 @@ pub unsafe extern "C" fn meniscus_convert(
     summary: *mut MeniscusSummary,
 ) -> MeniscusStatus {
     call(|| {
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         let (inputs, output) = unsafe { (paths(inputs, input_count)?, path(output, "output")?) };
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         let asked = unsafe { RequestParts::for_frames(options) };
         if !summary.is_null() {
-            // SAFETY: as for this function.
+            // SAFETY: the caller upholds this function's contract.
             unsafe { check(summary, "summary") }?;
         }
         let simulation = asked.simulation(inputs, output);
@@ -231,7 +231,7 @@ pub unsafe extern "C" fn meniscus_convert(
         let summaries = simulation.run(|event| notify(listener, &event, cancel))?;
         let all = summed(&summaries);
         if !summary.is_null() {
-            // SAFETY: as for this function.
+            // SAFETY: the caller upholds this function's contract.
             unsafe { fill(summary, all, "summary") }?;
         }
         incomplete(&summaries, all)
@@ -251,7 +251,7 @@ fn summed(summaries: &[Summary]) -> MeniscusSummary {
     }
 }
 
-/// Describes the first missing or failed frame, if there is one.
+/// Returns an error that describes the first failed or missing frame, if there is one.
 fn incomplete(summaries: &[Summary], all: MeniscusSummary) -> Outcome {
     let failed =
         summaries.iter().flat_map(|one| &one.failed).map(|failed| failed.error.to_string());

@@ -1,4 +1,4 @@
-//! Frames: particles to a surface in one call, or sampled once for several surfaces.
+//! Frames of particles: reconstructed in one call, or sampled once for several surfaces.
 
 use std::ffi::{CString, c_char};
 use std::path::Path;
@@ -13,10 +13,10 @@ use crate::particles::{CallerParticles, MeniscusParticles};
 use crate::status::{Failure, MeniscusStatus, Outcome, ask, c_text, call};
 use crate::text::{path, put};
 
-/// A sampled frame: the field of the particles, from which surfaces with different filters can be
-/// made. Freed by meniscus_frame_free.
+/// A frame whose particles are sampled. Surfaces with different filters can be made from it. Freed
+/// by meniscus_frame_free.
 ///
-/// Several threads may use it at the same time, as long as none frees it.
+/// Several threads may use a frame at the same time, as long as none frees it.
 pub struct MeniscusFrame {
     frame: Frame,
     warnings: Vec<CString>,
@@ -29,7 +29,7 @@ impl MeniscusFrame {
     }
 }
 
-/// Does work whose result is a handle: NULL on failure.
+/// Runs `work`, and stores a handle to its result in `out`, or NULL on failure.
 ///
 /// # Safety
 /// `out` is NULL or points to a pointer.
@@ -42,16 +42,16 @@ pub unsafe fn making<T>(
         if out.is_null() {
             return Err(Failure::request(format!("{what} is NULL")));
         }
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         unsafe { put(out, std::ptr::null_mut()) };
         let made = Box::into_raw(Box::new(work()?));
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         unsafe { put(out, made) };
         Ok(())
     })
 }
 
-/// Does work with particles in memory, with the callback active.
+/// Runs `act` with the caller's particles, while the progress callback is active.
 ///
 /// # Safety
 /// Pointers are NULL or point to the described data.
@@ -60,7 +60,7 @@ unsafe fn of_particles<T>(
     options: *const MeniscusOptions,
     act: impl FnOnce(&Reconstruction, &CallerParticles) -> Result<T, meniscus::Error>,
 ) -> Outcome<T> {
-    // SAFETY: as for this function.
+    // SAFETY: the caller upholds this function's contract.
     let (particles, asked) =
         unsafe { (CallerParticles::new(particles)?, RequestParts::new(options)?) };
     let asked = asked.on_machine(|_| Some(particles.bytes()))?;
@@ -68,7 +68,7 @@ unsafe fn of_particles<T>(
     Ok(act(&asked.request, &particles)?)
 }
 
-/// Does work with a file, with the callback active.
+/// Runs `act` with a file, while the progress callback is active.
 ///
 /// # Safety
 /// Pointers are NULL or point to the described data.
@@ -77,9 +77,9 @@ unsafe fn of_file<T>(
     options: *const MeniscusOptions,
     act: impl FnOnce(&Reconstruction, &Path) -> Result<T, meniscus::Error>,
 ) -> Outcome<T> {
-    // SAFETY: as for this function.
+    // SAFETY: the caller upholds this function's contract.
     let (file, asked) = unsafe { (path(file, "path")?, RequestParts::new(options)?) };
-    // Errors of the request are reported before a device is opened.
+    // Report errors of the request before a device is opened.
     asked.request.check(&file)?;
     let asked = asked.for_file(&file)?;
     let _active = asked.control.activate();
@@ -91,9 +91,9 @@ unsafe fn of_file<T>(
 /// `options` may be NULL for all defaults. `mesh`: receives the mesh, to be freed by
 /// meniscus_mesh_free; NULL on failure.
 ///
-/// MENISCUS_STATUS_REQUEST for invalid arguments and options, and for too little memory;
-/// MENISCUS_STATUS_INPUT for particles that are not finite or too far away, for no particles, and
-/// if they have no surface; MENISCUS_STATUS_OUTPUT if scratch files fail.
+/// MENISCUS_STATUS_REQUEST for invalid arguments and options, and for too little memory.
+/// MENISCUS_STATUS_INPUT if there are no particles, if particles are not finite or too far away, or
+/// if they have no surface. MENISCUS_STATUS_OUTPUT if scratch files cannot be written.
 ///
 /// Pointers are NULL or point to the described data; the particles stay unchanged meanwhile.
 #[unsafe(no_mangle)]
@@ -103,17 +103,17 @@ pub unsafe extern "C" fn meniscus_reconstruct(
     mesh: *mut *mut MeniscusMesh,
 ) -> MeniscusStatus {
     let surface = || {
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         unsafe { of_particles(particles, options, |request, particles| request.run(particles)) }
     };
-    // SAFETY: as for this function.
+    // SAFETY: the caller upholds this function's contract.
     unsafe { making(mesh, "mesh", || surface().map(MeniscusMesh::new)) }
 }
 
 /// Reconstructs the surface of the particles in a file, or of a packed frame.
 ///
-/// `path`: any file that the program reads; `file#N` is a step of a file with several. Otherwise
-/// like meniscus_reconstruct.
+/// `path`: any file that the program reads; `file#N` is a step of a file with several steps. Apart
+/// from this, the function works like meniscus_reconstruct.
 ///
 /// Pointers are NULL or point to the described data.
 #[unsafe(no_mangle)]
@@ -122,16 +122,17 @@ pub unsafe extern "C" fn meniscus_reconstruct_file(
     options: *const MeniscusOptions,
     mesh: *mut *mut MeniscusMesh,
 ) -> MeniscusStatus {
-    // SAFETY: as for this function.
+    // SAFETY: the caller upholds this function's contract.
     let surface = || unsafe { of_file(path, options, |request, file| request.run_file(file)) };
-    // SAFETY: as for this function.
+    // SAFETY: the caller upholds this function's contract.
     unsafe { making(mesh, "mesh", || surface().map(MeniscusMesh::new)) }
 }
 
 /// Samples particles in memory once, for several surfaces with different settings.
 ///
-/// `frame`: receives the frame, to be freed by meniscus_frame_free; NULL on failure. Otherwise like
-/// meniscus_reconstruct. The particles are not needed any more afterwards.
+/// `frame`: receives the frame, to be freed by meniscus_frame_free; NULL on failure. Apart from
+/// this, the function works like meniscus_reconstruct. The frame does not need the particles any
+/// more.
 ///
 /// Pointers are NULL or point to the described data; the particles stay unchanged meanwhile.
 #[unsafe(no_mangle)]
@@ -141,10 +142,10 @@ pub unsafe extern "C" fn meniscus_sample(
     frame: *mut *mut MeniscusFrame,
 ) -> MeniscusStatus {
     let sampled = || {
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         unsafe { of_particles(particles, options, |request, particles| request.sample(particles)) }
     };
-    // SAFETY: as for this function.
+    // SAFETY: the caller upholds this function's contract.
     unsafe { making(frame, "frame", || sampled().map(MeniscusFrame::new)) }
 }
 
@@ -157,28 +158,29 @@ pub unsafe extern "C" fn meniscus_sample_file(
     options: *const MeniscusOptions,
     frame: *mut *mut MeniscusFrame,
 ) -> MeniscusStatus {
-    // SAFETY: as for this function.
+    // SAFETY: the caller upholds this function's contract.
     let sampled =
         || unsafe { of_file(path, options, |request, file| request.open(file)?.sample()) };
-    // SAFETY: as for this function.
+    // SAFETY: the caller upholds this function's contract.
     unsafe { making(frame, "frame", || sampled().map(MeniscusFrame::new)) }
 }
 
-/// The frame of a handle.
+/// Returns the frame of a handle, or an error if the handle is NULL.
 ///
 /// # Safety
 /// `frame` is NULL or a handle that has not been freed.
 unsafe fn of<'a>(frame: *const MeniscusFrame) -> Outcome<&'a MeniscusFrame> {
-    // SAFETY: as for this function.
+    // SAFETY: the caller upholds this function's contract.
     unsafe { frame.as_ref() }.ok_or_else(|| Failure::request("frame is NULL"))
 }
 
 /// Makes a surface from a frame.
 ///
 /// `options`: NULL for the surface that was requested when the particles were sampled. Otherwise,
-/// settings from smoothing to simplifying; settings of the sampling must be unset or unchanged
-/// (else MENISCUS_STATUS_REQUEST). Memory, threads, scratch folder and device remain those of the
-/// frame. Otherwise like meniscus_reconstruct.
+/// the options can change all settings from smoothing to simplifying. Settings of the sampling must
+/// be unset or the same as before (else MENISCUS_STATUS_REQUEST). The memory limit, the threads,
+/// the scratch folder and the device are always those of the frame. Apart from this, the function
+/// works like meniscus_reconstruct.
 ///
 /// Pointers are NULL or point to the described data.
 #[unsafe(no_mangle)]
@@ -188,22 +190,22 @@ pub unsafe extern "C" fn meniscus_frame_surface(
     mesh: *mut *mut MeniscusMesh,
 ) -> MeniscusStatus {
     let surface = || -> Outcome<Surface> {
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         let frame = &unsafe { of(frame) }?.frame;
         if options.is_null() {
             return Ok(frame.surface()?);
         }
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         let asked = unsafe { RequestParts::new(options) }?;
         let _active = asked.control.activate();
         Ok(frame.surface_by(&asked.request)?)
     };
-    // SAFETY: as for this function.
+    // SAFETY: the caller upholds this function's contract.
     unsafe { making(mesh, "mesh", || surface().map(MeniscusMesh::new)) }
 }
 
-/// Writes a frame to a .mnf file, completely or not at all, for meniscus_reconstruct_file or
-/// meniscus_sample_file.
+/// Packs a frame into a .mnf file, which meniscus_reconstruct_file and meniscus_sample_file can
+/// read. The file appears completely or not at all.
 ///
 /// `overwrite`: not 0 to replace an existing file. `bytes`: NULL, or receives the file's size.
 ///
@@ -216,11 +218,11 @@ pub unsafe extern "C" fn meniscus_frame_pack(
     bytes: *mut u64,
 ) -> MeniscusStatus {
     call(|| {
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         let (frame, path) = unsafe { (of(frame)?, self::path(path, "path")?) };
         let output = Reconstruction::new().packed_output(&path, replacing(overwrite))?;
         let packed = frame.frame.pack(output)?;
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         unsafe { put(bytes, packed.bytes) };
         Ok(())
     })
@@ -231,7 +233,7 @@ pub unsafe extern "C" fn meniscus_frame_pack(
 /// `frame` is NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_frame_warning_count(frame: *const MeniscusFrame) -> usize {
-    // SAFETY: as for this function.
+    // SAFETY: the caller upholds this function's contract.
     unsafe { frame.as_ref() }.map_or(0, |frame| frame.warnings.len())
 }
 
@@ -244,7 +246,7 @@ pub unsafe extern "C" fn meniscus_frame_warning(
     frame: *const MeniscusFrame,
     index: usize,
 ) -> *const c_char {
-    // SAFETY: as for this function.
+    // SAFETY: the caller upholds this function's contract.
     let frame = unsafe { frame.as_ref() };
     ask(null(), || {
         frame.and_then(|frame| frame.warnings.get(index)).map_or(null(), |text| text.as_ptr())
@@ -256,6 +258,6 @@ pub unsafe extern "C" fn meniscus_frame_warning(
 /// `frame` is NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_frame_free(frame: *mut MeniscusFrame) {
-    // SAFETY: as for this function.
+    // SAFETY: the caller upholds this function's contract.
     unsafe { free(frame) };
 }

@@ -1,8 +1,8 @@
 //! The C interface of meniscus. cbindgen generates `include/meniscus.h` from its public items.
 //!
 //! The interface checks the caller's arguments as far as C allows, and passes them to the library.
-//! No panic crosses a function, and errors are a code and a message.
-// The safety of functions is documented for the header.
+//! An error becomes a code and a message, and no panic leaves a function.
+// The docs of functions describe their safety without a heading, because they go into the header.
 #![allow(clippy::missing_safety_doc)]
 
 mod control;
@@ -19,7 +19,7 @@ mod text;
 
 use std::ffi::c_char;
 
-/// Returns the version of the library, such as "0.3.0". The text is static.
+/// Returns the version of the library, such as "0.3.0". The string is static.
 #[unsafe(no_mangle)]
 pub extern "C" fn meniscus_version() -> *const c_char {
     concat!(env!("CARGO_PKG_VERSION"), "\0").as_ptr().cast()

@@ -1,5 +1,5 @@
-//! Surfaces: their data, copied to the caller's memory or lent from the library's, and written to
-//! files.
+//! Surfaces. The caller can copy their data into own memory, read them in the library's memory, or
+//! write them to files.
 
 use std::ffi::{CString, c_char};
 use std::path::Path;
@@ -19,7 +19,7 @@ use crate::text::{buffer, path, put};
 
 /// A surface: a closed, oriented 2-manifold around the fluid. Freed by meniscus_mesh_free.
 ///
-/// Several threads may use it at the same time, as long as none frees it.
+/// Several threads may use a mesh at the same time, as long as none frees it.
 pub struct MeniscusMesh {
     surface: Surface,
     outline: Outline,
@@ -28,32 +28,33 @@ pub struct MeniscusMesh {
     lent: OnceLock<MeshInMemory>,
 }
 
-/// The whole mesh in memory.
+/// The complete mesh in memory, for [`meniscus_mesh_arrays`].
 struct MeshInMemory {
     mesh: Mesh,
     attributes: Vec<MeniscusMeshAttribute>,
 }
 
-// SAFETY: its pointers lead to what it holds itself, and nothing of that changes.
+// SAFETY: its pointers lead to arrays of its mesh and to names, which live as long and never
+// change.
 unsafe impl Send for MeshInMemory {}
-// SAFETY: as above.
+// SAFETY: for the same reason as `Send`.
 unsafe impl Sync for MeshInMemory {}
 
-/// An attribute of the vertices, lent by the mesh.
+/// An attribute of the vertices, in memory of the mesh.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct MeniscusMeshAttribute {
-    /// The name.
+    /// The name of the attribute.
     pub name: *const c_char,
-    /// The components of each vertex together. Integers are rounded to float:
+    /// `components` numbers per vertex, vertex by vertex. Integers are rounded to float:
     /// meniscus_mesh_attribute_whole copies their exact values.
     pub values: *const f32,
     /// Numbers per vertex.
     pub components: u64,
 }
 
-/// A mesh in the library's memory. The caller sets `size`, and the library fills the rest; all
-/// pointers are valid until the mesh is freed, and NULL for empty arrays.
+/// A mesh in the library's memory. The caller sets `size`, and the library sets the other fields.
+/// All pointers are valid until the mesh is freed. The pointer of an empty array is NULL.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct MeniscusArrays {
@@ -69,13 +70,13 @@ pub struct MeniscusArrays {
     pub triangles: *const u32,
     /// 3 numbers per vertex: the outward unit normal; NULL if no normals were requested.
     pub normals: *const f32,
-    /// The other attributes of the vertices.
+    /// The attributes of the vertices, without the normals.
     pub attributes: *const MeniscusMeshAttribute,
-    /// Number of attributes.
+    /// Number of elements in `attributes`.
     pub attribute_count: usize,
 }
 
-// SAFETY: numbers and pointers.
+// SAFETY: all fields are numbers or nullable pointers.
 unsafe impl Growing for MeniscusArrays {
     const NAME: &str = "MeniscusArrays";
 }
@@ -99,7 +100,7 @@ impl MeniscusMesh {
         }
     }
 
-    /// Lends the whole mesh, which the first call makes.
+    /// Returns the complete mesh in memory. The first call creates it.
     fn lent(&self) -> Outcome<&MeshInMemory> {
         if let Some(lent) = self.lent.get() {
             return Ok(lent);
@@ -112,21 +113,22 @@ impl MeniscusMesh {
                 components: attribute.components as u64,
             };
         let attributes = mesh.attributes.iter().zip(&self.names).map(attribute).collect();
-        // Another thread may have been faster.
+        // If another thread has created it meanwhile, this returns the other thread's.
         Ok(self.lent.get_or_init(|| MeshInMemory { mesh, attributes }))
     }
 
-    /// Copies the values of `each` piece into a buffer for `needed` values.
+    /// Copies the mesh's values into the buffer `out`, which must have room for `needed` values.
+    /// `each` passes on the values of one piece.
     ///
     /// # Safety
-    /// As for [`buffer`].
+    /// The requirements of [`buffer`].
     unsafe fn copy<T>(
         &self,
         out: (*mut T, u64),
         needed: u64,
         each: impl Fn(usize, &mut dyn FnMut(T)) -> std::io::Result<()>,
     ) -> Outcome {
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         let mut left = unsafe { buffer(out.0, out.1, needed, "out") }?.iter_mut();
         let mut put = |value: T| {
             left.next().map(|place| place.write(value));
@@ -147,11 +149,11 @@ impl MeniscusMesh {
             vertices.positions.as_flattened().iter().for_each(|&x| put(number(x)));
             Ok(())
         };
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         unsafe { self.copy(out, self.outline.vertices.saturating_mul(3), each) }
     }
 
-    /// The attribute with an index.
+    /// Returns the attribute with this index, or an error if there is none.
     fn attribute(&self, index: usize) -> Outcome<&AttributeInfo> {
         let there = self.names.len();
         let none =
@@ -171,7 +173,7 @@ impl MeniscusMesh {
             Ok(())
         };
         let components = self.attribute(index)?.components as u64;
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         unsafe { self.copy(out, self.outline.vertices.saturating_mul(components), each) }
     }
 
@@ -181,39 +183,39 @@ impl MeniscusMesh {
             triangles.as_flattened().iter().for_each(|&vertex| put(number(vertex)));
             Ok(())
         };
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         unsafe { self.copy(out, self.outline.triangles.saturating_mul(3), each) }
     }
 }
 
-/// The mesh of a handle.
+/// Returns the mesh of a handle, or an error if the handle is NULL.
 ///
 /// # Safety
 /// `mesh` is NULL or a handle that has not been freed.
 unsafe fn of<'a>(mesh: *const MeniscusMesh) -> Outcome<&'a MeniscusMesh> {
-    // SAFETY: as for this function.
+    // SAFETY: the caller upholds this function's contract.
     unsafe { mesh.as_ref() }.ok_or_else(|| Failure::request("mesh is NULL"))
 }
 
-/// Queries a mesh; returns `none` for NULL.
+/// Returns the result of the query `what`, or `none` if the handle is NULL.
 ///
 /// # Safety
-/// As for [`of`].
+/// The requirements of [`of`].
 unsafe fn asked<T: Copy>(
     mesh: *const MeniscusMesh,
     none: T,
     what: impl FnOnce(&MeniscusMesh) -> T,
 ) -> T {
-    // SAFETY: as for this function.
+    // SAFETY: the caller upholds this function's contract.
     unsafe { mesh.as_ref() }.map_or(none, |mesh| ask(none, || what(mesh)))
 }
 
-/// Frees a mesh, with all memory that it has lent; NULL is ignored.
+/// Frees a mesh, and all memory of its arrays, names and warnings; NULL is ignored.
 ///
 /// `mesh` is NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_free(mesh: *mut MeniscusMesh) {
-    // SAFETY: as for this function.
+    // SAFETY: the caller upholds this function's contract.
     unsafe { free(mesh) };
 }
 
@@ -222,7 +224,7 @@ pub unsafe extern "C" fn meniscus_mesh_free(mesh: *mut MeniscusMesh) {
 /// `mesh` is NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_vertex_count(mesh: *const MeniscusMesh) -> u64 {
-    // SAFETY: as for this function.
+    // SAFETY: the caller upholds this function's contract.
     unsafe { asked(mesh, 0, |mesh| mesh.outline.vertices) }
 }
 
@@ -231,7 +233,7 @@ pub unsafe extern "C" fn meniscus_mesh_vertex_count(mesh: *const MeniscusMesh) -
 /// `mesh` is NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_triangle_count(mesh: *const MeniscusMesh) -> u64 {
-    // SAFETY: as for this function.
+    // SAFETY: the caller upholds this function's contract.
     unsafe { asked(mesh, 0, |mesh| mesh.outline.triangles) }
 }
 
@@ -240,7 +242,7 @@ pub unsafe extern "C" fn meniscus_mesh_triangle_count(mesh: *const MeniscusMesh)
 /// `mesh` is NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_has_normals(mesh: *const MeniscusMesh) -> i32 {
-    // SAFETY: as for this function.
+    // SAFETY: the caller upholds this function's contract.
     unsafe { asked(mesh, 0, |mesh| mesh.outline.normals.into()) }
 }
 
@@ -249,7 +251,7 @@ pub unsafe extern "C" fn meniscus_mesh_has_normals(mesh: *const MeniscusMesh) ->
 /// `mesh` is NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_attribute_count(mesh: *const MeniscusMesh) -> usize {
-    // SAFETY: as for this function.
+    // SAFETY: the caller upholds this function's contract.
     unsafe { asked(mesh, 0, |mesh| mesh.names.len()) }
 }
 
@@ -262,7 +264,7 @@ pub unsafe extern "C" fn meniscus_mesh_attribute_name(
     mesh: *const MeniscusMesh,
     index: usize,
 ) -> *const c_char {
-    // SAFETY: as for this function.
+    // SAFETY: the caller upholds this function's contract.
     unsafe {
         asked(mesh, null(), |mesh| mesh.names.get(index).map_or(null(), |name| name.as_ptr()))
     }
@@ -276,7 +278,7 @@ pub unsafe extern "C" fn meniscus_mesh_attribute_components(
     mesh: *const MeniscusMesh,
     index: usize,
 ) -> u64 {
-    // SAFETY: as for this function.
+    // SAFETY: the caller upholds this function's contract.
     unsafe {
         asked(mesh, 0, |mesh| {
             mesh.outline.attributes.get(index).map_or(0, |info| info.components as u64)
@@ -286,8 +288,8 @@ pub unsafe extern "C" fn meniscus_mesh_attribute_components(
 
 /// Copies the vertices' positions as float: 3 numbers per vertex.
 ///
-/// `capacity`: the size of `out` in numbers, at least 3 per vertex. Rounding to float moves
-/// vertices that are far from the origin.
+/// `capacity`: the size of `out` in numbers, at least 3 per vertex. Far from the origin, rounding
+/// to float moves vertices visibly.
 ///
 /// Pointers are NULL or valid as described.
 #[unsafe(no_mangle)]
@@ -296,7 +298,7 @@ pub unsafe extern "C" fn meniscus_mesh_positions_f32(
     out: *mut f32,
     capacity: u64,
 ) -> MeniscusStatus {
-    // SAFETY: as for this function.
+    // SAFETY: the caller upholds this function's contract.
     call(|| unsafe { of(mesh)?.copy_positions((out, capacity), |x| x as f32) })
 }
 
@@ -311,7 +313,7 @@ pub unsafe extern "C" fn meniscus_mesh_positions_f64(
     out: *mut f64,
     capacity: u64,
 ) -> MeniscusStatus {
-    // SAFETY: as for this function.
+    // SAFETY: the caller upholds this function's contract.
     call(|| unsafe { of(mesh)?.copy_positions((out, capacity), |x| x) })
 }
 
@@ -329,7 +331,7 @@ pub unsafe extern "C" fn meniscus_mesh_triangles_u32(
     capacity: u64,
 ) -> MeniscusStatus {
     call(|| {
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         let mesh = unsafe { of(mesh) }?;
         let vertices = mesh.outline.vertices;
         if vertices > 1 << 32 {
@@ -337,7 +339,7 @@ pub unsafe extern "C" fn meniscus_mesh_triangles_u32(
                 "{vertices} vertices are more than 32 bits number"
             )));
         }
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         unsafe { mesh.copy_triangles((out, capacity), |vertex| vertex as u32) }
     })
 }
@@ -354,7 +356,7 @@ pub unsafe extern "C" fn meniscus_mesh_triangles_u64(
     out: *mut u64,
     capacity: u64,
 ) -> MeniscusStatus {
-    // SAFETY: as for this function.
+    // SAFETY: the caller upholds this function's contract.
     call(|| unsafe { of(mesh)?.copy_triangles((out, capacity), |vertex| vertex) })
 }
 
@@ -371,7 +373,7 @@ pub unsafe extern "C" fn meniscus_mesh_normals(
     capacity: u64,
 ) -> MeniscusStatus {
     call(|| {
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         let mesh = unsafe { of(mesh) }?;
         if !mesh.outline.normals {
             return Err(Failure::request("the mesh has no normals: none were asked for"));
@@ -381,13 +383,13 @@ pub unsafe extern "C" fn meniscus_mesh_normals(
             vertices.normals.as_flattened().iter().for_each(|&x| put(x));
             Ok(())
         };
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         unsafe { mesh.copy((out, capacity), mesh.outline.vertices.saturating_mul(3), each) }
     })
 }
 
-/// Returns 1 if the attribute with this index has integers, whose exact values
-/// meniscus_mesh_attribute_whole copies; else 0, also if there is no such attribute.
+/// Returns 1 if the attribute with this index has integers, and 0 if it has not or does not exist.
+/// meniscus_mesh_attribute_whole copies the exact values of integers.
 ///
 /// `mesh` is NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
@@ -395,7 +397,7 @@ pub unsafe extern "C" fn meniscus_mesh_attribute_is_whole(
     mesh: *const MeniscusMesh,
     index: usize,
 ) -> i32 {
-    // SAFETY: as for this function.
+    // SAFETY: the caller upholds this function's contract.
     unsafe {
         asked(mesh, 0, |mesh| {
             mesh.outline.attributes.get(index).is_some_and(|info| info.kind.is_whole()).into()
@@ -403,8 +405,8 @@ pub unsafe extern "C" fn meniscus_mesh_attribute_is_whole(
     }
 }
 
-/// Copies an attribute of the vertices by its index, with the components of each vertex together.
-/// Integers are rounded to float.
+/// Copies the attribute of the vertices with this index: all components of the first vertex, then
+/// those of the second, and so on. Integers are rounded to float.
 ///
 /// `capacity`: the size of `out` in numbers, at least the number of vertices times components.
 ///
@@ -417,16 +419,16 @@ pub unsafe extern "C" fn meniscus_mesh_attribute(
     capacity: u64,
 ) -> MeniscusStatus {
     call(|| {
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         let mesh = unsafe { of(mesh) }?;
         let kind = mesh.attribute(index)?.kind;
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         unsafe { mesh.copy_attribute(index, (out, capacity), |word| kind.number(word)) }
     })
 }
 
-/// Copies an attribute of integers, such as identifiers, by its index, with the components of each
-/// vertex together. MENISCUS_STATUS_REQUEST for other attributes.
+/// Copies the attribute with this index, if it has integers such as identifiers: all components of
+/// the first vertex, then those of the second, and so on. Otherwise MENISCUS_STATUS_REQUEST.
 ///
 /// Values are from -2^31 to 2^31 - 1, or from 0 to 2^32 - 1. `capacity`: the size of `out` in
 /// numbers, at least the number of vertices times components.
@@ -440,7 +442,7 @@ pub unsafe extern "C" fn meniscus_mesh_attribute_whole(
     capacity: u64,
 ) -> MeniscusStatus {
     call(|| {
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         let mesh = unsafe { of(mesh) }?;
         let info = mesh.attribute(index)?;
         if !info.kind.is_whole() {
@@ -449,13 +451,13 @@ pub unsafe extern "C" fn meniscus_mesh_attribute_whole(
                 info.name
             )));
         }
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         unsafe { mesh.copy_attribute(index, (out, capacity), |word| info.kind.whole(word)) }
     })
 }
 
-/// Lends the whole mesh, in memory that the first call allocates, and that is freed with the mesh.
-/// MENISCUS_STATUS_REQUEST for a mesh of more than 2^32 vertices.
+/// Returns pointers to the complete mesh, in memory that the first call allocates. Freeing the mesh
+/// also frees this memory. MENISCUS_STATUS_REQUEST for a mesh of more than 2^32 vertices.
 ///
 /// `mesh` is NULL or a handle that has not been freed; `arrays` is NULL or points to a structure
 /// with the size in its first field.
@@ -465,9 +467,10 @@ pub unsafe extern "C" fn meniscus_mesh_arrays(
     arrays: *mut MeniscusArrays,
 ) -> MeniscusStatus {
     call(|| {
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         let mesh = unsafe { of(mesh) }?;
-        // SAFETY: as for this function. Refused before a mesh is gathered for nothing.
+        // Check the argument before the expensive copy of the mesh.
+        // SAFETY: the caller upholds this function's contract.
         unsafe { check(arrays, "arrays") }?;
         let MeshInMemory { mesh, attributes } = mesh.lent()?;
         let lent = MeniscusArrays {
@@ -480,17 +483,17 @@ pub unsafe extern "C" fn meniscus_mesh_arrays(
             attributes: address(attributes),
             attribute_count: attributes.len(),
         };
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         unsafe { fill(arrays, lent, "arrays") }
     })
 }
 
-/// Returns the number of warnings about the surface, or about its request; 0 for NULL.
+/// Returns the number of warnings about the surface and about its request; 0 for NULL.
 ///
 /// `mesh` is NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_warning_count(mesh: *const MeniscusMesh) -> usize {
-    // SAFETY: as for this function.
+    // SAFETY: the caller upholds this function's contract.
     unsafe { asked(mesh, 0, |mesh| mesh.warnings.len()) }
 }
 
@@ -503,7 +506,7 @@ pub unsafe extern "C" fn meniscus_mesh_warning(
     mesh: *const MeniscusMesh,
     index: usize,
 ) -> *const c_char {
-    // SAFETY: as for this function.
+    // SAFETY: the caller upholds this function's contract.
     unsafe {
         asked(mesh, null(), |mesh| mesh.warnings.get(index).map_or(null(), |text| text.as_ptr()))
     }
@@ -518,7 +521,7 @@ pub unsafe extern "C" fn meniscus_mesh_report(
     mesh: *const MeniscusMesh,
     report: *mut MeniscusReport,
 ) -> MeniscusStatus {
-    // SAFETY: as for this function.
+    // SAFETY: the caller upholds this function's contract.
     call(|| unsafe { fill(report, of(mesh)?.surface.report().into(), "report") })
 }
 
@@ -533,24 +536,24 @@ pub unsafe extern "C" fn meniscus_mesh_check(
     check: *mut MeniscusCheck,
 ) -> MeniscusStatus {
     call(|| {
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         let mesh = unsafe { of(mesh) }?;
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         unsafe { self::check(check, "check") }?;
         let whole = &mesh.lent()?.mesh;
         let (found, measures) = on_threads(mesh.surface.report().threads, || {
             (mesh::check(whole), mesh::measure(whole))
         })?;
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         unsafe { fill(check, MeniscusCheck::new(&found, &measures), "check") }
     })
 }
 
-/// Writes the mesh to a file whose extension selects the format: completely or not at all, with the
-/// same bytes as the program.
+/// Writes the mesh to a file whose extension selects the format. The file appears completely or not
+/// at all, and has the same bytes as the program's.
 ///
 /// `overwrite`: not 0 to replace an existing file. `bytes`: NULL, or receives the file's size. The
-/// up axis and the compression are those in the options of the mesh.
+/// options of the mesh select the up axis and the compression.
 ///
 /// Pointers are NULL or valid as described.
 #[unsafe(no_mangle)]
@@ -561,20 +564,20 @@ pub unsafe extern "C" fn meniscus_mesh_write(
     bytes: *mut u64,
 ) -> MeniscusStatus {
     call(|| {
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         let (mesh, path) = unsafe { (of(mesh)?, self::path(path, "path")?) };
         let written = match replacing(overwrite) {
             meniscus::files::Replace::Allow => mesh.surface.overwrite(&path)?,
             _ => mesh.surface.write(&path)?,
         };
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         unsafe { put(bytes, written) };
         Ok(())
     })
 }
 
-/// Writes the warnings about storing the mesh in the format of a file, one per line, into the
-/// caller's buffer, truncated if the buffer is too small, and terminated by a NUL.
+/// Copies the warnings about storing the mesh in the format of a file into the caller's buffer, one
+/// per line. The text ends with a NUL, and is truncated if the buffer is too small.
 ///
 /// `text`: NULL, or a buffer of `capacity` bytes. `length`: NULL, or receives the length of the
 /// whole text without the NUL: 0 without warnings.
@@ -589,16 +592,17 @@ pub unsafe extern "C" fn meniscus_mesh_format_warnings(
     length: *mut usize,
 ) -> MeniscusStatus {
     call(|| {
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         let (mesh, path) = unsafe { (of(mesh)?, self::path(path, "path")?) };
         let warnings = mesh.surface.warnings_in(format(&path)?)?;
         let lines: Vec<String> = warnings.iter().map(ToString::to_string).collect();
         let lines = c_text(lines.join("\n"));
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         unsafe { put(length, lines.as_bytes().len()) };
         if !text.is_null() && capacity > 0 {
             let kept = lines.as_bytes().len().min(capacity - 1);
-            // SAFETY: no more than the caller has room for.
+            // SAFETY: `kept` bytes and the NUL fit into the `capacity` bytes of the caller's
+            // buffer.
             unsafe {
                 std::ptr::copy_nonoverlapping(lines.as_ptr(), text, kept);
                 text.add(kept).write(0);
@@ -608,7 +612,7 @@ pub unsafe extern "C" fn meniscus_mesh_format_warnings(
     })
 }
 
-/// Does work on temporary threads, because the threads of the process belong to the caller.
+/// Runs `act` on `count` temporary threads, because the process's own threads belong to the caller.
 fn on_threads<T: Send>(count: usize, act: impl FnOnce() -> T + Send) -> Outcome<T> {
     let threads = rayon::ThreadPoolBuilder::new().num_threads(count).build();
     let threads = threads.map_err(|fault| Error::Threads(fault.to_string()))?;

@@ -1,5 +1,5 @@
-//! Options by key: the settings of the library, resources of the machine, and the frames to
-//! convert.
+//! Options, which are set by their keys: settings of the library, resources of the machine, and the
+//! frames to convert.
 
 use std::ffi::{CString, c_char, c_void};
 use std::fmt::Debug;
@@ -20,12 +20,12 @@ use crate::conversion::{EventListener, MeniscusEventCallback};
 use crate::status::{Failure, MeniscusStatus, Outcome, ask, c_text, call};
 use crate::text::{array, optional, optional_path, path};
 
-/// Options of a call, by the keys of the program's options: "spacing", "cell-size", "threads".
-/// Freed by meniscus_options_free.
+/// Options of a call. Their keys are the names of the program's options: "spacing", "cell-size",
+/// "threads". Freed by meniscus_options_free.
 ///
 /// `meniscus reconstruct --help` documents the options, and meniscus_options_key lists their keys.
-/// An option that is not set has the program's default, except that stages run on the CPU unless
-/// "backend" or "device" is set. NULL instead of options sets none.
+/// An option that is not set has the program's default, with one exception: all stages run on the
+/// CPU unless "backend" or "device" is set. A call with NULL instead of options uses all defaults.
 ///
 /// A call copies the options when it starts, so they may be changed or freed as soon as it returns.
 /// Several threads may use the same options at the same time, as long as none changes or frees
@@ -40,8 +40,8 @@ pub struct MeniscusOptions {
     cancel: Option<Cancel>,
 }
 
-/// Defines options that are not settings of the library: their key, type, help, and the function
-/// that reads a value.
+/// Defines the options that are not settings of the library. Each option has a help text, a key, a
+/// type, and a function that reads its value.
 macro_rules! options {
     ($(#[$about:meta])* $options:ident: $($(#[doc = $help:literal])* $key:ident: $type:ty = $read:expr,)*) => {
         $(#[$about])*
@@ -51,11 +51,11 @@ macro_rules! options {
         }
 
         impl $options {
-            /// The keys, each with its help.
+            /// The keys of all options, with their help texts.
             const KEYS: &[(&str, &str)] = &[$((stringify!($key), concat!($($help),*))),*];
 
-            /// Sets the option with a key, or resets it without a value; `false` if no option has
-            /// the key.
+            /// Sets the option with this key, or resets it if `value` is `None`. Returns `false` if
+            /// no option has the key.
             fn set<S: Source<Error = String>>(&mut self, key: &str, value: Option<&S>) -> Result<bool, String> {
                 match key {
                     $(stringify!($key) => self.$key = value.map($read).transpose()?,)*
@@ -146,7 +146,7 @@ fn step<S: Source<Error = String>>(value: &S) -> Result<u64, String> {
 
 /// The number of a frame, which may be negative.
 fn frame<S: Source<Error = String>>(value: &S) -> Result<i64, String> {
-    // f64 represents all integers up to here.
+    // f64 represents all integers up to this one, 2^53.
     const LARGEST: f64 = 9_007_199_254_740_992.0;
     let is_whole = |number: &f64| number.fract() == 0.0 && number.abs() <= LARGEST;
     let number = match value.text() {
@@ -196,7 +196,8 @@ impl Frames {
 }
 
 impl MeniscusOptions {
-    /// Sets the option with a key, or resets it without a value; `false` if no option has the key.
+    /// Sets the option with this key, or resets it if `value` is `None`. Returns `false` if no
+    /// option has the key.
     fn set<S: Source<Error = String>>(
         &mut self,
         key: &str,
@@ -211,7 +212,7 @@ impl MeniscusOptions {
         }
     }
 
-    /// Sets the option with a key, or describes an invalid key or value.
+    /// Sets the option with this key, or returns an error that describes an invalid key or value.
     fn set_or_refuse<S: Source<Error = String> + Debug>(
         &mut self,
         key: &str,
@@ -231,10 +232,10 @@ impl MeniscusOptions {
     }
 }
 
-/// Maximum number of characters of an invalid value in a message.
+/// Messages show at most this many characters of an invalid value.
 const LONGEST_VALUE: usize = 100;
 
-/// A request without a backend yet.
+/// The options of a call, as a request whose backend is not chosen yet.
 pub struct RequestParts {
     pub request: Reconstruction,
     pub control: Control,
@@ -246,13 +247,13 @@ pub struct RequestParts {
 }
 
 impl RequestParts {
-    /// Reads the options of a call that makes one frame at a time. Options of conversions are
+    /// Reads the options of a call that makes one frame at a time. Options for conversions are
     /// errors.
     ///
     /// # Safety
-    /// `options` is NULL or has not been freed.
+    /// `options` is NULL or a handle that has not been freed.
     pub unsafe fn new(options: *const MeniscusOptions) -> Outcome<Self> {
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         let asked = unsafe { Self::for_frames(options) };
         match asked.frames.first() {
             Some(key) => {
@@ -265,9 +266,9 @@ impl RequestParts {
     /// Reads the options of a conversion.
     ///
     /// # Safety
-    /// As for [`RequestParts::new`].
+    /// The requirements of [`RequestParts::new`].
     pub unsafe fn for_frames(options: *const MeniscusOptions) -> Self {
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         let options = unsafe { options.as_ref() }.cloned().unwrap_or_default();
         let MeniscusOptions { settings, machine, frames, progress, event, cancel } = options;
         let control = Control::new(progress, cancel);
@@ -283,13 +284,13 @@ impl RequestParts {
         Self { request, control, event, memory, backend, device, frames }
     }
 
-    /// The request for a conversion.
+    /// Creates the conversion that the options describe.
     pub fn simulation(&self, inputs: Vec<PathBuf>, output: PathBuf) -> Simulation {
         self.frames.of(Simulation::of_files(inputs, output)).reconstruction(self.request.clone())
     }
 
-    /// Chooses the backend for an input whose size `input_bytes` returns, if it is known; called
-    /// only if it matters.
+    /// Chooses the backend. `input_bytes` returns the size of the input, if known. It is called
+    /// only if the choice depends on the size.
     pub fn on_machine(
         mut self,
         input_bytes: impl FnOnce(&Reconstruction) -> Option<u64>,
@@ -311,50 +312,50 @@ impl RequestParts {
         Ok(self)
     }
 
-    /// Chooses the backend for a file.
+    /// Chooses the backend for an input file, by its size.
     pub fn for_file(self, file: &Path) -> Outcome<Self> {
         self.on_machine(|_| bytes_of([file]))
     }
 }
 
-/// Converts the argument `overwrite`.
+/// Converts the argument `overwrite` of a C function.
 pub fn replacing(overwrite: i32) -> Replace {
     if overwrite == 0 { Replace::Refuse } else { Replace::Allow }
 }
 
-/// The options of a handle.
+/// Returns the options of a handle, or an error if the handle is NULL.
 ///
 /// # Safety
-/// `options` is NULL or a handle that has not been freed, and that no other thread uses meanwhile.
+/// `options` is NULL or a handle that has not been freed. No other thread uses it during the call.
 unsafe fn of<'a>(options: *mut MeniscusOptions) -> Outcome<&'a mut MeniscusOptions> {
-    // SAFETY: as for this function.
+    // SAFETY: the caller upholds this function's contract.
     unsafe { options.as_mut() }.ok_or_else(|| Failure::request("options is NULL"))
 }
 
-/// The key of an option.
+/// Reads the caller's key, which must not be NULL.
 ///
 /// # Safety
-/// As for [`optional`].
+/// The requirements of [`optional`].
 unsafe fn key<'a>(key: *const c_char) -> Outcome<&'a str> {
-    // SAFETY: as for this function.
+    // SAFETY: the caller upholds this function's contract.
     unsafe { optional(key, "key") }?.ok_or_else(|| Failure::request("key is NULL"))
 }
 
-/// Creates options without values, to be freed by meniscus_options_free.
+/// Creates options that all have their defaults, to be freed by meniscus_options_free.
 #[unsafe(no_mangle)]
 pub extern "C" fn meniscus_options_new() -> *mut MeniscusOptions {
     ask(std::ptr::null_mut(), || Box::into_raw(Box::default()))
 }
 
-/// Copies options, with their callbacks and their cancel handle, to be freed by
-/// meniscus_options_free. A copy of NULL has no values.
+/// Copies options, including their callbacks and their cancel handle. The copy must be freed by
+/// meniscus_options_free. If `options` is NULL, the copy has all defaults.
 ///
 /// `options` is NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_options_copy(
     options: *const MeniscusOptions,
 ) -> *mut MeniscusOptions {
-    // SAFETY: as for this function.
+    // SAFETY: the caller upholds this function's contract.
     let options = unsafe { options.as_ref() };
     ask(std::ptr::null_mut(), || Box::into_raw(Box::new(options.cloned().unwrap_or_default())))
 }
@@ -364,20 +365,21 @@ pub unsafe extern "C" fn meniscus_options_copy(
 /// `options` is NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_options_free(options: *mut MeniscusOptions) {
-    // SAFETY: as for this function.
+    // SAFETY: the caller upholds this function's contract.
     unsafe { free(options) };
 }
 
 /// Sets an option from text, as on the command line: `meniscus_options_set(options, "domain",
 /// "0,0,-,1,2,-")`.
 ///
-/// Numbers have a '.' in every locale. Numbers in a list are separated by commas or blanks, names
-/// by commas. Switches such as "normals" are "true" or "false". `value`: NULL resets the option to
-/// its default.
+/// The decimal separator is '.' in every locale. Commas or blanks separate the numbers of a list,
+/// and commas separate names. A switch such as "normals" takes "true" or "false". If `value` is
+/// NULL, the option gets its default.
 ///
-/// MENISCUS_STATUS_REQUEST for an unknown key and for a value of another type: the message names
-/// the key, the value and the expected type, and the option keeps its value. Numbers out of range
-/// and conflicting options are errors of the call that uses the options.
+/// MENISCUS_STATUS_REQUEST for an unknown key and for a value of the wrong type: the message names
+/// the key, the value and the expected type, and the option keeps its old value. This function does
+/// not check whether a number is out of range or whether options conflict: the call that uses the
+/// options does.
 ///
 /// Pointers are NULL or valid as described.
 #[unsafe(no_mangle)]
@@ -387,21 +389,22 @@ pub unsafe extern "C" fn meniscus_options_set(
     value: *const c_char,
 ) -> MeniscusStatus {
     call(|| {
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         let (options, key) = unsafe { (of(options)?, self::key(key)?) };
         if key == "scratch" {
             // A path need not be UTF-8.
-            // SAFETY: as for this function.
+            // SAFETY: the caller upholds this function's contract.
             options.machine.scratch = unsafe { optional_path(value, key) }?;
             return Ok(());
         }
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         let text = unsafe { optional(value, key) }?;
         options.set_or_refuse(key, text.as_ref())
     })
 }
 
-/// Sets an option from a number. A switch is 0 or 1. Otherwise like meniscus_options_set.
+/// Sets an option from a number. A switch takes 0 or 1. Apart from this, the function works like
+/// meniscus_options_set.
 ///
 /// Pointers are NULL or valid as described.
 #[unsafe(no_mangle)]
@@ -411,14 +414,15 @@ pub unsafe extern "C" fn meniscus_options_set_number(
     value: f64,
 ) -> MeniscusStatus {
     call(|| {
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         let (options, key) = unsafe { (of(options)?, self::key(key)?) };
         options.set_or_refuse(key, Some(&[value].as_slice()))
     })
 }
 
 /// Sets an option from several numbers: 3 for a point, 6 for a box, with its lowest corner first.
-/// -INFINITY and INFINITY leave an axis of a box open. Otherwise like meniscus_options_set.
+/// -INFINITY and INFINITY leave an axis of a box open. Apart from this, the function works like
+/// meniscus_options_set.
 ///
 /// Pointers are NULL or valid as described; `values` points to `count` numbers.
 #[unsafe(no_mangle)]
@@ -429,19 +433,19 @@ pub unsafe extern "C" fn meniscus_options_set_numbers(
     count: usize,
 ) -> MeniscusStatus {
     call(|| {
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         let (options, key) = unsafe { (of(options)?, self::key(key)?) };
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         let numbers = unsafe { array(values, count, key) }?;
         options.set_or_refuse(key, Some(&numbers))
     })
 }
 
-/// Sets the function that is called with the progress of a frame, and its argument; a conversion
-/// does not call it. NULL for no function.
+/// Sets the function that receives the progress of a frame, and its argument `user`. NULL for no
+/// function. meniscus_convert does not call it.
 ///
-/// A simulation made by meniscus_simulation_new can call it until the simulation is freed. Any
-/// other function calls it only before it returns.
+/// A simulation with these options can call the function until meniscus_simulation_free. All other
+/// calls of the library call it only before they return.
 ///
 /// `options` is NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
@@ -451,14 +455,14 @@ pub unsafe extern "C" fn meniscus_options_on_progress(
     user: *mut c_void,
 ) -> MeniscusStatus {
     call(|| {
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         unsafe { of(options) }?.progress = progress.map(|callback| Listener { callback, user });
         Ok(())
     })
 }
 
-/// Sets the function that meniscus_convert calls with the events of a conversion, and its argument.
-/// NULL for no function.
+/// Sets the function that receives the events of meniscus_convert, and its argument `user`. NULL
+/// for no function.
 ///
 /// `options` is NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
@@ -468,7 +472,7 @@ pub unsafe extern "C" fn meniscus_options_on_event(
     user: *mut c_void,
 ) -> MeniscusStatus {
     call(|| {
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         unsafe { of(options) }?.event = event.map(|callback| EventListener { callback, user });
         Ok(())
     })
@@ -477,7 +481,7 @@ pub unsafe extern "C" fn meniscus_options_on_event(
 /// Sets the handle with which any thread can cancel the work; NULL for none. The handle may be
 /// freed before the options.
 ///
-/// If a callback ends the work, the handle counts as cancelled.
+/// If a callback cancels the work, this also cancels the handle.
 ///
 /// Pointers are NULL or handles that have not been freed.
 #[unsafe(no_mangle)]
@@ -486,14 +490,14 @@ pub unsafe extern "C" fn meniscus_options_cancel_by(
     cancel: *const MeniscusCancel,
 ) -> MeniscusStatus {
     call(|| {
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         let (options, cancel) = unsafe { (of(options)?, cancel.as_ref()) };
         options.cancel = cancel.map(|handle| handle.cancel.clone());
         Ok(())
     })
 }
 
-/// All keys with their help, as C text.
+/// All keys with their help texts, as C strings.
 static KEYS: LazyLock<Vec<(CString, CString)>> = LazyLock::new(|| {
     let settings = Settings::ALL.iter().map(|setting| (setting.key(), setting.help()));
     let others = [Machine::KEYS, Frames::KEYS].into_iter().flatten();
@@ -501,21 +505,22 @@ static KEYS: LazyLock<Vec<(CString, CString)>> = LazyLock::new(|| {
     settings.chain(others).map(|(key, help)| (c_text(key), c_text(help))).collect()
 });
 
-/// Returns the key of an option by its index; NULL if there is no such option. The text is static.
+/// Returns the key of an option by its index; NULL if there is no such option. The string is
+/// static.
 #[unsafe(no_mangle)]
 pub extern "C" fn meniscus_options_key(index: usize) -> *const c_char {
     ask(null(), || KEYS.get(index).map_or(null(), |(key, _)| key.as_ptr()))
 }
 
-/// Returns one line of help on an option by its index; NULL if there is no such option. The text is
-/// static.
+/// Returns one line of help on an option by its index; NULL if there is no such option. The string
+/// is static.
 #[unsafe(no_mangle)]
 pub extern "C" fn meniscus_options_help(index: usize) -> *const c_char {
     ask(null(), || KEYS.get(index).map_or(null(), |(_, help)| help.as_ptr()))
 }
 
-/// Checks before the work that a mesh can be written to `path`, whose extension selects the format,
-/// and that the format can store the requested data. Creates no file.
+/// Checks in advance that a mesh can be written to `path`, whose extension selects the format, and
+/// that the format can store the requested data. Creates no file.
 ///
 /// `options` may be NULL for all defaults. `overwrite`: not 0 if an existing file may be replaced.
 ///
@@ -527,7 +532,7 @@ pub unsafe extern "C" fn meniscus_check_output(
     overwrite: i32,
 ) -> MeniscusStatus {
     call(|| {
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         let (path, asked) = unsafe { (self::path(path, "path")?, RequestParts::new(options)?) };
         asked.request.output(&path, replacing(overwrite))?;
         Ok(())

@@ -25,7 +25,7 @@ pub enum MeniscusType {
 }
 
 impl MeniscusType {
-    /// The type for a number in a structure, where callers may write any number.
+    /// Converts a number in the caller's structure, which may be invalid.
     fn of(number: i32, what: &str) -> Outcome<Self> {
         match number {
             0 => Ok(Self::F32),
@@ -37,36 +37,38 @@ impl MeniscusType {
     }
 }
 
-/// A value of every particle, with one or several components. Fill it with zeros before you set
-/// fields.
+/// An attribute of the particles: one or several numbers per particle. Fill the structure with
+/// zeros before you set fields.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct MeniscusAttribute {
     /// sizeof(MeniscusAttribute).
     pub size: usize,
-    /// The name, by which the attribute is requested, and which it has on the vertices. By default,
-    /// "velocity" with three components, or another usual name such as "v" or "vel", is
-    /// interpolated to the vertices.
+    /// The name of the attribute, in the option "attributes" and on the vertices. By default, the
+    /// vertices get the attribute "velocity" if it has three components. Other usual names of the
+    /// velocity, such as "v" or "vel", also count.
     pub name: *const c_char,
     /// The first number of the first particle; need not be aligned.
     pub values: *const std::ffi::c_void,
-    /// Bytes from a particle to the next; 0 if values are contiguous. May be negative.
+    /// Bytes from one particle to the next; 0 if values are contiguous. May be negative.
     pub stride: isize,
-    /// Bytes from one component of a particle to the next; 0 if they are contiguous. May be
+    /// Bytes from one component of a particle to the next; 0 if components are contiguous. May be
     /// negative.
     pub component_stride: isize,
     /// Numbers per particle, from 1 to 65536.
     pub components: u32,
-    /// The type of the numbers, one of MeniscusType. F32 and F64 are converted to float; values
-    /// that are not finite as float count as missing. I32 and U32, such as identifiers, keep their
-    /// values: a vertex has those of the nearest particle, for meniscus_mesh_attribute_whole.
+    /// The type of the numbers, one of MeniscusType. F32 and F64 are converted to float, and values
+    /// that are not finite as float count as missing. I32 and U32, such as identifiers, are not
+    /// interpolated: each vertex gets the exact values of the nearest particle
+    /// (meniscus_mesh_attribute_whole).
     pub number: i32,
 }
 
-/// Particles in memory. Fill it with zeros before you set fields.
+/// Particles in the caller's memory. Fill the structure with zeros before you set fields.
 ///
-/// They are read in place, several times and by several threads, during the call, and must not
-/// change meanwhile. Positions are in any unit, which also applies to all other lengths.
+/// During a call, several threads of the library read the particles in place, several times. The
+/// particles must not change meanwhile. Positions may have any unit of length, and all other
+/// lengths have the same unit.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct MeniscusParticles {
@@ -74,16 +76,16 @@ pub struct MeniscusParticles {
     pub size: usize,
     /// The number of particles.
     pub count: u64,
-    /// The first particle's x; need not be aligned.
+    /// The x coordinate of the first particle; need not be aligned.
     pub positions: *const std::ffi::c_void,
-    /// Bytes from a particle's x to the next particle's; 0 if positions are contiguous. May be
+    /// Bytes from one particle's x to the next particle's x; 0 if positions are contiguous. May be
     /// negative.
     pub stride: isize,
-    /// Bytes from x to y, and from y to z; 0 if they are contiguous. May be negative.
+    /// Bytes from x to y, and from y to z; 0 if coordinates are contiguous. May be negative.
     pub component_stride: isize,
     /// An array of attributes of the particles; NULL for none.
     pub attributes: *const MeniscusAttribute,
-    /// Number of attributes.
+    /// Number of elements in `attributes`.
     pub attribute_count: usize,
     /// The type of the coordinates, MENISCUS_TYPE_F32 or MENISCUS_TYPE_F64.
     pub number: i32,
@@ -101,13 +103,13 @@ unsafe impl Growing for MeniscusParticles {
     const NAME: &str = "MeniscusParticles";
 }
 
-/// Maximum number of components, more than any simulator has.
+/// Maximum number of components, more than any simulator writes.
 const MOST_COMPONENTS: u32 = 1 << 16;
 
-/// Maximum number of attributes; more are a mistake.
+/// Maximum number of attributes; a larger number is probably a mistake of the caller.
 const MOST_ATTRIBUTES: usize = 1 << 16;
 
-/// Numbers of particles with constant strides.
+/// The memory layout of an attribute or of the positions, with constant strides.
 #[derive(Debug, Clone, Copy)]
 struct Numbers {
     at: *const u8,
@@ -118,8 +120,7 @@ struct Numbers {
 }
 
 impl Numbers {
-    /// Rejects numbers that cannot be in memory: all numbers of `count` particles must have
-    /// addresses.
+    /// Rejects a layout for `count` particles with numbers outside of the address space.
     fn refuse_unaddressable(&self, count: usize, what: &str) -> Outcome {
         if count == 0 {
             return Ok(());
@@ -158,13 +159,14 @@ impl Numbers {
             && self.at.cast::<T>().is_aligned()
     }
 
-    /// Component `component` of a particle.
+    /// Reads a component of a particle.
     ///
     /// # Safety
     /// The particle exists, and its memory is valid.
     unsafe fn get(&self, particle: usize, component: usize) -> f64 {
         let offset = particle as isize * self.stride + component as isize * self.component_stride;
-        // SAFETY: within what the caller has said is there; no offset overflows, as was looked at.
+        // SAFETY: the caller guarantees this number's memory, and `refuse_unaddressable` has
+        // checked that no offset overflows.
         unsafe {
             let at = self.at.offset(offset);
             match self.number {
@@ -189,7 +191,7 @@ impl MeniscusType {
         matches!(self, Self::I32 | Self::U32)
     }
 
-    /// The kind of an attribute with this type of numbers, as in a file with this type.
+    /// The kind of an attribute with this type of numbers. Files use the same rule.
     fn meaning(self, info: &AttributeInfo) -> AttributeKind {
         match self {
             Self::F32 | Self::F64 => info.kind,
@@ -201,7 +203,7 @@ impl MeniscusType {
     }
 }
 
-/// The caller's particles, checked as far as possible.
+/// The caller's particles. Their layout is checked, but their memory cannot be.
 #[derive(Debug)]
 pub struct CallerParticles {
     count: usize,
@@ -210,19 +212,19 @@ pub struct CallerParticles {
     values: Vec<Numbers>,
 }
 
-// SAFETY: the caller has agreed to be read by several threads.
+// SAFETY: `MeniscusParticles` allows several threads to read the caller's memory.
 unsafe impl Sync for CallerParticles {}
-// SAFETY: as above.
+// SAFETY: for the same reason as `Sync`.
 unsafe impl Send for CallerParticles {}
 
 impl CallerParticles {
-    /// Reads the caller's structure.
+    /// Reads and checks the caller's structure.
     ///
     /// # Safety
-    /// `at` is NULL or points to a structure with its size in its first field, and so do its
-    /// attributes; their data exist and stay unchanged as long as this lives.
+    /// `at` is NULL or points to a structure with its size in its first field. The same applies to
+    /// its attributes. The particles' data exist and stay unchanged as long as the result lives.
     pub unsafe fn new(at: *const MeniscusParticles) -> Outcome<Self> {
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         let given = unsafe { read(at, "particles") }?;
         let number = MeniscusType::of(given.number, "particles.number")?;
         if number.is_whole() {
@@ -253,16 +255,16 @@ impl CallerParticles {
         .with_strides();
         positions.refuse_unaddressable(count, "particles.positions")?;
         let mut particles = Self { count, positions, attributes: Vec::new(), values: Vec::new() };
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         unsafe { particles.take(given.attributes, given.attribute_count) }?;
         Ok(particles)
     }
 
-    /// Reads attributes. The structures of an older caller are smaller, and their size is their
-    /// stride.
+    /// Reads the array of attributes. Its stride is the size in its structures, because those of an
+    /// older caller are smaller.
     ///
     /// # Safety
-    /// As for [`new`](Self::new).
+    /// The requirements of [`new`](Self::new).
     unsafe fn take(&mut self, at: *const MeniscusAttribute, count: usize) -> Outcome {
         if count == 0 {
             return Ok(());
@@ -280,14 +282,14 @@ impl CallerParticles {
         let mut size = 0;
         for index in 0..count {
             let what = format!("particles.attributes[{index}]");
-            // SAFETY: as for this function; all before were of this size.
+            // SAFETY: the caller guarantees the array, and all previous structures have this size.
             let given = unsafe { read(at.byte_add(index * size), &what) }?;
             if index > 0 && given.size != size {
                 let sizes = format!("its size is {}, and that of those before {size}", given.size);
                 return Err(Failure::request(format!("{what}: {sizes}")));
             }
             size = given.size;
-            // SAFETY: as for this function.
+            // SAFETY: the caller upholds this function's contract.
             let name = unsafe { optional(given.name, &format!("{what}.name")) }?;
             let name = name.filter(|name| !name.is_empty());
             let name =
@@ -318,14 +320,14 @@ impl CallerParticles {
         Ok(())
     }
 
-    /// Bytes of the positions, which decide whether a device is worthwhile.
+    /// Size of all positions in bytes, which decides whether a device is worthwhile.
     pub fn bytes(&self) -> u64 {
         (self.count as u64).saturating_mul(3 * self.positions.number.bytes() as u64)
     }
 }
 
 impl Numbers {
-    /// Replaces strides of 0.
+    /// Replaces strides of 0 by the strides of contiguous numbers.
     fn with_strides(mut self) -> Self {
         if self.component_stride == 0 {
             self.component_stride = self.number.bytes();
@@ -345,12 +347,13 @@ impl Particles for CallerParticles {
     fn positions(&self, first: usize, out: &mut [[f64; 3]]) {
         assert!(first + out.len() <= self.count, "particles beyond the last");
         let from = &self.positions;
-        // The library's fast paths for contiguous positions.
+        // The library reads slices of contiguous positions faster than single numbers.
         if from.number == MeniscusType::F32 && from.is_packed::<f32>() {
-            // SAFETY: there and aligned; the caller leaves it as it is meanwhile.
+            // SAFETY: `count` positions exist, contiguous and aligned, and the caller does not
+            // change them meanwhile.
             unsafe { from_raw_parts(from.at.cast::<[f32; 3]>(), self.count) }.positions(first, out);
         } else if from.number == MeniscusType::F64 && from.is_packed::<f64>() {
-            // SAFETY: as above.
+            // SAFETY: for the same reasons as for f32.
             unsafe { from_raw_parts(from.at.cast::<[f64; 3]>(), self.count) }.positions(first, out);
         } else {
             for (particle, to) in (first..).zip(out) {
@@ -389,8 +392,8 @@ impl Particles for CallerParticles {
         assert!(first + out.len() / from.components <= self.count, "particles beyond the last");
         for (particle, to) in (first..).zip(out.chunks_exact_mut(from.components)) {
             for (component, to) in to.iter_mut().enumerate() {
-                // SAFETY: the index was checked above, so the particle exists. 32 bits are exact in
-                // f64.
+                // f64 represents all 32-bit integers exactly.
+                // SAFETY: the index was checked above, so the particle exists.
                 *to = unsafe { from.get(particle, component) } as i64;
             }
         }
@@ -457,7 +460,7 @@ mod tests {
             },
         ];
         for given in all {
-            // SAFETY: the arrays are there.
+            // SAFETY: the arrays live longer than `particles`.
             let particles = unsafe { CallerParticles::new(&raw const given) }.unwrap();
             assert_eq!(read_all(&particles), expected, "{given:?}");
         }
@@ -476,7 +479,7 @@ mod tests {
             MeniscusParticles { positions, component_stride: isize::MIN / 2, ..given() },
             MeniscusParticles { positions: null(), ..given() },
         ] {
-            // SAFETY: nothing is read of it.
+            // SAFETY: `new` rejects the structure before it reads any position.
             let message = unsafe { CallerParticles::new(&raw const given) }.unwrap_err().message;
             assert!(message.starts_with("particles."), "{message}");
         }

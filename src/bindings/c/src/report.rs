@@ -1,30 +1,30 @@
-//! Reports and checks of a mesh.
+//! Structures that describe how a mesh was made, and its defects and measures.
 
 use meniscus::mesh::{CheckReport, Measures};
 use meniscus::{Report, SpacingSource};
 
 use crate::sized::Growing;
 
-/// The source of a spacing.
+/// Where the spacing of a frame comes from.
 #[repr(i32)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum MeniscusSpacingSource {
     /// Unknown: the frame was packed, or belongs to a simulation.
     Unknown = 0,
-    /// The options.
+    /// The options give it.
     Given = 1,
-    /// The particles' file.
+    /// The particle file gives it.
     File = 2,
-    /// A scene file next to the particles' file.
+    /// A scene file next to the particle file gives it.
     Scene = 3,
-    /// An estimate from the particles.
+    /// The library estimated it from the particles.
     Estimated = 4,
-    /// The smallest size in an attribute of the particles.
+    /// The smallest size in an attribute of the particles gives it.
     Sizes = 5,
 }
 
-/// How a mesh was made. The caller sets `size`, and the library fills the rest. Lengths are in the
-/// unit of the positions.
+/// How a mesh was made. The caller sets `size`, and the library sets the other fields. Lengths are
+/// in the unit of the positions.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct MeniscusReport {
@@ -36,29 +36,30 @@ pub struct MeniscusReport {
     pub cell_size: f64,
     /// A corner of the grid's cells.
     pub origin: [f64; 3],
-    /// Smoothing width in spacings, for clouds; else 0.
+    /// Smoothing width in spacings, for the indicator "cloud"; else 0.
     pub smooth: f64,
-    /// Standard deviation of the Gaussian in cells, for counting and symmetry; else 0.
+    /// Standard deviation of the Gaussian in cells, for the indicators "counting" and "symmetry";
+    /// else 0.
     pub sigma: f64,
     /// The isovalue, if the surface has one; else 0.
     pub isovalue: f64,
-    /// Seconds of all stages, without writing.
+    /// Total time of all stages in seconds, without writing.
     pub seconds: f64,
-    /// Particles that were used.
+    /// Number of particles that were used.
     pub particles: u64,
-    /// Particles that were skipped because a coordinate is not finite.
+    /// Number of particles that were skipped because a coordinate is not finite.
     pub not_finite: u64,
-    /// Particles that were skipped because they are too far away.
+    /// Number of particles that were skipped because they are too far away.
     pub too_far: u64,
-    /// Particles outside of the tank, which were left out.
+    /// Number of particles that were left out because they are outside of the tank.
     pub outside: u64,
-    /// Lower bound of the particles that are missing from the surface.
+    /// Lower bound of the number of particles that are missing from the surface.
     pub lost: u64,
-    /// Components that smallest_component left out.
+    /// Number of components that the option "smallest-component" removed.
     pub small_components: u64,
-    /// Drops that smallest_drop left out.
+    /// Number of drops that the option "smallest-drop" removed.
     pub small_drops: u64,
-    /// Triangles before simplifying and the removal of components.
+    /// Number of triangles before simplifying and before components were removed.
     pub whole_triangles: u64,
     /// Number of threads.
     pub threads: u32,
@@ -66,7 +67,7 @@ pub struct MeniscusReport {
     pub spacing_source: i32,
 }
 
-// SAFETY: numbers.
+// SAFETY: all fields are numbers.
 unsafe impl Growing for MeniscusReport {
     const NAME: &str = "MeniscusReport";
 }
@@ -110,7 +111,8 @@ impl From<&Report> for MeniscusReport {
     }
 }
 
-/// Results of `meniscus check` for a mesh. The caller sets `size`, and the library fills the rest.
+/// Defects and measures of a mesh, as `meniscus check` finds them. The caller sets `size`, and the
+/// library sets the other fields.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct MeniscusCheck {
@@ -129,25 +131,25 @@ pub struct MeniscusCheck {
     pub components: u64,
     /// Number of handles of all components; -1 unless closed, oriented and 2-manifold.
     pub genus: i64,
-    /// Edges with only one triangle.
+    /// Number of edges with only one triangle.
     pub boundary_edges: u64,
-    /// Edges whose two triangles have the same direction there.
+    /// Number of edges whose two triangles have the same direction there.
     pub misoriented_edges: u64,
-    /// Edges with more than two triangles.
+    /// Number of edges with more than two triangles.
     pub crowded_edges: u64,
-    /// Vertices whose triangles form more than one fan.
+    /// Number of vertices whose triangles form more than one fan.
     pub pinched_vertices: u64,
-    /// Triangles with a repeated vertex.
+    /// Number of triangles with a repeated vertex.
     pub degenerate_triangles: u64,
-    /// Vertices with a coordinate that is not finite.
+    /// Number of vertices with a coordinate that is not finite.
     pub non_finite_vertices: u64,
-    /// 1 if it is closed, oriented and 2-manifold, and all positions are finite; else 0.
+    /// 1 if the mesh is closed, oriented and 2-manifold, and all positions are finite; else 0.
     pub is_closed_oriented_manifold: i32,
     /// Always 0.
     pub reserved: i32,
 }
 
-// SAFETY: numbers.
+// SAFETY: all fields are numbers.
 unsafe impl Growing for MeniscusCheck {
     const NAME: &str = "MeniscusCheck";
 }

@@ -1,5 +1,6 @@
-//! Structures with their size as the first field, so that they can grow: a caller that was compiled
-//! with an older header passes a smaller one, and one with a newer header a larger one.
+//! Structures whose first field is their size, so that later versions can add fields. A caller that
+//! was compiled with an older header passes a smaller structure, and a caller with a newer header a
+//! larger one.
 
 use crate::status::{Failure, Outcome};
 
@@ -9,14 +10,14 @@ const LARGEST: usize = 4096;
 /// A C structure whose first field is its size in bytes, of type `usize`.
 ///
 /// # Safety
-/// All fields are numbers, nullable pointers or nullable callbacks: zeros are valid, and so is any
-/// value that a caller may write.
+/// All fields are numbers, nullable pointers or nullable callbacks. Therefore zeros are valid, and
+/// all bytes that a caller may write are valid.
 pub unsafe trait Growing: Copy {
-    /// The name in C.
+    /// The structure's name in C, for messages.
     const NAME: &str;
 }
 
-/// The size in a structure.
+/// Reads the size in the first field of a structure.
 ///
 /// # Safety
 /// `at` is NULL or points to a structure.
@@ -24,7 +25,7 @@ unsafe fn announced<T: Growing>(at: *const T, what: &str) -> Outcome<usize> {
     if at.is_null() {
         return Err(Failure::request(format!("{what} is NULL")));
     }
-    // SAFETY: a structure begins with its size; it may lie at any address.
+    // SAFETY: a structure begins with its size, and this read needs no alignment.
     let size = unsafe { at.cast::<usize>().read_unaligned() };
     if !(size_of::<usize>()..=LARGEST).contains(&size) || !size.is_multiple_of(size_of::<usize>()) {
         let (name, own) = (T::NAME, size_of::<T>());
@@ -35,14 +36,15 @@ unsafe fn announced<T: Growing>(at: *const T, what: &str) -> Outcome<usize> {
     Ok(size)
 }
 
-/// Copies a structure: fields beyond a smaller one become 0, and fields beyond this type must be 0.
+/// Copies the caller's structure. If it is smaller than `T`, the missing fields become 0. If it is
+/// larger, the additional fields must be 0.
 ///
 /// # Safety
-/// `at` is NULL or points to as many bytes as the structure's size field.
+/// `at` is NULL or points to a structure of as many bytes as its size field says.
 pub unsafe fn read<T: Growing>(at: *const T, what: &str) -> Outcome<T> {
-    // SAFETY: as for this function.
+    // SAFETY: the caller upholds this function's contract.
     let size = unsafe { announced(at, what) }?;
-    // SAFETY: of `size` bytes, says the caller.
+    // SAFETY: the caller guarantees that the structure has `size` bytes.
     let bytes = unsafe { std::slice::from_raw_parts(at.cast::<u8>(), size) };
     let (known, unknown) = bytes.split_at(size.min(size_of::<T>()));
     if unknown.iter().any(|&byte| byte != 0) {
@@ -50,33 +52,35 @@ pub unsafe fn read<T: Growing>(at: *const T, what: &str) -> Outcome<T> {
             format!("{what}: it is of a newer version, and asks for what this one does not have");
         return Err(Failure::request(what));
     }
-    // SAFETY: zeros are valid.
+    // SAFETY: zeros are valid for all fields of a `Growing` structure.
     let mut value: T = unsafe { std::mem::zeroed() };
-    // SAFETY: no more bytes than there are on either side, and whatever they are is valid.
+    // SAFETY: `known` is no longer than `value`, and `Growing` allows any bytes from the caller.
     unsafe { std::ptr::copy_nonoverlapping(known.as_ptr(), (&raw mut value).cast(), known.len()) };
     Ok(value)
 }
 
-/// Checks that a structure can be filled later.
+/// Checks the size in the caller's structure, so that a later [`fill`] cannot fail.
 ///
 /// # Safety
-/// As for [`read`].
+/// The requirements of [`read`].
 pub unsafe fn check<T: Growing>(at: *mut T, what: &str) -> Outcome {
-    // SAFETY: as for this function.
+    // SAFETY: the caller upholds this function's contract.
     unsafe { announced(at.cast_const(), what) }.map(drop)
 }
 
-/// Fills the fields that the caller knows; additional fields of a larger structure become 0.
+/// Fills the caller's structure. A smaller structure than `T` gets only its own fields. In a larger
+/// one, the additional fields become 0.
 ///
 /// # Safety
-/// As for [`read`], and no other thread reads or writes the structure.
+/// The requirements of [`read`]. Also, no other thread reads or writes the structure.
 pub unsafe fn fill<T: Growing>(at: *mut T, value: T, what: &str) -> Outcome {
     let own = size_of::<usize>();
-    // SAFETY: as for this function.
+    // SAFETY: the caller upholds this function's contract.
     let size = unsafe { announced(at.cast_const(), what) }?;
     let known = size.min(size_of::<T>());
     let (from, to) = ((&raw const value).cast::<u8>(), at.cast::<u8>());
-    // SAFETY: no more bytes than there are on either side; the size stays what it was.
+    // SAFETY: `known` is at most the size of each structure. The caller's size field stays the
+    // same.
     unsafe {
         std::ptr::copy_nonoverlapping(from.add(own), to.add(own), known - own);
         to.add(known).write_bytes(0, size - known);
@@ -96,7 +100,7 @@ mod tests {
         two: u64,
     }
 
-    // SAFETY: numbers.
+    // SAFETY: all fields are numbers.
     unsafe impl Growing for Two {
         const NAME: &str = "Two";
     }
@@ -107,7 +111,8 @@ mod tests {
 
     #[test]
     fn short_structures_are_completed_and_unknown_fields_must_be_zero() {
-        // SAFETY: each is as large as it says, or says nonsense and is not looked at.
+        // SAFETY: each array is as large as its size field says, or its size field is invalid and
+        // only this field is read.
         unsafe {
             let whole = read(at(&mut [24, 5, 6]), "two").unwrap();
             assert_eq!(whole, Two { size: 24, one: 5, two: 6 });
@@ -126,7 +131,7 @@ mod tests {
     #[test]
     fn only_the_fields_that_the_caller_knows_are_filled() {
         let value = Two { size: 24, one: 5, two: 6 };
-        // SAFETY: each is as large as it says.
+        // SAFETY: each array is as large as its size field says, or the size is invalid.
         unsafe {
             let mut smaller = [16, 1, 1, 1];
             fill(at(&mut smaller), value, "two").unwrap();

@@ -1,5 +1,4 @@
-//! Results of calls: a code that every function returns, and a message that the calling thread
-//! keeps.
+//! Results of calls: functions return a status code, and the last message is stored per thread.
 
 use std::any::Any;
 use std::cell::RefCell;
@@ -9,7 +8,7 @@ use std::ptr::null;
 
 use meniscus::{Cause, Error};
 
-/// Result of a call. The numbers are the exit codes of the program `meniscus`.
+/// Status code of a call. The numbers are the exit codes of the program `meniscus`.
 #[repr(i32)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum MeniscusStatus {
@@ -21,24 +20,24 @@ pub enum MeniscusStatus {
     Request = 2,
     /// Invalid particles, or an input file that cannot be read.
     Input = 3,
-    /// A file cannot be written, or scratch files fail.
+    /// An output file or a scratch file cannot be written.
     Output = 4,
     /// The requested Vulkan device cannot be used.
     Device = 5,
-    /// A bug in the library: please report it. The handles of the call can only be freed.
+    /// A bug in the library: please report it. Do not use the handles of this call, only free them.
     Internal = 70,
     /// A callback or another thread cancelled the work.
     Cancelled = 130,
 }
 
-/// An error of a call.
+/// An error of a call: its status code and its message.
 #[derive(Debug)]
 pub struct Failure {
     pub status: MeniscusStatus,
     pub message: String,
 }
 
-/// The result of the work of a call.
+/// The result of a call, before it is converted to a status code.
 pub type Outcome<T = ()> = Result<T, Failure>;
 
 impl Failure {
@@ -66,7 +65,7 @@ thread_local! {
     static LAST: RefCell<CString> = RefCell::default();
 }
 
-/// C text, which ends at the first NUL.
+/// Converts text to a C string, and removes NUL bytes.
 pub fn c_text(text: impl Into<Vec<u8>>) -> CString {
     let mut bytes = text.into();
     bytes.retain(|&byte| byte != 0);
@@ -74,7 +73,7 @@ pub fn c_text(text: impl Into<Vec<u8>>) -> CString {
 }
 
 fn keep(message: String) {
-    // A thread that is ending has no message any more.
+    // Ignore the failure in a thread that is ending, whose message does not exist any more.
     let _ = LAST.try_with(|last| *last.borrow_mut() = c_text(message));
 }
 
@@ -85,14 +84,14 @@ fn panicked(payload: &(dyn Any + Send)) -> Failure {
     Failure { status: MeniscusStatus::Internal, message }
 }
 
-/// Drops the payload of a panic. If that panics again, it is ignored.
+/// Drops the payload of a panic. If dropping it panics, that panic is ignored.
 fn dropped(payload: Box<dyn Any + Send>) {
     if let Err(another) = catch_unwind(AssertUnwindSafe(|| drop(payload))) {
         std::mem::forget(another);
     }
 }
 
-/// Does the work of a call. Errors become a code and a message, and panics do not propagate.
+/// Runs `work` for a call. Errors and panics become a status code and a message.
 pub fn call(work: impl FnOnce() -> Outcome) -> MeniscusStatus {
     let outcome = catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|payload| {
         let failure = panicked(&*payload);
@@ -108,8 +107,8 @@ pub fn call(work: impl FnOnce() -> Outcome) -> MeniscusStatus {
     }
 }
 
-/// Runs a query that cannot fail. A panic, which would be a bug, becomes a message, and the result
-/// is `otherwise`.
+/// Runs a query that cannot fail. If it panics, which is a bug, this stores a message and returns
+/// `otherwise`.
 pub fn ask<T>(otherwise: T, work: impl FnOnce() -> T) -> T {
     catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|payload| {
         keep(panicked(&*payload).message);
@@ -118,11 +117,11 @@ pub fn ask<T>(otherwise: T, work: impl FnOnce() -> T) -> T {
     })
 }
 
-/// Returns the message of the last call of this thread that did not return MENISCUS_STATUS_OK: what
-/// is wrong, and where. Empty if there was none.
+/// Returns the message of the last call on this thread that failed: what is wrong, and where. Empty
+/// if no call on this thread has failed.
 ///
-/// Each thread has its own message. The text belongs to the library, and is valid until the next
-/// call on this thread fails, or the thread ends.
+/// A call has failed if it did not return MENISCUS_STATUS_OK. The string belongs to the library,
+/// and is valid until the next call on this thread fails, or the thread ends.
 #[unsafe(no_mangle)]
 pub extern "C" fn meniscus_last_error() -> *const c_char {
     LAST.try_with(|last| last.try_borrow().map_or(null(), |text| text.as_ptr()))
@@ -135,7 +134,7 @@ mod tests {
     use std::ffi::CStr;
 
     fn last() -> String {
-        // SAFETY: the text of this thread, which makes no other call meanwhile.
+        // SAFETY: the message is valid until this thread calls the library again.
         unsafe { CStr::from_ptr(meniscus_last_error()) }.to_str().unwrap().to_owned()
     }
 

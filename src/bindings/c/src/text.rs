@@ -1,4 +1,4 @@
-//! Texts and arrays from the caller, and buffers that the library fills.
+//! Checks strings and arrays from the caller, and buffers that the library fills.
 
 use std::ffi::{CStr, c_char};
 use std::mem::MaybeUninit;
@@ -6,59 +6,59 @@ use std::path::PathBuf;
 
 use crate::status::{Failure, Outcome};
 
-/// A text, or `None` for NULL.
+/// Reads the caller's string, or returns `None` for NULL.
 ///
 /// # Safety
-/// `at` is NULL or points to a text that ends in NUL and lives as long as the call.
+/// `at` is NULL or points to a string that ends in NUL and lives as long as the call.
 pub unsafe fn optional<'a>(at: *const c_char, what: &str) -> Outcome<Option<&'a str>> {
     if at.is_null() {
         return Ok(None);
     }
-    // SAFETY: as for this function.
+    // SAFETY: the caller upholds this function's contract.
     let text = unsafe { CStr::from_ptr(at) }.to_str();
     text.map(Some).map_err(|_| Failure::request(format!("{what} is not UTF-8")))
 }
 
-/// A path, or `None` for NULL.
+/// Reads the caller's path, or returns `None` for NULL.
 ///
 /// # Safety
-/// As for [`optional`].
+/// The requirements of [`optional`].
 pub unsafe fn optional_path(at: *const c_char, what: &str) -> Outcome<Option<PathBuf>> {
     #[cfg(unix)]
     {
         use std::os::unix::ffi::OsStrExt;
         let _ = what;
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         let bytes = (!at.is_null()).then(|| unsafe { CStr::from_ptr(at) }.to_bytes());
         Ok(bytes.map(|bytes| std::ffi::OsStr::from_bytes(bytes).into()))
     }
     #[cfg(not(unix))]
     {
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         Ok(unsafe { optional(at, what) }?.map(PathBuf::from))
     }
 }
 
-/// A path that must not be NULL.
+/// Reads the caller's path, which must not be NULL.
 ///
 /// # Safety
-/// As for [`optional`].
+/// The requirements of [`optional`].
 pub unsafe fn path(at: *const c_char, what: &str) -> Outcome<PathBuf> {
-    // SAFETY: as for this function.
+    // SAFETY: the caller upholds this function's contract.
     let path = unsafe { optional_path(at, what) }?;
     path.ok_or_else(|| Failure::request(format!("{what} is NULL")))
 }
 
-/// An array of texts.
+/// Reads the caller's array of strings, none of which may be NULL.
 ///
 /// # Safety
-/// `at` is NULL or points to `count` pointers, each as for [`optional`].
+/// `at` is NULL or points to `count` pointers. Each pointer meets the requirements of [`optional`].
 pub unsafe fn pointers<'a>(
     at: *const *const c_char,
     count: usize,
     what: &str,
 ) -> Outcome<&'a [*const c_char]> {
-    // SAFETY: as for this function.
+    // SAFETY: the caller upholds this function's contract.
     let pointers = unsafe { array(at, count, what) }?;
     match pointers.iter().position(|text| text.is_null()) {
         Some(index) => Err(Failure::request(format!("{what}[{index}] is NULL"))),
@@ -66,16 +66,16 @@ pub unsafe fn pointers<'a>(
     }
 }
 
-/// An array that may be empty.
+/// Converts the caller's array to a slice. An empty array may be NULL.
 ///
 /// # Safety
-/// `at` is NULL or points to `count` values that live, and stay unchanged, as long as the call.
+/// `at` is NULL or points to `count` values that exist and do not change during the call.
 pub unsafe fn array<'a, T>(at: *const T, count: usize, what: &str) -> Outcome<&'a [T]> {
     if count == 0 {
         return Ok(&[]);
     }
     refuse_no_array(at, count, what)?;
-    // SAFETY: there and aligned, as was looked at; the rest is for the caller to say.
+    // SAFETY: the address was checked, and the caller guarantees its values.
     Ok(unsafe { std::slice::from_raw_parts(at, count) })
 }
 
@@ -97,11 +97,12 @@ fn refuse_no_array<T>(at: *const T, count: usize, what: &str) -> Outcome {
     Ok(())
 }
 
-/// The caller's buffer of `capacity` numbers, which must suffice for `needed`.
+/// Converts the caller's buffer to a slice of `needed` numbers. Returns an error if its `capacity`
+/// is smaller.
 ///
 /// # Safety
-/// `at` is NULL or points to memory for `capacity` values that no other thread reads or writes
-/// meanwhile.
+/// `at` is NULL or points to memory for `capacity` values. No other thread uses this memory during
+/// the call.
 pub unsafe fn buffer<'a, T>(
     at: *mut T,
     capacity: u64,
@@ -121,17 +122,17 @@ pub unsafe fn buffer<'a, T>(
         return Ok(&mut []);
     }
     refuse_no_array(at.cast_const(), needed, what)?;
-    // SAFETY: there and aligned, as was looked at; the rest is for the caller to say.
+    // SAFETY: the address was checked, and the caller guarantees its memory.
     Ok(unsafe { std::slice::from_raw_parts_mut(at.cast(), needed) })
 }
 
 /// Writes a value, unless the address is NULL.
 ///
 /// # Safety
-/// `at` is NULL or points to a value with any alignment.
+/// `at` is NULL or points to memory for a value, which need not be aligned.
 pub unsafe fn put<T>(at: *mut T, value: T) {
     if !at.is_null() {
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         unsafe { at.write_unaligned(value) };
     }
 }

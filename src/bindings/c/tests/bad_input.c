@@ -1,4 +1,5 @@
-// Bad input of every kind is a code and a message that says what and where, and never a crash: `bad_input FOLDER`.
+// Checks that bad input of every kind gives a code and a precise message, and never crashes:
+// `bad_input FOLDER`.
 #include "water.h"
 
 static float positions[COUNT][3];
@@ -151,7 +152,7 @@ static void keys_and_values_are_refused(void) {
   SET("origin: ", meniscus_options_set_numbers(options, "origin", numbers, SIZE_MAX));
   SET("spacing: expected a number, got [NaN, 0.0]",
       meniscus_options_set_numbers(options, "spacing", numbers, 2));
-  // Rejected values have changed nothing, and NULL resets an option to its default.
+  // The rejected values have not changed the options. NULL resets an option to its default.
   MeniscusMesh *mesh;
   OK(meniscus_options_set_numbers(options, "origin", numbers, 3));
   OK(meniscus_options_set_number(options, "watch", INFINITY));
@@ -200,7 +201,7 @@ static void particles_are_refused(void) {
       {.size = sizeof *twins, .name = "heat", .values = positions, .components = 1},
       {.size = sizeof *twins, .name = "heat", .values = positions, .components = 1}};
   PARTICLES(REQUEST, "another attribute is called \"heat\"", .attributes = twins, .attribute_count = 2);
-  // All are left out, or all have the same position.
+  // Frames in which all particles are left out, or all have the same position.
   static float nowhere[COUNT][3];
   MeniscusParticles same = particles_of(nowhere);
   REFUSED(INPUT, "spacing", meniscus_reconstruct(&same, NULL, &mesh));
@@ -234,7 +235,7 @@ static void files_are_refused(const char *folder) {
   WRITE(REQUEST, "path is NULL", meniscus_mesh_write(made, NULL, 0, NULL));
   WRITE(REQUEST, "mesh is NULL", meniscus_mesh_write(NULL, path, 0, NULL));
   WRITE(REQUEST, "mesh.doc", meniscus_mesh_write(made, "mesh.doc", 0, NULL));
-  // A missing folder is created, but not in place of a file.
+  // The library creates a missing folder, unless a file has the folder's name.
   char below[sizeof path + 32];
   snprintf(below, sizeof below, "%s/none/mesh.ply", path);
   WRITE(OUTPUT, "none/mesh.ply", meniscus_mesh_write(made, below, 0, NULL));

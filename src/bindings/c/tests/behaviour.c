@@ -1,9 +1,10 @@
-// Tests of all guarantees of the interface besides the bytes: `behaviour FOLDER`.
+// Tests all guarantees of the interface except that bytes are equal: `behaviour FOLDER`.
 #include "water.h"
 
 static float positions[COUNT][3];
 
-/// Lent arrays and copies, in both widths, are the same mesh.
+/// Copies with 32-bit and 64-bit numbers contain the same mesh as the arrays in the library's
+/// memory.
 static void copies_are_what_is_lent(void) {
   static float velocity[COUNT][3], heat[COUNT];
   for (int i = 0; i < COUNT; i++) {
@@ -100,7 +101,7 @@ static void whole_numbers_are_those_of_particles(void) {
   MeniscusArrays arrays = {.size = sizeof arrays};
   OK(meniscus_mesh_arrays(mesh, &arrays));
   for (uint64_t i = 0; i < vertices; i++) {
-    // All values are of one particle.
+    // All attributes of a vertex must come from the same particle.
     const int64_t particle = pairs[2 * i + 1];
     CHECK(particle >= 0 && particle < COUNT);
     CHECK(whole[i] == -16777217 - 2 * particle && pairs[2 * i] == (int64_t)UINT32_MAX - particle);
@@ -243,7 +244,7 @@ static void a_frame_is_sampled_once_and_surfaced_often(const char *folder) {
   CHECK(bytes > 100);
   CHECK(meniscus_frame_pack(frame, path, 0, &bytes) == MENISCUS_STATUS_REQUEST);
   meniscus_frame_free(frame);
-  // Its warnings need a pass over all cells, on temporary threads.
+  // With this indicator, the frame computes its warnings from all cells, on temporary threads.
   MeniscusOptions *symmetry = OPTIONS("spacing", "0.05", "indicator", "symmetry");
   OK(meniscus_sample(&particles, symmetry, &frame));
   meniscus_options_free(symmetry);
@@ -256,7 +257,7 @@ static void a_frame_is_sampled_once_and_surfaced_often(const char *folder) {
 }
 
 static void a_simulation_settles_and_its_frames_are_alike(void) {
-  // Deeper than the reach of the filters.
+  // A cube with this many particles per edge is deeper than the reach of the filters.
   enum { DEEP = 16 };
   static float moved[DEEP * DEEP * DEEP][3];
   MeniscusOptions *options = OPTIONS("smooth", "0.8");
@@ -266,7 +267,7 @@ static void a_simulation_settles_and_its_frames_are_alike(void) {
   CHECK(meniscus_simulation_is_settled(simulation) == 0);
   double cell = 0;
   for (int i = 0; i < 3; i++) {
-    // With fewer particles, the estimated spacing would be larger.
+    // Later frames have fewer particles, so a new estimate of the spacing would differ.
     pour_cube(moved, DEEP, -0.01f * (float)i);
     MeniscusParticles particles = particles_of(moved);
     particles.count = sizeof moved / sizeof *moved - 1000 * (unsigned)i;
@@ -279,7 +280,7 @@ static void a_simulation_settles_and_its_frames_are_alike(void) {
     meniscus_mesh_free(mesh);
   }
   CHECK(meniscus_simulation_is_settled(simulation) == 1);
-  // A tank may be temporarily empty; a single frame may not.
+  // A frame of a simulation may be without particles, but a single frame may not.
   MeniscusParticles none = {.size = sizeof none};
   MeniscusMesh *dry;
   MeniscusArrays arrays = {.size = sizeof arrays};
@@ -300,7 +301,7 @@ static int32_t note(void *user, const MeniscusEvent *event) {
   return 0;
 }
 
-/// Cancels before the first frame: after the first, all others may be finished as well.
+/// Cancels before the first frame, because after it all other frames may be finished as well.
 static int32_t stop(void *user, const MeniscusEvent *event) {
   (void)user;
   return event->kind == MENISCUS_EVENT_KIND_STARTED;
@@ -314,7 +315,7 @@ static void a_conversion_reports_finished_and_failed_frames(const char *folder) 
     snprintf(inputs[i], sizeof inputs[i], "%s/water_%d.xyz", folder, i);
     FILE *file = fopen(inputs[i], "wb");
     CHECK(file && fwrite(positions, sizeof positions[0], COUNT, file) == COUNT);
-    // Bytes that are not a particle.
+    // Make the third file invalid: append 3 bytes, which are no complete particle.
     CHECK(i != 2 || fwrite("bad", 1, 3, file) == 3);
     CHECK(fclose(file) == 0);
   }
@@ -383,7 +384,7 @@ static void *work(void *threads) {
     OK(meniscus_reconstruct(&particles, options, &mesh));
     sum += meniscus_mesh_vertex_count(mesh);
     meniscus_mesh_free(mesh);
-    // The message of this thread does not change if the other thread fails.
+    // A failure on another thread must not change the message of this thread.
     MeniscusOptions *wrong = meniscus_options_new();
     OK(meniscus_options_set_number(wrong, "spacing", -1.0 - count));
     char expected[16];
@@ -422,7 +423,7 @@ static void keys_are_listed(void) {
   meniscus_options_free(options);
 }
 
-/// A value is the same as text and as numbers.
+/// An option set from text and an option set from numbers give the same mesh.
 static void text_and_numbers_are_the_same_options(void) {
   const double origin[] = {0.01, 0, -0.5};
   const double tank[] = {-0.02, -INFINITY, -INFINITY, 0.4, INFINITY, INFINITY};

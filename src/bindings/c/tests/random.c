@@ -1,7 +1,7 @@
-// Calls with random arguments, valid and invalid, in random order: none crashes, none fails without
-// a code and a message, and meshes are closed. `random FOLDER CALLS SEED` prints the number of
-// calls for each code. With FUZZED it is a function instead, whose bytes determine the calls and
-// their arguments: target `c` of `tools/fuzz`.
+// Calls the library with random arguments, valid and invalid, in random order. Checks that no call
+// crashes, that every failure has a code and a message, and that meshes are closed. `random FOLDER
+// CALLS SEED` prints the number of calls for each code. If FUZZED is defined, this is the target
+// `c` of `tools/fuzz`: a function whose bytes determine the calls and their arguments.
 #include "water.h"
 
 #include <time.h>
@@ -13,8 +13,8 @@ static bool more_to_pick(void) {
   return said < said_end;
 }
 
-/// A number below `among`, from the next bytes; after the last byte always the highest, which
-/// selects nothing rare.
+/// A number below `among`, from the next bytes. After the last byte it is always `among - 1`, which
+/// never selects a rare case.
 static uint32_t pick(uint32_t among) {
   uint32_t number = 0;
   for (uint32_t most = among - 1; among > 0 && most > 0; most >>= 8) {
@@ -46,7 +46,7 @@ static bool rarely(uint32_t times) {
   return pick(times) == 0;
 }
 
-/// A plausible or implausible number.
+/// A number near `usual`, or sometimes an extreme number.
 static double number(double usual) {
   const double odd[] = {0, -1, 1, NAN, INFINITY, -INFINITY, 1e-300, 1e300, -0.0, 5e-324, 1e15, 0.5, 1e-9, 3, 65536};
   return rarely(3) ? odd[pick(sizeof odd / sizeof *odd)] : usual * (0.5 + share());
@@ -58,7 +58,7 @@ static size_t size_of(size_t right) {
 }
 
 #ifdef FUZZED
-// Few particles, so that there is time for many calls.
+// Use few particles, so that a fuzzing run can make many calls.
 enum { MOST = 30 };
 static const double EXTENT = 0.12;
 #else
@@ -66,7 +66,7 @@ enum { MOST = 200 };
 static const double EXTENT = 0.4;
 #endif
 
-// Exactly as large as announced, so that valgrind detects reads beyond it.
+// Exactly as large as the structures say, so that valgrind detects reads beyond its end.
 static unsigned char *memory;
 static MeniscusAttribute attributes[3];
 static const char *words[] = {"velocity", "heat", "v", "none", "", "\xff\xfe", "a very long name of an attribute, as nobody has", NULL};
@@ -83,7 +83,7 @@ static void put(unsigned char *at, int32_t type, double wide) {
   memcpy(at, type == MENISCUS_TYPE_F32 ? (void *)&narrow : (void *)&wide, type == MENISCUS_TYPE_F32 ? 4 : 8);
 }
 
-/// Particles within their allocated memory, or announced particles beyond it that must be rejected.
+/// Random particles in `memory`, or sometimes invalid ones that the library must reject.
 static MeniscusParticles *some_particles(MeniscusParticles *particles) {
   memset(particles, 0, sizeof *particles);
   int32_t type = (int32_t)pick(2);
@@ -102,7 +102,7 @@ static MeniscusParticles *some_particles(MeniscusParticles *particles) {
   if (count > 0 && rarely(8)) {
     particles->positions = at, particles->stride = (ptrdiff_t)width, particles->component_stride = (ptrdiff_t)(count * width);
   }
-  // Fields that an older caller does not have are 0.
+  // With the smaller structure of an older caller, the library takes the strides as 0.
   if (particles->size != sizeof *particles) {
     particles->positions = at, particles->stride = particles->component_stride = 0;
   }
@@ -125,20 +125,21 @@ static MeniscusParticles *some_particles(MeniscusParticles *particles) {
       one->name = words[rarely(6) ? pick(8) : (uint32_t)i];
       one->values = rarely(15) ? NULL : particles->positions;
       one->components = rarely(12) ? pick(5) * 65535u : 1 + pick(3);
-      // Numbers with the same size.
+      // Any type with 4 bytes fits, because the attribute's values are the positions.
       one->number = type == MENISCUS_TYPE_F32 && rarely(3) ? MENISCUS_TYPE_I32 + (int32_t)pick(2) : type;
       one->stride = particles->stride, one->component_stride = particles->component_stride;
       if (one->components > 3 && one->components <= 65536) {
         one->stride = one->component_stride = 0, one->values = NULL;
       }
     }
-    // A structure that is smaller than an attribute is also the stride, so there can be only one.
+    // With another size in a structure, the library would look for the next structure elsewhere in
+    // the array, so allow only one attribute.
     if (attributes[0].size != sizeof *attributes || attributes[1].size != sizeof *attributes) {
       particles->attribute_count = particles->attribute_count > 0;
     }
   }
   if (particles->size == sizeof *particles && rarely(25)) {
-    // Must be rejected before anything is read there.
+    // The library must reject these strides before it reads a position.
     const ptrdiff_t far[] = {PTRDIFF_MAX, PTRDIFF_MIN, PTRDIFF_MAX / 2};
     particles->count = count + 4, particles->stride = far[pick(3)];
   }
@@ -150,7 +151,7 @@ static MeniscusParticles *some_particles(MeniscusParticles *particles) {
 
 static int32_t end_sometimes(void *user, const MeniscusProgress *progress) {
   CHECK(progress->done >= 0 && progress->done <= 1);
-  // An older caller does not have this field.
+  // Cancel when the counter in `user` reaches 0.
   return user && --*(int *)user == 0;
 }
 
@@ -185,8 +186,8 @@ static void set_box(MeniscusOptions *options, const char *key) {
   if (rarely(4)) set_numbers(options, key, box, 6);
 }
 
-/// Whether random values of an option are harmless. Other options search for devices, which takes
-/// most of the time, wait for frames that never appear, write elsewhere, or start too many threads.
+/// Whether the option may get random values. The other options would search for devices, which is
+/// slow, wait for frames that never appear, write elsewhere, or start too many threads.
 static bool is_harmless(const char *key) {
   const char *harmful[] = {"backend", "device", "watch", "scratch", "threads"};
   for (size_t i = 0; i < sizeof harmful / sizeof *harmful; i++) {
@@ -280,7 +281,7 @@ static MeniscusStatus note(MeniscusStatus status) {
   return status;
 }
 
-/// Some of the queries of a mesh.
+/// Makes a random query about a mesh.
 static void ask(const MeniscusMesh *mesh, const char *folder) {
   uint64_t vertices = meniscus_mesh_vertex_count(mesh), triangles = meniscus_mesh_triangle_count(mesh);
   uint64_t room = rarely(4) ? pick(100) : 3 * (vertices > triangles ? vertices : triangles);
@@ -333,7 +334,7 @@ static void ask(const MeniscusMesh *mesh, const char *folder) {
   free(out);
 }
 
-/// Some frames of a few particles, for conversions; returns their name with {} for the number.
+/// Writes three small frames for conversions, and returns their name with {} for the number.
 static const char *frames_in(const char *folder) {
   static char name[512];
   char path[512];
@@ -368,7 +369,7 @@ static void convert(const char *folder, const char *frames) {
     if (rarely(3)) set(some, "frames", range);
     if (rarely(2)) set_number(some, "step", pick(3));
     if (rarely(3)) set_number(some, "fps", number(25));
-    // Do not wait for frames that never appear.
+    // Only tiny or invalid timeouts, because no new frame ever appears.
     if (rarely(9)) set_number(some, "watch", rarely(2) ? 1e-9 : -fabs(number(1)));
     set_number(some, "overwrite", rarely(2)), set_number(some, "resume", rarely(2));
     if (rarely(2)) {
@@ -393,7 +394,7 @@ static void keep(MeniscusMesh **mesh, MeniscusMesh *made) {
   calls += 2;
 }
 
-/// Makes this many calls, or fewer if the bytes end.
+/// Makes `wanted` calls, or fewer if the fuzzer's bytes end.
 static void make_calls(const char *folder, uint64_t wanted) {
   MeniscusMesh *mesh = NULL;
   MeniscusFrame *frame = NULL;
@@ -437,7 +438,7 @@ static void make_calls(const char *folder, uint64_t wanted) {
     if (made) keep(&mesh, made);
     if (sampled) meniscus_frame_free(frame), frame = sampled, calls++;
     if (begun) meniscus_simulation_free(simulation), simulation = begun, calls++;
-    // Handles are freed in any order: a mesh stays valid when its frame is freed.
+    // Free handles in any order: a mesh must stay valid when its frame is freed.
     if (rarely(200)) meniscus_mesh_free(mesh), mesh = NULL, calls++;
     if (rarely(200)) meniscus_frame_free(frame), frame = NULL, calls++;
     if (rarely(200)) meniscus_simulation_free(simulation), simulation = NULL, calls++;
@@ -448,7 +449,7 @@ static void make_calls(const char *folder, uint64_t wanted) {
 }
 
 #ifdef FUZZED
-/// Makes the calls that bytes determine, in an empty folder.
+/// Makes the calls that `bytes` determine. `folder` is empty.
 void meniscus_calls_of_bytes(const char *folder, const unsigned char *bytes, size_t size) {
   said = bytes, said_end = bytes + size;
   make_calls(folder, 40);
@@ -465,7 +466,7 @@ static int test(int count, char **arguments) {
     if (codes[i]) printf(" %llu returned %d,", (unsigned long long)codes[i], i);
   }
   puts(" none crashed");
-  // Otherwise, most calls would do nothing.
+  // The test is only useful if many calls succeed and if every kind of failure occurs.
   CHECK(wanted < 2000 || (codes[0] > calls / 5 && codes[MENISCUS_STATUS_REQUEST] > calls / 20 && codes[MENISCUS_STATUS_INPUT] && codes[MENISCUS_STATUS_CANCELLED]));
   return 0;
 }

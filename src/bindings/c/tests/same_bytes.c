@@ -1,4 +1,5 @@
-// The library writes the same bytes as the program, for the same input and options: `same_bytes PROGRAM FOLDER`.
+// Checks that the library writes the same bytes as the program for the same input and options:
+// `same_bytes PROGRAM FOLDER`.
 #include "water.h"
 
 #include <stdarg.h>
@@ -18,7 +19,7 @@ static void run(const char *format, ...) {
   }
 }
 
-/// Compares the meshes, and the files that they refer to, of the program and the library.
+/// Compares the files of the program and of the library: the mesh, and the files that it refers to.
 static void compare(const char *extension, const MeniscusMesh *mesh, const char *input, const char *options) {
   char path[512];
   run("rm -rf %s/program %s/library && mkdir %s/program %s/library", folder, folder, folder, folder);
@@ -48,7 +49,7 @@ static int test(int count, char **arguments) {
   for (int i = 0; i < COUNT; i++) {
     structures[i].velocity[1] = (float)i;
     for (int axis = 0; axis < 3; axis++) {
-      // More digits than a float has.
+      // The additional digits are lost if a double is rounded to float.
       structures[i].at[axis] = wide[i][axis] = positions[i][axis] + 1e-9 * i;
     }
   }
@@ -63,7 +64,7 @@ static int test(int count, char **arguments) {
   CHECK(COUNT == 1005);
   save("water.npy", head, sizeof head, wide, sizeof wide);
 
-  // Every format, from 32-bit and 64-bit numbers, in memory and in a file.
+  // Test every mesh format with 32-bit and 64-bit positions, in memory and in a file.
   const char *formats[] = {"ply", "obj", "vtk", "vtp", "pvtp", "vtkhdf", "stl", "usdc", "glb", "abc"};
   MeniscusParticles narrow = particles_of(positions);
   MeniscusParticles doubles = {
@@ -81,7 +82,7 @@ static int test(int count, char **arguments) {
   meniscus_mesh_free(of_wide);
   meniscus_mesh_free(of_file);
 
-  // Options by name, and positions among other numbers.
+  // Test many options, with positions that are stored among other numbers.
   struct { const char *said; const char *const options[9]; } all[] = {
       {"--spacing 0.05 --cell 0.3 --smooth 2", {"spacing", "0.05", "cell", "0.3", "smooth", "2"}},
       {"--radius 0.025 --cell-size 0.03 --normals",
@@ -124,7 +125,7 @@ static int test(int count, char **arguments) {
   compare("glb", mesh, wide_file, "--compress --particles-up z");
   meniscus_mesh_free(mesh);
 
-  // A device gives the same bytes as the CPU.
+  // A Vulkan device gives the same bytes as the CPU.
   MeniscusOptions *device = OPTIONS("backend", "vulkan", "normals", "true");
   MeniscusStatus status = meniscus_reconstruct(&strided, device, &mesh);
   meniscus_options_free(device);
@@ -137,7 +138,7 @@ static int test(int count, char **arguments) {
     meniscus_mesh_free(mesh);
   }
 
-  // A packed frame has the same bytes as the program's, and so has its mesh.
+  // A packed frame has the same bytes as the program's, and its mesh has the same bytes too.
   char packed[512];
   snprintf(packed, sizeof packed, "%s/library.mnf", folder);
   MeniscusFrame *frame;
@@ -152,7 +153,7 @@ static int test(int count, char **arguments) {
   compare("ply", mesh, wide_file, "--smooth 2");
   meniscus_mesh_free(mesh);
 
-  // A conversion of a simulation: all files are equal except for times.
+  // Convert a simulation with both: all files are equal except for the times in them.
   run("rm -rf %s/frames %s/by_*; mkdir %s/frames", folder, folder, folder);
   for (int number = 1; number <= 3; number++) {
     char name[64];

@@ -23,7 +23,7 @@
 
 #define OK(call) CHECK((call) == MENISCUS_STATUS_OK)
 
-/// A number from 0 to 1, the same on every machine.
+/// A pseudo-random number from 0 to 1; the sequence is the same on every machine.
 static inline double next(uint64_t *state) {
   *state = *state * 6364136223846793005u + 1442695040888963407u;
   return (double)(*state >> 40) / (double)(1 << 24);
@@ -54,7 +54,7 @@ static inline void pour(float positions[COUNT][3], float shift) {
   }
 }
 
-/// Options by their keys and values, in turn; the caller frees them.
+/// Creates options from alternating keys and values; the caller frees them.
 #define OPTIONS(...) options_of((const char *const[]){__VA_ARGS__, NULL})
 
 static inline MeniscusOptions *options_of(const char *const *pairs) {
@@ -70,7 +70,7 @@ static inline MeniscusParticles particles_of(float positions[COUNT][3]) {
   return particles;
 }
 
-/// Checks that the library leaves no thread behind. A thread that was asked to end may take a moment.
+/// Checks that all threads of the library end. They may take a moment.
 static inline void wait_for_threads(void) {
   for (int tries = 0;; tries++) {
     int threads = 0;
@@ -88,7 +88,7 @@ static inline void wait_for_threads(void) {
 }
 
 #ifndef FUZZED
-/// The test itself.
+/// The test of a file; `main` calls it.
 static int test(int count, char **arguments);
 
 /// Whether a graphics driver was used. A driver keeps its own threads.
@@ -101,7 +101,8 @@ static inline void *run_test(void *unused) {
   return unused;
 }
 
-/// Runs the test on a thread that ends. The library frees its data of a thread at that point, and valgrind reports any that is left.
+/// Runs the test on a separate thread. When this thread ends, the library must free the thread's
+/// data: valgrind reports data that it does not free.
 int main(int count, char **arguments) {
   pthread_t thread;
   given.count = count, given.arguments = arguments;

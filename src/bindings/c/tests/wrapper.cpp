@@ -46,7 +46,7 @@ static void test(const std::string &folder) {
   CHECK(mesh.copy_positions<double>()[5] == mesh.positions()[5]);
   CHECK(mesh.copy_triangles()[7] == mesh.triangles()[7]);
   for (float speed : mesh.attribute("speed")) CHECK(std::abs(speed - 2) < 1e-6f);
-  // Whole numbers that float cannot hold.
+  // Integers that float cannot represent exactly.
   std::vector<int32_t> ids;
   for (int i = 0; i < 512; i++) ids.push_back(16777217 + 2 * i);
   const auto numbered = meniscus::Particles(water).attribute("id", ids.data(), 1);
@@ -65,7 +65,7 @@ static void test(const std::string &folder) {
   CHECK(mesh.overwrite(path) > 1000);
   CHECK(failure([&] { mesh.write(path); }, "already exists") == MENISCUS_STATUS_REQUEST);
 
-  // A callback cancels by its result, and its exceptions reach the caller.
+  // A callback can cancel by returning false, and its exceptions reach the caller.
   options.on_progress([](const MeniscusProgress &) { return false; });
   CHECK(failure([&] { meniscus::reconstruct(particles, options); }, "cancelled") == MENISCUS_STATUS_CANCELLED);
   options.on_progress([](const MeniscusProgress &) -> bool { throw 42; });

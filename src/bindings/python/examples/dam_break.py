@@ -33,7 +33,7 @@ def neighbours(points: Points) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.int
 
 
 def advance(points: Points, velocity: Points) -> tuple[Points, Points]:
-    """Moves particles by a step, separates those that are too close, and moves all back into the tank."""
+    """Advances the particles by a time step, separates close particles, and keeps all of them in the tank."""
     moved = points + STEP * (velocity + STEP * GRAVITY)
     for _ in range(PUSHES):
         one, other = neighbours(moved)

@@ -1,6 +1,7 @@
 """An exporter for pySPlisHSPlasH that makes a mesh of each frame while it runs: python splishsplash.py SCENE.json FOLDER
 
-Needs pySPlisHSPlasH. Without a screen its wheel may want the system's own libGLX loaded first (LD_PRELOAD).
+Needs pySPlisHSPlasH. On a machine without a screen, its wheel may need the system's libGLX in
+LD_PRELOAD.
 """
 
 from __future__ import annotations
@@ -50,5 +51,6 @@ if __name__ == "__main__":
     base.activateExporter("Mesh exporter", True)
     base.run()
     sys.stdout.flush()
-    # The simulator deletes its exporters, and the interpreter must not delete them again at its end.
+    # End without cleaning up: the simulator has deleted the exporter, and Python would delete it
+    # again.
     os._exit(0)

@@ -1,10 +1,10 @@
-//! Reads Python's arrays in place: NumPy arrays, and others by DLPack, the array interface or the
+//! Reads Python arrays in place: NumPy arrays, and objects with DLPack, the array interface or the
 //! buffer protocol.
 //!
-//! Another thread may write to an array while it is read without the interpreter's lock. Therefore
-//! there is never a slice of an array, which would guarantee constant values: every number is
-//! loaded once, by a volatile read through a pointer, and that value is used. The library handles
-//! positions that differ between reads, and reports them.
+//! This module reads without the interpreter's lock, so another thread may write to an array
+//! meanwhile. Therefore it never makes a Rust slice of an array, whose values must not change.
+//! Instead, it loads every number once, by a volatile read through a pointer. The library detects
+//! and reports positions that differ between reads.
 
 use meniscus::files::{AttributeInfo, AttributeKind, velocity_attribute};
 use numpy::prelude::*;
@@ -14,17 +14,16 @@ use pyo3::prelude::*;
 
 use crate::errors::InputError;
 
-/// Device types in DLPack with memory that the CPU can read: the CPU, and pinned memory of CUDA and
-/// ROCm.
+/// DLPack device types whose memory the CPU can read: the CPU, and pinned memory of CUDA and ROCm.
 const HOST: [i32; 3] = [1, 3, 11];
 
-/// The numbers of an array: rows and columns, with any strides.
+/// The memory layout of an array with rows and columns and any strides.
 #[derive(Debug, Clone, Copy)]
 pub struct Numbers {
     first: *const u8,
     rows: usize,
     columns: usize,
-    /// Bytes from a row to the next, and from a column to the next.
+    /// Bytes from one row to the next, and from one column to the next.
     strides: [isize; 2],
     kind: Kind,
     aligned: bool,
@@ -45,7 +44,7 @@ enum Kind {
 }
 
 impl Kind {
-    /// The number type of NumPy's letter and size.
+    /// The number type for NumPy's letter for its kind and its size in bytes.
     fn of(letter: u8, bytes: usize) -> Option<Self> {
         Some(match (letter, bytes) {
             (b'f', 4) => Self::F32,
@@ -100,12 +99,12 @@ enum Types {
     Numbers,
 }
 
-// SAFETY: every number is only read, in one access, even if other threads read or write it.
+// SAFETY: this module only reads numbers, each in one volatile access, even if other threads write.
 unsafe impl Send for Numbers {}
-// SAFETY: as above.
+// SAFETY: for the same reason as `Send`.
 unsafe impl Sync for Numbers {}
 
-/// An array that is kept alive, with the address of its numbers.
+/// A Python array, kept alive, and the layout of its numbers.
 pub struct HeldArray<'py> {
     pub array: Bound<'py, PyUntypedArray>,
     pub numbers: Numbers,
@@ -118,7 +117,8 @@ impl HeldArray<'_> {
     }
 }
 
-/// Loads a number of some type; byte by byte if it is not aligned. The address is valid.
+/// Loads a number of type `$number` from the valid address `$at`, byte by byte if it is not
+/// aligned.
 macro_rules! loaded {
     ($number:ty, $at:expr, $aligned:expr) => {
         if $aligned {
@@ -138,7 +138,7 @@ impl Numbers {
         self.columns
     }
 
-    /// A single column.
+    /// Returns the layout of a single column.
     ///
     /// # Panics
     /// If there are fewer columns.
@@ -148,7 +148,7 @@ impl Numbers {
         Self { first, columns: 1, ..*self }
     }
 
-    /// The kind of an attribute with this type of numbers, as in a file with this type.
+    /// The kind of an attribute with this type of numbers. Files use the same rule.
     pub fn meaning(&self, info: &AttributeInfo) -> AttributeKind {
         match self.kind {
             Kind::F32 | Kind::F64 => info.kind,
@@ -161,26 +161,27 @@ impl Numbers {
         }
     }
 
-    /// Passes on the numbers of rows from `first` on, row by row.
+    /// Calls `put` with each number of `rows` rows from row `first` on, row by row, and with the
+    /// number's index in this range.
     ///
     /// # Panics
-    /// If there are fewer rows.
+    /// If the array has fewer rows.
     pub fn read(&self, first: usize, rows: usize, put: impl FnMut(usize, f64)) {
         // SAFETY: it is called with places of numbers only.
         self.each(first, rows, |at| unsafe { self.load(at) }, put);
     }
 
-    /// Like [`read`](Self::read) for integers that f64 cannot represent. Values beyond i64 become
-    /// the maximum i64.
+    /// Does the same as [`read`](Self::read) with integers that f64 cannot represent. Values beyond
+    /// i64 become the maximum i64.
     ///
     /// # Panics
-    /// If there are fewer rows.
+    /// If the array has fewer rows.
     pub fn read_whole(&self, first: usize, rows: usize, put: impl FnMut(usize, i64)) {
         // SAFETY: it is called with places of numbers only.
         self.each(first, rows, |at| unsafe { self.load_whole(at) }, put);
     }
 
-    /// Loads the numbers of rows from `first` on, and passes them on.
+    /// Calls `put` with the result of `load` for each number of `rows` rows from row `first` on.
     fn each<T>(
         &self,
         first: usize,
@@ -194,20 +195,20 @@ impl Numbers {
             for column in 0..self.columns {
                 let [down, along] = self.strides;
                 let offset = row as isize * down + column as isize * along;
-                // SAFETY: row and column are the array's, which is held as long as it is read.
+                // SAFETY: the row and the column exist, and `HeldArray` keeps the array alive.
                 put(number, load(unsafe { self.first.offset(offset) }));
                 number += 1;
             }
         }
     }
 
-    /// Loads the number at a place.
+    /// Loads the number at an address.
     ///
     /// # Safety
     /// `at` is the address of one of the array's numbers.
     #[inline(always)]
     unsafe fn load(&self, at: *const u8) -> f64 {
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         unsafe {
             match self.kind {
                 Kind::F32 => loaded!(f32, at, self.aligned).into(),
@@ -223,7 +224,7 @@ impl Numbers {
     /// `at` is the address of one of the array's numbers.
     #[inline(always)]
     unsafe fn load_whole(&self, at: *const u8) -> i64 {
-        // SAFETY: as for this function.
+        // SAFETY: the caller upholds this function's contract.
         unsafe {
             match self.kind {
                 Kind::F32 => loaded!(f32, at, self.aligned) as i64,
@@ -241,7 +242,7 @@ impl Numbers {
     }
 }
 
-/// Reads positions or velocities: an array of N x 3.
+/// Takes positions or velocities: an array of shape (N, 3).
 pub fn vectors<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<HeldArray<'py>> {
     let held = held(name, object, Types::Floats)?;
     let shape = held.array.shape();
@@ -255,7 +256,8 @@ pub fn vectors<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<HeldArra
     Ok(held)
 }
 
-/// Reads one or several values per particle: an array of N, or of N x K, which may have integers.
+/// Takes one or several values per particle: an array of shape (N,) or (N, K) of floats or
+/// integers.
 pub fn columns<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<HeldArray<'py>> {
     let held = held(name, object, Types::Numbers)?;
     let shape = held.array.shape();
@@ -268,7 +270,7 @@ pub fn columns<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<HeldArra
     Ok(held)
 }
 
-/// Rejects an array whose length differs from the positions'.
+/// Rejects an array that does not have one row for each of the `particles`.
 pub fn refuse_length(name: &str, held: &HeldArray<'_>, particles: usize) -> PyResult<()> {
     if held.numbers.rows == particles {
         return Ok(());
@@ -277,7 +279,7 @@ pub fn refuse_length(name: &str, held: &HeldArray<'_>, particles: usize) -> PyRe
     Err(InputError::new_err(format!("{name}: {rows} rows for {particles} particles")))
 }
 
-/// A shape as Python writes it.
+/// Formats a shape as Python does, such as (3, 4) or (5,).
 fn shown(shape: &[usize]) -> String {
     match shape {
         [one] => format!("({one},)"),
@@ -295,7 +297,7 @@ fn held<'py>(name: &str, object: &Bound<'py, PyAny>, types: Types) -> PyResult<H
         None => {
             let way = match dtype.kind() {
                 b'V' => "numpy.lib.recfunctions.structured_to_unstructured",
-                // For example torch's tensors.
+                // Tensors of torch, for example, have `float` instead of `astype`.
                 _ if !object.hasattr("astype")? && object.hasattr("float")? => ".float()",
                 _ => ".astype(\"float32\")",
             };
@@ -321,14 +323,14 @@ fn held<'py>(name: &str, object: &Bound<'py, PyAny>, types: Types) -> PyResult<H
         (shape.get(axis).copied().unwrap_or(1), strides.get(axis).copied().unwrap_or(0))
     };
     let ((rows, down), (columns, along)) = (part(0), part(1));
-    // SAFETY: the object is an array, as its type says.
+    // SAFETY: the type of `array` guarantees that the object is a NumPy array.
     let first = unsafe { (*array.as_array_ptr()).fields.data.cast_const().cast::<u8>() };
     let aligned = array.is_aligned();
     let numbers = Numbers { first, rows, columns, strides: [down, along], kind, aligned };
     Ok(HeldArray { array, numbers })
 }
 
-/// The array of an object, or an array that shares its memory, without copying.
+/// Returns the object itself if it is a NumPy array, or else a NumPy array that shares its memory.
 fn as_array<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyUntypedArray>> {
     let py = object.py();
     if let Ok(array) = object.cast::<PyUntypedArray>() {
@@ -361,7 +363,7 @@ fn as_array<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<Bound<'py, 
     } else {
         let view = py.import("builtins")?.call_method1("memoryview", (object,));
         let view = view.map_err(|_| {
-            // For example Taichi's fields.
+            // Fields of Taichi, for example, have `to_numpy`.
             let has_way = object.hasattr("to_numpy").unwrap_or(false);
             let way = if has_way { ".to_numpy()" } else { "numpy.asarray" };
             PyTypeError::new_err(format!(
@@ -380,7 +382,7 @@ fn type_of(object: &Bound<'_, PyAny>) -> String {
     object.get_type().name().map_or_else(|_| "an object".into(), |name| name.to_string())
 }
 
-/// Rejects an array in memory that the CPU cannot read.
+/// Rejects an array whose memory the CPU cannot read.
 fn refuse_device(name: &str, object: &Bound<'_, PyAny>, (kind, _): (i32, i32)) -> PyResult<()> {
     if HOST.contains(&kind) {
         return Ok(());

@@ -1,4 +1,4 @@
-//! The backend in the keywords `backend` and `device`: a device is opened once, and kept for later
+//! Selects the backend from the keywords `backend` and `device`. A device stays open for later
 //! calls.
 
 use std::collections::HashMap;
@@ -13,7 +13,7 @@ use pyo3::prelude::*;
 use crate::errors::{InputError, exception};
 use crate::values::Keyword;
 
-/// The CPU or a device, as requested.
+/// The values of the keywords `backend` and `device`.
 #[derive(Default)]
 pub struct Device {
     backend: Option<Name>,
@@ -27,8 +27,8 @@ enum Name {
     Vulkan,
 }
 
-/// Open devices by process, by whether they were requested, and by name. A forked child cannot use
-/// its parent's devices.
+/// Open devices. The key is the process, whether the caller requires a device, and the device's
+/// name. It has the process because a forked child cannot use its parent's devices.
 type Open = HashMap<(u32, bool, Option<String>), Backend>;
 
 static OPEN: LazyLock<Mutex<Open>> = LazyLock::new(Mutex::default);
@@ -44,7 +44,7 @@ impl Device {
         self.device = Some(device);
     }
 
-    /// Rejects a device for the CPU.
+    /// Returns an error if the keywords select the CPU and also name a device.
     pub fn check(&self) -> PyResult<()> {
         if self.backend == Some(Name::Cpu) && self.device.is_some() {
             return Err(InputError::new_err("device: the backend is the processor"));
@@ -52,7 +52,7 @@ impl Device {
         Ok(())
     }
 
-    /// Whether a device is required.
+    /// Whether the keywords require a device, instead of leaving the choice to the library.
     fn is_wanted(&self) -> bool {
         match (self.backend, &self.device) {
             (Some(Name::Cpu), _) | (None | Some(Name::Auto), None) => false,
@@ -60,7 +60,7 @@ impl Device {
         }
     }
 
-    /// Returns an error if a device is required.
+    /// Returns an error with the reason `why` if the keywords require a device.
     pub fn refuse(&self, why: &str) -> PyResult<()> {
         if self.is_wanted() {
             return Err(InputError::new_err(format!("backend: {why}")));
@@ -68,7 +68,7 @@ impl Device {
         Ok(())
     }
 
-    /// Opens the device; `None` for the CPU.
+    /// Opens the device, or returns it if it is already open. Returns `None` for the CPU.
     pub fn open(
         &self,
         budget: MemoryBudget,

@@ -1,4 +1,4 @@
-//! Converts errors of the library to exceptions with the same message.
+//! Converts errors of the library to Python exceptions with the same message.
 
 use meniscus::error::{FrameError, WholeMeshError, WriteError, WriteFault};
 use meniscus::{Cause, Error};
@@ -14,7 +14,7 @@ mod base {
     pyo3::import_exception!(meniscus._errors, Error);
 }
 
-/// Whether an error is about a file rather than the request.
+/// Whether an error becomes a ``FileError``, because a file is the cause and not the request.
 fn is_of_file(error: &Error) -> bool {
     let exists = |error: &WriteError| {
         matches!(error.fault, WriteFault::Exists | WriteFault::ExistsInSimulation)
@@ -27,7 +27,7 @@ fn is_of_file(error: &Error) -> bool {
     }
 }
 
-/// The exception for an error.
+/// Converts an error of the library to the Python exception of its kind.
 pub fn exception(error: Error) -> PyErr {
     let text = error.message_with(&|setting| setting.name().to_owned());
     match error.cause() {
@@ -46,7 +46,7 @@ pub fn exception(error: Error) -> PyErr {
     }
 }
 
-/// An exception of the base kind.
+/// Creates an exception of the base class ``meniscus.Error``.
 pub fn other(text: impl Into<String>) -> PyErr {
     base::Error::new_err(text.into())
 }

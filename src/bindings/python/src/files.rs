@@ -1,4 +1,4 @@
-//! Particles of files as arrays.
+//! Reads particle files into NumPy arrays, and lists the frames of a simulation.
 
 use std::path::PathBuf;
 
@@ -22,10 +22,10 @@ use crate::work::Work;
 /// positions : float64 array of shape (N, 3)
 ///     In the file's unit of length.
 /// velocity : float32 array of shape (N, 3) or None
-///     The attribute with this name, or with another usual name such as ``v``.
+///     The attribute called ``velocity``, or with another usual name such as ``v``.
 /// attributes : dict from names to arrays of shape (N,) or (N, K)
-///     All attributes, with the names in the file: float32, and for integers int32, uint32 or, if
-///     the file stores 64 bits, int64.
+///     All attributes, with their names in the file. Integers are int32 or uint32, or int64 if the
+///     file stores 64 bits; other numbers are float32.
 /// spacing : float or None
 ///     Distance between neighbouring particles, from the file or a scene file near it.
 /// time : float or None
@@ -57,7 +57,7 @@ impl ParticleData {
     }
 }
 
-/// All values of an attribute, in a type that can represent them.
+/// All values of an attribute, in a type that can represent each of them.
 enum Values {
     Floats(Vec<f32>),
     Signed(Vec<i32>),
@@ -104,7 +104,7 @@ impl Values {
 /// path : str or os.PathLike
 ///     The file; ``sim.h5part#12`` is a step of a file with several.
 /// format : str, optional
-///     The format, such as "csv"; by default that of the extension.
+///     The format, such as "csv"; by default, the extension selects it.
 /// where : str or list of str, optional
 ///     Use only particles whose attributes satisfy conditions, such as "Type=1" or "age<2.5";
 ///     ``type`` selects one of several types of particles in a file.
@@ -178,13 +178,15 @@ pub fn read_particles(
 /// Returns
 /// -------
 /// list of pairs of int and pathlib.Path
-///     In the order of the numbers, which may be negative; ``sim.h5part#12`` is a step of a file
-///     with several. For a frame in several files, the first file.
+///     The frames in the order of their numbers, which may be negative. The path
+///     ``sim.h5part#12`` means a step of a file with several steps. If a frame is in several files,
+///     the list has the first of them.
 ///
 /// Raises
 /// ------
 /// meniscus.InputError, meniscus.FileError
-///     If there are no frames, or those of several simulations, or the folder cannot be read.
+///     If there are no frames, if they belong to several simulations, or if the folder cannot be
+///     read.
 #[pyfunction]
 pub fn list_frames(py: Python<'_>, inputs: &Bound<'_, PyAny>) -> PyResult<Vec<(i64, PathBuf)>> {
     let inputs = paths("inputs", inputs)?;
@@ -192,7 +194,7 @@ pub fn list_frames(py: Python<'_>, inputs: &Bound<'_, PyAny>) -> PyResult<Vec<(i
     Ok(found.into_iter().map(|frame| (frame.number, frame.path)).collect())
 }
 
-/// One path or several.
+/// Takes the value of the keyword `name`: a path, or a list of paths.
 pub fn paths(name: &str, inputs: &Bound<'_, PyAny>) -> PyResult<Vec<PathBuf>> {
     if let Ok(path) = inputs.extract::<PathBuf>() {
         return Ok(vec![path]);

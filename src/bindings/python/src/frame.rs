@@ -1,4 +1,4 @@
-//! A frame that is sampled once, for several surfaces or for packing.
+//! The Python class `Frame`: particles that are sampled once, for several surfaces or for packing.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -16,7 +16,7 @@ use crate::particles::Arrays;
 use crate::volume::Volume;
 use crate::work::{Work, with_progress};
 
-/// The groups of keywords of a frame from a file.
+/// The groups of keywords that apply to a frame from a file.
 const OF_FRAMES: &[KeywordGroup] = &[
     KeywordGroup::Sampling,
     KeywordGroup::Where,
@@ -26,12 +26,12 @@ const OF_FRAMES: &[KeywordGroup] = &[
     KeywordGroup::Attributes,
 ];
 
-/// A sampled frame: its field, and the data of the particles that surfaces need. The particles
-/// themselves are not needed any more.
+/// A sampled frame: the field, and the data that surfaces need. It does not need the particles any
+/// more.
 ///
-/// ``Frame(positions, ...)`` has the keywords of ``reconstruct``, and samples the particles;
-/// ``surface()`` makes a surface with the same or other settings, repeatedly. It has its own
-/// threads, and can be used only in the process that made it.
+/// ``Frame(positions, ...)`` has the keywords of ``reconstruct``, and samples the particles.
+/// ``surface()`` makes a surface with the same or other settings, and can be called repeatedly. The
+/// frame has its own threads, and can be used only in the process that created it.
 ///
 /// Raises
 /// ------
@@ -46,7 +46,7 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// The request with these keywords, which override those of the constructor.
+    /// The request with the constructor's keywords, overridden by `keywords`.
     fn request(
         &self,
         function: &str,
@@ -55,7 +55,7 @@ impl Frame {
     ) -> PyResult<Reconstruction> {
         let all = self.asked.bind(py).copy()?;
         if let Some(keywords) = keywords {
-            // First only the allowed keywords, to reject others, then all.
+            // Only keywords of a surface are allowed here: this call rejects all others.
             Keywords::of(function, Some(keywords), &[KeywordGroup::Surface])?;
             all.update(keywords.as_mapping())?;
         }
@@ -133,7 +133,7 @@ impl Frame {
     /// attributes : list of str, optional
     ///     Attributes for the vertices; by default, the velocity.
     /// format : str, optional
-    ///     The format, such as "csv"; by default that of the extension.
+    ///     The format, such as "csv"; by default, the extension selects it.
     /// where : str or list of str, optional
     ///     Use only particles whose attributes satisfy conditions, such as "Type=1" or "age<2.5";
     ///     ``type`` selects one of several types of particles in a file.
@@ -174,8 +174,8 @@ impl Frame {
     /// Makes a surface with these keywords. All other settings have the values from the
     /// constructor.
     ///
-    /// Keywords are those of ``reconstruct`` that do not need the particles. Threads and memory
-    /// remain those of the frame.
+    /// Allowed are the keywords of ``reconstruct`` that do not need the particles. The surface uses
+    /// the threads and the memory limit of the frame.
     ///
     /// Returns
     /// -------

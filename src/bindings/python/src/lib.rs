@@ -1,8 +1,8 @@
 //! The Python module `meniscus._meniscus`: the library's facade with NumPy arrays.
 //!
-//! Arrays are read in place ([`arrays`]), work runs without the interpreter's lock and ends on
-//! Ctrl-C ([`work`]), keywords are the program's options ([`options`]), and errors are exceptions
-//! with the library's messages ([`errors`]).
+//! [`arrays`] reads arrays in place. [`work`] runs the library without the interpreter's lock,
+//! until it ends or Ctrl-C cancels it. [`options`] converts keywords, which are the program's
+//! options. [`errors`] converts errors to exceptions with the same messages.
 
 mod arrays;
 mod backends;

@@ -1,18 +1,19 @@
-//! Returns memory to the system after each call.
+//! Returns freed memory to the system after each call.
 
-/// Returns freed memory from the C library's allocator to the system, because the process belongs
-/// to the caller and should not keep the memory of a frame.
+/// Returns freed memory from the C library's allocator to the system. Otherwise the caller's
+/// process would keep the memory of a frame.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 pub fn give_back() {
-    // SAFETY: takes a number, and may be called by any thread at any time.
+    // SAFETY: `malloc_trim` takes a number, and any thread may call it at any time.
     unsafe { libc::malloc_trim(0) };
 }
 
-/// Other allocators do this themselves.
+/// No-op with other allocators, which return freed memory themselves.
 #[cfg(not(all(target_os = "linux", target_env = "gnu")))]
 pub fn give_back() {}
 
-/// Returns memory when it is dropped. Must be the last field of a structure.
+/// Returns freed memory to the system when it is dropped. As the last field of a structure, it is
+/// dropped after the other fields.
 pub struct GiveBack;
 
 impl Drop for GiveBack {

@@ -1,4 +1,4 @@
-//! A mesh as NumPy arrays, with its surface for writing files.
+//! The Python class `Mesh`: a surface as NumPy arrays, and its files.
 
 use std::path::PathBuf;
 use std::sync::OnceLock;
@@ -21,19 +21,19 @@ use crate::work::{Work, with_progress};
 /// A closed, oriented, 2-manifold triangle mesh around the fluid, the result of ``reconstruct`` and
 /// similar functions.
 ///
-/// Its arrays are created on first access, may be modified by the caller, and stay the same
-/// objects. Modifications do not affect ``write``, which writes the original surface.
+/// Each array is created on first access, and later accesses return the same object. The caller may
+/// modify it. Modifications do not affect ``write``, which writes the original surface.
 #[pyclass(frozen, module = "meniscus")]
 pub struct Mesh {
     surface: Surface,
     request: Reconstruction,
     arrays: PyOnceLock<Arrays>,
     measures: OnceLock<Measures>,
-    /// Must be the last field.
+    /// Must be the last field: Rust drops it after the others, and it returns their memory.
     _emptied: GiveBack,
 }
 
-/// A point, as a tuple.
+/// A point as a Python tuple of x, y and z.
 type Point = (f64, f64, f64);
 
 struct Arrays {
@@ -44,7 +44,7 @@ struct Arrays {
 }
 
 impl Mesh {
-    /// Combines a surface with its request, and issues its warnings.
+    /// Creates a mesh from a surface and its request, and issues the surface's Python warnings.
     pub fn new(py: Python<'_>, surface: Surface, request: Reconstruction) -> PyResult<Self> {
         warn(py, surface.report().warnings.iter().map(ToString::to_string))?;
         Ok(Self {
@@ -102,7 +102,7 @@ impl Mesh {
     }
 }
 
-/// An array of N, or of N x K for K components, that takes ownership of the numbers.
+/// Creates an array of shape (N,), or (N, K) for K components, that takes ownership of the numbers.
 pub fn column<T: Element>(
     py: Python<'_>,
     values: Vec<T>,
@@ -116,7 +116,7 @@ pub fn column<T: Element>(
     })
 }
 
-/// An array of N x 3 that takes ownership of the numbers.
+/// Creates an array of shape (N, 3) that takes ownership of the numbers.
 fn threes<T: Element>(py: Python<'_>, rows: Vec<[T; 3]>) -> PyResult<Py<PyArray2<T>>> {
     let count = rows.len();
     Ok(PyArray1::from_vec(py, rows.into_flattened()).reshape([count, 3])?.unbind())
@@ -137,7 +137,8 @@ impl Mesh {
         Ok(self.arrays(py)?.triangles.clone_ref(py))
     }
 
-    /// Triangles as uint64 of shape (T, 3), for programs that need them; created on each access.
+    /// Triangles as uint64 of shape (T, 3), for programs that need this type. Each access creates a
+    /// new array.
     #[getter]
     fn triangles_u64(&self, py: Python<'_>) -> PyResult<Py<PyArray2<u64>>> {
         Ok(self.arrays(py)?.triangles.bind(py).cast_array::<u64>(false)?.unbind())
@@ -151,8 +152,8 @@ impl Mesh {
     }
 
     /// Attributes of the vertices by name: float32 of shape (V,), or (V, K) for K components.
-    /// Integers of the particles, such as identifiers, are int32 or uint32: a vertex has those of
-    /// the nearest particle.
+    /// Integers, such as identifiers, are int32 or uint32: each vertex has the value of the nearest
+    /// particle.
     #[getter]
     fn attributes(&self, py: Python<'_>) -> PyResult<Py<PyDict>> {
         Ok(self.arrays(py)?.attributes.clone_ref(py))
@@ -256,7 +257,7 @@ impl Mesh {
         keywords.set_item("faces", &arrays.triangles)?;
         keywords.set_item("vertex_normals", &arrays.normals)?;
         keywords.set_item("vertex_attributes", &arrays.attributes)?;
-        // trimesh would merge nearby vertices, which are separate on purpose.
+        // Otherwise trimesh merges nearby vertices, which the surface keeps separate on purpose.
         keywords.set_item("process", false)?;
         Ok(keywords)
     }

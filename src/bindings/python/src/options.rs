@@ -1,5 +1,4 @@
-//! Keywords, which are the program's options in snake case, and their conversion to settings of the
-//! library.
+//! Converts keywords to settings of the library. Keywords are the program's options in snake case.
 
 use meniscus::{MemoryBudget, Reconstruction, Settings, default_memory};
 use pyo3::exceptions::PyTypeError;
@@ -11,22 +10,22 @@ use crate::errors::InputError;
 use crate::simulation::SIMULATION;
 use crate::values::Keyword;
 
-/// Keywords of a function.
+/// A group of keywords. Each function accepts some of the groups.
 #[derive(Clone, Copy, PartialEq)]
 pub enum KeywordGroup {
-    /// Keywords of the sampling.
+    /// Keywords for sampling the particles.
     Sampling,
-    /// Keywords of a surface, which do not need the particles.
+    /// Keywords for making a surface from sampled particles.
     Surface,
-    /// Keywords of resources.
+    /// Keywords for the backend, threads and memory.
     Machine,
-    /// Keywords of particle files.
+    /// Keywords for reading particle files.
     Files,
-    /// Conditions on particles.
+    /// The keyword `where`, which selects particles.
     Where,
-    /// Names of attributes for the vertices.
+    /// The keyword `attributes`, which names attributes for the vertices.
     Attributes,
-    /// Keywords of simulations.
+    /// Keywords for the frames of a simulation.
     Simulation,
 }
 
@@ -52,13 +51,14 @@ impl KeywordGroup {
     }
 }
 
-/// The keywords of resources.
+/// The keywords of [`KeywordGroup::Machine`].
 const MACHINE: [&str; 5] = ["backend", "device", "threads", "memory", "scratch"];
 
-/// The keywords of particle files.
+/// The keywords of [`KeywordGroup::Files`].
 const FILES: [&str; 1] = ["format"];
 
-/// A request without a backend, whose choice depends on the size of the input.
+/// The keywords of a call, as a request. The backend is chosen later, when the input's size is
+/// known.
 pub struct Keywords {
     pub request: Reconstruction,
     device: Device,
@@ -66,7 +66,8 @@ pub struct Keywords {
 }
 
 impl Keywords {
-    /// Reads the keywords of a function, which must all be in `known`. None counts as not given.
+    /// Reads the keywords of a function. Keywords outside of the groups `known` are errors, and a
+    /// keyword with the value None is ignored.
     pub fn of(
         function: &str,
         keywords: Option<&Bound<'_, PyDict>>,
@@ -126,7 +127,7 @@ impl Keywords {
         Ok(())
     }
 
-    /// The request, with a backend for inputs of this size, if it is known.
+    /// Returns the request, with a backend that suits an input of `input_bytes`, if this is known.
     pub fn on_machine(self, input_bytes: Option<u64>) -> PyResult<Reconstruction> {
         let request = self.request.memory(self.memory);
         if !request.uses_backend() {

@@ -8,13 +8,13 @@ use pyo3::types::PyMapping;
 
 use crate::arrays::{HeldArray, Numbers, columns, refuse_length, vectors};
 
-/// Arrays that are kept alive while they are read.
+/// The caller's arrays of positions and attributes, kept alive while the library reads them.
 pub struct Arrays<'py> {
     pub positions: HeldArray<'py>,
     others: Vec<(String, HeldArray<'py>)>,
 }
 
-/// The particles in arrays.
+/// Particles for the library, which reads them in place from `Arrays`.
 #[derive(Debug)]
 pub struct ArrayParticles {
     positions: Numbers,
@@ -57,7 +57,7 @@ impl<'py> Arrays<'py> {
         Ok(Self { positions, others })
     }
 
-    /// The particles, which can be read as long as the arrays live.
+    /// The particles for the library, which can read them only while `self` lives.
     pub fn water(&self) -> ArrayParticles {
         let info = |(name, held): &(String, HeldArray<'_>)| {
             let info = AttributeInfo::new(name, held.numbers.columns());
@@ -75,8 +75,7 @@ impl<'py> Arrays<'py> {
         self.others.iter().map(|(name, _)| name.as_str())
     }
 
-    /// The names of all attributes, if there are others than the velocity, which is included by
-    /// default.
+    /// The names of all attributes; `None` if the velocity, which is the default, is the only one.
     pub fn named(&self) -> Option<Vec<String>> {
         let names: Vec<_> = self.others.iter().map(|(name, _)| name.clone()).collect();
         names.iter().any(|name| name != "velocity").then_some(names)

@@ -1,4 +1,4 @@
-//! `meniscus.reconstruct`: a frame from memory to a mesh, in one call.
+//! `meniscus.reconstruct`: makes a mesh from a frame in memory, in one call.
 
 use pyo3::prelude::*;
 use pyo3::types::PyDict;

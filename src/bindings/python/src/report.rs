@@ -1,4 +1,4 @@
-//! Reports and checks of a mesh.
+//! The Python classes `Report` and `Check`, which describe a mesh.
 
 use std::collections::BTreeMap;
 
@@ -20,21 +20,21 @@ use pyo3::prelude::*;
 /// origin : tuple of three floats
 ///     A corner of the grid's cells.
 /// indicator : str or None
-///     The indicator that made the field; None for kernel methods.
+///     The indicator that computed the field; None for kernel methods.
 /// smooth, sigma, iso : float or None
 ///     Smoothing width in spacings, standard deviation of the Gaussian in cells, and isovalue; None
 ///     if they do not apply.
 /// particles : int
-///     Particles that were used.
+///     Number of particles that were used.
 /// not_finite, too_far, outside : int
-///     Particles that were skipped: with a coordinate that is not finite, too far away, or outside
-///     of the domain.
+///     Number of particles that were skipped because a coordinate is not finite, because they are
+///     too far away, or because they are outside of the domain.
 /// lost : int
-///     Lower bound of the particles that are missing from the surface.
+///     Lower bound of the number of particles that are missing from the surface.
 /// too_small : int
-///     Drops and bubbles that were left out because they are too small.
+///     Number of drops and bubbles that were removed because they are too small.
 /// whole_triangles : int
-///     Triangles before simplifying and the removal of components.
+///     Number of triangles before simplifying and before small components were removed.
 /// backend : str
 ///     The CPU, or the name of the device.
 /// threads : int
@@ -111,18 +111,20 @@ impl Report {
     }
 }
 
-/// Whether a mesh is closed, oriented and 2-manifold, and its measures. True if it is all three.
+/// The result of ``Mesh.check``: defects and measures of a mesh. It is True as a condition if the
+/// mesh is closed, oriented and 2-manifold.
 ///
 /// Attributes
 /// ----------
 /// closed, oriented, manifold : bool
-///     Whether no edge is on a boundary; no two triangles have the same direction at an edge; no
-///     edge has more than two triangles and no vertex several fans.
+///     Closed: no edge has only one triangle. Oriented: the two triangles of an edge have opposite
+///     directions there. Manifold: no edge has more than two triangles, and the triangles of each
+///     vertex form a single fan.
 /// boundary_edges, misoriented_edges, crowded_edges, pinched_vertices, degenerate_triangles,
 /// non_finite_positions : int
 ///     Number of occurrences of each defect.
 /// vertices, triangles, components : int
-///     Counts; components share no vertex.
+///     Number of vertices, triangles and connected components; components share no vertex.
 /// euler_characteristic : int
 ///     Vertices - edges + triangles.
 /// genus : int or None

@@ -32,13 +32,12 @@ pub const SIMULATION: [&str; 10] = [
     "preview",
 ];
 
-/// The frames of a simulation with one calibration: cells, grid and calibration are measured once,
-/// and kept.
+/// The frames of a simulation, all with the same cells, grid and calibration.
 ///
-/// For a running simulation, create one without inputs, and call ``frame(positions)`` for each
-/// frame. The calibration is measured on the first frame with fluid deeper than the reach of the
-/// filters (see ``settled``). A frame without particles is an empty mesh. It has its own threads,
-/// and can be used only in the process that made it.
+/// For a running simulation, create an object without inputs, and call ``frame(positions)`` for
+/// each frame. The calibration is measured on the first frame with fluid deeper than the reach of
+/// the filters (see ``settled``). A frame without particles is an empty mesh. The object has its
+/// own threads, and can be used only in the process that created it.
 ///
 /// With inputs and an output, ``run()`` converts files to mesh files, like the program.
 ///
@@ -59,7 +58,8 @@ pub const SIMULATION: [&str; 10] = [
 /// overwrite : bool, optional
 ///     Replace existing outputs.
 /// watch : float, optional
-///     Follow a running simulation, until no new frame has appeared for this many seconds.
+///     Convert frames as a running simulation writes them, until no new frame has appeared for this
+///     many seconds.
 /// fps : float, optional
 ///     Frames per second, if the files have no times.
 /// together : bool, optional
@@ -85,19 +85,19 @@ pub const SIMULATION: [&str; 10] = [
 pub struct Simulation {
     kind: Kind,
     request: Reconstruction,
-    /// Names of the attributes, if any were given.
+    /// The value of the keyword `attributes`, if it was given.
     names: Option<Vec<String>>,
     process: u32,
 }
 
 enum Kind {
     Live(Mutex<LiveSimulation>),
-    /// And whether to draw a contact sheet.
+    /// A conversion of files, and whether to draw a contact sheet.
     Files(Box<FileSimulation>, bool),
 }
 
 impl Simulation {
-    /// Rejects arrays that would not reach the vertices.
+    /// Rejects arrays of attributes that the keyword `attributes` of the simulation does not name.
     fn refuse_unnamed(&self, arrays: &Arrays<'_>) -> PyResult<()> {
         let unnamed = arrays.names().find(|name| match &self.names {
             Some(names) => !names.iter().any(|known| known == name),
@@ -172,7 +172,7 @@ impl Simulation {
     /// velocity : array of shape (N, 3), optional
     ///     Velocities, which are interpolated to the vertices.
     /// attributes : mapping from names to arrays of shape (N,) or (N, K), optional
-    ///     Values of the attributes that the simulation was made with.
+    ///     Values of the attributes that the simulation's keyword ``attributes`` names.
     /// progress : callable, optional
     ///     Called with the name of a stage and its progress from 0 to 1.
     ///
@@ -197,7 +197,8 @@ impl Simulation {
         }
         let arrays = Arrays::take(positions, velocity, attributes)?;
         self.refuse_unnamed(&arrays)?;
-        // Waiting here would keep the interpreter's lock, which the working thread may need.
+        // Do not wait for the other thread: it may need the interpreter's lock, which this one
+        // holds.
         let mut live = match live.try_lock() {
             Ok(live) => live,
             Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner(),
@@ -214,7 +215,7 @@ impl Simulation {
         Mesh::new(py, surface, request)
     }
 
-    /// Whether the calibration is fixed; always True for files, which are measured first.
+    /// Whether the calibration is fixed. Always True for files, because ``run`` measures first.
     #[getter]
     fn settled(&self) -> PyResult<bool> {
         match &self.kind {
@@ -229,10 +230,9 @@ impl Simulation {
         }
     }
 
-    /// Converts all frames from files to files.
+    /// Converts all frames from particle files to mesh files.
     ///
-    /// A frame that fails is an event, and the others are still converted: see
-    /// ``Summary.complete``.
+    /// If a frame fails, the others are still converted: see ``Summary.complete``.
     ///
     /// Parameters
     /// ----------
@@ -257,8 +257,8 @@ impl Simulation {
         Ok(ended.into_iter().map(Summary::from).collect())
     }
 
-    /// Calibrates all frames, stores the calibration next to the outputs, and returns the frame
-    /// numbers: for several jobs, each of which converts some frames.
+    /// Prepares a conversion by several jobs: measures the calibration of all frames, stores it
+    /// next to the outputs, and returns the frame numbers.
     ///
     /// Returns
     /// -------
@@ -291,14 +291,14 @@ impl Simulation {
         };
         work.run(py, hear, || {
             act(&files, &|event| {
-                // The caller waits for the end, and receives all earlier events.
+                // Cannot fail: the caller receives events until this work has ended.
                 let _ = sender.send(Message::Event(Event::of(&event)));
             })
         })
     }
 }
 
-/// Rejects keywords that do not apply to frames from memory.
+/// Rejects keywords that apply only to files, for a simulation from memory.
 fn refuse_of_files(keywords: Option<&Bound<'_, PyDict>>) -> PyResult<()> {
     for (name, value) in keywords.into_iter().flatten() {
         let name: String = name.extract()?;

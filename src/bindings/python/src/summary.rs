@@ -1,4 +1,4 @@
-//! Events of a conversion, and its summary, for Python.
+//! The Python classes `Event` and `Summary`, which describe a conversion.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -25,7 +25,8 @@ use pyo3::prelude::*;
 /// share : float or None
 ///     The finished fraction of that stage, from 0 to 1.
 /// done, total, failed : int or None
-///     Frames that have finished or failed, all frames, and frames that have failed, if known.
+///     Number of frames that have finished or failed, of all frames, and of frames that have
+///     failed; None if unknown.
 #[pyclass(frozen, get_all, module = "meniscus")]
 #[derive(Default)]
 pub struct Event {
@@ -41,7 +42,7 @@ pub struct Event {
 }
 
 impl Event {
-    /// Converts an event, and returns its warnings.
+    /// Converts an event of the library, and also returns its warnings.
     pub fn of(event: &ConversionEvent) -> (Self, Vec<String>) {
         let counted = |FrameCounts { done, total, failed, .. }: &FrameCounts| Self {
             done: Some(*done),
@@ -105,26 +106,26 @@ impl Event {
     }
 }
 
-/// The end of a conversion.
+/// The result of a conversion.
 ///
 /// Attributes
 /// ----------
 /// folder : pathlib.Path
 ///     The folder of the meshes.
 /// made, failed : int
-///     Frames that were made, and frames that failed.
+///     Number of frames that were made, and number of frames that failed.
 /// failures : dict of int to str
 ///     The error of each failed frame.
 /// error : str or None
-///     The error that stopped this simulation, if several were converted.
+///     The error that stopped this simulation, if several simulations were converted.
 /// missing : list of str
 ///     Frames that are missing between others, one line each.
 /// complete : bool
 ///     Whether no frame failed or is missing.
 /// lost : int
-///     Lower bound of the particles that are missing from all surfaces.
+///     Lower bound of the number of particles that are missing from the surfaces of all frames.
 /// seconds : float
-///     Duration of the conversion.
+///     Duration of the conversion in seconds.
 #[pyclass(frozen, get_all, module = "meniscus")]
 pub struct Summary {
     folder: PathBuf,

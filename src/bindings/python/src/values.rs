@@ -1,4 +1,4 @@
-//! Values of keywords: conversion, and errors that name the keyword.
+//! Converts the values of keywords. Errors name the keyword.
 
 use std::path::PathBuf;
 
@@ -17,7 +17,7 @@ pub struct Keyword<'a, 'py> {
 }
 
 impl<'py> Keyword<'_, 'py> {
-    /// The error for a value of another type.
+    /// The exception for a value of the wrong type; `what` describes the expected type.
     fn wants(&self, what: &str) -> PyErr {
         let kind =
             self.value.get_type().name().map_or_else(|_| "that".into(), |name| name.to_string());
@@ -54,7 +54,7 @@ impl<'py> Keyword<'_, 'py> {
         self.value.extract().map_err(|_| self.wants("a str or a path"))
     }
 
-    /// Numbers in sequences, nested at most once; `None` stays `None`.
+    /// Takes numbers and `None` from a sequence, or from a sequence of sequences.
     fn ends(&self) -> PyResult<Vec<Option<f64>>> {
         let wanted = |_| self.wants("a sequence of numbers");
         let mut ends = Vec::new();
@@ -71,7 +71,7 @@ impl<'py> Keyword<'_, 'py> {
         Ok(ends)
     }
 
-    /// Takes six numbers or two times three.
+    /// Takes six numbers, or two corners of three numbers each.
     fn six_ends(&self) -> PyResult<[Option<f64>; 6]> {
         self.ends()?.try_into().map_err(|_| {
             let what = "six numbers are needed: x0, y0, z0, x1, y1, z1";
@@ -107,7 +107,7 @@ impl Source for Keyword<'_, '_> {
     }
 
     fn switch(&self) -> PyResult<bool> {
-        // Including NumPy's own type.
+        // This also accepts the type numpy.bool.
         let is_bool = self.value.extract::<bool>();
         is_bool.map_err(|_| self.wants("True or False"))
     }
@@ -123,7 +123,8 @@ impl Source for Keyword<'_, '_> {
         })
     }
 
-    /// Takes a list of names. A single string would be a list of letters, so it is rejected.
+    /// Takes a list of names. Rejects a single string, which Python would treat as a list of
+    /// letters.
     fn names(&self) -> PyResult<Vec<String>> {
         if self.value.is_instance_of::<PyString>() {
             return Err(self.wants("a list of names"));
@@ -141,18 +142,18 @@ impl Source for Keyword<'_, '_> {
         })
     }
 
-    /// Takes six numbers or two times three, with `None` for both ends of an open axis.
+    /// Takes six numbers, or two corners of three numbers each. `None` at both ends opens an axis.
     fn faces(&self) -> PyResult<Faces> {
         let refused = |what: String| InputError::new_err(format!("{}: {what}", self.name));
         self.six_ends()?.try_into().map_err(refused)
     }
 
-    /// Takes six numbers or two times three, with `None` for an open side.
+    /// Takes six numbers, or two corners of three numbers each. `None` opens a side.
     fn walls(&self) -> PyResult<Walls> {
         self.six_ends().map(Walls::from)
     }
 
-    /// Takes a text, or a list of texts whose conditions must all hold.
+    /// Takes conditions as a string, or as a list of strings that must all hold.
     fn conditions(&self) -> PyResult<Where> {
         let text = match self.text() {
             Ok(text) => text,

@@ -10,8 +10,9 @@ const EDGE: usize = 8;
 /// The signed distance from a surface at the voxels of a grid, the result of ``Frame.volume``.
 ///
 /// Voxels are stored in bricks of 8 x 8 x 8, and only where the surface is nearer than three
-/// voxels. The grid and the distances are those of the grid ``surface`` in a .vdb file. To make an
-/// OpenVDB grid, copy each brick with ``grid.copyFromArray(values[i], ijk=tuple(origins[i]))``.
+/// voxels. A .vdb file of the same surface contains the same values in its grid ``surface``. To
+/// make an OpenVDB grid, copy each brick:
+/// ``grid.copyFromArray(values[i], ijk=tuple(origins[i]))``.
 #[pyclass(frozen, module = "meniscus")]
 pub struct Volume {
     origins: Py<PyArray2<i32>>,
@@ -21,7 +22,7 @@ pub struct Volume {
 }
 
 impl Volume {
-    /// Moves a volume into arrays.
+    /// Moves a volume of the library into NumPy arrays.
     pub fn new(py: Python<'_>, volume: meniscus::Volume) -> PyResult<Self> {
         let meniscus::Volume { origin: [x, y, z], voxel_size: size, corners, distances } = volume;
         let count = corners.len();
@@ -55,7 +56,7 @@ impl Volume {
         self.values.clone_ref(py)
     }
 
-    /// The distance of neighbouring voxels, in the unit of the positions.
+    /// The distance between neighbouring voxels, in the unit of the positions.
     #[getter]
     fn voxel_size(&self) -> f64 {
         self.voxel_size

@@ -1,8 +1,9 @@
-//! Long work without the interpreter's lock, which Ctrl-C or an exception of the progress callback
-//! ends.
+//! Runs long calls of the library without the interpreter's lock. Ctrl-C or an exception in the
+//! progress callback cancels them.
 //!
-//! Work runs on a separate thread, and the caller's thread waits for messages: only there can
-//! Python handle signals and callbacks, and a callback may use any API.
+//! The call runs on a separate thread, while the caller's thread waits for its messages. Python can
+//! handle signals only on the caller's thread, and callbacks run there because they may use any
+//! API.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
@@ -16,10 +17,10 @@ use pyo3::prelude::*;
 use crate::errors::{exception, other};
 use crate::memory::give_back;
 
-/// Maximum delay of Ctrl-C.
+/// Interval at which the waiting thread checks for Ctrl-C.
 const POLL: Duration = Duration::from_millis(50);
 
-/// Messages of the work.
+/// A message from the working thread to the caller's thread.
 pub enum Message<N> {
     Event(N),
     Done,
@@ -28,7 +29,7 @@ pub enum Message<N> {
 /// Sends messages to the caller's thread.
 pub type MessageSender<N> = Sender<Message<N>>;
 
-/// Work with progress and cancellation.
+/// A call of the library with progress messages and a cancel handle.
 pub struct Work<N> {
     pub cancel: Cancel,
     pub sender: MessageSender<N>,
@@ -41,7 +42,7 @@ impl<N: Send + 'static> Work<N> {
         Self { cancel: Cancel::new(), sender, receiver: Mutex::new(receiver) }
     }
 
-    /// Runs `act` while the caller receives messages with `hear`.
+    /// Runs `act` on a separate thread, and calls `hear` with its messages on the caller's thread.
     pub fn run<T: Send>(
         self,
         py: Python<'_>,
@@ -53,7 +54,7 @@ impl<N: Send + 'static> Work<N> {
         let ended = thread::scope(|scope| {
             let act = move || {
                 let ended = catch_unwind(AssertUnwindSafe(act));
-                // The receiver exists as long as the caller waits.
+                // Cannot fail: the receiver exists until the caller has received `Done`.
                 let _ = sender.send(Message::Done);
                 ended
             };
@@ -93,7 +94,7 @@ impl<N: Send + 'static> Work<N> {
     }
 }
 
-/// Runs `act` with progress of a frame for an optional callback.
+/// Runs `act`, and passes the progress of its frame to a Python callback, if there is one.
 pub fn with_progress<T: Send>(
     py: Python<'_>,
     progress: Option<&Bound<'_, PyAny>>,
@@ -108,7 +109,7 @@ pub fn with_progress<T: Send>(
 }
 
 impl Work<Progress> {
-    /// Connects a request to this work.
+    /// Adds this work's cancel handle to a request, and its progress messages if `reports` is set.
     pub fn holds(
         &self,
         request: meniscus::Reconstruction,
@@ -120,7 +121,7 @@ impl Work<Progress> {
         }
         let sender = self.sender.clone();
         request.progress(move |progress| {
-            // There is no receiver when a surface is written later.
+            // Ignore failures: writing the surface later reports progress that nobody receives.
             let _ = sender.send(Message::Event(progress));
         })
     }

@@ -18,7 +18,7 @@ Program = Callable[..., str]
 
 @pytest.fixture(scope="session")
 def program() -> Program:
-    """Runs the program, and returns its output."""
+    """A function that runs the program, and returns its output."""
     built = [path for kind in ("release", "debug") if (path := ROOT / "target" / kind / "meniscus").exists()]
     newest = max(built, key=lambda path: path.stat().st_mtime, default="")
     found = str(os.environ.get("MENISCUS", newest))
@@ -35,7 +35,7 @@ def program() -> Program:
 
 
 def lattice(radius: float, spacing: float = 1.0, jitter: float = 0.2) -> npt.NDArray[np.float64]:
-    """A ball of jittered particles, about its own radius deep."""
+    """A ball of jittered particles around the origin."""
     steps = np.arange(-radius, radius + spacing / 2, spacing)
     points = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
     points = points[(points**2).sum(axis=1) < radius**2]
@@ -52,5 +52,5 @@ def ball() -> npt.NDArray[np.float64]:
 
 @pytest.fixture(scope="session")
 def dambreak() -> Path:
-    """The folder of a dam break of three frames, with its scene."""
+    """The folder of a dam break with three frames and a scene file."""
     return ROOT / "tests" / "data" / "dambreak_small"

@@ -14,7 +14,7 @@ import meniscus
 
 
 class OnlyDLPack:
-    """An array of another library on a device."""
+    """An array that offers only DLPack, as arrays of other libraries do."""
 
     def __init__(self, of: Any, device: tuple[int, int] = (1, 0), name: str = "") -> None:
         self.of, self.where, self.device = of, device, name
@@ -90,7 +90,7 @@ def test_arrays_of_this_kind_give_the_mesh_of_plain_ones(ball: Any, kind: str, d
 
 
 def test_positions_are_never_copied_whole() -> None:
-    # One row, repeated to a size of 192 MB.
+    # The array repeats one row, so it takes no memory, but a copy would take 192 MB.
     code = """
 import re, numpy, meniscus
 def peak(): return int(re.search(r"VmHWM:\\s+(\\d+)", open("/proc/self/status").read())[1]) / 1024
@@ -208,7 +208,7 @@ IDENTIFIERS = {
     "uint16": (np.int32, 60_000),
     "int32": (np.int32, -(2**31)),
     "uint32": (np.uint32, 2**31),
-    # Converted by value.
+    # 64-bit integers are converted by value if they fit into 32 bits.
     "int64": (np.int32, -(2**25) - 1),
     "uint64": (np.uint32, 2**32 - 3000),
 }
@@ -225,7 +225,7 @@ def test_whole_numbers_are_those_of_a_particle_nearby(ball: Any, dtype: str) -> 
     assert found.dtype == kind and found.shape == (len(mesh.vertices),) and set(found.tolist()) <= set(ids.tolist())
     assert mesh.attributes["pair"].dtype == kind and np.array_equal(mesh.attributes["pair"][:, 0], found)
     if not narrow:
-        # Each value identifies one particle.
+        # Each value is the identifier of a particle, which gives the particle's position.
         near = ball[found.astype(np.int64) - first]
         assert np.linalg.norm(mesh.vertices - near, axis=1).max() < 2.0
     assert mesh.attributes["height"].dtype == np.float32
@@ -267,7 +267,7 @@ def test_particles_are_selected_by_their_attributes(ball: Any) -> None:
     assert same(meniscus.reconstruct(both, where="kind!=16777217 and height<50", **asked), alone)
     assert same(meniscus.reconstruct(both, where=["kind<2", "x<50"], **asked), alone)
     assert same(meniscus.Frame(both, where="kind=1", **asked).surface(), alone)
-    # Exactly: as float32 it would be 2^24.
+    # The value must be read exactly: rounded to float32, it would be 2^24.
     with pytest.raises(meniscus.Error):
         meniscus.reconstruct(both, where="kind=16777216", **asked)
     with pytest.raises(meniscus.Error, match="heat"):

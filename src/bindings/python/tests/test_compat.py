@@ -76,7 +76,7 @@ def test_the_call_of_genesis_runs_with_another_import_alone(positions: Any, dtyp
     for mine, wanted in pairs:
         assert mine.dtype == wanted.dtype and mine.shape[1] == wanted.shape[1] and mine.flags.writeable
     assert len(data.point_attributes["normals"]) == data.nvertices and data.ncells == len(data.mesh.triangles)
-    # The same body, with a spacing of two radii.
+    # Both libraries must place the upper bounds of the same fluid within one radius.
     assert np.abs(data.mesh.vertices.max(axis=0) - other.mesh.vertices.max(axis=0)).max() < RADIUS
     assert reconstruction.grid.cell_size == pytest.approx(0.8 * RADIUS)
     exact = meniscus.reconstruct(positions.astype(dtype), spacing=2 * RADIUS, cell_size=0.8 * RADIUS, normals=True)

@@ -1,4 +1,4 @@
-"""Keywords are the program's options, and all of them."""
+"""Every option of the program is a keyword, and every keyword is an option."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pytest
 
 import meniscus
 
-# Options of the command line, of files, or of a terminal.
+# Options of the program that are no keywords of `reconstruct`, each with the reason.
 OF_FILES = {
     "output": "Mesh.write() takes it",
     "overwrite": "Mesh.write() takes it, too",
@@ -46,7 +46,7 @@ OWN = {"velocity", "attributes", "progress"}
 
 
 def keywords(function: Any) -> set[str]:
-    """All keyword parameters."""
+    """The names of all keyword parameters of a function."""
     parameters = inspect.signature(function).parameters.values()
     return {parameter.name for parameter in parameters if parameter.kind is parameter.KEYWORD_ONLY}
 
@@ -74,7 +74,7 @@ def typed(name: str) -> dict[str, ast.expr]:
 
 
 def stub_keywords(function: ast.FunctionDef) -> set[str]:
-    """All keyword parameters in the stub."""
+    """The names of all keyword parameters that the stub declares for a function."""
     own = {argument.arg for argument in function.args.kwonlyargs}
     others = function.args.kwarg
     if others is None or others.annotation is None:
@@ -89,13 +89,13 @@ def in_stub(where: ast.Module | ast.ClassDef, name: str) -> ast.FunctionDef:
 
 
 def members(annotation: ast.expr) -> list[ast.expr]:
-    """The members of a union."""
+    """The members of a union type, or the type itself if it is no union."""
     if isinstance(annotation, ast.BinOp):
         return members(annotation.left) + members(annotation.right)
     return [annotation]
 
 
-# A value for each type of keyword, except lists of words.
+# A value for each type of keyword in the stub, except types that list the allowed words.
 SAMPLES: dict[str, Any] = {
     "None": None,
     "bool": False,
@@ -111,7 +111,7 @@ SAMPLES: dict[str, Any] = {
 
 
 def words(member: ast.expr) -> list[str]:
-    """The words of a Literal, or of an alias of one; empty for other types."""
+    """The words of a Literal type or its alias; empty for other types."""
     member = ALIASES.get(ast.unparse(member), member)
     text = ast.unparse(member)
     return re.findall(r"'([^']*)'", text) if text.startswith("Literal") else []
@@ -137,7 +137,7 @@ def test_every_option_of_simulations_is_a_keyword(options: set[str]) -> None:
     assert keywords(meniscus.Simulation) == wanted
     assert "output" in inspect.signature(meniscus.Simulation).parameters
     assert keywords(meniscus.Mesh.write) == {"overwrite", "preview"} <= options
-    # As in the program, this names attributes.
+    # `attributes` names attributes, like the option --attributes of the program.
     assert "attributes" in wanted
 
 
@@ -163,7 +163,7 @@ def test_the_stub_has_the_keywords_of_each_function() -> None:
 
 @pytest.mark.parametrize("name", sorted(typed("_OfFrames")))
 def test_every_type_of_the_stub_is_taken(name: str, tmp_path: Any) -> None:
-    """Passes keywords to a simulation, which takes all: values may be rejected, but not their types."""
+    """Passes each type that the stub allows to a simulation: its value may be rejected, but not its type."""
     inputs, output = tmp_path / "in_{}.bgeo", tmp_path / "out_{}.ply"
     known: list[str] = []
     for member in members(typed("_OfFrames")[name]):

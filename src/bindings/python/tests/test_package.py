@@ -20,7 +20,7 @@ PROGRAMS = [[sys.executable, "-m", "meniscus"], *([str(Path(sysconfig.get_path("
 
 
 def run(*command: object, path: Path | None = None) -> subprocess.CompletedProcess[str]:
-    """Runs a command, with a folder of packages that precedes all others."""
+    """Runs a command. `path` is a folder of packages, which Python searches before all others."""
     environment = {"PYTHONPATH": str(path)} if path else {}
     return subprocess.run([*map(str, command)], capture_output=True, text=True, check=False, env=environment)
 
@@ -64,7 +64,7 @@ def test_a_package_whose_files_the_other_one_replaced_or_removed_says_so(site: P
     package = site / "meniscus" / "__init__.py"
     package.unlink() if other is None else package.write_text(other)
     for command in [["-m", "meniscus", "--version"], ["-c", "import meniscus.compat.pysplashsurf"]]:
-        # Without the environment's packages, which include this one.
+        # -S ignores the environment's packages, which include the installed copy of this package.
         done = run(sys.executable, "-S", *command, path=site)
         assert done.returncode != 0 and "pip uninstall meniscus meniscus-surface" in done.stderr, done.stderr
 

@@ -1,4 +1,4 @@
-"""Particle files of all formats and widths are read like in the program."""
+"""This module reads particle files of all formats and number widths like the program."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ import meniscus
 from conftest import ROOT, lattice
 
 DATA = ROOT / "tests" / "data"
-# Files of other programs, with a spacing if the file has none, or too few particles for an estimate.
+# Files that other programs wrote. Options give the spacing if the file has none and has too few
+# particles for an estimate.
 FILES: dict[str, dict[str, Any]] = {
     "dambreak_small/ParticleData_Fluid_20.bgeo": {},
     "dambreak_small/ParticleData_Fluid_10.vtk": {},
@@ -38,7 +39,7 @@ WRITTEN = ["csv", "dat", "dump", "json", "npy", "npz", "ply", "txt", "vtk", "vtp
 
 
 def put(path: Path, positions: Any, velocity: Any) -> None:
-    """Writes particles to a file in the format of its extension, with the width of the positions."""
+    """Writes particles in the format that the extension selects, with numbers as wide as the positions'."""
     kind, bits = path.suffix[1:], positions.dtype.itemsize * 8
     count = len(positions)
     if kind == "npy":
@@ -90,7 +91,7 @@ def put(path: Path, positions: Any, velocity: Any) -> None:
 
 
 def compare(folder: Path, program: Any, path: Path, options: dict[str, Any]) -> meniscus.Particles:
-    """Compares the program's mesh of a file with the mesh of its arrays, and with this module's mesh of the file."""
+    """Checks that three meshes are equal: the program's, this module's of the file, and of the file's arrays."""
     given = [f"--{name}={value}" for name, value in options.items()]
     program("reconstruct", path, "-o", folder / "theirs.ply", "-q", "--overwrite", *given)
     theirs = (folder / "theirs.ply").read_bytes()
@@ -114,7 +115,7 @@ def test_files_of_other_programs_give_the_programs_bytes(tmp_path: Path, program
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
 @pytest.mark.parametrize("extension", WRITTEN)
 def test_every_width_of_numbers_gives_the_programs_bytes(tmp_path: Path, program: Any, extension: str, dtype: str) -> None:
-    # So far from the origin that 32-bit numbers would move particles.
+    # Move float64 particles so far from the origin that float32 would change their positions.
     positions = (lattice(6.0) + (1000.0 if dtype == "float64" else 0.0)).astype(dtype)
     velocity = positions.astype(np.float32)
     path = tmp_path / f"water.{extension}"
@@ -123,7 +124,7 @@ def test_every_width_of_numbers_gives_the_programs_bytes(tmp_path: Path, program
     assert np.array_equal(particles.positions, positions)
     if extension not in ("json", "npy"):
         assert particles.velocity is not None and np.array_equal(particles.velocity, velocity)
-    # The gzipped file gives the same.
+    # The gzipped file must give the same mesh.
     packed = path.with_suffix(path.suffix + ".gz")
     packed.write_bytes(gzip.compress(path.read_bytes()))
     assert np.array_equal(compare(tmp_path, program, packed, {"spacing": 1.0}).positions, positions)
@@ -142,7 +143,7 @@ def test_no_format_of_the_programs_is_left_out() -> None:
     known = set(re.findall(r"\.(\w+)", str(raised.value).split("abc", 1)[1])) - {"gz", "xz", "zst"}
     assert len(known) > 15
     tried = {Path(file.split("#")[0]).suffix[1:] for file in FILES} | set(WRITTEN) | {"xyz"}
-    # Other extensions of the same formats, or lists of the same pieces.
+    # Extensions of files that contain the same data as another format, or that list its pieces.
     alike = {"bhclassic": "bgeo", "geo": "bgeo", "sc": "bgeo", "extxyz": "xyz", "h5md": "h5", "hdf": "hdf5", "lammpstrj": "dump", "vtm": "pvtp", "vtpc": "pvtp", "vtpd": "pvtp"}
     assert {alike.get(name, name) for name in known} == tried
 

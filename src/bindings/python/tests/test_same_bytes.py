@@ -23,7 +23,7 @@ def written(folder: Path, name: str, mesh: meniscus.Mesh) -> bytes:
 @pytest.mark.parametrize("extension", FORMATS)
 def test_all_formats_hold_the_bytes_of_the_programs(tmp_path: Path, program: Any, ball: Any, extension: str, dtype: str) -> None:
     positions = ball.astype(dtype)
-    # So far from the origin that f32 cannot distinguish vertices.
+    # Move float64 particles so far from the origin that float32 could not tell vertices apart.
     positions += 1e5 if dtype == "float64" else 0.0
     velocity = (positions * 0.5).astype(np.float32)
     np.savez(tmp_path / "in.npz", positions=positions, velocity=velocity)
@@ -74,7 +74,7 @@ def test_options_mean_what_they_mean_to_the_program(tmp_path: Path, program: Any
     program("reconstruct", tmp_path / "in.npy", "-o", tmp_path / "theirs.ply", "-q", *given)
     theirs = (tmp_path / "theirs.ply").read_bytes()
     assert written(tmp_path, "ours.ply", meniscus.reconstruct(ball, **options)) == theirs
-    # Other requests give other meshes, except for keywords of the computation.
+    # A keyword that describes the surface changes the mesh; one that selects resources does not.
     plain = written(tmp_path, "plain.ply", meniscus.reconstruct(ball, spacing=1.0))
     only_how = set(options) <= {"backend", "spacing", "skip_invalid", "iso"} or options.get("memory")
     assert (plain != theirs) or only_how
@@ -100,7 +100,7 @@ def test_previews_hold_the_bytes_of_the_programs(tmp_path: Path, program: Any, b
     program("reconstruct", tmp_path / "in.npy", "-o", tmp_path / "theirs.ply", "-q", "--preview")
     meniscus.reconstruct(ball).write(tmp_path / "ours.ply", preview=True)
     assert (tmp_path / "ours.png").read_bytes() == (tmp_path / "theirs.png").read_bytes()
-    # An existing file is not replaced, and then there is no mesh either.
+    # If the picture's file already exists, the call fails and writes no mesh either.
     (tmp_path / "kept.png").write_bytes(b"mine")
     with pytest.raises(meniscus.FileError, match=r"kept\.png: already exists"):
         meniscus.reconstruct(ball).write(tmp_path / "kept.ply", preview=True)

@@ -26,7 +26,7 @@ def test_what_is_measured_once_is_kept_for_the_frames_that_follow(pool: Any) -> 
     assert not simulation.settled
     first = simulation.frame(pool)
     assert simulation.settled
-    # As a single frame, particles with twice the spacing would have cells of twice the size.
+    # A single frame with twice the spacing would have twice the cell size; here the size must stay.
     later = simulation.frame(2.0 * pool)
     assert later.report.cell_size == first.report.cell_size
     assert meniscus.reconstruct(2.0 * pool).report.cell_size > 1.5 * first.report.cell_size
@@ -103,7 +103,7 @@ def test_files_become_the_files_of_the_program(tmp_path: Path, program: Any, dam
     assert {event.output for event in done} == {tmp_path / "ours" / f"{number:03}.ply" for number in (1, 10, 20)}
     assert str(done[0]) == done[0].message and "triangles" in done[0].message
     assert {"measured", "started", "stage", "ended"} <= {event.kind for event in events}
-    # A second run does nothing with resume, and is an error without.
+    # A second run with `resume` makes no frames, and a second run without it is an error.
     (again,) = meniscus.Simulation(inputs, tmp_path / "ours" / "{:03}.ply", normals=True, resume=True).run()
     assert again.made == 0 and again.complete
     with pytest.raises(meniscus.FileError, match="already exists"):
@@ -126,7 +126,7 @@ def test_what_a_callback_raises_ends_a_conversion(tmp_path: Path, dambreak: Path
     with pytest.raises(ZeroDivisionError):
         simulation.run(progress=stop)
     assert not list(tmp_path.glob("*.ply"))
-    # Neither was permanent.
+    # The exception has not changed the simulation, which can still run to its end.
     (summary,) = simulation.run()
     assert summary.made == 3
 

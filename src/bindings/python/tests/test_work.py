@@ -1,4 +1,4 @@
-"""Work without the interpreter's lock, cancelled at any time, without leftovers."""
+"""Long calls run without the interpreter's lock, can be cancelled at any time, and leave nothing behind."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from conftest import lattice
 
 @pytest.fixture(scope="module")
 def long() -> Any:
-    """Keywords of work that takes a while."""
+    """Keywords of a reconstruction that takes long enough to be interrupted."""
     return {"positions": lattice(16.0), "spacing": 1.0, "cell": 0.1, "threads": 1}
 
 
@@ -37,7 +37,7 @@ def test_progress_is_reported_on_the_callers_thread_stage_by_stage(ball: Any) ->
 
 
 def test_what_a_callback_raises_ends_the_work(long: Any) -> None:
-    # CPU seconds, because other processes may load the machine.
+    # Measure CPU time, because other processes may load the machine.
     begin = time.process_time()
     meniscus.reconstruct(**long)
     whole = time.process_time() - begin
@@ -53,7 +53,7 @@ def test_what_a_callback_raises_ends_the_work(long: Any) -> None:
 
 @pytest.fixture
 def interruptible() -> Iterator[None]:
-    """Restores Python's handling of interrupts, which background processes of a shell lack."""
+    """Restores Python's handler of SIGINT, which a shell disables for background processes."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
@@ -125,7 +125,7 @@ def test_an_array_that_changes_while_it_is_read_gives_some_mesh_or_an_exception(
     calm = lattice(8.0)
     positions = calm.copy()
     over = threading.Event()
-    # A view keeps the old array, so a fast machine might reject every second call.
+    # Every 8th call holds this lock, so that it reads a calm array and returns a mesh.
     still = threading.Lock()
 
     def disturb() -> None:
@@ -177,7 +177,7 @@ def test_memory_is_given_back_after_each_call() -> None:
     command = [sys.executable, "-W", "ignore", "-c", RESIDENT, "5000", "60"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     before, after, _ = map(float, done.stdout.split())
-    # A leaked mesh takes 0.7 MiB; arenas of threads come and go.
+    # A leak of one mesh per call would grow by 0.7 MiB per call; 10 MiB allow for thread arenas.
     assert after < before + 10, f"{before} MiB grew to {after}"
 
 

@@ -1,1 +1,1 @@
-"""From a request to arrays, without Blender: the file of a frame, the inputs of a surface, and a cache of surfaces."""
+"""The part of the extension that needs no Blender: it finds a frame's file, and makes and caches surfaces."""

@@ -10,12 +10,12 @@ import numpy.typing as npt
 
 
 class OutOfRange(Exception):
-    """A mesh that single precision cannot represent."""
+    """A mesh with coordinates that single precision cannot represent."""
 
 
 @dataclass(frozen=True)
 class Arrays:
-    """A triangle mesh with attributes of its vertices, and notes about it."""
+    """A triangle mesh with vertex attributes, and the library's warnings about it."""
 
     vertices: npt.NDArray[np.float32]
     triangles: npt.NDArray[np.int32]
@@ -25,19 +25,20 @@ class Arrays:
 
     @classmethod
     def of(cls, mesh: meniscus.Mesh) -> Arrays:
-        """The arrays of a mesh of the library, whose own arrays are freed with it."""
-        # Blender has only float32, which halves the memory.
+        """Converts a mesh of the library to arrays that do not keep the mesh alive."""
+        # Blender stores positions as float32, which also halves the memory.
         with np.errstate(over="ignore", invalid="ignore"):
             vertices = mesh.vertices.astype(np.float32)
-            # A sum keeps infinities, and is faster than a test of each number.
+            # The sum is finite only if all numbers are, and is faster than a test of each number.
             is_finite = np.isfinite(vertices.sum(dtype=np.float64))
         if not is_finite:
             raise OutOfRange("The surface exceeds single precision, which Blender uses")
         return cls(
             vertices=vertices,
-            # The bits are the same, because a Blender mesh has fewer than 2^31 vertices.
+            # uint32 and int32 agree on all indices: a Blender mesh has fewer than 2^31 vertices.
             triangles=mesh.triangles.view(np.int32),
-            # Integers are signed there: from 2^31 on, only the bits are the same.
+            # Blender's integers are signed: values from 2^31 on become negative, with the same
+            # bits.
             attributes={
                 name: values.view(np.int32) if values.dtype == np.uint32 else values for name, values in mesh.attributes.items()
             },
@@ -52,5 +53,5 @@ class Arrays:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of memory."""
+        """The size of all arrays in bytes."""
         return self.vertices.nbytes + self.triangles.nbytes + sum(values.nbytes for values in self.attributes.values())

@@ -1,4 +1,4 @@
-"""A cache of values that take long to make, within a memory limit."""
+"""A cache with a memory limit, for values that take long to make."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ V = TypeVar("V", bound=Sized)
 
 
 class Cache(Generic[V]):
-    """Keeps the most recently used values, up to a number of bytes; a value that is larger alone is not kept."""
+    """Keeps the most recently used values, up to `bound` bytes. A larger value is never kept."""
 
     def __init__(self, bound: int) -> None:
         self._values: OrderedDict[Hashable, V] = OrderedDict()
@@ -38,14 +38,14 @@ class Cache(Generic[V]):
         self._shrink()
 
     def get(self, key: Hashable) -> V | None:
-        """Returns a value, and counts it as used."""
+        """Returns a value, which becomes the most recently used one; None if there is none."""
         value = self._values.get(key)
         if value is not None:
             self._values.move_to_end(key)
         return value
 
     def put(self, key: Hashable, value: V) -> None:
-        """Adds a value, and removes the least recently used ones."""
+        """Adds a value, and removes the least recently used values until the limit is met."""
         self.drop(key)
         # A value that does not fit would only remove all others.
         if value.nbytes <= self._bound:

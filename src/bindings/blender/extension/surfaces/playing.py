@@ -1,4 +1,4 @@
-"""The times of a conversion's stage or volumes, so that they show the same as the live surface."""
+"""Times at which Blender plays converted meshes or volumes, so that they match the live surface."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .sequence import Timing
 
 @dataclass(frozen=True)
 class Reading:
-    """Maps the scene's frames to time codes of a stage: `at_start` at the frame `start`, plus `each` per frame."""
+    """Maps scene frames to a stage's time codes: `at_start` at frame `start`, plus `each` per frame."""
 
     start: int
     at_start: float
@@ -19,7 +19,7 @@ class Reading:
 
     @property
     def offset(self) -> float | None:
-        """The number to subtract from a frame to get its time code, if the mapping is only a shift."""
+        """The number to subtract from a frame to get its time code; None if the rates differ."""
         return self.start - self.at_start if abs(self.each - 1.0) < 1e-4 else None
 
     @property
@@ -29,7 +29,7 @@ class Reading:
 
 
 def reading(listing: Path, timing: Timing) -> Reading:
-    """Reads the times of frame numbers from a conversion's list, whose stage has `fps` time codes per second."""
+    """Reads the frames' times from the JSON file of a conversion, and maps scene frames to time codes."""
     listed = json.loads(listing.read_text())
     first, last, fps = listed["frames"][0], listed["frames"][-1], listed["fps"]
     numbers = last["frame"] - first["frame"]
@@ -39,9 +39,10 @@ def reading(listing: Path, timing: Timing) -> Reading:
 
 
 def volume_offset(timing: Timing, first: int, last: int) -> str:
-    """The frame offset of a Volume that plays the files `first` to `last`, as a driver expression.
+    """The driver expression for the frame offset of a Volume that plays the files `first` to `last`.
 
-    Blender adds it to the number of the scene's frame, counted from 1 at the start, and at least 1.
+    Blender plays the file whose number is this offset plus a count: 1 at the start frame and
+    before, 2 at the next frame, and so on.
     """
     number = f"{timing.first} + floor((frame - {timing.start}) * {timing.step:.9g} + 1e-6)"
     return f"max({first}, min({last}, {number})) - max(frame - {timing.start} + 1, 1)"

@@ -1,4 +1,4 @@
-"""The inputs and settings of a surface, which are its key in the cache."""
+"""Requests for surfaces: their inputs and settings, which also make the key in the cache."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from .arrays import Arrays
 from .sequence import stamp_of
 from .solids import Solids
 
-#: Packed frames have their own cells and spacing, and no attributes.
+#: The extension of packed frames, which define their cells and spacing and have no attributes.
 PACKED = ".mnf"
 
 
 @dataclass(frozen=True)
 class Sampling:
-    """Settings of the sampling. None is the library's default."""
+    """Settings of the sampling; None stands for the library's default."""
 
     spacing: float | None = None
     cell: float | None = None
     attributes: tuple[str, ...] | None = None
     where: str | None = None
-    #: The lowest and highest corner of a tank.
+    #: The lowest and the highest corner of a tank: six coordinates.
     domain: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True)
 class Filters:
-    """Settings of a surface that need only samples, not particles."""
+    """Settings that apply to sampled particles, so that changing them needs no new sampling."""
 
     smooth: float | None = None
     smallest_drop: int | None = None
@@ -60,7 +60,7 @@ class FromFile:
 
     @property
     def key(self) -> Hashable:
-        """Changes if the samples would change."""
+        """A key for the cache: sources with different samples have different keys."""
         stamp = stamp_of(self.path)
         return self.path, stamp, None if self.is_packed else self.sampling
 
@@ -85,7 +85,7 @@ class FromPoints:
 
     @property
     def key(self) -> Hashable:
-        """Changes if the samples would change."""
+        """A key for the cache: sources with different samples have different keys."""
         return self.digest, len(self.positions), self._asked
 
     def sample(self) -> meniscus.Frame:
@@ -93,13 +93,13 @@ class FromPoints:
 
     @property
     def _asked(self) -> Sampling:
-        """Settings of files do not apply to particles in memory."""
+        """The sampling without settings that apply only to files."""
         return replace(self.sampling, attributes=None, where=None)
 
 
 @dataclass(frozen=True)
 class Request:
-    """A request for a surface."""
+    """A request for a surface: the particles, the filters and the solids."""
 
     source: FromFile | FromPoints
     filters: Filters
@@ -107,32 +107,32 @@ class Request:
 
     @property
     def key(self) -> Hashable:
-        """Changes if the surface would change."""
+        """A key for the cache: requests with different surfaces have different keys."""
         key = self.source.key, self.filters
-        # Surfaces without solids keep the names that older versions gave them.
+        # The key of a surface without solids must stay the same as in older versions.
         return (*key, self.solids.key) if self.solids.meshes else key
 
     @property
     def name(self) -> str:
-        """A short form of the key, to be stored with a mesh."""
+        """A hash of the key, which is stored with the mesh."""
         return hashlib.blake2b(repr(self.key).encode(), digest_size=16).hexdigest()
 
 
 class Maker:
-    """Makes surfaces, and keeps the last samples, so that other filters need no particles."""
+    """Makes surfaces. It keeps the last sampled frame, so that other filters do not sample again."""
 
     def __init__(self) -> None:
         self._key: Hashable = None
         self._frame: meniscus.Frame | None = None
 
     def make(self, request: Request) -> Arrays:
-        """The arrays of a surface.
+        """Makes the requested surface, and returns its arrays.
 
-        Raises what the library raises, with its sentences.
+        Raises the library's errors.
         """
         key = request.source.key
         if self._frame is None or key != self._key:
-            # Frees the memory of the last samples first.
+            # Free the memory of the last sampled frame before a new one is sampled.
             self._frame = None
             self._frame, self._key = request.source.sample(), key
         if not request.solids.meshes:
@@ -143,9 +143,9 @@ class Maker:
 
     @property
     def particles_up(self) -> str | None:
-        """The axis that points up in the last sampled particles."""
+        """The axis that points up in the last sampled particles; None if there are none."""
         return self._frame.particles_up if self._frame else None
 
     def forget(self) -> None:
-        """Frees the memory of the samples."""
+        """Frees the memory of the sampled frame."""
         self._frame, self._key = None, None

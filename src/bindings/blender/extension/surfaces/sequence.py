@@ -1,6 +1,7 @@
 """Finds the file of a sequence for a frame of the scene.
 
-What the frames of a name, a folder or a file of several steps are, the library says; here is what of them is shown when.
+The library lists the frames of a name, a folder or a file with several steps. This module selects
+one of them for each frame of the scene.
 """
 
 from __future__ import annotations
@@ -14,14 +15,15 @@ from pathlib import Path
 
 import meniscus
 
-#: Extensions of particle files and lists of them, packed frames, and compressed files.
+#: Extensions of particle files, lists of particle files, packed frames, and compressed files.
 EXTENSIONS = (
     ".bgeo", ".bhclassic", ".bi4", ".csv", ".dat", ".dump", ".extxyz", ".geo", ".h5", ".h5md", ".h5part", ".hdf",
     ".hdf5", ".json", ".lammpstrj", ".mnf", ".npy", ".npz", ".ply", ".pvd", ".pvtp", ".pvtu", ".sc", ".series", ".txt",
     ".vtk", ".vtkhdf", ".vtm", ".vtp", ".vtpc", ".vtpd", ".vtu", ".xyz",
     ".gz", ".xz", ".zst",
 )
-#: The last digits before the extensions, with a minus sign unless the dash belongs to the name.
+#: Finds the frame number: the last digits before the extensions. A dash before them counts as a
+#: minus sign only after a separator, because otherwise it belongs to the name.
 _NUMBER = re.compile(r"^(.*?)((?:(?<![^_. \-=(\[])-)?\d+)(\D*|\.\w+|\.\w+\.(?:gz|xz|zst))$")
 
 Stamp = tuple[int, int]
@@ -33,30 +35,33 @@ class Shown:
 
     number: int
     path: str
-    #: The number that should be shown.
+    #: The number from the timing. It differs from `number` if its file is missing.
     wanted: int
 
     @property
     def is_gap(self) -> bool:
-        """Whether the file replaces a missing one."""
+        """Whether the file is an earlier one, because the wanted file is missing."""
         return self.number < self.wanted
 
 
 @dataclass(frozen=True)
 class Timing:
-    """Timing of a sequence: the number `first` at the scene's frame `start`, then `step` numbers per frame."""
+    """Timing of a sequence: file number `first` at scene frame `start`, then `step` numbers per frame."""
 
     start: int = 1
     first: int = 0
     step: float = 1.0
 
     def number(self, frame: int) -> int:
-        """The number for a frame of the scene."""
+        """The file number for a frame of the scene."""
         return self.first + math.floor((frame - self.start) * self.step + 1e-6)
 
 
 def sequence_of(path: str) -> str:
-    """The name of the sequence that contains a file: the file itself if it has steps or no number."""
+    """The name of the sequence that contains a file, with {} for the number.
+
+    A folder, a file with several steps and a name without a number are returned unchanged.
+    """
     folder, name = os.path.split(path)
     if "#" in name or "{" in name or os.path.isdir(path):
         return path
@@ -64,7 +69,7 @@ def sequence_of(path: str) -> str:
         try:
             steps = meniscus.list_frames(path)
         except meniscus.Error:
-            # The error is reported when the file is read.
+            # Ignore the error here: reading the file will report it.
             steps = []
         if any("#" in file.name for _, file in steps):
             return path
@@ -79,7 +84,11 @@ def number_of(path: str) -> int | None:
 
 
 def shown_at(frames: list[tuple[int, Path]], timing: Timing, frame: int) -> Shown:
-    """The file for a frame of the scene: the first before the start, the last after the end, and in a gap the previous one."""
+    """The file to show at a frame of the scene.
+
+    This is the first file before the start, the last file after the end, and the previous file in a
+    gap.
+    """
     wanted = timing.number(frame)
     at = max(bisect.bisect_right(frames, wanted, key=lambda known: known[0]) - 1, 0)
     number, path = frames[at]
@@ -88,7 +97,7 @@ def shown_at(frames: list[tuple[int, Path]], timing: Timing, frame: int) -> Show
 
 
 def stamp_of(path: str) -> Stamp | None:
-    """Size and time of a file, which show whether it has changed; None if it does not exist."""
+    """A file's size and modification time, to detect changes; None if the file does not exist."""
     name, step = os.path.split(path)[1], path.rsplit("#", 1)
     try:
         found = os.stat(step[0] if "#" in name else path)
@@ -98,15 +107,15 @@ def stamp_of(path: str) -> Stamp | None:
 
 
 class Listings:
-    """Lists of frames, which are read again if their folder or file has changed."""
+    """Lists the frames of sequences, and caches each list until its folder or file changes."""
 
     def __init__(self) -> None:
         self._known: dict[str, tuple[Stamp | None, list[tuple[int, Path]]]] = {}
 
     def frames(self, inputs: str) -> list[tuple[int, Path]]:
-        """The frames of a name.
+        """The numbers and files of the frames that `meniscus.list_frames` finds for `inputs`.
 
-        Raises what `meniscus.list_frames` raises.
+        Raises the same errors as `meniscus.list_frames`.
         """
         stamp = stamp_of(inputs if os.path.exists(inputs) else os.path.dirname(inputs) or ".")
         known = self._known.get(inputs)

@@ -1,4 +1,4 @@
-"""Solids as closed meshes in memory, which the library reads from files."""
+"""Solids as closed meshes in memory, and as files for the library."""
 
 from __future__ import annotations
 
@@ -37,7 +37,10 @@ class SolidMesh:
         return head.encode() + self.vertices.astype("<f8").tobytes() + faces.tobytes()
 
     def write(self, path: Path) -> None:
-        """Writes the mesh, unless the file already holds it: the library makes frames again whose solid is newer."""
+        """Writes the mesh, unless the file already contains the same bytes.
+
+        A newer file would make the library convert finished frames again.
+        """
         data = self.to_ply()
         if not path.is_file() or path.read_bytes() != data:
             path.write_bytes(data)
@@ -45,18 +48,22 @@ class SolidMesh:
 
 @dataclass(frozen=True)
 class Solids:
-    """The solids that the fluid touches, and the distance between them in spacings. None is the library's default."""
+    """The solids that the fluid touches.
+
+    `offset` is the distance between the fluid and the solids in spacings; None is the library's
+    default.
+    """
 
     meshes: tuple[SolidMesh, ...] = ()
     offset: float | None = None
 
     @property
     def key(self) -> Hashable:
-        """Changes if the surface would change."""
+        """A key for the cache: solids with different surfaces have different keys."""
         return tuple(mesh.digest for mesh in self.meshes), self.offset if self.meshes else None
 
     def written(self, folder: Path) -> list[str]:
-        """Writes the meshes into a folder, under their names, and returns the files."""
+        """Writes the meshes into a folder, as files named after their objects, and returns the files."""
         files = [folder / f"{name}.ply" for name in unique(mesh.name for mesh in self.meshes)]
         for mesh, file in zip(self.meshes, files):
             mesh.write(file)
@@ -64,7 +71,8 @@ class Solids:
 
 
 def unique(names: Iterable[str]) -> list[str]:
-    """Names for files, made of letters, digits and dashes, and all different."""
+    """Converts names to different file names, made of letters, digits and dashes."""
     safe = ["".join(c if c.isascii() and c.isalnum() else "-" for c in name) for name in names]
-    # Files with names that differ only in case are the same on some systems. Digits at the end would look like the number of a frame.
+    # Names that differ only in case are the same file on some systems, so each name gets a number.
+    # The name must not end with digits, which would look like a frame number.
     return [f"{name}-{number}-solid" for number, name in enumerate(safe)]

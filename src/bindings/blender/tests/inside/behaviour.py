@@ -31,7 +31,7 @@ def check(sentence: Callable[[], None]) -> Callable[[], None]:
 
 
 def count_making() -> None:
-    """Records all calls of the library from now on."""
+    """Appends the source of every surface to `made`, from now on."""
     make = extension.surfaces.request.Maker.make
 
     def counted(self: Any, request: Any) -> Any:
@@ -100,7 +100,7 @@ def a_frame_is_made_again_where_its_file_has_changed() -> None:
     assert before[0] > 0
     (folder / "pool_2.npy").unlink()
     scene.frame_set(2)
-    # Nothing follows it.
+    # Without a second file, the sequence ends with the first one, which stays visible.
     assert sizes(shown.data) == before and not live.status_of(shown.data).error
 
 
@@ -265,7 +265,7 @@ def cube_in(collection: bpy.types.Collection, size: float, place: tuple[float, f
 
 
 def touches(shown: bpy.types.Object, cube: bpy.types.Object, half: float) -> bool:
-    """Whether many vertices of a surface are on the sides of a cube, and none is deeper in it than a cell."""
+    """Whether more than 50 vertices are on a cube's sides, and none is deeper than 0.05 inside it."""
     world = positions(shown.data) @ np.array(shown.matrix_world)[:3, :3].T + np.array(shown.matrix_world)[:3, 3]
     outside = np.abs(world - np.array(cube.matrix_world)[:3, 3]).max(axis=1) - half
     return int((np.abs(outside) < 0.01).sum()) > 50 and bool((outside > -0.05).all())
@@ -277,7 +277,7 @@ def the_fluid_ends_at_the_objects_of_a_collection() -> None:
     scene.frame_set(20)
     collection = bpy.data.collections.new("obstacles")
     scene.collection.children.link(collection)
-    # In deep fluid, whose y is up in the file.
+    # Place the cube in deep fluid. The file's y axis points up.
     cube = cube_in(collection, 0.4, (-1.5, 0.0, 0.2))
     bpy.context.view_layer.update()
     assert not touches(shown, cube, 0.2)
@@ -286,7 +286,7 @@ def the_fluid_ends_at_the_objects_of_a_collection() -> None:
     shown.data.meniscus.solids = collection
     assert not live.status_of(shown.data).error, live.status_of(shown.data)
     assert len(made) == 1 and touches(shown, cube, 0.2), made
-    # A moved solid makes another surface, and so does one that moves with the frames.
+    # The surface follows a solid that is moved, and a solid that is animated.
     cube.location.x += 0.3
     bpy.context.view_layer.update()
     assert len(made) == 2 and touches(shown, cube, 0.2), made
@@ -307,7 +307,7 @@ def the_fluid_ends_at_the_objects_of_a_collection() -> None:
     conversion.start()
     conversion.join()
     assert (conversion.done, conversion.error, conversion.problems) == (3, "", []), vars(conversion)
-    # A hidden solid goes on, also in renders, and a mesh with a hole is refused.
+    # A hidden solid still shapes the fluid, also in renders. A mesh with a hole is an error.
     cube.hide_viewport = cube.hide_render = True
     scene.frame_set(20)
     assert touches(shown, cube, 0.2), live.status_of(shown.data)
@@ -418,14 +418,14 @@ def renders_are_in_fine_cells_once_a_frame_and_moved_by_velocity() -> None:
         made.clear()
         scene.render.filepath = str(options.folder / f"blurred_{blurred}.png")
         bpy.ops.render.render(write_still=True)
-        # The viewport's surface is cached; the render's is cached for the second render.
+        # The first render makes one surface. The second render and the viewport use the cache.
         assert len(made) == (0 if blurred else 1), made
         assert drawn.pop() == len(expected(10, cell=0.5).triangles) and shows(shown.data, expected(10))
         pictures.append(picture_of(options.folder / f"blurred_{blurred}.png"))
     moved = np.abs(pictures[0] - pictures[1]).mean()
     print(f"    motion blur changes a pixel by {moved:.5f}")
     assert moved > 1e-3, "no motion blur"
-    # Without velocities, the picture is always sharp.
+    # Without velocities there is no motion blur, so the picture equals the sharp one.
     settings.attributes = "density"
     scene.render.filepath = str(options.folder / "still.png")
     bpy.ops.render.render(write_still=True)
@@ -459,7 +459,7 @@ def vertices_are_rendered_in_fine_cells_too() -> None:
     bpy.ops.render.render(write_still=True)
     bpy.app.handlers.render_post.clear()
     assert drawn[0] > 2 * coarse[1] and sizes(shown.data) == coarse, (drawn, coarse)
-    # Also at other frames.
+    # An animation also renders every frame in fine cells.
     source.keyframe_insert("location", frame=1)
     source.location.x = 4.0
     source.keyframe_insert("location", frame=11)
@@ -514,7 +514,7 @@ def a_conversion_is_played_as_a_sequence_cache() -> None:
     conversion = operators.conversion_of(shown.data)
     conversion.join()
     assert (conversion.done, conversion.total, conversion.error, conversion.problems) == (3, 3, "", []), vars(conversion)
-    # Timers need the loop of a window.
+    # Call the timer's function directly: timers do not run in background mode.
     assert operators._poll(shown.data.session_uid) is None and not conversion.error, conversion.error
     played = [each for each in bpy.data.objects if each.modifiers.get("MeshSequenceCache") or any(m.type == "MESH_SEQUENCE_CACHE" for m in each.modifiers)]
     assert len(played) == 1 and shown.hide_render, list(bpy.data.objects)
@@ -531,7 +531,8 @@ def a_conversion_is_played_as_a_sequence_cache() -> None:
     lowest = np.min([np.array(evaluated.matrix_world) @ [*corner, 1.0] for corner in evaluated.bound_box], axis=0)
     upright = np.min([np.array(shown.matrix_world) @ [*corner, 1.0] for corner in positions(shown.data)], axis=0)
     assert abs(lowest[:3] - upright[:3]).max() < 0.1, (lowest, upright)
-    # At twice the speed from another frame, it has the times of the live surface.
+    # With another start frame and step, the sequence cache shows the same times as the live
+    # surface.
     settings.start, settings.step = 5, 9.5
     bpy.data.objects.remove(played[0])
     (replayed,) = operators.play(bpy.context, shown.data, conversion.order.stage)

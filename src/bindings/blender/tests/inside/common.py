@@ -15,7 +15,7 @@ DAM = ROOT / "tests" / "data" / "dambreak_small"
 
 
 def arguments() -> argparse.Namespace:
-    """The zip, and a folder for outputs."""
+    """Parses the command line: the extension's zip, and a folder for outputs."""
     parser = argparse.ArgumentParser()
     parser.add_argument("zip", type=Path)
     parser.add_argument("folder", type=Path)
@@ -28,31 +28,31 @@ def installed(zipped: Path) -> types.ModuleType:
     import bl_ext.user_default.meniscus_surfaces as extension
     import meniscus
 
-    # The one of the zip, not another in the Python path.
+    # The imported module must come from the zip, not from elsewhere in the Python path.
     assert "extensions" in meniscus.__file__, meniscus.__file__
     return extension
 
 
 def emptied() -> bpy.types.Scene:
-    """An empty scene."""
+    """Resets Blender to an empty scene."""
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=False)
     return bpy.context.scene
 
 
 def sizes(mesh: bpy.types.Mesh) -> tuple[int, int]:
-    """Vertices and triangles."""
+    """The numbers of vertices and triangles."""
     return len(mesh.vertices), len(mesh.polygons)
 
 
 def positions(mesh: bpy.types.Mesh) -> np.ndarray[Any, Any]:
-    """Vertices as an array."""
+    """The vertices' positions, as an array of shape (N, 3)."""
     values = np.empty(3 * len(mesh.vertices), np.float32)
     mesh.attributes["position"].data.foreach_get("vector", values)
     return values.reshape(-1, 3)
 
 
 def block(count: int, spacing: float = 0.1) -> np.ndarray[Any, Any]:
-    """A block of about this many jittered particles."""
+    """A cube of about `count` jittered particles."""
     side = round(count ** (1 / 3))
     steps = np.arange(side) * spacing
     points = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)

@@ -22,7 +22,7 @@ ROUNDS, CHANGES = 7, 200
 
 
 def resident() -> float:
-    """Memory of the process in MiB."""
+    """The resident memory of the process in MiB."""
     status = Path("/proc/self/status").read_text()
     return int(next(line for line in status.splitlines() if line.startswith("VmRSS")).split()[1]) / 1024
 
@@ -92,7 +92,7 @@ def memory() -> None:
     frames = [number - settings.first + settings.start for number in numbers]
     before = []
     for change in range(CHANGES + 1):
-        # Each is a different surface, so that none is in the cache.
+        # A new smoothing width makes a new surface, which cannot be in the cache.
         settings.smooth = 1.5 + change * 1e-3
         scene.frame_set(frames[change % 2])
         if change in (0, 10, 25, 50, 100, 150, CHANGES):

@@ -2,12 +2,12 @@
 
 use std::path::{Path, PathBuf};
 
-/// The folder of the C interface.
+/// The folder of the C bindings.
 fn interface() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
 }
 
-/// The header that the sources define.
+/// Generates the text of the header from the Rust sources.
 fn header() -> Result<Vec<u8>, Box<dyn std::error::Error>> {
     let root = interface();
     let config = cbindgen::Config::from_file(root.join("cbindgen.toml"))?;

@@ -8,8 +8,9 @@
 >>> bool(mesh.check())
 True
 
-``reconstruct`` makes a mesh from arrays, ``Simulation`` the meshes of a simulation's frames, ``Frame`` samples once for several surfaces, and
-``read_particles`` and ``list_frames`` read files. ``meniscus.compat.pysplashsurf`` has the interface of pysplashsurf.
+``reconstruct`` makes a mesh from arrays. ``Simulation`` makes the meshes of a simulation's frames.
+``Frame`` samples particles once for several surfaces. ``read_particles`` and ``list_frames`` read
+files. ``meniscus.compat.pysplashsurf`` has the interface of pysplashsurf.
 """
 
 import warnings as _warnings

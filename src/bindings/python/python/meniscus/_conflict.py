@@ -1,4 +1,4 @@
-"""Detects the other package on PyPI that installs a folder ``meniscus``, and says what to do."""
+"""Detects the unrelated PyPI package that also installs a folder ``meniscus``, and says what to do."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _REMEDY = (
 
 
 def other_package() -> str | None:
-    """Names the other package if it is installed in the same folder as this one, and says what to do."""
+    """Returns a message with advice if the other package is installed in the same folder, else None."""
     for found in Path(__file__).resolve().parents[1].glob("meniscus-*.dist-info"):
         version = found.name.removeprefix("meniscus-").removesuffix(".dist-info")
         return f"the package meniscus {version} is installed over meniscus-surface. {_REMEDY}"
@@ -20,7 +20,7 @@ def other_package() -> str | None:
 
 
 def require_own_package() -> None:
-    """Raises ``ImportError`` if ``import meniscus`` does not give this package, whose files another package replaced or removed."""
+    """Raises ``ImportError`` if another package has replaced or removed files of this package."""
     package = sys.modules["meniscus"]
     if not hasattr(package, "reconstruct"):
         where = getattr(package, "__file__", None) or list(package.__path__)

@@ -1,4 +1,4 @@
-"""Exceptions and warnings by kind of error, with the library's messages."""
+"""Exceptions and warnings, with the library's messages. Each kind of error has a class."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ _NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 
 
 class Error(Exception):
-    """Anything that goes wrong between particles and a mesh."""
+    """The base class of all errors of this package."""
 
 
 class InputError(Error, ValueError):
@@ -24,7 +24,7 @@ class DeviceError(Error, RuntimeError):
 
 
 class _Sentence(str):
-    """A message that equals messages with other numbers."""
+    """A message that compares equal to messages that differ from it only in numbers."""
 
     __slots__ = ()
 
@@ -46,8 +46,9 @@ class _Sentence(str):
 class MeshWarning(UserWarning):
     """A warning about a mesh.
 
-    By default Python shows a warning once for each line of a program. Warnings of a loop over frames that differ in numbers only are the
-    same warning. ``figures`` are those numbers, in their order.
+    By default, Python shows equal warnings from the same line of a program only once. In a loop
+    over frames, warnings often differ only in their numbers, so these warnings count as equal.
+    ``figures`` are the numbers in the message.
     """
 
     @property

@@ -37,10 +37,10 @@ _Box: TypeAlias = Sequence[float | None] | Sequence[Sequence[float | None]] | np
 _Format: TypeAlias = Literal["bgeo", "bi4", "csv", "hdf5", "json", "lammps", "npy", "npz", "ply", "pvtp", "tecplot", "vtk", "vtp", "xyz"]
 _Progress: TypeAlias = Callable[[str, float], object]
 
-# Keywords, which are the program's options, each said once.
+# Keywords, which are the program's options. Each keyword is in only one of these classes.
 
 class _Sampling(TypedDict, total=False):
-    """Keywords that need the particles."""
+    """Keywords for sampling the particles."""
 
     spacing: float | None
     radius: float | None
@@ -57,7 +57,7 @@ class _Sampling(TypedDict, total=False):
     where: str | Iterable[str] | None
 
 class _Surface(TypedDict, total=False):
-    """Keywords of a surface, for which the particles are not needed again."""
+    """Keywords for making a surface from sampled particles."""
 
     periodic_mesh: Literal["cut", "overlap"] | None
     smooth: float | None
@@ -76,7 +76,7 @@ class _Surface(TypedDict, total=False):
     particles_up: Literal["y", "z"] | None
 
 class _Machine(TypedDict, total=False):
-    """Keywords of what the machine gives."""
+    """Keywords for the backend, threads and memory."""
 
     backend: Literal["auto", "cpu", "vulkan"] | None
     device: str | int | None
@@ -85,16 +85,16 @@ class _Machine(TypedDict, total=False):
     scratch: _Path | None
 
 class _OfArrays(_Sampling, _Surface, _Machine, total=False):
-    """Keywords of particles in arrays."""
+    """Keywords of functions that take particles as arrays."""
 
 class _OfFiles(_OfArrays, total=False):
-    """Keywords of particles in files."""
+    """Keywords of functions that read particle files."""
 
     attributes: Iterable[str] | None
     format: _Format | None
 
 class _OfFrames(_OfFiles, total=False):
-    """Keywords of a simulation's frames."""
+    """Keywords for the frames of a simulation."""
 
     start: int | None
     end: int | None

@@ -1,7 +1,8 @@
 """The interface of pysplashsurf 0.14, implemented by meniscus: import this instead.
 
-Keywords have pysplashsurf's names and meaning; lengths are relative to the particle radius, as they are in its code. Each keyword is the
-same here, or means what is nearest, or is ignored with one warning; the README of the bindings has a table.
+Keywords have the names that pysplashsurf gives them, and lengths are relative to the particle
+radius. A keyword has the same meaning as in pysplashsurf or the nearest equivalent, or it is
+ignored with one warning. The README has a table.
 """
 
 from __future__ import annotations
@@ -31,7 +32,8 @@ __all__ = [
 _Array: TypeAlias = npt.NDArray[Any]
 _Corner: TypeAlias = Sequence[float] | npt.NDArray[Any] | None
 
-# A smoothing length of 2 radii, which splashsurf recommends, corresponds to the default width of 1.6 spacings; widths have these limits.
+# Smoothing width in spacings per smoothing length in particle radii, and the limits of the width.
+# The 2 radii that splashsurf recommends correspond to the library's default of 1.6 spacings.
 _SPACINGS_A_RADIUS = 0.8
 _NARROWEST, _WIDEST = 0.8, 4.0
 
@@ -44,7 +46,7 @@ class MeshType(enum.Enum):
 
 
 class Aabb3d:
-    """A box with its lowest and highest corner."""
+    """An axis-aligned box, defined by its lowest and highest corner."""
 
     def __init__(self, low: _Array, high: _Array) -> None:
         self.min = np.asarray(low, dtype=np.float64)
@@ -66,7 +68,7 @@ class Aabb3d:
 
 
 class UniformGrid:
-    """The cells of the reconstruction around the mesh; others are not stored."""
+    """The grid of cells, restricted to the cells around the mesh."""
 
     def __init__(self, vertices: _Array, origin: Sequence[float], cell_size: float) -> None:
         self.cell_size = cell_size
@@ -97,7 +99,7 @@ class TriMesh3d:
         return TriMesh3d(self.vertices.copy(), self.triangles.copy())
 
     def vertex_normals_parallel(self) -> _Array:
-        """Computes vertex normals as area-weighted means of the surrounding triangles."""
+        """Computes vertex normals: area-weighted means of the normals of the surrounding triangles."""
         a, b, c = (self.vertices[self.triangles[:, corner]] for corner in range(3))
         of_triangles = np.cross(b - a, c - a)
         normals = np.zeros_like(self.vertices)
@@ -176,7 +178,8 @@ class MeshWithData:
 class SurfaceReconstruction:
     """The mesh before post-processing, with data of the reconstruction.
 
-    ``particle_densities`` and ``particle_neighbors`` are None: there are none.
+    ``particle_densities`` and ``particle_neighbors`` are always None, because the library computes
+    neither.
     """
 
     particle_densities: None = None
@@ -198,7 +201,7 @@ _ignored: set[str] = set()
 
 
 def _ignore(keywords: Mapping[str, bool]) -> None:
-    """Warns about given keywords without effect, once each."""
+    """Warns about keywords that were given but have no effect, once for each keyword."""
     new = [name for name, given in keywords.items() if given and name not in _ignored]
     if new:
         _ignored.update(new)
@@ -207,7 +210,7 @@ def _ignore(keywords: Mapping[str, bool]) -> None:
 
 
 def _within(points: _Array, low: _Corner, high: _Corner) -> npt.NDArray[np.bool_] | None:
-    """Returns which points are inside a box that may be open."""
+    """Returns which points are inside a box, or None if the box has no corners; both corners are optional."""
     if low is None and high is None:
         return None
     inside = np.ones(len(points), dtype=np.bool_)
@@ -228,7 +231,7 @@ def _surface(
     normals: bool,
     attributes: Mapping[str, _Array],
 ) -> tuple[MeshWithData, SurfaceReconstruction]:
-    """Makes the surface with a request of the library."""
+    """Converts the keywords, and reconstructs the surface with the library."""
     if not isinstance(particles, np.ndarray) or particles.dtype not in (np.float32, np.float64):
         raise TypeError("unsupported mesh scalar data type, only f32 and f64 are supported")
     inside = _within(particles, *corners)
@@ -245,8 +248,8 @@ def _surface(
         for name, values in attributes.items():
             empty.point_attributes[name] = np.empty((0, *values.shape[1:]), dtype)
         return empty, SurfaceReconstruction(nothing, UniformGrid(particles, (0, 0, 0), cell_size), inside)
-    # Attributes get numbers as names, because the mesh would rename an attribute with a common name
-    # for velocity.
+    # Use numbers as names of the attributes, because the library would rename some names, such as
+    # "v", to "velocity".
     numbered = {str(number): _floats(values) for number, values in enumerate(attributes.values())}
     whole = reconstruct(
         particles,
@@ -269,12 +272,12 @@ def _surface(
 
 
 def _floats(values: _Array) -> _Array:
-    """Numbers of other types, such as identifiers, as f64."""
+    """Returns float arrays unchanged, and converts arrays of other types, such as integers, to float64."""
     return values if values.dtype in (np.float32, np.float64) else values.astype(np.float64)
 
 
 def _cut(data: MeshWithData, low: _Corner, high: _Corner, clamp: bool) -> MeshWithData:
-    """Removes triangles outside of a box, and moves outer vertices onto it."""
+    """Removes the triangles outside of a box, and moves outer vertices onto the box if `clamp` is set."""
     mesh = data.mesh
     inside = _within(mesh.vertices, low, high)
     if inside is None:
