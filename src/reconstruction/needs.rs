@@ -19,7 +19,8 @@ use crate::system::timings::Timings;
 use super::checked::{CheckedRequest, StartedRequest};
 use super::opened::{Input, OpenedFrame};
 
-/// Minimum number of particles in the sample. A frame with up to twice as many is made completely.
+/// Minimum number of particles in the sample. A frame with up to twice as many particles is made
+/// completely.
 const SAMPLE: usize = 200_000;
 
 /// Bytes of memory for each vertex of a mesh that is written as a level set with its velocity.

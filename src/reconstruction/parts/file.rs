@@ -9,7 +9,7 @@
 //! end                                         64 bytes: how many of each there are, whose part it is, and a CRC-32 of all before
 //! ```
 //!
-//! Numbers have the machine's byte order: a machine with the other order finds a wrong magic
+//! Numbers have the machine's byte order: a machine with a different byte order finds a wrong magic
 //! number.
 
 use std::fs::File;
@@ -133,8 +133,8 @@ pub(super) struct PartFile {
 }
 
 impl PartFile {
-    /// Opens and checks the file of a part whose attributes have these components; `None` if it
-    /// does not exist.
+    /// Opens and checks the file of a part whose attributes have these numbers of components;
+    /// `None` if the file does not exist.
     pub(super) fn open(
         path: &Path,
         mark: PartMark,
@@ -193,7 +193,7 @@ fn list<T: Pod>(file: &ReopenedFile, at: &mut u64, count: u64) -> io::Result<Vec
     Ok(list)
 }
 
-/// Reads a whole file, and returns its end, or what is wrong with it.
+/// Reads a whole file, and returns its end, or the reason why the file is invalid.
 fn read_whole(mut file: &File) -> io::Result<Result<End, &'static str>> {
     let len = file.metadata()?.len();
     let Some(before) = len.checked_sub(END) else { return Ok(Err("truncated")) };
