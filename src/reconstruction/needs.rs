@@ -140,7 +140,7 @@ fn forecast(
             None => (expected, None),
         });
     }
-    // Blocks need particles from as far away as the largest ones see.
+    // Blocks need all particles within the reach of the largest particles.
     let Some(kind) = sampling.method.indicator() else { return Ok((expected, None)) };
     let stretch = sample(counted.bins());
     drop(counted);
@@ -185,8 +185,8 @@ fn tried(
     Ok(TrialResult { particles, triangles: spool.triangles(), seconds })
 }
 
-/// Consecutive blocks that contain as many particles as a sample, from the block of the particle in
-/// the middle.
+/// Consecutive blocks that contain at least [`SAMPLE`] particles, beginning at the block of the
+/// middle particle.
 fn sample(bins: impl Iterator<Item = (MortonKey, usize)> + Clone) -> Stretch {
     let block = |bin: MortonKey| MortonKey::of(block_of_bin(bin.coord()));
     let all: usize = bins.clone().map(|(_, count)| count).sum();
