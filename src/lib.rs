@@ -130,8 +130,8 @@
 //!
 //! From particles to the field, all arithmetic is on integers. The result therefore depends only on
 //! the input, and not on the order of the particles, the threads, or the storage of the field.
-//! Every mesh is a closed, oriented 2-manifold. Neighbouring blocks share a vertex because it has
-//! the same grid edge, never because it has the same position.
+//! Every mesh is a closed, oriented 2-manifold. Neighbouring blocks share a vertex because it lies
+//! on the same grid edge, never because it has the same position.
 //!
 //! [`method`] has the formulas and their sources, [`guide`] is the guide for users, and
 //! [`guide::glossary`] explains the terms. To change meniscus, see [`guide::contributing`] and
@@ -139,7 +139,7 @@
 //!
 //! # Features
 //!
-//! All are on by default. To make meshes, you need none of them.
+//! All features are on by default. None of them is needed to make meshes.
 //!
 //! | feature | adds |
 //! |---|---|
