@@ -13,7 +13,8 @@
 //! | set every option of the program | [`Settings`] |
 //! | cancel any of these | [`Cancel`] |
 //!
-//! Failures are an [`Error`]; its [`Cause`] says who has to change something.
+//! A failure is an [`Error`]; its [`Cause`] says what is at fault, such as the request or the
+//! input.
 //!
 //! # A frame from memory
 //!
@@ -123,7 +124,7 @@
 //!
 //! ```text
 //! particles --bin--> binned particles --indicate--> DIF bricks, mu0         brick, field::indicator
-//! DIF bricks --calibrate--> plateau, and for the paper's ones the isovalue  field::calibration
+//! DIF bricks --calibrate--> plateau; isovalue for the paper's indicators    field::calibration
 //! DIF bricks --gather(halo)--> blocks --blur--> [--distances--> | --detail-->] --dual MC-->  field, surface, backend
 //! block surfaces --stitch--> mesh [--simplify-->] --write--> file           surface::stitch, io
 //! ```

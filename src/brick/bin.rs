@@ -201,7 +201,7 @@ impl BinPlan {
     }
 
     /// Counts only the particles of the `wanted` bins, and ignores all other particles. An earlier
-    /// call has already refused or counted invalid particles.
+    /// call has refused or skipped invalid particles.
     pub fn count_wanted(
         particles: &(impl Particles + ?Sized),
         grid: &Grid,

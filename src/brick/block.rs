@@ -242,9 +242,9 @@ impl<T: Copy + Default> Block<T> {
         self
     }
 
-    /// Replaces the samples by the results of `fill` along one axis, which are `reach` cells fewer
-    /// on both sides. `spare` is scratch memory: its content does not matter before the call, and
-    /// is undefined after it.
+    /// Replaces the samples by the results of `fill` along one axis. The block becomes smaller by
+    /// `reach` cells at both ends of the axis. `spare` is scratch memory: its content does not
+    /// matter before the call, and is undefined after it.
     ///
     /// `fill` overwrites a row of the result. It computes sample i from the taps i, i + step, ...:
     /// the first tap is `reach` cells below the sample, and the last tap `reach` cells above.

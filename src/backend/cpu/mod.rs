@@ -149,7 +149,7 @@ impl CpuStages {
     }
 }
 
-/// The surfaces of some regions of spray, given the boxes that contain all surfaces.
+/// The surfaces of some regions of spray, given the boxes `parts` that contain all of them.
 fn meshes_of_spray(
     surfaces: &Surfaces<'_>,
     regions: &[CellBox],

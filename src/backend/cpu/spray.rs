@@ -16,7 +16,7 @@ use super::fields::{BlockField, Blocks, FieldUse, refined_from, wide_volume};
 
 /// Spray has particles in at most one of this many cells.
 const FEW: usize = 16;
-/// The cost of a wide cell of other fluid relative to spray.
+/// The cost of a wide cell of other fluid, as a multiple of the cost of a wide cell of spray.
 const CHEAPER: usize = 4;
 
 /// The distance from the inside of a drop within which its field is needed, in cells: a vertex lies

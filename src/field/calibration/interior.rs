@@ -1,5 +1,5 @@
-//! Interior cells: cells deep in the fluid. Lengths that do not depend on the cell size define
-//! them.
+//! Interior cells: cells deep in the fluid, as defined by lengths that do not depend on the cell
+//! size.
 //!
 //! A cell counts as fluid if it belongs to the closing of the particles' cells: a dilation followed
 //! by an erosion of the same length. This fills gaps between particles and does not move the outer

@@ -6,7 +6,7 @@
 //! blocks                                      24 bytes each: coordinates, tiles, vertices, triangles
 //! bins that hold particles                    24 bytes each: coordinates, particles, tiles
 //! for each attribute, particles without it    8 bytes each
-//! end                                         64 bytes: how many of each there are, whose part it is, and a CRC-32 of all before
+//! end                                         64 bytes: the counts of these entries, the plan and the part, and a CRC-32
 //! ```
 //!
 //! Numbers have the machine's byte order: a machine with a different byte order finds a wrong magic

@@ -127,7 +127,7 @@ impl Camera {
         }
     }
 
-    /// A place in the coordinates of the eye: [x, y, distance]. x / distance and y / distance are
+    /// A place in the coordinates of the eye: `[x, y, distance]`. x / distance and y / distance are
     /// the position on the picture, to the right and up from its middle, in heights of the picture.
     #[inline]
     pub(super) fn seen(&self, place: DVec3) -> [f64; 3] {

@@ -377,7 +377,7 @@ impl<'a> EditableMesh<'a> {
     }
 
     /// Moves a vertex onto the first vertex of its ring. The ring's first and last triangle vanish;
-    /// the other triangles get the given normals.
+    /// the other triangles get the new `normals`.
     pub fn collapse(
         &mut self,
         vertex: u32,
@@ -471,8 +471,8 @@ fn edges([a, b, c]: [u32; 3]) -> [[u32; 2]; 3] {
     [[a, b], [b, c], [c, a]]
 }
 
-/// The squared distance from a point to a triangle with this unit normal, if it is at most the
-/// given bound; and whether the point's projection is inside the triangle.
+/// The squared distance from a point to a triangle with this unit normal, if it is at most
+/// `squared`; and whether the point's projection is inside the triangle.
 #[inline]
 pub fn squared_near(
     p: Vec3A,
