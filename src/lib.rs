@@ -13,7 +13,8 @@
 //! | set every option of the program | [`Settings`] |
 //! | cancel any of these | [`Cancel`] |
 //!
-//! Failures are an [`Error`]; its [`Cause`] says who has to change something.
+//! A failure is an [`Error`]; its [`Cause`] says what is at fault, such as the request or the
+//! input.
 //!
 //! # A frame from memory
 //!
@@ -123,15 +124,15 @@
 //!
 //! ```text
 //! particles --bin--> binned particles --indicate--> DIF bricks, mu0         brick, field::indicator
-//! DIF bricks --calibrate--> plateau, and for the paper's ones the isovalue  field::calibration
+//! DIF bricks --calibrate--> plateau; isovalue for the paper's indicators    field::calibration
 //! DIF bricks --gather(halo)--> blocks --blur--> [--distances--> | --detail-->] --dual MC-->  field, surface, backend
 //! block surfaces --stitch--> mesh [--simplify-->] --write--> file           surface::stitch, io
 //! ```
 //!
 //! From particles to the field, all arithmetic is on integers. The result therefore depends only on
 //! the input, and not on the order of the particles, the threads, or the storage of the field.
-//! Every mesh is a closed, oriented 2-manifold. Neighbouring blocks share a vertex because it has
-//! the same grid edge, never because it has the same position.
+//! Every mesh is a closed, oriented 2-manifold. Neighbouring blocks share a vertex because it lies
+//! on the same grid edge, never because it has the same position.
 //!
 //! [`method`] has the formulas and their sources, [`guide`] is the guide for users, and
 //! [`guide::glossary`] explains the terms. To change meniscus, see [`guide::contributing`] and
@@ -139,7 +140,7 @@
 //!
 //! # Features
 //!
-//! All are on by default. To make meshes, you need none of them.
+//! All features are on by default. None of them is needed to make meshes.
 //!
 //! | feature | adds |
 //! |---|---|

@@ -34,7 +34,7 @@ impl Backend {
         Ok(Self::of(Vulkan::new(device)?))
     }
 
-    /// Returns the name of the CPU or device, for people.
+    /// Returns the name of the CPU or device, for display.
     #[must_use]
     pub fn name(&self) -> String {
         self.0.name()
@@ -79,7 +79,7 @@ pub enum CpuReason {
     LittleMemory(u64),
     /// The machine has no GPU.
     NoGpu,
-    /// The CPU needs less time for these bytes of particles than a device to start.
+    /// Meshing this number of bytes of particles on the CPU takes less time than starting a device.
     Small(u64),
     /// The best device is not a discrete GPU.
     NotDiscrete(String),
@@ -118,8 +118,8 @@ pub fn device(choice: &DeviceChoice, cache: Option<&Path>) -> Result<Backend, Vu
     opened(&instance, &instance.choose(choice)?, cache)
 }
 
-/// Opens the best device if that is faster for inputs of this size, if known, within a memory
-/// limit. Otherwise returns the CPU and the reason.
+/// Opens the best device, if it is faster than the CPU for inputs of this size (if known), and if
+/// drivers fit the memory limit. Otherwise returns the CPU and the reason.
 #[must_use]
 pub fn fastest(
     budget: MemoryBudget,

@@ -31,7 +31,7 @@ use crate::vulkan::Device;
 
 /// Starts frames, which is the part of a [`Backend`] that is specific to the CPU or a device.
 pub trait Executor: Debug + Send + Sync {
-    /// Returns the name of the CPU or device, for people.
+    /// Returns the name of the CPU or device, for display.
     fn name(&self) -> String;
 
     /// Returns the device; `None` for the CPU.
@@ -83,7 +83,7 @@ pub trait Stages: Debug + Send + Sync {
         take: &mut Take<'_>,
     ) -> io::Result<()>;
 
-    /// Device failures so far, whose work the CPU repeated.
+    /// Descriptions of device failures so far. The CPU repeated the work that failed.
     fn warnings(&self) -> Vec<String>;
 
     /// The part of the work so far that a device did; the CPU did the rest.
@@ -93,18 +93,18 @@ pub trait Stages: Debug + Send + Sync {
 /// Takes the surfaces of consecutive regions.
 pub type Take<'a> = dyn FnMut(Vec<Option<BlockMesh>>) -> io::Result<()> + 'a;
 
-/// Bins for which each CPU thread makes pages between two checks for a cancel.
+/// Number of bins for which each CPU thread makes pages between two checks for a cancel.
 const BINS_A_THREAD: usize = 64;
 
 /// Maximum number of regions whose surfaces are passed on together.
 pub const REGIONS_TOGETHER: usize = 1024;
 
-/// An amount of work on a frame: finished bins and regions.
+/// The work done on a frame: the numbers of finished bins and regions.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Work {
     /// Number of bins whose pages were made.
     pub pages: usize,
-    /// Number of regions whose surfaces were made, including empty ones.
+    /// Number of regions whose surfaces were made, including empty surfaces.
     pub regions: usize,
 }
 
@@ -119,7 +119,7 @@ pub struct Surfaces<'a> {
     pub solid: Option<&'a Solid>,
     /// Whether vertices get normals.
     pub normals: Normals,
-    /// The end of the mesh at periodic faces.
+    /// How the mesh ends at periodic faces.
     pub periodic_mesh: PeriodicMesh,
 }
 

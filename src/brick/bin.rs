@@ -26,8 +26,8 @@ use super::cubes::{BinCode, CUBE, bin_coord};
 use super::place::{BinSieve, CHUNK, Placer};
 use super::slots::{Record, Slots};
 
-/// Maximum number of bins in a range whose particles' places are kept: the free bits of a record
-/// number them, and the last number stands for no bin.
+/// Maximum number of bins in a range of particles whose places are kept: the free bits of a record
+/// hold the rank of a bin, and the greatest rank means no bin.
 const KEPT_BINS: usize = (1 << FREE_BITS) - 1;
 
 /// The memory limits of counting.
@@ -35,13 +35,13 @@ const KEPT_BINS: usize = (1 << FREE_BITS) - 1;
 pub struct CountingRoom {
     /// Maximum number of bins.
     pub bins: usize,
-    /// Maximum number of particles whose places, of [`Self::PLACE`] bytes each, are kept; the
-    /// second reading skips these particles.
+    /// Maximum number of particles whose places are kept, with [`Self::PLACE`] bytes each. The
+    /// second reading does not read the positions of these particles again.
     pub places: usize,
 }
 
-/// Maximum bytes of places that are kept between the readings: larger frames mostly touch more bins
-/// than a place can number.
+/// Maximum bytes of places that are kept between the two readings. Particles of larger frames
+/// usually touch so many bins that their ranks do not fit into a place.
 const MOST_PLACES: u64 = 64 << 20;
 
 impl CountingRoom {
@@ -62,9 +62,9 @@ impl CountingRoom {
 /// The treatment of particles that are not finite, or beyond the grid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum InvalidParticles {
-    /// Return an error with the first one.
+    /// Return an error that names the first invalid particle.
     Refuse,
-    /// Skip and count them.
+    /// Skip and count invalid particles.
     Skip,
 }
 
@@ -134,7 +134,7 @@ pub struct BinPlan {
     pub(super) placer: Placer,
     census: Census,
     pub(super) keys: Vec<MortonKey>,
-    /// The index of each bin's first particle, followed by the number of particles.
+    /// The index of each bin's first particle; the last entry is the number of particles.
     pub(super) first: Vec<usize>,
     pub(super) ranges: Vec<RangePlan>,
 }
@@ -145,12 +145,12 @@ pub(super) struct RangePlan {
     pub(super) table: BinTable,
     /// For each bin in the table, its rank among all bins; [`NOWHERE`] for bins without particles.
     pub(super) ranks: Vec<u32>,
-    /// Each particle's bin, by its rank in the table, and record, packed into a word; empty if
-    /// places are not kept.
+    /// For each particle, the rank of its bin in the table and its record, packed into one word;
+    /// empty if places are not kept.
     pub(super) places: Vec<Record>,
 }
 
-/// Packs a place into one word, if there is no bin or if it is one of the first [`KEPT_BINS`].
+/// Packs a place into one word. The rank must be less than [`KEPT_BINS`], or be [`NOWHERE`].
 #[inline(always)]
 fn pack_place((rank, record): Placed) -> Record {
     u64::from(rank) << RECORD_BITS | record
@@ -175,7 +175,7 @@ impl BinPlan {
     /// Counts `particles` by bin, unless they touch too many bins.
     ///
     /// # Errors
-    /// [`BinError`] with the first invalid particle, unless these are skipped.
+    /// [`BinError`] with the first invalid particle, unless invalid particles are skipped.
     pub fn count(
         particles: &(impl Particles + ?Sized),
         grid: &Grid,
@@ -187,7 +187,7 @@ impl BinPlan {
     }
 
     /// Counts `particles`, and calls `visit` with batches of the positions, in any order. Each
-    /// particle is passed at most once; not all are passed if there are too many bins.
+    /// particle is passed at most once. If there are too many bins, some particles are not passed.
     pub fn count_while(
         particles: &(impl Particles + ?Sized),
         grid: &Grid,
@@ -200,8 +200,8 @@ impl BinPlan {
         Self::of_placed(particles, placer, invalid, room, visit)
     }
 
-    /// Counts only the particles of some bins. Invalid particles were refused or skipped earlier.
-    /// The result has no information about the other particles, not even their number.
+    /// Counts only the particles of the `wanted` bins, and ignores all other particles. An earlier
+    /// call has refused or skipped invalid particles.
     pub fn count_wanted(
         particles: &(impl Particles + ?Sized),
         grid: &Grid,
@@ -293,13 +293,13 @@ impl BinPlan {
         &self.keys
     }
 
-    /// The number of particles in each of these bins.
+    /// The number of particles in each bin, in the order of [`keys`](Self::keys).
     pub fn counts(&self) -> impl Iterator<Item = usize> + Clone + '_ {
         self.first.windows(2).map(|w| w[1] - w[0])
     }
 
-    /// Memory per thread of a lookup of bins for `particles`, in bytes. `wanted` says whether only
-    /// some bins are requested.
+    /// Bytes that each thread needs to look up the bins of this many `particles`. `wanted` is true
+    /// if only some bins are counted.
     pub fn lookup_bytes(particles: usize, wanted: bool) -> u64 {
         LatestNumbers::bytes(particles) + if wanted { BinSieve::bytes(particles) } else { 0 }
     }
@@ -375,7 +375,7 @@ impl BinPlan {
                     Ok::<_, Infallible>(())
                 });
             }
-            // A cube that did not exist in the first reading has counters and no slots.
+            // A cube that was not found in the first reading has counters, but no slots.
             cursors == ends && table.len() == ends.len()
         });
         if as_counted.reduce(|| true, |one, other| one & other) {
@@ -386,8 +386,8 @@ impl BinPlan {
     }
 }
 
-/// Increments the number of the bin with a rank, and returns its previous value; `None` for
-/// [`NOWHERE`], or if the table did not have the bin before.
+/// Increments the entry of `numbers` for a bin's rank, and returns its previous value; `None` if
+/// the rank is [`NOWHERE`] or beyond the end of `numbers`.
 #[inline(always)]
 fn advance(numbers: &mut [usize], rank: u32) -> Option<usize> {
     let number = numbers.get_mut(rank as usize)?;
@@ -437,7 +437,7 @@ pub(super) fn components(particles: &(impl Particles + ?Sized), carried: &[usize
 /// Maximum number of particles in a range, so that a bin's counter can count them all.
 const MOST_COUNTED: usize = u32::MAX as usize;
 
-/// A few ranges of particles per thread. The results do not depend on their number.
+/// A few ranges of particles per thread. The results do not depend on the number of ranges.
 fn ranges(len: usize) -> Vec<Range<usize>> {
     let count = (rayon::current_num_threads() * 2)
         .min(len.div_ceil(1 << 16))
@@ -465,7 +465,7 @@ fn all_bins(counts: &[RangeCount]) -> Vec<(MortonKey, BinCode)> {
     bins
 }
 
-/// Counts particles and stops at too many bins.
+/// Counts particles, and stops as soon as they touch too many bins.
 struct Counter {
     placer: Placer,
     room: CountingRoom,

@@ -35,8 +35,8 @@ pub(super) struct BinTable {
 }
 
 impl BinTable {
-    /// The rank of a bin in this table; each cube has [`CUBE`] ranks. A new cube is added without
-    /// particles.
+    /// The rank of a bin in this table; each cube has [`CUBE`] ranks. If the table lacks the bin's
+    /// cube, the cube is added with counts of 0.
     #[inline(always)]
     fn rank(&mut self, bin: BinCode, latest: &mut LatestNumbers) -> u32 {
         let number = *latest.of_cube(bin, |cube| self.found_cube(cube));
@@ -63,9 +63,9 @@ impl BinTable {
         }
     }
 
-    /// For each particle, the rank of its bin and its record. With the results for many particles
-    /// at once, a short loop can read the data of their bins, and wait for several cache lines at
-    /// the same time.
+    /// Fills `placed` with the rank of each particle's bin and the particle's record. Many
+    /// particles are placed in one call, so that the caller can access their bins in a short loop,
+    /// in which the CPU waits for several cache lines at the same time.
     pub(super) fn place_all(
         &mut self,
         addresses: &[Address],
@@ -84,7 +84,7 @@ impl BinTable {
         CUBE * self.codes.len()
     }
 
-    /// The number of particles by rank.
+    /// The number of particles in each bin, indexed by rank.
     pub(super) fn counts(&self) -> &[u32] {
         self.counts.as_flattened()
     }

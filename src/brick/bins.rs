@@ -13,22 +13,22 @@ use super::slots::{Record, Slots};
 
 /// Bits per axis of a packed particle: its offset in the cell, and the cell in the bin.
 pub const AXIS_BITS: u32 = FRACTION_BITS + BIN.ilog2();
-/// Bits of a packed particle; the rest of its 64 bits is free.
+/// Bits of a packed particle; the other bits of its 64-bit word are free.
 pub const RECORD_BITS: u32 = 3 * AXIS_BITS;
 
 /// Bits of a word that a packed particle leaves free.
 pub(super) const FREE_BITS: u32 = u64::BITS - RECORD_BITS;
 
-/// Bins that are sorted before they are written back.
+/// Number of bins that are sorted together before they are written back.
 const SORTED_AT_ONCE: usize = 256;
 
 /// Particles in the order of their bins.
 #[derive(Debug)]
 pub struct Bins {
     pub(super) keys: Vec<MortonKey>,
-    /// The index of each bin's first particle, followed by the number of particles.
+    /// The index of each bin's first particle; the last entry is the number of particles.
     pub(super) first: Vec<usize>,
-    /// Components of each attribute.
+    /// Number of components of each attribute.
     pub(super) components: Vec<usize>,
     /// For each attribute, the number of particles without a finite value.
     pub(super) without: Vec<usize>,
@@ -42,13 +42,13 @@ pub(super) enum ParticleStore {
     File { scratch: Scratch, records_at: u64, attributes_at: Vec<u64> },
 }
 
-/// At most `most` of `len` items along the Morton curve, at equal distances. The step is odd,
-/// because the curve turns at even steps.
+/// The indices of at most `most` of `len` items along the Morton curve, in equal steps. The step is
+/// odd, because an even step would be in phase with the turns of the curve.
 pub fn equal_steps(len: usize, most: usize) -> impl Iterator<Item = usize> {
     (0..len).step_by(len.div_ceil(most) | 1)
 }
 
-/// Bytes of a particle whose attributes have these components.
+/// Bytes of a particle whose attributes have these numbers of components.
 pub(super) fn tuple_bytes(components: &[usize]) -> usize {
     size_of::<Record>() + size_of::<f32>() * components.iter().sum::<usize>()
 }
@@ -62,8 +62,8 @@ pub struct BinContents<'a> {
 }
 
 impl BinContents<'_> {
-    /// The particles as stored: for each axis from x on, the offset in the cell followed by the
-    /// cell in the bin.
+    /// The packed particles. From the lowest bits up, each axis (x first) has the offset in the
+    /// cell, then the cell in the bin.
     pub fn packed(&self) -> &[u64] {
         &self.records
     }
@@ -78,7 +78,8 @@ impl BinContents<'_> {
 }
 
 impl Bins {
-    /// The bins whose slots were filled; `first` has the index of each bin's first particle.
+    /// Makes bins of `slots` that threads have filled; `first` has the index of each bin's first
+    /// particle.
     pub(super) fn of_slots(
         slots: Slots,
         keys: Vec<MortonKey>,
@@ -100,16 +101,16 @@ impl Bins {
         }
     }
 
-    /// Memory of a bin in tables until the surface is done, in bytes, for any number of particles.
+    /// Bytes that tables need for a bin until the surface is done, however many particles it has.
     pub const TABLE_BYTES: u64 = 344;
 
-    /// For each attribute, the number of particles without a finite value: either it exceeds f32,
-    /// or it is missing.
+    /// For each attribute, the number of particles without a finite value: their value exceeds the
+    /// range of f32, or is missing.
     pub fn without(&self) -> &[usize] {
         &self.without
     }
 
-    /// Bytes of a binned particle whose attributes have these components.
+    /// Bytes of a binned particle whose attributes have these numbers of components.
     pub fn particle_bytes(components: &[usize]) -> u64 {
         tuple_bytes(components) as u64
     }
@@ -128,7 +129,7 @@ impl Bins {
     /// floating-point sums have a fixed order.
     ///
     /// # Errors
-    /// If they are in a scratch file that cannot be read or written.
+    /// If the particles are in a scratch file that cannot be read or written.
     pub fn sorted(mut self) -> io::Result<Self> {
         for bins in (0..self.keys.len()).collect::<Vec<_>>().chunks(SORTED_AT_ONCE) {
             let sorted: Vec<(Vec<Record>, Vec<Vec<f32>>)> =
@@ -182,7 +183,7 @@ impl Bins {
     /// [sorted](Self::sorted).
     ///
     /// # Errors
-    /// If they are in a scratch file that cannot be read.
+    /// If the particles are in a scratch file that cannot be read.
     pub fn contents(&self, bin: usize) -> io::Result<BinContents<'_>> {
         let range = self.first[bin]..self.first[bin + 1];
         match &self.store {

@@ -44,7 +44,7 @@ pub struct Block<T = u16> {
 }
 
 impl<T: Copy + Default> Block<T> {
-    /// All zero.
+    /// A block of zeros.
     pub fn zero(cells: CellBox) -> Self {
         Self { cells, samples: vec![T::default(); cells.volume()] }
     }
@@ -107,9 +107,9 @@ impl<T: Copy + Default> Block<T> {
         self.cells.lo + IVec3::new((rest % row) as i32, (rest / row) as i32, z as i32)
     }
 
-    /// The first and the last cell for whose sample `is` holds.
+    /// The first and the last cell whose sample satisfies `is`.
     fn ends_of(&self, is: impl Fn(T) -> bool) -> Option<[IVec3; 2]> {
-        // `is` holds for few samples: a whole piece is tested at once.
+        // Few samples satisfy `is`, so this tests a whole piece of samples at once.
         let any = |samples: &&[T]| {
             samples.iter().fold(0_u16, |any, &sample| any | u16::from(is(sample))) > 0
         };
@@ -123,14 +123,13 @@ impl<T: Copy + Default> Block<T> {
         Some([first, last].map(|place| self.cell(place)))
     }
 
-    /// The tightest box around the samples for which `is` holds.
+    /// The tightest box around the samples that satisfy `is`.
     pub fn box_of(&self, is: impl Fn(T) -> bool) -> CellBox {
         let mut found = CellBox::EMPTY;
         let Some([first, last]) = self.ends_of(&is) else { return found };
         let (lo, hi) = (self.cells.lo.with_z(first.z), self.cells.hi.with_z(last.z + 1));
         for ([y, z], row) in self.rows(CellBox { lo, hi }) {
-            // In most rows it holds for no sample, which this loop tests for many samples at a
-            // time.
+            // In most rows no sample satisfies `is`; this loop tests many samples at a time.
             if row.iter().fold(0_u16, |any, &sample| any | u16::from(is(sample))) == 0 {
                 continue;
             }
@@ -145,8 +144,8 @@ impl<T: Copy + Default> Block<T> {
         found
     }
 
-    /// Sets the samples in `part` to `value` of the existing sample and of the one in `samples`,
-    /// which covers the box `from`, x fastest.
+    /// Sets each sample in `part` to `value(existing, new)`. The new `samples` cover the box
+    /// `from`, x fastest.
     ///
     /// # Panics
     /// If `part` is not within the block and `from`.
@@ -193,8 +192,8 @@ impl<T: Copy + Default> Block<T> {
         }
     }
 
-    /// Sets samples in `part` to `value` of the existing sample and of single new ones, and skips
-    /// samples outside of `part`. The places of `samples` are relative to the cell `corner`.
+    /// Sets single samples to `value(existing, new)`, and skips new samples outside of `part`. The
+    /// places of the new `samples` are relative to the cell `corner`.
     ///
     /// # Panics
     /// If `part` is not within the block.
@@ -215,7 +214,7 @@ impl<T: Copy + Default> Block<T> {
         }
     }
 
-    /// The samples of some of the block's cells.
+    /// A copy of the samples of some `cells` of this block.
     ///
     /// # Panics
     /// If `cells` are not within the block.
@@ -225,10 +224,10 @@ impl<T: Copy + Default> Block<T> {
         part
     }
 
-    /// Copies the samples of another block, whose cells must be within this one.
+    /// Copies the samples of `other` into this block.
     ///
     /// # Panics
-    /// If they are not.
+    /// If a cell of `other` is not in this block.
     pub fn put(&mut self, other: &Self) {
         self.put_part(other.cells, other.cells, &other.samples, |_, sample| sample);
     }
@@ -243,11 +242,12 @@ impl<T: Copy + Default> Block<T> {
         self
     }
 
-    /// An operation along one axis; the result is smaller by `reach` on both sides. The content of
-    /// `spare` is undefined before and after.
+    /// Replaces the samples by the results of `fill` along one axis. The block becomes smaller by
+    /// `reach` cells at both ends of the axis. `spare` is scratch memory: its content does not
+    /// matter before the call, and is undefined after it.
     ///
-    /// `fill` overwrites a row of the result: sample i from the taps i, i + step, ..., the first of
-    /// them `reach` cells below it and the last `reach` cells above.
+    /// `fill` overwrites a row of the result. It computes sample i from the taps i, i + step, ...:
+    /// the first tap is `reach` cells below the sample, and the last tap `reach` cells above.
     ///
     /// # Panics
     /// If the block is too small for one cell to remain.
@@ -273,8 +273,8 @@ impl<T: Copy + Default> Block<T> {
         };
         let volume = self.cells.volume();
         if axis == 0 {
-            // Rows are short, so they are processed as one; results that mix both sides of a row's
-            // end are dropped.
+            // Rows are short, so all rows are processed as one long row. Results that mix samples
+            // of two rows are dropped.
             let all = self.samples.len() - margin;
             fill_all(&mut spare[..all], &self.samples);
             let width = self.cells.size().x as usize;
@@ -298,7 +298,7 @@ impl<T: Copy + Default> Block<T> {
     /// Repeats the outermost cells of `domain` in all cells beyond its walls (METHOD section 4).
     ///
     /// # Panics
-    /// If the block lacks the cell of the domain that is nearest to one of its own.
+    /// If the block lacks the cell of `domain` that is nearest to one of the block's cells.
     pub fn repeat_edges(&mut self, domain: CellBox) {
         if domain.covers(&self.cells) {
             return;
@@ -346,9 +346,9 @@ fn any_full(samples: &[u16]) -> bool {
     samples.iter().fold(0, |any, sample| any | sample) > 0
 }
 
-/// Sets rows of `N` samples, which begin at given indices in both, to `value` of the existing
-/// samples and of `samples`. `N` is known at compile time: the row of a brick, or of the part that
-/// reaches into a neighbour's halo.
+/// Sets rows of `N` samples to `value(existing, new)`. `rows` has the indices at which each row
+/// begins in `to` and in the new `samples`. `N` is known at compile time: it is the length of a row
+/// of a brick, or of the part of a brick that reaches into a neighbour's halo.
 #[inline(always)]
 fn put_rows<T: Copy, const N: usize>(
     to: &mut [T],

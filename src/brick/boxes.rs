@@ -1,5 +1,5 @@
 //! Bounding boxes of chunks of particles, collected while all particles are read. A later reader of
-//! only some bins can skip the chunks whose boxes contain none of them.
+//! only some bins can skip the chunks whose boxes contain none of these bins.
 
 use std::ops::Range;
 use std::sync::{Mutex, PoisonError};
@@ -15,7 +15,7 @@ use super::bins::AXIS_BITS;
 /// Positions per group, a multiple of the lanes of every vector width.
 const LANES: usize = 8;
 
-/// Particles with a bounding box per chunk, which grows while they are read.
+/// Particles that record a bounding box of each chunk while they are read.
 #[derive(Debug)]
 pub struct WithBoxes<'a, P: ?Sized> {
     particles: &'a P,
@@ -56,8 +56,8 @@ impl Extent {
 }
 
 impl<'a, P: Particles + ?Sized> WithBoxes<'a, P> {
-    /// Wraps `particles`, whose consecutive chunks have these `counts`; these sum to the number of
-    /// particles.
+    /// Wraps `particles`, which consist of consecutive chunks with these `counts`. The sum of
+    /// `counts` must be the number of particles.
     pub fn new(particles: &'a P, counts: impl Iterator<Item = usize>, grid: &Grid) -> Self {
         let mut end = 0;
         let chunks = counts.map(|count| {
@@ -70,9 +70,8 @@ impl<'a, P: Particles + ?Sized> WithBoxes<'a, P> {
         Self { particles, grid: *grid, chunks }
     }
 
-    /// For each chunk, the box of bins around the particles that were read: all particles on the
-    /// grid and within the domain's walls lie in bins of this box. `None` if no particle is on the
-    /// grid.
+    /// For each chunk, a box of bins that contains every particle that was read, is on the grid and
+    /// is within the domain's walls; `None` if no particle is on the grid.
     pub fn boxes(&self, domain: Option<&Domain>) -> Vec<Option<CellBox>> {
         let bins = |chunk: &ChunkExtent| {
             let extent = *chunk.extent.lock().unwrap_or_else(PoisonError::into_inner);

@@ -1,8 +1,9 @@
 //! A field in cells twice as wide, made from the finer field bin by bin on demand.
 //!
-//! Along each axis a wide cell takes 1/8, 3/8, 3/8 and 1/8 of the four cells around its middle.
-//! This preserves the mass, the centroid and, up to a constant, the variance of the content in any
-//! position. Beyond walls the finer field repeats its edge cells, as for all filters.
+//! Along each axis a wide cell takes 1/8, 3/8, 3/8 and 1/8 of the content of the four cells around
+//! its middle. This preserves the mass, the centroid and, up to a constant, the variance of the
+//! content, wherever it lies. Beyond walls the finer field repeats its edge cells, as for all
+//! filters.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -20,7 +21,8 @@ use super::{Block, BrickSide, DifField, Factor, PageInfo, PageSamples, PageShape
 
 /// The binary logarithm of the sum of the weights of the cells around the middle of a wide cell.
 const WEIGHT_BITS: u32 = 9;
-/// The number of additional bits of their product: a wide cell holds the content of eight cells.
+/// Bits by which the product of a weighted sum and a [`Factor`] is shifted right. A wide cell holds
+/// the content of 2^3 cells, which saves three bits.
 pub const HALVED_BITS: u32 = WEIGHT_BITS + FACTOR_BITS - 3;
 
 /// The box of wide cells that overlaps a box of cells or gets content from it.
@@ -31,8 +33,8 @@ pub fn halved_box(cells: CellBox) -> CellBox {
 /// The arrangement of pages of cells that were made from cells half as wide.
 pub const HALVED: PageShape = PageShape { side: BrickSide::Sixteen, ghost_layer: 0 };
 
-/// Along an axis with `step` sums per plane, makes one plane of `to` from every two planes of
-/// `run`, plus one on both sides.
+/// Halves the number of planes along an axis whose planes have `step` sums each. Each plane of `to`
+/// is made from two planes of `run`, and from one more on both sides of these.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
 fn halved_along(to: &mut [u32], run: &[u32], step: usize) {
     if step == 1 {
@@ -109,7 +111,7 @@ impl Halving {
         }
         let wide = CellBox { lo: (fine.lo + 1) / 2, hi: (fine.hi - 1) / 2 };
         let mut sums = vec![0; dense.len()];
-        // At walls every part may have content.
+        // Beyond walls the edge cells are repeated, so every part may have content.
         let parts = match self.walls {
             Some(walls) if !walls.covers(&fine) => vec![fine],
             _ => self.fine.parts_with_samples(fine),
@@ -131,8 +133,7 @@ impl Halving {
         dense
     }
 
-    /// Adds the content of `part` of the finer cells in the `wide` cells of a bin to the bin's
-    /// sums.
+    /// Adds the content of `part`, a box of finer cells, to the sums of the `wide` cells of a bin.
     fn add(&self, sums: &mut [u32], bin: IVec3, part: CellBox, wide: CellBox) {
         let near = CellBox { lo: (part.lo - 1) >> 1, hi: (part.hi >> 1) + 1 };
         let wide = wide.intersection(&near);
@@ -145,8 +146,7 @@ impl Halving {
         let corner = bin * BIN;
         let mut size = from.size().as_usizevec3();
         let mut halved: Vec<u32> = fine.samples().iter().map(|&sample| sample.into()).collect();
-        // Along x last, when the fewest cells are left, because the taps along x are not
-        // contiguous.
+        // The taps along x are not contiguous, so x comes last, when the fewest cells are left.
         for axis in [2, 1, 0] {
             let step = [1, size.x, size.x * size.y][axis];
             let planes = size[axis];
@@ -178,10 +178,10 @@ impl PageSource for Halving {
 }
 
 impl DifField {
-    /// The field in cells twice as wide, whose samples are the content of a cell times `factor`,
-    /// which is at most 1; samples are at most 65535. If this field is in memory, so are the pages
-    /// of the result; otherwise they go to a scratch file in a folder. Without a folder, or without
-    /// space in it, they are remade on demand.
+    /// The field in cells twice as wide. Its samples are the content of a wide cell times `factor`
+    /// (at most 1), but at most 65535. If this field is in memory, the pages of the result are also
+    /// in memory; otherwise they are written to a scratch file in a folder. Without a folder, or
+    /// without space in it, pages are remade on demand.
     pub fn halved(
         self: &Arc<Self>,
         walls: Option<CellBox>,
@@ -264,7 +264,7 @@ mod tests {
         Arc::new(DifField::in_memory(HALVED, pages))
     }
 
-    /// The formula, cell by cell.
+    /// Evaluates the formula for one wide cell.
     fn plain(fine: &DifField, walls: Option<CellBox>, cell: IVec3, factor: f64) -> u16 {
         let weights = [1.0, 3.0, 3.0, 1.0];
         let around = CellBox { lo: cell * 2 - 1, hi: cell * 2 + 3 };

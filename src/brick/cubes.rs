@@ -33,7 +33,7 @@ pub(super) fn in_cube(bin: BinCode) -> u32 {
     axis(0) | axis(1) << CUBE_BITS | axis(2) << (2 * CUBE_BITS)
 }
 
-/// The code of a bin of a cube, by its number there.
+/// The code of a bin, given its cube and its number in the cube.
 pub(super) fn bin_of_cube(cube: BinCode, number: usize) -> BinCode {
     let axis = |a: u32| {
         (number as BinCode >> (a * CUBE_BITS) & ((1 << CUBE_BITS) - 1)) << (a * COORD_BITS)
@@ -49,8 +49,8 @@ pub(super) struct CubeCache<T> {
 }
 
 impl<T: Copy + Default> CubeCache<T> {
-    /// A cache for `particles` in any order, with about as many cubes along each axis as a pool of
-    /// that many particles.
+    /// A cache for this many `particles` in any order. Along each axis it has about as many slots
+    /// as a pool of this many particles has cubes.
     pub(super) fn of(particles: usize) -> Self {
         let bits = Self::bits(particles);
         Self { bits, cubes: vec![(BinCode::MAX, T::default()); 1 << (3 * bits)] }

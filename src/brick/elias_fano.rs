@@ -1,9 +1,10 @@
 //! The Elias-Fano code: a multiset of integers in close to the minimum space.
 //!
-//! For n integers up to u, each integer keeps its lowest l bits, where l is the width of u / n. The
-//! bits above are its key; in the order of their keys, integer number i sets bit `key + i` of a bit
-//! map. That takes l + 1 bits per integer, and up to n bits for the keys. The order of integers
-//! with the same key does not matter, so a counting sort is enough.
+//! Let n integers be at most u, and let l be the number of bits of u / n. The lowest l bits of each
+//! integer are stored directly. Its higher bits are its key: integers are sorted by key, and
+//! integer number i sets bit `key + i` of a bit map. The code takes l + 1 bits per integer, and up
+//! to n more bits for the keys. The order of integers with the same key does not matter, so a
+//! counting sort is enough.
 //!
 //! P. Elias: *Efficient storage and retrieval by content and address of static files* (1974).
 
@@ -20,7 +21,7 @@ pub(super) struct EliasFano {
 }
 
 impl EliasFano {
-    /// For `count` integers, at least one, all at most `greatest`.
+    /// The layout for `count` integers that are at most `greatest`. `count` must be at least 1.
     pub fn new(count: usize, greatest: u64) -> Self {
         let low_bits =
             (u64::BITS - (greatest / count as u64).leading_zeros()).clamp(1, u64::BITS - 1);
@@ -53,7 +54,7 @@ impl EliasFano {
         order
     }
 
-    /// Encodes integers that come in this [`order`](Self::order).
+    /// Encodes integers that are sorted in the order of [`order`](Self::order).
     pub fn encode(&self, integers: impl Iterator<Item = u64>) -> Vec<u64> {
         let mut words = vec![0; self.words()];
         let (map, low) = words.split_at_mut(self.map_words());

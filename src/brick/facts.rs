@@ -20,7 +20,7 @@ pub struct FrameFacts {
 }
 
 impl FrameFacts {
-    /// The cells within the walls, if there are any.
+    /// The cells within the walls; `None` without walls.
     #[must_use]
     pub fn walls(&self) -> Option<CellBox> {
         self.domain.as_ref().map(Domain::cells)

@@ -16,8 +16,8 @@ use super::{Block, BrickSide, PageInfo, PageSamples, PageShape, PageSource, Page
 
 /// The discrete indicator function of a frame. Outside of its bricks it is exactly 0.
 ///
-/// A cell is full if its stored sample is not 0: if it contains particles, in the paper's sense, or
-/// is near one.
+/// A cell is full if its stored sample is not 0: it contains particles, as in the paper, or is near
+/// a particle.
 #[derive(Debug)]
 pub struct DifField {
     shape: PageShape,
@@ -57,7 +57,7 @@ impl DifField {
     }
 
     /// Makes a field of pages, sorted by key, whose samples are in another memory and are fetched
-    /// on demand. If that fails, `otherwise` makes them.
+    /// on demand. If fetching fails, `otherwise` makes the samples.
     pub fn from_remote(
         shape: PageShape,
         infos: Vec<PageInfo>,
@@ -74,19 +74,20 @@ impl DifField {
         Self { shape, infos, rank, store, stored: SampleMeaning::Theta }
     }
 
-    /// Declares that the stored samples are numbers of particles, and `theta` the DIF for each
-    /// number: 0 for none, more than 0 for any, and 1 beyond its end.
+    /// Declares that the stored samples are numbers of particles. `theta[n]` is the DIF for n
+    /// particles: 0 for n = 0, and positive otherwise. For n beyond the end of `theta`, the DIF is
+    /// 1.
     pub fn with_decode(self, theta: &[u16]) -> Self {
         Self { stored: SampleMeaning::Counts(DecodeTable::new(theta)), ..self }
     }
 
-    /// Bytes of samples that may be in memory; `None` if all are.
+    /// Maximum bytes of samples in memory; `None` if all samples are in memory.
     pub(super) fn cache_bytes(&self) -> Option<u64> {
         self.store.cache_bytes()
     }
 
-    /// Returns the samples that are not in the host's memory but, for example, in a device's, if
-    /// there are any.
+    /// The samples that are outside of the host's memory, for example on a device; `None` if there
+    /// are none.
     pub fn remote(&self) -> Option<&dyn RemotePages> {
         match &self.store {
             PageStore::Remote { pages, .. } => Some(&**pages),
@@ -99,7 +100,7 @@ impl DifField {
         self.shape.ghost_layer
     }
 
-    /// The arrangement of the samples of its pages.
+    /// The arrangement of the samples in the field's pages.
     pub fn shape(&self) -> PageShape {
         self.shape
     }
@@ -128,7 +129,7 @@ impl DifField {
         self.infos.iter().map(|info| u64::from(info.bricks.count_ones())).sum()
     }
 
-    /// Bytes of all samples of its bricks, in any storage.
+    /// Bytes of the samples of all bricks, wherever they are stored.
     pub fn sample_bytes(&self) -> u64 {
         let bytes = |info: &PageInfo| (info.samples(self.shape) * size_of::<u16>()) as u64;
         self.infos.iter().map(bytes).sum()
@@ -154,8 +155,8 @@ impl DifField {
         block
     }
 
-    /// Cuts out the samples. `value` combines the existing sample with the stored sample of another
-    /// brick.
+    /// Cuts the samples of `cells` out of the bricks. `value` combines the existing sample with the
+    /// stored sample of another brick.
     fn gather_by(&self, cells: CellBox, value: impl Fn(u16, u16) -> u16 + Copy) -> Block {
         let PageShape { side, ghost_layer } = self.shape;
         let edge = side.cells();
@@ -211,14 +212,15 @@ impl DifField {
         }
     }
 
-    /// The number of cells in the boxes around the full cells of all bins that overlap some cells.
+    /// The total volume, in cells, of the boxes around the full cells of all bins that overlap
+    /// `cells`.
     pub fn full_volume(&self, cells: CellBox) -> usize {
         let bins = cells.cubes(BIN).filter_map(|bin| self.rank.get(&bin));
         bins.map(|&rank| self.infos[rank as usize].full.volume()).sum()
     }
 
-    /// The parts of some cells that lie within `reach` cells of a bin's full cells along every
-    /// axis; they may overlap.
+    /// For each bin, the part of `cells` that lies within `reach` cells of the box around the bin's
+    /// full cells, along every axis. Parts may overlap.
     pub fn parts_near(&self, cells: CellBox, reach: i32) -> impl Iterator<Item = CellBox> + '_ {
         let bins = cells.grown(reach, reach).cubes(BIN).filter_map(|bin| self.rank.get(&bin));
         let near = bins.map(move |&rank| {
@@ -227,9 +229,9 @@ impl DifField {
         near.filter(|part| !part.is_empty())
     }
 
-    /// The parts of some cells that lie within `reach` cells of full cells along every axis; they
-    /// may overlap. A bin with few full cells has a part for each group of adjacent ones; other
-    /// bins have one part.
+    /// The parts of `cells` that lie within `reach` cells of full cells, along every axis. Parts
+    /// may overlap. A bin with few full cells has a part for each group of adjacent full cells;
+    /// other bins have one part.
     pub fn parts_near_groups(&self, cells: CellBox, reach: i32) -> Vec<CellBox> {
         let (mut parts, mut groups) = (Vec::new(), Vec::new());
         for bin in cells.grown(reach, reach).cubes(BIN) {
@@ -251,7 +253,7 @@ impl DifField {
         parts
     }
 
-    /// Boxes that contain all nonzero samples of some cells, without overlap.
+    /// Boxes that contain all nonzero samples of `cells`. Boxes do not overlap.
     pub fn parts_with_samples(&self, cells: CellBox) -> Vec<CellBox> {
         let mut parts: Vec<CellBox> = Vec::new();
         for part in self.parts_near(cells, self.shape.ghost_layer) {
@@ -260,8 +262,9 @@ impl DifField {
         parts
     }
 
-    /// The parts of blocks that lie up to `below` cells under or `above` cells over a full cell
-    /// along every axis, as boxes of cells, in the Morton order of their blocks.
+    /// The parts of blocks that are near full cells, as boxes of cells in the Morton order of the
+    /// blocks. Along every axis, a part extends `below` cells below and `above` cells above the
+    /// full cells.
     pub fn regions(&self, below: i32, above: i32) -> Vec<CellBox> {
         block_parts(self.infos.iter().map(|info| info.full.grown(below, above)))
     }
@@ -282,7 +285,7 @@ impl DifField {
     }
 }
 
-/// Adds a box to others, merged with those at most `gap` cells away.
+/// Adds a box to `boxes`, merged with every box that is at most `gap` cells away.
 fn join(boxes: &mut Vec<CellBox>, mut new: CellBox, gap: i32) {
     let is_near =
         |other: &CellBox, new: &CellBox| !other.grown(gap, gap).intersection(new).is_empty();
@@ -322,12 +325,12 @@ impl DecodeTable {
 /// Bits of a [`Factor`].
 pub(super) const FACTOR_BITS: u32 = 16;
 
-/// The fraction of their content that wide cells store: at most 1.
+/// The fraction of its content that a wide cell stores, at most 1.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Factor(u32);
 
 impl Factor {
-    /// Rounds a factor of at most 1 down to a step.
+    /// Rounds a factor of at most 1 down to a multiple of 2^-16.
     pub fn new(factor: f64) -> Self {
         Self((factor * f64::from(1 << FACTOR_BITS)) as u32)
     }
@@ -338,8 +341,8 @@ impl Factor {
     }
 }
 
-/// Samples in another memory than the host's, with operations that run there. Operations return
-/// `None` on failure; the host then computes the result.
+/// Samples outside of the host's memory, with operations that run where the samples are. An
+/// operation returns `None` on failure; the host then computes the result.
 pub trait RemotePages: Send + Sync + Debug {
     /// The number of pages.
     fn count(&self) -> usize;
@@ -347,8 +350,8 @@ pub trait RemotePages: Send + Sync + Debug {
     /// The samples of consecutive pages.
     fn samples(&self, pages: Range<usize>) -> Option<Vec<PageSamples>>;
 
-    /// The pages of bins in cells twice as wide, without empty ones: the same as
-    /// [`DifField::halved`](super::DifField::halved), within the `walls` of these cells.
+    /// The pages of `bins` in cells twice as wide, without empty pages: the same as in
+    /// [`DifField::halved`](super::DifField::halved). `walls` are in cells of this field.
     fn halved(
         &self,
         bins: &[IVec3],
@@ -356,8 +359,9 @@ pub trait RemotePages: Send + Sync + Debug {
         factor: Factor,
     ) -> Option<(Vec<PageInfo>, Box<dyn RemotePages>)>;
 
-    /// For each page, a bit per brick of four cells, by its Morton index. It is set if every cube
-    /// of `width` parts along each axis that overlaps the brick holds at least `least`. A part is
-    /// two cells wide, and cubes slide by one part.
+    /// For each page, one bit per brick of 4^3 cells, at the brick's Morton index. The bit is set
+    /// if, in every cube that overlaps the brick, the sum of the samples is at least `least`. A
+    /// cube has `width` parts along each axis, a part is two cells wide, and cubes slide by one
+    /// part.
     fn full_bricks(&self, width: u32, least: u32) -> Option<Vec<u64>>;
 }

@@ -1,9 +1,9 @@
 //! Particles of a periodic box together with their images, so that binning need not handle periodic
 //! boxes.
 //!
-//! Images follow the particles, and are never stored. The number of images is known for each group
-//! of particles, and reading images recomputes them from the particles of their groups. Groups
-//! without images are not read again.
+//! Images have the indices after the last particle, and are never stored. The number of images is
+//! known for each group of particles, and reading images recomputes them from the particles of
+//! their groups. Groups without images are not read again.
 
 use std::ops::Range;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -34,7 +34,8 @@ pub struct WithImages<'a, P: ?Sized> {
 struct Images<'a> {
     placer: Placer,
     periodic: &'a Periodic,
-    /// For each group, the number of images in the groups before it, followed by the total.
+    /// For each group, the number of images in the groups before it; the last entry is the number
+    /// of all images.
     before: Vec<u64>,
     /// Number of particles outside of the box.
     astray: usize,
@@ -44,7 +45,7 @@ struct Images<'a> {
 #[derive(Default)]
 struct InvalidCounts {
     astray: AtomicUsize,
-    /// The first group with an invalid particle, and that particle.
+    /// The number of the first group with an invalid particle, and the error for this particle.
     first_invalid: Mutex<Option<(usize, BinError)>>,
 }
 
@@ -53,7 +54,7 @@ impl<'a, P: Particles + ?Sized> WithImages<'a, P> {
     ///
     /// # Errors
     /// [`BinError`] with the first particle that cannot be placed or is outside of the box, unless
-    /// these are skipped.
+    /// invalid particles are skipped.
     pub fn of(
         particles: MeteredParticles<'a, P>,
         grid: &Grid,
@@ -86,12 +87,13 @@ impl<'a, P: Particles + ?Sized> WithImages<'a, P> {
         })
     }
 
-    /// Begins to report the particles that are read as progress of a stage, up to a fraction of it.
+    /// Starts `stage`: from now on, reading particles advances the progress of this stage up to the
+    /// fraction `to`.
     pub fn begin(&mut self, stage: Stage, to: f64) {
         self.particles.begin(stage, to);
     }
 
-    /// Converts a census that includes images to one of the particles themselves.
+    /// Converts a census that includes images to a census of the particles alone.
     pub fn census(&self, census: Census) -> Census {
         let Some(images) = &self.images else { return census };
         Census {
@@ -103,7 +105,7 @@ impl<'a, P: Particles + ?Sized> WithImages<'a, P> {
     }
 }
 
-/// A position between the faces, and its steps.
+/// A position within the faces of the periodic box, and the same position in steps.
 type Wrapped = ([f64; 3], [i64; 3]);
 
 /// A particle that cannot be binned.
@@ -124,7 +126,8 @@ impl Images<'_> {
         self.before.last().map_or(0, |&all| all as usize)
     }
 
-    /// The position of a particle between the faces, and its steps; `None` outside of the domain.
+    /// A particle's position within the faces of the periodic box, and its steps; `None` outside of
+    /// the domain.
     fn placed(&self, position: [f64; 3]) -> Result<Option<Wrapped>, MisplacedParticle> {
         let inside = self.periodic.inside(position).map_err(MisplacedParticle::Astray)?;
         let steps = self.placer.place(inside).map_err(MisplacedParticle::Unplaced)?;
@@ -183,8 +186,9 @@ impl Images<'_> {
         images
     }
 
-    /// Calls `take` for the groups of `count` images from number `first` on, with the group's
-    /// particles, the index of each image's particle in the group, and the positions of the images.
+    /// Calls `take` for each group that has some of the `count` images from number `first` on.
+    /// `take` gets the range of the group's particles, each image's particle as an index within the
+    /// group, and the positions of the images.
     fn groups(
         &self,
         particles: &(impl Particles + ?Sized),
@@ -193,8 +197,8 @@ impl Images<'_> {
         mut take: impl FnMut(Range<usize>, &[usize], &[[f64; 3]]),
     ) {
         let wanted = first as u64..(first + count) as u64;
-        // The last group that begins no later; earlier groups that begin at the same image have
-        // none.
+        // The last group whose images begin at or before the first wanted image. Earlier groups
+        // that begin at the same image have no images.
         let begin = self.before.partition_point(|&before| before <= wanted.start).saturating_sub(1);
         let ends = self.before[1..].iter().enumerate().skip(begin);
         let groups = ends.take_while(|&(group, _)| self.before[group] < wanted.end);
@@ -206,8 +210,8 @@ impl Images<'_> {
                 .iter()
                 .enumerate()
                 .flat_map(|(own, &at)| self.of(at).map(move |at| (own, at)));
-            // Particles that moved in the meantime have other images. If there are fewer, the rest
-            // is set to NaN, and binning detects the change.
+            // Particles that moved since they were counted have other images. If there are fewer
+            // images now, the missing ones are set to NaN, and binning detects the change.
             let nowhere = std::iter::repeat((0, [f64::NAN; 3]));
             let numbered = (self.before[group]..self.before[group + 1]).zip(all.chain(nowhere));
             let numbered = numbered.filter(|(number, _)| wanted.contains(number));
@@ -283,7 +287,8 @@ impl<P: Particles + ?Sized> Particles for WithImages<'_, P> {
 }
 
 impl<P: Particles + ?Sized> WithImages<'_, P> {
-    /// Fills `out` with attribute number `index`, which `read` reads for the particles themselves.
+    /// Fills `out` with attribute number `index` of particles and images. `read` reads the
+    /// attribute of particles; an image has the value of its particle.
     fn tuples<T: Copy + Default>(
         &self,
         index: usize,
@@ -360,7 +365,7 @@ mod tests {
         assert!(matches!(first, BinError::NotFinite { index: 7, .. }), "{first}");
         let all = of(InvalidParticles::Skip).unwrap();
         let len = all.len();
-        // The particles fill the box, which is larger by 0.06 on either side along two axes.
+        // The particles fill the box. Images extend it by 0.06 on both sides along two axes.
         let expected = 4000.0 * (1.12 * 1.12 - 1.0);
         assert!(((len - 5000) as f64 - expected).abs() < 0.1 * expected, "{} images", len - 5000);
 

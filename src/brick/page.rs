@@ -15,8 +15,8 @@ use super::{PageSamples, PageShape};
 pub struct PageInfo {
     /// The key of the page's bin.
     pub key: MortonKey,
-    /// A bit for every brick with a full cell of its own, by its Morton index in the bin. Other
-    /// bricks are not stored.
+    /// A bit for every stored brick, at the brick's Morton index in the bin. Only bricks with a
+    /// full cell of their own are stored.
     pub bricks: u64,
     /// The tightest box around the bin's full cells, in grid coordinates.
     pub full: CellBox,
@@ -28,8 +28,8 @@ pub struct PageInfo {
 pub type Pages = Vec<(PageInfo, PageSamples)>;
 
 impl PageInfo {
-    /// Describes a bin with `full_count` full cells, given a bit for each layer across x, y and z
-    /// with at least one.
+    /// Describes a bin with `full_count` full cells. For x, y and z, `layers` has a bit for each
+    /// layer of cells across the axis; it is set if the layer has a full cell.
     pub(super) fn of_layers(
         key: MortonKey,
         bricks: u64,
@@ -42,8 +42,8 @@ impl PageInfo {
         Self { key, bricks, full: CellBox { lo: lo + corner, hi: hi + corner }, full_count }
     }
 
-    /// Keeps the bricks of `dense` that have a full cell of their own. Without ghost layers `dense`
-    /// is a whole bin, x fastest; with ghost layers it has the form of
+    /// Makes a page of the bricks of `dense` that have a full cell of their own. Without ghost
+    /// layers, `dense` is a whole bin, x fastest; with ghost layers it has the form of
     /// [`from_bricks`](Self::from_bricks).
     pub fn from_dense(bin: IVec3, dense: &[u16], shape: PageShape) -> Option<(Self, PageSamples)> {
         if shape.ghost_layer > 0 {
@@ -60,8 +60,8 @@ impl PageInfo {
         Self::from_bricks(bin, &mut bricks, shape)
     }
 
-    /// Keeps the bricks that have a full cell of their own, from all bricks of a bin, in Morton
-    /// order and x fastest in each. The content of `samples` is undefined afterwards.
+    /// Makes a page of the bricks that have a full cell of their own. `samples` has all bricks of a
+    /// bin in Morton order, x fastest in each; its content is undefined afterwards.
     pub fn from_bricks(
         bin: IVec3,
         samples: &mut [u16],
@@ -85,9 +85,9 @@ impl PageInfo {
         })
     }
 
-    /// Takes a page out of the `samples` of a bin that is one brick, and leaves zeros. The samples
-    /// are those of particles in these cells of the bin. `None` if no cell of the bin itself is
-    /// full.
+    /// Takes a page out of the `samples` of a bin with a single brick, and leaves zeros. All
+    /// nonzero samples must come from particles in these `cells` of the bin. `None` if no cell of
+    /// the bin itself is full.
     pub fn take_sparse(
         bin: IVec3,
         samples: &mut [u16],
@@ -189,8 +189,8 @@ fn nonzero_are_in(samples: &[u16], cells: CellBox, inside: CellBox) -> bool {
     (0..).zip(samples).all(|(i, &sample)| sample == 0 || inside.contains(at(i)))
 }
 
-/// The indices where the rows of a brick begin among the cells of its bin, given the brick's lowest
-/// cell.
+/// The index of the first cell of each row of a brick, among the cells of its bin. `corner` is the
+/// brick's lowest cell.
 fn rows(corner: IVec3, edge: i32) -> impl Iterator<Item = usize> {
     let first = move |y, z| (corner.x + BIN * (corner.y + y + BIN * (corner.z + z))) as usize;
     (0..edge).flat_map(move |z| (0..edge).map(move |y| first(y, z)))
@@ -198,7 +198,7 @@ fn rows(corner: IVec3, edge: i32) -> impl Iterator<Item = usize> {
 
 /// The full cells of a bin, including contributions between bricks.
 struct FullCells {
-    /// A bit for each cell of a row along x, y fastest.
+    /// For each row along x, one bit per cell; rows are sorted by z, then y.
     rows: [u16; (BIN * BIN) as usize],
 }
 
@@ -268,10 +268,10 @@ pub fn fullness(samples: &[u16]) -> Vec<u8> {
     samples.iter().map(|&sample| u8::from(sample > 0)).collect()
 }
 
-/// A bit for each byte of such a row.
+/// Packs a row of [`fullness`] bytes into bits.
 ///
 /// # Panics
-/// If there are more than 128.
+/// If the row has more than 128 bytes.
 #[inline]
 pub fn full_bits(row: &[u8]) -> u128 {
     assert!(row.len() <= 128, "a row of {} cells", row.len());

@@ -37,7 +37,7 @@ impl Address {
         Self { bin: x | y << COORD_BITS | z << (2 * COORD_BITS), record: pack(steps) }
     }
 
-    /// Whether there is a bin.
+    /// Whether the particle has a bin.
     pub fn is_somewhere(self) -> bool {
         self.bin != Self::NOWHERE.bin
     }
@@ -67,12 +67,12 @@ struct KnownBins {
 const _: () = assert!(CUBE <= u8::BITS as usize);
 
 impl BinSieve {
-    /// Lookup of bins for `particles`.
+    /// A sieve whose cache suits this many `particles`.
     fn new(wanted: WantedBins, particles: usize) -> Self {
         Self { wanted, known: CubeCache::of(particles) }
     }
 
-    /// Bytes of a lookup for `particles`.
+    /// Bytes of a sieve for this many `particles`.
     pub(super) fn bytes(particles: usize) -> u64 {
         CubeCache::<KnownBins>::bytes(particles)
     }
@@ -112,8 +112,8 @@ impl Placer {
         }
     }
 
-    /// Calls `each` with the index of a chunk's first particle, the positions and their addresses,
-    /// until it returns an error.
+    /// Calls `each` for each chunk, with the index of its first particle, the positions and their
+    /// addresses, until `each` returns an error.
     pub fn for_each_chunk<E>(
         &self,
         particles: &(impl Particles + ?Sized),

@@ -1,5 +1,5 @@
-//! The second reading for particles beyond memory: counted particles go into runs of bins, which
-//! are sorted one by one.
+//! The second reading, for particles that do not fit into memory: counted particles go into runs of
+//! bins, and runs are sorted one by one.
 
 use std::io;
 use std::ops::Range;
@@ -19,13 +19,13 @@ use super::spill::{SpilledBins, in_bin_of_run};
 const RUN_BINS: usize = 1 << RUN_BITS;
 const RUN_BITS: u32 = FREE_BITS;
 
-/// Approximate maximum number of runs in a frame: twice as many still leave bits for the bin within
-/// the run.
+/// Approximate maximum number of runs in a frame. Even twice as many runs leave enough bits for the
+/// number of a bin within its run.
 const MOST_RUNS: usize = 1 << (u32::BITS - RUN_BITS - 1);
 
 impl BinPlan {
-    /// Divides the bins into runs that can be sorted within `bytes`, each with its `carried`
-    /// attributes; a bin that is too large is a run of its own.
+    /// Divides the bins into runs. Each run, with its `carried` attributes, can be sorted within
+    /// `bytes`; a bin that is too large for this is a run of its own.
     pub fn runs(
         &self,
         particles: &(impl Particles + ?Sized),

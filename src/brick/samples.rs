@@ -36,7 +36,7 @@ impl SamplePlace {
         Self((x | y << PLACE_BITS | z << (2 * PLACE_BITS)) as u16)
     }
 
-    /// Relative to the brick's lowest sample.
+    /// The coordinates relative to the brick's lowest sample.
     #[inline]
     pub(super) fn local(self) -> IVec3 {
         IVec3::from(
@@ -105,8 +105,8 @@ impl PageSamples {
         }
     }
 
-    /// All samples of a page, brick after brick, from its words: fewer words than samples have the
-    /// sparse form.
+    /// Decodes the words of a page to all samples, brick after brick. Words have the sparse form if
+    /// there are fewer words than samples.
     ///
     /// # Panics
     /// If the words do not match the shape.
@@ -127,8 +127,8 @@ impl PageSamples {
         }
     }
 
-    /// Upper bound of the bytes of samples with at most `nonzero` nonzero ones in at most `bricks`
-    /// bricks.
+    /// Upper bound of the memory of samples, in bytes: at most `nonzero` of them are not 0, and
+    /// they lie in at most `bricks` bricks.
     pub fn most_bytes(nonzero: usize, bricks: usize, shape: PageShape) -> usize {
         if Self::are_sparse(nonzero, shape) {
             nonzero * size_of::<(SamplePlace, u16)>()
@@ -138,8 +138,9 @@ impl PageSamples {
     }
 }
 
-/// Takes the nonzero samples out of `samples`, of a bin that is one brick, and leaves zeros. All of
-/// them must belong to particles in the given cells of the bin: other samples are not examined.
+/// Takes the nonzero samples out of the `samples` of a bin with a single brick, and leaves zeros.
+/// Every nonzero sample must come from a particle in the given `cells` of the bin, because other
+/// samples are not examined.
 pub(super) fn take_sparse(
     samples: &mut [u16],
     cells: impl ExactSizeIterator<Item = [usize; 3]>,

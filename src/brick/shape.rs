@@ -44,13 +44,14 @@ impl BrickSide {
 pub struct PageShape {
     /// The edge of the bricks.
     pub side: BrickSide,
-    /// The number of cells around its own that a brick stores, to which its own particles
-    /// contribute: 0 or 1. The sample of a cell is the sum over all bricks, at most 65535.
+    /// Width in cells, 0 or 1, of the layer that a brick stores around its own cells. Particles of
+    /// the brick contribute to this layer. The sample of a cell is the sum over all bricks, at most
+    /// 65535.
     pub ghost_layer: i32,
 }
 
 impl From<BrickSide> for PageShape {
-    /// Without a ghost layer.
+    /// A shape without a ghost layer.
     fn from(side: BrickSide) -> Self {
         Self { side, ghost_layer: 0 }
     }
@@ -82,8 +83,9 @@ impl PageShape {
         self.side.bricks_a_bin() * self.brick_samples()
     }
 
-    /// For each axis and cell coordinate in the bin, a part of the index of a cell in a dense bin
-    /// with ghost layers. The sum over the axes is the index of the lowest cell around it.
+    /// Terms of the index of a cell in a dense bin with ghost layers, one for each axis and cell
+    /// coordinate in the bin. The sum of a cell's terms for x, y and z is the index of the lowest
+    /// cell among its neighbours.
     pub fn firsts(self) -> [[usize; BIN as usize]; 3] {
         let (side, edge) = (self.side.cells(), self.edge() as usize);
         [0, 1, 2].map(|axis: usize| {

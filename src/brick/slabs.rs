@@ -17,8 +17,8 @@ use crate::system::memory::mapped_in_huge_pages;
 const LEAST: u64 = 1 << 14;
 /// Maximum size of a slab in bytes: a huge page on most machines.
 const MOST: u64 = 1 << 21;
-/// Slabs in a list's share of memory, so that the last slab, which is not full, wastes little of
-/// it.
+/// Number of slabs in a list's share of memory. It is large, so that the last slab, which is not
+/// full, wastes little of the share.
 const A_SHARE: u64 = 16;
 
 /// Words in slabs.
@@ -64,7 +64,7 @@ impl Slabs {
     /// Adds words, and returns the index of the first.
     ///
     /// # Errors
-    /// If the system has no memory for them; then none is added.
+    /// If the system has no memory for the words; then no word is added.
     pub(super) fn push(&mut self, mut words: &[u64]) -> io::Result<usize> {
         let at = self.len;
         while self.slabs.len() * self.slab < at + words.len() {
@@ -87,7 +87,7 @@ impl Slabs {
         Ok(at)
     }
 
-    /// Some of the words, copied if they lie in more than one slab.
+    /// The words of `range`, copied if they lie in more than one slab.
     pub(super) fn get(&self, range: Range<usize>) -> Cow<'_, [u64]> {
         let within = |number: usize| -> &[u64] {
             let begin = number * self.slab;

@@ -1,10 +1,10 @@
-//! Binning beyond memory: particles go into runs of bins, in memory while it lasts and then in a
-//! scratch file, and are sorted run by run.
+//! Binning for particles that do not fit into memory: particles go into runs of bins, first in
+//! memory and then in a scratch file, and are sorted run by run.
 //!
 //! A run is a stretch of the Morton curve with as many particles as can be sorted at once. Its
-//! particles are stored in pieces: each is the Elias-Fano code of packed particles whose free upper
-//! bits number their bins in the run, followed by their attributes in the same order. More
-//! particles fit into memory coded than sorted.
+//! particles are stored in pieces. A piece is the Elias-Fano code of packed particles, followed by
+//! the particles' attributes in the same order. The free upper bits of a packed particle hold the
+//! number of its bin in the run. Coded particles take less memory than sorted ones.
 
 use std::borrow::Cow;
 use std::io;
@@ -29,7 +29,7 @@ use super::slots::{Record, Slots};
 const PIECE: usize = 1 << 19;
 /// Minimum number of particles in a piece, except the last.
 const FEWEST: usize = 16;
-/// The additional memory for coding a piece, in pieces.
+/// The additional memory for coding a piece, as a multiple of the size of a piece.
 const CODING: usize = 2;
 const RECORD_MASK: Record = (1 << RECORD_BITS) - 1;
 
@@ -37,7 +37,7 @@ const RECORD_MASK: Record = (1 << RECORD_BITS) - 1;
 #[derive(Debug)]
 pub struct SpilledBins {
     keys: Vec<MortonKey>,
-    /// The index of each bin's first particle, followed by the number of particles.
+    /// The index of each bin's first particle; the last entry is the number of particles.
     first: Vec<usize>,
     pub(super) components: Vec<usize>,
     runs: Vec<Range<usize>>,
@@ -70,7 +70,7 @@ struct SpillBudget {
 }
 
 impl SpillBudget {
-    /// Reserves `bytes` and returns true if there is room.
+    /// Reserves `bytes` if the limit allows; returns whether it did.
     fn take(&self, bytes: u64) -> bool {
         let fitting = |taken: u64| Some(taken + bytes).filter(|&taken| taken <= self.most);
         self.taken.fetch_update(Ordering::Relaxed, Ordering::Relaxed, fitting).is_ok()
@@ -161,7 +161,7 @@ impl SpilledBins {
         self.code(run, particles).words() + values.div_ceil(size_of::<u64>())
     }
 
-    /// Buffers for one of `threads`, which take `bytes` in total.
+    /// The buffers of one thread. The buffers of all `threads` take `bytes` in total.
     pub(super) fn buffers(&self, threads: usize, bytes: usize) -> RunBuffers<'_> {
         let tuple = tuple_bytes(&self.components);
         let full = bytes / tuple / (threads * (self.runs.len() + CODING));
@@ -175,7 +175,8 @@ impl SpilledBins {
     }
 
     /// Passes all bins to `take` once, run by run. `take` returns the number of bytes that it keeps
-    /// in memory so far; the remaining runs make room for them.
+    /// in memory so far; pieces of the remaining runs move to the scratch file to make room for
+    /// these bytes.
     ///
     /// # Errors
     /// If `take` fails, or if the scratch file cannot be read or written.
@@ -295,8 +296,8 @@ impl SpilledBins {
         Ok(Bins::of_slots(slots, self.keys[bins].to_vec(), first, self.components.clone()))
     }
 
-    /// A store for all sorted runs, to be read bin by bin; the file of the spilled particles is
-    /// then no longer needed.
+    /// Creates a store for all sorted runs, which can be read bin by bin. Once it is filled, the
+    /// file of the spilled particles is no longer needed.
     ///
     /// # Errors
     /// If the scratch file cannot be created.
@@ -350,7 +351,7 @@ impl SortedStore {
         Ok(())
     }
 
-    /// All bins, to be read one by one.
+    /// All bins, which can be read one by one.
     pub fn finish(self) -> Bins {
         self.bins
     }
@@ -444,8 +445,8 @@ impl BinnedParticles {
         }
     }
 
-    /// Passes all bins to `take`, and returns them; spilled particles go to a new scratch file in
-    /// `folder`.
+    /// Passes all bins to `take`, and returns the bins; spilled particles go to a new scratch file
+    /// in `folder`.
     ///
     /// # Errors
     /// The errors of [`visit`](Self::visit), or if a scratch file cannot be written.

@@ -21,7 +21,8 @@ pub trait PageSource: Send + Sync + Debug {
     fn samples(&self, page: usize) -> Vec<u16>;
 }
 
-/// Pages of another memory that are fetched together, because neighbours are often needed together.
+/// Number of remote pages that are fetched together, because neighbouring pages are often needed
+/// together.
 const TOGETHER: usize = 64;
 
 /// A page in memory: in the field itself, or in its cache.
@@ -50,8 +51,8 @@ pub(super) enum PageStore {
         source: Box<dyn PageSource>,
         cache: Cache<u32, Arc<PageSamples>, PageWeighter>,
     },
-    /// Pages outside of the host's memory; the host also keeps those that it needed, [`TOGETHER`]
-    /// at a time.
+    /// Pages outside of the host's memory. The host fetches groups of [`TOGETHER`] pages when it
+    /// needs one of them, and keeps them.
     Remote {
         pages: Box<dyn RemotePages>,
         otherwise: Box<dyn PageSource>,
@@ -60,7 +61,7 @@ pub(super) enum PageStore {
 }
 
 impl PageStore {
-    /// Pages of at most `mean_bytes` on average; as many of them stay in memory as fit into
+    /// Pages of at most `mean_bytes` on average. The last used pages stay in memory, up to
     /// `cache_bytes`.
     pub(super) fn paged(source: Box<dyn PageSource>, cache_bytes: u64, mean_bytes: u64) -> Self {
         let items = cache_bytes / (mean_bytes + CACHED_PAGE);
@@ -109,7 +110,7 @@ impl PageStore {
         }
     }
 
-    /// A page for a single pass, which does not evict others from the cache.
+    /// A page that is read only once: it does not evict other pages from the cache.
     pub(super) fn once(&self, page: usize, shape: PageShape) -> Cow<'_, [u16]> {
         match self {
             Self::Memory(pages) => pages[page].dense(shape),
@@ -131,8 +132,8 @@ impl PageStore {
             let range = first..pages.count().min(first + TOGETHER);
             let made = |page| PageSamples::new(otherwise.samples(page).into(), shape);
             let samples = pages.samples(range.clone()).unwrap_or_else(|| range.map(made).collect());
-            // Two threads may fetch the same group: with a lock, a thread that helps others while
-            // it waits could wait for itself.
+            // Two threads may fetch the same group. A lock would prevent this, but a thread that
+            // runs other work while it waits for the lock could wait for itself.
             group.get_or_init(|| samples)
         });
         &fetched[page - first]

@@ -13,7 +13,7 @@ const CELLS: usize = ROW * ROWS;
 pub struct CellSums {
     /// For each cell: the number N of particles, and the sum S of their offsets along x, y and z.
     cells: Box<[[f64; 4]]>,
-    /// A bit for each row along x that contains particles, because few do.
+    /// A bit for each row along x that contains particles, because few rows do.
     rows: [u64; ROWS / 64],
 }
 
@@ -24,7 +24,7 @@ impl Default for CellSums {
 }
 
 impl CellSums {
-    /// Replaces the sums by those of `particles`, each given by its cell and its offset in the
+    /// Replaces the sums by the sums of `particles`, each given by its cell and its offset in the
     /// cell.
     pub fn accumulate(&mut self, particles: impl Iterator<Item = (usize, [u32; 3])>) {
         self.rows = [0; ROWS / 64];

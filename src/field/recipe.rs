@@ -19,7 +19,7 @@ use crate::grid::{BLOCK, CellBox};
 pub enum Detail {
     /// Details stay lost.
     Smoothed,
-    /// Section 6.2 brings them back: see [`detail`](crate::field::detail).
+    /// Details are recovered as in section 6.2: see [`detail`](crate::field::detail).
     Recovered,
 }
 
@@ -35,9 +35,9 @@ pub enum Filters {
 /// The paper's filters.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct PaperFilters {
-    /// Section 4.2.
+    /// The smoothing of section 4.2.
     pub smoothing: Smoothing,
-    /// Section 6.2, if requested.
+    /// The detail recovery of section 6.2, if requested.
     pub recovery: Option<Recovery>,
 }
 
@@ -89,8 +89,8 @@ impl Filters {
         }
     }
 
-    /// The cells whose samples affect the field on some cells, including the samples that decide
-    /// which cells are inside.
+    /// The cells whose samples affect the field on `cells`, including the samples that decide which
+    /// cells are inside.
     pub fn seen(&self, cells: CellBox) -> CellBox {
         match self {
             Self::Paper(paper) => cells.grown(paper.halo(), paper.halo()),
@@ -106,7 +106,7 @@ impl Filters {
         }
     }
 
-    /// The part of some cells that can contain the surface, according to the filters.
+    /// The part of `cells` that can contain the surface, according to the filters.
     pub fn not_inside(&self, cells: CellBox) -> CellBox {
         match self {
             Self::Distances(distances) if !cells.is_empty() => distances.not_inside(cells),
@@ -135,7 +135,7 @@ impl Filters {
     }
 }
 
-/// Everything between samples and their surface.
+/// All parameters between samples and their surface.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Recipe {
     /// The filters between the samples and the field.
@@ -182,7 +182,7 @@ impl PaperFilters {
     }
 }
 
-/// The shares of drops blended with those of sheets, and the certainty of the sheets.
+/// The shares of drops, blended with the shares of sheets, and the certainty of the sheets.
 #[derive(Debug, Clone)]
 pub struct ThinShares<T> {
     /// The shares.
@@ -195,16 +195,17 @@ pub struct ThinShares<T> {
 /// the calm surface.
 #[derive(Debug, Clone)]
 pub struct WideFields<T> {
-    /// Distances.
+    /// The surface of the bulk, as distances.
     pub bulk: T,
-    /// The greatest such distance within reach of a drop.
+    /// The greatest distance by which a particle within reach of a drop lies outside of the calm
+    /// surface.
     pub outlying: T,
 }
 
 /// The calm and the fine surface, with the wide fields that were computed from them.
 pub type WithSurfaces<T> = ([T; 2], WideFields<T>);
 
-/// Makes the wide fields that distances need, once for all cells within `cells`.
+/// Makes the wide fields that distances need, once for all requested cells.
 pub fn bulk<F: Fields>(
     distances: &DistanceFilters,
     fields: &mut F,
@@ -213,8 +214,8 @@ pub fn bulk<F: Fields>(
     Ok(wide)
 }
 
-/// Computes the calm and the fine surface, and from them the bulk and how far particles lie outside
-/// of it.
+/// Computes the calm and the fine surface. From these, computes the surface of the bulk, and the
+/// distance by which particles lie outside of the calm surface.
 pub fn surfaces_and_bulk<F: Fields>(
     distances: &DistanceFilters,
     fields: &mut F,
@@ -276,8 +277,8 @@ pub fn thin_shares<F: Fields>(
     Ok(ThinShares { shares, certainty: Some(certainty) })
 }
 
-/// Sheets in the cells of the drops' level, from the density in wide cells; `None` if there are
-/// none.
+/// Sheets in the cells of the drops' level, from the density in wide cells; `None` if there are no
+/// sheets.
 fn sheets<F: Fields>(
     distances: &DistanceFilters,
     fields: &mut F,
@@ -288,7 +289,7 @@ fn sheets<F: Fields>(
     if !fields.may_hold(by, &clouds) {
         return Ok(None);
     }
-    // A thin layer on a solid is no sheet.
+    // A thin layer of fluid on a solid is not a sheet, so clouds are continued into solids.
     let filled = fields.filled(&clouds)?;
     drop(clouds);
     let density = fields.blur(filled, &by.around)?;
@@ -308,8 +309,8 @@ pub trait Fields {
     /// The error of a filter that fails.
     type Error;
 
-    /// The samples around the requested cells, with a halo of `halo` cells: cells 2^`level` times
-    /// as wide, chosen so that the requested cells lie between their middles.
+    /// The samples around the requested cells, in cells 2^`level` times as wide, with a halo of
+    /// `halo` of these wider cells. The requested cells lie between the middles of the wider cells.
     fn samples(&mut self, level: u32, halo: i32) -> Result<Self::Field, Self::Error>;
 
     /// Clouds, continued into solids: see [`solid`](crate::field::solid).
@@ -333,15 +334,15 @@ pub trait Fields {
         other: Self::Field,
     ) -> Result<Self::Field, Self::Error>;
 
-    /// Two surfaces of the bulk, from the samples under each width.
+    /// The calm and the fine surface of the bulk, from the samples under each width.
     fn depths(
         &mut self,
         bulk: &Bulk,
         shares: [Self::Field; 3],
     ) -> Result<Depths<Self::Field>, Self::Error>;
 
-    /// The final surface of the bulk, from both surfaces and their mean distance, which is 0 where
-    /// there are no particles nearby, and maximal inside.
+    /// The final surface of the bulk, from the calm and the fine surface and their mean difference.
+    /// The samples are 0 where no particle is near, and maximal in inside bricks.
     fn mixed(
         &mut self,
         bulk: &Bulk,
@@ -350,8 +351,8 @@ pub trait Fields {
         near: &Self::Field,
     ) -> Result<Self::Field, Self::Error>;
 
-    /// The distance by which particles lie outside of the calm surface, from the calm surface and
-    /// the fine one, and from the minimum cloud of a cell with a particle: see
+    /// The distance by which particles lie outside of the calm surface, from the calm and the fine
+    /// surface, and from the minimum cloud of a cell with a particle: see
     /// [`StandsOut::of_particle`].
     fn outlying(
         &mut self,
@@ -372,8 +373,9 @@ pub trait Fields {
         begin: u16,
     ) -> Result<(), Self::Error>;
 
-    /// Interpolates a field of wider cells at the middles of cells of `level`: those around the
-    /// requested cells, with a halo of `halo` cells. With a halo, they are the cells of drops.
+    /// Interpolates a field of wider cells at the middles of the cells of `level` around the
+    /// requested cells, with a halo of `halo` cells of `level`. A halo is only needed for the cells
+    /// of drops.
     fn refined(
         &mut self,
         wide: Self::Field,
@@ -382,7 +384,7 @@ pub trait Fields {
     ) -> Result<Self::Field, Self::Error>;
 
     /// Whether particles stand out in any cell, according to cells 2^`level` times as wide. If so,
-    /// further samples and fields are restricted to the cells where they can.
+    /// further samples and fields are restricted to the cells where particles can stand out.
     fn narrowed(&mut self, near: &Self::Field, level: u32, begin: u16) -> bool;
 
     /// Clouds divided by the clouds around them.
@@ -403,7 +405,7 @@ pub trait Fields {
         density: Self::Field,
     ) -> Result<Option<SheetFields<Self::Field>>, Self::Error>;
 
-    /// The shares of drops, blended with those of sheets according to their certainty.
+    /// The shares of drops, blended with the shares of sheets according to the sheets' certainty.
     fn blended(
         &mut self,
         drops: Self::Field,

@@ -1,16 +1,16 @@
-//! Solids: clouds are continued into them before the surface of the bulk is made, and afterwards
-//! the field is cut by them.
+//! Solids: clouds are continued into solids before the surface of the bulk is made, and solids cut
+//! the field afterwards.
 //!
-//! A share w of a cell's cloud with density rho lies outside of the solid; it is the share for a
+//! A share w of a cell's cloud with density rho lies outside of the solid. w is computed for a
 //! plane at the solid's distance from the cell's centre. Where w is less than 1, the density of the
-//! fluid beside it is blended in, more as w falls from 1 to 0.9: the value at the cell of the
-//! linear function that best fits rho / w under a Gaussian of 1 d, with weights that fall with w in
-//! the same way (moving least squares, Lancaster and Salkauskas 1981). A mean would bend the level
-//! of the fluid at a slope, and so would cells that are mostly solid. Where too little fluid is in
-//! reach of the fit, deep in a solid or in a narrow channel, (1 - w) times a mean under a Gaussian
-//! of 2.5 d is added to rho (normalised convolution). So the bulk does not end at a solid, and its
-//! surface continues straight into it. The field is then the minimum of its distance and the
-//! solid's.
+//! nearby fluid is blended in; its weight grows from 0 to 1 as w falls from 1 to 0.9. This density
+//! is the value, at the cell, of the linear function that best fits rho / w under a Gaussian of 1 d
+//! (moving least squares, Lancaster and Salkauskas 1981). The weights of the fit fall with w from 1
+//! to 0 in the same range. A mean would bend the level of the fluid at a slope, and so would a fit
+//! to cells that are mostly solid. Where too little fluid is in reach of the fit, deep in a solid
+//! or in a narrow channel, (1 - w) times a mean under a Gaussian of 2.5 d is added to rho
+//! (normalised convolution). So the bulk does not end at a solid: its surface continues straight
+//! into the solid. The field is then the minimum of the bulk's distance and the solid's distance.
 //!
 //! Sums are integers, and each cell has its own sum: the result does not depend on the block.
 
@@ -27,11 +27,11 @@ const USABLE: u16 = WHOLE / 10 * 9;
 /// standard deviations.
 const FIT: f64 = 1.0;
 const FIT_CUT: f64 = 2.5;
-/// The minimum share of that Gaussian that must lie outside.
+/// The minimum share of the fit's Gaussian that must lie outside of the solid.
 const FIT_LEAST: f64 = 0.004;
-/// The variance that is added to the variances of the fitted positions, in variances of the
-/// Gaussian: if the positions are few or lie in a plane, the function hardly changes across the
-/// plane.
+/// The variance that is added to the variances of the fitted positions, as a fraction of the
+/// Gaussian's variance. It keeps the linear function nearly constant across a plane in which all
+/// positions lie, and in all directions if there are few positions.
 const FIT_STIFFNESS: f64 = 0.01;
 /// The standard deviation of the Gaussian for means, in spacings, and its cut-off, in standard
 /// deviations.
@@ -39,13 +39,13 @@ const MEAN: f64 = 2.5;
 const MEAN_CUT: f64 = 2.2;
 /// The gain of the smoothed density in bits, equal to the bulk's gain.
 const GAIN: u32 = 2;
-/// The share of a cell that is completely outside.
+/// The share of a cell that is completely outside of the solid.
 pub const WHOLE: u16 = 1 << 15;
-/// The minimum share of the means' Gaussian that must lie outside.
+/// The minimum share of the means' Gaussian that must lie outside of the solid.
 const MEAN_LEAST: u16 = WHOLE >> 7;
 /// Steps of a distance per cell edge, for shares.
 pub const STEPS: f64 = 4096.0;
-/// The reach of a cell's cloud beyond its centre, in such steps.
+/// The reach of a cell's cloud beyond the cell's centre, in units of 1 / [`STEPS`] of an edge.
 pub const FARTHEST: i16 = 3 * 2048;
 
 /// The filters that continue clouds into solids.
@@ -76,15 +76,16 @@ impl SolidFill {
         self.fit.reach().max(self.mean.reach())
     }
 
-    /// Bytes of the continuation on some cells, including its halo.
+    /// Bytes that the continuation takes on `cells`, which include its halo.
     #[must_use]
     pub fn bytes(cells: CellBox) -> u64 {
-        // Clouds, distances twice, shares, the usable cells and their density, both means with room
-        // for smoothing, and the result.
+        // Clouds, distances twice, shares, the usable cells and their density, both means with a
+        // buffer each for smoothing, and the result.
         11 * (cells.volume() * size_of::<u16>()) as u64
     }
 
-    /// The samples of `cells`, continued into a solid. `outside` has the shares outside of it.
+    /// The samples of `cells`, continued into a solid. `outside` has the share of each cell outside
+    /// of the solid.
     ///
     /// # Panics
     /// If `clouds` and `outside` do not cover the cells and a halo of [reach](Self::reach).

@@ -14,7 +14,7 @@
 //! spacing that ends at the wall, the mean is n/2 spacings inside of the wall, for whole layers and
 //! for disorder. Solvers push particles back at the wall, so more particles than in full fluid pile
 //! up there. A gap behind the outermost layer distinguishes a layer from such a pile; without a
-//! gap, n is limited to that of full fluid.
+//! gap, n is limited to its value in full fluid.
 //!
 //! All sums are integers, so the order of the particles and the threads do not matter.
 
@@ -53,12 +53,12 @@ const GROUP_COLUMNS: usize = (GROUP * GROUP) as usize;
 const MOST_GROUPS: u64 = 2048;
 /// The maximum distance of the first particles of groups from their median, in spacings.
 const LEVEL: f64 = 0.15;
-/// The minimum share of groups within that distance at a wall.
+/// The minimum share of groups within [`LEVEL`] of the median at a wall.
 const LEVEL_SHARE: f64 = 0.85;
 /// The maximum distance of the wall from the outermost particle, in spacings.
 const FARTHEST: f64 = 0.75;
 /// The maximum distance between walls of several frames that count as the same wall, and the
-/// maximum distance of particles past a wall that is moved for them, in spacings.
+/// maximum distance of particles beyond a wall for which the wall is moved, in spacings.
 const SAME: f64 = 0.5;
 /// The maximum distance between the fluid and a scene's walls, in spacings.
 const KEPT: f64 = 2.0;
@@ -121,7 +121,7 @@ struct ColumnCounts {
 /// The columns behind one side.
 struct SideColumns {
     axis: usize,
-    /// 1 for the upper side, and 0 for the lower one.
+    /// 1 for the upper side, and 0 for the lower side.
     end: usize,
     /// The coordinate of the outermost particle.
     at: f64,
@@ -198,7 +198,7 @@ impl SideColumns {
         Self { axis, end, at, stride, row, columns, area }
     }
 
-    /// The distance of a particle from the outermost one, in spacings.
+    /// The depth of a particle below the outermost particle, in spacings.
     #[inline(always)]
     fn depth(&self, position: [f64; 3], per_spacing: f64) -> f64 {
         (self.at - position[self.axis]).abs() * per_spacing
@@ -292,7 +292,7 @@ impl ColumnCounts {
     }
 }
 
-/// Bounds of the particles that a grid can hold; `None` where it holds none.
+/// Bounds of the particles that a grid can hold; `None` if it can hold no particle.
 #[must_use]
 pub fn bounds_held(particles: &(impl Particles + ?Sized), grid: &Grid) -> Option<Bounds> {
     let is_held = |position: [f64; 3]| grid.place(position).is_ok();
@@ -336,12 +336,12 @@ fn rounded(end: usize, wall: f64, reach: f64, spacing: f64) -> f64 {
     if of_few_digits == 0.0 { 0.0 } else { of_few_digits }
 }
 
-/// The walls that hold in all examined frames, with the help of a scene's walls if they are known.
+/// The walls of a tank, according to all examined frames and, if they are known, a scene's walls.
 ///
 /// With one frame, its planes are the walls. With several frames, a side has a wall under three
-/// conditions: at least two frames, and at least a third of all, show one at the same place; fewer
-/// frames end elsewhere; and no frame has more than stray drops beyond it. The upper
-/// side is free unless a scene has a wall there. It is the upper side of the axis `up` if that is
+/// conditions: at least two frames, and at least a third of all frames, show a wall at the same
+/// place; fewer frames end elsewhere; and no frame has more than stray drops beyond the wall. The
+/// top is open unless a scene has a wall there. It is the upper side of the axis `up` if that is
 /// known, otherwise of y if both y and z have a wall. Also returns whether the scene belongs to
 /// these particles.
 pub fn common(frames: &[Ends], scene: Option<&Walls>, up: Option<usize>) -> (Walls, bool) {
@@ -373,7 +373,7 @@ pub fn common(frames: &[Ends], scene: Option<&Walls>, up: Option<usize>) -> (Wal
         }));
         return (walls, true);
     }
-    // In two dimensions it is the one of y and z that lies in the plane.
+    // In two dimensions, the axis that points up is y or z, whichever lies in the plane.
     let in_plane = frames.first().and_then(|frame| frame.flat);
     let up = up.or(in_plane.and_then(|flat| [None, Some(2), Some(1)][flat]));
     let mut walls = Walls([0, 1, 2].map(|axis| [0, 1].map(|end| common_wall(frames, axis, end))));
@@ -390,7 +390,7 @@ fn common_wall(frames: &[Ends], axis: usize, end: usize) -> Option<f64> {
     let spacing = frames.first()?.spacing;
     let mut planes: Vec<f64> = frames.iter().filter_map(|frame| frame.plane(axis, end)).collect();
     planes.sort_unstable_by(|a, b| outside(end, *b, *a).total_cmp(&0.0));
-    // Particles pass any wall inside of the outermost plane.
+    // Only the outermost plane can be a wall: particles pass the other planes.
     let wall = planes.into_iter().next()?;
     let is_same = |at: f64| (at - wall).abs() <= SAME * spacing;
     let (mut shown, mut against) = (0, 0);
@@ -406,7 +406,7 @@ fn common_wall(frames: &[Ends], axis: usize, end: usize) -> Option<f64> {
     (shown >= needed && shown > against).then(|| rounded_for(frames, axis, end, wall))
 }
 
-/// A wall with few digits that contains all particles of the frames, except of those that are far
+/// A wall with few digits that contains all particles of the frames, except particles that are far
 /// beyond it.
 fn rounded_for(frames: &[Ends], axis: usize, end: usize, wall: f64) -> f64 {
     let reached = frames.iter().map(|frame| (frame.reach[axis][end], frame.spacing));
@@ -424,15 +424,15 @@ impl Ends {
         }
     }
 
-    /// Whether particles are farther beyond a wall than it may be moved for them.
+    /// Whether particles are so far beyond a wall that the wall is not moved for them.
     fn passes(&self, axis: usize, end: usize, wall: f64) -> bool {
         outside(end, self.reach[axis][end], wall) > SAME * self.spacing
     }
 }
 
-/// The walls for particles within some bounds, so that none is outside: a wall is moved if
-/// particles are slightly beyond it, otherwise its side is open. Also returns the walls that
-/// particles pass.
+/// Adapts walls to particles within some bounds, so that no particle is outside. A wall is moved if
+/// particles are slightly beyond it; if they are farther beyond it, its side is open. Also returns
+/// the walls that particles pass.
 #[must_use]
 pub fn holding(walls: &Walls, bounds: &Bounds, spacing: f64) -> (Walls, Vec<BeyondWall>) {
     let (mut holding, mut past) = (*walls, Vec::new());
@@ -547,7 +547,7 @@ mod tests {
             let at = found.0[axis][end].unwrap_or(open);
             assert!(at == expected[axis][end] || (at - expected[axis][end]).abs() < 0.3, "{at}");
         }
-        // Later more than a few drops are beyond it.
+        // In a later frame, more than a few drops are beyond the wall.
         assert_eq!(common(&[dam.clone(), dam, broken], None, None).0.0[0][1], None);
     }
 

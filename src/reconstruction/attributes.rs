@@ -18,7 +18,8 @@ impl CheckedRequest {
 }
 
 impl Settings {
-    /// The particles and attributes that must be read from an input, with those for `sizes`.
+    /// The particles and attributes that must be read from an input, including the attributes for
+    /// `sizes`.
     pub(crate) fn wanted<'a>(&'a self, sizes: &'a SizeChoice) -> WantedParticles<'a> {
         let (names, conditions) = (self.attribute_names(), self.conditions());
         let attributes = WantedAttributes::Only { names, conditions, sizes };

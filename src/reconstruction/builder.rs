@@ -168,7 +168,7 @@ impl Reconstruction {
         self
     }
 
-    /// Uses one of the kernel methods to which the paper compares its own.
+    /// Uses one of the kernel methods with which the paper compares its own method.
     pub fn method(mut self, method: KernelMethod) -> Self {
         self.settings.method = Some(match method {
             KernelMethod::Mueller { .. } => MethodName::Mueller,
@@ -320,7 +320,7 @@ macro_rules! setters {
 }
 
 setters! {
-    /// Sets a corner of the grid's cells.
+    /// Sets the origin of the grid, which is a corner of its cells.
     origin: [f64; 3],
     /// Sets how the mesh ends at the faces of a periodic box. By default, it ends on the faces.
     periodic_mesh: PeriodicMesh,
@@ -328,13 +328,14 @@ setters! {
     indicator: IndicatorKind,
     /// Sets `mu0`, the mean number of particles in non-empty cells, for counting.
     mu0: f64,
-    /// Sets the smoothing width in spacings, for clouds: 1.6 by default. Larger is smoother.
+    /// Sets the smoothing width in spacings, for clouds: 1.6 by default. Larger values give a
+    /// smoother surface.
     smooth: f64,
     /// Joins particles of thin sheets and filaments up to this distance in spacings, 2.15 by
     /// default, for clouds. 0 turns this off.
     sheets: f64,
-    /// Sets the distance between the fluid and solids in spacings; if it is negative, the fluid
-    /// reaches into them.
+    /// Sets the distance between the fluid and solids, in spacings. With a negative distance, the
+    /// fluid reaches into solids.
     solid_offset: f64,
     /// Sets the standard deviation of the Gaussian in cells, for counting and symmetry. The default
     /// is one spacing, but at least one cell.
@@ -348,7 +349,7 @@ setters! {
     simplify: f64,
     /// Removes drops and bubbles with less than this volume in cells.
     smallest_component: f64,
-    /// Removes drops that have fewer particles, estimated from their volume.
+    /// Removes drops with fewer particles than this number, estimated from their volume.
     smallest_drop: u32,
     /// Skips and counts particles that are not finite or too far away, which are otherwise an
     /// error.

@@ -31,8 +31,9 @@ impl CellSize {
     ///
     /// In cells of two thirds of a spacing, single drops are angular, and their volume depends on
     /// their position. Cells of half a spacing take hardly longer, because the surface is made in
-    /// the same wide cells. Renders of single drops need a quarter. The indicators counting and
-    /// symmetry use two thirds, because symmetry fails in cells of half a spacing.
+    /// the same wide cells. Renders of single drops need cells of a quarter of a spacing. The
+    /// indicators counting and symmetry use two thirds, because symmetry fails in cells of half a
+    /// spacing.
     pub fn usual(method: Method) -> Self {
         match method.indicator() {
             Some(IndicatorKind::Cloud) | None => Self::Spacings(0.5),
@@ -41,7 +42,7 @@ impl CellSize {
     }
 }
 
-/// The origin of particles, as far as it affects their spacing.
+/// The source of particles, as far as it affects their spacing.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct SpacingHints<'a> {
     /// The file; a scene file may be near it.
@@ -116,11 +117,11 @@ impl Slab {
 }
 
 impl Slab {
-    /// Whether particles lie in the slab's plane, like those for which it was found.
+    /// Whether particles lie in the slab's plane, like the particles for which the slab was found.
     #[must_use]
     pub fn holds(&self, particles: &(impl Particles + ?Sized)) -> bool {
         let Self { axis, faces: [lo, hi] } = *self;
-        /// The distance from the plane, in thicknesses of the slab, by which particles are in it.
+        /// The maximum distance of particles from the slab's plane, in thicknesses of the slab.
         const NEAR: f64 = 0.05;
         let (at, near) = (lo + (hi - lo) / 2.0, NEAR * (hi - lo));
         axis < 3

@@ -64,7 +64,7 @@ pub(crate) struct StartedRequest {
 }
 
 impl Reconstruction {
-    /// Checks all numbers, and the settings as far as this needs no input.
+    /// Checks all numbers, and all settings that can be checked without an input.
     pub(crate) fn checked(&self) -> Result<CheckedRequest, Error> {
         self.checked_without_solids()?.at_solids()
     }
@@ -123,7 +123,7 @@ impl Reconstruction {
     }
 }
 
-/// Rejects the first meaningless setting whose value differs from that in `known`.
+/// Rejects the first meaningless setting whose value differs from its value in `known`.
 fn refuse(
     settings: &Settings,
     known: &Settings,
@@ -143,7 +143,7 @@ pub(super) fn refuse_named(
     with: impl FnOnce() -> Conflict,
 ) -> Result<(), Error> {
     debug_assert!(names.iter().all(|name| Settings::ALL.contains(&Setting::named(name))));
-    // `none` as the size goes with everything.
+    // A size of `none` can be combined with every other setting.
     let applies = |name| name != "size" || settings.asks_for_sizes();
     let is_meant = |setting: Setting| names.contains(&setting.name()) && applies(setting.name());
     refuse(settings, &Settings::default(), is_meant, with)
@@ -201,8 +201,8 @@ fn sampling(settings: &Settings, surfacing: &Surfacing) -> Result<SamplingReques
     Ok(request)
 }
 
-/// The choice of sizes. A given spacing is the size of all particles; other settings need particles
-/// of one size.
+/// The choice of sizes. If the spacing is given, all particles have this size. Some other settings
+/// also need particles of one size.
 fn size(settings: &Settings) -> SizeChoice {
     let needs_one = [
         ("method", settings.kernels().is_some()),
@@ -293,7 +293,8 @@ impl Settings {
         refuse_named(self, meaningless, || Conflict::Indicator(kind))
     }
 
-    /// The settings without the default method: packed frames use it, so it may be given.
+    /// The settings, without `method` if it is the default: packed frames use the default method,
+    /// so giving it is no conflict.
     pub(super) fn without_default_method(&self) -> Self {
         Self { method: self.plain().method, ..self.clone() }
     }

@@ -55,8 +55,8 @@ impl ExtractedMesh {
 }
 
 impl CheckedRequest {
-    /// Makes the surface of a frame with a given calibration, or one that is measured on it, and
-    /// removes components that are too small.
+    /// Makes the surface of a frame with a given calibration, or with a calibration that is
+    /// measured on this frame, and removes components that are too small.
     pub(crate) fn extract(
         &self,
         engine: &Engine,

@@ -57,7 +57,7 @@ pub struct ParticlesInfo {
     pub particles: usize,
     /// The number of particles with coordinates that are not finite.
     pub not_finite: usize,
-    /// The lowest and highest corner of the bounding box of the others.
+    /// The lowest and highest corner of the bounding box of the finite particles.
     pub bounds: Option<[[f64; 3]; 2]>,
     /// The attributes besides positions.
     pub attributes: Vec<AttributeInfo>,
@@ -102,11 +102,11 @@ pub struct FrameInfo {
     pub file: PathBuf,
     /// The number of particles in the frame.
     pub particles: usize,
-    /// Cells that particles of their own bin make non-zero.
+    /// The number of cells that are not 0 because of particles in their own bin.
     pub cells: u64,
-    /// Stored bricks.
+    /// The number of stored bricks.
     pub bricks: u64,
-    /// The lowest and highest corner of the bounding box of these cells.
+    /// The lowest and highest corner of the bounding box of the cells that are not 0.
     pub bounds: Option<[[f64; 3]; 2]>,
     /// Edge of a cell.
     pub cell_size: f64,
@@ -138,7 +138,7 @@ pub struct MeshInfo {
     pub components: usize,
     /// Whether vertices have normals.
     pub normals: bool,
-    /// The other attributes of the vertices.
+    /// The attributes of the vertices besides normals.
     pub attributes: Vec<AttributeInfo>,
 }
 

@@ -8,9 +8,9 @@ use crate::grid::{Domain, Grid};
 use crate::particles::Particles;
 use crate::particles::lattice::sound_origin;
 
-/// Moves the grid of a frame whose particles are on a lattice, for indicators that depend on the
-/// position of the grid, so that they sample the lattice like disordered fluid: see
-/// [`sound_origin`].
+/// Moves the grid of a frame whose particles are on a lattice, so that the indicator samples the
+/// lattice like disordered fluid. The grid stays if the indicator does not depend on its position:
+/// see [`sound_origin`].
 pub fn on_sound_grid(particles: &(impl Particles + ?Sized), sampling: Sampling) -> Sampling {
     origin_for_lattice(particles, &sampling)
         .and_then(|origin| moved(&sampling, origin))
@@ -18,7 +18,7 @@ pub fn on_sound_grid(particles: &(impl Particles + ?Sized), sampling: Sampling) 
 }
 
 /// The origin that suits a lattice of particles; `None` without a lattice, or if the indicator does
-/// not depend on it.
+/// not depend on the origin.
 pub fn origin_for_lattice(
     particles: &(impl Particles + ?Sized),
     sampling: &Sampling,
@@ -31,8 +31,8 @@ pub fn origin_for_lattice(
     }
 }
 
-/// Moves the grid of a sampling to another origin; `None` if its walls or its periodic box have no
-/// cells there.
+/// Moves the grid of a sampling to another origin; `None` if the walls or the periodic box have no
+/// cells on the moved grid.
 pub fn moved(sampling: &Sampling, origin: DVec3) -> Option<Sampling> {
     let grid = Grid::new(origin, sampling.grid.cell_size()).ok()?;
     let domain = match &sampling.domain {

@@ -19,7 +19,8 @@ use crate::system::timings::Timings;
 use super::checked::{CheckedRequest, StartedRequest};
 use super::opened::{Input, OpenedFrame};
 
-/// Minimum number of particles in the sample. A frame with up to twice as many is made completely.
+/// Minimum number of particles in the sample. A frame with up to twice as many particles is made
+/// completely.
 const SAMPLE: usize = 200_000;
 
 /// Bytes of memory for each vertex of a mesh that is written as a level set with its velocity.
@@ -139,7 +140,7 @@ fn forecast(
             None => (expected, None),
         });
     }
-    // Blocks need particles from as far away as the largest ones see.
+    // Blocks need all particles within the reach of the largest particles.
     let Some(kind) = sampling.method.indicator() else { return Ok((expected, None)) };
     let stretch = sample(counted.bins());
     drop(counted);
@@ -184,8 +185,8 @@ fn tried(
     Ok(TrialResult { particles, triangles: spool.triangles(), seconds })
 }
 
-/// Consecutive blocks that contain as many particles as a sample, from the block of the particle in
-/// the middle.
+/// Consecutive blocks that contain at least [`SAMPLE`] particles, beginning at the block of the
+/// middle particle.
 fn sample(bins: impl Iterator<Item = (MortonKey, usize)> + Clone) -> Stretch {
     let block = |bin: MortonKey| MortonKey::of(block_of_bin(bin.coord()));
     let all: usize = bins.clone().map(|(_, count)| count).sum();

@@ -64,7 +64,7 @@ impl Reconstruction {
         };
         let grid = request.grid(size)?;
         let domain = request.domain(&grid)?;
-        // Kernels are refused above.
+        // Kernel methods are refused above.
         let Method::Indicator { kind, mean } = request.method else {
             unreachable!("a method was refused")
         };

@@ -23,7 +23,7 @@ pub struct OpenedFrame {
     path: PathBuf,
     pub(super) ready: StartedRequest,
     pub(super) input: Input,
-    /// Walls that were found without a request.
+    /// Walls that were found although the settings do not ask for them.
     hint: Option<FoundWalls>,
     pub(super) timings: Timings,
 }

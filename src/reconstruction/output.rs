@@ -22,7 +22,7 @@ use crate::settings::Settings;
 #[derive(Debug)]
 pub(crate) struct TemporaryOutput {
     unfinished: UnfinishedOutput,
-    /// Dropped after the file, which may be inside.
+    /// Dropped after the file, because the file may be inside these folders.
     _folders: MadeFolders,
 }
 
@@ -48,9 +48,9 @@ pub struct PackedOutput {
 pub struct PackReport {
     /// The file's size.
     pub bytes: u64,
-    /// Cells that are not 0.
+    /// The number of cells that are not 0.
     pub cells: u64,
-    /// Stored bricks.
+    /// The number of stored bricks.
     pub bricks: u64,
     /// Counts of used and skipped particles.
     pub census: Census,
@@ -126,7 +126,7 @@ impl Output {
         &self.path
     }
 
-    /// Applies the layout of `request` to the same file.
+    /// Replaces the layout of the file.
     pub(crate) fn with_layout(mut self, layout: crate::io::glb::GlbLayout) -> Self {
         self.file = self.file.with_layout(layout);
         self

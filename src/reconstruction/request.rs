@@ -111,7 +111,7 @@ const MOST_HINTED: usize = 1 << 24;
 /// A callback that receives the positions of all particles, in pieces and in any order.
 type LookAtAll<'a> = &'a (dyn Fn(&[[f64; 3]]) + Sync);
 
-/// The spacing whose usual cell size is this one.
+/// The spacing for which `cell_size` is the usual cell size.
 fn usual_spacing(cell_size: f64) -> f64 {
     2.0 * cell_size
 }
@@ -164,15 +164,15 @@ impl SamplingRequest {
         request
     }
 
-    /// The request for a frame in the `walls` that were found, if it uses found walls.
+    /// The request with the found `walls`, if it asks for found walls.
     #[must_use]
     pub fn in_walls(&self, walls: Option<&Walls>) -> Self {
         let walls = walls.filter(|walls| self.search == WallSearch::Walls && !walls.is_open());
         Self { walls: walls.map(Walls::corners).or(self.walls), ..self.clone() }
     }
 
-    /// The request for a frame in walls that were found on other frames, if it uses found walls.
-    /// Walls that particles pass are moved or removed, and returned.
+    /// The request with walls that were found on other frames, if it asks for found walls. Walls
+    /// that particles of this frame pass are moved or removed, and returned.
     #[must_use]
     pub fn in_walls_around(
         &self,
@@ -303,8 +303,9 @@ impl SamplingRequest {
         }
     }
 
-    /// How often particles are usually read to choose and count cells: for the spacing, for the
-    /// count, and for walls, for which few particles are read twice.
+    /// The number of times that particles are usually read to choose cells and count particles:
+    /// once for the spacing, once for the count, and once for walls. Up to [`ALL`] particles are
+    /// read twice for walls.
     pub fn readings(&self, particles: usize) -> usize {
         let for_walls = if particles > ALL { 1 } else { 2 };
         if self.seeks_walls(particles) { 2 + for_walls } else { 2 }
@@ -330,8 +331,8 @@ impl SamplingRequest {
         }
     }
 
-    /// The warning about the sizes of particles in a frame for which other particles determined the
-    /// spacing and the sizes.
+    /// The warning about the sizes of particles in a frame whose spacing and sizes come from other
+    /// particles.
     ///
     /// # Errors
     /// [`Error::Sizes`] if the frame has no such attribute.
@@ -368,8 +369,8 @@ impl SamplingRequest {
 
     /// Chooses the cells for particles, and uses the caller's `read` if a separate reading of all
     /// particles would take long. `read` gets the cell size, as far as it is known, and a function
-    /// that it calls with the positions of all particles. It returns `None` if it failed. The last
-    /// value that it returned is returned with the cells.
+    /// to which it passes the positions of all particles. It returns `None` on failure. The last
+    /// value that `read` returned is returned with the cells.
     fn cells_by<T>(
         &self,
         particles: &(impl Particles + ?Sized),
@@ -485,14 +486,15 @@ impl SamplingRequest {
                 [0, 1, 2].map(|a| if walled[a].is_finite() { walled[a] } else { middle[a] }),
             )
         });
-        // Moves along the axes that need it, by whole cells.
+        // The origin moves only along the axes that need it, by whole cells.
         let origin = middle
             .to_array()
             .map(|c| if c.abs() > reach { (c / size).round() * size } else { 0.0 });
         (origin != [0.0; 3] && origin.iter().all(|c| c.is_finite())).then_some(origin)
     }
 
-    /// The cells for a given spacing, with warnings if the neighbours at its scale contradict it.
+    /// The cells for a given spacing, with warnings if the neighbours at the scale of this spacing
+    /// contradict it.
     fn cells_for_given(
         &self,
         particles: &(impl Particles + ?Sized),
@@ -605,8 +607,8 @@ impl SamplingRequest {
         carried: Vec<usize>,
         resources: Resources,
     ) -> Result<ChosenSampling, Error> {
-        // The count includes the grid on which it was made. A failure occurs again later, where it
-        // is reported.
+        // The count includes the grid on which it was made. A failure is ignored here: it occurs
+        // again later, where it is reported.
         let count = |cell_size: f64, look: LookAtAll<'_>| {
             let grid = self.grid(cell_size).ok()?;
             let domain = self.domain(&grid).ok()?;

@@ -64,7 +64,8 @@ impl Reconstruction {
         self.open_together(&[path.as_ref()])
     }
 
-    /// Opens several files as one frame, such as several fluids, with the attributes that all have.
+    /// Opens several files as one frame, such as several fluids, with the attributes that all files
+    /// have.
     ///
     /// # Errors
     /// [`Error::Read`], and the errors of [`run`](Self::run) that need no particles;

@@ -19,7 +19,7 @@ use super::warning::Warning;
 const BYTES_A_BYTE: u64 = 2;
 
 impl Settings {
-    /// The stamp of an input with those of the solids.
+    /// The common stamp of an input and of the solids.
     pub(crate) fn stamp(&self, input: &Path) -> Result<Stamp, ReadError> {
         let solids = self.solid_files().iter().map(Path::new);
         Stamp::of_all(std::iter::once(input).chain(solids))

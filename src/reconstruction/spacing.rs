@@ -23,7 +23,7 @@ pub enum SpacingSource {
     Given,
     /// The particles' file.
     File,
-    /// A scene file next to it.
+    /// A scene file next to the particles' file.
     Scene(#[serde(serialize_with = "as_text")] PathBuf),
     /// The smallest size of the particles, by an attribute.
     Sizes(String),
@@ -55,9 +55,9 @@ impl fmt::Display for SpacingSource {
 pub enum SpacingWarning {
     /// The particles have two spacings.
     TwoResolutions {
-        /// The spacing of most particles, and that of the others.
+        /// The spacing of most particles, and the spacing of the others.
         spacings: [f64; 2],
-        /// The spacing that is used for all.
+        /// The spacing that is used for all particles.
         used: f64,
     },
     /// The given spacing contradicts the particles.
@@ -85,7 +85,7 @@ pub enum SpacingWarning {
     },
     /// The particles are at random positions, like spray and unlike fluid.
     Random {
-        /// The spacing that is used: their mean distance.
+        /// The spacing that is used: the mean distance between particles.
         used: f64,
     },
     /// Some particles surround the others, as a boundary surrounds a fluid.
@@ -96,20 +96,20 @@ pub enum SpacingWarning {
         attribute: String,
         /// Number of particles without a valid size.
         invalid: u64,
-        /// The size that is used for them.
+        /// The size that is used for particles without a valid size.
         usual: f64,
         /// Number of particles larger than the largest size that is used.
         larger: u64,
         /// The largest size that is used.
         coarsest: f64,
     },
-    /// The particles of this frame have several sizes, but those of the calibration frame one.
+    /// The particles of this frame have several sizes, but the calibration frame has only one size.
     MoreSizes {
         /// The attribute.
         attribute: String,
         /// The smallest and the largest size of this frame.
         sizes: [f64; 2],
-        /// The size that is used for all.
+        /// The size that is used for all particles.
         used: f64,
     },
     /// The single-precision coordinates are too coarse for the spacing.
@@ -135,7 +135,8 @@ pub enum SpacingMistake {
 
 /// Minimum ratio of a given to the true spacing without a warning.
 const TOO_SMALL: f64 = 0.78;
-/// Maximum ratio. Between the two, the surface is good, and the estimate may be wrong by as much.
+/// Maximum ratio of a given to the true spacing without a warning. With ratios from [`TOO_SMALL`]
+/// to this one, the surface is good, and the estimate may be wrong by as much.
 const TOO_LARGE: f64 = 1.36;
 /// Additional factor for an uncertain estimate.
 const UNSURE: f64 = 1.1;
@@ -214,7 +215,7 @@ impl SpacingWarning {
         warnings
     }
 
-    /// The warning about the spacing of a packed frame, from its samples. They overestimate the
+    /// The warning about the spacing of a packed frame, from its samples. Samples overestimate the
     /// spacing of thin fluid.
     pub(super) fn of_packed(given: f64, found: f64) -> Option<Self> {
         const THIN: f64 = 1.75;

@@ -35,8 +35,8 @@ const PREVIEW: [usize; 2] = [640, 360];
 /// A closed, oriented 2-manifold around the fluid.
 pub struct Surface {
     extracted: ExtractedSurface,
-    /// The threads that made the surface and write it; stopped in between, because a surface may be
-    /// kept for long.
+    /// The threads that make the surface and write it. They are stopped in between, because a
+    /// caller may keep a surface for a long time.
     threads: Threads,
     settings: Settings,
     /// The handle of the request that made the surface.

@@ -12,12 +12,12 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 pub(crate) struct Threads {
     pool: Weak<ThreadPool>,
     count: usize,
-    /// The process that started them.
+    /// The process that started the threads.
     process: u32,
 }
 
 impl Threads {
-    /// Starts them.
+    /// Starts `count` threads.
     ///
     /// # Errors
     /// The system's message.

@@ -16,8 +16,8 @@ use crate::surface::simplify::TooSmall;
 
 use super::{Cells, SpacingWarning};
 
-/// Density relative to the spacing above which there is a warning: 8 corresponds to half the
-/// distance.
+/// The density, relative to the density for the spacing, above which there is a warning. 8
+/// corresponds to half the distance between particles.
 const CROWDED: f64 = 8.0;
 
 /// Number of lost or coincident particles up to which there is no warning.
@@ -36,11 +36,11 @@ pub enum Warning {
         /// The spacing.
         spacing: f64,
     },
-    /// Particles have the same position as others.
+    /// Particles have the same position as other particles.
     Coincident {
-        /// The number and place of these particles, and whether they are far from others.
+        /// The number and place of these particles, and whether they are far from other particles.
         found: CoincidentParticles,
-        /// Number of particles.
+        /// Number of all particles.
         of: usize,
     },
     /// Some particles lack a value of an attribute.
@@ -49,7 +49,7 @@ pub enum Warning {
         attribute: String,
         /// Number of particles without a value.
         without: usize,
-        /// Number of particles.
+        /// Number of all particles.
         of: usize,
     },
     /// The backend failed, and the CPU did its work.
@@ -72,9 +72,9 @@ pub enum Warning {
     BeyondWall(BeyondWall),
     /// Particles are missing from the surface.
     Lost {
-        /// Lower bound of their number.
+        /// Lower bound of the number of missing particles.
         lost: u64,
-        /// Number of particles.
+        /// Number of all particles.
         of: usize,
         /// Whether smoothing by counting or symmetry loses them, so that smaller cells do not help.
         smoothed: bool,
@@ -90,7 +90,7 @@ pub enum Warning {
     },
     /// Vertices become equal in a format that has no indices.
     Merged {
-        /// The number of these vertices.
+        /// The number of vertices that become equal.
         vertices: u64,
         /// The format.
         format: MeshFormat,
@@ -130,7 +130,7 @@ pub enum Warning {
         why: EmptyReason,
         /// Whether the indicator is cloud.
         clouds: bool,
-        /// The calibration frame, if it is another one.
+        /// The calibration frame, if it is a different frame.
         calibration_frame: Option<i64>,
     },
 }
@@ -289,8 +289,8 @@ pub(crate) fn of_frame(engine: &Engine) -> Vec<Warning> {
     warnings
 }
 
-/// Puts the warnings about the spacing before the others. If the given spacing is contradicted, the
-/// warning about crowded particles is dropped, because it says less.
+/// Puts the warnings about the spacing before the other warnings. If the given spacing is
+/// contradicted, the warning about crowded particles is dropped, because it is less specific.
 pub(crate) fn with_spacing_warnings(
     cells: Option<&Cells>,
     mut warnings: Vec<Warning>,

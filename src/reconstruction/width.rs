@@ -10,7 +10,7 @@ const COARSEST: f64 = 1.0 / 256.0;
 pub enum SinglePrecision {
     /// Rounding moves no vertex by more than 1 / 256 of a cell.
     Enough,
-    /// Rounding moves some vertices by more.
+    /// Rounding moves some vertices by more than 1 / 256 of a cell.
     TooCoarse,
     /// Some coordinates exceed 32 bits.
     Exceeded,

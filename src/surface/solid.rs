@@ -3,7 +3,7 @@
 //! A solid is a closed mesh. Its inside is where the winding number is not 0: parts may overlap or
 //! touch, and a part inside another that faces the other way is a cavity. A solid that faces
 //! inwards as a whole is the same solid. The winding number of a place is counted along a line in x
-//! direction. The distance is that of the nearest point on any triangle.
+//! direction. The distance of a place is its distance to the nearest point on any triangle.
 //!
 //! A distance depends only on the cell, not on the box of cells in a request: cells are processed
 //! in cubes of 4^3, bounded by the distance of the cube's centre.
@@ -47,7 +47,7 @@ pub enum SolidFault {
          normals of the mesh, or flip the triangles that face inwards"
     )]
     Inconsistent {
-        /// Number of such edges.
+        /// Number of edges whose two triangles face opposite ways.
         edges: usize,
     },
 }
@@ -63,7 +63,7 @@ pub struct Solid {
 }
 
 impl Solid {
-    /// Combines meshes, with the distance at which the fluid ends before them.
+    /// Combines meshes to a solid. The fluid ends at the distance `offset` from it.
     ///
     /// # Errors
     /// [`SolidFault`], with the number of the mesh.
@@ -104,7 +104,7 @@ impl Solid {
         &self.turned
     }
 
-    /// The thickness of each mesh: that of a plate with its volume and area.
+    /// The thickness of each mesh: the thickness of a plate with the same volume and area.
     #[must_use]
     pub fn thickness(&self) -> &[f64] {
         &self.thickness
@@ -116,8 +116,8 @@ impl Solid {
         self.triangles * TRIANGLE_BYTES
     }
 
-    /// Whether some cells, 2^`level` times as wide as those of the grid, may contain a part of a
-    /// solid, or lie in one.
+    /// Whether some cells, 2^`level` times as wide as the grid's cells, may contain a part of a
+    /// solid, or lie in a solid.
     #[must_use]
     pub fn is_near(
         &self,
@@ -130,7 +130,7 @@ impl Solid {
         self.copies(periodic).any(|copy| copy.meets(lo, hi) || copy.winds((lo + hi) / 2.0))
     }
 
-    /// Signed distances of the centres of some cells, 2^`level` times as wide as those of the grid,
+    /// Signed distances of the centres of some cells, 2^`level` times as wide as the grid's cells,
     /// in steps of length `step`: negative in a solid, and at most 32767 steps. Distances of more
     /// than `most` steps, which are longer than a cell, are clamped.
     #[must_use]
@@ -160,7 +160,7 @@ impl Solid {
         nearest
     }
 
-    /// The meshes, and in a periodic box their copies.
+    /// The meshes and, in a periodic box, their copies.
     fn copies<'a>(&'a self, periodic: Option<&Periodic>) -> impl Iterator<Item = PlacedMesh<'a>> {
         let widths = periodic.map_or([None; 3], |periodic| {
             periodic.faces().map(|faces| faces.map(|[lo, hi]| hi - lo))
@@ -177,7 +177,7 @@ impl Solid {
     }
 }
 
-/// The lowest and the highest corner of cells 2^`level` times as wide as those of the grid.
+/// The lowest and the highest corner of cells 2^`level` times as wide as the grid's cells.
 fn corners(grid: &Grid, level: u32, cells: CellBox) -> (DVec3, DVec3) {
     let world = |cell: IVec3| grid.world_from_cells(cell.as_dvec3() * width(level));
     (world(cells.lo), world(cells.hi))
@@ -188,7 +188,7 @@ fn width(level: u32) -> f64 {
     f64::from(1_u32 << level)
 }
 
-/// A mesh at a displacement.
+/// A mesh that is displaced by `shift`.
 struct PlacedMesh<'a> {
     mesh: &'a TriangleTree,
     shift: DVec3,
@@ -236,7 +236,7 @@ impl PlacedMesh<'_> {
                     for x in part.lo.x..part.hi.x {
                         let cell = IVec3::new(x, y, z);
                         let at = centre(cell);
-                        // The triangle inequality through the cube's centre.
+                        // A bound by the triangle inequality, through the cube's centre.
                         let bound = (of_middle + at.distance(middle)).min(farthest) * (1.0 + 1e-9);
                         let found = self.mesh.distance_within(at, bound, Some(near));
                         if let Some((distance, nearest)) = found {
@@ -319,7 +319,7 @@ fn volume_and_area(mesh: &TriangleTree) -> [f64; 2] {
 /// Merges the vertices of a mesh that have the same position.
 fn joined(mesh: Mesh) -> Mesh {
     let mut order: Vec<u32> = (0..mesh.positions.len() as u32).collect();
-    // Adding 0 makes both zeros equal.
+    // Adding 0 turns -0 into 0.
     let key = |vertex: u32| mesh.positions[vertex as usize].map(|x| (x + 0.0).to_bits());
     order.par_sort_unstable_by_key(|&vertex| (key(vertex), vertex));
     let mut first_of: Vec<u32> = (0..mesh.positions.len() as u32).collect();

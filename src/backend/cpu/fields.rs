@@ -38,10 +38,10 @@ pub fn field(recipe: &Recipe, sampled: &SampledDif, cells: CellBox) -> Block {
     field.map(|field| Rc::unwrap_or_clone(field.block)).expect("nothing stops it")
 }
 
-/// Makes the final field on each of some nearby boxes of cells, one after another; `None` if no
-/// surface can pass through the box, as far as this is known before the field is made. Each box
-/// comes with whether it is away from walls. The boxes share intermediate results within a limit of
-/// bytes. A solid near any of them cuts the field.
+/// Makes the final field on each of some nearby boxes of cells, one after another; `None` for a box
+/// through which no surface can pass, as far as this is known before the field is made. Each box
+/// comes with a flag that says whether it is away from walls. The boxes share intermediate results
+/// within a limit of bytes. A solid near any of the boxes cuts the field.
 pub(super) fn cut_fields<'a>(
     recipe: &'a Recipe,
     sampled: &'a SampledDif,
@@ -95,7 +95,7 @@ fn fill(sampled: &SampledDif, level: u32) -> SolidFill {
 }
 
 /// The shares of the clouds of some cells 2^`level` times as wide that are outside of a solid;
-/// `None` if it is not near.
+/// `None` if the solid is not near.
 fn outside_of(
     solid: &Solid,
     sampled: &SampledDif,
@@ -104,7 +104,7 @@ fn outside_of(
     reach: i32,
 ) -> Option<Block> {
     let (grid, periodic) = (&sampled.facts.grid, sampled.facts.periodic.as_ref());
-    // A cell's cloud reaches beyond it.
+    // A cell's cloud reaches beyond the cell.
     if !solid.is_near(grid, periodic, level, cells.grown(2, 2)) {
         return None;
     }
@@ -117,7 +117,7 @@ fn outside_of(
     Some(shares)
 }
 
-/// The distance from a solid with its offset within which the field is cut, in cells: normals use
+/// The distance, in cells, from a solid with its offset, within which the field is cut: normals use
 /// two cells beyond a vertex's cell.
 pub(super) const CUT: i32 = 3;
 
@@ -141,7 +141,7 @@ pub(super) fn wide_volume(distances: &DistanceFilters, cells: CellBox) -> usize 
     distances.wide_cells(cells).grown(halo, halo).volume()
 }
 
-/// The cells that depend on any of some cells 2^`level` times as wide.
+/// The cells that depend on any of the cells `wide`, which are 2^`level` times as wide.
 pub(super) fn refined_from(level: u32, wide: CellBox) -> CellBox {
     if wide.is_empty() {
         return wide;
@@ -156,7 +156,7 @@ pub(super) fn refined_from(level: u32, wide: CellBox) -> CellBox {
 pub(super) enum FieldUse {
     /// The whole field.
     Everywhere,
-    /// Only a field that the surface at this isovalue can cut.
+    /// The field only if the surface at this isovalue can pass through it.
     NearSurface { iso: Isovalue, away_from_walls: bool },
 }
 
@@ -173,7 +173,7 @@ impl FieldUse {
         any_inside && (!away_from_walls || pieces.any(|piece| minimum(piece) <= threshold))
     }
 
-    /// Whether a surface can pass with any filters: if all samples are 0, there is none.
+    /// Whether a surface can pass with any filters: if all samples are 0, there is no surface.
     fn may_show_any(self, block: &Block) -> bool {
         matches!(self, Self::Everywhere)
             || block.samples().chunks(PIECE).any(|piece| greatest_of(piece) > 0)
@@ -202,7 +202,7 @@ pub(super) struct Blocks<'a> {
     density: Option<Density<'a>>,
     /// A solid that may be near, if there is one.
     solid: Option<&'a Solid>,
-    /// The shares outside of the solid, after clouds were continued into it.
+    /// The share of each cell outside of the solid, after clouds were continued into the solid.
     outside: Option<Rc<Block>>,
     /// The requested cells of the field.
     cells: CellBox,
@@ -214,7 +214,7 @@ pub(super) struct Blocks<'a> {
     /// Whether almost all samples are 0.
     few: bool,
     /// The distance by which nearby particles lie outside of the calm surface, in the grid's cells,
-    /// and the greatest one at which nothing stands out.
+    /// and the greatest distance at which nothing stands out.
     near: Option<(Rc<Block>, u16)>,
 }
 
@@ -407,7 +407,7 @@ impl Fields for Blocks<'_> {
         level: u32,
         begin: u16,
     ) -> Result<(), StopSignal> {
-        // Cells are weighted means of wide ones.
+        // Cells are weighted means of wide cells.
         let cells = wide_cells(level, self.cells);
         let drops = !outlying_part(&wide.outlying.block, cells, begin).is_empty();
         if self.field_use.may_show(&wide.bulk.block, cells, drops) {

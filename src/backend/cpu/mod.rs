@@ -24,8 +24,7 @@ use crate::system::control::Meter;
 use super::{BINS_A_THREAD, Executor, REGIONS_TOGETHER, Stages, Surfaces, Take, Work};
 use fields::cut_fields;
 
-/// The fraction 1 / `SHARE` of a budget is for all threads together to mesh neighbouring blocks
-/// together.
+/// All threads together use at most 1 / `SHARE` of the budget to mesh neighbouring blocks together.
 const SHARE: u64 = 8;
 
 /// Edge of a cube of blocks that are meshed together, in blocks: for spray, and for other fluid.
@@ -58,13 +57,14 @@ impl Executor for Cpu {
 /// The stages of a frame on the CPU.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct CpuStages {
-    /// Maximum bytes of a thread for meshing neighbouring blocks together; 0 meshes each block by
-    /// itself.
+    /// Maximum bytes of a thread for meshing neighbouring blocks together; with 0, each block is
+    /// meshed separately.
     together: u64,
 }
 
 impl CpuStages {
-    /// Replaces a device that failed: meshes each block by itself, which takes the least memory.
+    /// Replaces a device that failed. It meshes each block separately, which takes the least
+    /// memory.
     pub(super) const STAND_IN: Self = Self { together: 0 };
 }
 
@@ -121,7 +121,7 @@ struct RegionGroup<'a> {
 }
 
 impl CpuStages {
-    /// Splits regions into groups of neighbours, which are smaller if they are not spray.
+    /// Splits regions into groups of neighbours. Groups are smaller if the regions are not spray.
     fn groups<'a>(&self, surfaces: &Surfaces<'_>, regions: &'a [CellBox]) -> Vec<RegionGroup<'a>> {
         // In Morton order neighbours are consecutive.
         let cubes = |blocks: i32| {
@@ -149,7 +149,7 @@ impl CpuStages {
     }
 }
 
-/// The surfaces of some regions of spray, which lie in some parts.
+/// The surfaces of some regions of spray, given the boxes `parts` that contain all of them.
 fn meshes_of_spray(
     surfaces: &Surfaces<'_>,
     regions: &[CellBox],
@@ -190,7 +190,7 @@ fn meshes(
     let away = |region: CellBox| walls.is_none_or(|walls| walls.covers(&dual_cells(region)));
     let solid =
         surfaces.solid.filter(|_| regions.iter().any(|&region| surfaces.is_at_solid(region)));
-    // At a solid, fluid has a surface even if it is all inside.
+    // At a solid, a block has a surface even if all of its cells are inside the fluid.
     let away = |region| solid.is_none() && away(region);
     let boxes: Vec<_> =
         regions.iter().map(|&region| (normals.cells(region), away(region))).collect();

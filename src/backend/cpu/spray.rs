@@ -16,7 +16,7 @@ use super::fields::{BlockField, Blocks, FieldUse, refined_from, wide_volume};
 
 /// Spray has particles in at most one of this many cells.
 const FEW: usize = 16;
-/// The cost of a wide cell of other fluid relative to spray.
+/// The cost of a wide cell of other fluid, as a multiple of the cost of a wide cell of spray.
 const CHEAPER: usize = 4;
 
 /// The distance from the inside of a drop within which its field is needed, in cells: a vertex lies
@@ -31,8 +31,8 @@ pub(super) struct DropField {
     field: Block,
 }
 
-/// The boxes within `cells` that can contain a surface; `None` if the whole field is cheaper than
-/// drop by drop. There is no surface beyond the reach of particles.
+/// The boxes within `cells` that can contain a surface; `None` if making the whole field is cheaper
+/// than making it drop by drop. There is no surface beyond the reach of particles.
 pub(super) fn parts(
     recipe: &Recipe,
     sampled: &SampledDif,
@@ -64,8 +64,8 @@ pub(super) fn drops(recipe: &Recipe, sampled: &SampledDif, parts: &[CellBox]) ->
 }
 
 /// The field on the part of `cells` in which dual cells can have a surface; `None` if there is no
-/// surface. Like `cells`, this part consists of whole tiles. If `walls` do not cover `cells`, it is
-/// all of them.
+/// surface. Like `cells`, this part consists of whole tiles. If `walls` do not cover `cells`, the
+/// part is all of `cells`.
 pub(super) fn field(drops: &[DropField], cells: CellBox, walls: Option<CellBox>) -> Option<Block> {
     let inside = drops.iter().map(|drop| drop.inside.intersection(&cells));
     let inside = inside.filter(|inside| !inside.is_empty());
@@ -106,13 +106,13 @@ fn drop_in(
     if needed.is_empty() {
         return None;
     }
-    // The cells between the middles of the needed ones.
+    // The cells between the middles of the needed wide cells.
     let further = i32::from(level > 0);
     let between =
         CellBox { lo: (needed.lo + further) << level, hi: (needed.hi - further) << level };
     let mut blocks = Blocks::of_few(recipe, sampled, between, FieldUse::Everywhere);
     let WideFields { bulk, outlying } = bulk(distances, &mut blocks).ok()?;
-    // Farther away no particle is near.
+    // Farther cells have no particle nearby, so their samples are 0.
     let padded = |BlockField { block, level }: BlockField| {
         let mut all = Block::zero(wide);
         all.put_part(needed, block.cells(), block.samples(), |_, sample| sample);

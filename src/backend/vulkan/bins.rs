@@ -84,8 +84,8 @@ impl DeviceFrame {
     }
 
     /// Makes the pages of all bins, which stay on the device, and returns the data that the host
-    /// needs about each; `None` if the device shares the host's memory, if the pages do not fit, or
-    /// if a bin is too large for a batch.
+    /// needs about each page; `None` if the device shares the host's memory, if the pages do not
+    /// fit, or if a bin is too large for a batch.
     pub(super) fn indicate_on_device(
         &self,
         state: &mut DeviceState,
@@ -228,8 +228,8 @@ impl DeviceFrame {
         Ok(read)
     }
 
-    /// The pages of particles that are already binned on the device, or only the data about them if
-    /// they stay there.
+    /// The pages of particles that are already binned on the device, or only the data about the
+    /// pages if the pages stay on the device.
     pub(super) fn indicate_resident(
         &self,
         state: &mut DeviceState,
@@ -303,7 +303,8 @@ fn read_infos(
     keys: &[MortonKey],
 ) -> Result<Vec<PageInfo>, VulkanError> {
     lane.compute.wait()?;
-    // SAFETY: the batch that writes it has finished, and the lane has not begun another.
+    // SAFETY: the batch that writes the buffer has finished, and the lane has not begun another
+    // batch.
     let found: Vec<DeviceFullCells> = unsafe { batch.read.read(0, batch.bins.len()) };
     let keys = &keys[batch.bins.clone()];
     Ok(found
@@ -326,8 +327,8 @@ fn read_pages(
     lane.download.submit(lane.compute.last())?;
     lane.download.wait()?;
     let stride = page_bytes(shape) as usize / size_of::<u16>();
-    // SAFETY: the batch that writes it has finished, and the lane begins no other before the
-    // samples are copied.
+    // SAFETY: the batch that writes the buffer has finished, and the lane begins no other batch
+    // before the samples are copied.
     let samples: &[u16] = unsafe { batch.read.values(0, batch.bins.len() * stride) };
     let page = |(samples, bin): (&[u16], usize)| {
         let dense = &samples[..shape.bin_samples()];

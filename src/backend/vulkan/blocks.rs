@@ -76,7 +76,7 @@ impl DeviceFrame {
     }
 
     /// Computes the surfaces of some regions, and passes them to `take` batch by batch, in order,
-    /// until it stops.
+    /// until `take` or the device fails.
     fn each_batch<E: From<VulkanError>>(
         &self,
         state: &mut DeviceState,
@@ -111,7 +111,7 @@ type TakeBatch<'a, E> =
 pub struct DeviceSurfaces {
     /// The blocks with a surface, in Morton order, with their block coordinates and their tallies.
     pub blocks: Vec<(IVec3, BlockTally)>,
-    /// One [`Tile`] each.
+    /// The tiles of all blocks, as [`Tile`]s.
     pub tiles: View,
     /// For every vertex, the field at the lower and the upper end of its edge.
     pub ends: View,
@@ -314,7 +314,7 @@ impl Contouring<'_> {
     }
 
     /// Waits for a batch, and passes it to `take`. A batch with more vertices than its buffers can
-    /// hold is meshed again, in parts if it exceeds its share.
+    /// hold is meshed again, in parts if it exceeds its share of the memory.
     fn finish<E: From<VulkanError>>(
         &self,
         lane: &mut Lane,
@@ -327,7 +327,8 @@ impl Contouring<'_> {
         }
         lane.compute.wait()?;
         let read = lane.known("tallies read", ((count + 1) * size_of::<BlockTally>()) as u64);
-        // SAFETY: the batch that writes it has finished, and the lane has not begun another.
+        // SAFETY: the batch that writes the buffer has finished, and the lane has not begun another
+        // batch.
         let begins: Vec<BlockTally> = unsafe { read.read(0, count + 1) };
         let vertices = u64::from(begins[count].vertices);
         if vertices <= batch.room {

@@ -37,7 +37,8 @@ pub(super) struct FrameConstants {
 }
 
 impl Constants {
-    /// Uploads the missing lookup data for surfaces with an idle batch.
+    /// Uploads the lookup data for surfaces that is still missing on the device, with an idle
+    /// batch.
     pub(super) fn of(
         &mut self,
         surfaces: &Surfaces<'_>,

@@ -50,7 +50,7 @@ pub(super) struct BlockBatch {
     pub(super) room: u64,
     /// The bulk of the batch in wide cells, if the field is made from distances.
     pub(super) wide: Option<WideBulk>,
-    /// Numbers of the regions to mesh: all that can have a surface.
+    /// Indices of the regions to mesh: all regions that can have a surface.
     pub(super) meshed: Vec<usize>,
     /// The parts of these regions in which particles stand out, each with the index of its region
     /// in `meshed`.
@@ -58,8 +58,8 @@ pub(super) struct BlockBatch {
 }
 
 impl BlockBatch {
-    /// Makes a batch of as many of the first regions as fit, at least one, even if particles stand
-    /// out everywhere.
+    /// Makes a batch of the first `regions`: as many as fit even if particles stand out everywhere,
+    /// and at least one.
     pub(super) fn new(work: &Contouring<'_>, regions: &[CellBox]) -> Self {
         let limit = work.frame.device.limits().storage_range;
         let sources = work.sources();
@@ -119,7 +119,7 @@ pub(super) struct BatchField {
 
 /// The cells of one width in which a batch has fields.
 pub(super) struct FieldLevel {
-    /// The cells are 2^`level` times as wide as those of the grid.
+    /// The cells are 2^`level` times as wide as the grid's cells.
     pub(super) level: u32,
     /// The halo around the requested cells.
     halo: i32,

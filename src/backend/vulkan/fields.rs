@@ -23,7 +23,7 @@ use super::pipelines::Pipelines;
 pub(super) struct PaddedSamples {
     pub(super) samples: View,
     pub(super) margin: i32,
-    /// The index of its [`PaddedBlocks`].
+    /// The index of the [`PaddedBlocks`] to which the samples belong.
     pub(super) of: usize,
 }
 
@@ -34,8 +34,8 @@ pub(super) struct PaddedBlocks {
     pub(super) level: u32,
     /// Bits of the inside bricks, if there are any.
     pub(super) marks: Option<View>,
-    /// Indices of other blocks that contain these, and for each block the number of the containing
-    /// one.
+    /// Indices of other [`PaddedBlocks`] whose blocks contain these blocks, each with a list of the
+    /// containing block for each block.
     pub(super) within: Vec<(usize, View)>,
     /// Unused buffers.
     pub(super) free: Vec<View>,
@@ -55,12 +55,13 @@ pub(super) struct PaddedFields<'a> {
     /// there are any.
     pub(super) cells: usize,
     pub(super) parts: Option<usize>,
-    /// The blocks in which sheets are made, around these parts.
+    /// The blocks in which sheets are made, around `parts`.
     pub(super) drops: usize,
 }
 
 impl PaddedFields<'_> {
-    /// Gathers the samples of a grid from pages, after those of earlier calls.
+    /// Gathers the samples of a grid from pages. The recipe uses them after the samples of earlier
+    /// calls.
     pub(super) fn gather(&mut self, of: usize, pages: &DevicePages) -> Result<(), VulkanError> {
         let samples = self.take(of);
         self.commands.stage("gather", pages.pages.bytes() + samples.bytes());
@@ -88,7 +89,7 @@ impl PaddedFields<'_> {
         walls_at(self.grids[of].level, self.walls)
     }
 
-    /// For each block of one grid, the number of the containing block of another.
+    /// For each block of one grid, the number of the containing block of another grid.
     fn within(&self, of: usize, other: usize) -> View {
         let mut known = self.grids[of].within.iter();
         let (_, numbers) =
@@ -110,7 +111,7 @@ impl Fields for PaddedFields<'_> {
         Ok(field)
     }
 
-    /// Only the CPU handles regions near solids.
+    /// Does not change clouds, because only the CPU handles regions near solids.
     fn filled(&mut self, clouds: &Rc<PaddedSamples>) -> Result<Rc<PaddedSamples>, VulkanError> {
         Ok(Rc::clone(clouds))
     }
@@ -236,7 +237,7 @@ impl Fields for PaddedFields<'_> {
         Ok(Rc::new(PaddedSamples { samples: to, margin, of }))
     }
 
-    /// The caller probed the regions before.
+    /// Does nothing, because the caller has already probed the regions.
     fn probe(
         &mut self,
         _: &WideFields<Rc<PaddedSamples>>,

@@ -22,7 +22,7 @@ const SMALLEST_BATCH: u64 = 1 << 20;
 #[derive(Debug, Default)]
 pub(super) struct FrameBuffers {
     lanes: Vec<Lane>,
-    /// Buffers for the pages of a frame, followed by those of its wider cells.
+    /// Buffers for the pages of a frame, followed by buffers for the pages of its wider cells.
     pages: VecDeque<Arc<Buffer>>,
     pub(super) constants: Constants,
 }
@@ -86,7 +86,7 @@ impl DeviceFrame {
     pub(super) fn make_lanes(&self, state: &mut DeviceState) -> Result<(), VulkanError> {
         while state.lanes.len() < LANES {
             let mut kept = self.kept();
-            // In their order: the first lane has the largest buffers.
+            // Lanes are reused in their order, because the first lane has the largest buffers.
             let known = (!kept.lanes.is_empty()).then(|| kept.lanes.remove(0));
             drop(kept);
             let fitting = known.filter(|lane| lane.bytes() <= 2 * state.batch_bytes);
@@ -110,7 +110,7 @@ impl DeviceFrame {
             return;
         }
         self.forget_residents();
-        // Only once, because consecutive runs of bins do not fit together.
+        // This is tried only once, because consecutive runs of bins do not fit together.
         let most = std::mem::take(&mut state.resident_bytes);
         if let Some(pages) = self.room(state, keys.len() as u64 * page_bytes(shape), most) {
             let numbers = keys.iter().map(|key| key.coord()).zip(0..).collect();
@@ -144,8 +144,8 @@ impl DeviceFrame {
         }
     }
 
-    /// Recovers from a failure: with smaller batches if memory is exhausted, or on the CPU if that
-    /// does not help.
+    /// Recovers from a failure: with smaller batches if memory is exhausted, or on the CPU if
+    /// smaller batches do not help.
     pub(super) fn recover(&self, state: &mut DeviceState, error: &VulkanError) {
         state.lanes.clear();
         *self.kept() = FrameBuffers::default();

@@ -169,8 +169,8 @@ impl Places {
         part(inputs, &self.marks)
     }
 
-    /// Returns the pages from which samples are gathered; without constants, the samples are the
-    /// stored ones.
+    /// Returns the pages from which samples are gathered; without constants, stored samples are not
+    /// converted.
     pub(super) fn pages(
         &self,
         inputs: &View,

@@ -94,7 +94,7 @@ impl Lane {
         self.buffers.values().map(|buffer| buffer.bytes()).sum()
     }
 
-    /// Starts a new batch after the lane's last one has finished.
+    /// Starts a new batch after the lane's last batch has finished.
     pub(super) fn begin(&mut self) -> Result<(), VulkanError> {
         self.upload.begin()?;
         self.compute.begin()?;
@@ -120,9 +120,9 @@ pub(super) fn part(view: &View, range: &Range<u64>) -> View {
     view.part(range.start, range.end - range.start)
 }
 
-/// Keeps all lanes busy: `start` gives the next batch to an idle lane until there are no more,
-/// `go_on` continues a batch after its first part has finished, and `finish` takes the batches in
-/// the order in which they were started.
+/// Keeps all lanes busy: `start` gives the next batch to an idle lane until there are no more
+/// batches, `go_on` continues a batch after its first part has finished, and `finish` takes the
+/// batches in the order in which they were started.
 pub(super) fn run_batches<T, E>(
     lanes: &mut [Lane],
     mut start: impl FnMut(&mut Lane) -> Result<Option<T>, E>,

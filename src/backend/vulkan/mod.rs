@@ -4,7 +4,7 @@
 //! are in flight, so that the host prepares one and reads another while the device computes. The
 //! DIF stays on the device between the two stages if it fits. Work that exceeds the device's memory
 //! is retried in smaller batches, and finally on the CPU; if the device is lost, the CPU does the
-//! rest. The results are the same bytes on both.
+//! rest. The device and the CPU produce the same bytes.
 
 mod bins;
 mod blocks;
@@ -125,8 +125,8 @@ impl Vulkan {
 pub struct ResidentFrame(Arc<DeviceFrame>);
 
 impl ResidentFrame {
-    /// The field of all bins; if memory is exhausted, in smaller batches. Downloads of a field that
-    /// stays on the device can fail later: see [`check`](Self::check).
+    /// Makes the field of all bins, in smaller batches if memory is exhausted. Downloads of a field
+    /// that stays on the device can fail later: see [`check`](Self::check).
     ///
     /// # Errors
     /// The errors of the device.
@@ -152,12 +152,12 @@ impl ResidentFrame {
     /// Checks that all downloads of the field succeeded.
     ///
     /// # Errors
-    /// The errors of the device, if one failed.
+    /// The errors of the device, if a download failed.
     pub fn check(&self) -> Result<(), VulkanError> {
         self.0.reader.failed().map_or(Ok(()), Err)
     }
 
-    /// The surfaces of all blocks; if memory is exhausted, in smaller batches.
+    /// Makes the surfaces of all blocks, in smaller batches if memory is exhausted.
     ///
     /// # Errors
     /// The errors of the device.
@@ -202,8 +202,9 @@ impl Executor for Vulkan {
 }
 
 impl Stages for Arc<DeviceFrame> {
-    /// The field stays on the device if it fits, unless the device shares the host's memory, or the
-    /// pages take less memory than the particles, which would be kept to make the pages again.
+    /// The field stays on the device if it fits. It goes to the host if the device shares the
+    /// host's memory, or if the pages take less memory than the particles, which would be kept to
+    /// make the pages again.
     fn field(&self, bins: &Arc<Bins>, rule: &PageRule, meter: &Meter<'_>) -> io::Result<DifField> {
         let (count, shape) = (bins.keys().len(), rule.shape());
         let particles: usize = (0..count).map(|bin| bins.count(bin)).sum();

@@ -232,8 +232,8 @@ impl DeviceFrame {
             |_, _| Ok(()),
             |lane, (count, read)| {
                 lane.compute.wait()?;
-                // SAFETY: the batch that writes it has finished, and the lane has not begun
-                // another.
+                // SAFETY: the batch that writes the buffer has finished, and the lane has not begun
+                // another batch.
                 all.extend(unsafe { read.read::<T>(0, count) });
                 Ok(())
             },

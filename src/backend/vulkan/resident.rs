@@ -79,12 +79,13 @@ impl PageReader {
             batch.copy(&from, &buffer.part(to, bytes));
             to += bytes;
         }
-        // Submitted to the queue on which the pages were made, and so after them.
+        // The copy is submitted to the queue on which the pages were made, so it runs after their
+        // work.
         batch.submit(&[])?;
         batch.wait()?;
         let stride = page_bytes as usize / size_of::<u16>();
-        // SAFETY: the only batch that writes it has finished, and cannot begin again while this
-        // lock is held.
+        // SAFETY: the only batch that writes the buffer has finished, and cannot begin again while
+        // this lock is held.
         let samples: &[u16] = unsafe { buffer.values(0, infos.len() * stride) };
         let pages = samples.chunks_exact(stride).zip(infos).map(|(samples, info)| {
             let dense = &samples[..shape.bin_samples()];

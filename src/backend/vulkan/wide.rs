@@ -22,7 +22,8 @@ use super::grids::{LevelBlocks, NO_TILES};
 use super::lane::{BufferLayout, Lane, part};
 use super::pipelines::page_bytes;
 
-/// The index of the wide cells' blocks among those of a batch.
+/// Indices of the block lists of a batch: in wide cells, in the grid's cells, and in the parts in
+/// which particles stand out.
 const WIDE: usize = 0;
 const CELLS: usize = 1;
 const PARTS: usize = 2;
@@ -45,7 +46,8 @@ impl Contouring<'_> {
         lane.compute.wait()?;
         let count = wide.probes.len();
         let read = lane.known("seen read", (size_of::<ProbeResult>() * count) as u64);
-        // SAFETY: the batch that writes it has finished, and the lane has not begun another.
+        // SAFETY: the batch that writes the buffer has finished, and the lane has not begun another
+        // batch.
         let seen: Vec<ProbeResult> = unsafe { read.read(0, count) };
         batch.meshed.clear();
         for (number, ((&region, probe), seen)) in

@@ -21,9 +21,9 @@ pub struct TapWindow {
     pub margin: i32,
 }
 
-/// Runs a program with `axis.wgsl` along x, then y, then z: from `from` through `to` and `through`
-/// into `to`. Its buffers are the blocks, the input, the output, and then `further`. Sums along an
-/// axis are shifted down by `shift` bits.
+/// Runs a shader that includes `axis.wgsl` along x, then y, then z. Samples go from `from` to `to`,
+/// then to `through`, and finally back to `to`. The shader's buffers are the blocks, the input, the
+/// output, and then `further`. Sums along an axis are shifted down by `shift` bits.
 ///
 /// # Errors
 /// The errors of the device.

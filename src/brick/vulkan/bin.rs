@@ -26,10 +26,12 @@ use super::{DeviceGrid, flat_groups};
 const CHUNK: usize = (PIECE / (RECORD_BYTES + HOME_BYTES) / ALIGNMENT * ALIGNMENT) as usize;
 /// Chunks in a batch, with at most three dispatches and two stages each.
 const BATCH_CHUNKS: usize = 16;
-/// Particles per slot of the first table that is tried, and the growth factor of the next table.
+/// Particles per slot of the first table of bins. If the table is too small, the next one is
+/// [`GROWTH`] times larger.
 const SLOT_PARTICLES: usize = 256;
 const GROWTH: u64 = 8;
-/// Maximum number of probed slots per bin; if they are not enough, the table is too small.
+/// Maximum number of slots that are probed for a bin. If none of them is free, the table is too
+/// small.
 pub const PROBES: u32 = 128;
 /// The owner of a slot whose key is known.
 pub const SETTLED: u32 = u32::MAX;
@@ -104,12 +106,12 @@ pub type BinRun = (Range<usize>, Arc<Buffer>);
 pub struct DeviceBins {
     /// The bins with particles, in Morton order.
     pub keys: Vec<MortonKey>,
-    /// The index of each bin's first particle, followed by the number of particles.
+    /// The index of each bin's first particle; the last entry is the number of particles.
     pub first: Vec<usize>,
     /// Numbers of binned and skipped particles.
     pub census: Census,
-    /// Runs of bins with the packed particles of each run, 8 bytes per particle. It is one run if a
-    /// single buffer can hold them all.
+    /// Runs of bins with the packed particles of each run, 8 bytes per particle. There is a single
+    /// run if one buffer can hold all particles.
     pub runs: Vec<BinRun>,
 }
 
@@ -220,8 +222,8 @@ fn chunks(positions: &[DevicePositions], limits: Limits) -> Vec<DeviceChunk> {
 ///
 /// # Errors
 /// [`DeviceBinError::Bin`] as on the host. [`VulkanError::OutOfMemory`] if there are 2^32 particles
-/// or more, if a bin has more than 2^24 or more than a buffer can hold, or if the device has no
-/// memory for 20 bytes per particle; 8 of them stay allocated.
+/// or more, if a bin has more than 2^24 particles or more than a buffer can hold, or if the device
+/// has no memory for 20 bytes per particle; 8 of these bytes stay allocated.
 ///
 /// # Panics
 /// If a view is smaller than its positions.
@@ -238,7 +240,7 @@ pub fn bin(
     if u32::try_from(total).is_err() {
         return Err(VulkanError::OutOfMemory { bytes: total as u64 * RECORD_BYTES }.into());
     }
-    // In device memory, because every particle's thread reads it.
+    // The grid is in device memory, because the thread of every particle reads it.
     let mut batch = device.batch(Queue::Compute)?;
     batch.begin()?;
     let device_grid = batch.store(&[DeviceGrid::new(grid, domain)])?;
@@ -277,7 +279,7 @@ pub fn bin(
     Ok(DeviceBins { keys: bins.into_iter().map(|(key, _, _)| key).collect(), first, census, runs })
 }
 
-/// All particles by bin.
+/// The result of the first pass: the packed particles, and the table of bins with their counts.
 struct CountedBins {
     /// The packed particles of each chunk, with the slots of their bins.
     kept: Vec<PackedChunk>,
@@ -335,7 +337,7 @@ impl Binning<'_> {
             batch.copy(&slots.whole(), &slots_read.whole());
             batch.submit(&[])?;
             batch.wait()?;
-            // SAFETY: the only batch that writes them is done.
+            // SAFETY: the only batch that writes these buffers is done.
             let (census, table): (Vec<ChunkCensus>, Vec<BinSlot>) = unsafe {
                 (census_read.read(0, self.chunks.len().max(1)), slots_read.read(0, len as usize))
             };
@@ -349,7 +351,7 @@ impl Binning<'_> {
         }
     }
 
-    /// Allocates the buffers for a chunk's particles until they are sorted.
+    /// Allocates the buffers that hold a chunk's particles until they are sorted.
     fn keep(&self, chunk: &DeviceChunk) -> Result<PackedChunk, VulkanError> {
         let packed = RECORD_BYTES * u64::from(chunk.count);
         let begin = packed.next_multiple_of(ALIGNMENT);
@@ -426,7 +428,7 @@ impl Binning<'_> {
         batch.copy(&view.part(index as u64 * bytes, bytes), &read.whole());
         batch.submit(&[])?;
         batch.wait()?;
-        // SAFETY: the only batch that writes it is done.
+        // SAFETY: the only batch that writes this buffer is done.
         let values: Vec<f64> = unsafe {
             match coordinate {
                 Coordinate::Single => read.read::<f32>(0, 3).into_iter().map(f64::from).collect(),

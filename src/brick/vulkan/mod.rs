@@ -52,7 +52,8 @@ pub struct DeviceBlock {
     pub table: u32,
     /// The lowest cell of the tiles to mesh.
     pub tiles_lo: [i32; 3],
-    /// The block's first word among the bits of bricks of all blocks, if there are any.
+    /// The block's first word among the bits that mark inside bricks of all blocks, if there are
+    /// any bits.
     pub marks: u32,
     /// The edges of the part that is divided into tiles, in cells.
     pub tiles_size: [u32; 3],
@@ -90,12 +91,12 @@ impl DeviceBlock {
         self.cells().grown(ghost_layer, ghost_layer).cubes(BIN)
     }
 
-    /// Words of its samples.
+    /// Number of words of the block's samples.
     pub fn words(&self) -> u32 {
         self.size.iter().product::<u32>() / 2
     }
 
-    /// The maximum over the axes of the number of runs of words along an axis.
+    /// The number of runs of words along x, y or z, whichever is greatest.
     fn runs(&self) -> u32 {
         let [x, y, z] = [self.size[0] / 2, self.size[1], self.size[2]];
         let along = |axis: u32, others: u32| axis.div_ceil(RUN) * others;
@@ -159,13 +160,13 @@ fn flat_groups(threads: u32, pipeline: &ComputePipeline) -> [u32; 3] {
 pub struct DevicePages {
     /// For every bin of every block, its page's number plus 1; 0 without a page.
     pub tables: View,
-    /// [`page_words`] each.
+    /// The pages, of [`page_words`] words each.
     pub pages: View,
     /// The arrangement of their samples.
     pub shape: PageShape,
     /// theta for each number of particles, with 1 for all larger numbers, if pages contain numbers.
     pub theta: View,
-    /// The number of these entries; 0 if pages contain theta.
+    /// The number of entries of `theta`; 0 if pages contain theta.
     pub decode: u32,
 }
 
@@ -190,8 +191,8 @@ pub fn gather(
     batch.dispatch(pipeline, &buffers, &push, blocks.run_groups(pipeline))
 }
 
-/// The cells within walls in the layout of shaders: the lowest and the highest; without walls,
-/// farther away than any cell.
+/// The lowest and the highest cell within walls, for shaders. Without walls, both are farther away
+/// than any cell of a grid.
 pub fn wall_bounds(walls: Option<CellBox>) -> [[i32; 3]; 2] {
     const NOWHERE: i32 = 1 << 24;
     walls.map_or([[-NOWHERE; 3], [NOWHERE; 3]], |walls| {

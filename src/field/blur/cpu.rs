@@ -22,7 +22,8 @@ pub trait BlurSample: Copy + Default + PartialEq {
 /// cells whose whole neighbourhood is in the input.
 ///
 /// # Panics
-/// If the block is too small for one cell to remain: recipe and gather disagree, which is our bug.
+/// If the block is too small for one cell to remain, which is a bug in the recipe or in the
+/// gathering of blocks.
 pub fn blur<T: BlurSample>(block: Block<T>, weights: &Weights, walls: Option<CellBox>) -> Block<T> {
     blur_while(block, weights, walls, |_| true).expect("nothing stops it")
 }
@@ -52,8 +53,8 @@ pub fn blur_while<T: BlurSample>(
     Some(block)
 }
 
-/// Blurs a block in which only some cells, sorted with x fastest, have samples above 0. It is fast
-/// if these cells are few, because it skips all other rows.
+/// Blurs a block whose nonzero samples are all in the cells `full`, sorted with x fastest. It is
+/// fast if `full` has few cells, because it skips all rows without such cells.
 ///
 /// # Panics
 /// As [`blur`].
@@ -106,9 +107,9 @@ fn blurred_part(block: &Block, full: &[IVec3], weights: &Weights) -> Block {
     blurred
 }
 
-/// Blurs a row along x, whose first tap belongs to a cell. Only taps of some cells are above 0, and
-/// only the weights from the lowest to the highest such cell are applied. `sums` is as long as the
-/// result.
+/// Blurs a row along x. The first tap belongs to the cell at x = `lowest`. Only the taps of the
+/// cells `full` are above 0, so only these taps are multiplied by weights. `sums` is scratch memory
+/// as long as the result.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
 fn blur_few(
     to: &mut [u16],

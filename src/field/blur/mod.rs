@@ -2,8 +2,8 @@
 //!
 //! Per axis and cell: (sum over taps of weight * sample + 32768) >> 16, with integer weights that
 //! sum to 65536. A result is within the range of its samples. A filter with a gain of g bits shifts
-//! its last axis by 16 - g instead, and saturates at 65535: a wide filter makes samples small, and
-//! the gain keeps their resolution.
+//! the sum along its last axis by 16 - g bits instead of 16, and saturates at 65535. A wide filter
+//! makes samples small, and the gain preserves their resolution.
 //!
 //! A filter reaches [`Weights::reach`] cells along every axis, and its result is smaller by this
 //! reach on every side.
@@ -27,7 +27,7 @@ const UNIT: u32 = 1 << 16;
 pub struct Weights {
     /// The weight of the centre, then of the cells 1, 2, ... away on either side.
     half: Vec<u32>,
-    /// Bits by which the result is larger than the samples.
+    /// The gain in bits: results are 2^`gain` times the weighted mean of the samples.
     gain: u32,
 }
 
@@ -82,7 +82,8 @@ impl Weights {
         Self::with_tails(vec![UNIT / 3])
     }
 
-    /// Makes a filter whose centre has the weight that the tails leave.
+    /// Makes a filter from the weights on one side of its centre. The centre gets the remaining
+    /// weight.
     fn with_tails(tails: Vec<u32>) -> Self {
         let centre = UNIT - 2 * tails.iter().sum::<u32>();
         Self { half: std::iter::once(centre).chain(tails).collect(), gain: 0 }
@@ -98,7 +99,7 @@ impl Weights {
         if axis == 2 { UNIT.ilog2() - self.gain } else { UNIT.ilog2() }
     }
 
-    /// The square of its standard deviation, in squared cells.
+    /// The square of the filter's standard deviation, in squared cells.
     pub fn variance(&self) -> f64 {
         let moments =
             (0_u32..).zip(&self.half).map(|(k, &weight)| u64::from(k * k) * u64::from(weight));

@@ -8,7 +8,8 @@ use crate::vulkan::{Batch, ComputePipeline, View, VulkanError};
 
 use super::Weights;
 
-/// Blurs all blocks along x, then y, then z: from `from` through `to` and `through` into `to`.
+/// Blurs all blocks along x, then y, then z: from `from` to `to`, then to `through`, and finally
+/// back to `to`.
 ///
 /// Samples within `margin` of a block's faces are unknown in the input, and within `margin` plus
 /// the filter's reach in the result.

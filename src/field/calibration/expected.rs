@@ -14,8 +14,8 @@ const PLACES: u64 = 8;
 /// Edge of a synthetic fluid, in spacings or in cells, whichever is longer.
 const EDGE: f64 = 16.0;
 
-/// The maximum spacing of a synthetic fluid's particles per cell. With this many particles in a
-/// cell, disorder has no effect.
+/// Maximum number of a synthetic fluid's particles along the edge of a cell. A cell with so many
+/// particles is not affected by disorder.
 const LONGEST: f64 = 24.0;
 
 /// Cells per spacing at which no cell holds two particles. In finer cells the density decreases
@@ -25,17 +25,17 @@ const FINEST: f64 = 64.0;
 /// The maximum distance of a particle from its lattice position along each axis, in spacings.
 const JITTER: f64 = 0.3;
 
-/// The minimum number of full cells for an estimate of a frame's disorder; fewer would reflect a
-/// few particles only.
+/// The minimum number of full cells for an estimate of a frame's disorder. With fewer cells, the
+/// estimate would depend on a few particles.
 const TELLING: u64 = 1000;
 
-/// The maximum number of particles in a cell that count for its disorder, relative to the usual
-/// number; more are a clump.
+/// The maximum number of particles in a cell that are counted for the estimate of disorder,
+/// relative to the usual number. Additional particles are a clump.
 const MOST: f64 = 4.0;
 
 /// The mean DIF of a fluid whose particles are `spacing` cells apart, on a disordered lattice.
-/// Smoothing does not change a mean. As in a field, 65535 is 1. For counts, the disorder of the
-/// frame is taken into account, from its DIF.
+/// Smoothing does not change a mean. The result is in samples, of which 65535 means 1. For the
+/// counting indicator, it also depends on the frame's disorder, which is estimated from `dif`.
 pub fn expected(indicator: Indicator, spacing: f64, dif: Option<&DifField>) -> f64 {
     match indicator {
         Indicator::Counting(mean) => {
@@ -61,7 +61,7 @@ struct FluidSums {
     particles: f64,
     /// Sum of theta over all cells.
     sum: u64,
-    /// The number of particles in the cells relative to the requested number.
+    /// The ratio of the fluid's density to the requested density.
     denser: f64,
 }
 
@@ -76,7 +76,8 @@ impl FluidSums {
         let layers = (f64::from(edge) / spacing).ceil() as u64 + 1;
         let mut fluid = Self { denser, ..Self::default() };
         for place in 0..PLACES {
-            // Multiples of the powers of the golden ratio are evenly spread.
+            // Multiples of the powers of the golden ratio, generalised to three axes, are evenly
+            // spread.
             let shift =
                 [0.819_172_513, 0.671_043_606, 0.549_700_478].map(|x| (place as f64 * x).fract());
             let mut cells: HashMap<[i32; 3], [f64; 4]> = HashMap::new();

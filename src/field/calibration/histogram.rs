@@ -2,8 +2,8 @@
 
 use rayon::prelude::*;
 
-/// Sample counts, indexed by upper byte and then lower byte: the samples inside a fluid lie close
-/// together.
+/// Sample counts, indexed by upper byte and then lower byte. Samples inside a fluid are close
+/// together, so few pages are needed.
 pub struct Histogram {
     pages: [Option<Box<[u64; 256]>>; 256],
 }
@@ -28,7 +28,7 @@ impl Histogram {
         self.pages[usize::from(upper)].get_or_insert_with(|| Box::new([0; 256]))
     }
 
-    /// Adds the samples of a row whose bits are set.
+    /// Adds the samples of `row` whose bits are set in `chosen`.
     pub fn add(&mut self, row: &[u16], mut chosen: u128) {
         for sample in row {
             if chosen & 1 != 0 {

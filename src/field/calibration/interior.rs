@@ -1,9 +1,11 @@
-//! Interior cells: cells deep in the fluid, by lengths that do not depend on the cell size.
+//! Interior cells: cells deep in the fluid, as defined by lengths that do not depend on the cell
+//! size.
 //!
 //! A cell counts as fluid if it belongs to the closing of the particles' cells: a dilation followed
 //! by an erosion of the same length. This fills gaps between particles and does not move the outer
-//! surface. A cell of the fluid is interior if it is deeper than the reach of the filters, or than
-//! 2.5 standard deviations of a smoothed particle, beyond which contributions are negligible.
+//! surface. A cell of the fluid is interior if it is deeper than the reach of the filters. A depth
+//! of 2.5 standard deviations of a smoothed particle also suffices, because contributions from
+//! farther away are negligible.
 
 use glam::IVec3;
 
@@ -16,17 +18,18 @@ use super::histogram::Histogram;
 /// The minimum depth of interior cells, in standard deviations of a smoothed particle.
 const DEPTH: f64 = 2.5;
 
-/// The maximum number of cells in a row: each is a bit.
+/// The maximum number of cells in a row, because each cell is one bit of a `u128`.
 const ROW: i32 = u128::BITS as i32;
 
 /// A field's samples and the filter that smooths them.
 pub struct BlurredSamples<'a> {
     pub dif: &'a DifField,
-    /// The cells that count, if others are periodic images of them.
+    /// The cells to examine, if all other cells are their periodic images.
     pub own: Option<CellBox>,
     /// The walls; edge cells are repeated beyond them.
     pub walls: Option<CellBox>,
-    /// The maximum distance at which a particle changes samples, from its own cell.
+    /// The maximum distance, in cells, from a particle's cell to a sample that the particle
+    /// changes.
     pub reach: i32,
     /// The halo of the filters.
     pub halo: i32,
@@ -34,7 +37,7 @@ pub struct BlurredSamples<'a> {
     pub width: f64,
     /// Smooths a block.
     pub apply: &'a (dyn Fn(Block, Option<CellBox>) -> Block + Sync),
-    /// A count of the examined parts. After a cancel no interior is found.
+    /// Counts the examined parts. After a cancel no interior is found.
     pub meter: &'a Meter<'a>,
 }
 
@@ -48,13 +51,13 @@ pub struct Interior<'a> {
 }
 
 impl<'a> Interior<'a> {
-    /// Makes an interior that closes gaps with room for a cube of `gap` cells, or of three cells if
-    /// that is larger.
+    /// Makes an interior that closes gaps up to the size of a cube of `gap` cells, or of three
+    /// cells if `gap` is less.
     pub fn new(blurred: &'a BlurredSamples<'a>, gap: f64) -> Self {
         let &BlurredSamples { reach, halo, width, .. } = blurred;
         let depth = (reach + halo).min((DEPTH * width).ceil() as i32);
-        // Half the edge of the cube around each cell. A quotient of decimals can have a rounding
-        // error.
+        // Half the edge of the cube around each cell. The 1e-9 absorbs the rounding error of a
+        // quotient of decimals.
         let closing = (((gap - 1.0) / 2.0 - 1e-9).ceil() as i32).max(1);
         let fitting = ((ROW - BLOCK) / 2 - depth + reach) / 2;
         let closing = closing.min(fitting);
@@ -62,7 +65,7 @@ impl<'a> Interior<'a> {
         Self { blurred, dilation: closing - reach, erosion: closing + depth }
     }
 
-    /// Whether both define the same interior cells.
+    /// Whether `self` and `other` define the same interior cells.
     pub fn is_same(&self, other: &Self) -> bool {
         (self.dilation, self.erosion) == (other.dilation, other.erosion)
     }
@@ -74,7 +77,8 @@ impl<'a> Interior<'a> {
         blocks.filter(|cells| !cells.is_empty()).collect()
     }
 
-    /// Adds the smoothed DIF over the interior cells among `cells`, a block or a part of it.
+    /// Adds the samples of the smoothed DIF in the interior cells among `cells`, which are a block
+    /// or a part of one.
     pub fn add(&self, histogram: &mut Histogram, cells: CellBox) {
         let Self { blurred, dilation, erosion } = *self;
         if !blurred.meter.goes_on() {
@@ -90,7 +94,8 @@ impl<'a> Interior<'a> {
             fullness(wide.samples()).chunks_exact(width).map(full_bits).collect();
         windows(&mut rows, slab / width, 2 * dilation + 1, |a, b| a | b);
         windows(&mut rows, slab / width, 2 * erosion + 1, |a, b| a & b);
-        // Both windows of a cell begin `seen` below it, and `wide` begins `margin` below `cells`.
+        // The two windows of a cell together begin `seen` cells below the cell, and `wide` begins
+        // `margin` cells below `cells`.
         let CellBox { lo, hi } = cells;
         let among = (1 << (hi.x - lo.x)) - 1;
         let row = |y, z| {
@@ -119,9 +124,9 @@ impl<'a> Interior<'a> {
     }
 }
 
-/// Combines every cell, a bit of its row, with the cells after it in a cube of this edge. `combine`
-/// may get a cell more than once. Cells closer to the end of a row than this edge have undefined
-/// results.
+/// Combines every cell (one bit of its row) with the cells of the cube with edge `width` that
+/// begins at the cell. `combine` may get a cell more than once. Cells closer to the end of a row
+/// than `width` have undefined results.
 fn windows(
     rows: &mut [u128],
     rows_a_slab: usize,

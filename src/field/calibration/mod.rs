@@ -42,13 +42,13 @@ pub enum Calibration {
     },
     /// The calibration of clouds.
     Clouds {
-        /// The sample deep in the fluid under the narrowest width.
+        /// The sample deep in the fluid, smoothed with the narrowest width.
         plateau: u16,
     },
 }
 
 impl Calibration {
-    /// `mu0`, where there is one.
+    /// `mu0`, if the indicator counts.
     #[must_use]
     pub fn mean(&self) -> Option<MeanCount> {
         match *self {
@@ -57,13 +57,14 @@ impl Calibration {
         }
     }
 
-    /// Whether it is of this kind of indicator, the only one whose surfaces it suits.
+    /// Whether this calibration can be used for an indicator of `kind`. Clouds need
+    /// [`Self::Clouds`]; the indicators of the paper need [`Self::Indicator`].
     #[must_use]
     pub fn suits(&self, kind: IndicatorKind) -> bool {
         matches!(self, Self::Clouds { .. }) == (kind == IndicatorKind::Cloud)
     }
 
-    /// The isovalue of an indicator of the paper.
+    /// The isovalue of an indicator of the paper; `None` for clouds.
     #[must_use]
     pub fn iso(&self) -> Option<Isovalue> {
         match *self {

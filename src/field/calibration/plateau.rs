@@ -4,9 +4,9 @@
 //! At the true surface the paper's smoothed field is 0.47 of its interior plateau
 //! ([`Isovalue::PLATEAU_PERCENT`]). The plateau is the median of the smoothed DIF over interior
 //! cells: cells whose filters reach only fluid. The interior is defined by lengths in spacings, so
-//! it is the same for cells of any size: gaps between particles with room for a cube of two
-//! spacings count as fluid, because randomly placed particles leave such cubes empty in the middle
-//! of the fluid.
+//! it is the same for cells of any size. Gaps between particles up to the size of a cube of two
+//! spacings count as fluid, because randomly placed particles leave such cubes empty even in the
+//! middle of the fluid.
 //!
 //! Without an interior (spray, a sheet, a handful of particles), the value of a synthetic fluid of
 //! the same spacing is used.
@@ -30,17 +30,18 @@ use super::interior::{BlurredSamples, Interior};
 /// curve.
 const SAMPLED_BLOCKS: usize = 64;
 
-/// The interior volume that the middles of the blocks need, in cubed spacings; with less, whole
-/// blocks are examined.
+/// The minimum interior volume in the middles of the blocks, in cubed spacings. If it is less,
+/// whole blocks are examined.
 const ENOUGH: f64 = (1 << 16) as f64 * 8.0 / 27.0;
 
-/// The interior volume that a frame needs, in cubed spacings; with less, one clump of particles
+/// The minimum interior volume of a frame, in cubed spacings. With less, one clump of particles
 /// would determine the result.
 const LEAST: f64 = 256.0;
 
-/// Gaps that count as fluid, in spacings, with the minimum plateau of a fluid with such gaps, as a
-/// fraction of the plateau expected from its spacing, if there is a minimum. A thin random fluid
-/// has an interior only with the wider gaps, but mist has such gaps too.
+/// Gaps that count as fluid, in spacings, each with the minimum plateau of a fluid with such gaps.
+/// The minimum is a fraction of the plateau expected from the spacing; `None` for no minimum. A
+/// thin random fluid has an interior only with the wider gaps. Mist also has wide gaps, but a lower
+/// plateau.
 const GAPS: [(f64, Option<f64>); 2] = [(2.0, None), (3.0, Some(1.0 / 3.0))];
 
 /// The value of the smoothed DIF deep in the fluid, measured or expected.
@@ -54,8 +55,8 @@ pub enum Plateau {
         /// would contain bubbles.
         lowest: u16,
     },
-    /// Almost no fluid is deeper than the reach of the filters, so the value is that of a synthetic
-    /// fluid of the same spacing.
+    /// Almost no fluid is deeper than the reach of the filters, so the value is taken from a
+    /// synthetic fluid of the same spacing.
     Shallow {
         /// The mean of the field deep in the synthetic fluid.
         expected: u16,
@@ -162,8 +163,9 @@ impl Plateau {
     }
 }
 
-/// The median and the minimum over the interior: of `enough` cells in the middles of some blocks,
-/// otherwise of these whole blocks if they have at least `least` cells.
+/// The median and the minimum over interior cells. The first of these sets with sufficient interior
+/// cells is used: the middles of some blocks (`enough` cells), these blocks as a whole, and all
+/// blocks (`least` cells).
 fn measured(interior: &Interior<'_>, enough: f64, least: f64) -> Option<(u16, u16)> {
     let blocks = interior.blocks();
     let sampled: Vec<_> = equal_steps(blocks.len(), SAMPLED_BLOCKS).map(|i| blocks[i]).collect();

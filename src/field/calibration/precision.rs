@@ -27,16 +27,17 @@ const DENSITY: f64 = 0.3978;
 pub const COARSEST_STEP: f64 = 0.125;
 
 /// The largest cell size at which symmetry fails, in spacings. At this size seven of eight cells
-/// deep in the fluid are empty, and the positions of the particles in the others move the surface.
+/// deep in the fluid are empty, and the surface depends on where in the remaining cells the
+/// particles lie.
 pub const FINEST_OF_SYMMETRY: f64 = 0.5;
 
 /// The minimum cell size for distances from clouds, in spacings: the drop of a single particle is
 /// twelve such cells wide.
 pub const FINEST: f64 = 0.1;
 
-/// The minimum mean indicator of full cells with particles at arbitrary positions. For symmetry it
-/// is 0.44 for disordered particles, one per cell, and almost 0 for a lattice whose particles lie
-/// on the corners of cells.
+/// The minimum of the mean indicator over full cells if particles have arbitrary positions. The
+/// mean of the symmetry indicator is 0.44 for disordered particles, one per cell. It is almost 0
+/// for a lattice whose particles lie on the corners of cells.
 pub const ON_CORNERS: f64 = 0.2;
 
 /// An error: the cells are too small to locate the surface precisely.
@@ -59,7 +60,7 @@ pub enum TooFine {
         /// A way to get a finer field.
         remedy: Remedy,
     },
-    /// The cells are smaller than the surface of drops needs.
+    /// The cells are smaller than the limit for the surface of drops.
     #[error(
         "cells of {} are smaller than {FINEST} spacings: use cells of {} or more",
         shown(*cell_size), shown(roundly_above(FINEST * spacing))
@@ -179,7 +180,7 @@ pub fn check_symmetry(
     spacing: Option<f64>,
     cell_size: f64,
 ) -> Result<(), TooFine> {
-    // A quotient of decimals can have a rounding error.
+    // The 1e-9 absorbs the rounding error of a quotient of decimals.
     match spacing.filter(|spacing| spacing * FINEST_OF_SYMMETRY >= 1.0 - 1e-9) {
         Some(spacing) if kind == IndicatorKind::Symmetry => {
             Err(TooFine::Symmetry { cell_size, spacing: spacing * cell_size })
@@ -188,18 +189,18 @@ pub fn check_symmetry(
     }
 }
 
-/// Returns an error if the cells are smaller than distances from clouds need. `spacing` is the
-/// particles' spacing in cells.
+/// Returns an error if the cells are smaller than the limit for distances from clouds. `spacing` is
+/// the particles' spacing in cells.
 pub fn check_finest(spacing: Option<f64>, cell_size: f64) -> Result<(), TooFine> {
-    // A quotient of decimals can have a rounding error.
+    // The 1e-9 absorbs the rounding error of a quotient of decimals.
     match spacing.filter(|spacing| spacing * FINEST > 1.0 + 1e-9) {
         Some(spacing) => Err(TooFine::Finest { cell_size, spacing: spacing * cell_size }),
         None => Ok(()),
     }
 }
 
-/// The minimum size from which on steps are small enough. It is larger than `from`, where they are
-/// too large.
+/// The minimum size at which the steps of a field are small enough. It is larger than `from`, at
+/// which the steps are too large.
 fn fitting(from: f64, step_cells: impl Fn(f64) -> f64) -> f64 {
     let fits = |size: f64| step_cells(size) <= COARSEST_STEP;
     let mut above = 2.0 * from;

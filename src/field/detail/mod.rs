@@ -4,7 +4,7 @@
 //! theta_bar(K) = theta(K) where theta_smooth(K) <= c, else 0; then max(theta_smooth,
 //! blur(theta_bar)) per cell, where the second blur is a Gaussian of sigma / 2.
 //!
-//! Its reach is that of the second Gaussian.
+//! The reach of detail recovery is the reach of the second Gaussian.
 
 mod cpu;
 pub mod vulkan;

@@ -11,7 +11,7 @@ use super::{
     Bulk, Depths, Drops, MOST_APART, NONE, Ramp, StandsOut, ZERO, spline, spline_bits, wide_cells,
 };
 
-/// Bits of a share below the index of a table with 1024 steps.
+/// The number of low bits of a share that are not part of its index in a table with 1024 steps.
 const BETWEEN_BITS: u32 = 5;
 
 /// The greatest share, 1.
@@ -42,8 +42,8 @@ fn entry(steps: &Steps, share: u32) -> (i32, i32, i32) {
     (low.into(), more.into(), (share & ((1 << BETWEEN_BITS) - 1)) as i32)
 }
 
-/// The depth for a sample: the depth of its share of the plateau, times the standard deviation of
-/// the smoothing.
+/// The depth for a sample: the tabulated depth for its share of the plateau, times the standard
+/// deviation of the smoothing.
 #[inline(always)]
 fn depth(sample: u16, scale: u32, spacings: i32, most: i32) -> i32 {
     let (low, more, between) = entry(&DEPTH_STEPS, ((u32::from(sample) * scale) >> 14).min(WHOLE));
@@ -57,7 +57,8 @@ fn sample(distance: i32) -> u16 {
     (distance + ZERO).clamp(i32::from(NONE) + 1, i32::from(u16::MAX)) as u16
 }
 
-/// Distances from the samples under each width, narrowest first, on the cells of the last block.
+/// Computes distances from the samples smoothed with each width, narrowest first, on the cells of
+/// the last block.
 ///
 /// # Panics
 /// If a block does not cover the last one.
@@ -99,12 +100,12 @@ fn depths_row(
     }
 }
 
-/// The bulk's surface: the calm one, blended with the fine one where their mean difference is
-/// large, except deep in the fluid; [`NONE`] where no particle is near.
+/// The bulk's surface: the calm surface, blended with the fine surface where their mean difference
+/// is large, except deep in the fluid; [`NONE`] where no particle is near. It has the cells that
+/// `apart` and `near` share.
 ///
 /// # Panics
-/// If `calm` or `fine` is smaller than the box of their mean difference, or if this box and that of
-/// `near` differ.
+/// If `apart` and `near` share no cell, or if `calm` or `fine` does not cover the shared cells.
 pub fn mixed(
     bulk: &Bulk,
     Depths { calm, fine, apart }: &Depths<impl AsRef<Block>>,
@@ -139,7 +140,7 @@ fn mixed_row(to: &mut [u16], [calm, fine, apart, near]: [&[u16]; 4], bulk: &Bulk
 
 /// The distance by which each cell with a particle lies outside of the calm surface; [`NONE`] for
 /// cells without particles. Small distances are reduced where the fine surface agrees with the calm
-/// one.
+/// surface.
 ///
 /// # Panics
 /// If `fine` or `clouds` does not cover `calm`.
@@ -156,7 +157,7 @@ pub fn outlying(
         field.samples_mut().chunks_exact_mut(width).zip(rows)
     {
         outlying_row(to, calm, clouds, least);
-        // Distances up to `begin` stay what they are.
+        // Distances up to `begin` stay unchanged, so a row without larger distances is skipped.
         if greatest_of(to) > stands_out.begin() {
             reduced_in_bulk(to, [calm, fine], stands_out);
         }
@@ -188,7 +189,7 @@ pub fn spread(block: Block, reach: i32) -> Block {
     block.along_each_axis(reach, |to, taps, step| greatest(to, taps, step, 2 * reach as usize + 1))
 }
 
-/// Fills `to[i]` with the greatest of `count` taps at a distance of `step`.
+/// Fills `to[i]` with the greatest of `count` taps: `taps[i]`, `taps[i + step]`, ...
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
 fn greatest(to: &mut [u16], taps: &[u16], step: usize, count: usize) {
     to.copy_from_slice(&taps[..to.len()]);
@@ -199,11 +200,12 @@ fn greatest(to: &mut [u16], taps: &[u16], step: usize, count: usize) {
     }
 }
 
-/// A field of cells 2^`level` times as wide, interpolated at the middles of `cells`: its samples
-/// are the control points of a quadratic B-spline; at level 0, the field itself.
+/// Interpolates `wide`, a field of cells 2^`level` times as wide, at the middles of `cells`. Its
+/// samples are the control points of a quadratic B-spline. At level 0 the result is the field
+/// itself.
 ///
 /// # Panics
-/// If it does not cover the [wide cells](super::wide_cells) of `cells`.
+/// If `wide` does not cover the [wide cells](super::wide_cells) of `cells`.
 pub fn refined(wide: &Block, level: u32, cells: CellBox) -> Block {
     if level == 0 {
         return wide.part(cells);
@@ -229,7 +231,8 @@ fn refined_along_x(wide: &Block, level: u32, cells: CellBox, weights: &[[u32; 3]
         if first >= to.hi.x {
             continue;
         }
-        // From the second sample of a row on; values beyond the ends of rows are not used.
+        // Means are computed from the second sample of a row on. Means that mix two rows are not
+        // used.
         means(
             &mut of_place,
             weights,
@@ -320,10 +323,10 @@ pub fn quotient(clouds: &Block, around: &Block, bits: u32) -> Block {
 
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
 fn quotient_row(to: &mut [u16], clouds: &[u16], around: &[u16], bits: u32) {
-    // A quotient of such numbers is either an integer, or farther below the next integer than the
-    // rounding error of f64. So the division can be vectorized in f64. Adding a number whose last
-    // bit counts for 1 rounds to an integer; before, just under a half is subtracted, to round
-    // down.
+    // Such a quotient is either an integer, or below the next integer by more than the rounding
+    // error of f64. So f64 divisions, which can be vectorized, give the correct integer part.
+    // Adding a number whose last bit counts for 1 rounds a quotient to an integer. Subtracting just
+    // under a half first makes it round down.
     const WHOLE_NUMBERS: f64 = 3.0 * (1_u64 << 51) as f64;
     const JUST_UNDER_HALF: f64 = 0.5 - 1.0 / (1 << 18) as f64;
     for ((to, &clouds), &around) in to.iter_mut().zip(clouds).zip(around) {
@@ -343,10 +346,11 @@ pub fn greatest_of(samples: &[u16]) -> u16 {
     greatest
 }
 
-/// The part of some cells in which particles lie farther than `begin` outside of the calm surface.
+/// The smallest box around the cells of `cells` at which a nearby particle lies farther than
+/// `begin` outside of the calm surface.
 ///
 /// # Panics
-/// If `near` does not cover these cells.
+/// If `near` does not cover `cells`.
 pub fn outlying_part(near: &Block, cells: CellBox, begin: u16) -> CellBox {
     let mut part = CellBox::EMPTY;
     for ([y, z], row) in near.rows(cells) {
@@ -363,19 +367,19 @@ pub fn outlying_part(near: &Block, cells: CellBox, begin: u16) -> CellBox {
 }
 
 /// The distance from a drop's middle at which the share has this value, for drops with the standard
-/// deviation `width`, in its units.
+/// deviation `width`, in the unit of `width`.
 #[inline(always)]
 pub fn away(share: u16, width: i32) -> i32 {
     let (low, more, between) = entry(&AWAY_STEPS, u32::from(share).min(WHOLE));
     ((low + ((more * between) >> BETWEEN_BITS)) * width) >> 12
 }
 
-/// The field: the surface of the bulk, blended with the drops in proportion to the distance by
-/// which nearby particles lie outside of the calm surface, and with sheets earlier, according to
-/// their certainty. The shares are needed only where that distance is large enough.
+/// Blends the surface of the bulk with drops. Drops get more weight the farther outside of the calm
+/// surface nearby particles lie. Sheets get weight at smaller distances, according to their
+/// certainty. `shares` need only cover the cells at which these distances are large enough.
 ///
 /// # Panics
-/// If `bulk`, `near` or `certainty` does not cover the shares.
+/// If `bulk`, `near` or `certainty` does not cover `shares`.
 pub fn joined(
     mut bulk: Block,
     near: &Block,

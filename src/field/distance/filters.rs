@@ -16,16 +16,16 @@ use super::{
 };
 
 /// The widths under which clouds are smoothed, relative to the requested width: the first two give
-/// the fine surface, the last two the calm one.
+/// the fine surface, the last two the calm surface.
 const WIDTHS: [f64; 3] = [0.625, 1.0, 1.5];
-/// The cut-off of their Gaussians, in standard deviations.
+/// The cut-off of the Gaussians of these widths, in standard deviations.
 const CUT: f64 = 2.2;
 /// The standard deviation of the Gaussian that averages the difference of the two surfaces, as a
 /// multiple of the requested width, and its cut-off in standard deviations.
 const AROUND: f64 = 0.5625;
 const AROUND_CUT: f64 = 1.7;
-/// The mean differences of the surfaces between which noise changes to shape: below the first it is
-/// all noise, and above the second all shape. In spacings.
+/// Limits of the mean difference between the two surfaces, in spacings: up to the first the
+/// difference is noise, and from the second on it is shape.
 const APART: [f64; 2] = [0.07, 0.14];
 /// The depths between which the fine surface fades out, in spacings: noise has bubbles deeper in
 /// the fluid.
@@ -38,26 +38,26 @@ pub(in crate::field) const LEAST_VARIANCE: f64 = 0.35;
 const LEAST_VARIANCES: [f64; 3] = [LEAST_VARIANCE, 0.85, 1.75];
 /// The maximum standard deviation of drops, in spacings, even in coarse cells.
 const WIDEST_DROP: f64 = 8.0;
-/// The distance from a particle within which its drop is made if it stands out, and within which
-/// the calm surface exists, in spacings.
+/// The distance from a particle, in spacings, within which the calm surface exists, and within
+/// which the particle's drop is made if the particle stands out.
 const NEAR: f64 = 1.0;
 /// The distances of a particle's centre outside of the calm surface at which it begins to stand
 /// out, and from which on it stands out completely, in spacings.
 const STANDS_OUT: [f64; 2] = [0.4, 1.0];
-/// The differences of the fine and the calm surface between which sheets begin to stand out earlier
-/// than drops, in spacings. In the bulk, both surfaces agree.
+/// The range of the difference between the fine and the calm surface in which sheets begin to stand
+/// out earlier than drops, in spacings. In the bulk, the two surfaces agree.
 const SHEETS_APART: [f64; 2] = [0.35, 0.45];
 /// The standard deviation of a particle's drop, in spacings.
 const DROP_WIDTH: f64 = 0.6;
 /// The radius of the drop of a single particle in fine cells, in spacings.
 const DROP_RADIUS: f64 = 0.55;
-/// The decrease of that radius in coarse cells, in spacings per squared cell edge in spacings,
-/// without and with refinement by splines: it corrects for wider clouds in such cells, and for the
-/// splines. The drop of one particle then has a volume of 0.99 cubed spacings with cells of an
+/// The decrease of the drop radius in coarse cells, in spacings per squared cell edge in spacings,
+/// without and with refinement by splines. It corrects for wider clouds in coarse cells, and for
+/// the splines. The drop of one particle then has a volume of 0.99 cubed spacings with cells of an
 /// eighth of a spacing, 0.94 with a quarter, and 0.8 with a third to two thirds, where it depends
 /// on the particle's position.
 const LESS_RADIUS: [f64; 2] = [0.29, 0.41];
-/// The minimum radius, for cells that hardly resolve a single particle.
+/// The minimum drop radius, in spacings, for cells that hardly resolve a single particle.
 const LEAST_DROP_RADIUS: f64 = 0.38;
 /// The cut-off of a drop's Gaussian, in standard deviations.
 const DROP_CUT: f64 = 2.6;
@@ -78,8 +78,8 @@ pub struct DistanceFilters {
     pub least: u16,
     /// The distances from the calm surface at which drops and sheets fade in.
     pub stands_out: StandsOut,
-    /// Drops are made in cells 2^`drops_level` times as wide: half the width of wide cells, or the
-    /// grid's cells.
+    /// Drops are made in cells 2^`drops_level` times as wide as the grid's cells: half as wide as
+    /// wide cells, or the grid's own cells if these are the wide cells.
     pub drops_level: u32,
     /// The parameters of drops.
     pub drops: Drops,
@@ -96,8 +96,9 @@ pub struct DistanceFilters {
 /// spacing, for example because the spacing is half the true one.
 pub const BULK_GAIN: u32 = 2;
 
-/// A Gaussian that has a standard deviation of `cells` together with the clouds' variance of a
-/// quarter of a squared cell, if possible.
+/// A Gaussian, and its standard deviation together with the clouds' variance of a quarter of a
+/// squared cell. This standard deviation is `cells`, unless the filter's variance would be less
+/// than `least`.
 pub(in crate::field) fn gaussian(cells: f64, least: f64, cut: f64) -> (Weights, f64) {
     let variance = (cells * cells - 0.25).max(least);
     let weights = Weights::of_variance(variance, (cut * variance.sqrt()).round().max(1.0) as i32);
@@ -105,7 +106,7 @@ pub(in crate::field) fn gaussian(cells: f64, least: f64, cut: f64) -> (Weights, 
     (weights, width)
 }
 
-/// A ramp between two distances in spacings, for samples in which `zero` stands for 0.
+/// A ramp between two distances in spacings, for samples in which `zero` means a distance of 0.
 fn ramp([begin, end]: [f64; 2], zero: i32) -> Ramp {
     let units = |spacings: f64| (spacings * UNITS).round() as i32;
     Ramp::new((zero + units(begin)) as u16, (units(end) - units(begin)) as u16)
@@ -172,8 +173,8 @@ impl DistanceFilters {
         self
     }
 
-    /// Replaces the filters of drops and sheets by those for particles `spacing` cells apart, for a
-    /// caller that interpolates drops and sheets on a finer mesh by splines.
+    /// Replaces the filters of drops and sheets by filters for particles `spacing` cells apart, for
+    /// a caller that interpolates drops and sheets on a finer mesh by splines.
     #[must_use]
     pub fn refining(self, sheets: SheetStretch, spacing: f64) -> Self {
         let (drops, sheets) = thin_fluid(sheets, spacing, true);
@@ -193,8 +194,8 @@ impl DistanceFilters {
         Self { inside: Arc::new(inside), ..self }
     }
 
-    /// The part of some cells that can be the lowest corners of dual cells with a surface: all
-    /// except cells between inside cells.
+    /// The part of `cells` that can be the lowest corners of dual cells with a surface. Dual cells
+    /// between inside cells have no surface.
     #[must_use]
     pub fn not_inside(&self, cells: CellBox) -> CellBox {
         let rest = self.inside.rest(self.wide_cells(cells.grown(0, 1)));
@@ -219,7 +220,7 @@ impl DistanceFilters {
         wide_cells(self.level, cells)
     }
 
-    /// The halo of these wide cells, in wide cells.
+    /// The halo that the calm surface needs around [`wide_cells`](Self::wide_cells), in wide cells.
     #[must_use]
     pub fn wide_halo(&self) -> i32 {
         self.bulk_reach() + self.near.max(self.bulk.around.reach())
@@ -261,8 +262,8 @@ impl DistanceFilters {
         wide.max(in_wide(self.drops_level, self.drops_halo())) + GHOST_LAYER
     }
 
-    /// The cells whose samples affect the field on some cells, including the samples that decide
-    /// which cells are inside.
+    /// The cells whose samples affect the field on `cells`, including the samples that decide which
+    /// cells are inside.
     #[must_use]
     pub fn seen(&self, cells: CellBox) -> CellBox {
         let wide = self.wide_cells(cells);
@@ -294,8 +295,8 @@ impl DistanceFilters {
         6 * volume_bytes(wide.grown(halo, halo))
     }
 
-    /// Maximum memory of a block while its field is made, in bytes, including its neighbours if
-    /// they fit.
+    /// Maximum memory of a block while its field is made, in bytes. Also suffices for the bulk of a
+    /// box of 2 x 2 x 2 blocks.
     #[must_use]
     pub fn block_bytes(&self) -> u64 {
         let cells = |edge: i32| CellBox { lo: IVec3::NEG_ONE, hi: IVec3::splat(edge + 2) };
@@ -309,8 +310,8 @@ impl DistanceFilters {
 }
 
 /// Makes the parameters of drops and sheets for particles `spacing` cells apart, in cells half as
-/// wide as wide cells, or in the grid's own cells if they are no finer. `is_refined` says whether
-/// splines interpolate them on the mesh.
+/// wide as wide cells, or in the grid's own cells if these are the wide cells. `is_refined` says
+/// whether splines interpolate drops and sheets on the mesh.
 fn thin_fluid(sheets: SheetStretch, spacing: f64, is_refined: bool) -> (Drops, Option<Sheets>) {
     let wide = WideCells::of_spacing(spacing);
     let in_drops = spacing / f64::from(1 << wide.level.saturating_sub(1));
@@ -318,24 +319,26 @@ fn thin_fluid(sheets: SheetStretch, spacing: f64, is_refined: bool) -> (Drops, O
     (drops, Sheets::new(sheets, [1.0 / spacing, 1.0 / in_drops], wide, shape))
 }
 
-/// The cells from which some cells, 2^`level` times as wide, are made.
+/// The cells from which the cells `wide`, 2^`level` times as wide, are made.
 fn halved_from_all(level: u32, wide: CellBox) -> CellBox {
     (0..level).fold(wide, |wide, _| halved_from_box(wide))
 }
 
-/// A halo of cells 2^`level` times as wide in cells: from a cell to the far end of its wide cell,
-/// and the cells beyond the halo that contribute to wide cells.
+/// Converts a halo in cells 2^`level` times as wide to cells. The result includes the distance from
+/// a cell to the far end of its wide cell, and the cells beyond the halo that contribute to wide
+/// cells.
 #[must_use]
 pub fn halo_in_cells(level: u32, halo: i32) -> i32 {
     (halo << level) + 2 * ((1 << level) - 1)
 }
 
-/// Bytes of the samples of some cells.
+/// Bytes of the samples of `cells`.
 fn volume_bytes(cells: CellBox) -> u64 {
     cells.volume() as u64 * size_of::<u16>() as u64
 }
 
-/// Returns the factor from samples to shares of a plateau, in 16384ths of 32768ths.
+/// The factor from samples to shares of a plateau: sample * factor / 16384 is the share in
+/// 32768ths.
 fn scale(plateau: f64) -> u32 {
     ((f64::from(1_u32 << 29) / plateau.max(1.0)).round() as u32).min(u16::MAX.into())
 }
@@ -360,7 +363,7 @@ impl Drops {
     }
 
     /// Makes drops for particles `spacing` cells apart. `is_refined` says whether splines
-    /// interpolate them in finer cells.
+    /// interpolate drops in finer cells.
     fn new(spacing: f64, is_refined: bool) -> (Self, DropShape) {
         let cells = DROP_WIDTH * spacing;
         let (weights, width) = gaussian(cells, LEAST_VARIANCE, DROP_CUT);
@@ -376,7 +379,7 @@ impl Drops {
             (0..15).take_while(|&bits| value * f64::from(1 << (bits + 1)) <= most).count() as u32
         };
         let gain = bits_between(alone, 4096.0);
-        // At most 27/64 of its cloud lie in one cell.
+        // At most 27/64 of a particle's cloud lie in one cell.
         let share = 27.0 / 64.0 * amount / (alone * f64::from(1_u32 << gain));
         let bits = bits_between(share, 49152.0);
         let shape = DropShape { radius, width: (width / spacing).min(WIDEST_DROP), spline };

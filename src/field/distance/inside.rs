@@ -3,9 +3,10 @@
 //!
 //! A brick of 4^3 wide cells is full if every cube of about 4 spacings that overlaps it holds at
 //! least 0.85 of the number of particles that the plateau implies. A brick is inside if its 26
-//! neighbours are also full. The field has its maximum there at every stage, so that meshes stay
-//! closed, even if the fluid has bubbles there. Cubes slide by two wide cells, so that a bubble is
-//! found in any position: a bubble with a radius of two spacings takes a quarter of some cube.
+//! neighbours are also full. In inside bricks the field has its maximum at every stage, so that
+//! meshes stay closed even if the fluid has bubbles in these bricks. Cubes slide by two wide cells,
+//! so that a bubble is found in any position: a bubble with a radius of two spacings takes a
+//! quarter of some cube.
 
 use glam::{IVec3, USizeVec3};
 use hashbrown::HashMap;
@@ -28,8 +29,8 @@ const FULL_SHARE: f64 = 0.85;
 /// The bricks that are inside.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct InsideBricks {
-    /// The inside bricks of each bin of wide cells with at least one, as a bit per brick by its
-    /// Morton index in the bin.
+    /// For each bin of wide cells that has inside bricks, one bit per brick at the brick's Morton
+    /// index in the bin; set if the brick is inside.
     bricks: HashMap<IVec3, u64>,
 }
 
@@ -61,13 +62,13 @@ impl<T: Copy> Cube<T> {
         Self { edge, values }
     }
 
-    /// Combines, with `both`, the `width` positions along each axis that begin at each position.
-    /// The result has `width` - 1 fewer positions along each axis.
+    /// For each position, combines with `both` the values of the cube of `width` positions along
+    /// each axis that begins there. The result has `width` - 1 fewer positions along each axis.
     fn joined(self, width: usize, both: impl Fn(T, T) -> T) -> Self {
         let Self { edge, mut values } = self;
         let left = edge + 1 - width;
-        // In place: later values are still unchanged. Values that would reach beyond the end of a
-        // row are dropped.
+        // This works in place, because later values are still unchanged. Values that would reach
+        // beyond the end of a row are dropped.
         for step in [1, edge, edge * edge] {
             for at in 0..values.len() {
                 let further = (1..width).map_while(|k| values.get(at + k * step).copied());
@@ -110,7 +111,7 @@ impl Cube<bool> {
         Self::new(0, edge as i32, |place| self.values[at(place)])
     }
 
-    /// Makes a bit for each brick of a bin, by its Morton index.
+    /// Makes a bit for each brick of a bin, at the brick's Morton index.
     fn bits(&self) -> u64 {
         let edge = BRICKS as usize;
         debug_assert_eq!(self.edge, edge);
@@ -126,20 +127,20 @@ fn owner(bin: IVec3, brick: IVec3) -> (IVec3, usize) {
     (bin + brick.div_euclid(edge), local_morton(brick.rem_euclid(edge)))
 }
 
-/// Edge of the cubes that must be full, in parts. `edge` is that of a wide cell in spacings.
+/// Edge of the cubes that must be full, in parts. `edge` is the edge of a wide cell in spacings.
 fn cube_parts(edge: f64) -> i32 {
     (CUBE / (edge * f64::from(PART)) - 1e-9).ceil().max(1.0) as i32
 }
 
 impl InsideBricks {
-    /// The distance from a brick within which wide cells of `edge` spacings affect whether it is
-    /// inside, in wide cells: its neighbours must be full, which depends on every cube that
-    /// overlaps them.
+    /// The distance from a brick within which wide cells of `edge` spacings affect whether the
+    /// brick is inside, in wide cells. The brick's neighbours must be full, which depends on every
+    /// cube that overlaps a neighbour.
     pub fn reach(edge: f64) -> i32 {
         BRICK + PART * (cube_parts(edge) - 1)
     }
 
-    /// The whole bricks that some wide cells touch, in wide cells.
+    /// The whole bricks that the wide cells `cells` touch, in wide cells.
     pub fn bricks_around(cells: CellBox) -> CellBox {
         let brick = IVec3::splat(BRICK);
         CellBox {
@@ -155,7 +156,7 @@ impl InsideBricks {
         let width = cube_parts(edge);
         let least = FULL_SHARE * plateau * f64::from(PART * width).powi(3);
         let margin = PART * (width - 1);
-        // The sums are of integers.
+        // Sums are integers, so their minimum can be rounded up.
         let full_bricks =
             |pages: &dyn RemotePages| pages.full_bricks(width as u32, least.ceil() as u32);
         let full = field.remote().and_then(full_bricks).map(|bits| {
@@ -164,8 +165,8 @@ impl InsideBricks {
         });
         let full: HashMap<IVec3, u64> = full.unwrap_or_else(|| {
             bits_by_bin(&keys, |bin| {
-                // If no cube of a brick in the bin can be full, as in spray, its samples need not
-                // be examined.
+                // A bin with too few particles for a full cube, as in spray, has no inside brick,
+                // and is not examined further.
                 let cells = CellBox::cube(bin, BIN);
                 let own: u64 =
                     field.gather(cells).samples().iter().map(|&sample| u64::from(sample)).sum();
@@ -201,7 +202,7 @@ impl InsideBricks {
         self.bricks.get(&bin).is_some_and(|bricks| bricks >> brick & 1 != 0)
     }
 
-    /// The inside bricks among some wide cells, in brick coordinates.
+    /// The inside bricks among the wide cells `cells`, in brick coordinates.
     pub fn bricks(&self, cells: CellBox) -> impl Iterator<Item = IVec3> + '_ {
         let bins = cells.cubes(BIN).filter_map(|bin| Some((bin, *self.bricks.get(&bin)?)));
         bins.flat_map(move |(bin, bricks)| {
@@ -211,8 +212,8 @@ impl InsideBricks {
         })
     }
 
-    /// A bit for each brick that some wide cells touch, x fastest, in words; set if the brick is
-    /// inside.
+    /// A bit for each brick that the wide cells `cells` touch, x fastest, packed into words; set if
+    /// the brick is inside.
     pub fn marks(&self, cells: CellBox) -> Vec<u32> {
         let CellBox { lo, hi } = Self::bricks_around(cells);
         let touched = CellBox { lo: lo / BRICK, hi: hi / BRICK };
@@ -226,7 +227,7 @@ impl InsideBricks {
         marks
     }
 
-    /// The smallest box around the bricks among some wide cells that are not inside, in wide cells.
+    /// The smallest box, in wide cells, around the bricks among `cells` that are not inside.
     pub fn rest(&self, cells: CellBox) -> CellBox {
         let mut rest = CellBox::EMPTY;
         for bin in cells.cubes(BIN) {

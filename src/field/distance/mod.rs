@@ -11,14 +11,14 @@
 //!    the depth for width 0: E(a, b) = D_a + (D_a - D_b) a^2 / (b^2 - a^2). Where splines
 //!    interpolate wide cells, the extrapolation goes beyond 0 by an eighth of a squared wide cell.
 //!    With three widths, a = 5/8 S, S and 3/2 S for S of `--smooth`, there are a fine surface E(a,
-//!    S) and a calm one E(S, 3/2 S).
-//! 3. Mixed. Their difference is averaged by a Gaussian of 9/16 S, in which noise cancels and shape
-//!    remains: from 0.07 to 0.14 d the fine surface replaces the calm one. This fades out from 0.3
-//!    to 0.9 d below the calm surface, because noise has bubbles there.
+//!    S) and a calm surface E(S, 3/2 S).
+//! 3. Mixed. The difference between the two surfaces is averaged by a Gaussian of 9/16 S, in which
+//!    noise cancels and shape remains: from 0.07 to 0.14 d the fine surface replaces the calm one.
+//!    This fades out from 0.3 to 0.9 d below the calm surface, because noise has bubbles there.
 //! 4. Drops. Normalised convolution: N = G * (rho / (G * rho)), where rho is the clouds' density
 //!    and G a Gaussian of 0.6 d. N of a single particle peaks at 1 in cells of any size, and its
 //!    drop is a ball with the distance r - 0.6 sqrt(2 ln 1 / N). N is made in cells half as wide as
-//!    wide cells, or in the grid's own cells if they are no finer.
+//!    wide cells, or in the grid's own cells if these are the wide cells.
 //! 5. Joined. A particle stands out if its centre lies outside of the calm surface, by O = -E in
 //!    its wide cell. The greatest O within a spacing blends the bulk's surface with drops, from 0.4
 //!    to 1 d. [Sheets](super::sheets) stand out up to 0.35 d earlier, where the fine and the calm
@@ -86,25 +86,27 @@ pub struct Width {
     pub weights: Weights,
     /// The standard deviation of a smoothed particle, in 4096ths of a spacing.
     pub spacings: i32,
-    /// The maximum distance under this width, in standard deviations, in 32768ths.
+    /// The maximum distance under this width, in 32768ths of a standard deviation.
     pub most: i32,
 }
 
 /// The parameters of the bulk's surface.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Bulk {
-    /// Narrowest first.
+    /// The three widths, narrowest first.
     pub widths: [Width; 3],
-    /// The extrapolation from two widths to 0, in 4096ths of their difference: for the first two
-    /// widths, and for the last two.
+    /// Factors for extrapolating from two widths to 0, in 4096ths of the difference between their
+    /// distances: for the first two widths, and for the last two.
     pub shares: [i32; 2],
-    /// The factor from samples to shares of the plateau, in 16384ths of 32768ths.
+    /// The factor from samples to shares of the plateau: sample * factor / 16384 is the share in
+    /// 32768ths.
     pub scale: u32,
-    /// Averages the difference of the two surfaces.
+    /// The filter that averages the difference between the two surfaces.
     pub around: Weights,
-    /// The mean differences between which the fine surface replaces the calm one, in units.
+    /// The ramp over the mean difference, in units, along which the fine surface replaces the calm
+    /// surface.
     pub apart: Ramp,
-    /// The samples of the calm surface between which the calm surface stays unchanged.
+    /// The ramp over samples of the calm surface along which the fine surface fades out.
     pub deep: Ramp,
 }
 
@@ -113,7 +115,7 @@ pub struct Bulk {
 pub struct Ramp {
     /// The value where the ramp begins to rise.
     pub begin: u16,
-    /// The distance from there to the value where the ramp reaches 1.
+    /// The distance from `begin` to the value where the ramp reaches 1.
     pub range: u16,
     /// 2^28 over `range`, rounded up, so that no division is needed.
     pub slope: u32,
@@ -136,12 +138,12 @@ impl Ramp {
 /// The distances outside of the calm surface at which drops and sheets replace the bulk's surface.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct StandsOut {
-    /// Over the distance, for drops.
+    /// The ramp over the distance, for drops.
     pub ramp: Ramp,
     /// The distance by which a certain sheet stands out earlier, in units.
     pub earlier: u16,
-    /// Over the difference of the fine and the calm surface, which agree in the bulk: sheets stand
-    /// out earlier where the surfaces differ.
+    /// The ramp over the difference between the fine and the calm surface. The surfaces agree in
+    /// the bulk; where they differ, sheets stand out earlier.
     pub apart: Ramp,
 }
 
@@ -151,9 +153,9 @@ impl StandsOut {
         self.ramp.begin - self.earlier
     }
 
-    /// The distance by which a particle lies outside, for a difference of the fine and the calm
-    /// surface. In the bulk, distances at which drops do not stand out are reduced, so that nothing
-    /// needs to be made there.
+    /// The distance by which a particle lies outside of the calm surface, given the difference
+    /// between the fine and the calm surface. In the bulk, distances at which drops do not stand
+    /// out are reduced, so that no drops need to be made there.
     #[inline(always)]
     pub fn of_particle(&self, distance: u16, apart: u16) -> u16 {
         let earlier = (u32::from(self.earlier) * self.apart.of(apart)) >> 12;
@@ -161,7 +163,7 @@ impl StandsOut {
         if distance > self.ramp.begin { distance } else { distance.min(most) }
     }
 
-    /// The distance that counts for a sheet of some certainty, in 4096ths.
+    /// The distance that counts for a sheet. `certainty` is in 4096ths.
     #[inline(always)]
     pub fn of_sheet(&self, distance: u16, certainty: u16) -> u16 {
         let earlier = (u32::from(certainty) * u32::from(self.earlier)) >> 12;
@@ -169,12 +171,13 @@ impl StandsOut {
     }
 }
 
-/// Two surfaces of the bulk as distances, and the distance by which the fine one lies farther out.
+/// Two surfaces of the bulk as distances, and the distance by which the fine surface lies farther
+/// out.
 #[derive(Debug, Clone)]
 pub struct Depths<T> {
-    /// From the wider widths.
+    /// The calm surface, from the two wider widths.
     pub calm: T,
-    /// From the narrower widths.
+    /// The fine surface, from the two narrower widths.
     pub fine: T,
     /// The difference between the two surfaces, as a distance.
     pub apart: T,
@@ -183,7 +186,7 @@ pub struct Depths<T> {
 /// The surface around single particles and small groups.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Drops {
-    /// The filter that computes the clouds around a cloud.
+    /// The filter that sums the clouds around a cloud.
     pub around: Weights,
     /// The filter that spreads the quotients.
     pub spread: Weights,
@@ -191,6 +194,6 @@ pub struct Drops {
     pub bits: u32,
     /// The radius of a single particle, in units.
     pub radius: i32,
-    /// The standard deviation, in units.
+    /// The standard deviation of a drop, in units.
     pub width: i32,
 }

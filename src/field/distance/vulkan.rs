@@ -24,7 +24,7 @@ const BIN_PARTS: u32 = (BIN / PART) as u32;
 const MOST_PARTS: u32 = BIN_PARTS + 2 * (WIDEST_CUBE - 1);
 /// Parts that a work group sums.
 pub const CUBE_PARTS: u32 = MOST_PARTS.pow(3);
-/// Words for a bit per cube of these parts.
+/// Words that hold one bit per cube of these parts.
 pub const CUBE_WORDS: u32 = (MOST_PARTS + 1 - WIDEST_CUBE).pow(3).div_ceil(u32::BITS);
 
 /// Shaders that make distances.
@@ -32,7 +32,7 @@ pub const CUBE_WORDS: u32 = (MOST_PARTS + 1 - WIDEST_CUBE).pow(3).div_ceil(u32::
 pub struct DistancePipelines {
     /// The calm and the fine surface of the bulk, and how far they are apart.
     pub depths: Arc<ComputePipeline>,
-    /// The surface of the bulk, from the calm and the fine one.
+    /// The surface of the bulk, from the calm and the fine surface.
     pub mix: Arc<ComputePipeline>,
     /// The distance by which particles lie outside of the calm surface.
     pub outlying: Arc<ComputePipeline>,
@@ -138,8 +138,8 @@ pub fn mixed(
     batch.dispatch(&pipelines.mix, &views, &push, blocks.groups(&pipelines.mix))
 }
 
-/// Overwrites each cloud sample by the cell's distance outside the calm surface, from both surfaces
-/// and from the minimum cloud of a cell with a particle.
+/// Overwrites each cloud sample by the distance by which the cell lies outside of the calm surface.
+/// A cell contains a particle if its cloud sample is at least `least`.
 ///
 /// # Errors
 /// The errors of the device.
@@ -167,8 +167,8 @@ pub fn outlying(
     )
 }
 
-/// The greatest sample within the window along x, then y, then z: from `from` through `to` and
-/// `through` into `to`.
+/// The greatest sample within the window along x, then y, then z: from `from` to `to`, then to
+/// `through`, and finally back to `to`.
 ///
 /// # Errors
 /// The errors of the device.
@@ -193,7 +193,7 @@ pub struct RegionProbe {
 }
 
 impl RegionProbe {
-    /// Makes the probe of some cells in block number `block`.
+    /// Makes the probe of `cells` in block number `block`.
     pub fn new(cells: CellBox, block: u32) -> Self {
         Self { lo: cells.lo.to_array(), block, size: cells.size().as_uvec3().to_array(), spare: 0 }
     }
@@ -219,7 +219,8 @@ pub struct ProbeResult {
 }
 
 /// Probes `count` regions of wide `blocks`: whether they have cells inside and outside of an
-/// isovalue, and where particles lie farther than `begin` outside. Writes `results`.
+/// isovalue, and where particles lie farther than `begin` outside of the calm surface. Writes
+/// `results`.
 ///
 /// # Errors
 /// The errors of the device.

@@ -8,16 +8,16 @@ use crate::grid::{BIN, CellBox, FRACTION_BITS, FRACTIONS};
 
 /// The reach of a cloud beyond its cell, in cells.
 pub const GHOST_LAYER: i32 = 1;
-/// Bits of a share of a cloud; the whole is a power of two.
+/// Fraction bits of a share of a cloud.
 pub const SHARE_BITS: u32 = 16;
-/// The number of bits to remove from the square of a length to get a share, which is half of that
-/// square; a length has one bit more than an offset.
+/// Bits by which the square of a length is shifted right to get a share, which is half of the
+/// square. A length has one bit more than an offset.
 pub const SQUARE_BITS: u32 = 2 * FRACTION_BITS + 3 - SHARE_BITS;
-/// The minimum amount: with less, a particle could leave nothing in its own cell, which gets at
-/// least half of the cloud along each axis.
+/// The minimum amount. A particle's own cell gets at least half of the cloud along each axis; with
+/// a smaller amount, this share could be rounded to 0.
 const LEAST_AMOUNT: u16 = 4;
-/// The maximum amount: with it, the sum of four particles in the middle of a fine cell, or of more
-/// elsewhere in the cell, does not overflow.
+/// The maximum amount. With this amount, a sample does not overflow for four particles in the
+/// middle of a fine cell, or for more particles elsewhere in the cell.
 const GREATEST_AMOUNT: u16 = 1 << 15;
 /// Cells of a bin along an axis.
 const ROW: usize = BIN as usize;
@@ -43,8 +43,8 @@ impl Amount {
 /// The cells at which clouds end along each axis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct CloudLimits {
-    /// The lowest and the highest cell of a bin within the walls, relative to the bin; they may lie
-    /// outside of it.
+    /// For each axis, the lowest and the highest cell within the walls, relative to the bin. These
+    /// cells may lie outside of the bin.
     ends: [[i32; 2]; 3],
 }
 
@@ -84,7 +84,7 @@ fn part_of(amount: u32, share: u32) -> u32 {
     (amount * share + (1 << (SHARE_BITS - 1))) >> SHARE_BITS
 }
 
-/// A share of an amount, with up to 48 bits together, rounded.
+/// A share of an amount, rounded, if their product has at most 48 bits.
 #[inline(always)]
 fn wide_part_of(amount: u32, share: u32) -> u32 {
     ((u64::from(amount) * u64::from(share) + (1 << (SHARE_BITS - 1))) >> SHARE_BITS) as u32
@@ -100,19 +100,19 @@ pub struct Clouds {
 }
 
 impl Clouds {
-    /// For clouds of `amount` that end at `walls`.
+    /// Makes clouds of `amount` that end at `walls`.
     pub fn new(Amount(amount): Amount, walls: Option<CellBox>, shape: PageShape) -> Self {
         Self { amount, walls, shape, firsts: shape.firsts() }
     }
 
-    /// A buffer for one page after another.
+    /// A buffer of zeros, which can be reused for all pages.
     pub fn room(&self) -> Vec<u16> {
         // One additional sample for the empty share beyond the last row.
         vec![0; self.shape.bin_samples() + 1]
     }
 
-    /// The page of particles in a bin, each with its own amount; `None` if it is empty. `room` must
-    /// be all zeros, and is so again afterwards.
+    /// The page of particles in a bin, each with its own amount; `None` if the page is empty.
+    /// `room` must be all zeros, and is all zeros again afterwards.
     pub fn page_of_amounts(
         &self,
         room: &mut [u16],
@@ -142,7 +142,7 @@ impl Clouds {
         self.take_page(room, bin, particles.iter().map(|&(record, _)| unpack(record).0))
     }
 
-    /// The page of a bin's particles. `room` must be all zeros, and is so again afterwards.
+    /// The page of a bin's particles. `room` must be all zeros, and is all zeros again afterwards.
     pub fn page(
         &self,
         room: &mut [u16],
@@ -161,7 +161,7 @@ impl Clouds {
         self.take_page(room, bin, cells).expect("a bin holds particles")
     }
 
-    /// Takes the page of particles in some cells of a bin out of `room`, and leaves zeros.
+    /// Takes the page of particles in the given `cells` of a bin out of `room`, and leaves zeros.
     fn take_page(
         &self,
         room: &mut [u16],
@@ -188,8 +188,8 @@ const fn edge(side: BrickSide) -> usize {
 /// Clouds per batch, which the compiler vectorizes.
 const BATCH: usize = 32;
 
-/// Adds the clouds of particles to bricks with this number of samples along an axis. It updates
-/// rows of four samples, the last unchanged.
+/// Adds the clouds of particles to bricks with `EDGE` samples along an axis. Each update writes a
+/// row of four samples, of which the last stays unchanged.
 #[multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512vl+avx512dq",
     "x86_64+avx2+bmi1",
@@ -204,9 +204,9 @@ fn add_clouds<const EDGE: usize>(
     let Clouds { amount, firsts, .. } = of;
     let amount = u32::from(*amount);
     let mut batch = [0; BATCH];
-    // For each axis: below, at and above the particle's own cell.
+    // For each axis, the shares of the cells below, at and above the particle's own cell.
     let mut all_shares = [[[0; BATCH]; 3]; 3];
-    // By z, then y.
+    // Rows of shares, indexed by z, then y.
     let mut rows = [[[[0; 4]; BATCH]; 3]; 3];
     for packed in packed.chunks(BATCH) {
         batch[..packed.len()].copy_from_slice(packed);

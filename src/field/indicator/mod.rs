@@ -7,18 +7,19 @@
 //! at (2 S + N) / (2 N F) of the edge, and eq. 7 becomes 1 - |D| / (sqrt(3) N F) with
 //! D = |2 S + N - N F|.
 //!
-//! Both depend only on the particles in the cell, and jump when a particle moves from one cell to
-//! the next: layers of particles along layers of cells move the surface by up to a cell. The theta
-//! of a full cell is never 0: the farthest centroid is half a step away from a corner.
+//! Counting and symmetry depend only on the particles in the cell, and jump when a particle moves
+//! from one cell to the next. If layers of particles follow layers of cells, this moves the surface
+//! by up to a cell. theta of a full cell is never 0, because even the farthest centroid is half a
+//! step away from a corner.
 //!
 //! Cloud, which is not in the paper, is a density rather than a share of fluid: rho A, at most
-//! 65535, where rho is the number of particles as clouds, and A is the [`Amount`] for the cell
-//! size. A particle is distributed around its position by the quadratic B-spline, the
+//! 65535, where rho is the number of particles, counted as clouds, and A is the [`Amount`] for the
+//! cell size. A particle is distributed around its position by the quadratic B-spline, the
 //! triangular-shaped cloud of Hockney and Eastwood (Computer Simulation Using Particles, 1988): at
 //! u of a cell's edge along an axis, a share of (1 - u)^2 / 2 goes to the cell below, u^2 / 2 to
 //! the cell above, and the rest to the particle's own cell. The cells then preserve the particles'
 //! number, their centroid and, up to a constant, their variance, and nothing jumps. All cells
-//! around a particle's own can get a share of it. For the surface of clouds, see
+//! around a particle's own cell can get a share of the particle. For the surface of clouds, see
 //! [`distance`](super::distance).
 
 mod cloud;
@@ -156,8 +157,8 @@ impl Indicator {
     }
 }
 
-/// Eq. 6: theta for each number of particles up to `mean`; beyond, it is 1. Cells store numbers,
-/// and [`DifField::gather`] and `gather.wgsl` apply eq. 6 when they cut out blocks.
+/// Eq. 6: theta for each number of particles up to `mean`; for larger numbers theta is 1. Cells
+/// store numbers, and [`DifField::gather`] and `gather.wgsl` apply eq. 6 when they cut out blocks.
 pub fn count_table(mean: MeanCount) -> Vec<u16> {
     let mean = mean.particles();
     (0..=mean.floor() as u32)

@@ -76,7 +76,7 @@ impl SampledDif {
         let (mut finer, mut walls) = (Arc::clone(&self.dif), self.facts.walls());
         let levels = 0..self.wide_cells().level + self.more_levels;
         let halved = levels.map(|level| {
-            // Beyond wide cells, samples deep in the fluid keep their value.
+            // At levels beyond wide cells, samples deep in the fluid keep their value.
             let is_wide = level >= self.wide_cells().level;
             let factor = if is_wide { 0.125 } else { amount(level + 1) / amount(level) };
             finer = Arc::new(finer.halved(walls, factor, self.scratch.as_deref()));

@@ -13,15 +13,15 @@ use super::{Amount, IndicatorKind, PageRule};
 /// Edge of the part of a bin that a work group sums: its sums fit into the shared memory of every
 /// device.
 pub const OCTANT: u32 = 8;
-/// Maximum number of cloud samples per work group; they too fit into the shared memory of every
-/// device.
+/// Maximum number of cloud samples per work group; these samples also fit into the shared memory of
+/// every device.
 pub const CLOUD_SAMPLES: u32 = 1728;
 
 /// A bin with its range of particles in a batch, laid out as in `binned.wgsl`.
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
 pub struct BinEntry {
-    /// The number of the bin's first particle.
+    /// The index of the bin's first particle.
     pub first: u32,
     /// The number of the bin's particles.
     pub count: u32,

@@ -17,10 +17,10 @@ pub struct WideCells {
 }
 
 impl WideCells {
-    /// Wide cells for a spacing in cells.
+    /// The wide cells for particles `spacing` cells apart.
     pub fn of_spacing(spacing: f64) -> Self {
         let mut wide = Self { level: 0, edge: 1.0 / spacing };
-        // A quotient of decimals can have a rounding error.
+        // The 1e-9 absorbs the rounding error of a quotient of decimals.
         while wide.edge < LEAST_WIDE - 1e-9 {
             wide = Self { level: wide.level + 1, edge: 2.0 * wide.edge };
         }

@@ -15,11 +15,12 @@ use super::{
 /// Cells that are processed at a time.
 const LANES: usize = 16;
 
-/// The maximum of g, B and the distance from the middle.
+/// The limits for components of vectors such as g and the distance from the middle, and for entries
+/// of matrices such as B.
 const MOST_SLOPE: i32 = 4 * ONE;
 const MOST_BEND: i32 = 2 * ONE;
 
-/// Whether some samples can hold a sheet, which needs more than one particle.
+/// Whether `clouds` can hold a sheet, which needs more than one particle.
 pub fn holds_any(sheets: &Sheets, clouds: &Block) -> bool {
     let mut sum = 0;
     for samples in clouds.samples().chunks(1 << 10) {
@@ -31,9 +32,9 @@ pub fn holds_any(sheets: &Sheets, clouds: &Block) -> bool {
     false
 }
 
-/// Sheets of the smoothed density; `None` if there are none. With `needed`, certainty is only made
-/// where that block is not 0. Shares are only made within the reach of the average from cells with
-/// certainty.
+/// Sheets of the smoothed density; `None` if there are none. If `needed` is given, certainty is
+/// only computed where `needed` is not 0. Shares are only computed near cells with certainty,
+/// within the reach of the averaging filter.
 ///
 /// # Panics
 /// If `needed` does not cover the sheets.
@@ -50,14 +51,15 @@ pub fn sheets(by: &Sheets, density: &Block, needed: Option<&Block>) -> Option<Sh
     }
     let density = density.part(dense.grown(step, step));
     let (mut shares, mut certainty) = (Block::zero(cells), Block::zero(cells));
-    // Several cells are processed at a time, also at the end of the last row.
+    // Several cells are processed at a time, even at the end of the last row, so there are more
+    // logarithms than samples.
     let mut logarithms = vec![0; density.samples().len() + LANES];
     logarithms_of(&mut logarithms, density.samples());
     let strides = density.strides().map(|stride| stride as isize * step as isize);
     let [x, y, z] = strides;
     let width = dense.size().x as usize;
     let mut candidates = vec![0; width];
-    // Whether each piece of a row was made.
+    // For each piece of a row, whether its sheets were computed.
     let in_row = width.div_ceil(LANES);
     let mut made = vec![false; density.rows(dense).count() * in_row];
     let mut any = false;
@@ -116,8 +118,8 @@ fn logarithms_of(to: &mut [u16], samples: &[u16]) {
     }
 }
 
-/// Whether each of a row of logarithms may belong to a sheet, according to its neighbours along the
-/// axes: 1 or 0.
+/// For each logarithm of a row: 1 if it may belong to a sheet, according to its neighbours along
+/// the axes, and 0 otherwise.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
 fn may_be_sheets(to: &mut [u16], numbers: &SheetConstants, row: &[u16], beside: [&[u16]; 6]) {
     let [x, to_x, y, to_y, z, to_z] = beside;
@@ -162,7 +164,7 @@ fn sheets_of_each(
     (shares, certainty)
 }
 
-/// Blends the shares of drops with those of sheets, weighted by the certainty of the sheets.
+/// Blends the shares of drops with the shares of sheets, weighted by the certainty of the sheets.
 ///
 /// # Panics
 /// If a field of sheets does not cover the drops.
@@ -208,7 +210,7 @@ impl SheetConstants {
         (second.clamp(-8 * ONE, 8 * ONE) * self.bend / ONE).clamp(-MOST_BEND, MOST_BEND)
     }
 
-    /// Whether second differences along the axes are those of a drop, which is not a sheet.
+    /// Whether the second differences along the axes indicate a drop, which is not a sheet.
     #[inline(always)]
     fn is_round(&self, seconds: [i32; 3]) -> bool {
         let [x, y, z] = seconds.map(|second| self.bend(second));
@@ -324,14 +326,14 @@ mod tests {
         sheets.expect("there are sheets")
     }
 
-    /// The standard deviation of the density that shows sheets: that of the filter, of the clouds
-    /// and of the spline.
+    /// The standard deviation of a particle in the density that shows sheets. It includes the
+    /// widths of the filter, the clouds and the spline.
     fn width() -> f64 {
         (made().around.variance() + 0.5).sqrt() * WIDE.edge
     }
 
-    /// The share and the certainty of a sheet where the binary logarithm of the density, relative
-    /// to the plateau, depends on the place.
+    /// The share and the certainty of a sheet at `place`. `logarithm` gives the binary logarithm of
+    /// the density, relative to the plateau, at any place.
     fn sheet_at(place: DVec3, logarithm: impl Fn(DVec3) -> f64) -> (u16, u16) {
         let numbers = made().numbers;
         let step = f64::from(numbers.step) * CELL;
@@ -368,7 +370,7 @@ mod tests {
         f64::from(share) * f64::from(certain) / f64::from(ONE) - surface
     }
 
-    /// The distance of the surface from the middle.
+    /// The distance of the surface from the middle of a thin body, in spacings.
     fn half_thickness(across: &[DVec3], density: f64) -> f64 {
         let inside = (0..200).map(|i| 0.01 * f64::from(i));
         inside.take_while(|&away| beyond_surface(across, density, away) > 0.0).last().unwrap_or(0.0)
@@ -400,7 +402,7 @@ mod tests {
                 let found = half_thickness(&[first, second], density);
                 assert!((found - expected).abs() < 0.03, "{first} {area}: {found}");
             }
-            // As for neighbours three spacings apart, and for a single particle.
+            // The densities of neighbours three spacings apart, and of a single particle.
             assert_eq!(half_thickness(&[first], 1.0 / 9.0 / (TAU.sqrt() * width)), 0.0);
             let third = first.cross(second);
             let alone = (TAU.sqrt() * width).powi(-3);

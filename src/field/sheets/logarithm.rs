@@ -21,10 +21,10 @@ fn between<const N: usize>(coefficients: &[i32; N], x: i32) -> i32 {
     (((x * ((1 << MANTISSA) - x)) >> MANTISSA) * sum) >> MANTISSA
 }
 
-/// The binary logarithm of a sample; for 0 that of 1.
+/// The binary logarithm of a sample; for a sample of 0, the logarithm of 1.
 #[inline(always)]
 pub fn log2(sample: u16) -> i32 {
-    // The exponent and the mantissa of the f32 are exact for such a number.
+    // An f32 represents every sample exactly, so its exponent and mantissa are exact.
     let bits = f32::from(sample.max(1)).to_bits();
     let power = (bits >> 23) as i32 - 127;
     let x = ((bits >> (23 - MANTISSA)) & ((1 << MANTISSA) - 1)) as i32;

@@ -17,21 +17,21 @@
 //!    across a sheet and compensates for the missing particles beyond a rim. T = tr B is the number
 //!    of directions across. The density at the middle is that of a sheet (1), a filament (2) or a
 //!    ball (3) with the particles' volume under the Gaussian; this gives its half thickness or
-//!    radius R. The cells need a minimum of `LEAST_CELLS`, and of `LEAST_RIM_CELLS` in filaments
-//!    and at rims, which would fray otherwise. R approaches the minimum gradually: with a = log2 R^2,
-//!    b that of the minimum and w = `GRADUAL` over the cell, the result is max(a, b) +
-//!    max(w - |a - b|, 0)^2 / 4w. The volume of a stretching sheet then changes slowly.
+//!    radius R. The mesh's cells require a minimum of R: `LEAST_CELLS`, and `LEAST_RIM_CELLS` in
+//!    filaments and at rims, which would fray otherwise. R approaches the minimum gradually: with a
+//!    = log2 R^2, b = log2 of the squared minimum and w = `GRADUAL` over the cell, the result is
+//!    max(a, b) + max(w - |a - b|, 0)^2 / 4w. The volume of a stretching sheet then changes slowly.
 //! 4. Certainty. There is a sheet if neighbours are no farther apart than requested, according to
 //!    the density at the middle, if the middle is near, and if B is nearly a projection: the
 //!    squared distance |B - B^2|^2 is at most 0.06 in sheets, in filaments and at their rims, and
-//!    often twice that in spray. It is as large at the corners of a sheet, where the middle seems
-//!    far, too. But there det(I - B), the product of the particles' variances, shows that they lie
-//!    in a plane, and both limits are wider. Neither a thick body (T < 0.4), nor its surface
-//!    (det(I - B) > 0.35), nor a drop of a few particles (T > 2.45) is a sheet.
+//!    often twice as large in spray. At the corners of a sheet it is as large as in spray, and the
+//!    middle seems far. But at corners det(I - B), the product of the particles' variances, shows
+//!    that the particles lie in a plane, and both limits are wider. Neither a thick body (T < 0.4),
+//!    nor its surface (det(I - B) > 0.35), nor a drop of a few particles (T > 2.45) is a sheet.
 //! 5. Blended. The certainty is averaged under a Gaussian of 0.55 spacings, so that no crumbs of
 //!    single cells remain at rims and in spray. It is the weight with which the shares of drops
-//!    (see [`distance`](super::distance)) are blended with those of the sheet, which have the
-//!    minimum width for the cells and reach the level of a drop's surface at R.
+//!    (see [`distance`](super::distance)) are blended with the shares of the sheet. These have the
+//!    minimum width for the cells, and reach the level of a drop's surface at R.
 //! 6. Joined. A sheet replaces the bulk's surface earlier than drops do, by `STANDS_OUT_EARLIER`
 //!    times its certainty: the surface of the bulk vanishes from a sheet before its particles stand
 //!    out.
@@ -61,12 +61,12 @@ use crate::grid::units::SheetStretch;
 pub const BITS: u32 = 12;
 /// The binary logarithm of e.
 pub const LOG2_OF_E: i32 = 5909;
-/// 1.
+/// The number 1 in fixed point.
 pub const ONE: i32 = 1 << BITS;
 
 /// The width of the Gaussian that reveals the shape of the surroundings, in spacings.
 const WIDTH: f64 = 1.5;
-/// The cut-off of its Gaussian, in standard deviations.
+/// The cut-off of this Gaussian, in standard deviations.
 const CUT: f64 = 2.6;
 /// The standard deviation of the Gaussian that averages certainty, in spacings; the narrowest
 /// filter is 1:2:1.
@@ -78,41 +78,42 @@ const PROFILE_CELLS: f64 = 0.9;
 const LEAST_CELLS: f64 = 0.62;
 /// The minimum half thickness of rims and filaments, in cells of the mesh.
 const LEAST_RIM_CELLS: f64 = 0.85;
-/// The spacings that are added to both.
+/// The length, in spacings, that is added to both minimum half thicknesses.
 const LEAST_MORE: f64 = 0.05;
-/// The maximum of both sums, in spacings, for coarse cells.
+/// The maximum of both minimum half thicknesses including [`LEAST_MORE`], in spacings, for coarse
+/// cells.
 const LEAST_MOST: f64 = 1.0;
 /// The difference from the minimum's log2 R^2 within which a thickness is increased, times the
 /// mesh's cell in spacings.
 const GRADUAL: f64 = 0.55;
 /// The maximum of this difference, for fine cells.
 const MOST_GRADUAL: f64 = 4.0;
-/// The factor beyond the requested stretch at which sheets end.
+/// Sheets end where they are stretched by this factor more than requested.
 const GONE: f64 = 1.12;
 /// The factor by which filaments may be stretched farther than sheets: spray seldom looks like
 /// filaments.
 const FILAMENTS_FARTHER: f64 = 1.15;
-/// The squared distances of B from a projection between which drops replace sheets.
+/// The range of the squared distance of B from a projection in which drops replace sheets.
 pub const IMPURE: Ramp = ramp([0.06, 0.09]);
 /// 1 over the squared distance of B from a projection at which a cell counts fully as a rim.
 pub const BY_RIM: i32 = 16;
-/// The determinants of I - B between which `IMPURE_IF_FLAT` and `BEYOND_IF_FLAT` fade out, because
-/// the particles do not lie in a plane.
+/// The range of det(I - B) in which `IMPURE_IF_FLAT` and `BEYOND_IF_FLAT` fade out, because the
+/// particles do not lie in a plane.
 pub const FLAT: Ramp = ramp([0.01, 0.05]);
-/// The determinants of I - B between which sheets fade out at the surface of a thick body.
+/// The range of det(I - B) in which sheets fade out at the surface of a thick body.
 pub const THICK: Ramp = ramp([0.2, 0.35]);
 /// The increase of both limits of [`IMPURE`] where particles lie in a plane.
 pub const IMPURE_IF_FLAT: i32 = fixed(0.08);
 /// The increase of both limits of [`BEYOND`] where particles lie in a plane.
 pub const BEYOND_IF_FLAT: i32 = fixed(0.45);
-/// The number of directions across at which sheets begin to fade in.
+/// The value of T, the number of directions across, at which sheets begin to fade in.
 const LEAST_ACROSS: f64 = 0.4;
-/// The numbers of directions across between which sheets fade in.
+/// The range of T in which sheets fade in.
 pub const THIN: Ramp = ramp([LEAST_ACROSS, 0.7]);
-/// The numbers of directions across between which sheets fade out again.
+/// The range of T in which sheets fade out again, because the body is round.
 pub const ROUND: Ramp = ramp([2.2, 2.45]);
-/// The differences of the logarithm at the middle between which sheets fade out, because the middle
-/// is not near.
+/// The range of the logarithm's difference between the middle and the cell in which sheets fade
+/// out, because the middle is not near.
 pub const BEYOND: Ramp = ramp([0.6, 0.75]);
 /// The distance by which sheets stand out earlier than drops, in spacings.
 pub(in crate::field) const STANDS_OUT_EARLIER: f64 = 0.35;
@@ -124,21 +125,21 @@ const MOST_MORE: f64 = 0.7;
 /// drops.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Sheets {
-    /// Smooths the density in wide cells.
+    /// The filter that smooths the density in wide cells.
     pub around: Weights,
     /// The minimum sum of samples in the surroundings of a sheet.
     pub least: u32,
-    /// Averages the certainty.
+    /// The filter that averages the certainty.
     pub average: Weights,
-    /// The numbers of the formulas.
+    /// The constants of the formulas.
     pub numbers: SheetConstants,
 }
 
 /// The sheets in some cells.
 #[derive(Debug, Clone)]
 pub struct SheetFields<F> {
-    /// Shares like those of drops, in 32768ths; valid within the reach of the average from cells
-    /// with certainty.
+    /// Shares of sheets, in 32768ths, comparable with the shares of drops. They are valid near
+    /// cells with certainty, within the reach of the averaging filter.
     pub shares: F,
     /// The certainty of the sheets, in 4096ths.
     pub certainty: F,
@@ -147,7 +148,7 @@ pub struct SheetFields<F> {
 /// The constants of the formulas, for a cell size.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SheetConstants {
-    /// The distance of the samples for differences, in cells.
+    /// The distance from a cell to the samples from which its differences are computed, in cells.
     pub step: i32,
     /// The factor from differences of logarithms to g.
     pub slope: i32,
@@ -159,22 +160,24 @@ pub struct SheetConstants {
     pub least_across: i32,
     /// The logarithm of the plateau's sample.
     pub plateau: i32,
-    /// The maximum increase of the logarithm to the middle.
+    /// The maximum increase of the logarithm from a cell to the middle.
     pub most_more: i32,
-    /// log2 R^2 minus 2, 1 and 2/3 times the density's logarithm: for sheets, filaments and drops.
+    /// log2 R^2 minus a multiple of the density's logarithm: for sheets (2 times), filaments (1
+    /// time) and drops (2/3 times).
     pub sizes: [i32; 3],
     /// The logarithm of the minimum R^2.
     pub least_size: i32,
-    /// The increase of this logarithm at rims and in filaments.
+    /// The increase of `least_size` at rims and in filaments.
     pub rim: i32,
-    /// The difference of these logarithms within which the thickness approaches the minimum.
+    /// The difference between log2 R^2 and its minimum within which the thickness approaches the
+    /// minimum.
     pub gradual: i32,
-    /// 1 over 4 times this difference.
+    /// 1 / (4 `gradual`).
     pub by_gradual: i32,
     /// The logarithm of the stretch, minus half or all of the density's logarithm: for sheets and
     /// filaments.
     pub stretches: [i32; 2],
-    /// The logarithm of a share at R = 0; the following factors apply to T, R^2 and the squared
+    /// The logarithm of a share at R = 0. The factors below multiply T, R^2 and the squared
     /// distance from the middle.
     pub share: i32,
     /// The factor of T.
@@ -183,7 +186,7 @@ pub struct SheetConstants {
     pub by_size: i32,
     /// The factor of the squared distance, in s.
     pub by_distance: i32,
-    /// Over the stretch's logarithm.
+    /// The ramp over the stretch's logarithm along which sheets fade out.
     pub torn: Ramp,
 }
 
@@ -199,7 +202,7 @@ const fn ramp([begin, end]: [f64; 2]) -> Ramp {
 /// The drops in the same cells, as far as they affect sheets.
 #[derive(Debug, Clone, Copy)]
 pub struct DropShape {
-    /// The radius of a single particle, in spacings.
+    /// The radius of the drop of a single particle, in spacings.
     pub radius: f64,
     /// The standard deviation of a drop, in spacings.
     pub width: f64,
@@ -208,9 +211,9 @@ pub struct DropShape {
 }
 
 impl Sheets {
-    /// Makes sheets for particles stretched apart to `stretch`, for a mesh whose cells have
-    /// `mesh_cell` spacings, in cells of `cell` spacings. Their density is interpolated from `wide`
-    /// cells.
+    /// Makes the parameters of sheets that are stretched up to `stretch`. The mesh has cells of
+    /// `mesh_cell` spacings. Sheets are made in cells of `cell` spacings, from a density that is
+    /// interpolated from `wide` cells.
     pub fn new(
         stretch: SheetStretch,
         [mesh_cell, cell]: [f64; 2],
@@ -243,15 +246,15 @@ impl Sheets {
         let stretches =
             [0.5 * log2(of_sheet(1.0)), log2(of_filament(1.0)) - log2(FILAMENTS_FARTHER)];
         let gone = log2(stretch * GONE);
-        // Half of the density's logarithm for a sheet, all of it for a filament, interpolated in
-        // between.
+        // The stretch of a sheet depends on half of the density's logarithm, the stretch of a
+        // filament on all of it; it is interpolated in between.
         let least_density = (2.0 * (stretches[0] - gone)).min(stretches[1] - gone);
         let numbers = SheetConstants {
             step,
             least: fixed(log2(plateau) + least_density - MOST_MORE * LOG2_E - 0.02),
             slope: fixed(LN_2 * apart / 2.0),
             bend: fixed(LN_2 * apart * apart),
-            // Minus the rounding error of each axis.
+            // The 4 allows for the rounding errors of the axes.
             least_across: (LEAST_ACROSS * f64::from(ONE) / (LN_2 * apart * apart)) as i32 - 4,
             plateau: fixed(log2(plateau)),
             most_more: fixed(MOST_MORE),

@@ -52,7 +52,7 @@ pub fn sheets(
     batch.dispatch(pipeline, &views, &push, blocks.groups(pipeline))
 }
 
-/// Blends the shares of drops in place with those of sheets, weighted by the certainty of the
+/// Blends the shares of drops in place with the shares of sheets, weighted by the certainty of the
 /// sheets.
 ///
 /// # Errors

@@ -10,8 +10,8 @@ use crate::grid::{BIN, CellBox};
 const BINS: usize = 32;
 
 /// The spacing from the mean number of particles around each particle, in cubes of about three
-/// spacings; `None` for other indicators. In thin fluid it is too large: by a factor of 1.4 in
-/// sheets of one layer, by 2 in filaments.
+/// spacings; `None` for indicators other than clouds. In thin fluid it is too large: by a factor of
+/// 1.4 in sheets of one layer, by 2 in filaments.
 pub fn spacing_by_clouds(frame: &SampledDif) -> Option<f64> {
     if !frame.is_clouds() {
         return None;

@@ -21,7 +21,7 @@ const TARGETS: [f64; 3] = [48.0, 16.0, 6.0];
 const ENOUGH_CELLS: usize = 8;
 /// Maximum number of counting cells: in spray each particle occupies its own cell.
 const MOST_CELLS: usize = 1 << 24;
-/// Maximum number of counting cells in the box around all particles for a dense list, which
+/// Maximum number of cells in the box around all particles for counting in a dense list, which
 /// includes empty cells.
 const MOST_LISTED: f64 = (1 << 21) as f64;
 
@@ -31,8 +31,8 @@ const CHUNK: usize = 1 << 16;
 /// Particles per batch of cell numbers.
 const AT_ONCE: usize = 256;
 
-/// Computes the numbers of particles' cells in the list of a box of cells, x fastest, that begins
-/// one cell below `origin`.
+/// Computes the index of each particle's cell in a dense list. The list has the cells of a box, x
+/// fastest; the box begins one cell below `origin`.
 #[multiversion(targets("x86_64+avx512f+avx512dq", "x86_64+avx2", "x86_64+sse4.1"))]
 fn numbers_of(
     positions: &[[f64; 3]],
@@ -52,8 +52,8 @@ fn numbers_of(
 pub struct Spacings {
     /// The spacing of all particles, as if they were evenly distributed.
     pub mean: f64,
-    /// For particles that clearly have two resolutions: the spacing of the majority, and that of
-    /// the others.
+    /// For particles that clearly have two resolutions: the spacing of the majority, and the
+    /// spacing of the others.
     pub two: Option<[f64; 2]>,
 }
 
@@ -68,7 +68,7 @@ impl Spacings {
 }
 
 /// Estimates the spacings of finite particles within their bounds; returns `None` if interior cells
-/// hold less than `enough_share` of them.
+/// hold less than `enough_share` of the particles.
 pub fn spacings(particles: &[[f64; 3]], bounds: &Bounds, enough_share: f64) -> Option<Spacings> {
     let Bounds { lo, hi, finite } = *bounds;
     let extent = hi - lo;
@@ -83,7 +83,8 @@ pub fn spacings(particles: &[[f64; 3]], bounds: &Bounds, enough_share: f64) -> O
         let at_corner;
         (cell, at_corner) = cell_for(|cell| counts(lo, cell), target, cell)?;
         let placements = (SHARE / particles.len().max(1)).clamp(1, 8) as u32;
-        // Multiples of the powers of the golden ratio are evenly spread.
+        // Multiples of the powers of the golden ratio, generalised to three axes, are evenly
+        // spread.
         let shifts = (0..placements).map(|i| {
             let i = f64::from(i);
             DVec3::new(i * 0.819_172_513, i * 0.671_043_606, i * 0.549_700_478).fract()
@@ -96,7 +97,7 @@ pub fn spacings(particles: &[[f64; 3]], bounds: &Bounds, enough_share: f64) -> O
         let enough = cells >= ENOUGH_CELLS * placements as usize
             && total as f64 >= enough_share * f64::from(placements) * finite as f64;
         enough.then(|| {
-            // Coarse particles have interior cells only if these are wider.
+            // Particles of the coarser resolution have interior cells only if cells are wider.
             let wider = || two_of(at_corner.twice_as_wide().interior(), 2.0 * cell);
             Spacings {
                 mean: cell * libm::cbrt(cells as f64 / total as f64),
@@ -108,24 +109,25 @@ pub fn spacings(particles: &[[f64; 3]], bounds: &Bounds, enough_share: f64) -> O
 
 /// The minimum share of the fluid's volume, or of its particles, for a separate resolution.
 const PART: f64 = 0.05;
-/// The minimum number of particles in the cells of such a part: with fewer, it could be spray.
+/// The minimum number of particles in a cell of a separate resolution: with fewer, the particles
+/// could be spray.
 const ENOUGH_IN_CELL: usize = 4;
-/// The minimum share of such a part's cells that have similar counts.
+/// The minimum share of a separate resolution's cells that have similar counts.
 const EVEN: f64 = 0.8;
 
-/// The spacings of two resolutions, from the counts of interior cells of edge `cell`: there are two
-/// kinds of cells with different counts, and fewer cells between them. A fluid that thins out into
-/// spray has cells of every count.
+/// The spacings of two resolutions, from the counts of interior cells of edge `cell`. There must be
+/// two groups of cells with different counts, and fewer cells with counts in between: a fluid that
+/// thins out into spray has cells of every count.
 fn two_of(mut counts: Vec<usize>, cell: f64) -> Option<[f64; 2]> {
     counts.sort_unstable();
     let total: usize = counts.iter().sum();
     let mut below = 0;
-    // The count that most particles have in their cell.
+    // The median over all particles of the count in the particle's cell.
     let most = *counts.iter().find(|&&count| {
         below += count;
         2 * below >= total
     })?;
-    // The number of cells with counts in a range of multiples of that count, and of their
+    // The number of cells whose counts are `from` to `to` times `most`, and the number of their
     // particles.
     let of = |from: f64, to: f64| {
         let [from, to] = [from, to]

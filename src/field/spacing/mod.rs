@@ -3,12 +3,14 @@
 //!
 //! Two estimates check each other. `density` counts particles in cells; this is accurate in deep
 //! fluid, but too large in thin fluid with gaps. `neighbours` measures the density around single
-//! particles. If both agree, the result is the count; if they disagree, or if nothing is deep
-//! enough to count, it is that of the neighbours, and the [`SpacingEstimate`] says so.
+//! particles. If both agree, the result is the spacing from counting. Otherwise, or if no fluid is
+//! deep enough to count, the result comes from the neighbours. An unreliable [`SpacingEstimate`] is
+//! marked as thin.
 //!
-//! Up to [`ALL`] particles are read once and held in memory. If there are more, a first reading
-//! takes an even sample to count, and a second one all particles in some cubes to search for
-//! neighbours. Another reader of the particles can do the second reading on the way.
+//! Up to [`ALL`] particles are read once and held in memory. If there are more, the first reading
+//! takes an even sample for counting, and the second reading takes all particles in some cubes for
+//! the search for neighbours. Code that reads the particles for another purpose can do the second
+//! reading at the same time.
 
 mod clouds;
 mod density;
@@ -32,7 +34,7 @@ use sample::SHARE;
 /// The maximum number of particles that are held in memory for the estimate; an even [`EvenSample`]
 /// can hold as many.
 pub const ALL: usize = 2 * SHARE;
-/// With more particles, a small sample is enough to confirm a count.
+/// If there are more particles than this, a small sample is enough to confirm a count.
 const FEWEST_SAMPLED: usize = 1 << 12;
 /// The maximum number of particles that are all searched if a small sample does not confirm the
 /// count.
@@ -41,7 +43,7 @@ const MOST_SEARCHED: usize = 1 << 15;
 const ENOUGH_SHARE: f64 = 1.0 / 16.0;
 /// The minimum number of distinct positions for an estimate.
 const FEWEST: usize = 8;
-/// Fluid with a smaller share of deep particles is thin.
+/// The minimum share of deep particles; fluid with less is thin.
 const THIN: f64 = 0.15;
 
 /// The evidence about the spacing in the particles' positions.
@@ -84,8 +86,8 @@ pub struct Plane {
 pub struct SpacingEstimate {
     /// The estimate.
     pub spacing: f64,
-    /// For particles that clearly have two resolutions: the spacing of the majority, and that of
-    /// the others.
+    /// For particles that clearly have two resolutions: the spacing of the majority, and the
+    /// spacing of the others.
     pub two: Option<[f64; 2]>,
     /// Whether the fluid is too thin or too ragged for a reliable estimate.
     pub thin: bool,
@@ -116,8 +118,7 @@ pub enum NoEstimate {
     },
 }
 
-/// An even sample of the particles that has been counted; the result before the search for
-/// neighbours.
+/// The result of counting an even sample of the particles, before the search for neighbours.
 #[derive(Debug)]
 pub struct SpacingDraft {
     particles: usize,
@@ -155,8 +156,8 @@ pub fn evidence(particles: &(impl Particles + ?Sized)) -> Option<Evidence> {
 }
 
 /// Reads the particles and searches for neighbours at the scale of a known spacing; `None` if there
-/// are no particles, or if the reading was cancelled. Few particles that do not confirm the spacing
-/// are read twice.
+/// are no particles, or if the reading was cancelled. The particles are read twice if there are at
+/// most [`ALL`] of them and a small sample does not confirm the spacing.
 pub fn survey(particles: &(impl Particles + ?Sized), spacing: f64) -> Option<SampleSurvey> {
     let of = |sample| if particles.goes_on() { SampleSurvey::of(sample, spacing) } else { None };
     if particles.len() <= FEWEST_SAMPLED {
@@ -184,8 +185,8 @@ pub fn survey(particles: &(impl Particles + ?Sized), spacing: f64) -> Option<Sam
 pub struct SampleSurvey {
     /// Distances between neighbours.
     pub neighbours: Neighbours,
-    /// The facts about their coordinates. The sample may lie in a plane although not all particles
-    /// do.
+    /// The facts about the sample's coordinates. The sample may lie in a plane even if not all
+    /// particles do.
     pub place: CoordinateFacts,
 }
 
@@ -197,7 +198,7 @@ impl SampleSurvey {
     }
 }
 
-/// Passes the positions of all particles to `add`, in chunks without an order.
+/// Passes the positions of all particles to `add`, in chunks, in any order.
 pub fn for_each_chunk(particles: &(impl Particles + ?Sized), add: impl Fn(&[[f64; 3]]) + Sync) {
     let buffer = || vec![[0.0; 3]; CHUNK];
     (0..particles.len().div_ceil(CHUNK)).into_par_iter().for_each_init(buffer, |buffer, chunk| {
@@ -245,7 +246,7 @@ fn of_all(positions: Vec<[f64; 3]>, bounds: Bounds) -> Option<Evidence> {
         let counted = counted.map(|counted| counted.mean);
         let all = || NeighbourSample::whole(positions.to_vec());
         let scale = match counted {
-            // The middles of all cubes may miss the plane.
+            // If all particles lie in a plane, the middles of all cubes may miss it.
             _ if positions.len() <= FEWEST_SAMPLED || place.plane.is_some() => None,
             None if positions.len() <= MOST_SEARCHED => None,
             None => {
@@ -284,7 +285,7 @@ fn of_all(positions: Vec<[f64; 3]>, bounds: Bounds) -> Option<Evidence> {
 
 /// A scale for the search for neighbours without a count: half the distance to the third neighbour
 /// in a small sample. The particles of a sample of sheets or filaments are closer together than
-/// those of a solid; the cubes are then wider, and hold more.
+/// those of a solid; the cubes are then wider, and hold more particles.
 fn scale_of(few: Vec<[f64; 3]>) -> Option<f64> {
     Some(Neighbours::of(NeighbourSample::whole(few)).nearest?[2] / 2.0)
 }
@@ -296,12 +297,12 @@ impl SpacingDraft {
         let bounds = bounds(&positions[..])?;
         let place = CoordinateFacts::of(&positions, &all);
         let particles = all.finite;
-        // A layer may be too thin for interior cells in a sample of this size: then its neighbours
-        // decide.
+        // A layer may be too thin for interior cells in a sample of this size. The search for
+        // neighbours then decides.
         let counted = density::spacings(&positions, &bounds, ENOUGH_SHARE);
         let counted = counted.map(|counted| counted.scaled(libm::cbrt(part)));
-        // Particles that cannot be counted may be sheets, where the distances in the sample grow
-        // with the root of its share.
+        // Particles that cannot be counted may be sheets, in which distances are inversely
+        // proportional to the square root of the sample's share.
         let in_sheets = || Some(2.4 * part.sqrt() * scale_of(positions)?);
         let scale = counted.map(|counted| counted.mean).or_else(in_sheets);
         Some(Self { particles, places, counted, scale: scale.unwrap_or(1.0), place })
@@ -312,7 +313,8 @@ impl SpacingDraft {
         self.counted.map(|counted| counted.mean)
     }
 
-    /// Begins a sample of all particles in some cubes, which must be given all particles.
+    /// Begins a sample of all particles in some cubes. The caller must pass all particles to the
+    /// sample.
     pub fn in_cubes(&self) -> CubeSample {
         CubeSample::new(Cubes::for_spacing(self.scale), self.particles)
     }
@@ -371,7 +373,8 @@ impl CoordinateFacts {
 
     /// Determines the facts from the positions of some particles and the bounds of all.
     fn of(positions: &[[f64; 3]], &Bounds { lo, hi, .. }: &Bounds) -> Self {
-        // A few positions are enough, and must not depend on the order of the file.
+        // A few positions are enough. Their choice must not depend on the order of particles in the
+        // file.
         let one_in = positions.len().div_ceil(1 << 12).next_power_of_two() as u64;
         let some = |position: &&[f64; 3]| sample::quick_hash(**position) & (one_in - 1) == 0;
         let some = |chunk: &'_ [[f64; 3]]| chunk.iter().filter(some).copied().collect::<Vec<_>>();
@@ -403,7 +406,7 @@ impl CoordinateFacts {
 }
 
 /// The step of coordinates that were rounded to single precision, at a distance from the origin;
-/// `None` if they were not, or if they were multiples of a larger step before.
+/// `None` if they were not rounded, or if they already were multiples of a larger step.
 fn step_of(coordinates: &[f64], far: f64) -> Option<f64> {
     let is_single = coordinates.iter().all(|&c| f64::from(c as f32) == c);
     let far = far as f32;
@@ -426,7 +429,7 @@ impl Evidence {
         }
         let estimate = self.estimated().ok_or(NoEstimate::TooFew)?;
         match self.place.step {
-            // Positions on a grid of such steps are at least one step apart.
+            // Different positions on a grid of such steps are at least one step apart.
             Some(step) if step > 0.7 * estimate.spacing => {
                 Err(NoEstimate::SinglePrecision { step })
             }
@@ -448,14 +451,14 @@ impl Evidence {
             (Some(counted), Some(_)) if neighbours.confirms(counted) => sure(counted),
             (Some(_), Some((measured, share))) if share >= THIN => unsure(measured),
             (None, Some((measured, share))) if share >= THIN => sure(measured),
-            // The cells were too small or too wide to show neighbourhoods.
+            // The cubes of the sample were too small or too wide to show neighbours.
             (Some(counted), None) if suggested.is_none() => unsure(counted),
             _ => unsure(suggested?),
         }
     }
 }
 
-/// Whether a ratio is within a factor of 1.
+/// Whether `ratio` is from 1 / `factor` to `factor`.
 fn within(ratio: f64, factor: f64) -> bool {
     (1.0 / factor..factor).contains(&ratio)
 }

@@ -25,21 +25,22 @@ const OF_SOLID: RangeInclusive<usize> = 8..=NEIGHBOURS;
 const OF_SHEET: RangeInclusive<usize> = 4..=8;
 /// The neighbours whose distances give the density if all particles lie in a plane.
 const OF_PLANE: RangeInclusive<usize> = 4..=NEIGHBOURS;
-/// The factor by which these are farther away than for random particles: the error is then within
-/// 1.5 % for lattices, with or without jitter.
+/// The factor by which neighbours in a plane are farther away than for random particles. With it,
+/// the error is within 1.5 % for lattices, with or without jitter.
 const FARTHER: f64 = 1.03;
 /// A particle is deep only if the distance to the centroid of its neighbours is less than this
 /// share of the distance to the farthest neighbour.
 const CENTRED: f64 = 0.2;
-/// 27 det / trace^3 of the neighbours' second moments is 1 where they are equal along all axes, and
-/// 0 in a plane.
+/// The minimum of 27 det / trace^3 of the second moments of surrounding neighbours. This measure is
+/// 1 if the moments are equal along all axes, and 0 in a plane.
 const ROUND: f64 = 0.5;
 /// Neighbours lie in a plane if the measure of [`ROUND`] is below this.
 const FLAT: f64 = 0.2;
 /// Neighbours in a plane surround the particle if 4 (sum of principal minors) / trace^2 exceeds
-/// this: it is 1 in a disc, and 0 on a line.
+/// this. The measure is 1 in a disc, and 0 on a line.
 const DISC: f64 = 0.6;
-/// The scatter of random positions is 1; FLIP particles that were seeded eight per cell have 0.8.
+/// Positions with a greater scatter are random. The scatter of random positions is 1; FLIP
+/// particles that were seeded eight per cell have a scatter of 0.8.
 const RANDOM: f64 = 0.9;
 /// The maximum error of a scatter that is measured on few particles.
 const CHANCE: f64 = 0.2;
@@ -50,16 +51,16 @@ const SHEETS: f64 = 0.6;
 /// Along filaments of single particles, the third neighbour is farther away than the second by more
 /// than this factor.
 const FILAMENT: f64 = 1.35;
-/// A count and the neighbours agree if they differ by less than this factor.
+/// The spacings from counting and from neighbours agree if they differ by less than this factor.
 const AGREED: f64 = 1.07;
 /// The minimum share of the queried particles for an estimate.
 const ENOUGH_SHARE: f64 = 0.04;
 const ENOUGH: usize = 8;
-/// The minimum number of queried particles, which is proportional to the number of particles.
+/// Limits of the number of queried particles, which is one per [`PARTICLES_A_QUERY`] particles.
 const FEWEST_QUERIES: usize = 300;
 const MOST_QUERIES: usize = 2048;
 const PARTICLES_A_QUERY: usize = 32;
-/// The number of queried particles if a smaller number may be random.
+/// The number of queried particles if a smaller number suggests random positions.
 const QUERIES_OF_RANDOM: usize = 4096;
 
 /// Distances between nearest neighbours in a sample of particles.
@@ -69,10 +70,11 @@ pub struct Neighbours {
     pub queried: usize,
     /// The median distances to the first four neighbours, among the most densely packed particles.
     pub nearest: Option<[f64; 4]>,
-    /// The spacing from the density around particles that are surrounded by neighbours, and their
-    /// share.
+    /// The spacing from the density around particles that are surrounded by neighbours, and the
+    /// share of these particles.
     pub solid: Option<(f64, f64)>,
-    /// The spacings from the density around each of them, in ascending order.
+    /// The spacing from the density around each particle that is surrounded by neighbours, in
+    /// ascending order.
     pub(super) solids: Vec<f64>,
     /// The spacing from the density in the plane of single-layer sheets, if most particles are in
     /// such sheets.
@@ -82,13 +84,14 @@ pub struct Neighbours {
     /// The scatter of the density relative to randomly placed particles, for 12 and for 20
     /// neighbours.
     pub scatter: Option<[f64; 2]>,
-    /// A lower bound of the particles in the sample that coincide with another one.
+    /// A lower bound of the number of particles in the sample that coincide with another particle.
     pub coincident: usize,
 }
 
 /// The neighbours of one particle.
 struct Neighbourhood {
-    /// In ascending order; infinite beyond the range that the sample shows.
+    /// The distances to the neighbours in ascending order; infinite beyond the range that the
+    /// sample covers.
     distances: [f64; NEIGHBOURS],
     /// Whether the neighbours surround the particle.
     solid: bool,
@@ -205,7 +208,8 @@ impl Neighbours {
         there >= ENOUGH && there as f64 >= SOME * self.queried as f64
     }
 
-    /// The spacing that the nearest neighbours suggest, for any number of them.
+    /// The spacing that the distances to the nearest neighbours suggest, even if few particles were
+    /// queried.
     pub fn suggested(&self) -> Option<f64> {
         let [first, second, third, fourth] = self.nearest?;
         // In an ordered fluid three or four neighbours are about a spacing away, and in a
@@ -261,7 +265,7 @@ impl Neighbours {
         self.scatter.is_none() || self.is_random()
     }
 
-    /// Whether a small number of particles does not exclude random placement.
+    /// Whether the placement may be random, considering the error for a small number of particles.
     fn may_be_random(&self) -> bool {
         self.scatter.is_none_or(|scatter| scatter.iter().all(|&scatter| scatter > RANDOM - CHANCE))
     }
@@ -295,13 +299,14 @@ impl Neighbourhood {
     /// The spacing for which the mean number of particles within `radius(k)` spacings is k.
     fn spacing(&self, neighbours: RangeInclusive<usize>, radius: impl Fn(f64) -> f64) -> f64 {
         let count = neighbours.clone().count() as f64;
-        // The median of the k-th distance is the radius with an expected number of k - 1/3.
+        // The median of the k-th distance is the radius within which k - 1/3 neighbours are
+        // expected.
         neighbours.map(|k| self.distances[k - 1] / radius(k as f64 - 1.0 / 3.0)).sum::<f64>()
             / count
     }
 }
 
-/// Moments of the neighbours of a particle, in units of the distance to the farthest one.
+/// Moments of the neighbours of a particle, in units of the distance to the farthest neighbour.
 struct Moments {
     centroid: f64,
     round: f64,
@@ -331,8 +336,8 @@ fn median(mut values: Vec<f64>) -> Option<f64> {
     (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
-/// A typical value of a list in ascending order, from the lowest group with a tenth of the values
-/// within a factor of 1.25.
+/// A typical value of `values`, which are in ascending order. It comes from the lowest group that
+/// holds a tenth of the values within a factor of 1.25.
 fn densest(values: &[f64]) -> Option<f64> {
     const WITHIN: f64 = 1.25;
     const GROUP: f64 = 0.1;
@@ -340,7 +345,7 @@ fn densest(values: &[f64]) -> Option<f64> {
         |first: usize| values.partition_point(|&value| value <= WITHIN * values[first]) - first;
     let enough = (GROUP * values.len() as f64).max(4.0);
     let lowest = (0..values.len()).find(|&first| group(first) as f64 >= enough)?;
-    // Go up from the flank of the group.
+    // That may be the flank of a larger group, so the largest group slightly above it is used.
     let end = values.partition_point(|&value| value <= 1.3 * values[lowest]);
     let best = (lowest..end).rev().max_by_key(|&first| group(first))?;
     Some(values[best + group(best) / 2])
@@ -352,12 +357,12 @@ fn scatter(solid: &[&Neighbourhood], k: usize) -> f64 {
     let mut volumes: Vec<f64> = solid.iter().map(|of| of.distances[k - 1].powi(3)).collect();
     volumes.sort_unstable_by(f64::total_cmp);
     let quantile = |share: f64| volumes[(share * (volumes.len() - 1) as f64) as usize];
-    // 68 % of a normal distribution lie between these two.
+    // 68 % of a normal distribution lie between these two quantiles.
     (quantile(0.84) - quantile(0.16)) / 2.0 / quantile(0.5) * (k as f64).sqrt()
 }
 
-/// A k-d tree: the points of each range are halved along its longest axis, with the median in the
-/// middle of the range.
+/// A k-d tree: each range of points is halved along its longest axis, and has its median in the
+/// middle.
 struct PointTree {
     points: Vec<[f64; 3]>,
     /// For each median, the axis along which its range is halved.

@@ -1,5 +1,5 @@
-//! Samples of many particles: an even sample of all, and all particles in some cubes. Neither
-//! depends on the particles' order.
+//! Samples of many particles: an even sample of all particles, and all particles in some cubes.
+//! Neither sample depends on the particles' order.
 
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Mutex, PoisonError};
@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use crate::particles::Bounds;
 
-/// An even sample holds between half and twice as many particles as this.
+/// Target number of particles in an even sample, which holds from half to twice this number.
 pub const SHARE: usize = 1 << 18;
 
 /// An even sample of the positions of many particles.
@@ -33,7 +33,7 @@ struct SampledPositions {
 pub struct FinishedSample {
     /// Distinct positions.
     pub positions: Vec<[f64; 3]>,
-    /// The share of all distinct positions in the sample.
+    /// The share of all distinct positions that the sample holds.
     pub part: f64,
     /// The number of distinct positions of all particles; an estimate if some positions hold
     /// several particles.
@@ -44,7 +44,7 @@ pub struct FinishedSample {
 }
 
 impl EvenSample {
-    /// Begins a sample of `particles` particles.
+    /// Begins a sample from `particles` particles.
     pub fn of(particles: usize) -> Self {
         Self::one_in((particles / SHARE).max(1).next_power_of_two() as u64)
     }
@@ -67,7 +67,7 @@ impl EvenSample {
         let mut taken = Vec::new();
         for positions in positions.chunks(BATCH) {
             bounds = bounds.joined(Bounds::of(positions));
-            // Without a branch, which would be unpredictable.
+            // This loop has no branch, because it would be unpredictable.
             let mut end = 0;
             for &position in positions {
                 ours[end] = position;
@@ -100,8 +100,7 @@ impl EvenSample {
         let bounds = held.bounds;
         let (taken, all) = (positions.len() as f64, bounds.finite as f64);
         let expected = taken * one_in as f64;
-        // Otherwise a position with many particles is not in the sample: the sample is smaller than
-        // chance explains.
+        // If the sample is smaller than chance explains, it lacks a position with many particles.
         let is_small = (1.0 - expected / all) * taken.sqrt() > 6.0;
         let distinct = if has_duplicates || is_small { expected.min(all) } else { all };
         FinishedSample {
@@ -169,7 +168,7 @@ impl Cubes {
     /// lattice has a different offset in each cube.
     const SPACINGS: f64 = 6.37;
 
-    /// Cubes that show the neighbours of particles at this spacing.
+    /// Cubes that are wide enough to show the neighbours of particles with this spacing.
     pub fn for_spacing(spacing: f64) -> Self {
         Self { edge: Self::SPACINGS * spacing }
     }
@@ -178,7 +177,7 @@ impl Cubes {
     #[inline(always)]
     fn number(&self, position: [f64; 3]) -> u32 {
         let scale = 1.0 / self.edge;
-        // All cubes beyond 2^31 are one.
+        // Cubes with coordinates beyond 2^31 are treated as one cube.
         let [x, y, z] = position.map(|c| (c * scale + 0.5).floor() as i32 as u32);
         // The finalizer of MurmurHash3, for a number that differs between neighbours.
         let sum =
@@ -205,17 +204,18 @@ impl Cubes {
 /// Particles to search for neighbours.
 #[derive(Debug)]
 pub struct NeighbourSample {
-    /// All finite particles, or those in some cubes.
+    /// All finite particles, or the particles in some cubes.
     pub positions: Vec<[f64; 3]>,
     /// The particles in a few of the cubes.
     pub few: Vec<[f64; 3]>,
     /// The cubes; `None` if the sample has all particles.
     pub cubes: Option<Cubes>,
-    /// A lower bound of the particles that were dropped because another one has the same position.
+    /// A lower bound of the number of particles that were dropped because another particle has the
+    /// same position.
     pub coincident: usize,
 }
 
-/// Number of particles in a few cubes that is enough to confirm a count.
+/// Number of particles, in a few cubes, that suffices to confirm a count.
 const FEW: usize = 1 << 13;
 
 impl NeighbourSample {
@@ -264,7 +264,7 @@ fn some_are_alike(numbers: &[u64]) -> bool {
     shared.windows(2).any(|pair| pair[0] == pair[1])
 }
 
-/// All particles in some cubes: those with the lowest numbers, up to a maximum number of particles.
+/// All particles in the cubes with the lowest numbers, up to a maximum number of particles.
 #[derive(Debug)]
 pub struct CubeSample {
     cubes: Cubes,
@@ -281,30 +281,30 @@ struct OccupiedPlace {
     /// The number of its cube.
     number: u32,
     position: [f64; 3],
-    /// Whether it has more than one particle.
+    /// Whether the position has more than one particle.
     several: bool,
 }
 
 impl CubeSample {
-    /// Begins a sample of `particles` particles.
+    /// Begins a sample from `particles` particles.
     pub fn new(cubes: Cubes, particles: usize) -> Self {
         Self::within(1 << 15, cubes, particles)
     }
 
-    /// Begins a small sample of `particles` particles: enough to confirm a count.
+    /// Begins a small sample from `particles` particles, which suffices to confirm a count.
     pub fn few(cubes: Cubes, particles: usize) -> Self {
         Self::within(FEW, cubes, particles)
     }
 
     fn within(room: usize, cubes: Cubes, particles: usize) -> Self {
-        // Twice as many as fit are expected below this end, which leaves some in the cubes with the
-        // lowest numbers.
+        // Below this end, twice as many particles as fit are expected, so that the cubes with the
+        // lowest numbers hold enough.
         let share = 2.0 * room as f64 / particles.max(1) as f64;
         let end = (share * f64::from(u32::MAX)) as u32;
         Self { cubes, room, end: AtomicU32::new(end), kept: Mutex::default() }
     }
 
-    /// Adds those particles that are in the cubes.
+    /// Adds the particles that are in the sample's cubes.
     pub fn add(&self, positions: &[[f64; 3]]) {
         let end = self.end.load(Ordering::Relaxed);
         let mut taken = Vec::new();
@@ -332,10 +332,10 @@ impl CubeSample {
         }
     }
 
-    /// Keeps one particle per position, and only cube numbers below a new end so that the particles
-    /// fit; returns that end. The end is halved according to the total number, so that the result
-    /// does not depend on the order of the particles. Sorts on this thread only: see
-    /// [`SampledPositions::drop_duplicates`].
+    /// Keeps one particle per position, and only cubes whose numbers are below a new end, so that
+    /// the particles fit. Returns the new end. The end is halved according to the total number, so
+    /// that the result does not depend on the order of the particles. Sorts on this thread only:
+    /// see [`SampledPositions::drop_duplicates`].
     fn fitted(&self, kept: &mut Vec<OccupiedPlace>, mut end: u32) -> u32 {
         kept.sort_unstable_by_key(|kept| (kept.number, kept.position.map(f64::to_bits)));
         OccupiedPlace::merge(kept);

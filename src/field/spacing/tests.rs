@@ -261,7 +261,7 @@ fn many_particles_in_sheets_and_filaments_are_searched_at_their_scale() {
         assert!(particles.len() > ALL);
         let found = estimated(&particles);
         assert!((found.spacing - 1.0).abs() < 0.12, "{found:?}");
-        // As if many more had been thinned out before.
+        // The draft looks as if many more particles had been thinned out before.
         let share = EvenSample::of(particles.len());
         particles.chunks(1000).for_each(|positions| share.add(positions));
         let mut draft = SpacingDraft::of(share.taken()).unwrap();
@@ -310,7 +310,7 @@ fn single_precision_is_detected_with_its_step() {
     assert!(far.estimate().is_ok());
     let farther = evidence(&at(3e6)[..]).unwrap();
     assert_eq!(farther.estimate(), Err(NoEstimate::SinglePrecision { step: 0.25 }));
-    // All of these are exact in single precision.
+    // All of these coordinates are exact in single precision.
     let dyadic: Vec<[f64; 3]> =
         layers([20; 3], 0.0).into_iter().map(|p| p.map(|c| 0.5 * c + 3e6)).collect();
     let dyadic = evidence(&dyadic[..]).unwrap();

@@ -1,6 +1,7 @@
-//! Chunks of the input with their bounding boxes, which show each part the chunks that it can skip.
+//! Chunks of the input with their bounding boxes. A part skips the chunks whose boxes contain none
+//! of its bins.
 //!
-//! Their use depends on the order of the input. If consecutive particles are near each other, a
+//! The benefit depends on the order of the input. If consecutive particles are near each other, a
 //! part reads little more than its own particles. If the order is random, each chunk extends over
 //! the whole fluid, and every part reads all chunks.
 
@@ -16,9 +17,10 @@ use crate::grid::{CellBox, Domain, Grid, Periodic};
 use crate::io::{PieceChunk, Pieces};
 use crate::particles::Particles;
 
-/// Particles in a chunk, unless the list would become too long.
+/// Number of particles in a chunk; a large input has larger chunks, so that the list is not too
+/// long.
 const FEWEST: usize = 1 << 12;
-/// Maximum number of chunks in the list, besides one for the end of every piece.
+/// Maximum number of chunks in the list, not counting the last chunk of every piece.
 const MOST: usize = 1 << 16;
 
 /// Consecutive particles of a piece of the input.
@@ -26,14 +28,15 @@ const MOST: usize = 1 << 16;
 #[serde(into = "String", try_from = "String")]
 pub(super) struct BinnedChunk {
     pub(super) particles: PieceChunk,
-    /// The bins that contain them; `None` if no particle has a valid position.
+    /// The box of bins that contains the particles; `None` if no particle has a valid position.
     bins: Option<CellBox>,
 }
 
 /// Particles of the input that a part reads.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub(super) struct PartInput {
-    /// Numbers of the pieces that the part reads, and their numbers of particles.
+    /// Numbers of the pieces that the part reads; `counts` has the number of particles in each
+    /// piece.
     pub(super) pieces: Vec<usize>,
     counts: Vec<usize>,
     /// Ranges of particles within these pieces.
@@ -110,7 +113,7 @@ impl PartInput {
 
     /// Whether the opened pieces have the planned numbers of particles.
     pub(super) fn is_of(&self, opened: &Pieces) -> bool {
-        // One chunk per piece.
+        // Without a limit, there is one chunk per piece.
         let found = opened.chunks(usize::MAX);
         let expected = self.pieces.iter().zip(&self.counts);
         found.into_iter().eq(expected.map(|(&piece, &count)| PieceChunk { piece, count }))

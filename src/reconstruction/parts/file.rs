@@ -6,10 +6,10 @@
 //! blocks                                      28 bytes each: coordinates, tiles, vertices, triangles, level
 //! bins that hold particles                    24 bytes each: coordinates, particles, tiles
 //! for each attribute, particles without it    8 bytes each
-//! end                                         64 bytes: how many of each there are, whose part it is, and a CRC-32 of all before
+//! end                                         64 bytes: the counts of these entries, the plan and the part, and a CRC-32
 //! ```
 //!
-//! Numbers have the machine's byte order: a machine with the other order finds a wrong magic
+//! Numbers have the machine's byte order: a machine with a different byte order finds a wrong magic
 //! number.
 
 use std::fs::File;
@@ -133,8 +133,8 @@ pub(super) struct PartFile {
 }
 
 impl PartFile {
-    /// Opens and checks the file of a part whose attributes have these components; `None` if it
-    /// does not exist.
+    /// Opens and checks the file of a part whose attributes have these numbers of components;
+    /// `None` if the file does not exist.
     pub(super) fn open(
         path: &Path,
         mark: PartMark,
@@ -197,7 +197,7 @@ fn list<T: Pod>(file: &ReopenedFile, at: &mut u64, count: u64) -> io::Result<Vec
     Ok(list)
 }
 
-/// Reads a whole file, and returns its end, or what is wrong with it.
+/// Reads a whole file, and returns its end, or the reason why the file is invalid.
 fn read_whole(mut file: &File) -> io::Result<Result<End, &'static str>> {
     let len = file.metadata()?.len();
     let Some(before) = len.checked_sub(END) else { return Ok(Err("truncated")) };

@@ -1,4 +1,4 @@
-//! Makes a part: samples the bins that decide its blocks, and meshes those blocks.
+//! Makes a part: samples the bins that affect the part's blocks, and meshes these blocks.
 
 use crate::error::{Error, PartsError};
 use crate::field::indicator::IndicatorKind;
@@ -95,7 +95,8 @@ impl Parts {
                 let sight = sampling.sight(indicator, &checked.surfacing, coarsest);
                 Ok::<_, Error>((sampling, WantedBins { stretch: mark.stretch, sight }))
             };
-            // The reach depends on whether there are attributes, but not on which.
+            // The reach depends on whether there are attributes, but not on the choice of
+            // attributes.
             let (sampling, bins) = wanted((0..plan.attributes.len()).collect())?;
             let reading = PartInput::of(&plan.chunks, bins, sampling.periodic.as_ref());
             if reading.is_empty() {
@@ -197,8 +198,8 @@ impl PartDone {
     }
 }
 
-/// Whether attributes have the same names and components. The kinds in the plan come from all
-/// particles, and a part does not read all.
+/// Whether attributes have the same names and components. Their kinds may differ otherwise, because
+/// the plan's kinds come from all particles, and a part reads only some of them.
 fn alike(own: &[AttributeInfo], planned: &[AttributeInfo]) -> bool {
     let same = |(a, b): (&AttributeInfo, &AttributeInfo)| {
         (&a.name, a.components, a.kind.is_whole()) == (&b.name, b.components, b.kind.is_whole())

@@ -132,7 +132,7 @@ fn extracted(
     let lost = occupied.lost(&surface).map_err(in_scratch)?;
     drop(occupied);
     let own = report.facts.own_cells();
-    // With several sizes, the spacing does not give a volume.
+    // With several sizes of particles, the spacing does not give a particle's volume.
     let one_size = spacing.filter(|_| plan.cells.sizes.is_none());
     let shortfall = one_size
         .map(|spacing| {

@@ -4,11 +4,12 @@
 //! `plan.json` and the parts' files are in a folder next to the output, with `.meniscus-parts`
 //! appended to its name. The plan samples the whole frame once, measures what a single run would,
 //! and cuts the Morton curve of blocks into stretches of about equal work. A part samples the bins
-//! that decide its blocks' meshes ([`DecidingCells`](crate::grid::stretch::DecidingCells): what
-//! filters reach, by the recipe), and meshes those blocks. It reads the chunks of the input that
-//! can contain particles of these bins: the plan lists all chunks with their bounding boxes.
-//! Merging lists the blocks of all parts in order, like the scratch file of a single run, and
-//! continues like a single run. Vertices are stitched by identity, so the cuts leave no trace.
+//! within reach of the filters, which affect its blocks' meshes
+//! ([`DecidingCells`](crate::grid::stretch::DecidingCells)), and meshes these blocks. It reads only
+//! the chunks of the input that can contain particles of these bins: the plan lists all chunks with
+//! their bounding boxes. Merging lists the blocks of all parts in order, like the scratch file of a
+//! single run, and continues like a single run. Vertices are stitched by identity, so the mesh does
+//! not depend on the cuts.
 //!
 //! The guide for users is `parts.md`.
 
@@ -38,8 +39,8 @@ use super::warning::Warning;
 
 use plan_file::SharedPlan;
 
-/// Maximum number of parts. With more, each part would sample far more particles around its blocks
-/// than inside.
+/// Maximum number of parts. With more parts, each part would sample far more particles around its
+/// blocks than inside them.
 const MOST_PARTS: u32 = 1000;
 
 /// A request for the mesh of one particle file in parts. Each part can be made by its own process,
@@ -73,11 +74,11 @@ pub struct Parts {
 /// The treatment of an existing plan.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum ExistingPlan {
-    /// Keep it if the request is the same, otherwise fail.
+    /// Keep the plan if its request is the same, otherwise fail.
     Refuse,
-    /// Keep it if the request is the same, otherwise replace it.
+    /// Keep the plan if its request is the same, otherwise replace it.
     ReplaceDiffering,
-    /// Replace it.
+    /// Always replace the plan.
     Replace,
 }
 
@@ -115,10 +116,11 @@ pub struct PartsPlan {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct PartShare {
-    /// Particles in its blocks, with their images in a periodic box. The sum over all parts is the
-    /// whole frame.
+    /// Number of particles in the part's blocks, with their images in a periodic box. The sum over
+    /// all parts is the number for the whole frame.
     pub particles: u64,
-    /// Particles that it keeps in memory: those in its blocks and those around that affect them.
+    /// Number of particles that the part keeps in memory: the particles in its blocks, and the
+    /// particles around its blocks that affect their meshes.
     pub kept: u64,
     /// Estimated resources on a machine like this one; `None` if the plan already existed.
     pub needs: Option<PartNeeds>,
@@ -186,7 +188,7 @@ struct PartsRequest {
 }
 
 impl Parts {
-    /// Replaces the plan of a different request.
+    /// Replaces an existing plan if it was made for a different request.
     pub fn resume(mut self) -> Self {
         self.existing = ExistingPlan::ReplaceDiffering;
         self

@@ -202,8 +202,8 @@ fn block_of(bin: MortonKey) -> MortonKey {
     MortonKey::of(block_of_bin(bin.coord()))
 }
 
-/// Work of the blocks that contain particles, or through which a surface can pass, in the unit of
-/// one binned particle, in Morton order.
+/// Estimated work for each block that contains particles, or through which a surface can pass, in
+/// Morton order. The unit is the work for one binned particle.
 fn work(
     bins: &[(MortonKey, usize)],
     passed: impl Iterator<Item = (MortonKey, usize)>,
@@ -223,8 +223,8 @@ fn work(
     work
 }
 
-/// The first block of each of `parts`, which have about equal work. The first part also has all
-/// blocks before.
+/// The first block of each of `parts` parts with about equal work. The first part begins at the
+/// first block of the whole curve.
 fn cuts(work: &[(MortonKey, u64)], parts: u32) -> Vec<MortonKey> {
     let all: u128 = work.iter().map(|&(_, work)| u128::from(work)).sum();
     let (mut cuts, mut before) = (vec![Stretch::ALL.first], 0);
@@ -283,7 +283,7 @@ impl PartNeeds {
         }
     }
 
-    /// With more memory, in bytes.
+    /// Adds `bytes` to the memory.
     fn with(self, bytes: u64) -> Self {
         Self { memory: self.memory + bytes, in_core: self.in_core + bytes, ..self }
     }

@@ -54,7 +54,7 @@ pub(super) struct SharedPlan {
     pub(super) measured: Option<CalibrationMeasures>,
     /// Mean indicator of full cells, for symmetry.
     pub(super) mean_symmetry: Option<f64>,
-    /// Particles with the same position as others.
+    /// Particles with the same position as other particles.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) coincident: Option<CoincidentParticles>,
     /// The blocks with finer particles, for particles of several sizes.
@@ -63,7 +63,7 @@ pub(super) struct SharedPlan {
     /// Attributes that go to the vertices.
     pub(super) attributes: Vec<AttributeInfo>,
     pub(super) parts: Vec<BlockShare>,
-    /// All particles of the input, in their order.
+    /// Chunks of all particles of the input, in the input's order.
     pub(super) chunks: Vec<BinnedChunk>,
 }
 
@@ -77,11 +77,11 @@ pub(super) struct CalibrationMeasures {
 /// The share of a part.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct BlockShare {
-    /// The key of its first block. The part ends before the next part's first block.
+    /// The key of the part's first block. The part ends before the next part's first block.
     pub(super) first: u64,
-    /// Particles in its blocks.
+    /// Number of particles in the part's blocks.
     pub(super) particles: u64,
-    /// Particles in its blocks and around them that it samples.
+    /// Number of particles that the part samples, in its blocks and around them.
     pub(super) counted: u64,
 }
 
@@ -97,7 +97,7 @@ pub(super) fn path_in(folder: &Path) -> PathBuf {
 }
 
 impl SharedPlan {
-    /// Loads the plan of a folder, with its fingerprint; `None` if there is none.
+    /// Loads the plan of a folder, with its fingerprint; `None` if there is no plan.
     pub(super) fn load(folder: &Path) -> Result<Option<(Self, u32)>, PartsError> {
         let path = path_in(folder);
         let bytes = match fs::read(&path) {
@@ -125,7 +125,7 @@ impl SharedPlan {
         Ok(kept.fingerprint)
     }
 
-    /// Changes with any value of the plan.
+    /// A checksum that changes with any value of the plan.
     fn fingerprint(&self) -> u32 {
         crc32fast::hash(&serde_json::to_vec(self).expect("string keys and finite depth"))
     }
@@ -199,7 +199,7 @@ impl SharedPlan {
         Grid::new(self.origin.into(), self.cells.size)
     }
 
-    /// The sampling of parts: that of the whole frame, with its measured mu0.
+    /// The sampling of parts: the sampling of the whole frame, with the measured mu0.
     pub(super) fn sampling(
         &self,
         checked: &CheckedRequest,

@@ -1,9 +1,9 @@
 //! The distances of one block: finds the nearest triangle of every voxel within the band.
 //!
-//! Voxels at the corners of the lattice's cubes that a triangle touches are compared with it. From
-//! there the triangles spread from voxel to voxel, nearest first: a voxel compares those of its 26
-//! neighbours. The lattice's edge between such a voxel and a neighbour that no triangle touched
-//! does not cross the surface, so that both are on one side of it.
+//! A triangle is compared with the voxels at the corners of the lattice's cubes that it touches.
+//! From these voxels, triangles spread from voxel to voxel, nearest first: a voxel compares the
+//! triangles of its 26 neighbours. The lattice's edge between a voxel and a neighbour that no
+//! triangle touched does not cross the surface, so both voxels are on the same side of the surface.
 
 use std::ops::Range;
 
@@ -19,11 +19,11 @@ pub const MARGIN: i32 = BAND as i32 + 1;
 const EDGE: i32 = BLOCK + 2 * MARGIN + 2;
 /// Leaves along the edge of a block.
 const LEAVES: i32 = BLOCK / LEAF;
-/// Distances that differ by less are equal, and the triangle that faces the voxel more decides on
-/// which side it is.
+/// Distances that differ by less than this are treated as equal. The triangle that faces the voxel
+/// more then decides on which side of the surface the voxel is.
 const EQUAL: f32 = 1e-4;
-/// The largest [`margin`] of a voxel from which a triangle can be the nearest of a voxel of the
-/// block.
+/// The largest [`margin`] of a voxel from which a triangle can spread to become the nearest
+/// triangle of a voxel of the block.
 const MOST_USEFUL: f32 = BAND - 1.0;
 /// Coordinates this close to an integer are that integer, in f64.
 const ROUNDING: f64 = 1e-6;
@@ -88,7 +88,7 @@ const CORNERS: [VoxelOffset; 8] = {
 #[derive(Debug, Clone, Copy)]
 struct FourVoxels {
     squared: Vec4,
-    /// The bits of numbers.
+    /// The numbers, stored as the bits of floats.
     numbers: Vec4,
     heights: Vec4,
 }
@@ -112,8 +112,8 @@ impl FourVoxels {
         })
     }
 
-    /// The nearest of two triangles that touch the voxel's cubes; of two at equal distances, the
-    /// one that faces the voxel more.
+    /// The nearer of two triangles that touch the voxel's cubes; at equal distances, the triangle
+    /// that faces the voxel more.
     #[inline(always)]
     fn or(self, found: Self) -> Self {
         let equal = (found.squared.sqrt() * 2.0 + EQUAL) * EQUAL;
@@ -199,8 +199,8 @@ fn coordinates(place: VoxelOffset) -> IVec3 {
     place.map(i32::from).into()
 }
 
-/// The distance of a voxel from the block; less than that by one, so that neighbours of the block's
-/// voxels count as in it.
+/// The distance of a voxel from the block, minus one, so that neighbours of the block's voxels
+/// count as part of the block.
 fn margin(place: VoxelOffset) -> f32 {
     let from_low = coordinates(place) - (MARGIN + 1);
     let from_high = from_low - (BLOCK - 1);
@@ -214,8 +214,8 @@ fn margin(place: VoxelOffset) -> f32 {
 /// The squared distance below which a voxel visits a neighbour that may be `reach` voxels from the
 /// surface.
 ///
-/// A voxel at a distance d ≥ 1 has a neighbour across a face with a squared distance of at most
-/// d² - 2 d / √3 + 1: the one along the axis on which the nearest point is furthest.
+/// A voxel at a distance d ≥ 1 has a neighbour across a face with a squared distance of at most d²
+/// - 2 d / √3 + 1: this neighbour lies along the axis on which the nearest point is furthest.
 fn passing_on(reach: f32) -> f32 {
     if reach < 1.0 {
         return 0.0;
@@ -241,7 +241,7 @@ impl Step {
 /// The number of a voxel's neighbours across its faces.
 const FACES: usize = 6;
 
-/// The steps to a voxel's 26 neighbours, those across its faces first.
+/// The steps to a voxel's 26 neighbours, with the neighbours across its faces first.
 const AROUND: [Step; 26] = {
     let mut steps = [Step { along: [0; 3], offset: 0 }; 26];
     let (mut faces, mut others) = (0, FACES);
@@ -353,7 +353,7 @@ impl Band {
                 self.visited.push(places[i]);
             }
             self.voxels[index(places[i])] = after[i];
-            // The square may be that of another triangle at an equal distance.
+            // The square may belong to another triangle at an equal distance.
             if after[i].squared < 4.0 * TOUCHING {
                 for number in numbers.clone() {
                     let triangle = &triangles[number as usize];
@@ -404,7 +404,8 @@ impl Band {
                         continue;
                     }
                     let to = step.from(place);
-                    // No nearest triangle of the block's voxels spreads through a voxel further on.
+                    // The nearest triangles of the block's voxels do not spread through voxels that
+                    // are farther away.
                     if known.squared < passing_on(BAND - margin(to)) {
                         let height = if known.is_inside() { -1.0 } else { 1.0 };
                         *neighbour = KnownVoxel { height, ..KnownVoxel::marked(VISITED) };
@@ -418,8 +419,8 @@ impl Band {
         }
     }
 
-    /// Gives each voxel the nearest of the triangles that were known to it and its neighbours
-    /// before.
+    /// Gives each voxel the nearest of the triangles that the voxel and its neighbours knew before
+    /// this call.
     fn pull(&mut self, triangles: &[Triangle], places: &[VoxelOffset]) {
         let found: Vec<KnownVoxel> =
             places.iter().map(|&place| self.nearest_around(triangles, place)).collect();
@@ -433,7 +434,8 @@ impl Band {
         let mut numbers = [0; AROUND.len() + 3];
         let mut count = 0;
         for step in &AROUND {
-            // Without a branch: which neighbours know a triangle is hard to predict.
+            // There is no branch here, because it is hard to predict which neighbours know a
+            // triangle.
             let known = self.voxels[voxel.wrapping_add_signed(step.offset)];
             numbers[count] = known.number;
             count += usize::from(known.has_triangle() & (known.number != best.number));
@@ -470,7 +472,7 @@ impl Band {
                 leaf.triangles.push(numbers[known.number as usize]);
                 known.is_inside()
             } else {
-                // No surface is between this voxel and the one before along an axis.
+                // No surface is between this voxel and the previous voxel along an axis.
                 let edge = LEAF as usize;
                 let before =
                     [(i % edge, 1), (i / edge % edge, edge), (i / (edge * edge), edge * edge)]

@@ -2,8 +2,8 @@
 //! in a band of three voxels on either side of the surface.
 //!
 //! Space is cut into blocks of 64³ voxels, which do not depend on each other. `Band` computes the
-//! distances of one. Only the 8³ voxels of a [`Leaf`] with a voxel in the band are stored; all
-//! other voxels are inside or outside.
+//! distances of one block. Only the 8³ voxels of a [`Leaf`] with a voxel in the band are stored;
+//! all other voxels are inside or outside.
 
 mod band;
 mod triangle;
@@ -35,7 +35,7 @@ const TOO_FAR: &str = "a vertex is not finite, or more than 2^29 cells from the 
                        use larger cells";
 /// The lattice of an empty mesh.
 const UNIT: Lattice = Lattice { origin: [0.0; 3], step: 1.0 };
-/// Triangles whose blocks are found together.
+/// Number of triangles whose blocks are found together.
 const TRIANGLES_TOGETHER: usize = 1 << 14;
 
 /// 8³ voxels, numbered with z fastest.
@@ -70,7 +70,7 @@ impl Leaf {
     }
 }
 
-/// The coordinates of voxel number `i` of a leaf, relative to its first.
+/// The coordinates of voxel number `i` of a leaf, relative to the leaf's first voxel.
 pub fn place_in_leaf(i: usize) -> IVec3 {
     let i = i as i32;
     IVec3::new(i / (LEAF * LEAF), i / LEAF % LEAF, i % LEAF)
@@ -81,11 +81,11 @@ pub fn place_in_leaf(i: usize) -> IVec3 {
 pub struct NearestPoint {
     /// The vertices of the triangle.
     pub corners: [u32; 3],
-    /// The share of each of them in the point; their sum is 1.
+    /// The weight of each vertex in the point; the sum of the weights is 1.
     pub shares: [f32; 3],
 }
 
-/// The lattice of a mesh: that of its particles' cells, and any lattice for an empty mesh.
+/// The lattice of a mesh: the lattice of its particles' cells, or any lattice for an empty mesh.
 pub fn lattice_of(outline: &Outline) -> Option<Lattice> {
     outline.lattice.or((outline.triangles == 0).then_some(UNIT))
 }
@@ -97,7 +97,7 @@ pub struct LevelSet {
     triangles: Vec<[u32; 3]>,
 }
 
-/// A block with the triangles near it, in lists that are in order.
+/// A block with the numbers of the triangles near it, in ascending order over all lists.
 type BlockLists = (IVec3, Vec<Vec<u32>>);
 
 impl LevelSet {
@@ -133,7 +133,7 @@ impl LevelSet {
     /// order that depends only on the mesh. Needs about 6 bytes for each triangle meanwhile.
     ///
     /// # Errors
-    /// One of those of `make`.
+    /// One of the errors of `make`.
     pub fn map<T: Send>(
         &self,
         make: impl Fn(Vec<Leaf>) -> io::Result<T> + Sync,

@@ -1,8 +1,8 @@
 //! Distances from triangles, four at a time.
 //!
-//! Each triangle has a frame of its own in which it lies in the plane z = 0, with the first corner
-//! at the origin and the first edge along x. In this frame, the distance consists of the height z,
-//! and of the distance in the plane from a triangle that three numbers describe.
+//! Each triangle has its own frame, in which the triangle lies in the plane z = 0, with the first
+//! corner at the origin and the first edge along x. In this frame, the distance consists of the
+//! height z, and of the distance in the plane from a triangle that three numbers describe.
 
 use glam::{DVec3, Mat4, Vec4, Vec4Swizzles};
 
@@ -15,7 +15,7 @@ const LEAST_HEIGHT: f64 = 1e-6;
 pub struct Triangle {
     /// The axes of the frame, each with minus the coordinate of the first corner along it.
     axes: [Vec4; 3],
-    /// The coordinate x of the second corner, and x and y of the third.
+    /// The coordinate x of the second corner, and the coordinates x and y of the third corner.
     shape: Vec4,
 }
 
@@ -28,8 +28,8 @@ pub struct TriangleDistances {
 }
 
 impl Triangle {
-    /// `None` if the triangle is lower than [`LEAST_HEIGHT`]: its points are that close to an edge
-    /// or a corner of other triangles.
+    /// Prepares a triangle; `None` if its height is less than [`LEAST_HEIGHT`]. All points of such
+    /// a flat triangle are that close to an edge or a corner of other triangles.
     pub fn new([a, b, c]: [DVec3; 3]) -> Option<Self> {
         let (ab, ac) = (b - a, c - a);
         let normal = ab.cross(ac);
@@ -98,8 +98,8 @@ fn squared_in_plane([x, y]: [Vec4; 2], [b_x, c_x, c_y]: [Vec4; 3]) -> Vec4 {
 }
 
 /// The share of each corner of a triangle in its nearest point to the origin; their sum is 1. That
-/// point is a corner, a point of an edge, or the foot of the perpendicular, by the part of space in
-/// which the origin is (Ericson, Real-Time Collision Detection, 5.1.5).
+/// point is a corner, a point of an edge, or the foot of the perpendicular, depending on the region
+/// of space in which the origin lies (Ericson, Real-Time Collision Detection, 5.1.5).
 pub fn shares([a, b, c]: [DVec3; 3]) -> [f32; 3] {
     let (ab, ac) = (b - a, c - a);
     let (along_b, along_c) = (-ab.dot(a), -ac.dot(a));

@@ -14,7 +14,7 @@ use super::{BAND, Leaf, LevelSet, VOXELS, lattice_of};
 pub struct Volume {
     /// The position of the voxel with the coordinates (0, 0, 0), in the particles' unit of length.
     pub origin: [f64; 3],
-    /// The distance of neighbouring voxels.
+    /// The distance between neighbouring voxels.
     pub voxel_size: f64,
     /// The coordinates of the first voxel of each brick, in ascending order.
     pub corners: Vec<[i32; 3]>,
@@ -27,8 +27,8 @@ impl Volume {
     /// The level set of a closed mesh.
     ///
     /// # Errors
-    /// Those of [`LevelSet::new`], and [`io::ErrorKind::InvalidInput`] for a mesh with triangles
-    /// but without a lattice.
+    /// The errors of [`LevelSet::new`], and [`io::ErrorKind::InvalidInput`] for a mesh with
+    /// triangles but without a lattice.
     pub fn of(mesh: &dyn MeshSource) -> io::Result<Self> {
         let lattice = lattice_of(&mesh.outline()).ok_or(io::ErrorKind::InvalidInput)?;
         let leaves = LevelSet::new(mesh, lattice)?.map(|leaves| {

@@ -15,7 +15,7 @@ use super::Mesh;
 /// Vertices per task: enough to make the task's overhead negligible.
 const CHUNK: usize = 1 << 14;
 
-/// The number of occurrences of a defect, and the first one.
+/// The number of occurrences of a defect, and the first occurrence.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Defects<T> {
     /// Number of occurrences.
@@ -79,7 +79,7 @@ pub struct Topology {
     pub crowded_edges: Defects<[u32; 2]>,
     /// Vertices whose triangles form more than one fan.
     pub pinched_vertices: Defects<u32>,
-    /// Triangles with the same three vertices as an earlier one, in any orientation.
+    /// Triangles with the same three vertices as an earlier triangle, in any orientation.
     ///
     /// Not a defect by itself: two triangles back to back are closed and manifold. Any other twin
     /// also makes a crowded or misoriented edge.
@@ -102,8 +102,8 @@ impl Topology {
         self.misoriented_edges.is_none() && self.crowded_edges.is_none()
     }
 
-    /// Whether all triangles are sound, no edge has more than two, and the triangles at each vertex
-    /// form one fan.
+    /// Whether all triangles are sound, no edge has more than two triangles, and the triangles at
+    /// each vertex form one fan.
     #[must_use]
     pub fn is_manifold(&self) -> bool {
         self.out_of_range.is_none()
@@ -143,7 +143,7 @@ pub struct CheckReport {
     pub topology: Topology,
     /// Vertices with a coordinate that is not finite.
     pub non_finite_positions: Defects<usize>,
-    /// Vertices with exactly the position of an earlier one. Not a defect: meshes may touch
+    /// Vertices with exactly the position of an earlier vertex. Not a defect: meshes may touch
     /// themselves.
     pub duplicate_positions: Defects<usize>,
 }
@@ -202,9 +202,9 @@ pub fn topology(mesh: &Mesh) -> Topology {
 /// A side of a triangle, seen from the current vertex.
 #[derive(Clone, Copy)]
 struct Spoke {
-    /// The other end.
+    /// The vertex at the other end.
     to: u32,
-    /// Whether the triangle's direction is from here to there.
+    /// Whether the triangle traverses the side away from the current vertex.
     outward: bool,
     /// Index of the triangle in the star.
     triangle: usize,
@@ -238,7 +238,8 @@ impl Survey {
         self.note_twins(vertex, star);
     }
 
-    /// Every edge is counted at its lower-numbered end.
+    /// Counts the edges of a vertex, and their defects. Every edge is counted at its lower-numbered
+    /// end.
     fn note_edges(&mut self, vertex: u32) {
         for edge in self.spokes.chunk_by(|a, b| a.to == b.to).filter(|edge| edge[0].to > vertex) {
             let ends = [vertex, edge[0].to];
@@ -269,7 +270,7 @@ impl Survey {
         fans
     }
 
-    /// Every triangle is counted at its lowest-numbered vertex.
+    /// Finds twin triangles at a vertex. Every triangle is counted at its lowest-numbered vertex.
     fn note_twins(&mut self, vertex: u32, star: &[[u32; 2]]) {
         self.opposite.clear();
         let least = star.iter().filter(|[a, b]| vertex < *a.min(b));
@@ -291,7 +292,7 @@ fn root(set_of: &mut [usize], mut member: usize) -> usize {
     member
 }
 
-/// Vertices with the position of a lower-numbered one.
+/// Vertices with the position of a lower-numbered vertex.
 fn duplicate_positions(positions: &[[f64; 3]]) -> Defects<usize> {
     let mut sorted: Vec<([u64; 3], usize)> = positions
         .par_iter()
@@ -347,7 +348,8 @@ pub fn is_sound([a, b, c]: [u32; 3], vertices: usize) -> bool {
 /// The edges opposite to each vertex, in the order of the triangles: `[b, c]` for triangle a, b, c
 /// seen from a. Unsound triangles are left out.
 ///
-/// 24 bytes per triangle and 8 per vertex; two passes over the triangles, one over the vertices.
+/// Takes 24 bytes per triangle and 8 bytes per vertex, with two passes over the triangles and one
+/// pass over the vertices.
 #[derive(Debug)]
 pub struct Stars {
     ends: Vec<usize>,

@@ -1,5 +1,5 @@
 //! Coarse copies of meshes, for small pictures: all vertices in a cell of a lattice are merged into
-//! one.
+//! one vertex.
 //!
 //! Rossignac and Borrel, "Multi-resolution 3D approximations for rendering complex scenes", 1993.
 
@@ -12,9 +12,9 @@ use super::source::{Corners, MeshSource};
 /// Bytes of memory that [`clustered`] needs for each vertex of the mesh.
 pub const BYTES_A_VERTEX: u64 = size_of::<u32>() as u64;
 
-/// A coarser copy of `mesh`. The longest edge of its box `bounds` is divided into `cells` cells,
-/// and each cell gets one vertex: the mean of the mesh's vertices in it. Triangles with two equal
-/// corners are left out, and so are normals and attributes.
+/// A coarser copy of `mesh`. The longest edge of its bounding box, from `lo` to `hi`, is divided
+/// into `cells` cells, and each cell gets one vertex: the mean of the mesh's vertices in it.
+/// Triangles with two equal corners are left out, and so are normals and attributes.
 ///
 /// # Errors
 /// If the mesh cannot be read from its scratch file.

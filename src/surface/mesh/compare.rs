@@ -32,13 +32,13 @@ const CHUNK: usize = 1 << 12;
 /// The result of [`compare`]. Lengths are in the meshes' unit.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Comparison {
-    /// The maximum distance from any sample of either surface to the other.
+    /// The maximum distance from any sample of either surface to the other surface.
     pub hausdorff: f64,
     /// Mean signed distance of the mesh from the reference, positive if the mesh is outside.
     pub bias: f64,
-    /// From samples of the mesh to the reference.
+    /// Distances from samples of the mesh to the reference.
     pub from_mesh: Distances,
-    /// From samples of the reference to the mesh.
+    /// Distances from samples of the reference to the mesh.
     pub from_reference: Distances,
 }
 
@@ -88,8 +88,8 @@ pub fn compare(reference: &Mesh, mesh: &Mesh) -> Result<Comparison, CompareError
 pub struct SearchableSurface {
     tree: TriangleTree,
     stars: Stars,
-    /// The [pseudo-normal](Self::pseudo_normal) of each vertex: a vertex with thousands of
-    /// triangles may be nearest to many samples.
+    /// The [pseudo-normal](Self::pseudo_normal) of each vertex. They are computed once, because a
+    /// vertex with thousands of triangles may be nearest to many samples.
     at_vertices: Vec<DVec3>,
     /// Cumulative areas of the triangles.
     area_up_to: Vec<f64>,
@@ -188,7 +188,7 @@ impl SearchableSurface {
         summary
     }
 
-    /// The signed distance of a point from its nearest point, negative inside.
+    /// The signed distance of a point from its nearest point on the surface, negative inside.
     fn signed(&self, point: DVec3, nearest: &SurfacePoint) -> f64 {
         let distance = nearest.squared.sqrt();
         let side = (point - nearest.at).dot(self.pseudo_normal(nearest));
@@ -206,7 +206,8 @@ impl SearchableSurface {
     }
 
     /// A vector that points outwards at the nearest point: the triangle's normal; on an edge, the
-    /// sum of both unit normals; on a vertex, the sum of all, weighted by the triangles' angles.
+    /// sum of the unit normals of both triangles; on a vertex, the sum of the unit normals of all
+    /// its triangles, weighted by their angles.
     fn pseudo_normal(&self, nearest: &SurfacePoint) -> DVec3 {
         let [a, b, c] = self.tree.triangles()[nearest.triangle];
         match nearest.location {

@@ -2,9 +2,9 @@
 //!
 //! The volume is the sum of the tetrahedra between the triangles and a vertex of their own
 //! component (the divergence theorem), with compensated rounding (Neumaier 1974): neither the
-//! distance from the origin nor that between components costs digits. The genus follows from
-//! Euler's `V - E + F = 2 (components - genus)`. Sums are over chunks of fixed length, added in
-//! order.
+//! distance from the origin nor the distance between components costs digits. The genus follows
+//! from Euler's `V - E + F = 2 (components - genus)`. Sums are over chunks of fixed length, added
+//! in order.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -17,7 +17,8 @@ use super::Mesh;
 use super::check::is_sound;
 use super::check::topology;
 
-/// Volume over area to the power of 3/2, with factors, below which a component counts as flat.
+/// A component is flat if six times its volume, divided by twice its area to the power of 3/2, is
+/// at most this.
 const FLAT: f64 = 1e-9;
 
 /// Triangles per partial sum.
@@ -41,8 +42,8 @@ pub struct Measures {
     pub components: usize,
     /// Number of components that enclose almost nothing, such as two triangles back to back.
     pub flat_components: usize,
-    /// The Euler characteristic: vertices - edges + triangles, where vertices are those that
-    /// triangles use.
+    /// The Euler characteristic: vertices - edges + triangles, where only vertices that triangles
+    /// use are counted.
     pub euler_characteristic: i64,
     /// Number of handles of all components. `None` unless closed, oriented and 2-manifold.
     pub genus: Option<i64>,
@@ -62,7 +63,7 @@ pub struct Quality {
     /// Mean of the smallest angles in degrees; `None` for an empty mesh.
     pub mean_angle: Option<f64>,
     /// The worst aspect ratio, longest edge over shortest height, which is 1 for an equilateral
-    /// triangle. Triangles without area are ignored; `None` if no other is left.
+    /// triangle. Triangles without area are ignored; `None` if no triangle has an area.
     pub worst_aspect: Option<f64>,
     /// Number of triangles without area.
     pub flat: usize,
@@ -131,7 +132,7 @@ impl FromIterator<f64> for Total {
     }
 }
 
-/// A component, which shares no vertex with others.
+/// A component, which shares no vertex with other components.
 #[derive(Default)]
 struct ComponentSums {
     doubled_area: Total,
@@ -147,8 +148,8 @@ impl ComponentSums {
 
 /// Finds the components by joining the vertices of every triangle.
 fn pieces(mesh: &Mesh) -> Vec<ComponentSums> {
-    // Each vertex points at a lower-numbered one of its component; the lowest points at itself. No
-    // triangle has a vertex beyond u32.
+    // Each vertex points at a lower-numbered vertex of its component; the lowest vertex points at
+    // itself. No triangle has a vertex beyond u32.
     let mut lesser: Vec<u32> = (0..=u32::MAX).take(mesh.positions.len()).collect();
     for [a, b, c] in sound(mesh) {
         let [a, b, c] = [a, b, c].map(|vertex| root(&mut lesser, vertex));
@@ -161,7 +162,8 @@ fn pieces(mesh: &Mesh) -> Vec<ComponentSums> {
     for triangle in sound(mesh) {
         let least = root(&mut lesser, triangle[0]);
         let [a, b, c] = triangle.map(|vertex| DVec3::from(mesh.positions[vertex as usize]));
-        // Relative to a vertex of the component: a small one far from others keeps its digits.
+        // Positions are relative to a vertex of the component, so that a small component far from
+        // other components keeps its digits.
         let from = DVec3::from(mesh.positions[least as usize]);
         let piece = pieces.entry(least).or_default();
         piece.doubled_area.add((b - a).cross(c - a).length());
@@ -258,7 +260,7 @@ impl Sums {
     }
 }
 
-/// The one with the smaller angle, or the earlier one if they are equal.
+/// The triangle with the smaller angle, or the earlier triangle if the angles are equal.
 fn worse(earlier: Option<(f64, usize)>, later: Option<(f64, usize)>) -> Option<(f64, usize)> {
     earlier.into_iter().chain(later).reduce(|one, other| if other.0 < one.0 { other } else { one })
 }
@@ -268,6 +270,7 @@ fn worse(earlier: Option<(f64, usize)>, later: Option<(f64, usize)>) -> Option<(
 fn least_angle([a, b, c]: [DVec3; 3], doubled: f64) -> f64 {
     let across = [(b, c, a), (c, a, b), (a, b, c)];
     let cosine_scaled = across.map(|(from, to, apex)| (from - apex).dot(to - apex));
-    // atan2 decreases in its second argument, so the smallest angle has the greatest one.
+    // atan2 decreases in its second argument, so the smallest angle has the greatest second
+    // argument.
     libm::atan2(doubled, cosine_scaled.into_iter().fold(f64::NEG_INFINITY, f64::max)).to_degrees()
 }

@@ -17,7 +17,7 @@ pub struct OrderedMesh<'a> {
     mesh: &'a dyn MeshSource,
     /// For each vertex, its new number in its piece.
     ranks: Vec<u32>,
-    /// The number of the first vertex of each piece, and the total.
+    /// The number of the first vertex of each piece; the last entry is the number of all vertices.
     firsts: Vec<u64>,
     bounds: Option<Corners>,
 }
@@ -73,7 +73,7 @@ impl<'a> OrderedMesh<'a> {
             .collect())
     }
 
-    /// The piece's vertices in the order in which its triangles use them, followed by those that
+    /// The piece's vertices in the order in which its triangles use them, followed by vertices that
     /// only other pieces use.
     fn ranks_in(&self, piece: usize) -> io::Result<Vec<u32>> {
         const UNUSED: u32 = u32::MAX;

@@ -33,7 +33,7 @@ pub enum CompareError {
     NotFinite {
         /// The mesh that the vertex belongs to.
         side: Side,
-        /// The first such vertex that a triangle uses.
+        /// The first invalid vertex that a triangle uses.
         vertex: u32,
     },
 }
@@ -71,7 +71,7 @@ impl TriangleTree {
     /// vertex are left out.
     ///
     /// # Errors
-    /// If it has no surface, or an invalid vertex: see [`CompareError`].
+    /// If the mesh has no surface, or an invalid vertex: see [`CompareError`].
     pub fn new(mesh: &Mesh, origin: DVec3, side: Side) -> Result<Self, CompareError> {
         let sound = mesh.triangles.iter().copied().filter(|&t| is_sound(t, mesh.positions.len()));
         let triangles: Vec<[u32; 3]> = sound.collect();
@@ -144,9 +144,9 @@ impl TriangleTree {
     /// The crossings of a line along x, at given y and z, with triangles beyond x = `from`, in no
     /// particular order: the position, and 1 or -1 if the triangle faces along x or against it.
     ///
-    /// Whether the line crosses a triangle is decided edge by edge, and equally for both triangles
-    /// of an edge. For a closed surface, the signs beyond a place therefore sum to the winding
-    /// number of the surface around it, wherever the line is.
+    /// The edges of a triangle decide whether the line crosses it, and both triangles of an edge
+    /// get the same decision. For a closed surface, the sum of the signs beyond a place is
+    /// therefore the winding number of the surface around this place, for every line.
     #[must_use]
     pub fn crossings(&self, [y, z]: [f64; 2], from: f64) -> Vec<(f64, i32)> {
         let at = DVec3::new(from, y, z) - self.origin;
@@ -179,8 +179,8 @@ impl TriangleTree {
     }
 }
 
-/// The crossing of a line along x, at given y and z, with a triangle, and whether the triangle
-/// faces along it.
+/// The crossing of a line along x, at given y and z, with a triangle, and 1 or -1 if the triangle
+/// faces along x or against it.
 fn crossing(corners: [DVec3; 3], [y, z]: [f64; 2]) -> Option<(f64, i32)> {
     let [a, b, c] = corners;
     // Of three edges, none or two cross from below z to z or above.

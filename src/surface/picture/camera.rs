@@ -11,8 +11,8 @@ const FILLED: f64 = 0.94;
 /// The distance of the near plane from the eye, as a fraction of the distance to the target.
 const NEAREST: f64 = 1e-3;
 
-/// Maximum coordinate that is drawn. Beyond it, squares would overflow; such vertices do not count
-/// for the box either.
+/// Maximum coordinate that is drawn. The squares of larger coordinates would overflow. Vertices
+/// with larger coordinates do not affect the bounding box either.
 pub(super) const FARTHEST: f64 = 1e100;
 
 /// A view of a mesh.
@@ -22,14 +22,14 @@ pub enum View {
     /// From a direction, as close as possible with the whole box visible.
     From {
         /// Degrees around the up axis: 0 looks along the last horizontal axis, 90 along the other
-        /// one.
+        /// horizontal axis.
         azimuth: f64,
         /// Degrees above the horizon.
         elevation: f64,
         /// Magnification relative to the view of the whole box.
         zoom: f64,
     },
-    /// From a point towards another.
+    /// From one point towards another point.
     At {
         /// The position of the eye.
         eye: [f64; 3],
@@ -52,7 +52,7 @@ pub(super) struct Camera {
 
 impl Camera {
     /// The eye for a view of a box. The axes of `world` are right, up and towards the viewer;
-    /// `width` is in heights.
+    /// `width` is in heights of the picture.
     pub(super) fn new(view: Option<View>, bounds: Corners, world: DMat3, width: f64) -> Self {
         let [lo, hi] = bounds.map(DVec3::from);
         let (middle, half) = ((lo + hi) / 2.0, (hi - lo) / 2.0);
@@ -103,7 +103,8 @@ impl Camera {
                 .fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(lo, hi), at| {
                     (lo.min(at), hi.max(at))
                 });
-            // Moves until the nearest corner is at its limit, and no other is beyond.
+            // Moves until the nearest corner is at its limit, and no other corner is beyond its
+            // limit.
             let nearest = corners
                 .iter()
                 .map(|&corner| axes.z_axis.dot(corner - target))
@@ -126,8 +127,8 @@ impl Camera {
         }
     }
 
-    /// A place in the coordinates of the eye: to the right and up from the middle of the picture in
-    /// heights, times the distance; and the distance.
+    /// A place in the coordinates of the eye: `[x, y, distance]`. x / distance and y / distance are
+    /// the position on the picture, to the right and up from its middle, in heights of the picture.
     #[inline]
     pub(super) fn seen(&self, place: DVec3) -> [f64; 3] {
         let seen = self.axes.transpose() * (place - self.eye);

@@ -25,7 +25,7 @@ pub enum Colour {
     Water,
     /// A solid colour: red, green and blue in sRGB.
     Solid([u8; 3]),
-    /// A value of the vertices, or the length of a vector, with a legend.
+    /// An attribute of the vertices, or its length if it is a vector, with a legend.
     Attribute {
         /// The attribute's name.
         name: String,
@@ -61,7 +61,7 @@ impl Reference {
     /// Builds the search structure of a mesh.
     ///
     /// # Errors
-    /// [`PictureError::Reference`] if it has no surface, or an invalid vertex.
+    /// [`PictureError::Reference`] if the mesh has no surface, or an invalid vertex.
     pub fn new(mesh: &Mesh) -> Result<Self, PictureError> {
         Ok(Self(Arc::new(SearchableSurface::reference(mesh).map_err(PictureError::Reference)?)))
     }
@@ -173,7 +173,7 @@ impl<'a> ColourSource<'a> {
         !matches!(self, Self::None)
     }
 
-    /// The value of every vertex, if there are any.
+    /// The value of every vertex; empty if the colour needs no values.
     pub(super) fn of(&self, vertices: &Vertices<'_>) -> Vec<f32> {
         match *self {
             Self::None => Vec::new(),
@@ -211,8 +211,8 @@ impl Palette {
     }
 }
 
-/// Draws a legend for the values from `lo` to `hi`; `beyond` marks that other values have the
-/// colours of the ends.
+/// Draws a legend for the values from `lo` to `hi`; `beyond` says that values outside of this range
+/// have the colours of the ends.
 pub(super) fn legend(
     image: &mut Image,
     name: &str,
@@ -250,8 +250,8 @@ fn number(value: f32) -> String {
     }
 }
 
-/// The fraction of distances within the colour range. Without this limit, a few outliers would
-/// leave the others with one colour.
+/// The fraction of distances within the colour range. Without this limit, a few outliers would give
+/// all other distances nearly the same colour.
 const USUAL: f64 = 0.99;
 /// Low bits of an f32 that the histogram ignores: 7 of its 23 digits remain.
 const COUNTED_AS_ONE: u32 = 16;
@@ -266,7 +266,7 @@ pub(super) struct Spread {
 }
 
 impl Spread {
-    /// Collects finite values.
+    /// Collects the statistics of finite values.
     pub(super) fn of(values: &[f32], kind: &ColourSource<'_>) -> Self {
         let finite = || values.iter().copied().filter(|value| value.is_finite());
         let mut magnitudes = Vec::new();
@@ -303,7 +303,7 @@ impl Spread {
             within += u64::from(count);
             within >= usual
         });
-        // If almost all distances are zero, the range comes from the others.
+        // If almost all distances are zero, the greatest distance determines the range.
         let bound = match last {
             Some(last @ 1..) => f32::from_bits((last as u32 + 1) << COUNTED_AS_ONE).min(greatest),
             _ => greatest,

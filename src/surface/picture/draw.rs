@@ -68,7 +68,7 @@ impl Picture {
             + AtomicSet::bytes(vertices)
             + AtomicSet::bytes(triangles);
         let whole = vertices * VERTEX_BYTES + triangles * TRIANGLE_BYTES;
-        // All of a mesh in memory may be visible.
+        // All vertices and triangles of a mesh may be visible.
         let all_seen = vertices * VisibleTriangles::VERTEX_BYTES
             + triangles * VisibleTriangles::TRIANGLE_BYTES;
         if picture + whole + all_seen <= allowed {

@@ -1,9 +1,9 @@
 //! Draws triangles onto two rasters at once, on all threads: the views of the eye and the sun.
 //!
-//! Most triangles of a fine mesh lie between samples, and most of a coarse one in few rows.
-//! Therefore tasks first test whether the bounding box of each triangle contains a sample, and draw
-//! small triangles immediately. Each thread then draws the large ones within its own strips of
-//! rows.
+//! Most triangles of a fine mesh lie between samples, and most triangles of a coarse mesh cover few
+//! rows. Therefore tasks first test whether the bounding box of each triangle contains a sample,
+//! and draw small triangles immediately. Each thread then draws the large triangles within its own
+//! strips of rows.
 
 use std::ops::Range;
 
@@ -22,13 +22,14 @@ const WORD: usize = u64::BITS as usize;
 const STRIPS: usize = 6;
 const LEAST_ROWS: usize = 16;
 
-/// Finds the views in which a triangle may cover a sample, from the half samples of its corners:
-/// between samples, all corners are in the same half.
+/// Finds the views in which a triangle may cover a sample, from the half samples of its corners. If
+/// a triangle lies between samples, all of its corners are in the same half sample.
 #[inline(always)]
 fn may_show([a, b, c]: [u64; 3]) -> [u64; VIEWS] {
     const LOW: u64 = 0x7fff_7fff_7fff_7fff;
     let differ = (a ^ b) | (a ^ c);
-    // The highest bit of each half: whether any bit of it is set, or it is even.
+    // Sets the highest bit of each 16-bit lane if any bit of the lane is set in `differ`, or if the
+    // lane of `a` is even.
     let shows = differ | ((differ & LOW) + LOW) | !(a << 15);
     let both = |bit: u32| shows >> bit & shows >> (bit - 16) & 1;
     [both(63), both(31)]
@@ -98,7 +99,7 @@ pub(super) fn fill(
     }
 }
 
-/// Draws the small triangles of a task, and returns the large ones of each view.
+/// Draws the small triangles of a task, and returns the large triangles of each view.
 fn draw_small(
     rasters: [&Raster; VIEWS],
     first: u32,
@@ -108,7 +109,7 @@ fn draw_small(
 ) -> [PendingTriangles; VIEWS] {
     let mut large = [PendingTriangles::NONE; VIEWS];
     for (word, triangles) in triangles.chunks(WORD).enumerate() {
-        // Without branches: whether a small triangle contains a sample is almost random.
+        // This loop has no branches: whether a small triangle contains a sample is almost random.
         let mut may_hold = [0; VIEWS];
         for (n, &[a, b, c]) in triangles.iter().enumerate() {
             let halves = |corner: u32| corners.halves[batch.index(corner)];
@@ -117,7 +118,8 @@ fn draw_small(
             may_hold[1] |= sun << n;
         }
         for (view, raster) in rasters.iter().enumerate() {
-            // Likewise for whether the only sample in its box is inside the triangle.
+            // This loop has no branches either: whether the only sample in a triangle's box is
+            // inside the triangle is almost random.
             let mut drawn = 0;
             for n in ones(may_hold[view]) {
                 let corners = of(&triangles[n], batch, corners, view);

@@ -83,7 +83,7 @@ impl Image {
     /// Joins images of the same size in rows of `columns`; `None` without images.
     ///
     /// # Panics
-    /// If their sizes differ.
+    /// If the sizes of the images differ.
     #[must_use]
     pub fn sheet(images: &[Self], columns: usize) -> Option<Self> {
         let Self { width, height, .. } = *images.first()?;
@@ -143,7 +143,8 @@ pub struct Animation<'a> {
 }
 
 impl<'a> Animation<'a> {
-    /// Starts a file of `images` images like the first, `fps` per second, which repeats forever.
+    /// Starts a file of `images` images that are as large as `first`, with `fps` images per second.
+    /// The animation repeats forever.
     ///
     /// # Errors
     /// The errors of `out`, and [`io::ErrorKind::InvalidInput`] for no image.
@@ -161,7 +162,7 @@ impl<'a> Animation<'a> {
     /// Errors of the file.
     ///
     /// # Panics
-    /// If its size differs.
+    /// If the image does not have the size of the first image.
     pub fn push(&mut self, image: &Image) -> io::Result<()> {
         assert_eq!([image.width, image.height], self.size, "images of one size");
         Ok(self.writer.write_image_data(&image.rgb)?)

@@ -36,11 +36,11 @@ const MILK_COLOUR: Vec3 = Vec3::new(0.10, 0.38, 0.66);
 /// A place on a surface, with its line of sight.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct ShadedPoint {
-    /// The direction from the eye. All directions here have unit length.
+    /// The direction from the eye. All directions in this module have unit length.
     pub(super) towards: Vec3,
     /// The outward normal.
     pub(super) normal: Vec3,
-    /// The path length through the fluid behind it, in radii of the scene.
+    /// The path length through the fluid behind the place, in radii of the scene.
     pub(super) through: f32,
     /// The fraction of the sun's light that arrives.
     pub(super) lit: f32,
@@ -87,8 +87,8 @@ pub(super) fn solid(colour: Vec3, seen: ShadedPoint) -> Vec3 {
     colour * fallen(seen.normal, seen.lit) + SUNLIGHT * (0.12 * gloss * seen.lit)
 }
 
-/// The light of water. `behind` gives the light behind it from a direction; `exp` is the
-/// exponential function.
+/// The light of water. `behind` gives the light that comes from a direction behind the water; `exp`
+/// is the exponential function.
 pub(super) fn water(
     seen: ShadedPoint,
     exp: impl Fn(f32) -> f32,

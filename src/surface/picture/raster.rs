@@ -3,10 +3,10 @@
 //!
 //! Corners are rounded to 1 / 256 of a sample, and integer arithmetic decides whether a sample is
 //! inside a triangle. A sample on an edge belongs to the triangle below or to the right. A closed
-//! surface therefore has no cracks, and every line of sight leaves it as often as it enters.
-//! Triangles contribute integer sums and a maximum to a sample, which do not depend on their order.
-//! Therefore any thread may draw small triangles, and each thread draws the parts of large ones in
-//! its own rows.
+//! surface therefore has no cracks, and every line of sight leaves it as often as it enters. A
+//! sample holds an integer sum and a maximum over triangles, which do not depend on the triangles'
+//! order. Therefore any thread may draw small triangles. Each thread draws the parts of large
+//! triangles in its own rows.
 
 use std::ops::Range;
 use std::sync::atomic::{AtomicI32, AtomicU64, Ordering};
@@ -20,8 +20,8 @@ use super::camera::{Camera, FARTHEST};
 /// Steps per sample.
 const STEPS: i32 = 1 << STEP_BITS;
 const STEP_BITS: u32 = 8;
-/// Maximum distance of a corner from the picture's first sample, in steps; triangles beyond are
-/// clipped.
+/// Maximum distance of a corner from the picture's first sample, in steps; triangles that extend
+/// farther are clipped.
 const FAR: i32 = 1 << 28;
 /// Steps of the path length that equals the distance from the eye to the farthest place.
 const WAY_STEPS: f64 = (1 << 26) as f64;
@@ -35,8 +35,8 @@ const FEW: i64 = 4;
 pub(super) struct Corner {
     /// Steps to the right and down from the middle of the first sample.
     at: [i32; 2],
-    /// The inverse distance, in units of the eye's distance; 0 if it is behind the eye, or too far
-    /// to the side.
+    /// The inverse distance, in units of the eye's distance; 0 if the corner is behind the eye, or
+    /// too far to the side.
     near: f32,
 }
 
@@ -87,7 +87,7 @@ impl Raster {
         (width * height * (size_of::<AtomicU64>() + size_of::<AtomicI32>())) as u64
     }
 
-    /// The visible surface at a sample; `None` if there is none.
+    /// The visible surface at a sample; `None` if no surface is visible.
     pub(super) fn sample(&self, n: usize) -> Option<RasterSample> {
         let nearest = self.nearest[n].load(Ordering::Relaxed);
         (nearest > 0).then(|| RasterSample {
@@ -129,8 +129,8 @@ impl Raster {
         [halves(x, width), halves(y, height)]
     }
 
-    /// Whether the bounding box of a triangle, which contains a sample, contains only one; and
-    /// whether that sample is inside the triangle.
+    /// For a triangle whose bounding box contains a sample: whether the box contains only one
+    /// sample, and whether that sample is inside the triangle.
     #[inline(always)]
     pub(super) fn holds_one(&self, corners: [Corner; 3]) -> [bool; 2] {
         let [[left, right], [top, bottom]] = self.around(corners);
@@ -172,8 +172,8 @@ impl Raster {
         None
     }
 
-    /// Draws the part of a triangle in some rows, in which no other thread draws; `seen` returns
-    /// camera coordinates of its corners if it must be clipped.
+    /// Draws the part of a triangle in some rows, in which no other thread draws. `seen` returns
+    /// the camera coordinates of the corners; it is called only if the triangle must be clipped.
     pub(super) fn draw(
         &self,
         rows: &Range<i32>,
@@ -218,8 +218,8 @@ impl Raster {
                 let last = polygon[n.checked_sub(1).unwrap_or(polygon.len() - 1)];
                 let [from, to] = [plane(last), plane(corner)];
                 if (from >= 0.0) != (to >= 0.0) {
-                    // From the inside out, so that the neighbouring triangle is clipped at the same
-                    // place.
+                    // Edges are cut from the inside out, so that the neighbouring triangle is
+                    // clipped at the same place.
                     let ([inner, outer], share) = if from >= 0.0 {
                         ([last, corner], from / (from - to))
                     } else {
@@ -334,7 +334,7 @@ fn turn_of(sample: [i32; 2], p: Corner, q: Corner, turn: i64) -> i64 {
     turn * (x * to_y - y * to_x) - lacks
 }
 
-/// A place along an axis with `samples`, in half samples.
+/// A place along an axis with `samples` samples, in half samples.
 #[inline(always)]
 fn halves(at: i32, samples: i32) -> u16 {
     let half = 2 * (at >> STEP_BITS) + i32::from(at & (STEPS - 1) != 0);
@@ -384,8 +384,8 @@ pub(super) const VIEWS: usize = 2;
 /// Corners on the pictures; the buffer is reused between batches.
 pub(super) struct ProjectedCorners {
     pub(super) at: Vec<[Corner; VIEWS]>,
-    /// The [half samples](Raster::halves) of each corner, 16 bits per axis, with the eye's in the
-    /// higher bits.
+    /// The [half samples](Raster::halves) of each corner, 16 bits per axis, with those of the eye's
+    /// view in the higher bits.
     pub(super) halves: Vec<u64>,
 }
 

@@ -22,12 +22,12 @@ pub struct Scope {
     pub bounds: Option<Corners>,
     /// The range of the attribute that is shown; for distances, the range of 99 of 100 vertices.
     pub range: Option<[f32; 2]>,
-    /// Whether values are beyond the range, which the legend shows.
+    /// Whether some values are beyond the range; the legend then says so.
     pub beyond: bool,
 }
 
 impl Scope {
-    /// The scope of two meshes.
+    /// The common scope of two meshes.
     #[must_use]
     pub fn joined(self, other: Self) -> Self {
         let ranges = [self.range, other.range].into_iter().flatten();
@@ -202,7 +202,7 @@ impl Picture {
 pub(super) enum MeshMemory {
     /// The whole mesh.
     Whole,
-    /// At most batches of this many bytes.
+    /// Batches of at most this many bytes.
     Batches(u64),
 }
 
@@ -264,7 +264,7 @@ pub enum PictureError {
     /// A picture that exceeds the memory limit.
     #[error("a picture of this mesh needs {needed} bytes of memory, but the limit is {allowed}")]
     Memory {
-        /// Bytes that it needs.
+        /// Bytes that the picture needs.
         needed: u64,
         /// The limit in bytes.
         allowed: u64,

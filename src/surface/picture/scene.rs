@@ -14,13 +14,12 @@ use super::visible::{Edges, VisibleTriangles};
 
 /// Maximum number of samples along the edge of a pixel.
 const FINEST: usize = 2;
-/// Samples along an edge of the sun's view: for large pictures, and for those with at most that
-/// many rows.
+/// Samples along an edge of the sun's view; half as many for pictures with at most [`SMALL`] rows.
 const SUN_SAMPLES: usize = 1024;
 const SMALL: usize = 400;
 /// Range over which the floor fades into the backdrop, in radii from the middle.
 const FLOOR: [f32; 2] = [2.0, 7.0];
-/// Samples of a pixel are lit as one if their distances differ by less.
+/// Samples of a pixel are lit as one if their distances differ by less than this.
 const ONE_DISTANCE: f32 = 0.01;
 /// Width of wires in pixels.
 const WIRE: f32 = 1.2;
@@ -164,7 +163,8 @@ impl<'a> Scene<'a> {
         self.behind(self.camera.eye, self.direction(middle))
     }
 
-    /// The place of a sample on the picture: to the right and up from the middle in heights.
+    /// The place of a sample on the picture: to the right and up from the middle, in heights of the
+    /// picture.
     fn at(&self, x: f32, y: f32) -> Vec2 {
         let [width, height] = [self.raster.width, self.raster.height].map(|samples| samples as f32);
         Vec2::new((x - width / 2.0) / height, 0.5 - y / height)
@@ -230,7 +230,7 @@ impl<'a> Scene<'a> {
 struct PixelSurface {
     /// The inverse distance, in units of the eye's distance.
     near: f32,
-    /// Not of unit length.
+    /// The normal, which does not have unit length.
     normal: Vec3,
     value: f32,
     through: f32,

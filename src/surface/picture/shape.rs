@@ -37,7 +37,7 @@ const PLACES: usize = 1 << 12;
 pub(super) struct Shape<'a> {
     pub(super) mesh: &'a dyn MeshSource,
     pub(super) scope: Scope,
-    /// The number of the first vertex of each piece, and the total.
+    /// The number of the first vertex of each piece; the last entry is the number of all vertices.
     firsts: Vec<u32>,
     kept: Option<WholeMesh<'a>>,
     /// Triangles per batch of a mesh that is not in memory.
@@ -59,12 +59,12 @@ pub(super) struct TriangleBatch<'a> {
     /// Corners by their numbers in the mesh.
     pub(super) triangles: &'a [[u32; 3]],
     pub(super) places: &'a [[f64; 3]],
-    /// The vertices of the positions; `None` for all vertices.
+    /// The vertices to which `places` belong; `None` for all vertices.
     held: Option<RankedSet>,
 }
 
 impl TriangleBatch<'_> {
-    /// The index of the position of a vertex, if it is here.
+    /// The index of the position of a vertex; `None` if the batch lacks the vertex.
     #[inline]
     pub(super) fn find(&self, vertex: u32) -> Option<usize> {
         match &self.held {
@@ -172,7 +172,7 @@ impl<'a> Shape<'a> {
         self.firsts[self.firsts.len() - 1]
     }
 
-    /// Maximum number of vertices in a batch, if known.
+    /// Maximum number of vertices in a batch; 0 if not known.
     pub(super) fn most_corners(&self) -> usize {
         self.kept.as_ref().map_or(0, |kept| kept.places.len())
     }
@@ -269,8 +269,8 @@ impl<'a> Shape<'a> {
     }
 }
 
-/// Copies the data of pieces, on several threads, into one array from a position on; returns the
-/// end.
+/// Copies the data of pieces, on several threads, into an array from index `first` on; returns the
+/// end index.
 fn put<P: Sync, T: Copy + Send + Sync>(
     into: &mut [T],
     first: usize,
@@ -293,7 +293,8 @@ fn put<P: Sync, T: Copy + Send + Sync>(
 /// The bounding box of the visible positions.
 fn box_of(places: &[[f64; 3]]) -> Option<Corners> {
     let none = [[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]];
-    // Without branches: invisible positions are replaced by neutral ones.
+    // This loop has no branches: invisible positions are replaced by values that do not change the
+    // box.
     let found = places.iter().fold(none, |[lo, hi], place| {
         let sound = place.iter().fold(true, |sound, x| sound & (x.abs() <= FARTHEST));
         let place = |none: f64| place.map(|x| if sound { x } else { none });
@@ -302,7 +303,7 @@ fn box_of(places: &[[f64; 3]]) -> Option<Corners> {
     (found[0][0] <= found[1][0]).then_some(found)
 }
 
-/// Triangles of a piece; those with missing vertices become degenerate.
+/// Triangles of a piece; triangles with missing vertices become degenerate.
 fn triangles_of(mesh: &dyn MeshSource, piece: usize, vertices: u64) -> io::Result<Vec<[u32; 3]>> {
     let triangles = mesh.triangles(piece)?.into_iter();
     let sound = |corners: [u64; 3]| match corners.iter().all(|&corner| corner < vertices) {

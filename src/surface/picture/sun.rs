@@ -59,13 +59,13 @@ impl SunView {
 /// Sunlight on and below the fluid.
 pub(super) struct Sunlight {
     camera: Camera,
-    /// Samples along an edge of its view.
+    /// Samples along an edge of the sun's view.
     samples: usize,
     /// Samples along an edge of a shadow's blur.
     blurred: usize,
     radii: f32,
     /// For each sample, the distance of the surface, in units of the camera's distance; infinite if
-    /// there is none.
+    /// there is no surface.
     distances: Vec<f32>,
     /// For each sample, the fraction of the light that passes through all of the fluid.
     below: Vec<f32>,

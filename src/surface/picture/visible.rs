@@ -25,18 +25,17 @@ const UNSEEN: u32 = u32::MAX;
 pub(super) struct VisibleTriangles {
     triangles: RankedSet,
     corners: Vec<[u32; 3]>,
-    /// To the right and up from the middle in heights times the distance, and the distance, in
-    /// units of the eye's distance.
+    /// Places of the corners in the coordinates of `Camera::seen`, in units of the eye's distance.
     seen: Vec<[f32; 3]>,
-    /// Unit vectors, or zeros.
+    /// Normals of the corners: unit vectors, or zeros.
     normals: Vec<Vec3>,
-    /// Empty if no values are shown.
+    /// Values of the corners; empty if no values are shown.
     values: Vec<f32>,
 }
 
 /// A place on a surface.
 pub(super) struct VisiblePoint {
-    /// Not of unit length.
+    /// The normal, which does not have unit length.
     pub(super) normal: Vec3,
     pub(super) value: f32,
 }
@@ -210,7 +209,7 @@ fn add_normals(batch: &TriangleBatch<'_>, vertices: &RankedSet, unit: f64, norma
     let share = normals.len().div_ceil(SHARES).max(1);
     let scale = 1.0 / unit;
     // For each task, the triangles that contribute to each group, by the ranks of their corners.
-    // Most contribute to one group only.
+    // Most triangles contribute to one group only.
     let additions: Vec<[Vec<Addition>; SHARES]> = batch
         .triangles
         .par_chunks(TASK)

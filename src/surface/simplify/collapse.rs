@@ -6,9 +6,9 @@
 //! and the distances between both surfaces stay within the tolerance, in both directions.
 //!
 //! Every removed vertex of the reference has a closest triangle within the tolerance. When
-//! triangles change, the vertices for which they were closest must find new ones among them. If one
-//! triangle is close to two vertices, it is also close to the segment between them, because
-//! triangles are convex; other segments are bisected.
+//! triangles change, the vertices for which the old triangles were closest must find closest
+//! triangles among the new ones. If one triangle is close to two vertices, it is also close to the
+//! segment between them, because triangles are convex; other segments are bisected.
 
 use glam::{Vec3A, Vec4};
 
@@ -29,8 +29,8 @@ const FINE: i32 = 4;
 /// `FLAT`.
 const CLOSE_SHARE: f32 = 0.75;
 const FLAT: f32 = 0.9;
-/// If this held for all segments around a vertex, they are not checked again until its closest
-/// triangle has turned by more than this cosine.
+/// If no segment around a vertex needed a check, these segments are not checked again until the
+/// vertex's closest triangle has turned by more than the angle with this cosine.
 const STEADY: f32 = 0.98;
 /// Maximum number of bisections of a segment.
 const HALVINGS: u32 = 4;
@@ -41,8 +41,8 @@ const TURN: f32 = 0.2;
 /// Two triangles fold back on each other if the cosine between their normals is below this: 170
 /// degrees.
 const FOLD: f32 = -0.985;
-/// A triangle is a sliver if the squared sine of its smallest angle is less than this, that of 10
-/// degrees.
+/// A triangle is a sliver if the squared sine of its smallest angle is less than this, which
+/// corresponds to 10 degrees.
 const SLIVER: f32 = 0.03;
 /// Maximum number of triangles of a closed part whose volume is checked with every collapse: a part
 /// that is smaller than the distance could vanish or turn inside out.
@@ -61,8 +61,8 @@ pub struct Measure<'a> {
     pub distance: f32,
 }
 
-/// Finds closest triangles on `surface` for the vertices of `reference` that it does not have,
-/// starting each search from a neighbour's result.
+/// Finds closest triangles on `surface` for the vertices of `reference` that `surface` lacks. Each
+/// search starts from a neighbour's result.
 pub fn find_homes(
     reference: &EditableMesh,
     surface: &mut EditableMesh,
@@ -110,7 +110,7 @@ pub fn find_homes(
 #[derive(Clone, Copy)]
 #[repr(align(64))]
 struct Quadric {
-    /// Columns of a matrix. The last element of the first is the weight.
+    /// Columns of a matrix. The last element of the first column is the weight.
     planes: [Vec4; 3],
     /// The last element is the constant.
     linear: Vec4,
@@ -161,8 +161,8 @@ impl Quadric {
 struct CollapseState<'a, 'b> {
     by: &'b Measure<'a>,
     surface: EditableMesh<'a>,
-    /// For each triangle, a list of the vertices for which it is closest: the first one, and for
-    /// each vertex the next.
+    /// Linked lists of the vertices for which a triangle is closest: `first` has the first vertex
+    /// for each triangle, and `next` has the next vertex for each vertex.
     first: Vec<u32>,
     next: Vec<u32>,
     /// For each removed vertex, the normal of its closest triangle when no segment around it needed
@@ -188,7 +188,7 @@ struct CollapseState<'a, 'b> {
     mark: u32,
 }
 
-/// A removed vertex, with its closest triangle before and after.
+/// A removed vertex, with its closest triangle before and after a collapse.
 #[derive(Clone, Copy)]
 struct MovedVertex {
     vertex: u32,
@@ -237,7 +237,8 @@ impl<'a> Measure<'a> {
         work.surface
     }
 
-    /// Whether a sample of an edge is too far from the reference, for triangles that face this way.
+    /// Whether a sample of an edge is too far from the reference, for triangles that face in the
+    /// direction `normal`.
     fn is_stray(&self, from: u32, to: u32, normal: Vec3A) -> bool {
         let (reference, distance) = (self.reference, self.distance);
         let is_next = |edge: &HalfEdge| edge.to == to || edge.before == to;
@@ -285,7 +286,8 @@ impl CollapseState<'_, '_> {
             self.changed.clear();
             queue.sort_unstable();
             for vertex in queue.drain(..).map(|entry| entry as u32) {
-                // After a change nearby, there may be a better target next time.
+                // After a change nearby, the vertex is left for a later round, in which it may have
+                // a better target.
                 if !self.is_changed[vertex as usize] {
                     self.try_vertex(vertex, limit);
                 }
@@ -598,7 +600,7 @@ impl CollapseState<'_, '_> {
             let is_near =
                 self.by.outgoing.at(moved.vertex).iter().all(|&HalfEdge { to: other, .. }| {
                     let spot = self.surface.spot(other);
-                    // Without branches, which would be unpredictable.
+                    // There are no branches here, because they would be unpredictable.
                     let facing = self.surface.normal_of(spot);
                     let needs_no_look = (spot.triangle() == closest)
                         | (!spot.is_gone() & corners.contains(&other))
@@ -624,7 +626,7 @@ impl CollapseState<'_, '_> {
     }
 
     /// Whether the segments around a removed vertex need no check, because its closest triangle has
-    /// hardly turned since the last one.
+    /// hardly turned since the last check.
     fn stays_calm(&self, vertex: u32) -> bool {
         let spot = self.surface.spot(vertex);
         let facing = self.surface.normal_of(spot);
@@ -675,7 +677,8 @@ impl CollapseState<'_, '_> {
     }
 }
 
-/// The squared sine of a triangle's smallest angle, from its normal with twice its area as length.
+/// The squared sine of a triangle's smallest angle. `scaled` is the triangle's normal, whose length
+/// is twice the area.
 fn shape([a, b, c]: [Vec3A; 3], scaled: Vec3A) -> f32 {
     let [ab, bc, ca] = [b - a, c - b, a - c].map(Vec3A::length_squared);
     scaled.length_squared() * ab.min(bc).min(ca) / (ab * bc * ca).max(f32::MIN_POSITIVE)
@@ -699,7 +702,7 @@ pub struct Patch<'a> {
 impl<'a> Patch<'a> {
     /// Simplifies the patch: every sample of the result is within `distance` cells of the
     /// reference, and every vertex of `positions` within this distance of `triangles` is also
-    /// within it of the result.
+    /// within this distance of the result.
     #[inline(never)]
     pub fn simplified(&self, distance: f32) -> Vec<[u32; 3]> {
         let vertices = self.positions.len();

@@ -36,7 +36,7 @@ impl TooSmall {
         self.components + self.drops
     }
 
-    /// The limits that left them out.
+    /// The names of the limits by which components were left out.
     #[must_use]
     pub fn limits(self) -> &'static str {
         match (self.components, self.drops) {
@@ -47,8 +47,9 @@ impl TooSmall {
     }
 }
 
-/// The components of `surface` below a volume in cells, including enclosed air, and the drops below
-/// `drop`: their vertices, and their numbers.
+/// Finds the components of `surface` that are smaller than `volume` in cells, including enclosed
+/// air, and the drops that are smaller than `drop`. Returns their vertices, and the number of
+/// components and drops.
 ///
 /// # Errors
 /// If scratch files cannot be read, and after a cancel.
@@ -205,7 +206,7 @@ impl PieceParts {
     }
 }
 
-/// Joined parts.
+/// Components: parts that are joined.
 #[derive(Default)]
 struct Components {
     parents: Vec<u32>,
@@ -252,7 +253,7 @@ const RUN: usize = 8;
 #[derive(Debug)]
 pub struct VertexSet {
     words: Vec<u64>,
-    /// Number of members before each run of words, after `count`.
+    /// Number of members before each run of words; empty until `count` is called.
     before: Vec<u64>,
 }
 
@@ -267,7 +268,7 @@ impl VertexSet {
         self.words[(vertex / 64) as usize] |= 1 << (vertex % 64);
     }
 
-    /// Whether it is a member.
+    /// Whether a vertex is a member.
     pub fn contains(&self, vertex: u64) -> bool {
         self.words[(vertex / 64) as usize] >> (vertex % 64) & 1 == 1
     }
@@ -287,7 +288,7 @@ impl VertexSet {
         self.before.push(total);
     }
 
-    /// The number of members with lower numbers.
+    /// The number of members that are less than `vertex`.
     pub fn rank(&self, vertex: u64) -> u64 {
         let word = (vertex / 64) as usize;
         let run = word / RUN;

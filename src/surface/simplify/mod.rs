@@ -3,8 +3,8 @@
 //! A chunk is a cube of 2^3 blocks. The first pass simplifies the triangles inside each chunk, with
 //! its border locked. The second pass does the same with chunks that are shifted by half, for the
 //! triangles on the former borders and near them. Both passes measure against the original surface,
-//! so the result is within the requested distance of it, and every vertex of the surface is within
-//! it of the result.
+//! so the result is within the requested distance of the original surface, and every vertex of the
+//! original surface is within this distance of the result.
 //!
 //! The remaining vertices are vertices of the original surface, and keep their positions, normals
 //! and attributes. Chunks do not depend on threads or memory. The memory holds the current chunks,
@@ -44,7 +44,7 @@ const CHUNK: i32 = 2;
 /// triangles on flat ground would extend from a seam beyond the chunk that simplifies it in the
 /// second pass.
 const PIN_SPACING: i32 = 16;
-/// The second pass simplifies triangles within this many cells of a seam of the first.
+/// The second pass simplifies triangles within this many cells of a seam of the first pass.
 const BAND: i32 = 4;
 /// The fraction of the stage in which components are measured.
 const MEASURING: f64 = 0.1;
@@ -58,7 +58,7 @@ type WholeTriangles = Vec<[u64; 3]>;
 #[derive(Debug)]
 pub struct SimplifiedSurface {
     whole: StitchedSurface,
-    /// With vertex numbers in `whole`.
+    /// The triangles, with vertex numbers of `whole`.
     triangles: Lists<[u64; 3]>,
     kept: VertexSet,
     /// The pieces of `whole` in each chunk.
@@ -99,7 +99,7 @@ impl Reduction {
 pub struct TriangleSpace<'a> {
     /// Bytes in memory.
     pub bytes: u64,
-    /// The folder of scratch files for triangles that exceed it.
+    /// The folder of scratch files for triangles that exceed `bytes`.
     pub folder: &'a Path,
 }
 
@@ -282,7 +282,7 @@ impl Passes<'_> {
         for &piece in pieces {
             self.triangles(piece, |cell, triangle| match chunk.local(triangle) {
                 Some(local) => inside.push(local),
-                // The cells of its vertices are at the corners of the dual cell.
+                // The cells of the triangle's vertices are at the corners of the dual cell.
                 None => sorted.push(self.home(self.scale.corners(cell)), triangle),
             })?;
         }
@@ -305,8 +305,8 @@ impl Passes<'_> {
         Ok(sorted.lists)
     }
 
-    /// Maximum distance in cells between a triangle's vertices and the surface within the tolerance
-    /// of it.
+    /// Maximum distance, in cells, between a triangle's vertices and the surface within the
+    /// tolerance of the triangle.
     fn reach(&self) -> i32 {
         let Scale(widest) = self.scale;
         let further = if self.scale.is_uniform() { 1 } else { 2 * widest };
@@ -478,7 +478,7 @@ struct ChunkVertices {
     ranges: Vec<[u64; 3]>,
     /// The lower cell of each vertex's edge.
     cells: Vec<IVec3>,
-    /// In cells from the chunk's corner, all different.
+    /// Positions in cells from the chunk's corner, all different.
     positions: Vec<Vec3A>,
 }
 

@@ -12,12 +12,12 @@ const PREVIOUS: [usize; 3] = [2, 0, 1];
 /// Maximum number of triangles that a search visits before it gives up.
 const PATIENCE: usize = 32;
 /// A search continues from a triangle whose squared distance is at most this many times the
-/// smallest one found.
+/// smallest squared distance found so far.
 const DETOUR: f32 = 1.5;
 /// Maximum number of triangles that a search visits per cell of distance.
 const STEPS_A_CELL: f32 = 8.0;
 
-/// Triangles, each directed edge at most once.
+/// Triangles in which each directed edge occurs at most once.
 #[derive(Clone)]
 pub struct EditableMesh<'a> {
     pub positions: &'a [Vec3A],
@@ -27,7 +27,7 @@ pub struct EditableMesh<'a> {
     across: Vec<[u32; 3]>,
     /// For each vertex, its spot; on the border, its first triangle counterclockwise.
     spots: Vec<VertexState>,
-    /// Outward, of unit length.
+    /// The outward normals of the triangles, of unit length.
     normals: Vec<Vec3A>,
 }
 
@@ -57,7 +57,7 @@ impl VertexState {
         self.0 & Self::GONE != 0
     }
 
-    /// Whether it uses so little of the distance that the segments around it need no check.
+    /// Whether the vertex uses so little of the distance that the segments around it need no check.
     pub fn is_close(self) -> bool {
         self.0 & Self::FAR == 0
     }
@@ -71,7 +71,7 @@ pub struct Incident {
     pub normal: Vec3A,
 }
 
-/// The edges of a surface by the vertices that they leave.
+/// The edges of a surface, grouped by the vertices at which they start.
 pub struct OutgoingEdges {
     /// For each vertex, the ends of its edges.
     ends: Vec<u32>,
@@ -179,7 +179,7 @@ impl<'a> EditableMesh<'a> {
         !self.spot(vertex).is_gone()
     }
 
-    /// A triangle at this vertex, which must exist.
+    /// A triangle at a vertex, which must be a corner of a triangle.
     pub fn at(&self, vertex: u32) -> u32 {
         self.spot(vertex).triangle()
     }
@@ -199,7 +199,8 @@ impl<'a> EditableMesh<'a> {
         self.incident(vertex).map(|incident| incident.triangle)
     }
 
-    /// The triangle around a vertex in the direction of `point`, or any other.
+    /// The triangle around a vertex in the direction of `point`, or any triangle around the vertex
+    /// if no triangle lies in this direction.
     pub fn towards(&self, vertex: u32, point: Vec3A) -> u32 {
         let start = self.positions[vertex as usize];
         let is_towards = |&triangle: &u32| {
@@ -222,8 +223,8 @@ impl<'a> EditableMesh<'a> {
     }
 
     /// A triangle within `distance` of `point` that does not face against `normal`, and its squared
-    /// distance, if a search from triangle `from` finds one. For the two sides of a thin sheet,
-    /// each must be near its own side. The search goes towards the point, and then visits connected
+    /// distance, if a search from triangle `from` finds one. The condition on the normals separates
+    /// the two sides of a thin sheet. The search goes towards the point, and then visits connected
     /// triangles within the distance, up to a maximum number.
     pub fn holder(
         &self,
@@ -325,7 +326,7 @@ impl<'a> EditableMesh<'a> {
         false
     }
 
-    /// The edges of a triangle without another triangle.
+    /// The edges of a triangle that have no other triangle.
     pub fn open_edges(&self, triangle: u32) -> impl Iterator<Item = [u32; 2]> {
         let edges = edges(self.triangles[triangle as usize]).into_iter();
         edges
@@ -353,7 +354,7 @@ impl<'a> EditableMesh<'a> {
 
     /// The index of this vertex among a triangle's corners.
     fn corner(&self, triangle: u32, vertex: u32) -> usize {
-        // Without branches, which would be unpredictable.
+        // There are no branches here, because they would be unpredictable.
         let [_, b, c] = self.triangles[triangle as usize];
         usize::from(b == vertex) + 2 * usize::from(c == vertex)
     }
@@ -376,7 +377,7 @@ impl<'a> EditableMesh<'a> {
     }
 
     /// Moves a vertex onto the first vertex of its ring. The ring's first and last triangle vanish;
-    /// the others get these normals.
+    /// the other triangles get the new `normals`.
     pub fn collapse(
         &mut self,
         vertex: u32,
@@ -400,7 +401,7 @@ impl<'a> EditableMesh<'a> {
         for incident in [ring[0], ring[last]] {
             self.triangles[incident.triangle as usize] = [NONE; 3];
         }
-        // The first triangle of a border vertex stays first, or its replacement does.
+        // A border vertex keeps its first triangle, or gets the triangle that replaces it.
         for (vertex, to) in [(target, rightmost), (right, rightmost), (left, leftmost)] {
             let at = self.at(vertex);
             let is_gone = (at == ring[0].triangle) | (at == ring[last].triangle);
@@ -450,7 +451,8 @@ impl<'a> EditableMesh<'a> {
     }
 }
 
-/// The cross product, rounded alike on every processor; on ARM, that of [`Vec3A`] is fused.
+/// The cross product, with the same rounding on every processor. On ARM, the cross product of
+/// [`Vec3A`] uses fused operations.
 pub fn cross(a: Vec3A, b: Vec3A) -> Vec3A {
     (a.zxy() * b - a * b.zxy()).zxy()
 }
@@ -460,7 +462,7 @@ pub fn scaled_normal([a, b, c]: [Vec3A; 3]) -> Vec3A {
     cross(b - a, c - a)
 }
 
-/// Without `map`, which is slower here.
+/// The positions of a triangle's corners. `map` would be slower here.
 fn corners(positions: &[Vec3A], [a, b, c]: [u32; 3]) -> [Vec3A; 3] {
     [positions[a as usize], positions[b as usize], positions[c as usize]]
 }
@@ -469,8 +471,8 @@ fn edges([a, b, c]: [u32; 3]) -> [[u32; 2]; 3] {
     [[a, b], [b, c], [c, a]]
 }
 
-/// The squared distance from a point to a triangle with this unit normal, if it is at most the
-/// given one; and whether the point's projection is inside the triangle.
+/// The squared distance from a point to a triangle with this unit normal, if it is at most
+/// `squared`; and whether the point's projection is inside the triangle.
 #[inline]
 pub fn squared_near(
     p: Vec3A,
@@ -485,7 +487,7 @@ pub fn squared_near(
     }
     let mut least = f32::INFINITY;
     for [from, to] in [[a, b], [b, c], [c, a]] {
-        // Outside this side.
+        // The projection is outside of this side.
         if cross(from, to).dot(normal) <= 0.0 {
             let ahead = to - from;
             let along = (-from.dot(ahead) / ahead.length_squared()).clamp(0.0, 1.0);
