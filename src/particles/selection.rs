@@ -27,7 +27,7 @@ pub enum SelectionFault {
         /// The names of the available attributes.
         known: Vec<String>,
     },
-    /// A vector where a number is needed, or a component that it does not have.
+    /// A vector where a number is needed, or a component that the vector does not have.
     #[error(
         "cannot select particles by {name:?}: the attribute has {components} components, {}",
         example(attribute, *components)
@@ -107,7 +107,7 @@ fn example(attribute: &str, components: usize) -> String {
     }
 }
 
-/// A number that every particle has.
+/// A number of each particle that a condition tests.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum ConditionOperand {
     /// A component of an attribute.
@@ -123,7 +123,7 @@ enum StoredCondition {
     Number(ConditionOperand, Comparison, Vec<f64>),
     /// Compares an integer component of an attribute for equality.
     Whole((usize, usize), Comparison, Vec<i64>),
-    /// A label, with whether each of its texts satisfies the condition.
+    /// A label. For each of its texts, the list says whether the text satisfies the condition.
     Label(usize, Vec<bool>),
 }
 
@@ -213,7 +213,7 @@ impl Condition {
 }
 
 impl StoredCondition {
-    /// Clears the bits of the particles in `range` that fail.
+    /// Clears the bits of the particles in `range` that do not satisfy the condition.
     fn apply(&self, particles: &(impl Particles + ?Sized), range: Range<usize>, words: &mut [u64]) {
         let (first, count) = (range.start, range.len());
         match self {
@@ -250,7 +250,7 @@ impl StoredCondition {
     }
 }
 
-/// Clears the bits of the values that fail.
+/// Clears the bits of the values for which `holds` returns false.
 fn keep<T>(words: &mut [u64], values: &[T], holds: impl Fn(&T) -> bool) {
     for (word, values) in words.iter_mut().zip(values.chunks(64)) {
         let bits = values.iter().map(&holds).enumerate();
@@ -301,7 +301,7 @@ impl SelectionFault {
     }
 }
 
-/// A selection of other particles.
+/// The particles that a sieve selects from other particles.
 #[derive(Debug)]
 pub struct SelectedParticles<'a, P: ?Sized> {
     particles: &'a P,
