@@ -51,13 +51,13 @@ impl Setting {
         Settings::ALL.iter().copied().find(|setting| setting.key() == key)
     }
 
-    /// The name in snake case, as a field has it.
+    /// The name in snake case, as in the fields of [`Settings`].
     #[must_use]
     pub fn name(self) -> &'static str {
         self.0
     }
 
-    /// The name in kebab case, as options and files have it.
+    /// The name in kebab case, as in options and files.
     #[must_use]
     pub fn key(self) -> String {
         self.0.replace('_', "-")
@@ -124,8 +124,8 @@ macro_rules! settings {
                 false
             }
 
-            /// The first setting that is given, differs from that of `other`, and satisfies
-            /// `meant`.
+            /// The first setting that has a value, differs from the same setting of `other`, and
+            /// satisfies `meant`.
             pub(crate) fn given_otherwise(
                 &self,
                 other: &Self,
@@ -356,8 +356,9 @@ settings! {
 /// Settings by their keys, as state files and plans store them.
 pub type StoredSettings = Map<String, Value>;
 
-/// Names of the settings that differ from those stored by a run of `version`, or "version" if that
-/// differs, because another version may give a different mesh. Empty if nothing differs.
+/// Names of the settings that differ from the settings of an earlier run, joined by commas; empty
+/// if none differs. If the earlier run had another `version`, the result is "version", because
+/// another version may give a different mesh.
 pub(crate) fn differing(version: &str, kept: &StoredSettings, wanted: &StoredSettings) -> String {
     if version != env!("CARGO_PKG_VERSION") {
         return "version".into();
@@ -369,7 +370,7 @@ pub(crate) fn differing(version: &str, kept: &StoredSettings, wanted: &StoredSet
         .join(", ")
 }
 
-/// Settings that need the particles: a sampled frame cannot change them.
+/// Settings that need the particles. They cannot be changed for a frame that is already sampled.
 const OF_PARTICLES: [&str; 14] = [
     "format",
     "spacing",
@@ -394,8 +395,8 @@ impl Setting {
         OF_PARTICLES.contains(&self.0)
     }
 
-    /// Whether the setting affects packed frames. They store samples of particles of one size, and
-    /// no kernel method.
+    /// Whether the setting affects packed frames. Packed frames store samples of particles of one
+    /// size, without kernels.
     #[must_use]
     pub fn is_of_samples(self) -> bool {
         self.needs_particles() && !["method", "size"].contains(&self.0)
@@ -425,8 +426,8 @@ impl Settings {
         matches!(self.size_choice(), SizeChoice::Named(_))
     }
 
-    /// The normal form of settings that make the same mesh: a spacing instead of a radius, and no
-    /// value that equals the default.
+    /// The settings in a form that is the same for all settings that make the same mesh: with a
+    /// spacing instead of a radius, and without values that equal the default.
     pub(crate) fn plain(&self) -> Self {
         let iso = self.isovalue().map(Iso::Value);
         let none = || vec!["none".to_owned()];
@@ -478,8 +479,8 @@ impl Settings {
         Some(if names == ["none"] { &[] } else { names })
     }
 
-    /// The settings as state files and plans store them: equal for settings that make the same
-    /// mesh.
+    /// The settings as state files and plans store them. Settings that make the same mesh are
+    /// stored alike.
     #[must_use]
     pub fn kept(&self) -> StoredSettings {
         // Rounded to the nearest step of the field.

@@ -49,7 +49,7 @@ pub enum Error {
     /// A setting that does not apply to the request.
     #[error(transparent)]
     SettingConflict(#[from] SettingConflict),
-    /// A file that is both an input and an output, or two outputs.
+    /// A file that would be both an input and an output, or two different outputs.
     #[error("{}", same_file(path, other))]
     SameFile {
         /// The file.
@@ -251,12 +251,13 @@ impl From<SizeFault> for Error {
 }
 
 impl Error {
-    /// The message, with settings named by `name`: options for a program, keywords for a binding.
+    /// The message, with settings named by `name`. A program names its options, and a binding names
+    /// its keywords.
     #[must_use]
     pub fn message_with(&self, name: &dyn Fn(Setting) -> String) -> String {
         match self {
             Self::SettingConflict(conflict) => conflict.message_with(name),
-            // The message begins with the key.
+            // The message begins with the setting's key, which the name replaces.
             Self::Unit(unit) => match Setting::by_key(unit.name()) {
                 Some(setting) => unit.to_string().replacen(unit.name(), &name(setting), 1),
                 None => unit.to_string(),
@@ -278,7 +279,8 @@ impl Error {
         self
     }
 
-    /// Adds that the missing attribute was left out, if it is among these parts of its file.
+    /// Adds to the error that the missing attribute was left out when the file was read, if it is
+    /// among these parts of the file.
     #[must_use]
     pub(crate) fn of_left_out(mut self, parts: &[UnreadPart]) -> Self {
         if let Self::NoAttribute { name, left_out, .. } = &mut self {

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 
 use thiserror::Error;
 
-/// Frame rates whose times programs can distinguish.
+/// Valid frame rates: programs can distinguish the times of neighbouring frames.
 pub const FPS: RangeInclusive<f64> = 1e-9..=1e9;
 
 /// A simulation that cannot be converted.
@@ -117,9 +117,9 @@ pub enum SimulationError {
 pub enum WhyOne {
     /// The request is for one simulation.
     Request,
-    /// The output is a pattern, which has the same names for each of them.
+    /// The output is a pattern, which would give the meshes of all simulations the same names.
     Pattern,
-    /// In one folder, their meshes would have the same names.
+    /// In one folder, the meshes of the simulations would have the same names.
     Names,
 }
 

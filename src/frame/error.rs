@@ -69,7 +69,7 @@ pub enum FrameError {
     FewImages {
         /// The reach of the filters beyond a face, in cells.
         needed: i32,
-        /// The distance up to which images exist beyond it.
+        /// The distance beyond a face up to which images exist, in cells.
         there: i32,
     },
     /// Kernels need a spacing, which determines their width.
@@ -95,7 +95,8 @@ pub enum FrameError {
         /// Free disk space in bytes.
         free: u64,
     },
-    /// Attributes are so wide that a few blocks of the surface are larger than the budget.
+    /// Attributes have so many components that a few blocks of the surface are larger than the
+    /// budget.
     #[error(
         "the attributes have {components} numbers per particle and need at least {} of memory, \
          but the limit is {}",
@@ -124,9 +125,9 @@ pub enum FrameError {
          can hold"
     )]
     NoSpace {
-        /// Three f32 each.
+        /// Number of vertices. Each has three f32.
         vertices: u32,
-        /// Three u32 each.
+        /// Number of triangles. Each has three u32.
         triangles: u32,
     },
     /// A device that holds the particles and the mesh failed, or has too little memory.

@@ -48,7 +48,7 @@ pub enum VulkanError {
     SmallStack {
         /// The limit on the stack, in bytes.
         limit: u64,
-        /// The smallest limit with which drivers are used.
+        /// The minimum limit, in bytes.
         least: u64,
     },
     /// The validation layer was requested, but is not installed.
@@ -57,7 +57,7 @@ pub enum VulkanError {
     /// The loader has no devices.
     #[error("no Vulkan device found")]
     NoDevice,
-    /// No device of that number or name.
+    /// No device has the requested number or name.
     #[error("no Vulkan device matches {wanted:?}; available: {known}")]
     NotFound {
         /// The requested number or name.
