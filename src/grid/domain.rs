@@ -163,8 +163,8 @@ impl Domain {
         [first(self.cells.lo), first(self.cells.hi).map(|end| end - 1)]
     }
 
-    /// The same walls on a grid whose cells are 2^`octaves` times as wide. The domain then has the
-    /// wide cells that contain any of its cells.
+    /// Converts the walls to a grid whose cells are 2^`octaves` times as wide. The domain then has
+    /// the wide cells that contain any of its cells.
     #[must_use]
     pub fn in_wider_cells(self, octaves: u32) -> Self {
         let CellBox { lo, hi } = self.cells;
