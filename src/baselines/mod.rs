@@ -51,6 +51,16 @@ impl KernelMethod {
     /// The isovalue half-way between inside and outside.
     pub const HALF: f64 = 0.5;
 
+    /// The name of the method.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Mueller { .. } => "mueller",
+            Self::ZhuBridson => "zhu-bridson",
+            Self::YuTurk { .. } => "yu-turk",
+        }
+    }
+
     /// The isovalue of the surface; `None` if the method itself defines the surface.
     #[must_use]
     pub fn iso(self) -> Option<f64> {

@@ -129,8 +129,8 @@ pub enum Error {
     },
     /// An attribute that the particles do not have.
     #[error(
-        "{}no attribute {name:?}{}; available: {}",
-        file(path.as_deref()), because(left_out.as_deref()), listed(known)
+        "{}no attribute {name:?}; {}",
+        file(path.as_deref()), available(left_out.as_deref(), known)
     )]
     NoAttribute {
         /// The file, if the particles come from one.
@@ -209,8 +209,13 @@ fn listed(names: &[String]) -> String {
     if names.is_empty() { "none".into() } else { names.join(", ") }
 }
 
-fn because(left_out: Option<&str>) -> String {
-    left_out.map_or_else(String::new, |part| format!(" (left out: {part})"))
+/// The available attributes, after the part of the file that was left out.
+fn available(left_out: Option<&str>, known: &[String]) -> String {
+    let known = listed(known);
+    match left_out {
+        Some(part) => format!("it was left out: {part}; available attributes: {known}"),
+        None => format!("available: {known}"),
+    }
 }
 
 /// The kind of an error, which says what has to change.

@@ -80,8 +80,8 @@ pub struct Domain {
 pub enum DomainError {
     /// The corners are not in order, or not numbers.
     #[error(
-        "the domain's second corner must have larger coordinates than its first along each axis \
-         with two walls, and all coordinates must be numbers"
+        "all coordinates of the domain must be numbers, and along each axis with two walls, the \
+         second corner must have the larger coordinate"
     )]
     Corners,
     /// Less than one layer of cells between the walls.

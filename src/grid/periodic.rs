@@ -56,8 +56,8 @@ impl PeriodicMesh {
 pub enum PeriodicError {
     /// The corners are not in order, or not finite.
     #[error(
-        "the corners of the periodic box must be finite, and the second must be larger than the first \
-         along each periodic axis"
+        "the corners of the periodic box must be finite, and along each periodic axis, the second \
+         corner must have the larger coordinate"
     )]
     Corners,
     /// No axis is periodic.
@@ -68,7 +68,8 @@ pub enum PeriodicError {
     NoBox,
     /// Walls along a periodic axis.
     #[error(
-        "the domain has a wall at an end of {axis}, which is periodic: leave both ends of {axis} open"
+        "the domain has a wall at an end of {axis}, but {axis} is periodic; leave both ends of \
+         {axis} open in the domain"
     )]
     Walled {
         /// x, y or z.

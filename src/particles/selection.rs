@@ -28,10 +28,7 @@ pub enum SelectionFault {
         known: Vec<String>,
     },
     /// A vector where a number is needed, or a component that the vector does not have.
-    #[error(
-        "cannot select particles by {name:?}: the attribute has {components} components, {}",
-        example(attribute, *components)
-    )]
+    #[error("cannot select particles by {name:?}: {}", with_components(attribute, *components))]
     Component {
         /// The name in the condition.
         name: String,
@@ -92,19 +89,25 @@ fn listed(names: &[String]) -> String {
 
 fn occur(values: &[ValueCounts]) -> String {
     let one = |of: &ValueCounts| {
-        let listed = of.values.iter().map(|(value, count)| format!("{value} ({count})"));
+        let listed = of.values.iter().map(|(value, count)| {
+            let particles = if *count == 1 { "particle" } else { "particles" };
+            format!("{value} ({count} {particles})")
+        });
         format!("; values of {}: {}", of.name, listed.collect::<Vec<_>>().join(", "))
     };
     values.iter().map(one).collect()
 }
 
-/// An example of the name of a component, for a message.
-fn example(attribute: &str, components: usize) -> String {
-    match components {
-        1 => format!("which is {attribute}"),
-        2 | 3 => format!("such as {attribute}.y"),
-        _ => format!("such as {attribute}[0]"),
-    }
+/// The number of components of an attribute, and how to name one, for a message.
+fn with_components(attribute: &str, components: usize) -> String {
+    let example = match components {
+        1 => return format!("the attribute is a single number; use {attribute}"),
+        2 | 3 => ".y",
+        _ => "[0]",
+    };
+    format!(
+        "the attribute has {components} components; name one of them, such as {attribute}{example}"
+    )
 }
 
 /// A number of each particle that a condition tests.

@@ -176,8 +176,9 @@ fn frame_number(files: &[&FrameCandidate]) -> Result<FrameNumber, SimulationErro
             first.path.display()
         ),
         None => format!(
-            "more than one number varies in these file names, so the frame number is ambiguous: give one of the patterns {choices} as \
-             the input, or rename the files so that only the frame number varies"
+            "more than one number varies in these file names, so the frame number is ambiguous; \
+             give one of the patterns {choices} as the input, or rename the files so that only the \
+             frame number varies"
         ),
     }))
 }
