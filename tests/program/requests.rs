@@ -343,7 +343,7 @@ fn non_finite_and_extreme_option_values_are_refused_with_their_range() {
     refused(folder.path(), &with(&["--start", "5", "--end", "3"]), "--start 5 is after --end 3");
     let notes =
         run(folder.path(), &["reconstruct", "f_1.xyz", "-o", "tiny.ply", "--spacing", "1e-320"], 3);
-    assert!(notes.contains("cells of 4.99994e-321"), "{notes}");
+    assert!(notes.contains("cells of size 4.99994e-321"), "{notes}");
     let tiny: Vec<[f64; 3]> = ball(4.0).iter().map(|p| p.map(|x| x * 1e-8)).collect();
     fs::write(folder.path().join("tiny.xyz"), raw(&tiny)).unwrap();
     let notes =

@@ -302,7 +302,11 @@ fn invalid_periodic_boxes_are_refused_with_the_reason() {
         ),
         (&["--periodic-mesh", "overlap"], 2, "with a periodic box"),
         (&["--periodic", "0,-,0,23,-,24"], 3, "is outside the periodic box along x"),
-        (&["--periodic", BOX, "--domain", "-,0,-,-,nan,-"], 2, "coordinates must be numbers"),
+        (
+            &["--periodic", BOX, "--domain", "-,0,-,-,nan,-"],
+            2,
+            "coordinates of the domain must be numbers",
+        ),
     ] {
         let options = with(&with(&POOL, &["-o", "mesh.ply"]), options);
         let errors = run(folder.path(), &options, code);
