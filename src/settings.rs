@@ -51,13 +51,13 @@ impl Setting {
         Settings::ALL.iter().copied().find(|setting| setting.key() == key)
     }
 
-    /// The name in snake case, as a field has it.
+    /// The name in snake case, as in the fields of [`Settings`].
     #[must_use]
     pub fn name(self) -> &'static str {
         self.0
     }
 
-    /// The name in kebab case, as options and files have it.
+    /// The name in kebab case, as in options and files.
     #[must_use]
     pub fn key(self) -> String {
         self.0.replace('_', "-")
@@ -124,8 +124,8 @@ macro_rules! settings {
                 false
             }
 
-            /// The first setting that is given, differs from that of `other`, and satisfies
-            /// `meant`.
+            /// The first setting that has a value, differs from the same setting of `other`, and
+            /// satisfies `meant`.
             pub(crate) fn given_otherwise(
                 &self,
                 other: &Self,
@@ -161,7 +161,7 @@ settings! {
     )]
     radius: Option<f64>,
 
-    /// Attribute that holds the particles' sizes, if they differ [default: pscale or radius].
+    /// Attribute with the particles' sizes, if the sizes differ [default: pscale or radius].
     ///
     /// Each region of the fluid is meshed at its own particle spacing. The name of the attribute
     /// says what its values are: radii (half of a particle's spacing), diameters, volumes, or
@@ -173,20 +173,20 @@ settings! {
     )]
     size: Option<String>,
 
-    /// Edge of a cell.
+    /// Edge length of a cell.
     #[arg(
         value_name = "LENGTH", conflicts_with = "cell", allow_negative_numbers = true,
         help_heading = "Surface", hide_short_help = true
     )]
     cell_size: Option<f64>,
 
-    /// Edge of a cell in spacings; smaller is finer [default: 0.5].
+    /// Edge length of a cell in spacings; smaller cells give a finer mesh [default: 0.5].
     ///
     /// For the indicators counting and symmetry, the default is 0.6667.
     #[arg(value_name = "RATIO", allow_negative_numbers = true, help_heading = "Surface")]
     cell: Option<f64>,
 
-    /// A corner of the grid's cells [default: 0,0,0].
+    /// Position of a corner of a grid cell [default: 0,0,0].
     #[arg(
         value_name = "X,Y,Z", value_parser = faces::point, allow_hyphen_values = true,
         help_heading = "Surface", hide_short_help = true
@@ -212,7 +212,7 @@ settings! {
     ///
     /// The surface ends exactly on the walls. Particles outside are left out. `-` leaves a side
     /// open. auto takes the walls from the simulator's scene file, or looks for planes at which the
-    /// particles end; it leaves out no particles.
+    /// particles end. With auto, no particles are left out.
     #[arg(
         value_name = "X0,Y0,Z0,X1,Y1,Z1|auto", allow_hyphen_values = true, help_heading = "Input"
     )]
@@ -228,9 +228,9 @@ settings! {
 
     /// Closed mesh of a solid object where the fluid ends, such as an obstacle.
     ///
-    /// The mesh has the units and axes of the particles, in any mesh format that meniscus reads.
-    /// Repeat the option for several solids. {} in the name stands for the frame number:
-    /// solid.{}.obj gives each frame its own mesh. Only for the indicator cloud.
+    /// The mesh must have the units and axes of the particles. Any mesh format that meniscus reads
+    /// is possible. Repeat the option for several solids. {} in the name stands for the frame
+    /// number: solid.{}.obj gives each frame its own mesh. Only for the indicator cloud.
     #[arg(value_name = "MESH", help_heading = "Input")]
     solid: Option<Vec<String>>,
 
@@ -256,8 +256,8 @@ settings! {
     )]
     mu0: Option<f64>,
 
-    /// Skip and count particles with non-finite positions or positions outside the grid, which are
-    /// otherwise an error.
+    /// Skip particles whose position is not finite or is outside the grid, and report their number;
+    /// without this, such particles are an error.
     #[arg(help_heading = "Input", hide_short_help = true)]
     skip_invalid: bool,
 
@@ -270,8 +270,8 @@ settings! {
 
     /// Join particles of thin sheets and filaments up to this many spacings apart [default: 2.15].
     ///
-    /// From 1 to 3; 0 turns this off. With the default, a sheet stays whole if it is stretched to
-    /// twice the spacing. Only for the indicator cloud.
+    /// The value is from 1 to 3; 0 turns this off. With the default, a sheet stays whole until its
+    /// particles are twice the spacing apart. Only for the indicator cloud.
     #[arg(value_name = "SPACINGS", allow_negative_numbers = true, help_heading = "Surface")]
     sheets: Option<f64>,
 
@@ -299,8 +299,8 @@ settings! {
     )]
     iso: Option<Iso>,
 
-    /// Recover details that smoothing removes, such as drops, for the indicators counting and
-    /// symmetry.
+    /// Recover details, such as drops, that smoothing with the indicators counting and symmetry
+    /// removes.
     #[arg(help_heading = "Surface", hide_short_help = true)]
     detail: bool,
 
@@ -319,7 +319,7 @@ settings! {
     #[arg(value_name = "NAME,...", value_delimiter = ',', help_heading = "Output")]
     attributes: Option<Vec<String>>,
 
-    /// Reduce triangles; the surface moves by at most this many cells.
+    /// Reduce the number of triangles; the surface moves by at most this many cells.
     #[arg(value_name = "CELLS", allow_negative_numbers = true, help_heading = "Output")]
     simplify: Option<f64>,
 
@@ -330,15 +330,15 @@ settings! {
     )]
     smallest_component: Option<f64>,
 
-    /// Remove drops that have fewer particles, estimated from their volume [default: 1, keeps all].
+    /// Remove drops with fewer than this many particles, estimated from the drop's volume
+    /// [default: 1, which keeps all drops].
     #[arg(
         value_name = "PARTICLES", value_parser = clap::value_parser!(u32).range(1..),
         help_heading = "Output", hide_short_help = true
     )]
     smallest_drop: Option<u32>,
 
-    /// Write a .glb file quantized and compressed (EXT_meshopt_compression), or a .vdb file
-    /// compressed by zlib.
+    /// Compress the output: a .glb with quantization and EXT_meshopt_compression, a .vdb with zlib.
     #[arg(help_heading = "Output", hide_short_help = true)]
     compress: bool,
 
@@ -356,8 +356,9 @@ settings! {
 /// Settings by their keys, as state files and plans store them.
 pub type StoredSettings = Map<String, Value>;
 
-/// Names of the settings that differ from those stored by a run of `version`, or "version" if that
-/// differs, because another version may give a different mesh. Empty if nothing differs.
+/// Names of the settings that differ from the settings of an earlier run, joined by commas; empty
+/// if none differs. If the earlier run had another `version`, the result is "version", because
+/// another version may give a different mesh.
 pub(crate) fn differing(version: &str, kept: &StoredSettings, wanted: &StoredSettings) -> String {
     if version != env!("CARGO_PKG_VERSION") {
         return "version".into();
@@ -369,7 +370,7 @@ pub(crate) fn differing(version: &str, kept: &StoredSettings, wanted: &StoredSet
         .join(", ")
 }
 
-/// Settings that need the particles: a sampled frame cannot change them.
+/// Settings that need the particles. They cannot be changed for a frame that is already sampled.
 const OF_PARTICLES: [&str; 14] = [
     "format",
     "spacing",
@@ -394,8 +395,8 @@ impl Setting {
         OF_PARTICLES.contains(&self.0)
     }
 
-    /// Whether the setting affects packed frames. They store samples of particles of one size, and
-    /// no kernel method.
+    /// Whether the setting affects packed frames. Packed frames store samples of particles of one
+    /// size, without kernels.
     #[must_use]
     pub fn is_of_samples(self) -> bool {
         self.needs_particles() && !["method", "size"].contains(&self.0)
@@ -425,8 +426,8 @@ impl Settings {
         matches!(self.size_choice(), SizeChoice::Named(_))
     }
 
-    /// The normal form of settings that make the same mesh: a spacing instead of a radius, and no
-    /// value that equals the default.
+    /// The settings in a form that is the same for all settings that make the same mesh: with a
+    /// spacing instead of a radius, and without values that equal the default.
     pub(crate) fn plain(&self) -> Self {
         let iso = self.isovalue().map(Iso::Value);
         let none = || vec!["none".to_owned()];
@@ -478,8 +479,8 @@ impl Settings {
         Some(if names == ["none"] { &[] } else { names })
     }
 
-    /// The settings as state files and plans store them: equal for settings that make the same
-    /// mesh.
+    /// The settings as state files and plans store them. Settings that make the same mesh are
+    /// stored alike.
     #[must_use]
     pub fn kept(&self) -> StoredSettings {
         // Rounded to the nearest step of the field.

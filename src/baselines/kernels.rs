@@ -1,4 +1,4 @@
-//! The kernels of all particles of a frame, and the field that they sum up to.
+//! The kernels of all particles of a frame, and the field that is their sum.
 
 use std::fmt::Debug;
 use std::io;
@@ -28,8 +28,8 @@ pub trait KernelField: Debug + Send + Sync {
     /// The parts of blocks that the surface can pass through, in Morton order.
     fn regions(&self, walls: Option<CellBox>) -> Vec<CellBox>;
 
-    /// The surface through a region, `None` where there is none. Cells outside of `walls` are ghost
-    /// points.
+    /// The surface through a region; `None` if no surface passes through it. Cells outside of
+    /// `walls` are ghost points.
     ///
     /// # Errors
     /// If kernels are in a scratch file that cannot be read.
@@ -115,7 +115,7 @@ impl<S: Scheme> Kernels<S> {
     fn splat(&self, kernel: &S::Kernel, corner: IVec3, sums: &mut Block<S::Sum>) {
         let [place, reach] = self.scheme.extent(kernel);
         let CellBox { lo, hi } = centres(place, reach, corner).intersection(&sums.cells());
-        // Centres as seen from the kernel's place.
+        // The centre of a cell, relative to the kernel's position.
         let seen = |cell: IVec3| (cell - corner).as_dvec3() + 0.5 - place;
         for z in lo.z..hi.z {
             for y in lo.y..hi.y {
@@ -155,7 +155,8 @@ fn bin_kernels<S: Scheme>(
     Ok((kernels, ReachedCells { corner, cells: reached }))
 }
 
-/// The cells whose centres are no farther along any axis.
+/// The cells whose centres are at most `reach` away from `place` along each axis. `place` is
+/// relative to the lowest corner of cell `corner`.
 fn centres(place: DVec3, reach: DVec3, corner: IVec3) -> CellBox {
     let lo = (place - reach - 0.5).ceil().as_ivec3();
     let hi = (place + reach - 0.5).floor().as_ivec3() + 1;

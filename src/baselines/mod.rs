@@ -1,14 +1,14 @@
-//! The kernel methods that the paper compares against (section 3), on the same bins, dual grid and
-//! stitching.
+//! The kernel methods that the paper compares against (section 3). They use the same bins, dual
+//! grid and stitching as discrete indicator functions.
 //!
 //! Each method sums contributions of the particles around the centre of a cell. The kernel of a
 //! particle, which is its contribution, is computed once from the particles around it. The field of
 //! a block is then the sum of the kernels that reach it. Here a field is real, and positive inside
 //! the fluid. Lengths are in cells.
 //!
-//! Sums run over the bins along the Morton curve, and in each over the particles by cell and place,
-//! so that they are the same on any number of threads. Particles are placed to 1 / 8192 of a cell,
-//! as for the DIF.
+//! Sums run over the bins along the Morton curve, and within a bin over the particles by cell and
+//! position. The sums are therefore the same on any number of threads. Positions are rounded to 1 /
+//! 8192 of a cell, as for the DIF.
 
 mod kernels;
 mod mueller;
@@ -51,7 +51,17 @@ impl KernelMethod {
     /// The isovalue half-way between inside and outside.
     pub const HALF: f64 = 0.5;
 
-    /// The isovalue of the surface, unless the method defines it.
+    /// The name of the method.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Mueller { .. } => "mueller",
+            Self::ZhuBridson => "zhu-bridson",
+            Self::YuTurk { .. } => "yu-turk",
+        }
+    }
+
+    /// The isovalue of the surface; `None` if the method itself defines the surface.
     #[must_use]
     pub fn iso(self) -> Option<f64> {
         match self {
@@ -89,8 +99,8 @@ impl KernelMethod {
         (size_of::<<ZhuBridson as Scheme>::Sum>() + size_of::<f64>()) as u64;
 }
 
-/// Computes the kernels of all particles of `bins`, which must be [sorted](Bins::sorted). Kernels
-/// beyond `bytes` go to a scratch file in `folder`.
+/// Computes the kernels of all particles of `bins`, which must be [sorted](Bins::sorted). If the
+/// kernels need more than `bytes` bytes, they go to a scratch file in `folder`.
 ///
 /// # Errors
 /// If scratch files fail.

@@ -33,7 +33,7 @@ pub fn density(place: DVec3, support: f64, neighbours: &NeighbourGrid) -> f64 {
 }
 
 impl Scheme for Mueller {
-    /// Place, and share.
+    /// The particle's position, and its share.
     type Kernel = [f64; 4];
     type Sum = f64;
 

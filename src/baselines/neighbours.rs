@@ -1,4 +1,4 @@
-//! The particles of a box of cells, to be searched for those within a distance.
+//! The particles in a box of cells, for searches of the particles within a distance.
 
 use std::io;
 
@@ -10,15 +10,16 @@ use crate::grid::{BIN, CellBox, FRACTIONS, MortonKey};
 /// Particles by cell.
 #[derive(Debug)]
 pub struct NeighbourGrid {
-    /// Relative to an origin, as are the places.
+    /// The cells. They and the places are relative to the same origin.
     cells: CellBox,
-    /// Where each cell's particles begin, and where the last one's end.
+    /// The index in `places` at which each cell's particles begin, and the end of the last cell's
+    /// particles.
     starts: Vec<u32>,
     places: Vec<DVec3>,
 }
 
-/// The cells of a bin's particles, and their places; both relative to what the bin's `corner` is
-/// relative to.
+/// The cells of a bin's particles, and the positions of the particles. Both have the same origin as
+/// `corner`, the lowest cell of the bin.
 pub fn places(contents: &BinContents<'_>, corner: IVec3) -> impl Iterator<Item = (IVec3, DVec3)> {
     contents.particles().map(move |(local, offset)| {
         let local = local as i32;
@@ -79,7 +80,7 @@ impl NeighbourGrid {
             hi: (place + radius).floor().as_ivec3() + 1,
         }
         .intersection(&self.cells);
-        // How far a place is from a layer of cells.
+        // The distance of a place from a layer of cells, along one axis.
         let apart = |place: f64, cell: i32| {
             (f64::from(cell) - place).max(place - f64::from(cell + 1)).max(0.0)
         };

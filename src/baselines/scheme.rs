@@ -18,7 +18,7 @@ pub struct Spacing(f64);
 pub struct TooManyCells(pub f64);
 
 impl Spacing {
-    /// Kernels of more cells would take more memory than a thread has.
+    /// Kernels that reach more cells would take more memory than a thread has.
     pub const MAX: f64 = 16.0;
 
     /// The reach of an isotropic kernel, in spacings: four times the particles' radius.
@@ -37,7 +37,7 @@ impl Spacing {
         self.0
     }
 
-    /// How far an isotropic kernel reaches.
+    /// The reach of an isotropic kernel, in cells.
     pub(super) fn support(self) -> f64 {
         Self::SUPPORT * self.0
     }
@@ -47,14 +47,14 @@ impl Spacing {
     }
 }
 
-/// w of eq. 3, from the square of its argument.
+/// The weight w of eq. 3. Takes the square of the argument of w.
 #[inline]
 pub(super) fn weight(squared: f64) -> f64 {
     let left = (1.0 - squared).max(0.0);
     left * left * left
 }
 
-/// How a method makes a field of particles.
+/// A kernel method: how it makes a field from particles.
 pub(super) trait Scheme: Debug + Send + Sync {
     /// The kernel of a particle, which is its contribution to sums; positions are relative to its
     /// bin's corner.
@@ -62,7 +62,7 @@ pub(super) trait Scheme: Debug + Send + Sync {
     /// The sum of the kernels at a point, from which the field is computed.
     type Sum: Copy + Default;
 
-    /// The distance from a particle within which others affect its kernel.
+    /// The distance from a particle within which other particles affect its kernel.
     fn neighbourhood(&self) -> f64;
 
     /// The kernel of a particle.

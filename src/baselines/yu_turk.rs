@@ -1,23 +1,23 @@
 //! Yu and Turk 2013, "Reconstructing surfaces of particle-based fluids using anisotropic kernels".
 //!
 //! phi(x) = sum_i W(x - xbar_i, G_i) m_i / rho_i with W(r, G) = s det(G) w(|G r|), and m_i / rho_i
-//! as Mueller's.
+//! as in Mueller's method.
 //!
-//! Over the particles j nearer than R = 2 h, weighted by w_ij = 1 - (|x_i - x_j| / R)^3, with their
-//! mean x_i^w:
+//! Sums run over the particles j nearer than R = 2 h. Their weights are w_ij = 1 - (|x_i - x_j| /
+//! R)^3, and their weighted mean is x_i^w:
 //!
 //! - xbar_i = (1 - lambda) x_i + lambda x_i^w (their eq. 6), lambda = 1/2;
 //! - C_i = sum_j w_ij (x_j - x_i^w)(x_j - x_i^w)^T / sum_j w_ij (their eq. 9), decomposed as A
 //!   diag(s_1, s_2, s_3) A^T, s_1 the greatest;
-//! - s'_k = k_s max(s_k, s_1 / k_r) where there are more than N_e other particles, else s'_k = k_n
-//!   (their eq. 15);
+//! - s'_k = k_s max(s_k, s_1 / k_r) if there are more than N_e other particles, and otherwise s'_k
+//!   = k_n (their eq. 15);
 //! - G_i = A diag(1 / s'_k) A^T / h (their eq. 16).
 //!
 //! k_r = 4, k_n = 0.5 and N_e = 25 are from their paper. Their lambda is 0.9, but if h is two
 //! spacings, this moves the particles of a flat surface inwards by more than a spacing. Therefore
 //! lambda is 1/2, as in the implementation to which the DIF paper compares (Kim, Fluid Engine
 //! Development, 2016). Their k_s makes k_s C about the identity deep in the fluid, and depends on
-//! the unit of length. Here it follows from a uniform density, for which C is 0.15 R^2 times the
+//! the unit of length. Here, k_s follows from a uniform density, for which C is 0.15 R^2 times the
 //! identity.
 
 use glam::{DMat3, DVec3};
@@ -29,19 +29,19 @@ use super::scheme::{Scheme, Spacing, weight};
 
 /// The fraction of the way by which a centre moves towards the mean of its neighbours.
 const LAMBDA: f64 = 0.5;
-/// The most that a kernel may be longer than it is wide.
+/// Maximum ratio of a kernel's length to its width.
 const K_R: f64 = 4.0;
-/// The width of a kernel of few neighbours, over h.
+/// The width of a kernel with few neighbours, divided by h.
 const K_N: f64 = 0.5;
-/// The most other particles around one that count as few neighbours.
+/// Maximum number of neighbours of a particle that count as few.
 const N_EPSILON: usize = 25;
-/// The neighbourhood's radius, over h.
+/// The neighbourhood's radius, divided by h.
 const NEIGHBOURHOOD: f64 = 2.0;
-/// The distance within which particles affect the field, divided by h: that of the neighbours of a
-/// particle, plus its kernel. In a fluid, a kernel hardly ever exceeds twice its reach in uniform
-/// density.
+/// The distance within which particles affect the field, divided by h: the distance to the
+/// neighbours of a particle, plus the reach of its kernel. In a fluid, a kernel hardly ever reaches
+/// more than twice as far as in uniform density.
 pub const REACH: f64 = NEIGHBOURHOOD + 2.0;
-/// The eigenvalues of C, over R^2, where the density is uniform.
+/// The eigenvalues of C, divided by R^2, if the density is uniform.
 const UNIFORM: f64 = 0.15;
 
 /// The field is phi - iso.
@@ -76,7 +76,7 @@ impl YuTurk {
         let covariance = second * weights.recip() - outer;
         let DSymmetricEigen3 { eigenvalues, eigenvectors } = DSymmetricEigen3::new(covariance);
         let greatest = eigenvalues.max_element() / (UNIFORM * radius * radius);
-        // Particles all in one place have no shape either.
+        // If all particles are in one place, the covariance has no shape either.
         let widths = if found > N_EPSILON + 1 && greatest > f64::EPSILON {
             let scaled = eigenvalues / (UNIFORM * radius * radius);
             scaled.max(DVec3::splat(greatest / K_R))
@@ -114,7 +114,7 @@ impl Scheme for YuTurk {
             centre: place.lerp(mean, LAMBDA),
             shape: axes.inverse(),
             share: 1.0 / (widths.determinant() * density(place, self.support, neighbours)),
-            // The extent of the unit ball under a linear map: the lengths of its rows.
+            // The extent of the unit ball under a linear map is the lengths of the map's rows.
             reach: DVec3::new(axes.row(0).length(), axes.row(1).length(), axes.row(2).length()),
         }
     }

@@ -1,8 +1,8 @@
 //! Zhu and Bridson 2005, "Animating sand as a fluid".
 //!
 //! phi(x) = |x - xbar| - r with xbar = sum_j x_j w(x - x_j) / sum_j w(x - x_j), where w reaches 4 r
-//! and r is half of the spacing. Where no particle is that near, phi has its maximum elsewhere: 3
-//! r.
+//! and r is half of the spacing. Where no particle is within 4 r, phi is 3 r, the maximum that it
+//! can have elsewhere.
 
 use glam::DVec3;
 
@@ -23,7 +23,7 @@ impl ZhuBridson {
 }
 
 impl Scheme for ZhuBridson {
-    /// Place.
+    /// The particle's position.
     type Kernel = [f64; 3];
     /// The sum of the weighted positions relative to the point, and the sum of the weights.
     type Sum = [f64; 4];

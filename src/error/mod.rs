@@ -49,7 +49,7 @@ pub enum Error {
     /// A setting that does not apply to the request.
     #[error(transparent)]
     SettingConflict(#[from] SettingConflict),
-    /// A file that is both an input and an output, or two outputs.
+    /// A file that would be both an input and an output, or two different outputs.
     #[error("{}", same_file(path, other))]
     SameFile {
         /// The file.
@@ -129,8 +129,8 @@ pub enum Error {
     },
     /// An attribute that the particles do not have.
     #[error(
-        "{}no attribute {name:?}{}; available: {}",
-        file(path.as_deref()), because(left_out.as_deref()), listed(known)
+        "{}no attribute {name:?}; {}",
+        file(path.as_deref()), available(left_out.as_deref(), known)
     )]
     NoAttribute {
         /// The file, if the particles come from one.
@@ -209,8 +209,13 @@ fn listed(names: &[String]) -> String {
     if names.is_empty() { "none".into() } else { names.join(", ") }
 }
 
-fn because(left_out: Option<&str>) -> String {
-    left_out.map_or_else(String::new, |part| format!(" (left out: {part})"))
+/// The available attributes, after the part of the file that was left out.
+fn available(left_out: Option<&str>, known: &[String]) -> String {
+    let known = listed(known);
+    match left_out {
+        Some(part) => format!("it was left out: {part}; available attributes: {known}"),
+        None => format!("available: {known}"),
+    }
 }
 
 /// The kind of an error, which says what has to change.
@@ -251,12 +256,13 @@ impl From<SizeFault> for Error {
 }
 
 impl Error {
-    /// The message, with settings named by `name`: options for a program, keywords for a binding.
+    /// The message, with settings named by `name`. A program names its options, and a binding names
+    /// its keywords.
     #[must_use]
     pub fn message_with(&self, name: &dyn Fn(Setting) -> String) -> String {
         match self {
             Self::SettingConflict(conflict) => conflict.message_with(name),
-            // The message begins with the key.
+            // The message begins with the setting's key, which the name replaces.
             Self::Unit(unit) => match Setting::by_key(unit.name()) {
                 Some(setting) => unit.to_string().replacen(unit.name(), &name(setting), 1),
                 None => unit.to_string(),
@@ -278,7 +284,8 @@ impl Error {
         self
     }
 
-    /// Adds that the missing attribute was left out, if it is among these parts of its file.
+    /// Adds to the error that the missing attribute was left out when the file was read, if it is
+    /// among these parts of the file.
     #[must_use]
     pub(crate) fn of_left_out(mut self, parts: &[UnreadPart]) -> Self {
         if let Self::NoAttribute { name, left_out, .. } = &mut self {

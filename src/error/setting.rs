@@ -63,7 +63,9 @@ impl SettingConflict {
             (Conflict::Setting(other), _) => {
                 format!("{setting} cannot be used with {}", name(*other))
             }
-            (Conflict::Needs(other), _) => format!("{setting} needs {}", name(*other)),
+            (Conflict::Needs(other), _) => {
+                format!("{setting} has no effect without {}", name(*other))
+            }
             (Conflict::Packed(path), "format") => {
                 format!(
                     "{}: {setting} applies to particle files, but this is a packed frame",
@@ -74,30 +76,30 @@ impl SettingConflict {
                 format!("{setting} does not apply to {} {}", named("indicator"), kind.name())
             }
             (Conflict::Indicator(IndicatorKind::Cloud), which) => format!(
-                "{setting} applies only to {} counting and symmetry{}; for cloud, use {}",
-                named("indicator"),
+                "{setting} applies only to {indicator} counting or symmetry{}; for {indicator} \
+                 cloud, use {}",
                 if which == "iso" {
-                    format!(" and to {} mueller and yu-turk", named("method"))
+                    format!(", and to {} mueller or yu-turk", named("method"))
                 } else {
                     String::new()
                 },
                 named("smooth"),
+                indicator = named("indicator"),
             ),
-            (Conflict::Indicator(_), "solid" | "solid_offset") => {
-                format!("{setting} applies only to {} cloud", named("indicator"))
-            }
-            (Conflict::Indicator(_), _) => format!(
-                "{setting} applies only to {} cloud; for others, use {}",
+            (Conflict::Indicator(_), "smooth") => format!(
+                "{setting} applies only to {} cloud; for the other indicators, use {}",
                 named("indicator"),
                 named("sigma")
             ),
-            (Conflict::Method(_), _) => {
-                format!("{setting} does not apply to this {}", named("method"))
+            (Conflict::Indicator(_), _) => {
+                format!("{setting} applies only to {} cloud", named("indicator"))
+            }
+            (Conflict::Method(kernels), _) => {
+                format!("{setting} does not apply to {} {}", named("method"), kernels.name())
             }
             (Conflict::Packed(path), _) => {
                 format!(
-                    "{}: {setting} needs the particles, but a packed frame does not \
-                         contain them",
+                    "{}: {setting} needs the particles, which a packed frame does not contain",
                     path.display()
                 )
             }
@@ -108,12 +110,12 @@ impl SettingConflict {
                 )
             }
             (Conflict::PackedSizes, _) => format!(
-                "a packed frame cannot hold particles of different sizes; use {setting} none to treat \
-                 all as one size, or reconstruct the particles without packing"
+                "a packed frame cannot hold particles of different sizes; set {setting} to none to \
+                 treat all particles as one size, or reconstruct the particles without packing"
             ),
             (Conflict::SeveralSizes { attribute }, _) => format!(
                 "{setting} needs particles of one size, but the attribute {attribute:?} gives them \
-                 different sizes; use {} none to ignore the attribute",
+                 different sizes; set {} to none to ignore the attribute",
                 named("size")
             ),
             (Conflict::Sampled, _) => {
@@ -129,8 +131,8 @@ impl SettingConflict {
                 format!("{}: {setting} applies only to .glb and .vdb", path.display())
             }
             (Conflict::Format { format, .. }, "up") => format!(
-                "{setting} z is not possible: in {format}, y always points up; use {} z if z points \
-                 up in the particles",
+                "{setting} z is not possible, because y always points up in {format}; if z points \
+                 up in the particles, use {} z",
                 named("particles_up")
             ),
             (Conflict::Format { path, format }, _) => {

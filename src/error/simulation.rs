@@ -6,7 +6,9 @@ use std::path::PathBuf;
 
 use thiserror::Error;
 
-/// Frame rates whose times programs can distinguish.
+use super::shown;
+
+/// Valid frame rates: programs can distinguish the times of neighbouring frames.
 pub const FPS: RangeInclusive<f64> = 1e-9..=1e9;
 
 /// A simulation that cannot be converted.
@@ -37,7 +39,10 @@ pub enum SimulationError {
     #[error("{0}: no frame matches the selection")]
     NoFrameSelected(String),
     /// An invalid frame rate.
-    #[error("fps must be from {} to {} frames per second, got {rate:?}", range.start(), range.end())]
+    #[error(
+        "fps must be from {:e} to {:e} frames per second, got {}",
+        range.start(), range.end(), shown(*rate)
+    )]
     Rate {
         /// The requested rate.
         rate: f64,
@@ -45,7 +50,7 @@ pub enum SimulationError {
         range: RangeInclusive<f64>,
     },
     /// An invalid timeout.
-    #[error("watch must be a number of seconds of at least 0, got {0}")]
+    #[error("watch must be at least 0 seconds, got {0}")]
     Timeout(f64),
     /// Steps inside one file, which cannot be watched.
     #[error("{0}: cannot watch steps inside one file")]
@@ -54,7 +59,7 @@ pub enum SimulationError {
     /// complete.
     #[error(
         "{0}: cannot watch frames that are split into several files, because no file shows when a \
-         frame is complete; convert them after the simulation"
+         frame is complete; convert the frames when the simulation has ended"
     )]
     Joined(String),
     /// A first frame after the last.
@@ -91,7 +96,7 @@ pub enum SimulationError {
         fault: std::io::Error,
     },
     /// A damaged state file, or one of another version.
-    #[error("{}: cannot be used: {what}", path.display())]
+    #[error("{}: this state file cannot be used: {what}", path.display())]
     State {
         /// The file.
         path: PathBuf,
@@ -117,9 +122,9 @@ pub enum SimulationError {
 pub enum WhyOne {
     /// The request is for one simulation.
     Request,
-    /// The output is a pattern, which has the same names for each of them.
+    /// The output is a pattern, which would give the meshes of all simulations the same names.
     Pattern,
-    /// In one folder, their meshes would have the same names.
+    /// In one folder, the meshes of the simulations would have the same names.
     Names,
 }
 
@@ -128,7 +133,9 @@ impl fmt::Display for WhyOne {
         f.write_str(match self {
             Self::Request => "",
             Self::Pattern => ", or write the meshes into a folder",
-            Self::Names => ", because in one folder their meshes would have the same names",
+            Self::Names => {
+                ": in one folder, meshes of different simulations would have the same names"
+            }
         })
     }
 }

@@ -14,7 +14,7 @@ pub struct CoincidentParticles {
     pub particles: u64,
     /// The maximum number of particles in one position.
     pub most: u64,
-    /// The position with that number.
+    /// The position with the most particles.
     pub at: [f64; 3],
     /// Whether no other particle is near that position.
     pub alone: bool,
@@ -51,8 +51,8 @@ impl CoincidentCounts {
         found
     }
 
-    /// Adds the counts of another bin; of positions with the same number of particles the first is
-    /// kept.
+    /// Adds the counts of another bin. If two positions have the same number of particles, the
+    /// first one is kept.
     pub fn add(&mut self, other: &Self) {
         let rank = |of: &Self| {
             (of.most, std::cmp::Reverse(of.bin.to_array()), std::cmp::Reverse(of.record))
@@ -64,7 +64,7 @@ impl CoincidentCounts {
         self.particles = particles;
     }
 
-    /// The report, if there are coincident particles; `bins` lists the number of particles in each
+    /// A report, if there are coincident particles. `bins` lists the number of particles in each
     /// bin.
     #[must_use]
     pub fn report(
@@ -86,10 +86,10 @@ impl CoincidentCounts {
     }
 }
 
-/// A few of the records, including all that occur more than once.
+/// A few of the records, including all records that occur more than once.
 fn suspects(records: &[u64]) -> Vec<u64> {
     let mut seen = [[0_u64; 1 << (BITS - 6)]; 2];
-    // The golden ratio spreads differences in any bit.
+    // A product with the golden ratio spreads a difference in any bit to the high bits.
     let bit = |record: u64| {
         let number = record.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> (64 - BITS);
         ((number >> 6) as usize, 1 << (number & 63))

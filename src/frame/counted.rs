@@ -1,5 +1,5 @@
-//! Counted particles: the stage at which a frame's memory is estimated, and refused if it is too
-//! much.
+//! Counted particles. At this stage, the memory of a frame is estimated, and a frame that needs too
+//! much is rejected.
 
 use glam::IVec3;
 
@@ -34,7 +34,8 @@ impl<'a, P: Particles + ?Sized> CountedFrame<'a, P> {
         Self::planned(particles, sampling, None)
     }
 
-    /// Takes a plan of all particles that was made earlier by the same sampling.
+    /// Counts the particles, or takes a plan of all particles that was made earlier by the same
+    /// sampling.
     fn planned(
         particles: &'a P,
         sampling: &'a Sampling,
@@ -78,7 +79,7 @@ impl<'a, P: Particles + ?Sized> CountedFrame<'a, P> {
         let particles = particles?;
         let room = CountingRoom::within(resources.budget.0);
         let plan = count(&particles, room);
-        // After a cancel the particles have no positions.
+        // After a cancel, all positions are NaN, so the plan is useless.
         resources.go_on()?;
         given.check()?;
         let plan = match plan {
@@ -114,8 +115,9 @@ impl<'a, P: Particles + ?Sized> CountedFrame<'a, P> {
         })
     }
 
-    /// Checks the surface request, then counts the particles for it, unless a `plan` of all
-    /// particles exists from a sampling that agrees in everything that a plan depends on.
+    /// Checks the surface request, then counts the particles for it. A `plan` of all particles
+    /// makes the count unnecessary, if it comes from a sampling with the same settings, as far as
+    /// they affect a plan.
     pub fn for_surface(
         particles: &'a P,
         sampling: &'a Sampling,
@@ -142,14 +144,14 @@ impl<'a, P: Particles + ?Sized> CountedFrame<'a, P> {
         let estimate = self.sampling.estimate(&self.particles, &self.surfacing, bins, self.stretch);
         let estimate = MemoryEstimate { places: self.plan.places_bytes(), ..estimate };
         match self.sampling.method {
-            // Clouds of sizes are made from the sorted particles, octave by octave, once for
-            // volumes and once for sizes.
+            // If particles have several sizes, clouds are made from the sorted particles, octave by
+            // octave: once for volumes and once for sizes.
             Method::Indicator { .. } if self.sampling.sizes.is_some() => {
                 MemoryEstimate { field: 2 * estimate.field, carried: true, ..estimate }
             }
             Method::Indicator { .. } => estimate,
-            // Kernels are kept until the surface is done, and so are the particles in the worst
-            // case. Images have kernels too.
+            // Kernels are kept until the surface is done. In the worst case, particles are kept
+            // too. Images have kernels too.
             Method::Kernels(kernels) => {
                 let bytes = self.plan.census().binned as u64 * kernels.kernel_bytes();
                 MemoryEstimate { particles: estimate.particles + bytes, carried: true, ..estimate }
@@ -175,7 +177,7 @@ impl Sampling {
         let coarsest = self.coarsest();
         let extraction = surfacing.extraction(*method, *spacing, coarsest, grid, components);
         let shape = method.indicator().map(|kind| kind.shape(*side));
-        // Meshed blocks also have surface from the bins next to them.
+        // Particles in the bins next to meshed blocks also make surface in these blocks.
         let near = |bin: IVec3| {
             let around = CellBox { lo: bin - 1, hi: bin + 2 };
             stretch == Stretch::ALL || around.cubes(1).any(|bin| stretch.holds_bin(bin))
@@ -187,8 +189,8 @@ impl Sampling {
         MemoryEstimate { sampling, ..estimate }.and_backend(resources.host_bytes())
     }
 
-    /// Bytes of a surface that may be in memory while parts are merged. Apart from the surface,
-    /// only lists of its blocks and of full bins are in memory then.
+    /// Bytes of a surface that may be in memory while parts are merged. During merging, only lists
+    /// of the surface's blocks and of full bins are in memory besides the surface.
     pub fn merging_share(
         &self,
         surfacing: &Surfacing,
@@ -206,7 +208,8 @@ impl Sampling {
 }
 
 /// Returns an error for attributes that exceed the budget even for a single block through which the
-/// surface passes as a plane: its values, and their copy on the way to a scratch file.
+/// surface passes as a plane. The values of a block are in memory twice: once as a copy on the way
+/// to a scratch file.
 fn check_attribute_memory(
     particles: &(impl Particles + ?Sized),
     sampling: &Sampling,
@@ -222,7 +225,7 @@ fn check_attribute_memory(
     Ok(())
 }
 
-/// The error for particles in more bins than fit.
+/// The error for particles in more bins than the budget allows.
 fn over_budget(
     particles: &(impl Particles + ?Sized),
     sampling: &Sampling,
@@ -235,7 +238,7 @@ fn over_budget(
     })
 }
 
-/// The smallest doubling of the cell size with which the tables of bins fit.
+/// The cell size, doubled until the tables of bins fit into the budget.
 fn fitting_cell_size(
     particles: &(impl Particles + ?Sized),
     sampling: &Sampling,
@@ -245,7 +248,7 @@ fn fitting_cell_size(
     loop {
         cell *= 2.0;
         let Ok(grid) = Grid::new(sampling.grid.origin(), cell) else { return cell };
-        // Without walls there can only be more bins.
+        // Counts without walls, because walls can only make the number of bins smaller.
         if BinPlan::count(particles, &grid, None, InvalidParticles::Skip, room).is_ok() {
             return cell;
         }

@@ -63,13 +63,14 @@ pub enum FrameError {
     OtherIndicator,
     /// The images were made for filters with a smaller reach.
     #[error(
-        "the frame holds copies of particles up to {there} cells beyond its periodic faces, but \
-         these settings need {needed}; sample the particles again with these settings"
+        "the frame was sampled with copies of particles up to {there} cells beyond its periodic \
+         faces, but these settings need copies up to {needed} cells; sample the particles again \
+         with these settings"
     )]
     FewImages {
         /// The reach of the filters beyond a face, in cells.
         needed: i32,
-        /// The distance up to which images exist beyond it.
+        /// The distance beyond a face up to which images exist, in cells.
         there: i32,
     },
     /// Kernels need a spacing, which determines their width.
@@ -95,7 +96,8 @@ pub enum FrameError {
         /// Free disk space in bytes.
         free: u64,
     },
-    /// Attributes are so wide that a few blocks of the surface are larger than the budget.
+    /// Attributes have so many components that a few blocks of the surface are larger than the
+    /// budget.
     #[error(
         "the attributes have {components} numbers per particle and need at least {} of memory, \
          but the limit is {}",
@@ -110,7 +112,7 @@ pub enum FrameError {
         budget: u64,
     },
     /// Every component is smaller than the minimum size.
-    #[error("the surface is empty: all of its {} components are below {}", .0.total(), .0.limits())]
+    #[error("the surface is empty: {} below {}", all_components(.0), .0.limits())]
     NothingLeft(TooSmall),
     /// A mesh on a device has more vertices than 32 bits can number.
     #[error(
@@ -124,9 +126,9 @@ pub enum FrameError {
          can hold"
     )]
     NoSpace {
-        /// Three f32 each.
+        /// Number of vertices. Each has three f32.
         vertices: u32,
-        /// Three u32 each.
+        /// Number of triangles. Each has three u32.
         triangles: u32,
     },
     /// A device that holds the particles and the mesh failed, or has too little memory.
@@ -161,16 +163,28 @@ impl From<DeviceBinError> for FrameError {
 }
 
 fn explain(census: &Census) -> String {
-    match *census {
-        Census { not_finite: 0, too_far: 0, outside: 0, .. } => {
-            "there are none in the input".into()
-        }
-        Census { not_finite, too_far, outside, .. } => {
-            format!(
-                "{not_finite} not finite, {too_far} beyond the grid, {outside} outside the \
-                 domain or the periodic box"
-            )
-        }
+    let &Census { not_finite, too_far, outside, .. } = census;
+    let are = |count| if count == 1 { "is" } else { "are" };
+    let have = if not_finite == 1 { "has a position that is" } else { "have positions that are" };
+    let counts = [
+        (not_finite, format!("{have} not finite")),
+        (too_far, format!("{} beyond the grid", are(too_far))),
+        (outside, format!("{} outside the domain or the periodic box", are(outside))),
+    ];
+    let counts = counts.iter().filter(|(count, _)| *count > 0);
+    let clauses: Vec<String> = counts.map(|(count, why)| format!("{count} {why}")).collect();
+    match &clauses[..] {
+        [] => "the input has none".into(),
+        [only] => only.clone(),
+        [others @ .., last] => format!("{}, and {last}", others.join(", ")),
+    }
+}
+
+/// All components of a surface, with the verb.
+fn all_components(small: &TooSmall) -> String {
+    match small.total() {
+        1 => "its only component is".into(),
+        total => format!("all of its {total} components are"),
     }
 }
 

@@ -50,7 +50,7 @@ pub struct MemoryEstimate {
     pub spilled: u64,
     /// Maximum size of the DIF.
     pub field: u64,
-    /// The wider cells of the DIF, which are made after sampling; they are part of `field`.
+    /// The wider cells of the DIF, which are made after sampling and are included in `field`.
     pub wide: u64,
     /// Expected size of the surface before it is written.
     pub surface: u64,
@@ -88,12 +88,12 @@ pub enum MemoryPlan {
     OutOfCore(MemoryShares),
 }
 
-/// Bytes that may be resident at once.
+/// Maximum bytes in memory at once, by purpose.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct MemoryShares {
     /// Bytes of particles that are being sorted.
     pub particles: u64,
-    /// Bytes of coded particles that are not sorted yet, and of the DIF of those that are.
+    /// Bytes of coded particles that are not sorted yet, and of the DIF of the sorted particles.
     pub coded: u64,
     /// Bytes of the DIF.
     pub field: u64,
@@ -113,7 +113,7 @@ pub struct OverBudget {
     pub cell_size: f64,
     /// The budget in bytes.
     pub budget: u64,
-    /// The smallest doubling of the cell size that fits.
+    /// The cell size, doubled until the tables of bins fit.
     pub fitting_cell_size: f64,
 }
 
@@ -123,13 +123,14 @@ impl Extraction {
         vertex_bytes(self.normals, &self.components)
     }
 
-    /// The expected surface in those bins, with their numbers of particles, that are `meshed`.
+    /// The expected surface in the bins for which `meshed` is true. `bins` lists the number of
+    /// particles in each bin.
     fn surface(
         &self,
         bins: impl Iterator<Item = (MortonKey, usize)> + Clone,
         meshed: impl Fn(IVec3) -> bool,
     ) -> ExpectedVertices {
-        // Without a spacing, the fullest bin is assumed to be full.
+        // If the spacing is unknown, the bin with the most particles is assumed to be full.
         let most = || bins.clone().map(|(_, count)| count).max().unwrap_or(0) as f64;
         let full = self.spacing_cells.map_or_else(most, |cells| (f64::from(BIN) / cells).powi(3));
         let alone = expected::vertices_alone(self.spacing_cells.unwrap_or(1.0));
@@ -156,8 +157,8 @@ impl Extraction {
     }
 }
 
-/// Maximum size of the pages of cells 2, 4, ... times as wide in bytes, from the numbers of nonzero
-/// samples of each bin.
+/// Maximum size of the pages of wider cells in bytes: cells 2, 4, ... times as wide. `bins` lists
+/// the number of nonzero samples in each bin.
 fn wide_bytes(bins: impl Iterator<Item = (MortonKey, usize)>, levels: u32) -> u64 {
     let page = |nonzero: usize| {
         PageSamples::most_bytes(nonzero.min(BIN.pow(3) as usize), 1, HALVED) as u64
@@ -179,9 +180,9 @@ fn wide_bytes(bins: impl Iterator<Item = (MortonKey, usize)>, levels: u32) -> u6
 }
 
 impl MemoryEstimate {
-    /// An estimate for particles counted by bin, in Morton order, from the shape of the DIF's
-    /// pages, if there is a DIF, and the bytes of the input. Only bins that are `meshed` get a
-    /// surface.
+    /// An estimate for particles that are counted by bin. `bins` is in Morton order, `shape` is the
+    /// shape of the DIF's pages, if there is a DIF, and `input` is the size of the input in bytes.
+    /// Only bins for which `meshed` is true get a surface.
     pub fn of(
         bins: impl Iterator<Item = (MortonKey, usize)> + Clone,
         shape: Option<PageShape>,
@@ -257,7 +258,7 @@ impl MemoryEstimate {
         self.field += bytes;
     }
 
-    /// The peak with everything in memory.
+    /// Peak memory if everything is in memory, in bytes.
     pub fn in_core(&self) -> u64 {
         let sampling =
             self.sampling + self.input + self.particles + self.places.max(self.field - self.wide);
@@ -265,7 +266,7 @@ impl MemoryEstimate {
         self.program + self.index + sampling.max(meshing)
     }
 
-    /// Particles that carry attributes are kept until the surface is done.
+    /// Bytes of the particles that are kept for their attributes until the surface is done.
     fn beside_the_surface(&self) -> u64 {
         if self.carried { self.particles } else { 0 }
     }
@@ -299,10 +300,11 @@ impl MemoryEstimate {
             .0
             .saturating_sub(self.program + threads + self.input + self.index)
             .max(budget.0 / 8);
-        // A DIF that is completely in memory leaves less for the surface, which is used only once.
+        // The DIF stays completely in memory if it takes at most three quarters of `left`. It has
+        // priority over the surface, which is used only once.
         let field = if self.field <= left / 4 * 3 { self.field.max(left / 4) } else { left / 4 };
-        // In addition to the surface, and before that to coded particles, there are stacks and the
-        // allocator's reserve.
+        // The shares leave memory for stacks and for the allocator's reserve, in addition to the
+        // surface and, before that, to coded particles.
         let surface = ((left - field) / 2).min(left / 4);
         MemoryPlan::OutOfCore(MemoryShares {
             particles: left / 8,

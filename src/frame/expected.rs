@@ -4,9 +4,9 @@
 //! Dual marching cubes makes a vertex on each grid edge that crosses the surface: one for each
 //! change between outside and inside along all lines of the grid. Bins show where the fluid along a
 //! line begins and ends, so the face between two bins has as many vertices as it has cells, times
-//! the difference in fullness. A layer that is thinner than a bin begins and ends within it; for
-//! such layers the root of the filled share is used, which gives more vertices. Drops much smaller
-//! than a bin are counted by particles.
+//! the difference in fullness. A layer that is thinner than a bin begins and ends within it.
+//! Therefore the square root of the filled share of a bin is used, which gives more vertices for
+//! such layers. Drops that are much smaller than a bin are counted by their particles.
 //!
 //! The constants are fitted to frames of FLIP and SPH and to clouds of random particles, in cells
 //! of 1 to 1/4 spacings. For frames with at least 10^5 particles the number of vertices is between
@@ -18,7 +18,8 @@ use hashbrown::HashMap;
 
 use crate::grid::{BIN, MortonKey, block_of_bin};
 
-/// Vertices at a face between a full and an empty bin: a wrinkled surface has more than a plane.
+/// Vertices at a face between a full and an empty bin: a wrinkled surface has more vertices than a
+/// plane.
 const FACE: f64 = 1.05 * (BIN * BIN) as f64;
 
 /// The empty volume around a particle with its own surface, in cubed spacings.
@@ -28,7 +29,7 @@ const ALONE: i32 = 8;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct ExpectedVertices {
     pub(super) vertices: u64,
-    /// The mean number of vertices in the block of a vertex.
+    /// The number of vertices in the block that contains a vertex, as a mean over all vertices.
     pub(super) in_its_block: u64,
 }
 
@@ -38,8 +39,8 @@ impl ExpectedVertices {
 
     /// Upper bound of the vertices in `blocks` blocks together, if no block has more than `most`.
     pub(super) fn vertices_of(&self, blocks: u64, most: u64) -> u64 {
-        // A single block can be full of spray while the others are typical, and few frames have
-        // twice the expected number.
+        // A single block can be full of spray while the other blocks are typical, and few frames
+        // have twice the expected number.
         let like_most = self.in_its_block.saturating_mul(2 * blocks).saturating_add(most);
         (blocks * most).min(like_most).min(self.vertices.saturating_mul(2))
     }
@@ -48,14 +49,15 @@ impl ExpectedVertices {
 /// The filled share of each bin that contains particles.
 type Shares = HashMap<IVec3, f32>;
 
-/// Vertices around a single particle: a ball of 0.55 spacings has 6 to 7 vertices times the squared
-/// spacing in cells.
+/// Vertices around a single particle. A ball with a radius of 0.55 spacings has 6 to 7 vertices
+/// times the squared spacing in cells.
 pub(super) fn vertices_alone(spacing_cells: f64) -> f64 {
     8.0 * spacing_cells * spacing_cells + 6.0
 }
 
-/// The expected surface in those `bins`, in Morton order, that are `meshed`, from the numbers of
-/// particles in each and in a `full` one. `alone` is the number of vertices of a single particle.
+/// The expected surface in the bins for which `meshed` is true. `bins` lists the number of
+/// particles in each bin, in Morton order. `full` is the number of particles in a full bin, and
+/// `alone` is the number of vertices around a single particle.
 pub(super) fn surface(
     bins: impl Iterator<Item = (MortonKey, usize)> + Clone,
     full: f64,
@@ -105,8 +107,8 @@ mod tests {
     use super::*;
     use crate::grid::CellBox;
 
-    /// The expected surface of bins with these numbers of particles, in cells of one spacing, where
-    /// a full bin has 4096.
+    /// The expected surface of bins with these numbers of particles. Cells are one spacing wide, so
+    /// a full bin has 4096 particles.
     fn surface_of(bins: &[(IVec3, usize)]) -> ExpectedVertices {
         let bins = bins.iter().map(|&(bin, count)| (MortonKey::of(bin), count));
         surface(bins, 4096.0, vertices_alone(1.0), |_| true)

@@ -20,7 +20,8 @@ use crate::surface::stitch::StitchedSurface;
 
 use super::coincident::{CoincidentCounts, CoincidentParticles};
 
-/// Tiles per bin along an axis. A tile has as many cells, so a mask of cells also fits tiles.
+/// Number of tiles per bin along an axis. A tile has the same number of cells along an axis, so a
+/// mask of cells also fits tiles.
 const SIDE: i32 = BIN / TILE;
 const _: () = assert!(SIDE == TILE);
 
@@ -57,8 +58,8 @@ impl OccupiedTiles {
     /// Memory per bin while lost particles are counted, in bytes.
     pub const BIN_BYTES: u64 = (size_of::<(IVec3, u32, TileMask)>() + size_of::<Row>()) as u64;
 
-    /// Begins empty. If `own` cells are given, particles in other cells are images, which do not
-    /// count.
+    /// An empty list of tiles. If `own` cells are given, particles in other cells are images, which
+    /// do not count.
     pub(super) fn among(own: Option<CellBox>) -> Self {
         Self { own, ..Self::default() }
     }
@@ -74,12 +75,12 @@ impl OccupiedTiles {
         held.map(|&(bin, particles, tiles)| OccupiedBin { bin: bin.to_array(), particles, tiles })
     }
 
-    /// Adds other bins.
+    /// Adds the tiles of other bins.
     pub fn join(&mut self, other: Self) {
         self.bins.extend(other.bins);
     }
 
-    /// Adds bins.
+    /// Adds the tiles of `bins` that contain particles.
     pub(super) fn add(&mut self, bins: &Bins) -> io::Result<()> {
         let of_bin = |bin: usize| {
             let contents = bins.contents(bin)?;
@@ -145,7 +146,7 @@ impl OccupiedTiles {
         }
     }
 
-    /// The coincident particles, on a grid.
+    /// A report on coincident particles, if there are any. `grid` determines their positions.
     pub fn coincident(&self, grid: &Grid) -> Option<CoincidentParticles> {
         self.coincident
             .report(grid, self.bins.iter().map(|&(bin, particles, _)| (bin, u64::from(particles))))
@@ -166,9 +167,10 @@ impl OccupiedTiles {
         particles / tiles.max(1.0)
     }
 
-    /// A lower bound of the particles that are in no surface. All particles of a tile count if no
-    /// surface passes through it or through a tile that touches it from below. If a bin also has
-    /// other tiles, only one particle per tile counts.
+    /// A lower bound of the particles that are in no surface. A tile is lost if it is outside, and
+    /// no surface passes through it or through a tile that touches it from below. If all tiles of a
+    /// bin that contain particles are lost, all particles of the bin count. Otherwise, one particle
+    /// counts for each lost tile.
     pub fn lost(&self, surface: &StitchedSurface) -> io::Result<u64> {
         let bins = match surface.widest_level() {
             0 => Row::sorted(self, surface)?,

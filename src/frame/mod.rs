@@ -66,7 +66,7 @@ pub struct Engine {
     field: SampledField,
     /// Empty for a frame that was sampled earlier.
     occupied: OccupiedTiles,
-    /// Only if attributes are carried.
+    /// `None` if no attributes are carried to the vertices.
     carried: Option<(Arc<Bins>, Vec<AttributeInfo>)>,
     /// Bytes of the surface that may be in memory.
     surface_share: u64,
@@ -208,7 +208,8 @@ impl Engine {
         })
     }
 
-    /// Takes a frame that was sampled earlier, to extract surfaces with the memory of `surfacing`.
+    /// Takes a frame that was sampled earlier, to extract surfaces from it. Memory is planned for
+    /// the parameters in `surfacing`.
     #[must_use]
     pub fn from_sampled(sampled: SampledDif, surfacing: &Surfacing, resources: Resources) -> Self {
         let SampledDif { facts, indicator, dif, .. } = &sampled;
@@ -244,7 +245,7 @@ impl Engine {
         }
     }
 
-    /// Returns the failures of the device so far; the CPU repeated their work.
+    /// Returns the failures of the device so far. The CPU repeated the work that failed.
     #[must_use]
     pub fn warnings(&self) -> Vec<String> {
         self.stages().map_or(Vec::new(), Stages::warnings)
@@ -257,7 +258,7 @@ impl Engine {
     }
 
     /// The attributes for which some particles have no finite value, with the number of these
-    /// particles; they do not affect the vertices.
+    /// particles. Values that are not finite do not affect the vertices.
     pub fn lacking_attributes(&self) -> impl Iterator<Item = (&str, usize)> {
         let carried =
             self.carried.iter().flat_map(|(bins, infos)| infos.iter().zip(bins.without()));
@@ -322,11 +323,11 @@ impl Engine {
     }
 
     /// Prepares a surface with the calibration of another frame, or measures the calibration on
-    /// this frame if it is `None`. Kernels need no calibration.
+    /// this frame if `known` is `None`. Kernels need no calibration.
     ///
     /// # Errors
     /// [`FrameError::TooFine`] for a measured calibration, and [`FrameError::OtherIndicator`] for a
-    /// given one with another indicator.
+    /// known calibration with another indicator.
     pub fn calibrate(
         &self,
         surfacing: &Surfacing,
@@ -336,8 +337,8 @@ impl Engine {
         self.calibrate_for(surfacing, known, &self.resources.control, timings)
     }
 
-    /// Prepares a surface like [`calibrate`](Self::calibrate), for another caller than the one of
-    /// the sampling: it reports progress to `control`, which can cancel.
+    /// Prepares a surface like [`calibrate`](Self::calibrate), but reports progress to `control`,
+    /// which can also cancel: the caller may differ from the caller of the sampling.
     pub fn calibrate_for<'a>(
         &'a self,
         surfacing: &Surfacing,
@@ -397,7 +398,7 @@ impl Engine {
         })
     }
 
-    /// Checks that the filters reach no farther beyond a periodic face than the images.
+    /// Checks that images exist as far beyond a periodic face as the filters reach.
     fn check_image_reach(&self, surfacing: &Surfacing) -> Result<(), FrameError> {
         let FrameFacts { periodic: Some(periodic), spacing, grid, .. } = self.facts() else {
             return Ok(());
@@ -424,7 +425,7 @@ impl Engine {
     }
 
     /// Compares the volume of a surface of the frame with that of its particles; returns `None` if
-    /// it is as expected, or if the spacing is not known.
+    /// the volume is as expected, or if the spacing is not known.
     ///
     /// # Errors
     /// [`FrameError::Scratch`] if the surface is in a scratch file that cannot be read.
@@ -441,8 +442,9 @@ impl Engine {
             .map_err(self.resources.scratch_error())
     }
 
-    /// A lower bound of the ratio of the particles' density to that of their spacing, in the tiles
-    /// that contain them. `None` if it is not known, and 0 for a frame that was sampled earlier.
+    /// A lower bound of the ratio of the particles' density to the density that their spacing
+    /// implies, in the tiles that contain particles. `None` if the spacing is not known, and 0 for
+    /// a frame that was sampled earlier.
     #[must_use]
     pub fn crowding(&self) -> Option<f64> {
         Some(self.occupied.crowding(self.facts().spacing_cells()?))
@@ -455,8 +457,8 @@ impl Engine {
         self.occupied.coincident(&self.facts().grid)
     }
 
-    /// The spacing according to the samples of a frame that was sampled earlier, if it was not
-    /// measured then.
+    /// The spacing that the samples of clouds indicate, for a frame that was sampled earlier;
+    /// `None` for all other frames.
     #[must_use]
     pub fn spacing_by_samples(&self) -> Option<f64> {
         match &self.field {
@@ -529,7 +531,7 @@ impl Engine {
     }
 }
 
-/// A simplified surface, with at most this number of bytes of triangles in memory.
+/// Simplifies a surface, with at most `share` bytes of its triangles in memory.
 ///
 /// # Errors
 /// [`FrameError::NothingLeft`], [`FrameError::Scratch`] if scratch files fail, and

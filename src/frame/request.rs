@@ -44,7 +44,7 @@ pub struct SizedParticles {
 /// The parameters for sampling a frame.
 #[derive(Debug, Clone)]
 pub struct Sampling {
-    /// Cells.
+    /// The grid of cells.
     pub grid: Grid,
     /// Walls, if the fluid is in a tank.
     pub domain: Option<Domain>,
@@ -56,12 +56,12 @@ pub struct Sampling {
     pub invalid: InvalidParticles,
     /// The brick size of the DIF.
     pub side: BrickSide,
-    /// The numbers of the attributes to carry to the vertices.
+    /// The indices of the attributes to carry to the vertices.
     pub carried: Vec<usize>,
     /// The kinds of attributes that another frame determined for all frames.
     pub kinds: Vec<SettledKind>,
-    /// The particles' spacing, if known: a packed frame stores it, and kernels need it. For
-    /// particles of several sizes, the smallest.
+    /// The particles' spacing, if known: a packed frame stores it, and kernels need it. If
+    /// particles have several sizes, this is the smallest size.
     pub spacing: Option<f64>,
     /// The sizes of the particles, if they differ; only for clouds.
     pub sizes: Option<SizedParticles>,
@@ -80,7 +80,7 @@ impl Sampling {
         }
     }
 
-    /// Makes the sampling of particles of several sizes, if there are `sizes`.
+    /// Sets the sizes of the particles, if there are several.
     ///
     /// # Errors
     /// [`SizeFault`] if an attribute with the sizes is missing.
@@ -104,15 +104,15 @@ impl Sampling {
         self
     }
 
-    /// The numbers of the attributes that are sorted with the particles: first those for the
-    /// vertices, then those with the sizes.
+    /// The indices of the attributes that are sorted with the particles: first the attributes for
+    /// the vertices, then those with the sizes.
     #[must_use]
     pub fn sorted_attributes(&self) -> Vec<usize> {
         let sizes = self.sizes.iter().flat_map(|sized| sized.columns.numbers());
         self.carried.iter().copied().chain(sizes).collect()
     }
 
-    /// The largest size of particles of several sizes.
+    /// The largest size, if the particles have several sizes.
     #[must_use]
     pub fn coarsest(&self) -> Option<f64> {
         self.sizes.as_ref().map(|sized| sized.sizes.coarsest)
@@ -126,7 +126,7 @@ impl Sampling {
     }
 
     /// The cells whose particles affect a block's mesh, for an indicator. Kernels are not
-    /// supported. `coarsest` is the largest size of particles of several sizes.
+    /// supported. `coarsest` is the largest size, if the particles have several sizes.
     pub fn sight(
         &self,
         kind: IndicatorKind,
@@ -168,8 +168,8 @@ pub struct Surfacing {
     pub smooth: Smooth,
     /// The stretch at which sheets tear; only for clouds.
     pub sheets: SheetStretch,
-    /// The Gaussian's width; if `None`, it follows from the frame's spacing. This and the next two
-    /// apply to the paper's indicators.
+    /// The Gaussian's width; if `None`, it follows from the frame's spacing. This field and the
+    /// next two apply only to counting and symmetry.
     pub sigma: Option<Sigma>,
     /// The isovalue; if `None`, a fraction of the frame's plateau.
     pub iso: Option<Isovalue>,
@@ -223,7 +223,7 @@ impl Surfacing {
         self.sigma.unwrap_or_else(|| Sigma::at_least_a_cell(spacing.map(cells)))
     }
 
-    /// For clouds, an unknown spacing is assumed to be one cell.
+    /// The filters for an indicator. For clouds, an unknown spacing is assumed to be one cell.
     fn filters(&self, kind: IndicatorKind, spacing: Option<f64>, grid: &Grid) -> Filters {
         match kind {
             IndicatorKind::Cloud => {
@@ -237,8 +237,8 @@ impl Surfacing {
         }
     }
 
-    /// The distance beyond the halo of the field within which particles affect its continuation
-    /// into a solid, in cells; 0 without a solid.
+    /// The distance beyond the halo of the field within which particles affect the field's
+    /// continuation into a solid, in cells; 0 without a solid.
     fn fill_reach(&self, spacing: Option<f64>, grid: &Grid) -> i32 {
         if !self.at_solids {
             return 0;
@@ -265,8 +265,8 @@ impl Surfacing {
         SolidFill::bytes(wide.grown(distances.widest_halo(), distances.widest_halo()))
     }
 
-    /// The memory of the surface, for a spacing, the largest size of particles of several sizes,
-    /// and the components of its attributes.
+    /// The memory of the surface. `coarsest` is the largest size, if the particles have several
+    /// sizes, and `components` lists the number of components of each attribute.
     pub(super) fn extraction(
         &self,
         method: Method,
@@ -308,7 +308,7 @@ impl Surfacing {
     }
 
     /// The distance beyond a periodic face within which particles affect the surface before it, in
-    /// cells. `coarsest` is the largest size of particles of several sizes.
+    /// cells. `coarsest` is the largest size, if the particles have several sizes.
     #[must_use]
     pub fn reach(
         &self,
@@ -317,8 +317,8 @@ impl Surfacing {
         coarsest: Option<f64>,
         grid: &Grid,
     ) -> i32 {
-        /// How many cells beyond the face need the field: one for the dual cell across the face,
-        /// one for normals, and one because the face can lie anywhere in its cell.
+        /// Number of cells beyond the face in which the field is needed: one for the dual cell
+        /// across the face, one for normals, and one because the face can lie anywhere in its cell.
         const BEYOND: i32 = 3;
         let spacing_cells = spacing.map_or(1.0, |spacing| spacing / grid.cell_size());
         let [field, attributes] = match method {
@@ -356,8 +356,8 @@ impl Surfacing {
         ]
     }
 
-    /// Returns the smoothing of attributes: the field's; for clouds, a width between drops and
-    /// bulk.
+    /// Returns the smoothing of attributes. It is the smoothing of the field or, for clouds, a
+    /// width between those for drops and for the bulk.
     #[must_use]
     pub fn attribute_smoothing(
         &self,
@@ -384,7 +384,7 @@ impl Surfacing {
     }
 
     /// Measures like [`calibrate`](Self::calibrate). Reports progress to `control`, which can
-    /// cancel; the result is then meaningless.
+    /// cancel. After a cancel, the result is meaningless.
     pub fn calibrate_for(
         &self,
         frame: &SampledDif,

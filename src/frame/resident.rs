@@ -2,11 +2,10 @@
 //! buffer of positions in, buffers of vertices and indices out.
 //!
 //! The device can be the caller's ([`Device::adopt`]), and so can the buffer
-//! ([`Device::external_buffer`]): these two functions state the caller's obligations; everything
-//! here is safe. The host reads which parts of the DIF are not 0, to find the blocks that the
-//! surface can pass through, and a part of the DIF of a frame on which it calibrates; it reads
-//! neither the particles nor the mesh. The mesh is that of the other backends, with positions
-//! rounded to f32.
+//! ([`Device::external_buffer`]): these two functions state the caller's obligations. The host
+//! reads neither the particles nor the mesh. It reads which parts of the DIF are not 0, to find the
+//! blocks that the surface can pass through, and a part of the DIF if it calibrates on the frame.
+//! The mesh is the same as that of other backends, with positions rounded to f32.
 //!
 //! [`Device::adopt`]: crate::vulkan::Device::adopt
 //! [`Device::external_buffer`]: crate::vulkan::Device::external_buffer
@@ -55,18 +54,18 @@ pub struct DeviceRequest {
 /// Semaphores that a call waits for and signals, and buffers for the surface. Empty by default.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Exchange<'a> {
-    /// Semaphores to wait for before the positions are read. They have been waited for even if the
-    /// call fails, so a second call must not wait for them.
+    /// Semaphores to wait for before the positions are read. The device waits for them even if the
+    /// call fails, so a second call must not wait for them again.
     pub wait: &'a [SemaphorePoint],
-    /// Semaphores to signal when the surface is complete; the call itself does not wait for that.
-    /// They are not signalled after an error.
+    /// Semaphores to signal when the surface is complete. The call may return earlier. After an
+    /// error, they are not signalled.
     pub signal: &'a [SemaphorePoint],
     /// Buffers for positions and indices, on the device of the pipeline.
     pub into: Option<[&'a View; 2]>,
 }
 
 /// A surface on the device. Its buffers can be bound as storage, vertex and index buffers, and live
-/// as long as this object. On drop, it waits until they are written.
+/// as long as this object. On drop, it waits until the buffers are written.
 #[derive(Debug)]
 pub struct ResidentSurface {
     /// The vertices' positions, three f32 each.
@@ -132,7 +131,8 @@ impl Pipeline {
         self.vulkan.release();
     }
 
-    /// Runs `f`; if memory is short, frees what is kept for the next frame and runs it again.
+    /// Runs `act`. If it runs out of memory, frees the memory that is kept for the next frame, and
+    /// runs `act` again.
     fn with_room<T, E: Into<FrameError>>(
         &self,
         act: impl Fn() -> Result<T, E>,
@@ -165,9 +165,10 @@ impl Pipeline {
         Ok(surface)
     }
 
-    /// Makes the surface in the middle of the caller's work on the device: the device waits for the
-    /// positions, and signals when the surface is complete. The host waits for results that it
-    /// needs in between, but not for the last triangles, at most about four million.
+    /// Makes the surface as a part of the caller's work on the device. The device waits for the
+    /// semaphores `wait` of `exchange` before it reads the positions, and signals the semaphores
+    /// `signal` when the surface is complete. The host waits for intermediate results that it
+    /// needs, but not for the last triangles, of which there are at most about four million.
     ///
     /// # Errors
     /// [`FrameError`]; [`FrameError::NoSpace`], with the required size, if the caller's buffers are
@@ -178,7 +179,7 @@ impl Pipeline {
     ///
     /// # Safety
     /// The semaphores belong to the device, and live until the device has passed them. The work
-    /// that signals the semaphores to wait for has been submitted.
+    /// that signals the semaphores to wait for has already been submitted.
     pub unsafe fn surface_between(
         &self,
         positions: &[DevicePositions],
@@ -188,8 +189,8 @@ impl Pipeline {
         let mut work = self.vulkan.device().batch(Queue::Compute)?;
         if !exchange.wait.is_empty() {
             work.begin()?;
-            // All later work on the queue runs after it. SAFETY: the caller guarantees the
-            // semaphores.
+            // All later work on the queue runs after this submission. SAFETY: the caller guarantees
+            // the semaphores.
             unsafe { work.submit_between(&[], exchange.wait, &[]) }?;
         }
         let &DeviceRequest { grid, domain, invalid, spacing, ref surfacing, calibration, .. } =
@@ -214,7 +215,8 @@ impl Pipeline {
         let (calibration, measured) = match calibration {
             Some(known) => (known, None),
             None => {
-                // After a failed download there is no measurement.
+                // After a failed download, the measurement is meaningless, so the frame is checked
+                // first.
                 let measured = surfacing.calibrate(&sampled);
                 frame.check()?;
                 let measured = measured?;

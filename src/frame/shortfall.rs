@@ -17,17 +17,18 @@ const EXPECTED: f64 = 0.5;
 /// A surface that contains less of its particles' volume than expected.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Shortfall {
-    /// Volume of the surface over that of its particles.
+    /// The volume of the surface divided by the volume of its particles.
     pub share: f64,
-    /// The number of particles, counting coincident ones once.
+    /// The number of particles. Coincident particles count once.
     pub particles: usize,
     /// The spacing of the particles: each fills a cube of this edge.
     pub spacing: f64,
 }
 
 impl Shortfall {
-    /// Compares the volume of a surface, within the cells of `around`, with that of `particles` at
-    /// `spacing`, counting coincident ones once; returns `None` if it is as large as expected.
+    /// Compares the volume of a surface, within the cells of `around`, with the volume of
+    /// `particles` particles at `spacing`. Coincident particles count once. Returns `None` if the
+    /// surface's volume is as large as expected.
     ///
     /// # Errors
     /// If the surface is in a scratch file that cannot be read.

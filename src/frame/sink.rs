@@ -34,7 +34,7 @@ pub(super) enum FieldSink {
 }
 
 impl FieldSink {
-    /// In memory, unless the plan requires a file.
+    /// A sink in memory, or in a file if the plan requires it.
     pub(super) fn new(
         plan: MemoryPlan,
         estimate: &MemoryEstimate,
@@ -52,7 +52,7 @@ impl FieldSink {
         }
     }
 
-    /// Makes and takes the whole field of a frame whose bins are in memory.
+    /// Makes and stores the whole field of a frame whose bins are in memory.
     pub(super) fn take_whole(
         &mut self,
         stages: &dyn Stages,
@@ -69,7 +69,7 @@ impl FieldSink {
         }
     }
 
-    /// Makes and takes the pages of `bins`, which follow the previous ones.
+    /// Makes and stores the pages of `bins`, which follow the previous pages.
     pub(super) fn take(
         &mut self,
         stages: &dyn Stages,
@@ -89,7 +89,7 @@ impl FieldSink {
         Ok(())
     }
 
-    /// Takes pages, which follow the previous ones.
+    /// Stores pages, which must follow the previous pages.
     pub(super) fn push(&mut self, pages: Pages, shape: PageShape) -> io::Result<()> {
         match self {
             Self::Memory { pages: kept, bytes } => {
@@ -123,8 +123,8 @@ impl FieldSink {
         }
     }
 
-    /// Finishes the DIF, now that its indicator is known. Of a file, as much is in memory as its
-    /// share allows.
+    /// Finishes the DIF, now that its indicator is known. If the DIF is in a file, as much of it is
+    /// in memory as its share allows.
     pub(super) fn finish(
         self,
         facts: FrameFacts,

@@ -8,7 +8,8 @@ use thiserror::Error;
 
 use super::{CELL_LIMIT, CellBox, FRACTIONS, Grid};
 
-/// The end of the cells at an open side, in cells from the origin: beyond the whole grid.
+/// The end of a domain's cells at an open side, in cells from the origin. It is beyond the end of
+/// the grid.
 const OPEN: i32 = 1 << 24;
 
 /// The coordinates of walls, the lower and the upper one along each axis; `None` for an open side.
@@ -64,9 +65,9 @@ impl fmt::Display for Walls {
 
 /// A box with walls that the fluid cannot leave.
 ///
-/// Its cells are those whose centre lies inside. Walls need not fall on cell faces: the outermost
-/// layer of cells reaches to the wall, from half a cell up to one and a half. An open side is at
-/// -inf or inf.
+/// The domain's cells are those whose centre lies inside. Walls need not fall on cell faces: the
+/// outermost layer of cells extends to the wall, so it is between 0.5 and 1.5 cells thick. An open
+/// side is at -inf or inf.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Domain {
     lo: DVec3,
@@ -79,8 +80,8 @@ pub struct Domain {
 pub enum DomainError {
     /// The corners are not in order, or not numbers.
     #[error(
-        "the domain's second corner must have larger coordinates than its first along each axis \
-         with two walls, and all coordinates must be numbers"
+        "all coordinates of the domain must be numbers, and along each axis with two walls, the \
+         second corner must have the larger coordinate"
     )]
     Corners,
     /// Less than one layer of cells between the walls.
@@ -89,7 +90,7 @@ pub enum DomainError {
         /// x, y or z.
         axis: char,
     },
-    /// Beyond the grid.
+    /// The domain extends beyond the grid.
     #[error(
         "the domain extends more than {CELL_LIMIT} cells from the origin; use a larger cell \
          size"
@@ -115,7 +116,7 @@ impl Domain {
         let limit = f64::from(CELL_LIMIT);
         let is_far = |cells: f64| !(-limit..limit).contains(&cells);
         for axis in 0..3 {
-            // Cell k is in when lo < k + 1/2 < hi.
+            // Cell k is in the domain if lo < k + 1/2 < hi.
             if lo[axis].is_finite() {
                 cells.lo[axis] = ((lo_cells[axis] - 0.5).floor() + 1.0) as i32;
             }
@@ -154,16 +155,16 @@ impl Domain {
         (0..3).all(|a| world[a] >= self.lo[a] && world[a] <= self.hi[a])
     }
 
-    /// The first and the last step of the cells along each axis: particles between the outermost
-    /// cells and a wall move to the nearest of these steps.
+    /// The first and the last fixed-point step of the domain's cells along each axis. A particle
+    /// between the outermost cells and a wall moves to the nearest of these steps.
     #[must_use]
     pub fn step_range(&self) -> [[i64; 3]; 2] {
         let first = |cells: IVec3| cells.to_array().map(|c| i64::from(c) * i64::from(FRACTIONS));
         [first(self.cells.lo), first(self.cells.hi).map(|end| end - 1)]
     }
 
-    /// The walls on a grid whose cells are 2^`octaves` times as wide: its cells are those that
-    /// contain any of these.
+    /// Converts the walls to a grid whose cells are 2^`octaves` times as wide. The domain then has
+    /// the wide cells that contain any of its cells.
     #[must_use]
     pub fn in_wider_cells(self, octaves: u32) -> Self {
         let CellBox { lo, hi } = self.cells;

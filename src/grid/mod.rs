@@ -25,21 +25,22 @@ pub const FRACTION_BITS: u32 = 13;
 /// Fixed-point steps per cell edge, the paper's `F` in our integer formulas.
 pub const FRACTIONS: u32 = 1 << FRACTION_BITS;
 
-/// Edge of a tile in cells: 64 cells, one machine word of signs.
+/// Edge of a tile in cells. A tile has 64 cells, so their signs fit in one machine word.
 pub const TILE: i32 = 4;
 /// Edge of a bin in cells: the unit in which particles are sorted and DIF bricks are paged.
 pub const BIN: i32 = 16;
 /// Edge of a block in cells: the unit in which the field is smoothed and meshed.
 pub const BLOCK: i32 = 32;
-/// Tiles of a block.
+/// Number of tiles in a block.
 pub const BLOCK_TILES: u32 = (BLOCK / TILE).pow(3) as u32;
 
 /// Number of levels of cells in a frame: each level's cells are twice as wide as those of the one
 /// before.
 pub const MOST_LEVELS: usize = 7;
 
-/// Cells from the origin to the end of the addressable grid along each half axis. A Morton key has
-/// 21 bits per axis for tiles, minus a margin for the reach of the widest filter.
+/// Number of cells from the origin to the end of the grid, in both directions of each axis. It
+/// follows from the 21 bits per axis of a tile's Morton key, minus a margin for the reach of the
+/// widest filter.
 pub const CELL_LIMIT: i32 = (TILE << 20) - 4 * BLOCK;
 
 /// [`CELL_LIMIT`] in fixed-point steps.
@@ -75,7 +76,7 @@ impl Grid {
         }
     }
 
-    /// The grid with the same corner whose cells are 2^`octaves` times as wide.
+    /// The grid with the same origin whose cells are 2^`octaves` times as wide.
     #[must_use]
     pub fn in_wider_cells(self, octaves: u32) -> Self {
         Self { cell: self.cell * f64::from(1_u32 << octaves), ..self }
@@ -140,7 +141,7 @@ impl CellBox {
     /// An empty box; its union with another box is the other box.
     pub const EMPTY: Self = Self { lo: IVec3::MAX, hi: IVec3::MIN };
 
-    /// A cube of `edge` cells at `coord`, in units of such cubes.
+    /// A cube with edges of `edge` cells. `coord` is in units of such cubes.
     pub fn cube(coord: IVec3, edge: i32) -> Self {
         Self { lo: coord * edge, hi: (coord + 1) * edge }
     }
@@ -175,12 +176,12 @@ impl CellBox {
         Self { lo: self.lo - below, hi: self.hi + above }
     }
 
-    /// Returns the box of cells that both contain.
+    /// Returns the box of cells that both boxes contain.
     pub fn intersection(&self, other: &Self) -> Self {
         Self { lo: self.lo.max(other.lo), hi: self.hi.min(other.hi) }
     }
 
-    /// The smallest box that contains both.
+    /// The smallest box that contains both boxes.
     pub fn union(&self, other: &Self) -> Self {
         Self { lo: self.lo.min(other.lo), hi: self.hi.max(other.hi) }
     }
@@ -216,8 +217,8 @@ impl CellBox {
     }
 }
 
-/// The parts of blocks that overlap some boxes, as one box per block, in the Morton order of the
-/// blocks.
+/// For each block that overlaps some boxes, the smallest box that contains the overlap. The boxes
+/// are in the Morton order of the blocks.
 pub fn block_parts(boxes: impl Iterator<Item = CellBox>) -> Vec<CellBox> {
     let mut parts: HashMap<IVec3, CellBox> = HashMap::new();
     for cells in boxes {
@@ -234,8 +235,8 @@ pub fn block_parts(boxes: impl Iterator<Item = CellBox>) -> Vec<CellBox> {
 /// The position of a cube on the Morton curve: 21 bits per axis, biased so that negative
 /// coordinates come first.
 ///
-/// The order of keys is the order on the curve, for every edge of the cubes; a cube's children are
-/// consecutive.
+/// The order of keys is the order on the curve, for cubes of any size. The keys of a cube's
+/// children are consecutive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct MortonKey(pub u64);
 
@@ -261,7 +262,7 @@ impl MortonKey {
     }
 }
 
-/// The block of a bin; both are in units of their edges.
+/// The block that contains a bin. Blocks are in units of blocks, and bins in units of bins.
 pub fn block_of_bin(bin: IVec3) -> IVec3 {
     bin.div_euclid(IVec3::splat(BLOCK / BIN))
 }
@@ -293,7 +294,7 @@ fn spread(bits: u32) -> u64 {
     x
 }
 
-/// Moves bit 3 i to bit i and leaves out the others.
+/// Moves bit 3 i to bit i, and drops all other bits.
 fn gather(bits: u64) -> u32 {
     let mut x = bits & 0x1249_2492_4924_9249;
     for (shift, mask) in [

@@ -1,9 +1,9 @@
-//! Periodic boxes: beyond a face the fluid continues as it does behind the opposite face.
+//! Periodic boxes: beyond a face, the fluid continues as it does inside the opposite face.
 //!
 //! Coordinates are not wrapped. A particle near a face also has an image beyond the opposite face,
-//! a whole number of steps away, so a filter that reaches beyond a face finds the same particles as
-//! in an infinitely repeated fluid. The edges of a box may differ and need not be a whole number of
-//! cells.
+//! at a distance of a whole number of fixed-point steps, so a filter that reaches beyond a face
+//! finds the same particles as in an infinitely repeated fluid. The edges of a box may differ and
+//! need not be a whole number of cells.
 
 use glam::{DVec3, IVec3};
 use serde::{Deserialize, Serialize};
@@ -56,8 +56,8 @@ impl PeriodicMesh {
 pub enum PeriodicError {
     /// The corners are not in order, or not finite.
     #[error(
-        "the corners of the periodic box must be finite, and the second must be larger than the first \
-         along each periodic axis"
+        "the corners of the periodic box must be finite, and along each periodic axis, the second \
+         corner must have the larger coordinate"
     )]
     Corners,
     /// No axis is periodic.
@@ -68,7 +68,8 @@ pub enum PeriodicError {
     NoBox,
     /// Walls along a periodic axis.
     #[error(
-        "the domain has a wall at an end of {axis}, which is periodic: leave both ends of {axis} open"
+        "the domain has a wall at an end of {axis}, but {axis} is periodic; leave both ends of \
+         {axis} open in the domain"
     )]
     Walled {
         /// x, y or z.
@@ -83,12 +84,12 @@ pub enum PeriodicError {
     Narrow {
         /// x, y or z.
         axis: char,
-        /// From face to face.
+        /// The distance from face to face.
         width: f64,
         /// The distance beyond a face within which particles affect the surface before it.
         reach: f64,
     },
-    /// Beyond the grid.
+    /// The box, with the reach of the filters, extends beyond the grid.
     #[error(
         "the periodic box and the reach of the filters beyond it extend more than {CELL_LIMIT} cells \
          from the origin; use a larger cell size"
@@ -97,8 +98,8 @@ pub enum PeriodicError {
 }
 
 impl Periodic {
-    /// The box between the faces of each axis, in world coordinates, on `grid`: `None` for an open
-    /// axis. Images exist up to `reach` cells beyond the faces.
+    /// The box between `faces` on `grid`. The faces are in world coordinates, and `None` for an
+    /// open axis. Images exist up to `reach` cells beyond the faces.
     ///
     /// # Errors
     /// [`PeriodicError`], except [`PeriodicError::Walled`] and [`PeriodicError::NoBox`].
@@ -207,7 +208,7 @@ impl Periodic {
 
     /// The position of a particle between the faces. A position on the upper face moves to the
     /// lower face. So does a position beyond a face if the distance is within the rounding of its
-    /// coordinate to f32. `Err` with the axis along which it is outside.
+    /// coordinate to f32. `Err` names the axis along which the position is outside.
     pub fn inside(&self, world: [f64; 3]) -> Result<[f64; 3], char> {
         let [lo, hi] = self.faces.walls();
         let mut inside = world;
@@ -224,8 +225,8 @@ impl Periodic {
         Ok(inside)
     }
 
-    /// Boxes of bins that contain the particles of a box of bins at their original positions, and
-    /// all of their images.
+    /// Boxes of bins that contain all particles of `bins`, at their original positions, and all
+    /// images of these particles.
     pub fn with_images(&self, bins: CellBox) -> impl Iterator<Item = CellBox> + use<> {
         let (period, edge) = (self.period, i64::from(BIN) * i64::from(FRACTIONS));
         let sides = move |axis: usize| if period[axis] == 0 { 0..=0 } else { -1..=1 };
@@ -260,8 +261,8 @@ impl Periodic {
         !(0..3).all(is_far)
     }
 
-    /// The images of a particle between the faces, as positions and as steps on `grid`: none, one,
-    /// three or seven.
+    /// The images of a particle between the faces: none, one, three or seven. `steps` is its
+    /// position on `grid`.
     pub fn images(
         &self,
         grid: &Grid,

@@ -29,15 +29,15 @@ impl Stretch {
     }
 
     /// Whether the stretch contains any block of a box within a cube. `first` is the key of the
-    /// cube's first block, and `bits` the number of bits in which its keys differ.
+    /// cube's first block, and `bits` is the number of bits in which the keys of its blocks differ.
     fn touches_within(&self, blocks: &CellBox, first: MortonKey, bits: u32) -> bool {
         let last = MortonKey(first.0 + ((1 << bits) - 1));
         let cube = CellBox { lo: first.coord(), hi: first.coord() + (1 << (bits / 3)) };
         if last < self.first || self.end <= first || cube.intersection(blocks).is_empty() {
             return false;
         }
-        // If one of the two contains the whole cube, it is enough that the other contains part of
-        // it.
+        // The cube overlaps both the box and the stretch. If either contains the whole cube, they
+        // share a block.
         if blocks.covers(&cube) || self.first <= first && last < self.end {
             return true;
         }
@@ -57,7 +57,7 @@ impl Stretch {
 pub struct DecidingCells(CellBox);
 
 impl DecidingCells {
-    /// From the cells that affect block (0, 0, 0).
+    /// Creates the cells from those that affect block (0, 0, 0).
     pub fn new(of_first_block: CellBox) -> Self {
         Self(of_first_block)
     }
@@ -78,8 +78,8 @@ impl DecidingCells {
         let (lowest, highest) = (bins.lo * BIN, bins.hi * BIN - 1);
         // A shift divides like `div_euclid`, and is faster for many bins.
         let block_of = |cell: IVec3| cell >> BLOCK.ilog2() as i32;
-        // From the first block that ends above the lowest cells to the last that begins below the
-        // highest.
+        // From the first block whose affecting cells end above the lowest cell, to the last block
+        // whose affecting cells begin below the highest cell.
         CellBox { lo: block_of(lowest - self.0.hi) + 1, hi: block_of(highest - self.0.lo) + 1 }
     }
 }
@@ -94,7 +94,7 @@ pub struct WantedBins {
 }
 
 impl WantedBins {
-    /// Whether these bins include a bin.
+    /// Whether these bins include `bin`.
     pub fn hold(&self, bin: IVec3) -> bool {
         let Stretch { first, end } = self.stretch;
         let blocks = self.sight.blocks_of(CellBox::cube(bin, 1));

@@ -4,7 +4,7 @@
 
 use thiserror::Error;
 
-/// The value of an indicator of exactly 1 in every integer field.
+/// The integer that stands for an indicator of exactly 1 in a field.
 pub const FULL: u16 = u16::MAX;
 
 /// A number outside its valid range, with the name of its setting.
@@ -77,13 +77,13 @@ pub fn positive_length(name: &'static str, value: f64) -> Result<f64, UnitError>
     (value.is_finite() && value > 0.0).then_some(value).ok_or(UnitError::Length { name, value })
 }
 
-/// A number for people, such as a length: in six significant digits.
+/// Formats a number, such as a length, for a message, with six significant digits.
 pub fn shown(number: f64) -> String {
     significant(number, 6)
 }
 
-/// A number with `digits` significant digits and no trailing zeros: as a decimal if that is short,
-/// otherwise with a power of ten. The integer part is never rounded.
+/// Formats a number with `digits` significant digits and no trailing zeros, as a decimal if that is
+/// short, and otherwise with a power of ten. The integer part is never rounded.
 pub fn significant(number: f64, digits: usize) -> String {
     let rounded = format!("{number:.*e}", digits.saturating_sub(1));
     let Some((mantissa, power)) = rounded.split_once('e') else { return rounded };
@@ -120,9 +120,9 @@ impl Isovalue {
     }
 
     /// The ratio of the isovalue to the interior plateau, in hundredths, at which a smoothed field
-    /// has no bias: measured on surfaces of known bodies, on average over both indicators, cells of
-    /// 0.5 to 1.5 spacings, and offsets between the particles' lattice and the grid
-    /// (`tools/evaluate isovalue`).
+    /// has no bias. It was measured on surfaces of known bodies, and is an average over the
+    /// indicators counting and symmetry, cells of 0.5 to 1.5 spacings, and offsets between the
+    /// particles' lattice and the grid (`tools/evaluate isovalue`).
     pub const PLATEAU_PERCENT: u16 = 47;
 
     /// The isovalue for a plateau.
@@ -131,10 +131,11 @@ impl Isovalue {
         Self((u32::from(plateau) * u32::from(Self::PLATEAU_PERCENT) / 100) as u16)
     }
 
-    /// The isovalue of distances, which is at 0: see [`distance`](crate::field::distance).
+    /// The isovalue of a field of distances. It stands for a distance of 0: see
+    /// [`distance`](crate::field::distance).
     pub const ZERO_DISTANCE: Self = Self(u16::MAX / 2);
 
-    /// The greatest field value that is outside.
+    /// The greatest field value that is outside the fluid.
     #[must_use]
     pub fn threshold(self) -> u16 {
         self.0
@@ -167,8 +168,9 @@ impl Sigma {
         }
     }
 
-    /// A standard deviation in cells, but at least one cell. A width that follows from the
-    /// particles' spacing hides their lattice, and its offset on the grid, in cells of any size.
+    /// A standard deviation in cells, but at least one cell; one cell for `None`. A width that
+    /// follows from the spacing hides the particles' lattice, and its offset on the grid, whatever
+    /// the cell size.
     #[must_use]
     pub fn at_least_a_cell(cells: Option<f64>) -> Self {
         Self(cells.unwrap_or(1.0).clamp(1.0, Self::MAX))
@@ -256,13 +258,13 @@ impl SheetStretch {
 pub struct SolidOffset(f64);
 
 impl SolidOffset {
-    /// The minimum offset: the field is continued no deeper into a solid.
+    /// The minimum offset: the field does not continue deeper into a solid.
     pub const LEAST: f64 = -0.5;
     /// The maximum offset.
     pub const MOST: f64 = 2.0;
 
-    /// The default, which hides the gap between the fluid and a solid in pictures: it is larger
-    /// than the gap at curved faces and edges, which cells cut off.
+    /// The default, which hides the gap between the fluid and a solid in pictures. At curved faces
+    /// and at edges, which cells cut off, the gap is smaller than this offset.
     pub const DEFAULT: Self = Self(-0.1);
 
     /// An offset in spacings.
@@ -290,7 +292,8 @@ impl SolidOffset {
 pub struct Tolerance(f64);
 
 impl Tolerance {
-    /// The maximum tolerance: chunks are simplified one by one, and must be much wider.
+    /// The maximum tolerance: chunks are simplified one by one, and must be much wider than the
+    /// tolerance.
     pub const MAX: f64 = 4.0;
 
     /// A tolerance in cells.

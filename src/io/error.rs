@@ -37,7 +37,7 @@ pub enum ReadFault {
     #[error("the file is empty")]
     Empty,
     /// An error of the scratch file into which the input is unpacked or decoded.
-    #[error("cannot write its contents to a scratch file: {0}")]
+    #[error("cannot write the unpacked or decoded data to a scratch file: {0}")]
     Scratch(#[source] std::io::Error),
     /// A damaged compressed stream.
     #[error("damaged compressed data: {0}")]
@@ -85,8 +85,8 @@ pub enum ReadFault {
     },
     /// A colour whose numbers have different scales in two joined files.
     #[error(
-        "colour {attribute} has {scale}, but in {} {of_other}; store it in the same way in \
-         both, or leave the attribute out",
+        "colour {attribute} is stored as {scale}, but as {of_other} in {}; store it in the same \
+         way in both files, or leave the attribute out",
         other.display()
     )]
     ColourScale {

@@ -157,7 +157,7 @@ impl fmt::Display for UnreadPart {
             }
             Self::WideArray { name, numbers } => write!(
                 f,
-                "array {name:?}, with {numbers} numbers per particle; at most {} are supported",
+                "array {name:?}, with {numbers} numbers per particle, but at most {} are supported",
                 fields::MOST_COMPONENTS
             ),
         }

@@ -61,7 +61,8 @@ impl<'a, P: Particles + ?Sized> Cloud<'a, P> {
     /// Adds an attribute with a value for each particle.
     ///
     /// # Panics
-    /// If the number of values differs from that of particles, or values have no components.
+    /// If the number of values differs from the number of particles, or if a value has no
+    /// components.
     #[must_use]
     pub fn with<V: AttributeValue>(mut self, name: impl Into<String>, values: &'a [V]) -> Self {
         let (name, particles) = (name.into(), self.positions.len());

@@ -56,7 +56,7 @@ impl Condition {
 }
 
 impl Comparison {
-    /// Whether the comparison depends on order.
+    /// Whether the comparison depends on order, as `<` does.
     #[must_use]
     pub fn is_of_order(self) -> bool {
         !matches!(self, Self::Equal | Self::NotEqual)
@@ -100,7 +100,7 @@ impl Where {
         })
     }
 
-    /// Joins several into one.
+    /// Joins several conjunctions into one; `None` if they have no conditions.
     #[must_use]
     pub fn joined(several: &[Self]) -> Option<Self> {
         let all: Vec<_> = several.iter().flat_map(|some| some.0.iter().cloned()).collect();

@@ -112,19 +112,21 @@ impl AttributeKind {
         }
     }
 
-    /// The common kind of numbers of both kinds.
+    /// The kind that holds the values of both kinds.
     #[must_use]
     pub fn together(self, other: Self) -> Self {
         match (self, other) {
             _ if self == other => self,
-            // Pieces with colours as bytes give fractions if others have fractions.
+            // If some pieces of a frame store colours as bytes and others as fractions, the frame
+            // has fractions.
             _ if self.is_colour() && other.is_colour() => Self::Colour,
             _ if self.is_whole() && other.is_whole() => Self::Wide,
             _ => Self::Number,
         }
     }
 
-    /// Whether the values are integers: a vertex takes the value of the nearest particle.
+    /// Whether the values are integers. A vertex takes an integer from the nearest particle, not an
+    /// average.
     #[must_use]
     pub fn is_whole(self) -> bool {
         matches!(self, Self::Signed | Self::Unsigned | Self::Wide)
@@ -165,7 +167,7 @@ impl AttributeKind {
         matches!(self, Self::Colour | Self::ByteColour)
     }
 
-    /// Whether it is the default.
+    /// Whether this is the default kind.
     pub(crate) fn is_number(&self) -> bool {
         *self == Self::Number
     }
@@ -185,15 +187,15 @@ impl AttributeKind {
     }
 }
 
-/// The number of the first colour among attributes.
+/// The index of the first colour among the attributes.
 #[must_use]
 pub fn colour_attribute(attributes: &[AttributeInfo]) -> Option<usize> {
     attributes.iter().position(|info| info.kind.is_colour())
 }
 
-/// The vertex attributes with kinds that fit their values: 64-bit integers that fit 32 bits, and
-/// floating-point colours from 0 to 255, if some values are too large for a scale from 0 to 1. An
-/// attribute in `known` with the same storage keeps its known kind.
+/// The vertex attributes, each with a kind that fits its values. 64-bit integers get a kind of 32
+/// bits. Floating-point colours get the scale from 0 to 255 if some values are too large for the
+/// scale from 0 to 1. An attribute that is stored as in `known` keeps its known kind.
 ///
 /// # Errors
 /// [`KindFault`] for values that do not fit their kind.
@@ -207,7 +209,7 @@ pub fn settled(
 }
 
 /// The kinds of the vertex attributes for all frames, from the values of one frame. Attributes
-/// whose values do not fit are left out: they are an error of this frame only.
+/// whose values fit no kind are left out here, because they are an error of this frame only.
 pub fn settled_for_all(
     particles: &(impl Particles + ?Sized),
     carried: &[usize],
@@ -233,7 +235,8 @@ pub fn known_of(mut infos: Vec<AttributeInfo>, known: &[SettledKind]) -> Vec<Att
     infos
 }
 
-/// An attribute with its known kind, if the values fit, or with the kind that fits the values.
+/// An attribute with its known kind, or with a kind that fits its values if none is known. Values
+/// that do not fit are an error.
 fn of_values(
     particles: &(impl Particles + ?Sized),
     index: usize,
@@ -311,7 +314,7 @@ fn whole_extremes(particles: &(impl Particles + ?Sized), index: usize) -> [i64; 
     chunks(particles, of_chunk).reduce(|| [0; 2], |[a, b], [c, d]| [a.min(c), b.max(d)])
 }
 
-/// Whether integers with this name are a direction nevertheless.
+/// Whether an attribute of integers is a direction, because it has the name of a velocity.
 pub(crate) fn is_direction_name(info: &AttributeInfo) -> bool {
     info.components == 3 && VELOCITY_NAMES.contains(&&*info.name)
 }

@@ -1,12 +1,12 @@
-//! Detects particles on a lattice whose step divides the cells' edge, and finds an origin that
-//! suits them.
+//! Detects particles on a lattice whose step divides the cells' edge, and finds a grid origin that
+//! suits the lattice.
 //!
 //! Simulations often start with particles on a lattice. If its step divides the cells' edge, all
 //! particles have the same position in their cell, and symmetry's theta can be anything from 0 (on
-//! a corner) to 1 (in the centre). A few frames later, the same fluid is disordered, with theta 1 -
-//! 2 E|u| / sqrt 3 = 0.445: the mean over all positions u in a cell of edge 1. An origin at which
-//! the lattice has exactly this theta gives measurements on the first frame that hold for all.
-//! There, the lattice is also far from cell faces, where rounding would scramble the counts.
+//! a corner) to 1 (in the centre). A few frames later, the same fluid is disordered. Its mean
+//! theta, over all positions u in a cell of edge 1, is 1 - 2 E|u| / sqrt 3 = 0.445. If the origin
+//! gives the lattice exactly this theta, measurements on the first frame hold for all frames. With
+//! this origin, the lattice is also far from cell faces, where rounding would scramble the counts.
 
 use std::f64::consts::TAU;
 
@@ -15,14 +15,14 @@ use rayon::prelude::*;
 
 use crate::particles::Particles;
 
-/// Maximum number of lattice particles per cell along an axis that is tried.
+/// Lattices with up to this many particles per cell along an axis are tried.
 const DIVISIONS: u32 = 4;
-/// Number of distinguished positions within a lattice's step.
+/// Number of places within a lattice's step. Positions are rounded to places.
 const PLACES: usize = 256;
-/// The position with theta = 0.445: 0.277 from the middle along each axis.
+/// The place with theta = 0.445. Along each axis, it is 0.277 of a step away from the middle.
 const SOUND: f64 = 57.0;
-/// Mean resultant above which positions count as equal: particles jittered by 0.19 of a step have
-/// 0.5.
+/// Positions on a circle count as equal if the length of their mean unit vector exceeds this.
+/// Particles jittered by 0.19 of a step have 0.5.
 const COHERENT: f64 = 0.5;
 /// Scale of the integer cosines. Integer sums do not depend on order or threads.
 const ONE: f64 = 32768.0;
@@ -49,7 +49,8 @@ pub fn sound_origin(
     })
 }
 
-/// The position of the particles within a lattice's step along each axis, if most have the same.
+/// The place of the particles within a lattice's step along each axis; `None` if particles do not
+/// share a place.
 fn places(particles: &(impl Particles + ?Sized), origin: DVec3, step: f64) -> [Option<f64>; 3] {
     let circle: Vec<[i64; 2]> = (0..PLACES)
         .map(|place| {
@@ -69,8 +70,8 @@ fn places(particles: &(impl Particles + ?Sized), origin: DVec3, step: f64) -> [O
                 continue;
             }
             for (sum, x) in sums.iter_mut().zip(steps.to_array()) {
-                // Rounded to nearest, not down: a lattice on cell faces is on either side of them
-                // after rounding.
+                // Rounded to nearest, not down: due to rounding errors, particles on a cell face
+                // may lie on either side of it.
                 let place = ((x - x.floor()) * PLACES as f64).round() as usize % PLACES;
                 let [cos, sin] = circle[place];
                 sum[0] += cos;

@@ -6,7 +6,7 @@ use crate::system::control::{Control, Meter, Stage};
 
 use super::{AttributeInfo, Label, Particles, RereadError};
 
-/// Particles that have no positions after a cancel, so that every read ends soon.
+/// Particles whose positions are NaN after a cancel, so that every read ends soon.
 #[derive(Debug)]
 pub struct MeteredParticles<'a, P: ?Sized> {
     particles: &'a P,
@@ -15,18 +15,18 @@ pub struct MeteredParticles<'a, P: ?Sized> {
 }
 
 impl<'a, P: Particles + ?Sized> MeteredParticles<'a, P> {
-    /// Counts the particles that are read once in a stage.
+    /// Counts the particles that are read in `stage`, which reads each particle once.
     pub fn new(particles: &'a P, control: &'a Control, stage: Stage) -> Self {
         Self { particles, control, meter: control.meter(stage, particles.len()) }
     }
 
-    /// The particles are read this many times in the stage.
+    /// Sets how many times the stage reads the particles.
     #[must_use]
     pub fn readings(self, readings: usize) -> Self {
         Self { meter: self.meter.times(readings), ..self }
     }
 
-    /// Starts to count again, for the part of a stage that ends at `to`.
+    /// Starts to count again, for the part of `stage` from its start to the fraction `to`.
     pub fn begin(&mut self, stage: Stage, to: f64) {
         self.meter = self.control.meter(stage, self.particles.len()).between(0.0, to);
     }

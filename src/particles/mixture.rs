@@ -1,4 +1,5 @@
-//! Fluid and boundary among the same particles, distinguished by an attribute.
+//! Finds boundary particles among the particles of a fluid, by an attribute that distinguishes the
+//! two.
 
 use std::sync::atomic::{AtomicU32, Ordering};
 
@@ -39,13 +40,13 @@ const KINDS: [&str; 26] = [
     "species",
 ];
 
-/// Maximum number of different values of such an attribute.
+/// Maximum number of different values of an attribute that distinguishes materials.
 const MOST: usize = 3;
 /// Maximum number of cells along each axis of the grid that finds the inside of the fluid.
 const FINEST: f64 = 32.0;
-/// Average number of fluid particles in such a cell.
+/// Average number of fluid particles in a cell of this grid.
 const IN_CELL: f64 = 8.0;
-/// Maximum fraction of a boundary inside the fluid.
+/// Maximum fraction of a boundary's particles that may be inside the fluid.
 const WITHIN: f64 = 0.02;
 
 /// Whether the name of an attribute suggests materials.
@@ -57,7 +58,7 @@ pub fn is_kind(name: &str) -> bool {
 /// A fluid and the particles around it that look like its boundary.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Mixture {
-    /// The attribute that distinguishes them.
+    /// The attribute that distinguishes the boundary from the fluid.
     pub attribute: String,
     /// The attribute's value on the boundary, and the number of boundary particles.
     pub boundary: (Value, usize),
@@ -77,7 +78,8 @@ impl BoundingBox {
         Self([lo.min(other_lo), hi.max(other_hi)])
     }
 
-    /// Whether it extends beyond another box on all sides except at most one: a tank may be open.
+    /// Whether this box extends beyond `inner` on all sides, or on all but one, because a tank may
+    /// be open.
     fn is_around(self, inner: Self) -> bool {
         let (Self([lo, hi]), Self([inner_lo, inner_hi])) = (self, inner);
         let beyond =
@@ -98,7 +100,7 @@ pub fn mixture(particles: &(impl Particles + ?Sized)) -> Option<Mixture> {
     sources.find_map(|(source, name)| by(particles, source, name))
 }
 
-/// Calls `take` with the positions and the values of some thousand particles at a time.
+/// Calls `take` with the positions and the values of a few thousand particles at a time.
 fn each<T: Send>(
     particles: &(impl Particles + ?Sized),
     source: AttributeOrLabel,

@@ -78,7 +78,7 @@ pub enum RereadError {
 ///
 /// Particles are in the order of the file, and error messages use their index. Values are returned
 /// as stored, and can be NaN or infinite. Slices, vectors and arrays of `[f32; 3]` or `[f64; 3]`
-/// are particles without attributes; a [`Cloud`] adds some.
+/// are particles without attributes; a [`Cloud`] adds attributes.
 pub trait Particles: Sync {
     /// Number of particles.
     fn len(&self) -> usize;
@@ -97,13 +97,14 @@ pub trait Particles: Sync {
     /// Checks that the particles did not change while they were read.
     ///
     /// # Errors
-    /// [`RereadError`] if their file changed. Everything that was read must be discarded then.
+    /// [`RereadError`] if their file changed. The caller must then discard everything that was
+    /// read.
     fn check(&self) -> Result<(), RereadError> {
         Ok(())
     }
 
-    /// Whether the particles can still be read. After a cancel, all reads fill their output with
-    /// NaN.
+    /// Whether the particles can still be read. After a cancel, positions and attributes are read
+    /// as NaN.
     fn goes_on(&self) -> bool {
         true
     }
@@ -163,8 +164,8 @@ pub trait Particles: Sync {
         }
     }
 
-    /// Like [`attribute`](Self::attribute), for integers that f32 cannot represent. Values beyond
-    /// i64 become the greatest i64.
+    /// Like [`attribute`](Self::attribute), but exact for integers that f32 cannot represent.
+    /// Values beyond i64 become the greatest i64.
     ///
     /// # Panics
     /// Like [`attribute`](Self::attribute).
@@ -223,7 +224,7 @@ where
 }
 
 /// Positions among other numbers, such as in an array of structures: x, y and z are adjacent, and
-/// particles have equal distances.
+/// the distance from one particle to the next is constant.
 #[derive(Debug, Clone, Copy)]
 pub struct StridedPositions<'a, T> {
     numbers: &'a [T],
@@ -270,7 +271,7 @@ fn widen(to: &mut [f64], from: &[f32]) {
 pub const VELOCITY_NAMES: [&str; 9] =
     ["velocity", "v", "Vel", "vel", "V", "Velocity", "velocities", "Velocities", ".velocities"];
 
-/// The number of the velocity among the attributes, if there is one: three components under a usual
+/// The index of the velocity among the attributes. A velocity has three components and a usual
 /// name.
 #[must_use]
 pub fn velocity_attribute(attributes: &[AttributeInfo]) -> Option<usize> {
@@ -279,9 +280,9 @@ pub fn velocity_attribute(attributes: &[AttributeInfo]) -> Option<usize> {
         .find_map(|name| attributes.iter().position(|a| a.name == *name && a.components == 3))
 }
 
-/// The number of the attribute with this name. `velocity` finds the velocity under any usual name,
-/// and a name of a colour, or of a component such as `red`, finds the colour. Any other name also
-/// finds the only attribute that differs from it only in case.
+/// The index of the attribute with this name. `velocity` finds the velocity under any usual name. A
+/// name of a colour, or of a component such as `red`, finds the colour. If no attribute has the
+/// name, an attribute whose name differs only in case is found, provided that there is only one.
 #[must_use]
 pub fn attribute_called(name: &str, attributes: &[AttributeInfo]) -> Option<usize> {
     let named = attributes.iter().position(|info| info.name == name);
@@ -295,7 +296,8 @@ pub fn attribute_called(name: &str, attributes: &[AttributeInfo]) -> Option<usiz
     named.or_else(velocity).or_else(alike).or_else(colour)
 }
 
-/// The attributes of the mesh: the velocity under its usual name, and others under their own.
+/// The attributes of the mesh. The velocity is called `velocity`, and other attributes keep their
+/// names.
 pub fn carried_infos(attributes: &[AttributeInfo], carried: &[usize]) -> Vec<AttributeInfo> {
     let taken = attributes.iter().any(|info| info.name == "velocity");
     let velocity = velocity_attribute(attributes).filter(|_| !taken);
@@ -343,7 +345,7 @@ impl Bounds {
         }
     }
 
-    /// The bounds of both.
+    /// The bounds of both sets of particles.
     pub fn joined(self, other: Self) -> Self {
         Self {
             lo: self.lo.min(other.lo),
@@ -353,8 +355,8 @@ impl Bounds {
     }
 }
 
-/// Finds the bounds of positions in groups of four, which are whole vectors; `None` if one is not
-/// finite.
+/// Finds the bounds of positions in groups of four, which fill whole SIMD vectors; `None` if a
+/// position is not finite.
 #[multiversion(targets("x86_64+avx512f", "x86_64+avx2"))]
 fn bounds_of_fours(fours: &[[[f64; 3]; 4]]) -> Option<Bounds> {
     let (mut lo, mut hi, mut zero) = ([f64::MAX; 12], [f64::MIN; 12], [0.0; 12]);
@@ -379,7 +381,7 @@ fn bounds_of_fours(fours: &[[[f64; 3]; 4]]) -> Option<Bounds> {
     })
 }
 
-/// The bounding box of all finite positions; `None` if there is none.
+/// The bounding box of all finite positions; `None` if no position is finite.
 pub fn bounds(particles: &(impl Particles + ?Sized)) -> Option<Bounds> {
     let of_chunk = |range: Range<usize>| {
         let mut positions = vec![[0.0; 3]; range.len()];
@@ -393,8 +395,8 @@ pub fn bounds(particles: &(impl Particles + ?Sized)) -> Option<Bounds> {
 /// Number of particles that are processed together.
 pub(crate) const CHUNK: usize = 1 << 12;
 
-/// Calls `look` with ranges of some thousands of particles, on all threads. A mapped file releases
-/// its pages afterwards.
+/// Calls `look` with ranges of a few thousand particles, on all threads. A mapped file releases its
+/// pages afterwards.
 pub fn chunks<T: Send>(
     particles: &(impl Particles + ?Sized),
     look: impl Fn(Range<usize>) -> T + Send + Sync,
@@ -408,7 +410,7 @@ pub fn chunks<T: Send>(
     })
 }
 
-/// All finite positions, in batches of some thousands.
+/// All finite positions, in batches of a few thousand.
 pub fn finite_chunks(
     particles: &(impl Particles + ?Sized),
 ) -> impl IndexedParallelIterator<Item = Vec<[f64; 3]>> {

@@ -94,7 +94,7 @@ impl AttributeOrLabel {
 }
 
 /// The different values, each with its key and its number of particles; `None` if there are too
-/// many, or almost all occur once.
+/// many values, or on average fewer than two particles with each value.
 pub(super) fn values_of(
     particles: &(impl Particles + ?Sized),
     source: AttributeOrLabel,
@@ -104,8 +104,8 @@ pub(super) fn values_of(
     Some(values.collect())
 }
 
-/// The number of particles with each key; `None` if there are too many keys, or almost all occur
-/// once.
+/// The number of particles with each key; `None` if there are too many keys, or on average fewer
+/// than two particles with each key.
 fn counted(
     particles: &(impl Particles + ?Sized),
     source: AttributeOrLabel,

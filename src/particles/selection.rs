@@ -27,11 +27,8 @@ pub enum SelectionFault {
         /// The names of the available attributes.
         known: Vec<String>,
     },
-    /// A vector where a number is needed, or a component that it does not have.
-    #[error(
-        "cannot select particles by {name:?}: the attribute has {components} components, {}",
-        example(attribute, *components)
-    )]
+    /// A vector where a number is needed, or a component that the vector does not have.
+    #[error("cannot select particles by {name:?}: {}", with_components(attribute, *components))]
     Component {
         /// The name in the condition.
         name: String,
@@ -92,22 +89,28 @@ fn listed(names: &[String]) -> String {
 
 fn occur(values: &[ValueCounts]) -> String {
     let one = |of: &ValueCounts| {
-        let listed = of.values.iter().map(|(value, count)| format!("{value} ({count})"));
+        let listed = of.values.iter().map(|(value, count)| {
+            let particles = if *count == 1 { "particle" } else { "particles" };
+            format!("{value} ({count} {particles})")
+        });
         format!("; values of {}: {}", of.name, listed.collect::<Vec<_>>().join(", "))
     };
     values.iter().map(one).collect()
 }
 
-/// An example of the name of a component, for a message.
-fn example(attribute: &str, components: usize) -> String {
-    match components {
-        1 => format!("which is {attribute}"),
-        2 | 3 => format!("such as {attribute}.y"),
-        _ => format!("such as {attribute}[0]"),
-    }
+/// The number of components of an attribute, and how to name one, for a message.
+fn with_components(attribute: &str, components: usize) -> String {
+    let example = match components {
+        1 => return format!("the attribute is a single number; use {attribute}"),
+        2 | 3 => ".y",
+        _ => "[0]",
+    };
+    format!(
+        "the attribute has {components} components; name one of them, such as {attribute}{example}"
+    )
 }
 
-/// A number that every particle has.
+/// A number of each particle that a condition tests.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum ConditionOperand {
     /// A component of an attribute.
@@ -123,7 +126,7 @@ enum StoredCondition {
     Number(ConditionOperand, Comparison, Vec<f64>),
     /// Compares an integer component of an attribute for equality.
     Whole((usize, usize), Comparison, Vec<i64>),
-    /// A label, with whether each of its texts satisfies the condition.
+    /// A label. For each of its texts, the list says whether the text satisfies the condition.
     Label(usize, Vec<bool>),
 }
 
@@ -213,7 +216,7 @@ impl Condition {
 }
 
 impl StoredCondition {
-    /// Clears the bits of the particles in `range` that fail.
+    /// Clears the bits of the particles in `range` that do not satisfy the condition.
     fn apply(&self, particles: &(impl Particles + ?Sized), range: Range<usize>, words: &mut [u64]) {
         let (first, count) = (range.start, range.len());
         match self {
@@ -250,7 +253,7 @@ impl StoredCondition {
     }
 }
 
-/// Clears the bits of the values that fail.
+/// Clears the bits of the values for which `holds` returns false.
 fn keep<T>(words: &mut [u64], values: &[T], holds: impl Fn(&T) -> bool) {
     for (word, values) in words.iter_mut().zip(values.chunks(64)) {
         let bits = values.iter().map(&holds).enumerate();
@@ -301,7 +304,7 @@ impl SelectionFault {
     }
 }
 
-/// A selection of other particles.
+/// The particles that a sieve selects from other particles.
 #[derive(Debug)]
 pub struct SelectedParticles<'a, P: ?Sized> {
     particles: &'a P,

@@ -57,7 +57,7 @@ impl Sieve {
         Some(at * WORD + WORD - 1 - word.leading_zeros() as usize)
     }
 
-    /// Selects some of the selected rows, by their indices among them.
+    /// Keeps the selected rows whose index among the selected rows is in `inner`.
     pub fn within(&self, inner: &Self) -> Self {
         let mut words = vec![0; self.words.len()];
         let rows = self.rows(0).enumerate().filter(|(number, _)| inner.holds(*number));

@@ -24,13 +24,15 @@ const DENSITIES: [&str; 5] = ["density", "densities", "rho", "rhop", "densityf"]
 const ONE_SIZE: f64 = 1.1;
 /// Maximum ratio of sizes: larger particles count as this many times the smallest size.
 pub const MOST_TIMES: f64 = 64.0;
-/// Share of the particles that may be smaller than the smallest size, or larger than the largest.
+/// Fraction of the particles that count as outliers at each end of the range of sizes.
 const STRAYS: f64 = 1e-4;
-/// Edge of the cells in which densities are measured, in the largest sizes.
+/// Edge of the cells in which densities are measured, in units of the largest size.
 const CELL: f64 = 4.0;
-/// Minimum number of cells that measure a density; particles must be all around a cell.
+/// Minimum number of cells from which a density is measured. Only cells with particles in all cells
+/// around them count.
 const ENOUGH: usize = 8;
-/// Range of densities of a fluid. A density outside it shows that radii have another meaning.
+/// Range of plausible densities: volume of the particles per unit volume. A density outside this
+/// range shows that the program defines radii differently.
 const FLUID: [f64; 2] = [0.7, 1.4];
 
 /// Meaning of an attribute's values.
@@ -126,7 +128,7 @@ pub struct Sizes {
     /// Factor by which the attribute's sizes are scaled, because the particles fill more or less
     /// space than the attribute says.
     pub scale: f64,
-    /// The smallest size, without strays.
+    /// The smallest size, apart from outliers.
     pub finest: f64,
     /// The largest size; larger particles count as this.
     pub coarsest: f64,
@@ -276,14 +278,14 @@ fn cube_root(x: f64) -> f64 {
 }
 
 impl Sizes {
-    /// The size of a particle from its values.
+    /// The size of a particle from its attribute's value and, for masses, its density.
     #[must_use]
     pub fn of(&self, number: f32, density: f32) -> f64 {
         let size = self.meaning.size(number, density).map(|size| size * self.scale);
         size.map_or(self.usual, |size| size.min(self.coarsest))
     }
 
-    /// Finds the attributes with these sizes among those of other particles.
+    /// Finds the attributes that hold these sizes among the attributes of other particles.
     ///
     /// # Errors
     /// [`SizeFault`] if they do not exist.
@@ -363,14 +365,15 @@ impl Sizes {
     }
 }
 
-/// Numbers of particles by size, in steps of an eighth of an octave.
+/// Numbers of particles by size, in steps: eight for each octave, a factor of two.
 struct SizeCounts {
     /// The number of particles, the smallest and the largest size of each step.
     steps: HashMap<u64, (u64, f64, f64)>,
     invalid: u64,
 }
 
-/// Bits of a number that do not affect its step: all except the exponent and three bits.
+/// Number of low bits of an f64 that do not affect its step: all bits after the exponent and three
+/// bits of the mantissa.
 const STEP_BITS: u32 = 49;
 
 impl SizeCounts {
@@ -408,7 +411,7 @@ impl SizeCounts {
         steps.into_iter().map(|(_, found)| found).collect()
     }
 
-    /// The first step at which the sum of particles reaches `count`.
+    /// The first step at which the running total of particles reaches `count`.
     fn at(steps: impl Iterator<Item = (u64, f64, f64)>, count: u64) -> Option<(u64, f64, f64)> {
         let mut before = 0;
         let mut steps = steps;
@@ -418,7 +421,7 @@ impl SizeCounts {
         })
     }
 
-    /// The smallest and the largest size, without strays.
+    /// The smallest and the largest size, apart from outliers.
     fn range(&self) -> Option<(f64, f64)> {
         let steps = self.sorted();
         let all: u64 = steps.iter().map(|(count, ..)| count).sum();
@@ -439,14 +442,14 @@ impl SizeCounts {
         Self::at(steps.into_iter(), all.div_ceil(2)).map_or(0.0, |(_, least, _)| least)
     }
 
-    /// Number of particles in the steps beyond a size.
+    /// Number of particles in the steps that are larger than `size`.
     fn beyond(&self, size: f64) -> u64 {
         self.steps.values().filter(|&&(_, least, _)| least > size).map(|&(count, ..)| count).sum()
     }
 }
 
 /// The volume of the particles per unit volume deep in the fluid: the median over cells of `edge`
-/// with particles all around them. `None` for too few such cells.
+/// with particles all around them. `None` if there are too few such cells.
 fn filling(
     particles: &(impl Particles + ?Sized),
     columns: &SizeAttributes,
@@ -522,7 +525,7 @@ mod tests {
         assert!([0.0, -1.0, f64::NAN, f64::INFINITY].iter().all(|&x| cube_root(x).is_nan()));
     }
 
-    /// Two cubes of particles side by side, of spacings 1 and 2.
+    /// Two cubes of particles side by side, with spacings 1 and 2.
     fn two() -> (Vec<[f64; 3]>, Vec<f32>) {
         let cube = |first: f64, spacing: f64, count: i32| {
             let at = move |i: i32| (f64::from(i) + 0.5) * spacing;
@@ -569,7 +572,7 @@ mod tests {
         let of_one = Cloud::new(&positions).with("radius", &same);
         let one = FoundSizes::One { attribute: "radius".to_owned(), size: 1.0, invalid: 1 };
         assert_eq!(Sizes::found(&of_one, &columns), Ok(one));
-        // Of another frame.
+        // Applies the measured sizes to another frame.
         let half = Sizes { coarsest: 0.99, ..sizes };
         assert_eq!(half.strays(&of_one, &columns), StraySizes { invalid: 1, larger: 71_999 });
         let whole = Sizes { coarsest: 1.0, ..half };

@@ -36,7 +36,8 @@ fn in_options(error: &Error) -> Option<String> {
             format!("--simplify needs a --memory of at least {}", ByteSize(*least))
         }
         Error::LittleMemory { least, simplifying: Some(threads) } => format!(
-            "--simplify with {threads} threads needs a --memory of at least {}; fewer --threads need less",
+            "--simplify with {threads} threads needs a --memory of at least {}; with fewer \
+             --threads, it needs less",
             ByteSize(*least)
         ),
         Error::Simulation(SimulationError::Rate { .. } | SimulationError::Timeout(_)) => {
@@ -63,7 +64,8 @@ fn is_of_unknown_particles(fault: &ReadFault) -> bool {
 fn advice(error: &Error) -> String {
     match error {
         Error::NoSpacing { why: NoEstimate::SinglePrecision { .. }, .. } => {
-            "; store the coordinates in double precision or move them to the origin, or use --spacing"
+            "; store the coordinates in double precision, move the particles to the origin, or use \
+             --spacing"
         }
         Error::NoSpacing { .. } => "; use --spacing, --radius or --cell-size",
         Error::Write(error) => match error.fault {
@@ -74,10 +76,10 @@ fn advice(error: &Error) -> String {
             _ => "",
         },
         Error::Read(error) if is_of_unknown_particles(&error.fault) => {
-            "; use --format for particle files with another extension"
+            "; if this is a particle file with another extension, use --format"
         }
         Error::Read(error) if matches!(error.fault, ReadFault::Changed) => {
-            "; convert it again when it is complete (with --resume in a simulation)"
+            "; convert it again when it is complete; for a simulation, add --resume"
         }
         Error::Simulation(SimulationError::State { .. }) => "; use --overwrite to start again",
         Error::Simulation(SimulationError::Settings { .. }) => {
@@ -87,7 +89,7 @@ fn advice(error: &Error) -> String {
             fault: FrameError::TooFine(TooFine::Steps { remedy: Remedy::Origin(corner), .. }),
             ..
         } => {
-            return format!(": --origin {}", corner.map(|x| x.to_string()).join(","));
+            return format!(" (--origin {})", corner.map(|x| x.to_string()).join(","));
         }
         Error::Parts(PartsError::NoPlan(_)) => "; run with --plan first",
         Error::Parts(
@@ -117,11 +119,17 @@ fn advice_on_frame(fault: &FrameError) -> &'static str {
             " (--cell 0.1 or more); is the --spacing correct?"
         }
         FrameError::TooFine(TooFine::Symmetry { .. }) => {
-            " (--cell of more than 0.5), or another --indicator"
+            " (--cell above 0.5), or another --indicator"
         }
         FrameError::NoSurface { .. } => {
             "; use --indicator cloud, which keeps drops and sheets, or smaller cells, a lower --iso or a smaller \
              --sigma; is the --spacing correct?"
+        }
+        FrameError::NothingLeft(TooSmall { drops: 0, .. }) => {
+            "; use a smaller --smallest-component"
+        }
+        FrameError::NothingLeft(TooSmall { components: 0, .. }) => {
+            "; use a smaller --smallest-drop"
         }
         FrameError::NothingLeft(_) => "; use a smaller --smallest-component or --smallest-drop",
         FrameError::NoDistanceSurface => "; use smaller cells; is the --spacing correct?",
@@ -156,7 +164,10 @@ pub fn spacing_message(warning: &SpacingWarning) -> String {
             format!("{warning}; use --spacing {}", significant(*found, 3))
         }
         SpacingWarning::SinglePrecision { .. } => {
-            format!("{warning}; store them in double precision, or move them to the origin")
+            format!(
+                "{warning}; store the coordinates in double precision, or move the particles to \
+                 the origin"
+            )
         }
         SpacingWarning::Mixed(Mixture { attribute, fluid: (value, _), .. }) => {
             let values = vec![value.to_string()];
@@ -172,7 +183,7 @@ pub fn spacing_message(warning: &SpacingWarning) -> String {
             format!("{warning}; convert frames of several sizes apart from the others")
         }
         SpacingWarning::Sizes { .. } => {
-            format!("{warning}; use --size none to treat all as one size")
+            format!("{warning}; use --size none to treat all particles as one size")
         }
         _ => format!("{warning}; use --spacing if you know it"),
     }
@@ -208,9 +219,18 @@ pub fn warning_message(warning: &Warning, options: Option<&ReconstructOptions>) 
         Warning::ThinSolid { .. } => {
             format!("{warning}; use smaller cells, a thicker mesh or a larger --solid-offset")
         }
-        Warning::Shortfall { clouds, calibration_frame, .. }
-        | Warning::Empty { why: EmptyReason::Field, clouds, calibration_frame } => {
-            format!("{warning}{}", on_shortfall(options, *clouds, *calibration_frame))
+        Warning::Shortfall { clouds, calibration_frame, .. } => {
+            let what = if *clouds { "plateau" } else { "isovalue" };
+            let measured = calibration_frame.map_or(String::new(), |frame| {
+                format!("; the {what} was measured on frame {frame}")
+            });
+            format!("{warning}{measured}{}", on_shortfall(options, *clouds))
+        }
+        Warning::Empty { why: EmptyReason::Field, clouds, calibration_frame } => {
+            // The warning ends with the isovalue.
+            let measured = calibration_frame
+                .map_or(String::new(), |frame| format!(", which was measured on frame {frame}"));
+            format!("{warning}{measured}{}", on_shortfall(options, *clouds))
         }
         Warning::Empty { why: EmptyReason::TooSmall(all), .. } => {
             format!("the mesh is empty: all components are below {}", limits(*all))
@@ -220,16 +240,8 @@ pub fn warning_message(warning: &Warning, options: Option<&ReconstructOptions>) 
 }
 
 /// Advice for a surface that encloses too little volume.
-fn on_shortfall(
-    options: Option<&ReconstructOptions>,
-    clouds: bool,
-    calibration_frame: Option<i64>,
-) -> String {
+fn on_shortfall(options: Option<&ReconstructOptions>, clouds: bool) -> String {
     let mut advice = String::new();
-    if let Some(frame) = calibration_frame {
-        let what = if clouds { "its plateau" } else { "its isovalue" };
-        advice += &format!("; {what} was measured on frame {frame}");
-    }
     if options.is_some_and(|options| options.settings.isovalue().is_some()) {
         advice += "; use a lower --iso, or --iso auto";
     } else if options.is_some_and(|options| options.settings.kernels().is_none()) && !clouds {

@@ -26,7 +26,7 @@ fn inputs() -> String {
 pub struct ReconstructOptions {
     #[arg(required = true, value_name = "INPUT", help = INPUT, long_help = format!("{INPUT}.\n\n{}", inputs()))]
     pub inputs: Vec<PathBuf>,
-    /// Make one surface from the particles of all inputs, such as several fluids.
+    /// Make one surface from the particles of all inputs, for example of several fluids.
     ///
     /// If the inputs are several simulations, frames with the same number make one surface. List
     /// each input only once. Attributes that are missing from one of the inputs are left out.
@@ -41,7 +41,7 @@ pub struct ReconstructOptions {
     /// all frames.
     #[arg(short, long, help_heading = "Output")]
     pub output: PathBuf,
-    /// Draw a .png next to the mesh, or a contact sheet for a simulation.
+    /// Draw a picture (.png) of the mesh next to it, or a contact sheet for a simulation.
     #[arg(long, help_heading = "Output")]
     pub preview: bool,
     /// Print what would be done without doing it.

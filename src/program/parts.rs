@@ -147,7 +147,8 @@ pub struct PartsOptions {
     /// .meniscus-parts.
     #[arg(long, value_name = "N", value_parser = value_parser!(u32).range(1..), help_heading = "Clusters", hide_short_help = true)]
     pub parts: Option<u32>,
-    /// Make part I, from 0 to N - 1. Parts can be made in any order, and again if a run was killed.
+    /// Make part I, where I is from 0 to N - 1. Parts can be made in any order. If a run was
+    /// killed, make its part again.
     #[arg(
         long,
         value_name = "I",
@@ -157,8 +158,8 @@ pub struct PartsOptions {
         hide_short_help = true
     )]
     part: Option<u32>,
-    /// Check all parts, and join them into the mesh, which has the same bytes as that of a single
-    /// run.
+    /// Check all parts, and join them into the mesh. The mesh has the same bytes as the mesh of a
+    /// single run.
     #[arg(
         long,
         requires = "parts",

@@ -30,11 +30,13 @@ pub struct RenderOptions {
     size: Option<[usize; 2]>,
     /// Camera position [default: from the front and above, with everything in view].
     ///
-    /// Two numbers are the degrees around and above the meshes; an optional third is a zoom factor.
-    /// Six numbers are the position of the camera, and the point that it looks at.
+    /// Two numbers are the angles around and above the meshes in degrees; an optional third number
+    /// is a zoom factor. Six numbers are the position of the camera, and the point that it looks
+    /// at.
     #[arg(long, value_name = "NUMBERS", value_delimiter = ',', allow_hyphen_values = true)]
     camera: Option<Vec<f64>>,
-    /// Axis that points up [default: from the mesh file or the simulation's listing, else y].
+    /// Axis that points up [default: the axis in the mesh file or in the simulation's list of
+    /// frames, else y].
     #[arg(long, value_enum)]
     up: Option<UpAxis>,
     /// Show the floor of the bounding box, with shadows.
@@ -47,8 +49,8 @@ pub struct RenderOptions {
     /// a colour map), or, with --reference, distance:red-blue.
     #[arg(long, visible_alias = "color", value_name = "COLOUR", default_value = "water", default_value_if("reference", ArgPredicate::IsPresent, "distance"), value_parser = colour)]
     colour: ColourArgument,
-    /// Colour by the signed distance from this mesh, in the meshes' unit of length; negative is
-    /// inside.
+    /// Colour by the signed distance from this mesh, in the meshes' unit of length. Distances are
+    /// negative inside this mesh.
     #[arg(long, value_name = "MESH")]
     reference: Option<PathBuf>,
     /// Frames per second of an animation.
@@ -57,7 +59,7 @@ pub struct RenderOptions {
     /// Number of threads [default: one per core].
     #[arg(long, value_name = "N")]
     threads: Option<usize>,
-    /// Limit of memory for a mesh and its picture, such as 512MiB [default: three quarters of the
+    /// Memory limit for a mesh and its picture, such as 512MiB [default: three quarters of the
     /// available memory].
     #[arg(long, value_name = "SIZE")]
     memory: Option<ByteSize>,

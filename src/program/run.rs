@@ -17,14 +17,14 @@ pub struct RunOptions {
     /// Where to compute: on the CPU or on a GPU.
     #[arg(long, value_enum, default_value_t = BackendName::Auto, help_heading = "Machine")]
     backend: BackendName,
-    /// Vulkan device, by its number, UUID or part of its name, as `meniscus devices` lists them
+    /// Number, UUID or part of the name of a Vulkan device; `meniscus devices` lists the devices
     /// [default: the best device].
     #[arg(long, value_name = "DEVICE", help_heading = "Machine", hide_short_help = true)]
     device: Option<String>,
     /// Number of threads [default: one per core].
     #[arg(long, value_name = "N", help_heading = "Machine", hide_short_help = true)]
     threads: Option<usize>,
-    /// Limit of memory, such as 512MiB or 8GiB.
+    /// Memory limit, such as 512MiB or 8GiB.
     ///
     /// The default is three quarters of the available memory.
     #[arg(long, value_name = "SIZE", help_heading = "Machine")]

@@ -256,20 +256,21 @@ pub struct SimulationOptions {
     frames: Option<(i64, i64)>,
     /// Resume an interrupted conversion.
     ///
-    /// Finished frames are kept, and the others are made. If the settings changed, this is an error;
-    /// --overwrite makes all frames again.
+    /// Finished frames are kept, and all other frames are made. Changed settings are an error; use
+    /// --overwrite to make all frames again.
     #[arg(long, help_heading = "Simulations")]
     pub resume: bool,
     /// Convert frames as a running simulation writes them.
     ///
-    /// The conversion stops after the frame of --end, or when no new frame has appeared for SECONDS.
+    /// The conversion stops after the frame of --end, or when no new frame has appeared for SECONDS
+    /// [default: no limit].
     #[arg(long, value_name = "SECONDS", num_args = 0..=1, require_equals = true, default_missing_value = "inf", help_heading = "Simulations")]
     pub watch: Option<f64>,
     /// Frames per second of the simulation, if the files have no times.
     #[arg(long, value_name = "RATE", help_heading = "Simulations", hide_short_help = true)]
     pub fps: Option<f64>,
-    /// Prepare a conversion by several jobs: calibrate, write the state file, and print the frame
-    /// numbers, one per line. With --parts, plan the parts.
+    /// Prepare a conversion that several jobs will share: calibrate, write the state file, and
+    /// print the frame numbers, one per line. With --parts, prepare the parts of one mesh.
     #[arg(long, conflicts_with_all = ["watch", "dry_run"], help_heading = "Simulations", hide_short_help = true)]
     pub plan: bool,
     /// Show progress as bars, or as a line for each frame.

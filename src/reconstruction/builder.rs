@@ -340,7 +340,8 @@ setters! {
     /// Sets the standard deviation of the Gaussian in cells, for counting and symmetry. The default
     /// is one spacing, but at least one cell.
     sigma: f64,
-    /// Recovers details that smoothing removes, for counting and symmetry.
+    /// Recovers details, such as drops, that smoothing with the indicators counting and symmetry
+    /// removes.
     detail: bool,
     /// Adds vertex normals, from the field's gradient.
     normals: bool,
@@ -351,11 +352,11 @@ setters! {
     smallest_component: f64,
     /// Removes drops with fewer particles than this number, estimated from their volume.
     smallest_drop: u32,
-    /// Skips and counts particles that are not finite or too far away, which are otherwise an
-    /// error.
+    /// Skips particles whose position is not finite or is outside the grid, and reports their
+    /// number; without this, such particles are an error.
     skip_invalid: bool,
-    /// Writes `.glb` files quantized and compressed (EXT_meshopt_compression), and `.vdb` files
-    /// compressed by zlib.
+    /// Compresses the output: a `.glb` with quantization and EXT_meshopt_compression, a `.vdb` with
+    /// zlib.
     compress: bool,
     /// Sets the axis that points up in mesh files; rotates the mesh if another axis points up in
     /// the particles.

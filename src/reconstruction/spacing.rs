@@ -319,14 +319,16 @@ impl fmt::Display for SpacingWarning {
                     Some(SpacingMistake::Unit(factor)) if *factor < 1.0 => {
                         write!(
                             f,
-                            "; its unit may be {} times larger than that of the positions",
+                            "; the spacing may be in a unit {} times larger than the unit of the \
+                             positions",
                             1.0 / factor
                         )?;
                     }
                     Some(SpacingMistake::Unit(factor)) => {
                         write!(
                             f,
-                            "; its unit may be {factor} times smaller than that of the positions"
+                            "; the spacing may be in a unit {factor} times smaller than the unit \
+                             of the positions"
                         )?;
                     }
                     None => {}
@@ -356,33 +358,41 @@ impl fmt::Display for SpacingWarning {
                     ),
                     None => write!(
                         f,
-                        "few particles are surrounded by others, so their spacing is uncertain: \
-                         {used} is used; nearest neighbours are {} apart",
+                        "few particles are surrounded by others, so the spacing is uncertain: \
+                         nearest neighbours are {} apart; {used} is used",
                         about(*nearest)
                     ),
                 }
             }
             Self::Random { used } => write!(
                 f,
-                "the particles are at random positions, like spray: their mean distance {} is \
-                 used as the spacing; the true spacing may be smaller",
+                "the particles are at random positions, as in spray, so their mean distance of {} \
+                 is used as the spacing; the true spacing may be smaller",
                 about(*used)
             ),
             Self::Sizes { attribute, invalid, usual, larger, coarsest } => {
                 if *invalid > 0 {
+                    let (have, them) = match invalid {
+                        1 => ("particle has", "it"),
+                        _ => ("particles have", "them"),
+                    };
                     write!(
                         f,
-                        "{invalid} particles have no positive, finite {attribute}; size {} is used \
-                         for them",
+                        "{invalid} {have} no positive, finite {attribute}; size {} is used for \
+                         {them}",
                         about(*usual)
                     )?;
                 }
                 if *larger > 0 {
                     let and = if *invalid > 0 { "; " } else { "" };
+                    let (exceed, them) = match larger {
+                        1 => ("particle exceeds", "it"),
+                        _ => ("particles exceed", "them"),
+                    };
                     write!(
                         f,
-                        "{and}{larger} particles are larger than the largest size, {coarsest}, \
-                         which is used for them",
+                        "{and}{larger} {exceed} the maximum size of {coarsest}, which is used for \
+                         {them}",
                         coarsest = about(*coarsest)
                     )?;
                 }
@@ -390,16 +400,16 @@ impl fmt::Display for SpacingWarning {
             }
             Self::MoreSizes { attribute, sizes: [least, most], used } => write!(
                 f,
-                "{attribute} means sizes from {} to {} in this frame, but the calibration frame \
-                 has one size; size {} is used for all particles",
+                "in this frame, {attribute} gives the particles sizes from {} to {}, but in the \
+                 calibration frame all particles have one size; size {} is used for all particles",
                 about(*least),
                 about(*most),
                 about(*used)
             ),
             Self::SinglePrecision { step, spacing } => write!(
                 f,
-                "single-precision coordinates so far from the origin have steps of {}, more \
-                 than a quarter of the spacing {}",
+                "the particles are so far from the origin that their single-precision coordinates \
+                 have steps of {}, more than a quarter of the spacing {}",
                 about(*step),
                 shown(*spacing)
             ),

@@ -175,24 +175,28 @@ impl fmt::Display for Warning {
                 let at = at.map(|c| significant(c, 6)).join(", ");
                 write!(
                     f,
-                    "{particles} of {of} particles share their position with another particle"
+                    "{particles} of {of} particles duplicate the position of an earlier particle"
                 )?;
                 match (*alone, *most) {
                     (true, most) => {
                         write!(
                             f,
-                            "; {most} are at ({at}), far from all others, and may be unused slots"
+                            "; {most} particles are at ({at}), far from all others, and may be \
+                             unused slots"
                         )
                     }
-                    (false, most) if most > 2 => write!(f, "; {most} are at ({at})"),
+                    (false, most) if most > 2 => write!(f, "; {most} particles are at ({at})"),
                     (false, _) => write!(f, ", such as at ({at})"),
                 }
             }
-            Self::MissingValues { attribute, without, of } => write!(
-                f,
-                "{without} of {of} particles have no finite 32-bit value of {attribute}; vertices near \
-                 them take the values of other particles"
-            ),
+            Self::MissingValues { attribute, without, of } => {
+                let (have, them) = if *without == 1 { ("has", "it") } else { ("have", "them") };
+                write!(
+                    f,
+                    "{without} of {of} particles {have} no value of {attribute} that is finite in \
+                     32 bits; vertices near {them} take the values of other particles"
+                )
+            }
             Self::DeviceFallback(what) => f.write_str(what),
             Self::OnCorners { mean, .. } => write!(
                 f,
@@ -209,10 +213,9 @@ impl fmt::Display for Warning {
             ),
             Self::BeyondWall(BeyondWall { axis, wall, reach, moved }) => {
                 let [wall, reach] = [wall, reach].map(|at| significant(*at, 6));
-                let what = if moved.is_some() {
-                    "the wall is moved there"
-                } else {
-                    "that side of the tank is open"
+                let what = match moved {
+                    Some(to) => format!("the wall is moved to {axis} = {}", significant(*to, 6)),
+                    None => "that side of the tank is open".to_owned(),
                 };
                 write!(
                     f,
@@ -224,19 +227,22 @@ impl fmt::Display for Warning {
                 write!(f, "at least {lost} of {of} particles are missing from the surface")
             }
             Self::Shortfall { shortfall, .. } => shortfall.fmt(f),
-            Self::Merged { vertices, format } => write!(
-                f,
-                "{vertices} vertices have the same f32 position as another vertex, and {format} \
-                 cannot distinguish them; .ply can"
-            ),
+            Self::Merged { vertices, format } => {
+                let have = if *vertices == 1 { "vertex has" } else { "vertices have" };
+                write!(
+                    f,
+                    "in {format}, which stores f32, {vertices} {have} the same position as another \
+                     vertex and cannot be distinguished; use .ply, which keeps them apart"
+                )
+            }
             Self::Renamed { attribute, name, format } => {
                 write!(f, "the attribute \"{attribute}\" is stored as \"{name}\" in {format}")
             }
             Self::Coarse { format } => {
                 write!(
                     f,
-                    "{format} stores coordinates as f32, which is too coarse here; .ply \
-                           stores f64"
+                    "{format} stores coordinates as f32, which is too coarse for this surface; use \
+                     .ply, which stores f64"
                 )
             }
             Self::InvertedSolid(path) => write!(
@@ -246,7 +252,8 @@ impl fmt::Display for Warning {
             ),
             Self::ThinSolid { path, thickness, cell_size } => write!(
                 f,
-                "{}: with its offset, the solid is about {} thick, thinner than a cell of {}; fluid may leak through it",
+                "{}: with its offset, the solid is about {} thick, which is less than the cell \
+                 size of {}; fluid may leak through it",
                 path.display(),
                 significant(*thickness, 2),
                 significant(*cell_size, 3)

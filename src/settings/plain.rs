@@ -28,7 +28,7 @@ mod expected {
 
 /// Text in the command line's syntax, independent of the locale.
 ///
-/// The expected value, such as "expected a number".
+/// An error says what is expected, such as "expected a number".
 impl Source for &str {
     type Error = String;
 
@@ -83,7 +83,7 @@ impl Source for &str {
 /// One number, or several for a point or a box. -inf and inf leave an axis of a box open. A switch
 /// is 0 or 1.
 ///
-/// The expected value, such as "expected a number".
+/// An error says what is expected, such as "expected a number".
 impl Source for &[f64] {
     type Error = String;
 

@@ -30,7 +30,7 @@ pub enum MethodName {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Iso {
-    /// Measured.
+    /// The isovalue is measured.
     Auto,
     /// A value between 0 and 1.
     #[serde(untagged)]
@@ -141,7 +141,7 @@ macro_rules! taken_by_name {
     ($($type:ty: $($name:literal => $value:ident),*;)*) => {
         $(impl FromSource for $type {
             fn taken<S: Source>(source: &S) -> Result<Self, S::Error> {
-                // A value that is missing here does not compile.
+                // If a value is missing here, the code does not compile.
                 let _all = |value: &Self| match value { $(Self::$value => ()),* };
                 source.one_of(&[$($name),*]).map(|index| [$(Self::$value),*][index])
             }

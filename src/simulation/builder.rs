@@ -37,7 +37,7 @@ pub struct Simulation {
     pub(super) watch: Option<f64>,
     pub(super) fps: Option<f64>,
     pub(super) also_written: Vec<PathBuf>,
-    /// Whether to only plan, without converting, which every job may do.
+    /// Whether to only plan. A plan converts nothing, so outputs of this simulation may exist.
     pub(super) planned: bool,
     /// Whether a contact sheet will be drawn.
     pub(super) sheet: bool,
@@ -78,10 +78,10 @@ impl Simulation {
         }
     }
 
-    /// A request for a simulation if the inputs and the output name one; `None` if both name a
-    /// single frame. The output of a single file is taken literally unless it has `{}`: then `##`
-    /// and `%04d` do not stand for frame numbers. `format` is that of the inputs, if it differs from
-    /// that of their extension.
+    /// A request for a simulation if the inputs or the output name several frames; `None` if both
+    /// name a single frame. If the input is a single file, only `{}` in the output stands for a
+    /// frame number, and `##` and `%04d` are ordinary text. `format` is the format of the inputs if
+    /// it differs from the format of their extension.
     ///
     /// # Errors
     /// [`Error::Simulation`] for names that do not determine frame numbers, and [`Error::Request`]
@@ -107,12 +107,12 @@ impl Simulation {
     }
 
     /// A request for a simulation whose inputs are [joined](Self::together), if the output names
-    /// one; `None` if it names a single frame. `format` is that of the inputs, if it differs from
-    /// that of their extension.
+    /// several frames; `None` if the output names a single frame. `format` is the format of the
+    /// inputs if it differs from the format of their extension.
     ///
     /// # Errors
     /// [`Error::Simulation`] for names that do not determine frame numbers, and [`Error::Request`]
-    /// for the frames of a simulation and one output.
+    /// for several frames and one output.
     pub fn detect_together(
         inputs: &[PathBuf],
         output: &Path,
@@ -172,7 +172,7 @@ impl Simulation {
     }
 
     /// Resumes an interrupted conversion: keeps meshes that are complete and made from the same
-    /// inputs. Other settings are an error unless outputs may be [replaced](Self::overwrite).
+    /// inputs. Changed settings are an error, unless outputs may be [replaced](Self::overwrite).
     pub fn resume(mut self) -> Self {
         self.resume = true;
         self
@@ -191,14 +191,14 @@ impl Simulation {
         self
     }
 
-    /// Joins the frames with the same number from all inputs: their particles make one surface,
-    /// with the attributes that all of them have.
+    /// Joins the frames with the same number from all inputs. The particles of these frames make
+    /// one surface, with the attributes that all the frames have.
     pub fn together(mut self) -> Self {
         self.together = true;
         self
     }
 
-    /// Sets the frames per second, if the files have no times.
+    /// Sets the frames per second, for files without times.
     pub fn fps(mut self, rate: f64) -> Self {
         self.fps = Some(rate);
         self

@@ -34,7 +34,8 @@ use super::watch::{CompleteFrame, Watch};
 /// Minimum time between two events of progress within a stage.
 const PROGRESS_INTERVAL: Duration = Duration::from_millis(50);
 
-/// Settles `None` on drop, unless it is settled, so that no lane waits forever.
+/// Sets the shared measurements to `None` on drop, unless they are known, so that no lane waits for
+/// them forever.
 struct SettleOnDrop<'a>(&'a OnceLock<Option<SharedMeasurements>>);
 
 impl Drop for SettleOnDrop<'_> {
@@ -47,7 +48,7 @@ impl Drop for SettleOnDrop<'_> {
 pub(super) enum ConversionEnd {
     /// All frames have finished or failed.
     Ended(Box<Summary>),
-    /// The calibration frame, in this file, has changed since it was measured.
+    /// The calibration frame has changed since it was measured. Holds the path of its file.
     Outdated(PathBuf),
 }
 
@@ -56,7 +57,7 @@ struct Job {
     frame: FrameFile,
     /// The particles of the frame, if the file is already open.
     particles: Option<ParticleFile>,
-    /// Whether its mesh was made before from an older version of its file.
+    /// Whether this run has already made the frame's mesh from an older version of the file.
     again: bool,
 }
 
@@ -67,8 +68,8 @@ struct Outcome<T> {
 }
 
 impl Conversion<'_> {
-    /// Measures what all frames share, while lanes may hold open frames. Returns the calibration
-    /// frame if it may stay open.
+    /// Measures the calibration that all frames share, or takes it from `known`. Returns the number
+    /// and the particles of the calibration frame, if its file may stay open.
     fn settle(
         &self,
         known: Option<State>,
@@ -96,7 +97,7 @@ impl Conversion<'_> {
         to_lanes: Sender<Job>,
         tally: &mut Tally,
     ) -> Result<(), Error> {
-        // The lanes run as long as the channel is open.
+        // Sending cannot fail: the lanes run as long as the channel is open.
         let send = |job: Job| drop(to_lanes.send(job));
         let mut jobs =
             todo.iter().map(|&frame| Job { frame: frame.clone(), particles: None, again: false });
@@ -151,7 +152,7 @@ impl Conversion<'_> {
 
         let (to_lanes, jobs) = mpsc::channel();
         let jobs = Mutex::new(jobs);
-        // The channel is bounded: each mesh that waits for the disk has an open file.
+        // The channel is bounded, because each mesh that waits for the disk keeps a file open.
         let (to_disk, filled) = mpsc::sync_channel(self.division.lanes);
         let filled = Mutex::new(filled);
         let (results, outcomes) = mpsc::channel();
@@ -238,8 +239,8 @@ impl Conversion<'_> {
                         under_way += 1;
                         tally.total += 1;
                         self.setup.send(Event::FrameAppeared { bytes: frame.bytes() });
-                        // A new frame between finished ones takes the number, and the output, of
-                        // the next one.
+                        // If names contain times, a new frame between finished frames takes over
+                        // the number and the output of the frame after it.
                         let again = tally.has_made(&self.output(&frame));
                         tally.awaited.insert(frame.number);
                         let _ = to_lanes.send(Job { frame, particles: None, again });
@@ -252,12 +253,12 @@ impl Conversion<'_> {
         }
     }
 
-    /// The calibration frame, if its file exists and has changed since.
+    /// The calibration frame, if its file exists and has changed since it was measured.
     fn changed<'f>(&self, frames: &'f [FrameFile]) -> Option<&'f FrameFile> {
         self.settled.get()?.as_ref()?.state.shared.changed_in(frames)
     }
 
-    /// Whether to start no further frame.
+    /// Whether the lanes must not start another frame.
     fn is_over(&self) -> bool {
         self.stop.load(Ordering::Relaxed) || self.cancel().is_cancelled()
     }
@@ -280,9 +281,9 @@ impl Conversion<'_> {
         jobs: &Mutex<Receiver<Job>>,
         to_disk: &SyncSender<Outcome<WrittenFrame>>,
     ) {
-        // Runs on one of the pool's threads; otherwise every step of a frame would wait until
-        // another thread wakes up. The current thread could belong to the pool, but rayon would
-        // never release it.
+        // Run on a thread of the pool; otherwise every step of a frame would wait until another
+        // thread wakes up. The current thread could join the pool, but rayon would never release
+        // it.
         pool.install(|| {
             while let Some(Job { frame, particles, again }) = next(jobs) {
                 if self.is_over() {
@@ -305,8 +306,8 @@ impl Conversion<'_> {
         });
     }
 
-    /// The request for a frame with its solids, which reports progress for its lane: at the start
-    /// and end of a stage, and seldom in between, because each event wakes the caller's thread.
+    /// The request for a frame with its solids. It reports the progress of its lane at the start
+    /// and end of each stage, and seldom in between, because each event wakes the caller's thread.
     fn checked_in(&self, lane: usize, frame: &FrameFile) -> Result<CheckedRequest, Error> {
         let FrameFile { number: frame, ref solids, .. } = *frame;
         let (events, mut checked) = (self.setup.events.clone(), self.setup.checked.clone());
@@ -327,7 +328,7 @@ impl Conversion<'_> {
         if is_of_all { Ok(checked) } else { checked.at_solids_in(solids) }
     }
 
-    /// Waits until meshes are on disk, so that lanes need not wait.
+    /// Finishes written frames: waits until their meshes are on disk, so that no lane has to wait.
     fn keep(
         &self,
         filled: &Mutex<Receiver<Outcome<WrittenFrame>>>,
@@ -351,7 +352,7 @@ fn start<'scope>(
     started.map(drop).map_err(|fault| Error::Threads(fault.to_string()))
 }
 
-/// Receives the next item, for any of several threads.
+/// Receives the next item from a channel that several threads share.
 fn next<T>(receiver: &Mutex<Receiver<T>>) -> Option<T> {
     receiver.lock().unwrap_or_else(PoisonError::into_inner).recv().ok()
 }
@@ -417,7 +418,7 @@ impl<'a> Conversion<'a> {
         SmallMeshes::beside(self.store.folder())
     }
 
-    /// The record of a frame that is already finished, if it is known.
+    /// The record of a frame that is already finished; `None` if the frame must be made.
     pub(super) fn current<'r>(
         &self,
         meshes: &'r ExistingMeshes,

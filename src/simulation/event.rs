@@ -51,7 +51,7 @@ pub enum Event {
         path: PathBuf,
         /// The calibration that all frames share.
         shared: Box<SharedCalibration>,
-        /// How reliable this frame is for the others.
+        /// How well the calibration frame represents the other frames.
         trust: Trust,
     },
     /// The conversion begins.
@@ -60,7 +60,7 @@ pub enum Event {
         frames: usize,
         /// Number of frames that are already finished.
         done: usize,
-        /// Bytes of the inputs of the others.
+        /// Bytes of the inputs of the frames that are not finished yet.
         bytes: u64,
         /// Number of frames that are made in parallel.
         lanes: usize,
@@ -105,7 +105,7 @@ pub struct FrameDone {
     pub mesh: SeriesFrame,
     /// The frame's time in seconds, from its file or the frame rate.
     pub time: Option<f64>,
-    /// A report on the surface; `None` without particles.
+    /// A report on the surface; `None` if the frame has no particles.
     pub report: Option<Report>,
     /// Lower bound of the number of particles that are missing from the surface.
     pub lost: u64,
@@ -177,7 +177,7 @@ impl From<Census> for OmittedCounts {
     }
 }
 
-/// Frames that are missing between others.
+/// Frames that are missing between existing frames.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct MissingFrames {
@@ -185,7 +185,7 @@ pub struct MissingFrames {
     pub first: i64,
     /// The last number.
     pub last: i64,
-    /// Difference between consecutive numbers.
+    /// Difference between consecutive frame numbers.
     pub step: u64,
     /// The names of the first and last missing file.
     pub paths: [PathBuf; 2],
@@ -217,9 +217,10 @@ pub struct Summary {
     pub failed: Vec<Arc<FrameFailed>>,
     /// The error that stopped this simulation, if several simulations were converted.
     pub error: Option<Arc<Error>>,
-    /// Frames that are missing between others.
+    /// Frames that are missing between existing frames.
     pub missing: Vec<MissingFrames>,
-    /// Numbers without a file, if more files are missing than exist. They do not count as missing.
+    /// Frame numbers without a file, if more files are missing than exist. The files then count as
+    /// a selection of frames, and no number as missing.
     pub chosen: Option<Gaps>,
     /// Particles and drops that are left out of the surfaces.
     pub left_out: OmittedCounts,
@@ -230,7 +231,7 @@ pub struct Summary {
 }
 
 impl Summary {
-    /// Number of frames that failed or are missing between others.
+    /// Number of frames that failed, or that are missing between existing frames.
     #[must_use]
     pub fn incomplete_frames(&self) -> u64 {
         let missing = self
@@ -354,7 +355,8 @@ impl fmt::Display for SharedCalibration {
     }
 }
 
-/// Maximum number of queued events. The work waits beyond that, so that memory is bounded.
+/// Maximum number of queued events. If the queue is full, the conversion waits, so that memory is
+/// bounded.
 const WAITING: usize = 1024;
 
 /// Sends events to the caller, from any thread.
@@ -368,8 +370,8 @@ impl EventSender {
     }
 }
 
-/// Runs `work` on a new thread, and calls `hear` with its events on this one. If `hear` panics, the
-/// work is cancelled.
+/// Runs `work` on a new thread, and calls `hear` with each of its events on the current thread. If
+/// `hear` panics, `work` is cancelled.
 pub(super) fn with_events<T: Send>(
     cancel: &Cancel,
     hear: impl FnMut(Event),
@@ -380,7 +382,7 @@ pub(super) fn with_events<T: Send>(
         let work = move || work(&EventSender(sender));
         let worker = thread::Builder::new().name("meniscus".into()).spawn_scoped(scope, work);
         let worker = worker.map_err(|fault| Error::Threads(fault.to_string()))?;
-        // Ends when the last sender is dropped.
+        // `receive_all` returns when the last sender is dropped.
         let stop = CancelInPanic(cancel);
         receive_all(&receiver, hear);
         drop(stop);

@@ -36,7 +36,7 @@ pub struct Forecast {
     pub done: usize,
     /// The mesh's file of the first frame.
     pub output: PathBuf,
-    /// Numbers of missing frames between others.
+    /// Numbers of the frames that are missing between existing frames.
     pub missing: Gaps,
     /// The calibration that all frames share.
     pub shared: SharedCalibration,

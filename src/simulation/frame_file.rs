@@ -38,7 +38,7 @@ impl FrameFile {
         std::iter::once(&self.path).chain(&self.others).map(PathBuf::as_path)
     }
 
-    /// Total size of its files and their pieces; missing files count as 0.
+    /// Total size of the frame's files and their pieces in bytes; missing files count as 0.
     #[must_use]
     pub fn bytes(&self) -> u64 {
         let bytes = |file: &PathBuf| file.metadata().map_or(0, |metadata| metadata.len());
@@ -73,7 +73,7 @@ pub struct Selection {
     pub start: i64,
     /// The last number.
     pub end: i64,
-    /// Distance between used numbers, starting with the first.
+    /// Difference between selected numbers, counted from the first number.
     pub step: u64,
 }
 
@@ -84,7 +84,8 @@ impl Default for Selection {
 }
 
 impl Selection {
-    /// The selected frames. Steps count from the given first number, or from the first frame.
+    /// The selected frames. Steps count from `start` if it is given, and otherwise from the first
+    /// frame.
     pub fn of(self, frames: Vec<FrameFile>) -> Vec<FrameFile> {
         let is_given = self.start > i64::MIN;
         let first = frames.first().filter(|_| !is_given).map(|frame| frame.number);

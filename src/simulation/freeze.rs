@@ -20,11 +20,11 @@ use super::event::Event;
 use super::setup::{POLL, Setup};
 use super::watch::Watch;
 
-/// Number of frames that are tried for a calibration: the first of the existing frames, and some
-/// throughout the rest.
+/// Maximum number of frames that are tried for the calibration. Half of them are the first existing
+/// frames, and the others are spread evenly over the later frames.
 const LOOKED_AT: usize = 64;
 
-/// Number of frames, from the first to the last, in which walls are searched.
+/// Number of frames in which walls are searched, spread evenly from the first frame to the last.
 const LOOKED_AT_FOR_WALLS: usize = 7;
 
 /// Measurements on one frame.
@@ -36,8 +36,8 @@ struct MeasuredFrame {
 }
 
 impl Setup<'_> {
-    /// Measures what all frames share, and stores it. Returns the calibration frame too if it is
-    /// still open.
+    /// Measures the calibration that all frames share, and stores it. Also returns the particles of
+    /// the calibration frame if its file is still open.
     pub(super) fn state(
         &self,
         store: &StateFolder,
@@ -47,14 +47,14 @@ impl Setup<'_> {
         let (mut shared, file) = self.freeze(frames, resources)?;
         self.settle_colours(&mut shared, frames, resources)?;
         let measured = State::new(self.checked.settings.kept(), shared);
-        // If several jobs measure at the same time, the first state is used by all.
+        // If several jobs measure at the same time, all of them use the state that is stored first.
         let state = self.checked.resources.control.cancel.undisturbed(|| store.add(&measured))?;
         let file = file.filter(|_| state.shared.frame == measured.shared.frame);
         Ok((state, file))
     }
 
-    /// Calibrates all frames on the first suitable one, which may still be open, and finds walls in
-    /// some frames, if requested.
+    /// Calibrates all frames on the first suitable frame, whose file may still be open. If
+    /// requested, also finds walls, in several frames.
     pub(super) fn freeze(
         &self,
         frames: &[FrameFile],
@@ -69,7 +69,7 @@ impl Setup<'_> {
     }
 
     /// The walls that some frames throughout the simulation have in common. Frames that cannot be
-    /// read are ignored here, and fail later.
+    /// read are ignored here, and fail when they are converted.
     fn common_walls(
         &self,
         frames: &[FrameFile],
@@ -222,8 +222,8 @@ impl Setup<'_> {
         self.send(Event::Measured { path: frame.path.clone(), shared, trust: found.trust });
     }
 
-    /// Measures one frame for all. If there was a lattice before, the grid and mu0 are the
-    /// lattice's.
+    /// Measures one frame for all frames. If an earlier frame was a `lattice`, its grid and its mu0
+    /// are used.
     fn measure_on(
         &self,
         frame: &FrameFile,
@@ -268,7 +268,7 @@ impl Setup<'_> {
         let tank = (cells.slab, cells.walls.clone());
         let mut shared = shared(frame.number, input, cells.spacing(), source, tank, measured);
         shared.sizes = cells.sizes.clone();
-        // A frame that lacks one of these attributes fails on its own.
+        // If the frame lacks a requested attribute, it fails when it is converted, not here.
         let (settings, format) = (&self.checked.settings, self.format(frame).ok());
         let carried = settings.carried(file.particles.attributes(), format).unwrap_or_default();
         shared.kinds = settled_for_all(&file.particles, &carried);

@@ -1,12 +1,12 @@
-//! Numbers of missing frames between others.
+//! Numbers of the frames that are missing between existing frames.
 
 use std::path::PathBuf;
 
 use super::frame_file::{FrameFile, neighbours};
 use super::pattern::Pattern;
 
-/// The numbers that are missing between the frames, with the greatest step that reaches all
-/// existing frames.
+/// Finds the numbers that are missing between the frames. The step is the largest one that reaches
+/// all existing frames.
 pub fn gaps(frames: &[FrameFile]) -> Gaps {
     let steps = neighbours(frames).map(|(a, b)| b.number.abs_diff(a.number));
     let step = steps.fold(0, greatest_common_divisor);
@@ -26,8 +26,8 @@ fn greatest_common_divisor(a: u64, b: u64) -> u64 {
     if b == 0 { a } else { greatest_common_divisor(b, a % b) }
 }
 
-/// The name that the file of a missing number would have, by the file before it. `pattern` is the
-/// pattern of the names; without one, names end with their numbers.
+/// The name that the file of a missing number would have, modelled on the name of the file before
+/// it. `pattern` is the pattern of the names; without a pattern, names end with their numbers.
 pub fn missing_path(frames: &[FrameFile], pattern: Option<&Pattern>, number: i64) -> PathBuf {
     let before = frames.partition_point(|frame| frame.number < number).saturating_sub(1);
     let Some(FrameFile { digits, path, .. }) = frames.get(before) else { return PathBuf::new() };
@@ -43,7 +43,7 @@ pub fn missing_path(frames: &[FrameFile], pattern: Option<&Pattern>, number: i64
     path.with_file_name(format!("{}{}{}", &name[..at.start], like(digits, number), &name[at.end..]))
 }
 
-/// A number with as many leading zeros as `digits`.
+/// Formats a number like `digits`: padded with zeros to the same width if `digits` begins with 0.
 fn like(digits: &str, number: i64) -> String {
     let plain = digits.trim_start_matches('-');
     let width = if plain.starts_with('0') { plain.len() } else { 1 };
@@ -54,12 +54,12 @@ fn like(digits: &str, number: i64) -> String {
 /// Missing numbers, found by [`gaps`].
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Gaps {
-    /// Difference between consecutive numbers.
+    /// Difference between consecutive frame numbers.
     pub step: u64,
     /// The first and last missing number of each gap. Gaps between time stamps can be huge.
     pub ranges: Vec<(i64, i64)>,
-    /// Whether more numbers are missing than exist: then this is a selection of frames rather than
-    /// a simulation with gaps.
+    /// Whether more numbers are missing than exist. If so, the files count as a selection of
+    /// frames, not as a simulation with gaps.
     pub sparse: bool,
 }
 

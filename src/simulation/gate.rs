@@ -4,7 +4,8 @@ use std::sync::OnceLock;
 
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
-// The types of the standard library, except in a test that tries every order of its threads.
+// These are the types of the standard library, except in a test that tries every order of the
+// threads.
 use super::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
 /// Runs frames in parallel, or one alone.
@@ -58,7 +59,7 @@ impl FrameGate {
         Permit { gate: self, lanes: 1 }
     }
 
-    /// Waits until no other frame is inside.
+    /// Waits until no other frame has a permit.
     pub(super) fn enter_alone(&self) -> Permit<'_> {
         let mut state = self.state();
         state.waiting_alone += 1;

@@ -10,11 +10,11 @@ use super::pattern::{FrameCandidate, NumberKind, PIECE, Pattern, skeleton};
 
 /// Infers the patterns of files, one for each simulation. Files without a number are ignored.
 ///
-/// Names that differ in text besides numbers belong to different simulations. Among the other
-/// names, the number that varies is the frame's; for a single file, it is the last number. If
-/// several numbers vary, the last is the frame's if the others distinguish parallel simulations,
-/// and a number after `rank` or `proc` is a piece if every frame has the same ones. Decimals are
-/// times if they continue from one integer to the next.
+/// Names that differ in text besides numbers belong to different simulations. In names that differ
+/// only in numbers, the number that varies is the frame's; for a single file, it is the last
+/// number. If several numbers vary, the last one is the frame's if the other numbers distinguish
+/// parallel simulations. A number after `rank` or `proc` is the number of a piece if every frame
+/// has the same pieces. Decimals are times if they continue from one integer to the next.
 ///
 /// # Errors
 /// [`SimulationError::Names`] if several numbers could be the frame.
@@ -46,7 +46,7 @@ pub(super) fn infer(files: &[FrameCandidate]) -> Result<Vec<Pattern>, Simulation
     Ok(found.into_values().collect())
 }
 
-/// Files by a key.
+/// Groups files by a key.
 fn by<'a>(
     files: impl IntoIterator<Item = &'a FrameCandidate>,
     key: impl Fn(&FrameCandidate) -> String,
@@ -78,9 +78,10 @@ fn with_signs(kinds: &mut BTreeMap<String, Vec<FrameCandidate>>) {
     }
 }
 
-/// The pattern of files whose names differ in one decimal, if the decimal must be a time: it has an
-/// exponent, is a fraction of 1 after a separator, or continues from one integer to the next in
-/// steps that are no longer than those between.
+/// The pattern of files whose names differ in one decimal, if the decimal must be a time. It must
+/// be a time if it has an exponent, or if it follows a separator and all decimals begin with `0.`,
+/// or if the decimals continue from one integer to the next, in steps less than 1.5 times as long
+/// as the longest step between two integers.
 fn times(files: &[&FrameCandidate]) -> Option<Pattern> {
     let first = files[0];
     let numbers: Vec<Vec<Range<usize>>> = files.iter().map(|file| file.decimals()).collect();
@@ -129,7 +130,7 @@ fn times(files: &[&FrameCandidate]) -> Option<Pattern> {
 enum FrameNumber {
     /// A run of digits.
     Run(usize),
-    /// The number in this pattern, which also has a number of pieces.
+    /// The number in this pattern, which also has a place for the number of a piece.
     InPieces(Pattern),
 }
 
@@ -175,8 +176,9 @@ fn frame_number(files: &[&FrameCandidate]) -> Result<FrameNumber, SimulationErro
             first.path.display()
         ),
         None => format!(
-            "more than one number varies in these file names, so the frame number is ambiguous: give one of the patterns {choices} as \
-             the input, or rename the files so that only the frame number varies"
+            "more than one number varies in these file names, so the frame number is ambiguous; \
+             give one of the patterns {choices} as the input, or rename the files so that only the \
+             frame number varies"
         ),
     }))
 }
@@ -198,13 +200,14 @@ enum PiecesGuess {
     Unlikely,
 }
 
-/// Whether a number has leading zeros, as numbers of frames do.
+/// Whether a number has leading zeros, as numbers of frames often have.
 fn is_padded(digits: &str) -> bool {
     digits.len() > 1 && digits.starts_with('0')
 }
 
-/// Finds files that are pieces of frames, by a word before their number: `rank`, or a word with
-/// other uses if there are no more pieces than frames.
+/// Finds files that are pieces of frames, by the word before the piece's number. A word such as
+/// `rank` is enough. After a word with other uses, such as `part`, there must not be more pieces
+/// than frames.
 ///
 /// # Errors
 /// [`SimulationError::Names`] if the files of processes differ between frames, or have no other
@@ -234,7 +237,7 @@ fn pieces(files: &[&FrameCandidate], varying: &[usize]) -> Result<PiecesGuess, S
             let word = before.trim_end_matches(char::is_alphabetic).len();
             let word = before[word..].to_ascii_lowercase();
             if !word.is_empty() && !FRAMES.contains(&word.as_str()) {
-                // As in `case1_rank0`: these may be frames of one case.
+                // As in `case1_rank0`, where `rank0` may be a frame of `case1`.
                 return Ok(PiecesGuess::Unclear);
             }
             if files.iter().any(|file| is_padded(file.digits(*piece))) {
@@ -285,8 +288,8 @@ fn pieces(files: &[&FrameCandidate], varying: &[usize]) -> Result<PiecesGuess, S
     })
 }
 
-/// The pattern of frames with one run of digits as their number, and another as the number of their
-/// pieces.
+/// The pattern of frames whose number is the run of digits `frame`, and whose pieces are numbered
+/// by the run `piece`.
 fn in_pieces(file: &FrameCandidate, frame: usize, piece: usize) -> Pattern {
     let mut pattern = file.pattern(frame);
     let Range { start, end } = file.runs[piece].clone();
@@ -301,8 +304,8 @@ fn in_pieces(file: &FrameCandidate, frame: usize, piece: usize) -> Pattern {
 
 /// Whether the runs in `others` distinguish simulations whose frames are numbered by the run
 /// `last`: there are fewer simulations than frames, and at least half of the numbers of each
-/// simulation also occur in the longest one. Numbers that count from 0 in the same way in all of
-/// them can be pieces, unless they are padded like frames.
+/// simulation also occur in the longest one. If the numbers of all simulations are the same and
+/// count from 0, they can be numbers of pieces, unless they are padded like frame numbers.
 fn side_by_side(files: &[&FrameCandidate], others: &[usize], last: usize) -> bool {
     let mut simulations: BTreeMap<Vec<&str>, BTreeSet<&str>> = BTreeMap::new();
     for file in files {
@@ -414,7 +417,7 @@ mod tests {
         for _ in 0..2000 {
             let mut text =
                 |from: &[&str]| (0..pick(4)).map(|_| from[pick(from.len())]).collect::<String>();
-            // The number is a separate run.
+            // No digits next to the number, so that it is a separate run.
             let prefix = text(&texts).trim_end_matches(|c: char| c.is_ascii_digit()).to_owned();
             let middle = text(&texts).trim_start_matches(|c: char| c.is_ascii_digit()).to_owned();
             let suffix = middle + [".ply", ".bi4", ".h5", ".xyz"][pick(4)];
@@ -446,7 +449,8 @@ mod tests {
         };
         let split = ["fluid0_{}.xyz", "fluid1_{}.xyz"];
         assert_eq!(fluids(|fluid, i| format!("fluid{fluid}_{i:04}.xyz"), [1, 5]).unwrap(), split);
-        // One is the restart of the other, or a version follows the number.
+        // The second fluid may be a restart of the first, and a version number may follow the frame
+        // number.
         fluids(|fluid, i| format!("fluid{fluid}_{:04}.xyz", i + 100 * fluid), [1, 1]).unwrap_err();
         fluids(|version, i| format!("f_{i:04}_v{version}.xyz"), [1, 1]).unwrap_err();
         assert_eq!(patterns(&["f_1.xyz", "oil_1.xyz"]).unwrap(), ["f_{}.xyz", "oil_{}.xyz"]);

@@ -39,7 +39,7 @@ pub enum Inputs {
     Steps {
         /// The file.
         file: PathBuf,
-        /// The format of the request, if it differs from that of the extension.
+        /// The requested format, if it differs from the format of the extension.
         format: Option<InputFormat>,
     },
     /// Several inputs whose frames with the same number are joined.
@@ -58,8 +58,8 @@ pub struct Sequence {
 }
 
 impl Inputs {
-    /// Interprets the arguments as a simulation; `None` if they name one file. `format` is that of
-    /// the request, if it differs from that of the extension.
+    /// Interprets the arguments as a simulation; `None` if they name one file. `format` is the
+    /// requested format, if it differs from the format of the extension.
     ///
     /// # Errors
     /// [`SimulationError::Names`] for an invalid pattern.
@@ -69,7 +69,7 @@ impl Inputs {
     ) -> Result<Option<Self>, SimulationError> {
         let [path] = arguments else { return Ok(Some(Self::Files(arguments.to_vec()))) };
         if path.is_file() {
-            // A file that cannot be read is reported as a single frame.
+            // A file that cannot be read counts as a single frame, and fails when it is converted.
             let several = steps(path, format).is_ok_and(|steps| steps.len() > 1);
             return Ok(several.then(|| Self::Steps { file: path.clone(), format }));
         }
@@ -122,11 +122,12 @@ impl Inputs {
         }
     }
 
-    /// The simulations whose frames exist now. In a folder with particles, meshes are ignored.
+    /// The simulations among the existing files. In a folder with particles, meshes are ignored.
     ///
-    /// When watching, the simulation is over after `idle` seconds without a new file. A file of a
-    /// folder or a glob waits that long, but at most 5 minutes, for another file that shows whether
-    /// it is a piece, or which of its numbers is the frame.
+    /// When watching, the simulation is over after `idle` seconds without a new file. If the name
+    /// of a file in a folder or a glob is ambiguous, the file waits that long too, but at most 5
+    /// minutes, for another file that shows whether the first one is a piece, or which number in
+    /// its name is the frame's.
     ///
     /// # Errors
     /// [`SimulationError::Unreadable`] for a folder that cannot be read, [`SimulationError::Names`]
@@ -317,7 +318,7 @@ impl Sequence {
         self.pattern.as_ref().map_or_else(|| self.source.describe(), Pattern::to_string)
     }
 
-    /// The error if none of its frames exists.
+    /// The error if no frame of this sequence exists.
     pub fn no_frames(&self) -> SimulationError {
         match self.source.no_frames() {
             SimulationError::NoFrames(_) => SimulationError::NoFrames(self.describe()),
@@ -396,7 +397,7 @@ impl Sequence {
     }
 
     /// The frame's number in the name of a file. A pattern from the request is exact; an inferred
-    /// one also matches `.gz` and similar endings.
+    /// pattern also matches `.gz` and similar endings.
     fn digits<'a>(&self, pattern: &Pattern, file: &'a FrameCandidate) -> Option<&'a str> {
         match self.source {
             Inputs::Pattern(_) => pattern.digits(file.path.file_name()?.to_str()?),
@@ -404,7 +405,8 @@ impl Sequence {
         }
     }
 
-    /// Infers the pattern again if new files differ from the frames in other numbers.
+    /// Infers the pattern again if the names of new files differ from those of known frames in a
+    /// number besides the frame's.
     fn confirm(&self, pattern: &Pattern, files: &[FrameCandidate]) -> Result<(), SimulationError> {
         let Some(patience) = self.patience else { return Ok(()) };
         let is_frame = |file: &FrameCandidate| pattern.digits(&file.name).is_some();
@@ -416,7 +418,7 @@ impl Sequence {
         };
         let (mut alike, others): (Vec<_>, Vec<_>) =
             files.iter().filter(is_alike).cloned().partition(is_frame);
-        // For example the outputs of this conversion.
+        // Meshes can be the outputs of this conversion.
         let others = without_meshes(others);
         if others.is_empty() {
             return Ok(());
@@ -449,15 +451,16 @@ impl Sequence {
                     .is_none_or(|pattern| self.digits(pattern, &file).is_some()))
     }
 
-    /// Whether frames may consist of several files without a list of them.
+    /// Whether a frame may consist of several files that no index file lists.
     pub(super) fn is_joined(&self) -> bool {
         matches!(self.source, Inputs::Together(_))
             || self.pattern.as_ref().is_some_and(Pattern::has_pieces)
     }
 }
 
-/// A glob for names that begin with a dot, but not `.` and `..`, which would match too: these would
-/// include frames next to the folder, and several such components would never end.
+/// Changes a glob for names that begin with a dot so that it does not match `.` and `..`. With
+/// these, the glob would find frames outside of the folder, and the search through several such
+/// components would never end.
 fn below(pattern: &str) -> String {
     let name = |name: &str| match name.strip_prefix('.') {
         Some(rest) if rest.contains(['*', '?', '[']) => format!("[.]{rest}"),
@@ -544,8 +547,8 @@ fn in_order_of_numbers(path: &Path) -> Vec<(String, u64)> {
     parts
 }
 
-/// Removes meshes. Files that differ only in their last number are either all meshes, or none of
-/// them is.
+/// Removes meshes. Files that differ only in their last number are of one kind, so only the first
+/// of them is read.
 fn without_meshes(files: Vec<FrameCandidate>) -> Vec<FrameCandidate> {
     let mut by_last: BTreeMap<_, Vec<_>> = BTreeMap::new();
     for file in files {
@@ -596,7 +599,7 @@ fn members_of(members: &[Inputs]) -> Result<Vec<Sequence>, SimulationError> {
 fn all_in(folder: &Path) -> Result<Vec<PathBuf>, SimulationError> {
     let fail = |fault| SimulationError::Unreadable { path: folder.to_owned(), fault };
     let entries = match std::fs::read_dir(folder) {
-        // A simulation that is being watched may still create it.
+        // A simulation that is being watched may still create the folder.
         Err(fault) if fault.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
         entries => entries.map_err(fail)?,
     };

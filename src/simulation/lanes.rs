@@ -2,7 +2,7 @@
 
 use crate::grid::units::MemoryBudget;
 
-/// Minimum memory of a lane; with less, another lane is not worth a thread.
+/// Minimum memory of a lane in bytes. With less memory, another lane is not worth a thread.
 const LEAST: u64 = 64 << 20;
 
 /// Threads and memory of each lane.
@@ -21,8 +21,9 @@ pub(super) struct Division {
 }
 
 impl Division {
-    /// Lanes for `frames`: one per thread, and one more to compensate for uneven frames and
-    /// reading. Each thread reserves `chunk` bytes.
+    /// Divides threads and memory among lanes for `frames` frames. There is one lane per thread,
+    /// and one more, because frames differ in size and lanes wait for files. Each thread reserves
+    /// `chunk` bytes.
     pub(super) fn of(frames: usize, threads: usize, budget: MemoryBudget, chunk: u64) -> Self {
         // Each lane has at least one thread, and each thread needs a chunk.
         let left = |lanes: usize| budget.0.saturating_sub(chunk * threads.max(lanes) as u64);

@@ -22,9 +22,9 @@ use super::shared_calibration::{FrameMeasurements, Trust, measure_in};
 /// A simulation whose frames come from memory, in order.
 ///
 /// Cells, grid and calibration are measured on the first frame with fluid deeper than the reach of
-/// the filters (for the indicator counting, also not a lattice), and kept for all later frames.
-/// Before that frame, [`is_settled`](Self::is_settled) is false, and each frame is measured
-/// separately.
+/// the filters, and kept for all later frames. For the indicator counting, the particles of this
+/// frame must also not form a lattice. Before that frame, [`is_settled`](Self::is_settled) is
+/// false, and each frame is measured separately.
 ///
 /// ```
 /// use meniscus::{LiveSimulation, Reconstruction};
@@ -99,7 +99,7 @@ impl LiveSimulation {
 
     /// Reconstructs the surface of the next frame from borrowed particles.
     ///
-    /// A frame without particles, or without a surface, is an empty mesh.
+    /// A frame without particles, or without a surface, gives an empty mesh.
     ///
     /// # Errors
     /// The errors of [`Reconstruction::run`], except for missing particles or surfaces. Later
@@ -197,7 +197,7 @@ impl LiveSimulation {
         Ok(FrameFacts { grid, domain: None, periodic: None, census, spacing })
     }
 
-    /// The empty mesh of a frame without a surface, with the attributes of the others.
+    /// The empty mesh of a frame without a surface, with the same attributes as other frames.
     fn empty(
         &self,
         particles: &(impl Particles + ?Sized),
@@ -214,8 +214,8 @@ impl LiveSimulation {
     }
 }
 
-/// Measures a frame for all, on the grid of an earlier lattice if there was one. Also returns
-/// warnings about its spacing.
+/// Measures one frame for all frames, on the grid of an earlier frame if that was a lattice. Also
+/// returns warnings about the spacing.
 fn measured(
     ready: &StartedRequest,
     particles: &(impl Particles + ?Sized),

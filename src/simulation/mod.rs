@@ -1,11 +1,11 @@
 //! The frames of a simulation: their files, their shared calibration, and the records of finished
 //! frames.
 //!
-//! Everything on which a surface depends besides its own particles is measured on the first
+//! Besides its own particles, a surface depends on a calibration. It is measured on the first
 //! suitable frame, and stored in a state file next to the outputs. After that, frames are
-//! independent: each process gives the same bytes. A finished frame leaves a record next to the
-//! state. The record is written after the output was renamed, so an output with a record is
-//! complete.
+//! independent: every process that converts a frame writes the same bytes. A finished frame leaves
+//! a record next to the state. The record is written after the output was renamed, so an output
+//! with a record is complete.
 //!
 //! The guide for users is `guide.md`.
 

@@ -21,7 +21,7 @@ pub enum Naming {
     Archive {
         /// The archive.
         path: PathBuf,
-        /// The names of frames before they are added to it.
+        /// The names of frames before they are added to the archive.
         frames: Pattern,
     },
 }
@@ -35,8 +35,8 @@ impl Naming {
     /// # Errors
     /// [`SimulationError::Names`] for an invalid pattern.
     pub fn of(path: &Path) -> Result<Option<Self>, SimulationError> {
-        // A folder with the name of a mesh file is not a folder of outputs: the mesh could not have
-        // its name.
+        // An existing folder with the name of a mesh file, such as `water.ply`, is not a folder for
+        // outputs. The output is then the mesh, which cannot replace the folder.
         let is_folder = path.is_dir() && MeshFormat::of(path).is_none();
         if is_folder || path.to_string_lossy().ends_with(std::path::is_separator) {
             return Ok(Some(Self::Folder(path.to_owned())));
@@ -140,7 +140,7 @@ fn without_piece(text: &str) -> String {
     }
 }
 
-/// The text before the number, without separators.
+/// The text before the number, without separators at its end; `frames` if no text is left.
 pub(super) fn without_number(stem: &str) -> &str {
     match stem.trim_end_matches(['_', '-', '.', ' ']) {
         "" => "frames",

@@ -10,8 +10,8 @@ use super::frame_file::FrameFile;
 use super::inputs::Sequence;
 use super::pattern::{FrameCandidate, Pattern};
 
-/// Frames by the integers in their names; files with the same number are its pieces, if their names
-/// distinguish them.
+/// Groups files into frames by the integers in their names. Files with the same number are pieces
+/// of one frame, if their names distinguish them.
 pub(super) fn whole(
     pattern: &Pattern,
     files: Vec<(String, FrameCandidate)>,
@@ -61,7 +61,7 @@ pub(super) fn whole(
     Ok(joined)
 }
 
-/// Frames in the order of the times in their names, counted from 0.
+/// Frames in the order of the times in their names, numbered from 0.
 pub(super) fn timed(files: Vec<(String, FrameCandidate)>) -> Vec<FrameFile> {
     let time =
         |(digits, file): (String, FrameCandidate)| Some((digits.parse().ok()?, digits, file));
@@ -77,7 +77,7 @@ pub(super) fn timed(files: Vec<(String, FrameCandidate)>) -> Vec<FrameFile> {
     (0..).zip(files).map(frame).collect()
 }
 
-/// Joins the frames of several simulations with the same number.
+/// Joins frames of several simulations that have the same number.
 pub(super) fn joined(
     sequences: &[Sequence],
     lists: Vec<Vec<FrameFile>>,

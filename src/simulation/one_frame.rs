@@ -1,5 +1,5 @@
-//! Converts one frame: reads and counts it in parallel with others, and meshes it in parallel if
-//! the memory allows, or alone.
+//! Converts one frame. It is read and counted in parallel with other frames. If the memory allows,
+//! it is also meshed in parallel, and otherwise alone.
 
 use std::mem::take;
 use std::path::{Path, PathBuf};
@@ -48,7 +48,8 @@ pub(super) struct WrittenFrame {
     target: PathBuf,
     replaces: ReplaceableFiles,
     record: Record,
-    /// The file of a small mesh for the contact sheet, if the format cannot be read again.
+    /// The bytes of a small mesh file for the contact sheet, if the format of the mesh cannot be
+    /// read.
     small: Option<Vec<u8>>,
     done: ConvertedFrame,
 }
@@ -88,8 +89,8 @@ struct MeshableFrame<'a> {
 }
 
 impl Conversion<'_> {
-    /// Checks that a frame's mesh can be written, replacing an earlier mesh if it is made `again`,
-    /// and opens the frame, unless its particles are already open.
+    /// Checks that a frame's mesh can be written, and opens the frame, unless its particles are
+    /// already open. A mesh that is made `again` may replace an earlier one.
     pub(super) fn open(
         &self,
         checked: &CheckedRequest,
@@ -236,9 +237,9 @@ impl Conversion<'_> {
         Ok(done)
     }
 
-    /// Whether a file at the place of the mesh is not from this conversion, because it has no
-    /// record. If a process was killed between writing a mesh and its record, the existing file has
-    /// the same bytes as the new mesh.
+    /// Whether a file exists at the path of the mesh that this conversion did not write. Files of
+    /// this conversion have a record. If a process was killed after it wrote a mesh and before it
+    /// wrote the record, the existing file has the same bytes as the new mesh.
     fn is_foreign(&self, target: &Path, made: &Record) -> bool {
         let is_own = || {
             let before = self.before.get_or_init(|| Records::read(self.store.folder()));
@@ -303,7 +304,7 @@ impl Conversion<'_> {
             });
         }
         let (spacing, sizes) = (shared.spacing, shared.sizes.as_ref());
-        // For the calibration frame, there was such a warning when it was measured.
+        // The calibration frame was checked for this warning when it was measured.
         let of_sizes = if frame.number == shared.frame {
             None
         } else {
@@ -373,7 +374,7 @@ impl Conversion<'_> {
             known.filter(|_| checked.surfacing.iso.is_none()).map(|_| shared.frame);
         let extracted = checked.extract_or_empty(sampled, known, infos, calibration_frame, timings);
         let mut extracted = extracted.map_err(|fault| Error::from(fault).of_file(path))?;
-        // The sum over all frames is reported at the end.
+        // Lost particles are reported at the end, as a sum over all frames.
         extracted.report.warnings.retain(|warning| !matches!(warning, Warning::Lost { .. }));
         for warning in &mut extracted.report.warnings {
             if let Warning::Shortfall { calibration_frame: by, .. } = warning {

@@ -1,9 +1,9 @@
 //! The pattern of a simulation's file names: which digits are the frame's number.
 //!
-//! In a name, `{}` stands for the number, which may be negative; `{time}` for a decimal by which
-//! frames are ordered; `{piece}` for the number of a piece, if a frame is stored in several files. Notations of other
-//! programs are read as `{}`: `%04d`, `####`, `$F4`, `<frame>`. Without a pattern,
-//! `inferred::infer` finds it from all names together.
+//! In a pattern, `{}` stands for the frame's number, which may be negative. `{time}` stands for a
+//! decimal by which frames are ordered, and `{piece}` for the number of a piece, if a frame is
+//! stored in several files. Notations of other programs are read as `{}`: `%04d`, `####`, `$F4`,
+//! `<frame>`. Without a pattern, `inferred::infer` finds it from all names together.
 
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -18,7 +18,7 @@ use super::placeholder::{Placeholder, all};
 pub enum NumberKind {
     /// Integers, which may be negative.
     Whole,
-    /// Times as decimals. Frames are numbered in their order.
+    /// Decimals that are times. Frames are numbered in the order of their times.
     Times,
 }
 
@@ -53,7 +53,8 @@ impl std::fmt::Display for Pattern {
 
 impl Pattern {
     /// Finds the place of the number in the name of `path`: `{}`, `{:04}`, `{time}`, or another
-    /// program's notation, unless a file with exactly this name exists. `None` without a place.
+    /// program's notation, unless a file with exactly this name exists. `None` if the name has no
+    /// such place.
     ///
     /// # Errors
     /// [`SimulationError::Names`] for more than one place, a place in a folder's name, or an
@@ -227,7 +228,8 @@ pub(super) fn stem(name: &str) -> &str {
 pub(super) struct FrameCandidate {
     /// The file.
     pub(super) path: PathBuf,
-    /// The file's name without `.gz` and similar endings: compressed frames belong to the others.
+    /// The file's name without `.gz` and similar endings, so that compressed and uncompressed
+    /// frames have the same pattern.
     pub(super) name: String,
     /// The runs of digits before the extension that may be the frame's number, with their sign.
     pub(super) runs: Vec<Range<usize>>,
@@ -275,8 +277,8 @@ impl FrameCandidate {
         Pattern { folder, prefix, suffix, width: None, numbers }
     }
 
-    /// The numbers in the name, with decimals such as `0.95` or `1e-05` as one. A version such as
-    /// `1.2.3` is not a number.
+    /// The numbers in the name. A decimal such as `0.95` or `1e-05` is one number. A version such
+    /// as `1.2.3` is not a number.
     pub(super) fn decimals(&self) -> Vec<Range<usize>> {
         let between = |run: usize| {
             self.runs.get(run + 1).map(|next| &self.name[self.runs[run].end..next.start])

@@ -42,9 +42,9 @@ const FPS: f64 = 24.0;
 
 /// A request for pictures of meshes in files.
 ///
-/// One mesh gives one picture. For several, the output is a folder or a pattern with `{}` for a
-/// picture of each, `.apng` for an animation, or `.png` for a contact sheet. All pictures have the
-/// same camera, which has all meshes in view, and the same range of values.
+/// One mesh gives one picture. For several meshes, the output is a folder or a pattern with `{}`
+/// for one picture of each mesh, an `.apng` for an animation, or a `.png` for a contact sheet. All
+/// pictures have the same range of values, and the same camera, which has all meshes in view.
 #[derive(Debug, Clone)]
 #[must_use]
 pub struct Pictures {
@@ -74,8 +74,8 @@ pub struct PictureFile {
 }
 
 impl PictureFile {
-    /// Checks before the work that a picture can be written. [`Cancel::abandon`] removes it until
-    /// it is complete.
+    /// Checks that a picture can be written, before any picture is drawn. [`Cancel::abandon`]
+    /// removes the file if it is not complete.
     ///
     /// # Errors
     /// [`Error::Write`].
@@ -105,8 +105,8 @@ impl PictureFile {
         Ok(Self { file, folders, unfinished })
     }
 
-    /// Checks before the work that a picture can be written next to a mesh, under its name with
-    /// `.png`.
+    /// Checks that a picture can be written next to a mesh, before it is drawn. The picture has the
+    /// name of the mesh, with the extension `.png`.
     ///
     /// # Errors
     /// [`Error::Write`].
@@ -144,7 +144,8 @@ impl PictureFile {
 pub struct PictureDone<'a> {
     /// The mesh.
     pub mesh: &'a Path,
-    /// The file of the picture; for sheets and animations, it is complete when all pictures are.
+    /// The file of the picture. A sheet or an animation is complete when all its pictures are
+    /// finished.
     pub output: &'a Path,
     /// Number of finished pictures.
     pub done: usize,
@@ -164,9 +165,9 @@ enum PictureTarget {
 }
 
 impl Pictures {
-    /// Pictures of files, a folder, a glob, or a pattern with `{}` for the frame number. Unless the
-    /// picture sets the up axis, it is that of the first mesh whose file or listing records one, or
-    /// y if none does.
+    /// Pictures of files, a folder, a glob, or a pattern with `{}` for the frame number. If the
+    /// picture does not set the up axis, it is the axis of the first mesh whose file or list of
+    /// frames records one, or y if there is no record.
     pub fn new<I: Into<PathBuf>>(
         picture: Picture,
         meshes: impl IntoIterator<Item = I>,
@@ -214,7 +215,7 @@ impl Pictures {
     }
 
     /// Limits the memory of a mesh and its picture in bytes. A .ply from this library that needs
-    /// more than half of it is streamed from its file.
+    /// more than half of this memory is streamed from its file.
     pub fn memory(mut self, bytes: u64) -> Self {
         self.memory = Some(bytes);
         self
@@ -264,7 +265,7 @@ impl Pictures {
         pool.install(|| self.draw(&frames, target, report))
     }
 
-    /// The meshes in order, with their sequence if they are one.
+    /// The meshes in order, with their sequence if they form one.
     fn frames(&self) -> Result<(Option<Sequence>, Vec<FrameFile>), Error> {
         if let [mesh] = &self.meshes[..]
             && is_list(file_and_step(mesh).0)
@@ -470,7 +471,7 @@ impl Pictures {
         picture.draw(mesh.source()).map_err(|fault| of_file(frame, fault))
     }
 
-    /// Opens a mesh, in at most half of the memory, or as a stream.
+    /// Opens a mesh. If it would need more than half of the memory limit, it may be streamed.
     fn read(&self, frame: &FrameFile) -> Result<OpenedMesh, Error> {
         if self.cancel.is_cancelled() {
             return Err(Error::Cancelled);
@@ -479,7 +480,7 @@ impl Pictures {
     }
 }
 
-/// The meshes in a list of frames, or the one with a given number.
+/// The meshes in a list of frames, or only the mesh with the given number.
 fn in_list(path: &Path) -> Result<Vec<FrameFile>, Error> {
     let (list, step) = file_and_step(path);
     let frames = match step {
@@ -567,9 +568,10 @@ impl fmt::Display for SheetDone {
 }
 
 impl Simulation {
-    /// Checks before the work that a contact sheet can be written next to the meshes. It has their
-    /// name without numbers, or is `frames.png`. An existing sheet is replaced if the simulation
-    /// replaces its outputs, or resumes and it is a sheet of them.
+    /// Checks that a contact sheet can be written next to the meshes, before any mesh is made. The
+    /// sheet has the name of the meshes without numbers, or is called `frames.png`. An existing
+    /// file is replaced if the simulation replaces its outputs, or if the simulation resumes and
+    /// the file is a sheet of its meshes.
     ///
     /// For formats that cannot be read, [`run`](Self::run) then keeps a small mesh of each frame
     /// next to the state, for this run and those that resume it.
@@ -596,7 +598,8 @@ impl Simulation {
         let up = settings.up.or(settings.particles_up).unwrap_or_else(usual);
         let picture = Picture::new().up(up).ground(true);
         let meshes = match (&naming, simulations().and_then(|all| all.into_iter().next())) {
-            // Meshes of frames with times in their names have these times.
+            // If the names of the frames contain times, the names of the meshes contain the same
+            // times.
             (Naming::Pattern(outputs), Some(sequence))
                 if sequence.pattern().is_some_and(|p| p.numbers == NumberKind::Times)
                     && outputs.width.is_none() =>
@@ -608,7 +611,7 @@ impl Simulation {
         };
         let pictures = Pictures::new(picture, [&meshes], &path);
         let pictures = pictures.cancel(self.request.control.cancel.clone());
-        // Meshes in a folder are `.ply`.
+        // Meshes in a folder are `.ply` files, which can be read, so they need no small meshes.
         let small = match &naming {
             Naming::Pattern(outputs)
                 if MeshFormat::of(&self.output).is_some_and(|format| !format.is_read()) =>

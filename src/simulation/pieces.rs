@@ -1,11 +1,12 @@
 //! Distinguishes frames from their pieces.
 //!
 //! Pieces are identified by a .pvtp or .pvtu that names them, by the naming of DualSPHysics, or by
-//! the header of a snapshot with the files `base.0.hdf5`, `base.1.hdf5` and so on. These are one
-//! frame, with the number in `base.hdf5`.
+//! the header of a snapshot with the files `base.0.hdf5`, `base.1.hdf5` and so on. The files of a
+//! snapshot are one frame, whose number is part of `base`.
 //!
-//! A .pvtp or .pvtu is written after its pieces. Until then, they are identified by their names, if
-//! another frame exists: `pool_2_0.vtp` is a piece if `pool_1.pvtp` names `pool_1_0.vtp`.
+//! A .pvtp or .pvtu is written after its pieces. Until then, its pieces are identified by their
+//! names, if another frame is already complete: `pool_2_0.vtp` is a piece if `pool_1.pvtp` names
+//! `pool_1_0.vtp`.
 
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
@@ -46,8 +47,8 @@ pub(super) fn whole_frames(paths: Vec<PathBuf>) -> Vec<FrameCandidate> {
         {
             Some((number, snapshot, base)) if snapshot.in_pieces => {
                 let stands = !snapshot.has_base && number == snapshot.first;
-                // The frame's number is in the name of the snapshot, with which the names of its
-                // pieces begin.
+                // The frame's number is part of the snapshot's name. The names of all pieces begin
+                // with that name.
                 stands.then(|| FrameCandidate {
                     runs: FrameCandidate::from(base).runs,
                     ..path.into()
@@ -74,8 +75,8 @@ fn named_like(path: &Path) -> Option<(PathBuf, String)> {
     Some((path.parent()?.to_owned(), skeleton(name, &digit_runs(name))))
 }
 
-/// Whether a file may be a piece of a frame that does not exist yet: VTK's writers name the pieces
-/// of `pool_1.pvtp` or `pool_1.pvtu` `pool_1_0.vtp` or `pool_1_0.vtu`.
+/// Whether a file may be a piece of a frame that does not exist yet: VTK's writers name the first
+/// piece of `pool_1.pvtp` `pool_1_0.vtp`, and the first piece of `pool_1.pvtu` `pool_1_0.vtu`.
 pub(super) fn may_be_piece(path: &Path) -> bool {
     let is_vtk = path.extension().is_some_and(|extension| extension == "vtp" || extension == "vtu");
     let stem = path.file_stem().and_then(|stem| stem.to_str()).filter(|_| is_vtk);

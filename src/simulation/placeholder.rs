@@ -91,7 +91,7 @@ fn printf(text: &str) -> Found {
 /// digits, and must be separated from letters and digits.
 fn marks(text: &str, sign: char, before: Option<char>) -> Found {
     if before == Some(sign) {
-        // The end of a run that is too long.
+        // The run of signs begins before this one, and was rejected because it is too long.
         return None;
     }
     let count = text.len() - text.trim_start_matches(sign).len();
@@ -105,7 +105,7 @@ fn marks(text: &str, sign: char, before: Option<char>) -> Found {
     }
 }
 
-/// `$F`, `$F4`, `${F}` or `${F4}`. Times and sample numbers are not frames.
+/// `$F`, `$F4`, `${F}` or `${F4}`. Other variables, such as `$T` and `$SF`, are not frame numbers.
 fn houdini(text: &str) -> Found {
     let (inside, length) = match text[1..].strip_prefix('{') {
         Some(rest) => (rest.split_once('}')?.0, 3),

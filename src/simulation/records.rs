@@ -2,8 +2,8 @@
 //!
 //! Each process writes its own log, `frames.1.jsonl`, `frames.2.jsonl` and so on, and locks it
 //! while it runs. A process that finishes merges all unlocked logs into `frames.jsonl`, in the
-//! order of frames. At the end only this file exists, and its bytes do not depend on the division
-//! of work.
+//! order of frames. At the end, only this file exists. Its bytes do not depend on which process
+//! made which frame.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
@@ -96,7 +96,7 @@ impl Records {
         self.0.values().any(|record| name.is_some_and(|name| *name == *record.mesh.file))
     }
 
-    /// The record of a frame whose input, state and name of the output are unchanged.
+    /// The record of a frame, if the frame's input, state and output name are unchanged.
     pub fn of(&self, frame: &FrameFile, output: &Path, fingerprint: u32) -> Option<&Record> {
         let record = self.0.get(&frame.number)?;
         let same = record.fingerprint == fingerprint
@@ -133,7 +133,8 @@ impl Log {
         Ok(())
     }
 
-    /// Whether another process holds the lock of its log, on a file system with locks.
+    /// Whether another process is running, that is, holds the lock of its log. Always false if the
+    /// file system has no locks.
     pub fn others_are_open(&self) -> bool {
         logs(&self.folder).values().any(|path| held::is_held(path))
     }
@@ -219,7 +220,7 @@ fn create(folder: &Path) -> io::Result<File> {
     }
 }
 
-/// Whether the file still has its name.
+/// Whether the file still has its name, that is, was not removed.
 fn has_name(file: &File) -> bool {
     #[cfg(unix)]
     {

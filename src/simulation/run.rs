@@ -28,7 +28,8 @@ use super::small_meshes::SmallMeshes;
 use super::solids::SolidNames;
 use super::state::{State, StateFolder, StateLookup};
 
-/// Maximum number of repeated calibrations if files change while nothing watches them.
+/// Maximum number of repeated calibrations if the input changes during a conversion that does not
+/// watch it.
 const ATTEMPTS: usize = 3;
 
 /// The inputs of one of several simulations, and its result.
@@ -68,9 +69,9 @@ impl Simulation {
     }
 
     /// Converts a simulation. If the calibration frame changes meanwhile, measures it again, and
-    /// makes the frames that used the old calibration again.
+    /// remakes the frames that used the old calibration.
     fn convert(&self, begun: CheckedSimulation<'_>) -> Result<Summary, Error> {
-        // All existing outputs are now from this conversion.
+        // Repetitions resume, because all existing outputs are then from this conversion.
         let resumed = Self { resume: true, ..self.clone() };
         let first = begun.setup;
         let mut ran = self.convert_once(begun)?;
@@ -103,7 +104,7 @@ impl Simulation {
     }
 
     /// Calibrates all frames, stores the calibration next to the outputs, and returns the frame
-    /// numbers: for several jobs, each of which converts [some frames](Self::frames).
+    /// numbers. After that, several jobs can convert [some frames](Self::frames) each.
     ///
     /// # Errors
     /// The errors of [`run`](Self::run).
@@ -137,8 +138,8 @@ impl Simulation {
         Ok(forecasts.into_iter().filter_map(|(_, forecast)| forecast.ok()).collect())
     }
 
-    /// Bytes of all requested frames; `None` when watching, or if the size of files does not
-    /// indicate that of their particles.
+    /// Size of the input files of all requested frames in bytes; `None` when watching, or if the
+    /// size of a file does not indicate how many particles it has.
     #[must_use]
     pub fn input_bytes(&self) -> Option<u64> {
         if self.watch.is_some() {
@@ -153,7 +154,7 @@ impl Simulation {
         crate::backend::choice::bytes_of(files)
     }
 
-    /// Checks everything that can be checked without an input.
+    /// Checks everything in the request that can be checked without reading an input.
     ///
     /// # Errors
     /// [`Error::Unit`], [`Error::SettingConflict`] and [`Error::Simulation`].
@@ -217,8 +218,8 @@ impl Simulation {
     }
 
     /// Runs `act` for each simulation, on separate threads, and calls `hear` on this thread.
-    /// Returns the result of each simulation with its inputs; fails with an error that concerns all
-    /// of them.
+    /// Returns the inputs and the result of each simulation, or an error that concerns all
+    /// simulations.
     fn each<T: Send>(
         &self,
         hear: impl FnMut(Event),
@@ -326,7 +327,7 @@ fn resumed(store: &StateFolder, state: &State) -> Event {
 }
 
 /// Prepares the folder of the outputs, and removes temporary files of killed processes. The
-/// returned guard removes the folder again if it stays empty, also if the work is abandoned.
+/// returned guards remove the folder again if it stays empty, even if the work is abandoned.
 fn prepare_folder(
     setup: &Setup<'_>,
     store: &StateFolder,

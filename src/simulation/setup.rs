@@ -41,7 +41,7 @@ pub(super) struct Setup<'a> {
     pub(super) sequence: &'a Sequence,
     /// The names of the meshes.
     pub(super) outputs: Pattern,
-    /// The archive that meshes are moved to, if the output is one.
+    /// The archive to which meshes are moved, if the output is an archive.
     pub(super) archive: Option<FrameArchive>,
     pub(super) checked: &'a CheckedRequest,
     pub(super) events: &'a EventSender,
@@ -102,8 +102,8 @@ impl Setup<'_> {
         Ok(solids.with_files(self.sequence.list()?))
     }
 
-    /// The mesh's file of a frame. Its number has the digits of the input's name, unless the
-    /// pattern has a width.
+    /// The mesh's file of a frame. The number in its name has the same digits as in the input's
+    /// name, unless the output pattern has a width.
     pub(super) fn output(&self, frame: &FrameFile) -> PathBuf {
         self.outputs.path(frame.number, &frame.digits)
     }
@@ -113,9 +113,9 @@ impl Setup<'_> {
         Ok(self.simulation.selection.of(self.all_frames()?))
     }
 
-    /// The sampling of a frame with the shared calibration, and the walls that its particles
-    /// exceed, which are moved or removed. The slab is used only for frames in its plane: the first
-    /// layer of an emitter is in it, and the second is not.
+    /// The sampling of a frame with the shared calibration, and warnings about walls that its
+    /// particles exceed, which are moved or removed. The slab is used only for frames whose
+    /// particles all lie in its plane: an emitter's first layer does, but two layers do not.
     pub(super) fn sampling(
         &self,
         shared: &SharedCalibration,
@@ -141,7 +141,7 @@ impl Setup<'_> {
         Ok((sampling, past.into_iter().map(Warning::BeyondWall).collect()))
     }
 
-    /// The division of the machine among `frames`.
+    /// The division of the threads and the memory among `frames` frames.
     pub(super) fn division(&self, frames: usize) -> Division {
         let CheckedRequest { resources, reduction, threads, .. } = self.checked;
         let frames = if resources.backend.executor().divides() { frames } else { frames.min(2) };
@@ -156,7 +156,7 @@ impl Setup<'_> {
         archive.chain(meshes).chain(series.files()).find(|path| path.exists())
     }
 
-    /// The format of the outputs, which can store the requested attributes.
+    /// The format of the outputs. Fails if the format cannot store the requested attributes.
     pub(super) fn format(&self, first: &FrameFile) -> Result<MeshFormat, Error> {
         let path = self.output(first);
         let unknown =
@@ -166,8 +166,8 @@ impl Setup<'_> {
         Ok(format)
     }
 
-    /// Rejects outputs that are inputs, under any name, or would become inputs, and inputs that a
-    /// frame has twice.
+    /// Rejects an output that is also an input, even under another name, or that would become an
+    /// input. Also rejects an input that occurs twice in one frame.
     pub(super) fn refuse_own_inputs(
         &self,
         frames: &[FrameFile],
@@ -220,8 +220,9 @@ impl Setup<'_> {
         Ok(())
     }
 
-    /// The existing state, if it has these settings and these inputs. If only an input has changed,
-    /// a new state is made.
+    /// Looks for a state with these settings and these inputs. A state is stale if outputs may be
+    /// replaced, or if the conversion is resumed and only the calibration frame has changed. Other
+    /// differences are an error.
     pub(super) fn kept_state(
         &self,
         store: &StateFolder,
@@ -258,7 +259,8 @@ impl Setup<'_> {
         Err(SimulationError::Settings { path: store.state_path(), differing }.into())
     }
 
-    /// Whether a state has a complete calibration. Packed frames have their own mu0.
+    /// Whether a state has a complete calibration. Packed frames do not need one, because they
+    /// store their own mu0.
     fn is_calibrated(&self, state: &State, frames: &[FrameFile]) -> bool {
         let Method::Indicator { kind, .. } = self.checked.sampling.method else { return true };
         let Some(known) = &state.shared.calibration else { return false };

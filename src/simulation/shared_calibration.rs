@@ -67,11 +67,11 @@ pub struct FrameMeasurements {
     pub grid: Grid,
     /// The measured or given calibration; `None` for kernel methods.
     pub calibration: Option<Calibration>,
-    /// How reliable the calibration frame is for the others.
+    /// How well the calibration frame represents the other frames.
     pub trust: Trust,
 }
 
-/// How reliable a calibration frame is for the others.
+/// How well a calibration frame represents the other frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Trust {
     /// Almost no fluid is deeper than the reach of the filters.
@@ -82,8 +82,8 @@ pub enum Trust {
     Sound,
 }
 
-/// Calibrates a simulation on these particles, in the chosen cells, or on the grid and with the
-/// method of an earlier frame whose particles form a `lattice`.
+/// Calibrates a simulation on these particles. Uses the chosen cells, or the grid and the method of
+/// an earlier frame whose particles form a `lattice`.
 pub(super) fn measure_in(
     cells: &Cells,
     lattice: Option<(Grid, Method)>,
@@ -106,11 +106,12 @@ pub(super) fn measure_in(
 
 /// Measures a frame for its whole simulation.
 ///
-/// The first frame is often a lattice, in a special position relative to the grid. It is measured
-/// on a grid on which it is sampled like disordered fluid, and if the origin is free, all frames
-/// are sampled on this grid: see [`sound_origin`](crate::particles::lattice::sound_origin). This
-/// suffices for symmetry. For counting, the isovalue must come from a disordered frame. Clouds do
-/// not depend on the position of the grid.
+/// The particles of the first frame often form a lattice in a special position relative to the
+/// grid. Such a frame is measured on another grid, on which it is sampled like disordered fluid. If
+/// the origin is free, all frames are sampled on that grid: see
+/// [`sound_origin`](crate::particles::lattice::sound_origin). This suffices for symmetry. For
+/// counting, the isovalue must come from a disordered frame. Clouds do not depend on the position
+/// of the grid.
 ///
 /// # Errors
 /// [`FrameError::TooFine`], and the errors of [`Sampling::check_fit`] and of [`Engine::sample`].
@@ -147,7 +148,7 @@ pub fn measure(
     }
 }
 
-/// Measures a sampled frame for its whole simulation. `lattice` is whether its particles are on a
+/// Measures a sampled frame for its whole simulation. `lattice` says whether its particles are on a
 /// lattice.
 pub fn measure_sampled(
     frame: &SampledDif,
@@ -158,7 +159,8 @@ pub fn measure_sampled(
     Ok(measured_of(frame.facts.grid, &surfacing.calibrate(frame)?, lattice))
 }
 
-/// A measurement on a grid, by whether counts on a lattice tell it.
+/// Adds the grid and the trust to a calibration. `lattice` says whether it was measured on a
+/// lattice.
 fn measured_of(grid: Grid, measured: &MeasuredCalibration, lattice: bool) -> FrameMeasurements {
     let trust = match measured.plateau {
         Plateau::Shallow { .. } => Trust::Shallow,
@@ -169,8 +171,8 @@ fn measured_of(grid: Grid, measured: &MeasuredCalibration, lattice: bool) -> Fra
 }
 
 impl SharedCalibration {
-    /// The calibration frame, if its file exists and has changed since. With times in the names,
-    /// the frame may have a different number now.
+    /// The calibration frame, if its file exists and has changed since it was measured. If names
+    /// contain times, the frame may have a different number now.
     pub(super) fn changed_in<'f>(&self, frames: &'f [FrameFile]) -> Option<&'f FrameFile> {
         let is_same = |frame: &FrameFile| frame.stamp().is_ok_and(|stamp| stamp == self.input);
         let measured = frames.iter().find(|frame| frame.number == self.frame)?;

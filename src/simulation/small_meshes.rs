@@ -21,7 +21,7 @@ const CELLS: u32 = 160;
 pub(super) struct SmallMeshes(PathBuf);
 
 impl SmallMeshes {
-    /// In the folder of a simulation's state; nothing is created yet.
+    /// The small meshes in the folder of a simulation's state; nothing is created yet.
     pub(super) fn beside(state: &Path) -> Self {
         Self(state.join("small"))
     }
@@ -36,8 +36,8 @@ impl SmallMeshes {
         sweep(&self.0);
     }
 
-    /// Makes the file of a small mesh of a mesh in `bounds`; `None` if that needs more than
-    /// `memory` bytes.
+    /// Makes a small copy of `mesh`, which lies in `bounds`, and returns the bytes of its file;
+    /// `None` if this would need more than `memory` bytes.
     ///
     /// # Errors
     /// If the mesh cannot be read from its scratch file.
@@ -58,8 +58,8 @@ impl SmallMeshes {
         Ok(Some(file))
     }
 
-    /// Stores the file of a frame's small mesh, and replaces an earlier one. Without a new one,
-    /// removes the earlier one, because it belongs to another mesh.
+    /// Stores the file of a frame's small mesh, and replaces an earlier file. If `file` is `None`,
+    /// removes the earlier file, because it belongs to another mesh.
     ///
     /// # Errors
     /// Errors of the system.

@@ -31,7 +31,7 @@ impl State {
         Self { meniscus: env!("CARGO_PKG_VERSION").into(), settings, shared }
     }
 
-    /// Changes with any value of the state.
+    /// A hash that changes with any value of the state.
     pub fn fingerprint(&self) -> u32 {
         crc32fast::hash(&json(self))
     }
@@ -59,7 +59,7 @@ pub enum StateLookup {
 }
 
 impl StateLookup {
-    /// The state, if it is kept.
+    /// The state, if it belongs to this request.
     #[must_use]
     pub fn kept(self) -> Option<State> {
         match self {
@@ -81,7 +81,7 @@ pub struct StateFolder {
 }
 
 impl StateFolder {
-    /// Beside the outputs of a simulation; nothing is created yet.
+    /// The folder next to the outputs of a simulation; nothing is created yet.
     pub fn beside(simulation: &Path) -> Self {
         let mut name = simulation.as_os_str().to_owned();
         name.push(".meniscus");
@@ -132,9 +132,9 @@ impl StateFolder {
         }
     }
 
-    /// Starts with the result of the search, and returns the state if it is kept. From now on,
-    /// other processes can see whether this one is `at_work`. A stale state stays until
-    /// [`add`](Self::add) replaces it.
+    /// Begins a run with the result of the search for a state, and returns that state if it belongs
+    /// to the request. If this process is `at_work`, other processes can see that from now on. A
+    /// stale state stays until [`add`](Self::add) replaces it.
     ///
     /// # Errors
     /// [`SimulationError::Busy`] and [`SimulationError::Io`].
@@ -166,8 +166,8 @@ impl StateFolder {
         if self.at_work { self.log.open() } else { Ok(()) }
     }
 
-    /// Stores a state, replacing a stale one. If another process has stored one meanwhile, returns
-    /// that, provided that its settings are the same.
+    /// Stores a state, replacing a stale one. If another process has meanwhile stored a state with
+    /// the same settings, returns that state instead.
     ///
     /// # Errors
     /// [`SimulationError::Settings`], [`SimulationError::Busy`] if another process works with the

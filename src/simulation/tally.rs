@@ -36,7 +36,7 @@ pub(super) struct Tally<'a> {
     fatal: Option<Error>,
     pub(super) done: usize,
     pub(super) total: usize,
-    /// The numbers of frames that are under way.
+    /// The numbers of the frames in progress.
     pub(super) awaited: BTreeSet<i64>,
     left_out: OmittedCounts,
     begun: Instant,
@@ -62,8 +62,8 @@ impl<'a> Tally<'a> {
         }
     }
 
-    /// Adds frames that are already finished. A frame that must be checked is added only if its
-    /// bytes match the record.
+    /// Adds frames that are already finished. If `is_looked_at` is true for a frame, the frame is
+    /// added only if the bytes of its mesh match the record.
     pub(super) fn list(
         &mut self,
         frames: &[FrameFile],
@@ -169,8 +169,9 @@ impl<'a> Tally<'a> {
         Ok(())
     }
 
-    /// Adds the finished frames before the first one under way to the archive, if the output is
-    /// one: in their order, so that its bytes do not depend on the number of threads.
+    /// Adds finished frames to the archive, if the output is an archive. Adds them in order, up to
+    /// the first frame in progress, so that the bytes of the archive do not depend on the number of
+    /// threads.
     fn archive(&self) -> Result<(), WriteError> {
         let Self { conversion, series, listed, awaited, .. } = self;
         let Some(archive) = &conversion.setup.archive else { return Ok(()) };
@@ -228,7 +229,7 @@ impl<'a> Tally<'a> {
     }
 }
 
-/// Whether an error of one frame would occur in all others.
+/// Whether an error of one frame would occur in all other frames too.
 fn ends_all(error: &Error) -> bool {
     match error {
         Error::Write(WriteError { fault: WriteFault::Io(fault), .. }) => {

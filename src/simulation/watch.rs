@@ -1,5 +1,5 @@
-//! Finds the complete frames of a running simulation: those whose file has not changed for a while.
-//! If a frame changes later, because its file grows or is replaced, it is reported again.
+//! Finds the complete frames of a running simulation. A frame counts as complete when its file has
+//! not changed for a second. If the file changes later, the frame is reported again.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
@@ -45,7 +45,7 @@ impl Watch {
         let now = Instant::now();
         let mut ready = Vec::new();
         for frame in frames {
-            // A deleted file is noticed if it reappears.
+            // Skip a deleted file. If it reappears, it is noticed then.
             let Ok(stamp) = frame.stamp() else { continue };
             let seen = self.seen.entry(frame.number).or_insert_with(|| {
                 self.last_news = now;

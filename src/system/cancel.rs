@@ -39,8 +39,8 @@ struct CancelState {
     /// The temporary files of outputs in progress, followed by the folders that were created for
     /// them.
     unfinished: Mutex<Vec<PathBuf>>,
-    /// Held for reading by work that [`abandon`](Cancel::abandon) must not interrupt; `abandon`
-    /// holds it for writing forever.
+    /// Work that [`abandon`](Cancel::abandon) must not interrupt holds this lock for reading.
+    /// `abandon` takes the lock for writing, and never releases it.
     undisturbed: RwLock<()>,
 }
 
@@ -71,18 +71,19 @@ impl Cancel {
         if self.is_cancelled() { Err(Cancelled) } else { Ok(()) }
     }
 
-    /// Removes all unfinished outputs, for a process that exits now. Threads that would create
-    /// another one wait forever.
+    /// Removes all unfinished outputs, for a process that exits now. From now on, a thread that
+    /// begins another output waits forever.
     ///
-    /// Renamed files stay; pending records of frames are written first.
+    /// Outputs that already have their final name stay. Pending records of frames are written
+    /// first.
     pub fn abandon(&self) {
         let held = self.0.undisturbed.write().unwrap_or_else(PoisonError::into_inner);
         remove(&self.unfinished());
         std::mem::forget(held);
     }
 
-    /// Like [`abandon`](Self::abandon), for a process that lacks memory. Waits for other threads at
-    /// most 0.2 s, because the calling thread may itself begin or end an output.
+    /// Like [`abandon`](Self::abandon), for a process that has run out of memory. Waits for other
+    /// threads at most 0.2 s, because the calling thread may itself begin or end an output.
     pub fn abandon_soon(&self) {
         let soon = || (0..100).inspect(|_| std::thread::sleep(Duration::from_millis(1)));
         let held = soon().find_map(|_| self.0.undisturbed.try_write().ok());
@@ -106,8 +107,8 @@ impl Cancel {
         act()
     }
 
-    /// Prepares an output. Its `temporary` files and empty folders are removed, in this order, by
-    /// [`abandon`](Self::abandon), even immediately after the preparation.
+    /// Prepares an output. [`abandon`](Self::abandon) removes its `temporary` files and empty
+    /// folders, in this order, even immediately after the preparation.
     pub(crate) fn guard<T, E>(
         &self,
         prepare: impl FnOnce() -> Result<T, E>,
@@ -131,7 +132,7 @@ pub(crate) fn belonging(temporary: &Path, ending: &str) -> PathBuf {
     name.into()
 }
 
-/// Removes temporary files with their folders, and folders that are empty then.
+/// Removes temporary files with their folders, and then folders that are empty.
 fn remove(unfinished: &[PathBuf]) {
     for path in unfinished {
         let _ = std::fs::remove_file(path);

@@ -15,7 +15,7 @@ pub enum Stage {
     Reading,
     /// Particles are counted in cells, to estimate the memory of the frame.
     Counting,
-    /// A large frame waits for others to finish.
+    /// A large frame waits for other frames to finish.
     Waiting,
     /// Particles are sampled on the grid.
     Sampling,
@@ -110,9 +110,9 @@ impl Control {
     }
 }
 
-/// Maximum number of progress reports of a stage.
+/// Number of steps in a stage. Progress is reported at each step.
 const STEPS: usize = 128;
-/// Minimum time between reports of less than a step.
+/// Time after which progress of less than a step is reported too.
 const LONG: Duration = Duration::from_millis(50);
 
 /// Counts the finished parts of a stage on all threads, reports progress to the caller, and checks
@@ -131,7 +131,7 @@ pub struct Meter<'a> {
 }
 
 impl Meter<'_> {
-    /// The parts make up the stage between `from` and `to`.
+    /// Sets the range within the stage that the parts cover, as fractions from 0 to 1.
     pub fn between(self, from: f64, to: f64) -> Self {
         Self { span: [from, to], ..self }
     }
@@ -159,7 +159,7 @@ impl Meter<'_> {
         let (before, since) = *last_report;
         let is_step = done >= before + self.parts.div_ceil(STEPS);
         let is_due = is_step || done > before && since.elapsed() >= LONG;
-        // The end of the last part is not the end of the stage.
+        // After the last part, the stage itself reports its end.
         if done < self.parts && is_due && self.goes_on() {
             *last_report = (done, Instant::now());
             let [from, to] = self.span;

@@ -1,8 +1,9 @@
 //! Files that a process holds while it works on them, so that other processes can see whether it is
 //! alive.
 //!
-//! On Windows, the process denies others write access, because a lock would deny it to the process
-//! itself. Elsewhere, it holds a lock, which most network file systems support.
+//! On Windows, the process denies other processes write access. A lock would deny write access to
+//! the process itself. On other systems, the process holds a lock, which most network file systems
+//! support.
 
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io;
@@ -10,8 +11,9 @@ use std::path::Path;
 
 /// Creates a file that this process holds until it is closed.
 ///
-/// Without support for locks, other processes cannot see whether the file is held, and do not take
-/// it. If another process takes the file immediately, its name may be gone when this returns.
+/// On a file system without locks, other processes cannot see whether the file is held, and do not
+/// take it. If another process takes the file immediately, it may have removed the file's name when
+/// this function returns.
 ///
 /// # Errors
 /// Errors of the system, such as [`io::ErrorKind::AlreadyExists`].
@@ -36,7 +38,7 @@ pub fn take(path: &Path) -> Result<File, TryLockError> {
     Ok(file)
 }
 
-/// Whether a process holds a file, if the file system supports locks.
+/// Whether a process holds a file. On a file system without locks, the answer is always no.
 pub fn is_held(path: &Path) -> bool {
     matches!(take(path), Err(TryLockError::WouldBlock))
 }
@@ -54,7 +56,7 @@ fn options() -> OpenOptions {
         use std::os::windows::fs::OpenOptionsExt;
         const READ: u32 = 1;
         const DELETE: u32 = 4;
-        // Others may read, rename and delete the file, but not write to it.
+        // Other processes may read, rename and delete the file, but not write to it.
         options.share_mode(READ | DELETE);
     }
     options

@@ -13,7 +13,7 @@ use crate::grid::units::MemoryBudget;
 /// Three quarters of the available memory: the system's estimate, but at most what a control group
 /// or `ulimit` allows.
 ///
-/// There is no limit if the system has no estimate.
+/// There is no limit if none of these is known.
 #[must_use]
 pub fn default_memory() -> MemoryBudget {
     let available =
@@ -33,7 +33,8 @@ fn system_available() -> Option<u64> {
     Some(system.available_memory()).filter(|&bytes| bytes > 0)
 }
 
-/// Limit less use, of this process's control group (version 2, else 1).
+/// Bytes that this process's control group still allows: its limit minus its use. Reads version 2
+/// of control groups, or else version 1.
 fn group_available() -> Option<u64> {
     let number = |path: &str| read_to_string(path).ok()?.trim().parse::<u64>().ok();
     let left = |limit: &str, used: &str| Some(number(limit)?.saturating_sub(number(used)?));
@@ -68,7 +69,7 @@ pub fn default_stack() -> Option<u64> {
     limit("Max stack size")
 }
 
-/// This process's limit of that name in `/proc`, if it has one.
+/// This process's limit called `name` in `/proc/self/limits`, if it has one.
 fn limit(name: &str) -> Option<u64> {
     let limits = read_to_string("/proc/self/limits").ok()?;
     let line = limits.lines().find_map(|line| line.strip_prefix(name))?;
@@ -89,7 +90,7 @@ pub(crate) fn zeroed_in_huge_pages<T: Zeroable>(len: usize) -> Vec<T> {
     zeros
 }
 
-/// A vector of zeros. Without memory for it, it ends the process as every other vector does.
+/// A vector of zeros. If there is not enough memory, the process ends, as with any other vector.
 pub(crate) fn zeroed<T: Zeroable>(len: usize) -> Vec<T> {
     try_zeroed_vec(len).unwrap_or_else(|()| {
         handle_alloc_error(Layout::array::<T>(len).expect("an array of at most isize::MAX bytes"))
@@ -103,7 +104,7 @@ pub(crate) fn empty_in_huge_pages<T>(capacity: usize) -> Vec<T> {
     empty
 }
 
-/// A separate mapping of zeros, in huge pages if the system has them and `bytes` fill some.
+/// A separate mapping of zeros, in huge pages if the system has them and `bytes` fill at least one.
 ///
 /// # Errors
 /// If the system has no memory left.
@@ -113,7 +114,8 @@ pub(crate) fn mapped_in_huge_pages(bytes: usize) -> io::Result<MmapMut> {
     Ok(zeros)
 }
 
-/// Called before anything is written, because existing pages do not change.
+/// Asks the system for huge pages. Must be called before anything is written, because existing
+/// pages do not change.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 fn advise_huge_pages<T>(memory: &[T]) {
     /// The size of huge pages on most machines; on others, less of the memory is in huge pages.
@@ -123,12 +125,12 @@ fn advise_huge_pages<T>(memory: &[T]) {
     let whole = (size_of_val(memory) - first) / HUGE * HUGE;
     if whole > 0 {
         // SAFETY: the pages are all within the memory, whose contents stay as they are. If there
-        // are no huge pages, it refuses, and nothing changes.
+        // are no huge pages, the call fails, and nothing changes.
         unsafe { libc::madvise(bytes.add(first).cast_mut().cast(), whole, libc::MADV_HUGEPAGE) };
     }
 }
 
-/// Other systems decide for themselves.
+/// Does nothing: other systems choose the size of pages themselves.
 #[cfg(not(all(target_os = "linux", target_env = "gnu")))]
 fn advise_huge_pages<T>(_: &[T]) {}
 

@@ -36,12 +36,13 @@ enum WriteMode {
 }
 
 impl<'a> PastCache<'a> {
-    /// Writes an empty file.
+    /// Begins to write a file, which must be empty.
     pub fn new(file: &'a File) -> Self {
         Self::after(CACHED, file)
     }
 
-    /// Writes the first `cached` bytes, in whole pages, through the cache.
+    /// Begins to write a file. Its first `cached` bytes, a whole number of pages, go through the
+    /// cache.
     fn after(cached: u64, file: &'a File) -> Self {
         Self { file, way: WriteMode::Cached(cached) }
     }
@@ -65,7 +66,7 @@ impl<'a> PastCache<'a> {
         };
     }
 
-    /// Writes through the cache from byte `from` of the piece on.
+    /// Writes the current piece from byte `from` on through the cache, and all later bytes too.
     fn keep_to_cache(&mut self, from: usize) -> io::Result<()> {
         let WriteMode::Past { piece, filled } =
             std::mem::replace(&mut self.way, WriteMode::Cached(u64::MAX))
@@ -200,7 +201,7 @@ mod tests {
 
     #[test]
     fn unaligned_data_is_written_through_the_cache() {
-        // The pages of the file and those of the written data are offset.
+        // The written data does not begin at a page of the file.
         for folder in folders() {
             let bytes = bytes(3 * PIECE + 5);
             let all = [&b"odd"[..], &bytes].concat();

@@ -14,8 +14,8 @@ use quick_cache::{OptionsBuilder, UnitWeighter};
 #[cfg(target_os = "linux")]
 use std::num::NonZeroU64;
 
-/// Maximum number of files that stay open: more than threads that read at once, and far fewer than
-/// any system allows.
+/// Maximum number of files that stay open. It exceeds the number of threads that read at once, and
+/// is much less than any system's limit.
 pub const MOST_OPEN: usize = 96;
 
 /// The open files by their numbers.
@@ -112,7 +112,7 @@ impl ReopenedFile {
         self.stamp
     }
 
-    /// The open file.
+    /// The file, which is reopened if necessary.
     ///
     /// # Errors
     /// [`ReopenedError::Changed`] if the file must be reopened and has changed; errors of the
@@ -137,8 +137,8 @@ impl ReopenedFile {
         Ok(read_exact_at(&*self.file()?, at, bytes)?)
     }
 
-    /// Checks that the file is unchanged. While it is open, a different file with the same name
-    /// does not matter.
+    /// Checks that the file is unchanged. While the file is open, another file may take its name
+    /// without effect.
     pub fn check(&self) -> Result<(), ReopenedError> {
         let metadata = match OPEN.get(&self.number) {
             Some(file) => file.metadata()?,
@@ -176,7 +176,7 @@ pub fn write_all_at(file: &File, at: u64, bytes: &[u8]) -> io::Result<()> {
     return windows::write_all_at(file, bytes, at);
 }
 
-/// Asks the system to read `bytes` from position `at` in advance.
+/// Asks the system to read `bytes` bytes from position `at` in advance.
 pub fn will_read(file: &File, at: u64, bytes: u64) {
     // An error has no effect.
     #[cfg(target_os = "linux")]
@@ -185,7 +185,7 @@ pub fn will_read(file: &File, at: u64, bytes: u64) {
     let _ = (file, at, bytes);
 }
 
-/// Reads and writes whole ranges with calls that may handle only a part.
+/// Reads and writes whole ranges with system calls that may handle only a part of a range.
 #[cfg(windows)]
 mod windows {
     use std::fs::File;

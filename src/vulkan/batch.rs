@@ -34,7 +34,7 @@ pub struct SemaphorePoint {
     pub value: u64,
 }
 
-/// Commands that are recorded, submitted and waited for; a batch can be reused.
+/// Commands that are recorded, submitted and waited for together. A batch can be reused.
 ///
 /// Every command sees the results of those before it. The batch holds the resources of its commands
 /// until they have finished.
@@ -46,12 +46,12 @@ pub struct Batch {
     sets: vk::DescriptorPool,
     /// Null if the queue has no timestamps.
     queries: vk::QueryPool,
-    /// The device writes the number of the submission here at its end, because a lost device may
-    /// report success.
+    /// At the end of a submission, the device writes the submission's number here. This detects a
+    /// lost device whose calls still report success.
     stamp: Arc<Buffer>,
     buffers: Vec<Arc<Buffer>>,
     pipelines: Vec<Arc<ComputePipeline>>,
-    /// Each stage with the number of bytes that it moves.
+    /// The stages, each with the minimum number of bytes that it reads and writes.
     stages: Vec<(&'static str, u64)>,
     /// The last submission.
     last: Option<Ticket>,
@@ -151,8 +151,8 @@ impl Batch {
         Ok(())
     }
 
-    /// Names the following commands, up to the next stage or the end, for [`Device::take_timings`]:
-    /// they read and write at least `bytes`.
+    /// Begins a stage: names the following commands, up to the next stage or the end of the batch,
+    /// for [`Device::take_timings`]. They read and write at least `bytes` bytes.
     pub fn stage(&mut self, name: &'static str, bytes: u64) {
         self.timestamp();
         self.stages.push((name, bytes));
@@ -170,8 +170,8 @@ impl Batch {
         }
     }
 
-    /// Runs a shader on `buffers`, in the order of its bindings, with these numbers of work groups
-    /// along each axis.
+    /// Runs a shader with `groups` work groups along each axis. `buffers` are in the order of the
+    /// shader's bindings.
     ///
     /// # Errors
     /// [`VulkanError::OutOfMemory`] if a buffer is larger than the maximum storage range.
@@ -196,8 +196,9 @@ impl Batch {
         Ok(())
     }
 
-    /// Runs a shader with numbers of work groups along each axis that the device reads from three
-    /// words of a buffer. They must not exceed the device's limits.
+    /// Runs a shader like [`dispatch`](Self::dispatch), but the device reads the numbers of work
+    /// groups along each axis from the three words of `groups`. The numbers must not exceed the
+    /// device's limits.
     ///
     /// # Panics
     /// If the arguments do not match the shader, or if there are not three words.
@@ -297,10 +298,10 @@ impl Batch {
         Ok(set)
     }
 
-    /// Copies a part of a buffer to the start of another.
+    /// Copies all of `from` to the start of `to`.
     ///
     /// # Panics
-    /// If it does not fit.
+    /// If `from` is larger than `to`, or if a buffer belongs to another device.
     pub fn copy(&mut self, from: &View, to: &View) {
         assert!(from.bytes <= to.bytes, "{} bytes into {}", from.bytes, to.bytes);
         assert!(self.owns(from) && self.owns(to), "a buffer is of another device");
@@ -392,16 +393,17 @@ impl Batch {
         unsafe { self.submit_between(after, &[], &[]) }
     }
 
-    /// Submits the commands like [`submit`](Self::submit), but waits for `wait` first, and signals
-    /// `signal` at the end. Later submissions to the same queue also wait for the semaphores of
-    /// `wait`.
+    /// Submits the commands like [`submit`](Self::submit), but waits for the semaphores of `wait`
+    /// first, and signals those of `signal` at the end. Later submissions to the same queue also
+    /// wait for the semaphores of `wait`.
     ///
     /// # Errors
-    /// [`VulkanError::Lost`] and other errors of the driver; then nothing is signalled.
+    /// [`VulkanError::Lost`] and other errors of the driver. After an error, no semaphore is
+    /// signalled.
     ///
     /// # Safety
     /// The semaphores belong to the device, and live until the device has passed them. The work
-    /// that signals those of `wait` has been submitted.
+    /// that signals the semaphores of `wait` has already been submitted.
     pub unsafe fn submit_between(
         &mut self,
         after: &[Ticket],
@@ -474,7 +476,7 @@ impl Batch {
             unsafe { self.device.raw.wait_semaphores(&info, u64::MAX) }
                 .map_err(self.device.noting("vkWaitSemaphores"))?;
             self.pending = false;
-            // SAFETY: the batch has finished, and no other writes its stamp.
+            // SAFETY: the batch has finished, and no other batch writes its stamp.
             if unsafe { self.stamp.read::<u32>(0, 1) } != [ticket.value as u32] {
                 return Err(self.device.lose());
             }
@@ -523,7 +525,7 @@ impl Batch {
     }
 }
 
-/// The semaphores, and their values.
+/// Splits points into their semaphores and their values.
 fn parts(moments: impl Iterator<Item = SemaphorePoint>) -> (Vec<vk::Semaphore>, Vec<u64>) {
     moments.map(|SemaphorePoint { semaphore, value }| (semaphore, value)).unzip()
 }

@@ -56,7 +56,7 @@ pub struct Buffer {
 enum BufferMemory {
     /// No memory yet.
     None,
-    /// A part of the shared memory blocks.
+    /// A part of a memory block that several buffers share.
     Part(Allocation),
     /// A dedicated allocation, which can be exported.
     Own(vk::DeviceMemory),
@@ -68,21 +68,23 @@ enum BufferMemory {
 #[derive(Debug, Clone)]
 pub struct View {
     pub(super) buffer: Arc<Buffer>,
-    /// In bytes.
+    /// The offset in the buffer, in bytes.
     pub(super) offset: u64,
     pub(super) bytes: u64,
 }
 
 impl Device {
-    /// Makes a buffer of `bytes`, rounded up to whole words, at least one.
+    /// Makes a buffer of `bytes` bytes, rounded up to whole words of 4 bytes, and at least one
+    /// word.
     ///
     /// # Errors
     /// [`VulkanError::OutOfMemory`] if the device, its limits or the memory limit do not allow it.
     pub fn buffer(&self, place: BufferKind, bytes: u64) -> Result<Arc<Buffer>, VulkanError> {
         let location = match place {
             BufferKind::Device => MemoryLocation::GpuOnly,
-            // Staging buffers are in the host's memory in both directions: the allocator's location
-            // for uploads is a window into the device's memory, which is small and slow to write.
+            // Staging buffers are in the host's memory, for uploads as well as downloads. The
+            // allocator's location for uploads is a window into the device's memory, which is small
+            // and slow to write.
             BufferKind::Upload | BufferKind::Download => MemoryLocation::GpuToCpu,
         };
         let shared = &self.shared;
@@ -116,7 +118,8 @@ impl Device {
         Ok(Arc::new(buffer))
     }
 
-    /// Makes a buffer on the device whose memory [others](Buffer::export) can import.
+    /// Makes a buffer on the device whose memory can be [exported](Buffer::export) to other
+    /// interfaces and processes.
     ///
     /// # Errors
     /// The errors of [`buffer`](Self::buffer).
@@ -128,8 +131,8 @@ impl Device {
     }
 
     /// Imports the memory of a buffer of the same size that another device with the same
-    /// [UUID](Self::uuid), perhaps in another process, has [exported](Buffer::export). Each device
-    /// sees the other's writes after it waits for them.
+    /// [UUID](Self::uuid), perhaps in another process, has [exported](Buffer::export). A device
+    /// sees what the other device wrote after it has waited for these writes.
     ///
     /// # Errors
     /// The errors of [`buffer`](Self::buffer).
@@ -199,8 +202,8 @@ impl Device {
         Ok(Arc::new(buffer))
     }
 
-    /// A buffer without memory, if the memory limit allows it. Dropping it frees everything that
-    /// was made for it.
+    /// A buffer that is not bound to memory yet, if the memory limit allows it. Dropping the buffer
+    /// frees everything that was made for it.
     fn unbound(
         &self,
         bytes: u64,
@@ -258,12 +261,12 @@ impl Device {
         Ok(buffer.whole())
     }
 
-    /// Refers to a buffer that the caller has made on the same device, and destroys.
+    /// Refers to a buffer that the caller has made on the same device. The caller destroys it.
     ///
     /// # Safety
-    /// The buffer must be bound to memory, hold `bytes`, be usable as a storage buffer and as the
-    /// source of copies, belong to the queue's family or be shared concurrently, and outlive the
-    /// returned object. During a call into this crate that uses it, nothing else may write it.
+    /// The buffer must be bound to memory, hold `bytes` bytes, be usable as a storage buffer and as
+    /// the source of copies, belong to the queue's family or be shared concurrently, and outlive
+    /// the returned object. During a call into this crate that uses it, nothing else may write it.
     /// Earlier writes must have finished, or must have been submitted to the same queue with a
     /// dependency on compute shaders and transfers.
     #[must_use]
@@ -291,8 +294,8 @@ impl Buffer {
     }
 
     /// A new file descriptor with which another interface or process can import the memory of an
-    /// [exported buffer](Device::exported_buffer): an opaque one, of a dedicated allocation. The
-    /// caller owns it.
+    /// [exported buffer](Device::exported_buffer). The descriptor is opaque, stands for a dedicated
+    /// allocation, and belongs to the caller.
     ///
     /// # Errors
     /// The errors of the driver.
@@ -335,9 +338,9 @@ impl Buffer {
     /// Writes into an upload buffer.
     ///
     /// # Safety
-    /// No batch in flight may read or write this range, from its submission until it was waited
-    /// for, and no other thread may access it: neither the device nor this function synchronizes
-    /// with the other.
+    /// From the submission of a batch until it was waited for, the batch must not read or write
+    /// this range. No other thread may access the range. This function does not synchronize with
+    /// the device.
     ///
     /// # Panics
     /// If the buffer is too small, or not visible to the host.
@@ -353,8 +356,8 @@ impl Buffer {
     /// Reads from a download buffer.
     ///
     /// # Safety
-    /// No batch in flight may write this range, from its submission until it was waited for, and no
-    /// other thread may write it.
+    /// From the submission of a batch until it was waited for, the batch must not write this range.
+    /// No other thread may write the range.
     ///
     /// # Panics
     /// If the buffer has fewer than `count` values, or is not visible to the host.
@@ -367,7 +370,7 @@ impl Buffer {
     /// Returns the values that [`read`](Self::read) would copy, without copying them.
     ///
     /// # Safety
-    /// As for [`read`](Self::read), as long as they are used.
+    /// As for [`read`](Self::read), for as long as the values are used.
     pub(crate) unsafe fn values<T: Pod>(&self, offset: u64, count: usize) -> &[T] {
         let from = self.mapped(offset, size_of::<T>() * count);
         self.device.counters.received.fetch_add((size_of::<T>() * count) as u64, Ordering::Relaxed);
@@ -409,7 +412,7 @@ impl View {
     }
 
     /// The address on the device, if buffers [have addresses](super::DeviceOptions::addresses) and
-    /// the caller does not own this one.
+    /// the caller does not own this buffer.
     #[must_use]
     pub fn address(&self) -> Option<vk::DeviceAddress> {
         let Buffer { device, raw, memory, .. } = &*self.buffer;
@@ -429,8 +432,8 @@ impl View {
         self.buffer.part(self.offset + offset, bytes)
     }
 
-    /// The [`part`](Self::part) that begins at the preceding multiple of `alignment`, and the
-    /// number of words that this adds in front.
+    /// Like [`part`](Self::part), but the start moves back to a multiple of `alignment` bytes in
+    /// the buffer. Also returns the number of words that this adds at the start.
     ///
     /// # Panics
     /// If the view is too small, or if the part begins within a word.
@@ -477,7 +480,7 @@ impl Drop for Buffer {
             return;
         }
         self.device.allocated.fetch_sub(self.bytes, Ordering::Relaxed);
-        // SAFETY: batches in flight hold their buffers, so nothing uses it.
+        // SAFETY: batches in flight hold their buffers, so nothing uses this one.
         unsafe { self.device.raw.destroy_buffer(self.raw, None) };
         match std::mem::replace(&mut self.memory, BufferMemory::None) {
             BufferMemory::Part(allocation) => {

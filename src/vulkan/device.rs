@@ -43,20 +43,21 @@ pub struct DeviceOptions {
     /// Additional usages of the buffers of an adopted device, such as building acceleration
     /// structures.
     pub usage: vk::BufferUsageFlags,
-    /// SPIR-V that replaces that of some shaders, by their names: the same sources, compiled
-    /// differently.
+    /// SPIR-V binaries that replace the binaries of some shaders, by the names of the shaders. They
+    /// must come from the same sources, compiled differently.
     pub binaries: HashMap<&'static str, Vec<u8>>,
 }
 
 /// The queues that are used on a device.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Queues {
-    /// One for shaders, and another for copies if the device has a family only for copies.
+    /// One queue for shaders, and another for copies if the device has a queue family only for
+    /// copies.
     #[default]
     All,
-    /// One for everything.
+    /// One queue for shaders and copies.
     One,
-    /// A single queue for shaders and copies: copies wait for shaders, and shaders for copies.
+    /// One queue that is used like two: copies wait for shaders, and shaders wait for copies.
     OneAsTwo,
 }
 
@@ -73,12 +74,12 @@ pub struct Limits {
     pub alignment: u64,
 }
 
-/// A queue of the device. Both may be the same.
+/// A queue of the device, by its use. One queue may have both uses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Queue {
-    /// For shaders.
+    /// The queue for shaders.
     Compute,
-    /// For copies, in parallel to the shaders if the device supports it.
+    /// The queue for copies, which run in parallel to shaders if the device supports it.
     Transfer,
 }
 
@@ -118,13 +119,13 @@ pub(super) struct AtomicCounters {
 pub struct ExternalDevice {
     /// The loader's functions for the instance.
     pub instance: ash::Instance,
-    /// The device.
+    /// The physical device.
     pub physical: vk::PhysicalDevice,
-    /// Created from it, with timeline semaphores enabled.
+    /// The logical device, created from `physical` with timeline semaphores enabled.
     pub device: ash::Device,
     /// The family of `queue`.
     pub family: u32,
-    /// For compute.
+    /// A queue that supports compute.
     pub queue: vk::Queue,
 }
 
@@ -164,11 +165,11 @@ pub(super) struct SharedDevice {
 }
 
 pub(super) struct QueueState {
-    /// Shared if one queue is used as two.
+    /// Shared by two states if one queue is used as two.
     pub(super) raw: Arc<Mutex<vk::Queue>>,
     pub(super) family: u32,
     pub(super) timestamps: bool,
-    /// Whether the host resets queries: a queue only for copies cannot.
+    /// Whether the host resets queries, because a queue only for copies cannot reset them.
     pub(super) host_reset: bool,
     pub(super) timeline: vk::Semaphore,
     /// The value that the last submission signals.
@@ -176,7 +177,7 @@ pub(super) struct QueueState {
 }
 
 impl QueueState {
-    /// Waits until all work has finished; at once if the device is lost.
+    /// Waits until all work has finished. Returns at once if the device is lost.
     pub(super) fn idle(&self, device: &ash::Device) -> Result<(), vk::Result> {
         let queue = self.raw.lock().unwrap_or_else(PoisonError::into_inner);
         // SAFETY: the queue belongs to the device, and is locked: nothing else uses it.
@@ -218,7 +219,7 @@ impl Device {
         // SAFETY: the device belongs to the instance.
         let known = unsafe { instance.raw.enumerate_device_extension_properties(info.physical) };
         let known = known.unwrap_or_default();
-        // If a device offers it, it must be enabled.
+        // If a device offers this extension, the extension must be enabled.
         let subset = names(&known, khr::portability_subset::NAME);
         let exports = names(&known, khr::external_memory_fd::NAME).filter(|_| options.exports);
         let unfit = |lacks| VulkanError::Unsuitable { device: info.name.clone(), lacks };
@@ -405,7 +406,7 @@ impl Device {
         self.shared.memory
     }
 
-    /// The planned failures.
+    /// The planned failures, for tests.
     #[must_use]
     pub fn faults(&self) -> &Faults {
         &self.shared.faults
@@ -421,7 +422,8 @@ impl Device {
         Counters { submissions, allocations, sent, received }
     }
 
-    /// Returns the counters since they were taken, or since the device was opened.
+    /// Returns the counters since the last call of [`take_counters`](Self::take_counters), or since
+    /// the device was opened.
     #[must_use]
     pub fn counters(&self) -> Counters {
         let AtomicCounters { submissions, allocations, sent, received } = &self.shared.counters;
@@ -561,7 +563,7 @@ impl SharedDevice {
 }
 
 /// The pipeline cache of earlier runs; `None` if the file is damaged, because drivers do not check
-/// it.
+/// its data.
 fn read_cache(file: &Path) -> Option<Vec<u8>> {
     let bytes = fs::read(file).ok()?;
     let (checksum, data) = bytes.split_first_chunk()?;

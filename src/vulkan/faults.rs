@@ -2,14 +2,14 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// The calls to fail, counted from 1; 0 for none.
+/// The calls that fail, counted from 1; 0 if none fails.
 #[derive(Debug, Default)]
 pub struct Faults {
     /// The allocation that fails for lack of memory.
     pub allocation: AtomicU64,
     /// The submission at which the device is lost.
     pub submission: AtomicU64,
-    /// The submission whose work never finishes, although no call reports it.
+    /// The submission whose work never finishes, although no call reports an error.
     pub completion: AtomicU64,
     /// The barrier to omit, so that later commands may not see earlier results.
     pub barrier: AtomicU64,

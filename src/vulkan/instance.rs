@@ -10,8 +10,8 @@ use crate::system::memory::default_stack;
 
 use super::{MOST_BUFFERS, MOST_SHARED, MOST_THREADS, VulkanError};
 
-/// The smallest limit on the stack with which drivers are used. Threads of lavapipe overflow one of
-/// 16 KiB.
+/// Minimum limit on the stack in bytes. With a smaller limit, drivers are not used: threads of
+/// lavapipe overflow a stack of 16 KiB.
 const LEAST_STACK: u64 = 256 << 10;
 
 const VALIDATION: &CStr = c"VK_LAYER_KHRONOS_validation";
@@ -39,11 +39,11 @@ impl ValidationLog {
 /// The device to use.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub enum DeviceChoice {
-    /// The first of the best kind.
+    /// The first device of the best kind.
     #[default]
     Best,
-    /// By its number in [`Instance::devices`], by its [`uuid`](DeviceInfo::uuid) in hexadecimal
-    /// digits, or by a part of its name, ignoring case.
+    /// The device with this number in [`Instance::devices`], this [`uuid`](DeviceInfo::uuid) in
+    /// hexadecimal digits, or this part of its name, ignoring case.
     Named(String),
 }
 
@@ -86,12 +86,12 @@ pub struct DeviceInfo {
     pub api: [u32; 3],
     /// The name and version of the driver.
     pub driver: String,
-    /// The version of the conformance tests that its driver passes: major, minor, subminor, patch.
-    /// All are 0 if it passes none.
+    /// The version of the conformance tests that the driver passes: major, minor, subminor, patch.
+    /// All are 0 if the driver passes none.
     pub conformance: [u8; 4],
-    /// Bytes of the largest heap of its own memory.
+    /// Bytes of the largest heap of the device's own memory.
     pub memory: u64,
-    /// Unused bytes of that heap, if the driver reports them; otherwise all of it.
+    /// Unused bytes of that heap, if the driver reports them; otherwise all its bytes.
     pub free: u64,
     /// The queue families of the device.
     pub families: Vec<vk::QueueFamilyProperties>,
@@ -99,7 +99,7 @@ pub struct DeviceInfo {
     pub heaps: vk::PhysicalDeviceMemoryProperties,
     /// The limits on shaders and buffers.
     pub limits: vk::PhysicalDeviceLimits,
-    /// The missing requirement, if it cannot be used.
+    /// The requirement that the device does not meet, if it cannot be used.
     pub lacks: Option<&'static str>,
     pub(super) physical: vk::PhysicalDevice,
 }
@@ -112,7 +112,7 @@ impl DeviceInfo {
     }
 
     /// Whether its driver passes the conformance tests of any version. Drivers that translate to
-    /// other interfaces may not.
+    /// other interfaces may not pass them.
     #[must_use]
     pub fn is_conformant(&self) -> bool {
         self.conformance != [0; 4]
@@ -149,8 +149,8 @@ impl Instance {
         // Without this extension, devices with an incomplete Vulkan, such as MoltenVK, are hidden.
         let portability = names(&known, khr::portability_enumeration::NAME);
         let mut extensions: Vec<_> = portability.iter().map(|name| name.as_ptr()).collect();
-        // Layers of 2024 and later have settings, and check the accesses of shaders only if
-        // enabled. SAFETY: this call needs no instance.
+        // Validation layers of 2024 and later have settings, and check the memory accesses of
+        // shaders only if a setting says so. SAFETY: this call needs no instance.
         let of_layer = unsafe { entry.enumerate_instance_extension_properties(Some(VALIDATION)) };
         let has_settings =
             names(&of_layer.unwrap_or_default(), ext::layer_settings::NAME).is_some();
@@ -213,7 +213,8 @@ impl Instance {
         self.log.clone()
     }
 
-    /// Whether a validation layer checks the accesses of shaders: those of 2024 and later do.
+    /// Whether a validation layer checks the memory accesses of shaders. Layers of 2024 and later
+    /// do.
     #[must_use]
     pub fn sees_shaders(&self) -> bool {
         self.sees_shaders
@@ -246,7 +247,7 @@ impl Instance {
             DeviceChoice::Named(wanted) => {
                 let numbered = wanted.parse().ok().and_then(|index: usize| devices.get(index));
                 let wanted = wanted.to_lowercase();
-                // Names can also contain numbers.
+                // A number that is no index may be a part of a name.
                 let named =
                     || devices.iter().find(|device| device.name.to_lowercase().contains(&wanted));
                 let digits = wanted.replace('-', "");
@@ -406,7 +407,7 @@ pub(super) fn lacks(
 
 impl Drop for Instance {
     fn drop(&mut self) {
-        // SAFETY: devices hold their instance, so none is left.
+        // SAFETY: devices hold their instance, so no device is left.
         unsafe {
             if let Some((debug, messenger)) = &self.messenger {
                 debug.destroy_debug_utils_messenger(*messenger, None);

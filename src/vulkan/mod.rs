@@ -21,6 +21,7 @@ pub use instance::{DeviceChoice, DeviceInfo, DeviceKind, Instance, ValidationLog
 pub use shader::{ComputePipeline, Shader};
 
 use ash::vk;
+use bytesize::ByteSize;
 use thiserror::Error;
 
 /// An alignment of buffer offsets that every device supports, in bytes.
@@ -38,17 +39,17 @@ pub const MOST_PUSH: u32 = 128;
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum VulkanError {
     /// The machine has no Vulkan loader, or the loader does not start.
-    #[error("no Vulkan loader: {0}")]
+    #[error("Vulkan is not available: {0}")]
     NoLoader(String),
     /// The threads of drivers would overflow their stacks.
     #[error(
-        "Vulkan drivers need a stack of at least {} KiB, but the limit is {} KiB: raise it with \
-         `ulimit -s`", least >> 10, limit >> 10
+        "Vulkan drivers need a stack of at least {} KiB, but the limit is {} KiB; raise the limit \
+         with `ulimit -s`", least >> 10, limit >> 10
     )]
     SmallStack {
         /// The limit on the stack, in bytes.
         limit: u64,
-        /// The smallest limit with which drivers are used.
+        /// The minimum limit, in bytes.
         least: u64,
     },
     /// The validation layer was requested, but is not installed.
@@ -57,7 +58,7 @@ pub enum VulkanError {
     /// The loader has no devices.
     #[error("no Vulkan device found")]
     NoDevice,
-    /// No device of that number or name.
+    /// No device has the requested number or name.
     #[error("no Vulkan device matches {wanted:?}; available: {known}")]
     NotFound {
         /// The requested number or name.
@@ -74,9 +75,9 @@ pub enum VulkanError {
         lacks: &'static str,
     },
     /// The memory of the device, or the memory limit, is exhausted.
-    #[error("device memory is exhausted: cannot allocate {bytes} more bytes")]
+    #[error("device memory is exhausted{}", requested(*bytes))]
     OutOfMemory {
-        /// The number of requested bytes.
+        /// The number of requested bytes; 0 if it is unknown.
         bytes: u64,
     },
     /// The device stopped working.
@@ -90,6 +91,13 @@ pub enum VulkanError {
         /// The result that the call returned.
         result: vk::Result,
     },
+}
+
+fn requested(bytes: u64) -> String {
+    match bytes {
+        0 => String::new(),
+        bytes => format!(": cannot allocate another {}", ByteSize(bytes)),
+    }
 }
 
 impl VulkanError {

@@ -40,7 +40,7 @@ impl fmt::Debug for ComputePipeline {
 }
 
 impl ComputePipeline {
-    /// Returns the number of work groups, in a row, that have at least `threads` threads.
+    /// Returns the number of work groups that together have at least `threads` threads.
     pub fn groups(&self, threads: u32) -> u32 {
         threads.div_ceil(self.shader.group)
     }

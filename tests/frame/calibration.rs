@@ -525,7 +525,7 @@ fn cells_needlessly_fine_for_clouds_are_refused_with_a_size_that_fits() {
             surfacing().check_cell_size(CLOUD, None, Some(spacing), &grid)
         };
         let message = refused(cell_size).unwrap_err().to_string();
-        let (_, fitting) = message.split_once("use cells of ").unwrap();
+        let (_, fitting) = message.split_once("use a cell size of ").unwrap();
         let fitting: f64 = fitting.split_once(" or more").unwrap().0.parse().unwrap();
         assert_eq!(refused(fitting), Ok(()), "{message}");
         assert!(refused(fitting * 0.97).is_err(), "{message}");

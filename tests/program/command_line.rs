@@ -135,18 +135,21 @@ fn invalid_arguments_exit_with_2_and_leave_no_files() {
         (ball(&["--smooth", "4.01"]), "--smooth must be from 0.8 to 4 spacings, got 4.01"),
         (ball(&["--smooth", "-1"]), "--smooth must be"),
         (ball(&["--smooth", "nan"]), "--smooth must be"),
-        (ball(&["--sigma", "1"]), "--sigma applies only to --indicator counting and symmetry"),
+        (ball(&["--sigma", "1"]), "--sigma applies only to --indicator counting or symmetry"),
         (
             ball(&["--iso", "0.4"]),
-            "--iso applies only to --indicator counting and symmetry and to --method mueller and yu-turk",
+            "--iso applies only to --indicator counting or symmetry, and to --method mueller or yu-turk",
         ),
-        (ball(&["--detail"]), "for cloud, use --smooth"),
+        (ball(&["--detail"]), "for --indicator cloud, use --smooth"),
         (ball(&["--mu0", "3"]), "--mu0 does not apply to --indicator cloud"),
         (
             ball(&["--smooth", "2", "--indicator", "counting"]),
             "--smooth applies only to --indicator cloud",
         ),
-        (ball(&["--smooth", "2", "--indicator", "symmetry"]), "for others, use --sigma"),
+        (
+            ball(&["--smooth", "2", "--indicator", "symmetry"]),
+            "for the other indicators, use --sigma",
+        ),
         (ball(&["--method", "zhu-bridson", "--iso", "0.4"]), "--iso"),
         (ball(&["--method", "mueller", "--mu0", "3"]), "--mu0"),
         (ball(&["--method", "mueller", "--cell", "0.05"]), "at most 16 cells per spacing, got 20"),
@@ -851,7 +854,10 @@ fn invalid_simplify_component_compress_and_up_options_are_refused() {
         (&["a.ply", "--simplify", "nan"], "--simplify"),
         (&["a.ply", "--smallest-component", "-1"], "--smallest-component"),
         (&["a.ply", "--compress"], "--compress applies only to .glb"),
-        (&["a.glb", "--up", "z"], "in .glb, y always points up; use --particles-up z"),
+        (
+            &["a.glb", "--up", "z"],
+            "y always points up in .glb; if z points up in the particles, use --particles-up z",
+        ),
     ] {
         assert_refused(folder.path(), &[&ball[..], arguments].concat(), 2, &[message]);
     }
@@ -861,7 +867,7 @@ fn invalid_simplify_component_compress_and_up_options_are_refused() {
         &all,
         3,
         &[
-            "all of its 1 components are below the limit smallest-component; use a smaller --smallest-component",
+            "its only component is below the limit smallest-component; use a smaller --smallest-component",
         ],
     );
 }
@@ -967,8 +973,8 @@ fn cells_too_fine_for_the_indicator_are_refused_with_a_usable_size() {
     let finest = ["ball.xyz", "-o", "out.ply", "--spacing", "0.5", "--cell", "0.09"];
     let message = [
         "ball.xyz",
-        "smaller than 0.1 spacings",
-        "use cells of 0.0505 or more (--cell 0.1 or more)",
+        "less than 0.1 spacings",
+        "use a cell size of 0.0505 or more (--cell 0.1 or more)",
     ];
     assert_refused(folder.path(), &finest, 2, &message);
     let enough = [
@@ -998,20 +1004,17 @@ fn cells_too_fine_for_the_indicator_are_refused_with_a_usable_size() {
         folder.path(),
         &fine,
         2,
-        &["ball.xyz", "too fine", "of 65535", "0.125", "use cells of 0.0"],
+        &["ball.xyz", "too small", "of 65535", "0.125", "use a cell size of 0.0"],
     );
-    assert_refused(folder.path(), &[&fine[..], &["--dry-run"]].concat(), 2, &["too fine"]);
+    assert_refused(folder.path(), &[&fine[..], &["--dry-run"]].concat(), 2, &["too small"]);
     let more = ["--indicator", "symmetry", "--cell", "0.4"];
     let symmetry = [&fine[..5], &more[..]].concat();
-    assert_refused(folder.path(), &symmetry, 2, &["too fine for symmetry", "0.25"]);
+    assert_refused(folder.path(), &symmetry, 2, &["too small for the indicator symmetry", "0.25"]);
     fs::rename(folder.path().join("ball.xyz"), folder.path().join("ball_1.xyz")).unwrap();
     let sequence = ["ball_{}.xyz", "-o", "out/m_{}.ply", "--spacing", "0.5", "--cell", "0.09"];
     let run = meniscus(folder.path(), &[&["reconstruct"], &sequence[..]].concat());
     let errors = String::from_utf8_lossy(&run.stderr);
-    assert!(
-        run.status.code() == Some(2) && errors.contains("smaller than 0.1 spacings"),
-        "{errors}"
-    );
+    assert!(run.status.code() == Some(2) && errors.contains("less than 0.1 spacings"), "{errors}");
     let pack = ["pack", "ball_1.xyz", "-o", "f.mnf", "--spacing", "0.5", "--cell", "0.09"];
     let run = meniscus(folder.path(), &pack);
     assert_eq!(run.status.code(), Some(2), "{}", String::from_utf8_lossy(&run.stderr));

@@ -151,7 +151,7 @@ fn inapplicable_conditions_are_refused_with_the_available_values() {
     for (file, condition, code, facts) in [
         ("tank.csv", "Typ=0", 2, &["Typ", "Type", "age"][..]),
         ("tank.csv", "Type=wall", 2, &["wall", "numbers"]),
-        ("tank.csv", "Type.y=5", 2, &["Type.y", "1 components"]),
+        ("tank.csv", "Type.y=5", 2, &["Type.y", "single number", "use Type"]),
         ("words.csv", "phase<2", 2, &["phase", "its values are text"]),
         // A condition without a match is an error of the input, because other frames may match.
         ("tank.csv", "Type=5", 3, &["Type=5", "0 (", "1 ("]),

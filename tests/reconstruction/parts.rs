@@ -170,7 +170,7 @@ fn merged_parts_report_the_warnings_of_a_single_run() {
     let single = run(folder, &[&["mist.csv", "-o", "one.ply"], &options[..]].concat(), 0);
     for word in [
         "missing from the surface",
-        "no finite 32-bit value of heat",
+        "no value of heat that is finite in 32 bits",
         "looks too large",
         "not finite",
     ] {
@@ -378,7 +378,7 @@ fn invalid_requests_for_parts_are_refused_and_leave_no_files() {
         (ask(&["--parts", "2", "--plan", "--watch"]), "--watch"),
         (
             ask(&["--parts", "2", "--plan", "--method", "mueller"]),
-            "--parts does not apply to this --method",
+            "--parts does not apply to --method mueller",
         ),
         (ask(&["--parts", "2", "--plan", "--stats", "s"]), "--stats needs --merge"),
         (ask(&["--parts", "2", "--part", "0", "--dry-run"]), "--dry-run does not support --parts"),

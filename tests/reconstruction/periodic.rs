@@ -285,17 +285,17 @@ fn invalid_periodic_boxes_are_refused_with_the_reason() {
         (&["--periodic", "0,-,0,24,-"][..], 2, "6 numbers"),
         (&["--periodic", "0,-,0,-,-,24"], 2, "one end of x is open"),
         (&["--periodic", "-,-,-,-,-,-"], 2, "open along every axis"),
-        (&["--periodic", "24,-,0,0,-,24"], 2, "must be finite, and the second"),
-        (&["--periodic", "0,-,nan,24,-,24"], 2, "must be finite, and the second"),
-        (&["--periodic", "0,-,0,inf,-,24"], 2, "must be finite, and the second"),
+        (&["--periodic", "24,-,0,0,-,24"], 2, "must be finite, and along each"),
+        (&["--periodic", "0,-,nan,24,-,24"], 2, "must be finite, and along each"),
+        (&["--periodic", "0,-,0,inf,-,24"], 2, "must be finite, and along each"),
         (&["--periodic", "0,-,0,24,-,20"], 2, "20 wide along z, but must be at least"),
         (
             &["--periodic", BOX, "--domain", "0,0,0,24,20,24"],
             2,
-            "at an end of x, which is periodic",
+            "at an end of x, but x is periodic",
         ),
         (&["--periodic", "0,-,0,1e9,-,24"], 2, "from the origin"),
-        (&["--periodic", BOX, "--cell", "1e-12"], 2, "smaller than 0.1 spacings"),
+        (&["--periodic", BOX, "--cell", "1e-12"], 2, "less than 0.1 spacings"),
         (
             &["--periodic", BOX, "--cell", "1e-12", "--method", "mueller"],
             2,
@@ -303,7 +303,11 @@ fn invalid_periodic_boxes_are_refused_with_the_reason() {
         ),
         (&["--periodic-mesh", "overlap"], 2, "with a periodic box"),
         (&["--periodic", "0,-,0,23,-,24"], 3, "is outside the periodic box along x"),
-        (&["--periodic", BOX, "--domain", "-,0,-,-,nan,-"], 2, "coordinates must be numbers"),
+        (
+            &["--periodic", BOX, "--domain", "-,0,-,-,nan,-"],
+            2,
+            "coordinates of the domain must be numbers",
+        ),
     ] {
         let options = with(&with(&POOL, &["-o", "mesh.ply"]), options);
         let errors = run(folder.path(), &options, code);

@@ -45,9 +45,9 @@ pub const ON_CORNERS: f64 = 0.2;
 pub enum TooFine {
     /// The field's steps are too large.
     #[error(
-        "cells of {} are too fine for 16-bit samples: rounding moves the surface by up to \
-         {step_cells:.3} cells, and the limit is {COARSEST_STEP} (deep in the fluid, the field is \
-         only {plateau:.1} of 65535); {remedy}",
+        "the cell size {} is too small: rounding to 16 bits moves the surface by up to \
+         {step_cells:.3} cells, more than the limit of {COARSEST_STEP} cells, because the field is \
+         only {plateau:.1} of 65535 deep in the fluid; {remedy}",
         shown(*cell_size)
     )]
     Steps {
@@ -62,7 +62,7 @@ pub enum TooFine {
     },
     /// The cells are smaller than the limit for the surface of drops.
     #[error(
-        "cells of {} are smaller than {FINEST} spacings: use cells of {} or more",
+        "the cell size {} is less than {FINEST} spacings; use a cell size of {} or more",
         shown(*cell_size), shown(roundly_above(FINEST * spacing))
     )]
     Finest {
@@ -73,8 +73,8 @@ pub enum TooFine {
     },
     /// Too many cells are empty to determine the positions of particles in them.
     #[error(
-        "cells of {} are too fine for symmetry, because at most one cell in eight would contain a \
-         particle: use cells of {} or more",
+        "the cell size {} is too small for the indicator symmetry: at most one cell in eight would \
+         contain a particle; use a cell size of {} or more",
         shown(*cell_size), shown(roundly_above(FINEST_OF_SYMMETRY * spacing))
     )]
     Symmetry {
@@ -98,11 +98,11 @@ pub enum Remedy {
 impl fmt::Display for Remedy {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Cells(size) => write!(f, "use cells of {} or more", shown(*size)),
+            Self::Cells(size) => write!(f, "use a cell size of {} or more", shown(*size)),
             Self::Origin([x, y, z]) => write!(
                 f,
-                "the particles lie on corners of cells, where symmetry is almost 0: move the \
-                 grid's origin to {x},{y},{z}"
+                "the particles lie on corners of cells, where the indicator symmetry is almost 0; \
+                 move the grid's origin to {x},{y},{z}"
             ),
         }
     }

@@ -48,7 +48,7 @@ pub enum IndicatorKind {
     Symmetry,
     /// The number of particles in the cell (eq. 6 of the paper).
     Counting,
-    /// The density of the particles, each of which is spread over nearby cells as a cloud.
+    /// The density of the particles, after each particle is spread over nearby cells as a cloud.
     #[default]
     Cloud,
 }

@@ -108,8 +108,8 @@ pub enum NoEstimate {
     },
     /// Coordinates that are too coarse.
     #[error(
-        "so far from the origin, single-precision coordinates have steps of {}, which is too \
-         coarse",
+        "they are so far from the origin that single-precision coordinates have steps of {}, which \
+         is too coarse",
         shown(*step)
     )]
     SinglePrecision {

@@ -24,7 +24,7 @@ enum ListStore<T> {
 }
 
 impl<T: Pod> Lists<T> {
-    /// An empty collection.
+    /// An empty collection of lists, in memory.
     pub fn in_memory() -> Self {
         Self { index: Vec::new(), store: ListStore::Memory(Vec::new()), bytes: 0 }
     }

@@ -141,7 +141,7 @@ class MeniscusSurface(bpy.types.PropertyGroup):
     )
     smallest_drop: IntProperty(
         name="Smallest Drop",
-        description="Remove drops that have fewer particles",
+        description="Remove drops with fewer than this many particles, estimated from the drop's volume",
         default=0,
         min=0,
         soft_max=100,

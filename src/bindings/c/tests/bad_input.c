@@ -82,7 +82,7 @@ static void options_are_refused(void) {
   OPTION("mu0 must be", "indicator", "counting", "mu0", "inf");
   OPTION("mu0 does not apply to indicator cloud", "mu0", "1");
   OPTION("iso must be", "indicator", "symmetry", "iso", "2");
-  OPTION("iso does not apply to this method", "method", "zhu-bridson", "iso", "0.5");
+  OPTION("iso does not apply to method zhu-bridson", "method", "zhu-bridson", "iso", "0.5");
   OPTION("simplify must be", "simplify", "-1");
   OPTION("smallest-component must be", "smallest-component", "nan");
   OPTION("the memory limit must be at least", "memory", "1");
@@ -311,7 +311,7 @@ static void conversions_are_refused(const char *folder) {
   CONVERT(REQUEST, "the first frame (-1) is after the last (-3)", inputs, 1, output, "start", "-1", "end", "-3");
   CONVERT(REQUEST, "fps must be", inputs, 1, output, "fps", "-1");
   CONVERT(REQUEST, "fps must be", inputs, 1, output, "fps", "nan");
-  CONVERT(REQUEST, "watch must be a number of seconds", inputs, 1, output, "watch", "nan");
+  CONVERT(REQUEST, "watch must be at least 0 seconds", inputs, 1, output, "watch", "nan");
   MeniscusSummary summary = {.size = 5};
   WRITE(REQUEST, "summary: its size is 5;", meniscus_convert(inputs, 1, output, NULL, &summary));
 }

@@ -28,12 +28,12 @@ use crate::work::{Work, with_progress};
 /// spacing, radius : float, optional
 ///     Distance between neighbouring particles, or half of it. Estimated if neither is given.
 /// size : str, optional
-///     Attribute that holds the particles' sizes, if they differ; "pscale" and "radius" are found without it. The name says what the values
+///     Attribute with the particles' sizes, if the sizes differ; "pscale" and "radius" are found without it. The name says what the values
 ///     are: radii, diameters, volumes, or masses, which need a density. "none" treats all particles as one size.
 /// cell, cell_size : float, optional
-///     Edge of a cell in spacings (0.5 by default; use 0.25 for renders), or as a length.
+///     Edge length of a cell, in spacings (0.5 by default; use 0.25 for renders) or as a length.
 /// origin : three floats, optional
-///     A corner of the grid's cells.
+///     Position of a corner of a grid cell.
 /// domain : six floats or None, or two corners, or "auto", optional
 ///     Walls of a tank, x0, y0, z0, x1, y1, z1, on which the surface ends exactly; None for an open side. "auto" finds the walls.
 /// periodic : six floats or None, or two corners, optional
@@ -47,7 +47,8 @@ use crate::work::{Work, with_progress};
 /// method : "dif", "mueller", "zhu-bridson" or "yu-turk", optional
 ///     Discrete indicator functions, or a kernel method for comparison.
 /// skip_invalid : bool, optional
-///     Skip particles that are not finite or too far away, which are otherwise an error.
+///     Skip particles whose position is not finite or is outside the grid, and report their number; without this, such particles are an
+///     error.
 /// smooth : float, optional
 ///     Smoothing width in spacings, 1.6 by default; larger is smoother, 2 is good for noisy FLIP particles.
 /// sheets : float, optional
@@ -61,7 +62,7 @@ use crate::work::{Work, with_progress};
 /// iso : float or "auto", optional
 ///     Isovalue between 0 and 1, for counting, symmetry and kernel methods.
 /// detail : bool, optional
-///     Recover details that smoothing removes, for counting and symmetry.
+///     Recover details, such as drops, that smoothing with the indicators counting and symmetry removes.
 /// normals : bool, optional
 ///     Add vertex normals, from the field's gradient.
 /// simplify : float, optional
@@ -69,9 +70,9 @@ use crate::work::{Work, with_progress};
 /// smallest_component : float, optional
 ///     Remove drops and bubbles with a volume of less than this many cells.
 /// smallest_drop : int, optional
-///     Remove drops that have fewer particles.
+///     Remove drops with fewer than this many particles, estimated from the drop's volume.
 /// compress : bool, optional
-///     Write .glb files quantized and compressed.
+///     Compress the output: a .glb with quantization and EXT_meshopt_compression, a .vdb with zlib.
 /// up, particles_up : "y" or "z", optional
 ///     Axis that points up in mesh files, and in the particles.
 /// backend : "auto", "cpu" or "vulkan", optional
