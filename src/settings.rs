@@ -180,7 +180,7 @@ settings! {
     )]
     cell_size: Option<f64>,
 
-    /// Edge length of a cell in spacings; smaller cells give a finer mesh [default: 0.5].
+    /// Edge of a cell in spacings; smaller cells give a finer mesh [default: 0.5].
     ///
     /// For the indicators counting and symmetry, the default is 0.6667.
     #[arg(value_name = "RATIO", allow_negative_numbers = true, help_heading = "Surface")]
@@ -319,7 +319,7 @@ settings! {
     #[arg(value_name = "NAME,...", value_delimiter = ',', help_heading = "Output")]
     attributes: Option<Vec<String>>,
 
-    /// Reduce the number of triangles; the surface moves by at most this many cells.
+    /// Merge triangles; the surface moves by at most this many cells.
     #[arg(value_name = "CELLS", allow_negative_numbers = true, help_heading = "Output")]
     simplify: Option<f64>,
 

@@ -138,7 +138,7 @@ impl FieldSink {
             }
             Self::File { file, writer, cache_bytes, folder, .. } => {
                 // The file would lose the walls of an octave, which follow from the finest cells.
-                let open = FrameFacts { domain: None, periodic: None, ..facts };
+                let open = FrameFacts { domain: None, ..facts };
                 writer.finish(&open, indicator)?;
                 let mut sampled = frame_from_file(&file, cache_bytes).map_err(io::Error::other)?;
                 sampled.facts = facts;

@@ -19,7 +19,7 @@ use crate::grid::units::positive_length;
 /// Maximum size of a scene file in bytes. Larger .json files may be results, and are skipped.
 const LARGEST: u64 = 16 << 20;
 
-/// What a scene says about the particles and their tank.
+/// Facts about the particles and their tank that a scene contains.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct SceneFacts {
     spacing: f64,

@@ -34,7 +34,7 @@ enum TextFormat {
     Table,
 }
 
-/// What the caller knows about the format before the content is read.
+/// The caller's knowledge of the format before the content is read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TextHint {
     /// The format of the file's extension. The content may show another format.

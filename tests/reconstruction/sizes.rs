@@ -451,6 +451,73 @@ fn mean_and_rms(errors: &[f64]) -> [f64; 2] {
     [errors.iter().sum::<f64>() / count, (squares / count).sqrt()]
 }
 
+/// A lake of coarse particles with a pool of fine ones in it, and drops above.
+fn lake(ratio: f64, random: &mut Random) -> Sized {
+    let edge = 80.0 * ratio;
+    let mut water = Sized::default().with([[0.0; 3], [edge, edge, 8.0 * ratio]], ratio, random);
+    let pool = [[10.0, 12.0, 8.0 * ratio - 9.0], [26.0, 30.0, 8.0 * ratio]];
+    let is_outside = |p: &[f64; 3]| (0..3).any(|a| p[a] < pool[0][a] || p[a] > pool[1][a]);
+    let kept: Vec<bool> = water.positions.iter().map(is_outside).collect();
+    let mut keep = kept.iter();
+    water.positions.retain(|_| *keep.next().unwrap());
+    let mut keep = kept.iter();
+    water.sizes.retain(|_| *keep.next().unwrap());
+    let water = water.with(pool, 1.0, random);
+    let drop = [0.6 * edge, 0.7 * edge, 14.0 * ratio];
+    water.with([drop, drop.map(|x| x + 2.0 * ratio)], ratio, random)
+}
+
+#[test]
+fn cells_follow_the_sizes_and_meet_without_gaps() {
+    for (ratio, cell) in [(2.0, 0.5), (4.0, 0.667), (2.9, 0.4)] {
+        let water = lake(ratio, &mut Random::new(21));
+        // Walls anywhere in their cells.
+        let walls = [[-0.37, -0.21, 0.13], [75.3 * ratio, f64::INFINITY, f64::INFINITY]];
+        for request in [request(), request().domain(walls[0], walls[1])] {
+            let mesh = water.mesh(&request.clone().cell(cell).normals(true));
+            assert_eq!(watertight::defect(&mesh), None, "ratio {ratio}, cells of {cell}");
+            let found = measure(&mesh);
+            assert_eq!(found.components, 2);
+            // The finest cells would need more than this number of triangles for two sides.
+            let finest = 4.0 * (75.0 * ratio / cell).powi(2);
+            assert!((mesh.triangles.len() as f64) < 0.6 * finest, "{}", mesh.triangles.len());
+            // Normals point out of the triangles, at seams as elsewhere.
+            let normals = mesh.normals.as_ref().unwrap();
+            let mut against = 0;
+            for triangle in &mesh.triangles {
+                let corners = triangle.map(|corner| corner as usize);
+                let [a, b, c] = corners.map(|corner| DVec3::from(mesh.positions[corner]));
+                let face = (b - a).cross(c - a).normalize_or_zero();
+                let normal = corners.map(|corner| DVec3::from(normals[corner].map(f64::from)));
+                against += usize::from(face.dot(normal.iter().sum()) < 0.0);
+            }
+            assert!(against * 2000 < mesh.triangles.len(), "{against} normals point inwards");
+        }
+    }
+}
+
+#[test]
+fn cells_of_several_levels_are_independent_of_order_threads_and_memory() {
+    let water = lake(3.0, &mut Random::new(22));
+    let walls = [[-0.37, -0.21, 0.13], [233.3, f64::INFINITY, f64::INFINITY]];
+    let request = request().domain(walls[0], walls[1]).normals(true);
+    let mesh = water.mesh(&request);
+    let turned = Sized {
+        positions: water.positions.iter().rev().copied().collect(),
+        sizes: water.sizes.iter().rev().copied().collect(),
+    };
+    let with_less = request.clone().threads(1).memory(MemoryBudget(28 << 20));
+    assert!(turned.mesh(&with_less) == mesh);
+    let simplified = water.mesh(&request.clone().simplify(0.1));
+    assert_eq!(watertight::defect(&simplified), None);
+    assert!(simplified.triangles.len() * 3 < mesh.triangles.len());
+    let with_less = with_less.memory(MemoryBudget(48 << 20)).simplify(0.1);
+    assert!(turned.mesh(&with_less) == simplified);
+    let [whole, less] = [&mesh, &simplified].map(|mesh| measure(mesh).volume.unwrap());
+    assert!((less / whole - 1.0).abs() < 0.003, "{less} of {whole}");
+    assert!((whole / water.volume() - 1.0).abs() < 0.03);
+}
+
 #[test]
 fn a_small_ball_in_coarse_water_keeps_its_surface() {
     let mut random = Random::new(3);

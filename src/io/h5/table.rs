@@ -45,7 +45,7 @@ pub(super) struct H5Array {
     part: RowPart,
 }
 
-/// Which numbers of a data set form a row of an array.
+/// The numbers of a data set that form a row of an array.
 #[derive(Clone, Copy)]
 pub(super) enum RowPart {
     /// All numbers at an index of the first axis.

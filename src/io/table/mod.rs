@@ -91,7 +91,7 @@ pub(super) fn read(
 struct FieldTarget {
     /// The index of the number in a decoded row.
     place: usize,
-    /// What happens if the field is not a number.
+    /// The treatment of a field that is not a number.
     otherwise: BadFieldPolicy,
 }
 

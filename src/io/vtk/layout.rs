@@ -77,7 +77,7 @@ pub(super) enum CellCorners {
     Offsets { offsets: VtkArray, connectivity: VtkArray },
 }
 
-/// What a section of attributes describes, and the number of points or cells.
+/// The subject of a section of attributes, points or cells, with their number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Owner {
     Points(usize),

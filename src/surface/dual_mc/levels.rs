@@ -124,8 +124,8 @@ impl Mixed<'_> {
         let own = if self.is_wider(block.lo) { CellBox::EMPTY } else { cells.intersection(&block) };
         let own = own.intersection(&field.cells());
         let own = walls.map_or(own, |walls| own.intersection(&walls));
-        let width = own.size().x.max(0) as usize;
         if !own.is_empty() {
+            let width = own.size().x as usize;
             for ([y, z], row) in field.rows(own) {
                 let first = inside.index(IVec3::new(own.lo.x, y, z));
                 let to = &mut inside.samples_mut()[first..first + width];

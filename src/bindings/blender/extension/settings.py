@@ -149,7 +149,7 @@ class MeniscusSurface(bpy.types.PropertyGroup):
     )
     simplify: FloatProperty(
         name="Simplify",
-        description="Reduce the number of triangles; the surface moves at most this many cells. 0 keeps all triangles",
+        description="Merge triangles; the surface moves by at most this many cells. 0 keeps all triangles",
         default=0.0,
         min=0.0,
         soft_max=0.5,

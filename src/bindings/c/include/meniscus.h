@@ -27,7 +27,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-// Result of a call. The numbers are the exit codes of the program `meniscus`.
+// Status code of a call. The numbers are the exit codes of the program `meniscus`.
 enum MeniscusStatus
 #if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
   : int32_t
@@ -41,11 +41,11 @@ enum MeniscusStatus
   MENISCUS_STATUS_REQUEST = 2,
   // Invalid particles, or an input file that cannot be read.
   MENISCUS_STATUS_INPUT = 3,
-  // A file cannot be written, or scratch files fail.
+  // An output file or a scratch file cannot be written.
   MENISCUS_STATUS_OUTPUT = 4,
   // The requested Vulkan device cannot be used.
   MENISCUS_STATUS_DEVICE = 5,
-  // A bug in the library: please report it. The handles of the call can only be freed.
+  // A bug in the library: please report it. Do not use the handles of this call, only free them.
   MENISCUS_STATUS_INTERNAL = 70,
   // A callback or another thread cancelled the work.
   MENISCUS_STATUS_CANCELLED = 130,
@@ -58,7 +58,7 @@ typedef int32_t MeniscusStatus;
 #endif // __STDC_VERSION__ >= 202311L
 #endif // __cplusplus
 
-// A stage between particles and a mesh file.
+// A stage of the work from particles to a mesh file.
 enum MeniscusStage
 #if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
   : int32_t
@@ -70,7 +70,7 @@ enum MeniscusStage
   MENISCUS_STAGE_READING = 1,
   // Particles are counted in cells, to estimate the memory of the frame.
   MENISCUS_STAGE_COUNTING = 2,
-  // A large frame waits for others to finish.
+  // A large frame waits until other frames have finished.
   MENISCUS_STAGE_WAITING = 3,
   // Particles are sampled on the grid.
   MENISCUS_STAGE_SAMPLING = 4,
@@ -112,7 +112,7 @@ typedef int32_t MeniscusType;
 #endif // __STDC_VERSION__ >= 202311L
 #endif // __cplusplus
 
-// The source of a spacing.
+// Where the spacing of a frame comes from.
 enum MeniscusSpacingSource
 #if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
   : int32_t
@@ -120,15 +120,15 @@ enum MeniscusSpacingSource
  {
   // Unknown: the frame was packed, or belongs to a simulation.
   MENISCUS_SPACING_SOURCE_UNKNOWN = 0,
-  // The options.
+  // The options give it.
   MENISCUS_SPACING_SOURCE_GIVEN = 1,
-  // The particles' file.
+  // The particle file gives it.
   MENISCUS_SPACING_SOURCE_FILE = 2,
-  // A scene file next to the particles' file.
+  // A scene file next to the particle file gives it.
   MENISCUS_SPACING_SOURCE_SCENE = 3,
-  // An estimate from the particles.
+  // The library estimated it from the particles.
   MENISCUS_SPACING_SOURCE_ESTIMATED = 4,
-  // The smallest size in an attribute of the particles.
+  // The smallest size in an attribute of the particles gives it.
   MENISCUS_SPACING_SOURCE_SIZES = 5,
 };
 #ifndef __cplusplus
@@ -151,19 +151,19 @@ enum MeniscusEventKind
   MENISCUS_EVENT_KIND_WAITING = 1,
   // The spacing may be wrong.
   MENISCUS_EVENT_KIND_SPACING_WARNING = 2,
-  // The conversion starts again, because settings or its input changed.
+  // The conversion starts from the beginning, because its settings or its input changed.
   MENISCUS_EVENT_KIND_RESTARTED = 3,
   // An earlier conversion is resumed.
   MENISCUS_EVENT_KIND_RESUMED = 4,
   // The calibration that all frames share was measured.
   MENISCUS_EVENT_KIND_MEASURED = 5,
-  // The conversion begins, and the number of frames is known.
+  // The conversion of frames starts, and their number is known.
   MENISCUS_EVENT_KIND_STARTED = 6,
   // A new frame appeared.
   MENISCUS_EVENT_KIND_FRAME_APPEARED = 7,
-  // A frame entered a stage, progressed in it, or left the last one.
+  // A frame entered a stage, progressed in it, or left its last stage.
   MENISCUS_EVENT_KIND_STAGE = 8,
-  // A frame is finished: its mesh is complete, with its final name.
+  // A frame is finished: its mesh file is complete and has its final name.
   MENISCUS_EVENT_KIND_DONE = 9,
   // A frame failed.
   MENISCUS_EVENT_KIND_FAILED = 10,
@@ -180,28 +180,28 @@ typedef int32_t MeniscusEventKind;
 #endif // __STDC_VERSION__ >= 202311L
 #endif // __cplusplus
 
-// A handle with which any thread can cancel work. Current and later work with the handle ends with
-// MENISCUS_STATUS_CANCELLED, so a cancelled handle cannot be reused. It may be freed while such
-// work runs.
+// A handle with which any thread can cancel work. Cancelled calls return
+// MENISCUS_STATUS_CANCELLED. Later calls with the same handle do so too, so a cancelled handle
+// cannot be reused. The handle may be freed while calls use it.
 typedef struct MeniscusCancel MeniscusCancel;
 
-// A sampled frame: the field of the particles, from which surfaces with different filters can be
-// made. Freed by meniscus_frame_free.
+// A frame whose particles are sampled. Surfaces with different filters can be made from it. Freed
+// by meniscus_frame_free.
 //
-// Several threads may use it at the same time, as long as none frees it.
+// Several threads may use a frame at the same time, as long as none frees it.
 typedef struct MeniscusFrame MeniscusFrame;
 
 // A surface: a closed, oriented 2-manifold around the fluid. Freed by meniscus_mesh_free.
 //
-// Several threads may use it at the same time, as long as none frees it.
+// Several threads may use a mesh at the same time, as long as none frees it.
 typedef struct MeniscusMesh MeniscusMesh;
 
-// Options of a call, by the keys of the program's options: "spacing", "cell-size", "threads".
-// Freed by meniscus_options_free.
+// Options of a call. Their keys are the names of the program's options: "spacing", "cell-size",
+// "threads". Freed by meniscus_options_free.
 //
 // `meniscus reconstruct --help` documents the options, and meniscus_options_key lists their keys.
-// An option that is not set has the program's default, except that stages run on the CPU unless
-// "backend" or "device" is set. NULL instead of options sets none.
+// An option that is not set has the program's default, with one exception: all stages run on the
+// CPU unless "backend" or "device" is set. A call with NULL instead of options uses all defaults.
 //
 // A call copies the options when it starts, so they may be changed or freed as soon as it returns.
 // Several threads may use the same options at the same time, as long as none changes or frees
@@ -211,70 +211,72 @@ typedef struct MeniscusOptions MeniscusOptions;
 // A simulation whose frames come from memory, in order. Freed by meniscus_simulation_free.
 //
 // Cells, grid and calibration are measured on the first frame with fluid deeper than the reach of
-// the filters, and kept for all later frames. It makes one frame at a time.
+// the filters, and kept for all later frames. A simulation makes one frame at a time.
 typedef struct MeniscusSimulation MeniscusSimulation;
 
-// The end of a conversion. The caller sets `size`, and the library fills the rest.
+// The result of a conversion. The caller sets `size`, and the library sets the other fields.
 typedef struct MeniscusSummary {
   // sizeof(MeniscusSummary).
   size_t size;
-  // Frames that were made.
+  // Number of frames that were made.
   uint64_t made;
-  // Frames that failed.
+  // Number of frames that failed.
   uint64_t failed;
-  // Frames that are missing between others.
+  // Number of frames that are missing between other frames.
   uint64_t missing;
-  // Particles in the frames that were made.
+  // Number of particles in the frames that were made.
   uint64_t particles;
-  // Lower bound of the particles that are missing from surfaces.
+  // Lower bound of the number of particles that are missing from the surfaces.
   uint64_t lost;
-  // Duration in seconds.
+  // Duration of the conversion in seconds.
   double seconds;
 } MeniscusSummary;
 
-// A value of every particle, with one or several components. Fill it with zeros before you set
-// fields.
+// An attribute of the particles: one or several numbers per particle. Fill the structure with
+// zeros before you set fields.
 typedef struct MeniscusAttribute {
   // sizeof(MeniscusAttribute).
   size_t size;
-  // The name, by which the attribute is requested, and which it has on the vertices. By default,
-  // "velocity" with three components, or another usual name such as "v" or "vel", is
-  // interpolated to the vertices.
+  // The name of the attribute, in the option "attributes" and on the vertices. By default, the
+  // vertices get the attribute "velocity" if it has three components. Other usual names of the
+  // velocity, such as "v" or "vel", also count.
   const char *name;
   // The first number of the first particle; need not be aligned.
   const void *values;
-  // Bytes from a particle to the next; 0 if values are contiguous. May be negative.
+  // Bytes from one particle to the next; 0 if values are contiguous. May be negative.
   ptrdiff_t stride;
-  // Bytes from one component of a particle to the next; 0 if they are contiguous. May be
+  // Bytes from one component of a particle to the next; 0 if components are contiguous. May be
   // negative.
   ptrdiff_t component_stride;
   // Numbers per particle, from 1 to 65536.
   uint32_t components;
-  // The type of the numbers, one of MeniscusType. F32 and F64 are converted to float; values
-  // that are not finite as float count as missing. I32 and U32, such as identifiers, keep their
-  // values: a vertex has those of the nearest particle, for meniscus_mesh_attribute_whole.
+  // The type of the numbers, one of MeniscusType. F32 and F64 are converted to float, and values
+  // that are not finite as float count as missing. I32 and U32, such as identifiers, are not
+  // interpolated: each vertex gets the exact values of the nearest particle
+  // (meniscus_mesh_attribute_whole).
   int32_t number;
 } MeniscusAttribute;
 
-// Particles in memory. Fill it with zeros before you set fields.
+// Particles in the caller's memory. Fill the structure with zeros before you set fields.
 //
-// They are read in place, several times and by several threads, during the call, and must not
-// change meanwhile. Positions are in any unit, which also applies to all other lengths.
+// During a call, several threads of the library read the particles in place, several times. The
+// particles must not change meanwhile. Positions may have any unit of length, and all other
+// lengths have the same unit.
 typedef struct MeniscusParticles {
   // sizeof(MeniscusParticles).
   size_t size;
   // The number of particles.
   uint64_t count;
-  // The first particle's x; need not be aligned.
+  // The x coordinate of the first particle; need not be aligned.
   const void *positions;
-  // Bytes from a particle's x to the next particle's; 0 if positions are contiguous. May be
+  // Bytes from one particle's x to the next particle's x; 0 if positions are contiguous. May be
   // negative.
   ptrdiff_t stride;
-  // Bytes from x to y, and from y to z; 0 if they are contiguous. May be negative.
+  // Bytes from x to y, and from y to z; 0 if coordinates are contiguous. May be negative.
   ptrdiff_t component_stride;
   // An array of attributes of the particles; NULL for none.
   const struct MeniscusAttribute *attributes;
-  // Number of attributes.
+  // Number of elements in `attributes`.
   size_t attribute_count;
   // The type of the coordinates, MENISCUS_TYPE_F32 or MENISCUS_TYPE_F64.
   int32_t number;
@@ -282,19 +284,19 @@ typedef struct MeniscusParticles {
   int32_t reserved;
 } MeniscusParticles;
 
-// An attribute of the vertices, lent by the mesh.
+// An attribute of the vertices, in memory of the mesh.
 typedef struct MeniscusMeshAttribute {
-  // The name.
+  // The name of the attribute.
   const char *name;
-  // The components of each vertex together. Integers are rounded to float:
+  // `components` numbers per vertex, vertex by vertex. Integers are rounded to float:
   // meniscus_mesh_attribute_whole copies their exact values.
   const float *values;
   // Numbers per vertex.
   uint64_t components;
 } MeniscusMeshAttribute;
 
-// A mesh in the library's memory. The caller sets `size`, and the library fills the rest; all
-// pointers are valid until the mesh is freed, and NULL for empty arrays.
+// A mesh in the library's memory. The caller sets `size`, and the library sets the other fields.
+// All pointers are valid until the mesh is freed. The pointer of an empty array is NULL.
 typedef struct MeniscusArrays {
   // sizeof(MeniscusArrays).
   size_t size;
@@ -308,14 +310,14 @@ typedef struct MeniscusArrays {
   const uint32_t *triangles;
   // 3 numbers per vertex: the outward unit normal; NULL if no normals were requested.
   const float *normals;
-  // The other attributes of the vertices.
+  // The attributes of the vertices, without the normals.
   const struct MeniscusMeshAttribute *attributes;
-  // Number of attributes.
+  // Number of elements in `attributes`.
   size_t attribute_count;
 } MeniscusArrays;
 
-// How a mesh was made. The caller sets `size`, and the library fills the rest. Lengths are in the
-// unit of the positions.
+// How a mesh was made. The caller sets `size`, and the library sets the other fields. Lengths are
+// in the unit of the positions.
 typedef struct MeniscusReport {
   // sizeof(MeniscusReport).
   size_t size;
@@ -325,29 +327,30 @@ typedef struct MeniscusReport {
   double cell_size;
   // A corner of the grid's cells.
   double origin[3];
-  // Smoothing width in spacings, for clouds; else 0.
+  // Smoothing width in spacings, for the indicator "cloud"; else 0.
   double smooth;
-  // Standard deviation of the Gaussian in cells, for counting and symmetry; else 0.
+  // Standard deviation of the Gaussian in cells, for the indicators "counting" and "symmetry";
+  // else 0.
   double sigma;
   // The isovalue, if the surface has one; else 0.
   double isovalue;
-  // Seconds of all stages, without writing.
+  // Total time of all stages in seconds, without writing.
   double seconds;
-  // Particles that were used.
+  // Number of particles that were used.
   uint64_t particles;
-  // Particles that were skipped because a coordinate is not finite.
+  // Number of particles that were skipped because a coordinate is not finite.
   uint64_t not_finite;
-  // Particles that were skipped because they are too far away.
+  // Number of particles that were skipped because they are too far away.
   uint64_t too_far;
-  // Particles outside of the tank, which were left out.
+  // Number of particles that were left out because they are outside of the tank.
   uint64_t outside;
-  // Lower bound of the particles that are missing from the surface.
+  // Lower bound of the number of particles that are missing from the surface.
   uint64_t lost;
-  // Components that smallest_component left out.
+  // Number of components that the option "smallest-component" removed.
   uint64_t small_components;
-  // Drops that smallest_drop left out.
+  // Number of drops that the option "smallest-drop" removed.
   uint64_t small_drops;
-  // Triangles before simplifying and the removal of components.
+  // Number of triangles before simplifying and before components were removed.
   uint64_t whole_triangles;
   // Number of threads.
   uint32_t threads;
@@ -355,7 +358,8 @@ typedef struct MeniscusReport {
   int32_t spacing_source;
 } MeniscusReport;
 
-// Results of `meniscus check` for a mesh. The caller sets `size`, and the library fills the rest.
+// Defects and measures of a mesh, as `meniscus check` finds them. The caller sets `size`, and the
+// library sets the other fields.
 typedef struct MeniscusCheck {
   // sizeof(MeniscusCheck).
   size_t size;
@@ -372,27 +376,27 @@ typedef struct MeniscusCheck {
   uint64_t components;
   // Number of handles of all components; -1 unless closed, oriented and 2-manifold.
   int64_t genus;
-  // Edges with only one triangle.
+  // Number of edges with only one triangle.
   uint64_t boundary_edges;
-  // Edges whose two triangles have the same direction there.
+  // Number of edges whose two triangles have the same direction there.
   uint64_t misoriented_edges;
-  // Edges with more than two triangles.
+  // Number of edges with more than two triangles.
   uint64_t crowded_edges;
-  // Vertices whose triangles form more than one fan.
+  // Number of vertices whose triangles form more than one fan.
   uint64_t pinched_vertices;
-  // Triangles with a repeated vertex.
+  // Number of triangles with a repeated vertex.
   uint64_t degenerate_triangles;
-  // Vertices with a coordinate that is not finite.
+  // Number of vertices with a coordinate that is not finite.
   uint64_t non_finite_vertices;
-  // 1 if it is closed, oriented and 2-manifold, and all positions are finite; else 0.
+  // 1 if the mesh is closed, oriented and 2-manifold, and all positions are finite; else 0.
   int32_t is_closed_oriented_manifold;
   // Always 0.
   int32_t reserved;
 } MeniscusCheck;
 
-// Progress of a frame. The library fills it, and later versions may append fields.
+// Progress of a frame. The library fills the structure, and later versions may append fields.
 typedef struct MeniscusProgress {
-  // Size of this structure in the library.
+  // Size of this structure in bytes, in the version of the library.
   size_t size;
   // The name of the stage, such as "meshing"; valid during the callback.
   const char *name;
@@ -405,27 +409,27 @@ typedef struct MeniscusProgress {
 // A function that receives progress. It returns 0 to continue; any other value cancels the work,
 // and the call returns MENISCUS_STATUS_CANCELLED.
 //
-// Threads of the library call it, but only one at a time within a call, and never after the call
-// has returned. It must not throw, nor leave by longjmp.
+// Threads of the library call it, one at a time for each call of the library, and never after that
+// call has returned. It must not throw an exception or leave by longjmp.
 typedef int32_t (*MeniscusProgressCallback)(void *user, const struct MeniscusProgress *progress);
 
-// An event of a conversion. The library fills it, and later versions may append fields.
+// An event of a conversion. The library fills the structure, and later versions may append fields.
 typedef struct MeniscusEvent {
-  // Size of this structure in the library.
+  // Size of this structure in bytes, in the version of the library.
   size_t size;
-  // The event as a line of text; valid during the callback.
+  // A description of the event, as a line of text; valid during the callback.
   const char *text;
   // The warnings about a finished frame, one per line; NULL if there are none. Valid during the
   // callback.
   const char *warnings;
-  // The number of the frame, in events about stages and about frames that finished or failed.
-  // Frames before frame 0 have negative numbers.
+  // The number of the frame, in events about stages and about finished or failed frames. It may
+  // be negative.
   int64_t frame;
-  // Frames that have finished or failed so far, if known.
+  // Number of frames that have finished or failed so far, if known.
   uint64_t done;
-  // All frames of the conversion, if known.
+  // Number of all frames of the conversion, if known.
   uint64_t total;
-  // Frames that have failed so far, if known.
+  // Number of frames that have failed so far, if known.
   uint64_t failed;
   // One of MeniscusEventKind.
   int32_t kind;
@@ -436,7 +440,7 @@ typedef struct MeniscusEvent {
 // A function that receives events. It returns 0 to continue; any other value cancels the
 // conversion, and keeps finished frames.
 //
-// It is called on the thread that called meniscus_convert. It must not throw, nor leave by
+// meniscus_convert calls it on the caller's thread. It must not throw an exception or leave by
 // longjmp.
 typedef int32_t (*MeniscusEventCallback)(void *user, const struct MeniscusEvent *event);
 
@@ -444,33 +448,34 @@ typedef int32_t (*MeniscusEventCallback)(void *user, const struct MeniscusEvent 
 extern "C" {
 #endif // __cplusplus
 
-// Returns the version of the library, such as "0.3.0". The text is static.
+// Returns the version of the library, such as "0.3.0". The string is static.
 const char *meniscus_version(void);
 
-// Creates a handle, to be freed by meniscus_cancel_free.
+// Creates a cancel handle, to be freed by meniscus_cancel_free.
 struct MeniscusCancel *meniscus_cancel_new(void);
 
-// Cancels all work with this handle. Any thread may call it at any time; NULL is ignored.
+// Cancels all calls that use this handle. Any thread may call this function at any time; NULL is
+// ignored.
 //
 // `cancel` is NULL or a handle that has not been freed.
 void meniscus_cancel(const struct MeniscusCancel *cancel);
 
-// Frees a handle; NULL is ignored.
+// Frees a cancel handle; NULL is ignored.
 //
 // `cancel` is NULL or a handle that has not been freed.
 void meniscus_cancel_free(struct MeniscusCancel *cancel);
 
-// Converts the files of a simulation to mesh files, as the program does: with one calibration, in
-// parallel, each file completely or not at all.
+// Converts the files of a simulation to mesh files, like the program: several frames in parallel,
+// all with the same calibration. Each file appears completely or not at all.
 //
 // `inputs`: one name with {} for the number, a folder, a glob or a file with several steps; or the
 // files of `input_count` frames; or, with the option "together", inputs whose frames with the same
-// number are joined. `output`: a name with {} or {:04} for the number, a folder, or one .abc for all
-// frames. `options`: the frames and their settings; NULL for all defaults. Their progress function is
-// not called. `summary`: NULL, or the structure to fill.
+// number are joined. `output`: a name with {} or {:04} for the number, a folder, or one .abc for
+// all frames. `options`: the settings and the selected frames; NULL for all defaults. Their
+// progress function is not called. `summary`: NULL, or the structure to fill.
 //
-// MENISCUS_STATUS_INCOMPLETE if frames failed or are missing between others; the message describes
-// the first. The other frames are finished.
+// MENISCUS_STATUS_INCOMPLETE if frames failed or are missing between others: the message describes
+// the first of them, and all other frames are finished.
 //
 // Pointers are NULL or point to the described data.
 MeniscusStatus meniscus_convert(const char *const *inputs,
@@ -484,9 +489,9 @@ MeniscusStatus meniscus_convert(const char *const *inputs,
 // `options` may be NULL for all defaults. `mesh`: receives the mesh, to be freed by
 // meniscus_mesh_free; NULL on failure.
 //
-// MENISCUS_STATUS_REQUEST for invalid arguments and options, and for too little memory;
-// MENISCUS_STATUS_INPUT for particles that are not finite or too far away, for no particles, and
-// if they have no surface; MENISCUS_STATUS_OUTPUT if scratch files fail.
+// MENISCUS_STATUS_REQUEST for invalid arguments and options, and for too little memory.
+// MENISCUS_STATUS_INPUT if there are no particles, if particles are not finite or too far away, or
+// if they have no surface. MENISCUS_STATUS_OUTPUT if scratch files cannot be written.
 //
 // Pointers are NULL or point to the described data; the particles stay unchanged meanwhile.
 MeniscusStatus meniscus_reconstruct(const struct MeniscusParticles *particles,
@@ -495,8 +500,8 @@ MeniscusStatus meniscus_reconstruct(const struct MeniscusParticles *particles,
 
 // Reconstructs the surface of the particles in a file, or of a packed frame.
 //
-// `path`: any file that the program reads; `file#N` is a step of a file with several. Otherwise
-// like meniscus_reconstruct.
+// `path`: any file that the program reads; `file#N` is a step of a file with several steps. Apart
+// from this, the function works like meniscus_reconstruct.
 //
 // Pointers are NULL or point to the described data.
 MeniscusStatus meniscus_reconstruct_file(const char *path,
@@ -505,8 +510,9 @@ MeniscusStatus meniscus_reconstruct_file(const char *path,
 
 // Samples particles in memory once, for several surfaces with different settings.
 //
-// `frame`: receives the frame, to be freed by meniscus_frame_free; NULL on failure. Otherwise like
-// meniscus_reconstruct. The particles are not needed any more afterwards.
+// `frame`: receives the frame, to be freed by meniscus_frame_free; NULL on failure. Apart from
+// this, the function works like meniscus_reconstruct. The frame does not need the particles any
+// more.
 //
 // Pointers are NULL or point to the described data; the particles stay unchanged meanwhile.
 MeniscusStatus meniscus_sample(const struct MeniscusParticles *particles,
@@ -523,17 +529,18 @@ MeniscusStatus meniscus_sample_file(const char *path,
 // Makes a surface from a frame.
 //
 // `options`: NULL for the surface that was requested when the particles were sampled. Otherwise,
-// settings from smoothing to simplifying; settings of the sampling must be unset or unchanged
-// (else MENISCUS_STATUS_REQUEST). Memory, threads, scratch folder and device remain those of the
-// frame. Otherwise like meniscus_reconstruct.
+// the options can change all settings from smoothing to simplifying. Settings of the sampling must
+// be unset or the same as before (else MENISCUS_STATUS_REQUEST). The memory limit, the threads,
+// the scratch folder and the device are always those of the frame. Apart from this, the function
+// works like meniscus_reconstruct.
 //
 // Pointers are NULL or point to the described data.
 MeniscusStatus meniscus_frame_surface(const struct MeniscusFrame *frame,
                                       const struct MeniscusOptions *options,
                                       struct MeniscusMesh **mesh);
 
-// Writes a frame to a .mnf file, completely or not at all, for meniscus_reconstruct_file or
-// meniscus_sample_file.
+// Packs a frame into a .mnf file, which meniscus_reconstruct_file and meniscus_sample_file can
+// read. The file appears completely or not at all.
 //
 // `overwrite`: not 0 to replace an existing file. `bytes`: NULL, or receives the file's size.
 //
@@ -559,28 +566,29 @@ const char *meniscus_frame_warning(const struct MeniscusFrame *frame, size_t ind
 // `frame` is NULL or a handle that has not been freed.
 void meniscus_frame_free(struct MeniscusFrame *frame);
 
-// Starts a simulation with its threads.
+// Creates a simulation, and starts its threads.
 //
-// `options` may be NULL for all defaults; the callback and its argument must exist until the
-// simulation is freed. A callback cancels one frame, a handle also all later ones. `simulation`:
-// receives the handle, to be freed by meniscus_simulation_free; NULL on failure.
+// `options` may be NULL for all defaults. Their callback and its argument must exist until the
+// simulation is freed. A callback can cancel a single frame, and a cancel handle cancels all later
+// frames as well. `simulation`: receives the handle, to be freed by meniscus_simulation_free; NULL
+// on failure.
 //
 // Pointers are NULL or point to the described data.
 MeniscusStatus meniscus_simulation_new(const struct MeniscusOptions *options, struct MeniscusSimulation **simulation);
 
 // Reconstructs the surface of the next frame.
 //
-// A frame without particles, or without a surface, is an empty mesh. Otherwise like
-// meniscus_reconstruct; after a failure, the next frame can still succeed. MENISCUS_STATUS_REQUEST
-// while the simulation works on another frame.
+// A frame without particles, or without a surface, is an empty mesh. All other results are the
+// same as those of meniscus_reconstruct. After a failure, the next frame can still succeed.
+// MENISCUS_STATUS_REQUEST while the simulation works on another frame.
 //
 // Pointers are NULL or point to the described data; the particles stay unchanged meanwhile.
 MeniscusStatus meniscus_simulation_frame(struct MeniscusSimulation *simulation,
                                          const struct MeniscusParticles *particles,
                                          struct MeniscusMesh **mesh);
 
-// Returns 1 once cells, grid and calibration are fixed, else 0; 0 for NULL, and while a frame is
-// made.
+// Returns 1 if cells, grid and calibration are fixed, else 0. Also returns 0 for NULL, and while
+// the simulation works on a frame.
 //
 // `simulation` is NULL or a handle that has not been freed.
 int32_t meniscus_simulation_is_settled(const struct MeniscusSimulation *simulation);
@@ -590,7 +598,7 @@ int32_t meniscus_simulation_is_settled(const struct MeniscusSimulation *simulati
 // `simulation` is NULL or a handle that has not been freed.
 void meniscus_simulation_free(struct MeniscusSimulation *simulation);
 
-// Frees a mesh, with all memory that it has lent; NULL is ignored.
+// Frees a mesh, and all memory of its arrays, names and warnings; NULL is ignored.
 //
 // `mesh` is NULL or a handle that has not been freed.
 void meniscus_mesh_free(struct MeniscusMesh *mesh);
@@ -628,8 +636,8 @@ uint64_t meniscus_mesh_attribute_components(const struct MeniscusMesh *mesh, siz
 
 // Copies the vertices' positions as float: 3 numbers per vertex.
 //
-// `capacity`: the size of `out` in numbers, at least 3 per vertex. Rounding to float moves
-// vertices that are far from the origin.
+// `capacity`: the size of `out` in numbers, at least 3 per vertex. Far from the origin, rounding
+// to float moves vertices visibly.
 //
 // Pointers are NULL or valid as described.
 MeniscusStatus meniscus_mesh_positions_f32(const struct MeniscusMesh *mesh, float *out, uint64_t capacity);
@@ -666,22 +674,22 @@ MeniscusStatus meniscus_mesh_triangles_u64(const struct MeniscusMesh *mesh, uint
 // Pointers are NULL or valid as described.
 MeniscusStatus meniscus_mesh_normals(const struct MeniscusMesh *mesh, float *out, uint64_t capacity);
 
-// Returns 1 if the attribute with this index has integers, whose exact values
-// meniscus_mesh_attribute_whole copies; else 0, also if there is no such attribute.
+// Returns 1 if the attribute with this index has integers, and 0 if it has not or does not exist.
+// meniscus_mesh_attribute_whole copies the exact values of integers.
 //
 // `mesh` is NULL or a handle that has not been freed.
 int32_t meniscus_mesh_attribute_is_whole(const struct MeniscusMesh *mesh, size_t index);
 
-// Copies an attribute of the vertices by its index, with the components of each vertex together.
-// Integers are rounded to float.
+// Copies the attribute of the vertices with this index: all components of the first vertex, then
+// those of the second, and so on. Integers are rounded to float.
 //
 // `capacity`: the size of `out` in numbers, at least the number of vertices times components.
 //
 // Pointers are NULL or valid as described.
 MeniscusStatus meniscus_mesh_attribute(const struct MeniscusMesh *mesh, size_t index, float *out, uint64_t capacity);
 
-// Copies an attribute of integers, such as identifiers, by its index, with the components of each
-// vertex together. MENISCUS_STATUS_REQUEST for other attributes.
+// Copies the attribute with this index, if it has integers such as identifiers: all components of
+// the first vertex, then those of the second, and so on. Otherwise MENISCUS_STATUS_REQUEST.
 //
 // Values are from -2^31 to 2^31 - 1, or from 0 to 2^32 - 1. `capacity`: the size of `out` in
 // numbers, at least the number of vertices times components.
@@ -692,14 +700,14 @@ MeniscusStatus meniscus_mesh_attribute_whole(const struct MeniscusMesh *mesh,
                                              int64_t *out,
                                              uint64_t capacity);
 
-// Lends the whole mesh, in memory that the first call allocates, and that is freed with the mesh.
-// MENISCUS_STATUS_REQUEST for a mesh of more than 2^32 vertices.
+// Returns pointers to the complete mesh, in memory that the first call allocates. Freeing the mesh
+// also frees this memory. MENISCUS_STATUS_REQUEST for a mesh of more than 2^32 vertices.
 //
 // `mesh` is NULL or a handle that has not been freed; `arrays` is NULL or points to a structure
 // with the size in its first field.
 MeniscusStatus meniscus_mesh_arrays(const struct MeniscusMesh *mesh, struct MeniscusArrays *arrays);
 
-// Returns the number of warnings about the surface, or about its request; 0 for NULL.
+// Returns the number of warnings about the surface and about its request; 0 for NULL.
 //
 // `mesh` is NULL or a handle that has not been freed.
 size_t meniscus_mesh_warning_count(const struct MeniscusMesh *mesh);
@@ -723,11 +731,11 @@ MeniscusStatus meniscus_mesh_report(const struct MeniscusMesh *mesh, struct Meni
 // whose first field holds its size.
 MeniscusStatus meniscus_mesh_check(const struct MeniscusMesh *mesh, struct MeniscusCheck *check);
 
-// Writes the mesh to a file whose extension selects the format: completely or not at all, with the
-// same bytes as the program.
+// Writes the mesh to a file whose extension selects the format. The file appears completely or not
+// at all, and has the same bytes as the program's.
 //
 // `overwrite`: not 0 to replace an existing file. `bytes`: NULL, or receives the file's size. The
-// up axis and the compression are those in the options of the mesh.
+// options of the mesh select the up axis and the compression.
 //
 // Pointers are NULL or valid as described.
 MeniscusStatus meniscus_mesh_write(const struct MeniscusMesh *mesh,
@@ -735,8 +743,8 @@ MeniscusStatus meniscus_mesh_write(const struct MeniscusMesh *mesh,
                                    int32_t overwrite,
                                    uint64_t *bytes);
 
-// Writes the warnings about storing the mesh in the format of a file, one per line, into the
-// caller's buffer, truncated if the buffer is too small, and terminated by a NUL.
+// Copies the warnings about storing the mesh in the format of a file into the caller's buffer, one
+// per line. The text ends with a NUL, and is truncated if the buffer is too small.
 //
 // `text`: NULL, or a buffer of `capacity` bytes. `length`: NULL, or receives the length of the
 // whole text without the NUL: 0 without warnings.
@@ -748,11 +756,11 @@ MeniscusStatus meniscus_mesh_format_warnings(const struct MeniscusMesh *mesh,
                                              size_t capacity,
                                              size_t *length);
 
-// Creates options without values, to be freed by meniscus_options_free.
+// Creates options that all have their defaults, to be freed by meniscus_options_free.
 struct MeniscusOptions *meniscus_options_new(void);
 
-// Copies options, with their callbacks and their cancel handle, to be freed by
-// meniscus_options_free. A copy of NULL has no values.
+// Copies options, including their callbacks and their cancel handle. The copy must be freed by
+// meniscus_options_free. If `options` is NULL, the copy has all defaults.
 //
 // `options` is NULL or a handle that has not been freed.
 struct MeniscusOptions *meniscus_options_copy(const struct MeniscusOptions *options);
@@ -765,24 +773,27 @@ void meniscus_options_free(struct MeniscusOptions *options);
 // Sets an option from text, as on the command line: `meniscus_options_set(options, "domain",
 // "0,0,-,1,2,-")`.
 //
-// Numbers have a '.' in every locale. Numbers in a list are separated by commas or blanks, names
-// by commas. Switches such as "normals" are "true" or "false". `value`: NULL resets the option to
-// its default.
+// The decimal separator is '.' in every locale. Commas or blanks separate the numbers of a list,
+// and commas separate names. A switch such as "normals" takes "true" or "false". If `value` is
+// NULL, the option gets its default.
 //
-// MENISCUS_STATUS_REQUEST for an unknown key and for a value of another type: the message names
-// the key, the value and the expected type, and the option keeps its value. Numbers out of range
-// and conflicting options are errors of the call that uses the options.
+// MENISCUS_STATUS_REQUEST for an unknown key and for a value of the wrong type: the message names
+// the key, the value and the expected type, and the option keeps its old value. This function does
+// not check whether a number is out of range or whether options conflict: the call that uses the
+// options does.
 //
 // Pointers are NULL or valid as described.
 MeniscusStatus meniscus_options_set(struct MeniscusOptions *options, const char *key, const char *value);
 
-// Sets an option from a number. A switch is 0 or 1. Otherwise like meniscus_options_set.
+// Sets an option from a number. A switch takes 0 or 1. Apart from this, the function works like
+// meniscus_options_set.
 //
 // Pointers are NULL or valid as described.
 MeniscusStatus meniscus_options_set_number(struct MeniscusOptions *options, const char *key, double value);
 
 // Sets an option from several numbers: 3 for a point, 6 for a box, with its lowest corner first.
-// -INFINITY and INFINITY leave an axis of a box open. Otherwise like meniscus_options_set.
+// -INFINITY and INFINITY leave an axis of a box open. Apart from this, the function works like
+// meniscus_options_set.
 //
 // Pointers are NULL or valid as described; `values` points to `count` numbers.
 MeniscusStatus meniscus_options_set_numbers(struct MeniscusOptions *options,
@@ -790,19 +801,19 @@ MeniscusStatus meniscus_options_set_numbers(struct MeniscusOptions *options,
                                             const double *values,
                                             size_t count);
 
-// Sets the function that is called with the progress of a frame, and its argument; a conversion
-// does not call it. NULL for no function.
+// Sets the function that receives the progress of a frame, and its argument `user`. NULL for no
+// function. meniscus_convert does not call it.
 //
-// A simulation made by meniscus_simulation_new can call it until the simulation is freed. Any
-// other function calls it only before it returns.
+// A simulation with these options can call the function until meniscus_simulation_free. All other
+// calls of the library call it only before they return.
 //
 // `options` is NULL or a handle that has not been freed.
 MeniscusStatus meniscus_options_on_progress(struct MeniscusOptions *options,
                                             MeniscusProgressCallback progress,
                                             void *user);
 
-// Sets the function that meniscus_convert calls with the events of a conversion, and its argument.
-// NULL for no function.
+// Sets the function that receives the events of meniscus_convert, and its argument `user`. NULL
+// for no function.
 //
 // `options` is NULL or a handle that has not been freed.
 MeniscusStatus meniscus_options_on_event(struct MeniscusOptions *options, MeniscusEventCallback event, void *user);
@@ -810,31 +821,32 @@ MeniscusStatus meniscus_options_on_event(struct MeniscusOptions *options, Menisc
 // Sets the handle with which any thread can cancel the work; NULL for none. The handle may be
 // freed before the options.
 //
-// If a callback ends the work, the handle counts as cancelled.
+// If a callback cancels the work, this also cancels the handle.
 //
 // Pointers are NULL or handles that have not been freed.
 MeniscusStatus meniscus_options_cancel_by(struct MeniscusOptions *options, const struct MeniscusCancel *cancel);
 
-// Returns the key of an option by its index; NULL if there is no such option. The text is static.
+// Returns the key of an option by its index; NULL if there is no such option. The string is
+// static.
 const char *meniscus_options_key(size_t index);
 
-// Returns one line of help on an option by its index; NULL if there is no such option. The text is
-// static.
+// Returns one line of help on an option by its index; NULL if there is no such option. The string
+// is static.
 const char *meniscus_options_help(size_t index);
 
-// Checks before the work that a mesh can be written to `path`, whose extension selects the format,
-// and that the format can store the requested data. Creates no file.
+// Checks in advance that a mesh can be written to `path`, whose extension selects the format, and
+// that the format can store the requested data. Creates no file.
 //
 // `options` may be NULL for all defaults. `overwrite`: not 0 if an existing file may be replaced.
 //
 // Pointers are NULL or valid as described.
 MeniscusStatus meniscus_check_output(const char *path, const struct MeniscusOptions *options, int32_t overwrite);
 
-// Returns the message of the last call of this thread that did not return MENISCUS_STATUS_OK: what
-// is wrong, and where. Empty if there was none.
+// Returns the message of the last call on this thread that failed: what is wrong, and where. Empty
+// if no call on this thread has failed.
 //
-// Each thread has its own message. The text belongs to the library, and is valid until the next
-// call on this thread fails, or the thread ends.
+// A call has failed if it did not return MENISCUS_STATUS_OK. The string belongs to the library,
+// and is valid until the next call on this thread fails, or the thread ends.
 const char *meniscus_last_error(void);
 
 #ifdef __cplusplus

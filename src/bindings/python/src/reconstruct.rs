@@ -66,7 +66,7 @@ use crate::work::{Work, with_progress};
 /// normals : bool, optional
 ///     Add vertex normals, from the field's gradient.
 /// simplify : float, optional
-///     Reduce the number of triangles; no part of the surface moves by more than this many cells.
+///     Merge triangles; no part of the surface moves by more than this many cells.
 /// smallest_component : float, optional
 ///     Remove drops and bubbles with a volume of less than this many cells.
 /// smallest_drop : int, optional
