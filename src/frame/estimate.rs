@@ -71,6 +71,8 @@ pub struct Extraction {
     pub keeps_details: bool,
     /// The particles' spacing in cells, if it is known.
     pub spacing_cells: Option<f64>,
+    /// The number of octaves of the particles' sizes.
+    pub octaves: usize,
     /// The number of wider copies of the DIF, each with cells twice as wide as the previous.
     pub wide_levels: u32,
     /// Whether vertices get normals.
@@ -130,9 +132,12 @@ impl Extraction {
         bins: impl Iterator<Item = (MortonKey, usize)> + Clone,
         meshed: impl Fn(IVec3) -> bool,
     ) -> ExpectedVertices {
+        if let (Some(spacing_cells), 2..) = (self.spacing_cells, self.octaves) {
+            return expected::surface_of_octaves(bins, self.octaves, spacing_cells, meshed);
+        }
         // If the spacing is unknown, the bin with the most particles is assumed to be full.
         let most = || bins.clone().map(|(_, count)| count).max().unwrap_or(0) as f64;
-        let full = self.spacing_cells.map_or_else(most, |cells| (f64::from(BIN) / cells).powi(3));
+        let full = self.spacing_cells.map_or_else(most, expected::full_bin);
         let alone = expected::vertices_alone(self.spacing_cells.unwrap_or(1.0));
         expected::surface(bins, full, alone, meshed)
     }

@@ -14,7 +14,7 @@
 //! more.
 
 use glam::IVec3;
-use hashbrown::HashMap;
+use hashbrown::{HashMap, HashSet};
 
 use crate::grid::{BIN, MortonKey, block_of_bin};
 
@@ -53,6 +53,52 @@ type Shares = HashMap<IVec3, f32>;
 /// times the squared spacing in cells.
 pub(super) fn vertices_alone(spacing_cells: f64) -> f64 {
     8.0 * spacing_cells * spacing_cells + 6.0
+}
+
+/// The number of particles in a full bin.
+pub(super) fn full_bin(spacing_cells: f64) -> f64 {
+    (f64::from(BIN) / spacing_cells).powi(3)
+}
+
+/// The share of a full bin from which a bin is assumed to contain particles of the finest octave.
+/// Particles that are twice as large fill an eighth.
+const FINEST: f64 = 0.3;
+
+/// The expected surface of particles whose sizes span several octaves, in the bins for which
+/// `meshed` is true: the bins of each octave that are too full for coarser particles alone, in cells
+/// of that octave. `spacing_cells` is the smallest size.
+pub(super) fn surface_of_octaves(
+    bins: impl Iterator<Item = (MortonKey, usize)>,
+    octaves: usize,
+    spacing_cells: f64,
+    meshed: impl Fn(IVec3) -> bool,
+) -> ExpectedVertices {
+    let (full, alone) = (full_bin(spacing_cells), vertices_alone(spacing_cells));
+    let mut of_octave: Vec<(MortonKey, usize, bool)> =
+        bins.map(|(key, count)| (key, count, meshed(key.coord()))).collect();
+    let mut all = ExpectedVertices { vertices: 0, in_its_block: 0 };
+    for octave in 1..=octaves {
+        let is_of_octave = |count: usize| octave == octaves || count as f64 >= FINEST * full;
+        let own: HashSet<IVec3> = of_octave
+            .iter()
+            .filter(|&&(_, count, meshed)| meshed && is_of_octave(count))
+            .map(|(key, ..)| key.coord())
+            .collect();
+        let bins = of_octave.iter().map(|&(key, count, _)| (key, count));
+        let found = surface(bins, full, alone, |bin| own.contains(&bin));
+        all.vertices += found.vertices;
+        all.in_its_block = all.in_its_block.max(found.in_its_block);
+        // In Morton order, the bins of a wider bin are consecutive.
+        let wider = |&(key, ..): &(MortonKey, usize, bool)| key.coord() >> 1;
+        let groups = of_octave.chunk_by(|a, b| wider(a) == wider(b));
+        let joined = |group: &[(MortonKey, usize, bool)]| {
+            let count = group.iter().map(|&(_, count, _)| count).sum();
+            let left = group.iter().any(|&(_, count, meshed)| meshed && !is_of_octave(count));
+            (MortonKey::of(wider(&group[0])), count, left)
+        };
+        of_octave = groups.map(joined).collect();
+    }
+    all
 }
 
 /// The expected surface in the bins for which `meshed` is true. `bins` lists the number of
