@@ -98,8 +98,13 @@ impl<'a> LayerPages<'a> {
             // A mass and a density are two attributes.
             let numbers = &contents.attributes[contents.attributes.len().saturating_sub(2)..];
             let number = |at: usize| [0, 1].map(|i| numbers.get(i).map_or(0.0, |all| all[at]));
+            // Neighbouring particles often have one size.
+            let share = |own: &[f32; 2]| self.octaves.share((self.size)(&own[..numbers.len()]));
+            let mut last = None;
             for (at, &record) in contents.packed().iter().enumerate() {
-                let share = self.octaves.share((self.size)(&number(at)[..numbers.len()]));
+                let own = number(at);
+                let known = last.filter(|&(other, _)| other == own);
+                let (_, share) = *last.insert(known.unwrap_or_else(|| (own, share(&own))));
                 if share.octave != self.octave {
                     continue;
                 }
