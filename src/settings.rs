@@ -180,7 +180,7 @@ settings! {
     )]
     cell_size: Option<f64>,
 
-    /// Edge of a cell in spacings; smaller cells give a finer mesh [default: 0.5].
+    /// Cell size in spacings; a smaller size gives a finer mesh [default: 0.5].
     ///
     /// For the indicators counting and symmetry, the default is 0.6667.
     #[arg(value_name = "RATIO", allow_negative_numbers = true, help_heading = "Surface")]
@@ -202,9 +202,9 @@ settings! {
     /// A condition is an attribute, a comparison (=, !=, <, <=, > or >=) and a value: Type=1,
     /// age<2.5, phase!=boundary. mk=0,2 accepts either value. `and` joins conditions that must all
     /// hold. `velocity.y` and `velocity[1]` are the same component of a vector; x, y and z are the
-    /// position. If a file has several types of particles, type=NAME selects one of them. NAME is a
-    /// type of a SWIFT or GADGET snapshot, such as PartType1, an array of PySPH, or a species of
-    /// openPMD [default: gas, else fluid].
+    /// position. If a file has several types of particles, type=NAME selects one of them. NAME is
+    /// one of these: a type of a SWIFT or GADGET snapshot (such as PartType1), an array of PySPH,
+    /// or a species of openPMD [default: gas, else fluid].
     #[arg(value_name = "CONDITION", help_heading = "Input")]
     r#where: Option<Vec<Where>>,
 
@@ -271,7 +271,7 @@ settings! {
     /// Join particles of thin sheets and filaments up to this many spacings apart [default: 2.15].
     ///
     /// The value is from 1 to 3; 0 turns this off. With the default, a sheet stays whole until its
-    /// particles are twice the spacing apart. Only for the indicator cloud.
+    /// particles are about 2.1 spacings apart. Only for the indicator cloud.
     #[arg(value_name = "SPACINGS", allow_negative_numbers = true, help_heading = "Surface")]
     sheets: Option<f64>,
 
@@ -299,8 +299,8 @@ settings! {
     )]
     iso: Option<Iso>,
 
-    /// Recover details, such as drops, that smoothing with the indicators counting and symmetry
-    /// removes.
+    /// Recover details, such as drops, that are lost in smoothing (for the indicators counting and
+    /// symmetry).
     #[arg(help_heading = "Surface", hide_short_help = true)]
     detail: bool,
 

@@ -357,7 +357,7 @@ impl SortedStore {
     }
 }
 
-/// The record of a particle, with the number of its bin in the run in the free bits.
+/// The record of a particle. Its free bits hold the number of the particle's bin within the run.
 #[inline(always)]
 pub(super) fn in_bin_of_run(bin: usize, record: Record) -> Record {
     (bin as Record) << RECORD_BITS | record

@@ -202,6 +202,27 @@ mod tests {
     }
 
     #[test]
+    fn coarse_fluid_has_the_vertices_of_its_own_cells_beside_fine_fluid() {
+        // A cube of coarse fluid, an eighth of the particles of fine fluid, and fine fluid in it.
+        let of = |lo: i32, hi: i32, count: usize| {
+            (CellBox { lo: IVec3::splat(lo), hi: IVec3::splat(hi) })
+                .cubes(1)
+                .map(move |b| (b, count))
+        };
+        let mut bins: Vec<_> = of(0, 12, 512).chain(of(4, 6, 4096)).collect();
+        bins.sort_by_key(|&(bin, count)| (MortonKey::of(bin), std::cmp::Reverse(count)));
+        bins.dedup_by_key(|&mut (bin, _)| bin);
+        let keyed = bins.iter().map(|&(bin, count)| (MortonKey::of(bin), count));
+        let expected = surface_of_octaves(keyed, 2, 1.0, |_| true).vertices as f64;
+        // In wide cells the cube has six faces of 6 x 6 bins. The fine fluid has no face, but its
+        // bins are fuller than those around it.
+        let faces = 6.0 * 36.0 * FACE;
+        assert!((faces..1.15 * faces).contains(&expected), "{expected} of {faces}");
+        // In the finest cells, the coarse fluid alone would have four times as many.
+        assert!(vertices_of(&bins) as f64 > 2.0 * expected);
+    }
+
+    #[test]
     fn the_expected_block_size_is_weighted_by_vertices() {
         // A single drop changes little if eight bins of one block are full.
         let full =

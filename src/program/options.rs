@@ -41,7 +41,7 @@ pub struct ReconstructOptions {
     /// all frames.
     #[arg(short, long, help_heading = "Output")]
     pub output: PathBuf,
-    /// Draw a picture (.png) of the mesh, or a contact sheet for a simulation.
+    /// Draw a picture (.png) of the mesh, or of all meshes on one sheet.
     #[arg(long, help_heading = "Output")]
     pub preview: bool,
     /// Print what would be done without doing it.

@@ -30,9 +30,8 @@ pub struct RenderOptions {
     size: Option<[usize; 2]>,
     /// Camera position [default: from the front and above, with everything in view].
     ///
-    /// Two numbers are the angles around and above the meshes in degrees; an optional third number
-    /// is a zoom factor. Six numbers are the position of the camera, and the point that it looks
-    /// at.
+    /// Two numbers are the camera's azimuth and elevation in degrees; an optional third number is a
+    /// zoom factor. Six numbers are the position of the camera, and the point that it looks at.
     #[arg(long, value_name = "NUMBERS", value_delimiter = ',', allow_hyphen_values = true)]
     camera: Option<Vec<f64>>,
     /// Axis that points up [default: the axis in the mesh file or in the simulation's list of

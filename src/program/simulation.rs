@@ -251,7 +251,7 @@ pub struct SimulationOptions {
     /// Convert every Nth frame.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..), help_heading = "Simulations", hide_short_help = true)]
     step: Option<u64>,
-    /// Convert only frames A to B, inclusive, if several jobs share a simulation.
+    /// Convert only frames A to B, inclusive, so that several jobs can share a simulation.
     #[arg(long, value_name = "A..B", value_parser = range, allow_hyphen_values = true, help_heading = "Simulations", hide_short_help = true)]
     frames: Option<(i64, i64)>,
     /// Resume an interrupted conversion.

@@ -190,11 +190,11 @@ impl fmt::Display for Warning {
                 }
             }
             Self::MissingValues { attribute, without, of } => {
-                let (have, them) = if *without == 1 { ("has", "it") } else { ("have", "them") };
+                let them = if *without == 1 { "it" } else { "them" };
                 write!(
                     f,
-                    "{without} of {of} particles {have} no value of {attribute} that is finite in \
-                     32 bits; vertices near {them} take the values of other particles"
+                    "{attribute} is not finite in 32 bits for {without} of {of} particles; \
+                     vertices near {them} take the values of other particles"
                 )
             }
             Self::DeviceFallback(what) => f.write_str(what),

@@ -173,7 +173,7 @@ impl Pattern {
     }
 }
 
-/// Whether a name has places for a number only in the notations of other programs.
+/// Whether the only places for a number in a name are in the notations of other programs.
 pub(super) fn is_foreign(path: &Path) -> bool {
     let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
     let places = all(name);

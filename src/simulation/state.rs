@@ -298,7 +298,7 @@ mod tests {
                 assert!(matches!(anew.add(&other), Err(SimulationError::Busy(_))));
                 drop(busy);
                 assert_eq!(anew.add(&other).unwrap(), other);
-                // Another process has replaced it meanwhile by a state of other settings.
+                // Meanwhile, another process has replaced it with a state that has other settings.
                 assert!(matches!(anew.add(&late), Err(SimulationError::Settings { .. })));
                 fs::remove_file(store.state_path()).unwrap();
             }

@@ -231,7 +231,8 @@ fn obj_files_of_other_programs_are_read() {
     assert_eq!(mesh.triangles, [[0, 1, 2], [0, 2, 3], [0, 1, 2], [0, 1, 3]]);
     // All corners share one normal of the file, so the file has no normals of vertices.
     assert_eq!(mesh.normals, None);
-    // The file has normals of vertices only if every corner has the same index for both.
+    // The file has vertex normals only if the vertex and the normal of every corner have the same
+    // index.
     let triangle = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 1\nvn 0 1 0\nvn 1 0 0\n";
     let normals =
         |face| MeshFormat::Obj.read(format!("{triangle}{face}").as_bytes()).unwrap().normals;

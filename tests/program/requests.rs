@@ -404,16 +404,14 @@ fn attribute_values_beyond_f32_are_reported() {
     let count = particles.len();
     let notes = run(folder.path(), &one, 0);
     assert!(
-        notes.contains(&format!(
-            "{count} of {count} particles have no value of heat that is finite"
-        )),
+        notes.contains(&format!("heat is not finite in 32 bits for {count} of {count} particles")),
         "{notes}"
     );
     let all = [&["reconstruct", "f_{}.csv", "-o", "m_{}.ply"], &heat[..]].concat();
     let notes = run(folder.path(), &all, 0);
     assert!(
         notes.contains(&format!(
-            "f_2.csv: 1 of {count} particles has no value of heat that is finite"
+            "f_2.csv: heat is not finite in 32 bits for 1 of {count} particles"
         )),
         "{notes}"
     );
@@ -423,7 +421,7 @@ fn attribute_values_beyond_f32_are_reported() {
     let spilled = [&all[..], &["--overwrite", "--memory", "16MiB", "--threads", "1"]].concat();
     assert!(
         run(folder.path(), &spilled, 0).contains(&format!(
-            "f_2.csv: 1 of {count} particles has no value of heat that is finite"
+            "f_2.csv: heat is not finite in 32 bits for 1 of {count} particles"
         ))
     );
 }
@@ -662,7 +660,8 @@ fn particles_missing_from_the_surface_are_counted_and_reported() {
     ];
     let kernels = run(folder.path(), &kernels, 0);
     assert!(kernels.contains("missing from the surface"), "{kernels}");
-    // A simulation reports the sum over all frames, including frames that only have lost particles.
+    // A simulation reports the sum over all frames, including frames in which every particle is
+    // lost.
     let notes = with(&["f_{}.xyz", "-o", "m_{}.ply", "--stats", "stats.jsonl", "--skip-invalid"]);
     assert!(
         notes.contains(&format!("at least 202 of {} particles", 3 * body.len() + 202)),

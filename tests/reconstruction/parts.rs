@@ -170,7 +170,7 @@ fn merged_parts_report_the_warnings_of_a_single_run() {
     let single = run(folder, &[&["mist.csv", "-o", "one.ply"], &options[..]].concat(), 0);
     for word in [
         "missing from the surface",
-        "no value of heat that is finite in 32 bits",
+        "heat is not finite in 32 bits",
         "looks too large",
         "not finite",
     ] {

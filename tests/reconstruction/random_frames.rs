@@ -261,7 +261,7 @@ impl Frame {
         if one_in(random, 4) && self.faces.iter().any(Option::is_some) {
             request = request.periodic_mesh(PeriodicMesh::Overlap);
         }
-        // One frame in ten may have settings that conflict, which is an error.
+        // One frame in ten may have settings that conflict; such a frame must fail with an error.
         let any = one_in(random, 10);
         let (clouds, kernels) = (self.indicator == IndicatorKind::Cloud, self.kernels);
         match random.bits() % 8 {

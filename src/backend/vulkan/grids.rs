@@ -93,8 +93,8 @@ impl LevelBlocks {
         self.blocks.push(block);
     }
 
-    /// Adds a block whose samples are gathered from pages, with the inside bricks, if they are
-    /// given.
+    /// Adds a block whose samples are gathered from pages. If inside bricks are given, adds them
+    /// too.
     pub(super) fn push_sampled(
         &mut self,
         cells: CellBox,

@@ -163,9 +163,9 @@ impl Plateau {
     }
 }
 
-/// The median and the minimum over interior cells. The first of these sets with sufficient interior
-/// cells is used: the middles of some blocks (`enough` cells), these blocks as a whole, and all
-/// blocks (`least` cells).
+/// The median and the minimum over interior cells. Tries three sets in this order, and uses the
+/// first with sufficient interior cells: the middles of some blocks (`enough` cells are needed),
+/// these blocks as a whole, and all blocks (`least` cells are needed).
 fn measured(interior: &Interior<'_>, enough: f64, least: f64) -> Option<(u16, u16)> {
     let blocks = interior.blocks();
     let sampled: Vec<_> = equal_steps(blocks.len(), SAMPLED_BLOCKS).map(|i| blocks[i]).collect();

@@ -173,8 +173,8 @@ impl DistanceFilters {
         self
     }
 
-    /// Replaces the filters of drops and sheets by filters for particles `spacing` cells apart, for
-    /// a caller that interpolates drops and sheets on a finer mesh by splines.
+    /// Replaces the filters of drops and sheets by filters for particles that are `spacing` cells
+    /// apart. This is for callers that use splines to interpolate drops and sheets on a finer mesh.
     #[must_use]
     pub fn refining(self, sheets: SheetStretch, spacing: f64) -> Self {
         let (drops, sheets) = thin_fluid(sheets, spacing, true);

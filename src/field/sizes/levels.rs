@@ -1,8 +1,8 @@
 //! The level of the cells in each block, which follows the sizes of nearby particles.
 //!
-//! Blocks form an octree: a block of level k has 32^3 cells, each 2^k of the finest along an axis.
-//! It is divided into blocks of level k - 1 if particles of octave k - 1 are near it, or if one of
-//! the blocks that it touches has a divided child that it also touches. So the levels of blocks that
+//! Blocks form an octree: a block of level k has 32^3 cells, and each is 2^k times as wide as the
+//! finest. A block is divided into blocks of level k - 1 in two cases: particles of octave k - 1
+//! are near it, or it touches a divided child of a block next to it. So the levels of blocks that
 //! touch differ by at most one.
 
 use glam::IVec3;

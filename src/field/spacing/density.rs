@@ -107,7 +107,8 @@ pub fn spacings(particles: &[[f64; 3]], bounds: &Bounds, enough_share: f64) -> O
     })
 }
 
-/// The minimum share of the fluid's volume, or of its particles, for a separate resolution.
+/// A region counts as a separate resolution only if it has at least this share of the fluid's
+/// volume or of its particles.
 const PART: f64 = 0.05;
 /// The minimum number of particles in a cell of a separate resolution: with fewer, the particles
 /// could be spray.

@@ -283,9 +283,10 @@ fn of_all(positions: Vec<[f64; 3]>, bounds: Bounds) -> Option<Evidence> {
     Some(Evidence { particles, places, counted, neighbours, place })
 }
 
-/// A scale for the search for neighbours without a count: half the distance to the third neighbour
-/// in a small sample. The particles of a sample of sheets or filaments are closer together than
-/// those of a solid; the cubes are then wider, and hold more particles.
+/// The cube width for the search for neighbours if the particles have not been counted: half the
+/// distance to the third neighbour in a small sample. The particles of a sample of sheets or
+/// filaments are closer together than those of a solid; the cubes are then wider, and hold more
+/// particles.
 fn scale_of(few: Vec<[f64; 3]>) -> Option<f64> {
     Some(Neighbours::of(NeighbourSample::whole(few)).nearest?[2] / 2.0)
 }

@@ -165,8 +165,8 @@ struct CollapseState<'a, 'b> {
     /// for each triangle, and `next` has the next vertex for each vertex.
     first: Vec<u32>,
     next: Vec<u32>,
-    /// For each removed vertex, the normal of its closest triangle when no segment around it needed
-    /// a check, or zero.
+    /// For each removed vertex, the normal of its closest triangle if no segment around the vertex
+    /// needed a check, and otherwise zero.
     calm: Vec<Vec3A>,
     /// Vertices at the other ends of checked segments, which need checks again.
     looked_at: Vec<u32>,

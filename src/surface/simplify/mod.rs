@@ -218,8 +218,8 @@ impl Scale {
         self.0 == 1
     }
 
-    /// Cells at the corners of a dual cell, or beyond: those of its vertices are between them. A
-    /// vertex between two wide cells can be one wide cell further down.
+    /// Two opposite cells that enclose a dual cell: the cells of all its vertices are between these
+    /// two. The cell of a vertex between two wide cells can begin one wide cell lower.
     fn corners(self, cell: IVec3) -> [IVec3; 2] {
         if self.is_uniform() { [cell, cell + 1] } else { [cell - self.0, cell + 2 * self.0] }
     }
