@@ -508,7 +508,7 @@ fn cells_of_several_levels_are_independent_of_order_threads_and_memory() {
     };
     let with_less = request.clone().threads(1).memory(MemoryBudget(28 << 20));
     assert!(turned.mesh(&with_less) == mesh);
-    let simplified = water.mesh(&request.clone().simplify(0.1));
+    let simplified = water.mesh(&request.simplify(0.1));
     assert_eq!(watertight::defect(&simplified), None);
     assert!(simplified.triangles.len() * 3 < mesh.triangles.len());
     let with_less = with_less.memory(MemoryBudget(48 << 20)).simplify(0.1);

@@ -385,7 +385,6 @@ fn read_entry(
     let limits = facts.domain.map_or(limits, |domain| domain.cells().intersection(&limits));
     let beyond = bricks.checked_shr(side.bricks_a_bin() as u32).unwrap_or(0);
     let info = PageInfo { key, bricks, full, full_count };
-    if !limits.covers(&full) {}
     let wrong = [
         (MortonKey::of(coord) != key, "a page's key names no bin"),
         (bricks == 0 || beyond != 0, "a page has no bricks, or bricks outside of its bin"),

@@ -107,7 +107,7 @@ class Request:
 
     @property
     def key(self) -> Hashable:
-        """A key for the cache: requests with different surfaces have different keys."""
+        """A key for the cache: different surfaces have different keys."""
         key = self.source.key, self.filters
         # The key of a surface without solids must stay the same as in older versions.
         return (*key, self.solids.key) if self.solids.meshes else key
