@@ -175,7 +175,10 @@ impl Sampling {
         let sorted = self.sorted_attributes().into_iter();
         let components = sorted.map(|index| attributes[index].components).collect();
         let coarsest = self.coarsest();
-        let extraction = surfacing.extraction(*method, *spacing, coarsest, grid, components);
+        let mut extraction = surfacing.extraction(*method, *spacing, coarsest, grid, components);
+        if self.periodic.is_some() {
+            extraction.levels = 1;
+        }
         let shape = method.indicator().map(|kind| kind.shape(*side));
         // Particles in the bins next to meshed blocks also make surface in these blocks.
         let near = |bin: IVec3| {

@@ -56,6 +56,8 @@ pub struct MemoryEstimate {
     pub surface: u64,
     /// Expected number of vertices of the surface.
     pub vertices: u64,
+    /// Expected number of vertices if all cells were the finest, as the voxels of a level set are.
+    pub in_finest_cells: u64,
     /// Whether particles are kept for their attributes until the surface is done.
     pub carried: bool,
 }
@@ -71,8 +73,8 @@ pub struct Extraction {
     pub keeps_details: bool,
     /// The particles' spacing in cells, if it is known.
     pub spacing_cells: Option<f64>,
-    /// The number of octaves of the particles' sizes.
-    pub octaves: usize,
+    /// The number of levels of cells, which follow the sizes of particles.
+    pub levels: usize,
     /// The number of wider copies of the DIF, each with cells twice as wide as the previous.
     pub wide_levels: u32,
     /// Whether vertices get normals.
@@ -132,8 +134,8 @@ impl Extraction {
         bins: impl Iterator<Item = (MortonKey, usize)> + Clone,
         meshed: impl Fn(IVec3) -> bool,
     ) -> ExpectedVertices {
-        if let (Some(spacing_cells), 2..) = (self.spacing_cells, self.octaves) {
-            return expected::surface_of_octaves(bins, self.octaves, spacing_cells, meshed);
+        if let (Some(spacing_cells), 2..) = (self.spacing_cells, self.levels) {
+            return expected::surface_of_octaves(bins, self.levels, spacing_cells, meshed);
         }
         // If the spacing is unknown, the bin with the most particles is assumed to be full.
         let most = || bins.clone().map(|(_, count)| count).max().unwrap_or(0) as f64;
@@ -248,7 +250,8 @@ impl MemoryEstimate {
     fn and_surface(self, expected: &ExpectedVertices, extraction: &Extraction) -> Self {
         let surface = (extraction.vertex_bytes() + TILE_SHARE) * expected.vertices;
         let meshing = extraction.meshing_bytes(expected);
-        Self { surface, vertices: expected.vertices, meshing, ..self }
+        let &ExpectedVertices { vertices, in_finest_cells, .. } = expected;
+        Self { surface, vertices, in_finest_cells, meshing, ..self }
     }
 
     /// Adds a bin with `field` bytes of the DIF.

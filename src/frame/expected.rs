@@ -29,13 +29,16 @@ const ALONE: i32 = 8;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct ExpectedVertices {
     pub(super) vertices: u64,
+    /// The number of vertices if all cells were the finest.
+    pub(super) in_finest_cells: u64,
     /// The number of vertices in the block that contains a vertex, as a mean over all vertices.
     pub(super) in_its_block: u64,
 }
 
 impl ExpectedVertices {
     /// The maximum, for frames without information.
-    pub(super) const MOST: Self = Self { vertices: u64::MAX, in_its_block: u64::MAX };
+    pub(super) const MOST: Self =
+        Self { vertices: u64::MAX, in_finest_cells: u64::MAX, in_its_block: u64::MAX };
 
     /// Upper bound of the vertices in `blocks` blocks together, if no block has more than `most`.
     pub(super) fn vertices_of(&self, blocks: u64, most: u64) -> u64 {
@@ -76,7 +79,7 @@ pub(super) fn surface_of_octaves(
     let (full, alone) = (full_bin(spacing_cells), vertices_alone(spacing_cells));
     let mut of_octave: Vec<(MortonKey, usize, bool)> =
         bins.map(|(key, count)| (key, count, meshed(key.coord()))).collect();
-    let mut all = ExpectedVertices { vertices: 0, in_its_block: 0 };
+    let mut all = ExpectedVertices { vertices: 0, in_finest_cells: 0, in_its_block: 0 };
     for octave in 1..=octaves {
         let is_of_octave = |count: usize| octave == octaves || count as f64 >= FINEST * full;
         let own: HashSet<IVec3> = of_octave
@@ -87,6 +90,7 @@ pub(super) fn surface_of_octaves(
         let bins = of_octave.iter().map(|&(key, count, _)| (key, count));
         let found = surface(bins, full, alone, |bin| own.contains(&bin));
         all.vertices += found.vertices;
+        all.in_finest_cells += found.vertices << (2 * (octave - 1));
         all.in_its_block = all.in_its_block.max(found.in_its_block);
         // In Morton order, the bins of a wider bin are consecutive.
         let wider = |&(key, ..): &(MortonKey, usize, bool)| key.coord() >> 1;
@@ -145,7 +149,8 @@ pub(super) fn surface(
     }
     squares += of_block * of_block;
     let in_its_block = if vertices > 0.0 { squares / vertices } else { 0.0 };
-    ExpectedVertices { vertices: vertices as u64, in_its_block: in_its_block as u64 }
+    let (vertices, in_its_block) = (vertices as u64, in_its_block as u64);
+    ExpectedVertices { vertices, in_finest_cells: vertices, in_its_block }
 }
 
 #[cfg(test)]
@@ -241,7 +246,8 @@ mod tests {
 
     #[test]
     fn vertices_of_blocks_are_limited_per_block_and_by_the_whole_surface() {
-        let expected = ExpectedVertices { vertices: 50_000, in_its_block: 1_000 };
+        let expected =
+            ExpectedVertices { in_its_block: 1_000, vertices: 50_000, in_finest_cells: 50_000 };
         assert_eq!(expected.vertices_of(1, 20_000), 20_000);
         assert_eq!(expected.vertices_of(8, 20_000), 20_000 + 16_000);
         assert_eq!(expected.vertices_of(1_000, 20_000), 100_000);

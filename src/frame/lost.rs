@@ -273,8 +273,10 @@ impl Row {
             let own = i32::from(level.level);
             for tile in &*surface.tiles(piece)? {
                 let place = tile.corner(block) / TILE;
+                // Narrower cells behind the tile have their own surface.
                 let narrower = level.of_tile(tile).narrower[1] >> (TILE - 1) & 1 == 1;
-                let behind = narrower || tile.corners[1] >> (TILE - 1) & 1 == 1;
+                let corner = usize::from(!narrower);
+                let behind = tile.corners[corner] >> (TILE - 1) & 1 == 1;
                 let wide = (place >> (widest - own)).to_array();
                 passed.push((wide, (place.x + 1) << own, behind));
             }
@@ -296,7 +298,7 @@ impl Row {
         all.dedup_by(|other, one| {
             let same = other.bin == one.bin;
             if same {
-                one.particles += other.particles;
+                one.particles = one.particles.saturating_add(other.particles);
                 one.occupied |= other.occupied;
                 one.passed |= other.passed;
                 one.inside_behind |= other.inside_behind;

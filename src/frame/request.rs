@@ -282,14 +282,14 @@ impl Surfacing {
             carried_halo: attribute_smoothing(spacing.unwrap_or(0.0) / grid.cell_size()).halo(),
             keeps_details: false,
             spacing_cells,
-            octaves: 1,
+            levels: 1,
             wide_levels: 0,
             normals: self.normals == Normals::Gradient,
             components,
         };
         let Some(kind) = method.indicator() else { return plain };
         let filters = self.filters(kind, spacing, grid);
-        let (octaves, block_bytes) = match (spacing_cells, coarsest) {
+        let (levels, block_bytes) = match (spacing_cells, coarsest) {
             (Some(cells), Some(coarsest)) => {
                 let octaves = Octaves::new(cells, coarsest / grid.cell_size(), 1.0).count;
                 let bytes = SizedField::block_bytes(self.smooth, self.sheets, cells, octaves);
@@ -301,7 +301,7 @@ impl Surfacing {
             block_bytes: block_bytes + self.fill_bytes(&filters, spacing, grid),
             carried_halo: self.halos(kind, spacing, coarsest, grid)[1],
             keeps_details: filters.keeps_details(),
-            octaves,
+            levels,
             wide_levels: match kind {
                 IndicatorKind::Cloud => WideCells::of_spacing(spacing_cells.unwrap_or(1.0)).level,
                 IndicatorKind::Counting | IndicatorKind::Symmetry => 0,

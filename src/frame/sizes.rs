@@ -161,11 +161,7 @@ impl SampledSizes {
                     let of_level = &fields[usize::from(regions[0].level)];
                     if is_uniform(&regions[0]) {
                         let found = of_level.meshes(regions, faces, (iso, normals), meter);
-                        let seams = |region| mixed_meshes(levels, &fields, region, iso, normals);
-                        for (&region, mesh) in regions.iter().zip(found) {
-                            meshes.extend(levels.seams(region).into_iter().filter_map(seams));
-                            meshes.extend(mesh);
-                        }
+                        meshes.extend(found.into_iter().flatten());
                     } else if meter.goes_on() {
                         meter.add(1);
                         let own = levels.seams(regions[0]).into_iter().chain([regions[0]]);

@@ -109,11 +109,6 @@ impl<'a> ExtractableField<'a> {
     }
 }
 
-/// The first of the finest blocks in the block of a region.
-fn block_of(region: &LevelRegion) -> MortonKey {
-    MortonKey::of(region.block() << i32::from(region.level))
-}
-
 /// A frame with everything that its surface needs.
 pub struct CalibratedFrame<'a> {
     pub(super) facts: &'a FrameFacts,
@@ -174,13 +169,16 @@ impl<'a> CalibratedFrame<'a> {
     /// The blocks that the surface can pass through, in Morton order, with the number of their
     /// cells that it can pass through.
     pub fn passed(&self) -> impl Iterator<Item = (MortonKey, usize)> + '_ {
-        self.extracted.regions.iter().map(|region| (block_of(region), region.cells.volume()))
+        self.extracted
+            .regions
+            .iter()
+            .map(|region| (MortonKey::of(region.first_block()), region.cells.volume()))
     }
 
     /// Restricts the frame to the blocks in a stretch.
     pub fn within(mut self, stretch: Stretch) -> Self {
         self.extracted.regions.retain(|region| {
-            let key = block_of(region);
+            let key = MortonKey::of(region.first_block());
             stretch.first <= key && key < stretch.end
         });
         self

@@ -20,6 +20,12 @@ impl LevelRegion {
         Self { level: 0, cells }
     }
 
+    /// The first of the finest blocks in the block.
+    #[must_use]
+    pub fn first_block(&self) -> IVec3 {
+        self.block() << i32::from(self.level)
+    }
+
     /// The block, in blocks of its level.
     #[must_use]
     pub fn block(&self) -> IVec3 {

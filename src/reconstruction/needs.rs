@@ -109,7 +109,7 @@ impl OpenedFrame {
             scratch_folder: resources.scratch.clone(),
             simplifying: checked.reduction.tolerance.map(|_| simplified),
             writing: holds.then(|| match format {
-                MeshFormat::Vdb { .. } => LEVEL_SET_BYTES * estimate.vertices,
+                MeshFormat::Vdb { .. } => LEVEL_SET_BYTES * estimate.in_finest_cells,
                 _ => 3 * estimate.surface,
             }),
             triangles,

@@ -139,7 +139,7 @@ fn spray_is_stored_sparsely_within_the_estimated_memory() {
             let extraction = Extraction {
                 block_bytes: 4 * 41_u64.pow(3),
                 carried_halo: 3,
-                octaves: 1,
+                levels: 1,
                 keeps_details: false,
                 spacing_cells: None,
                 wide_levels: 0,

@@ -513,6 +513,13 @@ fn cells_of_several_levels_are_independent_of_order_threads_and_memory() {
     assert!(simplified.triangles.len() * 3 < mesh.triangles.len());
     let with_less = with_less.memory(MemoryBudget(48 << 20)).simplify(0.1);
     assert!(turned.mesh(&with_less) == simplified);
+    // Also where the surface lies at the border of the cubes that are simplified in turn, with no
+    // surface in the cube below.
+    let mut random = Random::new(23);
+    let deep = Sized::default().with([[0.0, 0.0, -71.0], [128.0, 128.0, 33.0]], 2.0, &mut random);
+    let deep = deep.with([[10.0, 12.0, 33.0], [26.0, 30.0, 37.0]], 1.0, &mut random);
+    let simplified_lake = deep.mesh(&super::sizes::request().simplify(0.1));
+    assert_eq!(watertight::defect(&simplified_lake), None);
     let [whole, less] = [&mesh, &simplified].map(|mesh| measure(mesh).volume.unwrap());
     assert!((less / whole - 1.0).abs() < 0.003, "{less} of {whole}");
     assert!((whole / water.volume() - 1.0).abs() < 0.03);

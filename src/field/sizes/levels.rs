@@ -10,12 +10,7 @@ use hashbrown::{HashMap, HashSet};
 
 use crate::grid::{BLOCK, BlockLevel, CellBox, LevelRegion, MortonKey};
 
-use super::SizedClouds;
-
-/// The distance from a particle of an octave at which cells can be those of the next one, in cells
-/// of the next one: beyond the reach of the drops of the finer octave, and of the filter that
-/// averages sizes.
-const MARGIN: i32 = 12;
+use super::{SizedClouds, averaging};
 
 /// The blocks of each level from 1 that are near particles of the octave below.
 pub type FinerBlocks = Vec<Vec<[i32; 3]>>;
@@ -32,10 +27,14 @@ impl SizedClouds {
     /// order.
     #[must_use]
     pub fn finer_blocks(&self) -> FinerBlocks {
+        // The reach of the filter that averages sizes, in cells of an octave, which is more than
+        // that of drops. In cells of the next octave, this is twice as far.
+        let wide = self.wide_cells();
+        let margin = (averaging(wide).reach() + 1) << wide.level;
         let of_level = |level: usize| {
             let boxes = self.octave(level - 1).dif.infos().iter().map(|info| {
                 let CellBox { lo, hi } = info.full;
-                CellBox { lo: lo >> 1, hi: ((hi - 1) >> 1) + 1 }.grown(MARGIN, MARGIN)
+                CellBox { lo: lo >> 1, hi: ((hi - 1) >> 1) + 1 }.grown(margin, margin)
             });
             let mut blocks: Vec<IVec3> = boxes.flat_map(|cells| cells.cubes(BLOCK)).collect();
             blocks.sort_unstable_by_key(|&block| MortonKey::of(block));
@@ -100,24 +99,6 @@ impl BlockLevels {
         of_block
     }
 
-    /// The first of the finest blocks in the block whose cells contain one of the finest cells.
-    #[must_use]
-    pub fn home(&self, cell: IVec3) -> IVec3 {
-        let block = cell.div_euclid(IVec3::splat(BLOCK));
-        let level = i32::from(self.level_of(block));
-        block >> level << level
-    }
-
-    /// The level of the cells in one of the finest blocks.
-    #[must_use]
-    pub fn level_of(&self, block: IVec3) -> u8 {
-        let levels = (1..self.count() as u8).rev();
-        levels
-            .take_while(|&level| self.is_divided(level, block >> i32::from(level)))
-            .last()
-            .map_or(self.count() as u8 - 1, |level| level - 1)
-    }
-
     /// The parts of blocks that overlap some boxes of the finest cells, as one box per block, in
     /// the Morton order of their first cells.
     #[must_use]
@@ -147,8 +128,7 @@ impl BlockLevels {
         }
         let mut regions: Vec<LevelRegion> =
             parts.into_iter().map(|((level, _), cells)| LevelRegion { level, cells }).collect();
-        let first = |region: &LevelRegion| MortonKey::of(region.block() << i32::from(region.level));
-        regions.sort_unstable_by_key(first);
+        regions.sort_unstable_by_key(|region| MortonKey::of(region.first_block()));
         regions
     }
 

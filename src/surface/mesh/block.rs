@@ -157,7 +157,7 @@ pub struct BlockMesh {
     pub block: IVec3,
     /// The level of its cells.
     pub level: BlockLevel,
-    /// The tiles with vertices, in Morton order.
+    /// The tiles with vertices or triangles, in Morton order.
     pub tiles: Vec<Tile>,
     /// The stored bits of every vertex: the field at both ends of its edge, or a fraction.
     pub ends: Vec<[u16; 2]>,

@@ -50,7 +50,7 @@ enum BlockStore {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C)]
 pub struct ListedBlock {
-    /// The block's coordinates in blocks.
+    /// The block's coordinates in blocks of its level.
     pub block: [i32; 3],
     /// Number of tiles.
     pub tiles: u32,

@@ -1,6 +1,6 @@
 //! Simplifies a surface within a tolerance, chunk by chunk, including the seams between chunks.
 //!
-//! A chunk is a cube of 2^3 blocks. The first pass simplifies the triangles inside each chunk, with
+//! A chunk is a cube of 2^3 blocks of the widest level. The first pass simplifies the triangles inside each chunk, with
 //! its border locked. The second pass does the same with chunks that are shifted by half, for the
 //! triangles on the former borders and near them. Both passes measure against the original surface,
 //! so the result is within the requested distance of the original surface, and every vertex of the
@@ -71,6 +71,8 @@ pub struct SimplifiedSurface {
 
 /// Maximum memory of the chunks of each thread: 2^3 blocks full of wrinkled surface.
 pub const BYTES_A_THREAD: u64 = 28 << 20;
+/// Vertices of such a chunk.
+const CHUNK_VERTICES: usize = 160_000;
 
 /// The triangles, components and drops to leave out of a surface.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -135,12 +137,10 @@ pub fn simplify(
     let meter = control.meter(Stage::Simplifying, chunks).between(begun, 1.0);
     let tolerance = reduction.tolerance;
     let passes = Passes { surface: &surface, scale, left_out, tolerance, meter };
-    let batch = 2 * rayon::current_num_threads();
-
     let mut between = Lists::in_memory();
     // For each list, its shifted chunk and its treatment.
     let mut homes: Vec<(MortonKey, Fate, usize)> = Vec::new();
-    for chunks in aligned.chunks(batch) {
+    for chunks in batches(&surface, &aligned) {
         let done: Vec<_> =
             chunks.par_iter().map(|(_, pieces)| passes.first(pieces)).collect::<io::Result<_>>()?;
         for ((home, fate), list) in done.into_iter().flatten() {
@@ -156,7 +156,7 @@ pub fn simplify(
     let mut triangles = Lists::in_memory();
     let mut kept = VertexSet::none_of(surface.vertex_count());
     let mut triangle_count = 0;
-    for chunks in shifted.chunks(batch) {
+    for chunks in batches(&surface, &shifted) {
         let done: Vec<WholeTriangles> = chunks
             .par_iter()
             .map(|(home, pieces)| {
@@ -237,6 +237,30 @@ fn grouped(blocks: &[IVec3], chunk: impl Fn(IVec3) -> IVec3) -> Vec<(MortonKey, 
     groups.map(|group| (group[0].0, group.iter().map(|&(_, piece)| piece).collect())).collect()
 }
 
+/// Splits chunks into batches that are simplified together: two chunks for each thread, and at most
+/// [`CHUNK_VERTICES`] for each thread, unless a single chunk has more.
+fn batches<'c>(
+    surface: &StitchedSurface,
+    chunks: &'c [(MortonKey, Vec<usize>)],
+) -> Vec<&'c [(MortonKey, Vec<usize>)]> {
+    let threads = rayon::current_num_threads();
+    let vertices = |(_, pieces): &(MortonKey, Vec<usize>)| -> usize {
+        pieces.iter().map(|&piece| surface.piece_vertices(piece)).sum()
+    };
+    let (mut batches, mut rest) = (Vec::new(), chunks);
+    while !rest.is_empty() {
+        let mut sum = 0;
+        let fitting = rest.iter().take(2 * threads).take_while(|chunk| {
+            sum += vertices(chunk);
+            sum <= threads * CHUNK_VERTICES
+        });
+        let (batch, later) = rest.split_at(fitting.count().max(1));
+        batches.push(batch);
+        rest = later;
+    }
+    batches
+}
+
 /// The treatment of a triangle in the second pass.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Fate {
@@ -283,7 +307,7 @@ impl Passes<'_> {
             self.triangles(piece, |cell, triangle| match chunk.local(triangle) {
                 Some(local) => inside.push(local),
                 // The cells of the triangle's vertices are at the corners of the dual cell.
-                None => sorted.push(self.home(self.scale.corners(cell)), triangle),
+                None => sorted.push(self.home(cell, self.scale.corners(cell)), triangle),
             })?;
         }
         let patch = Patch {
@@ -299,7 +323,7 @@ impl Passes<'_> {
         };
         for triangle in self.simplified(patch) {
             let cells = triangle.map(|vertex| chunk.cells[vertex as usize]);
-            sorted.push(self.home(cells), chunk.global(triangle));
+            sorted.push(self.home(cells[0], cells), chunk.global(triangle));
         }
         self.meter.add(1);
         Ok(sorted.lists)
@@ -313,10 +337,11 @@ impl Passes<'_> {
         self.tolerance.map_or(0, |tolerance| tolerance.cells().ceil() as i32) + further
     }
 
-    /// The shifted chunk of a triangle whose vertices have these cells, and its treatment there. A
-    /// triangle is simplified only if all of the surface within its tolerance is in the chunk.
-    fn home<const N: usize>(&self, cells: [IVec3; N]) -> (MortonKey, Fate) {
-        let block = cells[0] >> BLOCK.ilog2();
+    /// The shifted chunk with the cell `of`, which must be in a block with a surface, and the
+    /// treatment there of a triangle whose vertices have these cells. A triangle is simplified only
+    /// if all of the surface within its tolerance is in the chunk.
+    fn home<const N: usize>(&self, of: IVec3, cells: [IVec3; N]) -> (MortonKey, Fate) {
+        let block = of >> BLOCK.ilog2();
         let (chunk, edge) = (self.scale.shifted_chunk(block), self.scale.chunk());
         let lo = (chunk * edge - edge / 2) * BLOCK;
         let reach = self.reach();
@@ -355,7 +380,8 @@ impl Passes<'_> {
         if left.is_empty() {
             return Ok(result);
         }
-        let near = NearCells::around(&left, &chunk.cells, self.reach());
+        let edge = BOX * self.scale.0;
+        let near = NearCells::around(&left, &chunk.cells, self.reach(), edge);
         let mut reference = Vec::new();
         for &piece in pieces {
             self.triangles(piece, |cell, triangle| {
@@ -402,24 +428,26 @@ impl SortedTriangles {
 struct NearCells {
     lo: IVec3,
     size: IVec3,
+    /// Edge of a box in cells, a power of two.
+    edge: i32,
     is_near: Vec<bool>,
 }
 
 impl NearCells {
     /// Finds the boxes within `reach` cells of triangles whose vertices have these cells.
-    fn around(triangles: &[[u32; 3]], cells: &[IVec3], reach: i32) -> Self {
+    fn around(triangles: &[[u32; 3]], cells: &[IVec3], reach: i32, edge: i32) -> Self {
         let bounds = |vertices: &[u32]| {
             let cells = vertices.iter().map(|&vertex| cells[vertex as usize]);
             let bounds = cells
                 .map(|cell| [cell, cell])
                 .reduce(|[lo, hi], [cell, _]| [lo.min(cell), hi.max(cell)]);
             let [lo, hi] = bounds.unwrap_or_default();
-            [lo - reach, hi + reach].map(|cell| cell >> BOX.ilog2())
+            [lo - reach, hi + reach].map(|cell| cell >> edge.ilog2())
         };
         let [lo, hi] = bounds(triangles.as_flattened());
         let size = hi - lo + 1;
         let mut boxes =
-            Self { lo, size, is_near: vec![false; size.as_usizevec3().element_product()] };
+            Self { lo, size, edge, is_near: vec![false; size.as_usizevec3().element_product()] };
         for triangle in triangles {
             let [lo, hi] = bounds(triangle);
             for z in lo.z..=hi.z {
@@ -440,7 +468,7 @@ impl NearCells {
     }
 
     fn contains(&self, cell: IVec3) -> bool {
-        let at = cell >> BOX.ilog2();
+        let at = cell >> self.edge.ilog2();
         at.cmpge(self.lo).all()
             && at.cmplt(self.lo + self.size).all()
             && self.is_near[self.rank(at)]
