@@ -90,6 +90,7 @@ impl Where {
     }
 
     /// The types of particles that conditions such as `type=wall` name.
+    #[cfg(feature = "hdf5")]
     pub(crate) fn types(several: &[Self]) -> impl Iterator<Item = &str> {
         let conditions = several.iter().flat_map(Self::conditions);
         conditions.filter_map(|condition| match &condition.values[..] {
