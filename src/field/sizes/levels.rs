@@ -46,12 +46,6 @@ impl SizedClouds {
 }
 
 impl BlockLevels {
-    /// All cells are of the finest level.
-    #[must_use]
-    pub fn finest() -> Self {
-        Self::default()
-    }
-
     /// From the blocks of each level that are near particles of the octave below.
     #[must_use]
     pub fn new(finer: &FinerBlocks) -> Self {
