@@ -157,3 +157,74 @@ impl BlockLevels {
         children.into_iter().filter_map(seam).collect()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Levels of blocks near a few places.
+    fn levels() -> BlockLevels {
+        let near = |blocks: &[[i32; 3]]| blocks.to_vec();
+        BlockLevels::new(&vec![
+            near(&[[3, 1, 0], [-2, 5, 1], [-2, 4, 1]]),
+            near(&[[4, 4, 4]]),
+            near(&[[-3, 0, 0]]),
+        ])
+    }
+
+    /// The level of the cells in one of the finest blocks.
+    fn level_of(levels: &BlockLevels, block: IVec3) -> i32 {
+        let is_leaf = |&level: &u8| {
+            let BlockLevel { wider, narrower, .. } = levels.of(level, block >> i32::from(level));
+            (wider | narrower) & 1 == 0
+        };
+        let found: Vec<u8> = (0..levels.count() as u8).filter(is_leaf).collect();
+        assert_eq!(found.len(), 1, "{block} has cells of one level");
+        i32::from(found[0])
+    }
+
+    #[test]
+    fn blocks_that_touch_differ_by_at_most_one_level() {
+        let levels = levels();
+        let all = CellBox { lo: IVec3::splat(-40), hi: IVec3::splat(40) };
+        let mut seen = [0; 4];
+        for block in all.cubes(1) {
+            let own = level_of(&levels, block);
+            seen[own as usize] += 1;
+            for axis in IVec3::AXES {
+                let other = level_of(&levels, block + axis);
+                assert!((own - other).abs() <= 1, "{block}: {own} beside {other}");
+            }
+            let other = level_of(&levels, block + 1);
+            assert!((own - other).abs() <= 1, "{block}: {own} at a corner of {other}");
+        }
+        assert_eq!(seen[0], 3 * 8, "three blocks are divided");
+        assert!(seen.iter().all(|&blocks| blocks > 20), "{seen:?}");
+        assert_eq!(level_of(&levels, IVec3::new(6, 2, 0)), 0, "particles of the finest octave");
+    }
+
+    #[test]
+    fn every_block_in_a_box_has_one_region_and_seams_lie_at_narrower_blocks() {
+        let levels = levels();
+        let cells = CellBox { lo: IVec3::splat(-700), hi: IVec3::splat(900) };
+        let regions = levels.regions([cells].into_iter());
+        let volume = |region: &LevelRegion| region.cells.volume() << (3 * region.level);
+        let sum: usize = regions.iter().map(volume).sum();
+        // Wide cells that the box cuts are in it.
+        assert!((cells.volume()..cells.volume() * 102 / 100).contains(&sum));
+        assert!(regions.is_sorted_by_key(|region| MortonKey::of(region.first_block())));
+        let mut seams = 0;
+        for region in regions {
+            let narrower = levels.of(region.level, region.block()).narrower != 0;
+            let found = levels.seams(region);
+            assert_eq!(!found.is_empty(), narrower, "{region:?}");
+            seams += found.len();
+            for seam in found {
+                let of_seam = levels.of(seam.level, seam.block());
+                assert_eq!((seam.level + 1, of_seam.wider & 1), (region.level, 1));
+                assert!(of_seam.wider != 0xff && of_seam.narrower == 0, "{seam:?}");
+            }
+        }
+        assert!(seams > 50, "{seams}");
+    }
+}
