@@ -25,11 +25,6 @@ const WEIGHT_BITS: u32 = 9;
 /// the content of 2^3 cells, which saves three bits.
 pub const HALVED_BITS: u32 = WEIGHT_BITS + FACTOR_BITS - 3;
 
-/// The box of wide cells that overlaps a box of cells or gets content from it.
-pub fn halved_box(cells: CellBox) -> CellBox {
-    CellBox { lo: cells.lo >> 1, hi: (cells.hi + 1) >> 1 }
-}
-
 /// The arrangement of pages of cells that were made from cells half as wide.
 pub const HALVED: PageShape = PageShape { side: BrickSide::Sixteen, ghost_layer: 0 };
 
@@ -57,7 +52,7 @@ fn halved_along(to: &mut [u32], run: &[u32], step: usize) {
 /// within the walls of the finer cells.
 pub fn halved_from(bin: IVec3, walls: Option<CellBox>) -> CellBox {
     let wide = CellBox::cube(bin, BIN);
-    let wide = walls.map_or(wide, |walls| wide.intersection(&halved_box(walls)));
+    let wide = walls.map_or(wide, |walls| wide.intersection(&walls.in_wider_cells(1)));
     if wide.is_empty() { CellBox::EMPTY } else { halved_from_box(wide) }
 }
 
@@ -300,7 +295,7 @@ mod tests {
             let fine = noise(among);
             let wide = fine.halved(walls, factor, None);
             let cells = CellBox { lo: IVec3::new(-10, -3, -3), hi: IVec3::new(34, 11, 19) };
-            let cells = walls.map_or(cells, halved_box);
+            let cells = walls.map_or(cells, |walls| walls.in_wider_cells(1));
             let block = wide.gather(cells);
             let mut any = 0;
             for cell in cells.cubes(1) {

@@ -31,7 +31,7 @@ pub use bin::{BinError, BinPlan, Census, CountingRoom, InvalidParticles};
 pub use bins::{AXIS_BITS, BinContents, Bins, RECORD_BITS, coarsened, equal_steps, unpack};
 pub use block::Block;
 pub use boxes::WithBoxes;
-pub use coarse::{HALVED, HALVED_BITS, halved_box, halved_from, halved_from_box};
+pub use coarse::{HALVED, HALVED_BITS, halved_from, halved_from_box};
 pub use cubes::COORD_BITS;
 pub use facts::FrameFacts;
 pub use field::DifField;

@@ -425,5 +425,5 @@ pub trait Fields {
 
 /// The walls at a level, as the cells whose samples exist; samples are repeated beyond them.
 pub fn walls_at(level: u32, walls: Option<CellBox>) -> Option<CellBox> {
-    walls.map(|walls| (0..level).fold(walls, |walls, _| crate::brick::halved_box(walls)))
+    walls.map(|walls| walls.in_wider_cells(level))
 }

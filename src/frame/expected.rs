@@ -68,8 +68,8 @@ pub(super) fn full_bin(spacing_cells: f64) -> f64 {
 const FINEST: f64 = 0.3;
 
 /// The expected surface of particles whose sizes span several octaves, in the bins for which
-/// `meshed` is true: the bins of each octave that are too full for coarser particles alone, in cells
-/// of that octave. `spacing_cells` is the smallest size.
+/// `meshed` is true: the bins of each octave that are too full for coarser particles alone, in
+/// cells of that octave. `spacing_cells` is the smallest size.
 pub(super) fn surface_of_octaves(
     bins: impl Iterator<Item = (MortonKey, usize)>,
     octaves: usize,

@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use crate::brick::{Bins, unpack};
 use crate::field::calibration::Fullness;
 use crate::grid::stretch::Stretch;
-use crate::grid::{BIN, BLOCK, CellBox, Grid, TILE, local_from_morton};
+use crate::grid::{BIN, BLOCK, CellBox, Grid, TILE, corner_offset, local_from_morton};
 use crate::surface::mesh::source::MeshSource;
 use crate::surface::mesh::{TileMask, bits, cell_of_bit};
 use crate::surface::stitch::StitchedSurface;
@@ -192,7 +192,7 @@ impl OccupiedTiles {
                 }
                 let is_alone = |&bit: &u32| {
                     let place = bin.bin * SIDE + cell_of_bit(bit);
-                    (1..8).all(|i| !passed(place - IVec3::new(i & 1, i >> 1 & 1, i >> 2)))
+                    (1..8).all(|i| !passed(place - corner_offset(i)))
                 };
                 let lost = bits(bin.occupied & outside).filter(is_alone).count();
                 if lost == bin.occupied.count_ones() as usize {
@@ -251,8 +251,8 @@ impl Row {
         Ok(Self::merged(all))
     }
 
-    /// Like [`sorted`](Self::sorted), for a surface with cells of several levels: tiles and bins are
-    /// those of the widest one.
+    /// Like [`sorted`](Self::sorted), for a surface with cells of several levels. Tiles and bins are
+    /// those of the widest level.
     fn in_wider_tiles(
         occupied: &OccupiedTiles,
         surface: &StitchedSurface,

@@ -302,8 +302,8 @@ impl Engine {
         matches!(self.field, SampledField::Sizes(_))
     }
 
-    /// The blocks with particles of finer octaves, which determine the cells of particles of several
-    /// sizes.
+    /// The blocks near particles of finer octaves, which determine the width of cells if particles
+    /// have several sizes.
     #[must_use]
     pub fn finer_blocks(&self) -> Option<&FinerBlocks> {
         match &self.field {

@@ -136,7 +136,7 @@ impl SampledSizes {
             let touches_wide = levels.of(level, region.block()).wider != 0;
             let within = if touches_wide {
                 let wider = walls_at(u32::from(level) + 1, walls);
-                wider.map(|CellBox { lo, hi }| CellBox { lo: 2 * lo, hi: 2 * hi })
+                wider.map(|wider| wider.in_narrower_cells(1))
             } else {
                 walls_at(level.into(), walls)
             };
@@ -165,9 +165,8 @@ impl SampledSizes {
                     } else if meter.goes_on() {
                         meter.add(1);
                         let own = levels.seams(regions[0]).into_iter().chain([regions[0]]);
-                        let own = own.filter_map(|region| {
-                            mixed_meshes(levels, &fields, region, iso, normals)
-                        });
+                        let own = own
+                            .filter_map(|region| mixed_mesh(levels, &fields, region, iso, normals));
                         meshes.extend(own);
                     }
                 }
@@ -244,7 +243,7 @@ impl FieldOfLevel<'_> {
 }
 
 /// The mesh of a region of a block whose dual cells have several levels.
-fn mixed_meshes(
+fn mixed_mesh(
     levels: &BlockLevels,
     fields: &[FieldOfLevel<'_>],
     region: LevelRegion,

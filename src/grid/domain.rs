@@ -167,9 +167,7 @@ impl Domain {
     /// the wide cells that contain any of its cells.
     #[must_use]
     pub fn in_wider_cells(self, octaves: u32) -> Self {
-        let CellBox { lo, hi } = self.cells;
-        let last = (1 << octaves) - 1;
-        Self { cells: CellBox { lo: lo >> octaves, hi: (hi + last) >> octaves }, ..self }
+        Self { cells: self.cells.in_wider_cells(octaves), ..self }
     }
 
     /// The walls of both domains. No axis may have walls in both.

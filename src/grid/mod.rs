@@ -186,6 +186,17 @@ impl CellBox {
         Self { lo: self.lo.min(other.lo), hi: self.hi.max(other.hi) }
     }
 
+    /// The smallest box of cells 2^`levels` times as wide that contains this one.
+    pub fn in_wider_cells(&self, levels: u32) -> Self {
+        let last = (1 << levels) - 1;
+        Self { lo: self.lo >> levels, hi: (self.hi + last) >> levels }
+    }
+
+    /// Converts the box to narrower cells, 2^`levels` to an edge of the given ones.
+    pub fn in_narrower_cells(&self, levels: u32) -> Self {
+        Self { lo: self.lo << levels, hi: self.hi << levels }
+    }
+
     /// The smallest box that contains this one and the cells of another that are nearest to it.
     pub fn with_nearest(&self, other: &Self) -> Self {
         let nearest = |cell: IVec3| cell.clamp(other.lo, other.hi - 1);
@@ -230,6 +241,11 @@ pub fn block_parts(boxes: impl Iterator<Item = CellBox>) -> Vec<CellBox> {
     let mut parts: Vec<_> = parts.into_iter().collect();
     parts.sort_unstable_by_key(|&(block, _)| MortonKey::of(block));
     parts.into_iter().map(|(_, cells)| cells).collect()
+}
+
+/// The offset of corner number `corner` of a cube, x + 2 y + 4 z.
+pub fn corner_offset(corner: i32) -> IVec3 {
+    IVec3::new(corner & 1, corner >> 1 & 1, corner >> 2)
 }
 
 /// The position of a cube on the Morton curve: 21 bits per axis, biased so that negative

@@ -133,9 +133,8 @@ pub fn nearest_values(
     // Particles sorted by cell; `starts` has the first index of each cell.
     let mut found: Vec<(usize, [i64; 3], Vec<u32>)> = Vec::new();
     let index_of = Block::<u8>::zero(cells);
-    let level = i32::from(mesh.level.level);
-    let finest = CellBox { lo: cells.lo << level, hi: cells.hi << level };
-    for coord in finest.cubes(BIN) {
+    let level = u32::from(mesh.level.level);
+    for coord in cells.in_narrower_cells(level).cubes(BIN) {
         let Ok(bin) = bins.keys().binary_search(&MortonKey::of(coord)) else { continue };
         let contents = bins.contents(bin)?;
         let tuples = contents.attributes[attribute].chunks_exact(components);
@@ -160,7 +159,7 @@ pub fn nearest_values(
     let mut values = Vec::with_capacity(edges.len() * components);
     for (&(cell, axis), &ends) in edges.iter().zip(&mesh.ends) {
         // A cell of the block in steps of the finest.
-        let bits = FRACTION_BITS + level as u32;
+        let bits = FRACTION_BITS + level;
         let half = 1_i64 << (bits - 1);
         let mut place = [0, 1, 2].map(|a| (i64::from(cell[a]) << bits) + half);
         place[axis] += (crossings.fraction(ends) * (2 * half) as f64).round() as i64;
@@ -227,20 +226,19 @@ fn interpolate(
     }
 }
 
-/// For each cell of a level, the sums of a `group` of components over its particles, followed by the
-/// number of particles. All components have the same step.
+/// For each cell of a level, the sums of a `group` of components over its particles, followed by
+/// the number of particles. All components have the same step.
 fn sums(
     bins: &Bins,
     (attribute, components): (usize, usize),
     group: Range<usize>,
-    (cells, level): (CellBox, i32),
+    (cells, level): (CellBox, u32),
 ) -> io::Result<Vec<Block<f64>>> {
     let mut sums: Vec<Block<i64>> = vec![Block::zero(cells); group.len() + 1];
     let mut greatest = 0.0;
     let mut seen: Vec<usize> = Vec::new();
     let mut values: Vec<f32> = Vec::new();
-    let finest = CellBox { lo: cells.lo << level, hi: cells.hi << level };
-    for coord in finest.cubes(BIN) {
+    for coord in cells.in_narrower_cells(level).cubes(BIN) {
         let Ok(bin) = bins.keys().binary_search(&MortonKey::of(coord)) else { continue };
         let contents = bins.contents(bin)?;
         let tuples = contents.attributes[attribute].chunks_exact(components);

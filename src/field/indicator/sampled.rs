@@ -80,7 +80,7 @@ impl SampledDif {
             let is_wide = level >= self.wide_cells().level;
             let factor = if is_wide { 0.125 } else { amount(level + 1) / amount(level) };
             finer = Arc::new(finer.halved(walls, factor, self.scratch.as_deref()));
-            walls = walls.map(crate::brick::halved_box);
+            walls = walls.map(|walls| walls.in_wider_cells(1));
             Arc::clone(&finer)
         });
         halved.collect()

@@ -248,13 +248,15 @@ impl SizedClouds {
     /// The boxes of the finest cells that can contain a surface: those within `reach` cells of an
     /// octave of its particles.
     pub fn surface_boxes(&self, reach: i32) -> impl Iterator<Item = CellBox> + '_ {
-        (0_i32..).zip(&*self.layers).flat_map(move |(octave, layer)| {
+        (0_u32..).zip(&*self.layers).flat_map(move |(octave, layer)| {
             // Fluid between two octaves also has the surface of the coarser one.
             let further = if layer.fraction.dif.infos().is_empty() { reach } else { 2 * reach };
-            layer.volume.dif.infos().iter().map(move |info| {
-                let CellBox { lo, hi } = info.full.grown(further + 1, further);
-                CellBox { lo: lo << octave, hi: hi << octave }
-            })
+            layer
+                .volume
+                .dif
+                .infos()
+                .iter()
+                .map(move |info| info.full.grown(further + 1, further).in_narrower_cells(octave))
         })
     }
 

@@ -8,7 +8,7 @@
 use glam::IVec3;
 use hashbrown::{HashMap, HashSet};
 
-use crate::grid::{BLOCK, BlockLevel, CellBox, LevelRegion, MortonKey};
+use crate::grid::{BLOCK, BlockLevel, CellBox, LevelRegion, MortonKey, corner_offset};
 
 use super::{SizedClouds, averaging};
 
@@ -32,10 +32,12 @@ impl SizedClouds {
         let wide = self.wide_cells();
         let margin = (averaging(wide).reach() + 1) << wide.level;
         let of_level = |level: usize| {
-            let boxes = self.octave(level - 1).dif.infos().iter().map(|info| {
-                let CellBox { lo, hi } = info.full;
-                CellBox { lo: lo >> 1, hi: ((hi - 1) >> 1) + 1 }.grown(margin, margin)
-            });
+            let boxes = self
+                .octave(level - 1)
+                .dif
+                .infos()
+                .iter()
+                .map(|info| info.full.in_wider_cells(1).grown(margin, margin));
             let mut blocks: Vec<IVec3> = boxes.flat_map(|cells| cells.cubes(BLOCK)).collect();
             blocks.sort_unstable_by_key(|&block| MortonKey::of(block));
             blocks.dedup();
@@ -78,7 +80,8 @@ impl BlockLevels {
         usize::from(level) + 1 < self.count() && !self.is_divided(level + 1, block >> 1)
     }
 
-    /// A block on the lattice of a level, with the levels of its cells and of its upper neighbours'.
+    /// A block on the lattice of a level, with the levels of its cells and of those of its upper
+    /// neighbours.
     #[must_use]
     pub fn of(&self, level: u8, block: IVec3) -> BlockLevel {
         let mut of_block = BlockLevel { level, ..BlockLevel::default() };
@@ -86,7 +89,7 @@ impl BlockLevels {
             return of_block;
         }
         for upper in 0..8 {
-            let block = block + IVec3::new(upper & 1, upper >> 1 & 1, upper >> 2);
+            let block = block + corner_offset(upper);
             of_block.wider |= u8::from(self.is_in_wider(level, block)) << upper;
             of_block.narrower |= u8::from(self.is_divided(level, block)) << upper;
         }
@@ -113,9 +116,7 @@ impl BlockLevels {
                     blocks.extend(children.cubes(1).map(|block| (level - 1, block)));
                     continue;
                 }
-                let CellBox { lo, hi } = part;
-                let shift = i32::from(level);
-                let part = CellBox { lo: lo >> shift, hi: ((hi - 1) >> shift) + 1 };
+                let part = part.in_wider_cells(level.into());
                 let of_block = parts.entry((level, block)).or_insert(CellBox::EMPTY);
                 *of_block = of_block.union(&part);
             }
@@ -135,7 +136,7 @@ impl BlockLevels {
             return Vec::new();
         };
         // A cell further on each side, because the wide ones are rounded.
-        let near = CellBox { lo: 2 * cells.lo, hi: 2 * cells.hi }.grown(2, 2);
+        let near = cells.in_narrower_cells(1).grown(2, 2);
         let mut children: Vec<IVec3> = CellBox::cube(region.block(), 2).cubes(1).collect();
         children.sort_unstable_by_key(|&block| MortonKey::of(block));
         let seam = |block: IVec3| {

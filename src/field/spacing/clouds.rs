@@ -18,8 +18,7 @@ pub fn spacing_by_clouds(frame: &SampledDif) -> Option<f64> {
     }
     let wide = frame.wide_cells();
     let (field, walls) = (frame.wide(wide.level), frame.facts.walls());
-    let walls =
-        walls.map(|walls| (0..wide.level).fold(walls, |walls, _| crate::brick::halved_box(walls)));
+    let walls = walls.map(|walls| walls.in_wider_cells(wide.level));
     let mut bins: Vec<IVec3> = field.keys().map(|key| key.coord()).collect();
     bins.sort_by_key(|bin| quick_hash(bin.as_dvec3().to_array()));
     let (mut held, mut around) = (0.0, 0.0);

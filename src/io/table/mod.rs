@@ -86,7 +86,7 @@ pub(super) fn read(
     table.read(bytes, wanted, unpacking, "text table")
 }
 
-/// Where the number of a field is stored, and what an invalid field means.
+/// The place of a field's number, and the treatment of an invalid field.
 #[derive(Debug, Clone, Copy)]
 struct FieldTarget {
     /// The index of the number in a decoded row.

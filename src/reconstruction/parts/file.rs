@@ -3,10 +3,10 @@
 //!
 //! ```text
 //! meshes of all blocks, in Morton order       as a spool keeps them
-//! blocks                                      28 bytes each: coordinates, tiles, vertices, triangles, level
+//! blocks                                      28 bytes: place, tiles, vertices, triangles, level
 //! bins that hold particles                    24 bytes each: coordinates, particles, tiles
 //! for each attribute, particles without it    8 bytes each
-//! end                                         64 bytes: the counts of these entries, the plan and the part, and a CRC-32
+//! end                                         64 bytes: counts of the above, plan, part, CRC-32
 //! ```
 //!
 //! Numbers have the machine's byte order: a machine with a different byte order finds a wrong magic

@@ -6,13 +6,15 @@
 //! becomes a fan around an apex none of whose diagonals is in a face of the cell. Each diagonal is
 //! then an edge of this cell's triangles only, and the mesh is a 2-manifold.
 //!
-//! Where cells of two levels touch, several corners of a dual cell can be one wide cell, and several
-//! of its edges one edge (Schaefer and Warren 2004). The loops are then shorter, and the rule holds
+//! Where cells of two levels touch, several corners of a dual cell can be one wide cell, and
+//! several of its edges one edge (Schaefer and Warren 2004). The loops are then shorter, and the rule holds
 //! for the faces that remain.
 
 use std::sync::LazyLock;
 
 use glam::IVec3;
+
+use crate::grid::corner_offset;
 
 /// An edge of a dual cell, from `corner` along `axis`. Corners are numbered x + 2 y + 4 z.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -27,8 +29,7 @@ impl CellEdge {
     /// The lower end, relative to the cell's lowest corner.
     #[inline]
     pub fn offset(self) -> IVec3 {
-        let corner = i32::from(self.corner);
-        IVec3::new(corner & 1, corner >> 1 & 1, corner >> 2)
+        corner_offset(self.corner.into())
     }
 }
 
@@ -149,7 +150,7 @@ fn share_face(a: CellEdge, b: CellEdge) -> bool {
     faces().any(|face| corners(a).iter().chain(&corners(b)).all(|corner| face.contains(corner)))
 }
 
-/// Triangles that fill a loop, if `share_face` tells which edges are in a common face.
+/// Triangles that fill a loop. `share_face` returns whether two edges are in a common face.
 fn fan(polygon: &[CellEdge], share_face: impl Fn(CellEdge, CellEdge) -> bool) -> Triangles {
     let len = polygon.len();
     let at = |i: usize| polygon[i % len];
@@ -171,7 +172,7 @@ mod tests {
         assert!(sizes[1..255].iter().all(|&n| n > 0));
     }
 
-    /// All ways in which cells of two levels can meet in a dual cell, with the signs of its corners.
+    /// All ways in which cells of two levels can meet in a dual cell, with its inside corners.
     fn joined_cases() -> impl Iterator<Item = (JoinedCorners, u8)> {
         let of = |axes: u8| (1..255_u8).map(move |wide| JoinedCorners { wide, axes });
         let whole = |joined: &JoinedCorners| {

@@ -9,7 +9,7 @@ use glam::{DVec3, IVec3};
 
 use crate::brick::Block;
 use crate::grid::units::Isovalue;
-use crate::grid::{BLOCK, BlockLevel, CellBox, TILE, local_morton};
+use crate::grid::{BLOCK, BlockLevel, CellBox, TILE, corner_offset, local_morton};
 use crate::surface::mesh::{BlockMesh, Tile, bits, cell_of_bit};
 
 use super::cases::{JoinedCorners, TABLE, Triangles};
@@ -31,7 +31,7 @@ impl LevelField {
 
     /// The differences of the field along each axis around a cell.
     fn falling(&self, cell: IVec3) -> DVec3 {
-        let sample = |cell: IVec3| f64::from(self.field.samples()[self.field.index(cell)]);
+        let sample = |cell: IVec3| f64::from(self.field.at(cell));
         DVec3::from([0, 1, 2].map(|axis| {
             let step = IVec3::AXES[axis];
             sample(cell - step) - sample(cell + step)
@@ -64,23 +64,17 @@ struct Mixed<'a> {
     level: BlockLevel,
 }
 
-/// The cells of a block's dual cells with the block's own level, and those of wider cells, which are
-/// in cells of the next level.
+/// The boxes that contain the cells of a region's dual cells: those with the block's own level, and
+/// the wider ones, in cells of the next level.
 #[must_use]
 pub fn cells_by_level(block: IVec3, level: BlockLevel, region: CellBox) -> [CellBox; 2] {
     let cells = dual_cells(region);
     let own = CellBox::cube(block, BLOCK);
     let mut boxes = [CellBox::EMPTY; 2];
-    for beyond in 0..8_u8 {
-        let part = [0, 1, 2].map(|axis| beyond >> axis & 1 == 1);
-        let part = CellBox {
-            lo: IVec3::from(std::array::from_fn::<_, 3, _>(|axis| {
-                if part[axis] { own.hi[axis] } else { own.lo[axis] }
-            })),
-            hi: IVec3::from(std::array::from_fn::<_, 3, _>(|axis| {
-                own.hi[axis] + i32::from(part[axis])
-            })),
-        };
+    for beyond in 0..8 {
+        // All of the block, or one layer of a neighbour, along each axis.
+        let offset = corner_offset(beyond);
+        let part = CellBox { lo: own.lo + BLOCK * offset, hi: own.hi + offset };
         let part = part.intersection(&cells);
         if part.is_empty() || level.narrower >> beyond & 1 == 1 {
             continue;
@@ -88,8 +82,8 @@ pub fn cells_by_level(block: IVec3, level: BlockLevel, region: CellBox) -> [Cell
         let is_wider = level.wider >> beyond & 1 == 1;
         boxes[usize::from(is_wider)] = boxes[usize::from(is_wider)].union(&part);
     }
-    let [own, CellBox { lo, hi }] = boxes;
-    [own, if lo.cmplt(hi).all() { CellBox { lo: lo >> 1, hi: (hi + 1) >> 1 } } else { boxes[1] }]
+    let [own, wide] = boxes;
+    [own, wide.in_wider_cells(1)]
 }
 
 impl Mixed<'_> {
@@ -100,7 +94,7 @@ impl Mixed<'_> {
     fn of(&self, cell: IVec3) -> CellSample {
         match &self.fields.wide {
             Some(wide) if self.is_wider(cell) => CellSample {
-                sample: (self.fields.narrowed)(wide.field.samples()[wide.field.index(cell >> 1)]),
+                sample: (self.fields.narrowed)(wide.field.at(cell >> 1)),
                 is_within_walls: wide.is_within_walls(cell >> 1),
             },
             _ => {
@@ -108,7 +102,7 @@ impl Mixed<'_> {
                 // Narrower cells have vertices in their own blocks.
                 let known = field.cells().contains(cell);
                 CellSample {
-                    sample: if known { field.samples()[field.index(cell)] } else { 0 },
+                    sample: if known { field.at(cell) } else { 0 },
                     is_within_walls: self.fields.own.is_within_walls(cell),
                 }
             }
@@ -183,8 +177,8 @@ pub fn joined_triangles(cell: IVec3, case: usize, wider: u8) -> Triangles {
     JoinedCorners { wide: wider, axes }.triangles(case as u8)
 }
 
-/// The surface in the tiles of `region`, a part of one block, whose cells or whose upper neighbours'
-/// cells have several levels; `None` if there is no surface. A sample has a surface at `iso`.
+/// The surface in the tiles of `region`, a part of one block, if the cells of the block and of its
+/// upper neighbours have several levels; `None` if there is no surface. The surface is at `iso`.
 ///
 /// # Panics
 /// If the fields do not cover the cells that [`cells_by_level`] returns, and one more cell on each
@@ -215,10 +209,10 @@ pub fn mixed_block_mesh(
         }
         let mut tile = Tile { index: index(place), first_vertex: 0, corners: [0; 8] };
         for (k, corner) in (0_i32..).zip(&mut tile.corners) {
-            let offset = IVec3::new(k & 1, k >> 1 & 1, k >> 2);
+            let offset = corner_offset(k);
             for bit in 0..64 {
                 let cell = place * tile_edge + cell_of_bit(bit) + offset;
-                *corner |= u64::from(inside.samples()[inside.index(cell)]) << bit;
+                *corner |= u64::from(inside.at(cell)) << bit;
             }
         }
         let crossed = level.crossed(&tile);

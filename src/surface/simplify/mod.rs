@@ -1,10 +1,10 @@
 //! Simplifies a surface within a tolerance, chunk by chunk, including the seams between chunks.
 //!
-//! A chunk is a cube of 2^3 blocks of the widest level. The first pass simplifies the triangles inside each chunk, with
-//! its border locked. The second pass does the same with chunks that are shifted by half, for the
-//! triangles on the former borders and near them. Both passes measure against the original surface,
-//! so the result is within the requested distance of the original surface, and every vertex of the
-//! original surface is within this distance of the result.
+//! A chunk is a cube of 2^3 blocks of the widest level. The first pass simplifies the triangles
+//! inside each chunk, with its border locked. The second pass does the same with chunks that are
+//! shifted by half, for the triangles on the former borders and near them. Both passes measure
+//! against the original surface, so the result is within the requested distance of the original
+//! surface, and every vertex of the original surface is within this distance of the result.
 //!
 //! The remaining vertices are vertices of the original surface, and keep their positions, normals
 //! and attributes. Chunks do not depend on threads or memory. The memory holds the current chunks,
@@ -194,8 +194,8 @@ pub fn simplify(
     })
 }
 
-/// The edge of the surface's widest cells in the finest cells. All lengths that relate to a cell grow
-/// with it, so that a block of the widest cells is in one chunk.
+/// The edge of the surface's widest cells in the finest cells. All lengths that relate to a cell
+/// grow with it, so that a block of the widest cells is in one chunk.
 #[derive(Debug, Clone, Copy)]
 struct Scale(i32);
 

@@ -18,7 +18,7 @@ use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 use thiserror::Error;
 
-use crate::grid::{BLOCK, BlockLevel, CellBox, Domain, Grid};
+use crate::grid::{BLOCK, BlockLevel, CellBox, Domain, Grid, corner_offset};
 use crate::particles::AttributeInfo;
 use crate::surface::dual_mc::Crossings;
 use crate::surface::mesh::source::{Indexed, MeshSource};
@@ -246,8 +246,8 @@ impl StitchedSurface {
         Ok(places)
     }
 
-    /// Calls `put` with each triangle of a piece, and the lowest corner of its dual cell in the finest
-    /// cells.
+    /// Calls `put` with each triangle of a piece, and the lowest corner of its dual cell, in the
+    /// finest cells.
     ///
     /// # Errors
     /// If the scratch file cannot be read.
@@ -338,7 +338,7 @@ impl StitchedSurface {
         let level = self.spool.level(i);
         let mut wider: Vec<IVec3> = Vec::new();
         for neighbour in 0..8 {
-            let coord = block + IVec3::new(neighbour & 1, neighbour >> 1 & 1, neighbour >> 2);
+            let coord = block + corner_offset(neighbour);
             if level.wider >> neighbour & 1 == 1 && !wider.contains(&(coord >> 1)) {
                 wider.push(coord >> 1);
             }

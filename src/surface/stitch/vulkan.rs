@@ -8,7 +8,7 @@ use bytemuck::{Pod, Zeroable};
 use glam::IVec3;
 
 use crate::grid::units::Isovalue;
-use crate::grid::{BLOCK, MortonKey, TILE};
+use crate::grid::{BLOCK, MortonKey, TILE, corner_offset};
 use crate::shaders::{STARTS, StartsPush, TRIANGLES, TrianglesPush, VERTICES, VerticesPush};
 use crate::surface::dual_mc::cases::{CellEdge, TABLE};
 use crate::surface::dual_mc::vulkan::{BlockTally, TILE_WORDS};
@@ -82,7 +82,7 @@ impl MeshLayout {
         let mut layout =
             Self { blocks: Vec::with_capacity(blocks.len()), tiles: 0, vertices: 0, triangles: 0 };
         for &(block, BlockTally { tiles, vertices, triangles, .. }) in blocks {
-            let above = |k: i32| number(block + IVec3::new(k & 1, k >> 1 & 1, k >> 2));
+            let above = |k: i32| number(block + corner_offset(k));
             layout.blocks.push(MeshBlock {
                 coord: block.to_array(),
                 first_tile: layout.tiles,
