@@ -161,12 +161,13 @@ settings! {
     )]
     radius: Option<f64>,
 
-    /// Attribute with the particles' sizes, if the sizes differ [default: pscale or radius].
+    /// Attribute with the particles' sizes, if the sizes differ [default: pscale, radius or spacing].
     ///
     /// Each region of the fluid is meshed at its own particle spacing. The name of the attribute
     /// says what its values are: radii (half of a particle's spacing), diameters, volumes, or
-    /// masses, which need a density attribute as well. `none` treats all particles as one size.
-    /// Only for the indicator cloud.
+    /// masses, which need a density attribute as well. In files of GADGET and SWIFT, masses are the
+    /// default if they differ. `none` treats all particles as one size. Only for the indicator
+    /// cloud.
     #[arg(
         value_name = "NAME", conflicts_with_all = ["spacing", "radius"], help_heading = "Input",
         hide_short_help = true

@@ -20,6 +20,18 @@ pub struct FrameFacts {
 }
 
 impl FrameFacts {
+    /// The facts on the grid of an octave, whose spacing and cells are 2^`octave` times as wide.
+    #[must_use]
+    pub fn in_octave(&self, octave: u32) -> Self {
+        Self {
+            grid: self.grid.in_wider_cells(octave),
+            domain: self.domain.map(|domain| domain.in_wider_cells(octave)),
+            periodic: self.periodic.map(|periodic| periodic.in_wider_cells(octave)),
+            spacing: self.spacing.map(|spacing| spacing * f64::from(1_u32 << octave)),
+            ..*self
+        }
+    }
+
     /// The cells within the walls; `None` without walls.
     #[must_use]
     pub fn walls(&self) -> Option<CellBox> {

@@ -24,8 +24,6 @@ pub enum Conflict {
     Packed(PathBuf),
     /// Packing a frame, which stores samples and no surface.
     Packing,
-    /// Packing particles of several sizes.
-    PackedSizes,
     /// Particles of several sizes.
     SeveralSizes {
         /// The attribute with the sizes.
@@ -109,10 +107,6 @@ impl SettingConflict {
                          frame"
                 )
             }
-            (Conflict::PackedSizes, _) => format!(
-                "a packed frame cannot hold particles of different sizes; set {setting} to none to \
-                 treat all particles as one size, or reconstruct the particles without packing"
-            ),
             (Conflict::SeveralSizes { attribute }, _) => format!(
                 "{setting} needs particles of one size, but the attribute {attribute:?} gives them \
                  different sizes; set {} to none to ignore the attribute",

@@ -7,15 +7,17 @@ use bytesize::ByteSize;
 use glam::IVec3;
 use thiserror::Error;
 
-use crate::brick::{Bins, HALVED, PageInfo, PageSamples, PageShape, SpilledBins};
+use crate::brick::{Bins, FrameFacts, HALVED, PageInfo, PageSamples, PageShape, SpilledBins};
 use crate::grid::units::{MemoryBudget, shown};
 use crate::grid::{BIN, BLOCK, MortonKey};
+use crate::io::mnf::PackableFrame;
 use crate::surface::attribute;
 use crate::surface::dual_mc::block_vertices;
 use crate::surface::mesh::spool::{TILE_SHARE, blocks_bytes, vertex_bytes};
 use crate::surface::stitch::writing_bytes;
 
 use super::expected::{self, ExpectedVertices};
+use super::{Method, Surfacing};
 
 /// Memory of the program without data, and of each thread in addition to its buffers, in bytes.
 const PROGRAM: u64 = 8 << 20;
@@ -217,18 +219,30 @@ impl MemoryEstimate {
         estimate.and_surface(&extraction.surface(bins, meshed), extraction)
     }
 
-    /// An estimate for pages whose samples are in a file.
-    pub fn of_surface(pages: &[PageInfo], shape: PageShape, extraction: &Extraction) -> Self {
-        let mut estimate = Self::without_particles(extraction);
-        let full_cells = |page: &PageInfo| (page.key, page.full_count as usize);
-        let nonzero = |(key, full): (MortonKey, usize)| (key, full * shape.cells_a_particle());
-        estimate.add_wide(wide_bytes(
-            pages.iter().map(full_cells).map(nonzero),
-            extraction.wide_levels,
-        ));
-        pages.iter().for_each(|page| estimate.add_bin(page.most_bytes(shape) as u64));
-        estimate
-            .and_surface(&extraction.surface(pages.iter().map(full_cells), |_| true), extraction)
+    /// An estimate for a packed frame, whose samples are in a file.
+    pub fn of_packed(packed: PackableFrame<'_>, surfacing: &Surfacing) -> Self {
+        let FrameFacts { spacing, grid, .. } = packed.facts();
+        let method = Method::from(packed.indicator());
+        let coarsest = packed.coarsest();
+        let extraction = surfacing.extraction(method, *spacing, coarsest, grid, Vec::new());
+        let mut estimate = Self::without_particles(&extraction);
+        let mut surface = ExpectedVertices::default();
+        for (octave, field) in packed.fields() {
+            let shape = field.shape();
+            let full_cells = |page: &PageInfo| (page.key, page.full_count as usize);
+            let nonzero = |(key, full): (MortonKey, usize)| (key, full * shape.cells_a_particle());
+            let pages = field.infos().iter();
+            let coarser = extraction.levels as u32 - 1 - octave;
+            estimate.add_wide(wide_bytes(
+                pages.clone().map(full_cells).map(nonzero),
+                extraction.wide_levels + coarser,
+            ));
+            pages.clone().for_each(|page| estimate.add_bin(page.most_bytes(shape) as u64));
+            // Each octave is meshed in its own cells.
+            let in_octave = Extraction { levels: 1, ..extraction.clone() };
+            surface.add(in_octave.surface(pages.map(full_cells), |_| true), octave);
+        }
+        estimate.and_surface(&surface, &extraction)
     }
 
     /// An estimate before there are any particles.

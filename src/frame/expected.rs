@@ -26,7 +26,7 @@ const FACE: f64 = 1.05 * (BIN * BIN) as f64;
 const ALONE: i32 = 8;
 
 /// The expected vertices of a surface.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(super) struct ExpectedVertices {
     pub(super) vertices: u64,
     /// The number of vertices if all cells were the finest.
@@ -39,6 +39,13 @@ impl ExpectedVertices {
     /// The maximum, for frames without information.
     pub(super) const MOST: Self =
         Self { vertices: u64::MAX, in_finest_cells: u64::MAX, in_its_block: u64::MAX };
+
+    /// Adds the surface of an octave, in the cells of that octave.
+    pub(super) fn add(&mut self, of_octave: Self, octave: u32) {
+        self.vertices += of_octave.vertices;
+        self.in_finest_cells += of_octave.vertices << (2 * octave);
+        self.in_its_block = self.in_its_block.max(of_octave.in_its_block);
+    }
 
     /// Upper bound of the vertices in `blocks` blocks together, if no block has more than `most`.
     pub(super) fn vertices_of(&self, blocks: u64, most: u64) -> u64 {
@@ -79,7 +86,7 @@ pub(super) fn surface_of_octaves(
     let (full, alone) = (full_bin(spacing_cells), vertices_alone(spacing_cells));
     let mut of_octave: Vec<(MortonKey, usize, bool)> =
         bins.map(|(key, count)| (key, count, meshed(key.coord()))).collect();
-    let mut all = ExpectedVertices { vertices: 0, in_finest_cells: 0, in_its_block: 0 };
+    let mut all = ExpectedVertices::default();
     for octave in 1..=octaves {
         let is_of_octave = |count: usize| octave == octaves || count as f64 >= FINEST * full;
         let own: HashSet<IVec3> = of_octave
@@ -88,10 +95,7 @@ pub(super) fn surface_of_octaves(
             .map(|(key, ..)| key.coord())
             .collect();
         let bins = of_octave.iter().map(|&(key, count, _)| (key, count));
-        let found = surface(bins, full, alone, |bin| own.contains(&bin));
-        all.vertices += found.vertices;
-        all.in_finest_cells += found.vertices << (2 * (octave - 1));
-        all.in_its_block = all.in_its_block.max(found.in_its_block);
+        all.add(surface(bins, full, alone, |bin| own.contains(&bin)), octave as u32 - 1);
         // In Morton order, the bins of a wider bin are consecutive.
         let wider = |&(key, ..): &(MortonKey, usize, bool)| key.coord() >> 1;
         let groups = of_octave.chunk_by(|a, b| wider(a) == wider(b));

@@ -46,6 +46,7 @@ use crate::field::spacing::spacing_by_clouds;
 use crate::frame::estimate::MemoryEstimate;
 use crate::grid::stretch::Stretch;
 use crate::grid::units::MemoryBudget;
+use crate::io::mnf::{PackableFrame, PackedFrame};
 use crate::particles::kind::settled;
 use crate::particles::{AttributeInfo, Particles};
 use crate::surface::mesh::source::MeshSource;
@@ -211,21 +212,18 @@ impl Engine {
     /// Takes a frame that was sampled earlier, to extract surfaces from it. Memory is planned for
     /// the parameters in `surfacing`.
     #[must_use]
-    pub fn from_sampled(sampled: SampledDif, surfacing: &Surfacing, resources: Resources) -> Self {
-        let SampledDif { facts, indicator, dif, .. } = &sampled;
-        let method = Method::from(*indicator);
-        let extraction = surfacing.extraction(method, facts.spacing, None, &facts.grid, Vec::new());
-        let estimate = MemoryEstimate::of_surface(dif.infos(), dif.shape(), &extraction);
+    pub fn from_packed(packed: PackedFrame, surfacing: &Surfacing, resources: Resources) -> Self {
+        let estimate = MemoryEstimate::of_packed(packed.samples(), surfacing);
         let estimate = estimate.and_backend(resources.host_bytes());
         let surface_share = estimate.surface_share(resources.budget);
-        let stages = resources.backend.executor().start(resources.budget);
-        Self {
-            field: SampledField::Dif { sampled, stages },
-            occupied: OccupiedTiles::default(),
-            carried: None,
-            surface_share,
-            resources,
-        }
+        let field = match packed {
+            PackedFrame::Dif(sampled) => {
+                let stages = resources.backend.executor().start(resources.budget);
+                SampledField::Dif { sampled, stages }
+            }
+            PackedFrame::Octaves(sampled) => SampledField::Sizes(SampledSizes::new(sampled, None)),
+        };
+        Self { field, occupied: OccupiedTiles::default(), carried: None, surface_share, resources }
     }
 
     /// Returns the name of the backend that the stages run on.
@@ -273,7 +271,7 @@ impl Engine {
         match &self.field {
             SampledField::Dif { sampled, .. } => &sampled.facts,
             SampledField::Kernels(sampled) => &sampled.facts,
-            SampledField::Sizes(sampled) => &sampled.facts,
+            SampledField::Sizes(sampled) => &sampled.sampled.facts,
         }
     }
 
@@ -283,6 +281,16 @@ impl Engine {
         match &self.field {
             SampledField::Dif { sampled, .. } => Some(sampled),
             SampledField::Kernels(_) | SampledField::Sizes(_) => None,
+        }
+    }
+
+    /// The samples for a packed frame; `None` for kernels.
+    #[must_use]
+    pub fn packable(&self) -> Option<PackableFrame<'_>> {
+        match &self.field {
+            SampledField::Dif { sampled, .. } => Some(PackableFrame::Dif(sampled)),
+            SampledField::Sizes(sampled) => Some(PackableFrame::Octaves(&sampled.sampled)),
+            SampledField::Kernels(_) => None,
         }
     }
 
@@ -380,7 +388,7 @@ impl Engine {
             }
             SampledField::Kernels(sampled) => (sampled.extracted(normals, periodic_mesh), None),
             SampledField::Sizes(sampled) => {
-                let measured = sampled.calibrated();
+                let measured = sampled.sampled.calibrated();
                 let calibration = known.copied().unwrap_or(measured.calibration);
                 (sampled.extracted(surfacing, &calibration), known.is_none().then_some(measured))
             }

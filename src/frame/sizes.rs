@@ -3,16 +3,17 @@
 use crate::backend::{BoxSide, SizedField};
 use crate::brick::{Bins, Block, FrameFacts};
 use crate::field::blur::Smoothing;
-use crate::field::calibration::{Calibration, MeasuredCalibration, Plateau};
-use crate::field::distance::UNITS;
+use crate::field::calibration::Calibration;
 use crate::field::indicator::{Indicator, IndicatorKind};
 use crate::field::recipe::walls_at;
 use crate::field::sizes::{
-    BlockLevels, FinerBlocks, Layer, LayerPages, Octaves, SIDE, SizedClouds, in_finer_spacings,
+    BlockLevels, FinerBlocks, Layer, LayerPages, Octaves, SIDE, SampledOctaves, SizedClouds,
+    in_finer_spacings,
 };
 use crate::frame::estimate::{MemoryEstimate, MemoryPlan};
 use crate::grid::units::Isovalue;
 use crate::grid::{BlockLevel, CellBox, LevelRegion};
+use crate::particles::sizes::Sizes;
 use crate::surface::dual_mc::levels::{LevelField, LevelFields, cells_by_level, mixed_block_mesh};
 use crate::surface::dual_mc::{Normals, block_mesh, dual_cells};
 use crate::surface::mesh::BlockMesh;
@@ -25,14 +26,12 @@ use super::{FrameError, Resources, SizedParticles, Surfacing};
 /// The clouds of a frame's particles, by octaves of their sizes.
 #[derive(Debug)]
 pub(super) struct SampledSizes {
-    pub(super) facts: FrameFacts,
+    pub(super) sampled: SampledOctaves,
     /// The clouds as seen from each level of cells.
     clouds: Vec<SizedClouds>,
     /// The blocks with particles of finer octaves, which determine the levels of cells.
     finer: FinerBlocks,
     levels: BlockLevels,
-    /// The particles' volume per cubed unit deep in the fluid, if it is known.
-    density: Option<f64>,
 }
 
 /// Edge of a cube of blocks that are meshed together, in blocks.
@@ -50,8 +49,8 @@ impl SampledSizes {
         estimate: &MemoryEstimate,
         resources: &Resources,
     ) -> Result<Self, FrameError> {
-        let finest = facts.spacing.ok_or(FrameError::NoSpacing)?;
-        let octaves = Octaves::new(finest, sized.sizes.coarsest, facts.grid.cell_size());
+        let octaves = SampledOctaves::octaves(&facts, sized.sizes.coarsest);
+        let octaves = octaves.ok_or(FrameError::NoSpacing)?;
         let in_scratch = resources.scratch_error();
         let shape = Octaves::INDICATOR.shape(SIDE);
         let size = |numbers: &[f32]| match numbers {
@@ -62,7 +61,7 @@ impl SampledSizes {
             [] => sized.sizes.usual,
         };
         let layer = |octave: usize| {
-            let facts = in_octave(&facts, octave as u32);
+            let facts = facts.in_octave(octave as u32);
             let pages = LayerPages::new(bins, octaves, octave, facts.walls(), &size);
             let sink = || FieldSink::new(plan, estimate, shape, &resources.scratch);
             let mut sinks = [sink().map_err(&in_scratch)?, sink().map_err(&in_scratch)?];
@@ -74,16 +73,21 @@ impl SampledSizes {
                     sink.push(pages, shape).map_err(&in_scratch)?;
                 }
             }
-            let coarser = (octaves.count - 1 - octave) as u32;
-            let [volume, fraction] = sinks.map(|sink| {
-                let field = sink.finish(facts, Indicator::Cloud, shape);
-                Ok::<_, FrameError>(field.map_err(&in_scratch)?.with_more_levels(coarser))
-            });
+            let [volume, fraction] =
+                sinks.map(|sink| sink.finish(facts, Indicator::Cloud, shape).map_err(&in_scratch));
             Ok::<Layer, FrameError>(Layer { volume: volume?, fraction: fraction? })
         };
         let layers = (0..octaves.count).map(layer).collect::<Result<_, _>>()?;
-        let clouds = SizedClouds::new(layers);
-        let finer = match (&sized.finer, facts.periodic) {
+        let Sizes { coarsest, density, .. } = sized.sizes;
+        let sampled = SampledOctaves { facts, clouds: SizedClouds::new(layers), coarsest, density };
+        Ok(Self::new(sampled, sized.finer.as_ref()))
+    }
+
+    /// Takes clouds that were sampled earlier. The levels of cells follow from `finer`, or from the
+    /// clouds if it is `None`.
+    pub(super) fn new(sampled: SampledOctaves, finer: Option<&FinerBlocks>) -> Self {
+        let clouds = &sampled.clouds;
+        let finer = match (finer, sampled.facts.periodic) {
             // The cells at opposite faces of a periodic box are the same.
             (_, Some(_)) => FinerBlocks::new(),
             (Some(finer), None) => finer.clone(),
@@ -91,23 +95,7 @@ impl SampledSizes {
         };
         let levels = BlockLevels::new(&finer);
         let clouds = (0..levels.count()).map(|level| clouds.from_octave(level)).collect();
-        Ok(Self { facts, clouds, finer, levels, density: sized.sizes.density })
-    }
-
-    /// The calibration of this frame, from its density.
-    pub(super) fn calibrated(&self) -> MeasuredCalibration {
-        let nominal = Plateau::nominal(self.facts.spacing_cells_or_one());
-        let value = (nominal * self.density.unwrap_or(1.0)).round() as u16;
-        let plateau = match self.density {
-            Some(_) => Plateau::Interior { median: value, lowest: value },
-            None => Plateau::Shallow { expected: value },
-        };
-        let step_cells = self.facts.spacing_cells_or_one() / UNITS;
-        MeasuredCalibration {
-            calibration: Calibration::Clouds { plateau: value },
-            plateau,
-            step_cells,
-        }
+        Self { sampled, clouds, finer, levels }
     }
 
     /// The field from which the surface is extracted.
@@ -120,9 +108,10 @@ impl SampledSizes {
         let levels = &self.levels;
         let plateau = match *calibration {
             Calibration::Clouds { plateau } => plateau,
-            Calibration::Indicator { .. } => self.calibrated().plateau.value(),
+            Calibration::Indicator { .. } => self.sampled.calibrated().plateau.value(),
         };
-        let walls = self.facts.mesh_walls(periodic_mesh).map(|walls| walls.cells());
+        let facts = &self.sampled.facts;
+        let walls = facts.mesh_walls(periodic_mesh).map(|walls| walls.cells());
         let of_level = |(level, clouds)| FieldOfLevel {
             field: SizedField::new(clouds, smooth, sheets, surfacing.solid.clone(), plateau),
             walls: walls_at(level, walls),
@@ -146,7 +135,7 @@ impl SampledSizes {
         let regions = levels.regions(self.clouds[0].surface_boxes(field.reach())).into_iter();
         let regions = regions.map(cut).filter(|region| !region.cells.is_empty()).collect();
         // The filters use cells beyond a periodic face, but the mesh ends there.
-        let faces = walls.filter(|_| self.facts.periodic.is_some());
+        let faces = walls.filter(|_| facts.periodic.is_some());
         ExtractableField {
             regions,
             crossings: iso.into(),
@@ -178,9 +167,9 @@ impl SampledSizes {
     /// The smoothing of attributes in cells of each level: as widely as the coarsest particles
     /// need.
     fn attribute_smoothings(&self, surfacing: &Surfacing) -> Vec<Smoothing> {
-        let spacing = self.facts.spacing.map(|spacing| spacing * self.coarsest());
-        let grids =
-            (0..self.levels.count() as u32).map(|level| self.facts.grid.in_wider_cells(level));
+        let FrameFacts { grid, spacing, .. } = self.sampled.facts;
+        let spacing = spacing.map(|spacing| spacing * self.coarsest());
+        let grids = (0..self.levels.count() as u32).map(|level| grid.in_wider_cells(level));
         grids
             .map(|grid| surfacing.attribute_smoothing(IndicatorKind::Cloud, spacing, &grid))
             .collect()
@@ -276,15 +265,4 @@ fn mixed_mesh(
         narrowed: in_finer_spacings,
     };
     mixed_block_mesh(&fields, (block, of_block), cells, iso, normals)
-}
-
-/// The facts of a frame on the grid of an octave.
-fn in_octave(facts: &FrameFacts, octave: u32) -> FrameFacts {
-    FrameFacts {
-        grid: facts.grid.in_wider_cells(octave),
-        domain: facts.domain.map(|domain| domain.in_wider_cells(octave)),
-        periodic: facts.periodic.map(|periodic| periodic.in_wider_cells(octave)),
-        spacing: facts.spacing.map(|spacing| spacing * f64::from(1_u32 << octave)),
-        ..*facts
-    }
 }

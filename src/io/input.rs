@@ -118,7 +118,7 @@ pub fn open_joined(
         );
         return Err(ReadError::new(paths[other], ReadFault::Unsupported(what)));
     }
-    join_files(files).map_err(|(file, fault)| ReadError::new(paths[file], fault))
+    join_files(files, wanted.pieces).map_err(|(file, fault)| ReadError::new(paths[file], fault))
 }
 
 fn read(

@@ -12,6 +12,7 @@ use crate::particles::sieve::Sieve;
 use crate::particles::{AttributeInfo, AttributeKind, Label, Particles, RereadError};
 
 use super::columns::ColumnStore;
+use super::wanted::WantedPieces;
 use super::windows::WindowPool;
 use super::{ParticleFile, ReadFault, UnreadPart, malformed};
 
@@ -28,11 +29,24 @@ pub struct Pieces {
     infos: Vec<AttributeInfo>,
     /// The text attributes, if there is only one piece.
     labels: Vec<Label>,
-    /// For every piece, the piece's number of each attribute in `infos`.
-    numbers: Vec<Vec<usize>>,
+    /// For every piece, the source of each attribute in `infos`.
+    sources: Vec<Vec<Source>>,
     /// For every piece, its number in the input. Pieces without particles have no entry.
     of_input: Vec<usize>,
 }
+
+/// The source of an attribute in a piece.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Source {
+    /// The piece's attribute with this number.
+    Attribute(usize),
+    /// All particles of the piece have this value.
+    Constant(f32),
+}
+
+/// Name of the attribute that has the spacing of each particle, if joined files have different
+/// spacings.
+const SPACING: &str = "spacing";
 
 /// Consecutive particles of one piece.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -57,10 +71,10 @@ struct Span {
 impl From<ColumnStore> for Pieces {
     fn from(store: ColumnStore) -> Self {
         let (infos, labels) = (store.attributes().to_vec(), store.labels().to_vec());
-        let numbers = vec![(0..infos.len()).collect()];
+        let sources = vec![(0..infos.len()).map(Source::Attribute).collect()];
         let len = store.len();
         let spans = vec![Span { first: 0, piece: 0, row: 0 }];
-        Self { stores: vec![store], spans, len, infos, labels, numbers, of_input: vec![0] }
+        Self { stores: vec![store], spans, len, infos, labels, sources, of_input: vec![0] }
     }
 }
 
@@ -91,9 +105,9 @@ impl Pieces {
             let moved =
                 |span: Span| Span { first: first + span.first, piece: piece + span.piece, ..span };
             all.spans.extend(part.spans.into_iter().map(moved));
-            let numbers = part.numbers.iter();
-            all.numbers.extend(
-                numbers.map(|own| order.iter().map(|&number| own[number]).collect::<Vec<_>>()),
+            let sources = part.sources.iter();
+            all.sources.extend(
+                sources.map(|own| order.iter().map(|&number| own[number]).collect::<Vec<_>>()),
             );
             all.of_input.resize(piece + part.stores.len(), index);
             all.stores.extend(part.stores);
@@ -102,6 +116,16 @@ impl Pieces {
         let shelf = Arc::default();
         all.stores.iter_mut().for_each(|store| store.share(&shelf));
         Ok(all)
+    }
+
+    /// Adds an attribute with one value for all particles, unless there is an attribute with this
+    /// name.
+    fn with_constant(mut self, name: &str, value: f32) -> Self {
+        if self.infos.iter().all(|info| info.name != name) {
+            self.infos.push(AttributeInfo::new(name, 1));
+            self.sources.iter_mut().for_each(|sources| sources.push(Source::Constant(value)));
+        }
+        self
     }
 
     /// Removes the particles whose scalar attribute `flags` is not 0, and then the attribute.
@@ -113,8 +137,7 @@ impl Pieces {
             let mut kept_before = false;
             for first in (0..count).step_by(FLAGS) {
                 let values = &mut values[..FLAGS.min(count - first)];
-                let (store, number) = (&self.stores[span.piece], self.numbers[span.piece][flags]);
-                store.attribute(number, span.row + first, values);
+                self.read(flags, (span.piece, span.row + first), values);
                 for (row, &flag) in (span.row + first..).zip(&*values) {
                     let kept = flag == 0.0;
                     if kept && !kept_before {
@@ -145,8 +168,8 @@ impl Pieces {
 
     fn remove_attribute(&mut self, number: usize) {
         self.infos.remove(number);
-        for numbers in &mut self.numbers {
-            numbers.remove(number);
+        for sources in &mut self.sources {
+            sources.remove(number);
         }
     }
 
@@ -203,8 +226,20 @@ impl Pieces {
     /// Whether attribute number `index` is a colour that this piece stores as bytes, and another
     /// piece as fractions.
     fn is_byte_among_shares(&self, piece: usize, index: usize) -> bool {
-        let stored = &self.stores[piece].attributes()[self.numbers[piece][index]];
+        let Source::Attribute(number) = self.sources[piece][index] else { return false };
+        let stored = &self.stores[piece].attributes()[number];
         (self.infos[index].kind, stored.kind) == (AttributeKind::Colour, AttributeKind::ByteColour)
+    }
+
+    /// Reads attribute number `index` from a row of a piece on.
+    fn read(&self, index: usize, (piece, row): (usize, usize), out: &mut [f32]) {
+        match self.sources[piece][index] {
+            Source::Attribute(number) => self.stores[piece].attribute(number, row, out),
+            Source::Constant(value) => out.fill(value),
+        }
+        if self.is_byte_among_shares(piece, index) {
+            out.iter_mut().for_each(|value| *value /= 255.0);
+        }
     }
 
     /// Calls `take` for each span within `range`, clipped to `range`. It also gets the span's
@@ -226,9 +261,27 @@ impl Pieces {
 /// Joins files to one set of particles, in order, with the attributes that all of them have. The
 /// first file determines the format, the unit and the types of particles.
 ///
+/// If the files have different spacings, as those of the zones of a simulation with variable
+/// resolution, the particles get the attribute `spacing`. They always get it if these are only some
+/// of the files.
+///
 /// # Errors
 /// The number of the first file that cannot be joined with the files before it, and the reason.
-pub(super) fn join_files(mut files: Vec<ParticleFile>) -> Result<ParticleFile, (usize, ReadFault)> {
+pub(super) fn join_files(
+    mut files: Vec<ParticleFile>,
+    wanted: WantedPieces,
+) -> Result<ParticleFile, (usize, ReadFault)> {
+    let spacings: Vec<f64> = files.iter().filter_map(|file| file.spacing).collect();
+    let differ = spacings.windows(2).any(|two| two[0] != two[1]);
+    let is_known = |file: &ParticleFile| file.spacing.is_some() || file.particles.is_empty();
+    if (differ || matches!(wanted, WantedPieces::Numbered(_))) && files.iter().all(is_known) {
+        for file in &mut files {
+            if let Some(spacing) = file.spacing {
+                let particles = std::mem::take(&mut file.particles);
+                file.particles = particles.with_constant(SPACING, spacing as f32);
+            }
+        }
+    }
     let partial = keep_shared_attributes(&mut files).into_iter().map(UnreadPart::Attribute);
     let blocks = files.iter().flat_map(|file| file.left_out.iter().cloned());
     let left_out = blocks
@@ -357,12 +410,8 @@ impl Particles for Pieces {
         let components = self.infos[index].components;
         let count = out.len() / components.max(1);
         self.each_span(first..first + count, |span, count, at| {
-            let number = self.numbers[span.piece][index];
             let out = &mut out[at * components..(at + count) * components];
-            self.stores[span.piece].attribute(number, span.row, out);
-            if self.is_byte_among_shares(span.piece, index) {
-                out.iter_mut().for_each(|value| *value /= 255.0);
-            }
+            self.read(index, (span.piece, span.row), out);
         });
     }
 
@@ -378,9 +427,13 @@ impl Particles for Pieces {
 
     fn component(&self, (index, component): (usize, usize), first: usize, out: &mut [f64]) {
         self.each_span(first..first + out.len(), |span, count, at| {
-            let number = self.numbers[span.piece][index];
             let out = &mut out[at..at + count];
-            self.stores[span.piece].component((number, component), span.row, out);
+            match self.sources[span.piece][index] {
+                Source::Attribute(number) => {
+                    self.stores[span.piece].component((number, component), span.row, out);
+                }
+                Source::Constant(value) => out.fill(value.into()),
+            }
             if self.is_byte_among_shares(span.piece, index) {
                 out.iter_mut().for_each(|value| *value /= 255.0);
             }
@@ -391,9 +444,13 @@ impl Particles for Pieces {
         let components = self.infos[index].components;
         let count = out.len() / components.max(1);
         self.each_span(first..first + count, |span, count, at| {
-            let number = self.numbers[span.piece][index];
             let out = &mut out[at * components..(at + count) * components];
-            self.stores[span.piece].integers(number, span.row, out);
+            match self.sources[span.piece][index] {
+                Source::Attribute(number) => {
+                    self.stores[span.piece].integers(number, span.row, out);
+                }
+                Source::Constant(value) => out.fill(value as i64),
+            }
         });
     }
 }

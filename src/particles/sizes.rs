@@ -12,8 +12,12 @@ use thiserror::Error;
 
 use super::{AttributeInfo, Particles, attribute_called, chunks};
 
-/// Names of attributes that are certainly radii, in lower case and without punctuation.
-const USUAL: [&str; 5] = ["pscale", "radius", "radii", "particleradius", "particleradii"];
+/// Names of attributes that are certainly sizes, in lower case and without punctuation.
+const USUAL: [&str; 6] =
+    ["pscale", "radius", "radii", "particleradius", "particleradii", "spacing"];
+/// The name of the masses in files of GADGET and SWIFT, which certainly give the sizes of particles
+/// if they differ.
+const USUAL_MASSES: &str = "masses";
 /// Names of other attributes that are sizes if requested.
 const DIAMETERS: [&str; 4] = ["diameter", "diameters", "size", "spacing"];
 const VOLUMES: [&str; 5] = ["volume", "volumes", "vol", "particlevolume", "v0"];
@@ -56,7 +60,7 @@ pub enum SizeChoice {
     Ignored,
     /// All particles must have one size, because the setting with this name needs it.
     OneFor(&'static str),
-    /// An attribute that is certainly a radius, if there is one.
+    /// An attribute that certainly has sizes, if there is one.
     #[default]
     Usual,
     /// The attribute with this name.
@@ -176,14 +180,14 @@ impl SizeChoice {
         match self {
             Self::Ignored => Ok(None),
             Self::Usual | Self::OneFor(_) => {
-                let is_usual =
-                    |info: &AttributeInfo| info.components == 1 && is_among(&info.name, &USUAL);
-                let size = infos.iter().position(is_usual);
-                Ok(size.map(|size| SizeAttributes {
-                    size,
-                    density: None,
-                    meaning: Meaning::Radius,
-                }))
+                let known = |names: &[&str]| {
+                    let is_known =
+                        |info: &&AttributeInfo| info.components == 1 && is_among(&info.name, names);
+                    infos.iter().find(is_known)
+                };
+                let masses = || known(&[USUAL_MASSES]).filter(|_| known(&DENSITIES).is_some());
+                let usual = known(&USUAL).or_else(masses);
+                usual.map(|info| SizeAttributes::named(&info.name, infos)).transpose()
             }
             Self::Named(name) => SizeAttributes::named(name, infos).map(Some),
         }
@@ -235,6 +239,13 @@ impl SizeAttributes {
             Meaning::Radius | Meaning::Diameter | Meaning::Volume => None,
         };
         Ok(Self { size, density, meaning })
+    }
+
+    /// Whether masses differ by more than the sizes of particles of one size do.
+    pub fn masses_differ(&self, particles: &(impl Particles + ?Sized)) -> bool {
+        let masses = Self { density: None, meaning: Meaning::Volume, ..*self };
+        let range = SizeCounts::of(particles, &masses).range();
+        range.is_some_and(|(least, most)| most >= ONE_SIZE * least)
     }
 
     /// The indices of the attributes.

@@ -157,9 +157,18 @@ fn describe(info: &Info) -> String {
             periodic,
             indicator,
             mu0,
+            spacing,
+            largest_size,
             ..
         }) => {
             line("particles", particles.to_string());
+            match (spacing, largest_size) {
+                (Some(smallest), Some(largest)) => {
+                    line("sizes", format!("{} to {}", shown(*smallest), shown(*largest)));
+                }
+                (Some(spacing), None) => line("spacing", shown(*spacing)),
+                (None, _) => {}
+            }
             line("cells", cells.to_string());
             line("bricks", bricks.to_string());
             bounds.iter().for_each(|bounds| line("box", corners(bounds)));

@@ -285,8 +285,9 @@ impl Reconstruction {
     }
 
     /// Sets the attribute that holds the particles' sizes. Its name says what its values are:
-    /// radii, diameters, volumes, or masses, which need a density. Without this setting, `pscale`
-    /// and `radius` are used; `none` treats all particles as one size. Sizes apply to clouds.
+    /// radii, diameters, volumes, or masses, which need a density. Without this setting, `pscale`,
+    /// `radius` or `spacing` is used; `none` treats all particles as one size. Sizes apply to
+    /// clouds.
     pub fn size(mut self, attribute: impl Into<String>) -> Self {
         self.settings.size = Some(attribute.into());
         self

@@ -174,26 +174,27 @@ impl Frame {
     /// Writes the frame's samples to a file, from which surfaces can be made later.
     ///
     /// # Errors
-    /// [`Error::SettingConflict`] for kernel methods, which have no samples, and for particles of
-    /// several sizes, [`Error::Write`] and [`Error::Cancelled`].
+    /// [`Error::SettingConflict`] for kernel methods, which have no samples, [`Error::Write`] and
+    /// [`Error::Cancelled`].
     pub fn pack(&self, output: PackedOutput) -> Result<PackReport, Error> {
         let StartedRequest { checked, threads } = &self.ready;
-        if self.sampled.engine.has_sizes() {
-            let setting = Setting::named("size");
-            return Err(SettingConflict { setting, with: Conflict::PackedSizes }.into());
-        }
-        let Some(sampled) = self.sampled.engine.dif() else {
+        let Some(samples) = self.sampled.engine.packable() else {
             let with = Conflict::Packed(output.path().to_owned());
             return Err(SettingConflict { setting: Setting::named("method"), with }.into());
         };
         let mut timings = self.timings.clone();
         timings.skip();
         let control = &checked.resources.control;
-        let bytes =
-            threads.install(|| output.write(control, |out| write_frame(out, sampled).map(drop)))?;
+        let write = || output.write(control, |out| write_frame(out, samples).map(drop));
+        let bytes = threads.install(write)?;
         timings.done("write");
-        let dif = &sampled.dif;
-        let census = sampled.facts.census;
-        Ok(PackReport { bytes, cells: dif.full_cells(), bricks: dif.bricks(), census, timings })
+        let fields = samples.fields();
+        Ok(PackReport {
+            bytes,
+            cells: fields.iter().map(|(_, field)| field.full_cells()).sum(),
+            bricks: fields.iter().map(|(_, field)| field.bricks()).sum(),
+            census: samples.facts().census,
+            timings,
+        })
     }
 }

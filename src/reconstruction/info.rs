@@ -6,9 +6,8 @@ use std::sync::LazyLock;
 use glam::IVec3;
 use serde::Serialize;
 
-use crate::brick::InvalidParticles;
+use crate::brick::{DifField, InvalidParticles};
 use crate::error::Error;
-use crate::field::indicator::SampledDif;
 use crate::frame::{CountedFrame, Resources};
 use crate::grid::units::{MeanCount, MemoryBudget};
 use crate::io::bytes::{Unpacking, open_bytes};
@@ -120,6 +119,11 @@ pub struct FrameInfo {
     pub indicator: &'static str,
     /// Mean number of particles in a full cell, for the indicator counting.
     pub mu0: Option<f64>,
+    /// Distance between neighbouring particles, if it is known; their smallest size if they have
+    /// several.
+    pub spacing: Option<f64>,
+    /// The largest size of the particles, if they have several.
+    pub largest_size: Option<f64>,
 }
 
 /// Contents of a mesh file.
@@ -196,14 +200,20 @@ pub fn info_with(path: impl AsRef<Path>, settings: &Settings) -> Result<Info, Er
 }
 
 fn frame(path: &Path) -> Result<FrameInfo, Error> {
-    let SampledDif { facts, indicator, dif, .. } = open_frame(path, 0)?;
-    let full = dif.infos().iter().map(|info| info.full).reduce(|a, b| a.union(&b));
+    let packed = open_frame(path, 0, None)?;
+    let samples = packed.samples();
+    let (facts, indicator, fields) = (samples.facts(), samples.indicator(), samples.fields());
+    let full = |&(octave, field): &(u32, &DifField)| {
+        let boxes = field.infos().iter().map(|info| info.full).reduce(|a, b| a.union(&b));
+        boxes.map(|full| full.in_narrower_cells(octave))
+    };
+    let full = fields.iter().filter_map(full).reduce(|a, b| a.union(&b));
     let world = |cells: IVec3| facts.grid.world_from_cells(cells.as_dvec3()).to_array();
     Ok(FrameInfo {
         file: path.to_owned(),
         particles: facts.census.binned,
-        cells: dif.full_cells(),
-        bricks: dif.bricks(),
+        cells: fields.iter().map(|(_, field)| field.full_cells()).sum(),
+        bricks: fields.iter().map(|(_, field)| field.bricks()).sum(),
         bounds: full.map(|full| [world(full.lo), world(full.hi)]),
         cell_size: facts.grid.cell_size(),
         origin: facts.grid.origin().to_array(),
@@ -211,6 +221,8 @@ fn frame(path: &Path) -> Result<FrameInfo, Error> {
         periodic: facts.periodic.map(|periodic| periodic.faces()),
         indicator: indicator.kind().name(),
         mu0: indicator.mean().map(MeanCount::particles),
+        spacing: facts.spacing,
+        largest_size: samples.coarsest(),
     })
 }
 

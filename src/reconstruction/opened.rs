@@ -4,10 +4,10 @@ use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
 use crate::error::Error;
-use crate::field::indicator::{IndicatorKind, SampledDif};
+use crate::field::indicator::IndicatorKind;
 use crate::frame::{Engine, FrameError};
 use crate::io::input::open_joined;
-use crate::io::mnf::{is_packed, open_frame};
+use crate::io::mnf::{PackedFrame, is_packed, open_frame};
 use crate::io::{ParticleFile, ReadError, UnreadPart};
 use crate::particles::{MeteredParticles, Particles};
 use crate::system::control::Stage;
@@ -31,7 +31,7 @@ pub struct OpenedFrame {
 #[derive(Debug)]
 pub(super) enum Input {
     Particles { file: Box<ParticleFile>, chosen: Box<ChosenSampling> },
-    Packed(Box<SampledDif>),
+    Packed(Box<PackedFrame>),
 }
 
 impl StartedRequest {
@@ -50,11 +50,11 @@ impl StartedRequest {
                 && is_packed(path)
             {
                 checked.settings.check_packed(path)?;
-                let sampled = open_frame(path, checked.resources.budget.0 / 4)?
-                    .with_scratch(&checked.resources.scratch);
+                let scratch = Some(&*checked.resources.scratch);
+                let packed = open_frame(path, checked.resources.budget.0 / 4, scratch)?;
                 timings.done("open");
-                checked.settings.check_indicator_settings(sampled.indicator.kind())?;
-                return Ok(Input::Packed(Box::new(sampled)));
+                checked.settings.check_indicator_settings(packed.indicator().kind())?;
+                return Ok(Input::Packed(Box::new(packed)));
             }
             checked.check_indicator()?;
             let file = open_joined(paths, checked.wanted(), checked.unpacking())?;
@@ -131,7 +131,7 @@ impl OpenedFrame {
     pub fn particles(&self) -> usize {
         match &self.input {
             Input::Particles { file, .. } => file.particles.len(),
-            Input::Packed(sampled) => sampled.facts.census.binned,
+            Input::Packed(packed) => packed.facts().census.binned,
         }
     }
 
@@ -194,7 +194,7 @@ impl OpenedFrame {
     pub fn indicator(&self) -> Option<IndicatorKind> {
         match &self.input {
             Input::Particles { chosen, .. } => chosen.sampling.method.indicator(),
-            Input::Packed(sampled) => Some(sampled.indicator.kind()),
+            Input::Packed(packed) => Some(packed.indicator().kind()),
         }
     }
 
@@ -223,9 +223,9 @@ impl OpenedFrame {
         let checked = &ready.checked;
         let up = checked.settings.usual_up(&path);
         let sampled = ready.threads.install(|| match input {
-            Input::Packed(sampled) => {
+            Input::Packed(packed) => {
                 let engine =
-                    Engine::from_sampled(*sampled, &checked.surfacing, checked.resources.clone());
+                    Engine::from_packed(*packed, &checked.surfacing, checked.resources.clone());
                 Ok(FrameSamples { engine, cells: None, moved: false })
             }
             Input::Particles { file, chosen } => {

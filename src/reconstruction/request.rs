@@ -19,7 +19,7 @@ use crate::grid::{CELL_LIMIT, Domain, DomainError, Grid, Periodic, Walls};
 use crate::io::UpAxis;
 use crate::io::scene::{spacing_beside, tank_beside};
 use crate::particles::mixture::mixture;
-use crate::particles::sizes::{FoundSizes, SizeChoice, SizeFault, Sizes};
+use crate::particles::sizes::{FoundSizes, Meaning, SizeAttributes, SizeChoice, SizeFault, Sizes};
 use crate::particles::{Bounds, Particles, bounds};
 use crate::settings::Setting;
 
@@ -313,13 +313,18 @@ impl SamplingRequest {
 
     /// The sizes of the particles, if an attribute holds them.
     fn sizes(&self, particles: &(impl Particles + ?Sized)) -> Result<Option<FoundSizes>, Error> {
-        let columns = self.size.columns(particles.attributes());
-        let found = columns.and_then(|columns| {
+        let is_usual = matches!(self.size, SizeChoice::Usual | SizeChoice::OneFor(_));
+        // Unless the user asks for them, equal masses mean one size: densities differ in any gas.
+        let are_sizes = |columns: &SizeAttributes| {
+            !is_usual || columns.meaning != Meaning::Mass || columns.masses_differ(particles)
+        };
+        let found = self.size.columns(particles.attributes()).and_then(|columns| {
+            let columns = columns.filter(are_sizes);
             columns.map(|columns| Sizes::found(particles, &columns)).transpose()
         });
         match (found, &self.size) {
             // The user did not ask for this attribute.
-            (Err(SizeFault::NoSize { .. }), SizeChoice::Usual | SizeChoice::OneFor(_)) => Ok(None),
+            (Err(SizeFault::NoSize { .. }), _) if is_usual => Ok(None),
             (
                 Ok(Some(FoundSizes::Several(Sizes { attribute, .. }))),
                 SizeChoice::OneFor(needs_one),

@@ -2,7 +2,7 @@
 
 use super::frame_file::FrameFile;
 use super::shared_calibration::{
-    FrameMeasurements, SharedCalibration, Stamp, Trust, measure_in, measure_sampled,
+    FrameMeasurements, SharedCalibration, Stamp, Trust, measure_in, measure_packed,
 };
 use super::state::{State, StateFolder};
 use crate::error::{Cause, Error};
@@ -235,12 +235,11 @@ impl Setup<'_> {
         let in_file = |fault: FrameError| Error::from(fault).of_file(path);
         if is_packed(path) {
             self.checked.settings.check_packed(path)?;
-            let sampled =
-                open_frame(path, resources.budget.0 / 4)?.with_scratch(&resources.scratch);
-            self.checked.settings.check_indicator_settings(sampled.indicator.kind())?;
-            let measured = measure_sampled(&sampled, &self.checked.surfacing, false);
+            let packed = open_frame(path, resources.budget.0 / 4, Some(&resources.scratch))?;
+            self.checked.settings.check_indicator_settings(packed.indicator().kind())?;
+            let measured = measure_packed(&packed, &self.checked.surfacing);
             let measured = measured.map_err(|e| in_file(e.into()))?;
-            let spacing = sampled.facts.spacing;
+            let spacing = packed.facts().spacing;
             let shared = shared(frame.number, input, spacing, None, (None, None), measured);
             return Ok((
                 MeasuredFrame { shared, trust: measured.trust, warnings: Vec::new() },

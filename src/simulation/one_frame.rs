@@ -257,12 +257,11 @@ impl Conversion<'_> {
     ) -> Result<MeshableFrame<'_>, Error> {
         let budget = self.frame_budget(checked, self.division.share);
         let permit = self.gate.enter();
-        let scratch = &checked.resources.scratch;
-        let sampled = open_frame(path, budget.0 / 4)?.with_scratch(scratch);
+        let packed = open_frame(path, budget.0 / 4, Some(&checked.resources.scratch))?;
         timings.done("open");
-        checked.settings.check_indicator_settings(sampled.indicator.kind())?;
+        checked.settings.check_indicator_settings(packed.indicator().kind())?;
         let resources = Resources { budget, ..checked.resources.clone() };
-        let frame = Engine::from_sampled(sampled, &checked.surfacing, resources);
+        let frame = Engine::from_packed(packed, &checked.surfacing, resources);
         Ok(MeshableFrame {
             frame: Some(frame),
             left_out: OmittedCounts::default(),

@@ -8,6 +8,7 @@ use crate::field::indicator::{IndicatorKind, SampledDif};
 use crate::frame::{Engine, FrameError, Method, Resources, Sampling, Surfacing};
 use crate::grid::Grid;
 use crate::grid::units::UnitError;
+use crate::io::mnf::PackedFrame;
 pub use crate::io::stamp::Stamp;
 use crate::particles::Particles;
 use crate::particles::kind::SettledKind;
@@ -157,6 +158,19 @@ pub fn measure_sampled(
 ) -> Result<FrameMeasurements, TooFine> {
     let lattice = lattice && frame.indicator.kind() == IndicatorKind::Counting;
     Ok(measured_of(frame.facts.grid, &surfacing.calibrate(frame)?, lattice))
+}
+
+/// Measures a packed frame for its whole simulation.
+pub(super) fn measure_packed(
+    frame: &PackedFrame,
+    surfacing: &Surfacing,
+) -> Result<FrameMeasurements, TooFine> {
+    match frame {
+        PackedFrame::Dif(sampled) => measure_sampled(sampled, surfacing, false),
+        PackedFrame::Octaves(sampled) => {
+            Ok(measured_of(sampled.facts.grid, &sampled.calibrated(), false))
+        }
+    }
 }
 
 /// Adds the grid and the trust to a calibration. `lattice` says whether it was measured on a

@@ -319,6 +319,11 @@ impl Bi4 {
     /// Builds a part with fluid particles at `points`, numbered from 5 on, and 5 other particles.
     /// The spacing is 0.25, and each velocity is twice the position.
     pub fn build(self, points: &[[f64; 3]]) -> Vec<u8> {
+        self.build_spaced(points, 0.25)
+    }
+
+    /// Builds a part with another spacing.
+    pub fn build_spaced(self, points: &[[f64; 3]], spacing: f64) -> Vec<u8> {
         let mut head = b"#FileJBD JPartDataBi4".to_vec();
         head.resize(58, b' ');
         head.extend([
@@ -340,7 +345,7 @@ impl Bi4 {
         values.push(("NpDynamic", 2, self.u32(0)));
         values.push(("Piece", 8, self.u32(self.piece)));
         values.push(("Npiece", 8, self.u32(self.pieces)));
-        values.push(("Dp", 12, self.u64(0.25f64.to_bits())));
+        values.push(("Dp", 12, self.u64(spacing.to_bits())));
         head.extend(self.item("JPartDataBi4", 0, 1, &self.values(&values)));
 
         let mut rows: Vec<(u64, [f64; 3])> = (0..5).map(|id| (id, [-9.0; 3])).collect();

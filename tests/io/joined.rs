@@ -5,12 +5,13 @@ use std::path::Path;
 
 use meniscus::internals::io::bytes::Unpacking;
 use meniscus::internals::io::input::open_joined;
-use meniscus::internals::io::wanted::{WantedAttributes, WantedParticles};
+use meniscus::internals::io::wanted::{WantedAttributes, WantedParticles, WantedPieces};
 use meniscus::internals::io::{ColourScale, ParticleFile, ReadError, ReadFault};
-use meniscus::internals::particles::AttributeKind;
 use meniscus::internals::particles::sizes::SizeChoice;
+use meniscus::internals::particles::{AttributeKind, Particles};
 use tempfile::TempDir;
 
+use crate::build::Bi4;
 use crate::common::particle_files::attribute;
 
 /// Writes two particles, each with a colour of the number type `scalar`.
@@ -91,4 +92,34 @@ fn a_file_cannot_be_joined_with_itself_under_any_path() {
         assert!(matches!(&refused.fault, ReadFault::Twice { other } if *other == one), "{refused}");
         assert_eq!(refused.path, again);
     }
+}
+
+#[test]
+fn joined_files_with_different_spacings_give_each_particle_its_spacing() {
+    let folder = TempDir::new().unwrap();
+    let layout = Bi4 { big: false, wide: false, double: false, mixed: false, pieces: 1, piece: 0 };
+    let points: Vec<[f64; 3]> = (0..7).map(|i| [f64::from(i), 0.0, 1.0]).collect();
+    let paths = ["a.bi4", "b.bi4", "c.bi4"].map(|name| folder.path().join(name));
+    for (path, spacing) in paths.iter().zip([0.25, 0.25, 0.5]) {
+        fs::write(path, layout.build_spaced(&points, spacing)).unwrap();
+    }
+    let joined = |files: &[&Path], pieces: WantedPieces<'_>| {
+        let wanted = WantedParticles { pieces, ..WantedParticles::default() };
+        let file = open_joined(files, wanted, Unpacking::in_memory()).unwrap();
+        let infos = file.particles.attributes();
+        let number = infos.iter().position(|info| info.name == "spacing");
+        let values = number.map(|number| {
+            let mut values = vec![0.0; file.particles.len()];
+            file.particles.attribute(number, 0, &mut values);
+            values
+        });
+        (file.spacing, values)
+    };
+    let [a, b, c] = &paths;
+    assert_eq!(joined(&[a, b], WantedPieces::All), (Some(0.25), None));
+    let both = [[0.25; 7], [0.5; 7]].concat();
+    assert_eq!(joined(&[a, c], WantedPieces::All), (None, Some(both)));
+    // A part of a frame opens some of its files, and must find the attribute of the whole frame.
+    let (_, values) = joined(&[a, c], WantedPieces::Numbered(&[1]));
+    assert_eq!(values, Some(vec![0.5; 7]));
 }

@@ -6,6 +6,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use glam::{DVec3, IVec3};
+use meniscus::files::Replace;
 use meniscus::internals::brick::{
     BinPlan, BrickSide, CountingRoom, DifField, FrameFacts, InvalidParticles,
 };
@@ -17,8 +18,11 @@ use meniscus::internals::grid::{CellBox, Domain, Grid, Periodic};
 use meniscus::internals::io::ReadFault;
 use meniscus::internals::io::bytes::Unpacking;
 use meniscus::internals::io::input::open_particles;
-use meniscus::internals::io::mnf::{FrameWriter, frame_from_file, open_frame, write_frame};
+use meniscus::internals::io::mnf::{
+    FrameWriter, PackableFrame, PackedFrame, frame_from_file, open_frame, write_frame,
+};
 use meniscus::internals::particles::Particles;
+use meniscus::{Cloud, Reconstruction};
 use rayon::prelude::*;
 use tempfile::TempDir;
 
@@ -55,7 +59,7 @@ fn sample(
 
 fn encoded(frame: &SampledDif) -> Vec<u8> {
     let mut bytes = Vec::new();
-    let written = write_frame(&mut bytes, frame).unwrap();
+    let written = write_frame(&mut bytes, PackableFrame::Dif(frame)).unwrap();
     assert_eq!(written, bytes.len() as u64);
     bytes
 }
@@ -82,9 +86,20 @@ impl Folder {
     }
 }
 
+/// Opens a frame of particles of one size.
+fn dif(path: &Path, cache_bytes: u64) -> SampledDif {
+    match open_frame(path, cache_bytes, None).unwrap() {
+        PackedFrame::Dif(sampled) => sampled,
+        PackedFrame::Octaves(_) => panic!("particles of several sizes"),
+    }
+}
+
 /// The error that a frame gives, after its damaged bytes got correct checksums.
 fn refusal(folder: &Folder, bytes: &[u8]) -> String {
-    open_frame(&folder.file(bytes), 1 << 20).expect_err("damage is not detected").fault.to_string()
+    open_frame(&folder.file(bytes), 1 << 20, None)
+        .expect_err("damage is not detected")
+        .fault
+        .to_string()
 }
 
 fn assert_same_frame(found: &SampledDif, expected: &SampledDif, what: &str) {
@@ -115,7 +130,7 @@ fn a_packed_field_equals_the_field_in_memory_for_any_cache_size() {
                     let what = format!(
                         "{side:?}, {indicator:?}, {domain:?}, a cache of {cache_bytes} bytes"
                     );
-                    assert_same_frame(&open_frame(&path, cache_bytes).unwrap(), &frame, &what);
+                    assert_same_frame(&dif(&path, cache_bytes), &frame, &what);
                     let scratch =
                         frame_from_file(&fs::File::open(&path).unwrap(), cache_bytes).unwrap();
                     assert_same_frame(&scratch, &frame, &what);
@@ -159,7 +174,7 @@ fn extreme_frame_facts_are_preserved() {
     frame.facts.census.outside = usize::MAX;
     for mean in [f64::MIN_POSITIVE, MeanCount::MAX] {
         frame.indicator = Indicator::Counting(MeanCount::new(mean).unwrap());
-        let found = open_frame(&folder.file(&encoded(&frame)), 0).unwrap();
+        let found = dif(&folder.file(&encoded(&frame)), 0);
         assert_eq!((found.facts, found.indicator), (frame.facts, frame.indicator));
     }
 }
@@ -180,7 +195,7 @@ fn a_periodic_box_is_preserved_and_damage_to_it_is_detected() {
     let folder = Folder::new();
     let frame = small_periodic();
     let good = encoded(&frame);
-    let found = open_frame(&folder.file(&good), 0).unwrap();
+    let found = dif(&folder.file(&good), 0);
     assert_eq!((found.facts, found.indicator), (frame.facts, frame.indicator));
     assert!(encoded(&found) == good);
     // Unmap the file: Windows cannot replace a mapped file.
@@ -206,8 +221,8 @@ fn a_periodic_box_is_preserved_and_damage_to_it_is_detected() {
     for at in (0..good.len()).filter(|at| (footer..layout.index).contains(at)) {
         let mut bad = good.clone();
         bad[at] ^= 0x80;
-        assert!(open_frame(&folder.file(&bad), 0).is_err(), "byte {at}");
-        assert!(open_frame(&folder.file(&good[..at]), 0).is_err(), "a prefix of {at} bytes");
+        assert!(open_frame(&folder.file(&bad), 0, None).is_err(), "byte {at}");
+        assert!(open_frame(&folder.file(&good[..at]), 0, None).is_err(), "a prefix of {at} bytes");
     }
 }
 
@@ -217,7 +232,7 @@ fn a_packed_frame_without_pages_can_be_read() {
     let SampledDif { facts, indicator, .. } = small();
     let none = DifField::in_memory(BrickSide::Eight.into(), Vec::new());
     let empty = SampledDif::new(facts, indicator, none);
-    let found = open_frame(&folder.file(&encoded(&empty)), 0).unwrap();
+    let found = dif(&folder.file(&encoded(&empty)), 0);
     assert_eq!((found.facts, found.dif.infos().len()), (facts, 0));
     assert_eq!(found.dif.gather(CellBox::cube(IVec3::ZERO, 8)).samples(), [0; 512]);
 }
@@ -230,7 +245,7 @@ fn every_flipped_byte_and_every_truncation_is_a_typed_error() {
     assert!(frame.dif.infos().len() > 5 && good.len() < 20_000, "{} bytes", good.len());
     let kind = |bytes: &[u8], what: &str| {
         let path = folder.file(bytes);
-        match open_frame(&path, 1 << 20) {
+        match open_frame(&path, 1 << 20, None) {
             Ok(_) => panic!("{what} is not detected"),
             Err(error) => {
                 assert_eq!(error.path, path);
@@ -288,15 +303,17 @@ fn invalid_values_with_valid_checksums_are_refused() {
     let cases: Vec<(usize, Vec<u8>, &str)> = vec![
         (
             8,
-            3_u32.to_le_bytes().into(),
-            "version 3 of packed frames; versions 1 to 2 are supported",
+            4_u32.to_le_bytes().into(),
+            "version 4 of packed frames; versions 1 to 3 are supported",
         ),
+        (8, 3_u32.to_le_bytes().into(), "the flags of another version"),
         (8, 0_u32.to_le_bytes().into(), "version 0 of packed frames"),
         (12, 5_u32.to_le_bytes().into(), "bricks of 5 cells"),
         (12, 8_u32.to_le_bytes().into(), "bricks outside of its bin"),
         (footer, f64::NAN.to_le_bytes().into(), "origin"),
         (footer + 24, 0_f64.to_le_bytes().into(), "cell-size"),
-        (footer + 32, 4_u32.to_le_bytes().into(), "walls"),
+        (footer + 32, 8_u32.to_le_bytes().into(), "flags"),
+        (footer + 32, 4_u32.to_le_bytes().into(), "another indicator"),
         (footer + 32, 3_u32.to_le_bytes().into(), "periodic box"),
         (footer + 36, 2_u32.to_le_bytes().into(), "does not decompress to its size"),
         (footer + 36, 3_u32.to_le_bytes().into(), "indicator 3"),
@@ -321,7 +338,7 @@ fn invalid_values_with_valid_checksums_are_refused() {
         (index + 32, 2_u32.to_le_bytes().into(), "page 0 contains other cells"),
         (index + 36, [15, 15, 15, 17, 16, 16].into(), "not in its bin"),
         (index + 36, [3, 3, 3, 3, 4, 4].into(), "not in its bin"),
-        (index + 42, [1, 0].into(), "end in zeros"),
+        (index + 42, [1, 0].into(), "field 1 of 1"),
     ];
     for (at, patch, expected) in cases {
         let mut bad = good.clone();
@@ -329,11 +346,71 @@ fn invalid_values_with_valid_checksums_are_refused() {
         layout.seal(&mut bad);
         if expected.is_empty() {
             // The result may be a frame or an error, but the library must not panic.
-            let _ = open_frame(&folder.file(&bad), 0);
+            let _ = open_frame(&folder.file(&bad), 0, None);
             continue;
         }
         let found = refusal(&folder, &bad);
         assert!(found.contains(expected), "{patch:?} at {at}: {found:?} instead of {expected:?}");
+    }
+}
+
+/// A packed frame of a few particles of sizes 1 to 3, in two octaves.
+fn small_sizes(folder: &Folder) -> Vec<u8> {
+    let positions: Vec<[f64; 3]> =
+        (0..24_u32).map(|i| [i % 3, i / 3 % 3, i / 9].map(|c| f64::from(c) * 0.9 + 0.3)).collect();
+    let sizes: Vec<f32> = (0..24_u8).map(|i| [1.0, 1.0, 2.0, 3.0][usize::from(i % 4)]).collect();
+    let cloud = Cloud::new(&positions).with("size", &sizes);
+    let request = Reconstruction::new().cell(0.8).domain([-4.0; 3], [9.0; 3]);
+    let path = folder.0.path().join("sizes.mnf");
+    let output = request.packed_output(&path, Replace::Allow).unwrap();
+    request.sample(&cloud).unwrap().pack(output).unwrap();
+    fs::read(path).unwrap()
+}
+
+#[test]
+fn packed_sizes_keep_their_bytes_and_damage_to_them_is_detected() {
+    let folder = Folder::new();
+    let good = small_sizes(&folder);
+    assert_eq!(good[8..12], 3_u32.to_le_bytes());
+    let found = open_frame(&folder.file(&good), 0, None).unwrap();
+    let PackedFrame::Octaves(octaves) = &found else { panic!("particles of one size") };
+    assert_eq!((octaves.facts.spacing, octaves.coarsest), (Some(1.0), 3.0));
+    assert_eq!((octaves.clouds.octaves(), found.samples().fields().len()), (2, 4));
+    assert!(found.samples().fields().iter().filter(|(_, field)| field.bricks() > 0).count() >= 2);
+    let mut again = Vec::new();
+    write_frame(&mut again, found.samples()).unwrap();
+    assert!(again == good, "the rewritten bytes differ");
+    // Unmap the file: Windows cannot replace a mapped file.
+    drop(found);
+    let Layout { footer, index } = Layout::of(&good);
+    let (layout, sizes) = (Layout { footer, index: index + 16 }, footer + 136);
+    let index = layout.index;
+    let cases: Vec<(usize, Vec<u8>, &str)> = vec![
+        (8, 2_u32.to_le_bytes().into(), "the flags of another version"),
+        (footer + 36, 0_u32.to_le_bytes().into(), "another indicator"),
+        (footer + 96, 0_f64.to_le_bytes().into(), "no sizes"),
+        (sizes, 0_f64.to_le_bytes().into(), "no sizes"),
+        (sizes, f64::NAN.to_le_bytes().into(), "no sizes"),
+        (sizes, 1_f64.to_le_bytes().into(), "of 2"),
+        (sizes + 8, (-1_f64).to_le_bytes().into(), "no density"),
+        (sizes + 8, 1e-9_f64.to_le_bytes().into(), "no density"),
+        (sizes + 8, 1e9_f64.to_le_bytes().into(), "no density"),
+        (sizes + 8, f64::NAN.to_le_bytes().into(), "no density"),
+        (index + 42, 4_u16.to_le_bytes().into(), "field 4 of 4"),
+        (index + 42, 3_u16.to_le_bytes().into(), "not in order"),
+    ];
+    for (at, patch, expected) in cases {
+        let mut bad = good.clone();
+        bad[at..at + patch.len()].copy_from_slice(&patch);
+        layout.seal(&mut bad);
+        let found = refusal(&folder, &bad);
+        assert!(found.contains(expected), "{patch:?} at {at}: {found:?} instead of {expected:?}");
+    }
+    for at in 0..good.len() {
+        let mut bad = good.clone();
+        bad[at] ^= 0x80;
+        assert!(open_frame(&folder.file(&bad), 0, None).is_err(), "byte {at}");
+        assert!(open_frame(&folder.file(&good[..at]), 0, None).is_err(), "a prefix of {at} bytes");
     }
 }
 
@@ -349,16 +426,12 @@ fn packed_frames_of_version_1_are_read_unless_they_contain_clouds() {
         assert!(refusal(&folder, &bytes).contains("checksum"), "{indicator:?}");
         Layout::of(&bytes).seal(&mut bytes);
         if indicator == IndicatorKind::Cloud {
-            let found = open_frame(&folder.file(&bytes), 1 << 20).unwrap_err().fault;
+            let found = open_frame(&folder.file(&bytes), 1 << 20, None).unwrap_err().fault;
             assert!(matches!(found, ReadFault::Unsupported(_)), "{found}");
             assert!(found.to_string().contains("version 1 of the indicator cloud"), "{found}");
             assert!(found.to_string().contains("pack the particles again"), "{found}");
         } else {
-            assert_same_frame(
-                &open_frame(&folder.file(&bytes), 1 << 20).unwrap(),
-                &frame,
-                "version 1",
-            );
+            assert_same_frame(&dif(&folder.file(&bytes), 1 << 20), &frame, "version 1");
         }
     }
 }
@@ -375,7 +448,7 @@ fn packed_clouds_keep_their_spacing() {
             BrickSide::Sixteen,
         );
         frame.facts.spacing = spacing;
-        let found = open_frame(&folder.file(&encoded(&frame)), 1 << 20).unwrap();
+        let found = dif(&folder.file(&encoded(&frame)), 1 << 20);
         assert_eq!((found.indicator, found.facts), (Indicator::Cloud, frame.facts));
     }
 }
@@ -396,7 +469,7 @@ fn impossible_samples_in_the_ghost_layer_of_a_page_are_refused() {
         bytes
     };
     let mut whole = written(&samples);
-    open_frame(&folder.file(&whole), 0).unwrap();
+    open_frame(&folder.file(&whole), 0, None).unwrap();
     samples[0] = 1;
     assert!(refusal(&folder, &written(&samples)).contains("page 0 contains other cells"));
 
@@ -404,7 +477,7 @@ fn impossible_samples_in_the_ghost_layer_of_a_page_are_refused() {
     let layout = Layout::of(&whole);
     whole[layout.footer + 104..][..8].fill(0xff);
     layout.seal(&mut whole);
-    open_frame(&folder.file(&whole), 0).unwrap();
+    open_frame(&folder.file(&whole), 0, None).unwrap();
 }
 
 #[test]
@@ -412,10 +485,10 @@ fn unfinished_packed_frames_and_other_files_are_refused() {
     let folder = Folder::new();
     let whole = encoded(&small());
     let unfinished = &whole[..Layout::of(&whole).footer];
-    let fault = open_frame(&folder.file(unfinished), 0).unwrap_err().fault;
+    let fault = open_frame(&folder.file(unfinished), 0, None).unwrap_err().fault;
     assert!(matches!(fault, ReadFault::Malformed { .. }), "{fault}");
     assert!(refusal(&folder, b"ply\nformat ascii 1.0\n").contains("not a packed frame"));
-    let missing = open_frame(Path::new("/nowhere/frame.mnf"), 0).unwrap_err();
+    let missing = open_frame(Path::new("/nowhere/frame.mnf"), 0, None).unwrap_err();
     assert!(matches!(missing.fault, ReadFault::Io(_)), "{missing}");
 }
 
@@ -439,10 +512,10 @@ fn a_full_disk_at_any_byte_is_an_error() {
     let frame = small();
     let whole = encoded(&frame).len();
     for room in (0..whole).step_by(7) {
-        let fault = write_frame(FullDisk(room), &frame).unwrap_err();
+        let fault = write_frame(FullDisk(room), PackableFrame::Dif(&frame)).unwrap_err();
         assert_eq!(fault.kind(), std::io::ErrorKind::StorageFull);
     }
-    write_frame(FullDisk(whole), &frame).unwrap();
+    write_frame(FullDisk(whole), PackableFrame::Dif(&frame)).unwrap();
 }
 
 #[test]

@@ -217,6 +217,27 @@ fn scaled_radii_are_corrected_by_the_density_of_the_fluid() {
 }
 
 #[test]
+fn masses_that_differ_give_sizes_but_equal_masses_do_not() {
+    let water = Sized::pools(&[1.0, 2.0]);
+    let densities: Vec<f32> =
+        (0..water.sizes.len()).map(|i| if i % 2 == 0 { 900.0 } else { 1100.0 }).collect();
+    let volumes = water.sizes.iter().map(|size| size.powi(3));
+    let masses: Vec<f32> = volumes.zip(&densities).map(|(volume, rho)| volume * rho).collect();
+    let names = |masses: &[f32], densities: &[f32], size: Option<&str>| {
+        let cloud =
+            Cloud::new(&water.positions).with("Masses", masses).with("Densities", densities);
+        let request = size.map_or(request(), |size| request().size(size));
+        request.run(&cloud).unwrap().to_mesh().unwrap()
+    };
+    let found = names(&masses, &densities, None);
+    assert!(found == names(&masses, &densities, Some("Masses")));
+    assert!((measure(&found).volume.unwrap() / water.volume() - 1.0).abs() < 0.04);
+    // In a gas, particles of equal mass have different volumes.
+    let (equal, gas) = (vec![1.0; masses.len()], masses);
+    assert!(names(&equal, &gas, None) == names(&equal, &gas, Some("none")));
+}
+
+#[test]
 fn particles_of_one_size_give_the_same_mesh_as_without_sizes() {
     let water = Sized::pools(&[1.0]);
     let mut radii = water.radii();
@@ -273,12 +294,44 @@ fn attributes_and_settings_that_cannot_define_sizes_are_refused() {
     let Err(Error::SettingConflict(conflict)) = both.run(&cloud) else { panic!("spacing") };
     assert_eq!(conflict.setting.name(), "size");
     assert!(matches!(&conflict.with, Conflict::Setting(setting) if setting.name() == "spacing"));
+}
+
+#[test]
+fn a_packed_frame_of_sizes_has_the_surface_of_its_particles() {
     let folder = tempfile::tempdir().unwrap();
-    let frame = request().sample(&cloud).unwrap();
-    let output = request().packed_output(folder.path().join("a.mnf"), Replace::Refuse).unwrap();
-    let Err(Error::SettingConflict(conflict)) = frame.pack(output) else { panic!("packed") };
-    assert!(matches!(conflict.with, Conflict::PackedSizes));
-    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+    let path = folder.path().join("sizes.mnf");
+    let pools = Sized::pools(&[1.0, 2.0, 4.0]);
+    let (boxed, faces) = pools_in_a_box();
+    let walls = ([0.0; 3], [3.0 * WIDTH, WIDTH, f64::INFINITY]);
+    let cases = [
+        ("open", &pools, request()),
+        ("walls", &pools, request().domain(walls.0, walls.1)),
+        ("a periodic box", &boxed, request().periodic(faces)),
+    ];
+    for (what, water, request) in cases {
+        let radii = water.radii();
+        let cloud = Cloud::new(&water.positions).with("radius", &radii);
+        let frame = request.sample(&cloud).unwrap();
+        let packed = frame.pack(request.packed_output(&path, Replace::Allow).unwrap()).unwrap();
+        assert!(packed.cells > 0 && packed.bricks > 0, "{what}: {packed:?}");
+        let again = |by: Reconstruction| {
+            let surface = by.clone().run_file(&path).unwrap();
+            text_of_obj(&surface.to_mesh().unwrap())
+        };
+        let meshed =
+            |by: &Reconstruction| text_of_obj(&frame.surface_by(by).unwrap().to_mesh().unwrap());
+        let expected = text_of_obj(&frame.surface().unwrap().to_mesh().unwrap());
+        // The packed frame has its walls and its periodic box.
+        assert!(again(Reconstruction::new().threads(1)) == expected, "{what}");
+        let little = Reconstruction::new().memory(MemoryBudget(24 << 20)).scratch(folder.path());
+        assert!(again(little.clone().threads(2)) == expected, "{what}, little memory");
+        if what == "open" {
+            let smooth = request.clone().smooth(1.2);
+            let found = again(little.smooth(1.2));
+            assert!(found == meshed(&smooth), "another smoothing");
+            assert!(found != expected, "the smoothing has an effect");
+        }
+    }
 }
 
 #[test]

@@ -2,13 +2,15 @@
 // method of Zhu and Bridson), or with points::pca and points::rasterizeSdf on ellipsoids (the
 // method of Yu and Turk, since OpenVDB 12.1).
 //
-// usage: openvdb METHOD IN.xyz OUT.ply SPACING VOXEL ISOVALUE THREADS
+// usage: openvdb METHOD IN.xyz|IN.csv OUT.ply SPACING VOXEL ISOVALUE THREADS
 //        openvdb --version
 //
-// IN.xyz: raw f32 triples. VOXEL and ISOVALUE are in units of SPACING; the isovalue is a distance
+// IN.xyz: raw f32 triples. IN.csv, for the method spheres: rows of x, y, z and the sphere's radius,
+// below a line of names. VOXEL and ISOVALUE are in units of SPACING; the isovalue is a distance
 // outwards. METHOD:
 //
-// - spheres: the spheres' radius is half a spacing, and the search radius is two spacings.
+// - spheres: the spheres' radius is half a spacing, and the search radius is two spacings, or four
+//   times the largest radius.
 // - ellipsoids: OpenVDB's defaults, with half a spacing as the radius. The search radius is 2.5
 //   spacings, so that particles at the surface also have the 20 neighbours that the default
 //   threshold requires.
@@ -24,6 +26,7 @@
 #include <openvdb/tools/VolumeToMesh.h>
 #include <tbb/global_control.h>
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdio>
 #include <cstring>
@@ -38,22 +41,47 @@ namespace {
 // The number of voxels on either side of the surface that store distances.
 const double half_width = openvdb::LEVEL_SET_HALF_WIDTH;
 
-std::vector<openvdb::Vec3s> read(const char* path) {
+struct Particles {
+    std::vector<openvdb::Vec3s> points;
+    // Empty if all particles have one radius.
+    std::vector<float> radii;
+};
+
+Particles read(const std::string& path) {
     std::ifstream in(path, std::ios::binary);
+    Particles particles;
+    const std::string table = ".csv";
+    if (path.size() > table.size() && path.compare(path.size() - table.size(), table.size(), table) == 0) {
+        std::string line;
+        std::getline(in, line);
+        float x, y, z, radius;
+        while (std::getline(in, line) && std::sscanf(line.c_str(), "%f,%f,%f,%f", &x, &y, &z, &radius) == 4) {
+            particles.points.emplace_back(x, y, z);
+            particles.radii.push_back(radius);
+        }
+        return particles;
+    }
     const std::vector<char> bytes((std::istreambuf_iterator<char>(in)), std::istreambuf_iterator<char>());
-    std::vector<openvdb::Vec3s> points(bytes.size() / sizeof(openvdb::Vec3s));
+    auto& points = particles.points;
+    points.resize(bytes.size() / sizeof(openvdb::Vec3s));
     std::memcpy(static_cast<void*>(points.data()), bytes.data(), points.size() * sizeof(openvdb::Vec3s));
-    return points;
+    return particles;
 }
 
-openvdb::points::PointDataGrid::Ptr bin(const std::vector<openvdb::Vec3s>& points, const double spacing) {
+openvdb::points::PointDataGrid::Ptr bin(const Particles& particles, const double spacing) {
     // Bins of one spacing suit the rasterizers, whatever the size of the voxels.
     const auto bins = openvdb::math::Transform::createLinearTransform(spacing);
-    const openvdb::points::PointAttributeVector<openvdb::Vec3s> positions(points);
+    const openvdb::points::PointAttributeVector<openvdb::Vec3s> positions(particles.points);
     const auto index =
         openvdb::tools::createPointIndexGrid<openvdb::tools::PointIndexGrid>(positions, *bins);
-    return openvdb::points::createPointDataGrid<openvdb::points::NullCodec, openvdb::points::PointDataGrid>(
+    const auto grid = openvdb::points::createPointDataGrid<openvdb::points::NullCodec, openvdb::points::PointDataGrid>(
         *index, positions, *bins);
+    if (!particles.radii.empty()) {
+        const openvdb::points::PointAttributeVector<float> radii(particles.radii);
+        openvdb::points::appendAttribute<float>(grid->tree(), "radius");
+        openvdb::points::populateAttribute(grid->tree(), index->tree(), "radius", radii);
+    }
+    return grid;
 }
 
 #ifdef HAS_ELLIPSOIDS
@@ -72,10 +100,15 @@ openvdb::FloatGrid::Ptr ellipsoids(openvdb::points::PointDataGrid& points, const
 }
 #endif
 
-openvdb::FloatGrid::Ptr rasterize(const std::string& method, const std::vector<openvdb::Vec3s>& points,
-                                  const double spacing, const double voxel) {
+openvdb::FloatGrid::Ptr rasterize(const std::string& method, const Particles& particles, const double spacing,
+                                  const double voxel) {
     const auto transform = openvdb::math::Transform::createLinearTransform(voxel);
-    const auto grid = bin(points, spacing);
+    const auto grid = bin(particles, spacing);
+    if (!particles.radii.empty()) {
+        if (method != "spheres") throw std::invalid_argument("this method has one radius for all particles");
+        const double largest = *std::max_element(particles.radii.begin(), particles.radii.end());
+        return openvdb::points::rasterizeSmoothSpheres(*grid, "radius", 1.0, 4.0 * largest, half_width, transform);
+    }
     if (method == "spheres") {
         return openvdb::points::rasterizeSmoothSpheres(*grid, 0.5 * spacing, 2.0 * spacing, half_width, transform);
     }
@@ -130,7 +163,7 @@ int main(int count, char** arguments) {
         return 0;
     }
     if (count != 8) {
-        std::fprintf(stderr, "usage: openvdb METHOD IN.xyz OUT.ply SPACING VOXEL ISOVALUE THREADS\n");
+        std::fprintf(stderr, "usage: openvdb METHOD IN.xyz|IN.csv OUT.ply SPACING VOXEL ISOVALUE THREADS\n");
         return 2;
     }
     const double spacing = std::stod(arguments[4]);

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use glam::IVec3;
 use rayon::prelude::*;
 
-use crate::brick::{Bins, Block, PageInfo, PageSamples, Pages, coarsened};
+use crate::brick::{Bins, Block, DifField, PageInfo, PageSamples, Pages, coarsened};
 use crate::field::distance::{refined, wide_cells};
 use crate::field::indicator::{Amount, Clouds, SampledDif, WideCells};
 use crate::field::recipe::walls_at;
@@ -137,15 +137,25 @@ enum CloudPart {
 }
 
 impl SizedClouds {
-    /// Takes octaves from the finest on. Each octave needs one [more
-    /// level](SampledDif::with_more_levels) for every coarser octave.
+    /// Takes octaves from the finest on.
     ///
     /// # Panics
     /// If there are no octaves.
     #[must_use]
     pub fn new(layers: Vec<Layer>) -> Self {
         assert!(!layers.is_empty(), "no octave");
-        Self { layers: layers.into(), first: 0 }
+        // Every coarser octave uses the clouds in its own wide cells.
+        let coarser = (0..layers.len() as u32).rev();
+        let with_levels = |(layer, coarser): (Layer, u32)| Layer {
+            volume: layer.volume.with_more_levels(coarser),
+            fraction: layer.fraction.with_more_levels(coarser),
+        };
+        Self { layers: layers.into_iter().zip(coarser).map(with_levels).collect(), first: 0 }
+    }
+
+    /// The samples of all octaves from the finest on: volumes, then fractions.
+    pub fn fields(&self) -> impl Iterator<Item = &DifField> {
+        self.layers.iter().flat_map(|layer| [&*layer.volume.dif, &*layer.fraction.dif])
     }
 
     /// Returns the same clouds with another first octave.

@@ -26,10 +26,12 @@
 mod clouds;
 mod levels;
 mod mix;
+mod sampled;
 
 pub use clouds::{Layer, LayerPages, SizedClouds};
 pub use levels::{BlockLevels, FinerBlocks};
 pub use mix::{OctaveDrops, WHOLE, finer_spacings, in_finer_spacings, mixed, share};
+pub use sampled::SampledOctaves;
 
 use crate::brick::BrickSide;
 use crate::field::blur::Weights;

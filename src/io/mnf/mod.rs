@@ -7,20 +7,22 @@
 //! | part | bytes | content |
 //! |---|---|---|
 //! | header | 8 | `89 4D 4E 46 0D 0A 1A 0A`, which detects a conversion of line ends |
-//! | | 4 | version: 2 |
+//! | | 4 | version: 2, or 3 for particles of several sizes |
 //! | | 4 | edge of a brick in cells: 4, 8 or 16 |
 //! | pages | | one zstd frame of samples per page, in the order of the keys and without gaps |
 //! | footer | 3 x 8 | origin of the grid, f64 |
 //! | | 8 | edge of a cell, f64 |
-//! | | 4 | 1 if there are walls, plus 2 if the box is periodic, else 0 |
+//! | | 4 | 0, plus 1 if there are walls, 2 if the box is periodic, 4 if the particles have several sizes |
 //! | | 4 | indicator: 0 symmetry, 1 counting, 2 cloud |
 //! | | 6 x 8 | lower and upper corner of the walls, f64; -inf and inf for sides without a wall; 0 if there are no walls |
 //! | | 8 | mu0, f64; 0 for symmetry and cloud |
-//! | | 8 | spacing of the particles, f64; 0 if it is not known |
+//! | | 8 | spacing of the particles, f64; 0 if it is not known. Their smallest size if they have several |
 //! | | 4 x 8 | particles in cells, not finite, beyond the grid, outside of the walls |
 //! | if periodic | 6 x 8 | lower and upper corner of the box, f64; -inf and inf along an open axis |
 //! | | 4 | distance up to which images of particles exist beyond the box, in cells; the pages include them |
 //! | | 4 | 0 |
+//! | if several sizes | 8 | largest size, f64 |
+//! | | 8 | volume of the particles per unit volume deep in the fluid, f64; 0 if it is not known |
 //! | footer | 8 | number of pages |
 //! | index, per page | 8 | Morton key of its bin: 21 bits per axis, x lowest, each biased by 2^20 |
 //! | | 8 | offset of the page in the file |
@@ -29,7 +31,7 @@
 //! | | 4 | CRC-32 of these bytes |
 //! | | 4 | number of full cells |
 //! | | 6 | tightest box around them: lowest cell, and one past the highest, in cells of the bin |
-//! | | 2 | 0 |
+//! | | 2 | number of its field, if the particles have several sizes, else 0 |
 //! | tail | 8 | offset of the footer in the file |
 //! | | 4 | CRC-32 of the header, the footer, the index and the offset of the footer |
 //! | | 8 | `0A 1A 0A 0D 46 4E 4D 89` |
@@ -45,6 +47,12 @@
 //! value of a cell is the sum over all bricks, at most 65535. A cell is full if its value in its
 //! own page is not 0.
 //!
+//! If the particles have several sizes, the file has two fields for each octave of the sizes, from
+//! the finest on: the volume of the particles (field 2 k of octave k), and the volume times the
+//! logarithm of the size in the octave (field 2 k + 1), as [`sizes`](crate::field::sizes) defines
+//! them. The indicator is cloud. All pages of a field are consecutive, and their cells are 2^k times
+//! as wide as the grid's.
+//!
 //! Version 1 differs only for clouds, whose size depends on mu0. Clouds of version 1 are rejected,
 //! and other frames of version 1 can be read.
 //!
@@ -55,8 +63,93 @@ mod write;
 
 use std::path::Path;
 
+use crate::brick::{DifField, FrameFacts};
+use crate::field::indicator::{Indicator, SampledDif};
+use crate::field::sizes::SampledOctaves;
+
 pub use read::{frame_from_file, open_frame};
 pub use write::{FrameWriter, write_frame};
+
+/// A frame from a packed file.
+#[derive(Debug)]
+pub enum PackedFrame {
+    /// Particles of one size.
+    Dif(SampledDif),
+    /// Particles of several sizes.
+    Octaves(SampledOctaves),
+}
+
+/// The samples of a frame, which a packed file can store.
+#[derive(Debug, Clone, Copy)]
+pub enum PackableFrame<'a> {
+    /// Particles of one size.
+    Dif(&'a SampledDif),
+    /// Particles of several sizes.
+    Octaves(&'a SampledOctaves),
+}
+
+impl PackedFrame {
+    /// The samples.
+    #[must_use]
+    pub fn samples(&self) -> PackableFrame<'_> {
+        match self {
+            Self::Dif(sampled) => PackableFrame::Dif(sampled),
+            Self::Octaves(sampled) => PackableFrame::Octaves(sampled),
+        }
+    }
+
+    /// Facts of the frame.
+    #[must_use]
+    pub fn facts(&self) -> &FrameFacts {
+        self.samples().facts()
+    }
+
+    /// The indicator, with mu0 for counting.
+    #[must_use]
+    pub fn indicator(&self) -> Indicator {
+        self.samples().indicator()
+    }
+}
+
+impl<'a> PackableFrame<'a> {
+    /// Facts of the frame.
+    #[must_use]
+    pub fn facts(self) -> &'a FrameFacts {
+        match self {
+            Self::Dif(sampled) => &sampled.facts,
+            Self::Octaves(sampled) => &sampled.facts,
+        }
+    }
+
+    /// The indicator, with mu0 for counting.
+    #[must_use]
+    pub fn indicator(self) -> Indicator {
+        match self {
+            Self::Dif(sampled) => sampled.indicator,
+            Self::Octaves(_) => Indicator::Cloud,
+        }
+    }
+
+    /// The fields, each with the octave of its cells.
+    #[must_use]
+    pub fn fields(self) -> Vec<(u32, &'a DifField)> {
+        match self {
+            Self::Dif(sampled) => vec![(0, &*sampled.dif)],
+            Self::Octaves(sampled) => {
+                (0..).zip(sampled.clouds.fields()).map(|(at, field)| (at / 2, field)).collect()
+            }
+        }
+    }
+
+    /// The largest size, if the particles have several sizes.
+    #[must_use]
+    pub fn coarsest(self) -> Option<f64> {
+        match self {
+            Self::Dif(_) => None,
+            Self::Octaves(sampled) => Some(sampled.coarsest),
+        }
+    }
+}
 
 /// Whether a file is a packed frame, by its extension.
 #[must_use]
@@ -66,15 +159,18 @@ pub fn is_packed(path: &Path) -> bool {
 
 const MAGIC: [u8; 8] = *b"\x89MNF\r\n\x1a\n";
 const END_MAGIC: [u8; 8] = *b"\n\x1a\n\rFNM\x89";
+/// The version of frames of particles of one size.
 const VERSION: u32 = 2;
-/// The previous version of the format. Its frames can be read, except those with clouds.
+/// The version of frames of particles of several sizes.
+const SIZES_VERSION: u32 = 3;
+/// The first version of the format. Its frames can be read, except those with clouds.
 const FIRST_VERSION: u32 = 1;
 
-/// Bits of the flags in the footer. One means that there are walls, the other that the box is
-/// periodic.
+/// Bits of the flags in the footer: there are walls, the box is periodic, or the particles have
+/// several sizes.
 const WALLS: u32 = 1;
 const PERIODIC: u32 = 2;
-const BOTH: u32 = WALLS | PERIODIC;
+const SIZES: u32 = 4;
 
 /// Number of bytes of the header.
 const HEADER: usize = 16;

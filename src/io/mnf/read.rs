@@ -2,6 +2,7 @@ use std::cell::RefCell;
 use std::fs::File;
 use std::ops::Range;
 use std::path::Path;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use crc32fast::Hasher;
@@ -12,6 +13,7 @@ use zstd::bulk::Decompressor;
 use crate::brick::{BrickSide, Census, DifField, FrameFacts, PageInfo, PageShape, PageSource};
 use crate::field::calibration::check_finest;
 use crate::field::indicator::{Indicator, SampledDif};
+use crate::field::sizes::{Layer, SampledOctaves, SizedClouds};
 use crate::grid::units::{MeanCount, positive_length};
 use crate::grid::{BIN, CELL_LIMIT, CellBox, Domain, Grid, MortonKey, Periodic};
 use crate::io::bytes::{Bytes, PrivateBytes, open_bytes};
@@ -20,8 +22,8 @@ use crate::io::cursor::Cursor;
 use crate::io::{ReadError, ReadFault, malformed};
 
 use super::{
-    BOTH, END_MAGIC, ENTRY, FACTS, FIRST_VERSION, HEADER, MAGIC, PERIODIC, TAIL, VERSION, WALLS,
-    samples_from_planes,
+    END_MAGIC, ENTRY, FACTS, FIRST_VERSION, HEADER, MAGIC, PERIODIC, PackedFrame, SIZES,
+    SIZES_VERSION, TAIL, WALLS, samples_from_planes,
 };
 
 /// Number of bytes that are read from the map before its memory is released.
@@ -35,7 +37,8 @@ const CHUNK: usize = 1 << 20;
 ///
 /// This reads and checks every byte, but keeps only the index in memory. Samples are read again
 /// when they are needed. The most recently used pages stay in memory, up to `cache_bytes`. The map
-/// of the file takes a few MiB of memory at a time.
+/// of the file takes a few MiB of memory at a time. With a folder `scratch`, clouds in wider cells
+/// go to scratch files there if they are large.
 ///
 /// If another program changes the file while the field is in use, the process ends with a panic or
 /// a signal.
@@ -44,7 +47,11 @@ const CHUNK: usize = 1 << 20;
 /// Errors of the system, [`ReadFault::Truncated`], [`ReadFault::Malformed`] and
 /// [`ReadFault::Compression`] for an invalid or damaged frame, and [`ReadFault::Unsupported`] for a
 /// frame of another version.
-pub fn open_frame(path: &Path, cache_bytes: u64) -> Result<SampledDif, ReadError> {
+pub fn open_frame(
+    path: &Path,
+    cache_bytes: u64,
+    scratch: Option<&Path>,
+) -> Result<PackedFrame, ReadError> {
     let fail = |fault| ReadError::new(path, fault);
     let kept = match open_bytes(path)? {
         Bytes::File(file) => {
@@ -52,9 +59,28 @@ pub fn open_frame(path: &Path, cache_bytes: u64) -> Result<SampledDif, ReadError
         }
         Bytes::Kept(kept) => Ok(kept),
     };
-    let Index { facts, indicator, infos, pages } = kept.and_then(read_index).map_err(fail)?;
+    let Index { facts, indicator, sizes, infos, pages } =
+        kept.and_then(read_index).map_err(fail)?;
     pages.check(&infos).map_err(fail)?;
-    Ok(SampledDif::new(facts, indicator, pages.into_dif(infos, cache_bytes)))
+    let mut fields = pages.into_fields(infos, cache_bytes);
+    let sampled = |facts: FrameFacts, field: DifField| {
+        let sampled = SampledDif::new(facts, indicator, field);
+        match scratch {
+            Some(folder) => sampled.with_scratch(folder),
+            None => sampled,
+        }
+    };
+    let Some(SizeFacts { coarsest, density, .. }) = sizes else {
+        return Ok(PackedFrame::Dif(sampled(facts, fields.swap_remove(0))));
+    };
+    let mut fields = fields.into_iter();
+    let mut layers = Vec::new();
+    while let (Some(volume), Some(fraction)) = (fields.next(), fields.next()) {
+        let facts = facts.in_octave(layers.len() as u32);
+        layers.push(Layer { volume: sampled(facts, volume), fraction: sampled(facts, fraction) });
+    }
+    let clouds = SizedClouds::new(layers);
+    Ok(PackedFrame::Octaves(SampledOctaves { facts, clouds, coarsest, density }))
 }
 
 /// Opens a frame that this process wrote and that no other process can access. Samples are not
@@ -63,8 +89,9 @@ pub fn open_frame(path: &Path, cache_bytes: u64) -> Result<SampledDif, ReadError
 /// # Errors
 /// The errors of [`open_frame`] that concern the index.
 pub fn frame_from_file(file: &File, cache_bytes: u64) -> Result<SampledDif, ReadFault> {
-    let Index { facts, indicator, infos, pages } = read_index(PrivateBytes::map(file)?)?;
-    Ok(SampledDif::new(facts, indicator, pages.into_dif(infos, cache_bytes)))
+    let Index { facts, indicator, infos, pages, .. } = read_index(PrivateBytes::map(file)?)?;
+    let field = pages.into_fields(infos, cache_bytes).swap_remove(0);
+    Ok(SampledDif::new(facts, indicator, field))
 }
 
 /// A map of a file, whose memory is released repeatedly.
@@ -100,6 +127,8 @@ struct MappedPages {
     first: Vec<u64>,
     /// Number of bricks in each page.
     bricks: Vec<u8>,
+    /// The first page of each field, and the number of all pages.
+    fields: Vec<usize>,
     /// Checksums of the pages. They are not needed after the pages have been checked.
     checksums: Vec<u32>,
 }
@@ -146,17 +175,35 @@ impl MappedPages {
         fault.map_or(Ok(()), Err)
     }
 
-    fn into_dif(mut self, infos: Vec<PageInfo>, cache_bytes: u64) -> DifField {
+    /// The fields, which share the cache by their numbers of pages.
+    fn into_fields(mut self, infos: Vec<PageInfo>, cache_bytes: u64) -> Vec<DifField> {
         self.checksums = Vec::new();
-        DifField::paged(self.shape, infos, Box::new(self), cache_bytes)
+        let (shape, starts) = (self.shape, std::mem::take(&mut self.fields));
+        let all = Arc::new(self);
+        let field = |ends: &[usize]| {
+            let own = infos[ends[0]..ends[1]].to_vec();
+            let share = u128::from(cache_bytes) * own.len() as u128 / infos.len().max(1) as u128;
+            let pages = FieldPages { all: Arc::clone(&all), first: ends[0] };
+            DifField::paged(shape, own, Box::new(pages), share as u64)
+        };
+        starts.windows(2).map(field).collect()
     }
 }
 
-impl PageSource for MappedPages {
+/// The pages of one field.
+#[derive(Debug)]
+struct FieldPages {
+    all: Arc<MappedPages>,
+    /// The number of its first page.
+    first: usize,
+}
+
+impl PageSource for FieldPages {
     fn samples(&self, page: usize) -> Vec<u16> {
+        let (all, page) = (&*self.all, self.first + page);
         let samples =
-            self.decompress(page).expect("a frame that does not change after it is opened");
-        self.window.looked_at(self.compressed(page).len() as u64 + AROUND);
+            all.decompress(page).expect("a frame that does not change after it is opened");
+        all.window.looked_at(all.compressed(page).len() as u64 + AROUND);
         samples
     }
 }
@@ -165,8 +212,19 @@ impl PageSource for MappedPages {
 struct Index {
     facts: FrameFacts,
     indicator: Indicator,
+    sizes: Option<SizeFacts>,
     infos: Vec<PageInfo>,
     pages: MappedPages,
+}
+
+/// Facts about particles of several sizes.
+#[derive(Debug, Clone, Copy)]
+struct SizeFacts {
+    octaves: u32,
+    /// The largest size.
+    coarsest: f64,
+    /// The particles' volume per unit volume deep in the fluid, if it is known.
+    density: Option<f64>,
 }
 
 fn read_index(bytes: PrivateBytes) -> Result<Index, ReadFault> {
@@ -174,10 +232,14 @@ fn read_index(bytes: PrivateBytes) -> Result<Index, ReadFault> {
     let window = MapWindow { bytes, looked_at: AtomicU64::new(0) };
     let footer = read_tail(&window)?;
     let mut cursor = Cursor::new(window.bytes.view(), footer, Endian::Little);
-    let (facts, indicator, count) = read_facts(&mut cursor)?;
+    let (facts, indicator, sizes, count) = read_facts(&mut cursor)?;
     if version == FIRST_VERSION && indicator == Indicator::Cloud {
         let what = "version 1 of the indicator cloud is not supported; pack the particles again";
         return Err(ReadFault::Unsupported(what.into()));
+    }
+    if sizes.is_some() != (version == SIZES_VERSION) {
+        let what = format!("version {version} of packed frames with the flags of another version");
+        return Err(malformed(footer, what));
     }
     let index = window.bytes.len() - TAIL - cursor.at();
     if count.checked_mul(ENTRY as u64) != Some(index as u64) || u32::try_from(count).is_err() {
@@ -189,13 +251,19 @@ fn read_index(bytes: PrivateBytes) -> Result<Index, ReadFault> {
     let mut first = Vec::with_capacity(count + 1);
     let mut bricks = Vec::with_capacity(count);
     let mut checksums = Vec::with_capacity(count);
+    let field_count = sizes.map_or(1, |sizes| 2 * sizes.octaves);
+    let mut fields = Vec::with_capacity(field_count as usize + 1);
     let mut end = HEADER as u64;
     first.push(end);
     for _ in 0..count {
         let at = cursor.at();
         let previous = infos.last().map(|info: &PageInfo| info.key);
-        let entry = read_entry(&mut cursor, side, &facts)?;
-        if previous.is_some_and(|previous| previous >= entry.info.key) {
+        let entry = read_entry(&mut cursor, side, &facts, field_count)?;
+        // Fields can be empty.
+        let is_first = fields.len() <= usize::from(entry.field);
+        fields.resize(fields.len().max(usize::from(entry.field) + 1), infos.len());
+        let is_earlier = fields.len() > usize::from(entry.field) + 1;
+        if is_earlier || !is_first && previous.is_some_and(|previous| previous >= entry.info.key) {
             return Err(malformed(at, "the pages are not in order"));
         }
         if entry.offset != end || entry.length > footer as u64 - end {
@@ -214,19 +282,22 @@ fn read_index(bytes: PrivateBytes) -> Result<Index, ReadFault> {
             "there are extra bytes between the last page and the footer",
         ));
     }
+    fields.resize(field_count as usize + 1, infos.len());
     let full_cells: u64 = infos.iter().map(|info| u64::from(info.full_count)).sum();
     let shape = indicator.kind().shape(side);
     // A cell in the corner of a periodic box has seven images.
     let places = if facts.periodic.is_some() { 8 } else { 1 };
-    let most = places * shape.cells_a_particle() as u64;
+    // A particle of several sizes is in two fields.
+    let fields_a_particle = u64::from(field_count.min(2));
+    let most = places * fields_a_particle * shape.cells_a_particle() as u64;
     if full_cells > most.saturating_mul(facts.census.binned as u64) {
         return Err(malformed(
             footer,
             format!("more full cells than particles make: {full_cells}"),
         ));
     }
-    let pages = MappedPages { window, shape, first, bricks, checksums };
-    Ok(Index { facts, indicator, infos, pages })
+    let pages = MappedPages { window, shape, first, bricks, fields, checksums };
+    Ok(Index { facts, indicator, sizes, infos, pages })
 }
 
 fn read_header(bytes: &[u8]) -> Result<(u32, BrickSide), ReadFault> {
@@ -235,9 +306,9 @@ fn read_header(bytes: &[u8]) -> Result<(u32, BrickSide), ReadFault> {
         return Err(malformed(0, "not a packed frame: the first bytes differ"));
     }
     let version = cursor.u32("the version")?;
-    if !(FIRST_VERSION..=VERSION).contains(&version) {
+    if !(FIRST_VERSION..=SIZES_VERSION).contains(&version) {
         let what = format!(
-            "version {version} of packed frames; versions {FIRST_VERSION} to {VERSION} are \
+            "version {version} of packed frames; versions {FIRST_VERSION} to {SIZES_VERSION} are \
              supported"
         );
         return Err(ReadFault::Unsupported(what));
@@ -282,19 +353,23 @@ fn read_tail(window: &MapWindow) -> Result<usize, ReadFault> {
     Ok(footer as usize)
 }
 
-/// Reads the facts about the frame, its indicator, and the number of pages.
-fn read_facts(cursor: &mut Cursor<'_>) -> Result<(FrameFacts, Indicator, u64), ReadFault> {
+/// Reads the facts about the frame, its indicator, its sizes, and the number of pages.
+fn read_facts(
+    cursor: &mut Cursor<'_>,
+) -> Result<(FrameFacts, Indicator, Option<SizeFacts>, u64), ReadFault> {
     let at = cursor.at();
     let fault = |error: &dyn std::fmt::Display| malformed(at, error.to_string());
     let origin = read_point(cursor)?;
     let grid = Grid::new(origin, cursor.f64("the cell size")?).map_err(|e| fault(&e))?;
-    let walls = cursor.u32("the walls")?;
+    let flags = cursor.u32("the flags")?;
+    if flags & !(WALLS | PERIODIC | SIZES) != 0 {
+        return Err(fault(&"invalid flags"));
+    }
     let indicator = cursor.u32("the indicator")?;
     let (lo, hi) = (read_point(cursor)?, read_point(cursor)?);
-    let domain = match walls {
-        0 | PERIODIC => None,
-        WALLS | BOTH => Some(Domain::new(&grid, lo, hi).map_err(|e| fault(&e))?),
-        _ => return Err(fault(&"invalid flags of walls")),
+    let domain = match flags & WALLS {
+        0 => None,
+        _ => Some(Domain::new(&grid, lo, hi).map_err(|e| fault(&e))?),
     };
     let mean = cursor.f64("mu0")?;
     let mean = || MeanCount::new(mean).map_err(|e| fault(&e));
@@ -322,12 +397,35 @@ fn read_facts(cursor: &mut Cursor<'_>) -> Result<(FrameFacts, Indicator, u64), R
         too_far: particles()?,
         outside: particles()?,
     };
-    let periodic = match walls {
-        PERIODIC | BOTH => Some(read_periodic(cursor, &grid)?),
-        _ => None,
+    let periodic = match flags & PERIODIC {
+        0 => None,
+        _ => Some(read_periodic(cursor, &grid)?),
+    };
+    let facts = FrameFacts { grid, domain, periodic, census, spacing };
+    let sizes = match flags & SIZES {
+        0 => None,
+        _ if indicator != Indicator::Cloud => {
+            return Err(fault(&"particles of several sizes with another indicator than cloud"));
+        }
+        _ => Some(read_sizes(cursor, &facts)?),
     };
     let count = cursor.u64("the number of pages")?;
-    Ok((FrameFacts { grid, domain, periodic, census, spacing }, indicator, count))
+    Ok((facts, indicator, sizes, count))
+}
+
+/// Reads the facts about particles of several sizes.
+fn read_sizes(cursor: &mut Cursor<'_>, facts: &FrameFacts) -> Result<SizeFacts, ReadFault> {
+    let at = cursor.at();
+    let (coarsest, density) = (cursor.f64("the largest size")?, cursor.f64("the density")?);
+    let octaves = SampledOctaves::octaves(facts, coarsest).map(|octaves| octaves.count as u32);
+    let octaves = octaves.filter(|_| coarsest.is_finite() && coarsest > 0.0);
+    let octaves = octaves.ok_or_else(|| malformed(at, "no sizes of particles"))?;
+    let density = Some(density).filter(|&density| density != 0.0);
+    let plateau = SampledOctaves::plateau(facts.spacing_cells_or_one(), density.unwrap_or(1.0));
+    if !(1.0..=f64::from(u16::MAX)).contains(&plateau) {
+        return Err(malformed(at, "no density of particles"));
+    }
+    Ok(SizeFacts { octaves, coarsest, density })
 }
 
 /// Reads the periodic box. An open axis extends from -inf to inf.
@@ -354,6 +452,8 @@ fn read_point(cursor: &mut Cursor<'_>) -> Result<DVec3, ReadFault> {
 /// The entry of a page in the index.
 struct PageEntry {
     info: PageInfo,
+    /// The number of its field.
+    field: u16,
     offset: u64,
     length: u64,
     checksum: u32,
@@ -364,6 +464,7 @@ fn read_entry(
     cursor: &mut Cursor<'_>,
     side: BrickSide,
     facts: &FrameFacts,
+    fields: u32,
 ) -> Result<PageEntry, ReadFault> {
     let at = cursor.at();
     let key = MortonKey(cursor.u64("a page's key")?);
@@ -377,12 +478,16 @@ fn read_entry(
         Ok::<_, ReadFault>(IVec3::new(cells[0].into(), cells[1].into(), cells[2].into()))
     };
     let local = CellBox { lo: corner()?, hi: corner()? };
-    let zero = cursor.u16("a page's end")?;
+    let field = cursor.u16("a page's field")?;
+    if u32::from(field) >= fields {
+        return Err(malformed(at, format!("a page of field {field} of {fields}")));
+    }
 
     let coord = key.coord();
     let full = CellBox { lo: local.lo + coord * BIN, hi: local.hi + coord * BIN };
     let limits = CellBox { lo: IVec3::splat(-CELL_LIMIT), hi: IVec3::splat(CELL_LIMIT) };
-    let limits = facts.domain.map_or(limits, |domain| domain.cells().intersection(&limits));
+    let walls = facts.domain.map(|domain| domain.in_wider_cells((field / 2).into()).cells());
+    let limits = walls.map_or(limits, |walls| walls.intersection(&limits));
     let beyond = bricks.checked_shr(side.bricks_a_bin() as u32).unwrap_or(0);
     let info = PageInfo { key, bricks, full, full_count };
     let wrong = [
@@ -394,10 +499,9 @@ fn read_entry(
             full_count == 0 || full_count as usize > full.volume(),
             "a page's full cells do not fit in its box",
         ),
-        (zero != 0, "a page's entry does not end in zeros"),
     ];
     match wrong.into_iter().find(|&(wrong, _)| wrong) {
         Some((_, what)) => Err(malformed(at, what)),
-        None => Ok(PageEntry { info, offset, length, checksum }),
+        None => Ok(PageEntry { info, field, offset, length, checksum }),
     }
 }

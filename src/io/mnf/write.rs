@@ -6,12 +6,15 @@ use rayon::prelude::*;
 use zstd::bulk::Compressor;
 use zstd::zstd_safe::CParameter;
 
-use crate::brick::{FrameFacts, PageInfo, PageShape};
-use crate::field::indicator::{Indicator, SampledDif};
+use crate::brick::{DifField, FrameFacts, PageInfo, PageShape};
+use crate::field::indicator::Indicator;
 use crate::grid::BIN;
 use crate::grid::units::MeanCount;
 
-use super::{END_MAGIC, HEADER, MAGIC, PERIODIC, TAIL, VERSION, WALLS, planes_from_samples};
+use super::{
+    END_MAGIC, HEADER, MAGIC, PERIODIC, PackableFrame, SIZES, SIZES_VERSION, TAIL, VERSION, WALLS,
+    planes_from_samples,
+};
 
 /// Compression level of zstd. Writing must be fast, and higher levels do not compress noise better.
 const LEVEL: i32 = 1;
@@ -30,6 +33,8 @@ pub struct FrameWriter<W> {
     at: u64,
     pages: u64,
     index: Vec<u8>,
+    /// The number of the field whose pages are written.
+    field: u16,
     last: Option<PageInfo>,
 }
 
@@ -46,13 +51,38 @@ impl<W: Write> FrameWriter<W> {
     ///
     /// # Errors
     /// The errors of `out`. The methods below return them too.
-    pub fn create(mut out: W, shape: PageShape) -> io::Result<Self> {
+    pub fn create(out: W, shape: PageShape) -> io::Result<Self> {
+        Self::of_version(VERSION, out, shape)
+    }
+
+    fn of_version(version: u32, mut out: W, shape: PageShape) -> io::Result<Self> {
         let mut header = [0; HEADER];
         header[..8].copy_from_slice(&MAGIC);
-        header[8..12].copy_from_slice(&VERSION.to_le_bytes());
+        header[8..12].copy_from_slice(&version.to_le_bytes());
         header[12..].copy_from_slice(&shape.side.cells().to_le_bytes());
         out.write_all(&header)?;
-        Ok(Self { out, shape, header, at: HEADER as u64, pages: 0, index: Vec::new(), last: None })
+        Ok(Self {
+            out,
+            shape,
+            header,
+            at: HEADER as u64,
+            pages: 0,
+            index: Vec::new(),
+            field: 0,
+            last: None,
+        })
+    }
+
+    /// Appends all pages of a field. At most one batch of them is in memory.
+    fn push_field(&mut self, field: &DifField) -> io::Result<()> {
+        // Two chunks per thread form a batch, to reduce the wait for the last chunk.
+        let batch = 2 * CHUNK * rayon::current_num_threads();
+        for first in (0..field.infos().len()).step_by(batch) {
+            let infos = field.infos()[first..].iter().take(batch);
+            let pages: Vec<_> = infos.copied().zip(first..).collect();
+            self.push(&pages, |&page| field.stored(page))?;
+        }
+        Ok(())
     }
 
     /// Appends pages. `samples` returns the samples of all bricks of a page.
@@ -98,14 +128,18 @@ impl<W: Write> FrameWriter<W> {
         for end in [info.full.lo, info.full.hi] {
             index.extend((end - corner).to_array().map(|cells| cells as u8));
         }
-        index.extend([0; 2]);
+        index.extend(self.field.to_le_bytes());
         self.at += length as u64;
         self.pages += 1;
     }
 
     /// Writes the footer, the index and the tail. Returns the size of the file in bytes.
-    pub fn finish(mut self, facts: &FrameFacts, indicator: Indicator) -> io::Result<u64> {
-        let mut footer = footer(facts, indicator);
+    pub fn finish(self, facts: &FrameFacts, indicator: Indicator) -> io::Result<u64> {
+        self.finish_with(footer(facts, indicator, 0))
+    }
+
+    /// Writes a footer without the number of pages, and everything after it.
+    fn finish_with(mut self, mut footer: Vec<u8>) -> io::Result<u64> {
         footer.extend(self.pages.to_le_bytes());
         let place = self.at.to_le_bytes();
         let mut hasher = Hasher::new();
@@ -120,8 +154,9 @@ impl<W: Write> FrameWriter<W> {
     }
 }
 
-/// The footer without the number of pages.
-fn footer(facts: &FrameFacts, indicator: Indicator) -> Vec<u8> {
+/// The footer of particles of one size without the number of pages. `more_flags` are additional
+/// flags.
+fn footer(facts: &FrameFacts, indicator: Indicator, more_flags: u32) -> Vec<u8> {
     let walls = facts.domain.map_or([0.0; 6], |domain| {
         let [lo, hi] = domain.walls().map(|corner| corner.to_array());
         [lo[0], lo[1], lo[2], hi[0], hi[1], hi[2]]
@@ -139,7 +174,7 @@ fn footer(facts: &FrameFacts, indicator: Indicator) -> Vec<u8> {
     footer.extend(facts.grid.cell_size().to_le_bytes());
     let walled = if facts.domain.is_some() { WALLS } else { 0 };
     let repeated = if facts.periodic.is_some() { PERIODIC } else { 0 };
-    footer.extend((walled | repeated).to_le_bytes());
+    footer.extend((walled | repeated | more_flags).to_le_bytes());
     footer.extend(indicator.to_le_bytes());
     footer.extend(walls.iter().flat_map(|x| x.to_le_bytes()));
     footer.extend(mean.to_le_bytes());
@@ -177,15 +212,22 @@ fn compress<'a, P>(
 }
 
 /// Writes a complete frame of any size. Returns the size of the file in bytes.
-pub fn write_frame(out: impl Write, frame: &SampledDif) -> io::Result<u64> {
-    let field = &frame.dif;
-    let mut writer = FrameWriter::create(out, field.shape())?;
-    // Two chunks per thread form a batch, to reduce the wait for the last chunk.
-    let batch = 2 * CHUNK * rayon::current_num_threads();
-    for first in (0..field.infos().len()).step_by(batch) {
-        let infos = field.infos()[first..].iter().take(batch);
-        let pages: Vec<_> = infos.copied().zip(first..).collect();
-        writer.push(&pages, |&page| field.stored(page))?;
+pub fn write_frame(out: impl Write, frame: PackableFrame<'_>) -> io::Result<u64> {
+    let (facts, indicator) = (frame.facts(), frame.indicator());
+    let (version, flags) = match frame {
+        PackableFrame::Dif(_) => (VERSION, 0),
+        PackableFrame::Octaves(_) => (SIZES_VERSION, SIZES),
+    };
+    let fields = frame.fields();
+    let mut writer = FrameWriter::of_version(version, out, fields[0].1.shape())?;
+    for (number, (_, field)) in (0..).zip(fields) {
+        (writer.field, writer.last) = (number, None);
+        writer.push_field(field)?;
     }
-    writer.finish(&frame.facts, frame.indicator)
+    let mut footer = footer(facts, indicator, flags);
+    if let PackableFrame::Octaves(sampled) = frame {
+        footer.extend(sampled.coarsest.to_le_bytes());
+        footer.extend(sampled.density.unwrap_or(0.0).to_le_bytes());
+    }
+    writer.finish_with(footer)
 }

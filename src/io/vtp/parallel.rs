@@ -68,8 +68,8 @@ pub fn open_particles(
     }
     let named: Vec<_> = sources.iter().map(|source| &*source.path).zip(&files).collect();
     refuse_other_scales(&named, wanted.attributes)?;
-    let file =
-        join_files(files).map_err(|(piece, fault)| ReadError::new(&sources[piece].path, fault))?;
+    let file = join_files(files, wanted.pieces)
+        .map_err(|(piece, fault)| ReadError::new(&sources[piece].path, fault))?;
     left_out.extend(file.left_out);
     Ok(ParticleFile { format, left_out, ..file })
 }

@@ -158,10 +158,12 @@ fn unbuilt(frame: &[u8]) -> Vec<u8> {
 fn open(bytes: &[u8]) {
     let path = folder::file("a.mnf", bytes);
     for cache in [0, u64::MAX] {
-        let Ok(frame) = open_frame(&path, cache) else { return };
-        for info in frame.dif.infos().iter().take(3) {
-            let _ = frame.dif.gather(info.full.grown(3, 3));
-            let _ = frame.dif.gather(CellBox::cube(info.key.coord(), 16));
+        let Ok(frame) = open_frame(&path, cache, None) else { return };
+        for (_, field) in frame.samples().fields() {
+            for info in field.infos().iter().take(3) {
+                let _ = field.gather(info.full.grown(3, 3));
+                let _ = field.gather(CellBox::cube(info.key.coord(), 16));
+            }
         }
     }
 }
@@ -212,7 +214,7 @@ fn frames() -> Vec<Vec<u8>> {
     first[8] = 1;
     frames.push(sealed(&first));
     assert!(
-        frames.iter().all(|frame| open_frame(&folder::file("seed.mnf", frame), 0).is_ok()),
+        frames.iter().all(|frame| open_frame(&folder::file("seed.mnf", frame), 0, None).is_ok()),
         "a seed is no frame"
     );
     frames

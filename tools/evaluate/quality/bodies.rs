@@ -120,7 +120,7 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
                 lines.push(Line {
                     rows: vec![row("mean"), row("Hausdorff")],
                     cell,
-                    scenes: vec![fill(solid, &lattice(number, jitter))],
+                    scenes: vec![fill(solid, &lattice(number, jitter)).into()],
                     lost: Lost::Row,
                     read: Box::new(move |meshes| {
                         Ok(distances(&truth, &meshes[0])?.map(figure).into())
@@ -139,7 +139,7 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
     let lines = SAMPLINGS.map(|(sampling, jitter)| Line {
         rows: vec![format!("volume, {sampling}")],
         cell: None,
-        scenes: vec![balls(&ball, jitter)],
+        scenes: vec![balls(&ball, jitter).into()],
         lost: Lost::Row,
         read: Box::new(|meshes| {
             let volume = Count::of(&components(&meshes[0]).0).volume;

@@ -48,7 +48,7 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
     let sheets = Line {
         rows: SHEETS.into_iter().flat_map(sheet_rows).collect(),
         cell: None,
-        scenes: vec![sheets()],
+        scenes: vec![sheets().into()],
         lost: Lost::Row,
         read: Box::new(|meshes| {
             Ok(SHEETS
@@ -69,7 +69,7 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
     let chains = Line {
         rows: GAPS.into_iter().flat_map(chain_rows).collect(),
         cell: None,
-        scenes: vec![chains()],
+        scenes: vec![chains().into()],
         lost: Lost::Row,
         read: Box::new(|meshes| {
             Ok((0..GAPS.len()).flat_map(|gap| chain_texts(&meshes[0], gap)).collect())
@@ -89,7 +89,7 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
         Line {
             rows: SIZES.map(row).into(),
             cell,
-            scenes: vec![drops(bulk)],
+            scenes: vec![drops(bulk).into()],
             lost: Lost::Row,
             read: Box::new(|meshes| {
                 let (found, _) = components(&meshes[0]);
@@ -105,7 +105,7 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
     let air = Line {
         rows: AIR.map(air_row).into(),
         cell: None,
-        scenes: vec![air()],
+        scenes: vec![air().into()],
         lost: Lost::Row,
         read: Box::new(|meshes| {
             let (found, _) = components(&meshes[0]);
@@ -117,7 +117,7 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
             .map(|what| format!("{what}: components, bubbles"))
             .into(),
         cell: None,
-        scenes: vec![disorder()],
+        scenes: vec![disorder().into()],
         lost: Lost::Row,
         read: Box::new(|meshes| {
             let (found, _) = components(&meshes[0]);

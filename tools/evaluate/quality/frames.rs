@@ -147,7 +147,7 @@ pub fn run(options: &Options, board: &Board, dam: &[Frame], given: &[Frame]) -> 
                 format!("{}: volume over the particles'", frame.name),
             ],
             cell: None,
-            scenes: vec![frame.points.clone()],
+            scenes: vec![frame.points.clone().into()],
             lost: Lost::Row,
             read: Box::new(move |meshes| {
                 let all = Count::of(&components(&meshes[0]).0);
@@ -172,7 +172,7 @@ pub fn run(options: &Options, board: &Board, dam: &[Frame], given: &[Frame]) -> 
                     cell_name(Some(cell))
                 )],
                 cell: Some(cell),
-                scenes: vec![last.points.clone()],
+                scenes: vec![last.points.clone().into()],
                 lost: Lost::Row,
                 read: Box::new(|meshes| Ok(vec![Count::of(&components(&meshes[0]).0).text()])),
             });
@@ -185,7 +185,7 @@ pub fn run(options: &Options, board: &Board, dam: &[Frame], given: &[Frame]) -> 
             DAM_BREAK.join(", ")
         )],
         cell: None,
-        scenes: dam.iter().map(|frame| frame.points.clone()).collect(),
+        scenes: dam.iter().map(|frame| frame.points.clone().into()).collect(),
         lost: Lost::Row,
         read: Box::new(move |meshes| {
             let volumes = meshes

@@ -46,7 +46,7 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
             lines.push(Line {
                 rows: ["bias", "RMS", "slope in degrees", "bubbles"].map(row).into(),
                 cell,
-                scenes: seeds.clone().map(|seed| pool(jitter, seed, 0)).collect(),
+                scenes: seeds.clone().map(|seed| pool(jitter, seed, 0).into()).collect(),
                 lost: Lost::Row,
                 read: Box::new(|meshes| {
                     let columns = middle(f64::from(WIDTH) - 2.0 * MARGIN);
@@ -69,7 +69,7 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
     let lines = WAVES.map(|[length, amplitude]| Line {
         rows: vec![format!("length {length}, amplitude {amplitude}")],
         cell: None,
-        scenes: seeds.clone().map(|seed| wavy(length, amplitude, seed)).collect(),
+        scenes: seeds.clone().map(|seed| wavy(length, amplitude, seed).into()).collect(),
         lost: Lost::Row,
         read: Box::new(move |meshes| {
             let columns = middle((2.0 * MARGIN / length).floor() * length);
@@ -92,7 +92,7 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
 }
 
 /// The mean error of the height, the RMS deviation from this mean, and the RMS slope in degrees.
-fn deviation(tops: &[Top], truth: f64) -> [f64; 3] {
+pub fn deviation(tops: &[Top], truth: f64) -> [f64; 3] {
     let bias = mean(tops.iter().map(|top| top.height)) - truth;
     let rms = mean(tops.iter().map(|top| (top.height - truth - bias).powi(2))).sqrt();
     [bias, rms, mean(tops.iter().map(|top| top.slope.powi(2))).sqrt().to_degrees()]

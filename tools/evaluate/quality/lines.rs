@@ -16,8 +16,24 @@ use super::programs::Method;
 use crate::Outcome;
 use crate::tables::Table;
 
+/// The extension of files of particles with sizes.
+pub const SIZED: &str = "csv";
+
 /// Positions of particles.
 pub type Points = Vec<[f64; 3]>;
+
+/// Particles, of spacing 1 or with sizes.
+pub struct Scene {
+    pub points: Points,
+    /// The sizes of the particles; `None` if all have size 1.
+    pub sizes: Option<Vec<f64>>,
+}
+
+impl From<Points> for Scene {
+    fn from(points: Points) -> Self {
+        Self { points, sizes: None }
+    }
+}
 
 type Reading = Box<dyn Fn(&[Mesh]) -> Outcome<Vec<String>> + Send + Sync>;
 
@@ -26,7 +42,7 @@ pub struct Line {
     pub rows: Vec<String>,
     /// The cell size in spacings; `None` for the default of each method.
     pub cell: Option<f64>,
-    pub scenes: Vec<Points>,
+    pub scenes: Vec<Scene>,
     pub lost: Lost,
     /// Measures the meshes of all scenes, and returns a text for each row.
     pub read: Reading,
@@ -103,7 +119,11 @@ impl Board {
     }
 
     fn inputs(&self, line: &Line) -> Outcome<Vec<PathBuf>> {
-        line.scenes.iter().map(|scene| self.input(scene)).collect()
+        let input = |scene: &Scene| match &scene.sizes {
+            None => self.input(&scene.points),
+            Some(sizes) => self.sized_input(&scene.points, sizes),
+        };
+        line.scenes.iter().map(input).collect()
     }
 
     /// Writes particles to a new file, as raw f32 triples.
@@ -117,9 +137,21 @@ impl Board {
         Ok(path)
     }
 
+    /// Writes particles with their radii to a new file, as text.
+    fn sized_input(&self, particles: &[[f64; 3]], sizes: &[f64]) -> Outcome<PathBuf> {
+        let path = self.file(SIZED);
+        let mut out = BufWriter::new(File::create(&path)?);
+        writeln!(out, "x,y,z,radius")?;
+        for ([x, y, z], size) in particles.iter().zip(sizes) {
+            writeln!(out, "{},{},{},{}", *x as f32, *y as f32, *z as f32, size / 2.0)?;
+        }
+        out.flush()?;
+        Ok(path)
+    }
+
     fn texts(&self, line: &Line, inputs: &[PathBuf], method: &Method) -> Outcome<Vec<String>> {
         let all = |text: &str| Ok(vec![text.to_owned(); line.rows.len()]);
-        if !method.takes_all(line.scenes.iter().map(Vec::len)) {
+        if !method.takes_all(&line.scenes) {
             return all("");
         }
         let meshes = inputs.iter().map(|input| self.mesh(method, input, line.cell));

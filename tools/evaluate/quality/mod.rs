@@ -2,7 +2,7 @@
 //! reads and writes files. A table has the programs' command lines.
 //!
 //! `tools/compare/quality` finds the programs, writes the table and runs this module. Lengths are
-//! in spacings of the particles, and the spacing is 1 in all files. Each program's best isovalue is
+//! in spacings of the particles, and the spacing is 1 in all files, except those of several sizes. Each program's best isovalue is
 //! chosen on other bodies and lattices than those whose results are shown.
 
 mod bodies;
@@ -15,6 +15,7 @@ mod lines;
 mod programs;
 mod rest;
 mod sheets;
+mod sizes;
 mod speed;
 mod views;
 
@@ -32,6 +33,7 @@ pub enum Part {
     Frames,
     Clumps,
     Sheets,
+    Sizes,
     Rest,
     Speed,
     Views,
@@ -59,6 +61,7 @@ pub fn run(options: &Options) -> Outcome<()> {
             Part::Frames => frames::run(options, &board, &dam, &given),
             Part::Clumps => clumps::run(options, &board),
             Part::Sheets => sheets::run(options, &board),
+            Part::Sizes => sizes::run(options, &board),
             Part::Rest => rest::run(options, &board, &dam),
             Part::Speed => speed::run(options, &board),
             Part::Views => views::run(options, &board, &dam, &given),

@@ -5,6 +5,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Instant;
 
+use super::lines::{SIZED, Scene};
 use crate::Outcome;
 
 /// Programs with [`Takes::Few`] or [`Takes::Slow`] get at most this many particles.
@@ -24,6 +25,8 @@ pub struct Program {
     /// The command line with the variables `{in}`, `{out}`, `{cell}` (cell size in spacings),
     /// `{cubes}` (cell size in radii), `{iso}` and `{threads}`.
     command: String,
+    /// The command line for particles of several sizes; `None` if the program assumes one size.
+    sized: Option<String>,
 }
 
 /// The scenes that a program is fast enough for.
@@ -46,16 +49,17 @@ pub struct Method {
     pub documented: bool,
 }
 
-/// Reads the table of programs. Each line has five fields, separated by tabs: name, cell size or
-/// `-`, isovalues or `-`, `many`, `few` or `slow`, and command.
+/// Reads the table of programs. Each line has six fields, separated by tabs: name, cell size or `-`,
+/// isovalues or `-`, `many`, `few` or `slow`, command, and command for several sizes or `-`.
 pub fn read(path: &Path) -> Outcome<Vec<Program>> {
     fs::read_to_string(path)?.lines().map(Program::parse).collect()
 }
 
 impl Program {
     fn parse(line: &str) -> Outcome<Self> {
-        let [name, cell, isos, takes, command] = line.split('\t').collect::<Vec<_>>()[..] else {
-            return Err(format!("five fields are needed, not `{line}`").into());
+        let [name, cell, isos, takes, command, sized] = line.split('\t').collect::<Vec<_>>()[..]
+        else {
+            return Err(format!("six fields are needed, not `{line}`").into());
         };
         let known = |text: &str| (text != "-").then(|| text.to_owned());
         Ok(Self {
@@ -69,6 +73,7 @@ impl Program {
                 _ => return Err(format!("many, few or slow is needed, not `{takes}`").into()),
             },
             command: command.into(),
+            sized: known(sized),
         })
     }
 
@@ -93,10 +98,11 @@ impl Method {
         self.program.takes == Takes::Many || particles <= MANY
     }
 
-    /// Whether the program runs on a row. `scenes` has the number of particles of each scene.
-    pub fn takes_all(&self, scenes: impl ExactSizeIterator<Item = usize>) -> bool {
+    /// Whether the program runs on a row with these scenes.
+    pub fn takes_all(&self, scenes: &[Scene]) -> bool {
         let starts = self.program.takes != Takes::Slow || scenes.len() <= SCENES;
-        starts && scenes.into_iter().all(|particles| self.takes(particles))
+        let takes_sizes = |scene: &Scene| scene.sizes.is_none() || self.program.sized.is_some();
+        starts && scenes.iter().all(|scene| self.takes(scene.points.len()) && takes_sizes(scene))
     }
 
     /// The words of the command line. Words with a variable that has no value are left out.
@@ -117,7 +123,10 @@ impl Method {
                 None => (!word.contains(name)).then_some(word),
             })
         };
-        self.program.command.split_whitespace().filter_map(filled).collect()
+        let Program { command, sized, .. } = &self.program;
+        let is_sized = files[0].extension().is_some_and(|extension| extension == SIZED);
+        let command = sized.as_ref().filter(|_| is_sized).unwrap_or(command);
+        command.split_whitespace().filter_map(filled).collect()
     }
 
     /// Runs the program, and returns its time in seconds; `None` if it failed or found no surface.
@@ -143,15 +152,20 @@ mod tests {
     #[test]
     fn a_word_that_speaks_of_an_unknown_cell_is_left_out() {
         let program =
-            Program::parse("one\t-\t0.6 0.5\tfew\tone {in} -c={cubes} -t={iso} -o {out}").unwrap();
+            Program::parse("one\t-\t0.6 0.5\tfew\tone {in} -c={cubes} -t={iso} -o {out}\t-")
+                .unwrap();
         let files = ["a", "b"].map(Path::new);
         let words = |method: &Method, cell| method.words(files, cell, 1).join(" ");
         assert_eq!(words(&program.documented(), None), "one a -t=0.6 -o b");
         assert_eq!(words(&program.best("0.5"), Some(0.25)), "one a -c=0.5 -t=0.5 -o b");
         assert!(program.documented().takes(MANY) && !program.documented().takes(MANY + 1));
-        assert!(program.documented().takes_all(vec![MANY; SCENES + 1].into_iter()));
+        let scenes =
+            |count: usize| -> Vec<Scene> { (0..count).map(|_| vec![[0.0; 3]].into()).collect() };
+        assert!(program.documented().takes_all(&scenes(SCENES + 1)));
+        let sized = Scene { points: vec![[0.0; 3]], sizes: Some(vec![1.0]) };
+        assert!(!program.documented().takes_all(&[sized]));
         let slow = Program { takes: Takes::Slow, ..program }.documented();
-        assert!(!slow.takes_all(vec![1; SCENES + 1].into_iter()));
-        assert!(slow.takes_all(vec![1; SCENES].into_iter()));
+        assert!(!slow.takes_all(&scenes(SCENES + 1)));
+        assert!(slow.takes_all(&scenes(SCENES)));
     }
 }

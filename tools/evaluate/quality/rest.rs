@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use super::bodies::JITTER;
 use super::frames::Frame;
 use super::heights::Columns;
-use super::lines::{Board, Line, Lost, Points};
+use super::lines::{Board, Line, Lost, Points, Scene};
 use crate::sample::cuboid;
 use crate::scene::Random;
 use crate::tables::{figure, mean};
@@ -34,11 +34,13 @@ pub fn run(options: &Options, board: &Board, dam: &[Frame]) -> Outcome<()> {
     let pools = [0.0, JITTER].map(|jitter| {
         let lo = IVec3::new(0, -DEPTH, 0);
         let pool = cuboid(lo, IVec3::new(WIDTH, 0, WIDTH), jitter, &mut Random::new(16));
-        let raised = |step: usize| pool.iter().map(|&[x, y, z]| [x, y + rise(step), z]).collect();
+        let raised = |step: usize| -> Points {
+            pool.iter().map(|&[x, y, z]| [x, y + rise(step), z]).collect()
+        };
         Line {
             rows: vec![format!("pool, jittered by {jitter}: largest movement in a step, in cells")],
             cell: Some(CELL),
-            scenes: (0..=STEPS).map(raised).collect(),
+            scenes: (0..=STEPS).map(|step| raised(step).into()).collect(),
             lost: Lost::Row,
             read: Box::new(|meshes| {
                 let columns =
@@ -63,7 +65,7 @@ pub fn run(options: &Options, board: &Board, dam: &[Frame]) -> Outcome<()> {
                 frame.name
             )],
             cell: Some(CELL),
-            scenes,
+            scenes: scenes.into_iter().map(Scene::from).collect(),
             lost: Lost::Row,
             read: Box::new(move |meshes| {
                 let far = meshes.windows(2).zip(&steps).map(|(pair, points)| -> Outcome<f64> {

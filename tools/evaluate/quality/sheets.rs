@@ -9,7 +9,7 @@ use petgraph::unionfind::UnionFind;
 
 use super::bodies::lattice;
 use super::components::{Component, Count, components, handles};
-use super::lines::{Board, Line, Lost, Points, cell_name};
+use super::lines::{Board, Line, Lost, Points, Scene, cell_name};
 use crate::sample::cuboid;
 use crate::scene::Random;
 use crate::tables::{figure, mean};
@@ -78,7 +78,7 @@ fn still(board: &Board, Samples { cells, seeds }: &Samples) -> Outcome<()> {
             )],
             cell: Some(cell),
             lost: Lost::Scene,
-            scenes: seeds.clone().map(|seed| sheet(layers, stretch, seed)).collect(),
+            scenes: seeds.clone().map(|seed| sheet(layers, stretch, seed).into()).collect(),
             read: Box::new(move |meshes| {
                 Ok(vec![text(meshes.iter().map(|mesh| Tear::of_sheet(mesh, volume)).collect())])
             }),
@@ -94,7 +94,7 @@ fn still(board: &Board, Samples { cells, seeds }: &Samples) -> Outcome<()> {
             )],
             cell: Some(cell),
             lost: Lost::Scene,
-            scenes,
+            scenes: scenes.into_iter().map(Scene::from).collect(),
             read: Box::new(move |meshes| {
                 Ok(vec![text(meshes.iter().map(|mesh| Tear::of_shell(mesh, volume)).collect())])
             }),
@@ -115,7 +115,7 @@ fn in_filaments(board: &Board, Samples { cells, seeds }: &Samples) -> Outcome<()
         rows: vec![format!("stretched {stretch} times, {}", cell_name(Some(cell)))],
         cell: Some(cell),
         lost: Lost::Scene,
-        scenes: seeds.clone().map(|seed| filaments(stretch, seed)).collect(),
+        scenes: seeds.clone().map(|seed| filaments(stretch, seed).into()).collect(),
         read: Box::new(|meshes| {
             let counts = meshes.iter().map(|mesh| Count::of(&components(mesh).0));
             let pieces = mean(counts.clone().map(|count| count.components as f64));
@@ -142,7 +142,7 @@ fn in_spray(board: &Board, Samples { cells, seeds }: &Samples) -> Outcome<()> {
             rows: vec![format!("{apart} apart on average, {}", cell_name(Some(cell)))],
             cell: Some(cell),
             lost: Lost::Scene,
-            scenes,
+            scenes: scenes.into_iter().map(Scene::from).collect(),
             read: Box::new(move |meshes| {
                 let pieces: usize =
                     meshes.iter().map(|mesh| Count::of(&components(mesh).0).components).sum();
@@ -173,7 +173,7 @@ fn stretching(board: &Board, samples: &Samples, layers: &[i32], frames: usize) -
             .into(),
             cell: Some(cell),
             lost: Lost::Scene,
-            scenes: (0..frames).map(|n| sheet(layers, slow(n, frames), 0)).collect(),
+            scenes: (0..frames).map(|n| sheet(layers, slow(n, frames), 0).into()).collect(),
             read: Box::new(move |meshes| {
                 let tears: Vec<Tear> =
                     meshes.iter().map(|mesh| Tear::of_sheet(mesh, volume)).collect();

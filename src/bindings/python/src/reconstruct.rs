@@ -23,9 +23,9 @@ use crate::work::{Work, with_progress};
 /// optional Use only particles whose ``attributes`` satisfy a condition, such as "Type=1" or
 /// "age<2.5 and z>0". spacing, radius : float, optional Distance between neighbouring particles, or
 /// half of it. Estimated if neither is given. size : str, optional Attribute with the particles'
-/// sizes, if the sizes differ; "pscale" and "radius" are found without it. The name says what the
-/// values are: radii, diameters, volumes, or masses, which need a density. "none" treats all
-/// particles as one size. cell, cell_size : float, optional Edge length of a cell, in spacings (0.5
+/// sizes, if the sizes differ; "pscale", "radius" and "spacing" are found without it. The name says
+/// what the values are: radii, diameters, volumes, or masses, which need a density. "none" treats
+/// all particles as one size. cell, cell_size : float, optional Edge length of a cell, in spacings (0.5
 /// by default; use 0.25 for renders) or as a length. origin : three floats, optional Position of a
 /// corner of a grid cell. domain : six floats or None, or two corners, or "auto", optional Walls of
 /// a tank, x0, y0, z0, x1, y1, z1, on which the surface ends exactly; None for an open side. "auto"
