@@ -140,13 +140,14 @@
 //!
 //! # Features
 //!
-//! All features are on by default. None of them is needed to make meshes.
+//! All features are on by default. None of them is needed to make meshes. To turn them off, set
+//! `default-features = false`, and list the features that you need.
 //!
-//! | feature | adds |
-//! |---|---|
-//! | `cli` | the program `meniscus`, with its dependencies |
-//! | `pictures` | the module [`picture`] |
-//! | `hdf5` | HDF5 inputs |
+//! - Without `cli`, there is no program `meniscus` and no module `program`, and clap and the other
+//!   dependencies of the command line are not built. `cli` turns on `pictures`.
+//! - Without `pictures`, there is no module [`picture`], and nothing draws pictures.
+//! - Without `hdf5`, HDF5 inputs are an error: VTKHDF, SWIFT, GADGET, openPMD, PySPH, H5Part, H5MD
+//!   and others. `.vtkhdf` meshes can be written, but not read.
 
 #![cfg_attr(docsrs, feature(doc_cfg))]
 

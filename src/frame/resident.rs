@@ -55,7 +55,7 @@ pub struct DeviceRequest {
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Exchange<'a> {
     /// Semaphores to wait for before the positions are read. The device waits for them even if the
-    /// call fails, so a second call must not wait for them again.
+    /// call fails, so a second call must not wait for a binary semaphore again.
     pub wait: &'a [SemaphorePoint],
     /// Semaphores to signal when the surface is complete. The call may return earlier. After an
     /// error, they are not signalled.

@@ -54,7 +54,7 @@ fn joined_byte_colours_become_fractions_and_other_scale_mixes_are_refused() {
 
     for paths in [[&*bytes, &*shares], [&*shares, &*bytes]] {
         let file = join(&paths).unwrap();
-        let infos = meniscus::internals::particles::Particles::attributes(&file.particles);
+        let infos = Particles::attributes(&file.particles);
         assert_eq!(infos[0].kind, AttributeKind::Colour);
         let mut values = attribute(&file, &infos[0].name);
         values.sort_by(f32::total_cmp);
