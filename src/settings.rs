@@ -161,7 +161,7 @@ settings! {
     )]
     radius: Option<f64>,
 
-    /// Attribute with the particles' sizes, if the sizes differ [default: pscale, radius or spacing].
+    /// Attribute with the particles' sizes, if they differ [default: pscale, radius or spacing].
     ///
     /// Each region of the fluid is meshed at its own particle spacing. The name of the attribute
     /// says what its values are: radii (half of a particle's spacing), diameters, volumes, or

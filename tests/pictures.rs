@@ -691,7 +691,7 @@ fn an_interrupted_picture_leaves_no_files() {
             files.map(|file| file.file_name()).any(|name| name.to_string_lossy().starts_with('.'))
         };
         program::wait_until(&mut child, "its temporary file", has_begun);
-        let interrupted = Command::new("kill").args(["-INT", &child.id().to_string()]).status();
+        let interrupted = Command::new("kill").args(["-TERM", &child.id().to_string()]).status();
         assert!(interrupted.unwrap().success());
         assert_eq!(child.wait().unwrap().code(), Some(130), "{output}");
         assert_eq!(listing(folder.path()), before, "{output}");

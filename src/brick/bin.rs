@@ -177,7 +177,7 @@ impl BinPlan {
     /// # Errors
     /// [`BinError`] with the first invalid particle, unless invalid particles are skipped.
     pub fn count(
-        particles: &(impl Particles + ?Sized),
+        particles: &dyn Particles,
         grid: &Grid,
         domain: Option<&Domain>,
         invalid: InvalidParticles,
@@ -189,7 +189,7 @@ impl BinPlan {
     /// Counts `particles`, and calls `visit` with batches of the positions, in any order. Each
     /// particle is passed at most once. If there are too many bins, some particles are not passed.
     pub fn count_while(
-        particles: &(impl Particles + ?Sized),
+        particles: &dyn Particles,
         grid: &Grid,
         domain: Option<&Domain>,
         invalid: InvalidParticles,
@@ -203,7 +203,7 @@ impl BinPlan {
     /// Counts only the particles of the `wanted` bins, and ignores all other particles. An earlier
     /// call has refused or skipped invalid particles.
     pub fn count_wanted(
-        particles: &(impl Particles + ?Sized),
+        particles: &dyn Particles,
         grid: &Grid,
         domain: Option<&Domain>,
         wanted: WantedBins,
@@ -219,7 +219,7 @@ impl BinPlan {
     }
 
     fn of_placed(
-        particles: &(impl Particles + ?Sized),
+        particles: &dyn Particles,
         placer: Placer,
         invalid: InvalidParticles,
         room: CountingRoom,
@@ -314,11 +314,7 @@ impl BinPlan {
     ///
     /// # Errors
     /// [`RereadError::Changed`] if particles moved since they were counted.
-    pub fn fill(
-        self,
-        particles: &(impl Particles + ?Sized),
-        carried: &[usize],
-    ) -> Result<Bins, RereadError> {
+    pub fn fill(self, particles: &dyn Particles, carried: &[usize]) -> Result<Bins, RereadError> {
         let Self { placer, census, keys, first, ranges } = self;
         let components = components(particles, carried);
         let slots = Slots::new(census.binned, &components);
@@ -403,7 +399,7 @@ pub(super) struct Tuples<'a> {
 
 impl<'a> Tuples<'a> {
     pub(super) fn read(
-        particles: &(impl Particles + ?Sized),
+        particles: &dyn Particles,
         carried: &[usize],
         components: &'a [usize],
         first: usize,
@@ -430,7 +426,7 @@ impl<'a> Tuples<'a> {
     }
 }
 
-pub(super) fn components(particles: &(impl Particles + ?Sized), carried: &[usize]) -> Vec<usize> {
+pub(super) fn components(particles: &dyn Particles, carried: &[usize]) -> Vec<usize> {
     carried.iter().map(|&index| particles.attributes()[index].components).collect()
 }
 
@@ -475,7 +471,7 @@ struct Counter {
 impl Counter {
     fn count(
         &self,
-        particles: &(impl Particles + ?Sized),
+        particles: &dyn Particles,
         range: Range<usize>,
         visit: impl Fn(&[[f64; 3]]),
     ) -> RangeCount {
@@ -527,7 +523,7 @@ mod tests {
 
     /// Each bin with the sorted records of its particles.
     fn binned(plan: BinPlan, particles: &[[f64; 3]]) -> Vec<(MortonKey, Vec<Record>)> {
-        let bins = plan.fill(particles, &[]).unwrap();
+        let bins = plan.fill(&particles, &[]).unwrap();
         let sorted = |bin: usize| {
             let mut records = bins.contents(bin).unwrap().packed().to_vec();
             records.sort_unstable();
@@ -551,8 +547,7 @@ mod tests {
             particles[12_345][1] = f64::NAN;
             for domain in [None, Some(&walls)] {
                 let [with, without] = [kept, CountingRoom::BINS].map(|room| {
-                    BinPlan::count(&particles[..], &grid, domain, InvalidParticles::Skip, room)
-                        .unwrap()
+                    BinPlan::count(&particles, &grid, domain, InvalidParticles::Skip, room).unwrap()
                 });
                 let all_kept = with.places_bytes() == CountingRoom::PLACE * particles.len() as u64;
                 assert_eq!(all_kept, bins == 5);

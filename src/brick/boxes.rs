@@ -17,8 +17,8 @@ const LANES: usize = 8;
 
 /// Particles that record a bounding box of each chunk while they are read.
 #[derive(Debug)]
-pub struct WithBoxes<'a, P: ?Sized> {
-    particles: &'a P,
+pub struct WithBoxes<'a> {
+    particles: &'a dyn Particles,
     grid: Grid,
     chunks: Vec<ChunkExtent>,
 }
@@ -55,10 +55,14 @@ impl Extent {
     }
 }
 
-impl<'a, P: Particles + ?Sized> WithBoxes<'a, P> {
+impl<'a> WithBoxes<'a> {
     /// Wraps `particles`, which consist of consecutive chunks with these `counts`. The sum of
     /// `counts` must be the number of particles.
-    pub fn new(particles: &'a P, counts: impl Iterator<Item = usize>, grid: &Grid) -> Self {
+    pub fn new(
+        particles: &'a dyn Particles,
+        counts: impl Iterator<Item = usize>,
+        grid: &Grid,
+    ) -> Self {
         let mut end = 0;
         let chunks = counts.map(|count| {
             let first = end;
@@ -132,7 +136,7 @@ fn extent(positions: &[[f64; 3]]) -> [[f64; 3]; 2] {
     ]
 }
 
-impl<P: Particles + ?Sized> Particles for WithBoxes<'_, P> {
+impl Particles for WithBoxes<'_> {
     fn len(&self) -> usize {
         self.particles.len()
     }
@@ -207,7 +211,7 @@ mod tests {
                 for (own, found) in particles.chunks(chunk).zip(watched.boxes(domain)) {
                     let room = CountingRoom::BINS;
                     let counted = |domain| {
-                        BinPlan::count(own, &grid, domain, InvalidParticles::Skip, room).unwrap()
+                        BinPlan::count(&own, &grid, domain, InvalidParticles::Skip, room).unwrap()
                     };
                     let around = |plan: &BinPlan| {
                         let bins = plan.keys().iter().map(|key| CellBox::cube(key.coord(), 1));

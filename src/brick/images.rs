@@ -24,8 +24,8 @@ const GROUP: usize = 1 << 10;
 
 /// Particles for binning: with their images, if their box is periodic.
 #[derive(Debug)]
-pub struct WithImages<'a, P: ?Sized> {
-    particles: MeteredParticles<'a, P>,
+pub struct WithImages<'a> {
+    particles: MeteredParticles<'a>,
     images: Option<Images<'a>>,
 }
 
@@ -49,14 +49,14 @@ struct InvalidCounts {
     first_invalid: Mutex<Option<(usize, BinError)>>,
 }
 
-impl<'a, P: Particles + ?Sized> WithImages<'a, P> {
+impl<'a> WithImages<'a> {
     /// Counts the images of particles if their box is periodic, in one reading of all particles.
     ///
     /// # Errors
     /// [`BinError`] with the first particle that cannot be placed or is outside of the box, unless
     /// invalid particles are skipped.
     pub fn of(
-        particles: MeteredParticles<'a, P>,
+        particles: MeteredParticles<'a>,
         grid: &Grid,
         domain: Option<&Domain>,
         periodic: Option<&'a Periodic>,
@@ -117,7 +117,7 @@ enum MisplacedParticle {
 }
 
 /// The particles of a group.
-fn group_range(particles: &(impl Particles + ?Sized), group: usize) -> Range<usize> {
+fn group_range(particles: &dyn Particles, group: usize) -> Range<usize> {
     group * GROUP..particles.len().min((group + 1) * GROUP)
 }
 
@@ -146,12 +146,7 @@ impl Images<'_> {
     }
 
     /// Counts the images of a group, and its invalid particles.
-    fn count(
-        &self,
-        particles: &(impl Particles + ?Sized),
-        group: usize,
-        counts: &InvalidCounts,
-    ) -> u64 {
+    fn count(&self, particles: &dyn Particles, group: usize, counts: &InvalidCounts) -> u64 {
         let range = group_range(particles, group);
         let mut positions = vec![[0.0; 3]; range.len()];
         particles.positions(range.start, &mut positions);
@@ -191,7 +186,7 @@ impl Images<'_> {
     /// group, and the positions of the images.
     fn groups(
         &self,
-        particles: &(impl Particles + ?Sized),
+        particles: &dyn Particles,
         first: usize,
         count: usize,
         mut take: impl FnMut(Range<usize>, &[usize], &[[f64; 3]]),
@@ -230,7 +225,7 @@ fn split<T>(out: &mut [T], width: usize, first: usize, own: usize) -> (&mut [T],
     out.split_at_mut(at.min(out.len()))
 }
 
-impl<P: Particles + ?Sized> Particles for WithImages<'_, P> {
+impl Particles for WithImages<'_> {
     fn len(&self) -> usize {
         self.particles.len() + self.images.as_ref().map_or(0, Images::count_all)
     }
@@ -286,7 +281,7 @@ impl<P: Particles + ?Sized> Particles for WithImages<'_, P> {
     }
 }
 
-impl<P: Particles + ?Sized> WithImages<'_, P> {
+impl WithImages<'_> {
     /// Fills `out` with attribute number `index` of particles and images. `read` reads the
     /// attribute of particles; an image has the value of its particle.
     fn tuples<T: Copy + Default>(

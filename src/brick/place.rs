@@ -116,7 +116,7 @@ impl Placer {
     /// addresses, until `each` returns an error.
     pub fn for_each_chunk<E>(
         &self,
-        particles: &(impl Particles + ?Sized),
+        particles: &dyn Particles,
         range: Range<usize>,
         mut each: impl FnMut(usize, &[[f64; 3]], &[Address]) -> Result<(), E>,
     ) -> Result<(), E> {

@@ -28,7 +28,7 @@ impl BinPlan {
     /// `bytes`; a bin that is too large for this is a run of its own.
     pub fn runs(
         &self,
-        particles: &(impl Particles + ?Sized),
+        particles: &dyn Particles,
         carried: &[usize],
         bytes: u64,
     ) -> Vec<Range<usize>> {
@@ -59,7 +59,7 @@ impl BinPlan {
     /// [`RereadError::Changed`] if particles moved since they were counted.
     pub fn spill(
         self,
-        particles: &(impl Particles + ?Sized),
+        particles: &dyn Particles,
         carried: &[usize],
         runs: Vec<Range<usize>>,
         folder: &Path,

@@ -489,12 +489,11 @@ mod tests {
         let particles: Vec<[f64; 3]> =
             (0..PARTICLES).map(|i| std::array::from_fn(|a| coordinate(i, a))).collect();
         let room = CountingRoom::BINS;
-        let plan =
-            BinPlan::count(&particles[..], &grid, None, InvalidParticles::Refuse, room).unwrap();
-        let runs = plan.runs(&particles[..], &[], 5000 * 8);
+        let plan = BinPlan::count(&particles, &grid, None, InvalidParticles::Refuse, room).unwrap();
+        let runs = plan.runs(&particles, &[], 5000 * 8);
         assert!(runs.len() > 6, "{} runs tell nothing", runs.len());
         let folder = tempfile::tempdir().unwrap();
-        let spilled = plan.spill(&particles[..], &[], runs, folder.path(), 1 << 16, memory_bytes);
+        let spilled = plan.spill(&particles, &[], runs, folder.path(), 1 << 16, memory_bytes);
         let spilled = spilled.unwrap().unwrap();
         let places = |spilled: &SpilledBins| [spilled.memory.taken(), spilled.scratch.len()];
         let (mut bins, mut bytes) = (Vec::new(), vec![places(&spilled)]);

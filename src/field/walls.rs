@@ -142,7 +142,7 @@ impl Ends {
     /// few megabytes at most.
     #[must_use]
     pub fn of(
-        particles: &(impl Particles + ?Sized),
+        particles: &dyn Particles,
         known: Option<Bounds>,
         spacing: f64,
         flat: Option<usize>,
@@ -294,7 +294,7 @@ impl ColumnCounts {
 
 /// Bounds of the particles that a grid can hold; `None` if it can hold no particle.
 #[must_use]
-pub fn bounds_held(particles: &(impl Particles + ?Sized), grid: &Grid) -> Option<Bounds> {
+pub fn bounds_held(particles: &dyn Particles, grid: &Grid) -> Option<Bounds> {
     let is_held = |position: [f64; 3]| grid.place(position).is_ok();
     let of_chunk = |chunk: Vec<[f64; 3]>| {
         let all = Bounds::of(&chunk);
@@ -472,9 +472,9 @@ mod tests {
 
     fn ends(positions: &[[f64; 3]]) -> Ends {
         let grid = Grid::new(DVec3::ZERO, 0.5).unwrap();
-        let ends = Ends::of(positions, None, 1.0, None, &grid).unwrap();
+        let ends = Ends::of(&positions, None, 1.0, None, &grid).unwrap();
         let known = Some(Bounds::of(positions));
-        assert_eq!(Ends::of(positions, known, 1.0, None, &grid).as_ref(), Some(&ends));
+        assert_eq!(Ends::of(&positions, known, 1.0, None, &grid).as_ref(), Some(&ends));
         ends
     }
 

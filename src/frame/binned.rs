@@ -17,7 +17,7 @@ use super::{FrameError, Resources};
 /// Sorts counted particles according to a plan, with the attributes numbered in `carried`.
 pub(super) fn sorted(
     bin_plan: BinPlan,
-    particles: &(impl Particles + ?Sized),
+    particles: &dyn Particles,
     carried: &[usize],
     plan: MemoryPlan,
     resources: &Resources,

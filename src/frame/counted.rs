@@ -14,8 +14,8 @@ use crate::system::control::Stage;
 use super::{FrameError, Method, OccupiedTiles, Sampling, Surfacing};
 
 /// Particles that are counted by bin: the memory of the frame is known, and nothing is stored yet.
-pub struct CountedFrame<'a, P: ?Sized> {
-    pub(super) particles: WithImages<'a, P>,
+pub struct CountedFrame<'a> {
+    pub(super) particles: WithImages<'a>,
     pub(super) sampling: &'a Sampling,
     pub(super) plan: BinPlan,
     census: Census,
@@ -24,20 +24,20 @@ pub struct CountedFrame<'a, P: ?Sized> {
     stretch: Stretch,
 }
 
-impl<'a, P: Particles + ?Sized> CountedFrame<'a, P> {
+impl<'a> CountedFrame<'a> {
     /// Counts the particles, and checks that they can be processed.
     ///
     /// # Errors
     /// [`FrameError`] if particles cannot be placed, if there are none, or if there are more than
     /// the budget can hold.
-    pub fn of(particles: &'a P, sampling: &'a Sampling) -> Result<Self, FrameError> {
+    pub fn of(particles: &'a dyn Particles, sampling: &'a Sampling) -> Result<Self, FrameError> {
         Self::planned(particles, sampling, None)
     }
 
     /// Counts the particles, or takes a plan of all particles that was made earlier by the same
     /// sampling.
     fn planned(
-        particles: &'a P,
+        particles: &'a dyn Particles,
         sampling: &'a Sampling,
         plan: Option<BinPlan>,
     ) -> Result<Self, FrameError> {
@@ -65,11 +65,11 @@ impl<'a, P: Particles + ?Sized> CountedFrame<'a, P> {
 
     /// The particles with their images in a periodic box, and their bins, which `count` computes.
     fn with_images(
-        given: &'a P,
+        given: &'a dyn Particles,
         sampling: &'a Sampling,
         invalid: InvalidParticles,
-        count: impl FnOnce(&WithImages<'a, P>, CountingRoom) -> Result<BinPlan, BinError>,
-    ) -> Result<(WithImages<'a, P>, BinPlan), FrameError> {
+        count: impl FnOnce(&WithImages<'a>, CountingRoom) -> Result<BinPlan, BinError>,
+    ) -> Result<(WithImages<'a>, BinPlan), FrameError> {
         let Sampling { grid, domain, periodic, resources, .. } = sampling;
         let metered = MeteredParticles::new(given, &resources.control, Stage::Counting);
         let particles = WithImages::of(metered, grid, domain.as_ref(), periodic.as_ref(), invalid);
@@ -93,13 +93,13 @@ impl<'a, P: Particles + ?Sized> CountedFrame<'a, P> {
     /// their images. All particles were counted earlier, when invalid particles were refused or
     /// skipped.
     pub fn of_wanted(
-        particles: &'a P,
+        particles: &'a dyn Particles,
         sampling: &'a Sampling,
         surfacing: &Surfacing,
         wanted: WantedBins,
     ) -> Result<Self, FrameError> {
         let Sampling { grid, domain, .. } = sampling;
-        let count = |particles: &WithImages<'a, P>, room| {
+        let count = |particles: &WithImages<'a>, room| {
             BinPlan::count_wanted(particles, grid, domain.as_ref(), wanted, room)
         };
         let (particles, plan) =
@@ -119,7 +119,7 @@ impl<'a, P: Particles + ?Sized> CountedFrame<'a, P> {
     /// makes the count unnecessary, if it comes from a sampling with the same settings, as far as
     /// they affect a plan.
     pub fn for_surface(
-        particles: &'a P,
+        particles: &'a dyn Particles,
         sampling: &'a Sampling,
         surfacing: &Surfacing,
         plan: Option<BinPlan>,
@@ -165,7 +165,7 @@ impl Sampling {
     /// positions. Only the blocks in a stretch are meshed.
     pub fn estimate(
         &self,
-        particles: &(impl Particles + ?Sized),
+        particles: &dyn Particles,
         surfacing: &Surfacing,
         bins: impl Iterator<Item = (MortonKey, usize)> + Clone,
         stretch: Stretch,
@@ -214,7 +214,7 @@ impl Sampling {
 /// surface passes as a plane. The values of a block are in memory twice: once as a copy on the way
 /// to a scratch file.
 fn check_attribute_memory(
-    particles: &(impl Particles + ?Sized),
+    particles: &dyn Particles,
     sampling: &Sampling,
 ) -> Result<(), FrameError> {
     let attributes = particles.attributes();
@@ -229,11 +229,7 @@ fn check_attribute_memory(
 }
 
 /// The error for particles in more bins than the budget allows.
-fn over_budget(
-    particles: &(impl Particles + ?Sized),
-    sampling: &Sampling,
-    room: CountingRoom,
-) -> FrameError {
+fn over_budget(particles: &dyn Particles, sampling: &Sampling, room: CountingRoom) -> FrameError {
     FrameError::OverBudget(OverBudget {
         cell_size: sampling.grid.cell_size(),
         budget: sampling.resources.budget.0,
@@ -242,11 +238,7 @@ fn over_budget(
 }
 
 /// The cell size, doubled until the tables of bins fit into the budget.
-fn fitting_cell_size(
-    particles: &(impl Particles + ?Sized),
-    sampling: &Sampling,
-    room: CountingRoom,
-) -> f64 {
+fn fitting_cell_size(particles: &dyn Particles, sampling: &Sampling, room: CountingRoom) -> f64 {
     let mut cell = sampling.grid.cell_size();
     loop {
         cell *= 2.0;

@@ -92,7 +92,7 @@ impl Engine {
     /// [`FrameError`] if particles cannot be placed, if there are none, if they exceed the budget
     /// or the disk, if their field cannot be made, or if scratch files fail.
     pub fn sample(
-        particles: &(impl Particles + ?Sized),
+        particles: &dyn Particles,
         sampling: &Sampling,
         timings: &mut Timings,
     ) -> Result<Self, FrameError> {
@@ -106,8 +106,8 @@ impl Engine {
     /// # Errors
     /// [`FrameError`] if they exceed the disk, if their field cannot be made, or if scratch files
     /// fail.
-    pub fn sample_counted<P: Particles + ?Sized>(
-        counted: CountedFrame<'_, P>,
+    pub fn sample_counted(
+        counted: CountedFrame<'_>,
         budget: MemoryBudget,
         timings: &mut Timings,
     ) -> Result<Self, FrameError> {
@@ -305,8 +305,7 @@ impl Engine {
     }
 
     /// Whether the particles have several sizes.
-    #[must_use]
-    pub fn has_sizes(&self) -> bool {
+    fn has_sizes(&self) -> bool {
         matches!(self.field, SampledField::Sizes(_))
     }
 

@@ -87,7 +87,7 @@ impl Sampling {
     pub fn sized(
         self,
         sizes: Option<&Sizes>,
-        particles: &(impl Particles + ?Sized),
+        particles: &dyn Particles,
     ) -> Result<Self, SizeFault> {
         let sized = |sizes: &Sizes| {
             let columns = sizes.columns(particles.attributes())?;
@@ -291,7 +291,8 @@ impl Surfacing {
         let filters = self.filters(kind, spacing, grid);
         let (levels, block_bytes) = match (spacing_cells, coarsest) {
             (Some(cells), Some(coarsest)) => {
-                let octaves = Octaves::new(cells, coarsest / grid.cell_size(), 1.0).count;
+                let finest = spacing.unwrap_or(coarsest);
+                let octaves = Octaves::new(finest, coarsest, grid.cell_size()).count;
                 let bytes = SizedField::block_bytes(self.smooth, self.sheets, cells, octaves);
                 (octaves, bytes)
             }

@@ -132,7 +132,16 @@ impl SampledSizes {
             let cut = |within: CellBox| cells.intersection(&within.grown(1, 0));
             LevelRegion { level, cells: within.map_or(cells, cut) }
         };
-        let regions = levels.regions(self.clouds[0].surface_boxes(field.reach())).into_iter();
+        let boxes = self.clouds[0].surface_boxes(field.reach());
+        // Wide cells at a wall can reach beyond it.
+        let beyond = 1 << levels.count();
+        let boxes = boxes.filter_map(|cells| match walls {
+            Some(walls) => {
+                Some(cells.intersection(&walls.grown(beyond, beyond))).filter(|c| !c.is_empty())
+            }
+            None => Some(cells),
+        });
+        let regions = levels.regions(boxes).into_iter();
         let regions = regions.map(cut).filter(|region| !region.cells.is_empty()).collect();
         // The filters use cells beyond a periodic face, but the mesh ends there.
         let faces = walls.filter(|_| facts.periodic.is_some());

@@ -174,6 +174,14 @@ impl MeshFormat {
         both.map(|(info, name)| [info.name.clone(), name]).collect()
     }
 
+    /// The attributes that the format cannot store, because they have too many components.
+    #[must_use]
+    pub fn not_stored(self, attributes: &[AttributeInfo]) -> Vec<AttributeInfo> {
+        let is_left_out =
+            |info: &&AttributeInfo| matches!(self, Self::Glb(_)) && !glb::can_store(info);
+        attributes.iter().filter(is_left_out).cloned().collect()
+    }
+
     /// How many times the writer reads the vertices or the triangles of a mesh.
     pub(crate) fn readings(self, mesh: &dyn MeshSource) -> usize {
         let arrays = 1 + usize::from(mesh.has_normals()) + mesh.attributes().len();

@@ -36,7 +36,7 @@ pub struct Pieces {
 }
 
 /// The source of an attribute in a piece.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy)]
 enum Source {
     /// The piece's attribute with this number.
     Attribute(usize),

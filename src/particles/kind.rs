@@ -200,7 +200,7 @@ pub fn colour_attribute(attributes: &[AttributeInfo]) -> Option<usize> {
 /// # Errors
 /// [`KindFault`] for values that do not fit their kind.
 pub fn settled(
-    particles: &(impl Particles + ?Sized),
+    particles: &dyn Particles,
     carried: &[usize],
     known: &[SettledKind],
 ) -> Result<Vec<AttributeInfo>, KindFault> {
@@ -210,10 +210,7 @@ pub fn settled(
 
 /// The kinds of the vertex attributes for all frames, from the values of one frame. Attributes
 /// whose values fit no kind are left out here, because they are an error of this frame only.
-pub fn settled_for_all(
-    particles: &(impl Particles + ?Sized),
-    carried: &[usize],
-) -> Vec<SettledKind> {
+pub fn settled_for_all(particles: &dyn Particles, carried: &[usize]) -> Vec<SettledKind> {
     let infos = carried_infos(particles.attributes(), carried).into_iter().zip(carried);
     let settled = infos.filter_map(|(stored, &index)| {
         let kind = of_values(particles, index, stored.clone(), &[]).ok()?.kind;
@@ -238,7 +235,7 @@ pub fn known_of(mut infos: Vec<AttributeInfo>, known: &[SettledKind]) -> Vec<Att
 /// An attribute with its known kind, or with a kind that fits its values if none is known. Values
 /// that do not fit are an error.
 fn of_values(
-    particles: &(impl Particles + ?Sized),
+    particles: &dyn Particles,
     index: usize,
     mut info: AttributeInfo,
     known: &[SettledKind],
@@ -284,7 +281,7 @@ impl AttributeKind {
 
 /// The scale of a colour's values: bytes, or fractions if some values are above 0 and none is above
 /// 1. `None` if both are possible.
-pub fn evident_scale(particles: &(impl Particles + ?Sized), index: usize) -> Option<AttributeKind> {
+pub fn evident_scale(particles: &dyn Particles, index: usize) -> Option<AttributeKind> {
     let extremes = extremes(particles, index);
     let kind = AttributeKind::of_shares(extremes);
     let is_evident = kind == AttributeKind::ByteColour || extremes[1] > 0.0 && extremes[1] <= 1.0;
@@ -292,7 +289,7 @@ pub fn evident_scale(particles: &(impl Particles + ?Sized), index: usize) -> Opt
 }
 
 /// The minimum and maximum of 0 and the finite values of an attribute.
-fn extremes(particles: &(impl Particles + ?Sized), index: usize) -> [f32; 2] {
+fn extremes(particles: &dyn Particles, index: usize) -> [f32; 2] {
     let components = particles.attributes()[index].components;
     let of_chunk = |range: Range<usize>| {
         let mut values = vec![0.0_f32; range.len() * components];
@@ -304,7 +301,7 @@ fn extremes(particles: &(impl Particles + ?Sized), index: usize) -> [f32; 2] {
 }
 
 /// The minimum and maximum of 0 and the integers of an attribute.
-fn whole_extremes(particles: &(impl Particles + ?Sized), index: usize) -> [i64; 2] {
+fn whole_extremes(particles: &dyn Particles, index: usize) -> [i64; 2] {
     let components = particles.attributes()[index].components;
     let of_chunk = |range: Range<usize>| {
         let mut values = vec![0_i64; range.len() * components];

@@ -30,11 +30,7 @@ const CHUNK: usize = 1 << 12;
 
 /// The origin nearest to `origin` that suits a lattice of particles in cells of edge `cell_size`;
 /// `None` if there is no lattice along any axis, or its step does not divide the cells' edge.
-pub fn sound_origin(
-    particles: &(impl Particles + ?Sized),
-    origin: DVec3,
-    cell_size: f64,
-) -> Option<DVec3> {
+pub fn sound_origin(particles: &dyn Particles, origin: DVec3, cell_size: f64) -> Option<DVec3> {
     (1..=DIVISIONS).find_map(|divisions| {
         let step = cell_size / f64::from(divisions);
         let places = places(particles, origin, step);
@@ -51,7 +47,7 @@ pub fn sound_origin(
 
 /// The place of the particles within a lattice's step along each axis; `None` if particles do not
 /// share a place.
-fn places(particles: &(impl Particles + ?Sized), origin: DVec3, step: f64) -> [Option<f64>; 3] {
+fn places(particles: &dyn Particles, origin: DVec3, step: f64) -> [Option<f64>; 3] {
     let circle: Vec<[i64; 2]> = (0..PLACES)
         .map(|place| {
             let angle = TAU * place as f64 / PLACES as f64;
@@ -110,7 +106,7 @@ mod tests {
         {
             let step = 0.05 / per_cell;
             let particles = lattice(step, at.map(|x| x * step));
-            let origin = sound_origin(&particles[..], DVec3::ZERO, 0.05).unwrap();
+            let origin = sound_origin(&particles, DVec3::ZERO, 0.05).unwrap();
             assert!(origin.abs().max_element() <= step / 2.0);
             for p in &particles {
                 for x in ((DVec3::from(*p) - origin) / step).to_array() {
@@ -125,7 +121,7 @@ mod tests {
 
     #[test]
     fn other_lattice_steps_and_disorder_keep_the_origin() {
-        assert_eq!(sound_origin(&lattice(0.0391, [0.0; 3])[..], DVec3::ZERO, 0.05), None);
+        assert_eq!(sound_origin(&lattice(0.0391, [0.0; 3]), DVec3::ZERO, 0.05), None);
         let mut state = 1u64;
         let mut unit = || {
             state = state
@@ -134,6 +130,6 @@ mod tests {
             (state >> 33) as f64 / f64::from(1u32 << 31)
         };
         let random: Vec<[f64; 3]> = (0..2000).map(|_| [unit(), unit(), unit()]).collect();
-        assert_eq!(sound_origin(&random[..], DVec3::ZERO, 0.05), None);
+        assert_eq!(sound_origin(&random, DVec3::ZERO, 0.05), None);
     }
 }

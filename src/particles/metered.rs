@@ -8,15 +8,15 @@ use super::{AttributeInfo, Label, Particles, RereadError};
 
 /// Particles whose positions are NaN after a cancel, so that every read ends soon.
 #[derive(Debug)]
-pub struct MeteredParticles<'a, P: ?Sized> {
-    particles: &'a P,
+pub struct MeteredParticles<'a> {
+    particles: &'a dyn Particles,
     control: &'a Control,
     meter: Meter<'a>,
 }
 
-impl<'a, P: Particles + ?Sized> MeteredParticles<'a, P> {
+impl<'a> MeteredParticles<'a> {
     /// Counts the particles that are read in `stage`, which reads each particle once.
-    pub fn new(particles: &'a P, control: &'a Control, stage: Stage) -> Self {
+    pub fn new(particles: &'a dyn Particles, control: &'a Control, stage: Stage) -> Self {
         Self { particles, control, meter: control.meter(stage, particles.len()) }
     }
 
@@ -32,7 +32,7 @@ impl<'a, P: Particles + ?Sized> MeteredParticles<'a, P> {
     }
 }
 
-impl<P: Particles + ?Sized> Particles for MeteredParticles<'_, P> {
+impl Particles for MeteredParticles<'_> {
     fn len(&self) -> usize {
         self.particles.len()
     }

@@ -90,7 +90,7 @@ impl BoundingBox {
 }
 
 /// Finds a boundary around a fluid, by an attribute whose name and values suggest it.
-pub fn mixture(particles: &(impl Particles + ?Sized)) -> Option<Mixture> {
+pub fn mixture(particles: &dyn Particles) -> Option<Mixture> {
     let scalars = particles.attributes().iter().enumerate();
     let scalars = scalars.filter(|(_, info)| info.components == 1 && is_kind(&info.name));
     let labels = particles.labels().iter().enumerate().filter(|(_, label)| is_kind(&label.name));
@@ -102,7 +102,7 @@ pub fn mixture(particles: &(impl Particles + ?Sized)) -> Option<Mixture> {
 
 /// Calls `take` with the positions and the values of a few thousand particles at a time.
 fn each<T: Send>(
-    particles: &(impl Particles + ?Sized),
+    particles: &dyn Particles,
     source: AttributeOrLabel,
     take: impl Fn(&[[f64; 3]], &[u64]) -> T + Sync,
     joined: impl Fn(T, T) -> T + Send + Sync,
@@ -116,11 +116,7 @@ fn each<T: Send>(
     found.reduce(&none, joined)
 }
 
-fn by(
-    particles: &(impl Particles + ?Sized),
-    source: AttributeOrLabel,
-    name: &str,
-) -> Option<Mixture> {
+fn by(particles: &dyn Particles, source: AttributeOrLabel, name: &str) -> Option<Mixture> {
     let values =
         values_of(particles, source).filter(|values| (2..=MOST).contains(&values.len()))?;
     let finite = |position: &[f64; 3]| DVec3::from(*position).is_finite();

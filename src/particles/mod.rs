@@ -12,6 +12,7 @@ pub mod selection;
 pub mod sieve;
 pub mod sizes;
 
+use std::fmt;
 use std::io;
 use std::ops::Range;
 
@@ -173,6 +174,67 @@ pub trait Particles: Sync {
         let mut values = vec![0.0; out.len()];
         self.attribute(index, first, &mut values);
         out.iter_mut().zip(values).for_each(|(to, value)| *to = value as i64);
+    }
+}
+
+impl fmt::Debug for dyn Particles + '_ {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} particles", self.len())
+    }
+}
+
+/// References are particles too, so that any particles can be passed as `&dyn Particles`.
+impl<P: Particles + ?Sized> Particles for &P {
+    fn len(&self) -> usize {
+        (**self).len()
+    }
+
+    fn is_empty(&self) -> bool {
+        (**self).is_empty()
+    }
+
+    fn positions(&self, first: usize, out: &mut [[f64; 3]]) {
+        (**self).positions(first, out);
+    }
+
+    fn check(&self) -> Result<(), RereadError> {
+        (**self).check()
+    }
+
+    fn goes_on(&self) -> bool {
+        (**self).goes_on()
+    }
+
+    fn resident_bytes(&self) -> u64 {
+        (**self).resident_bytes()
+    }
+
+    fn release(&self, range: Range<usize>) {
+        (**self).release(range);
+    }
+
+    fn attributes(&self) -> &[AttributeInfo] {
+        (**self).attributes()
+    }
+
+    fn attribute(&self, index: usize, first: usize, out: &mut [f32]) {
+        (**self).attribute(index, first, out);
+    }
+
+    fn labels(&self) -> &[Label] {
+        (**self).labels()
+    }
+
+    fn label(&self, index: usize, first: usize, out: &mut [u32]) {
+        (**self).label(index, first, out);
+    }
+
+    fn component(&self, of: (usize, usize), first: usize, out: &mut [f64]) {
+        (**self).component(of, first, out);
+    }
+
+    fn integers(&self, index: usize, first: usize, out: &mut [i64]) {
+        (**self).integers(index, first, out);
     }
 }
 
@@ -382,7 +444,7 @@ fn bounds_of_fours(fours: &[[[f64; 3]; 4]]) -> Option<Bounds> {
 }
 
 /// The bounding box of all finite positions; `None` if no position is finite.
-pub fn bounds(particles: &(impl Particles + ?Sized)) -> Option<Bounds> {
+pub fn bounds(particles: &dyn Particles) -> Option<Bounds> {
     let of_chunk = |range: Range<usize>| {
         let mut positions = vec![[0.0; 3]; range.len()];
         particles.positions(range.start, &mut positions);
@@ -398,7 +460,7 @@ pub(crate) const CHUNK: usize = 1 << 12;
 /// Calls `look` with ranges of a few thousand particles, on all threads. A mapped file releases its
 /// pages afterwards.
 pub fn chunks<T: Send>(
-    particles: &(impl Particles + ?Sized),
+    particles: &dyn Particles,
     look: impl Fn(Range<usize>) -> T + Send + Sync,
 ) -> impl IndexedParallelIterator<Item = T> {
     let all = particles.len();
@@ -412,7 +474,7 @@ pub fn chunks<T: Send>(
 
 /// All finite positions, in batches of a few thousand.
 pub fn finite_chunks(
-    particles: &(impl Particles + ?Sized),
+    particles: &dyn Particles,
 ) -> impl IndexedParallelIterator<Item = Vec<[f64; 3]>> {
     chunks(particles, |range| {
         let mut positions = vec![[0.0; 3]; range.len()];

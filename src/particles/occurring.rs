@@ -40,7 +40,7 @@ impl std::fmt::Display for Value {
 }
 
 /// Finds the scalar attributes and labels with few different values.
-pub fn occurring(particles: &(impl Particles + ?Sized)) -> Vec<ValueCounts> {
+pub fn occurring(particles: &dyn Particles) -> Vec<ValueCounts> {
     let scalars = particles.attributes().iter().enumerate().filter(|(_, i)| i.components == 1);
     let sources = scalars.map(|(index, info)| (AttributeOrLabel::Attribute(index), &info.name));
     let labels = particles.labels().iter().enumerate();
@@ -64,11 +64,7 @@ pub(super) enum AttributeOrLabel {
 
 impl AttributeOrLabel {
     /// Sort keys of the values of a range of particles.
-    pub(super) fn keys(
-        self,
-        particles: &(impl Particles + ?Sized),
-        range: Range<usize>,
-    ) -> Vec<u64> {
+    pub(super) fn keys(self, particles: &dyn Particles, range: Range<usize>) -> Vec<u64> {
         let (first, count) = (range.start, range.len());
         match self {
             Self::Attribute(index) => {
@@ -84,7 +80,7 @@ impl AttributeOrLabel {
         }
     }
 
-    fn value(self, particles: &(impl Particles + ?Sized), key: u64) -> Value {
+    fn value(self, particles: &dyn Particles, key: u64) -> Value {
         let text = |index: usize| particles.labels()[index].texts.get(key as usize).cloned();
         match self {
             Self::Attribute(_) => Value::Number(number(key)),
@@ -96,7 +92,7 @@ impl AttributeOrLabel {
 /// The different values, each with its key and its number of particles; `None` if there are too
 /// many values, or on average fewer than two particles with each value.
 pub(super) fn values_of(
-    particles: &(impl Particles + ?Sized),
+    particles: &dyn Particles,
     source: AttributeOrLabel,
 ) -> Option<Vec<(u64, Value, usize)>> {
     let counts = counted(particles, source)?;
@@ -106,10 +102,7 @@ pub(super) fn values_of(
 
 /// The number of particles with each key; `None` if there are too many keys, or on average fewer
 /// than two particles with each key.
-fn counted(
-    particles: &(impl Particles + ?Sized),
-    source: AttributeOrLabel,
-) -> Option<BTreeMap<u64, usize>> {
+fn counted(particles: &dyn Particles, source: AttributeOrLabel) -> Option<BTreeMap<u64, usize>> {
     let all = particles.len();
     let counts = chunks(particles, |range| {
         let mut counts = BTreeMap::new();

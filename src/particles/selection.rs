@@ -217,7 +217,7 @@ impl Condition {
 
 impl StoredCondition {
     /// Clears the bits of the particles in `range` that do not satisfy the condition.
-    fn apply(&self, particles: &(impl Particles + ?Sized), range: Range<usize>, words: &mut [u64]) {
+    fn apply(&self, particles: &dyn Particles, range: Range<usize>, words: &mut [u64]) {
         let (first, count) = (range.start, range.len());
         match self {
             Self::Number(number, comparison, values) => {
@@ -266,7 +266,7 @@ fn keep<T>(words: &mut [u64], values: &[T], holds: impl Fn(&T) -> bool) {
 /// # Errors
 /// [`SelectionFault`].
 pub fn select<'a>(
-    particles: &(impl Particles + ?Sized),
+    particles: &dyn Particles,
     conditions: impl IntoIterator<Item = &'a Condition>,
     goes_on: impl Fn() -> bool + Sync,
 ) -> Result<Sieve, SelectionFault> {
@@ -293,7 +293,7 @@ pub fn select<'a>(
 
 impl SelectionFault {
     /// The error if no particle satisfies the conditions.
-    pub(crate) fn none(particles: &(impl Particles + ?Sized), conditions: &[Where]) -> Self {
+    pub(crate) fn none(particles: &dyn Particles, conditions: &[Where]) -> Self {
         let conditions = Where::joined(conditions);
         let names = conditions.iter().flat_map(Where::conditions).map(|c| c.name.as_str());
         let names: Vec<&str> = names.collect();
@@ -306,14 +306,14 @@ impl SelectionFault {
 
 /// The particles that a sieve selects from other particles.
 #[derive(Debug)]
-pub struct SelectedParticles<'a, P: ?Sized> {
-    particles: &'a P,
+pub struct SelectedParticles<'a> {
+    particles: &'a dyn Particles,
     sieve: Sieve,
 }
 
-impl<'a, P: Particles + ?Sized> SelectedParticles<'a, P> {
+impl<'a> SelectedParticles<'a> {
     /// Selects particles with a sieve.
-    pub fn new(particles: &'a P, sieve: Sieve) -> Self {
+    pub fn new(particles: &'a dyn Particles, sieve: Sieve) -> Self {
         Self { particles, sieve }
     }
 
@@ -334,7 +334,7 @@ impl<'a, P: Particles + ?Sized> SelectedParticles<'a, P> {
     }
 }
 
-impl<P: Particles + ?Sized> Particles for SelectedParticles<'_, P> {
+impl Particles for SelectedParticles<'_> {
     fn len(&self) -> usize {
         self.sieve.count()
     }

@@ -12,14 +12,16 @@ use thiserror::Error;
 
 use super::{AttributeInfo, Particles, attribute_called, chunks};
 
-/// Names of attributes that are certainly sizes, in lower case and without punctuation.
-const USUAL: [&str; 6] =
-    ["pscale", "radius", "radii", "particleradius", "particleradii", "spacing"];
-/// The name of the masses in files of GADGET and SWIFT, which certainly give the sizes of particles
-/// if they differ.
+/// Names of attributes that are certainly radii, in lower case and without punctuation.
+const RADII: [&str; 5] = ["pscale", "radius", "radii", "particleradius", "particleradii"];
+/// The name of an attribute that certainly has sizes: the spacings of joined files have it.
+const SPACING: &str = "spacing";
+/// The names of masses and densities in files of GADGET and SWIFT, which certainly give the sizes
+/// of particles if the masses differ.
 const USUAL_MASSES: &str = "masses";
-/// Names of other attributes that are sizes if requested.
-const DIAMETERS: [&str; 4] = ["diameter", "diameters", "size", "spacing"];
+const USUAL_DENSITIES: [&str; 2] = ["density", "densities"];
+/// Names of attributes with another meaning than a radius.
+const DIAMETERS: [&str; 4] = ["diameter", "diameters", "size", SPACING];
 const VOLUMES: [&str; 5] = ["volume", "volumes", "vol", "particlevolume", "v0"];
 const MASSES: [&str; 3] = ["mass", "masses", "particlemass"];
 const DENSITIES: [&str; 5] = ["density", "densities", "rho", "rhop", "densityf"];
@@ -30,6 +32,10 @@ const ONE_SIZE: f64 = 1.1;
 pub const MOST_TIMES: f64 = 64.0;
 /// Fraction of the particles that count as outliers at each end of the range of sizes.
 const STRAYS: f64 = 1e-4;
+/// Masses differ if their ratio is at least this, apart from this fraction of the particles at each
+/// end of their range: gas that exchanges mass, as with stars, still has one resolution.
+const OTHER_MASS: f64 = 1.9;
+const STRAY_MASSES: f64 = 0.01;
 /// Edge of the cells in which densities are measured, in units of the largest size.
 const CELL: f64 = 4.0;
 /// Minimum number of cells from which a density is measured. Only cells with particles in all cells
@@ -179,17 +185,30 @@ impl SizeChoice {
     pub fn columns(&self, infos: &[AttributeInfo]) -> Result<Option<SizeAttributes>, SizeFault> {
         match self {
             Self::Ignored => Ok(None),
-            Self::Usual | Self::OneFor(_) => {
-                let known = |names: &[&str]| {
-                    let is_known =
-                        |info: &&AttributeInfo| info.components == 1 && is_among(&info.name, names);
-                    infos.iter().find(is_known)
-                };
-                let masses = || known(&[USUAL_MASSES]).filter(|_| known(&DENSITIES).is_some());
-                let usual = known(&USUAL).or_else(masses);
-                usual.map(|info| SizeAttributes::named(&info.name, infos)).transpose()
-            }
+            Self::Usual | Self::OneFor(_) => Ok(self.usual(infos)),
             Self::Named(name) => SizeAttributes::named(name, infos).map(Some),
+        }
+    }
+}
+
+impl SizeChoice {
+    /// The attributes that certainly have sizes. If a setting needs one size, only radii count.
+    fn usual(&self, infos: &[AttributeInfo]) -> Option<SizeAttributes> {
+        let known = |names: &[&str]| {
+            let is_known =
+                |info: &AttributeInfo| info.components == 1 && is_among(&info.name, names);
+            infos.iter().position(is_known)
+        };
+        let plain = |size: usize, meaning| SizeAttributes { size, density: None, meaning };
+        let radius = || known(&RADII).map(|size| plain(size, Meaning::Radius));
+        let spacing = || known(&[SPACING]).map(|size| plain(size, Meaning::Diameter));
+        let masses = || {
+            let (size, density) = (known(&[USUAL_MASSES])?, known(&USUAL_DENSITIES)?);
+            Some(SizeAttributes { size, density: Some(density), meaning: Meaning::Mass })
+        };
+        match self {
+            Self::Usual => radius().or_else(spacing).or_else(masses),
+            _ => radius(),
         }
     }
 }
@@ -241,11 +260,11 @@ impl SizeAttributes {
         Ok(Self { size, density, meaning })
     }
 
-    /// Whether masses differ by more than the sizes of particles of one size do.
-    pub fn masses_differ(&self, particles: &(impl Particles + ?Sized)) -> bool {
-        let masses = Self { density: None, meaning: Meaning::Volume, ..*self };
-        let range = SizeCounts::of(particles, &masses).range();
-        range.is_some_and(|(least, most)| most >= ONE_SIZE * least)
+    /// Whether masses differ as those of several resolutions do.
+    pub fn masses_differ(&self, particles: &dyn Particles) -> bool {
+        let masses = Self { density: None, meaning: Meaning::Diameter, ..*self };
+        let range = SizeCounts::of(particles, &masses).range(STRAY_MASSES);
+        range.is_some_and(|(least, most)| most >= OTHER_MASS * least)
     }
 
     /// The indices of the attributes.
@@ -254,7 +273,7 @@ impl SizeAttributes {
     }
 
     /// The unscaled sizes of a range of particles, NaN for invalid ones.
-    fn read(&self, particles: &(impl Particles + ?Sized), first: usize, count: usize) -> Vec<f64> {
+    fn read(&self, particles: &dyn Particles, first: usize, count: usize) -> Vec<f64> {
         let column = |number: usize| {
             let mut values = vec![0.0_f32; count];
             particles.attribute(number, first, &mut values);
@@ -309,11 +328,7 @@ impl Sizes {
 
     /// Counts the particles of another frame without a valid size, and those larger than the
     /// largest size.
-    pub fn strays(
-        &self,
-        particles: &(impl Particles + ?Sized),
-        columns: &SizeAttributes,
-    ) -> StraySizes {
+    pub fn strays(&self, particles: &dyn Particles, columns: &SizeAttributes) -> StraySizes {
         let most = self.coarsest / self.scale * (1.0 + f64::from(f32::EPSILON));
         let of_chunk = |range: std::ops::Range<usize>| {
             let sizes = columns.read(particles, range.start, range.len());
@@ -334,13 +349,13 @@ impl Sizes {
     /// # Errors
     /// [`SizeFault::NoSize`].
     pub fn found(
-        particles: &(impl Particles + ?Sized),
+        particles: &dyn Particles,
         columns: &SizeAttributes,
     ) -> Result<FoundSizes, SizeFault> {
         let attribute = particles.attributes()[columns.size].name.clone();
         let census = SizeCounts::of(particles, columns);
         let none = || SizeFault::NoSize { name: attribute.clone() };
-        let (finest, quantile) = census.range().ok_or_else(none)?;
+        let (finest, quantile) = census.range(STRAYS).ok_or_else(none)?;
         if quantile < ONE_SIZE * finest {
             let (size, invalid) = (census.middle(), census.invalid);
             return Ok(FoundSizes::One { attribute, size, invalid });
@@ -388,7 +403,7 @@ struct SizeCounts {
 const STEP_BITS: u32 = 49;
 
 impl SizeCounts {
-    fn of(particles: &(impl Particles + ?Sized), columns: &SizeAttributes) -> Self {
+    fn of(particles: &dyn Particles, columns: &SizeAttributes) -> Self {
         let of_chunk = |range: std::ops::Range<usize>| {
             let mut census = Self { steps: HashMap::new(), invalid: 0 };
             let sizes = columns.read(particles, range.start, range.len());
@@ -433,10 +448,10 @@ impl SizeCounts {
     }
 
     /// The smallest and the largest size, apart from outliers.
-    fn range(&self) -> Option<(f64, f64)> {
+    fn range(&self, strays: f64) -> Option<(f64, f64)> {
         let steps = self.sorted();
         let all: u64 = steps.iter().map(|(count, ..)| count).sum();
-        let strays = ((all as f64 * STRAYS) as u64).max(1);
+        let strays = ((all as f64 * strays) as u64).max(1);
         let least = Self::at(steps.iter().copied(), strays)?.1;
         let most = Self::at(steps.iter().rev().copied(), strays)?.2;
         Some((least, most))
@@ -462,7 +477,7 @@ impl SizeCounts {
 /// The volume of the particles per unit volume deep in the fluid: the median over cells of `edge`
 /// with particles all around them. `None` if there are too few such cells.
 fn filling(
-    particles: &(impl Particles + ?Sized),
+    particles: &dyn Particles,
     columns: &SizeAttributes,
     sizes: &Sizes,
     edge: f64,
@@ -515,13 +530,19 @@ mod tests {
     }
 
     #[test]
-    fn radii_are_recognised_but_other_size_attributes_must_be_named() {
+    fn certain_sizes_are_recognised_but_other_attributes_must_be_named() {
         let usual = |names: &[&str]| {
             SizeChoice::Usual.columns(&infos(names)).unwrap().map(|columns| columns.size)
         };
         assert_eq!(usual(&["age", "pscale"]), Some(1));
         assert_eq!(usual(&["Radius"]), Some(0));
         assert_eq!(usual(&["h", "mass", "density", "volume"]), None);
+        assert_eq!(usual(&["Density", "Masses", "spacing"]), Some(2));
+        assert_eq!(usual(&["Density", "Masses"]), Some(1));
+        assert_eq!(usual(&["rho", "Masses"]), None);
+        let one = SizeChoice::OneFor("method");
+        assert_eq!(one.columns(&infos(&["Density", "Masses", "spacing"])).unwrap(), None);
+        assert!(one.columns(&infos(&["radius"])).unwrap().is_some());
         let named = |name: &str, names: &[&str]| SizeAttributes::named(name, &infos(names));
         let mass = named("Masses", &["Masses", "Densities"]).unwrap();
         assert_eq!((mass.meaning, mass.density), (Meaning::Mass, Some(1)));
@@ -549,7 +570,7 @@ mod tests {
         (positions, radii)
     }
 
-    fn several(particles: &impl Particles, columns: &SizeAttributes) -> Sizes {
+    fn several(particles: &dyn Particles, columns: &SizeAttributes) -> Sizes {
         match Sizes::found(particles, columns) {
             Ok(FoundSizes::Several(sizes)) => sizes,
             other => panic!("several sizes: {other:?}"),

@@ -11,6 +11,8 @@ use meniscus::Cancel;
 
 /// The cancel handle of this process.
 static CANCEL: LazyLock<Cancel> = LazyLock::new(|| {
+    #[cfg(unix)]
+    let ignored = ignored_signals();
     // `set_handler` fails if the caller of this library has installed a handler; that one stays.
     let _ = ctrlc::set_handler(|| {
         CANCEL.abandon();
@@ -22,10 +24,35 @@ static CANCEL: LazyLock<Cancel> = LazyLock::new(|| {
         super::notes::say(&format!("meniscus: interrupted; {what}"));
         std::process::exit(130);
     });
+    #[cfg(unix)]
+    ignored.for_each(ignore);
     let cancel = Cancel::new();
     let _ = UNFINISHED.set(cancel.clone());
     cancel
 });
+
+/// The signals that the caller of the program made it ignore: `nohup` does this for the end of a
+/// session, and a shell does it for Ctrl-C in a background job.
+#[cfg(unix)]
+fn ignored_signals() -> impl Iterator<Item = libc::c_int> {
+    let signals = [libc::SIGHUP, libc::SIGINT, libc::SIGTERM];
+    let ignored = signals.map(|signal| {
+        // SAFETY: without a new action, this only reads the current one.
+        let action = unsafe {
+            let mut action: libc::sigaction = std::mem::zeroed();
+            libc::sigaction(signal, std::ptr::null(), &mut action);
+            action
+        };
+        (signal, action.sa_sigaction == libc::SIG_IGN)
+    });
+    ignored.into_iter().filter(|(_, is_ignored)| *is_ignored).map(|(signal, _)| signal)
+}
+
+#[cfg(unix)]
+fn ignore(signal: libc::c_int) {
+    // SAFETY: replaces a handler that no other thread changes.
+    unsafe { libc::signal(signal, libc::SIG_IGN) };
+}
 
 /// The cancel handle for signal handlers, set when `CANCEL` is first used.
 static UNFINISHED: OnceLock<Cancel> = OnceLock::new();

@@ -112,6 +112,7 @@ pub fn record(options: &ReconstructOptions, report: &Report, made: &MeshStats<'_
         "peak_resident_bytes": peak_memory(),
         "in_no_surface": lost,
         "isovalue": report.isovalue(),
+        "spacing": facts.spacing,
         "backend": report.backend,
     });
     let of_field = match report.indicator {
@@ -124,7 +125,7 @@ pub fn record(options: &ReconstructOptions, report: &Report, made: &MeshStats<'_
             "pages_on_device": report.on_device.pages,
             "regions_on_device": report.on_device.regions,
         }),
-        None => json!({ "spacing": facts.spacing }),
+        None => json!({}),
     };
     joined(of_run, of_field)
 }

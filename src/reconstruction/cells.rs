@@ -119,7 +119,7 @@ impl Slab {
 impl Slab {
     /// Whether particles lie in the slab's plane, like the particles for which the slab was found.
     #[must_use]
-    pub fn holds(&self, particles: &(impl Particles + ?Sized)) -> bool {
+    pub fn holds(&self, particles: &dyn Particles) -> bool {
         let Self { axis, faces: [lo, hi] } = *self;
         /// The maximum distance of particles from the slab's plane, in thicknesses of the slab.
         const NEAR: f64 = 0.05;

@@ -40,15 +40,15 @@ pub(super) struct FrameSamples {
 }
 
 impl StartedRequest {
-    pub(super) fn sample(self, particles: &(impl Particles + ?Sized)) -> Result<Frame, Error> {
+    pub(super) fn sample(self, particles: &dyn Particles) -> Result<Frame, Error> {
         let selected = self.threads.install(|| self.checked.selected(particles))?;
         match selected {
-            Some(selected) => self.sample_all(&selected as &dyn Particles),
+            Some(selected) => self.sample_all(&selected),
             None => self.sample_all(particles),
         }
     }
 
-    fn sample_all(self, particles: &(impl Particles + ?Sized)) -> Result<Frame, Error> {
+    fn sample_all(self, particles: &dyn Particles) -> Result<Frame, Error> {
         let checked = &self.checked;
         let mut timings = Timings::default();
         checked.check_indicator()?;
@@ -64,10 +64,10 @@ impl StartedRequest {
 
 impl CheckedRequest {
     /// The particles in memory that satisfy the conditions; `None` without conditions.
-    pub(crate) fn selected<'a, P: Particles + ?Sized>(
+    pub(crate) fn selected<'a>(
         &self,
-        particles: &'a P,
-    ) -> Result<Option<SelectedParticles<'a, P>>, Error> {
+        particles: &'a dyn Particles,
+    ) -> Result<Option<SelectedParticles<'a>>, Error> {
         let conditions = self.settings.conditions();
         if conditions.is_empty() {
             return Ok(None);
@@ -81,7 +81,7 @@ impl CheckedRequest {
     /// Samples particles.
     pub(super) fn sampled(
         &self,
-        particles: &(impl Particles + ?Sized),
+        particles: &dyn Particles,
         chosen: ChosenSampling,
         timings: &mut Timings,
     ) -> Result<FrameSamples, Error> {
@@ -93,7 +93,7 @@ impl CheckedRequest {
     /// Counts particles, unless `plan` already has their counts, and samples their field.
     pub(crate) fn engine(
         &self,
-        particles: &(impl Particles + ?Sized),
+        particles: &dyn Particles,
         sampling: &Sampling,
         plan: Option<BinPlan>,
         timings: &mut Timings,
@@ -188,11 +188,10 @@ impl Frame {
         let write = || output.write(control, |out| write_frame(out, samples).map(drop));
         let bytes = threads.install(write)?;
         timings.done("write");
-        let fields = samples.fields();
         Ok(PackReport {
             bytes,
-            cells: fields.iter().map(|(_, field)| field.full_cells()).sum(),
-            bricks: fields.iter().map(|(_, field)| field.bricks()).sum(),
+            cells: samples.volumes().iter().map(|(_, field)| field.full_cells()).sum(),
+            bricks: samples.fields().iter().map(|(_, field)| field.bricks()).sum(),
             census: samples.facts().census,
             timings,
         })

@@ -202,7 +202,7 @@ pub fn info_with(path: impl AsRef<Path>, settings: &Settings) -> Result<Info, Er
 fn frame(path: &Path) -> Result<FrameInfo, Error> {
     let packed = open_frame(path, 0, None)?;
     let samples = packed.samples();
-    let (facts, indicator, fields) = (samples.facts(), samples.indicator(), samples.fields());
+    let (facts, indicator, fields) = (samples.facts(), samples.indicator(), samples.volumes());
     let full = |&(octave, field): &(u32, &DifField)| {
         let boxes = field.infos().iter().map(|info| info.full).reduce(|a, b| a.union(&b));
         boxes.map(|full| full.in_narrower_cells(octave))
@@ -213,7 +213,7 @@ fn frame(path: &Path) -> Result<FrameInfo, Error> {
         file: path.to_owned(),
         particles: facts.census.binned,
         cells: fields.iter().map(|(_, field)| field.full_cells()).sum(),
-        bricks: fields.iter().map(|(_, field)| field.bricks()).sum(),
+        bricks: samples.fields().iter().map(|(_, field)| field.bricks()).sum(),
         bounds: full.map(|full| [world(full.lo), world(full.hi)]),
         cell_size: facts.grid.cell_size(),
         origin: facts.grid.origin().to_array(),
@@ -308,7 +308,7 @@ fn particles(path: &Path, settings: &Settings) -> Result<ParticlesInfo, Error> {
 }
 
 /// Bytes of memory for a reconstruction with default settings.
-fn memory(particles: &impl Particles, cells: &Cells) -> Option<u64> {
+fn memory(particles: &dyn Particles, cells: &Cells) -> Option<u64> {
     let request = SamplingRequest { invalid: InvalidParticles::Skip, ..SamplingRequest::default() };
     let request = request.in_slab(cells.slab);
     let resources = Resources::new(MemoryBudget(u64::MAX), PathBuf::new());

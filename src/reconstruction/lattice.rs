@@ -11,7 +11,7 @@ use crate::particles::lattice::sound_origin;
 /// Moves the grid of a frame whose particles are on a lattice, so that the indicator samples the
 /// lattice like disordered fluid. The grid stays if the indicator does not depend on its position:
 /// see [`sound_origin`].
-pub fn on_sound_grid(particles: &(impl Particles + ?Sized), sampling: Sampling) -> Sampling {
+pub fn on_sound_grid(particles: &dyn Particles, sampling: Sampling) -> Sampling {
     origin_for_lattice(particles, &sampling)
         .and_then(|origin| moved(&sampling, origin))
         .unwrap_or(sampling)
@@ -19,10 +19,7 @@ pub fn on_sound_grid(particles: &(impl Particles + ?Sized), sampling: Sampling) 
 
 /// The origin that suits a lattice of particles; `None` without a lattice, or if the indicator does
 /// not depend on the origin.
-pub fn origin_for_lattice(
-    particles: &(impl Particles + ?Sized),
-    sampling: &Sampling,
-) -> Option<DVec3> {
+pub fn origin_for_lattice(particles: &dyn Particles, sampling: &Sampling) -> Option<DVec3> {
     match sampling.method.indicator()? {
         IndicatorKind::Cloud => None,
         IndicatorKind::Symmetry | IndicatorKind::Counting => {

@@ -378,6 +378,11 @@ fn warnings(all: &mut String) {
         Shortfall { shortfall, clouds: false, calibration_frame: Some(1) },
         Merged { vertices: 2, format },
         Renamed { attribute: heat(), name: "heat_2".into(), format },
+        NotStored {
+            attribute: "stress".into(),
+            components: 9,
+            format: MeshFormat::Glb(GlbLayout::PLAIN),
+        },
         Coarse { format },
         InvertedSolid(path("ship.obj")),
         ThinSolid { path: path("plate.obj"), thickness: 0.01, cell_size: 0.025 },

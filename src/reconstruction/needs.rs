@@ -12,7 +12,6 @@ use crate::grid::stretch::{Stretch, WantedBins};
 use crate::grid::{MortonKey, block_of_bin};
 use crate::io::ParticleFile;
 use crate::io::output::MeshFormat;
-use crate::particles::Particles;
 use crate::surface::simplify::BYTES_A_THREAD;
 use crate::system::timings::Timings;
 
@@ -125,7 +124,7 @@ fn forecast(
     checked: &CheckedRequest,
     file: &ParticleFile,
     sampling: &Sampling,
-    counted: CountedFrame<'_, impl Particles + ?Sized>,
+    counted: CountedFrame<'_>,
     before: f64,
 ) -> Result<(u64, Option<f64>), FrameError> {
     let particles = counted.census().binned;
@@ -171,7 +170,7 @@ fn accepted(tried: Result<TrialResult, FrameError>) -> Result<Option<TrialResult
 /// Makes the blocks of a stretch.
 fn tried(
     checked: &CheckedRequest,
-    counted: CountedFrame<'_, impl Particles + ?Sized>,
+    counted: CountedFrame<'_>,
     stretch: Stretch,
 ) -> Result<TrialResult, FrameError> {
     let (begun, particles) = (Instant::now(), counted.census().binned);

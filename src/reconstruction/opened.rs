@@ -92,7 +92,7 @@ impl CheckedRequest {
         Cow::Owned(Self { sampling, ..self.clone() })
     }
 
-    fn metered<'a, P: Particles + ?Sized>(&'a self, particles: &'a P) -> MeteredParticles<'a, P> {
+    fn metered<'a>(&'a self, particles: &'a dyn Particles) -> MeteredParticles<'a> {
         let metered = MeteredParticles::new(particles, &self.resources.control, Stage::Reading);
         metered.readings(self.sampling.readings(particles.len()))
     }
@@ -105,7 +105,7 @@ impl CheckedRequest {
     /// Chooses how to sample particles that the caller counts.
     pub(super) fn choose(
         &self,
-        particles: &(impl Particles + ?Sized),
+        particles: &dyn Particles,
         source: SpacingHints<'_>,
     ) -> Result<ChosenSampling, Error> {
         let carried = self.settings.carried(particles.attributes(), None)?;
@@ -116,7 +116,7 @@ impl CheckedRequest {
     /// Chooses how to sample particles, for [`sampled`](Self::sampled).
     pub(super) fn choose_and_plan(
         &self,
-        particles: &(impl Particles + ?Sized),
+        particles: &dyn Particles,
         source: SpacingHints<'_>,
     ) -> Result<ChosenSampling, Error> {
         let carried = self.settings.carried(particles.attributes(), None)?;

@@ -117,7 +117,7 @@ fn usual_spacing(cell_size: f64) -> f64 {
 }
 
 /// Returns an error if reading the particles was cancelled.
-fn go_on(particles: &(impl Particles + ?Sized)) -> Result<(), Error> {
+fn go_on(particles: &dyn Particles) -> Result<(), Error> {
     if particles.goes_on() { Ok(()) } else { Err(Error::Cancelled) }
 }
 
@@ -177,7 +177,7 @@ impl SamplingRequest {
     pub fn in_walls_around(
         &self,
         walls: Option<&Walls>,
-        particles: &(impl Particles + ?Sized),
+        particles: &dyn Particles,
         spacing: Option<f64>,
         grid: &Grid,
     ) -> (Self, Vec<BeyondWall>) {
@@ -197,7 +197,7 @@ impl SamplingRequest {
     /// unknown.
     fn ends(
         &self,
-        particles: &(impl Particles + ?Sized),
+        particles: &dyn Particles,
         known: Option<Bounds>,
         cells: &Cells,
     ) -> Result<Option<Ends>, Error> {
@@ -237,11 +237,7 @@ impl SamplingRequest {
     /// Chooses the cells for particles. The spacing is unknown only if the cell size does not
     /// depend on it and no kernel method is used: then the filters are as wide as for particles one
     /// cell apart.
-    pub fn cells(
-        &self,
-        particles: &(impl Particles + ?Sized),
-        from: SpacingHints<'_>,
-    ) -> Result<Cells, Error> {
+    pub fn cells(&self, particles: &dyn Particles, from: SpacingHints<'_>) -> Result<Cells, Error> {
         let read = |_, look: LookAtAll<'_>| {
             for_each_chunk(particles, look);
             Some(())
@@ -253,7 +249,7 @@ impl SamplingRequest {
     /// boundary is among the particles.
     fn cells_while<T>(
         &self,
-        particles: &(impl Particles + ?Sized),
+        particles: &dyn Particles,
         from: SpacingHints<'_>,
         mut read: impl FnMut(f64, LookAtAll<'_>) -> Option<T>,
     ) -> Result<(Cells, Option<T>), Error> {
@@ -312,9 +308,9 @@ impl SamplingRequest {
     }
 
     /// The sizes of the particles, if an attribute holds them.
-    fn sizes(&self, particles: &(impl Particles + ?Sized)) -> Result<Option<FoundSizes>, Error> {
+    fn sizes(&self, particles: &dyn Particles) -> Result<Option<FoundSizes>, Error> {
         let is_usual = matches!(self.size, SizeChoice::Usual | SizeChoice::OneFor(_));
-        // Unless the user asks for them, equal masses mean one size: densities differ in any gas.
+        // Unless the user asks for them, similar masses mean one size: densities differ in any gas.
         let are_sizes = |columns: &SizeAttributes| {
             !is_usual || columns.meaning != Meaning::Mass || columns.masses_differ(particles)
         };
@@ -344,7 +340,7 @@ impl SamplingRequest {
     pub fn warning_of_sizes(
         &self,
         (spacing, sizes): (Option<f64>, Option<&Sizes>),
-        particles: &(impl Particles + ?Sized),
+        particles: &dyn Particles,
     ) -> Result<Option<SpacingWarning>, Error> {
         if let Some(sizes) = sizes {
             let columns = sizes.columns(particles.attributes())?;
@@ -361,11 +357,7 @@ impl SamplingRequest {
     }
 
     /// The cells that follow from the smallest size.
-    fn cells_for_sizes(
-        &self,
-        particles: &(impl Particles + ?Sized),
-        sizes: Sizes,
-    ) -> Result<Cells, Error> {
+    fn cells_for_sizes(&self, particles: &dyn Particles, sizes: Sizes) -> Result<Cells, Error> {
         let middle = bounds(particles).map(|bounds| (bounds.lo + bounds.hi) / 2.0);
         let source = SpacingSource::Sizes(sizes.attribute.clone());
         let cells = self.cells_of(sizes.finest, source, middle, None)?;
@@ -378,7 +370,7 @@ impl SamplingRequest {
     /// value that `read` returned is returned with the cells.
     fn cells_by<T>(
         &self,
-        particles: &(impl Particles + ?Sized),
+        particles: &dyn Particles,
         from: SpacingHints<'_>,
         mut read: impl FnMut(f64, LookAtAll<'_>) -> Option<T>,
     ) -> Result<(Cells, Option<T>), Error> {
@@ -502,7 +494,7 @@ impl SamplingRequest {
     /// contradict it.
     fn cells_for_given(
         &self,
-        particles: &(impl Particles + ?Sized),
+        particles: &dyn Particles,
         spacing: f64,
         source: SpacingSource,
         look: Option<SampleSurvey>,
@@ -536,7 +528,7 @@ impl SamplingRequest {
     /// The cells for particles whose spacing is estimated.
     fn cells_by_evidence(
         &self,
-        particles: &(impl Particles + ?Sized),
+        particles: &dyn Particles,
         from: SpacingHints<'_>,
         evidence: Option<Evidence>,
     ) -> Result<Cells, Error> {
@@ -594,7 +586,7 @@ impl SamplingRequest {
     /// vertices.
     pub fn sampling(
         &self,
-        particles: &(impl Particles + ?Sized),
+        particles: &dyn Particles,
         from: SpacingHints<'_>,
         carried: Vec<usize>,
         resources: Resources,
@@ -607,7 +599,7 @@ impl SamplingRequest {
     /// possible.
     pub fn sampling_and_plan(
         &self,
-        particles: &(impl Particles + ?Sized),
+        particles: &dyn Particles,
         from: SpacingHints<'_>,
         carried: Vec<usize>,
         resources: Resources,
@@ -637,7 +629,7 @@ impl SamplingRequest {
     fn sampling_in(
         &self,
         cells: Cells,
-        particles: &(impl Particles + ?Sized),
+        particles: &dyn Particles,
         carried: Vec<usize>,
         resources: Resources,
     ) -> Result<ChosenSampling, Error> {

@@ -53,7 +53,7 @@ impl Reconstruction {
     /// # Errors
     /// The errors of [`run`](Self::run).
     pub fn sample(&self, particles: &(impl Particles + ?Sized)) -> Result<Frame, Error> {
-        self.checked()?.on_threads()?.sample(particles)
+        self.checked()?.on_threads()?.sample(&particles)
     }
 
     /// Opens a particle file or a packed frame.

@@ -171,7 +171,7 @@ impl SpacingWarning {
     pub(crate) fn of_known(
         given: f64,
         source: &SpacingSource,
-        particles: &(impl Particles + ?Sized),
+        particles: &dyn Particles,
     ) -> Vec<Self> {
         let Some(look) = survey(particles, given) else { return Vec::new() };
         if !is_suspicious(&look.neighbours, given) {

@@ -207,6 +207,9 @@ pub(crate) fn made_of(
     let renamed = format.renamed(&mesh.attributes(), mesh.has_normals()).into_iter();
     let renamed = renamed.map(|[attribute, name]| Warning::Renamed { attribute, name, format });
     let mut warnings: Vec<_> = renamed.collect();
+    warnings.extend(format.not_stored(&mesh.attributes()).into_iter().map(|info| {
+        Warning::NotStored { attribute: info.name, components: info.components, format }
+    }));
     if format == MeshFormat::Stl {
         let vertices = stl::merged_vertices(mesh).map_err(|fault| WriteError::new(path, fault))?;
         warnings.extend((vertices > 0).then_some(Warning::Merged { vertices, format }));

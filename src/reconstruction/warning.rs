@@ -104,6 +104,15 @@ pub enum Warning {
         /// The format.
         format: MeshFormat,
     },
+    /// The format cannot store the attribute.
+    NotStored {
+        /// The attribute.
+        attribute: String,
+        /// Numbers per vertex.
+        components: usize,
+        /// The format.
+        format: MeshFormat,
+    },
     /// The format stores coordinates as f32, which is too coarse.
     Coarse {
         /// The format.
@@ -237,6 +246,13 @@ impl fmt::Display for Warning {
             }
             Self::Renamed { attribute, name, format } => {
                 write!(f, "the attribute \"{attribute}\" is stored as \"{name}\" in {format}")
+            }
+            Self::NotStored { attribute, components, format } => {
+                write!(
+                    f,
+                    "the attribute \"{attribute}\" was left out: {format} cannot store \
+                     {components} numbers per vertex; use .ply, which can"
+                )
             }
             Self::Coarse { format } => {
                 write!(

@@ -105,20 +105,21 @@ impl LiveSimulation {
     /// The errors of [`Reconstruction::run`], except for missing particles or surfaces. Later
     /// frames can still succeed.
     pub fn frame(&mut self, particles: &(impl Particles + ?Sized)) -> Result<Surface, Error> {
+        self.frame_of(&particles)
+    }
+
+    fn frame_of(&mut self, particles: &dyn Particles) -> Result<Surface, Error> {
         let threads = Arc::clone(&self.ready.threads);
         self.ready.checked.go_on()?;
         let extracted = threads.install(|| match self.ready.checked.selected(particles)? {
-            Some(selected) => self.extracted_or_empty(&selected as &dyn Particles),
+            Some(selected) => self.extracted_or_empty(&selected),
             None => self.extracted_or_empty(particles),
         })?;
         Ok(Surface::new(extracted, &self.ready.checked, &threads, UpAxis::Y))
     }
 
     /// Makes the surface of a frame, or an empty mesh for a frame without particles.
-    fn extracted_or_empty(
-        &mut self,
-        particles: &(impl Particles + ?Sized),
-    ) -> Result<ExtractedSurface, Error> {
+    fn extracted_or_empty(&mut self, particles: &dyn Particles) -> Result<ExtractedSurface, Error> {
         match self.extracted(particles) {
             Err(Error::Frame { fault: FrameError::NoParticles(census), .. }) => {
                 self.empty(particles, self.facts(census)?)
@@ -127,10 +128,7 @@ impl LiveSimulation {
         }
     }
 
-    fn extracted(
-        &mut self,
-        particles: &(impl Particles + ?Sized),
-    ) -> Result<ExtractedSurface, Error> {
+    fn extracted(&mut self, particles: &dyn Particles) -> Result<ExtractedSurface, Error> {
         let Self { ready, known, settled } = self;
         let checked = &ready.checked;
         let mut timings = Timings::default();
@@ -200,7 +198,7 @@ impl LiveSimulation {
     /// The empty mesh of a frame without a surface, with the same attributes as other frames.
     fn empty(
         &self,
-        particles: &(impl Particles + ?Sized),
+        particles: &dyn Particles,
         facts: FrameFacts,
     ) -> Result<ExtractedSurface, Error> {
         let checked = &self.ready.checked;
@@ -218,7 +216,7 @@ impl LiveSimulation {
 /// returns warnings about the spacing.
 fn measured(
     ready: &StartedRequest,
-    particles: &(impl Particles + ?Sized),
+    particles: &dyn Particles,
     before: Option<&KnownCalibration>,
 ) -> Result<(KnownCalibration, Vec<SpacingWarning>), Error> {
     let checked = &ready.checked;

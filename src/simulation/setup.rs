@@ -119,7 +119,7 @@ impl Setup<'_> {
     pub(super) fn sampling(
         &self,
         shared: &SharedCalibration,
-        particles: &(impl Particles + ?Sized),
+        particles: &dyn Particles,
         carried: Vec<usize>,
         resources: Resources,
     ) -> Result<(Sampling, Vec<Warning>), Error> {

@@ -88,7 +88,7 @@ pub enum Trust {
 pub(super) fn measure_in(
     cells: &Cells,
     lattice: Option<(Grid, Method)>,
-    particles: &(impl Particles + ?Sized),
+    particles: &dyn Particles,
     checked: &CheckedRequest,
     resources: Resources,
 ) -> Result<FrameMeasurements, Error> {
@@ -117,7 +117,7 @@ pub(super) fn measure_in(
 /// # Errors
 /// [`FrameError::TooFine`], and the errors of [`Sampling::check_fit`] and of [`Engine::sample`].
 pub fn measure(
-    particles: &(impl Particles + ?Sized),
+    particles: &dyn Particles,
     sampling: &Sampling,
     origin: Origin,
     surfacing: &Surfacing,

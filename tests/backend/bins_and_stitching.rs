@@ -232,9 +232,9 @@ fn binned_on_cpu(
     limit: usize,
 ) -> Result<Sorted, BinError> {
     let room = CountingRoom { bins: limit, ..CountingRoom::BINS };
-    let plan = BinPlan::count(particles, grid, domain, invalid, room)?;
+    let plan = BinPlan::count(&particles, grid, domain, invalid, room)?;
     let census = plan.census();
-    let bins = plan.fill(particles, &[]).unwrap();
+    let bins = plan.fill(&particles, &[]).unwrap();
     let records = |bin| {
         let mut records = bins.contents(bin).unwrap().packed().to_vec();
         records.sort_unstable();

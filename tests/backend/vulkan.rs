@@ -167,9 +167,9 @@ fn compare_pages_on(device: &Backend, budget: MemoryBudget) -> (Vec<Work>, Work)
     let particles = crowds();
     let grid = Grid::new(glam::DVec3::ZERO, 1.0).unwrap();
     let plan =
-        BinPlan::count(&particles[..], &grid, None, InvalidParticles::Refuse, CountingRoom::BINS)
+        BinPlan::count(&particles, &grid, None, InvalidParticles::Refuse, CountingRoom::BINS)
             .unwrap();
-    let bins = plan.fill(&particles[..], &[]).unwrap();
+    let bins = plan.fill(&particles, &[]).unwrap();
     let all = 0..bins.keys().len();
     let mut made = Vec::new();
     for indicator in INDICATORS {
@@ -300,8 +300,7 @@ fn a_resident_field_with_its_wide_and_inside_cells_matches_the_cpu() {
                 let surfacing = surfacing();
                 let (expected, _) = reconstruct(&particles[..], &known, &surfacing);
                 known.resources.backend = watched(device.clone()).unwrap();
-                let frame =
-                    Engine::sample(&particles[..], &known, &mut Timings::default()).unwrap();
+                let frame = Engine::sample(&particles, &known, &mut Timings::default()).unwrap();
                 let [made, expected] = [&frame, &expected].map(dif);
                 assert!(made.dif.remote().is_some(), "{what}: the field is not resident");
                 let calibration = surfacing.calibrate(expected).unwrap().calibration;
@@ -339,7 +338,7 @@ fn a_resident_field_is_recomputed_on_the_cpu_if_it_cannot_be_read() {
     validated_with(&own, |device| {
         let mut sampling = sampling.clone();
         sampling.resources.backend = Backend::vulkan(device.clone()).unwrap();
-        let frame = Engine::sample(&particles[..], &sampling, &mut Timings::default()).unwrap();
+        let frame = Engine::sample(&particles, &sampling, &mut Timings::default()).unwrap();
         assert!(dif(&frame).dif.remote().is_some());
         device.faults().submission.store(1, Ordering::Relaxed);
         assert_same_fields(&dif(&frame).dif, &dif(&expected).dif, "after a loss");
@@ -364,11 +363,11 @@ fn a_resident_field_transfers_less_data_than_a_downloaded_field() {
             let mut sampling = sampling.clone();
             sampling.resources.backend = watched(device.clone()).unwrap();
             let timings = &mut Timings::default();
-            let frame = Engine::sample(&particles[..], &sampling, timings).unwrap();
+            let frame = Engine::sample(&particles, &sampling, timings).unwrap();
             let known = surfacing().calibrate(dif(&frame)).unwrap().calibration;
             drop(frame);
             let before = device.counters();
-            let frame = Engine::sample(&particles[..], &sampling, timings).unwrap();
+            let frame = Engine::sample(&particles, &sampling, timings).unwrap();
             let surface = frame
                 .calibrate(&surfacing(), Some(&known), timings)
                 .unwrap()

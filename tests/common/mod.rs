@@ -87,7 +87,7 @@ pub fn reconstruct(
     surfacing: &Surfacing,
 ) -> (Engine, Reconstructed) {
     let mut timings = Timings::default();
-    let frame = Engine::sample(particles, sampling, &mut timings).unwrap();
+    let frame = Engine::sample(&particles, sampling, &mut timings).unwrap();
     let calibrated = frame.calibrate(surfacing, None, &mut timings).unwrap();
     let iso = calibrated.measured().unwrap().calibration.iso().unwrap_or(Isovalue::ZERO_DISTANCE);
     let mesh = calibrated.surface(&mut timings).unwrap().to_mesh().unwrap();

@@ -31,7 +31,7 @@ fn surface(
 ) -> Mesh {
     let timings = &mut Timings::default();
     let sampling = Sampling { method: method.into(), ..sampling.clone() };
-    let frame = Engine::sample(particles, &sampling, timings).unwrap();
+    let frame = Engine::sample(&particles, &sampling, timings).unwrap();
     let surfacing = Surfacing { normals: Normals::Gradient, ..Surfacing::PLAIN };
     frame.surface(&surfacing, timings).unwrap().to_mesh().unwrap()
 }
@@ -265,8 +265,7 @@ fn kernel_methods_refuse_a_missing_spacing_and_too_small_cells() {
             (Grid::new(DVec3::ZERO, cell).unwrap(), KernelMethod::ZhuBridson.into());
         let sampling = Sampling { grid, method, spacing, ..sampling() };
         let before = sampling.check_fit(&Surfacing::PLAIN).unwrap_err();
-        let refused =
-            Engine::sample(&particles[..], &sampling, &mut Timings::default()).unwrap_err();
+        let refused = Engine::sample(&particles, &sampling, &mut Timings::default()).unwrap_err();
         for error in [before, refused] {
             match spacing {
                 Some(_) => assert!(matches!(error, FrameError::Kernels(_)), "{error}"),

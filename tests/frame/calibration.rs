@@ -90,7 +90,7 @@ fn scaled(particles: &[[f64; 3]], by: f64) -> Vec<[f64; 3]> {
 }
 
 fn sample(particles: &[[f64; 3]], sampling: &Sampling) -> Engine {
-    Engine::sample(particles, sampling, &mut Timings::default()).unwrap()
+    Engine::sample(&particles, sampling, &mut Timings::default()).unwrap()
 }
 
 fn draw(frame: &Engine, surfacing: &Surfacing) -> StitchedSurface {

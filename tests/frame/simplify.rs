@@ -22,7 +22,7 @@ use crate::common::{INDICATORS, fill, sampling, splashes, surfacing};
 
 fn surface(particles: &[[f64; 3]], sampling: &Sampling) -> StitchedSurface {
     let surfacing = Surfacing { normals: Normals::Gradient, ..surfacing() };
-    let frame = Engine::sample(particles, sampling, &mut Timings::default()).unwrap();
+    let frame = Engine::sample(&particles, sampling, &mut Timings::default()).unwrap();
     frame.surface(&surfacing, &mut Timings::default()).unwrap()
 }
 

@@ -277,3 +277,23 @@ fn an_empty_mesh_becomes_a_glb_scene_without_a_mesh() {
         }
     }
 }
+
+#[test]
+fn attributes_that_glb_cannot_store_are_reported() {
+    let mut mesh = sphere(1.0, 0);
+    let count = mesh.positions.len();
+    let attributes = [("one", 1), ("four", 4), ("five", 5), ("stress", 9), ("colour", 3)];
+    mesh.attributes = attributes
+        .map(|(name, components)| {
+            VertexAttribute::new(name, components, vec![0.5; components * count])
+        })
+        .into();
+    let infos: Vec<_> = mesh.attributes.iter().map(VertexAttribute::info).collect();
+    let left_out = MeshFormat::Glb(GlbLayout::PLAIN).not_stored(&infos);
+    let names: Vec<&str> = left_out.iter().map(|info| &*info.name).collect();
+    assert_eq!(names, ["five", "stress"]);
+    assert_eq!(MeshFormat::Ply.not_stored(&infos), []);
+    let (json, _) = written(&mesh, CoordinateWidth::F32, GlbLayout::PLAIN);
+    let stored = json["meshes"][0]["primitives"][0]["attributes"].as_object().unwrap().len();
+    assert_eq!(stored, 1 + attributes.len() - left_out.len(), "with the positions");
+}

@@ -14,7 +14,7 @@ use meniscus::internals::field::indicator::{
     Indicator, IndicatorKind, PageRule, SampledDif, indicate,
 };
 use meniscus::internals::grid::units::MeanCount;
-use meniscus::internals::grid::{CellBox, Domain, Grid, Periodic};
+use meniscus::internals::grid::{CellBox, Domain, Grid, MortonKey, Periodic};
 use meniscus::internals::io::ReadFault;
 use meniscus::internals::io::bytes::Unpacking;
 use meniscus::internals::io::input::open_particles;
@@ -22,7 +22,7 @@ use meniscus::internals::io::mnf::{
     FrameWriter, PackableFrame, PackedFrame, frame_from_file, open_frame, write_frame,
 };
 use meniscus::internals::particles::Particles;
-use meniscus::{Cloud, Reconstruction};
+use meniscus::{Cloud, Error, Reconstruction, Surface};
 use rayon::prelude::*;
 use tempfile::TempDir;
 
@@ -39,7 +39,7 @@ fn sample(
     side: BrickSide,
 ) -> SampledDif {
     let plan = BinPlan::count(
-        particles,
+        &particles,
         &grid,
         domain.as_ref(),
         InvalidParticles::Skip,
@@ -47,7 +47,7 @@ fn sample(
     )
     .unwrap();
     let census = plan.census();
-    let bins = plan.fill(particles, &[]).unwrap();
+    let bins = plan.fill(&particles, &[]).unwrap();
     let facts = FrameFacts { grid, domain, periodic: None, census, spacing: Some(0.5) };
     let spacing_cells = facts.spacing_cells_or_one();
     let rule = PageRule { indicator, spacing_cells, side, walls: facts.walls() };
@@ -360,7 +360,7 @@ fn small_sizes(folder: &Folder) -> Vec<u8> {
         (0..24_u32).map(|i| [i % 3, i / 3 % 3, i / 9].map(|c| f64::from(c) * 0.9 + 0.3)).collect();
     let sizes: Vec<f32> = (0..24_u8).map(|i| [1.0, 1.0, 2.0, 3.0][usize::from(i % 4)]).collect();
     let cloud = Cloud::new(&positions).with("size", &sizes);
-    let request = Reconstruction::new().cell(0.8).domain([-4.0; 3], [9.0; 3]);
+    let request = Reconstruction::new().size("size").cell(0.8).domain([-4.0; 3], [9.0; 3]);
     let path = folder.0.path().join("sizes.mnf");
     let output = request.packed_output(&path, Replace::Allow).unwrap();
     request.sample(&cloud).unwrap().pack(output).unwrap();
@@ -391,6 +391,8 @@ fn packed_sizes_keep_their_bytes_and_damage_to_them_is_detected() {
         (footer + 96, 0_f64.to_le_bytes().into(), "no sizes"),
         (sizes, 0_f64.to_le_bytes().into(), "no sizes"),
         (sizes, f64::NAN.to_le_bytes().into(), "no sizes"),
+        (sizes, 1e308_f64.to_le_bytes().into(), ""),
+        (footer + 24, 1e308_f64.to_le_bytes().into(), "no sizes"),
         (sizes, 1_f64.to_le_bytes().into(), "of 2"),
         (sizes + 8, (-1_f64).to_le_bytes().into(), "no density"),
         (sizes + 8, 1e-9_f64.to_le_bytes().into(), "no density"),
@@ -403,6 +405,11 @@ fn packed_sizes_keep_their_bytes_and_damage_to_them_is_detected() {
         let mut bad = good.clone();
         bad[at..at + patch.len()].copy_from_slice(&patch);
         layout.seal(&mut bad);
+        if expected.is_empty() {
+            // The result may be a frame or an error, but the library must not panic.
+            let _ = Reconstruction::new().run_file(folder.file(&bad));
+            continue;
+        }
         let found = refusal(&folder, &bad);
         assert!(found.contains(expected), "{patch:?} at {at}: {found:?} instead of {expected:?}");
     }
@@ -412,6 +419,37 @@ fn packed_sizes_keep_their_bytes_and_damage_to_them_is_detected() {
         assert!(open_frame(&folder.file(&bad), 0, None).is_err(), "byte {at}");
         assert!(open_frame(&folder.file(&good[..at]), 0, None).is_err(), "a prefix of {at} bytes");
     }
+}
+
+#[test]
+fn packed_sizes_in_large_cells_and_far_away_are_read() {
+    let folder = Folder::new();
+    let path = folder.0.path().join("far.mnf");
+    let sizes: Vec<f32> = [vec![1.0; 30], vec![40.0; 30]].concat();
+    let positions: Vec<[f64; 3]> = (0..60).map(|i| [f64::from(i) * 9.0, 0.0, 0.0]).collect();
+    // In cells of 20 sizes, the nominal plateau exceeds the samples.
+    for cell in [0.5, 20.0] {
+        let cloud = Cloud::new(&positions).with("size", &sizes);
+        let request = Reconstruction::new().size("size").cell(cell);
+        let output = request.packed_output(&path, Replace::Allow).unwrap();
+        let frame = request.sample(&cloud).unwrap();
+        frame.pack(output).unwrap();
+        let of = |surface: Surface| surface.to_mesh().unwrap().triangles.len();
+        let expected = frame.surface().map(of).map_err(|error| error.to_string());
+        let found = Reconstruction::new().run_file(&path).map(of);
+        let of_file =
+            |error: Error| error.to_string().replace(&format!("{}: ", path.display()), "");
+        assert_eq!(found.map_err(of_file), expected, "cells of {cell}");
+    }
+    // A page of the coarsest octave that is beyond the finest grid.
+    let good = fs::read(&path).unwrap();
+    let Layout { footer, index } = Layout::of(&good);
+    let (layout, mut bad) = (Layout { footer, index: index + 16 }, good);
+    let last = bad.len() - 20 - 44;
+    let far = MortonKey::of(IVec3::new(200_000, 0, 0));
+    bad[last..last + 8].copy_from_slice(&far.0.to_le_bytes());
+    layout.seal(&mut bad);
+    assert!(refusal(&folder, &bad).contains("beyond the grid"));
 }
 
 #[test]

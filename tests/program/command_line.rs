@@ -671,7 +671,7 @@ fn interrupts_and_crashes_leave_no_files() {
     assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
     // Nothing is written to the pipe, so the program waits for particles.
     let outputs = ["out.ply", "made/here/out.ply"];
-    for (signal, output) in outputs.iter().flat_map(|output| [("INT", output), ("SEGV", output)]) {
+    for (signal, output) in outputs.iter().flat_map(|output| [("TERM", output), ("SEGV", output)]) {
         // Forbid core files, which a crash may write into the folder.
         let reconstruct = format!("reconstruct pipe.xyz -o {output}");
         let mut child = shell_command(folder.path(), "ulimit -c 0", &reconstruct)
@@ -689,7 +689,7 @@ fn interrupts_and_crashes_leave_no_files() {
         let id = child.id().to_string();
         assert!(Command::new("kill").args(["-s", signal, &id]).status().unwrap().success());
         let run = child.wait_with_output().unwrap();
-        if signal == "INT" {
+        if signal == "TERM" {
             assert_eq!(run.status.code(), Some(130));
         } else {
             assert_eq!(run.status.signal(), Some(SEGMENTATION_FAULT));

@@ -129,7 +129,7 @@ fn spray_is_stored_sparsely_within_the_estimated_memory() {
             let spacing_cells = 2_f64.cbrt().recip();
             let rule = PageRule { indicator, spacing_cells, side, walls: None };
             let plan = BinPlan::count(
-                &particles[..],
+                &particles,
                 &grid,
                 None,
                 InvalidParticles::Refuse,
@@ -149,7 +149,7 @@ fn spray_is_stored_sparsely_within_the_estimated_memory() {
             let counted = plan.keys().iter().copied().zip(plan.counts());
             let estimate =
                 MemoryEstimate::of(counted, Some(rule.shape()), &extraction, 0, |_| true);
-            let bins = plan.fill(&particles[..], &[]).unwrap();
+            let bins = plan.fill(&particles, &[]).unwrap();
             let pages = indicate(&bins, 0..bins.keys().len(), &rule).unwrap();
             let (mut taken, mut sparse) = (0, 0);
             for (info, samples) in &pages {

@@ -482,7 +482,7 @@ fn field_of(
     let cell = |p: &[f64; 3]| DVec3::from(*p).floor().as_ivec3();
     let near: Vec<[f64; 3]> =
         particles.iter().filter(|p| seen.contains(cell(p))).copied().collect();
-    let frame = Engine::sample(&near[..], sampling, &mut Timings::default()).unwrap();
+    let frame = Engine::sample(&near, sampling, &mut Timings::default()).unwrap();
     field(&recipe(&frame), dif(&frame), cells)
 }
 
@@ -588,8 +588,8 @@ fn the_halo_of_the_counting_recipe_is_exactly_the_reach_of_a_particle() {
             };
             let edge = if up < 0 { cells.lo[axis] } else { cells.hi[axis] - 1 };
             let last = if up < 0 { seen.lo[axis] } else { seen.hi[axis] - 1 };
-            let frame = Engine::sample(&[middle(at(edge))][..], &sampling, &mut Timings::default())
-                .unwrap();
+            let frame =
+                Engine::sample(&[middle(at(edge))], &sampling, &mut Timings::default()).unwrap();
             let Filters::Paper(filters) = by(1)(&frame).filters else { unreachable!() };
             let halo = filters.recovery.as_ref().map_or(0, Filter::halo);
             let between = at(edge + up * halo);
@@ -601,7 +601,7 @@ fn the_halo_of_the_counting_recipe_is_exactly_the_reach_of_a_particle() {
                 // Choose the threshold so that smoothing loses the second cell if it is alone, but
                 // not if the first cell is nearby.
                 let alone =
-                    Engine::sample(&particles[1..], &sampling, &mut Timings::default()).unwrap();
+                    Engine::sample(&&particles[1..], &sampling, &mut Timings::default()).unwrap();
                 let none = Surfacing { detail: Detail::Smoothed, ..plain.clone() };
                 let smoothed = none.recipe(dif(&alone), &calibration(1));
                 threshold = field(&smoothed, dif(&alone), CellBox { lo: between, hi: between + 1 })
@@ -644,7 +644,7 @@ fn a_part_counts_only_the_wanted_particles() {
     let sampling =
         Sampling { grid, method: IndicatorKind::Cloud.into(), spacing: Some(0.8), ..sampling() };
     let surfacing = surfacing();
-    let whole = CountedFrame::for_surface(&particles[..], &sampling, &surfacing, None).unwrap();
+    let whole = CountedFrame::for_surface(&particles, &sampling, &surfacing, None).unwrap();
     let all: Vec<_> = whole.bins().collect();
     let middle = all[all.len() / 2].0;
     let first = MortonKey::of(middle.coord().div_euclid(IVec3::splat(2)));
@@ -653,7 +653,7 @@ fn a_part_counts_only_the_wanted_particles() {
     {
         let wanted =
             WantedBins { stretch, sight: sampling.sight(IndicatorKind::Cloud, &surfacing, None) };
-        let part = CountedFrame::of_wanted(&particles[..], &sampling, &surfacing, wanted).unwrap();
+        let part = CountedFrame::of_wanted(&particles, &sampling, &surfacing, wanted).unwrap();
         let expected: Vec<_> =
             all.iter().filter(|(bin, _)| wanted.hold(bin.coord())).copied().collect();
         assert!(!expected.is_empty() && expected.len() < all.len());

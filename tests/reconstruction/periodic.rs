@@ -62,7 +62,7 @@ fn meshed(
     surfacing: &Surfacing,
 ) -> (Engine, Mesh) {
     let timings = &mut Timings::default();
-    let frame = Engine::sample(particles, sampling, timings).unwrap();
+    let frame = Engine::sample(&particles, sampling, timings).unwrap();
     let mesh = frame.surface(surfacing, timings).unwrap().to_mesh().unwrap();
     (frame, mesh)
 }
@@ -220,7 +220,7 @@ fn periodic_images_are_not_counted_as_particles() {
     let (frame, _) = meshed(&particles[..], &counting, &surfacing());
     assert_eq!(frame.facts().census.binned, particles.len());
     let alone = Sampling { periodic: None, ..counting };
-    let expected = Engine::sample(&particles[..], &alone, &mut Timings::default()).unwrap();
+    let expected = Engine::sample(&particles, &alone, &mut Timings::default()).unwrap();
     let mean = |frame: &Engine| frame.dif().unwrap().indicator.mean();
     assert_eq!(mean(&frame), mean(&expected), "the mean count of the periodic box differs");
 

@@ -315,7 +315,7 @@ fn a_packed_frame_of_sizes_has_the_surface_of_its_particles() {
         let packed = frame.pack(request.packed_output(&path, Replace::Allow).unwrap()).unwrap();
         assert!(packed.cells > 0 && packed.bricks > 0, "{what}: {packed:?}");
         let again = |by: Reconstruction| {
-            let surface = by.clone().run_file(&path).unwrap();
+            let surface = by.run_file(&path).unwrap();
             text_of_obj(&surface.to_mesh().unwrap())
         };
         let meshed =

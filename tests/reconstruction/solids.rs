@@ -221,14 +221,14 @@ fn in_a_periodic_box_solids_repeat_as_the_fluid_does() {
         Sampling { method, grid, spacing: Some(1.0), side: method.brick_side(), ..sampling() };
     let in_box = Sampling { periodic, ..alone.clone() };
     let timings = &mut Timings::default();
-    let frame = Engine::sample(&water[..], &in_box, timings).unwrap();
+    let frame = Engine::sample(&water, &in_box, timings).unwrap();
     // Use the calibration of the periodic box for both frames.
     let calibrated = of_all.calibrate(frame.dif().unwrap()).unwrap().calibration;
     let mut meshed = |frame: &Engine, surfacing: &Surfacing| {
         let frame = frame.calibrate(surfacing, Some(&calibrated), timings).unwrap();
         frame.surface(timings).unwrap().to_mesh().unwrap()
     };
-    let around = Engine::sample(&repeated(&water, faces)[..], &alone, &mut Timings::default());
+    let around = Engine::sample(&repeated(&water, faces), &alone, &mut Timings::default());
     let all = meshed(&around.unwrap(), &of_all);
     for (ends, margin) in [(PeriodicMesh::Cut, 1.0), (PeriodicMesh::Overlap, 0.0)] {
         let mesh = meshed(&frame, &at_solids(vec![solid.clone()], ends));

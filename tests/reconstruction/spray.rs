@@ -46,7 +46,7 @@ fn the_drop_by_drop_mesh_of_spray_equals_the_mesh_of_the_whole_field() {
         }
         let sheets = SheetStretch::DEFAULT;
         let surfacing = Surfacing { sheets, normals, ..surfacing() };
-        let frame = Engine::sample(&particles[..], &sampling, &mut Timings::default()).unwrap();
+        let frame = Engine::sample(&particles, &sampling, &mut Timings::default()).unwrap();
         let (recipe, _) = recipe(&frame, &surfacing);
         let sampled = dif(&frame);
         let periodic_mesh = PeriodicMesh::Cut;

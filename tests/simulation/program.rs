@@ -979,7 +979,7 @@ fn an_interrupted_sequence_keeps_finished_frames_and_resumes() {
     let out = folder.path().join("out");
     program::wait_until(&mut child, "m_3.ply", |_| out.join("m_3.ply").exists());
     assert!(
-        Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success()
+        Command::new("kill").args(["-TERM", &child.id().to_string()]).status().unwrap().success()
     );
     assert_eq!(child.wait().unwrap().code(), Some(130));
     let left = tree(&out);
@@ -987,6 +987,26 @@ fn an_interrupted_sequence_keeps_finished_frames_and_resumes() {
     assert!(left.keys().filter(|name| name.starts_with("m_")).count() < 200);
     run(folder.path(), &with(&["--resume", "-q"]), 0);
     assert_eq!(tree(&out).keys().filter(|name| name.starts_with("m_")).count(), 200);
+}
+
+#[test]
+#[cfg(unix)]
+fn a_conversion_started_by_nohup_survives_the_end_of_the_session() {
+    let folder = falling(1..=40);
+    let arguments: Vec<String> = ALL.iter().map(|word| format!("'{word}'")).collect();
+    // The shell ignores SIGHUP as `nohup` does, and so does the program that replaces it.
+    let reconstruct = format!("reconstruct {}", arguments.join(" "));
+    let mut child = program::shell_command(folder.path(), "trap '' HUP", &reconstruct)
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let out = folder.path().join("out");
+    program::wait_until(&mut child, "m_3.ply", |_| out.join("m_3.ply").exists());
+    assert!(
+        Command::new("kill").args(["-HUP", &child.id().to_string()]).status().unwrap().success()
+    );
+    assert!(child.wait().unwrap().success());
+    assert_eq!(tree(&out).keys().filter(|name| name.starts_with("m_")).count(), 40);
 }
 
 #[test]

@@ -122,7 +122,7 @@ impl Sequence {
         }
         match how {
             0 => job.kill().unwrap(),
-            1 => drop(Command::new("kill").args(["-INT", &job.id().to_string()]).status()),
+            1 => drop(Command::new("kill").args(["-TERM", &job.id().to_string()]).status()),
             _ => {}
         }
         self.note(["killed", "interrupted", "ended", "ended"][how as usize]);

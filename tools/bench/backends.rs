@@ -93,7 +93,7 @@ pub fn measure(options: Options) -> Result<bool, Box<dyn Error>> {
     for &millions in &options.millions {
         let particles = scene::splash((millions * 1e6) as usize, 1);
         let width = particles.iter().flatten().fold(0.0_f32, |a, &b| a.max(b));
-        let spacing = estimate(&particles[..]);
+        let spacing = estimate(&particles);
         for (&cells, kind) in options.cells.iter().flat_map(|cells| KINDS.map(|kind| (cells, kind)))
         {
             let mut sampling = sampling(f64::from(width) / f64::from(cells), kind, spacing);
@@ -163,7 +163,7 @@ fn run(particles: &[[f32; 3]], sampling: &Sampling) -> Result<(Timings, u32), Fr
         false => Surfacing { detail: Detail::Recovered, ..Surfacing::PLAIN },
     };
     let mut timings = Timings::default();
-    let frame = Engine::sample(particles, sampling, &mut timings)?;
+    let frame = Engine::sample(&particles, sampling, &mut timings)?;
     let surface = frame.surface(&surfacing, &mut timings)?;
     assert!(frame.warnings().is_empty(), "{:?}", frame.warnings());
     let mut sum = crc32fast::Hasher::new();

@@ -62,9 +62,9 @@ fn main() {
 
     let grid = Grid::new(DVec3::ZERO, 1.0).expect("a valid grid");
     let bin = || {
-        BinPlan::count(&particles[..], &grid, None, InvalidParticles::Refuse, CountingRoom::BINS)
+        BinPlan::count(&particles, &grid, None, InvalidParticles::Refuse, CountingRoom::BINS)
             .expect("valid particles")
-            .fill(&particles[..], &[])
+            .fill(&particles, &[])
             .expect("the same particles")
     };
     let (bin_seconds, bins) = best_seconds(3, bin);
@@ -107,8 +107,7 @@ fn main() {
         resources: Resources::new(MemoryBudget(u64::MAX), std::env::temp_dir()),
     };
     let surfacing = Surfacing::PLAIN;
-    let frame =
-        Engine::sample(&particles[..], &sampling, &mut Timings::default()).expect("a frame");
+    let frame = Engine::sample(&particles, &sampling, &mut Timings::default()).expect("a frame");
     let sampled = frame.dif().expect("an indicator makes the field");
     let measured = surfacing.calibrate(sampled).expect("cells of a spacing");
     let recipe = surfacing.recipe(sampled, &measured.calibration);
@@ -144,7 +143,7 @@ fn main() {
 
     let (seconds, (timings, surface)) = best_seconds(3, || {
         let mut timings = Timings::default();
-        let frame = Engine::sample(&particles[..], &sampling, &mut timings).expect("a frame");
+        let frame = Engine::sample(&particles, &sampling, &mut timings).expect("a frame");
         let surface = frame.surface(&surfacing, &mut timings).expect("a surface");
         (timings, surface)
     });

@@ -154,7 +154,7 @@ fn per_rule(found: &[&Found]) -> Vec<String> {
 fn found(solid: &Solid, indicator: IndicatorKind, cell: f64, lattice: &Lattice) -> Outcome<Found> {
     let particles = fill(solid, lattice);
     let sample = |grid: Grid| {
-        Engine::sample(&particles[..], &sampling(grid, 1.0, indicator), &mut Timings::default())
+        Engine::sample(&particles, &sampling(grid, 1.0, indicator), &mut Timings::default())
     };
     let frame = sample(grid(cell)?)?;
     let (asked, sampled) =
@@ -174,7 +174,7 @@ fn found(solid: &Solid, indicator: IndicatorKind, cell: f64, lattice: &Lattice) 
             error_at(solid, &frame, Some(values.above(particles.len() as f64 / cell.powi(3))))
         }
         Rule::Moved => {
-            let origin = sound_origin(&particles[..], DVec3::ZERO, cell).unwrap_or(DVec3::ZERO);
+            let origin = sound_origin(&particles, DVec3::ZERO, cell).unwrap_or(DVec3::ZERO);
             error_at(solid, &sample(Grid::new(origin, cell)?)?, None)
         }
     };

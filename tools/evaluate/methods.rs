@@ -147,7 +147,7 @@ impl Method {
             }
             Self::Kernels(kernels) => (kernels.into(), Surfacing::PLAIN),
         };
-        let frame = Engine::sample(particles, &sampling(grid, spacing, method), timings)?;
+        let frame = Engine::sample(&particles, &sampling(grid, spacing, method), timings)?;
         frame.surface(&Surfacing { normals, ..surfacing }, timings)
     }
 }

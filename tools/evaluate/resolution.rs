@@ -79,9 +79,9 @@ type Figures = ([Option<f64>; 4], f64, u64);
 fn on_cpu(particles: &[[f32; 3]], cell: f64) -> Outcome<Figures> {
     let (sampling, surfacing) =
         (sampling(grid(cell)?, 1.0, COUNTING), surfacing(Sigmas::Auto.value(), Iso::Auto.value()));
-    Engine::sample(particles, &sampling, &mut Timings::default())?;
+    Engine::sample(&particles, &sampling, &mut Timings::default())?;
     let start = Instant::now();
-    let frame = Engine::sample(particles, &sampling, &mut Timings::default())?;
+    let frame = Engine::sample(&particles, &sampling, &mut Timings::default())?;
     let dif = start.elapsed().as_secs_f64();
     let stitched = frame.surface(&surfacing, &mut Timings::default())?;
     let surface = stitched.to_mesh()?;
@@ -129,7 +129,7 @@ fn on_device(device: &Device, particles: &[[f32; 3]], cell: f64) -> Outcome<Figu
     let surfacing = surfacing(Sigmas::Auto.value(), Iso::Auto.value());
     let run = || -> Outcome<(f64, u64)> {
         let start = Instant::now();
-        let frame = Engine::sample(particles, &sampling, &mut Timings::default())?;
+        let frame = Engine::sample(&particles, &sampling, &mut Timings::default())?;
         let mesh = frame.surface(&surfacing, &mut Timings::default())?;
         mesh.to_mesh()?;
         let seconds = start.elapsed().as_secs_f64();
@@ -160,7 +160,7 @@ fn detail(options: &Options, particles: &[[f32; 3]], side: f64) -> Outcome<()> {
         let surfacing = Surfacing { detail, ..surfacing(Sigmas::Cells(1.2).value(), iso.value()) };
         let run = || -> Outcome<_> {
             let start = Instant::now();
-            let frame = Engine::sample(particles, &sampling, &mut Timings::default())?;
+            let frame = Engine::sample(&particles, &sampling, &mut Timings::default())?;
             let mesh = frame.surface(&surfacing, &mut Timings::default())?.to_mesh()?;
             Ok((start.elapsed().as_secs_f64(), mesh))
         };

@@ -57,13 +57,13 @@ fn greatest_move(indicator: IndicatorKind, cell: f64, jitter: f64) -> Outcome<f6
     let asked = surfacing(None, None);
     let free = sampling(grid(cell)?, 1.0, indicator);
     let FrameMeasurements { grid, calibration, .. } =
-        measure(&raised(0)[..], &free, Origin::Free, &asked)?;
+        measure(&raised(0), &free, Origin::Free, &asked)?;
     let mean = calibration.and_then(|known| known.mean());
     let frozen = Sampling { grid, method: Method::Indicator { kind: indicator, mean }, ..free };
 
     let height = |step: u32| -> Outcome<f64> {
         let timings = &mut Timings::default();
-        let frame = Engine::sample(&raised(step)[..], &frozen, timings)?;
+        let frame = Engine::sample(&raised(step), &frozen, timings)?;
         let mesh =
             frame.calibrate(&asked, calibration.as_ref(), timings)?.surface(timings)?.to_mesh()?;
         Ok(level(&mesh) - rise(step))

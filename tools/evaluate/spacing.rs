@@ -75,11 +75,11 @@ fn named(name: &str) -> Option<f64> {
 
 fn estimate(name: &str, particles: &[[f64; 3]], truth: f64) -> [String; 5] {
     let counted =
-        evidence(particles).and_then(|evidence| evidence.counted).map(|counted| counted.mean);
+        evidence(&particles).and_then(|evidence| evidence.counted).map(|counted| counted.mean);
     let over =
         |spacing: Option<f64>| spacing.map_or("none".into(), |spacing| figure(spacing / truth));
     let request = SamplingRequest::default();
-    let (estimate, said) = match request.cells(particles, SpacingHints::default()) {
+    let (estimate, said) = match request.cells(&particles, SpacingHints::default()) {
         Ok(cells) => (cells.spacing(), words(&cells)),
         Err(error) => (None, error.to_string()),
     };
@@ -117,7 +117,7 @@ fn words(cells: &Cells) -> String {
 fn said_of(particles: &[[f64; 3]], spacing: f64) -> String {
     let request = SamplingRequest { spacing: Some(spacing), ..SamplingRequest::default() };
     request
-        .cells(particles, SpacingHints::default())
+        .cells(&particles, SpacingHints::default())
         .map_or_else(|error| error.to_string(), |cells| words(&cells))
 }
 
@@ -135,14 +135,14 @@ fn cost_of(name: &str, particles: &[[f64; 3]]) -> Outcome<[String; 4]> {
         Ok(took[3])
     };
     let spacing = SamplingRequest::default()
-        .cells(particles, SpacingHints::default())
+        .cells(&particles, SpacingHints::default())
         .ok()
         .and_then(|cells| cells.spacing());
     let Some(spacing) = spacing else {
         return Ok([name.to_owned(), "-".into(), "-".into(), "-".into()]);
     };
     let estimating = median(Box::new(|| {
-        std::hint::black_box(evidence(particles));
+        std::hint::black_box(evidence(&particles));
         Ok(())
     }))?;
     let folder = tempfile::tempdir()?;

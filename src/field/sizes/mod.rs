@@ -58,7 +58,9 @@ const GROWTH: [f64; 2] = [0.65, 0.3];
 #[must_use]
 pub fn growth(spacing_cells: f64) -> i32 {
     let [fine, coarse] = GROWTH;
-    ((fine + coarse / (spacing_cells * spacing_cells)) * UNITS).round() as i32
+    let units = (fine + coarse / (spacing_cells * spacing_cells)) * UNITS;
+    // In cells of a thousand spacings, a drop is smaller than a cell anyway.
+    units.round().min(f64::from(1 << 28)) as i32
 }
 
 /// The filter that averages sizes, in wide cells of an octave.

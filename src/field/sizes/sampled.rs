@@ -27,17 +27,13 @@ impl SampledOctaves {
         Some(Octaves::new(facts.spacing?, coarsest, facts.grid.cell_size()))
     }
 
-    /// The plateau of clouds of this density, for a spacing in cells.
-    #[must_use]
-    pub fn plateau(spacing_cells: f64, density: f64) -> f64 {
-        (Plateau::nominal(spacing_cells) * density).round()
-    }
-
     /// The calibration of this frame, from its density.
     #[must_use]
     pub fn calibrated(&self) -> MeasuredCalibration {
         let spacing_cells = self.facts.spacing_cells_or_one();
-        let value = Self::plateau(spacing_cells, self.density.unwrap_or(1.0)) as u16;
+        // The nominal plateau exceeds the range of samples in cells of 16 spacings or more.
+        let nominal = Plateau::nominal(spacing_cells) * self.density.unwrap_or(1.0);
+        let value = nominal.round().max(1.0) as u16;
         let plateau = match self.density {
             Some(_) => Plateau::Interior { median: value, lowest: value },
             None => Plateau::Shallow { expected: value },

@@ -175,7 +175,8 @@ impl CellCounts {
             // The bins of a grid with sixteen times finer cells are the counting cells.
             let grid = Grid::new(origin, cell / f64::from(BIN)).ok()?;
             let room = CountingRoom { bins: MOST_CELLS, places: 0 };
-            let plan = BinPlan::count(particles, &grid, None, InvalidParticles::Skip, room).ok()?;
+            let plan =
+                BinPlan::count(&particles, &grid, None, InvalidParticles::Skip, room).ok()?;
             return Some(Self::Hashed(
                 plan.keys().iter().map(|key| key.coord()).zip(plan.counts()).collect(),
             ));
@@ -307,7 +308,7 @@ mod tests {
     #[test]
     fn listed_and_hashed_cells_have_equal_counts() {
         let particles = lattice(23);
-        let near = bounds(&particles[..]).unwrap();
+        let near = bounds(&particles).unwrap();
         for (shift, cell) in [(0.0, 3.1), (0.7, 2.0), (1.3, 5.5)] {
             let of = |far: f64| {
                 CellCounts::of(&particles, [near.lo, near.hi + far], near.lo - shift, cell).unwrap()

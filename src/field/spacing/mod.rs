@@ -130,14 +130,14 @@ pub struct SpacingDraft {
 }
 
 /// Estimates the spacing of particles; `None` if that is impossible.
-pub fn estimate(particles: &(impl Particles + ?Sized)) -> Option<f64> {
+pub fn estimate(particles: &dyn Particles) -> Option<f64> {
     evidence(particles)?.estimate().ok().map(|estimate| estimate.spacing)
 }
 
 /// Reads the particles and collects the evidence about their spacing; `None` if there are no finite
 /// particles, or if the reading was cancelled. Up to [`ALL`] particles are read once, more
 /// particles twice or more.
-pub fn evidence(particles: &(impl Particles + ?Sized)) -> Option<Evidence> {
+pub fn evidence(particles: &dyn Particles) -> Option<Evidence> {
     if particles.len() <= ALL {
         let (positions, bounds) = gathered(particles);
         return if particles.goes_on() { of_all(positions, bounds) } else { None };
@@ -158,7 +158,7 @@ pub fn evidence(particles: &(impl Particles + ?Sized)) -> Option<Evidence> {
 /// Reads the particles and searches for neighbours at the scale of a known spacing; `None` if there
 /// are no particles, or if the reading was cancelled. The particles are read twice if there are at
 /// most [`ALL`] of them and a small sample does not confirm the spacing.
-pub fn survey(particles: &(impl Particles + ?Sized), spacing: f64) -> Option<SampleSurvey> {
+pub fn survey(particles: &dyn Particles, spacing: f64) -> Option<SampleSurvey> {
     let of = |sample| if particles.goes_on() { SampleSurvey::of(sample, spacing) } else { None };
     if particles.len() <= FEWEST_SAMPLED {
         return of(NeighbourSample::whole(gathered(particles).0));
@@ -199,7 +199,7 @@ impl SampleSurvey {
 }
 
 /// Passes the positions of all particles to `add`, in chunks, in any order.
-pub fn for_each_chunk(particles: &(impl Particles + ?Sized), add: impl Fn(&[[f64; 3]]) + Sync) {
+pub fn for_each_chunk(particles: &dyn Particles, add: impl Fn(&[[f64; 3]]) + Sync) {
     let buffer = || vec![[0.0; 3]; CHUNK];
     (0..particles.len().div_ceil(CHUNK)).into_par_iter().for_each_init(buffer, |buffer, chunk| {
         let range = chunk * CHUNK..particles.len().min((chunk + 1) * CHUNK);
@@ -211,7 +211,7 @@ pub fn for_each_chunk(particles: &(impl Particles + ?Sized), add: impl Fn(&[[f64
 }
 
 /// The finite positions of all particles in their order, and their bounds.
-fn gathered(particles: &(impl Particles + ?Sized)) -> (Vec<[f64; 3]>, Bounds) {
+fn gathered(particles: &dyn Particles) -> (Vec<[f64; 3]>, Bounds) {
     let mut all = vec![[0.0; 3]; particles.len()];
     let bounds = all.par_chunks_mut(CHUNK).enumerate().map(|(chunk, positions)| {
         particles.positions(chunk * CHUNK, positions);
@@ -295,7 +295,7 @@ impl SpacingDraft {
     /// Counts a sample; `None` if it is empty.
     pub fn of(share: FinishedSample) -> Option<Self> {
         let FinishedSample { positions, part, places, bounds: all, .. } = share;
-        let bounds = bounds(&positions[..])?;
+        let bounds = bounds(&positions)?;
         let place = CoordinateFacts::of(&positions, &all);
         let particles = all.finite;
         // A layer may be too thin for interior cells in a sample of this size. The search for
@@ -327,7 +327,7 @@ impl SpacingDraft {
 
     /// Reads the particles for a search for neighbours: once, if the scale is known. Returns `None`
     /// if the reading was cancelled.
-    pub fn completed(mut self, particles: &(impl Particles + ?Sized)) -> Option<Evidence> {
+    pub fn completed(mut self, particles: &dyn Particles) -> Option<Evidence> {
         const READINGS: u32 = 8;
         for _ in 1..READINGS {
             let in_cubes = self.in_cubes();
@@ -369,7 +369,7 @@ impl SpacingDraft {
 
 impl CoordinateFacts {
     fn of_sample(sample: &NeighbourSample) -> Option<Self> {
-        Some(Self::of(&sample.positions, &bounds(&sample.positions[..])?))
+        Some(Self::of(&sample.positions, &bounds(&sample.positions)?))
     }
 
     /// Determines the facts from the positions of some particles and the bounds of all.

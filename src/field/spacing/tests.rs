@@ -41,7 +41,7 @@ fn bars(size: [usize; 3], gap: usize, jitter: f64) -> Vec<[f64; 3]> {
 }
 
 fn estimated(particles: &[[f64; 3]]) -> SpacingEstimate {
-    evidence(particles).unwrap().estimate().unwrap()
+    evidence(&particles).unwrap().estimate().unwrap()
 }
 
 fn part_of(particles: &[[f64; 3]]) -> Vec<[f64; 3]> {
@@ -66,7 +66,7 @@ fn a_sample_has_distinct_and_finite_positions() {
         };
         assert_eq!(sorted(&mut taken.positions), sorted(&mut places.clone()));
         assert_eq!((taken.places, taken.bounds.finite), (places.len(), copies * places.len()));
-        let all = bounds(&places[..]).unwrap();
+        let all = bounds(&places).unwrap();
         assert_eq!((taken.bounds.lo, taken.bounds.hi), (all.lo, all.hi));
     }
 }
@@ -74,13 +74,13 @@ fn a_sample_has_distinct_and_finite_positions() {
 #[test]
 fn estimates_do_not_depend_on_the_order_of_many_particles() {
     let mut particles = layers([120; 3], 1.0 / 3.0);
-    let first = evidence(&particles[..]).unwrap();
+    let first = evidence(&particles).unwrap();
     let spacing = first.estimate().unwrap().spacing;
     assert!((spacing - 1.0).abs() < 0.01, "{spacing}");
     assert!(part_of(&particles).len() < particles.len(), "all were taken");
     particles.reverse();
     particles.push([f64::NAN; 3]);
-    assert_eq!(evidence(&particles[..]), Some(first));
+    assert_eq!(evidence(&particles), Some(first));
 }
 
 #[test]
@@ -109,7 +109,7 @@ fn a_sample_of_a_lattice_covers_its_columns_for_any_spacing() {
 fn neighbours_measure_a_layer_that_is_too_thin_to_count_in_a_sample() {
     let particles = layers([500, 500, 10], 1.0 / 3.0);
     let part = part_of(&particles);
-    let bounds = bounds(&part[..]).unwrap();
+    let bounds = bounds(&part).unwrap();
     assert_eq!(density::spacings(&part, &bounds, ENOUGH_SHARE), None);
     let spacing = estimated(&particles).spacing;
     assert!((spacing - 1.0).abs() < 0.05, "{spacing}");
@@ -184,7 +184,7 @@ fn random_positions_are_distinguished_from_a_fluid() {
         let coordinate = |i: u64| length * unit(i + 1_000_000 * seed);
         let random: Vec<[f64; 3]> =
             (0..count).map(|i| [0, 1, 2].map(|axis| coordinate(3 * i + axis))).collect();
-        assert!(evidence(&random[..]).unwrap().neighbours.is_random(), "{seed}");
+        assert!(evidence(&random).unwrap().neighbours.is_random(), "{seed}");
     }
     // Eight particles per cell, as FLIP seeds them.
     let seeded: Vec<[f64; 3]> = (0..27_000)
@@ -194,7 +194,7 @@ fn random_positions_are_distinguished_from_a_fluid() {
         })
         .collect();
     for fluid in [seeded, layers([30; 3], 0.5)] {
-        assert!(!evidence(&fluid[..]).unwrap().neighbours.is_random());
+        assert!(!evidence(&fluid).unwrap().neighbours.is_random());
     }
 }
 
@@ -208,13 +208,13 @@ fn duplicates_and_clumps_are_excluded() {
     for (particles, places) in
         [(twice, once.len()), (parked, once.len() + 1), (parked_inside, once.len())]
     {
-        let all = evidence(&particles[..]).unwrap();
+        let all = evidence(&particles).unwrap();
         // A clump at one position may be missing from the sample: then all particles are counted.
         assert!([places, particles.len()].contains(&all.places), "{} places", all.places);
         let found = all.estimate().unwrap();
         assert!((found.spacing / alone.spacing - 1.0).abs() < 0.02, "{found:?}, not {alone:?}");
     }
-    let places = |particles: &[[f64; 3]]| evidence(particles).unwrap().estimate();
+    let places = |particles: &[[f64; 3]]| evidence(&particles).unwrap().estimate();
     assert_eq!(places(&[[1.0; 3]; 500]), Err(NoEstimate::Coincident { places: 1 }));
     assert_eq!(places(&[[1.0; 3], [2.0; 3]]), Err(NoEstimate::TooFew));
 }
@@ -226,7 +226,7 @@ fn duplicates_and_clumps_are_excluded_from_a_sample_of_many() {
     let twice = [once.clone(), once.clone()].concat();
     let parked = |at: f64| [once.clone(), vec![[at; 3]; 900_000]].concat();
     for particles in [twice, parked(0.0), parked(90.0), parked(1e7)] {
-        let all = evidence(&particles[..]).unwrap();
+        let all = evidence(&particles).unwrap();
         assert!(
             (all.places as f64 / once.len() as f64 - 1.0).abs() < 0.02,
             "{} places",
@@ -236,21 +236,18 @@ fn duplicates_and_clumps_are_excluded_from_a_sample_of_many() {
         assert!((found.spacing / alone.spacing - 1.0).abs() < 0.02 && !found.thin, "{found:?}");
     }
     let places: Vec<[f64; 3]> = (0..600_000).map(|i| [f64::from(i % 6); 3]).collect();
-    assert_eq!(
-        evidence(&places[..]).unwrap().estimate(),
-        Err(NoEstimate::Coincident { places: 6 })
-    );
+    assert_eq!(evidence(&places).unwrap().estimate(), Err(NoEstimate::Coincident { places: 6 }));
 }
 
 #[test]
 fn a_plane_of_particles_is_detected_only_if_all_lie_in_it() {
     let mut particles: Vec<[f64; 3]> =
         layers([800, 800, 1], 0.2).into_iter().map(|[x, y, _]| [x, y, 0.25]).collect();
-    let found = evidence(&particles[..]).unwrap();
+    let found = evidence(&particles).unwrap();
     assert_eq!(found.place.plane, Some(Plane { axis: 2, at: 0.25 }));
     assert!((found.estimate().unwrap().spacing - 1.0).abs() < 0.03);
     particles[100_000][2] = 3.0;
-    assert_eq!(evidence(&particles[..]).unwrap().place.plane, None);
+    assert_eq!(evidence(&particles).unwrap().place.plane, None);
 }
 
 #[test]
@@ -268,7 +265,7 @@ fn many_particles_in_sheets_and_filaments_are_searched_at_their_scale() {
         for factor in [100.0, 0.01] {
             draft.scale = factor;
             let again = SpacingDraft { place: draft.place, counted: draft.counted, ..draft };
-            let found = again.completed(&particles[..]).unwrap().estimate().unwrap();
+            let found = again.completed(&particles).unwrap().estimate().unwrap();
             assert!((found.spacing - 1.0).abs() < 0.12, "{factor}: {found:?}");
         }
     }
@@ -282,21 +279,21 @@ fn a_plane_across_any_axis_is_found_and_its_spacing_measured_in_it() {
             p[2] = 0.25;
             p.rotate_right((axis + 1) % 3);
         });
-        let found = evidence(&particles[..]).unwrap();
+        let found = evidence(&particles).unwrap();
         assert_eq!(found.place.plane, Some(Plane { axis, at: 0.25 }));
         let estimate = found.estimate().unwrap();
         assert!((estimate.spacing - 1.0).abs() < 0.03 && !estimate.thin, "{estimate:?}");
     }
     let mut stray = layers([12; 3], 0.2);
     stray.push([1e9, -1e9, 5.0]);
-    assert_eq!(evidence(&stray[..]).unwrap().place.plane, None, "all but one are near each other");
+    assert_eq!(evidence(&stray).unwrap().place.plane, None, "all but one are near each other");
     let tilted = turned(layers([50, 40, 1], 0.0));
-    assert_eq!(evidence(&tilted[..]).unwrap().place.plane, None);
+    assert_eq!(evidence(&tilted).unwrap().place.plane, None);
     let wide: Vec<[f64; 3]> =
         layers([200, 200, 1], 0.2).into_iter().map(|[x, y, _]| [x, y, 2.9]).collect();
     assert!((estimated(&wide).spacing - 1.0).abs() < 0.03);
     let line = layers([50, 1, 1], 0.0);
-    assert_eq!(evidence(&line[..]).unwrap().place.plane, None);
+    assert_eq!(evidence(&line).unwrap().place.plane, None);
 }
 
 #[test]
@@ -305,20 +302,20 @@ fn single_precision_is_detected_with_its_step() {
         let single = |c: f64| f64::from((0.05 * c + from) as f32);
         layers([20; 3], 0.3).into_iter().map(|p| p.map(single)).collect()
     };
-    let far = evidence(&at(300_000.0)[..]).unwrap();
+    let far = evidence(&at(300_000.0)).unwrap();
     assert_eq!(far.place.step, Some(0.03125));
     assert!(far.estimate().is_ok());
-    let farther = evidence(&at(3e6)[..]).unwrap();
+    let farther = evidence(&at(3e6)).unwrap();
     assert_eq!(farther.estimate(), Err(NoEstimate::SinglePrecision { step: 0.25 }));
     // All of these coordinates are exact in single precision.
     let dyadic: Vec<[f64; 3]> =
         layers([20; 3], 0.0).into_iter().map(|p| p.map(|c| 0.5 * c + 3e6)).collect();
-    let dyadic = evidence(&dyadic[..]).unwrap();
+    let dyadic = evidence(&dyadic).unwrap();
     assert_eq!(dyadic.place.step, None);
     assert!((dyadic.estimate().unwrap().spacing / 0.5 - 1.0).abs() < 0.01);
     let double: Vec<[f64; 3]> =
         layers([20; 3], 0.3).into_iter().map(|p| p.map(|c| 0.05 * c + 3e6)).collect();
-    let double = evidence(&double[..]).unwrap();
+    let double = evidence(&double).unwrap();
     assert_eq!(double.place.step, None);
     assert!((double.estimate().unwrap().spacing / 0.05 - 1.0).abs() < 0.02);
 }

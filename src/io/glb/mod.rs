@@ -20,6 +20,7 @@ mod document;
 mod view;
 mod write;
 
+pub use view::can_store;
 pub use write::write_mesh;
 
 use super::UpAxis;

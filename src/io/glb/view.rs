@@ -107,6 +107,11 @@ pub fn views(mesh: &OrderedMesh, compression: GlbCompression) -> Vec<GlbView> {
     views
 }
 
+/// Whether the format can store an attribute.
+pub fn can_store(info: &AttributeInfo) -> bool {
+    info.kind.is_colour() || (1..=4).contains(&info.components)
+}
+
 /// The name of each attribute in the file. `None` for an attribute that the format cannot store.
 fn names(attributes: &[AttributeInfo]) -> Vec<Option<String>> {
     let mut taken: Vec<String> = Vec::new();
@@ -115,7 +120,7 @@ fn names(attributes: &[AttributeInfo]) -> Vec<Option<String>> {
         if info.kind.is_colour() {
             return colours.next();
         }
-        if !(1..=4).contains(&info.components) {
+        if !can_store(info) {
             return None;
         }
         let plain = |c: char| if c.is_ascii_alphanumeric() { c.to_ascii_uppercase() } else { '_' };

@@ -141,6 +141,16 @@ impl<'a> PackableFrame<'a> {
         }
     }
 
+    /// The fields that all particles are in, each with the octave of its cells.
+    #[must_use]
+    pub fn volumes(self) -> Vec<(u32, &'a DifField)> {
+        let step = match self {
+            Self::Dif(_) => 1,
+            Self::Octaves(_) => 2,
+        };
+        self.fields().into_iter().step_by(step).collect()
+    }
+
     /// The largest size, if the particles have several sizes.
     #[must_use]
     pub fn coarsest(self) -> Option<f64> {

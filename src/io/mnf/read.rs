@@ -1,6 +1,6 @@
 use std::cell::RefCell;
 use std::fs::File;
-use std::ops::Range;
+use std::ops::{Range, RangeInclusive};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -30,6 +30,8 @@ use super::{
 const RELEASED: u64 = 4 << 20;
 /// Number of bytes that the system maps around an accessed byte.
 const AROUND: u64 = 64 << 10;
+/// The possible densities of particles of several sizes: their volume per unit volume.
+const DENSITIES: RangeInclusive<f64> = 0.01..=100.0;
 /// Number of bytes per step of computing a checksum.
 const CHUNK: usize = 1 << 20;
 
@@ -176,17 +178,21 @@ impl MappedPages {
     }
 
     /// The fields, which share the cache by their numbers of pages.
-    fn into_fields(mut self, infos: Vec<PageInfo>, cache_bytes: u64) -> Vec<DifField> {
+    fn into_fields(mut self, mut infos: Vec<PageInfo>, cache_bytes: u64) -> Vec<DifField> {
         self.checksums = Vec::new();
-        let (shape, starts) = (self.shape, std::mem::take(&mut self.fields));
+        let (shape, mut starts) = (self.shape, std::mem::take(&mut self.fields));
         let all = Arc::new(self);
-        let field = |ends: &[usize]| {
-            let own = infos[ends[0]..ends[1]].to_vec();
-            let share = u128::from(cache_bytes) * own.len() as u128 / infos.len().max(1) as u128;
-            let pages = FieldPages { all: Arc::clone(&all), first: ends[0] };
-            DifField::paged(shape, own, Box::new(pages), share as u64)
-        };
-        starts.windows(2).map(field).collect()
+        let count = infos.len().max(1) as u128;
+        let mut fields = Vec::with_capacity(starts.len());
+        starts.pop();
+        while let Some(first) = starts.pop() {
+            let own = if first == 0 { std::mem::take(&mut infos) } else { infos.split_off(first) };
+            let share = u128::from(cache_bytes) * own.len() as u128 / count;
+            let pages = FieldPages { all: Arc::clone(&all), first };
+            fields.push(DifField::paged(shape, own, Box::new(pages), share as u64));
+        }
+        fields.reverse();
+        fields
     }
 }
 
@@ -241,7 +247,8 @@ fn read_index(bytes: PrivateBytes) -> Result<Index, ReadFault> {
         let what = format!("version {version} of packed frames with the flags of another version");
         return Err(malformed(footer, what));
     }
-    let index = window.bytes.len() - TAIL - cursor.at();
+    let index = (window.bytes.len() - TAIL).checked_sub(cursor.at());
+    let index = index.ok_or_else(|| malformed(footer, "the footer reaches into the tail"))?;
     if count.checked_mul(ENTRY as u64) != Some(index as u64) || u32::try_from(count).is_err() {
         let what = format!("an index of {index} bytes cannot be that of {count} pages");
         return Err(malformed(cursor.at(), what));
@@ -418,11 +425,15 @@ fn read_sizes(cursor: &mut Cursor<'_>, facts: &FrameFacts) -> Result<SizeFacts, 
     let at = cursor.at();
     let (coarsest, density) = (cursor.f64("the largest size")?, cursor.f64("the density")?);
     let octaves = SampledOctaves::octaves(facts, coarsest).map(|octaves| octaves.count as u32);
-    let octaves = octaves.filter(|_| coarsest.is_finite() && coarsest > 0.0);
+    let are_lengths = |&octaves: &u32| {
+        let FrameFacts { grid, spacing, .. } = facts.in_octave(octaves - 1);
+        let widest = [Some(coarsest), spacing, Some(grid.cell_size())];
+        widest.into_iter().flatten().all(|length| length.is_finite() && length > 0.0)
+    };
+    let octaves = octaves.filter(are_lengths);
     let octaves = octaves.ok_or_else(|| malformed(at, "no sizes of particles"))?;
     let density = Some(density).filter(|&density| density != 0.0);
-    let plateau = SampledOctaves::plateau(facts.spacing_cells_or_one(), density.unwrap_or(1.0));
-    if !(1.0..=f64::from(u16::MAX)).contains(&plateau) {
+    if density.is_some_and(|density| !DENSITIES.contains(&density)) {
         return Err(malformed(at, "no density of particles"));
     }
     Ok(SizeFacts { octaves, coarsest, density })
@@ -485,8 +496,12 @@ fn read_entry(
 
     let coord = key.coord();
     let full = CellBox { lo: local.lo + coord * BIN, hi: local.hi + coord * BIN };
-    let limits = CellBox { lo: IVec3::splat(-CELL_LIMIT), hi: IVec3::splat(CELL_LIMIT) };
-    let walls = facts.domain.map(|domain| domain.in_wider_cells((field / 2).into()).cells());
+    let octave = u32::from(field / 2);
+    let grid = CellBox { lo: IVec3::splat(-CELL_LIMIT), hi: IVec3::splat(CELL_LIMIT) };
+    // A cloud reaches the cell next to that of its particle.
+    let further = i32::from(octave > 0);
+    let limits = grid.in_wider_cells(octave).grown(further, further);
+    let walls = facts.domain.map(|domain| domain.in_wider_cells(octave).cells());
     let limits = walls.map_or(limits, |walls| walls.intersection(&limits));
     let beyond = bricks.checked_shr(side.bricks_a_bin() as u32).unwrap_or(0);
     let info = PageInfo { key, bricks, full, full_count };

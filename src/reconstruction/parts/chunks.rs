@@ -51,7 +51,7 @@ pub(super) fn cut(particles: &Pieces) -> Vec<PieceChunk> {
 /// Adds bounding boxes to chunks, after all particles were read.
 pub(super) fn boxed(
     chunks: &[PieceChunk],
-    read: &WithBoxes<Pieces>,
+    read: &WithBoxes<'_>,
     domain: Option<&Domain>,
 ) -> Vec<BinnedChunk> {
     let boxes = read.boxes(domain);
@@ -63,7 +63,7 @@ pub(super) fn watched<'a>(
     particles: &'a Pieces,
     chunks: &[PieceChunk],
     grid: &Grid,
-) -> WithBoxes<'a, Pieces> {
+) -> WithBoxes<'a> {
     WithBoxes::new(particles, chunks.iter().map(|chunk| chunk.count), grid)
 }
 

@@ -153,7 +153,7 @@ pub fn the_sparse_field_equals_the_dense_field(backend: &TestBackend) {
     for seed in 0..2 {
         for variant in variants(backend, seed) {
             let Variant { particles, sampling, surfacing } = &variant;
-            let frame = Engine::sample(&particles[..], sampling, &mut Timings::default()).unwrap();
+            let frame = Engine::sample(&particles, sampling, &mut Timings::default()).unwrap();
             let dense = dense_field(&frame, &variant);
             let what = format!(
                 "seed {seed}, {:?}, spacing {:?}, {surfacing:?}",
@@ -170,7 +170,7 @@ pub fn the_sparse_field_equals_the_dense_field(backend: &TestBackend) {
                 let sampling = Sampling { side, ..sampling.clone() };
                 let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
                 let frame = pool
-                    .install(|| Engine::sample(&shuffled[..], &sampling, &mut Timings::default()))
+                    .install(|| Engine::sample(&shuffled, &sampling, &mut Timings::default()))
                     .unwrap();
                 assert_same_field(&frame, surfacing, &dense, &format!("{what}, {side:?}"));
             }
@@ -284,7 +284,7 @@ fn integer_distances_are_within_a_fiftieth_of_a_spacing_of_f64() {
     let Ok(backend) = TestBackend::cpu();
     for variant in of_clouds(&backend, 5) {
         let Variant { particles, sampling, surfacing } = &variant;
-        let frame = Engine::sample(&particles[..], sampling, &mut Timings::default()).unwrap();
+        let frame = Engine::sample(&particles, sampling, &mut Timings::default()).unwrap();
         let integer = dense_field(&frame, &variant);
         let real = distances(&frame, sampling, surfacing).real(particles);
         let pairs = integer.iter().zip(real.values).filter(|(_, real)| real.abs() < 1.0);
@@ -331,7 +331,7 @@ pub fn moving_a_scene_by_whole_bins_moves_its_field(backend: &TestBackend) {
         let moved: Vec<[f64; 3]> =
             particles.iter().map(|&p| (DVec3::from(p) + shift.as_dvec3()).to_array()).collect();
         let frame = |particles: &[[f64; 3]]| {
-            Engine::sample(particles, &sampling, &mut Timings::default()).unwrap()
+            Engine::sample(&particles, &sampling, &mut Timings::default()).unwrap()
         };
         let (here, there) = (frame(&particles), frame(&moved));
         let (recipe, measured) = recipe(&here, &surfacing);

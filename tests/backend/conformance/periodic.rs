@@ -42,7 +42,7 @@ fn meshed(
     known: Option<&Calibration>,
 ) -> (Mesh, Option<Calibration>) {
     let timings = &mut Timings::default();
-    let frame = Engine::sample(particles, sampling, timings).unwrap();
+    let frame = Engine::sample(&particles, sampling, timings).unwrap();
     let calibrated = frame.calibrate(surfacing, known, timings).unwrap();
     let measured = calibrated.measured().map(|measured| measured.calibration);
     (calibrated.surface(timings).unwrap().to_mesh().unwrap(), measured)

@@ -22,7 +22,7 @@ fn frame(backend: &TestBackend, indicator: IndicatorKind) -> (Engine, IVec3) {
     let grid = Grid::new(DVec3::ZERO, 1.0 / CELLS).unwrap();
     let sampling =
         Sampling { method: indicator.into(), grid, spacing: Some(1.0), ..backend.sampling() };
-    let frame = Engine::sample(&particles[..], &sampling, &mut Timings::default()).unwrap();
+    let frame = Engine::sample(&particles, &sampling, &mut Timings::default()).unwrap();
     let depth = (200_000.0_f64 * 0.96 / 16.0).cbrt();
     let pool = DVec3::new(4.0 * depth, 0.9 * depth, 4.0 * depth) * CELLS;
     (frame, pool.as_ivec3())

@@ -366,7 +366,7 @@ fn scratch_files_do_not_change_the_mesh_in_fine_cells() {
     for budget in [1 << 18, 1 << 22].map(MemoryBudget) {
         let resources = Resources { budget, ..whole.resources.clone() };
         let small = Sampling { resources, ..whole.clone() };
-        let plan = CountedFrame::of(&particles[..], &small).unwrap().estimate().plan(budget);
+        let plan = CountedFrame::of(&particles, &small).unwrap().estimate().plan(budget);
         assert!(matches!(plan, MemoryPlan::OutOfCore(_)), "{budget:?}: the plan spills nothing");
         let (_, surface) = reconstruct(&particles[..], &small, &surfacing);
         assert!(surface.mesh == expected.mesh, "{budget:?}");
@@ -464,8 +464,7 @@ pub fn a_lone_particle_is_a_closed_drop_unless_the_isovalue_is_too_high(backend:
     let (_, surface) = reconstruct(&particle[..], &of_spacings(backend, 1.0), &surfacing());
     assert_watertight(&surface.mesh, "a drop");
     assert_eq!(measure(&surface.mesh).components, 1);
-    let frame =
-        Engine::sample(&particle[..], &backend.sampling(), &mut Timings::default()).unwrap();
+    let frame = Engine::sample(&particle, &backend.sampling(), &mut Timings::default()).unwrap();
     let error = frame.surface(&surfacing(), &mut Timings::default()).unwrap_err();
     assert!(matches!(error, FrameError::NoSurface { .. }), "{error}");
     let iso = Isovalue::new(0.5).unwrap();
@@ -478,7 +477,7 @@ pub fn a_million_coincident_particles_become_one_drop_or_an_error(backend: &Test
     let particles = vec![[0.25, 0.25, 0.25]; 1_000_000];
     for indicator in INDICATORS {
         let surface = Engine::sample(
-            &particles[..],
+            &particles,
             &Sampling { method: indicator.into(), spacing: Some(1.0), ..backend.sampling() },
             &mut Timings::default(),
         )

@@ -1,10 +1,11 @@
 //! Fuzzes packed frames: their bytes with corrected checksums, frames that are built from mutated
 //! pages, and their surfaces.
 
+use meniscus::files::Replace;
 use meniscus::internals::grid::CellBox;
 use meniscus::internals::io::mnf::open_frame;
 use meniscus::mesh::check;
-use meniscus::{IndicatorKind, Reconstruction};
+use meniscus::{Cloud, Frame, IndicatorKind, Reconstruction};
 
 use super::{Target, folder};
 
@@ -35,9 +36,10 @@ pub fn targets() -> Vec<Target> {
 }
 
 const HEADER: usize = 16;
-/// The size of the footer in bytes, without the number of pages and the periodic box.
+/// The size of the footer in bytes, without the number of pages, the periodic box and the sizes.
 const FACTS: usize = 136;
 const PERIODIC: usize = 56;
+const SIZES: usize = 16;
 const ENTRY: usize = 44;
 const TAIL: usize = 20;
 const MAGIC: &[u8] = b"\x89MNF\r\n\x1a\n";
@@ -57,9 +59,17 @@ fn layout(bytes: &[u8]) -> Option<(usize, usize)> {
     let footer = usize::try_from(u64_at(bytes, tail)?)
         .ok()
         .filter(|footer| (HEADER..tail).contains(footer))?;
-    let periodic = if u32_at(bytes, footer + 32)? & 2 == 2 { PERIODIC } else { 0 };
-    let index = footer + FACTS + periodic + 8;
+    let index = footer + FACTS + further(u32_at(bytes, footer + 32)?) + 8;
     (index <= tail).then_some((footer, index))
+}
+
+/// The size of the parts of the footer that depend on its flags.
+fn further(flags: u32) -> usize {
+    [(2, PERIODIC), (4, SIZES)]
+        .iter()
+        .filter(|(flag, _)| flags & flag != 0)
+        .map(|(_, size)| size)
+        .sum()
 }
 
 /// Corrects all checksums of a frame that lie within the bytes.
@@ -88,7 +98,7 @@ fn seal_footer(bytes: &mut [u8], footer: usize) {
 }
 
 /// Builds a frame from unpacked bytes: the version, the brick side and the footer, and for each
-/// page its key, bricks, full cells and box, and the length and the bytes of its planes.
+/// page its key, bricks, full cells, box and field, and the length and the bytes of its planes.
 fn built(plain: &[u8]) -> Vec<u8> {
     let mut rest = plain;
     let mut take = |count: usize| {
@@ -100,9 +110,8 @@ fn built(plain: &[u8]) -> Vec<u8> {
     };
     let [version, side] = [take(1)[0], take(1)[0]];
     let mut footer = take(FACTS);
-    if u32_at(&footer, 32).is_some_and(|walls| walls & 2 == 2) {
-        footer.extend(take(PERIODIC));
-    }
+    let flags = u32_at(&footer, 32).unwrap_or_default();
+    footer.extend(take(further(flags)));
     let mut bytes = MAGIC.to_vec();
     bytes.extend(u32::from(version).to_le_bytes());
     bytes.extend(u32::from(side).to_le_bytes());
@@ -110,7 +119,7 @@ fn built(plain: &[u8]) -> Vec<u8> {
     let mut compressor = zstd::bulk::Compressor::new(1).unwrap();
     compressor.set_parameter(zstd::zstd_safe::CParameter::ContentSizeFlag(false)).unwrap();
     loop {
-        let head = take(26);
+        let head = take(28);
         let length = u16::from_le_bytes(take(2).try_into().unwrap());
         if head.iter().all(|&byte| byte == 0) && length == 0 {
             break;
@@ -121,8 +130,7 @@ fn built(plain: &[u8]) -> Vec<u8> {
         index.extend(&head[8..16]);
         index.extend((page.len() as u32).to_le_bytes());
         index.extend(crc32fast::hash(&page).to_le_bytes());
-        index.extend(&head[16..26]);
-        index.extend([0; 2]);
+        index.extend(&head[16..28]);
         bytes.extend(page);
         pages += 1;
     }
@@ -146,7 +154,7 @@ fn unbuilt(frame: &[u8]) -> Vec<u8> {
         let (at, length) =
             (u64_at(entry, 8).unwrap() as usize, u32_at(entry, 24).unwrap() as usize);
         let planes = zstd::bulk::decompress(&frame[at..at + length], 1 << 16).unwrap();
-        plain.extend([&entry[..8], &entry[16..24], &entry[32..42]].concat());
+        plain.extend([&entry[..8], &entry[16..24], &entry[32..44]].concat());
         plain.extend((planes.len() as u16).to_le_bytes());
         plain.extend(planes);
     }
@@ -186,22 +194,24 @@ fn draw(bytes: &[u8]) {
     }
 }
 
-/// Small seed frames: of every indicator, with walls, with a periodic box, and of the first
-/// version.
+/// Small seed frames: of every indicator, with walls, with a periodic box, of the first version,
+/// and of several sizes.
 fn frames() -> Vec<Vec<u8>> {
     let particles: Vec<[f64; 3]> =
         (0..20_u32).map(|i| [i % 3, i / 3 % 3, i / 9].map(|c| f64::from(c) * 0.9 + 0.3)).collect();
     let path = folder::path("seed.mnf");
-    let pack = |request: Reconstruction| {
-        let frame = request.spacing(1.0).threads(1).sample(&particles).unwrap();
-        frame
-            .pack(
-                Reconstruction::new()
-                    .packed_output(&path, meniscus::files::Replace::Allow)
-                    .unwrap(),
-            )
-            .unwrap();
+    let packed = |frame: Frame| {
+        let output = Reconstruction::new().packed_output(&path, Replace::Allow).unwrap();
+        frame.pack(output).unwrap();
         std::fs::read(&path).unwrap()
+    };
+    let pack = |request: Reconstruction| {
+        packed(request.spacing(1.0).threads(1).sample(&particles).unwrap())
+    };
+    let sizes: Vec<f32> = (0..20_u8).map(|i| [1.0, 1.0, 2.0, 5.0][usize::from(i % 4)]).collect();
+    let sized = |request: Reconstruction| {
+        let cloud = Cloud::new(&particles).with("size", &sizes);
+        packed(request.size("size").cell(1.0).threads(1).sample(&cloud).unwrap())
     };
     let by = |kind| Reconstruction::new().indicator(kind).cell(1.0);
     let mut frames = vec![
@@ -213,6 +223,8 @@ fn frames() -> Vec<Vec<u8>> {
     let mut first = frames[1].clone();
     first[8] = 1;
     frames.push(sealed(&first));
+    frames.push(sized(Reconstruction::new()));
+    frames.push(sized(Reconstruction::new().domain([-9.0; 3], [9.0; 3])));
     assert!(
         frames.iter().all(|frame| open_frame(&folder::file("seed.mnf", frame), 0, None).is_ok()),
         "a seed is no frame"

@@ -2,8 +2,9 @@
 //! reads and writes files. A table has the programs' command lines.
 //!
 //! `tools/compare/quality` finds the programs, writes the table and runs this module. Lengths are
-//! in spacings of the particles, and the spacing is 1 in all files, except those of several sizes. Each program's best isovalue is
-//! chosen on other bodies and lattices than those whose results are shown.
+//! in spacings of the particles, and the spacing is 1 in all files, except those of several sizes.
+//! Each program's best isovalue is chosen on other bodies and lattices than those whose results are
+//! shown.
 
 mod bodies;
 mod clumps;

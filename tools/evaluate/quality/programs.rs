@@ -49,8 +49,8 @@ pub struct Method {
     pub documented: bool,
 }
 
-/// Reads the table of programs. Each line has six fields, separated by tabs: name, cell size or `-`,
-/// isovalues or `-`, `many`, `few` or `slow`, command, and command for several sizes or `-`.
+/// Reads the table of programs. Each line has six fields, separated by tabs: name, cell size or
+/// `-`, isovalues or `-`, `many`, `few` or `slow`, command, and command for several sizes or `-`.
 pub fn read(path: &Path) -> Outcome<Vec<Program>> {
     fs::read_to_string(path)?.lines().map(Program::parse).collect()
 }
