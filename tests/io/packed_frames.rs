@@ -354,7 +354,7 @@ fn invalid_values_with_valid_checksums_are_refused() {
     }
 }
 
-/// A packed frame of a few particles of sizes 1 to 3, in two octaves.
+/// A packed frame of a few particles of sizes 1 to 3, in three octaves, the last of which is empty.
 fn small_sizes(folder: &Folder) -> Vec<u8> {
     let positions: Vec<[f64; 3]> =
         (0..24_u32).map(|i| [i % 3, i / 3 % 3, i / 9].map(|c| f64::from(c) * 0.9 + 0.3)).collect();
@@ -375,7 +375,7 @@ fn packed_sizes_keep_their_bytes_and_damage_to_them_is_detected() {
     let found = open_frame(&folder.file(&good), 0, None).unwrap();
     let PackedFrame::Octaves(octaves) = &found else { panic!("particles of one size") };
     assert_eq!((octaves.facts.spacing, octaves.coarsest), (Some(1.0), 3.0));
-    assert_eq!((octaves.clouds.octaves(), found.samples().fields().len()), (2, 4));
+    assert_eq!((octaves.clouds.octaves(), found.samples().fields().len()), (3, 6));
     assert!(found.samples().fields().iter().filter(|(_, field)| field.bricks() > 0).count() >= 2);
     let mut again = Vec::new();
     write_frame(&mut again, found.samples()).unwrap();
@@ -392,13 +392,13 @@ fn packed_sizes_keep_their_bytes_and_damage_to_them_is_detected() {
         (sizes, 0_f64.to_le_bytes().into(), "no sizes"),
         (sizes, f64::NAN.to_le_bytes().into(), "no sizes"),
         (sizes, 1e308_f64.to_le_bytes().into(), ""),
-        (footer + 24, 1e308_f64.to_le_bytes().into(), "no sizes"),
+        (footer + 24, 1e308_f64.to_le_bytes().into(), "no cell centre"),
         (sizes, 1_f64.to_le_bytes().into(), "of 2"),
         (sizes + 8, (-1_f64).to_le_bytes().into(), "no density"),
         (sizes + 8, 1e-9_f64.to_le_bytes().into(), "no density"),
         (sizes + 8, 1e9_f64.to_le_bytes().into(), "no density"),
         (sizes + 8, f64::NAN.to_le_bytes().into(), "no density"),
-        (index + 42, 4_u16.to_le_bytes().into(), "field 4 of 4"),
+        (index + 42, 6_u16.to_le_bytes().into(), "field 6 of 6"),
         (index + 42, 3_u16.to_le_bytes().into(), "not in order"),
     ];
     for (at, patch, expected) in cases {
