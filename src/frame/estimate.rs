@@ -226,10 +226,9 @@ impl MemoryEstimate {
         let coarsest = packed.coarsest();
         let extraction = surfacing.extraction(method, *spacing, coarsest, grid, Vec::new());
         let mut estimate = Self::without_particles(&extraction);
-        let mut surface = ExpectedVertices::default();
-        for (number, (octave, field)) in packed.fields().into_iter().enumerate() {
+        let full_cells = |page: &PageInfo| (page.key, page.full_count as usize);
+        for (octave, field) in packed.fields() {
             let shape = field.shape();
-            let full_cells = |page: &PageInfo| (page.key, page.full_count as usize);
             let nonzero = |(key, full): (MortonKey, usize)| (key, full * shape.cells_a_particle());
             let pages = field.infos().iter();
             let coarser = (extraction.levels as u32 - 1).saturating_sub(octave);
@@ -237,12 +236,14 @@ impl MemoryEstimate {
                 pages.clone().map(full_cells).map(nonzero),
                 extraction.wide_levels + coarser,
             ));
-            pages.clone().for_each(|page| estimate.add_bin(page.most_bytes(shape) as u64));
-            // Each octave is meshed in its own cells, and only its first field has all particles.
-            if number == 2 * octave as usize {
-                let in_octave = Extraction { levels: 1, ..extraction.clone() };
-                surface.add(in_octave.surface(pages.map(full_cells), |_| true), octave);
-            }
+            pages.for_each(|page| estimate.add_bin(page.most_bytes(shape) as u64));
+        }
+        // Each octave is meshed in its own cells.
+        let in_octave = Extraction { levels: 1, ..extraction.clone() };
+        let mut surface = ExpectedVertices::default();
+        for (octave, field) in packed.volumes() {
+            let pages = field.infos().iter().map(full_cells);
+            surface.add(in_octave.surface(pages, |_| true), octave);
         }
         estimate.and_surface(&surface, &extraction)
     }

@@ -289,14 +289,14 @@ impl Surfacing {
         };
         let Some(kind) = method.indicator() else { return plain };
         let filters = self.filters(kind, spacing, grid);
-        let (levels, block_bytes) = match (spacing_cells, coarsest) {
-            (Some(cells), Some(coarsest)) => {
-                let finest = spacing.unwrap_or(coarsest);
+        let (levels, block_bytes) = match spacing.zip(coarsest) {
+            Some((finest, coarsest)) => {
+                let cells = finest / grid.cell_size();
                 let octaves = Octaves::new(finest, coarsest, grid.cell_size()).count;
                 let bytes = SizedField::block_bytes(self.smooth, self.sheets, cells, octaves);
                 (octaves, bytes)
             }
-            _ => (1, filters.block_bytes()),
+            None => (1, filters.block_bytes()),
         };
         Extraction {
             block_bytes: block_bytes + self.fill_bytes(&filters, spacing, grid),

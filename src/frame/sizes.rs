@@ -135,13 +135,9 @@ impl SampledSizes {
         let boxes = self.clouds[0].surface_boxes(field.reach());
         // Wide cells at a wall can reach beyond it.
         let beyond = 1 << levels.count();
-        let boxes = boxes.filter_map(|cells| match walls {
-            Some(walls) => {
-                Some(cells.intersection(&walls.grown(beyond, beyond))).filter(|c| !c.is_empty())
-            }
-            None => Some(cells),
-        });
-        let regions = levels.regions(boxes).into_iter();
+        let near = walls.map(|walls| walls.grown(beyond, beyond));
+        let boxes = boxes.map(|cells| near.map_or(cells, |near| cells.intersection(&near)));
+        let regions = levels.regions(boxes.filter(|cells| !cells.is_empty())).into_iter();
         let regions = regions.map(cut).filter(|region| !region.cells.is_empty()).collect();
         // The filters use cells beyond a periodic face, but the mesh ends there.
         let faces = walls.filter(|_| facts.periodic.is_some());

@@ -9,6 +9,7 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use crate::particles::sieve::Sieve;
+use crate::particles::sizes::SPACING;
 use crate::particles::{AttributeInfo, AttributeKind, Label, Particles, RereadError};
 
 use super::columns::ColumnStore;
@@ -43,10 +44,6 @@ enum Source {
     /// All particles of the piece have this value.
     Constant(f32),
 }
-
-/// Name of the attribute that has the spacing of each particle, if joined files have different
-/// spacings.
-const SPACING: &str = "spacing";
 
 /// Consecutive particles of one piece.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -14,8 +14,8 @@ use super::{AttributeInfo, Particles, attribute_called, chunks};
 
 /// Names of attributes that are certainly radii, in lower case and without punctuation.
 const RADII: [&str; 5] = ["pscale", "radius", "radii", "particleradius", "particleradii"];
-/// The name of an attribute that certainly has sizes: the spacings of joined files have it.
-const SPACING: &str = "spacing";
+/// The name of an attribute that certainly has sizes. Joined files with different spacings get it.
+pub const SPACING: &str = "spacing";
 /// The names of masses and densities in files of GADGET and SWIFT, which certainly give the sizes
 /// of particles if the masses differ.
 const USUAL_MASSES: &str = "masses";
@@ -189,9 +189,7 @@ impl SizeChoice {
             Self::Named(name) => SizeAttributes::named(name, infos).map(Some),
         }
     }
-}
 
-impl SizeChoice {
     /// The attributes that certainly have sizes. If a setting needs one size, only radii count.
     fn usual(&self, infos: &[AttributeInfo]) -> Option<SizeAttributes> {
         let known = |names: &[&str]| {

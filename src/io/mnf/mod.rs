@@ -50,8 +50,8 @@
 //! If the particles have several sizes, the file has two fields for each octave of the sizes, from
 //! the finest on: the volume of the particles (field 2 k of octave k), and the volume times the
 //! logarithm of the size in the octave (field 2 k + 1), as [`sizes`](crate::field::sizes) defines
-//! them. The indicator is cloud. All pages of a field are consecutive, and their cells are 2^k times
-//! as wide as the grid's.
+//! them. The indicator is cloud. All pages of a field are consecutive, and their cells are 2^k
+//! times as wide as the grid's.
 //!
 //! Version 1 differs only for clouds, whose size depends on mu0. Clouds of version 1 are rejected,
 //! and other frames of version 1 can be read.
