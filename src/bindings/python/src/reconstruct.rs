@@ -27,10 +27,10 @@ use crate::work::{Work, with_progress};
 /// what the values are: radii, diameters, volumes, or masses, which need a density. "none" treats
 /// all particles as one size. cell, cell_size : float, optional Edge length of a cell, in spacings
 /// (0.5 by default; use 0.25 for renders) or as a length. origin : three floats, optional Position
-/// of a corner of a grid cell. domain : six floats or None, or two corners, or "auto", optional Walls of
-/// a tank, x0, y0, z0, x1, y1, z1, on which the surface ends exactly; None for an open side. "auto"
-/// finds the walls. periodic : six floats or None, or two corners, optional A periodic box; None
-/// for both ends of an open axis. periodic_mesh : "cut" or "overlap", optional How the mesh ends at
+/// of a corner of a grid cell. domain : six floats or None, or two corners, or "auto", optional
+/// Walls of a tank, x0, y0, z0, x1, y1, z1, on which the surface ends exactly; None for an open
+/// side. "auto" finds the walls. periodic : six floats or None, or two corners, optional
+/// A periodic box; None for both ends of an open axis. periodic_mesh : "cut" or "overlap", optional How the mesh ends at
 /// the faces of a periodic box. indicator : "cloud", "counting" or "symmetry", optional Rule that
 /// computes the value of a cell from its particles: "cloud" by default; the others are from the
 /// paper. mu0 : float, optional Mean number of particles in non-empty cells, for counting. method :
