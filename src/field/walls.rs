@@ -16,6 +16,9 @@
 //! up there. A gap behind the outermost layer distinguishes a layer from such a pile; without a
 //! gap, n is limited to its value in full fluid.
 //!
+//! If particles have several sizes, each counts with its volume. The spacing at a side is that of
+//! the coarse particles there.
+//!
 //! All sums are integers, so the order of the particles and the threads do not matter.
 
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering::Relaxed};
@@ -24,7 +27,8 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use crate::grid::{Grid, Walls};
-use crate::particles::{Bounds, Particles, finite_chunks};
+use crate::particles::sizes::{MOST_TIMES, SizeAttributes, Sizes};
+use crate::particles::{Bounds, Particles, chunks, finite_chunks};
 
 /// Edge of a column, in spacings.
 const COLUMN: f64 = 2.0;
@@ -62,10 +66,19 @@ const FARTHEST: f64 = 0.75;
 const SAME: f64 = 0.5;
 /// The maximum distance between the fluid and a scene's walls, in spacings.
 const KEPT: f64 = 2.0;
-/// The maximum number of particles in a shell that consists of drops.
-const FEW: u64 = 32;
+/// The maximum volume of the particles in a shell that consists of drops, in cubed spacings.
+const FEW: f64 = 32.0;
 /// Fixed-point steps of a depth, per spacing.
 const STEPS: f64 = 1024.0;
+/// Fixed-point steps of a volume, per cubed spacing.
+const VOLUME_STEPS: f64 = MOST_TIMES * MOST_TIMES * MOST_TIMES;
+/// The minimum share of a side's area in front of coarse particles whose size becomes the side's
+/// spacing.
+const COARSE: f64 = 0.1;
+/// The depth in which the sizes of particles at a side are examined, in sizes of each particle.
+const SKIN: f64 = 2.0;
+/// Classes of sizes: two for each factor of two, up to [`MOST_TIMES`].
+const CLASSES: usize = 13;
 
 /// The evidence of one frame about a side of the box around the particles.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -86,7 +99,10 @@ pub struct Ends {
     /// The least and the greatest coordinate along each axis.
     reach: [[f64; 2]; 3],
     sides: [[BoxSide; 2]; 3],
+    /// The spacing, which is the smallest size if there are several.
     spacing: f64,
+    /// The spacing at each side.
+    spacings: [[f64; 2]; 3],
     /// The axis perpendicular to the plane, if all particles lie in a plane.
     flat: Option<usize>,
 }
@@ -108,13 +124,13 @@ pub struct BeyondWall {
 struct ColumnCounts {
     /// The minimum depth, in steps.
     nearest: AtomicU32,
-    /// Number of particles in the shell.
-    shell: AtomicU32,
-    /// Number of particles at the depths of a lattice's gap.
-    in_gap: AtomicU32,
-    /// Number of particles at the depths that must be full.
-    behind: AtomicU32,
-    /// The sum of the depths of the shell's particles, in steps.
+    /// Volume of the particles in the shell, in steps.
+    shell: AtomicU64,
+    /// Volume of the particles at the depths of a lattice's gap, in steps.
+    in_gap: AtomicU64,
+    /// Volume of the particles at the depths that must be full, in steps.
+    behind: AtomicU64,
+    /// The sum over the shell's particles of depth times volume, in steps of both.
     depths: AtomicU64,
 }
 
@@ -125,6 +141,9 @@ struct SideColumns {
     end: usize,
     /// The coordinate of the outermost particle.
     at: f64,
+    /// The spacing at this side, and 1 over it.
+    spacing: f64,
+    per_spacing: f64,
     /// Every `stride`-th group is examined, along both axes of the side.
     stride: u64,
     /// Number of examined groups in a row.
@@ -136,15 +155,16 @@ struct SideColumns {
 
 impl Ends {
     /// Examines the ends of the particles that the grid can hold; returns `None` if there are none,
-    /// or if `spacing` is unusable. Particles in a plane have no ends along the axis `flat`.
+    /// or if the spacing is unusable. Particles in a plane have no ends along the axis `flat`. Sizes
+    /// whose attribute does not exist are ignored.
     ///
-    /// The particles are read once if their bounds are known, and twice otherwise. Memory use is a
-    /// few megabytes at most.
+    /// The particles are read once, once more if their bounds are not known, and once more if they
+    /// have several sizes. Memory use is a few megabytes at most.
     #[must_use]
     pub fn of(
         particles: &dyn Particles,
         known: Option<Bounds>,
-        spacing: f64,
+        (spacing, sizes): (f64, Option<&Sizes>),
         flat: Option<usize>,
         grid: &Grid,
     ) -> Option<Self> {
@@ -153,30 +173,115 @@ impl Ends {
             [bounds.lo, bounds.hi].iter().all(|&corner| grid.place(corner.into()).is_ok())
         };
         let bounds = known.filter(is_held).or_else(|| bounds_held(particles, grid))?;
-        let axes = (0..3).filter(|axis| flat != Some(*axis));
-        let sides: Vec<SideColumns> = axes
-            .flat_map(|axis| [0, 1].map(|end| SideColumns::of(axis, end, &bounds, spacing, flat)))
-            .collect();
-        let (lo, per_spacing) = (bounds.lo, 1.0 / spacing);
-        finite_chunks(particles).for_each(|chunk| {
-            // Most particles are far from all sides.
-            let is_near = |position: &&[f64; 3]| {
-                sides.iter().any(|side| side.depth(**position, per_spacing) < BEHIND[1])
-            };
-            for &position in chunk.iter().filter(is_near).filter(held) {
-                sides.iter().for_each(|side| side.add(position, lo, per_spacing));
-            }
+        let own = sizes.and_then(|sizes| {
+            Some(OwnSizes { sizes, columns: sizes.columns(particles.attributes()).ok()? })
         });
+        let spacings = match &own {
+            Some(own) => own.spacings(particles, &bounds, grid),
+            None => [[spacing; 2]; 3],
+        };
+        let axes = (0..3).filter(|axis| flat != Some(*axis));
+        let side = |axis: usize, end: usize| {
+            SideColumns::of(axis, end, &bounds, spacings[axis][end], flat)
+        };
+        let sides: Vec<SideColumns> =
+            axes.flat_map(|axis| [0, 1].map(|end| side(axis, end))).collect();
+        let lo = bounds.lo;
+        let look = |position: [f64; 3], size: f64| {
+            // Most particles are far from all sides.
+            if sides.iter().any(|side| side.depth(position) < BEHIND[1]) && held(&&position) {
+                sides.iter().for_each(|side| side.add(position, size, lo));
+            }
+        };
+        match &own {
+            Some(own) => own.each(particles, look),
+            None => finite_chunks(particles)
+                .for_each(|chunk| chunk.into_iter().for_each(|position| look(position, spacing))),
+        }
         let mut ends = Self {
             reach: [0, 1, 2].map(|axis| [bounds.lo[axis], bounds.hi[axis]]),
             sides: [[BoxSide::Unclear; 2]; 3],
             spacing,
+            spacings,
             flat,
         };
         for side in sides {
-            ends.sides[side.axis][side.end] = side.judged(spacing);
+            ends.sides[side.axis][side.end] = side.judged();
         }
         Some(ends)
+    }
+}
+
+/// The sizes of particles, with their attributes.
+struct OwnSizes<'a> {
+    sizes: &'a Sizes,
+    columns: SizeAttributes,
+}
+
+/// The particles of a class of sizes at a side.
+#[derive(Clone, Copy, Default)]
+struct SizeClass {
+    /// Their area, in steps of the smallest one.
+    area: u64,
+    /// Their volume, in steps of the smallest one.
+    volume: u64,
+}
+
+impl OwnSizes<'_> {
+    /// Calls `look` with each finite position and the particle's size, on all threads.
+    fn each(&self, particles: &dyn Particles, look: impl Fn([f64; 3], f64) + Sync + Send) {
+        chunks(particles, |range| {
+            let mut positions = vec![[0.0; 3]; range.len()];
+            particles.positions(range.start, &mut positions);
+            let sizes = self.sizes.of_range(particles, &self.columns, range);
+            for (position, size) in positions.into_iter().zip(sizes) {
+                if DVec3::from(position).is_finite() {
+                    look(position, size);
+                }
+            }
+        })
+        .for_each(drop);
+    }
+
+    /// The spacing at each side: the mean size of the largest class that, with all larger ones,
+    /// covers a share of [`COARSE`] of the side.
+    fn spacings(&self, particles: &dyn Particles, bounds: &Bounds, grid: &Grid) -> [[f64; 2]; 3] {
+        /// Steps of the area and of the volume of the smallest particle.
+        const SMALLEST: f64 = 1024.0;
+        let finest = self.sizes.finest;
+        let all: [[[[AtomicU64; 2]; CLASSES]; 2]; 3] = Default::default();
+        self.each(particles, |position, size| {
+            if grid.place(position).is_err() {
+                return;
+            }
+            let times = size / finest;
+            let class = (2.0 * libm::log2(times) + 0.5).clamp(0.0, (CLASSES - 1) as f64) as usize;
+            for (axis, end) in (0..3).flat_map(|axis| [(axis, 0), (axis, 1)]) {
+                let at = [bounds.lo, bounds.hi][end][axis];
+                if (at - position[axis]).abs() < SKIN * size {
+                    let [area, volume] = &all[axis][end][class];
+                    area.fetch_add((SMALLEST * times * times) as u64, Relaxed);
+                    volume.fetch_add((SMALLEST * times * times * times) as u64, Relaxed);
+                }
+            }
+        });
+        all.map(|ends| {
+            ends.map(|classes| {
+                let classes = classes.map(|[area, volume]| SizeClass {
+                    area: area.into_inner(),
+                    volume: volume.into_inner(),
+                });
+                let least = COARSE * classes.iter().map(|class| class.area as f64).sum::<f64>();
+                let mut larger = 0.0;
+                for class in classes.into_iter().rev().filter(|class| class.area > 0) {
+                    larger += class.area as f64;
+                    if larger >= least {
+                        return finest * (class.volume as f64 / class.area as f64);
+                    }
+                }
+                finest
+            })
+        })
     }
 }
 
@@ -195,23 +300,23 @@ impl SideColumns {
         let (row, rows) = (u.div_ceil(stride), v.div_ceil(stride));
         let columns = (0..row * rows * GROUP * GROUP).map(|_| ColumnCounts::new()).collect();
         let area = if flat.is_some() { COLUMN } else { COLUMN * COLUMN };
-        Self { axis, end, at, stride, row, columns, area }
+        Self { axis, end, at, spacing, per_spacing: 1.0 / spacing, stride, row, columns, area }
     }
 
     /// The depth of a particle below the outermost particle, in spacings.
     #[inline(always)]
-    fn depth(&self, position: [f64; 3], per_spacing: f64) -> f64 {
-        (self.at - position[self.axis]).abs() * per_spacing
+    fn depth(&self, position: [f64; 3]) -> f64 {
+        (self.at - position[self.axis]).abs() * self.per_spacing
     }
 
     /// Counts a particle.
     #[inline(always)]
-    fn add(&self, position: [f64; 3], lo: DVec3, per_spacing: f64) {
-        let depth = self.depth(position, per_spacing);
+    fn add(&self, position: [f64; 3], size: f64, lo: DVec3) {
+        let depth = self.depth(position);
         if depth >= BEHIND[1] {
             return;
         }
-        let place = |axis: usize| ((position[axis] - lo[axis]) * per_spacing / COLUMN) as u64;
+        let place = |axis: usize| ((position[axis] - lo[axis]) * self.per_spacing / COLUMN) as u64;
         let [u, v] = others(self.axis).map(place);
         let [group_u, group_v] = [u / GROUP, v / GROUP];
         if group_u % self.stride != 0 || group_v % self.stride != 0 {
@@ -221,34 +326,37 @@ impl SideColumns {
         let index = (group * GROUP + v % GROUP) * GROUP + u % GROUP;
         let Some(column) = self.columns.get(index as usize) else { return };
         let steps = (depth * STEPS) as u32;
+        let times = size * self.per_spacing;
+        let volume = (VOLUME_STEPS * times * times * times) as u64;
         column.nearest.fetch_min(steps, Relaxed);
         if depth < SHELL {
-            column.shell.fetch_add(1, Relaxed);
-            column.depths.fetch_add(u64::from(steps), Relaxed);
+            column.shell.fetch_add(volume, Relaxed);
+            column.depths.fetch_add(volume * u64::from(steps), Relaxed);
         }
         if GAP.contains(&depth) {
-            column.in_gap.fetch_add(1, Relaxed);
+            column.in_gap.fetch_add(volume, Relaxed);
         }
         if depth >= BEHIND[0] {
-            column.behind.fetch_add(1, Relaxed);
+            column.behind.fetch_add(volume, Relaxed);
         }
     }
 
     /// Whether the columns show a wall, and its position.
-    fn judged(&self, spacing: f64) -> BoxSide {
+    fn judged(&self) -> BoxSide {
         /// The minimum number of full columns, in total and per group, for planar and for other
         /// particles: 24 spacings of a plane's particles, or an area of 120 squared spacings.
         const LEAST: [(usize, usize); 2] = [(12, 2), (30, 4)];
         let (least, least_of_group) = LEAST[usize::from(self.area > COLUMN)];
         let behind = FULL * self.area * (BEHIND[1] - BEHIND[0]);
-        let is_full = |column: &&ColumnCounts| f64::from(column.behind.load(Relaxed)) >= behind;
+        let volume = |steps: &AtomicU64| steps.load(Relaxed) as f64 / VOLUME_STEPS;
+        let is_full = |column: &&ColumnCounts| volume(&column.behind) >= behind;
         let nearest = |column: &ColumnCounts| f64::from(column.nearest.load(Relaxed)) / STEPS;
-        let (mut full, mut shell, mut in_gap, mut depths) = (0, 0, 0, 0);
+        let (mut full, mut shell, mut in_gap, mut depths) = (0, 0.0, 0.0, 0.0);
         for column in self.columns.iter().filter(is_full) {
             full += 1;
-            shell += u64::from(column.shell.load(Relaxed));
-            in_gap += u64::from(column.in_gap.load(Relaxed));
-            depths += column.depths.load(Relaxed);
+            shell += volume(&column.shell);
+            in_gap += volume(&column.in_gap);
+            depths += volume(&column.depths) / STEPS;
         }
         let mut groups: Vec<f64> = self
             .columns
@@ -259,8 +367,8 @@ impl SideColumns {
             })
             .collect();
         if full < least || groups.len() < 3 {
-            let all = self.columns.iter().map(|column| u64::from(column.shell.load(Relaxed)));
-            let is_stray = all.sum::<u64>().saturating_mul(self.stride.pow(2)) <= FEW;
+            let all = self.columns.iter().map(|column| volume(&column.shell)).sum::<f64>();
+            let is_stray = all * self.stride.pow(2) as f64 <= FEW;
             return if is_stray { BoxSide::Stray } else { BoxSide::Unclear };
         }
         groups.sort_unstable_by(f64::total_cmp);
@@ -270,25 +378,25 @@ impl SideColumns {
         let ending = self.columns.iter().filter(is_full).filter(|c| nearest(c) < end).count();
         let level = groups.iter().filter(|&&depth| (depth - median).abs() <= LEVEL).count();
         let area = full as f64 * self.area;
-        let shell_per_area = shell as f64 / area;
+        let shell_per_area = shell / area;
         if (ending as f64) < ENDING * full as f64 || !DENSITY.contains(&(shell_per_area / SHELL)) {
             return BoxSide::Ragged;
         }
         if (level as f64) < LEVEL_SHARE * groups.len() as f64 {
             return BoxSide::Unclear;
         }
-        let has_gap = in_gap as f64 <= IN_GAP * area * (GAP.end - GAP.start);
+        let has_gap = in_gap <= IN_GAP * area * (GAP.end - GAP.start);
         let standing_for = if has_gap { shell_per_area } else { shell_per_area.min(SHELL) };
-        let mean = depths as f64 / STEPS / shell.max(1) as f64;
-        let outside = (standing_for / 2.0 - mean).clamp(0.0, FARTHEST) * spacing;
+        let mean = if shell > 0.0 { depths / shell } else { 0.0 };
+        let outside = (standing_for / 2.0 - mean).clamp(0.0, FARTHEST) * self.spacing;
         BoxSide::Plane(outward(self.end, self.at, outside))
     }
 }
 
 impl ColumnCounts {
     fn new() -> Self {
-        let [nearest, shell, in_gap, behind] = [u32::MAX, 0, 0, 0].map(AtomicU32::new);
-        Self { nearest, shell, in_gap, behind, depths: AtomicU64::new(0) }
+        let [shell, in_gap, behind, depths] = [0; 4].map(AtomicU64::new);
+        Self { nearest: AtomicU32::new(u32::MAX), shell, in_gap, behind, depths }
     }
 }
 
@@ -361,8 +469,7 @@ pub fn common(frames: &[Ends], scene: Option<&Walls>, up: Option<usize>) -> (Wal
                     (-SAME..=KEPT).contains(&(outside(end, wall, at) / spacing))
                 };
                 let shown = frames.iter().filter_map(|frame| frame.plane(axis, end));
-                let spacing = frames.first().map_or(0.0, |frame| frame.spacing);
-                let shown = shown.filter(|&at| near(at, spacing));
+                let shown = shown.filter(|&at| near(at, spacing_at(frames, axis, end)));
                 let shown = shown.reduce(|a, b| if outside(end, b, a) > 0.0 { b } else { a });
                 match shown {
                     Some(at) => Some(rounded_for(frames, axis, end, at)),
@@ -387,7 +494,7 @@ pub fn common(frames: &[Ends], scene: Option<&Walls>, up: Option<usize>) -> (Wal
 
 fn common_wall(frames: &[Ends], axis: usize, end: usize) -> Option<f64> {
     let needed = if frames.len() == 1 { 1 } else { frames.len().div_ceil(3).max(2) };
-    let spacing = frames.first()?.spacing;
+    let spacing = spacing_at(frames, axis, end);
     let mut planes: Vec<f64> = frames.iter().filter_map(|frame| frame.plane(axis, end)).collect();
     planes.sort_unstable_by(|a, b| outside(end, *b, *a).total_cmp(&0.0));
     // Only the outermost plane can be a wall: particles pass the other planes.
@@ -409,11 +516,25 @@ fn common_wall(frames: &[Ends], axis: usize, end: usize) -> Option<f64> {
 /// A wall with few digits that contains all particles of the frames, except particles that are far
 /// beyond it.
 fn rounded_for(frames: &[Ends], axis: usize, end: usize, wall: f64) -> f64 {
-    let reached = frames.iter().map(|frame| (frame.reach[axis][end], frame.spacing));
+    let reached = frames.iter().map(|frame| (frame.reach[axis][end], frame.spacings[axis][end]));
     let holding = reached.filter(|&(at, spacing)| outside(end, at, wall) <= SAME * spacing);
     let reach =
         holding.map(|(at, _)| at).fold(wall, |a, b| if outside(end, b, a) > 0.0 { b } else { a });
-    rounded(end, reach, reach, frames.first().map_or(1.0, |frame| frame.spacing))
+    rounded(end, reach, reach, spacing_at(frames, axis, end))
+}
+
+/// The greatest spacing at a side in any frame.
+fn spacing_at(frames: &[Ends], axis: usize, end: usize) -> f64 {
+    frames.iter().map(|frame| frame.spacings[axis][end]).fold(0.0, f64::max)
+}
+
+/// The spacing at each side, the greatest of all frames; `None` if it is the same everywhere.
+pub fn spacings_at_sides(frames: &[Ends]) -> Option<[[f64; 2]; 3]> {
+    let is_other = |frame: &Ends| frame.spacings.as_flattened().iter().any(|&s| s != frame.spacing);
+    frames
+        .iter()
+        .any(is_other)
+        .then(|| [0, 1, 2].map(|axis| [0, 1].map(|end| spacing_at(frames, axis, end))))
 }
 
 impl Ends {
@@ -426,15 +547,19 @@ impl Ends {
 
     /// Whether particles are so far beyond a wall that the wall is not moved for them.
     fn passes(&self, axis: usize, end: usize, wall: f64) -> bool {
-        outside(end, self.reach[axis][end], wall) > SAME * self.spacing
+        outside(end, self.reach[axis][end], wall) > SAME * self.spacings[axis][end]
     }
 }
 
-/// Adapts walls to particles within some bounds, so that no particle is outside. A wall is moved if
-/// particles are slightly beyond it; if they are farther beyond it, its side is open. Also returns
-/// the walls that particles pass.
+/// Adapts walls to particles within some bounds, so that no particle is outside, for the spacing at
+/// each side. A wall is moved if particles are slightly beyond it; if they are farther beyond it,
+/// its side is open. Also returns the walls that particles pass.
 #[must_use]
-pub fn holding(walls: &Walls, bounds: &Bounds, spacing: f64) -> (Walls, Vec<BeyondWall>) {
+pub fn holding(
+    walls: &Walls,
+    bounds: &Bounds,
+    spacings: [[f64; 2]; 3],
+) -> (Walls, Vec<BeyondWall>) {
     let (mut holding, mut past) = (*walls, Vec::new());
     for (axis, end) in (0..3).flat_map(|axis| [(axis, 0), (axis, 1)]) {
         let (Some(wall), reach) = (walls.0[axis][end], [bounds.lo, bounds.hi][end][axis]) else {
@@ -442,7 +567,7 @@ pub fn holding(walls: &Walls, bounds: &Bounds, spacing: f64) -> (Walls, Vec<Beyo
         };
         let by = outside(end, reach, wall);
         if by > 0.0 {
-            let moved = (by <= SAME * spacing).then_some(reach);
+            let moved = (by <= SAME * spacings[axis][end]).then_some(reach);
             holding.0[axis][end] = moved;
             past.push(BeyondWall { axis: ['x', 'y', 'z'][axis], wall, reach, moved });
         }
@@ -472,9 +597,9 @@ mod tests {
 
     fn ends(positions: &[[f64; 3]]) -> Ends {
         let grid = Grid::new(DVec3::ZERO, 0.5).unwrap();
-        let ends = Ends::of(&positions, None, 1.0, None, &grid).unwrap();
+        let ends = Ends::of(&positions, None, (1.0, None), None, &grid).unwrap();
         let known = Some(Bounds::of(positions));
-        assert_eq!(Ends::of(&positions, known, 1.0, None, &grid).as_ref(), Some(&ends));
+        assert_eq!(Ends::of(&positions, known, (1.0, None), None, &grid).as_ref(), Some(&ends));
         ends
     }
 
@@ -589,7 +714,7 @@ mod tests {
         let walls = Walls([[Some(0.0), Some(10.0)], [Some(0.0), None], [None, Some(5.0)]]);
         let bounds =
             Bounds { lo: DVec3::new(0.0, -0.25, -9.0), hi: DVec3::new(9.0, 90.0, 8.0), finite: 9 };
-        let (held, past) = holding(&walls, &bounds, 1.0);
+        let (held, past) = holding(&walls, &bounds, [[1.0; 2]; 3]);
         assert_eq!(held, Walls([[Some(0.0), Some(10.0)], [Some(-0.25), None], [None, None]]));
         let moved: Vec<_> = past.iter().map(|past| (past.axis, past.wall, past.moved)).collect();
         assert_eq!(moved, [('y', 0.0, Some(-0.25)), ('z', 5.0, None)]);

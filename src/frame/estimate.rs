@@ -8,6 +8,7 @@ use glam::IVec3;
 use thiserror::Error;
 
 use crate::brick::{Bins, FrameFacts, HALVED, PageInfo, PageSamples, PageShape, SpilledBins};
+use crate::field::sizes::BlockLevels;
 use crate::grid::units::{MemoryBudget, shown};
 use crate::grid::{BIN, BLOCK, MortonKey};
 use crate::io::mnf::PackableFrame;
@@ -216,6 +217,7 @@ impl MemoryEstimate {
                 count as u64 * SpilledBins::least_particle_bytes(&extraction.components);
             estimate.add_bin(shape.map_or(0, |shape| page(count, shape)));
         }
+        estimate.add_levels(bins.clone().count(), extraction);
         estimate.and_surface(&extraction.surface(bins, meshed), extraction)
     }
 
@@ -236,7 +238,8 @@ impl MemoryEstimate {
                 pages.clone().map(full_cells).map(nonzero),
                 extraction.wide_levels + coarser,
             ));
-            pages.for_each(|page| estimate.add_bin(page.most_bytes(shape) as u64));
+            pages.clone().for_each(|page| estimate.add_bin(page.most_bytes(shape) as u64));
+            estimate.add_levels(pages.len(), &extraction);
         }
         // Each octave is meshed in its own cells.
         let in_octave = Extraction { levels: 1, ..extraction.clone() };
@@ -275,6 +278,13 @@ impl MemoryEstimate {
     fn add_bin(&mut self, field: u64) {
         self.index += Bins::TABLE_BYTES;
         self.field += field;
+    }
+
+    /// Adds the tables of blocks that are divided because of particles in `bins` bins.
+    fn add_levels(&mut self, bins: usize, extraction: &Extraction) {
+        if extraction.levels > 1 {
+            self.index += bins as u64 * BlockLevels::BIN_BYTES;
+        }
     }
 
     /// Adds bytes of the DIF in wider cells.

@@ -1,4 +1,7 @@
 //! Encodes the pieces of a mesh on all threads, and writes them in order.
+//!
+//! Pieces are large, so their closures are called through pointers, which compiles faster than one
+//! copy of the thread pool's code for each closure.
 
 use std::io::{self, Write};
 use std::ops::Range;
@@ -24,6 +27,11 @@ pub fn write_pieces(
     in_order(pieces, encode, |bytes| out.write_all(bytes))
 }
 
+/// Appends the values of a piece to a buffer.
+type Make<'a, T> = dyn Fn(usize, &mut Vec<T>) -> io::Result<()> + Sync + 'a;
+/// Consumes the values of pieces, in order.
+type Take<'a, T> = dyn FnMut(&[T]) -> io::Result<()> + 'a;
+
 /// Number of pieces in a batch, enough to keep all threads busy.
 fn pieces_at_once() -> usize {
     2 * rayon::current_num_threads()
@@ -34,28 +42,26 @@ fn pieces_at_once() -> usize {
 pub(super) fn in_order<T: Send>(
     pieces: usize,
     make: impl Fn(usize, &mut Vec<T>) -> io::Result<()> + Sync,
-    take: impl FnMut(&[T]) -> io::Result<()>,
+    mut take: impl FnMut(&[T]) -> io::Result<()>,
 ) -> io::Result<()> {
-    in_batches(pieces, pieces_at_once(), make, take)
+    in_batches(pieces, pieces_at_once(), &make, &mut take)
 }
 
 fn in_batches<T: Send>(
     pieces: usize,
     batch: usize,
-    make: impl Fn(usize, &mut Vec<T>) -> io::Result<()> + Sync,
-    mut take: impl FnMut(&[T]) -> io::Result<()>,
+    make: &Make<'_, T>,
+    take: &mut Take<'_, T>,
 ) -> io::Result<()> {
     let batch = batch.min(pieces);
     let buffers = || -> Vec<_> { (0..batch).map(|_| (Vec::new(), Ok(()))).collect() };
     let (mut ready, mut next) = (buffers(), buffers());
     let mut made = 0;
     for first in (0..pieces).step_by(batch.max(1)) {
-        made = make_while(&mut next, first..pieces, &make, || {
-            take_all(&mut ready[..made], &mut take)
-        })?;
+        made = make_while(&mut next, first..pieces, make, || take_all(&mut ready[..made], take))?;
         std::mem::swap(&mut ready, &mut next);
     }
-    take_all(&mut ready[..made], &mut take)
+    take_all(&mut ready[..made], take)
 }
 
 /// The values that were made of a piece, and whether this succeeded.
@@ -66,7 +72,7 @@ type Made<T> = (Vec<T>, io::Result<()>);
 fn make_while<T: Send>(
     buffers: &mut [Made<T>],
     pieces: Range<usize>,
-    make: &(impl Fn(usize, &mut Vec<T>) -> io::Result<()> + Sync),
+    make: &Make<'_, T>,
     meanwhile: impl FnOnce() -> io::Result<()>,
 ) -> io::Result<usize> {
     let made = pieces.len().min(buffers.len());
@@ -82,10 +88,7 @@ fn make_while<T: Send>(
     Ok(made)
 }
 
-fn take_all<T>(
-    made: &mut [Made<T>],
-    take: &mut impl FnMut(&[T]) -> io::Result<()>,
-) -> io::Result<()> {
+fn take_all<T>(made: &mut [Made<T>], take: &mut Take<'_, T>) -> io::Result<()> {
     made.iter_mut().try_for_each(|(buffer, result)| {
         std::mem::replace(result, Ok(()))?;
         take(buffer)
@@ -100,6 +103,14 @@ pub(super) fn write_vertices(
     out: &mut dyn Write,
     mesh: &dyn MeshSource,
     encode: impl Fn(&Vertices, &mut Vec<u8>) + Sync,
+) -> io::Result<()> {
+    write_each_piece(out, mesh, &encode)
+}
+
+fn write_each_piece(
+    out: &mut dyn Write,
+    mesh: &dyn MeshSource,
+    encode: &(dyn Fn(&Vertices, &mut Vec<u8>) + Sync),
 ) -> io::Result<()> {
     let attributes = mesh.attributes();
     // A piece with wide attributes is large, so a batch has only one of these pieces.
@@ -123,7 +134,7 @@ pub(super) fn write_vertices(
         encode(&vertices, out);
         Ok(())
     };
-    in_batches(mesh.pieces(), batch, encode, |bytes| out.write_all(bytes))?;
+    in_batches(mesh.pieces(), batch, &encode, &mut |bytes| out.write_all(bytes))?;
     assert_eq!(count.into_inner(), mesh.vertex_count(), "all vertices are in the pieces");
     Ok(())
 }
@@ -175,6 +186,14 @@ pub(super) fn write_triangles(
     out: &mut dyn Write,
     mesh: &dyn MeshSource,
     encode: impl Fn(&[[u64; 3]], &mut Vec<u8>) + Sync,
+) -> io::Result<()> {
+    write_triangles_of_each_piece(out, mesh, &encode)
+}
+
+fn write_triangles_of_each_piece(
+    out: &mut dyn Write,
+    mesh: &dyn MeshSource,
+    encode: &(dyn Fn(&[[u64; 3]], &mut Vec<u8>) + Sync),
 ) -> io::Result<()> {
     let vertices = mesh.vertex_count();
     let count = AtomicU64::new(0);

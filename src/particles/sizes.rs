@@ -5,6 +5,8 @@
 //! and a mass is the volume times the density. Programs define radii differently, so sizes are
 //! scaled until the particles fill the cubes deep in the fluid.
 
+use std::ops::Range;
+
 use hashbrown::HashMap;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -313,6 +315,18 @@ impl Sizes {
         size.map_or(self.usual, |size| size.min(self.coarsest))
     }
 
+    /// The sizes of a range of particles.
+    pub fn of_range(
+        &self,
+        particles: &dyn Particles,
+        columns: &SizeAttributes,
+        range: Range<usize>,
+    ) -> impl Iterator<Item = f64> + use<> {
+        let Self { scale, coarsest, usual, .. } = *self;
+        let sizes = columns.read(particles, range.start, range.len()).into_iter();
+        sizes.map(move |size| if size.is_nan() { usual } else { (size * scale).min(coarsest) })
+    }
+
     /// Finds the attributes that hold these sizes among the attributes of other particles.
     ///
     /// # Errors
@@ -328,7 +342,7 @@ impl Sizes {
     /// largest size.
     pub fn strays(&self, particles: &dyn Particles, columns: &SizeAttributes) -> StraySizes {
         let most = self.coarsest / self.scale * (1.0 + f64::from(f32::EPSILON));
-        let of_chunk = |range: std::ops::Range<usize>| {
+        let of_chunk = |range: Range<usize>| {
             let sizes = columns.read(particles, range.start, range.len());
             let count = |is: &dyn Fn(f64) -> bool| sizes.iter().filter(|&&size| is(size)).count();
             StraySizes {
@@ -402,7 +416,7 @@ const STEP_BITS: u32 = 49;
 
 impl SizeCounts {
     fn of(particles: &dyn Particles, columns: &SizeAttributes) -> Self {
-        let of_chunk = |range: std::ops::Range<usize>| {
+        let of_chunk = |range: Range<usize>| {
             let mut census = Self { steps: HashMap::new(), invalid: 0 };
             let sizes = columns.read(particles, range.start, range.len());
             // Successive particles often have one size.
@@ -482,7 +496,7 @@ fn filling(
 ) -> Option<f64> {
     /// The volume of a cell in fixed-point steps.
     const STEPS: f64 = (1_u64 << 40) as f64;
-    let of_chunk = |range: std::ops::Range<usize>| {
+    let of_chunk = |range: Range<usize>| {
         let mut positions = vec![[0.0; 3]; range.len()];
         particles.positions(range.start, &mut positions);
         let mut cells: HashMap<[i64; 3], u64> = HashMap::new();

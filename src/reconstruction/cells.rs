@@ -83,6 +83,9 @@ pub struct FoundWalls {
     /// The scene file with the walls; without one, walls are planes at which particles end.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub scene: Option<PathBuf>,
+    /// The particles' spacing at the lower and the upper side along each axis, if it differs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub spacings: Option<[[f64; 2]; 3]>,
 }
 
 impl fmt::Display for FoundWalls {

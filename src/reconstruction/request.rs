@@ -12,7 +12,7 @@ use crate::field::spacing::{
     ALL, CubeSample, Cubes, EvenSample, Evidence, NoEstimate, Plane, SampleSurvey, SpacingDraft,
     SpacingEstimate, evidence, for_each_chunk, survey,
 };
-use crate::field::walls::{BeyondWall, Ends, bounds_held, common, holding};
+use crate::field::walls::{BeyondWall, Ends, bounds_held, common, holding, spacings_at_sides};
 use crate::frame::{FrameError, Method, Resources, Sampling, Surfacing};
 use crate::grid::units::positive_length;
 use crate::grid::{CELL_LIMIT, Domain, DomainError, Grid, Periodic, Walls};
@@ -176,21 +176,20 @@ impl SamplingRequest {
     #[must_use]
     pub fn in_walls_around(
         &self,
-        walls: Option<&Walls>,
+        found: Option<&FoundWalls>,
         particles: &dyn Particles,
         spacing: Option<f64>,
         grid: &Grid,
     ) -> (Self, Vec<BeyondWall>) {
-        let walls = walls.filter(|walls| self.search == WallSearch::Walls && !walls.is_open());
-        let bounds = walls.and_then(|_| bounds_held(particles, grid));
-        match (walls, bounds) {
-            (Some(walls), Some(bounds)) => {
-                let (holding, past) =
-                    holding(walls, &bounds, spacing.unwrap_or_else(|| grid.cell_size()));
-                (self.in_walls(Some(&holding)), past)
-            }
-            _ => (self.in_walls(walls), Vec::new()),
-        }
+        let found =
+            found.filter(|found| self.search == WallSearch::Walls && !found.walls.is_open());
+        let bounds = found.and_then(|_| bounds_held(particles, grid));
+        let (Some(FoundWalls { walls, spacings, .. }), Some(bounds)) = (found, bounds) else {
+            return (self.in_walls(found.map(|found| &found.walls)), Vec::new());
+        };
+        let of_all = || [[spacing.unwrap_or_else(|| grid.cell_size()); 2]; 3];
+        let (holding, past) = holding(walls, &bounds, spacings.unwrap_or_else(of_all));
+        (self.in_walls(Some(&holding)), past)
     }
 
     /// The ends of a frame's particles, whose bounds may be known; `None` if the spacing is
@@ -203,7 +202,8 @@ impl SamplingRequest {
     ) -> Result<Option<Ends>, Error> {
         let Some(spacing) = cells.spacing() else { return Ok(None) };
         let flat = cells.slab.map(|slab| slab.axis);
-        Ok(Ends::of(particles, known, spacing, flat, &self.grid_of(cells)?))
+        let lengths = (spacing, cells.sizes.as_ref());
+        Ok(Ends::of(particles, known, lengths, flat, &self.grid_of(cells)?))
     }
 
     /// The walls that some frames and the scene file next to them indicate.
@@ -215,7 +215,8 @@ impl SamplingRequest {
         if let Some((faces, _)) = self.periodic {
             (0..3).filter(|&axis| faces[axis].is_some()).for_each(|axis| walls.0[axis] = [None; 2]);
         }
-        FoundWalls { walls, scene: scene.map(|(_, path)| path).filter(|_| by_scene) }
+        let scene = scene.map(|(_, path)| path).filter(|_| by_scene);
+        FoundWalls { walls, scene, spacings: spacings_at_sides(frames) }
     }
 
     /// Whether the caller set neither walls nor periodic faces along an axis.

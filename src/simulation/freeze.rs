@@ -88,7 +88,8 @@ impl Setup<'_> {
         for frame in numbers.into_iter().filter_map(|number| frames.get(number)) {
             self.go_on()?;
             let Ok(file) = self.open_particles(frame, resources) else { continue };
-            ends.extend(Ends::of(&file.particles, None, spacing, flat, &grid));
+            let lengths = (spacing, shared.sizes.as_ref());
+            ends.extend(Ends::of(&file.particles, None, lengths, flat, &grid));
         }
         self.go_on()?;
         let path = frames.first().map(|frame| &*frame.path);

@@ -6,14 +6,14 @@ use crate::brick::{Census, FrameFacts};
 use crate::error::{Error, NoEstimate};
 use crate::field::calibration::Calibration;
 use crate::frame::{FrameError, Method, Sampling};
-use crate::grid::{Grid, Walls};
+use crate::grid::Grid;
 use crate::io::UpAxis;
 use crate::particles::kind::{SettledKind, known_of, settled_for_all};
 use crate::particles::sizes::Sizes;
 use crate::particles::{Particles, carried_infos};
 use crate::reconstruction::{
-    self, ExtractedSurface, Reconstruction, Report, SinglePrecision, Slab, SpacingWarning,
-    StartedRequest, Surface, Warning,
+    self, ExtractedSurface, FoundWalls, Reconstruction, Report, SinglePrecision, Slab,
+    SpacingWarning, StartedRequest, Surface, Warning,
 };
 use crate::system::timings::Timings;
 
@@ -56,7 +56,7 @@ struct KnownCalibration {
     method: Method,
     spacing: Option<f64>,
     slab: Option<Slab>,
-    walls: Option<Walls>,
+    walls: Option<FoundWalls>,
     sizes: Option<Sizes>,
     calibration: Option<Calibration>,
     trust: Trust,
@@ -230,8 +230,7 @@ fn measured(
     let method = request.method.calibrated(calibration.as_ref());
     let carried = checked.settings.carried(particles.attributes(), None)?;
     let kinds = settled_for_all(particles, &carried);
-    let walls = cells.found().copied();
-    let reconstruction::Cells { sizes, warnings, .. } = cells;
+    let reconstruction::Cells { sizes, warnings, walls, .. } = cells;
     Ok((
         KnownCalibration { kinds, grid, method, spacing, slab, walls, sizes, calibration, trust },
         warnings,

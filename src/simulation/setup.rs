@@ -124,7 +124,7 @@ impl Setup<'_> {
         resources: Resources,
     ) -> Result<(Sampling, Vec<Warning>), Error> {
         let (request, grid) = (&self.checked.sampling, shared.grid()?);
-        let walls = shared.walls.as_ref().map(|found| &found.walls);
+        let walls = shared.walls.as_ref();
         let (request, past) = request.in_walls_around(walls, particles, shared.spacing, &grid);
         let method = request.method.calibrated(shared.calibration.as_ref());
         let slab = shared.slab.filter(|slab| slab.holds(particles));

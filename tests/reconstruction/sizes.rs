@@ -456,6 +456,38 @@ fn sized_water_ends_at_solids_and_keeps_its_level_up_to_them() {
 }
 
 #[test]
+fn walls_are_found_with_the_spacing_of_the_particles_at_them() {
+    for sizes in [[1.0, 2.0], [1.0, 3.0], [2.0, 1.0]] {
+        let mut water = Sized::default();
+        let all = Sized::pools(&sizes);
+        for (&at, &size) in all.positions.iter().zip(&all.sizes) {
+            if at[2] < 18.0 + 2.0 * (at[0] / 6.0).sin() + 2.0 * (at[1] / 5.0).cos() {
+                water.positions.push(at);
+                water.sizes.push(size);
+            }
+        }
+        let radii = water.radii();
+        let cloud = Cloud::new(&water.positions).with("radius", &radii);
+        let surface = request().find_domain().run(&cloud).unwrap();
+        let [lo, hi] = surface.report().facts.domain.expect("walls are found").walls();
+        // Pools are a whole number of the larger size wide.
+        let [first, last] = sizes;
+        let larger = first.max(last);
+        let wide = [first, last].map(|size| (WIDTH / size).round() * size);
+        for (at, expected, size) in [
+            (lo.x, 0.0, first),
+            (hi.x, WIDTH + wide[1], last),
+            (lo.y, 0.0, larger),
+            (hi.y, wide[0].max(wide[1]), larger),
+            (lo.z, 0.0, larger),
+        ] {
+            assert!((at - expected).abs() < 0.3 * size, "{sizes:?}: {lo} {hi}, not {expected}");
+        }
+        assert_eq!(hi.z, f64::INFINITY);
+    }
+}
+
+#[test]
 fn sized_particles_in_parts_give_the_mesh_of_a_single_run() {
     let folder = tempfile::tempdir().unwrap();
     let [input, output, ball] =

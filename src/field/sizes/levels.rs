@@ -48,6 +48,10 @@ impl SizedClouds {
 }
 
 impl BlockLevels {
+    /// Maximum bytes for a bin of particles: its surroundings touch up to eight blocks, each in a
+    /// list and in a hash table.
+    pub const BIN_BYTES: u64 = 8 * 3 * size_of::<IVec3>() as u64;
+
     /// From the blocks of each level that are near particles of the octave below.
     #[must_use]
     pub fn new(finer: &FinerBlocks) -> Self {
