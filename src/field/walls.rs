@@ -16,10 +16,11 @@
 //! up there. A gap behind the outermost layer distinguishes a layer from such a pile; without a
 //! gap, n is limited to its value in full fluid.
 //!
-//! If particles have several sizes, each counts with its volume. The spacing at a side is that of
-//! the coarse particles there.
+//! If particles have several sizes, each counts with its volume, and the spacing at a side is the
+//! size of most particles there. Columns of coarser particles do not count.
 //!
-//! All sums are integers, so the order of the particles and the threads do not matter.
+//! All sums over particles are integers, so the order of the particles and the threads do not
+//! matter.
 
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering::Relaxed};
 
@@ -70,15 +71,14 @@ const KEPT: f64 = 2.0;
 const FEW: f64 = 32.0;
 /// Fixed-point steps of a depth, per spacing.
 const STEPS: f64 = 1024.0;
-/// Fixed-point steps of a volume, per cubed spacing.
-const VOLUME_STEPS: f64 = MOST_TIMES * MOST_TIMES * MOST_TIMES;
-/// The minimum share of a side's area in front of coarse particles whose size becomes the side's
-/// spacing.
-const COARSE: f64 = 0.1;
-/// The depth in which the sizes of particles at a side are examined, in sizes of each particle.
-const SKIN: f64 = 2.0;
+/// Fixed-point steps of a volume, per cubed spacing: 16 for the smallest possible particle.
+const VOLUME_STEPS: f64 = 16.0 * MOST_TIMES * MOST_TIMES * MOST_TIMES;
 /// Classes of sizes: two for each factor of two, up to [`MOST_TIMES`].
 const CLASSES: usize = 13;
+/// The factor for the area of each class of sizes, relative to the next finer class.
+const FINER: f64 = 0.84;
+/// The maximum size of particles that count at a side, in spacings.
+const LARGEST: f64 = 1.1;
 
 /// The evidence of one frame about a side of the box around the particles.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -154,12 +154,12 @@ struct SideColumns {
 }
 
 impl Ends {
-    /// Examines the ends of the particles that the grid can hold; returns `None` if there are none,
-    /// or if the spacing is unusable. Particles in a plane have no ends along the axis `flat`. Sizes
-    /// whose attribute does not exist are ignored.
+    /// Examines the ends of the particles that the grid can hold; returns `None` if there are none.
+    /// Particles in a plane have no ends along the axis `flat`. Sizes whose attribute does not
+    /// exist are ignored.
     ///
     /// The particles are read once, once more if their bounds are not known, and once more if they
-    /// have several sizes. Memory use is a few megabytes at most.
+    /// have several sizes. Memory use is about eight megabytes at most.
     #[must_use]
     pub fn of(
         particles: &dyn Particles,
@@ -194,7 +194,9 @@ impl Ends {
             }
         };
         match &own {
-            Some(own) => own.each(particles, look),
+            Some(own) => own.chunks(particles).for_each(|chunk| {
+                chunk.into_iter().for_each(|(position, size)| look(position, size));
+            }),
             None => finite_chunks(particles)
                 .for_each(|chunk| chunk.into_iter().for_each(|position| look(position, spacing))),
         }
@@ -218,68 +220,63 @@ struct OwnSizes<'a> {
     columns: SizeAttributes,
 }
 
-/// The particles of a class of sizes at a side.
-#[derive(Clone, Copy, Default)]
-struct SizeClass {
-    /// Their area, in steps of the smallest one.
-    area: u64,
-    /// Their volume, in steps of the smallest one.
-    volume: u64,
-}
+/// The area and the volume of the particles of each class of sizes at each side, in 1024ths of
+/// those of the smallest particle.
+type Classes = [[[[u64; 2]; CLASSES]; 2]; 3];
 
 impl OwnSizes<'_> {
-    /// Calls `look` with each finite position and the particle's size, on all threads.
-    fn each(&self, particles: &dyn Particles, look: impl Fn([f64; 3], f64) + Sync + Send) {
-        chunks(particles, |range| {
+    /// The finite positions with the sizes of their particles, in batches of a few thousand.
+    fn chunks(
+        &self,
+        particles: &dyn Particles,
+    ) -> impl ParallelIterator<Item = Vec<([f64; 3], f64)>> {
+        chunks(particles, move |range| {
             let mut positions = vec![[0.0; 3]; range.len()];
             particles.positions(range.start, &mut positions);
             let sizes = self.sizes.of_range(particles, &self.columns, range);
-            for (position, size) in positions.into_iter().zip(sizes) {
-                if DVec3::from(position).is_finite() {
-                    look(position, size);
-                }
-            }
+            let all = positions.into_iter().zip(sizes);
+            all.filter(|(position, _)| DVec3::from(*position).is_finite()).collect()
         })
-        .for_each(drop);
     }
 
-    /// The spacing at each side: the mean size of the largest class that, with all larger ones,
-    /// covers a share of [`COARSE`] of the side.
+    /// The spacing at each side: the mean size in the class with the greatest area there. An area
+    /// of smaller particles counts for more, because smaller particles show a wall more precisely.
     fn spacings(&self, particles: &dyn Particles, bounds: &Bounds, grid: &Grid) -> [[f64; 2]; 3] {
-        /// Steps of the area and of the volume of the smallest particle.
-        const SMALLEST: f64 = 1024.0;
+        const STEPS: f64 = 1024.0;
         let finest = self.sizes.finest;
-        let all: [[[[AtomicU64; 2]; CLASSES]; 2]; 3] = Default::default();
-        self.each(particles, |position, size| {
-            if grid.place(position).is_err() {
-                return;
-            }
-            let times = size / finest;
-            let class = (2.0 * libm::log2(times) + 0.5).clamp(0.0, (CLASSES - 1) as f64) as usize;
-            for (axis, end) in (0..3).flat_map(|axis| [(axis, 0), (axis, 1)]) {
-                let at = [bounds.lo, bounds.hi][end][axis];
-                if (at - position[axis]).abs() < SKIN * size {
-                    let [area, volume] = &all[axis][end][class];
-                    area.fetch_add((SMALLEST * times * times) as u64, Relaxed);
-                    volume.fetch_add((SMALLEST * times * times * times) as u64, Relaxed);
+        let of_chunk = |chunk: Vec<([f64; 3], f64)>| {
+            let mut all = Classes::default();
+            for (position, size) in chunk {
+                let times = (size / finest).max(1.0);
+                let class = (2.0 * libm::log2(times)).round().min((CLASSES - 1) as f64) as usize;
+                for (axis, end) in (0..3).flat_map(|axis| [(axis, 0), (axis, 1)]) {
+                    let at = [bounds.lo, bounds.hi][end][axis];
+                    if (at - position[axis]).abs() < size && grid.place(position).is_ok() {
+                        let [area, volume] = &mut all[axis][end][class];
+                        *area += (STEPS * times * times) as u64;
+                        *volume += (STEPS * times * times * times) as u64;
+                    }
                 }
             }
+            all
+        };
+        let all = self.chunks(particles).map(of_chunk).reduce(Classes::default, |mut all, more| {
+            let sums = all.as_flattened_mut().as_flattened_mut().as_flattened_mut();
+            let more = more.as_flattened().as_flattened().as_flattened();
+            sums.iter_mut().zip(more).for_each(|(sum, more)| *sum += more);
+            all
         });
         all.map(|ends| {
             ends.map(|classes| {
-                let classes = classes.map(|[area, volume]| SizeClass {
-                    area: area.into_inner(),
-                    volume: volume.into_inner(),
-                });
-                let least = COARSE * classes.iter().map(|class| class.area as f64).sum::<f64>();
-                let mut larger = 0.0;
-                for class in classes.into_iter().rev().filter(|class| class.area > 0) {
-                    larger += class.area as f64;
-                    if larger >= least {
-                        return finest * (class.volume as f64 / class.area as f64);
+                let mut factor = 1.0;
+                let (mut most, mut spacing) = (0.0, finest);
+                for [area, volume] in classes.map(|sums| sums.map(|sum| sum as f64)) {
+                    if area * factor > most {
+                        (most, spacing) = (area * factor, finest * (volume / area));
                     }
+                    factor *= FINER;
                 }
-                finest
+                spacing
             })
         })
     }
@@ -327,7 +324,8 @@ impl SideColumns {
         let Some(column) = self.columns.get(index as usize) else { return };
         let steps = (depth * STEPS) as u32;
         let times = size * self.per_spacing;
-        let volume = (VOLUME_STEPS * times * times * times) as u64;
+        let counted = if times < LARGEST { times * times * times } else { 0.0 };
+        let volume = (VOLUME_STEPS * counted).round() as u64;
         column.nearest.fetch_min(steps, Relaxed);
         if depth < SHELL {
             column.shell.fetch_add(volume, Relaxed);
@@ -368,7 +366,7 @@ impl SideColumns {
             .collect();
         if full < least || groups.len() < 3 {
             let all = self.columns.iter().map(|column| volume(&column.shell)).sum::<f64>();
-            let is_stray = all * self.stride.pow(2) as f64 <= FEW;
+            let is_stray = all * (self.stride as f64).powi(2) <= FEW;
             return if is_stray { BoxSide::Stray } else { BoxSide::Unclear };
         }
         groups.sort_unstable_by(f64::total_cmp);
@@ -523,12 +521,17 @@ fn rounded_for(frames: &[Ends], axis: usize, end: usize, wall: f64) -> f64 {
     rounded(end, reach, reach, spacing_at(frames, axis, end))
 }
 
-/// The greatest spacing at a side in any frame.
+/// The greatest spacing at a side, in the frames that end in a plane there, if there are any.
 fn spacing_at(frames: &[Ends], axis: usize, end: usize) -> f64 {
-    frames.iter().map(|frame| frame.spacings[axis][end]).fold(0.0, f64::max)
+    let greatest = |frames: &mut dyn Iterator<Item = &Ends>| {
+        frames.map(|frame| frame.spacings[axis][end]).reduce(f64::max)
+    };
+    let mut planes = frames.iter().filter(|frame| frame.plane(axis, end).is_some());
+    greatest(&mut planes).or_else(|| greatest(&mut frames.iter())).unwrap_or(1.0)
 }
 
-/// The spacing at each side, the greatest of all frames; `None` if it is the same everywhere.
+/// The spacing at each side, as in [`spacing_at`]; `None` if it is the particles' spacing
+/// everywhere.
 pub fn spacings_at_sides(frames: &[Ends]) -> Option<[[f64; 2]; 3]> {
     let is_other = |frame: &Ends| frame.spacings.as_flattened().iter().any(|&s| s != frame.spacing);
     frames

@@ -312,7 +312,7 @@ impl Sizes {
     #[must_use]
     pub fn of(&self, number: f32, density: f32) -> f64 {
         let size = self.meaning.size(number, density).map(|size| size * self.scale);
-        size.map_or(self.usual, |size| size.min(self.coarsest))
+        size.unwrap_or(self.usual).min(self.coarsest)
     }
 
     /// The sizes of a range of particles.
@@ -324,7 +324,7 @@ impl Sizes {
     ) -> impl Iterator<Item = f64> + use<> {
         let Self { scale, coarsest, usual, .. } = *self;
         let sizes = columns.read(particles, range.start, range.len()).into_iter();
-        sizes.map(move |size| if size.is_nan() { usual } else { (size * scale).min(coarsest) })
+        sizes.map(move |size| if size.is_nan() { usual } else { size * scale }.min(coarsest))
     }
 
     /// Finds the attributes that hold these sizes among the attributes of other particles.
@@ -373,7 +373,7 @@ impl Sizes {
             return Ok(FoundSizes::One { attribute, size, invalid });
         }
         let most = MOST_TIMES * finest;
-        let (coarsest, usual) = (census.most().min(most), census.middle());
+        let (coarsest, usual) = (census.most().min(most), census.middle().min(most));
         let larger = census.beyond(most);
         let mut sizes = Self {
             attribute,

@@ -77,13 +77,15 @@ pub struct Cells {
 
 /// Walls of a tank that meniscus found.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
 pub struct FoundWalls {
     /// The walls.
     pub walls: Walls,
     /// The scene file with the walls; without one, walls are planes at which particles end.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub scene: Option<PathBuf>,
-    /// The particles' spacing at the lower and the upper side along each axis, if it differs.
+    /// The spacing at the lower and the upper side along each axis, if it is not the spacing of the
+    /// smallest particles everywhere.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub spacings: Option<[[f64; 2]; 3]>,
 }

@@ -27,12 +27,22 @@ struct Sized {
 
 impl Sized {
     /// Adds a box of particles of one size, jittered by up to 0.3 sizes.
-    fn with(mut self, [lo, hi]: [[f64; 3]; 2], size: f64, random: &mut Random) -> Self {
+    fn with(self, cells: [[f64; 3]; 2], size: f64, random: &mut Random) -> Self {
+        self.with_jittered(cells, size, JITTER, random)
+    }
+
+    fn with_jittered(
+        mut self,
+        [lo, hi]: [[f64; 3]; 2],
+        size: f64,
+        jitter: f64,
+        random: &mut Random,
+    ) -> Self {
         let count = [0, 1, 2].map(|axis| ((hi[axis] - lo[axis]) / size).round() as usize);
         for i in 0..count.iter().product::<usize>() {
             let cell = [i % count[0], i / count[0] % count[1], i / (count[0] * count[1])];
             self.positions.push([0, 1, 2].map(|axis| {
-                let jitter = 0.3 * (2.0 * random.unit() - 1.0);
+                let jitter = jitter * (2.0 * random.unit() - 1.0);
                 lo[axis] + (cell[axis] as f64 + 0.5 + jitter) * size
             }));
             self.sizes.push(size as f32);
@@ -42,10 +52,15 @@ impl Sized {
 
     /// Square pools next to each other along x, each with particles of another size.
     fn pools(sizes: &[f64]) -> Self {
+        Self::jittered_pools(sizes, JITTER)
+    }
+
+    fn jittered_pools(sizes: &[f64], jitter: f64) -> Self {
         let mut random = Random::new(5);
         let pool = |all: Self, (i, &size): (usize, &f64)| {
             let first = i as f64 * WIDTH;
-            all.with([[first, 0.0, 0.0], [first + WIDTH, WIDTH, DEPTH]], size, &mut random)
+            let cells = [[first, 0.0, 0.0], [first + WIDTH, WIDTH, DEPTH]];
+            all.with_jittered(cells, size, jitter, &mut random)
         };
         sizes.iter().enumerate().fold(Self::default(), pool)
     }
@@ -65,6 +80,7 @@ impl Sized {
     }
 }
 
+const JITTER: f64 = 0.3;
 const WIDTH: f64 = 64.0;
 const DEPTH: f64 = 24.0;
 
@@ -457,9 +473,15 @@ fn sized_water_ends_at_solids_and_keeps_its_level_up_to_them() {
 
 #[test]
 fn walls_are_found_with_the_spacing_of_the_particles_at_them() {
-    for sizes in [[1.0, 2.0], [1.0, 3.0], [2.0, 1.0]] {
+    for (sizes, jitter) in [
+        ([1.0, 2.0], 0.3),
+        ([1.0, 3.0], 0.3),
+        ([2.0, 1.0], 0.3),
+        ([1.0, 1.4], 0.1),
+        ([1.0, 2.0], 0.0),
+    ] {
         let mut water = Sized::default();
-        let all = Sized::pools(&sizes);
+        let all = Sized::jittered_pools(&sizes, jitter);
         for (&at, &size) in all.positions.iter().zip(&all.sizes) {
             if at[2] < 18.0 + 2.0 * (at[0] / 6.0).sin() + 2.0 * (at[1] / 5.0).cos() {
                 water.positions.push(at);

@@ -12,7 +12,7 @@ use crate::grid::{BLOCK, BlockLevel, CellBox, LevelRegion, MortonKey, corner_off
 
 use super::{SizedClouds, averaging};
 
-/// The blocks of each level from 1 that are near particles of the octave below.
+/// For each level from 1 up, the blocks that are near particles of the next finer octave.
 pub type FinerBlocks = Vec<Vec<[i32; 3]>>;
 
 /// The level of the cells of each block.
@@ -23,8 +23,8 @@ pub struct BlockLevels {
 }
 
 impl SizedClouds {
-    /// The blocks of each level from 1 that are near particles of the octave below, in Morton
-    /// order.
+    /// For each level from 1 up, the blocks that are near particles of the next finer octave, in
+    /// Morton order.
     #[must_use]
     pub fn finer_blocks(&self) -> FinerBlocks {
         // The reach of the filter that averages sizes, in cells of an octave, which is more than
@@ -48,11 +48,12 @@ impl SizedClouds {
 }
 
 impl BlockLevels {
-    /// Maximum bytes for a bin of particles: its surroundings touch up to eight blocks, each in a
-    /// list and in a hash table.
+    /// Bytes for a bin of particles: in cells of half a spacing, its surroundings touch up to eight
+    /// blocks, each in a list and in a hash table.
     pub const BIN_BYTES: u64 = 8 * 3 * size_of::<IVec3>() as u64;
 
-    /// From the blocks of each level that are near particles of the octave below.
+    /// Makes the levels from the blocks of each level that are near particles of the next finer
+    /// octave.
     #[must_use]
     pub fn new(finer: &FinerBlocks) -> Self {
         let mut divided: Vec<HashSet<IVec3>> = Vec::new();
