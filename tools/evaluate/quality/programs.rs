@@ -35,7 +35,8 @@ pub enum Takes {
     Many,
     /// Only scenes with few particles.
     Few,
-    /// Only scenes with few particles, and only rows with few scenes: the program starts slowly.
+    /// Only scenes with few particles, and only table rows with few scenes, because the program is
+    /// slow to start.
     Slow,
 }
 

@@ -150,7 +150,8 @@ fn level(meshes: &[Mesh], [from, to]: [f64; 2], size: f64) -> String {
     format!("{}, {}", signed(bias), figure(rms))
 }
 
-/// The pieces and bubbles of all meshes, and the mean volume over that of the particles.
+/// The numbers of pieces and bubbles of all meshes, and the mean ratio of the volume of a mesh to
+/// that of its particles.
 fn whole(meshes: &[Mesh], volumes: &[f64]) -> [String; 2] {
     let counts: Vec<Count> = meshes.iter().map(|mesh| Count::of(&components(mesh).0)).collect();
     let pieces: usize = counts.iter().map(|count| count.components).sum();

@@ -89,7 +89,7 @@ fn bounds(points: &[[f64; 3]]) -> (DVec3, DVec3) {
     points.iter().fold(none, |(lo, hi), &p| (lo.min(p.into()), hi.max(p.into())))
 }
 
-/// The centre of the region with the most cells that particles fill only partly.
+/// The centre of the region that has the most partly filled cells.
 fn busiest(points: &[[f64; 3]]) -> DVec3 {
     let mut counts: HashMap<IVec3, usize> = HashMap::new();
     for &p in points {
