@@ -146,8 +146,8 @@ macro_rules! settings {
 settings! {
     /// Distance between neighbouring particles.
     ///
-    /// By default, it comes from the particle file or from the simulator's scene file near it. If
-    /// neither has it, it is estimated from the particles.
+    /// By default, it comes from the particle file, or from the simulator's scene file in the same
+    /// folder or its parent. If neither has it, it is estimated from the particles.
     #[arg(
         value_name = "LENGTH", conflicts_with = "radius", allow_negative_numbers = true,
         help_heading = "Input"
@@ -163,11 +163,11 @@ settings! {
 
     /// Attribute with the particles' sizes, if they differ [default: pscale, radius or spacing].
     ///
-    /// Each region of the fluid is meshed at its own particle spacing. The name of the attribute
-    /// says what its values are: radii (half of a particle's spacing), diameters, volumes, or
-    /// masses, which need a density attribute as well. In files of GADGET and SWIFT, masses are the
-    /// default if they differ. `none` treats all particles as one size. Only for the indicator
-    /// cloud.
+    /// Each region of the fluid is meshed at its own particle spacing. The attribute's name
+    /// determines how its values are read: as radii (half of a particle's spacing), diameters,
+    /// volumes or masses. Masses also need a density attribute. In files of GADGET and SWIFT,
+    /// masses are used by default if they differ. `none` treats all particles as one size. Works
+    /// only with the cloud indicator, the default.
     #[arg(
         value_name = "NAME", conflicts_with_all = ["spacing", "radius"], help_heading = "Input",
         hide_short_help = true
@@ -183,7 +183,7 @@ settings! {
 
     /// Cell size in spacings; a smaller size gives a finer mesh [default: 0.5].
     ///
-    /// For the indicators counting and symmetry, the default is 0.6667.
+    /// For the counting and symmetry indicators, the default is 0.6667.
     #[arg(value_name = "RATIO", allow_negative_numbers = true, help_heading = "Surface")]
     cell: Option<f64>,
 
@@ -227,11 +227,12 @@ settings! {
     #[arg(value_name = "X0,Y0,Z0,X1,Y1,Z1", allow_hyphen_values = true, help_heading = "Input")]
     periodic: Option<Faces>,
 
-    /// Closed mesh of a solid object where the fluid ends, such as an obstacle.
+    /// Closed mesh of a solid object at which the fluid ends, such as an obstacle.
     ///
-    /// The mesh must have the units and axes of the particles. Any mesh format that meniscus reads
-    /// is possible. Repeat the option for several solids. {} in the name stands for the frame
-    /// number: solid.{}.obj gives each frame its own mesh. Only for the indicator cloud.
+    /// The mesh must have the units and axes of the particles. It can be in any format that `check`
+    /// reads. Repeat the option for several solids. {} in the name stands for the frame number:
+    /// solid.{}.obj gives each frame its own mesh. Works only with the cloud indicator, the
+    /// default.
     #[arg(value_name = "MESH", help_heading = "Input")]
     solid: Option<Vec<String>>,
 
@@ -265,14 +266,15 @@ settings! {
     /// Smoothing width in spacings, from 0.8 to 4 [default: 1.6].
     ///
     /// Larger is smoother: use 2 for noisy FLIP particles, and a smaller value to keep every
-    /// ripple. Only for the indicator cloud.
+    /// ripple. Works only with the cloud indicator, the default.
     #[arg(value_name = "SPACINGS", allow_negative_numbers = true, help_heading = "Surface")]
     smooth: Option<f64>,
 
-    /// Join particles of thin sheets and filaments up to this many spacings apart [default: 2.15].
+    /// Join particles of thin sheets and filaments that are at most this many spacings apart
+    /// [default: 2.15].
     ///
-    /// The value is from 1 to 3; 0 turns this off. With the default, a sheet stays whole until its
-    /// particles are about 2.1 spacings apart. Only for the indicator cloud.
+    /// The value is from 1 to 3; 0 turns this off. With the default, a sheet tears when its
+    /// particles are about 2.1 spacings apart. Works only with the cloud indicator, the default.
     #[arg(value_name = "SPACINGS", allow_negative_numbers = true, help_heading = "Surface")]
     sheets: Option<f64>,
 
@@ -281,7 +283,7 @@ settings! {
     #[arg(value_enum, help_heading = "Surface", hide_short_help = true)]
     method: Option<MethodName>,
 
-    /// Standard deviation of the smoothing Gaussian, for the indicators counting and symmetry
+    /// Standard deviation of the smoothing Gaussian, for the counting and symmetry indicators
     /// [default: one spacing, but at least one cell].
     #[arg(
         value_name = "CELLS", allow_negative_numbers = true, help_heading = "Surface",
@@ -289,8 +291,8 @@ settings! {
     )]
     sigma: Option<f64>,
 
-    /// Isovalue between 0 and 1, for the indicators counting and symmetry and the methods mueller
-    /// and yu-turk [default: auto].
+    /// Isovalue between 0 and 1, for the counting and symmetry indicators and the mueller and
+    /// yu-turk methods [default: auto].
     ///
     /// auto is 0.47 times the value of the field deep inside the fluid. If the fluid is too shallow
     /// to measure that value, it is computed from the spacing. For kernel methods, auto is 0.5.
@@ -300,8 +302,8 @@ settings! {
     )]
     iso: Option<Iso>,
 
-    /// Recover details, such as drops, that are lost in smoothing (for the indicators counting and
-    /// symmetry).
+    /// Recover details, such as drops, that are lost in smoothing (for the counting and symmetry
+    /// indicators).
     #[arg(help_heading = "Surface", hide_short_help = true)]
     detail: bool,
 
@@ -396,8 +398,8 @@ impl Setting {
         OF_PARTICLES.contains(&self.0)
     }
 
-    /// Whether the setting affects packed frames. Packed frames store samples of particles of one
-    /// size, without kernels.
+    /// Whether the setting affects packed frames. Packed frames do not support kernel methods, and
+    /// their sizes are already sampled.
     #[must_use]
     pub fn is_of_samples(self) -> bool {
         self.needs_particles() && !["method", "size"].contains(&self.0)

@@ -26,7 +26,8 @@ impl Backend {
         Self::of(Cpu)
     }
 
-    /// Runs frames on a device, opened here or adopted, and compiles the shaders for it.
+    /// A backend that computes frames on a device that meniscus opened or adopted. Compiles the
+    /// shaders for it.
     ///
     /// # Errors
     /// [`VulkanError`] if the driver rejects a shader.

@@ -181,9 +181,9 @@ impl Images<'_> {
         images
     }
 
-    /// Calls `take` for each group that has some of the `count` images from number `first` on.
-    /// `take` gets the range of the group's particles, each image's particle as an index within the
-    /// group, and the positions of the images.
+    /// Calls `take` for each group that contains any of the images `first..first + count`. `take`
+    /// gets the range of the group's particles, each image's particle as an index within the group,
+    /// and the positions of the images.
     fn groups(
         &self,
         particles: &dyn Particles,

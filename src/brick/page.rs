@@ -105,9 +105,9 @@ impl PageInfo {
         any.then(|| (full.page(MortonKey::of(bin), 1), PageSamples::Sparse(sparse)))
     }
 
-    /// Describes the page of stored samples; returns `None` if the page is invalid. A valid page
-    /// has a full cell in every one of `bricks`, and no nonzero sample farther from the bin's full
-    /// cells than the width of the ghost layer.
+    /// Describes the page of stored samples; returns `None` if the page is invalid. In a valid
+    /// page, each brick of `bricks` has a full cell, and each nonzero sample is within one ghost
+    /// layer's width of a full cell of the bin.
     ///
     /// # Panics
     /// If the number of samples does not match the bricks.

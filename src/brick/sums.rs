@@ -24,8 +24,8 @@ impl Default for CellSums {
 }
 
 impl CellSums {
-    /// Replaces the sums by the sums of `particles`, each given by its cell and its offset in the
-    /// cell.
+    /// Replaces the sums with those of `particles`. Each particle is given by its cell and its
+    /// offset in the cell.
     pub fn accumulate(&mut self, particles: impl Iterator<Item = (usize, [u32; 3])>) {
         self.rows = [0; ROWS / 64];
         let (rows, _) = self.cells.as_chunks_mut::<ROW>();

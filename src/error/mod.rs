@@ -213,7 +213,7 @@ fn listed(names: &[String]) -> String {
 fn available(left_out: Option<&str>, known: &[String]) -> String {
     let known = listed(known);
     match left_out {
-        Some(part) => format!("it was left out: {part}; available attributes: {known}"),
+        Some(part) => format!("the file contains {part}; available attributes: {known}"),
         None => format!("available: {known}"),
     }
 }

@@ -66,7 +66,7 @@ impl SettingConflict {
             }
             (Conflict::Packed(path), "format") => {
                 format!(
-                    "{}: {setting} applies to particle files, but this is a packed frame",
+                    "{}: {setting} is for particle files, but this is a packed frame",
                     path.display()
                 )
             }
@@ -103,7 +103,7 @@ impl SettingConflict {
             }
             (Conflict::Packing, _) => {
                 format!(
-                    "{setting} has no effect on packing: use it when you reconstruct the packed \
+                    "{setting} has no effect when packing: set it when you reconstruct the packed \
                          frame"
                 )
             }
@@ -114,12 +114,12 @@ impl SettingConflict {
             ),
             (Conflict::Sampled, _) => {
                 format!(
-                    "the setting {setting} cannot change in a frame that is already sampled; sample \
-                     the particles again"
+                    "{setting} cannot be changed for a frame that is already sampled; sample the \
+                     particles again"
                 )
             }
             (Conflict::OnDevice, _) => {
-                format!("{setting} does not apply to a surface on a device")
+                format!("{setting} is not supported for a surface on a device")
             }
             (Conflict::Format { path, .. }, "compress") => {
                 format!("{}: {setting} applies only to .glb and .vdb", path.display())
@@ -138,7 +138,7 @@ impl SettingConflict {
 
 impl fmt::Display for SettingConflict {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.message_with(&Setting::key))
+        f.write_str(&self.message_with(&|setting| format!("`{setting}`")))
     }
 }
 

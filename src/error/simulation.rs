@@ -96,7 +96,7 @@ pub enum SimulationError {
         fault: std::io::Error,
     },
     /// A damaged state file, or one of another version.
-    #[error("{}: this state file cannot be used: {what}", path.display())]
+    #[error("{}: this state file is damaged or of another version: {what}", path.display())]
     State {
         /// The file.
         path: PathBuf,

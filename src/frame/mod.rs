@@ -104,8 +104,8 @@ impl Engine {
     /// Samples the field of counted particles under a new budget.
     ///
     /// # Errors
-    /// [`FrameError`] if they exceed the disk, if their field cannot be made, or if scratch files
-    /// fail.
+    /// [`FrameError`] if the particles do not fit on the disk, if their field cannot be made, or if
+    /// scratch files fail.
     pub fn sample_counted(
         counted: CountedFrame<'_>,
         budget: MemoryBudget,

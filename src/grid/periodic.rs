@@ -91,7 +91,7 @@ pub enum PeriodicError {
     },
     /// The box, with the reach of the filters, extends beyond the grid.
     #[error(
-        "the periodic box and the reach of the filters beyond it extend more than {CELL_LIMIT} cells \
+        "the periodic box, extended by the reach of the filters, ends more than {CELL_LIMIT} cells \
          from the origin; use a larger cell size"
     )]
     TooFar,

@@ -108,7 +108,7 @@ impl PrivateBytes {
     /// Maps a file that no other process can access, or that is trusted to keep its size.
     ///
     /// # Errors
-    /// Errors of the system.
+    /// I/O errors of the operating system.
     pub fn map(file: &File) -> io::Result<Self> {
         // SAFETY: the map is never written through. If another program shortens the file meanwhile,
         // a signal can end the process. This holds for every program that reads by mapping.
@@ -549,7 +549,7 @@ pub fn open_for_frame(
     unpacking: Unpacking,
 ) -> Result<(Bytes, Option<FileStamp>), ReadError> {
     static UNPACKED: LastFile<Arc<Mmap>> = LastFile::new();
-    /// Lets threads that read other frames of the file wait until it is unpacked.
+    /// Makes threads that read other frames of the file wait until the file is unpacked.
     static TURN: Mutex<()> = Mutex::new(());
     let compressed = File::open(path)
         .and_then(|file| {

@@ -173,8 +173,8 @@ impl<B: Windows> ColumnStore<B> {
     /// per column.
     fn read<T: NearestCast>(&self, columns: &[Column], first: usize, out: &mut [T]) {
         let width = columns.len();
-        // A stride shorter than a tuple, which a single row may have, excludes reading whole
-        // tuples.
+        // If the stride is shorter than a tuple, as it may be for a single row, whole tuples cannot
+        // be read.
         let neighbours =
             columns.iter().enumerate().all(|(i, column)| *column == columns[0].component(i));
         match columns {
@@ -417,7 +417,7 @@ macro_rules! stored {
             }
         }
 
-        /// A type to which every number type converts, to the nearest value.
+        /// A type to which every number type can be converted, by rounding to the nearest value.
         trait NearestCast: Copy {
             $(fn $type(value: $type) -> Self;)*
         }

@@ -17,7 +17,8 @@ pub enum InputFormat {
     Bi4,
     /// Text tables, such as .csv, .txt and .dat.
     Csv,
-    /// HDF5: VTKHDF, SWIFT, GADGET, openPMD, PySPH, H5Part, H5MD, or any groups or tables.
+    /// HDF5: VTKHDF, SWIFT, GADGET, openPMD, PySPH, H5Part, H5MD, or any other file with particles
+    /// in groups or tables.
     Hdf5,
     /// A list of positions in JSON.
     Json,

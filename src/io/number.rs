@@ -49,7 +49,8 @@ impl ParseNumber for f64 {
 fn short(word: &[u8]) -> Option<f64> {
     /// Maximum number of digits. The integer of these digits is less than 2^53.
     const MOST: usize = 15;
-    /// Maximum number of other characters: a sign, a point, and an exponent of two digits.
+    /// Maximum number of characters besides the digits: a sign, a point, and an exponent (`e`, a
+    /// sign and two digits).
     const BESIDE: usize = 6;
     /// Powers of ten that f64 represents exactly. 10^22 is the greatest.
     const POWERS: [f64; 23] = [

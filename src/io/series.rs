@@ -154,7 +154,7 @@ impl Series {
     /// earlier lists.
     ///
     /// # Errors
-    /// Errors of the system.
+    /// I/O errors of the operating system.
     pub fn write(&self, frames: &[SeriesFrame]) -> Result<(), WriteError> {
         let moments = self.moments(frames);
         let shown: Vec<(&SeriesFrame, FrameTime)> = frames.iter().zip(moments).collect();

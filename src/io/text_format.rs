@@ -37,7 +37,7 @@ enum TextFormat {
 /// The caller's knowledge of the format before the content is read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TextHint {
-    /// The format of the file's extension. The content may show another format.
+    /// The format of the file's extension. The content may turn out to be in another format.
     Extension(Option<InputFormat>),
     /// The format that the caller named.
     Named(InputFormat),

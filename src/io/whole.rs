@@ -251,7 +251,7 @@ impl MadeFolders {
     /// Creates the folder of `file` and its missing parents.
     ///
     /// # Errors
-    /// Errors of the system.
+    /// I/O errors of the operating system.
     pub fn of(file: &Path) -> Result<Self, WriteError> {
         let folder = folder_of(file);
         let missing = folder.ancestors().take_while(|folder| !folder.as_os_str().is_empty());
@@ -299,7 +299,7 @@ fn metadata(path: &Path) -> io::Result<Option<fs::Metadata>> {
 /// file can be created next to it.
 const OPEN: [&str; 4] = ["/dev/stdout", "/dev/stderr", "/dev/fd", "/proc/self/fd"];
 
-/// Whether the output is a pipe, a device or an open file, which is written directly.
+/// Whether the output is written directly, because it is a pipe, a device or an open file.
 fn is_direct(path: &Path, found: Option<&fs::Metadata>) -> bool {
     let is_open = || OPEN.iter().any(|open| path.starts_with(open));
     found.is_some_and(|found| !found.is_dir() && (!found.is_file() || is_open()))
@@ -308,7 +308,7 @@ fn is_direct(path: &Path, found: Option<&fs::Metadata>) -> bool {
 /// Creates a folder and its missing parents.
 ///
 /// # Errors
-/// Errors of the system, with their kind and message.
+/// I/O errors of the operating system, with their kind and message.
 pub fn make_folder(folder: &Path) -> io::Result<()> {
     fs::create_dir_all(folder)
         .map_err(|fault| io::Error::new(fault.kind(), format!("cannot create the folder: {fault}")))

@@ -143,8 +143,8 @@ pub struct PartsOptions {
     /// then with --merge.
     ///
     /// All runs need the same settings, but can be on different machines. The plan and the parts
-    /// are in a folder next to the output. Its name is that of the output, followed by
-    /// .meniscus-parts.
+    /// are in a folder next to the output, which is named after the output with .meniscus-parts
+    /// appended.
     #[arg(long, value_name = "N", value_parser = value_parser!(u32).range(1..), help_heading = "Clusters", hide_short_help = true)]
     pub parts: Option<u32>,
     /// Make part I, where I is from 0 to N - 1. Parts can be made in any order. If a run was

@@ -251,7 +251,8 @@ pub struct SimulationOptions {
     /// Convert every Nth frame.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..), help_heading = "Simulations", hide_short_help = true)]
     step: Option<u64>,
-    /// Convert only frames A to B, inclusive, so that several jobs can share a simulation.
+    /// Convert only frames A to B, inclusive, but calibrate as if all were converted, so that
+    /// several jobs can share a simulation.
     #[arg(long, value_name = "A..B", value_parser = range, allow_hyphen_values = true, help_heading = "Simulations", hide_short_help = true)]
     frames: Option<(i64, i64)>,
     /// Resume an interrupted conversion.
@@ -262,8 +263,8 @@ pub struct SimulationOptions {
     pub resume: bool,
     /// Convert frames as a running simulation writes them.
     ///
-    /// The conversion stops after the frame of --end, or when no new frame has appeared for SECONDS
-    /// [default: no limit].
+    /// The conversion stops after the last frame (--end), or when no new frame has appeared for
+    /// SECONDS [default: no limit].
     #[arg(long, value_name = "SECONDS", num_args = 0..=1, require_equals = true, default_missing_value = "inf", help_heading = "Simulations")]
     pub watch: Option<f64>,
     /// Frames per second of the simulation, if the files have no times.

@@ -344,7 +344,7 @@ impl fmt::Display for SpacingWarning {
             Self::Mixed(Mixture { attribute, boundary, fluid }) => write!(
                 f,
                 "the {} particles with {attribute}={} surround the {} with {attribute}={} and look like \
-                 a boundary; all of them are meshed as one fluid",
+                 a boundary; both are meshed as one fluid",
                 boundary.1, boundary.0, fluid.1, fluid.0
             ),
             Self::Thin { used, counted, nearest } => {
@@ -358,8 +358,8 @@ impl fmt::Display for SpacingWarning {
                     ),
                     None => write!(
                         f,
-                        "few particles are surrounded by others, so the spacing is uncertain: \
-                         nearest neighbours are {} apart; {used} is used",
+                        "few particles are surrounded by others, so the spacing is uncertain; \
+                         nearest neighbours are {} apart, and a spacing of {used} is used",
                         about(*nearest)
                     ),
                 }
@@ -372,27 +372,25 @@ impl fmt::Display for SpacingWarning {
             ),
             Self::Sizes { attribute, invalid, usual, larger, coarsest } => {
                 if *invalid > 0 {
-                    let (have, them) = match invalid {
-                        1 => ("particle has", "it"),
-                        _ => ("particles have", "them"),
+                    let (have, get) = match invalid {
+                        1 => ("particle has", "gets"),
+                        _ => ("particles have", "get"),
                     };
                     write!(
                         f,
-                        "{invalid} {have} no positive, finite {attribute}; size {} is used for \
-                         {them}",
+                        "{invalid} {have} no positive, finite {attribute}, and {get} the size {}",
                         about(*usual)
                     )?;
                 }
                 if *larger > 0 {
                     let and = if *invalid > 0 { "; " } else { "" };
-                    let (exceed, them) = match larger {
-                        1 => ("particle exceeds", "it"),
-                        _ => ("particles exceed", "them"),
+                    let (exceed, get) = match larger {
+                        1 => ("particle exceeds", "gets"),
+                        _ => ("particles exceed", "get"),
                     };
                     write!(
                         f,
-                        "{and}{larger} {exceed} the maximum size of {coarsest}, which is used for \
-                         {them}",
+                        "{and}{larger} {exceed} the maximum size of {coarsest}, and {get} this size",
                         coarsest = about(*coarsest)
                     )?;
                 }

@@ -226,10 +226,9 @@ impl Inputs {
     pub fn several(&self, simulations: &[Sequence], why: WhyOne) -> SimulationError {
         let each = simulations.iter().filter_map(|sequence| {
             let Pattern { prefix, suffix, .. } = sequence.pattern.as_ref()?;
-            Some(format!(
-                "{prefix}{{}}{suffix} ({})",
-                sequence.list().map_or(0, |frames| frames.len())
-            ))
+            let frames = sequence.list().map_or(0, |frames| frames.len());
+            let unit = if frames == 1 { "frame" } else { "frames" };
+            Some(format!("{prefix}{{}}{suffix} ({frames} {unit})"))
         });
         SimulationError::Several {
             from: self.describe(),

@@ -214,7 +214,7 @@ impl Pictures {
         self
     }
 
-    /// Limits the memory of a mesh and its picture in bytes. A .ply from this library that needs
+    /// Limits the memory of a mesh and its picture, in bytes. A .ply from this library that needs
     /// more than half of this memory is streamed from its file.
     pub fn memory(mut self, bytes: u64) -> Self {
         self.memory = Some(bytes);

@@ -71,7 +71,7 @@ impl Simulation {
     /// Converts a simulation. If the calibration frame changes meanwhile, measures it again, and
     /// remakes the frames that used the old calibration.
     fn convert(&self, begun: CheckedSimulation<'_>) -> Result<Summary, Error> {
-        // Repetitions resume, because all existing outputs are then from this conversion.
+        // Later passes resume, because all existing outputs are then from this conversion.
         let resumed = Self { resume: true, ..self.clone() };
         let first = begun.setup;
         let mut ran = self.convert_once(begun)?;

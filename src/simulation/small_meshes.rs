@@ -62,7 +62,7 @@ impl SmallMeshes {
     /// removes the earlier file, because it belongs to another mesh.
     ///
     /// # Errors
-    /// Errors of the system.
+    /// I/O errors of the operating system.
     pub(super) fn keep(&self, frame: i64, file: Option<&[u8]>) -> Result<(), WriteError> {
         let path = self.path(frame);
         let kept = match file {

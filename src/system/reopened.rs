@@ -94,7 +94,7 @@ impl ReopenedFile {
     /// Takes the open file at `path`.
     ///
     /// # Errors
-    /// Errors of the system.
+    /// I/O errors of the operating system.
     pub fn new(path: &Path, file: File) -> io::Result<Self> {
         let stamp = FileStamp::of(&file.metadata()?);
         let number = NEXT.fetch_add(1, Ordering::Relaxed);

@@ -71,8 +71,8 @@ fn write_strips() {
         peak(format, 16);
         let [few, many] = [100, 400].map(|pieces| peak(format, pieces));
         let whole = if format.holds_whole_mesh() { 24 * VERTICES * 300 } else { 0 };
-        // Writing needs encoding buffers for eight pieces, with up to 110 bytes per triangle
-        // because buffers grow by doubling, and two pieces of the mesh.
+        // Writing needs two pieces of the mesh, and encoding buffers for eight pieces. The buffers
+        // take up to 110 bytes per triangle, because they grow by doubling.
         assert!(few - whole / 3 < (8 * 110 + 2 * 100) * TRIANGLES, "{format}: {few} bytes");
         assert!(
             (whole..whole + few / 4 * 5).contains(&many),

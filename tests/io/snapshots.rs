@@ -201,7 +201,7 @@ fn an_error_in_a_snapshot_names_the_file_that_causes_it() {
             fs::write(&path, &bytes[..cut]).unwrap();
             refused("");
         }
-        // The next file of the snapshot may not be the single file of another snapshot.
+        // The next file of the snapshot must not be the single file of another snapshot.
         fs::copy(data("swift_0003.hdf5"), &path).unwrap();
         refused("another snapshot");
         fs::remove_file(&path).unwrap();

@@ -1009,7 +1009,7 @@ fn cells_too_fine_for_the_indicator_are_refused_with_a_usable_size() {
     assert_refused(folder.path(), &[&fine[..], &["--dry-run"]].concat(), 2, &["too small"]);
     let more = ["--indicator", "symmetry", "--cell", "0.4"];
     let symmetry = [&fine[..5], &more[..]].concat();
-    assert_refused(folder.path(), &symmetry, 2, &["too small for the indicator symmetry", "0.25"]);
+    assert_refused(folder.path(), &symmetry, 2, &["too small for the symmetry indicator", "0.25"]);
     fs::rename(folder.path().join("ball.xyz"), folder.path().join("ball_1.xyz")).unwrap();
     let sequence = ["ball_{}.xyz", "-o", "out/m_{}.ply", "--spacing", "0.5", "--cell", "0.09"];
     let run = meniscus(folder.path(), &[&["reconstruct"], &sequence[..]].concat());
@@ -1289,7 +1289,10 @@ fn every_setting_is_an_option_and_pack_refuses_surface_settings() {
         let run = meniscus(folder.path(), &[&["pack", "one.xyz", "-o", "one.mnf"], given].concat());
         let messages = String::from_utf8_lossy(&run.stderr).into_owned();
         assert_eq!(run.status.code(), Some(2), "{messages}");
-        assert!(messages.contains(&format!("{} has no effect on packing", given[0])), "{messages}");
+        assert!(
+            messages.contains(&format!("{} has no effect when packing", given[0])),
+            "{messages}"
+        );
     }
 }
 

@@ -183,7 +183,7 @@ fn spray_is_stored_sparsely_within_the_estimated_memory() {
     }
 }
 
-/// The peak memory in bytes that a run wrote to the file `stats`.
+/// The peak memory, in bytes, that a run recorded in the file `stats`.
 fn peak(folder: &Path) -> u64 {
     let stats = fs::read_to_string(folder.join("stats")).unwrap();
     let stats: serde_json::Value = serde_json::from_str(stats.lines().last().unwrap()).unwrap();

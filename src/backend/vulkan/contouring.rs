@@ -40,8 +40,8 @@ pub(super) const SHEETS_FIELDS: usize = 2;
 /// Number of fields for drops: the shares of sheets and their certainty, clouds, the clouds around
 /// them, and a temporary.
 pub(super) const DROPS_FIELDS: usize = 5;
-/// Number of fields of the parts in which particles stand out: their distance outside of the
-/// surface, shares, and the certainty of sheets.
+/// Number of fields in the parts of blocks where particles stand out from the surface: the distance
+/// of the particles outside of the surface, the shares of drops, and the certainty of sheets.
 pub(super) const PART_FIELDS: usize = 3;
 /// The regions of a batch in a lane.
 pub(super) struct BlockBatch {

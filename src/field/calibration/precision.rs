@@ -46,8 +46,8 @@ pub enum TooFine {
     /// The field's steps are too large.
     #[error(
         "the cell size {} is too small: rounding to 16 bits moves the surface by up to \
-         {step_cells:.3} cells, more than the limit of {COARSEST_STEP} cells, because the field is \
-         only {plateau:.1} of 65535 deep in the fluid; {remedy}",
+         {step_cells:.3} cells, more than the limit of {COARSEST_STEP} cells, because deep in the \
+         fluid the field is only {plateau:.1} of 65535; {remedy}",
         shown(*cell_size)
     )]
     Steps {
@@ -73,7 +73,7 @@ pub enum TooFine {
     },
     /// Too many cells are empty to determine the positions of particles in them.
     #[error(
-        "the cell size {} is too small for the indicator symmetry: at most one cell in eight would \
+        "the cell size {} is too small for the symmetry indicator: at most one cell in eight would \
          contain a particle; use a cell size of {} or more",
         shown(*cell_size), shown(roundly_above(FINEST_OF_SYMMETRY * spacing))
     )]
@@ -101,7 +101,7 @@ impl fmt::Display for Remedy {
             Self::Cells(size) => write!(f, "use a cell size of {} or more", shown(*size)),
             Self::Origin([x, y, z]) => write!(
                 f,
-                "the particles lie on corners of cells, where the indicator symmetry is almost 0; \
+                "the particles lie on corners of cells, where the symmetry indicator is almost 0; \
                  move the grid's origin to {x},{y},{z}"
             ),
         }

@@ -154,8 +154,8 @@ impl StandsOut {
     }
 
     /// The distance by which a particle lies outside of the calm surface, given the difference
-    /// between the fine and the calm surface. In the bulk, distances at which drops do not stand
-    /// out are reduced, so that no drops need to be made there.
+    /// between the fine and the calm surface. In the bulk, a distance too small for a drop to stand
+    /// out is reduced, so that no drop has to be made there.
     #[inline(always)]
     pub fn of_particle(&self, distance: u16, apart: u16) -> u16 {
         let earlier = (u32::from(self.earlier) * self.apart.of(apart)) >> 12;

@@ -31,8 +31,8 @@ const CHUNK: usize = 1 << 16;
 /// Particles per batch of cell numbers.
 const AT_ONCE: usize = 256;
 
-/// Computes the index of each particle's cell in a dense list. The list has the cells of a box, x
-/// fastest; the box begins one cell below `origin`.
+/// For each particle, computes the index of its cell in a dense list of cells. The list has the
+/// cells of a box, x fastest; the box begins one cell below `origin`.
 #[multiversion(targets("x86_64+avx512f+avx512dq", "x86_64+avx2", "x86_64+sse4.1"))]
 fn numbers_of(
     positions: &[[f64; 3]],
@@ -113,7 +113,7 @@ const PART: f64 = 0.05;
 /// The minimum number of particles in a cell of a separate resolution: with fewer, the particles
 /// could be spray.
 const ENOUGH_IN_CELL: usize = 4;
-/// The minimum share of a separate resolution's cells that have similar counts.
+/// Among the cells of one separate resolution, the minimum share that must have similar counts.
 const EVEN: f64 = 0.8;
 
 /// The spacings of two resolutions, from the counts of interior cells of edge `cell`. There must be

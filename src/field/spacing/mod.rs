@@ -98,7 +98,7 @@ pub struct SpacingEstimate {
 #[non_exhaustive]
 pub enum NoEstimate {
     /// Too few particles.
-    #[error("there are too few")]
+    #[error("there are too few particles")]
     TooFew,
     /// Nearly all particles share a few positions.
     #[error("they have only {places} different positions")]

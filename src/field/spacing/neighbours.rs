@@ -53,7 +53,7 @@ const SHEETS: f64 = 0.6;
 const FILAMENT: f64 = 1.35;
 /// The spacings from counting and from neighbours agree if they differ by less than this factor.
 const AGREED: f64 = 1.07;
-/// The minimum share of the queried particles for an estimate.
+/// The minimum share of the queried particles that an estimate must be based on.
 const ENOUGH_SHARE: f64 = 0.04;
 const ENOUGH: usize = 8;
 /// Limits of the number of queried particles, which is one per [`PARTICLES_A_QUERY`] particles.
@@ -104,7 +104,7 @@ struct Neighbourhood {
 }
 
 impl Neighbours {
-    /// Searches a few cubes; `None` if they do not confirm a spacing, so that more cubes are
+    /// Searches a few cubes. Returns `None` if they do not confirm a spacing; more cubes are then
     /// needed.
     pub fn of_few(sample: NeighbourSample, spacing: f64) -> Option<Self> {
         let few = Self::of(sample);

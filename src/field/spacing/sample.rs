@@ -243,7 +243,8 @@ fn without_duplicates(positions: Vec<[f64; 3]>) -> Vec<[f64; 3]> {
 
 /// Whether two of many hashes are equal.
 fn some_are_alike(numbers: &[u64]) -> bool {
-    /// A bit per hash, indexed by its upper bits. Few different hashes share a bit.
+    /// The number of upper bits of a hash, which index a table of bits. There are enough of them
+    /// that different hashes rarely share a bit.
     const BITS: u32 = 23;
     let place = |number: u64| {
         let bit = number >> (u64::BITS - BITS);

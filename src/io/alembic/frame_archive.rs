@@ -125,7 +125,7 @@ impl FrameArchive {
     /// Makes the next frame start a new archive. The old archive stays until then.
     ///
     /// # Errors
-    /// Errors of the system.
+    /// I/O errors of the operating system.
     pub fn forget(&self) -> Result<(), WriteError> {
         match fs::remove_file(self.table()) {
             Err(fault) if fault.kind() != io::ErrorKind::NotFound => {
@@ -142,7 +142,7 @@ impl FrameArchive {
     /// a different `fingerprint` is replaced.
     ///
     /// # Errors
-    /// Errors of the system.
+    /// I/O errors of the operating system.
     pub fn add(
         &self,
         mesh: &SeriesFrame,

@@ -44,7 +44,7 @@ impl LevelField {
 pub struct LevelFields {
     /// The field on the block's own level, on all of its cells.
     pub own: LevelField,
-    /// The field on the next level, on all wide cells, in its own spacing.
+    /// The field of the next level, on all wide cells. Its values are in spacings of that level.
     pub wide: Option<LevelField>,
     /// Converts a sample of the next level to the block's spacing.
     pub narrowed: fn(u16) -> u16,

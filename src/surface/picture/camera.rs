@@ -145,8 +145,8 @@ impl Camera {
         self.distance
     }
 
-    /// The direction of a place on the picture, in heights from its middle, y up. Its length is 1
-    /// along the line of sight.
+    /// The direction of a point of the picture. The point is given in heights of the picture from
+    /// its middle, with y up. The component of the direction along the line of sight is 1.
     pub(super) fn towards(&self, x: f64, y: f64) -> DVec3 {
         self.axes * DVec3::new(x / self.focal, y / self.focal, -1.0)
     }

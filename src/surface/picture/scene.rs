@@ -121,7 +121,8 @@ impl<'a> Scene<'a> {
         lights.sum::<Vec3>() * share
     }
 
-    /// The direction of a place on the picture, in the axes right, up and towards the viewer.
+    /// The direction towards a point of the picture, as components right, up and towards the
+    /// viewer.
     fn direction(&self, towards: Vec2) -> Vec3 {
         self.shown(towards).normalize()
     }

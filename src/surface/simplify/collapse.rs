@@ -525,8 +525,7 @@ impl CollapseState<'_, '_> {
         after > 0.0 && after >= KEPT * volume(from)
     }
 
-    /// Finds closest triangles among the new triangles for all vertices whose closest triangle
-    /// changes.
+    /// For each vertex whose closest triangle changes, finds the closest of the new triangles.
     fn find_new_homes(&mut self, vertex: u32, ring: &[Incident]) -> bool {
         self.moved.clear();
         self.mark += 1;

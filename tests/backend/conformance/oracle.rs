@@ -102,7 +102,8 @@ fn dense_field(frame: &Engine, Variant { particles, sampling, surfacing }: &Vari
     distances(frame, sampling, surfacing).integer(particles, is_inside)
 }
 
-/// The cells of a frame with clouds that are so deep that they are inside without computation.
+/// For a frame with the cloud indicator: the cells so deep in the fluid that they count as inside
+/// without being computed.
 fn inside(frame: &Engine, surfacing: &Surfacing) -> Arc<InsideBricks> {
     let (recipe, _) = recipe(frame, surfacing);
     let Filters::Distances(distances) = recipe.filters else { panic!("clouds have distances") };

@@ -67,8 +67,8 @@ static void options_are_refused(void) {
   OPTION("spacing must be positive and finite, got inf", "spacing", "inf");
   OPTION("spacing must be positive and finite, got 0", "spacing", "0");
   OPTION("radius must be positive and finite, got -1", "radius", "-1");
-  OPTION("radius cannot be used with spacing", "radius", "1", "spacing", "2");
-  OPTION("cell-size cannot be used with cell", "cell", "1", "cell-size", "2");
+  OPTION("`radius` cannot be used with `spacing`", "radius", "1", "spacing", "2");
+  OPTION("`cell-size` cannot be used with `cell`", "cell", "1", "cell-size", "2");
   OPTION("cell-size must be positive", "cell-size", "nan");
   OPTION("cell must be positive", "cell", "-0.5");
   OPTION("origin", "origin", "nan,0,0");
@@ -80,9 +80,9 @@ static void options_are_refused(void) {
   OPTION("smooth must be", "smooth", "nan");
   OPTION("sigma must be", "indicator", "counting", "sigma", "-1");
   OPTION("mu0 must be", "indicator", "counting", "mu0", "inf");
-  OPTION("mu0 does not apply to indicator cloud", "mu0", "1");
+  OPTION("`mu0` does not apply to `indicator` cloud", "mu0", "1");
   OPTION("iso must be", "indicator", "symmetry", "iso", "2");
-  OPTION("iso does not apply to method zhu-bridson", "method", "zhu-bridson", "iso", "0.5");
+  OPTION("`iso` does not apply to `method` zhu-bridson", "method", "zhu-bridson", "iso", "0.5");
   OPTION("simplify must be", "simplify", "-1");
   OPTION("smallest-component must be", "smallest-component", "nan");
   OPTION("the memory limit must be at least", "memory", "1");

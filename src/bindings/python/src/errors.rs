@@ -29,7 +29,7 @@ fn is_of_file(error: &Error) -> bool {
 
 /// Converts an error of the library to the Python exception of its kind.
 pub fn exception(error: Error) -> PyErr {
-    let text = error.message_with(&|setting| setting.name().to_owned());
+    let text = error.message_with(&|setting| format!("`{}`", setting.name()));
     match error.cause() {
         Cause::Device => DeviceError::new_err(text),
         _ if matches!(

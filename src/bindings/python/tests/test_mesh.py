@@ -152,7 +152,7 @@ def test_numbers_out_of_range_say_what_and_where(ball: Any) -> None:
         ({"domain": (5, 5, 5, 1, 1, 1)}, "corner"),
         ({"origin": (0, 0)}, "^origin: three numbers"),
         ({"indicator": "fog"}, "^indicator: \"fog\" is none of cloud, counting, symmetry"),
-        ({"sigma": 1.0}, "^sigma applies only to indicator counting or symmetry"),
+        ({"sigma": 1.0}, "^`sigma` applies only to `indicator` counting or symmetry"),
         ({"periodic_mesh": "cut"}, "periodic"),
         ({"device": "0", "backend": "cpu"}, "^device: "),
         ({"simplify": -1.0}, "-1"),
