@@ -258,7 +258,7 @@ fn files() -> String {
         Io(full_disk()), Exists, ExistsInSimulation, UnknownExtension { known: ".ply, .obj" },
         Unsupported(".stl stores coordinates as f32, and some of these are out of its range".into()),
     );
-    let families = || "oil_{} (8), water_{} (8)".into();
+    let families = || "oil_{} (8 frames), water_{} (8 frames)".into();
     examples!(text, SimulationError:
         NoFrames("sim".into()),
         NoMatch("sim/frame_{}.bgeo".into()),

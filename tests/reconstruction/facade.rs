@@ -398,7 +398,7 @@ fn frames_lists_a_simulation_and_refuses_missing_or_ambiguous_inputs() {
     assert!(none.ends_with("none_{}.xyz: no file matches this pattern"), "{none}");
     write("sand_1.xyz", &raw(&ball()));
     let several = listed("").unwrap_err().to_string();
-    assert!(several.contains("pool_{}.xyz (2), sand_{}.xyz (1)"), "{several}");
+    assert!(several.contains("pool_{}.xyz (2 frames), sand_{}.xyz (1 frame)"), "{several}");
 }
 
 #[test]

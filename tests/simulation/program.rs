@@ -275,7 +275,7 @@ fn invalid_sequence_requests_are_refused_and_leave_no_files() {
         (
             vec!["in", "-o", "out_{}.ply"],
             2,
-            "several simulations: f_{}.xyz (3), g_{}.xyz (1); name one",
+            "several simulations: f_{}.xyz (3 frames), g_{}.xyz (1 frame); name one",
         ),
         (vec!["in/*.xyz", "-o", "out_{}.ply"], 2, "into a folder"),
         (vec!["in", "-o", "out/", "--watch"], 2, "several simulations"),
@@ -1228,7 +1228,7 @@ fn each_fluid_in_a_folder_becomes_its_own_sequence() {
     // A fluid in two formats would be two simulations with the same name, which is an error.
     fs::write(folder.path().join("in/oil_2.csv"), "x,y,z\n1,2,3\n").unwrap();
     let errors = run(folder.path(), &["in", "-o", "other/"], 2);
-    assert!(errors.contains("oil_{}.csv (1), oil_{}.xyz (4)"), "{errors}");
+    assert!(errors.contains("oil_{}.csv (1 frame), oil_{}.xyz (4 frames)"), "{errors}");
     assert!(errors.contains("same names") && !errors.contains("into a folder"), "{errors}");
 }
 
