@@ -77,8 +77,9 @@ const VOLUME_STEPS: f64 = 16.0 * MOST_TIMES * MOST_TIMES * MOST_TIMES;
 const CLASSES: usize = 13;
 /// The factor for the area of each class of sizes, relative to the next finer class.
 const FINER: f64 = 0.84;
-/// The maximum size of particles that count at a side, in spacings.
-const LARGEST: f64 = 1.1;
+/// The maximum size of particles that count at a side, in spacings: more than those of nearly
+/// all particles in the class that gives the spacing.
+const LARGEST: f64 = 1.3;
 
 /// The evidence of one frame about a side of the box around the particles.
 #[derive(Debug, Clone, Copy, PartialEq)]
