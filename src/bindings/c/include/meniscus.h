@@ -804,8 +804,8 @@ MeniscusStatus meniscus_options_set_numbers(struct MeniscusOptions *options,
 // Sets the function that receives the progress of a frame, and its argument `user`. NULL for no
 // function. meniscus_convert does not call it.
 //
-// A simulation with these options can call the function until meniscus_simulation_free. All other
-// calls of the library call it only before they return.
+// A simulation with these options can call the function until meniscus_simulation_free. Every
+// other function of the library calls it only before that function returns.
 //
 // `options` is NULL or a handle that has not been freed.
 MeniscusStatus meniscus_options_on_progress(struct MeniscusOptions *options,
