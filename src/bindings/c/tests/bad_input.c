@@ -242,7 +242,7 @@ static void files_are_refused(const char *folder) {
   WRITE(REQUEST, "already exists", meniscus_check_output(path, NULL, 0));
   OK(meniscus_check_output(path, NULL, 1));
   MeniscusOptions *heat = OPTIONS("attributes", "heat");
-  WRITE(REQUEST, ".obj cannot store attributes", meniscus_check_output("new.obj", heat, 0));
+  WRITE(REQUEST, ".obj cannot store `attributes`", meniscus_check_output("new.obj", heat, 0));
   meniscus_options_free(heat);
   OK(meniscus_check_output("new.obj", NULL, 0));
   CHECK(access("new.obj", F_OK) != 0);
@@ -279,7 +279,7 @@ static void files_are_refused(const char *folder) {
   MeniscusOptions *kernels = OPTIONS("method", "zhu-bridson");
   OK(meniscus_sample(&water, kernels, &frame));
   meniscus_options_free(kernels);
-  WRITE(REQUEST, "method needs the particles", meniscus_frame_pack(frame, "a.mnf", 0, NULL));
+  WRITE(REQUEST, "`method` needs the particles", meniscus_frame_pack(frame, "a.mnf", 0, NULL));
   meniscus_frame_free(frame);
   // All queries and frees accept NULL.
   CHECK(!meniscus_mesh_vertex_count(NULL) && !meniscus_mesh_triangle_count(NULL) && !meniscus_mesh_has_normals(NULL));

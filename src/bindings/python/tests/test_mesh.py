@@ -119,7 +119,7 @@ def test_a_file_appears_whole_and_is_replaced_only_where_that_is_asked_for(tmp_p
         mesh.write(path / "none" / "mesh.ply")
     with pytest.raises(ValueError, match="unknown extension"):
         mesh.write(tmp_path / "mesh.fbx")
-    with pytest.raises(meniscus.InputError, match="cannot store normals"):
+    with pytest.raises(meniscus.InputError, match="cannot store `normals`"):
         meniscus.reconstruct(ball, normals=True).write(tmp_path / "mesh.stl")
     assert sorted(os.listdir(tmp_path)) == ["made", "mesh.ply"]
 
