@@ -136,11 +136,11 @@ def test_trimesh_and_meshio_take_it_as_it_is(ball: Any) -> None:
 
 def test_numbers_out_of_range_say_what_and_where(ball: Any) -> None:
     for keywords, what in [
-        ({"spacing": -1.0}, "^spacing .* -1"),
-        ({"spacing": float("nan")}, "^spacing .* NaN"),
-        ({"cell": 0.0}, "^cell must be"),
+        ({"spacing": -1.0}, "^`spacing` .* -1"),
+        ({"spacing": float("nan")}, "^`spacing` .* NaN"),
+        ({"cell": 0.0}, "^`cell` must be"),
         ({"smooth": 99.0}, "99"),
-        ({"radius": -0.5}, "^radius must be"),
+        ({"radius": -0.5}, "^`radius` must be"),
         ({"threads": 0}, "threads"),
         ({"threads": -1}, "^threads: -1 is out of range"),
         ({"memory": "lots"}, "^memory: "),
