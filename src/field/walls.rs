@@ -531,8 +531,7 @@ fn spacing_at(frames: &[Ends], axis: usize, end: usize) -> f64 {
     greatest(&mut planes).or_else(|| greatest(&mut frames.iter())).unwrap_or(1.0)
 }
 
-/// The spacing at each side, as in [`spacing_at`]; `None` if it is the particles' spacing
-/// everywhere.
+/// The spacing at each side; `None` if it is the particles' spacing everywhere.
 pub fn spacings_at_sides(frames: &[Ends]) -> Option<[[f64; 2]; 3]> {
     let is_other = |frame: &Ends| frame.spacings.as_flattened().iter().any(|&s| s != frame.spacing);
     frames

@@ -29,6 +29,8 @@ pub fn write_pieces(
 
 /// Appends the values of a piece to a buffer.
 type Make<'a, T> = dyn Fn(usize, &mut Vec<T>) -> io::Result<()> + Sync + 'a;
+/// Appends the bytes of a piece's triangles to a buffer.
+type EncodeTriangles<'a> = dyn Fn(&[[u64; 3]], &mut Vec<u8>) + Sync + 'a;
 /// Consumes the values of pieces, in order.
 type Take<'a, T> = dyn FnMut(&[T]) -> io::Result<()> + 'a;
 
@@ -193,7 +195,7 @@ pub(super) fn write_triangles(
 fn write_triangles_of_each_piece(
     out: &mut dyn Write,
     mesh: &dyn MeshSource,
-    encode: &(dyn Fn(&[[u64; 3]], &mut Vec<u8>) + Sync),
+    encode: &EncodeTriangles<'_>,
 ) -> io::Result<()> {
     let vertices = mesh.vertex_count();
     let count = AtomicU64::new(0);

@@ -91,7 +91,7 @@ pub struct Simulation {
 }
 
 enum Kind {
-    Live(Mutex<LiveSimulation>),
+    Live(Box<Mutex<LiveSimulation>>),
     /// A conversion of files, and whether to draw a contact sheet.
     Files(Box<FileSimulation>, bool),
 }
@@ -153,7 +153,12 @@ impl Simulation {
             refuse_of_files(keywords)?;
             let request = asked.on_machine(None)?;
             let live = LiveSimulation::new(&request).map_err(exception)?;
-            return Ok(Self { kind: Kind::Live(Mutex::new(live)), request, names, process });
+            return Ok(Self {
+                kind: Kind::Live(Box::new(Mutex::new(live))),
+                request,
+                names,
+                process,
+            });
         };
         let (files, preview) = of_files(paths("inputs", inputs)?, output.clone(), keywords)?;
         let files = files.reconstruction(asked.request.clone());
