@@ -29,7 +29,7 @@ use rayon::prelude::*;
 
 use crate::grid::{Grid, Walls};
 use crate::particles::sizes::{MOST_TIMES, SizeAttributes, Sizes};
-use crate::particles::{Bounds, Particles, chunks, finite_chunks};
+use crate::particles::{Bounds, Particles, finite_chunks};
 
 /// Edge of a column, in spacings.
 const COLUMN: f64 = 2.0;
@@ -195,7 +195,7 @@ impl Ends {
             }
         };
         match &own {
-            Some(own) => own.chunks(particles).for_each(|chunk| {
+            Some(own) => own.sizes.finite_chunks(particles, &own.columns).for_each(|chunk| {
                 chunk.into_iter().for_each(|(position, size)| look(position, size));
             }),
             None => finite_chunks(particles)
@@ -226,24 +226,10 @@ struct OwnSizes<'a> {
 type Classes = [[[[u64; 2]; CLASSES]; 2]; 3];
 
 impl OwnSizes<'_> {
-    /// The finite positions with the sizes of their particles, in batches of a few thousand.
-    fn chunks(
-        &self,
-        particles: &dyn Particles,
-    ) -> impl ParallelIterator<Item = Vec<([f64; 3], f64)>> {
-        chunks(particles, move |range| {
-            let mut positions = vec![[0.0; 3]; range.len()];
-            particles.positions(range.start, &mut positions);
-            let sizes = self.sizes.of_range(particles, &self.columns, range);
-            let all = positions.into_iter().zip(sizes);
-            all.filter(|(position, _)| DVec3::from(*position).is_finite()).collect()
-        })
-    }
-
     /// The spacing at each side: the mean size in the class with the greatest area there. An area
     /// of smaller particles counts for more, because smaller particles show a wall more precisely.
     fn spacings(&self, particles: &dyn Particles, bounds: &Bounds, grid: &Grid) -> [[f64; 2]; 3] {
-        const STEPS: f64 = 1024.0;
+        const PARTS: f64 = 1024.0;
         let finest = self.sizes.finest;
         let of_chunk = |chunk: Vec<([f64; 3], f64)>| {
             let mut all = Classes::default();
@@ -254,14 +240,15 @@ impl OwnSizes<'_> {
                     let at = [bounds.lo, bounds.hi][end][axis];
                     if (at - position[axis]).abs() < size && grid.place(position).is_ok() {
                         let [area, volume] = &mut all[axis][end][class];
-                        *area += (STEPS * times * times) as u64;
-                        *volume += (STEPS * times * times * times) as u64;
+                        *area += (PARTS * times * times) as u64;
+                        *volume += (PARTS * times * times * times) as u64;
                     }
                 }
             }
             all
         };
-        let all = self.chunks(particles).map(of_chunk).reduce(Classes::default, |mut all, more| {
+        let chunks = self.sizes.finite_chunks(particles, &self.columns);
+        let all = chunks.map(of_chunk).reduce(Classes::default, |mut all, more| {
             let sums = all.as_flattened_mut().as_flattened_mut().as_flattened_mut();
             let more = more.as_flattened().as_flattened().as_flattened();
             sums.iter_mut().zip(more).for_each(|(sum, more)| *sum += more);

@@ -146,7 +146,8 @@ impl fmt::Display for UnreadPart {
             Self::Attribute(AttributeInfo { name, components, .. }) => {
                 write!(
                     f,
-                    "attribute {name:?} (components: {components}), which some pieces of the frame lack"
+                    "attribute {name:?} (components: {components}), which some pieces of the frame \
+                     lack"
                 )
             }
             Self::Block { name, holds } => write!(f, "block {name:?}, which contains {holds}"),

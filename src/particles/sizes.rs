@@ -7,6 +7,7 @@
 
 use std::ops::Range;
 
+use glam::DVec3;
 use hashbrown::HashMap;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -315,16 +316,22 @@ impl Sizes {
         size.unwrap_or(self.usual).min(self.coarsest)
     }
 
-    /// The sizes of a range of particles.
-    pub fn of_range(
+    /// All finite positions with the sizes of their particles, in batches of a few thousand.
+    pub fn finite_chunks(
         &self,
         particles: &dyn Particles,
         columns: &SizeAttributes,
-        range: Range<usize>,
-    ) -> impl Iterator<Item = f64> + use<> {
-        let Self { scale, coarsest, usual, .. } = *self;
-        let sizes = columns.read(particles, range.start, range.len()).into_iter();
-        sizes.map(move |size| if size.is_nan() { usual } else { size * scale }.min(coarsest))
+    ) -> impl IndexedParallelIterator<Item = Vec<([f64; 3], f64)>> {
+        chunks(particles, move |range| {
+            let mut positions = vec![[0.0; 3]; range.len()];
+            particles.positions(range.start, &mut positions);
+            let sizes = columns.read(particles, range.start, range.len()).into_iter();
+            let sizes = sizes.map(|size| {
+                if size.is_nan() { self.usual } else { size * self.scale }.min(self.coarsest)
+            });
+            let all = positions.into_iter().zip(sizes);
+            all.filter(|(position, _)| DVec3::from(*position).is_finite()).collect()
+        })
     }
 
     /// Finds the attributes that hold these sizes among the attributes of other particles.
@@ -496,24 +503,21 @@ fn filling(
 ) -> Option<f64> {
     /// The volume of a cell in fixed-point steps.
     const STEPS: f64 = (1_u64 << 40) as f64;
-    let of_chunk = |range: Range<usize>| {
-        let mut positions = vec![[0.0; 3]; range.len()];
-        particles.positions(range.start, &mut positions);
+    let of_chunk = |chunk: Vec<([f64; 3], f64)>| {
         let mut cells: HashMap<[i64; 3], u64> = HashMap::new();
-        for (position, size) in
-            positions.into_iter().zip(columns.read(particles, range.start, range.len()))
-        {
+        for (position, size) in chunk {
             let cell = position.map(|x| (x / edge).floor());
             if !cell.iter().all(|x| x.abs() < 1e15) {
                 continue;
             }
-            let size = if size.is_nan() { sizes.usual } else { size.min(sizes.coarsest) } / edge;
+            let size = size / edge;
             *cells.entry(cell.map(|x| x as i64)).or_default() +=
                 (size * size * size * STEPS).round() as u64;
         }
         cells
     };
-    let cells = chunks(particles, of_chunk).reduce(HashMap::new, |mut all, other| {
+    let chunks = sizes.finite_chunks(particles, columns);
+    let cells = chunks.map(of_chunk).reduce(HashMap::new, |mut all, other| {
         other.into_iter().for_each(|(cell, volume)| *all.entry(cell).or_default() += volume);
         all
     });

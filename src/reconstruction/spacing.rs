@@ -343,8 +343,8 @@ impl fmt::Display for SpacingWarning {
             }
             Self::Mixed(Mixture { attribute, boundary, fluid }) => write!(
                 f,
-                "the {} particles with {attribute}={} surround the {} with {attribute}={} and look like \
-                 a boundary; both are meshed as one fluid",
+                "the {} particles with {attribute}={} surround the {} with {attribute}={} and look \
+                 like a boundary; both are meshed as one fluid",
                 boundary.1, boundary.0, fluid.1, fluid.0
             ),
             Self::Thin { used, counted, nearest } => {
@@ -390,7 +390,8 @@ impl fmt::Display for SpacingWarning {
                     };
                     write!(
                         f,
-                        "{and}{larger} {exceed} the maximum size of {coarsest}, and {get} this size",
+                        "{and}{larger} {exceed} the maximum size of {coarsest}, and {get} this \
+                         size",
                         coarsest = about(*coarsest)
                     )?;
                 }
