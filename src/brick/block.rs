@@ -13,6 +13,9 @@ const ROW: usize = 1 << 11;
 /// Samples that are tested together.
 const PIECE: usize = 256;
 
+/// The maximum length of a run of several rows.
+const RUN: usize = 1 << 10;
+
 /// Rows of a block: see [`Block::rows`].
 #[derive(Debug, Clone)]
 pub struct BlockRows<'a, T> {
@@ -34,6 +37,28 @@ impl<'a, T: Copy + Default> Iterator for BlockRows<'a, T> {
         let first = self.block.index(IVec3::new(lo.x, y, z));
         Some(([y, z], &self.block.samples[first..first + (hi.x - lo.x) as usize]))
     }
+}
+
+/// Splits the cells of `part` into runs of consecutive samples: rows along x, or several rows where
+/// they are consecutive in blocks of all `boxes` and few. Returns the length of a run and the first
+/// cell of each run.
+///
+/// # Panics
+/// If one of the `boxes` does not cover `part`.
+pub fn runs(part: CellBox, boxes: &[CellBox]) -> (usize, impl Iterator<Item = IVec3> + use<>) {
+    for cells in boxes {
+        assert!(cells.covers(&part), "{part:?} is not in {cells:?}");
+    }
+    let [width, height, depth] = part.size().max(IVec3::ZERO).to_array();
+    let whole = |axis: usize| {
+        boxes.iter().all(|cells| [cells.lo[axis], cells.hi[axis]] == [part.lo[axis], part.hi[axis]])
+    };
+    let of_rows = [(height * depth, whole(0) && whole(1)), (height, whole(0))];
+    let few = |&(rows, whole): &(i32, bool)| whole && (width * rows) as usize <= RUN;
+    let rows = of_rows.into_iter().find(few).map_or(1, |(rows, _)| rows.max(1));
+    let all = if width > 0 { height * depth } else { 0 };
+    let first = move |row: i32| part.lo + IVec3::new(0, row % height, row / height);
+    ((width * rows).max(1) as usize, (0..all).step_by(rows as usize).map(first))
 }
 
 /// One sample for every cell of a box, x fastest.
@@ -86,6 +111,12 @@ impl<T: Copy + Default> Block<T> {
     #[inline]
     pub fn at(&self, cell: IVec3) -> T {
         self.samples[self.index(cell)]
+    }
+
+    /// A run of `length` samples from the sample of the cell `first`: see [`runs`].
+    #[inline]
+    pub fn run(&self, first: IVec3, length: usize) -> &[T] {
+        &self.samples[self.index(first)..][..length]
     }
 
     /// The rows of `part` along x, each with its y and z.
@@ -193,7 +224,8 @@ impl<T: Copy + Default> Block<T> {
     }
 
     /// Sets single samples to `value(existing, new)`, and skips new samples outside of `part`. The
-    /// places of the new `samples` are relative to the cell `corner`.
+    /// places of the new `samples` are relative to the cell `corner`. Calls `fill` for each cell
+    /// whose sample was the default.
     ///
     /// # Panics
     /// If `part` is not within the block.
@@ -203,13 +235,20 @@ impl<T: Copy + Default> Block<T> {
         corner: IVec3,
         samples: &[(SamplePlace, T)],
         value: impl Fn(T, T) -> T,
-    ) {
+        mut fill: impl FnMut(IVec3),
+    ) where
+        T: PartialEq,
+    {
         assert!(self.cells.covers(&part), "{part:?} is not in {:?}", self.cells);
         for &(place, sample) in samples {
             let cell = corner + place.local();
             if part.contains(cell) {
                 let index = self.index(cell);
-                self.samples[index] = value(self.samples[index], sample);
+                let there = self.samples[index];
+                if there == T::default() {
+                    fill(cell);
+                }
+                self.samples[index] = value(there, sample);
             }
         }
     }

@@ -139,11 +139,35 @@ impl DifField {
     pub fn gather(&self, cells: CellBox) -> Block {
         match &self.stored {
             SampleMeaning::Theta if self.shape.ghost_layer > 0 => {
-                self.gather_by(cells, u16::saturating_add)
+                self.gather_by(cells, u16::saturating_add, |_| {})
             }
-            SampleMeaning::Theta => self.gather_by(cells, |_, theta| theta),
-            SampleMeaning::Counts(table) => self.gather_by(cells, |_, count| table.theta(count)),
+            SampleMeaning::Theta => self.gather_by(cells, |_, theta| theta, |_| {}),
+            SampleMeaning::Counts(table) => {
+                self.gather_by(cells, |_, count| table.theta(count), |_| {})
+            }
         }
+    }
+
+    /// Cuts the samples of `cells` out of the bricks. Also returns the cells whose samples are not
+    /// 0, x fastest, if there are at most `most`.
+    pub fn gather_few(&self, cells: CellBox, most: usize) -> (Block, Option<Vec<IVec3>>) {
+        let (mut full, mut dense) = (Vec::new(), false);
+        let block = match &self.stored {
+            SampleMeaning::Theta => self.gather_by(cells, u16::saturating_add, |cell| match cell {
+                Some(cell) => full.push(cell),
+                None => dense = true,
+            }),
+            SampleMeaning::Counts(_) => {
+                dense = true;
+                self.gather(cells)
+            }
+        };
+        if dense {
+            let full = block.full_cells(most);
+            return (block, full);
+        }
+        full.sort_unstable_by_key(|cell| (cell.z, cell.y, cell.x));
+        (block, (full.len() <= most).then_some(full))
     }
 
     /// Cuts the samples of `cells` out of the bricks; beyond `walls` the edge cells are repeated.
@@ -156,8 +180,14 @@ impl DifField {
     }
 
     /// Cuts the samples of `cells` out of the bricks. `value` combines the existing sample with the
-    /// stored sample of another brick.
-    fn gather_by(&self, cells: CellBox, value: impl Fn(u16, u16) -> u16 + Copy) -> Block {
+    /// stored sample of another brick. Calls `fill` for each cell that a sparse page fills, and
+    /// with `None` for a dense page.
+    fn gather_by(
+        &self,
+        cells: CellBox,
+        value: impl Fn(u16, u16) -> u16 + Copy,
+        mut fill: impl FnMut(Option<IVec3>),
+    ) -> Block {
         let PageShape { side, ghost_layer } = self.shape;
         let edge = side.cells();
         let mut block = Block::zero(cells);
@@ -172,10 +202,12 @@ impl DifField {
             let samples = match &*samples {
                 PageSamples::Dense(samples) => samples,
                 PageSamples::Sparse(samples) => {
-                    block.put_cells(inside, bin * BIN - ghost_layer, samples, value);
+                    let corner = bin * BIN - ghost_layer;
+                    block.put_cells(inside, corner, samples, value, |cell| fill(Some(cell)));
                     continue;
                 }
             };
+            fill(None);
             let own = CellBox::cube(bin, BIN).intersection(&inside.grown(ghost_layer, ghost_layer));
             for brick in own.cubes(edge) {
                 let local = brick - bin * (BIN / edge);
@@ -229,11 +261,11 @@ impl DifField {
         near.filter(|part| !part.is_empty())
     }
 
-    /// The parts of `cells` that lie within `reach` cells of full cells, along every axis. Parts
-    /// may overlap. A bin with few full cells has a part for each group of adjacent full cells;
-    /// other bins have one part.
-    pub fn parts_near_groups(&self, cells: CellBox, reach: i32) -> Vec<CellBox> {
-        let (mut parts, mut groups) = (Vec::new(), Vec::new());
+    /// Boxes around the full cells within `reach` cells of `cells`, along every axis, and maybe
+    /// around some that are farther away. A bin with few full cells has a box for each group of
+    /// adjacent full cells; other bins have one box.
+    pub fn groups_near(&self, cells: CellBox, reach: i32) -> Vec<CellBox> {
+        let (mut all, mut groups) = (Vec::new(), Vec::new());
         for bin in cells.grown(reach, reach).cubes(BIN) {
             let Some(&rank) = self.rank.get(&bin) else { continue };
             let full = self.infos[rank as usize].full;
@@ -247,10 +279,9 @@ impl DifField {
                     }
                 }
             }
-            let near = |group: CellBox| group.grown(reach, reach).intersection(&cells);
-            parts.extend(groups.drain(..).map(near).filter(|part| !part.is_empty()));
+            all.append(&mut groups);
         }
-        parts
+        all
     }
 
     /// Boxes that contain all nonzero samples of `cells`. Boxes do not overlap.

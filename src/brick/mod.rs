@@ -29,7 +29,7 @@ use crate::system::memory::zeroed_in_huge_pages;
 
 pub use bin::{BinError, BinPlan, Census, CountingRoom, InvalidParticles};
 pub use bins::{AXIS_BITS, BinContents, Bins, RECORD_BITS, coarsened, equal_steps, unpack};
-pub use block::Block;
+pub use block::{Block, runs};
 pub use boxes::WithBoxes;
 pub use coarse::{HALVED, HALVED_BITS, halved_from, halved_from_box};
 pub use cubes::COORD_BITS;

@@ -6,9 +6,7 @@
 
 use crate::field::blur::{FieldCount, Filter, Smoothing, Weights};
 use crate::field::detail::Recovery;
-use crate::field::distance::{
-    Bulk, Depths, DistanceFilters, Drops, InsideBricks, StandsOut, Width,
-};
+use crate::field::distance::{Bulk, Depths, DistanceFilters, Drops, InsideBricks, StandsOut};
 use crate::field::indicator::IndicatorKind;
 use crate::field::sheets::{SheetFields, Sheets};
 use crate::grid::units::{Isovalue, Sigma};
@@ -223,11 +221,7 @@ pub fn surfaces_and_bulk<F: Fields>(
     let DistanceFilters { level, bulk, near, least, stands_out, inside, .. } = distances;
     let clouds = fields.samples(*level, distances.wide_halo())?;
     let filled = fields.filled(&clouds)?;
-    let mut share = |width: &Width| fields.blur(filled.clone(), &width.weights);
-    let [narrow, middle, wide] = &bulk.widths;
-    let shares = [share(narrow)?, share(middle)?, share(wide)?];
-    drop(filled);
-    let Depths { calm, fine, apart } = fields.depths(bulk, shares)?;
+    let Depths { calm, fine, apart } = fields.depths(bulk, filled)?;
     let outlying = fields.outlying([&calm, &fine], clouds, (*least, stands_out))?;
     let apart = fields.blur(apart, &bulk.around)?;
     let outlying = fields.spread(outlying, *near)?;
@@ -245,17 +239,17 @@ pub fn joined<F: Fields>(
     let DistanceFilters { level, stands_out, drops, .. } = distances;
     let begin = stands_out.begin();
     fields.probe(&wide, *level, begin)?;
-    let bulk = fields.refined(wide.bulk, 0, 0)?;
+    let bulk = fields.refined(wide.bulk, 0)?;
     if !fields.narrowed(&wide.outlying, *level, begin) {
         return Ok(bulk);
     }
-    let near = fields.refined(wide.outlying, 0, 0)?;
+    let near = fields.refined(wide.outlying, 0)?;
     if !fields.narrowed(&near, 0, begin) {
         return Ok(bulk);
     }
     let ThinShares { shares, certainty } = thin_shares(distances, fields)?;
-    let shares = fields.refined(shares, 0, 0)?;
-    let certainty = certainty.map(|certainty| fields.refined(certainty, 0, 0)).transpose()?;
+    let shares = fields.refined(shares, 0)?;
+    let certainty = certainty.map(|certainty| fields.refined(certainty, 0)).transpose()?;
     fields.joined(bulk, near, ThinShares { shares, certainty }, (drops, stands_out))
 }
 
@@ -264,11 +258,19 @@ pub fn thin_shares<F: Fields>(
     distances: &DistanceFilters,
     fields: &mut F,
 ) -> Result<ThinShares<F::Field>, F::Error> {
-    let DistanceFilters { drops_level, drops, .. } = distances;
     let sheets = sheets(distances, fields)?;
+    with_drops(distances, fields, sheets)
+}
+
+/// The shares of drops, blended with the shares of sheets.
+pub fn with_drops<F: Fields>(
+    distances: &DistanceFilters,
+    fields: &mut F,
+    sheets: Option<SheetFields<F::Field>>,
+) -> Result<ThinShares<F::Field>, F::Error> {
+    let DistanceFilters { drops_level, drops, .. } = distances;
     let clouds = fields.samples(*drops_level, drops.halo())?;
-    let around = fields.blur(clouds.clone(), &drops.around)?;
-    let shares = fields.quotient(clouds, around, drops.bits)?;
+    let shares = fields.quotient(clouds, &drops.around, drops.bits)?;
     let shares = fields.blur(shares, &drops.spread)?;
     let Some(SheetFields { shares: of_sheets, certainty }) = sheets else {
         return Ok(ThinShares { shares, certainty: None });
@@ -279,7 +281,7 @@ pub fn thin_shares<F: Fields>(
 
 /// Sheets in the cells of the drops' level, from the density in wide cells; `None` if there are no
 /// sheets.
-fn sheets<F: Fields>(
+pub fn sheets<F: Fields>(
     distances: &DistanceFilters,
     fields: &mut F,
 ) -> Result<Option<SheetFields<F::Field>>, F::Error> {
@@ -293,8 +295,7 @@ fn sheets<F: Fields>(
     let filled = fields.filled(&clouds)?;
     drop(clouds);
     let density = fields.blur(filled, &by.around)?;
-    let density = fields.refined(density, *drops_level, by.halo())?;
-    let Some(SheetFields { shares, certainty }) = fields.sheets(by, density)? else {
+    let Some(SheetFields { shares, certainty }) = fields.sheets(by, density, *drops_level)? else {
         return Ok(None);
     };
     let certainty = fields.blur(certainty, &by.average)?;
@@ -334,11 +335,11 @@ pub trait Fields {
         other: Self::Field,
     ) -> Result<Self::Field, Self::Error>;
 
-    /// The calm and the fine surface of the bulk, from the samples under each width.
+    /// The calm and the fine surface of the bulk, from clouds that are smoothed with each width.
     fn depths(
         &mut self,
         bulk: &Bulk,
-        shares: [Self::Field; 3],
+        clouds: Self::Field,
     ) -> Result<Depths<Self::Field>, Self::Error>;
 
     /// The final surface of the bulk, from the calm and the fine surface and their mean difference.
@@ -374,35 +375,31 @@ pub trait Fields {
     ) -> Result<(), Self::Error>;
 
     /// Interpolates a field of wider cells at the middles of the cells of `level` around the
-    /// requested cells, with a halo of `halo` cells of `level`. A halo is only needed for the cells
-    /// of drops.
-    fn refined(
-        &mut self,
-        wide: Self::Field,
-        level: u32,
-        halo: i32,
-    ) -> Result<Self::Field, Self::Error>;
+    /// requested cells.
+    fn refined(&mut self, wide: Self::Field, level: u32) -> Result<Self::Field, Self::Error>;
 
     /// Whether particles stand out in any cell, according to cells 2^`level` times as wide. If so,
     /// further samples and fields are restricted to the cells where particles can stand out.
     fn narrowed(&mut self, near: &Self::Field, level: u32, begin: u16) -> bool;
 
-    /// Clouds divided by the clouds around them.
+    /// Clouds divided by the clouds around them, which are smoothed by `around`.
     fn quotient(
         &mut self,
         clouds: Self::Field,
-        around: Self::Field,
+        around: &Weights,
         bits: u32,
     ) -> Result<Self::Field, Self::Error>;
 
     /// Whether clouds can contain a sheet, checked before they are smoothed.
     fn may_hold(&mut self, sheets: &Sheets, clouds: &Self::Field) -> bool;
 
-    /// Sheets of the smoothed density; `None` if there are certainly none.
+    /// Sheets in cells 2^`level` times as wide around the requested cells, from the smoothed
+    /// density in wider cells; `None` if there are certainly none.
     fn sheets(
         &mut self,
         sheets: &Sheets,
         density: Self::Field,
+        level: u32,
     ) -> Result<Option<SheetFields<Self::Field>>, Self::Error>;
 
     /// The shares of drops, blended with the shares of sheets according to the sheets' certainty.

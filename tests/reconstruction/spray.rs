@@ -33,6 +33,10 @@ fn the_drop_by_drop_mesh_of_spray_equals_the_mesh_of_the_whole_field() {
         (10.0, 2.0, Normals::Gradient, true),
         (7.0, 4.0, Normals::None, true),
         (12.0, 4.0, Normals::Gradient, false),
+        (20.0, 2.0, Normals::Gradient, false),
+        (9.0, 1.5, Normals::Gradient, true),
+        (10.0, 3.0, Normals::Gradient, false),
+        (8.0, 6.0, Normals::None, true),
     ] {
         let mut random = Random::new(23);
         let particles = spray(apart, &mut random);

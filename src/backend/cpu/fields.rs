@@ -5,10 +5,10 @@ use std::rc::Rc;
 use glam::IVec3;
 
 use crate::brick::Block;
-use crate::field::blur::{Weights, blur_of_few, blur_while};
+use crate::field::blur::{Weights, blur, blur_of_few, blur_while};
 use crate::field::detail::{lost, raise};
 use crate::field::distance::{
-    Bulk, Depths, DistanceFilters, Drops, InsideBricks, NONE, StandsOut, UNITS, depths,
+    Bulk, Depths, DistanceFilters, Drops, InsideBricks, NONE, StandsOut, UNITS, Width, depths,
     greatest_of, joined, mixed, outlying, outlying_part, quotient, refined, spread, wide_cells,
 };
 use crate::field::indicator::SampledDif;
@@ -265,6 +265,14 @@ impl<'a> Blocks<'a> {
 pub(super) struct BlockField {
     pub(super) block: Rc<Block>,
     pub(super) level: u32,
+    /// The cells whose samples are not 0, x fastest, if they are known and few.
+    full: Option<Rc<[IVec3]>>,
+}
+
+impl BlockField {
+    pub(super) fn new(block: Block, level: u32) -> Self {
+        Self { block: Rc::new(block), level, full: None }
+    }
 }
 
 /// A signal to stop early, because there is no surface.
@@ -286,7 +294,22 @@ impl Blocks<'_> {
         if let Some(walls) = self.walls(level) {
             block.repeat_edges(walls);
         }
-        BlockField { block: Rc::new(block), level }
+        BlockField::new(block, level)
+    }
+
+    /// The samples of spray.
+    fn gathered_few(&self, level: u32, cells: CellBox) -> BlockField {
+        let most = cells.volume() / FEW;
+        let samples = self.sampled.wide(level);
+        let (block, full) = match self.walls(level) {
+            Some(walls) if !walls.covers(&cells) => {
+                let block = samples.gather_within(cells, Some(walls));
+                let full = block.full_cells(most);
+                (block, full)
+            }
+            _ => samples.gather_few(cells, most),
+        };
+        BlockField { full: full.map(Rc::from), ..BlockField::new(block, level) }
     }
 }
 
@@ -295,13 +318,18 @@ impl Fields for Blocks<'_> {
     type Error = StopSignal;
 
     fn samples(&mut self, level: u32, halo: i32) -> Result<BlockField, StopSignal> {
-        let block = self.gathered(level, wide_cells(level, self.wanted).grown(halo, halo));
-        let goes_on = if self.decides {
-            self.field_use.may_cut(&block)
+        let cells = wide_cells(level, self.wanted).grown(halo, halo);
+        let field = if self.few {
+            self.gathered_few(level, cells)
         } else {
-            self.field_use.may_show_any(&block)
+            BlockField::new(self.gathered(level, cells), level)
         };
-        if goes_on { Ok(BlockField { block: Rc::new(block), level }) } else { Err(StopSignal) }
+        let goes_on = if self.decides {
+            self.field_use.may_cut(&field.block)
+        } else {
+            self.field_use.may_show_any(&field.block)
+        };
+        if goes_on { Ok(field) } else { Err(StopSignal) }
     }
 
     fn filled(&mut self, clouds: &BlockField) -> Result<BlockField, StopSignal> {
@@ -313,22 +341,22 @@ impl Fields for Blocks<'_> {
         let clouds = self.gathered(level, shares.cells());
         let filled = fill.filled(&clouds, &shares, cells, self.walls(level));
         self.outside = Some(Rc::new(shares));
-        Ok(BlockField { block: Rc::new(filled), level })
+        Ok(BlockField::new(filled, level))
     }
 
     fn blur(
         &mut self,
-        BlockField { block, level }: BlockField,
+        BlockField { block, level, full }: BlockField,
         weights: &Weights,
     ) -> Result<BlockField, StopSignal> {
-        let most = block.samples().len() / FEW;
-        if let Some(full) = self.few.then(|| block.full_cells(most)).flatten() {
-            let block = blur_of_few(&block, &full, weights, self.walls(level));
-            return Ok(BlockField { block: Rc::new(block), level });
+        let walls = self.walls(level);
+        if let Some(full) = full {
+            let cells = block.cells().grown(-weights.reach(), -weights.reach());
+            return Ok(BlockField::new(blur_of_few(&block, &full, weights, cells, walls), level));
         }
         let goes_on = |smooth: &Block| !self.decides || self.field_use.may_cut(smooth);
-        let block = blur_while(Rc::unwrap_or_clone(block), weights, self.walls(level), goes_on);
-        block.map(|block| BlockField { block: Rc::new(block), level }).ok_or(StopSignal)
+        let block = blur_while(Rc::unwrap_or_clone(block), weights, walls, goes_on);
+        block.map(|block| BlockField::new(block, level)).ok_or(StopSignal)
     }
 
     fn lost(
@@ -337,7 +365,7 @@ impl Fields for Blocks<'_> {
         smooth: &BlockField,
         iso: Isovalue,
     ) -> Result<BlockField, StopSignal> {
-        Ok(BlockField { block: Rc::new(lost(&dif.block, &smooth.block, iso)), level: dif.level })
+        Ok(BlockField::new(lost(&dif.block, &smooth.block, iso), dif.level))
     }
 
     fn greater(
@@ -349,15 +377,22 @@ impl Fields for Blocks<'_> {
         Ok(field)
     }
 
-    fn depths(
-        &mut self,
-        by: &Bulk,
-        shares: [BlockField; 3],
-    ) -> Result<Depths<BlockField>, StopSignal> {
-        let level = shares[0].level;
-        let Depths { calm, fine, apart } = depths(by, [0, 1, 2].map(|i: usize| &*shares[i].block));
-        let [calm, fine, apart] =
-            [calm, fine, apart].map(|block| BlockField { block: Rc::new(block), level });
+    fn depths(&mut self, by: &Bulk, clouds: BlockField) -> Result<Depths<BlockField>, StopSignal> {
+        let BlockField { ref block, level, ref full } = clouds;
+        // The widest filter leaves the fewest cells.
+        let reach = by.widths.iter().map(|width| width.weights.reach()).max().unwrap_or(0);
+        let cells = block.cells().grown(-reach, -reach);
+        let share = |width: &Width| {
+            let (weights, walls) = (&width.weights, self.walls(level));
+            match full {
+                Some(full) => blur_of_few(block, full, weights, cells, walls),
+                None => blur(Block::clone(block), weights, walls),
+            }
+        };
+        let shares = [0, 1, 2].map(|i: usize| share(&by.widths[i]));
+        drop(clouds);
+        let Depths { calm, fine, apart } = depths(by, shares.each_ref());
+        let [calm, fine, apart] = [calm, fine, apart].map(|block| BlockField::new(block, level));
         Ok(Depths { calm, fine, apart })
     }
 
@@ -372,7 +407,7 @@ impl Fields for Blocks<'_> {
         let depths = Depths { calm: calm.block, fine: fine.block, apart: apart.block };
         let mut block = mixed(by, &depths, &near.block);
         inside.raise(&mut block);
-        Ok(BlockField { block: Rc::new(block), level })
+        Ok(BlockField::new(block, level))
     }
 
     fn outlying(
@@ -390,12 +425,12 @@ impl Fields for Blocks<'_> {
         {
             *sample = (*sample).max(NONE + 1);
         }
-        Ok(BlockField { block: Rc::new(block), level: calm.level })
+        Ok(BlockField::new(block, calm.level))
     }
 
     fn spread(
         &mut self,
-        BlockField { block, level }: BlockField,
+        BlockField { block, level, .. }: BlockField,
         reach: i32,
     ) -> Result<BlockField, StopSignal> {
         Ok(self.field(spread(Rc::unwrap_or_clone(block), reach), level))
@@ -417,13 +452,8 @@ impl Fields for Blocks<'_> {
         }
     }
 
-    fn refined(
-        &mut self,
-        wide: BlockField,
-        level: u32,
-        halo: i32,
-    ) -> Result<BlockField, StopSignal> {
-        let cells = wide_cells(level, self.wanted).grown(halo, halo);
+    fn refined(&mut self, wide: BlockField, level: u32) -> Result<BlockField, StopSignal> {
+        let cells = wide_cells(level, self.wanted);
         Ok(self.field(refined(&wide.block, wide.level - level, cells), level))
     }
 
@@ -437,13 +467,25 @@ impl Fields for Blocks<'_> {
     fn quotient(
         &mut self,
         clouds: BlockField,
-        around: BlockField,
+        around: &Weights,
         bits: u32,
     ) -> Result<BlockField, StopSignal> {
-        Ok(BlockField {
-            block: Rc::new(quotient(&clouds.block, &around.block, bits)),
-            level: clouds.level,
-        })
+        let BlockField { block, level, full } = clouds;
+        let Some(full) = full else {
+            let around = blur(Block::clone(&block), around, self.walls(level));
+            return Ok(BlockField::new(quotient(&block, &around, bits), level));
+        };
+        // Quotients are only above 0 where clouds are.
+        let cells = block.cells().grown(-around.reach(), -around.reach());
+        let inner: Rc<[_]> = full.iter().copied().filter(|&cell| cells.contains(cell)).collect();
+        let part =
+            inner.iter().fold(CellBox::EMPTY, |all, &cell| all.union(&CellBox::cube(cell, 1)));
+        let mut quotients = Block::zero(cells);
+        if !part.is_empty() {
+            let around = blur_of_few(&block, &full, around, part, self.walls(level));
+            quotients.put(&quotient(&block, &around, bits));
+        }
+        Ok(BlockField { full: Some(inner), ..BlockField::new(quotients, level) })
     }
 
     fn may_hold(&mut self, sheets: &Sheets, clouds: &BlockField) -> bool {
@@ -453,26 +495,41 @@ impl Fields for Blocks<'_> {
     fn sheets(
         &mut self,
         by: &Sheets,
-        density: BlockField,
+        wide: BlockField,
+        level: u32,
     ) -> Result<Option<SheetFields<BlockField>>, StopSignal> {
+        let reach = by.average.reach();
+        let cells = wide_cells(level, self.wanted).grown(reach, reach);
         let around = |(near, begin): &(Rc<Block>, u16)| {
             // A cell of drops also affects its neighbours' cells.
-            let reach = by.average.reach() + i32::from(density.level > 0);
-            let further = reach - by.numbers.step;
-            let mut needed = Block::zero(density.block.cells().grown(further, further));
+            let reach = by.average.reach() + i32::from(level > 0);
+            let mut needed = Block::zero(cells.grown(reach, reach));
             for ([y, z], row) in near.rows(self.wanted) {
                 for (x, _) in (self.wanted.lo.x..).zip(row).filter(|&(_, near)| near > begin) {
-                    let place = needed.index(IVec3::new(x, y, z) >> density.level);
+                    let place = needed.index(IVec3::new(x, y, z) >> level);
                     needed.samples_mut()[place] = 1;
                 }
             }
             spread(needed, reach)
         };
+        let step = by.numbers.step;
+        let mut seen = cells.grown(step, step);
+        // There are no sheets, or only in a part of the cells, if the density is low.
+        if self.walls(level).is_none_or(|walls| walls.covers(&seen)) {
+            let least = by.least_density();
+            let dense = wide.block.box_of(|sample| sample >= least);
+            let dense = refined_from(wide.level - level, dense).intersection(&cells);
+            if dense.is_empty() {
+                return Ok(None);
+            }
+            seen = dense.grown(step, step);
+        }
+        let density = self.field(refined(&wide.block, wide.level - level, seen), level);
         let needed = self.near.as_ref().map(around);
-        let found = sheets(by, &density.block, needed.as_ref());
+        let found = sheets(by, &density.block, cells, needed.as_ref());
         Ok(found.map(|SheetFields { shares, certainty }| SheetFields {
-            shares: self.field(shares, density.level),
-            certainty: self.field(certainty, density.level),
+            shares: self.field(shares, level),
+            certainty: self.field(certainty, level),
         }))
     }
 
@@ -496,6 +553,6 @@ impl Fields for Blocks<'_> {
         let certainty = certainty.as_ref().map(|certainty| &*certainty.block);
         let block = Rc::unwrap_or_clone(bulk.block);
         let block = joined(block, &near.block, &shares.block, certainty, drops, stands_out);
-        Ok(BlockField { block: Rc::new(block), level: bulk.level })
+        Ok(BlockField::new(block, bulk.level))
     }
 }

@@ -23,12 +23,13 @@ use crate::system::control::Meter;
 
 use super::{BINS_A_THREAD, Executor, REGIONS_TOGETHER, Stages, Surfaces, Take, Work};
 use fields::cut_fields;
+use spray::SprayMaker;
 
 /// All threads together use at most 1 / `SHARE` of the budget to mesh neighbouring blocks together.
 const SHARE: u64 = 8;
 
 /// Edge of a cube of blocks that are meshed together, in blocks: for spray, and for other fluid.
-const BLOCKS_OF_SPRAY: i32 = 4;
+const BLOCKS_OF_SPRAY: i32 = 8;
 const BLOCKS_OF_FLUID: i32 = 2;
 
 /// The CPU, with all threads of the caller's thread pool.
@@ -95,7 +96,7 @@ impl Stages for CpuStages {
         take: &mut Take<'_>,
     ) -> io::Result<()> {
         let of_group = |RegionGroup { regions, spray }: RegionGroup<'_>| match spray {
-            Some(parts) => meshes_of_spray(surfaces, regions, &parts, meter),
+            Some(spray) => meshes_of_spray(surfaces, regions, &spray, meter),
             None => meshes(surfaces, regions, meter, self.together),
         };
         regions.chunks(REGIONS_TOGETHER).try_for_each(|regions| {
@@ -116,13 +117,17 @@ impl Stages for CpuStages {
 /// Regions that are meshed together.
 struct RegionGroup<'a> {
     regions: &'a [CellBox],
-    /// For spray, the boxes that contain all surfaces.
-    spray: Option<Vec<CellBox>>,
+    /// Makes their fields if they are spray.
+    spray: Option<SprayMaker<'a>>,
 }
 
 impl CpuStages {
     /// Splits regions into groups of neighbours. Groups are smaller if the regions are not spray.
-    fn groups<'a>(&self, surfaces: &Surfaces<'_>, regions: &'a [CellBox]) -> Vec<RegionGroup<'a>> {
+    fn groups<'a>(
+        &self,
+        surfaces: &'a Surfaces<'_>,
+        regions: &'a [CellBox],
+    ) -> Vec<RegionGroup<'a>> {
         // In Morton order neighbours are consecutive.
         let cubes = |blocks: i32| {
             let cube = move |region: &CellBox| region.lo.div_euclid(IVec3::splat(blocks * BLOCK));
@@ -131,9 +136,10 @@ impl CpuStages {
         let spray = |regions: &'a [CellBox]| {
             let cells = regions.iter().map(|&region| surfaces.normals.cells(region));
             let cells = cells.fold(CellBox::EMPTY, |all, cells| all.union(&cells));
-            let parts = spray::parts(surfaces.recipe, surfaces.sampled, cells, self.together)?;
+            let Surfaces { recipe, sampled, .. } = *surfaces;
+            let spray = SprayMaker::new(recipe, sampled, cells, self.together)?;
             let at_solid = regions.iter().any(|&region| surfaces.is_at_solid(region));
-            (!at_solid).then_some(RegionGroup { regions, spray: Some(parts) })
+            (!at_solid).then_some(RegionGroup { regions, spray: Some(spray) })
         };
         let cubes_of_spray: Vec<_> = regions.chunk_by(cubes(BLOCKS_OF_SPRAY)).collect();
         let groups = cubes_of_spray.into_par_iter().flat_map_iter(|regions| match spray(regions) {
@@ -149,11 +155,11 @@ impl CpuStages {
     }
 }
 
-/// The surfaces of some regions of spray, given the boxes `parts` that contain all of them.
+/// The surfaces of some regions of spray.
 fn meshes_of_spray(
     surfaces: &Surfaces<'_>,
     regions: &[CellBox],
-    parts: &[CellBox],
+    spray: &SprayMaker<'_>,
     meter: &Meter<'_>,
 ) -> Vec<Option<BlockMesh>> {
     if !meter.goes_on() {
@@ -161,7 +167,7 @@ fn meshes_of_spray(
     }
     let &Surfaces { sampled, recipe, normals, .. } = surfaces;
     let walls = surfaces.mesh_walls();
-    let drops = spray::drops(recipe, sampled, parts);
+    let drops = spray.drops();
     let mesh = |&region: &CellBox| {
         meter.add(1);
         let mut field = spray::field(&drops, normals.cells(region), walls)?;

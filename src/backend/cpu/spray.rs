@@ -5,10 +5,10 @@ use std::rc::Rc;
 use glam::IVec3;
 
 use crate::brick::Block;
-use crate::field::distance::DistanceFilters;
+use crate::field::distance::{DistanceFilters, wide_cells};
 use crate::field::indicator::SampledDif;
 use crate::field::recipe::{
-    Fields, Filters, Recipe, ThinShares, WideFields, bulk, thin_shares, walls_at,
+    Fields, Filters, Recipe, ThinShares, WideFields, bulk, sheets, walls_at, with_drops,
 };
 use crate::grid::{CellBox, TILE};
 
@@ -16,14 +16,15 @@ use super::fields::{BlockField, Blocks, FieldUse, refined_from, wide_volume};
 
 /// Spray has particles in at most one of this many cells.
 const FEW: usize = 16;
-/// The cost of a wide cell of other fluid, as a multiple of the cost of a wide cell of spray.
-const CHEAPER: usize = 4;
+/// The cost of a wide cell of other fluid, as a multiple of the cost of a wide cell within reach of
+/// a drop.
+const CHEAPER: usize = 10;
 
 /// The distance from the inside of a drop within which its field is needed, in cells: a vertex lies
 /// between an inside cell and its neighbour, and normals use one cell more.
 const AROUND: i32 = 2;
 
-/// The field around the surface of some particles of a bin, which may be several drops.
+/// The field around the surface of a group of particles, which may be several drops.
 pub(super) struct DropField {
     /// A box around the inside cells.
     inside: CellBox,
@@ -31,36 +32,15 @@ pub(super) struct DropField {
     field: Block,
 }
 
-/// The boxes within `cells` that can contain a surface; `None` if making the whole field is cheaper
-/// than making it drop by drop. There is no surface beyond the reach of particles.
-pub(super) fn parts(
-    recipe: &Recipe,
-    sampled: &SampledDif,
+/// Makes the fields of the particles of spray.
+pub(super) struct SprayMaker<'a> {
+    recipe: &'a Recipe,
+    distances: &'a DistanceFilters,
+    sampled: &'a SampledDif,
+    /// The requested cells.
     cells: CellBox,
-    most_bytes: u64,
-) -> Option<Vec<CellBox>> {
-    let Filters::Distances(distances) = &recipe.filters else { return None };
-    if FEW * sampled.dif.full_volume(cells) > cells.volume() {
-        return None;
-    }
-    let reach = sampled.dif.ghost_layer() + distances.reach() + 1;
-    let parts = sampled.dif.parts_near_groups(cells, reach);
-    let cost = |part: &CellBox| {
-        let full = distances.wide_cells(part.grown(-reach, -reach));
-        let volume = wide_volume(distances, *part);
-        if FEW * full.volume() <= volume { volume / CHEAPER } else { volume }
-    };
-    let bytes = parts.iter().map(|part| part.volume() * size_of::<u16>()).sum::<usize>() as u64;
-    let pays = parts.iter().map(cost).sum::<usize>() <= wide_volume(distances, cells);
-    (pays && bytes <= most_bytes).then_some(parts)
-}
-
-/// The drops in some [parts].
-pub(super) fn drops(recipe: &Recipe, sampled: &SampledDif, parts: &[CellBox]) -> Vec<DropField> {
-    let Filters::Distances(distances) = &recipe.filters else { return Vec::new() };
-    let least_share = distances.drops.least_share();
-    let drop = |&part: &CellBox| drop_in(recipe, distances, least_share, sampled, part);
-    parts.iter().filter_map(drop).collect()
+    /// Boxes around the full cells of the groups of particles that can have a surface in `cells`.
+    groups: Vec<CellBox>,
 }
 
 /// The field on the part of `cells` in which dual cells can have a surface; `None` if there is no
@@ -90,68 +70,155 @@ pub(super) fn field(drops: &[DropField], cells: CellBox, walls: Option<CellBox>)
     Some(field)
 }
 
-/// The drops in a box of cells; `None` if there is no surface.
-fn drop_in(
-    recipe: &Recipe,
-    distances: &DistanceFilters,
-    least_share: u16,
-    sampled: &SampledDif,
-    cells: CellBox,
-) -> Option<DropField> {
-    let DistanceFilters { level, near, least, stands_out, drops_level, ref drops, .. } = *distances;
-    let wide = distances.wide_cells(cells);
-    let wide_walls = walls_at(level, sampled.facts.walls());
-    let clouds = sampled.wide(level).gather_within(wide.grown(near, near), wide_walls);
-    let needed = clouds.box_of(|sample| sample >= least).grown(near, near).intersection(&wide);
-    if needed.is_empty() {
-        return None;
-    }
-    // The cells between the middles of the needed wide cells.
-    let further = i32::from(level > 0);
-    let between =
-        CellBox { lo: (needed.lo + further) << level, hi: (needed.hi - further) << level };
-    let mut blocks = Blocks::of_few(recipe, sampled, between, FieldUse::Everywhere);
-    let WideFields { bulk, outlying } = bulk(distances, &mut blocks).ok()?;
-    // Farther cells have no particle nearby, so their samples are 0.
-    let padded = |BlockField { block, level }: BlockField| {
-        let mut all = Block::zero(wide);
-        all.put_part(needed, block.cells(), block.samples(), |_, sample| sample);
-        wide_walls.into_iter().for_each(|walls| all.repeat_edges(walls));
-        BlockField { block: Rc::new(all), level }
-    };
-    let (bulk, outlying) = (padded(bulk), padded(outlying));
+/// The wide fields around a group, and all fields that can be made from them.
+struct NearGroup<'a> {
+    bulk: BlockField,
+    outlying: BlockField,
+    blocks: Blocks<'a>,
+}
 
-    let field_use = FieldUse::NearSurface { iso: recipe.iso, away_from_walls: false };
-    let mut blocks = Blocks::of_few(recipe, sampled, cells, field_use);
-    let threshold = recipe.iso.threshold();
-    let mut inside = refined_from(level, bulk.block.box_of(|sample| sample > threshold));
-    let mut shares = None;
-    if blocks.narrowed(&outlying, level, stands_out.begin()) {
-        let thin = thin_shares(distances, &mut blocks).ok()?;
-        let shown = thin.shares.block.box_of(|share| share >= least_share);
-        inside = inside.union(&refined_from(drops_level, shown));
-        shares = Some((thin, blocks.wanted));
+impl<'a> SprayMaker<'a> {
+    /// Makes fields on `cells`; `None` if making the whole field is cheaper than making it group by
+    /// group, or if the fields of the groups need more than `most_bytes`.
+    pub(super) fn new(
+        recipe: &'a Recipe,
+        sampled: &'a SampledDif,
+        cells: CellBox,
+        most_bytes: u64,
+    ) -> Option<Self> {
+        let Filters::Distances(distances) = &recipe.filters else { return None };
+        if FEW * sampled.dif.full_volume(cells) > cells.volume() {
+            return None;
+        }
+        let reach = reach(distances, sampled);
+        let around = |full: CellBox| full.grown(reach, reach);
+        let mut groups = sampled.dif.groups_near(cells, reach);
+        groups.retain(|&full| !around(full).intersection(&cells).is_empty());
+        let cost = |&full: &CellBox| {
+            let volume = wide_volume(distances, around(full));
+            let sparse = FEW * distances.wide_cells(full).volume() <= volume;
+            if sparse { volume / CHEAPER } else { volume }
+        };
+        let pays = groups.iter().map(cost).sum::<usize>() <= wide_volume(distances, cells);
+        let bytes: usize =
+            groups.iter().map(|&full| around(full).volume() * size_of::<u16>()).sum();
+        let fits = bytes as u64 <= most_bytes;
+        (pays && fits).then_some(Self { recipe, distances, sampled, cells, groups })
     }
-    inside = inside.intersection(&cells);
-    if inside.is_empty() {
-        return None;
+
+    /// The fields of all groups that have a surface.
+    pub(super) fn drops(&self) -> Vec<DropField> {
+        let least = self.distances.drops.least_share();
+        self.groups.iter().filter_map(|&full| self.drops_of(full, least)).collect()
     }
-    // Beyond walls edge cells are repeated, so they must be included.
-    let covered = sampled.facts.walls().is_none_or(|walls| walls.covers(&cells));
-    let around = inside.grown(AROUND, AROUND).intersection(&cells);
-    blocks.wanted = if covered { around } else { cells };
-    let mut field = blocks.refined(bulk, 0, 0).ok()?;
-    if let Some((shares, thin)) = shares {
-        blocks.wanted = blocks.wanted.intersection(&thin);
+
+    /// The field of the group with the cells `full`; `None` if it has no surface. Drops begin at
+    /// the share `least`.
+    fn drops_of(&self, full: CellBox, least: u16) -> Option<DropField> {
+        let Self { recipe, distances, sampled, .. } = *self;
+        let DistanceFilters { level, stands_out, drops_level, ref drops, .. } = *distances;
+        let near = self.near_particles(full)?;
+        let cells = near.intersection(&self.cells);
+        if cells.is_empty() {
+            return None;
+        }
+        let around = near.grown(AROUND, AROUND).intersection(&self.cells);
+        let NearGroup { bulk, outlying, mut blocks } = self.near_group(around)?;
+        let threshold = recipe.iso.threshold();
+        let mut inside = refined_from(level, bulk.block.box_of(|sample| sample > threshold));
+        let (mut thin, mut standing_out) = (None, CellBox::EMPTY);
+        if blocks.narrowed(&outlying, level, stands_out.begin()) {
+            standing_out = blocks.wanted;
+            let sheets = sheets(distances, &mut blocks).ok()?;
+            if sheets.is_none() {
+                // Other drops belong to other groups.
+                let reach = (drops.spread.reach() + 2) << drops_level;
+                blocks.wanted = standing_out.intersection(&full.grown(reach, reach));
+            }
+            if !blocks.wanted.is_empty() {
+                thin = with_drops(distances, &mut blocks, sheets).ok();
+            }
+        }
+        if let Some(ThinShares { shares, .. }) = &thin {
+            let shown = shares.block.box_of(|share| share >= least);
+            inside = inside.union(&refined_from(drops_level, shown));
+        }
+        inside = inside.intersection(&cells);
+        if inside.is_empty() {
+            return None;
+        }
+        // Beyond walls edge cells are repeated, so they must be included.
+        let covered = sampled.facts.walls().is_none_or(|walls| walls.covers(&around));
+        let part =
+            if covered { inside.grown(AROUND, AROUND).intersection(&around) } else { around };
+        blocks.wanted = part;
+        let mut field = blocks.refined(bulk, 0).ok()?;
+        blocks.wanted = part.intersection(&standing_out);
         if !blocks.wanted.is_empty() {
-            let near = blocks.refined(outlying, 0, 0).ok()?;
-            let ThinShares { shares, certainty } = shares;
-            let shares = blocks.refined(shares, 0, 0).ok()?;
+            let needed = wide_cells(drops_level, blocks.wanted);
+            let made = thin.filter(|thin| thin.shares.block.cells().covers(&needed));
+            let thin = made.map_or_else(|| with_drops(distances, &mut blocks, None), Ok);
+            let ThinShares { shares, certainty } = thin.ok()?;
+            let near = blocks.refined(outlying, 0).ok()?;
+            let shares = blocks.refined(shares, 0).ok()?;
             let certainty =
-                certainty.map(|certainty| blocks.refined(certainty, 0, 0)).transpose().ok()?;
+                certainty.map(|certainty| blocks.refined(certainty, 0)).transpose().ok()?;
             let thin = ThinShares { shares, certainty };
             field = blocks.joined(field, near, thin, (drops, &stands_out)).ok()?;
         }
+        Some(DropField { inside, field: Rc::unwrap_or_clone(field.block) })
     }
-    Some(DropField { inside, field: Rc::unwrap_or_clone(field.block) })
+
+    /// The cells whose field depends on whether the particles of a group stand out, and at walls
+    /// more cells; `None` if `full` contains no particle. Only these cells can be inside because of
+    /// the group.
+    fn near_particles(&self, full: CellBox) -> Option<CellBox> {
+        let DistanceFilters { level, near, least, .. } = *self.distances;
+        let clouds = self.sampled.wide(level).gather(self.distances.wide_cells(full));
+        let particles = clouds.box_of(|sample| sample >= least);
+        if particles.is_empty() {
+            return None;
+        }
+        let cells = refined_from(level, particles.grown(near, near));
+        let covered = |walls: CellBox| walls.covers(&cells.grown(AROUND, AROUND));
+        if self.sampled.facts.walls().is_none_or(covered) {
+            return Some(cells);
+        }
+        let reach = reach(self.distances, self.sampled);
+        Some(full.grown(reach, reach))
+    }
+
+    /// The wide fields around `cells`; `None` if no particle is near.
+    fn near_group(&self, cells: CellBox) -> Option<NearGroup<'a>> {
+        let Self { recipe, distances, sampled, .. } = *self;
+        let DistanceFilters { level, near, least, .. } = *distances;
+        let wide = distances.wide_cells(cells);
+        let wide_walls = walls_at(level, sampled.facts.walls());
+        let clouds = sampled.wide(level).gather_within(wide.grown(near, near), wide_walls);
+        let needed = clouds.box_of(|sample| sample >= least).grown(near, near).intersection(&wide);
+        if needed.is_empty() {
+            return None;
+        }
+        // The cells between the middles of the needed wide cells.
+        let further = i32::from(level > 0);
+        let between =
+            CellBox { lo: (needed.lo + further) << level, hi: (needed.hi - further) << level };
+        let mut blocks = Blocks::of_few(recipe, sampled, between, FieldUse::Everywhere);
+        let WideFields { bulk, outlying } = bulk(distances, &mut blocks).ok()?;
+        // Farther cells have no particle nearby, so their samples are 0.
+        let padded = |BlockField { block, level, .. }: BlockField| {
+            let mut all = Block::zero(wide);
+            all.put_part(needed, block.cells(), block.samples(), |_, sample| sample);
+            wide_walls.into_iter().for_each(|walls| all.repeat_edges(walls));
+            BlockField::new(all, level)
+        };
+        let field_use = FieldUse::NearSurface { iso: recipe.iso, away_from_walls: false };
+        let blocks = Blocks::of_few(recipe, sampled, cells, field_use);
+        Some(NearGroup { bulk: padded(bulk), outlying: padded(outlying), blocks })
+    }
+}
+
+/// The distance from full cells beyond which there is no surface, in cells.
+fn reach(distances: &DistanceFilters, sampled: &SampledDif) -> i32 {
+    sampled.dif.ghost_layer() + distances.reach() + 1
 }

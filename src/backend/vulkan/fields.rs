@@ -8,7 +8,7 @@ use crate::field::blur::Weights;
 use crate::field::blur::vulkan::blur;
 use crate::field::detail::vulkan::{lost, raise};
 use crate::field::distance::vulkan::{depths, join, mixed, outlying, quotient, refine, spread};
-use crate::field::distance::{Bulk, Depths, Drops, InsideBricks, StandsOut};
+use crate::field::distance::{Bulk, Depths, Drops, InsideBricks, StandsOut, Width};
 use crate::field::recipe::{Fields, ThinShares, WideFields, walls_at};
 use crate::field::sheets::vulkan::{blend, sheets as make_sheets};
 use crate::field::sheets::{SheetFields, Sheets};
@@ -87,6 +87,23 @@ impl PaddedFields<'_> {
 
     fn walls(&self, of: usize) -> Option<CellBox> {
         walls_at(self.grids[of].level, self.walls)
+    }
+
+    /// Interpolates the field of another grid for the blocks of the grid `of`.
+    fn refined_for(
+        &mut self,
+        wide: Rc<PaddedSamples>,
+        of: usize,
+    ) -> Result<Rc<PaddedSamples>, VulkanError> {
+        self.stage("distances", 1, of);
+        let to = self.take(of);
+        let grids = [&self.grids[wide.of].blocks, &self.grids[of].blocks];
+        let level = self.grids[wide.of].level - self.grids[of].level;
+        let (within, walls) = (self.within(of, wide.of), self.walls(of));
+        let views = [&wide.samples, &to];
+        refine(self.commands, &self.pipelines.distance, grids, &within, level, walls, views)?;
+        self.give(wide);
+        Ok(Rc::new(PaddedSamples { samples: to, margin: 0, of }))
     }
 
     /// For each block of one grid, the number of the containing block of another grid.
@@ -168,9 +185,12 @@ impl Fields for PaddedFields<'_> {
     fn depths(
         &mut self,
         by: &Bulk,
-        shares: [Rc<PaddedSamples>; 3],
+        clouds: Rc<PaddedSamples>,
     ) -> Result<Depths<Rc<PaddedSamples>>, VulkanError> {
-        let of = shares[0].of;
+        let of = clouds.of;
+        let mut share = |width: &Width| self.blur(Rc::clone(&clouds), &width.weights);
+        let [narrow, middle, wide] = &by.widths;
+        let shares = [share(narrow)?, share(middle)?, share(wide)?];
         self.stage("distances", 3, of);
         let margin = shares.iter().map(|share| share.margin).max().unwrap_or(0);
         let [narrow, middle, wide] = shares.map(|share| share.samples.clone());
@@ -251,19 +271,9 @@ impl Fields for PaddedFields<'_> {
         &mut self,
         wide: Rc<PaddedSamples>,
         level: u32,
-        halo: i32,
     ) -> Result<Rc<PaddedSamples>, VulkanError> {
-        let of = if halo == 0 { self.cells } else { self.drops };
-        debug_assert_eq!(level, self.grids[of].level);
-        self.stage("distances", 1, of);
-        let to = self.take(of);
-        let grids = [&self.grids[wide.of].blocks, &self.grids[of].blocks];
-        let level = self.grids[wide.of].level - level;
-        let (within, walls) = (self.within(of, wide.of), self.walls(of));
-        let views = [&wide.samples, &to];
-        refine(self.commands, &self.pipelines.distance, grids, &within, level, walls, views)?;
-        self.give(wide);
-        Ok(Rc::new(PaddedSamples { samples: to, margin: 0, of }))
+        debug_assert_eq!(level, self.grids[self.cells].level);
+        self.refined_for(wide, self.cells)
     }
 
     /// From here on fields are refined for the parts in which particles stand out, if there are
@@ -276,10 +286,11 @@ impl Fields for PaddedFields<'_> {
     fn quotient(
         &mut self,
         clouds: Rc<PaddedSamples>,
-        around: Rc<PaddedSamples>,
+        around: &Weights,
         bits: u32,
     ) -> Result<Rc<PaddedSamples>, VulkanError> {
         let of = clouds.of;
+        let around = self.blur(Rc::clone(&clouds), around)?;
         self.stage("drops", 2, of);
         let views = [&clouds.samples, &around.samples];
         quotient(self.commands, &self.pipelines.distance, &self.grids[of].blocks, bits, views)?;
@@ -297,8 +308,11 @@ impl Fields for PaddedFields<'_> {
         &mut self,
         sheets: &Sheets,
         density: Rc<PaddedSamples>,
+        level: u32,
     ) -> Result<Option<SheetFields<Rc<PaddedSamples>>>, VulkanError> {
-        let of = density.of;
+        let of = self.drops;
+        debug_assert_eq!(level, self.grids[of].level);
+        let density = self.refined_for(density, of)?;
         self.stage("sheets", 3, of);
         let numbers = &sheets.numbers;
         let walls = self.walls(of);

@@ -53,18 +53,20 @@ pub fn blur_while<T: BlurSample>(
     Some(block)
 }
 
-/// Blurs a block whose nonzero samples are all in the cells `full`, sorted with x fastest. It is
-/// fast if `full` has few cells, because it skips all rows without such cells.
+/// Blurs a block whose nonzero samples are all in the cells `full`, sorted with x fastest; the
+/// result has the given `cells`. It is fast if `full` has few cells, because it skips all rows
+/// without such cells.
 ///
 /// # Panics
-/// As [`blur`].
+/// If the block does not contain the neighbourhood of each of the `cells`.
 pub fn blur_of_few(
     block: &Block,
     full: &[IVec3],
     weights: &Weights,
+    cells: CellBox,
     walls: Option<CellBox>,
 ) -> Block {
-    let mut blurred = blurred_part(block, full, weights);
+    let mut blurred = blurred_part(block, full, weights, cells);
     if let Some(walls) = walls {
         blurred.repeat_edges(walls);
     }
@@ -72,15 +74,13 @@ pub fn blur_of_few(
 }
 
 /// Blurs the box of cells that the nonzero samples reach.
-fn blurred_part(block: &Block, full: &[IVec3], weights: &Weights) -> Block {
+fn blurred_part(block: &Block, full: &[IVec3], weights: &Weights, cells: CellBox) -> Block {
     let reach = weights.reach();
-    let mut blurred = Block::zero(block.cells().grown(-reach, -reach));
-    let Some(&first) = full.first() else { return blurred };
+    let near = cells.grown(reach, reach);
+    let full: Vec<_> = full.iter().copied().filter(|&cell| near.contains(cell)).collect();
+    let Some(&first) = full.first() else { return Block::zero(cells) };
     let (lo, hi) = full.iter().fold((first, first), |(lo, hi), &cell| (lo.min(cell), hi.max(cell)));
-    let reached = CellBox { lo, hi: hi + 1 }.grown(reach, reach).intersection(&blurred.cells());
-    if reached.is_empty() {
-        return blurred;
-    }
+    let reached = CellBox { lo, hi: hi + 1 }.grown(reach, reach).intersection(&cells);
     let seen = reached.grown(reach, reach);
     let [width, height, _] = reached.size().as_usizevec3().to_array();
     let [_, rows, layers] = seen.size().as_usizevec3().to_array();
@@ -101,9 +101,13 @@ fn blurred_part(block: &Block, full: &[IVec3], weights: &Weights) -> Block {
         let to = &mut along_y[first..first + width * height];
         u16::blur_row(to, &along_x, width, weights, 1);
     }
-    let mut part = vec![0; reached.volume()];
-    u16::blur_row(&mut part, &along_y, width * height, weights, 2);
-    blurred.put_part(reached, reached, &part, |_, sample| sample);
+    let mut part = Block::zero(reached);
+    u16::blur_row(part.samples_mut(), &along_y, width * height, weights, 2);
+    if reached == cells {
+        return part;
+    }
+    let mut blurred = Block::zero(cells);
+    blurred.put(&part);
     blurred
 }
 
@@ -244,9 +248,13 @@ mod tests {
                 }
                 let cells_of_few = block.full_cells(count).expect("no more than these are full");
                 let walls = Some(CellBox { lo: cells.lo + 9, hi: cells.hi });
-                let few = blur_of_few(&block, &cells_of_few, &weights, walls);
+                let inner = cells.grown(-weights.reach(), -weights.reach());
+                let few = |cells| blur_of_few(&block, &cells_of_few, &weights, cells, walls);
                 assert_eq!(block.full_cells(count.saturating_sub(1)).is_none(), count > 0);
-                assert_eq!(few, blur(block, &weights, walls), "{count} samples");
+                let (all, part) = (few(inner), few(inner.grown(-3, -5)));
+                let dense = blur(block.clone(), &weights, walls);
+                assert_eq!(part, dense.part(part.cells()), "{count} samples");
+                assert_eq!(all, dense, "{count} samples");
             }
         }
     }

@@ -3,7 +3,7 @@
 use glam::IVec3;
 use multiversion::multiversion;
 
-use crate::brick::Block;
+use crate::brick::{Block, runs};
 use crate::grid::CellBox;
 
 use super::inverse_normal::{AWAY, DEPTHS};
@@ -64,14 +64,15 @@ fn sample(distance: i32) -> u16 {
 /// If a block does not cover the last one.
 pub fn depths(bulk: &Bulk, shares: [&Block; 3]) -> Depths<Block> {
     let cells = shares[2].cells();
-    let width = cells.size().x as usize;
+    let (length, runs) = runs(cells, &shares.map(Block::cells));
     let [mut calm, mut fine, mut apart] = [(); 3].map(|()| Block::zero(cells));
-    let [narrow, middle, wide] = shares.map(|shares| shares.rows(cells));
-    let to =
-        calm.samples_mut().chunks_exact_mut(width).zip(fine.samples_mut().chunks_exact_mut(width));
-    let to = to.zip(apart.samples_mut().chunks_exact_mut(width));
-    for (((calm, fine), apart), ((narrow, middle), wide)) in to.zip(narrow.zip(middle).zip(wide)) {
-        depths_row([calm, fine, apart], [narrow.1, middle.1, wide.1], bulk);
+    let to = calm
+        .samples_mut()
+        .chunks_exact_mut(length)
+        .zip(fine.samples_mut().chunks_exact_mut(length))
+        .zip(apart.samples_mut().chunks_exact_mut(length));
+    for (((calm, fine), apart), first) in to.zip(runs) {
+        depths_row([calm, fine, apart], shares.map(|shares| shares.run(first, length)), bulk);
     }
     Depths { calm, fine, apart }
 }
@@ -112,14 +113,11 @@ pub fn mixed(
     near: &Block,
 ) -> Block {
     let cells = apart.as_ref().cells().intersection(&near.cells());
-    let width = cells.size().x as usize;
+    let from = [calm.as_ref(), fine.as_ref(), apart.as_ref(), near];
+    let (length, runs) = runs(cells, &from.map(Block::cells));
     let mut field = Block::zero(cells);
-    let rows = calm.as_ref().rows(cells).zip(fine.as_ref().rows(cells));
-    let rows = rows.zip(apart.as_ref().rows(cells).zip(near.rows(cells)));
-    for (to, (((_, calm), (_, fine)), ((_, apart), (_, near)))) in
-        field.samples_mut().chunks_exact_mut(width).zip(rows)
-    {
-        mixed_row(to, [calm, fine, apart, near], bulk);
+    for (to, first) in field.samples_mut().chunks_exact_mut(length).zip(runs) {
+        mixed_row(to, from.map(|block| block.run(first, length)), bulk);
     }
     field
 }
@@ -150,14 +148,13 @@ pub fn outlying(
     (least, stands_out): (u16, &StandsOut),
 ) -> Block {
     let cells = calm.cells();
-    let width = cells.size().x as usize;
+    let from = [calm, fine, clouds];
+    let (length, runs) = runs(cells, &from.map(Block::cells));
     let mut field = Block::zero(cells);
-    let rows = calm.rows(cells).zip(fine.rows(cells)).zip(clouds.rows(cells));
-    for (to, (((_, calm), (_, fine)), (_, clouds))) in
-        field.samples_mut().chunks_exact_mut(width).zip(rows)
-    {
+    for (to, first) in field.samples_mut().chunks_exact_mut(length).zip(runs) {
+        let [calm, fine, clouds] = from.map(|block| block.run(first, length));
         outlying_row(to, calm, clouds, least);
-        // Distances up to `begin` stay unchanged, so a row without larger distances is skipped.
+        // Distances up to `begin` stay unchanged, so a run without larger distances is skipped.
         if greatest_of(to) > stands_out.begin() {
             reduced_in_bulk(to, [calm, fine], stands_out);
         }
@@ -309,10 +306,10 @@ fn wide_means(to: &mut [u16], weights: [u32; 3], [below, own, above]: [&[u16]; 3
 /// If `clouds` does not cover `around`.
 pub fn quotient(clouds: &Block, around: &Block, bits: u32) -> Block {
     let cells = around.cells();
-    let width = cells.size().x as usize;
+    let (length, runs) = runs(cells, &[clouds.cells()]);
     let mut field = Block::zero(cells);
-    let rows = clouds.rows(cells).zip(around.rows(cells));
-    for (to, ((_, clouds), (_, around))) in field.samples_mut().chunks_exact_mut(width).zip(rows) {
+    for (to, first) in field.samples_mut().chunks_exact_mut(length).zip(runs) {
+        let [clouds, around] = [clouds, around].map(|block| block.run(first, length));
         if greatest_of(clouds) == 0 {
             continue;
         }
@@ -389,23 +386,24 @@ pub fn joined(
     stands_out: &StandsOut,
 ) -> Block {
     let part = shares.cells();
-    let width = part.size().x as usize;
-    let mut distances = vec![0; width];
-    for (([y, z], shares), (_, near)) in shares.rows(part).zip(near.rows(part)) {
+    let certain = certainty.map_or(part, Block::cells);
+    let (length, runs) = runs(part, &[bulk.cells(), near.cells(), certain]);
+    let mut distances = vec![0; length];
+    for first in runs {
+        let [near, shares] = [near, shares].map(|block| block.run(first, length));
         if greatest_of(near) <= stands_out.begin() {
             continue;
         }
-        let row = IVec3::new(part.lo.x, y, z);
         let near = match certainty {
             Some(certainty) => {
-                let certainty = &certainty.samples()[certainty.index(row)..][..width];
+                let certainty = certainty.run(first, length);
                 standing_out(&mut distances, near, certainty, stands_out);
                 &distances[..]
             }
             None => near,
         };
-        let first = bulk.index(row);
-        let bulk = &mut bulk.samples_mut()[first..first + width];
+        let first = bulk.index(first);
+        let bulk = &mut bulk.samples_mut()[first..first + length];
         joined_row(bulk, near, shares, drops, &stands_out.ramp);
     }
     bulk

@@ -5,6 +5,7 @@ use multiversion::multiversion;
 
 use crate::brick::Block;
 use crate::field::distance::{greatest_of, spread};
+use crate::grid::CellBox;
 
 use super::logarithm::{exp2, log2};
 use super::{
@@ -32,19 +33,23 @@ pub fn holds_any(sheets: &Sheets, clouds: &Block) -> bool {
     false
 }
 
-/// Sheets of the smoothed density; `None` if there are none. If `needed` is given, certainty is
-/// only computed where `needed` is not 0. Shares are only computed near cells with certainty,
-/// within the reach of the averaging filter.
+/// Sheets of the smoothed density on some cells; `None` if there are none. Beyond `density` the
+/// density is too low for sheets. If `needed` is given, certainty is only computed where `needed`
+/// is not 0. Shares are only computed near cells with certainty, within the reach of the averaging
+/// filter.
 ///
 /// # Panics
 /// If `needed` does not cover the sheets.
-pub fn sheets(by: &Sheets, density: &Block, needed: Option<&Block>) -> Option<SheetFields<Block>> {
+pub fn sheets(
+    by: &Sheets,
+    density: &Block,
+    cells: CellBox,
+    needed: Option<&Block>,
+) -> Option<SheetFields<Block>> {
     let numbers = &by.numbers;
     let step = numbers.step;
-    let cells = density.cells().grown(-step, -step);
-    // Logarithms are only needed around samples that reach the minimum, within the error of the
-    // logarithm.
-    let least = libm::exp2(f64::from(numbers.least - 2) / f64::from(ONE)) as u16;
+    // Logarithms are only needed around samples that reach the minimum.
+    let least = by.least_density();
     let dense = density.box_of(|sample| sample >= least).intersection(&cells);
     if dense.is_empty() {
         return None;

@@ -291,6 +291,12 @@ impl Sheets {
         self
     }
 
+    /// The minimum sample of a density that can belong to a sheet, within the error of its
+    /// logarithm.
+    pub fn least_density(&self) -> u16 {
+        libm::exp2(f64::from(self.numbers.least - 2) / f64::from(ONE)) as u16
+    }
+
     /// The distance within which the smoothed density affects a sheet, in the sheet's cells.
     pub fn halo(&self) -> i32 {
         self.numbers.step + self.average.reach()
