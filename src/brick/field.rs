@@ -153,6 +153,7 @@ impl DifField {
     pub fn gather_few(&self, cells: CellBox, most: usize) -> (Block, Option<Vec<IVec3>>) {
         let (mut full, mut dense) = (Vec::new(), false);
         let block = match &self.stored {
+            // Bricks without ghost layers do not overlap, so their samples are added to 0.
             SampleMeaning::Theta => self.gather_by(cells, u16::saturating_add, |cell| match cell {
                 Some(cell) => full.push(cell),
                 None => dense = true,

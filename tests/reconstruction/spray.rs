@@ -35,12 +35,17 @@ fn the_drop_by_drop_mesh_of_spray_equals_the_mesh_of_the_whole_field() {
         (12.0, 4.0, Normals::Gradient, false),
         (20.0, 2.0, Normals::Gradient, false),
         (9.0, 1.5, Normals::Gradient, true),
+        (40.0, 1.0, Normals::Gradient, false),
+        (40.0, 1.5, Normals::None, true),
         (10.0, 3.0, Normals::Gradient, false),
         (8.0, 6.0, Normals::None, true),
     ] {
         let mut random = Random::new(23);
         let particles = spray(apart, &mut random);
-        let particles: Vec<[f64; 3]> = particles.iter().map(|p| p.map(|x| x * spacing)).collect();
+        let mut particles: Vec<[f64; 3]> =
+            particles.iter().map(|p| p.map(|x| x * spacing)).collect();
+        // A dense clump at the face of a bin fills cells of the next bin.
+        particles.extend((0..60).map(|_| [15.99 - 0.01 * random.unit(), 8.5, 8.5]));
         let method = IndicatorKind::Cloud.into();
         let mut sampling = Sampling { method, spacing: Some(spacing), ..sampling() };
         if walls {

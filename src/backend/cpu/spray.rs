@@ -131,7 +131,8 @@ impl<'a> SprayMaker<'a> {
             standing_out = blocks.wanted;
             let sheets = sheets(distances, &mut blocks).ok()?;
             if sheets.is_none() {
-                // Other drops belong to other groups.
+                // Other drops belong to other groups. Clouds reach one cell beyond `full`, and so
+                // does interpolation.
                 let reach = (drops.spread.reach() + 2) << drops_level;
                 blocks.wanted = standing_out.intersection(&full.grown(reach, reach));
             }
@@ -156,6 +157,8 @@ impl<'a> SprayMaker<'a> {
         blocks.wanted = part.intersection(&standing_out);
         if !blocks.wanted.is_empty() {
             let needed = wide_cells(drops_level, blocks.wanted);
+            // Without sheets, shares were made only around the group's own drops, which is too
+            // little if the bulk has a surface farther away.
             let made = thin.filter(|thin| thin.shares.block.cells().covers(&needed));
             let thin = made.map_or_else(|| with_drops(distances, &mut blocks, None), Ok);
             let ThinShares { shares, certainty } = thin.ok()?;
@@ -169,12 +172,14 @@ impl<'a> SprayMaker<'a> {
         Some(DropField { inside, field: Rc::unwrap_or_clone(field.block) })
     }
 
-    /// The cells whose field depends on whether the particles of a group stand out, and at walls
-    /// more cells; `None` if `full` contains no particle. Only these cells can be inside because of
-    /// the group.
+    /// The cells within reach of a group's particles, which alone can be inside because of the
+    /// group; `None` if it has no particles. At walls this box is larger.
     fn near_particles(&self, full: CellBox) -> Option<CellBox> {
         let DistanceFilters { level, near, least, .. } = *self.distances;
-        let clouds = self.sampled.wide(level).gather(self.distances.wide_cells(full));
+        // Clouds reach beyond the cells of their own bin.
+        let ghosts = self.sampled.dif.ghost_layer();
+        let around = self.distances.wide_cells(full.grown(ghosts, ghosts));
+        let clouds = self.sampled.wide(level).gather(around);
         let particles = clouds.box_of(|sample| sample >= least);
         if particles.is_empty() {
             return None;
@@ -212,8 +217,7 @@ impl<'a> SprayMaker<'a> {
             wide_walls.into_iter().for_each(|walls| all.repeat_edges(walls));
             BlockField::new(all, level)
         };
-        let field_use = FieldUse::NearSurface { iso: recipe.iso, away_from_walls: false };
-        let blocks = Blocks::of_few(recipe, sampled, cells, field_use);
+        let blocks = Blocks::of_few(recipe, sampled, cells, FieldUse::Everywhere);
         Some(NearGroup { bulk: padded(bulk), outlying: padded(outlying), blocks })
     }
 }

@@ -77,7 +77,7 @@ pub fn depths(bulk: &Bulk, shares: [&Block; 3]) -> Depths<Block> {
     Depths { calm, fine, apart }
 }
 
-/// One row of the calm surface, the fine surface, and their difference.
+/// A run of samples of the calm surface, the fine surface, and their difference.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
 fn depths_row(
     [calm, fine, apart]: [&mut [u16]; 3],

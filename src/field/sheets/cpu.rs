@@ -39,7 +39,8 @@ pub fn holds_any(sheets: &Sheets, clouds: &Block) -> bool {
 /// filter.
 ///
 /// # Panics
-/// If `needed` does not cover the sheets.
+/// If `needed` does not cover the sheets, or if `density` does not cover the steps around each of
+/// the `cells` that is dense enough for a sheet.
 pub fn sheets(
     by: &Sheets,
     density: &Block,
