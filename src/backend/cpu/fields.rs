@@ -380,8 +380,7 @@ impl Fields for Blocks<'_> {
     fn depths(&mut self, by: &Bulk, clouds: BlockField) -> Result<Depths<BlockField>, StopSignal> {
         let BlockField { ref block, level, ref full } = clouds;
         // The widest filter leaves the fewest cells.
-        let reach = by.widths.iter().map(|width| width.weights.reach()).max().unwrap_or(0);
-        let cells = block.cells().grown(-reach, -reach);
+        let cells = block.cells().grown(-by.reach(), -by.reach());
         let share = |width: &Width| {
             let (weights, walls) = (&width.weights, self.walls(level));
             match full {

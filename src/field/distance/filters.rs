@@ -208,12 +208,6 @@ impl DistanceFilters {
         near.grown(1, 0).intersection(&cells)
     }
 
-    /// Reach of the widest filter of the calm surface, in wide cells.
-    #[must_use]
-    pub fn bulk_reach(&self) -> i32 {
-        self.bulk.widths.iter().map(|width| width.weights.reach()).max().unwrap_or(0)
-    }
-
     /// The wide cells on which a field on `cells` needs the calm surface.
     #[must_use]
     pub fn wide_cells(&self, cells: CellBox) -> CellBox {
@@ -223,7 +217,7 @@ impl DistanceFilters {
     /// The halo that the calm surface needs around [`wide_cells`](Self::wide_cells), in wide cells.
     #[must_use]
     pub fn wide_halo(&self) -> i32 {
-        self.bulk_reach() + self.near.max(self.bulk.around.reach())
+        self.bulk.reach() + self.near.max(self.bulk.around.reach())
     }
 
     /// The halo of the wide cells from whose density sheets are made, in wide cells.
@@ -341,6 +335,14 @@ fn volume_bytes(cells: CellBox) -> u64 {
 /// 32768ths.
 fn scale(plateau: f64) -> u32 {
     ((f64::from(1_u32 << 29) / plateau.max(1.0)).round() as u32).min(u16::MAX.into())
+}
+
+impl Bulk {
+    /// Reach of the widest filter, in wide cells.
+    #[must_use]
+    pub fn reach(&self) -> i32 {
+        self.widths.iter().map(|width| width.weights.reach()).max().unwrap_or(0)
+    }
 }
 
 impl Drops {
