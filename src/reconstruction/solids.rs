@@ -17,6 +17,12 @@ use super::warning::Warning;
 
 /// Minimum bytes of memory per byte of a mesh file while it is read.
 const BYTES_A_BYTE: u64 = 2;
+/// The part of the memory limit that distances from solids may take, and its maximum in bytes.
+const KEPT_PART: u64 = 32;
+const MOST_KEPT: u64 = 64 << 20;
+/// The maximum for solids of a single frame, in bytes: several frames are made at a time, each with
+/// solids of its own.
+const MOST_KEPT_IN_FRAME: u64 = 2 << 20;
 
 impl Settings {
     /// The common stamp of an input and of the solids.
@@ -32,16 +38,30 @@ impl Settings {
 
 impl CheckedRequest {
     /// Adds the requested solids, which are the same in all frames.
-    pub(crate) fn at_solids(self) -> Result<Self, Error> {
-        let paths = self.settings.solid_files().iter().map(PathBuf::from).collect::<Vec<_>>();
-        if paths.is_empty() { Ok(self) } else { self.at_solids_in(&paths) }
-    }
-
-    /// Reads solids; their memory counts against the budget.
     ///
     /// # Errors
-    /// [`Error::Read`] and [`Error::Solid`] with the file, and [`Error::LittleMemory`].
-    pub(crate) fn at_solids_in(mut self, paths: &[PathBuf]) -> Result<Self, Error> {
+    /// The errors of [`with_solids`](Self::with_solids).
+    pub(crate) fn at_solids(self) -> Result<Self, Error> {
+        let paths = self.settings.solid_files().iter().map(PathBuf::from).collect::<Vec<_>>();
+        if paths.is_empty() { Ok(self) } else { self.with_solids(&paths, MOST_KEPT) }
+    }
+
+    /// Adds the solids of a single frame.
+    ///
+    /// # Errors
+    /// The errors of [`at_solids`](Self::at_solids).
+    pub(crate) fn at_solids_of_frame(self, paths: &[PathBuf]) -> Result<Self, Error> {
+        self.with_solids(paths, MOST_KEPT_IN_FRAME)
+    }
+
+    /// Reads solids, which keep at most `most_kept` bytes of distances. Their memory counts against
+    /// the budget.
+    ///
+    /// # Errors
+    /// [`Error::Read`] for a file that cannot be read, [`Error::Solid`] for a mesh that cannot be a
+    /// solid, [`Error::Unit`] for an invalid offset, and [`Error::LittleMemory`] if the solids do
+    /// not fit into the memory limit.
+    fn with_solids(mut self, paths: &[PathBuf], most_kept: u64) -> Result<Self, Error> {
         let offset = self.settings.solid_offset.map(SolidOffset::new).transpose()?;
         let room = self.resources.budget.0.saturating_sub(SMALLEST_BUDGET.0);
         let refuse_beyond_room = |bytes: u64| {
@@ -61,6 +81,8 @@ impl CheckedRequest {
         let solid = Solid::new(meshes, offset.unwrap_or(SolidOffset::DEFAULT))
             .map_err(|(number, fault)| Error::Solid { path: paths[number].clone(), fault })?;
         refuse_beyond_room(solid.bytes())?;
+        let kept = ((room - solid.bytes()) / KEPT_PART).min(most_kept);
+        let solid = solid.keeping_distances(kept);
         self.resources.budget = MemoryBudget(self.resources.budget.0 - solid.bytes());
         let turned = solid.turned().iter();
         self.inverted_solids =

@@ -281,9 +281,9 @@ impl Conversion<'_> {
         jobs: &Mutex<Receiver<Job>>,
         to_disk: &SyncSender<Outcome<WrittenFrame>>,
     ) {
-        // Run on a thread of the pool; otherwise every step of a frame would wait until another
-        // thread wakes up. The current thread could join the pool, but rayon would never release
-        // it.
+        // The lane runs on a thread of the pool. On another thread, every step of a frame would
+        // wait until a thread of the pool wakes up. The current thread could join the pool, but
+        // rayon would never release the thread.
         pool.install(|| {
             while let Some(Job { frame, particles, again }) = next(jobs) {
                 if self.is_over() {
@@ -325,7 +325,7 @@ impl Conversion<'_> {
         };
         checked.resources.control.progress = Some(Arc::new(report));
         let is_of_all = solids.is_empty() || checked.surfacing.solid.is_some();
-        if is_of_all { Ok(checked) } else { checked.at_solids_in(solids) }
+        if is_of_all { Ok(checked) } else { checked.at_solids_of_frame(solids) }
     }
 
     /// Finishes written frames: waits until their meshes are on disk, so that no lane has to wait.
@@ -372,9 +372,9 @@ pub(super) struct Conversion<'a> {
     pub(super) setup: &'a Setup<'a>,
     pub(super) format: MeshFormat,
     pub(super) store: StateFolder,
-    /// `None` if the calibration failed.
+    /// The shared measurements, once they are known; `None` if the calibration failed.
     pub(super) settled: OnceLock<Option<SharedMeasurements>>,
-    /// Records of the frames that existed before this run replaced any mesh.
+    /// The records that existed before this run replaced any mesh.
     pub(super) before: OnceLock<Records>,
     pub(super) division: Division,
     pub(super) gate: FrameGate,

@@ -26,8 +26,9 @@ use crate::common::scene::Random;
 use crate::common::shapes::{cuboid, moved, sphere};
 use crate::common::{sampling, surfacing, watertight};
 
-/// The size of the pool along x and z, and its water level.
+/// The size of the pool along x and z.
 const SIZE: f64 = 30.0;
+/// The water level of the pool.
 const LEVEL: f64 = 13.0;
 /// The centre of a ball that is mostly under water.
 const CENTRE: DVec3 = DVec3::new(15.0, 8.0, 15.0);
@@ -208,7 +209,7 @@ fn in_a_periodic_box_solids_repeat_as_the_fluid_does() {
     let offset = SolidOffset::new(0.0).unwrap();
     let at_solids = |meshes: Vec<Mesh>, periodic_mesh: PeriodicMesh| Surfacing {
         at_solids: true,
-        solid: Some(Arc::new(Solid::new(meshes, offset).unwrap())),
+        solid: Some(Arc::new(Solid::new(meshes, offset).unwrap().keeping_distances(1 << 20))),
         normals: Normals::Gradient,
         periodic_mesh,
         ..surfacing()

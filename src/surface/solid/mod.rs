@@ -6,10 +6,16 @@
 //! direction. The distance of a place is its distance to the nearest point on any triangle.
 //!
 //! A distance depends only on the cell, not on the box of cells in a request: cells are processed
-//! in cubes of 4^3, bounded by the distance of the cube's centre.
+//! in cubes of 4^3, bounded by the distance of the cube's centre. The distances of recently used
+//! cubes are kept.
 //!
 //! In a periodic box a solid repeats as the fluid does: it has copies one box width away along each
 //! periodic axis.
+
+mod cache;
+
+use std::cell::OnceCell;
+use std::sync::Arc;
 
 use glam::{DVec3, IVec3};
 use rayon::prelude::*;
@@ -21,6 +27,7 @@ use crate::grid::{CellBox, Grid, Periodic, TILE};
 
 use super::mesh::Mesh;
 use super::mesh::tree::{CompareError, Side, TriangleTree};
+use cache::{CELLS, CubeDistances, DistanceCache, DistanceLattice};
 
 /// Bytes of memory per triangle while a solid is made, including its share of the vertices.
 const TRIANGLE_BYTES: u64 = 360;
@@ -60,6 +67,7 @@ pub struct Solid {
     triangles: u64,
     turned: Vec<usize>,
     thickness: Vec<f64>,
+    known: DistanceCache,
 }
 
 impl Solid {
@@ -74,6 +82,7 @@ impl Solid {
             triangles: 0,
             turned: Vec::new(),
             thickness: Vec::new(),
+            known: DistanceCache::new(0),
         };
         for (number, mesh) in meshes.into_iter().enumerate() {
             let mesh = joined(mesh);
@@ -90,6 +99,12 @@ impl Solid {
             solid.meshes.push(tree);
         }
         Ok(solid)
+    }
+
+    /// Keeps distances that were computed, in at most `bytes` bytes.
+    #[must_use]
+    pub fn keeping_distances(self, bytes: u64) -> Self {
+        Self { known: DistanceCache::new(bytes), ..self }
     }
 
     /// The distance between the fluid and the solid in spacings.
@@ -113,7 +128,7 @@ impl Solid {
     /// Bytes of memory.
     #[must_use]
     pub fn bytes(&self) -> u64 {
-        self.triangles * TRIANGLE_BYTES
+        self.triangles * TRIANGLE_BYTES + self.known.most_bytes()
     }
 
     /// Whether some cells, 2^`level` times as wide as the grid's cells, may contain a part of a
@@ -143,21 +158,32 @@ impl Solid {
         step: f64,
         most: i16,
     ) -> Block<i16> {
-        let mut nearest = Block::zero(cells);
-        nearest.samples_mut().fill(most);
-        let (lo, hi) = corners(grid, level, cells);
-        let farthest = f64::from(most) * step;
-        for copy in self.copies(periodic) {
-            if copy.meets(lo - farthest, hi + farthest) {
-                let own = copy.distances(grid, level, cells, step, most);
-                for (nearest, own) in nearest.samples_mut().iter_mut().zip(own.samples()) {
-                    *nearest = (*nearest).min(*own);
-                }
-            } else if copy.winds((lo + hi) / 2.0) {
-                nearest.samples_mut().fill(-most);
-            }
+        let lattice =
+            DistanceLattice { grid: *grid, periodic: periodic.copied(), level, step, most };
+        let number = self.known.number(&lattice);
+        let mut distances = Block::zero(cells);
+        let copies = OnceCell::new();
+        for cube in cells.cubes(TILE) {
+            let found = self.known.get_or_make(number, cube, || {
+                let near = copies.get_or_init(|| self.near(&lattice, cells.tiled()));
+                near.distances(&lattice, CellBox::cube(cube, TILE))
+            });
+            let cube = CellBox::cube(cube, TILE);
+            let part = cube.intersection(&cells);
+            distances.put_part(part, cube, &found.each(), |_, distance| distance);
         }
-        nearest
+        distances
+    }
+
+    /// The meshes and copies that determine the distances on some cells.
+    fn near(&self, lattice: &DistanceLattice, cells: CellBox) -> NearMeshes<'_> {
+        let (lo, hi) = lattice.corners(cells);
+        let farthest = lattice.farthest();
+        let copies = self.copies(lattice.periodic.as_ref());
+        let (near, far): (Vec<_>, Vec<_>) =
+            copies.partition(|copy| copy.meets(lo - farthest, hi + farthest));
+        let is_inside = far.iter().any(|copy| copy.winds((lo + hi) / 2.0));
+        NearMeshes { near, is_inside }
     }
 
     /// The meshes and, in a periodic box, their copies.
@@ -183,9 +209,57 @@ fn corners(grid: &Grid, level: u32, cells: CellBox) -> (DVec3, DVec3) {
     (world(cells.lo), world(cells.hi))
 }
 
+impl DistanceLattice {
+    /// The lowest and the highest corner of some cells.
+    fn corners(&self, cells: CellBox) -> (DVec3, DVec3) {
+        corners(&self.grid, self.level, cells)
+    }
+
+    /// The largest distance, in the unit of the grid.
+    fn farthest(&self) -> f64 {
+        f64::from(self.most) * self.step
+    }
+}
+
 /// Number of grid cells along a cell that is 2^`level` times as wide.
 fn width(level: u32) -> f64 {
     f64::from(1_u32 << level)
+}
+
+/// The meshes that determine the distances on a box of cells.
+struct NearMeshes<'a> {
+    /// The meshes with a triangle near the box.
+    near: Vec<PlacedMesh<'a>>,
+    /// Whether the box is inside another mesh.
+    is_inside: bool,
+}
+
+impl NearMeshes<'_> {
+    /// The distances of the cells of a cube in the box.
+    fn distances(&self, lattice: &DistanceLattice, cube: CellBox) -> CubeDistances {
+        let (lo, hi) = lattice.corners(cube);
+        let (most, farthest) = (lattice.most, lattice.farthest());
+        if self.is_inside {
+            return CubeDistances::Same(-most);
+        }
+        let mut nearest: Option<[i16; CELLS]> = None;
+        for mesh in &self.near {
+            if mesh.meets(lo - farthest, hi + farthest) {
+                let nearest = nearest.get_or_insert([most; CELLS]);
+                for (nearest, own) in nearest.iter_mut().zip(mesh.distances(lattice, cube)) {
+                    *nearest = (*nearest).min(own);
+                }
+            } else if mesh.winds((lo + hi) / 2.0) {
+                return CubeDistances::Same(-most);
+            }
+        }
+        match nearest {
+            Some(each) if each.iter().any(|&distance| distance != each[0]) => {
+                CubeDistances::Each(Arc::new(each))
+            }
+            same => CubeDistances::Same(same.map_or(most, |each| each[0])),
+        }
+    }
 }
 
 /// A mesh that is displaced by `shift`.
@@ -207,102 +281,47 @@ impl PlacedMesh<'_> {
         passed.iter().filter(|(x, _)| *x > place.x).map(|(_, sign)| sign).sum::<i32>() != 0
     }
 
-    fn distances(
-        &self,
-        grid: &Grid,
-        level: u32,
-        cells: CellBox,
-        step: f64,
-        most: i16,
-    ) -> Block<i16> {
-        let mut distances = Block::zero(cells);
-        let farthest = f64::from(most) * step;
+    /// The distances of the cells of a cube.
+    fn distances(&self, lattice: &DistanceLattice, cube: CellBox) -> [i16; CELLS] {
+        let &DistanceLattice { ref grid, level, step, most, .. } = lattice;
+        let farthest = lattice.farthest();
         let place = |cell: DVec3| grid.world_from_cells(cell * width(level)) - self.shift;
-        let centre = |cell: IVec3| place(cell.as_dvec3() + 0.5);
+        let centre = |x: i32, y: i32, z: i32| place(IVec3::new(x, y, z).as_dvec3() + 0.5);
+        let middle = place((cube.lo + cube.hi).as_dvec3() / 2.0);
         let to_centre = grid.cell_size() * width(level) * 0.5 * 3_f64.sqrt();
-        distances.samples_mut().fill(most);
-        for cube in cells.cubes(TILE) {
-            let cube = CellBox::cube(cube, TILE);
-            let middle = place((cube.lo + cube.hi).as_dvec3() / 2.0);
-            let to_corner = f64::from(TILE - 1) * to_centre;
-            let reach = farthest + to_corner;
-            let Some((of_middle, nearest)) = self.mesh.distance_within(middle, reach, None) else {
-                continue;
-            };
+        let to_corner = f64::from(TILE - 1) * to_centre;
+        let mut distances = [most; CELLS];
+        let rows = (cube.lo.z..cube.hi.z).flat_map(|z| (cube.lo.y..cube.hi.y).map(move |y| (y, z)));
+        let rows = || rows.clone();
+        let reach = farthest + to_corner;
+        if let Some((of_middle, nearest)) = self.mesh.distance_within(middle, reach, None) {
             let mut near = nearest;
-            let part = cube.intersection(&cells);
-            for z in part.lo.z..part.hi.z {
-                for y in part.lo.y..part.hi.y {
-                    for x in part.lo.x..part.hi.x {
-                        let cell = IVec3::new(x, y, z);
-                        let at = centre(cell);
-                        // A bound by the triangle inequality, through the cube's centre.
-                        let bound = (of_middle + at.distance(middle)).min(farthest) * (1.0 + 1e-9);
-                        let found = self.mesh.distance_within(at, bound, Some(near));
-                        if let Some((distance, nearest)) = found {
-                            near = nearest;
-                            let steps = (distance / step).round().min(f64::from(most));
-                            let index = distances.index(cell);
-                            distances.samples_mut()[index] = steps as i16;
-                        }
-                    }
+            let cells = rows().flat_map(|(y, z)| (cube.lo.x..cube.hi.x).map(move |x| (x, y, z)));
+            for ((x, y, z), steps) in cells.zip(&mut distances) {
+                let at = centre(x, y, z);
+                // A bound by the triangle inequality, through the cube's centre.
+                let bound = (of_middle + at.distance(middle)).min(farthest) * (1.0 + 1e-9);
+                if let Some((distance, nearest)) = self.mesh.distance_within(at, bound, Some(near))
+                {
+                    near = nearest;
+                    *steps = (distance / step).round().min(f64::from(most)) as i16;
                 }
             }
         }
-        self.negate_inside(&mut distances, most, centre);
+        // Distances in the mesh are negative.
+        for ((y, z), distances) in rows().zip(distances.chunks_exact_mut(TILE as usize)) {
+            let line = centre(cube.lo.x, y, z);
+            let passed = self.mesh.crossings([line.y, line.z], line.x);
+            for (x, distance) in (cube.lo.x..).zip(distances) {
+                let at = centre(x, y, z).x;
+                let winding: i32 =
+                    passed.iter().filter(|(passed, _)| *passed > at).map(|(_, sign)| sign).sum();
+                if winding != 0 {
+                    *distance = -*distance;
+                }
+            }
+        }
         distances
-    }
-
-    /// Negates the distances of the cells in the mesh, whose centres are given.
-    fn negate_inside(
-        &self,
-        distances: &mut Block<i16>,
-        most: i16,
-        centre: impl Fn(IVec3) -> DVec3,
-    ) {
-        let cells = distances.cells();
-        let width = cells.size().x as usize;
-        for z in cells.lo.z..cells.hi.z {
-            for y in cells.lo.y..cells.hi.y {
-                let first = IVec3::new(cells.lo.x, y, z);
-                let index = distances.index(first);
-                let row = |first: usize| first..first + width;
-                if distances.samples()[row(index)].iter().all(|&distance| distance == most) {
-                    // No surface is between two neighbours that are both farther from it.
-                    let before = [(y, cells.lo.y, IVec3::Y), (z, cells.lo.z, IVec3::Z)];
-                    let before = before.into_iter().filter(|(at, lo, _)| at > lo);
-                    let is_inside = before.into_iter().find_map(|(_, _, axis)| {
-                        let row = row(distances.index(first - axis));
-                        let mut all = distances.samples()[row].iter();
-                        all.find(|distance| distance.abs() == most).map(|&distance| distance < 0)
-                    });
-                    if let Some(is_inside) = is_inside {
-                        let distance = if is_inside { -most } else { most };
-                        distances.samples_mut()[row(index)].fill(distance);
-                        continue;
-                    }
-                }
-                let line = centre(first);
-                let mut passed = self.mesh.crossings([line.y, line.z], line.x);
-                if passed.is_empty() {
-                    continue;
-                }
-                passed.sort_unstable_by(|a, b| b.0.total_cmp(&a.0));
-                let mut winding = 0;
-                let mut passed = passed.into_iter().peekable();
-                for x in (cells.lo.x..cells.hi.x).rev() {
-                    let cell = IVec3::new(x, y, z);
-                    let at = centre(cell).x;
-                    while let Some((_, sign)) = passed.next_if(|(passed, _)| *passed > at) {
-                        winding += sign;
-                    }
-                    if winding != 0 {
-                        let index = distances.index(cell);
-                        distances.samples_mut()[index] = -distances.samples()[index];
-                    }
-                }
-            }
-        }
     }
 }
 
@@ -380,7 +399,7 @@ mod tests {
     }
 
     fn solid(meshes: Vec<Mesh>) -> Solid {
-        Solid::new(meshes, SolidOffset::DEFAULT).unwrap()
+        Solid::new(meshes, SolidOffset::DEFAULT).unwrap().keeping_distances(1 << 20)
     }
 
     fn grid() -> Grid {
@@ -417,11 +436,27 @@ mod tests {
     }
 
     #[test]
-    fn solid_distances_are_independent_of_the_box_of_cells() {
-        let solid = solid(vec![turned_box(DVec3::splat(-1.0), DVec3::splat(1.1), 0.4)]);
-        let whole = solid.distances(&grid(), None, 0, cells(12), 1e-4, 8000);
+    fn solid_distances_are_independent_of_the_box_of_cells_and_of_kept_distances() {
+        let boxes = || {
+            let turned = turned_box(DVec3::splat(-1.0), DVec3::splat(1.1), 0.4);
+            let beside = turned_box(DVec3::new(0.8, -4.0, -4.0), DVec3::splat(4.0), 0.0);
+            solid(vec![turned, beside])
+        };
+        let keeping = boxes();
+        let all =
+            |solid: &Solid, cells: CellBox| solid.distances(&grid(), None, 0, cells, 1e-4, 8000);
+        let whole = all(&keeping, cells(12));
+        assert_eq!(all(&keeping, cells(12)), whole);
         let part = CellBox { lo: IVec3::new(-5, 1, -11), hi: IVec3::new(10, 9, 2) };
-        assert_eq!(solid.distances(&grid(), None, 0, part, 1e-4, 8000), whole.part(part));
+        for bytes in [0, 1 << 12, 1 << 20] {
+            assert_eq!(all(&boxes().keeping_distances(bytes), part), whole.part(part), "{bytes}");
+        }
+        // The distance of the nearest solid, negative in either.
+        let at = |x: f64| {
+            let cell = ((DVec3::new(x, 0.0, 0.0) - grid().origin()) / 0.25).floor().as_ivec3();
+            f64::from(whole.at(cell)) * 1e-4
+        };
+        assert!(at(2.5) < 0.0 && at(0.0) < 0.0 && at(-2.0) > 0.0);
     }
 
     #[test]
