@@ -165,9 +165,10 @@ settings! {
     ///
     /// Each region of the fluid is meshed at its own particle spacing. The attribute's name
     /// determines how its values are read: as radii (half of a particle's spacing), diameters,
-    /// volumes or masses. Masses also need a density attribute. In files of GADGET and SWIFT,
-    /// masses are used by default if they differ. `none` treats all particles as one size. Works
-    /// only with the cloud indicator, the default.
+    /// volumes or masses. Masses also need a density attribute. Smoothing lengths are scaled to
+    /// sizes. In files of GADGET and SWIFT, masses (or smoothing lengths, without densities) are
+    /// used by default if the masses differ. `none` treats all particles as one size. Works only
+    /// with the cloud indicator, the default.
     #[arg(
         value_name = "NAME", conflicts_with_all = ["spacing", "radius"], help_heading = "Input",
         hide_short_help = true
@@ -203,9 +204,9 @@ settings! {
     /// A condition is an attribute, a comparison (=, !=, <, <=, > or >=) and a value: Type=1,
     /// age<2.5, phase!=boundary. mk=0,2 accepts either value. `and` joins conditions that must all
     /// hold. `velocity.y` and `velocity[1]` are the same component of a vector; x, y and z are the
-    /// position. If a file has several types of particles, type=NAME selects one of them. NAME is
-    /// one of these: a type of a SWIFT or GADGET snapshot (such as PartType1), an array of PySPH,
-    /// or a species of openPMD [default: gas, else fluid].
+    /// position. If a file has several types of particles, type=NAME selects one of them: a type of
+    /// a SWIFT or GADGET snapshot (such as PartType1), an array of PySPH, or a species of openPMD.
+    /// By default, gas is selected, or fluid if there is no gas.
     #[arg(value_name = "CONDITION", help_heading = "Input")]
     r#where: Option<Vec<Where>>,
 
@@ -273,8 +274,8 @@ settings! {
     /// Join particles of thin sheets and filaments that are at most this many spacings apart
     /// [default: 2.15].
     ///
-    /// The value is from 1 to 3; 0 turns this off. With the default, a sheet tears when its
-    /// particles are about 2.1 spacings apart. Works only with the cloud indicator, the default.
+    /// The value is from 1 to 3; 0 turns this off. Sheets tear slightly before this distance: with
+    /// the default, at about 2.1 spacings. Works only with the cloud indicator, the default.
     #[arg(value_name = "SPACINGS", allow_negative_numbers = true, help_heading = "Surface")]
     sheets: Option<f64>,
 

@@ -49,7 +49,7 @@ pub enum Error {
     /// A setting that does not apply to the request.
     #[error(transparent)]
     SettingConflict(#[from] SettingConflict),
-    /// A file that would be both an input and an output, or two different outputs.
+    /// A request that names a file twice: as an input and an output, or as two outputs.
     #[error("{}", same_file(path, other))]
     SameFile {
         /// The file.
@@ -139,10 +139,10 @@ pub enum Error {
         name: String,
         /// The names of the available attributes.
         known: Vec<String>,
-        /// The part of the file with that name, if it was left out.
+        /// The part of the file that has this name, as text, if that part was not read.
         left_out: Option<String>,
     },
-    /// Sizes of particles that no attribute determines.
+    /// Sizes of particles that cannot be taken from an attribute.
     #[error("{}{fault}", file(path.as_deref()))]
     Sizes {
         /// The file, if the particles come from one.

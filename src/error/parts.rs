@@ -43,7 +43,7 @@ pub enum PartsError {
     Settings {
         /// The plan's file.
         path: PathBuf,
-        /// The settings' names.
+        /// The names of the settings that differ.
         differing: String,
     },
     /// Particles that differ from those of the plan.
@@ -76,7 +76,7 @@ pub enum PartsError {
         what: String,
     },
     /// A part of another plan.
-    #[error("{}: belongs to another plan", .0.display())]
+    #[error("{}: was made with a different plan than the plan.json in its folder", .0.display())]
     OtherPlan(PathBuf),
     /// A folder, plan or part that cannot be read or written.
     #[error("{}: {fault}", path.display())]

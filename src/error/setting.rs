@@ -12,7 +12,7 @@ use crate::settings::Setting;
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum Conflict {
-    /// A setting with the same meaning.
+    /// A setting that determines the same length, so that only one of the two can be given.
     Setting(Setting),
     /// A required setting that is missing.
     Needs(Setting),

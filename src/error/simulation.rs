@@ -8,7 +8,7 @@ use thiserror::Error;
 
 use super::shown;
 
-/// Valid frame rates: programs can distinguish the times of neighbouring frames.
+/// Valid frame rates. Within this range, programs can distinguish the times of neighbouring frames.
 pub const FPS: RangeInclusive<f64> = 1e-9..=1e9;
 
 /// A simulation that cannot be converted.
@@ -53,7 +53,9 @@ pub enum SimulationError {
     #[error("watch must be at least 0 seconds, got {0}")]
     Timeout(f64),
     /// Steps inside one file, which cannot be watched.
-    #[error("{0}: cannot watch steps inside one file")]
+    #[error(
+        "{0}: cannot watch for new frames inside one file; convert it when the simulation has ended"
+    )]
     Steps(String),
     /// Frames in several files. They cannot be watched, because no file shows that a frame is
     /// complete.
@@ -86,7 +88,7 @@ pub enum SimulationError {
         /// The reason why only one is possible.
         why: WhyOne,
     },
-    /// A folder or the state that cannot be read.
+    /// A folder, the state or a record that cannot be read or written.
     #[error("{}: {fault}", path.display())]
     Io {
         /// The file or folder.
@@ -96,7 +98,7 @@ pub enum SimulationError {
         fault: std::io::Error,
     },
     /// A damaged state file, or one of another version.
-    #[error("{}: this state file is damaged or of another version: {what}", path.display())]
+    #[error("{}: this state file is damaged or of another version (error: {what})", path.display())]
     State {
         /// The file.
         path: PathBuf,
@@ -133,9 +135,7 @@ impl fmt::Display for WhyOne {
         f.write_str(match self {
             Self::Request => "",
             Self::Pattern => ", or write the meshes into a folder",
-            Self::Names => {
-                ": in one folder, meshes of different simulations would have the same names"
-            }
+            Self::Names => ", because their meshes would have the same file names in one folder",
         })
     }
 }

@@ -36,13 +36,13 @@ pub enum ReadFault {
     /// An empty file.
     #[error("the file is empty")]
     Empty,
-    /// An error of the scratch file into which the input is unpacked or decoded.
+    /// The scratch file, into which the input is unpacked or decoded, cannot be written or mapped.
     #[error("cannot write the unpacked or decoded data to a scratch file: {0}")]
     Scratch(#[source] std::io::Error),
-    /// A damaged compressed stream.
+    /// A damaged compressed stream, or one whose compression ratio is too high.
     #[error("damaged compressed data: {0}")]
     Compression(String),
-    /// The file ends before the end that its header implies.
+    /// The file is shorter than its header implies.
     #[error("truncated: {needed} bytes are needed for {what}, but the file has {have}")]
     Truncated {
         /// Name of the part of the file that needs these bytes.
@@ -85,8 +85,8 @@ pub enum ReadFault {
     },
     /// A colour whose numbers have different scales in two joined files.
     #[error(
-        "colour {attribute} is stored as {scale}, but as {of_other} in {}; store it in the same \
-         way in both files, or leave the attribute out",
+        "colour {attribute} is stored as {scale} in this file, but as {of_other} in {}; store it \
+         in the same way in both files, or leave the attribute out",
         other.display()
     )]
     ColourScale {
@@ -99,7 +99,7 @@ pub enum ReadFault {
         /// The scale in the other file.
         of_other: ColourScale,
     },
-    /// A condition that cannot be applied to these particles.
+    /// A condition cannot be applied to these particles, or every particle fails a condition.
     #[error("{0}")]
     Selection(SelectionFault),
     /// A valid file that this library does not support. The text says what to do.

@@ -50,8 +50,8 @@ pub enum KindFault {
     /// A colour from 0 to 255 in a sequence whose colours are from 0 to 1.
     #[error(
         "colour {name:?} has the value {greatest} and looks like bytes from 0 to 255, but the \
-         calibration frame has colours from 0 to 1. Store colours in the same way in all \
-         frames, start the sequence at a frame whose colours exceed 1, or leave the attribute out"
+         calibration frame (usually the first) has colours from 0 to 1. Store colours in the same \
+         way in all frames, begin with a frame that has colours above 1, or leave the attribute out"
     )]
     Scale {
         /// The name of the attribute.
@@ -72,7 +72,7 @@ pub struct SettledKind {
     pub is_evident: bool,
 }
 
-/// Colour values above this are from 0 to 255.
+/// If the greatest value of a colour exceeds this, the values are from 0 to 255.
 const BRIGHT: f32 = 16.0;
 
 /// Names of colours, in lower case.
@@ -279,8 +279,8 @@ impl AttributeKind {
     }
 }
 
-/// The scale of a colour's values: bytes, or fractions if some values are above 0 and none is above
-/// 1. `None` if both are possible.
+/// Whether a colour is stored as bytes or as fractions from 0 to 1, if its values show it; `None`
+/// if both are possible, for example if all values are 0.
 pub fn evident_scale(particles: &dyn Particles, index: usize) -> Option<AttributeKind> {
     let extremes = extremes(particles, index);
     let kind = AttributeKind::of_shares(extremes);

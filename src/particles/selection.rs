@@ -56,7 +56,8 @@ pub enum SelectionFault {
     },
     /// A condition that no single type of particles satisfies.
     #[error(
-        "cannot select particles by {condition}: one type is read at a time; available: {}",
+        "cannot apply {condition}: only one type of particles can be read at a time; available: \
+         {}",
         listed(known)
     )]
     Types {
@@ -317,8 +318,9 @@ impl<'a> SelectedParticles<'a> {
         Self { particles, sieve }
     }
 
-    /// Calls `take` with each contiguous range of particles and the index of its first particle,
-    /// for `count` selected particles from `first` on.
+    /// Splits `count` selected particles, from number `first` on, into contiguous ranges of all
+    /// particles. Calls `take` with each range and with the number of these selected particles that
+    /// precede it.
     fn each_run(&self, first: usize, count: usize, mut take: impl FnMut(Range<usize>, usize)) {
         let mut rows = self.sieve.rows(first).take(count).peekable();
         let mut at = 0;

@@ -2,8 +2,8 @@
 //!
 //! The size of a particle is the edge of the cube that it fills, which is its own spacing. A radius
 //! is half of the size, because a spacing is twice the radius. A volume is the cube of the size,
-//! and a mass is the volume times the density. Programs define radii differently, so sizes are
-//! scaled until the particles fill the cubes deep in the fluid.
+//! and a mass is the volume times the density. Programs define radii and smoothing lengths
+//! differently, so sizes are scaled until the particles fill the cubes deep in the fluid.
 
 use std::ops::Range;
 
@@ -19,12 +19,15 @@ use super::{AttributeInfo, Particles, attribute_called, chunks};
 const RADII: [&str; 5] = ["pscale", "radius", "radii", "particleradius", "particleradii"];
 /// The name of an attribute that certainly has sizes. Joined files with different spacings get it.
 pub const SPACING: &str = "spacing";
-/// The names of masses and densities in files of GADGET and SWIFT, which certainly give the sizes
-/// of particles if the masses differ.
+/// The names of masses, densities and smoothing lengths in files of GADGET and SWIFT. If the masses
+/// differ, masses and densities certainly give the sizes of particles; if there are no densities,
+/// the smoothing lengths do.
 const USUAL_MASSES: &str = "masses";
 const USUAL_DENSITIES: [&str; 2] = ["density", "densities"];
+const USUAL_LENGTHS: [&str; 2] = ["smoothinglength", "smoothinglengths"];
 /// Names of attributes with another meaning than a radius.
-const DIAMETERS: [&str; 4] = ["diameter", "diameters", "size", SPACING];
+const DIAMETERS: [&str; 8] =
+    ["diameter", "diameters", "size", SPACING, "h", "hsml", USUAL_LENGTHS[0], USUAL_LENGTHS[1]];
 const VOLUMES: [&str; 5] = ["volume", "volumes", "vol", "particlevolume", "v0"];
 const MASSES: [&str; 3] = ["mass", "masses", "particlemass"];
 const DENSITIES: [&str; 5] = ["density", "densities", "rho", "rhop", "densityf"];
@@ -35,9 +38,10 @@ const ONE_SIZE: f64 = 1.1;
 pub const MOST_TIMES: f64 = 64.0;
 /// Fraction of the particles that count as outliers at each end of the range of sizes.
 const STRAYS: f64 = 1e-4;
-/// Masses differ if their ratio is at least this, apart from this fraction of the particles at each
-/// end of their range: gas that exchanges mass, as with stars, still has one resolution.
+/// Minimum ratio of the largest to the smallest mass at which masses count as different. Gas that
+/// exchanges mass, for example with stars, has a smaller ratio, and still has one resolution.
 const OTHER_MASS: f64 = 1.9;
+/// Fraction of the particles that is ignored at each end of the range of masses.
 const STRAY_MASSES: f64 = 0.01;
 /// Edge of the cells in which densities are measured, in units of the largest size.
 const CELL: f64 = 4.0;
@@ -128,6 +132,8 @@ pub struct SizeAttributes {
     pub density: Option<usize>,
     /// The meaning of the attribute's numbers.
     pub meaning: Meaning,
+    /// An attribute with masses that must differ; if they do not, the particles have one size.
+    pub if_masses_differ: Option<usize>,
 }
 
 /// Measured sizes of particles.
@@ -200,12 +206,22 @@ impl SizeChoice {
                 |info: &AttributeInfo| info.components == 1 && is_among(&info.name, names);
             infos.iter().position(is_known)
         };
-        let plain = |size: usize, meaning| SizeAttributes { size, density: None, meaning };
+        let plain = |size: usize, meaning| SizeAttributes {
+            size,
+            density: None,
+            meaning,
+            if_masses_differ: None,
+        };
         let radius = || known(&RADII).map(|size| plain(size, Meaning::Radius));
         let spacing = || known(&[SPACING]).map(|size| plain(size, Meaning::Diameter));
         let masses = || {
-            let (size, density) = (known(&[USUAL_MASSES])?, known(&USUAL_DENSITIES)?);
-            Some(SizeAttributes { size, density: Some(density), meaning: Meaning::Mass })
+            let masses = known(&[USUAL_MASSES])?;
+            let lengths = || known(&USUAL_LENGTHS).map(|size| plain(size, Meaning::Diameter));
+            let sizes = match known(&USUAL_DENSITIES) {
+                None => lengths()?,
+                density => SizeAttributes { density, ..plain(masses, Meaning::Mass) },
+            };
+            Some(SizeAttributes { if_masses_differ: Some(masses), ..sizes })
         };
         match self {
             Self::Usual => radius().or_else(spacing).or_else(masses),
@@ -258,19 +274,26 @@ impl SizeAttributes {
             }
             Meaning::Radius | Meaning::Diameter | Meaning::Volume => None,
         };
-        Ok(Self { size, density, meaning })
+        Ok(Self { size, density, meaning, if_masses_differ: None })
     }
 
-    /// Whether masses differ as those of several resolutions do.
-    pub fn masses_differ(&self, particles: &dyn Particles) -> bool {
-        let masses = Self { density: None, meaning: Meaning::Diameter, ..*self };
+    /// Whether the attributes are sizes. If they require masses that differ, the masses must differ
+    /// as much as the masses of several resolutions do.
+    pub fn are_sizes(&self, particles: &dyn Particles) -> bool {
+        let Some(size) = self.if_masses_differ else { return true };
+        let masses = Self { size, density: None, meaning: Meaning::Diameter, ..*self };
         let range = SizeCounts::of(particles, &masses).range(STRAY_MASSES);
         range.is_some_and(|(least, most)| most >= OTHER_MASS * least)
     }
 
+    /// Whether the attribute holds smoothing lengths, which programs define in different ways.
+    pub fn are_smoothing_lengths(&self) -> bool {
+        self.if_masses_differ.is_some() && self.meaning != Meaning::Mass
+    }
+
     /// The indices of the attributes.
     pub fn numbers(&self) -> impl Iterator<Item = usize> {
-        [Some(self.size), self.density].into_iter().flatten()
+        [Some(self.size), self.density, self.if_masses_differ].into_iter().flatten()
     }
 
     /// The unscaled sizes of a range of particles, NaN for invalid ones.
@@ -363,6 +386,36 @@ impl Sizes {
         })
     }
 
+    /// Measures the density again if it could not be measured in cells for these sizes, because
+    /// the sizes are wrong. `spacing` is the largest spacing of the particles, by their neighbours.
+    pub fn scale_by_spacing(
+        &mut self,
+        particles: &dyn Particles,
+        columns: &SizeAttributes,
+        spacing: f64,
+    ) {
+        for cell in [CELL, CELL / 2.0] {
+            if self.density.is_none() {
+                self.scale_by_density(particles, columns, cell * spacing);
+            }
+        }
+    }
+
+    /// Measures the density deep in the fluid in cells of `edge`. If it is not plausible, scales
+    /// the sizes so that it becomes 1.
+    fn scale_by_density(&mut self, particles: &dyn Particles, columns: &SizeAttributes, edge: f64) {
+        self.density = filling(particles, columns, self, edge);
+        let [least, most] = FLUID;
+        let Some(density) = self.density.filter(|density| !(least..most).contains(density)) else {
+            return;
+        };
+        let scale = cube_root(1.0 / density);
+        for size in [&mut self.finest, &mut self.coarsest, &mut self.usual, &mut self.scale] {
+            *size *= scale;
+        }
+        self.density = Some(1.0);
+    }
+
     /// Measures the sizes of particles.
     ///
     /// # Errors
@@ -393,19 +446,7 @@ impl Sizes {
             invalid: census.invalid,
             larger,
         };
-        let edge = CELL * quantile;
-        if let Some(density) = filling(particles, columns, &sizes, edge) {
-            let [least, most] = FLUID;
-            if (least..most).contains(&density) {
-                sizes.density = Some(density);
-            } else {
-                let scale = cube_root(1.0 / density);
-                for size in [&mut sizes.finest, &mut sizes.coarsest, &mut sizes.usual] {
-                    *size *= scale;
-                }
-                (sizes.scale, sizes.density) = (scale, Some(1.0));
-            }
-        }
+        sizes.scale_by_density(particles, columns, CELL * quantile);
         Ok(FoundSizes::Several(sizes))
     }
 }
@@ -417,8 +458,8 @@ struct SizeCounts {
     invalid: u64,
 }
 
-/// Number of low bits of an f64 that do not affect its step: all bits after the exponent and three
-/// bits of the mantissa.
+/// Number of low bits of an f64 that do not affect its step: the mantissa without its three highest
+/// bits.
 const STEP_BITS: u32 = 49;
 
 impl SizeCounts {
@@ -511,14 +552,17 @@ fn filling(
                 continue;
             }
             let size = size / edge;
-            *cells.entry(cell.map(|x| x as i64)).or_default() +=
-                (size * size * size * STEPS).round() as u64;
+            let volume = cells.entry(cell.map(|x| x as i64)).or_default();
+            *volume = volume.saturating_add((size * size * size * STEPS).round() as u64);
         }
         cells
     };
     let chunks = sizes.finite_chunks(particles, columns);
     let cells = chunks.map(of_chunk).reduce(HashMap::new, |mut all, other| {
-        other.into_iter().for_each(|(cell, volume)| *all.entry(cell).or_default() += volume);
+        for (cell, volume) in other {
+            let sum = all.entry(cell).or_default();
+            *sum = sum.saturating_add(volume);
+        }
         all
     });
     let is_inside = |cell: &[i64; 3]| {
@@ -556,6 +600,11 @@ mod tests {
         assert_eq!(usual(&["Density", "Masses", "spacing"]), Some(2));
         assert_eq!(usual(&["Density", "Masses"]), Some(1));
         assert_eq!(usual(&["rho", "Masses"]), None);
+        assert_eq!(usual(&["Masses", "SmoothingLengths", "Densities"]), Some(0));
+        assert_eq!(usual(&["SmoothingLengths"]), None);
+        let initial = infos(&["Masses", "SmoothingLengths"]);
+        let lengths = SizeChoice::Usual.columns(&initial).unwrap().unwrap();
+        assert_eq!((lengths.size, lengths.if_masses_differ), (1, Some(0)));
         let one = SizeChoice::OneFor("method");
         assert_eq!(one.columns(&infos(&["Density", "Masses", "spacing"])).unwrap(), None);
         assert!(one.columns(&infos(&["radius"])).unwrap().is_some());
@@ -604,6 +653,23 @@ mod tests {
             assert!((sizes.finest - 1.0).abs() < 1e-6, "{times}: {sizes:?}");
             assert!((sizes.coarsest - 2.0).abs() < 1e-6, "{times}: {sizes:?}");
             assert!((sizes.density.unwrap() - 1.0).abs() < 1e-6, "{times}: {sizes:?}");
+        }
+    }
+
+    #[test]
+    fn smoothing_lengths_are_sizes_where_masses_differ_but_not_densities_alone() {
+        let (positions, radii) = two();
+        let lengths: Vec<f32> = radii.iter().map(|radius| 2.0 * 2.3 * radius).collect();
+        let masses: Vec<f32> = radii.iter().map(|radius| radius.powi(3)).collect();
+        let equal = vec![1.0; masses.len()];
+        for (masses, differ) in [(masses, true), (equal, false)] {
+            let cloud =
+                Cloud::new(&positions).with("Masses", &masses).with("SmoothingLength", &lengths);
+            let columns = SizeChoice::Usual.columns(cloud.attributes()).unwrap().unwrap();
+            assert_eq!(columns.are_sizes(&cloud), differ);
+            let mut sizes = several(&cloud, &columns);
+            sizes.scale_by_spacing(&cloud, &columns, 2.0);
+            assert!((sizes.finest - 1.0).abs() < 0.05, "{sizes:?}");
         }
     }
 

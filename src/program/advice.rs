@@ -1,5 +1,5 @@
-//! Adds advice to errors and warnings: it names the options that help. The library describes the
-//! problem, but does not know the options of the program.
+//! Adds advice to errors and warnings: the options that help. The library describes the problem,
+//! but does not know the options of the program.
 
 use bytesize::ByteSize;
 use meniscus::error::{
@@ -182,6 +182,9 @@ pub fn spacing_message(warning: &SpacingWarning) -> String {
         SpacingWarning::MoreSizes { .. } => {
             format!("{warning}; convert frames of several sizes apart from the others")
         }
+        SpacingWarning::SizesContradicted { .. } => format!(
+            "{warning}; choose another attribute by --size, or use --size none and --spacing"
+        ),
         SpacingWarning::Sizes { .. } => {
             format!("{warning}; use --size none to treat all particles as one size")
         }
@@ -348,6 +351,12 @@ mod tests {
             Warning::Spacing(SpacingWarning::Random { used: 0.05 }),
             Warning::Spacing(SpacingWarning::SinglePrecision { step: 0.03, spacing: 0.05 }),
             Warning::Spacing(SpacingWarning::TwoResolutions { spacings: [0.05, 0.1], used: 0.05 }),
+            Warning::Spacing(SpacingWarning::SizesContradicted {
+                attribute: "h".into(),
+                sizes: [0.1, 0.4],
+                found: 0.05,
+                spray: false,
+            }),
             Warning::Crowded { times: 8.5, spacing: 0.1 },
             Warning::OnCorners { mean: 0.02, origin: [0.5; 3] },
             Warning::Lost { lost: 12, of: 1000, smoothed: true },

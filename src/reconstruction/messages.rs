@@ -1,6 +1,7 @@
 //! A list of every error and warning with example values, in `tests/messages.txt`.
 //!
-//! A change of a message shows in that file. Set `MENISCUS_UPDATE=1` to write it.
+//! If a message differs from its line in that file, the test fails. Set `MENISCUS_UPDATE=1` to
+//! rewrite the file.
 
 use std::fmt::{Display, Write as _};
 use std::io;
@@ -272,7 +273,7 @@ fn files() -> String {
         Joined("sim/f_{}_{piece}.npy".into()),
         Range { first: 5, last: 3 },
         Step,
-        Names("f_1_2.csv: the numbers in this name could be one decimal number or two integers".into()),
+        Names("f_1_2.csv: the digits in this name could be one decimal number (1_2 as 1.2) or two integers".into()),
         Several { from: "sim".into(), families: families(), why: WhyOne::Request },
         Several { from: "sim".into(), families: families(), why: WhyOne::Pattern },
         Several { from: "sim".into(), families: families(), why: WhyOne::Names },
@@ -423,6 +424,13 @@ fn warnings(all: &mut String) {
         Thin { used: 0.05, counted: None, nearest: 0.04 },
         Random { used: 0.05 },
         MoreSizes { attribute: "pscale".into(), sizes: [0.05, 0.2], used: 0.1 },
+        SizesContradicted {
+            attribute: "h".into(),
+            sizes: [0.1, 0.4],
+            found: 0.05,
+            spray: false,
+        },
+        SizesContradicted { attribute: "h".into(), sizes: [0.1, 0.4], found: 2.0, spray: true },
         Mixed(Mixture {
             attribute: "Type".into(),
             boundary: (Value::Number(1.0), 500),

@@ -22,7 +22,8 @@ use crate::settings::Settings;
 #[derive(Debug)]
 pub(crate) struct TemporaryOutput {
     unfinished: UnfinishedOutput,
-    /// Dropped after the file, because the file may be inside these folders.
+    /// Folders that were created for the output. They are dropped after the temporary file, which
+    /// may be inside them.
     _folders: MadeFolders,
 }
 
@@ -48,7 +49,8 @@ pub struct PackedOutput {
 pub struct PackReport {
     /// The file's size.
     pub bytes: u64,
-    /// The number of cells that are not 0.
+    /// The number of full cells. Cells that are full only because of particles in other bins do not
+    /// count.
     pub cells: u64,
     /// The number of stored bricks.
     pub bricks: u64,
@@ -58,7 +60,7 @@ pub struct PackReport {
     pub timings: Timings,
 }
 
-/// Rejects a file that is both an input and an output, or two outputs.
+/// Returns an error if two paths name the same file, such as an input and an output.
 pub(crate) fn refuse_same_file(path: &Path, other: &Path) -> Result<(), Error> {
     if is_same_file(path, other) {
         Err(Error::SameFile { path: path.to_owned(), other: other.to_owned() })
@@ -67,7 +69,8 @@ pub(crate) fn refuse_same_file(path: &Path, other: &Path) -> Result<(), Error> {
     }
 }
 
-/// The width of coordinates in a file: f64 if f32 would move vertices too far.
+/// The width of coordinates in a file: f64 if f32 would move vertices too far and the format stores
+/// f64.
 pub(crate) fn coordinate_width(
     precision: SinglePrecision,
     format: MeshFormat,
@@ -81,8 +84,8 @@ pub(crate) fn coordinate_width(
         SinglePrecision::TooCoarse => Ok(CoordinateWidth::F32),
         SinglePrecision::Exceeded => {
             let what = format!(
-                "{format} stores coordinates as f32, and some of these are out of its \
-                               range; use .ply"
+                "{format} stores coordinates as f32, but some coordinates of this mesh exceed the \
+                 range of f32; use .ply"
             );
             Err(WriteError::new(path, WriteFault::Unsupported(what)))
         }

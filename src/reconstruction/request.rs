@@ -19,7 +19,7 @@ use crate::grid::{CELL_LIMIT, Domain, DomainError, Grid, Periodic, Walls};
 use crate::io::UpAxis;
 use crate::io::scene::{spacing_beside, tank_beside};
 use crate::particles::mixture::mixture;
-use crate::particles::sizes::{FoundSizes, Meaning, SizeAttributes, SizeChoice, SizeFault, Sizes};
+use crate::particles::sizes::{FoundSizes, SizeAttributes, SizeChoice, SizeFault, Sizes};
 use crate::particles::{Bounds, Particles, bounds};
 use crate::settings::Setting;
 
@@ -35,7 +35,8 @@ pub struct SamplingRequest {
     pub method: Method,
     /// Treatment of particles that are not finite or too far away.
     pub invalid: InvalidParticles,
-    /// A corner of the grid's cells; `None` lets the grid move to fit a lattice.
+    /// The grid's origin, which is a corner of cells; with `None`, the grid can move to fit a
+    /// lattice.
     pub origin: Option<DVec3>,
     /// The lowest and highest corner of a tank; particles outside are not counted. Open sides are
     /// at -inf and inf.
@@ -44,8 +45,8 @@ pub struct SamplingRequest {
     pub search: WallSearch,
     /// The axis that points up, if known: 0, 1 or 2.
     pub up: Option<usize>,
-    /// The faces of a periodic box along each axis, `None` for open axes, and the surface for which
-    /// the images beyond the faces must suffice.
+    /// The faces of a periodic box along each axis, `None` for open axes; and the parameters of the
+    /// surface, which determine how far beyond the faces there are images.
     pub periodic: Option<([Option<[f64; 2]>; 3], Surfacing)>,
     /// The spacing of the particles, if the caller knows it.
     pub spacing: Option<f64>,
@@ -93,19 +94,19 @@ pub struct ChosenSampling {
     pub cells: Cells,
     /// Whether the grid was moved to fit a lattice.
     pub moved: bool,
-    /// The count of the particles, if it was done at the same time.
+    /// The particles counted by bin, if they were counted in the same reading.
     pub plan: Option<BinPlan>,
 }
 
 impl ChosenSampling {
-    /// Name of the stage to which the time belongs.
+    /// Name of the stage under which the time of this choice is reported.
     pub fn stage(&self) -> &'static str {
         if self.plan.is_some() { "count" } else { "spacing" }
     }
 }
 
-/// Maximum number of particles for finding walls that were not requested, because this needs
-/// another reading.
+/// If there are more particles than this, walls are found only on request, because finding them
+/// needs another reading.
 const MOST_HINTED: usize = 1 << 24;
 
 /// A callback that receives the positions of all particles, in pieces and in any order.
@@ -114,6 +115,23 @@ type LookAtAll<'a> = &'a (dyn Fn(&[[f64; 3]]) + Sync);
 /// The spacing for which `cell_size` is the usual cell size.
 fn usual_spacing(cell_size: f64) -> f64 {
     2.0 * cell_size
+}
+
+/// Corrects sizes that the density of the fluid did not confirm, if the neighbours of particles
+/// contradict them. Returns a warning if they cannot be corrected.
+fn corrected_by_neighbours(
+    particles: &dyn Particles,
+    columns: &SizeAttributes,
+    sizes: &mut Sizes,
+) -> Option<SpacingWarning> {
+    if sizes.density.is_some() {
+        return None;
+    }
+    let evidence = evidence(particles)?;
+    let warning = SpacingWarning::of_unmeasured_sizes(sizes, &evidence)?;
+    let spacings = evidence.estimate().ok()?.extremes();
+    sizes.scale_by_spacing(particles, columns, spacings[1]);
+    sizes.density.is_none().then_some(warning)
 }
 
 /// Returns an error if reading the particles was cancelled.
@@ -192,8 +210,8 @@ impl SamplingRequest {
         (self.in_walls(Some(&holding)), past)
     }
 
-    /// The ends of a frame's particles, whose bounds may be known; `None` if the spacing is
-    /// unknown.
+    /// Measures where a frame's particles end. `known` is their bounding box, if it is known.
+    /// Returns `None` if the spacing is unknown.
     fn ends(
         &self,
         particles: &dyn Particles,
@@ -235,9 +253,9 @@ impl SamplingRequest {
         of_caller.or(from.spacing.map(|spacing| (spacing, SpacingSource::File))).or_else(scene)
     }
 
-    /// Chooses the cells for particles. The spacing is unknown only if the cell size does not
-    /// depend on it and no kernel method is used: then the filters are as wide as for particles one
-    /// cell apart.
+    /// Chooses the cells for particles. If the cell size is given as a length, the spacing may stay
+    /// unknown, except for kernel methods. The filters are then as wide as for particles one cell
+    /// apart.
     pub fn cells(&self, particles: &dyn Particles, from: SpacingHints<'_>) -> Result<Cells, Error> {
         let read = |_, look: LookAtAll<'_>| {
             for_each_chunk(particles, look);
@@ -246,8 +264,8 @@ impl SamplingRequest {
         Ok(self.cells_while(particles, from, read)?.0)
     }
 
-    /// Chooses the cells for particles like [`cells_by`](Self::cells_by), with a warning if a
-    /// boundary is among the particles.
+    /// Chooses the cells for particles from their sizes, or else like [`cells_by`](Self::cells_by).
+    /// Also warns if a boundary is among the particles, and finds walls if this is requested.
     fn cells_while<T>(
         &self,
         particles: &dyn Particles,
@@ -270,7 +288,7 @@ impl SamplingRequest {
             known = all.into_inner().ok().filter(|bounds| bounds.finite > 0);
             Some(done)
         };
-        let sizes = self.sizes(particles)?;
+        let (sizes, wrong) = self.sizes(particles)?.unzip();
         let invalid = sizes.as_ref().and_then(SpacingWarning::of_sizes);
         let (mut cells, done) = match sizes {
             Some(FoundSizes::Several(sizes)) => (self.cells_for_sizes(particles, sizes)?, None),
@@ -278,7 +296,7 @@ impl SamplingRequest {
                 self.cells_by(particles, from, read_with_bounds)?
             }
         };
-        cells.warnings.extend(invalid);
+        cells.warnings.extend(wrong.flatten().into_iter().chain(invalid));
         go_on(particles)?;
         if !cells.warnings.iter().any(|warning| matches!(warning, SpacingWarning::Mixed(_))) {
             cells.warnings.extend(mixture(particles).map(SpacingWarning::Mixed));
@@ -301,40 +319,42 @@ impl SamplingRequest {
     }
 
     /// The number of times that particles are usually read to choose cells and count particles:
-    /// once for the spacing, once for the count, and once for walls. Up to [`ALL`] particles are
-    /// read twice for walls.
+    /// once for the spacing, once for the count, and once for walls. If there are at most [`ALL`]
+    /// particles, walls need two readings.
     pub fn readings(&self, particles: usize) -> usize {
         let for_walls = if particles > ALL { 1 } else { 2 };
         if self.seeks_walls(particles) { 2 + for_walls } else { 2 }
     }
 
-    /// The sizes of the particles, if an attribute holds them.
-    fn sizes(&self, particles: &dyn Particles) -> Result<Option<FoundSizes>, Error> {
+    /// The sizes of the particles, if an attribute holds them, and a warning if they look wrong.
+    fn sizes(
+        &self,
+        particles: &dyn Particles,
+    ) -> Result<Option<(FoundSizes, Option<SpacingWarning>)>, Error> {
         let is_usual = matches!(self.size, SizeChoice::Usual | SizeChoice::OneFor(_));
+        let columns = self.size.columns(particles.attributes())?;
         // Unless the user asks for them, similar masses mean one size: densities differ in any gas.
-        let are_sizes = |columns: &SizeAttributes| {
-            !is_usual || columns.meaning != Meaning::Mass || columns.masses_differ(particles)
+        let Some(columns) = columns.filter(|columns| columns.are_sizes(particles)) else {
+            return Ok(None);
         };
-        let found = self.size.columns(particles.attributes()).and_then(|columns| {
-            let columns = columns.filter(are_sizes);
-            columns.map(|columns| Sizes::found(particles, &columns)).transpose()
-        });
-        match (found, &self.size) {
+        let mut found = match Sizes::found(particles, &columns) {
             // The user did not ask for this attribute.
-            (Err(SizeFault::NoSize { .. }), _) if is_usual => Ok(None),
-            (
-                Ok(Some(FoundSizes::Several(Sizes { attribute, .. }))),
-                SizeChoice::OneFor(needs_one),
-            ) => {
-                let with = Conflict::SeveralSizes { attribute };
-                Err(SettingConflict { setting: Setting::named(needs_one), with }.into())
-            }
-            (found, _) => Ok(found?),
+            Err(SizeFault::NoSize { .. }) if is_usual => return Ok(None),
+            found => found?,
+        };
+        let FoundSizes::Several(sizes) = &mut found else { return Ok(Some((found, None))) };
+        if let SizeChoice::OneFor(needs_one) = self.size {
+            let with = Conflict::SeveralSizes { attribute: sizes.attribute.clone() };
+            return Err(SettingConflict { setting: Setting::named(needs_one), with }.into());
         }
+        let warning = corrected_by_neighbours(particles, &columns, sizes);
+        // Smoothing lengths are only proportional to the sizes.
+        let is_sure = !is_usual || !columns.are_smoothing_lengths() || sizes.density.is_some();
+        Ok(is_sure.then_some((found, warning)))
     }
 
-    /// The warning about the sizes of particles in a frame whose spacing and sizes come from other
-    /// particles.
+    /// The warning about the sizes of particles in a frame whose spacing and sizes come from
+    /// another frame.
     ///
     /// # Errors
     /// [`Error::Sizes`] if the frame has no such attribute.
@@ -347,7 +367,8 @@ impl SamplingRequest {
             let columns = sizes.columns(particles.attributes())?;
             return Ok(SpacingWarning::of_strays(sizes, sizes.strays(particles, &columns)));
         }
-        Ok(match (self.sizes(particles)?, spacing) {
+        let found = self.sizes(particles)?.map(|(found, _)| found);
+        Ok(match (found, spacing) {
             (Some(FoundSizes::Several(found)), Some(used)) => Some(SpacingWarning::MoreSizes {
                 attribute: found.attribute,
                 sizes: [found.finest, found.coarsest],
@@ -365,10 +386,10 @@ impl SamplingRequest {
         Ok(Cells { sizes: Some(sizes), ..cells })
     }
 
-    /// Chooses the cells for particles, and uses the caller's `read` if a separate reading of all
-    /// particles would take long. `read` gets the cell size, as far as it is known, and a function
-    /// to which it passes the positions of all particles. It returns `None` on failure. The last
-    /// value that `read` returned is returned with the cells.
+    /// Chooses the cells for particles. If there are more than [`ALL`] particles, it reads them
+    /// through the caller's `read`, which can do other work in the same reading. `read` gets the
+    /// expected cell size, and a function to which it must pass the positions of all particles; it
+    /// returns `None` on failure. The last value of `read` is returned with the cells.
     fn cells_by<T>(
         &self,
         particles: &dyn Particles,
@@ -444,8 +465,8 @@ impl SamplingRequest {
         Ok((self.cells_by_evidence(particles, from, evidence)?, done))
     }
 
-    /// The cells for particles with a known spacing: their size, their origin if it must be far
-    /// from 0, and the slab.
+    /// The cells for particles with a known spacing: the size of the cells, the origin if it must
+    /// be far from 0, and the slab.
     fn cells_of(
         &self,
         spacing: f64,
@@ -583,7 +604,7 @@ impl SamplingRequest {
         Ok(cells)
     }
 
-    /// Chooses how to sample particles. Their attributes with the numbers in `carried` go to the
+    /// Chooses how to sample particles. The attributes with the indices in `carried` go to the
     /// vertices.
     pub fn sampling(
         &self,
@@ -658,8 +679,9 @@ impl SamplingRequest {
     /// The sampling on a known grid, for the spacing and the sizes of the particles.
     ///
     /// # Errors
-    /// [`Error::Domain`] and [`Error::Periodic`]; [`Error::Frame`] for cells that are too fine to
-    /// compute the reach of a periodic box's images.
+    /// [`Error::Domain`] and [`Error::Periodic`] if the walls or the periodic box are invalid on
+    /// this grid; [`Error::Frame`] for cells that are too fine to compute how far images in a
+    /// periodic box must reach.
     pub fn sampling_on(
         &self,
         grid: Grid,

@@ -103,6 +103,19 @@ pub enum SpacingWarning {
         /// The largest size that is used.
         coarsest: f64,
     },
+    /// All sizes are larger, or all are smaller, than the distances between particles, and the
+    /// fluid is too shallow to correct the sizes.
+    SizesContradicted {
+        /// The attribute.
+        attribute: String,
+        /// The smallest and the largest size.
+        sizes: [f64; 2],
+        /// The estimated spacing of the particles, in their finest region if the sizes are too
+        /// large, and otherwise in their coarsest region.
+        found: f64,
+        /// Whether the particles may be spray, whose particles are farther apart than their sizes.
+        spray: bool,
+    },
     /// The particles of this frame have several sizes, but the calibration frame has only one size.
     MoreSizes {
         /// The attribute.
@@ -129,16 +142,17 @@ pub enum SpacingMistake {
     Radius,
     /// Twice the spacing was given: a support radius, or a spacing that was mistaken for a radius.
     Double,
-    /// The length is in another unit, which is this multiple of the positions' unit.
+    /// The spacing is in another unit. The unit of the positions is this many times as large: 1000
+    /// if the spacing is in mm and the positions are in m.
     Unit(f64),
 }
 
 /// Minimum ratio of a given to the true spacing without a warning.
 const TOO_SMALL: f64 = 0.78;
-/// Maximum ratio of a given to the true spacing without a warning. With ratios from [`TOO_SMALL`]
-/// to this one, the surface is good, and the estimate may be wrong by as much.
+/// Maximum ratio of a given to the true spacing without a warning. From [`TOO_SMALL`] to this
+/// ratio, the surface is good, and the error of the estimate may explain the difference.
 const TOO_LARGE: f64 = 1.36;
-/// Additional factor for an uncertain estimate.
+/// If the estimate is uncertain, both limits are wider by this factor.
 const UNSURE: f64 = 1.1;
 /// Minimum number of coordinate steps in a spacing; with fewer, neighbours are misplaced.
 const STEPS: f64 = 4.0;
@@ -157,8 +171,8 @@ impl SpacingMistake {
     }
 }
 
-/// Whether the neighbours of particles contradict a given spacing, so that all evidence should be
-/// gathered.
+/// Whether the neighbours of particles do not confirm a given spacing, so that all evidence should
+/// be gathered.
 pub(super) fn is_suspicious(neighbours: &Neighbours, given: f64) -> bool {
     let measured =
         neighbours.measured().map(|(measured, _)| measured).or_else(|| neighbours.suggested());
@@ -166,8 +180,8 @@ pub(super) fn is_suspicious(neighbours: &Neighbours, given: f64) -> bool {
 }
 
 impl SpacingWarning {
-    /// The warnings about a known spacing for other particles, which are read up to three times if
-    /// there are any warnings.
+    /// The warnings about a spacing that is known from another frame. If the neighbours of
+    /// `particles` do not confirm it, the particles are usually read three times.
     pub(crate) fn of_known(
         given: f64,
         source: &SpacingSource,
@@ -181,8 +195,8 @@ impl SpacingWarning {
         evidence.map_or(Vec::new(), |all| Self::of_given(given, source, &look.neighbours, &all))
     }
 
-    /// The warnings about a given spacing, from the neighbours at its scale and the evidence from
-    /// all particles.
+    /// The warnings about a given spacing, from the neighbours at the scale of this spacing and
+    /// from the evidence of all particles.
     pub(super) fn of_given(
         given: f64,
         source: &SpacingSource,
@@ -233,7 +247,7 @@ impl SpacingWarning {
         }
     }
 
-    /// The warning about sizes, if some are invalid.
+    /// The warning about sizes, if some are invalid or too large.
     pub(super) fn of_sizes(sizes: &FoundSizes) -> Option<Self> {
         match sizes {
             FoundSizes::Several(sizes) => {
@@ -243,6 +257,25 @@ impl SpacingWarning {
             &FoundSizes::One { ref attribute, size, invalid } => {
                 Self::replaced(attribute, [size; 2], StraySizes { invalid, larger: 0 })
             }
+        }
+    }
+
+    /// The warning about sizes that the density could not confirm, if the neighbours of particles
+    /// contradict them.
+    pub(super) fn of_unmeasured_sizes(sizes: &Sizes, evidence: &Evidence) -> Option<Self> {
+        let [least, most] = evidence.estimate().ok()?.extremes();
+        let contradicted = |found: f64, spray: bool| Self::SizesContradicted {
+            attribute: sizes.attribute.clone(),
+            sizes: [sizes.finest, sizes.coarsest],
+            found,
+            spray,
+        };
+        if sizes.finest > TOO_LARGE * UNSURE * least {
+            Some(contradicted(least, false))
+        } else if sizes.coarsest < TOO_SMALL / UNSURE * most {
+            Some(contradicted(most, evidence.neighbours.may_be_spray()))
+        } else {
+            None
         }
     }
 
@@ -316,19 +349,12 @@ impl fmt::Display for SpacingWarning {
                     Some(SpacingMistake::Double) => {
                         write!(f, "; {given} may be their support radius, or twice the spacing")?;
                     }
-                    Some(SpacingMistake::Unit(factor)) if *factor < 1.0 => {
-                        write!(
-                            f,
-                            "; the spacing may be in a unit {} times larger than the unit of the \
-                             positions",
-                            1.0 / factor
-                        )?;
-                    }
                     Some(SpacingMistake::Unit(factor)) => {
+                        let times = factor.max(1.0 / factor);
                         write!(
                             f,
-                            "; the spacing may be in a unit {factor} times smaller than the unit \
-                             of the positions"
+                            "; {given} may be in another unit than the positions, which differs \
+                             by a factor of {times}"
                         )?;
                     }
                     None => {}
@@ -366,8 +392,8 @@ impl fmt::Display for SpacingWarning {
             }
             Self::Random { used } => write!(
                 f,
-                "the particles are at random positions, as in spray, so their mean distance of {} \
-                 is used as the spacing; the true spacing may be smaller",
+                "the particles are at random positions, as in spray, so the spacing {} comes from \
+                 their density alone; the true spacing may be smaller",
                 about(*used)
             ),
             Self::Sizes { attribute, invalid, usual, larger, coarsest } => {
@@ -378,7 +404,8 @@ impl fmt::Display for SpacingWarning {
                     };
                     write!(
                         f,
-                        "{invalid} {have} no positive, finite {attribute}, and {get} the size {}",
+                        "{invalid} {have} no positive, finite {attribute}, and {get} the size \
+                         (spacing) {}",
                         about(*usual)
                     )?;
                 }
@@ -394,6 +421,21 @@ impl fmt::Display for SpacingWarning {
                          size",
                         coarsest = about(*coarsest)
                     )?;
+                }
+                Ok(())
+            }
+            Self::SizesContradicted { attribute, sizes: [least, most], found, spray } => {
+                let how = if found < least { "large" } else { "small" };
+                write!(
+                    f,
+                    "the sizes from {} to {} (attribute {attribute}) look too {how}: the particles \
+                     are about {} apart",
+                    about(*least),
+                    about(*most),
+                    about(*found)
+                )?;
+                if *spray {
+                    write!(f, "; this can be right for spray")?;
                 }
                 Ok(())
             }

@@ -31,7 +31,7 @@ pub enum Warning {
     Spacing(SpacingWarning),
     /// Particles are much denser than the spacing allows.
     Crowded {
-        /// Lower bound of the ratio of densities.
+        /// Lower bound of the ratio of the particles' density to the density for the spacing.
         times: f64,
         /// The spacing.
         spacing: f64,
@@ -81,11 +81,11 @@ pub enum Warning {
     },
     /// The surface encloses much less than the particles' volume.
     Shortfall {
-        /// The ratio of volumes.
+        /// The ratio of the two volumes, with the number of particles and the spacing.
         shortfall: Shortfall,
         /// Whether the indicator is cloud.
         clouds: bool,
-        /// The calibration frame, if it is a different frame.
+        /// The number of the calibration frame, if it is not this frame.
         calibration_frame: Option<i64>,
     },
     /// Vertices become equal in a format that has no indices.
@@ -108,7 +108,7 @@ pub enum Warning {
     NotStored {
         /// The attribute.
         attribute: String,
-        /// Numbers per vertex.
+        /// Number of components per vertex.
         components: usize,
         /// The format.
         format: MeshFormat,
@@ -118,7 +118,7 @@ pub enum Warning {
         /// The format.
         format: MeshFormat,
     },
-    /// A solid's triangles face inwards, and are taken to face outwards.
+    /// A solid's triangles face inwards; meniscus treats them as facing outwards.
     InvertedSolid(PathBuf),
     /// A solid is thinner than a cell, and may have holes.
     ThinSolid {
@@ -139,7 +139,7 @@ pub enum Warning {
         why: EmptyReason,
         /// Whether the indicator is cloud.
         clouds: bool,
-        /// The calibration frame, if it is a different frame.
+        /// The number of the calibration frame, if it is not this frame.
         calibration_frame: Option<i64>,
     },
 }
@@ -202,8 +202,8 @@ impl fmt::Display for Warning {
                 let them = if *without == 1 { "it" } else { "them" };
                 write!(
                     f,
-                    "{attribute} is not finite in 32 bits for {without} of {of} particles; \
-                     vertices near {them} take the values of other particles"
+                    "{attribute} is NaN, infinite or too large for a 32-bit float in {without} of \
+                     {of} particles; vertices near {them} take the values of other particles"
                 )
             }
             Self::DeviceFallback(what) => f.write_str(what),
@@ -215,8 +215,8 @@ impl fmt::Display for Warning {
             ),
             Self::Bubbles { iso, lowest } => write!(
                 f,
-                "isovalue {} is above the field's lowest interior value, {}: the fluid can \
-                 contain bubbles",
+                "isovalue {} is too high: inside the fluid, the field is as low as {}, so the mesh \
+                 can contain false bubbles",
                 significant(*iso, 4),
                 significant(*lowest, 4)
             ),
@@ -319,8 +319,11 @@ pub(crate) fn with_spacing_warnings(
     mut warnings: Vec<Warning>,
 ) -> Vec<Warning> {
     let spacing_warnings = cells.map_or(&[][..], |cells| &cells.warnings);
-    if spacing_warnings.iter().any(|warning| matches!(warning, SpacingWarning::Contradicted { .. }))
-    {
+    let contradicts = |warning: &SpacingWarning| {
+        use SpacingWarning::{Contradicted, SizesContradicted};
+        matches!(warning, Contradicted { .. } | SizesContradicted { .. })
+    };
+    if spacing_warnings.iter().any(contradicts) {
         warnings.retain(|warning| !matches!(warning, Warning::Crowded { .. }));
     }
     let spacing_warnings = spacing_warnings.iter().cloned().map(Warning::Spacing);

@@ -17,7 +17,7 @@ use super::pattern::{FrameCandidate, NumberKind, PIECE, Pattern, skeleton};
 /// has the same pieces. Decimals are times if they continue from one integer to the next.
 ///
 /// # Errors
-/// [`SimulationError::Names`] if several numbers could be the frame.
+/// [`SimulationError::Names`] if several numbers could be the frame's.
 pub(super) fn infer(files: &[FrameCandidate]) -> Result<Vec<Pattern>, SimulationError> {
     let numbered = files.iter().filter(|file| !file.runs.is_empty());
     let mut found: BTreeMap<[String; 2], Pattern> = BTreeMap::new();
@@ -80,8 +80,8 @@ fn with_signs(kinds: &mut BTreeMap<String, Vec<FrameCandidate>>) {
 
 /// The pattern of files whose names differ in one decimal, if the decimal must be a time. It must
 /// be a time if it has an exponent, or if it follows a separator and all decimals begin with `0.`,
-/// or if the decimals continue from one integer to the next, in steps less than 1.5 times as long
-/// as the longest step between two integers.
+/// or if the decimals continue from one integer to the next: every step across an integer is less
+/// than 1.5 times as long as the longest step that does not cross one.
 fn times(files: &[&FrameCandidate]) -> Option<Pattern> {
     let first = files[0];
     let numbers: Vec<Vec<Range<usize>>> = files.iter().map(|file| file.decimals()).collect();
@@ -171,8 +171,8 @@ fn frame_number(files: &[&FrameCandidate]) -> Result<FrameNumber, SimulationErro
     let choices = choices.join(" or ");
     Err(SimulationError::Names(match decimal {
         Some(_) => format!(
-            "{}: the numbers in this name could be one decimal number or two integers; use the input \
-             pattern {choices}, where {{time}} is a decimal number",
+            "{}: the digits in this name could be one decimal number (1_2 as 1.2) or two integers; \
+             use the input pattern {choices}, where {{time}} is a decimal number",
             first.path.display()
         ),
         None => format!(
@@ -183,7 +183,7 @@ fn frame_number(files: &[&FrameCandidate]) -> Result<FrameNumber, SimulationErro
     }))
 }
 
-/// Words before the number of a process, whose file is a piece of each frame.
+/// Words before the number of a process. Each process writes one piece of each frame.
 const PROCESSES: [&str; 6] = ["rank", "proc", "procs", "process", "processor", "processors"];
 /// Words directly before the number of a frame.
 const FRAMES: [&str; 7] = ["t", "f", "fr", "frame", "step", "time", "it"];
@@ -192,11 +192,11 @@ const MAY_BE_PIECES: [&str; 5] = ["p", "part", "piece", "block", "domain"];
 
 /// Whether files are pieces of frames.
 enum PiecesGuess {
-    /// Pieces of frames in this pattern.
+    /// The files are pieces of frames with this pattern.
     In(Pattern),
-    /// Pieces or frames.
+    /// The files can be pieces or frames.
     Unclear,
-    /// No sign of pieces.
+    /// The names give no sign of pieces.
     Unlikely,
 }
 
@@ -210,8 +210,8 @@ fn is_padded(digits: &str) -> bool {
 /// than frames.
 ///
 /// # Errors
-/// [`SimulationError::Names`] if the files of processes differ between frames, or have no other
-/// number.
+/// [`SimulationError::Names`] if a frame lacks the piece of a process, or if the number of the
+/// process is the only number in the names.
 fn pieces(files: &[&FrameCandidate], varying: &[usize]) -> Result<PiecesGuess, SimulationError> {
     let first = files[0];
     let is_called = |run: usize, words: &[&str]| {

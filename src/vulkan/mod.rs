@@ -67,7 +67,7 @@ pub enum VulkanError {
         known: String,
     },
     /// A device without a required feature.
-    #[error("{device} cannot be used: {lacks}")]
+    #[error("device \"{device}\" cannot be used: {lacks}")]
     Unsuitable {
         /// The name of the device.
         device: String,

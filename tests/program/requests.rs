@@ -247,7 +247,7 @@ fn inputs_are_not_overwritten_through_links_or_other_paths() {
     ] {
         refused(folder.path(), &all(&["--stats", stats]), stats);
     }
-    // The same must hold for a single frame.
+    // Inputs must not be overwritten by the conversion of a single frame either.
     let one = [
         "reconstruct",
         "f_2.xyz",
@@ -404,14 +404,16 @@ fn attribute_values_beyond_f32_are_reported() {
     let count = particles.len();
     let notes = run(folder.path(), &one, 0);
     assert!(
-        notes.contains(&format!("heat is not finite in 32 bits for {count} of {count} particles")),
+        notes.contains(&format!(
+            "heat is NaN, infinite or too large for a 32-bit float in {count} of {count} particles"
+        )),
         "{notes}"
     );
     let all = [&["reconstruct", "f_{}.csv", "-o", "m_{}.ply"], &heat[..]].concat();
     let notes = run(folder.path(), &all, 0);
     assert!(
         notes.contains(&format!(
-            "f_2.csv: heat is not finite in 32 bits for 1 of {count} particles"
+            "f_2.csv: heat is NaN, infinite or too large for a 32-bit float in 1 of {count} particles"
         )),
         "{notes}"
     );
@@ -419,11 +421,9 @@ fn attribute_values_beyond_f32_are_reported() {
     assert!(mesh.attributes[0].values.iter().all(|value| (value - 7.0).abs() < 1e-4));
     // The message must be the same with so little memory that particles are spilled.
     let spilled = [&all[..], &["--overwrite", "--memory", "16MiB", "--threads", "1"]].concat();
-    assert!(
-        run(folder.path(), &spilled, 0).contains(&format!(
-            "f_2.csv: heat is not finite in 32 bits for 1 of {count} particles"
-        ))
-    );
+    assert!(run(folder.path(), &spilled, 0).contains(&format!(
+        "f_2.csv: heat is NaN, infinite or too large for a 32-bit float in 1 of {count} particles"
+    )));
 }
 
 #[test]

@@ -170,7 +170,7 @@ fn merged_parts_report_the_warnings_of_a_single_run() {
     let single = run(folder, &[&["mist.csv", "-o", "one.ply"], &options[..]].concat(), 0);
     for word in [
         "missing from the surface",
-        "heat is not finite in 32 bits",
+        "heat is NaN, infinite or too large for a 32-bit float",
         "looks too large",
         "not finite",
     ] {
@@ -247,7 +247,7 @@ fn settings_and_inputs_changed_since_the_plan_are_refused_by_name() {
     assert!(run(folder, &with(&["--plan", "--normals"]), 2).contains("--resume or --overwrite"));
     assert_eq!(fs::read(&plan).unwrap(), kept);
     run(folder, &with(&["--plan", "--resume", "--normals"]), 0);
-    assert!(run(folder, &with(&["--merge", "--normals"]), 3).contains("belongs to another plan"));
+    assert!(run(folder, &with(&["--merge", "--normals"]), 3).contains("with a different plan"));
     run(folder, &with(&["--plan", "--overwrite"]), 0);
     assert_eq!(fs::read(&plan).unwrap(), kept, "the same plan has the same bytes");
 
@@ -265,7 +265,7 @@ fn settings_and_inputs_changed_since_the_plan_are_refused_by_name() {
     }
     assert_eq!(fs::read(&plan).unwrap(), kept);
     run(folder, &of_twin(&["--plan", "--resume"]), 0);
-    assert!(run(folder, &of_twin(&["--merge"]), 3).contains("belongs to another plan"));
+    assert!(run(folder, &of_twin(&["--merge"]), 3).contains("with a different plan"));
     run(folder, &with(&["--plan", "--overwrite"]), 0);
 
     run(folder, &with(&["--merge"]), 0);
@@ -326,7 +326,7 @@ fn merging_refuses_missing_damaged_and_foreign_parts() {
     fs::write(&part, [&whole[..], b"x"].concat()).unwrap();
     refused("damaged");
     fs::copy(parts.join("part_0"), &part).unwrap();
-    refused("belongs to another plan");
+    refused("with a different plan");
     fs::write(&part, &whole).unwrap();
     run(folder, &merge, 0);
 
@@ -506,7 +506,8 @@ fn needed(normals: Normals) -> CellBox {
 
 #[test]
 fn the_halo_of_the_cloud_recipe_is_exactly_the_reach_of_a_particle() {
-    // In calm water, the widest Gaussian has the longest reach; elsewhere, the inside test has.
+    // In calm water, the widest Gaussian has the longest reach; elsewhere, the inside test has the
+    // longest reach.
     for (spacing, smooth) in [(1.0, 3.0), (2.0, 3.0), (2.0, 1.6), (4.0, 1.6)] {
         let sampling =
             Sampling { method: IndicatorKind::Cloud.into(), spacing: Some(spacing), ..sampling() };

@@ -233,6 +233,48 @@ fn scaled_radii_are_corrected_by_the_density_of_the_fluid() {
 }
 
 #[test]
+fn smoothing_lengths_of_files_without_densities_are_scaled_to_sizes() {
+    let water = Sized::pools(&[1.0, 2.0]);
+    let masses: Vec<f32> = water.sizes.iter().map(|size| size.powi(3)).collect();
+    for times in [1.2348, 2.4] {
+        let lengths: Vec<f32> = water.sizes.iter().map(|size| times * size).collect();
+        let cloud =
+            Cloud::new(&water.positions).with("Masses", &masses).with("SmoothingLengths", &lengths);
+        let surface = request().run(&cloud).unwrap();
+        let (spacing, source) = surface.report().cells.as_ref().unwrap().spacing.clone().unwrap();
+        assert!((spacing - 1.0).abs() < 0.03, "{times}: {spacing}");
+        assert_eq!(source, SpacingSource::Sizes("SmoothingLengths".into()));
+        let volume = measure(&surface.to_mesh().unwrap()).volume.unwrap();
+        assert!((volume / water.volume() - 1.0).abs() < 0.04, "{times}: {volume}");
+    }
+}
+
+#[test]
+fn wrong_sizes_in_shallow_water_are_contradicted_by_the_neighbours() {
+    for (times, depth, is_wrong) in
+        [(1.0, 1.0, false), (1.0, 4.0, false), (3.0, 1.0, true), (3.0, 4.0, true), (0.2, 1.0, true)]
+    {
+        let mut random = Random::new(5);
+        let fine = Sized::default().with([[0.0; 3], [40.0, depth, 40.0]], 1.0, &mut random);
+        let coarse = [[40.0, 0.0, 0.0], [80.0, depth.max(2.0), 40.0]];
+        let water = fine.with(coarse, 2.0, &mut random);
+        let radii: Vec<f32> = water.sizes.iter().map(|size| times * size / 2.0).collect();
+        let cloud = Cloud::new(&water.positions).with("radius", &radii);
+        let surface = request().run(&cloud).unwrap();
+        let warnings = &surface.report().cells.as_ref().unwrap().warnings;
+        let contradicted = warnings.iter().find_map(|warning| match warning {
+            SpacingWarning::SizesContradicted { sizes, found, .. } => Some((sizes[0], found)),
+            _ => None,
+        });
+        assert_eq!(contradicted.is_some(), is_wrong, "{times}, {depth}: {warnings:?}");
+        if let Some((finest, found)) = contradicted {
+            assert!((finest / f64::from(times) - 1.0).abs() < 1e-6, "{finest}");
+            assert!((0.8..2.5).contains(found), "{found}");
+        }
+    }
+}
+
+#[test]
 fn masses_that_differ_give_sizes_but_equal_masses_do_not() {
     let water = Sized::pools(&[1.0, 2.0]);
     let densities: Vec<f32> =
@@ -492,7 +534,7 @@ fn walls_are_found_with_the_spacing_of_the_particles_at_them() {
         let cloud = Cloud::new(&water.positions).with("radius", &radii);
         let surface = request().find_domain().run(&cloud).unwrap();
         let [lo, hi] = surface.report().facts.domain.expect("walls are found").walls();
-        // Pools are a whole number of the larger size wide.
+        // The width of each pool is rounded to a multiple of the size of its particles.
         let [first, last] = sizes;
         let larger = first.max(last);
         let wide = [first, last].map(|size| (WIDTH / size).round() * size);
@@ -519,7 +561,7 @@ fn sized_particles_in_parts_give_the_mesh_of_a_single_run() {
     let [one, other] = balls.map(|centre| moved(&sphere(8.0, 3), centre));
     std::fs::write(&ball, text_of_obj(&union(&one, &other))).unwrap();
     let (in_box, faces) = pools_in_a_box();
-    // Long enough for parts that do not need all of it.
+    // Make the water so long that some parts do not need all of it.
     let mut random = Random::new(17);
     let long = [[64.0, 0.0, 0.0], [384.0, 32.0, 16.0]];
     let two = Sized::default().with([[0.0; 3], [64.0, 32.0, 16.0]], 1.0, &mut random);
@@ -578,7 +620,7 @@ fn lake(ratio: f64, random: &mut Random) -> Sized {
 fn cells_follow_the_sizes_and_meet_without_gaps() {
     for (ratio, cell) in [(2.0, 0.5), (4.0, 0.667), (2.9, 0.4)] {
         let water = lake(ratio, &mut Random::new(21));
-        // Walls anywhere in their cells.
+        // These walls are not on cell faces.
         let walls = [[-0.37, -0.21, 0.13], [75.3 * ratio, f64::INFINITY, f64::INFINITY]];
         for request in [request(), request().domain(walls[0], walls[1])] {
             let mesh = water.mesh(&request.clone().cell(cell).normals(true));
@@ -588,7 +630,7 @@ fn cells_follow_the_sizes_and_meet_without_gaps() {
             // The finest cells would need more than this number of triangles for two sides.
             let finest = 4.0 * (75.0 * ratio / cell).powi(2);
             assert!((mesh.triangles.len() as f64) < 0.6 * finest, "{}", mesh.triangles.len());
-            // Normals point out of the triangles, at seams as elsewhere.
+            // Normals must point to the outer side of the triangles, also at seams.
             let normals = mesh.normals.as_ref().unwrap();
             let mut against = 0;
             for triangle in &mesh.triangles {
@@ -620,8 +662,8 @@ fn cells_of_several_levels_are_independent_of_order_threads_and_memory() {
     assert!(simplified.triangles.len() * 3 < mesh.triangles.len());
     let with_less = with_less.memory(MemoryBudget(48 << 20)).simplify(0.1);
     assert!(turned.mesh(&with_less) == simplified);
-    // Also where the surface lies at the border of the cubes that are simplified in turn, with no
-    // surface in the cube below.
+    // Simplified surfaces must also be closed if the surface lies at the border of chunks, with no
+    // surface in the chunks below.
     let mut random = Random::new(23);
     let deep = Sized::default().with([[0.0, 0.0, -71.0], [128.0, 128.0, 33.0]], 2.0, &mut random);
     let deep = deep.with([[10.0, 12.0, 33.0], [26.0, 30.0, 37.0]], 1.0, &mut random);

@@ -14,12 +14,12 @@ const PLACES: u64 = 8;
 /// Edge of a synthetic fluid, in spacings or in cells, whichever is longer.
 const EDGE: f64 = 16.0;
 
-/// Maximum number of a synthetic fluid's particles along the edge of a cell. A cell with so many
-/// particles is not affected by disorder.
+/// A synthetic fluid has at most this many particles along the edge of a cell. With this number of
+/// particles, disorder does not affect a cell.
 const LONGEST: f64 = 24.0;
 
-/// Cells per spacing at which no cell holds two particles. In finer cells the density decreases
-/// with the cell's volume.
+/// Maximum number of cells per spacing in a synthetic fluid. At this number no cell holds two
+/// particles, so in finer cells the mean of theta is proportional to the cell's volume.
 const FINEST: f64 = 64.0;
 
 /// The maximum distance of a particle from its lattice position along each axis, in spacings.
@@ -34,8 +34,8 @@ const TELLING: u64 = 1000;
 const MOST: f64 = 4.0;
 
 /// The mean DIF of a fluid whose particles are `spacing` cells apart, on a disordered lattice.
-/// Smoothing does not change a mean. The result is in samples, of which 65535 means 1. For the
-/// counting indicator, it also depends on the frame's disorder, which is estimated from `dif`.
+/// Smoothing does not change this mean. The result is a sample: 65535 means 1. For the counting
+/// indicator, the result also depends on the frame's disorder, which is estimated from `dif`.
 pub fn expected(indicator: Indicator, spacing: f64, dif: Option<&DifField>) -> f64 {
     match indicator {
         Indicator::Counting(mean) => {
@@ -107,7 +107,7 @@ impl FluidSums {
         fluid
     }
 
-    /// mu0.
+    /// mu0, the mean number of particles in a full cell.
     fn mean_count(&self) -> f64 {
         self.particles / self.full_cells
     }
@@ -157,7 +157,8 @@ mod tests {
                 let ratio = share(indicator, spacing) / (each * a_cell);
                 assert!((ratio - 1.0).abs() < within, "{indicator:?} at {spacing}: {ratio}");
             };
-            // As many particles as mu0, and a centroid anywhere in the cell.
+            // theta of a cell with one particle: 1 / mu0 for counting, and the mean over all
+            // positions in the cell for symmetry.
             near(Indicator::Counting(mean), 0.8, 0.02);
             near(Indicator::Symmetry, 0.4454, 0.05);
         }

@@ -30,7 +30,7 @@ use crate::system::control::{Control, Stage};
 /// The fraction of [`Stage::Meshing`] that a calibration takes.
 pub const CALIBRATING: f64 = 0.1;
 
-/// Measured or given numbers. Frames with the same numbers have comparable surfaces.
+/// A calibration, measured or given. Frames with the same calibration have comparable surfaces.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Calibration {
     /// The calibration of an indicator of the paper.
@@ -79,7 +79,7 @@ impl Calibration {
 pub struct MeasuredCalibration {
     /// The calibration, including given numbers.
     pub calibration: Calibration,
-    /// The field's interior; it is measured even if the isovalue is given.
+    /// The plateau of the field; it is measured even if the isovalue is given.
     pub plateau: Plateau,
     /// The distance by which one step of the field moves a flat surface, in cells.
     pub step_cells: f64,

@@ -30,8 +30,8 @@ use super::interior::{BlurredSamples, Interior};
 /// curve.
 const SAMPLED_BLOCKS: usize = 64;
 
-/// The minimum interior volume in the middles of the blocks, in cubed spacings. If it is less,
-/// whole blocks are examined.
+/// The minimum interior volume in the middles of the blocks, in cubed spacings. With less, whole
+/// blocks are examined.
 const ENOUGH: f64 = (1 << 16) as f64 * 8.0 / 27.0;
 
 /// The minimum interior volume of a frame, in cubed spacings. With less, one clump of particles

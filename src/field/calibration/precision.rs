@@ -1,7 +1,7 @@
 //! The precision with which a 16-bit field locates its surface.
 //!
-//! One step of a distance is 1 / 8192 of a spacing, in cells of any size. For the paper's
-//! indicators:
+//! For clouds, the field is a distance, whose step is 1 / 8192 of a spacing for cells of any size.
+//! For the paper's indicators, the step depends on the cells:
 //!
 //! With cells of h spacings, a cell of deep fluid holds h^3 particles, and the plateau P is smaller
 //! than the value of a full cell in the same proportion. The field at a flat surface is P Phi(x /
@@ -45,9 +45,9 @@ pub const ON_CORNERS: f64 = 0.2;
 pub enum TooFine {
     /// The field's steps are too large.
     #[error(
-        "the cell size {} is too small: rounding to 16 bits moves the surface by up to \
-         {step_cells:.3} cells, more than the limit of {COARSEST_STEP} cells, because deep in the \
-         fluid the field is only {plateau:.1} of 65535; {remedy}",
+        "the cell size {} is too small: deep in the fluid, the 16-bit field reaches only \
+         {plateau:.1} (of 65535), so rounding could move the surface by {step_cells:.3} cells \
+         (limit {COARSEST_STEP}); {remedy}",
         shown(*cell_size)
     )]
     Steps {
@@ -88,10 +88,10 @@ pub enum TooFine {
 /// A way to get a finer field.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Remedy {
-    /// Cells of this edge.
+    /// Use cells with this edge.
     Cells(f64),
-    /// A grid with this origin, on which particles do not lie on the corners of cells, where the
-    /// symmetry indicator is almost 0.
+    /// Move the grid's origin to this position, so that particles do not lie on the corners of
+    /// cells, where the symmetry indicator is almost 0.
     Origin([f64; 3]),
 }
 
@@ -114,8 +114,9 @@ fn step_cells(plateau: f64, width: f64) -> f64 {
     width / (DENSITY * plateau)
 }
 
-/// Checks the cell size against a known spacing before there is a DIF. The Gaussian may depend on
-/// the cell size. [`calibrate`](super::calibrate) makes the checks that need mu0.
+/// Checks the cell size against a known spacing before there is a DIF. `sigma` gives the standard
+/// deviation of the Gaussian for a cell size. [`calibrate`](super::calibrate) makes the checks that
+/// need mu0.
 pub fn check_cell_size_for(
     kind: IndicatorKind,
     mean: Option<MeanCount>,
@@ -125,8 +126,8 @@ pub fn check_cell_size_for(
 ) -> Result<(), TooFine> {
     let by = match kind {
         IndicatorKind::Cloud => return check_finest(Some(spacing / cell_size), cell_size),
-        // With fewer particles in a full cell, each particle contributes more. A full cell has at
-        // least one.
+        // If mu0 is not known, assumes 1, the least that a frame can have: each particle then
+        // contributes most.
         IndicatorKind::Counting => Indicator::Counting(
             mean.unwrap_or_else(|| MeanCount::new(1.0).expect("a number within the bounds")),
         ),
@@ -215,7 +216,8 @@ fn fitting(from: f64, step_cells: impl Fn(f64) -> f64) -> f64 {
     roundly_above(above)
 }
 
-/// The length rounded up to three digits.
+/// Increases a length by 1 % and rounds it to three digits; the result is never less than the
+/// length.
 fn roundly_above(length: f64) -> f64 {
     format!("{:.2e}", 1.01 * length).parse().expect("a number")
 }

@@ -39,7 +39,8 @@ const FEWEST_SAMPLED: usize = 1 << 12;
 /// The maximum number of particles that are all searched if a small sample does not confirm the
 /// count.
 const MOST_SEARCHED: usize = 1 << 15;
-/// The minimum share of the particles in interior cells for the count of a sample.
+/// The minimum share of the particles that must be in interior cells for the count of a sample to
+/// be used.
 const ENOUGH_SHARE: f64 = 1.0 / 16.0;
 /// The minimum number of distinct positions for an estimate.
 const FEWEST: usize = 8;
@@ -91,6 +92,14 @@ pub struct SpacingEstimate {
     pub two: Option<[f64; 2]>,
     /// Whether the fluid is too thin or too ragged for a reliable estimate.
     pub thin: bool,
+}
+
+impl SpacingEstimate {
+    /// The smallest and the largest spacing of the particles.
+    pub fn extremes(&self) -> [f64; 2] {
+        let [one, other] = self.two.unwrap_or([self.spacing; 2]);
+        [one.min(other), one.max(other)]
+    }
 }
 
 /// A reason why the spacing cannot be estimated.
@@ -430,7 +439,8 @@ impl Evidence {
         }
         let estimate = self.estimated().ok_or(NoEstimate::TooFew)?;
         match self.place.step {
-            // Different positions on a grid of such steps are at least one step apart.
+            // Different positions are at least one step apart, so the true spacing may be less than
+            // an estimate of about a step.
             Some(step) if step > 0.7 * estimate.spacing => {
                 Err(NoEstimate::SinglePrecision { step })
             }
