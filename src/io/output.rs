@@ -153,9 +153,10 @@ impl MeshFormat {
         self != Self::Stl
     }
 
-    /// Pairs of an attribute's name and its different name in the file, for names that the format
-    /// cannot store or already uses. General conventions, such as the capitals of .glb, do not
-    /// count.
+    /// For each attribute that the file stores under a different name, the attribute's name and the
+    /// name in the file. A name changes if the format cannot store it or already uses it.
+    /// Conventions do not count, such as the capitals of .glb, or Houdini's names for velocity and
+    /// colour.
     #[must_use]
     pub fn renamed(self, attributes: &[AttributeInfo], has_normals: bool) -> Vec<[String; 2]> {
         let names = match self {
@@ -170,7 +171,10 @@ impl MeshFormat {
             Self::Vdb { .. } => vdb::attribute_names(attributes),
             Self::Obj | Self::Stl | Self::Usdc(_) | Self::Glb(_) => return Vec::new(),
         };
-        let both = attributes.iter().zip(names).filter(|(info, name)| info.name != *name);
+        let is_usual =
+            |name: &str| matches!(self, Self::Vdb { .. }) && vdb::HOUDINI_NAMES.contains(&name);
+        let both = attributes.iter().zip(names);
+        let both = both.filter(|(info, name)| info.name != *name && !is_usual(name));
         both.map(|(info, name)| [info.name.clone(), name]).collect()
     }
 
@@ -182,7 +186,7 @@ impl MeshFormat {
         attributes.iter().filter(is_left_out).cloned().collect()
     }
 
-    /// How many times the writer reads the vertices or the triangles of a mesh.
+    /// Number of passes that the writer makes over the vertices or over the triangles of a mesh.
     pub(crate) fn readings(self, mesh: &dyn MeshSource) -> usize {
         let arrays = 1 + usize::from(mesh.has_normals()) + mesh.attributes().len();
         match self {
@@ -206,9 +210,10 @@ impl MeshFormat {
         !matches!(self, Self::Stl | Self::Usdc(_) | Self::Abc(_))
     }
 
-    /// Whether the writer keeps much of a mesh in memory: the positions of all vertices (24 bytes
-    /// each), all data to compress, or a level set with the mesh. An uncompressed .glb needs 4
-    /// bytes per vertex. The other formats need a few pieces per thread.
+    /// Whether the writer keeps much of a mesh in memory. A .stl needs the positions of all
+    /// vertices (24 bytes each), a compressed .glb all data to compress, and a .vdb a level set and
+    /// the mesh. An uncompressed .glb needs 4 bytes per vertex. The other formats need a few pieces
+    /// per thread.
     #[must_use]
     pub fn holds_whole_mesh(self) -> bool {
         let compressed =
@@ -229,14 +234,16 @@ impl MeshFormat {
             // Indices are u32.
             Self::Ply => [U32 + 1, u64::MAX],
             Self::Obj => [u64::MAX; 2],
-            // Each triangle takes four numbers, and the total of these numbers is an i32.
+            // Each triangle takes four numbers, and the file stores the count of these numbers as
+            // an i32.
             Self::Vtk => [I32, I32 / 4],
             // The offset after the last triangle, three times the number of triangles, is an i64.
             Self::Vtp | Self::Pvtp | Self::VtkHdf | Self::BgeoSc => [I64, I64 / 3],
             Self::Stl => [u64::MAX, U32],
             Self::Vdb { .. } => [U32, U32 - 1],
             Self::Usdc(_) => [I32, u64::MAX / 3],
-            // Sizes in bytes have 63 bits, and a triangle takes 16 bytes.
+            // Sizes in bytes have 63 bits. A triangle takes 16 bytes, so triangles take at most
+            // half of the greatest size.
             Self::Abc(_) => [I32, I64 / 32],
             // A file has at most 4 GiB. Positions take 12 bytes per vertex, and indices 12 bytes
             // per triangle.
@@ -252,8 +259,8 @@ impl MeshFormat {
     /// Checks that the format can store these numbers of vertices and triangles.
     ///
     /// # Errors
-    /// [`io::ErrorKind::InvalidInput`] if it cannot. The message has the limit and the formats that
-    /// can.
+    /// [`io::ErrorKind::InvalidInput`] if the format cannot store them. The message has the limit,
+    /// and the formats that can store them.
     pub fn check_counts(self, vertices: u64, triangles: u64) -> io::Result<()> {
         if self.can_number(vertices, triangles) {
             return Ok(());
@@ -332,7 +339,8 @@ impl MeshFormat {
 /// without a further extension such as `.gz`.
 ///
 /// # Errors
-/// The errors of [`MeshFormat::read`] and of the system, and [`ReadFault::UnknownExtension`].
+/// The errors of [`MeshFormat::read`], [`ReadFault::Io`] if the file cannot be opened or read, and
+/// [`ReadFault::UnknownExtension`].
 pub fn read_mesh(path: &Path) -> Result<Mesh, ReadError> {
     let unknown = || ReadError::new(path, ReadFault::UnknownExtension { known: MeshFormat::KNOWN });
     let name = path.file_name().unwrap_or_default().to_string_lossy();
@@ -408,8 +416,8 @@ pub struct MeshOutput {
 }
 
 impl MeshOutput {
-    /// Checks, before the mesh is computed, that a mesh can be written to `path`, whose extension
-    /// selects the format. Pipes and devices need no extension. Their format is .ply.
+    /// Checks, before the mesh is computed, that a mesh can be written to `path`. The extension
+    /// selects the format. Pipes and devices need no extension. Without one, their format is .ply.
     ///
     /// # Errors
     /// [`WriteFault::UnknownExtension`], and the errors of [`WholeFile::prepare`].

@@ -10,7 +10,7 @@ use meniscus::files::{GridInfo, Info, VolumeInfo, info};
 use meniscus::internals::io::output::MeshFormat;
 use meniscus::internals::io::vdb::read_grids;
 use meniscus::internals::io::{CoordinateWidth, ReadFault};
-use meniscus::internals::particles::AttributeKind;
+use meniscus::internals::particles::{AttributeInfo, AttributeKind};
 use meniscus::internals::surface::mesh::source::{Lattice, MeshSource, Outline, Vertices};
 use meniscus::internals::surface::mesh::{Mesh, VertexAttribute};
 use meniscus::{MemoryBudget, Reconstruction, Volume};
@@ -53,8 +53,9 @@ struct Node {
 #[derive(Clone, Copy)]
 struct Values {
     components: usize,
-    /// Size of a number in bytes; `whole` says whether it is an integer.
+    /// Size of a number in bytes.
     bytes: usize,
+    /// Whether numbers are integers.
     whole: bool,
     half: bool,
     zip: bool,
@@ -604,6 +605,20 @@ fn a_volume_in_memory_has_the_bricks_and_distances_of_a_file() {
             assert!(error < 2e-3, "{corner:?}, {i}: {distance}, not {}", value[0]);
         }
     }
+}
+
+#[test]
+fn only_unusual_names_of_grids_are_reported() {
+    let infos = [("velocity", 3), ("color", 3), ("surface", 1), ("heat", 1)];
+    let infos = infos.map(|(name, components)| match name {
+        "color" => AttributeInfo { kind: AttributeKind::Colour, ..AttributeInfo::new(name, 3) },
+        _ => AttributeInfo::new(name, components),
+    });
+    let [[from, to]] = &MeshFormat::Vdb { zip: false }.renamed(&infos, false)[..] else {
+        panic!("one attribute is renamed");
+    };
+    assert_eq!(from, "surface");
+    assert_ne!(to, "surface");
 }
 
 #[test]

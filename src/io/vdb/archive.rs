@@ -13,8 +13,9 @@ pub const VERSION: u32 = 224;
 /// A version of the OpenVDB library that writes this version of the format.
 const LIBRARY: [u32; 2] = [10, 0];
 
-/// Flags of a grid's compression: zlib, and only active values.
+/// Flag of a grid's compression: zlib compresses the values.
 const ZIP: u32 = 1;
+/// Flag of a grid's compression: only the values of active voxels are stored.
 const ACTIVE_VALUES: u32 = 2;
 
 /// The data of a grid without its tree.
@@ -34,7 +35,7 @@ pub struct GridHead {
 pub fn header(id: [u32; 4], grids: usize) -> Vec<u8> {
     let mut out = MAGIC.to_le_bytes().to_vec();
     out.extend([VERSION, LIBRARY[0], LIBRARY[1]].map(u32::to_le_bytes).as_flattened());
-    // This file has offsets of its grids.
+    // This byte says that the file has an offset for each grid.
     out.push(1);
     let [a, b, c, d] = id;
     let id = format!(

@@ -41,6 +41,8 @@ use values::{Kind, put_sides, put_zipped, sides_bytes};
 
 /// The name of the grid with the distances.
 const SURFACE: &str = "surface";
+/// The names that Houdini expects for the velocity and the first colour.
+pub const HOUDINI_NAMES: [&str; 2] = ["v", "Cd"];
 /// Edge lengths of voxels for which distances are stored in half precision.
 const HALF_SIZES: Range<f64> = 1e-4..1e4;
 /// Greatest components of velocities for which half precision is used.
@@ -77,7 +79,7 @@ struct StoredBlock {
 struct StoredLeaf {
     tree: TreeLeaf,
     block: u32,
-    /// The index of its first active voxel among the active voxels of the block.
+    /// The index of the leaf's first active voxel among the active voxels of the block.
     first: u32,
 }
 
@@ -225,7 +227,7 @@ impl AttributeValues {
     }
 
     /// Appends the value at a point of the surface. It is interpolated between the corners of the
-    /// triangle. Integers are those of the nearest corner.
+    /// triangle. An integer is not interpolated, but taken from the nearest corner.
     fn put(&self, out: &mut Vec<u8>, grid: &AttributeGrid, kind: Kind, point: NearestPoint) {
         let NearestPoint { corners, shares } = point;
         let (first, stride) = (self.components.start, self.components.len());
@@ -321,7 +323,12 @@ fn id(blocks: &[StoredBlock], leaves: &[StoredLeaf], voxels: u64) -> [u32; 4] {
 pub fn attribute_names(infos: &[AttributeInfo]) -> Vec<String> {
     let colour = colour_attribute(infos);
     let known = |(index, info): (usize, &AttributeInfo)| {
-        if info.is_velocity() { Some("v") } else { (colour == Some(index)).then_some("Cd") }
+        let [velocity, first_colour] = HOUDINI_NAMES;
+        if info.is_velocity() {
+            Some(velocity)
+        } else {
+            (colour == Some(index)).then_some(first_colour)
+        }
     };
     let known: Vec<_> = infos.iter().enumerate().map(known).collect();
     let taken: Vec<_> = known.iter().copied().flatten().chain([SURFACE]).collect();

@@ -1,8 +1,8 @@
-//! The tree of a grid: a root with nodes of 32^3 nodes of 16^3 leaves of 8^3 voxels.
+//! The tree of a grid. A node below the root has up to 32^3 children, each child has up to 16^3
+//! leaves, and a leaf has 8^3 voxels.
 //!
-//! Where a node has no child, a tile says whether its voxels are inside or outside. The surface
-//! never runs between a tile and its neighbour, so that a tile is on the same side as its
-//! neighbour.
+//! Where a node has no child, a tile says whether the voxels in its place are inside or outside.
+//! The surface never runs between a tile and its neighbour, so both are on the same side.
 
 use glam::IVec3;
 use rayon::prelude::*;

@@ -19,8 +19,8 @@ pub const HALF: &str = "_HalfFloat";
 /// The type of a grid's values.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
-    /// Signed distances. Only this kind has an inactive value inside that differs from the
-    /// background.
+    /// Signed distances. In this kind, inactive voxels inside the surface have the negated
+    /// background value. In other kinds, all inactive voxels have the background value.
     Distance {
         half: bool,
     },
@@ -72,7 +72,7 @@ impl Kind {
         }
     }
 
-    /// Appends a number. `number` contains an integer as its 32 bits.
+    /// Appends a number. For the integer kinds, the bits of `number` are those of a 32-bit integer.
     pub fn put(self, out: &mut Vec<u8>, number: f32) {
         match self {
             _ if self.is_half() => out.extend(f16::from_f32(number).to_le_bytes()),
@@ -83,7 +83,7 @@ impl Kind {
         }
     }
 
-    /// Appends the empty list of active values of a node without them.
+    /// Appends an empty list of active values, for a node that has none.
     pub fn put_none(self, out: &mut Vec<u8>, zip: bool) {
         if zip && !self.is_half() {
             out.extend(0i64.to_le_bytes());
