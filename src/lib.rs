@@ -151,7 +151,7 @@
 
 #![cfg_attr(docsrs, feature(doc_cfg))]
 
-// The program names the library as any other program does.
+// Lets the modules of the program refer to the library as `meniscus`, as any other program does.
 #[cfg(feature = "cli")]
 extern crate self as meniscus;
 
@@ -241,7 +241,7 @@ pub mod guide {
     pub mod trust {}
 }
 
-/// Meshes in pieces and in memory: checks, measures and comparisons.
+/// Meshes, whole in memory or read piece by piece: checks, measures and comparisons.
 pub mod mesh {
     pub use crate::io::output::read_mesh;
     pub use crate::surface::mesh::check::{CheckReport, Defects, Topology, check};

@@ -25,6 +25,7 @@ use targets::Target;
 
 /// In fast targets, every byte of a seed is damaged if the seed has less than this many bytes.
 const SHORT: usize = 2000;
+/// A target is fast if it has at least this number of runs.
 const QUICK: u32 = 2000;
 
 /// Runs a target with its seeds and with mutations of them. Returns the number of runs and the

@@ -60,7 +60,7 @@ pub trait Stages: Debug + Send + Sync {
         ))
     }
 
-    /// The pages of a range of bins, which `meter` counts.
+    /// The pages of a range of bins. `meter` counts the finished bins.
     ///
     /// # Errors
     /// If particles are in a scratch file that cannot be read, or if `meter` is cancelled.
@@ -73,8 +73,8 @@ pub trait Stages: Debug + Send + Sync {
     ) -> io::Result<Pages>;
 
     /// Passes the surfaces of some regions of blocks to `take`, in order and in batches; a region
-    /// without surface has `None`. Later batches are in progress meanwhile. `meter` counts the
-    /// regions; after a cancel the results are meaningless.
+    /// without surface has `None`. A device computes later batches while `take` runs. `meter`
+    /// counts the regions; after a cancel the results are meaningless.
     fn contour(
         &self,
         surfaces: &Surfaces<'_>,
@@ -132,7 +132,7 @@ impl Surfaces<'_> {
         let walls = self.mesh_walls();
         let within = walls.map(|walls| walls.grown(1, 0));
         let cut = |cells: CellBox| within.map_or(cells, |within| cells.intersection(&within));
-        // Behind a periodic face that cuts the mesh, even fluid next to the face can be deep.
+        // If the mesh ends on periodic faces, it has a surface there even deep in the fluid.
         let faces = walls.filter(|_| self.sampled.facts.periodic.is_some());
         let not_inside = |cells: CellBox| match faces {
             Some(faces) if !faces.covers(&dual_cells(cells)) => cells,

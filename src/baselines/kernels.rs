@@ -48,7 +48,7 @@ pub(super) struct Kernels<S: Scheme> {
     /// The kernels of each bin, in the order of its particles.
     kernels: Lists<S::Kernel>,
     bins: Vec<ReachedCells>,
-    /// The bins whose kernels reach a block or its margin, in order.
+    /// For each block, the bins whose kernels reach the block or its margin, in order.
     by_block: HashMap<IVec3, Vec<u32>>,
 }
 

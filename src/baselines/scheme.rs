@@ -18,7 +18,8 @@ pub struct Spacing(f64);
 pub struct TooManyCells(pub f64);
 
 impl Spacing {
-    /// Kernels that reach more cells would take more memory than a thread has.
+    /// The maximum spacing in cells. Kernels that reach more cells would take more memory than a
+    /// thread has.
     pub const MAX: f64 = 16.0;
 
     /// The reach of an isotropic kernel, in spacings: four times the particles' radius.

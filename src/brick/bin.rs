@@ -3,7 +3,8 @@
 //! Positions are read twice: once to count the particles of each bin, and once to put each
 //! particle, packed into 51 bits, into its bin's slots in memory, or into its run of bins (`runs`).
 //! If memory allows, the first reading keeps the results that the second would recompute. The order
-//! inside a bin is arbitrary; readers of a bin only add integers.
+//! of the particles inside a bin is arbitrary. It does not change sums of integers; for sums of
+//! floating-point numbers, [`Bins::sorted`] gives a fixed order.
 
 use std::convert::Infallible;
 use std::fmt;
@@ -26,8 +27,8 @@ use super::cubes::{BinCode, CUBE, bin_coord};
 use super::place::{BinSieve, CHUNK, Placer};
 use super::slots::{Record, Slots};
 
-/// Maximum number of bins in a range of particles whose places are kept: the free bits of a record
-/// hold the rank of a bin, and the greatest rank means no bin.
+/// If a range of particles touches more bins than this, the places of its particles are not kept.
+/// The free bits of a record hold the rank of a bin; the greatest rank stands for no bin.
 const KEPT_BINS: usize = (1 << FREE_BITS) - 1;
 
 /// The memory limits of counting.
@@ -35,13 +36,14 @@ const KEPT_BINS: usize = (1 << FREE_BITS) - 1;
 pub struct CountingRoom {
     /// Maximum number of bins.
     pub bins: usize,
-    /// Maximum number of particles whose places are kept, with [`Self::PLACE`] bytes each. The
-    /// second reading does not read the positions of these particles again.
+    /// Maximum number of particles in a frame whose places are kept, with [`Self::PLACE`] bytes
+    /// each. A place is the rank of a bin and a packed position. If places are kept, the second
+    /// reading does not read the positions again.
     pub places: usize,
 }
 
-/// Maximum bytes of places that are kept between the two readings. Particles of larger frames
-/// usually touch so many bins that their ranks do not fit into a place.
+/// Maximum bytes of places that are kept between the two readings. Larger frames usually touch more
+/// bins than a place can number.
 const MOST_PLACES: u64 = 64 << 20;
 
 impl CountingRoom {
@@ -59,7 +61,7 @@ impl CountingRoom {
     pub const BINS: Self = Self { bins: usize::MAX, places: 0 };
 }
 
-/// The treatment of particles that are not finite, or beyond the grid.
+/// The treatment of particles that are not finite, or beyond the grid or the periodic box.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum InvalidParticles {
     /// Return an error that names the first invalid particle.
@@ -119,13 +121,14 @@ pub enum BinError {
 /// Numbers of binned and skipped particles.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Census {
-    /// Particles in bins, which contribute to the field.
+    /// Number of particles in bins, which contribute to the field.
     pub binned: usize,
-    /// Particles with a coordinate that is not finite, which are skipped.
+    /// Number of particles that are skipped because a coordinate is not finite.
     pub not_finite: usize,
-    /// Particles beyond the addressable grid, which are skipped.
+    /// Number of particles that are skipped because they are beyond the addressable grid.
     pub too_far: usize,
-    /// Particles outside of the domain's walls or of a periodic box, which are skipped.
+    /// Number of particles that are skipped because they are outside of the domain's walls or of a
+    /// periodic box.
     pub outside: usize,
 }
 
@@ -175,7 +178,8 @@ impl BinPlan {
     /// Counts `particles` by bin, unless they touch too many bins.
     ///
     /// # Errors
-    /// [`BinError`] with the first invalid particle, unless invalid particles are skipped.
+    /// [`BinError::TooManyBins`] if the particles touch more bins than `room` allows. Unless
+    /// invalid particles are skipped, the error of the first invalid particle.
     pub fn count(
         particles: &dyn Particles,
         grid: &Grid,
@@ -200,8 +204,8 @@ impl BinPlan {
         Self::of_placed(particles, placer, invalid, room, visit)
     }
 
-    /// Counts only the particles of the `wanted` bins, and ignores all other particles. An earlier
-    /// call has refused or skipped invalid particles.
+    /// Counts only the particles of the `wanted` bins, and ignores all other particles. Invalid
+    /// particles are skipped here, because an earlier call has checked all particles.
     pub fn count_wanted(
         particles: &dyn Particles,
         grid: &Grid,
@@ -319,7 +323,8 @@ impl BinPlan {
         let components = components(particles, carried);
         let slots = Slots::new(census.binned, &components);
         let (binned, mut next) = (census.binned, first.clone());
-        // For each range and each of its bins: the next free slot, and the end of the slots.
+        // For each range and each of its bins, the next free slot; for a bin without particles, the
+        // end of all slots.
         let cursors: Vec<Vec<usize>> = ranges
             .iter()
             .map(|RangePlan { table, ranks, .. }| {
@@ -371,7 +376,7 @@ impl BinPlan {
                     Ok::<_, Infallible>(())
                 });
             }
-            // A cube that was not found in the first reading has counters, but no slots.
+            // A cube that only the second reading found has counters in the table, but no cursors.
             cursors == ends && table.len() == ends.len()
         });
         if as_counted.reduce(|| true, |one, other| one & other) {

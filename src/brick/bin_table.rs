@@ -13,7 +13,7 @@ use super::cubes::{BinCode, CUBE, CubeCache, bin_of_cube, in_cube};
 use super::place::Address;
 use super::slots::Record;
 
-/// A particle's bin, as its rank in the table of its range, and the particle's record.
+/// The rank of a particle's bin in the table of the particle's range, and the particle's record.
 pub(super) type Placed = (u32, Record);
 
 /// The rank of a particle that is skipped.

@@ -101,7 +101,8 @@ impl Bins {
         }
     }
 
-    /// Bytes that tables need for a bin until the surface is done, however many particles it has.
+    /// Bytes that tables need for each bin until the surface is done, for any number of particles
+    /// in the bin.
     pub const TABLE_BYTES: u64 = 344;
 
     /// For each attribute, the number of particles without a finite value: their value exceeds the
@@ -237,7 +238,8 @@ pub fn unpack(record: u64) -> ([usize; 3], [u32; 3]) {
     )
 }
 
-/// The record of a particle of `bin` on a grid whose cells are 2^`octaves` times as wide.
+/// Converts the `record` of a particle of `bin` to a grid whose cells are 2^`octaves` times as
+/// wide.
 pub fn coarsened(record: u64, bin: IVec3, octaves: u32) -> u64 {
     let (cell, offset) = unpack(record);
     pack(std::array::from_fn(|axis| {

@@ -7,13 +7,13 @@ use crate::grid::CellBox;
 
 use super::samples::SamplePlace;
 
-/// Samples that are processed together: few enough to stay in the first-level cache.
+/// Number of samples that are processed together: few enough to stay in the first-level cache.
 const ROW: usize = 1 << 11;
 
-/// Samples that are tested together.
+/// Number of samples that are tested together.
 const PIECE: usize = 256;
 
-/// The maximum length of a run of several rows.
+/// The maximum length of a run of several rows, in samples.
 const RUN: usize = 1 << 10;
 
 /// Rows of a block: see [`Block::rows`].
@@ -39,9 +39,9 @@ impl<'a, T: Copy + Default> Iterator for BlockRows<'a, T> {
     }
 }
 
-/// Splits the cells of `part` into runs of consecutive samples: rows along x, or several rows where
-/// they are consecutive in blocks of all `boxes` and few. Returns the length of a run and the first
-/// cell of each run.
+/// Splits the cells of `part` into runs of samples that are consecutive in the blocks of all
+/// `boxes`. A run is one row along x, or several rows if these are consecutive in all blocks and
+/// short. Returns the length of a run and the first cell of each run.
 ///
 /// # Panics
 /// If one of the `boxes` does not cover `part`.

@@ -12,7 +12,8 @@ use crate::particles::{AttributeInfo, Particles, RereadError};
 
 use super::bins::AXIS_BITS;
 
-/// Positions per group, a multiple of the lanes of every vector width.
+/// Number of positions that are processed together: a multiple of the number of lanes of every
+/// vector width.
 const LANES: usize = 8;
 
 /// Particles that record a bounding box of each chunk while they are read.
@@ -74,12 +75,13 @@ impl<'a> WithBoxes<'a> {
         Self { particles, grid: *grid, chunks }
     }
 
-    /// For each chunk, a box of bins that contains every particle that was read, is on the grid and
-    /// is within the domain's walls; `None` if no particle is on the grid.
+    /// For each chunk, a box of bins that contains all particles read so far, except those beyond
+    /// the grid or the domain's walls; `None` if no particle read so far is on the grid.
     pub fn boxes(&self, domain: Option<&Domain>) -> Vec<Option<CellBox>> {
         let bins = |chunk: &ChunkExtent| {
             let extent = *chunk.extent.lock().unwrap_or_else(PoisonError::into_inner);
-            // Placing rounds down, and walls clamp; both preserve the order of coordinates.
+            // Rounding to steps and clamping to the walls preserve the order of coordinates, so the
+            // bins of the corners bound the bins of all particles.
             let bin = |corner: DVec3| {
                 let mut steps = self.grid.place(corner.to_array()).ok()?;
                 if let Some([first, last]) = domain.map(Domain::step_range) {
@@ -114,7 +116,7 @@ impl<'a> WithBoxes<'a> {
 
 #[multiversion(targets("x86_64+avx512f", "x86_64+avx2"))]
 fn extent(positions: &[[f64; 3]]) -> [[f64; 3]; 2] {
-    // These comparisons are false for NaN.
+    // These comparisons are false for NaN, so NaN coordinates are ignored.
     let least = |a: f64, b: f64| if b < a { b } else { a };
     let greatest = |a: f64, b: f64| if b > a { b } else { a };
     let (mut lo, mut hi) = ([f64::INFINITY; 3 * LANES], [f64::NEG_INFINITY; 3 * LANES]);
@@ -181,7 +183,8 @@ mod tests {
 
     use super::*;
 
-    /// Multiples of a bin's edge, their neighbours on both sides, and invalid coordinates.
+    /// Positions at multiples of a bin's edge and at the nearest floating-point numbers on both
+    /// sides, and invalid positions.
     fn particles(grid: &Grid) -> Vec<[f64; 3]> {
         let place = |i: usize, axis: usize| {
             let bins = ((i * [7919, 6761, 5879][axis]) % 97) as f64 - 48.0;

@@ -1,6 +1,6 @@
 //! A field in cells twice as wide, made from the finer field bin by bin on demand.
 //!
-//! Along each axis a wide cell takes 1/8, 3/8, 3/8 and 1/8 of the content of the four cells around
+//! Along each axis a wide cell takes 1/4, 3/4, 3/4 and 1/4 of the content of the four cells around
 //! its middle. This preserves the mass, the centroid and, up to a constant, the variance of the
 //! content, wherever it lies. Beyond walls the finer field repeats its edge cells, as for all
 //! filters.
@@ -22,14 +22,14 @@ use super::{Block, BrickSide, DifField, Factor, PageInfo, PageSamples, PageShape
 /// The binary logarithm of the sum of the weights of the cells around the middle of a wide cell.
 const WEIGHT_BITS: u32 = 9;
 /// Bits by which the product of a weighted sum and a [`Factor`] is shifted right. A wide cell holds
-/// the content of 2^3 cells, which saves three bits.
+/// the content of 2^3 cells, so the shift is three bits less than for a mean.
 pub const HALVED_BITS: u32 = WEIGHT_BITS + FACTOR_BITS - 3;
 
 /// The arrangement of pages of cells that were made from cells half as wide.
 pub const HALVED: PageShape = PageShape { side: BrickSide::Sixteen, ghost_layer: 0 };
 
 /// Halves the number of planes along an axis whose planes have `step` sums each. Each plane of `to`
-/// is made from two planes of `run`, and from one more on both sides of these.
+/// is made from two planes of `run`, and from one more plane on each side of these.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
 fn halved_along(to: &mut [u32], run: &[u32], step: usize) {
     if step == 1 {
@@ -175,8 +175,8 @@ impl PageSource for Halving {
 impl DifField {
     /// The field in cells twice as wide. Its samples are the content of a wide cell times `factor`
     /// (at most 1), but at most 65535. If this field is in memory, the pages of the result are also
-    /// in memory; otherwise they are written to a scratch file in a folder. Without a folder, or
-    /// without space in it, pages are remade on demand.
+    /// in memory; otherwise they are written to a scratch file in the folder `scratch`. If there is
+    /// no such folder, or no space in it, pages are remade on demand.
     pub fn halved(
         self: &Arc<Self>,
         walls: Option<CellBox>,
@@ -205,7 +205,8 @@ impl DifField {
         }
         let halving = Halving { fine: Arc::clone(self), walls, factor, bins, kept: None };
         let page = |&bin: &IVec3| PageInfo::from_dense(bin, &halving.dense(bin), HALVED);
-        // A quarter of the finer field's memory, for an eighth of its cells.
+        // The wide field gets a quarter of the finer field's cache. It has about an eighth of the
+        // cells.
         let share = self.cache_bytes().map(|bytes| bytes / 4);
         let most = (halving.bins.len() * HALVED.bin_samples() * size_of::<u16>()) as u64;
         match share.filter(|&share| share < most) {

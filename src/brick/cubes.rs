@@ -5,7 +5,8 @@ use glam::IVec3;
 /// Bits of a bin's coordinate.
 pub const COORD_BITS: u32 = 21;
 
-/// The three coordinates of a bin with [`COORD_BITS`] each: cheaper than its Morton key.
+/// The three coordinates of a bin with [`COORD_BITS`] each. This code is cheaper to compute than a
+/// Morton key.
 pub(super) type BinCode = u64;
 
 /// The coordinates of a bin, in bins.
@@ -18,7 +19,7 @@ pub(super) fn bin_coord(bin: BinCode) -> IVec3 {
 /// The binary logarithm of a cube's edge in bins; the counters of a cube's bins fill a cache line
 /// of the CPU.
 const CUBE_BITS: u32 = 1;
-/// Bins of a cube.
+/// Number of bins in a cube.
 pub(super) const CUBE: usize = 1 << (3 * CUBE_BITS);
 /// The bits of a bin's code that are the same for all bins of a cube.
 const CUBE_MASK: BinCode = {
@@ -49,8 +50,8 @@ pub(super) struct CubeCache<T> {
 }
 
 impl<T: Copy + Default> CubeCache<T> {
-    /// A cache for this many `particles` in any order. Along each axis it has about as many slots
-    /// as a pool of this many particles has cubes.
+    /// A cache for this many `particles` in any order. Along each axis, the number of slots is
+    /// about the number of cubes along the edge of a pool of `particles` particles.
     pub(super) fn of(particles: usize) -> Self {
         let bits = Self::bits(particles);
         Self { bits, cubes: vec![(BinCode::MAX, T::default()); 1 << (3 * bits)] }

@@ -236,8 +236,8 @@ impl DifField {
         self.rank.contains_key(&bin)
     }
 
-    /// theta for each number of particles, with 1 for all larger numbers; `None` if the stored
-    /// samples are the DIF.
+    /// The DIF for each number of particles; the last entry, 1, is for all larger numbers. `None`
+    /// if the stored samples are the DIF.
     pub fn decode_table(&self) -> Option<&[u16]> {
         match &self.stored {
             SampleMeaning::Counts(table) => Some(&table.0),
@@ -245,8 +245,8 @@ impl DifField {
         }
     }
 
-    /// The total volume, in cells, of the boxes around the full cells of all bins that overlap
-    /// `cells`.
+    /// For all bins that overlap `cells`, the total volume of the boxes around each bin's full
+    /// cells, in cells.
     pub fn full_volume(&self, cells: CellBox) -> usize {
         let bins = cells.cubes(BIN).filter_map(|bin| self.rank.get(&bin));
         bins.map(|&rank| self.infos[rank as usize].full.volume()).sum()
@@ -393,7 +393,7 @@ pub trait RemotePages: Send + Sync + Debug {
 
     /// For each page, one bit per brick of 4^3 cells, at the brick's Morton index. The bit is set
     /// if, in every cube that overlaps the brick, the sum of the samples is at least `least`. A
-    /// cube has `width` parts along each axis, a part is two cells wide, and cubes slide by one
+    /// cube has `width` parts along each axis, and a part is two cells wide. A cube begins at each
     /// part.
     fn full_bricks(&self, width: u32, least: u32) -> Option<Vec<u64>>;
 }

@@ -28,8 +28,8 @@ pub struct PageInfo {
 pub type Pages = Vec<(PageInfo, PageSamples)>;
 
 impl PageInfo {
-    /// Describes a bin with `full_count` full cells. For x, y and z, `layers` has a bit for each
-    /// layer of cells across the axis; it is set if the layer has a full cell.
+    /// Describes a bin with `full_count` full cells. `layers` has one number for each axis. Bit i
+    /// is set if layer i across the axis has a full cell.
     pub(super) fn of_layers(
         key: MortonKey,
         bricks: u64,
@@ -196,7 +196,7 @@ fn rows(corner: IVec3, edge: i32) -> impl Iterator<Item = usize> {
     (0..edge).flat_map(move |z| (0..edge).map(move |y| first(y, z)))
 }
 
-/// The full cells of a bin, including contributions between bricks.
+/// The full cells of a bin, including cells that only the ghost layer of another brick fills.
 struct FullCells {
     /// For each row along x, one bit per cell; rows are sorted by z, then y.
     rows: [u16; (BIN * BIN) as usize],

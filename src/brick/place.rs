@@ -1,4 +1,4 @@
-//! The bins of particles and their records, chunk by chunk.
+//! Finds the bin and the record of each particle, chunk by chunk.
 
 use std::ops::Range;
 
@@ -17,7 +17,8 @@ pub(super) const CHUNK: usize = 512;
 /// Number of particles after which the pages of a mapped file are released; a multiple of
 /// [`CHUNK`].
 const RELEASE: usize = CHUNK << 3;
-/// Positions per group, a multiple of the lanes of every vector width.
+/// Number of positions that are processed together: a multiple of the number of lanes of every
+/// vector width.
 const LANES: usize = 8;
 
 /// The bin and the record of a particle.
@@ -28,7 +29,8 @@ pub(super) struct Address {
 }
 
 impl Address {
-    /// No bin. The code of a bin does not use the highest bit.
+    /// The address of a particle without a bin. It differs from the codes of all bins, which do not
+    /// use the highest bit.
     const NOWHERE: Self = Self { bin: BinCode::MAX, record: 0 };
 
     #[inline(always)]
@@ -58,7 +60,7 @@ pub(super) struct BinSieve {
     known: CubeCache<KnownBins>,
 }
 
-/// Two bits for each bin of a cube: whether the answer is known, and whether the bin is wanted.
+/// Two bits for each bin of a cube: whether the bin has been looked up, and whether it is wanted.
 #[derive(Debug, Clone, Copy, Default)]
 struct KnownBins {
     asked: u8,

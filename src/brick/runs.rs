@@ -15,12 +15,13 @@ use super::bins::{FREE_BITS, tuple_bytes};
 use super::place::CHUNK;
 use super::spill::{SpilledBins, in_bin_of_run};
 
-/// Maximum number of bins in a run: the free bits of a spilled particle number its bin in the run.
+/// Maximum number of bins in a run: the free bits of a spilled particle hold the number of its bin
+/// in the run.
 const RUN_BINS: usize = 1 << RUN_BITS;
 const RUN_BITS: u32 = FREE_BITS;
 
-/// Approximate maximum number of runs in a frame. Even twice as many runs leave enough bits for the
-/// number of a bin within its run.
+/// Approximate maximum number of runs in a frame. The number of a run and the number of a bin
+/// within the run share 32 bits; these suffice for twice as many runs.
 const MOST_RUNS: usize = 1 << (u32::BITS - RUN_BITS - 1);
 
 impl BinPlan {
@@ -51,8 +52,8 @@ impl BinPlan {
     }
 
     /// Reads the same `particles` a second time, and writes each to its run, with the attributes
-    /// whose indices are in `carried`. Buffers take `buffer_bytes` in total, and runs
-    /// `memory_bytes`; the rest of the runs goes to a scratch file in `folder`.
+    /// whose indices are in `carried`. Buffers take `buffer_bytes` in total. Runs take up to
+    /// `memory_bytes` of memory; the rest of the runs goes to a scratch file in `folder`.
     ///
     /// # Errors
     /// If the scratch file cannot be created or written. The inner error is

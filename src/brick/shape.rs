@@ -27,13 +27,13 @@ impl BrickSide {
         }
     }
 
-    /// The number of bricks in a bin: the bits of [`PageInfo::bricks`](super::PageInfo::bricks)
-    /// that can be set.
+    /// The number of bricks in a bin. Only this number of bits of
+    /// [`PageInfo::bricks`](super::PageInfo::bricks) can be set.
     pub fn bricks_a_bin(self) -> usize {
         (BIN / self.cells()).pow(3) as usize
     }
 
-    /// Samples of a brick.
+    /// Number of samples in a brick.
     pub fn samples(self) -> usize {
         self.cells().pow(3) as usize
     }
@@ -73,19 +73,19 @@ impl PageShape {
         (1 + 2 * self.ghost_layer as usize).pow(3)
     }
 
-    /// Samples of a brick.
+    /// Number of samples in a brick, including its ghost layer.
     pub fn brick_samples(self) -> usize {
         self.edge().pow(3) as usize
     }
 
-    /// Samples of a whole bin, dense.
+    /// Number of samples in a whole bin if all bricks are stored.
     pub fn bin_samples(self) -> usize {
         self.side.bricks_a_bin() * self.brick_samples()
     }
 
-    /// Terms of the index of a cell in a dense bin with ghost layers, one for each axis and cell
-    /// coordinate in the bin. The sum of a cell's terms for x, y and z is the index of the lowest
-    /// cell among its neighbours.
+    /// For each axis and each coordinate of a cell in the bin, a term of an index into the samples
+    /// of a dense bin with ghost layers. The sum of a cell's terms for x, y and z is the index of
+    /// the lowest sample in the cell's neighbourhood.
     pub fn firsts(self) -> [[usize; BIN as usize]; 3] {
         let (side, edge) = (self.side.cells(), self.edge() as usize);
         [0, 1, 2].map(|axis: usize| {

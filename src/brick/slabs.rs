@@ -24,7 +24,7 @@ const A_SHARE: u64 = 16;
 /// Words in slabs.
 #[derive(Debug)]
 pub(super) struct Slabs {
-    /// Words per slab.
+    /// Number of words in a slab.
     slab: usize,
     slabs: Vec<MmapMut>,
     len: usize,

@@ -3,7 +3,7 @@
 //! No two threads write the same slot, and all threads are joined before a slot is read, so relaxed
 //! atomic accesses are sufficient.
 
-// The standard library's atomics; a test of all thread interleavings replaces them.
+// These are the standard library's atomics, except in a test of all thread interleavings.
 use super::atomic::{AtomicU32, AtomicU64, Ordering};
 use super::zeroed_in_huge_pages;
 

@@ -27,7 +27,7 @@ use super::slots::{Record, Slots};
 
 /// Maximum bytes of a piece before it is coded: small enough to be sorted in a second-level cache.
 const PIECE: usize = 1 << 19;
-/// Minimum number of particles in a piece, except the last.
+/// Minimum number of particles in a piece, except in the last piece that a buffer writes.
 const FEWEST: usize = 16;
 /// The additional memory for coding a piece, as a multiple of the size of a piece.
 const CODING: usize = 2;
@@ -49,7 +49,7 @@ pub struct SpilledBins {
 /// The particles of a run.
 #[derive(Debug)]
 struct RunParticles {
-    /// The pieces of the run; those in memory are in the order of their positions there.
+    /// The pieces of the run. Pieces in memory are in the order of their positions in `memory`.
     pieces: Vec<RunPiece>,
     memory: Slabs,
 }
@@ -187,7 +187,8 @@ impl SpilledBins {
     fn drain(&self, mut take: impl FnMut(&Bins) -> io::Result<u64>) -> io::Result<()> {
         for run in 0..self.runs.len() {
             let kept = take(&self.sorted(run)?)?;
-            // Runs are similar, so the next one adds about as much as the average; some add more.
+            // The next run adds about as much as the average run so far. Twice the average allows
+            // for larger runs.
             let soon = kept.saturating_add(2 * kept / (run as u64 + 1));
             self.keep_within(self.memory.most.saturating_sub(soon))?;
         }
@@ -325,7 +326,7 @@ impl SpilledBins {
 #[derive(Debug)]
 pub struct SortedStore {
     bins: Bins,
-    /// Number of particles so far.
+    /// Number of particles written so far.
     written: u64,
 }
 

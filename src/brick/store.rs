@@ -90,7 +90,7 @@ impl PageStore {
         }
     }
 
-    /// A page that is likely to be needed again soon.
+    /// Returns a page, and keeps it in memory because it is likely to be needed again soon.
     #[inline]
     pub(super) fn cached(&self, page: u32, shape: PageShape) -> CachedPage<'_> {
         match self {
@@ -110,7 +110,7 @@ impl PageStore {
         }
     }
 
-    /// A page that is read only once: it does not evict other pages from the cache.
+    /// Returns a page that is read only once, without evicting other pages from the cache.
     pub(super) fn once(&self, page: usize, shape: PageShape) -> Cow<'_, [u16]> {
         match self {
             Self::Memory(pages) => pages[page].dense(shape),

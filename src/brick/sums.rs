@@ -2,7 +2,7 @@
 
 use crate::grid::BIN;
 
-/// Cells of a row.
+/// Number of cells in a row.
 const ROW: usize = BIN as usize;
 const ROWS: usize = ROW * ROW;
 const CELLS: usize = ROW * ROWS;
@@ -13,7 +13,8 @@ const CELLS: usize = ROW * ROWS;
 pub struct CellSums {
     /// For each cell: the number N of particles, and the sum S of their offsets along x, y and z.
     cells: Box<[[f64; 4]]>,
-    /// A bit for each row along x that contains particles, because few rows do.
+    /// A bit for each row along x, set if the row contains particles. Only these rows of `cells`
+    /// are valid.
     rows: [u64; ROWS / 64],
 }
 

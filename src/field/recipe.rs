@@ -366,7 +366,8 @@ pub trait Fields {
     /// walls.
     fn spread(&mut self, field: Self::Field, reach: i32) -> Result<Self::Field, Self::Error>;
 
-    /// Examines fields of cells 2^`level` times as wide, and may stop if they rule out a surface.
+    /// Examines fields of cells 2^`level` times as wide. May return an error to stop the work if
+    /// these fields rule out a surface.
     fn probe(
         &mut self,
         wide: &WideFields<Self::Field>,

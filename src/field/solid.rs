@@ -23,9 +23,9 @@ use crate::grid::CellBox;
 
 /// The share of a cell that must be outside of a solid for its density to be used.
 const USABLE: u16 = WHOLE / 10 * 9;
-/// The standard deviation of the Gaussian for the linear fit, in spacings, and its cut-off, in
-/// standard deviations.
+/// The standard deviation of the Gaussian for the linear fit, in spacings.
 const FIT: f64 = 1.0;
+/// The cut-off of this Gaussian, in standard deviations.
 const FIT_CUT: f64 = 2.5;
 /// The minimum share of the fit's Gaussian that must lie outside of the solid.
 const FIT_LEAST: f64 = 0.004;
@@ -33,9 +33,9 @@ const FIT_LEAST: f64 = 0.004;
 /// Gaussian's variance. It keeps the linear function nearly constant across a plane in which all
 /// positions lie, and in all directions if there are few positions.
 const FIT_STIFFNESS: f64 = 0.01;
-/// The standard deviation of the Gaussian for means, in spacings, and its cut-off, in standard
-/// deviations.
+/// The standard deviation of the Gaussian for means, in spacings.
 const MEAN: f64 = 2.5;
+/// The cut-off of this Gaussian, in standard deviations.
 const MEAN_CUT: f64 = 2.2;
 /// The gain of the smoothed density in bits, equal to the bulk's gain.
 const GAIN: u32 = 2;
@@ -52,7 +52,8 @@ pub const FARTHEST: i16 = 3 * 2048;
 #[derive(Debug, Clone, PartialEq)]
 pub struct SolidFill {
     fit: Weights,
-    /// The variance that is added to a fit along each axis, in squared cells.
+    /// The variance that is added to the variance of the fitted positions along each axis, in
+    /// squared cells.
     stiffness: f64,
     mean: Weights,
 }
@@ -229,7 +230,8 @@ pub fn outside(distances: &Block<i16>) -> Block {
     shares
 }
 
-/// Cuts a field by a solid's distances, in their units. Distances below `most` are exact.
+/// Limits the distances of a field to a solid's distances minus `offset`, all in the same units.
+/// Distances of `most` or more are not exact, and are ignored.
 ///
 /// # Panics
 /// If the field and the distances are on different cells.

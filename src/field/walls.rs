@@ -1,12 +1,13 @@
 //! Walls of a tank, found as the planes at which the particles end.
 //!
 //! Each side is judged separately. The plane is at the outermost particle. Columns behind it are
-//! two spacings wide; a column counts if it is full of particles three spacings behind the plane.
-//! The columns show a wall under four conditions: there are many of them, nearly all have a
-//! particle within 0.6 spacings of the plane, the density reaches that of full fluid directly
-//! behind the plane, and the outermost particles of groups of columns lie in one plane. The last
-//! condition excludes a free surface with waves. In one frame, a free surface that is level within
-//! 0.15 spacings looks like a wall; with several frames, only planes at the same place are walls.
+//! two spacings wide; a column counts if it is full of particles from two to four spacings behind
+//! the plane. The columns show a wall under four conditions: there are many of them, nearly all
+//! have a particle within 0.6 spacings of the plane, the density reaches that of full fluid
+//! directly behind the plane, and the outermost particles of groups of columns lie in one plane.
+//! The last condition excludes a free surface with waves. In one frame, a free surface that is
+//! level within 0.15 spacings looks like a wall; with several frames, only planes at the same place
+//! are walls.
 //!
 //! The outermost layer of a lattice is half a spacing inside of the wall; disordered particles
 //! reach the wall. Both cases follow from the number n of particles per squared spacing in the
@@ -48,11 +49,11 @@ const SHELL: f64 = 1.5;
 const GAP: std::ops::Range<f64> = 0.5..0.9;
 /// The maximum density in such a gap, in particles per cubed spacing.
 const IN_GAP: f64 = 0.7;
-/// The density of the shell of fluid at a wall, in particles per cubed spacing.
+/// The range of densities of the shell of fluid at a wall, in particles per cubed spacing.
 const DENSITY: std::ops::Range<f64> = 0.5..2.0;
 /// Edge of a group, in columns.
 const GROUP: u64 = 4;
-/// Columns of a group.
+/// Number of columns in a group.
 const GROUP_COLUMNS: usize = (GROUP * GROUP) as usize;
 /// The maximum number of examined groups per side; a larger side is sampled evenly.
 const MOST_GROUPS: u64 = 2048;
@@ -73,12 +74,12 @@ const FEW: f64 = 32.0;
 const STEPS: f64 = 1024.0;
 /// Fixed-point steps of a volume, per cubed spacing: 16 for the smallest possible particle.
 const VOLUME_STEPS: f64 = 16.0 * MOST_TIMES * MOST_TIMES * MOST_TIMES;
-/// Classes of sizes: two for each factor of two, up to [`MOST_TIMES`].
+/// Number of classes of sizes: two for each factor of two, up to [`MOST_TIMES`].
 const CLASSES: usize = 13;
 /// The factor for the area of each class of sizes, relative to the next finer class.
 const FINER: f64 = 0.84;
-/// The maximum size of particles that count at a side, in spacings: more than those of nearly
-/// all particles in the class that gives the spacing.
+/// The maximum size of particles that count at a side, in spacings. It is larger than nearly all
+/// particles in the class that gives the spacing.
 const LARGEST: f64 = 1.3;
 
 /// The evidence of one frame about a side of the box around the particles.
@@ -142,8 +143,9 @@ struct SideColumns {
     end: usize,
     /// The coordinate of the outermost particle.
     at: f64,
-    /// The spacing at this side, and 1 over it.
+    /// The spacing at this side.
     spacing: f64,
+    /// 1 over the spacing.
     per_spacing: f64,
     /// Every `stride`-th group is examined, along both axes of the side.
     stride: u64,
@@ -435,9 +437,9 @@ fn rounded(end: usize, wall: f64, reach: f64, spacing: f64) -> f64 {
 /// With one frame, its planes are the walls. With several frames, a side has a wall under three
 /// conditions: at least two frames, and at least a third of all frames, show a wall at the same
 /// place; fewer frames end elsewhere; and no frame has more than stray drops beyond the wall. The
-/// top is open unless a scene has a wall there. It is the upper side of the axis `up` if that is
-/// known, otherwise of y if both y and z have a wall. Also returns whether the scene belongs to
-/// these particles.
+/// top is open unless a scene has a wall there. The top is the upper side of the axis `up`, if that
+/// is known; otherwise the upper side of y, if both y and z have a wall there. Also returns whether
+/// the scene's walls fit the particles.
 pub fn common(frames: &[Ends], scene: Option<&Walls>, up: Option<usize>) -> (Walls, bool) {
     let fits = |scene: &&Walls| {
         let sides = (0..3).flat_map(|axis| [(axis, 0), (axis, 1)]);
@@ -509,7 +511,8 @@ fn rounded_for(frames: &[Ends], axis: usize, end: usize, wall: f64) -> f64 {
     rounded(end, reach, reach, spacing_at(frames, axis, end))
 }
 
-/// The greatest spacing at a side, in the frames that end in a plane there, if there are any.
+/// The greatest spacing at a side, among the frames that end in a plane there or, if there are
+/// none, among all frames.
 fn spacing_at(frames: &[Ends], axis: usize, end: usize) -> f64 {
     let greatest = |frames: &mut dyn Iterator<Item = &Ends>| {
         frames.map(|frame| frame.spacings[axis][end]).reduce(f64::max)
@@ -541,9 +544,9 @@ impl Ends {
     }
 }
 
-/// Adapts walls to particles within some bounds, so that no particle is outside, for the spacing at
-/// each side. A wall is moved if particles are slightly beyond it; if they are farther beyond it,
-/// its side is open. Also returns the walls that particles pass.
+/// Adapts walls to particles within some bounds, so that no particle is outside. `spacings` has the
+/// spacing at each side. A wall is moved if particles are slightly beyond it; if they are farther
+/// beyond it, its side is open. Also returns the walls that particles pass.
 #[must_use]
 pub fn holding(
     walls: &Walls,
@@ -569,7 +572,8 @@ pub fn holding(
 mod tests {
     use super::*;
 
-    /// Positions in a box of lattice cells, each moved by its own number from -1 to 1.
+    /// Positions in a box of lattice cells, each moved at random by up to `moved_by` along each
+    /// axis.
     fn lattice(size: [i32; 3], moved_by: f64) -> Vec<[f64; 3]> {
         let mut state = 1_u64;
         let mut random = move || {

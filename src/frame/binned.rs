@@ -42,7 +42,7 @@ pub(super) struct HostBins<'a> {
     pub(super) resources: &'a Resources,
     /// Whether the bins are still needed for their attributes after the pages are made.
     pub(super) keep: bool,
-    /// A count of the bins that have pages.
+    /// Counts the bins whose pages are made.
     pub(super) meter: Meter<'a>,
 }
 

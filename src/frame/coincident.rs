@@ -29,9 +29,9 @@ pub struct CoincidentCounts {
     record: u64,
 }
 
-/// Bits of the hash that finds candidates.
+/// Number of bits of the hash that finds candidates.
 const BITS: u32 = 13;
-/// The maximum number of records in a bin for which the hash finds few candidates.
+/// If a bin has more records than this, the hash finds too many candidates.
 const FEW: usize = 1 << (BITS - 1);
 
 impl CoincidentCounts {

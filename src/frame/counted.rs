@@ -89,9 +89,9 @@ impl<'a> CountedFrame<'a> {
         Ok((particles, plan))
     }
 
-    /// Counts only the particles in the given bins (there may be none) and, in a periodic box,
-    /// their images. All particles were counted earlier, when invalid particles were refused or
-    /// skipped.
+    /// Counts only the particles in the given bins and, in a periodic box, their images. The bins
+    /// may be empty. Invalid particles are skipped, because they were refused or skipped in an
+    /// earlier count of all particles.
     pub fn of_wanted(
         particles: &'a dyn Particles,
         sampling: &'a Sampling,
@@ -115,9 +115,9 @@ impl<'a> CountedFrame<'a> {
         })
     }
 
-    /// Checks the surface request, then counts the particles for it. A `plan` of all particles
-    /// makes the count unnecessary, if it comes from a sampling with the same settings, as far as
-    /// they affect a plan.
+    /// Checks the surface request, then counts the particles for it. If there is a `plan` of all
+    /// particles, it replaces the count. It must come from a sampling in which all settings that
+    /// affect a plan are the same.
     pub fn for_surface(
         particles: &'a dyn Particles,
         sampling: &'a Sampling,
@@ -243,7 +243,7 @@ fn fitting_cell_size(particles: &dyn Particles, sampling: &Sampling, room: Count
     loop {
         cell *= 2.0;
         let Ok(grid) = Grid::new(sampling.grid.origin(), cell) else { return cell };
-        // Counts without walls, because walls can only make the number of bins smaller.
+        // Counts without walls, because walls never increase the number of bins.
         if BinPlan::count(particles, &grid, None, InvalidParticles::Skip, room).is_ok() {
             return cell;
         }

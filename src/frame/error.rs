@@ -25,7 +25,7 @@ pub enum FrameError {
     /// No particles remain to make a surface from.
     #[error("no particles to reconstruct: {}", explain(.0))]
     NoParticles(Census),
-    /// A particle outside of the grid.
+    /// A particle cannot be placed in a bin, or there are too many bins.
     #[error(transparent)]
     Bin(#[from] BinError),
     /// The particles changed, or could not be read again.
@@ -34,7 +34,7 @@ pub enum FrameError {
     /// An attribute whose values do not fit the kind of number that a mesh carries.
     #[error(transparent)]
     Kind(#[from] KindFault),
-    /// The frame cannot be brought under its memory budget.
+    /// The frame does not fit into its memory budget.
     #[error(transparent)]
     OverBudget(#[from] OverBudget),
     /// mu0 could not be measured.

@@ -1,4 +1,5 @@
-//! Estimates of a frame's memory and disk space, and plans for budgets that are smaller.
+//! Estimates of a frame's memory and disk space, and plans for budgets that are smaller than the
+//! estimate.
 //!
 //! An estimate is made when the particles are counted by bin, before anything is stored for them.
 //! Every stage states its memory; this module adds it up.
@@ -20,8 +21,9 @@ use crate::surface::stitch::writing_bytes;
 use super::expected::{self, ExpectedVertices};
 use super::{Method, Surfacing};
 
-/// Memory of the program without data, and of each thread in addition to its buffers, in bytes.
+/// Memory of the program without data, in bytes.
 const PROGRAM: u64 = 8 << 20;
+/// Memory of each thread in addition to its buffers, in bytes.
 const THREAD: u64 = 3 << 18;
 /// Minimum number of blocks that each thread meshes before their surfaces are passed on.
 pub const BLOCKS_A_THREAD: usize = 2;
@@ -49,7 +51,7 @@ pub struct MemoryEstimate {
     pub places: u64,
     /// Sorted particles, with their attributes.
     pub particles: u64,
-    /// Minimum size of particles that are coded until they are sorted.
+    /// Minimum number of bytes of particles that are stored in coded form until they are sorted.
     pub spilled: u64,
     /// Maximum size of the DIF.
     pub field: u64,
@@ -338,8 +340,8 @@ impl MemoryEstimate {
         // The DIF stays completely in memory if it takes at most three quarters of `left`. It has
         // priority over the surface, which is used only once.
         let field = if self.field <= left / 4 * 3 { self.field.max(left / 4) } else { left / 4 };
-        // The shares leave memory for stacks and for the allocator's reserve, in addition to the
-        // surface and, before that, to coded particles.
+        // The shares leave some memory for stacks and for the allocator's reserve: while there are
+        // coded particles, and later while there is a surface.
         let surface = ((left - field) / 2).min(left / 4);
         MemoryPlan::OutOfCore(MemoryShares {
             particles: left / 8,

@@ -18,8 +18,8 @@ use hashbrown::{HashMap, HashSet};
 
 use crate::grid::{BIN, MortonKey, block_of_bin};
 
-/// Vertices at a face between a full and an empty bin: a wrinkled surface has more vertices than a
-/// plane.
+/// Number of vertices at a face between a full and an empty bin. It is greater than the number of
+/// cells in the face, because a wrinkled surface has more vertices than a plane.
 const FACE: f64 = 1.05 * (BIN * BIN) as f64;
 
 /// The empty volume around a particle with its own surface, in cubed spacings.
@@ -59,8 +59,8 @@ impl ExpectedVertices {
 /// The filled share of each bin that contains particles.
 type Shares = HashMap<IVec3, f32>;
 
-/// Vertices around a single particle. A ball with a radius of 0.55 spacings has 6 to 7 vertices
-/// times the squared spacing in cells.
+/// Number of vertices around a single particle. For a ball with a radius of 0.55 spacings, it is 6
+/// to 7 times the squared spacing in cells.
 pub(super) fn vertices_alone(spacing_cells: f64) -> f64 {
     8.0 * spacing_cells * spacing_cells + 6.0
 }
@@ -70,13 +70,14 @@ pub(super) fn full_bin(spacing_cells: f64) -> f64 {
     (f64::from(BIN) / spacing_cells).powi(3)
 }
 
-/// The share of a full bin from which a bin is assumed to contain particles of the finest octave.
-/// Particles that are twice as large fill an eighth.
+/// If a bin has at least this share of the particles of a full bin, it is assumed to contain
+/// particles of the finest octave. A bin full of particles that are twice as large has a share of
+/// an eighth.
 const FINEST: f64 = 0.3;
 
 /// The expected surface of particles whose sizes span several octaves, in the bins for which
-/// `meshed` is true: the bins of each octave that are too full for coarser particles alone, in
-/// cells of that octave. `spacing_cells` is the smallest size.
+/// `meshed` is true. A bin belongs to an octave if it is too full for coarser particles alone, and
+/// its surface is in cells of that octave. `spacing_cells` is the smallest size.
 pub(super) fn surface_of_octaves(
     bins: impl Iterator<Item = (MortonKey, usize)>,
     octaves: usize,
@@ -109,8 +110,8 @@ pub(super) fn surface_of_octaves(
     all
 }
 
-/// The expected surface in the bins for which `meshed` is true. `bins` lists the number of
-/// particles in each bin, in Morton order. `full` is the number of particles in a full bin, and
+/// The expected number of vertices in the bins for which `meshed` is true. `bins` lists the number
+/// of particles in each bin, in Morton order. `full` is the number of particles in a full bin, and
 /// `alone` is the number of vertices around a single particle.
 pub(super) fn surface(
     bins: impl Iterator<Item = (MortonKey, usize)> + Clone,

@@ -21,7 +21,7 @@ use crate::surface::stitch::StitchedSurface;
 use super::coincident::{CoincidentCounts, CoincidentParticles};
 
 /// Number of tiles per bin along an axis. A tile has the same number of cells along an axis, so a
-/// mask of cells also fits tiles.
+/// mask for the cells of a tile also fits the tiles of a bin.
 const SIDE: i32 = BIN / TILE;
 const _: () = assert!(SIDE == TILE);
 
@@ -146,7 +146,7 @@ impl OccupiedTiles {
         }
     }
 
-    /// A report on coincident particles, if there are any. `grid` determines their positions.
+    /// A report on coincident particles, if there are any. `grid` converts their bins to positions.
     pub fn coincident(&self, grid: &Grid) -> Option<CoincidentParticles> {
         self.coincident
             .report(grid, self.bins.iter().map(|&(bin, particles, _)| (bin, u64::from(particles))))
@@ -167,10 +167,10 @@ impl OccupiedTiles {
         particles / tiles.max(1.0)
     }
 
-    /// A lower bound of the particles that are in no surface. A tile is lost if it is outside, and
-    /// no surface passes through it or through a tile that touches it from below. If all tiles of a
-    /// bin that contain particles are lost, all particles of the bin count. Otherwise, one particle
-    /// counts for each lost tile.
+    /// A lower bound of the number of particles outside of the surface. A tile is lost if it is
+    /// outside, and if the surface passes neither through it nor through an adjacent tile with
+    /// lower coordinates. If all tiles of a bin that contain particles are lost, all particles of
+    /// the bin count. Otherwise, one particle counts for each lost tile.
     pub fn lost(&self, surface: &StitchedSurface) -> io::Result<u64> {
         let bins = match surface.widest_level() {
             0 => Row::sorted(self, surface)?,
@@ -251,8 +251,8 @@ impl Row {
         Ok(Self::merged(all))
     }
 
-    /// Like [`sorted`](Self::sorted), for a surface with cells of several levels. Tiles and bins are
-    /// those of the widest level.
+    /// Like [`sorted`](Self::sorted), for a surface with cells of several levels. Tiles and bins
+    /// consist of cells of the widest level.
     fn in_wider_tiles(
         occupied: &OccupiedTiles,
         surface: &StitchedSurface,

@@ -65,9 +65,10 @@ use surface::ExtractableField;
 #[derive(Debug)]
 pub struct Engine {
     field: SampledField,
-    /// Empty for a frame that was sampled earlier.
+    /// The tiles that contain particles; empty for a frame that was sampled earlier.
     occupied: OccupiedTiles,
-    /// `None` if no attributes are carried to the vertices.
+    /// The sorted particles, and the attributes that are carried to the vertices; `None` if there
+    /// are no such attributes.
     carried: Option<(Arc<Bins>, Vec<AttributeInfo>)>,
     /// Bytes of the surface that may be in memory.
     surface_share: u64,
@@ -82,7 +83,7 @@ enum SampledField {
     Sizes(SampledSizes),
 }
 
-/// The fraction of sampling that sorts the particles.
+/// In progress reports, the fraction of the sampling stage in which the particles are sorted.
 const SORTING: f64 = 0.3;
 
 impl Engine {
@@ -333,8 +334,10 @@ impl Engine {
     /// this frame if `known` is `None`. Kernels need no calibration.
     ///
     /// # Errors
-    /// [`FrameError::TooFine`] for a measured calibration, and [`FrameError::OtherIndicator`] for a
-    /// known calibration with another indicator.
+    /// [`FrameError::TooFine`] if the calibration is measured and the field does not locate the
+    /// surface precisely enough, [`FrameError::OtherIndicator`] if `known` is of another indicator,
+    /// [`FrameError::FewImages`] if the filters need more images in a periodic box than there are,
+    /// and [`FrameError::Cancelled`].
     pub fn calibrate(
         &self,
         surfacing: &Surfacing,
@@ -449,9 +452,9 @@ impl Engine {
             .map_err(self.resources.scratch_error())
     }
 
-    /// A lower bound of the ratio of the particles' density to the density that their spacing
-    /// implies, in the tiles that contain particles. `None` if the spacing is not known, and 0 for
-    /// a frame that was sampled earlier.
+    /// Returns how many times denser the particles are than their spacing implies, as a lower
+    /// bound. Only tiles that contain particles count. `None` if the spacing is not known, and 0
+    /// for a frame that was sampled earlier.
     #[must_use]
     pub fn crowding(&self) -> Option<f64> {
         Some(self.occupied.crowding(self.facts().spacing_cells()?))
@@ -512,8 +515,8 @@ impl Engine {
         Ok(lacking)
     }
 
-    /// A lower bound of the particles that are in no surface, from tiles that are completely
-    /// outside. 0 for a frame that was sampled earlier.
+    /// A lower bound of the number of particles outside of the surface, from tiles that are
+    /// completely outside. 0 for a frame that was sampled earlier.
     ///
     /// # Errors
     /// [`FrameError::Scratch`] if the surface is in a scratch file that cannot be read.

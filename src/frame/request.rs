@@ -37,7 +37,7 @@ pub struct SizedParticles {
     pub sizes: Sizes,
     /// The attributes.
     pub columns: SizeAttributes,
-    /// The blocks with finer particles of a whole frame, for particles that are a part of it.
+    /// If the particles are a part of a frame: the blocks with finer particles of the whole frame.
     pub finer: Option<FinerBlocks>,
 }
 
@@ -96,8 +96,8 @@ impl Sampling {
         Ok(Self { sizes: sizes.map(sized).transpose()?, ..self })
     }
 
-    /// For particles that are a part of a frame: the same with the frame's blocks of finer
-    /// particles.
+    /// Sets the blocks with finer particles of the whole frame, if the particles are a part of a
+    /// frame and have several sizes.
     #[must_use]
     pub fn with_finer(mut self, finer: &FinerBlocks) -> Self {
         self.sizes.iter_mut().for_each(|sized| sized.finer = Some(finer.clone()));
@@ -118,7 +118,8 @@ impl Sampling {
         self.sizes.as_ref().map(|sized| sized.sizes.coarsest)
     }
 
-    /// The number of octaves of particles of several sizes, of which `coarsest` is the largest.
+    /// The number of octaves of the particles' sizes. `coarsest` is the largest size, if the
+    /// particles have several sizes.
     fn octaves(&self, coarsest: Option<f64>) -> usize {
         let cell = self.grid.cell_size();
         let sizes = self.spacing.zip(coarsest);
@@ -168,8 +169,8 @@ pub struct Surfacing {
     pub smooth: Smooth,
     /// The stretch at which sheets tear; only for clouds.
     pub sheets: SheetStretch,
-    /// The Gaussian's width; if `None`, it follows from the frame's spacing. This field and the
-    /// next two apply only to counting and symmetry.
+    /// The Gaussian's width; if `None`, it follows from the frame's spacing. `sigma`, `iso` and
+    /// `detail` apply only to counting and symmetry.
     pub sigma: Option<Sigma>,
     /// The isovalue; if `None`, a fraction of the frame's plateau.
     pub iso: Option<Isovalue>,
@@ -186,7 +187,7 @@ pub struct Surfacing {
 }
 
 impl Surfacing {
-    /// A surface with the default smoothing of the frame's spacing, and no options.
+    /// A surface with the default smoothing for the frame's spacing, and no options.
     pub const PLAIN: Self = Self {
         smooth: Smooth::DEFAULT,
         sheets: SheetStretch::DEFAULT,

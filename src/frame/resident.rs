@@ -92,7 +92,7 @@ impl ResidentSurface {
     /// Waits until the buffers are written.
     ///
     /// # Errors
-    /// The errors of the device.
+    /// [`VulkanError`] if the device fails.
     pub fn wait(&mut self) -> Result<(), VulkanError> {
         self.work.wait()
     }
@@ -152,7 +152,7 @@ impl Pipeline {
     /// Returns when the device is done. Nothing else may write the positions during the call.
     ///
     /// # Errors
-    /// [`FrameError`].
+    /// [`FrameError`] for invalid particles, if there is no surface, or if the device fails.
     pub fn surface(
         &self,
         positions: &[DevicePositions],
@@ -171,8 +171,8 @@ impl Pipeline {
     /// needs, but not for the last triangles, of which there are at most about four million.
     ///
     /// # Errors
-    /// [`FrameError`]; [`FrameError::NoSpace`], with the required size, if the caller's buffers are
-    /// too small.
+    /// The errors of [`surface`](Self::surface), and [`FrameError::NoSpace`], with the required
+    /// size, if the caller's buffers are too small.
     ///
     /// # Panics
     /// If the caller's buffers are on another device.

@@ -34,7 +34,7 @@ impl Resources {
         self.backend.executor().host_bytes(self.budget)
     }
 
-    /// Returns an error if the disk has less than `needed` bytes.
+    /// Returns an error if the disk of the scratch folder has less than `needed` free bytes.
     pub(super) fn check_room(&self, needed: u64) -> Result<(), FrameError> {
         if needed == 0 {
             return Ok(());

@@ -10,8 +10,8 @@ use crate::surface::stitch::StitchedSurface;
 
 use super::coincident::CoincidentParticles;
 
-/// The minimum ratio of the surface's volume to its particles' volume. Smoothing makes each drop
-/// and sheet smaller.
+/// The ratio of the surface's volume to its particles' volume below which there is a shortfall. It
+/// is less than 1, because smoothing makes each drop and sheet smaller.
 const EXPECTED: f64 = 0.5;
 
 /// A surface that contains less of its particles' volume than expected.

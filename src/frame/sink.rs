@@ -137,7 +137,8 @@ impl FieldSink {
                 Ok(SampledDif::new(facts, indicator, DifField::in_memory(shape, pages)))
             }
             Self::File { file, writer, cache_bytes, folder, .. } => {
-                // The file would lose the walls of an octave, which follow from the finest cells.
+                // A file cannot store the walls of an octave, which follow from the finest cells.
+                // They are set again below.
                 let open = FrameFacts { domain: None, ..facts };
                 writer.finish(&open, indicator)?;
                 let mut sampled = frame_from_file(&file, cache_bytes).map_err(io::Error::other)?;

@@ -27,7 +27,7 @@ use super::{FrameError, Resources, SizedParticles, Surfacing};
 #[derive(Debug)]
 pub(super) struct SampledSizes {
     pub(super) sampled: SampledOctaves,
-    /// The clouds as seen from each level of cells.
+    /// For each level of cells, all clouds with the octave of this level as the first.
     clouds: Vec<SizedClouds>,
     /// The blocks with particles of finer octaves, which determine the levels of cells.
     finer: FinerBlocks,
@@ -36,7 +36,7 @@ pub(super) struct SampledSizes {
 
 /// Edge of a cube of blocks that are meshed together, in blocks.
 const BLOCKS_TOGETHER: i32 = 2;
-/// Bins of an octave per batch of pages.
+/// Number of bins of an octave whose pages are made together.
 const TOGETHER: usize = 1 << 7;
 
 impl SampledSizes {
@@ -88,7 +88,8 @@ impl SampledSizes {
     pub(super) fn new(sampled: SampledOctaves, finer: Option<&FinerBlocks>) -> Self {
         let clouds = &sampled.clouds;
         let finer = match (finer, sampled.facts.periodic) {
-            // The cells at opposite faces of a periodic box are the same.
+            // In a periodic box, all cells have one width, because cells must match at opposite
+            // faces.
             (_, Some(_)) => FinerBlocks::new(),
             (Some(finer), None) => finer.clone(),
             (None, None) => clouds.finer_blocks(),
@@ -121,7 +122,7 @@ impl SampledSizes {
         let iso = field.iso();
         let cut = |region: LevelRegion| {
             let LevelRegion { level, cells } = region;
-            // At a wall, wide cells can reach further than the narrow ones that touch them.
+            // At a wall, wide cells can reach further than the narrow cells that touch them.
             let touches_wide = levels.of(level, region.block()).wider != 0;
             let within = if touches_wide {
                 let wider = walls_at(u32::from(level) + 1, walls);
@@ -169,7 +170,7 @@ impl SampledSizes {
         }
     }
 
-    /// The smoothing of attributes in cells of each level: as widely as the coarsest particles
+    /// The smoothing of attributes in cells of each level. It is as wide as the coarsest particles
     /// need.
     fn attribute_smoothings(&self, surfacing: &Surfacing) -> Vec<Smoothing> {
         let FrameFacts { grid, spacing, .. } = self.sampled.facts;
@@ -180,7 +181,7 @@ impl SampledSizes {
             .collect()
     }
 
-    /// The spacing of the coarsest octave over that of the finest.
+    /// The ratio of the coarsest octave's spacing to the finest octave's spacing.
     pub(super) fn coarsest(&self) -> f64 {
         f64::from(1_u32 << (self.clouds[0].octaves() - 1))
     }
@@ -199,7 +200,7 @@ struct FieldOfLevel<'a> {
 }
 
 impl FieldOfLevel<'_> {
-    /// The meshes of regions of blocks whose dual cells have this level only.
+    /// The meshes of regions of blocks whose dual cells all have this level.
     fn meshes(
         &self,
         regions: &[LevelRegion],
@@ -223,13 +224,14 @@ impl FieldOfLevel<'_> {
         regions.zip(fields).map(mesh).collect()
     }
 
-    /// The field on some cells of dual cells, or the side that all of them are on.
+    /// The field on some cells, or the side of the surface on which all of these cells are.
     fn on(&self, cells: CellBox) -> Result<Block, BoxSide> {
         let away = self.walls.is_none_or(|walls| walls.covers(&cells));
         self.field.crossed_on(cells.with_nearest_of(self.walls), away)
     }
 
-    /// A field that was made, or was not because no surface passes through these cells alone.
+    /// Returns the field. If it was not made, because no surface passes through these cells alone,
+    /// makes it now.
     fn completed(&self, field: Result<Block, BoxSide>, cells: CellBox) -> LevelField {
         let field = field.unwrap_or_else(|_| self.field.everywhere_on(cells));
         LevelField { field, walls: self.walls }

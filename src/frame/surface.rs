@@ -36,15 +36,15 @@ pub(super) type Push<'a> = dyn FnMut(Vec<BlockMesh>) -> io::Result<()> + 'a;
 type Contour<'a> =
     dyn Fn(&[LevelRegion], &Meter<'_>, &Finish<'_>, &mut Push<'_>) -> io::Result<()> + Sync + 'a;
 
-/// Meshes the regions of each cube of `edge` blocks with `mesh`, which counts them, and finishes
-/// their meshes on the same thread: sums of a field and of attributes use different resources of a
-/// core, so they run well side by side.
+/// Meshes the regions of each cube of `edge` blocks with `mesh`, which reports them to the meter,
+/// and finishes their meshes on the same thread. The reason is that sums of a field and sums of
+/// attributes use different resources of a core, so they run well side by side.
 pub(super) fn cube_by_cube<'a>(
     edge: i32,
     mesh: impl Fn(&[LevelRegion], &Meter<'_>) -> io::Result<Vec<BlockMesh>> + Sync + 'a,
 ) -> Box<Contour<'a>> {
     Box::new(move |regions, meter, finish, push| {
-        // Of few blocks, each is by itself, so that all threads have work.
+        // If there are few blocks, each is meshed separately, so that all threads have work.
         let few = (edge * edge * edge) as usize * rayon::current_num_threads();
         let edge = if regions.len() < few { 1 } else { edge };
         let cube = |region: &LevelRegion| {
@@ -69,7 +69,7 @@ pub(super) struct ExtractableField<'a> {
     /// The parts of blocks that the surface can pass through, in Morton order.
     pub(super) regions: Vec<LevelRegion>,
     pub(super) contour: Box<Contour<'a>>,
-    /// The positions of vertices on their edges.
+    /// How vertices store their positions on their edges.
     pub(super) crossings: Crossings,
     /// The smoothing of attributes in cells of each level.
     pub(super) attribute_smoothing: Vec<Smoothing>,
@@ -166,8 +166,8 @@ impl<'a> CalibratedFrame<'a> {
         Ok(spool)
     }
 
-    /// The blocks that the surface can pass through, in Morton order, with the number of their
-    /// cells that it can pass through.
+    /// The blocks that the surface can pass through, in Morton order, each with the number of its
+    /// cells that the surface can pass through.
     pub fn passed(&self) -> impl Iterator<Item = (MortonKey, usize)> + '_ {
         self.extracted
             .regions

@@ -77,8 +77,8 @@ impl BlockLevel {
         block << i32::from(self.level)
     }
 
-    /// The first of the finest blocks in the block whose cells have this level or, at a seam, the
-    /// next one: blocks at seams are made with the wide cells that they lie in.
+    /// The first of the finest blocks in `block` or, if `block` lies in a block with wider cells,
+    /// in that wider block. A seam is made together with the wide cells in which it lies.
     #[must_use]
     pub fn home(self, block: IVec3) -> IVec3 {
         let wider = i32::from(self.wider & 1);

@@ -20,7 +20,7 @@ use hashbrown::HashMap;
 
 use crate::grid::units::{UnitError, positive_length};
 
-/// Bits of a particle's offset in its cell.
+/// Number of bits of a particle's offset in its cell, along each axis.
 pub const FRACTION_BITS: u32 = 13;
 /// Fixed-point steps per cell edge, the paper's `F` in our integer formulas.
 pub const FRACTIONS: u32 = 1 << FRACTION_BITS;
@@ -34,8 +34,8 @@ pub const BLOCK: i32 = 32;
 /// Number of tiles in a block.
 pub const BLOCK_TILES: u32 = (BLOCK / TILE).pow(3) as u32;
 
-/// Number of levels of cells in a frame: each level's cells are twice as wide as those of the one
-/// before.
+/// Maximum number of levels of cells in a frame. The cells of each level are twice as wide as the
+/// cells of the level before.
 pub const MOST_LEVELS: usize = 7;
 
 /// Number of cells from the origin to the end of the grid, in both directions of each axis. It
@@ -117,7 +117,7 @@ impl Grid {
     /// # Errors
     /// [`PlacementError`] if the grid does not reach the position.
     pub fn place(&self, world: [f64; 3]) -> Result<[i64; 3], PlacementError> {
-        // A product with a power of two is exact, and so is every step below.
+        // The product with a power of two is exact, and so is every step up to the limit in f64.
         let steps = self.cells_from_world(world).map(|c| (c * f64::from(FRACTIONS)).floor());
         // These comparisons are also false for NaN.
         if !steps.iter().all(|s| (-STEP_LIMIT..STEP_LIMIT).contains(s)) {
@@ -192,12 +192,12 @@ impl CellBox {
         Self { lo: self.lo >> levels, hi: (self.hi + last) >> levels }
     }
 
-    /// Converts the box to narrower cells, 2^`levels` to an edge of the given ones.
+    /// Converts the box to narrower cells: each cell becomes 2^`levels` cells along each axis.
     pub fn in_narrower_cells(&self, levels: u32) -> Self {
         Self { lo: self.lo << levels, hi: self.hi << levels }
     }
 
-    /// The smallest box that contains this one and the cells of another that are nearest to it.
+    /// The smallest box that contains this box and the cells of `other` that are nearest to it.
     pub fn with_nearest(&self, other: &Self) -> Self {
         let nearest = |cell: IVec3| cell.clamp(other.lo, other.hi - 1);
         self.union(&Self { lo: nearest(self.lo), hi: nearest(self.hi - 1) + 1 })
@@ -228,8 +228,8 @@ impl CellBox {
     }
 }
 
-/// For each block that overlaps some boxes, the smallest box that contains the overlap. The boxes
-/// are in the Morton order of the blocks.
+/// For each block that overlaps some boxes, the smallest box that contains the overlap. The
+/// returned boxes are in the Morton order of the blocks.
 pub fn block_parts(boxes: impl Iterator<Item = CellBox>) -> Vec<CellBox> {
     let mut parts: HashMap<IVec3, CellBox> = HashMap::new();
     for cells in boxes {
@@ -243,7 +243,7 @@ pub fn block_parts(boxes: impl Iterator<Item = CellBox>) -> Vec<CellBox> {
     parts.into_iter().map(|(_, cells)| cells).collect()
 }
 
-/// The offset of corner number `corner` of a cube, x + 2 y + 4 z.
+/// The offset (x, y, z) of corner number x + 2 y + 4 z of a cube.
 pub fn corner_offset(corner: i32) -> IVec3 {
     IVec3::new(corner & 1, corner >> 1 & 1, corner >> 2)
 }
@@ -264,7 +264,8 @@ impl MortonKey {
     /// The key of the cube at `coord`, in units of cubes.
     ///
     /// # Panics
-    /// If a coordinate is beyond 2^20 cubes from the origin; [`CELL_LIMIT`] keeps cells within.
+    /// If a coordinate is beyond 2^20 cubes from the origin; tiles within [`CELL_LIMIT`] are
+    /// closer.
     pub fn of(coord: IVec3) -> Self {
         let biased = (coord + Self::BIAS).as_uvec3();
         assert!(biased.max_element() < 1 << Self::AXIS_BITS, "{coord} is beyond the Morton range");

@@ -102,7 +102,8 @@ impl Periodic {
     /// open axis. Images exist up to `reach` cells beyond the faces.
     ///
     /// # Errors
-    /// [`PeriodicError`], except [`PeriodicError::Walled`] and [`PeriodicError::NoBox`].
+    /// [`PeriodicError`] if the faces are not valid, closer together than twice the reach, or
+    /// beyond the grid.
     pub fn new(
         grid: &Grid,
         faces: [Option<[f64; 2]>; 3],
@@ -146,7 +147,8 @@ impl Periodic {
     /// Checks the faces as far as possible without a cell size.
     ///
     /// # Errors
-    /// [`PeriodicError::Corners`] and [`PeriodicError::Open`].
+    /// [`PeriodicError::Corners`] if faces are not finite or not in order, [`PeriodicError::Open`]
+    /// if no axis is periodic.
     pub fn check(faces: [Option<[f64; 2]>; 3]) -> Result<(), PeriodicError> {
         if faces.iter().flatten().any(|&[lo, hi]| !(lo.is_finite() && hi.is_finite() && lo < hi)) {
             return Err(PeriodicError::Corners);

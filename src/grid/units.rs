@@ -10,31 +10,31 @@ pub const FULL: u16 = u16::MAX;
 /// A number outside its valid range, with the name of its setting.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 pub enum UnitError {
-    /// An isovalue outside the values of the field.
+    /// An isovalue that is not between 0 and 1.
     #[error("iso must be more than 0 and less than 1, got {0}")]
     Isovalue(f64),
-    /// The width of the Gaussian.
+    /// An invalid width of the Gaussian.
     #[error("sigma must be more than 0 and at most {max} cells, got {0}", max = Sigma::MAX)]
     Sigma(f64),
-    /// The mean number of particles in a full cell.
+    /// An invalid mean number of particles in a full cell.
     #[error("mu0 must be more than 0 and at most {max}, got {0}", max = MeanCount::MAX)]
     MeanCount(f64),
-    /// The smoothing width.
+    /// An invalid smoothing width.
     #[error("smooth must be from {least} to {most} spacings, got {0}", least = Smooth::LEAST, most = Smooth::MOST)]
     Smooth(f64),
-    /// The distance up to which particles of sheets are joined.
+    /// An invalid distance up to which particles of sheets are joined.
     #[error("sheets must be 0, or from {least} to {most} spacings, got {0}", least = SheetStretch::LEAST, most = SheetStretch::MOST)]
     SheetStretch(f64),
-    /// The distance between the fluid and a solid.
+    /// An invalid distance between the fluid and a solid.
     #[error("solid-offset must be from {least} to {most} spacings, got {0}", least = SolidOffset::LEAST, most = SolidOffset::MOST)]
     SolidOffset(f64),
-    /// The tolerance of simplification.
+    /// An invalid tolerance of simplification.
     #[error("simplify must be more than 0 and at most {max} cells, got {0}", max = Tolerance::MAX)]
     Tolerance(f64),
-    /// The volume of the smallest component that is kept.
+    /// An invalid volume of the smallest component that is kept.
     #[error("smallest-component must be positive and finite, got {0}")]
     Volume(f64),
-    /// A number that must be finite.
+    /// A number that is not finite.
     #[error("{name} must be three finite numbers, got {value}")]
     NotFinite {
         /// The name of the setting.
@@ -42,7 +42,7 @@ pub enum UnitError {
         /// The invalid value.
         value: f64,
     },
-    /// A length that must be positive.
+    /// A length that is not positive and finite.
     #[error("{name} must be positive and finite, got {value}")]
     Length {
         /// The name of the setting.

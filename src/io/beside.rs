@@ -1,8 +1,8 @@
-//! Writes a folder of files, and renames it together with the list file that names these files.
+//! Writes a folder of files, and renames it just before the list file that names these files.
 //!
-//! The folder gets its final name before the list, so that a list never names missing files. Until
-//! then, the folder's name is derived from the name of the list's temporary file. If the work is
-//! abandoned, both are removed.
+//! Because of this order, a list never names missing files. Until it is renamed, the folder has a
+//! temporary name, which is derived from the name of the list's temporary file. If the work is
+//! abandoned, the folder and the list's temporary file are removed.
 
 use std::fs::{self, File, TryLockError};
 use std::io::{self, ErrorKind, Write};
@@ -20,7 +20,8 @@ use super::whole::counted_in;
 #[derive(Debug)]
 pub struct FolderInProgress {
     temporary: PathBuf,
-    /// The temporary name of an existing folder that is replaced, until it is removed.
+    /// The path to which an existing folder is moved if it is replaced. The moved folder is removed
+    /// on drop.
     replaced: PathBuf,
     place: PathBuf,
     stem: String,
@@ -30,11 +31,12 @@ pub struct FolderInProgress {
 }
 
 impl FolderInProgress {
-    /// Creates a temporary folder for files with the extension `extension`. Its final name will be
-    /// the name of the file at `place` without the extension.
+    /// Creates a temporary folder for files with the extension `extension`. The folder's final name
+    /// will be the name of the file at `place` without that file's extension.
     ///
     /// # Errors
-    /// Errors of the system, and [`io::ErrorKind::InvalidInput`] for a name that is not Unicode.
+    /// If the folder cannot be created, and [`io::ErrorKind::InvalidInput`] if the name of `place`
+    /// is not Unicode.
     pub fn begin(place: &Path, temporary: &Path, extension: &'static str) -> io::Result<Self> {
         let (place, stem) = named(place)?;
         let [temporary, replaced] = BELONGINGS.map(|ending| belonging(temporary, ending));
@@ -42,13 +44,15 @@ impl FolderInProgress {
         Ok(Self { temporary, replaced, place, stem, extension, sum: Hasher::new() })
     }
 
-    /// Checks that the folder next to the file at `place` does not exist, or may be replaced
-    /// because it contains only files of this kind.
+    /// Checks whether the folder for the list at `place` may be created or replaced.
+    ///
+    /// An existing folder may be replaced if it is empty, or if `replaceable` is true and it
+    /// contains only files that are named like those of [`write`](Self::write).
     ///
     /// # Errors
-    /// [`io::ErrorKind::AlreadyExists`] for a folder that may not be replaced, and
-    /// [`io::ErrorKind::InvalidInput`] for a folder with other files, or a name that is not
-    /// Unicode.
+    /// [`io::ErrorKind::InvalidInput`] if the folder contains other files, or if the name of
+    /// `place` is not Unicode. [`io::ErrorKind::AlreadyExists`] if the folder is not empty and
+    /// `replaceable` is false. The error of the system if the folder cannot be read.
     pub fn check(place: &Path, extension: &str, replaceable: bool) -> io::Result<()> {
         let (folder, stem) = named(place)?;
         let entries = match fs::read_dir(&folder) {
@@ -82,7 +86,7 @@ impl FolderInProgress {
     /// Writes file number `number`, and waits until it is on disk. Files must be written in order.
     ///
     /// # Errors
-    /// Errors of the system and of `content`.
+    /// If the file cannot be created or written, and the errors of `content`.
     pub fn write(
         &mut self,
         number: u64,
@@ -106,14 +110,15 @@ impl FolderInProgress {
 
     /// Renames the folder to its final name.
     ///
-    /// If a folder with this name exists and is `replaceable`, removes first the file at `named`,
-    /// which lists its files, and then that folder. Other processes that write the same output wait
-    /// for the lock of [`turn`]. Without file locks they do not wait, and the folder of the last
-    /// process stays.
+    /// If a folder with this name exists and `replaceable` is true, first removes the list at
+    /// `named`, which names the files in the existing folder, and then replaces that folder. Other
+    /// processes that write the same output wait for the lock of [`turn`]. Without file locks they
+    /// do not wait, and the folder of the last process stays.
     ///
     /// # Errors
-    /// [`io::ErrorKind::AlreadyExists`] if the file at `named` or the folder exists and is not
-    /// `replaceable`, and errors of the system.
+    /// [`io::ErrorKind::AlreadyExists`] if the file at `named` or the folder exists and
+    /// `replaceable` is false, and the error of the system if a file or folder cannot be renamed or
+    /// removed.
     pub fn keep(self, named: &Path, replaceable: bool) -> io::Result<()> {
         if !replaceable && named.symlink_metadata().is_ok() {
             return Err(ErrorKind::AlreadyExists.into());
@@ -146,12 +151,13 @@ fn unless_gone(done: io::Result<()>) -> io::Result<()> {
     done.or_else(|fault| if fault.kind() == ErrorKind::NotFound { Ok(()) } else { Err(fault) })
 }
 
-/// Maximum wait for a lock, and the interval between attempts.
+/// Maximum wait for a lock.
 const PATIENCE: Duration = Duration::from_secs(2);
+/// Interval between attempts to take a lock.
 const PAUSE: Duration = Duration::from_millis(2);
 
 /// Locks the parent folder of `place`, so that one process at a time renames a list and its folder.
-/// `None` if the system has no such lock, or another process does not release it in time.
+/// `None` if the folder cannot be locked, or another process does not release the lock in time.
 pub fn turn(place: &Path) -> Option<File> {
     let folder =
         place.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));

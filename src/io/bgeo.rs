@@ -10,7 +10,7 @@ use super::columns::{Column, ColumnStore, Endian, ParticleRows, Scalar};
 use super::cursor::Cursor;
 use super::{ParticleFile, ReadFault, malformed};
 
-/// Number of bytes of each number of a point.
+/// Size in bytes of each number of a point.
 const NUMBER: u64 = 4;
 
 /// Reads the header and the names of the attributes. The points are read later.
@@ -19,8 +19,9 @@ const NUMBER: u64 = 4;
 /// divided by the weight w, which is 1 for all points outside of curves.
 ///
 /// # Errors
-/// [`ReadFault::Unsupported`] for strings that are not indexed, [`ReadFault::Malformed`] and
-/// [`ReadFault::Truncated`] for a header that does not fit the file.
+/// [`ReadFault::Unsupported`] for a version other than 5 and for strings that are not indexed,
+/// [`ReadFault::Malformed`] for an invalid header, and [`ReadFault::Truncated`] if the file ends
+/// before the last point.
 pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
     let mut cursor = Cursor::new(bytes.view(), 0, Endian::Big);
     if cursor.take("the magic", 5)? != b"BgeoV" {

@@ -1,10 +1,11 @@
-//! Reads DualSPHysics' .bi4 (JBinaryData): the fluid particles of one part, which may be in several
-//! files.
+//! Reads DualSPHysics' .bi4 (JBinaryData): the fluid particles of one frame. DualSPHysics calls a
+//! frame a part, and may divide it into several files, its pieces.
 //!
 //! A file head of 64 bytes is followed by a tree of items. An item has named values, named arrays
-//! and child items. The size of its definition precedes each of them. The values of the root item
-//! describe the case. The root's child item `PART_xxxx` has one array per quantity. The arrays mix
-//! fixed, moving, floating and fluid particles, and fluid particles have the highest identifiers.
+//! and child items. Each item, each list of values and each array is preceded by the size of its
+//! definition. The values of the root item describe the case. The root's child item `PART_xxxx` has
+//! one array per quantity. The arrays mix fixed, moving, floating and fluid particles, and fluid
+//! particles have the highest identifiers.
 
 use std::path::{Path, PathBuf};
 
@@ -24,12 +25,13 @@ const HEAD: usize = 64;
 /// Number of particle identifiers per read.
 const IDS: usize = 1 << 15;
 
-/// Reads the part at `path`. `bytes` holds its first piece. A part can have further pieces in the
-/// same folder, such as `Part_p01_0000.bi4` next to `Part_p00_0000.bi4`.
+/// Reads the part that the file at `path` belongs to. `bytes` is the content of this file. A part
+/// can have further pieces in the same folder, such as `Part_p01_0000.bi4` next to
+/// `Part_p00_0000.bi4`.
 ///
 /// # Errors
-/// The errors of [`read_particles`] for the piece that has them. A missing piece is
-/// [`ReadFault::Io`].
+/// The errors of [`read_particles`], with the path of the invalid piece, and [`ReadFault::Io`] if a
+/// piece is missing.
 pub fn open_particles(
     path: &Path,
     bytes: Bytes,
@@ -83,7 +85,8 @@ pub fn is_later_piece(path: &Path) -> bool {
     PieceName::of(path).is_some_and(|name| name.number > 0)
 }
 
-/// The existing further pieces of the part whose first piece is `path`.
+/// Paths of the other pieces of a part, if `path` is the first piece. Stops at the first piece that
+/// does not exist.
 pub(super) fn later_pieces(path: &Path) -> Vec<PathBuf> {
     let first = PieceName::of(path).filter(|name| name.number == 0);
     first.map_or(Vec::new(), |name| {
@@ -131,9 +134,9 @@ impl<'a> PieceName<'a> {
 /// Every numeric array with one entry per particle becomes an attribute, except the positions.
 ///
 /// # Errors
-/// [`ReadFault::Unsupported`] for other files of the simulator and for one of several pieces of a
-/// part, [`ReadFault::Malformed`] and [`ReadFault::Truncated`] for a tree that does not fit the
-/// file.
+/// [`ReadFault::Unsupported`] for other files of DualSPHysics, and for one piece of a part that has
+/// several. [`ReadFault::Malformed`] for an invalid tree, and [`ReadFault::Truncated`] if the file
+/// ends within the tree.
 pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
     let piece = Bi4Piece::read(bytes.view())?;
     let Case { pieces, spacing, time, .. } = piece.case;
@@ -152,7 +155,7 @@ struct Bi4Piece {
     case: Case,
     /// The arrays that have one entry per particle.
     arrays: Vec<Bi4Array>,
-    /// The index of the array of positions, which has three components.
+    /// The index in `arrays` of the positions, which have three components.
     position: usize,
     fluid: FluidRows,
     endian: Endian,
@@ -209,7 +212,8 @@ impl Bi4Piece {
     }
 }
 
-/// The rows of the arrays that are fluid particles. `rows` counts from row `first`.
+/// The rows of the arrays that belong to fluid particles. Indices in `rows` are relative to
+/// `first`.
 struct FluidRows {
     first: usize,
     rows: ParticleRows,
@@ -250,7 +254,7 @@ impl FluidRows {
     }
 }
 
-/// An unsigned integer of up to eight bytes.
+/// Decodes an unsigned integer of up to eight bytes.
 fn number(bytes: &[u8], endian: Endian) -> u64 {
     let push = |number: u64, &byte: &u8| number << 8 | u64::from(byte);
     match endian {
@@ -262,7 +266,7 @@ fn number(bytes: &[u8], endian: Endian) -> u64 {
 /// Values from the file: counts, number of pieces, spacing and time.
 #[derive(Default)]
 struct Case {
-    /// The numbers of other particles: CaseNfixed, CaseNmoving and CaseNfloat.
+    /// Numbers of fixed, moving and floating particles: CaseNfixed, CaseNmoving and CaseNfloat.
     not_fluid: [Option<u64>; 3],
     pieces: u64,
     piece: Option<u64>,
@@ -271,7 +275,8 @@ struct Case {
 }
 
 impl Case {
-    /// The lowest identifier of a fluid particle, which is the number of other particles.
+    /// The lowest identifier of a fluid particle. It equals the number of particles that are not
+    /// fluid.
     fn boundary(&self) -> Result<u64, ReadFault> {
         self.not_fluid.iter().try_fold(0u64, |sum, count| sum.checked_add((*count)?)).ok_or_else(
             || {
@@ -387,8 +392,8 @@ impl Bi4Tree {
         };
         let mut cursor = Cursor::new(bytes, HEAD, endian);
         let mut tree = Self { case: Case::default(), arrays: Vec::new(), endian };
-        // An item's children follow it directly, so that the number of remaining items is enough to
-        // continue.
+        // An item's children follow it directly, so the loop only needs to count the items that are
+        // still to come.
         let mut to_come: u64 = 1;
         while to_come > 0 {
             to_come = to_come - 1 + tree.item(&mut cursor, wide)?;
@@ -396,7 +401,7 @@ impl Bi4Tree {
         Ok(tree)
     }
 
-    /// Reads one item without its children, and returns their number.
+    /// Reads one item without its children, and returns the number of children.
     fn item(&mut self, cursor: &mut Cursor, wide: bool) -> Result<u64, ReadFault> {
         cursor.u32("an item's size")?;
         tag(cursor, b"\nITEM\n")?;

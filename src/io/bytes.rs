@@ -1,5 +1,6 @@
-//! The bytes of an input file. Uncompressed binary files are read by position. Other files are
-//! read, unpacked or decoded as a whole into memory or a scratch file.
+//! The bytes of an input file. Uncompressed files are read by position. Compressed files are
+//! unpacked into memory or a scratch file. Pipes, and files that their reader needs as a whole, are
+//! copied there.
 
 use std::borrow::Cow;
 use std::fs::File;
@@ -56,7 +57,7 @@ impl Bytes {
     ///
     /// # Errors
     /// [`ReadFault::Changed`] and [`ReadFault::Io`] for a file that has changed or cannot be read,
-    /// and [`ReadFault::Scratch`].
+    /// and [`ReadFault::Scratch`] if the scratch file cannot be written.
     pub fn read_whole(self, unpacking: Unpacking) -> Result<PrivateBytes, ReadFault> {
         let file = match self {
             Self::File(file) => file,
@@ -110,8 +111,9 @@ impl PrivateBytes {
     /// # Errors
     /// I/O errors of the operating system.
     pub fn map(file: &File) -> io::Result<Self> {
-        // SAFETY: the map is never written through. If another program shortens the file meanwhile,
-        // a signal can end the process. This holds for every program that reads by mapping.
+        // SAFETY: the mapped memory is only read, never written. If another program shortens the
+        // file meanwhile, a signal can end the process. This holds for every program that reads by
+        // mapping.
         unsafe { Mmap::map(file) }.map(|map| Self::Scratch(Arc::new(map)))
     }
 
@@ -291,11 +293,11 @@ impl<'a> ByteView<'a> {
         }
     }
 
-    /// The bytes in memory of a text file, which was read as a whole.
+    /// The bytes of a file that was read or unpacked as a whole, as text formats require.
     ///
     /// # Errors
-    /// [`ReadFault::Changed`] if the bytes are not in memory. Then, the file was not text when it
-    /// was opened, and has changed since.
+    /// [`ReadFault::Changed`] if the file is read by position instead. When such a file was opened,
+    /// its format did not require a whole copy, so the file has changed since.
     pub fn kept(self) -> Result<Slice<'a>, ReadFault> {
         match self {
             Self::File(_) => Err(ReadFault::Changed),
@@ -522,8 +524,8 @@ impl<'a> UnpackBuffer<'a> {
 /// extension, is unpacked with the limits of [`for_a_look`](Unpacking::for_a_look).
 ///
 /// # Errors
-/// [`ReadFault::Io`] for errors of the system, [`ReadFault::Empty`] for an empty file, and
-/// [`ReadFault::Compression`] for a damaged stream or one whose compression ratio is too high.
+/// [`ReadFault::Io`] if the file cannot be opened or read, [`ReadFault::Empty`] for an empty file,
+/// and [`ReadFault::Compression`] for a damaged stream or one whose compression ratio is too high.
 pub fn open_bytes(path: &Path) -> Result<Bytes, ReadError> {
     open_bytes_within(path, Unpacking::for_a_look())
 }
@@ -692,7 +694,8 @@ fn unpack(
     })
 }
 
-/// Reads all bytes of `source`. After each step, `check` gets their number and may return an error.
+/// Reads all bytes of `source`. After each step, `check` gets the number of bytes so far, and may
+/// return an error.
 fn collect(
     mut source: impl Read,
     unpacking: Unpacking,

@@ -110,7 +110,7 @@ pub fn frame_of(path: &Path, list: &Path, number: Option<u64>) -> Result<ListedF
     Ok(frames[number].clone())
 }
 
-/// For each time, the names of the files.
+/// For each frame, its time and the names of its files.
 type Named = Vec<(Option<f64>, Vec<String>)>;
 
 /// Parses the entries of a .pvd.

@@ -1,5 +1,5 @@
-//! Columns of numbers with a fixed stride in a range of bytes, the common form of all particle
-//! formats.
+//! Columns of numbers with a fixed stride in a range of bytes. All particle formats are read in
+//! this form.
 //!
 //! The reader of a binary format parses the header and locates the columns. The reader of a text
 //! format first decodes the text into little-endian columns. Apart from this, formats are handled
@@ -20,7 +20,7 @@ use super::windows::{InputBytes, WindowPool, Windows};
 /// Granularity in bytes at which memory is released.
 const WINDOW: usize = 1 << 20;
 
-/// Selected rows within this number of rows are read together.
+/// Maximum number of rows from the first to the last of the selected rows that are read together.
 const NEAR: usize = 1 << 10;
 
 /// The type of a stored number.
@@ -50,7 +50,7 @@ impl Scalar {
     pub fn kind_of(self, info: &AttributeInfo) -> AttributeKind {
         let kind = match self {
             Self::F16 | Self::F32 | Self::F64 => return info.kind,
-            // Bytes are from 0 to 255, not fractions.
+            // A colour in bytes has values from 0 to 255, not fractions.
             Self::U8 if info.kind.is_colour() => return AttributeKind::ByteColour,
             _ if is_direction_name(info) => return AttributeKind::Number,
             Self::I8 | Self::U8 | Self::I16 | Self::U16 | Self::I32 => AttributeKind::Signed,
@@ -101,15 +101,15 @@ pub struct ColumnStore<B = InputBytes> {
     /// For each attribute, one column per component.
     columns: Vec<Vec<Column>>,
     labels: Vec<Label>,
-    /// For each text attribute, a column of numbers, and a table from these numbers to indices of
-    /// texts.
+    /// For each text attribute, a column of numbers, and a table that maps these numbers to indices
+    /// of texts in the attribute's label.
     texts: Vec<(Column, Vec<u32>)>,
 }
 
 /// The rows of the columns that contain particles.
 #[derive(Debug)]
 pub enum ParticleRows {
-    /// The first rows, in this number.
+    /// Rows 0 to `n - 1`, where `n` is this number.
     All(usize),
     /// Selected rows. A .bi4 mixes fluid with boundary particles, and conditions select particles.
     Selected(Sieve),
@@ -130,8 +130,8 @@ impl<B: Windows> ColumnStore<B> {
     /// first.
     ///
     /// # Panics
-    /// If a column exceeds the bytes, or numbers overlap. Readers must check a header's counts
-    /// first.
+    /// If a column extends beyond the bytes, if the numbers of a column overlap, or if an attribute
+    /// does not have one column per component. Readers must check a header's counts first.
     pub fn new(
         bytes: impl Into<B>,
         rows: ParticleRows,
@@ -208,7 +208,8 @@ impl<B: Windows> ColumnStore<B> {
         });
     }
 
-    /// Calls `read` with windows that hold the first `size` bytes of `column` for all `particles`.
+    /// Calls `read` with windows that together hold all `particles`. For each particle, a window
+    /// holds the `size` bytes from the start of the particle's number in `column`.
     fn each_window(
         &self,
         column: &Column,
@@ -253,7 +254,7 @@ impl<B: Windows> ColumnStore<B> {
 
 /// The bytes of a column for some particles.
 struct Window<'a> {
-    /// The particles, counted from the first particle of the read.
+    /// The particles, counted from the first particle that the caller requested.
     particles: Range<usize>,
     /// The row of each particle, counted from the first row of the window. `None` for consecutive
     /// rows.
@@ -265,8 +266,8 @@ impl Window<'_> {
     /// Converts `K` adjacent numbers of each particle, and writes them to the start of the
     /// particle's group of `step` numbers in `out`.
     ///
-    /// The compiler makes a copy for each pair of types, so this function contains only the
-    /// conversion.
+    /// The compiler makes a copy of this function for each pair of types, so the function contains
+    /// only the conversion.
     fn convert<T, const K: usize, const N: usize>(
         &self,
         stride: usize,
@@ -292,8 +293,8 @@ impl Window<'_> {
 }
 
 impl ColumnStore {
-    /// Adds text attributes. Each has a column of numbers, and a table from these numbers to
-    /// indices of its texts.
+    /// Adds text attributes. Each has a column of numbers, and a table that maps these numbers to
+    /// indices of texts in its [`Label`].
     #[must_use]
     pub fn with_labels(
         self,
@@ -422,7 +423,7 @@ macro_rules! stored {
             $(fn $type(value: $type) -> Self;)*
         }
 
-        #[allow(clippy::cast_lossless)] // One line for all types, i64 among them.
+        #[allow(clippy::cast_lossless)] // The same line serves i64, which `From` does not convert.
         impl NearestCast for f32 {
             $(fn $type(value: $type) -> Self { value as Self })*
         }

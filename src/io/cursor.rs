@@ -53,8 +53,8 @@ impl<'a> Cursor<'a> {
     /// Reads the next `count` bytes.
     ///
     /// # Errors
-    /// [`ReadFault::Truncated`], and [`ReadFault::Changed`] or [`ReadFault::Io`] if the file cannot
-    /// be read. All methods below return these errors too.
+    /// [`ReadFault::Truncated`] if fewer bytes remain, and [`ReadFault::Changed`] or
+    /// [`ReadFault::Io`] if the file cannot be read. All methods below return these errors too.
     pub fn take(&mut self, what: &str, count: u64) -> Result<&[u8], ReadFault> {
         let start = self.skip(what, count, 1)?;
         if start < self.window_at || self.window_at + self.window.len() < self.at {
@@ -65,7 +65,7 @@ impl<'a> Cursor<'a> {
         Ok(&self.window[start - self.window_at..][..count as usize])
     }
 
-    /// Reads the bytes of a number, the least significant byte first.
+    /// Reads a number of `N` bytes, and returns its bytes in little-endian order.
     ///
     /// # Errors
     /// The errors of [`take`](Self::take).

@@ -1,7 +1,7 @@
 //! Encodes the pieces of a mesh on all threads, and writes them in order.
 //!
-//! Pieces are large, so their closures are called through pointers, which compiles faster than one
-//! copy of the thread pool's code for each closure.
+//! The closures that encode a piece are called through pointers. This compiles faster than one copy
+//! of the thread pool's code for each closure, and costs little because pieces are large.
 
 use std::io::{self, Write};
 use std::ops::Range;

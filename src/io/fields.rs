@@ -8,7 +8,7 @@ use super::{ReadFault, UnreadPart, malformed};
 /// Maximum number of components of an attribute. An array with more is a matrix or a spectrum.
 pub const MOST_COMPONENTS: u64 = 64;
 
-/// Beginnings of names of vectors other than positions, in lower case.
+/// Prefixes, in lower case, of the names of vectors that are not positions.
 const NO_POSITIONS: [&str; 14] = [
     "acc", "color", "colour", "disp", "force", "mom", "norm", "omega", "stress", "vel", "vort",
     "grad", "spin", "torque",
@@ -79,8 +79,8 @@ pub struct Arrangement {
 impl Arrangement {
     /// The numbers of the frames. Empty if there is a single frame.
     pub fn steps(&self) -> Vec<u64> {
-        // Frames of 0 particles take no bytes, so the file's size does not limit the number of
-        // frames.
+        // Ignores frames without particles: they take no bytes, so the file's size does not limit
+        // their number.
         let frames = self.frames.filter(|frames| *frames > 1 && self.rows > 0);
         (0..frames.unwrap_or(0)).collect()
     }
@@ -189,8 +189,8 @@ fn arrange_along(fields: &[NamedArray], axes: Axes) -> Result<Option<Arrangement
     let mut candidates = NamedColumns::default();
     for (number, NamedArray { name, shape }) in fields.iter().enumerate() {
         let Some(extent) = axes.extent(shape) else { continue };
-        // Arrays (T, N) called x, y and z are not used: their axes may be frames, or the nodes of a
-        // grid.
+        // Arrays (T, N) called x, y and z are not used as positions: their axes may be frames and
+        // particles, or the two axes of a grid.
         let may_be = match axes {
             Axes::Particles => shape.len() <= 2,
             Axes::Components => true,
@@ -213,8 +213,8 @@ fn arrange_along(fields: &[NamedArray], axes: Axes) -> Result<Option<Arrangement
         let what = format!("the arrays of the position differ in length: {}", names.join(", "));
         return Err(malformed(0, what));
     }
-    // Prefers the axes of the position, then tries arrays without frames, which hold for each
-    // frame.
+    // For each array, tries the axes of the position first, and then axes without frames. The
+    // values of an array without frames apply to every frame.
     let mut columns = NamedColumns::default();
     let mut left_out = Vec::new();
     let mut chosen = vec![Axes::Particles; fields.len()];
@@ -254,8 +254,8 @@ fn too_many(shape: &[u64], rows: u64, frames: Option<u64>) -> Option<u64> {
     (numbers > MOST_COMPONENTS).then_some(numbers)
 }
 
-/// The single array of shape (N, 3), else (3, N), else (T, N, 3) whose name is not that of another
-/// vector.
+/// The index of the only array of shape (N, 3), or else (3, N), or else (T, N, 3). Arrays whose
+/// names suggest other vectors, such as velocities, do not count.
 pub fn only_vector(fields: &[NamedArray]) -> Option<usize> {
     let is_other = |name: &str| {
         let name = name.to_ascii_lowercase();

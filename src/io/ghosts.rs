@@ -1,9 +1,9 @@
-//! Finds points that are copies or hidden because all of their cells are flagged.
+//! Finds the points to leave out because all of their cells are flagged as copies or as hidden.
 //!
 //! Programs that divide cells among pieces flag cells, not points. In a set of particles, each cell
-//! is a vertex with one point. If all cells are vertices, a point is left out if it has cells and
-//! all of them are flagged. Flags of other cells are ignored. The memory is one bit per cell and
-//! two bits per point.
+//! is a vertex with one point. If all cells are vertices, a point is left out if it has at least
+//! one cell and all of its cells are flagged. If there are other cells, the flags of cells are
+//! ignored. The memory is one bit per cell and two bits per point.
 
 use std::ops::Range;
 
@@ -18,7 +18,8 @@ use super::wanted::GHOSTS;
 const LEFT_OUT: i64 = 1 | 8 | 32;
 /// Type number of a vertex cell.
 pub(super) const VERTEX: i64 = 1;
-/// Type number of a cell of several vertices. It is the last type whose cells store no length.
+/// Type number of a cell of several vertices. Cells with greater type numbers have a length, an
+/// area or a volume.
 pub(super) const POLY_VERTEX: i64 = 2;
 
 /// Whether an array of cell data can contain flags.

@@ -162,7 +162,8 @@ pub fn file_and_step(path: &Path) -> (&Path, Option<u64>) {
         let holds_steps = match InputFormat::of(file) {
             _ if is_list(file) => true,
             Some(Csv | Hdf5 | Lammps | Npy | Npz | Xyz) => true,
-            // The caller may override the format that the extension implies.
+            // For other extensions, the caller may override the format. The number after `#` is
+            // then a step if a file exists only without it.
             _ => file.is_file() && !path.exists(),
         };
         Some((file, step.parse().ok().filter(|_| holds_steps)?))
@@ -206,11 +207,11 @@ pub fn is_known(path: &Path) -> bool {
     InputFormat::of(path).is_some_and(|format| format != InputFormat::Json)
 }
 
-/// Whether a file contains a mesh instead of particles. The extension decides, or the presence of
-/// faces if the format supports both.
+/// Whether a file contains a mesh instead of particles. If the format supports both, the presence
+/// of faces decides. Otherwise, the extension decides.
 ///
 /// # Errors
-/// [`ReadError`] if such a file cannot be read.
+/// [`ReadError`] if the format supports both and the file cannot be read.
 pub fn holds_mesh(path: &Path) -> Result<bool, ReadError> {
     let extension = extension(path);
     type HasFaces = fn(ByteView) -> Result<bool, ReadFault>;
@@ -245,7 +246,7 @@ enum FormatReader {
     Arrays(fn(Bytes, Option<u64>, Unpacking) -> Result<ParticleFile, ReadFault>),
     /// Reads files that contain one or several frames.
     Steps(StepReader),
-    /// Reads files that may name further files, the other pieces of the same frame.
+    /// Reads files with a single frame, which may be divided into several files.
     Pieces(fn(&Path, Bytes, WantedParticles, Unpacking) -> Result<ParticleFile, ReadError>),
 }
 
@@ -290,7 +291,8 @@ mod tests {
     use super::*;
     use crate::io::compression::EXTENSIONS;
 
-    /// Extensions that have a reader only so that its error can give advice.
+    /// Extensions that, in a build without HDF5, have a reader only so that its error can give
+    /// advice.
     const ADVISED: [&str; 4] = ["h5", "h5md", "h5part", "hdf5"];
 
     #[test]

@@ -1,4 +1,4 @@
-//! Checks of joined files: no file occurs twice, and their colours have the same scale.
+//! Checks of joined files: no file occurs twice, and a colour has compatible scales in all files.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -82,7 +82,7 @@ pub(super) fn refuse_other_scales(
     Ok(())
 }
 
-/// The scale of a colour. `None` if its values fit any scale.
+/// The scale of a colour. `None` if its values fit several scales, for example if all are 0.
 fn scale_of(particles: &Pieces, index: usize) -> Option<ColourScale> {
     Some(match particles.attributes()[index].kind {
         AttributeKind::ByteColour => ColourScale::Bytes,
@@ -94,7 +94,8 @@ fn scale_of(particles: &Pieces, index: usize) -> Option<ColourScale> {
     })
 }
 
-/// Whether colours of two scales can be joined. Bytes can be joined with fractions by division.
+/// Whether colours of two scales can be joined. Bytes can be joined with fractions, because a byte
+/// becomes a fraction when it is divided by 255.
 fn is_joinable(one: ColourScale, other: ColourScale) -> bool {
     use ColourScale::{Bytes, Shares};
     one == other || matches!((one, other), (Bytes, Shares) | (Shares, Bytes))

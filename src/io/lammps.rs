@@ -186,7 +186,8 @@ fn value<T: std::str::FromStr>(lines: &mut TextLines) -> Result<T, ReadFault> {
         .map_err(|_| lines.fault(format!("{} is not a valid number", excerpt(line.as_bytes()))))
 }
 
-/// Reads the box from the three lines after `BOX BOUNDS`. `words` is the rest of that line.
+/// Reads the box from the three lines after the line `BOX BOUNDS`. `words` is the rest of that
+/// line.
 fn bounds(lines: &mut TextLines, words: &str) -> Result<Cell, ReadFault> {
     let mut rows = Vec::new();
     for _ in 0..3 {
@@ -198,7 +199,7 @@ fn bounds(lines: &mut TextLines, words: &str) -> Result<Cell, ReadFault> {
         rows.push(row.filter(|row| (2..=4).contains(&row.len())).ok_or_else(fault)?);
     }
     Ok(match (words, &rows[0][..], &rows[1][..], &rows[2][..]) {
-        // A box with arbitrary edges and its origin.
+        // A box with arbitrary edges. Each line has an edge and a coordinate of the origin.
         (words, &[ax, ay, az, ox], &[bx, by, bz, oy], &[cx, cy, cz, oz])
             if words.contains("abc") =>
         {
@@ -226,7 +227,7 @@ fn bounds(lines: &mut TextLines, words: &str) -> Result<Cell, ReadFault> {
 }
 
 impl Cell {
-    /// The lengths of the edges of a box that is aligned to the axes.
+    /// The lengths of the edges, if the box is aligned to the axes. Otherwise `None`.
     pub(super) fn sizes(&self) -> Option<[f64; 3]> {
         let along = |edge: usize| {
             let others = (0..3).filter(|axis| *axis != edge);

@@ -68,7 +68,8 @@ use error::malformed;
 pub use error::{ColourScale, ReadError, ReadFault, WriteError, WriteFault};
 pub use pieces::{PieceChunk, Pieces};
 
-/// A particle file whose header was parsed, and whose counts were checked against its size.
+/// An opened particle file. Its header was parsed, and the header's counts were checked against the
+/// size of the file.
 #[derive(Debug)]
 pub struct ParticleFile {
     /// Positions and attributes of the particles, read on demand.
@@ -79,7 +80,8 @@ pub struct ParticleFile {
     pub spacing: Option<f64>,
     /// The simulation's time in seconds, if the file has it.
     pub time: Option<f64>,
-    /// Edges of the simulation's box, if the file has them. The box need not be periodic.
+    /// Lengths of the edges of the simulation's box along x, y and z, if the file has them. The box
+    /// need not be periodic.
     pub box_size: Option<[f64; 3]>,
     /// The file's unit of length in metres, if the file has it. Coordinates are in this unit.
     pub unit_metres: Option<f64>,
@@ -90,7 +92,7 @@ pub struct ParticleFile {
     pub ghosts: usize,
     /// Number of particles that were left out because they fail a condition.
     pub unselected: usize,
-    /// The error to report if all particles fail a condition.
+    /// The error to report if every particle fails a condition. Otherwise `None`.
     pub none_selected: Option<SelectionFault>,
     /// Attributes of the file that were not requested.
     pub unread: Vec<AttributeInfo>,
@@ -103,7 +105,7 @@ pub struct ParticleFile {
 /// A part of an input that is not read.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum UnreadPart {
-    /// An attribute that some pieces with particles lack.
+    /// An attribute that is missing from at least one piece that contains particles.
     Attribute(AttributeInfo),
     /// A block that holds no particles.
     Block {
@@ -187,7 +189,7 @@ impl ParticleFile {
     }
 }
 
-/// Number type of the coordinates in a mesh file, for formats that support both.
+/// Number type of the coordinates in a mesh file, for formats that support f32 and f64.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum CoordinateWidth {
     /// f32, which all programs support.

@@ -139,7 +139,8 @@ pub fn quantities(names: &[String]) -> Option<(Quantity, Vec<Quantity>)> {
     Some((position, all))
 }
 
-/// The columns of a colour's components. `None` if a name is missing or occurs twice.
+/// The columns of a colour's components. `None` if the name of a component is missing or occurs
+/// twice. Alpha is optional.
 fn colour(names: &[&str], [shares @ .., alpha]: &[&str; 4]) -> Option<Vec<usize>> {
     let called = |share: &str| {
         let columns = names.iter().enumerate().filter(|(_, n)| n.eq_ignore_ascii_case(share));
@@ -173,8 +174,8 @@ fn without_unit(name: &str) -> &str {
     name[..end].trim()
 }
 
-/// Splits the name of a vector's component, such as `vel.x`, into its stem and its axis (here 0).
-/// The stem is `vel.` with the name of the first axis in this notation: `x`, `X` or `0`.
+/// Splits the name of a vector's component, such as `vel.x`, into its stem `vel.`, its notation and
+/// its axis (here 0). The notation is the name of the first axis: `x`, `X` or `0`.
 fn component(name: &str) -> Option<((&str, char), usize)> {
     let name = name.strip_suffix(']').unwrap_or(name);
     let last = name.chars().next_back()?;

@@ -1,4 +1,4 @@
-//! Reads positions of f32 or f64 from NumPy's .npy.
+//! Reads positions of f16, f32 or f64 from NumPy's .npy.
 //!
 //! The array has shape (N, 3), (3, N) or, for several frames, (T, N, 3), or is a structured array.
 //! Both byte orders and both orders of axes are supported.
@@ -374,7 +374,7 @@ fn element(descr: &str) -> Option<(Endian, Scalar)> {
     known.then_some((endian, scalar))
 }
 
-/// Parses a shape such as `(N, 3)`. `at` is its position for errors.
+/// Parses a shape such as `(N, 3)`. Errors report the position `at`.
 fn shape(shape: &str, at: usize) -> Result<Vec<u64>, ReadFault> {
     let inside = shape.strip_prefix('(').and_then(|rest| rest.split_once(')'));
     let (inside, _) = inside.ok_or_else(|| malformed(at, "'shape' is not a tuple"))?;

@@ -1,9 +1,9 @@
 //! Reads NumPy's .npz: a zip archive of .npy arrays. Each array is a quantity, with one row per
 //! particle.
 //!
-//! Uncompressed arrays (`np.savez`) are read in place. If an array that is read is compressed
-//! (`np.savez_compressed`), all arrays that are read are unpacked first. Checksums are always
-//! verified.
+//! Uncompressed arrays (`np.savez`) are read in place. If a needed array is compressed
+//! (`np.savez_compressed`), all needed arrays are unpacked first, and none is read in place.
+//! Checksums are always verified.
 
 use std::io::Read;
 
@@ -32,8 +32,9 @@ const LISTED: usize = 20;
 /// Reads the headers of the arrays, and finds the position.
 ///
 /// The position is an array of shape (N, 3), (3, N) or, for several frames, (T, N, 3), called
-/// `pos`, `position`, `x` or similar, or three arrays `x`, `y`, `z`. If there are none, it is the
-/// only vector whose name is not that of another quantity. `step` is the number of a frame.
+/// `pos`, `position`, `x` or similar, or three arrays `x`, `y`, `z`. If no array has such a name,
+/// the position is the only vector that does not have the name of another quantity. `step` is the
+/// number of a frame.
 ///
 /// Every other numeric array with N rows is an attribute. `vx`, `vy` and `vz` are one attribute.
 ///
@@ -119,8 +120,8 @@ impl Contents {
                 if field.shape.is_empty() {
                     continue;
                 }
-                // With several structures, the array's name is added, so that it is clear whose
-                // positions are used.
+                // With several structures, the array's name is added, so that it is clear to which
+                // structure a position belongs.
                 if header.is_structured() && structures > 1 {
                     field.name = format!("{name}.{}", field.name);
                 }

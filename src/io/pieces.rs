@@ -24,7 +24,7 @@ const FLAGS: usize = 1 << 14;
 #[derive(Debug, Default)]
 pub struct Pieces {
     stores: Vec<ColumnStore>,
-    /// The spans in the order of their particles, without gaps.
+    /// The spans in the order of their particles. Together, they contain all particles.
     spans: Vec<Span>,
     len: usize,
     infos: Vec<AttributeInfo>,
@@ -228,7 +228,7 @@ impl Pieces {
         (self.infos[index].kind, stored.kind) == (AttributeKind::Colour, AttributeKind::ByteColour)
     }
 
-    /// Reads attribute number `index` from a row of a piece on.
+    /// Reads attribute number `index` of a piece, from row `row` on.
     fn read(&self, index: usize, (piece, row): (usize, usize), out: &mut [f32]) {
         match self.sources[piece][index] {
             Source::Attribute(number) => self.stores[piece].attribute(number, row, out),
@@ -239,7 +239,7 @@ impl Pieces {
         }
     }
 
-    /// Calls `take` for each span within `range`, clipped to `range`. It also gets the span's
+    /// Calls `take` for each span within `range`, clipped to `range`. `take` gets the span, its
     /// number of particles, and the offset of its first particle from the start of `range`.
     fn each_span(&self, range: Range<usize>, mut take: impl FnMut(Span, usize, usize)) {
         assert!(range.end <= self.len, "particles {range:?} of {}", self.len);
@@ -258,9 +258,10 @@ impl Pieces {
 /// Joins files to one set of particles, in order, with the attributes that all of them have. The
 /// first file determines the format, the unit and the types of particles.
 ///
-/// If the files have different spacings, as those of the zones of a simulation with variable
-/// resolution, the particles get the attribute `spacing`. They always get it if these are only some
-/// of the files.
+/// If the files have different spacings, like the zones of a simulation with variable
+/// resolution, each particle gets the spacing of its file as the attribute `spacing`. This also
+/// happens if `wanted` selects only some of the files. In both cases, every file with particles
+/// must have a spacing.
 ///
 /// # Errors
 /// The number of the first file that cannot be joined with the files before it, and the reason.

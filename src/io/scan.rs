@@ -19,9 +19,9 @@ const PASSED: usize = 1 << 20;
 pub struct Scanner<'a> {
     bytes: &'a [u8],
     at: usize,
-    /// The bytes whose memory can be released, and the start of the bytes that are not yet
-    /// released.
+    /// The bytes, if their memory can be released.
     store: Option<Slice<'a>>,
+    /// Start of the bytes whose memory has not been released.
     held: usize,
 }
 

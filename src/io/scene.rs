@@ -3,7 +3,7 @@
 //! The scene file is in the folder of the frames or its parent folder. SPlisHSPlasH's scene is JSON
 //! with the particle radius, which is half of the spacing. Its tank is a box-shaped wall.
 //! DualSPHysics' case is XML with the spacing `dp`. Its tank is the largest box of boundary
-//! particles, with the faces that the box fills.
+//! particles. The tank has walls at the faces that the case fills with particles.
 
 use std::fs::File;
 use std::io::Read;
@@ -35,7 +35,7 @@ pub fn spacing_beside(path: &Path) -> Option<(f64, PathBuf)> {
 }
 
 /// The walls of the tank around the particles at `path`, and the path of the scene file that
-/// contains them. The scene is the one of [`spacing_beside`].
+/// contains them. This is the same scene file that [`spacing_beside`] finds.
 pub fn tank_beside(path: &Path) -> Option<(Walls, PathBuf)> {
     let (scene, path) = scene_beside(path)?;
     scene.tank.map(|tank| (tank, path))
@@ -99,9 +99,9 @@ fn walls_of(lo: [f64; 3], size: [f64; 3]) -> Option<Walls> {
     is_box.then(|| Walls([0, 1, 2].map(ends)))
 }
 
-/// Reads a scene of SPlisHSPlasH: twice `Configuration.particleRadius`, and the body that is a
-/// wall. The tank is `None` if several bodies are walls, or if the wall is not a box, is rotated or
-/// moves.
+/// Reads a scene of SPlisHSPlasH. The spacing is twice `Configuration.particleRadius`, and the tank
+/// is the body that is a wall. The tank is `None` if several bodies are walls, or if the wall is
+/// not a box, is rotated or moves.
 fn splishsplash(json: &[u8]) -> Option<SceneFacts> {
     #[derive(Deserialize)]
     #[serde(rename_all = "PascalCase")]
@@ -156,8 +156,9 @@ fn splishsplash(json: &[u8]) -> Option<SceneFacts> {
     Some(SceneFacts { spacing: 2.0 * configuration.particle_radius, tank })
 }
 
-/// Reads a case of DualSPHysics: `<dp value="..">` among the constants of a `<case>`, else
-/// `<definition dp="..">`, and the largest `<drawbox>` of boundary particles.
+/// Reads a case of DualSPHysics. The spacing is `<dp value="..">` among the constants of a
+/// `<case>`, or else `<definition dp="..">`. The tank is the largest `<drawbox>` of boundary
+/// particles.
 fn dualsphysics(xml: &[u8]) -> Option<SceneFacts> {
     let number = |element: &BytesStart, attribute: &str| -> Option<f64> {
         let attribute = element.try_get_attribute(attribute).ok()??;

@@ -150,11 +150,11 @@ impl Series {
         self.simulation.with_extension("manifest.usda")
     }
 
-    /// Writes the lists of `frames`, which must be in the order of their numbers, and replaces
-    /// earlier lists.
+    /// Writes the files that list `frames` (such as `.json` and `.pvd`), and replaces earlier ones.
+    /// The frames must be in the order of their numbers.
     ///
     /// # Errors
-    /// I/O errors of the operating system.
+    /// If a file cannot be written or replaced.
     pub fn write(&self, frames: &[SeriesFrame]) -> Result<(), WriteError> {
         let moments = self.moments(frames);
         let shown: Vec<(&SeriesFrame, FrameTime)> = frames.iter().zip(moments).collect();
@@ -165,8 +165,8 @@ impl Series {
         Ok(())
     }
 
-    /// The times of `frames` in seconds. `frames` must be in the order of their numbers. Without
-    /// times and a frame rate, the frame rate is [`FRAMES_A_SECOND`].
+    /// The times of `frames` in seconds. `frames` must be in the order of their numbers. If neither
+    /// the times nor the frame rate are known, the frame rate is [`FRAMES_A_SECOND`].
     #[must_use]
     pub fn times(&self, frames: &[SeriesFrame]) -> Vec<f64> {
         let rate = self.codes_a_second();

@@ -26,7 +26,7 @@ pub struct Stamp {
 }
 
 impl Stamp {
-    /// The stamp of the input at `path`, with all its frames and existing pieces.
+    /// The stamp of the input at `path`: of its file and of the frame's other pieces that exist.
     ///
     /// # Errors
     /// [`ReadError`] with the file that is missing or cannot be accessed.

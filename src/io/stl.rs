@@ -107,8 +107,9 @@ fn gathered(mesh: &dyn MeshSource) -> io::Result<Vec<[f64; 3]>> {
 /// [`ReadFault::Truncated`] or [`ReadFault::Malformed`] for a binary file whose length does not fit
 /// its number of triangles, and [`ReadFault::Line`] for invalid text.
 pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
-    // Tries binary first, because some binary files also start with "solid". Bytes 80 to 83 of a
-    // text do not give the length of the file.
+    // Tries binary first, because some binary files also start with "solid". A text file does not
+    // pass for binary, because its bytes 80 to 83 are not a number of triangles that fits its
+    // length.
     match records(bytes) {
         Ok(records) => joined(records.flat_map(corners)),
         Err(_) if bytes.starts_with(b"solid") => joined(text(bytes)?.into_iter()),

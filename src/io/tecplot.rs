@@ -76,8 +76,9 @@ fn keyword(line: &str) -> Option<(&'static str, &str)> {
 /// Reads the zone of a file with a single zone.
 ///
 /// # Errors
-/// [`ReadFault::Unsupported`] for several zones, for elements or shared variables, and if the order
-/// of values is not specified. [`ReadFault::Line`] for an invalid line or a wrong number of values.
+/// [`ReadFault::Unsupported`] if the order of values is not specified. [`ReadFault::Line`] for
+/// several zones, for elements or shared variables, for an invalid line, and for a wrong number of
+/// values.
 pub(super) fn read(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
     let mut lines = TextLines::new(bytes.view())?;
     let mut names = Vec::new();

@@ -1,4 +1,4 @@
-//! Decodes text piece by piece on all threads. Neither the text nor its contents need to fit in
+//! Decodes text piece by piece on all threads. Neither the text nor the decoded data need to fit in
 //! memory.
 
 use std::borrow::Cow;
@@ -17,8 +17,9 @@ use super::{ReadFault, malformed};
 const WINDOW: usize = 1 << 18;
 /// Maximum length in bytes of a line in a header.
 const LONGEST_LINE: usize = 1 << 16;
-/// Byte order marks of UTF-8 and UTF-16.
+/// Byte order mark of UTF-8.
 const UTF8: &[u8] = b"\xef\xbb\xbf";
+/// Byte order marks of UTF-16, with the byte order that each of them marks.
 const UTF16: [([u8; 2], Endian); 2] = [([0xff, 0xfe], Endian::Little), ([0xfe, 0xff], Endian::Big)];
 
 /// Minimum size of a piece in bytes.
@@ -75,8 +76,8 @@ pub(super) fn decode_windows<T: Send>(
     decoded
 }
 
-/// Decodes pieces of `range` and passes the results to `take`. `end_from` returns the end of the
-/// piece that contains a position.
+/// Decodes pieces of `range` and passes the results to `take`. `end_from` returns the first
+/// possible end of a piece after a position, or `None` if there is none.
 fn in_pieces<T: Send>(
     range: Range<usize>,
     end_from: impl Fn(usize) -> Option<usize>,
@@ -183,7 +184,7 @@ pub(super) struct LinePlace {
 /// Reads the lines of a text sequentially, in windows.
 pub(super) struct TextLines<'a> {
     view: ByteView<'a>,
-    /// The end of the last line read that is not blank.
+    /// The end of the text, without the whitespace at its end (at most `LONGEST_LINE` bytes of it).
     end: usize,
     at: usize,
     passed: u64,

@@ -143,8 +143,9 @@ impl Frames {
         numbers
     }
 
-    /// The place of frame number `step`. Without `step`, the text must have a single frame. Frames
-    /// above an invalid line can only be read by their numbers.
+    /// The place of frame number `step`. Without `step`, the text must have a single frame. If the
+    /// text has an invalid line, a frame above this line is found by its number, but not without
+    /// `step`.
     fn find(&self, view: ByteView, step: Option<u64>) -> Result<LinePlace, ReadFault> {
         let found = match step {
             Some(step) => self.all.iter().find(|(number, _)| *number == step),

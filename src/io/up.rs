@@ -2,8 +2,8 @@
 //! axis.
 //!
 //! Only z is recorded. Without a record, y points up, as most programs expect. `.ply`, `.obj`,
-//! `.vtk`, `.vtp`, `.pvtp` and `.stl` have comments or titles. For all formats, the listing of a
-//! simulation also records the axis.
+//! `.vtk`, `.vtp`, `.pvtp` and `.stl` have comments or titles. For all formats, the .json list of a
+//! simulation's frames also records the axis.
 
 use std::fs::File;
 use std::io::Read;

@@ -34,7 +34,8 @@ impl FileVertices {
         let normals = self.normals.map(|index| self.attributes[index].0.name.clone());
         let store: ColumnStore<&[u8]> =
             ColumnStore::new(bytes, ParticleRows::All(self.count), self.position, self.attributes);
-        // Attributes with the same name were removed, so that the index may have changed.
+        // The index may have changed, because attributes with the same name as an earlier one were
+        // removed.
         let normals = normals.and_then(|name| normals_called(&name, &store));
         whole(&store, normals, triangles)
     }

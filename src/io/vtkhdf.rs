@@ -54,7 +54,8 @@ enum DatasetContent {
     /// Integers that the file stores as i64.
     Counts(Vec<u64>),
     Array(Array<'static>),
-    /// An array that starts with 0, followed by the end of each triangle's corners.
+    /// An array of offsets: 0, and then the end of each triangle's corners in the array of all
+    /// corners.
     Ends(Array<'static>),
 }
 
@@ -128,7 +129,7 @@ fn set(array: Array<'static>) -> Node {
 }
 
 impl Node {
-    /// The messages of the header. `addresses` are those of the linked objects, or of the data.
+    /// The object's header. `addresses` are the addresses of the linked objects, or of the data.
     fn messages(&self, addresses: &[u64]) -> Vec<u8> {
         let mut messages = Messages::default();
         match self {

@@ -1,4 +1,5 @@
-//! Selects which parts of an input are read: a type of particles, some attributes, and no ghosts.
+//! Selects which parts of an input are read: types of particles, attributes, pieces, and the
+//! particles that meet conditions. Removes ghosts.
 
 use crate::particles::condition::Where;
 use crate::particles::mixture::is_kind;
@@ -19,12 +20,13 @@ pub(super) const TAG: &str = "tag";
 /// Selects which particles of an input are read, and which of their attributes.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct WantedParticles<'a> {
-    /// Format of the input, if it differs from that of its extension.
+    /// Format of the input, if it differs from the format that the extension implies.
     pub format: Option<InputFormat>,
     /// Attributes to read. Readers that always read all attributes return more than these.
     pub attributes: WantedAttributes<'a>,
-    /// Conditions by which particles are selected. `type=wall` names the type of particles in an
-    /// input with several; by default it is gas, a fluid, or the only type.
+    /// Conditions by which particles are selected. If an input has several types of particles, a
+    /// condition such as `type=wall` names the type to read. By default, this type is gas, a fluid,
+    /// or the only type.
     pub conditions: &'a [Where],
     /// Pieces to read, for an input in several files.
     pub pieces: WantedPieces<'a>,

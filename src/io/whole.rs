@@ -51,7 +51,8 @@ impl WholeFile {
     /// temporary file in its folder. Pipes and devices are written directly.
     ///
     /// # Errors
-    /// [`WriteFault::Exists`], and [`WriteFault::Io`] for errors of the system.
+    /// [`WriteFault::Exists`] if the file exists and may not be replaced, and [`WriteFault::Io`] if
+    /// `path` is a folder or the temporary file cannot be created.
     pub fn prepare(path: &Path, replace: Replace) -> Result<Self, WriteError> {
         let fail = |fault: WriteFault| WriteError::new(path, fault);
         let found = metadata(path).map_err(|e| fail(e.into()))?;
@@ -182,8 +183,8 @@ impl FilledFile {
     /// Waits until the file is on disk, and renames it. Returns its size in bytes.
     ///
     /// # Errors
-    /// [`WriteFault::Io`] for errors of the system, and [`WriteFault::Exists`] if a file with this
-    /// name was created meanwhile.
+    /// [`WriteFault::Io`] if the file cannot be synced or renamed, and [`WriteFault::Exists`] if a
+    /// file with this name was created meanwhile.
     pub fn keep(self) -> Result<u64, WriteError> {
         let Self { file: WholeFile { path, target }, bytes, folder, .. } = self;
         let kept = match target {
@@ -205,10 +206,10 @@ impl FilledFile {
     }
 }
 
-/// Atomically replaces a small file. A power failure may lose it.
+/// Atomically replaces a small file. The new file is not synced, so a power failure may lose it.
 ///
 /// # Errors
-/// Errors of the system.
+/// If the temporary file cannot be created, written or renamed.
 pub fn replace_small(path: &Path, content: &[u8]) -> io::Result<()> {
     let mut file = temporary_beside(path)?;
     file.write_all(content)?;
@@ -308,7 +309,7 @@ fn is_direct(path: &Path, found: Option<&fs::Metadata>) -> bool {
 /// Creates a folder and its missing parents.
 ///
 /// # Errors
-/// I/O errors of the operating system, with their kind and message.
+/// If a folder cannot be created. The error has the kind and the message of the system's error.
 pub fn make_folder(folder: &Path) -> io::Result<()> {
     fs::create_dir_all(folder)
         .map_err(|fault| io::Error::new(fault.kind(), format!("cannot create the folder: {fault}")))
@@ -350,8 +351,8 @@ pub(super) fn fault_of(fault: io::Error) -> WriteFault {
     }
 }
 
-/// Maximum bytes per write. Small pieces are combined, and large pieces are divided, because the
-/// system would need additional memory for them.
+/// Maximum bytes per write. Small pieces are combined. Large pieces are divided, because the system
+/// would need additional memory for a large write.
 const AT_ONCE: usize = 256 << 10;
 
 /// Lets `content` write to `out`. Returns the number of bytes, and their checksum if `crc` is
@@ -369,7 +370,7 @@ pub(super) fn counted(
     Ok((bytes, crc))
 }
 
-/// Like [`counted`] for an empty file. A large file bypasses the system's cache.
+/// Like [`counted`], for a file that is still empty. A large file bypasses the system's cache.
 pub(super) fn counted_in(
     file: &File,
     crc: Option<Hasher>,

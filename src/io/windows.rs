@@ -1,5 +1,5 @@
-//! Access to the bytes of columns in windows. The bytes are in memory, in a mapped scratch file, or
-//! in the input file.
+//! Reads the bytes of columns piece by piece; a piece is called a window. The bytes are in memory,
+//! in a mapped scratch file, or in the input file.
 //!
 //! An input file is read by position into buffers, one per thread, and never mapped. If another
 //! program shortens a mapped file, a signal ends the process. A read by position instead returns an
@@ -181,7 +181,7 @@ impl FileWindow {
 }
 
 impl WindowPool {
-    /// Windows per thread. A thread alternates between a few columns.
+    /// Number of windows per thread. A thread alternates between a few columns.
     const A_THREAD: usize = 4;
 
     fn most() -> usize {

@@ -1,9 +1,9 @@
 //! Reads XYZ text, and raw f32 triples without a header that use the same extension.
 //!
-//! A frame in text is the number of particles, a comment, and a row per particle. The columns are
-//! those of extended XYZ (`Properties=species:S:1:pos:R:3`), or else the names in the comment.
-//! Otherwise, the position is the first three numbers, after the name or the atomic number of an
-//! element. `sim.xyz#3` is the fourth frame.
+//! A frame in text consists of the number of particles, a comment, and a row per particle. The
+//! comment may name the columns, either as in extended XYZ (`Properties=species:S:1:pos:R:3`) or in
+//! a list of names. Otherwise, the position is the first three numbers, after the name or the
+//! atomic number of an element. `sim.xyz#3` is the fourth frame.
 
 use super::bytes::{ByteView, Bytes, Unpacking};
 use super::columns::{Column, ColumnStore, Endian, ParticleRows, Scalar};
@@ -72,9 +72,9 @@ struct XyzFrame {
 
 /// Whether a text starts with the number of its particles, as a frame does.
 ///
-/// A number with exactly that many rows directly below it is the title of a table. So is a number
-/// above a line of column names, unless exactly that many rows follow before the next frame or the
-/// end.
+/// The number is the title of a table instead if exactly this number of rows follows it directly,
+/// and nothing else. If a line of column names follows it, the number is a title as well, unless
+/// exactly this number of rows follows before the next frame or the end.
 ///
 /// # Errors
 /// Errors of reading.
@@ -247,7 +247,8 @@ fn columns_of(properties: &str) -> Result<TableColumns, String> {
     TableColumns::of(names).ok_or_else(|| format!("{} without pos:R:3", shown()))
 }
 
-/// The edges of a box that is aligned to the axes, from the nine numbers of its vectors.
+/// The lengths of the edges, from the nine numbers of the box's vectors. `None` if the box is not
+/// aligned to the axes.
 fn box_of(lattice: &str) -> Option<[f64; 3]> {
     let numbers = lattice.split_ascii_whitespace().map(|word| f64::of(word.as_bytes()));
     let vectors: [f64; 9] = numbers.collect::<Option<Vec<f64>>>()?.try_into().ok()?;

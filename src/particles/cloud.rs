@@ -28,7 +28,7 @@ pub struct Cloud<'a, P: ?Sized> {
 
 /// A value of an attribute: one number, or several.
 pub trait AttributeValue: Sized {
-    /// Numbers in a value.
+    /// Number of components of a value.
     const COMPONENTS: usize;
 
     /// The numbers of some values, one value after the other.

@@ -26,12 +26,12 @@ pub use cloud::{AttributeValue, Cloud};
 pub use kind::{AttributeKind, colour_attribute};
 pub use metered::MeteredParticles;
 
-/// A value of every particle.
+/// Describes an attribute, which is a value that every particle has.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct AttributeInfo {
     /// The name of the attribute in the file.
     pub name: String,
-    /// Numbers per particle.
+    /// Number of components per particle.
     pub components: usize,
     /// The meaning of the numbers.
     #[serde(default, skip_serializing_if = "AttributeKind::is_number")]
@@ -57,7 +57,7 @@ impl AttributeInfo {
         Self { name, components, kind }
     }
 
-    /// Whether this is the velocity of a mesh's vertices, which always has this name.
+    /// Whether this is the velocity of a mesh's vertices, which is always called `velocity`.
     #[must_use]
     pub fn is_velocity(&self) -> bool {
         self.name == "velocity" && self.components == 3

@@ -31,8 +31,8 @@ static CANCEL: LazyLock<Cancel> = LazyLock::new(|| {
     cancel
 });
 
-/// The signals that the caller of the program made it ignore: `nohup` does this for the end of a
-/// session, and a shell does it for Ctrl-C in a background job.
+/// The signals that the parent process made this process ignore. For example, `nohup` makes a
+/// program ignore the end of the session, and a shell makes a background job ignore Ctrl-C.
 #[cfg(unix)]
 fn ignored_signals() -> impl Iterator<Item = libc::c_int> {
     let signals = [libc::SIGHUP, libc::SIGINT, libc::SIGTERM];

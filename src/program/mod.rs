@@ -31,8 +31,9 @@ use notes::Verdict;
 
 /// Runs a command line, with the program's name as its first word, and returns the exit code.
 ///
-/// Programs and packages in other languages can offer the program with this function. It catches
-/// signals of the process, and an interrupt ends the process with 130.
+/// Other programs, and packages in other languages, can use this function to offer the command
+/// line. It installs signal handlers for the whole process. After an interrupt, the process exits
+/// with code 130.
 pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     process::set_up();
     interrupt::catch_crashes();
@@ -40,7 +41,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     process::on_own_stack(move || match Arguments::of_command_line(&arguments) {
         Ok(Arguments { command }) => code(process::on_all_cores(|| execute(command))),
         Err(error) => {
-            // If the pipe is closed, there is no reader for an error message.
+            // A failure to print is ignored: if the pipe is closed, nobody reads an error message.
             let _ = error.print();
             error.exit_code() as u8
         }

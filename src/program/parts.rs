@@ -143,8 +143,7 @@ pub struct PartsOptions {
     /// then with --merge.
     ///
     /// All runs need the same settings, but can be on different machines. The plan and the parts
-    /// are in a folder next to the output, which is named after the output with .meniscus-parts
-    /// appended.
+    /// are in a folder next to the output: for m.ply, it is m.ply.meniscus-parts.
     #[arg(long, value_name = "N", value_parser = value_parser!(u32).range(1..), help_heading = "Clusters", hide_short_help = true)]
     pub parts: Option<u32>,
     /// Make part I, where I is from 0 to N - 1. Parts can be made in any order. If a run was

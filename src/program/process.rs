@@ -5,7 +5,7 @@ use std::thread;
 
 use rayon::ThreadPoolBuilder;
 
-/// Bytes of the stack of commands: the default size on most systems.
+/// Size in bytes of the stack of each thread that runs a command: the default on most systems.
 const STACK: usize = 8 << 20;
 
 /// Sets up the process, before any other thread is started.

@@ -90,8 +90,8 @@ impl ProgressBars {
     }
 }
 
-/// Draws bars on standard error even if it is no terminal, for callers that forward it to one.
-/// Ignores write errors.
+/// Draws bars on standard error even if that is not a terminal, for callers that forward standard
+/// error to a terminal. Ignores write errors.
 #[derive(Debug)]
 struct TerminalOutput;
 

@@ -93,7 +93,8 @@ pub fn report(options: &ReconstructOptions, report: &Report, mesh: &dyn MeshSour
     }
 }
 
-/// Prints the isovalue or the density of the surface, and the resolution of the field.
+/// Prints the isovalue or the density of the particles, and how far the smallest step of the field
+/// moves the surface.
 fn report_calibration(
     report: &Report,
     measured: &MeasuredCalibration,
@@ -154,7 +155,8 @@ pub fn too_small(drops: u64, particles: u32) -> String {
     format!("{drops} drops of fewer than {particles} particles left out")
 }
 
-/// Prints the traffic with a device per frame, and the device's time for each stage.
+/// Prints a device's submissions, new buffers, transferred bytes and time for each stage, all per
+/// frame.
 pub fn report_device(device: Option<&Device>, frames: usize, notes: &Notes) {
     let Some(device) = device else { return };
     let Counters { submissions, allocations, sent, received } = device.take_counters();
@@ -179,8 +181,9 @@ pub fn report_stages(timings: &Timings, notes: &Notes) {
     }
 }
 
-/// Prints the warnings about a surface, with advice. Skips warnings about the spacing, which were
-/// printed when the spacing was chosen, except for packed frames.
+/// Prints the warnings about a surface, with advice. Skips warnings about the spacing, because they
+/// were printed when the spacing was chosen. Only the warning that particles contradict the spacing
+/// of a packed frame is printed here.
 pub fn warn_all(warnings: &[Warning], options: Option<&ReconstructOptions>, notes: &Notes) {
     let was_said = |warning: &&Warning| match warning {
         Warning::Spacing(SpacingWarning::Contradicted { source, .. }) => {

@@ -9,7 +9,8 @@ use meniscus::{Error, MemoryBudget, Reconstruction, default_memory};
 
 use super::notes::Notes;
 
-/// Maximum number of threads: more than a machine has cores, and few enough for a system to start.
+/// Maximum number of threads: more than most machines have cores, and few enough for the system to
+/// start them.
 const MOST_THREADS: usize = 1024;
 
 #[derive(Args)]
@@ -126,7 +127,8 @@ impl RunOptions {
     }
 }
 
-/// Bytes of the particles in the files; `None` if a file is missing or its size does not show it.
+/// Total size of the files in bytes; `None` if a file is missing, or if its size does not indicate
+/// how many particles it has.
 pub fn bytes_of<'a>(files: impl IntoIterator<Item = &'a Path>) -> Option<u64> {
     devices::bytes_of(files)
 }

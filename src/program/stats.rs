@@ -15,7 +15,7 @@ use super::options::ReconstructOptions;
 pub struct MeshStats<'a> {
     pub input: &'a Path,
     pub output: &'a Path,
-    /// Vertices, triangles, and bytes of the file.
+    /// Number of vertices, number of triangles, and size of the file in bytes.
     pub counts: [u64; 3],
     pub stages: &'a Timings,
     /// Lower bound of the number of particles that are missing from the surface.

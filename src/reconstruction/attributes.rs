@@ -1,5 +1,5 @@
-//! Selects the particle attributes that go to the vertices, and what to read from an input for
-//! them.
+//! Selects the attributes that are read from an input, and those that are interpolated to the
+//! vertices.
 
 use crate::error::Error;
 use crate::io::output::MeshFormat;
@@ -31,8 +31,8 @@ impl Settings {
         }
     }
 
-    /// Numbers of the available attributes that go to the vertices. Velocity is included by default
-    /// if the format can store it.
+    /// Indices in `all` of the attributes that go to the vertices. By default, this is the
+    /// velocity, if the format can store it.
     pub(crate) fn carried(
         &self,
         all: &[AttributeInfo],

@@ -284,10 +284,10 @@ impl Reconstruction {
         self
     }
 
-    /// Sets the attribute that holds the particles' sizes. Its name says what its values are:
-    /// radii, diameters, volumes, or masses, which need a density. Without this setting, `pscale`,
-    /// `radius` or `spacing` is used; `none` treats all particles as one size. Sizes apply to
-    /// clouds.
+    /// Sets the attribute that holds the particles' sizes. The attribute's name determines the
+    /// meaning of its values: radii, diameters, volumes, or masses, which need a density. Without
+    /// this setting, `pscale`, `radius` or `spacing` is used. The name `none` gives all particles
+    /// one size. Only the indicator cloud supports sizes.
     pub fn size(mut self, attribute: impl Into<String>) -> Self {
         self.settings.size = Some(attribute.into());
         self
@@ -332,8 +332,8 @@ setters! {
     /// Sets the smoothing width in spacings, for clouds: 1.6 by default. Larger values give a
     /// smoother surface.
     smooth: f64,
-    /// Joins particles of thin sheets and filaments up to this distance in spacings, 2.15 by
-    /// default, for clouds. 0 turns this off.
+    /// With the indicator cloud, joins particles of thin sheets and filaments that are at most this
+    /// many spacings apart, 2.15 by default. 0 turns this off.
     sheets: f64,
     /// Sets the distance between the fluid and solids, in spacings. With a negative distance, the
     /// fluid reaches into solids.

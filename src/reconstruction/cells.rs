@@ -68,7 +68,7 @@ pub struct Cells {
     /// The particles' sizes, if they have several.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sizes: Option<Sizes>,
-    /// Walls found by the scene file and the particles, if requested.
+    /// Walls that the scene file and the particles indicate, if requested.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub walls: Option<FoundWalls>,
     /// Reasons why the spacing may be wrong.
@@ -84,8 +84,8 @@ pub struct FoundWalls {
     /// The scene file with the walls; without one, walls are planes at which particles end.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub scene: Option<PathBuf>,
-    /// The spacing at the lower and the upper side along each axis, if it is not the spacing of the
-    /// smallest particles everywhere.
+    /// The spacing at the lower and the upper side along each axis; `None` if it is everywhere the
+    /// spacing of the smallest particles.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub spacings: Option<[[f64; 2]; 3]>,
 }

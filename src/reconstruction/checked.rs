@@ -136,7 +136,7 @@ fn refuse(
     }
 }
 
-/// Rejects the first setting with one of these names that is given.
+/// Returns an error for the first given setting whose name is in `names`.
 pub(super) fn refuse_named(
     settings: &Settings,
     names: &[&'static str],
@@ -216,8 +216,8 @@ fn size(settings: &Settings) -> SizeChoice {
     }
 }
 
-/// Decides the method, and rejects settings that do not apply to it, except those of an indicator's
-/// surface.
+/// Decides the method, and rejects settings that do not apply to it. For an indicator, the settings
+/// of the surface are checked later.
 fn method(settings: &Settings) -> Result<Method, Error> {
     let kind = settings.indicator.unwrap_or_default();
     let Some(kernels) = settings.kernels() else {

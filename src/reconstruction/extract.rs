@@ -55,8 +55,9 @@ impl ExtractedMesh {
 }
 
 impl CheckedRequest {
-    /// Makes the surface of a frame with a given calibration, or with a calibration that is
-    /// measured on this frame, and removes components that are too small.
+    /// Makes the surface of a frame with the calibration `known`, or with a calibration that is
+    /// measured on this frame if `known` is `None`. Then simplifies the surface and removes small
+    /// components, if requested.
     pub(crate) fn extract(
         &self,
         engine: &Engine,

@@ -68,7 +68,7 @@ pub struct ParticlesInfo {
     pub ghosts: usize,
     /// Descriptions of parts of the input that are not read.
     pub left_out: Vec<String>,
-    /// Edges of the simulation's box in the file; the box need not be periodic.
+    /// Edge lengths of the simulation's box, if the file states them. The box need not be periodic.
     pub box_size: Option<[f64; 3]>,
     /// The file's unit of length in metres.
     pub unit_metres: Option<f64>,
@@ -87,9 +87,9 @@ pub struct ParticlesInfo {
     pub nearest_neighbours: Option<f64>,
     /// The slab that is meshed if all particles lie in a plane.
     pub slab: Option<Slab>,
-    /// Walls found by the scene file and the particles.
+    /// Walls that the scene file and the particles indicate.
     pub walls: Option<Box<FoundWalls>>,
-    /// Bytes of memory for a reconstruction with default settings.
+    /// Estimated peak memory of a reconstruction with default settings, in bytes.
     pub memory_bytes: Option<u64>,
 }
 
@@ -101,15 +101,16 @@ pub struct FrameInfo {
     pub file: PathBuf,
     /// The number of particles in the frame.
     pub particles: usize,
-    /// The number of cells that are not 0 because of particles in their own bin.
+    /// The number of full cells. Cells that are full only because of particles in other bins do not
+    /// count.
     pub cells: u64,
     /// The number of stored bricks.
     pub bricks: u64,
-    /// The lowest and highest corner of the bounding box of the cells that are not 0.
+    /// The lowest and highest corner of the bounding box of these cells.
     pub bounds: Option<[[f64; 3]; 2]>,
     /// Edge of a cell.
     pub cell_size: f64,
-    /// A corner of the grid's cells.
+    /// The grid's origin, which is a corner of cells.
     pub origin: [f64; 3],
     /// The walls of the tank, if there is one.
     pub domain: Option<[[f64; 3]; 2]>,
@@ -163,10 +164,10 @@ static ALL_KNOWN: LazyLock<String> = LazyLock::new(|| {
     )
 });
 
-/// Reads the content summary of a particle file, a packed frame, a mesh or a volume.
+/// Summarizes the contents of a particle file, a packed frame, a mesh or a volume.
 ///
 /// # Errors
-/// [`Error::Read`].
+/// [`Error::Read`] if the file cannot be read, or has an unknown format.
 pub fn info(path: impl AsRef<Path>) -> Result<Info, Error> {
     info_with(path, &Settings::default())
 }
@@ -174,7 +175,7 @@ pub fn info(path: impl AsRef<Path>) -> Result<Info, Error> {
 /// Like [`info`], with the format and the conditions of `settings`.
 ///
 /// # Errors
-/// [`Error::Read`], also if the file lacks the requested type of particles.
+/// [`Error::Read`] if the file cannot be read, or lacks the requested type of particles.
 pub fn info_with(path: impl AsRef<Path>, settings: &Settings) -> Result<Info, Error> {
     let path = path.as_ref();
     let (file, step) = file_and_step(path);
@@ -307,7 +308,7 @@ fn particles(path: &Path, settings: &Settings) -> Result<ParticlesInfo, Error> {
     })
 }
 
-/// Bytes of memory for a reconstruction with default settings.
+/// Estimated peak memory of a reconstruction with default settings, in bytes.
 fn memory(particles: &dyn Particles, cells: &Cells) -> Option<u64> {
     let request = SamplingRequest { invalid: InvalidParticles::Skip, ..SamplingRequest::default() };
     let request = request.in_slab(cells.slab);

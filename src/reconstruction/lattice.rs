@@ -9,8 +9,8 @@ use crate::particles::Particles;
 use crate::particles::lattice::sound_origin;
 
 /// Moves the grid of a frame whose particles are on a lattice, so that the indicator samples the
-/// lattice like disordered fluid. The grid stays if the indicator does not depend on its position:
-/// see [`sound_origin`].
+/// lattice like disordered fluid. The grid does not move if the indicator does not depend on the
+/// grid's position: see [`sound_origin`].
 pub fn on_sound_grid(particles: &dyn Particles, sampling: Sampling) -> Sampling {
     origin_for_lattice(particles, &sampling)
         .and_then(|origin| moved(&sampling, origin))

@@ -43,9 +43,10 @@ pub struct Needs {
     pub scratch: u64,
     /// Folder of the scratch files.
     pub scratch_folder: PathBuf,
-    /// Additional bytes for simplifying: in memory, and in memory or scratch files.
+    /// Additional bytes for simplifying, if it is requested: first the bytes that must be in
+    /// memory, then the bytes that can be in memory or in scratch files.
     pub simplifying: Option<[u64; 2]>,
-    /// Additional bytes of a writer that needs the whole mesh in memory.
+    /// Additional memory of the writer in bytes, if it needs the whole mesh in memory.
     pub writing: Option<u64>,
     /// Approximate number of triangles before simplifying: exact for a small frame, estimated from
     /// the counted particles for a large one.
@@ -66,7 +67,7 @@ pub(crate) fn mesh_bytes(vertices: u64, triangles: u64) -> u64 {
 
 /// Result of making some or all blocks of a frame.
 struct TrialResult {
-    /// Particles that were binned.
+    /// Number of particles that were binned.
     particles: usize,
     triangles: u64,
     /// Seconds for sampling the particles and meshing their surface.
@@ -118,8 +119,9 @@ impl OpenedFrame {
     }
 }
 
-/// The approximate number of triangles of a frame, and its time in seconds: the time `before` it
-/// was counted, and the time that the whole frame or a sample of it takes.
+/// The approximate number of triangles of a frame, and its time in seconds: the time `before`,
+/// including the count, plus the time for sampling and meshing. The time for sampling and meshing
+/// is measured on the whole frame, or extrapolated from a sample of its blocks.
 fn forecast(
     checked: &CheckedRequest,
     file: &ParticleFile,
@@ -159,7 +161,8 @@ fn forecast(
     Ok((expected, (part.triangles > 0).then_some(seconds)))
 }
 
-/// A missing surface does not fail a forecast.
+/// Returns `None` for a trial that failed, for example because there is no surface. Only a cancel
+/// is an error.
 fn accepted(tried: Result<TrialResult, FrameError>) -> Result<Option<TrialResult>, FrameError> {
     match tried {
         Err(FrameError::Cancelled) => Err(FrameError::Cancelled),

@@ -79,7 +79,8 @@ impl StartedRequest {
 }
 
 impl CheckedRequest {
-    /// The request with a search for walls, if it has neither a domain nor a periodic box.
+    /// Returns the request, and adds a search for walls if it has neither a domain nor a periodic
+    /// box.
     fn hinted(&self) -> Cow<'_, Self> {
         let request = &self.sampling;
         if request.search != WallSearch::Never
@@ -113,7 +114,8 @@ impl CheckedRequest {
         self.sampling.sampling(&particles, source, carried, self.resources.clone())
     }
 
-    /// Chooses how to sample particles, for [`sampled`](Self::sampled).
+    /// Chooses how to sample particles for [`sampled`](Self::sampled), and counts them at the same
+    /// time if possible.
     pub(super) fn choose_and_plan(
         &self,
         particles: &dyn Particles,
@@ -126,7 +128,7 @@ impl CheckedRequest {
 }
 
 impl OpenedFrame {
-    /// The number of particles. For a packed frame, of the particles that it was made from.
+    /// The number of particles; for a packed frame, the number of particles that it was made from.
     #[must_use]
     pub fn particles(&self) -> usize {
         match &self.input {
@@ -180,8 +182,8 @@ impl OpenedFrame {
         }
     }
 
-    /// The walls that were found, and whether they bound the fluid because the request asks for it;
-    /// otherwise they are a hint. `None` without a search.
+    /// The walls that were found, and whether the fluid ends at them: true if the request asks for
+    /// found walls, false if the walls are a hint. `None` without a search.
     #[must_use]
     pub fn walls(&self) -> Option<(&FoundWalls, bool)> {
         let asked_for = self.cells().and_then(|cells| cells.walls.as_ref());

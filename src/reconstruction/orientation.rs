@@ -16,7 +16,7 @@ use crate::settings::Settings;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Orientation {
     particles: UpAxis,
-    /// The axis in the file's coordinates.
+    /// The axis that points up in the file's coordinates.
     pub(crate) file: UpAxis,
     /// The axis that is up on a screen, after any rotation that the file specifies.
     pub(crate) shown: UpAxis,
@@ -40,7 +40,8 @@ impl Settings {
         }
     }
 
-    /// The axes of a mesh in a format, from the usual axis of its particles.
+    /// The up axes of a mesh in a format. `usual` is the up axis of the particles, unless the
+    /// settings have another.
     pub(crate) fn orientation(&self, usual: UpAxis, format: MeshFormat) -> Orientation {
         let particles = self.particles_up.unwrap_or(usual);
         match format {

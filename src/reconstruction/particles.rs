@@ -27,7 +27,7 @@ use crate::system::memory::default_memory;
 /// ```
 ///
 /// # Errors
-/// [`Error::Read`], also if the file lacks the requested type of particles.
+/// [`Error::Read`] if the file cannot be read, or lacks the requested type of particles.
 pub fn open_particles(path: impl AsRef<Path>, settings: &Settings) -> Result<ParticleFile, Error> {
     let (path, scratch) = (path.as_ref(), std::env::temp_dir());
     let unpacking =

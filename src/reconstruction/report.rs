@@ -37,7 +37,7 @@ pub struct Report {
     pub measured: Option<MeasuredCalibration>,
     /// Lower bound of the number of particles that are missing from the surface.
     pub lost: u64,
-    /// Components that were left out, if a limit was set.
+    /// Components that were left out; `None` if the mesh was not simplified and no limit was set.
     pub too_small: Option<TooSmall>,
     /// Triangles before simplification and the removal of components.
     pub whole_triangles: u64,

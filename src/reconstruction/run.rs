@@ -11,7 +11,7 @@ use super::builder::Reconstruction;
 use super::{Frame, OpenedFrame, Output, PackedOutput, Surface};
 
 impl Reconstruction {
-    /// Checks everything that can be checked without an input.
+    /// Checks everything that can be checked without reading the input.
     ///
     /// # Errors
     /// [`Error::Unit`], [`Error::SettingConflict`], [`Error::Domain`], [`Error::LittleMemory`] and
@@ -59,7 +59,7 @@ impl Reconstruction {
     /// Opens a particle file or a packed frame.
     ///
     /// # Errors
-    /// [`Error::Read`], and the errors of [`run`](Self::run) that need no particles.
+    /// [`Error::Read`], and those errors of [`run`](Self::run) that are detected without reading particles.
     pub fn open(&self, path: impl AsRef<Path>) -> Result<OpenedFrame, Error> {
         self.open_together(&[path.as_ref()])
     }
@@ -68,7 +68,7 @@ impl Reconstruction {
     /// have.
     ///
     /// # Errors
-    /// [`Error::Read`], and the errors of [`run`](Self::run) that need no particles;
+    /// [`Error::Read`], and those errors of [`run`](Self::run) that are detected without reading particles;
     /// [`Error::Request`] for no file.
     pub fn open_together(&self, paths: &[impl AsRef<Path>]) -> Result<OpenedFrame, Error> {
         let paths: Vec<&Path> = paths.iter().map(AsRef::as_ref).collect();

@@ -39,7 +39,7 @@ pub struct Surface {
     /// caller may keep a surface for a long time.
     threads: Threads,
     settings: Settings,
-    /// The handle of the request that made the surface.
+    /// Progress and cancellation of the request that made the surface.
     control: Control,
     /// The memory limit.
     #[cfg_attr(not(feature = "pictures"), expect(dead_code, reason = "pictures alone ask for it"))]
@@ -69,8 +69,8 @@ impl Surface {
     /// Copies the whole mesh into memory.
     ///
     /// # Errors
-    /// [`Error::WholeMesh`] if it is too large or a scratch file cannot be read, and
-    /// [`Error::Threads`].
+    /// [`Error::WholeMesh`] if the mesh is too large or a scratch file cannot be read, and
+    /// [`Error::Threads`] if threads cannot be started.
     pub fn to_mesh(&self) -> Result<Mesh, Error> {
         let threads = self.threads.started().map_err(Error::Threads)?;
         let mesh = threads.install(|| match &self.extracted.mesh {
@@ -82,12 +82,13 @@ impl Surface {
     }
 
     /// Computes the signed distance from the surface in a band of three voxels on either side, as
-    /// in a .vdb file. The voxels are the cells of the grid. Bricks take 2 KiB each.
+    /// in a .vdb file. The voxels are the cells of the grid. Each brick of the volume takes 2 KiB.
     ///
     /// # Errors
     /// [`Error::Request`] for cells so small that coordinates of voxels overflow,
     /// [`Error::WholeMesh`] if a scratch file cannot be read or memory is full,
-    /// [`Error::Cancelled`] by the handle of the request, and [`Error::Threads`].
+    /// [`Error::Cancelled`] if the request is cancelled, and [`Error::Threads`] if threads cannot
+    /// be started.
     pub fn volume(&self) -> Result<Volume, Error> {
         let threads = self.threads.started().map_err(Error::Threads)?;
         let control = &self.control;
@@ -107,11 +108,12 @@ impl Surface {
     }
 
     /// Draws a picture of the mesh, on the threads that made it, with the up axis of its particles.
-    /// Unless the picture has its own memory limit, it uses at most half of the frame's; the mesh
-    /// may use the other half.
+    /// Unless the picture has its own memory limit, it uses at most half of the frame's memory
+    /// limit, because the mesh may use the other half.
     ///
     /// # Errors
-    /// [`Error::Picture`] and [`Error::Threads`].
+    /// [`Error::Picture`] if the picture cannot be drawn, and [`Error::Threads`] if threads cannot
+    /// be started.
     #[cfg(feature = "pictures")]
     pub fn picture(&self, picture: &Picture) -> Result<Image, Error> {
         let picture = picture.clone().up(self.settings.particles_up.unwrap_or(self.particles_up));
@@ -134,7 +136,8 @@ impl Surface {
     /// Warnings about storing the mesh in a format.
     ///
     /// # Errors
-    /// [`Error::Write`] if the mesh is in a scratch file that cannot be read.
+    /// [`Error::Write`] if the mesh is in a scratch file that cannot be read, and
+    /// [`Error::Threads`] if threads cannot be started.
     pub fn warnings_in(&self, format: MeshFormat) -> Result<Vec<Warning>, Error> {
         let coarse = self.extracted.precision == SinglePrecision::TooCoarse && !format.holds_f64();
         let mut warnings: Vec<_> =
@@ -152,8 +155,9 @@ impl Surface {
     /// To replace a file, call [`overwrite`](Self::overwrite).
     ///
     /// # Errors
-    /// [`Error::Write`], [`Error::SettingConflict`] for settings that the format cannot store, and
-    /// [`Error::Cancelled`] by the handle of the request.
+    /// [`Error::Write`] if the file exists or cannot be written, [`Error::SettingConflict`] for
+    /// settings that the format cannot store, [`Error::Cancelled`] if the request is cancelled, and
+    /// [`Error::Threads`] if threads cannot be started.
     pub fn write(&self, path: impl AsRef<Path>) -> Result<u64, Error> {
         self.write_to(Output::prepare(
             &self.settings,
@@ -166,7 +170,7 @@ impl Surface {
     /// Writes the mesh like [`write`](Self::write), and replaces an existing file.
     ///
     /// # Errors
-    /// The errors of [`write`](Self::write).
+    /// The errors of [`write`](Self::write), except that the file may exist.
     pub fn overwrite(&self, path: impl AsRef<Path>) -> Result<u64, Error> {
         self.write_to(Output::prepare(
             &self.settings,
@@ -179,8 +183,9 @@ impl Surface {
     /// Writes the mesh to a file that was prepared before the work, and returns its size in bytes.
     ///
     /// # Errors
-    /// [`Error::Write`], and [`Error::Cancelled`] by the handle of the request that made the
-    /// surface or prepared the file.
+    /// [`Error::Write`] if the file cannot be written, [`Error::Cancelled`] if the request that
+    /// made the surface or the request that prepared the file is cancelled, and [`Error::Threads`]
+    /// if threads cannot be started.
     pub fn write_to(&self, output: Output) -> Result<u64, Error> {
         let format = output.format();
         let orientation = self.settings.orientation(self.particles_up, format);
@@ -198,7 +203,8 @@ impl fmt::Debug for Surface {
     }
 }
 
-/// Warnings about a mesh in a format: renamed attributes, and vertices that become equal.
+/// Warnings about a mesh in a format: attributes that are renamed or left out, and vertices that
+/// become equal.
 pub(crate) fn made_of(
     mesh: &dyn MeshSource,
     format: MeshFormat,

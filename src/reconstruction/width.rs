@@ -2,7 +2,7 @@
 
 use crate::surface::stitch::StitchedSurface;
 
-/// Maximum error by rounding to f32, in cells.
+/// Maximum distance by which rounding to f32 may move a vertex, in cells.
 const COARSEST: f64 = 1.0 / 256.0;
 
 /// The effect of f32 on a surface's coordinates.
@@ -10,14 +10,15 @@ const COARSEST: f64 = 1.0 / 256.0;
 pub enum SinglePrecision {
     /// Rounding moves no vertex by more than 1 / 256 of a cell.
     Enough,
-    /// Rounding moves some vertices by more than 1 / 256 of a cell.
+    /// Rounding may move vertices by more than 1 / 256 of a cell.
     TooCoarse,
-    /// Some coordinates exceed 32 bits.
+    /// Some coordinates are too large for f32, or the cells are too small for it.
     Exceeded,
 }
 
 impl SinglePrecision {
-    /// Measures the farthest vertex of a surface.
+    /// Determines the effect from the cell size and from the largest coordinate of the surface's
+    /// blocks.
     pub fn of(surface: &StitchedSurface) -> Self {
         let farthest = surface.farthest_coordinate();
         let step = surface.grid().cell_size() * COARSEST;

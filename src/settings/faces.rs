@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::grid::Walls;
 
-/// A box by both ends of each axis, `None` for an axis that is open.
+/// A box, given as both ends of each axis; `None` for an open axis.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(into = "[Option<f64>; 6]", try_from = "[Option<f64>; 6]")]
 pub struct Faces(pub [Option<[f64; 2]>; 3]);

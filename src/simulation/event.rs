@@ -60,7 +60,8 @@ pub enum Event {
         frames: usize,
         /// Number of frames that are already finished.
         done: usize,
-        /// Bytes of the inputs of the frames that are not finished yet.
+        /// Total input size, in bytes, of the frames that are not finished yet; 0 if the simulation
+        /// is followed.
         bytes: u64,
         /// Number of frames that are made in parallel.
         lanes: usize,
@@ -69,7 +70,7 @@ pub enum Event {
     },
     /// A new frame appeared.
     FrameAppeared {
-        /// Bytes of its input.
+        /// Size of the frame's input in bytes.
         bytes: u64,
     },
     /// A lane entered a stage of a frame, or progressed in it.
@@ -135,13 +136,13 @@ pub struct FrameFailed {
 #[derive(Debug, Clone, Copy, Default)]
 #[non_exhaustive]
 pub struct FrameCounts {
-    /// Frames that have finished or failed.
+    /// Number of frames that have finished or failed.
     pub done: usize,
-    /// All frames of the conversion.
+    /// Number of frames that this run converts, as far as known.
     pub total: usize,
-    /// Frames that have failed.
+    /// Number of frames that have failed.
     pub failed: usize,
-    /// Bytes of this frame's input.
+    /// Input size, in bytes, of the frame that has just finished or failed.
     pub bytes: u64,
 }
 
@@ -149,13 +150,13 @@ pub struct FrameCounts {
 #[derive(Debug, Default, Clone, Copy)]
 #[non_exhaustive]
 pub struct OmittedCounts {
-    /// Counts of particles.
+    /// Numbers of particles that were used, skipped, or outside the domain.
     pub census: Census,
-    /// Lower bound of the particles that are missing from surfaces.
+    /// Lower bound of the number of particles that are missing from surfaces.
     pub lost: u64,
-    /// Drops below the limits.
+    /// Number of drops that are left out because they have too few particles.
     pub drops: u64,
-    /// Particles that do not satisfy the conditions.
+    /// Number of particles that do not satisfy the conditions.
     pub unselected: u64,
 }
 
@@ -177,17 +178,17 @@ impl From<Census> for OmittedCounts {
     }
 }
 
-/// Frames that are missing between existing frames.
+/// A range of frames that are missing between existing frames.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct MissingFrames {
-    /// The first number.
+    /// Number of the first missing frame.
     pub first: i64,
-    /// The last number.
+    /// Number of the last missing frame.
     pub last: i64,
     /// Difference between consecutive frame numbers.
     pub step: u64,
-    /// The names of the first and last missing file.
+    /// The paths that the files of the first and last missing frame would have.
     pub paths: [PathBuf; 2],
 }
 
@@ -202,7 +203,7 @@ impl fmt::Display for MissingFrames {
     }
 }
 
-/// The end of a conversion.
+/// A summary of the conversion of one simulation.
 #[derive(Debug, Clone, Default)]
 #[non_exhaustive]
 #[must_use = "frames may have failed"]
@@ -211,7 +212,7 @@ pub struct Summary {
     pub inputs: String,
     /// The folder of the meshes.
     pub folder: PathBuf,
-    /// Frames that were made.
+    /// Number of frames that were made.
     pub made: usize,
     /// Failed frames, in order.
     pub failed: Vec<Arc<FrameFailed>>,
@@ -219,12 +220,13 @@ pub struct Summary {
     pub error: Option<Arc<Error>>,
     /// Frames that are missing between existing frames.
     pub missing: Vec<MissingFrames>,
-    /// Frame numbers without a file, if more files are missing than exist. The files then count as
-    /// a selection of frames, and no number as missing.
+    /// The missing frame numbers, if at least as many are missing as exist. In that case, the
+    /// existing files count as a selection of frames, and `missing` is empty.
     pub chosen: Option<Gaps>,
     /// Particles and drops that are left out of the surfaces.
     pub left_out: OmittedCounts,
-    /// Whether the indicator is counting or symmetry, which lose drops that clouds keep.
+    /// Whether the indicator is counting or symmetry, which lose drops that the indicator cloud
+    /// keeps.
     pub smoothed: bool,
     /// Duration in seconds.
     pub seconds: f64,
@@ -241,7 +243,8 @@ impl Summary {
         missing.fold(self.failed.len() as u64, u64::saturating_add)
     }
 
-    /// Whether no frame failed or is missing.
+    /// Whether all frames were made: no frame failed or is missing, and no error stopped the
+    /// conversion.
     #[must_use]
     pub fn is_complete(&self) -> bool {
         self.failed.is_empty() && self.missing.is_empty() && self.error.is_none()
@@ -365,7 +368,7 @@ pub(super) struct EventSender(SyncSender<Event>);
 
 impl EventSender {
     pub(super) fn send(&self, event: Event) {
-        // Fails only after the caller panicked.
+        // Sending fails only after the caller has panicked.
         let _ = self.0.send(event);
     }
 }
@@ -390,8 +393,8 @@ pub(super) fn with_events<T: Send>(
     })
 }
 
-/// Receives all events. A thread of a rayon pool keeps working, because the sender may need the
-/// pool.
+/// Receives all events. If the current thread belongs to a rayon pool, it runs tasks of the pool
+/// while it waits, because the sender may need the pool.
 fn receive_all(receiver: &Receiver<Event>, mut hear: impl FnMut(Event)) {
     if rayon::current_thread_index().is_none() {
         return receiver.iter().for_each(hear);

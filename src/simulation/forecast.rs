@@ -30,11 +30,11 @@ pub struct Forecast {
     pub inputs: String,
     /// Number of existing frames.
     pub frames: usize,
-    /// Number of selected frames.
+    /// Number of selected frames that are not finished yet.
     pub wanted: usize,
-    /// Number of frames that are already finished.
+    /// Number of selected frames that are already finished, and would be kept.
     pub done: usize,
-    /// The mesh's file of the first frame.
+    /// The file that would contain the mesh of the first frame.
     pub output: PathBuf,
     /// Numbers of the frames that are missing between existing frames.
     pub missing: Gaps,
@@ -54,7 +54,7 @@ pub struct LargestFrame {
     pub particles: usize,
     /// Number of triangles of its mesh, before simplifying.
     pub triangles: u64,
-    /// Peak memory of the frame in bytes.
+    /// Estimated peak memory of the frame in bytes, without scratch files.
     pub memory: u64,
     /// Memory limit in bytes.
     pub budget: u64,

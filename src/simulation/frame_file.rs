@@ -45,7 +45,7 @@ impl FrameFile {
         self.paths().flat_map(files_of).map(|file| bytes(&file)).sum()
     }
 
-    /// The current stamp of its files, and of its solids that exist.
+    /// The current stamp of the frame's files and of its existing solids.
     pub(super) fn stamp(&self) -> Result<Stamp, ReadError> {
         let solids = self.solids.iter().map(PathBuf::as_path).filter(|path| path.exists());
         Stamp::of_all(self.paths().chain(solids))
@@ -61,7 +61,7 @@ impl FrameFile {
     }
 }
 
-/// Each frame with the next one.
+/// Iterates over all pairs of consecutive frames.
 pub(super) fn neighbours(frames: &[FrameFile]) -> impl Iterator<Item = (&FrameFile, &FrameFile)> {
     frames.iter().zip(frames.iter().skip(1))
 }
@@ -73,7 +73,7 @@ pub struct Selection {
     pub start: i64,
     /// The last number.
     pub end: i64,
-    /// Difference between selected numbers, counted from the first number.
+    /// Difference between consecutive selected numbers.
     pub step: u64,
 }
 

@@ -24,7 +24,7 @@ use super::watch::Watch;
 /// frames, and the others are spread evenly over the later frames.
 const LOOKED_AT: usize = 64;
 
-/// Number of frames in which walls are searched, spread evenly from the first frame to the last.
+/// Number of frames that are searched for walls, spread evenly from the first frame to the last.
 const LOOKED_AT_FOR_WALLS: usize = 7;
 
 /// Measurements on one frame.
@@ -223,8 +223,8 @@ impl Setup<'_> {
         self.send(Event::Measured { path: frame.path.clone(), shared, trust: found.trust });
     }
 
-    /// Measures one frame for all frames. If an earlier frame was a `lattice`, its grid and its mu0
-    /// are used.
+    /// Measures one frame for all frames. `lattice` is the calibration of an earlier frame whose
+    /// particles form a lattice: its grid and its mu0 are used.
     fn measure_on(
         &self,
         frame: &FrameFile,

@@ -56,10 +56,11 @@ fn like(digits: &str, number: i64) -> String {
 pub struct Gaps {
     /// Difference between consecutive frame numbers.
     pub step: u64,
-    /// The first and last missing number of each gap. Gaps between time stamps can be huge.
+    /// The first and last missing number of each gap, instead of all numbers, because gaps between
+    /// time stamps can be huge.
     pub ranges: Vec<(i64, i64)>,
-    /// Whether more numbers are missing than exist. If so, the files count as a selection of
-    /// frames, not as a simulation with gaps.
+    /// Whether at least as many numbers are missing as exist. If so, the files count as a selection
+    /// of frames, not as a simulation with gaps.
     pub sparse: bool,
 }
 
@@ -69,7 +70,7 @@ impl Gaps {
         self.ranges.iter().map(|(first, last)| last.abs_diff(*first) / self.step.max(1) + 1).sum()
     }
 
-    /// Keeps the gaps from `first` to `last`.
+    /// Keeps the missing numbers from `first` to `last`.
     pub fn within(&self, first: i64, last: i64) -> Self {
         let step = self.step.max(1);
         let beyond = |low: i64, high: i64| if low < high { high.abs_diff(low) } else { 0 };

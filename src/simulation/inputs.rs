@@ -21,7 +21,8 @@ use super::numbered::{joined, timed, whole};
 use super::pattern::{FrameCandidate, NumberKind, Pattern, digit_runs};
 use super::pieces::{may_be_piece, whole_frames};
 
-/// Maximum wait for a second file that shows how to interpret the first.
+/// Maximum time that a file with an ambiguous name waits for another file that shows how to
+/// interpret it.
 const PATIENCE: Duration = Duration::from_secs(300);
 
 /// A request for the frames of one or several simulations.
@@ -53,7 +54,8 @@ pub struct Sequence {
     /// The pattern of the files' names; `None` for steps of a file, and for files without numbers,
     /// which are numbered in order.
     pattern: Option<Pattern>,
-    /// How long to wait for an ambiguous file while more frames are expected.
+    /// How long a file with an ambiguous name must stay unchanged before it counts as a frame.
+    /// `None` unless a folder or a glob is watched.
     patience: Option<Duration>,
 }
 
@@ -124,10 +126,10 @@ impl Inputs {
 
     /// The simulations among the existing files. In a folder with particles, meshes are ignored.
     ///
-    /// When watching, the simulation is over after `idle` seconds without a new file. If the name
-    /// of a file in a folder or a glob is ambiguous, the file waits that long too, but at most 5
-    /// minutes, for another file that shows whether the first one is a piece, or which number in
-    /// its name is the frame's.
+    /// When watching, the simulation is over after `idle` seconds without a new file. A file in a
+    /// folder or a glob whose name is ambiguous counts as a frame after the same time, but after at
+    /// most 5 minutes. In this time, another file can show whether the ambiguous file is a piece,
+    /// or which number in its name is the frame's.
     ///
     /// # Errors
     /// [`SimulationError::Unreadable`] for a folder that cannot be read, [`SimulationError::Names`]
@@ -187,8 +189,8 @@ impl Inputs {
     ///
     /// # Errors
     /// The errors of [`simulations`](Self::simulations) and [`Sequence::list`],
-    /// [`SimulationError::Several`] for several simulations, and [`SimulationError::NoFrames`] or
-    /// [`SimulationError::NoMatch`] without frames.
+    /// [`SimulationError::Several`] for several simulations, and the error of
+    /// [`no_frames`](Self::no_frames) if there are no frames.
     pub fn only(&self) -> Result<(Sequence, Vec<FrameFile>), SimulationError> {
         let mut found = self.simulations(None)?;
         if found.len() > 1 {
@@ -264,8 +266,9 @@ impl Inputs {
         }
     }
 
-    /// Whether a file is hidden, such as `._f_1.npy` of macOS. It is a frame only if the pattern
-    /// itself begins with a dot.
+    /// Whether these inputs leave out a file because its name begins with a dot, such as
+    /// `._f_1.npy` of macOS. Such files are used if the pattern itself begins with a dot, or if
+    /// they are named one by one.
     fn hides(&self, path: &Path) -> bool {
         let asks = match self {
             Self::Pattern(pattern) => pattern.prefix.starts_with('.'),
@@ -340,8 +343,8 @@ impl Sequence {
     ///
     /// # Errors
     /// [`SimulationError::Unreadable`] for a folder that cannot be read, [`SimulationError::Names`]
-    /// if two files have the same frame number, or a later file shows that another number is the
-    /// frame's.
+    /// if two files have the same frame number, or if a newer file shows that another number in the
+    /// names is the frame's.
     pub fn list(&self) -> Result<Vec<FrameFile>, SimulationError> {
         let counted = |number: i64, path| FrameFile::new(number, number.to_string(), path);
         let mut frames: Vec<_> = match (&self.source, &self.pattern) {
@@ -395,8 +398,8 @@ impl Sequence {
         Ok(frames)
     }
 
-    /// The frame's number in the name of a file. A pattern from the request is exact; an inferred
-    /// pattern also matches `.gz` and similar endings.
+    /// The frame's number in the name of a file. A pattern from the request must match the whole
+    /// name; an inferred pattern ignores `.gz` and similar endings.
     fn digits<'a>(&self, pattern: &Pattern, file: &'a FrameCandidate) -> Option<&'a str> {
         match self.source {
             Inputs::Pattern(_) => pattern.digits(file.path.file_name()?.to_str()?),
@@ -404,8 +407,8 @@ impl Sequence {
         }
     }
 
-    /// Infers the pattern again if the names of new files differ from those of known frames in a
-    /// number besides the frame's.
+    /// Infers the pattern again if new files differ from the known frames in a number besides the
+    /// frame's. Returns an error if the result differs from `pattern`.
     fn confirm(&self, pattern: &Pattern, files: &[FrameCandidate]) -> Result<(), SimulationError> {
         let Some(patience) = self.patience else { return Ok(()) };
         let is_frame = |file: &FrameCandidate| pattern.digits(&file.name).is_some();
@@ -417,7 +420,7 @@ impl Sequence {
         };
         let (mut alike, others): (Vec<_>, Vec<_>) =
             files.iter().filter(is_alike).cloned().partition(is_frame);
-        // Meshes can be the outputs of this conversion.
+        // Leaves out meshes, because they can be the outputs of this conversion.
         let others = without_meshes(others);
         if others.is_empty() {
             return Ok(());
@@ -457,8 +460,8 @@ impl Sequence {
     }
 }
 
-/// Changes a glob for names that begin with a dot so that it does not match `.` and `..`. With
-/// these, the glob would find frames outside of the folder, and the search through several such
+/// Changes the components of a glob that begin with a dot so that they do not match `.` and `..`.
+/// Otherwise, the glob would find frames outside of the folder, and the search through several such
 /// components would never end.
 fn below(pattern: &str) -> String {
     let name = |name: &str| match name.strip_prefix('.') {

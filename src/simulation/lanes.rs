@@ -10,7 +10,7 @@ const LEAST: u64 = 64 << 20;
 pub(super) struct Division {
     /// Number of parallel frames.
     pub(super) lanes: usize,
-    /// Threads of each lane.
+    /// Number of threads of each lane.
     pub(super) threads: usize,
     /// Memory of a lane while its frame is opened, before its size is known.
     pub(super) opening: MemoryBudget,

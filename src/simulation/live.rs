@@ -181,7 +181,8 @@ impl LiveSimulation {
         Ok(extracted)
     }
 
-    /// Facts of a frame without particles. Cells have size 1 until the simulation has cells.
+    /// Facts of a frame without particles. Before the first frame with particles, the request
+    /// determines the size of cells; if it does not, the size is 1.
     fn facts(&self, census: Census) -> Result<FrameFacts, Error> {
         let request = &self.ready.checked.sampling;
         let (grid, spacing) = match &self.known {

@@ -15,13 +15,13 @@ use super::pattern::{NumberKind, PIECE, Pattern, stem};
 pub enum Naming {
     /// A name with `{}` for the number.
     Pattern(Pattern),
-    /// The names of the inputs, in this folder, as .ply.
+    /// Files in this folder, with the names of the inputs and the extension .ply.
     Folder(PathBuf),
     /// One Alembic archive for all frames.
     Archive {
         /// The archive.
         path: PathBuf,
-        /// The names of frames before they are added to the archive.
+        /// The names of the files that hold the frames before they are added to the archive.
         frames: Pattern,
     },
 }
@@ -101,7 +101,8 @@ impl Naming {
                 format!("{}_", file.file_stem().unwrap_or_default().to_string_lossy()),
                 String::new(),
             ),
-            // Frames that are numbered in order have only their number in the name.
+            // Inputs without numbers in their names are numbered in order, and the name of an
+            // output is only this number.
             (_, None) => Default::default(),
             (_, Some(Pattern { prefix, suffix, .. })) => {
                 (without_piece(prefix), without_piece(&tail(suffix)))
@@ -117,9 +118,9 @@ impl Naming {
     }
 }
 
-/// The text between a frame's number and its extension, without the number of a snapshot's piece.
+/// The text between a frame's number and the extension, without the number of a snapshot's piece.
 fn tail(suffix: &str) -> String {
-    // The stem of a name with the number 0.
+    // Completes the name with the number 0, which is removed from the stem below.
     let name = format!("0{suffix}");
     let whole =
         snapshot_piece(Path::new(&name)).map(|(whole, _)| whole.to_string_lossy().into_owned());
@@ -148,8 +149,8 @@ pub(super) fn without_number(stem: &str) -> &str {
     }
 }
 
-/// The name of the simulation for meshes with these names, without any number. Its state and series
-/// are named after it.
+/// The path of the meshes without their number. The state and the series of the simulation are
+/// named after it.
 #[must_use]
 pub fn simulation(outputs: &Pattern) -> PathBuf {
     outputs.folder().join(format!("{}{}", without_number(&outputs.prefix), outputs.suffix))

@@ -10,8 +10,8 @@ use super::frame_file::FrameFile;
 use super::inputs::Sequence;
 use super::pattern::{FrameCandidate, Pattern};
 
-/// Groups files into frames by the integers in their names. Files with the same number are pieces
-/// of one frame, if their names distinguish them.
+/// Groups files into frames by the integers in their names. If the pattern has a place for the
+/// number of a piece, files with the same frame number are pieces of one frame.
 pub(super) fn whole(
     pattern: &Pattern,
     files: Vec<(String, FrameCandidate)>,

@@ -48,8 +48,8 @@ pub(super) struct WrittenFrame {
     target: PathBuf,
     replaces: ReplaceableFiles,
     record: Record,
-    /// The bytes of a small mesh file for the contact sheet, if the format of the mesh cannot be
-    /// read.
+    /// The bytes of a small mesh file for the contact sheet, if this library cannot read the format
+    /// of the mesh.
     small: Option<Vec<u8>>,
     done: ConvertedFrame,
 }
@@ -77,7 +77,7 @@ pub(super) struct PreparedFrame {
 
 /// A frame that is ready to be meshed.
 struct MeshableFrame<'a> {
-    /// `None` without particles.
+    /// `None` if the frame has no particles.
     frame: Option<Engine>,
     left_out: OmittedCounts,
     /// Warnings about the input.
@@ -227,8 +227,8 @@ impl Conversion<'_> {
             return Err(WriteError::new(&target, WriteFault::Exists).into());
         }
         if !self.format.is_read() {
-            // Stored before the record of the mesh, so that the small mesh is never older than the
-            // record.
+            // The small mesh is stored before the record of the mesh, so that it is never older
+            // than the record.
             self.small_meshes().keep(record.mesh.frame, small.as_deref())?;
         }
         file.keep()?;
@@ -237,9 +237,9 @@ impl Conversion<'_> {
         Ok(done)
     }
 
-    /// Whether a file exists at the path of the mesh that this conversion did not write. Files of
-    /// this conversion have a record. If a process was killed after it wrote a mesh and before it
-    /// wrote the record, the existing file has the same bytes as the new mesh.
+    /// Whether the path of the mesh already holds a file that this conversion did not write. Files
+    /// of this conversion have a record. If a process was killed after it wrote a mesh and before
+    /// it wrote the record, the existing file has the same bytes as the new mesh.
     fn is_foreign(&self, target: &Path, made: &Record) -> bool {
         let is_own = || {
             let before = self.before.get_or_init(|| Records::read(self.store.folder()));

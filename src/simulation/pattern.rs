@@ -2,8 +2,9 @@
 //!
 //! In a pattern, `{}` stands for the frame's number, which may be negative. `{time}` stands for a
 //! decimal by which frames are ordered, and `{piece}` for the number of a piece, if a frame is
-//! stored in several files. Notations of other programs are read as `{}`: `%04d`, `####`, `$F4`,
-//! `<frame>`. Without a pattern, `inferred::infer` finds it from all names together.
+//! stored in several files. Notations of other programs also stand for the frame's number: `%04d`,
+//! `####`, `$F4`, `<frame>`. If the request has no pattern, `inferred::infer` derives one from all
+//! names together.
 
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -31,13 +32,13 @@ pub struct Pattern {
     pub prefix: String,
     /// The text after the number.
     pub suffix: String,
-    /// The minimum number of digits, from `{:04}`; numbers are padded with zeros.
+    /// The minimum number of digits, such as 4 for `{:04}`; shorter numbers are padded with zeros.
     pub width: Option<usize>,
     /// The kind of number.
     pub numbers: NumberKind,
 }
 
-/// The place of a piece's number, in a prefix or suffix.
+/// The text that stands for a piece's number in a prefix or suffix.
 pub(super) const PIECE: &str = "{piece}";
 
 impl std::fmt::Display for Pattern {
@@ -53,12 +54,13 @@ impl std::fmt::Display for Pattern {
 
 impl Pattern {
     /// Finds the place of the number in the name of `path`: `{}`, `{:04}`, `{time}`, or another
-    /// program's notation, unless a file with exactly this name exists. `None` if the name has no
-    /// such place.
+    /// program's notation. `None` if the name has no such place, or if the place is in another
+    /// program's notation and a file with exactly this name exists.
     ///
     /// # Errors
-    /// [`SimulationError::Names`] for more than one place, a place in a folder's name, or an
-    /// unknown notation.
+    /// [`SimulationError::Names`] if the name has more than one place or an unknown notation, if
+    /// the name of a folder that does not exist has a place, or if `{piece}` occurs without another
+    /// place or directly next to it.
     pub fn parse(path: &Path) -> Result<Option<Self>, SimulationError> {
         let wrong = |what: &str| Err(SimulationError::Names(format!("{}: {what}", path.display())));
         let Some(name) = path.file_name().and_then(|name| name.to_str()) else { return Ok(None) };
@@ -173,7 +175,7 @@ impl Pattern {
     }
 }
 
-/// Whether the only places for a number in a name are in the notations of other programs.
+/// Whether a name has places for a number, and all of them are in the notations of other programs.
 pub(super) fn is_foreign(path: &Path) -> bool {
     let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
     let places = all(name);
@@ -185,7 +187,7 @@ pub(super) fn all_digits(text: &str) -> bool {
     !text.is_empty() && text.bytes().all(|b| b.is_ascii_digit())
 }
 
-/// Whether a text is a finite decimal number, as in the name of a time.
+/// Whether a text is a finite decimal number, such as a time in a file's name.
 fn is_decimal(text: &str) -> bool {
     let spelled = text.bytes().all(|b| b.is_ascii_digit() || b"+-.eE".contains(&b));
     let ends = text.ends_with(|c: char| c.is_ascii_digit())
@@ -205,8 +207,8 @@ pub(super) fn digit_runs(text: &str) -> Vec<Range<usize>> {
     runs
 }
 
-/// A text without the digits in these runs. Texts that differ only in these digits have the same
-/// skeleton.
+/// Replaces each of these runs of digits by a zero byte. Texts that differ only in these digits
+/// have the same skeleton.
 pub(super) fn skeleton(text: &str, runs: &[Range<usize>]) -> String {
     let mut skeleton = text.to_owned();
     // A zero byte occurs in no file name.
@@ -241,7 +243,7 @@ impl From<PathBuf> for FrameCandidate {
         let name = plain_name(&name).to_owned();
         let mut runs = digit_runs(stem(&name));
         for run in &mut runs {
-            // A dash after a letter or a digit stands between two parts of a name.
+            // A dash after a letter or a digit separates two parts of a name, and is not a sign.
             let sign = name[..run.start].strip_suffix('-');
             let signs = |before: &str| {
                 before.is_empty() || before.ends_with(['_', '.', ' ', '-', '=', '(', '['])
@@ -253,7 +255,8 @@ impl From<PathBuf> for FrameCandidate {
 }
 
 impl FrameCandidate {
-    /// The text that is common to all files that differ only in numbers.
+    /// The name without its numbers: the same text for all files whose names differ only in
+    /// numbers.
     pub(super) fn skeleton(&self) -> String {
         skeleton(&self.name, &self.runs)
     }
@@ -278,7 +281,7 @@ impl FrameCandidate {
     }
 
     /// The numbers in the name. A decimal such as `0.95` or `1e-05` is one number. A version such
-    /// as `1.2.3` is not a number.
+    /// as `1.2.3` is not a decimal, but three numbers.
     pub(super) fn decimals(&self) -> Vec<Range<usize>> {
         let between = |run: usize| {
             self.runs.get(run + 1).map(|next| &self.name[self.runs[run].end..next.start])

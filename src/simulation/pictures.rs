@@ -573,11 +573,13 @@ impl Simulation {
     /// file is replaced if the simulation replaces its outputs, or if the simulation resumes and
     /// the file is a sheet of its meshes.
     ///
-    /// For formats that cannot be read, [`run`](Self::run) then keeps a small mesh of each frame
-    /// next to the state, for this run and those that resume it.
+    /// If this library cannot read the format of the meshes, [`run`](Self::run) then keeps a small
+    /// mesh of each frame next to the state, for this run and for runs that resume it.
     ///
     /// # Errors
-    /// [`Error::Write`].
+    /// [`Error::Write`] if the sheet cannot be written, [`Error::SameFile`] if the caller writes a
+    /// file with the name of the sheet, [`Error::Request`] if the output is an archive, and
+    /// [`Error::Simulation`] for names that do not determine frame numbers.
     pub fn sheet(&mut self) -> Result<Sheet, Error> {
         let path = beside(&self.output);
         if let Some(other) = self.also_written.iter().find(|other| is_same_file(other, &path)) {

@@ -4,9 +4,9 @@
 //! the header of a snapshot with the files `base.0.hdf5`, `base.1.hdf5` and so on. The files of a
 //! snapshot are one frame, whose number is part of `base`.
 //!
-//! A .pvtp or .pvtu is written after its pieces. Until then, its pieces are identified by their
-//! names, if another frame is already complete: `pool_2_0.vtp` is a piece if `pool_1.pvtp` names
-//! `pool_1_0.vtp`.
+//! A .pvtp or .pvtu is written after its pieces. Until then, its pieces are recognised by
+//! comparison with a complete frame: if `pool_1.pvtp` names `pool_1_0.vtp`, `pool_2_0.vtp` is a
+//! piece too.
 
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
@@ -75,8 +75,9 @@ fn named_like(path: &Path) -> Option<(PathBuf, String)> {
     Some((path.parent()?.to_owned(), skeleton(name, &digit_runs(name))))
 }
 
-/// Whether a file may be a piece of a frame that does not exist yet: VTK's writers name the first
-/// piece of `pool_1.pvtp` `pool_1_0.vtp`, and the first piece of `pool_1.pvtu` `pool_1_0.vtu`.
+/// Whether a file may be a piece of a frame that does not exist yet. VTK's writers name the pieces
+/// `pool_1_0.vtp`, `pool_1_1.vtp` and so on, and the frame `pool_1.pvtp`. The names with `.vtu` and
+/// `.pvtu` follow the same scheme.
 pub(super) fn may_be_piece(path: &Path) -> bool {
     let is_vtk = path.extension().is_some_and(|extension| extension == "vtp" || extension == "vtu");
     let stem = path.file_stem().and_then(|stem| stem.to_str()).filter(|_| is_vtk);
@@ -92,7 +93,7 @@ struct Snapshot {
     in_pieces: bool,
     /// The lowest number of the existing pieces.
     first: u64,
-    /// Whether a file with the name of the pieces, but without a number, exists.
+    /// Whether a file exists that has the name of the pieces, but without a piece's number.
     has_base: bool,
 }
 

@@ -10,9 +10,9 @@ pub(super) enum Placeholder {
     Number(Option<usize>),
     /// A time.
     Time,
-    /// The number of one of a frame's files.
+    /// The number of a piece of a frame.
     Piece,
-    /// An unsupported notation, with a replacement.
+    /// An unsupported notation. Holds the supported notation to use instead.
     Unknown(String),
 }
 

@@ -29,9 +29,9 @@ const MERGED: &str = "frames.jsonl";
 /// A finished frame.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Record {
-    /// The stamp of its input.
+    /// The stamp of the frame's input.
     pub input: Stamp,
-    /// The fingerprint of the state that it was made with.
+    /// The fingerprint of the state with which the frame was made.
     pub fingerprint: u32,
     /// The mesh's entry in the list of frames.
     pub mesh: SeriesFrame,

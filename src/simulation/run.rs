@@ -32,7 +32,7 @@ use super::state::{State, StateFolder, StateLookup};
 /// watch it.
 const ATTEMPTS: usize = 3;
 
-/// The inputs of one of several simulations, and its result.
+/// One of several simulations: its inputs as text, and its result.
 type Each<T> = (String, Result<T, Arc<Error>>);
 
 /// A simulation whose request was checked.
@@ -178,7 +178,8 @@ impl Simulation {
         }
         // Parallel frames report their progress by events.
         checked.resources.control.progress = None;
-        // A packed frame stores its own conditions and format.
+        // A packed frame stores its own indicator. The settings are checked against it when the
+        // frame is opened.
         if !self.inputs.iter().all(|input| is_packed(input)) {
             checked.check_indicator()?;
         }
@@ -217,9 +218,9 @@ impl Simulation {
         Ok(found)
     }
 
-    /// Runs `act` for each simulation, on separate threads, and calls `hear` on this thread.
-    /// Returns the inputs and the result of each simulation, or an error that concerns all
-    /// simulations.
+    /// Runs `act` for each simulation in turn on another thread, and passes their events to `hear`
+    /// on this thread. Returns the inputs and the result of each simulation, or an error that
+    /// concerns all simulations.
     fn each<T: Send>(
         &self,
         hear: impl FnMut(Event),
@@ -300,8 +301,9 @@ impl Simulation {
         if wanted.is_empty() && self.watch.is_none() {
             return Err(SimulationError::NoFrameSelected(setup.sequence.describe()).into());
         }
-        // Without a state, existing files are not from this conversion. Checked before the state is
-        // read, because a conversion writes its state before its first output.
+        // Without a state, existing files are not from this conversion. They are looked up before
+        // the state is read: if another process starts meanwhile, it writes the state before its
+        // first output.
         let is_new = !self.overwrite && store.text()?.is_none();
         let foreign = is_new.then(|| setup.existing(&frames, &series)).flatten();
         let there = wanted.iter().map(|frame| setup.shown_output(frame)).find(|path| path.exists());

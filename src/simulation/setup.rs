@@ -78,7 +78,7 @@ impl Setup<'_> {
         ExistingMeshes { records: Records::read(store.folder()), archived }
     }
 
-    /// The file that shows a frame's mesh: its own, or the archive.
+    /// The file that contains a frame's mesh: its own, or the archive.
     pub(super) fn shown_output(&self, frame: &FrameFile) -> PathBuf {
         match &self.archive {
             Some(archive) => archive.path().to_owned(),
@@ -113,9 +113,10 @@ impl Setup<'_> {
         Ok(self.simulation.selection.of(self.all_frames()?))
     }
 
-    /// The sampling of a frame with the shared calibration, and warnings about walls that its
-    /// particles exceed, which are moved or removed. The slab is used only for frames whose
-    /// particles all lie in its plane: an emitter's first layer does, but two layers do not.
+    /// The sampling of a frame with the shared calibration. Walls that the frame's particles exceed
+    /// are moved or removed for this frame, and a warning is returned for each. The slab is used if
+    /// all particles of the frame lie in its plane: the first layer of an emitter does, but two
+    /// layers do not.
     pub(super) fn sampling(
         &self,
         shared: &SharedCalibration,
@@ -149,7 +150,7 @@ impl Setup<'_> {
         Division::of(frames, *threads, resources.budget, chunk)
     }
 
-    /// The first existing mesh or list of these frames.
+    /// The first output of these frames that exists: the archive, a mesh or a list.
     pub(super) fn existing(&self, frames: &[FrameFile], series: &Series) -> Option<PathBuf> {
         let archive = self.archive.iter().map(|archive| archive.path().to_owned());
         let meshes = frames.iter().map(|frame| self.output(frame));

@@ -41,7 +41,7 @@ pub struct SharedCalibration {
     /// The sizes of the particles, if there are several.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sizes: Option<Sizes>,
-    /// The walls of the tank, if they were searched.
+    /// The walls of the tank, if the request asked to find them.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub walls: Option<FoundWalls>,
     /// The calibration; `None` for kernel methods.
@@ -110,9 +110,9 @@ pub(super) fn measure_in(
 /// The particles of the first frame often form a lattice in a special position relative to the
 /// grid. Such a frame is measured on another grid, on which it is sampled like disordered fluid. If
 /// the origin is free, all frames are sampled on that grid: see
-/// [`sound_origin`](crate::particles::lattice::sound_origin). This suffices for symmetry. For
-/// counting, the isovalue must come from a disordered frame. Clouds do not depend on the position
-/// of the grid.
+/// [`sound_origin`](crate::particles::lattice::sound_origin). For symmetry, the other grid
+/// suffices. For counting, the isovalue must come from a disordered frame. Clouds do not depend on
+/// the position of the grid.
 ///
 /// # Errors
 /// [`FrameError::TooFine`], and the errors of [`Sampling::check_fit`] and of [`Engine::sample`].

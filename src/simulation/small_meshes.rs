@@ -1,5 +1,5 @@
-//! Small meshes next to the state: coarse copies of frames whose format cannot be read again, for
-//! the contact sheet.
+//! Small meshes next to the state: coarse copies of meshes whose format this library cannot read,
+//! for the contact sheet.
 
 use std::fs;
 use std::io::ErrorKind;
@@ -12,8 +12,8 @@ use crate::surface::mesh::Mesh;
 use crate::surface::mesh::clustered::{BYTES_A_VERTEX, clustered};
 use crate::surface::mesh::source::{Corners, MeshSource};
 
-/// Cells along the longest edge of a mesh: about one for every second pixel of a picture on a
-/// sheet.
+/// Number of cells along the longest edge of a mesh's bounding box: about one for every second
+/// pixel of a picture on a sheet.
 const CELLS: u32 = 160;
 
 /// The folder with a .ply of each frame.
@@ -62,7 +62,7 @@ impl SmallMeshes {
     /// removes the earlier file, because it belongs to another mesh.
     ///
     /// # Errors
-    /// I/O errors of the operating system.
+    /// If the file cannot be written or removed.
     pub(super) fn keep(&self, frame: i64, file: Option<&[u8]>) -> Result<(), WriteError> {
         let path = self.path(frame);
         let kept = match file {

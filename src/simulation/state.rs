@@ -1,5 +1,6 @@
-//! Files in a folder next to the outputs, with the simulation's name and `.meniscus`: `state.json`
-//! with the shared calibration, and the [records](super::records) of finished frames.
+//! The folder next to the outputs that is named after the simulation, with `.meniscus` appended. It
+//! contains `state.json` with the shared calibration, and the [records](super::records) of finished
+//! frames.
 
 use std::fs::{self, File};
 use std::io;
@@ -17,7 +18,7 @@ use crate::error::SimulationError;
 /// The state of a simulation: everything that its frames share.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct State {
-    /// The version of this library.
+    /// The version of the library that wrote the state.
     pub meniscus: String,
     /// The settings of the request.
     pub settings: StoredSettings,
@@ -53,7 +54,8 @@ pub enum StateLookup {
     Stale {
         /// The bytes of its file.
         text: Vec<u8>,
-        /// Whether it has other settings, or cannot be read.
+        /// Whether the state has other settings or is damaged. False if only the calibration frame
+        /// has changed.
         of_others: bool,
     },
 }
@@ -74,7 +76,7 @@ impl StateLookup {
 pub struct StateFolder {
     /// The records of this process.
     pub log: Log,
-    /// The bytes of a state that will be replaced, and whether it has other settings.
+    /// The fields of [`StateLookup::Stale`], if a stale state was found.
     stale: Option<(Vec<u8>, bool)>,
     /// Whether this process makes frames.
     at_work: bool,
@@ -101,7 +103,8 @@ impl StateFolder {
     /// The state, if there is one.
     ///
     /// # Errors
-    /// [`SimulationError::Io`] and [`SimulationError::State`] if it cannot be read.
+    /// [`SimulationError::Io`] if the file cannot be read, and [`SimulationError::State`] if it is
+    /// damaged.
     pub fn load(&self) -> Result<Option<State>, SimulationError> {
         self.text()?.map(|text| self.parsed(&text)).transpose()
     }
@@ -132,12 +135,14 @@ impl StateFolder {
         }
     }
 
-    /// Begins a run with the result of the search for a state, and returns that state if it belongs
-    /// to the request. If this process is `at_work`, other processes can see that from now on. A
-    /// stale state stays until [`add`](Self::add) replaces it.
+    /// Begins a run with the result of the search for a state, and returns the state that was found
+    /// if it belongs to the request. A stale state stays until [`add`](Self::add) replaces it. If
+    /// this process is `at_work`, other processes can see that as soon as there is a valid state.
     ///
     /// # Errors
-    /// [`SimulationError::Busy`] and [`SimulationError::Io`].
+    /// [`SimulationError::Busy`] if another process has meanwhile removed the state or stored one
+    /// with other settings, [`SimulationError::Io`] if the log cannot be created, and the errors of
+    /// [`load`](Self::load).
     pub fn begin(
         &mut self,
         found: StateLookup,
@@ -170,8 +175,9 @@ impl StateFolder {
     /// the same settings, returns that state instead.
     ///
     /// # Errors
-    /// [`SimulationError::Settings`], [`SimulationError::Busy`] if another process works with the
-    /// stale state of other settings, [`SimulationError::Io`] and the errors of
+    /// [`SimulationError::Settings`] if another process has meanwhile stored a state with other
+    /// settings, [`SimulationError::Busy`] if another process still works with the settings of the
+    /// stale state, [`SimulationError::Io`] if the state cannot be written, and the errors of
     /// [`load`](Self::load).
     pub fn add(&self, state: &State) -> Result<State, SimulationError> {
         let (folder, path) = (self.folder(), self.state_path());
@@ -275,7 +281,8 @@ mod tests {
                 let loaded = store.load().unwrap().unwrap();
                 assert_eq!(loaded, state);
                 assert_eq!(loaded.fingerprint(), state.fingerprint());
-                // Another process that measures at the same time uses the state that exists first.
+                // Another process that measures at the same time uses the state that was stored
+                // first.
                 let late = State {
                     shared: SharedCalibration { frame: 7, ..state.shared.clone() },
                     ..state.clone()
@@ -298,7 +305,7 @@ mod tests {
                 assert!(matches!(anew.add(&other), Err(SimulationError::Busy(_))));
                 drop(busy);
                 assert_eq!(anew.add(&other).unwrap(), other);
-                // Meanwhile, another process has replaced it with a state that has other settings.
+                // The stored state is no longer the stale one, and has other settings than `late`.
                 assert!(matches!(anew.add(&late), Err(SimulationError::Settings { .. })));
                 fs::remove_file(store.state_path()).unwrap();
             }

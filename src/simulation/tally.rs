@@ -29,14 +29,14 @@ const SERIES_PAUSE: Duration = Duration::from_millis(250);
 pub(super) struct Tally<'a> {
     conversion: &'a Conversion<'a>,
     series: &'a Series,
-    /// All frames that can be loaded, from this run or another.
+    /// All frames that have a finished mesh, made by this run or another.
     listed: BTreeMap<i64, SeriesFrame>,
     /// Failed frames by their numbers.
     pub(super) failed: BTreeMap<i64, Arc<FrameFailed>>,
     fatal: Option<Error>,
     pub(super) done: usize,
     pub(super) total: usize,
-    /// The numbers of the frames in progress.
+    /// The numbers of the frames that this run still has to convert.
     pub(super) awaited: BTreeSet<i64>,
     left_out: OmittedCounts,
     begun: Instant,
@@ -170,8 +170,8 @@ impl<'a> Tally<'a> {
     }
 
     /// Adds finished frames to the archive, if the output is an archive. Adds them in order, up to
-    /// the first frame in progress, so that the bytes of the archive do not depend on the number of
-    /// threads.
+    /// the first frame that this run still has to convert, so that the bytes of the archive do not
+    /// depend on the number of threads.
     fn archive(&self) -> Result<(), WriteError> {
         let Self { conversion, series, listed, awaited, .. } = self;
         let Some(archive) = &conversion.setup.archive else { return Ok(()) };

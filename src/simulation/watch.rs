@@ -39,8 +39,8 @@ impl Watch {
         Self { idle, selection, seen: BTreeMap::new(), last_news: Instant::now() }
     }
 
-    /// The existing frames that have become complete since the last call. A frame is in progress
-    /// until [`done`](Self::done) is called.
+    /// The existing frames that have become complete since the last call. A returned frame is in
+    /// progress, and is not returned again, until [`done`](Self::done) is called.
     pub(super) fn ready(&mut self, frames: &[FrameFile]) -> Vec<CompleteFrame> {
         let now = Instant::now();
         let mut ready = Vec::new();

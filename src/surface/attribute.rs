@@ -1,15 +1,15 @@
 //! Particle attributes carried to the vertices.
 //!
-//! A cell's value is blur(sum of values) / blur(N), both blurred like the DIF. A vertex
-//! interpolates between the two ends of its edge, with the weights of its position. Sums over
-//! particles are integers: values are rounded to a step that is a power of two, 2^-30 of the
-//! greatest magnitude among the particles that affect a block of vertices, or finer. Values that
-//! are not finite count as missing.
+//! A cell's value is blur(sum of values) / blur(N), where N is the number of particles in the cell.
+//! Both blurs are those of the DIF. A vertex interpolates between the two ends of its edge, with
+//! the weights of its position. Sums over particles are integers: values are rounded to multiples
+//! of a step. The step is the power of two with which the greatest magnitude among the particles
+//! that affect a block of vertices takes 30 bits. Values that are not finite count as missing.
 //!
 //! Integers such as identifiers have no mean: a vertex takes the value of the nearest particle.
 //! Ties are decided by the particle's position, and then by its values.
 //!
-//! The reach is that of the smoothing.
+//! A vertex uses particles within the reach of the smoothing.
 
 use std::io;
 use std::ops::Range;
@@ -26,8 +26,8 @@ use crate::surface::mesh::BlockMesh;
 /// for the memory of a thread.
 const AT_ONCE: usize = 16;
 
-/// Number of components of all attributes together above which they are wide: a block with them is
-/// much larger than its mesh.
+/// Attributes are wide if they have more components than this number in total: a block with such
+/// attributes is much larger than its mesh.
 const WIDE: usize = 64;
 
 /// Whether attributes with these numbers of components are wide together. Wide attributes are
@@ -36,8 +36,8 @@ pub fn are_wide(components: impl IntoIterator<Item = usize>) -> bool {
     components.into_iter().sum::<usize>() > WIDE
 }
 
-/// Bytes per cell while an attribute with `components` is smoothed: sums of several components and
-/// of the particles, in two fields.
+/// Bytes per cell while an attribute with `components` is smoothed: for the sums of components that
+/// are smoothed together, the number of particles, and two more fields.
 pub fn cell_bytes(components: usize) -> u64 {
     ((components.min(AT_ONCE) + 3) * size_of::<f64>()) as u64
 }
@@ -158,14 +158,15 @@ pub fn nearest_values(
     };
     let mut values = Vec::with_capacity(edges.len() * components);
     for (&(cell, axis), &ends) in edges.iter().zip(&mesh.ends) {
-        // A cell of the block in steps of the finest.
+        // The place of the vertex, in the steps of particles' positions: a cell of the block has
+        // 2^`bits` steps along each axis.
         let bits = FRACTION_BITS + level;
         let half = 1_i64 << (bits - 1);
         let mut place = [0, 1, 2].map(|a| (i64::from(cell[a]) << bits) + half);
         place[axis] += (crossings.fraction(ends) * (2 * half) as f64).round() as i64;
         let mut best: Option<(i64, [i64; 3], &[u32])> = None;
         for shell in 0..=reach {
-            // All particles in outer shells are farther than this.
+            // All particles in this shell and in outer shells are at least `passed` steps away.
             let passed = (i64::from(shell) << bits) - 3 * half;
             if best.is_some_and(|(squared, ..)| passed > 0 && squared < passed * passed) {
                 break;
@@ -186,7 +187,7 @@ pub fn nearest_values(
     Ok(values)
 }
 
-/// The cells whose Chebyshev distance from another is `distance`.
+/// The cells whose Chebyshev distance from `cell` is `distance`.
 fn shell_around(cell: IVec3, distance: i32) -> impl Iterator<Item = IVec3> {
     let along = move || -distance..=distance;
     along().flat_map(move |z| along().map(move |y| (y, z))).flat_map(move |(y, z)| {
@@ -202,8 +203,8 @@ fn cell_of(coord: IVec3, local: usize) -> IVec3 {
     coord * BIN + IVec3::new(local % BIN, local / BIN % BIN, local / (BIN * BIN))
 }
 
-/// The values of a vertex: the mean of those of two `cells`; the second has the weight
-/// `upper_share`.
+/// The values of a vertex, interpolated between the values of two `cells`. The second cell has the
+/// weight `upper_share`.
 fn interpolate(
     values: &mut [f32],
     sums: &[Block<f64>],
@@ -226,8 +227,8 @@ fn interpolate(
     }
 }
 
-/// For each cell of a level, the sums of a `group` of components over its particles, followed by
-/// the number of particles. All components have the same step.
+/// For each cell of a level, the sums of a `group` of components over the cell's particles,
+/// followed by the number of particles. All components are rounded to the same step.
 fn sums(
     bins: &Bins,
     (attribute, components): (usize, usize),

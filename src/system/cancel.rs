@@ -72,7 +72,7 @@ impl Cancel {
     }
 
     /// Removes all unfinished outputs, for a process that exits now. From now on, a thread that
-    /// begins another output waits forever.
+    /// begins or ends an output waits forever.
     ///
     /// Outputs that already have their final name stay. Pending records of frames are written
     /// first.
@@ -107,8 +107,9 @@ impl Cancel {
         act()
     }
 
-    /// Prepares an output. [`abandon`](Self::abandon) removes its `temporary` files and empty
-    /// folders, in this order, even immediately after the preparation.
+    /// Prepares an output, and registers its temporary files and folders, which `temporary` lists.
+    /// [`abandon`](Self::abandon) removes registered paths: first the files, then the empty
+    /// folders. It cannot run between `prepare` and the registration, so nothing is left behind.
     pub(crate) fn guard<T, E>(
         &self,
         prepare: impl FnOnce() -> Result<T, E>,

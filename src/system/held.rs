@@ -12,8 +12,8 @@ use std::path::Path;
 /// Creates a file that this process holds until it is closed.
 ///
 /// On a file system without locks, other processes cannot see whether the file is held, and do not
-/// take it. If another process takes the file immediately, it may have removed the file's name when
-/// this function returns.
+/// take it. If another process takes the file immediately, that process may have deleted the file
+/// when this function returns.
 ///
 /// # Errors
 /// Errors of the system, such as [`io::ErrorKind::AlreadyExists`].

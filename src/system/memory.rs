@@ -63,7 +63,8 @@ fn limit_available() -> Option<u64> {
     all.into_iter().flatten().min()
 }
 
-/// Bytes of the stacks of threads that do not choose their size, such as those of Vulkan drivers.
+/// Default size of a thread's stack in bytes. It applies to threads that choose no size, such as
+/// the threads of Vulkan drivers.
 #[must_use]
 pub fn default_stack() -> Option<u64> {
     limit("Max stack size")

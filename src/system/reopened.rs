@@ -137,8 +137,8 @@ impl ReopenedFile {
         Ok(read_exact_at(&*self.file()?, at, bytes)?)
     }
 
-    /// Checks that the file is unchanged. While the file is open, another file may take its name
-    /// without effect.
+    /// Checks that the file is unchanged. While the file is open, the check passes even if another
+    /// file has taken its name.
     pub fn check(&self) -> Result<(), ReopenedError> {
         let metadata = match OPEN.get(&self.number) {
             Some(file) => file.metadata()?,

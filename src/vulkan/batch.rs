@@ -126,7 +126,7 @@ impl Batch {
     /// Waits until the last submission has finished, and starts a new recording.
     ///
     /// # Errors
-    /// [`VulkanError::Lost`] and other errors of the driver.
+    /// [`VulkanError::Lost`] if the device is lost, and other errors if the driver fails.
     pub fn begin(&mut self) -> Result<(), VulkanError> {
         self.wait()?;
         let raw = &self.device.raw;
@@ -387,7 +387,7 @@ impl Batch {
     /// Submits the commands to the queue, to run after the batches of `after`.
     ///
     /// # Errors
-    /// [`VulkanError::Lost`] and other errors of the driver.
+    /// [`VulkanError::Lost`] if the device is lost, and other errors if the driver fails.
     pub fn submit(&mut self, after: &[Ticket]) -> Result<Ticket, VulkanError> {
         // SAFETY: there are no semaphores.
         unsafe { self.submit_between(after, &[], &[]) }
@@ -398,8 +398,8 @@ impl Batch {
     /// wait for the semaphores of `wait`.
     ///
     /// # Errors
-    /// [`VulkanError::Lost`] and other errors of the driver. After an error, no semaphore is
-    /// signalled.
+    /// [`VulkanError::Lost`] if the device is lost, and other errors if the driver fails. After an
+    /// error, no semaphore is signalled.
     ///
     /// # Safety
     /// The semaphores belong to the device, and live until the device has passed them. The work
@@ -466,7 +466,7 @@ impl Batch {
     /// Waits until the last submission has finished, if there is one.
     ///
     /// # Errors
-    /// [`VulkanError::Lost`] and other errors of the driver.
+    /// [`VulkanError::Lost`] if the device is lost, and other errors if the driver fails.
     pub fn wait(&mut self) -> Result<(), VulkanError> {
         if let Some(ticket) = self.last.filter(|_| self.pending) {
             let timelines = [self.device.queue(ticket.queue).timeline];

@@ -132,7 +132,7 @@ impl Device {
 
     /// Imports the memory of a buffer of the same size that another device with the same
     /// [UUID](Self::uuid), perhaps in another process, has [exported](Buffer::export). A device
-    /// sees what the other device wrote after it has waited for these writes.
+    /// sees the writes of the other device once it has waited for these writes to finish.
     ///
     /// # Errors
     /// The errors of [`buffer`](Self::buffer).
@@ -298,7 +298,7 @@ impl Buffer {
     /// allocation, and belongs to the caller.
     ///
     /// # Errors
-    /// The errors of the driver.
+    /// If the driver cannot export the memory.
     ///
     /// # Panics
     /// If the buffer is not exported.
@@ -399,13 +399,13 @@ impl View {
         self.bytes
     }
 
-    /// The Vulkan handle of its buffer, valid as long as this object.
+    /// The Vulkan handle of the view's buffer, valid as long as this object.
     #[must_use]
     pub fn raw(&self) -> vk::Buffer {
         self.buffer.raw
     }
 
-    /// The offset in its buffer, in bytes.
+    /// The offset of the view in its buffer, in bytes.
     #[must_use]
     pub fn offset(&self) -> u64 {
         self.offset

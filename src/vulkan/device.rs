@@ -500,7 +500,7 @@ impl SharedDevice {
         }
     }
 
-    /// The families of all queues, if there are several.
+    /// The families of all queues, each once.
     pub(super) fn families(&self) -> Vec<u32> {
         let mut families: Vec<u32> = self.queues.iter().map(|queue| queue.family).collect();
         families.dedup();

@@ -111,8 +111,8 @@ impl DeviceInfo {
         self.uuid.iter().map(|byte| format!("{byte:02x}")).collect()
     }
 
-    /// Whether its driver passes the conformance tests of any version. Drivers that translate to
-    /// other interfaces may not pass them.
+    /// Whether the device's driver passes the conformance tests of any version. Drivers that
+    /// translate to other interfaces may not pass them.
     #[must_use]
     pub fn is_conformant(&self) -> bool {
         self.conformance != [0; 4]
@@ -124,8 +124,8 @@ impl Instance {
     /// synchronisation checks.
     ///
     /// # Errors
-    /// [`VulkanError::NoLoader`] and [`VulkanError::NoValidation`] if they are not installed.
-    /// [`VulkanError::SmallStack`] if threads of drivers would crash.
+    /// [`VulkanError::NoLoader`] and [`VulkanError::NoValidation`] if the loader or the layer is
+    /// not installed. [`VulkanError::SmallStack`] if threads of drivers would crash.
     pub fn connect(validation: bool) -> Result<Arc<Self>, VulkanError> {
         if let Some(limit) = default_stack().filter(|&limit| limit < LEAST_STACK) {
             return Err(VulkanError::SmallStack { limit, least: LEAST_STACK });
@@ -223,7 +223,7 @@ impl Instance {
     /// All devices, in the loader's order.
     ///
     /// # Errors
-    /// The errors of the loader.
+    /// If the loader cannot list the devices.
     pub fn devices(&self) -> Result<Vec<DeviceInfo>, VulkanError> {
         // SAFETY: the instance is alive.
         let devices = unsafe { self.raw.enumerate_physical_devices() }

@@ -16,11 +16,12 @@ pub struct Shader {
     pub name: &'static str,
     /// The SPIR-V binary of the shader.
     pub code: &'static [u8],
-    /// Storage buffers by their names in the source, bound to 0, 1, ... of set 0.
+    /// The names of the storage buffers in the source, in the order of their bindings 0, 1, ... in
+    /// set 0.
     pub buffers: &'static [&'static str],
     /// Bytes of push constants.
     pub push_bytes: u32,
-    /// Threads of a work group, which is one-dimensional.
+    /// Number of threads in a work group, which is one-dimensional.
     pub group: u32,
 }
 

@@ -1,5 +1,5 @@
-//! Tests of data that stay on a device, bins of particles and stitched meshes: they equal the
-//! CPU's.
+//! Tests of bins of particles and stitched meshes that stay on a device: they equal the results of
+//! the CPU.
 
 use std::sync::Arc;
 

@@ -1,4 +1,5 @@
-//! Tests of resident frames, whose meshes stay on a device: they equal the CPU's, rounded to f32.
+//! Tests of resident frames, whose meshes stay on a device: the meshes equal those of the CPU,
+//! rounded to f32.
 
 #[path = "../../tools/examples/resident.rs"]
 mod example;
@@ -38,7 +39,7 @@ fn read(device: &Device, surface: &ResidentSurface) -> (Vec<[f32; 3]>, Vec<[u32;
     });
     batch.submit(&[]).unwrap();
     batch.wait().unwrap();
-    // SAFETY: the only batch that writes them is done.
+    // SAFETY: the only batch that writes the buffers is done.
     unsafe {
         (vertices.read(0, surface.vertices as usize), indices.read(0, surface.triangles as usize))
     }
@@ -291,7 +292,7 @@ fn another_device_reads_the_surface_from_exported_memory() {
     });
     batch.submit(&[]).unwrap();
     batch.wait().unwrap();
-    // SAFETY: the only batch that writes them is done.
+    // SAFETY: the only batch that writes the buffers is done.
     let found =
         unsafe { (read[0].read(0, vertices as usize), read[1].read(0, triangles as usize)) };
     assert!(found == rounded(&expected.mesh));

@@ -121,7 +121,7 @@ fn blurred_on(
         .unwrap();
     batch.submit(&[]).unwrap();
     batch.wait().unwrap();
-    // SAFETY: the only batch that writes it is done.
+    // SAFETY: the only batch that writes the buffer is done.
     (block, unsafe { to.read(0, padded.samples().len()) })
 }
 
@@ -255,7 +255,7 @@ fn the_device_makes_the_mesh_of_the_cpu_in_one_batch_and_in_many() {
     validated(|device| {
         let vulkan = watched(device.clone()).unwrap();
         assert_same_surfaces(&vulkan, &particles, MemoryBudget(8 << 30), "in one batch");
-        // The device gets a quarter of the budget, and batches get half of it, so 4 MiB.
+        // The device gets a quarter of the budget, and batches get half of this quarter: 4 MiB.
         assert_same_surfaces(&vulkan, &particles, MemoryBudget(32 << 20), "in many batches");
     });
 }

@@ -1,8 +1,8 @@
 //! The oracle: implements METHOD.md on one dense array, as simply as possible.
 //!
-//! There are two implementations. One uses the same integers as the sparse field, which must be
-//! equal to the bit. The other uses f64, as METHOD.md describes. The oracle shares no code with the
-//! library except the marching-cubes table, which has its own tests.
+//! There are two implementations. One uses the library's integers, and the sparse field must equal
+//! its result to the bit. The other uses f64, as METHOD.md describes. The oracle shares no code
+//! with the library except the marching-cubes table, which has its own tests.
 
 use std::collections::BTreeMap;
 
@@ -93,7 +93,7 @@ impl Method {
         self.indicator.mean().map_or(f64::NAN, |mean| mean.particles())
     }
 
-    /// The cells between the walls, or else all cells in which the field may not be 0.
+    /// The cells between the walls; without walls, all cells in which the field can differ from 0.
     fn cells(&self, particles: &[[f64; 3]]) -> CellBox {
         self.walls.unwrap_or_else(|| {
             let reach = 2 * gaussian(self.sigma).len() as i32 + 2;

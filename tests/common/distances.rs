@@ -1,9 +1,9 @@
 //! The oracle of the distances from clouds: implements the formulas on one dense array, as simply
 //! as possible.
 //!
-//! There are two implementations: in the library's integers, which must be equal to the bit, and in
-//! f64. The oracle shares only the committed tables with the library. Cells have edge 1, and the
-//! grid's origin is 0.
+//! There are two implementations. One uses the library's integers, and the library must give the
+//! same bits. The other uses f64. The oracle shares only the committed tables with the library.
+//! Cells have edge 1, and the grid's origin is 0.
 
 use glam::{DVec3, IVec3};
 use meniscus::internals::field::distance::{AWAY, DEPTHS};
@@ -22,8 +22,9 @@ pub struct Distances {
     pub walls: Option<CellBox>,
 }
 
-/// Units of a sample per spacing, and the sample that means distance 0.
+/// Units of a sample per spacing.
 pub const UNITS: f64 = 8192.0;
+/// The sample that means distance 0.
 pub const ZERO: f64 = 32768.0;
 
 /// Minimum edge of a wide cell, in spacings.
@@ -37,30 +38,35 @@ const AROUND: f64 = 0.5625;
 const AROUND_CUT: f64 = 1.7;
 /// Minimum variance of all other masks.
 const LEAST_VARIANCE: f64 = 0.35;
-/// Maximum depth that a width can measure, and maximum distance between the fine and the calm
-/// surface, in spacings.
+/// Maximum depth that a width can measure, in spacings.
 const DEEPEST: f64 = 2.5;
+/// Maximum distance between the fine and the calm surface, in spacings.
 const FARTHEST_APART: f64 = 1.0;
-/// The distance between the fine and the calm surface, from where it is only noise to where it is
-/// shape; and the depths between which the fine surface is faded out. In spacings.
+/// Distances between the fine and the calm surface, in spacings. Up to the first, a distance counts
+/// as noise; from the second on, it counts as shape.
 const APART: [f64; 2] = [0.07, 0.14];
+/// Depths, in spacings, between which the fine surface is faded out.
 const DEEP: [f64; 2] = [0.3, 0.9];
 /// Distances from the calm surface, outwards in spacings, at which a particle begins to stand out,
 /// and at which it stands out fully.
 const STANDS_OUT: [f64; 2] = [0.4, 1.0];
-/// A wide cell counts as containing a particle if it has at least 1 / `PARTS` of its cloud.
+/// A wide cell counts as containing a particle if it has at least 1 / `PARTS` of a particle's
+/// cloud.
 const PARTS: f64 = 9.0;
 /// Number of bits of precision that wide cells gain when a width is blurred.
 const GAIN: u32 = 2;
 /// The variance of the spline that interpolates wide cells, in squared wide cells.
 const SPLINE: f64 = 0.25;
-/// The width of a drop, the cutoff of its mask, and its radius. In coarse cells, `LESS_RADIUS`
-/// divided by the squared spacing in cells is subtracted from the radius, without and with
-/// refinement.
+/// The width of a drop in spacings.
 const DROP: f64 = 0.6;
+/// The masks of drops are cut off at this number of standard deviations.
 const DROP_CUT: f64 = 2.6;
+/// The radius of a drop in spacings.
 const DROP_RADIUS: f64 = 0.55;
+/// Divided by the squared spacing in cells, this number is subtracted from the radius: without
+/// refinement, and with refinement.
 const LESS_RADIUS: [f64; 2] = [0.29, 0.41];
+/// The minimum radius of a drop in spacings.
 const LEAST_RADIUS: f64 = 0.38;
 
 /// Half of a Gaussian mask with this variance and cutoff, from the centre outwards. The full mask
@@ -141,7 +147,7 @@ fn units(spacings: f64) -> i64 {
     (spacings * UNITS).round() as i64
 }
 
-/// The surface is at most this many wide cells from a particle.
+/// Maximum distance of the surface from a particle, in wide cells.
 fn near(edge: f64) -> i32 {
     (1.0 / edge).round().max(1.0) as i32
 }

@@ -147,7 +147,7 @@ fn the_plateau_matches_a_dense_oracle_for_all_cell_sizes() {
     let mut cases = Vec::new();
     for (i, density) in [0.5_f64, 1.0, 2.0, 4.0, 8.0].into_iter().enumerate() {
         for (j, disorder) in disorders.into_iter().enumerate() {
-            // Combine every density with every disorder, in two cell sizes that change.
+            // Combine every density with every disorder, each in two of the six cell sizes.
             for cell in [CELLS[(i + j) % 6], CELLS[(i + j + 3) % 6]] {
                 // Clouds measure at most four times the expected number of particles.
                 cases.extend(

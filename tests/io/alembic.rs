@@ -492,7 +492,7 @@ fn an_interrupted_archive_addition_resumes_to_the_same_bytes() {
         let bytes = [&before[0][..], &whole[before[0].len()..][..kept]].concat();
         resume(&bytes, &before[1]);
     }
-    // Simulate a crash after the header is written and before the table is.
+    // Simulate a crash after the header is written and before the table is written.
     fs::write(archive.path(), &whole).unwrap();
     fs::write(&table, &before[1]).unwrap();
     add(&archive, &frames, 3);

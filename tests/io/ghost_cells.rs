@@ -58,7 +58,7 @@ fn ids(file: &ParticleFile) -> Vec<usize> {
     ids
 }
 
-/// All offsets of the bytes `from` in the file, of which there must be one.
+/// All offsets of the bytes `from` in the file. There must be at least one.
 fn places(bytes: &[u8], from: &[u8]) -> Vec<usize> {
     let places: Vec<usize> =
         (0..=bytes.len() - from.len()).filter(|&at| bytes[at..].starts_with(from)).collect();
@@ -226,7 +226,7 @@ fn damaged_files_cause_neither_panics_nor_large_allocations() {
         let values = positions(&read(&whole, step).unwrap());
         let read = |bytes: &[u8]| {
             let (result, largest) = memory::largest_allocation(|| read(bytes, step));
-            // No file that is not compressed needs a larger block of memory.
+            // An uncompressed file never needs a larger block of memory.
             assert!(largest <= 64 << 20, "{name}: {largest} bytes");
             result.map(|file| positions(&file))
         };

@@ -16,9 +16,9 @@ thread_local! {
 
 /// Whether [`peak_of_process`] is measuring.
 static COUNTING: AtomicBool = AtomicBool::new(false);
-/// The number of bytes that all threads hold, counted since the measurement began; and the peak of
-/// this number.
+/// The number of bytes that all threads hold, counted since the measurement began.
 static HELD: AtomicIsize = AtomicIsize::new(0);
+/// The peak of [`HELD`].
 static PEAK: AtomicIsize = AtomicIsize::new(0);
 
 struct Meter;

@@ -55,7 +55,8 @@ fn every_format_preserves_everything_that_it_supports_exactly() {
         for width in [CoordinateWidth::F32, CoordinateWidth::F64] {
             let read = format.read(&written(format, &mesh, width)).unwrap();
             let wide = width == CoordinateWidth::F64 && format.holds_f64();
-            // A reader of text reads an f32 as an f64 with other bits, so compare rounded meshes.
+            // If the text of an f32 is read as an f64, the bits differ. Therefore, compare meshes
+            // rounded to f32.
             let (read, expected) =
                 if wide { (read, mesh.clone()) } else { (narrowed(&read), narrowed(&mesh)) };
             assert_eq!(soup(&read), soup(&expected), "{format:?} {width:?}");

@@ -36,7 +36,7 @@ struct Cut {
 
 impl Cut {
     /// Divides a mesh into pieces with these numbers of vertices and triangles. The last piece has
-    /// all that remain.
+    /// the rest of the mesh.
     fn new(mesh: &Mesh, vertices: &[usize], triangles: &[usize]) -> Self {
         let ranges = |sizes: &[usize], all: usize| -> Vec<Range<usize>> {
             let ends = sizes.iter().scan(0, |end, size| {

@@ -94,7 +94,7 @@ fn dif(path: &Path, cache_bytes: u64) -> SampledDif {
     }
 }
 
-/// The error that a frame gives, after its damaged bytes got correct checksums.
+/// The error of opening a frame that is damaged, but has correct checksums.
 fn refusal(folder: &Folder, bytes: &[u8]) -> String {
     open_frame(&folder.file(bytes), 1 << 20, None)
         .expect_err("damage is not detected")
@@ -427,7 +427,7 @@ fn packed_sizes_in_large_cells_and_far_away_are_read() {
     let path = folder.0.path().join("far.mnf");
     let sizes: Vec<f32> = [vec![1.0; 30], vec![40.0; 30]].concat();
     let positions: Vec<[f64; 3]> = (0..60).map(|i| [f64::from(i) * 9.0, 0.0, 0.0]).collect();
-    // In cells of 20 sizes, the nominal plateau exceeds the samples.
+    // In cells of 20 sizes, the nominal plateau exceeds the range of samples.
     for cell in [0.5, 20.0] {
         let cloud = Cloud::new(&positions).with("size", &sizes);
         let request = Reconstruction::new().size("size").cell(cell);
@@ -511,7 +511,7 @@ fn impossible_samples_in_the_ghost_layer_of_a_page_are_refused() {
     samples[0] = 1;
     assert!(refusal(&folder, &written(&samples)).contains("page 0 contains other cells"));
 
-    // Write the largest number of particles that the field in the file can have.
+    // Write the largest number that the footer can store as the number of particles.
     let layout = Layout::of(&whole);
     whole[layout.footer + 104..][..8].fill(0xff);
     layout.seal(&mut whole);

@@ -320,7 +320,7 @@ fn damaged_files_cause_neither_panics_nor_large_allocations() {
                 );
                 open_type(&opened, None)
             });
-            // No file that is not compressed needs a larger block of memory.
+            // An uncompressed file never needs a larger block of memory.
             assert!(largest <= 64 << 20, "{name}: {largest} bytes");
             result.map(|file| positions(&file))
         };

@@ -1,5 +1,5 @@
-//! Tests of the slots that binning fills, in the library's file. The first items replace the items
-//! that this file imports from its folder.
+//! Tests of the slots that binning fills. The module `slots` is the library's file, and the items
+//! before it replace the items that this file imports from its parent module.
 
 use loom::sync::atomic;
 

@@ -1,5 +1,5 @@
-//! Tests of the gate of parallel frames, in the library's file. The first items replace the items
-//! that this file imports from its folder.
+//! Tests of the gate of parallel frames. The module `gate` is the library's file, and the items
+//! before it replace the items that this file imports from its parent module.
 
 mod sync {
     pub use loom::sync::{Condvar, Mutex, MutexGuard};

@@ -755,7 +755,7 @@ fn coordinates_beyond_f32_are_written_as_f64_or_refused() {
     }
 }
 
-/// Runs the program on a Vulkan device. It caches its pipelines in the folder.
+/// Runs the program on a Vulkan device. The program caches its pipelines in the folder.
 fn on_vulkan(folder: &Path, arguments: &[&str], environment: &[(&str, &str)]) -> Output {
     let mut command = command(folder, arguments);
     command

@@ -21,7 +21,8 @@ const CELL: f64 = 0.5;
 /// Number of coordinate steps per spacing. Particles are at half steps, so that none is on a cell
 /// face.
 const STEPS: f64 = 64.0;
-/// Maximum distance between corresponding vertices, in spacings, because positions are rounded.
+/// Maximum distance between corresponding vertices, in spacings. It is not 0, because positions are
+/// rounded.
 const NEAR: f64 = 1e-9;
 /// Maximum distance between corresponding vertices of mirrored meshes. Positions in a cell are
 /// rounded down, which moves the surface where the field is nearly flat, such as at the rims of

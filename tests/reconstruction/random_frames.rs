@@ -24,7 +24,7 @@ use crate::common::{device, shuffle, watertight};
 
 /// Default number of frames to try.
 const FRAMES: u64 = 400;
-/// At least one of this many frames must have a surface.
+/// More than one in this number of frames must have a surface.
 const SURFACE_RATIO: u64 = 2;
 
 /// Particles with a velocity, and with an attribute that is NaN for some particles.

@@ -1,5 +1,5 @@
-//! Tests of simulations with the library: the program's bytes, events, cancellation, frames from
-//! memory, and frames that are sampled once and meshed repeatedly.
+//! Tests of simulations with the library: the same bytes as with the program, events, cancellation,
+//! frames from memory, and frames that are sampled once and meshed repeatedly.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -671,7 +671,7 @@ fn sizes_that_the_calibration_frame_does_not_have_are_reported() {
     assert_eq!(none, []);
     assert!(matches!(&strays[..], [SpacingWarning::Sizes { invalid: 2, .. }]), "{strays:?}");
 
-    // The same with files, where the largest frame calibrates the simulation.
+    // Repeat this test with files. There, the largest frame calibrates the simulation.
     let folder = TempDir::new().unwrap();
     let mut invalid = one.clone();
     invalid[5] = 0.0;

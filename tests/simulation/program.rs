@@ -108,7 +108,7 @@ fn resuming_remakes_only_frames_that_are_damaged_unrecorded_or_changed() {
     let other = tree(&out);
     assert!(other["m_7.ply"] != whole["m_7.ply"] && other["m_6.ply"] == whole["m_6.ply"]);
 
-    // Other settings are an error, unless --overwrite allows to make all frames again.
+    // Other settings are an error, unless --overwrite allows making all frames again.
     let errors = run(folder.path(), &with(&["--smooth", "1.3"]), 2);
     assert!(errors.contains("smooth") && errors.contains("--overwrite"), "{errors}");
     let errors = run(folder.path(), &with(&["--smooth", "1.3", "--resume"]), 2);
@@ -492,7 +492,7 @@ fn a_missing_input_folder_is_an_error_unless_watch_waits_for_it() {
         fs::create_dir(folder.path().join("none")).unwrap();
         fs::copy(folder.path().join("in/f_1.xyz"), folder.path().join("none/f_1.xyz")).unwrap();
         std::thread::sleep(Duration::from_secs(3));
-        // Make the input folder disappear for a while, as programs do that clear their folder.
+        // Make the input folder disappear for a while, as if a program cleared its folder.
         fs::rename(folder.path().join("none"), folder.path().join("gone")).unwrap();
         std::thread::sleep(Duration::from_millis(700));
         fs::rename(folder.path().join("gone"), folder.path().join("none")).unwrap();
@@ -570,8 +570,8 @@ fn every_cloud_frame_uses_the_plateau_of_the_state_not_its_own() {
     };
     assert!(single(1) == made["m_1.ply"], "frame 1 uses its own plateau");
     assert!(single(2) != made["m_2.ply"], "frame 2 uses the plateau of frame 1");
-    // Exchange the frames. With the plateau of the thin frame, a third of the other, there is more
-    // fluid.
+    // Exchange the frames, so that the calibration uses the dense frame. Its plateau is about three
+    // times that of the thin frame, so frame 3 gets another mesh.
     fs::rename(folder.path().join("in/f_2.xyz"), folder.path().join("in/f_1.xyz")).unwrap();
     fs::write(folder.path().join("in/f_2.xyz"), raw(&ball(1))).unwrap();
     let (by_dense, dense) = shared(&more);

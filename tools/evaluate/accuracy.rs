@@ -1,6 +1,6 @@
-//! Measures the distances between surfaces and the true surfaces (the paper's figure 13): the
-//! meshes that were filled with particles. Also measures how the distances depend on the position
-//! of the particles' lattice relative to the grid.
+//! Measures the distances between surfaces and the true surfaces (the paper's figure 13). The true
+//! surfaces are the meshes that were filled with particles. Also measures how the distances depend
+//! on the position of the particles' lattice relative to the grid.
 
 use glam::{DQuat, DVec3};
 use meniscus::internals::frame::{FrameError, Normals};

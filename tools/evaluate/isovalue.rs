@@ -1,9 +1,9 @@
 //! Compares rules for the isovalue by the error of the surface, for a lattice of particles at many
 //! positions relative to the grid.
 //!
-//! If the lattice moves along the diagonal of a cell, its indicator takes all its values. The
-//! symmetry indicator is 1 with particles in the cells' centres, and 0 with particles at the
-//! corners.
+//! While the lattice moves along the diagonal of a cell, the indicator takes all of its possible
+//! values. The symmetry indicator is 1 with particles in the cells' centres, and 0 with particles
+//! at the corners.
 
 use glam::{DQuat, DVec3, IVec3};
 use meniscus::internals::backend::field;

@@ -17,14 +17,15 @@ use crate::{Options, Outcome};
 
 const CELLS: [f64; 3] = [2.0 / 3.0, 1.0, 1.5];
 const JITTER: f64 = 0.3;
-/// Edge length of pools and sheets, in spacings. Measurements ignore the parts within `MARGIN` of
-/// the edges.
+/// Edge length of pools and sheets, in spacings.
 pub const WIDTH: i32 = 48;
+/// Measurements ignore the parts of pools and sheets within this distance of the edges.
 const MARGIN: f64 = 12.0;
 /// Vertices deeper than this, in spacings, belong to bubbles and not to the surface.
 const NEAR: f64 = 2.0;
-/// Number of drops of each size along each axis of the pool, and the distance between drops.
+/// Number of drops of each size along each axis of the pool.
 const DROPS: i32 = 7;
+/// Distance between drops, in spacings.
 const STEP: i32 = 10;
 
 pub fn run(options: &Options) -> Outcome<()> {

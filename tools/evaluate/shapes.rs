@@ -28,7 +28,7 @@ pub struct Solid {
 }
 
 impl Solid {
-    /// Scales a mesh so that `particles` cubes of edge 1 have its volume.
+    /// Scales a mesh to the volume `particles`: a cube of edge 1 for each particle.
     pub fn new(name: &str, mut mesh: Mesh, particles: usize) -> Outcome<Self> {
         let measures = measure(&mesh);
         let (Some([lo, hi]), Some(volume)) =

@@ -166,7 +166,7 @@ impl FieldUse {
     fn may_cut(self, block: &Block) -> bool {
         let Self::NearSurface { iso, away_from_walls } = self else { return true };
         // A weighted mean lies on the same side as its samples if they are all on one side. A block
-        // that is all inside has no surface only away from walls.
+        // that is all inside has a surface only at a wall.
         let threshold = iso.threshold();
         let mut pieces = block.samples().chunks(PIECE);
         let any_inside = pieces.clone().any(|piece| greatest_of(piece) > threshold);
@@ -195,7 +195,7 @@ impl FieldUse {
 /// Gathers a density in cells 2^level times as wide.
 pub(super) type Density<'a> = &'a dyn Fn(u32, CellBox) -> Block;
 
-/// Fields in blocks.
+/// Makes the fields of a recipe in blocks of cells.
 pub(super) struct Blocks<'a> {
     sampled: &'a SampledDif,
     /// The density of all particles, if `sampled` has only some of them.
@@ -209,7 +209,7 @@ pub(super) struct Blocks<'a> {
     /// The part of `cells` for which samples are gathered.
     pub(super) wanted: CellBox,
     field_use: FieldUse,
-    /// Whether blurred samples decide whether there is a surface.
+    /// Whether blurred samples can show that no surface passes.
     decides: bool,
     /// Whether almost all samples are 0.
     few: bool,
@@ -232,7 +232,8 @@ impl<'a> Blocks<'a> {
     }
 
     fn new(recipe: &Recipe, sampled: &'a SampledDif, cells: CellBox, field_use: FieldUse) -> Self {
-        // The paper's smoothing is a mean of the DIF, which decides unless details are recovered.
+        // The paper's smoothing is a mean of the DIF, so the DIF's samples decide, unless details
+        // are recovered.
         let decides = matches!(&recipe.filters, Filters::Paper(paper) if paper.recovery.is_none());
         let (density, solid, outside) = (None, None, None);
         Self {
@@ -513,7 +514,7 @@ impl Fields for Blocks<'_> {
         };
         let step = by.numbers.step;
         let mut seen = cells.grown(step, step);
-        // There are no sheets, or only in a part of the cells, if the density is low.
+        // Where the density is low, there are no sheets: they are made only around denser cells.
         if self.walls(level).is_none_or(|walls| walls.covers(&seen)) {
             let least = by.least_density();
             let dense = wide.block.box_of(|sample| sample >= least);

@@ -122,7 +122,8 @@ struct RegionGroup<'a> {
 }
 
 impl CpuStages {
-    /// Splits regions into groups of neighbours. Groups are smaller if the regions are not spray.
+    /// Splits regions into groups of neighbours. Regions of spray form larger groups than other
+    /// regions.
     fn groups<'a>(
         &self,
         surfaces: &'a Surfaces<'_>,

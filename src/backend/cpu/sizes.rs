@@ -29,8 +29,8 @@ pub struct SizedField<'a> {
     clouds: &'a SizedClouds,
     /// A solid that cuts the field, if there is one.
     solid: Option<Arc<Solid>>,
-    /// The recipes of the first octave that is seen, and of the others: except for the finest of
-    /// all, their drops are refined.
+    /// The recipe of the first octave of `clouds`, and the recipe of all other octaves. Drops are
+    /// refined in all octaves except the finest of the frame.
     recipes: [(Recipe, DistanceFilters); 2],
     /// Averages sizes, in wide cells of an octave.
     averaging: Weights,
@@ -38,7 +38,7 @@ pub struct SizedField<'a> {
     growth: i32,
 }
 
-/// The side of all of a box of cells through which no surface passes.
+/// The side of the surface on which a whole box of cells lies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum BoxSide {
     /// The box is inside the fluid.
@@ -47,7 +47,7 @@ pub enum BoxSide {
     Outside,
 }
 
-/// The surface in the wide cells of an octave and in its spacings.
+/// The surfaces of an octave in its wide cells. Distances are in the octave's spacings.
 struct OctaveSurface {
     /// The calm surface, from which drops stand out.
     calm: Block,
@@ -77,7 +77,8 @@ struct OctaveShares {
 }
 
 impl<'a> SizedField<'a> {
-    /// For the measured plateau of clouds with the usual amounts.
+    /// Makes the field of `clouds`. `plateau` is measured for clouds with the usual amounts, which
+    /// are twice the amounts of `clouds`.
     #[must_use]
     pub fn new(
         clouds: &'a SizedClouds,
@@ -124,8 +125,9 @@ impl<'a> SizedField<'a> {
         let coarser = finest.clone().refining(sheets, spacing_cells);
         let of = |distances: &DistanceFilters| {
             let DistanceFilters { level, near, drops_level, .. } = *distances;
-            // Surfaces are made where drops are near, and interpolated from wide cells, and so is
-            // the density of coarser octaves. Filters of sizes and of distances begin there.
+            // Surfaces are made wherever drops can be near. They are interpolated from wide cells,
+            // and so is the density of coarser octaves. The filters of sizes and of distances start
+            // from these cells.
             let wide = 2 + 2 * near + distances.widest_halo().max(averaging);
             halo_in_cells(level, wide).max(halo_in_cells(drops_level, 2 + distances.drops_halo()))
         };
@@ -141,7 +143,7 @@ impl<'a> SizedField<'a> {
         spacing_cells: f64,
         octaves: usize,
     ) -> u64 {
-        /// Three surfaces of each octave, and the fields of one while they are made.
+        /// Number of fields that are kept for each octave: its three surfaces.
         const FIELDS: usize = 3;
         let distances = DistanceFilters::new(smooth, sheets, spacing_cells);
         let blocks = CellBox { lo: IVec3::NEG_ONE, hi: IVec3::splat(2 * BLOCK + 2) };
@@ -182,9 +184,9 @@ impl<'a> SizedField<'a> {
     }
 
     /// Makes the final field on each of some nearby boxes of the finest cells, one after another;
-    /// `None` if the bulk shows that no surface can pass through the box. Each box comes with
-    /// whether it is away from walls. A sample does not depend on the boxes, which share the
-    /// surfaces of octaves if this saves work.
+    /// `None` if no surface can pass through the box. Each box comes with a flag that says whether
+    /// it is away from walls. The boxes share the surfaces of octaves if this saves work; this does
+    /// not affect the samples.
     pub fn on_each(&self, boxes: Vec<(CellBox, bool)>) -> impl Iterator<Item = Option<Block>> {
         let none = || self.no_surfaces();
         let all = boxes.iter().fold(CellBox::EMPTY, |all, (cells, _)| all.union(cells));
@@ -337,8 +339,8 @@ impl<'a> SizedField<'a> {
         });
     }
 
-    /// The share of octaves above this one in the sizes around some of its wide cells; `None` if
-    /// there are only coarser ones.
+    /// The share of coarser octaves in the sizes around some of an octave's wide cells; `None` if
+    /// only coarser octaves have particles there.
     fn coarser(&self, octave: usize, wide: CellBox) -> Option<Block> {
         let level = self.distances(octave).level;
         let around = wide.grown(self.averaging.reach(), self.averaging.reach());

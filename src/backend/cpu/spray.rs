@@ -172,8 +172,8 @@ impl<'a> SprayMaker<'a> {
         Some(DropField { inside, field: Rc::unwrap_or_clone(field.block) })
     }
 
-    /// The cells within reach of a group's particles, which alone can be inside because of the
-    /// group; `None` if it has no particles. At walls this box is larger.
+    /// The cells within reach of a group's particles: only these cells can be inside because of the
+    /// group. At walls this box is larger. `None` if the group has no particles.
     fn near_particles(&self, full: CellBox) -> Option<CellBox> {
         let DistanceFilters { level, near, least, .. } = *self.distances;
         // Clouds reach beyond the cells of their own bin.

@@ -25,10 +25,10 @@ const BIN_BATCH: usize = 4096;
 /// about two seconds without a pause.
 const PARTICLE_BATCH: usize = 4 << 20;
 
-/// An error of the device, or of a scratch file on the host.
+/// An error of the device or of the host.
 pub(super) enum DeviceFrameError {
     Device(VulkanError),
-    /// A scratch file with particles or surfaces.
+    /// A scratch file with particles or surfaces failed, or the work was cancelled.
     Host(io::Error),
 }
 

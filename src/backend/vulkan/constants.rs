@@ -21,8 +21,9 @@ pub(super) struct Constants {
 /// Tables for all frames.
 #[derive(Debug, Clone)]
 pub(super) struct Tables {
-    /// Tables for distances: depths, and distances from the middle of a drop for shares.
+    /// Table of depths.
     pub(super) depths: View,
+    /// Table of distances from the middle of a drop, by share.
     pub(super) away: View,
     /// Number of triangles by case.
     pub(super) lengths: View,
@@ -67,7 +68,7 @@ impl Constants {
             batch.submit(&[])?;
             batch.wait()?;
         }
-        // Cached tables are on the device.
+        // The tables are on the device now, so they can be cached.
         *tables = Some(made.clone());
         if known.len() > KEPT_WEIGHTS {
             known.retain(|weights, _| used.contains(&weights));

@@ -27,7 +27,7 @@ use super::resident::ResidentPages;
 /// Maximum number of blocks in a batch.
 const BLOCK_BATCH: usize = 1024;
 /// Average number of vertices per block for which a batch has memory; a batch with more vertices is
-/// emitted again.
+/// meshed again.
 const BLOCK_ROOM: u64 = 6144;
 /// Maximum number of vertices in a block.
 const MOST_VERTICES: u64 = 3 * (BLOCK * BLOCK * BLOCK) as u64;
@@ -35,7 +35,7 @@ const MOST_VERTICES: u64 = 3 * (BLOCK * BLOCK * BLOCK) as u64;
 /// Number of fields in wide cells that exist at once: clouds, two surfaces and their difference,
 /// another field, and its temporary.
 pub(super) const WIDE_FIELDS: usize = 6;
-/// Number of fields for sheets in wide cells: clouds, and their smoothed density.
+/// Number of fields in wide cells that sheets need: the clouds, and their smoothed density.
 pub(super) const SHEETS_FIELDS: usize = 2;
 /// Number of fields for drops: the shares of sheets and their certainty, clouds, the clouds around
 /// them, and a temporary.
@@ -110,7 +110,7 @@ impl BlockBatch {
     }
 }
 
-/// The field on some blocks, with a ticket for its upload.
+/// The field on some blocks, with a ticket for the upload of its inputs.
 pub(super) struct BatchField {
     pub(super) blocks: DeviceBlocks,
     pub(super) field: View,

@@ -51,11 +51,12 @@ pub(super) struct PaddedFields<'a> {
     pub(super) grids: Vec<PaddedBlocks>,
     /// Gathered samples, in the order in which the recipe requests them.
     pub(super) gathered: VecDeque<Rc<PaddedSamples>>,
-    /// The blocks for which fields are refined, and their parts in which particles stand out, if
-    /// there are any.
+    /// Index in `grids` of the blocks for which fields are refined.
     pub(super) cells: usize,
+    /// Index in `grids` of the parts of these blocks in which particles stand out, if there are
+    /// such parts.
     pub(super) parts: Option<usize>,
-    /// The blocks in which sheets are made, around `parts`.
+    /// Index in `grids` of the blocks in which sheets are made, around `parts`.
     pub(super) drops: usize,
 }
 

@@ -110,7 +110,8 @@ impl DeviceFrame {
             return;
         }
         self.forget_residents();
-        // This is tried only once, because consecutive runs of bins do not fit together.
+        // This is tried only once: if the bins come in several runs, the pages of all runs do not
+        // fit.
         let most = std::mem::take(&mut state.resident_bytes);
         if let Some(pages) = self.room(state, keys.len() as u64 * page_bytes(shape), most) {
             let numbers = keys.iter().map(|key| key.coord()).zip(0..).collect();
@@ -175,11 +176,12 @@ impl Drop for DeviceFrame {
 pub(super) struct DeviceState {
     pub(super) lanes: Vec<Lane>,
     pub(super) batch_bytes: u64,
-    /// Maximum bytes of a frame's pages on the device, and the part of them for pages of wider
-    /// cells.
+    /// Maximum bytes of a frame's pages on the device, until their buffer is made; then 0.
     pub(super) resident_bytes: u64,
+    /// Bytes that remain for pages of wider cells, after the buffer for the frame's pages is made.
     pub(super) wide_bytes: u64,
-    /// Whether the device is lost or too small.
+    /// Whether the CPU does the rest of the work, because the device is lost or has too little
+    /// memory.
     pub(super) on_cpu: bool,
     pub(super) warnings: Vec<String>,
     /// The work that the device did.

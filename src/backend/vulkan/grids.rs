@@ -56,8 +56,9 @@ pub(super) struct LevelBlocks {
     tables: Vec<u32>,
     /// Bits of the inside bricks.
     marks: Vec<u32>,
-    /// The bins whose pages are uploaded, and their numbers.
+    /// The bins whose pages are uploaded.
     sent: Vec<IVec3>,
+    /// The index of each of these bins in `sent`.
     numbers: HashMap<IVec3, u32>,
 }
 

@@ -129,7 +129,7 @@ impl ResidentFrame {
     /// that stays on the device can fail later: see [`check`](Self::check).
     ///
     /// # Errors
-    /// The errors of the device.
+    /// [`VulkanError`] if the device fails, or has too little memory even for small batches.
     pub fn indicate(&self, bins: &DeviceBins, rule: &PageRule) -> Result<DifField, VulkanError> {
         let mut state = self.0.state();
         let made = loop {
@@ -152,7 +152,7 @@ impl ResidentFrame {
     /// Checks that all downloads of the field succeeded.
     ///
     /// # Errors
-    /// The errors of the device, if a download failed.
+    /// The error of the first download that failed.
     pub fn check(&self) -> Result<(), VulkanError> {
         self.0.reader.failed().map_or(Ok(()), Err)
     }
@@ -160,7 +160,7 @@ impl ResidentFrame {
     /// Makes the surfaces of all blocks, in smaller batches if memory is exhausted.
     ///
     /// # Errors
-    /// The errors of the device.
+    /// [`VulkanError`] if the device fails, or has too little memory even for small batches.
     pub fn contour(&self, surfaces: &Surfaces<'_>) -> Result<DeviceSurfaces, VulkanError> {
         let regions = surfaces.regions();
         surfaces.prepare();
@@ -314,7 +314,8 @@ impl Stages for Arc<DeviceFrame> {
 }
 
 impl DeviceFrame {
-    /// The surfaces through regions that no solid cuts.
+    /// Passes the surfaces of regions that no solid cuts to `take`. If the device fails, the CPU
+    /// makes the remaining surfaces.
     fn contour_away_from_solids(
         &self,
         surfaces: &Surfaces<'_>,

@@ -29,7 +29,7 @@ const BLOCK_BATCH: usize = 4096;
 #[derive(Debug)]
 struct DeviceField {
     frame: Arc<DeviceFrame>,
-    /// The number of times its cells were doubled in width.
+    /// The number of times that the field's cells were doubled in width.
     level: usize,
     infos: Vec<PageInfo>,
     shape: PageShape,

@@ -22,8 +22,9 @@ use super::grids::{LevelBlocks, NO_TILES};
 use super::lane::{BufferLayout, Lane, part};
 use super::pipelines::page_bytes;
 
-/// Indices of the block lists of a batch: in wide cells, in the grid's cells, and in the parts in
-/// which particles stand out.
+/// Indices of the block lists of a batch: blocks in wide cells, blocks in the grid's cells, the
+/// parts of these blocks in which particles stand out, and the surroundings of these parts for
+/// drops and for sheets.
 const WIDE: usize = 0;
 const CELLS: usize = 1;
 const PARTS: usize = 2;
@@ -63,8 +64,8 @@ impl Contouring<'_> {
             let part = part.filter(|part| !part.is_empty());
             let at_walls =
                 self.surfaces.mesh_walls().is_some_and(|walls| !walls.covers(&dual_cells(region)));
-            // Cells are weighted means of wide cells. A region that is all inside has no surface
-            // only away from walls.
+            // Cells are weighted means of wide cells. A region that is all inside has a surface
+            // only at a wall.
             if (part.is_some() || seen.above > 0) && (at_walls || seen.below > 0) {
                 batch.parts.extend(part.map(|part| (batch.meshed.len(), part)));
                 batch.meshed.push(number);

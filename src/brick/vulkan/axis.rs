@@ -12,7 +12,7 @@ use super::{DeviceBlocks, wall_bounds};
 /// The cells that an operation reads.
 #[derive(Debug, Clone, Copy)]
 pub struct TapWindow {
-    /// The reach of its taps along the axis, in cells.
+    /// The reach of the operation's taps along the axis, in cells.
     pub reach: i32,
     /// The walls; samples beyond them repeat the outermost cells.
     pub walls: Option<CellBox>,
@@ -26,7 +26,7 @@ pub struct TapWindow {
 /// output, and then `further`. Sums along an axis are shifted down by `shift` bits.
 ///
 /// # Errors
-/// The errors of the device.
+/// If a view is larger than the storage range of the device, or if the driver fails.
 pub fn along_each_axis(
     batch: &mut Batch,
     pipeline: &Arc<ComputePipeline>,

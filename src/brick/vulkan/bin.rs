@@ -1,9 +1,9 @@
 //! Binning on a device: the counting sort of [`BinPlan`](crate::brick::BinPlan), with a hash table
 //! of bins.
 //!
-//! Positions are read once, in chunks. For every particle, a shader computes its place, with the
-//! host's f64 arithmetic in integers, finds or inserts its bin in the table, and counts it there.
-//! The host sorts the bins. Then a shader moves every particle to its bin's slots.
+//! Positions are read once, in chunks. For every particle, a shader computes its place with
+//! integers that emulate the host's f64 arithmetic, finds or inserts its bin in the table, and
+//! counts it there. The host sorts the bins. Then a shader moves every particle to its bin's slots.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -26,21 +26,22 @@ use super::{DeviceGrid, flat_groups};
 const CHUNK: usize = (PIECE / (RECORD_BYTES + HOME_BYTES) / ALIGNMENT * ALIGNMENT) as usize;
 /// Chunks in a batch, with at most three dispatches and two stages each.
 const BATCH_CHUNKS: usize = 16;
-/// Particles per slot of the first table of bins. If the table is too small, the next one is
-/// [`GROWTH`] times larger.
+/// Number of particles per slot of the first table of bins. If the table is too small, the next one
+/// is [`GROWTH`] times larger.
 const SLOT_PARTICLES: usize = 256;
 const GROWTH: u64 = 8;
 /// Maximum number of slots that are probed for a bin. If none of them is free, the table is too
 /// small.
 pub const PROBES: u32 = 128;
-/// The owner of a slot whose key is known.
+/// The value of a slot's `owner` if the slot's key is known.
 pub const SETTLED: u32 = u32::MAX;
 /// Both words of the key of a particle without a bin.
 pub const NO_BIN: u32 = u32::MAX;
 /// The position of a slot whose bin belongs to another run.
 pub const ELSEWHERE: u32 = u32::MAX;
-/// Bytes of a packed particle, and of the number of its bin's slot.
+/// Bytes of a packed particle.
 const RECORD_BYTES: u64 = 8;
+/// Bytes of the number of a bin's slot, which is stored for each particle.
 const HOME_BYTES: u64 = 4;
 /// Maximum number of particles in a bin: one work group can sum them before the driver's timeout.
 /// It is about 16000 times the useful number.
@@ -59,7 +60,7 @@ impl BinPipelines {
     /// Compiles the shaders.
     ///
     /// # Errors
-    /// The errors of the device.
+    /// If the driver rejects a shader.
     pub fn new(device: &Device) -> Result<Self, VulkanError> {
         let [place, enter, settle, sort] = device.pipelines([&PLACE, &ENTER, &SETTLE, &SORT])?;
         Ok(Self { place, enter, settle, sort })
@@ -87,7 +88,7 @@ impl Coordinate {
 }
 
 /// Positions on the device: x, y and z of one particle after another. Shaders read them. If a
-/// particle is invalid, the host reads a copy for the error.
+/// particle is invalid, the host copies its position for the error.
 #[derive(Debug, Clone)]
 pub struct DevicePositions {
     /// The buffer; its offset must be a multiple of 4 bytes.
@@ -174,9 +175,9 @@ struct DeviceChunk {
     index: usize,
     count: u32,
     positions: View,
-    /// Words of `positions` before the first coordinate.
+    /// Number of words of `positions` before the first coordinate.
     first: u32,
-    /// Words of a coordinate.
+    /// Number of words of a coordinate.
     width: u32,
 }
 
@@ -221,9 +222,10 @@ fn chunks(positions: &[DevicePositions], limits: Limits) -> Vec<DeviceChunk> {
 /// than `limit` bins. The order inside a bin is arbitrary.
 ///
 /// # Errors
-/// [`DeviceBinError::Bin`] as on the host. [`VulkanError::OutOfMemory`] if there are 2^32 particles
-/// or more, if a bin has more than 2^24 particles or more than a buffer can hold, or if the device
-/// has no memory for 20 bytes per particle; 8 of these bytes stay allocated.
+/// [`DeviceBinError::Bin`] if binning on the host would fail with the same error.
+/// [`VulkanError::OutOfMemory`] if there are 2^32 particles or more, if a bin has more than 2^24
+/// particles or more than a buffer can hold, or if the device has no memory for 20 bytes per
+/// particle; 8 of these bytes stay allocated.
 ///
 /// # Panics
 /// If a view is smaller than its positions.
@@ -291,7 +293,7 @@ struct CountedBins {
 /// The packed particles of a chunk, with the slots of their bins; kept for sorting.
 struct PackedChunk {
     packed: View,
-    /// The slots of their bins.
+    /// For each particle, the slot of its bin.
     homes: View,
 }
 

@@ -24,11 +24,11 @@ use crate::grid::{BIN, CellBox};
 use crate::shaders::GatherPush;
 use crate::vulkan::{ALIGNMENT, Batch, ComputePipeline, View, VulkanError};
 
-/// Words of a page without ghost layers on the device: all cells of a bin, x fastest, two samples
-/// per word.
+/// Number of words of a page without ghost layers on the device: all cells of a bin, x fastest, two
+/// samples per word.
 pub const PAGE_WORDS: u32 = (BIN * BIN * BIN) as u32 / 2;
-/// Words of a page on the device: its dense samples, two per word, rounded up to the alignment of
-/// buffer views.
+/// Number of words of a page on the device: its dense samples, two per word, rounded up to the
+/// alignment of buffer views.
 pub fn page_words(shape: PageShape) -> u32 {
     (shape.bin_samples() as u32 / 2).next_multiple_of(ALIGNMENT as u32 / 4)
 }
@@ -44,16 +44,16 @@ pub const RUN: u32 = 4;
 pub struct DeviceBlock {
     /// The lowest cell; x is even.
     pub lo: [i32; 3],
-    /// The block's first word in the field.
+    /// The index of the block's first word in the field.
     pub field: u32,
     /// The edges of the block in cells; x is even.
     pub size: [u32; 3],
-    /// The block's first entry in the table of pages.
+    /// The index of the block's first entry in the table of pages.
     pub table: u32,
     /// The lowest cell of the tiles to mesh.
     pub tiles_lo: [i32; 3],
-    /// The block's first word among the bits that mark inside bricks of all blocks, if there are
-    /// any bits.
+    /// The index of the block's first word in the bits that mark the inside bricks of all blocks,
+    /// if there are such bits.
     pub marks: u32,
     /// The edges of the part that is divided into tiles, in cells.
     pub tiles_size: [u32; 3],
@@ -111,11 +111,11 @@ pub struct DeviceBlocks {
     pub blocks: View,
     /// The number of blocks.
     pub count: u32,
-    /// Words of the largest block.
+    /// Number of words of the largest block.
     pub largest: u32,
-    /// Maximum number of threads for a block along any axis.
+    /// Maximum number of threads that a separable operation along any axis needs for a block.
     pub runs: u32,
-    /// Words of all blocks together.
+    /// Number of words of all blocks together.
     pub words: u32,
 }
 
@@ -162,9 +162,10 @@ pub struct DevicePages {
     pub tables: View,
     /// The pages, of [`page_words`] words each.
     pub pages: View,
-    /// The arrangement of their samples.
+    /// The arrangement of the samples in pages.
     pub shape: PageShape,
-    /// theta for each number of particles, with 1 for all larger numbers, if pages contain numbers.
+    /// theta for each number of particles; the last entry, 1, is for all larger numbers. It is used
+    /// if pages contain numbers of particles.
     pub theta: View,
     /// The number of entries of `theta`; 0 if pages contain theta.
     pub decode: u32,
@@ -173,7 +174,7 @@ pub struct DevicePages {
 /// Fills `field` with the samples of all blocks.
 ///
 /// # Errors
-/// The errors of the device.
+/// If a view is larger than the storage range of the device, or if the driver fails.
 pub fn gather(
     batch: &mut Batch,
     pipeline: &Arc<ComputePipeline>,

@@ -34,7 +34,7 @@ impl DeviceFullCells {
 /// Finds the full cells of pages.
 ///
 /// # Errors
-/// The errors of the device.
+/// If a view is larger than the storage range of the device, or if the driver fails.
 pub fn full_cells(
     batch: &mut Batch,
     pipeline: &Arc<ComputePipeline>,
@@ -59,7 +59,7 @@ pub fn full_cells(
 /// cells](crate::brick::halved_from) of a bin within the walls.
 ///
 /// # Errors
-/// The errors of the device.
+/// If a view is larger than the storage range of the device, or if the driver fails.
 pub fn halve(
     batch: &mut Batch,
     pipeline: &Arc<ComputePipeline>,

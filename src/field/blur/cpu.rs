@@ -15,8 +15,8 @@ pub trait BlurSample: Copy + Default + PartialEq {
     fn blur_row(to: &mut [Self], taps: &[Self], step: usize, weights: &Weights, axis: usize);
 }
 
-/// Blurs `block` with `weights` along x, then y, then z. At `walls`, the edge cells are repeated
-/// beyond them in the input, and again in the result for the next filter.
+/// Blurs `block` with `weights` along x, then y, then z. Samples beyond `walls` must repeat the
+/// edge cells in the input; the result repeats its own edge cells there, for the next filter.
 ///
 /// The result is smaller than the input by the weights' reach on every side: it has exactly the
 /// cells whose whole neighbourhood is in the input.
@@ -32,7 +32,7 @@ pub fn blur<T: BlurSample>(block: Block<T>, weights: &Weights, walls: Option<Cel
 /// otherwise. The block that `goes_on` receives has no repeated cells yet.
 ///
 /// # Panics
-/// As [`blur`].
+/// If the block is too small for one cell to remain.
 pub fn blur_while<T: BlurSample>(
     mut block: Block<T>,
     weights: &Weights,

@@ -23,8 +23,9 @@ pub trait Filter {
 /// A number of fields of a block that exist at once.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FieldCount {
-    /// Fields in the memory of a thread.
+    /// Number of fields in the memory of a thread.
     pub host: u64,
-    /// Fields in buffers of a device; a buffer is reused as soon as no field refers to it.
+    /// Number of fields in buffers of a device; a buffer is reused as soon as no field refers to
+    /// it.
     pub device: u64,
 }

@@ -57,7 +57,8 @@ impl Weights {
             let second: f64 = tails().map(|(k, weight)| f64::from(k * k) * weight).sum();
             (sum, 2.0 * second / sum)
         };
-        // The cut makes the filter narrower than the full Gaussian.
+        // The cut makes the filter narrower than the full Gaussian, so wider Gaussians are tried
+        // too.
         let (mut below, mut above) = (variance / 2.0, 4.0 * variance);
         for _ in 0..60 {
             let middle = (below + above) / 2.0;

@@ -8,14 +8,15 @@ use crate::vulkan::{Batch, ComputePipeline, View, VulkanError};
 
 use super::Weights;
 
-/// Blurs all blocks along x, then y, then z: from `from` to `to`, then to `through`, and finally
-/// back to `to`.
+/// Blurs all blocks along x, then y, then z. `views` are the input, a spare view and the output.
+/// The samples go from the input to the output, then to the spare view, and finally back to the
+/// output.
 ///
 /// Samples within `margin` of a block's faces are unknown in the input, and within `margin` plus
 /// the filter's reach in the result.
 ///
 /// # Errors
-/// The errors of the device.
+/// If a view is larger than the storage range of the device, or if the driver fails.
 pub fn blur(
     batch: &mut Batch,
     pipeline: &Arc<ComputePipeline>,

@@ -10,7 +10,7 @@ use crate::vulkan::{Batch, ComputePipeline, View, VulkanError};
 /// Writes theta_bar into `kept`.
 ///
 /// # Errors
-/// The errors of the device.
+/// If a view is larger than the storage range of the device, or if the driver fails.
 pub fn lost(
     batch: &mut Batch,
     pipeline: &Arc<ComputePipeline>,
@@ -30,7 +30,7 @@ pub fn lost(
 /// Sets `field` to the maximum of `field` and `other`.
 ///
 /// # Errors
-/// The errors of the device.
+/// If a view is larger than the storage range of the device, or if the driver fails.
 pub fn raise(
     batch: &mut Batch,
     pipeline: &Arc<ComputePipeline>,

@@ -77,7 +77,7 @@ pub fn depths(bulk: &Bulk, shares: [&Block; 3]) -> Depths<Block> {
     Depths { calm, fine, apart }
 }
 
-/// A run of samples of the calm surface, the fine surface, and their difference.
+/// Computes a run of samples of the calm surface, of the fine surface, and of their difference.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
 fn depths_row(
     [calm, fine, apart]: [&mut [u16]; 3],
@@ -321,9 +321,9 @@ pub fn quotient(clouds: &Block, around: &Block, bits: u32) -> Block {
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
 fn quotient_row(to: &mut [u16], clouds: &[u16], around: &[u16], bits: u32) {
     // Such a quotient is either an integer, or below the next integer by more than the rounding
-    // error of f64. So f64 divisions, which can be vectorized, give the correct integer part.
-    // Adding a number whose last bit counts for 1 rounds a quotient to an integer. Subtracting just
-    // under a half first makes it round down.
+    // error of f64. So f64 divisions, which can be vectorized, give the correct integer part. To
+    // round a quotient down, just under a half is subtracted, and a number is added whose last bit
+    // counts for 1, so that the sum has no fraction bits.
     const WHOLE_NUMBERS: f64 = 3.0 * (1_u64 << 51) as f64;
     const JUST_UNDER_HALF: f64 = 0.5 - 1.0 / (1 << 18) as f64;
     for ((to, &clouds), &around) in to.iter_mut().zip(clouds).zip(around) {
@@ -373,7 +373,8 @@ pub fn away(share: u16, width: i32) -> i32 {
 
 /// Blends the surface of the bulk with drops. Drops get more weight the farther outside of the calm
 /// surface nearby particles lie. Sheets get weight at smaller distances, according to their
-/// certainty. `shares` need only cover the cells at which these distances are large enough.
+/// certainty. Drops get weight only in the cells of `shares`; in all other cells the result is
+/// `bulk`.
 ///
 /// # Panics
 /// If `bulk`, `near` or `certainty` does not cover `shares`.

@@ -21,14 +21,15 @@ const WIDTHS: [f64; 3] = [0.625, 1.0, 1.5];
 /// The cut-off of the Gaussians of these widths, in standard deviations.
 const CUT: f64 = 2.2;
 /// The standard deviation of the Gaussian that averages the difference of the two surfaces, as a
-/// multiple of the requested width, and its cut-off in standard deviations.
+/// multiple of the requested width.
 const AROUND: f64 = 0.5625;
+/// The cut-off of this Gaussian, in standard deviations.
 const AROUND_CUT: f64 = 1.7;
 /// Limits of the mean difference between the two surfaces, in spacings: up to the first the
 /// difference is noise, and from the second on it is shape.
 const APART: [f64; 2] = [0.07, 0.14];
-/// The depths between which the fine surface fades out, in spacings: noise has bubbles deeper in
-/// the fluid.
+/// The depths between which the fine surface fades out, in spacings. Deeper in the fluid, noise
+/// would make bubbles in it.
 const DEEP: [f64; 2] = [0.3, 0.9];
 /// The minimum variance of a filter, in squared cells: a narrower filter would have almost no
 /// weight beyond its centre.
@@ -83,7 +84,7 @@ pub struct DistanceFilters {
     pub drops_level: u32,
     /// The parameters of drops.
     pub drops: Drops,
-    /// Sheets and threads, which replace drops in the same cells.
+    /// Sheets and filaments, which replace drops in the same cells.
     pub sheets: Option<Sheets>,
     /// The distance within which cells affect whether a brick of wide cells is inside.
     pub inside_reach: i32,
@@ -96,9 +97,9 @@ pub struct DistanceFilters {
 /// spacing, for example because the spacing is half the true one.
 pub const BULK_GAIN: u32 = 2;
 
-/// A Gaussian, and its standard deviation together with the clouds' variance of a quarter of a
-/// squared cell. This standard deviation is `cells`, unless the filter's variance would be less
-/// than `least`.
+/// A Gaussian filter, and the standard deviation of clouds that it has smoothed. The variance of
+/// these is the filter's variance plus the clouds' own variance, a quarter of a squared cell. The
+/// standard deviation is `cells`, unless the filter's variance would be less than `least`.
 pub(in crate::field) fn gaussian(cells: f64, least: f64, cut: f64) -> (Weights, f64) {
     let variance = (cells * cells - 0.25).max(least);
     let weights = Weights::of_variance(variance, (cut * variance.sqrt()).round().max(1.0) as i32);
@@ -166,7 +167,8 @@ impl DistanceFilters {
         }
     }
 
-    /// Sets the plateau to a measured one: the sample under the narrowest width deep in the fluid.
+    /// Sets the plateau to a measured one: the sample deep in the fluid, smoothed with the
+    /// narrowest width.
     #[must_use]
     pub fn with_plateau(mut self, plateau: u16) -> Self {
         self.bulk.scale = scale(plateau.into());
@@ -232,7 +234,7 @@ impl DistanceFilters {
         self.sheets.as_ref().map_or(0, further)
     }
 
-    /// The halo of wide cells for everything that is made from them, in wide cells.
+    /// The largest halo of everything that is made from wide cells, in wide cells.
     #[must_use]
     pub fn widest_halo(&self) -> i32 {
         self.wide_halo().max(self.sheets_halo())
@@ -282,7 +284,7 @@ impl DistanceFilters {
         widths.chain([&self.bulk.around, &self.drops.around, &self.drops.spread]).chain(sheets)
     }
 
-    /// Memory of the surface of the bulk on some wide cells while it is made, in bytes.
+    /// Memory, in bytes, that making the surface of the bulk on some wide cells takes.
     #[must_use]
     pub fn bulk_bytes(&self, wide: CellBox) -> u64 {
         let halo = self.wide_halo();
@@ -387,7 +389,7 @@ impl Drops {
         let shape = DropShape { radius, width: (width / spacing).min(WIDEST_DROP), spline };
         let drops = Self {
             around: weights.gaining(gain),
-            // A sum of 1 becomes 32768.
+            // Spread quotients that sum to 1 give the share 32768.
             spread: spread.gaining((15 + gain).saturating_sub(bits).min(15)),
             bits,
             radius: (radius * UNITS).round() as i32,

@@ -15,9 +15,9 @@ use rayon::prelude::*;
 use crate::brick::{Block, DifField, RemotePages};
 use crate::grid::{BIN, CellBox, MortonKey, local_morton};
 
-/// Wide cells along the edge of a brick.
+/// Number of wide cells along the edge of a brick.
 pub const BRICK: i32 = 4;
-/// Bricks along the edge of a bin.
+/// Number of bricks along the edge of a bin.
 const BRICKS: i32 = BIN / BRICK;
 /// The step by which cubes slide, in wide cells.
 pub(super) const PART: i32 = 2;
@@ -62,8 +62,9 @@ impl<T: Copy> Cube<T> {
         Self { edge, values }
     }
 
-    /// For each position, combines with `both` the values of the cube of `width` positions along
-    /// each axis that begins there. The result has `width` - 1 fewer positions along each axis.
+    /// For each position, combines the values of a cube with the function `both`. The cube begins
+    /// at the position, and has `width` positions along each axis. The result has `width` - 1 fewer
+    /// positions along each axis.
     fn joined(self, width: usize, both: impl Fn(T, T) -> T) -> Self {
         let Self { edge, mut values } = self;
         let left = edge + 1 - width;
@@ -121,7 +122,8 @@ impl Cube<bool> {
     }
 }
 
-/// The bin of a brick, given in bricks relative to the corner of `bin`, and its Morton index there.
+/// The bin that contains a brick, and the brick's Morton index in that bin. `brick` is in bricks,
+/// relative to the corner of `bin`.
 fn owner(bin: IVec3, brick: IVec3) -> (IVec3, usize) {
     let edge = IVec3::splat(BRICKS);
     (bin + brick.div_euclid(edge), local_morton(brick.rem_euclid(edge)))
@@ -140,7 +142,7 @@ impl InsideBricks {
         BRICK + PART * (cube_parts(edge) - 1)
     }
 
-    /// The whole bricks that the wide cells `cells` touch, in wide cells.
+    /// The box of all bricks that `cells` touch. Both boxes are in wide cells.
     pub fn bricks_around(cells: CellBox) -> CellBox {
         let brick = IVec3::splat(BRICK);
         CellBox {

@@ -1,5 +1,5 @@
-//! Functions as committed tables, so that all machines agree: each has 1024 equal steps, and its
-//! last value twice.
+//! Tables of functions, so that all machines use the same values. Each table has 1024 equal steps,
+//! and ends with the last value twice, so that the last value also has a next one.
 
 /// The inverse of the standard normal distribution function for shares from 0 to 1, limited to
 /// 0.0002 to 0.9998, in 8192ths.

@@ -5,27 +5,30 @@
 //! the grid's own cells if they are wider.
 //!
 //! 1. Depth. A half space smoothed by a Gaussian of standard deviation s is Phi(depth / s). If the
-//!    density of the clouds under s is a share theta of the plateau, D_s = s Phi^-1(theta) is
-//!    therefore a depth, limited to 2.5 d.
+//!    clouds' density, smoothed in this way, is a share theta of the plateau, D_s = s Phi^-1(theta)
+//!    is therefore a depth; it is limited to 2.5 d.
 //! 2. Extrapolated. Curvature changes D_s in proportion to s^2, so a line through two widths gives
-//!    the depth for width 0: E(a, b) = D_a + (D_a - D_b) a^2 / (b^2 - a^2). Where splines
-//!    interpolate wide cells, the extrapolation goes beyond 0 by an eighth of a squared wide cell.
-//!    With three widths, a = 5/8 S, S and 3/2 S for S of `--smooth`, there are a fine surface E(a,
-//!    S) and a calm surface E(S, 3/2 S).
+//!    the depth for width 0: E(a, b) = D_a + (D_a - D_b) a^2 / (b^2 - a^2). If splines interpolate
+//!    wide cells, the extrapolation goes to a variance of -1/8 squared wide cells instead of 0,
+//!    because splines blur. Three widths are used: 5/8 S, S and 3/2 S, where S is `--smooth`. They
+//!    give a fine surface E(5/8 S, S) and a calm surface E(S, 3/2 S).
 //! 3. Mixed. The difference between the two surfaces is averaged by a Gaussian of 9/16 S, in which
-//!    noise cancels and shape remains: from 0.07 to 0.14 d the fine surface replaces the calm one.
-//!    This fades out from 0.3 to 0.9 d below the calm surface, because noise has bubbles there.
+//!    noise cancels and shape remains. As this mean difference grows from 0.07 to 0.14 d, the fine
+//!    surface replaces the calm one. This fades out from 0.3 to 0.9 d below the calm surface,
+//!    because noise has bubbles there.
 //! 4. Drops. Normalised convolution: N = G * (rho / (G * rho)), where rho is the clouds' density
 //!    and G a Gaussian of 0.6 d. N of a single particle peaks at 1 in cells of any size, and its
-//!    drop is a ball with the distance r - 0.6 sqrt(2 ln 1 / N). N is made in cells half as wide as
-//!    wide cells, or in the grid's own cells if these are the wide cells.
+//!    drop is a ball of radius r, with the signed distance r - 0.6 sqrt(2 ln(1 / N)). N is made in
+//!    cells half as wide as wide cells. If the wide cells are the grid's own cells, N is made in
+//!    these.
 //! 5. Joined. A particle stands out if its centre lies outside of the calm surface, by O = -E in
-//!    its wide cell. The greatest O within a spacing blends the bulk's surface with drops, from 0.4
-//!    to 1 d. [Sheets](super::sheets) stand out up to 0.35 d earlier, where the fine and the calm
-//!    surface are apart. Where no particle is near, there is no surface.
+//!    its wide cell. The greatest O within a spacing determines to what degree drops replace the
+//!    bulk's surface: not at all up to 0.4 d, and completely from 1 d on. [Sheets](super::sheets)
+//!    stand out up to 0.35 d earlier, where the fine and the calm surface are apart. Where no
+//!    particle is near, there is no surface.
 //!
 //! Every blur is one of [`blur`](super::blur); quadratic B-splines interpolate wide cells; ramps
-//! are 3 x^2 - 2 x^3. Distances are 16-bit samples: 32768 + 8192 d.
+//! are 3 x^2 - 2 x^3. A distance of x spacings is stored as the 16-bit sample 32768 + 8192 x.
 
 mod cpu;
 mod filters;
@@ -44,14 +47,14 @@ pub use inverse_normal::{AWAY, DEPTHS};
 use crate::field::blur::Weights;
 use crate::grid::CellBox;
 
-/// Units of distance in a spacing.
+/// Number of units of distance per spacing.
 pub const UNITS: f64 = 8192.0;
 /// The sample of a distance of 0; samples outside of the fluid are smaller.
 pub const ZERO: i32 = 1 << 15;
 /// The sample where no particle is near.
 pub const NONE: u16 = 0;
-/// The maximum distance under one width, in units. Without this limit, noise deep in the fluid
-/// would count as shape, and so would remnants of a few particles far outside.
+/// The maximum distance that one smoothing width gives, in units. Without this limit, noise deep in
+/// the fluid would count as shape, and so would remnants of a few particles far outside.
 pub const FARTHEST: i32 = 5 << 12;
 /// The maximum difference of two surfaces of the bulk, in units.
 pub const MOST_APART: i32 = UNITS as i32;
@@ -79,14 +82,14 @@ pub fn spline(level: u32, place: u32) -> [u32; 3] {
     [below, 2 * edge * edge - below - above, above]
 }
 
-/// A width of the Gaussians that smooth clouds.
+/// One of the Gaussians that smooth clouds.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Width {
     /// The filter, in wide cells.
     pub weights: Weights,
     /// The standard deviation of a smoothed particle, in 4096ths of a spacing.
     pub spacings: i32,
-    /// The maximum distance under this width, in 32768ths of a standard deviation.
+    /// The maximum distance that this Gaussian gives, in 32768ths of a standard deviation.
     pub most: i32,
 }
 
@@ -163,7 +166,8 @@ impl StandsOut {
         if distance > self.ramp.begin { distance } else { distance.min(most) }
     }
 
-    /// The distance that counts for a sheet. `certainty` is in 4096ths.
+    /// The distance with which a sheet stands out: `distance`, plus `earlier` times the certainty
+    /// of the sheet. `certainty` is in 4096ths.
     #[inline(always)]
     pub fn of_sheet(&self, distance: u16, certainty: u16) -> u16 {
         let earlier = (u32::from(certainty) * u32::from(self.earlier)) >> 12;
@@ -190,9 +194,9 @@ pub struct Drops {
     pub around: Weights,
     /// The filter that spreads the quotients.
     pub spread: Weights,
-    /// Fraction bits of a quotient, before it is spread.
+    /// Number of fraction bits of a quotient, before it is spread.
     pub bits: u32,
-    /// The radius of a single particle, in units.
+    /// The radius of a single particle's drop, in units.
     pub radius: i32,
     /// The standard deviation of a drop, in units.
     pub width: i32,

@@ -19,12 +19,12 @@ use super::{AWAY, Bulk, DEPTHS, Drops, StandsOut};
 
 /// Edge of the largest cubes that a device supports, in parts.
 const WIDEST_CUBE: u32 = 4;
-/// Parts along the edge of a bin.
+/// Number of parts along the edge of a bin.
 const BIN_PARTS: u32 = (BIN / PART) as u32;
 const MOST_PARTS: u32 = BIN_PARTS + 2 * (WIDEST_CUBE - 1);
-/// Parts that a work group sums.
+/// Number of parts that a work group sums.
 pub const CUBE_PARTS: u32 = MOST_PARTS.pow(3);
-/// Words that hold one bit per cube of these parts.
+/// Number of words that hold one bit per cube of these parts.
 pub const CUBE_WORDS: u32 = (MOST_PARTS + 1 - WIDEST_CUBE).pow(3).div_ceil(u32::BITS);
 
 /// Shaders that make distances.
@@ -60,7 +60,7 @@ pub fn full_bricks_of(bin: IVec3, width: u32) -> Option<CellBox> {
 /// Finds the full bricks of bins, from blocks of their [cells](full_bricks_of): two words per bin.
 ///
 /// # Errors
-/// The errors of the device.
+/// If a view is larger than the storage range of the device, or if the driver fails.
 pub fn full_bricks(
     batch: &mut Batch,
     pipelines: &DistancePipelines,
@@ -77,17 +77,17 @@ pub fn full_bricks(
     )
 }
 
-/// The committed tables in the shaders' layout: depths, and distances for shares.
+/// The tables of functions in the shaders' layout: depths, and distances for shares.
 pub fn tables() -> [Vec<i32>; 2] {
     [DEPTHS.map(i32::from).to_vec(), AWAY.map(i32::from).to_vec()]
 }
 
-/// Computes distances from the samples under each width, narrowest first. The fine surface replaces
-/// the first samples, the difference of the surfaces the second, and the calm surface the last.
-/// `table` has depths.
+/// Computes distances from the samples smoothed with each width, narrowest first. The fine surface
+/// replaces the first samples, the difference of the surfaces the second, and the calm surface the
+/// last. `table` has depths.
 ///
 /// # Errors
-/// The errors of the device.
+/// If a view is larger than the storage range of the device, or if the driver fails.
 pub fn depths(
     batch: &mut Batch,
     pipelines: &DistancePipelines,
@@ -117,7 +117,7 @@ pub fn depths(
 /// inside bricks of each block.
 ///
 /// # Errors
-/// The errors of the device.
+/// If a view is larger than the storage range of the device, or if the driver fails.
 pub fn mixed(
     batch: &mut Batch,
     pipelines: &DistancePipelines,
@@ -142,7 +142,7 @@ pub fn mixed(
 /// A cell contains a particle if its cloud sample is at least `least`.
 ///
 /// # Errors
-/// The errors of the device.
+/// If a view is larger than the storage range of the device, or if the driver fails.
 pub fn outlying(
     batch: &mut Batch,
     pipelines: &DistancePipelines,
@@ -167,11 +167,12 @@ pub fn outlying(
     )
 }
 
-/// The greatest sample within the window along x, then y, then z: from `from` to `to`, then to
-/// `through`, and finally back to `to`.
+/// Replaces each sample by the greatest sample within the window, along x, then y, then z. `views`
+/// are the input, a spare view and the output. The samples go from the input to the output, then to
+/// the spare view, and finally back to the output.
 ///
 /// # Errors
-/// The errors of the device.
+/// If a view is larger than the storage range of the device, or if the driver fails.
 pub fn spread(
     batch: &mut Batch,
     pipelines: &DistancePipelines,
@@ -223,7 +224,7 @@ pub struct ProbeResult {
 /// `results`.
 ///
 /// # Errors
-/// The errors of the device.
+/// If a view is larger than the storage range of the device, or if the driver fails.
 pub fn probe(
     batch: &mut Batch,
     pipelines: &DistancePipelines,
@@ -241,7 +242,7 @@ pub fn probe(
 /// block whose number is in `within`.
 ///
 /// # Errors
-/// The errors of the device.
+/// If a view is larger than the storage range of the device, or if the driver fails.
 pub fn refine(
     batch: &mut Batch,
     pipelines: &DistancePipelines,
@@ -260,7 +261,7 @@ pub fn refine(
 /// Divides clouds by the clouds around them.
 ///
 /// # Errors
-/// The errors of the device.
+/// If a view is larger than the storage range of the device, or if the driver fails.
 pub fn quotient(
     batch: &mut Batch,
     pipelines: &DistancePipelines,
@@ -282,7 +283,7 @@ pub fn quotient(
 /// parts; without `certainty` there are no sheets.
 ///
 /// # Errors
-/// The errors of the device.
+/// If a view is larger than the storage range of the device, or if the driver fails.
 pub fn join(
     batch: &mut Batch,
     pipelines: &DistancePipelines,

@@ -13,8 +13,8 @@ pub const SHARE_BITS: u32 = 16;
 /// Bits by which the square of a length is shifted right to get a share, which is half of the
 /// square. A length has one bit more than an offset.
 pub const SQUARE_BITS: u32 = 2 * FRACTION_BITS + 3 - SHARE_BITS;
-/// The minimum amount. A particle's own cell gets at least half of the cloud along each axis; with
-/// a smaller amount, this share could be rounded to 0.
+/// The minimum amount. A particle's own cell gets at least half of the cloud along each axis, and
+/// so at least an eighth of it; of a smaller amount, an eighth could be rounded to 0.
 const LEAST_AMOUNT: u16 = 4;
 /// The maximum amount. With this amount, a sample does not overflow for four particles in the
 /// middle of a fine cell, or for more particles elsewhere in the cell.
@@ -185,7 +185,7 @@ const fn edge(side: BrickSide) -> usize {
     (side.cells() + 2 * GHOST_LAYER) as usize
 }
 
-/// Clouds per batch, which the compiler vectorizes.
+/// Number of clouds in a batch, which the compiler vectorizes.
 const BATCH: usize = 32;
 
 /// Adds the clouds of particles to bricks with `EDGE` samples along an axis. Each update writes a

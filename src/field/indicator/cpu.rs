@@ -12,8 +12,8 @@ use crate::grid::{BIN, FRACTIONS};
 
 use super::{Amount, Clouds, IndicatorKind, PageRule};
 
-/// Parts of a step to which a centroid's distance is rounded. Along each axis the result is at most
-/// 4 F, so that the sum of three squares fits into 32 bits.
+/// Number of parts of a step. A centroid's distance along each axis is rounded to a whole number of
+/// such parts. This number is at most 4 F, so that the sum of three squares fits into 32 bits.
 pub const DISTANCE_SCALE: u64 = 4;
 /// 65535 / (sqrt(3) 4 F), with 15 fraction bits.
 pub const THETA_PER_DISTANCE: u32 = 37837;

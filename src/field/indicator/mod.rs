@@ -89,7 +89,7 @@ impl IndicatorKind {
     /// The indicator of this kind, with `mu0` for counting.
     ///
     /// # Errors
-    /// The errors of `mean`, which only counting calls.
+    /// If `mean` fails, which is called only for counting.
     pub fn with_mean<E>(self, mean: impl FnOnce() -> Result<MeanCount, E>) -> Result<Indicator, E> {
         match self {
             Self::Symmetry => Ok(Indicator::Symmetry),

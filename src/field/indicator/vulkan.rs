@@ -10,8 +10,8 @@ use crate::vulkan::{Batch, ComputePipeline, View, VulkanError};
 
 use super::{Amount, IndicatorKind, PageRule};
 
-/// Edge of the part of a bin that a work group sums: its sums fit into the shared memory of every
-/// device.
+/// Edge, in cells, of the cube that one work group sums. Its sums fit into the shared memory of
+/// every device.
 pub const OCTANT: u32 = 8;
 /// Maximum number of cloud samples per work group; these samples also fit into the shared memory of
 /// every device.
@@ -41,7 +41,7 @@ pub struct IndicatorPipelines {
 /// Writes the dense pages of `count` bins.
 ///
 /// # Errors
-/// The errors of the device.
+/// If a view is larger than the storage range of the device, or if the driver fails.
 pub fn indicate(
     batch: &mut Batch,
     pipelines: &IndicatorPipelines,

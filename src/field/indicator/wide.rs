@@ -32,7 +32,7 @@ impl WideCells {
         Amount::of_spacing(1.0 / self.edge)
     }
 
-    /// The sample deep in a fluid of one particle per cubed spacing, before it is scaled.
+    /// The sample deep in a fluid of one particle per cubed spacing, before the gain of filters.
     pub fn plateau(self) -> f64 {
         f64::from(self.amount().steps()) * self.edge * self.edge * self.edge
     }

@@ -13,12 +13,12 @@ use super::{
     SheetConstants, SheetFields, Sheets, THICK, THIN,
 };
 
-/// Cells that are processed at a time.
+/// Number of cells that are processed at a time.
 const LANES: usize = 16;
 
-/// The limits for components of vectors such as g and the distance from the middle, and for entries
-/// of matrices such as B.
+/// The limit for components of g and of products of B with a vector.
 const MOST_SLOPE: i32 = 4 * ONE;
+/// The limit for entries of matrices such as B, and for components of the distance from the middle.
 const MOST_BEND: i32 = 2 * ONE;
 
 /// Whether `clouds` can hold a sheet, which needs more than one particle.
@@ -139,8 +139,8 @@ fn may_be_sheets(to: &mut [u16], numbers: &SheetConstants, row: &[u16], beside: 
     }
 }
 
-/// Sheets at several adjacent cells at a time, as in [`SheetConstants::sheet`]. `strides` are the
-/// distances of the samples for differences.
+/// Sheets at several adjacent cells at a time, as in [`SheetConstants::sheet`]. The three strides
+/// lead from a cell to the samples from which its differences are computed.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
 fn sheets_of_each(
     numbers: &SheetConstants,
@@ -198,9 +198,11 @@ struct Taps {
     /// One step down along x, y and z.
     below: [i32; 3],
     above: [i32; 3],
-    /// For each diagonal of the planes xy, xz and yz, the sum of its two ends: both steps in the
-    /// same direction, and in opposite directions.
+    /// For each of the planes xy, xz and yz, the sum of the two ends of the diagonal on which both
+    /// coordinates change in the same direction.
     same: [i32; 3],
+    /// For each of these planes, the sum of the two ends of the other diagonal, on which the
+    /// coordinates change in opposite directions.
     opposite: [i32; 3],
 }
 
@@ -210,7 +212,8 @@ fn dot(a: [i32; 3], b: [i32; 3]) -> i32 {
 }
 
 impl SheetConstants {
-    /// A diagonal entry of B, from the second difference along its axis.
+    /// A diagonal entry of the matrix B (see `mod.rs`), from the second difference along the same
+    /// axis.
     #[inline(always)]
     fn bend(&self, second: i32) -> i32 {
         (second.clamp(-8 * ONE, 8 * ONE) * self.bend / ONE).clamp(-MOST_BEND, MOST_BEND)
@@ -364,9 +367,9 @@ mod tests {
         })
     }
 
-    /// The share at `away` spacings from the middle of a thin body, relative to the share on a
-    /// drop's surface. The body is thin along the axes `across`, and its density is `density` of
-    /// the plateau.
+    /// The share at `away` spacings from the middle of a thin body, minus the share on a drop's
+    /// surface. The body is thin along the axes `across`, and its density is `density` of the
+    /// plateau.
     fn beyond_surface(across: &[DVec3], density: f64, away: f64) -> f64 {
         let (share, certain) = sheet_at(across[0] * away, |place| {
             let squared: f64 = across.iter().map(|axis| axis.dot(place).powi(2)).sum();

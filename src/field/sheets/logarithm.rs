@@ -5,10 +5,12 @@ use super::BITS;
 /// Fraction bits of a mantissa.
 const MANTISSA: u32 = 15;
 
-/// log2(1 + x) = x + x (1 - x) (a + b x + c x^2 + d x^3) to 4e-5, in 32768ths.
+/// The coefficients a to d, in 32768ths, of log2(1 + x) = x + x (1 - x) (a + b x + c x^2 + d x^3).
+/// The error is at most 4e-5.
 pub const LOG2: [i32; 4] = [14492, -8811, 4924, -1484];
 
-/// 2^x = 1 + x - x (1 - x) (a + b x + c x^2) to 1e-5, in 32768ths.
+/// The coefficients a to c, in 32768ths, of 2^x = 1 + x - x (1 - x) (a + b x + c x^2). The error is
+/// at most 1e-5.
 pub const EXP2: [i32; 3] = [10058, 2148, 449];
 
 /// A polynomial times x (1 - x), in 32768ths.

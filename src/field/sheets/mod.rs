@@ -57,7 +57,7 @@ use crate::field::distance::{LEAST_VARIANCE, Ramp, SPLINE, gaussian};
 use crate::field::indicator::WideCells;
 use crate::grid::units::SheetStretch;
 
-/// Fraction bits.
+/// Number of fraction bits of fixed-point numbers.
 pub const BITS: u32 = 12;
 /// The binary logarithm of e.
 pub const LOG2_OF_E: i32 = 5909;
@@ -71,8 +71,9 @@ const CUT: f64 = 2.6;
 /// The standard deviation of the Gaussian that averages certainty, in spacings; the narrowest
 /// filter is 1:2:1.
 const AVERAGE: f64 = 0.55;
-/// The width of a sheet's profile, in spacings, and its minimum in cells of the sheet.
+/// The width of a sheet's profile, in spacings.
 const PROFILE: f64 = 0.45;
+/// The minimum width of a sheet's profile, in cells of the sheet.
 const PROFILE_CELLS: f64 = 0.9;
 /// The minimum half thickness of sheets, in cells of the mesh.
 const LEAST_CELLS: f64 = 0.62;
@@ -80,13 +81,13 @@ const LEAST_CELLS: f64 = 0.62;
 const LEAST_RIM_CELLS: f64 = 0.85;
 /// The length, in spacings, that is added to both minimum half thicknesses.
 const LEAST_MORE: f64 = 0.05;
-/// The maximum of both minimum half thicknesses including [`LEAST_MORE`], in spacings, for coarse
-/// cells.
+/// The upper limit of each minimum half thickness, with [`LEAST_MORE`] added, in spacings. It
+/// matters only in coarse cells.
 const LEAST_MOST: f64 = 1.0;
 /// The difference from the minimum's log2 R^2 within which a thickness is increased, times the
 /// mesh's cell in spacings.
 const GRADUAL: f64 = 0.55;
-/// The maximum of this difference, for fine cells.
+/// The maximum of this difference, which limits it in fine cells.
 const MOST_GRADUAL: f64 = 4.0;
 /// Sheets end where they are stretched by this factor more than requested.
 const GONE: f64 = 1.12;
@@ -184,7 +185,7 @@ pub struct SheetConstants {
     pub by_directions: i32,
     /// The factor of R^2.
     pub by_size: i32,
-    /// The factor of the squared distance, in s.
+    /// The factor of the squared distance from the middle, which is in units of s.
     pub by_distance: i32,
     /// The ramp over the stretch's logarithm along which sheets fade out.
     pub torn: Ramp,
@@ -199,14 +200,15 @@ const fn ramp([begin, end]: [f64; 2]) -> Ramp {
     Ramp::new(fixed(begin) as u16, fixed(end - begin) as u16)
 }
 
-/// The drops in the same cells, as far as they affect sheets.
+/// The properties of the drops in the same cells that affect sheets.
 #[derive(Debug, Clone, Copy)]
 pub struct DropShape {
     /// The radius of the drop of a single particle, in spacings.
     pub radius: f64,
     /// The standard deviation of a drop, in spacings.
     pub width: f64,
-    /// The variance that shares gain before they are joined, in squared cells.
+    /// The variance that interpolation by splines adds to shares before they are joined with the
+    /// bulk, in squared cells.
     pub spline: f64,
 }
 

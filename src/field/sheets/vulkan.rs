@@ -12,7 +12,7 @@ use super::SheetConstants;
 /// Computes the shares and the certainty of sheets from the smoothed density.
 ///
 /// # Errors
-/// The errors of the device.
+/// If a view is larger than the storage range of the device, or if the driver fails.
 pub fn sheets(
     batch: &mut Batch,
     pipeline: &Arc<ComputePipeline>,
@@ -56,7 +56,7 @@ pub fn sheets(
 /// sheets.
 ///
 /// # Errors
-/// The errors of the device.
+/// If a view is larger than the storage range of the device, or if the driver fails.
 pub fn blend(
     batch: &mut Batch,
     pipeline: &Arc<ComputePipeline>,

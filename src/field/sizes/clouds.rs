@@ -24,12 +24,13 @@ pub struct Layer {
     pub fraction: SampledDif,
 }
 
-/// All clouds, in octaves from the finest on. They can be seen from any octave: it counts as octave
-/// 0 then, and its cells as the finest, although finer clouds are part of all densities.
+/// The clouds of all particles, in octaves from the finest on. A value of this type has a first
+/// octave: its methods count this octave as octave 0, and the cells of this octave as the finest.
+/// The clouds of finer octaves are nevertheless part of all densities.
 #[derive(Debug, Clone)]
 pub struct SizedClouds {
     layers: Arc<[Layer]>,
-    /// The first octave, among all layers.
+    /// The index of the first octave among all layers.
     first: usize,
 }
 
@@ -95,10 +96,10 @@ impl<'a> LayerPages<'a> {
         for bin in group {
             let contents = self.bins.contents(bin)?;
             let coord = self.bins.keys()[bin].coord();
-            // A mass and a density are two attributes.
+            // A size is computed from up to two attributes: a mass and a density.
             let numbers = &contents.attributes[contents.attributes.len().saturating_sub(2)..];
             let number = |at: usize| [0, 1].map(|i| numbers.get(i).map_or(0.0, |all| all[at]));
-            // Neighbouring particles often have one size.
+            // Neighbouring particles often have the same size, so the last share is used again.
             let share = |own: &[f32; 2]| self.octaves.share((self.size)(&own[..numbers.len()]));
             let mut last = None;
             for (at, &record) in contents.packed().iter().enumerate() {
@@ -176,7 +177,8 @@ impl SizedClouds {
         &self.layers[self.first + octave].volume
     }
 
-    /// The clouds of an octave's particles, times the logarithms of their sizes in it.
+    /// The clouds of an octave's particles, each times the logarithm of the particle's size in the
+    /// octave; `None` beyond the last octave.
     #[must_use]
     pub fn fractions(&self, octave: usize) -> Option<&SampledDif> {
         self.layers.get(self.first + octave).map(|layer| &layer.fraction)
@@ -194,8 +196,8 @@ impl SizedClouds {
         self.gathered(octave, level, cells, CloudPart::All)
     }
 
-    /// Whether octaves up to this one may have samples above 0 in cells 2^`level` times as wide as
-    /// its own.
+    /// Whether `octave` or a finer octave may have samples above 0 in `cells`. These are 2^`level`
+    /// times as wide as the cells of `octave`.
     #[must_use]
     pub fn may_hold(&self, octave: usize, level: u32, cells: CellBox) -> bool {
         let octave = self.first + octave;
@@ -255,11 +257,12 @@ impl SizedClouds {
         f64::from(Amount::of_spacing(spacing).steps()) / (spacing * spacing * spacing)
     }
 
-    /// The boxes of the finest cells that can contain a surface: those within `reach` cells of an
-    /// octave of its particles.
+    /// The boxes that can contain a surface, in the finest cells. Around the particles of each
+    /// octave, they extend at least `reach` cells of that octave.
     pub fn surface_boxes(&self, reach: i32) -> impl Iterator<Item = CellBox> + '_ {
         (0_u32..).zip(&*self.layers).flat_map(move |(octave, layer)| {
-            // Fluid between two octaves also has the surface of the coarser one.
+            // Particles whose size is between two octaves also belong to the surface of the coarser
+            // octave, which reaches twice as far in these cells.
             let further = if layer.fraction.dif.infos().is_empty() { reach } else { 2 * reach };
             layer
                 .volume
@@ -270,7 +273,8 @@ impl SizedClouds {
         })
     }
 
-    /// The wide cells of every octave, which have the same edge in its spacings.
+    /// The wide cells of every octave. Their edge, in spacings of the octave, is the same in all
+    /// octaves.
     #[must_use]
     pub fn wide_cells(&self) -> WideCells {
         self.layers[0].volume.wide_cells()

@@ -2,8 +2,8 @@
 //!
 //! Blocks form an octree: a block of level k has 32^3 cells, and each is 2^k times as wide as the
 //! finest. A block is divided into blocks of level k - 1 in two cases: particles of octave k - 1
-//! are near it, or it touches a divided child of a block next to it. So the levels of blocks that
-//! touch differ by at most one.
+//! are near it, or a block of level k - 1 in it or next to it is divided. So the levels of blocks
+//! that touch differ by at most one.
 
 use glam::IVec3;
 use hashbrown::{HashMap, HashSet};
@@ -27,8 +27,9 @@ impl SizedClouds {
     /// Morton order.
     #[must_use]
     pub fn finer_blocks(&self) -> FinerBlocks {
-        // The reach of the filter that averages sizes, in cells of an octave, which is more than
-        // that of drops. In cells of the next octave, this is twice as far.
+        // The reach of the filter that averages sizes, in cells of an octave. It is larger than the
+        // reach of drops. The margin is the same number of cells of the next octave, which is twice
+        // as far.
         let wide = self.wide_cells();
         let margin = (averaging(wide).reach() + 1) << wide.level;
         let of_level = |level: usize| {
@@ -48,8 +49,8 @@ impl SizedClouds {
 }
 
 impl BlockLevels {
-    /// Bytes for a bin of particles: in cells of half a spacing, its surroundings touch up to eight
-    /// blocks, each in a list and in a hash table.
+    /// Bytes for a bin of particles: in cells of half a spacing, the bin's surroundings touch up to
+    /// eight blocks, and each block is stored in a list and in a hash table.
     pub const BIN_BYTES: u64 = 8 * 3 * size_of::<IVec3>() as u64;
 
     /// Makes the levels from the blocks of each level that are near particles of the next finer
@@ -85,8 +86,8 @@ impl BlockLevels {
         usize::from(level) + 1 < self.count() && !self.is_divided(level + 1, block >> 1)
     }
 
-    /// A block on the lattice of a level, with the levels of its cells and of those of its upper
-    /// neighbours.
+    /// A block on the lattice of a level, with the levels of its own cells and of the cells of its
+    /// upper neighbours.
     #[must_use]
     pub fn of(&self, level: u8, block: IVec3) -> BlockLevel {
         let mut of_block = BlockLevel { level, ..BlockLevel::default() };
@@ -132,15 +133,16 @@ impl BlockLevels {
         regions
     }
 
-    /// The blocks of the level below in a block that lie at narrower cells, with the parts of them
-    /// in which cells of both levels meet, in Morton order.
+    /// The seams of a region with narrower cells, in Morton order. There is a seam for each block
+    /// of the level below that lies in the region's block and touches narrower cells: the part in
+    /// which cells of both levels meet.
     #[must_use]
     pub fn seams(&self, region: LevelRegion) -> Vec<LevelRegion> {
         let LevelRegion { level, cells } = region;
         let (Some(below), true) = (level.checked_sub(1), self.count() > 1) else {
             return Vec::new();
         };
-        // A cell further on each side, because the wide ones are rounded.
+        // One wide cell more on each side, because the region was rounded to wide cells.
         let near = cells.in_narrower_cells(1).grown(2, 2);
         let mut children: Vec<IVec3> = CellBox::cube(region.block(), 2).cubes(1).collect();
         children.sort_unstable_by_key(|&block| MortonKey::of(block));
@@ -216,7 +218,7 @@ mod tests {
         let regions = levels.regions([cells].into_iter());
         let volume = |region: &LevelRegion| region.cells.volume() << (3 * region.level);
         let sum: usize = regions.iter().map(volume).sum();
-        // Wide cells that the box cuts are in it.
+        // A wide cell that the box cuts is in a region as a whole.
         assert!((cells.volume()..cells.volume() * 102 / 100).contains(&sum));
         assert!(regions.is_sorted_by_key(|region| MortonKey::of(region.first_block())));
         let mut seams = 0;

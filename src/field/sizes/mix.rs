@@ -5,7 +5,7 @@ use glam::IVec3;
 use crate::brick::Block;
 use crate::field::distance::{Drops, NONE, StandsOut, ZERO, away, greatest_of};
 
-/// 1, of shares.
+/// A share of 1.
 pub const WHOLE: u32 = 1 << 15;
 
 /// One smoothed density divided by another, in 32768ths; `of_none` where both are 0.
@@ -24,9 +24,9 @@ pub fn share(part: &Block, all: &Block, of_none: u32) -> Block {
     shares
 }
 
-/// Mixes the distances of an octave with those of the next coarser one, both in its spacings,
-/// weighted by the shares of the coarser one. If only one of two samples has a particle nearby, the
-/// result is that sample.
+/// Mixes the distances of an octave with the distances of the next coarser octave, weighted by the
+/// `shares` of the coarser octave. Both distances are in spacings of the finer octave. If only one
+/// of two samples has a particle nearby, the result is that sample.
 ///
 /// # Panics
 /// If the fields are on different cells.

@@ -14,14 +14,14 @@
 //!    spacings of octave k, f_k is the volume-weighted mean of log2(s / d) - k, limited to 0 to 1.
 //!    With B_k the surface of the bulk in octave k, R_k = (1 - f_k) B_k + f_k R_(k + 1): in fluid
 //!    of size 2^k d this is B_k. The bulk's surface is R_0.
-//! 4. Drops. In each octave, particles that lie outside of R_k add their drops and sheets. Their
-//!    radius grows with the mean logarithm of the sizes of the octave's nearby particles.
+//! 4. Drops. In each octave, particles that lie outside of R_k add their drops and sheets. The
+//!    radius of drops grows with the mean logarithm of the sizes of the octave's nearby particles.
 //!
 //! 5. Cells. Blocks without particles below octave k nearby are made of the cells of octave k, with
 //!    the field as seen from that octave: R_k is their bulk. See `levels`.
 //!
-//! No sample depends on the box of cells in which it is made: where a share is 0, its factor is not
-//! computed.
+//! No sample depends on the box of cells in which it is made. Where a share is 0, the field that it
+//! multiplies is not computed; this does not change any sample.
 
 mod clouds;
 mod levels;
@@ -44,14 +44,14 @@ pub const MOST_OCTAVES: usize = MOST_LEVELS;
 
 /// The width of the Gaussian that averages sizes, in spacings of the octave.
 const MIXED: f64 = 1.5;
-/// The cut-off of its Gaussian, in standard deviations.
+/// The cut-off of this Gaussian, in standard deviations.
 const MIXED_CUT: f64 = 2.6;
-/// The gain of densities under it, in bits.
+/// The gain of densities that this Gaussian smooths, in bits.
 const MIXED_GAIN: u32 = 2;
 
-/// The growth of the nominal radius of a drop from a size to twice that size, in spacings of the
-/// octave, and over the squared spacing in cells. It gives each drop about the volume of its
-/// particle.
+/// The growth of a drop's nominal radius from a size to twice that size, in spacings of the octave:
+/// the first number, plus the second over the squared spacing in cells. This growth gives each drop
+/// about the volume of its particle.
 const GROWTH: [f64; 2] = [0.65, 0.3];
 
 /// The growth of the radius of drops within an octave, in units of distance.
@@ -72,7 +72,7 @@ pub fn averaging(wide: WideCells) -> Weights {
 /// The brick size for clouds of sizes.
 pub const SIDE: BrickSide = BrickSide::Sixteen;
 
-/// The amounts of clouds for the sizes of their particles.
+/// The octaves of a frame, from which the amount of each particle's cloud follows.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Octaves {
     /// The smallest size.
@@ -90,7 +90,8 @@ pub struct CloudShare {
     pub octave: usize,
     /// The amount of the cloud.
     pub amount: u32,
-    /// The amount times the logarithm of the size in its octave, from 0 to 1.
+    /// The amount times the logarithm of the size in its octave. The logarithm is binary, and from
+    /// 0 to 1.
     pub fraction: u32,
 }
 
@@ -100,7 +101,8 @@ impl Octaves {
     #[must_use]
     pub fn new(finest: f64, coarsest: f64, cell: f64) -> Self {
         let mut count = 1;
-        // The largest size may be between two octaves, apart from rounding.
+        // Every size lies between two octaves, so the last octave begins at the largest size or
+        // above. The factor absorbs rounding errors.
         let most = coarsest / finest * (1.0 - 1e-6);
         while count < MOST_OCTAVES && most > f64::from(1_u32 << (count - 1)) {
             count += 1;
@@ -110,10 +112,11 @@ impl Octaves {
     }
 
     /// The share of a particle of size `size`; sizes beyond the octaves count as the nearest size
-    /// within.
+    /// within, but particles below the smallest size keep their volume.
     #[must_use]
     pub fn share(&self, size: f64) -> CloudShare {
-        // 1e-6: f32 sizes that are a power of two belong to their own octave, in spite of rounding.
+        // The factor keeps rounded sizes that are a power of two times the finest from falling into
+        // the octave below.
         let mut ratio = (size / self.finest * (1.0 + 1e-6)).max(1.0);
         let mut octave = 0;
         while octave + 1 < self.count && ratio >= 2.0 {

@@ -25,10 +25,10 @@ const MOST_CELLS: usize = 1 << 24;
 /// includes empty cells.
 const MOST_LISTED: f64 = (1 << 21) as f64;
 
-/// Particles per parallel task.
+/// Number of particles in a parallel task.
 const CHUNK: usize = 1 << 16;
 
-/// Particles per batch of cell numbers.
+/// Number of particles whose cell numbers are computed together.
 const AT_ONCE: usize = 256;
 
 /// For each particle, computes the index of its cell in a dense list of cells. The list has the
@@ -97,7 +97,8 @@ pub fn spacings(particles: &[[f64; 3]], bounds: &Bounds, enough_share: f64) -> O
         let enough = cells >= ENOUGH_CELLS * placements as usize
             && total as f64 >= enough_share * f64::from(placements) * finite as f64;
         enough.then(|| {
-            // Particles of the coarser resolution have interior cells only if cells are wider.
+            // In cells of this width, the particles of the coarser resolution may have no interior
+            // cells, so wider cells are tried too.
             let wider = || two_of(at_corner.twice_as_wide().interior(), 2.0 * cell);
             Spacings {
                 mean: cell * libm::cbrt(cells as f64 / total as f64),
@@ -128,8 +129,7 @@ fn two_of(mut counts: Vec<usize>, cell: f64) -> Option<[f64; 2]> {
         below += count;
         2 * below >= total
     })?;
-    // The number of cells whose counts are `from` to `to` times `most`, and the number of their
-    // particles.
+    // The counts from `from` to `to` times `most`.
     let of = |from: f64, to: f64| {
         let [from, to] = [from, to]
             .map(|bound| counts.partition_point(|&count| (count as f64) < bound * most as f64));

@@ -55,10 +55,13 @@ const FILAMENT: f64 = 1.35;
 const AGREED: f64 = 1.07;
 /// The minimum share of the queried particles that an estimate must be based on.
 const ENOUGH_SHARE: f64 = 0.04;
+/// The minimum number of particles that an estimate must be based on.
 const ENOUGH: usize = 8;
-/// Limits of the number of queried particles, which is one per [`PARTICLES_A_QUERY`] particles.
+/// The minimum number of queried particles.
 const FEWEST_QUERIES: usize = 300;
+/// The maximum number of queried particles.
 const MOST_QUERIES: usize = 2048;
+/// Within these limits, one of this number of particles is queried.
 const PARTICLES_A_QUERY: usize = 32;
 /// The number of queried particles if a smaller number suggests random positions.
 const QUERIES_OF_RANDOM: usize = 4096;
@@ -260,7 +263,8 @@ impl Neighbours {
         self.scatter.is_some_and(|scatter| scatter.iter().all(|&scatter| scatter > RANDOM))
     }
 
-    /// Whether the particles may be spray: too few are deep to exclude random placement.
+    /// Whether the particles may be spray: they are placed randomly, or too few are deep to exclude
+    /// this.
     pub fn may_be_spray(&self) -> bool {
         self.scatter.is_none() || self.is_random()
     }
@@ -345,7 +349,8 @@ fn densest(values: &[f64]) -> Option<f64> {
         |first: usize| values.partition_point(|&value| value <= WITHIN * values[first]) - first;
     let enough = (GROUP * values.len() as f64).max(4.0);
     let lowest = (0..values.len()).find(|&first| group(first) as f64 >= enough)?;
-    // That may be the flank of a larger group, so the largest group slightly above it is used.
+    // The lowest group may be the flank of a larger group, so the largest group slightly above it
+    // is used.
     let end = values.partition_point(|&value| value <= 1.3 * values[lowest]);
     let best = (lowest..end).rev().max_by_key(|&first| group(first))?;
     Some(values[best + group(best) / 2])

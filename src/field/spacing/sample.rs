@@ -134,7 +134,7 @@ impl FinishedSample {
     }
 }
 
-/// Positions per batch of hashes.
+/// Number of positions that are hashed together.
 const BATCH: usize = 512;
 
 /// A hash of a position, which does not depend on its index in the file.
@@ -179,7 +179,7 @@ impl Cubes {
         let scale = 1.0 / self.edge;
         // Cubes with coordinates beyond 2^31 are treated as one cube.
         let [x, y, z] = position.map(|c| (c * scale + 0.5).floor() as i32 as u32);
-        // The finalizer of MurmurHash3, for a number that differs between neighbours.
+        // The finalizer of MurmurHash3, so that adjacent cubes get unrelated numbers.
         let sum =
             x.wrapping_mul(0x9e37_79b1) ^ y.wrapping_mul(0x85eb_ca77) ^ z.wrapping_mul(0xc2b2_ae3d);
         let mixed = (sum ^ (sum >> 16)).wrapping_mul(0x85eb_ca6b);
@@ -279,7 +279,7 @@ pub struct CubeSample {
 /// A position with at least one particle.
 #[derive(Debug, Clone, Copy)]
 struct OccupiedPlace {
-    /// The number of its cube.
+    /// The number of the position's cube.
     number: u32,
     position: [f64; 3],
     /// Whether the position has more than one particle.

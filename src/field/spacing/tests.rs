@@ -25,7 +25,7 @@ fn turned(particles: Vec<[f64; 3]>) -> Vec<[f64; 3]> {
     particles.into_iter().map(|p| (turn * DVec3::from(p) + 3.1).into()).collect()
 }
 
-/// Bars with `gap` empty layers between them, or sheets if they are as wide as long.
+/// Bars with `gap` empty layers between them, or sheets if `size` is the same along x and y.
 fn bars(size: [usize; 3], gap: usize, jitter: f64) -> Vec<[f64; 3]> {
     let of = |at: [usize; 2]| {
         let mut bar = layers(size, jitter);
@@ -258,7 +258,7 @@ fn many_particles_in_sheets_and_filaments_are_searched_at_their_scale() {
         assert!(particles.len() > ALL);
         let found = estimated(&particles);
         assert!((found.spacing - 1.0).abs() < 0.12, "{found:?}");
-        // The draft looks as if many more particles had been thinned out before.
+        // The scale of the draft is much too large or much too small.
         let share = EvenSample::of(particles.len());
         particles.chunks(1000).for_each(|positions| share.add(positions));
         let mut draft = SpacingDraft::of(share.taken()).unwrap();
@@ -367,7 +367,8 @@ fn samples_of_duplicates_do_not_depend_on_threads() {
     }
 }
 
-/// Particles that a cancel turns into NaN after some positions, and the number of positions read.
+/// Particles whose reading is cancelled: once `read` reaches `after`, all positions are NaN. `read`
+/// is the number of positions that were read.
 struct Interrupted<'a> {
     particles: &'a [[f64; 3]],
     after: usize,

@@ -2,20 +2,21 @@
 //! with properties.
 //!
 //! The children of the root group are the file version, the library version, the top object,
-//! metadata, time samplings, and the list of metadata that headers name by index. An object is a
-//! group of its compound property, its child objects, and their headers with two hashes. A compound
-//! property is a group of its properties and their headers. A scalar property is a group of one
-//! block per sample. An array property is a group of two children per sample: the block, and its
-//! dimensions if there are several. The block of a sample is its digest and its values.
+//! metadata, time samplings, and the list of metadata that headers refer to by index. An object is
+//! a group: a compound property, the child objects, and a block with the headers of the child
+//! objects and two hashes. A compound property is a group: properties, and a block with the headers
+//! of these properties. A scalar property is a group of one block per sample. An array property is
+//! a group of two children per sample: the block, and the dimensions of the array if it has
+//! several. The block of a sample contains a digest of the values, and the values.
 
 use super::content_hash::{ContentHasher, Digest};
 use super::ogawa::{OgawaBlocks, OgawaChild};
 
 /// The version of the Alembic library that writes this format: 1.8.0.
 const LIBRARY_VERSION: i32 = 1_08_00;
-/// The time per cycle with which Alembic marks a sampling that lists all of its times.
+/// The value of the time per cycle that marks a sampling as a list of all times.
 const ACYCLIC: f64 = f64::MAX / 32.0;
-/// The index in a header whose metadata is not in the list.
+/// The index in a header that contains its own metadata, because this metadata is not in the list.
 const NOT_LISTED: usize = 255;
 
 /// A number type, with the number that Alembic gives it.
@@ -133,8 +134,8 @@ impl TimeSampling {
     }
 }
 
-/// Encodes an archive from byte `at` on. Returns the bytes, and the root group. Properties name
-/// `sampling` by index 1. Index 0 is the sampling of constants.
+/// Encodes an archive from byte `at` on. Returns the bytes, and the root group. Properties refer to
+/// `sampling` by index 1, and to the sampling of constants by index 0.
 pub fn archive(
     at: u64,
     sampling: &TimeSampling,
@@ -228,8 +229,8 @@ fn put_value_header(
 ) {
     let kind = if header.scalar { 1 } else { 2 };
     let is_homogeneous = samples.iter().all(|sample| sample.elements == samples[0].elements);
-    // No range of changing samples is stored. The flag says whether no sample or all samples
-    // change.
+    // Alembic can store the first and the last sample that change. This writer stores only a flag:
+    // whether the property is constant.
     let is_constant = samples.len() < 2;
     let bits = kind
         | (header.pod as u32) << 4
@@ -271,7 +272,7 @@ fn put_header(
     }
 }
 
-/// The list of metadata that headers name by index.
+/// The list of metadata that headers refer to by index.
 #[derive(Default)]
 struct MetadataList(Vec<String>);
 

@@ -7,9 +7,9 @@
 //! archive at any time, also after a crash. Then the file of the frame is removed.
 //!
 //! `archive.json` in the folder says where the frames are in the archive. It is replaced after the
-//! header. The next addition removes bytes that `archive.json` does not list. Groups of earlier
-//! additions stay unused in the archive, 16 bytes per frame and array. A frame that is computed
-//! again also leaves its old bytes there.
+//! header. The next addition removes bytes that `archive.json` does not list. The groups of each
+//! earlier addition stay in the archive, unused. They take 16 bytes per frame and array. A frame
+//! that is computed again also leaves its old bytes in the archive.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File, OpenOptions};
@@ -110,7 +110,8 @@ impl FrameArchive {
         self.folder.join("archive.json")
     }
 
-    /// The frames that the archive contains. Empty if the archive is damaged.
+    /// The frames that the archive contains. Empty if `archive.json` cannot be read, or if the
+    /// archive is shorter than `archive.json` says.
     #[must_use]
     pub fn frames(&self) -> ArchivedFrames {
         let read = || {
@@ -135,8 +136,8 @@ impl FrameArchive {
         }
     }
 
-    /// Adds the frame in file `mesh.file` of the folder, and removes the file. If the file does not
-    /// exist, the frame was added before.
+    /// Adds the frame in file `mesh.file` of the folder, and removes the file. Does nothing if
+    /// there is no such file with `mesh.bytes` bytes, because the frame was added before.
     ///
     /// `times` returns the times of frames in seconds, in the order of the frames. An archive with
     /// a different `fingerprint` is replaced.
@@ -251,8 +252,8 @@ fn set_root(archive: &mut File, root: u64) -> io::Result<()> {
     archive.sync_data()
 }
 
-/// The arrays of a frame. Its file starts at byte `read` of `file`, and at byte `at` of the
-/// archive.
+/// The arrays of a frame. The bytes of the frame's file start at byte `read` of `file`, and at byte
+/// `at` of the archive.
 fn samples_of(
     file: &mut File,
     read: u64,

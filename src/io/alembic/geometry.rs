@@ -33,7 +33,8 @@ pub enum AbcSource {
     Normals,
     /// The attribute with this index.
     Attribute(usize),
-    /// The attribute with this index, a colour converted to values from 0 to 1.
+    /// The attribute with this index, which is a colour. Its values are converted to numbers from 0
+    /// to 1.
     Colour(usize),
 }
 
@@ -112,7 +113,7 @@ pub fn arrays(mesh: &Outline) -> Vec<AbcArray> {
             2 | 3 if pod == AbcPod::F32 => "vector",
             _ => "",
         };
-        // Attributes without a type in Alembic are stored as several elements of one number.
+        // If Alembic has no type for an attribute, each vertex has several elements of one number.
         let (extent, times) = match info.components {
             components if meaning.is_empty() => (1, components),
             components => (components as u8, 1),
@@ -141,7 +142,7 @@ pub fn positions(arrays: &[AbcArray]) -> (Vec<u64>, u64) {
 fn parameter(pod: AbcPod, extent: u8, times: usize, meaning: &str) -> String {
     let interpretation =
         if meaning.is_empty() { String::new() } else { format!("interpretation={meaning};") };
-    // Without this flag, readers take pairs of numbers for texture coordinates.
+    // Without this flag, readers interpret pairs of numbers as texture coordinates.
     let not_uv = if extent == 2 { "notUV=1;" } else { "" };
     format!(
         "arrayExtent={times};geoScope=vtx;{interpretation}isGeomParam=true;{not_uv}\
@@ -155,8 +156,9 @@ fn is_velocity(info: &AttributeInfo) -> bool {
     info.is_velocity() && !info.kind.is_whole()
 }
 
-/// The unique names of attributes in the file. They contain letters, digits and underscores, as
-/// Maya and Houdini require.
+/// The unique names of attributes in the file. They contain only letters, digits and underscores,
+/// as Maya and Houdini require. For a velocity, which the file stores as `.velocities`, this
+/// function returns the original name.
 pub fn attribute_names(attributes: &[AttributeInfo], has_normals: bool) -> Vec<String> {
     let mut taken = HashSet::from(["P".to_owned()]);
     taken.extend(has_normals.then(|| "N".to_owned()));
@@ -176,8 +178,8 @@ pub fn attribute_names(attributes: &[AttributeInfo], has_normals: bool) -> Vec<S
     attributes.iter().map(name).collect()
 }
 
-/// The objects of an archive. `frames` contains the arrays of each frame. If a frame lacks an
-/// array, it is empty in that frame.
+/// The objects of an archive. `frames` contains the arrays of each frame. In a frame that lacks an
+/// array, this array is empty.
 pub fn objects(frames: &[Vec<(AbcArray, AbcSample)>], blocks: &mut OgawaBlocks) -> Vec<AbcObject> {
     let (mut own, mut arbitrary) = (Vec::new(), Vec::new());
     let mut seen = HashSet::new();

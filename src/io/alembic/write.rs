@@ -13,7 +13,7 @@ use super::content_hash::ContentHasher;
 use super::geometry::{AbcArray, AbcSource, arrays, objects, positions};
 use super::ogawa::header;
 
-/// Number of triangles per write of corner counts.
+/// Number of triangles whose corner counts are encoded at once.
 const COUNTS: u64 = 1 << 12;
 
 /// The lowest and the highest corner that Alembic stores for an empty box.
@@ -106,7 +106,7 @@ impl AbcArray {
             AbcSource::Normals => {
                 write_floats(out, mesh, |vertices| vertices.normals.as_flattened())
             }
-            // Integers are passed as their 32 bits in f32 values.
+            // The mesh stores the 32 bits of an integer in place of those of an f32.
             AbcSource::Attribute(index) => {
                 write_floats(out, mesh, |vertices| &vertices.attributes[index])
             }

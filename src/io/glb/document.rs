@@ -14,12 +14,14 @@ fn asset() -> Value {
     json!({ "version": "2.0", "generator": concat!("meniscus ", env!("CARGO_PKG_VERSION")) })
 }
 
-/// A document without a mesh, because accessors, views and buffers must not be empty.
+/// The document for a mesh without triangles. It contains no mesh, because glTF does not allow
+/// empty accessors, views and buffers.
 pub fn empty_document() -> Value {
     json!({ "asset": asset(), "scene": 0, "scenes": [{ "nodes": [0] }], "nodes": [{}] })
 }
 
-/// The document for all views. `encoded` sizes are in bytes, and positions are within `bounds`.
+/// The document for all views. `encoded` contains the size of each compressed view in bytes, and is
+/// `None` without compression. `bounds` are the lower and upper corner of the positions.
 pub fn document(
     layout: GlbLayout,
     space: Space,

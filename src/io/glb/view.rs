@@ -19,12 +19,13 @@ const UNSIGNED_INT: u32 = 5125;
 const UNSIGNED_SHORT: u32 = 5123;
 pub const BYTE: u32 = 5120;
 
-/// Numbers of bits of a component of a compressed normal, and of a mantissa of other values.
+/// Number of bits of a component of a compressed normal.
 const NORMAL_BITS: i32 = 8;
+/// Number of bits of the mantissa of a compressed attribute value.
 const MANTISSA_BITS: i32 = 15;
-/// The version of meshoptimizer's vertex codec that the extension requires, and the codec's best
-/// level.
+/// The version of meshoptimizer's vertex codec that the extension requires.
 const CODEC: Option<i32> = Some(0);
+/// The level of this codec that compresses best.
 const LEVEL: i32 = 2;
 
 /// The origin and the grid step of stored positions.

@@ -21,8 +21,8 @@ use super::{GlbCompression, GlbLayout, grid_step};
 /// with a leading underscore. Attributes with more than four components are left out.
 ///
 /// # Errors
-/// The errors of `mesh` and `out`. Before anything is written, [`io::ErrorKind::InvalidInput`] for
-/// more than 4 GiB of data.
+/// The errors of `mesh` and `out`. [`io::ErrorKind::InvalidInput`], before anything is written, if
+/// the file would have 4 GiB or more.
 ///
 /// # Panics
 /// Like [`MeshFormat::write`](crate::io::output::MeshFormat::write).

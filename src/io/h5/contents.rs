@@ -20,7 +20,8 @@ pub const DEEPEST: usize = 8;
 const LINES: usize = 20;
 /// Maximum number of members of a compound type that the summary lists.
 const MEMBERS: usize = 12;
-/// Prefix of members that pandas stores in tables. The names of their columns are pickled.
+/// Prefix of the members in which pandas stores several columns each. The names of these columns
+/// are stored only in Python's pickle format, which is not read.
 const PANDAS: &str = "values_block_";
 /// Maximum length of a name in characters.
 const LETTERS: usize = 100;

@@ -15,11 +15,12 @@ use crate::io::{ReadFault, malformed};
 use super::lzf;
 use super::table::{H5Array, RowPart, scalar};
 
-/// Names of the attribute or data set that contains the time of a step or a file.
+/// Possible names of the attribute or data set that contains the time of a step or a file.
 const TIMES: [&str; 5] = ["TimeValue", "time", "Time", "TIME", "t"];
-/// Number of bytes of decoded chunks that are cached, because several rows are in one chunk.
+/// Maximum number of bytes of decoded chunks that are cached. The cache serves rows that are in the
+/// same chunk.
 const CHUNKS: u64 = 16 << 20;
-/// Reads of at least this number of bytes release their memory.
+/// Reads of at least this number of bytes release the memory of the bytes that they have read.
 const LARGE: usize = 64 << 10;
 
 /// An open file. All of its data sets must be dropped before [`into_bytes`](Self::into_bytes).
@@ -147,7 +148,7 @@ pub(super) fn times_in(group: &Group, frame: Option<(u64, u64)>) -> Option<f64> 
     number_of(set, frame).filter(|time| numbers == frames && time.is_finite())
 }
 
-/// Number `index` of a data set in which at most one axis is longer than 1.
+/// Number `index` of a data set that has one axis or contains a single number.
 pub(super) fn number_of(set: Dataset, index: u64) -> Option<f64> {
     let rows = match *set.shape() {
         [] | [1, 1] => 1,

@@ -31,7 +31,7 @@ pub(super) struct GroupCandidate {
     pub arrangement: Arrangement,
 }
 
-/// Where a field is stored: in a data set, or in a member of its compound type.
+/// Where a field is stored: in a whole data set, or in a part of each row of a data set.
 struct FieldStorage {
     set: Arc<Dataset>,
     number: (Scalar, Endian),
@@ -51,7 +51,7 @@ impl GroupCandidate {
         self.arrangement.frames
     }
 
-    /// Returns an error if the file's size does not allow the number of frames.
+    /// Returns an error if the positions in all frames would exceed the limit of the file's data.
     pub fn check_frames(&self, file: &H5File) -> Result<(), ReadFault> {
         let Arrangement { frames, rows, .. } = self.arrangement;
         let bytes = frames.unwrap_or(1).checked_mul(rows.max(1)).and_then(|n| n.checked_mul(12));
@@ -73,7 +73,7 @@ impl GroupCandidate {
         }
     }
 
-    /// Edges of the box in frame number `frame`, if the group has the structure of H5MD.
+    /// Edge lengths of the box in frame number `frame`, if the group has the structure of H5MD.
     pub fn box_size(&self, frame: u64) -> Option<[f64; 3]> {
         h5md::box_size(&self.group, frame)
     }
@@ -193,15 +193,15 @@ impl GroupSearch {
         }
     }
 
-    /// Returns the candidate that a condition names, or else the only candidate, and the names of
-    /// all candidates.
+    /// Returns one candidate, and the names of all candidates.
     ///
-    /// The name of the returned candidate is the first. There are no names if a single candidate
-    /// exists and no condition names it.
+    /// The candidate is the one that a condition names, or else the only one, or else `PartType0`.
+    /// The candidate's name comes first. The list of names is empty if there is only one candidate
+    /// and no condition names it.
     ///
     /// # Errors
-    /// [`ReadFault::Unsupported`] if there is no candidate, with the contents of `root`, or if a
-    /// choice among several candidates is missing.
+    /// [`ReadFault::Unsupported`] if there is no candidate (the message lists the contents of
+    /// `root`), or if there are several and neither a condition nor the default selects one.
     pub fn chosen(
         mut self,
         root: &Group,

@@ -40,7 +40,7 @@ pub fn elements(groups: &[Group], file: &H5File) -> Result<Vec<(String, Dataset)
     Ok(all.map(|(name, values, _)| (name, values)).collect())
 }
 
-/// The step of each frame of an element. `None` if the file does not store them.
+/// The step of each frame of an element. `None` if the file does not store steps.
 fn steps(group: &Group, sets: &[String], file: &H5File) -> Result<Option<Vec<i64>>, ReadFault> {
     if !sets.iter().any(|name| name == STEP) {
         return Ok(None);
@@ -71,7 +71,7 @@ pub fn time(group: &Group, frame: u64) -> Option<f64> {
     time.is_finite().then_some(time)
 }
 
-/// Edges of the box, if it is aligned to the axes.
+/// Edge lengths of the box. `None` if the box is not aligned to the axes or not stored.
 pub fn box_size(group: &Group, frame: u64) -> Option<[f64; 3]> {
     let all = group.group("box").ok()?;
     let fixed = || all.dataset("edges").ok();
@@ -90,7 +90,8 @@ pub fn box_size(group: &Group, frame: u64) -> Option<[f64; 3]> {
     lengths(&edges)
 }
 
-/// The edges of a box that is aligned to the axes. `edges` are three lengths or three vectors.
+/// The edge lengths of a box that is aligned to the axes. `edges` contains three lengths or three
+/// vectors.
 fn lengths(edges: &[f64]) -> Option<[f64; 3]> {
     let edges = match *edges {
         [x, y, z] | [x, 0.0, 0.0, 0.0, y, 0.0, 0.0, 0.0, z] => [x, y, z],

@@ -1,4 +1,5 @@
-//! Decompresses LZF, the compression of h5py. It consists of literals and copies of earlier bytes.
+//! Decompresses LZF, a compression of h5py. Packed data consists of literals and of references to
+//! earlier bytes, which are copied.
 
 use hdf5_reader::error::{Error, Result};
 

@@ -63,15 +63,15 @@ impl H5Layout {
     }
 }
 
-/// Reads a frame of the file at `path`. `bytes` are those of this file. A snapshot has further
-/// files next to it.
+/// Reads a frame of the file at `path`. `bytes` is the content of this file. The other files of a
+/// snapshot are opened by their paths, which are derived from `path`.
 ///
 /// # Errors
-/// [`ReadFault::Unsupported`] for a missing choice among several steps or types of particles, for a
-/// step or a type that does not exist, and if no position is found. [`ReadFault::Malformed`] for
-/// violations of HDF5 or the layout, and for data sets of different lengths.
+/// [`ReadFault::Unsupported`] if there are several steps or types of particles and none is chosen,
+/// if the chosen step or type does not exist, and if no position is found. [`ReadFault::Malformed`]
+/// if the file violates HDF5 or the layout, or if the components of the position differ in length.
 /// [`ReadFault::Compression`] if the compression ratio is too high. [`ReadFault::Scratch`] if the
-/// scratch file cannot be written. [`ReadFault::Io`] for a missing piece.
+/// scratch file cannot be written. [`ReadFault::Io`] if a file of a snapshot does not exist.
 pub fn open_particles(
     path: &Path,
     bytes: Bytes,
@@ -119,8 +119,8 @@ pub fn has_faces(bytes: Bytes) -> Result<bool, ReadFault> {
     }
 }
 
-/// Reads the polygons of a VTKHDF file as a mesh. They are divided into triangles from their first
-/// corner.
+/// Reads the polygons of a VTKHDF file as a mesh. Each polygon becomes a fan of triangles around
+/// its first corner.
 ///
 /// # Errors
 /// The errors of [`open_particles`], and [`ReadFault::Unsupported`] for strips, for several steps,

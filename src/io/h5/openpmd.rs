@@ -1,7 +1,8 @@
-//! Reads openPMD in HDF5. A species of particles has records, whose units are known.
+//! Reads openPMD in HDF5. A species of particles has records, and each component of a record stores
+//! the factor that converts its values to SI units.
 //!
-//! The position of a particle is `position` plus `positionOffset`, which have separate units. All
-//! values are converted to SI units.
+//! The position of a particle is `position` plus `positionOffset`, which have separate units. The
+//! reader converts all values to SI units.
 
 use std::io;
 
@@ -41,7 +42,7 @@ pub fn steps(file: &H5File) -> Result<Vec<u64>, ReadFault> {
     Ok(steps)
 }
 
-/// Reads the particles of an iteration. They are of the `wanted` species, or else of the only
+/// Reads the particles of one species in an iteration: the `wanted` species, or else the only
 /// species.
 pub fn read_particles(
     file: H5File,
@@ -208,7 +209,8 @@ fn particles(
     Ok(ParticleFile { unread, ..ParticleFile::new(store, "openPMD HDF5") })
 }
 
-/// Appends the values of `components`, plus the values of `added` if given. Returns the columns.
+/// Appends the values of `components` to `decoded`, and returns their columns. If `added` is given,
+/// each stored value is the sum of the values in `components` and `added`.
 fn columns_of(
     components: &[Component],
     added: Option<&[Component]>,

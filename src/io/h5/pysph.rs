@@ -13,8 +13,9 @@ pub const PARTICLES: &str = "particles";
 /// Name of the group that contains the solver's time.
 pub const SOLVER: &str = "solver_data";
 
-/// Reads the particles of the `wanted` array, or else of `fluid`. Particles whose `tag` is not 0
-/// are left out. They are copies from other processes or for periodic boundaries.
+/// Reads the particles of the `wanted` array, or else of the only array, or else of `fluid`.
+/// Particles whose `tag` is not 0 are left out. They are copies from other processes or for
+/// periodic boundaries.
 pub fn read_particles(file: H5File, wanted: WantedParticles) -> Result<ParticleFile, ReadFault> {
     let time = time_of(&file.group(SOLVER)?);
     let (known, _) = checked(file.group(PARTICLES)?.member_names())?;

@@ -108,8 +108,8 @@ fn unit_metres(root: &Group, header: &Group) -> Option<f64> {
     swift().or_else(gadget).map(|centimetres| centimetres / 100.0).filter(|metres| *metres > 0.0)
 }
 
-/// Reads all files of the snapshot to which `file` belongs. Particles have the `wanted` type, or
-/// else gas.
+/// Reads all files of the snapshot to which `file` belongs. The particles are those of the `wanted`
+/// type, or else gas.
 pub fn open_particles(
     path: &Path,
     file: H5File,
@@ -182,7 +182,8 @@ fn check_total(header: &SnapshotHeader, kind: &str, found: usize) -> Result<(), 
     }
 }
 
-/// Reads the particles of one file of a snapshot. `of` is the number of files.
+/// Reads the particles of one file of a snapshot. `own` is the header of this file. For a snapshot
+/// of several files, `of` is the header of the file by which the snapshot was opened.
 fn read_piece(
     file: H5File,
     kind: &str,

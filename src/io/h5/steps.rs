@@ -103,8 +103,8 @@ pub fn steps(file: &H5File) -> Result<Vec<u64>, ReadFault> {
     Ok(longest.arrangement.steps())
 }
 
-/// The groups of frames, in the order of their numbers. They are those of H5Part, or numbered
-/// groups with positions in one group or the root.
+/// The groups that contain one frame each, in the order of their numbers. They are the groups of
+/// H5Part, or else numbered groups that contain positions and have the same parent.
 fn numbered(root: &Group, file: &H5File) -> Result<Vec<(u64, Group)>, ReadFault> {
     let groups = checked(root.groups())?;
     let h5part = in_group(&groups, |name| name.strip_prefix(STEP)?.parse().ok());
@@ -141,7 +141,8 @@ fn in_group(groups: &[Group], number: impl Fn(&str) -> Option<u64>) -> Vec<(u64,
     found
 }
 
-/// The number of the frame that a group's name contains. Both names are in lower case.
+/// The number of the frame that a group's name contains. `name` and the parent group's name
+/// `parent` must be in lower case.
 fn step_number(name: &str, parent: &str) -> Option<u64> {
     let digits = name.trim_start_matches(|letter: char| !letter.is_ascii_digit());
     let word = name[..name.len() - digits.len()].trim_end_matches(['#', '_', '-', ' ', ':', '=']);

@@ -38,7 +38,7 @@ pub(super) struct H5Array {
     pub scalar: Scalar,
     endian: Endian,
     pub components: usize,
-    /// The data set's row that is row 0 of the array.
+    /// The index in the data set of the array's first row.
     pub first: u64,
     /// Number of rows in the array.
     pub rows: u64,
@@ -50,7 +50,8 @@ pub(super) struct H5Array {
 pub(super) enum RowPart {
     /// All numbers at an index of the first axis.
     Row,
-    /// All numbers at an index of the second axis, in this frame of the first axis.
+    /// All numbers at an index of the second axis. The first axis counts frames, and only the frame
+    /// with this index is read.
     Frame(u64),
     /// One number from each index of the first axis. The second axis counts particles.
     Columns,
@@ -59,8 +60,8 @@ pub(super) enum RowPart {
 }
 
 impl H5Array {
-    /// All rows of a data set. `None` if they are not numbers, or too many per row for an
-    /// attribute.
+    /// All rows of a data set. `None` if it does not contain numbers, or if a row has too many
+    /// numbers for an attribute.
     pub fn new(set: Dataset) -> Option<Self> {
         Self::of_any_width(set).filter(|array| !array.is_wide())
     }
@@ -132,8 +133,8 @@ impl H5Array {
         }
     }
 
-    /// Returns an error if the file's size does not allow this number of rows, after `before`
-    /// decoded bytes.
+    /// Returns an error if `before` decoded bytes and the bytes of this array together exceed
+    /// `limit`.
     fn check(&self, before: u64, limit: u64) -> Result<(), ReadFault> {
         let end =
             self.rows.checked_mul(self.stride() as u64).and_then(|bytes| bytes.checked_add(before));
@@ -303,7 +304,7 @@ impl H5Array {
         })
     }
 
-    /// Returns an error if the file's size does not allow the number of rows.
+    /// Returns an error if the array has more bytes than the limit of the file's data.
     pub fn check_small(&self, file: &H5File) -> Result<(), ReadFault> {
         self.check(0, file.limit)
     }
@@ -352,7 +353,7 @@ impl H5Array {
 }
 
 /// Bytes of elements of any type, as the file stores them. The first element of a range holds the
-/// bytes of all its elements, to avoid an allocation per element.
+/// bytes of all elements of the range, to avoid an allocation per element.
 #[derive(Clone)]
 struct RawElement(Vec<u8>);
 
@@ -407,7 +408,7 @@ impl RowWindows {
     }
 }
 
-/// Converts an I/O error, which may contain an error of reading.
+/// Converts an I/O error. A [`ReadFault`] inside the error is returned unchanged.
 pub(super) fn fault_of(error: io::Error) -> ReadFault {
     match error.downcast::<ReadFault>() {
         Ok(fault) => fault,
@@ -596,11 +597,11 @@ pub(super) fn chosen_type(
     }
 }
 
-/// The type of particles that a condition names. A condition with a number that names no type may
-/// be about the attribute `type`.
+/// The type of particles that a condition names. `None` if no condition names a type. A condition
+/// with a number that is not a type is ignored here, because it may be about the attribute `type`.
 ///
 /// # Errors
-/// [`ReadFault::Unsupported`] if all types that conditions name do not exist.
+/// [`ReadFault::Unsupported`] if conditions name types, but none of these types exists.
 pub(super) fn named_type<'a>(
     known: &[String],
     wanted: &'a [Where],

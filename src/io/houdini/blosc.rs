@@ -8,16 +8,17 @@ use libdeflater::Decompressor;
 
 /// Number of bytes of the header of a chunk.
 const HEADER: usize = 16;
-/// Maximum number size in bytes of a block that is split into one stream per byte of a number.
+/// Maximum size in bytes of a number in a block that is split into streams. Such a block has one
+/// stream for each byte of a number.
 const MOST_SPLITS: usize = 16;
 /// Minimum number of values in a block that is split.
 const LEAST_SPLIT: usize = 128;
-/// Maximum distance in bytes of a match whose distance BloscLZ encodes in 13 bits.
+/// Maximum distance in bytes that BloscLZ encodes in 13 bits.
 const FARTHEST: usize = 8191;
 
-/// Number of bytes of a number and of a block in chunks that are written. Houdini uses the same
-/// sizes.
+/// Number of bytes of a number in chunks that are written, as in Houdini's files.
 const WRITTEN_TYPE: usize = 4;
+/// Number of bytes of a block in chunks that are written, as in Houdini's files.
 const WRITTEN_BLOCK: usize = 1 << 19;
 
 /// An error of unpacking a chunk.
@@ -108,7 +109,7 @@ impl BloscHeader {
     }
 }
 
-/// Unpacks a chunk. Its unpacked size must be the length of `out`.
+/// Unpacks a chunk into `out`, whose length must be the unpacked size of the chunk.
 pub fn unpack(chunk: &[u8], out: &mut [u8]) -> Result<(), BloscFault> {
     let header = BloscHeader::of(chunk, out.len())?;
     let rest = &chunk[HEADER..];
@@ -143,7 +144,7 @@ pub fn unpack(chunk: &[u8], out: &mut [u8]) -> Result<(), BloscFault> {
     Ok(())
 }
 
-/// Compresses a chunk by LZ4. Its bytes are shuffled as those of 32-bit numbers.
+/// Compresses `bytes` to a chunk by LZ4, after shuffling them as the bytes of 32-bit numbers.
 pub fn pack(bytes: &[u8]) -> Vec<u8> {
     let header = |flags: u8, length: usize| {
         let mut header = vec![2, 1, flags, WRITTEN_TYPE as u8];
@@ -177,7 +178,7 @@ pub fn pack(bytes: &[u8]) -> Vec<u8> {
 
 fn unpack_block(header: &BloscHeader, mut packed: &[u8], out: &mut [u8]) -> Result<(), BloscFault> {
     let streams = header.streams(out.len());
-    // All blocks except the last contain complete numbers, so that their streams have equal
+    // A block that is split into streams contains complete numbers, so its streams have equal
     // lengths.
     let each = out.len() / streams;
     if each * streams != out.len() {
@@ -281,8 +282,8 @@ fn restore_bytes(shuffled: &[u8], type_size: usize, out: &mut [u8]) {
     out[whole..].copy_from_slice(&shuffled[whole..]);
 }
 
-/// Reverses the byte shuffle for numbers of `N` bytes, a constant with which the loop is
-/// vectorized.
+/// Reverses the byte shuffle for numbers of `N` bytes. `N` is a constant, so that the compiler can
+/// vectorize the loop.
 fn restore<const N: usize>(shuffled: &[u8], out: &mut [u8]) {
     let count = out.len() / N;
     if count == 0 {
@@ -294,8 +295,8 @@ fn restore<const N: usize>(shuffled: &[u8], out: &mut [u8]) {
     }
 }
 
-/// Reverses the bit shuffle, in which the lowest bits of each byte of all numbers come first.
-/// Numbers after the last multiple of 8 are not shuffled.
+/// Reverses the bit shuffle, which stores the lowest bits of all numbers first, then the second
+/// lowest bits, and so on. A block is not shuffled if its number of numbers is not a multiple of 8.
 fn restore_bits(shuffled: &[u8], type_size: usize, out: &mut [u8]) {
     let count = out.len() / type_size;
     if !count.is_multiple_of(8) {

@@ -20,7 +20,7 @@ use super::blosc;
 pub const MAGIC: &[u8] = b"scf1";
 /// The last bytes of a container.
 const END: &[u8] = b"1fcs";
-/// Number of bytes of a number.
+/// Number of bytes of a number in the container's format.
 const NUMBER: u64 = 8;
 /// Maximum unpacked size of a chunk in bytes. Houdini's chunks have 1 MiB.
 const LARGEST: u64 = 64 << 20;

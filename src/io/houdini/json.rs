@@ -43,7 +43,7 @@ pub enum Storage {
 }
 
 impl Storage {
-    /// The number type that these numbers have after reading.
+    /// The number type to which the reader converts numbers of this storage.
     pub fn scalar(self) -> Scalar {
         match self {
             Self::Scalar(scalar) => scalar,
@@ -83,7 +83,7 @@ pub trait Json {
     /// Reads the next event.
     ///
     /// # Errors
-    /// Errors about damage of the document, and errors of reading its bytes.
+    /// If the document is damaged, or if its bytes cannot be read.
     fn next(&mut self) -> Result<JsonEvent, ReadFault>;
 
     /// An error at the position of the last event.
@@ -92,7 +92,7 @@ pub trait Json {
     /// Checks that the document ends here.
     ///
     /// # Errors
-    /// An error if bytes remain.
+    /// If bytes remain.
     fn end(&mut self) -> Result<(), ReadFault>;
 }
 
@@ -209,7 +209,7 @@ numbers!(
     U32 u32 Integer, I64 i64 Integer, U64 u64 Integer, F32 f32 Real, F64 f64 Real
 );
 
-/// A number type to which the numbers of a text can be converted.
+/// A number type to which a [`JsonNumber`] can be converted.
 trait FromJsonNumber: Sized {
     fn of(number: JsonNumber) -> Option<Self>;
 }
@@ -220,7 +220,7 @@ macro_rules! whole {
             fn of(number: JsonNumber) -> Option<Self> {
                 match number {
                     JsonNumber::Integer(whole) => Self::try_from(whole).ok(),
-                    // An integer that the text writes as `1.0` or `1e3`.
+                    // An integer that is stored as a floating-point number, such as `1.0` or `1e3`.
                     JsonNumber::Real(real) => {
                         let whole = real as i64;
                         (whole as f64 == real).then(|| Self::try_from(whole).ok())?

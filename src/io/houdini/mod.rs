@@ -2,7 +2,7 @@
 //! compressed by Blosc.
 //!
 //! The content determines the form, not the extension. A `.bgeo` may also have the classic format.
-//! A point is a particle unless it belongs to a primitive other than a particle system.
+//! A point is a particle if it belongs to no primitive, or to particle systems only.
 
 mod binary;
 mod blosc;
@@ -168,8 +168,8 @@ impl OpenedGeometry {
         NumberBytes { document: self.bytes.view(), endian: self.endian, gathered: &self.gathered }
     }
 
-    /// Selects the points that are particles, because no primitive other than a particle system
-    /// uses them. `None` if all points are particles.
+    /// Selects the points that are particles: they belong to no primitive, or to particle systems
+    /// only. `None` if all points are particles.
     ///
     /// # Errors
     /// [`ReadFault::Unsupported`] if there are points, but no particles.

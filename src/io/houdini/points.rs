@@ -152,7 +152,7 @@ fn components(first: Column, values: &PointValues) -> Vec<Column> {
     (0..values.components as usize).map(|index| first.component(index)).collect()
 }
 
-/// A label, the column of its numbers, and the index in the label for each number.
+/// A label, the column of its numbers, and for each number the index of its text in the label.
 type LabelColumn = (Label, (Column, Vec<u32>));
 
 /// The unpacked columns of attributes, one attribute after another.
@@ -211,8 +211,8 @@ impl<'a> UnpackedColumns<'a> {
         Ok(components(first, values))
     }
 
-    /// Unpacks a text attribute. Returns its label, its column, and the index in the label for each
-    /// number.
+    /// Unpacks a text attribute. Returns its label, its column, and for each number in the column
+    /// the index of its text in the label.
     ///
     /// The file uses -1 for an empty text, so each number in the column is the number in the file
     /// plus one.
@@ -220,8 +220,8 @@ impl<'a> UnpackedColumns<'a> {
     /// Returns `None` if there are too many texts for a label, or several texts per point.
     ///
     /// # Errors
-    /// [`ReadFault::Malformed`] for a number that has no text, and the errors of
-    /// [`push`](Self::push).
+    /// [`ReadFault::Malformed`] for a number that has no text ([`ReadFault::Unsupported`] if the
+    /// number comes from a JSON list), and the errors of [`push`](Self::push).
     pub fn push_texts(
         &mut self,
         attribute: &HoudiniAttribute,

@@ -8,7 +8,7 @@ use crate::io::number::ParseNumber;
 
 use super::json::{Json, JsonEvent, Nesting};
 
-/// Number of bytes after which memory is released.
+/// Number of bytes that are read before their memory is released.
 const PASSED: usize = 1 << 20;
 
 /// A document in text.
@@ -33,7 +33,8 @@ impl<'a> Text<'a> {
         &self.store.bytes()[self.at..]
     }
 
-    /// Skips blanks, commas and colons. In lists of keys and values, writers may omit separators.
+    /// Skips blanks, commas and colons. Commas and colons are optional, because writers may omit
+    /// them in lists of keys and values.
     fn skip_blanks(&mut self) {
         let is_blank = |byte: &&u8| byte.is_ascii_whitespace() || matches!(byte, b',' | b':');
         self.at += self.rest().iter().take_while(is_blank).count();

@@ -33,8 +33,8 @@ enum ValueSource {
     Positions(CoordinateWidth),
     Normals,
     Attribute(usize),
-    /// A range of components of the attribute with this index, a colour converted to values from 0
-    /// to 1.
+    /// A range of components of the attribute with this index, which is a colour. Its values are
+    /// converted to numbers from 0 to 1.
     Shares(usize, [usize; 2]),
 }
 
@@ -122,7 +122,8 @@ fn write_document(
     out.write_all(&tail.0)
 }
 
-/// Names of the attributes in the file. A velocity is `v`, and a colour is `Cd`.
+/// Names of the attributes in the file. For a velocity and for the first colour, which the file
+/// stores as `v` and `Cd`, this function returns the original names.
 pub fn attribute_names(attributes: &[AttributeInfo], has_normals: bool) -> Vec<String> {
     let mut taken: HashSet<String> = HashSet::from(["P".to_owned()]);
     taken.extend(has_normals.then(|| "N".to_owned()));
@@ -229,7 +230,7 @@ impl PointArray {
                         let words = vertices.attributes[index].iter();
                         words.for_each(|&word| out.extend(kind.whole(word).to_le_bytes()));
                     })?,
-                    // Integers are passed as their 32 bits in f32 values.
+                    // The mesh stores the 32 bits of an integer in place of those of an f32.
                     _ => write_floats(out, mesh, |vertices| &vertices.attributes[index])?,
                 }
             }

@@ -17,7 +17,7 @@
 //! | | 6 x 8 | lower and upper corner of the walls, f64; -inf and inf for sides without a wall; 0 if there are no walls |
 //! | | 8 | mu0, f64; 0 for symmetry and cloud |
 //! | | 8 | spacing of the particles, f64; 0 if it is not known. Their smallest size if they have several |
-//! | | 4 x 8 | particles in cells, not finite, beyond the grid, outside of the walls |
+//! | | 4 x 8 | numbers of particles: in cells, not finite, beyond the grid, outside of the walls |
 //! | if periodic | 6 x 8 | lower and upper corner of the box, f64; -inf and inf along an open axis |
 //! | | 4 | distance up to which images of particles exist beyond the box, in cells; the pages include them |
 //! | | 4 | 0 |
@@ -30,8 +30,8 @@
 //! | | 4 | bytes of the compressed page |
 //! | | 4 | CRC-32 of these bytes |
 //! | | 4 | number of full cells |
-//! | | 6 | tightest box around them: lowest cell, and one past the highest, in cells of the bin |
-//! | | 2 | number of its field, if the particles have several sizes, else 0 |
+//! | | 6 | tightest box of the full cells: lowest cell, one past the highest, in cells of the bin |
+//! | | 2 | number of the page's field, if the particles have several sizes, else 0 |
 //! | tail | 8 | offset of the footer in the file |
 //! | | 4 | CRC-32 of the header, the footer, the index and the offset of the footer |
 //! | | 8 | `0A 1A 0A 0D 46 4E 4D 89` |
@@ -141,7 +141,8 @@ impl<'a> PackableFrame<'a> {
         }
     }
 
-    /// The fields that all particles are in, each with the octave of its cells.
+    /// The fields that contain each particle once, each with the octave of its cells: the only
+    /// field, or the fields of the volume.
     #[must_use]
     pub fn volumes(self) -> Vec<(u32, &'a DifField)> {
         let step = match self {
@@ -176,10 +177,11 @@ const SIZES_VERSION: u32 = 3;
 /// The first version of the format. Its frames can be read, except those with clouds.
 const FIRST_VERSION: u32 = 1;
 
-/// Bits of the flags in the footer: there are walls, the box is periodic, or the particles have
-/// several sizes.
+/// Flag in the footer: there are walls.
 const WALLS: u32 = 1;
+/// Flag in the footer: the box is periodic.
 const PERIODIC: u32 = 2;
+/// Flag in the footer: the particles have several sizes.
 const SIZES: u32 = 4;
 
 /// Number of bytes of the header.
@@ -191,8 +193,8 @@ const ENTRY: usize = 44;
 /// Number of bytes of the tail.
 const TAIL: usize = 20;
 
-/// Divides samples into their low bytes and their high bytes, which follow. This order compresses
-/// better, and does not depend on the machine's byte order.
+/// Returns the low bytes of all samples, followed by the high bytes. This order compresses better,
+/// and does not depend on the machine's byte order.
 fn planes_from_samples(samples: &[u16]) -> Vec<u8> {
     let bytes = |byte: usize| samples.iter().map(move |sample| sample.to_le_bytes()[byte]);
     bytes(0).chain(bytes(1)).collect()

@@ -39,8 +39,8 @@ const CHUNK: usize = 1 << 20;
 ///
 /// This reads and checks every byte, but keeps only the index in memory. Samples are read again
 /// when they are needed. The most recently used pages stay in memory, up to `cache_bytes`. The map
-/// of the file takes a few MiB of memory at a time. With a folder `scratch`, clouds in wider cells
-/// go to scratch files there if they are large.
+/// of the file takes a few MiB of memory at a time. If `scratch` names a folder, large clouds in
+/// wider cells are stored in scratch files in this folder.
 ///
 /// If another program changes the file while the field is in use, the process ends with a panic or
 /// a signal.
@@ -177,7 +177,8 @@ impl MappedPages {
         fault.map_or(Ok(()), Err)
     }
 
-    /// The fields, which share the cache by their numbers of pages.
+    /// Returns the fields. Each field gets a share of the cache in proportion to its number of
+    /// pages.
     fn into_fields(mut self, mut infos: Vec<PageInfo>, cache_bytes: u64) -> Vec<DifField> {
         self.checksums = Vec::new();
         let (shape, mut starts) = (self.shape, std::mem::take(&mut self.fields));
@@ -200,7 +201,7 @@ impl MappedPages {
 #[derive(Debug)]
 struct FieldPages {
     all: Arc<MappedPages>,
-    /// The number of its first page.
+    /// The number of the field's first page.
     first: usize,
 }
 
@@ -266,7 +267,7 @@ fn read_index(bytes: PrivateBytes) -> Result<Index, ReadFault> {
         let at = cursor.at();
         let previous = infos.last().map(|info: &PageInfo| info.key);
         let entry = read_entry(&mut cursor, side, &facts, field_count)?;
-        // Fields can be empty.
+        // An entry may skip the numbers of fields that have no pages.
         let is_first = fields.len() <= usize::from(entry.field);
         fields.resize(fields.len().max(usize::from(entry.field) + 1), infos.len());
         let is_earlier = fields.len() > usize::from(entry.field) + 1;
@@ -294,7 +295,7 @@ fn read_index(bytes: PrivateBytes) -> Result<Index, ReadFault> {
     let shape = indicator.kind().shape(side);
     // A cell in the corner of a periodic box has seven images.
     let places = if facts.periodic.is_some() { 8 } else { 1 };
-    // A particle of several sizes is in two fields.
+    // If the particles have several sizes, each particle is in two fields.
     let fields_a_particle = u64::from(field_count.min(2));
     let most = places * fields_a_particle * shape.cells_a_particle() as u64;
     if full_cells > most.saturating_mul(facts.census.binned as u64) {
@@ -463,7 +464,7 @@ fn read_point(cursor: &mut Cursor<'_>) -> Result<DVec3, ReadFault> {
 /// The entry of a page in the index.
 struct PageEntry {
     info: PageInfo,
-    /// The number of its field.
+    /// The number of the page's field.
     field: u16,
     offset: u64,
     length: u64,

@@ -138,7 +138,8 @@ impl<W: Write> FrameWriter<W> {
         self.finish_with(footer(facts, indicator, 0))
     }
 
-    /// Writes a footer without the number of pages, and everything after it.
+    /// Writes the footer, the index and the tail. `footer` lacks only the number of pages, which is
+    /// added here.
     fn finish_with(mut self, mut footer: Vec<u8>) -> io::Result<u64> {
         footer.extend(self.pages.to_le_bytes());
         let place = self.at.to_le_bytes();
@@ -154,8 +155,8 @@ impl<W: Write> FrameWriter<W> {
     }
 }
 
-/// The footer of particles of one size without the number of pages. `more_flags` are additional
-/// flags.
+/// The footer up to the periodic box, without the facts about several sizes and without the number
+/// of pages. `more_flags` are additional flags.
 fn footer(facts: &FrameFacts, indicator: Indicator, more_flags: u32) -> Vec<u8> {
     let walls = facts.domain.map_or([0.0; 6], |domain| {
         let [lo, hi] = domain.walls().map(|corner| corner.to_array());

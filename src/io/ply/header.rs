@@ -15,12 +15,12 @@ pub(super) enum Encoding {
     Binary(Endian),
 }
 
-/// A property of each row: a value, or a list of values after their number.
+/// A property of each row: a single value, or a list, which is stored as its length and its values.
 #[derive(Debug, Clone)]
 pub(super) struct PlyProperty {
     pub name: String,
     pub scalar: Scalar,
-    /// The type of the number of list values. `None` if the property is a single value.
+    /// The number type of the list's length. `None` if the property is a single value.
     pub list: Option<Scalar>,
 }
 

@@ -14,7 +14,8 @@ pub use stream::StreamedMesh;
 pub(in crate::io) use write::attribute_names;
 pub use write::write_mesh;
 
-/// Names of three properties that together form an attribute.
+/// Attributes that consist of three properties. Each entry has the name of the attribute and the
+/// names of the properties.
 const GROUPS: [(&str, [&str; 3]); 4] = [
     ("velocity", ["vx", "vy", "vz"]),
     ("velocity", ["velocity_x", "velocity_y", "velocity_z"]),

@@ -78,11 +78,11 @@ pub fn has_faces(bytes: ByteView) -> Result<bool, ReadFault> {
     Ok(faces(&PlyHeader::parse(bytes)?)?.is_some())
 }
 
-/// Reads vertices and faces. Polygons are divided into triangles from their first corner.
+/// Reads vertices and faces. Each polygon becomes a fan of triangles around its first corner.
 ///
 /// # Errors
-/// The errors of [`read_points`], [`ReadFault::Malformed`] for a face with a missing vertex, and
-/// [`ReadFault::Unsupported`] for triangle strips.
+/// The errors of [`read_points`], [`ReadFault::Malformed`] for a face that refers to a missing
+/// vertex, and [`ReadFault::Unsupported`] for triangle strips.
 pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
     let view = ByteView::from(bytes);
     let header = PlyHeader::parse(view)?;
@@ -275,7 +275,8 @@ fn decode(
     decoded.finish()
 }
 
-/// Decodes the rows of complete lines. Returns the rows above the first invalid row, and its error.
+/// Decodes the rows of complete lines. Returns the rows above the first invalid row, and the error
+/// of the invalid row.
 fn decode_rows(
     source: Slice,
     lines: Range<usize>,

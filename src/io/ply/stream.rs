@@ -22,8 +22,9 @@ const ROW: usize = 1 + 3 * size_of::<u32>();
 #[derive(Debug)]
 pub struct StreamedMesh {
     vertices: Pieces,
-    /// The index of the attribute with the normals, and the indices of all other attributes.
+    /// The index of the attribute with the normals.
     normals: Option<usize>,
+    /// The indices of all other attributes.
     others: Vec<usize>,
     faces: InputBytes,
     /// The position of the first triangle in the file.

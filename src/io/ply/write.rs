@@ -21,8 +21,8 @@ const FACE: usize = 1 + 3 * size_of::<u32>();
 /// green, blue and optionally alpha. Other attributes are properties `name`, or `name_0`, `name_1`
 /// and so on. Faces are lists of three vertex indices.
 ///
-/// A name with white space or a conflict is changed with underscores, because the format cannot
-/// store it.
+/// The format cannot store white space in a name, so underscores replace it. Underscores are
+/// appended to a name that is empty or already used.
 ///
 /// # Panics
 /// Like [`MeshFormat::write`](crate::io::output::MeshFormat::write).

@@ -102,8 +102,8 @@ fn trimmed(line: &[u8]) -> &[u8] {
 /// The trimmed fields of a line, up to a comment.
 ///
 /// Separators within quotes belong to the field. A comment starts with `#` after a blank, or at the
-/// start of a field after the last expected field. Elsewhere, `#` may be a value. A separator at
-/// the end of the line counts as an empty field only if the line has too few fields.
+/// start of a field after the last expected field. Elsewhere, `#` may be a value. If the line has
+/// too few fields, a separator at its end is followed by an empty field. Otherwise, it is ignored.
 pub struct LineFields<'a> {
     line: &'a [u8],
     at: usize,

@@ -10,14 +10,14 @@ use crate::io::number::{Decimal, is_overflow};
 use super::excerpt;
 use super::fields::{LineFields, Separator, Syntax, is_comment, lines, unquoted};
 
-/// Maximum number of lines before the line of column names, without blank lines and comments.
+/// Maximum number of lines before the line of column names. Blank lines and comments do not count.
 const HEADER_LINES: usize = 32;
-/// Number of bytes that are first searched for the head. It is doubled while they have too few
-/// lines.
+/// Number of bytes that are searched for the head at first. This number is doubled while the
+/// searched bytes contain too few lines.
 pub const HEAD: usize = 64 << 10;
 /// Maximum size of the head in bytes.
 const LONGEST_HEAD: usize = 16 << 20;
-/// Maximum number of fields in a line of a table of particles.
+/// Maximum number of fields in a line of a table.
 pub const MOST_FIELDS: usize = 4096;
 /// Number of rows whose fields are examined.
 const SAMPLED_ROWS: usize = 256;
@@ -98,7 +98,8 @@ impl TableColumns {
 }
 
 impl Heading {
-    /// Finds the head of a text that starts at byte `start`. Reads no more bytes than necessary.
+    /// Finds the head of the table that starts at byte `start` of `text`. Reads more than [`HEAD`]
+    /// bytes only if these contain too few lines.
     pub fn of(text: ByteView, start: usize) -> Result<Self, ReadFault> {
         let mut looked_at = HEAD;
         loop {
@@ -107,7 +108,7 @@ impl Heading {
             let known = lines(&head).filter(|(.., content)| !is_comment(content));
             let whole = end == text.len();
             if whole || looked_at >= LONGEST_HEAD || known.count() > HEADER_LINES + 2 {
-                // The last line may be incomplete, and is cut off.
+                // The last line may be incomplete, so it is removed.
                 let cut = head.iter().rposition(|&byte| byte == b'\n').map_or(0, |end| end + 1);
                 let head = if whole { &head[..] } else { &head[..cut] };
                 let found = Self::find(head)?;
@@ -347,8 +348,8 @@ fn with_decimals(syntax: Syntax, rows: &[u8], columns: &TableColumns) -> Syntax 
     syntax
 }
 
-/// The layout of a row without column names. The position is the first three numbers, after
-/// nothing, after a word, or after an integer and a word.
+/// The layout of a row without column names. The position is three numbers, which are at the start
+/// of the row, after a word, or after an integer and a word.
 fn unnamed(row: &[u8]) -> Option<UnnamedColumns> {
     let all = Syntax::ALL.map(|syntax| {
         let fields = LineFields::new(row, syntax.separator, 0).take(MOST_FIELDS + 1);
@@ -384,8 +385,8 @@ pub fn is_row(line: &[u8]) -> bool {
     }
 }
 
-/// Whether a line starts with words and all later lines have the same layout. Otherwise, it is a
-/// title.
+/// Whether a line starts with words and all later lines have the same layout. A line that starts
+/// with words is a title if later lines differ.
 fn is_row_of_words(line: &[u8], rows: &[u8]) -> bool {
     unnamed(line).is_some_and(|row| {
         row.first > 0

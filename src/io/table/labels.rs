@@ -1,5 +1,5 @@
-//! Columns of text. They are stored as a list of different texts, and the number of a text in every
-//! row.
+//! Columns of text. A column is stored as a list of its different texts, and for each row the
+//! number of the row's text.
 
 use std::collections::HashMap;
 use std::sync::Mutex;
@@ -32,8 +32,8 @@ impl Texts {
         number
     }
 
-    /// The label, and the index in the label for each text's number. `None` if there are too many
-    /// different texts.
+    /// The label, and for each text's number the index of the text in the label. `None` if there
+    /// are too many different texts.
     pub fn label(self, name: &str) -> Option<(Label, Vec<u32>)> {
         let all = self.0.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
         if all.len() > MOST {

@@ -58,7 +58,7 @@ pub(super) struct Cell {
 }
 
 impl Cell {
-    /// The place at `fractions` of the edges from the origin.
+    /// The position of a point whose coordinates are `fractions` of the edges.
     fn place(&self, fractions: [f64; 3]) -> [f64; 3] {
         [0, 1, 2].map(|axis| {
             let along = |edge: usize| fractions[edge] * self.edges[edge][axis];
@@ -208,8 +208,8 @@ impl TextTable {
         rows.finish()
     }
 
-    /// Decodes the rows of a piece of text. Returns their numbers and the number of lines, or the
-    /// number of an invalid line and its error.
+    /// Decodes the rows of a piece of text. Returns the decoded rows and the number of lines, or
+    /// the number and the error of an invalid line.
     fn decode_piece(
         &self,
         piece: &[u8],

@@ -52,7 +52,7 @@ impl UsdValue {
         Self::inlined(INT, value.into())
     }
 
-    /// A double. f32 must represent its value exactly.
+    /// A double that an f32 represents exactly. The format stores it as this f32.
     pub fn double(value: f32) -> Self {
         Self::inlined(DOUBLE, value.to_bits().into())
     }
@@ -114,7 +114,8 @@ impl FileTail {
         let times = self.end();
         self.put(&[1, 0f64.to_bits()]);
         let at = self.end();
-        // The offset to a part precedes it. It is 8 bytes, because the parts are adjacent.
+        // The offset to each part precedes the part. Each offset is 8, because the parts are
+        // adjacent.
         self.put(&[8, UsdValue::at(DOUBLE_VECTOR, times).0, 8, 1, value.0]);
         UsdValue::at(TIME_SAMPLES, at)
     }

@@ -12,7 +12,7 @@ use crate::surface::mesh::source::MeshSource;
 use super::crate_file::{FLOAT, FileTail, HEADER, INT, UINT, UsdValue, VEC3F, header};
 use super::{PRIM, UsdProperty, properties};
 
-/// Number of triangles per write of corner counts.
+/// Number of triangles whose corner counts are encoded at once.
 const COUNTS: u64 = 1 << 16;
 
 /// Writes `mesh` as a .usdc layer.

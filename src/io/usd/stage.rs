@@ -23,7 +23,8 @@ pub fn stage(
     let active = list(
         clips.iter().enumerate().map(|(index, (time, _))| format!("({time}, {index})")).collect(),
     );
-    // Time 0 of a layer is its time code on the stage. A time code that occurs twice makes a jump.
+    // The stage shows time 0 of a layer at the layer's time code. A time code that occurs twice
+    // makes the time in the layers jump.
     let ends = clips.iter().skip(1).map(|(time, _)| Some(*time)).chain([None]);
     let times = clips.iter().zip(ends).flat_map(|((time, _), end)| {
         [Some(format!("({time}, 0)")), end.map(|end| format!("({end}, {})", end - time))]

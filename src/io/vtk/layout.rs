@@ -8,8 +8,8 @@ use crate::io::scan::{Lines, Scanner};
 use crate::io::vertices::integer;
 use crate::io::{ReadFault, malformed};
 
-/// Maximum number of components of an empty array. The size of the file does not bound this number.
-/// A tensor has 9 components.
+/// Maximum number of components of an array without tuples. For such an array, the size of the file
+/// does not bound this number. A tensor has 9 components.
 const MOST_OF_NOTHING: usize = 9;
 
 /// Names of the field that contains the time. VTK's readers use the first, and newer writers the
@@ -44,8 +44,9 @@ pub(super) struct VtkLayout {
 #[derive(Debug, Clone)]
 pub(super) struct VtkArray {
     pub name: String,
-    /// Positions of the first byte and of the end, in bytes from the start of the file.
+    /// Position of the first byte in the file.
     pub at: usize,
+    /// Position after the last byte.
     pub end: usize,
     pub tuples: usize,
     pub components: usize,
@@ -77,7 +78,8 @@ pub(super) enum CellCorners {
     Offsets { offsets: VtkArray, connectivity: VtkArray },
 }
 
-/// The subject of a section of attributes, points or cells, with their number.
+/// Whether a section of attributes belongs to points or to cells, and the number of these points or
+/// cells.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Owner {
     Points(usize),
@@ -414,7 +416,8 @@ impl<'a> LayoutParser<'a> {
         array.ok_or_else(|| self.fault(format!("{name} of type {kind}")))
     }
 
-    /// Skips the array that starts here. Returns it if it contains numbers, and `None` otherwise.
+    /// Skips the array that starts here. Returns its position and type if it contains numbers, and
+    /// `None` otherwise.
     fn array(
         &mut self,
         name: &str,
@@ -465,8 +468,8 @@ impl<'a> LayoutParser<'a> {
         }))
     }
 
-    /// Skips strings. In text, each is a line. In binary, each is preceded by its length. The first
-    /// two bits of the length give the size of the length.
+    /// Skips strings. In a text file, each string is a line. In a binary file, the length of a
+    /// string precedes it. The first two bits of the length give the number of bytes of the length.
     fn strings(&mut self, count: usize, name: &str) -> Result<(), ReadFault> {
         for _ in 0..count {
             if self.ascii {

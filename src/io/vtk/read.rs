@@ -35,10 +35,10 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
 /// Reads the points as particles, even of a mesh. Binary arrays are read in place. Text is
 /// decoded to columns of f64.
 ///
-/// Every numeric array in `POINT_DATA` is an attribute, with its decoded name. Strings, bits,
-/// colours and cell data are skipped. Exceptions are cell data that flag vertices as copies or
-/// hidden: a point is left out if all of its vertices are flagged. `TIME` or `TimeValue` of the
-/// file is the time.
+/// Every numeric array in `POINT_DATA` is an attribute. Percent codes in its name are decoded.
+/// Strings, bits, colours and cell data are skipped, except for cell data that flags vertex cells
+/// as copies or hidden: a point is left out if all of its vertex cells are flagged. `TIME` or
+/// `TimeValue` of the file is the time.
 ///
 /// # Errors
 /// [`ReadFault::Truncated`] for an array that exceeds the file, [`ReadFault::Malformed`] (or
@@ -51,7 +51,7 @@ pub fn read_points(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, R
     points(bytes, &layout, unpacking)
 }
 
-/// Returns the bytes in place. Reads them as a whole if they are text.
+/// Returns `bytes` unchanged if the file is binary. Otherwise, reads the whole file.
 pub(in crate::io) fn unless_text(bytes: Bytes, unpacking: Unpacking) -> Result<Bytes, ReadFault> {
     if is_text(bytes.view()) { bytes.read_whole(unpacking).map(Bytes::Kept) } else { Ok(bytes) }
 }
@@ -81,7 +81,8 @@ pub fn has_faces(bytes: ByteView) -> Result<bool, ReadFault> {
     Ok(false)
 }
 
-/// The numbers of cells with an area or a volume, one number per array. The caller adds them up.
+/// The numbers of cells with an area or a volume, one number for each array or part of an array.
+/// The caller adds them up.
 fn faces<'a>(
     bytes: ByteView<'a>,
     layout: &'a VtkLayout,
@@ -106,7 +107,8 @@ fn faces<'a>(
 
 /// Reads points, and cells as triangles: polygons, triangle strips, and typed cells with an area.
 ///
-/// Polygons are divided into triangles from their first corner. Vertices and lines are ignored.
+/// Each polygon becomes a fan of triangles around its first corner. Vertex cells and lines are
+/// ignored.
 ///
 /// # Errors
 /// The errors of [`read_points`], [`ReadFault::Malformed`] for a cell that refers to a missing
@@ -262,7 +264,8 @@ pub(super) fn not_ghosts(
     };
     let (cells, mut all_vertices) = (corners.cells(), true);
     let points = match corners {
-        // Numbers with an even index are the numbers of points of the cells, which must be 1.
+        // Each cell has two numbers: its number of points, which must be 1, and its point. So the
+        // number of points has an even index.
         CellCorners::Counted { stream, .. } => {
             each(stream, &mut |index, number| all_vertices &= index % 2 == 1 || number == 1)?;
             if all_vertices && Some(stream.tuples) != cells.checked_mul(2) {

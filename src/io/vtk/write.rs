@@ -118,7 +118,7 @@ fn write_floats(
     writeln!(out)
 }
 
-/// Names of the attributes, which differ from the name of the normals.
+/// Names of the attributes in the file. The name of the normals is not used for attributes.
 pub(in crate::io) fn attribute_names(
     attributes: &[AttributeInfo],
     has_normals: bool,

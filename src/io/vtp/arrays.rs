@@ -1,5 +1,5 @@
 //! The arrays of a mesh in VTK's formats: points, their attributes, and triangles. Triangles are
-//! stored as an array of corners and an array of ends.
+//! stored as an array of corners and an array that gives the end of each triangle's corners.
 
 use std::io::{self, Write};
 
@@ -15,7 +15,7 @@ use crate::surface::mesh::source::MeshSource;
 use super::NORMALS;
 use super::write::GLOBAL_IDS;
 
-/// Number of triangles per write of ends.
+/// Number of triangles whose ends are encoded at once.
 const ENDS: u64 = 1 << 14;
 
 /// An array in the file.
@@ -45,7 +45,8 @@ pub(in crate::io) enum IndexWidth {
     I64,
 }
 
-/// Names of the attributes' arrays, which differ from the names of normals and identifiers.
+/// Names for the arrays of the attributes. The names of the normals and the identifiers are not
+/// used for attributes.
 pub(in crate::io) fn attribute_names(
     infos: &[AttributeInfo],
     has_normals: bool,
@@ -65,7 +66,8 @@ fn scalar(info: &AttributeInfo) -> Scalar {
     }
 }
 
-/// The arrays of normals, if there are any, and of all attributes. `spelled` converts their names.
+/// The arrays of normals, if there are any, and of all attributes. `spelled` converts the names of
+/// attributes.
 pub(in crate::io) fn point_data(
     mesh: &dyn MeshSource,
     spelled: impl Fn(&str) -> String,

@@ -1,9 +1,10 @@
 //! Decodes the data of arrays.
 //!
-//! An array is text, or a header of lengths with numbers, which may be in base64, compressed, or
-//! both. The header of uncompressed data is its length in bytes. The header of compressed data has
-//! the number of blocks, the block size, the size of a smaller last block (0 if there is none), and
-//! the compressed size of each block.
+//! An array is stored as text, or as a header of lengths followed by the numbers. The numbers may
+//! be compressed, and base64 may encode the header and the numbers. The header of uncompressed
+//! numbers is their length in bytes. The header of compressed numbers has the number of blocks, the
+//! block size, the size of a smaller last block (0 if there is none), and the compressed size of
+//! each block.
 //!
 //! Arrays with the same name in several pieces are joined.
 
@@ -28,7 +29,7 @@ use super::layout::{Compressor, DataLocation, VtpArray, VtpLayout, VtpPiece};
 
 /// Number of bytes per decoding step.
 const CHUNK: usize = 1 << 16;
-/// Number of bytes after which memory is released.
+/// Number of bytes that are read before their memory is released.
 const PASSED: usize = 1 << 20;
 /// Maximum size in bytes of an LZ4 block, which is unpacked as a whole.
 const MOST_LZ4: u64 = 64 << 20;
@@ -245,7 +246,8 @@ impl<'a> Decoder<'a> {
     }
 }
 
-/// The number type of decoded text, and of numbers whose types differ.
+/// The number type of decoded text. It is also used if the pieces store an array with different
+/// number types.
 const DOUBLE: (Scalar, Endian) = (Scalar::F64, Endian::Little);
 
 /// Converts a stored number to the nearest f64.
@@ -311,8 +313,9 @@ impl StoredArray<'_> {
         })
     }
 
-    /// Calls `take` with the bytes of the numbers in batches, and subtracts them from `allowance`.
-    /// There must be a value for each of `points`. Without `points`, all existing values are read.
+    /// Calls `take` with the bytes of the numbers in batches, and subtracts the number of bytes
+    /// from `allowance`. `points` is the number of points for which the array must have values. If
+    /// it is `None`, the array may have any length.
     fn read(
         &self,
         points: Option<usize>,
@@ -350,8 +353,8 @@ impl StoredArray<'_> {
         };
         match self.layout.compressor {
             None => {
-                // For raw data, checks the length first, because the error can tell how many bytes
-                // are missing.
+                // For raw data, checks the length first, because the error of this check tells how
+                // many bytes are missing.
                 if let DataLocation::Raw(_) = self.array.data {
                     self.raw_span()?;
                 }

@@ -1,5 +1,5 @@
-//! Writes a mesh as a .pvtp: a list of pieces. Each piece is a .vtp with a fixed number of
-//! triangles and their vertices.
+//! Writes a mesh as a .pvtp: a list of pieces. Each piece is a .vtp with an equal share of the
+//! triangles, and with their vertices.
 //!
 //! A vertex that several pieces share is stored in each of them. An array of global identifiers,
 //! the indices of the vertices in the whole mesh, shows which vertices are the same.
@@ -20,8 +20,8 @@ use super::write::{COMMENT, GLOBAL_IDS, declared, escaped, roles, write_piece};
 /// Maximum number of triangles per piece.
 pub(in crate::io) const MOST_TRIANGLES: u64 = 1 << 20;
 
-/// A mesh divided into pieces with equal numbers of triangles. They do not depend on the pieces of
-/// the source.
+/// A mesh divided into pieces with equal shares of the triangles. The division does not depend on
+/// the pieces in which the source provides the mesh.
 pub(in crate::io) struct Divided<'a> {
     mesh: &'a dyn MeshSource,
     width: CoordinateWidth,

@@ -73,7 +73,8 @@ impl VtpArray {
 /// Number of bytes at the start of a file that must contain all XML, so that arrays can be read in
 /// place.
 pub(super) const HEAD: usize = 1 << 20;
-/// Number of additional bytes, for the rest of an incomplete tag and blanks after it.
+/// Number of bytes after [`HEAD`] that are also read. They contain the rest of a tag that [`HEAD`]
+/// cuts, and the blanks after this tag.
 const TAG: usize = 4 << 10;
 /// Number of bytes that are searched at once, from the end of a file.
 const TAIL: usize = 1 << 10;
@@ -107,7 +108,7 @@ pub(super) struct VtpPiece {
     pub strips: usize,
     pub normals: Option<String>,
     /// Name of the array of global identifiers. Points of different pieces with equal identifiers
-    /// are one.
+    /// are the same point.
     pub global_ids: Option<String>,
     pub arrays: Vec<VtpArray>,
     /// Names of text arrays with values for points.
@@ -295,8 +296,8 @@ impl<'a> VtpLayout<'a> {
                 let what = format!("the points have type {kind:?}, which is not numeric");
                 return Err(malformed(tag.at, what));
             }
-            // Strings and bits are not attributes. If another part needs this array, the reader
-            // reports that it is missing.
+            // Strings and bits are not attributes. If the mesh needs this array, for example as its
+            // corners, the reader later reports that the array's numbers are missing.
             if let (Section::PointData, Some(piece)) = (section, self.pieces.last_mut()) {
                 piece.texts.push(name);
             }

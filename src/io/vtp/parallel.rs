@@ -26,8 +26,9 @@ use super::read::{NumberedMesh, counts, read_block, read_numbered, read_particle
 /// are also left out.
 ///
 /// # Errors
-/// The errors of [`read_particles`](super::read_particles) for the piece that has them. A missing
-/// piece is [`ReadFault::Io`]. [`ReadFault::Unsupported`] if no block contains particles.
+/// The errors of [`read_particles`](super::read_particles), with the path of the faulty piece.
+/// [`ReadFault::Io`] if a piece does not exist. [`ReadFault::Unsupported`] if no block contains
+/// particles.
 pub fn open_particles(
     path: &Path,
     bytes: Bytes,
@@ -108,7 +109,7 @@ pub fn pieces(path: &Path) -> Result<Vec<PathBuf>, ReadError> {
 /// global identifiers are equal. Without identifiers, they stay separate.
 ///
 /// # Errors
-/// The errors of [`read_mesh`](super::read_mesh) for the piece that has them.
+/// The errors of [`read_mesh`](super::read_mesh), with the path of the faulty piece.
 pub fn read_mesh(path: &Path) -> Result<Mesh, ReadError> {
     let mut all = JoinedMesh::default();
     for piece in pieces(path)? {
@@ -181,7 +182,7 @@ impl JoinedMesh {
 /// A file that a list names.
 struct ListedPiece {
     path: PathBuf,
-    /// The name of the block, if the file is a block. It may contain anything.
+    /// The name of the block, if the file is a block. A block may contain particles or other data.
     block: Option<String>,
 }
 

@@ -37,7 +37,8 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
     points(unless_encoded(bytes, unpacking)?, unpacking)
 }
 
-/// Returns the bytes in place. Reads them as a whole if arrays are text, encoded or compressed.
+/// Returns `bytes` unchanged if all arrays of the points are raw. Otherwise, some are text, encoded
+/// or compressed, and this function reads the whole file.
 fn unless_encoded(bytes: Bytes, unpacking: Unpacking) -> Result<Bytes, ReadFault> {
     let view = bytes.view();
     let stays = !is_text(view)? && Decoder::all_raw(&VtpLayout::parse(view)?);
@@ -85,7 +86,7 @@ pub fn is_text(bytes: ByteView) -> Result<bool, ReadFault> {
     Ok(!has(b"encoding=\"raw\"") || has(b"compressor="))
 }
 
-/// Returns the bytes in place. Reads them into memory if the file must be read as a whole.
+/// Returns `bytes` unchanged, or reads them into memory if the file must be read as a whole.
 pub(in crate::io) fn unless_text(bytes: Bytes) -> Result<Bytes, ReadFault> {
     if is_text(bytes.view())? {
         bytes.read_whole(Unpacking::in_memory()).map(Bytes::Kept)
@@ -133,10 +134,10 @@ pub(super) fn counts(bytes: ByteView) -> Result<PieceCounts, ReadFault> {
     Ok(PieceCounts { points: layout.points(), faces: layout.faces() })
 }
 
-/// Reads points, their attributes, and polygons. Polygons are divided into triangles from their
+/// Reads points, their attributes, and polygons. Each polygon becomes a fan of triangles around its
 /// first corner.
 ///
-/// Vertices, lines and cell data are ignored.
+/// Vertex cells, lines and cell data are ignored.
 ///
 /// # Errors
 /// The errors of [`read_particles`], and [`ReadFault::Unsupported`] for triangle strips and for an
@@ -276,8 +277,8 @@ fn vertices(
     arrays.extend(attributes.iter().map(|&array| {
         let mut parts = Vec::new();
         for piece in &filled {
-            // A single piece may have several arrays with the same name, so that each array
-            // represents itself.
+            // A single piece may have several arrays with the same name, so arrays are not searched
+            // by name.
             let own = if filled.len() == 1 { Some(array) } else { same(piece, array) };
             parts.push(PieceArray { points: piece.points, array: own });
         }

@@ -32,7 +32,8 @@ pub fn write_mesh(
     write_piece(out, mesh, width, None)
 }
 
-/// Writes a mesh or a piece of a mesh. A piece has the `numbers` of its vertices in the whole mesh.
+/// Writes a mesh or a piece of a mesh. For a piece, `numbers` contains the indices that its
+/// vertices have in the whole mesh.
 pub(super) fn write_piece(
     out: &mut dyn Write,
     mesh: &dyn MeshSource,

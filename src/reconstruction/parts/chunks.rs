@@ -17,8 +17,8 @@ use crate::grid::{CellBox, Domain, Grid, Periodic};
 use crate::io::{PieceChunk, Pieces};
 use crate::particles::Particles;
 
-/// Number of particles in a chunk; a large input has larger chunks, so that the list is not too
-/// long.
+/// Minimum number of particles in a chunk, except in the last chunk of a piece. Chunks of a large
+/// input are larger, so that the list is not too long.
 const FEWEST: usize = 1 << 12;
 /// Maximum number of chunks in the list, not counting the last chunk of every piece.
 const MOST: usize = 1 << 16;
@@ -35,11 +35,11 @@ pub(super) struct BinnedChunk {
 /// Particles of the input that a part reads.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub(super) struct PartInput {
-    /// Numbers of the pieces that the part reads; `counts` has the number of particles in each
-    /// piece.
+    /// Numbers of the pieces that the part reads.
     pub(super) pieces: Vec<usize>,
+    /// Number of particles in each of these pieces.
     counts: Vec<usize>,
-    /// Ranges of particles within these pieces.
+    /// Ranges of the particles that the part reads, counted over all these pieces.
     pub(super) ranges: Vec<Range<usize>>,
 }
 
@@ -120,7 +120,7 @@ impl PartInput {
     }
 }
 
-/// Displays the piece, the particles, and the lowest and highest bin.
+/// Displays the number of the piece, the number of particles, and the lowest and highest bin.
 impl fmt::Display for BinnedChunk {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { particles: PieceChunk { piece, count }, bins } = self;

@@ -26,7 +26,8 @@ use crate::grid::stretch::Stretch;
 use crate::surface::mesh::spool::{ListedBlock, Spool, SpoolFile, block_place, vertex_bytes};
 use crate::system::reopened::ReopenedFile;
 
-/// "meniscus part" and the version of the format, in the machine's byte order.
+/// The characters `mncus_P` and the version of the format, as one number in the machine's byte
+/// order.
 const MAGIC: u64 = 0x3250_5f73_7563_6e6d;
 
 /// Bytes per read when a whole file is checked.
@@ -189,7 +190,7 @@ impl PartFile {
     }
 }
 
-/// Reads the next `count` numbers of a list.
+/// Reads a list of `count` elements at position `at`, and advances `at` past it.
 fn list<T: Pod>(file: &ReopenedFile, at: &mut u64, count: u64) -> io::Result<Vec<T>> {
     let mut list = vec![T::zeroed(); count as usize];
     file.read_exact_at(*at, bytemuck::cast_slice_mut(&mut list))?;

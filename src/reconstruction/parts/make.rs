@@ -35,8 +35,10 @@ impl Parts {
     /// plan. Any other file at its path is replaced.
     ///
     /// # Errors
-    /// [`Error::Parts`] without a plan for this request, [`Error::Read`], [`Error::Frame`], and
-    /// [`Error::Write`].
+    /// [`Error::Parts`] if there is no plan for this request or no such part, or if the input has
+    /// changed; [`Error::Read`] if the input cannot be read, or changes meanwhile; [`Error::Frame`]
+    /// if the particles cannot be sampled or meshed; and [`Error::Write`] if the part's file cannot
+    /// be written.
     pub fn part(&self, part: u32) -> Result<PartDone, Error> {
         let begun = self.begin()?;
         if part >= self.count {
@@ -177,7 +179,7 @@ pub(super) fn mark(
     PartMark { plan: fingerprint, part, of: plan.count(), stretch: plan.stretch(part), normals }
 }
 
-/// Components of the vertex attributes.
+/// Number of components of each vertex attribute.
 pub(super) fn components(plan: &SharedPlan) -> Vec<usize> {
     plan.attributes.iter().map(|info| info.components).collect()
 }
@@ -198,8 +200,9 @@ impl PartDone {
     }
 }
 
-/// Whether attributes have the same names and components. Their kinds may differ otherwise, because
-/// the plan's kinds come from all particles, and a part reads only some of them.
+/// Whether attributes have the same names and numbers of components, and are integers in both lists
+/// or in neither. Kinds may differ in other ways, because the plan's kinds come from all particles,
+/// and a part reads only some particles.
 fn alike(own: &[AttributeInfo], planned: &[AttributeInfo]) -> bool {
     let same = |(a, b): (&AttributeInfo, &AttributeInfo)| {
         (&a.name, a.components, a.kind.is_whole()) == (&b.name, b.components, b.kind.is_whole())

@@ -2,14 +2,14 @@
 //! of a single run.
 //!
 //! `plan.json` and the parts' files are in a folder next to the output, with `.meniscus-parts`
-//! appended to its name. The plan samples the whole frame once, measures what a single run would,
-//! and cuts the Morton curve of blocks into stretches of about equal work. A part samples the bins
-//! within reach of the filters, which affect its blocks' meshes
-//! ([`DecidingCells`](crate::grid::stretch::DecidingCells)), and meshes these blocks. It reads only
-//! the chunks of the input that can contain particles of these bins: the plan lists all chunks with
-//! their bounding boxes. Merging lists the blocks of all parts in order, like the scratch file of a
-//! single run, and continues like a single run. Vertices are stitched by identity, so the mesh does
-//! not depend on the cuts.
+//! appended to its name. The plan samples the whole frame once, makes the same measurements as a
+//! single run, and cuts the Morton curve of blocks into stretches of about equal work. A part
+//! samples all bins that can affect the meshes of its blocks
+//! ([`DecidingCells`](crate::grid::stretch::DecidingCells)), and then meshes its blocks. It reads
+//! only the chunks of the input that can contain particles of these bins: the plan lists all chunks
+//! with their bounding boxes. The merge puts the blocks of all parts in order, as in the scratch
+//! file of a single run, and continues like a single run. Vertices are stitched by identity, so the
+//! mesh does not depend on the cuts.
 //!
 //! The guide for users is `parts.md`.
 
@@ -161,8 +161,8 @@ pub struct PartDone {
 }
 
 impl Reconstruction {
-    /// A request for the mesh of a particle file in `count` parts. The parts are in a folder next
-    /// to the output until they are merged.
+    /// A request for the mesh of a particle file in `count` parts. The plan and the parts are
+    /// stored in a folder next to the output.
     pub fn parts(
         &self,
         input: impl Into<PathBuf>,
@@ -208,7 +208,7 @@ impl Parts {
         name.into()
     }
 
-    /// Checks the request without a plan.
+    /// Checks everything in the request that can be checked without a plan.
     fn begin(&self) -> Result<PartsRequest, Error> {
         let checked = self.request.checked()?;
         if !(1..=MOST_PARTS).contains(&self.count) {

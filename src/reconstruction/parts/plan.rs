@@ -203,7 +203,7 @@ fn block_of(bin: MortonKey) -> MortonKey {
 }
 
 /// Estimated work for each block that contains particles, or through which a surface can pass, in
-/// Morton order. The unit is the work for one binned particle.
+/// Morton order. The unit is the work for one cell near the surface.
 fn work(
     bins: &[(MortonKey, usize)],
     passed: impl Iterator<Item = (MortonKey, usize)>,
@@ -246,7 +246,7 @@ fn part_of(cuts: &[MortonKey], block: MortonKey) -> usize {
     cuts.partition_point(|&first| first <= block) - 1
 }
 
-/// The numbers of the bins that each part samples.
+/// For each part, the indices in `bins` of the bins that it samples.
 fn shared(bins: &[(MortonKey, usize)], cuts: &[MortonKey], sight: DecidingCells) -> Vec<Vec<u32>> {
     let seen_by = |&(bin, _): &(MortonKey, usize)| {
         let mut parts: Vec<usize> =

@@ -33,7 +33,7 @@ pub(super) struct SharedPlan {
     pub(super) settings: StoredSettings,
     /// Whether the caller of the library gave a calibration.
     pub(super) calibrated: bool,
-    /// The stamp of the particles' file.
+    /// The stamp of the particles' file and of the files of solids.
     pub(super) input: Stamp,
     /// Number of particles in the input.
     pub(super) particles: usize,
@@ -45,7 +45,7 @@ pub(super) struct SharedPlan {
     /// Whether the grid was moved to suit a lattice.
     pub(super) moved: bool,
     pub(super) census: Census,
-    /// mu0, which converts counts to the field.
+    /// mu0, for the indicator counting.
     pub(super) mean: Option<f64>,
     /// The calibration of the surface.
     #[serde(flatten, with = "as_numbers")]
@@ -74,7 +74,7 @@ pub(super) struct CalibrationMeasures {
     step_cells: f64,
 }
 
-/// The share of a part.
+/// The blocks of a part, and the numbers of particles in them and around them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct BlockShare {
     /// The key of the part's first block. The part ends before the next part's first block.
@@ -150,7 +150,7 @@ impl SharedPlan {
         Ok(())
     }
 
-    /// Rejects a plan of another request.
+    /// Rejects a plan of another request, and a plan whose input has changed.
     pub(super) fn refuse_other(
         &self,
         folder: &Path,

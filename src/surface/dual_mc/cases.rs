@@ -1,14 +1,15 @@
 //! The marching-cubes table, derived from one rule.
 //!
-//! On a face whose two inside corners are diagonal, the surface cuts each of them off. Both cells
-//! that share the face see the same four signs, so both have the same segments, and no face is ever
-//! open. The segments around a cell form closed loops, and each crossed edge is on one loop. A loop
-//! becomes a fan around an apex none of whose diagonals is in a face of the cell. Each diagonal is
-//! then an edge of this cell's triangles only, and the mesh is a 2-manifold.
+//! If a face has two inside corners and these are diagonally opposite, the surface cuts each of the
+//! two corners off. Both cells that share the face see the same four signs, so both have the same
+//! segments, and no face is ever open. The segments around a cell form closed loops, and each
+//! crossed edge is on one loop. A fan of triangles fills each loop. The apex of the fan is chosen
+//! so that no diagonal from the apex is in a face of the cell. Each diagonal is then an edge of
+//! this cell's triangles only, and the mesh is a 2-manifold.
 //!
-//! Where cells of two levels touch, several corners of a dual cell can be one wide cell, and
-//! several of its edges one edge (Schaefer and Warren 2004). The loops are then shorter, and the rule holds
-//! for the faces that remain.
+//! Where cells of two levels touch, several corners of a dual cell can be in one wide cell, and
+//! several of its edges then count as one edge (Schaefer and Warren 2004). The loops are then
+//! shorter, and the rule holds for the faces that remain.
 
 use std::sync::LazyLock;
 
@@ -33,8 +34,8 @@ impl CellEdge {
     }
 }
 
-/// The triangles of one combination of signs, as edges, counter-clockwise seen from outside of the
-/// fluid.
+/// The triangles of one combination of signs, counter-clockwise seen from outside of the fluid.
+/// Each corner is given by the edge on which its vertex lies.
 pub type Triangles = Vec<[CellEdge; 3]>;
 
 /// The triangles for every combination of inside corners, one bit per corner.
@@ -45,7 +46,7 @@ fn triangles(case: u8) -> Triangles {
     loops(case).iter().flat_map(|polygon| fan(polygon, share_face)).collect()
 }
 
-/// The corners of a dual cell that are the same wide cell.
+/// The corners of a dual cell that are in wide cells, and the axes along which they share one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct JoinedCorners {
     /// The corners in wide cells, one bit per corner.
@@ -66,7 +67,7 @@ impl JoinedCorners {
         (self.corner(edge.corner), self.corner(edge.corner | 1 << edge.axis))
     }
 
-    /// Whether the edges of the cell, or others between the same cells, are in a common face.
+    /// Whether two edges, or any edges that join the same pairs of cells, are in a common face.
     fn share_face(self, a: CellEdge, b: CellEdge) -> bool {
         let same = |edge| edges().filter(move |&other| self.edge(other) == self.edge(edge));
         same(a).any(|a| same(b).any(|b| share_face(a, b)))
@@ -83,7 +84,7 @@ impl JoinedCorners {
             {
                 polygon.pop();
             }
-            // Two edges are one edge of the mesh, without area.
+            // A loop through only two edges has no area.
             if polygon.len() < 3 { Vec::new() } else { fan(&polygon, |a, b| self.share_face(a, b)) }
         };
         loops(case).iter().flat_map(joined).collect()
@@ -172,7 +173,8 @@ mod tests {
         assert!(sizes[1..255].iter().all(|&n| n > 0));
     }
 
-    /// All ways in which cells of two levels can meet in a dual cell, with its inside corners.
+    /// All ways in which cells of two levels can meet in a dual cell, each with all possible sets
+    /// of inside corners.
     fn joined_cases() -> impl Iterator<Item = (JoinedCorners, u8)> {
         let of = |axes: u8| (1..255_u8).map(move |wide| JoinedCorners { wide, axes });
         let whole = |joined: &JoinedCorners| {

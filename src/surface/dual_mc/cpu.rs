@@ -12,8 +12,9 @@ use super::{Crossings, Level, Normals};
 
 /// The surface in the tiles of `region`, a part of one block, with its crossed dual edges.
 ///
-/// Cells outside of `walls` are ghost points, and must repeat the edge cells. The result contains
-/// every tile with a dual cell of mixed signs, even if all its vertices belong to neighbours.
+/// Cells outside of `walls` are ghost points, and must have the sample of the nearest cell inside.
+/// The result contains every tile with a dual cell of mixed signs, even if all vertices of its
+/// triangles belong to neighbouring tiles.
 ///
 /// # Panics
 /// If `field` does not cover the region's tiles and one cell beyond their upper faces.
@@ -57,11 +58,11 @@ pub fn contour<L: Level>(
     BlockMesh { block, tiles, ends, triangle_count, ..BlockMesh::default() }
 }
 
-/// The surface of a region, from a field on the cells that [`Normals::cells`] returns, as in
-/// [`contour`], with normals if requested; `None` if there is no surface.
+/// The surface in `region` as in [`contour`], with normals if requested; `None` if there is no
+/// surface.
 ///
 /// # Panics
-/// If `field` does not cover those cells.
+/// If `field` does not cover the cells that [`Normals::cells`] returns.
 pub fn block_mesh<L: Level + Into<Crossings>>(
     field: &Block<L::Sample>,
     region: CellBox,
@@ -125,10 +126,10 @@ pub fn normal(
     normal.try_normalize().unwrap_or(fallback).as_vec3().to_array()
 }
 
-/// Cells along each axis in the dual cells of a tile.
+/// Number of cells along each axis that are corners of the dual cells of a tile.
 const ROWS: usize = TILE as usize + 1;
 
-/// Tiles along a block's edge.
+/// Number of tiles along a block's edge.
 const TILES: i32 = BLOCK / TILE;
 
 /// The signs of a region's cells and of one layer beyond its upper faces: a word for each row along
@@ -165,7 +166,8 @@ impl Signs {
         ((y - lo.y) + (hi.y + 1 - lo.y) * (z - lo.z)) as usize
     }
 
-    /// The words of the rows in the dual cells of the tiles at (y, z): for each z, those of all y.
+    /// The words of the rows that the dual cells of the tiles at (y, z) use: for each z, the words
+    /// of all y.
     fn rows(&self, y: i32, z: i32) -> [&[u64]; ROWS] {
         std::array::from_fn(|up| &self.rows[self.index(y, z + up as i32)..][..ROWS])
     }
@@ -193,8 +195,8 @@ impl Signs {
         mixed
     }
 
-    /// The signs of the cells of the tile at `corner`, and of their upper neighbours; the axes are
-    /// the bits of a corner's number.
+    /// For each corner of the dual cells of the tile at `corner`, the signs of the cells there. The
+    /// bits of a corner's number say along which axes the corner is the upper one.
     fn corners(&self, corner: IVec3) -> [TileMask; 8] {
         let rows = self.rows(corner.y, corner.z);
         let x = corner.x - self.region.lo.x;

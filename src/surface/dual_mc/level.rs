@@ -48,7 +48,8 @@ impl Level for ZeroLevel {
     fn ends(self, lower: f64, upper: f64) -> [u16; 2] {
         // A ghost point has the value of the cell that it mirrors.
         let fraction = if lower == upper { 0.5 } else { lower / (lower - upper) };
-        // The conversion saturates at the upper end. 0 would be the sample itself.
+        // The conversion saturates, so that the fraction stays below 1. At 0, the vertex would be
+        // on the sample.
         let steps = ((fraction * 2_f64.powi(32)) as u32).max(1);
         [steps as u16, (steps >> 16) as u16]
     }

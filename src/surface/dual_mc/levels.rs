@@ -20,7 +20,7 @@ use super::{Crossings, Normals, dual_cells, normal};
 pub struct LevelField {
     /// The samples.
     pub field: Block,
-    /// The cells inside of the walls, if there are any.
+    /// The cells inside of the walls, if there are walls.
     pub walls: Option<CellBox>,
 }
 
@@ -64,15 +64,15 @@ struct Mixed<'a> {
     level: BlockLevel,
 }
 
-/// The boxes that contain the cells of a region's dual cells: those with the block's own level, and
-/// the wider ones, in cells of the next level.
+/// Two boxes that contain the corners of a region's dual cells: one for cells of the block's own
+/// level, and one for wider cells, in cells of the next level.
 #[must_use]
 pub fn cells_by_level(block: IVec3, level: BlockLevel, region: CellBox) -> [CellBox; 2] {
     let cells = dual_cells(region);
     let own = CellBox::cube(block, BLOCK);
     let mut boxes = [CellBox::EMPTY; 2];
     for beyond in 0..8 {
-        // All of the block, or one layer of a neighbour, along each axis.
+        // Along each axis, the part is the whole block, or the first layer of the upper neighbour.
         let offset = corner_offset(beyond);
         let part = CellBox { lo: own.lo + BLOCK * offset, hi: own.hi + offset };
         let part = part.intersection(&cells);
@@ -99,7 +99,8 @@ impl Mixed<'_> {
             },
             _ => {
                 let LevelField { field, .. } = &self.fields.own;
-                // Narrower cells have vertices in their own blocks.
+                // The vertices next to narrower cells belong to other blocks, so the sample does
+                // not matter.
                 let known = field.cells().contains(cell);
                 CellSample {
                     sample: if known { field.at(cell) } else { 0 },
@@ -109,7 +110,7 @@ impl Mixed<'_> {
         }
     }
 
-    /// For each of some cells, 1 inside of the surface and 0 outside.
+    /// For each of `cells`, 1 if it is inside of the surface, and 0 otherwise.
     fn inside(&self, cells: CellBox, iso: Isovalue) -> Block<u8> {
         let mut inside = Block::zero(cells);
         // Most cells have the block's own level.
@@ -172,7 +173,7 @@ pub fn joined_triangles(cell: IVec3, case: usize, wider: u8) -> Triangles {
     if wider == 0 {
         return TABLE[case].clone();
     }
-    // Even cells and the next ones are in the same wide cell.
+    // Along each axis, a cell with an even coordinate and the next cell are in one wide cell.
     let axes = (0..3).fold(0, |axes, axis| axes | u8::from(cell[axis] & 1 == 0) << axis);
     JoinedCorners { wide: wider, axes }.triangles(case as u8)
 }
@@ -248,7 +249,7 @@ pub fn mixed_block_mesh(
     (!mesh.tiles.is_empty()).then_some(mesh)
 }
 
-/// The corners of a dual cell whose bits are set, one bit per corner.
+/// Collects the bits of one dual cell: bit k of the result is bit number `bit` of `corners[k]`.
 #[must_use]
 pub fn at_corners(corners: &[u64; 8], bit: u32) -> u8 {
     (0..8).fold(0, |all, k| all | ((corners[k] >> bit & 1) as u8) << k)

@@ -1,12 +1,13 @@
 //! Marching cubes on the dual grid (section 4.3).
 //!
-//! Samples are the cells' centres; a dual cell joins 2^3 of them. A sample is inside when it is
-//! greater than the isovalue's threshold. On a dual edge (i, j) whose ends differ, the vertex is v
-//! = (1 - a) p_i + a p_j with a = phi_i / (phi_i - phi_j), phi = c - theta (eq. 8).
+//! Samples are at the centres of cells; 2^3 of them are the corners of a dual cell. A sample is
+//! inside when it is greater than the isovalue's threshold. On a dual edge (i, j) with one end
+//! inside, the vertex is v = (1 - a) p_i + a p_j with a = phi_i / (phi_i - phi_j), phi = c - theta
+//! (eq. 8).
 //!
-//! At the walls of a domain, ghost points mirror the outermost centres with phi = |phi_i|: outside.
-//! Where the cell is inside, the vertex is half-way between centre and ghost, which is exactly on
-//! the wall.
+//! At the walls of a domain, ghost points mirror the outermost centres with phi = |phi_i|, so they
+//! are outside. Where the cell is inside, the vertex is half-way between centre and ghost, which is
+//! exactly on the wall.
 //!
 //! Needs the field on the block and one cell beyond its upper faces; normals need one more cell on
 //! all sides.
@@ -22,8 +23,8 @@ pub use level::{Crossings, Level, ZeroLevel};
 
 use crate::grid::CellBox;
 
-/// Number of vertices of a block with much surface, with or without smoothed details: spray is all
-/// surface.
+/// Estimated number of vertices of a block that contains much surface. If the filters keep details,
+/// this is a block full of spray.
 pub fn block_vertices(keeps_details: bool) -> u64 {
     if keeps_details { 20_000 } else { 6_000 }
 }
@@ -46,7 +47,7 @@ impl Normals {
         }
     }
 
-    /// The region of whole tiles that needs such [cells](Self::cells).
+    /// The region of whole tiles for which [cells](Self::cells) returns `cells`.
     #[must_use]
     pub fn region(self, cells: CellBox) -> CellBox {
         match self {

@@ -13,20 +13,21 @@ use crate::vulkan::{Batch, ComputePipeline, View, VulkanError};
 
 use super::cases::TABLE;
 
-/// Tiles of a block and one layer of its upper neighbours, whose signs are needed.
+/// Number of tiles whose signs a block needs: its own tiles, and one layer of its upper neighbours.
 pub const SIGN_TILES: u32 = ((BLOCK / TILE + 1) * (BLOCK / TILE + 1) * (BLOCK / TILE + 1)) as u32;
-/// Words per tile.
+/// Number of 32-bit words per [`Tile`].
 pub const TILE_WORDS: u32 = size_of::<Tile>() as u32 / 4;
 
-/// Counts of a block's tiles, vertices and triangles; after `bases`, their start in the batch.
+/// Counts of a block's tiles, vertices and triangles. The shader `bases` replaces them by the
+/// counts of all previous blocks of the batch.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub struct BlockTally {
-    /// Tiles that contain the surface.
+    /// Number of tiles that contain the surface.
     pub tiles: u32,
-    /// Crossed edges.
+    /// Number of crossed edges.
     pub vertices: u32,
-    /// Triangles of the dual cells that the block owns.
+    /// Number of triangles in the dual cells that the block owns.
     pub triangles: u32,
     spare: u32,
 }
@@ -59,13 +60,14 @@ pub struct TileSlot {
 /// The shaders of this stage.
 #[derive(Debug)]
 pub struct DualMcPipelines {
-    /// Signs of all cells, tile by tile.
+    /// Computes the signs of all cells, tile by tile.
     pub signs: Arc<ComputePipeline>,
-    /// The tally of each block, and the start of each of its tiles.
+    /// Computes the tally of each block, and the first vertex and triangle of each of its tiles.
     pub tiles: Arc<ComputePipeline>,
-    /// The start of each block, and the number of work groups that write all blocks.
+    /// Computes where each block starts in the batch, and the number of work groups that write all
+    /// blocks.
     pub bases: Arc<ComputePipeline>,
-    /// Tiles and vertices.
+    /// Writes tiles and vertices.
     pub emit: Arc<ComputePipeline>,
 }
 
@@ -80,7 +82,7 @@ pub struct Outputs {
     pub slots: View,
     /// A [`BlockTally`] for each block, and one for the totals.
     pub tallies: View,
-    /// Work groups that write tiles: 12 bytes.
+    /// Number of work groups that write tiles, along each axis: 12 bytes.
     pub groups: View,
     /// The tiles, up to the maximum number.
     pub tiles: View,
@@ -104,7 +106,7 @@ pub fn lengths() -> Vec<u32> {
 /// Counts, orders and writes the surface through all blocks.
 ///
 /// # Errors
-/// Errors of the device.
+/// [`VulkanError::OutOfMemory`] if a buffer is larger than a shader can access.
 #[allow(clippy::too_many_arguments, reason = "what the twin takes, and where it goes")]
 pub fn contour(
     batch: &mut Batch,

@@ -12,12 +12,12 @@ use glam::{DVec3, IVec3, Vec4};
 use super::triangle::{Triangle, TriangleDistances};
 use super::{BAND, BLOCK, LEAF, Leaf, VOXELS, place_in_leaf};
 
-/// Voxels around a block in which triangles spread.
+/// Width in voxels of the margin around a block in which triangles spread.
 pub const MARGIN: i32 = BAND as i32 + 1;
-/// Voxels along the edge of a block with its margin, and one more at each end that no triangle
-/// reaches.
+/// Number of voxels along the edge of a block with its margin, and one more voxel at each end that
+/// no triangle reaches.
 const EDGE: i32 = BLOCK + 2 * MARGIN + 2;
-/// Leaves along the edge of a block.
+/// Number of leaves along the edge of a block.
 const LEAVES: i32 = BLOCK / LEAF;
 /// Distances that differ by less than this are treated as equal. The triangle that faces the voxel
 /// more then decides on which side of the surface the voxel is.
@@ -25,11 +25,11 @@ const EQUAL: f32 = 1e-4;
 /// The largest [`margin`] of a voxel from which a triangle can spread to become the nearest
 /// triangle of a voxel of the block.
 const MOST_USEFUL: f32 = BAND - 1.0;
-/// Coordinates this close to an integer are that integer, in f64.
+/// Coordinates in f64 count as an integer if they are this close to it.
 const ROUNDING: f64 = 1e-6;
-/// A triangle may touch a voxel if the square of its distance is less than this, in f32.
+/// A triangle may touch a voxel if the square of its distance, computed in f32, is less than this.
 const TOUCHING: f32 = 1e-8;
-/// Makes up for distances that are found slightly too large.
+/// Added to the limit of a squared distance, because some distances are found slightly too large.
 const SLACK: f32 = 0.1;
 
 /// The coordinates of a voxel of a [`Band`].
@@ -267,7 +267,7 @@ const AROUND: [Step; 26] = {
     steps
 };
 
-/// The voxel of a block's [`Band`] with the coordinates (0, 0, 0).
+/// The voxel that has the coordinates (0, 0, 0) in a block's [`Band`].
 pub fn band_corner(block: IVec3) -> IVec3 {
     block * BLOCK - MARGIN - 1
 }
@@ -365,8 +365,8 @@ impl Band {
         }
     }
 
-    /// Compares a triangle that touches a voxel with all neighbours, because it may touch their
-    /// cubes as well.
+    /// Compares a triangle that touches a voxel with all neighbours of the voxel, because the
+    /// triangle may touch their cubes as well.
     fn touch_around(&mut self, place: VoxelOffset, number: u32, triangle: &Triangle) {
         for step in &AROUND {
             let to = step.from(place);
@@ -378,7 +378,8 @@ impl Band {
         }
     }
 
-    /// Takes a triangle that touches one of the voxel's cubes as its nearest, if it is.
+    /// Compares a voxel with a triangle that touches one of its cubes, and stores the triangle if
+    /// it is the nearest so far.
     fn learn(&mut self, place: VoxelOffset, found: KnownVoxel) {
         let known = &mut self.voxels[index(place)];
         if !known.has_triangle() {

@@ -22,14 +22,14 @@ pub use volume::Volume;
 
 /// Half the width of the band, in voxels.
 pub const BAND: f32 = 3.0;
-/// Voxels along the edge of a leaf.
+/// Number of voxels along the edge of a leaf.
 pub const LEAF: i32 = 8;
-/// Voxels of a leaf.
+/// Number of voxels of a leaf.
 pub const VOXELS: usize = (LEAF * LEAF * LEAF) as usize;
-/// Voxels along the edge of a block.
+/// Number of voxels along the edge of a block.
 const BLOCK: i32 = 64;
-/// Upper limit of the coordinates of a vertex, in voxels. Differences of coordinates of voxels fit
-/// an i32.
+/// Upper limit of the coordinates of a vertex, in voxels. With this limit, differences between
+/// coordinates fit an i32.
 const FARTHEST: f64 = (1 << 29) as f64;
 const TOO_FAR: &str = "a vertex is not finite, or more than 2^29 cells from the grid's origin; \
                        use larger cells";
@@ -43,9 +43,9 @@ const TRIANGLES_TOGETHER: usize = 1 << 14;
 pub struct Leaf {
     /// The coordinates of the first voxel, which are multiples of 8.
     pub corner: IVec3,
-    /// Bits of the voxels in the band.
+    /// A bit for each voxel: whether it is in the band.
     pub active: [u64; VOXELS / 64],
-    /// Bits of the voxels inside the surface.
+    /// A bit for each voxel: whether it is inside the surface.
     pub inside: [u64; VOXELS / 64],
     /// The distance of each voxel in the band from the surface in voxels, negative inside.
     pub distances: Vec<f32>,
@@ -85,7 +85,8 @@ pub struct NearestPoint {
     pub shares: [f32; 3],
 }
 
-/// The lattice of a mesh: the lattice of its particles' cells, or any lattice for an empty mesh.
+/// The lattice of the samples that a mesh was made from, if it is known; any lattice for an empty
+/// mesh.
 pub fn lattice_of(outline: &Outline) -> Option<Lattice> {
     outline.lattice.or((outline.triangles == 0).then_some(UNIT))
 }
@@ -104,13 +105,14 @@ impl LevelSet {
     /// Reads a closed mesh into memory: 24 bytes for each vertex, and 12 for each triangle.
     ///
     /// # Errors
-    /// The errors of `mesh`; [`io::ErrorKind::OutOfMemory`]; and [`io::ErrorKind::InvalidInput`]
-    /// for a mesh with too many vertices, or with coordinates that are not finite or too large.
+    /// If `mesh` cannot be read; [`io::ErrorKind::OutOfMemory`] if there is too little memory;
+    /// [`io::ErrorKind::InvalidInput`] for a mesh with too many vertices or triangles, or with
+    /// coordinates that are not finite or too large.
     pub fn new(mesh: &dyn MeshSource, lattice: Lattice) -> io::Result<Self> {
         let (positions, triangles) = gathered(mesh)?;
         let origin = DVec3::from(lattice.origin);
         let voxel = |position: [f64; 3]| (DVec3::from(position) - origin) / lattice.step;
-        // The array is reused.
+        // `collect` reuses the memory of the array.
         let positions: Vec<DVec3> = positions.into_iter().map(voxel).collect();
         if !positions.par_iter().all(|place| place.abs().cmplt(DVec3::splat(FARTHEST)).all()) {
             return Err(invalid(TOO_FAR));
@@ -133,7 +135,7 @@ impl LevelSet {
     /// order that depends only on the mesh. Needs about 6 bytes for each triangle meanwhile.
     ///
     /// # Errors
-    /// One of the errors of `make`.
+    /// If `make` fails for a block.
     pub fn map<T: Send>(
         &self,
         make: impl Fn(Vec<Leaf>) -> io::Result<T> + Sync,
@@ -168,7 +170,7 @@ impl LevelSet {
     }
 }
 
-/// Lists of blocks, in the order in which the blocks were first named.
+/// A list for each block. The blocks are in the order of the first calls of `of` for them.
 #[derive(Debug)]
 struct BlocksByPlace<T> {
     blocks: Vec<(IVec3, Vec<T>)>,
@@ -200,7 +202,8 @@ fn each_block_near([a, b, c]: [DVec3; 3], mut take: impl FnMut(IVec3)) {
         return take(low);
     }
     let normal = (b - a).cross(c - a);
-    // Half the edges of the block and twice the reach, projected onto the normal.
+    // Half of the edges of a block that is extended by the reach on each side, projected onto the
+    // normal.
     let extent = normal.abs().element_sum() * (f64::from(BLOCK) / 2.0 + reach);
     let is_near = |block: IVec3| {
         let centre = (block.as_dvec3() + 0.5) * f64::from(BLOCK);
@@ -220,7 +223,8 @@ fn each_block_near([a, b, c]: [DVec3; 3], mut take: impl FnMut(IVec3)) {
 
 /// The block of a place.
 fn block_of(place: DVec3) -> IVec3 {
-    // Positive numbers round down without a call.
+    // The sum is positive, and a conversion of positive numbers rounds down without a function
+    // call.
     let blocks = (place + 2.0 * FARTHEST).as_uvec3() / BLOCK as u32;
     blocks.as_ivec3() - 2 * FARTHEST as i32 / BLOCK
 }

@@ -13,7 +13,8 @@ const LEAST_HEIGHT: f64 = 1e-6;
 #[derive(Debug, Clone, Copy)]
 #[repr(C, align(64))]
 pub struct Triangle {
-    /// The axes of the frame, each with minus the coordinate of the first corner along it.
+    /// The axes of the frame. The fourth component is minus the coordinate of the first corner
+    /// along the axis.
     axes: [Vec4; 3],
     /// The coordinate x of the second corner, and the coordinates x and y of the third corner.
     shape: Vec4,
@@ -79,7 +80,7 @@ impl Triangle {
 }
 
 /// The squared distances of places in the plane from triangles with the corners (0, 0), (`b_x`, 0)
-/// and (`c_x`, `c_y`): 0 inside, and outside the distance of the nearest edge.
+/// and (`c_x`, `c_y`): 0 inside, and otherwise the squared distance of the nearest edge.
 #[inline(always)]
 fn squared_in_plane([x, y]: [Vec4; 2], [b_x, c_x, c_y]: [Vec4; 3]) -> Vec4 {
     let from_edge = |[x, y]: [Vec4; 2], [edge_x, edge_y]: [Vec4; 2]| {

@@ -19,7 +19,8 @@ pub struct Volume {
     /// The coordinates of the first voxel of each brick, in ascending order.
     pub corners: Vec<[i32; 3]>,
     /// The distances of the 512 voxels of each brick, z fastest: negative inside, in the particles'
-    /// unit of length, and three voxels where the surface is farther away.
+    /// unit of length. Where the surface is more than three voxels away, the distance is three
+    /// voxels.
     pub distances: Vec<f32>,
 }
 
@@ -27,8 +28,8 @@ impl Volume {
     /// The level set of a closed mesh.
     ///
     /// # Errors
-    /// The errors of [`LevelSet::new`], and [`io::ErrorKind::InvalidInput`] for a mesh with
-    /// triangles but without a lattice.
+    /// The errors of [`LevelSet::new`]; an error after a cancel; and
+    /// [`io::ErrorKind::InvalidInput`] for a mesh with triangles but without a lattice.
     pub fn of(mesh: &dyn MeshSource) -> io::Result<Self> {
         let lattice = lattice_of(&mesh.outline()).ok_or(io::ErrorKind::InvalidInput)?;
         let leaves = LevelSet::new(mesh, lattice)?.map(|leaves| {

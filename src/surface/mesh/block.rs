@@ -17,7 +17,7 @@ pub fn cell_of_bit(bit: u32) -> IVec3 {
     IVec3::new(bit as i32 & 3, bit as i32 >> 2 & 3, bit as i32 >> 4)
 }
 
-/// The set bits, lowest first.
+/// The numbers of the set bits, lowest first.
 pub fn bits(mut mask: TileMask) -> impl Iterator<Item = u32> {
     std::iter::from_fn(move || {
         let bit = mask.trailing_zeros();
@@ -59,19 +59,20 @@ impl Tile {
         any & !all
     }
 
-    /// The inside corners of one of its dual cells, bit by corner.
+    /// The inside corners of dual cell number `bit`, one bit per corner.
     #[inline]
     pub fn case(&self, bit: u32) -> usize {
         self.corners.iter().enumerate().map(|(k, c)| ((c >> bit & 1) as usize) << k).sum()
     }
 }
 
-/// For each corner of a tile's dual cells, whether it is in wider or in narrower cells.
+/// The corners of a tile's dual cells that are in cells wider or narrower than the tile's own
+/// cells.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct TileLevels {
-    /// Corners in wider cells.
+    /// For each corner, the dual cells whose corner is in a wider cell.
     pub wider: [TileMask; 8],
-    /// Corners in narrower cells.
+    /// For each corner, the dual cells whose corner is in a narrower cell.
     pub narrower: [TileMask; 8],
 }
 
@@ -165,6 +166,6 @@ pub struct BlockMesh {
     pub normals: Vec<[f32; 3]>,
     /// For every attribute, its values at the vertices.
     pub attributes: Vec<Vec<f32>>,
-    /// Triangles of the dual cells that the block owns.
+    /// Number of triangles in the dual cells that the block owns.
     pub triangle_count: usize,
 }

@@ -1,7 +1,7 @@
 //! Checks whether a mesh is closed, oriented and 2-manifold, and where it is not.
 //!
-//! Every vertex is checked separately, with the triangles around it: each edge at its
-//! lower-numbered end, and whether shared edges connect all the triangles. This needs no hash
+//! Every vertex is checked separately, with the triangles around it: whether shared edges connect
+//! all these triangles, and each edge that leads to a higher-numbered vertex. This needs no hash
 //! table, and sorts only the few edges of a vertex. Findings are in the order of the vertices, with
 //! any number of threads.
 
@@ -12,7 +12,7 @@ use serde::Serialize;
 
 use super::Mesh;
 
-/// Vertices per task: enough to make the task's overhead negligible.
+/// Number of vertices per task: enough to make the task's overhead negligible.
 const CHUNK: usize = 1 << 14;
 
 /// The number of occurrences of a defect, and the first occurrence.
@@ -81,8 +81,8 @@ pub struct Topology {
     pub pinched_vertices: Defects<u32>,
     /// Triangles with the same three vertices as an earlier triangle, in any orientation.
     ///
-    /// Not a defect by itself: two triangles back to back are closed and manifold. Any other twin
-    /// also makes a crowded or misoriented edge.
+    /// Not a defect by itself: two triangles back to back are closed and manifold. Every other twin
+    /// also shows up in `crowded_edges` or `misoriented_edges`.
     pub twin_triangles: Defects<[u32; 3]>,
     /// Vertices without a sound triangle. Not a defect.
     pub unreferenced_vertices: Defects<u32>,
@@ -95,8 +95,8 @@ impl Topology {
         self.boundary_edges.is_none()
     }
 
-    /// Whether no two triangles have the same direction at an edge. (Of three triangles at an edge,
-    /// two must.)
+    /// Whether no two triangles traverse an edge in the same direction. (If three triangles share
+    /// an edge, at least two of them do.)
     #[must_use]
     pub fn is_oriented(&self) -> bool {
         self.misoriented_edges.is_none() && self.crowded_edges.is_none()
@@ -184,8 +184,8 @@ pub fn topology(mesh: &Mesh) -> Topology {
         }
     }
     let stars = Stars::new(mesh.positions.len(), &mesh.triangles);
-    // No triangle has a vertex beyond u32, so such a vertex is unreferenced, and `as` truncates no
-    // other number.
+    // Vertices whose numbers exceed u32 are in no triangle. Therefore, `as` truncates only numbers
+    // of unreferenced vertices.
     let chunks: Vec<Topology> = (0..vertices.div_ceil(CHUNK))
         .into_par_iter()
         .map(|chunk| {
@@ -357,7 +357,7 @@ pub struct Stars {
 }
 
 impl Stars {
-    /// Collects the stars of `vertices`.
+    /// Collects the stars of a mesh with `vertices` vertices.
     pub fn new(vertices: usize, triangles: &[[u32; 3]]) -> Self {
         let sound = || triangles.iter().filter(|&&t| is_sound(t, vertices));
         let mut ends = vec![0; vertices];

@@ -67,7 +67,7 @@ pub struct Distances {
 /// # Errors
 /// If either mesh has no surface, or an invalid vertex: see [`CompareError`].
 pub fn compare(reference: &Mesh, mesh: &Mesh) -> Result<Comparison, CompareError> {
-    // Positions relative to the first vertex have the most significant digits.
+    // Positions are relative to the first vertex, so that they keep as many digits as possible.
     let origin = reference.positions.first().map_or(DVec3::ZERO, |&p| DVec3::from(p));
     let (reference, mesh) = (
         SearchableSurface::new(reference, origin, Side::Reference)?,
@@ -99,7 +99,7 @@ impl SearchableSurface {
     /// Prepares a reference mesh.
     ///
     /// # Errors
-    /// The errors of [`compare`] for the reference.
+    /// If the mesh has no surface, or an invalid vertex: see [`CompareError`].
     pub fn reference(mesh: &Mesh) -> Result<Self, CompareError> {
         let origin = mesh.positions.first().map_or(DVec3::ZERO, |&p| DVec3::from(p));
         Self::new(mesh, origin, Side::Reference)
@@ -161,7 +161,8 @@ impl SearchableSurface {
         (distances, area.signed_sum / count)
     }
 
-    /// Samples number `range` of `samples`, each in the middle of an equal share of the area.
+    /// The samples with the numbers in `range`, out of `samples`. Each sample is in the middle of
+    /// an equal share of the area.
     fn spread(&self, range: Range<usize>, samples: usize) -> impl Iterator<Item = DVec3> {
         let total = self.area_up_to[self.tree.triangles().len() - 1];
         let mut triangle = 0;
@@ -195,7 +196,8 @@ impl SearchableSurface {
         if side < 0.0 { -distance } else { distance }
     }
 
-    /// The nearest point of the surface. The search is faster with a triangle `near` it.
+    /// The point of the surface that is nearest to `point`. The search is faster if `near` is a
+    /// triangle close to `point`.
     fn nearest(&self, point: DVec3, near: Option<usize>) -> SurfacePoint {
         let known = near.map(|triangle| self.tree.nearest_on(triangle, point));
         let bound = known.as_ref().map_or(f64::INFINITY, |known| known.squared);

@@ -17,11 +17,11 @@ use super::Mesh;
 use super::check::is_sound;
 use super::check::topology;
 
-/// A component is flat if six times its volume, divided by twice its area to the power of 3/2, is
-/// at most this.
+/// A component is flat if six times its volume is at most this number times a^(3/2), where a is
+/// twice its area.
 const FLAT: f64 = 1e-9;
 
-/// Triangles per partial sum.
+/// Number of triangles per partial sum.
 const CHUNK: usize = 1 << 14;
 
 /// Number of classes in the histogram of smallest angles, 5 degrees each: the smallest angle of a
@@ -132,7 +132,7 @@ impl FromIterator<f64> for Total {
     }
 }
 
-/// A component, which shares no vertex with other components.
+/// Sums over the triangles of a component, which shares no vertex with other components.
 #[derive(Default)]
 struct ComponentSums {
     doubled_area: Total,
@@ -149,7 +149,7 @@ impl ComponentSums {
 /// Finds the components by joining the vertices of every triangle.
 fn pieces(mesh: &Mesh) -> Vec<ComponentSums> {
     // Each vertex points at a lower-numbered vertex of its component; the lowest vertex points at
-    // itself. No triangle has a vertex beyond u32.
+    // itself. Vertices beyond u32 have no entry, because no triangle uses them.
     let mut lesser: Vec<u32> = (0..=u32::MAX).take(mesh.positions.len()).collect();
     for [a, b, c] in sound(mesh) {
         let [a, b, c] = [a, b, c].map(|vertex| root(&mut lesser, vertex));

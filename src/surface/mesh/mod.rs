@@ -23,13 +23,14 @@ use crate::particles::{AttributeInfo, AttributeKind};
 pub struct VertexAttribute {
     /// The name in the particles' file; the velocity is always called `velocity`.
     pub name: String,
-    /// Numbers per vertex.
+    /// Number of components per vertex.
     pub components: usize,
-    /// The components of each vertex together.
+    /// The values of all vertices, with the components of each vertex together.
     pub values: Vec<f32>,
     /// The meaning of the numbers.
     pub kind: AttributeKind,
-    /// The exact integers, because f32 cannot represent all of them; empty for other kinds.
+    /// The exact values of an attribute of integers, because f32 cannot represent all integers;
+    /// empty for other kinds of attributes.
     pub whole: Vec<i64>,
 }
 
@@ -59,7 +60,7 @@ impl VertexAttribute {
         }
     }
 
-    /// Values as in a piece of a mesh.
+    /// The values in `range`, as a piece of a mesh stores them: integers as their 32 bits.
     pub(crate) fn words(&self, range: Range<usize>) -> Cow<'_, [f32]> {
         if self.kind.is_whole() {
             self.whole[range].iter().map(|&whole| AttributeKind::word(whole)).collect()
@@ -77,7 +78,8 @@ impl VertexAttribute {
 
 /// An indexed triangle mesh. Triangles are counter-clockwise seen from outside of the fluid.
 ///
-/// Positions are f64, so a surface far from the origin keeps its shape; writers choose the width.
+/// Positions are f64, so a surface far from the origin keeps its shape; the writer of each file
+/// format chooses f32 or f64.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Mesh {
     /// The vertices' positions, in the particles' unit of length.

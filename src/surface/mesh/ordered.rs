@@ -73,8 +73,8 @@ impl<'a> OrderedMesh<'a> {
             .collect())
     }
 
-    /// The piece's vertices in the order in which its triangles use them, followed by vertices that
-    /// only other pieces use.
+    /// For each vertex of a piece, its new number. Vertices are numbered in the order in which the
+    /// piece's triangles use them, followed by the vertices that these triangles do not use.
     fn ranks_in(&self, piece: usize) -> io::Result<Vec<u32>> {
         const UNUSED: u32 = u32::MAX;
         let own = self.firsts[piece]..self.firsts[piece + 1];

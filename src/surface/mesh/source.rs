@@ -10,7 +10,7 @@ use crate::system::control::{Control, Meter, Stage};
 use super::up::UpAxis;
 use super::{Mesh, VertexAttribute};
 
-/// Vertices or triangles in a piece of a mesh in memory.
+/// Number of vertices, or of triangles, in one piece of a mesh that is in memory.
 const PIECE: usize = 1 << 14;
 
 /// The vertices of a piece.
@@ -47,7 +47,7 @@ pub struct Outline {
 pub struct Lattice {
     /// The position of the coordinates (0, 0, 0), in the mesh's unit of length.
     pub origin: [f64; 3],
-    /// The distance of neighbours, in the mesh's unit of length.
+    /// The distance between neighbours, in the mesh's unit of length.
     pub step: f64,
 }
 
@@ -73,10 +73,11 @@ pub trait MeshSource: Sync {
     /// If the pieces are in a file that cannot be read.
     fn triangles(&self, piece: usize) -> io::Result<Vec<[u64; 3]>>;
 
-    /// Reports whether long work on the mesh, after it was read, is to continue.
+    /// Fails if the work on the mesh was cancelled. Long work that does not read the mesh any more
+    /// calls this repeatedly.
     ///
     /// # Errors
-    /// If it was cancelled.
+    /// If the work was cancelled.
     fn go_on(&self) -> io::Result<()> {
         Ok(())
     }
@@ -91,7 +92,7 @@ pub trait MeshSource: Sync {
         None
     }
 
-    /// All positions and triangles, if that is faster than piece by piece.
+    /// All positions and triangles, if this is faster than reading them piece by piece.
     ///
     /// # Errors
     /// If the pieces are in a file that cannot be read.
@@ -197,8 +198,8 @@ pub struct MeteredMesh<'a> {
 }
 
 impl<'a> MeteredMesh<'a> {
-    /// Counts how often a mesh is read, if its reader goes through the vertices or triangles of
-    /// each piece several times.
+    /// Prepares the progress reports of a mesh. `readings` is the number of passes over the pieces,
+    /// each of which reads the vertices or the triangles.
     pub fn new(
         mesh: &'a dyn MeshSource,
         readings: usize,
@@ -272,7 +273,8 @@ impl<'a> BoundedMesh<'a> {
         Self { mesh, bounds: Mutex::new(None) }
     }
 
-    /// The bounding box of the vertices that were read: the whole mesh after writing it.
+    /// The bounding box of the vertices that were read. After the mesh was written, this is the box
+    /// of the whole mesh.
     pub fn bounds(&self) -> Option<Corners> {
         *self.bounds.lock().unwrap_or_else(PoisonError::into_inner)
     }

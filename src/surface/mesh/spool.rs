@@ -22,7 +22,7 @@ struct SpoolEntry {
     tiles: u32,
     vertices: u32,
     triangles: u32,
-    /// The offset of its first byte in the scratch file, if there is one.
+    /// The offset of the surface's first byte in its file; 0 if the surface is in memory.
     at: u64,
 }
 
@@ -31,7 +31,7 @@ struct SpoolEntry {
 pub struct Spool {
     index: Vec<SpoolEntry>,
     store: BlockStore,
-    /// Components of each vertex attribute.
+    /// Number of components of each vertex attribute.
     components: Vec<usize>,
     normals: bool,
     /// Bytes of all surfaces.
@@ -46,7 +46,7 @@ enum BlockStore {
     Files(Vec<(usize, ReopenedFile)>),
 }
 
-/// A block's surface in the list of a file that contains several.
+/// A block in the list of a file that contains the surfaces of several blocks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C)]
 pub struct ListedBlock {
@@ -69,7 +69,7 @@ pub struct SpoolFile {
     pub file: ReopenedFile,
     /// The offset of the first surface.
     pub at: u64,
-    /// Meshes of all blocks, in Morton order.
+    /// The list of the blocks, in Morton order.
     pub blocks: Vec<ListedBlock>,
 }
 
@@ -87,11 +87,11 @@ pub fn vertex_bytes(normals: bool, components: &[usize]) -> u64 {
     (size_of::<[u16; 2]>() + normal + attributes) as u64
 }
 
-/// Bytes of a vertex's share of a tile.
+/// Estimated bytes of tiles per vertex.
 pub const TILE_SHARE: u64 = 4;
 
-/// Bytes of the surface of `blocks` with a total of `vertices` of `vertex_bytes` each, without
-/// tiles.
+/// Bytes of the surfaces of `blocks` blocks that have `vertices` vertices in total and contain the
+/// surface in every tile. A vertex has `vertex_bytes` without its tile.
 pub fn blocks_bytes(blocks: u64, vertices: u64, vertex_bytes: u64) -> u64 {
     vertices * vertex_bytes + blocks * u64::from(BLOCK_TILES) * size_of::<Tile>() as u64
 }
@@ -108,7 +108,7 @@ impl Spool {
         }
     }
 
-    /// Bytes of a block in tables.
+    /// Bytes of a block's entry in the index of a spool.
     pub const BLOCK_BYTES: u64 = size_of::<SpoolEntry>() as u64;
 
     /// A spool for surfaces in files, with blocks in Morton order across the files.
@@ -127,7 +127,7 @@ impl Spool {
         spool
     }
 
-    /// Adds a block's surface at offset `at`, if it is in a file.
+    /// Adds a block to the index. `at` is the offset of its surface, if it is in a file.
     fn list(&mut self, listed: ListedBlock, at: u64) {
         let ListedBlock { block, tiles, vertices, triangles, level } = listed;
         let (first_vertex, first_triangle) = (self.vertices(), self.triangles());
@@ -160,7 +160,7 @@ impl Spool {
     /// Writes the surfaces of all blocks.
     ///
     /// # Errors
-    /// If the scratch file cannot be read, and those of `out`.
+    /// If the scratch file cannot be read, or `out` cannot be written.
     pub fn write_all(&self, out: &mut dyn Write) -> io::Result<()> {
         (0..self.len()).try_for_each(|i| out.write_all(&self.get(i)?.to_bytes()))
     }
@@ -232,17 +232,17 @@ impl Spool {
         self.index.is_empty()
     }
 
-    /// Vertices of all blocks.
+    /// Number of vertices of all blocks.
     pub fn vertices(&self) -> u64 {
         self.index.last().map_or(0, |e| e.first_vertex + u64::from(e.vertices))
     }
 
-    /// Triangles of all blocks.
+    /// Number of triangles of all blocks.
     pub fn triangles(&self) -> u64 {
         self.index.last().map_or(0, |e| e.first_triangle + u64::from(e.triangles))
     }
 
-    /// Components of each vertex attribute.
+    /// Number of components of each vertex attribute.
     pub fn components(&self) -> &[usize] {
         &self.components
     }
@@ -267,7 +267,7 @@ impl Spool {
         self.index[i].level
     }
 
-    /// The number in the whole mesh of the first vertex of block number `i`.
+    /// The number that the first vertex of block number `i` has in the whole mesh.
     pub fn first_vertex(&self, i: usize) -> u64 {
         self.index[i].first_vertex
     }

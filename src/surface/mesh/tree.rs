@@ -10,7 +10,7 @@ use thiserror::Error;
 use super::Mesh;
 use super::check::is_sound;
 
-/// Products of four lengths must not overflow.
+/// Maximum absolute coordinate of a vertex, so that products of four lengths do not overflow.
 pub(super) const GREATEST_COORDINATE: f64 = 1e70;
 
 /// One of the two compared meshes.
@@ -115,8 +115,8 @@ impl TriangleTree {
     }
 
     /// The distance of a place from the surface, and the nearest triangle, if the distance is at
-    /// most `most`. The distance does not depend on `most`, nor on a triangle `near` the place, with
-    /// which the search is faster.
+    /// most `most`. The search is faster if `near` is a triangle close to the place. The distance
+    /// depends neither on `most` nor on `near`.
     #[must_use]
     pub fn distance_within(
         &self,
@@ -204,7 +204,7 @@ fn crossing(corners: [DVec3; 3], [y, z]: [f64; 2]) -> Option<(f64, i32)> {
     Some((left.1 + (right.1 - left.1) * share, right.2))
 }
 
-/// The normal, as long as twice the triangle's area.
+/// The normal, with a length of twice the triangle's area.
 pub(super) fn scaled_normal([a, b, c]: [DVec3; 3]) -> DVec3 {
     (b - a).cross(c - a)
 }

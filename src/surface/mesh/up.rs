@@ -49,8 +49,8 @@ impl UpAxis {
 }
 
 /// A mesh that is rotated, if necessary, so that another axis points up: its positions, normals,
-/// and attributes of three components except colours. Other attributes, including tensors, stay
-/// unchanged.
+/// and attributes of three components except colours and integers. Other attributes, including
+/// tensors, stay unchanged.
 pub struct TurnedMesh<'a> {
     mesh: &'a dyn MeshSource,
     from: UpAxis,
@@ -62,7 +62,7 @@ pub struct TurnedMesh<'a> {
 impl<'a> TurnedMesh<'a> {
     /// Rotates `mesh` from up axis `from` to up axis `to`.
     pub fn new(mesh: &'a dyn MeshSource, from: UpAxis, to: UpAxis) -> Self {
-        // Attributes of three components are directions, except colours.
+        // Attributes of three components are directions, except colours and integers.
         let is_direction = |info: &AttributeInfo| {
             info.components == 3
                 && !info.kind.is_colour()

@@ -74,8 +74,9 @@ impl Camera {
         let (azimuth, elevation) = (azimuth.to_radians(), elevation.to_radians());
         let level = world.z_axis * azimuth.cos() + world.x_axis * azimuth.sin();
         let axes = looking(level * elevation.cos() + world.y_axis * elevation.sin(), world);
-        // The nearest place on the line of sight from which every corner is visible. The middle of
-        // the visible part is not the middle of the box, so the line is moved until it fits.
+        // Finds the nearest eye from which every corner is visible. If the eye looks at the middle
+        // of the box, the picture of the box is not centred, so the line of sight is moved
+        // repeatedly.
         let corners: Vec<DVec3> = (0..8)
             .map(|i| {
                 middle
@@ -103,8 +104,8 @@ impl Camera {
                 .fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(lo, hi), at| {
                     (lo.min(at), hi.max(at))
                 });
-            // Moves until the nearest corner is at its limit, and no other corner is beyond its
-            // limit.
+            // The step is as long as if every corner were as near as the nearest corner. Farther
+            // corners move less in the picture, so the step is never too long.
             let nearest = corners
                 .iter()
                 .map(|&corner| axes.z_axis.dot(corner - target))

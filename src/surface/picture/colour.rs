@@ -33,7 +33,7 @@ pub enum Colour {
         map: ColourMap,
     },
     /// The distance from another surface, negative inside, with a legend in the meshes' unit of
-    /// length. The most distant 1 % of the vertices have the colours of the ends.
+    /// length. The most distant 1 % of the vertices have the colours at the ends of the map.
     Distance {
         /// The other surface.
         from: Reference,
@@ -72,7 +72,8 @@ impl Reference {
 }
 
 impl PartialEq for Reference {
-    /// Whether both are the same surface.
+    /// Whether one is a copy of the other. Surfaces of equal meshes that were prepared separately
+    /// differ.
     fn eq(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.0, &other.0)
     }
@@ -211,8 +212,8 @@ impl Palette {
     }
 }
 
-/// Draws a legend for the values from `lo` to `hi`; `beyond` says that values outside of this range
-/// have the colours of the ends.
+/// Draws a legend for the values from `lo` to `hi`. If `beyond` is true, the legend says that the
+/// colours at the ends also stand for values outside of this range.
 pub(super) fn legend(
     image: &mut Image,
     name: &str,
@@ -240,7 +241,7 @@ pub(super) fn legend(
     }
 }
 
-/// A number with four digits.
+/// Formats a number with three decimals, or with a power of ten if it is very small or large.
 fn number(value: f32) -> String {
     let size = value.abs();
     if size == 0.0 || (1e-2..1e4).contains(&size) {
@@ -253,10 +254,11 @@ fn number(value: f32) -> String {
 /// The fraction of distances within the colour range. Without this limit, a few outliers would give
 /// all other distances nearly the same colour.
 const USUAL: f64 = 0.99;
-/// Low bits of an f32 that the histogram ignores: 7 of its 23 digits remain.
+/// Number of low bits of an f32 that the histogram ignores: 7 of the 23 bits of the mantissa
+/// remain.
 const COUNTED_AS_ONE: u32 = 16;
 
-/// Statistics of values for their range.
+/// Statistics of values, which determine their colour range.
 #[derive(Clone, Default)]
 pub(super) struct Spread {
     extremes: Option<[f32; 2]>,

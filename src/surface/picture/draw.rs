@@ -23,7 +23,7 @@ use super::shape::{LEAST_BATCH_BYTES, Shape, TRIANGLE_BYTES, VERTEX_BYTES};
 use super::sun::{SunView, Sunlight};
 use super::visible::VisibleTriangles;
 
-/// Vertices per pixel above which a draft uses a coarser mesh.
+/// A draft uses a coarser mesh if the mesh has more than this number of vertices per pixel.
 const COARSENED: u64 = 2;
 
 impl Picture {
@@ -55,7 +55,8 @@ impl Picture {
         Ok(Shape::read(mesh, &values, &MeshMemory::Batches(0))?.scope)
     }
 
-    /// How to hold a mesh in the memory limit, and the remaining memory for its visible part.
+    /// Decides whether the whole mesh or batches are held in memory, and how much memory remains
+    /// for the visible part of the mesh.
     fn memory_for(&self, mesh: &dyn MeshSource) -> Result<(MeshMemory, Budget), PictureError> {
         let allowed = self.memory.unwrap_or(u64::MAX);
         let [width, height] = self.pixels();

@@ -15,15 +15,17 @@ use super::raster::{Canvas, ProjectedCorners, VIEWS};
 use super::raster::{Corner, Raster};
 use super::shape::TriangleBatch;
 
-/// Triangles per task.
+/// Number of triangles per task.
 const TASK: usize = 1 << 9;
 const WORD: usize = u64::BITS as usize;
-/// Strips per thread, and minimum number of rows of a strip.
+/// Number of strips per thread.
 const STRIPS: usize = 6;
+/// Minimum number of rows of a strip.
 const LEAST_ROWS: usize = 16;
 
-/// Finds the views in which a triangle may cover a sample, from the half samples of its corners. If
-/// a triangle lies between samples, all of its corners are in the same half sample.
+/// Finds the views in which a triangle may cover a sample, from the [half samples](Raster::halves)
+/// of its corners. A triangle lies between samples if all corners have the same odd half sample
+/// along an axis.
 #[inline(always)]
 fn may_show([a, b, c]: [u64; 3]) -> [u64; VIEWS] {
     const LOW: u64 = 0x7fff_7fff_7fff_7fff;

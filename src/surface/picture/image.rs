@@ -12,7 +12,7 @@ use embedded_graphics::pixelcolor::{Rgb888, RgbColor};
 use embedded_graphics::prelude::Drawable;
 use embedded_graphics::text::{Alignment, Baseline, Text, TextStyleBuilder};
 
-/// Images higher than this have labels in a larger type.
+/// Images with more rows than this have labels in a larger type.
 const HIGH: usize = 540;
 const INK: Rgb888 = Rgb888::new(28, 32, 36);
 /// Gap between images of a sheet, in pixels.
@@ -47,7 +47,7 @@ impl Image {
         self.height
     }
 
-    /// The bytes: rows from the top, three per pixel.
+    /// The bytes of all pixels: rows from the top, three bytes per pixel.
     #[must_use]
     pub fn rgb(&self) -> &[u8] {
         &self.rgb
@@ -60,7 +60,8 @@ impl Image {
         self
     }
 
-    /// Writes text; the place is the top of its first, middle or last character.
+    /// Writes text. Depending on `alignment`, `[x, y]` is the upper left corner, the middle of the
+    /// upper edge, or the upper right corner of the text.
     pub(super) fn text(&mut self, text: &str, [x, y]: [i32; 2], alignment: Alignment) {
         let font = if self.height > HIGH { &FONT_10X20 } else { &FONT_6X10 };
         let layout = TextStyleBuilder::new().alignment(alignment).baseline(Baseline::Top).build();
@@ -105,7 +106,7 @@ impl Image {
     /// Writes a `.png` file.
     ///
     /// # Errors
-    /// The errors of `out`.
+    /// If `out` cannot be written.
     pub fn write_png(&self, out: &mut dyn Write) -> io::Result<()> {
         self.write_png_of(out, None)
     }
@@ -147,7 +148,7 @@ impl<'a> Animation<'a> {
     /// The animation repeats forever.
     ///
     /// # Errors
-    /// The errors of `out`, and [`io::ErrorKind::InvalidInput`] for no image.
+    /// If `out` cannot be written, or if `images` is 0.
     pub fn begin(out: &'a mut dyn Write, first: &Image, images: u32, fps: f64) -> io::Result<Self> {
         let mut encoder = first.encoder(out);
         encoder.set_animated(images, 0)?;
@@ -159,7 +160,7 @@ impl<'a> Animation<'a> {
     /// Adds an image.
     ///
     /// # Errors
-    /// Errors of the file.
+    /// If the file cannot be written, or if it already has all announced images.
     ///
     /// # Panics
     /// If the image does not have the size of the first image.
@@ -171,7 +172,7 @@ impl<'a> Animation<'a> {
     /// Ends the file.
     ///
     /// # Errors
-    /// Errors of the file, and missing images.
+    /// If writing fails, or if fewer images were added than announced.
     pub fn end(self) -> io::Result<()> {
         Ok(self.writer.finish()?)
     }

@@ -9,14 +9,17 @@ use rayon::prelude::*;
 /// The direction of the sun, in the axes right, up and towards the viewer.
 pub(super) const SUN: Vec3 = Vec3::new(-0.42, 0.78, 0.46);
 const SUNLIGHT: Vec3 = Vec3::new(1.05, 1.0, 0.92);
-/// Light from above, and from the ground.
+/// Light from above.
 const ABOVE: Vec3 = Vec3::new(0.62, 0.70, 0.80);
+/// Light from the ground.
 const BELOW: Vec3 = Vec3::new(0.34, 0.33, 0.31);
-/// The sky in reflections: at the horizon, and overhead.
+/// The sky in reflections, at the horizon.
 const HORIZON: Vec3 = Vec3::new(0.92, 0.95, 0.97);
+/// The sky in reflections, overhead.
 const ZENITH: Vec3 = Vec3::new(0.30, 0.50, 0.80);
-/// The ground, and the backdrop: overhead, at the horizon, and below.
+/// The colour of the ground.
 pub(super) const GROUND: Vec3 = Vec3::new(0.50, 0.50, 0.49);
+/// The backdrop: overhead, at the horizon, and below.
 const BACKDROP: [Vec3; 3] =
     [Vec3::new(0.44, 0.51, 0.58), Vec3::new(0.78, 0.81, 0.83), Vec3::new(0.44, 0.45, 0.46)];
 /// Colour of wires.
@@ -24,9 +27,11 @@ const INK: Vec3 = Vec3::new(0.01, 0.012, 0.015);
 /// The reflectance of water at normal incidence (Schlick 1994, index of refraction 1.33).
 const MIRRORED: f32 = 0.02;
 const REFRACTION: f32 = 1.0 / 1.33;
-/// Absorption and emission of water over the radius of the scene.
+/// Absorption of light by water over the radius of the scene.
 const TAKEN: Vec3 = Vec3::new(9.0, 2.6, 1.1);
+/// Light that deep water adds.
 const GIVEN: Vec3 = Vec3::new(0.004, 0.105, 0.26);
+/// How fast the added light increases with the path length, over the radius of the scene.
 const CLOUDED: f32 = 6.0;
 /// Diffuse reflection of water, for a film and for deep water. Without it, the shape of water, and
 /// drops and thin sheets, would be invisible.

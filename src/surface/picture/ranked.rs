@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use crate::system::bits::ones;
 use crate::system::memory::zeroed;
 
-/// Numbers per task.
+/// Length of the range of numbers that a task maps.
 const NUMBERS: u32 = 1 << 13;
 
 /// A set to which several threads add.
@@ -31,7 +31,7 @@ impl AtomicSet {
         Self { first: range.start, words: zeroed(range.len().div_ceil(64)) }
     }
 
-    /// Bytes of a ranked set in a range of `numbers`.
+    /// Bytes of a ranked set for a range of `numbers` numbers.
     pub(super) fn bytes(numbers: u64) -> u64 {
         numbers.div_ceil(64) * (size_of::<u64>() + size_of::<u32>()) as u64
     }

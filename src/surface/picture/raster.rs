@@ -17,13 +17,14 @@ use crate::system::memory::{empty_in_huge_pages, zeroed_in_huge_pages};
 
 use super::camera::{Camera, FARTHEST};
 
-/// Steps per sample.
+/// Number of steps from one sample to the next. Corners are rounded to steps.
 const STEPS: i32 = 1 << STEP_BITS;
 const STEP_BITS: u32 = 8;
 /// Maximum distance of a corner from the picture's first sample, in steps; triangles that extend
 /// farther are clipped.
 const FAR: i32 = 1 << 28;
-/// Steps of the path length that equals the distance from the eye to the farthest place.
+/// Path lengths are stored in steps. The distance from the eye to the farthest place has this
+/// number of steps.
 const WAY_STEPS: f64 = (1 << 26) as f64;
 
 /// Maximum number of samples in the box of a triangle that any thread may draw. Larger triangles
@@ -35,8 +36,8 @@ const FEW: i64 = 4;
 pub(super) struct Corner {
     /// Steps to the right and down from the middle of the first sample.
     at: [i32; 2],
-    /// The inverse distance, in units of the eye's distance; 0 if the corner is behind the eye, or
-    /// too far to the side.
+    /// The eye's distance from the target, divided by the corner's distance in [camera
+    /// coordinates](Camera::seen); 0 if the corner is behind the eye, or too far to the side.
     near: f32,
 }
 
@@ -45,9 +46,11 @@ pub(super) struct Corner {
 pub(super) struct RasterSample {
     /// The triangle's number.
     pub(super) triangle: u32,
-    /// The inverse distance from the eye, in units of the eye's distance.
+    /// The eye's distance from the target, divided by the surface's distance in [camera
+    /// coordinates](Camera::seen).
     pub(super) near: f32,
-    /// The path length through the fluid, along the middle line of sight, in the same units.
+    /// The path length through the fluid, projected onto the middle line of sight, divided by the
+    /// eye's distance from the target.
     pub(super) through: f32,
 }
 
@@ -117,7 +120,7 @@ impl Raster {
     }
 
     /// The column and row of a corner in half samples: odd numbers are between samples. Corners
-    /// next to the picture are clamped. A corner without a place has even numbers beyond all
+    /// outside of the picture are clamped. A corner without a place has even numbers beyond all
     /// samples.
     #[inline(always)]
     pub(super) fn halves(&self, corner: Corner) -> [u16; 2] {
@@ -158,7 +161,7 @@ impl Raster {
             return Some(0..self.height as i32);
         }
         let around @ [[left, right], [top, bottom]] = self.around(corners);
-        // The sides of the box are less than 2^22.
+        // The sides of the box are less than 2^22, so their product fits an i64.
         if i64::from(right + 1 - left) * i64::from(bottom + 1 - top) > FEW {
             return Some(top..bottom + 1);
         }
@@ -196,7 +199,7 @@ impl Raster {
         }
     }
 
-    /// Clips the parts of a triangle that are behind the eye, or too far to the side (Sutherland
+    /// Cuts off the parts of a triangle that are behind the eye, or too far to the side (Sutherland
     /// and Hodgman 1974).
     fn cut(&self, corners: [[f64; 3]; 3]) -> Vec<[f64; 3]> {
         if !corners.iter().flatten().all(|x| x.abs() <= FARTHEST) {
@@ -254,8 +257,9 @@ impl Raster {
         });
     }
 
-    /// Calls `put` for each sample inside a triangle in a range of columns and rows, with the key
-    /// that finds the nearest triangle, and the contribution to the path length.
+    /// Calls `put` for each sample inside a triangle in a range of columns and rows, with the
+    /// sample's number, a key that is greater for nearer triangles, and the contribution to the
+    /// path length.
     #[inline(always)]
     fn fill(
         &self,
@@ -268,8 +272,8 @@ impl Raster {
         if area == 0 {
             return;
         }
-        // Rows go down: a clockwise triangle is seen from inside, where the line of sight leaves
-        // the fluid.
+        // A triangle that is clockwise in the picture is seen from inside: there, the line of sight
+        // leaves the fluid. Its area is positive, because rows are counted downwards.
         let (b, c, area, leaves) = if area > 0 { (b, c, area, 1.0) } else { (c, b, -area, -1.0) };
         // For each edge: a value that is at least 0 if the first sample is inside, and its
         // increments to the right and down.
@@ -316,15 +320,15 @@ fn across(p: Corner, q: Corner) -> [i64; 2] {
     [i64::from(q.at[0]) - i64::from(p.at[0]), i64::from(q.at[1]) - i64::from(p.at[1])]
 }
 
-/// Twice the area of a triangle; negative if it is counterclockwise.
+/// Twice the area of a triangle; negative if the triangle is counterclockwise in the picture.
 #[inline(always)]
 fn area([a, b, c]: [Corner; 3]) -> i64 {
     let ([x, y], [u, v]) = (across(a, b), across(a, c));
     x * v - y * u
 }
 
-/// Twice the area between an edge and a sample, minus one if a sample on the edge is outside.
-/// `turn` of -1 reverses the edge.
+/// Twice the signed area of the triangle of an edge and a sample, minus one if samples on this edge
+/// count as outside. `turn` of -1 reverses the edge.
 #[inline(always)]
 fn turn_of(sample: [i32; 2], p: Corner, q: Corner, turn: i64) -> i64 {
     let [x, y] = across(p, q);
@@ -338,12 +342,12 @@ fn turn_of(sample: [i32; 2], p: Corner, q: Corner, turn: i64) -> i64 {
 #[inline(always)]
 fn halves(at: i32, samples: i32) -> u16 {
     let half = 2 * (at >> STEP_BITS) + i32::from(at & (STEPS - 1) != 0);
-    // Places next to the picture are between two samples that do not exist, and no result is less
-    // than 1.
+    // Places outside of the picture count as between two samples that do not exist. No result is
+    // less than 1.
     (half.clamp(-1, 2 * samples - 1) + 2) as u16
 }
 
-/// Whether all corners have a place.
+/// Whether all corners have a place: none is behind the eye or too far to the side.
 #[inline(always)]
 fn placed([a, b, c]: [Corner; 3]) -> bool {
     a.near.min(b.near).min(c.near) > 0.0
@@ -369,7 +373,8 @@ pub(super) struct Canvas<'a> {
 }
 
 impl Canvas<'_> {
-    /// A place on the picture, and its half samples.
+    /// The corner at a place, and its half samples: the column in the upper 16 bits, and the row in
+    /// the lower 16 bits.
     #[inline(always)]
     fn corner(&self, place: [f64; 3]) -> (Corner, u64) {
         let corner = self.raster.corner(self.camera.seen(place.into()));

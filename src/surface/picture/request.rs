@@ -151,7 +151,7 @@ impl Picture {
     /// Checks the size and the view.
     ///
     /// # Errors
-    /// [`PictureError::Size`] and [`PictureError::View`].
+    /// [`PictureError::Size`] or [`PictureError::View`] if the size or the view is invalid.
     pub fn check(&self) -> Result<(), PictureError> {
         let [width, height] = self.pixels();
         if [width, height].iter().any(|side| !(1..=MOST_PIXELS).contains(side)) {
@@ -198,7 +198,7 @@ impl Picture {
     }
 }
 
-/// Memory for a mesh.
+/// How much of a mesh is held in memory.
 pub(super) enum MeshMemory {
     /// The whole mesh.
     Whole,
@@ -258,7 +258,7 @@ pub enum PictureError {
         /// The available names.
         known: String,
     },
-    /// A reference mesh without a surface.
+    /// A reference mesh that has no surface, or an invalid vertex.
     #[error("{0}")]
     Reference(CompareError),
     /// A picture that exceeds the memory limit.

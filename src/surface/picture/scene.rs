@@ -14,12 +14,14 @@ use super::visible::{Edges, VisibleTriangles};
 
 /// Maximum number of samples along the edge of a pixel.
 const FINEST: usize = 2;
-/// Samples along an edge of the sun's view; half as many for pictures with at most [`SMALL`] rows.
+/// Number of samples along an edge of the sun's view; half as many for pictures with at most
+/// [`SMALL`] rows.
 const SUN_SAMPLES: usize = 1024;
 const SMALL: usize = 400;
-/// Range over which the floor fades into the backdrop, in radii from the middle.
+/// The floor fades into the backdrop between these distances from the middle, in radii of the
+/// scene.
 const FLOOR: [f32; 2] = [2.0, 7.0];
-/// Samples of a pixel are lit as one if their distances differ by less than this.
+/// Samples of a pixel are lit as one if their distances differ by at most this fraction.
 const ONE_DISTANCE: f32 = 0.01;
 /// Width of wires in pixels.
 const WIRE: f32 = 1.2;
@@ -48,7 +50,7 @@ pub(super) struct Scene<'a> {
     picture: &'a Picture,
     camera: &'a Camera,
     raster: &'a Raster,
-    /// Samples along the edge of a pixel.
+    /// Number of samples along the edge of a pixel.
     finer: usize,
     visible: &'a VisibleTriangles,
     sun: &'a Sunlight,
@@ -177,7 +179,7 @@ impl<'a> Scene<'a> {
     }
 
     /// The light of a surface on a line of sight; `exp` is the exponential function, and `behind`
-    /// returns the light from behind the fluid at a place from a direction.
+    /// returns the light from behind the fluid that is seen from a place in a direction.
     fn light(
         &self,
         surface: &PixelSurface,
@@ -229,7 +231,8 @@ impl<'a> Scene<'a> {
 /// A lit surface.
 #[derive(Debug, Clone, Copy, Default)]
 struct PixelSurface {
-    /// The inverse distance, in units of the eye's distance.
+    /// The eye's distance from the target, divided by the surface's distance in [camera
+    /// coordinates](Camera::seen).
     near: f32,
     /// The normal, which does not have unit length.
     normal: Vec3,

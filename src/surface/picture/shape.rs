@@ -24,13 +24,13 @@ pub(super) const VERTEX_BYTES: u64 = size_of::<[f64; 3]>() as u64 + ProjectedCor
 pub(super) const TRIANGLE_BYTES: u64 = size_of::<[u32; 3]>() as u64;
 /// Bytes per triangle of a batch without shared corners.
 const BATCH_BYTES: u64 = TRIANGLE_BYTES + 3 * VERTEX_BYTES;
-/// Minimum number of triangles per batch: one piece with its vertices.
+/// Minimum number of triangles per batch, so that a batch has room for one piece with its vertices.
 pub(super) const LEAST_BATCH: u64 = 1 << 17;
 pub(super) const LEAST_BATCH_BYTES: u64 = LEAST_BATCH * BATCH_BYTES;
 /// Number of pieces that each thread reads before they are joined.
 const PIECES: usize = 16;
 
-/// Positions per task.
+/// Number of positions per task.
 const PLACES: usize = 1 << 12;
 
 /// A mesh with its bounding box and its range of values.
@@ -40,7 +40,7 @@ pub(super) struct Shape<'a> {
     /// The number of the first vertex of each piece; the last entry is the number of all vertices.
     firsts: Vec<u32>,
     kept: Option<WholeMesh<'a>>,
-    /// Triangles per batch of a mesh that is not in memory.
+    /// Number of triangles per batch of a mesh that is not in memory.
     batch: usize,
 }
 
@@ -56,7 +56,7 @@ struct WholeMesh<'a> {
 pub(super) struct TriangleBatch<'a> {
     /// The number of the first triangle.
     pub(super) first: u32,
-    /// Corners by their numbers in the mesh.
+    /// The corners of each triangle, as numbers of vertices of the mesh.
     pub(super) triangles: &'a [[u32; 3]],
     pub(super) places: &'a [[f64; 3]],
     /// The vertices to which `places` belong; `None` for all vertices.
@@ -192,7 +192,7 @@ impl<'a> Shape<'a> {
         self.firsts.windows(2).map(|ends| ends[0]..ends[1])
     }
 
-    /// Passes on all triangles, with the positions of their corners.
+    /// Passes all triangles to `pass`, in batches, with the positions of their corners.
     pub(super) fn batches(
         &self,
         mut pass: impl FnMut(&TriangleBatch<'_>) -> Result<(), PictureError>,
@@ -211,7 +211,8 @@ impl<'a> Shape<'a> {
         })
     }
 
-    /// Passes on all triangles: the number of the first, and their corners.
+    /// Passes all triangles to `pass`, in batches: the number of the first triangle, and the
+    /// corners.
     pub(super) fn triangles(
         &self,
         mut pass: impl FnMut(u32, &[[u32; 3]]) -> Result<(), PictureError>,
@@ -290,11 +291,11 @@ fn put<P: Sync, T: Copy + Send + Sync>(
     end
 }
 
-/// The bounding box of the visible positions.
+/// The bounding box of the positions that can be drawn: those without a coordinate beyond
+/// [`FARTHEST`].
 fn box_of(places: &[[f64; 3]]) -> Option<Corners> {
     let none = [[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]];
-    // This loop has no branches: invisible positions are replaced by values that do not change the
-    // box.
+    // This loop has no branches: other positions are replaced by values that do not change the box.
     let found = places.iter().fold(none, |[lo, hi], place| {
         let sound = place.iter().fold(true, |sound, x| sound & (x.abs() <= FARTHEST));
         let place = |none: f64| place.map(|x| if sound { x } else { none });

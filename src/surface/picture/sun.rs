@@ -11,9 +11,9 @@ use super::raster::Raster;
 
 /// Distance of the sun's eye in radii, far enough for almost parallel rays.
 const SUN_FAR: f64 = 40.0;
-/// Absorption of sunlight in water over the radius of the scene, and the thickness of a layer that
-/// casts no shadow on itself.
+/// Absorption of sunlight in water over the radius of the scene.
 const SUN_TAKEN: f32 = 5.0;
+/// Thickness of a layer that casts no shadow on itself, in radii of the scene.
 const SKIN: f32 = 0.012;
 
 /// The sun's view of the fluid.
@@ -59,9 +59,9 @@ impl SunView {
 /// Sunlight on and below the fluid.
 pub(super) struct Sunlight {
     camera: Camera,
-    /// Samples along an edge of the sun's view.
+    /// Number of samples along an edge of the sun's view.
     samples: usize,
-    /// Samples along an edge of a shadow's blur.
+    /// Number of samples along an edge of a shadow's blur.
     blurred: usize,
     radii: f32,
     /// For each sample, the distance of the surface, in units of the camera's distance; infinite if

@@ -14,7 +14,7 @@ use super::request::Budget;
 use super::request::PictureError;
 use super::shape::{Shape, TriangleBatch};
 
-/// Triangles per task.
+/// Number of triangles per task.
 const TASK: usize = 1 << 13;
 /// Number of groups of corners. One thread sums the normals of each group.
 const SHARES: usize = 16;
@@ -25,7 +25,8 @@ const UNSEEN: u32 = u32::MAX;
 pub(super) struct VisibleTriangles {
     triangles: RankedSet,
     corners: Vec<[u32; 3]>,
-    /// Places of the corners in the coordinates of `Camera::seen`, in units of the eye's distance.
+    /// Places of the corners in the coordinates of `Camera::seen`, divided by the eye's distance
+    /// from the target.
     seen: Vec<[f32; 3]>,
     /// Normals of the corners: unit vectors, or zeros.
     normals: Vec<Vec3>,
@@ -49,9 +50,10 @@ pub(super) struct Edges {
 }
 
 impl VisibleTriangles {
-    /// Bytes per visible triangle, while normals are summed, and per corner.
+    /// Bytes per visible triangle, while normals are summed.
     pub(super) const TRIANGLE_BYTES: u64 =
         (size_of::<[u32; 3]>() + 3 * size_of::<Addition>()) as u64;
+    /// Bytes per visible corner.
     pub(super) const VERTEX_BYTES: u64 = (2 * size_of::<[f32; 4]>() + size_of::<f32>()) as u64;
 
     /// Collects the visible part of a mesh after it was drawn on a raster.
@@ -155,8 +157,8 @@ impl VisibleTriangles {
         Ok(())
     }
 
-    /// The place on a triangle that is visible in a direction: to the right and up from the middle
-    /// in heights.
+    /// The point of a triangle that is visible at the place `towards` of the picture: to the right
+    /// and up from the middle, in heights of the picture.
     pub(super) fn spot(&self, triangle: u32, towards: Vec2) -> VisiblePoint {
         let (corners, _, [a, b, c]) = self.around(triangle, towards);
         let shares = [b.perp_dot(c), c.perp_dot(a), a.perp_dot(b)];
@@ -175,7 +177,8 @@ impl VisibleTriangles {
         VisiblePoint { normal: weighted(0) + weighted(1) + weighted(2), value }
     }
 
-    /// The edges of a triangle near the place that is visible in a direction.
+    /// The edges of a triangle near the point that is visible at the place `towards` of the
+    /// picture.
     pub(super) fn edges(&self, triangle: u32, towards: Vec2) -> Edges {
         let (_, distances, from_line) = self.around(triangle, towards);
         let at: [Vec2; 3] = std::array::from_fn(|n| from_line[n] / distances[n]);

@@ -18,15 +18,19 @@ use super::surface::{
 };
 use super::surface::{PatchTopology, Surroundings};
 
-/// The fraction of the distance that samples may use; the rest is for the surface between samples.
+/// Samples may be at most this fraction of the tolerance away from the other surface. The rest of
+/// the tolerance is for the surface between samples.
 const SAMPLE_SHARE: f32 = 0.93;
-/// Maximum distance of samples along an edge, in cells. Uncertain edges have more samples.
+/// Maximum distance between samples along an edge, in cells.
 const SAMPLE_STEP: f32 = 0.5;
+/// If a sample is farther away than this fraction of the tolerance, more samples around it are
+/// checked.
 const UNCERTAIN_SHARE: f32 = 0.4;
+/// Number of additional samples on each side of such a sample.
 const FINE: i32 = 4;
-/// The segment between two vertices is not checked if both use at most this fraction of the
-/// distance, and the cosine between the normals of their closest triangles is not less than
-/// `FLAT`.
+/// The segment between two vertices is not checked if both distances from their closest triangles
+/// are at most this fraction of the tolerance, and the cosine between the normals of these
+/// triangles is at least `FLAT`.
 const CLOSE_SHARE: f32 = 0.75;
 const FLAT: f32 = 0.9;
 /// If no segment around a vertex needed a check, these segments are not checked again until the
@@ -34,7 +38,8 @@ const FLAT: f32 = 0.9;
 const STEADY: f32 = 0.98;
 /// Maximum number of bisections of a segment.
 const HALVINGS: u32 = 4;
-/// Collapses with a mean error above this fraction of the distance are not tried.
+/// Collapses are not tried if the root mean square distance from the planes is above this fraction
+/// of the tolerance.
 const QUADRIC_SHARE: f32 = 0.9;
 /// Maximum rotation of a triangle, as a cosine.
 const TURN: f32 = 0.2;
@@ -45,8 +50,9 @@ const FOLD: f32 = -0.985;
 /// corresponds to 10 degrees.
 const SLIVER: f32 = 0.03;
 /// Maximum number of triangles of a closed part whose volume is checked with every collapse: a part
-/// that is smaller than the distance could vanish or turn inside out.
+/// that is smaller than the tolerance could vanish or turn inside out.
 const SMALL: usize = 16;
+/// A collapse must leave at least this fraction of the volume of such a part.
 const KEPT: f32 = 0.5;
 
 /// The reference surface and the limits for the collapses in a patch.
@@ -100,7 +106,7 @@ pub fn find_homes(
                     found_some = true;
                 }
             }
-            // Other neighbours might give a better result, but each is tried only once.
+            // Another corner might give a better result, but each triangle is tried only once.
             false
         });
     }
@@ -171,7 +177,8 @@ struct CollapseState<'a, 'b> {
     /// Vertices at the other ends of checked segments, which need checks again.
     looked_at: Vec<u32>,
     quadrics: Vec<Quadric>,
-    /// For each vertex, its smallest error and its target; `NONE` if they are not computed yet.
+    /// For each vertex, the smallest error of moving it onto a neighbour, and this neighbour;
+    /// `NONE` if they are not computed yet.
     best: Vec<(f32, u32)>,
     /// Vertices whose neighbourhood has changed.
     changed: Vec<u32>,
@@ -180,10 +187,10 @@ struct CollapseState<'a, 'b> {
     order: Vec<(f32, u32)>,
     /// The new triangles and their normals.
     parts: Vec<([Vec3A; 3], Vec3A)>,
-    /// The first triangles of a search.
+    /// The triangles that were found of a part whose volume is checked.
     near: Vec<u32>,
     moved: Vec<MovedVertex>,
-    /// For each vertex, its last mark; a new number makes all old marks invalid.
+    /// For each vertex, its last mark. A new value of `mark` makes all old marks invalid.
     marks: Vec<u32>,
     mark: u32,
 }
@@ -237,8 +244,8 @@ impl<'a> Measure<'a> {
         work.surface
     }
 
-    /// Whether a sample of an edge is too far from the reference, for triangles that face in the
-    /// direction `normal`.
+    /// Whether a sample of the edge from `from` to `to` is too far from the triangles of the
+    /// reference that do not face against `normal`.
     fn is_stray(&self, from: u32, to: u32, normal: Vec3A) -> bool {
         let (reference, distance) = (self.reference, self.distance);
         let is_next = |edge: &HalfEdge| edge.to == to || edge.before == to;
@@ -278,7 +285,7 @@ impl CollapseState<'_, '_> {
                     }
                     let (error, _) = self.best[vertex as usize];
                     if error <= limit {
-                        // Positive floats have the order of their bits.
+                        // Floats that are not negative have the same order as their bits.
                         queue.push(u64::from(error.max(0.0).to_bits()) << 32 | u64::from(vertex));
                     }
                 }
@@ -304,7 +311,7 @@ impl CollapseState<'_, '_> {
         quadric.at(self.position(to) - self.position(from)) / quadric.weight()
     }
 
-    /// The smallest error of a vertex, and its target.
+    /// The smallest error of moving a vertex onto a neighbour, and this neighbour.
     fn best_of(&self, vertex: u32) -> (f32, u32) {
         let rim = self
             .surface
@@ -442,7 +449,8 @@ impl CollapseState<'_, '_> {
         if self.parts.is_empty() || worst < SLIVER && shapes.all(|shape| shape > worst) {
             return false;
         }
-        // The neighbours of the triangles that vanish.
+        // The outer neighbours of the two triangles that vanish become neighbours of the first and
+        // the last new triangle.
         let last = ring[ring.len() - 1];
         let sides = [
             (ring[0].triangle, target, self.parts.first()),
@@ -467,8 +475,8 @@ impl CollapseState<'_, '_> {
         {
             return false;
         }
-        // If the other triangles of a part may have vanished too, more than one triangle must
-        // remain.
+        // Only one triangle would remain in this patch. This is not allowed, because other patches
+        // may have removed the other triangles of the part.
         if ring.len() == 3
             && ring
                 .iter()
@@ -484,12 +492,13 @@ impl CollapseState<'_, '_> {
         self.surface.star(target).all(|triangle| {
             let corners = self.surface.triangles[triangle as usize];
             corners.iter().all(|&corner| self.marks[corner as usize] != self.mark)
-                // A tetrahedron would vanish.
+                // Otherwise, a tetrahedron would vanish.
                 && (ring.len() > 3 || corners.contains(&vertex) || !beside.iter().all(|v| corners.contains(v)))
         })
     }
 
-    /// Whether the part that contains a triangle keeps its volume, if it is small and closed.
+    /// Whether the part that contains a triangle keeps enough of its volume. Only small and closed
+    /// parts are checked.
     fn keeps_volume(&mut self, vertex: u32, target: u32, triangle: u32) -> bool {
         let Self { surface, near, .. } = self;
         near.clear();
@@ -526,6 +535,7 @@ impl CollapseState<'_, '_> {
     }
 
     /// For each vertex whose closest triangle changes, finds the closest of the new triangles.
+    /// Returns `false` if all of these are too far from a vertex.
     fn find_new_homes(&mut self, vertex: u32, ring: &[Incident]) -> bool {
         self.moved.clear();
         self.mark += 1;
@@ -535,7 +545,7 @@ impl CollapseState<'_, '_> {
         let closest = |gone: u32, before: usize| {
             let (place, normal) =
                 (self.surface.positions[gone as usize], self.by.normals[gone as usize]);
-            // The previous closest triangle first, then its neighbours.
+            // Tries the previous closest triangle first, and then the other triangles.
             let mut nearest = None;
             let mut least = within;
             for part in (before..last).chain(0..before) {
@@ -663,7 +673,8 @@ impl CollapseState<'_, '_> {
                 (true, false) => p = middle,
                 (false, true) => q = middle,
                 (false, false) => {
-                    // On a crest, the normal is not reliable.
+                    // On a crest, the normal is not reliable, so triangles may face in any
+                    // direction.
                     let between = self.surface.holder(closest[0], middle, Vec3A::ZERO, within);
                     return between.is_some_and(|(between, _)| {
                         self.are_near([closest[0], between], [p, middle], left)

@@ -3,8 +3,8 @@
 //! Each block's triangles are divided into parts; parts that share a vertex belong to one
 //! component. A block's triangles refer to vertices of its own and of later blocks, so one pass in
 //! order sees every vertex that two blocks share. By the divergence theorem, a part's contribution
-//! to the volume is a sum over its triangles, relative to a corner of its block, and can be moved
-//! to another corner with the sum of its areas.
+//! to the volume is a sum over its triangles, relative to a corner of its block. With the sum of
+//! the triangles' area vectors, the contribution can be converted to another corner.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -23,9 +23,9 @@ use super::MEASURING;
 /// Numbers of components that are left out of a surface because they are too small.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct TooSmall {
-    /// Components with too little volume, fluid or air.
+    /// Number of components with too little volume, fluid or air.
     pub components: u64,
-    /// Drops of too few particles, with enough volume.
+    /// Number of drops that have enough volume, but too few particles.
     pub drops: u64,
 }
 
@@ -47,12 +47,12 @@ impl TooSmall {
     }
 }
 
-/// Finds the components of `surface` that are smaller than `volume` in cells, including enclosed
-/// air, and the drops that are smaller than `drop`. Returns their vertices, and the number of
-/// components and drops.
+/// Finds the components of `surface` that are smaller than `volume`, including enclosed air, and
+/// the drops that are smaller than `drop`. Both are volumes in cells. Returns their vertices, and
+/// the number of components and drops.
 ///
 /// # Errors
-/// If scratch files cannot be read, and after a cancel.
+/// If scratch files cannot be read, or if the work was cancelled.
 pub fn smaller_than(
     surface: &StitchedSurface,
     volume: f64,
@@ -63,7 +63,7 @@ pub fn smaller_than(
     let meter = control.meter(Stage::Simplifying, 2 * pieces).between(0.0, MEASURING);
     let mut components = Components::default();
     let mut firsts = Vec::with_capacity(pieces);
-    // Vertices of later blocks, with the component that refers to them.
+    // Vertices of later blocks, each with a component that refers to it.
     let mut awaited: BTreeMap<u64, u32> = BTreeMap::new();
     in_batches(
         pieces,
@@ -148,7 +148,7 @@ struct PieceParts {
     parts: Vec<PartSums>,
     /// The part of each of the piece's vertices.
     part_of: Vec<u32>,
-    /// Vertices of other pieces, with a part that refers to them.
+    /// Vertices of other pieces, each with a part that refers to it.
     beyond: Vec<(u64, u32)>,
 }
 
@@ -246,7 +246,7 @@ pub(super) fn root(lesser: &mut [u32], mut member: u32) -> u32 {
     member
 }
 
-/// Words per count.
+/// Number of words per run. The members before each run are counted.
 const RUN: usize = 8;
 
 /// A set of vertices.
@@ -258,7 +258,7 @@ pub struct VertexSet {
 }
 
 impl VertexSet {
-    /// An empty set of `vertices`.
+    /// An empty set, for vertices with numbers below `vertices`.
     pub fn none_of(vertices: u64) -> Self {
         Self { words: vec![0; vertices.div_ceil(64) as usize], before: Vec::new() }
     }

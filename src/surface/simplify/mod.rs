@@ -40,13 +40,13 @@ use surface::Surroundings;
 
 /// Edge of a chunk in blocks.
 const CHUNK: i32 = 2;
-/// In the first pass, one vertex stays in about every square of this many cells. Otherwise,
-/// triangles on flat ground would extend from a seam beyond the chunk that simplifies it in the
-/// second pass.
+/// In the first pass, about one vertex stays in every square with an edge of this number of cells.
+/// Otherwise, triangles on flat ground would extend from a seam beyond the chunk that simplifies
+/// this seam in the second pass.
 const PIN_SPACING: i32 = 16;
 /// The second pass simplifies triangles within this many cells of a seam of the first pass.
 const BAND: i32 = 4;
-/// The fraction of the stage in which components are measured.
+/// The fraction of the stage's progress that is for measuring components.
 const MEASURING: f64 = 0.1;
 /// Edge in cells of the boxes with which nearby triangles are found.
 const BOX: i32 = 4;
@@ -71,15 +71,15 @@ pub struct SimplifiedSurface {
 
 /// Maximum memory of the chunks of each thread: 2^3 blocks full of wrinkled surface.
 pub const BYTES_A_THREAD: u64 = 28 << 20;
-/// Vertices of such a chunk.
+/// Number of vertices of such a chunk.
 const CHUNK_VERTICES: usize = 160_000;
 
 /// The triangles, components and drops to leave out of a surface.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Reduction {
-    /// Maximum distance of the simplified surface.
+    /// Maximum distance of the simplified surface from the original; `None` to keep all triangles.
     pub tolerance: Option<Tolerance>,
-    /// Minimum volume of components, fluid or air.
+    /// Minimum volume of components in cells, fluid or air.
     pub smallest_component: Option<f64>,
     /// Minimum number of particles in a drop, estimated from its volume.
     pub smallest_drop: Option<u32>,
@@ -109,7 +109,7 @@ pub struct TriangleSpace<'a> {
 /// triangles, and `control` receives the progress of chunks.
 ///
 /// # Errors
-/// If scratch files cannot be read or written, and after a cancel.
+/// If scratch files cannot be read or written, or if the work was cancelled.
 pub fn simplify(
     surface: StitchedSurface,
     reduction: &Reduction,
@@ -337,9 +337,9 @@ impl Passes<'_> {
         self.tolerance.map_or(0, |tolerance| tolerance.cells().ceil() as i32) + further
     }
 
-    /// The shifted chunk with the cell `of`, which must be in a block with a surface, and the
-    /// treatment there of a triangle whose vertices have these cells. A triangle is simplified only
-    /// if all of the surface within its tolerance is in the chunk.
+    /// The shifted chunk that contains the cell `of`, and the treatment there of a triangle whose
+    /// vertices have the given `cells`. The cell `of` must be in a block with a surface. A triangle
+    /// is simplified only if all of the surface within its tolerance is in the chunk.
     fn home<const N: usize>(&self, of: IVec3, cells: [IVec3; N]) -> (MortonKey, Fate) {
         let block = of >> BLOCK.ilog2();
         let (chunk, edge) = (self.scale.shifted_chunk(block), self.scale.chunk());
@@ -409,7 +409,7 @@ impl Passes<'_> {
     }
 }
 
-/// Lists of triangles by their target.
+/// Lists of triangles, by the shifted chunk and the treatment of the triangles in the second pass.
 #[derive(Default)]
 struct SortedTriangles {
     lists: Vec<((MortonKey, Fate), WholeTriangles)>,
@@ -434,7 +434,7 @@ struct NearCells {
 }
 
 impl NearCells {
-    /// Finds the boxes within `reach` cells of triangles whose vertices have these cells.
+    /// Finds the boxes within `reach` cells of triangles. `cells` has the cell of each vertex.
     fn around(triangles: &[[u32; 3]], cells: &[IVec3], reach: i32, edge: i32) -> Self {
         let bounds = |vertices: &[u32]| {
             let cells = vertices.iter().map(|&vertex| cells[vertex as usize]);
@@ -506,7 +506,7 @@ struct ChunkVertices {
     ranges: Vec<[u64; 3]>,
     /// The lower cell of each vertex's edge.
     cells: Vec<IVec3>,
-    /// Positions in cells from the chunk's corner, all different.
+    /// Positions in cells, all different. They are relative to a corner near the first vertex.
     positions: Vec<Vec3A>,
 }
 

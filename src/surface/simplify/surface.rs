@@ -25,7 +25,8 @@ pub struct EditableMesh<'a> {
     /// For each triangle, its neighbours: across the edge from its first corner to the second, and
     /// so on.
     across: Vec<[u32; 3]>,
-    /// For each vertex, its spot; on the border, its first triangle counterclockwise.
+    /// For each vertex, its state. On the border, the triangle of the state is the first one
+    /// counterclockwise.
     spots: Vec<VertexState>,
     /// The outward normals of the triangles, of unit length.
     normals: Vec<Vec3A>,
@@ -57,13 +58,14 @@ impl VertexState {
         self.0 & Self::GONE != 0
     }
 
-    /// Whether the vertex uses so little of the distance that the segments around it need no check.
+    /// Whether a removed vertex is so close to its closest triangle that segments to other such
+    /// vertices need no check on flat surfaces.
     pub fn is_close(self) -> bool {
         self.0 & Self::FAR == 0
     }
 }
 
-/// A triangle around a vertex, its next corner, and its normal.
+/// A triangle around a vertex, the triangle's corner after the vertex, and the triangle's normal.
 #[derive(Clone, Copy)]
 pub struct Incident {
     pub triangle: u32,
@@ -73,7 +75,7 @@ pub struct Incident {
 
 /// The edges of a surface, grouped by the vertices at which they start.
 pub struct OutgoingEdges {
-    /// For each vertex, the ends of its edges.
+    /// For each vertex, the end of its range in `edges`.
     ends: Vec<u32>,
     edges: Vec<HalfEdge>,
 }
@@ -122,7 +124,7 @@ impl OutgoingEdges {
 }
 
 impl<'a> EditableMesh<'a> {
-    /// Builds the neighbours from the edges; each directed edge occurs once.
+    /// Builds the neighbours from the edges. Each directed edge must occur only once.
     pub fn new(positions: &'a [Vec3A], triangles: Vec<[u32; 3]>, outgoing: &OutgoingEdges) -> Self {
         let normals = triangles
             .iter()
@@ -130,8 +132,8 @@ impl<'a> EditableMesh<'a> {
             .collect();
         let mut across = vec![[NONE; 3]; triangles.len()];
         let mut spots = vec![VertexState::NOWHERE; positions.len()];
-        // For each vertex, the last start of an edge that ends there, and the triangle of that
-        // edge.
+        // For each vertex, the end of the last edge that was found to start there, and the triangle
+        // of that edge.
         let mut slots = vec![(NONE, NONE); positions.len()];
         for vertex in 0..positions.len() as u32 {
             let edges = outgoing.at(vertex);
@@ -169,7 +171,7 @@ impl<'a> EditableMesh<'a> {
         self.normals.get(spot.triangle() as usize).copied()
     }
 
-    /// Sets the spot of a removed vertex.
+    /// Sets the state of a removed vertex.
     pub fn settle(&mut self, vertex: u32, spot: VertexState) {
         self.spots[vertex as usize] = spot;
     }
@@ -270,9 +272,9 @@ impl<'a> EditableMesh<'a> {
         near.map_or(f32::INFINITY, |(squared, _)| squared)
     }
 
-    /// Whether there is a path on the surface between two of its vertices that are not adjacent, in
-    /// the plane of `normal` and the line between them, within `distance` of that line, and on
-    /// triangles that do not face the other way.
+    /// Whether a path on the surface joins two vertices that are not adjacent. The path is in the
+    /// plane of `normal` and the line between the vertices. It stays within `distance` of this
+    /// line, and crosses no triangle that faces against `normal`.
     pub fn leads(&self, from: u32, to: u32, normal: Vec3A, distance: f32) -> bool {
         let start = self.positions[from as usize];
         let ahead = self.positions[to as usize] - start;
@@ -457,7 +459,7 @@ pub fn cross(a: Vec3A, b: Vec3A) -> Vec3A {
     (a.zxy() * b - a * b.zxy()).zxy()
 }
 
-/// The outward normal, as long as twice the triangle's area.
+/// The outward normal, with a length of twice the triangle's area.
 pub fn scaled_normal([a, b, c]: [Vec3A; 3]) -> Vec3A {
     cross(b - a, c - a)
 }
@@ -514,7 +516,8 @@ impl Surroundings {
         match self {
             Self::Simplified => true,
             Self::DualCells => {
-                // Dual cells reach from centre to centre; positions are rounded.
+                // A dual cell reaches from the centre of a cell to the centre of the next cell.
+                // `slack` allows for the rounding of positions.
                 let slack = 1e-3;
                 let [lo, hi] = [p.min(q) - 0.5, p.max(q) - 0.5];
                 hi.cmple((lo + slack).floor() + (1.0 + slack)).all()
@@ -525,9 +528,9 @@ impl Surroundings {
 
 /// The topology that a patch must keep.
 pub struct PatchTopology {
-    /// The vertices on the border, which other patches also use.
+    /// For each vertex, whether it is on the border, where other patches may use it too.
     pub border: Vec<bool>,
-    /// Vertices on the border whose triangles form more than one fan.
+    /// For each vertex, whether it is on the border and its triangles form more than one fan.
     pinched: Vec<bool>,
     outside: Surroundings,
 }
@@ -550,7 +553,7 @@ impl PatchTopology {
         self.pinched[vertex as usize]
     }
 
-    /// Whether there may be an edge between two vertices outside the patch.
+    /// Whether an edge outside the patch may join two vertices.
     pub fn is_chord(&self, patch: &EditableMesh, a: u32, b: u32) -> bool {
         let [p, q] = [a, b].map(|vertex| patch.positions[vertex as usize]);
         self.border[a as usize] && self.border[b as usize] && self.outside.may_join(p, q)

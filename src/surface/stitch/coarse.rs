@@ -1,9 +1,9 @@
 //! A mesh with fewer triangles for a preview: nearby vertices are merged (Rossignac and Borrel
 //! 1993).
 //!
-//! The vertices of 2 x 2 x 2 cells are merged in the middle, and triangles with two equal corners
-//! are left out. The result of a closed surface is closed in the sense that matters for pictures: a
-//! line of sight leaves it as often as it enters it.
+//! The vertices of 2 x 2 x 2 cells are merged at their mean position, and triangles with two equal
+//! corners are left out. The result of a closed surface is closed in the sense that matters for
+//! pictures: a line of sight leaves it as often as it enters it.
 
 use std::io;
 
@@ -17,8 +17,9 @@ use crate::system::memory::zeroed_in_huge_pages;
 
 use super::{StitchedSurface, split};
 
-/// The lowest of 2 x 2 x 2 cells, as bits of a tile and as a mask of a bit's number.
+/// The lowest cells of all groups of 2 x 2 x 2 cells, as bits of a tile.
 const LOWEST: TileMask = 0x0505_0000_0505;
+/// With this mask, the number of a cell's bit becomes the number of the lowest cell of its group.
 const LOWEST_OF: u32 = 0b10_1010;
 
 /// A mesh with merged vertices.

@@ -1,9 +1,9 @@
 //! Joins the surfaces of all blocks into one mesh, by the identity of dual edges.
 //!
-//! A vertex's number is its block's base, plus its tile's, plus its rank among the tile's crossed
-//! edges: it follows from their order. Positions and distances are not used. Tiles are ordered
-//! along the Morton curve. Positions and triangles are computed on request, block by block, and
-//! never stored.
+//! A vertex's number is the sum of three numbers: the first number of its block, the number of
+//! vertices in previous tiles of the block, and the rank of its edge among the tile's crossed
+//! edges. Positions and distances are not used. Tiles are ordered along the Morton curve. Positions
+//! and triangles are computed on request, block by block, and never stored.
 
 mod coarse;
 mod numbers;
@@ -141,8 +141,8 @@ impl StitchedSurface {
         self.spool.bytes()
     }
 
-    /// The enclosed volume, from the lengths of columns of cells along x inside the surface: that
-    /// of the mesh, except for the curvature within a cell.
+    /// The enclosed volume, computed from the lengths inside the surface of columns of cells along
+    /// x. It equals the volume of the mesh, except for the curvature within a cell.
     ///
     /// # Errors
     /// If the scratch file cannot be read.
@@ -260,8 +260,8 @@ impl StitchedSurface {
         self.emit(piece, |_, cell, triangle| put(cell << level, triangle))
     }
 
-    /// The only place with floating-point arithmetic: v = (1 - a) p_i + a p_j, or a point of the
-    /// wall.
+    /// Computes the positions of a block's vertices: v = (1 - a) p_i + a p_j, or a point of the
+    /// wall. Stitching needs floating-point arithmetic only here.
     fn place(&self, block: &BlockMesh, positions: &mut [[f64; 3]]) {
         let level = block.level.level.into();
         let grid = self.grid.in_wider_cells(level);
@@ -322,8 +322,8 @@ impl StitchedSurface {
         self.emit_by(i, numbered, put)
     }
 
-    /// Like `emit`, with other vertex numbers: for each tile of a block, in order, a function that
-    /// numbers its vertices by their bits.
+    /// Like `emit`, with other vertex numbers: for each tile of a block, in order, `numbered`
+    /// returns a function that numbers the tile's vertices by their bits.
     fn emit_by<N: FnMut(u32) -> u64>(
         &self,
         i: usize,

@@ -16,17 +16,17 @@ use crate::surface::mesh::{Tile, bits, cell_of_bit};
 use super::StitchedSurface;
 use super::coarse::CoarseMesh;
 
-/// Cells along each axis: those of a block, and one layer of the upper blocks.
+/// Number of cells along each axis: the cells of a block, and one layer of the upper blocks.
 const EDGE: usize = BLOCK as usize + 1;
 
 /// Approximate ratio of triangles to vertices of a closed surface.
 const TRIANGLES_A_VERTEX: u64 = 2;
-/// Bytes per triangle of a block for a thread that writes it: three numbers, and the records of
-/// four blocks.
+/// Bytes per triangle of a block for a thread that writes the block: three vertex numbers, and
+/// records of 13 bytes for four blocks.
 const TRIANGLE_BYTES: u64 = 24 + 4 * 13;
 
-/// Bytes for `threads` that each number and write the triangles of a block, with `vertices` in
-/// total.
+/// Bytes for `threads` threads, each of which numbers and writes the triangles of a block. These
+/// blocks have `vertices` vertices in total.
 pub fn writing_bytes(threads: u64, vertices: u64) -> u64 {
     let numbers = (3 * EDGE.pow(3) * size_of::<u64>()) as u64;
     threads * numbers + vertices * TRIANGLES_A_VERTEX * TRIANGLE_BYTES
@@ -149,7 +149,7 @@ fn mixed_triangles<F: FnMut(usize, IVec3, [u64; 3])>(
     }
 }
 
-/// The offset of an edge from the number of the dual cell's lowest corner.
+/// The index of an edge's number, relative to the first number of the dual cell's lowest corner.
 fn place(edge: CellEdge) -> u16 {
     (index(edge.offset()) + usize::from(edge.axis)) as u16
 }
@@ -160,7 +160,8 @@ fn index(cell: IVec3) -> usize {
     3 * (cell.x + EDGE * (cell.y + EDGE * cell.z))
 }
 
-/// [`TABLE`], with each edge as an offset from the number of the dual cell's lowest corner.
+/// [`TABLE`], with each edge as the index of its number, relative to the first number of the dual
+/// cell's lowest corner.
 static FANS: LazyLock<[Vec<[u16; 3]>; 256]> = LazyLock::new(|| {
     std::array::from_fn(|case| TABLE[case].iter().map(|triangle| triangle.map(place)).collect())
 });

@@ -1,5 +1,6 @@
-//! Stitches the whole mesh on a device: positions in f32 and triangles, in the order of
-//! [`StitchedSurface`](super::StitchedSurface), with exactly its rounded positions.
+//! Stitches the whole mesh on a device: positions in f32 and triangles. Both are in the order of
+//! [`StitchedSurface`](super::StitchedSurface), and the positions are exactly its positions,
+//! rounded to f32.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -14,11 +15,12 @@ use crate::surface::dual_mc::cases::{CellEdge, TABLE};
 use crate::surface::dual_mc::vulkan::{BlockTally, TILE_WORDS};
 use crate::vulkan::{Batch, ComputePipeline, Device, Ticket, View, VulkanError};
 
-/// Tiles along a block's edge.
+/// Number of tiles along a block's edge.
 pub const BLOCK_EDGE_TILES: u32 = (BLOCK / TILE) as u32;
-/// Words per case in the table: the number of triangles, and the triangles.
+/// Number of words per case in the table: one for the number of triangles, and one for each
+/// triangle.
 pub const CASE_WORDS: u32 = 6;
-/// Bits of an edge: corner + 8 axis.
+/// Number of bits of an edge, which is stored as corner + 8 axis.
 pub const EDGE_BITS: u32 = 5;
 /// The number of a missing block.
 pub const NO_BLOCK: u32 = u32::MAX;
@@ -39,14 +41,14 @@ impl StitchPipelines {
     /// Compiles the shaders.
     ///
     /// # Errors
-    /// Errors of the device.
+    /// [`VulkanError`] if the driver rejects a shader.
     pub fn new(device: &Device) -> Result<Self, VulkanError> {
         let [starts, vertices, triangles] = device.pipelines([&STARTS, &VERTICES, &TRIANGLES])?;
         Ok(Self { starts, vertices, triangles })
     }
 }
 
-/// A block's surface among all, as in `surface.wgsl`.
+/// The place of a block's surface in the whole mesh, with the layout of `Block` in `surface.wgsl`.
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub struct MeshBlock {
@@ -119,8 +121,8 @@ impl MeshLayout {
         self.triangles
     }
 
-    /// Divides the blocks into runs whose rows fit one shader binding; `first` gives the first row
-    /// of each block.
+    /// Divides the blocks into runs whose rows, which are positions or triangles, fit one shader
+    /// binding. `first` returns the first row of each block.
     fn runs(&self, first: impl Fn(&MeshBlock) -> u32, total: u32, range: u64) -> Vec<TileRun> {
         let begin =
             |i: usize| self.blocks.get(i).map_or((self.tiles, total), |b| (b.first_tile, first(b)));
@@ -195,12 +197,12 @@ pub struct StitchBuffers {
     pub indices: View,
 }
 
-/// Writes the positions and the triangles of the whole mesh, after some tickets, in submissions
-/// that are short enough for any driver; the caller submits the last one.
+/// Writes the positions and the triangles of the whole mesh, after the work of the tickets `after`.
+/// The submissions are short enough for any driver, and the caller submits the last one.
 ///
 /// # Errors
-/// Errors of the device, and [`VulkanError::OutOfMemory`] if the tiles or the ends exceed a shader
-/// binding.
+/// [`VulkanError::OutOfMemory`] if the tiles or the ends exceed a shader binding, and other errors
+/// if the device fails.
 ///
 /// # Panics
 /// If a buffer is too small.

@@ -274,9 +274,10 @@ pub fn the_integer_field_and_its_vertices_approximate_the_method_in_f64(backend:
     }
 }
 
-/// Maximum errors of the integer distances in spacings, within a spacing of the surface: the error
-/// of 99 % of the cells, and the error of any cell.
+/// Maximum error of the integer distances in spacings, for 99 % of the cells within a spacing of
+/// the surface.
 const ERROR_99_PERCENT: f64 = 0.0045;
+/// Maximum error of the integer distances in spacings, for all of these cells.
 const MAX_ERROR: f64 = 0.017;
 
 /// This test runs on the CPU only, because devices compute the same integers.

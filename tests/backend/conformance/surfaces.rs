@@ -297,8 +297,8 @@ pub fn air_bubbles_of_radius_2_spacings_survive_deep_in_water(backend: &TestBack
     }
 }
 
-/// The mean height and roughness, in spacings, of the middle of a pool 32 spacings wide, where no
-/// filter reaches its edges.
+/// The mean height and roughness, in spacings, of the middle of a pool 32 spacings wide. No filter
+/// reaches from there to the pool's edges.
 fn level(backend: &TestBackend, cell: f64, smooth: f64) -> (f64, f64) {
     let pool = fill(16.0, 1.0, 0.3, 21, |p| p.z < 0.0 && p.z > -10.0);
     let surfacing = Surfacing { smooth: Smooth::new(smooth).unwrap(), ..surfacing() };
@@ -354,7 +354,7 @@ pub fn a_tank_in_fine_cells_ends_at_its_walls_for_any_wide_cell_offset(backend: 
     }
 }
 
-/// This test runs on the CPU only, which also takes over if a device has too little memory.
+/// This test runs on the CPU only, because a device with too little memory falls back to the CPU.
 #[test]
 fn scratch_files_do_not_change_the_mesh_in_fine_cells() {
     let Ok(backend) = TestBackend::cpu();

@@ -87,7 +87,7 @@ fn damaged(data: &[u8]) {
     }
     fs::write(folder.join(NAMES[which]), &bytes).unwrap();
     match parts.merge() {
-        // Only a corrected checksum allows another mesh.
+        // The mesh may differ only if the checksum was corrected.
         Ok(surface) => {
             let mesh = surface.to_mesh();
             if choice & 4 == 0 {

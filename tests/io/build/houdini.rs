@@ -366,8 +366,9 @@ pub struct Container {
     pub codec: Codec,
     pub shuffle: Shuffle,
     pub type_size: usize,
-    /// The uncompressed sizes of a chunk and of a block in bytes.
+    /// The uncompressed size of a chunk in bytes.
     pub chunk: usize,
+    /// The uncompressed size of a block in bytes.
     pub block: usize,
     /// Whether each block is compressed as several streams, one for each byte of its numbers.
     pub split: bool,
@@ -389,7 +390,7 @@ impl Container {
         out.extend(0_u64.to_be_bytes());
         let start = out.len();
         let (mut index, mut last) = (Vec::new(), 0);
-        // If there are no data, there are no chunks.
+        // Without data, there is still one empty chunk.
         let chunks: Vec<&[u8]> = match bytes {
             [] => vec![&[]],
             _ => bytes.chunks(self.chunk).collect(),

@@ -23,8 +23,9 @@ const SAMPLINGS: [(&str, f64); 2] = [("regular", 0.0), ("jittered", JITTER)];
 /// Isovalues are chosen on lattices with numbers from here on. Results come from lattices with
 /// lower numbers.
 const CHOOSING: usize = 100;
-/// Radius and number of the balls whose volume is measured.
+/// Radius of the balls whose volume is measured.
 const RADIUS: f64 = 5.0;
+/// Number of these balls.
 const BALLS: usize = 8;
 
 /// The lattice with this number, which determines its rotation, position and jitter.

@@ -27,16 +27,20 @@ const SHEETS: [(&str, i32, f64); 4] = [
 const WIDTH: i32 = 40;
 /// Distances between the particles of a chain, in spacings.
 const GAPS: [f64; 3] = [1.0, 1.25, 1.5];
-/// Number of chains per gap, the distance between chains, and the number of particles of a chain.
+/// Number of chains per gap.
 const CHAINS: usize = 6;
+/// Distance between chains, in spacings.
 const APART: f64 = 8.0;
+/// Number of particles of a chain.
 const LINKS: usize = 8;
-/// Number of drops of each size along each of two axes, and the distance between drops.
+/// Number of drops of each size along each of two axes.
 const DROPS: usize = 7;
+/// Distance between drops, in spacings.
 const STEP: f64 = 10.0;
 const SIZES: [IVec3; 3] = [IVec3::ONE, IVec3::new(2, 1, 1), IVec3::splat(2)];
-/// Radii of air bubbles, and the number of each.
+/// Radii of air bubbles, in spacings.
 const AIR: [f64; 2] = [2.0, 3.0];
+/// Number of air bubbles of each radius.
 const BALLS: usize = 4;
 /// Number of particles along the edges of a bulk.
 const EDGE: i32 = 24;

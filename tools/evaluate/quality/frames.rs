@@ -29,8 +29,9 @@ const EDGE: f64 = 2.0;
 const REACH: i32 = 1;
 /// Water is calm if the RMS distance of its top particles from a plane is less than this.
 const CALM: f64 = 0.4;
-/// Minimum depth of calm water, and the minimum share of this depth that particles fill.
+/// Minimum depth of calm water, in spacings.
 const DEPTH: f64 = 4.0;
+/// Minimum share of this depth that particles fill.
 const FULL: f64 = 0.5;
 
 /// A frame of a simulation, scaled to spacing 1, with y up.
@@ -107,7 +108,7 @@ impl Frame {
     }
 }
 
-/// Whether the cells around a cell all have water, and its top is nearly a plane.
+/// Whether all cells around a cell have water, and the top of this water is nearly a plane.
 fn is_calm(tops: &HashMap<IVec2, f64>, cell: IVec2) -> bool {
     let range = || -REACH..=REACH;
     let offs = range().flat_map(|x| range().map(move |y| IVec2::new(x, y)));

@@ -14,9 +14,11 @@ use crate::scene::Random;
 use crate::tables::{figure, mean, signed};
 use crate::{Options, Outcome};
 
-/// Edge length and depth of the pools. Measurements ignore the parts within `MARGIN` of the edges.
+/// Edge length of the pools, in spacings.
 const WIDTH: i32 = 48;
+/// Depth of the pools, in spacings.
 const DEPTH: i32 = 12;
+/// Measurements ignore the parts of the pools within this distance of the edges.
 const MARGIN: f64 = 12.0;
 /// Wavelength and amplitude of each kind of wave, in spacings.
 const WAVES: [[f64; 2]; 2] = [[5.0, 0.7], [8.0, 1.0]];

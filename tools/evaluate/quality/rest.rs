@@ -18,14 +18,17 @@ use crate::tables::{figure, mean};
 use crate::{Options, Outcome};
 
 const CELL: f64 = 0.5;
-/// Number of steps in which the pool rises by a cell, and number of steps of the flow.
+/// Number of steps in which the pool rises by a cell.
 const STEPS: usize = 8;
+/// Number of steps of the flow.
 const MOVES: usize = 3;
 /// Distance that particles flow in a step, in spacings.
 const MOVE: f64 = 0.1;
-/// Edge length and depth of the pool. Measurements ignore the parts within `MARGIN` of the edges.
+/// Edge length of the pool, in spacings.
 const WIDTH: i32 = 36;
+/// Depth of the pool, in spacings.
 const DEPTH: i32 = 12;
+/// Measurements ignore the parts of the pool within this distance of the edges.
 const MARGIN: f64 = 12.0;
 /// A vertex moves with the particles within this distance.
 const NEAR: f64 = 2.5;

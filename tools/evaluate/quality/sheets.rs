@@ -22,29 +22,34 @@ const SHEETS: [(i32, &[f64]); 3] =
 /// Number of particles along the edges of a sheet.
 const WIDTH: i32 = 40;
 const JITTER: f64 = 0.2;
-/// Radius of a spherical shell, the distance between its particles, and their jitter.
+/// Radius of a spherical shell, in spacings.
 const RADIUS: f64 = 12.0;
+/// Distance between the particles of a shell, in spacings.
 const APART: f64 = 1.4;
+/// Jitter of the particles of a shell, in spacings.
 const SHELL_JITTER: f64 = 0.1;
-/// The number of filaments, the number of particles of each, and the factors by which they are
-/// stretched.
+/// Number of filaments.
 const FILAMENTS: usize = 24;
+/// Number of particles of each filament.
 const LINKS: usize = 20;
+/// The factors by which filaments are stretched.
 const STRETCHES: [f64; 3] = [1.4, 1.8, 2.1];
 const FILAMENT_JITTER: f64 = 0.1;
-/// Edge length of the box that holds the centres of filaments, and the minimum distance between
-/// particles of different filaments.
+/// Edge length of the box that holds the centres of filaments.
 const BOX: f64 = 60.0;
+/// Minimum distance between particles of different filaments.
 const CLEARANCE: f64 = 7.0;
-/// Mean distances between the drops of a spray, the number of drops, and the largest distance
-/// between neighbours in a cluster.
+/// Mean distances between the drops of a spray.
 const SPRAY: [f64; 2] = [3.0, 4.0];
+/// Number of drops of a spray.
 const DROPS: usize = 1200;
+/// Maximum distance between neighbours in a cluster.
 const LINKAGE: f64 = 1.9;
-/// The numbers of layers of the sheets that are stretched frame by frame, the number of frames, and
-/// the stretch in the last frame.
+/// The numbers of layers of the sheets that are stretched frame by frame.
 const SLOW: [i32; 2] = [1, 2];
+/// Number of frames in which these sheets are stretched.
 const FRAMES: usize = 30;
+/// The stretch in the last frame.
 const LAST: f64 = 2.4;
 
 /// The cell sizes and the seeds of the random samples for the rows of a table.
@@ -333,7 +338,7 @@ fn text(tears: Vec<Tear>) -> String {
     format!("{} / {} / {volume:.2}", count(pieces), count(holes))
 }
 
-/// Describes how a sheet tears that is stretched frame by frame. Returns three texts: the stretch
+/// Describes how a sheet that is stretched frame by frame tears. Returns three texts: the stretch
 /// at which it opens; the number of later frames in which holes close; and the largest relative
 /// change of volume between two frames before it opens.
 fn opening(tears: &[Tear]) -> [String; 3] {

@@ -14,18 +14,21 @@ use crate::scene::Random;
 use crate::tables::{figure, mean, signed};
 use crate::{Options, Outcome};
 
-/// Edge length and depth of a pool of one size.
+/// Edge length of a pool of one size.
 const WIDTH: f64 = 64.0;
+/// Depth of a pool of one size.
 const DEPTH: f64 = 24.0;
-/// Distance to the edges of the water from which heights are measured.
+/// Heights are measured only where the edges of the water are at least this far away.
 const MARGIN: f64 = 12.0;
-/// The sizes of lone drops, and their distance in sizes.
+/// The sizes of single particles that become drops.
 const DROPS: [f64; 4] = [1.0, 2.0, 4.0, 8.0];
+/// The distance between neighbouring drops, in sizes of the larger one.
 const APART: f64 = 20.0;
-/// The radius of the ball of fine particles, and the thickness of the layer of them.
+/// The radius of the ball of fine particles.
 const RADIUS: f64 = 10.0;
+/// The thickness of the layer of fine particles.
 const LAYER: f64 = 4.0;
-/// The size of the water under them.
+/// The size of the particles of the water under the ball or the layer.
 const COARSE: f64 = 4.0;
 
 /// Particles with their sizes.
@@ -233,7 +236,7 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
 /// Measures the meshes of all seeds, given the volumes of their particles.
 type ReadWater = Box<dyn Fn(&[Mesh], &[f64]) -> Vec<String> + Send + Sync>;
 
-/// The mean volume of the drops of each size over that of their particle.
+/// For each size, the mean volume of the drops, divided by the volume of their particle.
 fn of_drops(meshes: &[Mesh]) -> String {
     let of = |size: f64| {
         let near = |at: DVec3| (at - drop_place(size)).abs().max_element() < APART * size / 2.0;

@@ -12,19 +12,21 @@ use super::programs::Method;
 use crate::camera::{Camera, write_sheet};
 use crate::{Options, Outcome};
 
-/// Width and height in pixels of a picture on a sheet, and of a picture in a pair.
+/// Width and height in pixels of a picture on a sheet.
 const SMALL: [usize; 2] = [560, 420];
+/// Width and height in pixels of a picture in a pair.
 const LARGE: [usize; 2] = [960, 720];
 const COLUMNS: usize = 3;
-/// Distance of the camera relative to a view of the whole box. It cuts off the box's corners, and
-/// shows its content larger.
+/// Distance of the camera relative to a view of the whole box. This distance cuts off the corners
+/// of the box, and shows its content larger.
 const FAR: f64 = 0.8;
-/// Radius of the region in a close-up, and radius within which particles are meshed for it.
+/// Radius of the region in a close-up, in spacings.
 const NEAR: f64 = 14.0;
+/// Radius within which particles are meshed for a close-up, in spacings.
 const AROUND: f64 = 30.0;
-/// To find the most detailed region, particles are counted in cells with this edge in spacings, and
-/// cells are counted in regions with this edge in cells.
+/// To find the most detailed region, particles are counted in cells with this edge, in spacings.
 const COUNTED: f64 = 3.0;
+/// Partly filled cells are counted in regions with this edge, in cells.
 const REGION: i32 = 6;
 
 pub fn run(options: &Options, board: &Board, dam: &[Frame], given: &[Frame]) -> Outcome<()> {

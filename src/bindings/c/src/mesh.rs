@@ -34,8 +34,8 @@ struct MeshInMemory {
     attributes: Vec<MeniscusMeshAttribute>,
 }
 
-// SAFETY: its pointers lead to arrays of its mesh and to names, which live as long and never
-// change.
+// SAFETY: the pointers in `attributes` point into `mesh` and to names; both live as long as this
+// struct, and never change.
 unsafe impl Send for MeshInMemory {}
 // SAFETY: for the same reason as `Send`.
 unsafe impl Sync for MeshInMemory {}

@@ -47,7 +47,7 @@ impl FrameRows {
         self.of_parts(file, root, "NumberOfPoints", 0)
     }
 
-    /// The entries of a data set for all partitions, followed by `more` entries after these.
+    /// The entries of a data set for the frame's partitions, and the `more` entries that follow.
     pub fn of_parts(
         &self,
         file: &H5File,

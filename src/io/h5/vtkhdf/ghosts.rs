@@ -1,9 +1,9 @@
-//! Finds points of VTKHDF that are ghosts, because all of their cells are flagged.
+//! Finds the ghosts among the points of VTKHDF. A point is a ghost if all of its cells are flagged.
 //!
 //! In every array, the cells of all partitions are consecutive. If there are several kinds of
-//! cells, the vertices of a partition come before its lines. `Offsets` has one more entry than
-//! cells for each partition. All points are kept in a partition with cells other than vertices.
-//! Arrays are read in windows.
+//! cells, the vertices of a partition come before its lines. For each partition, `Offsets` has one
+//! entry more than the partition has cells. In a partition with cells other than vertices, all
+//! points are kept. Arrays are read in windows.
 
 use std::ops::Range;
 
@@ -172,8 +172,8 @@ impl FirstCells {
         if sum(&before)? == self.cell {
             return Ok(first);
         }
-        // Some steps share cells or have none, so only the partitions that contain the cells before
-        // this frame count.
+        // Some steps share cells or have none. Counts only the partitions that contain the cells
+        // before this frame.
         let mut cells = 0;
         let makes_up = |own: &&u64| {
             let needed = cells < self.cell;
@@ -264,8 +264,9 @@ struct NumberReader {
     windows: RowWindows,
     /// The row that is read next.
     at: u64,
-    /// The rows of the window in memory, and their numbers.
+    /// The rows that are in memory.
     held: Range<u64>,
+    /// The numbers of these rows.
     numbers: Vec<i64>,
 }
 

@@ -129,8 +129,8 @@ pub fn read_mesh(file: H5File) -> Result<Mesh, ReadFault> {
     Ok(mesh)
 }
 
-/// Adds the triangles of the polygons of all partitions. In the file, the corners of a partition
-/// count from its first point.
+/// Adds the triangles of the polygons of all partitions. In the file, a corner is the index of a
+/// point, counted from the partition's first point.
 fn add_polygons(
     file: &H5File,
     frame: &FrameRows,

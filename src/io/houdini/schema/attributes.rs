@@ -97,8 +97,8 @@ impl SchemaReader<'_, '_, '_> {
         loop {
             match self.json.next()? {
                 JsonEvent::End => break,
-                // Reads one text more than the maximum, so that the list shows that there are too
-                // many.
+                // Keeps one text more than the maximum, so that the length of the list shows that
+                // there are too many.
                 JsonEvent::Text(text) if texts.len() <= MOST_TEXTS => texts.push(text),
                 JsonEvent::Text(_) => {}
                 other => return Err(self.json.fault(format!("{} among texts", shown(&other)))),
@@ -228,8 +228,8 @@ impl SchemaReader<'_, '_, '_> {
         })
     }
 
-    /// Reads the flags of constant pages. For each group of components, returns their number and
-    /// their bits.
+    /// Reads the flags of constant pages. For each group of components, returns the number of flags
+    /// and the flags as bits.
     fn page_flags(&mut self) -> Result<Vec<(u64, Vec<u64>)>, ReadFault> {
         match self.json.next()? {
             JsonEvent::List => {}

@@ -25,13 +25,13 @@ const MOST_KINDS: usize = 64;
 /// Number of values that are copied at once.
 const CHUNK: usize = 1 << 13;
 
-/// A geometry. All attributes were checked to have the announced number of points.
+/// A geometry. Each attribute was checked to have a value for each of the announced points.
 #[derive(Debug)]
 pub struct Geometry {
     pub points: u64,
     pub attributes: Vec<HoudiniAttribute>,
-    /// Number of primitives of each kind. Kinds have the names in the file, and particle systems do
-    /// not count.
+    /// Number of primitives of each kind. The kinds have the names that the file uses. Particle
+    /// systems are not included.
     pub kinds: BTreeMap<Rc<str>, u64>,
     /// The index of the point of each vertex.
     pub vertex_points: NumberRun,
@@ -47,8 +47,8 @@ pub struct Geometry {
 pub struct HoudiniAttribute {
     pub name: Rc<str>,
     pub values: PointValues,
-    /// For a text attribute, the texts that the values refer to by index. Empty if there are too
-    /// many.
+    /// For a text attribute, the texts that the values refer to by index. If there are more than
+    /// [`MOST_TEXTS`], only the first [`MOST_TEXTS`] + 1 are kept.
     pub texts: Option<Vec<Rc<str>>>,
 }
 
@@ -174,7 +174,7 @@ pub fn read(
     })
 }
 
-/// The parts of a geometry that come before its attributes and primitives.
+/// The parts of a geometry that have been read so far.
 #[derive(Default)]
 struct GeometryHead {
     points: Option<u64>,
@@ -365,7 +365,8 @@ impl SchemaReader<'_, '_, '_> {
         Ok(NumberRun { place: NumberLocation::Gathered, numbers })
     }
 
-    /// Copies numbers of the document to the buffer, because they are one of several lists.
+    /// Copies numbers of the document to the buffer, in which the numbers of several lists are
+    /// adjacent.
     fn gather(&mut self, numbers: JsonNumbers) -> Result<NumberRun, ReadFault> {
         let (bytes, endian) = self.document;
         let scalar = numbers.storage.scalar();
