@@ -274,6 +274,24 @@ fn forecasts_contain_the_memory_of_solids() {
 }
 
 #[test]
+fn the_memory_limit_that_an_error_about_solids_asks_for_suffices() {
+    let folder = TempDir::new().unwrap();
+    let solid = written(&folder, "ball.obj", &moved(&sphere(RADIUS, 6), CENTRE.to_array()));
+    let water = pool(0.3, from_ball);
+    let run = |bytes: u64| at(request(0.5), &solid).memory(MemoryBudget(bytes)).run(&water);
+    // The file's size is known first, and the number of triangles only when it was read.
+    let mut budget = 17 << 20;
+    for _ in 0..2 {
+        let Err(Error::LittleMemory { least, .. }) = run(budget) else {
+            panic!("{budget} bytes are too few for the solid");
+        };
+        assert!(least > budget);
+        budget = least;
+    }
+    assert!(run(budget).is_ok());
+}
+
+#[test]
 fn a_solid_wall_divides_water_and_a_too_thin_wall_causes_a_warning() {
     let folder = TempDir::new().unwrap();
     let wall = |half: f64| cuboid([13.0 - half, -1.0, -1.0], [13.0 + half, 30.0, SIZE + 1.0]);

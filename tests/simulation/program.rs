@@ -1229,7 +1229,7 @@ fn each_fluid_in_a_folder_becomes_its_own_sequence() {
     fs::write(folder.path().join("in/oil_2.csv"), "x,y,z\n1,2,3\n").unwrap();
     let errors = run(folder.path(), &["in", "-o", "other/"], 2);
     assert!(errors.contains("oil_{}.csv (1 frame), oil_{}.xyz (4 frames)"), "{errors}");
-    assert!(errors.contains("same names") && !errors.contains("into a folder"), "{errors}");
+    assert!(errors.contains("same file names") && !errors.contains("into a folder"), "{errors}");
 }
 
 /// The two halves of a ball's particles, for a frame.
