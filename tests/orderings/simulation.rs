@@ -9,7 +9,7 @@ mod sync {
 #[path = "../../src/simulation/gate.rs"]
 mod gate;
 
-use gate::Gate;
+use gate::FrameGate;
 use loom::sync::Arc;
 use loom::sync::atomic::{AtomicUsize, Ordering};
 use loom::thread;
@@ -22,7 +22,7 @@ fn try_gate(lanes: usize, alone: &'static [bool]) {
     // orders.
     model.preemption_bound = Some(3);
     model.check(move || {
-        let gate = Arc::new(Gate::new(lanes, 1));
+        let gate = Arc::new(FrameGate::new(lanes, 1));
         let inside = Arc::new(AtomicUsize::new(0));
         let enter = |alone: bool| {
             let (gate, inside) = (Arc::clone(&gate), Arc::clone(&inside));
