@@ -14,8 +14,8 @@
 //!    give a fine surface E(5/8 S, S) and a calm surface E(S, 3/2 S).
 //! 3. Mixed. The difference between the two surfaces is averaged by a Gaussian of 9/16 S, in which
 //!    noise cancels and shape remains. As this mean difference grows from 0.07 to 0.14 d, the fine
-//!    surface replaces the calm one. This fades out from 0.3 to 0.9 d below the calm surface,
-//!    because noise has bubbles there.
+//!    surface replaces the calm one. This fades out from 0.3 to 0.9 d below the calm surface, where
+//!    noise would make bubbles in the fine surface.
 //! 4. Drops. Normalised convolution: N = G * (rho / (G * rho)), where rho is the clouds' density
 //!    and G a Gaussian of 0.6 d. N of a single particle peaks at 1 in cells of any size, and its
 //!    drop is a ball of radius r, with the signed distance r - 0.6 sqrt(2 ln(1 / N)). N is made in
