@@ -257,7 +257,7 @@ fn files() -> String {
     );
     examples!(text, WriteFault:
         Io(full_disk()), Exists, ExistsInSimulation, UnknownExtension { known: ".ply, .obj" },
-        Unsupported(".stl stores coordinates as f32, and some of these are out of its range".into()),
+        Unsupported(".stl stores coordinates as f32, but some exceed its range".into()),
     );
     let families = || "oil_{} (8 frames), water_{} (8 frames)".into();
     examples!(text, SimulationError:
@@ -273,7 +273,7 @@ fn files() -> String {
         Joined("sim/f_{}_{piece}.npy".into()),
         Range { first: 5, last: 3 },
         Step,
-        Names("f_1_2.csv: the digits in this name could be one decimal number (1_2 as 1.2) or two integers".into()),
+        Names("f_1_2.csv: the digits could be one decimal number (1_2 as 1.2) or two integers".into()),
         Several { from: "sim".into(), families: families(), why: WhyOne::Request },
         Several { from: "sim".into(), families: families(), why: WhyOne::Pattern },
         Several { from: "sim".into(), families: families(), why: WhyOne::Names },

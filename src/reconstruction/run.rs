@@ -59,7 +59,8 @@ impl Reconstruction {
     /// Opens a particle file or a packed frame.
     ///
     /// # Errors
-    /// [`Error::Read`], and those errors of [`run`](Self::run) that are detected without reading particles.
+    /// [`Error::Read`], and those errors of [`run`](Self::run) that are detected without reading
+    /// particles.
     pub fn open(&self, path: impl AsRef<Path>) -> Result<OpenedFrame, Error> {
         self.open_together(&[path.as_ref()])
     }
@@ -68,8 +69,8 @@ impl Reconstruction {
     /// have.
     ///
     /// # Errors
-    /// [`Error::Read`], and those errors of [`run`](Self::run) that are detected without reading particles;
-    /// [`Error::Request`] for no file.
+    /// [`Error::Read`], and those errors of [`run`](Self::run) that are detected without reading
+    /// particles; [`Error::Request`] for no file.
     pub fn open_together(&self, paths: &[impl AsRef<Path>]) -> Result<OpenedFrame, Error> {
         let paths: Vec<&Path> = paths.iter().map(AsRef::as_ref).collect();
         self.checked()?.on_threads()?.open(&paths)

@@ -413,7 +413,8 @@ fn attribute_values_beyond_f32_are_reported() {
     let notes = run(folder.path(), &all, 0);
     assert!(
         notes.contains(&format!(
-            "f_2.csv: heat is NaN, infinite or too large for a 32-bit float in 1 of {count} particles"
+            "f_2.csv: heat is NaN, infinite or too large for a 32-bit float in 1 of {count} \
+             particles"
         )),
         "{notes}"
     );

@@ -1,30 +1,25 @@
 //! Distances that were computed before: the boxes of neighbouring blocks overlap, and the frames of
-//! a simulation share a solid that does not move.
-//!
-//! Cubes of 4^3 cells are kept, in two generations. If the recent generation is full, the earlier
-//! one is dropped, and the recent one takes its place. A cube that is used again becomes recent.
+//! a simulation share a solid that does not move. Cubes of 4^3 cells are kept.
 
 use std::collections::VecDeque;
-use std::mem::take;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::convert::Infallible;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use glam::IVec3;
-use hashbrown::HashMap;
+use quick_cache::sync::Cache;
+use quick_cache::{OptionsBuilder, Weighter};
 
 use crate::grid::{Grid, Periodic, TILE};
 
 /// Cells of a cube.
 pub const CELLS: usize = (TILE * TILE * TILE) as usize;
-/// Upper limit of the memory of a kept cube whose cells have the same distance, in bytes, including
-/// its share of the hash table.
-const SAME_BYTES: u64 = 96;
-/// Upper limit of the memory of a kept cube with a distance for each cell, in bytes.
-const EACH_BYTES: u64 = 256;
+/// Upper limit of the memory of a kept cube, in bytes, including its share of the cache's tables,
+/// but without a distance for each cell.
+const CUBE_BYTES: u64 = 208;
+/// Upper limit of the memory of a distance for each cell of a cube, in bytes.
+const EACH_BYTES: u64 = 160;
 /// Maximum number of lattices.
 const MOST_LATTICES: usize = 64;
-const SHARDS: usize = 64;
-/// Cubes along an edge of the larger cubes that are each in one shard.
-const SHARD_EDGE: i32 = 8;
 
 /// The cells and units of distances. Distances of different lattices differ.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -56,26 +51,29 @@ impl CubeDistances {
             Self::Each(distances) => **distances,
         }
     }
-
-    fn bytes(&self) -> u64 {
-        match self {
-            Self::Same(_) => SAME_BYTES,
-            Self::Each(_) => EACH_BYTES,
-        }
-    }
 }
 
 /// The number of a lattice, and a cube of its cells.
 type Key = (u64, IVec3);
 
+/// Weighs cubes by their memory.
+#[derive(Debug, Clone)]
+struct CubeWeighter;
+
+impl Weighter<Key, CubeDistances> for CubeWeighter {
+    fn weight(&self, _: &Key, distances: &CubeDistances) -> u64 {
+        match distances {
+            CubeDistances::Same(_) => CUBE_BYTES,
+            CubeDistances::Each(_) => CUBE_BYTES + EACH_BYTES,
+        }
+    }
+}
+
 /// Kept distances of a solid.
 #[derive(Debug)]
 pub struct DistanceCache {
-    /// Maximum memory of the kept distances, in bytes.
-    most_bytes: u64,
     lattices: Mutex<Lattices>,
-    /// Threads that use different shards do not wait for each other.
-    shards: [Mutex<Shard>; SHARDS],
+    cubes: Cache<Key, CubeDistances, CubeWeighter>,
 }
 
 /// The latest lattices with their numbers.
@@ -85,37 +83,35 @@ struct Lattices {
     next: u64,
 }
 
-/// A part of the kept distances.
-#[derive(Debug, Default)]
-struct Shard {
-    /// Cubes that were used since `earlier` was replaced.
-    recent: HashMap<Key, CubeDistances>,
-    /// Memory of the recent cubes, in bytes.
-    recent_bytes: u64,
-    earlier: HashMap<Key, CubeDistances>,
-}
-
 impl DistanceCache {
     /// Makes an empty cache, which takes at most `most_bytes` bytes.
     pub fn new(most_bytes: u64) -> Self {
-        let shards = std::array::from_fn(|_| Mutex::default());
-        Self { most_bytes, lattices: Mutex::default(), shards }
+        let options = OptionsBuilder::new()
+            .estimated_items_capacity((most_bytes / CUBE_BYTES) as usize)
+            .weight_capacity(most_bytes)
+            .build()
+            .expect("all that has no default is given");
+        let cubes =
+            Cache::with_options(options, CubeWeighter, Default::default(), Default::default());
+        Self { lattices: Mutex::default(), cubes }
     }
 
     /// Maximum memory of the kept distances, in bytes.
     pub fn most_bytes(&self) -> u64 {
-        self.most_bytes
+        self.cubes.capacity()
     }
 
     /// The number of a lattice, for [`get_or_make`](Self::get_or_make).
     pub fn number(&self, lattice: &DistanceLattice) -> u64 {
-        let Lattices { known, next } = &mut *locked(&self.lattices);
+        let mut lattices = self.lattices.lock().unwrap_or_else(PoisonError::into_inner);
+        let Lattices { known, next } = &mut *lattices;
         if let Some((number, _)) = known.iter().find(|(_, known)| known == lattice) {
             return *number;
         }
         if known.len() == MOST_LATTICES {
             known.pop_front();
         }
+        // A number is never used again, because cubes of its lattice may still be kept.
         known.push_back((*next, *lattice));
         *next += 1;
         *next - 1
@@ -128,46 +124,9 @@ impl DistanceCache {
         cube: IVec3,
         make: impl FnOnce() -> CubeDistances,
     ) -> CubeDistances {
-        let key = (number, cube);
-        let most_recent_bytes = self.most_bytes / (2 * SHARDS as u64);
-        // Cubes of a block are in few shards.
-        let place = cube.div_euclid(IVec3::splat(SHARD_EDGE)) * IVec3::new(1, 3, 9);
-        let shard = &self.shards[place.element_sum().rem_euclid(SHARDS as i32) as usize];
-        if let Some(found) = locked(shard).get(key, most_recent_bytes) {
-            return found;
-        }
-        // Other threads use the shard meanwhile.
-        let made = make();
-        locked(shard).put(key, made.clone(), most_recent_bytes);
-        made
-    }
-}
-
-fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-impl Shard {
-    fn get(&mut self, key: Key, most_recent_bytes: u64) -> Option<CubeDistances> {
-        if let Some(found) = self.recent.get(&key) {
-            return Some(found.clone());
-        }
-        let found = self.earlier.remove(&key)?;
-        self.put(key, found.clone(), most_recent_bytes);
-        Some(found)
-    }
-
-    fn put(&mut self, key: Key, distances: CubeDistances, most_recent_bytes: u64) {
-        let bytes = distances.bytes();
-        if self.recent_bytes + bytes > most_recent_bytes {
-            self.earlier = take(&mut self.recent);
-            self.recent_bytes = 0;
-        }
-        if bytes <= most_recent_bytes {
-            let replaced = self.recent.insert(key, distances);
-            self.recent_bytes += bytes;
-            self.recent_bytes -= replaced.map_or(0, |replaced| replaced.bytes());
-        }
+        let Ok(distances) =
+            self.cubes.get_or_insert_with(&(number, cube), || Ok::<_, Infallible>(make()));
+        distances
     }
 }
 
@@ -213,21 +172,15 @@ mod tests {
         assert_eq!(of(0, &[3, 4, 1]), [4]);
         assert_eq!(of(1, &[3]), [3]);
         assert!(of(0, &[1, 2, 3, 4]).is_empty());
-        // A cube that is used again and again stays while others fill both generations.
+        // A cube that is used again and again stays while others come and go.
         for first in (10..30_000).step_by(500) {
             of(0, &(first..first + 500).collect::<Vec<_>>());
             assert!(of(0, &[1]).is_empty());
+            assert!((1..=MOST_BYTES).contains(&cache.cubes.weight()));
         }
-        assert_eq!(of(0, &[2]), [2]);
-        for shard in &cache.shards {
-            let shard = locked(shard);
-            let bytes = |map: &HashMap<Key, CubeDistances>| -> u64 {
-                map.values().map(CubeDistances::bytes).sum()
-            };
-            assert_eq!(bytes(&shard.recent), shard.recent_bytes);
-            let most = MOST_BYTES / (2 * SHARDS as u64);
-            assert!(bytes(&shard.recent) <= most && bytes(&shard.earlier) <= most);
-        }
+        assert_eq!(cache.most_bytes(), MOST_BYTES);
+        assert!(cache.cubes.len() < 30_000 / 4);
+        assert!(of(0, &(10..30_000).collect::<Vec<_>>()).len() > 20_000);
     }
 
     #[test]
@@ -237,7 +190,7 @@ mod tests {
             let number = cache.number(&lattice(0));
             let found = cache.get_or_make(number, IVec3::ONE, || CubeDistances::Same(7));
             assert_eq!(found.each(), [7; CELLS]);
-            assert!(cache.shards.iter().all(|shard| locked(shard).recent.is_empty()));
+            assert!(cache.cubes.is_empty());
         }
     }
 
