@@ -7,14 +7,14 @@
 //! | get a level set | [`Surface::volume`], which gives a [`Volume`] |
 //! | try several surfaces of the same particles | [`Reconstruction::sample`], which gives a [`Frame`] |
 //! | convert the files of a simulation | [`Simulation`] |
-//! | mesh frames from memory with one calibration, such as those of a running simulation | [`LiveSimulation`] |
+//! | mesh frames from memory with one calibration, while a simulation runs | [`LiveSimulation`] |
 //! | mesh a frame that exceeds one machine | [`Parts`] |
 //! | add attributes to positions in memory | [`Cloud`] |
 //! | set every option of the program | [`Settings`] |
 //! | cancel any of these | [`Cancel`] |
 //!
-//! A failure is an [`Error`]; its [`Cause`] says what is at fault, such as the request or the
-//! input.
+//! Functions that fail return an [`Error`]; its [`Cause`] says what is at fault, such as the
+//! request or the input.
 //!
 //! # A frame from memory
 //!
@@ -130,11 +130,11 @@
 //! ```
 //!
 //! From particles to the field, all arithmetic is on integers. The result therefore depends only on
-//! the input, and not on the order of the particles, the threads, or the storage of the field.
-//! Every mesh is a closed, oriented 2-manifold. Neighbouring blocks share a vertex because it lies
-//! on the same grid edge, never because it has the same position.
+//! the input, and not on the order of the particles, on the number of threads, or on how the field
+//! is stored. Every mesh is a closed, oriented 2-manifold. Vertices of neighbouring blocks become
+//! one vertex if they lie on the same grid edge, never because they have the same position.
 //!
-//! [`method`] has the formulas and their sources, [`guide`] is the guide for users, and
+//! [`method`] gives the formulas with their sources, [`guide`] is the guide for users, and
 //! [`guide::glossary`] explains the terms. To change meniscus, see [`guide::contributing`] and
 //! [`internals`].
 //!
@@ -146,7 +146,7 @@
 //! - Without `cli`, there is no program `meniscus` and no module `program`, and clap and the other
 //!   dependencies of the command line are not built. `cli` turns on `pictures`.
 //! - Without `pictures`, there is no module [`picture`], and nothing draws pictures.
-//! - Without `hdf5`, HDF5 inputs are an error: VTKHDF, SWIFT, GADGET, openPMD, PySPH, H5Part, H5MD
+//! - Without `hdf5`, HDF5 inputs give an error: VTKHDF, SWIFT, GADGET, openPMD, PySPH, H5Part, H5MD
 //!   and others. `.vtkhdf` meshes can be written, but not read.
 
 #![cfg_attr(docsrs, feature(doc_cfg))]
@@ -260,7 +260,8 @@ pub mod picture {
     };
 }
 
-/// Files: formats, outputs that are checked before the work, and the content of a file.
+/// Files: formats, outputs that are checked before the reconstruction starts, and the contents of
+/// files.
 pub mod files {
     pub use crate::io::input::{InputFormat, file_and_step};
     pub use crate::io::mnf::is_packed;
@@ -305,18 +306,18 @@ pub mod internals {
     pub mod backend {
         pub use crate::backend::*;
     }
-    /// The kernel methods that the paper compares against (section 3), on the same bins, dual grid
-    /// and stitching.
+    /// The kernel methods that the paper compares against (section 3). They use the same bins, dual
+    /// grid and stitching.
     pub mod baselines {
         pub use crate::baselines::*;
     }
-    /// Sparse storage: particles sorted into bins, the DIF in bricks, and padded blocks cut out of
-    /// it.
+    /// Sparse storage: particles sorted into bins, the DIF in bricks, and padded blocks that are
+    /// cut out of the DIF.
     pub mod brick {
         pub use crate::brick::*;
     }
     /// From particles to the field: indicators, filters, the recipe that combines them, and the
-    /// calibration of the level at which the surface lies.
+    /// calibration, which determines where the surface lies.
     pub mod field {
         pub use crate::field::*;
     }
@@ -328,12 +329,13 @@ pub mod internals {
     pub mod grid {
         pub use crate::grid::*;
     }
-    /// Files: one format each, readers and writers side by side, chosen by extension.
+    /// Readers and writers of files. Each format has its own module, and the extension selects the
+    /// format.
     pub mod io {
         pub use crate::io::*;
     }
-    /// The interface to particles: the pipeline reads ranges of them, from several threads and
-    /// repeatedly.
+    /// The interface through which the pipeline reads ranges of particles, repeatedly and from
+    /// several threads.
     pub mod particles {
         pub use crate::particles::*;
     }

@@ -1,4 +1,4 @@
-//! The backend of frames: the CPU, a device that the caller names, or the faster of the two.
+//! The choice of a backend: the CPU, a device that the caller names, or whichever is faster.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -20,14 +20,13 @@ use super::{Cpu, Executor, Vulkan};
 pub struct Backend(Arc<dyn Executor>);
 
 impl Backend {
-    /// Runs frames on all threads of the caller's thread pool.
+    /// A backend that computes frames on all threads of the caller's thread pool.
     #[must_use]
     pub fn cpu() -> Self {
         Self::of(Cpu)
     }
 
-    /// A backend that computes frames on a device that meniscus opened or adopted. Compiles the
-    /// shaders for it.
+    /// A backend that computes frames on `device`. Compiles the shaders for this device.
     ///
     /// # Errors
     /// [`VulkanError`] if the driver rejects a shader.
@@ -47,7 +46,7 @@ impl Backend {
         self.0.device()
     }
 
-    // Public for tests that monitor a device; the trait is only in `internals`.
+    // Public for tests that monitor a device; the trait is public only in `internals`.
     #[doc(hidden)]
     pub fn of(executor: impl Executor + 'static) -> Self {
         Self(Arc::new(executor))
@@ -60,23 +59,23 @@ impl Backend {
     }
 }
 
-/// Size of particles in bytes that two threads mesh in about a third of a second: the time in which
-/// a driver opens a device and compiles shaders, or finds them in its cache. It is a million
-/// particles.
+/// Size, in bytes, of the particles that two threads mesh in about a third of a second. In this
+/// time, a driver opens a device, and compiles shaders or loads them from its cache. The size
+/// corresponds to a million particles.
 const SMALL: u64 = 12_000_000;
 
-/// With a smaller budget, devices are not searched: drivers take about 100 MiB.
+/// The smallest memory budget with which [`fastest`] looks for devices: drivers take about 100 MiB.
 const DRIVERS: MemoryBudget = MemoryBudget(1 << 30);
 
-/// Formats whose file size does not show the size of the particles: compressed, or in several
-/// pieces.
+/// Extensions of files whose size does not show the size of the particles, because the files are
+/// compressed or consist of several pieces.
 const UNKNOWN_SIZE: [&str; 7] = ["gz", "xz", "zst", "mnf", "npz", "bi4", "vtm"];
 
 /// A reason to use the CPU.
 #[derive(Debug)]
 #[non_exhaustive]
 pub enum CpuReason {
-    /// Drivers may need this number of bytes, which exceeds the limit.
+    /// Drivers may need this number of bytes, which exceeds the memory limit.
     LittleMemory(u64),
     /// The machine has no GPU.
     NoGpu,
@@ -109,8 +108,8 @@ impl fmt::Display for CpuReason {
     }
 }
 
-/// Opens a device and compiles its shaders, or loads them from a cache folder. The device may use
-/// three quarters of its free memory.
+/// Opens a device, and compiles its shaders or loads them from the folder `cache`. Buffers may take
+/// three quarters of the device's free memory.
 ///
 /// # Errors
 /// [`VulkanError`] if there is no such device, or if it cannot be used.
@@ -119,8 +118,9 @@ pub fn device(choice: &DeviceChoice, cache: Option<&Path>) -> Result<Backend, Vu
     opened(&instance, &instance.choose(choice)?, cache)
 }
 
-/// Opens the best device, if it is faster than the CPU for inputs of this size (if known), and if
-/// drivers fit the memory limit. Otherwise returns the CPU and the reason.
+/// Opens the best device if it is likely to be faster than the CPU, and if drivers fit into the
+/// memory limit. Otherwise, returns the CPU and the reason. `input_bytes` returns the size of the
+/// input in bytes, if it is known.
 #[must_use]
 pub fn fastest(
     budget: MemoryBudget,
@@ -173,8 +173,8 @@ fn opened(
     Backend::vulkan(Device::open(instance, &choice, &options)?)
 }
 
-/// Total size of the particles in some files in bytes; `None` if a file is missing or its size is
-/// not known.
+/// Total size, in bytes, of the particles in `files`; `None` if a file is missing or does not show
+/// the size of its particles.
 pub fn bytes_of<'a>(files: impl IntoIterator<Item = &'a Path>) -> Option<u64> {
     let bytes = |file: &Path| {
         let extension = file.extension().unwrap_or_default().to_ascii_lowercase();
@@ -184,8 +184,9 @@ pub fn bytes_of<'a>(files: impl IntoIterator<Item = &'a Path>) -> Option<u64> {
     files.into_iter().map(bytes).sum()
 }
 
-/// Whether loading the Vulkan drivers may find a GPU; some drivers compute on the CPU. In a
-/// container with one of several GPUs, that GPU may have any number.
+/// Whether loading the Vulkan drivers may find a GPU, rather than only drivers that compute on the
+/// CPU. The check does not use device nodes with numbers, because in a container with one of
+/// several GPUs, that GPU may have any number.
 fn may_have_gpu(nodes: &Path) -> bool {
     let known = ["dri", "nvidiactl", "dxg"];
     !cfg!(target_os = "linux") || known.iter().any(|node| nodes.join(node).exists())

@@ -29,7 +29,7 @@ use crate::surface::solid::Solid;
 use crate::system::control::Meter;
 use crate::vulkan::Device;
 
-/// Starts frames, which is the part of a [`Backend`] that is specific to the CPU or a device.
+/// The part of a [`Backend`] that is specific to the CPU or a device: it starts frames.
 pub trait Executor: Debug + Send + Sync {
     /// Returns the name of the CPU or device, for display.
     fn name(&self) -> String;
@@ -39,20 +39,21 @@ pub trait Executor: Debug + Send + Sync {
         None
     }
 
-    /// Whether frames can be computed in parallel, each on some of the threads.
+    /// Whether several frames can be computed in parallel, each on a subset of the threads.
     fn divides(&self) -> bool;
 
-    /// Additional bytes of the host's memory for a frame under `budget`.
+    /// Additional bytes of the host's memory that a frame needs under `budget`.
     fn host_bytes(&self, budget: MemoryBudget) -> u64;
 
-    /// Starts a frame. Dropping it frees its device memory.
+    /// Starts a frame. Dropping the frame frees its device memory, or keeps the memory for the next
+    /// frame.
     fn start(&self, budget: MemoryBudget) -> Box<dyn Stages>;
 }
 
 /// The stages of one frame.
 pub trait Stages: Debug + Send + Sync {
-    /// The field of all bins, whose particles are in memory. The field may stay on the device; the
-    /// host then fetches samples on demand.
+    /// Makes the field of all bins. The particles must be in memory. The field may stay on the
+    /// device; the host then fetches samples on demand.
     fn field(&self, bins: &Arc<Bins>, rule: &PageRule, meter: &Meter<'_>) -> io::Result<DifField> {
         Ok(DifField::in_memory(
             rule.shape(),
@@ -60,7 +61,7 @@ pub trait Stages: Debug + Send + Sync {
         ))
     }
 
-    /// The pages of a range of bins. `meter` counts the finished bins.
+    /// Makes the pages of a range of bins. `meter` counts the finished bins.
     ///
     /// # Errors
     /// If particles are in a scratch file that cannot be read, or if `meter` is cancelled.
@@ -72,9 +73,9 @@ pub trait Stages: Debug + Send + Sync {
         meter: &Meter<'_>,
     ) -> io::Result<Pages>;
 
-    /// Passes the surfaces of some regions of blocks to `take`, in order and in batches; a region
-    /// without surface has `None`. A device computes later batches while `take` runs. `meter`
-    /// counts the regions; after a cancel the results are meaningless.
+    /// Makes the surfaces of `regions`, and passes them to `take`, in order and in batches. A
+    /// region without a surface gives `None`. A device computes later batches while `take` runs.
+    /// `meter` counts the regions. After a cancel, the results must not be used.
     fn contour(
         &self,
         surfaces: &Surfaces<'_>,
@@ -83,20 +84,21 @@ pub trait Stages: Debug + Send + Sync {
         take: &mut Take<'_>,
     ) -> io::Result<()>;
 
-    /// Descriptions of device failures so far. The CPU repeated the work that failed.
+    /// Returns descriptions of the device failures so far. The work that failed was repeated with
+    /// less device memory or on the CPU.
     fn warnings(&self) -> Vec<String>;
 
-    /// The part of the work so far that a device did; the CPU did the rest.
+    /// Returns the part of the work so far that was done on a device; the CPU did the rest.
     fn on_device(&self) -> Work;
 }
 
-/// Takes the surfaces of consecutive regions.
+/// A callback that takes the surfaces of consecutive regions.
 pub type Take<'a> = dyn FnMut(Vec<Option<BlockMesh>>) -> io::Result<()> + 'a;
 
-/// Number of bins for which each CPU thread makes pages between two checks for a cancel.
+/// Number of bins per CPU thread for which pages are made between two checks for a cancel.
 const BINS_A_THREAD: usize = 64;
 
-/// Maximum number of regions whose surfaces are passed on together.
+/// Maximum number of regions whose surfaces are passed to [`Take`] in one call.
 pub const REGIONS_TOGETHER: usize = 1024;
 
 /// The work done on a frame: the numbers of finished bins and regions.
@@ -113,7 +115,7 @@ pub struct Work {
 pub struct Surfaces<'a> {
     /// The sampled frame.
     pub sampled: &'a SampledDif,
-    /// The recipe from its DIF to the field.
+    /// The recipe that makes the field from the DIF of `sampled`.
     pub recipe: &'a Recipe,
     /// Solids that cut the field, if there are any.
     pub solid: Option<&'a Solid>,
@@ -145,8 +147,8 @@ impl Surfaces<'_> {
         regions.filter(|cells| !cells.is_empty()).collect()
     }
 
-    /// Whether a solid may affect the surface in a region, because it overlaps the cells from which
-    /// the field is made.
+    /// Whether a solid may affect the surface in `region`, because the solid overlaps the cells
+    /// from which the region's field is made.
     fn is_at_solid(&self, region: CellBox) -> bool {
         let Filters::Distances(distances) = &self.recipe.filters else { return false };
         let wide = distances.wide_cells(self.normals.cells(region));
@@ -168,7 +170,7 @@ impl Surfaces<'_> {
         }
     }
 
-    /// The cells within walls; beyond them the field repeats its edge cells.
+    /// The cells within the walls. Beyond the walls, the field repeats its edge cells.
     fn walls(&self) -> Option<CellBox> {
         self.sampled.facts.walls()
     }

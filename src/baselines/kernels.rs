@@ -1,4 +1,4 @@
-//! The kernels of all particles of a frame, and the field that is their sum.
+//! The kernels of all particles of a frame, and the field that follows from their sum.
 
 use std::fmt::Debug;
 use std::io;
@@ -17,19 +17,19 @@ use crate::system::scratch::Lists;
 use super::neighbours::{NeighbourGrid, places};
 use super::scheme::Scheme;
 
-/// Number of particles whose kernels are computed together, unless a single bin has more.
+/// Maximum number of particles whose kernels are computed together, unless a single bin has more.
 const BATCH: usize = 1 << 17;
-/// Number of cells beyond a block that its normals need: one for the corners of the dual cells, and
-/// one more on all sides.
+/// Number of cells beyond a block that the normals of its mesh need: one for the corners of the
+/// dual cells, and one more on all sides.
 const MARGIN: i32 = 2;
 
-/// The field of a frame by a kernel method, ready to be meshed block by block.
+/// The field that a kernel method makes for a frame, ready to be meshed block by block.
 pub trait KernelField: Debug + Send + Sync {
     /// The parts of blocks that the surface can pass through, in Morton order.
     fn regions(&self, walls: Option<CellBox>) -> Vec<CellBox>;
 
-    /// The surface through a region; `None` if no surface passes through it. Cells outside of
-    /// `walls` are ghost points.
+    /// The surface through a region; `None` if no surface passes through it. Cells outside `walls`
+    /// are ghost points.
     ///
     /// # Errors
     /// If kernels are in a scratch file that cannot be read.
@@ -57,7 +57,7 @@ pub(super) struct Kernels<S: Scheme> {
 struct ReachedCells {
     /// The bin's lowest cell.
     corner: IVec3,
-    /// All cells whose centre a kernel may reach.
+    /// All cells whose centres a kernel may reach.
     cells: CellBox,
 }
 

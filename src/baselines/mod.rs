@@ -1,14 +1,14 @@
 //! The kernel methods that the paper compares against (section 3). They use the same bins, dual
 //! grid and stitching as discrete indicator functions.
 //!
-//! Each method sums contributions of the particles around the centre of a cell. The kernel of a
-//! particle, which is its contribution, is computed once from the particles around it. The field of
-//! a block is then the sum of the kernels that reach it. Here a field is real, and positive inside
-//! the fluid. Lengths are in cells.
+//! Each method sums contributions of the particles around the centre of a cell. The contribution of
+//! a particle is its kernel, which is computed once from the particles around it. The field of a
+//! block then follows from the sum of the kernels that reach the block. In these modules, a field
+//! has real values, which are positive inside the fluid. Lengths are in cells.
 //!
-//! Sums run over the bins along the Morton curve, and within a bin over the particles by cell and
-//! position. The sums are therefore the same on any number of threads. Positions are rounded to 1 /
-//! 8192 of a cell, as for the DIF.
+//! Sums run over the bins along the Morton curve and, within a bin, over the particles in order of
+//! cell and position. The sums are therefore the same for any number of threads. Positions are
+//! rounded to 1 / 8192 of a cell, as for the DIF.
 
 mod kernels;
 mod mueller;
@@ -48,7 +48,7 @@ pub enum KernelMethod {
 }
 
 impl KernelMethod {
-    /// The isovalue half-way between inside and outside.
+    /// The isovalue halfway between inside and outside.
     pub const HALF: f64 = 0.5;
 
     /// The name of the method.
@@ -70,8 +70,8 @@ impl KernelMethod {
         }
     }
 
-    /// The distance in cells within which a particle affects the field: through its kernel, and
-    /// through the neighbours that shape the kernel. `spacing` is in cells.
+    /// The distance, in cells, within which a particle affects the field: through its own kernel,
+    /// and through the kernels of its neighbours, which depend on it. `spacing` is in cells.
     #[must_use]
     pub fn reach(self, spacing: f64) -> i32 {
         let support = Spacing::SUPPORT * spacing;
@@ -83,7 +83,7 @@ impl KernelMethod {
         reach.ceil() as i32
     }
 
-    /// Bytes of a particle's kernel, which is kept until the surface is done.
+    /// Bytes of a particle's kernel, which is kept until the surface is finished.
     #[must_use]
     pub fn kernel_bytes(self) -> u64 {
         let bytes = match self {
@@ -94,7 +94,7 @@ impl KernelMethod {
         bytes as u64
     }
 
-    /// Bytes of a cell while its field is made: the largest sum, and the field.
+    /// Bytes per cell while a field is made: those of the largest sum, and those of the field.
     pub const CELL_BYTES: u64 =
         (size_of::<<ZhuBridson as Scheme>::Sum>() + size_of::<f64>()) as u64;
 }

@@ -2,8 +2,8 @@
 //! (their eq. 2).
 //!
 //! phi(x) = sum_i W(x - x_i, h) m_i / rho_i with rho_i = sum_j m_j W(x_i - x_j, h). Masses are
-//! equal, so they and the scale of W (their eq. 3) cancel: a particle's share is w(x - x_i) / sum_j
-//! w(x_i - x_j).
+//! equal, so they and the scale of W (their eq. 3) cancel: a particle contributes w(x - x_i) /
+//! sum_j w(x_i - x_j).
 
 use glam::DVec3;
 
@@ -23,7 +23,7 @@ impl Mueller {
     }
 }
 
-/// The number density at a place, divided by the density of a single particle: sum_j w(x_j -
+/// The number density at `place`, divided by the density of a single particle: sum_j w(x_j -
 /// place).
 pub fn density(place: DVec3, support: f64, neighbours: &NeighbourGrid) -> f64 {
     let mut density = 0.0;
@@ -33,7 +33,7 @@ pub fn density(place: DVec3, support: f64, neighbours: &NeighbourGrid) -> f64 {
 }
 
 impl Scheme for Mueller {
-    /// The particle's position, and its share.
+    /// The particle's position, and the reciprocal of its density.
     type Kernel = [f64; 4];
     type Sum = f64;
 

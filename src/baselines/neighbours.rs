@@ -1,4 +1,5 @@
-//! The particles in a box of cells, for searches of the particles within a distance.
+//! The particles in a box of cells, stored so that all particles within a distance of a position
+//! are found quickly.
 
 use std::io;
 
@@ -7,10 +8,10 @@ use glam::{DVec3, IVec3};
 use crate::brick::{BinContents, Bins};
 use crate::grid::{BIN, CellBox, FRACTIONS, MortonKey};
 
-/// Particles by cell.
+/// Particles, sorted by cell.
 #[derive(Debug)]
 pub struct NeighbourGrid {
-    /// The cells. They and the places are relative to the same origin.
+    /// The cells, relative to the same origin as `places`.
     cells: CellBox,
     /// The index in `places` at which each cell's particles begin, and the end of the last cell's
     /// particles.
@@ -18,20 +19,20 @@ pub struct NeighbourGrid {
     places: Vec<DVec3>,
 }
 
-/// The cells of a bin's particles, and the positions of the particles. Both have the same origin as
+/// The cell and the position of each particle in a bin. Both are relative to the same origin as
 /// `corner`, the lowest cell of the bin.
 pub fn places(contents: &BinContents<'_>, corner: IVec3) -> impl Iterator<Item = (IVec3, DVec3)> {
     contents.particles().map(move |(local, offset)| {
         let local = local as i32;
         let cell = corner + IVec3::new(local % BIN, local / BIN % BIN, local / (BIN * BIN));
-        // An offset stands for the middle of its step.
+        // An offset represents the middle of its step.
         let offset = DVec3::from(offset.map(f64::from)) + 0.5;
         (cell, cell.as_dvec3() + offset / f64::from(FRACTIONS))
     })
 }
 
 impl NeighbourGrid {
-    /// The particles in `cells`, placed relative to the corner of the cell `origin`.
+    /// The particles in `cells`, with positions relative to the lowest corner of the cell `origin`.
     ///
     /// # Errors
     /// If particles are in a scratch file that cannot be read.
@@ -70,8 +71,8 @@ impl NeighbourGrid {
         local.x + size.x * (local.y + size.y * local.z)
     }
 
-    /// Calls `visit` with every particle within `radius` of `place`: its offset from `place`, and
-    /// its squared distance.
+    /// Calls `visit` for every particle within `radius` of `place`, with its offset and its squared
+    /// distance from `place`.
     #[inline]
     pub fn within(&self, place: DVec3, radius: f64, mut visit: impl FnMut(DVec3, f64)) {
         let squared = radius * radius;

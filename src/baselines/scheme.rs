@@ -18,8 +18,8 @@ pub struct Spacing(f64);
 pub struct TooManyCells(pub f64);
 
 impl Spacing {
-    /// The maximum spacing in cells. Kernels that reach more cells would take more memory than a
-    /// thread has.
+    /// The maximum spacing in cells. Kernels that reach more cells would need more memory than each
+    /// thread can use.
     pub const MAX: f64 = 16.0;
 
     /// The reach of an isotropic kernel, in spacings: four times the particles' radius.
@@ -28,7 +28,7 @@ impl Spacing {
     /// A spacing in cells.
     ///
     /// # Errors
-    /// [`TooManyCells`] above [`MAX`](Self::MAX).
+    /// [`TooManyCells`] if `cells` exceeds [`MAX`](Self::MAX).
     pub fn new(cells: f64) -> Result<Self, TooManyCells> {
         if cells <= Self::MAX { Ok(Self(cells)) } else { Err(TooManyCells(cells)) }
     }
@@ -48,7 +48,7 @@ impl Spacing {
     }
 }
 
-/// The weight w of eq. 3. Takes the square of the argument of w.
+/// The weight w of eq. 3, for an argument whose square is `squared`.
 #[inline]
 pub(super) fn weight(squared: f64) -> f64 {
     let left = (1.0 - squared).max(0.0);
@@ -57,8 +57,8 @@ pub(super) fn weight(squared: f64) -> f64 {
 
 /// A kernel method: how it makes a field from particles.
 pub(super) trait Scheme: Debug + Send + Sync {
-    /// The kernel of a particle, which is its contribution to sums; positions are relative to its
-    /// bin's corner.
+    /// The kernel of a particle: its contribution to sums. Positions are relative to the lowest
+    /// corner of the particle's bin.
     type Kernel: Pod + Send + Sync + Debug;
     /// The sum of the kernels at a point, from which the field is computed.
     type Sum: Copy + Default;
@@ -72,9 +72,10 @@ pub(super) trait Scheme: Debug + Send + Sync {
     /// The position of a kernel, and its reach along each axis.
     fn extent(&self, kernel: &Self::Kernel) -> [DVec3; 2];
 
-    /// Adds the contribution of a kernel at a point, which is relative to its position.
+    /// Adds the contribution of `kernel` at `point` to `sum`. `point` is relative to the kernel's
+    /// position.
     fn add(&self, kernel: &Self::Kernel, point: DVec3, sum: &mut Self::Sum);
 
-    /// The field at a point with this sum.
+    /// The field at a point where the kernels add up to `sum`.
     fn field(&self, sum: Self::Sum) -> f64;
 }

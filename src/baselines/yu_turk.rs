@@ -3,22 +3,22 @@
 //! phi(x) = sum_i W(x - xbar_i, G_i) m_i / rho_i with W(r, G) = s det(G) w(|G r|), and m_i / rho_i
 //! as in Mueller's method.
 //!
-//! Sums run over the particles j nearer than R = 2 h. Their weights are w_ij = 1 - (|x_i - x_j| /
-//! R)^3, and their weighted mean is x_i^w:
+//! The following sums run over the particles j whose distance from x_i is less than R = 2 h. Their
+//! weights are w_ij = 1 - (|x_i - x_j| / R)^3, and their weighted mean is x_i^w:
 //!
-//! - xbar_i = (1 - lambda) x_i + lambda x_i^w (their eq. 6), lambda = 1/2;
+//! - xbar_i = (1 - lambda) x_i + lambda x_i^w (their eq. 6), with lambda = 1/2;
 //! - C_i = sum_j w_ij (x_j - x_i^w)(x_j - x_i^w)^T / sum_j w_ij (their eq. 9), decomposed as A
-//!   diag(s_1, s_2, s_3) A^T, s_1 the greatest;
+//!   diag(s_1, s_2, s_3) A^T, where s_1 is the greatest;
 //! - s'_k = k_s max(s_k, s_1 / k_r) if there are more than N_e other particles, and otherwise s'_k
 //!   = k_n (their eq. 15);
 //! - G_i = A diag(1 / s'_k) A^T / h (their eq. 16).
 //!
-//! k_r = 4, k_n = 0.5 and N_e = 25 are from their paper. Their lambda is 0.9, but if h is two
-//! spacings, this moves the particles of a flat surface inwards by more than a spacing. Therefore
-//! lambda is 1/2, as in the implementation to which the DIF paper compares (Kim, Fluid Engine
-//! Development, 2016). Their k_s makes k_s C about the identity deep in the fluid, and depends on
-//! the unit of length. Here, k_s follows from a uniform density, for which C is 0.15 R^2 times the
-//! identity.
+//! k_r = 4, k_n = 0.5 and N_e = 25 are from their paper. Their lambda is 0.9, but since h is two
+//! spacings here, 0.9 would move the particles of a flat surface inwards by more than a spacing.
+//! Therefore lambda is 1/2, as in the implementation that the DIF paper compares with (Kim, Fluid
+//! Engine Development, 2016). Their k_s makes k_s C about the identity deep in the fluid, so it
+//! depends on the unit of length. Here, k_s follows from a uniform density, for which C is 0.15 R^2
+//! times the identity.
 
 use glam::{DMat3, DVec3};
 use glamx::DSymmetricEigen3;
@@ -33,13 +33,13 @@ const LAMBDA: f64 = 0.5;
 const K_R: f64 = 4.0;
 /// The width of a kernel with few neighbours, divided by h.
 const K_N: f64 = 0.5;
-/// Maximum number of neighbours of a particle that count as few.
+/// A particle with at most this many neighbours has few neighbours.
 const N_EPSILON: usize = 25;
 /// The neighbourhood's radius, divided by h.
 const NEIGHBOURHOOD: f64 = 2.0;
-/// The distance within which particles affect the field, divided by h: the distance to the
-/// neighbours of a particle, plus the reach of its kernel. In a fluid, a kernel hardly ever reaches
-/// more than twice as far as in uniform density.
+/// The distance within which particles affect the field, divided by h: the maximum distance to a
+/// particle's neighbours, plus the reach of the particle's kernel. In a fluid, a kernel hardly ever
+/// reaches more than twice as far as at uniform density.
 pub const REACH: f64 = NEIGHBOURHOOD + 2.0;
 /// The eigenvalues of C, divided by R^2, if the density is uniform.
 const UNIFORM: f64 = 0.15;
@@ -57,7 +57,7 @@ impl YuTurk {
         Self { support: spacing.support(), iso }
     }
 
-    /// The mean of the particles around a place, and A diag(s'_k) A^T.
+    /// The weighted mean of the particles around `place`, and A diag(s'_k) A^T.
     fn ellipsoid(&self, place: DVec3, neighbours: &NeighbourGrid) -> (DVec3, DMat3) {
         let radius = self.neighbourhood();
         let mut found = 0;
@@ -70,13 +70,13 @@ impl YuTurk {
             first += weighted;
             second += DMat3::from_cols(weighted * seen.x, weighted * seen.y, weighted * seen.z);
         });
-        // The particle itself was found too.
+        // The particle itself is also found, so `weights` is at least 1.
         let mean = first / weights;
         let outer = DMat3::from_cols(mean * mean.x, mean * mean.y, mean * mean.z);
         let covariance = second * weights.recip() - outer;
         let DSymmetricEigen3 { eigenvalues, eigenvectors } = DSymmetricEigen3::new(covariance);
         let greatest = eigenvalues.max_element() / (UNIFORM * radius * radius);
-        // If all particles are in one place, the covariance has no shape either.
+        // If all particles are at the same position, the covariance is zero and has no shape.
         let widths = if found > N_EPSILON + 1 && greatest > f64::EPSILON {
             let scaled = eigenvalues / (UNIFORM * radius * radius);
             scaled.max(DVec3::splat(greatest / K_R))
@@ -114,7 +114,8 @@ impl Scheme for YuTurk {
             centre: place.lerp(mean, LAMBDA),
             shape: axes.inverse(),
             share: 1.0 / (widths.determinant() * density(place, self.support, neighbours)),
-            // The extent of the unit ball under a linear map is the lengths of the map's rows.
+            // A linear map turns the unit ball into an ellipsoid, whose extent along each axis is
+            // the length of a row of the map.
             reach: DVec3::new(axes.row(0).length(), axes.row(1).length(), axes.row(2).length()),
         }
     }

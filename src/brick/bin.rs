@@ -3,8 +3,8 @@
 //! Positions are read twice: once to count the particles of each bin, and once to put each
 //! particle, packed into 51 bits, into its bin's slots in memory, or into its run of bins (`runs`).
 //! If memory allows, the first reading keeps the results that the second would recompute. The order
-//! of the particles inside a bin is arbitrary. It does not change sums of integers; for sums of
-//! floating-point numbers, [`Bins::sorted`] gives a fixed order.
+//! of the particles inside a bin is arbitrary. The order does not affect sums of integers; for sums
+//! of floating-point numbers, [`Bins::sorted`] gives a fixed order.
 
 use std::convert::Infallible;
 use std::fmt;
@@ -27,8 +27,8 @@ use super::cubes::{BinCode, CUBE, bin_coord};
 use super::place::{BinSieve, CHUNK, Placer};
 use super::slots::{Record, Slots};
 
-/// If a range of particles touches more bins than this, the places of its particles are not kept.
-/// The free bits of a record hold the rank of a bin; the greatest rank stands for no bin.
+/// Maximum number of bins in the table of a range of particles whose places are kept. The free bits
+/// of a place's record hold the rank of a bin; the greatest rank stands for no bin.
 const KEPT_BINS: usize = (1 << FREE_BITS) - 1;
 
 /// The memory limits of counting.
@@ -36,9 +36,9 @@ const KEPT_BINS: usize = (1 << FREE_BITS) - 1;
 pub struct CountingRoom {
     /// Maximum number of bins.
     pub bins: usize,
-    /// Maximum number of particles in a frame whose places are kept, with [`Self::PLACE`] bytes
-    /// each. A place is the rank of a bin and a packed position. If places are kept, the second
-    /// reading does not read the positions again.
+    /// Maximum number of particles in a frame whose places are kept. A place consists of the rank
+    /// of a bin and a packed position, and takes [`Self::PLACE`] bytes. If places are kept, the
+    /// second reading does not read the positions again.
     pub places: usize,
 }
 
@@ -61,7 +61,8 @@ impl CountingRoom {
     pub const BINS: Self = Self { bins: usize::MAX, places: 0 };
 }
 
-/// The treatment of particles that are not finite, or beyond the grid or the periodic box.
+/// The treatment of particles with a coordinate that is not finite, or beyond the grid or the
+/// periodic box.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum InvalidParticles {
     /// Return an error that names the first invalid particle.
@@ -90,7 +91,7 @@ pub enum BinError {
         /// Maximum number of bins.
         limit: usize,
     },
-    /// A particle is outside of the periodic box.
+    /// A particle is outside the periodic box.
     #[error(
         "particle {index} at ({}, {}, {}) is outside the periodic box along {axis}",
         position[0], position[1], position[2]
@@ -100,7 +101,7 @@ pub enum BinError {
         index: usize,
         /// The particle's position.
         position: [f64; 3],
-        /// x, y or z.
+        /// The axis along which the particle is outside: x, y or z.
         axis: char,
     },
     /// A coordinate is beyond the addressable grid.
@@ -127,7 +128,7 @@ pub struct Census {
     pub not_finite: usize,
     /// Number of particles that are skipped because they are beyond the addressable grid.
     pub too_far: usize,
-    /// Number of particles that are skipped because they are outside of the domain's walls or of a
+    /// Number of particles that are skipped because they are outside the domain's walls or a
     /// periodic box.
     pub outside: usize,
 }
@@ -287,7 +288,7 @@ impl BinPlan {
         })
     }
 
-    /// Returns the numbers of binned particles and of skipped ones by reason.
+    /// Returns the number of binned particles, and the numbers of skipped particles by reason.
     pub fn census(&self) -> Census {
         self.census
     }
@@ -302,7 +303,7 @@ impl BinPlan {
         self.first.windows(2).map(|w| w[1] - w[0])
     }
 
-    /// Bytes that each thread needs to look up the bins of this many `particles`. `wanted` is true
+    /// Bytes that each thread needs to look up the bins of `particles` particles. `wanted` is true
     /// if only some bins are counted.
     pub fn lookup_bytes(particles: usize, wanted: bool) -> u64 {
         LatestNumbers::bytes(particles) + if wanted { BinSieve::bytes(particles) } else { 0 }
@@ -314,7 +315,7 @@ impl BinPlan {
     }
 
     /// The second reading, into memory: sorts the same `particles` into their bins, with the
-    /// attributes whose numbers are in `carried`.
+    /// attributes whose indices are in `carried`.
     ///
     /// # Errors
     /// [`RereadError::Changed`] if particles moved since they were counted.
@@ -438,7 +439,8 @@ pub(super) fn components(particles: &dyn Particles, carried: &[usize]) -> Vec<us
 /// Maximum number of particles in a range, so that a bin's counter can count them all.
 const MOST_COUNTED: usize = u32::MAX as usize;
 
-/// A few ranges of particles per thread. The results do not depend on the number of ranges.
+/// Splits the particles into a few ranges per thread. The results of binning do not depend on the
+/// number of ranges.
 fn ranges(len: usize) -> Vec<Range<usize>> {
     let count = (rayon::current_num_threads() * 2)
         .min(len.div_ceil(1 << 16))
@@ -487,7 +489,8 @@ impl Counter {
         let mut kept = particles.len() <= self.room.places;
         let mut places = empty_in_huge_pages(if kept { range.len() } else { 0 });
         let mut placed = Vec::with_capacity(CHUNK);
-        // A thread that finds too many bins stops the others, because the counts are useless then.
+        // A thread that finds too many bins stops the other threads, because all counts are useless
+        // then.
         let _ = self.placer.for_each_chunk(particles, range, |first, positions, addresses| {
             visit(positions);
             table.place_all(addresses, &mut latest, &mut placed);

@@ -1,4 +1,4 @@
-//! A table of the bins that a range of particles touches, indexed by their coordinates.
+//! A table of the bins that a range of particles touches, indexed by the coordinates of the bins.
 //!
 //! Particles come in any order, so lookups in the table of a large frame are scattered. Bins are
 //! grouped into cubes: a hash table finds a cube, a small cache holds the cubes of recent lookups,
@@ -89,7 +89,7 @@ impl BinTable {
         self.counts.as_flattened()
     }
 
-    /// Counts a particle for a rank, unless it is [`NOWHERE`].
+    /// Counts a particle in the bin with this rank, unless the rank is [`NOWHERE`].
     #[inline(always)]
     pub(super) fn add(&mut self, rank: u32) {
         if let Some(count) = self.counts.as_flattened_mut().get_mut(rank as usize) {

@@ -1,4 +1,4 @@
-//! Particles in the order of their bins, in memory or in a scratch file.
+//! Particles in bin order, in memory or in a scratch file.
 
 use std::borrow::Cow;
 use std::io;
@@ -11,18 +11,19 @@ use crate::system::scratch::Scratch;
 
 use super::slots::{Record, Slots};
 
-/// Bits per axis of a packed particle: its offset in the cell, and the cell in the bin.
+/// Number of bits per axis in a packed particle, for its offset in the cell and its cell in the
+/// bin.
 pub const AXIS_BITS: u32 = FRACTION_BITS + BIN.ilog2();
-/// Bits of a packed particle; the other bits of its 64-bit word are free.
+/// Number of bits in a packed particle; the other bits of its 64-bit word are free.
 pub const RECORD_BITS: u32 = 3 * AXIS_BITS;
 
-/// Bits of a word that a packed particle leaves free.
+/// Number of bits that a packed particle leaves free in its word.
 pub(super) const FREE_BITS: u32 = u64::BITS - RECORD_BITS;
 
 /// Number of bins that are sorted together before they are written back.
 const SORTED_AT_ONCE: usize = 256;
 
-/// Particles in the order of their bins.
+/// Particles in bin order.
 #[derive(Debug)]
 pub struct Bins {
     pub(super) keys: Vec<MortonKey>,
@@ -35,15 +36,15 @@ pub struct Bins {
     pub(super) store: ParticleStore,
 }
 
-/// The storage of the particles: records and each attribute separately.
+/// The storage of the particles. The records and each attribute are stored separately.
 #[derive(Debug)]
 pub(super) enum ParticleStore {
     Memory { records: Vec<Record>, attributes: Vec<Vec<f32>> },
     File { scratch: Scratch, records_at: u64, attributes_at: Vec<u64> },
 }
 
-/// The indices of at most `most` of `len` items along the Morton curve, in equal steps. The step is
-/// odd, because an even step would be in phase with the turns of the curve.
+/// The indices of at most `most` of the `len` items along the Morton curve, at equal steps. The
+/// step is odd, because an even step would be in phase with the turns of the curve.
 pub fn equal_steps(len: usize, most: usize) -> impl Iterator<Item = usize> {
     (0..len).step_by(len.div_ceil(most) | 1)
 }
@@ -57,13 +58,13 @@ pub(super) fn tuple_bytes(components: &[usize]) -> usize {
 #[derive(Debug)]
 pub struct BinContents<'a> {
     records: Cow<'a, [Record]>,
-    /// For each attribute, the components of one particle after another.
+    /// For each attribute, the components of all particles, particle by particle.
     pub attributes: Vec<Cow<'a, [f32]>>,
 }
 
 impl BinContents<'_> {
-    /// The packed particles. From the lowest bits up, each axis (x first) has the offset in the
-    /// cell, then the cell in the bin.
+    /// The packed particles. Each word has x in its lowest bits, then y, then z. For each axis, the
+    /// lower bits are the offset in the cell, and the upper bits are the cell in the bin.
     pub fn packed(&self) -> &[u64] {
         &self.records
     }
@@ -78,8 +79,8 @@ impl BinContents<'_> {
 }
 
 impl Bins {
-    /// Makes bins of `slots` that threads have filled; `first` has the index of each bin's first
-    /// particle.
+    /// Makes bins from `slots`, which threads have filled. `first` has the index of each bin's
+    /// first particle.
     pub(super) fn of_slots(
         slots: Slots,
         keys: Vec<MortonKey>,
@@ -101,12 +102,12 @@ impl Bins {
         }
     }
 
-    /// Bytes that tables need for each bin until the surface is done, for any number of particles
-    /// in the bin.
+    /// Bytes that tables need for each bin until the surface is done, however many particles the
+    /// bin contains.
     pub const TABLE_BYTES: u64 = 344;
 
-    /// For each attribute, the number of particles without a finite value: their value exceeds the
-    /// range of f32, or is missing.
+    /// For each attribute, the number of particles without a finite value, because the value
+    /// exceeds the range of f32 or is missing.
     pub fn without(&self) -> &[usize] {
         &self.without
     }
@@ -126,8 +127,8 @@ impl Bins {
         self.first[bin + 1] - self.first[bin]
     }
 
-    /// Sorts the particles of every bin by cell, x fastest, and by position in the cell, so that
-    /// floating-point sums have a fixed order.
+    /// Sorts the particles of every bin by cell, x fastest, and then by position in the cell, so
+    /// that floating-point sums have a fixed order.
     ///
     /// # Errors
     /// If the particles are in a scratch file that cannot be read or written.
@@ -222,13 +223,13 @@ pub(super) fn pack(steps: [i64; 3]) -> Record {
     x | y << AXIS_BITS | z << (2 * AXIS_BITS)
 }
 
-/// A number that sorts packed particles by cell first.
+/// A sort key that orders packed particles by cell first.
 fn cell_first(record: Record) -> u64 {
     let (cell, _) = unpack(record);
     (cell_index(cell) as u64) << RECORD_BITS | record
 }
 
-/// The cell in the bin and the offset in the cell of a packed particle.
+/// Unpacks a particle into its cell in the bin and its offset in the cell.
 #[inline(always)]
 pub fn unpack(record: u64) -> ([usize; 3], [u32; 3]) {
     let axis = [0, 1, 2].map(|a| (record >> (a * AXIS_BITS)) as u32 & ((1 << AXIS_BITS) - 1));

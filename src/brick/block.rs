@@ -13,10 +13,10 @@ const ROW: usize = 1 << 11;
 /// Number of samples that are tested together.
 const PIECE: usize = 256;
 
-/// The maximum length of a run of several rows, in samples.
+/// Maximum length, in samples, of a run of several rows.
 const RUN: usize = 1 << 10;
 
-/// Rows of a block: see [`Block::rows`].
+/// An iterator over rows of a block: see [`Block::rows`].
 #[derive(Debug, Clone)]
 pub struct BlockRows<'a, T> {
     block: &'a Block<T>,
@@ -39,9 +39,9 @@ impl<'a, T: Copy + Default> Iterator for BlockRows<'a, T> {
     }
 }
 
-/// Splits the cells of `part` into runs of samples that are consecutive in the blocks of all
-/// `boxes`. A run is one row along x, or several rows if these are consecutive in all blocks and
-/// short. Returns the length of a run and the first cell of each run.
+/// Splits the cells of `part` into runs. The samples of each run are consecutive in the blocks on
+/// all of the `boxes`. A run is one row along x, or several short rows if these are consecutive in
+/// all of these blocks. Returns the length of the runs, in samples, and the first cell of each run.
 ///
 /// # Panics
 /// If one of the `boxes` does not cover `part`.
@@ -89,7 +89,7 @@ impl<T: Copy + Default> Block<T> {
         &mut self.samples
     }
 
-    /// The distances between the samples of adjacent cells along x, y and z.
+    /// The distances, in samples, between adjacent cells along x, y and z.
     pub fn strides(&self) -> [usize; 3] {
         let size = self.cells.size().as_usizevec3();
         [1, size.x, size.x * size.y]
@@ -113,7 +113,7 @@ impl<T: Copy + Default> Block<T> {
         self.samples[self.index(cell)]
     }
 
-    /// A run of `length` samples from the sample of the cell `first`: see [`runs`].
+    /// The run of `length` samples that starts at the cell `first`: see [`runs`].
     #[inline]
     pub fn run(&self, first: IVec3, length: usize) -> &[T] {
         &self.samples[self.index(first)..][..length]
@@ -129,9 +129,9 @@ impl<T: Copy + Default> Block<T> {
         BlockRows { block: self, part, next: [part.lo.y, z] }
     }
 
-    /// The cell of a sample, by its index.
+    /// The cell of the sample with the index `place`.
     fn cell(&self, place: usize) -> IVec3 {
-        // Blocks are small, and 32-bit division is faster.
+        // Blocks are small, so indices fit into 32 bits, and 32-bit division is faster.
         let place = place as u32;
         let [_, row, slab] = self.strides().map(|stride| stride as u32);
         let (z, rest) = (place / slab, place % slab);
@@ -154,13 +154,13 @@ impl<T: Copy + Default> Block<T> {
         Some([first, last].map(|place| self.cell(place)))
     }
 
-    /// The tightest box around the samples that satisfy `is`.
+    /// The tightest box around the cells whose samples satisfy `is`.
     pub fn box_of(&self, is: impl Fn(T) -> bool) -> CellBox {
         let mut found = CellBox::EMPTY;
         let Some([first, last]) = self.ends_of(&is) else { return found };
         let (lo, hi) = (self.cells.lo.with_z(first.z), self.cells.hi.with_z(last.z + 1));
         for ([y, z], row) in self.rows(CellBox { lo, hi }) {
-            // In most rows no sample satisfies `is`; this loop tests many samples at a time.
+            // In most rows, no sample satisfies `is`. This loop tests many samples at a time.
             if row.iter().fold(0_u16, |any, &sample| any | u16::from(is(sample))) == 0 {
                 continue;
             }
@@ -179,7 +179,7 @@ impl<T: Copy + Default> Block<T> {
     /// `from`, x fastest.
     ///
     /// # Panics
-    /// If `part` is not within the block and `from`.
+    /// If `part` is not within both the block and `from`.
     pub(crate) fn put_part(
         &mut self,
         part: CellBox,
@@ -223,9 +223,9 @@ impl<T: Copy + Default> Block<T> {
         }
     }
 
-    /// Sets single samples to `value(existing, new)`, and skips new samples outside of `part`. The
-    /// places of the new `samples` are relative to the cell `corner`. Calls `fill` for each cell
-    /// whose sample was the default.
+    /// Sets the sample of each cell in `samples` to `value(existing, new)`, and skips cells outside
+    /// `part`. The places in `samples` are relative to the cell `corner`. Calls `fill` for each
+    /// cell whose existing sample was the default.
     ///
     /// # Panics
     /// If `part` is not within the block.
@@ -253,7 +253,7 @@ impl<T: Copy + Default> Block<T> {
         }
     }
 
-    /// A copy of the samples of some `cells` of this block.
+    /// A block with copies of this block's samples in `cells`.
     ///
     /// # Panics
     /// If `cells` are not within the block.
@@ -271,25 +271,26 @@ impl<T: Copy + Default> Block<T> {
         self.put_part(other.cells, other.cells, &other.samples, |_, sample| sample);
     }
 
-    /// A separable operation along x, then y, then z; see [`along`](Self::along).
+    /// Applies a separable operation along x, then y, then z; see [`along`](Self::along).
     ///
     /// # Panics
-    /// If the block is too small for one cell to remain.
+    /// If the block is so small that no cell would remain.
     pub fn along_each_axis(mut self, reach: i32, fill: impl Fn(&mut [T], &[T], usize)) -> Self {
         let mut spare = Vec::new();
         (0..3).for_each(|axis| self.along(axis, reach, &mut spare, &fill));
         self
     }
 
-    /// Replaces the samples by the results of `fill` along one axis. The block becomes smaller by
-    /// `reach` cells at both ends of the axis. `spare` is scratch memory: its content does not
-    /// matter before the call, and is undefined after it.
+    /// Replaces the samples with the results of `fill` along one axis. The block shrinks by `reach`
+    /// cells at each end of the axis. `spare` is scratch memory: its content before the call does
+    /// not matter, and its content after the call is undefined.
     ///
-    /// `fill` overwrites a row of the result. It computes sample i from the taps i, i + step, ...:
-    /// the first tap is `reach` cells below the sample, and the last tap `reach` cells above.
+    /// `fill(to, taps, step)` overwrites `to`, a row of the result. It computes `to[i]` from
+    /// `taps[i]`, `taps[i + step]`, ...: the first tap is `reach` cells below the sample, and the
+    /// last tap is `reach` cells above it.
     ///
     /// # Panics
-    /// If the block is too small for one cell to remain.
+    /// If the block is so small that no cell would remain.
     pub fn along(
         &mut self,
         axis: usize,
@@ -334,10 +335,11 @@ impl<T: Copy + Default> Block<T> {
         self.samples.truncate(volume);
     }
 
-    /// Repeats the outermost cells of `domain` in all cells beyond its walls (METHOD section 4).
+    /// Copies the samples of the outermost cells of `domain` into all cells of the block beyond the
+    /// walls of `domain` (METHOD section 4).
     ///
     /// # Panics
-    /// If the block lacks the cell of `domain` that is nearest to one of the block's cells.
+    /// If, for any of the block's cells, the nearest cell of `domain` is not in the block.
     pub fn repeat_edges(&mut self, domain: CellBox) {
         if domain.covers(&self.cells) {
             return;
@@ -360,7 +362,7 @@ impl<T: Copy + Default> Block<T> {
 }
 
 impl Block {
-    /// The cells with samples above 0, x fastest; `None` if there are more than `most`.
+    /// The cells with nonzero samples, x fastest; `None` if there are more than `most` of them.
     pub fn full_cells(&self, most: usize) -> Option<Vec<IVec3>> {
         let mut cells = Vec::new();
         for (first, piece) in (0..).step_by(PIECE).zip(self.samples.chunks(PIECE)) {
@@ -385,9 +387,9 @@ fn any_full(samples: &[u16]) -> bool {
     samples.iter().fold(0, |any, sample| any | sample) > 0
 }
 
-/// Sets rows of `N` samples to `value(existing, new)`. `rows` has the indices at which each row
-/// begins in `to` and in the new `samples`. `N` is known at compile time: it is the length of a row
-/// of a brick, or of the part of a brick that reaches into a neighbour's halo.
+/// Sets rows of `N` samples to `value(existing, new)`. `rows` gives, for each row, the indices at
+/// which it begins in `to` and in the new `samples`. `N` is known at compile time: it is the length
+/// of a row of a brick, or of the part of a brick that reaches into a neighbour's halo.
 #[inline(always)]
 fn put_rows<T: Copy, const N: usize>(
     to: &mut [T],

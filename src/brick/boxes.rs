@@ -1,5 +1,5 @@
-//! Bounding boxes of chunks of particles, collected while all particles are read. A later reader of
-//! only some bins can skip the chunks whose boxes contain none of these bins.
+//! Bounding boxes of chunks of particles, collected while all particles are read. A later reader
+//! that needs only some bins can skip the chunks whose boxes contain none of these bins.
 
 use std::ops::Range;
 use std::sync::{Mutex, PoisonError};
@@ -16,7 +16,7 @@ use super::bins::AXIS_BITS;
 /// vector width.
 const LANES: usize = 8;
 
-/// Particles that record a bounding box of each chunk while they are read.
+/// A wrapper of particles that records the bounding box of each chunk while the particles are read.
 #[derive(Debug)]
 pub struct WithBoxes<'a> {
     particles: &'a dyn Particles,
@@ -75,8 +75,9 @@ impl<'a> WithBoxes<'a> {
         Self { particles, grid: *grid, chunks }
     }
 
-    /// For each chunk, a box of bins that contains all particles read so far, except those beyond
-    /// the grid or the domain's walls; `None` if no particle read so far is on the grid.
+    /// For each chunk, a box of bins that contains all particles of the chunk that were read so
+    /// far, except particles beyond the grid or the domain's walls; `None` if none of the read
+    /// particles is on the grid.
     pub fn boxes(&self, domain: Option<&Domain>) -> Vec<Option<CellBox>> {
         let bins = |chunk: &ChunkExtent| {
             let extent = *chunk.extent.lock().unwrap_or_else(PoisonError::into_inner);

@@ -1,9 +1,9 @@
 //! A field in cells twice as wide, made from the finer field bin by bin on demand.
 //!
-//! Along each axis a wide cell takes 1/4, 3/4, 3/4 and 1/4 of the content of the four cells around
-//! its middle. This preserves the mass, the centroid and, up to a constant, the variance of the
-//! content, wherever it lies. Beyond walls the finer field repeats its edge cells, as for all
-//! filters.
+//! Along each axis, a wide cell takes 1/4, 3/4, 3/4 and 1/4 of the content of the four cells around
+//! its centre. These weights preserve the mass, the centroid and, up to a constant, the variance of
+//! the content, wherever the content lies. Beyond walls, the finer field repeats its edge cells, as
+//! it does for all filters.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -19,17 +19,17 @@ use crate::system::scratch::Scratch;
 use super::field::FACTOR_BITS;
 use super::{Block, BrickSide, DifField, Factor, PageInfo, PageSamples, PageShape, PageSource};
 
-/// The binary logarithm of the sum of the weights of the cells around the middle of a wide cell.
+/// The binary logarithm of the sum of the weights of all cells from which a wide cell is made.
 const WEIGHT_BITS: u32 = 9;
-/// Bits by which the product of a weighted sum and a [`Factor`] is shifted right. A wide cell holds
-/// the content of 2^3 cells, so the shift is three bits less than for a mean.
+/// Number of bits by which the product of a weighted sum and a [`Factor`] is shifted right. A wide
+/// cell holds the content of 2^3 cells, so the shift is three bits less than for a mean.
 pub const HALVED_BITS: u32 = WEIGHT_BITS + FACTOR_BITS - 3;
 
-/// The arrangement of pages of cells that were made from cells half as wide.
+/// The arrangement of the pages of a field that was made from cells half as wide.
 pub const HALVED: PageShape = PageShape { side: BrickSide::Sixteen, ghost_layer: 0 };
 
-/// Halves the number of planes along an axis whose planes have `step` sums each. Each plane of `to`
-/// is made from two planes of `run`, and from one more plane on each side of these.
+/// Halves the number of planes along an axis. Each plane has `step` sums. Each plane of `to` is
+/// computed from two planes of `run`, and from one more plane on each side of these two.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
 fn halved_along(to: &mut [u32], run: &[u32], step: usize) {
     if step == 1 {
@@ -48,15 +48,15 @@ fn halved_along(to: &mut [u32], run: &[u32], step: usize) {
     }
 }
 
-/// The finer cells from which the cells of a bin of wide cells are made; empty if no wide cell is
-/// within the walls of the finer cells.
+/// The finer cells from which the wide cells of `bin` are made; empty if none of these wide cells
+/// is within the walls of the finer cells.
 pub fn halved_from(bin: IVec3, walls: Option<CellBox>) -> CellBox {
     let wide = CellBox::cube(bin, BIN);
     let wide = walls.map_or(wide, |walls| wide.intersection(&walls.in_wider_cells(1)));
     if wide.is_empty() { CellBox::EMPTY } else { halved_from_box(wide) }
 }
 
-/// The finer cells from which a box of wide cells is made, away from walls.
+/// The finer cells from which the box `wide` of wide cells is made, ignoring walls.
 pub fn halved_from_box(wide: CellBox) -> CellBox {
     CellBox { lo: wide.lo * 2 - 1, hi: wide.hi * 2 + 1 }
 }
@@ -68,17 +68,17 @@ struct Halving {
     walls: Option<CellBox>,
     factor: Factor,
     bins: Vec<IVec3>,
-    /// The pages in the scratch file.
+    /// The pages in the scratch file, if there is one.
     kept: Option<ScratchPages>,
 }
 
-/// Pages in a scratch file. Without it, remaking a page of a field that was halved repeatedly would
-/// read hundreds of pages of the finest field.
+/// Pages in a scratch file. Without this file, remaking a page of a field that was halved
+/// repeatedly would read hundreds of pages of the finest field.
 #[derive(Debug)]
 struct ScratchPages {
     scratch: Scratch,
-    /// The position of each page in the file, and its number of words; `None` for a page that could
-    /// not be written.
+    /// For each page, its byte offset in the file and its number of words; `None` for a page that
+    /// could not be written.
     places: Vec<Option<(u64, usize)>>,
 }
 
@@ -97,7 +97,7 @@ impl ScratchPages {
 }
 
 impl Halving {
-    /// The samples of a bin, x fastest.
+    /// Computes the samples of a bin, x fastest.
     fn dense(&self, bin: IVec3) -> Vec<u16> {
         let fine = halved_from(bin, self.walls);
         let mut dense = vec![0; BIN.pow(3) as usize];
@@ -106,7 +106,7 @@ impl Halving {
         }
         let wide = CellBox { lo: (fine.lo + 1) / 2, hi: (fine.hi - 1) / 2 };
         let mut sums = vec![0; dense.len()];
-        // Beyond walls the edge cells are repeated, so every part may have content.
+        // Beyond walls, the edge cells are repeated, so every part may have content.
         let parts = match self.walls {
             Some(walls) if !walls.covers(&fine) => vec![fine],
             _ => self.fine.parts_with_samples(fine),
@@ -173,10 +173,10 @@ impl PageSource for Halving {
 }
 
 impl DifField {
-    /// The field in cells twice as wide. Its samples are the content of a wide cell times `factor`
-    /// (at most 1), but at most 65535. If this field is in memory, the pages of the result are also
-    /// in memory; otherwise they are written to a scratch file in the folder `scratch`. If there is
-    /// no such folder, or no space in it, pages are remade on demand.
+    /// The field in cells twice as wide. Each sample is the content of a wide cell times `factor`
+    /// (at most 1), clamped to 65535. If this field is in memory, the pages of the result are also
+    /// in memory; otherwise they are written to a scratch file in the folder `scratch`. Without
+    /// such a folder, or without space in it, pages are remade on demand.
     pub fn halved(
         self: &Arc<Self>,
         walls: Option<CellBox>,
@@ -205,8 +205,8 @@ impl DifField {
         }
         let halving = Halving { fine: Arc::clone(self), walls, factor, bins, kept: None };
         let page = |&bin: &IVec3| PageInfo::from_dense(bin, &halving.dense(bin), HALVED);
-        // The wide field gets a quarter of the finer field's cache. It has about an eighth of the
-        // cells.
+        // The wide field has about an eighth of the finer field's cells. Its cache is a quarter as
+        // large.
         let share = self.cache_bytes().map(|bytes| bytes / 4);
         let most = (halving.bins.len() * HALVED.bin_samples() * size_of::<u16>()) as u64;
         match share.filter(|&share| share < most) {
@@ -237,7 +237,7 @@ mod tests {
     use super::*;
     use crate::brick::Pages;
 
-    /// A few bins of noise in which one of every `among` cells is full.
+    /// Four bins of noise in which about one in `among` cells is full.
     fn noise(among: u64) -> Arc<DifField> {
         let mut state = 7_u64;
         let mut random = move || {
@@ -311,7 +311,7 @@ mod tests {
         }
     }
 
-    /// Pages in memory, with a count of the reads.
+    /// Pages in memory that count how often they are read.
     #[derive(Debug)]
     struct CountingPages {
         field: Arc<DifField>,

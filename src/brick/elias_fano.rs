@@ -1,4 +1,4 @@
-//! The Elias-Fano code: a multiset of integers in close to the minimum space.
+//! The Elias-Fano code, which stores a multiset of integers in close to the minimum space.
 //!
 //! Let n integers be at most u, and let l be the number of bits of u / n. The lowest l bits of each
 //! integer are stored directly. Its higher bits are its key: integers are sorted by key, and

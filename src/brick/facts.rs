@@ -1,26 +1,28 @@
-//! Facts of a frame in addition to its field.
+//! Facts about a frame, in addition to its field.
 
 use crate::grid::{CellBox, Domain, Grid, Periodic, PeriodicMesh};
 
 use super::Census;
 
-/// Facts of a frame, for every method.
+/// Facts about a frame, for any method of reconstruction.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FrameFacts {
     /// The grid of cells.
     pub grid: Grid,
     /// Walls, if the fluid is in a tank.
     pub domain: Option<Domain>,
-    /// The periodic box, if there is one: images of the particles beyond its faces are binned too.
+    /// The periodic box, if there is one. Images of the particles, which lie beyond its faces, are
+    /// binned too.
     pub periodic: Option<Periodic>,
-    /// Numbers of binned and skipped particles, without images.
+    /// Numbers of binned and skipped particles, not counting images.
     pub census: Census,
-    /// The particles' spacing in the unit of the grid, if it is known.
+    /// The particles' spacing, in the grid's unit of length, if it is known.
     pub spacing: Option<f64>,
 }
 
 impl FrameFacts {
-    /// The facts on the grid of an octave, whose spacing and cells are 2^`octave` times as wide.
+    /// The facts for the grid of octave number `octave`, whose spacing and cells are 2^`octave`
+    /// times as large.
     #[must_use]
     pub fn in_octave(&self, octave: u32) -> Self {
         Self {

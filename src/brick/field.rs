@@ -1,4 +1,5 @@
-//! The DIF of a frame in sparse bricks, in one page per bin. Space without particles is not stored.
+//! The DIF of a frame, stored in sparse bricks with one page per bin. Space without particles is
+//! not stored.
 
 use std::borrow::Cow;
 use std::fmt::Debug;
@@ -14,10 +15,10 @@ use crate::grid::{BIN, CellBox, MortonKey, block_parts};
 use super::store::PageStore;
 use super::{Block, BrickSide, PageInfo, PageSamples, PageShape, PageSource, Pages};
 
-/// The discrete indicator function of a frame. Outside of its bricks it is exactly 0.
+/// The discrete indicator function of a frame. Outside the stored bricks, it is exactly 0.
 ///
-/// A cell is full if its stored sample is not 0: it contains particles, as in the paper, or is near
-/// a particle.
+/// A cell is full if its stored sample is nonzero: the cell contains particles, as in the paper, or
+/// is near a particle.
 #[derive(Debug)]
 pub struct DifField {
     shape: PageShape,
@@ -37,14 +38,14 @@ enum SampleMeaning {
 }
 
 impl DifField {
-    /// Makes a field of pages in memory, sorted by key.
+    /// Makes a field from pages in memory. The pages must be sorted by key.
     pub fn in_memory(shape: PageShape, pages: Pages) -> Self {
         let (infos, samples) = pages.into_iter().unzip();
         Self::new(shape, infos, PageStore::Memory(samples))
     }
 
-    /// Makes a field of pages, sorted by key, whose samples are read from `source`. The last used
-    /// pages stay in memory, up to `cache_bytes`.
+    /// Makes a field from pages whose samples are read from `source`. `infos` must be sorted by
+    /// key. Recently used pages stay in memory, up to `cache_bytes`.
     pub fn paged(
         shape: PageShape,
         infos: Vec<PageInfo>,
@@ -56,8 +57,8 @@ impl DifField {
         Self::new(shape, infos, PageStore::paged(source, cache_bytes, mean_bytes))
     }
 
-    /// Makes a field of pages, sorted by key, whose samples are in another memory and are fetched
-    /// on demand. If fetching fails, `otherwise` makes the samples.
+    /// Makes a field from pages whose samples are outside the host's memory and are fetched on
+    /// demand. `infos` must be sorted by key. If fetching fails, `otherwise` makes the samples.
     pub fn from_remote(
         shape: PageShape,
         infos: Vec<PageInfo>,
@@ -81,13 +82,13 @@ impl DifField {
         Self { stored: SampleMeaning::Counts(DecodeTable::new(theta)), ..self }
     }
 
-    /// Maximum bytes of samples in memory; `None` if all samples are in memory.
+    /// Maximum number of bytes of samples in memory; `None` if there is no limit.
     pub(super) fn cache_bytes(&self) -> Option<u64> {
         self.store.cache_bytes()
     }
 
-    /// The samples that are outside of the host's memory, for example on a device; `None` if there
-    /// are none.
+    /// The samples that are outside the host's memory, for example on a device; `None` if there are
+    /// none.
     pub fn remote(&self) -> Option<&dyn RemotePages> {
         match &self.store {
             PageStore::Remote { pages, .. } => Some(&**pages),
@@ -95,7 +96,7 @@ impl DifField {
         }
     }
 
-    /// The maximum distance of a positive DIF from a page's full cells, in cells.
+    /// The maximum distance, in cells, of a positive sample from the full cells of its page.
     pub fn ghost_layer(&self) -> i32 {
         self.shape.ghost_layer
     }
@@ -115,8 +116,8 @@ impl DifField {
         self.infos.iter().map(|info| u64::from(info.full_count)).sum()
     }
 
-    /// The mean of the DIF over the full cells, from 0 to 1, for bricks without ghost layers. Reads
-    /// all pages.
+    /// The mean of the DIF over the full cells, from 0 to 1. The bricks must not have ghost layers.
+    /// Reads all pages.
     pub fn mean_of_full(&self) -> f64 {
         let theta = |&sample: &u16| u64::from(self.stored.theta(sample));
         let pages = (0..self.infos.len()).into_par_iter();
@@ -148,12 +149,12 @@ impl DifField {
         }
     }
 
-    /// Cuts the samples of `cells` out of the bricks. Also returns the cells whose samples are not
-    /// 0, x fastest, if there are at most `most`.
+    /// Cuts the samples of `cells` out of the bricks. Also returns the cells with nonzero samples,
+    /// x fastest, if there are at most `most` of them.
     pub fn gather_few(&self, cells: CellBox, most: usize) -> (Block, Option<Vec<IVec3>>) {
         let (mut full, mut dense) = (Vec::new(), false);
         let block = match &self.stored {
-            // Bricks without ghost layers do not overlap, so their samples are added to 0.
+            // Bricks without ghost layers do not overlap, so each of their samples is added to 0.
             SampleMeaning::Theta => self.gather_by(cells, u16::saturating_add, |cell| match cell {
                 Some(cell) => full.push(cell),
                 None => dense = true,
@@ -171,7 +172,7 @@ impl DifField {
         (block, (full.len() <= most).then_some(full))
     }
 
-    /// Cuts the samples of `cells` out of the bricks; beyond `walls` the edge cells are repeated.
+    /// Cuts the samples of `cells` out of the bricks. Beyond `walls`, the edge cells are repeated.
     pub fn gather_within(&self, cells: CellBox, walls: Option<CellBox>) -> Block {
         let mut block = self.gather(cells);
         if let Some(walls) = walls {
@@ -180,9 +181,9 @@ impl DifField {
         block
     }
 
-    /// Cuts the samples of `cells` out of the bricks. `value` combines the existing sample with the
-    /// stored sample of another brick. Calls `fill` for each cell that a sparse page fills, and
-    /// with `None` for a dense page.
+    /// Cuts the samples of `cells` out of the bricks. `value(existing, stored)` combines the
+    /// block's existing sample with the stored sample of a brick. Calls `fill` with each cell that
+    /// a sparse page fills, and with `None` for each dense page.
     fn gather_by(
         &self,
         cells: CellBox,
@@ -221,10 +222,11 @@ impl DifField {
         block
     }
 
-    /// Writes the stored samples of a whole bin in the dense form of [`PageInfo::from_dense`].
+    /// Writes the stored samples of a whole bin, in the dense form that [`PageInfo::from_dense`]
+    /// takes.
     ///
     /// # Panics
-    /// If the bin has no page, or if `dense` does not have the length of a bin.
+    /// If the bin has no page, or if `dense` is too short for the samples of the bin.
     pub fn write_stored(&self, bin: IVec3, dense: &mut [u16]) {
         let rank = self.rank[&bin];
         let samples = self.store.cached(rank, self.shape);
@@ -245,15 +247,15 @@ impl DifField {
         }
     }
 
-    /// For all bins that overlap `cells`, the total volume of the boxes around each bin's full
-    /// cells, in cells.
+    /// The total volume, in cells, of the boxes around the full cells of each bin that overlaps
+    /// `cells`.
     pub fn full_volume(&self, cells: CellBox) -> usize {
         let bins = cells.cubes(BIN).filter_map(|bin| self.rank.get(&bin));
         bins.map(|&rank| self.infos[rank as usize].full.volume()).sum()
     }
 
-    /// For each bin, the part of `cells` that lies within `reach` cells of the box around the bin's
-    /// full cells, along every axis. Parts may overlap.
+    /// For each bin, the part of `cells` that lies, along every axis, within `reach` cells of the
+    /// box around the bin's full cells. Parts may overlap, and empty parts are left out.
     pub fn parts_near(&self, cells: CellBox, reach: i32) -> impl Iterator<Item = CellBox> + '_ {
         let bins = cells.grown(reach, reach).cubes(BIN).filter_map(|bin| self.rank.get(&bin));
         let near = bins.map(move |&rank| {
@@ -262,9 +264,9 @@ impl DifField {
         near.filter(|part| !part.is_empty())
     }
 
-    /// Boxes around the full cells within `reach` cells of `cells`, along every axis, and maybe
-    /// around some that are farther away. A bin with few full cells has a box for each group of
-    /// adjacent full cells; other bins have one box.
+    /// Boxes that contain all full cells that are, along every axis, within `reach` cells of
+    /// `cells`. The boxes may also contain full cells that are farther away. A bin with few full
+    /// cells gives one box for each group of adjacent full cells; every other bin gives one box.
     pub fn groups_near(&self, cells: CellBox, reach: i32) -> Vec<CellBox> {
         let (mut all, mut groups) = (Vec::new(), Vec::new());
         for bin in cells.grown(reach, reach).cubes(BIN) {
@@ -285,7 +287,7 @@ impl DifField {
         all
     }
 
-    /// Boxes that contain all nonzero samples of `cells`. Boxes do not overlap.
+    /// Boxes that contain all nonzero samples of `cells`. The boxes do not overlap.
     pub fn parts_with_samples(&self, cells: CellBox) -> Vec<CellBox> {
         let mut parts: Vec<CellBox> = Vec::new();
         for part in self.parts_near(cells, self.shape.ghost_layer) {
@@ -311,13 +313,13 @@ impl DifField {
         &self.infos
     }
 
-    /// All samples of page number `page`, not decoded.
+    /// All stored samples of page number `page`, not converted to the DIF.
     pub fn stored(&self, page: usize) -> Cow<'_, [u16]> {
         self.store.once(page, self.shape)
     }
 }
 
-/// Adds a box to `boxes`, merged with every box that is at most `gap` cells away.
+/// Adds the box `new` to `boxes`, merged with all boxes that are at most `gap` cells away.
 fn join(boxes: &mut Vec<CellBox>, mut new: CellBox, gap: i32) {
     let is_near =
         |other: &CellBox, new: &CellBox| !other.grown(gap, gap).intersection(new).is_empty();
@@ -337,7 +339,7 @@ impl SampleMeaning {
     }
 }
 
-/// theta for each number of particles; the last entry, 1, is for all larger numbers.
+/// The DIF for each number of particles; the last entry, 1, is for all larger numbers.
 #[derive(Debug)]
 struct DecodeTable(Box<[u16]>);
 
@@ -354,7 +356,7 @@ impl DecodeTable {
     }
 }
 
-/// Bits of a [`Factor`].
+/// Number of fractional bits of a [`Factor`].
 pub(super) const FACTOR_BITS: u32 = 16;
 
 /// The fraction of its content that a wide cell stores, at most 1.
@@ -373,8 +375,8 @@ impl Factor {
     }
 }
 
-/// Samples outside of the host's memory, with operations that run where the samples are. An
-/// operation returns `None` on failure; the host then computes the result.
+/// Samples outside the host's memory, with operations that run where the samples are. An operation
+/// returns `None` on failure; the host then computes the result.
 pub trait RemotePages: Send + Sync + Debug {
     /// The number of pages.
     fn count(&self) -> usize;
@@ -382,8 +384,9 @@ pub trait RemotePages: Send + Sync + Debug {
     /// The samples of consecutive pages.
     fn samples(&self, pages: Range<usize>) -> Option<Vec<PageSamples>>;
 
-    /// The pages of `bins` in cells twice as wide, without empty pages: the same as in
-    /// [`DifField::halved`](super::DifField::halved). `walls` are in cells of this field.
+    /// Makes the pages of `bins` in cells twice as wide, the same as
+    /// [`DifField::halved`](super::DifField::halved) does. Empty pages are left out. `walls` are in
+    /// cells of this field.
     fn halved(
         &self,
         bins: &[IVec3],
@@ -392,8 +395,8 @@ pub trait RemotePages: Send + Sync + Debug {
     ) -> Option<(Vec<PageInfo>, Box<dyn RemotePages>)>;
 
     /// For each page, one bit per brick of 4^3 cells, at the brick's Morton index. The bit is set
-    /// if, in every cube that overlaps the brick, the sum of the samples is at least `least`. A
-    /// cube has `width` parts along each axis, and a part is two cells wide. A cube begins at each
-    /// part.
+    /// if the sum of the samples is at least `least` in every cube that overlaps the brick. The
+    /// cells are divided into parts, which are two cells wide. A cube begins at each part, and has
+    /// `width` parts along each axis.
     fn full_bricks(&self, width: u32, least: u32) -> Option<Vec<u64>>;
 }

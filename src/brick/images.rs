@@ -2,8 +2,8 @@
 //! boxes.
 //!
 //! Images have the indices after the last particle, and are never stored. The number of images is
-//! known for each group of particles, and reading images recomputes them from the particles of
-//! their groups. Groups without images are not read again.
+//! known for each group of particles. Reading images recomputes them from the particles of their
+//! groups. Groups without images are not read again.
 
 use std::ops::Range;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -22,7 +22,7 @@ use super::{BinError, Census, InvalidParticles};
 /// Number of particles in a group.
 const GROUP: usize = 1 << 10;
 
-/// Particles for binning: with their images, if their box is periodic.
+/// The particles to bin, together with their images if the box is periodic.
 #[derive(Debug)]
 pub struct WithImages<'a> {
     particles: MeteredParticles<'a>,
@@ -37,11 +37,11 @@ struct Images<'a> {
     /// For each group, the number of images in the groups before it; the last entry is the number
     /// of all images.
     before: Vec<u64>,
-    /// Number of particles outside of the box.
+    /// Number of particles outside the box.
     astray: usize,
 }
 
-/// Counts over all groups.
+/// The invalid particles of all groups.
 #[derive(Default)]
 struct InvalidCounts {
     astray: AtomicUsize,
@@ -50,11 +50,11 @@ struct InvalidCounts {
 }
 
 impl<'a> WithImages<'a> {
-    /// Counts the images of particles if their box is periodic, in one reading of all particles.
+    /// If the box is periodic, reads all particles once and counts their images.
     ///
     /// # Errors
-    /// [`BinError`] with the first particle that cannot be placed or is outside of the box, unless
-    /// invalid particles are skipped.
+    /// Unless invalid particles are skipped, the [`BinError`] of the first particle that cannot be
+    /// placed or is outside the box.
     pub fn of(
         particles: MeteredParticles<'a>,
         grid: &Grid,
@@ -110,7 +110,7 @@ type Wrapped = ([f64; 3], [i64; 3]);
 
 /// A particle that cannot be binned.
 enum MisplacedParticle {
-    /// Outside of the box along this axis.
+    /// Outside the box along this axis.
     Astray(char),
     /// Beyond the grid.
     Unplaced(PlacementError),
@@ -126,7 +126,7 @@ impl Images<'_> {
         self.before.last().map_or(0, |&all| all as usize)
     }
 
-    /// A particle's position within the faces of the periodic box, and its steps; `None` outside of
+    /// A particle's position within the faces of the periodic box, and its steps; `None` outside
     /// the domain.
     fn placed(&self, position: [f64; 3]) -> Result<Option<Wrapped>, MisplacedParticle> {
         let inside = self.periodic.inside(position).map_err(MisplacedParticle::Astray)?;
@@ -145,7 +145,7 @@ impl Images<'_> {
         placed.map(|placed| self.images(placed)).into_iter().flatten()
     }
 
-    /// Counts the images of a group, and its invalid particles.
+    /// Returns the number of images of a group, and adds the group's invalid particles to `counts`.
     fn count(&self, particles: &dyn Particles, group: usize, counts: &InvalidCounts) -> u64 {
         let range = group_range(particles, group);
         let mut positions = vec![[0.0; 3]; range.len()];
@@ -181,9 +181,9 @@ impl Images<'_> {
         images
     }
 
-    /// Calls `take` for each group that contains any of the images `first..first + count`. `take`
-    /// gets the range of the group's particles, each image's particle as an index within the group,
-    /// and the positions of the images.
+    /// Calls `take` for each group with any of the images `first..first + count`. The arguments of
+    /// `take` are the range of the group's particles; for each of these images, the index of its
+    /// particle within the group; and the positions of these images.
     fn groups(
         &self,
         particles: &dyn Particles,
@@ -205,8 +205,8 @@ impl Images<'_> {
                 .iter()
                 .enumerate()
                 .flat_map(|(own, &at)| self.of(at).map(move |at| (own, at)));
-            // Particles that moved since they were counted have other images. If there are fewer
-            // images now, the missing ones are set to NaN, and binning detects the change.
+            // Particles that moved since they were counted may have different images. If there are
+            // fewer images now, the missing ones are set to NaN, and binning detects the change.
             let nowhere = std::iter::repeat((0, [f64::NAN; 3]));
             let numbered = (self.before[group]..self.before[group + 1]).zip(all.chain(nowhere));
             let numbered = numbered.filter(|(number, _)| wanted.contains(number));
@@ -218,8 +218,8 @@ impl Images<'_> {
     }
 }
 
-/// Splits a slice that starts at particle `first` into the part for the `own` particles and the
-/// part for images.
+/// Splits `out`, which has `width` items for each particle from `first` on, into the part for the
+/// first `own` particles and the part for images.
 fn split<T>(out: &mut [T], width: usize, first: usize, own: usize) -> (&mut [T], &mut [T]) {
     let at = width * own.saturating_sub(first);
     out.split_at_mut(at.min(out.len()))
@@ -236,7 +236,7 @@ impl Particles for WithImages<'_> {
         let (real, mut rest) = split(out, 1, first, own);
         if !real.is_empty() {
             self.particles.positions(first, real);
-            // Particles outside of the box get NaN positions.
+            // Particles outside the box get NaN positions.
             real.iter_mut()
                 .for_each(|at| *at = images.periodic.inside(*at).unwrap_or([f64::NAN; 3]));
         }

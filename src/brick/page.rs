@@ -20,7 +20,7 @@ pub struct PageInfo {
     pub bricks: u64,
     /// The tightest box around the bin's full cells, in grid coordinates.
     pub full: CellBox,
-    /// The number of full cells of the bin, whose stored samples are not 0.
+    /// The number of full cells of the bin, which are those with nonzero stored samples.
     pub full_count: u32,
 }
 
@@ -28,8 +28,8 @@ pub struct PageInfo {
 pub type Pages = Vec<(PageInfo, PageSamples)>;
 
 impl PageInfo {
-    /// Describes a bin with `full_count` full cells. `layers` has one number for each axis. Bit i
-    /// is set if layer i across the axis has a full cell.
+    /// Describes a bin with `full_count` full cells. `layers` has one bit mask for each axis: bit i
+    /// is set if layer i perpendicular to the axis has a full cell.
     pub(super) fn of_layers(
         key: MortonKey,
         bricks: u64,
@@ -42,9 +42,9 @@ impl PageInfo {
         Self { key, bricks, full: CellBox { lo: lo + corner, hi: hi + corner }, full_count }
     }
 
-    /// Makes a page of the bricks of `dense` that have a full cell of their own. Without ghost
-    /// layers, `dense` is a whole bin, x fastest; with ghost layers it has the form of
-    /// [`from_bricks`](Self::from_bricks).
+    /// Makes a page from the bricks of `dense` that have a full cell of their own. Without ghost
+    /// layers, `dense` is a whole bin, x fastest; with ghost layers, it has the layout that
+    /// [`from_bricks`](Self::from_bricks) takes.
     pub fn from_dense(bin: IVec3, dense: &[u16], shape: PageShape) -> Option<(Self, PageSamples)> {
         if shape.ghost_layer > 0 {
             return Self::from_bricks(bin, &mut dense.to_vec(), shape);
@@ -60,8 +60,9 @@ impl PageInfo {
         Self::from_bricks(bin, &mut bricks, shape)
     }
 
-    /// Makes a page of the bricks that have a full cell of their own. `samples` has all bricks of a
-    /// bin in Morton order, x fastest in each; its content is undefined afterwards.
+    /// Makes a page from the bricks that have a full cell of their own. `samples` has all bricks of
+    /// a bin in Morton order, x fastest in each brick. The content of `samples` is undefined
+    /// afterwards.
     pub fn from_bricks(
         bin: IVec3,
         samples: &mut [u16],
@@ -85,9 +86,9 @@ impl PageInfo {
         })
     }
 
-    /// Takes a page out of the `samples` of a bin with a single brick, and leaves zeros. All
-    /// nonzero samples must come from particles in these `cells` of the bin. `None` if no cell of
-    /// the bin itself is full.
+    /// Moves the nonzero `samples` of a bin with a single brick into a page, and leaves zeros. All
+    /// nonzero samples must come from particles in these `cells` of the bin. Returns `None` if no
+    /// cell of the bin itself is full.
     pub fn take_sparse(
         bin: IVec3,
         samples: &mut [u16],
@@ -105,9 +106,10 @@ impl PageInfo {
         any.then(|| (full.page(MortonKey::of(bin), 1), PageSamples::Sparse(sparse)))
     }
 
-    /// Describes the page of stored samples; returns `None` if the page is invalid. In a valid
-    /// page, each brick of `bricks` has a full cell, and each nonzero sample is within one ghost
-    /// layer's width of a full cell of the bin.
+    /// Describes the page with these stored `samples`; returns `None` if the page is invalid. A
+    /// valid page has at least one brick, each of its bricks has a full cell of its own, and all
+    /// nonzero samples lie in the box around the bin's full cells, grown by the width of the ghost
+    /// layer.
     ///
     /// # Panics
     /// If the number of samples does not match the bricks.
@@ -154,7 +156,7 @@ impl PageInfo {
         }
     }
 
-    /// Maximum memory of the page's samples, in bytes.
+    /// Maximum memory, in bytes, that the page's samples take.
     pub fn most_bytes(&self, shape: PageShape) -> usize {
         let nonzero = shape.cells_a_particle() * self.full_count as usize;
         let near = self.full.grown(shape.ghost_layer, shape.ghost_layer).volume();
@@ -166,7 +168,8 @@ impl PageInfo {
         self.bricks.count_ones() as usize * shape.brick_samples()
     }
 
-    /// The samples of one brick within the page's `samples`, by the brick's coordinates in the bin.
+    /// The part of the page's `samples` that belongs to the brick with the coordinates `local` in
+    /// the bin; `None` if the brick is not stored.
     pub(super) fn brick<'a>(
         &self,
         samples: &'a [u16],
@@ -189,14 +192,15 @@ fn nonzero_are_in(samples: &[u16], cells: CellBox, inside: CellBox) -> bool {
     (0..).zip(samples).all(|(i, &sample)| sample == 0 || inside.contains(at(i)))
 }
 
-/// The index of the first cell of each row of a brick, among the cells of its bin. `corner` is the
-/// brick's lowest cell.
+/// For each row of a brick, the index of the row's first cell among the cells of the bin. `corner`
+/// is the brick's lowest cell.
 fn rows(corner: IVec3, edge: i32) -> impl Iterator<Item = usize> {
     let first = move |y, z| (corner.x + BIN * (corner.y + y + BIN * (corner.z + z))) as usize;
     (0..edge).flat_map(move |z| (0..edge).map(move |y| first(y, z)))
 }
 
-/// The full cells of a bin, including cells that only the ghost layer of another brick fills.
+/// The full cells of a bin, including cells that are filled only by the ghost layer of another
+/// brick.
 struct FullCells {
     /// For each row along x, one bit per cell; rows are sorted by z, then y.
     rows: [u16; (BIN * BIN) as usize],
@@ -209,7 +213,8 @@ impl Default for FullCells {
 }
 
 impl FullCells {
-    /// Adds the samples of the brick at `local`; returns whether it has a full cell of its own.
+    /// Adds the samples of the brick at `local`; returns whether the brick has a full cell of its
+    /// own.
     fn add(&mut self, local: IVec3, samples: &[u16], shape: PageShape) -> bool {
         let PageShape { side, ghost_layer } = shape;
         let (own, edge) = (CellBox::cube(local, side.cells()), shape.edge());
@@ -224,7 +229,7 @@ impl FullCells {
                 let at = IVec3::new(inside.lo.x, y, z) - first;
                 let row = &full[(at.x + edge * (at.y + edge * at.z)) as usize..];
                 let row = &row[..inside.size().x as usize];
-                // The width of a whole row is known at compile time.
+                // If the row spans the bin, its length is a constant at compile time.
                 let bits = <&[u8; BIN as usize]>::try_from(row)
                     .map_or_else(|_| full_bits(row), |row| full_bits(row));
                 let bits = (bits as u32) << inside.lo.x;
@@ -244,8 +249,8 @@ impl FullCells {
     }
 }
 
-/// Returns a bit for each layer of a bin across x, y and z that has a full cell, and the number of
-/// full cells.
+/// Returns, for each axis, a bit mask of the layers perpendicular to it that have a full cell; and
+/// the number of full cells.
 #[multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512vl+avx512bitalg",
     "x86_64+avx2+popcnt",
@@ -263,7 +268,7 @@ fn summary(rows: &[u16; (BIN * BIN) as usize]) -> ([u16; 3], u32) {
     (layers, rows.iter().map(|bits| bits.count_ones()).sum())
 }
 
-/// A byte for each sample: 1 if it is not 0.
+/// For each sample, a byte that is 1 if the sample is nonzero, and 0 otherwise.
 pub fn fullness(samples: &[u16]) -> Vec<u8> {
     samples.iter().map(|&sample| u8::from(sample > 0)).collect()
 }

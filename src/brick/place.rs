@@ -29,8 +29,8 @@ pub(super) struct Address {
 }
 
 impl Address {
-    /// The address of a particle without a bin. It differs from the codes of all bins, which do not
-    /// use the highest bit.
+    /// The address of a particle without a bin. Its code differs from the codes of all bins, which
+    /// do not use the highest bit.
     const NOWHERE: Self = Self { bin: BinCode::MAX, record: 0 };
 
     #[inline(always)]
@@ -69,12 +69,12 @@ struct KnownBins {
 const _: () = assert!(CUBE <= u8::BITS as usize);
 
 impl BinSieve {
-    /// A sieve whose cache suits this many `particles`.
+    /// A sieve whose cache has a suitable size for `particles` particles.
     fn new(wanted: WantedBins, particles: usize) -> Self {
         Self { wanted, known: CubeCache::of(particles) }
     }
 
-    /// Bytes of a sieve for this many `particles`.
+    /// Bytes of a sieve for `particles` particles.
     pub(super) fn bytes(particles: usize) -> u64 {
         CubeCache::<KnownBins>::bytes(particles)
     }
@@ -99,7 +99,8 @@ impl BinSieve {
 }
 
 impl Placer {
-    /// The position in steps, as by [`Grid::place`]; `None` outside of the domain.
+    /// The position in steps, as [`Grid::place`] computes it, clamped to the steps of the domain;
+    /// `None` outside the domain.
     pub fn place(&self, position: [f64; 3]) -> Result<Option<[i64; 3]>, PlacementError> {
         match (self.grid.place(position), &self.domain) {
             (Ok(steps), None) => Ok(Some(steps)),
@@ -108,14 +109,14 @@ impl Placer {
                 let clamped = || std::array::from_fn(|a| steps[a].clamp(first[a], last[a]));
                 Ok(domain.contains(position).then(clamped))
             }
-            // The grid's limits do not matter outside of the domain.
+            // The grid's limits do not matter outside the domain.
             (Err(PlacementError::TooFar), Some(domain)) if !domain.contains(position) => Ok(None),
             (Err(fault), _) => Err(fault),
         }
     }
 
-    /// Calls `each` for each chunk, with the index of its first particle, the positions and their
-    /// addresses, until `each` returns an error.
+    /// Calls `each` for each chunk of `range`, with the index of the chunk's first particle, the
+    /// positions and their addresses. Stops if `each` returns an error.
     pub fn for_each_chunk<E>(
         &self,
         particles: &dyn Particles,
@@ -152,7 +153,8 @@ impl Placer {
     }
 }
 
-/// The bounds that [`Placer::place`] compares with, repeated for [`LANES`] consecutive positions.
+/// The bounds with which [`Placer::place`] compares positions, repeated for [`LANES`] consecutive
+/// positions.
 struct LaneBounds {
     origin: [f64; 3 * LANES],
     cell: f64,
@@ -180,12 +182,12 @@ impl LaneBounds {
     }
 }
 
-/// [`Placer::place`] for a chunk. Returns whether all particles have an address; if not, the
-/// addresses are invalid.
+/// Computes [`Placer::place`] for a chunk. Returns whether all particles have an address; if not,
+/// the contents of `addresses` are invalid.
 #[multiversion(targets("x86_64+avx512f+avx512dq", "x86_64+avx2", "x86_64+sse4.1"))]
 fn place_all(bounds: &LaneBounds, positions: &[[f64; 3]], addresses: &mut [Address]) -> bool {
-    /// When an integer below 2^51 is added to this number, the lower bits of the sum contain the
-    /// integer.
+    /// When an integer with a magnitude below 2^51 is added to this number, the lower bits of the
+    /// sum contain the integer.
     const INTEGER: f64 = 1.5 * (1_u64 << 52) as f64;
     let mut astray = 0;
     let (positions, _) = positions.as_chunks::<LANES>();

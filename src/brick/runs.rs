@@ -21,12 +21,12 @@ const RUN_BINS: usize = 1 << RUN_BITS;
 const RUN_BITS: u32 = FREE_BITS;
 
 /// Approximate maximum number of runs in a frame. The number of a run and the number of a bin
-/// within the run share 32 bits; these suffice for twice as many runs.
+/// within the run share 32 bits, which suffice for twice as many runs.
 const MOST_RUNS: usize = 1 << (u32::BITS - RUN_BITS - 1);
 
 impl BinPlan {
-    /// Divides the bins into runs. Each run, with its `carried` attributes, can be sorted within
-    /// `bytes`; a bin that is too large for this is a run of its own.
+    /// Divides the bins into runs. Each run, with the attributes in `carried`, can be sorted in
+    /// `bytes` of memory. A bin that is too large for this limit is a run of its own.
     pub fn runs(
         &self,
         particles: &dyn Particles,
@@ -51,9 +51,9 @@ impl BinPlan {
         runs
     }
 
-    /// Reads the same `particles` a second time, and writes each to its run, with the attributes
-    /// whose indices are in `carried`. Buffers take `buffer_bytes` in total. Runs take up to
-    /// `memory_bytes` of memory; the rest of the runs goes to a scratch file in `folder`.
+    /// Reads the same `particles` a second time, and writes each particle to its run, with the
+    /// attributes whose indices are in `carried`. Buffers take `buffer_bytes` in total. Runs take
+    /// up to `memory_bytes` of memory; what exceeds this limit goes to a scratch file in `folder`.
     ///
     /// # Errors
     /// If the scratch file cannot be created or written. The inner error is

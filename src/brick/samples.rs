@@ -7,10 +7,10 @@ use glam::IVec3;
 
 use super::{BrickSide, PageShape};
 
-/// Samples are stored sparsely, with their places, if at most one in `ONE_IN` is not 0.
+/// Samples are stored sparsely, with their places, if at most one in `ONE_IN` is nonzero.
 const ONE_IN: usize = 8;
 
-/// Bits of a coordinate of a [`SamplePlace`].
+/// Number of bits for each coordinate in a [`SamplePlace`].
 const PLACE_BITS: u32 = 5;
 
 /// The stored samples of a page.
@@ -18,7 +18,7 @@ const PLACE_BITS: u32 = 5;
 pub enum PageSamples {
     /// All samples, brick after brick, x fastest in each.
     Dense(Box<[u16]>),
-    /// The nonzero samples with their places, in any order, of a bin that is one brick.
+    /// The nonzero samples of a bin that is a single brick, with their places, in any order.
     Sparse(Box<[(SamplePlace, u16)]>),
 }
 
@@ -105,8 +105,8 @@ impl PageSamples {
         }
     }
 
-    /// Decodes the words of a page to all samples, brick after brick. Words have the sparse form if
-    /// there are fewer words than samples.
+    /// Decodes the words of a page into all of its samples, brick after brick. The words have the
+    /// sparse form if there are fewer words than samples.
     ///
     /// # Panics
     /// If the words do not match the shape.
@@ -119,7 +119,7 @@ impl PageSamples {
         Self::Sparse(sparse).dense(shape).into_owned()
     }
 
-    /// Memory of the samples in bytes.
+    /// Number of bytes that the samples take.
     pub fn bytes(&self) -> usize {
         match self {
             Self::Dense(samples) => size_of_val(&**samples),
@@ -127,8 +127,8 @@ impl PageSamples {
         }
     }
 
-    /// Upper bound of the memory of samples, in bytes: at most `nonzero` of them are not 0, and
-    /// they lie in at most `bricks` bricks.
+    /// Upper bound, in bytes, of the memory for samples in at most `bricks` bricks, if at most
+    /// `nonzero` of the samples are nonzero.
     pub fn most_bytes(nonzero: usize, bricks: usize, shape: PageShape) -> usize {
         if Self::are_sparse(nonzero, shape) {
             nonzero * size_of::<(SamplePlace, u16)>()
@@ -139,8 +139,8 @@ impl PageSamples {
 }
 
 /// Takes the nonzero samples out of the `samples` of a bin with a single brick, and leaves zeros.
-/// Every nonzero sample must come from a particle in the given `cells` of the bin, because other
-/// samples are not examined.
+/// Every nonzero sample must come from a particle in one of these `cells` of the bin, because
+/// samples that are not near these cells are not examined.
 pub(super) fn take_sparse(
     samples: &mut [u16],
     cells: impl ExactSizeIterator<Item = [usize; 3]>,
@@ -148,8 +148,8 @@ pub(super) fn take_sparse(
 ) -> Box<[(SamplePlace, u16)]> {
     let (edge, reach) = (shape.edge() as usize, 2 * shape.ghost_layer as usize);
     let mut sparse = Vec::with_capacity(shape.cells_a_particle() * cells.len());
-    // The lowest sample around a cell has the cell's own coordinates, because the brick begins with
-    // its ghost layer.
+    // In the brick, the lowest sample around a cell has the coordinates that the cell has in the
+    // bin, because the brick begins with its ghost layer.
     for [x, y, z] in cells {
         for (z, y) in (z..=z + reach).flat_map(|z| (y..=y + reach).map(move |y| (z, y))) {
             let first = x + edge * (y + edge * z);

@@ -4,7 +4,7 @@ use glam::IVec3;
 
 use crate::grid::{BIN, CellBox, local_morton};
 
-/// Edge of a brick in cells. It only affects the memory of the DIF.
+/// Edge of a brick, in cells. It affects only how much memory the DIF takes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum BrickSide {
     /// 64 cells, 128 bytes.
@@ -27,7 +27,7 @@ impl BrickSide {
         }
     }
 
-    /// The number of bricks in a bin. Only this number of bits of
+    /// The number of bricks in a bin. Only this number of the lowest bits of
     /// [`PageInfo::bricks`](super::PageInfo::bricks) can be set.
     pub fn bricks_a_bin(self) -> usize {
         (BIN / self.cells()).pow(3) as usize
@@ -44,9 +44,9 @@ impl BrickSide {
 pub struct PageShape {
     /// The edge of the bricks.
     pub side: BrickSide,
-    /// Width in cells, 0 or 1, of the layer that a brick stores around its own cells. Particles of
-    /// the brick contribute to this layer. The sample of a cell is the sum over all bricks, at most
-    /// 65535.
+    /// Width, in cells, of the layer that a brick stores around its own cells: 0 or 1. Particles in
+    /// the brick contribute to this layer. A cell's sample is the sum of the samples that all
+    /// bricks store for the cell, clamped to 65535.
     pub ghost_layer: i32,
 }
 
@@ -58,12 +58,13 @@ impl From<BrickSide> for PageShape {
 }
 
 impl PageShape {
-    /// Edge of a brick with its ghost layer, in cells.
+    /// Edge, in cells, of a brick including its ghost layer.
     pub fn edge(self) -> i32 {
         self.side.cells() + 2 * self.ghost_layer
     }
 
-    /// The cells of a brick with its ghost layer, by its coordinates in bricks.
+    /// The cells of a brick, including its ghost layer. `brick` has the brick's coordinates, in
+    /// bricks.
     pub(super) fn cells_of(self, brick: IVec3) -> CellBox {
         CellBox::cube(brick, self.side.cells()).grown(self.ghost_layer, self.ghost_layer)
     }
@@ -83,9 +84,9 @@ impl PageShape {
         self.side.bricks_a_bin() * self.brick_samples()
     }
 
-    /// For each axis and each coordinate of a cell in the bin, a term of an index into the samples
-    /// of a dense bin with ghost layers. The sum of a cell's terms for x, y and z is the index of
-    /// the lowest sample in the cell's neighbourhood.
+    /// Tables, one for each axis, for indices into the samples of a dense bin with ghost layers.
+    /// The table entries for a cell's x, y and z in the bin add up to the index of the lowest
+    /// sample in the cell's neighbourhood.
     pub fn firsts(self) -> [[usize; BIN as usize]; 3] {
         let (side, edge) = (self.side.cells(), self.edge() as usize);
         [0, 1, 2].map(|axis: usize| {

@@ -1,7 +1,7 @@
 //! A stack of words in memory: words are added and removed at the end.
 //!
 //! The words are in slabs that are mapped one by one. Large slabs are huge pages, which the system
-//! provides at a fraction of the cost of small pages. Removed slabs go back to the system
+//! provides at a fraction of the cost of small pages. Removed slabs are returned to the system
 //! immediately.
 
 use std::borrow::Cow;
@@ -13,15 +13,15 @@ use memmap2::MmapMut;
 
 use crate::system::memory::mapped_in_huge_pages;
 
-/// Minimum size of a slab in bytes: a page on any machine.
+/// Minimum size of a slab, in bytes: at least a page on most machines.
 const LEAST: u64 = 1 << 14;
-/// Maximum size of a slab in bytes: a huge page on most machines.
+/// Maximum size of a slab, in bytes: a huge page on most machines.
 const MOST: u64 = 1 << 21;
 /// Number of slabs in a list's share of memory. It is large, so that the last slab, which is not
 /// full, wastes little of the share.
 const A_SHARE: u64 = 16;
 
-/// Words in slabs.
+/// A stack of words, stored in slabs.
 #[derive(Debug)]
 pub(super) struct Slabs {
     /// Number of words in a slab.
@@ -41,18 +41,18 @@ impl Slabs {
         Self { slab: slab_bytes / size_of::<u64>(), slabs: Vec::new(), len: 0 }
     }
 
-    /// Takes all words and leaves none.
+    /// Takes all words out, and leaves an empty list.
     pub(super) fn take(&mut self) -> Self {
         let none = Self { slab: self.slab, slabs: Vec::new(), len: 0 };
         std::mem::replace(self, none)
     }
 
-    /// Memory of the list in bytes.
+    /// Bytes of memory that the list takes.
     pub(super) fn bytes(&self) -> u64 {
         self.bytes_of(self.slabs.len())
     }
 
-    /// Bytes of additional slabs for `words` more words.
+    /// Bytes of the additional slabs that `words` more words need.
     pub(super) fn bytes_for(&self, words: usize) -> u64 {
         self.bytes_of((self.len + words).div_ceil(self.slab) - self.slabs.len())
     }
@@ -61,7 +61,7 @@ impl Slabs {
         (slabs * self.slab * size_of::<u64>()) as u64
     }
 
-    /// Adds words, and returns the index of the first.
+    /// Adds `words`, and returns the index of the first added word.
     ///
     /// # Errors
     /// If the system has no memory for the words; then no word is added.

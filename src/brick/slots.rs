@@ -1,4 +1,4 @@
-//! Slots for particles that several threads fill.
+//! Slots for particles, filled by several threads.
 //!
 //! No two threads write the same slot, and all threads are joined before a slot is read, so relaxed
 //! atomic accesses are sufficient.
@@ -10,14 +10,14 @@ use super::zeroed_in_huge_pages;
 /// A packed particle: its position in its bin.
 pub(super) type Record = u64;
 
-/// A slot for every particle; the thread that holds a slot fills it once.
+/// A slot for every particle. Each slot is filled once, by the thread that claimed it.
 pub(super) struct Slots {
     records: Vec<AtomicU64>,
     attributes: Vec<Vec<AtomicU32>>,
 }
 
 impl Slots {
-    /// Slots for `particles` whose attributes have these `components`.
+    /// Creates slots for `particles` particles whose attributes have these numbers of `components`.
     pub(super) fn new(particles: usize, components: &[usize]) -> Self {
         let attributes = components.iter().map(|n| zeroed_in_huge_pages(particles * n)).collect();
         Self { records: zeroed_in_huge_pages(particles), attributes }
@@ -29,7 +29,7 @@ impl Slots {
         self.records[slot].store(record, Ordering::Relaxed);
     }
 
-    /// Puts all components of all attributes of a particle into its slot, in order.
+    /// Puts the components of all attributes of a particle, in order, into the particle's slot.
     #[inline(always)]
     pub(super) fn put_attributes(&self, slot: usize, mut values: impl Iterator<Item = f32>) {
         for attribute in &self.attributes {
@@ -41,7 +41,7 @@ impl Slots {
         }
     }
 
-    /// The records, and the values of each attribute, once all threads are done.
+    /// Returns the records and the values of each attribute. All threads must be done.
     pub(super) fn into_parts(self) -> (Vec<Record>, Vec<Vec<f32>>) {
         let plain = |bits: Vec<AtomicU32>| {
             bits.into_iter().map(|x| f32::from_bits(x.into_inner())).collect()

@@ -33,7 +33,7 @@ const FEWEST: usize = 16;
 const CODING: usize = 2;
 const RECORD_MASK: Record = (1 << RECORD_BITS) - 1;
 
-/// Particles in the order of runs, not yet sorted within them.
+/// Particles grouped by run, and not yet sorted within the runs.
 #[derive(Debug)]
 pub struct SpilledBins {
     keys: Vec<MortonKey>,
@@ -70,7 +70,7 @@ struct SpillBudget {
 }
 
 impl SpillBudget {
-    /// Reserves `bytes` if the limit allows; returns whether it did.
+    /// Reserves `bytes` if the limit allows it; returns whether the bytes were reserved.
     fn take(&self, bytes: u64) -> bool {
         let fitting = |taken: u64| Some(taken + bytes).filter(|&taken| taken <= self.most);
         self.taken.fetch_update(Ordering::Relaxed, Ordering::Relaxed, fitting).is_ok()
@@ -85,20 +85,20 @@ impl SpillBudget {
     }
 }
 
-/// Some particles of a run.
+/// Particles of a run that are stored together.
 #[derive(Debug)]
 struct RunPiece {
     particles: usize,
     at: PieceLocation,
 }
 
-/// The position of the words of a piece: the code of its packed particles, followed by the
-/// components of all attributes of one particle after another.
+/// The position of the words of a piece. The words are the code of its packed particles, followed
+/// by the components of all attributes, particle by particle.
 #[derive(Debug)]
 enum PieceLocation {
-    /// In the memory of its run.
+    /// The index of the first word in the memory of the piece's run.
     Memory(usize),
-    /// In the scratch file.
+    /// The byte offset in the scratch file.
     File(u64),
 }
 
@@ -106,8 +106,8 @@ enum PieceLocation {
 const CODED: usize = 6;
 
 impl SpilledBins {
-    /// Lower bound of the bytes of a particle with these attribute `components` before it is
-    /// sorted.
+    /// Lower bound of the bytes that a particle takes before it is sorted. `components` has the
+    /// number of components of each attribute.
     pub fn least_particle_bytes(components: &[usize]) -> u64 {
         (tuple_bytes(components) - size_of::<Record>() + CODED) as u64
     }
@@ -149,19 +149,19 @@ impl SpilledBins {
         self.components.iter().sum()
     }
 
-    /// The code for `particles` of run number `run`.
+    /// The code for `particles` particles of run number `run`.
     fn code(&self, run: usize, particles: usize) -> EliasFano {
         let last_bin = self.runs[run].len() as Record - 1;
         EliasFano::new(particles, last_bin << RECORD_BITS | RECORD_MASK)
     }
 
-    /// Words of a piece of run number `run` with `particles`.
+    /// Number of words of a piece with `particles` particles of run number `run`.
     fn words(&self, run: usize, particles: usize) -> usize {
         let values = size_of::<f32>() * self.width() * particles;
         self.code(run, particles).words() + values.div_ceil(size_of::<u64>())
     }
 
-    /// The buffers of one thread. The buffers of all `threads` take `bytes` in total.
+    /// Creates the buffers of one thread. The buffers of all `threads` take about `bytes` in total.
     pub(super) fn buffers(&self, threads: usize, bytes: usize) -> RunBuffers<'_> {
         let tuple = tuple_bytes(&self.components);
         let full = bytes / tuple / (threads * (self.runs.len() + CODING));
@@ -174,9 +174,9 @@ impl SpilledBins {
         RunBuffers { spilled: self, full, records, values }
     }
 
-    /// Passes all bins to `take` once, run by run. `take` returns the number of bytes that it keeps
-    /// in memory so far; pieces of the remaining runs move to the scratch file to make room for
-    /// these bytes.
+    /// Passes all bins to `take`, one run per call. `take` returns the number of bytes that it has
+    /// kept in memory so far. Pieces of the remaining runs move to the scratch file to make room
+    /// for these bytes.
     ///
     /// # Errors
     /// If `take` fails, or if the scratch file cannot be read or written.
@@ -195,8 +195,8 @@ impl SpilledBins {
         Ok(())
     }
 
-    /// Moves pieces to the scratch file until those in memory take at most `bytes`, beginning with
-    /// the pieces that are needed last.
+    /// Moves pieces to the scratch file until the pieces in memory take at most `bytes`, beginning
+    /// with the pieces that are needed last.
     fn keep_within(&self, bytes: u64) -> io::Result<()> {
         for run in (0..self.runs.len()).rev() {
             let RunParticles { pieces, memory } = &mut *self.held(run);
@@ -215,7 +215,8 @@ impl SpilledBins {
         Ok(())
     }
 
-    /// Adds a piece of `particles` to run number `run`, in memory while there is room.
+    /// Adds a piece with `particles` particles to run number `run`: in memory if there is room, and
+    /// otherwise in the scratch file.
     fn keep(&self, run: usize, particles: usize, words: &[u64]) -> io::Result<()> {
         if !self.keep_in_memory(run, particles, words) {
             let at = PieceLocation::File(self.scratch.append(cast_slice(words))?);
@@ -224,7 +225,8 @@ impl SpilledBins {
         Ok(())
     }
 
-    /// Keeps a piece in memory; returns whether the budget and the system had memory for it.
+    /// Keeps a piece in memory if possible; returns whether the budget and the system had memory
+    /// for the piece.
     fn keep_in_memory(&self, run: usize, particles: usize, words: &[u64]) -> bool {
         let RunParticles { pieces, memory } = &mut *self.held(run);
         let more = memory.bytes_for(words.len());
@@ -239,7 +241,8 @@ impl SpilledBins {
         added.is_ok()
     }
 
-    /// The words of a piece of run number `run`; `memory` has the pieces of the run in memory.
+    /// Returns the words of a piece of run number `run`. `memory` holds those pieces of the run
+    /// that are in memory.
     fn read<'a>(
         &self,
         run: usize,
@@ -276,8 +279,8 @@ impl SpilledBins {
             let mut values = cast_slice(values).chunks_exact(width.max(1));
             let bin_of = |record: Record| (record >> RECORD_BITS) as usize;
             let bins = || records.chunk_by(|&a, &b| bin_of(a) == bin_of(b));
-            // All slots are assigned before any is filled: an atomic increment waits for earlier
-            // writes.
+            // All slots are assigned before any is filled, because an atomic increment waits for
+            // earlier writes.
             bin_slots.clear();
             bin_slots.extend(
                 bins().map(|bin| next[bin_of(bin[0])].fetch_add(bin.len(), Ordering::Relaxed)),
@@ -297,8 +300,8 @@ impl SpilledBins {
         Ok(Bins::of_slots(slots, self.keys[bins].to_vec(), first, self.components.clone()))
     }
 
-    /// Creates a store for all sorted runs, which can be read bin by bin. Once it is filled, the
-    /// file of the spilled particles is no longer needed.
+    /// Creates a store for all sorted runs. The store can be read bin by bin. Once the store is
+    /// filled, the file of the spilled particles is no longer needed.
     ///
     /// # Errors
     /// If the scratch file cannot be created.
@@ -352,31 +355,31 @@ impl SortedStore {
         Ok(())
     }
 
-    /// All bins, which can be read one by one.
+    /// Returns all bins, which can now be read one by one.
     pub fn finish(self) -> Bins {
         self.bins
     }
 }
 
-/// The record of a particle. Its free bits hold the number of the particle's bin within the run.
+/// Adds the number of a particle's bin within the run to the free bits of the particle's record.
 #[inline(always)]
 pub(super) fn in_bin_of_run(bin: usize, record: Record) -> Record {
     (bin as Record) << RECORD_BITS | record
 }
 
-/// One thread's buffers of particles for each run.
+/// The buffers of one thread, one for each run.
 #[derive(Debug)]
 pub(super) struct RunBuffers<'a> {
     spilled: &'a SpilledBins,
     /// Number of particles at which a buffer is written.
     full: usize,
     records: Vec<Vec<Record>>,
-    /// For each run, the components of all attributes of one particle after another.
+    /// For each run, the components of all attributes, particle by particle.
     values: Vec<Vec<f32>>,
 }
 
 impl RunBuffers<'_> {
-    /// Adds particles, each given by its index among the attributes, its run, and its record.
+    /// Adds particles. Each is given by its index in `attributes`, its run, and its record.
     pub(super) fn push_all(
         &mut self,
         particles: impl Iterator<Item = (usize, usize, Record)>,
@@ -424,18 +427,18 @@ impl RunBuffers<'_> {
     }
 }
 
-/// Particles in the order of their bins.
+/// Binned particles, in memory or spilled.
 #[derive(Debug)]
 pub enum BinnedParticles {
     /// All particles in memory.
     InMemory(Bins),
-    /// Particles run by run, partly in a scratch file.
+    /// Particles grouped by run, of which some or all may be in a scratch file.
     Spilled(SpilledBins),
 }
 
 impl BinnedParticles {
-    /// Passes all bins to `take`, run by run. `take` returns the number of bytes that it keeps in
-    /// memory so far.
+    /// Passes all bins to `take`, one run per call. `take` returns the number of bytes that it has
+    /// kept in memory so far.
     ///
     /// # Errors
     /// If `take` fails, or if a scratch file cannot be read or written.
@@ -446,11 +449,11 @@ impl BinnedParticles {
         }
     }
 
-    /// Passes all bins to `take`, and returns the bins; spilled particles go to a new scratch file
-    /// in `folder`.
+    /// Passes all bins to `take` as [`visit`](Self::visit) does, and returns the bins. Spilled
+    /// particles are written, sorted by bin, to a new scratch file in `folder`.
     ///
     /// # Errors
-    /// The errors of [`visit`](Self::visit), or if a scratch file cannot be written.
+    /// If [`visit`](Self::visit) fails, or if the new scratch file cannot be created or written.
     pub fn visit_and_keep(
         self,
         folder: &Path,
@@ -482,8 +485,9 @@ mod tests {
     /// The particles of each bin, sorted.
     type Sorted = Vec<(MortonKey, Vec<Record>)>;
 
-    /// All bins as seen by a visitor that keeps `kept` bytes of each run; and the bytes of pieces
-    /// in memory and in the scratch file, after binning and after sorting each run.
+    /// Returns all bins that a visitor receives if it keeps `kept` bytes of each run. Also returns
+    /// the bytes of the pieces in memory and in the scratch file, first after binning, then after
+    /// sorting each run.
     fn visited(memory_bytes: u64, kept: u64) -> (Sorted, Vec<[u64; 2]>) {
         let grid = Grid::new(DVec3::ZERO, 1.0).unwrap();
         let coordinate = |i: usize, a: usize| ((i * [7919, 6761, 5879][a]) % 40_009) as f64 / 320.0;
@@ -535,7 +539,7 @@ mod tests {
     #[test]
     fn memory_kept_by_a_visitor_moves_runs_to_the_file() {
         let (expected, _) = visited(0, 0);
-        // At the end the kept memory takes the whole budget.
+        // At the end, the kept memory takes the whole budget.
         let (_, in_memory) = visited(u64::MAX, 0);
         let (room, kept) = (in_memory[0][0], in_memory[0][0] / in_memory.len() as u64);
         let (bins, bytes) = visited(room, kept);

@@ -1,5 +1,4 @@
-//! The storage of a field's samples: in memory, or in another storage with the last used pages in
-//! memory.
+//! The storage of a field's samples: in memory, or elsewhere with recently used pages in memory.
 
 use std::borrow::Cow;
 use std::fmt::Debug;
@@ -17,7 +16,7 @@ const CACHED_PAGE: u64 = 136;
 
 /// Samples that are read or made page by page.
 pub trait PageSource: Send + Sync + Debug {
-    /// The stored samples of page number `page`, recomputed with each call.
+    /// The stored samples of page number `page`, read or made anew by each call.
     fn samples(&self, page: usize) -> Vec<u16>;
 }
 
@@ -51,8 +50,8 @@ pub(super) enum PageStore {
         source: Box<dyn PageSource>,
         cache: Cache<u32, Arc<PageSamples>, PageWeighter>,
     },
-    /// Pages outside of the host's memory. The host fetches groups of [`TOGETHER`] pages when it
-    /// needs one of them, and keeps them.
+    /// Pages outside the host's memory. When the host needs one of them, it fetches the group of
+    /// [`TOGETHER`] pages that contains it, and keeps the group.
     Remote {
         pages: Box<dyn RemotePages>,
         otherwise: Box<dyn PageSource>,
@@ -61,7 +60,7 @@ pub(super) enum PageStore {
 }
 
 impl PageStore {
-    /// Pages of at most `mean_bytes` on average. The last used pages stay in memory, up to
+    /// Pages of at most `mean_bytes` on average. Recently used pages stay in memory, up to
     /// `cache_bytes`.
     pub(super) fn paged(source: Box<dyn PageSource>, cache_bytes: u64, mean_bytes: u64) -> Self {
         let items = cache_bytes / (mean_bytes + CACHED_PAGE);
@@ -75,14 +74,14 @@ impl PageStore {
         Self::Paged { source, cache }
     }
 
-    /// Pages in another memory; if fetching fails, `otherwise` makes them.
+    /// Pages outside the host's memory; if fetching fails, `otherwise` makes them.
     pub(super) fn remote(pages: Box<dyn RemotePages>, otherwise: Box<dyn PageSource>) -> Self {
         let here =
             std::iter::repeat_with(OnceLock::new).take(pages.count().div_ceil(TOGETHER)).collect();
         Self::Remote { pages, otherwise, here }
     }
 
-    /// Bytes of pages that may be in memory; `None` for no limit.
+    /// Maximum number of bytes of pages in memory; `None` for no limit.
     pub(super) fn cache_bytes(&self) -> Option<u64> {
         match self {
             Self::Memory(_) | Self::Remote { .. } => None,
@@ -119,10 +118,11 @@ impl PageStore {
         }
     }
 
-    /// A page of another memory, fetched with its neighbours at the first access.
+    /// Returns a remote page, which is fetched with the other pages of its group at the first
+    /// access.
     ///
     /// # Panics
-    /// If all pages are in memory or in a cache.
+    /// If the pages are not remote.
     fn fetched(&self, page: usize, shape: PageShape) -> &PageSamples {
         let Self::Remote { pages, otherwise, here } = self else {
             unreachable!("the pages are remote")

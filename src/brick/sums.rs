@@ -7,14 +7,14 @@ const ROW: usize = BIN as usize;
 const ROWS: usize = ROW * ROW;
 const CELLS: usize = ROW * ROWS;
 
-/// Sums for the cells of one bin, x fastest. They are integers, which f64 represents exactly up to
-/// 2^53, so the order of addition does not matter.
+/// Sums for the cells of one bin, x fastest. The sums are integers, which f64 represents exactly up
+/// to 2^53, so the order of addition does not matter.
 #[derive(Debug)]
 pub struct CellSums {
     /// For each cell: the number N of particles, and the sum S of their offsets along x, y and z.
     cells: Box<[[f64; 4]]>,
-    /// A bit for each row along x, set if the row contains particles. Only these rows of `cells`
-    /// are valid.
+    /// A bit for each row along x, set if the row contains particles. Only rows whose bit is set
+    /// are valid in `cells`.
     rows: [u64; ROWS / 64],
 }
 
@@ -50,7 +50,7 @@ impl CellSums {
     }
 }
 
-/// The indices of the set bits.
+/// The indices of the set bits in `words`.
 #[inline(always)]
 fn full(words: [u64; ROWS / 64]) -> impl Iterator<Item = usize> {
     (0..ROWS).step_by(64).zip(words).flat_map(|(first, mut word)| {

@@ -1,4 +1,4 @@
-//! Every error of the library, with the file that it concerns, and its cause.
+//! The errors of the library, each with the file that it concerns and with its cause.
 
 mod parts;
 mod setting;
@@ -38,8 +38,9 @@ use crate::system::cancel::Cancelled;
 
 /// Anything that can go wrong between a particle file and a mesh file.
 ///
-/// The message is complete: it names the file, the place, and the system's error. `source()` gives
-/// access to the errors inside, such as [`std::io::Error`]; do not append their messages.
+/// The message is complete: it names the file, the place, and the system's error. `source()`
+/// returns the underlying error, such as [`std::io::Error`]; do not append its message, which is
+/// already included.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum Error {
@@ -54,7 +55,7 @@ pub enum Error {
     SameFile {
         /// The file.
         path: PathBuf,
-        /// The other name of the file in the request.
+        /// The other name by which the request refers to the file.
         other: PathBuf,
     },
     /// The caller cancelled the work.
@@ -93,10 +94,10 @@ pub enum Error {
     /// A simulation that cannot be converted.
     #[error(transparent)]
     Simulation(#[from] SimulationError),
-    /// A mesh that is too large to be in memory as a whole.
+    /// A mesh that cannot be held in memory as a whole.
     #[error(transparent)]
     WholeMesh(#[from] WholeMeshError),
-    /// An error while a mesh is made in parts.
+    /// An error while making a mesh in parts.
     #[error(transparent)]
     Parts(#[from] PartsError),
     /// A mesh that cannot be compared.
@@ -108,7 +109,7 @@ pub enum Error {
         #[source]
         fault: CompareError,
     },
-    /// A mesh that cannot be a solid.
+    /// A mesh that cannot be used as a solid.
     #[error("{}: {fault}", path.display())]
     Solid {
         /// The file.
@@ -139,10 +140,10 @@ pub enum Error {
         name: String,
         /// The names of the available attributes.
         known: Vec<String>,
-        /// The part of the file that has this name, as text, if that part was not read.
+        /// If the reader skipped a part of the file with this name: a description of that part.
         left_out: Option<String>,
     },
-    /// Sizes of particles that cannot be taken from an attribute.
+    /// Particle sizes that cannot be taken from an attribute.
     #[error("{}{fault}", file(path.as_deref()))]
     Sizes {
         /// The file, if the particles come from one.
@@ -154,15 +155,15 @@ pub enum Error {
     /// A memory limit that is too small for any frame.
     #[error("{}the memory limit must be at least {}", to_simplify(*simplifying), ByteSize(*least))]
     LittleMemory {
-        /// The minimum in bytes.
+        /// The smallest possible limit, in bytes.
         least: u64,
-        /// The number of threads, if simplifying needs the memory.
+        /// The number of threads, if the minimum comes from simplifying.
         simplifying: Option<usize>,
     },
     /// Threads that cannot be started.
     #[error("cannot start threads: {0}")]
     Threads(String),
-    /// The spacing is not given, not in the file, and cannot be estimated.
+    /// The spacing is neither given nor in the file, and cannot be estimated.
     #[error(
         "{}cannot estimate the spacing of {particles} particles: {why}{}",
         file(path.as_deref()),
@@ -180,7 +181,7 @@ pub enum Error {
     },
 }
 
-/// The beginning of a message about a file.
+/// The beginning of a message about a file: its path and a colon.
 fn file(path: Option<&Path>) -> String {
     path.map_or(String::new(), |path| format!("{}: ", path.display()))
 }
@@ -209,7 +210,7 @@ fn listed(names: &[String]) -> String {
     if names.is_empty() { "none".into() } else { names.join(", ") }
 }
 
-/// The available attributes, after the part of the file that was left out.
+/// Lists the available attributes, after the part of the file that was left out, if there is one.
 fn available(left_out: Option<&str>, known: &[String]) -> String {
     let known = listed(known);
     match left_out {
@@ -218,7 +219,7 @@ fn available(left_out: Option<&str>, known: &[String]) -> String {
     }
 }
 
-/// The kind of an error, which says what has to change.
+/// The kind of an error, which says what the caller has to change.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Cause {
@@ -256,8 +257,8 @@ impl From<SizeFault> for Error {
 }
 
 impl Error {
-    /// The message, with settings named by `name`. A program names its options, and a binding names
-    /// its keywords.
+    /// Returns the message, with the names that `name` gives to settings. A program passes the
+    /// names of its options, and a binding those of its keywords.
     #[must_use]
     pub fn message_with(&self, name: &dyn Fn(Setting) -> String) -> String {
         match self {
@@ -271,7 +272,7 @@ impl Error {
         }
     }
 
-    /// Adds the file of the particles, if the error has none.
+    /// Adds the path of the particle file, if the error has none.
     #[must_use]
     pub fn of_file(mut self, file: &Path) -> Self {
         if let Self::Frame { path, .. }
@@ -284,8 +285,8 @@ impl Error {
         self
     }
 
-    /// Adds to the error that the missing attribute was left out when the file was read, if it is
-    /// among these parts of the file.
+    /// If the missing attribute is one of the `parts` that the reader left out of the file, adds
+    /// this fact to the error.
     #[must_use]
     pub(crate) fn of_left_out(mut self, parts: &[UnreadPart]) -> Self {
         if let Self::NoAttribute { name, left_out, .. } = &mut self {
@@ -295,7 +296,7 @@ impl Error {
         self
     }
 
-    /// Returns the kind of the error, which says what has to change.
+    /// Returns the kind of the error, which says what the caller has to change.
     #[must_use]
     pub fn cause(&self) -> Cause {
         match self {
@@ -317,7 +318,7 @@ impl Error {
             }
             #[cfg(feature = "pictures")]
             Self::Picture { .. } => Cause::Request,
-            // Another frame may have selected particles.
+            // In another frame, particles may satisfy the same conditions.
             Self::Read(ReadError {
                 fault: ReadFault::Selection(SelectionFault::None { .. }),
                 ..

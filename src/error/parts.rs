@@ -1,10 +1,10 @@
-//! Errors of making a mesh in parts and of merging them.
+//! Errors while making a mesh in parts, or while merging the parts.
 
 use std::path::PathBuf;
 
 use thiserror::Error;
 
-/// An error while a mesh is made in parts.
+/// An error while making a mesh in parts.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum PartsError {
@@ -16,7 +16,7 @@ pub enum PartsError {
         /// The maximum.
         most: u32,
     },
-    /// A part beyond the last.
+    /// A part number beyond the last part.
     #[error("the part must be from 0 to {last}, got {part}", last = of - 1)]
     NoPart {
         /// The part's number.
@@ -46,7 +46,7 @@ pub enum PartsError {
         /// The names of the settings that differ.
         differing: String,
     },
-    /// Particles that differ from those of the plan.
+    /// A particle file that is not the one of the plan, or that has changed since then.
     #[error(
         "{}: this is not the file for which {} was made, or it has changed since then",
         input.display(), plan.display()
@@ -75,7 +75,7 @@ pub enum PartsError {
         /// The damage.
         what: String,
     },
-    /// A part of another plan.
+    /// A part that was made with another plan.
     #[error("{}: was made with a different plan than the plan.json in its folder", .0.display())]
     OtherPlan(PathBuf),
     /// A folder, plan or part that cannot be read or written.
@@ -92,7 +92,8 @@ pub enum PartsError {
 /// Maximum number of ranges in a message.
 const LISTED: usize = 16;
 
-/// Lists numbers, with consecutive ones as a range, and only the first few ranges.
+/// Lists numbers, with consecutive numbers joined into ranges. Only the first `LISTED` ranges are
+/// shown.
 fn shortened(numbers: &[u32]) -> String {
     let ranges = numbers.chunk_by(|a, b| a + 1 == *b).map(|range| match range {
         [first, .., last] => format!("{first} to {last}"),

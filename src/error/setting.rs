@@ -8,11 +8,11 @@ use crate::field::indicator::IndicatorKind;
 use crate::io::output::MeshFormat;
 use crate::settings::Setting;
 
-/// A setting, file or format that a setting conflicts with.
+/// The reason for a conflict: for example another setting, a file or a format.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum Conflict {
-    /// A setting that determines the same length, so that only one of the two can be given.
+    /// A setting that determines the same length. Only one of the two can be given.
     Setting(Setting),
     /// A required setting that is missing.
     Needs(Setting),
@@ -29,9 +29,9 @@ pub enum Conflict {
         /// The attribute with the sizes.
         attribute: String,
     },
-    /// A frame that was already sampled with another value.
+    /// A frame that was already sampled with another value of the setting.
     Sampled,
-    /// Particles and a surface on a device.
+    /// A surface that is made on a device, from particles that are on the device too.
     OnDevice,
     /// The format of the mesh.
     Format {
@@ -42,18 +42,18 @@ pub enum Conflict {
     },
 }
 
-/// A given setting that does not apply.
+/// A setting that was given but does not apply.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct SettingConflict {
     /// The setting.
     pub setting: Setting,
-    /// The reason of the conflict.
+    /// The reason for the conflict.
     pub with: Conflict,
 }
 
 impl SettingConflict {
-    /// The message, with settings named by `name`.
+    /// Returns the message, with the names that `name` gives to settings.
     pub fn message_with(&self, name: &dyn Fn(Setting) -> String) -> String {
         let setting = name(self.setting);
         let named = |name_of: &'static str| name(Setting::named(name_of));

@@ -1,4 +1,4 @@
-//! Errors of converting a simulation.
+//! Errors while converting a simulation.
 
 use std::fmt;
 use std::ops::RangeInclusive;
@@ -8,7 +8,8 @@ use thiserror::Error;
 
 use super::shown;
 
-/// Valid frame rates. Within this range, programs can distinguish the times of neighbouring frames.
+/// Valid frame rates, in frames per second. Within this range, programs can distinguish the times
+/// of neighbouring frames.
 pub const FPS: RangeInclusive<f64> = 1e-9..=1e9;
 
 /// A simulation that cannot be converted.
@@ -17,10 +18,10 @@ pub enum SimulationError {
     /// The inputs contain no frame.
     #[error("{0}: no frames found")]
     NoFrames(String),
-    /// A pattern for the names of frames that no file matches.
+    /// A pattern that matches no file.
     #[error("{0}: no file matches this pattern")]
     NoMatch(String),
-    /// A folder or glob without supported files.
+    /// A folder or glob without matching files.
     #[error("{0}: no matching files")]
     NoFiles(String),
     /// A folder of inputs that does not exist.
@@ -83,12 +84,12 @@ pub enum SimulationError {
     Several {
         /// The folder or pattern.
         from: String,
-        /// The simulations with their numbers of frames.
+        /// The simulations, each with its number of frames.
         families: String,
         /// The reason why only one is possible.
         why: WhyOne,
     },
-    /// A folder, the state or a record that cannot be read or written.
+    /// A folder, a state file or a record that cannot be read or written.
     #[error("{}: {fault}", path.display())]
     Io {
         /// The file or folder.
@@ -109,12 +110,12 @@ pub enum SimulationError {
     #[error("{}: a conversion with different settings is running in this folder; wait until it \
              ends, or choose another output", .0.display())]
     Busy(PathBuf),
-    /// A state from a run with other settings.
+    /// A state from a run with other settings, or whose calibration frame has changed since then.
     #[error("{}: the existing frames were made with different settings ({differing})", path.display())]
     Settings {
         /// The state file.
         path: PathBuf,
-        /// The names of the settings that differ.
+        /// The names of the settings that differ, and the calibration frame if it has changed.
         differing: String,
     },
 }

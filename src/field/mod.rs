@@ -1,11 +1,11 @@
 //! From particles to the field: indicators, filters, the recipe that combines them, and the
 //! calibration of the level at which the surface lies.
 //!
-//! Each stage is a folder: `mod.rs` states the formula and the guarantees, `cpu.rs` computes it,
-//! and `vulkan.rs` runs its shaders.
+//! Each stage with shaders is a folder: `mod.rs` states the formula and the guarantees, `cpu.rs`
+//! evaluates the formula on the CPU, and `vulkan.rs` runs the stage's shaders.
 //!
-//! The guides `choosing.md` and `accuracy.md` help to choose between indicators, and show how
-//! accurate they are.
+//! The guide `choosing.md` helps to choose an indicator, and `accuracy.md` shows how accurate the
+//! indicators are.
 
 pub mod blur;
 pub mod calibration;

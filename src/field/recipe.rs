@@ -1,8 +1,8 @@
 //! From samples to the field, in one place for all backends: the paper's filters, or distances from
 //! clouds.
 //!
-//! A request determines the [`Filters`], and with them the reach and the memory. A [`Recipe`] also
-//! has the isovalue, which comes from the calibration.
+//! A request determines the [`Filters`], and thereby the reach and the memory. A [`Recipe`] also
+//! contains the isovalue. For the paper's filters, the isovalue comes from the calibration.
 
 use crate::field::blur::{FieldCount, Filter, Smoothing, Weights};
 use crate::field::detail::Recovery;
@@ -51,8 +51,8 @@ impl PaperFilters {
         std::iter::once::<&dyn Filter>(&self.smoothing).chain(recovery)
     }
 
-    /// The distance within which the DIF affects the field of a cell: the sum of the halos of all
-    /// stages.
+    /// The distance, in cells, within which the DIF affects the field of a cell: the sum of the
+    /// halos of all stages.
     pub fn halo(&self) -> i32 {
         self.stages().map(Filter::halo).sum()
     }
@@ -71,7 +71,7 @@ impl PaperFilters {
 }
 
 impl Filters {
-    /// The maximum distance of a surface from a full cell.
+    /// The maximum distance, in cells, of a surface from a full cell.
     pub fn reach(&self) -> i32 {
         match self {
             Self::Paper(paper) => paper.reach(),
@@ -79,7 +79,7 @@ impl Filters {
         }
     }
 
-    /// The distance within which particles affect the field of a cell, in cells.
+    /// The distance, in cells, within which particles affect the field of a cell.
     pub fn halo(&self) -> i32 {
         match self {
             Self::Paper(paper) => paper.halo(),
@@ -112,11 +112,12 @@ impl Filters {
         }
     }
 
-    /// The maximum memory of a thread for a block while its field is made, in bytes.
+    /// The maximum memory, in bytes, that a thread needs to make the field of a block.
     pub fn block_bytes(&self) -> u64 {
         match self {
             Self::Paper(paper) => {
-                // Dual cells reach one cell up, and normals one cell in both directions.
+                // Dual cells need one more cell at the upper end, and normals need one more at both
+                // ends.
                 let edge = (BLOCK + 3 + 2 * paper.halo()) as u64;
                 edge.pow(3) * paper.fields().host * size_of::<u16>() as u64
             }
@@ -133,7 +134,7 @@ impl Filters {
     }
 }
 
-/// All parameters between samples and their surface.
+/// All parameters that determine the surface from the samples.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Recipe {
     /// The filters between the samples and the field.
@@ -189,14 +190,14 @@ pub struct ThinShares<T> {
     pub certainty: Option<T>,
 }
 
-/// The surface of the bulk in wide cells, and the distance by which nearby particles lie outside of
+/// The surface of the bulk in wide cells, and the distance by which nearby particles lie outside
 /// the calm surface.
 #[derive(Debug, Clone)]
 pub struct WideFields<T> {
     /// The surface of the bulk, as distances.
     pub bulk: T,
-    /// The greatest distance by which a particle within reach of a drop lies outside of the calm
-    /// surface.
+    /// For each cell, the greatest distance by which a particle whose drop can reach the cell lies
+    /// outside the calm surface.
     pub outlying: T,
 }
 
@@ -212,8 +213,8 @@ pub fn bulk<F: Fields>(
     Ok(wide)
 }
 
-/// Computes the calm and the fine surface. From these, computes the surface of the bulk, and the
-/// distance by which particles lie outside of the calm surface.
+/// Computes the calm and the fine surface and, from them, the surface of the bulk and the distance
+/// by which particles lie outside the calm surface.
 pub fn surfaces_and_bulk<F: Fields>(
     distances: &DistanceFilters,
     fields: &mut F,
@@ -230,7 +231,8 @@ pub fn surfaces_and_bulk<F: Fields>(
     Ok(([calm, fine], WideFields { bulk, outlying }))
 }
 
-/// The field, made from the wide fields and, where drops are possible, from drops in narrow cells.
+/// The field, made from the wide fields and, where drops are possible, from drops in the cells of
+/// the drops' level.
 pub fn joined<F: Fields>(
     distances: &DistanceFilters,
     fields: &mut F,
@@ -302,7 +304,8 @@ pub fn sheets<F: Fields>(
     Ok(Some(SheetFields { shares, certainty }))
 }
 
-/// A backend's fields, and the filters on them. A clone refers to the same field.
+/// A backend's fields, and the filters that the backend runs on them. A clone of a field refers to
+/// the same samples.
 #[allow(clippy::missing_errors_doc, reason = "whatever Error is")]
 pub trait Fields {
     /// Samples of a box of cells.
@@ -311,7 +314,8 @@ pub trait Fields {
     type Error;
 
     /// The samples around the requested cells, in cells 2^`level` times as wide, with a halo of
-    /// `halo` of these wider cells. The requested cells lie between the middles of the wider cells.
+    /// `halo` of these wider cells. Even without the halo, the requested cells lie between the
+    /// middles of the wider cells.
     fn samples(&mut self, level: u32, halo: i32) -> Result<Self::Field, Self::Error>;
 
     /// Clouds, continued into solids: see [`solid`](crate::field::solid).
@@ -352,9 +356,9 @@ pub trait Fields {
         near: &Self::Field,
     ) -> Result<Self::Field, Self::Error>;
 
-    /// The distance by which particles lie outside of the calm surface, from the calm and the fine
-    /// surface, and from the minimum cloud of a cell with a particle: see
-    /// [`StandsOut::of_particle`].
+    /// The distance by which particles lie outside the calm surface, from the calm and the fine
+    /// surface: see [`StandsOut::of_particle`]. A cell contains a particle if its sample in
+    /// `clouds` is at least the number in `by`.
     fn outlying(
         &mut self,
         surfaces: [&Self::Field; 2],
@@ -366,8 +370,8 @@ pub trait Fields {
     /// walls.
     fn spread(&mut self, field: Self::Field, reach: i32) -> Result<Self::Field, Self::Error>;
 
-    /// Examines fields of cells 2^`level` times as wide. May return an error to stop the work if
-    /// these fields rule out a surface.
+    /// Examines the wide fields, whose cells are 2^`level` times as wide as the requested cells.
+    /// May return an error to stop the work if these fields rule out a surface.
     fn probe(
         &mut self,
         wide: &WideFields<Self::Field>,
@@ -379,11 +383,12 @@ pub trait Fields {
     /// requested cells.
     fn refined(&mut self, wide: Self::Field, level: u32) -> Result<Self::Field, Self::Error>;
 
-    /// Whether particles stand out in any cell, according to cells 2^`level` times as wide. If so,
-    /// further samples and fields are restricted to the cells where particles can stand out.
+    /// Whether particles can stand out in any requested cell, according to `near`, whose cells are
+    /// 2^`level` times as wide. If so, further samples and fields are restricted to the cells where
+    /// particles can stand out.
     fn narrowed(&mut self, near: &Self::Field, level: u32, begin: u16) -> bool;
 
-    /// Clouds divided by the clouds around them, which are smoothed by `around`.
+    /// Clouds divided by the clouds around them, which are the clouds smoothed by `around`.
     fn quotient(
         &mut self,
         clouds: Self::Field,
@@ -421,7 +426,7 @@ pub trait Fields {
     ) -> Result<Self::Field, Self::Error>;
 }
 
-/// The walls at a level, as the cells whose samples exist; samples are repeated beyond them.
+/// The cells of a level that lie within the walls. Beyond these cells, samples are repeated.
 pub fn walls_at(level: u32, walls: Option<CellBox>) -> Option<CellBox> {
     walls.map(|walls| walls.in_wider_cells(level))
 }

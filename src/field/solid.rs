@@ -1,18 +1,21 @@
 //! Solids: clouds are continued into solids before the surface of the bulk is made, and solids cut
 //! the field afterwards.
 //!
-//! A share w of a cell's cloud with density rho lies outside of the solid. w is computed for a
-//! plane at the solid's distance from the cell's centre. Where w is less than 1, the density of the
-//! nearby fluid is blended in; its weight grows from 0 to 1 as w falls from 1 to 0.9. This density
-//! is the value, at the cell, of the linear function that best fits rho / w under a Gaussian of 1 d
-//! (moving least squares, Lancaster and Salkauskas 1981). The weights of the fit fall with w from 1
-//! to 0 in the same range. A mean would bend the level of the fluid at a slope, and so would a fit
-//! to cells that are mostly solid. Where too little fluid is in reach of the fit, deep in a solid
-//! or in a narrow channel, (1 - w) times a mean under a Gaussian of 2.5 d is added to rho
-//! (normalised convolution). So the bulk does not end at a solid: its surface continues straight
-//! into the solid. The field is then the minimum of the bulk's distance and the solid's distance.
+//! Let rho be a cell's density, and w the share of the cell's cloud that lies outside the solid. w
+//! is computed as if the solid were bounded by a plane at the solid's distance from the cell's
+//! centre. Where w is less than 1, the density of the nearby fluid is blended in, with a weight
+//! that grows from 0 to 1 as w falls from 1 to 0.9. The density that is blended in is the value, at
+//! the cell, of the linear function that best fits rho / w under a Gaussian of 1 d (moving least
+//! squares, Lancaster and Salkauskas 1981). Over the same range of w, the weights of the fit fall
+//! from 1 to 0. At a sloping solid, a mean would bend the level surface of the fluid, and so would
+//! a fit to cells that are mostly solid. Where too little fluid is within reach of the fit, as deep
+//! in a solid or in a narrow channel, (1 - w) times the mean of rho under a Gaussian of 2.5 d is
+//! added to rho (normalised convolution). So the bulk does not end at a solid: its surface
+//! continues straight into the solid. Afterwards, the field is limited to the distance from the
+//! solid minus the solid's offset.
 //!
-//! Sums are integers, and each cell has its own sum: the result does not depend on the block.
+//! Sums are integers, and each cell has its own sums, so the result does not depend on the block in
+//! which it is computed.
 
 use glam::{DMat3, DVec3, IVec3};
 
@@ -21,31 +24,31 @@ use crate::field::blur::{Weights, blur};
 use crate::field::distance::{NONE, ZERO, spread};
 use crate::grid::CellBox;
 
-/// The share of a cell that must be outside of a solid for its density to be used.
+/// A cell's density is used only if more than this share of its cloud lies outside the solid.
 const USABLE: u16 = WHOLE / 10 * 9;
 /// The standard deviation of the Gaussian for the linear fit, in spacings.
 const FIT: f64 = 1.0;
 /// The cut-off of this Gaussian, in standard deviations.
 const FIT_CUT: f64 = 2.5;
-/// The minimum share of the fit's Gaussian that must lie outside of the solid.
+/// The fit needs at least this share of its Gaussian outside the solid.
 const FIT_LEAST: f64 = 0.004;
 /// The variance that is added to the variances of the fitted positions, as a fraction of the
-/// Gaussian's variance. It keeps the linear function nearly constant across a plane in which all
-/// positions lie, and in all directions if there are few positions.
+/// Gaussian's variance. If all positions lie in a plane, it keeps the linear function nearly
+/// constant across the plane; if there are few positions, in all directions.
 const FIT_STIFFNESS: f64 = 0.01;
 /// The standard deviation of the Gaussian for means, in spacings.
 const MEAN: f64 = 2.5;
 /// The cut-off of this Gaussian, in standard deviations.
 const MEAN_CUT: f64 = 2.2;
-/// The gain of the smoothed density in bits, equal to the bulk's gain.
+/// The gain, in bits, of the smoothed density. It equals the bulk's gain.
 const GAIN: u32 = 2;
-/// The share of a cell that is completely outside of the solid.
+/// The share of a cell whose cloud lies completely outside the solid.
 pub const WHOLE: u16 = 1 << 15;
-/// The minimum share of the means' Gaussian that must lie outside of the solid.
+/// A mean needs at least this share of its Gaussian outside the solid; otherwise, it is 0.
 const MEAN_LEAST: u16 = WHOLE >> 7;
-/// Steps of a distance per cell edge, for shares.
+/// Number of steps per cell edge in the distances from which shares are computed.
 pub const STEPS: f64 = 4096.0;
-/// The reach of a cell's cloud beyond the cell's centre, in units of 1 / [`STEPS`] of an edge.
+/// The reach of a cell's cloud from the cell's centre, in units of 1 / [`STEPS`] of an edge.
 pub const FARTHEST: i16 = 3 * 2048;
 
 /// The filters that continue clouds into solids.
@@ -71,13 +74,14 @@ impl SolidFill {
         Self { fit, stiffness, mean: gaussian(MEAN, MEAN_CUT).gaining(GAIN) }
     }
 
-    /// The distance within which cells affect a cell's density, in cells.
+    /// The distance, in cells, within which other cells affect a cell's density.
     #[must_use]
     pub fn reach(&self) -> i32 {
         self.fit.reach().max(self.mean.reach())
     }
 
-    /// Bytes that the continuation takes on `cells`, which include its halo.
+    /// Memory, in bytes, that is needed to continue clouds into solids on `cells`, which include
+    /// the halo.
     #[must_use]
     pub fn bytes(cells: CellBox) -> u64 {
         // Clouds, distances twice, shares, the usable cells and their density, both means with a
@@ -85,11 +89,11 @@ impl SolidFill {
         11 * (cells.volume() * size_of::<u16>()) as u64
     }
 
-    /// The samples of `cells`, continued into a solid. `outside` has the share of each cell outside
-    /// of the solid.
+    /// Returns the samples of `cells`, continued into a solid. `outside` holds the share of each
+    /// cell's cloud that lies outside the solid.
     ///
     /// # Panics
-    /// If `clouds` and `outside` do not cover the cells and a halo of [reach](Self::reach).
+    /// If `clouds` or `outside` does not cover `cells` with a halo of [reach](Self::reach).
     #[must_use]
     pub fn filled(
         &self,
@@ -142,8 +146,9 @@ impl SolidFill {
         filled
     }
 
-    /// The value at a cell of the linear function that best fits the density around it, limited to
-    /// the range from 0 to the maximum density there; `None` if too little fluid is in reach.
+    /// The value, at `cell`, of the linear function that best fits the density around the cell. It
+    /// is limited to the range from 0 to the maximum density around the cell. Returns `None` if too
+    /// little fluid is within reach.
     fn fitted(&self, dense: &Block, usable: &Block, cell: IVec3) -> Option<u64> {
         let (half, reach) = (self.fit.half(), self.fit.reach());
         let weight = |offset: i32| u64::from(half[offset.unsigned_abs() as usize]);
@@ -210,8 +215,8 @@ fn places(cells: CellBox) -> impl Iterator<Item = IVec3> {
     rows.flat_map(move |(y, z)| (lo.x..hi.x).map(move |x| IVec3::new(x, y, z)))
 }
 
-/// The share of each cell's cloud outside of a solid, in units of 1 / [`WHOLE`], from the distance
-/// of the cell's centre in units of 1 / [`STEPS`] of its edge.
+/// The share of each cell's cloud that lies outside a solid, in units of 1 / [`WHOLE`]. `distances`
+/// are the distances of the cells' centres, in units of 1 / [`STEPS`] of a cell's edge.
 #[must_use]
 pub fn outside(distances: &Block<i16>) -> Block {
     let mut shares = Block::zero(distances.cells());
@@ -230,8 +235,8 @@ pub fn outside(distances: &Block<i16>) -> Block {
     shares
 }
 
-/// Limits the distances of a field to a solid's distances minus `offset`, all in the same units.
-/// Distances of `most` or more are not exact, and are ignored.
+/// Limits the distances of a field to the distances from a solid minus `offset`, all in the same
+/// units. Distances from the solid of `most` or more are not exact, and are ignored.
 ///
 /// # Panics
 /// If the field and the distances are on different cells.

@@ -1,24 +1,26 @@
 //! Walls of a tank, found as the planes at which the particles end.
 //!
-//! Each side is judged separately. The plane is at the outermost particle. Columns behind it are
-//! two spacings wide; a column counts if it is full of particles from two to four spacings behind
-//! the plane. The columns show a wall under four conditions: there are many of them, nearly all
-//! have a particle within 0.6 spacings of the plane, the density reaches that of full fluid
-//! directly behind the plane, and the outermost particles of groups of columns lie in one plane.
-//! The last condition excludes a free surface with waves. In one frame, a free surface that is
-//! level within 0.15 spacings looks like a wall; with several frames, only planes at the same place
+//! Each side is judged separately. A plane is put at the outermost particle, with columns two
+//! spacings wide behind it. A column counts if it is full of particles from two to four spacings
+//! behind the plane. The columns show a wall under four conditions: there are many of them, nearly
+//! all have a particle close to the plane, the density directly behind the plane is about that of
+//! full fluid, and the outermost particles of groups of columns lie in one plane. The last
+//! condition excludes a free surface with waves. In one frame, a free surface that is level within
+//! 0.15 spacings looks like a wall; with several frames, only planes that stay at the same place
 //! are walls.
 //!
-//! The outermost layer of a lattice is half a spacing inside of the wall; disordered particles
-//! reach the wall. Both cases follow from the number n of particles per squared spacing in the
-//! outermost shell, and their mean depth m below the plane: in fluid of one particle per cubed
-//! spacing that ends at the wall, the mean is n/2 spacings inside of the wall, for whole layers and
-//! for disorder. Solvers push particles back at the wall, so more particles than in full fluid pile
-//! up there. A gap behind the outermost layer distinguishes a layer from such a pile; without a
-//! gap, n is limited to its value in full fluid.
+//! The outermost layer of a lattice is half a spacing inside the wall; disordered particles reach
+//! the wall. One formula covers both cases. Let n be the number of particles per squared spacing in
+//! the outermost shell, and m their mean depth below the plane. If fluid of one particle per cubed
+//! spacing ends at the wall, their mean position is n/2 spacings inside the wall, for whole layers
+//! and for disordered particles, so the wall is n/2 - m spacings beyond the plane. Solvers push
+//! particles back at the wall, so particles pile up there, more densely than in full fluid. A gap
+//! behind the outermost layer distinguishes a layer from such a pile; without a gap, n is limited
+//! to its value in full fluid.
 //!
 //! If particles have several sizes, each counts with its volume, and the spacing at a side is the
-//! size of most particles there. Columns of coarser particles do not count.
+//! size that occupies most of the area there. Much coarser particles do not count, so columns of
+//! them are not full.
 //!
 //! All sums over particles are integers, so the order of the particles and the threads do not
 //! matter.
@@ -34,18 +36,19 @@ use crate::particles::{Bounds, Particles, finite_chunks};
 
 /// Edge of a column, in spacings.
 const COLUMN: f64 = 2.0;
-/// The range of depths that must be full in a full column, in spacings.
+/// The range of depths, in spacings, in which a column must be full to count.
 const BEHIND: [f64; 2] = [2.0, 4.0];
-/// The minimum density of a full column in this range, relative to full fluid.
+/// The minimum density of a full column in the range [`BEHIND`], relative to full fluid.
 const FULL: f64 = 0.6;
-/// The maximum depth of the first particle of a column that ends at the plane, in spacings.
+/// A column ends at the plane if its first particle is at most this deep, in spacings. The limit is
+/// raised by the median depth at which groups begin, but at most doubled.
 const NEAR: f64 = 0.6;
-/// The minimum share of full columns that end at a wall.
+/// At a wall, at least this share of the full columns ends at the plane.
 const ENDING: f64 = 0.8;
 /// The depth of the shell that locates the wall, in spacings.
 const SHELL: f64 = 1.5;
-/// The depths of the gap behind the outermost layer of a lattice, in spacings. A jitter of 0.3
-/// spacings leaves such a gap.
+/// The depths, in spacings, of the gap behind the outermost layer of a lattice. Even with a jitter
+/// of 0.3 spacings, there is such a gap.
 const GAP: std::ops::Range<f64> = 0.5..0.9;
 /// The maximum density in such a gap, in particles per cubed spacing.
 const IN_GAP: f64 = 0.7;
@@ -57,35 +60,36 @@ const GROUP: u64 = 4;
 const GROUP_COLUMNS: usize = (GROUP * GROUP) as usize;
 /// The maximum number of examined groups per side; a larger side is sampled evenly.
 const MOST_GROUPS: u64 = 2048;
-/// The maximum distance of the first particles of groups from their median, in spacings.
+/// The maximum distance, in spacings, of a group's first particle from the median of all groups.
 const LEVEL: f64 = 0.15;
-/// The minimum share of groups within [`LEVEL`] of the median at a wall.
+/// At a wall, at least this share of the groups is within [`LEVEL`] of the median.
 const LEVEL_SHARE: f64 = 0.85;
-/// The maximum distance of the wall from the outermost particle, in spacings.
+/// The maximum distance, in spacings, of the wall from the outermost particle.
 const FARTHEST: f64 = 0.75;
-/// The maximum distance between walls of several frames that count as the same wall, and the
-/// maximum distance of particles beyond a wall for which the wall is moved, in spacings.
+/// The maximum distance, in spacings, between walls of several frames that count as the same wall.
+/// It is also the maximum distance of particles beyond a wall for which the wall is moved.
 const SAME: f64 = 0.5;
-/// The maximum distance between the fluid and a scene's walls, in spacings.
+/// The maximum distance, in spacings, of a scene's wall beyond the plane at which the fluid ends.
 const KEPT: f64 = 2.0;
-/// The maximum volume of the particles in a shell that consists of drops, in cubed spacings.
+/// The maximum volume, in cubed spacings, of the particles in a shell that holds only stray drops.
 const FEW: f64 = 32.0;
-/// Fixed-point steps of a depth, per spacing.
+/// Number of fixed-point steps of a depth per spacing.
 const STEPS: f64 = 1024.0;
-/// Fixed-point steps of a volume, per cubed spacing: 16 for the smallest possible particle.
+/// Number of fixed-point steps of a volume per cubed spacing. The smallest possible particle has 16
+/// steps.
 const VOLUME_STEPS: f64 = 16.0 * MOST_TIMES * MOST_TIMES * MOST_TIMES;
-/// Number of classes of sizes: two for each factor of two, up to [`MOST_TIMES`].
+/// Number of classes of sizes: two for each factor of two, up to a factor of [`MOST_TIMES`].
 const CLASSES: usize = 13;
-/// The factor for the area of each class of sizes, relative to the next finer class.
+/// The weight of the area of each class of sizes, relative to the weight of the next finer class.
 const FINER: f64 = 0.84;
-/// The maximum size of particles that count at a side, in spacings. It is larger than nearly all
+/// The maximum size, in spacings, of particles that count at a side. It is larger than nearly all
 /// particles in the class that gives the spacing.
 const LARGEST: f64 = 1.3;
 
 /// The evidence of one frame about a side of the box around the particles.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum BoxSide {
-    /// Too little fluid is behind this side, or its end is not quite level.
+    /// Too little fluid is behind this side, or the fluid does not end at quite the same level.
     Unclear,
     /// Almost no particles are at this side.
     Stray,
@@ -132,7 +136,7 @@ struct ColumnCounts {
     in_gap: AtomicU64,
     /// Volume of the particles at the depths that must be full, in steps.
     behind: AtomicU64,
-    /// The sum over the shell's particles of depth times volume, in steps of both.
+    /// The sum of depth times volume over the shell's particles, with both in steps.
     depths: AtomicU64,
 }
 
@@ -158,8 +162,8 @@ struct SideColumns {
 
 impl Ends {
     /// Examines the ends of the particles that the grid can hold; returns `None` if there are none.
-    /// Particles in a plane have no ends along the axis `flat`. Sizes whose attribute does not
-    /// exist are ignored.
+    /// If all particles lie in a plane, `flat` is the axis perpendicular to it, along which they
+    /// have no ends. Sizes whose attribute does not exist are ignored.
     ///
     /// The particles are read once, once more if their bounds are not known, and once more if they
     /// have several sizes. Memory use is about eight megabytes at most.
@@ -217,19 +221,19 @@ impl Ends {
     }
 }
 
-/// The sizes of particles, with their attributes.
+/// The sizes of particles, and the attributes from which they are computed.
 struct OwnSizes<'a> {
     sizes: &'a Sizes,
     columns: SizeAttributes,
 }
 
-/// The area and the volume of the particles of each class of sizes at each side, in 1024ths of
-/// those of the smallest particle.
+/// For each side and each class of sizes, the area and the volume of the particles there, in
+/// 1024ths of the area and the volume of the smallest particle.
 type Classes = [[[[u64; 2]; CLASSES]; 2]; 3];
 
 impl OwnSizes<'_> {
-    /// The spacing at each side: the mean size in the class with the greatest area there. An area
-    /// of smaller particles counts for more, because smaller particles show a wall more precisely.
+    /// The spacing at each side: the mean size in the class with the greatest area there. The area
+    /// of smaller particles counts for more, because they show a wall more precisely.
     fn spacings(&self, particles: &dyn Particles, bounds: &Bounds, grid: &Grid) -> [[f64; 2]; 3] {
         const PARTS: f64 = 1024.0;
         let finest = self.sizes.finest;
@@ -331,8 +335,9 @@ impl SideColumns {
 
     /// Whether the columns show a wall, and its position.
     fn judged(&self) -> BoxSide {
-        /// The minimum number of full columns, in total and per group, for planar and for other
-        /// particles: 24 spacings of a plane's particles, or an area of 120 squared spacings.
+        /// The minimum number of full columns, in total and per group. The first pair is for
+        /// particles that lie in a plane, where the total is 24 spacings long; the second is for
+        /// other particles, where it covers 120 squared spacings.
         const LEAST: [(usize, usize); 2] = [(12, 2), (30, 4)];
         let (least, least_of_group) = LEAST[usize::from(self.area > COLUMN)];
         let behind = FULL * self.area * (BEHIND[1] - BEHIND[0]);
@@ -361,7 +366,8 @@ impl SideColumns {
         }
         groups.sort_unstable_by(f64::total_cmp);
         let median = groups[groups.len() / 2];
-        // A few particles may lie before the others, because solvers let some of them through.
+        // A few particles may lie in front of the others, because solvers let some particles
+        // through.
         let end = median.min(NEAR) + NEAR;
         let ending = self.columns.iter().filter(is_full).filter(|c| nearest(c) < end).count();
         let level = groups.iter().filter(|&&depth| (depth - median).abs() <= LEVEL).count();
@@ -404,23 +410,23 @@ pub fn bounds_held(particles: &dyn Particles, grid: &Grid) -> Option<Bounds> {
     (bounds.finite > 0).then_some(bounds)
 }
 
-/// The two other axes.
+/// The two axes other than `axis`.
 fn others(axis: usize) -> [usize; 2] {
     [[1, 2], [0, 2], [0, 1]][axis]
 }
 
-/// Moves a coordinate out of a box, at its lower or its upper end.
+/// Moves a coordinate outwards by `by`, at the lower or the upper end of a box.
 fn outward(end: usize, at: f64, by: f64) -> f64 {
     if end == 0 { at - by } else { at + by }
 }
 
-/// The distance of a coordinate beyond another, at the lower or the upper end of a box.
+/// The distance of the coordinate `at` beyond `of`, at the lower or the upper end of a box.
 fn outside(end: usize, at: f64, of: f64) -> f64 {
     if end == 0 { of - at } else { at - of }
 }
 
-/// The wall at a coordinate with few digits, which is easy to copy. It is moved outwards by at most
-/// a thousandth of the spacing, and particles up to `reach` stay inside.
+/// Rounds a wall to a coordinate with few digits, which is easy to copy. This moves the wall
+/// outwards by at most a thousandth of the spacing, and keeps particles up to `reach` inside.
 fn rounded(end: usize, wall: f64, reach: f64, spacing: f64) -> f64 {
     let digits = (3.0 - libm::log10(spacing).floor()).clamp(0.0, 15.0) as usize;
     let step = 10_f64.powi(-(digits as i32));
@@ -436,10 +442,10 @@ fn rounded(end: usize, wall: f64, reach: f64, spacing: f64) -> f64 {
 ///
 /// With one frame, its planes are the walls. With several frames, a side has a wall under three
 /// conditions: at least two frames, and at least a third of all frames, show a wall at the same
-/// place; fewer frames end elsewhere; and no frame has more than stray drops beyond the wall. The
-/// top is open unless a scene has a wall there. The top is the upper side of the axis `up`, if that
-/// is known; otherwise the upper side of y, if both y and z have a wall there. Also returns whether
-/// the scene's walls fit the particles.
+/// place; fewer frames have a ragged end at that place; and no frame has more than stray drops
+/// beyond the wall. The top is open unless a scene has a wall there. The top is the upper side of
+/// the axis `up`, if that is known; otherwise the upper side of y, if both y and z have a wall at
+/// the upper side. Also returns whether the scene's walls fit the particles.
 pub fn common(frames: &[Ends], scene: Option<&Walls>, up: Option<usize>) -> (Walls, bool) {
     let fits = |scene: &&Walls| {
         let sides = (0..3).flat_map(|axis| [(axis, 0), (axis, 1)]);
@@ -501,7 +507,7 @@ fn common_wall(frames: &[Ends], axis: usize, end: usize) -> Option<f64> {
     (shown >= needed && shown > against).then(|| rounded_for(frames, axis, end, wall))
 }
 
-/// A wall with few digits that contains all particles of the frames, except particles that are far
+/// A wall with few digits that holds all particles of the frames, except particles that are far
 /// beyond it.
 fn rounded_for(frames: &[Ends], axis: usize, end: usize, wall: f64) -> f64 {
     let reached = frames.iter().map(|frame| (frame.reach[axis][end], frame.spacings[axis][end]));
@@ -544,9 +550,9 @@ impl Ends {
     }
 }
 
-/// Adapts walls to particles within some bounds, so that no particle is outside. `spacings` has the
+/// Adapts walls to particles within `bounds`, so that no particle is outside. `spacings` holds the
 /// spacing at each side. A wall is moved if particles are slightly beyond it; if they are farther
-/// beyond it, its side is open. Also returns the walls that particles pass.
+/// beyond it, its side becomes open. Also returns the walls that particles pass.
 #[must_use]
 pub fn holding(
     walls: &Walls,
@@ -607,7 +613,7 @@ mod tests {
 
     #[test]
     fn walls_of_tanks_are_found_within_0_3_spacings_and_contain_all_particles() {
-        // With a jitter of half a lattice cell, particles are anywhere in the tank.
+        // With a jitter of half a lattice cell, particles can be anywhere in the tank.
         for moved_by in [0.0, 0.1, 0.3, 0.5] {
             let mut water = lattice([50, 20, 40], moved_by);
             water.retain(waves);
@@ -690,7 +696,7 @@ mod tests {
     #[test]
     fn the_scene_selects_the_walls_and_the_particles_place_them() {
         let dam = ends(&lattice([30, 30, 40], 0.0));
-        // Fluid keeps a spacing from the boundary's particles.
+        // The fluid stays one spacing away from the boundary's particles.
         let scene = Walls([[Some(-1.0), Some(90.0)], [Some(-1.0), None], [Some(-1.0), Some(41.0)]]);
         let (found, matches) = common(std::slice::from_ref(&dam), Some(&scene), None);
         assert!(matches);

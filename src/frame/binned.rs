@@ -14,7 +14,8 @@ use super::lost::OccupiedTiles;
 use super::sink::FieldSink;
 use super::{FrameError, Resources};
 
-/// Sorts counted particles according to a plan, with the attributes numbered in `carried`.
+/// Sorts counted particles according to `bin_plan`, with the attributes whose indices are in
+/// `carried`.
 pub(super) fn sorted(
     bin_plan: BinPlan,
     particles: &dyn Particles,
@@ -42,7 +43,7 @@ pub(super) struct HostBins<'a> {
     pub(super) resources: &'a Resources,
     /// Whether the bins are still needed for their attributes after the pages are made.
     pub(super) keep: bool,
-    /// Counts the bins whose pages are made.
+    /// Counts the bins whose pages were made.
     pub(super) meter: Meter<'a>,
 }
 

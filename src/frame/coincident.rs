@@ -1,4 +1,4 @@
-//! Coincident particles: duplicates, and unused particles that a simulator parks in one position.
+//! Coincident particles: duplicates, and unused particles that a simulator parks at one position.
 
 use glam::{DVec3, IVec3};
 use serde::{Deserialize, Serialize};
@@ -6,13 +6,14 @@ use serde::{Deserialize, Serialize};
 use crate::brick::unpack;
 use crate::grid::{BIN, FRACTIONS, Grid};
 
-/// Particles that share their position with another particle, to 1 / [`FRACTIONS`] of a cell.
+/// Particles that share their position with another particle, after rounding to 1 / [`FRACTIONS`]
+/// of a cell.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct CoincidentParticles {
-    /// The number of particles beyond the first in each position.
+    /// The number of coincident particles, not counting the first particle at each position.
     pub particles: u64,
-    /// The maximum number of particles in one position.
+    /// The maximum number of particles at one position.
     pub most: u64,
     /// The position with the most particles.
     pub at: [f64; 3],
@@ -20,7 +21,7 @@ pub struct CoincidentParticles {
     pub alone: bool,
 }
 
-/// Counts of coincident particles, bin by bin.
+/// Counts of coincident particles, added up bin by bin.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct CoincidentCounts {
     particles: u64,
@@ -52,7 +53,7 @@ impl CoincidentCounts {
     }
 
     /// Adds the counts of another bin. If two positions have the same number of particles, the
-    /// first one is kept.
+    /// position whose bin and record come first is kept.
     pub fn add(&mut self, other: &Self) {
         let rank = |of: &Self| {
             (of.most, std::cmp::Reverse(of.bin.to_array()), std::cmp::Reverse(of.record))
@@ -86,7 +87,7 @@ impl CoincidentCounts {
     }
 }
 
-/// A few of the records, including all records that occur more than once.
+/// Returns all records that occur more than once, and a few others.
 fn suspects(records: &[u64]) -> Vec<u64> {
     let mut seen = [[0_u64; 1 << (BITS - 6)]; 2];
     // A product with the golden ratio spreads a difference in any bit to the high bits.
@@ -126,7 +127,7 @@ mod tests {
     #[test]
     fn a_clump_is_alone_if_the_surrounding_bins_are_empty() {
         let grid = Grid::new(DVec3::ZERO, 0.5).unwrap();
-        // Cell (1, 0, 0) of its bin, in the middle.
+        // The middle of cell (1, 0, 0) of a bin.
         let record = (1 << 13) | (1 << 12) | (1 << 12) << 17 | (1 << 12) << 34;
         let mut all = CoincidentCounts::among(IVec3::new(2, 0, 0), &[7, 7]);
         all.add(&CoincidentCounts::among(IVec3::new(-2, 0, 0), &[record; 3]));

@@ -1,5 +1,5 @@
 //! Counted particles. At this stage, the memory of a frame is estimated, and a frame that needs too
-//! much is rejected.
+//! much memory is rejected.
 
 use glam::IVec3;
 
@@ -13,7 +13,8 @@ use crate::system::control::Stage;
 
 use super::{FrameError, Method, OccupiedTiles, Sampling, Surfacing};
 
-/// Particles that are counted by bin: the memory of the frame is known, and nothing is stored yet.
+/// Particles that are counted by bin but not stored yet, so that the memory of the frame can be
+/// estimated.
 pub struct CountedFrame<'a> {
     pub(super) particles: WithImages<'a>,
     pub(super) sampling: &'a Sampling,
@@ -28,13 +29,13 @@ impl<'a> CountedFrame<'a> {
     /// Counts the particles, and checks that they can be processed.
     ///
     /// # Errors
-    /// [`FrameError`] if particles cannot be placed, if there are none, or if there are more than
-    /// the budget can hold.
+    /// [`FrameError`] if particles cannot be placed, if there are none, or if there are more
+    /// particles than the budget can hold.
     pub fn of(particles: &'a dyn Particles, sampling: &'a Sampling) -> Result<Self, FrameError> {
         Self::planned(particles, sampling, None)
     }
 
-    /// Counts the particles, or takes a plan of all particles that was made earlier by the same
+    /// Counts the particles, or uses `plan`, an earlier count of all particles with the same
     /// sampling.
     fn planned(
         particles: &'a dyn Particles,
@@ -89,8 +90,8 @@ impl<'a> CountedFrame<'a> {
         Ok((particles, plan))
     }
 
-    /// Counts only the particles in the given bins and, in a periodic box, their images. The bins
-    /// may be empty. Invalid particles are skipped, because they were refused or skipped in an
+    /// Counts only the particles and, in a periodic box, the images in the `wanted` bins. These
+    /// bins may be empty. Invalid particles are skipped, because they were refused or skipped in an
     /// earlier count of all particles.
     pub fn of_wanted(
         particles: &'a dyn Particles,
@@ -115,9 +116,9 @@ impl<'a> CountedFrame<'a> {
         })
     }
 
-    /// Checks the surface request, then counts the particles for it. If there is a `plan` of all
-    /// particles, it replaces the count. It must come from a sampling in which all settings that
-    /// affect a plan are the same.
+    /// Checks the surface request, then counts the particles for it. A `plan` of all particles
+    /// replaces the count. It must come from a sampling with the same settings, as far as they
+    /// affect a plan.
     pub fn for_surface(
         particles: &'a dyn Particles,
         sampling: &'a Sampling,
@@ -128,12 +129,12 @@ impl<'a> CountedFrame<'a> {
         Ok(Self { surfacing: surfacing.clone(), ..Self::planned(particles, sampling, plan)? })
     }
 
-    /// Returns the numbers of binned particles and of skipped ones by reason.
+    /// Returns the number of binned particles, and the number of skipped particles by reason.
     pub fn census(&self) -> Census {
         self.census
     }
 
-    /// The bins with particles, in Morton order, with their numbers of particles.
+    /// The bins that contain particles, in Morton order, each with its number of particles.
     pub fn bins(&self) -> impl Iterator<Item = (MortonKey, usize)> + Clone + '_ {
         self.plan.keys().iter().copied().zip(self.plan.counts())
     }
@@ -145,7 +146,7 @@ impl<'a> CountedFrame<'a> {
         let estimate = MemoryEstimate { places: self.plan.places_bytes(), ..estimate };
         match self.sampling.method {
             // If particles have several sizes, clouds are made from the sorted particles, octave by
-            // octave: once for volumes and once for sizes.
+            // octave: once for their volumes and once for their sizes.
             Method::Indicator { .. } if self.sampling.sizes.is_some() => {
                 MemoryEstimate { field: 2 * estimate.field, carried: true, ..estimate }
             }
@@ -161,8 +162,8 @@ impl<'a> CountedFrame<'a> {
 }
 
 impl Sampling {
-    /// Estimates the memory and disk space of a frame with these bins, except for kernels and
-    /// positions. Only the blocks in a stretch are meshed.
+    /// Estimates the memory and disk space of a frame with these `bins`, without its kernels and
+    /// the positions that counting keeps. Only the blocks in `stretch` are meshed.
     pub fn estimate(
         &self,
         particles: &dyn Particles,
@@ -180,7 +181,7 @@ impl Sampling {
             extraction.levels = 1;
         }
         let shape = method.indicator().map(|kind| kind.shape(*side));
-        // Particles in the bins next to meshed blocks also make surface in these blocks.
+        // Particles in the bins next to meshed blocks also affect the surface in these blocks.
         let near = |bin: IVec3| {
             let around = CellBox { lo: bin - 1, hi: bin + 2 };
             stretch == Stretch::ALL || around.cubes(1).any(|bin| stretch.holds_bin(bin))
@@ -192,8 +193,8 @@ impl Sampling {
         MemoryEstimate { sampling, ..estimate }.and_backend(resources.host_bytes())
     }
 
-    /// Bytes of a surface that may be in memory while parts are merged. During merging, only lists
-    /// of the surface's blocks and of full bins are in memory besides the surface.
+    /// Maximum bytes of the surface in memory while parts are merged. Besides the surface, only the
+    /// lists of its blocks and of the bins with particles are then in memory.
     pub fn merging_share(
         &self,
         surfacing: &Surfacing,
@@ -210,9 +211,9 @@ impl Sampling {
     }
 }
 
-/// Returns an error for attributes that exceed the budget even for a single block through which the
-/// surface passes as a plane. The values of a block are in memory twice: once as a copy on the way
-/// to a scratch file.
+/// Returns an error if the attributes exceed the budget even for a single block that the surface
+/// crosses as a plane. The values of a block are in memory twice, because they are copied on the
+/// way to a scratch file.
 fn check_attribute_memory(
     particles: &dyn Particles,
     sampling: &Sampling,
@@ -228,7 +229,7 @@ fn check_attribute_memory(
     Ok(())
 }
 
-/// The error for particles in more bins than the budget allows.
+/// The error for particles that lie in more bins than the budget allows.
 fn over_budget(particles: &dyn Particles, sampling: &Sampling, room: CountingRoom) -> FrameError {
     FrameError::OverBudget(OverBudget {
         cell_size: sampling.grid.cell_size(),

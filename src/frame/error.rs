@@ -22,7 +22,7 @@ use crate::vulkan::VulkanError;
 /// An error of the reconstruction of a frame.
 #[derive(Debug, Error)]
 pub enum FrameError {
-    /// No particles remain to make a surface from.
+    /// No particles remain from which a surface can be made.
     #[error("no particles to reconstruct: {}", explain(.0))]
     NoParticles(Census),
     /// A particle cannot be placed in a bin, or there are too many bins.
@@ -31,7 +31,7 @@ pub enum FrameError {
     /// The particles changed, or could not be read again.
     #[error(transparent)]
     Unread(#[from] RereadError),
-    /// An attribute whose values do not fit the kind of number that a mesh carries.
+    /// The values of an attribute do not fit the kind of number that the mesh stores.
     #[error(transparent)]
     Kind(#[from] KindFault),
     /// The frame does not fit into its memory budget.
@@ -68,9 +68,9 @@ pub enum FrameError {
          with these settings"
     )]
     FewImages {
-        /// The reach of the filters beyond a face, in cells.
+        /// The reach, in cells, of the filters beyond a face.
         needed: i32,
-        /// The distance beyond a face up to which images exist, in cells.
+        /// The distance, in cells, beyond a face up to which images exist.
         there: i32,
     },
     /// Kernels need a spacing, which determines their width.
@@ -91,13 +91,13 @@ pub enum FrameError {
     NoRoom {
         /// The scratch folder.
         folder: PathBuf,
-        /// Minimum size of the scratch files in bytes.
+        /// Minimum size, in bytes, of the scratch files.
         needed: u64,
-        /// Free disk space in bytes.
+        /// Free disk space, in bytes.
         free: u64,
     },
-    /// Attributes have so many components that a few blocks of the surface are larger than the
-    /// budget.
+    /// Attributes have so many components that the values of a single block of the surface exceed
+    /// the budget.
     #[error(
         "the attributes have {components} numbers per particle and need at least {} of memory, \
          but the limit is {}",
@@ -106,15 +106,15 @@ pub enum FrameError {
     WideAttributes {
         /// Number of components per particle and vertex.
         components: usize,
-        /// Minimum memory in bytes.
+        /// Minimum memory, in bytes.
         needed: u64,
-        /// The budget in bytes.
+        /// The budget, in bytes.
         budget: u64,
     },
     /// Every component is smaller than the minimum size.
     #[error("the surface is empty: {} below {}", all_components(.0), .0.limits())]
     NothingLeft(TooSmall),
-    /// A mesh on a device has more vertices than 32 bits can number.
+    /// A mesh on a device has more vertices or triangles than 32 bits can count.
     #[error(
         "the surface has more vertices or triangles than 32 bits can count; use a larger cell \
          size"
@@ -126,12 +126,12 @@ pub enum FrameError {
          can hold"
     )]
     NoSpace {
-        /// Number of vertices. Each has three f32.
+        /// Number of vertices; each takes three f32.
         vertices: u32,
-        /// Number of triangles. Each has three u32.
+        /// Number of triangles; each takes three u32.
         triangles: u32,
     },
-    /// A device that holds the particles and the mesh failed, or has too little memory.
+    /// The device that holds the particles and the mesh failed, or has too little memory.
     #[error(transparent)]
     Vulkan(#[from] VulkanError),
     /// The caller cancelled.
@@ -180,7 +180,7 @@ fn explain(census: &Census) -> String {
     }
 }
 
-/// All components of a surface, with the verb.
+/// The subject and verb of a message about all components of a surface.
 fn all_components(small: &TooSmall) -> String {
     match small.total() {
         1 => "its only component is".into(),
@@ -189,7 +189,7 @@ fn all_components(small: &TooSmall) -> String {
 }
 
 impl FrameError {
-    /// Returns the error for an empty surface with this recipe.
+    /// Returns the error for an empty surface that was made with `recipe`.
     pub(super) fn no_surface(recipe: &Recipe) -> Self {
         match recipe.filters {
             Filters::Paper(_) => Self::NoSurface { iso: recipe.iso },

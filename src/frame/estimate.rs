@@ -21,14 +21,15 @@ use crate::surface::stitch::writing_bytes;
 use super::expected::{self, ExpectedVertices};
 use super::{Method, Surfacing};
 
-/// Memory of the program without data, in bytes.
+/// Memory, in bytes, of the program without data.
 const PROGRAM: u64 = 8 << 20;
-/// Memory of each thread in addition to its buffers, in bytes.
+/// Memory, in bytes, that each thread needs in addition to its buffers.
 const THREAD: u64 = 3 << 18;
-/// Minimum number of blocks that each thread meshes before their surfaces are passed on.
+/// Minimum number of blocks that each thread meshes before the surfaces of these blocks are passed
+/// on.
 pub const BLOCKS_A_THREAD: usize = 2;
-/// Maximum memory of the blocks that get wide attributes at the same time, in bytes, unless one
-/// block needs more.
+/// Maximum memory, in bytes, of the blocks that get wide attributes at the same time, unless a
+/// single block needs more.
 pub const CARRIED_BYTES: u64 = 8 << 20;
 
 /// The minimum budget.
@@ -51,7 +52,8 @@ pub struct MemoryEstimate {
     pub places: u64,
     /// Sorted particles, with their attributes.
     pub particles: u64,
-    /// Minimum number of bytes of particles that are stored in coded form until they are sorted.
+    /// Minimum size of the particles in the coded form in which they are stored until they are
+    /// sorted.
     pub spilled: u64,
     /// Maximum size of the DIF.
     pub field: u64,
@@ -61,43 +63,44 @@ pub struct MemoryEstimate {
     pub surface: u64,
     /// Expected number of vertices of the surface.
     pub vertices: u64,
-    /// Expected number of vertices if all cells were the finest, as the voxels of a level set are.
+    /// Expected number of vertices if all cells were as narrow as the finest, as the voxels of a
+    /// level set are.
     pub in_finest_cells: u64,
     /// Whether particles are kept for their attributes until the surface is done.
     pub carried: bool,
 }
 
-/// The memory of the surface stages.
+/// The quantities that determine the memory of the surface stages.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Extraction {
-    /// Bytes of a block while its field is made.
+    /// Memory, in bytes, of a block while its field is made.
     pub block_bytes: u64,
-    /// The distance within which particles affect the attributes of a cell, in cells.
+    /// The distance, in cells, within which particles affect the attributes of a cell.
     pub carried_halo: i32,
     /// Whether every drop and every sheet can have a surface.
     pub keeps_details: bool,
     /// The particles' spacing in cells, if it is known.
     pub spacing_cells: Option<f64>,
-    /// The number of levels of cells, which follow the sizes of particles.
+    /// The number of levels of cells, which follows from the sizes of the particles.
     pub levels: usize,
     /// The number of wider copies of the DIF, each with cells twice as wide as the previous.
     pub wide_levels: u32,
     /// Whether vertices get normals.
     pub normals: bool,
-    /// Components of each attribute on the vertices.
+    /// Number of components of each vertex attribute.
     pub components: Vec<usize>,
 }
 
-/// A strategy for the memory budget of a frame.
+/// A strategy to keep a frame within its memory budget.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum MemoryPlan {
-    /// Everything fits; nothing touches the disk.
+    /// Everything fits in memory; nothing is written to the disk.
     InCore,
     /// Data that exceeds its share goes to scratch files.
     OutOfCore(MemoryShares),
 }
 
-/// Maximum bytes in memory at once, by purpose.
+/// Maximum bytes that may be in memory at once, by purpose.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct MemoryShares {
     /// Bytes of particles that are being sorted.
@@ -120,14 +123,14 @@ pub struct MemoryShares {
 pub struct OverBudget {
     /// The requested cell size.
     pub cell_size: f64,
-    /// The budget in bytes.
+    /// The budget, in bytes.
     pub budget: u64,
     /// The cell size, doubled until the tables of bins fit.
     pub fitting_cell_size: f64,
 }
 
 impl Extraction {
-    /// Bytes of a vertex, without its tile.
+    /// Bytes of a vertex, without its share of a tile.
     fn vertex_bytes(&self) -> u64 {
         vertex_bytes(self.normals, &self.components)
     }
@@ -149,7 +152,7 @@ impl Extraction {
         expected::surface(bins, full, alone, meshed)
     }
 
-    /// Buffers of the threads while a surface is meshed and written, in bytes.
+    /// Size, in bytes, of the threads' buffers while a surface is meshed and written.
     fn meshing_bytes(&self, surface: &ExpectedVertices) -> u64 {
         let threads = rayon::current_num_threads() as u64;
         let vertices_of =
@@ -169,8 +172,8 @@ impl Extraction {
     }
 }
 
-/// Maximum size of the pages of wider cells in bytes: cells 2, 4, ... times as wide. `bins` lists
-/// the number of nonzero samples in each bin.
+/// Maximum size, in bytes, of the pages of wider cells, which are 2, 4, ... times as wide. `bins`
+/// lists the number of nonzero samples in each bin.
 fn wide_bytes(bins: impl Iterator<Item = (MortonKey, usize)>, levels: u32) -> u64 {
     let page = |nonzero: usize| {
         PageSamples::most_bytes(nonzero.min(BIN.pow(3) as usize), 1, HALVED) as u64
@@ -253,7 +256,7 @@ impl MemoryEstimate {
         estimate.and_surface(&surface, &extraction)
     }
 
-    /// An estimate before there are any particles.
+    /// An estimate that includes no particles.
     pub fn without_particles(extraction: &Extraction) -> Self {
         Self {
             program: PROGRAM + THREAD * rayon::current_num_threads() as u64,
@@ -276,26 +279,27 @@ impl MemoryEstimate {
         Self { surface, vertices, in_finest_cells, meshing, ..self }
     }
 
-    /// Adds a bin with `field` bytes of the DIF.
+    /// Adds a bin that contains `field` bytes of the DIF.
     fn add_bin(&mut self, field: u64) {
         self.index += Bins::TABLE_BYTES;
         self.field += field;
     }
 
-    /// Adds the tables of blocks that are divided because of particles in `bins` bins.
+    /// Adds the tables of blocks that are divided into narrower blocks because of particles in
+    /// `bins` bins.
     fn add_levels(&mut self, bins: usize, extraction: &Extraction) {
         if extraction.levels > 1 {
             self.index += bins as u64 * BlockLevels::BIN_BYTES;
         }
     }
 
-    /// Adds bytes of the DIF in wider cells.
+    /// Adds the size, in bytes, of the DIF in wider cells.
     fn add_wide(&mut self, bytes: u64) {
         self.wide += bytes;
         self.field += bytes;
     }
 
-    /// Peak memory if everything is in memory, in bytes.
+    /// Peak memory, in bytes, if everything is kept in memory.
     pub fn in_core(&self) -> u64 {
         let sampling =
             self.sampling + self.input + self.particles + self.places.max(self.field - self.wide);
@@ -308,7 +312,7 @@ impl MemoryEstimate {
         if self.carried { self.particles } else { 0 }
     }
 
-    /// Maximum disk space of scratch files under a plan.
+    /// Maximum disk space, in bytes, of scratch files under a plan.
     pub fn scratch(&self, plan: MemoryPlan) -> u64 {
         let MemoryPlan::OutOfCore(shares) = plan else { return 0 };
         let beyond = |bytes: u64, share: u64| if bytes > share { bytes } else { 0 };
@@ -317,7 +321,7 @@ impl MemoryEstimate {
             + beyond(self.surface, shares.surface)
     }
 
-    /// Minimum disk space of scratch files under a plan.
+    /// Minimum disk space, in bytes, of scratch files under a plan.
     pub fn least_scratch(&self, plan: MemoryPlan) -> u64 {
         match plan {
             MemoryPlan::InCore => 0,
@@ -340,8 +344,8 @@ impl MemoryEstimate {
         // The DIF stays completely in memory if it takes at most three quarters of `left`. It has
         // priority over the surface, which is used only once.
         let field = if self.field <= left / 4 * 3 { self.field.max(left / 4) } else { left / 4 };
-        // The shares leave some memory for stacks and for the allocator's reserve: while there are
-        // coded particles, and later while there is a surface.
+        // The shares leave some memory for stacks and for the allocator's reserve, both while there
+        // are coded particles and, later, while there is a surface.
         let surface = ((left - field) / 2).min(left / 4);
         MemoryPlan::OutOfCore(MemoryShares {
             particles: left / 8,
@@ -351,9 +355,9 @@ impl MemoryEstimate {
         })
     }
 
-    /// Bytes of the surface that may be in memory under `budget`; the rest goes to a scratch file.
-    /// The estimate of a surface is not reliable: a low isovalue or a wide filter can make the
-    /// surface larger.
+    /// Maximum bytes of the surface in memory under `budget`; a larger surface goes to a scratch
+    /// file. The estimate of a surface is not reliable: a low isovalue or a wide filter can make
+    /// the surface larger.
     pub fn surface_share(&self, budget: MemoryBudget) -> u64 {
         match self.plan(budget) {
             MemoryPlan::OutOfCore(shares) => shares.surface,
@@ -368,7 +372,7 @@ impl MemoryEstimate {
         }
     }
 
-    /// The peak memory under a plan.
+    /// The peak memory, in bytes, under a plan.
     pub fn peak(&self, plan: MemoryPlan) -> u64 {
         match plan {
             MemoryPlan::InCore => self.in_core(),

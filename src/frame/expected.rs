@@ -3,13 +3,14 @@
 //!
 //! Dual marching cubes makes a vertex on each grid edge that crosses the surface: one for each
 //! change between outside and inside along all lines of the grid. Bins show where the fluid along a
-//! line begins and ends, so the face between two bins has as many vertices as it has cells, times
-//! the difference in fullness. A layer that is thinner than a bin begins and ends within it.
-//! Therefore the square root of the filled share of a bin is used, which gives more vertices for
-//! such layers. Drops that are much smaller than a bin are counted by their particles.
+//! line begins and ends, so the number of vertices at the face between two bins is the number of
+//! cells in the face times the difference in fullness. A layer that is thinner than a bin begins
+//! and ends within the bin. The estimate therefore uses the square root of the filled share of a
+//! bin, which gives more vertices for such layers. Drops that are much smaller than a bin are
+//! counted by their particles.
 //!
 //! The constants are fitted to frames of FLIP and SPH and to clouds of random particles, in cells
-//! of 1 to 1/4 spacings. For frames with at least 10^5 particles the number of vertices is between
+//! of 1 to 1/4 spacings. For frames with at least 10^5 particles, the number of vertices is between
 //! 15 % below and 8 % above the expected number; thin layers of a few thousand particles can have
 //! more.
 
@@ -22,32 +23,33 @@ use crate::grid::{BIN, MortonKey, block_of_bin};
 /// cells in the face, because a wrinkled surface has more vertices than a plane.
 const FACE: f64 = 1.05 * (BIN * BIN) as f64;
 
-/// The empty volume around a particle with its own surface, in cubed spacings.
+/// The volume, in cubed spacings, that must be empty around a particle with its own surface.
 const ALONE: i32 = 8;
 
 /// The expected vertices of a surface.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(super) struct ExpectedVertices {
     pub(super) vertices: u64,
-    /// The number of vertices if all cells were the finest.
+    /// The number of vertices if all cells were as narrow as the finest.
     pub(super) in_finest_cells: u64,
-    /// The number of vertices in the block that contains a vertex, as a mean over all vertices.
+    /// The number of vertices in the same block as a vertex, averaged over all vertices.
     pub(super) in_its_block: u64,
 }
 
 impl ExpectedVertices {
-    /// The maximum, for frames without information.
+    /// The maximum, for frames about which nothing is known.
     pub(super) const MOST: Self =
         Self { vertices: u64::MAX, in_finest_cells: u64::MAX, in_its_block: u64::MAX };
 
-    /// Adds the surface of an octave, in the cells of that octave.
+    /// Adds the surface of `octave`, whose vertices are counted in the cells of that octave.
     pub(super) fn add(&mut self, of_octave: Self, octave: u32) {
         self.vertices += of_octave.vertices;
         self.in_finest_cells += of_octave.vertices << (2 * octave);
         self.in_its_block = self.in_its_block.max(of_octave.in_its_block);
     }
 
-    /// Upper bound of the vertices in `blocks` blocks together, if no block has more than `most`.
+    /// An upper bound of the number of vertices in `blocks` blocks together, if no block has more
+    /// than `most` vertices.
     pub(super) fn vertices_of(&self, blocks: u64, most: u64) -> u64 {
         // A single block can be full of spray while the other blocks are typical, and few frames
         // have twice the expected number.
@@ -189,7 +191,8 @@ mod tests {
             (0..).map(|z| IVec3::new(0, 0, z)).zip(counts).filter(|&(_, count)| count > 0).collect()
         };
         let ends = |counts| vertices_of(&column(counts)) as f64;
-        // Four walls of full bins, and of a bin that is a quarter full.
+        // Each full bin has four side faces, and a bin that is a quarter full counts as half of
+        // one.
         assert!((ends([4096, 4096, 0]) - 10.0 * FACE).abs() < 2.0);
         assert!((ends([4096, 4096, 1024]) - 12.0 * FACE).abs() < 2.0);
     }
@@ -213,7 +216,8 @@ mod tests {
 
     #[test]
     fn coarse_fluid_has_the_vertices_of_its_own_cells_beside_fine_fluid() {
-        // A cube of coarse fluid, an eighth of the particles of fine fluid, and fine fluid in it.
+        // A cube of coarse fluid, with an eighth of the particles per bin of fine fluid, contains
+        // fine fluid.
         let of = |lo: i32, hi: i32, count: usize| {
             (CellBox { lo: IVec3::splat(lo), hi: IVec3::splat(hi) })
                 .cubes(1)
@@ -224,11 +228,11 @@ mod tests {
         bins.dedup_by_key(|&mut (bin, _)| bin);
         let keyed = bins.iter().map(|&(bin, count)| (MortonKey::of(bin), count));
         let expected = surface_of_octaves(keyed, 2, 1.0, |_| true).vertices as f64;
-        // In wide cells the cube has six faces of 6 x 6 bins. The fine fluid has no face, but its
+        // In wide cells, the cube has six faces of 6 x 6 bins. The fine fluid has no face, but its
         // bins are fuller than those around it.
         let faces = 6.0 * 36.0 * FACE;
         assert!((faces..1.15 * faces).contains(&expected), "{expected} of {faces}");
-        // In the finest cells, the coarse fluid alone would have four times as many.
+        // In the finest cells, the coarse fluid alone would have four times as many vertices.
         assert!(vertices_of(&bins) as f64 > 2.0 * expected);
     }
 

@@ -24,7 +24,7 @@ pub(super) struct SampledKernels {
 }
 
 impl SampledKernels {
-    /// Computes the kernels of particles in [order](Bins::sorted).
+    /// Computes the kernels of [sorted](Bins::sorted) particles.
     pub(super) fn sample(
         bins: &Bins,
         facts: FrameFacts,
@@ -71,7 +71,7 @@ pub(super) fn kernel_spacing(spacing: Option<f64>, grid: &Grid) -> Result<Spacin
     Ok(Spacing::new(spacing.ok_or(FrameError::NoSpacing)? / grid.cell_size())?)
 }
 
-/// A Gaussian with the reach of kernels for a spacing in cells.
+/// A Gaussian with the reach of kernels for `spacing`, which is in cells.
 pub(super) fn attribute_smoothing(spacing: f64) -> Smoothing {
     let sigma = ((Spacing::SUPPORT * spacing).ceil() + 1.0) / 3.0;
     let sigma = Sigma::new(sigma.min(Sigma::MAX)).expect("a length within the bounds");

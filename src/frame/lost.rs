@@ -1,9 +1,9 @@
-//! Particles outside of the surface: sparse spray for which cells are too coarse, or which
-//! smoothing removes.
+//! Particles outside the surface: sparse spray that smoothing removes, or for which cells are too
+//! coarse.
 //!
 //! A tile that the surface does not pass through is completely inside or outside. Along a row of
 //! tiles, inside and outside alternate only at tiles that the surface passes through, so one pass
-//! along x finds the tiles with particles that are outside.
+//! along x finds all tiles that are outside and contain particles.
 
 use std::io;
 
@@ -25,7 +25,7 @@ use super::coincident::{CoincidentCounts, CoincidentParticles};
 const SIDE: i32 = BIN / TILE;
 const _: () = assert!(SIDE == TILE);
 
-/// The tiles of a bin with the lowest x.
+/// The tiles with the lowest x in a bin.
 const FIRST: TileMask = 0x1111_1111_1111_1111;
 
 /// The tiles that contain particles, by bin, and the number of particles in each bin.
@@ -55,7 +55,7 @@ impl FromIterator<OccupiedBin> for OccupiedTiles {
 }
 
 impl OccupiedTiles {
-    /// Memory per bin while lost particles are counted, in bytes.
+    /// Memory, in bytes, per bin while lost particles are counted.
     pub const BIN_BYTES: u64 = (size_of::<(IVec3, u32, TileMask)>() + size_of::<Row>()) as u64;
 
     /// An empty list of tiles. If `own` cells are given, particles in other cells are images, which
@@ -137,8 +137,8 @@ impl OccupiedTiles {
         Ok(())
     }
 
-    /// The number of particles and of cells that contain them. `all_cells` is the number of cells
-    /// with particles if there are no images.
+    /// The number of particles, and the number of cells that contain them. Without images, the
+    /// number of cells is `all_cells`.
     pub(super) fn fullness(&self, all_cells: u64) -> Fullness {
         Fullness {
             cells: if self.own.is_some() { self.full.cells } else { all_cells },
@@ -152,13 +152,13 @@ impl OccupiedTiles {
             .report(grid, self.bins.iter().map(|&(bin, particles, _)| (bin, u64::from(particles))))
     }
 
-    /// Lower bound of the ratio of the particles' density to that of particles `spacing_cells`
-    /// apart, in the tiles that contain particles.
+    /// A lower bound of the density in the tiles that contain particles, relative to the density of
+    /// particles `spacing_cells` apart.
     pub fn crowding(&self, spacing_cells: f64) -> f64 {
         self.mean() * (spacing_cells / f64::from(TILE)).powi(3)
     }
 
-    /// The mean number of particles in a tile that contains any.
+    /// The mean number of particles in the tiles that contain particles.
     fn mean(&self) -> f64 {
         let sum = |of: fn(&(IVec3, u32, TileMask)) -> u32| {
             self.bins.iter().map(|bin| f64::from(of(bin))).sum()
@@ -167,7 +167,7 @@ impl OccupiedTiles {
         particles / tiles.max(1.0)
     }
 
-    /// A lower bound of the number of particles outside of the surface. A tile is lost if it is
+    /// A lower bound of the number of particles outside the surface. A tile is lost if it is
     /// outside, and if the surface passes neither through it nor through an adjacent tile with
     /// lower coordinates. If all tiles of a bin that contain particles are lost, all particles of
     /// the bin count. Otherwise, one particle counts for each lost tile.
@@ -216,7 +216,7 @@ struct Row {
     occupied: TileMask,
     /// Tiles that the surface passes through.
     passed: TileMask,
-    /// The tiles of `passed` after which, along x, the inside begins.
+    /// The tiles of `passed` that are followed, along x, by the inside of the surface.
     inside_behind: TileMask,
 }
 
@@ -225,7 +225,7 @@ impl Row {
         [bin.z, bin.y, bin.x]
     }
 
-    /// All bins with particles or surface, row by row.
+    /// All bins that contain particles or meet the surface, row by row.
     fn sorted(occupied: &OccupiedTiles, surface: &StitchedSurface) -> io::Result<Vec<Self>> {
         let holding =
             |&(bin, particles, occupied)| Self { bin, particles, occupied, ..Self::default() };
@@ -266,7 +266,8 @@ impl Row {
             Self { bin: bin >> widest, particles, occupied, ..Self::default() }
         };
         let mut all: Vec<Self> = occupied.bins.iter().map(holding).collect();
-        // Behind the last surface in a tile, the rest of the tile is on one side.
+        // Behind the last part of the surface in a wide tile, the rest of the tile is on one side
+        // of the surface.
         let mut passed: Vec<([i32; 3], i32, bool)> = Vec::new();
         for piece in 0..surface.pieces() {
             let (block, level) = (surface.block(piece), surface.level(piece));

@@ -1,4 +1,4 @@
-//! The method for the field of a frame.
+//! The method that makes the field of a frame.
 
 use crate::baselines::KernelMethod;
 use crate::brick::BrickSide;
@@ -6,7 +6,7 @@ use crate::field::calibration::Calibration;
 use crate::field::indicator::{Indicator, IndicatorKind};
 use crate::grid::units::MeanCount;
 
-/// A method to make a field of particles, chosen before they are read.
+/// A method that makes a field from particles, chosen before the particles are read.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Method {
     /// A discrete indicator: clouds, which give distances, or an indicator of the paper.
@@ -48,14 +48,14 @@ impl Method {
     }
 }
 
-/// A method that measures mu0.
+/// Creates a method that measures mu0.
 impl From<IndicatorKind> for Method {
     fn from(kind: IndicatorKind) -> Self {
         Self::Indicator { kind, mean: None }
     }
 }
 
-/// A method with the mu0 of another frame's indicator.
+/// Creates a method with the mu0 of another frame's indicator.
 impl From<Indicator> for Method {
     fn from(indicator: Indicator) -> Self {
         Self::Indicator { kind: indicator.kind(), mean: indicator.mean() }

@@ -3,7 +3,7 @@
 //! [`Engine`] does this for every method and backend: it counts, bins, samples, calibrates and
 //! meshes. [`resident`] takes the same steps for particles and meshes that stay on a device.
 //!
-//! The guide `speed.md` has measurements of speed and memory.
+//! The guide `speed.md` gives measurements of speed and memory.
 
 mod binned;
 mod coincident;
@@ -61,7 +61,7 @@ use sink::FieldSink;
 use sizes::SampledSizes;
 use surface::ExtractableField;
 
-/// The field of a frame, with everything else that its surface needs.
+/// The field of a frame, with everything else that making the surface needs.
 #[derive(Debug)]
 pub struct Engine {
     field: SampledField,
@@ -70,7 +70,7 @@ pub struct Engine {
     /// The sorted particles, and the attributes that are carried to the vertices; `None` if there
     /// are no such attributes.
     carried: Option<(Arc<Bins>, Vec<AttributeInfo>)>,
-    /// Bytes of the surface that may be in memory.
+    /// Maximum bytes of the surface in memory.
     surface_share: u64,
     resources: Resources,
 }
@@ -83,15 +83,15 @@ enum SampledField {
     Sizes(SampledSizes),
 }
 
-/// In progress reports, the fraction of the sampling stage in which the particles are sorted.
+/// The fraction of the sampling stage that progress reports assign to sorting the particles.
 const SORTING: f64 = 0.3;
 
 impl Engine {
     /// Samples the field of `particles`, which are read once or twice.
     ///
     /// # Errors
-    /// [`FrameError`] if particles cannot be placed, if there are none, if they exceed the budget
-    /// or the disk, if their field cannot be made, or if scratch files fail.
+    /// [`FrameError`] if particles cannot be placed, if there are none, if they do not fit into the
+    /// budget or on the disk, if their field cannot be made, or if scratch files fail.
     pub fn sample(
         particles: &dyn Particles,
         sampling: &Sampling,
@@ -210,8 +210,8 @@ impl Engine {
         })
     }
 
-    /// Takes a frame that was sampled earlier, to extract surfaces from it. Memory is planned for
-    /// the parameters in `surfacing`.
+    /// Creates an engine for a frame that was sampled earlier. Its memory is planned for the
+    /// parameters in `surfacing`.
     #[must_use]
     pub fn from_packed(packed: PackedFrame, surfacing: &Surfacing, resources: Resources) -> Self {
         let estimate = MemoryEstimate::of_packed(packed.samples(), surfacing);
@@ -236,7 +236,8 @@ impl Engine {
         }
     }
 
-    /// The stages that make the DIF and mesh it.
+    /// The stages that make and mesh the DIF; `None` for kernels and for particles of several
+    /// sizes.
     fn stages(&self) -> Option<&dyn Stages> {
         match &self.field {
             SampledField::Dif { stages, .. } => Some(&**stages),
@@ -250,7 +251,7 @@ impl Engine {
         self.stages().map_or(Vec::new(), Stages::warnings)
     }
 
-    /// Returns the part of the work that a device did.
+    /// Returns how much of the work a device did.
     #[must_use]
     pub fn on_device(&self) -> Work {
         self.stages().map_or(Work::default(), Stages::on_device)
@@ -320,7 +321,7 @@ impl Engine {
         }
     }
 
-    /// The method that made the field. An indicator has its mu0, given or measured.
+    /// The method that made the field. For an indicator, it includes the mu0, given or measured.
     #[must_use]
     pub fn method(&self) -> Method {
         match &self.field {
@@ -335,9 +336,9 @@ impl Engine {
     ///
     /// # Errors
     /// [`FrameError::TooFine`] if the calibration is measured and the field does not locate the
-    /// surface precisely enough, [`FrameError::OtherIndicator`] if `known` is of another indicator,
-    /// [`FrameError::FewImages`] if the filters need more images in a periodic box than there are,
-    /// and [`FrameError::Cancelled`].
+    /// surface precisely enough, [`FrameError::OtherIndicator`] if `known` belongs to another
+    /// indicator, [`FrameError::FewImages`] if the filters need more images in a periodic box than
+    /// there are, and [`FrameError::Cancelled`].
     pub fn calibrate(
         &self,
         surfacing: &Surfacing,
@@ -348,7 +349,7 @@ impl Engine {
     }
 
     /// Prepares a surface like [`calibrate`](Self::calibrate), but reports progress to `control`,
-    /// which can also cancel: the caller may differ from the caller of the sampling.
+    /// which can also cancel the work. The caller need not be the one that sampled the frame.
     pub fn calibrate_for<'a>(
         &'a self,
         surfacing: &Surfacing,
@@ -422,7 +423,7 @@ impl Engine {
         if needed > there { Err(FrameError::FewImages { needed, there }) } else { Ok(()) }
     }
 
-    /// The surface of the frame, calibrated on itself.
+    /// The surface of the frame, with a calibration that is measured on the same frame.
     ///
     /// # Errors
     /// [`FrameError::TooFine`], and the errors of [`CalibratedFrame::surface`].
@@ -435,14 +436,15 @@ impl Engine {
     }
 
     /// Compares the volume of a surface of the frame with that of its particles; returns `None` if
-    /// the volume is as expected, or if the spacing is not known.
+    /// the volume is as expected, if the spacing is not known, or if the particles have several
+    /// sizes.
     ///
     /// # Errors
     /// [`FrameError::Scratch`] if the surface is in a scratch file that cannot be read.
     pub fn shortfall(&self, surface: &StitchedSurface) -> Result<Option<Shortfall>, FrameError> {
         let facts = self.facts();
         let Some(spacing) = facts.spacing else { return Ok(None) };
-        // With several sizes, the spacing does not give a volume.
+        // If particles have several sizes, the spacing does not determine their volume.
         if self.has_sizes() {
             return Ok(None);
         }
@@ -452,9 +454,9 @@ impl Engine {
             .map_err(self.resources.scratch_error())
     }
 
-    /// Returns how many times denser the particles are than their spacing implies, as a lower
-    /// bound. Only tiles that contain particles count. `None` if the spacing is not known, and 0
-    /// for a frame that was sampled earlier.
+    /// Returns a lower bound of how many times denser the particles are than their spacing implies,
+    /// in the tiles that contain particles. Returns `None` if the spacing is not known, and 0 for a
+    /// frame that was sampled earlier.
     #[must_use]
     pub fn crowding(&self) -> Option<f64> {
         Some(self.occupied.crowding(self.facts().spacing_cells()?))
@@ -485,15 +487,15 @@ impl Engine {
         &self.occupied
     }
 
-    /// For each carried attribute, the number of particles in a stretch of blocks that have no
-    /// finite value.
+    /// For each carried attribute, the number of particles without a finite value in the blocks of
+    /// `stretch`.
     ///
     /// # Errors
     /// [`FrameError::Scratch`] if particles are in a scratch file that cannot be read.
     pub fn lacking_within(&self, stretch: Stretch) -> Result<Vec<u64>, FrameError> {
         let Some((bins, infos)) = &self.carried else { return Ok(Vec::new()) };
         let mut lacking = vec![0; infos.len()];
-        // Almost always all particles have values.
+        // Almost always, all particles have values.
         if bins.without().iter().all(|&without| without == 0) {
             return Ok(lacking);
         }
@@ -515,8 +517,8 @@ impl Engine {
         Ok(lacking)
     }
 
-    /// A lower bound of the number of particles outside of the surface, from tiles that are
-    /// completely outside. 0 for a frame that was sampled earlier.
+    /// A lower bound of the number of particles outside the surface, from tiles that are completely
+    /// outside. It is 0 for a frame that was sampled earlier.
     ///
     /// # Errors
     /// [`FrameError::Scratch`] if the surface is in a scratch file that cannot be read.
@@ -524,7 +526,8 @@ impl Engine {
         self.occupied.lost(surface).map_err(self.resources.scratch_error())
     }
 
-    /// Reduces the surface. Reports progress to `control`, which can cancel.
+    /// Simplifies the surface and removes small components, as `reduction` requests. Reports
+    /// progress to `control`, which can also cancel the work.
     ///
     /// # Errors
     /// [`FrameError::NothingLeft`], [`FrameError::Scratch`] if scratch files fail, and
@@ -541,7 +544,8 @@ impl Engine {
     }
 }
 
-/// Simplifies a surface, with at most `share` bytes of its triangles in memory.
+/// Simplifies a surface and removes small components, as `reduction` requests, with at most `share`
+/// bytes of triangles in memory.
 ///
 /// # Errors
 /// [`FrameError::NothingLeft`], [`FrameError::Scratch`] if scratch files fail, and

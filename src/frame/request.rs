@@ -37,7 +37,8 @@ pub struct SizedParticles {
     pub sizes: Sizes,
     /// The attributes.
     pub columns: SizeAttributes,
-    /// If the particles are a part of a frame: the blocks with finer particles of the whole frame.
+    /// If the particles are only a part of a frame, the blocks near finer particles in the whole
+    /// frame.
     pub finer: Option<FinerBlocks>,
 }
 
@@ -52,13 +53,13 @@ pub struct Sampling {
     pub periodic: Option<Periodic>,
     /// The method that makes the field.
     pub method: Method,
-    /// Treatment of particles that are not finite or too far away.
+    /// Treatment of particles whose positions are not finite or too far away.
     pub invalid: InvalidParticles,
     /// The brick size of the DIF.
     pub side: BrickSide,
     /// The indices of the attributes to carry to the vertices.
     pub carried: Vec<usize>,
-    /// The kinds of attributes that another frame determined for all frames.
+    /// The kinds of attributes, which were determined on another frame for all frames.
     pub kinds: Vec<SettledKind>,
     /// The particles' spacing, if known: a packed frame stores it, and kernels need it. If
     /// particles have several sizes, this is the smallest size.
@@ -80,7 +81,7 @@ impl Sampling {
         }
     }
 
-    /// Sets the sizes of the particles, if there are several.
+    /// Sets the sizes of the particles, if they have several sizes.
     ///
     /// # Errors
     /// [`SizeFault`] if an attribute with the sizes is missing.
@@ -96,8 +97,8 @@ impl Sampling {
         Ok(Self { sizes: sizes.map(sized).transpose()?, ..self })
     }
 
-    /// Sets the blocks with finer particles of the whole frame, if the particles are a part of a
-    /// frame and have several sizes.
+    /// Sets the blocks near finer particles in the whole frame, if the particles are only a part of
+    /// the frame and have several sizes.
     #[must_use]
     pub fn with_finer(mut self, finer: &FinerBlocks) -> Self {
         self.sizes.iter_mut().for_each(|sized| sized.finer = Some(finer.clone()));
@@ -134,8 +135,8 @@ impl Sampling {
         surfacing: &Surfacing,
         coarsest: Option<f64>,
     ) -> DecidingCells {
-        // The block of the widest cells that begins with this one, with the cells beyond its faces
-        // that dual cells and normals use.
+        // The block of the widest cells that has the same lowest corner, with the cells beyond its
+        // faces that dual cells and normals use.
         let widest = if self.periodic.is_some() { 0 } else { self.octaves(coarsest) - 1 };
         let further = if widest == 0 { 0 } else { 4 << widest };
         let block = CellBox::cube(IVec3::ZERO, BLOCK << widest).grown(further, further);
@@ -159,10 +160,10 @@ impl Sampling {
     }
 }
 
-/// The width of the Gaussian that smooths the attributes of clouds, in spacings.
+/// The width, in spacings, of the Gaussian that smooths attributes if the indicator is cloud.
 const ATTRIBUTES_SMOOTHED: f64 = 0.8;
 
-/// The parameters for extracting a surface. Kernels use only the normals.
+/// The parameters for extracting a surface. Kernels use only `normals` and `periodic_mesh`.
 #[derive(Debug, Clone)]
 pub struct Surfacing {
     /// The smoothing width; only for clouds.
@@ -178,7 +179,7 @@ pub struct Surfacing {
     pub detail: Detail,
     /// Whether vertices get normals.
     pub normals: Normals,
-    /// The end of the mesh at the faces of a periodic box.
+    /// How the mesh ends at the faces of a periodic box.
     pub periodic_mesh: PeriodicMesh,
     /// Whether the fluid ends at solids, which may be read later; only for clouds.
     pub at_solids: bool,
@@ -238,8 +239,8 @@ impl Surfacing {
         }
     }
 
-    /// The distance beyond the halo of the field within which particles affect the field's
-    /// continuation into a solid, in cells; 0 without a solid.
+    /// The distance, in cells, beyond the halo of the field within which particles affect the
+    /// field's continuation into a solid; 0 without a solid.
     fn fill_reach(&self, spacing: Option<f64>, grid: &Grid) -> i32 {
         if !self.at_solids {
             return 0;
@@ -248,13 +249,13 @@ impl Surfacing {
         (SolidFill::new(wide.edge).reach() + 1) << wide.level
     }
 
-    /// Memory of the solids that are read, in bytes.
+    /// Memory, in bytes, of the solids that were read.
     #[must_use]
     pub fn solid_bytes(&self) -> u64 {
         self.solid.as_ref().map_or(0, |solid| solid.bytes())
     }
 
-    /// Memory of clouds while they are continued into a solid, in bytes.
+    /// Memory, in bytes, of clouds while they are continued into a solid.
     fn fill_bytes(&self, filters: &Filters, spacing: Option<f64>, grid: &Grid) -> u64 {
         let Filters::Distances(distances) = filters else { return 0 };
         let further = self.fill_reach(spacing, grid);
@@ -266,8 +267,9 @@ impl Surfacing {
         SolidFill::bytes(wide.grown(distances.widest_halo(), distances.widest_halo()))
     }
 
-    /// The memory of the surface. `coarsest` is the largest size, if the particles have several
-    /// sizes, and `components` lists the number of components of each attribute.
+    /// The quantities that determine the memory of the surface stages. `coarsest` is the largest
+    /// size, if the particles have several sizes, and `components` lists the number of components
+    /// of each attribute.
     pub(super) fn extraction(
         &self,
         method: Method,
@@ -278,7 +280,8 @@ impl Surfacing {
     ) -> Extraction {
         let spacing_cells = spacing.map(|spacing| spacing / grid.cell_size());
         let plain = Extraction {
-            // Dual cells reach one cell up, and normals one cell in both directions.
+            // Dual cells need one more cell upwards, and normals need one more cell in both
+            // directions.
             block_bytes: KernelMethod::CELL_BYTES * ((BLOCK + 3) as u64).pow(3),
             carried_halo: attribute_smoothing(spacing.unwrap_or(0.0) / grid.cell_size()).halo(),
             keeps_details: false,
@@ -312,8 +315,8 @@ impl Surfacing {
         }
     }
 
-    /// The distance beyond a periodic face within which particles affect the surface before it, in
-    /// cells. `coarsest` is the largest size, if the particles have several sizes.
+    /// The distance, in cells, beyond a periodic face within which particles affect the surface
+    /// inside the box. `coarsest` is the largest size, if the particles have several sizes.
     #[must_use]
     pub fn reach(
         &self,
@@ -335,8 +338,8 @@ impl Surfacing {
         field.max(attributes) + BEYOND
     }
 
-    /// The distances within which particles affect the field and the attributes of a cell, in
-    /// cells.
+    /// The distances, in cells, within which particles affect the field and the attributes of a
+    /// cell.
     fn halos(
         &self,
         kind: IndicatorKind,
@@ -362,7 +365,7 @@ impl Surfacing {
     }
 
     /// Returns the smoothing of attributes. It is the smoothing of the field or, for clouds, a
-    /// width between those for drops and for the bulk.
+    /// width between the one for drops and the one for the bulk.
     #[must_use]
     pub fn attribute_smoothing(
         &self,
@@ -388,8 +391,8 @@ impl Surfacing {
         self.calibrate_for(frame, &Control::default())
     }
 
-    /// Measures like [`calibrate`](Self::calibrate). Reports progress to `control`, which can
-    /// cancel. After a cancel, the result is meaningless.
+    /// Measures like [`calibrate`](Self::calibrate). Reports progress to `control`, which can also
+    /// cancel the measurement. After a cancel, the result is meaningless.
     pub fn calibrate_for(
         &self,
         frame: &SampledDif,

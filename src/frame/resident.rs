@@ -1,11 +1,12 @@
-//! One frame on a device from start to end, for programs whose particles are on the device: a
-//! buffer of positions in, buffers of vertices and indices out.
+//! One frame on a device from start to end, for programs whose particles are on the device. The
+//! input is a buffer of positions; the outputs are buffers of vertices and indices.
 //!
 //! The device can be the caller's ([`Device::adopt`]), and so can the buffer
-//! ([`Device::external_buffer`]): these two functions state the caller's obligations. The host
-//! reads neither the particles nor the mesh. It reads which parts of the DIF are not 0, to find the
-//! blocks that the surface can pass through, and a part of the DIF if it calibrates on the frame.
-//! The mesh is the same as that of other backends, with positions rounded to f32.
+//! ([`Device::external_buffer`]). The documentation of these two functions states the caller's
+//! obligations. The host reads neither the particles nor the mesh. It reads which parts of the DIF
+//! are nonzero, to find the blocks that the surface can pass through. If the calibration is
+//! measured on the frame, the host also reads a part of the DIF. The mesh is the same as that of
+//! other backends, except that positions are rounded to f32.
 //!
 //! [`Device::adopt`]: crate::vulkan::Device::adopt
 //! [`Device::external_buffer`]: crate::vulkan::Device::external_buffer
@@ -25,7 +26,7 @@ use crate::vulkan::{Batch, BufferKind, Device, Queue, SemaphorePoint, View, Vulk
 
 use super::{FrameError, Surfacing};
 
-/// Bytes of a vertex, three f32, and of a triangle, three u32.
+/// Bytes of a vertex (three f32), and of a triangle (three u32).
 const ROW: u64 = 12;
 
 /// The parameters for sampling a frame and for extracting its surface.
@@ -39,7 +40,7 @@ pub struct DeviceRequest {
     pub indicator: IndicatorKind,
     /// `mu0`, for counting; if `None`, it is measured on the frame.
     pub mean: Option<MeanCount>,
-    /// Treatment of particles that are not finite or too far away.
+    /// Treatment of particles whose positions are not finite or too far away.
     pub invalid: InvalidParticles,
     /// The particles' spacing, in the unit of the positions; if `None`, it is assumed to be one
     /// cell.
@@ -65,14 +66,14 @@ pub struct Exchange<'a> {
 }
 
 /// A surface on the device. Its buffers can be bound as storage, vertex and index buffers, and live
-/// as long as this object. On drop, it waits until the buffers are written.
+/// as long as this object. When it is dropped, it waits until the buffers are written.
 #[derive(Debug)]
 pub struct ResidentSurface {
     /// The vertices' positions, three f32 each.
     pub positions: View,
     /// The number of vertices.
     pub vertices: u32,
-    /// The triangles' vertices, three u32 each, counter-clockwise seen from outside of the fluid.
+    /// The triangles' vertices, three u32 each, counter-clockwise when seen from outside the fluid.
     pub indices: View,
     /// The number of triangles.
     pub triangles: u32,
@@ -80,7 +81,7 @@ pub struct ResidentSurface {
     pub iso: Isovalue,
     /// The calibration of the surface, for the other frames of a simulation.
     pub calibration: Calibration,
-    /// The measurements of the calibration, unless it was given.
+    /// The measurements behind the calibration; `None` if it was given.
     pub measured: Option<MeasuredCalibration>,
     /// Counts of binned and skipped particles.
     pub census: Census,
@@ -108,7 +109,7 @@ pub struct Pipeline {
 }
 
 impl Pipeline {
-    /// Compiles all shaders for a device, opened here or adopted.
+    /// Compiles all shaders for a device, which meniscus may have opened or adopted.
     ///
     /// # Errors
     /// [`VulkanError`] if the driver rejects a shader.
@@ -126,7 +127,7 @@ impl Pipeline {
         })
     }
 
-    /// Frees the memory that is kept for the next frame. Finished surfaces stay.
+    /// Frees the memory that is kept for the next frame. Finished surfaces stay valid.
     pub fn release(&self) {
         self.vulkan.release();
     }
@@ -167,8 +168,8 @@ impl Pipeline {
 
     /// Makes the surface as a part of the caller's work on the device. The device waits for the
     /// semaphores `wait` of `exchange` before it reads the positions, and signals the semaphores
-    /// `signal` when the surface is complete. The host waits for intermediate results that it
-    /// needs, but not for the last triangles, of which there are at most about four million.
+    /// `signal` when the surface is complete. The host waits for the intermediate results that it
+    /// needs, but not for the last submission, which writes at most about four million triangles.
     ///
     /// # Errors
     /// The errors of [`surface`](Self::surface), and [`FrameError::NoSpace`], with the required
@@ -178,8 +179,9 @@ impl Pipeline {
     /// If the caller's buffers are on another device.
     ///
     /// # Safety
-    /// The semaphores belong to the device, and live until the device has passed them. The work
-    /// that signals the semaphores to wait for has already been submitted.
+    /// The semaphores must belong to the device, and must live until the device has waited for them
+    /// or signalled them. The work that signals the semaphores in `wait` must have been submitted
+    /// before the call.
     pub unsafe fn surface_between(
         &self,
         positions: &[DevicePositions],
@@ -242,7 +244,7 @@ impl Pipeline {
         }
 
         let (iso, census) = (recipe.iso, census);
-        // The memory of the field can be reused.
+        // From here on, the memory of the field can be reused.
         drop((sampled, frame));
         let layout = MeshLayout::new(&parts.blocks).ok_or(FrameError::TooManyVertices)?;
         let written = parts.written().to_vec();
@@ -290,7 +292,7 @@ impl Pipeline {
     }
 }
 
-/// Particles on a device in the order of their bins.
+/// Particles on a device, sorted by bin.
 struct ResidentBins<'a> {
     frame: &'a ResidentFrame,
     bins: DeviceBins,

@@ -13,7 +13,7 @@ use super::FrameError;
 /// The resources of the machine that a frame may use.
 #[derive(Debug, Clone)]
 pub struct Resources {
-    /// Memory that may be resident at once.
+    /// Maximum memory that may be resident at once.
     pub budget: MemoryBudget,
     /// The folder for data that exceeds the budget.
     pub scratch: PathBuf,
@@ -29,7 +29,7 @@ impl Resources {
         Self { budget, scratch, backend: Backend::cpu(), control: Control::default() }
     }
 
-    /// Bytes of the machine's memory that the backend uses.
+    /// Bytes of the host's memory that the backend uses.
     pub(super) fn host_bytes(&self) -> u64 {
         self.backend.executor().host_bytes(self.budget)
     }

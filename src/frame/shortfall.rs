@@ -26,9 +26,9 @@ pub struct Shortfall {
 }
 
 impl Shortfall {
-    /// Compares the volume of a surface, within the cells of `around`, with the volume of
-    /// `particles` particles at `spacing`. Coincident particles count once. Returns `None` if the
-    /// surface's volume is as large as expected.
+    /// Compares the volume of a surface, within the cells of `around` if they are given, with the
+    /// volume of `particles` particles at `spacing`. Coincident particles count once. Returns
+    /// `None` if the surface's volume is as large as expected.
     ///
     /// # Errors
     /// If the surface is in a scratch file that cannot be read.

@@ -1,4 +1,4 @@
-//! The destination of a frame's DIF: memory, or a scratch file that is mapped afterwards.
+//! The destination of a frame's DIF: memory, or a scratch file that is later mapped into memory.
 
 use std::fs::File;
 use std::io;
@@ -89,7 +89,7 @@ impl FieldSink {
         Ok(())
     }
 
-    /// Stores pages, which must follow the previous pages.
+    /// Stores `pages`, which must follow the previous pages.
     pub(super) fn push(&mut self, pages: Pages, shape: PageShape) -> io::Result<()> {
         match self {
             Self::Memory { pages: kept, bytes } => {
@@ -124,7 +124,7 @@ impl FieldSink {
     }
 
     /// Finishes the DIF, now that its indicator is known. If the DIF is in a file, as much of it is
-    /// in memory as its share allows.
+    /// cached in memory as its share allows.
     pub(super) fn finish(
         self,
         facts: FrameFacts,
@@ -137,8 +137,8 @@ impl FieldSink {
                 Ok(SampledDif::new(facts, indicator, DifField::in_memory(shape, pages)))
             }
             Self::File { file, writer, cache_bytes, folder, .. } => {
-                // A file cannot store the walls of an octave, which follow from the finest cells.
-                // They are set again below.
+                // A file cannot store the walls of an octave, which follow from the finest cells,
+                // so they are set again below.
                 let open = FrameFacts { domain: None, ..facts };
                 writer.finish(&open, indicator)?;
                 let mut sampled = frame_from_file(&file, cache_bytes).map_err(io::Error::other)?;

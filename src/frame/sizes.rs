@@ -1,4 +1,4 @@
-//! A frame of particles of several sizes.
+//! A frame whose particles have several sizes.
 
 use crate::backend::{BoxSide, SizedField};
 use crate::brick::{Bins, Block, FrameFacts};
@@ -23,20 +23,20 @@ use super::sink::FieldSink;
 use super::surface::{ExtractableField, cube_by_cube};
 use super::{FrameError, Resources, SizedParticles, Surfacing};
 
-/// The clouds of a frame's particles, by octaves of their sizes.
+/// The clouds of a frame's particles, for each octave of their sizes.
 #[derive(Debug)]
 pub(super) struct SampledSizes {
     pub(super) sampled: SampledOctaves,
-    /// For each level of cells, all clouds with the octave of this level as the first.
+    /// For each level of cells, all clouds, with the octave of this level as the first octave.
     clouds: Vec<SizedClouds>,
-    /// The blocks with particles of finer octaves, which determine the levels of cells.
+    /// The blocks near particles of finer octaves, which determine the levels of cells.
     finer: FinerBlocks,
     levels: BlockLevels,
 }
 
-/// Edge of a cube of blocks that are meshed together, in blocks.
+/// Edge, in blocks, of a cube of blocks that are meshed together.
 const BLOCKS_TOGETHER: i32 = 2;
-/// Number of bins of an octave whose pages are made together.
+/// Maximum number of bins whose pages are made together, all of the same octave.
 const TOGETHER: usize = 1 << 7;
 
 impl SampledSizes {
@@ -83,13 +83,13 @@ impl SampledSizes {
         Ok(Self::new(sampled, sized.finer.as_ref()))
     }
 
-    /// Takes clouds that were sampled earlier. The levels of cells follow from `finer`, or from the
-    /// clouds if it is `None`.
+    /// Takes sampled clouds. The levels of cells follow from `finer`, or from the clouds if `finer`
+    /// is `None`.
     pub(super) fn new(sampled: SampledOctaves, finer: Option<&FinerBlocks>) -> Self {
         let clouds = &sampled.clouds;
         let finer = match (finer, sampled.facts.periodic) {
-            // In a periodic box, all cells have one width, because cells must match at opposite
-            // faces.
+            // In a periodic box, all cells have the same width, because cells must match at
+            // opposite faces.
             (_, Some(_)) => FinerBlocks::new(),
             (Some(finer), None) => finer.clone(),
             (None, None) => clouds.finer_blocks(),
@@ -122,7 +122,7 @@ impl SampledSizes {
         let iso = field.iso();
         let cut = |region: LevelRegion| {
             let LevelRegion { level, cells } = region;
-            // At a wall, wide cells can reach further than the narrow cells that touch them.
+            // At a wall, wide cells can extend further than the narrow cells that touch them.
             let touches_wide = levels.of(level, region.block()).wider != 0;
             let within = if touches_wide {
                 let wider = walls_at(u32::from(level) + 1, walls);
@@ -134,13 +134,13 @@ impl SampledSizes {
             LevelRegion { level, cells: within.map_or(cells, cut) }
         };
         let boxes = self.clouds[0].surface_boxes(field.reach());
-        // Wide cells at a wall can reach beyond it.
+        // Wide cells at a wall can extend beyond the wall.
         let beyond = 1 << levels.count();
         let near = walls.map(|walls| walls.grown(beyond, beyond));
         let boxes = boxes.map(|cells| near.map_or(cells, |near| cells.intersection(&near)));
         let regions = levels.regions(boxes.filter(|cells| !cells.is_empty())).into_iter();
         let regions = regions.map(cut).filter(|region| !region.cells.is_empty()).collect();
-        // The filters use cells beyond a periodic face, but the mesh ends there.
+        // The filters use cells beyond a periodic face, but the mesh ends at the face.
         let faces = walls.filter(|_| facts.periodic.is_some());
         ExtractableField {
             regions,
@@ -151,7 +151,7 @@ impl SampledSizes {
                 let mut meshes = Vec::new();
                 let is_uniform =
                     |region: &LevelRegion| levels.of(region.level, region.block()).is_uniform();
-                // Regions of a cube have one level.
+                // All regions of a cube have the same level.
                 for regions in regions.chunk_by(|a, b| is_uniform(a) && is_uniform(b)) {
                     let of_level = &fields[usize::from(regions[0].level)];
                     if is_uniform(&regions[0]) {
@@ -170,8 +170,8 @@ impl SampledSizes {
         }
     }
 
-    /// The smoothing of attributes in cells of each level. It is as wide as the coarsest particles
-    /// need.
+    /// For each level of cells, the smoothing of attributes. It is as wide as the coarsest
+    /// particles require.
     fn attribute_smoothings(&self, surfacing: &Surfacing) -> Vec<Smoothing> {
         let FrameFacts { grid, spacing, .. } = self.sampled.facts;
         let spacing = spacing.map(|spacing| spacing * self.coarsest());
@@ -186,21 +186,21 @@ impl SampledSizes {
         f64::from(1_u32 << (self.clouds[0].octaves() - 1))
     }
 
-    /// The blocks with particles of finer octaves.
+    /// The blocks near particles of finer octaves.
     pub(super) fn finer_blocks(&self) -> &FinerBlocks {
         &self.finer
     }
 }
 
-/// The field in the cells of a level.
+/// The field, in the cells of one level.
 struct FieldOfLevel<'a> {
     field: SizedField<'a>,
-    /// The walls of the mesh in these cells.
+    /// The cells within the walls of the mesh.
     walls: Option<CellBox>,
 }
 
 impl FieldOfLevel<'_> {
-    /// The meshes of regions of blocks whose dual cells all have this level.
+    /// Meshes `regions` of blocks whose dual cells all have this level.
     fn meshes(
         &self,
         regions: &[LevelRegion],
@@ -224,13 +224,13 @@ impl FieldOfLevel<'_> {
         regions.zip(fields).map(mesh).collect()
     }
 
-    /// The field on some cells, or the side of the surface on which all of these cells are.
+    /// The field on `cells`, or the side of the surface on which all of these cells lie.
     fn on(&self, cells: CellBox) -> Result<Block, BoxSide> {
         let away = self.walls.is_none_or(|walls| walls.covers(&cells));
         self.field.crossed_on(cells.with_nearest_of(self.walls), away)
     }
 
-    /// Returns the field. If it was not made, because no surface passes through these cells alone,
+    /// Returns `field`. If it was not made, because all of `cells` lie on one side of the surface,
     /// makes it now.
     fn completed(&self, field: Result<Block, BoxSide>, cells: CellBox) -> LevelField {
         let field = field.unwrap_or_else(|_| self.field.everywhere_on(cells));
@@ -238,7 +238,7 @@ impl FieldOfLevel<'_> {
     }
 }
 
-/// The mesh of a region of a block whose dual cells have several levels.
+/// The mesh of `region`, which is in a block whose dual cells have several levels.
 fn mixed_mesh(
     levels: &BlockLevels,
     fields: &[FieldOfLevel<'_>],

@@ -32,13 +32,14 @@ use super::{FrameError, Resources};
 pub(super) type Finish<'a> = dyn Fn(&mut BlockMesh) -> io::Result<()> + Sync + 'a;
 /// Takes finished meshes, in order.
 pub(super) type Push<'a> = dyn FnMut(Vec<BlockMesh>) -> io::Result<()> + 'a;
-/// Meshes some regions of a field, finishes every mesh, and passes them on.
+/// Meshes regions of a field, finishes every mesh, and passes the meshes to a `Push`.
 type Contour<'a> =
     dyn Fn(&[LevelRegion], &Meter<'_>, &Finish<'_>, &mut Push<'_>) -> io::Result<()> + Sync + 'a;
 
-/// Meshes the regions of each cube of `edge` blocks with `mesh`, which reports them to the meter,
-/// and finishes their meshes on the same thread. The reason is that sums of a field and sums of
-/// attributes use different resources of a core, so they run well side by side.
+/// Meshes the regions in each cube with edges of `edge` blocks, and finishes their meshes on the
+/// same thread. `mesh` makes the meshes and reports the regions to the meter. One thread does both
+/// steps because sums of a field and sums of attributes use different resources of a core, so they
+/// run well side by side.
 pub(super) fn cube_by_cube<'a>(
     edge: i32,
     mesh: impl Fn(&[LevelRegion], &Meter<'_>) -> io::Result<Vec<BlockMesh>> + Sync + 'a,
@@ -56,7 +57,7 @@ pub(super) fn cube_by_cube<'a>(
             Ok::<_, io::Error>(blocks)
         };
         regions.chunks(REGIONS_TOGETHER).try_for_each(|regions| {
-            // In Morton order neighbours are consecutive.
+            // In Morton order, the regions of a cube are consecutive.
             let cubes: Vec<_> = regions.chunk_by(|a, b| cube(a) == cube(b)).collect();
             let blocks: Vec<_> = cubes.into_par_iter().map(meshes).collect::<io::Result<_>>()?;
             push(blocks.into_iter().flatten().collect())
@@ -64,21 +65,21 @@ pub(super) fn cube_by_cube<'a>(
     })
 }
 
-/// A field with everything that is needed to mesh it, for every method.
+/// A field with everything that is needed to mesh the field, for every method.
 pub(super) struct ExtractableField<'a> {
     /// The parts of blocks that the surface can pass through, in Morton order.
     pub(super) regions: Vec<LevelRegion>,
     pub(super) contour: Box<Contour<'a>>,
     /// How vertices store their positions on their edges.
     pub(super) crossings: Crossings,
-    /// The smoothing of attributes in cells of each level.
+    /// For each level of cells, the smoothing of attributes.
     pub(super) attribute_smoothing: Vec<Smoothing>,
     /// The error if there is no surface.
     pub(super) nothing: FrameError,
 }
 
 impl<'a> ExtractableField<'a> {
-    /// The DIF of a frame, with a recipe.
+    /// The field that `recipe` makes from the DIF of a frame.
     pub(super) fn of_dif(
         sampled: &'a SampledDif,
         stages: &'a dyn Stages,
@@ -109,13 +110,13 @@ impl<'a> ExtractableField<'a> {
     }
 }
 
-/// A frame with everything that its surface needs.
+/// A frame with everything that making its surface needs.
 pub struct CalibratedFrame<'a> {
     pub(super) facts: &'a FrameFacts,
     pub(super) carried: Option<&'a (Arc<Bins>, Vec<AttributeInfo>)>,
     pub(super) resources: &'a Resources,
     pub(super) control: &'a Control,
-    /// Bytes of the surface that may be in memory.
+    /// Maximum bytes of the surface in memory.
     pub(super) surface_share: u64,
     pub(super) measured: Option<MeasuredCalibration>,
     pub(super) normals: Normals,
@@ -152,8 +153,8 @@ impl<'a> CalibratedFrame<'a> {
         ))
     }
 
-    /// The meshes of the blocks that the surface passes through, not stitched yet; there may be
-    /// none.
+    /// The meshes of the blocks that the surface passes through, before they are stitched. There
+    /// may be none.
     ///
     /// # Errors
     /// [`FrameError::Scratch`] if scratch files fail.
@@ -166,8 +167,8 @@ impl<'a> CalibratedFrame<'a> {
         Ok(spool)
     }
 
-    /// The blocks that the surface can pass through, in Morton order, each with the number of its
-    /// cells that the surface can pass through.
+    /// The blocks that the surface can pass through, in Morton order, each with the number of cells
+    /// in it that the surface can pass through.
     pub fn passed(&self) -> impl Iterator<Item = (MortonKey, usize)> + '_ {
         self.extracted
             .regions
@@ -186,11 +187,11 @@ impl<'a> CalibratedFrame<'a> {
 
     /// Meshes all blocks in Morton order into `spool`, which moves to a scratch file when it
     /// exceeds its share of memory. As many blocks are meshed at once as fit into the rest of that
-    /// share, but at least some per thread.
+    /// share, but at least [`BLOCKS_A_THREAD`] per thread.
     fn mesh_blocks(&self, spool: &mut Spool) -> Result<(), FrameError> {
         let (share, in_scratch) = (self.surface_share, self.resources.scratch_error());
-        // Wide attributes are much larger than the mesh, so only some of the blocks that are meshed
-        // together get attributes together.
+        // Wide attributes are much larger than the mesh, so they are added to only some of the
+        // blocks that are meshed together at a time.
         let wide = are_wide(spool.components().iter().copied());
         let finish = |block: &mut BlockMesh| if wide { Ok(()) } else { self.carry(block) };
         let least = BLOCKS_A_THREAD * rayon::current_num_threads();
@@ -219,7 +220,7 @@ impl<'a> CalibratedFrame<'a> {
     }
 
     /// Carries the attributes of as many blocks at a time as fit into [`CARRIED_BYTES`], and adds
-    /// them to `spool`, which moves to a scratch file when it exceeds its share of memory.
+    /// the blocks to `spool`, which moves to a scratch file when it exceeds its share of memory.
     fn carry_in_groups(&self, mut blocks: Vec<BlockMesh>, spool: &mut Spool) -> io::Result<()> {
         while !blocks.is_empty() {
             let mut bytes = 0;

@@ -8,13 +8,13 @@ use thiserror::Error;
 
 use super::{CELL_LIMIT, CellBox, FRACTIONS, Grid};
 
-/// The end of a domain's cells at an open side, in cells from the origin. It is beyond the end of
-/// the grid.
+/// The distance, in cells, from the origin to the end of a domain's cells at an open side. It is
+/// greater than the distance to the end of the grid.
 const OPEN: i32 = 1 << 24;
 
-/// The coordinates of walls, the lower and the upper one along each axis; `None` for an open side.
+/// The coordinates of the lower and the upper wall along each axis; `None` for an open side.
 ///
-/// They print as x0,y0,z0,x1,y1,z1, with `-` for an open side.
+/// Walls are displayed as x0,y0,z0,x1,y1,z1, with `-` for an open side.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 #[serde(into = "[Option<f64>; 6]", from = "[Option<f64>; 6]")]
 pub struct Walls(pub [[Option<f64>; 2]; 3]);
@@ -27,7 +27,7 @@ impl Walls {
             .map(|(side, open)| DVec3::from(self.0.map(|walls| walls[side].unwrap_or(open))))
     }
 
-    /// The walls of a box with these corners; coordinates at -inf and inf are open sides.
+    /// The walls of a box with these corners; a coordinate of -inf or inf makes its side open.
     #[must_use]
     pub fn from_corners([lowest, highest]: [[f64; 3]; 2]) -> Self {
         let wall = |at: f64, open: f64| Some(at).filter(|_| at != open);
@@ -84,10 +84,10 @@ pub enum DomainError {
          second corner must have the larger coordinate"
     )]
     Corners,
-    /// Less than one layer of cells between the walls.
+    /// No cell's centre lies between the two walls along an axis.
     #[error("the domain contains no cell centre along {axis}; use a smaller cell size")]
     Thin {
-        /// x, y or z.
+        /// The axis: x, y or z.
         axis: char,
     },
     /// The domain extends beyond the grid.
@@ -102,7 +102,8 @@ impl Domain {
     /// The box from `lo` to `hi` in world coordinates, on `grid`. A side at -inf or inf is open.
     ///
     /// # Errors
-    /// [`DomainError`] if the box is empty, thinner than a cell or beyond the grid.
+    /// [`DomainError`] if the corners are not in order, if the box contains no cell's centre along
+    /// an axis, or if it extends beyond the grid.
     pub fn new(grid: &Grid, lo: DVec3, hi: DVec3) -> Result<Self, DomainError> {
         // These comparisons are also false for NaN.
         let is_in_order =
@@ -163,14 +164,14 @@ impl Domain {
         [first(self.cells.lo), first(self.cells.hi).map(|end| end - 1)]
     }
 
-    /// Converts the walls to a grid whose cells are 2^`octaves` times as wide. The domain then has
-    /// the wide cells that contain any of its cells.
+    /// Converts the walls to a grid whose cells are 2^`octaves` times as wide. The domain then
+    /// consists of all wide cells that contain at least one of its cells.
     #[must_use]
     pub fn in_wider_cells(self, octaves: u32) -> Self {
         Self { cells: self.cells.in_wider_cells(octaves), ..self }
     }
 
-    /// The walls of both domains. No axis may have walls in both.
+    /// Combines the walls of both domains. No axis may have walls in both domains.
     #[must_use]
     pub(super) fn joined(&self, other: &Self) -> Self {
         Self {

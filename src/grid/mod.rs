@@ -3,7 +3,7 @@
 //!
 //! A cell index is floor((x - origin) / h) per axis, computed in f64; cells are half-open.
 //! Positions within a cell are fixed-point offsets with [`FRACTION_BITS`] bits, so sums over
-//! particles are integers and do not depend on their order.
+//! particles are integers and do not depend on the order of the particles.
 
 mod domain;
 mod levels;
@@ -20,22 +20,23 @@ use hashbrown::HashMap;
 
 use crate::grid::units::{UnitError, positive_length};
 
-/// Number of bits of a particle's offset in its cell, along each axis.
+/// Number of bits, along each axis, of a particle's offset in its cell.
 pub const FRACTION_BITS: u32 = 13;
-/// Fixed-point steps per cell edge, the paper's `F` in our integer formulas.
+/// Fixed-point steps per cell edge: `F` in the integer formulas of the indicators.
 pub const FRACTIONS: u32 = 1 << FRACTION_BITS;
 
-/// Edge of a tile in cells. A tile has 64 cells, so their signs fit in one machine word.
+/// Edge of a tile, in cells. A tile has 64 cells, so their signs fit in one machine word.
 pub const TILE: i32 = 4;
-/// Edge of a bin in cells: the unit in which particles are sorted and DIF bricks are paged.
+/// Edge of a bin, in cells. A bin is the unit in which particles are sorted and DIF bricks are
+/// paged.
 pub const BIN: i32 = 16;
-/// Edge of a block in cells: the unit in which the field is smoothed and meshed.
+/// Edge of a block, in cells. A block is the unit in which the field is smoothed and meshed.
 pub const BLOCK: i32 = 32;
 /// Number of tiles in a block.
 pub const BLOCK_TILES: u32 = (BLOCK / TILE).pow(3) as u32;
 
 /// Maximum number of levels of cells in a frame. The cells of each level are twice as wide as the
-/// cells of the level before.
+/// cells of the previous level.
 pub const MOST_LEVELS: usize = 7;
 
 /// Number of cells from the origin to the end of the grid, in both directions of each axis. It
@@ -46,14 +47,14 @@ pub const CELL_LIMIT: i32 = (TILE << 20) - 4 * BLOCK;
 /// [`CELL_LIMIT`] in fixed-point steps.
 pub const STEP_LIMIT: f64 = CELL_LIMIT as f64 * FRACTIONS as f64;
 
-/// The sampling grid: cubic cells of edge `cell`, anchored at `origin`, unbounded.
+/// The sampling grid: an unbounded grid of cubic cells with edge `cell`, anchored at `origin`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Grid {
     origin: DVec3,
     cell: f64,
 }
 
-/// A position that the grid cannot hold.
+/// The reason why the grid cannot hold a position.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PlacementError {
     /// A coordinate is NaN or infinite.
@@ -94,7 +95,7 @@ impl Grid {
         self.origin
     }
 
-    /// Converts a world position to cells; integers are cell faces.
+    /// Converts a world position to units of cells; integer coordinates are cell faces.
     #[must_use]
     #[inline(always)]
     pub fn cells_from_world(&self, world: [f64; 3]) -> [f64; 3] {
@@ -111,13 +112,15 @@ impl Grid {
         self.origin + self.cell * cells
     }
 
-    /// Converts a position to steps of 1 / [`FRACTIONS`] of a cell from the origin, rounded down:
-    /// the cell index, followed by [`FRACTION_BITS`] of the offset in the cell.
+    /// Converts a position to steps of 1 / [`FRACTIONS`] of a cell from the origin, rounded down.
+    /// The bits of a coordinate are the cell index, followed by [`FRACTION_BITS`] bits of the
+    /// offset in the cell.
     ///
     /// # Errors
     /// [`PlacementError`] if the grid does not reach the position.
     pub fn place(&self, world: [f64; 3]) -> Result<[i64; 3], PlacementError> {
-        // The product with a power of two is exact, and so is every step up to the limit in f64.
+        // Multiplication by a power of two is exact, and f64 represents every step up to the limit
+        // exactly.
         let steps = self.cells_from_world(world).map(|c| (c * f64::from(FRACTIONS)).floor());
         // These comparisons are also false for NaN.
         if !steps.iter().all(|s| (-STEP_LIMIT..STEP_LIMIT).contains(s)) {
@@ -128,7 +131,7 @@ impl Grid {
     }
 }
 
-/// Cells from `lo` to just before `hi`.
+/// A box of cells, from `lo` up to but not including `hi`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct CellBox {
     /// Lowest cell.
@@ -141,7 +144,7 @@ impl CellBox {
     /// An empty box; its union with another box is the other box.
     pub const EMPTY: Self = Self { lo: IVec3::MAX, hi: IVec3::MIN };
 
-    /// A cube with edges of `edge` cells. `coord` is in units of such cubes.
+    /// The cube at `coord` with edges of `edge` cells. `coord` is in units of such cubes.
     pub fn cube(coord: IVec3, edge: i32) -> Self {
         Self { lo: coord * edge, hi: (coord + 1) * edge }
     }
@@ -171,7 +174,8 @@ impl CellBox {
         other.lo.cmpge(self.lo).all() && other.hi.cmple(self.hi).all()
     }
 
-    /// A box that is larger by `below` cells at every lower face and `above` at every upper one.
+    /// The box, extended by `below` cells at every lower face and by `above` cells at every upper
+    /// face.
     pub fn grown(&self, below: i32, above: i32) -> Self {
         Self { lo: self.lo - below, hi: self.hi + above }
     }
@@ -186,7 +190,7 @@ impl CellBox {
         Self { lo: self.lo.min(other.lo), hi: self.hi.max(other.hi) }
     }
 
-    /// The smallest box of cells 2^`levels` times as wide that contains this one.
+    /// The smallest box that contains this one, in cells that are 2^`levels` times as wide.
     pub fn in_wider_cells(&self, levels: u32) -> Self {
         let last = (1 << levels) - 1;
         Self { lo: self.lo >> levels, hi: (self.hi + last) >> levels }
@@ -197,13 +201,15 @@ impl CellBox {
         Self { lo: self.lo << levels, hi: self.hi << levels }
     }
 
-    /// The smallest box that contains this box and the cells of `other` that are nearest to it.
+    /// The smallest box that contains this box and the cells of `other` that are nearest to this
+    /// box.
     pub fn with_nearest(&self, other: &Self) -> Self {
         let nearest = |cell: IVec3| cell.clamp(other.lo, other.hi - 1);
         self.union(&Self { lo: nearest(self.lo), hi: nearest(self.hi - 1) + 1 })
     }
 
-    /// This box [with the nearest cells](Self::with_nearest) within walls, if there are any.
+    /// This box [with the nearest cells](Self::with_nearest) within `walls`; this box itself
+    /// without walls.
     pub fn with_nearest_of(&self, walls: Option<Self>) -> Self {
         walls.map_or(*self, |walls| self.with_nearest(&walls))
     }
@@ -217,7 +223,8 @@ impl CellBox {
         }
     }
 
-    /// The coordinates of the cubes of `edge` cells that overlap the box, x fastest.
+    /// The coordinates of the cubes with edges of `edge` cells that overlap the box. x varies
+    /// fastest.
     pub fn cubes(&self, edge: i32) -> impl Iterator<Item = IVec3> + use<> {
         let edge = IVec3::splat(edge);
         let lo = self.lo.div_euclid(edge);
@@ -228,7 +235,7 @@ impl CellBox {
     }
 }
 
-/// For each block that overlaps some boxes, the smallest box that contains the overlap. The
+/// For each block that overlaps any of `boxes`, the smallest box that contains the overlaps. The
 /// returned boxes are in the Morton order of the blocks.
 pub fn block_parts(boxes: impl Iterator<Item = CellBox>) -> Vec<CellBox> {
     let mut parts: HashMap<IVec3, CellBox> = HashMap::new();
@@ -257,15 +264,15 @@ pub fn corner_offset(corner: i32) -> IVec3 {
 pub struct MortonKey(pub u64);
 
 impl MortonKey {
-    /// Bits of a coordinate.
+    /// Number of bits per coordinate.
     pub const AXIS_BITS: u32 = 21;
     const BIAS: i32 = 1 << (Self::AXIS_BITS - 1);
 
     /// The key of the cube at `coord`, in units of cubes.
     ///
     /// # Panics
-    /// If a coordinate is beyond 2^20 cubes from the origin; tiles within [`CELL_LIMIT`] are
-    /// closer.
+    /// If a coordinate is more than 2^20 cubes from the origin. Tiles within [`CELL_LIMIT`] are
+    /// closer than that.
     pub fn of(coord: IVec3) -> Self {
         let biased = (coord + Self::BIAS).as_uvec3();
         assert!(biased.max_element() < 1 << Self::AXIS_BITS, "{coord} is beyond the Morton range");
@@ -279,7 +286,8 @@ impl MortonKey {
     }
 }
 
-/// The block that contains a bin. Blocks are in units of blocks, and bins in units of bins.
+/// The coordinates, in units of blocks, of the block that contains `bin`, which is in units of
+/// bins.
 pub fn block_of_bin(bin: IVec3) -> IVec3 {
     bin.div_euclid(IVec3::splat(BLOCK / BIN))
 }
@@ -296,7 +304,7 @@ pub fn local_from_morton(index: usize) -> IVec3 {
     IVec3::new(axis(0), axis(1), axis(2))
 }
 
-/// Moves bit i to bit 3 i, for 21 bits.
+/// Moves bit i to bit 3 i, for each of the lowest 21 bits.
 fn spread(bits: u32) -> u64 {
     let mut x = u64::from(bits);
     for (shift, mask) in [

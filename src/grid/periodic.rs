@@ -1,9 +1,9 @@
 //! Periodic boxes: beyond a face, the fluid continues as it does inside the opposite face.
 //!
 //! Coordinates are not wrapped. A particle near a face also has an image beyond the opposite face,
-//! at a distance of a whole number of fixed-point steps, so a filter that reaches beyond a face
-//! finds the same particles as in an infinitely repeated fluid. The edges of a box may differ and
-//! need not be a whole number of cells.
+//! a whole number of fixed-point steps away. A filter that reaches beyond a face therefore finds
+//! the same particles as in an infinitely repeated fluid. The edges of a box may have different
+//! lengths, and need not be whole numbers of cells long.
 
 use glam::{DVec3, IVec3};
 use serde::{Deserialize, Serialize};
@@ -20,15 +20,15 @@ const AXES: [char; 3] = ['x', 'y', 'z'];
 pub struct Periodic {
     /// Faces of the box; an open axis has none.
     faces: Domain,
-    /// The distance beyond the faces up to which images exist, in cells.
+    /// The distance, in cells, beyond the faces up to which images exist.
     reach: i32,
-    /// Steps from a particle to its image, along each axis.
+    /// Fixed-point steps from a particle to its image along each axis; 0 for an open axis.
     period: [i64; 3],
-    /// The distance beyond the faces up to which images exist, in the unit of the grid.
+    /// The distance, in the unit of length, beyond the faces up to which images exist.
     reach_length: f64,
 }
 
-/// The end of a mesh at periodic faces.
+/// How a mesh ends at periodic faces.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
@@ -66,13 +66,13 @@ pub enum PeriodicError {
     /// The end of the mesh at periodic faces is set, but there is no periodic box.
     #[error("periodic-mesh can only be set with a periodic box")]
     NoBox,
-    /// Walls along a periodic axis.
+    /// The domain has walls along a periodic axis.
     #[error(
         "the domain has a wall at an end of {axis}, but {axis} is periodic; leave both ends of \
          {axis} open in the domain"
     )]
     Walled {
-        /// x, y or z.
+        /// The axis: x, y or z.
         axis: char,
     },
     /// Filters would reach a particle and its image at the same time.
@@ -82,14 +82,14 @@ pub enum PeriodicError {
         shown(*width), shown(2.0 * *reach)
     )]
     Narrow {
-        /// x, y or z.
+        /// The axis: x, y or z.
         axis: char,
         /// The distance from face to face.
         width: f64,
-        /// The distance beyond a face within which particles affect the surface before it.
+        /// The distance beyond a face within which particles affect the surface inside the box.
         reach: f64,
     },
-    /// The box, with the reach of the filters, extends beyond the grid.
+    /// The box, extended by the reach of the filters, ends beyond the grid.
     #[error(
         "the periodic box, extended by the reach of the filters, ends more than {CELL_LIMIT} cells \
          from the origin; use a larger cell size"
@@ -98,8 +98,8 @@ pub enum PeriodicError {
 }
 
 impl Periodic {
-    /// The box between `faces` on `grid`. The faces are in world coordinates, and `None` for an
-    /// open axis. Images exist up to `reach` cells beyond the faces.
+    /// The box between `faces` on `grid`. The faces are in world coordinates; `None` makes an axis
+    /// open. Images exist up to `reach` cells beyond the faces.
     ///
     /// # Errors
     /// [`PeriodicError`] if the faces are not valid, closer together than twice the reach, or
@@ -178,7 +178,7 @@ impl Periodic {
         [0, 1, 2].map(|axis| lo[axis].is_finite().then(|| [lo[axis], hi[axis]]))
     }
 
-    /// The distance beyond the faces up to which images exist, in cells.
+    /// The distance, in cells, beyond the faces up to which images exist.
     #[must_use]
     pub fn reach(&self) -> i32 {
         self.reach
@@ -208,9 +208,9 @@ impl Periodic {
         }
     }
 
-    /// The position of a particle between the faces. A position on the upper face moves to the
-    /// lower face. So does a position beyond a face if the distance is within the rounding of its
-    /// coordinate to f32. `Err` names the axis along which the position is outside.
+    /// Returns the position of a particle between the faces. A position on the upper face moves to
+    /// the lower face. So does a position beyond a face if both have the same coordinate after
+    /// rounding to f32. Otherwise, `Err` names the axis along which the position is outside.
     pub fn inside(&self, world: [f64; 3]) -> Result<[f64; 3], char> {
         let [lo, hi] = self.faces.walls();
         let mut inside = world;
@@ -227,8 +227,8 @@ impl Periodic {
         Ok(inside)
     }
 
-    /// Boxes of bins that contain all particles of `bins`, at their original positions, and all
-    /// images of these particles.
+    /// Boxes of bins that together contain all particles whose original positions are in `bins`,
+    /// and all images of these particles.
     pub fn with_images(&self, bins: CellBox) -> impl Iterator<Item = CellBox> + use<> {
         let (period, edge) = (self.period, i64::from(BIN) * i64::from(FRACTIONS));
         let sides = move |axis: usize| if period[axis] == 0 { 0..=0 } else { -1..=1 };
@@ -253,7 +253,7 @@ impl Periodic {
         })
     }
 
-    /// Whether a particle is beyond the faces, or close enough to a face for images.
+    /// Whether a particle is beyond the faces, or close enough to a face to have images.
     #[must_use]
     pub fn is_near_face(&self, world: [f64; 3]) -> bool {
         let [lo, hi] = self.faces.walls();
@@ -263,8 +263,8 @@ impl Periodic {
         !(0..3).all(is_far)
     }
 
-    /// The images of a particle between the faces: none, one, three or seven. `steps` is its
-    /// position on `grid`.
+    /// The images of a particle between the faces: none, one, three or seven. `steps` is the
+    /// particle's position in fixed-point steps on `grid`.
     pub fn images(
         &self,
         grid: &Grid,
@@ -280,7 +280,7 @@ impl Periodic {
             } else {
                 return None;
             };
-            // The middle of a step, so that rounding does not change the step.
+            // This is the middle of a step, so that rounding does not change the step.
             let cells = ((steps[axis] + shift) as f64 + 0.5) / f64::from(FRACTIONS);
             Some(grid.origin()[axis] + grid.cell_size() * cells)
         });

@@ -17,19 +17,20 @@ impl Stretch {
     /// All blocks.
     pub const ALL: Self = Self { first: MortonKey(0), end: MortonKey(u64::MAX) };
 
-    /// Whether the stretch contains a block, in units of blocks.
+    /// Whether the stretch contains `block`, which is in units of blocks.
     pub fn holds(&self, block: IVec3) -> bool {
         let key = MortonKey::of(block);
         self.first <= key && key < self.end
     }
 
-    /// Whether the stretch contains any block of a box, in units of blocks.
+    /// Whether the stretch contains any block of the box `blocks`, which is in units of blocks.
     pub fn touches(&self, blocks: &CellBox) -> bool {
         self.touches_within(blocks, MortonKey(0), 3 * MortonKey::AXIS_BITS)
     }
 
-    /// Whether the stretch contains any block of a box within a cube. `first` is the key of the
-    /// cube's first block, and `bits` is the number of bits in which the keys of its blocks differ.
+    /// Whether the stretch contains any block of the box `blocks` that is also in a given cube.
+    /// `first` is the key of the cube's first block, and `bits` is the number of bits in which the
+    /// keys of its blocks differ.
     fn touches_within(&self, blocks: &CellBox, first: MortonKey, bits: u32) -> bool {
         let last = MortonKey(first.0 + ((1 << bits) - 1));
         let cube = CellBox { lo: first.coord(), hi: first.coord() + (1 << (bits / 3)) };
@@ -45,30 +46,30 @@ impl Stretch {
         (0..8).any(|child| self.touches_within(blocks, MortonKey(first.0 + (child << bits)), bits))
     }
 
-    /// Whether the stretch contains the block of a bin.
+    /// Whether the stretch contains the block in which `bin` lies.
     pub fn holds_bin(&self, bin: IVec3) -> bool {
         self.holds(block_of_bin(bin))
     }
 }
 
-/// The cells that affect a block's mesh, relative to the block's lowest corner: they are the same
-/// for all blocks.
+/// The cells that affect a block's mesh, relative to the block's lowest corner, so they are the
+/// same for all blocks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct DecidingCells(CellBox);
 
 impl DecidingCells {
-    /// Creates the cells from those that affect block (0, 0, 0).
+    /// Creates the cells from `of_first_block`, the cells that affect block (0, 0, 0).
     pub fn new(of_first_block: CellBox) -> Self {
         Self(of_first_block)
     }
 
-    /// The cells that affect a block.
+    /// The cells that affect the mesh of a block.
     pub fn cells(&self, block: IVec3) -> CellBox {
         let corner = block * BLOCK;
         CellBox { lo: self.0.lo + corner, hi: self.0.hi + corner }
     }
 
-    /// The blocks that particles in a bin may affect.
+    /// The blocks that particles in `bin` may affect.
     pub fn blocks(&self, bin: IVec3) -> impl Iterator<Item = IVec3> + use<> {
         self.blocks_of(CellBox::cube(bin, 1)).cubes(1)
     }
@@ -78,8 +79,8 @@ impl DecidingCells {
         let (lowest, highest) = (bins.lo * BIN, bins.hi * BIN - 1);
         // A shift divides like `div_euclid`, and is faster for many bins.
         let block_of = |cell: IVec3| cell >> BLOCK.ilog2() as i32;
-        // From the first block whose affecting cells end above the lowest cell, to the last block
-        // whose affecting cells begin below the highest cell.
+        // The box runs from the first block whose deciding cells end above the lowest cell, to the
+        // last block whose deciding cells begin at or below the highest cell.
         CellBox { lo: block_of(lowest - self.0.hi) + 1, hi: block_of(highest - self.0.lo) + 1 }
     }
 }
@@ -89,7 +90,7 @@ impl DecidingCells {
 pub struct WantedBins {
     /// The blocks to make.
     pub stretch: Stretch,
-    /// The cells that affect a block.
+    /// The cells that affect the mesh of a block.
     pub sight: DecidingCells,
 }
 
@@ -106,7 +107,7 @@ impl WantedBins {
         first <= least || most < end || blocks.cubes(1).any(|block| self.stretch.holds(block))
     }
 
-    /// Whether these bins include any bin of a box.
+    /// Whether these bins include any bin of the box `bins`.
     pub fn touch(&self, bins: CellBox) -> bool {
         !bins.is_empty() && self.stretch.touches(&self.sight.blocks_of(bins))
     }

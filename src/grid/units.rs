@@ -4,7 +4,7 @@
 
 use thiserror::Error;
 
-/// The integer that stands for an indicator of exactly 1 in a field.
+/// The integer that represents an indicator of exactly 1 in a field.
 pub const FULL: u16 = u16::MAX;
 
 /// A number outside its valid range, with the name of its setting.
@@ -22,7 +22,7 @@ pub enum UnitError {
     /// An invalid smoothing width.
     #[error("smooth must be from {least} to {most} spacings, got {0}", least = Smooth::LEAST, most = Smooth::MOST)]
     Smooth(f64),
-    /// An invalid distance up to which particles of sheets are joined.
+    /// An invalid maximum distance between joined particles of a sheet.
     #[error("sheets must be 0, or from {least} to {most} spacings, got {0}", least = SheetStretch::LEAST, most = SheetStretch::MOST)]
     SheetStretch(f64),
     /// An invalid distance between the fluid and a solid.
@@ -31,7 +31,7 @@ pub enum UnitError {
     /// An invalid tolerance of simplification.
     #[error("simplify must be more than 0 and at most {max} cells, got {0}", max = Tolerance::MAX)]
     Tolerance(f64),
-    /// An invalid volume of the smallest component that is kept.
+    /// An invalid minimum volume of the components that are kept.
     #[error("smallest-component must be positive and finite, got {0}")]
     Volume(f64),
     /// A number that is not finite.
@@ -72,7 +72,7 @@ impl UnitError {
 /// Checks that `value` can be used as a length.
 ///
 /// # Errors
-/// [`UnitError::Length`] unless it is positive and finite.
+/// [`UnitError::Length`] unless `value` is positive and finite.
 pub fn positive_length(name: &'static str, value: f64) -> Result<f64, UnitError> {
     (value.is_finite() && value > 0.0).then_some(value).ok_or(UnitError::Length { name, value })
 }
@@ -82,8 +82,8 @@ pub fn shown(number: f64) -> String {
     significant(number, 6)
 }
 
-/// Formats a number with `digits` significant digits and no trailing zeros, as a decimal if that is
-/// short, and otherwise with a power of ten. The integer part is never rounded.
+/// Formats a number with `digits` significant digits and no trailing zeros: as a decimal from 1e-4
+/// up to 1e9, and otherwise with a power of ten. A decimal keeps all digits of its integer part.
 pub fn significant(number: f64, digits: usize) -> String {
     let rounded = format!("{number:.*e}", digits.saturating_sub(1));
     let Some((mantissa, power)) = rounded.split_once('e') else { return rounded };
@@ -108,10 +108,10 @@ pub fn significant(number: f64, digits: usize) -> String {
 pub struct Isovalue(u16);
 
 impl Isovalue {
-    /// The isovalue nearest to `c`, 0 < `c` < 1.
+    /// The representable isovalue nearest to `c`.
     ///
     /// # Errors
-    /// [`UnitError::Isovalue`] outside of that range.
+    /// [`UnitError::Isovalue`] unless 0 < `c` < 1.
     pub fn new(c: f64) -> Result<Self, UnitError> {
         if !(c > 0.0 && c < 1.0) {
             return Err(UnitError::Isovalue(c));
@@ -119,8 +119,8 @@ impl Isovalue {
         Ok(Self(((c * f64::from(FULL)) as u16).min(FULL - 1)))
     }
 
-    /// The ratio of the isovalue to the interior plateau, in hundredths, at which a smoothed field
-    /// has no bias. It was measured on surfaces of known bodies, and is an average over the
+    /// The isovalue at which the surface of a smoothed field has no bias, as a percentage of the
+    /// interior plateau. It was measured on surfaces of known bodies, and is an average over the
     /// indicators counting and symmetry, cells of 0.5 to 1.5 spacings, and offsets between the
     /// particles' lattice and the grid (`tools/evaluate isovalue`).
     pub const PLATEAU_PERCENT: u16 = 47;
@@ -141,7 +141,7 @@ impl Isovalue {
         self.0
     }
 
-    /// `c` as a fraction of 1.
+    /// The isovalue `c`, between 0 and 1.
     #[must_use]
     pub fn value(self) -> f64 {
         (f64::from(self.0) + 0.5) / f64::from(FULL)
@@ -168,9 +168,9 @@ impl Sigma {
         }
     }
 
-    /// A standard deviation in cells, but at least one cell; one cell for `None`. A width that
-    /// follows from the spacing hides the particles' lattice, and its offset on the grid, whatever
-    /// the cell size.
+    /// A standard deviation in cells, limited to the range from one cell to [`Self::MAX`]; one cell
+    /// for `None`. A width that follows from the spacing hides the particles' lattice, and the
+    /// lattice's offset on the grid, at every cell size.
     #[must_use]
     pub fn at_least_a_cell(cells: Option<f64>) -> Self {
         Self(cells.unwrap_or(1.0).clamp(1.0, Self::MAX))
@@ -194,9 +194,9 @@ impl Sigma {
 pub struct Smooth(f64);
 
 impl Smooth {
-    /// The minimum width: with less, single particles are visible everywhere.
+    /// The minimum width: a smaller width leaves single particles visible everywhere.
     pub const LEAST: f64 = 0.8;
-    /// The maximum width: with more, only bulk remains.
+    /// The maximum width: a greater width leaves only the bulk.
     pub const MOST: f64 = 4.0;
 
     /// The default, a width that suits most fluids.
@@ -218,15 +218,15 @@ impl Smooth {
     }
 }
 
-/// The maximum distance between neighbouring particles of a sheet or a filament before it tears, in
-/// spacings.
+/// The maximum distance, in spacings, between neighbouring particles of a sheet or filament that
+/// does not tear.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SheetStretch(Option<f64>);
 
 impl SheetStretch {
-    /// The minimum distance: with less, drops around single particles touch.
+    /// The minimum distance: at smaller distances, the drops around single particles touch.
     pub const LEAST: f64 = 1.0;
-    /// The maximum distance: with more, spray would look like sheets.
+    /// The maximum distance: at greater distances, spray would look like sheets.
     pub const MOST: f64 = 3.0;
 
     /// The default: sheets stretched to twice the spacing stay whole.
@@ -252,8 +252,8 @@ impl SheetStretch {
     }
 }
 
-/// The distance between the end of the fluid and a solid, in spacings; if negative, the fluid
-/// reaches into the solid.
+/// The distance, in spacings, between the end of the fluid and a solid; if it is negative, the
+/// fluid reaches into the solid.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SolidOffset(f64);
 
@@ -263,8 +263,8 @@ impl SolidOffset {
     /// The maximum offset.
     pub const MOST: f64 = 2.0;
 
-    /// The default, which hides the gap between the fluid and a solid in pictures. At curved faces
-    /// and at edges, which cells cut off, the gap is smaller than this offset.
+    /// The default, which hides the gap between the fluid and a solid in pictures. Cells cut off
+    /// curved faces and edges of a solid, but the resulting gap is smaller than this offset.
     pub const DEFAULT: Self = Self(-0.1);
 
     /// An offset in spacings.
@@ -286,7 +286,7 @@ impl SolidOffset {
     }
 }
 
-/// The maximum distance between a simplified surface and the original, in cells, in both
+/// The maximum distance, in cells, between a simplified surface and the original, measured in both
 /// directions.
 #[derive(Debug, Clone, Copy, PartialEq, PartialOrd)]
 pub struct Tolerance(f64);
@@ -314,8 +314,8 @@ impl Tolerance {
     }
 }
 
-/// `mu0`: the mean number of particles in the full cells of the measured frame (eq. 4; in the paper
-/// frame 0). Not an integer.
+/// `mu0`: the mean number of particles in the full cells of the calibration frame (eq. 4), which is
+/// frame 0 in the paper. It need not be an integer.
 #[derive(Debug, Clone, Copy, PartialEq, PartialOrd)]
 pub struct MeanCount(f64);
 
@@ -338,13 +338,13 @@ impl MeanCount {
     /// Eq. 4: `particles` / `full_cells`.
     ///
     /// # Errors
-    /// [`UnitError::MeanCount`] if there are no full cells, or more than [`Self::MAX`] particles in
-    /// each.
+    /// [`UnitError::MeanCount`] if there are no particles or no full cells, or if the mean exceeds
+    /// [`Self::MAX`].
     pub fn measured(particles: u64, full_cells: u64) -> Result<Self, UnitError> {
         Self::new(particles as f64 / full_cells as f64)
     }
 
-    /// The mean in particles per cell.
+    /// The mean, in particles per cell.
     #[must_use]
     pub fn particles(self) -> f64 {
         self.0

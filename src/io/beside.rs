@@ -1,6 +1,6 @@
-//! Writes a folder of files, and renames it just before the list file that names these files.
+//! Writes a folder of files, and renames it just before renaming the list that names these files.
 //!
-//! Because of this order, a list never names missing files. Until it is renamed, the folder has a
+//! Because of this order, a list never names missing files. Until the folder is renamed, it has a
 //! temporary name, which is derived from the name of the list's temporary file. If the work is
 //! abandoned, the folder and the list's temporary file are removed.
 
@@ -26,7 +26,7 @@ pub struct FolderInProgress {
     place: PathBuf,
     stem: String,
     extension: &'static str,
-    /// Checksum of the files that were written so far.
+    /// Checksum of the files written so far.
     sum: Hasher,
 }
 
@@ -52,7 +52,7 @@ impl FolderInProgress {
     /// # Errors
     /// [`io::ErrorKind::InvalidInput`] if the folder contains other files, or if the name of
     /// `place` is not Unicode. [`io::ErrorKind::AlreadyExists`] if the folder is not empty and
-    /// `replaceable` is false. The error of the system if the folder cannot be read.
+    /// `replaceable` is false. The system's error if the folder cannot be read.
     pub fn check(place: &Path, extension: &str, replaceable: bool) -> io::Result<()> {
         let (folder, stem) = named(place)?;
         let entries = match fs::read_dir(&folder) {
@@ -100,8 +100,8 @@ impl FolderInProgress {
         file.sync_all()
     }
 
-    /// Combines the checksum `crc` of the list, which has `bytes` bytes, with the checksum of the
-    /// files.
+    /// Checksum of the list followed by all files. `crc` is the checksum of the list, and `bytes`
+    /// is its size in bytes.
     pub fn sum_behind(&self, crc: u32, bytes: u64) -> u32 {
         let mut all = Hasher::new_with_initial_len(crc, bytes);
         all.combine(&self.sum);
@@ -112,12 +112,12 @@ impl FolderInProgress {
     ///
     /// If a folder with this name exists and `replaceable` is true, first removes the list at
     /// `named`, which names the files in the existing folder, and then replaces that folder. Other
-    /// processes that write the same output wait for the lock of [`turn`]. Without file locks they
-    /// do not wait, and the folder of the last process stays.
+    /// processes that write the same output wait for the lock of [`turn`]. Without file locks, they
+    /// do not wait, and the folder of the process that finishes last remains.
     ///
     /// # Errors
     /// [`io::ErrorKind::AlreadyExists`] if the file at `named` or the folder exists and
-    /// `replaceable` is false, and the error of the system if a file or folder cannot be renamed or
+    /// `replaceable` is false, and the system's error if a file or folder cannot be renamed or
     /// removed.
     pub fn keep(self, named: &Path, replaceable: bool) -> io::Result<()> {
         if !replaceable && named.symlink_metadata().is_ok() {
@@ -156,8 +156,9 @@ const PATIENCE: Duration = Duration::from_secs(2);
 /// Interval between attempts to take a lock.
 const PAUSE: Duration = Duration::from_millis(2);
 
-/// Locks the parent folder of `place`, so that one process at a time renames a list and its folder.
-/// `None` if the folder cannot be locked, or another process does not release the lock in time.
+/// Locks the parent folder of `place`, so that only one process at a time renames a list and its
+/// folder. Returns `None` if the folder cannot be locked, or if another process does not release
+/// the lock in time.
 pub fn turn(place: &Path) -> Option<File> {
     let folder =
         place.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
@@ -180,7 +181,7 @@ impl Drop for FolderInProgress {
     }
 }
 
-/// The folder next to the file at `place`, and the folder's name.
+/// The path of the folder that belongs to the list at `place`, and the folder's name.
 fn named(place: &Path) -> io::Result<(PathBuf, String)> {
     let stem = place.file_stem().and_then(|stem| stem.to_str()).map(str::to_owned);
     let no_text = || {

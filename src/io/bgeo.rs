@@ -10,13 +10,13 @@ use super::columns::{Column, ColumnStore, Endian, ParticleRows, Scalar};
 use super::cursor::Cursor;
 use super::{ParticleFile, ReadFault, malformed};
 
-/// Size in bytes of each number of a point.
+/// Size, in bytes, of each number of a point.
 const NUMBER: u64 = 4;
 
 /// Reads the header and the names of the attributes. The points are read later.
 ///
 /// A vector or a list of numbers is one attribute. Indexed strings are skipped. Positions are not
-/// divided by the weight w, which is 1 for all points outside of curves.
+/// divided by the weight w, which is 1 for all points outside curves.
 ///
 /// # Errors
 /// [`ReadFault::Unsupported`] for a version other than 5 and for strings that are not indexed,

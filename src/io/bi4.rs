@@ -1,11 +1,11 @@
 //! Reads DualSPHysics' .bi4 (JBinaryData): the fluid particles of one frame. DualSPHysics calls a
 //! frame a part, and may divide it into several files, its pieces.
 //!
-//! A file head of 64 bytes is followed by a tree of items. An item has named values, named arrays
-//! and child items. Each item, each list of values and each array is preceded by the size of its
-//! definition. The values of the root item describe the case. The root's child item `PART_xxxx` has
-//! one array per quantity. The arrays mix fixed, moving, floating and fluid particles, and fluid
-//! particles have the highest identifiers.
+//! A file head of 64 bytes is followed by a tree of items. An item contains named values, named
+//! arrays and child items. Each item, each list of values and each array is preceded by the size of
+//! its definition. The values of the root item describe the case. The root's child item `PART_xxxx`
+//! has one array per quantity. The arrays mix fixed, moving, floating and fluid particles, and
+//! fluid particles have the highest identifiers.
 
 use std::path::{Path, PathBuf};
 
@@ -134,9 +134,9 @@ impl<'a> PieceName<'a> {
 /// Every numeric array with one entry per particle becomes an attribute, except the positions.
 ///
 /// # Errors
-/// [`ReadFault::Unsupported`] for other files of DualSPHysics, and for one piece of a part that has
-/// several. [`ReadFault::Malformed`] for an invalid tree, and [`ReadFault::Truncated`] if the file
-/// ends within the tree.
+/// [`ReadFault::Unsupported`] for other DualSPHysics files, and for one piece of a part that has
+/// several pieces. [`ReadFault::Malformed`] for an invalid tree, and [`ReadFault::Truncated`] if
+/// the file ends within the tree.
 pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
     let piece = Bi4Piece::read(bytes.view())?;
     let Case { pieces, spacing, time, .. } = piece.case;
@@ -289,7 +289,7 @@ impl Case {
         )
     }
 
-    /// Stores the value called `name` if this is a known name.
+    /// Stores the value called `name` if the name is known.
     fn note(&mut self, name: &[u8], kind: Bi4Type, value: &[u8], endian: Endian) {
         let whole =
             matches!(kind.scalar, Some(Scalar::U32 | Scalar::U64)).then(|| number(value, endian));
@@ -312,7 +312,7 @@ impl Case {
     }
 }
 
-/// An array of the part. Its bytes were checked to lie within the file.
+/// An array of the part. The reader has checked that its bytes lie within the file.
 struct Bi4Array {
     name: String,
     /// Type of the numbers, and number of components.
@@ -327,7 +327,7 @@ struct Bi4Type {
     /// The type of the numbers. `None` for texts and booleans.
     scalar: Option<Scalar>,
     components: usize,
-    /// Number of bytes of a value. `None` if each value is preceded by its length.
+    /// Size, in bytes, of a value. `None` if each value is preceded by its length.
     size: Option<u64>,
 }
 

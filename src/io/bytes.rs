@@ -1,6 +1,6 @@
 //! The bytes of an input file. Uncompressed files are read by position. Compressed files are
 //! unpacked into memory or a scratch file. Pipes, and files that their reader needs as a whole, are
-//! copied there.
+//! also copied into memory or a scratch file.
 
 use std::borrow::Cow;
 use std::fs::File;
@@ -20,17 +20,17 @@ use crate::system::reopened::{FileStamp, ReopenedFile, read_exact_at};
 use super::compression::{Compression, DICTIONARY};
 use super::{ReadError, ReadFault};
 
-/// Bytes that are unpacked per step.
+/// Number of bytes that are unpacked per step.
 const CHUNK: u64 = 1 << 18;
-/// Maximum compression ratio. Particles compress to a half or a tenth; only a malicious file
-/// exceeds this.
+/// Maximum compression ratio. Particles compress to between a half and a tenth of their size. Only
+/// a malicious file exceeds this ratio.
 const GREATEST_RATIO: u64 = 128;
 
 /// When a page of a map is read, the system may also map up to this many bytes before the page.
 #[cfg(unix)]
 const FAULT_AROUND: usize = 64 << 10;
 
-/// Unpacked size in bytes that is allowed at any compression ratio.
+/// Unpacked size, in bytes, that is allowed at any compression ratio.
 const ALWAYS_UNPACKED: u64 = 64 << 20;
 
 /// The bytes of a file, read-only.
@@ -52,8 +52,8 @@ pub enum PrivateBytes {
 }
 
 impl Bytes {
-    /// Reads all bytes of the file into memory or a scratch file. Decoding takes long, and other
-    /// programs cannot change this copy meanwhile.
+    /// Reads all bytes of the file into memory or a scratch file. Other programs cannot change this
+    /// copy during decoding, which takes long.
     ///
     /// # Errors
     /// [`ReadFault::Changed`] and [`ReadFault::Io`] for a file that has changed or cannot be read,
@@ -125,7 +125,7 @@ impl PrivateBytes {
         }
     }
 
-    /// Bytes of memory that cannot be released.
+    /// Number of bytes in memory that cannot be released.
     pub fn resident_bytes(&self) -> u64 {
         match self {
             Self::Scratch(_) => 0,
@@ -138,7 +138,7 @@ impl PrivateBytes {
         self.slice().release(range);
     }
 
-    /// The bytes, with the map that can release their memory if they are in a scratch file.
+    /// The bytes and, if they are in a scratch file, the map that can release their memory.
     pub fn slice(&self) -> Slice<'_> {
         match self {
             Self::Scratch(map) => Slice { bytes: map, map: Some(map) },
@@ -163,7 +163,8 @@ impl Deref for PrivateBytes {
     }
 }
 
-/// A cache of one result for the last file. The result is valid while the file is unchanged.
+/// A cache of one result, for the most recent file. The result is valid while the file is
+/// unchanged.
 #[derive(Debug)]
 pub struct LastFile<T>(Mutex<Option<(PathBuf, FileStamp, T)>>);
 
@@ -190,7 +191,7 @@ impl<T: Clone> LastFile<T> {
         ((of.as_path(), *known) == (path, stamp)).then(|| result.clone())
     }
 
-    /// Caches the result for a file, in place of any other.
+    /// Caches `result` for the file at `path`, and drops any other result.
     pub fn keep(&self, path: &Path, stamp: FileStamp, result: T) {
         *self.last() = Some((path.to_owned(), stamp, result));
     }
@@ -209,7 +210,7 @@ pub struct Slice<'a> {
 }
 
 impl<'a> Slice<'a> {
-    /// The bytes, with the lifetime of the data instead of this slice.
+    /// The bytes, with the lifetime of the data instead of that of this slice.
     pub fn bytes(self) -> &'a [u8] {
         self.bytes
     }
@@ -220,8 +221,8 @@ impl<'a> Slice<'a> {
         if let Some(map) = self.map {
             let start = range.start.saturating_sub(FAULT_AROUND);
             let length = range.end - start;
-            // SAFETY: the map is of a file and never written, so the system reads dropped pages
-            // again. If the system refuses, nothing changes.
+            // SAFETY: the map belongs to a file and is never written, so the system reads dropped
+            // pages again. If the system refuses, nothing changes.
             let _ = unsafe {
                 map.unchecked_advise_range(memmap2::UncheckedAdvice::DontNeed, start, length)
             };
@@ -276,7 +277,7 @@ impl<'a> ByteView<'a> {
     /// [`ReadFault::Changed`] and [`ReadFault::Io`] for a file that has changed or cannot be read.
     ///
     /// # Panics
-    /// If the range exceeds the bytes.
+    /// If `range` extends beyond the bytes.
     pub fn read(self, range: Range<usize>) -> Result<Cow<'a, [u8]>, ReadFault> {
         match self {
             Self::File(file) => {
@@ -401,11 +402,12 @@ impl Drop for SequentialReader<'_> {
 /// The memory and scratch folder that unpacking or decoding an input may use.
 #[derive(Debug, Clone, Copy)]
 pub struct Unpacking<'a> {
-    /// Maximum bytes of memory for the result. A larger result goes to a mapped scratch file.
+    /// Maximum size, in bytes, of a result in memory. A larger result goes to a mapped scratch
+    /// file.
     pub in_memory: u64,
     /// The folder for scratch files.
     pub scratch: &'a Path,
-    /// Receives progress and can cancel the work. `None` to do neither.
+    /// If present, receives progress and can cancel the work.
     pub control: Option<&'a Control>,
 }
 
@@ -520,8 +522,8 @@ impl<'a> UnpackBuffer<'a> {
     }
 }
 
-/// Opens `path` for reading by position. A file that is compressed by gzip, xz or zstd, with any
-/// extension, is unpacked with the limits of [`for_a_look`](Unpacking::for_a_look).
+/// Opens `path` for reading by position. A file that is compressed by gzip, xz or zstd, whatever
+/// its extension, is unpacked with the limits of [`for_a_look`](Unpacking::for_a_look).
 ///
 /// # Errors
 /// [`ReadFault::Io`] if the file cannot be opened or read, [`ReadFault::Empty`] for an empty file,
@@ -541,8 +543,9 @@ pub fn open_whole(path: &Path) -> Result<PrivateBytes, ReadError> {
 /// Opens `path` like [`open_bytes_within`], to read one of several frames.
 ///
 /// A compressed file is unpacked into a scratch file, so that later frames need no unpacking. The
-/// scratch file is kept until this function opens a different file, or the compressed file changes.
-/// The caller may keep data derived from the bytes as long as the file has the returned stamp.
+/// scratch file is kept until this function opens another compressed file, or the same file after a
+/// change. The caller may keep data derived from the bytes as long as the file has the returned
+/// stamp.
 ///
 /// # Errors
 /// The errors of [`open_bytes_within`].
@@ -612,8 +615,8 @@ pub fn open_bytes_within(path: &Path, unpacking: Unpacking) -> Result<Bytes, Rea
         let Some(compression) = Compression::of(head) else {
             return ReopenedFile::new(path, file).map(Bytes::File).map_err(|e| fail(e.into()));
         };
-        // Unpacks a large file while reading it, so that its compressed bytes are not in memory as
-        // a whole.
+        // Unpacks a large file while reading it, so that its compressed bytes are never all in
+        // memory.
         if len > ALWAYS_UNPACKED {
             return unpack(compression, file, len, unpacking).map(Bytes::Kept).map_err(fail);
         }
@@ -637,7 +640,7 @@ pub fn open_bytes_within(path: &Path, unpacking: Unpacking) -> Result<Bytes, Rea
     }
 }
 
-/// Reads `count` bytes of a file into memory.
+/// Reads the first `count` bytes of a file into memory.
 fn file_bytes(file: &File, count: u64) -> Result<PrivateBytes, ReadFault> {
     let mut bytes = vec![0; count as usize];
     read_exact_at(file, 0, &mut bytes)?;
@@ -650,7 +653,8 @@ pub(super) fn unpacked_limit(packed: u64) -> u64 {
 }
 
 /// Unpacks a small file with a single gzip stream in one call, in half the time of a stream
-/// decoder. `None` for a damaged file or one with several streams.
+/// decoder. Returns `None` if the file is damaged, has several streams, or unpacks to too many
+/// bytes.
 fn unpack_at_once(packed: &[u8], in_memory: u64) -> Option<Vec<u8>> {
     // A gzip stream ends with the length of its content.
     let trailer = packed.last_chunk::<4>()?;
@@ -694,8 +698,8 @@ fn unpack(
     })
 }
 
-/// Reads all bytes of `source`. After each step, `check` gets the number of bytes so far, and may
-/// return an error.
+/// Reads all bytes of `source`. After each step, calls `check` with the number of bytes so far.
+/// `check` may return an error.
 fn collect(
     mut source: impl Read,
     unpacking: Unpacking,

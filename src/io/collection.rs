@@ -1,5 +1,5 @@
 //! Reads lists of frames: ParaView's .pvd collections and .series files, which name the files and
-//! times of frames.
+//! the time of each frame.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -19,20 +19,19 @@ use super::{ParticleFile, ReadError, ReadFault, malformed};
 /// A frame that a list contains.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ListedFrame {
-    /// The time, if the list has it.
+    /// The time, if the list contains it.
     pub time: Option<f64>,
     /// The files with the particles of this frame, in the order of their part numbers.
     pub files: Vec<PathBuf>,
 }
 
-/// Whether a file is a list of frames, by its extension.
+/// Whether `path` has the extension of a list of frames.
 pub fn is_list(path: &Path) -> bool {
     let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
     matches!(extension.as_deref(), Some("pvd" | "series"))
 }
 
-/// The frames in a list, in the order of the list. Data sets with the same time are parts of one
-/// frame.
+/// The frames in a list, in list order. Data sets with the same time are parts of one frame.
 ///
 /// # Errors
 /// [`ReadError`] for a list that cannot be read, is empty, or contains another list.
@@ -74,7 +73,7 @@ fn read_list(path: &Path) -> Result<Vec<ListedFrame>, ReadError> {
 ///
 /// # Errors
 /// [`ReadError`] if the list or a file of the frame cannot be read, and [`ReadFault::Unsupported`]
-/// for a number that does not exist, or for several frames without a number.
+/// if no frame has this number, or if the list has several frames and `number` is `None`.
 pub fn open_particles(
     path: &Path,
     list: &Path,
@@ -89,7 +88,7 @@ pub fn open_particles(
 }
 
 /// Frame number `number` of `list`. Without a number, the list must have a single frame. Errors
-/// name `path`.
+/// report `path`.
 ///
 /// # Errors
 /// The errors of [`open_particles`], except for errors of the frame's own files.
@@ -113,7 +112,7 @@ pub fn frame_of(path: &Path, list: &Path, number: Option<u64>) -> Result<ListedF
 /// For each frame, its time and the names of its files.
 type Named = Vec<(Option<f64>, Vec<String>)>;
 
-/// Parses the entries of a .pvd.
+/// Parses the entries of a .pvd file.
 fn collection(bytes: &[u8]) -> Result<Named, ReadFault> {
     let mut sets: Vec<(Option<f64>, i64, String)> = Vec::new();
     each_tag(bytes, |tag| {
@@ -154,7 +153,7 @@ struct FileOfSeries {
     time: Option<f64>,
 }
 
-/// Parses the entries of a .series.
+/// Parses the entries of a .series file.
 fn series(bytes: &[u8]) -> Result<Named, ReadFault> {
     let series: FileSeries = serde_json::from_slice(bytes)
         .map_err(|fault| ReadFault::Line { line: fault.line() as u64, what: fault.to_string() })?;

@@ -17,10 +17,10 @@ use crate::particles::{AttributeInfo, AttributeKind, Label, Particles, RereadErr
 
 use super::windows::{InputBytes, WindowPool, Windows};
 
-/// Granularity in bytes at which memory is released.
+/// Granularity, in bytes, at which memory is released.
 const WINDOW: usize = 1 << 20;
 
-/// Maximum number of rows from the first to the last of the selected rows that are read together.
+/// Maximum span, in rows, of selected rows that are read together.
 const NEAR: usize = 1 << 10;
 
 /// The type of a stored number.
@@ -50,7 +50,7 @@ impl Scalar {
     pub fn kind_of(self, info: &AttributeInfo) -> AttributeKind {
         let kind = match self {
             Self::F16 | Self::F32 | Self::F64 => return info.kind,
-            // A colour in bytes has values from 0 to 255, not fractions.
+            // A colour that is stored in bytes has values from 0 to 255, not fractions.
             Self::U8 if info.kind.is_colour() => return AttributeKind::ByteColour,
             _ if is_direction_name(info) => return AttributeKind::Number,
             Self::I8 | Self::U8 | Self::I16 | Self::U16 | Self::I32 => AttributeKind::Signed,
@@ -73,9 +73,9 @@ pub enum Endian {
 /// `offset + i * stride`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Column {
-    /// Offset of particle 0's number, in bytes from the start of the data.
+    /// Byte offset of particle 0's number from the start of the data.
     pub offset: usize,
-    /// Bytes from one particle's number to the next particle's.
+    /// Number of bytes from the start of one particle's number to the start of the next particle's.
     pub stride: usize,
     /// Type of the numbers.
     pub scalar: Scalar,
@@ -90,7 +90,8 @@ impl Column {
     }
 }
 
-/// The columns of a particle file, in memory, borrowed, or read from the file on demand.
+/// The columns of a particle file. Their bytes are in memory, borrowed, or read from the file on
+/// demand.
 #[derive(Debug)]
 pub struct ColumnStore<B = InputBytes> {
     bytes: B,
@@ -111,7 +112,8 @@ pub struct ColumnStore<B = InputBytes> {
 pub enum ParticleRows {
     /// Rows 0 to `n - 1`, where `n` is this number.
     All(usize),
-    /// Selected rows. A .bi4 mixes fluid with boundary particles, and conditions select particles.
+    /// Selected rows. A .bi4 file mixes fluid with boundary particles, and conditions select
+    /// particles.
     Selected(Sieve),
 }
 
@@ -252,7 +254,7 @@ impl<B: Windows> ColumnStore<B> {
     }
 }
 
-/// The bytes of a column for some particles.
+/// The bytes of a column for consecutive particles.
 struct Window<'a> {
     /// The particles, counted from the first particle that the caller requested.
     particles: Range<usize>,
@@ -312,7 +314,7 @@ impl ColumnStore {
         });
     }
 
-    /// Bytes of memory that the selection of rows takes.
+    /// Memory, in bytes, that the selection of rows takes.
     pub fn sieve_bytes(&self) -> u64 {
         match &self.rows {
             ParticleRows::All(_) => 0,

@@ -9,10 +9,10 @@ use zstd::stream::read::Decoder as ZstdDecoder;
 /// Extensions of compressed files, which come after the extension of the format.
 pub const EXTENSIONS: [&str; 3] = ["gz", "xz", "zst"];
 
-/// Maximum dictionary in bytes that a decoder may keep. `xz -9` needs 64 MiB, and
-/// `zstd --ultra -22` 128 MiB.
+/// Maximum size, in bytes, of a decoder's dictionary. `xz -9` needs 64 MiB, and `zstd --ultra -22`
+/// needs 128 MiB.
 pub const DICTIONARY: u64 = 1 << 27;
-/// Upper bound of the bytes of memory that an xz decoder needs besides its dictionary.
+/// Upper bound, in bytes, of the memory that an xz decoder needs besides its dictionary.
 const OVERHEAD: u64 = 1 << 20;
 
 /// The compression of a file.
@@ -57,14 +57,14 @@ impl Compression {
     }
 }
 
-/// Unpacks the streams of an .xz.
+/// Unpacks the streams of an .xz file.
 ///
 /// A dictionary of more than 128 MiB gives an [`io::ErrorKind::OutOfMemory`] error.
 pub fn unpack_xz<'a>(packed: impl Read + 'a) -> Box<dyn Read + 'a> {
     Box::new(XzReader::new_mem_limit(packed, true, ((DICTIONARY + OVERHEAD) >> 10) as u32))
 }
 
-/// The name of a file without the extension of a compression, such as `.gz`.
+/// The name of a file without its compression extension, such as `.gz`.
 pub fn plain_name(name: &str) -> &str {
     let plain = name.rsplit_once('.').filter(|(_, extension)| {
         EXTENSIONS.iter().any(|compressed| extension.eq_ignore_ascii_case(compressed))

@@ -6,7 +6,7 @@ use super::bytes::ByteView;
 use super::columns::Endian;
 use super::{ReadFault, malformed};
 
-/// Bytes per read from the file.
+/// Minimum number of bytes per read from the file.
 const WINDOW: usize = 16 << 10;
 
 /// A position in the bytes of a file. Every read advances it.
@@ -30,12 +30,12 @@ impl<'a> Cursor<'a> {
         Self { bytes, at, endian, window, window_at: 0 }
     }
 
-    /// The position in bytes from the start of the file.
+    /// The byte offset from the start of the file.
     pub fn at(&self) -> usize {
         self.at
     }
 
-    /// Skips `count` records of `stride` bytes each. Returns the position of the first record.
+    /// Skips `count` records of `stride` bytes each. Returns the byte offset of the first record.
     ///
     /// # Errors
     /// [`ReadFault::Truncated`] if the file ends before the records do.
@@ -65,7 +65,7 @@ impl<'a> Cursor<'a> {
         Ok(&self.window[start - self.window_at..][..count as usize])
     }
 
-    /// Reads a number of `N` bytes, and returns its bytes in little-endian order.
+    /// Reads an `N`-byte number, and returns its bytes in little-endian order.
     ///
     /// # Errors
     /// The errors of [`take`](Self::take).

@@ -15,10 +15,10 @@ use super::CoordinateWidth;
 /// Calls `encode` for pieces 0 to `pieces - 1`, and writes the results in order.
 ///
 /// While this thread writes one batch of pieces, the thread pool encodes the next batch. A batch
-/// has at most two pieces per thread. The bytes do not depend on the number of threads.
+/// has at most two pieces per thread. The written bytes do not depend on the number of threads.
 ///
 /// # Errors
-/// The first error of `encode` or `out`, in the order of the pieces. Nothing is written after it.
+/// The first error of `encode` or `out`, in piece order. Nothing is written after the error.
 pub fn write_pieces(
     out: &mut dyn Write,
     pieces: usize,
@@ -66,11 +66,11 @@ fn in_batches<T: Send>(
     take_all(&mut ready[..made], take)
 }
 
-/// The values that were made of a piece, and whether this succeeded.
+/// The values that were made from a piece, and whether making them succeeded.
 type Made<T> = (Vec<T>, io::Result<()>);
 
 /// Makes the values of `pieces` on the thread pool, at most one piece per buffer, while `meanwhile`
-/// runs on this thread. Returns the number of pieces made.
+/// runs on this thread. Returns the number of pieces whose values were made.
 fn make_while<T: Send>(
     buffers: &mut [Made<T>],
     pieces: Range<usize>,
@@ -115,7 +115,7 @@ fn write_each_piece(
     encode: &(dyn Fn(&Vertices, &mut Vec<u8>) + Sync),
 ) -> io::Result<()> {
     let attributes = mesh.attributes();
-    // A piece with wide attributes is large, so a batch has only one of these pieces.
+    // A piece with wide attributes is large, so a batch contains only one such piece.
     let wide = are_wide(attributes.iter().map(|info| info.components));
     let batch = if wide { 1 } else { pieces_at_once() };
     let count = AtomicU64::new(0);
@@ -142,7 +142,7 @@ fn write_each_piece(
 }
 
 /// Writes attribute number `index` of the vertices, little-endian, piece by piece. Colours are
-/// written as bytes, and all other kinds as f32.
+/// written as bytes. Other values are written as the 32 bits that the mesh stores.
 pub(super) fn write_attribute(
     out: &mut dyn Write,
     mesh: &dyn MeshSource,

@@ -1,4 +1,4 @@
-//! Errors of reading and writing files.
+//! Errors that occur when files are read or written.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -9,13 +9,13 @@ use crate::particles::RereadError;
 use crate::particles::selection::SelectionFault;
 use crate::system::reopened::ReopenedError;
 
-/// An error of reading a file.
+/// An error that occurred while reading a file.
 #[derive(Debug, Error)]
 #[error("{}: {fault}", path.display())]
 pub struct ReadError {
     /// Path of the input file.
     pub path: PathBuf,
-    /// The kind of the error, with its facts.
+    /// What went wrong, with details.
     #[source]
     pub fault: ReadFault,
 }
@@ -27,7 +27,7 @@ impl ReadError {
     }
 }
 
-/// The kind of an error of reading an input file.
+/// What went wrong while reading an input file.
 #[derive(Debug, Error)]
 pub enum ReadFault {
     /// An error of the system, such as a missing file.
@@ -47,15 +47,15 @@ pub enum ReadFault {
     Truncated {
         /// Name of the part of the file that needs these bytes.
         what: String,
-        /// The expected end, in bytes from the start of the (unpacked) file.
+        /// Minimum size, in bytes, that the (unpacked) file must have.
         needed: u64,
-        /// The size of the (unpacked) file in bytes.
+        /// Actual size, in bytes, of the (unpacked) file.
         have: u64,
     },
     /// The file violates its format.
     #[error("at byte {at}: {what}")]
     Malformed {
-        /// Position in bytes from the start of the (unpacked) file.
+        /// Byte offset in the (unpacked) file.
         at: u64,
         /// Description of the violation, with the bytes that were found or expected.
         what: String,
@@ -63,7 +63,7 @@ pub enum ReadFault {
     /// A line of a text file that cannot be parsed.
     #[error("line {line}: {what}")]
     Line {
-        /// Number of the line, from 1.
+        /// Number of the line, counted from 1.
         line: u64,
         /// Description of the error, with the text that was found or expected.
         what: String,
@@ -155,12 +155,12 @@ impl From<RereadError> for ReadFault {
     }
 }
 
-/// A fault at byte `at`.
+/// A violation of the format at byte `at`.
 pub(super) fn malformed(at: usize, what: impl Into<String>) -> ReadFault {
     ReadFault::Malformed { at: at as u64, what: what.into() }
 }
 
-/// The error if a file has several steps and the caller chose none.
+/// The error for a file with several steps, if the caller chose none of them.
 pub(super) fn several_steps(first: u64, last: u64) -> ReadFault {
     let what = format!(
         "contains several frames, steps {first} to {last}; append #{first} to the name to \
@@ -174,13 +174,13 @@ pub(super) fn no_step(step: u64) -> ReadFault {
     ReadFault::Unsupported(format!("there is no step {step}"))
 }
 
-/// An error of writing a file. No part of the file remains.
+/// An error that occurred while writing a file. No part of the file remains.
 #[derive(Debug, Error)]
 #[error("{}: {fault}", path.display())]
 pub struct WriteError {
     /// Path of the output.
     pub path: PathBuf,
-    /// The kind of the error, with its facts.
+    /// What went wrong, with details.
     #[source]
     pub fault: WriteFault,
 }

@@ -5,7 +5,8 @@ use super::error::{no_step, several_steps};
 use super::names::{Quantity, quantities};
 use super::{ReadFault, UnreadPart, malformed};
 
-/// Maximum number of components of an attribute. An array with more is a matrix or a spectrum.
+/// Maximum number of components of an attribute. An array with more components is a matrix or a
+/// spectrum.
 pub const MOST_COMPONENTS: u64 = 64;
 
 /// Prefixes, in lower case, of the names of vectors that are not positions.
@@ -34,7 +35,7 @@ pub enum Axes {
     Frames,
 }
 
-/// The numbers of frames, particles and components that an array's shape gives.
+/// The numbers of frames, particles and components that an array's shape implies.
 struct ArrayExtent {
     frames: Option<u64>,
     rows: u64,
@@ -46,7 +47,7 @@ struct ArrayExtent {
 pub struct ColumnIndex {
     /// The index of the array.
     pub field: usize,
-    /// The index of the component along the array's last axis.
+    /// The index of the component among the components of a particle, in row-major order.
     pub component: usize,
 }
 
@@ -59,7 +60,7 @@ pub struct LocatedQuantity {
     pub places: Vec<ColumnIndex>,
 }
 
-/// The interpretation of arrays that have the same number of particles.
+/// How arrays with the same number of particles are interpreted.
 #[derive(Debug)]
 pub struct Arrangement {
     /// Number of particles in each frame.
@@ -77,7 +78,7 @@ pub struct Arrangement {
 }
 
 impl Arrangement {
-    /// The numbers of the frames. Empty if there is a single frame.
+    /// The numbers of the frames. Empty if there is a single frame, or if there are no particles.
     pub fn steps(&self) -> Vec<u64> {
         // Ignores frames without particles: they take no bytes, so the file's size does not limit
         // their number.
@@ -189,8 +190,8 @@ fn arrange_along(fields: &[NamedArray], axes: Axes) -> Result<Option<Arrangement
     let mut candidates = NamedColumns::default();
     for (number, NamedArray { name, shape }) in fields.iter().enumerate() {
         let Some(extent) = axes.extent(shape) else { continue };
-        // Arrays (T, N) called x, y and z are not used as positions: their axes may be frames and
-        // particles, or the two axes of a grid.
+        // Arrays of shape (T, N) called x, y and z are not used as positions: their axes may be
+        // frames and particles, or the two axes of a grid.
         let may_be = match axes {
             Axes::Particles => shape.len() <= 2,
             Axes::Components => true,
@@ -242,7 +243,7 @@ fn arrange_along(fields: &[NamedArray], axes: Axes) -> Result<Option<Arrangement
     }))
 }
 
-/// The number of values per particle of an array, if this exceeds [`MOST_COMPONENTS`].
+/// The number of values per particle of an array, if this number exceeds [`MOST_COMPONENTS`].
 fn too_many(shape: &[u64], rows: u64, frames: Option<u64>) -> Option<u64> {
     let axes = match *shape {
         [first, second, ref axes @ ..] if Some(first) == frames && second == rows => axes,

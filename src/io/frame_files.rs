@@ -52,7 +52,7 @@ pub fn snapshot_pieces(path: &Path) -> Option<u64> {
     matches!(extension(path).as_deref(), Some("h5" | "hdf5")).then(|| super::h5::pieces_of(path))?
 }
 
-/// A build without HDF5 does not read snapshots.
+/// Returns `None`, because a build without HDF5 does not read snapshots.
 #[cfg(not(feature = "hdf5"))]
 pub fn snapshot_pieces(_: &Path) -> Option<u64> {
     None

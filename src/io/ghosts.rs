@@ -1,9 +1,9 @@
 //! Finds the points to leave out because all of their cells are flagged as copies or as hidden.
 //!
 //! Programs that divide cells among pieces flag cells, not points. In a set of particles, each cell
-//! is a vertex with one point. If all cells are vertices, a point is left out if it has at least
-//! one cell and all of its cells are flagged. If there are other cells, the flags of cells are
-//! ignored. The memory is one bit per cell and two bits per point.
+//! is a vertex that refers to one point. If all cells are vertices, a point is left out if it has
+//! at least one cell and all of its cells are flagged. If there are other cells, the flags of cells
+//! are ignored. This takes one bit of memory per cell, and two bits per point.
 
 use std::ops::Range;
 
@@ -58,7 +58,7 @@ impl VertexCells {
 
     /// Starts an array of flags, called `name`, with one flag per cell.
     pub fn flags<'a>(&'a mut self, name: &'a str) -> Flags<'a> {
-        // The older array stores levels of copies instead of bits, so that any level but 0 means a
+        // The older array stores levels of copies instead of bits, so any nonzero level means a
         // copy.
         let mask = if name == GHOSTS[0] { LEFT_OUT } else { i64::MAX };
         Flags { vertices: self, name, mask, count: 0 }
@@ -143,7 +143,7 @@ impl<'a> VertexPoints<'a> {
     }
 }
 
-/// Appends a range, and joins it with the last one if they are adjacent.
+/// Appends the range `next`, or joins it with the last range if they are adjacent.
 pub(super) fn append(ranges: &mut Vec<Range<usize>>, next: Range<usize>) {
     match ranges.last_mut() {
         Some(last) if last.end == next.start => last.end = next.end,
@@ -152,8 +152,8 @@ pub(super) fn append(ranges: &mut Vec<Range<usize>>, next: Range<usize>) {
 }
 
 impl ParticleFile {
-    /// Keeps the points in the ranges `left`, or all points if it is `None`. Removed points are
-    /// ghosts.
+    /// Keeps the points in the ranges `left`, or all points if it is `None`. The removed points are
+    /// counted as ghosts.
     pub(super) fn with_points(mut self, left: Option<Vec<Range<usize>>>) -> Self {
         if let Some(left) = left {
             let all = self.particles.len();

@@ -43,8 +43,8 @@ impl InputFormat {
 
 /// Opens a particle file with the reader for its extension, in upper or lower case.
 ///
-/// A file compressed by gzip, xz or zstd can have its plain name or an additional `.gz`, `.xz` or
-/// `.zst`.
+/// A file compressed by gzip, xz or zstd can have its plain name, or the additional extension
+/// `.gz`, `.xz` or `.zst`.
 ///
 /// # Errors
 /// [`ReadFault::UnknownExtension`] before the file is opened, and the errors of the reader.
@@ -163,7 +163,7 @@ pub fn file_and_step(path: &Path) -> (&Path, Option<u64>) {
             _ if is_list(file) => true,
             Some(Csv | Hdf5 | Lammps | Npy | Npz | Xyz) => true,
             // For other extensions, the caller may override the format. The number after `#` is
-            // then a step if a file exists only without it.
+            // then a step if a file exists at the path before `#`, but none at the whole path.
             _ => file.is_file() && !path.exists(),
         };
         Some((file, step.parse().ok().filter(|_| holds_steps)?))
@@ -171,8 +171,8 @@ pub fn file_and_step(path: &Path) -> (&Path, Option<u64>) {
     cut.map_or((path, None), |(file, step)| (file, Some(step)))
 }
 
-/// The numbers of the frames in a file, in order. Empty if the file is a single frame. `format`
-/// overrides the format that the extension implies.
+/// The numbers of the frames in a file, in order. Empty if the file contains a single frame.
+/// `format` overrides the format that the extension implies.
 ///
 /// # Errors
 /// [`ReadError`] if the format can have several frames and the file cannot be read.
@@ -202,7 +202,7 @@ pub fn steps(path: &Path, format: Option<InputFormat>) -> Result<Vec<u64>, ReadE
 }
 
 /// Whether a file in a folder may be a frame, judged by its extension. A .json file may contain
-/// anything, so this is false for it, and the user must name such a file.
+/// anything, so the function returns false for it, and the user must name such a file.
 pub fn is_known(path: &Path) -> bool {
     InputFormat::of(path).is_some_and(|format| format != InputFormat::Json)
 }

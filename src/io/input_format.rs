@@ -43,7 +43,7 @@ pub enum InputFormat {
 }
 
 impl InputFormat {
-    /// The format of a file by its extension, before an optional `.gz`, `.xz` or `.zst`.
+    /// The format that the extension of `path` implies. A final `.gz`, `.xz` or `.zst` is ignored.
     #[must_use]
     pub fn of(path: &Path) -> Option<Self> {
         Some(match extension(path)?.as_str() {
@@ -65,7 +65,7 @@ impl InputFormat {
     }
 }
 
-/// The extension in lower case, without an extension of compression such as `.gz`.
+/// The extension in lower case. A final compression extension such as `.gz` is ignored.
 pub(super) fn extension(path: &Path) -> Option<String> {
     let name = path.file_name()?.to_string_lossy().to_ascii_lowercase();
     let (_, extension) = plain_name(&name).rsplit_once('.')?;

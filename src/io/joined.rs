@@ -1,4 +1,5 @@
-//! Checks of joined files: no file occurs twice, and a colour has compatible scales in all files.
+//! Checks files that are joined: no file occurs twice, and a colour has compatible scales in all
+//! files.
 
 use std::collections::HashMap;
 use std::path::Path;

@@ -8,7 +8,7 @@ use super::bytes::{Bytes, UnpackBuffer, Unpacking};
 use super::columns::{Column, ColumnStore, Endian, ParticleRows, Scalar};
 use super::{ParticleFile, ReadFault};
 
-/// Bytes of a position.
+/// Size, in bytes, of a position.
 const TRIPLE: usize = 3 * size_of::<f64>();
 /// Number of bytes that are buffered before they are appended to the positions.
 const CHUNK: usize = 1 << 16;

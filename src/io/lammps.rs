@@ -1,8 +1,9 @@
-//! Reads LAMMPS dumps in text. Each step has its box and a row per atom.
+//! Reads LAMMPS dumps in text. Each step has a box, and one row per atom.
 //!
 //! The position is `x y z`, else `xu yu zu`, else `xs ys zs`, else `xsu ysu zsu`. The last two are
 //! fractions of the edges of the box, which may be a parallelepiped (LAMMPS' documentation of the
-//! command `dump`, and "Triclinic simulation boxes"). `sim.dump#1000` is the step with number 1000.
+//! command `dump`, and "Triclinic simulation boxes"). `sim.dump#1000` denotes the step with number
+//! 1000.
 
 use super::bytes::{Bytes, Unpacking};
 use super::number::ParseNumber;
@@ -14,8 +15,8 @@ use super::{ParticleFile, ReadFault};
 /// Start of a section's first line.
 const ITEM: &str = "ITEM:";
 
-/// Names of the columns of a position, in order of preference. The flag is true for fractions of
-/// the box.
+/// Names of the position columns, in order of preference. The flag is true for fractions of the
+/// box.
 const POSITIONS: [([&str; 3], bool); 4] = [
     (["x", "y", "z"], false),
     (["xu", "yu", "zu"], false),
@@ -52,7 +53,7 @@ pub(super) fn pass(lines: &mut TextLines) -> Result<Option<u64>, ReadFault> {
     Ok(DumpStep::next(lines)?.map(|step| step.number))
 }
 
-/// Reads the step that starts at a place in the file.
+/// Reads the step that starts at `place`.
 ///
 /// # Errors
 /// [`ReadFault::Line`] for an invalid line, an incomplete step, or columns without a position.
@@ -199,7 +200,7 @@ fn bounds(lines: &mut TextLines, words: &str) -> Result<Cell, ReadFault> {
         rows.push(row.filter(|row| (2..=4).contains(&row.len())).ok_or_else(fault)?);
     }
     Ok(match (words, &rows[0][..], &rows[1][..], &rows[2][..]) {
-        // A box with arbitrary edges. Each line has an edge and a coordinate of the origin.
+        // A box with arbitrary edges. Each line contains an edge and a coordinate of the origin.
         (words, &[ax, ay, az, ox], &[bx, by, bz, oy], &[cx, cy, cz, oz])
             if words.contains("abc") =>
         {

@@ -1,4 +1,4 @@
-//! Resolves paths that a list of files names.
+//! Resolves the paths in a list of files.
 
 use std::path::{Component, Path, PathBuf};
 

@@ -1,8 +1,8 @@
 //! Readers and writers of files. Each format has its own module, and the extension selects the
 //! format.
 //!
-//! `formats.md` describes all formats, and `../contributing.md` how to add one. Both are pages of
-//! the docs.
+//! `formats.md` describes all formats, and `../contributing.md` explains how to add one. Both are
+//! pages of the docs.
 
 pub mod alembic;
 mod beside;
@@ -68,22 +68,22 @@ use error::malformed;
 pub use error::{ColourScale, ReadError, ReadFault, WriteError, WriteFault};
 pub use pieces::{PieceChunk, Pieces};
 
-/// An opened particle file. Its header was parsed, and the header's counts were checked against the
-/// size of the file.
+/// An opened particle file. The reader has parsed its header, and has checked the counts in the
+/// header against the size of the file.
 #[derive(Debug)]
 pub struct ParticleFile {
     /// Positions and attributes of the particles, read on demand.
     pub particles: Pieces,
     /// The format's name, for messages.
     pub format: &'static str,
-    /// The spacing of the particles, if the file has it.
+    /// The spacing of the particles, if the file contains it.
     pub spacing: Option<f64>,
-    /// The simulation's time in seconds, if the file has it.
+    /// The simulation's time in seconds, if the file contains it.
     pub time: Option<f64>,
-    /// Lengths of the edges of the simulation's box along x, y and z, if the file has them. The box
-    /// need not be periodic.
+    /// Lengths of the edges of the simulation's box along x, y and z, if the file contains them.
+    /// The box need not be periodic.
     pub box_size: Option<[f64; 3]>,
-    /// The file's unit of length in metres, if the file has it. Coordinates are in this unit.
+    /// The file's unit of length in metres, if the file contains it. Coordinates are in this unit.
     pub unit_metres: Option<f64>,
     /// Names of the particle types in the file. The first is the type that was read. Empty if the
     /// file has a single type without a name.
@@ -111,7 +111,7 @@ pub enum UnreadPart {
     Block {
         /// The block's name or file.
         name: String,
-        /// Contents of the block.
+        /// Description of the block's contents, for a message.
         holds: String,
     },
     /// Polygons and other primitives in a particle file, and the points that they use.
@@ -168,7 +168,7 @@ impl fmt::Display for UnreadPart {
 }
 
 impl ParticleFile {
-    /// Creates a file with `particles`, and without types, times or other data.
+    /// Creates a particle file with `particles`, but without types, times or other data.
     #[must_use]
     pub fn new(particles: impl Into<Pieces>, format: &'static str) -> Self {
         Self {

@@ -87,10 +87,10 @@ pub fn unique_names<'a>(
 
 /// Finds the position among the columns called `names`, and then all other quantities in order.
 ///
-/// Columns are one vector if their names differ only in a final `x`, `y`, `z`, or in a final `0`,
+/// Columns form one vector if their names differ only in a final `x`, `y`, `z`, or in a final `0`,
 /// `1`, `2` after a separator, and each axis occurs once. Examples are `Pos.x [m]`, `"Points:0"`,
 /// `vel_x`, `vel[0]` and `vx`. Likewise, `red`, `green`, `blue` and optionally `alpha`, or `r`,
-/// `g`, `b` and `a`, are one colour, called `color`. Returns `None` if there is no position.
+/// `g`, `b` and `a`, form one colour, called `color`. Returns `None` if there is no position.
 pub fn quantities(names: &[String]) -> Option<(Quantity, Vec<Quantity>)> {
     let names: Vec<&str> = names.iter().map(|name| without_unit(name)).collect();
     let mut vectors = HashMap::<_, [Vec<usize>; 3]>::new();
@@ -127,8 +127,8 @@ pub fn quantities(names: &[String]) -> Option<(Quantity, Vec<Quantity>)> {
         |q: &Quantity| names[q.columns[0]].chars().any(|letter| letter.is_ascii_uppercase());
     let position = POSITION.iter().find_map(|position| {
         let called = |q: &Quantity| q.columns.len() == 3 && q.name.eq_ignore_ascii_case(position);
-        // If a file has both `x` and `X`, `x` is the current position, and `X` the reference
-        // configuration.
+        // If a file has both `x` and `X`, `x` is the current position, and `X` is the position in
+        // the reference configuration.
         let all = || all.iter().enumerate().filter(|(_, q)| called(q));
         all().find(|(_, q)| !is_upper(q)).or_else(|| all().next()).map(|(index, _)| index)
     })?;
@@ -175,7 +175,7 @@ fn without_unit(name: &str) -> &str {
 }
 
 /// Splits the name of a vector's component, such as `vel.x`, into its stem `vel.`, its notation and
-/// its axis (here 0). The notation is the name of the first axis: `x`, `X` or `0`.
+/// its axis (here 0). The notation is identified by its name for the first axis: `x`, `X` or `0`.
 fn component(name: &str) -> Option<((&str, char), usize)> {
     let name = name.strip_suffix(']').unwrap_or(name);
     let last = name.chars().next_back()?;

@@ -1,10 +1,11 @@
-//! Reads positions of f16, f32 or f64 from NumPy's .npy.
+//! Reads positions of f16, f32 or f64 from NumPy's .npy files.
 //!
 //! The array has shape (N, 3), (3, N) or, for several frames, (T, N, 3), or is a structured array.
 //! Both byte orders and both orders of axes are supported.
 //!
-//! The header is a Python dictionary. It is parsed by the few rules that NumPy's own writer
-//! follows, because a general parser of Python literals can take hours for a kilobyte of brackets.
+//! The header is a Python dictionary. It is parsed according to the few rules that NumPy's own
+//! writer follows, because a general parser of Python literals can take hours for a kilobyte of
+//! brackets.
 
 use crate::particles::AttributeInfo;
 
@@ -66,17 +67,17 @@ pub fn steps(bytes: ByteView) -> Result<Vec<u64>, ReadFault> {
     Ok(arranged.steps())
 }
 
-/// The contents of the header of an array.
+/// The contents of an array's header.
 pub(super) struct NpyHeader {
     /// The members of an element: a single number, or the numeric members of a structure.
     members: Vec<StructMember>,
-    /// Size of an element in bytes. 0 for types without a fixed size, such as objects.
+    /// Size, in bytes, of an element. 0 for unsupported types, such as objects.
     element_bytes: u64,
     /// The element type in NumPy's notation.
     descr: String,
     pub shape: Vec<u64>,
     fortran: bool,
-    /// Offset of the first element, in bytes from the start of the header.
+    /// Byte offset of the first element from the start of the header.
     pub start: usize,
 }
 
@@ -88,7 +89,7 @@ struct StructMember {
     scalar: Scalar,
     /// The sizes of the axes of the member. Empty for a single number.
     shape: Vec<u64>,
-    /// Offset of the member in bytes from the start of the element.
+    /// Byte offset of the member from the start of the element.
     offset: u64,
 }
 
@@ -170,7 +171,8 @@ impl NpyHeader {
         fields.collect()
     }
 
-    /// Checks that the numbers of field number `field` are floating-point and so may be positions.
+    /// Checks that the numbers of field number `field` are floating-point, and may therefore be
+    /// positions.
     pub fn expect_position(&self, field: usize) -> Result<(), ReadFault> {
         match self.members.get(field).map(|member| member.scalar) {
             Some(Scalar::F16 | Scalar::F32 | Scalar::F64) => Ok(()),
@@ -178,7 +180,7 @@ impl NpyHeader {
         }
     }
 
-    /// The error if the elements are not numbers, with a suggestion.
+    /// The error for elements that cannot be positions, with a suggestion.
     fn no_numbers(&self) -> ReadFault {
         ReadFault::Unsupported(match self.is_pickled() {
             true => "pickled Python objects are not supported; save an array of numbers with \
@@ -227,7 +229,7 @@ impl NpyHeader {
         self.shape.iter().fold(1, |product: u64, &size| product.saturating_mul(size))
     }
 
-    /// Number of bytes of all elements.
+    /// Total size, in bytes, of all elements.
     pub fn data_bytes(&self) -> u64 {
         self.elements().saturating_mul(self.element_bytes)
     }
@@ -239,7 +241,7 @@ impl NpyHeader {
     }
 
     /// The column of component `component` of a field in frame `frame`. The first element is at
-    /// byte `at`. The caller has checked that the data is within the file.
+    /// byte `at`. The caller must have checked that the data is within the file.
     pub fn column(
         &self,
         at: usize,
@@ -265,7 +267,7 @@ impl NpyHeader {
         Column { offset, stride: strides[rows], scalar: member.scalar, endian: member.endian }
     }
 
-    /// Distances in bytes between neighbours along each axis.
+    /// Distances, in bytes, between neighbours along each axis.
     fn strides(&self, member: &StructMember) -> Vec<usize> {
         fn running(bytes: u64, sizes: &[u64], fortran: bool) -> Vec<usize> {
             let mut strides = vec![0; sizes.len()];
@@ -338,7 +340,7 @@ fn structure(descr: &str) -> Option<(Vec<StructMember>, u64)> {
     None
 }
 
-/// Size in bytes of an element type in NumPy's notation, such as `<f4`, `|S5` or `|V8`.
+/// Size, in bytes, of an element type in NumPy's notation, such as `<f4`, `|S5` or `|V8`.
 fn item_bytes(kind: &str) -> Option<u64> {
     let kind = kind.trim_start_matches(['<', '>', '|', '=']);
     let (letter, size) = kind.split_at_checked(1)?;

@@ -24,7 +24,7 @@ use super::{ParticleFile, ReadFault, malformed};
 
 /// Number of bytes that are unpacked per step.
 const CHUNK: u64 = 1 << 18;
-/// Maximum length in bytes of the header of a numeric array.
+/// Maximum length, in bytes, of the header of a numeric array.
 const LONGEST_HEADER: u64 = 1 << 16;
 /// Maximum number of arrays that an error lists.
 const LISTED: usize = 20;
@@ -36,7 +36,7 @@ const LISTED: usize = 20;
 /// the position is the only vector that does not have the name of another quantity. `step` is the
 /// number of a frame.
 ///
-/// Every other numeric array with N rows is an attribute. `vx`, `vy` and `vz` are one attribute.
+/// Every other numeric array with N rows is an attribute. `vx`, `vy` and `vz` form one attribute.
 ///
 /// # Errors
 /// [`ReadFault::Compression`] for a damaged archive or a compression ratio that is too high,
@@ -98,9 +98,9 @@ struct NpzArray {
     /// The index of the array's file in the archive.
     entry: usize,
     header: NpyHeader,
-    /// The offset in bytes of the array's file in the archive. `None` if it is compressed.
+    /// Byte offset of the array's file within the archive. `None` if the array is compressed.
     stored_at: Option<u64>,
-    /// Unpacked size in bytes, including the header.
+    /// Unpacked size, in bytes, including the header.
     bytes: u64,
 }
 

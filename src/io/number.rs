@@ -1,6 +1,6 @@
 //! Parses numbers in text, in the notations of C, Fortran, Python and Microsoft's C library.
 
-/// Maximum length in bytes of a number that is rewritten before parsing. Numbers with a decimal
+/// Maximum length, in bytes, of a number that is rewritten before parsing. Numbers with a decimal
 /// comma or a Fortran exponent are rewritten.
 const LONGEST: usize = 64;
 
@@ -47,7 +47,7 @@ impl ParseNumber for f64 {
 /// f64 represents the digits and the power of ten exactly, so that their product or quotient is the
 /// nearest f64 (Clinger, "How to Read Floating Point Numbers Accurately", 1990).
 fn short(word: &[u8]) -> Option<f64> {
-    /// Maximum number of digits. The integer of these digits is less than 2^53.
+    /// Maximum number of digits. The integer that these digits form is less than 2^53.
     const MOST: usize = 15;
     /// Maximum number of characters besides the digits: a sign, a point, and an exponent (`e`, a
     /// sign and two digits).
@@ -177,7 +177,7 @@ fn is_exponent(digits: &[u8]) -> bool {
     !digits.is_empty() && digits.iter().all(u8::is_ascii_digit)
 }
 
-/// Parses Fortran's exponents: D or Q instead of E, or no letter before three digits.
+/// Parses Fortran's exponents: D or Q instead of E, or no letter before a sign and three digits.
 fn fortran(word: &[u8]) -> Option<f64> {
     let sign = usize::from(matches!(word.first(), Some(b'+' | b'-')));
     let at = sign + word[sign..].iter().position(|b| !b.is_ascii_digit() && *b != b'.')?;

@@ -3,8 +3,8 @@
 //!
 //! Many programs write and read a colour from 0 to 1 after a vertex's position. The format has no
 //! other attributes. A normal belongs to a corner of a face, not to a vertex. [`write_mesh`] gives
-//! each normal the number of its vertex, and [`read_mesh`] keeps normals only if all have the
-//! numbers of their vertices.
+//! each normal the number of its vertex, and [`read_mesh`] keeps normals only if each has the
+//! number of its vertex.
 
 use std::fmt;
 use std::io::{self, Write};
@@ -82,15 +82,16 @@ fn put(out: &mut Vec<u8>, line: fmt::Arguments) {
     out.write_fmt(line).expect("memory takes whatever is written to it");
 }
 
-/// Reads vertices, normals and faces. Polygons are divided into triangles from their first corner.
+/// Reads vertices, normals and faces. Each polygon becomes a fan of triangles around its first
+/// corner.
 ///
-/// Normals are kept only if all have the numbers of their vertices.
+/// Normals are kept only if each has the number of its vertex.
 ///
 /// Texture coordinates, groups, materials, points and lines are ignored.
 ///
 /// # Errors
 /// [`ReadFault::Line`] for an invalid line and for a face with fewer than three corners or an
-/// undefined vertex, [`ReadFault::Unsupported`] for more vertices than a mesh can have.
+/// undefined vertex, and [`ReadFault::Unsupported`] for more vertices than a mesh can have.
 pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
     let mut scan = Scanner::new(bytes, 0);
     let mut reading = ObjMesh { numbered_alike: true, ..ObjMesh::default() };

@@ -80,7 +80,7 @@ impl MeshFormat {
     pub const KNOWN: &'static str =
         ".ply, .obj, .vtk, .vtp, .pvtp, .vtkhdf, .stl, .usdc, .glb, .bgeo.sc, .abc and .vdb";
 
-    /// The format of a file by its extension, in upper or lower case.
+    /// The format that the extension of `path` implies. The case of the extension does not matter.
     #[must_use]
     pub fn of(path: &Path) -> Option<Self> {
         match path.extension()?.to_str()?.to_ascii_lowercase().as_str() {
@@ -117,7 +117,7 @@ impl MeshFormat {
         }
     }
 
-    /// Sets the time of the mesh in seconds, in formats that store it.
+    /// Sets the time of the mesh, in seconds, for formats that store a time.
     #[must_use]
     pub fn at(self, seconds: f64) -> Self {
         match self {
@@ -155,8 +155,8 @@ impl MeshFormat {
 
     /// For each attribute that the file stores under a different name, the attribute's name and the
     /// name in the file. A name changes if the format cannot store it or already uses it.
-    /// Conventions do not count, such as the capitals of .glb, or Houdini's names for velocity and
-    /// colour.
+    /// Conventional names do not count, such as the capitals of .glb, or Houdini's names for
+    /// velocity and colour.
     #[must_use]
     pub fn renamed(self, attributes: &[AttributeInfo], has_normals: bool) -> Vec<[String; 2]> {
         let names = match self {
@@ -186,12 +186,14 @@ impl MeshFormat {
         attributes.iter().filter(is_left_out).cloned().collect()
     }
 
-    /// Number of passes that the writer makes over the vertices or over the triangles of a mesh.
+    /// Number of passes that the writer makes over the vertices of `mesh`, plus the number of
+    /// passes over its triangles.
     pub(crate) fn readings(self, mesh: &dyn MeshSource) -> usize {
         let arrays = 1 + usize::from(mesh.has_normals()) + mesh.attributes().len();
         match self {
             Self::Ply | Self::Obj | Self::Stl => 2,
-            // Reads vertices and triangles once, and then the vertices for the attributes.
+            // Reads vertices and triangles once, and then reads the vertices again for the
+            // attributes.
             Self::Vdb { .. } => 2 + vdb::attribute_readings(&mesh.attributes()),
             // Reads the vertices for each array, up to twice for a colour, and the triangles once.
             Self::BgeoSc => arrays + 2,
@@ -199,7 +201,7 @@ impl MeshFormat {
             Self::Vtk | Self::Vtp | Self::Pvtp | Self::VtkHdf | Self::Usdc(_) => arrays + 1,
             // Reads vertices and triangles once more than other formats, to determine their order.
             Self::Glb(_) => 2 + arrays + 1,
-            // Reads the vertices for each array, and the triangles, twice each.
+            // Reads everything twice: the vertices for each array, and the triangles.
             Self::Abc(_) => 2 * (arrays + 1),
         }
     }
@@ -211,9 +213,9 @@ impl MeshFormat {
     }
 
     /// Whether the writer keeps much of a mesh in memory. A .stl needs the positions of all
-    /// vertices (24 bytes each), a compressed .glb all data to compress, and a .vdb a level set and
-    /// the mesh. An uncompressed .glb needs 4 bytes per vertex. The other formats need a few pieces
-    /// per thread.
+    /// vertices (24 bytes each), a compressed .glb needs all data to compress, and a .vdb needs a
+    /// level set and the mesh. An uncompressed .glb needs 4 bytes per vertex. The other formats
+    /// need a few pieces per thread.
     #[must_use]
     pub fn holds_whole_mesh(self) -> bool {
         let compressed =
@@ -225,7 +227,7 @@ impl MeshFormat {
         }
     }
 
-    /// Maximum number of vertices, and maximum number of triangles.
+    /// Maximum number of vertices, and maximum number of triangles, in a file of this format.
     fn most(self) -> [u64; 2] {
         const I32: u64 = i32::MAX as u64;
         const I64: u64 = i64::MAX as u64;
@@ -242,10 +244,10 @@ impl MeshFormat {
             Self::Stl => [u64::MAX, U32],
             Self::Vdb { .. } => [U32, U32 - 1],
             Self::Usdc(_) => [I32, u64::MAX / 3],
-            // Sizes in bytes have 63 bits. A triangle takes 16 bytes, so triangles take at most
-            // half of the greatest size.
+            // Sizes in bytes have 63 bits. A triangle takes 16 bytes, and this limit lets triangles
+            // take half of the greatest size.
             Self::Abc(_) => [I32, I64 / 32],
-            // A file has at most 4 GiB. Positions take 12 bytes per vertex, and indices 12 bytes
+            // A file takes at most 4 GiB. Positions take 12 bytes per vertex, and indices 12 bytes
             // per triangle.
             Self::Glb(_) => [U32 / 12; 2],
         }
@@ -256,11 +258,11 @@ impl MeshFormat {
         vertices <= most_vertices && triangles <= most_triangles
     }
 
-    /// Checks that the format can store these numbers of vertices and triangles.
+    /// Checks that the format can store `vertices` vertices and `triangles` triangles.
     ///
     /// # Errors
-    /// [`io::ErrorKind::InvalidInput`] if the format cannot store them. The message has the limit,
-    /// and the formats that can store them.
+    /// [`io::ErrorKind::InvalidInput`] if it cannot. The message states the limit, and lists the
+    /// formats that can store the mesh.
     pub fn check_counts(self, vertices: u64, triangles: u64) -> io::Result<()> {
         if self.can_number(vertices, triangles) {
             return Ok(());
@@ -288,8 +290,8 @@ impl MeshFormat {
     /// before anything is written.
     ///
     /// # Panics
-    /// If the number of normals or attributes differs from the number of vertices, the pieces are
-    /// not complete, or a triangle refers to a missing vertex.
+    /// If the number of normals or of values of an attribute does not match the number of vertices,
+    /// the pieces are not complete, or a triangle refers to a missing vertex.
     pub fn write(
         self,
         out: &mut dyn Write,
@@ -316,7 +318,7 @@ impl MeshFormat {
     /// Reads a mesh from the bytes of a file.
     ///
     /// # Errors
-    /// For damaged files, and for unsupported features of the format. It never panics.
+    /// For damaged files, and for unsupported features of the format. This function never panics.
     pub fn read(self, bytes: &[u8]) -> Result<Mesh, ReadFault> {
         match self {
             Self::Ply => ply::read_mesh(bytes),
@@ -335,8 +337,8 @@ impl MeshFormat {
     }
 }
 
-/// Reads the mesh at `path` in the format of its extension. The file may be compressed, with or
-/// without a further extension such as `.gz`.
+/// Reads the mesh at `path` in the format that its extension implies. The file may be compressed,
+/// with or without a further extension such as `.gz`.
 ///
 /// # Errors
 /// The errors of [`MeshFormat::read`], [`ReadFault::Io`] if the file cannot be opened or read, and
@@ -353,7 +355,7 @@ pub fn read_mesh(path: &Path) -> Result<Mesh, ReadError> {
     read.map_err(|fault| ReadError::new(path, fault))
 }
 
-/// A mesh that was opened: in memory, or streamed from its file.
+/// An opened mesh: in memory, or streamed from its file.
 pub enum OpenedMesh {
     /// The whole mesh in memory.
     Whole(Mesh),
@@ -371,11 +373,11 @@ impl OpenedMesh {
     }
 }
 
-/// Bytes of memory per byte of a binary mesh file, for the file's bytes and the resulting mesh.
+/// Memory, in bytes, per byte of a binary mesh file, for the file's bytes and the resulting mesh.
 const BYTES_A_BYTE: u64 = 3;
 
-/// Opens the mesh at `path`. A .ply from this library is streamed if the whole mesh would need more
-/// than `memory` bytes.
+/// Opens the mesh at `path`. A .ply file that this library wrote is streamed if the whole mesh
+/// would need more than `memory` bytes.
 pub fn open_mesh(path: &Path, memory: u64) -> Result<OpenedMesh, ReadError> {
     let large =
         std::fs::metadata(path).is_ok_and(|file| file.len().saturating_mul(BYTES_A_BYTE) > memory);
@@ -438,17 +440,17 @@ impl MeshOutput {
         Ok(Self { file, format })
     }
 
-    /// The format of the extension, or .ply for a pipe or device without one.
+    /// The format that the extension implies, or .ply for a pipe or device without an extension.
     pub fn format(&self) -> MeshFormat {
         self.format
     }
 
-    /// Changes the format by [`MeshFormat::with_layout`].
+    /// Applies [`MeshFormat::with_layout`] to the format.
     pub fn with_layout(self, layout: glb::GlbLayout) -> Self {
         Self { format: self.format.with_layout(layout), ..self }
     }
 
-    /// Changes the format by [`MeshFormat::at`].
+    /// Applies [`MeshFormat::at`] to the format.
     pub fn at(self, seconds: f64) -> Self {
         Self { format: self.format.at(seconds), ..self }
     }
@@ -551,7 +553,7 @@ mod tests {
 
     #[test]
     fn pieces_of_any_size_read_back_as_the_mesh_with_unique_vertices() {
-        // An octahedron whose vertices each belong to four triangles, in no order.
+        // An octahedron whose vertices each belong to four triangles, in no particular order.
         let corner = |axis: usize, sign: f64| -> [f64; 3] {
             std::array::from_fn(|k| if k == axis { sign } else { 0.0 })
         };

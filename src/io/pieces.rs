@@ -115,8 +115,8 @@ impl Pieces {
         Ok(all)
     }
 
-    /// Adds an attribute with one value for all particles, unless there is an attribute with this
-    /// name.
+    /// Adds an attribute with one value for all particles, unless an attribute with this name
+    /// exists.
     fn with_constant(mut self, name: &str, value: f32) -> Self {
         if self.infos.iter().all(|info| info.name != name) {
             self.infos.push(AttributeInfo::new(name, 1));
@@ -125,8 +125,8 @@ impl Pieces {
         self
     }
 
-    /// Removes the particles whose scalar attribute `flags` is not 0, and then the attribute.
-    /// Returns the number of removed particles.
+    /// Removes the particles whose scalar attribute number `flags` is nonzero, and then removes
+    /// this attribute. Returns the number of removed particles.
     pub(super) fn leave_out(&mut self, flags: usize) -> usize {
         let (mut spans, mut len) = (Vec::new(), 0);
         let mut values = vec![0.0; FLAGS];
@@ -220,8 +220,8 @@ impl Pieces {
         self.stores.iter().map(ColumnStore::scratch_bytes).sum()
     }
 
-    /// Whether attribute number `index` is a colour that this piece stores as bytes, and another
-    /// piece as fractions.
+    /// Whether attribute number `index` is a colour that `piece` stores as bytes, and another piece
+    /// as fractions.
     fn is_byte_among_shares(&self, piece: usize, index: usize) -> bool {
         let Source::Attribute(number) = self.sources[piece][index] else { return false };
         let stored = &self.stores[piece].attributes()[number];
@@ -239,8 +239,8 @@ impl Pieces {
         }
     }
 
-    /// Calls `take` for each span within `range`, clipped to `range`. `take` gets the span, its
-    /// number of particles, and the offset of its first particle from the start of `range`.
+    /// Calls `take` for each span within `range`, clipped to `range`. Passes the span, its number
+    /// of particles, and the offset of its first particle from the start of `range`.
     fn each_span(&self, range: Range<usize>, mut take: impl FnMut(Span, usize, usize)) {
         assert!(range.end <= self.len, "particles {range:?} of {}", self.len);
         let mut first = range.start;
@@ -255,13 +255,13 @@ impl Pieces {
     }
 }
 
-/// Joins files to one set of particles, in order, with the attributes that all of them have. The
+/// Joins files into one set of particles, in order, with the attributes that all of them have. The
 /// first file determines the format, the unit and the types of particles.
 ///
-/// If the files have different spacings, like the zones of a simulation with variable
-/// resolution, each particle gets the spacing of its file as the attribute `spacing`. This also
-/// happens if `wanted` selects only some of the files. In both cases, every file with particles
-/// must have a spacing.
+/// If the files have different spacings, like the zones of a simulation with variable resolution,
+/// each particle gets the spacing of its file as the attribute `spacing`. This also happens if
+/// `wanted` selects only some of the files. In both cases, particles get this attribute only if
+/// every file with particles has a spacing.
 ///
 /// # Errors
 /// The number of the first file that cannot be joined with the files before it, and the reason.
@@ -347,7 +347,7 @@ fn same(a: &AttributeInfo, b: &AttributeInfo) -> bool {
     (&a.name, a.components) == (&b.name, b.components)
 }
 
-/// For each attribute of `infos`, the number of the same attribute in `own`.
+/// For each attribute of `infos`, the index of the same attribute in `own`.
 fn same_attributes(
     infos: &[AttributeInfo],
     own: &[AttributeInfo],

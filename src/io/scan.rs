@@ -1,4 +1,4 @@
-//! Scans lines, words and numbers of text, also in files that contain binary data.
+//! Scans text for lines, words and numbers, even in files that also contain binary data.
 
 use std::borrow::Cow;
 use std::ops::Range;
@@ -7,11 +7,11 @@ use super::bytes::{ByteView, Slice};
 use super::number::ParseNumber;
 use super::{ReadFault, malformed};
 
-/// Maximum length of a header's line in bytes, so that binary data is detected early.
+/// Maximum length, in bytes, of a line in a header. This limit detects binary data early.
 const LONGEST_LINE: usize = 64 << 10;
 /// Number of bytes that are first searched for the end of a line.
 const SHORT_LINE: usize = 1 << 8;
-/// Number of bytes after which memory is released.
+/// Number of scanned bytes after which their memory is released.
 const PASSED: usize = 1 << 20;
 
 /// A position in a text, which moves only forward.
@@ -54,7 +54,7 @@ impl<'a> Scanner<'a> {
         }
     }
 
-    /// The position in bytes from the start of the file.
+    /// The position, as a byte offset from the start of the file.
     pub fn at(&self) -> usize {
         self.at
     }
@@ -64,7 +64,7 @@ impl<'a> Scanner<'a> {
         &self.bytes[self.at..]
     }
 
-    /// Skips `count` bytes, which contain `what`.
+    /// Skips `count` bytes. In an error, `what` describes them.
     ///
     /// # Errors
     /// [`ReadFault::Truncated`] if fewer bytes remain.
@@ -123,7 +123,7 @@ impl<'a> Scanner<'a> {
     }
 
     /// Returns an error if `count` numbers cannot fit in the remaining bytes. Every number except
-    /// the last takes at least two bytes, with the space after it.
+    /// the last takes at least two bytes, including the space after it.
     pub fn expect_numbers(&self, count: usize, what: &str) -> Result<(), ReadFault> {
         let needed = count.saturating_mul(2).saturating_sub(1);
         self.clone().skip(needed, what)
@@ -140,7 +140,8 @@ fn ends(text: &[u8]) -> u64 {
     text.iter().filter(|&&b| b == b'\n').count() as u64
 }
 
-/// A position in a file that may contain lines and blocks of binary data. It moves only forward.
+/// A position in a file that may contain lines and blocks of binary data. The position moves only
+/// forward.
 #[derive(Debug, Clone)]
 pub struct Lines<'a> {
     bytes: ByteView<'a>,
@@ -153,7 +154,7 @@ impl<'a> Lines<'a> {
         Self { bytes, at: at.min(bytes.len()) }
     }
 
-    /// The position in bytes from the start of the file.
+    /// The position, as a byte offset from the start of the file.
     pub fn at(&self) -> usize {
         self.at
     }
@@ -167,7 +168,7 @@ impl<'a> Lines<'a> {
         self.bytes.read(self.at..self.bytes.len().min(self.at.saturating_add(count)))
     }
 
-    /// Skips `count` bytes, which contain `what`.
+    /// Skips `count` bytes. In an error, `what` describes them.
     ///
     /// # Errors
     /// [`ReadFault::Truncated`] if fewer bytes remain.
@@ -235,8 +236,8 @@ impl<'a> Lines<'a> {
         Err(malformed(self.at, "expected a line of text"))
     }
 
-    /// An error in the line that contains byte `at`, or the error of reading the file up to this
-    /// byte.
+    /// An error in the line that contains byte `at`, or the error if the file cannot be read up to
+    /// this byte.
     pub fn fault(&self, at: usize, what: String) -> ReadFault {
         let pieces = (0..at).step_by(LONGEST_LINE).map(|start| start..at.min(start + LONGEST_LINE));
         let counted =

@@ -1,7 +1,7 @@
 //! Finds the spacing of the particles and the walls of their tank in a simulator's scene file.
 //!
 //! The scene file is in the folder of the frames or its parent folder. SPlisHSPlasH's scene is JSON
-//! with the particle radius, which is half of the spacing. Its tank is a box-shaped wall.
+//! with the particle radius, which is half the spacing. Its tank is a box-shaped wall.
 //! DualSPHysics' case is XML with the spacing `dp`. Its tank is the largest box of boundary
 //! particles. The tank has walls at the faces that the case fills with particles.
 
@@ -28,8 +28,8 @@ struct SceneFacts {
 
 /// The spacing of the particles at `path`, and the path of the scene file that contains it.
 ///
-/// Tries the .json and .xml files in the folder of `path` in the order of their names, then those
-/// in the parent folder. Invalid files and files with other contents are skipped.
+/// Tries the .json and .xml files in the folder of `path`, sorted by name, and then those in the
+/// parent folder. Invalid files and files with other contents are skipped.
 pub fn spacing_beside(path: &Path) -> Option<(f64, PathBuf)> {
     scene_beside(path).map(|(scene, path)| (scene.spacing, path))
 }
@@ -100,8 +100,8 @@ fn walls_of(lo: [f64; 3], size: [f64; 3]) -> Option<Walls> {
 }
 
 /// Reads a scene of SPlisHSPlasH. The spacing is twice `Configuration.particleRadius`, and the tank
-/// is the body that is a wall. The tank is `None` if several bodies are walls, or if the wall is
-/// not a box, is rotated or moves.
+/// is the body that is a wall. The tank is `None` unless exactly one body is a wall, and this wall
+/// is a box that is neither rotated nor moving.
 fn splishsplash(json: &[u8]) -> Option<SceneFacts> {
     #[derive(Deserialize)]
     #[serde(rename_all = "PascalCase")]
@@ -197,7 +197,7 @@ fn dualsphysics(xml: &[u8]) -> Option<SceneFacts> {
 struct CaseBoxes {
     /// Whether the current commands draw boundary particles.
     is_boundary: bool,
-    /// Whether a command transforms boxes. Then, the walls of the tank are unknown.
+    /// Whether a command transforms boxes. If so, the walls of the tank are unknown.
     is_moved: bool,
     is_fill: bool,
     fill: String,

@@ -1,7 +1,7 @@
-//! Lists of a simulation's frames, for other programs.
+//! Writes lists of a simulation's frames for other programs.
 //!
-//! The lists are rewritten as frames are finished, each completely or not at all, so that a viewer
-//! can show the frames before the conversion ends. For frames `pool_1.vtp`, `pool_2.vtp` and so on:
+//! The lists are replaced atomically as frames are finished, so that a viewer can show the frames
+//! before the conversion ends. For frames `pool_1.vtp`, `pool_2.vtp` and so on:
 //!
 //! | meshes | files next to them |
 //! |---|---|
@@ -51,7 +51,7 @@ pub struct SeriesFrame {
     pub vertices: u64,
     /// Number of triangles of the mesh.
     pub triangles: u64,
-    /// The mesh's bounding box as programs show it. `None` for an empty mesh.
+    /// The mesh's bounding box as other programs show it. `None` for an empty mesh.
     pub bounds: Option<Corners>,
     /// Whether the vertices have normals.
     pub normals: bool,
@@ -68,7 +68,7 @@ pub struct Series {
     pub simulation: PathBuf,
     /// Frames per second, if the frame rate is known.
     pub fps: Option<f64>,
-    /// The up axis of the meshes as programs show them.
+    /// The up axis of the meshes as other programs show them.
     pub up: UpAxis,
 }
 
@@ -81,7 +81,7 @@ struct FrameTime {
     code: f64,
 }
 
-/// The up axis and the files' names in a .json list of frames.
+/// The up axis and the file names in a .json list of frames.
 #[derive(Deserialize)]
 struct Listing {
     up: String,
@@ -93,7 +93,7 @@ struct ListedFile {
     file: String,
 }
 
-/// Maximum size in bytes of a .json list that is read. It allows about 200,000 frames.
+/// Maximum size, in bytes, of a .json list that is read. It allows about 200,000 frames.
 const LARGEST_LISTING: u64 = 64 << 20;
 
 /// The up axis that a .json list next to a mesh records. `None` without such a list.
@@ -151,7 +151,7 @@ impl Series {
     }
 
     /// Writes the files that list `frames` (such as `.json` and `.pvd`), and replaces earlier ones.
-    /// The frames must be in the order of their numbers.
+    /// The frames must be sorted by number.
     ///
     /// # Errors
     /// If a file cannot be written or replaced.
@@ -165,8 +165,8 @@ impl Series {
         Ok(())
     }
 
-    /// The times of `frames` in seconds. `frames` must be in the order of their numbers. If neither
-    /// the times nor the frame rate are known, the frame rate is [`FRAMES_A_SECOND`].
+    /// The times of `frames` in seconds. `frames` must be sorted by number. If neither the times
+    /// nor the frame rate are known, the frame rate is [`FRAMES_A_SECOND`].
     #[must_use]
     pub fn times(&self, frames: &[SeriesFrame]) -> Vec<f64> {
         let rate = self.codes_a_second();

@@ -11,7 +11,7 @@ use super::ReadError;
 use super::frame_files::files_of;
 use super::input::file_and_step;
 
-/// Sizes, times and names of an input's files, and its frame number.
+/// A summary of the sizes, times and names of an input's files, and of its frame number.
 ///
 /// A stamp distinguishes an input from other inputs and from its earlier versions.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -26,7 +26,8 @@ pub struct Stamp {
 }
 
 impl Stamp {
-    /// The stamp of the input at `path`: of its file and of the frame's other pieces that exist.
+    /// The stamp of the input at `path`, which covers its file and the frame's other existing
+    /// pieces.
     ///
     /// # Errors
     /// [`ReadError`] with the file that is missing or cannot be accessed.
@@ -62,7 +63,7 @@ impl Stamp {
     }
 }
 
-/// The identity of a file, equal for all paths of this file.
+/// The identity of a file, which is equal for all paths to this file.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub enum Identity {
     /// An existing file.
@@ -98,7 +99,7 @@ mod tests {
 
     use super::*;
 
-    /// Writes a file with a modification time in seconds.
+    /// Writes a file, and sets its modification time to `seconds` after the start of 1970.
     fn write(path: PathBuf, bytes: &[u8], seconds: u64) -> PathBuf {
         fs::write(&path, bytes).unwrap();
         File::options()

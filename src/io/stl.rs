@@ -2,8 +2,8 @@
 //! binary and text files are read.
 //!
 //! The format has no shared vertices, so the reader merges corners with exactly equal coordinates.
-//! No other part of the library identifies vertices by position. If a mesh touches itself, reading
-//! joins it there. Binary coordinates are f32, and there are no attributes.
+//! No other part of the library identifies vertices by position. If a mesh touches itself, the
+//! reader joins it there. Binary coordinates are f32, and there are no attributes.
 //!
 //! The writer keeps the positions of all vertices in memory, 24 bytes each, unless the mesh already
 //! does.
@@ -28,18 +28,18 @@ use super::{CoordinateWidth, ReadFault, malformed};
 const TITLE: &[u8; 80] =
     b"binary STL, written by meniscus                                                 ";
 
-/// Number of bytes of the title and the count of triangles.
+/// Size, in bytes, of the title and the triangle count.
 const HEADER: usize = TITLE.len() + 4;
 
-/// Number of bytes of a triangle: a normal, three corners, and an unused number.
+/// Size of a triangle in bytes: a normal, three corners, and an unused number.
 const RECORD: usize = 50;
 
-/// Writes the triangles in binary, with their normals. Triangles without area have the normal zero.
+/// Writes the triangles in binary, with their normals. Triangles without area have a zero normal.
 /// The coordinates are always f32.
 ///
 /// # Errors
-/// The errors of `mesh` and `out`. Before anything is written, [`io::ErrorKind::OutOfMemory`] if
-/// the positions do not fit in memory.
+/// The errors of `mesh` and `out`, and [`io::ErrorKind::OutOfMemory`] if the positions do not fit
+/// in memory. The latter occurs before anything is written.
 ///
 /// # Panics
 /// Like [`MeshFormat::write`](crate::io::output::MeshFormat::write).
@@ -77,7 +77,7 @@ pub fn write_mesh(
 pub fn merged_vertices(mesh: &dyn MeshSource) -> io::Result<u64> {
     let positions =
         mesh.whole_positions().map_or_else(|| gathered(mesh).map(Cow::Owned), |p| Ok(p.into()))?;
-    // Adding 0 turns the negative zero into the positive zero.
+    // Adding 0 turns negative zero into positive zero.
     let mut places: Vec<[u32; 3]> =
         positions.par_iter().map(|position| position.map(|x| (x as f32 + 0.0).to_bits())).collect();
     drop(positions);

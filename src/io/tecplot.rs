@@ -14,7 +14,7 @@ use super::text::{LinePlace, TextLines, decode_windows};
 use super::windows::{InputBytes, Windows};
 use super::{ParticleFile, ReadFault};
 
-/// Bytes of a number.
+/// Size of a number in bytes.
 const WIDTH: usize = size_of::<f64>();
 
 /// Maximum number of zones that a message lists.
@@ -73,7 +73,7 @@ fn keyword(line: &str) -> Option<(&'static str, &str)> {
     Some((known, line[word.len()..].trim_start()))
 }
 
-/// Reads the zone of a file with a single zone.
+/// Reads the only zone of a file.
 ///
 /// # Errors
 /// [`ReadFault::Unsupported`] if the order of values is not specified. [`ReadFault::Line`] for
@@ -161,7 +161,7 @@ pub(super) fn read(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, R
             }
         }
     };
-    // If the header gives no number of points, the values can only be point by point.
+    // If the header gives no number of points, the values must be ordered point by point.
     let packing = match (zone.packing, zone.points[0]) {
         (Some(packing), _) => packing,
         (None, None) => ZonePacking::Point,
@@ -194,7 +194,7 @@ fn is_number(word: &str) -> bool {
     f64::of(word.as_bytes()).is_some()
 }
 
-/// Parses the names of variables, which are quoted or separated by blanks or commas.
+/// Parses the names of variables, which are quoted or separated by spaces, tabs or commas.
 fn variables(text: &str) -> Vec<String> {
     let mut names = Vec::new();
     let mut rest = text;
@@ -292,7 +292,7 @@ fn zones_of(source: &InputBytes) -> Result<Vec<String>, ReadFault> {
 }
 
 /// Decodes the numbers of a range. If another zone starts within the range, returns the number of
-/// its line.
+/// its first line as the inner error.
 fn decode(
     source: &InputBytes,
     range: Range<usize>,

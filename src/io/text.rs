@@ -13,20 +13,20 @@ use super::scan::Scanner;
 use super::windows::{InputBytes, Windows};
 use super::{ReadFault, malformed};
 
-/// Bytes per read when lines are skipped.
+/// Number of bytes per read when lines are read or skipped, and when UTF-16 is converted.
 const WINDOW: usize = 1 << 18;
-/// Maximum length in bytes of a line in a header.
+/// Maximum length, in bytes, of a line in a header.
 const LONGEST_LINE: usize = 1 << 16;
 /// Byte order mark of UTF-8.
 const UTF8: &[u8] = b"\xef\xbb\xbf";
-/// Byte order marks of UTF-16, with the byte order that each of them marks.
+/// Byte order marks of UTF-16, with the byte order that each one indicates.
 const UTF16: [([u8; 2], Endian); 2] = [([0xff, 0xfe], Endian::Little), ([0xfe, 0xff], Endian::Big)];
 
 /// Minimum size of a piece in bytes.
 const PIECE: usize = 1 << 16;
 /// Number of bytes that are searched at once for the end of a piece.
 const LOOKED_AT: usize = 1 << 12;
-/// Number of pieces per thread that are decoded before memory is released.
+/// Number of pieces per thread that are decoded before their memory is released.
 const PIECES: usize = 4;
 
 /// Divides a `range` of `source` into pieces, decodes the pieces on all threads, and passes the
@@ -71,7 +71,7 @@ pub(super) fn decode_windows<T: Send>(
     };
     let decode = |piece: Range<usize>| source.with(piece, &decode);
     let decoded = in_pieces(range, end_from, decode, take, |done| source.release(done));
-    // A failed read returned zeros, so the result is only valid if this check succeeds.
+    // A failed read returned zeros, so the result is valid only if this check succeeds.
     source.check().map_err(ReadFault::from)?;
     decoded
 }
@@ -106,7 +106,7 @@ fn in_pieces<T: Send>(
     Ok(())
 }
 
-/// Decodes the numbers of the text in range `text` of `source`, and appends them as little-endian
+/// Decodes the numbers in the range `text` of `source`, and appends them to `out` as little-endian
 /// f64.
 ///
 /// # Errors
@@ -134,11 +134,11 @@ pub(super) fn decode_numbers(
     })
 }
 
-/// Converts UTF-16 with a byte order mark to UTF-8. Returns other texts unchanged.
+/// Converts UTF-16 with a byte order mark to UTF-8. Returns other text unchanged.
 ///
 /// # Errors
-/// [`ReadFault::Malformed`] for an incomplete character at the end, and errors of reading the text
-/// or of writing the scratch file.
+/// [`ReadFault::Malformed`] for an incomplete character at the end, and errors from reading the
+/// text or writing the scratch file.
 pub(super) fn utf8(bytes: Bytes, unpacking: Unpacking) -> Result<Bytes, ReadFault> {
     let view = bytes.view();
     let mark = view.read(0..view.len().min(2))?;
@@ -158,8 +158,8 @@ pub(super) fn utf8(bytes: Bytes, unpacking: Unpacking) -> Result<Bytes, ReadFaul
     for at in (2..view.len()).step_by(WINDOW) {
         let end = view.len().min(at + WINDOW);
         units.extend(view.read(at..end)?.as_chunks().0.iter().map(|&bytes| unit(bytes)));
-        // If the window ends with the first half of a surrogate pair, decodes it with the next
-        // window.
+        // If the window ends with the first half of a surrogate pair, this half is decoded with the
+        // next window.
         let waits = end < view.len() && matches!(units.last(), Some(0xd800..0xdc00));
         let half = if waits { units.pop() } else { None };
         let decoded: String = char::decode_utf16(units.drain(..))
@@ -175,7 +175,7 @@ pub(super) fn utf8(bytes: Bytes, unpacking: Unpacking) -> Result<Bytes, ReadFaul
 /// The position of the start of a line.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct LinePlace {
-    /// Bytes from the start of the text.
+    /// Byte offset from the start of the text.
     pub at: usize,
     /// Number of lines above this line.
     pub lines_above: u64,
@@ -226,10 +226,12 @@ impl<'a> TextLines<'a> {
         Ok(&self.window[self.at - self.window_at..])
     }
 
-    /// Reads a line without its line end and surrounding blanks. `None` if only blank lines remain.
+    /// Reads a line without its line end and surrounding white space. `None` if only blank lines
+    /// remain.
     ///
     /// # Errors
-    /// [`ReadFault::Line`] for a line that is too long for a header, and errors of reading.
+    /// [`ReadFault::Line`] for a line that is too long for a header, and errors from reading the
+    /// text.
     pub fn line(&mut self) -> Result<Option<String>, ReadFault> {
         let mut line = Vec::new();
         let start = self.at;
@@ -257,7 +259,7 @@ impl<'a> TextLines<'a> {
     /// Skips `count` lines, or fewer at the end of the text. Returns the number of skipped lines.
     ///
     /// # Errors
-    /// Errors of reading.
+    /// Errors from reading the text.
     pub fn skip(&mut self, count: u64) -> Result<u64, ReadFault> {
         let mut skipped = 0;
         // Whether bytes of a line without a line end were skipped.

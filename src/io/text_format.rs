@@ -7,8 +7,8 @@
 //! | XYZ | a first line that contains only the number of particles | its frames, numbered from 0 |
 //! | table | anything else | one |
 //!
-//! If the caller names a format, nothing is detected. UTF-16 with a byte order mark is decoded
-//! first.
+//! If the caller names a format, no other format is detected, except that XYZ may turn out to be a
+//! table or raw numbers. UTF-16 with a byte order mark is decoded first.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -34,17 +34,18 @@ enum TextFormat {
     Table,
 }
 
-/// The caller's knowledge of the format before the content is read.
+/// What the caller knows about the format before the content is read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TextHint {
-    /// The format of the file's extension. The content may turn out to be in another format.
+    /// The format that the file's extension implies. The content may turn out to be in another
+    /// format.
     Extension(Option<InputFormat>),
     /// The format that the caller named.
     Named(InputFormat),
 }
 
 impl TextHint {
-    /// The format that the caller named, or else the format of the extension.
+    /// The format that the caller named, or else the format that the extension implies.
     pub fn of(path: &Path, named: Option<InputFormat>) -> Self {
         named.map_or_else(|| Self::Extension(InputFormat::of(path)), Self::Named)
     }
@@ -83,8 +84,8 @@ impl TextFormat {
         })
     }
 
-    /// Skips one frame and returns its number. `before` is the number of frames above. `None` at
-    /// the end.
+    /// Skips one frame and returns its number. `before` is the number of frames above it. Returns
+    /// `None` at the end of the text.
     fn pass(self, lines: &mut TextLines, before: u64) -> Result<Option<u64>, ReadFault> {
         match self {
             Self::Lammps => lammps::pass(lines),
@@ -98,7 +99,7 @@ impl TextFormat {
 #[derive(Debug)]
 struct Frames {
     format: TextFormat,
-    /// Number and place of each frame, in the order of the file.
+    /// Number and place of each frame, in file order.
     all: Vec<(u64, LinePlace)>,
     /// Where the invalid part of the text starts. `None` if the text is valid.
     broken: Option<LinePlace>,
@@ -144,8 +145,7 @@ impl Frames {
     }
 
     /// The place of frame number `step`. Without `step`, the text must have a single frame. If the
-    /// text has an invalid line, a frame above this line is found by its number, but not without
-    /// `step`.
+    /// text has an invalid line, only frames above this line are found, and only by their numbers.
     fn find(&self, view: ByteView, step: Option<u64>) -> Result<LinePlace, ReadFault> {
         let found = match step {
             Some(step) => self.all.iter().find(|(number, _)| *number == step),
@@ -190,15 +190,15 @@ fn decoded(bytes: Bytes, hint: TextHint, unpacking: Unpacking) -> Result<Bytes, 
     utf8(bytes, unpacking)
 }
 
-/// Reads the frame with the given step of a text file. Without a step, the file must have a single
-/// frame. In an .xyz, bytes that are not text are read as raw little-endian f32 triples.
+/// Reads frame number `step` of a text file. Without `step`, the file must have a single frame. In
+/// an .xyz, bytes that are not text are read as raw little-endian f32 triples.
 ///
-/// The places of frames are cached for a file with its stamp, so that a later call can read a frame
-/// without scanning the frames above it.
+/// The places of frames are cached by the file's path and stamp, so that a later call can read a
+/// frame without scanning the frames above it.
 ///
 /// # Errors
-/// [`ReadFault::Line`] for an invalid line, [`ReadFault::Unsupported`] for a missing step if there
-/// are several frames and for a step that does not exist, [`ReadFault::Malformed`] for raw bytes
+/// [`ReadFault::Line`] for an invalid line, [`ReadFault::Unsupported`] if there are several frames
+/// but no step is given, and for a step that does not exist, [`ReadFault::Malformed`] for raw bytes
 /// that are not complete triples, and [`ReadFault::Scratch`] if the scratch file cannot be written.
 pub fn read_particles(
     bytes: Bytes,
@@ -243,7 +243,8 @@ pub fn read_particles(
     }
 }
 
-/// The numbers of the frames in a file, in ascending order. Empty if the format has a single frame.
+/// The numbers of the frames in a file, in ascending order. Empty if files of the format contain a
+/// single frame.
 ///
 /// # Errors
 /// [`ReadFault::Line`] for an invalid line in a format with several frames.

@@ -1,5 +1,5 @@
 //! Helpers for readers of formats that contain either particles or a mesh. They convert columns of
-//! vertices and polygons.
+//! vertices into particles or a mesh, and polygons into triangles.
 
 use crate::particles::{AttributeInfo, Particles, velocity_attribute};
 use crate::surface::mesh::{Mesh, VertexAttribute};
@@ -8,9 +8,9 @@ use super::bytes::{Bytes, PrivateBytes};
 use super::columns::{Column, ColumnStore, Endian, ParticleRows, Scalar};
 use super::{ParticleFile, ReadFault, malformed};
 
-/// The vertices of a file, checked against its size.
+/// The vertices of a file, whose number has been checked against the file's size.
 pub(super) struct FileVertices {
-    /// Decoded columns of little-endian f64, if the file is text.
+    /// The decoded data to which the columns refer. `None` if they refer to the file itself.
     pub decoded: Option<PrivateBytes>,
     pub count: usize,
     pub position: [Column; 3],
@@ -28,7 +28,7 @@ impl FileVertices {
         ParticleFile::new(particles, format)
     }
 
-    /// Makes a mesh of the vertices and `triangles`.
+    /// Makes a mesh from the vertices and `triangles`.
     pub fn into_mesh(self, bytes: &[u8], triangles: Vec<[u32; 3]>) -> Mesh {
         let bytes = self.decoded.as_deref().unwrap_or(bytes);
         let normals = self.normals.map(|index| self.attributes[index].0.name.clone());
@@ -161,7 +161,8 @@ pub(super) fn integer(scalar: Scalar, endian: Endian, bytes: &[u8]) -> Option<i6
         Scalar::I32 => chunk4().map(|value| i64::from(value as i32)),
         Scalar::U32 => chunk4().map(i64::from),
         Scalar::I64 => chunk8().map(|value| value as i64),
-        // Counts and indices beyond i64 are invalid. The result is -1, which every caller rejects.
+        // Counts and indices beyond i64 are invalid. The result is -1, which is also invalid as a
+        // count or an index.
         Scalar::U64 => chunk8().map(|value| i64::try_from(value).unwrap_or(-1)),
         Scalar::F16 | Scalar::F32 | Scalar::F64 => None,
     }

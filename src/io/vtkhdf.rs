@@ -15,12 +15,12 @@ use super::vtp::arrays::{Array, point_data, points, polygons};
 
 /// HDF5's undefined address.
 const NOWHERE: u64 = u64::MAX;
-/// Number of bytes of the superblock.
+/// Size of the superblock in bytes.
 const SUPERBLOCK: u64 = 96;
 
 /// Writes `mesh` with all of its attributes, little-endian.
 ///
-/// Points are f32 or f64 by `width`, and indices have 32 bits if they fit.
+/// Points are f32 or f64 according to `width`. Indices have 32 bits if they fit, and otherwise 64.
 ///
 /// A slash in a name, which HDF5 reserves for paths, becomes an underscore.
 ///
@@ -122,7 +122,8 @@ fn set(array: Array<'static>) -> Node {
     let components = array.components as u64;
     let shape = match components {
         1 => vec![array.length],
-        // An array of tuples has two axes. With 0 components, the number of rows is still needed.
+        // An array of tuples has two axes. `max` avoids a division by 0 for arrays with 0
+        // components.
         _ => vec![array.length / components.max(1), components],
     };
     Node::Set { scalar: array.scalar(), shape, data: DatasetContent::Array(array) }
@@ -173,12 +174,12 @@ impl Node {
         }
     }
 
-    /// Number of bytes of this object's header.
+    /// Size of this object's header in bytes.
     fn own_bytes(&self) -> u64 {
         self.messages(&vec![0; self.links().len().max(1)]).len() as u64
     }
 
-    /// Number of bytes of this object's header and of the headers of all objects below it.
+    /// Size, in bytes, of this object's header and of the headers of all objects below it.
     fn header_bytes(&self) -> u64 {
         self.own_bytes() + self.links().iter().map(|(_, node)| node.header_bytes()).sum::<u64>()
     }
@@ -191,7 +192,7 @@ impl Node {
     }
 
     /// Appends the header of this object at address `at`, and then the headers of all objects below
-    /// it. `data` is the next free address for data, and is advanced.
+    /// it. `data` is the next free address for data, which this function advances.
     fn encode(&self, at: u64, data: &mut u64, out: &mut Vec<u8>) {
         let bytes = self.data_bytes();
         let addresses = match self {
@@ -213,7 +214,7 @@ impl Node {
         }
     }
 
-    /// Writes the data of this object and of all objects below it, in the order of
+    /// Writes the data of this object and of all objects below it, in the same order as
     /// [`encode`](Self::encode).
     fn write_data(&self, out: &mut CountingOutput, mesh: &dyn MeshSource) -> io::Result<()> {
         match self {
@@ -305,7 +306,7 @@ fn dataspace(shape: &[u64]) -> Vec<u8> {
     space
 }
 
-/// The message of a number type: IEEE 754 or two's complement, little-endian.
+/// The header message that describes a number type: IEEE 754 or two's complement, little-endian.
 fn datatype(scalar: Scalar) -> Vec<u8> {
     let size = scalar.size() as u8;
     let float = |sign: u8, exponent_at: u8, exponent: u8, bias: u16| {

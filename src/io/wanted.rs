@@ -12,7 +12,7 @@ use super::input_format::InputFormat;
 use super::{ParticleFile, ReadFault};
 
 /// Names of the array in which VTK flags points or cells that are copies or hidden. VTK before
-/// version 6.3 uses the second name, and stores levels of copies in it.
+/// version 6.3 uses the second name, and stores levels of copies in that array.
 pub(super) const GHOSTS: [&str; 2] = ["vtkGhostType", "vtkGhostLevels"];
 /// Name of the array in which PySPH flags copies of particles.
 pub(super) const TAG: &str = "tag";
@@ -67,9 +67,9 @@ pub enum WantedAttributes<'a> {
     /// All attributes.
     #[default]
     All,
-    /// Some attributes, and the attributes that conditions test.
+    /// The named attributes, the attributes that conditions test, and those that give sizes.
     Only {
-        /// Names for [`attribute_called`]. `None` requests the velocity.
+        /// Names of attributes, which [`attribute_called`] finds. `None` requests the velocity.
         names: Option<&'a [String]>,
         /// Conditions by which particles are selected.
         conditions: &'a [Where],
@@ -174,10 +174,10 @@ impl ParticleFile {
         Ok(self)
     }
 
-    /// Returns an error if all particles of the file fail a condition.
+    /// Returns the file, or an error if every particle fails a condition.
     ///
     /// # Errors
-    /// [`ReadFault::Selection`] in that case.
+    /// [`ReadFault::Selection`] if every particle fails a condition.
     pub fn with_some(mut self) -> Result<Self, ReadFault> {
         self.none_selected.take().map_or(Ok(self), |fault| Err(ReadFault::Selection(fault)))
     }
@@ -187,7 +187,7 @@ impl ParticleFile {
         GHOSTS.iter().fold(self, |file, flag| file.without(flag))
     }
 
-    /// Removes the particles whose attribute `flag` is not 0, and then removes that attribute.
+    /// Removes the particles whose attribute `flag` is nonzero, and then removes that attribute.
     pub(super) fn without(mut self, flag: &str) -> Self {
         let is_it = |info: &AttributeInfo| info.name == flag && info.components == 1;
         if let Some(index) = self.particles.attributes().iter().position(is_it) {

@@ -104,8 +104,8 @@ impl WholeFile {
         }
     }
 
-    /// Writes the file with `content`, waits until it is on disk, and renames it. Returns its size
-    /// in bytes.
+    /// Writes the temporary file with `content`, waits until it is on disk, and renames it to its
+    /// final path. Returns its size in bytes.
     pub fn write(
         self,
         content: impl FnOnce(&mut dyn Write) -> io::Result<()>,
@@ -180,7 +180,8 @@ impl FilledFile {
         self.bytes
     }
 
-    /// Waits until the file is on disk, and renames it. Returns its size in bytes.
+    /// Waits until the file is on disk, and renames it to its final path. Returns its size in
+    /// bytes.
     ///
     /// # Errors
     /// [`WriteFault::Io`] if the file cannot be synced or renamed, and [`WriteFault::Exists`] if a
@@ -217,8 +218,9 @@ pub fn replace_small(path: &Path, content: &[u8]) -> io::Result<()> {
     Ok(())
 }
 
-/// Removes temporary files of killed processes in `folder`. Temporary files of running processes
-/// are locked, even if the process runs on another machine that shares the folder, and stay.
+/// Removes temporary files that killed processes left in `folder`. Temporary files of running
+/// processes stay, because they are locked. This includes processes on other machines that share
+/// the folder.
 pub fn sweep(folder: &Path) {
     let Ok(entries) = fs::read_dir(folder) else { return };
     for path in entries.filter_map(|entry| Some(entry.ok()?.path())) {
@@ -287,7 +289,7 @@ fn belongs_to(folder: &Path) -> Option<PathBuf> {
     file.ends_with(SUFFIX).then(|| folder.with_file_name(file))
 }
 
-/// Looks up the file at `path`, through links; `None` if it does not exist.
+/// Looks up the file at `path`, following links; `None` if it does not exist.
 fn metadata(path: &Path) -> io::Result<Option<fs::Metadata>> {
     match path.metadata() {
         Ok(metadata) => Ok(Some(metadata)),
@@ -342,7 +344,8 @@ fn temporary_beside(place: &Path) -> io::Result<NamedTempFile> {
     }
 }
 
-/// Converts an error of writing. An error of the format's writer has no error number of the system.
+/// Converts an error of writing. An error that the format's writer raises has no system error
+/// number.
 pub(super) fn fault_of(fault: io::Error) -> WriteFault {
     match (fault.kind(), fault.raw_os_error()) {
         (io::ErrorKind::AlreadyExists, _) => WriteFault::Exists,
@@ -351,8 +354,8 @@ pub(super) fn fault_of(fault: io::Error) -> WriteFault {
     }
 }
 
-/// Maximum bytes per write. Small pieces are combined. Large pieces are divided, because the system
-/// would need additional memory for a large write.
+/// Maximum number of bytes per write. Small pieces are combined. Large pieces are divided, because
+/// the system would need additional memory for a large write.
 const AT_ONCE: usize = 256 << 10;
 
 /// Lets `content` write to `out`. Returns the number of bytes, and their checksum if `crc` is

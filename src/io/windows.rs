@@ -1,9 +1,9 @@
 //! Reads the bytes of columns piece by piece; a piece is called a window. The bytes are in memory,
 //! in a mapped scratch file, or in the input file.
 //!
-//! An input file is read by position into buffers, one per thread, and never mapped. If another
-//! program shortens a mapped file, a signal ends the process. A read by position instead returns an
-//! error for one frame. All files of an input share their buffers.
+//! An input file is read by position into buffers, a few per thread, and never mapped. If another
+//! program shortened a mapped file, a signal would end the process. A read by position instead
+//! returns an error for one frame. All files of an input share their buffers.
 
 use std::fmt::Debug;
 use std::ops::Range;
@@ -15,9 +15,9 @@ use crate::system::reopened::{read_exact_at, will_read};
 
 use super::bytes::{Bytes, PrivateBytes};
 
-/// Bytes per read if a thread continues at the end of its last read.
+/// Number of bytes per read if a thread continues within or at the end of its last read.
 const LARGE: usize = 1 << 18;
-/// Bytes per read at other positions.
+/// Number of bytes per read at other positions.
 const SMALL: usize = 1 << 14;
 /// Minimum number of bytes to request ahead of a thread's position. The system searches its cache
 /// for each request, so requests do not overlap.
@@ -35,7 +35,7 @@ pub trait Windows: Sync + Debug {
     /// If the range exceeds the bytes of the source.
     fn with<R>(&self, range: Range<usize>, read: impl FnOnce(&[u8]) -> R) -> R;
 
-    /// Bytes of memory that cannot be released.
+    /// Memory, in bytes, that cannot be released.
     fn resident_bytes(&self) -> u64 {
         0
     }
@@ -188,13 +188,14 @@ impl WindowPool {
         Self::A_THREAD * rayon::current_num_threads()
     }
 
-    /// Bytes of memory that the windows use, for files with this total size.
+    /// Maximum memory, in bytes, of the windows for files with a total size of `file_bytes`.
     pub fn resident_bytes(file_bytes: u64) -> u64 {
         file_bytes.min((Self::most() * LARGE) as u64)
     }
 
-    /// Takes the window of the file that contains byte `at` or ends there. If there is none,
-    /// returns an empty window for byte `at`, in a new buffer or the least recently used one.
+    /// Takes a window that contains byte `at` of file number `file`, or else one that ends there.
+    /// If there is none, returns an empty window with a new buffer, or with the buffer of the least
+    /// recently used window.
     fn take(&self, file: u64, at: usize) -> FileWindow {
         let mut idle = self.idle.lock().unwrap_or_else(PoisonError::into_inner);
         let holds =

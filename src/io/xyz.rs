@@ -2,8 +2,8 @@
 //!
 //! A frame in text consists of the number of particles, a comment, and a row per particle. The
 //! comment may name the columns, either as in extended XYZ (`Properties=species:S:1:pos:R:3`) or in
-//! a list of names. Otherwise, the position is the first three numbers, after the name or the
-//! atomic number of an element. `sim.xyz#3` is the fourth frame.
+//! a list of names. Otherwise, the position is the first three numbers after the name or atomic
+//! number of an element, if there is one. `sim.xyz#3` is the fourth frame.
 
 use super::bytes::{ByteView, Bytes, Unpacking};
 use super::columns::{Column, ColumnStore, Endian, ParticleRows, Scalar};
@@ -72,12 +72,12 @@ struct XyzFrame {
 
 /// Whether a text starts with the number of its particles, as a frame does.
 ///
-/// The number is the title of a table instead if exactly this number of rows follows it directly,
-/// and nothing else. If a line of column names follows it, the number is a title as well, unless
-/// exactly this number of rows follows before the next frame or the end.
+/// The number is instead the title of a table if exactly this number of rows, and nothing else,
+/// follows it directly. If a line of column names follows it, the number is also a title, unless
+/// exactly this number of rows follows the names before the next frame or the end.
 ///
 /// # Errors
-/// Errors of reading.
+/// Errors from reading the text.
 pub(super) fn has_count(view: ByteView) -> Result<bool, ReadFault> {
     let mut lines = TextLines::new(view)?;
     let count = lines.line().ok().flatten().and_then(|line| count_of(&line));
@@ -114,7 +114,7 @@ pub(super) fn pass(lines: &mut TextLines) -> Result<bool, ReadFault> {
     Ok(XyzFrame::next(lines)?.is_some())
 }
 
-/// Reads the frame that starts at a place in the file.
+/// Reads the frame that starts at `place`.
 ///
 /// # Errors
 /// [`ReadFault::Line`] for an invalid line, an incomplete frame, or columns without a position, and
@@ -247,7 +247,7 @@ fn columns_of(properties: &str) -> Result<TableColumns, String> {
     TableColumns::of(names).ok_or_else(|| format!("{} without pos:R:3", shown()))
 }
 
-/// The lengths of the edges, from the nine numbers of the box's vectors. `None` if the box is not
+/// The edge lengths of the box, from the nine components of its vectors. `None` if the box is not
 /// aligned to the axes.
 fn box_of(lattice: &str) -> Option<[f64; 3]> {
     let numbers = lattice.split_ascii_whitespace().map(|word| f64::of(word.as_bytes()));

@@ -1,4 +1,4 @@
-//! Particles in memory with attributes, borrowed from a simulator.
+//! Particles with attributes, borrowed from the memory of a simulator.
 
 use super::{AttributeInfo, Particles};
 
@@ -31,7 +31,7 @@ pub trait AttributeValue: Sized {
     /// Number of components of a value.
     const COMPONENTS: usize;
 
-    /// The numbers of some values, one value after the other.
+    /// The numbers of all `values`, one value after another.
     fn numbers(values: &[Self]) -> &[f32];
 }
 

@@ -7,9 +7,10 @@ use serde::{Deserialize, Serialize};
 
 /// A conjunction of conditions on particles.
 ///
-/// Written as `NAME=VALUE`, with `=`, `!=`, `<`, `<=`, `>` or `>=`, and joined by `and`. Several
-/// values of `=` are alternatives: `mk=0,2`. A component of a vector is `velocity.y` or
-/// `velocity[1]`; `x`, `y` and `z` are the position. Names and values may stand in quotes.
+/// Each condition is written as a name, an operator (`=`, `!=`, `<`, `<=`, `>` or `>=`) and a
+/// value; `and` joins conditions. Several values after `=` are alternatives: `mk=0,2`. A component
+/// of a vector is written as `velocity.y` or `velocity[1]`; `x`, `y` and `z` are the position.
+/// Names and values may be quoted.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct Where(Vec<Condition>);
@@ -19,9 +20,9 @@ pub struct Where(Vec<Condition>);
 pub struct Condition {
     /// The name of the attribute, with or without a component.
     pub name: String,
-    /// The comparison of its value.
+    /// How the attribute's value is compared.
     pub comparison: Comparison,
-    /// The values to compare with: one, or alternatives.
+    /// The value to compare with, or several alternatives.
     pub values: Vec<String>,
 }
 
@@ -37,7 +38,7 @@ pub enum Comparison {
     GreaterOrEqual,
 }
 
-/// The operators as text, longer ones first.
+/// The operators and their text, longer ones first.
 const WRITTEN: [(&str, Comparison); 7] = [
     ("!=", Comparison::NotEqual),
     ("<=", Comparison::LessOrEqual),
@@ -62,10 +63,11 @@ impl Comparison {
         !matches!(self, Self::Equal | Self::NotEqual)
     }
 
-    /// Whether the comparison holds between a stored number and one of the values.
+    /// Whether a stored number satisfies the comparison: `Equal` with any of the values, `NotEqual`
+    /// with all of them, and an order comparison with the only value.
     ///
-    /// A number that is stored in f32 equals the decimal that it was rounded from. NaN differs from
-    /// everything.
+    /// A number stored as f32 equals the decimal number from which it was rounded. NaN differs from
+    /// every value.
     #[must_use]
     pub fn holds(self, stored: f64, values: &[f64]) -> bool {
         let rounded = |value: f64| value.fract() != 0.0 && f64::from(value as f32) == stored;
@@ -89,7 +91,7 @@ impl Where {
         &self.0
     }
 
-    /// The types of particles that conditions such as `type=wall` name.
+    /// The types of particles that are named by conditions such as `type=wall`.
     #[cfg(feature = "hdf5")]
     pub(crate) fn types(several: &[Self]) -> impl Iterator<Item = &str> {
         let conditions = several.iter().flat_map(Self::conditions);
@@ -101,7 +103,7 @@ impl Where {
         })
     }
 
-    /// Joins several conjunctions into one; `None` if they have no conditions.
+    /// Joins several conjunctions into one; returns `None` if they contain no conditions.
     #[must_use]
     pub fn joined(several: &[Self]) -> Option<Self> {
         let all: Vec<_> = several.iter().flat_map(|some| some.0.iter().cloned()).collect();
@@ -109,7 +111,8 @@ impl Where {
     }
 }
 
-/// Splits a text at separators outside of quotes.
+/// Splits a text at the separators that are outside quotes. `separator` returns the length of a
+/// separator at the start of a text.
 fn split(text: &str, separator: impl Fn(&str) -> Option<usize>) -> Vec<&str> {
     let (mut pieces, mut start, mut quote) = (Vec::new(), 0, None);
     let mut at = 0;
@@ -133,7 +136,8 @@ fn split(text: &str, separator: impl Fn(&str) -> Option<usize>) -> Vec<&str> {
     pieces
 }
 
-/// The length of an `and` between blanks, or of a `&&`, at the start of a text.
+/// The length of the separator at the start of a text: `&&`, or `and` between spaces. The spaces
+/// before `and` count.
 fn and(text: &str) -> Option<usize> {
     if text.starts_with("&&") {
         return Some(2);

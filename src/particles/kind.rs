@@ -13,19 +13,19 @@ use super::{AttributeInfo, Particles, VELOCITY_NAMES, carried_infos, chunks};
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum AttributeKind {
-    /// Plain numbers, as of a density or a velocity.
+    /// Plain numbers, such as a density or a velocity.
     #[default]
     Number,
     /// Red, green and blue, and optionally alpha, from 0 to 1.
     Colour,
     /// Red, green and blue, and optionally alpha, from 0 to 255.
     ByteColour,
-    /// Integers that fit 32 bits with a sign.
+    /// Integers that fit into signed 32-bit integers.
     Signed,
-    /// Integers that fit 32 bits without a sign.
+    /// Integers that fit into unsigned 32-bit integers.
     Unsigned,
-    /// 64-bit integers as stored. A mesh never has this kind: [`settled`] finds a kind of 32 bits
-    /// for its values.
+    /// 64-bit integers, as the input stores them. A mesh never has this kind: [`settled`] replaces
+    /// it with a 32-bit kind that fits the values.
     Wide,
 }
 
@@ -42,7 +42,7 @@ pub enum KindFault {
     TooWide {
         /// The name of the attribute.
         name: String,
-        /// The value, or the maximum i64 if it is greater.
+        /// The value, or the greatest i64 if the value exceeds it.
         value: i64,
         /// The range of integers that the mesh can store.
         limits: [i64; 2],
@@ -61,7 +61,7 @@ pub enum KindFault {
     },
 }
 
-/// The kind of an attribute in all frames, from the values of one frame.
+/// The kind of an attribute in all frames, determined from the values of one frame.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SettledKind {
     /// The attribute as it is stored.
@@ -81,7 +81,7 @@ const COLOURS: [&str; 8] = ["cd", "color", "colors", "colour", "colours", "diffu
 /// Names of colour components, in lower case.
 pub const SHARES: [&str; 4] = ["red", "green", "blue", "alpha"];
 
-/// Whether an attribute of this name is a colour, if it has three or four components.
+/// Whether an attribute with this name and three or four components is a colour.
 #[must_use]
 pub fn is_colour_name(name: &str) -> bool {
     COLOURS.contains(&&*name.to_ascii_lowercase())
@@ -112,7 +112,7 @@ impl AttributeKind {
         }
     }
 
-    /// The kind that holds the values of both kinds.
+    /// The kind that can hold the values of both kinds.
     #[must_use]
     pub fn together(self, other: Self) -> Self {
         match (self, other) {
@@ -132,7 +132,8 @@ impl AttributeKind {
         matches!(self, Self::Signed | Self::Unsigned | Self::Wide)
     }
 
-    /// An integer as a mesh stores it: its low 32 bits, in place of the bits of an f32.
+    /// Encodes an integer as a mesh stores it: an f32 whose bits are the low 32 bits of the
+    /// integer.
     #[must_use]
     pub fn word(whole: i64) -> f32 {
         f32::from_bits(whole as u32)
@@ -161,7 +162,7 @@ impl AttributeKind {
         }
     }
 
-    /// Whether it is a colour.
+    /// Whether this is a colour.
     #[must_use]
     pub fn is_colour(self) -> bool {
         matches!(self, Self::Colour | Self::ByteColour)
@@ -193,9 +194,9 @@ pub fn colour_attribute(attributes: &[AttributeInfo]) -> Option<usize> {
     attributes.iter().position(|info| info.kind.is_colour())
 }
 
-/// The vertex attributes, each with a kind that fits its values. 64-bit integers get a kind of 32
-/// bits. Floating-point colours get the scale from 0 to 255 if some values are too large for the
-/// scale from 0 to 1. An attribute that is stored as in `known` keeps its known kind.
+/// The vertex attributes, each with a kind that fits its values. 64-bit integers get a 32-bit kind.
+/// Floating-point colours get the scale from 0 to 255 if some values are too large for the scale
+/// from 0 to 1. An attribute that is stored as in `known` keeps its known kind.
 ///
 /// # Errors
 /// [`KindFault`] for values that do not fit their kind.
@@ -209,7 +210,7 @@ pub fn settled(
 }
 
 /// The kinds of the vertex attributes for all frames, from the values of one frame. Attributes
-/// whose values fit no kind are left out here, because they are an error of this frame only.
+/// whose values fit no kind are left out, because their values are an error in this frame only.
 pub fn settled_for_all(particles: &dyn Particles, carried: &[usize]) -> Vec<SettledKind> {
     let infos = carried_infos(particles.attributes(), carried).into_iter().zip(carried);
     let settled = infos.filter_map(|(stored, &index)| {
@@ -221,7 +222,7 @@ pub fn settled_for_all(particles: &dyn Particles, carried: &[usize]) -> Vec<Sett
     settled.collect()
 }
 
-/// Gives attributes their known kinds.
+/// Replaces the kinds of the attributes that `known` contains with their known kinds.
 #[must_use]
 pub fn known_of(mut infos: Vec<AttributeInfo>, known: &[SettledKind]) -> Vec<AttributeInfo> {
     for info in &mut infos {
@@ -233,7 +234,7 @@ pub fn known_of(mut infos: Vec<AttributeInfo>, known: &[SettledKind]) -> Vec<Att
 }
 
 /// An attribute with its known kind, or with a kind that fits its values if none is known. Values
-/// that do not fit are an error.
+/// that do not fit the kind give an error.
 fn of_values(
     particles: &dyn Particles,
     index: usize,
@@ -272,7 +273,7 @@ fn of_values(
 }
 
 impl AttributeKind {
-    /// The kind of floating-point colours between these extremes.
+    /// The kind of floating-point colours whose values lie between these extremes.
     fn of_shares([least, greatest]: [f32; 2]) -> Self {
         let is_bytes = least >= 0.0 && greatest > BRIGHT && greatest <= 255.0;
         if is_bytes { Self::ByteColour } else { Self::Colour }
@@ -288,7 +289,7 @@ pub fn evident_scale(particles: &dyn Particles, index: usize) -> Option<Attribut
     is_evident.then_some(kind)
 }
 
-/// The minimum and maximum of 0 and the finite values of an attribute.
+/// The minimum and maximum over 0 and all finite values of an attribute.
 fn extremes(particles: &dyn Particles, index: usize) -> [f32; 2] {
     let components = particles.attributes()[index].components;
     let of_chunk = |range: Range<usize>| {
@@ -300,7 +301,7 @@ fn extremes(particles: &dyn Particles, index: usize) -> [f32; 2] {
     chunks(particles, of_chunk).reduce(|| [0.0; 2], |[a, b], [c, d]| [a.min(c), b.max(d)])
 }
 
-/// The minimum and maximum of 0 and the integers of an attribute.
+/// The minimum and maximum over 0 and all integers of an attribute.
 fn whole_extremes(particles: &dyn Particles, index: usize) -> [i64; 2] {
     let components = particles.attributes()[index].components;
     let of_chunk = |range: Range<usize>| {
@@ -311,7 +312,7 @@ fn whole_extremes(particles: &dyn Particles, index: usize) -> [i64; 2] {
     chunks(particles, of_chunk).reduce(|| [0; 2], |[a, b], [c, d]| [a.min(c), b.max(d)])
 }
 
-/// Whether an attribute of integers is a direction, because it has the name of a velocity.
+/// Whether an integer attribute is a direction: it has three components and the name of a velocity.
 pub(crate) fn is_direction_name(info: &AttributeInfo) -> bool {
     info.components == 3 && VELOCITY_NAMES.contains(&&*info.name)
 }

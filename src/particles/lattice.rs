@@ -1,12 +1,13 @@
 //! Detects particles on a lattice whose step divides the cells' edge, and finds a grid origin that
 //! suits the lattice.
 //!
-//! Simulations often start with particles on a lattice. If its step divides the cells' edge, all
-//! particles have the same position in their cell, and symmetry's theta can be anything from 0 (on
-//! a corner) to 1 (in the centre). A few frames later, the same fluid is disordered. Its mean
-//! theta, over all positions u in a cell of edge 1, is 1 - 2 E|u| / sqrt 3 = 0.445. If the origin
-//! gives the lattice exactly this theta, measurements on the first frame hold for all frames. With
-//! this origin, the lattice is also far from cell faces, where rounding would scramble the counts.
+//! Simulations often start with particles on a lattice. If its step divides the cells' edge,
+//! particles have the same positions in all cells. With one particle per cell, symmetry's theta can
+//! then be anything from 0 (on a corner) to 1 (in the centre). A few frames later, the same fluid
+//! is disordered. Its mean theta, over all positions u in a cell of edge 1, is 1 - 2 E|u| / sqrt 3
+//! = 0.445. If the origin gives the lattice exactly this theta, measurements on the first frame
+//! hold for all frames. With this origin, the lattice is also far from cell faces, where rounding
+//! would scramble the counts.
 
 use std::f64::consts::TAU;
 
@@ -17,12 +18,13 @@ use crate::particles::Particles;
 
 /// Lattices with up to this many particles per cell along an axis are tried.
 const DIVISIONS: u32 = 4;
-/// Number of places within a lattice's step. Positions are rounded to places.
+/// Number of places into which a lattice step is divided. Positions are rounded to places.
 const PLACES: usize = 256;
-/// The place with theta = 0.445. Along each axis, it is 0.277 of a step away from the middle.
+/// The place with theta = 0.445 for one particle per cell. Along each axis, it is 0.277 of a step
+/// away from the middle.
 const SOUND: f64 = 57.0;
 /// Positions on a circle count as equal if the length of their mean unit vector exceeds this.
-/// Particles jittered by 0.19 of a step have 0.5.
+/// Jitter with a standard deviation of 0.19 steps gives a length of 0.5.
 const COHERENT: f64 = 0.5;
 /// Scale of the integer cosines. Integer sums do not depend on order or threads.
 const ONE: f64 = 32768.0;
@@ -45,8 +47,8 @@ pub fn sound_origin(particles: &dyn Particles, origin: DVec3, cell_size: f64) ->
     })
 }
 
-/// The place of the particles within a lattice's step along each axis; `None` if particles do not
-/// share a place.
+/// The place of the particles within a lattice step along each axis; `None` for an axis along which
+/// the particles do not share a place.
 fn places(particles: &dyn Particles, origin: DVec3, step: f64) -> [Option<f64>; 3] {
     let circle: Vec<[i64; 2]> = (0..PLACES)
         .map(|place| {

@@ -1,4 +1,4 @@
-//! Particles whose reads are counted, and end early after a cancel.
+//! Counts the particles that are read, and ends reads early after a cancel.
 
 use std::ops::Range;
 
@@ -6,7 +6,7 @@ use crate::system::control::{Control, Meter, Stage};
 
 use super::{AttributeInfo, Label, Particles, RereadError};
 
-/// Particles whose positions are NaN after a cancel, so that every read ends soon.
+/// Counts the particles that are read. After a cancel, positions are NaN, so every read ends soon.
 #[derive(Debug)]
 pub struct MeteredParticles<'a> {
     particles: &'a dyn Particles,
@@ -15,7 +15,8 @@ pub struct MeteredParticles<'a> {
 }
 
 impl<'a> MeteredParticles<'a> {
-    /// Counts the particles that are read in `stage`, which reads each particle once.
+    /// Counts the particles that `stage` reads. It must read each particle once, unless
+    /// [`readings`](Self::readings) sets another number.
     pub fn new(particles: &'a dyn Particles, control: &'a Control, stage: Stage) -> Self {
         Self { particles, control, meter: control.meter(stage, particles.len()) }
     }
@@ -26,7 +27,7 @@ impl<'a> MeteredParticles<'a> {
         Self { meter: self.meter.times(readings), ..self }
     }
 
-    /// Starts to count again, for the part of `stage` from its start to the fraction `to`.
+    /// Restarts the count, for the part of `stage` from its start to the fraction `to`.
     pub fn begin(&mut self, stage: Stage, to: f64) {
         self.meter = self.control.meter(stage, self.particles.len()).between(0.0, to);
     }

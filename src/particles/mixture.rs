@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use super::occurring::{AttributeOrLabel, Value, values_of};
 use super::{Particles, chunks};
 
-/// Names of attributes that distinguish materials, in lower case and without `_`.
+/// Names of attributes that distinguish materials, in lower case and without punctuation.
 const KINDS: [&str; 26] = [
     "type",
     "ptype",
@@ -66,7 +66,7 @@ pub struct Mixture {
     pub fluid: (Value, usize),
 }
 
-/// The bounding box of some particles.
+/// The minimum and the maximum coordinates of a set of particles.
 #[derive(Clone, Copy)]
 struct BoundingBox([DVec3; 2]);
 
@@ -89,7 +89,7 @@ impl BoundingBox {
     }
 }
 
-/// Finds a boundary around a fluid, by an attribute whose name and values suggest it.
+/// Finds a boundary around a fluid, using an attribute whose name and values suggest a boundary.
 pub fn mixture(particles: &dyn Particles) -> Option<Mixture> {
     let scalars = particles.attributes().iter().enumerate();
     let scalars = scalars.filter(|(_, info)| info.components == 1 && is_kind(&info.name));
@@ -100,7 +100,8 @@ pub fn mixture(particles: &dyn Particles) -> Option<Mixture> {
     sources.find_map(|(source, name)| by(particles, source, name))
 }
 
-/// Calls `take` with the positions and the values of a few thousand particles at a time.
+/// Calls `take` with the positions and the sort keys of a few thousand particles at a time, and
+/// joins the results.
 fn each<T: Send>(
     particles: &dyn Particles,
     source: AttributeOrLabel,
@@ -199,7 +200,7 @@ impl FluidCells {
 
     fn index(&self, position: DVec3) -> Option<usize> {
         let cell = ((position - self.lo) * self.scale).floor();
-        // The upper faces belong to the last cells.
+        // A position on an upper face belongs to the last cell.
         let last = DVec3::splat(f64::from(self.count));
         let cell = DVec3::select(cell.cmpeq(last), last - 1.0, cell);
         let is_in = cell.cmpge(DVec3::ZERO).all() && cell.cmplt(last).all();

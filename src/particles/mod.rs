@@ -1,5 +1,5 @@
-//! The interface to particles: the pipeline reads ranges of them, from several threads and
-//! repeatedly.
+//! The interface through which the pipeline reads ranges of particles, repeatedly and from several
+//! threads.
 
 mod cloud;
 pub mod condition;
@@ -33,23 +33,23 @@ pub struct AttributeInfo {
     pub name: String,
     /// Number of components per particle.
     pub components: usize,
-    /// The meaning of the numbers.
+    /// The kind of its values.
     #[serde(default, skip_serializing_if = "AttributeKind::is_number")]
     pub kind: AttributeKind,
 }
 
-/// A text attribute with few different values.
+/// A text attribute with few distinct values.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Label {
     /// The name of the label in the file.
     pub name: String,
-    /// The texts that occur.
+    /// The distinct texts.
     pub texts: Vec<String>,
 }
 
 impl AttributeInfo {
-    /// An attribute of floating-point numbers: a colour if it has the name of a colour, else plain
-    /// numbers.
+    /// Describes an attribute of floating-point numbers. It is a colour if it has a colour's name
+    /// and three or four components, and plain numbers otherwise.
     #[must_use]
     pub fn new(name: impl Into<String>, components: usize) -> Self {
         let name = name.into();
@@ -64,22 +64,22 @@ impl AttributeInfo {
     }
 }
 
-/// An error of reading particles again.
+/// The reason why particles cannot be read again.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
 pub enum RereadError {
-    /// The file of the particles was changed meanwhile.
+    /// The particles' file changed while it was read.
     #[error("changed while it was read")]
     Changed,
-    /// The system's error when reading their file.
+    /// The operating system reported an error in reading the particles' file.
     #[error("{0}")]
     Io(io::ErrorKind),
 }
 
 /// Particles, held in memory or in a file.
 ///
-/// Particles are in the order of the file, and error messages use their index. Values are returned
-/// as stored, and can be NaN or infinite. Slices, vectors and arrays of `[f32; 3]` or `[f64; 3]`
-/// are particles without attributes; a [`Cloud`] adds attributes.
+/// Particles keep the order of their file, and error messages refer to them by index. Values are
+/// returned as stored, and can be NaN or infinite. Slices, vectors and arrays of `[f32; 3]` or
+/// `[f64; 3]` are particles without attributes; a [`Cloud`] adds attributes.
 pub trait Particles: Sync {
     /// Number of particles.
     fn len(&self) -> usize;
@@ -89,7 +89,7 @@ pub trait Particles: Sync {
         self.len() == 0
     }
 
-    /// Fills `out` with the positions of the particles from `first` on.
+    /// Fills `out` with the positions of consecutive particles, starting at index `first`.
     ///
     /// # Panics
     /// If `first + out.len()` exceeds [`len`](Self::len).
@@ -104,13 +104,13 @@ pub trait Particles: Sync {
         Ok(())
     }
 
-    /// Whether the particles can still be read. After a cancel, positions and attributes are read
-    /// as NaN.
+    /// Whether the particles can still be read. After a cancel, this is false, and all positions
+    /// and floating-point values read as NaN.
     fn goes_on(&self) -> bool {
         true
     }
 
-    /// Bytes of memory that the particles occupy.
+    /// Memory, in bytes, that the particles occupy.
     fn resident_bytes(&self) -> u64 {
         0
     }
@@ -121,16 +121,16 @@ pub trait Particles: Sync {
         let _ = range;
     }
 
-    /// The attributes that [`attribute`](Self::attribute) reads, without positions.
+    /// The attributes that [`attribute`](Self::attribute) reads; positions are not among them.
     fn attributes(&self) -> &[AttributeInfo] {
         &[]
     }
 
-    /// Fills `out` with attribute number `index` of the particles from `first` on, with the
-    /// components of each particle together.
+    /// Fills `out` with attribute number `index` of consecutive particles, starting at particle
+    /// `first`. The components of each particle are adjacent.
     ///
     /// # Panics
-    /// If the range exceeds the particles or there is no such attribute.
+    /// If the range extends beyond the last particle, or if there is no such attribute.
     fn attribute(&self, index: usize, first: usize, out: &mut [f32]) {
         let _ = (first, out);
         panic!("there is no attribute number {index}");
@@ -141,21 +141,21 @@ pub trait Particles: Sync {
         &[]
     }
 
-    /// Fills `out` with label number `index` of the particles from `first` on, as indices into the
-    /// label's texts.
+    /// Fills `out` with label number `index` of consecutive particles, starting at particle
+    /// `first`, as indices into the label's texts.
     ///
     /// # Panics
-    /// If the range exceeds the particles or there is no such label.
+    /// If the range extends beyond the last particle, or if there is no such label.
     fn label(&self, index: usize, first: usize, out: &mut [u32]) {
         let _ = (first, out);
         panic!("there is no label number {index}");
     }
 
-    /// Fills `out` with one component of an attribute of the particles from `first` on, in the
-    /// stored precision if that is greater than the precision of [`attribute`](Self::attribute).
+    /// Fills `out` with one component of an attribute of consecutive particles, starting at
+    /// particle `first`. Values that are stored with a higher precision than f32 keep it.
     ///
     /// # Panics
-    /// If the range exceeds the particles or there is no such attribute.
+    /// If the range extends beyond the last particle, or if there is no such attribute.
     fn component(&self, (index, component): (usize, usize), first: usize, out: &mut [f64]) {
         let components = self.attributes()[index].components;
         let mut values = vec![0.0; out.len() * components];
@@ -166,7 +166,7 @@ pub trait Particles: Sync {
     }
 
     /// Like [`attribute`](Self::attribute), but exact for integers that f32 cannot represent.
-    /// Values beyond i64 become the greatest i64.
+    /// Values above the greatest i64 become the greatest i64.
     ///
     /// # Panics
     /// Like [`attribute`](Self::attribute).
@@ -285,8 +285,8 @@ where
     }
 }
 
-/// Positions among other numbers, such as in an array of structures: x, y and z are adjacent, and
-/// the distance from one particle to the next is constant.
+/// Positions interleaved with other numbers, such as in an array of structures: x, y and z are
+/// adjacent, and each particle begins a constant number of values after the previous one.
 #[derive(Debug, Clone, Copy)]
 pub struct StridedPositions<'a, T> {
     numbers: &'a [T],
@@ -294,8 +294,9 @@ pub struct StridedPositions<'a, T> {
 }
 
 impl<'a, T: Copy + Into<f64>> StridedPositions<'a, T> {
-    /// Positions with x, y and z in every `stride` numbers, beginning with number `first`. Both
-    /// count numbers, not bytes. `None` if the stride is less than 3.
+    /// Reads x, y and z of the first particle from index `first`, and those of each next particle
+    /// `stride` numbers later. Both arguments count numbers, not bytes. Returns `None` if `stride`
+    /// is less than 3.
     ///
     /// ```
     /// use meniscus::{Particles, StridedPositions};
@@ -333,8 +334,8 @@ fn widen(to: &mut [f64], from: &[f32]) {
 pub const VELOCITY_NAMES: [&str; 9] =
     ["velocity", "v", "Vel", "vel", "V", "Velocity", "velocities", "Velocities", ".velocities"];
 
-/// The index of the velocity among the attributes. A velocity has three components and a usual
-/// name.
+/// The index of the velocity among the attributes: it has three components and one of the names in
+/// `VELOCITY_NAMES`.
 #[must_use]
 pub fn velocity_attribute(attributes: &[AttributeInfo]) -> Option<usize> {
     VELOCITY_NAMES
@@ -342,9 +343,10 @@ pub fn velocity_attribute(attributes: &[AttributeInfo]) -> Option<usize> {
         .find_map(|name| attributes.iter().position(|a| a.name == *name && a.components == 3))
 }
 
-/// The index of the attribute with this name. `velocity` finds the velocity under any usual name. A
-/// name of a colour, or of a component such as `red`, finds the colour. If no attribute has the
-/// name, an attribute whose name differs only in case is found, provided that there is only one.
+/// The index of the attribute called `name`. If no attribute has exactly this name, `velocity`
+/// matches the velocity under any of its usual names. Next, an attribute whose name differs only in
+/// case matches, provided that there is only one. Finally, the name of a colour or of a colour
+/// component, such as `red`, matches the first colour.
 #[must_use]
 pub fn attribute_called(name: &str, attributes: &[AttributeInfo]) -> Option<usize> {
     let named = attributes.iter().position(|info| info.name == name);
@@ -358,8 +360,8 @@ pub fn attribute_called(name: &str, attributes: &[AttributeInfo]) -> Option<usiz
     named.or_else(velocity).or_else(alike).or_else(colour)
 }
 
-/// The attributes of the mesh. The velocity is called `velocity`, and other attributes keep their
-/// names.
+/// The attributes of the mesh: the ones whose indices are in `carried`. The velocity is renamed to
+/// `velocity` if no attribute has this name yet; other attributes keep their names.
 pub fn carried_infos(attributes: &[AttributeInfo], carried: &[usize]) -> Vec<AttributeInfo> {
     let taken = attributes.iter().any(|info| info.name == "velocity");
     let velocity = velocity_attribute(attributes).filter(|_| !taken);
@@ -381,12 +383,12 @@ pub struct Bounds {
     pub lo: DVec3,
     /// Maximum coordinates.
     pub hi: DVec3,
-    /// Number of particles with finite coordinates; the others are ignored.
+    /// Number of particles with finite coordinates; other particles are ignored.
     pub finite: usize,
 }
 
 impl Bounds {
-    /// Bounds of no particles.
+    /// Bounds of an empty set of particles.
     pub const NONE: Self = Self { lo: DVec3::MAX, hi: DVec3::MIN, finite: 0 };
 
     /// Finds the bounds of the positions that are finite.
@@ -407,7 +409,7 @@ impl Bounds {
         }
     }
 
-    /// The bounds of both sets of particles.
+    /// The bounds of both sets of particles together.
     pub fn joined(self, other: Self) -> Self {
         Self {
             lo: self.lo.min(other.lo),
@@ -417,8 +419,8 @@ impl Bounds {
     }
 }
 
-/// Finds the bounds of positions in groups of four, which fill whole SIMD vectors; `None` if a
-/// position is not finite.
+/// Finds the bounds of positions in groups of four, which fill whole SIMD vectors. Returns `None`
+/// if a position is not finite.
 #[multiversion(targets("x86_64+avx512f", "x86_64+avx2"))]
 fn bounds_of_fours(fours: &[[[f64; 3]; 4]]) -> Option<Bounds> {
     let (mut lo, mut hi, mut zero) = ([f64::MAX; 12], [f64::MIN; 12], [0.0; 12]);
@@ -428,7 +430,7 @@ fn bounds_of_fours(fours: &[[[f64; 3]; 4]]) -> Option<Bounds> {
             let c = four[lane];
             lo[lane] = if c < lo[lane] { c } else { lo[lane] };
             hi[lane] = if c > hi[lane] { c } else { hi[lane] };
-            // NaN if a coordinate is not finite.
+            // Becomes NaN if a coordinate is not finite.
             zero[lane] += c * 0.0;
         }
     }
@@ -457,8 +459,8 @@ pub fn bounds(particles: &dyn Particles) -> Option<Bounds> {
 /// Number of particles that are processed together.
 pub(crate) const CHUNK: usize = 1 << 12;
 
-/// Calls `look` with ranges of a few thousand particles, on all threads. A mapped file releases its
-/// pages afterwards.
+/// Calls `look` with ranges of a few thousand particles, on all threads. After each range, a mapped
+/// file can release its pages.
 pub fn chunks<T: Send>(
     particles: &dyn Particles,
     look: impl Fn(Range<usize>) -> T + Send + Sync,

@@ -1,4 +1,4 @@
-//! Counts the values of attributes that have few different values.
+//! Counts the values of attributes that have few distinct values.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -8,15 +8,15 @@ use serde::{Deserialize, Serialize};
 
 use super::{Particles, chunks};
 
-/// Maximum number of different values of a listed attribute.
+/// Maximum number of distinct values of a listed attribute.
 const MOST: usize = 8;
 
-/// An attribute with few different values.
+/// An attribute with few distinct values.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ValueCounts {
     /// The name of the attribute or label.
     pub name: String,
-    /// The values, in order, each with the number of its particles.
+    /// The values, in order, each with the number of particles that have it.
     pub values: Vec<(Value, usize)>,
 }
 
@@ -39,7 +39,7 @@ impl std::fmt::Display for Value {
     }
 }
 
-/// Finds the scalar attributes and labels with few different values.
+/// Finds the scalar attributes and labels with few distinct values.
 pub fn occurring(particles: &dyn Particles) -> Vec<ValueCounts> {
     let scalars = particles.attributes().iter().enumerate().filter(|(_, i)| i.components == 1);
     let sources = scalars.map(|(index, info)| (AttributeOrLabel::Attribute(index), &info.name));
@@ -89,8 +89,8 @@ impl AttributeOrLabel {
     }
 }
 
-/// The different values, each with its key and its number of particles; `None` if there are too
-/// many values, or on average fewer than two particles with each value.
+/// The distinct values, each with its key and its number of particles; `None` if there are too many
+/// values, or on average fewer than two particles per value.
 pub(super) fn values_of(
     particles: &dyn Particles,
     source: AttributeOrLabel,
@@ -101,7 +101,7 @@ pub(super) fn values_of(
 }
 
 /// The number of particles with each key; `None` if there are too many keys, or on average fewer
-/// than two particles with each key.
+/// than two particles per key.
 fn counted(particles: &dyn Particles, source: AttributeOrLabel) -> Option<BTreeMap<u64, usize>> {
     let all = particles.len();
     let counts = chunks(particles, |range| {
@@ -121,7 +121,8 @@ fn counted(particles: &dyn Particles, source: AttributeOrLabel) -> Option<BTreeM
     (!joined.is_empty() && joined.len() * 2 <= all).then_some(joined)
 }
 
-/// The bits of a number, in the order of numbers. Both zeros give the same key.
+/// The sort key of a number: integers that are ordered as the numbers are. Both zeros give the same
+/// key.
 fn ordered(number: f64) -> u64 {
     let bits = (number + 0.0).to_bits();
     if bits >> 63 == 1 { !bits } else { bits | 1 << 63 }

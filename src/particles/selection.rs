@@ -13,7 +13,7 @@ use super::{AttributeInfo, Label, Particles, RereadError, attribute_called};
 /// Names of the components of vectors, and of the axes of positions.
 const AXES: [&str; 3] = ["x", "y", "z"];
 
-/// An error of applying a condition to particles.
+/// The reason why particles cannot be selected.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum SelectionFault {
     /// An attribute that the particles do not have.
@@ -54,7 +54,8 @@ pub enum SelectionFault {
         /// The name in the condition.
         name: String,
     },
-    /// A condition that no single type of particles satisfies.
+    /// A condition on the type of particles that allows several types, or excludes the type that is
+    /// read.
     #[error(
         "cannot apply {condition}: only one type of particles can be read at a time; available: \
          {}",
@@ -63,7 +64,7 @@ pub enum SelectionFault {
     Types {
         /// The condition.
         condition: String,
-        /// The types of the input.
+        /// The types of particles in the input.
         known: Vec<String>,
     },
     /// No particle satisfies all conditions.
@@ -73,7 +74,8 @@ pub enum SelectionFault {
         of: usize,
         /// The conditions.
         conditions: String,
-        /// The different values of attributes in the conditions, if there are few.
+        /// The distinct values of the attributes in the conditions, for attributes with few of
+        /// them.
         values: Vec<ValueCounts>,
     },
     /// The particles cannot be read.
@@ -99,7 +101,7 @@ fn occur(values: &[ValueCounts]) -> String {
     values.iter().map(one).collect()
 }
 
-/// The number of components of an attribute, and how to name one, for a message.
+/// Says in a message how many components an attribute has, and how to name one of them.
 fn with_components(attribute: &str, components: usize) -> String {
     let example = match components {
         1 => return format!("the attribute is a single number; use {attribute}"),
@@ -111,7 +113,7 @@ fn with_components(attribute: &str, components: usize) -> String {
     )
 }
 
-/// A number of each particle that a condition tests.
+/// The number of each particle that a condition tests.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum ConditionOperand {
     /// A component of an attribute.
@@ -131,7 +133,8 @@ enum StoredCondition {
     Label(usize, Vec<bool>),
 }
 
-/// Splits the name of a component as `velocity.y` or `velocity[1]`.
+/// Splits the name of a component, such as `velocity.y` or `velocity[1]`, into the name of the
+/// attribute and the index of the component.
 fn component(name: &str) -> Option<(&str, usize)> {
     if let Some((attribute, axis)) = name.rsplit_once('.') {
         return Some((attribute, AXES.iter().position(|known| *known == axis)?));
@@ -262,10 +265,11 @@ fn keep<T>(words: &mut [u64], values: &[T], holds: impl Fn(&T) -> bool) {
     }
 }
 
-/// Selects the particles that satisfy all conditions. Stops when `goes_on` returns false.
+/// Selects the particles that satisfy all conditions. Stops with [`SelectionFault::Cancelled`] when
+/// `goes_on` returns false.
 ///
 /// # Errors
-/// [`SelectionFault`].
+/// [`SelectionFault`] if a condition cannot be applied, or if the particles cannot be read.
 pub fn select<'a>(
     particles: &dyn Particles,
     conditions: impl IntoIterator<Item = &'a Condition>,
@@ -293,7 +297,7 @@ pub fn select<'a>(
 }
 
 impl SelectionFault {
-    /// The error if no particle satisfies the conditions.
+    /// The error for conditions that no particle satisfies.
     pub(crate) fn none(particles: &dyn Particles, conditions: &[Where]) -> Self {
         let conditions = Where::joined(conditions);
         let names = conditions.iter().flat_map(Where::conditions).map(|c| c.name.as_str());
@@ -318,9 +322,9 @@ impl<'a> SelectedParticles<'a> {
         Self { particles, sieve }
     }
 
-    /// Splits `count` selected particles, from number `first` on, into contiguous ranges of all
-    /// particles. Calls `take` with each range and with the number of these selected particles that
-    /// precede it.
+    /// Splits `count` selected particles, starting with number `first`, into runs that are
+    /// contiguous among all particles. Calls `take` with each run and the number of selected
+    /// particles in the runs before it.
     fn each_run(&self, first: usize, count: usize, mut take: impl FnMut(Range<usize>, usize)) {
         let mut rows = self.sieve.rows(first).take(count).peekable();
         let mut at = 0;

@@ -11,7 +11,7 @@ const WORDS: usize = 64;
 /// Rows per count.
 pub(super) const GROUP: usize = WORD * WORDS;
 
-/// Some of the rows of a table, in order.
+/// A selection of the rows of a table, in order.
 #[derive(Debug, Clone, Default)]
 pub struct Sieve {
     words: Vec<u64>,
@@ -46,7 +46,7 @@ impl Sieve {
         self.count
     }
 
-    /// Bytes of memory.
+    /// Memory, in bytes, that the sieve occupies.
     pub fn bytes(&self) -> u64 {
         (size_of_val(&*self.words) + size_of_val(&*self.before)) as u64
     }
@@ -57,7 +57,7 @@ impl Sieve {
         Some(at * WORD + WORD - 1 - word.leading_zeros() as usize)
     }
 
-    /// Keeps the selected rows whose index among the selected rows is in `inner`.
+    /// Keeps each selected row whose index among the selected rows is selected in `inner`.
     pub fn within(&self, inner: &Self) -> Self {
         let mut words = vec![0; self.words.len()];
         let rows = self.rows(0).enumerate().filter(|(number, _)| inner.holds(*number));
@@ -65,7 +65,8 @@ impl Sieve {
         Self::new(words)
     }
 
-    /// The smallest range of rows that contains a range of selected rows.
+    /// The smallest range of rows that contains the rows with the numbers `selected` among the
+    /// selected rows.
     pub fn around(&self, selected: Range<usize>) -> Range<usize> {
         let row = |number| self.rows(number).next();
         match (row(selected.start), selected.end.checked_sub(1).and_then(row)) {
@@ -79,7 +80,7 @@ impl Sieve {
         self.words[row / WORD] >> (row % WORD) & 1 != 0
     }
 
-    /// The selected rows in order, from number `first` on.
+    /// The selected rows in order, starting with number `first` among them.
     pub fn rows(&self, first: usize) -> impl Iterator<Item = usize> + '_ {
         let group = self.before.partition_point(|&before| before <= first).saturating_sub(1);
         let mut skipped = first - self.before.get(group).copied().unwrap_or(first);

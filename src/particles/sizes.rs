@@ -1,9 +1,9 @@
 //! Sizes of particles, from their attributes.
 //!
 //! The size of a particle is the edge of the cube that it fills, which is its own spacing. A radius
-//! is half of the size, because a spacing is twice the radius. A volume is the cube of the size,
-//! and a mass is the volume times the density. Programs define radii and smoothing lengths
-//! differently, so sizes are scaled until the particles fill the cubes deep in the fluid.
+//! is half the size, because a spacing is twice the radius. A volume is the cube of the size, and a
+//! mass is the volume times the density. Programs define radii and smoothing lengths differently,
+//! so sizes are scaled such that, deep in the fluid, the cubes of the particles fill the space.
 
 use std::ops::Range;
 
@@ -17,15 +17,16 @@ use super::{AttributeInfo, Particles, attribute_called, chunks};
 
 /// Names of attributes that are certainly radii, in lower case and without punctuation.
 const RADII: [&str; 5] = ["pscale", "radius", "radii", "particleradius", "particleradii"];
-/// The name of an attribute that certainly has sizes. Joined files with different spacings get it.
+/// The name of an attribute that certainly holds sizes. Files with different spacings get this
+/// attribute when they are joined.
 pub const SPACING: &str = "spacing";
-/// The names of masses, densities and smoothing lengths in files of GADGET and SWIFT. If the masses
-/// differ, masses and densities certainly give the sizes of particles; if there are no densities,
-/// the smoothing lengths do.
+/// The names of masses, densities and smoothing lengths in GADGET and SWIFT files. If the masses
+/// differ, masses and densities certainly give the sizes of the particles; without densities, the
+/// smoothing lengths give them.
 const USUAL_MASSES: &str = "masses";
 const USUAL_DENSITIES: [&str; 2] = ["density", "densities"];
 const USUAL_LENGTHS: [&str; 2] = ["smoothinglength", "smoothinglengths"];
-/// Names of attributes with another meaning than a radius.
+/// Names of attributes whose values are not radii.
 const DIAMETERS: [&str; 8] =
     ["diameter", "diameters", "size", SPACING, "h", "hsml", USUAL_LENGTHS[0], USUAL_LENGTHS[1]];
 const VOLUMES: [&str; 5] = ["volume", "volumes", "vol", "particlevolume", "v0"];
@@ -34,22 +35,23 @@ const DENSITIES: [&str; 5] = ["density", "densities", "rho", "rhop", "densityf"]
 
 /// Sizes that differ by less than this factor are one size.
 const ONE_SIZE: f64 = 1.1;
-/// Maximum ratio of sizes: larger particles count as this many times the smallest size.
+/// Maximum ratio of the largest to the smallest size. Larger particles are treated as having this
+/// many times the smallest size.
 pub const MOST_TIMES: f64 = 64.0;
 /// Fraction of the particles that count as outliers at each end of the range of sizes.
 const STRAYS: f64 = 1e-4;
 /// Minimum ratio of the largest to the smallest mass at which masses count as different. Gas that
-/// exchanges mass, for example with stars, has a smaller ratio, and still has one resolution.
+/// exchanges mass, for example with stars, has a smaller ratio, but still has one resolution.
 const OTHER_MASS: f64 = 1.9;
 /// Fraction of the particles that is ignored at each end of the range of masses.
 const STRAY_MASSES: f64 = 0.01;
-/// Edge of the cells in which densities are measured, in units of the largest size.
+/// Edge of the cells in which the density is measured, as a multiple of the largest size.
 const CELL: f64 = 4.0;
-/// Minimum number of cells from which a density is measured. Only cells with particles in all cells
-/// around them count.
+/// Minimum number of cells from which a density is measured. Only cells whose 26 neighbours all
+/// contain particles count.
 const ENOUGH: usize = 8;
-/// Range of plausible densities: volume of the particles per unit volume. A density outside this
-/// range shows that the program defines radii differently.
+/// Range of plausible densities. A density is the volume of the particles per unit volume; one
+/// outside this range shows that the program defines radii differently.
 const FLUID: [f64; 2] = [0.7, 1.4];
 
 /// Meaning of an attribute's values.
@@ -66,21 +68,21 @@ pub enum Meaning {
     Mass,
 }
 
-/// The choice of the attribute with the particles' sizes.
+/// Chooses the attribute that holds the particles' sizes.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub enum SizeChoice {
     /// All particles have one size; attributes are ignored.
     Ignored,
-    /// All particles must have one size, because the setting with this name needs it.
+    /// All particles must have one size, because the setting with this name requires one size.
     OneFor(&'static str),
-    /// An attribute that certainly has sizes, if there is one.
+    /// An attribute that certainly holds sizes, if there is one.
     #[default]
     Usual,
     /// The attribute with this name.
     Named(String),
 }
 
-/// An attribute whose values cannot be sizes.
+/// The reason why an attribute cannot provide sizes.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum SizeFault {
     /// The attribute does not exist.
@@ -99,7 +101,7 @@ pub enum SizeFault {
         /// Number of components.
         components: usize,
     },
-    /// Masses without a density.
+    /// The attribute holds masses, but no attribute holds densities.
     #[error(
         "attribute {name:?} holds masses, but no attribute holds the densities to compute volumes; \
          available: {}",
@@ -128,7 +130,7 @@ fn listed(names: &[String]) -> String {
 pub struct SizeAttributes {
     /// The attribute with the sizes.
     pub size: usize,
-    /// The density, if the attribute is a mass.
+    /// The attribute with the densities, if `size` is a mass.
     pub density: Option<usize>,
     /// The meaning of the attribute's numbers.
     pub meaning: Meaning,
@@ -145,13 +147,13 @@ pub struct Sizes {
     /// The meaning of the attribute's numbers.
     pub meaning: Meaning,
     /// Factor by which the attribute's sizes are scaled, because the particles fill more or less
-    /// space than the attribute says.
+    /// space than these sizes imply.
     pub scale: f64,
     /// The smallest size, apart from outliers.
     pub finest: f64,
-    /// The largest size; larger particles count as this.
+    /// The largest size; larger particles are treated as having this size.
     pub coarsest: f64,
-    /// The size of particles without a valid size.
+    /// The median size, which replaces invalid sizes.
     pub usual: f64,
     /// Volume of the particles per unit volume deep in the fluid, if it could be measured.
     pub density: Option<f64>,
@@ -182,7 +184,7 @@ pub enum FoundSizes {
 pub struct StraySizes {
     /// Particles without a valid size.
     pub invalid: u64,
-    /// Particles larger than the largest size.
+    /// Particles larger than [`Sizes::coarsest`].
     pub larger: u64,
 }
 
@@ -190,7 +192,7 @@ impl SizeChoice {
     /// The attributes with the sizes; `None` if all particles have one size.
     ///
     /// # Errors
-    /// [`SizeFault`] for a requested attribute.
+    /// [`SizeFault`] if a requested attribute cannot provide sizes.
     pub fn columns(&self, infos: &[AttributeInfo]) -> Result<Option<SizeAttributes>, SizeFault> {
         match self {
             Self::Ignored => Ok(None),
@@ -199,7 +201,7 @@ impl SizeChoice {
         }
     }
 
-    /// The attributes that certainly have sizes. If a setting needs one size, only radii count.
+    /// The attributes that certainly hold sizes. If a setting requires one size, only radii count.
     fn usual(&self, infos: &[AttributeInfo]) -> Option<SizeAttributes> {
         let known = |names: &[&str]| {
             let is_known =
@@ -251,10 +253,10 @@ impl Meaning {
 }
 
 impl SizeAttributes {
-    /// Finds the attribute with this name, and the density if it is a mass.
+    /// Finds the attribute called `name` and, if it is a mass, the attribute with the densities.
     ///
     /// # Errors
-    /// [`SizeFault`].
+    /// [`SizeFault`] if there is no such attribute, or if it cannot provide sizes.
     pub fn named(name: &str, infos: &[AttributeInfo]) -> Result<Self, SizeFault> {
         let known = || infos.iter().map(|info| info.name.clone()).collect();
         let size = attribute_called(name, infos)
@@ -277,8 +279,8 @@ impl SizeAttributes {
         Ok(Self { size, density, meaning, if_masses_differ: None })
     }
 
-    /// Whether the attributes are sizes. If they require masses that differ, the masses must differ
-    /// as much as the masses of several resolutions do.
+    /// Whether the attributes give sizes. If they do so only where masses differ, the masses must
+    /// differ as much as they do between resolutions.
     pub fn are_sizes(&self, particles: &dyn Particles) -> bool {
         let Some(size) = self.if_masses_differ else { return true };
         let masses = Self { size, density: None, meaning: Meaning::Diameter, ..*self };
@@ -296,7 +298,8 @@ impl SizeAttributes {
         [Some(self.size), self.density, self.if_masses_differ].into_iter().flatten()
     }
 
-    /// The unscaled sizes of a range of particles, NaN for invalid ones.
+    /// The unscaled sizes of `count` particles, starting at particle `first`. Invalid sizes are
+    /// NaN.
     fn read(&self, particles: &dyn Particles, first: usize, count: usize) -> Vec<f64> {
         let column = |number: usize| {
             let mut values = vec![0.0_f32; count];
@@ -326,7 +329,7 @@ impl Meaning {
     }
 }
 
-/// The cube root; NaN for numbers that are no volume.
+/// The cube root of `x`, or NaN if `x` cannot be a volume.
 fn cube_root(x: f64) -> f64 {
     if x > 0.0 && x.is_finite() { libm::cbrt(x) } else { f64::NAN }
 }
@@ -368,8 +371,8 @@ impl Sizes {
         })
     }
 
-    /// Counts the particles of another frame without a valid size, and those larger than the
-    /// largest size.
+    /// Counts the particles of another frame that have no valid size, and the particles that are
+    /// larger than `coarsest`.
     pub fn strays(&self, particles: &dyn Particles, columns: &SizeAttributes) -> StraySizes {
         let most = self.coarsest / self.scale * (1.0 + f64::from(f32::EPSILON));
         let of_chunk = |range: Range<usize>| {
@@ -386,8 +389,9 @@ impl Sizes {
         })
     }
 
-    /// Measures the density again if it could not be measured in cells for these sizes, because
-    /// the sizes are wrong. `spacing` is the largest spacing of the particles, by their neighbours.
+    /// Measures the density again if it could not be measured before, because the cells were
+    /// derived from wrong sizes. The new cells are derived from `spacing`, the largest spacing of
+    /// the particles according to their neighbours.
     pub fn scale_by_spacing(
         &mut self,
         particles: &dyn Particles,
@@ -401,8 +405,8 @@ impl Sizes {
         }
     }
 
-    /// Measures the density deep in the fluid in cells of `edge`. If it is not plausible, scales
-    /// the sizes so that it becomes 1.
+    /// Measures the density deep in the fluid, in cells of edge `edge`. If the density is not
+    /// plausible, scales the sizes so that it becomes 1.
     fn scale_by_density(&mut self, particles: &dyn Particles, columns: &SizeAttributes, edge: f64) {
         self.density = filling(particles, columns, self, edge);
         let [least, most] = FLUID;
@@ -419,7 +423,7 @@ impl Sizes {
     /// Measures the sizes of particles.
     ///
     /// # Errors
-    /// [`SizeFault::NoSize`].
+    /// [`SizeFault::NoSize`] if no particle has a valid size.
     pub fn found(
         particles: &dyn Particles,
         columns: &SizeAttributes,
@@ -451,9 +455,9 @@ impl Sizes {
     }
 }
 
-/// Numbers of particles by size, in steps: eight for each octave, a factor of two.
+/// Counts of particles by size, in eight steps per octave (a factor of two).
 struct SizeCounts {
-    /// The number of particles, the smallest and the largest size of each step.
+    /// For each step, the number of particles, the smallest size and the largest size.
     steps: HashMap<u64, (u64, f64, f64)>,
     invalid: u64,
 }
@@ -467,7 +471,7 @@ impl SizeCounts {
         let of_chunk = |range: Range<usize>| {
             let mut census = Self { steps: HashMap::new(), invalid: 0 };
             let sizes = columns.read(particles, range.start, range.len());
-            // Successive particles often have one size.
+            // Successive particles often have the same size.
             for sizes in sizes.chunk_by(|a, b| a == b) {
                 if sizes[0].is_nan() {
                     census.invalid += sizes.len() as u64;
@@ -507,7 +511,7 @@ impl SizeCounts {
         })
     }
 
-    /// The smallest and the largest size, apart from outliers.
+    /// The smallest and the largest size, apart from the fraction `strays` of outliers at each end.
     fn range(&self, strays: f64) -> Option<(f64, f64)> {
         let steps = self.sorted();
         let all: u64 = steps.iter().map(|(count, ..)| count).sum();
@@ -528,21 +532,22 @@ impl SizeCounts {
         Self::at(steps.into_iter(), all.div_ceil(2)).map_or(0.0, |(_, least, _)| least)
     }
 
-    /// Number of particles in the steps that are larger than `size`.
+    /// Number of particles in the steps whose sizes all exceed `size`.
     fn beyond(&self, size: f64) -> u64 {
         self.steps.values().filter(|&&(_, least, _)| least > size).map(|&(count, ..)| count).sum()
     }
 }
 
-/// The volume of the particles per unit volume deep in the fluid: the median over cells of `edge`
-/// with particles all around them. `None` if there are too few such cells.
+/// The volume of the particles per unit volume deep in the fluid: the median over the cells of edge
+/// `edge` that are surrounded by cells with particles. Returns `None` if there are too few such
+/// cells.
 fn filling(
     particles: &dyn Particles,
     columns: &SizeAttributes,
     sizes: &Sizes,
     edge: f64,
 ) -> Option<f64> {
-    /// The volume of a cell in fixed-point steps.
+    /// Number of fixed-point steps in the volume of a cell.
     const STEPS: f64 = (1_u64 << 40) as f64;
     let of_chunk = |chunk: Vec<([f64; 3], f64)>| {
         let mut cells: HashMap<[i64; 3], u64> = HashMap::new();

@@ -1,5 +1,5 @@
-//! Adds advice to errors and warnings: the options that help. The library describes the problem,
-//! but does not know the options of the program.
+//! Adds advice to errors and warnings: which options help. The library describes the problem, but
+//! does not know the options of the program.
 
 use bytesize::ByteSize;
 use meniscus::error::{
@@ -23,7 +23,7 @@ pub fn error_message(error: &Error) -> String {
     in_options(error).unwrap_or_else(|| format!("{error}{}", advice(error)))
 }
 
-/// The text of an error that has to name options, or `None` if the library's text suffices.
+/// The text of an error that must name options, or `None` if the library's text suffices.
 fn in_options(error: &Error) -> Option<String> {
     Some(match error {
         Error::SettingConflict(_) | Error::Unit(_) => {
@@ -192,7 +192,7 @@ pub fn spacing_message(warning: &SpacingWarning) -> String {
     }
 }
 
-/// A word for a shell, quoted if necessary.
+/// Returns the text as one word for a shell, quoted if necessary.
 fn shell_word(text: &str) -> String {
     let is_plain = |c: char| c.is_alphanumeric() || "_-.,=/:+".contains(c);
     if !text.is_empty() && text.chars().all(is_plain) {
@@ -367,7 +367,8 @@ mod tests {
         ]
     }
 
-    /// The list shows every change of a message or its advice. `MENISCUS_UPDATE=1` rewrites the list.
+    /// The committed list reveals every change of a message or its advice. `MENISCUS_UPDATE=1`
+    /// rewrites the list.
     #[test]
     fn every_advice_matches_the_committed_list() {
         let warnings = warnings();

@@ -38,7 +38,7 @@ pub enum Command {
 }
 
 impl Arguments {
-    /// Parses a command line. `--help` and `--version` are errors that contain the text to print.
+    /// Parses a command line. `--help` and `--version` give errors that contain the text to print.
     pub fn of_command_line(arguments: &[OsString]) -> Result<Self, clap::Error> {
         let mut command = Self::as_command();
         let matches = command.try_get_matches_from_mut(arguments);
@@ -49,8 +49,9 @@ impl Arguments {
         Self::from_arg_matches(&matches).map_err(|error| error.format(&mut command))
     }
 
-    /// The commands and options, as clap needs them for help, completions and man pages. `pack`
-    /// accepts the options of a surface as hidden options, to reject them with a reason.
+    /// Returns the commands and options, as clap needs them for help, completions and man pages.
+    /// `pack` accepts the options that apply only to surfaces, but hides them: it can then reject
+    /// them with a reason.
     pub fn as_command() -> clap::Command {
         let is_of_surface = |id: &str| {
             Settings::ALL.iter().any(|setting| setting.name() == id && !setting.is_of_samples())

@@ -1,4 +1,5 @@
-//! Tips for users who type an option of another program: they name the option with the same effect.
+//! Tips for users who type an option of another program: each tip names the option with the same
+//! effect.
 
 use clap::Command;
 use clap::error::{ContextKind, ContextValue, Error, ErrorKind};
@@ -47,7 +48,7 @@ const FOREIGN: &[(&[&str], &str, &str)] = &[
     (&["-n", "-j", "--num-threads", "--jobs"], "threads", "sets the number of threads"),
 ];
 
-/// Options that name the input in other programs.
+/// Options that name the input in other programs; here, inputs need no option.
 const INPUT: &[&str] = &["-i", "--input", "--input-file", "--input-dir"];
 
 /// Adds a tip to an error about an option of another program.

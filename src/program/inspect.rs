@@ -1,4 +1,5 @@
-//! `meniscus check` and `meniscus compare`: defects and measures of a mesh.
+//! `meniscus check` and `meniscus compare`: defects and measurements of a mesh, and its distances
+//! from another mesh.
 
 use std::path::PathBuf;
 

@@ -1,6 +1,6 @@
-//! Removes half-written files after Ctrl-C, termination, lack of memory and crashes. The exit code
-//! is 130 after Ctrl-C or termination, and 2 after lack of memory. A crash ends the process by its
-//! signal.
+//! Removes half-written files when Ctrl-C, termination, lack of memory or a crash ends the process.
+//! The exit code is 130 after Ctrl-C or termination, and 2 after lack of memory. A crash ends the
+//! process with the signal of the crash.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{LazyLock, OnceLock};
@@ -13,7 +13,8 @@ use meniscus::Cancel;
 static CANCEL: LazyLock<Cancel> = LazyLock::new(|| {
     #[cfg(unix)]
     let ignored = ignored_signals();
-    // `set_handler` fails if the caller of this library has installed a handler; that one stays.
+    // `set_handler` fails if the caller of this library has already installed a handler, which then
+    // stays in place.
     let _ = ctrlc::set_handler(|| {
         CANCEL.abandon();
         let what = if RESUMABLE.load(Ordering::Relaxed) {
@@ -70,8 +71,8 @@ pub fn catch_crashes() {
         unsafe { libc::_exit(2) };
     }
     extern "C" fn crash(signal: libc::c_int) {
-        // SAFETY: `alarm` may be called in a signal handler. It ends the process if `abandon` waits
-        // for ever because the crash corrupted its data.
+        // SAFETY: `alarm` may be called in a signal handler. The alarm ends the process if
+        // `abandon` waits forever because the crash corrupted its data.
         unsafe { libc::alarm(2) };
         abandon(
             b"meniscus: crashed. If it used a Vulkan device, the driver may be the cause: try \
@@ -105,7 +106,7 @@ pub fn catch_crashes() {
 fn abandon(message: &[u8]) {
     static IS_ABANDONED: AtomicBool = AtomicBool::new(false);
     if IS_ABANDONED.swap(true, Ordering::Relaxed) {
-        // Another thread is removing the files, or this thread crashed while it did so.
+        // Another thread is removing the files, or this thread crashed while removing them.
         std::thread::sleep(Duration::from_millis(300));
         return;
     }
@@ -127,7 +128,7 @@ pub fn handle() -> Cancel {
     CANCEL.clone()
 }
 
-/// Declares that an interrupt keeps finished frames from now on. Only affects the message.
+/// Declares that an interrupt keeps finished frames from now on. Affects only the message.
 pub fn resumable() {
     RESUMABLE.store(true, Ordering::Relaxed);
 }

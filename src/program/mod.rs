@@ -1,4 +1,4 @@
-//! The command line: uses only the public interface of the library.
+//! The command line, which uses only the public interface of the library.
 
 mod advice;
 mod arguments;

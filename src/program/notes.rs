@@ -6,7 +6,7 @@ use indicatif::MultiProgress;
 use meniscus::Error;
 use meniscus::error::shown;
 
-/// Prints the messages of a run on standard error, with a level of detail.
+/// Prints the messages of a run on standard error, at a given level of detail.
 #[derive(Clone, Default)]
 pub struct Notes {
     quiet: bool,
@@ -16,12 +16,13 @@ pub struct Notes {
 }
 
 impl Notes {
-    /// Selects the level of detail: `quiet` prints only errors, `verbose` also details.
+    /// Selects the level of detail: with `quiet`, only errors are printed; with `verbose`, details
+    /// are printed too.
     pub fn new(quiet: bool, verbose: bool) -> Self {
         Self { quiet, verbose, bars: None }
     }
 
-    /// From now on, prints the messages above these progress bars.
+    /// Returns notes that are printed above these progress bars.
     pub fn above(self, bars: MultiProgress) -> Self {
         Self { bars: Some(bars), ..self }
     }
@@ -60,7 +61,7 @@ impl Notes {
     }
 }
 
-/// Writes a line to standard error in one call. Ignores failures, so that the work continues.
+/// Writes a line to standard error in one call. Ignores errors, so that the work continues.
 pub fn say(text: &str) {
     let _ = io::stderr().lock().write_all(format!("{text}\n").as_bytes());
 }
@@ -89,7 +90,7 @@ pub fn point(point: &[f64; 3]) -> String {
     format!("[{}]", point.map(shown).join(", "))
 }
 
-/// A box as text, by its lowest and highest corner.
+/// A box as text: its lowest and its highest corner.
 pub fn corners([lowest, highest]: &[[f64; 3]; 2]) -> String {
     format!("{} to {}", point(lowest), point(highest))
 }

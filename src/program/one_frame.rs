@@ -1,4 +1,5 @@
-//! The mesh of a single frame: checks before the reconstruction, and messages and files after it.
+//! The mesh of a single frame: checks the request before the reconstruction, and writes messages
+//! and files after it.
 
 use std::path::{Path, PathBuf};
 
@@ -51,7 +52,8 @@ pub fn ready(options: &ReconstructOptions, inputs: &[PathBuf]) -> Result<Prepare
     let replace = if options.run.overwrite { Replace::Allow } else { Replace::Refuse };
     let request = request.cancel(interrupt::handle());
     let output = request.output(&options.output, replace)?;
-    // `request.output` has created the output's folder, in which the statistics may be.
+    // `request.output` has created the output's folder, which may also be that of the statistics
+    // file.
     options.prepare_stats()?;
     let preview = options
         .preview
@@ -61,7 +63,7 @@ pub fn ready(options: &ReconstructOptions, inputs: &[PathBuf]) -> Result<Prepare
         refuse_same_file(preview.path(), stats)?;
     }
 
-    // Attributes that the file cannot store need not be computed.
+    // Attributes that the mesh file cannot store need not be computed.
     let carries = options.settings.attributes.is_some() || output.format().holds_attributes();
     let request = if carries { request } else { request.attributes([""; 0]) };
     Ok(PreparedRequest { request, output, preview, notes })

@@ -1,11 +1,12 @@
-//! Setting up the process: freed memory, the limit on file sizes, and threads.
+//! Sets up the process: what happens to freed memory and to large files, and on which threads it
+//! runs.
 
 use std::panic::resume_unwind;
 use std::thread;
 
 use rayon::ThreadPoolBuilder;
 
-/// Size in bytes of the stack of each thread that runs a command: the default on most systems.
+/// Stack size, in bytes, of each thread that runs a command. It is the default of most systems.
 const STACK: usize = 8 << 20;
 
 /// Sets up the process, before any other thread is started.
@@ -14,8 +15,8 @@ pub fn set_up() {
     outlive_large_files();
 }
 
-/// Runs `work` on a thread with a stack of `STACK` bytes, which the stack limit of the process
-/// (`ulimit -s`) does not affect. Falls back to this thread if the system cannot start another.
+/// Runs `work` on a thread with a stack of `STACK` bytes, whatever the stack limit of the process
+/// (`ulimit -s`) is. Falls back to the current thread if the system cannot start another one.
 pub fn on_own_stack<T: Send + 'static>(work: impl FnOnce() -> T + Clone + Send + 'static) -> T {
     match thread::Builder::new().stack_size(STACK).spawn(work.clone()) {
         Ok(worker) => worker.join().unwrap_or_else(|panic| resume_unwind(panic)),
@@ -24,7 +25,7 @@ pub fn on_own_stack<T: Send + 'static>(work: impl FnOnce() -> T + Clone + Send +
 }
 
 /// Runs `work` in a new thread pool with one thread per core, for commands that create no thread
-/// pool themselves. Falls back to this thread if the system cannot start threads.
+/// pool themselves. Falls back to the current thread if the system cannot start threads.
 pub fn on_all_cores<T: Send>(work: impl FnOnce() -> T + Send) -> T {
     let threads = || ThreadPoolBuilder::new().stack_size(STACK);
     let one = |_| threads().num_threads(1).use_current_thread().build();
@@ -35,14 +36,13 @@ pub fn on_all_cores<T: Send>(work: impl FnOnce() -> T + Send) -> T {
 }
 
 /// Lets the allocator keep up to 8 MiB of freed memory per thread, instead of returning it to the
-/// system. The next frame or block allocates the memory again, which would cost a page fault per
-/// page.
+/// system. When the next frame or block allocates this memory again, it causes no page faults.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 fn keep_freed() {
     for (parameter, bytes) in [(libc::M_MMAP_THRESHOLD, 1 << 20), (libc::M_TRIM_THRESHOLD, 8 << 20)]
     {
-        // SAFETY: `mallopt` takes two numbers, and no other thread has started yet. If it rejects
-        // them, nothing changes.
+        // SAFETY: `mallopt` takes two numbers, and no other thread has started yet. If `mallopt`
+        // rejects the numbers, nothing changes.
         unsafe { libc::mallopt(parameter, bytes) };
     }
 }

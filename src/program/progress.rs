@@ -18,14 +18,15 @@ pub enum ProgressMode {
     Never,
 }
 
-/// Progress bars, if enabled: one for all frames, and one for each lane.
+/// Progress bars, if enabled: one for all frames together, and one for each lane.
 pub struct ProgressBars {
     bars: Option<(ProgressBar, Vec<ProgressBar>)>,
 }
 
 impl ProgressBars {
-    /// Starts bars, and returns the notes that print above them. `bytes` is the size of all inputs:
-    /// the estimate of the remaining time uses it, because frames differ in size.
+    /// Starts bars, and returns the notes that print above them. `bytes` is the total size of the
+    /// inputs. The remaining time is estimated from bytes, not from the number of frames, because
+    /// frames differ in size.
     pub fn start(mode: ProgressMode, bytes: u64, lanes: usize, notes: Notes) -> (Self, Notes) {
         let wanted = match mode {
             ProgressMode::Auto => io::stderr().is_terminal(),
@@ -75,7 +76,7 @@ impl ProgressBars {
         bar.inc(bytes);
     }
 
-    /// Extends the bar by the `bytes` of new frames.
+    /// Extends the bar for all frames by the `bytes` of a new frame.
     pub fn lengthen(&self, bytes: u64) {
         if let Some((bar, _)) = &self.bars {
             bar.inc_length(bytes);
@@ -90,8 +91,8 @@ impl ProgressBars {
     }
 }
 
-/// Draws bars on standard error even if that is not a terminal, for callers that forward standard
-/// error to a terminal. Ignores write errors.
+/// Draws bars on standard error even if it is not a terminal, for callers that forward it to one.
+/// Ignores write errors.
 #[derive(Debug)]
 struct TerminalOutput;
 

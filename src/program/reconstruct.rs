@@ -1,4 +1,4 @@
-//! `meniscus reconstruct`: converts a single frame here, and a simulation in `simulation`.
+//! `meniscus reconstruct`. This module converts single frames; `simulation` converts simulations.
 
 use std::path::{Path, PathBuf};
 
@@ -64,7 +64,7 @@ fn run_frame(options: &ReconstructOptions, inputs: &[PathBuf]) -> Result<Verdict
     Ok(Verdict::Good)
 }
 
-/// Describes a reconstruction without running it, with estimates of memory, disk space and time.
+/// Describes a reconstruction without running it, and estimates its memory, disk space and time.
 fn dry_run(
     options: &ReconstructOptions,
     opened: &OpenedFrame,

@@ -128,14 +128,14 @@ fn view(numbers: &[f64]) -> Result<View, Error> {
     }
 }
 
-/// A colour on the command line.
+/// A colour as given on the command line.
 #[derive(Clone)]
 enum ColourArgument {
     Colour(Colour),
     Named(String, Option<ColourMap>),
 }
 
-/// The value of `--colour` that selects the distance from the reference mesh.
+/// The value of `--colour` that colours by the distance from the reference mesh.
 const DISTANCE: &str = "distance";
 
 impl RenderOptions {

@@ -15,7 +15,7 @@ use super::advice::{spacing_message, warning_message};
 use super::notes::Notes;
 use super::options::ReconstructOptions;
 
-/// Prints the number of particles in the opened inputs, and the chosen cells.
+/// Prints the number of particles in the opened inputs, what was left out, and the chosen cells.
 pub fn report_opened(inputs: &[PathBuf], opened: &OpenedFrame, notes: &Notes) {
     let names: Vec<_> = inputs.iter().map(|input| input.display().to_string()).collect();
     notes.say(format!(
@@ -150,13 +150,13 @@ pub fn report_census(census: &Census, notes: &Notes) {
     }
 }
 
-/// The text about drops that were left out.
+/// Returns the message about drops that were left out.
 pub fn too_small(drops: u64, particles: u32) -> String {
     format!("{drops} drops of fewer than {particles} particles left out")
 }
 
-/// Prints a device's submissions, new buffers, transferred bytes and time for each stage, all per
-/// frame.
+/// Prints a device's submissions, new buffers and transferred bytes, and its time for each stage.
+/// All are averages per frame.
 pub fn report_device(device: Option<&Device>, frames: usize, notes: &Notes) {
     let Some(device) = device else { return };
     let Counters { submissions, allocations, sent, received } = device.take_counters();
@@ -182,8 +182,8 @@ pub fn report_stages(timings: &Timings, notes: &Notes) {
 }
 
 /// Prints the warnings about a surface, with advice. Skips warnings about the spacing, because they
-/// were printed when the spacing was chosen. Only the warning that particles contradict the spacing
-/// of a packed frame is printed here.
+/// were printed when the spacing was chosen. The exception is the warning that particles contradict
+/// the spacing of a packed frame, which is printed here.
 pub fn warn_all(warnings: &[Warning], options: Option<&ReconstructOptions>, notes: &Notes) {
     let was_said = |warning: &&Warning| match warning {
         Warning::Spacing(SpacingWarning::Contradicted { source, .. }) => {

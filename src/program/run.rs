@@ -1,4 +1,4 @@
-//! Options for resources and messages: threads, memory, scratch, backend.
+//! Options for messages and for resources: threads, memory, scratch folder and backend.
 
 use std::path::{Path, PathBuf};
 
@@ -9,8 +9,8 @@ use meniscus::{Error, MemoryBudget, Reconstruction, default_memory};
 
 use super::notes::Notes;
 
-/// Maximum number of threads: more than most machines have cores, and few enough for the system to
-/// start them.
+/// Maximum number of threads: more than the number of cores of most machines, but few enough for
+/// the system to start them all.
 const MOST_THREADS: usize = 1024;
 
 #[derive(Args)]
@@ -56,7 +56,8 @@ enum BackendName {
 
 impl RunOptions {
     /// Sets threads, memory, scratch folder and backend of a request. `input_bytes` returns the
-    /// size of the inputs, if known. It is called only if the choice of a backend depends on it.
+    /// size of the inputs in bytes, if known. It is called only if the choice of the backend
+    /// depends on this size.
     pub fn machine(
         &self,
         request: Reconstruction,
@@ -127,13 +128,13 @@ impl RunOptions {
     }
 }
 
-/// Total size of the files in bytes; `None` if a file is missing, or if its size does not indicate
-/// how many particles it has.
+/// Total size, in bytes, of the files; `None` if a file is missing, or if the size of a file does
+/// not indicate how many particles it contains.
 pub fn bytes_of<'a>(files: impl IntoIterator<Item = &'a Path>) -> Option<u64> {
     devices::bytes_of(files)
 }
 
-/// Whether an output is a device file, so that no other files can be created next to it.
+/// Whether an output is a device file, next to which no other files can be created.
 fn is_device(output: &Path) -> bool {
     output.starts_with("/dev")
 }

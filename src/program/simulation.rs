@@ -1,4 +1,4 @@
-//! `meniscus reconstruct` for the frames of a simulation: its options, and its messages.
+//! `meniscus reconstruct` for the frames of a simulation: options and messages.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -63,7 +63,8 @@ pub fn run(options: &ReconstructOptions, simulation: Simulation) -> Result<Verdi
         return Ok(listener.verdict());
     }
     let converted = simulation.run(hear);
-    // A failure to write the statistics has cancelled the conversion, so it is the error to report.
+    // If the statistics could not be written, the listener has cancelled the conversion, and this
+    // is the error to report.
     if let Some(error) = listener.broken.take() {
         return Err(error);
     }
@@ -84,7 +85,7 @@ struct Listener<'a> {
     bars: Option<(ProgressBars, Notes)>,
     /// Parts of files that were not read, each with the number of frames that have such a part.
     left_out: BTreeMap<String, usize>,
-    /// The first error in writing the statistics.
+    /// The first error while writing the statistics.
     broken: Option<Error>,
     bad: bool,
     cancel: Cancel,
@@ -145,7 +146,7 @@ impl Listener<'_> {
         }
     }
 
-    /// Appends statistics; if that fails, cancels the conversion.
+    /// Appends a line of statistics. If this fails, cancels the conversion.
     fn append(&mut self, record: impl FnOnce() -> serde_json::Value) {
         if let Err(error) = self.options.append_stats(record) {
             self.broken.get_or_insert(error);
@@ -214,7 +215,7 @@ impl Listener<'_> {
     }
 }
 
-/// Lists the failed and missing frames by their numbers, one per line.
+/// Lists failed frames and ranges of missing frames, one per line, in frame order.
 fn incomplete(summary: &Summary) -> String {
     let failed = summary.failed.iter();
     let failed = failed.map(|failed| {
@@ -286,7 +287,7 @@ fn range(text: &str) -> Result<(i64, i64), String> {
         .ok_or_else(|| "expected two increasing numbers, such as 100..199".to_owned())
 }
 
-/// Returns an error if one of the options was given: they apply only to simulations.
+/// Returns an error if one of `options` was given, because these options apply only to simulations.
 fn refuse_sequence_options(options: &[(&str, bool)]) -> Result<(), Error> {
     match options.iter().find(|(_, given)| *given) {
         None => Ok(()),
@@ -303,7 +304,7 @@ impl SimulationOptions {
         self.refuse_for_parts()
     }
 
-    /// Rejects options that do not apply to a single frame in parts.
+    /// Rejects options that do not apply to a single frame that is made in parts.
     pub fn refuse_for_parts(&self) -> Result<(), Error> {
         refuse_sequence_options(&[
             ("--start", self.start.is_some()),

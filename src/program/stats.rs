@@ -15,16 +15,16 @@ use super::options::ReconstructOptions;
 pub struct MeshStats<'a> {
     pub input: &'a Path,
     pub output: &'a Path,
-    /// Number of vertices, number of triangles, and size of the file in bytes.
+    /// Number of vertices, number of triangles, and size, in bytes, of the mesh file.
     pub counts: [u64; 3],
     pub stages: &'a Timings,
-    /// Lower bound of the number of particles that are missing from the surface.
+    /// Lower bound on the number of particles that are missing from the surface.
     pub lost: u64,
 }
 
 impl ReconstructOptions {
     /// Checks before the reconstruction that statistics can be appended, without creating the file.
-    /// The file's folder need not exist yet if it is the folder of the meshes.
+    /// The file's folder need not exist yet if it will be created for the meshes.
     pub fn prepare_stats(&self) -> Result<(), Error> {
         let Some(path) = self
             .stats

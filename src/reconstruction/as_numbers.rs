@@ -1,5 +1,5 @@
-//! Serializes a calibration to JSON: mu0 for counting, with the isovalue as a fraction of 1; or the
-//! plateau of clouds.
+//! Serializes a calibration to JSON. For clouds, this is the plateau; for other indicators, the
+//! isovalue, between 0 and 1, and mu0 for counting.
 
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};

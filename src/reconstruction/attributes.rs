@@ -32,7 +32,7 @@ impl Settings {
     }
 
     /// Indices in `all` of the attributes that go to the vertices. By default, this is the
-    /// velocity, if the format can store it.
+    /// velocity, if there is one and the format can store it.
     pub(crate) fn carried(
         &self,
         all: &[AttributeInfo],

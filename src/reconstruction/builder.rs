@@ -17,11 +17,11 @@ use crate::system::cancel::Cancel;
 use crate::system::control::{Control, Progress};
 use crate::vulkan::Device;
 
-/// A request for the surface of particles. Settings without a value are measured, or have their
+/// A request for the surface of particles. Settings without a value are measured, or take their
 /// defaults.
 ///
-/// Numbers are checked when the request runs. Each run has its own threads, and changes no global
-/// state.
+/// Numbers are checked when the request runs. Each run has its own threads, unless
+/// [`pool`](Self::pool) is called, and changes no global state.
 ///
 /// ```
 /// use meniscus::Reconstruction;
@@ -96,15 +96,15 @@ impl Reconstruction {
         self
     }
 
-    /// Sets the edge of a cell in spacings: 0.5 by default, 2/3 for the indicators counting and
-    /// symmetry.
+    /// Sets the edge of a cell, in spacings. The default is 0.5, or 2/3 for the indicators counting
+    /// and symmetry.
     pub fn cell(mut self, spacings: f64) -> Self {
         (self.settings.cell_size, self.settings.cell) = (None, Some(spacings));
         self
     }
 
-    /// Sets the walls of a tank by its lowest and highest corner. Particles outside are left out. A
-    /// side at -inf or inf is open.
+    /// Sets the walls of a tank by its lowest and highest corner. Particles outside the walls are
+    /// left out. A side at -inf or inf is open.
     pub fn domain(mut self, lowest: [f64; 3], highest: [f64; 3]) -> Self {
         self.settings.domain = Some(Tank::Walls(Walls::from_corners([lowest, highest])));
         self
@@ -142,12 +142,12 @@ impl Reconstruction {
         self
     }
 
-    /// Sets a periodic box by its faces along x, y and z; `None` is an open axis. Fluid that leaves
-    /// the box at a face enters at the opposite face.
+    /// Sets a periodic box by its faces along x, y and z; `None` makes an axis open. Fluid that
+    /// leaves the box at a face enters at the opposite face.
     ///
-    /// A particle exactly on an upper face counts as being on the lower face. Other particles
-    /// outside are an error, unless [`skip_invalid`](Self::skip_invalid) leaves them out. Open axes
-    /// can have walls.
+    /// A particle exactly on an upper face counts as being on the lower face. Any other particle
+    /// outside the box gives an error, unless [`skip_invalid`](Self::skip_invalid) leaves it out.
+    /// Open axes can have walls.
     ///
     /// ```
     /// use meniscus::Reconstruction;
@@ -197,8 +197,9 @@ impl Reconstruction {
 
     /// Uses only particles that satisfy conditions on their attributes.
     ///
-    /// If an input has several types of particles, `type` selects one: `PartType1` of a snapshot,
-    /// an array of PySPH, a species of openPMD. The default is gas, `fluid`, or the only type.
+    /// If an input has several types of particles, `type` selects one, such as `PartType1` of a
+    /// snapshot, an array of PySPH, or a species of openPMD. The default is gas, `fluid`, or the
+    /// only type.
     ///
     /// ```
     /// use meniscus::{Cloud, Reconstruction, Where};
@@ -216,7 +217,7 @@ impl Reconstruction {
         self
     }
 
-    /// Uses the calibration of another frame, so that both surfaces are consistent.
+    /// Uses the calibration of another frame, so that the surfaces of both frames are consistent.
     pub fn calibrated(mut self, by: Calibration) -> Self {
         self.calibration = Some(by);
         self
@@ -277,8 +278,9 @@ impl Reconstruction {
         self
     }
 
-    /// Calls a function with progress, from any thread. A [`Simulation`](crate::Simulation) reports
-    /// the progress of its frames by [`Event::Stage`](crate::Event::Stage) instead.
+    /// Calls `report` with the progress of the work, from any thread. A
+    /// [`Simulation`](crate::Simulation) reports the progress of its frames through
+    /// [`Event::Stage`](crate::Event::Stage) instead.
     pub fn progress(mut self, report: impl Fn(Progress) + Send + Sync + 'static) -> Self {
         self.control.progress = Some(Arc::new(report));
         self
@@ -321,7 +323,7 @@ macro_rules! setters {
 }
 
 setters! {
-    /// Sets the origin of the grid, which is a corner of its cells.
+    /// Sets the origin of the grid, which is a corner of a cell.
     origin: [f64; 3],
     /// Sets how the mesh ends at the faces of a periodic box. By default, it ends on the faces.
     periodic_mesh: PeriodicMesh,
@@ -329,40 +331,41 @@ setters! {
     indicator: IndicatorKind,
     /// Sets `mu0`, the mean number of particles in non-empty cells, for counting.
     mu0: f64,
-    /// Sets the smoothing width in spacings, for clouds: 1.6 by default. Larger values give a
+    /// Sets the smoothing width for clouds, in spacings; the default is 1.6. Larger values give a
     /// smoother surface.
     smooth: f64,
     /// With the indicator cloud, joins particles of thin sheets and filaments that are at most this
-    /// many spacings apart, 2.15 by default. 0 turns this off.
+    /// many spacings apart. The default is 2.15, and 0 turns joining off.
     sheets: f64,
-    /// Sets the distance between the fluid and solids, in spacings. With a negative distance, the
+    /// Sets the distance, in spacings, between the fluid and solids. With a negative distance, the
     /// fluid reaches into solids.
     solid_offset: f64,
-    /// Sets the standard deviation of the Gaussian in cells, for counting and symmetry. The default
-    /// is one spacing, but at least one cell.
+    /// Sets the standard deviation, in cells, of the Gaussian for counting and symmetry. The
+    /// default is one spacing, but at least one cell.
     sigma: f64,
-    /// Recovers details, such as drops, that smoothing with the indicators counting and symmetry
-    /// removes.
+    /// With the indicators counting and symmetry, recovers details that smoothing removes, such as
+    /// drops.
     detail: bool,
     /// Adds vertex normals, from the field's gradient.
     normals: bool,
-    /// Reduces the number of triangles; no part of the surface moves farther than this distance in
-    /// cells.
+    /// Reduces the number of triangles without moving any part of the surface by more than this
+    /// distance, in cells.
     simplify: f64,
-    /// Removes drops and bubbles with less than this volume in cells.
+    /// Removes drops and bubbles whose volume is less than this number of cells.
     smallest_component: f64,
-    /// Removes drops with fewer particles than this number, estimated from their volume.
+    /// Removes drops with fewer than this number of particles, which is estimated from the drop's
+    /// volume.
     smallest_drop: u32,
     /// Skips particles whose position is not finite or is outside the grid, and reports their
-    /// number; without this, such particles are an error.
+    /// number. Without this setting, such particles give an error.
     skip_invalid: bool,
-    /// Compresses the output: a `.glb` with quantization and EXT_meshopt_compression, a `.vdb` with
-    /// zlib.
+    /// Compresses the output: `.glb` files with quantization and EXT_meshopt_compression, `.vdb`
+    /// files with zlib.
     compress: bool,
     /// Sets the axis that points up in mesh files; rotates the mesh if another axis points up in
     /// the particles.
     up: UpAxis,
-    /// Sets the axis that points up in the particles. The default is z for `.bi4` and y for other
-    /// formats.
+    /// Sets the axis that points up in the particles. The default is z for `.bi4` files and y for
+    /// other formats.
     particles_up: UpAxis,
 }

@@ -1,5 +1,5 @@
-//! Cell size, from the first spacing that is known: given, in the file, in a scene file near it, or
-//! estimated.
+//! The cell size of a frame, from the first spacing that is known: given, in the file, in a scene
+//! file next to it, or estimated.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -27,13 +27,14 @@ pub enum CellSize {
 }
 
 impl CellSize {
-    /// The default: half a spacing.
+    /// The default: half a spacing for clouds and kernel methods, two thirds of a spacing for
+    /// counting and symmetry.
     ///
     /// In cells of two thirds of a spacing, single drops are angular, and their volume depends on
     /// their position. Cells of half a spacing take hardly longer, because the surface is made in
     /// the same wide cells. Renders of single drops need cells of a quarter of a spacing. The
-    /// indicators counting and symmetry use two thirds, because symmetry fails in cells of half a
-    /// spacing.
+    /// indicators counting and symmetry use two thirds of a spacing, because symmetry fails in
+    /// cells of half a spacing.
     pub fn usual(method: Method) -> Self {
         match method.indicator() {
             Some(IndicatorKind::Cloud) | None => Self::Spacings(0.5),
@@ -45,7 +46,7 @@ impl CellSize {
 /// The source of particles, as far as it affects their spacing.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct SpacingHints<'a> {
-    /// The file; a scene file may be near it.
+    /// The file; a scene file may be next to it.
     pub path: Option<&'a Path>,
     /// The spacing in the file.
     pub spacing: Option<f64>,
@@ -65,7 +66,7 @@ pub struct Cells {
     /// The slab around particles of a two-dimensional simulation.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub slab: Option<Slab>,
-    /// The particles' sizes, if they have several.
+    /// The particles' sizes, if they have several sizes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sizes: Option<Sizes>,
     /// Walls that the scene file and the particles indicate, if requested.
@@ -75,16 +76,16 @@ pub struct Cells {
     pub warnings: Vec<SpacingWarning>,
 }
 
-/// Walls of a tank that meniscus found.
+/// Tank walls that meniscus found.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct FoundWalls {
     /// The walls.
     pub walls: Walls,
-    /// The scene file with the walls; without one, walls are planes at which particles end.
+    /// The scene file with the walls; without one, the walls are planes at which the particles end.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub scene: Option<PathBuf>,
-    /// The spacing at the lower and the upper side along each axis; `None` if it is everywhere the
+    /// The spacing at the lower and the upper side along each axis; `None` if every side has the
     /// spacing of the smallest particles.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub spacings: Option<[[f64; 2]; 3]>,
@@ -122,11 +123,13 @@ impl Slab {
 }
 
 impl Slab {
-    /// Whether particles lie in the slab's plane, like the particles for which the slab was found.
+    /// Whether all `particles` lie in the slab's plane, like the particles for which the slab was
+    /// found.
     #[must_use]
     pub fn holds(&self, particles: &dyn Particles) -> bool {
         let Self { axis, faces: [lo, hi] } = *self;
-        /// The maximum distance of particles from the slab's plane, in thicknesses of the slab.
+        /// The maximum distance of particles from the slab's plane, as a fraction of the slab's
+        /// thickness.
         const NEAR: f64 = 0.05;
         let (at, near) = (lo + (hi - lo) / 2.0, NEAR * (hi - lo));
         axis < 3

@@ -35,8 +35,8 @@ use super::threads::Threads;
 use super::warning::Warning;
 use super::{CellSize, SamplingRequest, WallSearch};
 
-/// Maximum number of threads of a call: more than the cores of any machine, but few enough to
-/// start.
+/// Maximum number of threads per call: more than the number of cores of any machine, but few enough
+/// to start.
 const MOST_THREADS: usize = 1024;
 
 /// A request that can be run.
@@ -50,7 +50,7 @@ pub(crate) struct CheckedRequest {
     pub(crate) threads: usize,
     pub(crate) pool: Option<Arc<ThreadPool>>,
     pub(crate) resources: Resources,
-    /// Warnings about solids that face inwards.
+    /// Warnings about solids whose triangles face inwards.
     pub(crate) inverted_solids: Vec<Warning>,
     /// The files of the solids that were read.
     pub(crate) solid_files: Vec<PathBuf>,
@@ -201,8 +201,8 @@ fn sampling(settings: &Settings, surfacing: &Surfacing) -> Result<SamplingReques
     Ok(request)
 }
 
-/// The choice of sizes. If the spacing is given, all particles have this size. Some other settings
-/// also need particles of one size.
+/// The choice of sizes. If the spacing is given, it is the size of all particles. Kernel methods
+/// and the indicators other than cloud also need particles of one size.
 fn size(settings: &Settings) -> SizeChoice {
     let needs_one = [
         ("method", settings.kernels().is_some()),
@@ -281,7 +281,7 @@ fn reduction(settings: &Settings) -> Result<Reduction, Error> {
 }
 
 impl Settings {
-    /// Rejects settings that apply only to the surface of another indicator.
+    /// Rejects settings that apply only to other indicators.
     pub(crate) fn check_indicator_settings(&self, kind: IndicatorKind) -> Result<(), Error> {
         let meaningless: &[&'static str] = match kind {
             IndicatorKind::Cloud if self.isovalue().is_some() => &["sigma", "iso", "detail"],
@@ -313,7 +313,7 @@ impl Settings {
         refuse(&self.without_default_method(), &Self::default(), needed, with)
     }
 
-    /// Rejects settings that differ from those with which the frame was sampled.
+    /// Rejects settings of the sampling that differ from those with which the frame was sampled.
     pub(crate) fn check_sampled(&self, sampled: &Self) -> Result<(), Error> {
         let needed = |setting: Setting| setting.needs_particles() || setting.name() == "attributes";
         let given = self.plain().given_otherwise(&sampled.plain(), needed);
@@ -353,7 +353,7 @@ impl Settings {
 }
 
 impl CheckedRequest {
-    /// Starts threads for the request.
+    /// Starts threads for the request, unless the caller gave a thread pool.
     pub(crate) fn on_threads(self) -> Result<StartedRequest, Error> {
         let started = || Threads::start(self.threads).map_err(Error::Threads);
         let threads = self.pool.clone().map_or_else(started, Ok)?;
@@ -372,7 +372,8 @@ impl CheckedRequest {
         }
     }
 
-    /// The memory for an input that must be unpacked or decoded: an eighth of the budget.
+    /// The memory for an input that must be unpacked or decoded, which is an eighth of the budget,
+    /// and the folder for the rest.
     pub(crate) fn unpacking(&self) -> Unpacking<'_> {
         Unpacking {
             in_memory: self.resources.budget.0 / 8,

@@ -17,7 +17,7 @@ use super::checked::CheckedRequest;
 use super::report::Report;
 use super::warning::{EmptyReason, Warning, lost_warning, of_isovalue};
 
-/// A surface without the threads that made it.
+/// A surface, without the threads that made it.
 pub(crate) struct ExtractedSurface {
     pub(crate) mesh: ExtractedMesh,
     pub(crate) precision: SinglePrecision,
@@ -68,9 +68,9 @@ impl CheckedRequest {
         Ok(self.reduce_of(engine, surface, report, timings)?)
     }
 
-    /// Like [`extract`](Self::extract), for one of many frames. A frame without a surface gives an empty
-    /// mesh with the attributes `infos`, and a warning with the reason. `calibration_frame` is the
-    /// frame on which the calibration was measured.
+    /// Works like [`extract`](Self::extract), for one of many frames. A frame without a surface
+    /// gives an empty mesh with the attributes `infos`, and a warning with the reason.
+    /// `calibration_frame` is the frame on which the calibration was measured.
     pub(crate) fn extract_or_empty(
         &self,
         engine: &Engine,
@@ -106,7 +106,7 @@ impl CheckedRequest {
         }
     }
 
-    /// A frame without a surface, with a warning that gives the reason.
+    /// The empty mesh of a frame without a surface, with a warning that gives the reason.
     fn empty(
         &self,
         mut report: Report,

@@ -78,7 +78,7 @@ impl CheckedRequest {
         Ok(Some(SelectedParticles::new(particles, sieve)))
     }
 
-    /// Samples particles.
+    /// Samples `particles` with the `chosen` sampling.
     pub(super) fn sampled(
         &self,
         particles: &dyn Particles,
@@ -90,7 +90,7 @@ impl CheckedRequest {
         Ok(FrameSamples { engine, cells: Some(cells), moved })
     }
 
-    /// Counts particles, unless `plan` already has their counts, and samples their field.
+    /// Counts particles, unless `plan` already contains their counts, and samples their field.
     pub(crate) fn engine(
         &self,
         particles: &dyn Particles,
@@ -116,7 +116,7 @@ impl Frame {
         self.ready.threads.install(|| with_spacing_warnings(cells, of_frame(&self.sampled.engine)))
     }
 
-    /// The axis that points up in the particles, as requested or by the file format.
+    /// The axis that points up in the particles, as requested or as the file format implies.
     #[must_use]
     pub fn particles_up(&self) -> UpAxis {
         self.ready.checked.settings.particles_up.unwrap_or(self.up)
@@ -136,8 +136,8 @@ impl Frame {
     /// Memory, threads and backend remain those of the frame.
     ///
     /// # Errors
-    /// [`Error::Unit`], [`Error::SettingConflict`], also for changed settings of the sampling, and
-    /// the errors of [`surface`](Self::surface).
+    /// [`Error::Unit`], [`Error::SettingConflict`], also if settings of the sampling differ from
+    /// the frame's, and the errors of [`surface`](Self::surface).
     pub fn surface_by(&self, request: &Reconstruction) -> Result<Surface, Error> {
         let mut checked = request.checked()?;
         let kind = self.sampled.engine.method().indicator();

@@ -60,20 +60,20 @@ pub struct ParticlesInfo {
     pub bounds: Option<[[f64; 3]; 2]>,
     /// The attributes besides positions.
     pub attributes: Vec<AttributeInfo>,
-    /// Attributes with few different values, and how often each value occurs.
+    /// Attributes with few distinct values, and how often each value occurs.
     pub values: Vec<ValueCounts>,
-    /// The number of particles that do not satisfy the conditions.
+    /// The number of particles that do not satisfy the conditions in the settings.
     pub unselected: usize,
-    /// The number of ghost particles, copies from other pieces, which are left out.
+    /// The number of ghost particles, which are copies from other pieces and are left out.
     pub ghosts: usize,
-    /// Descriptions of parts of the input that are not read.
+    /// Descriptions of the parts of the input that were not read.
     pub left_out: Vec<String>,
     /// Edge lengths of the simulation's box, if the file states them. The box need not be periodic.
     pub box_size: Option<[f64; 3]>,
     /// The file's unit of length in metres.
     pub unit_metres: Option<f64>,
-    /// Types of particles in the file; the first is the one that was read. Empty if the only type
-    /// has no name.
+    /// Types of particles in the file; the first type is the one that was read. Empty if the only
+    /// type has no name.
     pub particle_types: Vec<String>,
     /// Distance between neighbouring particles.
     pub spacing: Option<f64>,
@@ -89,7 +89,7 @@ pub struct ParticlesInfo {
     pub slab: Option<Slab>,
     /// Walls that the scene file and the particles indicate.
     pub walls: Option<Box<FoundWalls>>,
-    /// Estimated peak memory of a reconstruction with default settings, in bytes.
+    /// Estimated peak memory, in bytes, of a reconstruction with default settings.
     pub memory_bytes: Option<u64>,
 }
 
@@ -106,24 +106,24 @@ pub struct FrameInfo {
     pub cells: u64,
     /// The number of stored bricks.
     pub bricks: u64,
-    /// The lowest and highest corner of the bounding box of these cells.
+    /// The lowest and highest corner of the bounding box of the full cells.
     pub bounds: Option<[[f64; 3]; 2]>,
     /// Edge of a cell.
     pub cell_size: f64,
-    /// The grid's origin, which is a corner of cells.
+    /// The grid's origin, which is a corner of a cell.
     pub origin: [f64; 3],
     /// The walls of the tank, if there is one.
     pub domain: Option<[[f64; 3]; 2]>,
-    /// The faces of the periodic box along each axis that is not open, if there is one.
+    /// The faces of the periodic box, if there is one; `None` along an open axis.
     pub periodic: Option<[Option<[f64; 2]>; 3]>,
     /// The indicator's name.
     pub indicator: &'static str,
     /// Mean number of particles in a full cell, for the indicator counting.
     pub mu0: Option<f64>,
-    /// Distance between neighbouring particles, if it is known; their smallest size if they have
-    /// several.
+    /// Distance between neighbouring particles, if it is known. If the particles have several
+    /// sizes, this is the smallest size.
     pub spacing: Option<f64>,
-    /// The largest size of the particles, if they have several.
+    /// The largest size of the particles, if they have several sizes.
     pub largest_size: Option<f64>,
 }
 
@@ -157,7 +157,7 @@ pub struct VolumeInfo {
     pub grids: Vec<GridInfo>,
 }
 
-/// The extensions of all supported files, for a message.
+/// The extensions of all supported files, for an error message.
 static ALL_KNOWN: LazyLock<String> = LazyLock::new(|| {
     format!(
         "particles: {KNOWN}; packed frames: .mnf; volumes: .vdb; meshes: .ply, .obj, .vtk, .vtp and .stl"
@@ -308,7 +308,7 @@ fn particles(path: &Path, settings: &Settings) -> Result<ParticlesInfo, Error> {
     })
 }
 
-/// Estimated peak memory of a reconstruction with default settings, in bytes.
+/// Estimated peak memory, in bytes, of a reconstruction with default settings.
 fn memory(particles: &dyn Particles, cells: &Cells) -> Option<u64> {
     let request = SamplingRequest { invalid: InvalidParticles::Skip, ..SamplingRequest::default() };
     let request = request.in_slab(cells.slab);

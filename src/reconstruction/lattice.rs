@@ -1,4 +1,5 @@
-//! Moves grids to suit particles on a lattice, which is common in the first frame of a simulation.
+//! Moves grids to suit particles on a lattice. Such particles are common in the first frame of a
+//! simulation.
 
 use glam::DVec3;
 
@@ -28,8 +29,8 @@ pub fn origin_for_lattice(particles: &dyn Particles, sampling: &Sampling) -> Opt
     }
 }
 
-/// Moves the grid of a sampling to another origin; `None` if the walls or the periodic box have no
-/// cells on the moved grid.
+/// Moves the grid of a sampling to another origin; `None` if the walls or the periodic box are
+/// invalid on the moved grid.
 pub fn moved(sampling: &Sampling, origin: DVec3) -> Option<Sampling> {
     let grid = Grid::new(origin, sampling.grid.cell_size()).ok()?;
     let domain = match &sampling.domain {

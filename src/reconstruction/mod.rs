@@ -1,6 +1,6 @@
 //! The facade: particles to a surface in one call, and the policy that chooses defaults.
 //!
-//! There are four ways to make a frame's mesh, with the same steps:
+//! There are four ways to make a frame's mesh. All take the same steps:
 //!
 //! | | plan | sample | extract | write |
 //! |---|---|---|---|---|

@@ -1,5 +1,5 @@
-//! A forecast for one frame: memory and disk from its counted particles, and time from a sample of
-//! its blocks.
+//! A forecast for one frame: memory and disk space from its counted particles, and time from a
+//! sample of its blocks.
 
 use std::path::PathBuf;
 use std::time::Instant;
@@ -18,8 +18,8 @@ use crate::system::timings::Timings;
 use super::checked::{CheckedRequest, StartedRequest};
 use super::opened::{Input, OpenedFrame};
 
-/// Minimum number of particles in the sample. A frame with up to twice as many particles is made
-/// completely.
+/// Minimum number of particles in the sample. A frame with up to twice as many particles is sampled
+/// and meshed completely.
 const SAMPLE: usize = 200_000;
 
 /// Bytes of memory for each vertex of a mesh that is written as a level set with its velocity.
@@ -33,34 +33,34 @@ pub struct Needs {
     pub census: Census,
     /// Edge of a cell.
     pub cell_size: f64,
-    /// Memory limit in bytes.
+    /// Memory limit, in bytes.
     pub budget: u64,
-    /// Peak memory of the frame and its solids within the limit, in bytes.
+    /// Peak memory, in bytes, of the frame and its solids within the limit.
     pub memory: u64,
-    /// Peak memory without scratch files, in bytes.
+    /// Peak memory, in bytes, without scratch files.
     pub in_core: u64,
-    /// Upper bound of the bytes in scratch files.
+    /// Upper bound of the size, in bytes, of scratch files.
     pub scratch: u64,
     /// Folder of the scratch files.
     pub scratch_folder: PathBuf,
-    /// Additional bytes for simplifying, if it is requested: first the bytes that must be in
-    /// memory, then the bytes that can be in memory or in scratch files.
+    /// Additional bytes for simplifying, if it is requested: first those that must be in memory,
+    /// then those that can be in memory or in scratch files.
     pub simplifying: Option<[u64; 2]>,
-    /// Additional memory of the writer in bytes, if it needs the whole mesh in memory.
+    /// Additional memory, in bytes, of the writer, if it holds the whole mesh in memory.
     pub writing: Option<u64>,
     /// Approximate number of triangles before simplifying: exact for a small frame, estimated from
     /// the counted particles for a large one.
     pub triangles: u64,
-    /// Approximate size of the mesh on disk in bytes.
+    /// Approximate size, in bytes, of the mesh on disk.
     pub disk: u64,
-    /// Approximate time of the reconstruction in seconds, without writing the mesh. `None` if a
+    /// Approximate time, in seconds, of the reconstruction without writing the mesh. `None` if a
     /// sample cannot be measured: for large frames with kernel methods, or if the sample has no
     /// surface.
     pub seconds: Option<f64>,
 }
 
-/// Approximate size of a mesh on disk: 24 bytes per vertex with its velocity, and 13 per triangle,
-/// as in `.ply`, without further attributes and before simplifying.
+/// Approximate size, in bytes, of a mesh on disk: 24 bytes per vertex with its velocity, and 13 per
+/// triangle, as in `.ply`, without further attributes and before simplifying.
 pub(crate) fn mesh_bytes(vertices: u64, triangles: u64) -> u64 {
     24 * vertices + 13 * triangles
 }
@@ -70,13 +70,13 @@ struct TrialResult {
     /// Number of particles that were binned.
     particles: usize,
     triangles: u64,
-    /// Seconds for sampling the particles and meshing their surface.
+    /// Times, in seconds, for sampling the particles and for meshing their surface.
     seconds: [f64; 2],
 }
 
 impl OpenedFrame {
-    /// Counts the particles, and estimates what their surface needs; `None` for a packed frame. A
-    /// part of the frame is made to measure the time.
+    /// Counts the particles, and estimates what their surface needs; `None` for a packed frame. To
+    /// measure the time, it samples and meshes a part of the frame.
     ///
     /// # Errors
     /// [`Error::Frame`] for invalid particles, or too little memory, and [`Error::Cancelled`].
@@ -96,7 +96,7 @@ impl OpenedFrame {
         let resources = &checked.resources;
         let plan = estimate.plan(resources.budget);
         let solids = checked.surfacing.solid_bytes();
-        // Two passes hold each remaining triangle as three 64-bit numbers.
+        // Simplifying holds each remaining triangle as three 64-bit numbers in two passes.
         let simplified = [BYTES_A_THREAD * checked.threads as u64, 3 * estimate.surface];
         let holds = checked.settings.holds_whole_mesh(format);
         Ok(Some(Needs {
@@ -161,8 +161,8 @@ fn forecast(
     Ok((expected, (part.triangles > 0).then_some(seconds)))
 }
 
-/// Returns `None` for a trial that failed, for example because there is no surface. Only a cancel
-/// is an error.
+/// Returns `None` for a trial that failed, for example because there is no surface. Only
+/// cancellation gives an error.
 fn accepted(tried: Result<TrialResult, FrameError>) -> Result<Option<TrialResult>, FrameError> {
     match tried {
         Err(FrameError::Cancelled) => Err(FrameError::Cancelled),
@@ -170,7 +170,7 @@ fn accepted(tried: Result<TrialResult, FrameError>) -> Result<Option<TrialResult
     }
 }
 
-/// Makes the blocks of a stretch.
+/// Makes the blocks of `stretch`, and measures the time.
 fn tried(
     checked: &CheckedRequest,
     counted: CountedFrame<'_>,
@@ -187,8 +187,8 @@ fn tried(
     Ok(TrialResult { particles, triangles: spool.triangles(), seconds })
 }
 
-/// Consecutive blocks that contain at least [`SAMPLE`] particles, beginning at the block of the
-/// middle particle.
+/// Consecutive blocks that contain at least [`SAMPLE`] particles, beginning with the block that
+/// contains the middle particle.
 fn sample(bins: impl Iterator<Item = (MortonKey, usize)> + Clone) -> Stretch {
     let block = |bin: MortonKey| MortonKey::of(block_of_bin(bin.coord()));
     let all: usize = bins.clone().map(|(_, count)| count).sum();

@@ -10,8 +10,8 @@ use super::CellSize;
 use super::builder::Reconstruction;
 use super::checked::refuse_named;
 
-/// Settings that cannot be combined with particles on a device, because they need the host, or a
-/// mesh that is simplified or written.
+/// Settings that cannot be combined with particles on a device, because they are implemented only
+/// on the host, or apply only when the mesh is simplified or written.
 const OF_HOST: [&str; 16] = [
     "size",
     "method",
@@ -33,8 +33,8 @@ const OF_HOST: [&str; 16] = [
 
 impl Reconstruction {
     /// Converts the request for a [`Pipeline`](crate::devices::Pipeline), which meshes particles
-    /// that are already on a device. The host does not see such particles. So the request must have
-    /// a spacing or a cell size, and the grid is not moved to suit a lattice of particles.
+    /// that are already on a device. The host does not read such particles, so the request must
+    /// have a spacing or a cell size, and the grid is not moved to suit a lattice of particles.
     ///
     /// # Errors
     /// [`Error::Unit`], [`Error::Domain`], [`Error::SettingConflict`] for settings that do not

@@ -79,8 +79,7 @@ impl StartedRequest {
 }
 
 impl CheckedRequest {
-    /// Returns the request, and adds a search for walls if it has neither a domain nor a periodic
-    /// box.
+    /// Returns the request, with a search for walls if it has neither a domain nor a periodic box.
     fn hinted(&self) -> Cow<'_, Self> {
         let request = &self.sampling;
         if request.search != WallSearch::Never
@@ -128,7 +127,7 @@ impl CheckedRequest {
 }
 
 impl OpenedFrame {
-    /// The number of particles; for a packed frame, the number of particles that it was made from.
+    /// The number of particles; for a packed frame, the number of particles from which it was made.
     #[must_use]
     pub fn particles(&self) -> usize {
         match &self.input {
@@ -137,7 +136,7 @@ impl OpenedFrame {
         }
     }
 
-    /// The number of ghost particles, copies from other pieces, which are left out.
+    /// The number of ghost particles, which are copies from other pieces and are left out.
     #[must_use]
     pub fn ghosts(&self) -> usize {
         match &self.input {
@@ -155,7 +154,7 @@ impl OpenedFrame {
         }
     }
 
-    /// Parts of the input that are not read.
+    /// Parts of the input that were not read.
     #[must_use]
     pub fn left_out(&self) -> &[UnreadPart] {
         match &self.input {
@@ -183,7 +182,7 @@ impl OpenedFrame {
     }
 
     /// The walls that were found, and whether the fluid ends at them: true if the request asks for
-    /// found walls, false if the walls are a hint. `None` without a search.
+    /// found walls, false if the walls are only a hint. `None` without a search.
     #[must_use]
     pub fn walls(&self) -> Option<(&FoundWalls, bool)> {
         let asked_for = self.cells().and_then(|cells| cells.walls.as_ref());

@@ -22,15 +22,15 @@ pub(crate) struct Orientation {
     pub(crate) shown: UpAxis,
 }
 
-/// The axis that points up in the particles of a file, by its simulator: z for DualSPHysics, y for
-/// most others.
+/// The axis that usually points up in the particles of a file: z for `.bi4` files of DualSPHysics,
+/// y for all other formats.
 #[must_use]
 pub fn usual_up(input: &Path) -> UpAxis {
     if InputFormat::of(input) == Some(InputFormat::Bi4) { UpAxis::Z } else { UpAxis::Y }
 }
 
 impl Settings {
-    /// The axis that points up in the particles of a file, by its format.
+    /// The axis that usually points up in the particles of a file, depending on its format.
     #[must_use]
     pub fn usual_up(&self, input: &Path) -> UpAxis {
         match self.format {
@@ -41,7 +41,7 @@ impl Settings {
     }
 
     /// The up axes of a mesh in a format. `usual` is the up axis of the particles, unless the
-    /// settings have another.
+    /// settings specify another.
     pub(crate) fn orientation(&self, usual: UpAxis, format: MeshFormat) -> Orientation {
         let particles = self.particles_up.unwrap_or(usual);
         match format {
@@ -70,7 +70,7 @@ impl Settings {
 }
 
 impl Orientation {
-    /// The mesh with the axes of the file.
+    /// The mesh, turned to the axes of the file.
     pub(crate) fn turned<'a>(&self, mesh: &'a dyn MeshSource) -> TurnedMesh<'a> {
         TurnedMesh::new(mesh, self.particles, self.file)
     }

@@ -1,4 +1,4 @@
-//! Output files that are checked and prepared before the work.
+//! Output files that are checked and prepared before the reconstruction starts.
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -18,16 +18,17 @@ use crate::system::timings::Timings;
 use super::SinglePrecision;
 use crate::settings::Settings;
 
-/// Temporary files and folders of an output, removed if it fails.
+/// Temporary files and folders of an output, which are removed if writing fails.
 #[derive(Debug)]
 pub(crate) struct TemporaryOutput {
     unfinished: UnfinishedOutput,
-    /// Folders that were created for the output. They are dropped after the temporary file, which
-    /// may be inside them.
+    /// Folders that were created for the output. The folders are dropped after the temporary file,
+    /// which may be inside them.
     _folders: MadeFolders,
 }
 
-/// A mesh file that is prepared before the work, and written completely or not at all.
+/// A mesh file that is prepared before the reconstruction starts, and is written completely or not
+/// at all.
 #[derive(Debug)]
 pub struct Output {
     file: MeshOutput,
@@ -35,7 +36,8 @@ pub struct Output {
     path: PathBuf,
 }
 
-/// A packed frame that is prepared before the work, and written completely or not at all.
+/// A packed frame that is prepared before the particles are sampled, and is written completely or
+/// not at all.
 #[derive(Debug)]
 pub struct PackedOutput {
     file: WholeFile,
@@ -47,7 +49,7 @@ pub struct PackedOutput {
 #[derive(Debug)]
 #[non_exhaustive]
 pub struct PackReport {
-    /// The file's size.
+    /// The file's size, in bytes.
     pub bytes: u64,
     /// The number of full cells. Cells that are full only because of particles in other bins do not
     /// count.
@@ -93,7 +95,7 @@ pub(crate) fn coordinate_width(
 }
 
 impl Output {
-    /// Checks that a file can be written, and can store the requested attributes.
+    /// Checks that a file can be written, and that its format can store what the settings request.
     pub(crate) fn prepare(
         settings: &Settings,
         path: &Path,
@@ -117,7 +119,7 @@ impl Output {
         })
     }
 
-    /// The format, by the file's extension.
+    /// The format that the file's extension implies.
     #[must_use]
     pub fn format(&self) -> MeshFormat {
         self.file.format()
@@ -135,7 +137,7 @@ impl Output {
         self
     }
 
-    /// Sets the time of the mesh in seconds, in formats that store it.
+    /// Sets the time of the mesh, in seconds, for formats that store it.
     pub(crate) fn at(mut self, seconds: f64) -> Self {
         self.file = self.file.at(seconds);
         self
@@ -155,7 +157,7 @@ impl Output {
         Ok((file, self.held))
     }
 
-    /// Writes a mesh, and renames the temporary file.
+    /// Writes a mesh into the temporary file, and renames that file to its final name.
     pub(crate) fn write(
         self,
         mesh: &dyn MeshSource,

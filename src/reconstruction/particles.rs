@@ -12,8 +12,8 @@ use crate::particles::sizes::SizeChoice;
 use crate::settings::Settings;
 use crate::system::memory::default_memory;
 
-/// Opens a particle file with all attributes, with the format and the particle type of `settings`.
-/// If the file has no spacing, a scene file next to it may provide one.
+/// Opens a particle file with all its attributes, using the format and the conditions in
+/// `settings`. If the file has no spacing, a scene file next to it may provide one.
 ///
 /// ```no_run
 /// use meniscus::{Particles, Reconstruction, Settings, files};

@@ -31,9 +31,9 @@ pub struct Report {
     pub sigma: Option<f64>,
     /// The calibration of the surface; `None` for kernel methods.
     pub calibration: Option<Calibration>,
-    /// The isovalue of a kernel method that has one.
+    /// The isovalue, if the method is a kernel method with an isovalue.
     pub kernel_iso: Option<f64>,
-    /// The measurements on the frame; `None` if the calibration was given, or for kernel methods.
+    /// The measurements behind the calibration; `None` if it was given, or for kernel methods.
     pub measured: Option<MeasuredCalibration>,
     /// Lower bound of the number of particles that are missing from the surface.
     pub lost: u64,
@@ -45,7 +45,7 @@ pub struct Report {
     pub warnings: Vec<Warning>,
     /// The CPU, or the name of the device.
     pub backend: String,
-    /// Counts of the work on a device.
+    /// Counts of the work that a device did.
     pub on_device: Work,
     /// Number of threads.
     pub threads: usize,
@@ -54,7 +54,7 @@ pub struct Report {
 }
 
 impl Report {
-    /// A report on a frame without a surface yet.
+    /// A report on a frame whose surface has not been made yet.
     pub(crate) fn of(engine: &Engine, surfacing: &Surfacing) -> Self {
         let indicator = engine.indicator();
         let kernel_iso = match engine.method() {
@@ -68,7 +68,7 @@ impl Report {
         }
     }
 
-    /// A report with only these facts.
+    /// A report that contains only the given facts.
     pub(crate) fn of_facts(
         facts: FrameFacts,
         indicator: Option<Indicator>,
@@ -104,7 +104,7 @@ impl Report {
         (self.cells, self.moved) = (cells, moved);
     }
 
-    /// Whether clouds make the field.
+    /// Whether the field is made from clouds.
     #[must_use]
     pub fn is_clouds(&self) -> bool {
         self.indicator == Some(Indicator::Cloud)

@@ -28,31 +28,31 @@ use super::lattice::on_sound_grid;
 use super::orientation::usual_up;
 use super::spacing::{SpacingSource, SpacingWarning, is_suspicious};
 
-/// The settings for sampling any particles.
+/// The settings for sampling, which apply to any particles.
 #[derive(Debug, Clone)]
 pub struct SamplingRequest {
     /// The method that makes the field.
     pub method: Method,
-    /// Treatment of particles that are not finite or too far away.
+    /// Treatment of particles whose positions are not finite or too far away.
     pub invalid: InvalidParticles,
-    /// The grid's origin, which is a corner of cells; with `None`, the grid can move to fit a
+    /// The grid's origin, which is a corner of a cell; with `None`, the grid can move to suit a
     /// lattice.
     pub origin: Option<DVec3>,
-    /// The lowest and highest corner of a tank; particles outside are not counted. Open sides are
-    /// at -inf and inf.
+    /// The lowest and highest corner of a tank; particles outside the tank are not counted. Open
+    /// sides are at -inf and inf.
     pub walls: Option<[DVec3; 2]>,
     /// Whether to find walls if none are given.
     pub search: WallSearch,
     /// The axis that points up, if known: 0, 1 or 2.
     pub up: Option<usize>,
     /// The faces of a periodic box along each axis, `None` for open axes; and the parameters of the
-    /// surface, which determine how far beyond the faces there are images.
+    /// surface, which determine how far images extend beyond the faces.
     pub periodic: Option<([Option<[f64; 2]>; 3], Surfacing)>,
     /// The spacing of the particles, if the caller knows it.
     pub spacing: Option<f64>,
-    /// The attribute with the sizes of the particles.
+    /// The choice of the attribute that contains the sizes of the particles.
     pub size: SizeChoice,
-    /// Edge of a cell; [usual](CellSize::usual) if `None`.
+    /// Edge of a cell; the [usual size](CellSize::usual) if `None`.
     pub cell: Option<CellSize>,
 }
 
@@ -92,14 +92,14 @@ pub struct ChosenSampling {
     pub sampling: Sampling,
     /// The cells, with the spacing and its warnings.
     pub cells: Cells,
-    /// Whether the grid was moved to fit a lattice.
+    /// Whether the grid was moved to suit a lattice.
     pub moved: bool,
     /// The particles counted by bin, if they were counted in the same reading.
     pub plan: Option<BinPlan>,
 }
 
 impl ChosenSampling {
-    /// Name of the stage under which the time of this choice is reported.
+    /// Name of the stage to which the time of this choice is attributed.
     pub fn stage(&self) -> &'static str {
         if self.plan.is_some() { "count" } else { "spacing" }
     }
@@ -118,7 +118,7 @@ fn usual_spacing(cell_size: f64) -> f64 {
 }
 
 /// Corrects sizes that the density of the fluid did not confirm, if the neighbours of particles
-/// contradict them. Returns a warning if they cannot be corrected.
+/// contradict the sizes. Returns a warning if the sizes cannot be corrected.
 fn corrected_by_neighbours(
     particles: &dyn Particles,
     columns: &SizeAttributes,
@@ -190,7 +190,7 @@ impl SamplingRequest {
     }
 
     /// The request with walls that were found on other frames, if it asks for found walls. Walls
-    /// that particles of this frame pass are moved or removed, and returned.
+    /// that particles of this frame have crossed are moved or removed, and are also returned.
     #[must_use]
     pub fn in_walls_around(
         &self,
@@ -224,7 +224,7 @@ impl SamplingRequest {
         Ok(Ends::of(particles, known, lengths, flat, &self.grid_of(cells)?))
     }
 
-    /// The walls that some frames and the scene file next to them indicate.
+    /// The walls that `frames`, and a scene file next to `path`, indicate.
     pub fn walls_of(&self, frames: &[Ends], path: Option<&Path>) -> FoundWalls {
         let scene = path.and_then(tank_beside);
         let usual = path.filter(|path| usual_up(path) == UpAxis::Z).map(|_| 2);
@@ -265,7 +265,7 @@ impl SamplingRequest {
     }
 
     /// Chooses the cells for particles from their sizes, or else like [`cells_by`](Self::cells_by).
-    /// Also warns if a boundary is among the particles, and finds walls if this is requested.
+    /// Also warns if a boundary is among the particles, and finds walls if requested.
     fn cells_while<T>(
         &self,
         particles: &dyn Particles,
@@ -326,14 +326,16 @@ impl SamplingRequest {
         if self.seeks_walls(particles) { 2 + for_walls } else { 2 }
     }
 
-    /// The sizes of the particles, if an attribute holds them, and a warning if they look wrong.
+    /// The sizes of the particles, if an attribute holds them, and a warning if the sizes look
+    /// wrong.
     fn sizes(
         &self,
         particles: &dyn Particles,
     ) -> Result<Option<(FoundSizes, Option<SpacingWarning>)>, Error> {
         let is_usual = matches!(self.size, SizeChoice::Usual | SizeChoice::OneFor(_));
         let columns = self.size.columns(particles.attributes())?;
-        // Unless the user asks for them, similar masses mean one size: densities differ in any gas.
+        // Unless the user asks for sizes, similar masses mean one size, because densities differ in
+        // any gas.
         let Some(columns) = columns.filter(|columns| columns.are_sizes(particles)) else {
             return Ok(None);
         };
@@ -348,12 +350,12 @@ impl SamplingRequest {
             return Err(SettingConflict { setting: Setting::named(needs_one), with }.into());
         }
         let warning = corrected_by_neighbours(particles, &columns, sizes);
-        // Smoothing lengths are only proportional to the sizes.
+        // Smoothing lengths are proportional to the sizes, but not equal to them.
         let is_sure = !is_usual || !columns.are_smoothing_lengths() || sizes.density.is_some();
         Ok(is_sure.then_some((found, warning)))
     }
 
-    /// The warning about the sizes of particles in a frame whose spacing and sizes come from
+    /// The warning about the sizes of `particles`, in a frame whose spacing and sizes come from
     /// another frame.
     ///
     /// # Errors
@@ -378,7 +380,7 @@ impl SamplingRequest {
         })
     }
 
-    /// The cells that follow from the smallest size.
+    /// The cells that follow from the smallest size in `sizes`.
     fn cells_for_sizes(&self, particles: &dyn Particles, sizes: Sizes) -> Result<Cells, Error> {
         let middle = bounds(particles).map(|bounds| (bounds.lo + bounds.hi) / 2.0);
         let source = SpacingSource::Sizes(sizes.attribute.clone());
@@ -387,9 +389,10 @@ impl SamplingRequest {
     }
 
     /// Chooses the cells for particles. If there are more than [`ALL`] particles, it reads them
-    /// through the caller's `read`, which can do other work in the same reading. `read` gets the
-    /// expected cell size, and a function to which it must pass the positions of all particles; it
-    /// returns `None` on failure. The last value of `read` is returned with the cells.
+    /// through the caller's `read`, which can do other work in the same reading. `read` receives
+    /// the expected cell size, and a function to which it must pass the positions of all particles.
+    /// It returns `None` on failure. The value that `read` returned last is returned with the
+    /// cells.
     fn cells_by<T>(
         &self,
         particles: &dyn Particles,
@@ -403,7 +406,8 @@ impl SamplingRequest {
         };
         let share = EvenSample::of(particles.len());
         if let Some((spacing, source)) = self.given(from) {
-            // The scene may belong to other particles, and does not mention a second resolution.
+            // The scene file may belong to other particles, and does not mention a second
+            // resolution.
             let is_scene = matches!(source, SpacingSource::Scene(_));
             let in_cubes = CubeSample::new(Cubes::for_spacing(spacing), particles.len());
             let look = |positions: &[[f64; 3]]| {
@@ -465,8 +469,8 @@ impl SamplingRequest {
         Ok((self.cells_by_evidence(particles, from, evidence)?, done))
     }
 
-    /// The cells for particles with a known spacing: the size of the cells, the origin if it must
-    /// be far from 0, and the slab.
+    /// The cells for particles with a known spacing: the size of the cells, the origin if the
+    /// origin must be far from 0, and the slab.
     fn cells_of(
         &self,
         spacing: f64,
@@ -478,7 +482,7 @@ impl SamplingRequest {
             CellSize::Length(size) => size,
             CellSize::Spacings(ratio) => positive_length("cell-size", ratio * spacing)?,
         };
-        // If cells are wider than the slab, it may contain no cell's centre.
+        // If cells are wider than the slab, the slab may contain no cell's centre.
         let is_fine = size < 0.99 * spacing;
         let slab = plane.filter(|plane| is_fine && self.is_open(plane.axis));
         let slab = slab.map(|plane| Slab::around(plane, spacing));
@@ -493,12 +497,12 @@ impl SamplingRequest {
         })
     }
 
-    /// The origin to use for particles around `middle`, if they are outside the middle half of a
+    /// The origin to use for particles around `middle`, if `middle` is outside the middle half of a
     /// grid whose origin is 0.
     fn origin_for(&self, middle: Option<DVec3>, size: f64) -> Option<[f64; 3]> {
         let middle = middle.filter(|_| self.origin.is_none())?;
         let reach = f64::from(CELL_LIMIT) / 2.0 * size;
-        // Particles outside of walls do not count.
+        // Particles outside the walls do not count.
         let middle = self.walls.map_or(middle, |[lo, hi]| {
             let walled = (lo + hi) / 2.0;
             DVec3::from(
@@ -527,7 +531,7 @@ impl SamplingRequest {
                 look.place.step.is_some_and(|step| SpacingWarning::is_coarse(step, spacing));
             look.place.plane.is_none() && !coarse && !is_suspicious(&look.neighbours, spacing)
         });
-        // The scene may belong to other particles, and does not mention a second resolution.
+        // The scene file may belong to other particles, and does not mention a second resolution.
         let is_scene = matches!(source, SpacingSource::Scene(_));
         let evidence = match evidence_at_hand {
             None if !all_is_well || is_scene => evidence(particles),
@@ -568,7 +572,8 @@ impl SamplingRequest {
         if let CellSize::Length(size) = self.cell_size()
             && let Method::Indicator { kind, mean } = self.method
         {
-            // If the estimate leads to cells that are rejected, it was an estimate of spray.
+            // If cells of the given size would be rejected with this estimate, it is an estimate of
+            // spray.
             let grid = self.grid(size)?;
             let fits = |estimate: &SpacingEstimate| {
                 let spacing = Some(estimate.spacing);
@@ -591,7 +596,7 @@ impl SamplingRequest {
             path: path(),
             particles: particles.len(),
             why,
-            // Positions on a coarse grid suggest no spacing.
+            // Positions that are rounded to a coarse grid do not suggest a spacing.
             suggested: match why {
                 NoEstimate::SinglePrecision { .. } => None,
                 _ => evidence.as_ref().and_then(|evidence| evidence.neighbours.suggested()),
@@ -626,8 +631,8 @@ impl SamplingRequest {
         carried: Vec<usize>,
         resources: Resources,
     ) -> Result<ChosenSampling, Error> {
-        // The count includes the grid on which it was made. A failure is ignored here: it occurs
-        // again later, where it is reported.
+        // The count is returned with the grid on which it was made. A failure is ignored here,
+        // because it occurs again later, where it is reported.
         let count = |cell_size: f64, look: LookAtAll<'_>| {
             let grid = self.grid(cell_size).ok()?;
             let domain = self.domain(&grid).ok()?;
@@ -680,8 +685,8 @@ impl SamplingRequest {
     ///
     /// # Errors
     /// [`Error::Domain`] and [`Error::Periodic`] if the walls or the periodic box are invalid on
-    /// this grid; [`Error::Frame`] for cells that are too fine to compute how far images in a
-    /// periodic box must reach.
+    /// this grid; [`Error::Frame`] for cells that are too fine to compute how far images must
+    /// extend beyond the faces of a periodic box.
     pub fn sampling_on(
         &self,
         grid: Grid,

@@ -21,7 +21,7 @@ impl Reconstruction {
         if is_packed(input) { self.settings.check_packed(input) } else { checked.check_indicator() }
     }
 
-    /// Rejects settings of a surface, which do not apply to packing a frame.
+    /// Rejects settings that affect only the surface, because they do not apply to packing a frame.
     ///
     /// # Errors
     /// [`Error::SettingConflict`].
@@ -35,7 +35,7 @@ impl Reconstruction {
     /// [`Error::Unit`] for numbers out of range, [`Error::SettingConflict`] for settings that
     /// exclude each other, [`Error::Domain`], [`Error::NoSpacing`], [`Error::NoAttribute`],
     /// [`Error::Cancelled`], and [`Error::Frame`] for particles that have no surface or do not fit
-    /// the memory.
+    /// into memory.
     pub fn run(&self, particles: &(impl Particles + ?Sized)) -> Result<Surface, Error> {
         self.sample(particles)?.surface()
     }
@@ -65,19 +65,19 @@ impl Reconstruction {
         self.open_together(&[path.as_ref()])
     }
 
-    /// Opens several files as one frame, such as several fluids, with the attributes that all files
-    /// have.
+    /// Opens several files as one frame, for example the files of several fluids, with the
+    /// attributes that all files have.
     ///
     /// # Errors
-    /// [`Error::Read`], and those errors of [`run`](Self::run) that are detected without reading
-    /// particles; [`Error::Request`] for no file.
+    /// [`Error::Read`], those errors of [`run`](Self::run) that are detected without reading
+    /// particles, and [`Error::Request`] if `paths` is empty.
     pub fn open_together(&self, paths: &[impl AsRef<Path>]) -> Result<OpenedFrame, Error> {
         let paths: Vec<&Path> = paths.iter().map(AsRef::as_ref).collect();
         self.checked()?.on_threads()?.open(&paths)
     }
 
-    /// Checks before the work that a mesh file can be written, and can store the requested
-    /// attributes.
+    /// Checks, before the reconstruction, that a mesh file can be written, and that its format can
+    /// store what the settings request.
     ///
     /// # Errors
     /// [`Error::Write`], and [`Error::SettingConflict`] for settings that the format cannot store.
@@ -86,7 +86,7 @@ impl Reconstruction {
         Output::prepare(&self.settings, path.as_ref(), replace, &self.control.cancel)
     }
 
-    /// Checks before the work that a packed frame can be written.
+    /// Checks, before the particles are sampled, that a packed frame can be written.
     ///
     /// # Errors
     /// [`Error::Write`].

@@ -15,17 +15,18 @@ use crate::surface::solid::Solid;
 use super::checked::CheckedRequest;
 use super::warning::Warning;
 
-/// Minimum bytes of memory per byte of a mesh file while it is read.
+/// Minimum memory, in bytes, to read a mesh file, per byte of the file.
 const BYTES_A_BYTE: u64 = 2;
-/// The part of the memory limit that distances from solids may take, and its maximum in bytes.
+/// Computed distances from solids may take 1 / `KEPT_PART` of the memory that the solids leave
+/// free, but at most `MOST_KEPT` bytes.
 const KEPT_PART: u64 = 32;
 const MOST_KEPT: u64 = 64 << 20;
-/// The maximum for solids of a single frame, in bytes: several frames are made at a time, each with
-/// solids of its own.
+/// The maximum, in bytes, for solids of a single frame. It is smaller than `MOST_KEPT`, because
+/// several frames are made at a time, each with its own solids.
 const MOST_KEPT_IN_FRAME: u64 = 2 << 20;
 
 impl Settings {
-    /// The common stamp of an input and of the solids.
+    /// The combined stamp of an input and of the solids.
     pub(crate) fn stamp(&self, input: &Path) -> Result<Stamp, ReadError> {
         let solids = self.solid_files().iter().map(Path::new);
         Stamp::of_all(std::iter::once(input).chain(solids))
@@ -54,8 +55,8 @@ impl CheckedRequest {
         self.with_solids(paths, MOST_KEPT_IN_FRAME)
     }
 
-    /// Reads solids, which keep at most `most_kept` bytes of distances. Their memory counts against
-    /// the budget.
+    /// Reads solids, which keep at most `most_kept` bytes of computed distances. The memory of the
+    /// solids counts against the budget.
     ///
     /// # Errors
     /// [`Error::Read`] for a file that cannot be read, [`Error::Solid`] for a mesh that cannot be a
@@ -92,7 +93,7 @@ impl CheckedRequest {
         Ok(self)
     }
 
-    /// Warnings about the solids, for a surface with the given cells.
+    /// Warnings about the solids, for a surface with the cells of `facts`.
     pub(super) fn solid_warnings(&self, facts: &FrameFacts) -> Vec<Warning> {
         let Some(solid) = &self.surfacing.solid else { return Vec::new() };
         let cell_size = facts.grid.cell_size();

@@ -1,4 +1,4 @@
-//! Source of a frame's spacing, and warnings about it.
+//! The source of a frame's spacing, and warnings about the spacing.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -25,7 +25,7 @@ pub enum SpacingSource {
     File,
     /// A scene file next to the particles' file.
     Scene(#[serde(serialize_with = "as_text")] PathBuf),
-    /// The smallest size of the particles, by an attribute.
+    /// The smallest size of the particles, from the named attribute.
     Sizes(String),
     /// An estimate from the particles.
     Estimated,
@@ -90,7 +90,7 @@ pub enum SpacingWarning {
     },
     /// Some particles surround the others, as a boundary surrounds a fluid.
     Mixed(Mixture),
-    /// Some particles have no valid size, or are far larger than the smallest.
+    /// Some particles have no valid size, or are far larger than the smallest particles.
     Sizes {
         /// The attribute.
         attribute: String,
@@ -142,19 +142,19 @@ pub enum SpacingMistake {
     Radius,
     /// Twice the spacing was given: a support radius, or a spacing that was mistaken for a radius.
     Double,
-    /// The spacing is in another unit. The unit of the positions is this many times as large: 1000
-    /// if the spacing is in mm and the positions are in m.
+    /// The spacing is in another unit than the positions. The unit of the positions is this many
+    /// times the unit of the spacing: 1000 if the spacing is in mm and the positions are in m.
     Unit(f64),
 }
 
-/// Minimum ratio of a given to the true spacing without a warning.
+/// Minimum ratio of a given spacing to the true spacing that gives no warning.
 const TOO_SMALL: f64 = 0.78;
-/// Maximum ratio of a given to the true spacing without a warning. From [`TOO_SMALL`] to this
-/// ratio, the surface is good, and the error of the estimate may explain the difference.
+/// Maximum ratio of a given spacing to the true spacing that gives no warning. From [`TOO_SMALL`]
+/// to this ratio, the surface is good, and the error of the estimate may explain the difference.
 const TOO_LARGE: f64 = 1.36;
 /// If the estimate is uncertain, both limits are wider by this factor.
 const UNSURE: f64 = 1.1;
-/// Minimum number of coordinate steps in a spacing; with fewer, neighbours are misplaced.
+/// Minimum number of coordinate steps in a spacing; with fewer steps, neighbours are misplaced.
 const STEPS: f64 = 4.0;
 
 impl SpacingMistake {
@@ -181,7 +181,7 @@ pub(super) fn is_suspicious(neighbours: &Neighbours, given: f64) -> bool {
 
 impl SpacingWarning {
     /// The warnings about a spacing that is known from another frame. If the neighbours of
-    /// `particles` do not confirm it, the particles are usually read three times.
+    /// `particles` do not confirm the spacing, the particles are usually read three times.
     pub(crate) fn of_known(
         given: f64,
         source: &SpacingSource,
@@ -261,7 +261,7 @@ impl SpacingWarning {
     }
 
     /// The warning about sizes that the density could not confirm, if the neighbours of particles
-    /// contradict them.
+    /// contradict the sizes.
     pub(super) fn of_unmeasured_sizes(sizes: &Sizes, evidence: &Evidence) -> Option<Self> {
         let [least, most] = evidence.estimate().ok()?.extremes();
         let contradicted = |found: f64, spray: bool| Self::SizesContradicted {

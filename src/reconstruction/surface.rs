@@ -1,4 +1,4 @@
-//! A reconstructed surface, and writing it.
+//! A reconstructed surface, and how it is written.
 
 use std::fmt;
 use std::io;
@@ -28,20 +28,20 @@ use super::threads::Threads;
 use super::warning::Warning;
 use crate::settings::Settings;
 
-/// Width and height of a preview in pixels.
+/// Width and height, in pixels, of a preview.
 #[cfg(feature = "pictures")]
 const PREVIEW: [usize; 2] = [640, 360];
 
 /// A closed, oriented 2-manifold around the fluid.
 pub struct Surface {
     extracted: ExtractedSurface,
-    /// The threads that make the surface and write it. They are stopped in between, because a
-    /// caller may keep a surface for a long time.
+    /// The threads that make the surface and write it. The threads are stopped in between, because
+    /// a caller may keep a surface for a long time.
     threads: Threads,
     settings: Settings,
     /// Progress and cancellation of the request that made the surface.
     control: Control,
-    /// The memory limit.
+    /// The memory limit of the request that made the surface.
     #[cfg_attr(not(feature = "pictures"), expect(dead_code, reason = "pictures alone ask for it"))]
     memory: MemoryBudget,
     particles_up: UpAxis,
@@ -60,7 +60,7 @@ impl Surface {
         Self { extracted, threads: threads.into(), settings, control, memory, particles_up }
     }
 
-    /// The mesh, in the pieces in which it is stored.
+    /// The mesh, as the pieces in which it is stored.
     #[must_use]
     pub fn mesh(&self) -> &dyn MeshSource {
         self.extracted.mesh.source()
@@ -123,7 +123,7 @@ impl Surface {
         drawn.map_err(|fault| Error::Picture { path: None, fault })
     }
 
-    /// Draws a small picture of the mesh with its ground, as a first look.
+    /// Draws a small picture of the mesh above a floor, as a first look.
     ///
     /// # Errors
     /// The errors of [`picture`](Self::picture).
@@ -133,7 +133,7 @@ impl Surface {
         self.picture(&Picture::new().size(width, height).ground(true).effort(Effort::Draft))
     }
 
-    /// Warnings about storing the mesh in a format.
+    /// Warnings about storing the mesh in `format`.
     ///
     /// # Errors
     /// [`Error::Write`] if the mesh is in a scratch file that cannot be read, and
@@ -147,7 +147,8 @@ impl Surface {
         Ok(warnings)
     }
 
-    /// Writes the mesh to a new file, completely or not at all, and returns its size in bytes.
+    /// Writes the mesh to a new file, completely or not at all, and returns the file's size in
+    /// bytes.
     ///
     /// The extension selects the format. Coordinates are f64 if f32 would move vertices by more
     /// than 1 / 256 of a cell and the format can store f64. Missing folders are created.
@@ -180,7 +181,8 @@ impl Surface {
         )?)
     }
 
-    /// Writes the mesh to a file that was prepared before the work, and returns its size in bytes.
+    /// Writes the mesh to a file that was prepared before the reconstruction, and returns the
+    /// file's size in bytes.
     ///
     /// # Errors
     /// [`Error::Write`] if the file cannot be written, [`Error::Cancelled`] if the request that
@@ -203,8 +205,8 @@ impl fmt::Debug for Surface {
     }
 }
 
-/// Warnings about a mesh in a format: attributes that are renamed or left out, and vertices that
-/// become equal.
+/// Warnings about storing a mesh in `format`: attributes that are renamed or left out, and vertices
+/// that become equal.
 pub(crate) fn made_of(
     mesh: &dyn MeshSource,
     format: MeshFormat,
@@ -223,7 +225,7 @@ pub(crate) fn made_of(
     Ok(warnings)
 }
 
-/// Reads a mesh of several pieces into memory.
+/// Copies a mesh of several pieces into memory as a single piece.
 fn in_one_piece(mesh: &dyn MeshSource) -> Result<Mesh, WholeMeshError> {
     let Outline { vertices, normals, attributes, pieces, .. } = mesh.outline();
     if u32::try_from(vertices).is_err() {

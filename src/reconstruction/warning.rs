@@ -16,11 +16,11 @@ use crate::surface::simplify::TooSmall;
 
 use super::{Cells, SpacingWarning};
 
-/// The density, relative to the density for the spacing, above which there is a warning. 8
-/// corresponds to half the distance between particles.
+/// The density, relative to the density for the spacing, above which there is a warning. Particles
+/// at half the spacing have a relative density of 8.
 const CROWDED: f64 = 8.0;
 
-/// Number of lost or coincident particles up to which there is no warning.
+/// Maximum number of lost or coincident particles that gives no warning.
 const FEW: u64 = 10;
 
 /// A warning about a surface, or about the request for it.
@@ -38,7 +38,7 @@ pub enum Warning {
     },
     /// Particles have the same position as other particles.
     Coincident {
-        /// The number and place of these particles, and whether they are far from other particles.
+        /// The number of these particles, and the position with the most particles.
         found: CoincidentParticles,
         /// Number of all particles.
         of: usize,
@@ -58,14 +58,14 @@ pub enum Warning {
     OnCorners {
         /// The mean indicator of full cells.
         mean: f64,
-        /// An origin of the grid that avoids this.
+        /// An origin of the grid that avoids this problem.
         origin: [f64; 3],
     },
-    /// The given isovalue is above values deep in the fluid.
+    /// The given isovalue is above some values of the field deep in the fluid.
     Bubbles {
         /// The isovalue.
         iso: f64,
-        /// The lowest value deep in the fluid.
+        /// The lowest value of the field deep in the fluid.
         lowest: f64,
     },
     /// Particles are beyond a wall that was found on other frames.
@@ -76,7 +76,8 @@ pub enum Warning {
         lost: u64,
         /// Number of all particles.
         of: usize,
-        /// Whether smoothing by counting or symmetry loses them, so that smaller cells do not help.
+        /// Whether they are lost to the smoothing of counting or symmetry, so that smaller cells do
+        /// not help.
         smoothed: bool,
     },
     /// The surface encloses much less than the particles' volume.
@@ -85,7 +86,7 @@ pub enum Warning {
         shortfall: Shortfall,
         /// Whether the indicator is cloud.
         clouds: bool,
-        /// The number of the calibration frame, if it is not this frame.
+        /// The number of the calibration frame, if that is another frame.
         calibration_frame: Option<i64>,
     },
     /// Vertices become equal in a format that has no indices.
@@ -95,7 +96,7 @@ pub enum Warning {
         /// The format.
         format: MeshFormat,
     },
-    /// The format cannot store the attribute's name, or uses it already.
+    /// The format cannot store the attribute's name, or already uses this name.
     Renamed {
         /// The attribute.
         attribute: String,
@@ -122,7 +123,7 @@ pub enum Warning {
     InvertedSolid(PathBuf),
     /// A solid is thinner than a cell, and may have holes.
     ThinSolid {
-        /// The mesh of the solid.
+        /// The mesh file of the solid.
         path: PathBuf,
         /// Approximate thickness of the solid.
         thickness: f64,
@@ -131,15 +132,15 @@ pub enum Warning {
     },
     /// A part of the input is not read.
     LeftOut(UnreadPart),
-    /// No particle of the frame satisfies the conditions: its mesh is empty.
+    /// No particle of the frame satisfies the conditions, so its mesh is empty.
     NoneSelected(SelectionFault),
-    /// The frame of a simulation has no surface: its mesh is empty.
+    /// A frame of a simulation has no surface, so its mesh is empty.
     Empty {
         /// The cause.
         why: EmptyReason,
         /// Whether the indicator is cloud.
         clouds: bool,
-        /// The number of the calibration frame, if it is not this frame.
+        /// The number of the calibration frame, if that is another frame.
         calibration_frame: Option<i64>,
     },
 }
@@ -150,14 +151,14 @@ pub enum Warning {
 pub enum EmptyReason {
     /// The field is nowhere above the isovalue.
     Field,
-    /// The surface contains no cell's centre.
+    /// The surface encloses no cell's centre.
     Distances,
     /// All components are smaller than the limits.
     TooSmall(TooSmall),
 }
 
 impl EmptyReason {
-    /// The cause, if this error means an empty mesh.
+    /// The cause, if `fault` means that the mesh is empty.
     pub(crate) fn of(fault: &FrameError) -> Option<Self> {
         match *fault {
             FrameError::NoSurface { .. } => Some(Self::Field),
@@ -335,8 +336,8 @@ pub(crate) fn mean_symmetry(sampled: &SampledDif) -> Option<f64> {
     (sampled.indicator.kind() == IndicatorKind::Symmetry).then(|| sampled.dif.mean_of_full())
 }
 
-/// Warnings about particles: too dense, at the same position, without a value of an attribute, or
-/// with a low mean of the indicator symmetry.
+/// Warnings about particles that are too dense, at the same position or without a value of an
+/// attribute, and about a low mean of the indicator symmetry.
 pub(crate) fn of_particles<'a>(
     facts: &FrameFacts,
     crowding: Option<f64>,

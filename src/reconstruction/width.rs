@@ -2,7 +2,7 @@
 
 use crate::surface::stitch::StitchedSurface;
 
-/// Maximum distance by which rounding to f32 may move a vertex, in cells.
+/// Maximum distance, in cells, by which rounding to f32 may move a vertex.
 const COARSEST: f64 = 1.0 / 256.0;
 
 /// The effect of f32 on a surface's coordinates.
@@ -12,7 +12,7 @@ pub enum SinglePrecision {
     Enough,
     /// Rounding may move vertices by more than 1 / 256 of a cell.
     TooCoarse,
-    /// Some coordinates are too large for f32, or the cells are too small for it.
+    /// Some coordinates are too large for f32, or the cells are too small for f32.
     Exceeded,
 }
 

@@ -1,4 +1,4 @@
-//! Boxes and points as text: numbers separated by commas or blanks.
+//! Boxes and points as text: numbers separated by commas or whitespace.
 
 use std::str::FromStr;
 
@@ -6,13 +6,13 @@ use serde::{Deserialize, Serialize};
 
 use crate::grid::Walls;
 
-/// A box, given as both ends of each axis; `None` for an open axis.
+/// A box, given by its two ends along each axis; `None` for an open axis.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(into = "[Option<f64>; 6]", try_from = "[Option<f64>; 6]")]
 pub struct Faces(pub [Option<[f64; 2]>; 3]);
 
 impl Faces {
-    /// A box by its corners, where -inf and inf leave an axis open.
+    /// Makes a box from its lowest and highest corner. An axis from -inf to inf is open.
     #[must_use]
     pub fn from_corners([lowest, highest]: [[f64; 3]; 2]) -> Self {
         let is_open = |ends: &[f64; 2]| *ends == [f64::NEG_INFINITY, f64::INFINITY];
@@ -46,7 +46,7 @@ impl TryFrom<[Option<f64>; 6]> for Faces {
 impl FromStr for Faces {
     type Err = String;
 
-    /// Reads six numbers; both ends of an axis may be `-`.
+    /// Reads six numbers. Both ends of an open axis are written as `-`.
     fn from_str(text: &str) -> Result<Self, String> {
         ends(text)?.try_into()
     }
@@ -56,7 +56,7 @@ impl FromStr for Faces {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Tank {
-    /// Walls that meniscus finds by the scene file and the particles.
+    /// Walls that meniscus finds from the scene file and the particles.
     Auto,
     /// Walls at these coordinates.
     #[serde(untagged)]
@@ -66,7 +66,7 @@ pub enum Tank {
 impl FromStr for Tank {
     type Err = String;
 
-    /// Reads `auto`, or six numbers. Any of them may be `-`.
+    /// Reads `auto`, or six numbers, any of which may be `-` for an open side.
     fn from_str(text: &str) -> Result<Self, String> {
         match text {
             "auto" => Ok(Self::Auto),
@@ -75,7 +75,7 @@ impl FromStr for Tank {
     }
 }
 
-/// Reads six numbers. Any of them may be `-`.
+/// Reads six numbers, any of which may be `-`, which gives `None`.
 pub(super) fn ends(text: &str) -> Result<[Option<f64>; 6], String> {
     let end = |part: &str| match part {
         "-" => Ok(None),
@@ -95,7 +95,7 @@ pub(super) fn point(text: &str) -> Result<[f64; 3], String> {
         .map_err(|v: Vec<f64>| format!("expected 3 numbers separated by commas, got {}", v.len()))
 }
 
-/// Splits a list at its commas, or at its blanks if it has no commas.
+/// Splits a list at its commas or, if it has none, at whitespace.
 fn parts(text: &str) -> impl Iterator<Item = &str> {
     let by_commas = text.contains(',');
     text.split(move |c: char| if by_commas { c == ',' } else { c.is_whitespace() })

@@ -1,12 +1,14 @@
-//! Values of settings as text or as numbers, for callers without other types: C, files, forms.
+//! Values of settings as text or as numbers, for callers that have no other types: C, files and
+//! forms.
 
 use super::{Faces, Source, Where, faces};
 use crate::grid::Walls;
 
-/// The largest count that a 64-bit float may give: floats hold all integers up to it exactly.
+/// The largest count that a caller may give as a 64-bit float, which represents all integers up to
+/// this one exactly.
 const LARGEST_COUNT: f64 = 9_007_199_254_740_992.0;
 
-/// Texts that name the expected value, shared by both kinds of sources.
+/// Descriptions of the expected value, for the errors of both kinds of sources.
 mod expected {
     pub const NUMBER: &str = "expected a number";
     pub const COUNT: &str = "expected a whole number from 0";
@@ -80,8 +82,8 @@ impl Source for &str {
     }
 }
 
-/// One number, or several for a point or a box. -inf and inf leave an axis of a box open. A switch
-/// is 0 or 1.
+/// One number, or several for a point, a box or walls. -inf and inf stand for an open axis of a
+/// box, or for an open side of walls. A switch is 0 or 1.
 ///
 /// An error says what is expected, such as "expected a number".
 impl Source for &[f64] {

@@ -69,7 +69,8 @@ impl OptionalSetting for bool {
     }
 }
 
-/// A value from a caller without Rust's types. Each method fails for a value of another type.
+/// A value from a caller that has no Rust types. Each method that returns a `Result` fails for a
+/// value of another type.
 #[allow(missing_docs, clippy::missing_errors_doc)]
 pub trait Source {
     type Error;
@@ -82,7 +83,7 @@ pub trait Source {
     fn one_of(&self, words: &[&str]) -> Result<usize, Self::Error>;
     fn names(&self) -> Result<Vec<String>, Self::Error>;
     fn point(&self) -> Result<[f64; 3], Self::Error>;
-    /// Takes a box by its lowest and its highest corner.
+    /// Takes a box, given by its lowest and highest corners.
     fn faces(&self) -> Result<Faces, Self::Error>;
     /// Takes the coordinates of walls. Any side may be open.
     fn walls(&self) -> Result<Walls, Self::Error>;
@@ -94,7 +95,7 @@ pub trait Source {
 
 /// The value of a setting, taken from a [`Source`].
 pub trait FromSource: Sized {
-    /// Converts the source.
+    /// Converts the value from `source`.
     ///
     /// # Errors
     /// The errors of the source.
@@ -141,7 +142,7 @@ macro_rules! taken_by_name {
     ($($type:ty: $($name:literal => $value:ident),*;)*) => {
         $(impl FromSource for $type {
             fn taken<S: Source>(source: &S) -> Result<Self, S::Error> {
-                // If a value is missing here, the code does not compile.
+                // If the list lacks a variant, this match does not compile.
                 let _all = |value: &Self| match value { $(Self::$value => ()),* };
                 source.one_of(&[$($name),*]).map(|index| [$(Self::$value),*][index])
             }
@@ -165,7 +166,7 @@ mod tests {
 
     use super::*;
 
-    /// A source that gives the word of an index, and records all words.
+    /// A source that selects the word at its index, and records all words that it is offered.
     struct IndexSource(usize, RefCell<Vec<String>>);
 
     impl Source for IndexSource {

@@ -56,7 +56,7 @@ impl Simulation {
         Self::of_files([input], output)
     }
 
-    /// A request for the meshes of these files.
+    /// A request for the meshes of the frames in these files.
     pub fn of_files(
         inputs: impl IntoIterator<Item = impl Into<PathBuf>>,
         output: impl Into<PathBuf>,
@@ -81,7 +81,7 @@ impl Simulation {
     /// A request for a simulation if the inputs or the output name several frames; `None` if both
     /// name a single frame. If the input is a single file, only `{}` in the output stands for a
     /// frame number, and `##` and `%04d` are ordinary text. `format` is the format of the inputs if
-    /// it differs from the format of their extension.
+    /// it differs from the format that their extension implies.
     ///
     /// # Errors
     /// [`Error::Simulation`] for names that do not determine frame numbers, and [`Error::Request`]
@@ -108,7 +108,7 @@ impl Simulation {
 
     /// A request for a simulation whose inputs are [joined](Self::together), if the output names
     /// several frames; `None` if the output names a single frame. `format` is the format of the
-    /// inputs if it differs from the format of their extension.
+    /// inputs if it differs from the format that their extension implies.
     ///
     /// # Errors
     /// [`Error::Simulation`] for names that do not determine frame numbers, and [`Error::Request`]
@@ -184,15 +184,15 @@ impl Simulation {
         self
     }
 
-    /// Follows a running simulation, until its last frame, or until no new frame has appeared for
-    /// `seconds`.
+    /// Follows a running simulation until its last frame, or until no new frame has appeared for
+    /// `seconds` seconds.
     pub fn watch(mut self, seconds: f64) -> Self {
         self.watch = Some(seconds);
         self
     }
 
-    /// Joins the frames with the same number from all inputs. The particles of these frames make
-    /// one surface, with the attributes that all the frames have.
+    /// Joins the frames with the same number from all inputs. The particles of the joined frames
+    /// make one surface, with the attributes that all these frames have.
     pub fn together(mut self) -> Self {
         self.together = true;
         self
@@ -227,7 +227,7 @@ impl Simulation {
         }
         let inputs = match (Inputs::of(&self.inputs, format)?, &self.inputs[..]) {
             (Some(inputs), _) => inputs,
-            // The folder does not exist yet.
+            // The input is a folder that does not exist yet.
             (None, [path])
                 if !path.exists()
                     && (self.watch.is_some() && !is_known(path)
@@ -240,7 +240,7 @@ impl Simulation {
         Ok((inputs, naming))
     }
 
-    /// Whether a frame of the simulation is selected.
+    /// Whether this conversion includes the frame with this number.
     pub(super) fn wants(&self, number: i64) -> bool {
         let (first, last) = self.frames;
         (first..=last).contains(&number)
@@ -265,7 +265,7 @@ impl Simulation {
     }
 }
 
-/// The error for one output file for several frames.
+/// The error for an output that names one file for several frames.
 fn one_output(output: &Path, inputs: &Inputs) -> Error {
     Error::Request(format!(
         "{}: names one file for the frames of {}; write {{}} for the frame number, or name an \

@@ -31,7 +31,7 @@ use super::state::{State, StateFolder};
 use super::tally::Tally;
 use super::watch::{CompleteFrame, Watch};
 
-/// Minimum time between two events of progress within a stage.
+/// Minimum time between two progress events within a stage.
 const PROGRESS_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Sets the shared measurements to `None` on drop, unless they are known, so that no lane waits for
@@ -44,7 +44,7 @@ impl Drop for SettleOnDrop<'_> {
     }
 }
 
-/// The end of a conversion.
+/// How a conversion ended.
 pub(super) enum ConversionEnd {
     /// All frames have finished or failed.
     Ended(Box<Summary>),
@@ -55,9 +55,10 @@ pub(super) enum ConversionEnd {
 /// A frame to convert.
 struct Job {
     frame: FrameFile,
-    /// The particles of the frame, if the file is already open.
+    /// The particles of the frame, if its file is already open.
     particles: Option<ParticleFile>,
-    /// Whether this run has already made the frame's mesh from an older version of the file.
+    /// Whether a mesh with the frame's output name is already listed, for example from an older
+    /// version of the frame's file. The new mesh may replace it.
     again: bool,
 }
 
@@ -69,7 +70,8 @@ struct Outcome<T> {
 
 impl Conversion<'_> {
     /// Measures the calibration that all frames share, or takes it from `known`. Returns the number
-    /// and the particles of the calibration frame, if its file may stay open.
+    /// and the particles of the calibration frame if its file is open and its particles need little
+    /// memory.
     fn settle(
         &self,
         known: Option<State>,
@@ -88,8 +90,8 @@ impl Conversion<'_> {
         Ok(open.map(|file| (number, file)))
     }
 
-    /// Sends all frames to the lanes. Until the shared calibration is known, the lanes open some
-    /// frames in advance.
+    /// Sends the frames in `todo` to the lanes. If the shared calibration is not known yet,
+    /// measures it after sending the first few frames, which the lanes open meanwhile.
     fn give(
         &self,
         todo: &[&FrameFile],
@@ -102,7 +104,8 @@ impl Conversion<'_> {
         let mut jobs =
             todo.iter().map(|&frame| Job { frame: frame.clone(), particles: None, again: false });
         if self.settled.get().is_none() {
-            // The first frame is most likely the calibration frame, so only one lane waits for it.
+            // The first frame is most likely the calibration frame. It is sent after the
+            // calibration, with its open file, and one lane waits for it until then.
             let first = jobs.next();
             jobs.by_ref().take(self.division.lanes - 1).for_each(send);
             let measured = self.settle(None, frames)?;
@@ -129,7 +132,7 @@ impl Conversion<'_> {
         {
             archive.forget()?;
         }
-        // If all frames must be made, the lanes open the first ones during the calibration.
+        // If all frames must be made, the lanes open the first frames during the calibration.
         let unknown = known.is_none() && !options.resume && options.watch.is_none();
         if !unknown {
             self.settle(known, frames)?;
@@ -239,8 +242,8 @@ impl Conversion<'_> {
                         under_way += 1;
                         tally.total += 1;
                         self.setup.send(Event::FrameAppeared { bytes: frame.bytes() });
-                        // If names contain times, a new frame between finished frames takes over
-                        // the number and the output of the frame after it.
+                        // If file names contain times, a new frame between finished frames takes
+                        // over the number and the output of the frame after it.
                         let again = tally.has_made(&self.output(&frame));
                         tally.awaited.insert(frame.number);
                         let _ = to_lanes.send(Job { frame, particles: None, again });
@@ -253,7 +256,7 @@ impl Conversion<'_> {
         }
     }
 
-    /// The calibration frame, if its file exists and has changed since it was measured.
+    /// The calibration frame, if its file exists and has changed since the frame was measured.
     fn changed<'f>(&self, frames: &'f [FrameFile]) -> Option<&'f FrameFile> {
         self.settled.get()?.as_ref()?.state.shared.changed_in(frames)
     }
@@ -281,9 +284,9 @@ impl Conversion<'_> {
         jobs: &Mutex<Receiver<Job>>,
         to_disk: &SyncSender<Outcome<WrittenFrame>>,
     ) {
-        // The lane runs on a thread of the pool. On another thread, every step of a frame would
-        // wait until a thread of the pool wakes up. The current thread could join the pool, but
-        // rayon would never release the thread.
+        // The lane runs on a thread of the pool. If it ran on another thread, every step of a frame
+        // would wait until a thread of the pool wakes up. The current thread could instead join the
+        // pool, but rayon would never release it.
         pool.install(|| {
             while let Some(Job { frame, particles, again }) = next(jobs) {
                 if self.is_over() {
@@ -306,8 +309,9 @@ impl Conversion<'_> {
         });
     }
 
-    /// The request for a frame with its solids. It reports the progress of its lane at the start
-    /// and end of each stage, and seldom in between, because each event wakes the caller's thread.
+    /// Returns the request for a frame, with the frame's solids. The request reports the progress
+    /// of its lane at the start and end of each stage, and only seldom in between, because each
+    /// event wakes the caller's thread.
     fn checked_in(&self, lane: usize, frame: &FrameFile) -> Result<CheckedRequest, Error> {
         let FrameFile { number: frame, ref solids, .. } = *frame;
         let (events, mut checked) = (self.setup.events.clone(), self.setup.checked.clone());
@@ -328,7 +332,8 @@ impl Conversion<'_> {
         if is_of_all { Ok(checked) } else { checked.at_solids_of_frame(solids) }
     }
 
-    /// Finishes written frames: waits until their meshes are on disk, so that no lane has to wait.
+    /// Finishes written frames: waits until their meshes are on disk, so that no lane has to wait
+    /// for the disk.
     fn keep(
         &self,
         filled: &Mutex<Receiver<Outcome<WrittenFrame>>>,

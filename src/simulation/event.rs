@@ -20,7 +20,7 @@ use crate::system::control::Progress;
 use super::gaps::Gaps;
 use super::shared_calibration::{SharedCalibration, Trust};
 
-/// An event of a conversion. It displays as one line of text.
+/// An event of a conversion. `Display` prints it as one line of text.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub enum Event {
@@ -56,7 +56,7 @@ pub enum Event {
     },
     /// The conversion begins.
     Started {
-        /// Number of frames; more can appear in a simulation that is followed.
+        /// Number of frames. If the simulation is followed, more can appear.
         frames: usize,
         /// Number of frames that are already finished.
         done: usize,
@@ -70,7 +70,7 @@ pub enum Event {
     },
     /// A new frame appeared.
     FrameAppeared {
-        /// Size of the frame's input in bytes.
+        /// Size, in bytes, of the frame's input.
         bytes: u64,
     },
     /// A lane entered a stage of a frame, or progressed in it.
@@ -98,17 +98,17 @@ pub enum Event {
 pub struct FrameDone {
     /// The frame's number.
     pub frame: i64,
-    /// The particles' file.
+    /// The particle file.
     pub input: PathBuf,
-    /// The mesh's file.
+    /// The mesh file.
     pub output: PathBuf,
     /// The mesh's entry in the list of frames.
     pub mesh: SeriesFrame,
-    /// The frame's time in seconds, from its file or the frame rate.
+    /// The frame's time, in seconds, from the frame's file or from the frame rate.
     pub time: Option<f64>,
     /// A report on the surface; `None` if the frame has no particles.
     pub report: Option<Report>,
-    /// Lower bound of the number of particles that are missing from the surface.
+    /// Lower bound on the number of particles that are missing from the surface.
     pub lost: u64,
     /// Warnings about the frame.
     pub warnings: Vec<Warning>,
@@ -124,7 +124,7 @@ pub struct FrameDone {
 pub struct FrameFailed {
     /// The frame's number.
     pub frame: i64,
-    /// The particles' file.
+    /// The particle file.
     pub input: PathBuf,
     /// The error.
     pub error: Error,
@@ -132,13 +132,13 @@ pub struct FrameFailed {
     pub progress: FrameCounts,
 }
 
-/// Counts of the frames of a conversion.
+/// The progress of a conversion, counted in frames.
 #[derive(Debug, Clone, Copy, Default)]
 #[non_exhaustive]
 pub struct FrameCounts {
     /// Number of frames that have finished or failed.
     pub done: usize,
-    /// Number of frames that this run converts, as far as known.
+    /// Number of frames that this run converts, as far as this is known.
     pub total: usize,
     /// Number of frames that have failed.
     pub failed: usize,
@@ -150,9 +150,9 @@ pub struct FrameCounts {
 #[derive(Debug, Default, Clone, Copy)]
 #[non_exhaustive]
 pub struct OmittedCounts {
-    /// Numbers of particles that were used, skipped, or outside the domain.
+    /// Counts of the particles that were used, skipped, or outside the domain.
     pub census: Census,
-    /// Lower bound of the number of particles that are missing from surfaces.
+    /// Lower bound on the number of particles that are missing from surfaces.
     pub lost: u64,
     /// Number of drops that are left out because they have too few particles.
     pub drops: u64,
@@ -220,8 +220,8 @@ pub struct Summary {
     pub error: Option<Arc<Error>>,
     /// Frames that are missing between existing frames.
     pub missing: Vec<MissingFrames>,
-    /// The missing frame numbers, if at least as many are missing as exist. In that case, the
-    /// existing files count as a selection of frames, and `missing` is empty.
+    /// The missing frame numbers, if at least as many numbers are missing as exist. In that case,
+    /// the existing files count as a selection of frames, and `missing` is empty.
     pub chosen: Option<Gaps>,
     /// Particles and drops that are left out of the surfaces.
     pub left_out: OmittedCounts,
@@ -243,7 +243,7 @@ impl Summary {
         missing.fold(self.failed.len() as u64, u64::saturating_add)
     }
 
-    /// Whether all frames were made: no frame failed or is missing, and no error stopped the
+    /// Whether the conversion is complete: no frame failed or is missing, and no error stopped the
     /// conversion.
     #[must_use]
     pub fn is_complete(&self) -> bool {
@@ -358,8 +358,8 @@ impl fmt::Display for SharedCalibration {
     }
 }
 
-/// Maximum number of queued events. If the queue is full, the conversion waits, so that memory is
-/// bounded.
+/// Maximum number of queued events. If the queue is full, the conversion waits, so that the memory
+/// of the queue is bounded.
 const WAITING: usize = 1024;
 
 /// Sends events to the caller, from any thread.
@@ -368,7 +368,7 @@ pub(super) struct EventSender(SyncSender<Event>);
 
 impl EventSender {
     pub(super) fn send(&self, event: Event) {
-        // Sending fails only after the caller has panicked.
+        // Sending fails only if the caller has panicked.
         let _ = self.0.send(event);
     }
 }
@@ -394,7 +394,7 @@ pub(super) fn with_events<T: Send>(
 }
 
 /// Receives all events. If the current thread belongs to a rayon pool, it runs tasks of the pool
-/// while it waits, because the sender may need the pool.
+/// while it waits, because the senders may need the pool.
 fn receive_all(receiver: &Receiver<Event>, mut hear: impl FnMut(Event)) {
     if rayon::current_thread_index().is_none() {
         return receiver.iter().for_each(hear);

@@ -1,4 +1,4 @@
-//! Forecast of a conversion, measured on its largest frame.
+//! Forecasts the resources of a conversion by making its largest frame.
 
 use std::fmt;
 use std::path::PathBuf;
@@ -22,7 +22,7 @@ use super::setup::Setup;
 use super::shared_calibration::SharedCalibration;
 use super::state::{State, StateFolder};
 
-/// A forecast of a conversion. It displays as several lines of text.
+/// A forecast of a conversion. `Display` prints it as several lines of text.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct Forecast {
@@ -40,11 +40,12 @@ pub struct Forecast {
     pub missing: Gaps,
     /// The calibration that all frames share.
     pub shared: SharedCalibration,
-    /// The forecast for the largest frame; `None` for packed frames.
+    /// The forecast for the largest frame; `None` if it is a packed frame, or if no frame is
+    /// selected.
     pub largest: Option<LargestFrame>,
 }
 
-/// The largest frame of a conversion, and estimates for all frames.
+/// The largest frame of a conversion, and estimates for the whole conversion.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct LargestFrame {
@@ -52,17 +53,17 @@ pub struct LargestFrame {
     pub frame: i64,
     /// The number of particles in the frame.
     pub particles: usize,
-    /// Number of triangles of its mesh, before simplifying.
+    /// Number of triangles in the frame's mesh, before simplifying.
     pub triangles: u64,
-    /// Estimated peak memory of the frame in bytes, without scratch files.
+    /// Estimated peak memory, in bytes, of the frame if it needs no scratch files.
     pub memory: u64,
-    /// Memory limit in bytes.
+    /// Memory limit, in bytes.
     pub budget: u64,
     /// Number of frames that would be made in parallel.
     pub side_by_side: usize,
-    /// Approximate size of all meshes on disk in bytes.
+    /// Approximate size on disk, in bytes, of all meshes that would be made.
     pub disk: u64,
-    /// Approximate time of all frames in seconds.
+    /// Approximate time, in seconds, to make all these meshes.
     pub seconds: f64,
 }
 
@@ -96,7 +97,7 @@ impl fmt::Display for Forecast {
 }
 
 impl Setup<'_> {
-    /// Estimates the resources of a conversion.
+    /// Estimates the resources that a conversion needs.
     pub(super) fn forecast(
         &self,
         kept: Option<State>,
@@ -129,7 +130,7 @@ impl Setup<'_> {
         })
     }
 
-    /// Makes the largest frame, to measure the memory and time of a frame.
+    /// Makes the largest frame, to measure the memory and the time that frames need.
     fn largest(
         &self,
         shared: &SharedCalibration,

@@ -9,12 +9,12 @@ use crate::io::stamp::Stamp;
 use crate::io::wanted::WantedParticles;
 use crate::io::{ParticleFile, ReadError};
 
-/// The files of a frame.
+/// A frame and its files.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FrameFile {
     /// The frame's number.
     pub number: i64,
-    /// The digits of the number in the name.
+    /// The number as spelled in the file's name.
     pub digits: String,
     /// The time in the name, if there is one.
     pub time: Option<f64>,
@@ -38,14 +38,14 @@ impl FrameFile {
         std::iter::once(&self.path).chain(&self.others).map(PathBuf::as_path)
     }
 
-    /// Total size of the frame's files and their pieces in bytes; missing files count as 0.
+    /// Total size, in bytes, of the frame's files and their pieces. Missing files count as 0.
     #[must_use]
     pub fn bytes(&self) -> u64 {
         let bytes = |file: &PathBuf| file.metadata().map_or(0, |metadata| metadata.len());
         self.paths().flat_map(files_of).map(|file| bytes(&file)).sum()
     }
 
-    /// The current stamp of the frame's files and of its existing solids.
+    /// Returns the current stamp of the frame's files and of its existing solids.
     pub(super) fn stamp(&self) -> Result<Stamp, ReadError> {
         let solids = self.solids.iter().map(PathBuf::as_path).filter(|path| path.exists());
         Stamp::of_all(self.paths().chain(solids))
@@ -84,8 +84,8 @@ impl Default for Selection {
 }
 
 impl Selection {
-    /// The selected frames. Steps count from `start` if it is given, and otherwise from the first
-    /// frame.
+    /// Returns the selected frames. Steps count from `start` if it is given, and otherwise from the
+    /// first of `frames`.
     pub fn of(self, frames: Vec<FrameFile>) -> Vec<FrameFile> {
         let is_given = self.start > i64::MIN;
         let first = frames.first().filter(|_| !is_given).map(|frame| frame.number);

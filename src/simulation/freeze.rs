@@ -21,7 +21,7 @@ use super::setup::{POLL, Setup};
 use super::watch::Watch;
 
 /// Maximum number of frames that are tried for the calibration. Half of them are the first existing
-/// frames, and the others are spread evenly over the later frames.
+/// frames, and the other half are spread evenly over the later frames.
 const LOOKED_AT: usize = 64;
 
 /// Number of frames that are searched for walls, spread evenly from the first frame to the last.
@@ -31,7 +31,7 @@ const LOOKED_AT_FOR_WALLS: usize = 7;
 struct MeasuredFrame {
     shared: SharedCalibration,
     trust: Trust,
-    /// Warnings about its spacing.
+    /// Warnings about the frame's spacing.
     warnings: Vec<SpacingWarning>,
 }
 
@@ -53,8 +53,8 @@ impl Setup<'_> {
         Ok((state, file))
     }
 
-    /// Calibrates all frames on the first suitable frame, whose file may still be open. If
-    /// requested, also finds walls, in several frames.
+    /// Calibrates all frames on the first suitable frame, and returns its particles if its file is
+    /// still open. If requested, also finds walls, in several frames.
     pub(super) fn freeze(
         &self,
         frames: &[FrameFile],
@@ -68,8 +68,8 @@ impl Setup<'_> {
         Ok((measured.shared, file))
     }
 
-    /// The walls that some frames throughout the simulation have in common. Frames that cannot be
-    /// read are ignored here, and fail when they are converted.
+    /// Returns the walls that a few frames, spread over the simulation, have in common. Frames that
+    /// cannot be read are ignored here, and fail when they are converted.
     fn common_walls(
         &self,
         frames: &[FrameFile],
@@ -127,7 +127,8 @@ impl Setup<'_> {
                         return Ok((frame, found, file));
                     }
                     Ok((found, _)) => {
-                        // Spray is farther apart than fluid, so its estimated spacing is too large.
+                        // Particles of spray are farther apart than those of the bulk, so a spacing
+                        // estimated from spray is too large.
                         let is_better = |(_, known): &(FrameFile, MeasuredFrame)| {
                             known.trust < found.trust
                                 || known.trust == found.trust
@@ -170,8 +171,8 @@ impl Setup<'_> {
         }
     }
 
-    /// Determines the scale of colours from other frames if the calibration frame does not show it,
-    /// for example because all its particles are black.
+    /// Determines the scale of colours from other frames if the calibration frame does not reveal
+    /// it, for example because all its particles are black.
     fn settle_colours(
         &self,
         shared: &mut SharedCalibration,
@@ -199,7 +200,7 @@ impl Setup<'_> {
         Ok(())
     }
 
-    /// Opens the particles of a calibration frame.
+    /// Opens the particles of a frame on which something is measured.
     fn open_particles(
         &self,
         frame: &FrameFile,
@@ -213,7 +214,8 @@ impl Setup<'_> {
         frame.open(self.checked.wanted(), unpacking)
     }
 
-    /// Reports the calibration with its frame, and warnings about its spacing.
+    /// Reports the calibration and the frame on which it was measured, and warnings about the
+    /// frame's spacing.
     fn report_measured(&self, frame: &FrameFile, found: &MeasuredFrame) {
         found
             .warnings
@@ -224,7 +226,7 @@ impl Setup<'_> {
     }
 
     /// Measures one frame for all frames. `lattice` is the calibration of an earlier frame whose
-    /// particles form a lattice: its grid and its mu0 are used.
+    /// particles form a lattice; its grid, its mu0 and its spacing are used.
     fn measure_on(
         &self,
         frame: &FrameFile,
@@ -268,7 +270,7 @@ impl Setup<'_> {
         let tank = (cells.slab, cells.walls.clone());
         let mut shared = shared(frame.number, input, cells.spacing(), source, tank, measured);
         shared.sizes = cells.sizes.clone();
-        // If the frame lacks a requested attribute, it fails when it is converted, not here.
+        // A frame that lacks a requested attribute fails when it is converted, not here.
         let (settings, format) = (&self.checked.settings, self.format(frame).ok());
         let carried = settings.carried(file.particles.attributes(), format).unwrap_or_default();
         shared.kinds = settled_for_all(&file.particles, &carried);

@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use super::frame_file::{FrameFile, neighbours};
 use super::pattern::Pattern;
 
-/// Finds the numbers that are missing between the frames. The step is the largest one that reaches
-/// all existing frames.
+/// Finds the numbers that are missing between the frames. The step is the largest number that
+/// divides all differences between existing frame numbers.
 pub fn gaps(frames: &[FrameFile]) -> Gaps {
     let steps = neighbours(frames).map(|(a, b)| b.number.abs_diff(a.number));
     let step = steps.fold(0, greatest_common_divisor);
@@ -26,8 +26,9 @@ fn greatest_common_divisor(a: u64, b: u64) -> u64 {
     if b == 0 { a } else { greatest_common_divisor(b, a % b) }
 }
 
-/// The name that the file of a missing number would have, modelled on the name of the file before
-/// it. `pattern` is the pattern of the names; without a pattern, names end with their numbers.
+/// Returns the path that the file of a missing frame would have, modelled on the file of the frame
+/// before it. `pattern` is the pattern of the file names. Without a pattern, the names must end
+/// with the frame numbers.
 pub fn missing_path(frames: &[FrameFile], pattern: Option<&Pattern>, number: i64) -> PathBuf {
     let before = frames.partition_point(|frame| frame.number < number).saturating_sub(1);
     let Some(FrameFile { digits, path, .. }) = frames.get(before) else { return PathBuf::new() };
@@ -56,21 +57,21 @@ fn like(digits: &str, number: i64) -> String {
 pub struct Gaps {
     /// Difference between consecutive frame numbers.
     pub step: u64,
-    /// The first and last missing number of each gap, instead of all numbers, because gaps between
-    /// time stamps can be huge.
+    /// The first and last missing number of each gap. Not all missing numbers are stored, because
+    /// gaps can be huge if the numbers are time stamps.
     pub ranges: Vec<(i64, i64)>,
-    /// Whether at least as many numbers are missing as exist. If so, the files count as a selection
-    /// of frames, not as a simulation with gaps.
+    /// Whether at least as many numbers are missing as exist. If so, the existing files count as a
+    /// deliberate selection of frames, not as a simulation with gaps.
     pub sparse: bool,
 }
 
 impl Gaps {
-    /// Total count of missing numbers.
+    /// Number of missing frames in all gaps.
     pub fn count(&self) -> u64 {
         self.ranges.iter().map(|(first, last)| last.abs_diff(*first) / self.step.max(1) + 1).sum()
     }
 
-    /// Keeps the missing numbers from `first` to `last`.
+    /// Keeps only the missing numbers from `first` to `last`.
     pub fn within(&self, first: i64, last: i64) -> Self {
         let step = self.step.max(1);
         let beyond = |low: i64, high: i64| if low < high { high.abs_diff(low) } else { 0 };

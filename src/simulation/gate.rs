@@ -8,12 +8,12 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 // threads.
 use super::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
-/// Runs frames in parallel, or one alone.
+/// Lets several frames run in parallel, or one frame alone.
 #[derive(Debug)]
 pub(super) struct FrameGate {
     lanes: usize,
     threads: usize,
-    /// Threads of a frame that runs alone.
+    /// The thread pool for a frame that runs alone.
     all: OnceLock<Option<ThreadPool>>,
     state: Mutex<GateState>,
     changed: Condvar,
@@ -25,7 +25,7 @@ struct GateState {
     waiting_alone: usize,
 }
 
-/// A permit to compute, returned on drop.
+/// A permit to compute, which is returned on drop.
 #[derive(Debug)]
 pub(super) struct Permit<'a> {
     gate: &'a FrameGate,
@@ -33,7 +33,7 @@ pub(super) struct Permit<'a> {
 }
 
 impl FrameGate {
-    /// A gate for `lanes` lanes. A lane that runs alone has `threads` threads.
+    /// Makes a gate for `lanes` lanes. A frame that runs alone uses `threads` threads.
     pub(super) fn new(lanes: usize, threads: usize) -> Self {
         let (all, state, changed) = (OnceLock::new(), Mutex::default(), Condvar::new());
         Self { lanes, threads, all, state, changed }
@@ -49,7 +49,8 @@ impl FrameGate {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Waits for a lane. A frame that must run alone has priority; otherwise it could wait forever.
+    /// Waits for a free lane. Frames that must run alone have priority, because they could
+    /// otherwise wait forever.
     pub(super) fn enter(&self) -> Permit<'_> {
         let mut state = self.state();
         while state.waiting_alone > 0 || state.inside == self.lanes {
@@ -73,7 +74,7 @@ impl FrameGate {
 }
 
 impl Permit<'_> {
-    /// Runs `act` with the threads of this lane, or alone with all threads.
+    /// Runs `act` with the threads of this lane or, if the frame runs alone, with all threads.
     pub(super) fn run<T: Send>(&self, act: impl FnOnce() -> T + Send) -> T {
         let alone = self.lanes == self.gate.lanes;
         match alone.then(|| self.gate.all()).flatten() {

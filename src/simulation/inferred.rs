@@ -1,5 +1,5 @@
 //! Infers the pattern of a simulation's files from all of their names: the number that varies is
-//! the frame's. Ambiguous names are rejected with the possible patterns.
+//! the frame number. Ambiguous names are rejected with an error that lists the possible patterns.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
@@ -10,14 +10,15 @@ use super::pattern::{FrameCandidate, NumberKind, PIECE, Pattern, skeleton};
 
 /// Infers the patterns of files, one for each simulation. Files without a number are ignored.
 ///
-/// Names that differ in text besides numbers belong to different simulations. In names that differ
-/// only in numbers, the number that varies is the frame's; for a single file, it is the last
-/// number. If several numbers vary, the last one is the frame's if the other numbers distinguish
-/// parallel simulations. A number after `rank` or `proc` is the number of a piece if every frame
-/// has the same pieces. Decimals are times if they continue from one integer to the next.
+/// Names that differ in more than their numbers belong to different simulations. In names that
+/// differ only in numbers, the number that varies is the frame number; in the name of a single
+/// file, the last number is. If several numbers vary, the last one is the frame number if the
+/// others distinguish parallel simulations. A number after `rank` or `proc` is the number of a
+/// piece if every frame has the same pieces. Decimal numbers are times if they continue from one
+/// integer to the next.
 ///
 /// # Errors
-/// [`SimulationError::Names`] if several numbers could be the frame's.
+/// [`SimulationError::Names`] if several numbers could be the frame number.
 pub(super) fn infer(files: &[FrameCandidate]) -> Result<Vec<Pattern>, SimulationError> {
     let numbered = files.iter().filter(|file| !file.runs.is_empty());
     let mut found: BTreeMap<[String; 2], Pattern> = BTreeMap::new();
@@ -78,10 +79,11 @@ fn with_signs(kinds: &mut BTreeMap<String, Vec<FrameCandidate>>) {
     }
 }
 
-/// The pattern of files whose names differ in one decimal, if the decimal must be a time. It must
-/// be a time if it has an exponent, or if it follows a separator and all decimals begin with `0.`,
-/// or if the decimals continue from one integer to the next: every step across an integer is less
-/// than 1.5 times as long as the longest step that does not cross one.
+/// Returns the pattern of files whose names differ in one decimal number, if this number must be a
+/// time. It must be a time if it has an exponent in one of the names, if it follows a separator and
+/// begins with `0.` in all names, or if the numbers continue from one integer to the next. They do
+/// so if every step across an integer is less than 1.5 times as long as the longest step that
+/// crosses none.
 fn times(files: &[&FrameCandidate]) -> Option<Pattern> {
     let first = files[0];
     let numbers: Vec<Vec<Range<usize>>> = files.iter().map(|file| file.decimals()).collect();
@@ -106,8 +108,8 @@ fn times(files: &[&FrameCandidate]) -> Option<Pattern> {
         all(number).map(|text| text.split('.').next().unwrap_or(text)).collect();
     let fractions: BTreeSet<&str> =
         all(number).map(|text| text.split_once('.').map_or("", |(_, fraction)| fraction)).collect();
-    // Decimals may end in 0 only if all have the same number of digits: 0.9 and 0.10 are not
-    // decimals.
+    // Decimal numbers may end in 0 only if all of them have the same number of digits: in names
+    // with 0.9 and 0.10, the numbers are not decimal.
     let lengths: BTreeSet<usize> = fractions.iter().map(|fraction| fraction.len()).collect();
     if lengths.len() > 1 && fractions.iter().any(|f| f.len() > 1 && f.ends_with('0')) {
         return None;
@@ -187,7 +189,7 @@ fn frame_number(files: &[&FrameCandidate]) -> Result<FrameNumber, SimulationErro
 const PROCESSES: [&str; 6] = ["rank", "proc", "procs", "process", "processor", "processors"];
 /// Words directly before the number of a frame.
 const FRAMES: [&str; 7] = ["t", "f", "fr", "frame", "step", "time", "it"];
-/// Words that stand before the number of a piece, and sometimes before other numbers.
+/// Words that often stand before the number of a piece, but also before other numbers.
 const MAY_BE_PIECES: [&str; 5] = ["p", "part", "piece", "block", "domain"];
 
 /// Whether files are pieces of frames.
@@ -200,14 +202,14 @@ enum PiecesGuess {
     Unlikely,
 }
 
-/// Whether a number has leading zeros, as numbers of frames often have.
+/// Whether a number has leading zeros, as frame numbers often do.
 fn is_padded(digits: &str) -> bool {
     digits.len() > 1 && digits.starts_with('0')
 }
 
 /// Finds files that are pieces of frames, by the word before the piece's number. A word such as
-/// `rank` is enough. After a word with other uses, such as `part`, there must not be more pieces
-/// than frames.
+/// `rank` is sufficient evidence. After a word with other uses, such as `part`, the number counts
+/// as that of a piece only if there are at most as many pieces as frames.
 ///
 /// # Errors
 /// [`SimulationError::Names`] if a frame lacks the piece of a process, or if the number of the
@@ -303,9 +305,10 @@ fn in_pieces(file: &FrameCandidate, frame: usize, piece: usize) -> Pattern {
 }
 
 /// Whether the runs in `others` distinguish simulations whose frames are numbered by the run
-/// `last`: there are fewer simulations than frames, and at least half of the numbers of each
-/// simulation also occur in the longest one. If the numbers of all simulations are the same and
-/// count from 0, they can be numbers of pieces, unless they are padded like frame numbers.
+/// `last`: there are fewer simulations than frames in the longest one, and at least half of the
+/// frame numbers of each simulation also occur in the longest one. If all simulations have the same
+/// numbers, which count from 0, these can be the numbers of pieces, unless they are padded like
+/// frame numbers.
 fn side_by_side(files: &[&FrameCandidate], others: &[usize], last: usize) -> bool {
     let mut simulations: BTreeMap<Vec<&str>, BTreeSet<&str>> = BTreeMap::new();
     for file in files {

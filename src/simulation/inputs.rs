@@ -1,7 +1,6 @@
-//! Finds the files of a simulation's frames, and their order.
+//! Finds the files of a simulation's frames, and puts them in order.
 //!
-//! Frames are in the order of their numbers. [`pattern`](super::pattern) finds the number in a
-//! name.
+//! Frames are ordered by their numbers, which [`pattern`](super::pattern) finds in the file names.
 
 use std::collections::BTreeMap;
 use std::io::ErrorKind;
@@ -21,8 +20,8 @@ use super::numbered::{joined, timed, whole};
 use super::pattern::{FrameCandidate, NumberKind, Pattern, digit_runs};
 use super::pieces::{may_be_piece, whole_frames};
 
-/// Maximum time that a file with an ambiguous name waits for another file that shows how to
-/// interpret it.
+/// Maximum time to wait, for each file with an ambiguous name, for another file that shows how to
+/// interpret the name.
 const PATIENCE: Duration = Duration::from_secs(300);
 
 /// A request for the frames of one or several simulations.
@@ -40,7 +39,7 @@ pub enum Inputs {
     Steps {
         /// The file.
         file: PathBuf,
-        /// The requested format, if it differs from the format of the extension.
+        /// The requested format, if it differs from the format that the extension implies.
         format: Option<InputFormat>,
     },
     /// Several inputs whose frames with the same number are joined.
@@ -61,7 +60,7 @@ pub struct Sequence {
 
 impl Inputs {
     /// Interprets the arguments as a simulation; `None` if they name one file. `format` is the
-    /// requested format, if it differs from the format of the extension.
+    /// requested format, if it differs from the format that the extension implies.
     ///
     /// # Errors
     /// [`SimulationError::Names`] for an invalid pattern.
@@ -126,10 +125,11 @@ impl Inputs {
 
     /// The simulations among the existing files. In a folder with particles, meshes are ignored.
     ///
-    /// When watching, the simulation is over after `idle` seconds without a new file. A file in a
-    /// folder or a glob whose name is ambiguous counts as a frame after the same time, but after at
-    /// most 5 minutes. In this time, another file can show whether the ambiguous file is a piece,
-    /// or which number in its name is the frame's.
+    /// When watching, the simulation is over after `idle` seconds without a new or changed file. A
+    /// file in a folder or a glob whose name is ambiguous counts as a frame when the file has not
+    /// changed for the same time, or for 5 minutes if `idle` is longer. In the meantime, another
+    /// file can show whether the ambiguous file is a piece, or which number in its name is the
+    /// frame number.
     ///
     /// # Errors
     /// [`SimulationError::Unreadable`] for a folder that cannot be read, [`SimulationError::Names`]
@@ -239,7 +239,7 @@ impl Inputs {
         }
     }
 
-    /// Whether the inputs would include this file if it existed.
+    /// Whether the inputs would include the file at `path` if it existed.
     fn takes(&self, path: &Path) -> bool {
         let is_in = |folder: &Path| {
             let whole = |folder: &Path| match folder.as_os_str().is_empty() {
@@ -254,7 +254,7 @@ impl Inputs {
             Self::Pattern(pattern) => is_in(&pattern.folder),
             Self::Folder(folder) => is_in(folder) && is_known(path),
             Self::Glob(pattern) => {
-                // A wildcard does not match a folder separator, as in the search for files.
+                // As in the search for files, a wildcard does not match a folder separator.
                 let in_one_folder =
                     MatchOptions { require_literal_separator: true, ..MatchOptions::new() };
                 glob::Pattern::new(pattern)
@@ -267,8 +267,8 @@ impl Inputs {
     }
 
     /// Whether these inputs leave out a file because its name begins with a dot, such as
-    /// `._f_1.npy` of macOS. Such files are used if the pattern itself begins with a dot, or if
-    /// they are named one by one.
+    /// `._f_1.npy` of macOS. Such files are used only if the requested pattern or glob itself
+    /// begins with a dot, or if the files are named one by one.
     fn hides(&self, path: &Path) -> bool {
         let asks = match self {
             Self::Pattern(pattern) => pattern.prefix.starts_with('.'),
@@ -344,7 +344,7 @@ impl Sequence {
     /// # Errors
     /// [`SimulationError::Unreadable`] for a folder that cannot be read, [`SimulationError::Names`]
     /// if two files have the same frame number, or if a newer file shows that another number in the
-    /// names is the frame's.
+    /// names is the frame number.
     pub fn list(&self) -> Result<Vec<FrameFile>, SimulationError> {
         let counted = |number: i64, path| FrameFile::new(number, number.to_string(), path);
         let mut frames: Vec<_> = match (&self.source, &self.pattern) {
@@ -398,8 +398,8 @@ impl Sequence {
         Ok(frames)
     }
 
-    /// The frame's number in the name of a file. A pattern from the request must match the whole
-    /// name; an inferred pattern ignores `.gz` and similar endings.
+    /// Returns the frame's number in the name of a file. A pattern from the request must match the
+    /// whole name; an inferred pattern ignores `.gz` and similar endings.
     fn digits<'a>(&self, pattern: &Pattern, file: &'a FrameCandidate) -> Option<&'a str> {
         match self.source {
             Inputs::Pattern(_) => pattern.digits(file.path.file_name()?.to_str()?),
@@ -407,8 +407,8 @@ impl Sequence {
         }
     }
 
-    /// Infers the pattern again if new files differ from the known frames in a number besides the
-    /// frame's. Returns an error if the result differs from `pattern`.
+    /// Infers the pattern again if new files differ from the known frames in a number other than
+    /// the frame number. Returns an error if the result differs from `pattern`.
     fn confirm(&self, pattern: &Pattern, files: &[FrameCandidate]) -> Result<(), SimulationError> {
         let Some(patience) = self.patience else { return Ok(()) };
         let is_frame = |file: &FrameCandidate| pattern.digits(&file.name).is_some();
@@ -440,7 +440,7 @@ impl Sequence {
         )))
     }
 
-    /// Whether this file would be a frame if it existed.
+    /// Whether the file at `path` would be a frame if it existed.
     pub fn takes(&self, path: &Path) -> bool {
         let file = FrameCandidate::from(path.to_owned());
         let is_joined = matches!(self.source, Inputs::Together(_));
@@ -461,7 +461,7 @@ impl Sequence {
 }
 
 /// Changes the components of a glob that begin with a dot so that they do not match `.` and `..`.
-/// Otherwise, the glob would find frames outside of the folder, and the search through several such
+/// Otherwise, the glob would find frames outside the folder, and a search through several such
 /// components would never end.
 fn below(pattern: &str) -> String {
     let name = |name: &str| match name.strip_prefix('.') {
@@ -483,7 +483,8 @@ pub fn frames(inputs: &[PathBuf]) -> Result<Vec<FrameFile>, Error> {
 }
 
 /// Expands arguments to existing files: files, the `wanted` files of a folder, and the matches of a
-/// glob or a name with `{}`. Numbers in names are in numerical order.
+/// glob or a name with `{}`. Sorts the files of each argument by name, where numbers are compared
+/// by value.
 ///
 /// # Errors
 /// [`Error::Simulation`] for a folder that cannot be read, an invalid pattern, and arguments that
@@ -549,15 +550,15 @@ fn in_order_of_numbers(path: &Path) -> Vec<(String, u64)> {
     parts
 }
 
-/// Removes meshes. Files that differ only in their last number are of one kind, so only the first
-/// of them is read.
+/// Removes meshes. Files whose names differ only in the last number are of one kind, so only the
+/// first of them is read.
 fn without_meshes(files: Vec<FrameCandidate>) -> Vec<FrameCandidate> {
     let mut by_last: BTreeMap<_, Vec<_>> = BTreeMap::new();
     for file in files {
         let last = file.pattern(file.runs.len() - 1);
         by_last.entry((last.prefix, last.suffix)).or_default().push(file);
     }
-    // A file that cannot be read is reported when it is converted.
+    // If a file cannot be read, its conversion reports the error.
     by_last.retain(|_, files| !holds_mesh(&files[0].path).unwrap_or(false));
     by_last.into_values().flatten().collect()
 }
@@ -589,7 +590,7 @@ fn refuse_decimals(pattern: &Pattern, frames: &[FrameFile]) -> Result<(), Simula
     }
 }
 
-/// The simulations of several inputs.
+/// Returns the simulations of all `members`.
 fn members_of(members: &[Inputs]) -> Result<Vec<Sequence>, SimulationError> {
     let mut sequences = Vec::new();
     for member in members {

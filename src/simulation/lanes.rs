@@ -2,7 +2,7 @@
 
 use crate::grid::units::MemoryBudget;
 
-/// Minimum memory of a lane in bytes. With less memory, another lane is not worth a thread.
+/// Minimum memory, in bytes, of a lane. With less memory, another lane is not worth a thread.
 const LEAST: u64 = 64 << 20;
 
 /// Threads and memory of each lane.
@@ -12,7 +12,7 @@ pub(super) struct Division {
     pub(super) lanes: usize,
     /// Number of threads of each lane.
     pub(super) threads: usize,
-    /// Memory of a lane while its frame is opened, before its size is known.
+    /// Memory of a lane while it opens a frame whose size is not known yet.
     pub(super) opening: MemoryBudget,
     /// Memory of a frame that runs in parallel with others.
     pub(super) share: MemoryBudget,
@@ -21,11 +21,11 @@ pub(super) struct Division {
 }
 
 impl Division {
-    /// Divides threads and memory among lanes for `frames` frames. There is one lane per thread,
-    /// and one more, because frames differ in size and lanes wait for files. Each thread reserves
-    /// `chunk` bytes.
+    /// Divides threads and memory among lanes for `frames` frames. There are at most `threads + 1`
+    /// lanes: one more than threads, because frames differ in size and lanes wait for files. For
+    /// each thread, `chunk` bytes are reserved.
     pub(super) fn of(frames: usize, threads: usize, budget: MemoryBudget, chunk: u64) -> Self {
-        // Each lane has at least one thread, and each thread needs a chunk.
+        // Each lane has at least one thread, and each thread needs `chunk` bytes.
         let left = |lanes: usize| budget.0.saturating_sub(chunk * threads.max(lanes) as u64);
         let affordable = |lanes: &usize| left(*lanes) / LEAST >= *lanes as u64;
         let lanes = (1..=frames.min(threads + 1)).rev().find(affordable).unwrap_or(1);
@@ -37,14 +37,14 @@ impl Division {
         Self {
             lanes,
             threads: (threads / lanes).max(1),
-            // All lanes may hold an open frame while one of them computes.
+            // Each lane may hold an open frame while one of them computes.
             opening: part(budget.0 / 4 / lanes as u64),
             share: part(budget.0 / 4 * 3 / lanes as u64),
             alone: part(budget.0 / 4 * 3),
         }
     }
 
-    /// Bytes of memory that the particles of a waiting frame may use.
+    /// Memory, in bytes, that the particles of a waiting frame may use.
     pub(super) fn unpacked(&self) -> u64 {
         self.opening.0 / 2
     }

@@ -1,4 +1,4 @@
-//! Surfaces of a running simulation, without files, with one calibration.
+//! Makes surfaces of a running simulation in memory, without files, with one calibration.
 
 use std::sync::Arc;
 
@@ -23,7 +23,7 @@ use super::shared_calibration::{FrameMeasurements, Trust, measure_in};
 ///
 /// Cells, grid and calibration are measured on the first frame with fluid deeper than the reach of
 /// the filters, and kept for all later frames. For the indicator counting, the particles of this
-/// frame must also not form a lattice. Before that frame, [`is_settled`](Self::is_settled) is
+/// frame must not form a lattice either. Before this frame, [`is_settled`](Self::is_settled) is
 /// false, and each frame is measured separately.
 ///
 /// ```
@@ -63,7 +63,7 @@ struct KnownCalibration {
 }
 
 impl LiveSimulation {
-    /// Starts a simulation with its threads.
+    /// Starts a simulation and its threads.
     ///
     /// # Errors
     /// [`Error::Unit`], [`Error::SettingConflict`], [`Error::Domain`], [`Error::LittleMemory`] and
@@ -102,8 +102,8 @@ impl LiveSimulation {
     /// A frame without particles, or without a surface, gives an empty mesh.
     ///
     /// # Errors
-    /// The errors of [`Reconstruction::run`], except for missing particles or surfaces. Later
-    /// frames can still succeed.
+    /// The errors of [`Reconstruction::run`], except those for missing particles or a missing
+    /// surface. Later frames can still succeed.
     pub fn frame(&mut self, particles: &(impl Particles + ?Sized)) -> Result<Surface, Error> {
         self.frame_of(&particles)
     }
@@ -181,8 +181,8 @@ impl LiveSimulation {
         Ok(extracted)
     }
 
-    /// Facts of a frame without particles. Before the first frame with particles, the request
-    /// determines the size of cells; if it does not, the size is 1.
+    /// Returns the facts of a frame without particles. Before the first frame with particles, the
+    /// request determines the cell size; if the request does not, the cell size is 1.
     fn facts(&self, census: Census) -> Result<FrameFacts, Error> {
         let request = &self.ready.checked.sampling;
         let (grid, spacing) = match &self.known {
@@ -196,7 +196,8 @@ impl LiveSimulation {
         Ok(FrameFacts { grid, domain: None, periodic: None, census, spacing })
     }
 
-    /// The empty mesh of a frame without a surface, with the same attributes as other frames.
+    /// Returns the empty mesh of a frame without a surface, with the same attributes as other
+    /// frames.
     fn empty(
         &self,
         particles: &dyn Particles,
@@ -213,8 +214,9 @@ impl LiveSimulation {
     }
 }
 
-/// Measures one frame for all frames, on the grid of an earlier frame if that was a lattice. Also
-/// returns warnings about the spacing.
+/// Measures one frame for all frames. If the particles of the previously measured frame form a
+/// lattice, uses the grid, the method and the spacing of that frame. Also returns warnings about
+/// the spacing.
 fn measured(
     ready: &StartedRequest,
     particles: &dyn Particles,

@@ -1,11 +1,11 @@
 //! The frames of a simulation: their files, their shared calibration, and the records of finished
 //! frames.
 //!
-//! Besides its own particles, a surface depends on a calibration. It is measured on the first
-//! suitable frame, and stored in a state file next to the outputs. After that, frames are
-//! independent: every process that converts a frame writes the same bytes. A finished frame leaves
-//! a record next to the state. The record is written after the output was renamed, so an output
-//! with a record is complete.
+//! The surface of a frame depends on the frame's particles and on a calibration, which is measured
+//! on the first suitable frame and stored in a state file next to the outputs. After that, frames
+//! are independent: every process that converts a given frame writes the same bytes. For each
+//! finished frame, a record is stored next to the state. The record is written after the output was
+//! renamed to its final name, so an output with a record is complete.
 //!
 //! The guide for users is `guide.md`.
 

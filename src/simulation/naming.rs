@@ -15,7 +15,7 @@ use super::pattern::{NumberKind, PIECE, Pattern, stem};
 pub enum Naming {
     /// A name with `{}` for the number.
     Pattern(Pattern),
-    /// Files in this folder, with the names of the inputs and the extension .ply.
+    /// Files in this folder, with the names of the inputs and the extension `.ply`.
     Folder(PathBuf),
     /// One Alembic archive for all frames.
     Archive {
@@ -30,13 +30,14 @@ pub enum Naming {
 const IN_FOLDER: &str = ".ply";
 
 impl Naming {
-    /// Interprets an output path as the names of a simulation; `None` if it names one file.
+    /// Interprets an output path as the names of a simulation's outputs; `None` if it names one
+    /// file.
     ///
     /// # Errors
     /// [`SimulationError::Names`] for an invalid pattern.
     pub fn of(path: &Path) -> Result<Option<Self>, SimulationError> {
         // An existing folder with the name of a mesh file, such as `water.ply`, is not a folder for
-        // outputs. The output is then the mesh, which cannot replace the folder.
+        // outputs. The output is then one mesh, which cannot replace the folder.
         let is_folder = path.is_dir() && MeshFormat::of(path).is_none();
         if is_folder || path.to_string_lossy().ends_with(std::path::is_separator) {
             return Ok(Some(Self::Folder(path.to_owned())));
@@ -50,7 +51,7 @@ impl Naming {
         Ok(pattern.map(Self::Pattern))
     }
 
-    /// Like [`of`](Self::of) for the output of several frames, which may be one archive.
+    /// Like [`of`](Self::of), but for the output of several frames, which may also be one archive.
     ///
     /// # Errors
     /// The errors of [`of`](Self::of).
@@ -58,7 +59,8 @@ impl Naming {
         Ok(Self::of(path)?.or_else(|| Self::of_archive(path)))
     }
 
-    /// The names for an Alembic archive: its frames and the state are in a folder next to it.
+    /// The names for an Alembic archive. The files of its frames and the state are in a folder next
+    /// to it.
     fn of_archive(path: &Path) -> Option<Self> {
         let MeshFormat::Abc(_) = MeshFormat::of(path)? else { return None };
         let mut folder = path.as_os_str().to_owned();
@@ -87,8 +89,8 @@ impl Naming {
         }
     }
 
-    /// The pattern of the outputs of a simulation. In a folder, outputs have the names of the
-    /// inputs with another extension.
+    /// Returns the pattern of the outputs of a simulation. In a folder, outputs have the names of
+    /// the inputs with another extension.
     pub fn outputs(&self, inputs: &Sequence) -> Pattern {
         let folder = match self {
             Self::Pattern(pattern) | Self::Archive { frames: pattern, .. } => {
@@ -101,8 +103,8 @@ impl Naming {
                 format!("{}_", file.file_stem().unwrap_or_default().to_string_lossy()),
                 String::new(),
             ),
-            // Inputs without numbers in their names are numbered in order, and the name of an
-            // output is only this number.
+            // If the names of the inputs have no numbers, the inputs are numbered in order, and the
+            // name of an output consists only of this number.
             (_, None) => Default::default(),
             (_, Some(Pattern { prefix, suffix, .. })) => {
                 (without_piece(prefix), without_piece(&tail(suffix)))
@@ -120,14 +122,15 @@ impl Naming {
 
 /// The text between a frame's number and the extension, without the number of a snapshot's piece.
 fn tail(suffix: &str) -> String {
-    // Completes the name with the number 0, which is removed from the stem below.
+    // Puts the number 0 before the suffix, to get a complete name. The number is removed again
+    // below.
     let name = format!("0{suffix}");
     let whole =
         snapshot_piece(Path::new(&name)).map(|(whole, _)| whole.to_string_lossy().into_owned());
     stem(&whole.unwrap_or(name))[1..].to_owned()
 }
 
-/// Removes the number of a piece, the word before it, and the separator.
+/// Removes the number of a piece, the word before it, and the separator before that word.
 fn without_piece(text: &str) -> String {
     let Some((before, after)) = text.split_once(PIECE) else { return text.to_owned() };
     let separators = ['_', '-', '.', ' '];
@@ -149,8 +152,8 @@ pub(super) fn without_number(stem: &str) -> &str {
     }
 }
 
-/// The path of the meshes without their number. The state and the series of the simulation are
-/// named after it.
+/// Returns the path of the meshes without their number. The state and the series of the simulation
+/// are named after this path.
 #[must_use]
 pub fn simulation(outputs: &Pattern) -> PathBuf {
     outputs.folder().join(format!("{}{}", without_number(&outputs.prefix), outputs.suffix))

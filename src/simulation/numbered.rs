@@ -1,5 +1,5 @@
-//! Groups files into frames by the numbers and times in their names: one file per frame, pieces
-//! with the same number, or frames of several simulations with the same number.
+//! Groups files into frames by the numbers and times in their names: one file per frame, several
+//! pieces with the same number, or frames with the same number from several simulations.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
@@ -61,7 +61,7 @@ pub(super) fn whole(
     Ok(joined)
 }
 
-/// Frames in the order of the times in their names, numbered from 0.
+/// Sorts files by the times in their names, and numbers them from 0.
 pub(super) fn timed(files: Vec<(String, FrameCandidate)>) -> Vec<FrameFile> {
     let time =
         |(digits, file): (String, FrameCandidate)| Some((digits.parse().ok()?, digits, file));
@@ -77,7 +77,7 @@ pub(super) fn timed(files: Vec<(String, FrameCandidate)>) -> Vec<FrameFile> {
     (0..).zip(files).map(frame).collect()
 }
 
-/// Joins frames of several simulations that have the same number.
+/// Joins the frames with the same number from several simulations.
 pub(super) fn joined(
     sequences: &[Sequence],
     lists: Vec<Vec<FrameFile>>,

@@ -1,5 +1,5 @@
-//! Converts one frame. It is read and counted in parallel with other frames. If the memory allows,
-//! it is also meshed in parallel, and otherwise alone.
+//! Converts one frame. The frame is read, and its particles are counted, in parallel with other
+//! frames. If the memory allows, it is also meshed in parallel, and otherwise alone.
 
 use std::mem::take;
 use std::path::{Path, PathBuf};
@@ -227,8 +227,8 @@ impl Conversion<'_> {
             return Err(WriteError::new(&target, WriteFault::Exists).into());
         }
         if !self.format.is_read() {
-            // The small mesh is stored before the record of the mesh, so that it is never older
-            // than the record.
+            // The small mesh is stored before the record, so that it is never older than the
+            // record.
             self.small_meshes().keep(record.mesh.frame, small.as_deref())?;
         }
         file.keep()?;
@@ -237,9 +237,9 @@ impl Conversion<'_> {
         Ok(done)
     }
 
-    /// Whether the path of the mesh already holds a file that this conversion did not write. Files
-    /// of this conversion have a record. If a process was killed after it wrote a mesh and before
-    /// it wrote the record, the existing file has the same bytes as the new mesh.
+    /// Whether a file that this conversion did not write already exists at the path of the mesh.
+    /// Files of this conversion have a record. If a process was killed between writing a mesh and
+    /// its record, the existing file has the same bytes as the new mesh.
     fn is_foreign(&self, target: &Path, made: &Record) -> bool {
         let is_own = || {
             let before = self.before.get_or_init(|| Records::read(self.store.folder()));
@@ -345,8 +345,8 @@ impl Conversion<'_> {
         Ok(MeshableFrame { frame, left_out, warnings, infos, time: file.time, permit })
     }
 
-    /// The part of a lane's memory for the frame itself. The rest is for simplifying, for a writer
-    /// that holds the whole mesh, and for the frame's own solids.
+    /// Returns how much of a lane's memory is for the frame itself. The rest is for simplifying,
+    /// for a writer that holds the whole mesh, and for the frame's own solids.
     fn frame_budget(&self, checked: &CheckedRequest, lane: MemoryBudget) -> MemoryBudget {
         let CheckedRequest { settings, reduction, surfacing, .. } = self.setup.checked;
         let own = checked.surfacing.solid.as_ref().filter(|_| surfacing.solid.is_none());
@@ -359,7 +359,7 @@ impl Conversion<'_> {
         }
     }
 
-    /// The mesh of a frame, which may be empty, with its report.
+    /// Returns the mesh of a frame, which may be empty, with a report.
     fn surface(
         checked: &CheckedRequest,
         path: &Path,

@@ -1,10 +1,10 @@
 //! The pattern of a simulation's file names: which digits are the frame's number.
 //!
 //! In a pattern, `{}` stands for the frame's number, which may be negative. `{time}` stands for a
-//! decimal by which frames are ordered, and `{piece}` for the number of a piece, if a frame is
-//! stored in several files. Notations of other programs also stand for the frame's number: `%04d`,
-//! `####`, `$F4`, `<frame>`. If the request has no pattern, `inferred::infer` derives one from all
-//! names together.
+//! decimal number by which frames are ordered, and `{piece}` for the number of a piece, if a frame
+//! is stored in several files. Notations of other programs also stand for the frame's number:
+//! `%04d`, `####`, `$F4`, `<frame>`. If the request has no pattern, `inferred::infer` derives one
+//! from all names together.
 
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -19,7 +19,7 @@ use super::placeholder::{Placeholder, all};
 pub enum NumberKind {
     /// Integers, which may be negative.
     Whole,
-    /// Decimals that are times. Frames are numbered in the order of their times.
+    /// Decimal numbers that are times. Frames are numbered in the order of their times.
     Times,
 }
 
@@ -107,7 +107,7 @@ impl Pattern {
         self.prefix.contains(PIECE) || self.suffix.contains(PIECE)
     }
 
-    /// The place of the number in a matching name.
+    /// The place of the number in a name; `None` if the name does not match the pattern.
     pub(super) fn place(&self, name: &str) -> Option<Range<usize>> {
         let digits =
             |text: &str| text.len() - text.trim_start_matches(|c: char| c.is_ascii_digit()).len();
@@ -165,7 +165,7 @@ impl Pattern {
         if self.folder.as_os_str().is_empty() { Path::new(".") } else { &self.folder }
     }
 
-    /// The name for a number, which is written as `digits` if the pattern has no width.
+    /// Returns the path for a number, which is written as `digits` if the pattern has no width.
     pub fn path(&self, number: i64, digits: &str) -> PathBuf {
         let Self { folder, prefix, suffix, width, .. } = self;
         folder.join(match width {
@@ -175,7 +175,7 @@ impl Pattern {
     }
 }
 
-/// Whether a name has places for a number, and all of them are in the notations of other programs.
+/// Whether a name has places for a number, all of which are in the notations of other programs.
 pub(super) fn is_foreign(path: &Path) -> bool {
     let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
     let places = all(name);
@@ -207,7 +207,7 @@ pub(super) fn digit_runs(text: &str) -> Vec<Range<usize>> {
     runs
 }
 
-/// Replaces each of these runs of digits by a zero byte. Texts that differ only in these digits
+/// Replaces each of these runs of digits with a zero byte. Texts that differ only in these digits
 /// have the same skeleton.
 pub(super) fn skeleton(text: &str, runs: &[Range<usize>]) -> String {
     let mut skeleton = text.to_owned();
@@ -216,7 +216,7 @@ pub(super) fn skeleton(text: &str, runs: &[Range<usize>]) -> String {
     skeleton
 }
 
-/// A name without its extension. Digits are no extension: `fluid.0042` is frame 42.
+/// A name without its extension. Digits are not an extension: `fluid.0042` is frame 42.
 pub(super) fn stem(name: &str) -> &str {
     let plain = plain_name(name);
     match plain.rsplit_once('.') {
@@ -233,7 +233,8 @@ pub(super) struct FrameCandidate {
     /// The file's name without `.gz` and similar endings, so that compressed and uncompressed
     /// frames have the same pattern.
     pub(super) name: String,
-    /// The runs of digits before the extension that may be the frame's number, with their sign.
+    /// The runs of digits before the extension, with their signs. Each of them may be the frame's
+    /// number.
     pub(super) runs: Vec<Range<usize>>,
 }
 
@@ -243,7 +244,7 @@ impl From<PathBuf> for FrameCandidate {
         let name = plain_name(&name).to_owned();
         let mut runs = digit_runs(stem(&name));
         for run in &mut runs {
-            // A dash after a letter or a digit separates two parts of a name, and is not a sign.
+            // A dash after a letter or a digit separates two parts of a name, so it is not a sign.
             let sign = name[..run.start].strip_suffix('-');
             let signs = |before: &str| {
                 before.is_empty() || before.ends_with(['_', '.', ' ', '-', '=', '(', '['])
@@ -255,8 +256,8 @@ impl From<PathBuf> for FrameCandidate {
 }
 
 impl FrameCandidate {
-    /// The name without its numbers: the same text for all files whose names differ only in
-    /// numbers.
+    /// The name with a zero byte for each number. It is the same for all files whose names differ
+    /// only in their numbers.
     pub(super) fn skeleton(&self) -> String {
         skeleton(&self.name, &self.runs)
     }
@@ -280,8 +281,8 @@ impl FrameCandidate {
         Pattern { folder, prefix, suffix, width: None, numbers }
     }
 
-    /// The numbers in the name. A decimal such as `0.95` or `1e-05` is one number. A version such
-    /// as `1.2.3` is not a decimal, but three numbers.
+    /// The numbers in the name. A decimal number such as `0.95` or `1e-05` counts as one number,
+    /// and a version such as `1.2.3` as three.
     pub(super) fn decimals(&self) -> Vec<Range<usize>> {
         let between = |run: usize| {
             self.runs.get(run + 1).map(|next| &self.name[self.runs[run].end..next.start])

@@ -31,7 +31,7 @@ use super::state::StateFolder;
 const PNG: &str = "png";
 const APNG: &str = "apng";
 const KNOWN: &str = ".png, and .apng for an animation";
-/// Width and height of a picture on a contact sheet in pixels.
+/// Width and height, in pixels, of a picture on a contact sheet.
 const ON_SHEET: [usize; 2] = [640, 360];
 const IN_ANIMATION: [usize; 2] = [960, 540];
 /// Maximum number of pictures on a sheet. With more meshes, evenly spaced ones are drawn.
@@ -53,7 +53,7 @@ pub struct Pictures {
     /// The meshes in order, if they are already known.
     frames: Option<Vec<FrameFile>>,
     output: PathBuf,
-    /// The text in a sheet's file that names the meshes.
+    /// The text that is stored in the file of a sheet, and names the meshes.
     source: Option<String>,
     sized: bool,
     fps: f64,
@@ -75,7 +75,7 @@ pub struct PictureFile {
 
 impl PictureFile {
     /// Checks that a picture can be written, before any picture is drawn. [`Cancel::abandon`]
-    /// removes the file if it is not complete.
+    /// removes the temporary file if the picture is not complete.
     ///
     /// # Errors
     /// [`Error::Write`].
@@ -105,8 +105,8 @@ impl PictureFile {
         Ok(Self { file, folders, unfinished })
     }
 
-    /// Checks that a picture can be written next to a mesh, before it is drawn. The picture has the
-    /// name of the mesh, with the extension `.png`.
+    /// Checks that a picture can be written next to a mesh, before the picture is drawn. The
+    /// picture has the name of the mesh, with the extension `.png`.
     ///
     /// # Errors
     /// [`Error::Write`].
@@ -132,7 +132,7 @@ impl PictureFile {
         self.write_of(image, None)
     }
 
-    /// Writes the picture with a text that names its meshes.
+    /// Writes the picture with `source`, a text that names its meshes.
     fn write_of(self, image: &Image, source: Option<&str>) -> Result<u64, Error> {
         Ok(self.file.write(|out| image.write_png_of(out, source))?)
     }
@@ -214,8 +214,8 @@ impl Pictures {
         self
     }
 
-    /// Limits the memory of a mesh and its picture, in bytes. A .ply from this library that needs
-    /// more than half of this memory is streamed from its file.
+    /// Limits the memory, in bytes, of a mesh and its picture. A `.ply` file from this library that
+    /// needs more than half of this memory is streamed.
     pub fn memory(mut self, bytes: u64) -> Self {
         self.memory = Some(bytes);
         self
@@ -227,7 +227,7 @@ impl Pictures {
         self
     }
 
-    /// Draws and writes the pictures, and reports each.
+    /// Draws and writes the pictures, and calls `report` for each of them.
     ///
     /// # Errors
     /// [`Error::Request`], [`Error::Simulation`], [`Error::Read`], [`Error::Picture`],
@@ -333,7 +333,8 @@ impl Pictures {
             let files: Vec<PathBuf> = frames.iter().map(named).collect();
             for file in &files {
                 self.refuse_inputs(frames, file)?;
-                // Not kept: this only checks that the file can be written.
+                // The prepared file is not kept, because this only checks that the file can be
+                // written.
                 drop(PictureFile::prepare(file, self.replace, &self.cancel)?);
             }
             return Ok(PictureTarget::Each(files));
@@ -409,7 +410,7 @@ impl Pictures {
                 })?;
             }
             PictureTarget::Animation(file) => {
-                // An error of the picture is returned as it is, not as an error of the file.
+                // An error while drawing is returned as it is, not as an error of the output file.
                 let mut fault = None;
                 let written = file.file.write(|out| {
                     let mut animation: Option<Animation<'_>> = None;
@@ -446,7 +447,7 @@ impl Pictures {
         Ok(())
     }
 
-    /// The bounding box and the range of values of all meshes.
+    /// Returns the bounding box and the range of values of all meshes together.
     fn scope(&self, frames: &[FrameFile]) -> Result<Scope, Error> {
         let mut scope = Scope::default();
         for frame in frames {
@@ -471,7 +472,7 @@ impl Pictures {
         picture.draw(mesh.source()).map_err(|fault| of_file(frame, fault))
     }
 
-    /// Opens a mesh. If it would need more than half of the memory limit, it may be streamed.
+    /// Opens a mesh. A mesh that would need more than half of the memory limit may be streamed.
     fn read(&self, frame: &FrameFile) -> Result<OpenedMesh, Error> {
         if self.cancel.is_cancelled() {
             return Err(Error::Cancelled);
@@ -520,7 +521,7 @@ pub struct Sheet {
     path: PathBuf,
     overwrite: bool,
     resume: bool,
-    /// Folder of small meshes of all frames, if the frames' own format cannot be read.
+    /// The small meshes of all frames, if the format of the frames' own meshes cannot be read.
     small: Option<SmallMeshes>,
 }
 
@@ -533,13 +534,13 @@ pub struct SheetDone {
     pub path: PathBuf,
     /// Number of meshes to draw.
     pub meshes: usize,
-    /// Meshes that are not on the sheet, because their format cannot be read, and the run that made
-    /// them kept no small meshes.
+    /// Meshes that are not on the sheet, because their format cannot be read and the run that made
+    /// them stored no small meshes.
     pub undrawn: Vec<PathBuf>,
 }
 
 impl SheetDone {
-    /// A warning that meshes are missing on the sheet, if any are.
+    /// A warning about meshes that are missing from the sheet, if there are any.
     #[must_use]
     pub fn warning(&self) -> Option<String> {
         let (first, last) = (self.undrawn.first()?, self.undrawn.last()?);
@@ -569,16 +570,17 @@ impl fmt::Display for SheetDone {
 
 impl Simulation {
     /// Checks that a contact sheet can be written next to the meshes, before any mesh is made. The
-    /// sheet has the name of the meshes without numbers, or is called `frames.png`. An existing
-    /// file is replaced if the simulation replaces its outputs, or if the simulation resumes and
-    /// the file is a sheet of its meshes.
+    /// sheet has the name of the meshes without numbers. If nothing is left of this name, or if the
+    /// output is a folder, the sheet is called `frames.png`. An existing file is replaced if the
+    /// simulation may overwrite its outputs, or if it resumes and the file is a sheet of its
+    /// meshes.
     ///
     /// If this library cannot read the format of the meshes, [`run`](Self::run) then keeps a small
     /// mesh of each frame next to the state, for this run and for runs that resume it.
     ///
     /// # Errors
-    /// [`Error::Write`] if the sheet cannot be written, [`Error::SameFile`] if the caller writes a
-    /// file with the name of the sheet, [`Error::Request`] if the output is an archive, and
+    /// [`Error::Write`] if the sheet cannot be written, [`Error::SameFile`] if the caller writes to
+    /// the same file as the sheet, [`Error::Request`] if the output is an archive, and
     /// [`Error::Simulation`] for names that do not determine frame numbers.
     pub fn sheet(&mut self) -> Result<Sheet, Error> {
         let path = beside(&self.output);
@@ -670,15 +672,15 @@ impl Sheet {
         Ok(SheetDone { path, meshes, undrawn })
     }
 
-    /// The text in the picture's file that names the meshes.
+    /// Returns the text that is stored in the picture's file, and names the meshes.
     fn source(&self) -> String {
         let meshes = self.pictures.meshes.iter().filter_map(|output| output.file_name());
         let names: Vec<_> = meshes.map(|name| name.to_string_lossy()).collect();
         format!("a sheet of {}", names.join(", "))
     }
 
-    /// Whether the sheet may replace an existing file: if outputs may be replaced, or if the
-    /// conversion is resumed and the file is a sheet of its meshes.
+    /// Returns whether the sheet may replace an existing file. It may if outputs may be replaced,
+    /// or if the conversion is resumed and the file is a sheet of its meshes.
     fn replace(&self) -> Replace {
         let is_own = || {
             let file = File::open(&self.path).ok();
@@ -689,7 +691,7 @@ impl Sheet {
     }
 }
 
-/// The sheet's file, named after the meshes.
+/// The path of the sheet, which is named after the meshes.
 fn beside(output: &Path) -> PathBuf {
     let is_folder = output.is_dir() || output.to_string_lossy().ends_with(std::path::is_separator);
     let stem = if is_folder { None } else { output.file_stem() };

@@ -1,10 +1,10 @@
 //! Distinguishes frames from their pieces.
 //!
-//! Pieces are identified by a .pvtp or .pvtu that names them, by the naming of DualSPHysics, or by
-//! the header of a snapshot with the files `base.0.hdf5`, `base.1.hdf5` and so on. The files of a
-//! snapshot are one frame, whose number is part of `base`.
+//! Pieces are identified by a `.pvtp` or `.pvtu` file that names them, by the names that
+//! DualSPHysics uses, or by the header of a snapshot with the files `base.0.hdf5`, `base.1.hdf5`
+//! and so on. The files of a snapshot form one frame, whose number is part of `base`.
 //!
-//! A .pvtp or .pvtu is written after its pieces. Until then, its pieces are recognised by
+//! A `.pvtp` or `.pvtu` file is written after its pieces. Until then, the pieces are recognised by
 //! comparison with a complete frame: if `pool_1.pvtp` names `pool_1_0.vtp`, `pool_2_0.vtp` is a
 //! piece too.
 
@@ -16,9 +16,9 @@ use crate::io::frame_files::{pieces_named, snapshot_piece, snapshot_pieces};
 
 use super::pattern::{FrameCandidate, all_digits, digit_runs, skeleton};
 
-/// Keeps the `paths` that are frames, in their order.
+/// Returns those of `paths` that are frames, in the same order.
 pub(super) fn whole_frames(paths: Vec<PathBuf>) -> Vec<FrameCandidate> {
-    // A file that cannot be read names no pieces. The error is reported when the file is converted.
+    // A file that cannot be read names no pieces; its conversion reports the error.
     let (mut named, mut to_come) = (HashSet::new(), HashSet::new());
     for index in &paths {
         for piece in pieces_named(index).unwrap_or_default() {
@@ -47,8 +47,7 @@ pub(super) fn whole_frames(paths: Vec<PathBuf>) -> Vec<FrameCandidate> {
         {
             Some((number, snapshot, base)) if snapshot.in_pieces => {
                 let stands = !snapshot.has_base && number == snapshot.first;
-                // The frame's number is part of the snapshot's name. The names of all pieces begin
-                // with that name.
+                // The frame's number is part of `base`, with which the names of all pieces begin.
                 stands.then(|| FrameCandidate {
                     runs: FrameCandidate::from(base).runs,
                     ..path.into()
@@ -60,8 +59,9 @@ pub(super) fn whole_frames(paths: Vec<PathBuf>) -> Vec<FrameCandidate> {
     paths.into_iter().filter_map(whole).collect()
 }
 
-/// The naming scheme of a frame's pieces: the folder, and the skeleton of their names. `None` if
-/// the pieces are not named after the frame with an additional number.
+/// The naming scheme of a frame's pieces: their folder, and the skeleton of their names. `None`
+/// unless `piece` is in the folder of the frame, and its name continues the frame's name with
+/// another number.
 fn naming(index: &Path, piece: &Path) -> Option<(PathBuf, String)> {
     let stem = index.file_stem()?.to_str()?;
     let own = piece.file_name()?.to_str()?.strip_prefix(stem)?;
@@ -69,7 +69,7 @@ fn naming(index: &Path, piece: &Path) -> Option<(PathBuf, String)> {
     (have_numbers && piece.parent() == index.parent()).then(|| named_like(piece))?
 }
 
-/// The folder of a file, and its name without digits.
+/// The folder of a file, and the skeleton of its name.
 fn named_like(path: &Path) -> Option<(PathBuf, String)> {
     let name = path.file_name()?.to_str()?;
     Some((path.parent()?.to_owned(), skeleton(name, &digit_runs(name))))
@@ -88,12 +88,12 @@ pub(super) fn may_be_piece(path: &Path) -> bool {
     })
 }
 
-/// A snapshot, identified by the names of its files and the header of one of them.
+/// A snapshot, as known from the names of its files and from the header of one of them.
 struct Snapshot {
     in_pieces: bool,
     /// The lowest number of the existing pieces.
     first: u64,
-    /// Whether a file exists that has the name of the pieces, but without a piece's number.
+    /// Whether a file exists whose name is that of the pieces without their number.
     has_base: bool,
 }
 

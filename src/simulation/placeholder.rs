@@ -16,7 +16,7 @@ pub(super) enum Placeholder {
     Unknown(String),
 }
 
-/// The placeholders in a name, with their places.
+/// The placeholders in a name, with their positions in bytes.
 pub(super) fn all(name: &str) -> Vec<(Range<usize>, Placeholder)> {
     let mut found: Vec<(Range<usize>, Placeholder)> = Vec::new();
     while let Some(next) = first(name, found.last().map_or(0, |(at, _)| at.end)) {
@@ -45,7 +45,7 @@ fn first(name: &str, from: usize) -> Option<(Range<usize>, Placeholder)> {
 
 type Found = Option<(usize, Placeholder)>;
 
-/// A width of 1 to 20 digits.
+/// Reads a width, which must be from 1 to 20 digits.
 fn width(text: &str) -> Option<usize> {
     text.parse().ok().filter(|width| (1..=20).contains(width))
 }
@@ -87,11 +87,11 @@ fn printf(text: &str) -> Found {
     ends.then_some((digits.len() + 2, placeholder))
 }
 
-/// `####` or `@@@@`, one character per digit, up to 20. A single `#` stands for any number of
-/// digits, and must be separated from letters and digits.
+/// `####` or `@@@@`, with one character per digit, and at most 20. A single `#` stands for any
+/// number of digits, and must not be next to letters or digits.
 fn marks(text: &str, sign: char, before: Option<char>) -> Found {
     if before == Some(sign) {
-        // The run of signs begins before this one, and was rejected because it is too long.
+        // The run of signs begins before this sign, and was rejected because it is too long.
         return None;
     }
     let count = text.len() - text.trim_start_matches(sign).len();

@@ -1,9 +1,9 @@
 //! Records of finished frames, one line of JSON each.
 //!
 //! Each process writes its own log, `frames.1.jsonl`, `frames.2.jsonl` and so on, and locks it
-//! while it runs. A process that finishes merges all unlocked logs into `frames.jsonl`, in the
-//! order of frames. At the end, only this file exists. Its bytes do not depend on which process
-//! made which frame.
+//! while the process runs. A process that finishes merges all unlocked logs into `frames.jsonl`, in
+//! frame order. When all processes have finished, only `frames.jsonl` exists. Its bytes do not
+//! depend on which process made which frame.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
@@ -72,9 +72,9 @@ fn crc(path: &Path) -> io::Result<u32> {
 pub struct Records(BTreeMap<i64, Record>);
 
 impl Records {
-    /// Reads the records in `folder`. Invalid records are ignored: their frames are made again.
+    /// Reads the records in `folder`. Ignores invalid records, whose frames are then made again.
     pub fn read(folder: &Path) -> Self {
-        // The merged file is read last, because a log may be moved into it meanwhile.
+        // The merged file is read last, because another process may merge a log into it meanwhile.
         let logs: Vec<Vec<u8>> =
             logs(folder).into_values().filter_map(|path| fs::read(path).ok()).collect();
         let mut records = Self::default();
@@ -90,13 +90,15 @@ impl Records {
         self.0.extend(records.map(|record: Record| (record.mesh.frame, record)));
     }
 
-    /// Whether a frame was written to `output`, which may have changed since.
+    /// Whether a record names `output` as the mesh of a frame. The file may have changed since
+    /// then.
     pub fn names(&self, output: &Path) -> bool {
         let name = output.file_name();
         self.0.values().any(|record| name.is_some_and(|name| *name == *record.mesh.file))
     }
 
-    /// The record of a frame, if the frame's input, state and output name are unchanged.
+    /// Returns the record of a frame if the frame's input, the state and the output's name are
+    /// unchanged.
     pub fn of(&self, frame: &FrameFile, output: &Path, fingerprint: u32) -> Option<&Record> {
         let record = self.0.get(&frame.number)?;
         let same = record.fingerprint == fingerprint
@@ -106,7 +108,7 @@ impl Records {
     }
 }
 
-/// The log of this process, created when it starts to work.
+/// The log of this process, which is created when the process starts to make frames.
 #[derive(Debug)]
 pub struct Log {
     folder: PathBuf,
@@ -124,7 +126,7 @@ impl Log {
         &self.folder
     }
 
-    /// Opens the log, whose lock shows other processes that this one is running.
+    /// Creates the log, whose lock shows other processes that this process is running.
     pub fn open(&self) -> Result<(), SimulationError> {
         let opened = create(&self.folder);
         let opened =
@@ -133,8 +135,8 @@ impl Log {
         Ok(())
     }
 
-    /// Whether another process is running, that is, holds the lock of its log. Always false if the
-    /// file system has no locks.
+    /// Whether another process is running, which means that it holds the lock of its log. Always
+    /// false if the file system has no locks.
     pub fn others_are_open(&self) -> bool {
         logs(&self.folder).values().any(|path| held::is_held(path))
     }
@@ -144,8 +146,8 @@ impl Log {
         let mut line = serde_json::to_vec(record).expect("string keys and finite depth");
         line.push(b'\n');
         let mut file = self.file.lock().unwrap_or_else(PoisonError::into_inner);
-        // If locks do not work between machines, another process may have taken this log for an
-        // ended one, and removed it.
+        // If locks do not work between machines, another process may have mistaken this log for
+        // that of an ended process, and removed it.
         let named = file.take().filter(has_name);
         let written = named.map_or_else(|| create(&self.folder), Ok).and_then(|mut named| {
             named.write_all(&line)?;
@@ -155,7 +157,7 @@ impl Log {
         written.map_err(|fault| SimulationError::Io { path: self.folder.clone(), fault })
     }
 
-    /// Ends this log, and merges all ended logs into one file. Only one process may do this at a
+    /// Ends this log, and merges all ended logs into one file. Only one process may call this at a
     /// time.
     pub fn merge(&self) -> Result<(), WriteError> {
         self.file.lock().unwrap_or_else(PoisonError::into_inner).take();
@@ -184,8 +186,8 @@ impl Log {
             }
             Ok(())
         })?;
-        // The logs stay locked until their names are removed. A process that has just opened one
-        // detects this and creates another.
+        // The logs stay locked until their names are removed. A process that has just created one
+        // of these logs notices that its name is gone, and creates another log.
         ended.iter().for_each(|(path, ..)| drop(fs::remove_file(path)));
         Ok(())
     }
@@ -204,7 +206,7 @@ fn logs(folder: &Path) -> BTreeMap<u64, PathBuf> {
         .collect()
 }
 
-/// Creates a log with a number after all existing ones.
+/// Creates a log whose number is higher than those of all existing logs.
 fn create(folder: &Path) -> io::Result<File> {
     let mut number = logs(folder).last_key_value().map_or(0, |(number, _)| *number);
     loop {
@@ -220,7 +222,7 @@ fn create(folder: &Path) -> io::Result<File> {
     }
 }
 
-/// Whether the file still has its name, that is, was not removed.
+/// Whether the file still has a name, which means that it was not removed.
 fn has_name(file: &File) -> bool {
     #[cfg(unix)]
     {

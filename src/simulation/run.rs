@@ -1,4 +1,5 @@
-//! Converts the frames of simulations to meshes: in parallel, resumable, with errors per frame.
+//! Converts the frames of simulations to meshes, in parallel. A conversion can be resumed, and an
+//! error in one frame does not stop the others.
 
 use std::collections::HashSet;
 use std::path::Path;
@@ -32,7 +33,7 @@ use super::state::{State, StateFolder, StateLookup};
 /// watch it.
 const ATTEMPTS: usize = 3;
 
-/// One of several simulations: its inputs as text, and its result.
+/// The inputs of one of several simulations, as text, and the simulation's result.
 type Each<T> = (String, Result<T, Arc<Error>>);
 
 /// A simulation whose request was checked.
@@ -48,14 +49,14 @@ impl Simulation {
     /// Converts all frames, and calls `hear` with each event, on the caller's thread. Returns a
     /// summary of each simulation.
     ///
-    /// A frame that fails does not stop the others: [`Summary::failed`] lists it. The work waits
-    /// for a slow `hear`, so `hear` must not wait for threads of the request's
+    /// A frame that fails does not stop the other frames: [`Summary::failed`] lists it. The work
+    /// waits for a slow `hear`, so `hear` must not wait for threads of the request's
     /// [pool](crate::Reconstruction::pool).
     ///
     /// # Errors
     /// The errors of [`Reconstruction::run`](crate::Reconstruction::run) that concern all frames,
-    /// [`Error::Simulation`], [`Error::SameFile`], [`Error::Write`] if nothing more can be written,
-    /// [`Error::Vulkan`], and [`Error::Cancelled`].
+    /// [`Error::Simulation`], [`Error::SameFile`], [`Error::Write`] if no more files can be
+    /// written, [`Error::Vulkan`], and [`Error::Cancelled`].
     pub fn run(&self, hear: impl FnMut(Event)) -> Result<Vec<Summary>, Error> {
         let converted = self.each(hear, |begun| self.convert(begun))?;
         let summed = |(inputs, converted): (String, Result<Summary, Arc<Error>>)| {
@@ -68,8 +69,8 @@ impl Simulation {
         Ok(converted.into_iter().map(summed).collect())
     }
 
-    /// Converts a simulation. If the calibration frame changes meanwhile, measures it again, and
-    /// remakes the frames that used the old calibration.
+    /// Converts a simulation. If the calibration frame changes meanwhile, measures the calibration
+    /// again, and remakes the frames that used the old one.
     fn convert(&self, begun: CheckedSimulation<'_>) -> Result<Summary, Error> {
         // Later passes resume, because all existing outputs are then from this conversion.
         let resumed = Self { resume: true, ..self.clone() };
@@ -104,7 +105,7 @@ impl Simulation {
     }
 
     /// Calibrates all frames, stores the calibration next to the outputs, and returns the frame
-    /// numbers. After that, several jobs can convert [some frames](Self::frames) each.
+    /// numbers. After that, each of several jobs can convert [some of the frames](Self::frames).
     ///
     /// # Errors
     /// The errors of [`run`](Self::run).
@@ -125,7 +126,7 @@ impl Simulation {
         Ok(numbers.into_iter().filter_map(|(_, numbers)| numbers.ok()).flatten().collect())
     }
 
-    /// Estimates the resources of the conversion, and writes nothing.
+    /// Estimates the resources that the conversion needs. Writes nothing.
     ///
     /// # Errors
     /// The errors of [`run`](Self::run).
@@ -138,8 +139,8 @@ impl Simulation {
         Ok(forecasts.into_iter().filter_map(|(_, forecast)| forecast.ok()).collect())
     }
 
-    /// Size of the input files of all requested frames in bytes; `None` when watching, or if the
-    /// size of a file does not indicate how many particles it has.
+    /// Total size, in bytes, of the input files of all requested frames; `None` when watching, or
+    /// if the size of a file does not indicate how many particles it contains.
     #[must_use]
     pub fn input_bytes(&self) -> Option<u64> {
         if self.watch.is_some() {
@@ -176,7 +177,7 @@ impl Simulation {
         if self.request.scratch.is_none() {
             checked.resources.scratch = naming.folder().to_owned();
         }
-        // Parallel frames report their progress by events.
+        // Frames that are made in parallel report their progress as events.
         checked.resources.control.progress = None;
         // A packed frame stores its own indicator. The settings are checked against it when the
         // frame is opened.
@@ -186,8 +187,8 @@ impl Simulation {
         Ok((inputs, naming, checked))
     }
 
-    /// The existing simulations with their selected frames. When watching, waits for the first
-    /// frame.
+    /// Returns the existing simulations with their selected frames. When watching, waits for the
+    /// first frame.
     fn found(
         &self,
         inputs: &Inputs,
@@ -302,8 +303,8 @@ impl Simulation {
             return Err(SimulationError::NoFrameSelected(setup.sequence.describe()).into());
         }
         // Without a state, existing files are not from this conversion. They are looked up before
-        // the state is read: if another process starts meanwhile, it writes the state before its
-        // first output.
+        // `kept_state` reads the state, because another process that starts meanwhile writes the
+        // state before its first output.
         let is_new = !self.overwrite && store.text()?.is_none();
         let foreign = is_new.then(|| setup.existing(&frames, &series)).flatten();
         let there = wanted.iter().map(|frame| setup.shown_output(frame)).find(|path| path.exists());
@@ -329,7 +330,7 @@ fn resumed(store: &StateFolder, state: &State) -> Event {
 }
 
 /// Prepares the folder of the outputs, and removes temporary files of killed processes. The
-/// returned guards remove the folder again if it stays empty, even if the work is abandoned.
+/// returned guards remove created folders that stay empty, even if the work is abandoned.
 fn prepare_folder(
     setup: &Setup<'_>,
     store: &StateFolder,

@@ -32,7 +32,7 @@ use super::shared_calibration::SharedCalibration;
 use super::solids::SolidNames;
 use super::state::{State, StateFolder, StateLookup};
 
-/// Time between two checks for new frames of a running simulation.
+/// Time between two checks of a running simulation for new frames.
 pub(super) const POLL: Duration = Duration::from_millis(250);
 
 /// A simulation before any of its frames is read.
@@ -47,14 +47,14 @@ pub(super) struct Setup<'a> {
     pub(super) events: &'a EventSender,
 }
 
-/// The meshes that exist, in files or in an archive, with their records.
+/// The existing meshes, in files or in an archive, with their records.
 pub(super) struct ExistingMeshes {
     records: Records,
     archived: ArchivedFrames,
 }
 
 impl ExistingMeshes {
-    /// The record of a frame whose mesh exists, and whose input and state are unchanged.
+    /// Returns the record of a frame if its mesh exists, and its input and the state are unchanged.
     pub(super) fn current(
         &self,
         frame: &FrameFile,
@@ -65,7 +65,7 @@ impl ExistingMeshes {
         (record.is_at(output) || self.archived.holds(&record.mesh)).then_some(record)
     }
 
-    /// Whether a mesh still has the recorded bytes. Reads all of them.
+    /// Whether a mesh still has the recorded bytes. Reads the whole mesh.
     pub(super) fn is_whole(&self, record: &Record, output: &Path) -> bool {
         record.is_whole(output) || self.archived.crc(record.mesh.frame) == Some(record.crc)
     }
@@ -78,7 +78,7 @@ impl Setup<'_> {
         ExistingMeshes { records: Records::read(store.folder()), archived }
     }
 
-    /// The file that contains a frame's mesh: its own, or the archive.
+    /// The file that contains a frame's mesh: a file of its own, or the archive.
     pub(super) fn shown_output(&self, frame: &FrameFile) -> PathBuf {
         match &self.archive {
             Some(archive) => archive.path().to_owned(),
@@ -102,8 +102,8 @@ impl Setup<'_> {
         Ok(solids.with_files(self.sequence.list()?))
     }
 
-    /// The mesh's file of a frame. The number in its name has the same digits as in the input's
-    /// name, unless the output pattern has a width.
+    /// The mesh file of a frame. The number in its name has the same digits as in the input's name,
+    /// unless the output pattern has a width.
     pub(super) fn output(&self, frame: &FrameFile) -> PathBuf {
         self.outputs.path(frame.number, &frame.digits)
     }
@@ -113,10 +113,10 @@ impl Setup<'_> {
         Ok(self.simulation.selection.of(self.all_frames()?))
     }
 
-    /// The sampling of a frame with the shared calibration. Walls that the frame's particles exceed
-    /// are moved or removed for this frame, and a warning is returned for each. The slab is used if
-    /// all particles of the frame lie in its plane: the first layer of an emitter does, but two
-    /// layers do not.
+    /// Returns the sampling of a frame with the shared calibration. Walls that particles of the
+    /// frame have passed are moved or removed for this frame, and a warning is returned for each of
+    /// them. The slab is used only if all particles of the frame lie in its plane. The first layer
+    /// of particles from an emitter does; two layers do not.
     pub(super) fn sampling(
         &self,
         shared: &SharedCalibration,
@@ -142,7 +142,7 @@ impl Setup<'_> {
         Ok((sampling, past.into_iter().map(Warning::BeyondWall).collect()))
     }
 
-    /// The division of the threads and the memory among `frames` frames.
+    /// Divides the threads and the memory among `frames` frames.
     pub(super) fn division(&self, frames: usize) -> Division {
         let CheckedRequest { resources, reduction, threads, .. } = self.checked;
         let frames = if resources.backend.executor().divides() { frames } else { frames.min(2) };
@@ -150,14 +150,15 @@ impl Setup<'_> {
         Division::of(frames, *threads, resources.budget, chunk)
     }
 
-    /// The first output of these frames that exists: the archive, a mesh or a list.
+    /// Returns the first existing output of these frames: the archive, a mesh or a list.
     pub(super) fn existing(&self, frames: &[FrameFile], series: &Series) -> Option<PathBuf> {
         let archive = self.archive.iter().map(|archive| archive.path().to_owned());
         let meshes = frames.iter().map(|frame| self.output(frame));
         archive.chain(meshes).chain(series.files()).find(|path| path.exists())
     }
 
-    /// The format of the outputs. Fails if the format cannot store the requested attributes.
+    /// Returns the format of the outputs. Fails if the format cannot store what the settings
+    /// request.
     pub(super) fn format(&self, first: &FrameFile) -> Result<MeshFormat, Error> {
         let path = self.output(first);
         let unknown =
@@ -221,9 +222,9 @@ impl Setup<'_> {
         Ok(())
     }
 
-    /// Looks for a state with these settings and these inputs. A state is stale if outputs may be
-    /// replaced, or if the conversion is resumed and only the calibration frame has changed. Other
-    /// differences are an error.
+    /// Looks for a state with these settings and these inputs. A state that differs is stale if
+    /// outputs may be replaced, or if the conversion is resumed and only the calibration frame has
+    /// changed. Otherwise, a difference is an error.
     pub(super) fn kept_state(
         &self,
         store: &StateFolder,

@@ -20,7 +20,7 @@ use crate::system::timings::Timings;
 
 use super::frame_file::FrameFile;
 
-/// Measurements on one frame that all frames share.
+/// Measurements that are made on one frame and shared by all frames.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SharedCalibration {
     /// The number of the calibration frame.
@@ -31,7 +31,7 @@ pub struct SharedCalibration {
     pub spacing: Option<f64>,
     /// Source of the spacing, as text.
     pub spacing_source: Option<String>,
-    /// Edge of a cell.
+    /// Edge length of a cell.
     pub cell_size: f64,
     /// Origin of the grid.
     pub origin: [f64; 3],
@@ -47,7 +47,7 @@ pub struct SharedCalibration {
     /// The calibration; `None` for kernel methods.
     #[serde(flatten, with = "as_numbers")]
     pub calibration: Option<Calibration>,
-    /// The kinds of the vertex attributes.
+    /// The kinds of the vertex attributes, such as colours.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub kinds: Vec<SettledKind>,
 }
@@ -61,7 +61,7 @@ pub enum Origin {
     Given,
 }
 
-/// Measurements on one frame that hold for all frames.
+/// Measurements that are made on one frame and hold for all frames.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FrameMeasurements {
     /// The grid for all frames.
@@ -83,8 +83,8 @@ pub enum Trust {
     Sound,
 }
 
-/// Calibrates a simulation on these particles. Uses the chosen cells, or the grid and the method of
-/// an earlier frame whose particles form a `lattice`.
+/// Calibrates a simulation on `particles`. Uses the chosen `cells`, or `lattice`: the grid and the
+/// method of an earlier frame whose particles form a lattice.
 pub(super) fn measure_in(
     cells: &Cells,
     lattice: Option<(Grid, Method)>,
@@ -108,9 +108,9 @@ pub(super) fn measure_in(
 /// Measures a frame for its whole simulation.
 ///
 /// The particles of the first frame often form a lattice in a special position relative to the
-/// grid. Such a frame is measured on another grid, on which it is sampled like disordered fluid. If
-/// the origin is free, all frames are sampled on that grid: see
-/// [`sound_origin`](crate::particles::lattice::sound_origin). For symmetry, the other grid
+/// grid. Such a frame is measured on a moved grid, on which it is sampled like disordered fluid. If
+/// the origin is free, all frames are sampled on the moved grid: see
+/// [`sound_origin`](crate::particles::lattice::sound_origin). For symmetry, the moved grid
 /// suffices. For counting, the isovalue must come from a disordered frame. Clouds do not depend on
 /// the position of the grid.
 ///
@@ -149,8 +149,8 @@ pub fn measure(
     }
 }
 
-/// Measures a sampled frame for its whole simulation. `lattice` says whether its particles are on a
-/// lattice.
+/// Measures a sampled frame for its whole simulation. `lattice` says whether the frame's particles
+/// are on a lattice.
 pub fn measure_sampled(
     frame: &SampledDif,
     surfacing: &Surfacing,
@@ -173,8 +173,8 @@ pub(super) fn measure_packed(
     }
 }
 
-/// Adds the grid and the trust to a calibration. `lattice` says whether it was measured on a
-/// lattice.
+/// Adds the grid and the trust to a calibration. `lattice` says whether the particles of the
+/// measured frame are on a lattice.
 fn measured_of(grid: Grid, measured: &MeasuredCalibration, lattice: bool) -> FrameMeasurements {
     let trust = match measured.plateau {
         Plateau::Shallow { .. } => Trust::Shallow,
@@ -185,8 +185,9 @@ fn measured_of(grid: Grid, measured: &MeasuredCalibration, lattice: bool) -> Fra
 }
 
 impl SharedCalibration {
-    /// The calibration frame, if its file exists and has changed since it was measured. If names
-    /// contain times, the frame may have a different number now.
+    /// Returns the calibration frame if its file exists and has changed since the frame was
+    /// measured. If file names contain times, an unchanged calibration frame may have a different
+    /// number now.
     pub(super) fn changed_in<'f>(&self, frames: &'f [FrameFile]) -> Option<&'f FrameFile> {
         let is_same = |frame: &FrameFile| frame.stamp().is_ok_and(|stamp| stamp == self.input);
         let measured = frames.iter().find(|frame| frame.number == self.frame)?;

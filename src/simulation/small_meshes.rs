@@ -12,16 +12,17 @@ use crate::surface::mesh::Mesh;
 use crate::surface::mesh::clustered::{BYTES_A_VERTEX, clustered};
 use crate::surface::mesh::source::{Corners, MeshSource};
 
-/// Number of cells along the longest edge of a mesh's bounding box: about one for every second
+/// Number of cells along the longest edge of a mesh's bounding box: about one cell for every second
 /// pixel of a picture on a sheet.
 const CELLS: u32 = 160;
 
-/// The folder with a .ply of each frame.
+/// The folder with one `.ply` file for each frame.
 #[derive(Debug)]
 pub(super) struct SmallMeshes(PathBuf);
 
 impl SmallMeshes {
-    /// The small meshes in the folder of a simulation's state; nothing is created yet.
+    /// The small meshes in `state`, which is the folder of a simulation's state. Creates nothing
+    /// yet.
     pub(super) fn beside(state: &Path) -> Self {
         Self(state.join("small"))
     }
@@ -31,13 +32,13 @@ impl SmallMeshes {
         self.0.join(format!("{frame}.ply"))
     }
 
-    /// Removes temporary files of killed processes.
+    /// Removes the temporary files that killed processes left.
     pub(super) fn sweep(&self) {
         sweep(&self.0);
     }
 
-    /// Makes a small copy of `mesh`, which lies in `bounds`, and returns the bytes of its file;
-    /// `None` if this would need more than `memory` bytes.
+    /// Makes a small copy of `mesh`, whose bounding box is `bounds`, and returns the bytes of its
+    /// file. Returns `None` if this would need more than `memory` bytes.
     ///
     /// # Errors
     /// If the mesh cannot be read from its scratch file.
@@ -58,8 +59,8 @@ impl SmallMeshes {
         Ok(Some(file))
     }
 
-    /// Stores the file of a frame's small mesh, and replaces an earlier file. If `file` is `None`,
-    /// removes the earlier file, because it belongs to another mesh.
+    /// Stores `file`, the bytes of a frame's small mesh, and replaces an earlier file. If `file` is
+    /// `None`, removes the earlier file, because it shows an older mesh.
     ///
     /// # Errors
     /// If the file cannot be written or removed.

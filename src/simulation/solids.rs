@@ -1,4 +1,4 @@
-//! Solids of a simulation's frames: the same for all, or one for each frame number.
+//! Solids of a simulation's frames: the same for all frames, or one for each frame number.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -42,7 +42,7 @@ impl SolidNames {
         !self.numbered.is_empty()
     }
 
-    /// Adds the files of solids to frames. The files need not exist.
+    /// Sets the files of the solids of each frame. The files need not exist.
     pub(super) fn with_files(&self, mut frames: Vec<FrameFile>) -> Vec<FrameFile> {
         let numbered: Vec<_> =
             self.numbered.iter().map(|pattern| (pattern, there(pattern))).collect();
@@ -62,8 +62,8 @@ fn there(pattern: &Pattern) -> BTreeMap<i64, PathBuf> {
     let Ok(files) = std::fs::read_dir(pattern.folder()) else { return BTreeMap::new() };
     let mut names: Vec<String> =
         files.filter_map(|file| file.ok()?.file_name().into_string().ok()).collect();
-    // If several names have the same number, the last one in order is used, which has the fewest
-    // zeros.
+    // If several names have the same number, the last name in sorted order is used, which has the
+    // fewest leading zeros.
     names.sort_unstable();
     let numbered =
         |name: String| Some((pattern.digits(&name)?.parse().ok()?, pattern.folder.join(name)));

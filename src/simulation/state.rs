@@ -1,6 +1,6 @@
-//! The folder next to the outputs that is named after the simulation, with `.meniscus` appended. It
-//! contains `state.json` with the shared calibration, and the [records](super::records) of finished
-//! frames.
+//! The state folder of a simulation, which is next to the outputs and has the simulation's name
+//! with `.meniscus` appended. It contains `state.json` with the shared calibration, and the
+//! [records](super::records) of finished frames.
 
 use std::fs::{self, File};
 use std::io;
@@ -27,7 +27,7 @@ pub struct State {
 }
 
 impl State {
-    /// A state of this version.
+    /// Makes a state of this version.
     pub fn new(settings: StoredSettings, shared: SharedCalibration) -> Self {
         Self { meniscus: env!("CARGO_PKG_VERSION").into(), settings, shared }
     }
@@ -37,7 +37,8 @@ impl State {
         crc32fast::hash(&json(self))
     }
 
-    /// The names of the settings that differ from `wanted`, as text; empty if there are none.
+    /// Returns the names of the settings that differ from `wanted`, as text, which is empty if none
+    /// differ.
     pub fn differing(&self, wanted: &StoredSettings) -> String {
         differing(&self.meniscus, &self.settings, wanted)
     }
@@ -52,7 +53,7 @@ pub enum StateLookup {
     Kept(Box<State>, Vec<u8>),
     /// A state that will be replaced.
     Stale {
-        /// The bytes of its file.
+        /// The bytes of the state's file.
         text: Vec<u8>,
         /// Whether the state has other settings or is damaged. False if only the calibration frame
         /// has changed.
@@ -61,7 +62,7 @@ pub enum StateLookup {
 }
 
 impl StateLookup {
-    /// The state, if it belongs to this request.
+    /// Returns the state if it belongs to this request.
     #[must_use]
     pub fn kept(self) -> Option<State> {
         match self {
@@ -83,7 +84,7 @@ pub struct StateFolder {
 }
 
 impl StateFolder {
-    /// The folder next to the outputs of a simulation; nothing is created yet.
+    /// The state folder next to the outputs of `simulation`. Creates nothing yet.
     pub fn beside(simulation: &Path) -> Self {
         let mut name = simulation.as_os_str().to_owned();
         name.push(".meniscus");
@@ -100,7 +101,7 @@ impl StateFolder {
         self.folder().join("state.json")
     }
 
-    /// The state, if there is one.
+    /// Reads the state, if there is one.
     ///
     /// # Errors
     /// [`SimulationError::Io`] if the file cannot be read, and [`SimulationError::State`] if it is
@@ -109,7 +110,7 @@ impl StateFolder {
         self.text()?.map(|text| self.parsed(&text)).transpose()
     }
 
-    /// The bytes of the state's file, if there is one.
+    /// Reads the bytes of the state's file, if there is one.
     pub fn text(&self) -> Result<Option<Vec<u8>>, SimulationError> {
         let path = self.state_path();
         match fs::read(&path) {
@@ -135,9 +136,10 @@ impl StateFolder {
         }
     }
 
-    /// Begins a run with the result of the search for a state, and returns the state that was found
-    /// if it belongs to the request. A stale state stays until [`add`](Self::add) replaces it. If
-    /// this process is `at_work`, other processes can see that as soon as there is a valid state.
+    /// Begins a run with `found`, the result of the search for a state, and returns the state if it
+    /// belongs to the request. A stale state stays until [`add`](Self::add) replaces it. `at_work`
+    /// says whether this process makes frames. If so, it opens its log as soon as there is a valid
+    /// state, so that other processes can see that it is running.
     ///
     /// # Errors
     /// [`SimulationError::Busy`] if another process has meanwhile removed the state or stored one

@@ -29,7 +29,7 @@ const SERIES_PAUSE: Duration = Duration::from_millis(250);
 pub(super) struct Tally<'a> {
     conversion: &'a Conversion<'a>,
     series: &'a Series,
-    /// All frames that have a finished mesh, made by this run or another.
+    /// All frames that have a finished mesh, whether made by this run or by another.
     listed: BTreeMap<i64, SeriesFrame>,
     /// Failed frames by their numbers.
     pub(super) failed: BTreeMap<i64, Arc<FrameFailed>>,
@@ -62,8 +62,8 @@ impl<'a> Tally<'a> {
         }
     }
 
-    /// Adds frames that are already finished. If `is_looked_at` is true for a frame, the frame is
-    /// added only if the bytes of its mesh match the record.
+    /// Adds frames that are already finished. A frame for which `is_looked_at` is true is added
+    /// only if the bytes of its mesh match the record.
     pub(super) fn list(
         &mut self,
         frames: &[FrameFile],
@@ -88,7 +88,7 @@ impl<'a> Tally<'a> {
         self.listed.contains_key(&frame.number)
     }
 
-    /// Whether any frame's mesh was written to this file.
+    /// Whether the mesh of a listed frame was written to this file.
     pub(super) fn has_made(&self, output: &Path) -> bool {
         let name = output.file_name();
         self.listed.values().any(|mesh| name.is_some_and(|name| *name == *mesh.file))
@@ -169,9 +169,9 @@ impl<'a> Tally<'a> {
         Ok(())
     }
 
-    /// Adds finished frames to the archive, if the output is an archive. Adds them in order, up to
-    /// the first frame that this run still has to convert, so that the bytes of the archive do not
-    /// depend on the number of threads.
+    /// If the output is an archive, adds finished frames to it. Adds them in frame order, and stops
+    /// at the first frame that this run still has to convert, so that the bytes of the archive do
+    /// not depend on the number of threads.
     fn archive(&self) -> Result<(), WriteError> {
         let Self { conversion, series, listed, awaited, .. } = self;
         let Some(archive) = &conversion.setup.archive else { return Ok(()) };
@@ -182,11 +182,13 @@ impl<'a> Tally<'a> {
         })
     }
 
-    /// Lists all existing frames, merges the records of ended jobs, and makes the summary.
+    /// Lists all frames that have a finished mesh, merges the records of ended jobs, and makes the
+    /// summary.
     pub(super) fn finish(mut self, frames: &[FrameFile]) -> Result<Summary, Error> {
         let Setup { simulation, sequence, outputs, archive, checked, .. } = self.conversion.setup;
         let folder = archive.as_ref().map_or(outputs.folder(), FrameArchive::parent);
-        // Other jobs may have finished frames meanwhile. The last job lists all of them.
+        // Other jobs may have finished frames meanwhile. The job that ends last lists the frames of
+        // all jobs.
         let alone = self.conversion.store.locked();
         self.list(&self.conversion.setup.all_frames()?, |_| false);
         let (log, cancel) = (&self.conversion.store.log, self.conversion.cancel());
@@ -229,7 +231,7 @@ impl<'a> Tally<'a> {
     }
 }
 
-/// Whether an error of one frame would occur in all other frames too.
+/// Whether an error in one frame would occur in all other frames too.
 fn ends_all(error: &Error) -> bool {
     match error {
         Error::Write(WriteError { fault: WriteFault::Io(fault), .. }) => {

@@ -7,12 +7,12 @@ use std::time::{Duration, Instant};
 use super::frame_file::{FrameFile, Selection};
 use super::shared_calibration::Stamp;
 
-/// A file without changes for this long counts as complete.
+/// Time without changes after which a file counts as complete.
 const SETTLED: Duration = Duration::from_secs(1);
 
-/// The frames that were seen so far.
+/// The frames that have been seen so far.
 pub(super) struct Watch {
-    /// Seconds without a new frame after which the simulation is over.
+    /// Time, in seconds, without new or changed files after which the simulation counts as over.
     idle: f64,
     selection: Selection,
     seen: BTreeMap<i64, WatchedFile>,
@@ -22,7 +22,7 @@ pub(super) struct Watch {
 struct WatchedFile {
     stamp: Stamp,
     since: Instant,
-    /// The file's stamp when the frame was reported.
+    /// The file's stamp when the frame was last reported.
     given: Option<Stamp>,
     under_way: bool,
 }
@@ -30,7 +30,7 @@ struct WatchedFile {
 /// A frame that appears to be complete.
 pub(super) struct CompleteFrame {
     pub(super) frame: FrameFile,
-    /// Whether it was reported before, and has changed since.
+    /// Whether the frame was reported before, and its file has changed since then.
     pub(super) again: bool,
 }
 
@@ -39,13 +39,14 @@ impl Watch {
         Self { idle, selection, seen: BTreeMap::new(), last_news: Instant::now() }
     }
 
-    /// The existing frames that have become complete since the last call. A returned frame is in
-    /// progress, and is not returned again, until [`done`](Self::done) is called.
+    /// Returns those of the existing `frames` that have become complete since the last call. A
+    /// returned frame counts as in progress until [`done`](Self::done) is called, and is not
+    /// returned again before that.
     pub(super) fn ready(&mut self, frames: &[FrameFile]) -> Vec<CompleteFrame> {
         let now = Instant::now();
         let mut ready = Vec::new();
         for frame in frames {
-            // Skip a deleted file. If it reappears, it is noticed then.
+            // Skip a deleted file. If the file reappears, a later call notices it.
             let Ok(stamp) = frame.stamp() else { continue };
             let seen = self.seen.entry(frame.number).or_insert_with(|| {
                 self.last_news = now;
@@ -63,7 +64,8 @@ impl Watch {
         ready
     }
 
-    /// Marks a frame as done, successfully or not. It is reported again only if its file changes.
+    /// Marks a frame as done, successfully or not. The frame is reported again only if its file
+    /// changes.
     pub(super) fn done(&mut self, number: i64) {
         if let Some(seen) = self.seen.get_mut(&number) {
             seen.under_way = false;

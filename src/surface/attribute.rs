@@ -1,15 +1,16 @@
-//! Particle attributes carried to the vertices.
+//! Interpolates particle attributes to the vertices.
 //!
 //! A cell's value is blur(sum of values) / blur(N), where N is the number of particles in the cell.
-//! Both blurs are those of the DIF. A vertex interpolates between the two ends of its edge, with
-//! the weights of its position. Sums over particles are integers: values are rounded to multiples
-//! of a step. The step is the power of two with which the greatest magnitude among the particles
-//! that affect a block of vertices takes 30 bits. Values that are not finite count as missing.
+//! Both are blurred like the DIF. The value of a vertex is interpolated between the two cells at
+//! the ends of its edge, weighted by its position on the edge. Sums over particles are integers:
+//! values are rounded to multiples of a step. The step is the power of two at which the greatest
+//! magnitude among the particles that affect a block of vertices takes 30 bits. Particles with a
+//! value that is not finite are skipped.
 //!
-//! Integers such as identifiers have no mean: a vertex takes the value of the nearest particle.
-//! Ties are decided by the particle's position, and then by its values.
+//! Integers such as identifiers cannot be averaged, so a vertex takes the value of the nearest
+//! particle. Ties are decided by the particle's position, and then by its values.
 //!
-//! A vertex uses particles within the reach of the smoothing.
+//! The value of a vertex depends on the particles within the reach of the smoothing.
 
 use std::io;
 use std::ops::Range;
@@ -22,22 +23,22 @@ use crate::grid::{BIN, CellBox, FRACTION_BITS, MortonKey};
 use crate::surface::dual_mc::Crossings;
 use crate::surface::mesh::BlockMesh;
 
-/// Number of components that are smoothed together: enough for common attributes, and few enough
-/// for the memory of a thread.
+/// Number of components that are smoothed together: enough for common attributes, and few enough to
+/// limit the memory of each thread.
 const AT_ONCE: usize = 16;
 
-/// Attributes are wide if they have more components than this number in total: a block with such
-/// attributes is much larger than its mesh.
+/// Attributes with more components than this in total are wide: in each block, they take much more
+/// memory than the mesh.
 const WIDE: usize = 64;
 
-/// Whether attributes with these numbers of components are wide together. Wide attributes are
-/// carried to vertices and encoded for few blocks at a time.
+/// Whether attributes with these numbers of components are wide in total. Wide attributes are
+/// interpolated and encoded for only a few blocks at a time.
 pub fn are_wide(components: impl IntoIterator<Item = usize>) -> bool {
     components.into_iter().sum::<usize>() > WIDE
 }
 
-/// Bytes per cell while an attribute with `components` is smoothed: for the sums of components that
-/// are smoothed together, the number of particles, and two more fields.
+/// Memory, in bytes per cell, for smoothing an attribute with `components` components: for the sums
+/// of the components that are smoothed together, the number of particles, and two more fields.
 pub fn cell_bytes(components: usize) -> u64 {
     ((components.min(AT_ONCE) + 3) * size_of::<f64>()) as u64
 }
@@ -49,7 +50,7 @@ struct FixedPoint {
 }
 
 impl FixedPoint {
-    /// The finest step at which magnitudes up to `greatest` fit 30 bits.
+    /// The finest step at which magnitudes up to `greatest` fit into 30 bits.
     fn for_magnitude(greatest: f32) -> Self {
         let exponent =
             if greatest > 0.0 { 29 - libm::log2(f64::from(greatest)).floor() as i32 } else { 0 };
@@ -66,7 +67,7 @@ impl FixedPoint {
 }
 
 /// The values of a particle attribute at the vertices of a block, with the components of each
-/// vertex together. The smoothing and the walls are in cells of the block.
+/// vertex contiguous. `smoothing` and `walls` are in cells of the block's level.
 ///
 /// # Errors
 /// If a scratch file with particles cannot be read.
@@ -87,7 +88,7 @@ pub fn vertex_values(
         return Ok(Vec::new());
     }
     let reach = smoothing.halo();
-    // Beyond a wall, the sums are those of the nearest cell before it.
+    // Cells beyond a wall repeat the sums of the nearest cell inside the wall.
     let cells = used.with_nearest_of(walls).grown(reach, reach);
     let smooth = |mut sum: Block<f64>| {
         if let Some(walls) = walls {
@@ -110,8 +111,9 @@ pub fn vertex_values(
     Ok(values)
 }
 
-/// The integers of a particle attribute at the vertices of a block, with the components of each
-/// vertex together: the values of the nearest particle within `reach` cells of the block, or zeros.
+/// The values of an integer attribute at the vertices of a block, with the components of each
+/// vertex contiguous. A vertex takes the values of the nearest particle within `reach` cells of the
+/// block, or zeros if there is none.
 ///
 /// # Errors
 /// If a scratch file with particles cannot be read.
@@ -130,7 +132,7 @@ pub fn nearest_values(
         return Ok(Vec::new());
     }
     let cells = used.grown(reach, reach);
-    // Particles sorted by cell; `starts` has the first index of each cell.
+    // For each particle, the index of its cell, its position in steps, and the bits of its values.
     let mut found: Vec<(usize, [i64; 3], Vec<u32>)> = Vec::new();
     let index_of = Block::<u8>::zero(cells);
     let level = u32::from(mesh.level.level);
@@ -158,8 +160,8 @@ pub fn nearest_values(
     };
     let mut values = Vec::with_capacity(edges.len() * components);
     for (&(cell, axis), &ends) in edges.iter().zip(&mesh.ends) {
-        // The place of the vertex, in the steps of particles' positions: a cell of the block has
-        // 2^`bits` steps along each axis.
+        // The place of the vertex, in the steps to which particle positions are rounded. A cell of
+        // the block is 2^`bits` steps wide.
         let bits = FRACTION_BITS + level;
         let half = 1_i64 << (bits - 1);
         let mut place = [0, 1, 2].map(|a| (i64::from(cell[a]) << bits) + half);
@@ -203,7 +205,7 @@ fn cell_of(coord: IVec3, local: usize) -> IVec3 {
     coord * BIN + IVec3::new(local % BIN, local / BIN % BIN, local / (BIN * BIN))
 }
 
-/// The values of a vertex, interpolated between the values of two `cells`. The second cell has the
+/// Interpolates the `values` of a vertex between those of two `cells`. The second cell has the
 /// weight `upper_share`.
 fn interpolate(
     values: &mut [f32],
@@ -227,8 +229,8 @@ fn interpolate(
     }
 }
 
-/// For each cell of a level, the sums of a `group` of components over the cell's particles,
-/// followed by the number of particles. All components are rounded to the same step.
+/// For each component in `group`, the sums over the particles of each cell; the last block has the
+/// number of particles in each cell. All components are rounded to the same step.
 fn sums(
     bins: &Bins,
     (attribute, components): (usize, usize),

@@ -1,6 +1,6 @@
 //! Iteration over the bits of a word.
 
-/// Indices of the set bits, from the lowest.
+/// Returns the indices of the set bits, lowest first.
 #[inline]
 pub(crate) fn ones(mut word: u64) -> impl Iterator<Item = usize> {
     std::iter::from_fn(move || {

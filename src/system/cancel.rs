@@ -36,8 +36,8 @@ impl From<Cancelled> for io::Error {
 #[derive(Debug, Default)]
 struct CancelState {
     asked: AtomicBool,
-    /// The temporary files of outputs in progress, followed by the folders that were created for
-    /// them.
+    /// For each output in progress: its temporary files, followed by the folders that were created
+    /// for them.
     unfinished: Mutex<Vec<PathBuf>>,
     /// Work that [`abandon`](Cancel::abandon) must not interrupt holds this lock for reading.
     /// `abandon` takes the lock for writing, and never releases it.
@@ -51,8 +51,8 @@ impl Cancel {
         Self::default()
     }
 
-    /// Cancels all work with this handle: it ends soon with the error [`Cancelled`]. Every stage of
-    /// a frame checks the handle.
+    /// Cancels all work that has this handle. The work soon ends with the error [`Cancelled`].
+    /// Every stage of a frame checks the handle.
     pub fn cancel(&self) {
         self.0.asked.store(true, Ordering::Relaxed);
     }
@@ -71,19 +71,20 @@ impl Cancel {
         if self.is_cancelled() { Err(Cancelled) } else { Ok(()) }
     }
 
-    /// Removes all unfinished outputs, for a process that exits now. From now on, a thread that
-    /// begins or ends an output waits forever.
+    /// Removes all unfinished outputs, for a process that is about to exit. A thread that begins or
+    /// ends an output after this call waits forever.
     ///
-    /// Outputs that already have their final name stay. Pending records of frames are written
-    /// first.
+    /// Outputs that already have their final name stay. Records of frames that are being written
+    /// are completed first.
     pub fn abandon(&self) {
         let held = self.0.undisturbed.write().unwrap_or_else(PoisonError::into_inner);
         remove(&self.unfinished());
         std::mem::forget(held);
     }
 
-    /// Like [`abandon`](Self::abandon), for a process that has run out of memory. Waits for other
-    /// threads at most 0.2 s, because the calling thread may itself begin or end an output.
+    /// Like [`abandon`](Self::abandon), for a process that has crashed or run out of memory. Waits
+    /// at most 0.2 s for the locks, because the calling thread may hold them itself, if it was
+    /// interrupted while it began or ended an output.
     pub fn abandon_soon(&self) {
         let soon = || (0..100).inspect(|_| std::thread::sleep(Duration::from_millis(1)));
         let held = soon().find_map(|_| self.0.undisturbed.try_write().ok());
@@ -109,7 +110,8 @@ impl Cancel {
 
     /// Prepares an output, and registers its temporary files and folders, which `temporary` lists.
     /// [`abandon`](Self::abandon) removes registered paths: first the files, then the empty
-    /// folders. It cannot run between `prepare` and the registration, so nothing is left behind.
+    /// folders. `abandon` cannot run between `prepare` and the registration, so nothing is left
+    /// behind.
     pub(crate) fn guard<T, E>(
         &self,
         prepare: impl FnOnce() -> Result<T, E>,
@@ -123,17 +125,18 @@ impl Cancel {
     }
 }
 
-/// Suffixes of the folders of a temporary file: the new folder, and the old one that it replaces.
+/// Suffixes of the folders that belong to a temporary file: the new folder, and the old one that it
+/// replaces.
 pub(crate) const BELONGINGS: [&str; 2] = [".new", ".old"];
 
-/// The folder of a temporary file with this suffix.
+/// The folder that belongs to a temporary file and has the suffix `ending`.
 pub(crate) fn belonging(temporary: &Path, ending: &str) -> PathBuf {
     let mut name = temporary.as_os_str().to_owned();
     name.push(ending);
     name.into()
 }
 
-/// Removes temporary files with their folders, and then folders that are empty.
+/// Removes the temporary files with the folders that belong to them, and then the empty folders.
 fn remove(unfinished: &[PathBuf]) {
     for path in unfinished {
         let _ = std::fs::remove_file(path);
@@ -144,14 +147,15 @@ fn remove(unfinished: &[PathBuf]) {
     }
 }
 
-/// Removes the folders of a temporary file.
+/// Removes the folders that belong to a temporary file.
 pub(crate) fn remove_belongings(temporary: &Path) {
     for ending in BELONGINGS {
         let _ = std::fs::remove_dir_all(belonging(temporary, ending));
     }
 }
 
-/// An output in progress. Until this is dropped, [`Cancel::abandon`] removes its temporary files.
+/// An output in progress. Until this value is dropped, [`Cancel::abandon`] removes its temporary
+/// files.
 #[derive(Debug)]
 pub(crate) struct UnfinishedOutput {
     of: Cancel,
@@ -170,7 +174,7 @@ impl Drop for UnfinishedOutput {
         let _held = self.of.hold();
         let mut unfinished = self.of.unfinished();
         for own in &self.paths {
-            // Several outputs may have created the same folder.
+            // Several outputs may have registered the same folder, so only one entry is removed.
             if let Some(at) = unfinished.iter().position(|path| path == own) {
                 unfinished.remove(at);
             }
@@ -215,7 +219,7 @@ mod tests {
             let paths = || vec![file.clone(), inner.clone(), outer.clone()];
             cancel.guard(prepare, |()| paths()).unwrap().1
         };
-        // Dropping the first output removes one entry of each folder.
+        // Dropping the first output removes one of the two entries for each folder.
         drop(begin("done"));
         let second = begin("second");
         fs::remove_file(inner.join("done")).unwrap();

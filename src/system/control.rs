@@ -15,7 +15,7 @@ pub enum Stage {
     Reading,
     /// Particles are counted in cells, to estimate the memory of the frame.
     Counting,
-    /// A large frame waits for other frames to finish.
+    /// The frame waits for other frames to finish.
     Waiting,
     /// Particles are sampled on the grid.
     Sampling,
@@ -59,10 +59,10 @@ pub struct Progress {
     pub done: f64,
 }
 
-/// A callback for progress, called from any thread.
+/// A callback for progress, which may be called from any thread.
 pub type Watcher = Arc<dyn Fn(Progress) + Send + Sync>;
 
-/// Progress and cancellation of a frame, for its caller.
+/// The means by which a caller follows the work on a frame and cancels it.
 #[derive(Clone, Default)]
 pub struct Control {
     /// The cancel handle.
@@ -95,14 +95,14 @@ impl Control {
         self.report(stage, 0.0);
     }
 
-    /// Returns a meter for a stage of `parts` parts.
+    /// Returns a meter for a stage that has `parts` parts.
     pub fn meter(&self, stage: Stage, parts: usize) -> Meter<'_> {
         let done = AtomicUsize::new(0);
         let last_report = Mutex::new((0, Instant::now()));
         Meter { control: self, stage, span: [0.0, 1.0], parts, done, last_report }
     }
 
-    /// Reports the progress of a stage.
+    /// Reports the finished fraction of a stage.
     fn report(&self, stage: Stage, done: f64) {
         if let Some(progress) = &self.progress {
             progress(Progress { stage, done });
@@ -110,28 +110,28 @@ impl Control {
     }
 }
 
-/// Number of steps in a stage. Progress is reported at each step.
+/// Number of steps in a stage. Each step is reported.
 const STEPS: usize = 128;
-/// Time after which progress of less than a step is reported too.
+/// Time since the last report after which less than a step of progress is reported too.
 const LONG: Duration = Duration::from_millis(50);
 
 /// Counts the finished parts of a stage on all threads, reports progress to the caller, and checks
-/// for a cancel.
+/// whether the work was cancelled.
 #[derive(Debug)]
 pub struct Meter<'a> {
     control: &'a Control,
     stage: Stage,
-    /// The range within the stage that the parts cover.
+    /// The range of the stage that the parts cover, as fractions from 0 to 1.
     span: [f64; 2],
     parts: usize,
     done: AtomicUsize,
-    /// The last reported number of parts, and its time. A thread that finds the lock taken skips
-    /// its report.
+    /// The number of parts in the last report, and the time of that report. A thread that finds the
+    /// lock taken skips its report.
     last_report: Mutex<(usize, Instant)>,
 }
 
 impl Meter<'_> {
-    /// Sets the range within the stage that the parts cover, as fractions from 0 to 1.
+    /// Sets the range of the stage that the parts cover, as fractions from 0 to 1.
     pub fn between(self, from: f64, to: f64) -> Self {
         Self { span: [from, to], ..self }
     }
@@ -159,7 +159,7 @@ impl Meter<'_> {
         let (before, since) = *last_report;
         let is_step = done >= before + self.parts.div_ceil(STEPS);
         let is_due = is_step || done > before && since.elapsed() >= LONG;
-        // After the last part, the stage itself reports its end.
+        // `Control::during` reports the end of the stage.
         if done < self.parts && is_due && self.goes_on() {
             *last_report = (done, Instant::now());
             let [from, to] = self.span;

@@ -1,19 +1,19 @@
-//! Files that a process holds while it works on them, so that other processes can see whether it is
-//! alive.
+//! Files that a process holds while it works on them, so that other processes can see whether that
+//! process is alive.
 //!
-//! On Windows, the process denies other processes write access. A lock would deny write access to
-//! the process itself. On other systems, the process holds a lock, which most network file systems
-//! support.
+//! On Windows, the holder opens the file so that no other process can write to it. A lock would
+//! also prevent the holder from writing. On other systems, the holder locks the file, which most
+//! network file systems support.
 
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io;
 use std::path::Path;
 
-/// Creates a file that this process holds until it is closed.
+/// Creates a file that this process holds until the file is closed.
 ///
-/// On a file system without locks, other processes cannot see whether the file is held, and do not
-/// take it. If another process takes the file immediately, that process may have deleted the file
-/// when this function returns.
+/// On a file system without locks, other processes cannot see whether the file is held, and cannot
+/// take it. If another process takes the file before this function locks it, that process may have
+/// deleted the file by the time this function returns.
 ///
 /// # Errors
 /// Errors of the system, such as [`io::ErrorKind::AlreadyExists`].
@@ -24,7 +24,8 @@ pub fn create(path: &Path) -> io::Result<File> {
     Ok(file)
 }
 
-/// Opens a file that no process holds, and prevents others from taking it until it is closed.
+/// Opens a file that no process holds, and prevents other processes from taking it until it is
+/// closed.
 ///
 /// # Errors
 /// [`TryLockError::WouldBlock`] for a file that is held or taken, and errors of the system.
@@ -38,16 +39,16 @@ pub fn take(path: &Path) -> Result<File, TryLockError> {
     Ok(file)
 }
 
-/// Whether a process holds a file. On a file system without locks, the answer is always no.
+/// Whether a process holds or has taken a file. Always false on a file system without locks.
 pub fn is_held(path: &Path) -> bool {
     matches!(take(path), Err(TryLockError::WouldBlock))
 }
 
-/// The error of Windows for a file that another process has opened exclusively.
+/// The error code of Windows for a file that another process has opened and does not share.
 const SHARING_VIOLATION: i32 = 32;
 
-/// Opens for reading and writing, because over a network some locks need read access and some write
-/// access.
+/// Opens for reading and writing, because some locks on network file systems need read access, and
+/// others need write access.
 fn options() -> OpenOptions {
     let mut options = OpenOptions::new();
     options.read(true).write(true);

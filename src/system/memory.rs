@@ -10,10 +10,10 @@ use memmap2::MmapMut;
 
 use crate::grid::units::MemoryBudget;
 
-/// Three quarters of the available memory: the system's estimate, but at most what a control group
-/// or `ulimit` allows.
+/// Returns three quarters of the available memory: the system's estimate, or less if a control
+/// group or `ulimit` allows less.
 ///
-/// There is no limit if none of these is known.
+/// If none of these is known, the result is unlimited.
 #[must_use]
 pub fn default_memory() -> MemoryBudget {
     let available =
@@ -33,8 +33,8 @@ fn system_available() -> Option<u64> {
     Some(system.available_memory()).filter(|&bytes| bytes > 0)
 }
 
-/// Bytes that this process's control group still allows: its limit minus its use. Reads version 2
-/// of control groups, or else version 1.
+/// Bytes that this process's control group still allows: its limit minus its use. Reads the files
+/// of control groups version 2 or, if they are missing, those of version 1.
 fn group_available() -> Option<u64> {
     let number = |path: &str| read_to_string(path).ok()?.trim().parse::<u64>().ok();
     let left = |limit: &str, used: &str| Some(number(limit)?.saturating_sub(number(used)?));
@@ -52,8 +52,8 @@ fn group_available() -> Option<u64> {
     })
 }
 
-/// Bytes that remain within this process's limits on data and address space. Files that are mapped
-/// later also use address space.
+/// Bytes of memory that this process's limits on data and on address space still allow. Files that
+/// are mapped later also use address space.
 fn limit_available() -> Option<u64> {
     let left = |name: &str, used: &str| {
         let used = kib_field(&read_to_string("/proc/self/status").ok()?, used)?;
@@ -63,49 +63,52 @@ fn limit_available() -> Option<u64> {
     all.into_iter().flatten().min()
 }
 
-/// Default size of a thread's stack in bytes. It applies to threads that choose no size, such as
-/// the threads of Vulkan drivers.
+/// Default size, in bytes, of a thread's stack. It applies to threads that choose no size, such as
+/// those of Vulkan drivers.
 #[must_use]
 pub fn default_stack() -> Option<u64> {
     limit("Max stack size")
 }
 
-/// This process's limit called `name` in `/proc/self/limits`, if it has one.
+/// Returns this process's limit called `name` in `/proc/self/limits`; `None` if it is unlimited or
+/// unknown.
 fn limit(name: &str) -> Option<u64> {
     let limits = read_to_string("/proc/self/limits").ok()?;
     let line = limits.lines().find_map(|line| line.strip_prefix(name))?;
     line.split_whitespace().next()?.parse().ok()
 }
 
-/// Peak resident memory of this process in bytes, including mapped files.
+/// Peak resident memory of this process, in bytes, including mapped files.
 #[must_use]
 pub fn peak_memory() -> Option<u64> {
     kib_field(&read_to_string("/proc/self/status").ok()?, "VmHWM:")
 }
 
-/// A vector of zeros, in huge pages if the system has them: random writes then need fewer page
-/// lookups and page faults.
+/// Returns a vector of zeros, in huge pages if the system has them. In huge pages, random writes
+/// need fewer page lookups and page faults.
 pub(crate) fn zeroed_in_huge_pages<T: Zeroable>(len: usize) -> Vec<T> {
     let zeros = zeroed(len);
     advise_huge_pages(&zeros);
     zeros
 }
 
-/// A vector of zeros. If there is not enough memory, the process ends, as with any other vector.
+/// Returns a vector of zeros. If there is not enough memory, the process aborts, as for any other
+/// vector.
 pub(crate) fn zeroed<T: Zeroable>(len: usize) -> Vec<T> {
     try_zeroed_vec(len).unwrap_or_else(|()| {
         handle_alloc_error(Layout::array::<T>(len).expect("an array of at most isize::MAX bytes"))
     })
 }
 
-/// An empty vector with this capacity, in huge pages if the system has them.
+/// Returns an empty vector with this capacity, in huge pages if the system has them.
 pub(crate) fn empty_in_huge_pages<T>(capacity: usize) -> Vec<T> {
     let mut empty = Vec::with_capacity(capacity);
     advise_huge_pages(empty.spare_capacity_mut());
     empty
 }
 
-/// A separate mapping of zeros, in huge pages if the system has them and `bytes` fill at least one.
+/// Maps `bytes` bytes of zeros outside the heap, in huge pages if the system has them and at least
+/// one fits.
 ///
 /// # Errors
 /// If the system has no memory left.
@@ -115,18 +118,19 @@ pub(crate) fn mapped_in_huge_pages(bytes: usize) -> io::Result<MmapMut> {
     Ok(zeros)
 }
 
-/// Asks the system for huge pages. Must be called before anything is written, because existing
-/// pages do not change.
+/// Asks the system for huge pages. Must be called before anything is written, because pages keep
+/// the size with which they were created.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 fn advise_huge_pages<T>(memory: &[T]) {
-    /// The size of huge pages on most machines; on others, less of the memory is in huge pages.
+    /// The size, in bytes, of huge pages on most machines. On others, less of the memory is in huge
+    /// pages.
     const HUGE: usize = 2 << 20;
     let bytes = memory.as_ptr().cast::<u8>();
     let first = bytes.align_offset(HUGE).min(size_of_val(memory));
     let whole = (size_of_val(memory) - first) / HUGE * HUGE;
     if whole > 0 {
-        // SAFETY: the pages are all within the memory, whose contents stay as they are. If there
-        // are no huge pages, the call fails, and nothing changes.
+        // SAFETY: all these pages are within `memory`, and the call does not change their contents.
+        // If there are no huge pages, the call fails, and nothing changes.
         unsafe { libc::madvise(bytes.add(first).cast_mut().cast(), whole, libc::MADV_HUGEPAGE) };
     }
 }

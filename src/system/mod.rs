@@ -1,5 +1,4 @@
-//! Resources of the machine: memory and its limit, scratch files, time, cancellation, and bits of
-//! words.
+//! Memory and its limit, files, time, progress and cancellation, and the bits of words.
 
 pub(crate) mod bits;
 pub mod cancel;

@@ -1,27 +1,27 @@
 //! Writes a large file without the system's cache.
 //!
 //! A program that writes gigabytes and waits until they are on disk does not benefit from the
-//! cache: the system copies all data into it, and evicts useful data, such as the particles of the
-//! next frame.
+//! cache: the system would copy all data into it, and evict useful data, such as the particles of
+//! the next frame.
 
 use std::fs::File;
 use std::io::{self, ErrorKind, Write};
 
 use bytemuck::{Pod, Zeroable, cast_slice, cast_slice_mut};
 
-/// Bytes at the start of each file that are written through the cache, because a small file may
-/// soon be read again.
+/// Number of bytes at the start of each file that are written through the cache, because a small
+/// file may soon be read again.
 const CACHED: u64 = 64 << 20;
-/// Bytes per write without the cache.
+/// Size, in bytes, of each write without the cache.
 const PIECE: usize = 1 << 20;
-/// Alignment of uncached writes in bytes, in memory and in the file.
+/// Alignment, in bytes, of uncached writes, both in memory and in the file.
 const PAGE: usize = 4096;
 
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C, align(4096))]
 struct Page([u8; PAGE]);
 
-/// A file that is written in order, and complete after [`finish`](Self::finish).
+/// A file that is written from start to end. It is complete after [`finish`](Self::finish).
 pub struct PastCache<'a> {
     file: &'a File,
     way: WriteMode,
@@ -29,20 +29,20 @@ pub struct PastCache<'a> {
 
 /// How the next bytes are written.
 enum WriteMode {
-    /// Through the cache, at most this many bytes.
+    /// At most this many bytes go through the cache.
     Cached(u64),
-    /// Without the cache, in pieces. The current piece has `filled` bytes.
+    /// Pieces are written without the cache. The current piece contains `filled` bytes.
     Past { piece: Vec<Page>, filled: usize },
 }
 
 impl<'a> PastCache<'a> {
-    /// Begins to write a file, which must be empty.
+    /// Starts writing a file, which must be empty.
     pub fn new(file: &'a File) -> Self {
         Self::after(CACHED, file)
     }
 
-    /// Begins to write a file. Its first `cached` bytes, a whole number of pages, go through the
-    /// cache.
+    /// Starts writing a file whose first `cached` bytes go through the cache. They must be a whole
+    /// number of pages.
     fn after(cached: u64, file: &'a File) -> Self {
         Self { file, way: WriteMode::Cached(cached) }
     }
@@ -58,7 +58,7 @@ impl<'a> PastCache<'a> {
         }
     }
 
-    /// Starts the first uncached piece, or stays with the cache if the file system requires it.
+    /// Starts the first uncached piece, or continues with the cache if the file system requires it.
     fn leave_cache(&mut self) {
         self.way = match past_cache(self.file, true) {
             Ok(()) => WriteMode::Past { piece: vec![Page::zeroed(); PIECE / PAGE], filled: 0 },
@@ -66,7 +66,8 @@ impl<'a> PastCache<'a> {
         };
     }
 
-    /// Writes the current piece from byte `from` on through the cache, and all later bytes too.
+    /// Writes the rest of the current piece, from its byte `from`, through the cache. All later
+    /// bytes go through the cache too.
     fn keep_to_cache(&mut self, from: usize) -> io::Result<()> {
         let WriteMode::Past { piece, filled } =
             std::mem::replace(&mut self.way, WriteMode::Cached(u64::MAX))
@@ -111,7 +112,8 @@ impl Write for PastCache<'_> {
     }
 }
 
-/// Writes pages, and returns the number of bytes that were written without the cache.
+/// Writes pages without the cache, as far as the file system permits, and returns the number of
+/// written bytes.
 fn write_pages(mut file: &File, pages: &[u8]) -> io::Result<usize> {
     let mut written = 0;
     while written < pages.len() && written % PAGE == 0 {
@@ -150,8 +152,8 @@ mod tests {
 
     use super::*;
 
-    /// The content of a new file that starts with `before`, after `bytes` were written in chunks of
-    /// `at_once`.
+    /// Returns the content of a new file that starts with `before`, after `bytes` were written in
+    /// chunks of `at_once` bytes.
     fn written(folder: &Path, before: &[u8], bytes: &[u8], at_once: usize) -> Vec<u8> {
         let mut file = tempfile::NamedTempFile::new_in(folder).unwrap();
         file.write_all(before).unwrap();
@@ -161,7 +163,7 @@ mod tests {
         fs::read(file.path()).unwrap()
     }
 
-    /// A folder on a disk, and one in memory, if the system has one.
+    /// Returns a folder on disk and, if the system has a file system in memory, a folder there.
     fn folders() -> impl Iterator<Item = tempfile::TempDir> {
         let in_memory = Path::new("/dev/shm");
         let in_memory = in_memory.is_dir().then(|| tempfile::tempdir_in(in_memory).unwrap());
@@ -201,7 +203,7 @@ mod tests {
 
     #[test]
     fn unaligned_data_is_written_through_the_cache() {
-        // The written data does not begin at a page of the file.
+        // The written data does not begin at a page boundary of the file.
         for folder in folders() {
             let bytes = bytes(3 * PIECE + 5);
             let all = [&b"odd"[..], &bytes].concat();

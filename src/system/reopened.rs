@@ -1,6 +1,6 @@
-//! Files that are read by position. Only the most recently read ones are open, because a frame may
-//! have more pieces than a process may have open files. After reopening, a check ensures that the
-//! file is the same.
+//! Files that are read at given offsets. Only the most recently read files stay open, because a
+//! frame may have more pieces than a process may have open files. When a file is reopened, a check
+//! ensures that it has not changed.
 
 use std::fs::{File, Metadata};
 use std::io;
@@ -15,10 +15,10 @@ use quick_cache::{OptionsBuilder, UnitWeighter};
 use std::num::NonZeroU64;
 
 /// Maximum number of files that stay open. It exceeds the number of threads that read at once, and
-/// is much less than any system's limit.
+/// is far below the limit of any system.
 pub const MOST_OPEN: usize = 96;
 
-/// The open files by their numbers.
+/// The open files, by their numbers.
 static OPEN: LazyLock<Cache<u64, Arc<File>>> = LazyLock::new(|| {
     let options = OptionsBuilder::new()
         .estimated_items_capacity(MOST_OPEN)
@@ -33,10 +33,11 @@ static OPEN: LazyLock<Cache<u64, Arc<File>>> = LazyLock::new(|| {
 });
 static NEXT: AtomicU64 = AtomicU64::new(0);
 
-/// A file's identity, size and time, which show whether it was changed or replaced.
+/// A file's identity, size and modification time, which show whether the file was changed or
+/// replaced.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FileStamp {
-    /// The file's size.
+    /// The file's size, in bytes.
     pub bytes: u64,
     modified: Option<SystemTime>,
     /// Device and inode.
@@ -45,7 +46,7 @@ pub struct FileStamp {
 }
 
 impl FileStamp {
-    /// The stamp from the system's metadata.
+    /// Makes the stamp of a file from its metadata.
     pub fn of(metadata: &Metadata) -> Self {
         #[cfg(unix)]
         use std::os::unix::fs::MetadataExt;
@@ -58,7 +59,7 @@ impl FileStamp {
     }
 }
 
-/// An error of reading a file that should be unchanged.
+/// An error while reading a file that must not change.
 #[derive(Debug)]
 pub enum ReopenedError {
     /// The file was changed or replaced.
@@ -91,7 +92,7 @@ pub struct ReopenedFile {
 }
 
 impl ReopenedFile {
-    /// Takes the open file at `path`.
+    /// Takes `file`, which must be the open file at `path`.
     ///
     /// # Errors
     /// I/O errors of the operating system.
@@ -102,7 +103,7 @@ impl ReopenedFile {
         Ok(Self { number, path: absolute(path)?, stamp })
     }
 
-    /// A unique number.
+    /// The file's number, which no other file in this process has.
     pub fn number(&self) -> u64 {
         self.number
     }
@@ -112,10 +113,10 @@ impl ReopenedFile {
         self.stamp
     }
 
-    /// The file, which is reopened if necessary.
+    /// Returns the open file, and reopens it if necessary.
     ///
     /// # Errors
-    /// [`ReopenedError::Changed`] if the file must be reopened and has changed; errors of the
+    /// [`ReopenedError::Changed`] if the file must be reopened and has changed, and errors of the
     /// system.
     pub fn file(&self) -> Result<Arc<File>, ReopenedError> {
         OPEN.get_or_insert_with(&self.number, || {
@@ -128,11 +129,11 @@ impl ReopenedFile {
         })
     }
 
-    /// Fills `bytes` from position `at`.
+    /// Fills `bytes` with the data at offset `at`.
     ///
     /// # Errors
-    /// The errors of [`file`](Self::file), and [`io::ErrorKind::UnexpectedEof`] past the file's
-    /// end.
+    /// The errors of [`file`](Self::file), and [`io::ErrorKind::UnexpectedEof`] if the range goes
+    /// past the file's end.
     pub fn read_exact_at(&self, at: u64, bytes: &mut [u8]) -> Result<(), ReopenedError> {
         Ok(read_exact_at(&*self.file()?, at, bytes)?)
     }
@@ -154,10 +155,11 @@ impl Drop for ReopenedFile {
     }
 }
 
-/// Fills `bytes` from position `at`.
+/// Fills `bytes` with the data at offset `at`.
 ///
 /// # Errors
-/// Errors of the system, and [`io::ErrorKind::UnexpectedEof`] past the file's end.
+/// Errors of the system, and [`io::ErrorKind::UnexpectedEof`] if the range goes past the file's
+/// end.
 pub fn read_exact_at(file: &File, at: u64, bytes: &mut [u8]) -> io::Result<()> {
     #[cfg(unix)]
     return std::os::unix::fs::FileExt::read_exact_at(file, bytes, at);
@@ -165,7 +167,7 @@ pub fn read_exact_at(file: &File, at: u64, bytes: &mut [u8]) -> io::Result<()> {
     return windows::read_exact_at(file, bytes, at);
 }
 
-/// Writes all of `bytes` from position `at`.
+/// Writes all of `bytes` at offset `at`.
 ///
 /// # Errors
 /// Errors of the system, such as a full disk.
@@ -176,16 +178,16 @@ pub fn write_all_at(file: &File, at: u64, bytes: &[u8]) -> io::Result<()> {
     return windows::write_all_at(file, bytes, at);
 }
 
-/// Asks the system to read `bytes` bytes from position `at` in advance.
+/// Asks the system to read `bytes` bytes, from offset `at`, in advance.
 pub fn will_read(file: &File, at: u64, bytes: u64) {
-    // An error has no effect.
+    // An error can be ignored, because the data is then read later.
     #[cfg(target_os = "linux")]
     let _ = rustix::fs::fadvise(file, at, NonZeroU64::new(bytes), rustix::fs::Advice::WillNeed);
     #[cfg(not(target_os = "linux"))]
     let _ = (file, at, bytes);
 }
 
-/// Reads and writes whole ranges with system calls that may handle only a part of a range.
+/// Reads and writes whole ranges by system calls that may each handle only a part of the range.
 #[cfg(windows)]
 mod windows {
     use std::fs::File;
@@ -245,7 +247,7 @@ mod tests {
             assert_eq!(read(number).unwrap(), format!("{number:04}").as_bytes());
             taken[number].check().unwrap();
         }
-        // For files that are not open any more, a later read or check detects changes.
+        // For files that are no longer open, a later read or check detects changes.
         assert!(OPEN.len() <= MOST_OPEN);
         let closed = |number: &usize| OPEN.get(&taken[*number].number).is_none();
         let [gone, longer, other, ..] = (0..files).filter(closed).collect::<Vec<_>>()[..] else {

@@ -28,16 +28,16 @@ pub struct Ticket {
 /// A semaphore of the caller and, for a timeline semaphore, the value to wait for or to signal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SemaphorePoint {
-    /// Created on the same device.
+    /// The semaphore, which must have been created on the same device.
     pub semaphore: vk::Semaphore,
-    /// The value of a timeline semaphore; ignored for a binary one.
+    /// The value of a timeline semaphore; ignored for a binary semaphore.
     pub value: u64,
 }
 
 /// Commands that are recorded, submitted and waited for together. A batch can be reused.
 ///
-/// Every command sees the results of those before it. The batch holds the resources of its commands
-/// until they have finished.
+/// Every command sees the results of all earlier commands. The batch holds the resources of its
+/// commands until the commands have finished.
 pub struct Batch {
     device: Arc<SharedDevice>,
     queue: Queue,
@@ -60,10 +60,10 @@ pub struct Batch {
 }
 
 impl Device {
-    /// An empty batch for a queue.
+    /// Creates an empty batch for a queue.
     ///
     /// # Errors
-    /// [`VulkanError`] if there is no memory for it.
+    /// [`VulkanError`] if there is no memory for the batch.
     pub fn batch(&self, queue: Queue) -> Result<Batch, VulkanError> {
         let shared = &self.shared;
         let QueueState { family, timestamps, .. } = *shared.queue(queue);
@@ -151,8 +151,9 @@ impl Batch {
         Ok(())
     }
 
-    /// Begins a stage: names the following commands, up to the next stage or the end of the batch,
-    /// for [`Device::take_timings`]. They read and write at least `bytes` bytes.
+    /// Begins a stage, which lasts up to the next stage or the end of the batch.
+    /// [`Device::take_timings`] reports its duration under `name`. The commands of the stage read
+    /// and write at least `bytes` bytes.
     pub fn stage(&mut self, name: &'static str, bytes: u64) {
         self.timestamp();
         self.stages.push((name, bytes));
@@ -201,7 +202,7 @@ impl Batch {
     /// device's limits.
     ///
     /// # Panics
-    /// If the arguments do not match the shader, or if there are not three words.
+    /// If the arguments do not match the shader, or if `groups` has fewer than three words.
     pub fn dispatch_as(
         &mut self,
         pipeline: &Arc<ComputePipeline>,
@@ -347,7 +348,7 @@ impl Batch {
         Arc::ptr_eq(&view.buffer.device, &self.device)
     }
 
-    /// Makes the results of earlier commands visible to later ones.
+    /// Makes the results of earlier commands visible to later commands.
     fn barrier(&self) {
         let stages = match self.queue {
             Queue::Compute => {
@@ -384,7 +385,7 @@ impl Batch {
         }
     }
 
-    /// Submits the commands to the queue, to run after the batches of `after`.
+    /// Submits the commands to the queue, to run after the batches with the tickets `after`.
     ///
     /// # Errors
     /// [`VulkanError::Lost`] if the device is lost, and other errors if the driver fails.
@@ -393,17 +394,17 @@ impl Batch {
         unsafe { self.submit_between(after, &[], &[]) }
     }
 
-    /// Submits the commands like [`submit`](Self::submit), but waits for the semaphores of `wait`
-    /// first, and signals those of `signal` at the end. Later submissions to the same queue also
-    /// wait for the semaphores of `wait`.
+    /// Submits the commands like [`submit`](Self::submit), but the queue first waits for the
+    /// semaphores in `wait`, and signals the semaphores in `signal` at the end. Later submissions
+    /// to the same queue also wait for the semaphores in `wait`.
     ///
     /// # Errors
     /// [`VulkanError::Lost`] if the device is lost, and other errors if the driver fails. After an
     /// error, no semaphore is signalled.
     ///
     /// # Safety
-    /// The semaphores belong to the device, and live until the device has passed them. The work
-    /// that signals the semaphores of `wait` has already been submitted.
+    /// The semaphores must belong to the device, and must live until the device has passed them.
+    /// The work that signals the semaphores in `wait` must already have been submitted.
     pub unsafe fn submit_between(
         &mut self,
         after: &[Ticket],
@@ -488,7 +489,7 @@ impl Batch {
         Ok(())
     }
 
-    /// Copies values into a new buffer on the device.
+    /// Makes a new buffer on the device, and records a copy of `values` into it.
     pub fn store<T: Pod>(&mut self, values: &[T]) -> Result<View, VulkanError> {
         let device = Device { shared: Arc::clone(&self.device) };
         let staged = device.uploaded(values)?;
@@ -497,7 +498,7 @@ impl Batch {
         Ok(stored)
     }
 
-    /// The last submission, for batches that continue its work.
+    /// The ticket of the last submission, if there is one, for batches that continue its work.
     pub fn last(&self) -> &[Ticket] {
         self.last.as_slice()
     }
@@ -536,7 +537,7 @@ impl Drop for Batch {
         // SAFETY: no resource of this batch is in use: it has finished, or its device is lost.
         unsafe {
             if self.pending && self.device.queue(self.queue).idle(&self.device.raw).is_err() {
-                // The device may still be running, so its resources are leaked.
+                // The commands may still be running, so their resources are leaked.
                 self.buffers.drain(..).for_each(std::mem::forget);
                 self.pipelines.drain(..).for_each(std::mem::forget);
                 std::mem::forget(Arc::clone(&self.stamp));

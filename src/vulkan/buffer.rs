@@ -14,7 +14,7 @@ use super::{Device, Faults, VulkanError};
 
 #[cfg(unix)]
 type Descriptor = std::os::fd::OwnedFd;
-/// Imports are not supported.
+/// This type has no values, because imports are not supported.
 #[cfg(not(unix))]
 #[derive(Debug)]
 enum Descriptor {}
@@ -78,7 +78,8 @@ impl Device {
     /// word.
     ///
     /// # Errors
-    /// [`VulkanError::OutOfMemory`] if the device, its limits or the memory limit do not allow it.
+    /// [`VulkanError::OutOfMemory`] if the device has too little memory, or if its limits or the
+    /// memory limit do not allow the buffer.
     pub fn buffer(&self, place: BufferKind, bytes: u64) -> Result<Arc<Buffer>, VulkanError> {
         let location = match place {
             BufferKind::Device => MemoryLocation::GpuOnly,
@@ -122,10 +123,10 @@ impl Device {
     /// interfaces and processes.
     ///
     /// # Errors
-    /// The errors of [`buffer`](Self::buffer).
+    /// The same errors as for [`buffer`](Self::buffer).
     ///
     /// # Panics
-    /// Unless [exports](super::DeviceOptions::exports) were requested.
+    /// If [exports](super::DeviceOptions::exports) were not requested.
     pub fn exported_buffer(&self, bytes: u64) -> Result<Arc<Buffer>, VulkanError> {
         self.shared_buffer(bytes, None)
     }
@@ -135,10 +136,10 @@ impl Device {
     /// sees the writes of the other device once it has waited for these writes to finish.
     ///
     /// # Errors
-    /// The errors of [`buffer`](Self::buffer).
+    /// The same errors as for [`buffer`](Self::buffer).
     ///
     /// # Panics
-    /// Unless [exports](super::DeviceOptions::exports) were requested.
+    /// If [exports](super::DeviceOptions::exports) were not requested.
     #[cfg(unix)]
     pub fn imported_buffer(
         &self,
@@ -164,7 +165,7 @@ impl Device {
             let local = |kind: &vk::MemoryType| {
                 kind.property_flags.contains(vk::MemoryPropertyFlags::DEVICE_LOCAL)
             };
-            // The first of the best types, which is also the exporter's choice.
+            // This is the first of the best types. The exporter makes the same choice.
             let (kind, _) = fitting
                 .min_by_key(|(_, kind)| !local(kind))
                 .ok_or(VulkanError::OutOfMemory { bytes: buffer.bytes })?;
@@ -202,8 +203,8 @@ impl Device {
         Ok(Arc::new(buffer))
     }
 
-    /// A buffer that is not bound to memory yet, if the memory limit allows it. Dropping the buffer
-    /// frees everything that was made for it.
+    /// Makes a buffer that is not bound to memory yet, if the memory limit allows the buffer.
+    /// Dropping the buffer frees everything that was made for it.
     fn unbound(
         &self,
         bytes: u64,
@@ -250,10 +251,10 @@ impl Device {
         Ok(buffer)
     }
 
-    /// Makes a buffer with some values, which the host can write again.
+    /// Makes a buffer with copies of `values`. The host can write to this buffer again.
     ///
     /// # Errors
-    /// The errors of [`buffer`](Self::buffer).
+    /// The same errors as for [`buffer`](Self::buffer).
     pub fn uploaded<T: Pod>(&self, values: &[T]) -> Result<View, VulkanError> {
         let buffer = self.buffer(BufferKind::Upload, size_of_val(values) as u64)?;
         // SAFETY: nothing else uses the buffer yet.
@@ -261,14 +262,15 @@ impl Device {
         Ok(buffer.whole())
     }
 
-    /// Refers to a buffer that the caller has made on the same device. The caller destroys it.
+    /// Wraps a buffer that the caller has made on the same device. The caller must destroy this
+    /// buffer.
     ///
     /// # Safety
     /// The buffer must be bound to memory, hold `bytes` bytes, be usable as a storage buffer and as
     /// the source of copies, belong to the queue's family or be shared concurrently, and outlive
-    /// the returned object. During a call into this crate that uses it, nothing else may write it.
-    /// Earlier writes must have finished, or must have been submitted to the same queue with a
-    /// dependency on compute shaders and transfers.
+    /// the returned object. During a call into this crate that uses the buffer, nothing else may
+    /// write to it. Earlier writes must have finished, or must have been submitted to the same
+    /// queue with a dependency on compute shaders and transfers.
     #[must_use]
     pub unsafe fn external_buffer(&self, raw: vk::Buffer, bytes: u64) -> Arc<Buffer> {
         Arc::new(Buffer {
@@ -287,7 +289,7 @@ impl Buffer {
         self.bytes
     }
 
-    /// The Vulkan handle, valid as long as this object.
+    /// The Vulkan handle, which is valid as long as this object exists.
     #[must_use]
     pub fn raw(&self) -> vk::Buffer {
         self.raw
@@ -301,7 +303,7 @@ impl Buffer {
     /// If the driver cannot export the memory.
     ///
     /// # Panics
-    /// If the buffer is not exported.
+    /// If the buffer was not made to be exported.
     #[cfg(unix)]
     pub fn export(&self) -> Result<std::os::fd::OwnedFd, VulkanError> {
         use std::os::fd::FromRawFd;
@@ -325,7 +327,7 @@ impl Buffer {
         self.part(0, self.bytes)
     }
 
-    /// `bytes` bytes from `offset` on.
+    /// A view of the `bytes` bytes from `offset` on.
     ///
     /// # Panics
     /// If the buffer is too small.
@@ -338,9 +340,8 @@ impl Buffer {
     /// Writes into an upload buffer.
     ///
     /// # Safety
-    /// From the submission of a batch until it was waited for, the batch must not read or write
-    /// this range. No other thread may access the range. This function does not synchronize with
-    /// the device.
+    /// No batch that has been submitted but not yet waited for may read or write this range. No
+    /// other thread may access the range. This function does not synchronize with the device.
     ///
     /// # Panics
     /// If the buffer is too small, or not visible to the host.
@@ -356,8 +357,8 @@ impl Buffer {
     /// Reads from a download buffer.
     ///
     /// # Safety
-    /// From the submission of a batch until it was waited for, the batch must not write this range.
-    /// No other thread may write the range.
+    /// No batch that has been submitted but not yet waited for may write to this range. No other
+    /// thread may write to the range.
     ///
     /// # Panics
     /// If the buffer has fewer than `count` values, or is not visible to the host.
@@ -399,7 +400,7 @@ impl View {
         self.bytes
     }
 
-    /// The Vulkan handle of the view's buffer, valid as long as this object.
+    /// The Vulkan handle of the view's buffer, which is valid as long as this object exists.
     #[must_use]
     pub fn raw(&self) -> vk::Buffer {
         self.buffer.raw
@@ -411,8 +412,8 @@ impl View {
         self.offset
     }
 
-    /// The address on the device, if buffers [have addresses](super::DeviceOptions::addresses) and
-    /// the caller does not own this buffer.
+    /// The view's address on the device, if buffers [have
+    /// addresses](super::DeviceOptions::addresses) and the caller does not own this buffer.
     #[must_use]
     pub fn address(&self) -> Option<vk::DeviceAddress> {
         let Buffer { device, raw, memory, .. } = &*self.buffer;
@@ -422,7 +423,7 @@ impl View {
         known.then(|| unsafe { device.raw.get_buffer_device_address(&info) } + self.offset)
     }
 
-    /// `bytes` bytes of the view from `offset` on.
+    /// The part of the view with the `bytes` bytes from `offset` on.
     ///
     /// # Panics
     /// If the view is too small.
@@ -445,7 +446,7 @@ impl View {
         (self.buffer.part(part.offset - added, bytes + added), (added / 4) as u32)
     }
 
-    /// [`Buffer::write`] into this part.
+    /// Writes into this view, as [`Buffer::write`] does.
     ///
     /// # Safety
     /// As for [`Buffer::write`].
@@ -454,7 +455,7 @@ impl View {
         unsafe { self.buffer.write(self.offset + offset, values) };
     }
 
-    /// [`Buffer::values`] of this part.
+    /// Returns values in this view, as [`Buffer::values`] does.
     ///
     /// # Safety
     /// As for [`Buffer::values`].
@@ -463,7 +464,7 @@ impl View {
         unsafe { self.buffer.values(self.offset + offset, count) }
     }
 
-    /// [`Buffer::read`] from this part.
+    /// Reads from this view, as [`Buffer::read`] does.
     ///
     /// # Safety
     /// As for [`Buffer::read`].

@@ -17,22 +17,23 @@ use super::families;
 use super::instance::{lacks, names};
 use super::{DeviceChoice, Faults, Instance, VulkanError};
 
-/// Size of the blocks in which memory is allocated from the driver, in bytes; larger buffers have
+/// Size, in bytes, of the memory blocks that are allocated from the driver; larger buffers have
 /// dedicated blocks.
 pub const PIECE: u64 = 16 << 20;
 
-/// Options of an open device: its memory limit, its cache and its features.
+/// Options for opening or adopting a device: its memory limit, its cache and its features.
 #[derive(Debug, Clone, Default)]
 pub struct DeviceOptions {
     /// Maximum bytes of all buffers together; `None` for no limit.
     pub memory: Option<u64>,
     /// The folder in which compiled pipelines are kept between runs.
     pub pipeline_cache: Option<PathBuf>,
-    /// Maximum bytes of a storage buffer for shaders, if the device supports more.
+    /// Maximum bytes of a storage buffer for shaders; `None` for the device's own limit, which
+    /// applies in any case.
     pub storage_range: Option<u64>,
     /// The queues to use.
     pub queues: Queues,
-    /// Whether the device shares the host's memory; `None` decides by the kind of device.
+    /// Whether the device shares the host's memory; if `None`, the kind of the device decides.
     pub shares_host_memory: Option<bool>,
     /// Whether buffers have [addresses](super::View::address). The device needs
     /// `bufferDeviceAddress`, and an adopted device must have it enabled.
@@ -43,8 +44,8 @@ pub struct DeviceOptions {
     /// Additional usages of the buffers of an adopted device, such as building acceleration
     /// structures.
     pub usage: vk::BufferUsageFlags,
-    /// SPIR-V binaries that replace the binaries of some shaders, by the names of the shaders. They
-    /// must come from the same sources, compiled differently.
+    /// SPIR-V binaries that replace the binaries of shaders, by the name of the shader. They must
+    /// be compiled from the same sources.
     pub binaries: HashMap<&'static str, Vec<u8>>,
 }
 
@@ -70,7 +71,7 @@ pub struct Limits {
     pub allocation: u64,
     /// Maximum number of work groups along an axis of a dispatch.
     pub groups: u32,
-    /// Alignment of the offsets of storage buffers, in bytes.
+    /// Required alignment, in bytes, of the offsets of storage buffers.
     pub alignment: u64,
 }
 
@@ -79,7 +80,7 @@ pub struct Limits {
 pub enum Queue {
     /// The queue for shaders.
     Compute,
-    /// The queue for copies, which run in parallel to shaders if the device supports it.
+    /// The queue for copies, which run in parallel with shaders if the device supports it.
     Transfer,
 }
 
@@ -129,7 +130,7 @@ pub struct ExternalDevice {
     pub queue: vk::Queue,
 }
 
-/// An open device. Clones share it.
+/// An open device. Clones share the device.
 #[derive(Debug, Clone)]
 pub struct Device {
     pub(super) shared: Arc<SharedDevice>,
@@ -169,7 +170,8 @@ pub(super) struct QueueState {
     pub(super) raw: Arc<Mutex<vk::Queue>>,
     pub(super) family: u32,
     pub(super) timestamps: bool,
-    /// Whether the host resets queries, because a queue only for copies cannot reset them.
+    /// Whether the host resets queries, because a queue that supports only copies cannot reset
+    /// them.
     pub(super) host_reset: bool,
     pub(super) timeline: vk::Semaphore,
     /// The value that the last submission signals.
@@ -177,7 +179,7 @@ pub(super) struct QueueState {
 }
 
 impl QueueState {
-    /// Waits until all work has finished. Returns at once if the device is lost.
+    /// Waits until all work on the queue has finished. Returns at once if the device is lost.
     pub(super) fn idle(&self, device: &ash::Device) -> Result<(), vk::Result> {
         let queue = self.raw.lock().unwrap_or_else(PoisonError::into_inner);
         // SAFETY: the queue belongs to the device, and is locked: nothing else uses it.
@@ -192,7 +194,7 @@ impl Device {
     /// Opens a device.
     ///
     /// # Errors
-    /// [`VulkanError`] if there is no device, or if it cannot be opened.
+    /// [`VulkanError`] if no device matches `choice`, or if the device cannot be opened.
     pub fn open(
         instance: &Arc<Instance>,
         choice: &DeviceChoice,
@@ -251,13 +253,14 @@ impl Device {
     ///
     /// # Errors
     /// [`VulkanError::Unsuitable`] for a device that lacks a required feature; other errors if
-    /// there is no memory for the first few objects.
+    /// there is no memory for the objects that are made here.
     ///
     /// # Safety
     /// - All handles must belong together, be made for Vulkan 1.2 or later with `timelineSemaphore`
     ///   enabled, and live as long as the returned object and everything made with it.
-    /// - A queue may be adopted only once at a time. During a call into this crate nothing else may
-    ///   submit to it, and no earlier submission may wait for later actions of the calling thread.
+    /// - A queue may be adopted only once at a time. During a call into this crate, nothing else
+    ///   may submit to the queue, and no earlier submission may wait for later actions of the
+    ///   calling thread.
     /// - Buffers made here belong to the queue's family: other families need a transfer of
     ///   ownership, and every reader on the device needs a dependency on compute shaders and
     ///   transfers. A buffer must not be dropped before the caller's own commands on it have
@@ -432,7 +435,7 @@ impl Device {
         Counters { submissions, allocations, sent, received }
     }
 
-    /// The times of all stages since the last call, in the order in which they first ran.
+    /// The times of all stages since the last call, in the order in which the stages first ran.
     #[must_use]
     pub fn take_timings(&self) -> Vec<Timing> {
         std::mem::take(&mut *self.shared.timings.lock().unwrap_or_else(PoisonError::into_inner))
@@ -562,8 +565,8 @@ impl SharedDevice {
     }
 }
 
-/// The pipeline cache of earlier runs; `None` if the file is damaged, because drivers do not check
-/// its data.
+/// The pipeline cache of earlier runs; `None` if the file is missing or damaged. The check is
+/// needed because drivers do not check the data.
 fn read_cache(file: &Path) -> Option<Vec<u8>> {
     let bytes = fs::read(file).ok()?;
     let (checksum, data) = bytes.split_first_chunk()?;

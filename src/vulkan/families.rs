@@ -2,8 +2,9 @@
 
 use ash::vk;
 
-/// The queue family for shaders, without graphics if possible, and a family that only supports
-/// copies, if there is one. Families for video may also support copies, but have another purpose.
+/// Returns the queue family for shaders, without graphics if possible, and a family that supports
+/// only copies, if there is one. Families for video are not used for copies, although they may
+/// support them.
 pub(super) fn to_use(known: &[vk::QueueFamilyProperties]) -> (Option<u32>, Option<u32>) {
     let find = |wanted: vk::QueueFlags, unwanted: vk::QueueFlags| {
         let fits = |f: &vk::QueueFamilyProperties| {

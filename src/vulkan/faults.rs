@@ -2,7 +2,7 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// The calls that fail, counted from 1; 0 if none fails.
+/// For each kind of call, the number of the call that fails, counted from 1; 0 if none fails.
 #[derive(Debug, Default)]
 pub struct Faults {
     /// The allocation that fails for lack of memory.
@@ -16,7 +16,7 @@ pub struct Faults {
 }
 
 impl Faults {
-    /// Decrements the count of calls; returns whether this call must fail.
+    /// Decrements `countdown`; returns whether this call must fail.
     pub(super) fn strikes(countdown: &AtomicU64) -> bool {
         let count = |left: u64| (left > 0).then(|| left - 1);
         countdown.fetch_update(Ordering::Relaxed, Ordering::Relaxed, count) == Ok(1)

@@ -10,8 +10,8 @@ use crate::system::memory::default_stack;
 
 use super::{MOST_BUFFERS, MOST_SHARED, MOST_THREADS, VulkanError};
 
-/// Minimum limit on the stack in bytes. With a smaller limit, drivers are not used: threads of
-/// lavapipe overflow a stack of 16 KiB.
+/// The smallest stack limit, in bytes, with which drivers are used: threads of lavapipe overflow a
+/// stack of 16 KiB.
 const LEAST_STACK: u64 = 256 << 10;
 
 const VALIDATION: &CStr = c"VK_LAYER_KHRONOS_validation";
@@ -43,7 +43,7 @@ pub enum DeviceChoice {
     #[default]
     Best,
     /// The device with this number in [`Instance::devices`], this [`uuid`](DeviceInfo::uuid) in
-    /// hexadecimal digits, or this part of its name, ignoring case.
+    /// hexadecimal digits, or this text in its name, ignoring case.
     Named(String),
 }
 
@@ -87,11 +87,11 @@ pub struct DeviceInfo {
     /// The name and version of the driver.
     pub driver: String,
     /// The version of the conformance tests that the driver passes: major, minor, subminor, patch.
-    /// All are 0 if the driver passes none.
+    /// All numbers are 0 if the driver passes none of the tests.
     pub conformance: [u8; 4],
     /// Bytes of the largest heap of the device's own memory.
     pub memory: u64,
-    /// Unused bytes of that heap, if the driver reports them; otherwise all its bytes.
+    /// Unused bytes of that heap, if the driver reports them; otherwise, all bytes of the heap.
     pub free: u64,
     /// The queue families of the device.
     pub families: Vec<vk::QueueFamilyProperties>,
@@ -146,11 +146,12 @@ impl Instance {
         // SAFETY: this call needs no instance.
         let known =
             unsafe { entry.enumerate_instance_extension_properties(None) }.unwrap_or_default();
-        // Without this extension, devices with an incomplete Vulkan, such as MoltenVK, are hidden.
+        // Without this extension, devices that do not fully support Vulkan, such as those of
+        // MoltenVK, are hidden.
         let portability = names(&known, khr::portability_enumeration::NAME);
         let mut extensions: Vec<_> = portability.iter().map(|name| name.as_ptr()).collect();
         // Validation layers of 2024 and later have settings, and check the memory accesses of
-        // shaders only if a setting says so. SAFETY: this call needs no instance.
+        // shaders only if a setting enables this check. SAFETY: this call needs no instance.
         let of_layer = unsafe { entry.enumerate_instance_extension_properties(Some(VALIDATION)) };
         let has_settings =
             names(&of_layer.unwrap_or_default(), ext::layer_settings::NAME).is_some();
@@ -231,10 +232,10 @@ impl Instance {
         Ok(devices.into_iter().enumerate().map(|(i, physical)| self.info(i, physical)).collect())
     }
 
-    /// The device for a choice.
+    /// Finds the device that `choice` describes.
     ///
     /// # Errors
-    /// [`VulkanError`] if there is none, or if it cannot be used.
+    /// [`VulkanError`] if there is no such device, or if the device cannot be used.
     pub fn choose(&self, choice: &DeviceChoice) -> Result<DeviceInfo, VulkanError> {
         let devices = self.devices()?;
         let found = match choice {
@@ -247,7 +248,7 @@ impl Instance {
             DeviceChoice::Named(wanted) => {
                 let numbered = wanted.parse().ok().and_then(|index: usize| devices.get(index));
                 let wanted = wanted.to_lowercase();
-                // A number that is no index may be a part of a name.
+                // A number that is not an index may be a part of a name.
                 let named =
                     || devices.iter().find(|device| device.name.to_lowercase().contains(&wanted));
                 let digits = wanted.replace('-', "");
@@ -317,7 +318,7 @@ impl Instance {
         }
     }
 
-    /// Whether the buffers of a device have addresses.
+    /// Whether the buffers of a device can have addresses.
     pub(super) fn has_addresses(&self, physical: vk::PhysicalDevice) -> bool {
         let mut vulkan12 = vk::PhysicalDeviceVulkan12Features::default();
         let mut features = vk::PhysicalDeviceFeatures2::default().push_next(&mut vulkan12);
@@ -326,7 +327,8 @@ impl Instance {
         vulkan12.buffer_device_address == vk::TRUE
     }
 
-    /// A device's heaps, the bytes of the largest local heap, and its unused bytes.
+    /// Returns a device's heaps, the size of its largest local heap in bytes, and the number of
+    /// unused bytes in that heap.
     fn heaps(
         &self,
         physical: vk::PhysicalDevice,
@@ -355,7 +357,7 @@ impl Instance {
     }
 }
 
-/// The name of an extension, if it is in a list.
+/// Returns `name` if it is the name of one of the `extensions`.
 pub(super) fn names(
     extensions: &[vk::ExtensionProperties],
     name: &'static CStr,
@@ -430,8 +432,8 @@ fn messenger_info(log: &ValidationLog) -> vk::DebugUtilsMessengerCreateInfoEXT<'
                 | vk::DebugUtilsMessageSeverityFlagsEXT::WARNING,
         )
         .message_type(
-            // Messages of the loader (GENERAL), such as about drivers that do not open, are not our
-            // errors.
+            // Messages of the loader (GENERAL), for example about drivers that cannot be opened,
+            // are not errors of this program.
             vk::DebugUtilsMessageTypeFlagsEXT::VALIDATION
                 | vk::DebugUtilsMessageTypeFlagsEXT::PERFORMANCE,
         )

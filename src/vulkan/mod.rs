@@ -24,7 +24,7 @@ use ash::vk;
 use bytesize::ByteSize;
 use thiserror::Error;
 
-/// An alignment of buffer offsets that every device supports, in bytes.
+/// An alignment, in bytes, that is sufficient for buffer offsets on every device.
 pub const ALIGNMENT: u64 = 256;
 /// Maximum number of storage buffers per shader; devices with a lower limit are not supported.
 pub const MOST_BUFFERS: u32 = 8;
@@ -47,15 +47,15 @@ pub enum VulkanError {
          with `ulimit -s`", least >> 10, limit >> 10
     )]
     SmallStack {
-        /// The limit on the stack, in bytes.
+        /// The current stack limit, in bytes.
         limit: u64,
-        /// The minimum limit, in bytes.
+        /// The smallest stack limit, in bytes, with which drivers are used.
         least: u64,
     },
     /// The validation layer was requested, but is not installed.
     #[error("the Vulkan validation layer is not installed")]
     NoValidation,
-    /// The loader has no devices.
+    /// The loader does not list any device.
     #[error("no Vulkan device found")]
     NoDevice,
     /// No device has the requested number or name.
@@ -66,7 +66,7 @@ pub enum VulkanError {
         /// Number and name of each device.
         known: String,
     },
-    /// A device without a required feature.
+    /// The device lacks a required feature.
     #[error("device \"{device}\" cannot be used: {lacks}")]
     Unsuitable {
         /// The name of the device.

@@ -51,7 +51,7 @@ impl Device {
     /// Compiles several shaders in parallel.
     ///
     /// # Errors
-    /// The errors of [`pipeline`](Self::pipeline).
+    /// If [`pipeline`](Self::pipeline) fails for one of the shaders.
     pub fn pipelines<const N: usize>(
         &self,
         shaders: [&'static Shader; N],
@@ -64,7 +64,7 @@ impl Device {
     /// Compiles a shader, or loads it from the pipeline cache.
     ///
     /// # Errors
-    /// [`VulkanError`] if the driver rejects it.
+    /// [`VulkanError`] if the driver rejects the shader.
     pub fn pipeline(&self, shader: &'static Shader) -> Result<ComputePipeline, VulkanError> {
         let raw = &self.shared.raw;
         let binding = |i| {

@@ -21,27 +21,27 @@ use crate::grid::CellBox;
 use crate::grid::units::Isovalue;
 use crate::surface::solid::Solid;
 
-/// Samples that are tested together.
+/// Number of samples that are tested together.
 const PIECE: usize = 1 << 10;
 
-/// A block is sparse if at most one in `FEW` samples is not 0.
+/// A block is sparse if at most one in `FEW` samples is nonzero.
 const FEW: usize = 8;
 
 fn minimum(samples: &[u16]) -> u16 {
     samples.iter().fold(u16::MAX, |minimum, &sample| minimum.min(sample))
 }
 
-/// The final field on `cells` of a frame.
+/// Makes the final field of a frame on `cells`.
 #[must_use]
 pub fn field(recipe: &Recipe, sampled: &SampledDif, cells: CellBox) -> Block {
     let field = recipe.apply(&mut Blocks::new(recipe, sampled, cells, FieldUse::Everywhere)).ok();
     field.map(|field| Rc::unwrap_or_clone(field.block)).expect("nothing stops it")
 }
 
-/// Makes the final field on each of some nearby boxes of cells, one after another; `None` for a box
-/// through which no surface can pass, as far as this is known before the field is made. Each box
-/// comes with a flag that says whether it is away from walls. The boxes share intermediate results
-/// within a limit of bytes. A solid near any of the boxes cuts the field.
+/// Makes the final field on each of `boxes`, which are near each other, one after another; `None`
+/// for a box if it is known, before its field is complete, that no surface can pass through the
+/// box. The flag of each box says whether the box is away from walls. The boxes share intermediate
+/// results if these fit into `most_bytes`. A solid near any of the boxes cuts the field.
 pub(super) fn cut_fields<'a>(
     recipe: &'a Recipe,
     sampled: &'a SampledDif,
@@ -89,13 +89,13 @@ pub(super) fn cut_fields<'a>(
     Box::new(boxes.map(field))
 }
 
-/// The filters that continue clouds in cells 2^`level` times as wide into solids.
+/// The filters that continue clouds into solids, in cells 2^`level` times as wide.
 fn fill(sampled: &SampledDif, level: u32) -> SolidFill {
     SolidFill::new(f64::from(1_u32 << level) / sampled.facts.spacing_cells_or_one())
 }
 
-/// The shares of the clouds of some cells 2^`level` times as wide that are outside of a solid;
-/// `None` if the solid is not near.
+/// For `cells`, which are 2^`level` times as wide, and for all cells within `reach` of them, the
+/// share of each cell's cloud that is outside `solid`; `None` if the solid is not near.
 fn outside_of(
     solid: &Solid,
     sampled: &SampledDif,
@@ -117,11 +117,11 @@ fn outside_of(
     Some(shares)
 }
 
-/// The distance, in cells, from a solid with its offset, within which the field is cut: normals use
-/// two cells beyond a vertex's cell.
+/// The distance, in cells, from a solid, including its offset, within which the field is cut:
+/// normals use two cells beyond a vertex's cell.
 pub(super) const CUT: i32 = 3;
 
-/// Cuts the field on some cells by a solid.
+/// Cuts `field` by a solid.
 pub(super) fn cut_by(solid: &Solid, sampled: &SampledDif, field: &mut Block) {
     let facts = &sampled.facts;
     let (cell, spacing) = (facts.grid.cell_size(), facts.spacing.unwrap_or(facts.grid.cell_size()));
@@ -135,7 +135,7 @@ pub(super) fn cut_by(solid: &Solid, sampled: &SampledDif, field: &mut Block) {
     cut(field, &distances, offset.round() as i32, most);
 }
 
-/// The number of wide cells from which the field on a box of cells is made.
+/// The number of wide cells from which the field on `cells` is made.
 pub(super) fn wide_volume(distances: &DistanceFilters, cells: CellBox) -> usize {
     let halo = distances.wide_halo();
     distances.wide_cells(cells).grown(halo, halo).volume()
@@ -161,26 +161,27 @@ pub(super) enum FieldUse {
 }
 
 impl FieldUse {
-    /// Whether a surface can pass between cells whose field consists of weighted means of these
-    /// samples.
+    /// Whether a surface can pass between cells if their field consists of weighted means of the
+    /// samples in `block`.
     fn may_cut(self, block: &Block) -> bool {
         let Self::NearSurface { iso, away_from_walls } = self else { return true };
-        // A weighted mean lies on the same side as its samples if they are all on one side. A block
-        // that is all inside has a surface only at a wall.
+        // If all samples are on one side of the isovalue, their weighted means are on the same
+        // side. A block that is all inside has a surface only at a wall.
         let threshold = iso.threshold();
         let mut pieces = block.samples().chunks(PIECE);
         let any_inside = pieces.clone().any(|piece| greatest_of(piece) > threshold);
         any_inside && (!away_from_walls || pieces.any(|piece| minimum(piece) <= threshold))
     }
 
-    /// Whether a surface can pass with any filters: if all samples are 0, there is no surface.
+    /// Whether any filters can make a surface from `block`: if all samples are 0, there is no
+    /// surface.
     fn may_show_any(self, block: &Block) -> bool {
         matches!(self, Self::Everywhere)
             || block.samples().chunks(PIECE).any(|piece| greatest_of(piece) > 0)
     }
 
-    /// Whether a surface can pass according to the distances in wide cells; with `drops`, drops can
-    /// add to the inside.
+    /// Whether a surface can pass through `cells`, according to the distances in wide cells. If
+    /// `drops` is true, drops can add to the inside.
     fn may_show(self, bulk: &Block, cells: CellBox, drops: bool) -> bool {
         let Self::NearSurface { away_from_walls, iso } = self else { return true };
         let threshold = iso.threshold();
@@ -198,11 +199,12 @@ pub(super) type Density<'a> = &'a dyn Fn(u32, CellBox) -> Block;
 /// Makes the fields of a recipe in blocks of cells.
 pub(super) struct Blocks<'a> {
     sampled: &'a SampledDif,
-    /// The density of all particles, if `sampled` has only some of them.
+    /// The density of all particles, if `sampled` has only some of the particles.
     density: Option<Density<'a>>,
     /// A solid that may be near, if there is one.
     solid: Option<&'a Solid>,
-    /// The share of each cell outside of the solid, after clouds were continued into the solid.
+    /// The share of each cell that is outside the solid, once clouds have been continued into the
+    /// solid.
     outside: Option<Rc<Block>>,
     /// The requested cells of the field.
     cells: CellBox,
@@ -213,13 +215,15 @@ pub(super) struct Blocks<'a> {
     decides: bool,
     /// Whether almost all samples are 0.
     few: bool,
-    /// The distance by which nearby particles lie outside of the calm surface, in the grid's cells,
-    /// and the greatest distance at which nothing stands out.
+    /// The distance by which nearby particles lie outside the calm surface, sampled in the grid's
+    /// cells, and the greatest distance at which nothing stands out; `None` if wide cells are wider
+    /// than the grid's cells.
     near: Option<(Rc<Block>, u16)>,
 }
 
 impl<'a> Blocks<'a> {
-    /// Fields of an octave on some of its cells, from the density of all particles.
+    /// Prepares the fields of an octave on `cells` of this octave, from the density of all
+    /// particles.
     pub(super) fn of_density(
         recipe: &Recipe,
         sampled: &'a SampledDif,
@@ -232,8 +236,8 @@ impl<'a> Blocks<'a> {
     }
 
     fn new(recipe: &Recipe, sampled: &'a SampledDif, cells: CellBox, field_use: FieldUse) -> Self {
-        // The paper's smoothing is a mean of the DIF, so the DIF's samples decide, unless details
-        // are recovered.
+        // The paper's smoothing is a mean of the DIF. Unless details are recovered, the DIF's
+        // samples therefore decide whether a surface can pass.
         let decides = matches!(&recipe.filters, Filters::Paper(paper) if paper.recovery.is_none());
         let (density, solid, outside) = (None, None, None);
         Self {
@@ -250,7 +254,7 @@ impl<'a> Blocks<'a> {
         }
     }
 
-    /// Fields of samples that are almost all 0.
+    /// Prepares the fields of samples that are almost all 0.
     pub(super) fn of_few(
         recipe: &Recipe,
         sampled: &'a SampledDif,
@@ -261,12 +265,12 @@ impl<'a> Blocks<'a> {
     }
 }
 
-/// A field with the width of its cells.
+/// A field, and the level that gives the width of its cells.
 #[derive(Clone)]
 pub(super) struct BlockField {
     pub(super) block: Rc<Block>,
     pub(super) level: u32,
-    /// The cells whose samples are not 0, x fastest, if they are known and few.
+    /// The cells with nonzero samples, x fastest, if they are known and few.
     full: Option<Rc<[IVec3]>>,
 }
 
@@ -298,7 +302,7 @@ impl Blocks<'_> {
         BlockField::new(block, level)
     }
 
-    /// The samples of spray.
+    /// Gathers the samples of spray.
     fn gathered_few(&self, level: u32, cells: CellBox) -> BlockField {
         let most = cells.volume() / FEW;
         let samples = self.sampled.wide(level);
@@ -380,7 +384,7 @@ impl Fields for Blocks<'_> {
 
     fn depths(&mut self, by: &Bulk, clouds: BlockField) -> Result<Depths<BlockField>, StopSignal> {
         let BlockField { ref block, level, ref full } = clouds;
-        // The widest filter leaves the fewest cells.
+        // All filters compute the cells that the widest filter leaves.
         let cells = block.cells().grown(-by.reach(), -by.reach());
         let share = |width: &Width| {
             let (weights, walls) = (&width.weights, self.walls(level));
@@ -417,7 +421,7 @@ impl Fields for Blocks<'_> {
         by: (u16, &StandsOut),
     ) -> Result<BlockField, StopSignal> {
         let mut block = outlying([&calm.block, &fine.block], &clouds.block, by);
-        // Inside a solid the bulk continues, although no particle is near.
+        // Inside a solid, the bulk continues, although no particle is near.
         let outside = self.outside.take().map(|outside| outside.part(block.cells()));
         let shares = outside.iter().flat_map(|outside| outside.samples());
         for (sample, _) in
@@ -442,7 +446,7 @@ impl Fields for Blocks<'_> {
         level: u32,
         begin: u16,
     ) -> Result<(), StopSignal> {
-        // Cells are weighted means of wide cells.
+        // The field of a cell is a weighted mean of wide cells.
         let cells = wide_cells(level, self.cells);
         let drops = !outlying_part(&wide.outlying.block, cells, begin).is_empty();
         if self.field_use.may_show(&wide.bulk.block, cells, drops) {
@@ -475,7 +479,7 @@ impl Fields for Blocks<'_> {
             let around = blur(Block::clone(&block), around, self.walls(level));
             return Ok(BlockField::new(quotient(&block, &around, bits), level));
         };
-        // Quotients are only above 0 where clouds are.
+        // Quotients are nonzero only where clouds are.
         let cells = block.cells().grown(-around.reach(), -around.reach());
         let inner: Rc<[_]> = full.iter().copied().filter(|&cell| cells.contains(cell)).collect();
         let part =
@@ -501,7 +505,7 @@ impl Fields for Blocks<'_> {
         let reach = by.average.reach();
         let cells = wide_cells(level, self.wanted).grown(reach, reach);
         let around = |(near, begin): &(Rc<Block>, u16)| {
-            // A cell of drops also affects its neighbours' cells.
+            // A cell of this level also affects the narrower cells in its neighbours.
             let reach = by.average.reach() + i32::from(level > 0);
             let mut needed = Block::zero(cells.grown(reach, reach));
             for ([y, z], row) in near.rows(self.wanted) {
@@ -514,7 +518,7 @@ impl Fields for Blocks<'_> {
         };
         let step = by.numbers.step;
         let mut seen = cells.grown(step, step);
-        // Where the density is low, there are no sheets: they are made only around denser cells.
+        // There are no sheets where the density is low, so they are made only around denser cells.
         if self.walls(level).is_none_or(|walls| walls.covers(&seen)) {
             let least = by.least_density();
             let dense = wide.block.box_of(|sample| sample >= least);

@@ -28,7 +28,8 @@ use spray::SprayMaker;
 /// All threads together use at most 1 / `SHARE` of the budget to mesh neighbouring blocks together.
 const SHARE: u64 = 8;
 
-/// Edge of a cube of blocks that are meshed together, in blocks: for spray, and for other fluid.
+/// Edge, in blocks, of the cubes of blocks that are meshed together: for spray, and for other
+/// fluid.
 const BLOCKS_OF_SPRAY: i32 = 8;
 const BLOCKS_OF_FLUID: i32 = 2;
 
@@ -58,14 +59,14 @@ impl Executor for Cpu {
 /// The stages of a frame on the CPU.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct CpuStages {
-    /// Maximum bytes of a thread for meshing neighbouring blocks together; with 0, each block is
-    /// meshed separately.
+    /// Maximum number of bytes that each thread may take to mesh neighbouring blocks together; if
+    /// 0, each block is meshed separately.
     together: u64,
 }
 
 impl CpuStages {
-    /// Replaces a device that failed. It meshes each block separately, which takes the least
-    /// memory.
+    /// The stages for work that a device cannot do. They mesh each block separately, which takes
+    /// the least memory.
     pub(super) const STAND_IN: Self = Self { together: 0 };
 }
 
@@ -117,7 +118,7 @@ impl Stages for CpuStages {
 /// Regions that are meshed together.
 struct RegionGroup<'a> {
     regions: &'a [CellBox],
-    /// Makes their fields if they are spray.
+    /// Makes the fields of these regions if they are spray.
     spray: Option<SprayMaker<'a>>,
 }
 
@@ -129,7 +130,7 @@ impl CpuStages {
         surfaces: &'a Surfaces<'_>,
         regions: &'a [CellBox],
     ) -> Vec<RegionGroup<'a>> {
-        // In Morton order neighbours are consecutive.
+        // In Morton order, the regions of a cube are consecutive.
         let cubes = |blocks: i32| {
             let cube = move |region: &CellBox| region.lo.div_euclid(IVec3::splat(blocks * BLOCK));
             move |a: &CellBox, b: &CellBox| self.together > 0 && cube(a) == cube(b)
@@ -156,7 +157,7 @@ impl CpuStages {
     }
 }
 
-/// The surfaces of some regions of spray.
+/// Makes the surfaces of `regions`, which are spray.
 fn meshes_of_spray(
     surfaces: &Surfaces<'_>,
     regions: &[CellBox],
@@ -173,7 +174,7 @@ fn meshes_of_spray(
         meter.add(1);
         let mut field = spray::field(&drops, normals.cells(region), walls)?;
         let region = normals.region(field.cells());
-        // The filters use cells beyond a periodic face, but the mesh ends there.
+        // The filters use cells beyond a periodic face, but the mesh ends at the face.
         let cut = walls.filter(|_| sampled.facts.periodic.is_some());
         cut.into_iter().for_each(|faces| field.repeat_edges(faces));
         block_mesh(&field, region, recipe.iso, normals, walls)
@@ -181,8 +182,8 @@ fn meshes_of_spray(
     regions.iter().map(mesh).collect()
 }
 
-/// The surfaces of some regions. The regions share intermediate results if these fit into the given
-/// number of bytes.
+/// Makes the surfaces of `regions`. The regions share intermediate results if these fit into
+/// `together` bytes.
 fn meshes(
     surfaces: &Surfaces<'_>,
     regions: &[CellBox],
@@ -197,7 +198,7 @@ fn meshes(
     let away = |region: CellBox| walls.is_none_or(|walls| walls.covers(&dual_cells(region)));
     let solid =
         surfaces.solid.filter(|_| regions.iter().any(|&region| surfaces.is_at_solid(region)));
-    // At a solid, a block has a surface even if all of its cells are inside the fluid.
+    // At a solid, a block may have a surface even if all of its cells are inside the fluid.
     let away = |region| solid.is_none() && away(region);
     let boxes: Vec<_> =
         regions.iter().map(|&region| (normals.cells(region), away(region))).collect();
@@ -206,7 +207,7 @@ fn meshes(
         let field = fields.next().filter(|_| meter.goes_on()).flatten();
         meter.add(1);
         let mut field = field?;
-        // The filters use cells beyond a periodic face, but the mesh ends there.
+        // The filters use cells beyond a periodic face, but the mesh ends at the face.
         let cut = walls.filter(|_| sampled.facts.periodic.is_some());
         cut.into_iter().for_each(|faces| field.repeat_edges(faces));
         block_mesh(&field, region, recipe.iso, normals, walls)

@@ -32,9 +32,9 @@ pub struct SizedField<'a> {
     /// The recipe of the first octave of `clouds`, and the recipe of all other octaves. Drops are
     /// refined in all octaves except the finest of the frame.
     recipes: [(Recipe, DistanceFilters); 2],
-    /// Averages sizes, in wide cells of an octave.
+    /// The filter that averages sizes, in wide cells of an octave.
     averaging: Weights,
-    /// The growth of the radius of drops within an octave.
+    /// The growth of the radius of drops within an octave, in units of distance.
     growth: i32,
 }
 
@@ -43,7 +43,7 @@ pub struct SizedField<'a> {
 pub enum BoxSide {
     /// The box is inside the fluid.
     Inside,
-    /// The box is outside of the fluid.
+    /// The box is outside the fluid.
     Outside,
 }
 
@@ -58,7 +58,7 @@ struct OctaveSurface {
 }
 
 impl OctaveSurface {
-    /// No surface.
+    /// Fields without a surface.
     fn none(wide: CellBox) -> Self {
         let [calm, fine, bulk] = [(); 3].map(|()| Block::zero(wide));
         Self { calm, fine, bulk }
@@ -68,17 +68,17 @@ impl OctaveSurface {
 /// The drops of an octave, in its own cells.
 struct OctaveShares {
     octave: usize,
-    /// A box of the finest cells that contains all in which particles stand out.
+    /// A box of the finest cells that contains all cells in which particles stand out.
     part: CellBox,
-    /// The distance by which nearby particles lie outside of the calm surface, in wide cells.
+    /// The distance by which nearby particles lie outside the calm surface, sampled in wide cells.
     outlying: Block,
     /// The shares of drops and sheets, in the cells in which they are made.
     thin: ThinShares<Block>,
 }
 
 impl<'a> SizedField<'a> {
-    /// Makes the field of `clouds`. `plateau` is measured for clouds with the usual amounts, which
-    /// are twice the amounts of `clouds`.
+    /// Prepares the field of `clouds`. `plateau` must be measured for clouds with the usual
+    /// amounts, which are twice the amounts of `clouds`.
     #[must_use]
     pub fn new(
         clouds: &'a SizedClouds,
@@ -105,19 +105,20 @@ impl<'a> SizedField<'a> {
         self.recipes[0].0.iso
     }
 
-    /// The recipe of the finest octave.
+    /// The recipe of the first octave of the clouds.
     #[must_use]
     pub fn recipe(&self) -> &Recipe {
         &self.recipes[0].0
     }
 
-    /// The maximum distance of a surface from a particle, in cells of the particle's octave.
+    /// The maximum distance from a surface to the nearest particle, in cells of the particle's
+    /// octave.
     #[must_use]
     pub fn reach(&self) -> i32 {
         self.clouds.octave(0).dif.ghost_layer() + self.distances(0).reach()
     }
 
-    /// The distance within which particles affect the surface, in cells of the coarsest octave.
+    /// The distance, in cells of the coarsest octave, within which particles affect the surface.
     #[must_use]
     pub fn halo(smooth: Smooth, sheets: SheetStretch, spacing_cells: f64) -> i32 {
         let averaging = averaging(WideCells::of_spacing(spacing_cells)).reach();
@@ -125,17 +126,17 @@ impl<'a> SizedField<'a> {
         let coarser = finest.clone().refining(sheets, spacing_cells);
         let of = |distances: &DistanceFilters| {
             let DistanceFilters { level, near, drops_level, .. } = *distances;
-            // Surfaces are made wherever drops can be near. They are interpolated from wide cells,
-            // and so is the density of coarser octaves. The filters of sizes and of distances start
-            // from these cells.
+            // Surfaces are made wherever drops can be near. The surfaces and the density of coarser
+            // octaves are interpolated from wide cells. The filters of sizes and of distances start
+            // from these wide cells.
             let wide = 2 + 2 * near + distances.widest_halo().max(averaging);
             halo_in_cells(level, wide).max(halo_in_cells(drops_level, 2 + distances.drops_halo()))
         };
         of(&finest).max(of(&coarser)) + GHOST_LAYER
     }
 
-    /// The maximum memory of a thread for neighbouring blocks of a frame with `octaves` octaves
-    /// while their field is made, in bytes.
+    /// The maximum memory, in bytes, that a thread needs to make the field of neighbouring blocks
+    /// in a frame with `octaves` octaves.
     #[must_use]
     pub fn block_bytes(
         smooth: Smooth,
@@ -156,7 +157,7 @@ impl<'a> SizedField<'a> {
             + (0..octaves).map(kept).sum::<u64>()
     }
 
-    /// The maximum distance of a drop from a particle of its octave, in wide cells: the largest
+    /// The maximum distance, in wide cells, of a drop from a particle of its octave. The largest
     /// drops of an octave are twice as large as the smallest.
     fn near(&self) -> i32 {
         2 * self.distances(0).near
@@ -166,13 +167,13 @@ impl<'a> SizedField<'a> {
         &self.recipes[octave.min(1)].1
     }
 
-    /// The cells of an octave whose middles surround some of the finest cells.
+    /// The cells of an octave whose centres surround `finest`, a box of the finest cells.
     fn cells(&self, octave: usize, finest: CellBox) -> CellBox {
         wide_cells(octave as u32, finest)
     }
 
-    /// The wide cells of an octave from which the field on some of the finest cells is made, with
-    /// the surrounding cells whose drops are near.
+    /// The wide cells of an octave from which the field on `finest`, a box of the finest cells, is
+    /// made. They include the surrounding wide cells whose drops are near.
     fn wide(&self, octave: usize, finest: CellBox) -> CellBox {
         let level = octave as u32 + self.distances(octave).level;
         wide_cells(level, finest).grown(self.near(), self.near())
@@ -183,10 +184,10 @@ impl<'a> SizedField<'a> {
         walls_at(level, self.clouds.octave(0).facts.walls())
     }
 
-    /// Makes the final field on each of some nearby boxes of the finest cells, one after another;
-    /// `None` if no surface can pass through the box. Each box comes with a flag that says whether
-    /// it is away from walls. The boxes share the surfaces of octaves if this saves work; this does
-    /// not affect the samples.
+    /// Makes the final field on each of `boxes`, one after another; `None` for a box through which
+    /// no surface can pass. The boxes consist of the finest cells and are near each other. The flag
+    /// of each box says whether the box is away from walls. The boxes share the surfaces of octaves
+    /// if this saves work; sharing does not affect the samples.
     pub fn on_each(&self, boxes: Vec<(CellBox, bool)>) -> impl Iterator<Item = Option<Block>> {
         let none = || self.no_surfaces();
         let all = boxes.iter().fold(CellBox::EMPTY, |all, (cells, _)| all.union(cells));
@@ -202,7 +203,8 @@ impl<'a> SizedField<'a> {
         })
     }
 
-    /// Makes the final field on some of the finest cells, as [`on_each`](Self::on_each) does.
+    /// Makes the final field on `cells`, a box of the finest cells, as [`on_each`](Self::on_each)
+    /// does.
     ///
     /// # Errors
     /// [`BoxSide`] if no surface can pass through the box.
@@ -210,13 +212,13 @@ impl<'a> SizedField<'a> {
         self.on((cells, cells), away_from_walls, &mut self.no_surfaces())
     }
 
-    /// No surface of any octave yet.
+    /// An empty slot for the surface of each octave.
     fn no_surfaces(&self) -> Vec<Option<OctaveSurface>> {
         (0..self.clouds.octaves()).map(|_| None).collect()
     }
 
-    /// The number of wide cells of all octaves from which the surfaces on a box of the finest cells
-    /// are made.
+    /// The total number of wide cells, over all octaves, from which the surfaces on `cells` are
+    /// made. `cells` is a box of the finest cells.
     fn volume(&self, cells: CellBox) -> usize {
         let around = |octave| {
             let halo = self.distances(octave).wide_halo();
@@ -225,20 +227,21 @@ impl<'a> SizedField<'a> {
         (0..self.clouds.octaves()).map(|octave| around(octave).volume()).sum()
     }
 
-    /// Makes the final field on some of the finest cells, with the surfaces of octaves for a box
-    /// that contains them.
+    /// Makes the final field on `cells`, with octave surfaces on the box `around`, which contains
+    /// `cells`.
     fn on(
         &self,
         (cells, around): (CellBox, CellBox),
         away_from_walls: bool,
         surfaces: &mut [Option<OctaveSurface>],
     ) -> Result<Block, BoxSide> {
-        // At a solid, fluid has a surface even if it is all inside.
+        // At a solid, there may be a surface even if all cells are inside the fluid.
         let is_at_solid = || self.solid.as_deref().is_some_and(|solid| self.is_at(solid, cells));
         let away_from_walls = away_from_walls && !is_at_solid();
         self.make(surfaces, 0, around);
         let bulk = self.bulk(surfaces, cells);
-        // Drops only add to the inside.
+        // Drops only add to the inside of the fluid, so if all cells are inside, no drop makes a
+        // surface.
         let threshold = self.iso().threshold();
         if away_from_walls && bulk.samples().iter().all(|&sample| sample > threshold) {
             return Err(BoxSide::Inside);
@@ -252,8 +255,9 @@ impl<'a> SizedField<'a> {
         Ok(self.joined(&bulk, drops, cells))
     }
 
-    /// Makes the final field on some of the finest cells, even if no surface passes through them.
-    /// Beyond a wall, it also covers the nearest cells before the wall.
+    /// Makes the final field on `cells`, a box of the finest cells, even if no surface passes
+    /// through the box. If the box lies beyond a wall, the field also covers the nearest cells
+    /// within the wall.
     #[must_use]
     pub fn everywhere_on(&self, cells: CellBox) -> Block {
         let cells = cells.with_nearest_of(self.walls(0));
@@ -264,13 +268,14 @@ impl<'a> SizedField<'a> {
         self.joined(&bulk, drops, cells)
     }
 
-    /// The bulk's surface for some of the finest cells, from surfaces that were made.
+    /// The bulk's surface for `cells`, a box of the finest cells. The first of `surfaces` must
+    /// already be made.
     fn bulk(&self, surfaces: &[Option<OctaveSurface>], cells: CellBox) -> Block {
         let first = surfaces[0].as_ref().expect("it was made");
         first.bulk.part(self.wide(0, cells))
     }
 
-    /// The drops of all octaves, from the coarsest on.
+    /// Makes the drops of all octaves, from the coarsest to the finest.
     fn all_drops(
         &self,
         surfaces: &mut [Option<OctaveSurface>],
@@ -280,7 +285,7 @@ impl<'a> SizedField<'a> {
         octaves.filter_map(|octave| self.drops(octave, surfaces, (cells, around))).collect()
     }
 
-    /// The field of a bulk and its drops, cut by the solid.
+    /// Joins the bulk and its drops into a field, and cuts the field by the solid.
     fn joined(&self, bulk: &Block, drops: Vec<OctaveShares>, cells: CellBox) -> Block {
         let mut field = refined(bulk, self.distances(0).level, cells);
         for drops in drops {
@@ -292,7 +297,8 @@ impl<'a> SizedField<'a> {
         field
     }
 
-    /// Whether a solid, with its offset, may cut the field on some of the finest cells.
+    /// Whether `solid`, including its offset, may cut the field on `cells`, a box of the finest
+    /// cells.
     fn is_at(&self, solid: &Solid, cells: CellBox) -> bool {
         let facts = &self.clouds.octave(0).facts;
         let offset = solid.offset().abs() * facts.spacing_cells_or_one();
@@ -301,7 +307,8 @@ impl<'a> SizedField<'a> {
         solid.is_near(&facts.grid, facts.periodic.as_ref(), 0, around)
     }
 
-    /// Makes the surface of an octave, mixed with those of the coarser ones.
+    /// Makes the surface of an octave, mixed with the surfaces of coarser octaves, if it is not
+    /// made yet.
     fn make(&self, surfaces: &mut [Option<OctaveSurface>], octave: usize, cells: CellBox) {
         if surfaces[octave].is_some() {
             return;
@@ -339,8 +346,8 @@ impl<'a> SizedField<'a> {
         });
     }
 
-    /// The share of coarser octaves in the sizes around some of an octave's wide cells; `None` if
-    /// only coarser octaves have particles there.
+    /// The share of coarser octaves in the particle sizes around the octave's wide cells `wide`;
+    /// `None` if only coarser octaves have particles there.
     fn coarser(&self, octave: usize, wide: CellBox) -> Option<Block> {
         let level = self.distances(octave).level;
         let around = wide.grown(self.averaging.reach(), self.averaging.reach());
@@ -360,11 +367,11 @@ impl<'a> SizedField<'a> {
         block
     }
 
-    /// The surface with the filters of an octave, in its wide cells.
+    /// Makes the surface with the filters of an octave, in the octave's wide cells.
     fn own_surface(&self, octave: usize, cells: CellBox) -> OctaveSurface {
         let (recipe, distances) = &self.recipes[octave.min(1)];
         let density = |level: u32, cells: CellBox| self.clouds.density(octave, level, cells);
-        // The wide cells of these cells are the requested ones.
+        // The field on the cells `own` is made from exactly the wide cells `wide`.
         let wide = self.wide(octave, cells);
         let further = i32::from(distances.level > 0);
         let own = CellBox {
@@ -388,7 +395,8 @@ impl<'a> SizedField<'a> {
         }
     }
 
-    /// The drops of an octave near some of the finest cells; `None` if no particle stands out.
+    /// Makes the drops of an octave near `cells`, a box of the finest cells; `None` if no particle
+    /// stands out.
     fn drops(
         &self,
         octave: usize,
@@ -398,7 +406,7 @@ impl<'a> SizedField<'a> {
         let (recipe, distances) = &self.recipes[octave.min(1)];
         let DistanceFilters { level, least, stands_out, .. } = distances;
         let sampled = self.clouds.octave(octave);
-        // Particles of the octave outside of the calm surface.
+        // First, find the octave's particles that lie outside the calm surface.
         let walls = self.walls(octave as u32 + level);
         let wide = self.wide(octave, cells);
         let clouds = sampled.wide(*level).gather_within(wide, walls);
@@ -433,14 +441,14 @@ impl<'a> SizedField<'a> {
         Some(OctaveShares { octave, part, outlying, thin })
     }
 
-    /// Whether drops can add to the inside.
+    /// Whether the drops can add to the inside of the fluid.
     fn has_inside(&self, OctaveShares { octave, thin, .. }: &OctaveShares) -> bool {
         let drops = &self.distances(*octave).drops;
         let greatest = thin.shares.samples().iter().copied().max().unwrap_or(0);
         away(greatest, drops.width) < drops.radius + self.growth
     }
 
-    /// Joins drops to a field in the finest spacings.
+    /// Joins the drops of an octave to a field whose distances are in the finest spacings.
     fn with_drops(&self, field: Block, made: &OctaveShares) -> Block {
         let &OctaveShares { octave, part: cells, ref outlying, ref thin } = made;
         let DistanceFilters { level, drops_level, stands_out, drops, .. } = self.distances(octave);
@@ -455,8 +463,8 @@ impl<'a> SizedField<'a> {
             .joined(field)
     }
 
-    /// The mean logarithm of the sizes of an octave's particles around some of the finest cells;
-    /// `None` if all particles have the smallest size.
+    /// The mean logarithm of the sizes of an octave's particles around `cells`, a box of the finest
+    /// cells; `None` if all particles of the octave have its smallest size.
     fn sizes(&self, octave: usize, cells: CellBox) -> Option<Block> {
         let level = self.distances(octave).level;
         let wide = wide_cells(octave as u32 + level, cells);

@@ -1,4 +1,4 @@
-//! The field of spray, drop by drop: only around the surface of each drop.
+//! The field of spray, made drop by drop and only around the surface of each drop.
 
 use std::rc::Rc;
 
@@ -14,38 +14,38 @@ use crate::grid::{CellBox, TILE};
 
 use super::fields::{BlockField, Blocks, FieldUse, refined_from, wide_volume};
 
-/// Spray has particles in at most one of this many cells.
+/// In spray, the boxes around full cells take at most 1 / `FEW` of the volume.
 const FEW: usize = 16;
 /// The cost of a wide cell of other fluid, as a multiple of the cost of a wide cell within reach of
 /// a drop.
 const CHEAPER: usize = 10;
 
-/// The distance from the inside of a drop within which its field is needed, in cells: a vertex lies
-/// between an inside cell and its neighbour, and normals use one cell more.
+/// The distance, in cells, from the inside of a drop within which the drop's field is needed: a
+/// vertex lies between an inside cell and its neighbour, and normals use one cell more.
 const AROUND: i32 = 2;
 
 /// The field around the surface of a group of particles, which may be several drops.
 pub(super) struct DropField {
-    /// A box around the inside cells.
+    /// A box around the cells that are inside the fluid.
     inside: CellBox,
-    /// The field on that box and the cells around it.
+    /// The field on the box `inside` and the cells around it.
     field: Block,
 }
 
-/// Makes the fields of the particles of spray.
+/// Makes the field of spray, group of particles by group of particles.
 pub(super) struct SprayMaker<'a> {
     recipe: &'a Recipe,
     distances: &'a DistanceFilters,
     sampled: &'a SampledDif,
     /// The requested cells.
     cells: CellBox,
-    /// Boxes around the full cells of the groups of particles that can have a surface in `cells`.
+    /// For each group of particles that can have a surface in `cells`, a box around its full cells.
     groups: Vec<CellBox>,
 }
 
-/// The field on the part of `cells` in which dual cells can have a surface; `None` if there is no
-/// surface. Like `cells`, this part consists of whole tiles. If `walls` do not cover `cells`, the
-/// part is all of `cells`.
+/// Joins `drops` into one field, on the part of `cells` in which dual cells can have a surface;
+/// `None` if there is no surface. Like `cells`, this part consists of whole tiles. If `walls` do
+/// not cover `cells`, the part is all of `cells`.
 pub(super) fn field(drops: &[DropField], cells: CellBox, walls: Option<CellBox>) -> Option<Block> {
     let inside = drops.iter().map(|drop| drop.inside.intersection(&cells));
     let inside = inside.filter(|inside| !inside.is_empty());
@@ -70,7 +70,7 @@ pub(super) fn field(drops: &[DropField], cells: CellBox, walls: Option<CellBox>)
     Some(field)
 }
 
-/// The wide fields around a group, and all fields that can be made from them.
+/// The wide fields around a group, and the maker of the fields that are refined from them.
 struct NearGroup<'a> {
     bulk: BlockField,
     outlying: BlockField,
@@ -78,8 +78,9 @@ struct NearGroup<'a> {
 }
 
 impl<'a> SprayMaker<'a> {
-    /// Makes fields on `cells`; `None` if making the whole field is cheaper than making it group by
-    /// group, or if the fields of the groups need more than `most_bytes`.
+    /// Prepares the field on `cells`; `None` if the fluid is not spray, if making the whole field
+    /// is cheaper than making it group by group, or if the fields of the groups need more than
+    /// `most_bytes`.
     pub(super) fn new(
         recipe: &'a Recipe,
         sampled: &'a SampledDif,
@@ -106,14 +107,14 @@ impl<'a> SprayMaker<'a> {
         (pays && fits).then_some(Self { recipe, distances, sampled, cells, groups })
     }
 
-    /// The fields of all groups that have a surface.
+    /// Makes the fields of all groups that have a surface.
     pub(super) fn drops(&self) -> Vec<DropField> {
         let least = self.distances.drops.least_share();
         self.groups.iter().filter_map(|&full| self.drops_of(full, least)).collect()
     }
 
-    /// The field of the group with the cells `full`; `None` if it has no surface. Drops begin at
-    /// the share `least`.
+    /// Makes the field of the group whose full cells lie in the box `full`; `None` if the group has
+    /// no surface. A cell is in a drop if its share is at least `least`.
     fn drops_of(&self, full: CellBox, least: u16) -> Option<DropField> {
         let Self { recipe, distances, sampled, .. } = *self;
         let DistanceFilters { level, stands_out, drops_level, ref drops, .. } = *distances;
@@ -131,8 +132,8 @@ impl<'a> SprayMaker<'a> {
             standing_out = blocks.wanted;
             let sheets = sheets(distances, &mut blocks).ok()?;
             if sheets.is_none() {
-                // Other drops belong to other groups. Clouds reach one cell beyond `full`, and so
-                // does interpolation.
+                // Other drops belong to other groups. Clouds reach one cell beyond `full`, and
+                // interpolation reaches one more cell.
                 let reach = (drops.spread.reach() + 2) << drops_level;
                 blocks.wanted = standing_out.intersection(&full.grown(reach, reach));
             }
@@ -148,7 +149,7 @@ impl<'a> SprayMaker<'a> {
         if inside.is_empty() {
             return None;
         }
-        // Beyond walls edge cells are repeated, so they must be included.
+        // Beyond walls, edge cells are repeated, so the part must include the edge cells.
         let covered = sampled.facts.walls().is_none_or(|walls| walls.covers(&around));
         let part =
             if covered { inside.grown(AROUND, AROUND).intersection(&around) } else { around };
@@ -172,8 +173,9 @@ impl<'a> SprayMaker<'a> {
         Some(DropField { inside, field: Rc::unwrap_or_clone(field.block) })
     }
 
-    /// The cells within reach of a group's particles: only these cells can be inside because of the
-    /// group. At walls this box is larger. `None` if the group has no particles.
+    /// A box of the cells within reach of a group's particles. Only these cells can be inside the
+    /// fluid because of the group. At walls, the box is larger. `None` if the group has no
+    /// particles.
     fn near_particles(&self, full: CellBox) -> Option<CellBox> {
         let DistanceFilters { level, near, least, .. } = *self.distances;
         // Clouds reach beyond the cells of their own bin.
@@ -193,7 +195,7 @@ impl<'a> SprayMaker<'a> {
         Some(full.grown(reach, reach))
     }
 
-    /// The wide fields around `cells`; `None` if no particle is near.
+    /// Makes the wide fields around `cells`; `None` if no particle is near.
     fn near_group(&self, cells: CellBox) -> Option<NearGroup<'a>> {
         let Self { recipe, distances, sampled, .. } = *self;
         let DistanceFilters { level, near, least, .. } = *distances;
@@ -204,13 +206,13 @@ impl<'a> SprayMaker<'a> {
         if needed.is_empty() {
             return None;
         }
-        // The cells between the middles of the needed wide cells.
+        // The cells between the centres of the needed wide cells.
         let further = i32::from(level > 0);
         let between =
             CellBox { lo: (needed.lo + further) << level, hi: (needed.hi - further) << level };
         let mut blocks = Blocks::of_few(recipe, sampled, between, FieldUse::Everywhere);
         let WideFields { bulk, outlying } = bulk(distances, &mut blocks).ok()?;
-        // Farther cells have no particle nearby, so their samples are 0.
+        // The other wide cells have no particle nearby, so their samples are 0.
         let padded = |BlockField { block, level, .. }: BlockField| {
             let mut all = Block::zero(wide);
             all.put_part(needed, block.cells(), block.samples(), |_, sample| sample);
@@ -222,7 +224,7 @@ impl<'a> SprayMaker<'a> {
     }
 }
 
-/// The distance from full cells beyond which there is no surface, in cells.
+/// The distance, in cells, from full cells beyond which there is no surface.
 fn reach(distances: &DistanceFilters, sampled: &SampledDif) -> i32 {
     sampled.dif.ghost_layer() + distances.reach() + 1
 }

@@ -1,4 +1,4 @@
-//! From bins to pages.
+//! The stage from bins to pages.
 
 use std::io;
 use std::ops::Range;
@@ -38,7 +38,7 @@ impl From<VulkanError> for DeviceFrameError {
     }
 }
 
-/// The bins of a batch in a lane.
+/// A batch of bins in a lane, with the buffers of its pages.
 struct BinBatch {
     bins: Range<usize>,
     pages: View,
@@ -54,16 +54,16 @@ enum ReadBack {
     FullCells,
 }
 
-/// The settings for the batches of some bins.
+/// The settings for batches of bins.
 struct BatchSettings<'a> {
     rule: &'a PageRule,
-    /// The buffer in which the pages of all bins stay on the device, if they do.
+    /// The buffer in which the pages of all bins stay on the device, if they stay there.
     resident: Option<Arc<ResidentPages>>,
     read: ReadBack,
 }
 
 impl DeviceFrame {
-    /// Adds the pages of a range of bins to `done`, until a failure.
+    /// Makes the pages of a range of bins, and adds them to `done`, until a failure.
     pub(super) fn indicate_batches(
         &self,
         state: &mut DeviceState,
@@ -83,9 +83,9 @@ impl DeviceFrame {
         })
     }
 
-    /// Makes the pages of all bins, which stay on the device, and returns the data that the host
-    /// needs about each page; `None` if the device shares the host's memory, if the pages do not
-    /// fit, or if a bin is too large for a batch.
+    /// Makes the pages of all bins, keeps the pages on the device, and returns their descriptions;
+    /// `None` if the CPU has taken over, if the device shares the host's memory, if the pages do
+    /// not fit, or if a bin is too large for a batch.
     pub(super) fn indicate_on_device(
         &self,
         state: &mut DeviceState,
@@ -177,7 +177,8 @@ impl DeviceFrame {
         Ok(self.compute_bins(lane, range, &entries, &records, making)?)
     }
 
-    /// Records and submits the computation and the download of the pages of some bins.
+    /// Records and submits the computation of the pages of `bins`. If only the masks of full cells
+    /// are read back, also records their download.
     fn compute_bins(
         &self,
         lane: &mut Lane,
@@ -205,7 +206,7 @@ impl DeviceFrame {
         Ok(BinBatch { bins, pages, read })
     }
 
-    /// Records and submits the search for the full cells of pages, and their download.
+    /// Records the search for the full cells of `pages`, and the download of the found cells.
     pub(super) fn find_full_cells(
         &self,
         lane: &mut Lane,
@@ -228,8 +229,8 @@ impl DeviceFrame {
         Ok(read)
     }
 
-    /// The pages of particles that are already binned on the device, or only the data about the
-    /// pages if the pages stay on the device.
+    /// Makes the pages of particles that are already binned on the device. Returns only
+    /// descriptions of the pages if the pages stay on the device.
     pub(super) fn indicate_resident(
         &self,
         state: &mut DeviceState,
@@ -296,7 +297,7 @@ pub(super) enum PlacedPages {
     Device(Vec<PageInfo>),
 }
 
-/// Waits for the data about the pages of a batch.
+/// Waits for a batch, and reads the descriptions of its pages.
 fn read_infos(
     lane: &mut Lane,
     batch: &BinBatch,
@@ -314,14 +315,15 @@ fn read_infos(
         .collect())
 }
 
-/// Waits for the pages of a batch.
+/// Waits for a batch, and downloads its pages.
 fn read_pages(
     lane: &mut Lane,
     batch: BinBatch,
     keys: &[MortonKey],
     shape: PageShape,
 ) -> Result<Pages, VulkanError> {
-    // The copy is submitted only now, so its queue stays free for the upload of the next batch.
+    // The copy is submitted only now, so until now its queue was free for the upload of the next
+    // batch.
     lane.download.stage("download", 2 * batch.pages.bytes());
     lane.download.copy(&batch.pages, &batch.read);
     lane.download.submit(lane.compute.last())?;
@@ -342,7 +344,7 @@ pub(super) fn bin_bytes(count: usize, shape: PageShape) -> u64 {
     2 * (8 * count as u64 + page_bytes(shape))
 }
 
-/// Returns the range of bins that fit into a batch, at least one.
+/// Returns the range of bins that fit into a batch: at least one bin.
 fn bin_batch(bins: &Bins, range: Range<usize>, shape: PageShape, room: u64) -> Range<usize> {
     let mut bytes = 0;
     let mut end = range.start;

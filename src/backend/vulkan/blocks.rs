@@ -1,4 +1,4 @@
-//! From regions of blocks to surfaces.
+//! The stage from regions of blocks to surfaces.
 
 use std::sync::Arc;
 
@@ -23,7 +23,7 @@ use super::lane::{BufferLayout, Lane, run_batches};
 use super::pipelines::page_bytes;
 
 impl DeviceFrame {
-    /// Passes the surfaces of some regions to `take`, until a failure or a cancel of `meter`.
+    /// Passes the surfaces of `regions` to `take`, until a failure or until `meter` is cancelled.
     pub(super) fn contour_batches(
         &self,
         state: &mut DeviceState,
@@ -39,7 +39,7 @@ impl DeviceFrame {
         })
     }
 
-    /// The surfaces of some regions, which stay on the device.
+    /// Makes the surfaces of `regions` and keeps them on the device.
     pub(super) fn collect_batches(
         &self,
         state: &mut DeviceState,
@@ -75,8 +75,9 @@ impl DeviceFrame {
         })
     }
 
-    /// Computes the surfaces of some regions, and passes them to `take` batch by batch, in order,
-    /// until `take` or the device fails.
+    /// Computes the surfaces of `regions`, and passes them to `take` batch by batch, in order.
+    /// Stops if `take` or the device fails, and starts no more batches once `goes_on` returns
+    /// false.
     fn each_batch<E: From<VulkanError>>(
         &self,
         state: &mut DeviceState,
@@ -102,20 +103,21 @@ impl DeviceFrame {
     }
 }
 
-/// A callback for a batch. It gets the start of each block in the batch, followed by the totals.
+/// A callback for a batch. Its last argument has, for each block, the tally of all previous blocks
+/// of the batch, followed by the totals.
 type TakeBatch<'a, E> =
     dyn FnMut(&Contouring<'_>, &mut Lane, &BlockBatch, &[BlockTally]) -> Result<(), E> + 'a;
 
 /// The surfaces of a frame's blocks, on the device.
 #[derive(Debug)]
 pub struct DeviceSurfaces {
-    /// The blocks with a surface, in Morton order, with their block coordinates and their tallies.
+    /// The coordinates and the tally of each block with a surface, in Morton order.
     pub blocks: Vec<(IVec3, BlockTally)>,
     /// The tiles of all blocks, as [`Tile`]s.
     pub tiles: View,
     /// For every vertex, the field at the lower and the upper end of its edge.
     pub ends: View,
-    /// Signals that both buffers are complete; readers wait for it on the device.
+    /// The ticket of the copy that completes both buffers; readers wait for it on the device.
     pub(super) written: Option<Ticket>,
 }
 
@@ -134,7 +136,7 @@ struct GrowingBuffer {
 }
 
 impl GrowingBuffer {
-    /// Records a copy of `from` to the end.
+    /// Records a copy of `from` to the end of the buffer, which grows if necessary.
     fn append(
         &mut self,
         device: &Device,
@@ -190,7 +192,8 @@ impl Contouring<'_> {
         Ok(Some(batch))
     }
 
-    /// Continues a batch after its wide cells were made.
+    /// Continues a batch with wide cells: once these are made, chooses the regions to mesh, and
+    /// meshes them.
     fn go_on(&self, lane: &mut Lane, batch: &mut BlockBatch) -> Result<(), VulkanError> {
         if batch.wide.is_none() {
             return Ok(());
@@ -199,7 +202,7 @@ impl Contouring<'_> {
         self.mesh_regions(lane, batch)
     }
 
-    /// Records and submits the surfaces of the regions to mesh.
+    /// Records and submits the commands that make the surfaces of the regions to mesh.
     pub(super) fn mesh_regions(
         &self,
         lane: &mut Lane,
@@ -232,7 +235,7 @@ impl Contouring<'_> {
         Ok(())
     }
 
-    /// The field on the regions to mesh, with the paper's filters.
+    /// Makes the field on the regions to mesh, with the paper's filters.
     fn filter(&self, lane: &mut Lane, batch: &BlockBatch) -> Result<BatchField, VulkanError> {
         let device = &self.frame.device;
         let [source] = &self.sources()[..] else {
@@ -350,7 +353,7 @@ impl Contouring<'_> {
         Ok(())
     }
 
-    /// Downloads a batch.
+    /// Downloads the surfaces of a batch.
     fn read(
         &self,
         lane: &mut Lane,
@@ -359,7 +362,7 @@ impl Contouring<'_> {
     ) -> Result<Vec<Option<BlockMesh>>, VulkanError> {
         let device = &self.frame.device;
         let totals = begins[batch.meshed.len()];
-        // A lane that has not meshed yet has no buffers to read.
+        // A lane that has not meshed any regions yet has no buffers to read.
         if totals.tiles == 0 {
             return Ok(vec![None; batch.regions.len()]);
         }

@@ -18,14 +18,14 @@ pub(super) struct Constants {
     weights: HashMap<Weights, View>,
 }
 
-/// Tables for all frames.
+/// Tables that are the same for all frames.
 #[derive(Debug, Clone)]
 pub(super) struct Tables {
     /// Table of depths.
     pub(super) depths: View,
-    /// Table of distances from the middle of a drop, by share.
+    /// Table of the distance from the centre of a drop for each share.
     pub(super) away: View,
-    /// Number of triangles by case.
+    /// Table of the number of triangles for each case.
     pub(super) lengths: View,
 }
 
@@ -38,8 +38,7 @@ pub(super) struct FrameConstants {
 }
 
 impl Constants {
-    /// Uploads the lookup data for surfaces that is still missing on the device, with an idle
-    /// batch.
+    /// Uploads the lookup data for `surfaces` that the device still lacks. `batch` must be idle.
     pub(super) fn of(
         &mut self,
         surfaces: &Surfaces<'_>,

@@ -41,7 +41,7 @@ pub(super) const SHEETS_FIELDS: usize = 2;
 /// them, and a temporary.
 pub(super) const DROPS_FIELDS: usize = 5;
 /// Number of fields in the parts of blocks where particles stand out from the surface: the distance
-/// of the particles outside of the surface, the shares of drops, and the certainty of sheets.
+/// by which particles lie outside the surface, the shares of drops, and the certainty of sheets.
 pub(super) const PART_FIELDS: usize = 3;
 /// The regions of a batch in a lane.
 pub(super) struct BlockBatch {
@@ -58,8 +58,8 @@ pub(super) struct BlockBatch {
 }
 
 impl BlockBatch {
-    /// Makes a batch of the first `regions`: as many as fit even if particles stand out everywhere,
-    /// and at least one.
+    /// Makes a batch from the first of `regions`: at least one region, and as many as fit even if
+    /// particles stand out everywhere.
     pub(super) fn new(work: &Contouring<'_>, regions: &[CellBox]) -> Self {
         let limit = work.frame.device.limits().storage_range;
         let sources = work.sources();
@@ -110,7 +110,7 @@ impl BlockBatch {
     }
 }
 
-/// The field on some blocks, with a ticket for the upload of its inputs.
+/// The field on the blocks of a batch, with a ticket for the upload of its inputs.
 pub(super) struct BatchField {
     pub(super) blocks: DeviceBlocks,
     pub(super) field: View,
@@ -121,7 +121,7 @@ pub(super) struct BatchField {
 pub(super) struct FieldLevel {
     /// The cells are 2^`level` times as wide as the grid's cells.
     pub(super) level: u32,
-    /// The halo around the requested cells.
+    /// The halo around the requested cells, in cells of this level.
     halo: i32,
     /// Whether samples are needed in these cells.
     sampled: bool,
@@ -130,7 +130,7 @@ pub(super) struct FieldLevel {
 }
 
 impl FieldLevel {
-    /// The cells of the fields for a field on `cells`.
+    /// The cells of this level on which fields are needed for a field on `cells`.
     pub(super) fn cells(&self, cells: CellBox) -> CellBox {
         wide_cells(self.level, cells).grown(self.halo, self.halo)
     }
@@ -167,7 +167,7 @@ impl<'a> Contouring<'a> {
             + if self.has_normals() { size_of::<Falls>() as u64 } else { 0 }
     }
 
-    /// Returns the samples for cells of a level.
+    /// Returns the source of the samples for cells of a level.
     pub(super) fn samples(&self, level: u32) -> SampleSource<'_> {
         let dif = self.surfaces.sampled.wide(level);
         let resident = self.residents.get(level as usize);
@@ -222,7 +222,8 @@ impl<'a> Contouring<'a> {
         }
     }
 
-    /// Bytes of a region in addition to its fields, on the device and in the staging buffer.
+    /// Bytes that a region takes in addition to its fields, on the device and in the staging
+    /// buffer.
     pub(super) fn region_bytes(&self) -> u64 {
         let tiles = u64::from(BLOCK_TILES) * (2 * size_of::<Tile>() + size_of::<TileSlot>()) as u64;
         tiles + 8 * u64::from(SIGN_TILES) + 2 * BLOCK_ROOM * self.vertex_bytes()

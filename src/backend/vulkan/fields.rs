@@ -30,12 +30,12 @@ pub(super) struct PaddedSamples {
 /// The blocks of a batch in cells of one width, and buffers for their fields.
 pub(super) struct PaddedBlocks {
     pub(super) blocks: DeviceBlocks,
-    /// A cell is 2^`level` cells of the grid along an axis.
+    /// The cells are 2^`level` times as wide as the grid's cells.
     pub(super) level: u32,
-    /// Bits of the inside bricks, if there are any.
+    /// The bits that mark the inside bricks, if there are any.
     pub(super) marks: Option<View>,
-    /// Indices of other [`PaddedBlocks`] whose blocks contain these blocks, each with a list of the
-    /// containing block for each block.
+    /// For each of the other [`PaddedBlocks`] whose blocks contain these blocks, its index and a
+    /// list. For each of these blocks, the list has the number of the block that contains it.
     pub(super) within: Vec<(usize, View)>,
     /// Unused buffers.
     pub(super) free: Vec<View>,
@@ -61,8 +61,8 @@ pub(super) struct PaddedFields<'a> {
 }
 
 impl PaddedFields<'_> {
-    /// Gathers the samples of a grid from pages. The recipe uses them after the samples of earlier
-    /// calls.
+    /// Gathers the samples of the grid `of` from pages. The recipe uses these samples after the
+    /// samples of earlier calls.
     pub(super) fn gather(&mut self, of: usize, pages: &DevicePages) -> Result<(), VulkanError> {
         let samples = self.take(of);
         self.commands.stage("gather", pages.pages.bytes() + samples.bytes());
@@ -107,7 +107,8 @@ impl PaddedFields<'_> {
         Ok(Rc::new(PaddedSamples { samples: to, margin: 0, of }))
     }
 
-    /// For each block of one grid, the number of the containing block of another grid.
+    /// For each block of the grid `of`, the number of the block of the grid `other` that contains
+    /// it.
     fn within(&self, of: usize, other: usize) -> View {
         let mut known = self.grids[of].within.iter();
         let (_, numbers) =
@@ -129,7 +130,7 @@ impl Fields for PaddedFields<'_> {
         Ok(field)
     }
 
-    /// Does not change clouds, because only the CPU handles regions near solids.
+    /// Does not change `clouds`, because only the CPU handles regions near solids.
     fn filled(&mut self, clouds: &Rc<PaddedSamples>) -> Result<Rc<PaddedSamples>, VulkanError> {
         Ok(Rc::clone(clouds))
     }
@@ -277,8 +278,7 @@ impl Fields for PaddedFields<'_> {
         self.refined_for(wide, self.cells)
     }
 
-    /// From here on fields are refined for the parts in which particles stand out, if there are
-    /// any.
+    /// Restricts later refinements to the parts in which particles stand out, if there are any.
     fn narrowed(&mut self, _: &Rc<PaddedSamples>, _: u32, _: u16) -> bool {
         self.cells = self.parts.unwrap_or(self.cells);
         self.parts.is_some()

@@ -15,7 +15,7 @@ use super::resident::{PageReader, ResidentPages};
 
 /// Number of batches in flight.
 pub(super) const LANES: usize = 2;
-/// Minimum size of a batch in bytes; below it the CPU takes over.
+/// Minimum size of a batch, in bytes. If even smaller batches are needed, the CPU takes over.
 const SMALLEST_BATCH: u64 = 1 << 20;
 
 /// Buffers and constants that stay on the device between frames.
@@ -34,8 +34,8 @@ pub(super) struct DeviceFrame {
     pub(super) pipelines: Arc<Pipelines>,
     pub(super) kept: Arc<Mutex<FrameBuffers>>,
     pub(super) state: Mutex<DeviceState>,
-    /// Fields whose pages are on the device, by the number of times their cells were doubled in
-    /// width.
+    /// Fields whose pages are on the device, by level: the cells of level k are 2^k times as wide
+    /// as the grid's cells.
     residents: Mutex<Vec<Arc<ResidentPages>>>,
     pub(super) reader: PageReader,
 }
@@ -86,7 +86,7 @@ impl DeviceFrame {
     pub(super) fn make_lanes(&self, state: &mut DeviceState) -> Result<(), VulkanError> {
         while state.lanes.len() < LANES {
             let mut kept = self.kept();
-            // Lanes are reused in their order, because the first lane has the largest buffers.
+            // Lanes are reused in order, because the first lane has the largest buffers.
             let known = (!kept.lanes.is_empty()).then(|| kept.lanes.remove(0));
             drop(kept);
             let fitting = known.filter(|lane| lane.bytes() <= 2 * state.batch_bytes);
@@ -96,7 +96,7 @@ impl DeviceFrame {
         Ok(())
     }
 
-    /// Makes a buffer for the pages of all bins if they fit; pages of other bins are dropped.
+    /// Makes a buffer for the pages of all bins if the pages fit. Drops the pages of other bins.
     pub(super) fn make_resident(
         &self,
         state: &mut DeviceState,
@@ -120,7 +120,8 @@ impl DeviceFrame {
         }
     }
 
-    /// A buffer for the pages of the next field, if it takes at most `most` bytes.
+    /// A buffer of at least `bytes` for the pages of the next field; `None` if `bytes` exceeds
+    /// `most`, or if the memory cannot be allocated.
     pub(super) fn room(
         &self,
         state: &mut DeviceState,
@@ -145,8 +146,9 @@ impl DeviceFrame {
         }
     }
 
-    /// Recovers from a failure: with smaller batches if memory is exhausted, or on the CPU if
-    /// smaller batches do not help.
+    /// Recovers from a failure. If memory is exhausted, the work continues without fields that stay
+    /// on the device, then in smaller batches. If this does not help, or after any other kind of
+    /// failure, the work continues on the CPU.
     pub(super) fn recover(&self, state: &mut DeviceState, error: &VulkanError) {
         state.lanes.clear();
         *self.kept() = FrameBuffers::default();

@@ -17,7 +17,7 @@ use super::lane::{BufferLayout, part};
 use super::pipelines::page_bytes;
 use super::resident::ResidentPages;
 
-/// A block without tiles to mesh.
+/// The region of a block that has no tiles to mesh.
 pub(super) const NO_TILES: CellBox = CellBox { lo: IVec3::ZERO, hi: IVec3::ZERO };
 
 /// The source of the samples of blocks.
@@ -47,14 +47,14 @@ impl SampleSource<'_> {
     }
 }
 
-/// Blocks of one cell width, consecutive in a field.
+/// Blocks with cells of one width. The samples of the blocks are consecutive in a field.
 #[derive(Default)]
 pub(super) struct LevelBlocks {
     blocks: Vec<DeviceBlock>,
-    /// Total number of words.
+    /// Total number of words of all blocks.
     pub(super) words: u32,
     tables: Vec<u32>,
-    /// Bits of the inside bricks.
+    /// The bits that mark the inside bricks.
     marks: Vec<u32>,
     /// The bins whose pages are uploaded.
     sent: Vec<IVec3>,
@@ -62,7 +62,7 @@ pub(super) struct LevelBlocks {
     numbers: HashMap<IVec3, u32>,
 }
 
-/// The positions of a grid's data in the upload.
+/// The byte ranges of a grid's data within the upload.
 pub(super) struct Places {
     blocks: Range<u64>,
     tables: Range<u64>,
@@ -94,8 +94,8 @@ impl LevelBlocks {
         self.blocks.push(block);
     }
 
-    /// Adds a block whose samples are gathered from pages. If inside bricks are given, adds them
-    /// too.
+    /// Adds a block whose samples are gathered from pages. If `inside` is given, also adds the bits
+    /// that mark the block's inside bricks.
     pub(super) fn push_sampled(
         &mut self,
         cells: CellBox,
@@ -135,7 +135,7 @@ impl LevelBlocks {
         }
     }
 
-    /// Writes the data for the upload.
+    /// Writes the data to upload into the staging buffer.
     ///
     /// # Safety
     /// No batch in flight may use the staging buffer.
@@ -158,20 +158,20 @@ impl LevelBlocks {
         );
     }
 
-    /// The blocks in the layout of shaders.
+    /// The blocks, as shaders need them.
     pub(super) fn on_device(&self, inputs: &View, places: &Places) -> DeviceBlocks {
         DeviceBlocks::new(part(inputs, &places.blocks), &self.blocks)
     }
 }
 
 impl Places {
-    /// The bits of inside bricks.
+    /// The bits that mark the inside bricks.
     pub(super) fn marks(&self, inputs: &View) -> View {
         part(inputs, &self.marks)
     }
 
-    /// Returns the pages from which samples are gathered; without constants, stored samples are not
-    /// converted.
+    /// Returns the pages from which samples are gathered; without `constants`, stored samples are
+    /// not converted to the DIF.
     pub(super) fn pages(
         &self,
         inputs: &View,

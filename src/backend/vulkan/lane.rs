@@ -14,7 +14,7 @@ use crate::vulkan::{
 /// slightly larger.
 pub(super) const HEADROOM: u64 = 4;
 
-/// The command batches and buffers of a batch, which the next batch reuses.
+/// The command batches and the buffers for one batch of work. The next batch of work reuses them.
 #[derive(Debug)]
 pub(super) struct Lane {
     pub(super) upload: Batch,
@@ -23,7 +23,7 @@ pub(super) struct Lane {
     buffers: HashMap<Name, Arc<Buffer>>,
 }
 
-/// The name of a lane's buffer; fields are numbered.
+/// The name of a lane's buffer, and a number that distinguishes fields of the same name.
 type Name = (&'static str, usize);
 
 impl Lane {
@@ -36,7 +36,8 @@ impl Lane {
         })
     }
 
-    /// A part of this lane's buffer with `bytes` bytes. Its previous content is lost.
+    /// A view of the first `bytes` bytes of this lane's buffer `name`, which grows if it is too
+    /// small. The previous content of the buffer is undefined.
     pub(super) fn buffer(
         &mut self,
         device: &Device,
@@ -94,7 +95,7 @@ impl Lane {
         self.buffers.values().map(|buffer| buffer.bytes()).sum()
     }
 
-    /// Starts a new batch after the lane's last batch has finished.
+    /// Waits until the lane's last batch has finished, and starts a new batch.
     pub(super) fn begin(&mut self) -> Result<(), VulkanError> {
         self.upload.begin()?;
         self.compute.begin()?;

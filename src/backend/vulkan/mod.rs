@@ -56,9 +56,9 @@ pub struct Vulkan {
 /// The memory limits of a frame.
 #[derive(Debug, Clone, Copy)]
 struct FrameBudget {
-    /// Bytes of a batch, on the device and in the staging buffer on the host.
+    /// Maximum bytes of a batch, on the device and in the staging buffer on the host.
     batch: u64,
-    /// Bytes of the DIF, if it stays on the device.
+    /// Maximum bytes of the DIF, if it stays on the device.
     resident: u64,
     /// Total bytes in the host's memory.
     host: u64,
@@ -114,13 +114,13 @@ impl Vulkan {
         Arc::new(DeviceFrame::new(device, pipelines, kept, state))
     }
 
-    /// A frame whose particles and whose surface stay on the device.
+    /// Starts a frame whose particles and surface stay on the device.
     pub fn start_resident(&self) -> ResidentFrame {
         ResidentFrame(self.start_frame(MemoryBudget(u64::MAX)))
     }
 }
 
-/// A frame whose particles and surface stay on the device, and also the DIF if it fits.
+/// A frame whose particles and surface stay on the device. Its DIF also stays there if it fits.
 #[derive(Debug)]
 pub struct ResidentFrame(Arc<DeviceFrame>);
 
@@ -202,9 +202,9 @@ impl Executor for Vulkan {
 }
 
 impl Stages for Arc<DeviceFrame> {
-    /// The field stays on the device if it fits. It goes to the host if the device shares the
-    /// host's memory, or if the pages take less memory than the particles, which would be kept to
-    /// make the pages again.
+    /// Keeps the field on the device if it fits. The field goes to the host if the device shares
+    /// the host's memory, or if the pages take less memory than the particles, which would have to
+    /// be kept to remake the pages.
     fn field(&self, bins: &Arc<Bins>, rule: &PageRule, meter: &Meter<'_>) -> io::Result<DifField> {
         let (count, shape) = (bins.keys().len(), rule.shape());
         let particles: usize = (0..count).map(|bin| bins.count(bin)).sum();
@@ -237,7 +237,7 @@ impl Stages for Arc<DeviceFrame> {
                 .find(|&bin| bin_bytes(bins.count(bin), shape) > room)
                 .unwrap_or(range.end);
             if end == begin {
-                // A bin is too large for any batch. Without its page, the other pages on the device
+                // This bin is too large for any batch. Without its page, the pages on the device
                 // are useless.
                 self.forget_residents();
                 state.resident_bytes = 0;
@@ -254,7 +254,7 @@ impl Stages for Arc<DeviceFrame> {
             }
         }
         if pages.len() < range.len() {
-            // Without the pages of these bins, the other pages are useless.
+            // Without the pages of the remaining bins, the pages on the device are useless.
             self.forget_residents();
             let rest = range.start + pages.len()..range.end;
             pages.extend(CpuStages::STAND_IN.indicate(bins, rest, rule, meter)?);
@@ -273,7 +273,7 @@ impl Stages for Arc<DeviceFrame> {
         if surfaces.solid.is_none() {
             return self.contour_away_from_solids(surfaces, regions, meter, take);
         }
-        // Near solids the CPU makes the surfaces, with the same bytes.
+        // Near solids, the CPU makes the surfaces; their bytes are the same.
         for regions in regions.chunks(REGIONS_TOGETHER) {
             let (near, away): (Vec<CellBox>, Vec<CellBox>) =
                 regions.iter().partition(|&&region| surfaces.is_at_solid(region));
@@ -314,8 +314,8 @@ impl Stages for Arc<DeviceFrame> {
 }
 
 impl DeviceFrame {
-    /// Passes the surfaces of regions that no solid cuts to `take`. If the device fails, the CPU
-    /// makes the remaining surfaces.
+    /// Makes the surfaces of `regions`, which no solid cuts, and passes them to `take`. If the
+    /// device fails, the CPU makes the remaining surfaces.
     fn contour_away_from_solids(
         &self,
         surfaces: &Surfaces<'_>,

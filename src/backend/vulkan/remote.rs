@@ -29,13 +29,13 @@ const BLOCK_BATCH: usize = 4096;
 #[derive(Debug)]
 struct DeviceField {
     frame: Arc<DeviceFrame>,
-    /// The number of times that the field's cells were doubled in width.
+    /// The number of times that the width of the field's cells was doubled.
     level: usize,
     infos: Vec<PageInfo>,
     shape: PageShape,
 }
 
-/// The pages of bins, made again on the CPU.
+/// The pages of bins, remade on the CPU.
 #[derive(Debug)]
 struct RebuiltPages {
     bins: Arc<Bins>,
@@ -50,18 +50,18 @@ impl PageSource for RebuiltPages {
     }
 }
 
-/// Pages that cannot be made again.
+/// Pages that cannot be remade.
 #[derive(Debug)]
 struct LostPages(PageShape);
 
 impl PageSource for LostPages {
-    /// The samples are not used: the frame returns the device's failure instead.
+    /// Returns zeros, which are not used: the frame returns the device's failure instead.
     fn samples(&self, _: usize) -> Vec<u16> {
         vec![0; self.0.bin_samples()]
     }
 }
 
-/// The field of a frame's bins.
+/// Makes the field of a frame's bins. If a download fails, the CPU remakes the pages from `bins`.
 pub(super) fn of_bins(
     frame: &Arc<DeviceFrame>,
     infos: Vec<PageInfo>,
@@ -72,7 +72,7 @@ pub(super) fn of_bins(
     field(frame, infos, rule.shape(), Box::new(again))
 }
 
-/// The field of particles that exist only on the device.
+/// Makes the field of particles that exist only on the device.
 pub(super) fn of_resident(
     frame: &Arc<DeviceFrame>,
     infos: Vec<PageInfo>,
@@ -92,7 +92,8 @@ fn field(
 }
 
 impl DeviceField {
-    /// Runs an operation on the field's pages if they are still on the device; `None` if it fails.
+    /// Runs an operation on the field's pages; returns `None` if the pages are no longer on the
+    /// device, or if the operation fails.
     fn made<T>(
         &self,
         make: impl FnOnce(&mut DeviceState, &ResidentPages) -> Result<Option<T>, VulkanError>,
@@ -181,8 +182,8 @@ impl RemotePages for DeviceField {
 }
 
 impl DeviceFrame {
-    /// Gathers boxes of cells from a field batch by batch, runs `make` on each batch, and collects
-    /// the results that it returns.
+    /// Gathers `boxes` of cells from a field batch by batch, runs `make` on each batch, and
+    /// collects the values in the buffers that `make` returns.
     fn of_blocks<T: Pod>(
         &self,
         state: &mut DeviceState,

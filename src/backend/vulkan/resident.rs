@@ -31,7 +31,8 @@ impl PageReader {
         self.failed.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// The samples of the pages `infos` of a field; `None` after a failure.
+    /// Reads the samples of a field's pages `infos`; returns `None` if a download fails or has
+    /// failed before.
     pub(super) fn read(
         &self,
         device: &Device,
@@ -79,8 +80,8 @@ impl PageReader {
             batch.copy(&from, &buffer.part(to, bytes));
             to += bytes;
         }
-        // The copy is submitted to the queue on which the pages were made, so it runs after their
-        // work.
+        // The copy is submitted to the queue on which the pages were made, so it runs after the
+        // pages are complete.
         batch.submit(&[])?;
         batch.wait()?;
         let stride = page_bytes as usize / size_of::<u16>();

@@ -1,7 +1,8 @@
-//! Distances: first the bulk in wide cells, then the field in the cells of the mesh.
+//! The field from distances: first the bulk is made in wide cells, then the field in the cells of
+//! the mesh.
 //!
-//! Neighbouring regions share wide cells. The device probes these, so that only regions with a
-//! surface are meshed, and drops are only made in the parts in which particles stand out.
+//! Neighbouring regions share wide cells. The device probes the wide cells, so that only regions
+//! with a surface are meshed, and drops are made only in the parts in which particles stand out.
 
 use std::rc::Rc;
 
@@ -55,7 +56,7 @@ impl Contouring<'_> {
             batch.regions.iter().zip(&wide.probes).zip(&seen).enumerate()
         {
             let part = probe.outlying(seen).map(|wide| {
-                // A wide cell also affects its neighbours' cells.
+                // A wide cell also affects the grid's cells in its neighbours.
                 let further = i32::from(distances.level > 0);
                 let CellBox { lo, hi } = wide.grown(further, further);
                 let near = CellBox { lo: lo << distances.level, hi: hi << distances.level };
@@ -64,8 +65,8 @@ impl Contouring<'_> {
             let part = part.filter(|part| !part.is_empty());
             let at_walls =
                 self.surfaces.mesh_walls().is_some_and(|walls| !walls.covers(&dual_cells(region)));
-            // Cells are weighted means of wide cells. A region that is all inside has a surface
-            // only at a wall.
+            // The field of a cell is a weighted mean of wide cells. A region that is all inside has
+            // a surface only at a wall.
             if (part.is_some() || seen.above > 0) && (at_walls || seen.below > 0) {
                 batch.parts.extend(part.map(|part| (batch.meshed.len(), part)));
                 batch.meshed.push(number);
@@ -143,7 +144,8 @@ impl Contouring<'_> {
         Ok(WideBulk { blocks, of_regions, probes, fields })
     }
 
-    /// The field on the regions to mesh, from the bulk in wide cells and from drops in their parts.
+    /// Makes the field on the regions to mesh, from the bulk in wide cells and from the drops in
+    /// parts of the regions.
     pub(super) fn join_wide(
         &self,
         lane: &mut Lane,

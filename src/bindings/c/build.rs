@@ -4,7 +4,8 @@ fn main() {
     let get = |name: &str| std::env::var(name).unwrap_or_default();
     println!("cargo::rerun-if-changed=build.rs");
     if get("CARGO_CFG_TARGET_OS") == "linux" {
-        // Before 1.0, a new minor version may break the interface, so the soname has its number.
+        // Before 1.0, a new minor version may break the interface, so the soname contains the minor
+        // version.
         let (major, minor) = (get("CARGO_PKG_VERSION_MAJOR"), get("CARGO_PKG_VERSION_MINOR"));
         let version = if major == "0" { format!("0.{minor}") } else { major };
         println!("cargo::rustc-cdylib-link-arg=-Wl,-soname,libmeniscus.so.{version}");

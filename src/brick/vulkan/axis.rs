@@ -14,16 +14,17 @@ use super::{DeviceBlocks, wall_bounds};
 pub struct TapWindow {
     /// The reach of the operation's taps along the axis, in cells.
     pub reach: i32,
-    /// The walls; samples beyond them repeat the outermost cells.
+    /// The walls, if there are any; samples beyond them repeat the samples of the outermost cells.
     pub walls: Option<CellBox>,
-    /// Samples within this distance from a block's faces are unknown; the operation increases the
-    /// distance by the reach.
+    /// The distance, in cells, from a block's faces within which samples are unknown; the operation
+    /// increases it by the reach.
     pub margin: i32,
 }
 
 /// Runs a shader that includes `axis.wgsl` along x, then y, then z. Samples go from `from` to `to`,
 /// then to `through`, and finally back to `to`. The shader's buffers are the blocks, the input, the
-/// output, and then `further`. Sums along an axis are shifted down by `shift` bits.
+/// output, and then `further`. Sums along axis number `axis` are shifted right by `shift(axis)`
+/// bits.
 ///
 /// # Errors
 /// If a view is larger than the storage range of the device, or if the driver fails.

@@ -24,7 +24,7 @@ use super::{DeviceGrid, flat_groups};
 
 /// Particles per chunk: as many as [are kept](Binning::keep) in one allocation.
 const CHUNK: usize = (PIECE / (RECORD_BYTES + HOME_BYTES) / ALIGNMENT * ALIGNMENT) as usize;
-/// Chunks in a batch, with at most three dispatches and two stages each.
+/// Number of chunks in a batch. Each chunk takes at most three dispatches and two stages.
 const BATCH_CHUNKS: usize = 16;
 /// Number of particles per slot of the first table of bins. If the table is too small, the next one
 /// is [`GROWTH`] times larger.
@@ -35,7 +35,7 @@ const GROWTH: u64 = 8;
 pub const PROBES: u32 = 128;
 /// The value of a slot's `owner` if the slot's key is known.
 pub const SETTLED: u32 = u32::MAX;
-/// Both words of the key of a particle without a bin.
+/// The value of both words of the key of a particle without a bin.
 pub const NO_BIN: u32 = u32::MAX;
 /// The position of a slot whose bin belongs to another run.
 pub const ELSEWHERE: u32 = u32::MAX;
@@ -44,7 +44,7 @@ const RECORD_BYTES: u64 = 8;
 /// Bytes of the number of a bin's slot, which is stored for each particle.
 const HOME_BYTES: u64 = 4;
 /// Maximum number of particles in a bin: one work group can sum them before the driver's timeout.
-/// It is about 16000 times the useful number.
+/// This is about 16000 times as many particles as are useful in a bin.
 const MOST_IN_BIN: u32 = 1 << 24;
 
 /// The shaders of binning.
@@ -67,7 +67,7 @@ impl BinPipelines {
     }
 }
 
-/// The storage of a coordinate.
+/// The number format of a coordinate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Coordinate {
     /// A coordinate stored as an f32.
@@ -88,21 +88,21 @@ impl Coordinate {
 }
 
 /// Positions on the device: x, y and z of one particle after another. Shaders read them. If a
-/// particle is invalid, the host copies its position for the error.
+/// particle is invalid, the host downloads its position for the error.
 #[derive(Debug, Clone)]
 pub struct DevicePositions {
     /// The buffer; its offset must be a multiple of 4 bytes.
     pub view: View,
     /// Number of particles.
     pub count: usize,
-    /// The storage of each coordinate.
+    /// The number format of each coordinate.
     pub coordinate: Coordinate,
 }
 
 /// Consecutive bins, and the packed particles of all of them.
 pub type BinRun = (Range<usize>, Arc<Buffer>);
 
-/// Particles on the device in the order of their bins.
+/// Particles on the device, in bin order.
 #[derive(Debug)]
 pub struct DeviceBins {
     /// The bins with particles, in Morton order.
@@ -117,8 +117,8 @@ pub struct DeviceBins {
 }
 
 impl DeviceBins {
-    /// Divides a run of bins into parts with a maximum number of bins and of particles; a bin with
-    /// more particles is a part of its own.
+    /// Divides a run of bins into parts of at most `bins` bins and `particles` particles. A bin
+    /// with more particles is a part of its own.
     pub fn parts(
         &self,
         run: Range<usize>,
@@ -490,8 +490,8 @@ impl Binning<'_> {
     }
 }
 
-/// Divides the bins into runs of at most `particles`; a bin with more particles is a run of its
-/// own.
+/// Divides the bins into runs of at most `particles` particles; a bin with more particles is a run
+/// of its own.
 fn runs_of(first: &[usize], particles: u64) -> Vec<Range<usize>> {
     let mut runs: Vec<Range<usize>> = Vec::new();
     for bin in 0..first.len() - 1 {

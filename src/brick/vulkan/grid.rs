@@ -44,8 +44,8 @@ impl DeviceGrid {
     }
 }
 
-/// Returns the reciprocal for `float64.wgsl`: (2^116 - 1) / m, where m is the significand of
-/// `divisor`, 2^52 to 2^53.
+/// Returns the reciprocal for `float64.wgsl`: (2^116 - 1) / m, rounded down, where m is the
+/// significand of `divisor` as an integer from 2^52 to 2^53.
 ///
 /// The divisor must be positive and finite.
 pub fn reciprocal(divisor: f64) -> u64 {

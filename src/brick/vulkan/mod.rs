@@ -1,5 +1,5 @@
-//! Particles in the order of their bins, and padded blocks, on a device. A batch of blocks shares
-//! one field of 16-bit samples, two per word.
+//! Particles in bin order, and padded blocks, on a device. The blocks of a batch share one field of
+//! 16-bit samples, two per word.
 
 mod axis;
 mod bin;
@@ -33,7 +33,7 @@ pub fn page_words(shape: PageShape) -> u32 {
     (shape.bin_samples() as u32 / 2).next_multiple_of(ALIGNMENT as u32 / 4)
 }
 
-/// Maximum number of work groups in a row that every device supports.
+/// Maximum number of work groups in a row, which every device supports.
 pub const GROUP_ROW: u32 = 1 << 15;
 /// Number of 32-bit words along an axis that one thread of a separable operation computes.
 pub const RUN: u32 = 4;
@@ -46,7 +46,7 @@ pub struct DeviceBlock {
     pub lo: [i32; 3],
     /// The index of the block's first word in the field.
     pub field: u32,
-    /// The edges of the block in cells; x is even.
+    /// The edges of the block, in cells; the edge along x is even.
     pub size: [u32; 3],
     /// The index of the block's first entry in the table of pages.
     pub table: u32,
@@ -55,7 +55,7 @@ pub struct DeviceBlock {
     /// The index of the block's first word in the bits that mark the inside bricks of all blocks,
     /// if there are such bits.
     pub marks: u32,
-    /// The edges of the part that is divided into tiles, in cells.
+    /// The edges, in cells, of the part of the block that is divided into tiles.
     pub tiles_size: [u32; 3],
     spare: u32,
 }
@@ -85,8 +85,8 @@ impl DeviceBlock {
         CellBox { lo, hi: lo + IVec3::from(self.size.map(|n| n as i32)) }
     }
 
-    /// The bins whose bricks, with their ghost layers, overlap the block, in the order of its
-    /// table.
+    /// The bins whose bricks, with their ghost layers, overlap the block, in the order of the
+    /// block's table.
     pub fn bins(&self, ghost_layer: i32) -> impl Iterator<Item = IVec3> + use<> {
         self.cells().grown(ghost_layer, ghost_layer).cubes(BIN)
     }
@@ -158,16 +158,17 @@ fn flat_groups(threads: u32, pipeline: &ComputePipeline) -> [u32; 3] {
 /// The pages from which blocks are cut.
 #[derive(Debug, Clone)]
 pub struct DevicePages {
-    /// For every bin of every block, its page's number plus 1; 0 without a page.
+    /// For every bin of every block, the number of the bin's page plus 1, or 0 if the bin has no
+    /// page.
     pub tables: View,
     /// The pages, of [`page_words`] words each.
     pub pages: View,
     /// The arrangement of the samples in pages.
     pub shape: PageShape,
-    /// theta for each number of particles; the last entry, 1, is for all larger numbers. It is used
-    /// if pages contain numbers of particles.
+    /// The DIF for each number of particles; the last entry, 1, is for all larger numbers. This
+    /// table is used only if pages contain numbers of particles.
     pub theta: View,
-    /// The number of entries of `theta`; 0 if pages contain theta.
+    /// The number of entries of `theta`; 0 if pages contain the DIF.
     pub decode: u32,
 }
 
@@ -183,7 +184,7 @@ pub fn gather(
     field: &View,
 ) -> Result<(), VulkanError> {
     let &DevicePages { shape, decode, .. } = pages;
-    // Without ghost layers a bin is one brick.
+    // On the device, a bin without ghost layers is stored as one brick.
     let brick = if shape.ghost_layer == 0 { BIN } else { shape.side.cells() };
     let (ghost_layer, page_words) = (shape.ghost_layer as u32, page_words(shape));
     let push = GatherPush { decode, brick_bits: brick.ilog2(), ghost_layer, page_words };

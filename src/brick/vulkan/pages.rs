@@ -1,4 +1,4 @@
-//! Shaders on pages in device memory: they find the full cells of each page, and make pages of
+//! Shaders for pages in device memory: they find the full cells of each page, and make pages of
 //! cells twice as wide.
 
 use std::sync::Arc;
@@ -43,7 +43,7 @@ pub fn full_cells(
     [pages, found]: [&View; 2],
 ) -> Result<(), VulkanError> {
     let brick = shape.side.cells();
-    // Without ghost layers a bin is contiguous.
+    // On the device, a bin without ghost layers is stored contiguously.
     let piece = if shape.ghost_layer == 0 { BIN } else { brick };
     let push = FullCellsPush {
         piece_bits: piece.ilog2(),
@@ -55,8 +55,8 @@ pub fn full_cells(
 }
 
 /// Makes pages of cells twice as wide from `field`; the twin of
-/// [`DifField::halved`](crate::brick::DifField::halved). Each block contains the [finer
-/// cells](crate::brick::halved_from) of a bin within the walls.
+/// [`DifField::halved`](crate::brick::DifField::halved). Each block must contain the [finer
+/// cells](crate::brick::halved_from) from which a bin is made.
 ///
 /// # Errors
 /// If a view is larger than the storage range of the device, or if the driver fails.

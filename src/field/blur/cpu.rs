@@ -15,8 +15,9 @@ pub trait BlurSample: Copy + Default + PartialEq {
     fn blur_row(to: &mut [Self], taps: &[Self], step: usize, weights: &Weights, axis: usize);
 }
 
-/// Blurs `block` with `weights` along x, then y, then z. Samples beyond `walls` must repeat the
-/// edge cells in the input; the result repeats its own edge cells there, for the next filter.
+/// Blurs `block` with `weights` along x, then y, then z. In the input, samples beyond `walls` must
+/// repeat the edge cells. In the result, samples beyond `walls` repeat the edge cells of the
+/// result, for the next filter.
 ///
 /// The result is smaller than the input by the weights' reach on every side: it has exactly the
 /// cells whose whole neighbourhood is in the input.
@@ -28,8 +29,8 @@ pub fn blur<T: BlurSample>(block: Block<T>, weights: &Weights, walls: Option<Cel
     blur_while(block, weights, walls, |_| true).expect("nothing stops it")
 }
 
-/// Blurs like [`blur`] as long as `goes_on` accepts the block after each axis; returns `None`
-/// otherwise. The block that `goes_on` receives has no repeated cells yet.
+/// Blurs like [`blur`], but returns `None` as soon as `goes_on` rejects the block that was blurred
+/// along an axis. In the block that `goes_on` receives, edge cells are not repeated yet.
 ///
 /// # Panics
 /// If the block is too small for one cell to remain.
@@ -53,9 +54,9 @@ pub fn blur_while<T: BlurSample>(
     Some(block)
 }
 
-/// Blurs a block whose nonzero samples are all in the cells `full`, sorted with x fastest; the
-/// result has the given `cells`. It is fast if `full` has few cells, because it skips all rows
-/// without such cells.
+/// Blurs a block whose nonzero samples are all in the cells `full`, which are sorted with x
+/// fastest. The result covers `cells`. The function is fast if `full` has few cells, because it
+/// skips all rows without full cells.
 ///
 /// # Panics
 /// If the block does not contain the neighbourhood of each of the `cells`.
@@ -113,7 +114,7 @@ fn blurred_part(block: &Block, full: &[IVec3], weights: &Weights, cells: CellBox
 
 /// Blurs a row along x. The first tap belongs to the cell at x = `lowest`. Only the taps of the
 /// cells `full` are above 0, so only these taps are multiplied by weights. `sums` is scratch memory
-/// as long as the result.
+/// of the same length as `to`.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
 fn blur_few(
     to: &mut [u16],
@@ -138,7 +139,7 @@ fn blur_few(
     }
 }
 
-/// Integers of the DIF, by the formula of `mod.rs`.
+/// Samples of the DIF, blurred by the formula in `mod.rs`.
 impl BlurSample for u16 {
     fn blur_row(to: &mut [Self], taps: &[Self], step: usize, weights: &Weights, axis: usize) {
         let shift = weights.shift(axis);
@@ -154,7 +155,7 @@ impl BlurSample for u16 {
     }
 }
 
-/// Sums of attributes: the same weights as fractions of 1, taps added in order.
+/// Sums of attributes, blurred with the same weights as fractions of 1. Taps are added in order.
 impl BlurSample for f64 {
     fn blur_row(to: &mut [Self], taps: &[Self], step: usize, weights: &Weights, _: usize) {
         blur_float(to, taps, step, weights.half());

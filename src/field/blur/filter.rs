@@ -4,10 +4,10 @@ use super::Weights;
 
 /// A stage that states its reach, its weights and its memory.
 pub trait Filter {
-    /// The distance within which input cells affect an output cell, in cells.
+    /// The distance, in cells, within which input cells affect an output cell.
     fn halo(&self) -> i32;
 
-    /// The maximum distance of nonzero output from a full cell, in cells.
+    /// The maximum distance, in cells, of nonzero output from a full cell.
     fn reach(&self) -> i32 {
         self.halo()
     }

@@ -1,12 +1,12 @@
 //! Smoothing (section 4.2): separable filters along x, then y, then z.
 //!
-//! Per axis and cell: (sum over taps of weight * sample + 32768) >> 16, with integer weights that
-//! sum to 65536. A result is within the range of its samples. A filter with a gain of g bits shifts
-//! the sum along its last axis by 16 - g bits instead of 16, and saturates at 65535. A wide filter
-//! makes samples small, and the gain preserves their resolution.
+//! Along each axis, a cell becomes (sum over taps of weight * sample + 32768) >> 16, with integer
+//! weights that sum to 65536. A result is within the range of its samples. A filter with a gain of
+//! g bits shifts the sum along its last axis by 16 - g bits instead of 16, and saturates at 65535.
+//! A wide filter makes samples small, and the gain preserves their resolution.
 //!
-//! A filter reaches [`Weights::reach`] cells along every axis, and its result is smaller by this
-//! reach on every side.
+//! A filter reaches [`Weights::reach`] cells along every axis, and its result is smaller than its
+//! input by this reach on every side.
 
 mod cpu;
 mod filter;
@@ -90,12 +90,12 @@ impl Weights {
         Self { half: std::iter::once(centre).chain(tails).collect(), gain: 0 }
     }
 
-    /// The maximum distance from a cell to its taps, in cells.
+    /// The maximum distance, in cells, from a cell to its taps.
     pub fn reach(&self) -> i32 {
         self.half.len() as i32 - 1
     }
 
-    /// The number of bits by which the sum along an axis is shifted down.
+    /// The number of bits by which the sum along `axis` is shifted right.
     pub fn shift(&self, axis: usize) -> u32 {
         if axis == 2 { UNIT.ilog2() - self.gain } else { UNIT.ilog2() }
     }

@@ -7,7 +7,7 @@ use crate::grid::units::Sigma;
 
 use super::{BlurSample, FieldCount, Filter, Weights, blur};
 
-/// The smoothing of section 4.2: a Gaussian, followed by a box filter for the counting indicator.
+/// The smoothing of section 4.2: a Gaussian and, for the counting indicator, a box filter after it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Smoothing {
     filters: Vec<Weights>,
@@ -24,13 +24,14 @@ impl Smoothing {
         Self { filters }
     }
 
-    /// The standard deviation of a smoothed particle along an axis, in cells. The particle may be
-    /// anywhere in its cell.
+    /// The standard deviation, in cells, of a smoothed particle along an axis. It includes the
+    /// variance of the particle's position within its cell.
     pub fn width(&self) -> f64 {
         (1.0 / 12.0 + self.filters.iter().map(Weights::variance).sum::<f64>()).sqrt()
     }
 
-    /// Smooths a block; the result is smaller by its [`halo`](Filter::halo) on every side.
+    /// Smooths a block; the result is smaller by the smoothing's [`halo`](Filter::halo) on every
+    /// side.
     pub fn apply<T: BlurSample>(&self, dif: Block<T>, walls: Option<CellBox>) -> Block<T> {
         self.filters.iter().fold(dif, |block, weights| blur(block, weights, walls))
     }

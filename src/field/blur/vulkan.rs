@@ -12,8 +12,8 @@ use super::Weights;
 /// The samples go from the input to the output, then to the spare view, and finally back to the
 /// output.
 ///
-/// Samples within `margin` of a block's faces are unknown in the input, and within `margin` plus
-/// the filter's reach in the result.
+/// In the input, the samples within `margin` cells of a block's faces are unknown; in the result,
+/// the samples within `margin` plus the filter's reach are.
 ///
 /// # Errors
 /// If a view is larger than the storage range of the device, or if the driver fails.

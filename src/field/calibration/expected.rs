@@ -22,15 +22,15 @@ const LONGEST: f64 = 24.0;
 /// particles, so in finer cells the mean of theta is proportional to the cell's volume.
 const FINEST: f64 = 64.0;
 
-/// The maximum distance of a particle from its lattice position along each axis, in spacings.
+/// The maximum distance, in spacings, of a particle from its lattice position along each axis.
 const JITTER: f64 = 0.3;
 
 /// The minimum number of full cells for an estimate of a frame's disorder. With fewer cells, the
 /// estimate would depend on a few particles.
 const TELLING: u64 = 1000;
 
-/// The maximum number of particles in a cell that are counted for the estimate of disorder,
-/// relative to the usual number. Additional particles are a clump.
+/// The maximum number of particles in a cell that count for the estimate of disorder, relative to
+/// the usual number. Particles beyond this number are a clump.
 const MOST: f64 = 4.0;
 
 /// The mean DIF of a fluid whose particles are `spacing` cells apart, on a disordered lattice.
@@ -42,7 +42,7 @@ pub fn expected(indicator: Indicator, spacing: f64, dif: Option<&DifField>) -> f
             let table = count_table(mean);
             let theta = |[n, ..]: [f64; 4]| table.get(n as usize).copied().unwrap_or(FULL);
             let fluid = FluidSums::of(spacing, theta);
-            // With more disorder, particles fill fewer cells, and each cell contains more of them.
+            // With more disorder, fewer cells are full, and each full cell contains more particles.
             fluid.theta() / dif.map_or(1.0, |dif| crowding(dif, fluid.mean_count()))
         }
         Indicator::Symmetry => FluidSums::of(spacing, symmetry).theta(),
@@ -66,8 +66,8 @@ struct FluidSums {
 }
 
 impl FluidSums {
-    /// Sums over a fluid, where `theta` computes theta from the number of particles in a cell and
-    /// the sums of their offsets.
+    /// Computes the sums of a fluid. `theta` computes theta from the number of particles in a cell
+    /// and the sums of their offsets.
     fn of(spacing: f64, theta: impl Fn([f64; 4]) -> u16) -> Self {
         let denser = (spacing / FINEST).powi(3).max(1.0);
         let spacing = spacing.clamp(1.0 / LONGEST, FINEST);
@@ -76,8 +76,8 @@ impl FluidSums {
         let layers = (f64::from(edge) / spacing).ceil() as u64 + 1;
         let mut fluid = Self { denser, ..Self::default() };
         for place in 0..PLACES {
-            // Multiples of the powers of the golden ratio, generalised to three axes, are evenly
-            // spread.
+            // Multiples of these numbers, powers of the golden ratio generalised to three axes, are
+            // evenly spread.
             let shift =
                 [0.819_172_513, 0.671_043_606, 0.549_700_478].map(|x| (place as f64 * x).fract());
             let mut cells: HashMap<[i32; 3], [f64; 4]> = HashMap::new();

@@ -2,8 +2,8 @@
 
 use rayon::prelude::*;
 
-/// Sample counts, indexed by upper byte and then lower byte. Samples inside a fluid are close
-/// together, so few pages are needed.
+/// Sample counts, indexed by upper byte and then lower byte. Samples inside a fluid have similar
+/// values, so few pages are needed.
 pub struct Histogram {
     pages: [Option<Box<[u64; 256]>>; 256],
 }

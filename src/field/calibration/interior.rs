@@ -1,5 +1,4 @@
-//! Interior cells: cells deep in the fluid, as defined by lengths that do not depend on the cell
-//! size.
+//! Interior cells: cells deep in the fluid, defined by lengths that do not depend on the cell size.
 //!
 //! A cell counts as fluid if it belongs to the closing of the particles' cells: a dilation followed
 //! by an erosion of the same length. This fills gaps between particles and does not move the outer
@@ -31,13 +30,13 @@ pub struct BlurredSamples<'a> {
     /// The maximum distance, in cells, from a particle's cell to a sample that the particle
     /// changes.
     pub reach: i32,
-    /// The halo of the filters.
+    /// The halo of the filters, in cells.
     pub halo: i32,
     /// The standard deviation of a smoothed particle, in cells.
     pub width: f64,
     /// Smooths a block.
     pub apply: &'a (dyn Fn(Block, Option<CellBox>) -> Block + Sync),
-    /// Counts the examined parts. After a cancel no interior is found.
+    /// Counts the examined parts. After a cancel, no more interior cells are found.
     pub meter: &'a Meter<'a>,
 }
 
@@ -51,8 +50,8 @@ pub struct Interior<'a> {
 }
 
 impl<'a> Interior<'a> {
-    /// Makes an interior that closes gaps up to the size of a cube of `gap` cells, or of three
-    /// cells if `gap` is less.
+    /// Defines the interior so that gaps up to the size of a cube of `gap` cells count as fluid, or
+    /// of three cells if `gap` is less.
     pub fn new(blurred: &'a BlurredSamples<'a>, gap: f64) -> Self {
         let &BlurredSamples { reach, halo, width, .. } = blurred;
         let depth = (reach + halo).min((DEPTH * width).ceil() as i32);
@@ -125,8 +124,8 @@ impl<'a> Interior<'a> {
 }
 
 /// Combines every cell (one bit of its row) with the cells of the cube with edge `width` that
-/// begins at the cell. `combine` may get a cell more than once. Cells closer to the end of a row
-/// than `width` have undefined results.
+/// begins at the cell. `combine` may be called with the same cell more than once. Cells less than
+/// `width` cells from the end of a row have undefined results.
 fn windows(
     rows: &mut [u128],
     rows_a_slab: usize,

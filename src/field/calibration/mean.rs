@@ -15,12 +15,12 @@ use crate::grid::units::{MeanCount, UnitError};
 #[error("cannot measure mu0, the mean number of particles in a full cell, on this frame: {0}")]
 pub struct NoMeanCount(#[source] pub(crate) UnitError);
 
-/// A frame's particles in the order of their bins, from which pages can be made, on any backend.
+/// A frame's particles on any backend, sorted into bins, from which pages can be made.
 #[allow(clippy::missing_errors_doc, reason = "whatever Error is")]
 pub trait BinnedFrame {
-    /// The pages, with any other data that remains.
+    /// The pages, and any other data that is kept with them.
     type Made;
-    /// The errors of the storage.
+    /// The error of a storage that fails.
     type Error: From<NoMeanCount>;
 
     /// Makes the pages of all bins, and counts the full cells and their particles.

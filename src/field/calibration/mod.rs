@@ -37,7 +37,7 @@ pub enum Calibration {
     Indicator {
         /// `mu0`, if the indicator counts.
         mean: Option<MeanCount>,
-        /// The isovalue: the field's value where the surface is.
+        /// The isovalue: the value of the field on the surface.
         iso: Isovalue,
     },
     /// The calibration of clouds.
@@ -74,14 +74,14 @@ impl Calibration {
     }
 }
 
-/// A calibration that was measured on a frame, with its evidence.
+/// A calibration that was measured on a frame, and the evidence for it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MeasuredCalibration {
     /// The calibration, including given numbers.
     pub calibration: Calibration,
     /// The plateau of the field; it is measured even if the isovalue is given.
     pub plateau: Plateau,
-    /// The distance by which one step of the field moves a flat surface, in cells.
+    /// The distance, in cells, by which one step of the field moves a flat surface.
     pub step_cells: f64,
 }
 
@@ -94,8 +94,8 @@ impl MeasuredCalibration {
     }
 }
 
-/// Measures the numbers that the surface of a frame needs, except a given isovalue. Progress goes
-/// to `control`. After a cancel the result is meaningless.
+/// Measures the numbers that the surface of a frame needs, except an isovalue that is given.
+/// Reports progress to `control`. After a cancel, the result is meaningless.
 ///
 /// # Errors
 /// [`TooFine`] if the field does not locate the surface precisely enough.

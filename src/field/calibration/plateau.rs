@@ -1,14 +1,14 @@
 //! The field deep in the fluid. It determines the isovalue of the paper's indicators, and the
 //! depths of clouds.
 //!
-//! At the true surface the paper's smoothed field is 0.47 of its interior plateau
+//! At the true surface, the paper's smoothed field is 0.47 times its plateau
 //! ([`Isovalue::PLATEAU_PERCENT`]). The plateau is the median of the smoothed DIF over interior
 //! cells: cells whose filters reach only fluid. The interior is defined by lengths in spacings, so
 //! it is the same for cells of any size. Gaps between particles up to the size of a cube of two
 //! spacings count as fluid, because randomly placed particles leave such cubes empty even in the
 //! middle of the fluid.
 //!
-//! Without an interior (spray, a sheet, a handful of particles), the value of a synthetic fluid of
+//! Without an interior (spray, a sheet, a handful of particles), the value expected of a fluid of
 //! the same spacing is used.
 
 use serde::{Deserialize, Serialize};
@@ -30,8 +30,8 @@ use super::interior::{BlurredSamples, Interior};
 /// curve.
 const SAMPLED_BLOCKS: usize = 64;
 
-/// The minimum interior volume in the middles of the blocks, in cubed spacings. With less, whole
-/// blocks are examined.
+/// The minimum interior volume, in cubed spacings, in the middles of the sampled blocks. With less,
+/// whole blocks are examined.
 const ENOUGH: f64 = (1 << 16) as f64 * 8.0 / 27.0;
 
 /// The minimum interior volume of a frame, in cubed spacings. With less, one clump of particles
@@ -51,14 +51,14 @@ pub enum Plateau {
     Interior {
         /// Median of the field over the interior cells.
         median: u16,
-        /// The lowest value in the examined parts of blocks: with a higher isovalue the interior
-        /// would contain bubbles.
+        /// Lowest value of the field in the examined interior cells. With a higher isovalue, the
+        /// interior would contain bubbles.
         lowest: u16,
     },
-    /// Almost no fluid is deeper than the reach of the filters, so the value is taken from a
-    /// synthetic fluid of the same spacing.
+    /// Almost no fluid is deeper than the reach of the filters, so the value is the one expected of
+    /// a fluid of the same spacing.
     Shallow {
-        /// The mean of the field deep in the synthetic fluid.
+        /// The mean of the field deep in such a fluid.
         expected: u16,
     },
 }
@@ -76,14 +76,14 @@ impl Plateau {
         WideCells::of_spacing(spacing).plateau() * f64::from(1 << BULK_GAIN)
     }
 
-    /// The maximum number of examined blocks and parts of blocks of a field.
+    /// The maximum number of blocks and parts of blocks that are examined in a field.
     pub(super) fn most_parts(dif: &DifField) -> usize {
         let blocks = dif.regions(0, 0).len();
         GAPS.len() * (2 * blocks.min(SAMPLED_BLOCKS) + blocks)
     }
 
-    /// Measures the plateau of a frame of clouds, in wide cells, under the narrowest width. The
-    /// result depends only on the frame and that width.
+    /// Measures the plateau of a frame of clouds, in wide cells, smoothed with the narrowest width.
+    /// The result depends only on the frame and that width.
     #[must_use]
     pub fn of_clouds(frame: &SampledDif, distances: &DistanceFilters, meter: &Meter<'_>) -> Self {
         let narrowest = &distances.bulk.widths[0];

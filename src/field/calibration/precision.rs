@@ -3,10 +3,10 @@
 //! For clouds, the field is a distance, whose step is 1 / 8192 of a spacing for cells of any size.
 //! For the paper's indicators, the step depends on the cells:
 //!
-//! With cells of h spacings, a cell of deep fluid holds h^3 particles, and the plateau P is smaller
-//! than the value of a full cell in the same proportion. The field at a flat surface is P Phi(x /
-//! s), where x is the depth and s the standard deviation of a smoothed particle. One step of the
-//! field therefore moves the surface by s / (P phi(z)), where Phi(z) = 0.47.
+//! In cells of h spacings, a cell deep in the fluid holds h^3 particles on average. In small cells,
+//! the plateau P is about this fraction of the value of a full cell. The field at a flat surface is
+//! P Phi(x / s), where x is the depth and s the standard deviation of a smoothed particle. One step
+//! of the field therefore moves the surface by s / (P phi(z)), where Phi(z) = 0.47.
 
 use std::fmt;
 
@@ -22,11 +22,11 @@ use super::expected::expected;
 /// phi(z), the density of the standard normal distribution at the surface.
 const DENSITY: f64 = 0.3978;
 
-/// The maximum distance by which one step of the field may move a flat surface, in cells. Larger
+/// The maximum distance, in cells, by which one step of the field may move a flat surface. Larger
 /// steps are visible in the shading.
 pub const COARSEST_STEP: f64 = 0.125;
 
-/// The largest cell size at which symmetry fails, in spacings. At this size seven of eight cells
+/// The largest cell size, in spacings, at which symmetry fails. At this size, seven of eight cells
 /// deep in the fluid are empty, and the surface depends on where in the remaining cells the
 /// particles lie.
 pub const FINEST_OF_SYMMETRY: f64 = 0.5;
@@ -35,9 +35,9 @@ pub const FINEST_OF_SYMMETRY: f64 = 0.5;
 /// twelve such cells wide.
 pub const FINEST: f64 = 0.1;
 
-/// The minimum of the mean indicator over full cells if particles have arbitrary positions. The
-/// mean of the symmetry indicator is 0.44 for disordered particles, one per cell. It is almost 0
-/// for a lattice whose particles lie on the corners of cells.
+/// The minimum mean of the symmetry indicator over full cells, unless particles lie on the corners
+/// of cells. The mean is 0.44 for disordered particles, one per cell. It is almost 0 for a lattice
+/// whose particles lie on the corners of cells.
 pub const ON_CORNERS: f64 = 0.2;
 
 /// An error: the cells are too small to locate the surface precisely.
@@ -55,7 +55,7 @@ pub enum TooFine {
         cell_size: f64,
         /// The field deep in the fluid; if the fluid is too shallow to measure, the expected mean.
         plateau: f64,
-        /// The distance by which one step of the field moves a flat surface, in cells.
+        /// The distance, in cells, by which one step of the field moves a flat surface.
         step_cells: f64,
         /// A way to get a finer field.
         remedy: Remedy,
@@ -108,7 +108,7 @@ impl fmt::Display for Remedy {
     }
 }
 
-/// The distance by which one step of a field moves a flat surface, in cells, computed from the
+/// The distance, in cells, by which one step of a field moves a flat surface, computed from the
 /// plateau and the standard deviation of a smoothed particle.
 fn step_cells(plateau: f64, width: f64) -> f64 {
     width / (DENSITY * plateau)
@@ -116,7 +116,7 @@ fn step_cells(plateau: f64, width: f64) -> f64 {
 
 /// Checks the cell size against a known spacing before there is a DIF. `sigma` gives the standard
 /// deviation of the Gaussian for a cell size. [`calibrate`](super::calibrate) makes the checks that
-/// need mu0.
+/// need a measured mu0.
 pub fn check_cell_size_for(
     kind: IndicatorKind,
     mean: Option<MeanCount>,
@@ -141,8 +141,8 @@ pub fn check_cell_size_for(
     check_steps(plateau(cell_size), width(cell_size), cell_size, larger).map(drop)
 }
 
-/// Returns an error if the field of a frame does not locate the surface precisely enough; otherwise
-/// the distance by which one step moves the surface, in cells.
+/// Returns an error if the field of a frame does not locate the surface precisely enough.
+/// Otherwise, returns the distance, in cells, by which one step of the field moves the surface.
 pub fn check_cell_size(
     frame: &SampledDif,
     smoothing: &Smoothing,
@@ -159,8 +159,8 @@ pub fn check_cell_size(
     })
 }
 
-/// Returns an error if the steps of a field are too large; otherwise the distance by which one step
-/// moves a flat surface, in cells.
+/// Returns an error if the steps of a field are too large. Otherwise, returns the distance, in
+/// cells, by which one step moves a flat surface.
 fn check_steps(
     plateau: f64,
     width: f64,
@@ -200,8 +200,8 @@ pub fn check_finest(spacing: Option<f64>, cell_size: f64) -> Result<(), TooFine>
     }
 }
 
-/// The minimum size at which the steps of a field are small enough. It is larger than `from`, at
-/// which the steps are too large.
+/// The minimum cell size at which the steps of a field are small enough. It is larger than `from`,
+/// a cell size at which the steps are too large.
 fn fitting(from: f64, step_cells: impl Fn(f64) -> f64) -> f64 {
     let fits = |size: f64| step_cells(size) <= COARSEST_STEP;
     let mut above = 2.0 * from;

@@ -3,8 +3,7 @@
 use crate::brick::Block;
 use crate::grid::units::Isovalue;
 
-/// theta_bar: the samples of `dif` that smoothing reduced to the isovalue or below in `smooth`,
-/// otherwise 0.
+/// theta_bar: the samples of `dif` where `smooth` is at most the isovalue, and 0 elsewhere.
 ///
 /// # Panics
 /// If `dif` does not cover `smooth`.

@@ -1,8 +1,8 @@
 //! Detail recovery (section 6.2): samples that smoothing reduced to the isovalue or below are
 //! smoothed again with a narrower filter.
 //!
-//! theta_bar(K) = theta(K) where theta_smooth(K) <= c, else 0; then max(theta_smooth,
-//! blur(theta_bar)) per cell, where the second blur is a Gaussian of sigma / 2.
+//! theta_bar(K) is theta(K) where theta_smooth(K) <= c, and 0 elsewhere. The field of each cell is
+//! max(theta_smooth, blur(theta_bar)), where the blur is a second Gaussian, of sigma / 2.
 //!
 //! The reach of detail recovery is the reach of the second Gaussian.
 
@@ -22,7 +22,7 @@ pub struct Recovery {
 }
 
 impl Recovery {
-    /// Makes the filter for a smoothing with a Gaussian of `sigma`.
+    /// Makes the filter that recovers details after smoothing by a Gaussian of `sigma`.
     pub fn new(sigma: Sigma) -> Self {
         Self { fine: Weights::gaussian(sigma.half()) }
     }
@@ -37,8 +37,8 @@ impl Filter for Recovery {
         std::slice::from_ref(&self.fine)
     }
 
-    /// The DIF, the smoothed DIF, theta_bar, and its blur; on a device, the blur goes into the
-    /// DIF's buffer.
+    /// The DIF, the smoothed DIF, theta_bar, and the blurred theta_bar, which a device writes into
+    /// the DIF's buffer.
     fn fields(&self) -> FieldCount {
         FieldCount { host: 4, device: 3 }
     }

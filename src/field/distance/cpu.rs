@@ -17,8 +17,8 @@ const BETWEEN_BITS: u32 = 5;
 /// The greatest share, 1.
 const WHOLE: u32 = 1 << 15;
 
-/// For each step of a table, its entry and the difference to the next. The array is as long as the
-/// range of a masked index, so that rows of indices need no bounds checks.
+/// For each step of a table, its entry and the difference to the next entry. The array is as long
+/// as the range of a masked index, so that indexing needs no bounds checks.
 type Steps = [[i16; 2]; 2048];
 
 const fn steps(table: &[i16; 1026]) -> Steps {
@@ -57,8 +57,8 @@ fn sample(distance: i32) -> u16 {
     (distance + ZERO).clamp(i32::from(NONE) + 1, i32::from(u16::MAX)) as u16
 }
 
-/// Computes distances from the samples smoothed with each width, narrowest first, on the cells of
-/// the last block.
+/// Computes distances from `shares`, the samples smoothed with each width, narrowest first. The
+/// result has the cells of the last block.
 ///
 /// # Panics
 /// If a block does not cover the last one.
@@ -102,8 +102,8 @@ fn depths_row(
 }
 
 /// The bulk's surface: the calm surface, blended with the fine surface where their mean difference
-/// is large, except deep in the fluid; [`NONE`] where no particle is near. It has the cells that
-/// `apart` and `near` share.
+/// is large, except deep in the fluid; [`NONE`] where no particle is near. The result has the cells
+/// that `apart` and `near` share.
 ///
 /// # Panics
 /// If `apart` and `near` share no cell, or if `calm` or `fine` does not cover the shared cells.
@@ -136,7 +136,7 @@ fn mixed_row(to: &mut [u16], [calm, fine, apart, near]: [&[u16]; 4], bulk: &Bulk
     }
 }
 
-/// The distance by which each cell with a particle lies outside of the calm surface; [`NONE`] for
+/// The distance by which each cell with a particle lies outside the calm surface; [`NONE`] for
 /// cells without particles. Small distances are reduced where the fine surface agrees with the calm
 /// surface.
 ///
@@ -197,9 +197,9 @@ fn greatest(to: &mut [u16], taps: &[u16], step: usize, count: usize) {
     }
 }
 
-/// Interpolates `wide`, a field of cells 2^`level` times as wide, at the middles of `cells`. Its
-/// samples are the control points of a quadratic B-spline. At level 0 the result is the field
-/// itself.
+/// Interpolates `wide`, a field of cells 2^`level` times as wide, at the middles of `cells`. The
+/// samples of `wide` are the control points of a quadratic B-spline. At level 0, the samples of
+/// `wide` are returned unchanged.
 ///
 /// # Panics
 /// If `wide` does not cover the [wide cells](super::wide_cells) of `cells`.
@@ -228,8 +228,8 @@ fn refined_along_x(wide: &Block, level: u32, cells: CellBox, weights: &[[u32; 3]
         if first >= to.hi.x {
             continue;
         }
-        // Means are computed from the second sample of a row on. Means that mix two rows are not
-        // used.
+        // Means are computed for all samples except the first and the last of the field. Means that
+        // mix two rows are not used.
         means(
             &mut of_place,
             weights,
@@ -246,7 +246,7 @@ fn refined_along_x(wide: &Block, level: u32, cells: CellBox, weights: &[[u32; 3]
     field
 }
 
-/// Refines a field along y or z. Each pass handles all samples of the preceding axes.
+/// Refines a field along y or z. Each pass handles all samples along the preceding axes.
 fn refined_along(
     wide: &Block,
     axis: usize,
@@ -290,7 +290,8 @@ fn means(to: &mut [u16], weights: [u32; 3], [below, own, above]: [&[u16]; 3], sh
     }
 }
 
-/// Fills `to` with weighted means, for products of samples and weights with more than 32 bits.
+/// Fills `to` with weighted means. The sums have 64 bits, for weights with which they can exceed 32
+/// bits.
 fn wide_means(to: &mut [u16], weights: [u32; 3], [below, own, above]: [&[u16]; 3], shift: u32) {
     let product = |weight: u32, tap: u16| u64::from(weight) * u64::from(tap);
     for (((to, &below), &own), &above) in to.iter_mut().zip(below).zip(own).zip(above) {
@@ -320,10 +321,10 @@ pub fn quotient(clouds: &Block, around: &Block, bits: u32) -> Block {
 
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
 fn quotient_row(to: &mut [u16], clouds: &[u16], around: &[u16], bits: u32) {
-    // Such a quotient is either an integer, or below the next integer by more than the rounding
-    // error of f64. So f64 divisions, which can be vectorized, give the correct integer part. To
-    // round a quotient down, just under a half is subtracted, and a number is added whose last bit
-    // counts for 1, so that the sum has no fraction bits.
+    // A quotient, in units of 1 / 2^`bits`, is either an integer, or below the next integer by more
+    // than the rounding error of f64. So f64 divisions, which can be vectorized, give the correct
+    // integer part. To round a quotient down, just under a half is subtracted. Then a number is
+    // added whose last bit counts for 1, so that the sum has no fraction bits.
     const WHOLE_NUMBERS: f64 = 3.0 * (1_u64 << 51) as f64;
     const JUST_UNDER_HALF: f64 = 0.5 - 1.0 / (1 << 18) as f64;
     for ((to, &clouds), &around) in to.iter_mut().zip(clouds).zip(around) {
@@ -333,7 +334,7 @@ fn quotient_row(to: &mut [u16], clouds: &[u16], around: &[u16], bits: u32) {
     }
 }
 
-/// The greatest of some samples.
+/// The greatest of `samples`; 0 if there are none.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
 pub fn greatest_of(samples: &[u16]) -> u16 {
     let mut greatest = 0;
@@ -343,8 +344,8 @@ pub fn greatest_of(samples: &[u16]) -> u16 {
     greatest
 }
 
-/// The smallest box around the cells of `cells` at which a nearby particle lies farther than
-/// `begin` outside of the calm surface.
+/// The smallest box around those of the `cells` near which a particle lies more than `begin`
+/// outside the calm surface.
 ///
 /// # Panics
 /// If `near` does not cover `cells`.
@@ -363,18 +364,17 @@ pub fn outlying_part(near: &Block, cells: CellBox, begin: u16) -> CellBox {
     part
 }
 
-/// The distance from a drop's middle at which the share has this value, for drops with the standard
-/// deviation `width`, in the unit of `width`.
+/// The distance from a drop's middle at which the drop has the given `share`. The standard
+/// deviation of the drop is `width`, and the result is in the same unit.
 #[inline(always)]
 pub fn away(share: u16, width: i32) -> i32 {
     let (low, more, between) = entry(&AWAY_STEPS, u32::from(share).min(WHOLE));
     ((low + ((more * between) >> BETWEEN_BITS)) * width) >> 12
 }
 
-/// Blends the surface of the bulk with drops. Drops get more weight the farther outside of the calm
-/// surface nearby particles lie. Sheets get weight at smaller distances, according to their
-/// certainty. Drops get weight only in the cells of `shares`; in all other cells the result is
-/// `bulk`.
+/// Blends the surface of the bulk with drops. Drops get more weight the farther nearby particles
+/// lie outside the calm surface. Sheets get weight at smaller distances, according to their
+/// certainty. Only the cells of `shares` can have drops; in all other cells, the result is `bulk`.
 ///
 /// # Panics
 /// If `bulk`, `near` or `certainty` does not cover `shares`.

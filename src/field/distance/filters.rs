@@ -1,4 +1,4 @@
-//! The filters of a frame, for its particles' spacing in cells.
+//! The filters that compute a frame's distances, for the particles' spacing in cells.
 
 use std::sync::Arc;
 
@@ -15,65 +15,66 @@ use super::{
     Bulk, Drops, FARTHEST, InsideBricks, Ramp, StandsOut, UNITS, Width, ZERO, away, wide_cells,
 };
 
-/// The widths under which clouds are smoothed, relative to the requested width: the first two give
-/// the fine surface, the last two the calm surface.
+/// The widths of the Gaussians that smooth clouds, relative to the requested width. The first two
+/// give the fine surface, the last two the calm surface.
 const WIDTHS: [f64; 3] = [0.625, 1.0, 1.5];
 /// The cut-off of the Gaussians of these widths, in standard deviations.
 const CUT: f64 = 2.2;
-/// The standard deviation of the Gaussian that averages the difference of the two surfaces, as a
-/// multiple of the requested width.
+/// The standard deviation of the Gaussian that averages the difference between the fine and the
+/// calm surface, as a multiple of the requested width.
 const AROUND: f64 = 0.5625;
 /// The cut-off of this Gaussian, in standard deviations.
 const AROUND_CUT: f64 = 1.7;
-/// Limits of the mean difference between the two surfaces, in spacings: up to the first the
-/// difference is noise, and from the second on it is shape.
+/// Limits, in spacings, of the mean difference between the fine and the calm surface. A difference
+/// up to the first limit is noise, and from the second limit on it is shape.
 const APART: [f64; 2] = [0.07, 0.14];
-/// The depths between which the fine surface fades out, in spacings. Deeper in the fluid, noise
-/// would make bubbles in it.
+/// The depths, in spacings, between which the fine surface fades out. Deeper in the fluid, noise
+/// would make bubbles in the fine surface.
 const DEEP: [f64; 2] = [0.3, 0.9];
 /// The minimum variance of a filter, in squared cells: a narrower filter would have almost no
 /// weight beyond its centre.
 pub(in crate::field) const LEAST_VARIANCE: f64 = 0.35;
-/// The minimum variances of the three widths' filters, in squared cells, so that they differ even
-/// in coarse cells.
+/// The minimum variances, in squared cells, of the filters of the three widths. They make the
+/// filters differ even in coarse cells.
 const LEAST_VARIANCES: [f64; 3] = [LEAST_VARIANCE, 0.85, 1.75];
-/// The maximum standard deviation of drops, in spacings, even in coarse cells.
+/// The maximum standard deviation of drops, in spacings. It limits drops in coarse cells.
 const WIDEST_DROP: f64 = 8.0;
-/// The distance from a particle, in spacings, within which the calm surface exists, and within
-/// which the particle's drop is made if the particle stands out.
+/// The distance from a particle, in spacings, within which the bulk has a surface, and within which
+/// the particle's drop is made if the particle stands out.
 const NEAR: f64 = 1.0;
-/// The distances of a particle's centre outside of the calm surface at which it begins to stand
-/// out, and from which on it stands out completely, in spacings.
+/// The distances, in spacings, of a particle's centre outside the calm surface. At the first
+/// distance, the particle begins to stand out; from the second on, it stands out completely.
 const STANDS_OUT: [f64; 2] = [0.4, 1.0];
-/// The range of the difference between the fine and the calm surface in which sheets begin to stand
-/// out earlier than drops, in spacings. In the bulk, the two surfaces agree.
+/// The range, in spacings, of the difference between the fine and the calm surface in which sheets
+/// begin to stand out earlier than drops. In the bulk, the two surfaces agree.
 const SHEETS_APART: [f64; 2] = [0.35, 0.45];
 /// The standard deviation of a particle's drop, in spacings.
 const DROP_WIDTH: f64 = 0.6;
-/// The radius of the drop of a single particle in fine cells, in spacings.
+/// The radius, in spacings, of a single particle's drop in fine cells.
 const DROP_RADIUS: f64 = 0.55;
-/// The decrease of the drop radius in coarse cells, in spacings per squared cell edge in spacings,
-/// without and with refinement by splines. It corrects for wider clouds in coarse cells, and for
-/// the splines. The drop of one particle then has a volume of 0.99 cubed spacings with cells of an
-/// eighth of a spacing, 0.94 with a quarter, and 0.8 with a third to two thirds, where it depends
-/// on the particle's position.
+/// The decrease of the drop radius in coarse cells, without and with refinement by splines: in
+/// spacings, divided by the square of the cell edge in spacings. It corrects for the wider clouds
+/// in coarse cells, and for the splines. The drop of one particle then has a volume of 0.99 cubed
+/// spacings in cells of 1/8 of a spacing, and of 0.94 in cells of 1/4. In cells of 1/3 to 2/3 of a
+/// spacing, the volume is about 0.8 and depends on the particle's position.
 const LESS_RADIUS: [f64; 2] = [0.29, 0.41];
 /// The minimum drop radius, in spacings, for cells that hardly resolve a single particle.
 const LEAST_DROP_RADIUS: f64 = 0.38;
 /// The cut-off of a drop's Gaussian, in standard deviations.
 const DROP_CUT: f64 = 2.6;
 
-/// The variance of the spline that interpolates wide cells, in squared wide cells.
+/// The variance, in squared wide cells, of the spline that interpolates wide cells.
 pub(in crate::field) const SPLINE: f64 = 0.25;
 
-/// All parameters of distances from clouds except the plateau.
+/// All parameters of distances from clouds. The plateau is the nominal one unless `with_plateau`
+/// sets a measured one.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct DistanceFilters {
-    /// The calm surface is made in wide cells, each 2^`level` cells along an axis.
+    /// The calm surface is made in wide cells. Each has 2^`level` cells along an axis.
     pub level: u32,
-    /// The calm surface.
+    /// The parameters of the bulk's surface.
     pub bulk: Bulk,
-    /// The maximum distance of a surface from a particle along each axis, in wide cells.
+    /// The maximum distance, in wide cells, of a surface from a particle along each axis.
     pub near: i32,
     /// The minimum sample of a wide cell that contains a particle's centre.
     pub least: u16,
@@ -84,22 +85,24 @@ pub struct DistanceFilters {
     pub drops_level: u32,
     /// The parameters of drops.
     pub drops: Drops,
-    /// Sheets and filaments, which replace drops in the same cells.
+    /// The parameters of sheets and filaments, which replace drops in the same cells; `None` if
+    /// sheets are off.
     pub sheets: Option<Sheets>,
-    /// The distance within which cells affect whether a brick of wide cells is inside.
+    /// The distance, in wide cells, within which cells affect whether a brick is inside.
     pub inside_reach: i32,
-    /// The bricks deep inside, in which no samples are computed.
+    /// The bricks deep inside the fluid, in which no samples are computed.
     pub inside: Arc<InsideBricks>,
 }
 
 /// The gain of the calm surface's blurs, in bits. A plateau of 4096 becomes a quarter of the
-/// maximum sample, so a fluid is still measured correctly if it is four times denser than the given
-/// spacing, for example because the spacing is half the true one.
+/// maximum sample, so a fluid is still measured correctly if it is up to four times denser than the
+/// given spacing implies, for example because the given spacing is 1.5 times the true one.
 pub const BULK_GAIN: u32 = 2;
 
-/// A Gaussian filter, and the standard deviation of clouds that it has smoothed. The variance of
-/// these is the filter's variance plus the clouds' own variance, a quarter of a squared cell. The
-/// standard deviation is `cells`, unless the filter's variance would be less than `least`.
+/// A Gaussian filter, and the standard deviation, in cells, of a cloud that it smoothed. The
+/// variance of a smoothed cloud is the filter's variance plus the cloud's own variance, a quarter
+/// of a squared cell. The standard deviation is `cells`, unless the filter's variance would then be
+/// less than `least`.
 pub(in crate::field) fn gaussian(cells: f64, least: f64, cut: f64) -> (Weights, f64) {
     let variance = (cells * cells - 0.25).max(least);
     let weights = Weights::of_variance(variance, (cut * variance.sqrt()).round().max(1.0) as i32);
@@ -183,21 +186,21 @@ impl DistanceFilters {
         Self { drops, sheets, ..self }
     }
 
-    /// Changes the filters for clouds of half the usual [amounts](Amount).
+    /// Adapts the filters to clouds of half the usual [amounts](Amount).
     #[must_use]
     pub fn of_half_amounts(self) -> Self {
         let least = (self.least / 2).max(1);
         Self { least, sheets: self.sheets.map(Sheets::of_half_amounts), ..self }
     }
 
-    /// Skips bricks deep inside: no samples are computed there.
+    /// Makes the filters skip the bricks in `inside`: no samples are computed there.
     #[must_use]
     pub fn skipping(self, inside: InsideBricks) -> Self {
         Self { inside: Arc::new(inside), ..self }
     }
 
-    /// The part of `cells` that can be the lowest corners of dual cells with a surface. Dual cells
-    /// between inside cells have no surface.
+    /// The part of `cells` that can be the lowest corners of dual cells with a surface. A dual cell
+    /// whose corners are all inside has no surface.
     #[must_use]
     pub fn not_inside(&self, cells: CellBox) -> CellBox {
         let rest = self.inside.rest(self.wide_cells(cells.grown(0, 1)));
@@ -210,7 +213,7 @@ impl DistanceFilters {
         near.grown(1, 0).intersection(&cells)
     }
 
-    /// The wide cells on which a field on `cells` needs the calm surface.
+    /// The wide cells on which the calm surface is needed for a field on `cells`.
     #[must_use]
     pub fn wide_cells(&self, cells: CellBox) -> CellBox {
         wide_cells(self.level, cells)
@@ -222,11 +225,11 @@ impl DistanceFilters {
         self.bulk.reach() + self.near.max(self.bulk.around.reach())
     }
 
-    /// The halo of the wide cells from whose density sheets are made, in wide cells.
+    /// The halo, in wide cells, of the density from which sheets are made.
     #[must_use]
     pub fn sheets_halo(&self) -> i32 {
         let further = |sheets: &Sheets| {
-            // From a cell of drops to the wide cell that contains it.
+            // The halo of sheets is in the cells of drops, which are half as wide as wide cells.
             let halo =
                 if self.level > self.drops_level { sheets.halo() / 2 + 1 } else { sheets.halo() };
             sheets.around.reach() + halo
@@ -234,7 +237,7 @@ impl DistanceFilters {
         self.sheets.as_ref().map_or(0, further)
     }
 
-    /// The largest halo of everything that is made from wide cells, in wide cells.
+    /// The largest halo, in wide cells, that the calm surface or sheets need.
     #[must_use]
     pub fn widest_halo(&self) -> i32 {
         self.wide_halo().max(self.sheets_halo())
@@ -246,8 +249,9 @@ impl DistanceFilters {
         self.sheets.as_ref().map_or(0, Sheets::halo).max(self.drops.halo())
     }
 
-    /// The distance within which particles affect the field of a cell, in cells. It includes the
-    /// clouds, the wide cells made from them, and the spline that interpolates wide cells.
+    /// The distance, in cells, within which particles affect the field of a cell. It includes the
+    /// reach of the clouds, of the wide cells made from them, and of the spline that interpolates
+    /// wide cells.
     #[must_use]
     pub fn halo(&self) -> i32 {
         let in_wide = |level: u32, halo: i32| {
@@ -271,7 +275,7 @@ impl DistanceFilters {
             .union(&halved_from_all(self.drops_level, drops))
     }
 
-    /// The maximum distance of a surface from a full cell, in cells.
+    /// The maximum distance, in cells, of a surface from a full cell.
     #[must_use]
     pub fn reach(&self) -> i32 {
         (self.near + 2) << self.level
@@ -284,15 +288,15 @@ impl DistanceFilters {
         widths.chain([&self.bulk.around, &self.drops.around, &self.drops.spread]).chain(sheets)
     }
 
-    /// Memory, in bytes, that making the surface of the bulk on some wide cells takes.
+    /// Memory, in bytes, that is needed to make the surface of the bulk on the wide cells `wide`.
     #[must_use]
     pub fn bulk_bytes(&self, wide: CellBox) -> u64 {
         let halo = self.wide_halo();
         6 * volume_bytes(wide.grown(halo, halo))
     }
 
-    /// Maximum memory of a block while its field is made, in bytes. Also suffices for the bulk of a
-    /// box of 2 x 2 x 2 blocks.
+    /// Maximum memory, in bytes, that is needed to make the field of a block. It also suffices for
+    /// the bulk's surface on a box of 2 x 2 x 2 blocks.
     #[must_use]
     pub fn block_bytes(&self) -> u64 {
         let cells = |edge: i32| CellBox { lo: IVec3::NEG_ONE, hi: IVec3::splat(edge + 2) };
@@ -305,9 +309,9 @@ impl DistanceFilters {
     }
 }
 
-/// Makes the parameters of drops and sheets for particles `spacing` cells apart, in cells half as
-/// wide as wide cells, or in the grid's own cells if these are the wide cells. `is_refined` says
-/// whether splines interpolate drops and sheets on the mesh.
+/// Makes the parameters of drops and sheets for particles `spacing` cells apart. Drops and sheets
+/// are made in cells half as wide as wide cells, or in the grid's own cells if those are the wide
+/// cells. `is_refined` says whether splines interpolate drops and sheets on the mesh.
 fn thin_fluid(sheets: SheetStretch, spacing: f64, is_refined: bool) -> (Drops, Option<Sheets>) {
     let wide = WideCells::of_spacing(spacing);
     let in_drops = spacing / f64::from(1 << wide.level.saturating_sub(1));
@@ -315,25 +319,25 @@ fn thin_fluid(sheets: SheetStretch, spacing: f64, is_refined: bool) -> (Drops, O
     (drops, Sheets::new(sheets, [1.0 / spacing, 1.0 / in_drops], wide, shape))
 }
 
-/// The cells from which the cells `wide`, 2^`level` times as wide, are made.
+/// The cells from which `wide` is made, a box of cells that are 2^`level` times as wide.
 fn halved_from_all(level: u32, wide: CellBox) -> CellBox {
     (0..level).fold(wide, |wide, _| halved_from_box(wide))
 }
 
-/// Converts a halo in cells 2^`level` times as wide to cells. The result includes the distance from
-/// a cell to the far end of its wide cell, and the cells beyond the halo that contribute to wide
-/// cells.
+/// Converts a halo from cells that are 2^`level` times as wide to cells. The result includes the
+/// distance from a cell to the far end of its wide cell, and the cells beyond the halo that
+/// contribute to wide cells.
 #[must_use]
 pub fn halo_in_cells(level: u32, halo: i32) -> i32 {
     (halo << level) + 2 * ((1 << level) - 1)
 }
 
-/// Bytes of the samples of `cells`.
+/// Memory, in bytes, of the samples of `cells`.
 fn volume_bytes(cells: CellBox) -> u64 {
     cells.volume() as u64 * size_of::<u16>() as u64
 }
 
-/// The factor from samples to shares of a plateau: sample * factor / 16384 is the share in
+/// The factor that converts samples to shares of `plateau`: sample * factor / 16384 is the share in
 /// 32768ths.
 fn scale(plateau: f64) -> u32 {
     ((f64::from(1_u32 << 29) / plateau.max(1.0)).round() as u32).min(u16::MAX.into())
@@ -354,7 +358,7 @@ impl Drops {
         self.around.reach() + self.spread.reach()
     }
 
-    /// The minimum share on the surface of a drop or inside it.
+    /// The smallest share that occurs on the surface of a drop or inside the drop.
     #[must_use]
     pub fn least_share(&self) -> u16 {
         let (mut outside, mut inside) = (0, u16::MAX);
@@ -376,20 +380,20 @@ impl Drops {
         let less = LESS_RADIUS[usize::from(is_refined)];
         let radius = (DROP_RADIUS - less / (spacing * spacing)).max(LEAST_DROP_RADIUS);
         let amount = f64::from(Amount::of_spacing(spacing).steps());
-        // The smoothed cloud of a single particle at its position: about 2048 to 4096 with the
-        // gain.
+        // The sample of a single particle's smoothed cloud at the particle. With the gain, it is
+        // about 2048 to 4096.
         let alone = amount / (width * std::f64::consts::TAU.sqrt()).powi(3);
         let bits_between = |value: f64, most: f64| {
             (0..15).take_while(|&bits| value * f64::from(1 << (bits + 1)) <= most).count() as u32
         };
         let gain = bits_between(alone, 4096.0);
-        // At most 27/64 of a particle's cloud lie in one cell.
+        // At most 27/64 of a particle's cloud lies in one cell.
         let share = 27.0 / 64.0 * amount / (alone * f64::from(1_u32 << gain));
         let bits = bits_between(share, 49152.0);
         let shape = DropShape { radius, width: (width / spacing).min(WIDEST_DROP), spline };
         let drops = Self {
             around: weights.gaining(gain),
-            // Spread quotients that sum to 1 give the share 32768.
+            // With this gain, a spread quotient of 1 is the share 32768.
             spread: spread.gaining((15 + gain).saturating_sub(bits).min(15)),
             bits,
             radius: (radius * UNITS).round() as i32,

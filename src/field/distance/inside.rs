@@ -1,12 +1,12 @@
-//! The deep inside of a fluid, which has no surface by definition: neither its samples nor its
-//! field are computed.
+//! The deep inside of a fluid. By definition, it contains no surface, and neither its samples nor
+//! its field are computed.
 //!
 //! A brick of 4^3 wide cells is full if every cube of about 4 spacings that overlaps it holds at
-//! least 0.85 of the number of particles that the plateau implies. A brick is inside if its 26
-//! neighbours are also full. In inside bricks the field has its maximum at every stage, so that
-//! meshes stay closed even if the fluid has bubbles in these bricks. Cubes slide by two wide cells,
-//! so that a bubble is found in any position: a bubble with a radius of two spacings takes a
-//! quarter of some cube.
+//! least 0.85 of the number of particles that the plateau implies. A full brick is inside if its 26
+//! neighbours are full too. In inside bricks, the field has its maximum at every stage, so that
+//! meshes stay closed even if the fluid has bubbles in these bricks. Cubes slide in steps of two
+//! wide cells, so a bubble is found at any position: a bubble with a radius of two spacings takes
+//! up at least a quarter of one of the cubes.
 
 use glam::{IVec3, USizeVec3};
 use hashbrown::HashMap;
@@ -29,8 +29,8 @@ const FULL_SHARE: f64 = 0.85;
 /// The bricks that are inside.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct InsideBricks {
-    /// For each bin of wide cells that has inside bricks, one bit per brick at the brick's Morton
-    /// index in the bin; set if the brick is inside.
+    /// For each bin of wide cells that has inside bricks, one bit per brick, at the brick's Morton
+    /// index in the bin. The bit is set if the brick is inside.
     bricks: HashMap<IVec3, u64>,
 }
 
@@ -48,7 +48,7 @@ struct Cube<T> {
 }
 
 impl<T: Copy> Cube<T> {
-    /// Computes the values of the positions from `from` up to `to` along each axis.
+    /// Computes the values of the positions from `from` to `to` - 1 along each axis.
     fn new(from: i32, to: i32, value: impl Fn(IVec3) -> T) -> Self {
         let edge = (to - from) as usize;
         let mut values = Vec::with_capacity(edge * edge * edge);
@@ -68,8 +68,8 @@ impl<T: Copy> Cube<T> {
     fn joined(self, width: usize, both: impl Fn(T, T) -> T) -> Self {
         let Self { edge, mut values } = self;
         let left = edge + 1 - width;
-        // This works in place, because later values are still unchanged. Values that would reach
-        // beyond the end of a row are dropped.
+        // This works in place, because later values are still unchanged. Values of cubes that would
+        // reach beyond the end of a row are dropped.
         for step in [1, edge, edge * edge] {
             for at in 0..values.len() {
                 let further = (1..width).map_while(|k| values.get(at + k * step).copied());
@@ -86,7 +86,7 @@ impl<T: Copy> Cube<T> {
 }
 
 impl Cube<u64> {
-    /// Sums samples over the parts of a box of whole parts.
+    /// Sums the samples in each part of a box that consists of whole parts.
     fn of_parts(samples: &Block) -> Self {
         let cells = samples.cells();
         let edge = (cells.size().x / PART) as usize;
@@ -135,14 +135,14 @@ fn cube_parts(edge: f64) -> i32 {
 }
 
 impl InsideBricks {
-    /// The distance from a brick within which wide cells of `edge` spacings affect whether the
-    /// brick is inside, in wide cells. The brick's neighbours must be full, which depends on every
-    /// cube that overlaps a neighbour.
+    /// The distance from a brick, in wide cells, within which cells affect whether the brick is
+    /// inside. `edge` is the edge of a wide cell in spacings. The brick's neighbours must be full,
+    /// which depends on every cube that overlaps a neighbour.
     pub fn reach(edge: f64) -> i32 {
         BRICK + PART * (cube_parts(edge) - 1)
     }
 
-    /// The box of all bricks that `cells` touch. Both boxes are in wide cells.
+    /// The box around all bricks that `cells` touch. Both boxes are in wide cells.
     pub fn bricks_around(cells: CellBox) -> CellBox {
         let brick = IVec3::splat(BRICK);
         CellBox {
@@ -151,8 +151,8 @@ impl InsideBricks {
         }
     }
 
-    /// Finds the bricks that are inside a field of wide cells of `edge` spacings whose samples deep
-    /// in the fluid are about `plateau`.
+    /// Finds the inside bricks of a field of wide cells, whose edge is `edge` spacings. Samples
+    /// deep in the fluid are about `plateau`.
     pub fn of(field: &DifField, edge: f64, plateau: f64) -> Self {
         let keys: Vec<MortonKey> = field.keys().collect();
         let width = cube_parts(edge);
@@ -214,8 +214,8 @@ impl InsideBricks {
         })
     }
 
-    /// A bit for each brick that the wide cells `cells` touch, x fastest, packed into words; set if
-    /// the brick is inside.
+    /// One bit for each brick that the wide cells `cells` touch, x fastest, packed into words. The
+    /// bit is set if the brick is inside.
     pub fn marks(&self, cells: CellBox) -> Vec<u32> {
         let CellBox { lo, hi } = Self::bricks_around(cells);
         let touched = CellBox { lo: lo / BRICK, hi: hi / BRICK };
@@ -249,7 +249,7 @@ impl InsideBricks {
         rest
     }
 
-    /// Sets a field of wide cells to its maximum in inside bricks.
+    /// Sets the samples of a field of wide cells to the maximum in inside bricks.
     pub fn raise(&self, field: &mut Block) {
         let cells = field.cells();
         for brick in self.bricks(cells) {

@@ -1,8 +1,8 @@
-//! Tables of functions, so that all machines use the same values. Each table has 1024 equal steps,
-//! and ends with the last value twice, so that the last value also has a next one.
+//! Tables of functions, so that all machines use the same values. Each table has 1024 equal steps.
+//! The last value is repeated, so that it also has a next value.
 
-/// The inverse of the standard normal distribution function for shares from 0 to 1, limited to
-/// 0.0002 to 0.9998, in 8192ths.
+/// The inverse of the standard normal distribution function, in 8192ths, for shares from 0 to 1
+/// that are limited to the range from 0.0002 to 0.9998.
 #[rustfmt::skip]
 pub static DEPTHS: [i16; 1026] = [
     -29000, -25373, -23639, -22573, -21791, -21168, -20648, -20200, -19805, -19451, -19130, -18836,
@@ -80,8 +80,8 @@ pub static DEPTHS: [i16; 1026] = [
     21168, 21791, 22573, 23639, 25373, 29000, 29000,
 ];
 
-/// The distance from the middle at which a standard normal density, scaled to 1 in the middle, has
-/// a value from 0.0001 to 1, in 4096ths.
+/// The distance, in 4096ths, from the middle of a standard normal density at which the density is a
+/// given share of its maximum. Shares from 0 to 1 are limited to at least 0.0001.
 #[rustfmt::skip]
 pub static AWAY: [i16; 1026] = [
     17580, 15251, 14468, 13990, 13641, 13363, 13132, 12934, 12760, 12604, 12463, 12334, 12215,

@@ -1,34 +1,34 @@
-//! Signed distances from clouds: a calm surface of the bulk, and the drops that stand out of it.
+//! Signed distances from clouds: a calm surface of the bulk, and the drops that stand out from it.
 //!
 //! All lengths are in particle spacings d, so the surface does not depend on the cell size. The
 //! surface of the bulk is made in [wide cells](super::indicator::WideCells) of 0.55 to 1.1 d, or in
 //! the grid's own cells if they are wider.
 //!
-//! 1. Depth. A half space smoothed by a Gaussian of standard deviation s is Phi(depth / s). If the
-//!    clouds' density, smoothed in this way, is a share theta of the plateau, D_s = s Phi^-1(theta)
-//!    is therefore a depth; it is limited to 2.5 d.
+//! 1. Depth. A half space smoothed by a Gaussian of standard deviation s is Phi(depth / s). Where
+//!    the clouds' density, smoothed in this way, is theta times the plateau, D_s = s Phi^-1(theta)
+//!    is therefore the depth. It is limited to 2.5 d in both directions.
 //! 2. Extrapolated. Curvature changes D_s in proportion to s^2, so a line through two widths gives
 //!    the depth for width 0: E(a, b) = D_a + (D_a - D_b) a^2 / (b^2 - a^2). If splines interpolate
 //!    wide cells, the extrapolation goes to a variance of -1/8 squared wide cells instead of 0,
 //!    because splines blur. Three widths are used: 5/8 S, S and 3/2 S, where S is `--smooth`. They
 //!    give a fine surface E(5/8 S, S) and a calm surface E(S, 3/2 S).
-//! 3. Mixed. The difference between the two surfaces is averaged by a Gaussian of 9/16 S, in which
-//!    noise cancels and shape remains. As this mean difference grows from 0.07 to 0.14 d, the fine
-//!    surface replaces the calm one. This fades out from 0.3 to 0.9 d below the calm surface, where
-//!    noise would make bubbles in the fine surface.
+//! 3. Mixed. The difference between the two surfaces is averaged by a Gaussian of 9/16 S, which
+//!    cancels noise and keeps shape. As this mean difference grows from 0.07 to 0.14 d, the fine
+//!    surface replaces the calm one. From 0.3 to 0.9 d below the calm surface, the fine surface
+//!    fades out again, because noise would make bubbles in it there.
 //! 4. Drops. Normalised convolution: N = G * (rho / (G * rho)), where rho is the clouds' density
 //!    and G a Gaussian of 0.6 d. N of a single particle peaks at 1 in cells of any size, and its
 //!    drop is a ball of radius r, with the signed distance r - 0.6 sqrt(2 ln(1 / N)). N is made in
 //!    cells half as wide as wide cells. If the wide cells are the grid's own cells, N is made in
-//!    these.
-//! 5. Joined. A particle stands out if its centre lies outside of the calm surface, by O = -E in
-//!    its wide cell. The greatest O within a spacing determines to what degree drops replace the
-//!    bulk's surface: not at all up to 0.4 d, and completely from 1 d on. [Sheets](super::sheets)
-//!    stand out up to 0.35 d earlier, where the fine and the calm surface are apart. Where no
-//!    particle is near, there is no surface.
+//!    the same cells.
+//! 5. Joined. A particle stands out if its centre lies outside the calm surface, by the distance O
+//!    = -E of its wide cell. The greatest O within a spacing determines to what degree drops
+//!    replace the bulk's surface: not at all up to 0.4 d, and completely from 1 d on. Where the
+//!    fine and the calm surface differ, [sheets](super::sheets) stand out up to 0.35 d earlier.
+//!    Where no particle is near, there is no surface.
 //!
-//! Every blur is one of [`blur`](super::blur); quadratic B-splines interpolate wide cells; ramps
-//! are 3 x^2 - 2 x^3. A distance of x spacings is stored as the 16-bit sample 32768 + 8192 x.
+//! All blurs use [`blur`](super::blur), quadratic B-splines interpolate wide cells, and ramps are 3
+//! x^2 - 2 x^3. A distance of x spacings is stored as the 16-bit sample 32768 + 8192 x.
 
 mod cpu;
 mod filters;
@@ -49,18 +49,19 @@ use crate::grid::CellBox;
 
 /// Number of units of distance per spacing.
 pub const UNITS: f64 = 8192.0;
-/// The sample of a distance of 0; samples outside of the fluid are smaller.
+/// The sample of a distance of 0; samples outside the fluid are smaller.
 pub const ZERO: i32 = 1 << 15;
 /// The sample where no particle is near.
 pub const NONE: u16 = 0;
-/// The maximum distance that one smoothing width gives, in units. Without this limit, noise deep in
-/// the fluid would count as shape, and so would remnants of a few particles far outside.
+/// The maximum distance, in units, that one smoothing width gives. Without this limit, noise deep
+/// in the fluid would count as shape, and so would the blurred traces of a few particles far
+/// outside.
 pub const FARTHEST: i32 = 5 << 12;
-/// The maximum difference of two surfaces of the bulk, in units.
+/// The maximum difference, in units, between two surfaces of the bulk.
 pub const MOST_APART: i32 = UNITS as i32;
 
-/// The wide cells, each 2^`level` cells along an axis, that affect an interpolated field at the
-/// middles of `cells`.
+/// The wide cells that affect a field that is interpolated at the middles of `cells`. A wide cell
+/// has 2^`level` cells along each axis.
 pub fn wide_cells(level: u32, cells: CellBox) -> CellBox {
     if level == 0 {
         return cells;
@@ -68,14 +69,14 @@ pub fn wide_cells(level: u32, cells: CellBox) -> CellBox {
     CellBox { lo: (cells.lo >> level) - 1, hi: ((cells.hi - 1) >> level) + 2 }
 }
 
-/// The binary logarithm of the sum of [`spline`] weights.
+/// The binary logarithm of the sum of the [`spline`] weights.
 pub fn spline_bits(level: u32) -> u32 {
     2 * level + 3
 }
 
-/// The quadratic B-spline at the middle of cell number `place` of the 2^`level` cells along a wide
-/// cell: the weights of the wide cell below, of the cell's own wide cell, and of the one above, in
-/// 2^[`spline_bits`].
+/// The weights of a quadratic B-spline at the middle of a cell, which is number `place` of the
+/// 2^`level` cells along its wide cell. The weights are those of the wide cell below, of the cell's
+/// own wide cell, and of the wide cell above; their sum is 2^[`spline_bits`].
 pub fn spline(level: u32, place: u32) -> [u32; 3] {
     let (edge, at) = (2 << level, 2 * place + 1);
     let [below, above] = [edge - at, at].map(|length: u32| length * length);
@@ -89,7 +90,7 @@ pub struct Width {
     pub weights: Weights,
     /// The standard deviation of a smoothed particle, in 4096ths of a spacing.
     pub spacings: i32,
-    /// The maximum distance that this Gaussian gives, in 32768ths of a standard deviation.
+    /// The maximum distance that this Gaussian gives, in 32768ths of its standard deviation.
     pub most: i32,
 }
 
@@ -98,18 +99,19 @@ pub struct Width {
 pub struct Bulk {
     /// The three widths, narrowest first.
     pub widths: [Width; 3],
-    /// Factors for extrapolating from two widths to 0, in 4096ths of the difference between their
-    /// distances: for the first two widths, and for the last two.
+    /// Factors for extrapolating the distances of two widths to width 0, in 4096ths of the
+    /// difference between these distances: first for the two narrower widths, then for the two
+    /// wider ones.
     pub shares: [i32; 2],
-    /// The factor from samples to shares of the plateau: sample * factor / 16384 is the share in
-    /// 32768ths.
+    /// The factor that converts samples to shares of the plateau: sample * factor / 16384 is the
+    /// share in 32768ths.
     pub scale: u32,
-    /// The filter that averages the difference between the two surfaces.
+    /// The filter that averages the difference between the fine and the calm surface.
     pub around: Weights,
-    /// The ramp over the mean difference, in units, along which the fine surface replaces the calm
+    /// The ramp, over the mean difference in units, along which the fine surface replaces the calm
     /// surface.
     pub apart: Ramp,
-    /// The ramp over samples of the calm surface along which the fine surface fades out.
+    /// The ramp, over samples of the calm surface, along which the fine surface fades out.
     pub deep: Ramp,
 }
 
@@ -120,7 +122,7 @@ pub struct Ramp {
     pub begin: u16,
     /// The distance from `begin` to the value where the ramp reaches 1.
     pub range: u16,
-    /// 2^28 over `range`, rounded up, so that no division is needed.
+    /// 2^28 / `range`, rounded up, with which `of` avoids a division.
     pub slope: u32,
 }
 
@@ -130,7 +132,8 @@ impl Ramp {
         Self { begin, range, slope: (1_u32 << 28).div_ceil(range as u32) }
     }
 
-    /// The height of the ramp, 0 to 4096: 3 x^2 - 2 x^3 for x from 0 to 1.
+    /// The height of the ramp at `value`, from 0 to 4096: 3 x^2 - 2 x^3, where x rises from 0 to 1
+    /// over the range of the ramp.
     #[inline(always)]
     pub fn of(self, value: u16) -> u32 {
         let x = (u32::from(value.saturating_sub(self.begin).min(self.range)) * self.slope) >> 16;
@@ -138,12 +141,12 @@ impl Ramp {
     }
 }
 
-/// The distances outside of the calm surface at which drops and sheets replace the bulk's surface.
+/// The distances outside the calm surface at which drops and sheets replace the bulk's surface.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct StandsOut {
-    /// The ramp over the distance, for drops.
+    /// The ramp over this distance along which drops replace the surface.
     pub ramp: Ramp,
-    /// The distance by which a certain sheet stands out earlier, in units.
+    /// The distance, in units, by which a sheet of full certainty stands out earlier than drops.
     pub earlier: u16,
     /// The ramp over the difference between the fine and the calm surface. The surfaces agree in
     /// the bulk; where they differ, sheets stand out earlier.
@@ -151,14 +154,15 @@ pub struct StandsOut {
 }
 
 impl StandsOut {
-    /// The greatest distance at which nothing stands out.
+    /// The greatest distance at which neither drops nor sheets stand out.
     pub fn begin(&self) -> u16 {
         self.ramp.begin - self.earlier
     }
 
-    /// The distance by which a particle lies outside of the calm surface, given the difference
-    /// between the fine and the calm surface. In the bulk, a distance too small for a drop to stand
-    /// out is reduced, so that no drop has to be made there.
+    /// Returns `distance`, by which a particle lies outside the calm surface, or a reduced
+    /// distance. `apart` is the difference between the fine and the calm surface. Where it is
+    /// small, as in the bulk, a distance at which no drop stands out is reduced, so that no drop
+    /// has to be made.
     #[inline(always)]
     pub fn of_particle(&self, distance: u16, apart: u16) -> u16 {
         let earlier = (u32::from(self.earlier) * self.apart.of(apart)) >> 12;
@@ -166,8 +170,8 @@ impl StandsOut {
         if distance > self.ramp.begin { distance } else { distance.min(most) }
     }
 
-    /// The distance with which a sheet stands out: `distance`, plus `earlier` times the certainty
-    /// of the sheet. `certainty` is in 4096ths.
+    /// The distance that counts for a sheet: `distance`, plus `earlier` times the certainty of the
+    /// sheet. `certainty` is in 4096ths.
     #[inline(always)]
     pub fn of_sheet(&self, distance: u16, certainty: u16) -> u16 {
         let earlier = (u32::from(certainty) * u32::from(self.earlier)) >> 12;
@@ -175,8 +179,8 @@ impl StandsOut {
     }
 }
 
-/// Two surfaces of the bulk as distances, and the distance by which the fine surface lies farther
-/// out.
+/// Two surfaces of the bulk, as distances, and the distance by which the fine surface lies farther
+/// out than the calm surface.
 #[derive(Debug, Clone)]
 pub struct Depths<T> {
     /// The calm surface, from the two wider widths.
@@ -187,10 +191,10 @@ pub struct Depths<T> {
     pub apart: T,
 }
 
-/// The surface around single particles and small groups.
+/// The parameters of the surface around single particles and small groups.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Drops {
-    /// The filter that sums the clouds around a cloud.
+    /// The filter that sums the clouds around each cell.
     pub around: Weights,
     /// The filter that spreads the quotients.
     pub spread: Weights,

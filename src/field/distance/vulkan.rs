@@ -17,24 +17,24 @@ use crate::vulkan::{Batch, ComputePipeline, View, VulkanError};
 use super::inside::PART;
 use super::{AWAY, Bulk, DEPTHS, Drops, StandsOut};
 
-/// Edge of the largest cubes that a device supports, in parts.
+/// Edge, in parts, of the largest cubes that the shader of [`full_bricks`] supports.
 const WIDEST_CUBE: u32 = 4;
 /// Number of parts along the edge of a bin.
 const BIN_PARTS: u32 = (BIN / PART) as u32;
 const MOST_PARTS: u32 = BIN_PARTS + 2 * (WIDEST_CUBE - 1);
 /// Number of parts that a work group sums.
 pub const CUBE_PARTS: u32 = MOST_PARTS.pow(3);
-/// Number of words that hold one bit per cube of these parts.
+/// Number of words that hold one bit for each cube within these parts.
 pub const CUBE_WORDS: u32 = (MOST_PARTS + 1 - WIDEST_CUBE).pow(3).div_ceil(u32::BITS);
 
 /// Shaders that make distances.
 #[derive(Debug)]
 pub struct DistancePipelines {
-    /// The calm and the fine surface of the bulk, and how far they are apart.
+    /// The calm and the fine surface of the bulk, and the difference between them.
     pub depths: Arc<ComputePipeline>,
     /// The surface of the bulk, from the calm and the fine surface.
     pub mix: Arc<ComputePipeline>,
-    /// The distance by which particles lie outside of the calm surface.
+    /// The distance by which particles lie outside the calm surface.
     pub outlying: Arc<ComputePipeline>,
     /// The greatest nearby sample, along one axis.
     pub spread: Arc<ComputePipeline>,
@@ -50,14 +50,15 @@ pub struct DistancePipelines {
     pub full_bricks: Arc<ComputePipeline>,
 }
 
-/// The wide cells in and around a bin that [`full_bricks`] reads; `None` if the cubes are too wide
-/// for it.
+/// The wide cells in and around a bin that [`full_bricks`] reads; `None` if cubes of `width` parts
+/// are too wide for its shader.
 pub fn full_bricks_of(bin: IVec3, width: u32) -> Option<CellBox> {
     let margin = PART * (width as i32 - 1);
     (width <= WIDEST_CUBE).then(|| CellBox::cube(bin, BIN).grown(margin, margin))
 }
 
-/// Finds the full bricks of bins, from blocks of their [cells](full_bricks_of): two words per bin.
+/// Finds the full bricks of bins, and writes two words per bin to `bricks`. `blocks` are the
+/// [cells](full_bricks_of) in and around each bin.
 ///
 /// # Errors
 /// If a view is larger than the storage range of the device, or if the driver fails.
@@ -82,9 +83,9 @@ pub fn tables() -> [Vec<i32>; 2] {
     [DEPTHS.map(i32::from).to_vec(), AWAY.map(i32::from).to_vec()]
 }
 
-/// Computes distances from the samples smoothed with each width, narrowest first. The fine surface
-/// replaces the first samples, the difference of the surfaces the second, and the calm surface the
-/// last. `table` has depths.
+/// Computes distances from the samples smoothed with each width, narrowest first. The results
+/// replace the samples: the fine surface in `narrow`, the difference between the surfaces in
+/// `middle`, and the calm surface in `wide`. `table` holds the depths for shares.
 ///
 /// # Errors
 /// If a view is larger than the storage range of the device, or if the driver fails.
@@ -113,8 +114,8 @@ pub fn depths(
     batch.dispatch(&pipelines.depths, &views, &push, blocks.flat_groups(&pipelines.depths))
 }
 
-/// Replaces the calm surface by the surface of the bulk, where particles are near. `marks` has the
-/// inside bricks of each block.
+/// Replaces the calm surface with the surface of the bulk, or with 0 where no particle is near.
+/// `marks` holds the inside bricks of each block.
 ///
 /// # Errors
 /// If a view is larger than the storage range of the device, or if the driver fails.
@@ -138,8 +139,9 @@ pub fn mixed(
     batch.dispatch(&pipelines.mix, &views, &push, blocks.groups(&pipelines.mix))
 }
 
-/// Overwrites each cloud sample by the distance by which the cell lies outside of the calm surface.
-/// A cell contains a particle if its cloud sample is at least `least`.
+/// Overwrites each cloud sample: with the distance by which the cell lies outside the calm surface
+/// or, if the cell contains no particle, with 0. A cell contains a particle if its cloud sample is
+/// at least `least`.
 ///
 /// # Errors
 /// If a view is larger than the storage range of the device, or if the driver fails.
@@ -167,9 +169,9 @@ pub fn outlying(
     )
 }
 
-/// Replaces each sample by the greatest sample within the window, along x, then y, then z. `views`
-/// are the input, a spare view and the output. The samples go from the input to the output, then to
-/// the spare view, and finally back to the output.
+/// Replaces each sample with the greatest sample within the window, along x, then y, then z.
+/// `views` are the input, a spare view and the output. The samples go from the input to the output,
+/// then to the spare view, and finally back to the output.
 ///
 /// # Errors
 /// If a view is larger than the storage range of the device, or if the driver fails.
@@ -199,7 +201,7 @@ impl RegionProbe {
         Self { lo: cells.lo.to_array(), block, size: cells.size().as_uvec3().to_array(), spare: 0 }
     }
 
-    /// A box around the cells near which particles stand out, if there are any.
+    /// The box around the cells near which particles stand out; `None` if there are none.
     pub fn outlying(&self, seen: &ProbeResult) -> Option<CellBox> {
         let at = |place: [u32; 3]| IVec3::from(self.lo) + UVec3::from(place).as_ivec3();
         (seen.lo[0] <= seen.hi[0]).then(|| CellBox { lo: at(seen.lo), hi: at(seen.hi) + 1 })
@@ -219,9 +221,9 @@ pub struct ProbeResult {
     hi: [u32; 3],
 }
 
-/// Probes `count` regions of wide `blocks`: whether they have cells inside and outside of an
-/// isovalue, and where particles lie farther than `begin` outside of the calm surface. Writes
-/// `results`.
+/// Probes `count` regions of wide `blocks`, and writes `results`: whether a region has cells inside
+/// and cells outside the surface, and where particles lie more than `begin` outside the calm
+/// surface.
 ///
 /// # Errors
 /// If a view is larger than the storage range of the device, or if the driver fails.
@@ -238,8 +240,8 @@ pub fn probe(
     batch.dispatch(&pipelines.probe, &views, &push, [1, count, 1])
 }
 
-/// Interpolates `wide` blocks at the middles of the cells of `blocks`. Each block lies in the wide
-/// block whose number is in `within`.
+/// Interpolates `wide` blocks at the middles of the cells of `blocks`. `within` holds the number of
+/// the wide block in which each block lies.
 ///
 /// # Errors
 /// If a view is larger than the storage range of the device, or if the driver fails.
@@ -278,9 +280,9 @@ pub fn quotient(
     )
 }
 
-/// Replaces the bulk's surface by the field in `parts` of `blocks`. `homes` has the number of each
-/// part's block, and `table` the distances for shares. `near`, `shares` and `certainty` are on the
-/// parts; without `certainty` there are no sheets.
+/// Replaces the bulk's surface with the field in `parts` of `blocks`. `homes` holds the number of
+/// each part's block, and `table` holds the distances for shares. `near`, `shares` and `certainty`
+/// cover the cells of the parts. Without `certainty`, there are no sheets.
 ///
 /// # Errors
 /// If a view is larger than the storage range of the device, or if the driver fails.

@@ -8,18 +8,18 @@ use crate::grid::{BIN, CellBox, FRACTION_BITS, FRACTIONS};
 
 /// The reach of a cloud beyond its cell, in cells.
 pub const GHOST_LAYER: i32 = 1;
-/// Fraction bits of a share of a cloud.
+/// Number of fraction bits of a share of a cloud.
 pub const SHARE_BITS: u32 = 16;
-/// Bits by which the square of a length is shifted right to get a share, which is half of the
-/// square. A length has one bit more than an offset.
+/// Number of bits by which the square of a length is shifted right to give a share, which is half
+/// the square. A length has one more fraction bit than an offset.
 pub const SQUARE_BITS: u32 = 2 * FRACTION_BITS + 3 - SHARE_BITS;
 /// The minimum amount. A particle's own cell gets at least half of the cloud along each axis, and
-/// so at least an eighth of it; of a smaller amount, an eighth could be rounded to 0.
+/// so at least an eighth of the whole cloud. An eighth of a smaller amount could be rounded to 0.
 const LEAST_AMOUNT: u16 = 4;
 /// The maximum amount. With this amount, a sample does not overflow for four particles in the
 /// middle of a fine cell, or for more particles elsewhere in the cell.
 const GREATEST_AMOUNT: u16 = 1 << 15;
-/// Cells of a bin along an axis.
+/// Number of cells of a bin along an axis.
 const ROW: usize = BIN as usize;
 
 /// The total that a particle adds to the cells around it.
@@ -27,8 +27,8 @@ const ROW: usize = BIN as usize;
 pub struct Amount(u16);
 
 impl Amount {
-    /// The amount for particles `spacing` cells apart. With cells of at least half a spacing, a
-    /// cell deep in the fluid holds 4096. Cells saturate at sixteen times this density.
+    /// The amount for particles `spacing` cells apart. With cells of at least half a spacing, the
+    /// sample of a cell deep in the fluid is 4096. Samples saturate at sixteen times this density.
     pub fn of_spacing(spacing: f64) -> Self {
         let eighths = 8.0 / (spacing * spacing * spacing);
         Self(((f64::from(GREATEST_AMOUNT) / eighths.max(1.0)) as u16).max(LEAST_AMOUNT))
@@ -44,7 +44,7 @@ impl Amount {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct CloudLimits {
     /// For each axis, the lowest and the highest cell within the walls, relative to the bin. These
-    /// cells may lie outside of the bin.
+    /// cells may lie outside the bin.
     ends: [[i32; 2]; 3],
 }
 
@@ -57,8 +57,8 @@ impl CloudLimits {
             .then(|| Self { ends: [0, 1, 2].map(|axis| [lo[axis], hi[axis]]) })
     }
 
-    /// The shares of a cloud around a cell, where the share beyond a wall is added to the cell
-    /// before the wall.
+    /// The shares of a cloud around a cell. A share beyond a wall is added to the share of the last
+    /// cell inside the wall.
     #[inline(always)]
     fn fold(&self, axis: usize, cell: usize, [below, own, above]: [u32; 3]) -> [u32; 3] {
         let [at_lo, at_hi] = self.ends[axis].map(|end| end == cell as i32);
@@ -68,8 +68,8 @@ impl CloudLimits {
     }
 }
 
-/// The shares of a cloud in the cell below, its own cell, and the cell above, for a particle's
-/// offset in its cell.
+/// The shares of a particle's cloud in the cell below, in the particle's own cell, and in the cell
+/// above. `offset` is the particle's offset in its cell.
 #[inline(always)]
 fn shares(offset: u32) -> [u32; 3] {
     let length = 2 * offset + 1;
@@ -78,7 +78,7 @@ fn shares(offset: u32) -> [u32; 3] {
     [below, (1 << SHARE_BITS) - below - above, above]
 }
 
-/// A share of an amount, both with 16 bits, rounded.
+/// A share of an amount, rounded, if both have 16 bits.
 #[inline(always)]
 fn part_of(amount: u32, share: u32) -> u32 {
     (amount * share + (1 << (SHARE_BITS - 1))) >> SHARE_BITS
@@ -90,12 +90,12 @@ fn wide_part_of(amount: u32, share: u32) -> u32 {
     ((u64::from(amount) * u64::from(share) + (1 << (SHARE_BITS - 1))) >> SHARE_BITS) as u32
 }
 
-/// Makes the clouds of a bin's particles, each with the same `amount`.
+/// Makes the clouds of a bin's particles. `amount` applies unless each particle has its own amount.
 pub struct Clouds {
     amount: u16,
     walls: Option<CellBox>,
     shape: PageShape,
-    /// The lowest sample of a cloud: [`PageShape::firsts`].
+    /// The terms of the index of a cloud's lowest sample: see [`PageShape::firsts`].
     firsts: [[usize; ROW]; 3],
 }
 

@@ -13,12 +13,13 @@ use crate::grid::{BIN, FRACTIONS};
 use super::{Amount, Clouds, IndicatorKind, PageRule};
 
 /// Number of parts of a step. A centroid's distance along each axis is rounded to a whole number of
-/// such parts. This number is at most 4 F, so that the sum of three squares fits into 32 bits.
+/// such parts. A rounded distance is then at most 4 F, so the sum of three squares fits into 32
+/// bits.
 pub const DISTANCE_SCALE: u64 = 4;
 /// 65535 / (sqrt(3) 4 F), with 15 fraction bits.
 pub const THETA_PER_DISTANCE: u32 = 37837;
 
-/// Eq. 7 for N particles whose offsets sum to S, both integers; 0 for no particles.
+/// Eq. 7 for N particles whose offsets sum to S; 0 if there are no particles. N and S are integers.
 ///
 /// |D| / N is rounded to a quarter of a step along each axis, and its length to the nearest
 /// integer. f64 is exact for every integer here, and a quotient is farther from the next rounding
@@ -40,7 +41,7 @@ pub fn symmetry([n, x, y, z]: [f64; 4]) -> u16 {
     if n > 0.0 { theta } else { 0 }
 }
 
-/// Cells of a bin along x.
+/// Number of cells of a bin along x.
 const ROW: usize = BIN as usize;
 
 #[multiversion(targets(
@@ -67,9 +68,9 @@ fn counts(sums: &CellSums, counts: &mut [u16]) {
     }
 }
 
-/// The pages of a range of bins: theta for symmetry and clouds; numbers of particles for counting,
-/// which become theta by [`Indicator::decode`](super::Indicator::decode) when all bins are done and
-/// mu0 is known.
+/// The pages of a range of bins: theta for symmetry, sums of clouds for clouds, and numbers of
+/// particles for counting. [`Indicator::decode`](super::Indicator::decode) converts these numbers
+/// to theta when all bins are done and mu0 is known.
 ///
 /// # Errors
 /// If particles are in a scratch file that cannot be read.

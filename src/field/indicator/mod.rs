@@ -8,19 +8,19 @@
 //! D = |2 S + N - N F|.
 //!
 //! Counting and symmetry depend only on the particles in the cell, and jump when a particle moves
-//! from one cell to the next. If layers of particles follow layers of cells, this moves the surface
-//! by up to a cell. theta of a full cell is never 0, because even the farthest centroid is half a
-//! step away from a corner.
+//! from one cell to the next. If layers of particles are parallel to layers of cells, such a jump
+//! moves the surface by up to a cell. theta of a full cell is never 0, because even the farthest
+//! centroid is half a step away from a corner.
 //!
 //! Cloud, which is not in the paper, is a density rather than a share of fluid: rho A, at most
-//! 65535, where rho is the number of particles, counted as clouds, and A is the [`Amount`] for the
-//! cell size. A particle is distributed around its position by the quadratic B-spline, the
-//! triangular-shaped cloud of Hockney and Eastwood (Computer Simulation Using Particles, 1988): at
-//! u of a cell's edge along an axis, a share of (1 - u)^2 / 2 goes to the cell below, u^2 / 2 to
-//! the cell above, and the rest to the particle's own cell. The cells then preserve the particles'
-//! number, their centroid and, up to a constant, their variance, and nothing jumps. All cells
-//! around a particle's own cell can get a share of the particle. For the surface of clouds, see
-//! [`distance`](super::distance).
+//! 65535, where rho is the sum of the shares of all particles' clouds in the cell, and A is the
+//! [`Amount`] for the cell size. A particle is distributed around its position by the quadratic
+//! B-spline, the triangular-shaped cloud of Hockney and Eastwood (Computer Simulation Using
+//! Particles, 1988): at the fraction u of a cell's edge along an axis, a share of (1 - u)^2 / 2
+//! goes to the cell below, u^2 / 2 to the cell above, and the rest to the particle's own cell. The
+//! samples then preserve the number of particles, their centroid and, up to a constant, their
+//! variance, and no sample jumps. All cells around a particle's own cell can receive a share of the
+//! particle. For the surface of clouds, see [`distance`](super::distance).
 
 mod cloud;
 mod cpu;
@@ -89,7 +89,7 @@ impl IndicatorKind {
     /// The indicator of this kind, with `mu0` for counting.
     ///
     /// # Errors
-    /// If `mean` fails, which is called only for counting.
+    /// If `mean` fails; it is called only for counting.
     pub fn with_mean<E>(self, mean: impl FnOnce() -> Result<MeanCount, E>) -> Result<Indicator, E> {
         match self {
             Self::Symmetry => Ok(Indicator::Symmetry),
@@ -114,7 +114,8 @@ impl IndicatorKind {
         self == Self::Counting
     }
 
-    /// The best brick size: ghost layers take less memory around large bricks.
+    /// The best brick size. For clouds, it is the largest, because ghost layers take less memory
+    /// around large bricks.
     #[must_use]
     pub fn brick_side(self) -> BrickSide {
         if self == Self::Cloud { BrickSide::Sixteen } else { BrickSide::default() }

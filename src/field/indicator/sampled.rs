@@ -7,7 +7,7 @@ use crate::brick::{DifField, FrameFacts};
 
 use super::{Amount, Indicator, WideCells};
 
-/// A frame with its DIF, as in a packed frame.
+/// A frame with its DIF, as a packed frame stores it.
 #[derive(Debug)]
 pub struct SampledDif {
     /// Facts of the frame.
@@ -16,8 +16,8 @@ pub struct SampledDif {
     pub indicator: Indicator,
     /// The samples.
     pub dif: Arc<DifField>,
-    /// Clouds in cells that are 2, 4, ... times as wide as the grid's, up to wide cells. They are
-    /// made at the first access.
+    /// Clouds in cells that are 2, 4, ... times as wide as the grid's, up to wide cells and
+    /// `more_levels` beyond. They are made on first access.
     wide: OnceLock<Vec<Arc<DifField>>>,
     /// The number of levels beyond the frame's wide cells.
     more_levels: u32,

@@ -1,9 +1,9 @@
-//! Wide cells: the cells in which distances from clouds are made. Their size is similar for all
-//! meshes.
+//! Wide cells: the cells in which distances from clouds are made. Their size in spacings is similar
+//! for all meshes.
 
 use super::Amount;
 
-/// The minimum edge of the cells in which the calm surface is made, in spacings: finer cells are
+/// The minimum edge, in spacings, of the cells in which the calm surface is made. Finer cells are
 /// merged first.
 const LEAST_WIDE: f64 = 0.55;
 

@@ -18,7 +18,7 @@ const LANES: usize = 16;
 
 /// The limit for components of g and of products of B with a vector.
 const MOST_SLOPE: i32 = 4 * ONE;
-/// The limit for entries of matrices such as B, and for components of the distance from the middle.
+/// The limit for entries of matrices such as B, and for components of the offset to the middle.
 const MOST_BEND: i32 = 2 * ONE;
 
 /// Whether `clouds` can hold a sheet, which needs more than one particle.
@@ -33,14 +33,14 @@ pub fn holds_any(sheets: &Sheets, clouds: &Block) -> bool {
     false
 }
 
-/// Sheets of the smoothed density on some cells; `None` if there are none. Beyond `density` the
-/// density is too low for sheets. If `needed` is given, certainty is only computed where `needed`
-/// is not 0. Shares are only computed near cells with certainty, within the reach of the averaging
-/// filter.
+/// Finds the sheets of the smoothed density on `cells`; returns `None` if there are none. Beyond
+/// the cells of `density`, the density counts as too low for sheets. If `needed` is given,
+/// certainty is computed only where `needed` is nonzero. Shares are computed only near cells with
+/// certainty, within the reach of the averaging filter.
 ///
 /// # Panics
-/// If `needed` does not cover the sheets, or if `density` does not cover the steps around each of
-/// the `cells` that is dense enough for a sheet.
+/// If `needed` does not cover `cells`, or if `density` does not extend one step beyond each of the
+/// `cells` that is dense enough for a sheet.
 pub fn sheets(
     by: &Sheets,
     density: &Block,
@@ -140,7 +140,7 @@ fn may_be_sheets(to: &mut [u16], numbers: &SheetConstants, row: &[u16], beside: 
 }
 
 /// Sheets at several adjacent cells at a time, as in [`SheetConstants::sheet`]. The three strides
-/// lead from a cell to the samples from which its differences are computed.
+/// lead from a cell to the samples from which the cell's differences are computed.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
 fn sheets_of_each(
     numbers: &SheetConstants,
@@ -246,7 +246,7 @@ impl SheetConstants {
             [dot(b[0], v), dot(b[1], v), dot(b[2], v)].map(|x| x.clamp(-MOST_SLOPE, MOST_SLOPE))
         };
 
-        // The distance of B from a projection.
+        // The squared distance of B from a projection.
         let mut impure = 0;
         for i in 0..3 {
             for j in 0..3 {
@@ -293,7 +293,7 @@ impl SheetConstants {
             ),
         );
         let certain = passed(certain, 4096 - THICK.of(determinant));
-        // The ramp is applied twice: otherwise pieces of uncertain sheets would be visible.
+        // Squared, because pieces of uncertain sheets would be visible otherwise.
         let certain = passed(certain, certain);
 
         let [sheet, filament, round] = self.sizes;
@@ -368,7 +368,7 @@ mod tests {
     }
 
     /// The share at `away` spacings from the middle of a thin body, minus the share on a drop's
-    /// surface. The body is thin along the axes `across`, and its density is `density` of the
+    /// surface. The body is thin along the axes `across`, and its density is `density` times the
     /// plateau.
     fn beyond_surface(across: &[DVec3], density: f64, away: f64) -> f64 {
         let (share, certain) = sheet_at(across[0] * away, |place| {
@@ -432,7 +432,7 @@ mod tests {
             |place: DVec3, logarithm: &dyn Fn(DVec3) -> f64| sheet_at(place, logarithm).1;
         let corner = |p: DVec3| stretched(1.6) + gaussian(p.z) + half(p.x) + half(p.y);
         assert!(certainty(DVec3::new(-20.0, -20.0, 0.0), &corner) > 4000);
-        // The outermost particles are half their distance within the edges.
+        // The outermost particles lie inside the edges, by half the distance between particles.
         assert!(certainty(DVec3::new(-0.8, -20.0, 0.0), &corner) > 3000);
         assert!(certainty(DVec3::new(-0.8, -0.8, 0.0), &corner) > 2000);
         // The surface of a bulk, and its edge.

@@ -33,7 +33,7 @@ pub fn log2(sample: u16) -> i32 {
     (power << BITS) + ((x + between(&LOG2, x)) >> (MANTISSA - BITS))
 }
 
-/// 2 to a power of at least -16 and less than 3, in 32768ths.
+/// 2 to a power, which must be at least -16 and less than 3. The result is in 32768ths.
 #[inline(always)]
 pub fn exp2(power: i32) -> i32 {
     let whole = power >> BITS;

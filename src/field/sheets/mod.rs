@@ -4,37 +4,40 @@
 //! single particles no longer touch. The density alone shows whether there is such a sheet, where
 //! it lies, and how thick it is.
 //!
-//! 1. Shape. Let rho be the density smoothed by a Gaussian of width s, which is made in wide cells
-//!    and interpolated by splines, and L its logarithm. The first and second derivatives of L are
-//!    the moments of the particles under that Gaussian: s^2 grad L is their mean offset, and
-//!    s^2 (I + s^2 Hess L) their covariance. With g = s grad L and B = -s^2 Hess L, an eigenvalue
-//!    of B is 1 across a sheet or a filament, where the particles have no width, and 0 along it,
-//!    where nothing changes.
-//! 2. Distance. The middle of the sheet lies at s (2 B - B^2) g: along the sheet this is 0, across
-//!    it the mean offset. At a rim B is in between, so the distance to the middle grows smoothly
-//!    there.
-//! 3. Thickness. At the middle the density is rho e^E, E = 2 g.g - 3/2 g.Bg, which is g.g / 2
-//!    across a sheet and compensates for the missing particles beyond a rim. T = tr B is the number
-//!    of directions across. The density at the middle is that of a sheet (1), a filament (2) or a
-//!    ball (3) with the particles' volume under the Gaussian; this gives its half thickness or
-//!    radius R. The mesh's cells require a minimum of R: `LEAST_CELLS`, and `LEAST_RIM_CELLS` in
-//!    filaments and at rims, which would fray otherwise. R approaches the minimum gradually: with a
-//!    = log2 R^2, b = log2 of the squared minimum and w = `GRADUAL` over the cell, the result is
-//!    max(a, b) + max(w - |a - b|, 0)^2 / 4w. The volume of a stretching sheet then changes slowly.
-//! 4. Certainty. There is a sheet if neighbours are no farther apart than requested, according to
-//!    the density at the middle, if the middle is near, and if B is nearly a projection: the
-//!    squared distance |B - B^2|^2 is at most 0.06 in sheets, in filaments and at their rims, and
-//!    often twice as large in spray. At the corners of a sheet it is as large as in spray, and the
-//!    middle seems far. But at corners det(I - B), the product of the particles' variances, shows
-//!    that the particles lie in a plane, and both limits are wider. Neither a thick body (T < 0.4),
-//!    nor its surface (det(I - B) > 0.35), nor a drop of a few particles (T > 2.45) is a sheet.
+//! 1. Shape. Let rho be the density, smoothed by a Gaussian of width s in wide cells and
+//!    interpolated by splines, and let L be the logarithm of rho. The first and second derivatives
+//!    of L are the moments of the particles under that Gaussian: s^2 grad L is their mean offset,
+//!    and s^2 (I + s^2 Hess L) their covariance. With g = s grad L and B = -s^2 Hess L, an
+//!    eigenvalue of B is 1 across a sheet or a filament, where the particles have no width, and 0
+//!    along it, where nothing changes.
+//! 2. Distance. The middle of the sheet lies at the offset s (2 B - B^2) g from the cell. Along the
+//!    sheet this offset is 0, and across it, it is the mean offset. At a rim, the eigenvalues of B
+//!    are in between, so the distance to the middle grows smoothly there.
+//! 3. Thickness. At the middle, the density is rho e^E with E = 2 g.g - 3/2 g.Bg. Across a sheet, E
+//!    is g.g / 2; beyond a rim, E compensates for the missing particles. T = tr B is the number of
+//!    directions across: 1 for a sheet, 2 for a filament, 3 for a ball. T and the density at the
+//!    middle give the half thickness or radius R at which such a body has the volume of its
+//!    particles. R has a minimum, which depends on the mesh's cells: `LEAST_CELLS`, or
+//!    `LEAST_RIM_CELLS` in filaments and at rims, which would fray otherwise. R approaches the
+//!    minimum gradually: with a = log2 R^2, b = log2 of the squared minimum and w = `GRADUAL`
+//!    divided by the mesh's cell, the result is max(a, b) + max(w - |a - b|, 0)^2 / 4w. The volume
+//!    of a stretching sheet then changes slowly.
+//! 4. Certainty. There is a sheet under three conditions: neighbours are no farther apart than
+//!    requested, according to the density at the middle; the middle is near; and B is nearly a
+//!    projection. The squared distance |B - B^2|^2 is at most 0.06 in sheets, in filaments and at
+//!    their rims, and often twice as large in spray. At the corners of a sheet, this distance is as
+//!    large as in spray, and the middle seems far away. But at corners, det(I - B), the product of
+//!    the particles' variances, shows that the particles lie in a plane, so the limits of both
+//!    conditions are wider. Neither a thick body (T < 0.4), nor its surface (det(I - B) > 0.35),
+//!    nor a drop of a few particles (T > 2.45) is a sheet.
 //! 5. Blended. The certainty is averaged under a Gaussian of 0.55 spacings, so that no crumbs of
-//!    single cells remain at rims and in spray. It is the weight with which the shares of drops
-//!    (see [`distance`](super::distance)) are blended with the shares of the sheet. These have the
-//!    minimum width for the cells, and reach the level of a drop's surface at R.
+//!    single cells remain at rims and in spray. The average is the weight with which the shares of
+//!    the sheet replace the shares of drops (see [`distance`](super::distance)). The shares of the
+//!    sheet have a profile of the minimum width for the cells, and have the level of a drop's
+//!    surface at the distance R from the middle.
 //! 6. Joined. A sheet replaces the bulk's surface earlier than drops do, by `STANDS_OUT_EARLIER`
-//!    times its certainty: the surface of the bulk vanishes from a sheet before its particles stand
-//!    out.
+//!    times its certainty, because the surface of the bulk vanishes from a sheet before the sheet's
+//!    particles stand out.
 //!
 //! Derivatives are differences of logarithms over about a spacing, which are exact for Gaussians.
 //! Everything is integer arithmetic: numbers have 12 fraction bits unless stated otherwise, and
@@ -68,8 +71,8 @@ pub const ONE: i32 = 1 << BITS;
 const WIDTH: f64 = 1.5;
 /// The cut-off of this Gaussian, in standard deviations.
 const CUT: f64 = 2.6;
-/// The standard deviation of the Gaussian that averages certainty, in spacings; the narrowest
-/// filter is 1:2:1.
+/// The standard deviation, in spacings, of the Gaussian that averages certainty. The narrowest
+/// filter has the weights 1:2:1.
 const AVERAGE: f64 = 0.55;
 /// The width of a sheet's profile, in spacings.
 const PROFILE: f64 = 0.45;
@@ -81,15 +84,15 @@ const LEAST_CELLS: f64 = 0.62;
 const LEAST_RIM_CELLS: f64 = 0.85;
 /// The length, in spacings, that is added to both minimum half thicknesses.
 const LEAST_MORE: f64 = 0.05;
-/// The upper limit of each minimum half thickness, with [`LEAST_MORE`] added, in spacings. It
+/// The upper limit, in spacings, of each minimum half thickness, including [`LEAST_MORE`]. It
 /// matters only in coarse cells.
 const LEAST_MOST: f64 = 1.0;
-/// The difference from the minimum's log2 R^2 within which a thickness is increased, times the
-/// mesh's cell in spacings.
+/// A thickness is increased if its log2 R^2 differs from that of the minimum by less than this
+/// number divided by the mesh's cell in spacings.
 const GRADUAL: f64 = 0.55;
-/// The maximum of this difference, which limits it in fine cells.
+/// The maximum of this difference, which applies in fine cells.
 const MOST_GRADUAL: f64 = 4.0;
-/// Sheets end where they are stretched by this factor more than requested.
+/// Sheets have faded out where they are stretched by this factor more than requested.
 const GONE: f64 = 1.12;
 /// The factor by which filaments may be stretched farther than sheets: spray seldom looks like
 /// filaments.
@@ -99,7 +102,7 @@ pub const IMPURE: Ramp = ramp([0.06, 0.09]);
 /// 1 over the squared distance of B from a projection at which a cell counts fully as a rim.
 pub const BY_RIM: i32 = 16;
 /// The range of det(I - B) in which `IMPURE_IF_FLAT` and `BEYOND_IF_FLAT` fade out, because the
-/// particles do not lie in a plane.
+/// particles no longer lie in a plane.
 pub const FLAT: Ramp = ramp([0.01, 0.05]);
 /// The range of det(I - B) in which sheets fade out at the surface of a thick body.
 pub const THICK: Ramp = ramp([0.2, 0.35]);
@@ -113,13 +116,12 @@ const LEAST_ACROSS: f64 = 0.4;
 pub const THIN: Ramp = ramp([LEAST_ACROSS, 0.7]);
 /// The range of T in which sheets fade out again, because the body is round.
 pub const ROUND: Ramp = ramp([2.2, 2.45]);
-/// The range of the logarithm's difference between the middle and the cell in which sheets fade
-/// out, because the middle is not near.
+/// Sheets fade out over this range of the difference between the density's natural logarithms at
+/// the middle and at the cell, because the middle is then too far away.
 pub const BEYOND: Ramp = ramp([0.6, 0.75]);
-/// The distance by which sheets stand out earlier than drops, in spacings.
+/// The distance, in spacings, by which sheets stand out earlier than drops.
 pub(in crate::field) const STANDS_OUT_EARLIER: f64 = 0.35;
-/// The maximum difference between the logarithms of the density at the middle and at the cell, to
-/// base e.
+/// The maximum difference between the density's natural logarithms at the middle and at the cell.
 const MOST_MORE: f64 = 0.7;
 
 /// The parameters of thin fluid, for a density in wide cells that is interpolated in the cells of
@@ -151,9 +153,9 @@ pub struct SheetFields<F> {
 pub struct SheetConstants {
     /// The distance from a cell to the samples from which its differences are computed, in cells.
     pub step: i32,
-    /// The factor from differences of logarithms to g.
+    /// The factor that converts differences of logarithms to g.
     pub slope: i32,
-    /// The factor from second differences of logarithms to B.
+    /// The factor that converts second differences of logarithms to B.
     pub bend: i32,
     /// The minimum logarithm of a sample that can belong to a sheet.
     pub least: i32,
@@ -161,7 +163,7 @@ pub struct SheetConstants {
     pub least_across: i32,
     /// The logarithm of the plateau's sample.
     pub plateau: i32,
-    /// The maximum increase of the logarithm from a cell to the middle.
+    /// The maximum increase of the density's natural logarithm from a cell to the middle.
     pub most_more: i32,
     /// log2 R^2 minus a multiple of the density's logarithm: for sheets (2 times), filaments (1
     /// time) and drops (2/3 times).
@@ -175,11 +177,11 @@ pub struct SheetConstants {
     pub gradual: i32,
     /// 1 / (4 `gradual`).
     pub by_gradual: i32,
-    /// The logarithm of the stretch, minus half or all of the density's logarithm: for sheets and
-    /// filaments.
+    /// The logarithm of the stretch, plus half of the density's logarithm for sheets, and plus all
+    /// of it for filaments.
     pub stretches: [i32; 2],
-    /// The logarithm of a share at R = 0. The factors below multiply T, R^2 and the squared
-    /// distance from the middle.
+    /// The logarithm of a share where T, R and the distance from the middle are 0. The factors
+    /// below multiply T, R^2 and the squared distance.
     pub share: i32,
     /// The factor of T.
     pub by_directions: i32,
@@ -207,15 +209,15 @@ pub struct DropShape {
     pub radius: f64,
     /// The standard deviation of a drop, in spacings.
     pub width: f64,
-    /// The variance that interpolation by splines adds to shares before they are joined with the
-    /// bulk, in squared cells.
+    /// The variance, in squared cells, that interpolation by splines adds to shares before they are
+    /// joined with the bulk.
     pub spline: f64,
 }
 
 impl Sheets {
     /// Makes the parameters of sheets that are stretched up to `stretch`. The mesh has cells of
     /// `mesh_cell` spacings. Sheets are made in cells of `cell` spacings, from a density that is
-    /// interpolated from `wide` cells.
+    /// interpolated from `wide` cells. Returns `None` if `stretch` turns sheets off.
     pub fn new(
         stretch: SheetStretch,
         [mesh_cell, cell]: [f64; 2],
@@ -249,7 +251,7 @@ impl Sheets {
             [0.5 * log2(of_sheet(1.0)), log2(of_filament(1.0)) - log2(FILAMENTS_FARTHER)];
         let gone = log2(stretch * GONE);
         // The stretch of a sheet depends on half of the density's logarithm, the stretch of a
-        // filament on all of it; it is interpolated in between.
+        // filament on all of it. In between, the dependence is interpolated.
         let least_density = (2.0 * (stretches[0] - gone)).min(stretches[1] - gone);
         let numbers = SheetConstants {
             step,
@@ -284,7 +286,7 @@ impl Sheets {
         })
     }
 
-    /// Changes the parameters for densities of half the usual amounts.
+    /// Adapts the parameters to densities of clouds with half the usual amounts.
     #[must_use]
     pub fn of_half_amounts(mut self) -> Self {
         self.least /= 2;
@@ -299,7 +301,7 @@ impl Sheets {
         libm::exp2(f64::from(self.numbers.least - 2) / f64::from(ONE)) as u16
     }
 
-    /// The distance within which the smoothed density affects a sheet, in the sheet's cells.
+    /// The distance, in the cells of sheets, within which the smoothed density affects a sheet.
     pub fn halo(&self) -> i32 {
         self.numbers.step + self.average.reach()
     }

@@ -20,7 +20,7 @@ use super::{Octaves, SIDE};
 pub struct Layer {
     /// The clouds of the particles' volume.
     pub volume: SampledDif,
-    /// Clouds of the volume times the logarithm of the size in the octave.
+    /// The clouds of the particles' volume, times the logarithm of their size in the octave.
     pub fraction: SampledDif,
 }
 
@@ -42,12 +42,12 @@ pub struct LayerPages<'a> {
     /// Computes the size of a particle from its attributes.
     size: &'a (dyn Fn(&[f32]) -> f64 + Sync),
     clouds: Clouds,
-    /// For each bin of the octave, the range of bins that it contains.
+    /// For each bin of the octave, the range of the bins in `bins` that it contains.
     groups: Vec<Range<usize>>,
 }
 
 impl<'a> LayerPages<'a> {
-    /// Makes the pages of one octave; `walls` are those of the octave's grid.
+    /// Prepares to make the pages of one octave; `walls` are those of the octave's grid.
     pub fn new(
         bins: &'a Bins,
         octaves: Octaves,
@@ -76,7 +76,8 @@ impl<'a> LayerPages<'a> {
         self.groups.len()
     }
 
-    /// The pages of some bins: of volumes, and of fractions.
+    /// Makes the pages of the octave's bins `groups`: first the pages of volumes, then those of
+    /// fractions.
     ///
     /// # Errors
     /// If particles are in a scratch file that cannot be read.
@@ -99,7 +100,8 @@ impl<'a> LayerPages<'a> {
             // A size is computed from up to two attributes: a mass and a density.
             let numbers = &contents.attributes[contents.attributes.len().saturating_sub(2)..];
             let number = |at: usize| [0, 1].map(|i| numbers.get(i).map_or(0.0, |all| all[at]));
-            // Neighbouring particles often have the same size, so the last share is used again.
+            // Neighbouring particles often have the same size, so the share of the previous
+            // particle is used again.
             let share = |own: &[f32; 2]| self.octaves.share((self.size)(&own[..numbers.len()]));
             let mut last = None;
             for (at, &record) in contents.packed().iter().enumerate() {
@@ -133,12 +135,12 @@ type FilledPage = Option<(PageInfo, PageSamples)>;
 enum CloudPart {
     /// All volume.
     All,
-    /// The volume above an octave, and the fractions in it.
+    /// The volume of the octaves above an octave, and the fractions of that octave.
     Above,
 }
 
 impl SizedClouds {
-    /// Takes octaves from the finest on.
+    /// Makes clouds from the layers of all octaves, from the finest octave on.
     ///
     /// # Panics
     /// If there are no octaves.
@@ -196,7 +198,7 @@ impl SizedClouds {
         self.gathered(octave, level, cells, CloudPart::All)
     }
 
-    /// Whether `octave` or a finer octave may have samples above 0 in `cells`. These are 2^`level`
+    /// Whether `octave` or a finer octave may have nonzero samples in `cells`, which are 2^`level`
     /// times as wide as the cells of `octave`.
     #[must_use]
     pub fn may_hold(&self, octave: usize, level: u32, cells: CellBox) -> bool {
@@ -209,7 +211,7 @@ impl SizedClouds {
         })
     }
 
-    /// The part of the density that belongs to octaves above this one, according to the particles'
+    /// The part of the density that belongs to octaves above `octave`, according to the particles'
     /// sizes.
     #[must_use]
     pub fn above(&self, octave: usize, level: u32, cells: CellBox) -> Block {
@@ -220,7 +222,7 @@ impl SizedClouds {
         let wanted = self.plateau(level);
         let finest_walls = self.layers[0].volume.facts.walls();
         let mut sum = Block::zero(cells);
-        // A requested cell has 2^wide cells of the finest octave along an axis.
+        // A requested cell is as wide as 2^`wide` cells of the finest octave.
         let octave = self.first + octave;
         let wide = octave as u32 + level;
         for (of, layer) in (0_u32..).zip(&*self.layers) {
@@ -281,7 +283,8 @@ impl SizedClouds {
     }
 }
 
-/// Adds samples times a factor, rounded, up to the maximum sample.
+/// Adds the samples of `block` to `sum`, multiplied by `factor` and rounded. Sums saturate at the
+/// maximum sample.
 fn add(sum: &mut Block, block: &Block, factor: f64) {
     const BITS: u32 = 16;
     let factor = (factor * f64::from(1_u32 << BITS)).round() as u64;

@@ -1,9 +1,9 @@
 //! The level of the cells in each block, which follows the sizes of nearby particles.
 //!
-//! Blocks form an octree: a block of level k has 32^3 cells, and each is 2^k times as wide as the
-//! finest. A block is divided into blocks of level k - 1 in two cases: particles of octave k - 1
-//! are near it, or a block of level k - 1 in it or next to it is divided. So the levels of blocks
-//! that touch differ by at most one.
+//! Blocks form an octree: a block of level k has 32^3 cells, each 2^k times as wide as the finest
+//! cells. A block is divided into blocks of level k - 1 in two cases: particles of octave k - 1 are
+//! near it, or a block of level k - 1 in it or next to it is divided. So the levels of blocks that
+//! touch differ by at most one.
 
 use glam::IVec3;
 use hashbrown::{HashMap, HashSet};
@@ -18,7 +18,7 @@ pub type FinerBlocks = Vec<Vec<[i32; 3]>>;
 /// The level of the cells of each block.
 #[derive(Debug, Clone, Default)]
 pub struct BlockLevels {
-    /// The blocks of each level from 1 that are divided into blocks of the level below.
+    /// For each level from 1 up, the blocks that are divided into blocks of the level below.
     divided: Vec<HashSet<IVec3>>,
 }
 
@@ -28,8 +28,8 @@ impl SizedClouds {
     #[must_use]
     pub fn finer_blocks(&self) -> FinerBlocks {
         // The reach of the filter that averages sizes, in cells of an octave. It is larger than the
-        // reach of drops. The margin is the same number of cells of the next octave, which is twice
-        // as far.
+        // reach of drops. The margin is the same number of cells of the next coarser octave, which
+        // is twice as far.
         let wide = self.wide_cells();
         let margin = (averaging(wide).reach() + 1) << wide.level;
         let of_level = |level: usize| {
@@ -49,8 +49,8 @@ impl SizedClouds {
 }
 
 impl BlockLevels {
-    /// Bytes for a bin of particles: in cells of half a spacing, the bin's surroundings touch up to
-    /// eight blocks, and each block is stored in a list and in a hash table.
+    /// Memory, in bytes, for each bin of particles. In cells of half a spacing, the surroundings of
+    /// a bin touch up to eight blocks, and each block is stored in a list and in a hash table.
     pub const BIN_BYTES: u64 = 8 * 3 * size_of::<IVec3>() as u64;
 
     /// Makes the levels from the blocks of each level that are near particles of the next finer
@@ -102,8 +102,8 @@ impl BlockLevels {
         of_block
     }
 
-    /// The parts of blocks that overlap some boxes of the finest cells, as one box per block, in
-    /// the Morton order of their first cells.
+    /// The parts of blocks that overlap `boxes`, which are in the finest cells. There is one box
+    /// per block, in the Morton order of the blocks' first cells.
     #[must_use]
     pub fn regions(&self, boxes: impl Iterator<Item = CellBox>) -> Vec<LevelRegion> {
         let widest = self.count() as u8 - 1;
@@ -134,15 +134,15 @@ impl BlockLevels {
     }
 
     /// The seams of a region with narrower cells, in Morton order. There is a seam for each block
-    /// of the level below that lies in the region's block and touches narrower cells: the part in
-    /// which cells of both levels meet.
+    /// of the level below that lies in the region's block and has narrower cells at an upper face,
+    /// edge or corner. The seam is the part of that block in which cells of both levels meet.
     #[must_use]
     pub fn seams(&self, region: LevelRegion) -> Vec<LevelRegion> {
         let LevelRegion { level, cells } = region;
         let (Some(below), true) = (level.checked_sub(1), self.count() > 1) else {
             return Vec::new();
         };
-        // One wide cell more on each side, because the region was rounded to wide cells.
+        // One more wide cell on each side, because the region was rounded to wide cells.
         let near = cells.in_narrower_cells(1).grown(2, 2);
         let mut children: Vec<IVec3> = CellBox::cube(region.block(), 2).cubes(1).collect();
         children.sort_unstable_by_key(|&block| MortonKey::of(block));
@@ -151,7 +151,7 @@ impl BlockLevels {
             let part = (1..8_u8).filter(|upper| wider >> upper & 1 == 0).fold(
                 CellBox::EMPTY,
                 |all, upper| {
-                    // The last layer of cells along each axis on which the blocks differ.
+                    // Along each axis on which the two blocks differ, only the last layer of cells.
                     let own = CellBox::cube(block, BLOCK);
                     let is_last = |axis: usize| upper >> axis & 1 == 1;
                     let lo = [0, 1, 2]
@@ -218,7 +218,7 @@ mod tests {
         let regions = levels.regions([cells].into_iter());
         let volume = |region: &LevelRegion| region.cells.volume() << (3 * region.level);
         let sum: usize = regions.iter().map(volume).sum();
-        // A wide cell that the box cuts is in a region as a whole.
+        // A wide cell that the box cuts belongs to a region as a whole.
         assert!((cells.volume()..cells.volume() * 102 / 100).contains(&sum));
         assert!(regions.is_sorted_by_key(|region| MortonKey::of(region.first_block())));
         let mut seams = 0;

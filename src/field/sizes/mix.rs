@@ -1,4 +1,5 @@
-//! Distances of several octaves, mixed by the sizes of nearby particles, and the drops of each.
+//! Distances of several octaves, mixed by the sizes of nearby particles, and the drops of each
+//! octave.
 
 use glam::IVec3;
 
@@ -8,7 +9,7 @@ use crate::field::distance::{Drops, NONE, StandsOut, ZERO, away, greatest_of};
 /// A share of 1.
 pub const WHOLE: u32 = 1 << 15;
 
-/// One smoothed density divided by another, in 32768ths; `of_none` where both are 0.
+/// One smoothed density divided by another, in 32768ths; `of_none` where `all` is 0.
 ///
 /// # Panics
 /// If the densities are on different cells.
@@ -26,7 +27,7 @@ pub fn share(part: &Block, all: &Block, of_none: u32) -> Block {
 
 /// Mixes the distances of an octave with the distances of the next coarser octave, weighted by the
 /// `shares` of the coarser octave. Both distances are in spacings of the finer octave. If only one
-/// of two samples has a particle nearby, the result is that sample.
+/// of the two samples at a cell has a particle nearby, the result is that sample.
 ///
 /// # Panics
 /// If the fields are on different cells.
@@ -71,8 +72,7 @@ pub fn in_finer_spacings(sample: u16) -> u16 {
 pub struct OctaveDrops<'a> {
     /// The octave.
     pub octave: u32,
-    /// The distance by which nearby particles lie outside of the surface, in spacings of the
-    /// octave.
+    /// The distance, in spacings of the octave, by which nearby particles lie outside the surface.
     pub near: &'a Block,
     /// The shares of drops.
     pub shares: &'a Block,
@@ -126,7 +126,7 @@ impl OctaveDrops<'_> {
     }
 }
 
-/// 2 to the power of a number from 0 to 1, both in 32768ths: within 0.4 %.
+/// 2 to the power of a number from 0 to 1, both in 32768ths. The error is at most 0.4 %.
 fn exp2(power: u16) -> u32 {
     let power = u32::from(power).min(WHOLE);
     WHOLE + ((power * (21_512 + ((11_256 * power) >> 15))) >> 15)

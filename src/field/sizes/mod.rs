@@ -5,20 +5,21 @@
 //! has its own grid, whose cells are 2^k times as wide as those of the mesh, so that a cell has the
 //! same edge in spacings of each octave.
 //!
-//! 1. Clouds. In its octave, a particle's cloud holds its volume: (s / 2^k d)^3 times half the
-//!    usual [`Amount`]. The density of an octave is the sum over all particles: finer clouds are
-//!    merged into wider cells, and quadratic B-splines interpolate coarser ones.
-//! 2. Field. Each octave turns that density into [distances](super::distance), with the filters of
-//!    one size, in its own spacings.
+//! 1. Clouds. In its octave, a particle's cloud is weighted by the particle's volume: its amount is
+//!    (s / (2^k d))^3 times half the usual [`Amount`]. The density of an octave is the sum over all
+//!    particles: finer clouds are merged into wider cells, and quadratic B-splines interpolate
+//!    coarser ones.
+//! 2. Field. Each octave turns its density into [distances](super::distance), in its own spacings
+//!    and with the filters for particles of a single size.
 //! 3. Mixed. A particle's size lies between two octaves, at log2(s / d). Under a Gaussian of 1.5
 //!    spacings of octave k, f_k is the volume-weighted mean of log2(s / d) - k, limited to 0 to 1.
-//!    With B_k the surface of the bulk in octave k, R_k = (1 - f_k) B_k + f_k R_(k + 1): in fluid
-//!    of size 2^k d this is B_k. The bulk's surface is R_0.
-//! 4. Drops. In each octave, particles that lie outside of R_k add their drops and sheets. The
-//!    radius of drops grows with the mean logarithm of the sizes of the octave's nearby particles.
+//!    With B_k the surface of the bulk in octave k, R_k = (1 - f_k) B_k + f_k R_(k + 1). In fluid
+//!    of size 2^k d, R_k is B_k. The bulk's surface is R_0.
+//! 4. Drops. In each octave, particles that lie outside R_k add their drops and sheets. The radius
+//!    of drops grows with the mean logarithm of the sizes of the octave's nearby particles.
 //!
-//! 5. Cells. Blocks without particles below octave k nearby are made of the cells of octave k, with
-//!    the field as seen from that octave: R_k is their bulk. See `levels`.
+//! 5. Cells. Blocks that have no particles of octaves below k nearby consist of the cells of octave
+//!    k. The surface of the bulk in these blocks is R_k. See `levels`.
 //!
 //! No sample depends on the box of cells in which it is made. Where a share is 0, the field that it
 //! multiplies is not computed; this does not change any sample.
@@ -50,8 +51,8 @@ const MIXED_CUT: f64 = 2.6;
 const MIXED_GAIN: u32 = 2;
 
 /// The growth of a drop's nominal radius from a size to twice that size, in spacings of the octave:
-/// the first number, plus the second over the squared spacing in cells. This growth gives each drop
-/// about the volume of its particle.
+/// the first number, plus the second divided by the squared spacing in cells. This growth gives
+/// each drop about the volume of its particle.
 const GROWTH: [f64; 2] = [0.65, 0.3];
 
 /// The growth of the radius of drops within an octave, in units of distance.
@@ -69,7 +70,7 @@ pub fn averaging(wide: WideCells) -> Weights {
     gaussian(MIXED / wide.edge, 0.5, MIXED_CUT).0.gaining(MIXED_GAIN)
 }
 
-/// The brick size for clouds of sizes.
+/// The brick size for the clouds of particles of several sizes.
 pub const SIDE: BrickSide = BrickSide::Sixteen;
 
 /// The octaves of a frame, from which the amount of each particle's cloud follows.
@@ -96,8 +97,8 @@ pub struct CloudShare {
 }
 
 impl Octaves {
-    /// Makes octaves from the size `finest` up to the one with `coarsest`, for cells of edge
-    /// `cell`.
+    /// Makes the octaves for sizes from `finest` to `coarsest`. `cell` is the edge of the finest
+    /// cells.
     #[must_use]
     pub fn new(finest: f64, coarsest: f64, cell: f64) -> Self {
         let mut count = 1;
@@ -111,8 +112,8 @@ impl Octaves {
         Self { finest, count, amount }
     }
 
-    /// The share of a particle of size `size`; sizes beyond the octaves count as the nearest size
-    /// within, but particles below the smallest size keep their volume.
+    /// The share of a particle of size `size`. A size outside the octaves counts as the nearest
+    /// size inside them, but particles below the smallest size keep their volume.
     #[must_use]
     pub fn share(&self, size: f64) -> CloudShare {
         // The factor keeps rounded sizes that are a power of two times the finest from falling into
@@ -127,11 +128,11 @@ impl Octaves {
         // Particles below the finest size keep their volume.
         let volume = (size / self.finest).min(1.0);
         let volume = volume * volume * volume * ratio * ratio * ratio;
-        // Rounded by the conversion, which is faster than a call.
+        // The conversion to an integer rounds down, which is faster than a call.
         let rounded = |x: f64| (x + 0.5) as u32;
         let amount = rounded(self.amount * volume).max(1);
         let fraction = if octave + 1 < self.count { log2(ratio) } else { 0.0 };
-        // A size close to a power of two counts as that power.
+        // A size slightly above a power of two counts as that power.
         let fraction = if fraction < 0.01 { 0.0 } else { fraction };
         CloudShare { octave, amount, fraction: rounded(f64::from(amount) * fraction) }
     }

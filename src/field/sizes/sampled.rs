@@ -6,7 +6,7 @@ use crate::field::distance::UNITS;
 
 use super::{Octaves, SizedClouds};
 
-/// A frame of particles of several sizes with its clouds, as in a packed frame.
+/// A frame of particles of several sizes with its clouds, as a packed frame stores them.
 #[derive(Debug)]
 pub struct SampledOctaves {
     /// Facts of the frame, on the grid of the finest octave. The spacing is the smallest size.

@@ -9,9 +9,9 @@ use crate::grid::{BIN, CellBox};
 /// Number of examined bins.
 const BINS: usize = 32;
 
-/// The spacing from the mean number of particles around each particle, in cubes of about three
-/// spacings; `None` for indicators other than clouds. In thin fluid it is too large: by a factor of
-/// 1.4 in sheets of one layer, by 2 in filaments.
+/// The spacing from the mean number of particles around each particle, counted in cubes of 3^3 wide
+/// cells; `None` if the samples are not clouds, or if the frame has no spacing. In thin fluid, the
+/// result is too large: by a factor of 1.4 in sheets of one layer, and of 2 in filaments.
 pub fn spacing_by_clouds(frame: &SampledDif) -> Option<f64> {
     if !frame.is_clouds() {
         return None;

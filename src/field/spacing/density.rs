@@ -2,8 +2,8 @@
 //!
 //! The spacing is the edge of the cube that a particle fills: (volume / number)^(1/3). Particles
 //! are counted in cells a few spacings wide, but only in cells whose 26 neighbours also hold
-//! particles, which excludes surfaces. In thin fluid such cells have gaps too, and the spacing is
-//! too large.
+//! particles, which excludes surfaces. In thin fluid, even such cells have gaps, so the estimated
+//! spacing is too large.
 
 use glam::{DVec3, IVec3};
 use hashbrown::HashMap;
@@ -21,8 +21,8 @@ const TARGETS: [f64; 3] = [48.0, 16.0, 6.0];
 const ENOUGH_CELLS: usize = 8;
 /// Maximum number of counting cells: in spray each particle occupies its own cell.
 const MOST_CELLS: usize = 1 << 24;
-/// Maximum number of cells in the box around all particles for counting in a dense list, which
-/// includes empty cells.
+/// Maximum number of cells in the box around all particles for which counts are kept in a dense
+/// list. The list includes empty cells.
 const MOST_LISTED: f64 = (1 << 21) as f64;
 
 /// Number of particles in a parallel task.
@@ -47,7 +47,7 @@ fn numbers_of(
     }
 }
 
-/// The spacings of some particles.
+/// The spacings of particles, from counting.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Spacings {
     /// The spacing of all particles, as if they were evenly distributed.
@@ -83,8 +83,8 @@ pub fn spacings(particles: &[[f64; 3]], bounds: &Bounds, enough_share: f64) -> O
         let at_corner;
         (cell, at_corner) = cell_for(|cell| counts(lo, cell), target, cell)?;
         let placements = (SHARE / particles.len().max(1)).clamp(1, 8) as u32;
-        // Multiples of the powers of the golden ratio, generalised to three axes, are evenly
-        // spread.
+        // Multiples of these numbers, powers of the golden ratio generalised to three axes, are
+        // evenly spread.
         let shifts = (0..placements).map(|i| {
             let i = f64::from(i);
             DVec3::new(i * 0.819_172_513, i * 0.671_043_606, i * 0.549_700_478).fract()
@@ -114,7 +114,7 @@ const PART: f64 = 0.05;
 /// The minimum number of particles in a cell of a separate resolution: with fewer, the particles
 /// could be spray.
 const ENOUGH_IN_CELL: usize = 4;
-/// Among the cells of one separate resolution, the minimum share that must have similar counts.
+/// More than this share of the cells of a separate resolution must have similar counts.
 const EVEN: f64 = 0.8;
 
 /// The spacings of two resolutions, from the counts of interior cells of edge `cell`. There must be
@@ -124,7 +124,7 @@ fn two_of(mut counts: Vec<usize>, cell: f64) -> Option<[f64; 2]> {
     counts.sort_unstable();
     let total: usize = counts.iter().sum();
     let mut below = 0;
-    // The median over all particles of the count in the particle's cell.
+    // The median, over all particles, of the count in the particle's cell.
     let most = *counts.iter().find(|&&count| {
         below += count;
         2 * below >= total
@@ -172,7 +172,7 @@ impl CellCounts {
         let size = (last + 2.0).to_array();
         let is_small = size.iter().product::<f64>() <= MOST_LISTED;
         if !is_small {
-            // The bins of a grid with sixteen times finer cells are the counting cells.
+            // The counting cells are the bins of a grid whose cells are sixteen times finer.
             let grid = Grid::new(origin, cell / f64::from(BIN)).ok()?;
             let room = CountingRoom { bins: MOST_CELLS, places: 0 };
             let plan =
@@ -203,7 +203,7 @@ impl CellCounts {
         Some(Self::Listed { size: size.map(|size| size as usize), counts })
     }
 
-    /// The counts in cells with the same corner and twice the width.
+    /// The counts in cells that are twice as wide and begin at the same corner.
     fn twice_as_wide(&self) -> Self {
         match self {
             Self::Listed { size, counts } => {
@@ -269,7 +269,7 @@ impl CellCounts {
     }
 }
 
-/// A cell size at which a typical particle shares its cell with about `target` others, and the
+/// A cell size at which the cell of a typical particle holds about `target` particles, and the
 /// counts in such cells.
 fn cell_for(
     counts: impl Fn(f64) -> Option<CellCounts>,

@@ -1,11 +1,11 @@
 //! The spacing of particles, estimated from their positions: the edge of the cube that a particle
 //! fills, (volume / number)^(1/3).
 //!
-//! Two estimates check each other. `density` counts particles in cells; this is accurate in deep
-//! fluid, but too large in thin fluid with gaps. `neighbours` measures the density around single
-//! particles. If both agree, the result is the spacing from counting. Otherwise, or if no fluid is
-//! deep enough to count, the result comes from the neighbours. An unreliable [`SpacingEstimate`] is
-//! marked as thin.
+//! Two estimates check each other. `density` counts particles in cells; the result is accurate in
+//! deep fluid, but too large in thin fluid with gaps. `neighbours` measures the density around
+//! single particles. If both agree, the result is the spacing from counting. Otherwise, or if no
+//! fluid is deep enough to count, the result comes from the neighbours. An unreliable
+//! [`SpacingEstimate`] is marked as thin.
 //!
 //! Up to [`ALL`] particles are read once and held in memory. If there are more, the first reading
 //! takes an even sample for counting, and the second reading takes all particles in some cubes for
@@ -31,12 +31,12 @@ pub use sample::{CubeSample, Cubes, EvenSample, FinishedSample, NeighbourSample}
 
 use sample::SHARE;
 
-/// The maximum number of particles that are held in memory for the estimate; an even [`EvenSample`]
-/// can hold as many.
+/// The maximum number of particles that are held in memory for the estimate; an [`EvenSample`] can
+/// hold as many.
 pub const ALL: usize = 2 * SHARE;
 /// If there are more particles than this, a small sample is enough to confirm a count.
 const FEWEST_SAMPLED: usize = 1 << 12;
-/// The maximum number of particles that are all searched if a small sample does not confirm the
+/// Up to this number of particles, all of them are searched if a small sample does not confirm the
 /// count.
 const MOST_SEARCHED: usize = 1 << 15;
 /// The minimum share of the particles that must be in interior cells for the count of a sample to
@@ -44,10 +44,10 @@ const MOST_SEARCHED: usize = 1 << 15;
 const ENOUGH_SHARE: f64 = 1.0 / 16.0;
 /// The minimum number of distinct positions for an estimate.
 const FEWEST: usize = 8;
-/// The minimum share of deep particles; fluid with less is thin.
+/// The minimum share of deep particles; with a smaller share, the fluid is thin.
 const THIN: f64 = 0.15;
 
-/// The evidence about the spacing in the particles' positions.
+/// The evidence about the spacing that the particles' positions give.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Evidence {
     /// Number of finite particles.
@@ -67,7 +67,7 @@ pub struct Evidence {
 pub struct CoordinateFacts {
     /// The plane in which all particles lie, if there is one.
     pub plane: Option<Plane>,
-    /// The step of the coordinates, if all are single-precision numbers.
+    /// The step of the coordinates, if they were rounded to single precision.
     pub step: Option<f64>,
     /// A robust middle of the particles, which stray particles do not move.
     pub middle: DVec3,
@@ -78,7 +78,7 @@ pub struct CoordinateFacts {
 pub struct Plane {
     /// 0, 1 or 2 for x, y or z.
     pub axis: usize,
-    /// The coordinate on that axis.
+    /// The plane's coordinate along that axis.
     pub at: f64,
 }
 
@@ -144,8 +144,8 @@ pub fn estimate(particles: &dyn Particles) -> Option<f64> {
 }
 
 /// Reads the particles and collects the evidence about their spacing; `None` if there are no finite
-/// particles, or if the reading was cancelled. Up to [`ALL`] particles are read once, more
-/// particles twice or more.
+/// particles, or if the reading was cancelled. Up to [`ALL`] particles are read once; more
+/// particles are read at least twice.
 pub fn evidence(particles: &dyn Particles) -> Option<Evidence> {
     if particles.len() <= ALL {
         let (positions, bounds) = gathered(particles);
@@ -219,7 +219,7 @@ pub fn for_each_chunk(particles: &dyn Particles, add: impl Fn(&[[f64; 3]]) + Syn
     });
 }
 
-/// The finite positions of all particles in their order, and their bounds.
+/// The finite positions of all particles, in the order of the particles, and their bounds.
 fn gathered(particles: &dyn Particles) -> (Vec<[f64; 3]>, Bounds) {
     let mut all = vec![[0.0; 3]; particles.len()];
     let bounds = all.par_chunks_mut(CHUNK).enumerate().map(|(chunk, positions)| {
@@ -234,7 +234,7 @@ fn gathered(particles: &dyn Particles) -> (Vec<[f64; 3]>, Bounds) {
     (all, bounds)
 }
 
-/// Collects the evidence of all particles, which lie within `bounds`.
+/// Collects the evidence from all particles, which lie within `bounds`.
 fn of_all(positions: Vec<[f64; 3]>, bounds: Bounds) -> Option<Evidence> {
     if positions.is_empty() {
         return None;
@@ -279,7 +279,7 @@ fn of_all(positions: Vec<[f64; 3]>, bounds: Bounds) -> Option<Evidence> {
         let more =
             || if positions.len() <= MOST_SEARCHED { all() } else { in_cubes(CubeSample::new) };
         let found = few.unwrap_or_else(|| Neighbours::of(more()));
-        // A plane or a film may miss the middles of all cubes.
+        // The middles of all cubes may miss a plane or a film.
         if found.suggested().is_some() { found } else { Neighbours::of(all()) }
     };
     let mut neighbours = look(&positions, counted);
@@ -292,10 +292,9 @@ fn of_all(positions: Vec<[f64; 3]>, bounds: Bounds) -> Option<Evidence> {
     Some(Evidence { particles, places, counted, neighbours, place })
 }
 
-/// The cube width for the search for neighbours if the particles have not been counted: half the
-/// distance to the third neighbour in a small sample. The particles of a sample of sheets or
-/// filaments are closer together than those of a solid; the cubes are then wider, and hold more
-/// particles.
+/// The scale of the search for neighbours if the particles have not been counted: half the distance
+/// to the third neighbour in a small sample. In a sample of sheets or filaments, particles are
+/// farther apart than in a sample of deep fluid, so the cubes are wider and hold more particles.
 fn scale_of(few: Vec<[f64; 3]>) -> Option<f64> {
     Some(Neighbours::of(NeighbourSample::whole(few)).nearest?[2] / 2.0)
 }
@@ -329,13 +328,13 @@ impl SpacingDraft {
         CubeSample::new(Cubes::for_spacing(self.scale), self.particles)
     }
 
-    /// Whether a search for neighbours at the scale of this spacing is suitable.
+    /// Whether the scale of the search for neighbours suits particles with this spacing.
     pub fn suits(&self, spacing: f64) -> bool {
         within(spacing / self.scale, 2.5)
     }
 
-    /// Reads the particles for a search for neighbours: once, if the scale is known. Returns `None`
-    /// if the reading was cancelled.
+    /// Reads the particles for a search for neighbours. They are read again at another scale if the
+    /// first scale turns out not to suit them. Returns `None` if the reading was cancelled.
     pub fn completed(mut self, particles: &dyn Particles) -> Option<Evidence> {
         const READINGS: u32 = 8;
         for _ in 1..READINGS {
@@ -363,13 +362,14 @@ impl SpacingDraft {
         Some(self.with_sample(in_cubes.sample()))
     }
 
-    /// Adds the neighbours in a sample, as far as they are needed to check the count.
+    /// Searches a sample for neighbours, as far as the check of the count needs them, and adds
+    /// them.
     pub fn with_sample(self, sample: NeighbourSample) -> Evidence {
         let neighbours = Neighbours::for_check(sample, self.counted());
         self.with(neighbours)
     }
 
-    /// Adds the neighbours of the particles in some cubes.
+    /// Adds the result of a search for neighbours.
     pub fn with(self, neighbours: Neighbours) -> Evidence {
         let Self { particles, places, counted, place, .. } = self;
         Evidence { particles, places, counted, neighbours, place }
@@ -392,7 +392,7 @@ impl CoordinateFacts {
         if some.is_empty() {
             some = vec![lo.into(), hi.into()];
         }
-        // Unused particles that are parked in one position count once. Stray particles move neither
+        // Unused particles that are parked at one position count once. Stray particles move neither
         // a median nor a quartile.
         some.sort_unstable_by_key(|position| position.map(f64::to_bits));
         some.dedup();
@@ -402,7 +402,8 @@ impl CoordinateFacts {
         };
         let middle = DVec3::from([0, 1, 2].map(|axis| quantile(axis, 2)));
         let spread = [0, 1, 2].map(|axis| quantile(axis, 3) - quantile(axis, 1));
-        /// The maximum thickness of a plane relative to its extent, for single-precision rounding.
+        /// The maximum thickness of a plane, relative to its extent. It allows for single-precision
+        /// rounding.
         const FLAT: f64 = 1e-6;
         let thinnest = FLAT * spread.into_iter().fold(0.0, f64::max);
         let flat: Vec<usize> = (0..3).filter(|&a| hi[a] - lo[a] <= thinnest).collect();
@@ -415,8 +416,9 @@ impl CoordinateFacts {
     }
 }
 
-/// The step of coordinates that were rounded to single precision, at a distance from the origin;
-/// `None` if they were not rounded, or if they already were multiples of a larger step.
+/// The step of coordinates that were rounded to single precision, at the distance `far` from the
+/// origin. Returns `None` if they were not rounded, or if they already were multiples of a larger
+/// step.
 fn step_of(coordinates: &[f64], far: f64) -> Option<f64> {
     let is_single = coordinates.iter().all(|&c| f64::from(c as f32) == c);
     let far = far as f32;

@@ -1,12 +1,12 @@
 //! Distances between nearest neighbours. They give the spacing where counting fails: in thin fluid,
 //! and for few particles.
 //!
-//! Deep in the fluid the distance of the k-th neighbour measures the density: a ball of that radius
-//! holds k particles (Mack and Rosenblatt 1979, <https://doi.org/10.1016/0047-259X(79)90065-4>).
-//! Averaged over k = 8 to 20 the error is within 3 % for lattices, liquids and randomly placed
-//! particles. A particle counts as deep if its neighbours surround it: their centroid is near, and
-//! their second moments are nearly equal in all directions. The same holds for a sheet within its
-//! plane.
+//! Deep in the fluid, the distance to the k-th neighbour measures the density: a ball of that
+//! radius holds about k particles (Mack and Rosenblatt 1979,
+//! <https://doi.org/10.1016/0047-259X(79)90065-4>). Averaged over k = 8 to 20, the error is within
+//! 3 % for lattices and randomly placed particles, and within 6 % for a compressed liquid. A
+//! particle counts as deep if its neighbours surround it: their centroid is near, and their second
+//! moments are nearly equal in all directions. In a sheet, the same applies within its plane.
 
 use std::f64::consts::PI;
 use std::ops::{Range, RangeInclusive};
@@ -18,15 +18,15 @@ use super::sample::{NeighbourSample, distinct};
 
 /// Number of neighbours per query.
 const NEIGHBOURS: usize = 20;
-/// The neighbours whose distances give the density of deep particles: complete shells of a lattice
-/// cancel out over this range.
+/// The neighbours whose distances give the density of deep particles. Over this range, the errors
+/// due to the shells of a lattice cancel out.
 const OF_SOLID: RangeInclusive<usize> = 8..=NEIGHBOURS;
 /// The neighbours whose distances give the density in the plane of a sheet.
 const OF_SHEET: RangeInclusive<usize> = 4..=8;
 /// The neighbours whose distances give the density if all particles lie in a plane.
 const OF_PLANE: RangeInclusive<usize> = 4..=NEIGHBOURS;
-/// The factor by which neighbours in a plane are farther away than for random particles. With it,
-/// the error is within 1.5 % for lattices, with or without jitter.
+/// The factor by which neighbours in a plane are farther away than those of random particles. With
+/// it, the error is within 1.5 % for lattices, with or without jitter.
 const FARTHER: f64 = 1.03;
 /// A particle is deep only if the distance to the centroid of its neighbours is less than this
 /// share of the distance to the farthest neighbour.
@@ -39,14 +39,14 @@ const FLAT: f64 = 0.2;
 /// Neighbours in a plane surround the particle if 4 (sum of principal minors) / trace^2 exceeds
 /// this. The measure is 1 in a disc, and 0 on a line.
 const DISC: f64 = 0.6;
-/// Positions with a greater scatter are random. The scatter of random positions is 1; FLIP
-/// particles that were seeded eight per cell have a scatter of 0.8.
+/// Positions with a greater scatter than this are random. The scatter of random positions is 1;
+/// FLIP particles that were seeded eight per cell have a scatter of 0.8.
 const RANDOM: f64 = 0.9;
 /// The maximum error of a scatter that is measured on few particles.
 const CHANCE: f64 = 0.2;
 /// The minimum number of deep particles for a reliable scatter.
 const ENOUGH_FOR_SCATTER: usize = 100;
-/// The minimum share of flat neighbourhoods in sheets of a single layer.
+/// In sheets of a single layer, more than this share of the neighbourhoods is flat.
 const SHEETS: f64 = 0.6;
 /// Along filaments of single particles, the third neighbour is farther away than the second by more
 /// than this factor.
@@ -61,9 +61,9 @@ const ENOUGH: usize = 8;
 const FEWEST_QUERIES: usize = 300;
 /// The maximum number of queried particles.
 const MOST_QUERIES: usize = 2048;
-/// Within these limits, one of this number of particles is queried.
+/// Within these limits, one particle in `PARTICLES_A_QUERY` is queried.
 const PARTICLES_A_QUERY: usize = 32;
-/// The number of queried particles if a smaller number suggests random positions.
+/// The number of queried particles if fewer queries suggest random positions.
 const QUERIES_OF_RANDOM: usize = 4096;
 
 /// Distances between nearest neighbours in a sample of particles.
@@ -74,7 +74,7 @@ pub struct Neighbours {
     /// The median distances to the first four neighbours, among the most densely packed particles.
     pub nearest: Option<[f64; 4]>,
     /// The spacing from the density around particles that are surrounded by neighbours, and the
-    /// share of these particles.
+    /// share of queried particles that are.
     pub solid: Option<(f64, f64)>,
     /// The spacing from the density around each particle that is surrounded by neighbours, in
     /// ascending order.
@@ -107,14 +107,15 @@ struct Neighbourhood {
 }
 
 impl Neighbours {
-    /// Searches a few cubes. Returns `None` if they do not confirm a spacing; more cubes are then
-    /// needed.
+    /// Searches a sample of a few cubes. Returns `None` if it does not confirm `spacing`; more
+    /// cubes are then needed.
     pub fn of_few(sample: NeighbourSample, spacing: f64) -> Option<Self> {
         let few = Self::of(sample);
         (few.confirms(spacing) && few.coincident == 0 && !few.may_be_random()).then_some(few)
     }
 
-    /// Searches a few of a sample's cubes, and all of them if the few do not confirm the count.
+    /// Searches a few of a sample's cubes, and all of them if the few do not confirm the counted
+    /// spacing.
     pub fn for_check(mut sample: NeighbourSample, counted: Option<f64>) -> Self {
         let few = std::mem::take(&mut sample.few);
         let few = NeighbourSample {
@@ -125,7 +126,7 @@ impl Neighbours {
         counted.and_then(|counted| Self::of_few(few, counted)).unwrap_or_else(|| Self::of(sample))
     }
 
-    /// Searches a sample.
+    /// Searches a sample for neighbours.
     pub fn of(sample: NeighbourSample) -> Self {
         let NeighbourSample { positions, cubes, coincident, .. } = sample;
         let all = positions.len() + coincident;
@@ -160,7 +161,7 @@ impl Neighbours {
         let enough =
             |count: usize| count >= ENOUGH && count as f64 >= ENOUGH_SHARE * queried as f64;
         // The estimate is for the fluid, not for spray around it: only the most densely packed
-        // particles count, according to the distance of their third neighbours.
+        // particles count, according to the distance to their third neighbours.
         let mut thirds: Vec<f64> =
             all.iter().map(|of| of.distances[2]).filter(|d| d.is_finite()).collect();
         thirds.sort_unstable_by(f64::total_cmp);
@@ -215,8 +216,8 @@ impl Neighbours {
     /// queried.
     pub fn suggested(&self) -> Option<f64> {
         let [first, second, third, fourth] = self.nearest?;
-        // In an ordered fluid three or four neighbours are about a spacing away, and in a
-        // compressed liquid somewhat less. In a disordered fluid the fourth neighbour is farther
+        // In an ordered fluid, three or four neighbours are about a spacing away; in a compressed
+        // liquid, they are somewhat closer. In a disordered fluid, the fourth neighbour is farther
         // away.
         let order = ((first / fourth - 0.7) / 0.2).clamp(0.0, 1.0);
         let near = third + order * (fourth - third);
@@ -228,8 +229,8 @@ impl Neighbours {
         (suggested.is_finite() && suggested > 0.0).then_some(suggested)
     }
 
-    /// The spacing from the density around deep particles, with the share of such particles; `None`
-    /// if it does not fit the distances of their nearest neighbours, as between sheets or filaments
+    /// The spacing from the density around deep particles, and the share of such particles; `None`
+    /// if the spacing does not fit the distances to nearest neighbours, as in sheets or filaments
     /// that are close together.
     pub fn measured(&self) -> Option<(f64, f64)> {
         let [_, second, third, _] = self.nearest?;
@@ -238,8 +239,8 @@ impl Neighbours {
         (fits && third <= FILAMENT * second).then_some((spacing, share))
     }
 
-    /// The distance to the third neighbour as a spacing: disorder reduces it, by 14 % for randomly
-    /// placed particles.
+    /// The spacing from the distance to the third neighbour, corrected for disorder, which reduces
+    /// this distance by 14 % for randomly placed particles.
     fn by_third(&self) -> Option<f64> {
         let [first, _, third, fourth] = self.nearest?;
         let disorder = (0.72 - first / fourth).clamp(0.0, 0.15);
@@ -263,13 +264,14 @@ impl Neighbours {
         self.scatter.is_some_and(|scatter| scatter.iter().all(|&scatter| scatter > RANDOM))
     }
 
-    /// Whether the particles may be spray: they are placed randomly, or too few are deep to exclude
-    /// this.
+    /// Whether the particles may be spray: they are placed randomly, or too few are deep to rule
+    /// this out.
     pub fn may_be_spray(&self) -> bool {
         self.scatter.is_none() || self.is_random()
     }
 
-    /// Whether the placement may be random, considering the error for a small number of particles.
+    /// Whether the placement may be random, allowing for the error of a scatter measured on few
+    /// particles.
     fn may_be_random(&self) -> bool {
         self.scatter.is_none_or(|scatter| scatter.iter().all(|&scatter| scatter > RANDOM - CHANCE))
     }
@@ -356,13 +358,13 @@ fn densest(values: &[f64]) -> Option<f64> {
     Some(values[best + group(best) / 2])
 }
 
-/// The standard deviation of the density around particles relative to random particles, from
-/// quantiles.
+/// The standard deviation of the density around particles, relative to that of random particles. It
+/// is estimated from quantiles.
 fn scatter(solid: &[&Neighbourhood], k: usize) -> f64 {
     let mut volumes: Vec<f64> = solid.iter().map(|of| of.distances[k - 1].powi(3)).collect();
     volumes.sort_unstable_by(f64::total_cmp);
     let quantile = |share: f64| volumes[(share * (volumes.len() - 1) as f64) as usize];
-    // 68 % of a normal distribution lie between these two quantiles.
+    // 68 % of a normal distribution lies between these two quantiles.
     (quantile(0.84) - quantile(0.16)) / 2.0 / quantile(0.5) * (k as f64).sqrt()
 }
 
@@ -412,7 +414,7 @@ impl PointTree {
         Self { points, axes }
     }
 
-    /// The nearest other points to `point`, ordered by distance.
+    /// The points nearest to `point`, without the point itself, ordered by distance.
     fn nearest(&self, point: [f64; 3]) -> NearestPoints {
         let mut nearest = NearestPoints { found: [(0.0, DVec3::ZERO); NEIGHBOURS], count: 0 };
         self.search(0..self.points.len(), point.into(), &mut nearest);

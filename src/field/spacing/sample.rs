@@ -60,14 +60,15 @@ impl EvenSample {
         Self { one_in, held: Mutex::new(held) }
     }
 
-    /// Adds the sample's share of some particles. Particles that are not finite are ignored.
+    /// Adds the sample's share of the particles at `positions`. Positions that are not finite are
+    /// ignored.
     pub fn add(&self, positions: &[[f64; 3]]) {
         let mut ours = [[0.0; 3]; BATCH];
         let mut bounds = Bounds::NONE;
         let mut taken = Vec::new();
         for positions in positions.chunks(BATCH) {
             bounds = bounds.joined(Bounds::of(positions));
-            // This loop has no branch, because it would be unpredictable.
+            // This loop has no branch, because a branch would be unpredictable.
             let mut end = 0;
             for &position in positions {
                 ours[end] = position;
@@ -114,8 +115,8 @@ impl EvenSample {
 }
 
 impl SampledPositions {
-    /// Sorts on this thread only. A parallel sort could steal work of a thread that waits for the
-    /// same lock, which is a deadlock.
+    /// Drops duplicate positions. Sorts on this thread only, because a parallel sort could steal a
+    /// task that waits for the same lock, which would be a deadlock.
     fn drop_duplicates(&mut self) {
         let all = self.positions.len();
         self.positions.sort_unstable_by_key(|position| position.map(f64::to_bits));
@@ -163,8 +164,8 @@ pub struct Cubes {
 }
 
 impl Cubes {
-    /// Edge of a cube in spacings: within the middle third of the cube, all particles within two
-    /// spacings of a particle are in the cube. The edge is not a multiple of the spacing, so a
+    /// Edge of a cube in spacings. For a particle in the middle third of a cube, all particles
+    /// within two spacings are in the same cube. The edge is not a multiple of the spacing, so a
     /// lattice has a different offset in each cube.
     const SPACINGS: f64 = 6.37;
 
@@ -187,8 +188,8 @@ impl Cubes {
         mixed ^ (mixed >> 16)
     }
 
-    /// The distance within which all neighbours of a particle are in its cube; `None` outside of
-    /// the cube's middle.
+    /// The distance within which all neighbours of a particle are in its cube; `None` if the
+    /// particle is not in the middle third of the cube along every axis.
     pub fn shown_around(&self, position: [f64; 3]) -> Option<f64> {
         let of_axis = |c: &f64| {
             // Coordinate 0, where floors and planes often are, is in the middle of a cube.
@@ -241,10 +242,10 @@ fn without_duplicates(positions: Vec<[f64; 3]>) -> Vec<[f64; 3]> {
     if some_are_alike(&numbers) { distinct(positions) } else { positions }
 }
 
-/// Whether two of many hashes are equal.
+/// Whether any two of the hashes are equal.
 fn some_are_alike(numbers: &[u64]) -> bool {
-    /// The number of upper bits of a hash, which index a table of bits. There are enough of them
-    /// that different hashes rarely share a bit.
+    /// The number of upper bits of a hash that index a table of bits. With this number, different
+    /// hashes rarely share a bit.
     const BITS: u32 = 23;
     let place = |number: u64| {
         let bit = number >> (u64::BITS - BITS);
@@ -292,7 +293,7 @@ impl CubeSample {
         Self::within(1 << 15, cubes, particles)
     }
 
-    /// Begins a small sample from `particles` particles, which suffices to confirm a count.
+    /// Begins a small sample from `particles` particles. Such a sample suffices to confirm a count.
     pub fn few(cubes: Cubes, particles: usize) -> Self {
         Self::within(FEW, cubes, particles)
     }
@@ -334,9 +335,9 @@ impl CubeSample {
     }
 
     /// Keeps one particle per position, and only cubes whose numbers are below a new end, so that
-    /// the particles fit. Returns the new end. The end is halved according to the total number, so
-    /// that the result does not depend on the order of the particles. Sorts on this thread only:
-    /// see [`SampledPositions::drop_duplicates`].
+    /// at most `room` particles remain. Returns the new end. The end is halved as long as too many
+    /// particles are below it, so the result does not depend on the order of the particles. Sorts
+    /// on this thread only: see [`SampledPositions::drop_duplicates`].
     fn fitted(&self, kept: &mut Vec<OccupiedPlace>, mut end: u32) -> u32 {
         kept.sort_unstable_by_key(|kept| (kept.number, kept.position.map(f64::to_bits)));
         OccupiedPlace::merge(kept);

@@ -7,7 +7,7 @@ fn unit(seed: u64) -> f64 {
     (sample::position_hash([seed as f64 + 0.5; 3]) % (1 << 20)) as f64 / f64::from(1 << 20)
 }
 
-/// A box of particles a unit apart, each moved by up to `jitter` along each axis.
+/// A box of particles one unit apart, each moved by up to `jitter` along each axis.
 fn layers(counts: [usize; 3], jitter: f64) -> Vec<[f64; 3]> {
     let [x, y, z] = counts;
     (0..x * y * z)
@@ -19,7 +19,8 @@ fn layers(counts: [usize; 3], jitter: f64) -> Vec<[f64; 3]> {
         .collect()
 }
 
-/// Copies of the particles, rotated so that no axis is aligned.
+/// Copies of the particles, rotated so that no axis of their lattice is parallel to a coordinate
+/// axis.
 fn turned(particles: Vec<[f64; 3]>) -> Vec<[f64; 3]> {
     let turn = glam::DQuat::from_euler(glam::EulerRot::XYZ, 0.3, 0.7, 1.1);
     particles.into_iter().map(|p| (turn * DVec3::from(p) + 3.1).into()).collect()
@@ -209,7 +210,8 @@ fn duplicates_and_clumps_are_excluded() {
         [(twice, once.len()), (parked, once.len() + 1), (parked_inside, once.len())]
     {
         let all = evidence(&particles).unwrap();
-        // A clump at one position may be missing from the sample: then all particles are counted.
+        // The sample may miss a clump at one position. `places` is then the number of all
+        // particles.
         assert!([places, particles.len()].contains(&all.places), "{} places", all.places);
         let found = all.estimate().unwrap();
         assert!((found.spacing / alone.spacing - 1.0).abs() < 0.02, "{found:?}, not {alone:?}");
@@ -367,8 +369,8 @@ fn samples_of_duplicates_do_not_depend_on_threads() {
     }
 }
 
-/// Particles whose reading is cancelled: once `read` reaches `after`, all positions are NaN. `read`
-/// is the number of positions that were read.
+/// Particles whose reading is cancelled. `read` counts the positions that were read; once it
+/// reaches `after`, all further positions are NaN.
 struct Interrupted<'a> {
     particles: &'a [[f64; 3]],
     after: usize,

@@ -7,19 +7,19 @@
 //! objects and two hashes. A compound property is a group: properties, and a block with the headers
 //! of these properties. A scalar property is a group of one block per sample. An array property is
 //! a group of two children per sample: the block, and the dimensions of the array if it has
-//! several. The block of a sample contains a digest of the values, and the values.
+//! several. The block of a sample contains a digest of the values, followed by the values.
 
 use super::content_hash::{ContentHasher, Digest};
 use super::ogawa::{OgawaBlocks, OgawaChild};
 
 /// The version of the Alembic library that writes this format: 1.8.0.
 const LIBRARY_VERSION: i32 = 1_08_00;
-/// The value of the time per cycle that marks a sampling as a list of all times.
+/// Time per cycle that marks a sampling as acyclic: it lists all of its times.
 const ACYCLIC: f64 = f64::MAX / 32.0;
-/// The index in a header that contains its own metadata, because this metadata is not in the list.
+/// Metadata index of a header that contains its own metadata instead of referring to the list.
 const NOT_LISTED: usize = 255;
 
-/// A number type, with the number that Alembic gives it.
+/// A number type, with the code that Alembic assigns to it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum AbcPod {
     Bool = 0,
@@ -63,7 +63,7 @@ pub struct AbcSample {
 }
 
 impl AbcSample {
-    /// A sample that is an empty array.
+    /// A sample with an empty array.
     pub fn empty() -> Self {
         Self { block: OgawaChild::NO_DATA, digest: ContentHasher::of(&[]), elements: 0 }
     }
@@ -106,9 +106,9 @@ impl TimeSampling {
         Self { per_cycle: 1.0, times: vec![0.0], samples: 1 }
     }
 
-    /// The time sampling with these times in seconds, which must be strictly increasing.
+    /// A time sampling at `times`, in seconds, which must be strictly increasing.
     pub fn at(times: &[f64]) -> Self {
-        // The tolerance in seconds with which Alembic finds the sample of a time.
+        // Tolerance, in seconds, with which Alembic finds the sample for a time.
         const TOLERANCE: f64 = 1e-5;
         let samples = times.len() as u32;
         let per_cycle = match times {
@@ -134,8 +134,8 @@ impl TimeSampling {
     }
 }
 
-/// Encodes an archive from byte `at` on. Returns the bytes, and the root group. Properties refer to
-/// `sampling` by index 1, and to the sampling of constants by index 0.
+/// Encodes the part of an archive that starts at byte `at`. Returns its bytes and the root group.
+/// Properties refer to `sampling` by index 1, and to the sampling of constants by index 0.
 pub fn archive(
     at: u64,
     sampling: &TimeSampling,
@@ -229,8 +229,8 @@ fn put_value_header(
 ) {
     let kind = if header.scalar { 1 } else { 2 };
     let is_homogeneous = samples.iter().all(|sample| sample.elements == samples[0].elements);
-    // Alembic can store the first and the last sample that change. This writer stores only a flag:
-    // whether the property is constant.
+    // Alembic can store the indices of the first and the last sample that changed. This writer
+    // stores only a flag, which marks a property with fewer than two samples as constant.
     let is_constant = samples.len() < 2;
     let bits = kind
         | (header.pod as u32) << 4
@@ -243,7 +243,7 @@ fn put_value_header(
     put_header(out, bits, numbers, &header.name, &header.metadata, list);
 }
 
-/// Appends the header of a property: flags, numbers, name and metadata.
+/// Appends the header of a property: its flags `bits`, numbers, name and metadata.
 fn put_header(
     out: &mut Vec<u8>,
     bits: u32,

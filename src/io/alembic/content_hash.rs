@@ -1,7 +1,7 @@
 //! MurmurHash3 (x64, 128 bits, seed 0) by Austin Appleby, which is in the public domain.
 //!
-//! Alembic stores this hash in front of each array. Readers recognise equal arrays by it, even in
-//! different files.
+//! Alembic stores this hash in front of each array. Readers use it to recognise equal arrays, even
+//! in different files.
 
 use std::io::{self, Write};
 

@@ -4,12 +4,12 @@
 //! Each frame is first written to a separate file, in a folder next to the archive. The bytes of
 //! this file are appended to the archive, followed by groups that list all frames so far. The last
 //! write replaces the position of the root group in the header. So a reader finds a complete
-//! archive at any time, also after a crash. Then the file of the frame is removed.
+//! archive at any time, even after a crash. Then the file of the frame is removed.
 //!
 //! `archive.json` in the folder says where the frames are in the archive. It is replaced after the
-//! header. The next addition removes bytes that `archive.json` does not list. The groups of each
-//! earlier addition stay in the archive, unused. They take 16 bytes per frame and array. A frame
-//! that is computed again also leaves its old bytes in the archive.
+//! header has changed. The next addition first truncates the archive to the size in `archive.json`.
+//! The groups of earlier additions stay in the archive, unused. They take 16 bytes per frame and
+//! array. A frame that is computed again also leaves its old bytes in the archive.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File, OpenOptions};
@@ -43,7 +43,7 @@ pub struct ArchivedFrames {
     archive: PathBuf,
     /// The fingerprint of the state with which all frames were computed.
     fingerprint: u32,
-    /// The position of the archive's root group in bytes.
+    /// Byte offset of the archive's root group.
     root: u64,
     /// Size of the archive in bytes.
     end: u64,
@@ -52,7 +52,7 @@ pub struct ArchivedFrames {
 
 #[derive(Debug, Clone, Serialize, Deserialize)]
 struct ArchivedFrame {
-    /// The position in bytes of the frame's file in the archive.
+    /// Byte offset of the frame's file within the archive.
     at: u64,
     mesh: SeriesFrame,
 }
@@ -64,7 +64,8 @@ impl ArchivedFrames {
         self.frames.get(&mesh.frame).is_some_and(|archived| archived.mesh == *mesh)
     }
 
-    /// CRC-32 of the bytes of a frame's file in the archive. `None` if they cannot be read.
+    /// CRC-32 of the bytes that the archive stores for `frame`. `None` if they are missing or
+    /// cannot be read.
     #[must_use]
     pub fn crc(&self, frame: i64) -> Option<u32> {
         let ArchivedFrame { at, mesh } = self.frames.get(&frame)?;
@@ -75,7 +76,7 @@ impl ArchivedFrames {
 }
 
 impl FrameArchive {
-    /// An archive at `path`. Files of frames are in `folder` before they are added.
+    /// An archive at `path`, to which frames are added from files in `folder`.
     #[must_use]
     pub fn new(path: PathBuf, folder: PathBuf) -> Self {
         Self { path, folder }
@@ -137,10 +138,10 @@ impl FrameArchive {
     }
 
     /// Adds the frame in file `mesh.file` of the folder, and removes the file. Does nothing if
-    /// there is no such file with `mesh.bytes` bytes, because the frame was added before.
+    /// there is no such file of `mesh.bytes` bytes: the frame was added before.
     ///
-    /// `times` returns the times of frames in seconds, in the order of the frames. An archive with
-    /// a different `fingerprint` is replaced.
+    /// `times` must return the times of the given frames, in seconds and in frame order. An archive
+    /// with a different `fingerprint` is replaced.
     ///
     /// # Errors
     /// I/O errors of the operating system.
@@ -155,8 +156,8 @@ impl FrameArchive {
         if fs::metadata(&path).map_or(0, |file| file.len()) != mesh.bytes {
             return Ok(());
         }
-        // Other processes may add frames at the same time. Locks the folder, if the file system has
-        // locks.
+        // Other processes may add frames at the same time, so this locks the folder if the file
+        // system supports locks.
         let alone = File::open(&self.folder).ok().filter(|folder| folder.lock().is_ok());
         let mut known = self.frames();
         if known.fingerprint != fingerprint {
@@ -164,7 +165,8 @@ impl FrameArchive {
         }
         let crc_of_file = || File::open(&path).and_then(crc).ok();
         if known.holds(mesh) && known.crc(mesh.frame) == crc_of_file() {
-            // An earlier process was killed after it added the frame, before it removed the file.
+            // An earlier process was killed after it added the frame but before it removed the
+            // file.
             return fs::remove_file(&path).map_err(fail);
         }
         self.append(&mut known, mesh, &path, times)?;
@@ -220,8 +222,8 @@ impl FrameArchive {
     }
 }
 
-/// Appends the file of a frame and the groups to an archive, and then changes the root in the
-/// header.
+/// Appends the file of a frame and the groups to an archive, and then makes the header refer to the
+/// new root group.
 fn extend(
     path: &Path,
     known: &ArchivedFrames,
@@ -234,7 +236,7 @@ fn extend(
     archive.seek(SeekFrom::Start(HEADER - 8))?;
     archive.read_exact(&mut root_there)?;
     if u64::from_le_bytes(root_there) != known.root {
-        // An earlier process was killed after it changed the header, before it stored the table.
+        // An earlier process was killed after it changed the header but before it stored the table.
         set_root(&mut archive, known.root)?;
     }
     archive.set_len(known.end)?;
@@ -245,15 +247,15 @@ fn extend(
     set_root(&mut archive, root.position())
 }
 
-/// Writes the position of the root group, the last 8 bytes of the header.
+/// Writes the position of the root group into the last 8 bytes of the header.
 fn set_root(archive: &mut File, root: u64) -> io::Result<()> {
     archive.seek(SeekFrom::Start(HEADER - 8))?;
     archive.write_all(&root.to_le_bytes())?;
     archive.sync_data()
 }
 
-/// The arrays of a frame. The bytes of the frame's file start at byte `read` of `file`, and at byte
-/// `at` of the archive.
+/// Returns the arrays of frame `mesh` with their samples, whose digests are read from `file`. The
+/// bytes of the frame's file start at byte `read` of `file`, and at byte `at` of the archive.
 fn samples_of(
     file: &mut File,
     read: u64,

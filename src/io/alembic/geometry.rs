@@ -33,13 +33,12 @@ pub enum AbcSource {
     Normals,
     /// The attribute with this index.
     Attribute(usize),
-    /// The attribute with this index, which is a colour. Its values are converted to numbers from 0
-    /// to 1.
+    /// The colour attribute with this index. Its values are converted to the range from 0 to 1.
     Colour(usize),
 }
 
 impl AbcArray {
-    /// Number of bytes of the values.
+    /// Size of the values in bytes.
     pub fn bytes(&self) -> u64 {
         let width = match self.header.pod {
             AbcPod::Bool => 1,
@@ -49,7 +48,7 @@ impl AbcArray {
         self.elements * u64::from(self.header.extent) * width
     }
 
-    /// Number of bytes of the values and their digest.
+    /// Size of the values and their digest in bytes.
     pub fn block_length(&self) -> u64 {
         size_of::<Digest>() as u64 + self.bytes()
     }
@@ -61,7 +60,7 @@ impl AbcArray {
     }
 }
 
-/// The arrays of a mesh, in the order of the file.
+/// The arrays of `mesh`, in the order in which the file stores them.
 pub fn arrays(mesh: &Outline) -> Vec<AbcArray> {
     let vertices = mesh.vertices;
     let array = |name: &str, metadata: &str, pod, extent, elements, source| AbcArray {
@@ -113,7 +112,7 @@ pub fn arrays(mesh: &Outline) -> Vec<AbcArray> {
             2 | 3 if pod == AbcPod::F32 => "vector",
             _ => "",
         };
-        // If Alembic has no type for an attribute, each vertex has several elements of one number.
+        // If Alembic has no type for an attribute, each vertex has one element per component.
         let (extent, times) = match info.components {
             components if meaning.is_empty() => (1, components),
             components => (components as u8, 1),
@@ -126,7 +125,7 @@ pub fn arrays(mesh: &Outline) -> Vec<AbcArray> {
     all
 }
 
-/// The position of each array's block in a file of one mesh, and the end of the last block.
+/// Byte offsets of the arrays' blocks in a file with one mesh, and the end of the last block.
 pub fn positions(arrays: &[AbcArray]) -> (Vec<u64>, u64) {
     let mut end = HEADER;
     let mut place = |array: &AbcArray| {
@@ -138,7 +137,8 @@ pub fn positions(arrays: &[AbcArray]) -> (Vec<u64>, u64) {
     (positions, end)
 }
 
-/// The metadata of values at vertices. Each vertex has `times` elements of `extent` numbers.
+/// The metadata of an array of values at vertices. Each vertex has `times` elements of `extent`
+/// numbers.
 fn parameter(pod: AbcPod, extent: u8, times: usize, meaning: &str) -> String {
     let interpretation =
         if meaning.is_empty() { String::new() } else { format!("interpretation={meaning};") };
@@ -151,14 +151,14 @@ fn parameter(pod: AbcPod, extent: u8, times: usize, meaning: &str) -> String {
     )
 }
 
-/// Whether an attribute becomes `.velocities` of the schema.
+/// Whether an attribute is stored as the schema's `.velocities`.
 fn is_velocity(info: &AttributeInfo) -> bool {
     info.is_velocity() && !info.kind.is_whole()
 }
 
-/// The unique names of attributes in the file. They contain only letters, digits and underscores,
-/// as Maya and Houdini require. For a velocity, which the file stores as `.velocities`, this
-/// function returns the original name.
+/// The unique names under which the file stores `attributes`. They contain only letters, digits and
+/// underscores, as Maya and Houdini require. For a velocity, which the file stores as
+/// `.velocities`, this function returns the original name.
 pub fn attribute_names(attributes: &[AttributeInfo], has_normals: bool) -> Vec<String> {
     let mut taken = HashSet::from(["P".to_owned()]);
     taken.extend(has_normals.then(|| "N".to_owned()));
@@ -178,8 +178,8 @@ pub fn attribute_names(attributes: &[AttributeInfo], has_normals: bool) -> Vec<S
     attributes.iter().map(name).collect()
 }
 
-/// The objects of an archive. `frames` contains the arrays of each frame. In a frame that lacks an
-/// array, this array is empty.
+/// The objects of an archive. `frames` contains the arrays of each frame. An array that a frame
+/// lacks is stored as empty for this frame.
 pub fn objects(frames: &[Vec<(AbcArray, AbcSample)>], blocks: &mut OgawaBlocks) -> Vec<AbcObject> {
     let (mut own, mut arbitrary) = (Vec::new(), Vec::new());
     let mut seen = HashSet::new();

@@ -1,9 +1,9 @@
-//! Ogawa, a container of groups and data blocks at positions in a file. A group lists its children,
-//! and the header names the root group.
+//! Ogawa, a container format of groups and data blocks. A group lists the positions of its
+//! children, and the header contains the position of the root group.
 
 /// Number of bytes before the first block.
 pub const HEADER: u64 = 16;
-/// Number of bytes of a data block before its content, which store the content's length.
+/// Size, in bytes, of the length that precedes the content of a data block.
 pub const LENGTH: u64 = 8;
 
 /// The bit that marks a child as data instead of a group.
@@ -17,7 +17,7 @@ impl OgawaChild {
     /// A data block without content.
     pub const NO_DATA: Self = Self(IS_DATA);
 
-    /// The position of a group in bytes.
+    /// Byte offset of the group in the file.
     pub fn position(self) -> u64 {
         self.0
     }
@@ -37,7 +37,7 @@ pub fn header(root: OgawaChild) -> Vec<u8> {
 
 /// Encodes groups and small data blocks in order.
 pub struct OgawaBlocks {
-    /// The position of the first group or block in bytes.
+    /// Byte offset of the first group or block in the file.
     at: u64,
     bytes: Vec<u8>,
 }

@@ -21,9 +21,9 @@ const EMPTY_BOX: [[f64; 3]; 2] = [[f64::MAX; 3], [f64::MIN; 3]];
 
 /// Writes `mesh` as an archive with one sample.
 ///
-/// Positions are f32, and normals are `N`. An attribute `velocity` of three components is
-/// `.velocities`. Other attributes are values at the vertices, with their own names. Colours are
-/// from 0 to 1.
+/// Positions are written as f32, and normals as `N`. An attribute `velocity` of three
+/// floating-point components is written as `.velocities`. Other attributes are written as values at
+/// the vertices, under their own names. Colours range from 0 to 1.
 ///
 /// # Panics
 /// Like [`MeshFormat::write`](crate::io::output::MeshFormat::write).

@@ -20,8 +20,9 @@ pub fn empty_document() -> Value {
     json!({ "asset": asset(), "scene": 0, "scenes": [{ "nodes": [0] }], "nodes": [{}] })
 }
 
-/// The document for all views. `encoded` contains the size of each compressed view in bytes, and is
-/// `None` without compression. `bounds` are the lower and upper corner of the positions.
+/// The document for a mesh with triangles. `encoded` contains the size, in bytes, of each
+/// compressed view, and is `None` without compression. `bounds` are the lower and upper corner of
+/// the positions' bounding box.
 pub fn document(
     layout: GlbLayout,
     space: Space,
@@ -129,7 +130,7 @@ fn accessor(
     accessor
 }
 
-/// The node that shows the mesh, with its position and rotation.
+/// The node that shows the mesh, with its position, rotation and scale.
 fn node(up: UpAxis, space: Space) -> Value {
     let mut node = json!({ "mesh": 0 });
     if up == UpAxis::Z {
@@ -151,7 +152,7 @@ fn node(up: UpAxis, space: Space) -> Value {
     node
 }
 
-/// The lowest multiple of 4 that is not less than `bytes`.
+/// The smallest multiple of 4 that is at least `bytes`.
 pub fn aligned(bytes: u64) -> u64 {
     bytes.next_multiple_of(4)
 }

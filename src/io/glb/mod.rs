@@ -2,14 +2,14 @@
 //!
 //! Positions, NORMAL, `_VELOCITY`, other attributes, and u32 indices each have their own buffer
 //! view. Vertices and triangles have an order that suits vertex caches. In glTF, y points up. If z
-//! points up in the particles, the node rotates the mesh.
+//! points up in the input, the node rotates the mesh.
 //!
 //! With compression, all data is quantized (KHR_mesh_quantization) and encoded
 //! (EXT_meshopt_compression, which requires version 0 of the vertex codec):
 //!
 //! | data | stored as | maximum error |
 //! |---|---|---|
-//! | positions | u16 on a grid; its step is the smallest power of two that spans the mesh | half a step along each axis |
+//! | positions | u16 on a grid, whose step is the least power of two that suffices | half a step |
 //! | normals | 8-bit octahedral | about a degree |
 //! | other values | 15-bit mantissas, and one exponent per vertex | 2^-14 of the vertex's largest component |
 //! | triangles | unchanged | |
@@ -28,7 +28,7 @@ use super::UpAxis;
 /// The layout of a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct GlbLayout {
-    /// The axis of the particles that points up.
+    /// The axis that points up in the coordinates of the particles.
     pub up: UpAxis,
     /// How numbers are stored.
     pub compression: GlbCompression,

@@ -19,13 +19,13 @@ const UNSIGNED_INT: u32 = 5125;
 const UNSIGNED_SHORT: u32 = 5123;
 pub const BYTE: u32 = 5120;
 
-/// Number of bits of a component of a compressed normal.
+/// Number of bits per component of a compressed normal.
 const NORMAL_BITS: i32 = 8;
-/// Number of bits of the mantissa of a compressed attribute value.
+/// Number of mantissa bits of a compressed attribute value.
 const MANTISSA_BITS: i32 = 15;
 /// The version of meshoptimizer's vertex codec that the extension requires.
 const CODEC: Option<i32> = Some(0);
-/// The level of this codec that compresses best.
+/// The level at which this codec compresses best.
 const LEVEL: i32 = 2;
 
 /// The origin and the grid step of stored positions.
@@ -68,7 +68,7 @@ pub enum ViewContent {
     Indices,
 }
 
-/// The views of all data of a mesh. The last view has the indices.
+/// The views of all data of a mesh. The last view contains the indices.
 pub fn views(mesh: &OrderedMesh, compression: GlbCompression) -> Vec<GlbView> {
     let vertices = mesh.vertex_count();
     let view = |what, name: &str, components, scalar, stride| GlbView {
@@ -167,7 +167,7 @@ impl GlbView {
         }
     }
 
-    /// Returns the elements, compressed.
+    /// Returns the compressed elements.
     pub fn encoded(&self, mesh: &OrderedMesh, space: Space) -> io::Result<Vec<u8>> {
         let encoded = match self.what {
             ViewContent::Positions => {
@@ -224,8 +224,8 @@ impl GlbView {
     }
 }
 
-/// Converts a value for the file, which stores attributes as f32. Colours are from 0 to 1, and
-/// integers are rounded.
+/// Converts a value for the file, which stores attributes as f32. Colours become numbers from 0 to
+/// 1, and integers are rounded to f32.
 fn stored(kind: AttributeKind, value: f32) -> f32 {
     if kind.is_colour() { kind.share(value) } else { kind.number(value) }
 }

@@ -12,17 +12,18 @@ use super::document::{aligned, document, empty_document};
 use super::view::{GlbView, Space, views};
 use super::{GlbCompression, GlbLayout, grid_step};
 
-/// Writes `mesh` with this layout. Without compression, the data is streamed, and the memory is 4
-/// bytes per vertex. With compression, all data is in memory.
+/// Writes `mesh` with `layout`. Without compression, the data is streamed, and the writer needs 4
+/// bytes of memory per vertex. With compression, all data is held in memory.
 ///
 /// Positions are f32. With [`CoordinateWidth::F64`], they are relative to the centre of the mesh's
-/// bounding box, and the node moves the mesh there. Colours are COLOR_0, COLOR_1 and so on, from 0
-/// to 1, without conversion of the colour space. Other attributes have their names in upper case
-/// with a leading underscore. Attributes with more than four components are left out.
+/// bounding box, and the node moves the mesh there. Colours are written as COLOR_0, COLOR_1 and so
+/// on, with values from 0 to 1 and without conversion of the colour space. Other attributes are
+/// named in upper case with a leading underscore. Attributes with more than four components are
+/// left out.
 ///
 /// # Errors
 /// The errors of `mesh` and `out`. [`io::ErrorKind::InvalidInput`], before anything is written, if
-/// the file would have 4 GiB or more.
+/// the file would take 4 GiB or more.
 ///
 /// # Panics
 /// Like [`MeshFormat::write`](crate::io::output::MeshFormat::write).

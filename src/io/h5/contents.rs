@@ -1,4 +1,4 @@
-//! Summarises the contents of a file, for the error if no position is found.
+//! Summarises the contents of a file, for the error that no positions were found.
 
 use std::collections::BTreeSet;
 
@@ -20,13 +20,13 @@ pub const DEEPEST: usize = 8;
 const LINES: usize = 20;
 /// Maximum number of members of a compound type that the summary lists.
 const MEMBERS: usize = 12;
-/// Prefix of the members in which pandas stores several columns each. The names of these columns
-/// are stored only in Python's pickle format, which is not read.
+/// Prefix of the names of compound members in which pandas stores several columns each. The names
+/// of these columns are stored only in Python's pickle format, which is not read.
 const PANDAS: &str = "values_block_";
 /// Maximum length of a name in characters.
 const LETTERS: usize = 100;
 
-/// The error if no position was found. It lists the contents of `root`.
+/// The error for a file in which no positions were found. It lists the contents of `root`.
 ///
 /// # Errors
 /// If the contents cannot be read.
@@ -50,8 +50,8 @@ pub fn no_position(root: &Group) -> Result<ReadFault, ReadFault> {
     Ok(ReadFault::Unsupported(what))
 }
 
-/// A line for each of the first groups and data sets below `root`, and the number of
-/// remaining groups and data sets.
+/// A line for each of the first data sets and empty groups below `root`, and the number of those
+/// that have no line.
 fn lines(root: &Group) -> Result<(Vec<String>, usize), ReadFault> {
     let (mut lines, mut more) = (Vec::new(), 0);
     let mut push = |line: &dyn Fn() -> String| match lines.len() < LINES {
@@ -88,7 +88,7 @@ fn lines(root: &Group) -> Result<(Vec<String>, usize), ReadFault> {
     Ok((lines, more))
 }
 
-/// A name that is shortened to [`LETTERS`] characters.
+/// Shortens a name to at most [`LETTERS`] characters, and escapes control characters.
 fn short(name: &str) -> String {
     let shown: String = name.chars().take(LETTERS).flat_map(char::escape_debug).collect();
     if name.chars().nth(LETTERS).is_some() { format!("{shown}...") } else { shown }
@@ -100,7 +100,7 @@ fn kind(kind: &Datatype) -> String {
         Datatype::FixedPoint { size, signed, .. } => {
             format!("{}int{}", if *signed { "" } else { "u" }, u32::from(*size) * 8)
         }
-        // The HDF5 library does not distinguish float16 and bfloat16, so neither is supported.
+        // The HDF5 library does not distinguish float16 from bfloat16, so neither is supported.
         Datatype::FloatingPoint { size: 2, .. } => "float16, which is not supported".to_owned(),
         Datatype::FloatingPoint { size, .. } => format!("float{}", u32::from(*size) * 8),
         Datatype::Compound { fields, .. } => {

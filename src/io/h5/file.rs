@@ -1,4 +1,4 @@
-//! An HDF5 file. Limits bound the memory for its data.
+//! Opens HDF5 files, with limits on the memory for their data.
 
 use std::io;
 use std::sync::Arc;
@@ -17,10 +17,10 @@ use super::table::{H5Array, RowPart, scalar};
 
 /// Possible names of the attribute or data set that contains the time of a step or a file.
 const TIMES: [&str; 5] = ["TimeValue", "time", "Time", "TIME", "t"];
-/// Maximum number of bytes of decoded chunks that are cached. The cache serves rows that are in the
-/// same chunk.
+/// Maximum size, in bytes, of the cache of decoded chunks. The cache serves repeated reads of rows
+/// in the same chunk.
 const CHUNKS: u64 = 16 << 20;
-/// Reads of at least this number of bytes release the memory of the bytes that they have read.
+/// A read of at least this number of bytes releases the memory of the bytes that it has read.
 const LARGE: usize = 64 << 10;
 
 /// An open file. All of its data sets must be dropped before [`into_bytes`](Self::into_bytes).
@@ -64,7 +64,7 @@ impl<'a> H5File<'a> {
     /// Checks that the file has not changed since it was opened.
     ///
     /// # Errors
-    /// [`ReadFault::Changed`] if it has.
+    /// [`ReadFault::Changed`] if the file has changed.
     pub fn check(&self) -> Result<(), ReadFault> {
         self.bytes.view().check()
     }
@@ -75,8 +75,8 @@ impl<'a> H5File<'a> {
         Arc::into_inner(self.bytes).expect("the library has let go of the file")
     }
 
-    /// The position of a data set's rows in the file. `None` unless they are contiguous and
-    /// uncompressed.
+    /// Byte offset in the file of a data set's rows, which have `bytes` bytes. `None` unless they
+    /// are contiguous and uncompressed.
     pub fn place(&self, set: &Dataset, bytes: u64) -> Option<u64> {
         let header = self.hdf.get_or_parse_header(set.address()).ok()?;
         let elsewhere = |message: &HdfMessage| {
@@ -136,7 +136,9 @@ pub(super) fn time_of(group: &Group) -> Option<f64> {
     TIMES.iter().find_map(|name| number(group, name)).filter(|time| time.is_finite())
 }
 
-/// The time that a data set of a group contains: one time for all frames, or one time per frame.
+/// The time that a data set of a group contains. If `frame` gives the number of the frame and the
+/// number of all frames, the data set must contain one time per frame. Otherwise, it must contain a
+/// single time.
 pub(super) fn times_in(group: &Group, frame: Option<(u64, u64)>) -> Option<f64> {
     let (_, sets) = group.member_names().ok()?;
     let set = TIMES.iter().chain(&["times"]).find_map(|name| {
@@ -148,7 +150,7 @@ pub(super) fn times_in(group: &Group, frame: Option<(u64, u64)>) -> Option<f64> 
     number_of(set, frame).filter(|time| numbers == frames && time.is_finite())
 }
 
-/// Number `index` of a data set that has one axis or contains a single number.
+/// The number at `index` of a data set that has one axis or contains a single number.
 pub(super) fn number_of(set: Dataset, index: u64) -> Option<f64> {
     let rows = match *set.shape() {
         [] | [1, 1] => 1,

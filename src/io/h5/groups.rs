@@ -23,7 +23,7 @@ const USUAL: &str = "PartType0";
 
 /// A group, or a table in a group, that contains positions of particles.
 pub(super) struct GroupCandidate {
-    /// Path relative to the searched group. `/` for the searched group.
+    /// Path relative to the searched group. `/` for the searched group itself.
     path: String,
     group: Group,
     fields: Vec<NamedArray>,
@@ -38,7 +38,7 @@ struct FieldStorage {
     member: Option<CompoundMember>,
 }
 
-/// The location of a field in the rows of a data set, in bytes.
+/// The location, in bytes, of a field within each row of a data set.
 #[derive(Clone, Copy)]
 struct CompoundMember {
     offset: usize,
@@ -51,7 +51,7 @@ impl GroupCandidate {
         self.arrangement.frames
     }
 
-    /// Returns an error if the positions in all frames would exceed the limit of the file's data.
+    /// Returns an error if the positions in all frames would exceed the limit for the file's data.
     pub fn check_frames(&self, file: &H5File) -> Result<(), ReadFault> {
         let Arrangement { frames, rows, .. } = self.arrangement;
         let bytes = frames.unwrap_or(1).checked_mul(rows.max(1)).and_then(|n| n.checked_mul(12));
@@ -114,7 +114,7 @@ impl GroupCandidate {
     }
 }
 
-/// The groups and tables below a group that contain positions, in the order of their paths.
+/// The groups and tables below a group that contain positions, in path order.
 pub(super) struct GroupSearch {
     pub candidates: Vec<GroupCandidate>,
     /// The first error in a group that has positions but cannot be read.
@@ -196,8 +196,8 @@ impl GroupSearch {
     /// Returns one candidate, and the names of all candidates.
     ///
     /// The candidate is the one that a condition names, or else the only one, or else `PartType0`.
-    /// The candidate's name comes first. The list of names is empty if there is only one candidate
-    /// and no condition names it.
+    /// Its name comes first in the list. The list is empty if there is only one candidate and no
+    /// condition names it.
     ///
     /// # Errors
     /// [`ReadFault::Unsupported`] if there is no candidate (the message lists the contents of
@@ -213,7 +213,7 @@ impl GroupSearch {
                 None => contents::no_position(root)?,
             });
         }
-        // The last component of a path is used as name if it is unique.
+        // The last component of a path is used as the name if it is unique.
         let last = |path: &str| path.rsplit('/').next().unwrap_or_default().to_owned();
         let paths: Vec<String> = self.candidates.iter().map(|c| c.path.clone()).collect();
         let names = paths.iter().map(|path| {
@@ -223,7 +223,7 @@ impl GroupSearch {
         });
         let mut names: Vec<String> = names.collect();
         if let [only] = &names[..] {
-            // A condition that does not name the candidate may be about an attribute `type`.
+            // A condition that does not name the candidate may refer to an attribute `type`.
             let called = Where::types(wanted).find(|named| named == only || **named == paths[0]);
             return Ok((
                 self.candidates.swap_remove(0),
@@ -335,8 +335,8 @@ pub(super) fn last_name(path: &str) -> &str {
     path.rsplit('/').next().unwrap_or_default()
 }
 
-/// The data sets that are blocks of columns in pandas' fixed format, each with the names of its
-/// columns.
+/// The names of the data sets that are blocks of columns in pandas' fixed format, each with the
+/// names of its columns.
 fn pandas_items(sets: &[Dataset]) -> Result<Vec<(String, Vec<String>)>, ReadFault> {
     let mut all = Vec::new();
     for set in sets {

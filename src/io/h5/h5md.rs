@@ -15,13 +15,14 @@ const POSITION: &str = "position";
 const VALUE: &str = "value";
 const STEP: &str = "step";
 const TIME: &str = "time";
-/// Name of the element with identifiers of particles. A row with identifier -1 is empty in a frame.
+/// Name of the element with identifiers of particles. In a frame, a row with identifier -1 is
+/// empty.
 const ID: &str = "id";
 /// Number of rows whose identifiers are read at once.
 const WINDOW: u64 = 1 << 16;
 
 /// The elements of `groups`: their names and data sets of values. An element is left out if its
-/// steps differ from the steps of the position.
+/// steps differ from those of the element `position`.
 pub fn elements(groups: &[Group], file: &H5File) -> Result<Vec<(String, Dataset)>, ReadFault> {
     let mut all = Vec::new();
     for group in groups {
@@ -64,7 +65,7 @@ pub fn is_group(group: &Group) -> Result<bool, ReadFault> {
 pub fn time(group: &Group, frame: u64) -> Option<f64> {
     let times = group.group(POSITION).ok()?.dataset(TIME).ok()?;
     let time = match times.ndim() {
-        // A single number is the time between two frames.
+        // A single number is the time between consecutive frames.
         0 => number_of(times, 0)? * frame as f64,
         _ => number_of(times, frame)?,
     };
@@ -90,8 +91,8 @@ pub fn box_size(group: &Group, frame: u64) -> Option<[f64; 3]> {
     lengths(&edges)
 }
 
-/// The edge lengths of a box that is aligned to the axes. `edges` contains three lengths or three
-/// vectors.
+/// The edge lengths of a box that is aligned to the axes. `edges` contains three lengths or the
+/// components of three vectors.
 fn lengths(edges: &[f64]) -> Option<[f64; 3]> {
     let edges = match *edges {
         [x, y, z] | [x, 0.0, 0.0, 0.0, y, 0.0, 0.0, 0.0, z] => [x, y, z],

@@ -1,5 +1,5 @@
-//! Decompresses LZF, a compression of h5py. Packed data consists of literals and of references to
-//! earlier bytes, which are copied.
+//! Decompresses LZF, a compression method of h5py. Packed data consists of literals and of
+//! references to earlier bytes, which are copied.
 
 use hdf5_reader::error::{Error, Result};
 

@@ -63,15 +63,16 @@ impl H5Layout {
     }
 }
 
-/// Reads a frame of the file at `path`. `bytes` is the content of this file. The other files of a
-/// snapshot are opened by their paths, which are derived from `path`.
+/// Reads a frame of the file at `path`. `bytes` must be the content of this file. The other files
+/// of a snapshot are opened by their paths, which are derived from `path`.
 ///
 /// # Errors
 /// [`ReadFault::Unsupported`] if there are several steps or types of particles and none is chosen,
 /// if the chosen step or type does not exist, and if no position is found. [`ReadFault::Malformed`]
-/// if the file violates HDF5 or the layout, or if the components of the position differ in length.
-/// [`ReadFault::Compression`] if the compression ratio is too high. [`ReadFault::Scratch`] if the
-/// scratch file cannot be written. [`ReadFault::Io`] if a file of a snapshot does not exist.
+/// if the file violates the HDF5 format or its layout, or if the components of the position differ
+/// in length. [`ReadFault::Compression`] if the compression ratio is too high.
+/// [`ReadFault::Scratch`] if the scratch file cannot be written. [`ReadFault::Io`] if a file of a
+/// snapshot does not exist.
 pub fn open_particles(
     path: &Path,
     bytes: Bytes,
@@ -110,7 +111,7 @@ pub fn steps(bytes: Bytes) -> Result<Vec<u64>, ReadFault> {
     }
 }
 
-/// Whether a file is a mesh: VTKHDF PolyData with polygons or strips, or without any points.
+/// Whether a file contains a mesh: VTKHDF PolyData with polygons or strips, or without any points.
 pub fn has_faces(bytes: Bytes) -> Result<bool, ReadFault> {
     let file = H5File::open(bytes, Unpacking::in_memory())?;
     match H5Layout::of(&file)? {

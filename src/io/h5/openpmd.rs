@@ -42,8 +42,8 @@ pub fn steps(file: &H5File) -> Result<Vec<u64>, ReadFault> {
     Ok(steps)
 }
 
-/// Reads the particles of one species in an iteration: the `wanted` species, or else the only
-/// species.
+/// Reads the particles of one species in an iteration: the species that `wanted` names, or else the
+/// only species.
 pub fn read_particles(
     file: H5File,
     step: Option<u64>,

@@ -1,5 +1,5 @@
 //! Reads PySPH's output in HDF5. `particles` has one group for each array of particles.
-//! `solver_data` has the time.
+//! `solver_data` contains the time.
 
 use crate::io::wanted::{TAG, WantedParticles};
 use crate::io::{ParticleFile, ReadFault, malformed};
@@ -13,9 +13,9 @@ pub const PARTICLES: &str = "particles";
 /// Name of the group that contains the solver's time.
 pub const SOLVER: &str = "solver_data";
 
-/// Reads the particles of the `wanted` array, or else of the only array, or else of `fluid`.
-/// Particles whose `tag` is not 0 are left out. They are copies from other processes or for
-/// periodic boundaries.
+/// Reads the particles of the array that `wanted` names, or else of the only array, or else of
+/// `fluid`. Particles with a nonzero `tag` are left out: they are copies from other processes or
+/// for periodic boundaries.
 pub fn read_particles(file: H5File, wanted: WantedParticles) -> Result<ParticleFile, ReadFault> {
     let time = time_of(&file.group(SOLVER)?);
     let (known, _) = checked(file.group(PARTICLES)?.member_names())?;
@@ -26,7 +26,8 @@ pub fn read_particles(file: H5File, wanted: WantedParticles) -> Result<ParticleF
     Ok(ParticleFile { time, particle_types, ..file.without(TAG) })
 }
 
-/// Finds columns by name. `x`, `y` and `z` are the position, and `u`, `v` and `w` are the velocity.
+/// Makes a table from arrays, which it identifies by name: `x`, `y` and `z` are the position, and
+/// `u`, `v` and `w` are the velocity.
 fn table(arrays: Vec<H5Array>) -> Result<H5Table, ReadFault> {
     let named =
         |name: &str| arrays.iter().position(|array| array.name == name && array.components == 1);

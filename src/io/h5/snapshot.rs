@@ -1,9 +1,9 @@
-//! Reads snapshots of SWIFT and GADGET, in one or several files. A snapshot has a group for each
-//! type of particles. `PartType0` is gas.
+//! Reads snapshots of SWIFT and GADGET, which consist of one or more files. A snapshot has a group
+//! for each type of particles. `PartType0` is gas.
 //!
-//! `base.0.hdf5`, `base.1.hdf5` and so on are one snapshot. Each of them stores the number of
-//! files. If there is also a file `base.hdf5`, its data sets are views of the other files. Only the
-//! number of files is read from it.
+//! `base.0.hdf5`, `base.1.hdf5` and so on form one snapshot. Each file stores the number of files.
+//! If there is also a file `base.hdf5`, its data sets are views of the other files, and only its
+//! header is read.
 
 use std::path::{Path, PathBuf};
 
@@ -28,7 +28,7 @@ const GAS: &str = "PartType0";
 const POSITION: &str = "Coordinates";
 const FORMAT: &str = "SWIFT or GADGET HDF5";
 
-/// The header of a file of a snapshot.
+/// The header of one file of a snapshot.
 #[derive(Debug, Clone, PartialEq)]
 struct SnapshotHeader {
     /// Number of particles of each type in this file.
@@ -97,8 +97,8 @@ impl SnapshotHeader {
     }
 }
 
-/// The unit of length in metres. SWIFT stores it in a group, GADGET in the header or the
-/// parameters.
+/// The unit of length in metres. SWIFT stores it in the group `Units`, GADGET in the group `Header`
+/// or `Parameters`.
 fn unit_metres(root: &Group, header: &Group) -> Option<f64> {
     let swift = || number(&root.group("Units").ok()?, "Unit length in cgs (U_L)");
     let gadget = || {
@@ -108,8 +108,8 @@ fn unit_metres(root: &Group, header: &Group) -> Option<f64> {
     swift().or_else(gadget).map(|centimetres| centimetres / 100.0).filter(|metres| *metres > 0.0)
 }
 
-/// Reads all files of the snapshot to which `file` belongs. The particles are those of the `wanted`
-/// type, or else gas.
+/// Reads all files of the snapshot to which `file` belongs. The particles are of the type that
+/// `wanted` names, by default gas.
 pub fn open_particles(
     path: &Path,
     file: H5File,
@@ -237,7 +237,8 @@ fn piece_paths(path: &Path, header: &SnapshotHeader) -> Result<Vec<PathBuf>, Rea
     Ok(paths)
 }
 
-/// The number of files of the snapshot to which `path` belongs. `None` for other files.
+/// The number of files of the snapshot to which `path` belongs. `None` if it belongs to no
+/// snapshot.
 pub fn pieces_of(path: &Path) -> Option<u64> {
     let file = H5File::open(open_bytes(path).ok()?, Unpacking::in_memory()).ok()?;
     let root = file.root().ok().filter(says_pieces)?;

@@ -1,5 +1,5 @@
-//! Reads particles in groups of any name, in one or several frames. Frames are numbered groups,
-//! such as `Step#12` of H5Part, or the first axis of arrays.
+//! Reads particles in groups of any name, in one or more frames. Frames are numbered groups, such
+//! as `Step#12` of H5Part, or the first axis of arrays.
 
 use hdf5_reader::group::Group;
 
@@ -12,7 +12,7 @@ use super::groups::GroupSearch;
 
 /// Prefix of the names of H5Part's groups.
 const STEP: &str = "step#";
-/// Words before the number in the name of a frame's group, in lower case.
+/// Words, in lower case, that precede the number in the name of a frame's group.
 const WORDS: [&str; 14] = [
     "step",
     "timestep",
@@ -29,7 +29,7 @@ const WORDS: [&str; 14] = [
     "state",
     "dump",
 ];
-/// Names of groups, in lower case, that may contain frames whose names are only numbers.
+/// Names, in lower case, of groups that may contain frames whose names are bare numbers.
 const PARENTS: [&str; 12] = [
     "timestepdata",
     "timesteps",
@@ -47,8 +47,8 @@ const PARENTS: [&str; 12] = [
 
 /// Reads a frame.
 ///
-/// The frame is in a numbered group, in arrays whose first axis counts frames, or is the whole
-/// file. If there are several groups of particles, the `wanted` group is read.
+/// The frame is stored in a numbered group or in arrays whose first axis counts frames, or it is
+/// the whole file. If there are several groups of particles, the group that `wanted` names is read.
 pub fn read_particles(
     file: H5File,
     step: Option<u64>,
@@ -95,7 +95,8 @@ pub fn steps(file: &H5File) -> Result<Vec<u64>, ReadFault> {
     }
     let search = GroupSearch::of(&root, file)?;
     let several = search.candidates.iter().filter(|c| c.frames().is_some_and(|frames| frames > 1));
-    // Does not choose a group yet. Reading a frame returns an error if the choice is missing.
+    // This only counts frames and chooses no group yet. Reading a frame returns an error if the
+    // choice is missing.
     let Some(longest) = several.max_by_key(|candidate| candidate.frames()) else {
         return Ok(Vec::new());
     };
@@ -103,8 +104,8 @@ pub fn steps(file: &H5File) -> Result<Vec<u64>, ReadFault> {
     Ok(longest.arrangement.steps())
 }
 
-/// The groups that contain one frame each, in the order of their numbers. They are the groups of
-/// H5Part, or else numbered groups that contain positions and have the same parent.
+/// The groups that contain one frame each, sorted by number. These are the groups of H5Part, or
+/// else numbered groups that contain positions and have the same parent.
 fn numbered(root: &Group, file: &H5File) -> Result<Vec<(u64, Group)>, ReadFault> {
     let groups = checked(root.groups())?;
     let h5part = in_group(&groups, |name| name.strip_prefix(STEP)?.parse().ok());
@@ -129,7 +130,8 @@ fn numbered(root: &Group, file: &H5File) -> Result<Vec<(u64, Group)>, ReadFault>
     Ok(Vec::new())
 }
 
-/// The groups whose names contain a number, and these numbers. `number` gets names in lower case.
+/// The groups for whose names `number` returns a number, with these numbers. `number` is called
+/// with names in lower case.
 fn in_group(groups: &[Group], number: impl Fn(&str) -> Option<u64>) -> Vec<(u64, Group)> {
     let number = |group: &Group| {
         let name = group.name().to_ascii_lowercase();
@@ -141,8 +143,8 @@ fn in_group(groups: &[Group], number: impl Fn(&str) -> Option<u64>) -> Vec<(u64,
     found
 }
 
-/// The number of the frame that a group's name contains. `name` and the parent group's name
-/// `parent` must be in lower case.
+/// The frame number that a group's name contains. `name` and the parent group's name `parent` must
+/// be in lower case.
 fn step_number(name: &str, parent: &str) -> Option<u64> {
     let digits = name.trim_start_matches(|letter: char| !letter.is_ascii_digit());
     let word = name[..name.len() - digits.len()].trim_end_matches(['#', '_', '-', ' ', ':', '=']);

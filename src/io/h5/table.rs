@@ -38,7 +38,7 @@ pub(super) struct H5Array {
     pub scalar: Scalar,
     endian: Endian,
     pub components: usize,
-    /// The index in the data set of the array's first row.
+    /// Index of the array's first row within the data set.
     pub first: u64,
     /// Number of rows in the array.
     pub rows: u64,
@@ -48,14 +48,14 @@ pub(super) struct H5Array {
 /// The numbers of a data set that form a row of an array.
 #[derive(Clone, Copy)]
 pub(super) enum RowPart {
-    /// All numbers at an index of the first axis.
+    /// All numbers at one index of the first axis.
     Row,
-    /// All numbers at an index of the second axis. The first axis counts frames, and only the frame
-    /// with this index is read.
+    /// All numbers at one index of the second axis. The first axis counts frames, and only the
+    /// frame with the given index is read.
     Frame(u64),
     /// One number from each index of the first axis. The second axis counts particles.
     Columns,
-    /// The numbers from byte `offset` on, in a row of `stride` bytes.
+    /// The numbers that start at byte `offset` of each row. A row has `stride` bytes.
     Member { offset: usize, stride: usize },
 }
 
@@ -93,20 +93,21 @@ impl H5Array {
         Self { set, name, scalar, endian, components, first: 0, rows, part }
     }
 
-    /// All arrays of a group, in the order of the file. [`H5Table`] leaves out those with wide
-    /// rows.
+    /// All arrays of a group, in file order. [`H5Table`] leaves out arrays whose rows have too many
+    /// numbers for an attribute.
     pub fn all_of(group: &Group) -> Result<Vec<Self>, ReadFault> {
         Ok(checked(group.datasets())?.into_iter().filter_map(Self::of_any_width).collect())
     }
 
-    /// All arrays of a group, in the order of their names.
+    /// All arrays of a group, sorted by name.
     pub fn by_name(group: &Group) -> Result<Vec<Self>, ReadFault> {
         let mut arrays = Self::all_of(group)?;
         arrays.sort_by(|a, b| a.name.cmp(&b.name));
         Ok(arrays)
     }
 
-    /// The array `name` of a group. Returns an error if it does not exist or contains no numbers.
+    /// The array `name` of a group. Returns an error if it does not exist, contains no numbers, or
+    /// has too many numbers per row for an attribute.
     pub fn named(group: &Group, name: &str) -> Result<Self, ReadFault> {
         let set = checked(group.dataset(name))?;
         Self::new(set)
@@ -155,7 +156,8 @@ impl H5Array {
         let count = windows.count * passes;
         let window =
             |index: usize| (windows.rows(index % windows.count, self.rows), index / windows.count);
-        // Bytes in memory: one batch of windows is decoded while the previous batch is stored.
+        // Number of bytes in memory while one batch of windows is decoded and the previous one is
+        // stored.
         let held = 4
             * rayon::current_num_threads() as u64
             * windows.size.saturating_mul(self.stride() as u64);
@@ -178,7 +180,7 @@ impl H5Array {
         read.map_err(fault_of)
     }
 
-    /// The columns of the array in decoded data. Row 0 is at byte `start`.
+    /// The columns of the array in the decoded data, where row 0 starts at byte `start`.
     fn decoded_columns(&self, start: usize) -> Vec<Column> {
         let endian = if let RowPart::Member { .. } = self.part { self.endian } else { NATIVE };
         self.columns(start, self.rows, endian)
@@ -235,8 +237,9 @@ impl H5Array {
         RowWindows { lead, size, count }
     }
 
-    /// Appends the bytes of a range of rows. Numbers get the machine's byte order, and compound
-    /// rows are unchanged. `component` selects a component if components are stored separately.
+    /// Appends the bytes of a range of rows. Numbers are converted to the machine's byte order, and
+    /// compound rows are copied unchanged. `component` selects a component if components are stored
+    /// separately.
     fn bytes(&self, rows: [u64; 2], component: usize, out: &mut Vec<u8>) -> Result<(), ReadFault> {
         fn put<T: H5Type + NoUninit>(
             array: &H5Array,
@@ -268,7 +271,7 @@ impl H5Array {
             Scalar::U32 => put::<u32>(self, rows, component, out),
             Scalar::I64 => put::<i64>(self, rows, component, out),
             Scalar::U64 => put::<u64>(self, rows, component, out),
-            // [`scalar`] rejects half floats, so that no array has this type.
+            // [`scalar`] rejects half floats, so no array has this type.
             Scalar::F16 => Err(malformed(
                 0,
                 format!("{} has 16-bit floats, which are not supported", self.name),
@@ -304,12 +307,13 @@ impl H5Array {
         })
     }
 
-    /// Returns an error if the array has more bytes than the limit of the file's data.
+    /// Returns an error if the array is larger than the limit for the file's data.
     pub fn check_small(&self, file: &H5File) -> Result<(), ReadFault> {
         self.check(0, file.limit)
     }
 
-    /// All numbers as integers. The array must be small, or belong to a mesh.
+    /// All numbers as integers. The array must be small or belong to a mesh, because all numbers
+    /// are kept in memory.
     pub fn integers(&self, file: &H5File) -> Result<Vec<i64>, ReadFault> {
         self.check(0, file.limit)?;
         self.some_integers([0, self.rows])
@@ -387,7 +391,8 @@ pub(super) struct RowWindows {
 }
 
 impl RowWindows {
-    /// The first row and the end of window number `index`, in a table of `all` rows.
+    /// The first row of window number `index`, and the row after its last row. The array has `all`
+    /// rows.
     pub fn rows(&self, index: usize, all: u64) -> [u64; 2] {
         let end = |index: u64| (self.lead + self.size * index).min(all);
         match index as u64 {
@@ -401,14 +406,14 @@ impl RowWindows {
         row.checked_sub(self.lead).map_or(0, |beyond| 1 + (beyond / self.size) as usize)
     }
 
-    /// Divides `rows` rows of `stride` bytes each, without regard to chunks.
+    /// Divides `rows` rows of `stride` bytes each into windows, without regard to chunks.
     pub fn of(rows: u64, stride: u64) -> Self {
         let size = (WINDOW / stride.max(1)).max(1);
         Self { lead: size.min(rows), size, count: rows.div_ceil(size) as usize }
     }
 }
 
-/// Converts an I/O error. A [`ReadFault`] inside the error is returned unchanged.
+/// Converts an I/O error into a fault. A [`ReadFault`] inside the error is returned unchanged.
 pub(super) fn fault_of(error: io::Error) -> ReadFault {
     match error.downcast::<ReadFault>() {
         Ok(fault) => fault,
@@ -444,7 +449,7 @@ pub(super) fn scalar(kind: &Datatype) -> Option<(Scalar, Endian)> {
     Some((scalar, endian))
 }
 
-/// A column: the index of an array and of its component.
+/// A column: the index of an array, and the index of a component in this array.
 pub(super) type Place = (usize, usize);
 
 /// Columns from several arrays with the same number of rows.
@@ -459,8 +464,8 @@ pub(super) struct H5Table {
 }
 
 impl H5Table {
-    /// Makes a table of arrays with the same number of rows. The array `position` is the position,
-    /// and all others are attributes.
+    /// Makes a table from arrays with the same number of rows. The array `position` contains the
+    /// positions, and all others are attributes.
     ///
     /// Returns `None` if there is no array `position` with three components.
     pub fn of_arrays(arrays: Vec<H5Array>, position: &str) -> Option<Self> {
@@ -470,8 +475,8 @@ impl H5Table {
         Some(Self::with_others(arrays, position, Vec::new()))
     }
 
-    /// Makes a table of the given columns. Every other array with the same number of rows is an
-    /// attribute, too.
+    /// Makes a table from the given columns. Every other array with the same number of rows becomes
+    /// an attribute, too, unless it has too many numbers per row.
     pub fn with_others(
         arrays: Vec<H5Array>,
         position: [Place; 3],
@@ -503,8 +508,8 @@ impl H5Table {
         self.arrays[self.position[0].0].rows
     }
 
-    /// Reads the particles with the wanted attributes. The columns are in the file if every used
-    /// array can be read in place. Otherwise, all used arrays are decoded.
+    /// Reads the particles with the wanted attributes. The columns are read in place if this is
+    /// possible for every used array. Otherwise, all used arrays are decoded.
     pub fn read(
         self,
         file: H5File,
@@ -526,8 +531,8 @@ impl H5Table {
         let wanted = || arrays.iter().zip(&used).filter(|(_, used)| **used).map(|(array, _)| array);
         let in_file = rows == 0 || wanted().all(|array| array.in_place(&file).is_some());
         let mut decoded = UnpackBuffer::new(file.unpacking);
-        // For each data set with members, the start of its decoded rows, which several arrays
-        // share.
+        // Start of the decoded rows of each data set, by address. All arrays that are members of a
+        // data set share these rows.
         let mut members = BTreeMap::new();
         let mut found: Vec<Vec<Column>> = Vec::new();
         for (array, used) in arrays.iter().zip(used) {
@@ -568,7 +573,7 @@ impl H5Table {
     }
 }
 
-/// The names of all types of particles. The chosen type is the first.
+/// The names of all particle types, with the chosen type first.
 pub(super) fn types(known: Vec<String>, chosen: &str) -> Vec<String> {
     let others = known.into_iter().filter(|name| name != chosen);
     [chosen.to_owned()].into_iter().chain(others).collect()
@@ -598,7 +603,7 @@ pub(super) fn chosen_type(
 }
 
 /// The type of particles that a condition names. `None` if no condition names a type. A condition
-/// with a number that is not a type is ignored here, because it may be about the attribute `type`.
+/// with a number that is not a type is ignored here, because it may refer to the attribute `type`.
 ///
 /// # Errors
 /// [`ReadFault::Unsupported`] if conditions name types, but none of these types exists.
@@ -614,7 +619,7 @@ pub(super) fn named_type<'a>(
     }
 }
 
-/// The error if there are no particles of the type `missing`.
+/// The error for a file without particles of type `missing`.
 pub(super) fn no_type(known: &[String], missing: &str) -> ReadFault {
     let list = list_of(known);
     ReadFault::Unsupported(format!("no particles of type {missing}; available: {list}"))

@@ -1,5 +1,5 @@
-//! Reads Houdini's binary JSON. A type byte precedes each value. A text is defined once, and then
-//! referred to by number.
+//! Reads Houdini's binary JSON. A type byte precedes each value. A text may be defined once and
+//! then referred to by number.
 
 use std::collections::HashMap;
 use std::rc::Rc;
@@ -15,7 +15,7 @@ use super::json::{Json, JsonEvent, JsonNumbers, Nesting, Storage};
 
 /// The first byte of a document.
 const MAGIC: u8 = 0x7f;
-/// The word after the first byte. Its bytes show the byte order.
+/// The word after the first byte. The order of its bytes shows the byte order of the document.
 const WORD: u32 = u32::from_le_bytes(*b"NSJb");
 
 /// The byte order of a file that starts with `head`. `None` if the file is not binary JSON.
@@ -37,7 +37,8 @@ pub struct Binary<'a> {
     value_at: usize,
     nesting: Nesting,
     tokens: HashMap<u64, Rc<str>>,
-    /// Number of remaining texts in an array of texts. `None` outside of such an array.
+    /// Number of texts that are still to be read in an array of texts. `None` outside such an
+    /// array.
     texts: Option<u64>,
 }
 
@@ -80,7 +81,7 @@ impl<'a> Binary<'a> {
         Ok(String::from_utf8_lossy(bytes).into())
     }
 
-    /// Reads the number of a text that was defined before, and returns the text.
+    /// Reads the number of a text that was defined earlier, and returns the text.
     fn token(&mut self) -> Result<Rc<str>, ReadFault> {
         let number = self.length()?;
         let known = self.tokens.get(&number).cloned();

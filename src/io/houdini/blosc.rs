@@ -1,32 +1,32 @@
-//! Chunks of Blosc 1.
+//! Reads and writes chunks of Blosc 1.
 //!
-//! A chunk consists of blocks. In a block, bytes are shuffled so that the first bytes of all
-//! numbers are adjacent, and compressed by one of several codecs. The format is described in
+//! A chunk consists of blocks. In each block, the bytes are shuffled so that the first bytes of all
+//! numbers are adjacent, and then compressed by one of several codecs. The format is described in
 //! c-blosc's README_HEADER.rst. Numbers are little endian.
 
 use libdeflater::Decompressor;
 
-/// Number of bytes of the header of a chunk.
+/// Size, in bytes, of a chunk's header.
 const HEADER: usize = 16;
-/// Maximum size in bytes of a number in a block that is split into streams. Such a block has one
-/// stream for each byte of a number.
+/// Maximum size, in bytes, of the numbers in a block that is split into streams. Such a block has
+/// one stream for each byte of a number.
 const MOST_SPLITS: usize = 16;
 /// Minimum number of values in a block that is split.
 const LEAST_SPLIT: usize = 128;
-/// Maximum distance in bytes that BloscLZ encodes in 13 bits.
+/// Maximum distance, in bytes, that BloscLZ encodes in 13 bits.
 const FARTHEST: usize = 8191;
 
-/// Number of bytes of a number in chunks that are written, as in Houdini's files.
+/// Size, in bytes, of the numbers in written chunks, as in Houdini's files.
 const WRITTEN_TYPE: usize = 4;
-/// Number of bytes of a block in chunks that are written, as in Houdini's files.
+/// Size, in bytes, of the blocks in written chunks, as in Houdini's files.
 const WRITTEN_BLOCK: usize = 1 << 19;
 
-/// An error of unpacking a chunk.
+/// An error that occurred while unpacking a chunk.
 #[derive(Debug, PartialEq, Eq)]
 pub enum BloscFault {
-    /// An unknown codec.
+    /// The name of a codec that is not supported.
     Unknown(&'static str),
-    /// Damaged data.
+    /// What is damaged in the chunk.
     Damaged(&'static str),
 }
 
@@ -144,7 +144,8 @@ pub fn unpack(chunk: &[u8], out: &mut [u8]) -> Result<(), BloscFault> {
     Ok(())
 }
 
-/// Compresses `bytes` to a chunk by LZ4, after shuffling them as the bytes of 32-bit numbers.
+/// Packs `bytes` into a chunk: shuffles them as the bytes of 32-bit numbers, then compresses them
+/// with LZ4.
 pub fn pack(bytes: &[u8]) -> Vec<u8> {
     let header = |flags: u8, length: usize| {
         let mut header = vec![2, 1, flags, WRITTEN_TYPE as u8];
@@ -203,7 +204,7 @@ fn unpack_block(header: &BloscHeader, mut packed: &[u8], out: &mut [u8]) -> Resu
     Ok(())
 }
 
-/// Decompresses data into `out`. Returns the number of bytes, or `None` for damaged data.
+/// Decompresses data into `out`. Returns the number of bytes written, or `None` for damaged data.
 fn decompress(codec: Codec, packed: &[u8], out: &mut [u8]) -> Option<usize> {
     match codec {
         Codec::BloscLz => blosc_lz(packed, out),
@@ -213,7 +214,7 @@ fn decompress(codec: Codec, packed: &[u8], out: &mut [u8]) -> Option<usize> {
     }
 }
 
-/// Decompresses BloscLZ, which consists of literals and matches, as in FastLZ.
+/// Decompresses BloscLZ data, which consists of literals and matches, as in FastLZ.
 fn blosc_lz(mut packed: &[u8], out: &mut [u8]) -> Option<usize> {
     let mut at = 0;
     // The first control byte is always that of a literal, so its upper bits have another meaning.
@@ -296,7 +297,7 @@ fn restore<const N: usize>(shuffled: &[u8], out: &mut [u8]) {
 }
 
 /// Reverses the bit shuffle, which stores the lowest bits of all numbers first, then the second
-/// lowest bits, and so on. A block is not shuffled if its number of numbers is not a multiple of 8.
+/// lowest bits, and so on. A block whose count of numbers is not a multiple of 8 is not shuffled.
 fn restore_bits(shuffled: &[u8], type_size: usize, out: &mut [u8]) {
     let count = out.len() / type_size;
     if !count.is_multiple_of(8) {

@@ -1,9 +1,10 @@
-//! The container of `.bgeo.sc`: consecutive chunks of Blosc, and an index.
+//! The container of `.bgeo.sc`: consecutive Blosc chunks, and an index.
 //!
 //! A container consists of "scf1", the length of the metadata, the metadata, the chunks, an index,
-//! and "1fcs". The index has the offsets of all chunks except the first, relative to the start of
-//! the chunks. Then follow the unpacked size of each chunk except the last, the unpacked size of
-//! the last chunk, and the length of the index. Numbers have 64 bits and are big endian.
+//! and "1fcs". The index starts with the offsets of all chunks except the first, relative to the
+//! first chunk. It ends with three numbers: the unpacked size of each chunk except the last, the
+//! unpacked size of the last chunk, and the length of the index without this number. Numbers have
+//! 64 bits and are big endian.
 
 use std::io::{self, Write};
 
@@ -20,18 +21,18 @@ use super::blosc;
 pub const MAGIC: &[u8] = b"scf1";
 /// The last bytes of a container.
 const END: &[u8] = b"1fcs";
-/// Number of bytes of a number in the container's format.
+/// Size, in bytes, of a number in a container.
 const NUMBER: u64 = 8;
-/// Maximum unpacked size of a chunk in bytes. Houdini's chunks have 1 MiB.
+/// Maximum unpacked size, in bytes, of a chunk that is read. Houdini's chunks unpack to 1 MiB.
 const LARGEST: u64 = 64 << 20;
 
-/// Unpacked size of chunks that are written, in bytes. Houdini uses the same size.
+/// Unpacked size, in bytes, of written chunks. Houdini uses the same size.
 const CHUNK: usize = 1 << 20;
 
 /// The chunks of a container, and their unpacked sizes.
 struct Chunks<'a> {
     view: ByteView<'a>,
-    /// The start of each chunk, and the end of the last chunk, in bytes.
+    /// Byte offset of the start of each chunk, and of the end of the last chunk.
     bounds: Vec<usize>,
     each: u64,
     last: u64,
@@ -42,7 +43,7 @@ struct Chunks<'a> {
 /// # Errors
 /// [`ReadFault::Malformed`] and [`ReadFault::Truncated`] for damaged files,
 /// [`ReadFault::Compression`] for a compression ratio that is too high, and
-/// [`ReadFault::Unsupported`] for an unknown codec.
+/// [`ReadFault::Unsupported`] for an unsupported codec.
 pub fn unpack(bytes: Bytes, unpacking: Unpacking) -> Result<PrivateBytes, ReadFault> {
     let view = bytes.view();
     let chunks = Chunks::of(view)?;
@@ -124,7 +125,7 @@ impl<'a> Chunks<'a> {
         Ok(Self { view, bounds, each, last })
     }
 
-    /// Total unpacked size of a range of chunks in bytes.
+    /// Total unpacked size, in bytes, of a range of chunks.
     fn length(&self, chunks: std::ops::Range<usize>) -> u64 {
         let has_last = chunks.end == self.bounds.len() - 1;
         let full = chunks.len() as u64 - u64::from(has_last);
@@ -157,15 +158,15 @@ impl<'a> Chunks<'a> {
     }
 }
 
-/// Writes a container. It compresses a few chunks at once, on all threads.
+/// Writes a container. Compresses several chunks at a time, on all threads.
 pub struct ContainerWriter<'a> {
     out: &'a mut dyn Write,
-    /// Bytes that have not been compressed.
+    /// Bytes that have not been compressed yet.
     waiting: Vec<u8>,
     at_once: usize,
-    /// Number of bytes of the chunks that were written.
+    /// Total size, in bytes, of the chunks written so far.
     written: u64,
-    /// Position of each chunk, relative to the first chunk.
+    /// Byte offset of each chunk, relative to the first chunk.
     starts: Vec<u64>,
     last: usize,
 }

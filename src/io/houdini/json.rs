@@ -11,10 +11,11 @@ use crate::io::ReadFault;
 use crate::io::bytes::ByteView;
 use crate::io::columns::{Endian, Scalar};
 
-/// Maximum depth of nested lists and maps. Each level of nested packed geometry needs about ten.
+/// Maximum depth of nested lists and maps. Each level of nested packed geometry takes about ten
+/// levels of lists and maps.
 const DEEPEST: usize = 1024;
 
-/// A step through a JSON document.
+/// One step in reading a JSON document.
 #[derive(Debug, Clone, PartialEq)]
 pub enum JsonEvent {
     /// The start of a list.
@@ -28,7 +29,7 @@ pub enum JsonEvent {
     Integer(i64),
     Real(f64),
     Text(Rc<str>),
-    /// A list of numbers with the same type.
+    /// A list of numbers of the same type.
     Numbers(JsonNumbers),
 }
 
@@ -52,7 +53,7 @@ impl Storage {
         }
     }
 
-    /// Number of bytes of `count` numbers.
+    /// Size, in bytes, of `count` numbers.
     pub fn bytes(self, count: u64) -> u64 {
         match self {
             Self::Bits => count.div_ceil(32).saturating_mul(4),
@@ -62,16 +63,16 @@ impl Storage {
     }
 }
 
-/// A range of consecutive numbers in the document.
+/// A range of consecutive numbers in a buffer of bytes, such as the document.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct JsonNumbers {
-    /// Position of the first number in bytes.
+    /// Byte offset of the first number.
     pub at: usize,
     pub storage: Storage,
     pub count: u64,
 }
 
-/// A number of a list, after reading.
+/// A decoded number.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum JsonNumber {
     Integer(i64),
@@ -152,7 +153,7 @@ macro_rules! numbers {
     ($($scalar:ident $type:ident $number:ident),*) => {
         impl Storage {
             /// The number at `index` in the bytes `stored`.
-            #[allow(clippy::cast_lossless)] // One line for all types, u64 among them.
+            #[allow(clippy::cast_lossless)] // One line for all types, including u64.
             fn number(self, stored: &[u8], index: usize, endian: Endian) -> JsonNumber {
                 match self {
                     Self::Bits => {
@@ -220,7 +221,8 @@ macro_rules! whole {
             fn of(number: JsonNumber) -> Option<Self> {
                 match number {
                     JsonNumber::Integer(whole) => Self::try_from(whole).ok(),
-                    // An integer that is stored as a floating-point number, such as `1.0` or `1e3`.
+                    // Accepts integers that are stored as floating-point numbers, such as `1.0` or
+                    // `1e3`.
                     JsonNumber::Real(real) => {
                         let whole = real as i64;
                         (whole as f64 == real).then(|| Self::try_from(whole).ok())?

@@ -1,8 +1,9 @@
-//! Reads Houdini's geometry since version 12: `.geo` is text, `.bgeo` is binary, and `.bgeo.sc` is
-//! compressed by Blosc.
+//! Reads and writes geometry of Houdini 12 and later: `.geo` is text, `.bgeo` is binary, and
+//! `.bgeo.sc` is compressed by Blosc.
 //!
-//! The content determines the form, not the extension. A `.bgeo` may also have the classic format.
-//! A point is a particle if it belongs to no primitive, or to particle systems only.
+//! The content of a file, not its extension, determines its form. A `.bgeo` file may also be in the
+//! classic format. A point is a particle if it belongs to no primitive, or only to particle
+//! systems.
 
 mod binary;
 mod blosc;
@@ -32,7 +33,7 @@ pub use write::{attribute_names, write_mesh};
 
 /// Number of bytes at the start of a file from which its form is detected.
 const HEAD: usize = 64;
-/// Number of bytes of a position.
+/// Size, in bytes, of a position of three f32 numbers.
 const POSITION: u64 = 12;
 
 /// The form of a geometry file.
@@ -101,8 +102,8 @@ pub fn read_particles(
     }
 }
 
-/// Reads all points of a geometry since version 12. Points of polygons and other primitives are
-/// included.
+/// Reads all points of a geometry of Houdini 12 or later. Points of polygons and other primitives
+/// are included.
 ///
 /// # Errors
 /// The errors of [`read_particles`] for damaged files and scratch files.
@@ -154,8 +155,8 @@ impl OpenedGeometry {
             }
         };
         view.check()?;
-        // A file of constant pages can announce any number of points, so their number is bounded
-        // here.
+        // A file whose pages are constant can announce any number of points, so this check bounds
+        // the number.
         if geometry.points > unpacked_limit(view.len() as u64) / POSITION {
             let what = format!("{} points in {} bytes", geometry.points, view.len());
             return Err(ReadFault::Compression(what));
@@ -168,8 +169,8 @@ impl OpenedGeometry {
         NumberBytes { document: self.bytes.view(), endian: self.endian, gathered: &self.gathered }
     }
 
-    /// Selects the points that are particles: they belong to no primitive, or to particle systems
-    /// only. `None` if all points are particles.
+    /// Selects the particles: the points that belong to no primitive, or only to particle systems.
+    /// Returns `None` if all points are particles.
     ///
     /// # Errors
     /// [`ReadFault::Unsupported`] if there are points, but no particles.
@@ -215,7 +216,7 @@ impl OpenedGeometry {
         Ok(Some(sieve).filter(|sieve| (sieve.count() as u64) < points))
     }
 
-    /// Makes columns of the selected points, or of all points, with the wanted attributes.
+    /// Makes a particle file of the selected points, or of all points, with the wanted attributes.
     fn arrange(
         self,
         selected: Option<Sieve>,

@@ -1,4 +1,5 @@
-//! Columns of a geometry's points. They are in the file, or unpacked from pages.
+//! Columns of a geometry's point attributes. Their numbers are in the file, or in a buffer to which
+//! they were copied.
 
 use std::borrow::Cow;
 use std::collections::BTreeSet;
@@ -34,8 +35,8 @@ impl<'a> NumberBytes<'a> {
         }
     }
 
-    /// The location and the columns of an attribute. `None` if its numbers do not have a constant
-    /// stride.
+    /// Returns the location and the columns of an attribute whose numbers can be used in place.
+    /// Returns `None` if they must be unpacked first, such as half floats or constant pages.
     pub fn columns(&self, values: &PointValues) -> Option<(NumberLocation, Vec<Column>)> {
         let column = |run: NumberRun, components: u64| {
             let Storage::Scalar(scalar) = run.numbers.storage else { return None };
@@ -82,7 +83,7 @@ impl<'a> NumberBytes<'a> {
         Ok(Cow::Owned(wide))
     }
 
-    /// Calls `take` with the bytes of the numbers of a run, in batches.
+    /// Calls `take` with the bytes of the numbers in `run`, in batches.
     fn each(&self, run: NumberRun, take: &mut TakeStored) -> Result<(), ReadFault> {
         let NumberRun { place, numbers } = run;
         for first in (0..numbers.count).step_by(ROWS as usize) {
@@ -94,7 +95,7 @@ impl<'a> NumberBytes<'a> {
         Ok(())
     }
 
-    /// Calls `take` with the bytes of the tuples of all pages, in batches.
+    /// Calls `take` with the bytes of the tuples in all pages, in batches.
     fn each_of_pages(
         &self,
         pages: &PointPages,
@@ -155,7 +156,7 @@ fn components(first: Column, values: &PointValues) -> Vec<Column> {
 /// A label, the column of its numbers, and for each number the index of its text in the label.
 type LabelColumn = (Label, (Column, Vec<u32>));
 
-/// The unpacked columns of attributes, one attribute after another.
+/// Unpacks the columns of attributes, one attribute after another.
 pub struct UnpackedColumns<'a> {
     stores: NumberBytes<'a>,
     unpacked: UnpackBuffer<'a>,
@@ -165,7 +166,7 @@ pub struct UnpackedColumns<'a> {
 }
 
 impl<'a> UnpackedColumns<'a> {
-    /// Starts without attributes. Each attribute must have `points` values.
+    /// Starts without attributes. Each added attribute must have values for `points` points.
     pub fn new(stores: NumberBytes<'a>, points: u64, unpacking: Unpacking<'a>) -> Self {
         let left = unpacked_limit(stores.document.len() as u64);
         Self { stores, unpacked: UnpackBuffer::new(unpacking), points, left }
@@ -179,8 +180,8 @@ impl<'a> UnpackedColumns<'a> {
     /// Unpacks an attribute.
     ///
     /// # Errors
-    /// [`ReadFault::Compression`] for more bytes than a file of this size may unpack to, errors of
-    /// reading, and errors of the scratch file.
+    /// [`ReadFault::Compression`] if the columns need more bytes than a file of this size may
+    /// unpack to, errors of reading, and errors of the scratch file.
     pub fn push(&mut self, attribute: &HoudiniAttribute) -> Result<Vec<Column>, ReadFault> {
         let HoudiniAttribute { name, values, .. } = attribute;
         let run = match &values.data {

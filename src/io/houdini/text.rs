@@ -1,4 +1,4 @@
-//! Reads Houdini's JSON in text.
+//! Reads the text form of Houdini's JSON.
 
 use std::rc::Rc;
 
@@ -11,7 +11,7 @@ use super::json::{Json, JsonEvent, Nesting};
 /// Number of bytes that are read before their memory is released.
 const PASSED: usize = 1 << 20;
 
-/// A document in text.
+/// A document in the text form.
 pub struct Text<'a> {
     store: Slice<'a>,
     at: usize,
@@ -33,8 +33,8 @@ impl<'a> Text<'a> {
         &self.store.bytes()[self.at..]
     }
 
-    /// Skips blanks, commas and colons. Commas and colons are optional, because writers may omit
-    /// them in lists of keys and values.
+    /// Skips white space, commas and colons. Commas and colons are optional, because writers may
+    /// omit them in lists of keys and values.
     fn skip_blanks(&mut self) {
         let is_blank = |byte: &&u8| byte.is_ascii_whitespace() || matches!(byte, b',' | b':');
         self.at += self.rest().iter().take_while(is_blank).count();

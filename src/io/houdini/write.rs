@@ -17,12 +17,12 @@ use super::container::ContainerWriter;
 /// Number of points per page, as in Houdini's files.
 const PAGE: u64 = 1024;
 
-/// An attribute or the positions of points.
+/// An array with the positions, the normals or an attribute of the points.
 struct PointArray {
     name: String,
     components: usize,
     storage: Type,
-    /// Houdini's name for the kind of the values, such as a vector or a colour.
+    /// Houdini's name for the kind of values, such as `vector` or `color`. Empty for plain numbers.
     meaning: &'static str,
     numbers: ValueSource,
 }
@@ -33,8 +33,8 @@ enum ValueSource {
     Positions(CoordinateWidth),
     Normals,
     Attribute(usize),
-    /// A range of components of the attribute with this index, which is a colour. Its values are
-    /// converted to numbers from 0 to 1.
+    /// A range of components of the colour attribute with this index. The values are converted to
+    /// numbers from 0 to 1.
     Shares(usize, [usize; 2]),
 }
 
@@ -59,8 +59,8 @@ impl Type {
     }
 }
 
-/// Writes `mesh` with all of its attributes. A velocity is `v`, normals are `N`, and a colour is
-/// `Cd`, with its alpha in `Alpha`.
+/// Writes `mesh` with all of its attributes. The velocity is named `v`, the normals `N`, and the
+/// first colour `Cd`, with its alpha in `Alpha`.
 ///
 /// # Panics
 /// Like [`MeshFormat::write`](crate::io::output::MeshFormat::write).
@@ -149,7 +149,8 @@ pub fn attribute_names(attributes: &[AttributeInfo], has_normals: bool) -> Vec<S
     names.collect()
 }
 
-/// Converts a name to a valid name in Houdini: letters, digits and underscores, no digit first.
+/// Converts a name to a valid Houdini name: letters, digits and underscores, and no digit at the
+/// start.
 fn identifier(name: &str) -> String {
     let plain = name.replace(|c: char| !c.is_ascii_alphanumeric() && c != '_', "_");
     let is_begun = plain.starts_with(|c: char| !c.is_ascii_digit());
@@ -292,7 +293,7 @@ impl Tokens {
         self
     }
 
-    /// Starts an array of `count` numbers. The numbers must follow.
+    /// Starts an array of `count` numbers. The caller must write the numbers next.
     fn array(&mut self, storage: Type, count: u64) -> &mut Self {
         self.byte(0x40).byte(storage.spelled().1).length(count)
     }

@@ -9,17 +9,17 @@
 //! | header | 8 | `89 4D 4E 46 0D 0A 1A 0A`, which detects a conversion of line ends |
 //! | | 4 | version: 2, or 3 for particles of several sizes |
 //! | | 4 | edge of a brick in cells: 4, 8 or 16 |
-//! | pages | | one zstd frame of samples per page, in the order of the keys and without gaps |
+//! | pages | | one zstd frame of samples per page, in key order and without gaps |
 //! | footer | 3 x 8 | origin of the grid, f64 |
 //! | | 8 | edge of a cell, f64 |
-//! | | 4 | 0, plus 1 if there are walls, 2 if the box is periodic, 4 if the particles have several sizes |
+//! | | 4 | sum of flags: 1 for walls, 2 for a periodic box, 4 for particles of several sizes |
 //! | | 4 | indicator: 0 symmetry, 1 counting, 2 cloud |
 //! | | 6 x 8 | lower and upper corner of the walls, f64; -inf and inf for sides without a wall; 0 if there are no walls |
 //! | | 8 | mu0, f64; 0 for symmetry and cloud |
-//! | | 8 | spacing of the particles, f64; 0 if it is not known. Their smallest size if they have several |
-//! | | 4 x 8 | numbers of particles: in cells, not finite, beyond the grid, outside of the walls |
+//! | | 8 | spacing, f64; 0 if it is not known; the smallest size if there are several |
+//! | | 4 x 8 | particles: in cells, not finite, beyond the grid, outside the walls or the box |
 //! | if periodic | 6 x 8 | lower and upper corner of the box, f64; -inf and inf along an open axis |
-//! | | 4 | distance up to which images of particles exist beyond the box, in cells; the pages include them |
+//! | | 4 | distance from the box, in cells, within which the pages include images |
 //! | | 4 | 0 |
 //! | if several sizes | 8 | largest size, f64 |
 //! | | 8 | volume of the particles per unit volume deep in the fluid, f64; 0 if it is not known |
@@ -27,34 +27,34 @@
 //! | index, per page | 8 | Morton key of its bin: 21 bits per axis, x lowest, each biased by 2^20 |
 //! | | 8 | offset of the page in the file |
 //! | | 8 | one bit for each stored brick, by its Morton index in the bin |
-//! | | 4 | bytes of the compressed page |
-//! | | 4 | CRC-32 of these bytes |
+//! | | 4 | size of the compressed page, in bytes |
+//! | | 4 | CRC-32 of the compressed page |
 //! | | 4 | number of full cells |
-//! | | 6 | tightest box of the full cells: lowest cell, one past the highest, in cells of the bin |
+//! | | 6 | tightest box of the full cells, in the bin: lowest cell, one past the highest |
 //! | | 2 | number of the page's field, if the particles have several sizes, else 0 |
 //! | tail | 8 | offset of the footer in the file |
 //! | | 4 | CRC-32 of the header, the footer, the index and the offset of the footer |
 //! | | 8 | `0A 1A 0A 0D 46 4E 4D 89` |
 //!
-//! A page contains the samples of its bricks in order, with x fastest in each brick. The low bytes
-//! of all samples come first, then the high bytes.
+//! A page contains the samples of its bricks in order, with x varying fastest within each brick.
+//! The low bytes of all samples come first, then the high bytes.
 //!
 //! For symmetry, a sample is the DIF, from 0 to 65535. For counting, a sample is a number of
 //! particles, at most 65535, and the DIF is theta(N) = min(N, mu0) / mu0 in 65535ths, rounded. For
-//! cloud, a brick has a ghost layer of one cell on every side, and a sample is what the particles
-//! of the brick add to a cell. Each particle adds an
+//! cloud, a brick has a ghost layer of one cell on every side, and a sample is the amount that the
+//! particles of the brick add to a cell. Each particle adds an
 //! [`Amount`](crate::field::indicator::Amount) in total, which depends on the spacing in cells. The
 //! value of a cell is the sum over all bricks, at most 65535. A cell is full if its value in its
-//! own page is not 0.
+//! own page is nonzero.
 //!
-//! If the particles have several sizes, the file has two fields for each octave of the sizes, from
-//! the finest on: the volume of the particles (field 2 k of octave k), and the volume times the
-//! logarithm of the size in the octave (field 2 k + 1), as [`sizes`](crate::field::sizes) defines
-//! them. The indicator is cloud. All pages of a field are consecutive, and their cells are 2^k
-//! times as wide as the grid's.
+//! If the particles have several sizes, the file has two fields for each octave of the sizes,
+//! starting with the finest: the volume of the particles (field 2 k of octave k), and the volume
+//! times the logarithm of the size in the octave (field 2 k + 1), as [`sizes`](crate::field::sizes)
+//! defines them. The indicator is cloud. All pages of a field are consecutive, and their cells are
+//! 2^k times as wide as the grid's.
 //!
-//! Version 1 differs only for clouds, whose size depends on mu0. Clouds of version 1 are rejected,
-//! and other frames of version 1 can be read.
+//! Version 1 differs only for clouds, whose size depends on mu0 in that version. Frames of version
+//! 1 with clouds are rejected. Other frames of version 1 can be read.
 //!
 //! The guide for users is `packed.md`.
 
@@ -141,8 +141,8 @@ impl<'a> PackableFrame<'a> {
         }
     }
 
-    /// The fields that contain each particle once, each with the octave of its cells: the only
-    /// field, or the fields of the volume.
+    /// The fields that together contain each particle once, each with the octave of its cells: the
+    /// only field, or the volume field of each octave.
     #[must_use]
     pub fn volumes(self) -> Vec<(u32, &'a DifField)> {
         let step = match self {
@@ -162,7 +162,7 @@ impl<'a> PackableFrame<'a> {
     }
 }
 
-/// Whether a file is a packed frame, by its extension.
+/// Whether `path` has the extension of a packed frame.
 #[must_use]
 pub fn is_packed(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mnf"))
@@ -170,9 +170,9 @@ pub fn is_packed(path: &Path) -> bool {
 
 const MAGIC: [u8; 8] = *b"\x89MNF\r\n\x1a\n";
 const END_MAGIC: [u8; 8] = *b"\n\x1a\n\rFNM\x89";
-/// The version of frames of particles of one size.
+/// The version of files with particles of one size.
 const VERSION: u32 = 2;
-/// The version of frames of particles of several sizes.
+/// The version of files with particles of several sizes.
 const SIZES_VERSION: u32 = 3;
 /// The first version of the format. Its frames can be read, except those with clouds.
 const FIRST_VERSION: u32 = 1;
@@ -184,13 +184,13 @@ const PERIODIC: u32 = 2;
 /// Flag in the footer: the particles have several sizes.
 const SIZES: u32 = 4;
 
-/// Number of bytes of the header.
+/// Size, in bytes, of the header.
 const HEADER: usize = 16;
-/// Number of bytes of the footer, which precedes the index.
+/// Size, in bytes, of the footer without the parts for a periodic box and for several sizes.
 const FACTS: usize = 144;
-/// Number of bytes of a page's entry in the index.
+/// Size, in bytes, of a page's entry in the index.
 const ENTRY: usize = 44;
-/// Number of bytes of the tail.
+/// Size, in bytes, of the tail.
 const TAIL: usize = 20;
 
 /// Returns the low bytes of all samples, followed by the high bytes. This order compresses better,

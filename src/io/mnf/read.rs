@@ -30,17 +30,17 @@ use super::{
 const RELEASED: u64 = 4 << 20;
 /// Number of bytes that the system maps around an accessed byte.
 const AROUND: u64 = 64 << 10;
-/// The possible densities of particles of several sizes: their volume per unit volume.
+/// The valid densities of particles of several sizes: their volume per unit volume.
 const DENSITIES: RangeInclusive<f64> = 0.01..=100.0;
-/// Number of bytes per step of computing a checksum.
+/// Number of bytes that are added to a checksum at a time.
 const CHUNK: usize = 1 << 20;
 
-/// Opens a packed frame of any size.
+/// Opens a packed frame, which may be larger than memory.
 ///
-/// This reads and checks every byte, but keeps only the index in memory. Samples are read again
-/// when they are needed. The most recently used pages stay in memory, up to `cache_bytes`. The map
-/// of the file takes a few MiB of memory at a time. If `scratch` names a folder, large clouds in
-/// wider cells are stored in scratch files in this folder.
+/// The function reads and checks every byte, but keeps only the index in memory. Samples are read
+/// again when they are needed. The most recently used pages stay in memory, up to `cache_bytes`.
+/// The map of the file takes a few MiB of memory at a time. If `scratch` names a folder, large
+/// clouds in wider cells are stored in scratch files in this folder.
 ///
 /// If another program changes the file while the field is in use, the process ends with a panic or
 /// a signal.
@@ -96,7 +96,7 @@ pub fn frame_from_file(file: &File, cache_bytes: u64) -> Result<SampledDif, Read
     Ok(SampledDif::new(facts, indicator, field))
 }
 
-/// A map of a file, whose memory is released repeatedly.
+/// A memory map of a file. Its memory is released repeatedly.
 #[derive(Debug)]
 struct MapWindow {
     bytes: PrivateBytes,
@@ -104,7 +104,8 @@ struct MapWindow {
 }
 
 impl MapWindow {
-    /// Counts accessed bytes, and releases memory. Must be called after every access.
+    /// Counts accessed bytes, and releases the map's memory once there are many. Must be called
+    /// after every access.
     fn looked_at(&self, bytes: u64) {
         if self.looked_at.fetch_add(bytes, Ordering::Relaxed) + bytes > RELEASED {
             self.looked_at.store(0, Ordering::Relaxed);
@@ -125,11 +126,11 @@ impl MapWindow {
 struct MappedPages {
     window: MapWindow,
     shape: PageShape,
-    /// The position of each page, and the end of the last page, in bytes.
+    /// Byte offset of each page, and of the end of the last page.
     first: Vec<u64>,
     /// Number of bricks in each page.
     bricks: Vec<u8>,
-    /// The first page of each field, and the number of all pages.
+    /// The number of each field's first page, and finally the total number of pages.
     fields: Vec<usize>,
     /// Checksums of the pages. They are not needed after the pages have been checked.
     checksums: Vec<u32>,

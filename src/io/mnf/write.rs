@@ -21,19 +21,19 @@ const LEVEL: i32 = 1;
 /// Number of pages that a thread compresses with one context.
 const CHUNK: usize = 64;
 
-/// Writes a frame page by page. The index and one batch of compressed pages are in memory.
+/// Writes a frame page by page. Keeps the index and one batch of compressed pages in memory.
 ///
-/// A file without a call of [`finish`](Self::finish) is incomplete, and all readers reject it.
+/// Until [`finish`](Self::finish) is called, the file is incomplete, and all readers reject it.
 #[derive(Debug)]
 pub struct FrameWriter<W> {
     out: W,
     shape: PageShape,
     header: [u8; HEADER],
-    /// Number of bytes that were written.
+    /// Byte offset at which the next page will be written.
     at: u64,
     pages: u64,
     index: Vec<u8>,
-    /// The number of the field whose pages are written.
+    /// The number of the field whose pages are being written.
     field: u16,
     last: Option<PageInfo>,
 }
@@ -41,13 +41,13 @@ pub struct FrameWriter<W> {
 /// Compressed pages that are adjacent in the file.
 struct CompressedPages {
     bytes: Vec<u8>,
-    /// Length in bytes and checksum of each page.
+    /// Length, in bytes, and checksum of each page.
     parts: Vec<(usize, u32)>,
 }
 
 impl<W: Write> FrameWriter<W> {
-    /// Writes the header of a frame whose pages have this shape. Writes are large, so `out` needs
-    /// no buffer.
+    /// Writes the header of a frame whose pages have `shape`. All later writes are large, so `out`
+    /// needs no buffer.
     ///
     /// # Errors
     /// The errors of `out`. The methods below return them too.
@@ -91,8 +91,8 @@ impl<W: Write> FrameWriter<W> {
     /// number of threads nor on how the pages are divided among calls.
     ///
     /// # Panics
-    /// If pages are not in the order of their keys, or if the number of samples does not match
-    /// their bricks.
+    /// If pages are not in key order, or if the number of a page's samples does not match its
+    /// bricks.
     pub fn push<'a, P: Sync>(
         &mut self,
         pages: &'a [(PageInfo, P)],
@@ -138,8 +138,8 @@ impl<W: Write> FrameWriter<W> {
         self.finish_with(footer(facts, indicator, 0))
     }
 
-    /// Writes the footer, the index and the tail. `footer` lacks only the number of pages, which is
-    /// added here.
+    /// Writes the footer, the index and the tail. `footer` lacks only the number of pages, which
+    /// this function appends.
     fn finish_with(mut self, mut footer: Vec<u8>) -> io::Result<u64> {
         footer.extend(self.pages.to_le_bytes());
         let place = self.at.to_le_bytes();
@@ -155,8 +155,8 @@ impl<W: Write> FrameWriter<W> {
     }
 }
 
-/// The footer up to the periodic box, without the facts about several sizes and without the number
-/// of pages. `more_flags` are additional flags.
+/// The footer up to and including the periodic box, without the facts about several sizes and
+/// without the number of pages. `more_flags` are additional flags.
 fn footer(facts: &FrameFacts, indicator: Indicator, more_flags: u32) -> Vec<u8> {
     let walls = facts.domain.map_or([0.0; 6], |domain| {
         let [lo, hi] = domain.walls().map(|corner| corner.to_array());
@@ -198,7 +198,7 @@ fn compress<'a, P>(
     shape: PageShape,
 ) -> io::Result<CompressedPages> {
     let mut compressor = Compressor::new(LEVEL)?;
-    // The index implies the size of each page.
+    // The index implies the unpacked size of each page.
     compressor.set_parameter(CParameter::ContentSizeFlag(false))?;
     let mut compressed =
         CompressedPages { bytes: Vec::new(), parts: Vec::with_capacity(pages.len()) };
@@ -212,7 +212,7 @@ fn compress<'a, P>(
     Ok(compressed)
 }
 
-/// Writes a complete frame of any size. Returns the size of the file in bytes.
+/// Writes a complete frame, which may be larger than memory. Returns the size of the file in bytes.
 pub fn write_frame(out: impl Write, frame: PackableFrame<'_>) -> io::Result<u64> {
     let (facts, indicator) = (frame.facts(), frame.indicator());
     let (version, flags) = match frame {

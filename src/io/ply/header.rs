@@ -5,7 +5,7 @@ use crate::io::bytes::ByteView;
 use crate::io::columns::{Endian, Scalar};
 use crate::io::scan::Lines;
 
-/// Number of bytes of the longest keyword of a comment, with the blank after it.
+/// Length, in bytes, of the longest comment keyword, including the space after it.
 const REMARK: usize = "obj_info ".len();
 
 /// The encoding of the rows.
@@ -24,7 +24,7 @@ pub(super) struct PlyProperty {
     pub list: Option<Scalar>,
 }
 
-/// An element: a number of rows with the same properties.
+/// An element: rows that all have the same properties.
 #[derive(Debug)]
 pub(super) struct Element {
     pub name: String,
@@ -33,7 +33,8 @@ pub(super) struct Element {
 }
 
 impl Element {
-    /// Number of bytes of a binary row. `None` if rows contain lists and so differ in length.
+    /// Size, in bytes, of a binary row. `None` if rows contain lists and may therefore differ in
+    /// size.
     pub fn row(&self) -> Option<usize> {
         self.properties.iter().map(|p| p.list.is_none().then(|| p.scalar.size())).sum()
     }
@@ -56,7 +57,7 @@ impl Element {
 pub(super) struct PlyHeader {
     pub encoding: Encoding,
     pub elements: Vec<Element>,
-    /// Start of the data, in bytes from the start of the file.
+    /// Byte offset of the data in the file.
     pub body: usize,
 }
 

@@ -15,7 +15,7 @@ use super::header::{Element, Encoding, PlyHeader, PlyProperty};
 use super::{GROUPS, NORMAL};
 use crate::io::names::{COLOUR, COLOURS};
 
-/// Number of bytes of rows that are collected before they are appended to the result.
+/// Minimum number of bytes that are collected before they are appended to the decoded rows.
 const PIECE: usize = 1 << 16;
 
 /// Reads a file of particles with [`read_points`].
@@ -36,10 +36,10 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
 /// place. Text is decoded to columns of f64.
 ///
 /// The properties x, y and z may have any order and place. vx, vy and vz (or `velocity_x`, `vel_x`,
-/// ...) are the attribute `velocity`. nx, ny and nz are `normal`. red, green, blue and optionally
-/// alpha are `color`. Consecutive properties `a_0`, `a_1`, ... are one attribute `a`. Every other
-/// property is an attribute of its own name. Lists are skipped, and elements after `vertex` are not
-/// read.
+/// ...) form the attribute `velocity`. nx, ny and nz form `normal`. red, green, blue and optionally
+/// alpha form `color`. Consecutive properties `a_0`, `a_1`, ... form one attribute `a`. Every other
+/// property becomes an attribute with its own name. Lists are skipped, and elements after `vertex`
+/// are not read.
 ///
 /// # Errors
 /// [`ReadFault::Line`] for an invalid header or row of text, [`ReadFault::Truncated`] for fewer
@@ -62,7 +62,7 @@ fn points(
         Encoding::Binary(Endian::Big) => "PLY, binary big-endian",
     };
     let is_text = header.encoding == Encoding::Ascii;
-    // If rows have lists, their end is unknown until the lists are read.
+    // If rows have lists, the end of the rows is unknown until the lists are read.
     let vertex = header.elements.iter().position(|element| element.name == "vertex");
     let mut upto = header.elements.iter().take(vertex.map_or(0, |vertex| vertex + 1));
     let whole = is_text || upto.any(|element| element.row().is_none());
@@ -70,7 +70,7 @@ fn points(
     Ok(vertices(bytes.view(), header, unpacking)?.into_particles(bytes, format))
 }
 
-/// Whether there are faces, so that the file is a mesh. Reads only the header.
+/// Whether the file has faces, and is therefore a mesh. Reads only the header.
 ///
 /// # Errors
 /// The errors of [`read_mesh`] about the header.
@@ -142,8 +142,8 @@ pub(super) fn vertices(
     Ok(FileVertices { decoded, count: element.count, position, attributes, normals })
 }
 
-/// Groups the properties except `position` into attributes. Returns each name with the property
-/// indices.
+/// Groups the properties except `position` into attributes. Returns the name of each attribute with
+/// the indices of its properties.
 fn group(properties: &[PlyProperty], position: [usize; 3]) -> Vec<(String, Vec<usize>)> {
     let named = |name: &str| properties.iter().position(|p| p.name.eq_ignore_ascii_case(name));
     let whole = |members: [&str; 3]| members.into_iter().map(named).collect::<Option<Vec<_>>>();
@@ -318,8 +318,8 @@ fn end_row(scan: &mut Scanner) -> Result<(), ReadFault> {
     }
 }
 
-/// The element of faces and the index of its property with the corners. `None` if there are no
-/// faces.
+/// The element with the faces, and the index of the property that lists their corners. `None` if
+/// there are no faces.
 pub(super) fn faces(header: &PlyHeader) -> Result<Option<(&Element, usize)>, ReadFault> {
     let filled =
         |name| header.elements.iter().find(|element| element.name == name && element.count > 0);
@@ -356,7 +356,7 @@ pub(super) fn start(
     before.try_fold(header.body, |at, other| skip(bytes, header.encoding, other, at))
 }
 
-/// The end of the rows of `element` that start at byte `at`.
+/// Byte offset of the end of the rows of `element`, which start at byte `at`.
 fn skip(
     bytes: ByteView,
     encoding: Encoding,
@@ -390,8 +390,9 @@ fn skip(
     }
 }
 
-/// Calls a function with every row of `element` from byte `at` on: the row's number, its position,
-/// and the list in property number `list`. Returns the end of the rows.
+/// Calls `visit` for each row of `element`, whose first row starts at byte `at`. Passes the row's
+/// number, its byte offset, and the list in property number `list`. Returns the byte offset of the
+/// end of the rows.
 fn walk(
     bytes: &[u8],
     encoding: Encoding,

@@ -15,7 +15,7 @@ use super::read::{faces, start, vertices};
 
 /// Number of vertices or triangles per piece.
 const PIECE: usize = 1 << 15;
-/// Number of bytes of a triangle: the number of corners, and their vertex indices.
+/// Size, in bytes, of a triangle: one byte for the number of corners, and three vertex indices.
 const ROW: usize = 1 + 3 * size_of::<u32>();
 
 /// The mesh of a binary .ply file. Only the pieces that are being read are in memory.
@@ -27,14 +27,14 @@ pub struct StreamedMesh {
     /// The indices of all other attributes.
     others: Vec<usize>,
     faces: InputBytes,
-    /// The position of the first triangle in the file.
+    /// Byte offset of the first triangle in the file.
     at: usize,
     outline: Outline,
 }
 
 impl StreamedMesh {
-    /// Opens a mesh in the form that this library writes: little-endian, only triangles with 32-bit
-    /// corners, and nothing after them. `None` for other files.
+    /// Opens a mesh in the form that this library writes: little-endian, with only triangles of
+    /// 32-bit vertex indices, and nothing after them. Returns `None` for other files.
     ///
     /// `bytes` and `again` are the same file, opened twice to read vertices and faces
     /// independently.

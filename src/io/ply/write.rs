@@ -11,15 +11,16 @@ use crate::surface::mesh::source::MeshSource;
 
 use super::{GROUPS, NORMAL};
 
-/// Number of bytes of a face: the number of corners, and their vertex indices.
+/// Size, in bytes, of a face: one byte for the number of corners, and three vertex indices.
 const FACE: usize = 1 + 3 * size_of::<u32>();
 
 /// Writes `mesh` in little-endian binary.
 ///
-/// Vertices have x, y and z as float or double by `width`, then nx, ny and nz, and vx, vy and vz
-/// for an attribute `velocity` of three components. The first colour is written as bytes red,
-/// green, blue and optionally alpha. Other attributes are properties `name`, or `name_0`, `name_1`
-/// and so on. Faces are lists of three vertex indices.
+/// Each vertex has x, y and z, as float or double according to `width`, then nx, ny and nz if the
+/// mesh has normals, and vx, vy and vz for an attribute `velocity` of three components. The first
+/// colour is written as bytes red, green, blue and optionally alpha. Other attributes are written
+/// as the property `name`, or as `name_0`, `name_1` and so on. Faces are lists of three vertex
+/// indices.
 ///
 /// The format cannot store white space in a name, so underscores replace it. Underscores are
 /// appended to a name that is empty or already used.
@@ -52,8 +53,8 @@ pub fn write_mesh(
     })?;
     write_triangles(out, mesh, |triangles, out| {
         let first = out.len();
-        // Each face starts with its number of corners, 3. All bytes are set to 3, and the indices
-        // overwritten.
+        // Each face starts with its number of corners, 3. First, all bytes are set to 3. Then the
+        // indices are written over them.
         out.resize(first + triangles.len() * FACE, 3);
         for (face, corners) in out[first..].as_chunks_mut::<FACE>().0.iter_mut().zip(triangles) {
             face[1..].copy_from_slice(

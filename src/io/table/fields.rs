@@ -15,7 +15,7 @@ pub struct Syntax {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Separator {
     Byte(u8),
-    /// Any number of spaces and tabs.
+    /// One or more spaces and tabs.
     Blanks,
 }
 
@@ -44,7 +44,7 @@ impl Syntax {
         if is_missing(field) { Some(f64::NAN) } else { with_decimal(field, self.decimal) }
     }
 
-    /// Whether a field contains a number. Missing values do not count.
+    /// Whether a field contains a number. A missing value does not count as a number.
     pub fn is_number(self, field: &[u8]) -> bool {
         !is_missing(unquoted(field)) && self.number(field).is_some()
     }
@@ -64,7 +64,7 @@ fn is_missing(field: &[u8]) -> bool {
     field.is_empty() || WORDS.iter().any(|word| field == word.as_bytes())
 }
 
-/// The content of a field, without quotes around it.
+/// The content of a field, without the quotes around it.
 pub fn unquoted(field: &[u8]) -> &[u8] {
     match field {
         [b'"', inside @ .., b'"'] | [b'\'', inside @ .., b'\''] => inside.trim_ascii(),
@@ -77,8 +77,9 @@ pub fn is_comment(line: &[u8]) -> bool {
     matches!(line.trim_ascii_start(), [b'#' | b'%' | b'!', ..] | [b'/', b'/', ..])
 }
 
-/// The lines that are not blank: line number from 1, position of the first byte, and content
-/// without surrounding spaces. Surrounding tabs are kept, because they may separate empty cells.
+/// The lines that are not blank, each with its number (from 1), the byte offset of its start, and
+/// its content without surrounding spaces. Surrounding tabs are kept, because they may separate
+/// empty cells.
 pub fn lines(text: &[u8]) -> impl Iterator<Item = (u64, usize, &[u8])> {
     let mut at = 0;
     let lines = std::iter::from_fn(move || {
@@ -103,12 +104,13 @@ fn trimmed(line: &[u8]) -> &[u8] {
 ///
 /// Separators within quotes belong to the field. A comment starts with `#` after a blank, or at the
 /// start of a field after the last expected field. Elsewhere, `#` may be a value. If the line has
-/// too few fields, a separator at its end is followed by an empty field. Otherwise, it is ignored.
+/// too few fields, a separator at its end is followed by an empty field. Otherwise, that separator
+/// is ignored.
 pub struct LineFields<'a> {
     line: &'a [u8],
     at: usize,
     separator: Separator,
-    /// Number of expected fields that were not returned yet.
+    /// Number of expected fields that have not been returned yet.
     missing: usize,
     /// Whether a separator ended the last field.
     open: bool,

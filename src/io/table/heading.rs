@@ -15,17 +15,17 @@ const HEADER_LINES: usize = 32;
 /// Number of bytes that are searched for the head at first. This number is doubled while the
 /// searched bytes contain too few lines.
 pub const HEAD: usize = 64 << 10;
-/// Maximum size of the head in bytes.
+/// Maximum size, in bytes, of the head.
 const LONGEST_HEAD: usize = 16 << 20;
 /// Maximum number of fields in a line of a table.
 pub const MOST_FIELDS: usize = 4096;
-/// Number of rows whose fields are examined.
+/// Number of rows that are sampled to find out what the first columns contain.
 const SAMPLED_ROWS: usize = 256;
 
 /// The contents of the head of a table, which ends before the first row.
 #[derive(Debug)]
 pub struct Heading {
-    /// The position of the first byte of the first row.
+    /// Byte offset of the first row.
     pub start: usize,
     /// The number of lines above the first row.
     pub lines_above: u64,
@@ -52,14 +52,15 @@ struct TitleLine {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct UnnamedColumns {
     syntax: Syntax,
-    /// The index of the column of x. Columns of y and z follow.
+    /// The index of the x column. The y and z columns follow it.
     first: usize,
     fields: usize,
 }
 
 impl TableColumns {
-    /// The columns with these names. `None` without a unique position. Attributes with equal names
-    /// get the numbers of their columns as suffixes: `a_column4` and `a_column7`.
+    /// Returns the columns with these names, or `None` if the names give no unique position.
+    /// Attributes with equal names get the numbers of their columns as suffixes: `a_column4` and
+    /// `a_column7`.
     pub fn of(names: Vec<String>) -> Option<Self> {
         let (position, mut attributes) = quantities(&names)?;
         let mut times = HashMap::new();
@@ -243,7 +244,8 @@ impl Heading {
 /// The columns of rows without column names. `None` if the first line is not a row.
 ///
 /// # Errors
-/// [`ReadFault::Unsupported`] if rows start with integers that may be atomic numbers or x.
+/// [`ReadFault::Unsupported`] if rows start with integers that may be either atomic numbers or x
+/// coordinates.
 pub fn unnamed_columns(rows: &[u8]) -> Result<Option<(Syntax, TableColumns)>, ReadFault> {
     let Some((_, _, row)) = lines(rows).next() else { return Ok(None) };
     let Some(found) = unnamed(row) else { return Ok(None) };
@@ -324,7 +326,7 @@ fn rows_of(
         .map(move |(.., content)| LineFields::new(content, syntax.separator, expected))
 }
 
-/// Returns `syntax` with the decimal separator that occurs first in the rows, a comma or a point.
+/// Returns `syntax` with the decimal separator, comma or point, that occurs first in the rows.
 fn with_decimals(syntax: Syntax, rows: &[u8], columns: &TableColumns) -> Syntax {
     let comma = Syntax { decimal: Decimal::Comma, ..syntax };
     if syntax.separator == Separator::Byte(b',') {
@@ -348,8 +350,8 @@ fn with_decimals(syntax: Syntax, rows: &[u8], columns: &TableColumns) -> Syntax 
     syntax
 }
 
-/// The layout of a row without column names. The position is three numbers, which are at the start
-/// of the row, after a word, or after an integer and a word.
+/// The layout of a row without column names. The position consists of three numbers at the start of
+/// the row, after a word, or after an integer and a word.
 fn unnamed(row: &[u8]) -> Option<UnnamedColumns> {
     let all = Syntax::ALL.map(|syntax| {
         let fields = LineFields::new(row, syntax.separator, 0).take(MOST_FIELDS + 1);
@@ -394,7 +396,7 @@ fn is_row_of_words(line: &[u8], rows: &[u8]) -> bool {
     })
 }
 
-/// Whether a line below the names contains units, because none of its fields is a number.
+/// Whether a line below the names is a line of units: none of its fields is a number.
 fn is_units(line: &[u8]) -> bool {
     Syntax::ALL.iter().all(|syntax| {
         LineFields::new(line, syntax.separator, 0).all(|field| {
@@ -439,8 +441,8 @@ fn has_fractions(rows: &[u8], row: UnnamedColumns) -> bool {
     fractions == [true; 3]
 }
 
-/// Whether the first column of rows without column names counts the rows, and the position follows
-/// it.
+/// Whether, in rows without column names, the first column numbers the rows and the position
+/// follows it.
 fn counts(rows: &[u8], row: UnnamedColumns) -> bool {
     let mut seen = std::collections::HashSet::new();
     let sample = || rows_of(rows, row.syntax, row.fields).take(SAMPLED_ROWS);

@@ -17,7 +17,7 @@ pub struct Texts(Mutex<HashMap<Vec<u8>, u32>>);
 pub type Known = HashMap<Vec<u8>, u32>;
 
 impl Texts {
-    /// The number of a text. Arbitrary if the column has too many different texts.
+    /// The number of a text. The number is arbitrary if the column has too many different texts.
     pub fn number(&self, known: &mut Known, text: &[u8]) -> u32 {
         if let Some(&number) = known.get(text) {
             return number;
@@ -32,8 +32,8 @@ impl Texts {
         number
     }
 
-    /// The label, and for each text's number the index of the text in the label. `None` if there
-    /// are too many different texts.
+    /// Returns the label and, for the number of each text, the index of the text in the label.
+    /// Returns `None` if there are too many different texts.
     pub fn label(self, name: &str) -> Option<(Label, Vec<u32>)> {
         let all = self.0.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
         if all.len() > MOST {

@@ -1,5 +1,5 @@
-//! Reads tables of text with one line per particle. They are decoded to little-endian f64, position
-//! first.
+//! Reads text tables with one line per particle. Rows are decoded to little-endian f64 numbers,
+//! with the position first.
 //!
 //! The first rows determine the separator of fields and the decimal separator. A line that names
 //! `x`, `y` and `z` (see [`names`]) specifies the columns, even if it is a comment. Lines above it
@@ -34,17 +34,17 @@ use labels::{Known, Texts};
 pub(super) use fields::{Separator, Syntax};
 pub(super) use heading::{HEAD, TableColumns, is_row, names_of, unnamed_columns};
 
-/// Number of bytes of a decoded number.
+/// Size, in bytes, of a decoded number.
 const WIDTH: usize = size_of::<f64>();
 
 /// The rows of a table, and the meaning of their fields.
 pub(super) struct TextTable {
-    /// The range of bytes of the rows.
+    /// Byte range of the rows.
     pub rows: Range<usize>,
     pub lines_above: u64,
     pub syntax: Syntax,
     pub columns: TableColumns,
-    /// The number of rows that the file announces, if any.
+    /// The number of rows, if the file announces it.
     pub count: Option<u64>,
     /// The simulation box, if coordinates are fractions of its edges.
     pub cell: Option<Cell>,
@@ -86,7 +86,7 @@ pub(super) fn read(
     table.read(bytes, wanted, unpacking, "text table")
 }
 
-/// The place of a field's number, and the treatment of an invalid field.
+/// Where the number of a field is stored in a decoded row, and how an invalid field is treated.
 #[derive(Debug, Clone, Copy)]
 struct FieldTarget {
     /// The index of the number in a decoded row.
@@ -209,7 +209,7 @@ impl TextTable {
     }
 
     /// Decodes the rows of a piece of text. Returns the decoded rows and the number of lines, or
-    /// the number and the error of an invalid line.
+    /// the line number and the error of the first invalid line.
     fn decode_piece(
         &self,
         piece: &[u8],
@@ -284,7 +284,7 @@ impl TextTable {
     }
 }
 
-/// A quoted excerpt of a field or a line for a message.
+/// A quoted excerpt of a field or a line, for a message.
 pub(super) fn excerpt(field: &[u8]) -> String {
     format!("{:?}", String::from_utf8_lossy(&field[..field.len().min(40)]))
 }

@@ -20,7 +20,7 @@ const PSEUDO_ROOT: i32 = 7;
 const PRIM: i32 = 6;
 const ATTRIBUTE: i32 = 1;
 
-/// A value: its type, and its position in the file or its content.
+/// A value: its type, and either its position in the file or its content.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct UsdValue(u64);
 
@@ -33,7 +33,8 @@ impl UsdValue {
         Self(1 << 62 | kind << 48 | payload)
     }
 
-    /// An array that starts with its length at `offset`. An empty array has no position.
+    /// An array whose length, followed by its values, is stored at byte `offset`. An empty array
+    /// has no position.
     pub fn array(kind: u64, offset: u64, length: u64) -> Self {
         Self(1 << 63 | Self::at(kind, if length == 0 { 0 } else { offset }).0)
     }
@@ -60,12 +61,12 @@ impl UsdValue {
 
 /// The end of a file: all values except arrays, and all tables.
 pub(super) struct FileTail {
-    /// The position of this part in the file, in bytes.
+    /// Byte offset of this part in the file.
     at: u64,
     values: Vec<u8>,
     tokens: Vec<String>,
     fields: Vec<(u32, UsdValue)>,
-    /// Indices of fields. -1 ends each set of fields.
+    /// Indices into `fields`. -1 ends each set of fields.
     field_sets: Vec<i32>,
     /// For each path, the token of its last element (negative for a property), and the jump to the
     /// next path.
@@ -79,8 +80,8 @@ impl FileTail {
         Self {
             at,
             values: Vec::new(),
-            // Token 0 is the root's. Other elements need a token above 0, because the sign marks
-            // properties.
+            // Token 0 belongs to the root. Other elements need a token above 0, because a negative
+            // sign marks properties.
             tokens: vec![String::new()],
             fields: Vec::new(),
             field_sets: Vec::new(),
@@ -156,7 +157,7 @@ impl FileTail {
 
     /// Returns the bytes, and the position of the table of contents.
     pub fn finish(mut self) -> (Vec<u8>, u64) {
-        // The last property has no sibling, which a jump of -2 marks.
+        // A jump of -2 marks the last property, which no sibling follows.
         if let Some((_, jump)) = self.paths.last_mut() {
             *jump = -2;
         }
@@ -216,7 +217,7 @@ pub(super) fn header(contents_at: u64) -> Vec<u8> {
     header
 }
 
-/// Stores bytes as one chunk: a zero, and an LZ4 block of literals.
+/// Encodes `bytes` as one chunk: a zero byte, followed by an LZ4 block of literals.
 fn packed(bytes: &[u8]) -> Vec<u8> {
     const MOST: usize = 15;
     let mut out = vec![0, (bytes.len().min(MOST) as u8) << 4];
@@ -228,8 +229,8 @@ fn packed(bytes: &[u8]) -> Vec<u8> {
     out
 }
 
-/// Encodes the differences of consecutive numbers. A code of two bits says whether a difference is
-/// 0 or an i32 that follows.
+/// Encodes the differences of consecutive numbers. A two-bit code says whether a difference is 0 or
+/// is stored as an i32.
 fn integers(numbers: impl ExactSizeIterator<Item = i32>) -> Vec<u8> {
     let mut codes = vec![0; numbers.len().div_ceil(4)];
     let mut differences = Vec::new();

@@ -17,12 +17,12 @@ const COUNTS: u64 = 1 << 16;
 
 /// Writes `mesh` as a .usdc layer.
 ///
-/// Points are f32, as the schema requires. An attribute `velocity` of three components is
-/// `velocities`. The first colour is `primvars:displayColor`, and its alpha is
-/// `primvars:displayOpacity`. Other attributes are `primvars` with their own names, in which
+/// Points are written as f32, as the schema requires. An attribute `velocity` of three components
+/// is written as `velocities`, the first colour as `primvars:displayColor`, and its alpha as
+/// `primvars:displayOpacity`. Other attributes become `primvars` under their own names, in which
 /// underscores replace invalid characters.
 ///
-/// The layer states the up axis, and no data is rotated. The unit is 1 m, because the actual unit
+/// The layer declares the up axis, and no data is rotated. The unit is 1 m, because the actual unit
 /// is unknown.
 ///
 /// # Panics
@@ -49,11 +49,11 @@ pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, up: UpAxis) -> io:
     out.write_all(&tail)
 }
 
-/// An array in the file. Arrays have the order of the properties.
+/// An array in the file. The arrays are in the order of the properties.
 struct UsdArray {
     kind: u64,
     length: u64,
-    /// Number of bytes of an element.
+    /// Size of an element in bytes.
     width: u64,
     values: UsdValues,
 }
@@ -150,7 +150,7 @@ fn tail(
 }
 
 impl UsdArray {
-    /// Number of bytes of the length, the values, and the padding to a multiple of 8.
+    /// Size, in bytes, of the length, the values, and the padding to a multiple of 8.
     fn bytes(&self) -> u64 {
         8 + self.length * self.width + self.padding()
     }
@@ -215,7 +215,7 @@ impl UsdArray {
     }
 }
 
-/// Writes some components of a colour as f32 from 0 to 1.
+/// Writes the components `shares` of the colour attribute `index` as f32 from 0 to 1.
 fn write_shares(
     out: &mut dyn Write,
     mesh: &dyn MeshSource,

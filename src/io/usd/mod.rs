@@ -1,5 +1,5 @@
-//! Universal Scene Description. A mesh is a binary layer. A stage plays many layers as one animated
-//! mesh.
+//! Universal Scene Description. Each mesh is written as a binary layer. A stage plays many layers
+//! as one animated mesh.
 //!
 //! A layer contains one frame in the prim `/fluid`. Its values are stored as defaults, for programs
 //! that open the layer alone, and as samples at time 0, for value clips. A stage maps each layer to
@@ -13,7 +13,7 @@ pub use layer::write_mesh;
 
 use crate::particles::{AttributeInfo, AttributeKind, colour_attribute};
 
-/// Name of the prim that is the mesh.
+/// Name of the mesh's prim.
 const PRIM: &str = "fluid";
 
 /// A property of the mesh with values for every frame.
@@ -21,13 +21,13 @@ const PRIM: &str = "fluid";
 struct UsdProperty {
     name: String,
     kind: &'static str,
-    /// `vertex`, for properties whose interpolation must be specified.
+    /// `vertex` for properties whose interpolation must be specified.
     interpolation: Option<&'static str>,
     /// Number of values per vertex. `None` if the type implies it.
     element_size: Option<usize>,
 }
 
-/// The properties of a mesh with these normals and attributes, in the order of the layer.
+/// The properties of a mesh with `attributes`, in the order in which a layer stores them.
 fn properties(has_normals: bool, attributes: &[AttributeInfo]) -> Vec<UsdProperty> {
     let plain = |name: &str, kind| UsdProperty {
         name: name.into(),
@@ -77,7 +77,8 @@ fn properties(has_normals: bool, attributes: &[AttributeInfo]) -> Vec<UsdPropert
     all
 }
 
-/// Converts a name to a valid identifier of USD: letters, digits and underscores, no digit first.
+/// Converts a name to a valid USD identifier: only letters, digits and underscores, and no digit at
+/// the start.
 fn identifier(name: &str) -> String {
     let plain = name.replace(|c: char| !c.is_ascii_alphanumeric() && c != '_', "_");
     if plain.starts_with(|c: char| c.is_ascii_digit()) || plain.is_empty() {

@@ -8,8 +8,8 @@ use crate::particles::AttributeInfo;
 
 use super::{PRIM, properties};
 
-/// The text of the stage. `clips` are the layers with their time codes, in order. A layer is shown
-/// from its time code to the time code of the next layer.
+/// The text of the stage. `clips` contains the time code and the path of each layer, in order. A
+/// layer is shown from its time code to the time code of the next layer.
 ///
 /// Paths of layers are relative to the stage.
 pub fn stage(
@@ -23,8 +23,8 @@ pub fn stage(
     let active = list(
         clips.iter().enumerate().map(|(index, (time, _))| format!("({time}, {index})")).collect(),
     );
-    // The stage shows time 0 of a layer at the layer's time code. A time code that occurs twice
-    // makes the time in the layers jump.
+    // The stage shows time 0 of a layer at the layer's time code. In `times`, each repeated time
+    // code makes the time in the layers jump back to 0.
     let ends = clips.iter().skip(1).map(|(time, _)| Some(*time)).chain([None]);
     let times = clips.iter().zip(ends).flat_map(|((time, _), end)| {
         [Some(format!("({time}, 0)")), end.map(|end| format!("({end}, {})", end - time))]
@@ -68,8 +68,8 @@ impl Manifest {
         )
     }
 
-    /// Declarations of the attributes. The stage also needs them, because a clip only provides
-    /// values for declared attributes.
+    /// Declarations of the attributes. The stage also needs them, because a clip provides values
+    /// only for declared attributes.
     fn declarations(&self) -> String {
         let mut text = String::new();
         for property in properties(self.normals, &self.attributes) {

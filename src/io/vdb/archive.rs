@@ -1,5 +1,5 @@
-//! The parts of a file outside of its trees: the header, and the names, metadata and transform of
-//! each grid.
+//! The parts of a file outside its trees: the header, and the names, metadata and transform of each
+//! grid.
 
 use glam::IVec3;
 
@@ -8,17 +8,17 @@ use crate::surface::mesh::source::Lattice;
 use super::values::Kind;
 
 pub const MAGIC: i64 = 0x5644_4220;
-/// The first version of the format that has all features that are written here.
+/// The first version of the format that has all features that this writer uses.
 pub const VERSION: u32 = 224;
 /// A version of the OpenVDB library that writes this version of the format.
 const LIBRARY: [u32; 2] = [10, 0];
 
-/// Flag of a grid's compression: zlib compresses the values.
+/// Compression flag of a grid: zlib compresses the values.
 const ZIP: u32 = 1;
-/// Flag of a grid's compression: only the values of active voxels are stored.
+/// Compression flag of a grid: only the values of active voxels are stored.
 const ACTIVE_VALUES: u32 = 2;
 
-/// The data of a grid without its tree.
+/// The data of a grid except its tree.
 #[derive(Debug, Clone)]
 pub struct GridHead {
     pub name: String,
@@ -27,7 +27,7 @@ pub struct GridHead {
     pub zip: bool,
     /// The number of active voxels.
     pub voxels: u64,
-    /// The least and the greatest coordinates of active voxels.
+    /// The least and the greatest coordinates of the active voxels along each axis.
     pub bounds: [IVec3; 2],
 }
 
@@ -35,7 +35,7 @@ pub struct GridHead {
 pub fn header(id: [u32; 4], grids: usize) -> Vec<u8> {
     let mut out = MAGIC.to_le_bytes().to_vec();
     out.extend([VERSION, LIBRARY[0], LIBRARY[1]].map(u32::to_le_bytes).as_flattened());
-    // This byte says that the file has an offset for each grid.
+    // This byte says that the file stores the offsets of each grid.
     out.push(1);
     let [a, b, c, d] = id;
     let id = format!(
@@ -53,8 +53,8 @@ pub fn header(id: [u32; 4], grids: usize) -> Vec<u8> {
 }
 
 impl GridHead {
-    /// The bytes of the grid before its tree, at byte `at` of the file. The tree takes `topology`
-    /// bytes without the values of its leaves. The values take `leaves` bytes.
+    /// Encodes the part of the grid that precedes its tree and starts at byte `at` of the file. The
+    /// tree takes `topology` bytes without the values of its leaves, which take `leaves` bytes.
     pub fn bytes(&self, at: u64, topology: u64, leaves: u64) -> Vec<u8> {
         let mut out = Vec::new();
         put_text(&mut out, &self.name);

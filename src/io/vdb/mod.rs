@@ -5,9 +5,10 @@
 //! | `surface` | class "level set": the signed distance in the mesh's unit of length, negative inside, in a band of three voxels on either side |
 //! | `v`, `Cd` and others | class "unknown": at the voxels of the band, the attribute's value at the nearest point of the surface |
 //!
-//! The voxels are the cells of the particles' grid. An attribute with one component is a float
-//! grid, or an int32 or int64 grid for integers. An attribute with three components is a vec3s
-//! grid. Other attributes have one grid per component.
+//! The voxels are the cells of the particles' grid. An attribute with one component is stored as a
+//! float grid or, if it contains integers, as an int32 or int64 grid. An attribute with three
+//! floating-point components is stored as a vec3s grid. Other attributes have one grid per
+//! component.
 //!
 //! Distances, velocities and colours are stored in half precision if their range allows it. This
 //! changes a distance by less than 0.002 voxels. Only values in the band are stored. With
@@ -15,7 +16,8 @@
 //!
 //! The writer keeps in memory the positions and triangles of the mesh, the distances and nearest
 //! triangles of all voxels in the band, and up to 16 values per vertex. With compression, it also
-//! keeps one encoded grid. Metadata of grids can be read, also from files of other programs.
+//! keeps one encoded grid. This module also reads the metadata of grids, including those in files
+//! of other programs.
 
 mod archive;
 mod read;
@@ -43,16 +45,16 @@ use values::{Kind, put_sides, put_zipped, sides_bytes};
 const SURFACE: &str = "surface";
 /// The names that Houdini expects for the velocity and the first colour.
 pub const HOUDINI_NAMES: [&str; 2] = ["v", "Cd"];
-/// Edge lengths of voxels for which distances are stored in half precision.
+/// Voxel edge lengths for which distances are stored in half precision.
 const HALF_SIZES: Range<f64> = 1e-4..1e4;
-/// Greatest components of velocities for which half precision is used.
+/// Velocities are stored in half precision if their greatest absolute component is in this range.
 const HALF_VELOCITIES: Range<f32> = 1e-2..6e4;
 /// Maximum number of values per vertex that are in memory at the same time.
 const NUMBERS_AT_ONCE: usize = 16;
 /// Number of leaves that are encoded together.
 const LEAVES_TOGETHER: usize = 64;
 
-/// A grid with one or several components of an attribute.
+/// A grid with one or more components of an attribute.
 #[derive(Debug, Clone, PartialEq)]
 struct AttributeGrid {
     name: String,
@@ -60,7 +62,7 @@ struct AttributeGrid {
     components: Range<usize>,
 }
 
-/// The values of one or several components of an attribute at all vertices.
+/// The values of one or more components of an attribute at all vertices.
 struct AttributeValues {
     components: Range<usize>,
     kind: AttributeKind,
@@ -86,7 +88,7 @@ struct StoredLeaf {
 /// Writes the grids of a file in order.
 struct GridWriter<'a> {
     out: &'a mut dyn Write,
-    /// Number of bytes that were written.
+    /// Number of bytes written so far.
     at: u64,
     mesh: &'a dyn MeshSource,
     lattice: Lattice,
@@ -95,15 +97,15 @@ struct GridWriter<'a> {
     leaves: &'a [StoredLeaf],
     /// The number of active voxels.
     voxels: u64,
-    /// The least and the greatest coordinates of active voxels.
+    /// The least and the greatest coordinates of the active voxels along each axis.
     bounds: [IVec3; 2],
 }
 
 /// Writes a closed mesh as a level set, with a grid for each attribute.
 ///
 /// # Errors
-/// The errors of `mesh` and `out`. Before anything is written, the errors of [`LevelSet::new`], and
-/// [`io::ErrorKind::InvalidInput`] for a mesh with triangles but without a lattice.
+/// The errors of `mesh`, `out` and [`LevelSet::new`], and [`io::ErrorKind::InvalidInput`] for a
+/// mesh with triangles but without a lattice. The last two occur before anything is written.
 pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, zip: bool) -> io::Result<()> {
     let outline = mesh.outline();
     let lattice = lattice_of(&outline).ok_or_else(|| {
@@ -186,7 +188,7 @@ impl StoredBlock {
 }
 
 impl AttributeValues {
-    /// Reads the components that `grids` contain, which belong to the same attribute.
+    /// Reads the components that `grids` contain. All grids must belong to the same attribute.
     fn read(mesh: &dyn MeshSource, grids: &[AttributeGrid]) -> io::Result<Self> {
         let attribute = grids[0].attribute;
         let AttributeInfo { components: stride, kind, .. } = mesh.attributes()[attribute];
@@ -226,8 +228,8 @@ impl AttributeValues {
         greatest == 0.0 || HALF_VELOCITIES.contains(&greatest)
     }
 
-    /// Appends the value at a point of the surface. It is interpolated between the corners of the
-    /// triangle. An integer is not interpolated, but taken from the nearest corner.
+    /// Appends the attribute's value at `point` of the surface, interpolated between the corners of
+    /// the triangle. Integers are not interpolated but taken from the nearest corner.
     fn put(&self, out: &mut Vec<u8>, grid: &AttributeGrid, kind: Kind, point: NearestPoint) {
         let NearestPoint { corners, shares } = point;
         let (first, stride) = (self.components.start, self.components.len());
@@ -308,7 +310,8 @@ impl GridWriter<'_> {
     }
 }
 
-/// An identifier of the file, derived from the distances and positions of its voxels.
+/// An identifier of the file, derived from the distances, the corners of the leaves, and the number
+/// of active voxels.
 fn id(blocks: &[StoredBlock], leaves: &[StoredLeaf], voxels: u64) -> [u32; 4] {
     let mut distances = crc32fast::Hasher::new();
     blocks.iter().for_each(|block| distances.update(&block.distances));
@@ -318,8 +321,8 @@ fn id(blocks: &[StoredBlock], leaves: &[StoredLeaf], voxels: u64) -> [u32; 4] {
     [distances.finalize(), places.finalize(), (voxels >> 32) as u32, voxels as u32]
 }
 
-/// The names of attributes in the file. The velocity and the first colour get Houdini's names.
-/// Other attributes keep their names if these are free.
+/// The names of attributes in the file. The velocity and the first colour are stored under
+/// Houdini's names. Other attributes keep their names if these are free.
 pub fn attribute_names(infos: &[AttributeInfo]) -> Vec<String> {
     let colour = colour_attribute(infos);
     let known = |(index, info): (usize, &AttributeInfo)| {
@@ -340,7 +343,7 @@ pub fn attribute_names(infos: &[AttributeInfo]) -> Vec<String> {
     known.into_iter().filter_map(name).collect()
 }
 
-/// How many times the writer reads the attributes of a mesh.
+/// How many times the writer reads all vertices of a mesh to store their attributes.
 pub fn attribute_readings(infos: &[AttributeInfo]) -> usize {
     together(&attribute_grids(infos)).count()
 }
@@ -368,7 +371,7 @@ fn attribute_grids(infos: &[AttributeInfo]) -> Vec<AttributeGrid> {
     grids
 }
 
-/// Divides the grids into runs that are read at once. The grids of a run belong to the same
+/// Divides the grids into runs whose values are read at once. All grids of a run belong to the same
 /// attribute.
 fn together(grids: &[AttributeGrid]) -> impl Iterator<Item = &[AttributeGrid]> {
     let of_attributes = grids.chunk_by(|a, b| a.attribute == b.attribute);

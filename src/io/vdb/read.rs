@@ -1,5 +1,5 @@
-//! Lists the grids of a file with their names and metadata, but without values of voxels. Files of
-//! other programs are also supported.
+//! Lists the grids of a file with their names and metadata, but without voxel values. Files that
+//! other programs wrote are also supported.
 
 use std::collections::BTreeMap;
 
@@ -13,11 +13,11 @@ use crate::io::{ReadFault, malformed};
 use super::archive::{MAGIC, VERSION};
 use super::values::HALF;
 
-/// The first supported version. It stores a compression and offsets for each grid.
+/// The first supported version. Its files store a compression and offsets for each grid.
 const FIRST_VERSION: u32 = 222;
-/// Number of bytes of a file's identifier.
+/// Length of a file's identifier in bytes.
 const ID: u64 = 36;
-/// Maximum number of bytes of a text, and of a metadata value that is read.
+/// Maximum length, in bytes, of a text. Longer metadata values are skipped.
 const LONGEST: u32 = 1 << 16;
 /// Separates a grid's name from a suffix that distinguishes grids of the same name.
 const SEPARATOR: char = '\u{1e}';
@@ -35,9 +35,9 @@ pub struct GridInfo {
     pub value_type: String,
     /// Whether numbers are stored in half precision.
     pub half: bool,
-    /// The number of active voxels, if the file has it.
+    /// The number of active voxels, if the file states it.
     pub active_voxels: Option<u64>,
-    /// The least and the greatest index of active voxels along each axis, if the file has them.
+    /// The least and the greatest index of active voxels along each axis, if the file states them.
     pub index_bounds: Option<[[i32; 3]; 2]>,
     /// The edge lengths of a voxel. `None` for unsupported transforms.
     pub voxel_size: Option<[f64; 3]>,
@@ -51,15 +51,16 @@ pub struct GridInfo {
 struct Transform {
     /// The edge lengths of a voxel. `None` if unknown.
     size: Option<[f64; 3]>,
-    /// The position of index 0, if voxels are aligned to the axes.
+    /// The position of voxel index 0, if voxels are aligned to the axes.
     origin: Option<[f64; 3]>,
 }
 
-/// Reads descriptions of the grids of a file, in the order of the file.
+/// Reads the descriptions of all grids in a file, in file order.
 ///
 /// # Errors
 /// [`ReadFault::Truncated`] and [`ReadFault::Malformed`] for damaged files, and
-/// [`ReadFault::Unsupported`] for another version, or a file without offsets of its grids.
+/// [`ReadFault::Unsupported`] for other versions and for files that do not store the offsets of
+/// their grids.
 pub fn read_grids(bytes: ByteView) -> Result<Vec<GridInfo>, ReadFault> {
     let start = |at| Cursor::new(bytes, at, Endian::Little);
     let mut file = start(0);
@@ -153,7 +154,7 @@ impl GridInfo {
     }
 }
 
-/// Reads a text after its length.
+/// Reads a length, and the text that follows it.
 fn text(file: &mut Cursor, what: &str) -> Result<String, ReadFault> {
     let at = file.at();
     let length = file.u32(what)?;

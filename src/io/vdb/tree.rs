@@ -1,8 +1,9 @@
 //! The tree of a grid. A node below the root has up to 32^3 children, each child has up to 16^3
 //! leaves, and a leaf has 8^3 voxels.
 //!
-//! Where a node has no child, a tile says whether the voxels in its place are inside or outside.
-//! The surface never runs between a tile and its neighbour, so both are on the same side.
+//! In place of a missing child, a node has a tile, which says whether the voxels there are inside
+//! or outside. The surface never runs between a tile and its neighbour, so both are on the same
+//! side.
 
 use glam::IVec3;
 use rayon::prelude::*;
@@ -11,8 +12,7 @@ use crate::surface::level_set::{LEAF, VOXELS, place_in_leaf};
 
 use super::values::{Kind, put_sides};
 
-/// Number of children along an edge of each kind of inner node, as powers of two, lowest level
-/// first.
+/// Binary logarithms of the number of children along an edge of an inner node, lowest level first.
 const LOG2: [u32; 2] = [4, 5];
 
 /// A leaf of the tree without its values.
@@ -38,7 +38,7 @@ impl TreeLeaf {
         self.active.iter().map(|word| word.count_ones() as usize).sum()
     }
 
-    /// The least and the greatest coordinates of the active voxels.
+    /// The least and the greatest coordinates of the active voxels along each axis.
     pub fn bounds(&self) -> Option<[IVec3; 2]> {
         let voxels = self.active_voxels().map(|voxel| [voxel; 2]);
         voxels.reduce(|[a, b], [c, d]| [a.min(c), b.max(d)])
@@ -95,14 +95,14 @@ pub fn topology<'a>(
     out
 }
 
-/// The key by which leaves are sorted in the tree: the node of the root, the node below it, and the
-/// place in that node, with z fastest.
+/// The key by which leaves are sorted in the tree: the places of the upper node, of the lower node,
+/// and of the leaf, with z fastest.
 pub fn sort_key(corner: IVec3) -> [[i32; 3]; 3] {
     [LEAF << (LOG2[0] + LOG2[1]), LEAF << LOG2[0], LEAF]
         .map(|edge| corner.div_euclid(IVec3::splat(edge)).to_array())
 }
 
-/// The nodes above `children`, which are in the order of the tree and `edge` voxels wide.
+/// Makes the nodes above `children`, which must be in tree order and `edge` voxels wide.
 fn above(children: Vec<InnerNode>, edge: i32, log2: u32, kind: Kind, zip: bool) -> Vec<InnerNode> {
     let parent = |child: &InnerNode| child.corner.div_euclid(IVec3::splat(edge << log2));
     let groups: Vec<&[InnerNode]> = children.chunk_by(|a, b| parent(a) == parent(b)).collect();
@@ -162,7 +162,8 @@ fn node(
     InnerNode { corner, bytes, inside: [first, last[slots - 1]] }
 }
 
-/// The corners of the root's tiles, which fill the inside between two nodes of a column.
+/// The corners of the root's tiles, which fill the inside between consecutive nodes of a column
+/// along z.
 fn root_tiles(nodes: &[InnerNode]) -> Vec<IVec3> {
     let edge = LEAF << (LOG2[0] + LOG2[1]);
     let between = nodes.windows(2).flat_map(|pair| {

@@ -10,7 +10,8 @@ use half::f16;
 const OUTSIDE: u8 = 0;
 /// Marks a node whose inactive values are all the negated background value.
 const INSIDE: u8 = 1;
-/// Marks a node with both inactive values. A mask has a bit for each value that is the background.
+/// Marks a node with both kinds of inactive values. A mask follows, in which a set bit means the
+/// background value.
 const BOTH: u8 = 3;
 
 /// Suffix of the type of a tree that is stored in half precision.
@@ -50,7 +51,7 @@ impl Kind {
         matches!(self, Self::Distance { half: true } | Self::Real { half: true, .. })
     }
 
-    /// Number of bytes of an active voxel's value.
+    /// Size of an active voxel's value in bytes.
     pub fn bytes(self) -> usize {
         let number = if self.is_half() { 2 } else { 4 };
         match self {
@@ -60,8 +61,8 @@ impl Kind {
         }
     }
 
-    /// The background value. It is `number` in a grid of distances, and 0 in other grids. Numbers
-    /// have four bytes, even in grids of half precision.
+    /// The background value. It is `number` in a grid of distances, and 0 in other grids. Floats
+    /// take four bytes, even in grids of half precision.
     pub fn background(self, number: f32) -> Vec<u8> {
         match self {
             Self::Distance { half: true } => f16::from_f32(number).to_f32().to_le_bytes().to_vec(),
@@ -95,9 +96,9 @@ impl Kind {
     }
 }
 
-/// Appends which inactive values of a node are inside the surface.
+/// Appends a record of which inactive values of a node are inside the surface.
 ///
-/// Of `all` inactive values, `inside` are inside. The mask `outside` has a bit for each value
+/// Of `all` inactive values, `inside` are inside. The mask `outside` has a set bit for each value
 /// outside, and is appended if there are values on both sides.
 pub fn put_sides(out: &mut Vec<u8>, kind: Kind, [inside, all]: [usize; 2], outside: &[u64]) {
     match inside {
@@ -116,8 +117,8 @@ pub fn sides_bytes(kind: Kind, [inside, all]: [usize; 2], mask: u64) -> u64 {
     if kind.has_sides() && inside > 0 && inside < all { 1 + mask } else { 1 }
 }
 
-/// Appends `bytes` compressed by zlib, after their compressed size. If that is not shorter, appends
-/// the original bytes after their negated size.
+/// Appends `bytes` compressed by zlib, after their compressed size. If compression does not make
+/// them shorter, appends the original bytes after their negated size.
 pub fn put_zipped(out: &mut Vec<u8>, bytes: &[u8]) {
     let zipped = || -> io::Result<Vec<u8>> {
         let mut encoder = ZlibEncoder::new(Vec::new(), Compression::fast());

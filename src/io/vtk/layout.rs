@@ -23,9 +23,9 @@ pub(super) struct VtkLayout {
     pub points: VtkArray,
     /// Arrays of `POINT_DATA`, which have one tuple per point.
     pub attributes: Vec<VtkArray>,
-    /// The index in `attributes` of the array in `NORMALS`.
+    /// Index, in `attributes`, of the array that `NORMALS` contains.
     pub normals: Option<usize>,
-    /// Names of text arrays, with values for points or anything else.
+    /// Names of text arrays, which have values for points or for anything else.
     pub texts: Vec<String>,
     /// The last `VERTICES` section.
     pub vertices: Option<CellCorners>,
@@ -70,11 +70,11 @@ pub(super) enum CellKind {
 
 #[derive(Debug)]
 pub(super) enum CellCorners {
-    /// A record for each of `cells` cells, with the number of corners and the corners (before
-    /// version 5).
+    /// Before version 5: a record for each of `cells` cells, with its number of corners and the
+    /// corners.
     Counted { cells: usize, stream: VtkArray },
-    /// An array of offsets and an array of corners. Cell i has the corners from offset i to offset
-    /// i + 1.
+    /// Since version 5: an array of offsets and an array of corners. Cell i has the corners from
+    /// offset i to offset i + 1.
     Offsets { offsets: VtkArray, connectivity: VtkArray },
 }
 
@@ -469,7 +469,7 @@ impl<'a> LayoutParser<'a> {
     }
 
     /// Skips strings. In a text file, each string is a line. In a binary file, the length of a
-    /// string precedes it. The first two bits of the length give the number of bytes of the length.
+    /// string precedes it. The first two bits of the length say how many bytes the length has.
     fn strings(&mut self, count: usize, name: &str) -> Result<(), ReadFault> {
         for _ in 0..count {
             if self.ascii {
@@ -489,8 +489,8 @@ impl<'a> LayoutParser<'a> {
         Ok(())
     }
 
-    /// Skips `METADATA` up to an empty line. The names of components, one per line, may be empty
-    /// lines.
+    /// Skips `METADATA` up to an empty line. The names of components follow one per line, and may
+    /// be empty.
     fn metadata(&mut self) -> Result<(), ReadFault> {
         loop {
             match self.lines.line()?.as_deref().map(str::trim) {
@@ -509,8 +509,8 @@ impl<'a> LayoutParser<'a> {
 }
 
 impl VtkArray {
-    /// Number of values, in all tuples. It was checked against the file, so the product cannot
-    /// overflow.
+    /// Number of values, in all tuples. The parser has checked it against the file's size, so the
+    /// product cannot overflow.
     pub fn values(&self) -> usize {
         self.tuples * self.components
     }

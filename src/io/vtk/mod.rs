@@ -1,8 +1,9 @@
 //! Legacy .vtk, versions 2.0 to 5.1: particles or surfaces, in text or in big-endian binary.
 //!
-//! A header of three lines is followed by sections in almost any order. A section has a line of
-//! words, and then an array. `POINTS` are followed by cells under several names, and by attributes
-//! in `POINT_DATA` or `CELL_DATA`. A file is a particle file if no cell has an area.
+//! A header of three lines is followed by sections in almost any order. A section consists of a
+//! line of words, followed by an array. `POINTS` are followed by cells under several names, and by
+//! attributes in `POINT_DATA` or `CELL_DATA`. A file contains particles if no cell has an area or a
+//! volume.
 
 mod layout;
 mod read;

@@ -32,13 +32,13 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
     points(bytes, &layout, unpacking)
 }
 
-/// Reads the points as particles, even of a mesh. Binary arrays are read in place. Text is
-/// decoded to columns of f64.
+/// Reads the points as particles, even if the file is a mesh. Binary arrays are read in place. Text
+/// is decoded into columns of f64.
 ///
-/// Every numeric array in `POINT_DATA` is an attribute. Percent codes in its name are decoded.
+/// Every numeric array in `POINT_DATA` becomes an attribute. Percent codes in its name are decoded.
 /// Strings, bits, colours and cell data are skipped, except for cell data that flags vertex cells
-/// as copies or hidden: a point is left out if all of its vertex cells are flagged. `TIME` or
-/// `TimeValue` of the file is the time.
+/// as copies or hidden: a point is left out if all of its vertex cells are flagged. The file's
+/// field `TIME` or `TimeValue` gives the time.
 ///
 /// # Errors
 /// [`ReadFault::Truncated`] for an array that exceeds the file, [`ReadFault::Malformed`] (or
@@ -71,7 +71,7 @@ fn points(
     Ok(ParticleFile { time, texts, ..vertices.into_particles(bytes, format) }.with_points(left))
 }
 
-/// Whether the file is a mesh, because a cell has an area or a volume.
+/// Whether the file is a mesh: any cell has an area or a volume.
 pub fn has_faces(bytes: ByteView) -> Result<bool, ReadFault> {
     for found in faces(bytes, &VtkLayout::parse(bytes)?) {
         if found? > 0 {
@@ -105,7 +105,8 @@ fn faces<'a>(
     untyped.chain(typed)
 }
 
-/// Reads points, and cells as triangles: polygons, triangle strips, and typed cells with an area.
+/// Reads points, and converts cells to triangles: polygons, triangle strips, and typed cells with
+/// an area.
 ///
 /// Each polygon becomes a fan of triangles around its first corner. Vertex cells and lines are
 /// ignored.
@@ -201,7 +202,7 @@ fn number(bytes: ByteView, ascii: bool, array: &VtkArray) -> Result<Option<f64>,
     })
 }
 
-/// Calls a function with each of `cells`: its number, the position of its array, and its corners.
+/// Calls `each` for each of `cells`, with its number, the position of its array, and its corners.
 fn visit(
     bytes: &[u8],
     ascii: bool,
@@ -264,8 +265,8 @@ pub(super) fn not_ghosts(
     };
     let (cells, mut all_vertices) = (corners.cells(), true);
     let points = match corners {
-        // Each cell has two numbers: its number of points, which must be 1, and its point. So the
-        // number of points has an even index.
+        // Each cell has two numbers: its number of points, which must be 1, and its point. So
+        // numbers of points have even indices.
         CellCorners::Counted { stream, .. } => {
             each(stream, &mut |index, number| all_vertices &= index % 2 == 1 || number == 1)?;
             if all_vertices && Some(stream.tuples) != cells.checked_mul(2) {

@@ -11,9 +11,10 @@ use crate::surface::mesh::source::{MeshSource, Vertices};
 
 /// Writes `mesh` as binary POLYDATA of version 3.0.
 ///
-/// The file has POINTS of float or double by `width`, and POLYGONS. POINT_DATA has normals as
-/// NORMALS, an attribute `velocity` of three components as VECTORS, and all other attributes as
-/// FIELD, because programs show only the first of several SCALARS. Colours are unsigned_char.
+/// The file contains POINTS of type float or double, according to `width`, and POLYGONS. POINT_DATA
+/// contains normals as NORMALS, an attribute `velocity` of three components as VECTORS, and all
+/// other attributes as FIELD, because programs show only the first of several SCALARS. Colours are
+/// unsigned_char.
 ///
 /// # Panics
 /// Like [`MeshFormat::write`](crate::io::output::MeshFormat::write).

@@ -45,8 +45,8 @@ pub(in crate::io) enum IndexWidth {
     I64,
 }
 
-/// Names for the arrays of the attributes. The names of the normals and the identifiers are not
-/// used for attributes.
+/// The names of the arrays that store the attributes `infos`. They differ from the names of the
+/// normals and of the identifiers.
 pub(in crate::io) fn attribute_names(
     infos: &[AttributeInfo],
     has_normals: bool,
@@ -92,7 +92,7 @@ pub(in crate::io) fn points(mesh: &dyn MeshSource, width: CoordinateWidth) -> Ar
     Array { name: "Points".to_owned(), components: 3, length: 3 * mesh.vertex_count(), numbers }
 }
 
-/// The array of the triangles' corners, and the array of the ends of each triangle's corners.
+/// The array of the triangles' corners, and the array with the end of each triangle's corners.
 pub(in crate::io) fn polygons(mesh: &dyn MeshSource) -> [Array<'static>; 2] {
     let triangles = mesh.triangle_count();
     let width = IndexWidth::that_holds(mesh.vertex_count().max(3 * triangles));

@@ -2,9 +2,9 @@
 //!
 //! An array is stored as text, or as a header of lengths followed by the numbers. The numbers may
 //! be compressed, and base64 may encode the header and the numbers. The header of uncompressed
-//! numbers is their length in bytes. The header of compressed numbers has the number of blocks, the
-//! block size, the size of a smaller last block (0 if there is none), and the compressed size of
-//! each block.
+//! numbers is their length in bytes. The header of compressed numbers contains the number of
+//! blocks, the block size, the size of a smaller last block (0 if there is none), and the
+//! compressed size of each block.
 //!
 //! Arrays with the same name in several pieces are joined.
 
@@ -31,7 +31,7 @@ use super::layout::{Compressor, DataLocation, VtpArray, VtpLayout, VtpPiece};
 const CHUNK: usize = 1 << 16;
 /// Number of bytes that are read before their memory is released.
 const PASSED: usize = 1 << 20;
-/// Maximum size in bytes of an LZ4 block, which is unpacked as a whole.
+/// Maximum unpacked size, in bytes, of an LZ4 block, because a block is unpacked as a whole.
 const MOST_LZ4: u64 = 64 << 20;
 /// Maximum compression ratio of LZ4.
 const LZ4_RATIO: u64 = 255;
@@ -47,12 +47,12 @@ pub(super) struct JoinedArray<'a> {
 pub(super) struct PieceArray<'a> {
     /// Number of points in the piece.
     pub points: usize,
-    /// `None` if the piece lacks the array. The values are 0 then.
+    /// `None` if the piece lacks the array. Its values are then 0.
     pub array: Option<&'a VtpArray>,
 }
 
 impl JoinedArray<'_> {
-    /// The only array and its number of points, if it can be read in place.
+    /// The number of points and the array of the only part, if this array can be read in place.
     fn raw(&self) -> Option<(usize, &VtpArray)> {
         match *self.parts {
             [PieceArray { points, array: Some(array) }] => {
@@ -68,8 +68,8 @@ pub(super) struct Decoder<'a> {
     layout: &'a VtpLayout<'a>,
     /// The decoded data of arrays that cannot be read in place.
     unpacked: UnpackBuffer<'a>,
-    /// Maximum number of bytes that may still be decoded. It bounds the memory for a small file in
-    /// which several arrays refer to the same data.
+    /// Maximum number of bytes that may still be decoded. This limits the memory for a small file
+    /// in which several arrays refer to the same data.
     allowance: u64,
 }
 
@@ -86,8 +86,8 @@ impl<'a> Decoder<'a> {
             && layout.pieces.iter().flat_map(VtpPiece::of_points).all(is_raw)
     }
 
-    /// Columns of the points. They are in the file, or else in the result of
-    /// [`finish`](Self::finish).
+    /// Returns the columns of `arrays`. They refer to the file if all arrays can be read in place,
+    /// and otherwise to the result of [`finish`](Self::finish).
     pub fn columns(&mut self, arrays: &[JoinedArray]) -> Result<Vec<Vec<Column>>, ReadFault> {
         let raw: Option<Vec<_>> = arrays.iter().map(JoinedArray::raw).collect();
         match raw.filter(|_| self.layout.compressor.is_none()) {
@@ -250,7 +250,7 @@ impl<'a> Decoder<'a> {
 /// number types.
 const DOUBLE: (Scalar, Endian) = (Scalar::F64, Endian::Little);
 
-/// Converts a stored number to the nearest f64.
+/// Converts a stored number to the nearest f64. A u64 above `i64::MAX` becomes -1.
 fn double((scalar, endian): (Scalar, Endian), number: &[u8]) -> f64 {
     let bits = |scalar| integer(scalar, endian, number).unwrap_or_default();
     match scalar {
@@ -260,7 +260,7 @@ fn double((scalar, endian): (Scalar, Endian), number: &[u8]) -> f64 {
     }
 }
 
-/// Number of bytes of an array with a value for each of `points` points.
+/// Size, in bytes, of an array with a value for each of `points` points.
 fn expected_bytes(array: &VtpArray, points: usize) -> Result<u64, ReadFault> {
     let values = points.checked_mul(array.components).filter(|values| *values > 0);
     let bytes = values.and_then(|values| values.checked_mul(array.scalar.size()));
@@ -271,7 +271,7 @@ fn no_integers(array: &VtpArray) -> ReadFault {
     malformed(array.place(), format!("array {} does not contain integers", array.name))
 }
 
-/// Parses the numbers of a text from byte `at` on.
+/// Parses all numbers of `text`, starting at byte `at`.
 fn numbers<T: ParseNumber>(text: &[u8], at: usize) -> Result<Vec<T>, ReadFault> {
     let mut scan = Scanner::new(text, at);
     let mut numbers = Vec::new();
@@ -293,7 +293,7 @@ struct StoredArray<'a> {
 }
 
 impl StoredArray<'_> {
-    /// Calls `take` with the bytes of each number. Other arguments are those of
+    /// Calls `take` with the bytes of each number. The other arguments are those of
     /// [`read`](Self::read).
     fn each_number(
         &self,
@@ -313,9 +313,9 @@ impl StoredArray<'_> {
         })
     }
 
-    /// Calls `take` with the bytes of the numbers in batches, and subtracts the number of bytes
-    /// from `allowance`. `points` is the number of points for which the array must have values. If
-    /// it is `None`, the array may have any length.
+    /// Calls `take` with batches of the numbers' bytes, and subtracts the number of bytes from
+    /// `allowance`. `points` is the number of points for which the array must have values. If it is
+    /// `None`, the array may have any length.
     fn read(
         &self,
         points: Option<usize>,
@@ -353,7 +353,7 @@ impl StoredArray<'_> {
         };
         match self.layout.compressor {
             None => {
-                // For raw data, checks the length first, because the error of this check tells how
+                // For raw data, checks the length first, because the error of this check says how
                 // many bytes are missing.
                 if let DataLocation::Raw(_) = self.array.data {
                     self.raw_span()?;
@@ -398,7 +398,7 @@ impl StoredArray<'_> {
         ReadFault::Compression(format!("array {}: {what}", self.array.name))
     }
 
-    /// Decompresses an LZ4 block, whose decompressed size must be `length` bytes.
+    /// Decompresses an LZ4 block. Its decompressed size must be `length` bytes.
     fn unpack_lz4(
         &self,
         packed: &mut io::Take<impl Read>,
@@ -424,7 +424,7 @@ impl StoredArray<'_> {
         self.unpack(&plain[..count], length, take)
     }
 
-    /// Decompresses a block, whose decompressed size must be `length` bytes.
+    /// Decompresses a block. Its decompressed size must be `length` bytes.
     fn unpack(
         &self,
         mut plain: impl Read,
@@ -471,7 +471,7 @@ impl StoredArray<'_> {
         Ok(())
     }
 
-    /// Reads a length in the header of an array.
+    /// Reads a length from the header of an array.
     fn number(&self, stream: &mut dyn Read) -> Result<u64, ReadFault> {
         let mut bytes = [0; 8];
         let bytes = &mut bytes[..self.layout.header.size()];
@@ -492,7 +492,7 @@ impl StoredArray<'_> {
         malformed(self.array.place(), what)
     }
 
-    /// The range of bytes of an array's numbers, which are neither encoded nor compressed.
+    /// The byte range of the numbers of an array that is neither encoded nor compressed.
     fn raw_span(&self) -> Result<std::ops::Range<usize>, ReadFault> {
         let VtpLayout { bytes, header, endian, .. } = self.layout;
         let have = bytes.len() as u64;
@@ -512,7 +512,7 @@ impl StoredArray<'_> {
     }
 }
 
-/// The remaining bytes of a text. The memory of bytes that were read is released.
+/// The remaining bytes of a text. After bytes are read, their memory is released.
 struct RemainingText<'a> {
     bytes: Slice<'a>,
     at: usize,
@@ -534,8 +534,8 @@ impl<'a> RemainingText<'a> {
     }
 }
 
-/// Decodes base64 with white space anywhere. Padding may end any group of four characters, because
-/// the header of an array may be encoded and padded before its data.
+/// Decodes base64 that may contain white space anywhere. Padding may end any group of four
+/// characters, because the header of an array may be encoded and padded before its data.
 struct Base64<'a> {
     text: RemainingText<'a>,
     plain: Vec<u8>,

@@ -39,9 +39,9 @@ pub(super) struct VtpArray {
 pub(super) enum DataLocation {
     /// Decimal numbers in this range of the text.
     Text(Range<usize>),
-    /// A header of lengths and the numbers, in base64 in this range of the text.
+    /// A header of lengths, followed by the numbers, in base64 in this range of the text.
     Base64(Range<usize>),
-    /// A header of lengths and the numbers, as raw bytes from this byte on.
+    /// A header of lengths, followed by the numbers, as raw bytes that start at this byte.
     Raw(u64),
     /// Data at this offset in the appended data, whose position in the file is not known yet.
     Appended(u64),
@@ -61,7 +61,7 @@ impl VtpArray {
         }
     }
 
-    /// The error for an array that lacks a value for each of `points` points.
+    /// The error for an array whose number of values does not fit `points` points.
     pub fn wrong_count(&self, points: usize) -> ReadFault {
         let Self { name, components, .. } = self;
         let what =
@@ -70,13 +70,13 @@ impl VtpArray {
     }
 }
 
-/// Number of bytes at the start of a file that must contain all XML, so that arrays can be read in
-/// place.
+/// Number of bytes at the start of a file that are searched for XML. Arrays can be read in place
+/// only if all XML before their data fits into these bytes.
 pub(super) const HEAD: usize = 1 << 20;
 /// Number of bytes after [`HEAD`] that are also read. They contain the rest of a tag that [`HEAD`]
-/// cuts, and the blanks after this tag.
+/// cuts off, and the white space after this tag.
 const TAG: usize = 4 << 10;
-/// Number of bytes that are searched at once, from the end of a file.
+/// Number of bytes that are searched at once, going backwards from the end of a file.
 const TAIL: usize = 1 << 10;
 
 /// The contents of a file's XML.
@@ -86,7 +86,7 @@ pub(super) struct VtpLayout<'a> {
     head: PrivateBytes,
     pub data_set: DataSet,
     pub endian: Endian,
-    /// Number type of the lengths before an array's data.
+    /// Number type of the lengths that precede an array's data.
     pub header: Scalar,
     /// Compression of arrays that are not text.
     pub compressor: Option<Compressor>,
@@ -369,7 +369,8 @@ impl<'a> VtpLayout<'a> {
         Ok(())
     }
 
-    /// The bytes of the file's text: all bytes, or the bytes before appended data.
+    /// The bytes of the file's text: the whole file, or only its start if the file is not read as a
+    /// whole.
     pub fn text(&self) -> Slice<'_> {
         match self.bytes {
             ByteView::File(_) => self.head.slice(),

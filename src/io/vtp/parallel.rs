@@ -20,7 +20,7 @@ use crate::surface::mesh::Mesh;
 use super::layout::{Tag, each_tag};
 use super::read::{NumberedMesh, counts, read_block, read_numbered, read_particles, unless_text};
 
-/// Reads the points of all wanted pieces as particles, in the order of the list.
+/// Reads the points of all wanted pieces as particles, in list order.
 ///
 /// An attribute is left out if a piece with particles lacks it. Blocks of a .vtm without particles
 /// are also left out.
@@ -78,7 +78,7 @@ pub fn open_particles(
 /// Maximum number of blocks that a message lists.
 const SHOWN: usize = 4;
 
-/// Whether the pieces form a mesh, because any piece has polygons or no piece has points.
+/// Whether the pieces form a mesh: a piece has polygons, or no piece has points.
 ///
 /// # Errors
 /// [`ReadError`] if the pieces cannot be read.

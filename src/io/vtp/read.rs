@@ -23,9 +23,9 @@ use super::layout::{DataSet, HEAD, Section, VtpArray, VtpLayout, VtpPiece};
 /// Raw appended arrays of a single piece are read in place. If there are several pieces, or any
 /// array is text, base64 or compressed, all arrays are decoded.
 ///
-/// Every numeric array in `PointData` that all pieces have is an attribute. `TimeValue` in
-/// `FieldData` is the time. A point is left out if `CellData` flags its vertex cells as copies or
-/// hidden.
+/// Every numeric array in `PointData` that all pieces have becomes an attribute. `TimeValue` in
+/// `FieldData` gives the time. A point is left out if `CellData` flags its vertex cells as copies
+/// or hidden.
 ///
 /// # Errors
 /// [`ReadFault::Mesh`] for a file with polygons, [`ReadFault::Truncated`] and
@@ -37,8 +37,8 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
     points(unless_encoded(bytes, unpacking)?, unpacking)
 }
 
-/// Returns `bytes` unchanged if all arrays of the points are raw. Otherwise, some are text, encoded
-/// or compressed, and this function reads the whole file.
+/// Returns `bytes` unchanged if all arrays of the points are raw. Otherwise, reads the whole file,
+/// because some arrays are text, encoded or compressed.
 fn unless_encoded(bytes: Bytes, unpacking: Unpacking) -> Result<Bytes, ReadFault> {
     let view = bytes.view();
     let stays = !is_text(view)? && Decoder::all_raw(&VtpLayout::parse(view)?);
@@ -48,7 +48,7 @@ fn unless_encoded(bytes: Bytes, unpacking: Unpacking) -> Result<Bytes, ReadFault
 /// Reads the particles of a block. For other blocks, returns a description of their contents.
 ///
 /// # Errors
-/// The errors of [`read_particles`], except for meshes.
+/// The errors of [`read_particles`], except [`ReadFault::Mesh`].
 pub(super) fn read_block(
     bytes: Bytes,
     unpacking: Unpacking,
@@ -116,8 +116,7 @@ fn points(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault>
     Ok(ParticleFile { time, left_out: names.left_out, texts, ..file }.with_points(left))
 }
 
-/// Whether the file is a mesh, because it has polygons. A file without points also counts as a
-/// mesh.
+/// Whether the file is a mesh: it has polygons or strips, or it has no points.
 pub fn has_faces(bytes: ByteView) -> Result<bool, ReadFault> {
     let PieceCounts { points, faces } = counts(bytes)?;
     Ok(points == 0 || faces > 0)
@@ -303,7 +302,7 @@ fn not_ghosts(
     layout: &VtpLayout,
     decoder: &mut Decoder,
 ) -> Result<Option<Vec<Range<usize>>>, ReadFault> {
-    // A number of points that exceeds the file is rejected later, when the points are read.
+    // A number of points that exceeds the file's limit is rejected later, when the points are read.
     if layout.points() as u64 > unpacked_limit(layout.bytes.len() as u64) {
         return Ok(None);
     }
@@ -331,7 +330,7 @@ fn points_left(
     decoder: &mut Decoder,
 ) -> Result<Option<Vec<Range<usize>>>, ReadFault> {
     let (section, cells) = match data_set {
-        // In PolyData, vertices are the first cells, so that their flags come first.
+        // In PolyData, vertices are the first cells, so their flags come first.
         DataSet::PolyData => (Section::Verts, piece.vertices),
         DataSet::UnstructuredGrid => (Section::Cells, piece.cells),
     };

@@ -17,8 +17,8 @@ pub(super) const GLOBAL_IDS: &str = "GlobalPointIds";
 /// The start and the end of a comment.
 pub(super) const COMMENT: [&str; 2] = ["<!-- ", " -->\n"];
 
-/// Writes `mesh` with all of its attributes, little-endian. Points are Float32 or Float64 by
-/// `width`, and indices are Int32 if they fit.
+/// Writes `mesh` with all of its attributes, little-endian. Points are Float32 or Float64 according
+/// to `width`. Indices are Int32 if they fit, and otherwise Int64.
 ///
 /// Control characters in a name become U+FFFD, because XML cannot represent them.
 ///

@@ -48,7 +48,7 @@ pub(super) fn cut(particles: &Pieces) -> Vec<PieceChunk> {
     particles.chunks(particles.len().div_ceil(MOST).next_power_of_two().max(FEWEST))
 }
 
-/// Adds bounding boxes to chunks, after all particles were read.
+/// Adds bounding boxes to chunks, after all particles have been read.
 pub(super) fn boxed(
     chunks: &[PieceChunk],
     read: &WithBoxes<'_>,
@@ -68,8 +68,8 @@ pub(super) fn watched<'a>(
 }
 
 impl PartInput {
-    /// The chunks of an input that may contain particles in the wanted bins, or particles with
-    /// images there in a periodic box.
+    /// The chunks of an input that may contain particles in the wanted bins or, in a periodic box,
+    /// particles with images in these bins.
     pub(super) fn of(
         chunks: &[BinnedChunk],
         wanted: WantedBins,
@@ -106,7 +106,7 @@ impl PartInput {
         self.ranges.is_empty()
     }
 
-    /// The number of particles.
+    /// The number of particles that are read.
     pub(super) fn count(&self) -> usize {
         self.ranges.iter().map(Range::len).sum()
     }

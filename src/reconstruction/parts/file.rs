@@ -1,5 +1,5 @@
-//! The file of a part: the meshes of its blocks as a spool stores them, their list, and counts for
-//! the report.
+//! The file of a part: the meshes of its blocks as a spool stores them, the list of these blocks,
+//! and counts for the report.
 //!
 //! ```text
 //! meshes of all blocks, in Morton order       as a spool keeps them
@@ -134,8 +134,8 @@ pub(super) struct PartFile {
 }
 
 impl PartFile {
-    /// Opens and checks the file of a part whose attributes have these numbers of components;
-    /// `None` if the file does not exist.
+    /// Opens and checks the file of a part; `None` if the file does not exist. `components` lists
+    /// the number of components of each attribute.
     pub(super) fn open(
         path: &Path,
         mark: PartMark,

@@ -31,14 +31,14 @@ struct MeshedPart {
 }
 
 impl Parts {
-    /// Makes a part, numbered from 0, or reuses the part's file if it is complete and from the same
-    /// plan. Any other file at its path is replaced.
+    /// Makes a part, or reuses the part's file if it is complete and from the same plan. Any other
+    /// file at this path is replaced. Parts are numbered from 0.
     ///
     /// # Errors
     /// [`Error::Parts`] if there is no plan for this request or no such part, or if the input has
-    /// changed; [`Error::Read`] if the input cannot be read, or changes meanwhile; [`Error::Frame`]
-    /// if the particles cannot be sampled or meshed; and [`Error::Write`] if the part's file cannot
-    /// be written.
+    /// changed; [`Error::Read`] if the input cannot be read, or changes while the part is made;
+    /// [`Error::Frame`] if the particles cannot be sampled or meshed; and [`Error::Write`] if the
+    /// part's file cannot be written.
     pub fn part(&self, part: u32) -> Result<PartDone, Error> {
         let begun = self.begin()?;
         if part >= self.count {
@@ -97,8 +97,8 @@ impl Parts {
                 let sight = sampling.sight(indicator, &checked.surfacing, coarsest);
                 Ok::<_, Error>((sampling, WantedBins { stretch: mark.stretch, sight }))
             };
-            // The reach depends on whether there are attributes, but not on the choice of
-            // attributes.
+            // The reach depends on whether there are attributes, but not on which attributes they
+            // are.
             let (sampling, bins) = wanted((0..plan.attributes.len()).collect())?;
             let reading = PartInput::of(&plan.chunks, bins, sampling.periodic.as_ref());
             if reading.is_empty() {

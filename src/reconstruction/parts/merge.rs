@@ -31,12 +31,12 @@ struct MergedParts {
 
 impl Parts {
     /// Merges the parts into the surface of a single run, with the same report except for the
-    /// times, and simplifies it if requested. The meshes stay in the parts' files, which must exist
-    /// until the surface is written.
+    /// times, and simplifies the surface if requested. The meshes stay in the parts' files, which
+    /// must exist until the surface is written.
     ///
     /// # Errors
-    /// [`Error::Parts`] without a plan for this request, and for parts that are missing, damaged or
-    /// of another plan; [`Error::Frame`] if there is no surface, or scratch files fail.
+    /// [`Error::Parts`] if there is no plan for this request, or if parts are missing, damaged or
+    /// from another plan; [`Error::Frame`] if there is no surface, or scratch files fail.
     pub fn merge(&self) -> Result<Surface, Error> {
         let begun = self.begin()?;
         let (plan, fingerprint) = self.planned(&begun)?;

@@ -1,10 +1,10 @@
-//! One frame's mesh in parts, each made by its own process on any machine, and merged to the bytes
-//! of a single run.
+//! One frame's mesh, made in parts by separate processes on any machines, and merged into the same
+//! bytes as in a single run.
 //!
-//! `plan.json` and the parts' files are in a folder next to the output, with `.meniscus-parts`
-//! appended to its name. The plan samples the whole frame once, makes the same measurements as a
-//! single run, and cuts the Morton curve of blocks into stretches of about equal work. A part
-//! samples all bins that can affect the meshes of its blocks
+//! `plan.json` and the parts' files are in a folder next to the output, which has the output's name
+//! with `.meniscus-parts` appended. The plan samples the whole frame once, makes the same
+//! measurements as a single run, and cuts the Morton curve of blocks into stretches of about equal
+//! work. A part samples all bins that can affect the meshes of its blocks
 //! ([`DecidingCells`](crate::grid::stretch::DecidingCells)), and then meshes its blocks. It reads
 //! only the chunks of the input that can contain particles of these bins: the plan lists all chunks
 //! with their bounding boxes. The merge puts the blocks of all parts in order, as in the scratch
@@ -104,7 +104,7 @@ pub struct PartsPlan {
     pub calibration: Calibration,
     /// The parts, in order.
     pub parts: Vec<PartShare>,
-    /// Memory limit in bytes.
+    /// Memory limit, in bytes.
     pub budget: u64,
     /// The folder of scratch files.
     pub scratch_folder: PathBuf,
@@ -112,12 +112,12 @@ pub struct PartsPlan {
     pub timings: Timings,
 }
 
-/// The share of one part.
+/// The share of particles and resources of one part.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct PartShare {
-    /// Number of particles in the part's blocks, with their images in a periodic box. The sum over
-    /// all parts is the number for the whole frame.
+    /// Number of particles in the part's blocks, including the images in a periodic box. The sum
+    /// over all parts is the number for the whole frame.
     pub particles: u64,
     /// Number of particles that the part keeps in memory: the particles in its blocks, and the
     /// particles around its blocks that affect their meshes.
@@ -126,7 +126,7 @@ pub struct PartShare {
     pub needs: Option<PartNeeds>,
 }
 
-/// Resources of a part in bytes.
+/// Resources of a part, in bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct PartNeeds {
@@ -134,7 +134,7 @@ pub struct PartNeeds {
     pub memory: u64,
     /// Peak memory without scratch files.
     pub in_core: u64,
-    /// Upper bound of the scratch files.
+    /// Upper bound of the size of the scratch files.
     pub scratch: u64,
 }
 
@@ -144,9 +144,9 @@ pub struct PartNeeds {
 pub struct PartDone {
     /// The part's file.
     pub path: PathBuf,
-    /// The file's size.
+    /// The file's size, in bytes.
     pub bytes: u64,
-    /// Number of blocks that contain the surface.
+    /// Number of blocks through which the surface passes.
     pub blocks: usize,
     /// Number of triangles.
     pub triangles: u64,
@@ -154,7 +154,7 @@ pub struct PartDone {
     pub read: usize,
     /// Whether a complete file of the same plan already existed.
     pub reused: bool,
-    /// Warnings that the CPU did the work of a failed backend.
+    /// Warnings that the backend failed and the CPU did its work.
     pub warnings: Vec<Warning>,
     /// Time of each stage; empty if the part already existed.
     pub timings: Timings,
@@ -179,7 +179,7 @@ impl Reconstruction {
     }
 }
 
-/// A checked request, the start of every step.
+/// A checked request, with which every step begins.
 struct PartsRequest {
     checked: CheckedRequest,
     folder: PathBuf,
@@ -200,7 +200,7 @@ impl Parts {
         self
     }
 
-    /// The folder of the plan and the parts. It can be deleted when the mesh is written.
+    /// The folder of the plan and the parts. The folder can be deleted once the mesh is written.
     #[must_use]
     pub fn folder(&self) -> PathBuf {
         let mut name = self.output.as_os_str().to_owned();
@@ -236,7 +236,7 @@ impl Parts {
         Ok(PartsRequest { checked, folder: self.folder(), indicator })
     }
 
-    /// The plan of this request, and its fingerprint.
+    /// Loads the plan of this request, with its fingerprint.
     fn planned(&self, begun: &PartsRequest) -> Result<(SharedPlan, u32), Error> {
         let PartsRequest { checked, folder, .. } = begun;
         let Some(found) = SharedPlan::load(folder)? else {

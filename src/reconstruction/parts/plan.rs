@@ -29,7 +29,7 @@ use super::{ExistingPlan, PartNeeds, PartShare, Parts, PartsPlan, PartsRequest, 
 const CELLS_A_PARTICLE: u64 = 4;
 
 impl Parts {
-    /// Measures the frame and divides its blocks, or reuses the plan of the same request.
+    /// Measures the frame and divides its blocks, or reuses an existing plan of the same request.
     ///
     /// # Errors
     /// [`Error::Parts`] for a plan of another request, [`Error::SettingConflict`] for kernel
@@ -223,8 +223,8 @@ fn work(
     work
 }
 
-/// The first block of each of `parts` parts with about equal work. The first part begins at the
-/// first block of the whole curve.
+/// The first block of each part, for `parts` parts with about equal work. The first part begins at
+/// the first block of the whole curve.
 fn cuts(work: &[(MortonKey, u64)], parts: u32) -> Vec<MortonKey> {
     let all: u128 = work.iter().map(|&(_, work)| u128::from(work)).sum();
     let (mut cuts, mut before) = (vec![Stretch::ALL.first], 0);
@@ -283,7 +283,7 @@ impl PartNeeds {
         }
     }
 
-    /// Adds `bytes` to the memory.
+    /// Adds `bytes` to both amounts of memory.
     fn with(self, bytes: u64) -> Self {
         Self { memory: self.memory + bytes, in_core: self.in_core + bytes, ..self }
     }

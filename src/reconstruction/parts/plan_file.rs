@@ -29,7 +29,7 @@ use super::chunks::BinnedChunk;
 pub(super) struct SharedPlan {
     /// The version of this library.
     pub(super) meniscus: String,
-    /// The request, by the names of the options.
+    /// The settings of the request, by the names of the options.
     pub(super) settings: StoredSettings,
     /// Whether the caller of the library gave a calibration.
     pub(super) calibrated: bool,
@@ -54,10 +54,10 @@ pub(super) struct SharedPlan {
     pub(super) measured: Option<CalibrationMeasures>,
     /// Mean indicator of full cells, for symmetry.
     pub(super) mean_symmetry: Option<f64>,
-    /// Particles with the same position as other particles.
+    /// Particles that have the same position as other particles, if there are any.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) coincident: Option<CoincidentParticles>,
-    /// The blocks with finer particles, for particles of several sizes.
+    /// The blocks near finer particles, if the particles have several sizes.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub(super) finer_blocks: FinerBlocks,
     /// Attributes that go to the vertices.
@@ -116,7 +116,7 @@ impl SharedPlan {
         Ok(Some((plan, fingerprint)))
     }
 
-    /// Writes the plan into a folder, in place of any other.
+    /// Writes the plan into a folder, and replaces any existing plan.
     pub(super) fn save(&self, folder: &Path) -> Result<u32, PartsError> {
         make_folder(folder).map_err(|fault| PartsError::Io { path: folder.to_owned(), fault })?;
         let path = path_in(folder);
@@ -125,7 +125,7 @@ impl SharedPlan {
         Ok(kept.fingerprint)
     }
 
-    /// A checksum that changes with any value of the plan.
+    /// A checksum of all values in the plan.
     fn fingerprint(&self) -> u32 {
         crc32fast::hash(&serde_json::to_vec(self).expect("string keys and finite depth"))
     }
@@ -150,7 +150,7 @@ impl SharedPlan {
         Ok(())
     }
 
-    /// Rejects a plan of another request, and a plan whose input has changed.
+    /// Rejects a plan that was made for another request, or whose input has changed.
     pub(super) fn refuse_other(
         &self,
         folder: &Path,
@@ -223,7 +223,7 @@ impl SharedPlan {
         Ok(kind.with_mean(|| MeanCount::new(self.mean.unwrap_or_default()))?)
     }
 
-    /// The measurements, unless a calibration was given.
+    /// The measured calibration, unless the calibration was given.
     pub(super) fn calibrated(&self) -> Option<MeasuredCalibration> {
         let (calibration, CalibrationMeasures { plateau, step_cells }) =
             (self.calibration?, self.measured?);

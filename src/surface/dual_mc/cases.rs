@@ -8,8 +8,8 @@
 //! this cell's triangles only, and the mesh is a 2-manifold.
 //!
 //! Where cells of two levels touch, several corners of a dual cell can be in one wide cell, and
-//! several of its edges then count as one edge (Schaefer and Warren 2004). The loops are then
-//! shorter, and the rule holds for the faces that remain.
+//! several edges of the dual cell then count as one edge (Schaefer and Warren 2004). The loops are
+//! then shorter, and the rule holds for the faces that remain.
 
 use std::sync::LazyLock;
 
@@ -22,7 +22,7 @@ use crate::grid::corner_offset;
 pub struct CellEdge {
     /// The lower end.
     pub corner: u8,
-    /// 0, 1, 2 for x, y, z.
+    /// The axis: 0, 1 or 2 for x, y or z.
     pub axis: u8,
 }
 
@@ -34,11 +34,11 @@ impl CellEdge {
     }
 }
 
-/// The triangles of one combination of signs, counter-clockwise seen from outside of the fluid.
+/// The triangles of one combination of signs, counter-clockwise as seen from outside the fluid.
 /// Each corner is given by the edge on which its vertex lies.
 pub type Triangles = Vec<[CellEdge; 3]>;
 
-/// The triangles for every combination of inside corners, one bit per corner.
+/// The triangles for every combination of inside corners. The index has one bit per corner.
 pub static TABLE: LazyLock<[Triangles; 256]> =
     LazyLock::new(|| std::array::from_fn(|case| triangles(case as u8)));
 
@@ -46,23 +46,25 @@ fn triangles(case: u8) -> Triangles {
     loops(case).iter().flat_map(|polygon| fan(polygon, share_face)).collect()
 }
 
-/// The corners of a dual cell that are in wide cells, and the axes along which they share one.
+/// The corners of a dual cell that are in wide cells, and the axes along which they share a wide
+/// cell.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct JoinedCorners {
     /// The corners in wide cells, one bit per corner.
     pub wide: u8,
-    /// The axes along which the lower and the upper corners are in the same wide cell.
+    /// The axes along which the lower and the upper corners are in the same wide cell, one bit per
+    /// axis.
     pub axes: u8,
 }
 
 impl JoinedCorners {
-    /// The lowest corner in the same cell.
+    /// The lowest corner that is in the same cell as `corner`.
     fn corner(self, corner: u8) -> u8 {
         if self.wide >> corner & 1 == 1 { corner & !self.axes } else { corner }
     }
 
-    /// The edge that stands for all edges between the same two cells: its ends are the lowest
-    /// corners.
+    /// The edge that stands for all edges between the same two cells. Its ends are the lowest
+    /// corner in each of the two cells.
     fn edge(self, edge: CellEdge) -> (u8, u8) {
         (self.corner(edge.corner), self.corner(edge.corner | 1 << edge.axis))
     }
@@ -73,7 +75,8 @@ impl JoinedCorners {
         same(a).any(|a| same(b).any(|b| share_face(a, b)))
     }
 
-    /// The triangles of a combination of inside corners; joined corners are on the same side.
+    /// The triangles of a combination of inside corners. Corners in the same cell must be on the
+    /// same side.
     #[must_use]
     pub fn triangles(self, case: u8) -> Triangles {
         let joined = |polygon: &Vec<CellEdge>| {
@@ -99,7 +102,7 @@ fn edges() -> impl Iterator<Item = CellEdge> {
     })
 }
 
-/// The corners of each face in cyclic order, counter-clockwise seen from outside of the cell.
+/// The corners of each face in cyclic order, counter-clockwise as seen from outside the cell.
 fn faces() -> impl Iterator<Item = [u8; 4]> {
     (0..3).flat_map(|axis: u8| {
         let (u, v, n) = (1 << ((axis + 1) % 3), 1 << ((axis + 2) % 3), 1 << axis);
@@ -112,11 +115,11 @@ fn edge(a: u8, b: u8) -> CellEdge {
     CellEdge { corner: a & b, axis: (a ^ b).trailing_zeros() as u8 }
 }
 
-/// The closed loops of the surface in a cell, as lists of crossed edges, counter-clockwise seen
-/// from outside of the fluid.
+/// The closed loops of the surface in a cell, as lists of crossed edges, counter-clockwise as seen
+/// from outside the fluid.
 fn loops(case: u8) -> Vec<Vec<CellEdge>> {
     let inside = |corner: u8| case >> corner & 1 == 1;
-    // Go around each face, seen from outside of the cell, and cut off each run of inside corners:
+    // Go around each face, as seen from outside the cell, and cut off each run of inside corners:
     // from the edge at which the run starts to the edge at which it ends.
     let mut segments = Vec::new();
     for face in faces() {
@@ -178,7 +181,7 @@ mod tests {
     fn joined_cases() -> impl Iterator<Item = (JoinedCorners, u8)> {
         let of = |axes: u8| (1..255_u8).map(move |wide| JoinedCorners { wide, axes });
         let whole = |joined: &JoinedCorners| {
-            // A wide cell contains all corners that share it.
+            // If one of the corners that share a cell is in a wide cell, all of them are.
             (0..8_u8).filter(|corner| joined.wide >> corner & 1 == 1).all(|corner| {
                 (0..3).all(|axis| {
                     joined.axes >> axis & 1 == 0 || joined.wide >> (corner ^ 1 << axis) & 1 == 1

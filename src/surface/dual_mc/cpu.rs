@@ -10,10 +10,11 @@ use crate::surface::mesh::{BlockMesh, Tile, TileMask, bits, cell_of_bit};
 use super::cases::TABLE;
 use super::{Crossings, Level, Normals};
 
-/// The surface in the tiles of `region`, a part of one block, with its crossed dual edges.
+/// The surface in the tiles of `region`, which must be part of one block. There is one vertex on
+/// each crossed dual edge.
 ///
-/// Cells outside of `walls` are ghost points, and must have the sample of the nearest cell inside.
-/// The result contains every tile with a dual cell of mixed signs, even if all vertices of its
+/// Cells outside `walls` are ghost points, and must have the sample of the nearest cell inside. The
+/// result contains every tile with a dual cell of mixed signs, even if all vertices of its
 /// triangles belong to neighbouring tiles.
 ///
 /// # Panics
@@ -58,7 +59,7 @@ pub fn contour<L: Level>(
     BlockMesh { block, tiles, ends, triangle_count, ..BlockMesh::default() }
 }
 
-/// The surface in `region` as in [`contour`], with normals if requested; `None` if there is no
+/// The surface that [`contour`] makes in `region`, with normals if requested; `None` if there is no
 /// surface.
 ///
 /// # Panics
@@ -80,8 +81,9 @@ where
     (!mesh.tiles.is_empty()).then_some(mesh)
 }
 
-/// Outward unit normals: the negative gradient of the field by central differences at both ends of
-/// a vertex's edge, interpolated. On a wall, the normal of the wall.
+/// The outward unit normals of all vertices. A normal is the negative gradient of the field,
+/// computed by central differences at both ends of the vertex's edge and interpolated. On a wall,
+/// it is the normal of the wall.
 fn normals<T: Copy + Default + Into<f64>>(
     field: &Block<T>,
     mesh: &BlockMesh,
@@ -103,7 +105,7 @@ fn normals<T: Copy + Default + Into<f64>>(
 }
 
 /// The normal of one vertex, from its edge, its position on the edge, whether the field falls along
-/// the edge, and the differences of the field along each axis at both ends.
+/// the edge, and the decrease of the field along each axis at both ends.
 pub fn normal(
     (cell, axis): (IVec3, usize),
     fraction: f64,
@@ -121,7 +123,7 @@ pub fn normal(
         }
     }
     let normal = lower * (1.0 - fraction) + upper * fraction;
-    // Without a gradient, the edge gives the direction.
+    // If the gradient is zero, the normal points along the edge.
     let fallback = if falls_up { along } else { -along };
     normal.try_normalize().unwrap_or(fallback).as_vec3().to_array()
 }
@@ -132,8 +134,8 @@ const ROWS: usize = TILE as usize + 1;
 /// Number of tiles along a block's edge.
 const TILES: i32 = BLOCK / TILE;
 
-/// The signs of a region's cells and of one layer beyond its upper faces: a word for each row along
-/// x, y fastest.
+/// The signs of a region's cells and of one layer beyond its upper faces: one word for each row
+/// along x, with y varying fastest.
 struct Signs {
     region: CellBox,
     rows: Vec<u64>,
@@ -160,7 +162,7 @@ impl Signs {
         signs
     }
 
-    /// Index of the word of a row.
+    /// The index in `rows` of the row at (y, z).
     fn index(&self, y: i32, z: i32) -> usize {
         let CellBox { lo, hi } = self.region;
         ((y - lo.y) + (hi.y + 1 - lo.y) * (z - lo.z)) as usize
@@ -172,7 +174,8 @@ impl Signs {
         std::array::from_fn(|up| &self.rows[self.index(y, z + up as i32)..][..ROWS])
     }
 
-    /// A bit for each tile of the block, in Morton order: whether it has dual cells of mixed signs.
+    /// A bit for each tile of the block, in Morton order: whether the tile has dual cells of mixed
+    /// signs.
     fn mixed_tiles(&self) -> [u64; TILES.pow(3) as usize / 64] {
         let CellBox { lo, hi } = self.region;
         let block = lo.div_euclid(IVec3::splat(BLOCK));
@@ -200,7 +203,7 @@ impl Signs {
     fn corners(&self, corner: IVec3) -> [TileMask; 8] {
         let rows = self.rows(corner.y, corner.z);
         let x = corner.x - self.region.lo.x;
-        // The rows of a layer, four cells of each.
+        // Four cells from each row of a layer.
         let layer = |up_x: i32, z: usize| {
             (0..ROWS)
                 .fold(0, |layer, y| layer | (rows[z][y] >> (x + up_x) & 0xf) << (TILE as usize * y))
@@ -215,7 +218,7 @@ impl Signs {
     }
 }
 
-/// Bit i is set where sample i is inside.
+/// A word in which bit i is set if sample i is inside.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
 fn row_signs<L: Level>(row: &[L::Sample], level: L) -> u64 {
     let (words, rest) = row.as_chunks::<16>();

@@ -8,7 +8,7 @@ pub trait Level: Copy {
     /// A sample of the field.
     type Sample: Copy + Default;
 
-    /// Whether a sample is inside of the surface.
+    /// Whether a sample is inside the surface.
     fn is_inside(self, sample: Self::Sample) -> bool;
 
     /// Packs the samples at the lower and the upper end of an edge for its vertex; [`Crossings`]
@@ -31,8 +31,8 @@ impl Level for Isovalue {
     }
 }
 
-/// The level 0 of a real field that is positive inside: a vertex stores its fraction, in steps of
-/// 2^-32.
+/// The zero level of a real-valued field that is positive inside. A vertex stores its position on
+/// the edge as a fraction, in steps of 2^-32.
 #[derive(Debug, Clone, Copy)]
 pub struct ZeroLevel;
 
@@ -48,8 +48,8 @@ impl Level for ZeroLevel {
     fn ends(self, lower: f64, upper: f64) -> [u16; 2] {
         // A ghost point has the value of the cell that it mirrors.
         let fraction = if lower == upper { 0.5 } else { lower / (lower - upper) };
-        // The conversion saturates, so that the fraction stays below 1. At 0, the vertex would be
-        // on the sample.
+        // The conversion saturates, so the fraction stays below 1. With a fraction of 0, the vertex
+        // would be on the sample.
         let steps = ((fraction * 2_f64.powi(32)) as u32).max(1);
         [steps as u16, (steps >> 16) as u16]
     }
@@ -58,9 +58,9 @@ impl Level for ZeroLevel {
 /// The encoding of the 32 bits that a vertex stores.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Crossings {
-    /// Both samples, of a field with this isovalue.
+    /// Both samples of the edge, from a field with this isovalue.
     Samples(Isovalue),
-    /// The fraction, in steps of 2^-32.
+    /// The position on the edge as a fraction, in steps of 2^-32.
     Fractions,
 }
 
@@ -77,16 +77,16 @@ impl From<ZeroLevel> for Crossings {
 }
 
 impl Crossings {
-    /// The position of a vertex on its edge (eq. 8), from its stored bits.
+    /// The position of a vertex on its edge, as a fraction (eq. 8), from the vertex's stored bits.
     ///
-    /// Equal samples belong to a cell and the ghost point that mirrors it: the vertex is half-way,
-    /// because phi changes its sign.
+    /// Equal samples belong to a cell and the ghost point that mirrors it: the vertex is half-way
+    /// between them, because phi only changes its sign.
     #[inline]
     pub fn fraction(self, [lower, upper]: [u16; 2]) -> f64 {
         match self {
             Self::Samples(_) if lower == upper => 0.5,
             Self::Samples(iso) => {
-                // phi in units of 1/2: 2 c - 2 theta, where c is an integer and a half.
+                // phi in units of 1/2: 2 c - 2 theta, where c is an integer plus one half.
                 let phi = |theta: u16| {
                     f64::from(2 * i32::from(iso.threshold()) + 1 - 2 * i32::from(theta))
                 };

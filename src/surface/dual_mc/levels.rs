@@ -1,9 +1,9 @@
 //! Marching cubes where cells of two levels touch.
 //!
-//! On the lattice of the narrower level, a wide cell counts as 2^3 cells with its sample. The dual
-//! cells at the corners of narrow cells join them to the wide ones (Schaefer and Warren 2004): no
-//! gap remains, because every edge between two cells has one vertex. An edge that joins cells of
-//! two levels ends at the middle of the wide cell.
+//! On the lattice of the narrower level, a wide cell counts as 2^3 cells with the same sample. The
+//! dual cells at the corners of narrow cells join the narrow cells to the wide ones (Schaefer and
+//! Warren 2004). No gap remains, because every edge between two cells has one vertex. An edge that
+//! joins cells of two levels ends at the middle of the wide cell.
 
 use glam::{DVec3, IVec3};
 
@@ -15,12 +15,12 @@ use crate::surface::mesh::{BlockMesh, Tile, bits, cell_of_bit};
 use super::cases::{JoinedCorners, TABLE, Triangles};
 use super::{Crossings, Normals, dual_cells, normal};
 
-/// A field on the cells of one level, and the walls on that level.
+/// A field on the cells of one level, and the walls in cells of that level.
 #[derive(Debug)]
 pub struct LevelField {
     /// The samples.
     pub field: Block,
-    /// The cells inside of the walls, if there are walls.
+    /// The cells inside the walls, if there are walls.
     pub walls: Option<CellBox>,
 }
 
@@ -29,7 +29,7 @@ impl LevelField {
         self.walls.is_none_or(|walls| walls.contains(cell))
     }
 
-    /// The differences of the field along each axis around a cell.
+    /// The decrease of the field along each axis, from the cell below `cell` to the cell above it.
     fn falling(&self, cell: IVec3) -> DVec3 {
         let sample = |cell: IVec3| f64::from(self.field.at(cell));
         DVec3::from([0, 1, 2].map(|axis| {
@@ -42,11 +42,12 @@ impl LevelField {
 /// The fields from which a block of cells of several levels is meshed.
 #[derive(Debug)]
 pub struct LevelFields {
-    /// The field on the block's own level, on all of its cells.
+    /// The field on the cells of the block's own level.
     pub own: LevelField,
-    /// The field of the next level, on all wide cells. Its values are in spacings of that level.
+    /// The field on the wide cells, which are of the next level. Its values are in spacings of that
+    /// level.
     pub wide: Option<LevelField>,
-    /// Converts a sample of the next level to the block's spacing.
+    /// Converts a sample of the next level to the spacing of the block's level.
     pub narrowed: fn(u16) -> u16,
 }
 
@@ -64,8 +65,8 @@ struct Mixed<'a> {
     level: BlockLevel,
 }
 
-/// Two boxes that contain the corners of a region's dual cells: one for cells of the block's own
-/// level, and one for wider cells, in cells of the next level.
+/// Two boxes that contain the corners of a region's dual cells: the first for cells of the block's
+/// own level, and the second for wider cells, in units of those cells.
 #[must_use]
 pub fn cells_by_level(block: IVec3, level: BlockLevel, region: CellBox) -> [CellBox; 2] {
     let cells = dual_cells(region);
@@ -110,7 +111,7 @@ impl Mixed<'_> {
         }
     }
 
-    /// For each of `cells`, 1 if it is inside of the surface, and 0 otherwise.
+    /// For each of `cells`, 1 if it is inside the surface, and 0 otherwise.
     fn inside(&self, cells: CellBox, iso: Isovalue) -> Block<u8> {
         let mut inside = Block::zero(cells);
         // Most cells have the block's own level.
@@ -168,18 +169,20 @@ impl Mixed<'_> {
     }
 }
 
-/// The triangles of a dual cell with the given inside corners and corners in wider cells.
+/// The triangles of a dual cell. `case` has a bit for each corner that is inside, and `wider` for
+/// each corner in a wider cell.
 pub fn joined_triangles(cell: IVec3, case: usize, wider: u8) -> Triangles {
     if wider == 0 {
         return TABLE[case].clone();
     }
-    // Along each axis, a cell with an even coordinate and the next cell are in one wide cell.
+    // Along each axis, a cell with an even coordinate and the next cell are in the same wide cell.
     let axes = (0..3).fold(0, |axes, axis| axes | u8::from(cell[axis] & 1 == 0) << axis);
     JoinedCorners { wide: wider, axes }.triangles(case as u8)
 }
 
-/// The surface in the tiles of `region`, a part of one block, if the cells of the block and of its
-/// upper neighbours have several levels; `None` if there is no surface. The surface is at `iso`.
+/// The surface at `iso` in the tiles of `region`, for a block that has, together with its upper
+/// neighbours, cells of several levels. `region` must be part of that block. Returns `None` if
+/// there is no surface.
 ///
 /// # Panics
 /// If the fields do not cover the cells that [`cells_by_level`] returns, and one more cell on each
@@ -225,7 +228,7 @@ pub fn mixed_block_mesh(
         for (cell, axis) in level.edges(&tile) {
             let cell = place * tile_edge + cell;
             let [lower, upper] = [cell, cell + IVec3::AXES[axis]].map(|cell| mixed.of(cell));
-            // Beyond a wall, the field repeats the cell on the other side.
+            // Beyond a wall, the field repeats the cell that is inside the wall.
             let ends = match (lower.is_within_walls, upper.is_within_walls) {
                 (true, false) => [lower.sample; 2],
                 (false, true) => [upper.sample; 2],

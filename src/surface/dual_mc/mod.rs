@@ -5,12 +5,12 @@
 //! inside, the vertex is v = (1 - a) p_i + a p_j with a = phi_i / (phi_i - phi_j), phi = c - theta
 //! (eq. 8).
 //!
-//! At the walls of a domain, ghost points mirror the outermost centres with phi = |phi_i|, so they
-//! are outside. Where the cell is inside, the vertex is half-way between centre and ghost, which is
-//! exactly on the wall.
+//! At the walls of a domain, ghost points mirror the outermost centres with phi = |phi_i|, so the
+//! ghost points are outside. Where the mirrored cell is inside, the vertex is half-way between its
+//! centre and the ghost point, exactly on the wall.
 //!
-//! Needs the field on the block and one cell beyond its upper faces; normals need one more cell on
-//! all sides.
+//! Meshing a block needs the field on the block and one cell beyond its upper faces; normals need
+//! one more cell on all sides.
 
 pub mod cases;
 mod cpu;
@@ -23,13 +23,13 @@ pub use level::{Crossings, Level, ZeroLevel};
 
 use crate::grid::CellBox;
 
-/// Estimated number of vertices of a block that contains much surface. If the filters keep details,
-/// this is a block full of spray.
+/// Estimated number of vertices in a block that contains a lot of surface. If the filters keep
+/// details, the estimate is for a block full of spray.
 pub fn block_vertices(keeps_details: bool) -> u64 {
     if keeps_details { 20_000 } else { 6_000 }
 }
 
-/// Whether vertices get normals.
+/// Whether normals are computed for the vertices.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[allow(missing_docs)]
 pub enum Normals {

@@ -18,7 +18,7 @@ pub const SIGN_TILES: u32 = ((BLOCK / TILE + 1) * (BLOCK / TILE + 1) * (BLOCK / 
 /// Number of 32-bit words per [`Tile`].
 pub const TILE_WORDS: u32 = size_of::<Tile>() as u32 / 4;
 
-/// Counts of a block's tiles, vertices and triangles. The shader `bases` replaces them by the
+/// Counts of a block's tiles, vertices and triangles. The shader `bases` replaces them with the
 /// counts of all previous blocks of the batch.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
@@ -44,34 +44,34 @@ impl BlockTally {
     }
 }
 
-/// A tile in its block.
+/// A tile's place within its block.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub struct TileSlot {
-    /// The tile's Morton index in the block.
+    /// The tile's Morton index within the block.
     pub index: u32,
-    /// The number of its first vertex in the block.
+    /// The number of the tile's first vertex within the block.
     pub vertex: u32,
-    /// The number of its first triangle in the block.
+    /// The number of the tile's first triangle within the block.
     pub triangle: u32,
     spare: u32,
 }
 
-/// The shaders of this stage.
+/// The shaders of dual marching cubes.
 #[derive(Debug)]
 pub struct DualMcPipelines {
     /// Computes the signs of all cells, tile by tile.
     pub signs: Arc<ComputePipeline>,
     /// Computes the tally of each block, and the first vertex and triangle of each of its tiles.
     pub tiles: Arc<ComputePipeline>,
-    /// Computes where each block starts in the batch, and the number of work groups that write all
-    /// blocks.
+    /// Computes where each block starts in the batch, and the number of work groups that `emit`
+    /// needs.
     pub bases: Arc<ComputePipeline>,
     /// Writes tiles and vertices.
     pub emit: Arc<ComputePipeline>,
 }
 
-/// The buffers that the stage writes.
+/// The buffers of dual marching cubes. The shaders read `lengths`, and write all other buffers.
 #[derive(Debug, Clone)]
 pub struct Outputs {
     /// [`SIGN_TILES`] 64-bit words per block.
@@ -84,21 +84,22 @@ pub struct Outputs {
     pub tallies: View,
     /// Number of work groups that write tiles, along each axis: 12 bytes.
     pub groups: View,
-    /// The tiles, up to the maximum number.
+    /// The [`Tile`]s that contain the surface.
     pub tiles: View,
     /// For every vertex, the field at the lower and the upper end of its edge.
     pub ends: View,
     /// [`Falls`] for every vertex, if normals are requested.
     pub falls: View,
-    /// Capacity in vertices; nothing is written beyond it.
+    /// Capacity in vertices. If the vertices do not fit, the shaders write no tiles and no
+    /// vertices.
     pub room: u32,
 }
 
-/// Decrease of the field from one cell below to one cell above along each axis, at the lower and
-/// the upper end of a vertex's edge.
+/// Decrease of the field along each axis, from one cell below to one cell above each end of a
+/// vertex's edge. The lower end comes first.
 pub type Falls = [[i32; 3]; 2];
 
-/// Number of triangles for each case, as the shaders need it.
+/// Number of triangles for each case, in the form that the shaders read.
 pub fn lengths() -> Vec<u32> {
     TABLE.iter().map(|triangles| triangles.len() as u32).collect()
 }

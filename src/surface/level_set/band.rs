@@ -1,9 +1,11 @@
-//! The distances of one block: finds the nearest triangle of every voxel within the band.
+//! Computes the distances of one block by finding the nearest triangle of every voxel within the
+//! band.
 //!
-//! A triangle is compared with the voxels at the corners of the lattice's cubes that it touches.
-//! From these voxels, triangles spread from voxel to voxel, nearest first: a voxel compares the
-//! triangles of its 26 neighbours. The lattice's edge between a voxel and a neighbour that no
-//! triangle touched does not cross the surface, so both voxels are on the same side of the surface.
+//! Each triangle is compared with the voxels at the corners of the lattice cubes that the triangle
+//! touches. From these voxels, triangles spread from voxel to voxel, nearest first: a voxel
+//! compares the triangles of its 26 neighbours. If no triangle touched a voxel's neighbour, the
+//! lattice edge between the two voxels does not cross the surface, so both are on the same side of
+//! the surface.
 
 use std::ops::Range;
 
@@ -12,45 +14,46 @@ use glam::{DVec3, IVec3, Vec4};
 use super::triangle::{Triangle, TriangleDistances};
 use super::{BAND, BLOCK, LEAF, Leaf, VOXELS, place_in_leaf};
 
-/// Width in voxels of the margin around a block in which triangles spread.
+/// Width, in voxels, of the margin around a block in which triangles spread.
 pub const MARGIN: i32 = BAND as i32 + 1;
-/// Number of voxels along the edge of a block with its margin, and one more voxel at each end that
-/// no triangle reaches.
+/// Number of voxels along the edge of a block with its margin, plus one voxel at each end that no
+/// triangle reaches.
 const EDGE: i32 = BLOCK + 2 * MARGIN + 2;
 /// Number of leaves along the edge of a block.
 const LEAVES: i32 = BLOCK / LEAF;
-/// Distances that differ by less than this are treated as equal. The triangle that faces the voxel
-/// more then decides on which side of the surface the voxel is.
+/// Distances that differ by less than this number of voxels are treated as equal. The triangle that
+/// faces the voxel more directly then decides on which side of the surface the voxel is.
 const EQUAL: f32 = 1e-4;
 /// The largest [`margin`] of a voxel from which a triangle can spread to become the nearest
 /// triangle of a voxel of the block.
 const MOST_USEFUL: f32 = BAND - 1.0;
-/// Coordinates in f64 count as an integer if they are this close to it.
+/// An f64 coordinate counts as an integer if it is within this distance of that integer.
 const ROUNDING: f64 = 1e-6;
 /// A triangle may touch a voxel if the square of its distance, computed in f32, is less than this.
 const TOUCHING: f32 = 1e-8;
-/// Added to the limit of a squared distance, because some distances are found slightly too large.
+/// Added to the limit on a squared distance, because some computed distances are slightly too
+/// large.
 const SLACK: f32 = 0.1;
 
-/// The coordinates of a voxel of a [`Band`].
+/// The coordinates of a voxel within a [`Band`].
 type VoxelOffset = [u8; 3];
 
-/// The nearest known triangle of a voxel, and the side on which the voxel is.
+/// The nearest known triangle of a voxel, and the side of the surface on which the voxel is.
 #[derive(Debug, Clone, Copy)]
 struct KnownVoxel {
-    /// The square of the distance of the nearest triangle.
+    /// The squared distance of the voxel from the nearest known triangle.
     squared: f32,
     /// The number of that triangle in the block's list, or one of the marks below.
     number: u32,
     /// Negative inside. The absolute value is the distance of the voxel from the plane of the
-    /// nearest triangle that touches its cubes: the larger it is, the more the triangle faces the
-    /// voxel.
+    /// nearest triangle that touches the voxel's cubes. The larger this distance is, the more
+    /// directly the triangle faces the voxel.
     height: f32,
 }
 
-/// Marks a voxel at the border, where no triangle spreads.
+/// Marks a voxel at the border, to which no triangle spreads.
 const BORDER: u32 = u32::MAX;
-/// Marks a voxel that was visited, and has no triangle yet.
+/// Marks a voxel that was visited, but has no triangle yet.
 const VISITED: u32 = u32::MAX - 1;
 /// Marks a voxel that was not visited.
 const UNKNOWN: u32 = u32::MAX - 2;
@@ -73,7 +76,7 @@ impl KnownVoxel {
     }
 }
 
-/// The steps from the lowest corner of a cube to its corners, z fastest.
+/// The steps from the lowest corner of a cube to its corners, with z varying fastest.
 const CORNERS: [VoxelOffset; 8] = {
     let mut corners = [[0; 3]; 8];
     let mut i = 0;
@@ -112,8 +115,8 @@ impl FourVoxels {
         })
     }
 
-    /// The nearer of two triangles that touch the voxel's cubes; at equal distances, the triangle
-    /// that faces the voxel more.
+    /// For each voxel, the nearer of two triangles that touch the voxel's cubes; at equal
+    /// distances, the triangle that faces the voxel more directly.
     #[inline(always)]
     fn or(self, found: Self) -> Self {
         let equal = (found.squared.sqrt() * 2.0 + EQUAL) * EQUAL;
@@ -162,12 +165,13 @@ pub struct Band {
     visited: Vec<VoxelOffset>,
 }
 
-/// The triangles near a block, relative to its [`band_corner`], without triangles that are too
-/// flat.
+/// The triangles near a block, with coordinates relative to the block's [`band_corner`]. Triangles
+/// that are too flat are left out.
 #[derive(Debug, Default)]
 pub struct BlockTriangles {
     triangles: Vec<Triangle>,
-    /// The least and the greatest corner of the cubes that each triangle touches.
+    /// For each triangle, the least and the greatest coordinates of the corners of the cubes that
+    /// the triangle touches.
     boxes: Vec<[VoxelOffset; 2]>,
     /// The number of each triangle in the mesh.
     numbers: Vec<u32>,
@@ -214,8 +218,9 @@ fn margin(place: VoxelOffset) -> f32 {
 /// The squared distance below which a voxel visits a neighbour that may be `reach` voxels from the
 /// surface.
 ///
-/// A voxel at a distance d ≥ 1 has a neighbour across a face with a squared distance of at most d²
-/// - 2 d / √3 + 1: this neighbour lies along the axis on which the nearest point is furthest.
+/// A voxel at a distance d ≥ 1 has a neighbour across a face with a squared distance of at most
+/// d² + 1 - 2 d / √3: this neighbour lies along the axis on which the nearest point is farthest
+/// away.
 fn passing_on(reach: f32) -> f32 {
     if reach < 1.0 {
         return 0.0;
@@ -223,7 +228,7 @@ fn passing_on(reach: f32) -> f32 {
     reach * reach - 2.0 * reach / 3f32.sqrt() + 1.0 + SLACK
 }
 
-/// A step to a neighbour, and the difference of the indices.
+/// A step to a neighbour, and the difference between the indices of both voxels.
 #[derive(Debug, Clone, Copy)]
 struct Step {
     along: [i8; 3],
@@ -288,7 +293,7 @@ impl Band {
         Self { voxels, visited: Vec::new() }
     }
 
-    /// The leaves of a block with voxels in the band.
+    /// The leaves of a block that contain voxels of the band.
     pub fn leaves(&mut self, block: IVec3, near: &BlockTriangles) -> Vec<Leaf> {
         self.touch(near);
         self.spread(&near.triangles);
@@ -328,8 +333,8 @@ impl Band {
         }
     }
 
-    /// Compares triangles with the corners of a cube, except corners beyond `high` or too far from
-    /// the block.
+    /// Compares triangles with the corners of a cube, except for corners that are beyond `high` or
+    /// too far from the block.
     fn touch_cube(
         &mut self,
         low: VoxelOffset,
@@ -353,7 +358,7 @@ impl Band {
                 self.visited.push(places[i]);
             }
             self.voxels[index(places[i])] = after[i];
-            // The square may belong to another triangle at an equal distance.
+            // The squared distance may be that of another triangle that is equally near.
             if after[i].squared < 4.0 * TOUCHING {
                 for number in numbers.clone() {
                     let triangle = &triangles[number as usize];
@@ -406,7 +411,7 @@ impl Band {
                     }
                     let to = step.from(place);
                     // The nearest triangles of the block's voxels do not spread through voxels that
-                    // are farther away.
+                    // are farther from the surface than this.
                     if known.squared < passing_on(BAND - margin(to)) {
                         let height = if known.is_inside() { -1.0 } else { 1.0 };
                         *neighbour = KnownVoxel { height, ..KnownVoxel::marked(VISITED) };
@@ -420,8 +425,8 @@ impl Band {
         }
     }
 
-    /// Gives each voxel the nearest of the triangles that the voxel and its neighbours knew before
-    /// this call.
+    /// Stores for each voxel the nearest of the triangles that the voxel and its neighbours knew
+    /// before this call.
     fn pull(&mut self, triangles: &[Triangle], places: &[VoxelOffset]) {
         let found: Vec<KnownVoxel> =
             places.iter().map(|&place| self.nearest_around(triangles, place)).collect();
@@ -435,8 +440,8 @@ impl Band {
         let mut numbers = [0; AROUND.len() + 3];
         let mut count = 0;
         for step in &AROUND {
-            // There is no branch here, because it is hard to predict which neighbours know a
-            // triangle.
+            // This code has no branch, because the processor could hardly predict which neighbours
+            // know a triangle.
             let known = self.voxels[voxel.wrapping_add_signed(step.offset)];
             numbers[count] = known.number;
             count += usize::from(known.has_triangle() & (known.number != best.number));
@@ -455,7 +460,7 @@ impl Band {
         best
     }
 
-    /// A leaf of the block that has voxels in the band.
+    /// The leaf at `corner` of the block. At least one of its voxels must be in the band.
     fn leaf(&self, block: IVec3, corner: IVec3, numbers: &[u32]) -> Leaf {
         let voxel = |i: usize| {
             let place = corner + (MARGIN + 1) + place_in_leaf(i);
@@ -473,7 +478,8 @@ impl Band {
                 leaf.triangles.push(numbers[known.number as usize]);
                 known.is_inside()
             } else {
-                // No surface is between this voxel and the previous voxel along an axis.
+                // The surface does not pass between this voxel and the previous voxel along an
+                // axis.
                 let edge = LEAF as usize;
                 let before =
                     [(i % edge, 1), (i / edge % edge, edge), (i / (edge * edge), edge * edge)]

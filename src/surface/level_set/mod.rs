@@ -1,9 +1,9 @@
-//! A level set: the signed distance from a closed mesh at the voxels of a lattice, negative inside,
-//! in a band of three voxels on either side of the surface.
+//! A level set: the signed distances of the voxels of a lattice from a closed mesh, in a band of
+//! three voxels on either side of the surface. Distances are negative inside the mesh.
 //!
-//! Space is cut into blocks of 64³ voxels, which do not depend on each other. `Band` computes the
-//! distances of one block. Only the 8³ voxels of a [`Leaf`] with a voxel in the band are stored;
-//! all other voxels are inside or outside.
+//! Space is divided into blocks of 64³ voxels, which do not depend on each other. `Band` computes
+//! the distances of one block. A [`Leaf`] of 8³ voxels is stored only if one of its voxels is in
+//! the band.
 
 mod band;
 mod triangle;
@@ -24,21 +24,21 @@ pub use volume::Volume;
 pub const BAND: f32 = 3.0;
 /// Number of voxels along the edge of a leaf.
 pub const LEAF: i32 = 8;
-/// Number of voxels of a leaf.
+/// Number of voxels in a leaf.
 pub const VOXELS: usize = (LEAF * LEAF * LEAF) as usize;
 /// Number of voxels along the edge of a block.
 const BLOCK: i32 = 64;
-/// Upper limit of the coordinates of a vertex, in voxels. With this limit, differences between
-/// coordinates fit an i32.
+/// Upper limit, in voxels, on the magnitude of vertex coordinates. With this limit, differences
+/// between coordinates fit into an i32.
 const FARTHEST: f64 = (1 << 29) as f64;
 const TOO_FAR: &str = "a vertex is not finite, or more than 2^29 cells from the grid's origin; \
                        use larger cells";
 /// The lattice of an empty mesh.
 const UNIT: Lattice = Lattice { origin: [0.0; 3], step: 1.0 };
-/// Number of triangles whose blocks are found together.
+/// Number of triangles that one task assigns to blocks.
 const TRIANGLES_TOGETHER: usize = 1 << 14;
 
-/// 8³ voxels, numbered with z fastest.
+/// 8³ voxels, numbered with z varying fastest.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Leaf {
     /// The coordinates of the first voxel, which are multiples of 8.
@@ -47,9 +47,9 @@ pub struct Leaf {
     pub active: [u64; VOXELS / 64],
     /// A bit for each voxel: whether it is inside the surface.
     pub inside: [u64; VOXELS / 64],
-    /// The distance of each voxel in the band from the surface in voxels, negative inside.
+    /// For each voxel in the band, its distance from the surface in voxels, negative inside.
     pub distances: Vec<f32>,
-    /// The triangle with the nearest point to each voxel in the band.
+    /// For each voxel in the band, the number of the nearest triangle.
     pub triangles: Vec<u32>,
 }
 
@@ -81,28 +81,30 @@ pub fn place_in_leaf(i: usize) -> IVec3 {
 pub struct NearestPoint {
     /// The vertices of the triangle.
     pub corners: [u32; 3],
-    /// The weight of each vertex in the point; the sum of the weights is 1.
+    /// The weight of each vertex in the nearest point; the sum of the weights is 1.
     pub shares: [f32; 3],
 }
 
-/// The lattice of the samples that a mesh was made from, if it is known; any lattice for an empty
-/// mesh.
+/// The lattice of the samples from which a mesh was made, if it is known. For an empty mesh, whose
+/// lattice does not matter, `UNIT` replaces an unknown lattice.
 pub fn lattice_of(outline: &Outline) -> Option<Lattice> {
     outline.lattice.or((outline.triangles == 0).then_some(UNIT))
 }
 
-/// A closed mesh in memory, in voxels.
+/// A closed mesh in memory, with its positions in voxels.
 #[derive(Debug)]
 pub struct LevelSet {
     positions: Vec<DVec3>,
     triangles: Vec<[u32; 3]>,
 }
 
-/// A block with the numbers of the triangles near it, in ascending order over all lists.
+/// A block, and lists of the triangles near it. The triangle numbers are in ascending order within
+/// each list and from list to list.
 type BlockLists = (IVec3, Vec<Vec<u32>>);
 
 impl LevelSet {
-    /// Reads a closed mesh into memory: 24 bytes for each vertex, and 12 for each triangle.
+    /// Reads a closed mesh into memory, which takes 24 bytes for each vertex and 12 bytes for each
+    /// triangle.
     ///
     /// # Errors
     /// If `mesh` cannot be read; [`io::ErrorKind::OutOfMemory`] if there is too little memory;
@@ -132,7 +134,8 @@ impl LevelSet {
     }
 
     /// Calls `make` with the leaves of each block, on all threads, and returns the results in an
-    /// order that depends only on the mesh. Needs about 6 bytes for each triangle meanwhile.
+    /// order that depends only on the mesh. While it runs, its lists take about 6 bytes for each
+    /// triangle.
     ///
     /// # Errors
     /// If `make` fails for a block.
@@ -170,7 +173,7 @@ impl LevelSet {
     }
 }
 
-/// A list for each block. The blocks are in the order of the first calls of `of` for them.
+/// A list for each block. The blocks are in the order in which `of` was first called for them.
 #[derive(Debug)]
 struct BlocksByPlace<T> {
     blocks: Vec<(IVec3, Vec<T>)>,
@@ -193,8 +196,8 @@ impl<T> BlocksByPlace<T> {
     }
 }
 
-/// Calls `take` with the blocks that are near a triangle: at most [`MARGIN`] away from its box and
-/// from its plane.
+/// Calls `take` with each block that is near a triangle: at most [`MARGIN`] voxels away from the
+/// triangle's bounding box and from its plane.
 fn each_block_near([a, b, c]: [DVec3; 3], mut take: impl FnMut(IVec3)) {
     let reach = f64::from(MARGIN);
     let [low, high] = [block_of(a.min(b).min(c) - reach), block_of(a.max(b).max(c) + reach + 1.0)];
@@ -202,8 +205,7 @@ fn each_block_near([a, b, c]: [DVec3; 3], mut take: impl FnMut(IVec3)) {
         return take(low);
     }
     let normal = (b - a).cross(c - a);
-    // Half of the edges of a block that is extended by the reach on each side, projected onto the
-    // normal.
+    // Half the extent along the normal of a block that is enlarged by `reach` on each side.
     let extent = normal.abs().element_sum() * (f64::from(BLOCK) / 2.0 + reach);
     let is_near = |block: IVec3| {
         let centre = (block.as_dvec3() + 0.5) * f64::from(BLOCK);
@@ -221,10 +223,10 @@ fn each_block_near([a, b, c]: [DVec3; 3], mut take: impl FnMut(IVec3)) {
     }
 }
 
-/// The block of a place.
+/// The block that contains a place.
 fn block_of(place: DVec3) -> IVec3 {
-    // The sum is positive, and a conversion of positive numbers rounds down without a function
-    // call.
+    // The sum is positive, and converting a positive number to an integer rounds down without a
+    // function call.
     let blocks = (place + 2.0 * FARTHEST).as_uvec3() / BLOCK as u32;
     blocks.as_ivec3() - 2 * FARTHEST as i32 / BLOCK
 }
@@ -260,7 +262,8 @@ mod tests {
     use super::*;
     use crate::surface::mesh::Mesh;
 
-    /// The distance from the nearest point of the nearest triangle, by the shares of its corners.
+    /// The distance of a voxel from the surface, computed from the shares of the nearest triangle's
+    /// corners.
     fn distance(level_set: &LevelSet, voxel: IVec3) -> f64 {
         let nearest = |triangle: u32| {
             let NearestPoint { corners, shares } = level_set.nearest_point(triangle, voxel);
@@ -314,7 +317,7 @@ mod tests {
                 }
             }
         }
-        // A band of six voxels around the area.
+        // The band is six voxels thick.
         let area = 8.0 * 3f64.sqrt() / 4.0 * (2f64.sqrt() * RADIUS).powi(2);
         assert!((f64::from(checked) / (6.0 * area) - 1.0).abs() < 0.05, "{checked} of {area}");
     }

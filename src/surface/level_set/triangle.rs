@@ -1,20 +1,21 @@
 //! Distances from triangles, four at a time.
 //!
-//! Each triangle has its own frame, in which the triangle lies in the plane z = 0, with the first
-//! corner at the origin and the first edge along x. In this frame, the distance consists of the
-//! height z, and of the distance in the plane from a triangle that three numbers describe.
+//! Each triangle has its own coordinate system, in which the triangle lies in the plane z = 0, with
+//! the first corner at the origin and the first edge along x. In this system, a point's squared
+//! distance is the sum of the squares of its height z and of its distance within the plane. Three
+//! numbers describe the triangle in the plane.
 
 use glam::{DVec3, Mat4, Vec4, Vec4Swizzles};
 
-/// Least height of a triangle, in voxels.
+/// Minimum height, in voxels, of a triangle that is used.
 const LEAST_HEIGHT: f64 = 1e-6;
 
-/// A triangle in voxels.
+/// A triangle, with its coordinates in voxels.
 #[derive(Debug, Clone, Copy)]
 #[repr(C, align(64))]
 pub struct Triangle {
-    /// The axes of the frame. The fourth component is minus the coordinate of the first corner
-    /// along the axis.
+    /// The axes of the triangle's coordinate system. The fourth component of each is minus the
+    /// coordinate of the first corner along that axis.
     axes: [Vec4; 3],
     /// The coordinate x of the second corner, and the coordinates x and y of the third corner.
     shape: Vec4,
@@ -29,8 +30,8 @@ pub struct TriangleDistances {
 }
 
 impl Triangle {
-    /// Prepares a triangle; `None` if its height is less than [`LEAST_HEIGHT`]. All points of such
-    /// a flat triangle are that close to an edge or a corner of other triangles.
+    /// Prepares a triangle; `None` if its height is less than [`LEAST_HEIGHT`]. Every point of such
+    /// a flat triangle is within this distance of an edge or a corner of another triangle.
     pub fn new([a, b, c]: [DVec3; 3]) -> Option<Self> {
         let (ab, ac) = (b - a, c - a);
         let normal = ab.cross(ac);
@@ -47,8 +48,8 @@ impl Triangle {
         Some(Self { axes: [row(x), row(y), row(z)], shape: shape.into() })
     }
 
-    /// The distances of four points from this triangle; the points are given by their coordinates
-    /// along each axis.
+    /// The distances of four points from this triangle. `x`, `y` and `z` have the coordinates of
+    /// the four points.
     #[inline]
     pub fn distances(&self, [x, y, z]: [Vec4; 3]) -> TriangleDistances {
         let along = |axis: Vec4| axis.xxxx() * x + axis.yyyy() * y + axis.zzzz() * z + axis.wwww();
@@ -80,7 +81,7 @@ impl Triangle {
 }
 
 /// The squared distances of places in the plane from triangles with the corners (0, 0), (`b_x`, 0)
-/// and (`c_x`, `c_y`): 0 inside, and otherwise the squared distance of the nearest edge.
+/// and (`c_x`, `c_y`): 0 inside, and otherwise the squared distance from the nearest edge.
 #[inline(always)]
 fn squared_in_plane([x, y]: [Vec4; 2], [b_x, c_x, c_y]: [Vec4; 3]) -> Vec4 {
     let from_edge = |[x, y]: [Vec4; 2], [edge_x, edge_y]: [Vec4; 2]| {
@@ -98,9 +99,10 @@ fn squared_in_plane([x, y]: [Vec4; 2], [b_x, c_x, c_y]: [Vec4; 3]) -> Vec4 {
     Vec4::select(inside, zero, first.min(second).min(third))
 }
 
-/// The share of each corner of a triangle in its nearest point to the origin; their sum is 1. That
-/// point is a corner, a point of an edge, or the foot of the perpendicular, depending on the region
-/// of space in which the origin lies (Ericson, Real-Time Collision Detection, 5.1.5).
+/// The share of each corner of a triangle in the triangle's nearest point to the origin; the sum of
+/// the shares is 1. The nearest point is a corner, a point on an edge, or the foot of the
+/// perpendicular, depending on the region of space in which the origin lies (Ericson, Real-Time
+/// Collision Detection, 5.1.5).
 pub fn shares([a, b, c]: [DVec3; 3]) -> [f32; 3] {
     let (ab, ac) = (b - a, c - a);
     let (along_b, along_c) = (-ab.dot(a), -ac.dot(a));

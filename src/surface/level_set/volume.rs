@@ -8,8 +8,8 @@ use crate::surface::mesh::source::{Lattice, MeshSource};
 
 use super::{BAND, Leaf, LevelSet, VOXELS, lattice_of};
 
-/// The signed distance from a surface at the voxels of a grid, in bricks of 8³ voxels. Only bricks
-/// with a voxel that is nearer than three voxels to the surface are stored.
+/// The signed distances of the voxels of a grid from a surface, in bricks of 8³ voxels. A brick is
+/// stored only if one of its voxels is less than three voxels from the surface.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Volume {
     /// The position of the voxel with the coordinates (0, 0, 0), in the particles' unit of length.
@@ -18,9 +18,9 @@ pub struct Volume {
     pub voxel_size: f64,
     /// The coordinates of the first voxel of each brick, in ascending order.
     pub corners: Vec<[i32; 3]>,
-    /// The distances of the 512 voxels of each brick, z fastest: negative inside, in the particles'
-    /// unit of length. Where the surface is more than three voxels away, the distance is three
-    /// voxels.
+    /// The distances of the 512 voxels of each brick, with z varying fastest. They are in the
+    /// particles' unit of length, and negative inside. Where the surface is more than three voxels
+    /// away, their magnitude is three voxels.
     pub distances: Vec<f32>,
 }
 
@@ -28,7 +28,7 @@ impl Volume {
     /// The level set of a closed mesh.
     ///
     /// # Errors
-    /// The errors of [`LevelSet::new`]; an error after a cancel; and
+    /// The errors of [`LevelSet::new`]; an error if the work is cancelled; and
     /// [`io::ErrorKind::InvalidInput`] for a mesh with triangles but without a lattice.
     pub fn of(mesh: &dyn MeshSource) -> io::Result<Self> {
         let lattice = lattice_of(&mesh.outline()).ok_or(io::ErrorKind::InvalidInput)?;

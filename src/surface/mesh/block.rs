@@ -32,16 +32,18 @@ pub fn bits(mut mask: TileMask) -> impl Iterator<Item = u32> {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C)]
 pub struct Tile {
-    /// The tile's Morton index in the block.
+    /// The tile's Morton index within the block.
     pub index: u32,
-    /// The number of its first vertex, counted in the block.
+    /// The number of the tile's first vertex within the block.
     pub first_vertex: u32,
-    /// For each corner (x + 2 y + 4 z) of the tile's dual cells, whether it is inside the fluid.
+    /// For each corner number x + 2 y + 4 z, the dual cells of the tile for which that corner is
+    /// inside the fluid.
     pub corners: [TileMask; 8],
 }
 
 impl Tile {
-    /// The lowest cell of the tile, in the block at `block` of its level.
+    /// The lowest cell of the tile. `block` has the coordinates of its block, in blocks of the
+    /// block's level.
     pub fn corner(&self, block: IVec3) -> IVec3 {
         block * BLOCK + local_from_morton(self.index as usize) * TILE
     }
@@ -52,7 +54,7 @@ impl Tile {
         self.corners[0] ^ self.corners[1 << axis]
     }
 
-    /// The dual cells with corners on both sides.
+    /// The dual cells with corners on both sides of the surface.
     #[inline]
     pub fn mixed(&self) -> TileMask {
         let (any, all) = self.corners.iter().fold((0, !0), |(any, all), c| (any | c, all & c));
@@ -76,7 +78,7 @@ pub struct TileLevels {
     pub narrower: [TileMask; 8],
 }
 
-/// The cells of a tile with the highest coordinate, for each axis.
+/// For each axis, the cells of a tile that have the highest coordinate along that axis.
 const LAST: [TileMask; 3] = [0x8888_8888_8888_8888, 0xf000_f000_f000_f000, 0xffff << 48];
 
 impl BlockLevel {
@@ -104,7 +106,7 @@ impl BlockLevel {
         TileLevels { wider: of(self.wider), narrower: of(self.narrower) }
     }
 
-    /// For each axis, the cells of a tile whose dual edge has a vertex of this block.
+    /// For each axis, the cells of a tile whose dual edge has a vertex that belongs to this block.
     #[inline]
     #[must_use]
     pub fn crossed(self, tile: &Tile) -> [TileMask; 3] {
@@ -119,7 +121,7 @@ impl BlockLevel {
         })
     }
 
-    /// The dual cells of a tile that have triangles of this block.
+    /// The dual cells of a tile whose triangles belong to this block.
     #[inline]
     #[must_use]
     pub fn mixed(self, tile: &Tile) -> TileMask {
@@ -132,8 +134,8 @@ impl BlockLevel {
         tile.mixed() & !all_wider & !any_narrower
     }
 
-    /// The edges of a tile with vertices of this block, in the order of the vertices: lower cell
-    /// relative to the tile, and axis.
+    /// The edges of a tile that have vertices of this block, in vertex order. Each edge is given by
+    /// its lower cell, relative to the tile, and its axis.
     pub fn edges(self, tile: &Tile) -> impl Iterator<Item = (IVec3, usize)> + use<> {
         let crossed = self.crossed(tile);
         (0..3).flat_map(move |axis| bits(crossed[axis]).map(move |bit| (cell_of_bit(bit), axis)))
@@ -141,8 +143,8 @@ impl BlockLevel {
 }
 
 impl BlockMesh {
-    /// The edges with vertices, in the order of the vertices: lower cell on the block's lattice,
-    /// and axis.
+    /// The edges with vertices, in vertex order. Each edge is given by its lower cell, on the
+    /// block's lattice, and its axis.
     pub fn edges(&self) -> impl Iterator<Item = (IVec3, usize)> + '_ {
         self.tiles.iter().flat_map(|tile| {
             let corner = tile.corner(self.block);
@@ -154,9 +156,9 @@ impl BlockMesh {
 /// The surface of one block.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct BlockMesh {
-    /// The block's coordinates in blocks of its level.
+    /// The block's coordinates, in blocks of its level.
     pub block: IVec3,
-    /// The level of its cells.
+    /// The level of the block's cells.
     pub level: BlockLevel,
     /// The tiles with vertices or triangles, in Morton order.
     pub tiles: Vec<Tile>,

@@ -1,9 +1,9 @@
 //! Checks whether a mesh is closed, oriented and 2-manifold, and where it is not.
 //!
-//! Every vertex is checked separately, with the triangles around it: whether shared edges connect
-//! all these triangles, and each edge that leads to a higher-numbered vertex. This needs no hash
-//! table, and sorts only the few edges of a vertex. Findings are in the order of the vertices, with
-//! any number of threads.
+//! Every vertex is checked separately. The check finds out whether shared edges connect all
+//! triangles around the vertex, and examines each edge to a higher-numbered vertex. It needs no
+//! hash table, and sorts only the few edges of a vertex. Findings are in vertex order, whatever the
+//! number of threads.
 
 use std::fmt;
 
@@ -20,7 +20,7 @@ const CHUNK: usize = 1 << 14;
 pub struct Defects<T> {
     /// Number of occurrences.
     pub count: usize,
-    /// The first occurrence, in the order of the vertices or triangles.
+    /// The first occurrence, in vertex or triangle order.
     pub first: Option<T>,
 }
 
@@ -60,7 +60,7 @@ impl<T> FromIterator<T> for Defects<T> {
 /// The connectivity of a mesh's triangles, without positions.
 ///
 /// Triangles with a missing vertex or a repeated vertex are counted and then ignored, so that they
-/// do not cause other defects. An edge is in at most one class.
+/// do not cause other defects. An edge is counted in at most one class of defects.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct Topology {
     /// Number of pairs of vertices that a triangle connects.
@@ -73,7 +73,7 @@ pub struct Topology {
     pub degenerate_triangles: Defects<usize>,
     /// Edges with only one triangle, by their ends.
     pub boundary_edges: Defects<[u32; 2]>,
-    /// Edges whose two triangles have the same direction there, by their ends.
+    /// Edges that both triangles traverse in the same direction, by their ends.
     pub misoriented_edges: Defects<[u32; 2]>,
     /// Edges with more than two triangles, by their ends.
     pub crowded_edges: Defects<[u32; 2]>,
@@ -81,10 +81,10 @@ pub struct Topology {
     pub pinched_vertices: Defects<u32>,
     /// Triangles with the same three vertices as an earlier triangle, in any orientation.
     ///
-    /// Not a defect by itself: two triangles back to back are closed and manifold. Every other twin
-    /// also shows up in `crowded_edges` or `misoriented_edges`.
+    /// A twin is not a defect by itself: two triangles back to back are closed and manifold. Every
+    /// other twin also shows up in `crowded_edges` or `misoriented_edges`.
     pub twin_triangles: Defects<[u32; 3]>,
-    /// Vertices without a sound triangle. Not a defect.
+    /// Vertices without a sound triangle. They are not a defect.
     pub unreferenced_vertices: Defects<u32>,
 }
 
@@ -95,8 +95,8 @@ impl Topology {
         self.boundary_edges.is_none()
     }
 
-    /// Whether no two triangles traverse an edge in the same direction. (If three triangles share
-    /// an edge, at least two of them do.)
+    /// Whether no two triangles traverse an edge in the same direction. If three triangles share an
+    /// edge, at least two of them do so.
     #[must_use]
     pub fn is_oriented(&self) -> bool {
         self.misoriented_edges.is_none() && self.crowded_edges.is_none()
@@ -143,8 +143,8 @@ pub struct CheckReport {
     pub topology: Topology,
     /// Vertices with a coordinate that is not finite.
     pub non_finite_positions: Defects<usize>,
-    /// Vertices with exactly the position of an earlier vertex. Not a defect: meshes may touch
-    /// themselves.
+    /// Vertices with exactly the position of an earlier vertex. They are not a defect, because
+    /// meshes may touch themselves.
     pub duplicate_positions: Defects<usize>,
 }
 
@@ -345,8 +345,8 @@ pub fn is_sound([a, b, c]: [u32; 3], vertices: usize) -> bool {
     [a, b, c].iter().all(|&v| (v as usize) < vertices) && a != b && b != c && c != a
 }
 
-/// The edges opposite to each vertex, in the order of the triangles: `[b, c]` for triangle a, b, c
-/// seen from a. Unsound triangles are left out.
+/// For each vertex, the opposite edges of its triangles, in triangle order: `[b, c]` for triangle
+/// a, b, c seen from a. Unsound triangles are left out.
 ///
 /// Takes 24 bytes per triangle and 8 bytes per vertex, with two passes over the triangles and one
 /// pass over the vertices.
@@ -380,13 +380,13 @@ impl Stars {
         Self { ends, across }
     }
 
-    /// The edges opposite to `vertex`.
+    /// The edges opposite `vertex`.
     pub fn of(&self, vertex: usize) -> &[[u32; 2]] {
         let start = vertex.checked_sub(1).map_or(0, |before| self.ends[before]);
         &self.across[start..self.ends[vertex]]
     }
 
-    /// Number of vertices, including those without triangles.
+    /// Number of vertices, including vertices without triangles.
     pub fn vertices(&self) -> usize {
         self.ends.len()
     }

@@ -13,7 +13,7 @@ use super::source::{Corners, MeshSource};
 pub const BYTES_A_VERTEX: u64 = size_of::<u32>() as u64;
 
 /// A coarser copy of `mesh`. The longest edge of its bounding box, from `lo` to `hi`, is divided
-/// into `cells` cells, and each cell gets one vertex: the mean of the mesh's vertices in it.
+/// into `cells` cells, and the vertices in each cell are merged into one vertex at their mean.
 /// Triangles with two equal corners are left out, and so are normals and attributes.
 ///
 /// # Errors
@@ -57,7 +57,7 @@ mod tests {
     use super::super::source::bounds_of;
     use super::*;
 
-    /// A square of 64 x 64 vertices at unit distance.
+    /// A square of 64 x 64 vertices, one unit apart.
     fn square() -> Mesh {
         let n = 64_u32;
         let corner = |x: u32, y: u32| y * n + x;

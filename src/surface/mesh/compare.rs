@@ -1,6 +1,6 @@
 //! Distances between two surfaces.
 //!
-//! Each surface is sampled, and the exact distance of every sample to the nearest point on any
+//! Each surface is sampled, and the exact distance from every sample to the nearest point on any
 //! triangle of the other surface is measured. Vertices count only for the maximum; means are over
 //! samples that are evenly distributed by area. Samples and sums have a fixed order, so the results
 //! do not depend on the number of threads.
@@ -22,7 +22,8 @@ use super::Mesh;
 use super::check::Stars;
 use super::tree::{GREATEST_COORDINATE, SurfacePoint, TriangleTree, scaled_normal};
 
-/// Number of samples of a surface: ten per triangle, within these bounds.
+/// Minimum and maximum number of samples of a surface. Within these bounds, there are ten samples
+/// per triangle.
 const SAMPLES: [usize; 2] = [100_000, 2_000_000];
 
 /// Samples per task. Within a task, each search starts from the nearest triangle of the previous
@@ -34,7 +35,8 @@ const CHUNK: usize = 1 << 12;
 pub struct Comparison {
     /// The maximum distance from any sample of either surface to the other surface.
     pub hausdorff: f64,
-    /// Mean signed distance of the mesh from the reference, positive if the mesh is outside.
+    /// Mean signed distance of the mesh from the reference, positive if the mesh is outside the
+    /// reference.
     pub bias: f64,
     /// Distances from samples of the mesh to the reference.
     pub from_mesh: Distances,
@@ -49,9 +51,9 @@ pub struct Distances {
     pub max: f64,
     /// The sample with the maximum distance.
     pub farthest: [f64; 3],
-    /// Mean distance by area.
+    /// Mean distance, weighted by area.
     pub mean: f64,
-    /// Root mean square of the distances by area.
+    /// Root mean square of the distances, weighted by area.
     pub rms: f64,
     /// Number of samples that are distributed by area.
     pub samples: usize,
@@ -61,13 +63,14 @@ pub struct Distances {
 
 /// Measures the distances between `mesh` and `reference`, in both directions.
 ///
-/// Triangles with a missing or repeated vertex are left out. The reference need not be closed; the
-/// bias then refers to the side that its triangles face.
+/// Triangles with a missing or repeated vertex are left out. The reference need not be closed; in
+/// that case, the bias is positive if the mesh is on the side that the reference's triangles face.
 ///
 /// # Errors
 /// If either mesh has no surface, or an invalid vertex: see [`CompareError`].
 pub fn compare(reference: &Mesh, mesh: &Mesh) -> Result<Comparison, CompareError> {
-    // Positions are relative to the first vertex, so that they keep as many digits as possible.
+    // Positions are relative to the first vertex of the reference, so that they keep as many digits
+    // as possible.
     let origin = reference.positions.first().map_or(DVec3::ZERO, |&p| DVec3::from(p));
     let (reference, mesh) = (
         SearchableSurface::new(reference, origin, Side::Reference)?,
@@ -105,8 +108,8 @@ impl SearchableSurface {
         Self::new(mesh, origin, Side::Reference)
     }
 
-    /// Signed distances of places from this surface, negative inside; NaN for a place that is not
-    /// finite or beyond 1e70.
+    /// Signed distances of places from this surface, negative inside. The distance is NaN if a
+    /// coordinate is not finite, or if its magnitude exceeds 1e70.
     #[must_use]
     pub fn signed_distances(&self, places: &[[f64; 3]]) -> Vec<f64> {
         let mut near = None;
@@ -161,8 +164,8 @@ impl SearchableSurface {
         (distances, area.signed_sum / count)
     }
 
-    /// The samples with the numbers in `range`, out of `samples`. Each sample is in the middle of
-    /// an equal share of the area.
+    /// The samples with the numbers in `range`, out of `samples` samples of the whole surface. Each
+    /// sample is in the middle of an equal share of the area.
     fn spread(&self, range: Range<usize>, samples: usize) -> impl Iterator<Item = DVec3> {
         let total = self.area_up_to[self.tree.triangles().len() - 1];
         let mut triangle = 0;
@@ -251,8 +254,9 @@ fn unit_normal(corners: [DVec3; 3]) -> DVec3 {
     scaled_normal(corners).normalize_or_zero()
 }
 
-/// The position of a sample in its triangle: the first two barycentric coordinates, from the
-/// sequence R2 (Roberts 2018), which covers a square evenly, folded onto the triangle.
+/// The position of a sample in its triangle: the weights of the second and the third corner. They
+/// come from the sequence R2 (Roberts 2018), which covers a square evenly, and are folded onto the
+/// triangle.
 fn spot(number: usize) -> [f64; 2] {
     // The inverse of the plastic number, and its square.
     let [u, v] = [0.754_877_666_246_692_8, 0.569_840_290_998_053_3]
@@ -295,7 +299,7 @@ impl DistanceSums {
     }
 }
 
-/// Summarizes chunks of fixed length on all threads, and joins them in order.
+/// Summarizes chunks of fixed length on all threads, and joins the summaries in order.
 fn in_chunks(count: usize, summary: impl Fn(Range<usize>) -> DistanceSums + Sync) -> DistanceSums {
     let chunks: Vec<DistanceSums> = (0..count.div_ceil(CHUNK))
         .into_par_iter()

@@ -1,10 +1,10 @@
 //! Area, volume, components, genus and the shapes of the triangles.
 //!
-//! The volume is the sum of the tetrahedra between the triangles and a vertex of their own
-//! component (the divergence theorem), with compensated rounding (Neumaier 1974): neither the
-//! distance from the origin nor the distance between components costs digits. The genus follows
-//! from Euler's `V - E + F = 2 (components - genus)`. Sums are over chunks of fixed length, added
-//! in order.
+//! The volume is the sum of the signed volumes of the tetrahedra between each triangle and a vertex
+//! of its own component (the divergence theorem). The sum uses compensated rounding (Neumaier
+//! 1974), so neither the distance from the origin nor the distance between components costs
+//! precision. The genus follows from Euler's `V - E + F = 2 (components - genus)`. Sums are
+//! computed over chunks of fixed length, and added in order.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -24,8 +24,8 @@ const FLAT: f64 = 1e-9;
 /// Number of triangles per partial sum.
 const CHUNK: usize = 1 << 14;
 
-/// Number of classes in the histogram of smallest angles, 5 degrees each: the smallest angle of a
-/// triangle is at most 60.
+/// Number of classes, each 5 degrees wide, in the histogram of smallest angles. The smallest angle
+/// of a triangle is at most 60 degrees.
 pub const ANGLE_CLASSES: usize = 12;
 
 /// The result of [`measure`]. Triangles with a missing or repeated vertex are ignored.
@@ -36,16 +36,17 @@ pub struct Measures {
     /// The area of all triangles, in the square of the unit of length.
     pub area: f64,
     /// The enclosed volume, in the cube of the unit of length, negative if triangles face inwards.
-    /// `None` unless closed and oriented.
+    /// `None` unless the mesh is closed and oriented.
     pub volume: Option<f64>,
-    /// Number of components, which share no vertex.
+    /// Number of components. Different components share no vertex.
     pub components: usize,
     /// Number of components that enclose almost nothing, such as two triangles back to back.
     pub flat_components: usize,
     /// The Euler characteristic: vertices - edges + triangles, where only vertices that triangles
     /// use are counted.
     pub euler_characteristic: i64,
-    /// Number of handles of all components. `None` unless closed, oriented and 2-manifold.
+    /// Total number of handles of all components. `None` unless the mesh is closed, oriented and
+    /// 2-manifold.
     pub genus: Option<i64>,
     /// The shapes of the triangles.
     pub quality: Quality,
@@ -56,20 +57,20 @@ pub struct Measures {
 pub struct Quality {
     /// Number of triangles by their smallest angle: from 0 to 5 degrees, from 5 to 10, and so on.
     pub least_angles: [usize; ANGLE_CLASSES],
-    /// The smallest angle of all triangles in degrees; `None` for an empty mesh.
+    /// The smallest angle of any triangle, in degrees; `None` for an empty mesh.
     pub worst_angle: Option<f64>,
     /// The number of the triangle with the smallest angle.
     pub worst_triangle: Option<usize>,
-    /// Mean of the smallest angles in degrees; `None` for an empty mesh.
+    /// Mean of the triangles' smallest angles, in degrees; `None` for an empty mesh.
     pub mean_angle: Option<f64>,
-    /// The worst aspect ratio, longest edge over shortest height, which is 1 for an equilateral
-    /// triangle. Triangles without area are ignored; `None` if no triangle has an area.
+    /// The worst aspect ratio: longest edge over shortest height, scaled so that it is 1 for an
+    /// equilateral triangle. Triangles without area are ignored; `None` if no triangle has an area.
     pub worst_aspect: Option<f64>,
     /// Number of triangles without area.
     pub flat: usize,
 }
 
-/// Measures all of `mesh`.
+/// Computes all measures of `mesh`.
 #[must_use]
 pub fn measure(mesh: &Mesh) -> Measures {
     let topology = topology(mesh);
@@ -119,7 +120,7 @@ impl Total {
     }
 
     fn value(self) -> f64 {
-        // An infinite sum has no compensation.
+        // An infinite sum has no valid compensation.
         if self.lost.is_finite() { self.sum + self.lost } else { self.sum }
     }
 }
@@ -163,7 +164,7 @@ fn pieces(mesh: &Mesh) -> Vec<ComponentSums> {
         let least = root(&mut lesser, triangle[0]);
         let [a, b, c] = triangle.map(|vertex| DVec3::from(mesh.positions[vertex as usize]));
         // Positions are relative to a vertex of the component, so that a small component far from
-        // other components keeps its digits.
+        // other components keeps its precision.
         let from = DVec3::from(mesh.positions[least as usize]);
         let piece = pieces.entry(least).or_default();
         piece.doubled_area.add((b - a).cross(c - a).length());
@@ -265,8 +266,8 @@ fn worse(earlier: Option<(f64, usize)>, later: Option<(f64, usize)>) -> Option<(
     earlier.into_iter().chain(later).reduce(|one, other| if other.0 < one.0 { other } else { one })
 }
 
-/// The smallest angle in degrees, from the corners and twice the area. It is opposite the shortest
-/// edge.
+/// The smallest angle of a triangle, in degrees, from its corners and twice its area. This angle is
+/// opposite the shortest edge.
 fn least_angle([a, b, c]: [DVec3; 3], doubled: f64) -> f64 {
     let across = [(b, c, a), (c, a, b), (a, b, c)];
     let cosine_scaled = across.map(|(from, to, apex)| (from - apex).dot(to - apex));

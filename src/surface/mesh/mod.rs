@@ -18,32 +18,31 @@ use std::ops::Range;
 
 use crate::particles::{AttributeInfo, AttributeKind};
 
-/// A value of every vertex.
+/// An attribute with values for every vertex.
 #[derive(Debug, Clone, PartialEq)]
 pub struct VertexAttribute {
     /// The name in the particles' file; the velocity is always called `velocity`.
     pub name: String,
     /// Number of components per vertex.
     pub components: usize,
-    /// The values of all vertices, with the components of each vertex together.
+    /// The values of all vertices, with the components of each vertex contiguous.
     pub values: Vec<f32>,
     /// The meaning of the numbers.
     pub kind: AttributeKind,
-    /// The exact values of an attribute of integers, because f32 cannot represent all integers;
-    /// empty for other kinds of attributes.
+    /// The exact values of an integer attribute, because f32 cannot represent all integers; empty
+    /// for other kinds of attributes.
     pub whole: Vec<i64>,
 }
 
 impl VertexAttribute {
-    /// An attribute of floating-point numbers: a colour if it has the name of a colour, else plain
-    /// numbers.
+    /// A floating-point attribute: a colour if `name` is that of a colour, otherwise plain numbers.
     #[must_use]
     pub fn new(name: impl Into<String>, components: usize, values: Vec<f32>) -> Self {
         let without = Self::without_values(AttributeInfo::new(name, components));
         Self { values, ..without }
     }
 
-    /// An attribute without values yet.
+    /// An attribute that has no values yet.
     #[must_use]
     pub fn without_values(info: AttributeInfo) -> Self {
         let AttributeInfo { name, components, kind } = info;
@@ -76,7 +75,7 @@ impl VertexAttribute {
     }
 }
 
-/// An indexed triangle mesh. Triangles are counter-clockwise seen from outside of the fluid.
+/// An indexed triangle mesh. Triangles are counter-clockwise as seen from outside the fluid.
 ///
 /// Positions are f64, so a surface far from the origin keeps its shape; the writer of each file
 /// format chooses f32 or f64.
@@ -93,7 +92,8 @@ pub struct Mesh {
 }
 
 impl Mesh {
-    /// Bytes of memory of its vertices and triangles.
+    /// Memory, in bytes, of the vertices and triangles, without the exact values of integer
+    /// attributes.
     #[must_use]
     pub fn bytes(&self) -> u64 {
         let values: usize =

@@ -11,13 +11,14 @@ use rayon::prelude::*;
 use super::source::{Corners, bounds_of, joined};
 use super::source::{MeshSource, Outline, Vertices};
 
-/// A mesh with its vertices and triangles in a better order within each piece. Needs 4 bytes per
-/// vertex.
+/// A mesh with its vertices and triangles in a better order within each piece. The order takes 4
+/// bytes per vertex.
 pub struct OrderedMesh<'a> {
     mesh: &'a dyn MeshSource,
-    /// For each vertex, its new number in its piece.
+    /// For each vertex, its new number within its piece.
     ranks: Vec<u32>,
-    /// The number of the first vertex of each piece; the last entry is the number of all vertices.
+    /// The number of the first vertex of each piece; the last entry is the total number of
+    /// vertices.
     firsts: Vec<u64>,
     bounds: Option<Corners>,
 }
@@ -46,7 +47,7 @@ impl<'a> OrderedMesh<'a> {
         Ok(ordered)
     }
 
-    /// Minimum and maximum corner of all vertices.
+    /// The bounding box of all vertices.
     pub fn bounds(&self) -> Option<Corners> {
         self.bounds
     }
@@ -124,7 +125,7 @@ impl MeshSource for OrderedMesh<'_> {
     }
 }
 
-/// Moves each group of `group` values to its new place.
+/// Moves each run of `group` values to the place given by its rank.
 fn permuted<T: Copy + Default>(values: &[T], ranks: &[u32], group: usize) -> Vec<T> {
     let mut permuted = vec![T::default(); values.len()];
     for (values, &rank) in values.chunks_exact(group.max(1)).zip(ranks) {

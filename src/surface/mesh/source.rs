@@ -20,8 +20,8 @@ pub struct Vertices<'a> {
     pub positions: Cow<'a, [[f64; 3]]>,
     /// One normal per vertex, or empty.
     pub normals: Cow<'a, [[f32; 3]]>,
-    /// The values of each attribute, with the components of each vertex together; integers as their
-    /// 32 bits.
+    /// The values of each attribute, with the components of each vertex contiguous. Integers are
+    /// stored as their 32 bits.
     pub attributes: Vec<Cow<'a, [f32]>>,
 }
 
@@ -38,23 +38,23 @@ pub struct Outline {
     pub attributes: Vec<AttributeInfo>,
     /// Number of pieces.
     pub pieces: usize,
-    /// The lattice of the samples that the mesh was made from, if they are known.
+    /// The lattice of the samples from which the mesh was made, if it is known.
     pub lattice: Option<Lattice>,
 }
 
-/// A lattice of places: `origin` plus `step` times integer coordinates.
+/// A lattice of points: `origin` plus `step` times integer coordinates.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Lattice {
     /// The position of the coordinates (0, 0, 0), in the mesh's unit of length.
     pub origin: [f64; 3],
-    /// The distance between neighbours, in the mesh's unit of length.
+    /// The distance between neighbouring points, in the mesh's unit of length.
     pub step: f64,
 }
 
 /// The positions of all vertices, and all triangles as indices into them.
 pub type Indexed = (Vec<[f64; 3]>, Vec<[u32; 3]>);
 
-/// A mesh in pieces. The vertices of all pieces in order are the mesh's vertices, and likewise the
+/// A mesh in pieces. The mesh's vertices are those of all pieces in order, and so are its
 /// triangles. Pieces can be read repeatedly, by several threads.
 pub trait MeshSource: Sync {
     /// A summary of the mesh.
@@ -73,8 +73,8 @@ pub trait MeshSource: Sync {
     /// If the pieces are in a file that cannot be read.
     fn triangles(&self, piece: usize) -> io::Result<Vec<[u64; 3]>>;
 
-    /// Fails if the work on the mesh was cancelled. Long work that does not read the mesh any more
-    /// calls this repeatedly.
+    /// Fails if the work on the mesh was cancelled. A long operation that no longer reads the mesh
+    /// must call this repeatedly.
     ///
     /// # Errors
     /// If the work was cancelled.
@@ -92,7 +92,8 @@ pub trait MeshSource: Sync {
         None
     }
 
-    /// All positions and triangles, if this is faster than reading them piece by piece.
+    /// All positions and triangles, if the source can read them faster together than piece by
+    /// piece.
     ///
     /// # Errors
     /// If the pieces are in a file that cannot be read.
@@ -175,7 +176,7 @@ fn range(piece: usize, len: usize) -> std::ops::Range<usize> {
     (piece * PIECE).min(len)..((piece + 1) * PIECE).min(len)
 }
 
-/// Arrays of different lengths are a bug in this library.
+/// Panics if arrays differ in length, which is a bug in this library.
 fn assert_complete(mesh: &Mesh) {
     let vertices = mesh.positions.len();
     let normals = mesh.normals.as_ref().map_or(vertices, Vec::len);
@@ -191,15 +192,15 @@ fn assert_complete(mesh: &Mesh) {
     }
 }
 
-/// A mesh that reports to its caller how many pieces have been read.
+/// A mesh that reports how many of its pieces have been read.
 pub struct MeteredMesh<'a> {
     mesh: &'a dyn MeshSource,
     meter: Meter<'a>,
 }
 
 impl<'a> MeteredMesh<'a> {
-    /// Prepares the progress reports of a mesh. `readings` is the number of passes over the pieces,
-    /// each of which reads the vertices or the triangles.
+    /// Prepares the progress reports of a mesh. `readings` is the number of passes over all pieces;
+    /// each pass reads either the vertices or the triangles.
     pub fn new(
         mesh: &'a dyn MeshSource,
         readings: usize,
@@ -245,7 +246,7 @@ impl MeshSource for MeteredMesh<'_> {
     }
 }
 
-/// Minimum and maximum corner.
+/// The minimum and the maximum corner of a box.
 pub type Corners = [[f64; 3]; 2];
 
 /// The bounding box of positions; `None` if there are none.
@@ -261,20 +262,20 @@ pub fn joined([lo, hi]: Corners, [p, q]: Corners) -> Corners {
     ]
 }
 
-/// Passes a mesh on, and records the bounding box of the vertices that were read.
+/// A mesh that records the bounding box of the vertices that have been read.
 pub struct BoundedMesh<'a> {
     mesh: &'a dyn MeshSource,
     bounds: Mutex<Option<Corners>>,
 }
 
 impl<'a> BoundedMesh<'a> {
-    /// Starts without a box.
+    /// Wraps a mesh of which no vertex has been read yet.
     pub fn new(mesh: &'a dyn MeshSource) -> Self {
         Self { mesh, bounds: Mutex::new(None) }
     }
 
-    /// The bounding box of the vertices that were read. After the mesh was written, this is the box
-    /// of the whole mesh.
+    /// The bounding box of the vertices that have been read. Once the mesh has been written, this
+    /// is the bounding box of the whole mesh.
     pub fn bounds(&self) -> Option<Corners> {
         *self.bounds.lock().unwrap_or_else(PoisonError::into_inner)
     }

@@ -12,7 +12,7 @@ use crate::system::scratch::Scratch;
 
 use super::{BlockMesh, Tile};
 
-/// The place of a block's surface in memory or file, and in the whole mesh.
+/// Where the surface of a block is stored, and where it is in the whole mesh.
 #[derive(Debug, Clone, Copy)]
 struct SpoolEntry {
     block: IVec3,
@@ -22,11 +22,11 @@ struct SpoolEntry {
     tiles: u32,
     vertices: u32,
     triangles: u32,
-    /// The offset of the surface's first byte in its file; 0 if the surface is in memory.
+    /// The byte offset of the surface in its file; 0 if the surface is in memory.
     at: u64,
 }
 
-/// Block surfaces in the order of insertion, which must be that of [`block_place`].
+/// Block surfaces in insertion order, which must be the order of [`block_place`].
 #[derive(Debug)]
 pub struct Spool {
     index: Vec<SpoolEntry>,
@@ -34,7 +34,7 @@ pub struct Spool {
     /// Number of components of each vertex attribute.
     components: Vec<usize>,
     normals: bool,
-    /// Bytes of all surfaces.
+    /// Size of all surfaces, in bytes.
     bytes: u64,
 }
 
@@ -46,11 +46,11 @@ enum BlockStore {
     Files(Vec<(usize, ReopenedFile)>),
 }
 
-/// A block in the list of a file that contains the surfaces of several blocks.
+/// An entry in the block list of a file that contains the surfaces of several blocks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C)]
 pub struct ListedBlock {
-    /// The block's coordinates in blocks of its level.
+    /// The block's coordinates, in blocks of its level.
     pub block: [i32; 3],
     /// Number of tiles.
     pub tiles: u32,
@@ -58,7 +58,7 @@ pub struct ListedBlock {
     pub vertices: u32,
     /// Number of triangles.
     pub triangles: u32,
-    /// The level of its cells, [packed](BlockLevel::packed).
+    /// The level of the block's cells, [packed](BlockLevel::packed).
     pub level: u32,
 }
 
@@ -67,37 +67,40 @@ pub struct ListedBlock {
 pub struct SpoolFile {
     /// The file.
     pub file: ReopenedFile,
-    /// The offset of the first surface.
+    /// The byte offset of the first surface.
     pub at: u64,
     /// The list of the blocks, in Morton order.
     pub blocks: Vec<ListedBlock>,
 }
 
 impl ListedBlock {
-    /// Bytes of its surface; `vertex_bytes` is the size of a vertex without its tile.
+    /// Size of the block's surface, in bytes. `vertex_bytes` is the size of a vertex without its
+    /// tile.
     pub fn bytes(&self, vertex_bytes: u64) -> u64 {
         u64::from(self.tiles) * size_of::<Tile>() as u64 + u64::from(self.vertices) * vertex_bytes
     }
 }
 
-/// Bytes of a vertex without its tile: the samples of its edge, its normal, and its attributes.
+/// Size, in bytes, of a vertex without its tile: the samples of its edge, its normal, and its
+/// attributes.
 pub fn vertex_bytes(normals: bool, components: &[usize]) -> u64 {
     let normal = if normals { size_of::<[f32; 3]>() } else { 0 };
     let attributes = components.iter().sum::<usize>() * size_of::<f32>();
     (size_of::<[u16; 2]>() + normal + attributes) as u64
 }
 
-/// Estimated bytes of tiles per vertex.
+/// Estimated size of tiles per vertex, in bytes.
 pub const TILE_SHARE: u64 = 4;
 
-/// Bytes of the surfaces of `blocks` blocks that have `vertices` vertices in total and contain the
-/// surface in every tile. A vertex has `vertex_bytes` without its tile.
+/// Size, in bytes, of the surfaces of `blocks` blocks that have `vertices` vertices in total and
+/// contain the surface in every tile. Each vertex takes `vertex_bytes` bytes without its tile.
 pub fn blocks_bytes(blocks: u64, vertices: u64, vertex_bytes: u64) -> u64 {
     vertices * vertex_bytes + blocks * u64::from(BLOCK_TILES) * size_of::<Tile>() as u64
 }
 
 impl Spool {
-    /// A spool for surfaces with or without normals, and attributes with these components.
+    /// A spool for surfaces in memory, with or without normals. `components` has the number of
+    /// components of each vertex attribute.
     pub fn in_memory(normals: bool, components: Vec<usize>) -> Self {
         Self {
             index: Vec::new(),
@@ -108,10 +111,10 @@ impl Spool {
         }
     }
 
-    /// Bytes of a block's entry in the index of a spool.
+    /// Size, in bytes, of a block's entry in the index of a spool.
     pub const BLOCK_BYTES: u64 = size_of::<SpoolEntry>() as u64;
 
-    /// A spool for surfaces in files, with blocks in Morton order across the files.
+    /// A spool for surfaces in files. The blocks of all files together must be in Morton order.
     pub fn in_files(normals: bool, components: Vec<usize>, files: Vec<SpoolFile>) -> Self {
         let mut spool = Self::in_memory(normals, components);
         let vertex_bytes = spool.vertex_bytes();
@@ -127,7 +130,8 @@ impl Spool {
         spool
     }
 
-    /// Adds a block to the index. `at` is the offset of its surface, if it is in a file.
+    /// Adds a block to the index. `at` is the byte offset of the block's surface, if it is in a
+    /// file.
     fn list(&mut self, listed: ListedBlock, at: u64) {
         let ListedBlock { block, tiles, vertices, triangles, level } = listed;
         let (first_vertex, first_triangle) = (self.vertices(), self.triangles());
@@ -144,7 +148,7 @@ impl Spool {
         });
     }
 
-    /// All blocks as entries of a file's list.
+    /// All blocks, as entries for the block list of a file.
     pub fn listed(&self) -> impl ExactSizeIterator<Item = ListedBlock> + '_ {
         self.index.iter().map(|&SpoolEntry { block, level, tiles, vertices, triangles, .. }| {
             ListedBlock {
@@ -160,17 +164,17 @@ impl Spool {
     /// Writes the surfaces of all blocks.
     ///
     /// # Errors
-    /// If the scratch file cannot be read, or `out` cannot be written.
+    /// If a file with surfaces cannot be read, or `out` cannot be written.
     pub fn write_all(&self, out: &mut dyn Write) -> io::Result<()> {
         (0..self.len()).try_for_each(|i| out.write_all(&self.get(i)?.to_bytes()))
     }
 
-    /// Bytes of all surfaces, in memory or in the file.
+    /// Size, in bytes, of all surfaces, in memory or in files.
     pub fn bytes(&self) -> u64 {
         self.bytes
     }
 
-    /// Bytes of the surfaces that are in memory.
+    /// Size, in bytes, of the surfaces that are in memory.
     pub fn bytes_in_memory(&self) -> u64 {
         match self.store {
             BlockStore::Memory(_) => self.bytes,
@@ -178,15 +182,15 @@ impl Spool {
         }
     }
 
-    /// Bytes of a vertex without its tile.
+    /// Size, in bytes, of a vertex without its tile.
     pub fn vertex_bytes(&self) -> u64 {
         vertex_bytes(self.normals, &self.components)
     }
 
-    /// Moves all current and future surfaces to a scratch file in `folder`.
+    /// Moves all surfaces to a scratch file in `folder`, to which later surfaces are added.
     ///
     /// # Errors
-    /// If that file cannot be created or written.
+    /// If the scratch file cannot be created or written.
     pub fn move_to_file(&mut self, folder: &Path) -> io::Result<()> {
         let BlockStore::Memory(blocks) = &mut self.store else { return Ok(()) };
         let blocks = std::mem::take(blocks);
@@ -232,12 +236,12 @@ impl Spool {
         self.index.is_empty()
     }
 
-    /// Number of vertices of all blocks.
+    /// Total number of vertices in all blocks.
     pub fn vertices(&self) -> u64 {
         self.index.last().map_or(0, |e| e.first_vertex + u64::from(e.vertices))
     }
 
-    /// Number of triangles of all blocks.
+    /// Total number of triangles in all blocks.
     pub fn triangles(&self) -> u64 {
         self.index.last().map_or(0, |e| e.first_triangle + u64::from(e.triangles))
     }
@@ -252,12 +256,12 @@ impl Spool {
         self.normals
     }
 
-    /// The coordinates of every block in blocks of its level, and its level.
+    /// The coordinates of every block, in blocks of the block's level, and that level.
     pub fn blocks(&self) -> impl Iterator<Item = (IVec3, BlockLevel)> + '_ {
         self.index.iter().map(|entry| (entry.block, entry.level))
     }
 
-    /// The coordinates of block number `i` in blocks of its level.
+    /// The coordinates of block number `i`, in blocks of its level.
     pub fn block(&self, i: usize) -> IVec3 {
         self.index[i].block
     }
@@ -267,7 +271,7 @@ impl Spool {
         self.index[i].level
     }
 
-    /// The number that the first vertex of block number `i` has in the whole mesh.
+    /// The number, in the whole mesh, of the first vertex of block number `i`.
     pub fn first_vertex(&self, i: usize) -> u64 {
         self.index[i].first_vertex
     }
@@ -277,12 +281,12 @@ impl Spool {
         self.index.partition_point(|entry| entry.first_vertex <= vertex) - 1
     }
 
-    /// The numbers of vertices and triangles of block number `i`.
+    /// The numbers of vertices and triangles in block number `i`.
     pub fn counts(&self, i: usize) -> [usize; 2] {
         [self.index[i].vertices as usize, self.index[i].triangles as usize]
     }
 
-    /// The number of the block at `coord` of a level, if it contains the surface.
+    /// The number of the block at `coord`, in blocks of `level`, if it contains the surface.
     pub fn find(&self, coord: IVec3, level: u8) -> Option<usize> {
         let place = block_place(coord, BlockLevel { level, ..BlockLevel::default() });
         self.index.binary_search_by_key(&place, |entry| block_place(entry.block, entry.level)).ok()
@@ -338,8 +342,9 @@ impl Spool {
     }
 }
 
-/// The place of a block in the order of a spool: by the last of the finest blocks that it contains,
-/// so that a block's triangles refer to vertices of its own and of later blocks.
+/// The place of a block in the order of a spool. Blocks are ordered by the last of the finest
+/// blocks that they contain, so a block's triangles refer only to vertices of the block itself and
+/// of later blocks.
 pub fn block_place(block: IVec3, level: BlockLevel) -> (MortonKey, u8) {
     (MortonKey::of(level.first_block(block + 1) - 1), level.level)
 }
@@ -378,7 +383,7 @@ fn read_array<T: bytemuck::Pod>(
 }
 
 impl BlockMesh {
-    /// All arrays, in the order in which [`Spool::get`] reads them.
+    /// The bytes of all arrays, in the order in which [`Spool::get`] reads them.
     fn to_bytes(&self) -> Vec<u8> {
         let mut bytes = Vec::with_capacity(self.bytes() as usize);
         bytes.extend_from_slice(bytemuck::cast_slice(&self.tiles));
@@ -390,7 +395,7 @@ impl BlockMesh {
         bytes
     }
 
-    /// The number of bytes of all arrays.
+    /// Size of all arrays, in bytes.
     fn bytes(&self) -> u64 {
         let attributes: usize = self.attributes.iter().map(|values| size_of_val(&values[..])).sum();
         let own = size_of_val(&self.tiles[..])

@@ -1,4 +1,4 @@
-//! The triangles of a mesh in a tree of boxes, for nearest points and crossings.
+//! The triangles of a mesh in a tree of boxes, for finding nearest points and crossings.
 
 use glam::DVec3;
 use parry3d_f64::bounding_volume::Aabb;
@@ -22,7 +22,7 @@ pub enum Side {
     Mesh,
 }
 
-/// An error of comparing meshes.
+/// An error in comparing meshes.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 pub enum CompareError {
     /// No triangle has an area.
@@ -31,7 +31,7 @@ pub enum CompareError {
     /// A coordinate is not finite, or so large that its powers overflow.
     #[error("vertex {vertex} of the {} is not finite, or farther than 1e70 from the origin", side.name())]
     NotFinite {
-        /// The mesh that the vertex belongs to.
+        /// The mesh to which the vertex belongs.
         side: Side,
         /// The first invalid vertex that a triangle uses.
         vertex: u32,
@@ -39,7 +39,7 @@ pub enum CompareError {
 }
 
 impl CompareError {
-    /// The mesh with the error.
+    /// The mesh that caused the error.
     pub fn side(&self) -> Side {
         match *self {
             Self::NoSurface(side) | Self::NotFinite { side, .. } => side,
@@ -56,10 +56,10 @@ impl Side {
     }
 }
 
-/// A mesh whose triangles are searched.
+/// A mesh whose triangles can be searched.
 #[derive(Debug)]
 pub struct TriangleTree {
-    /// The origin of the positions.
+    /// The origin to which the positions are relative.
     origin: DVec3,
     positions: Vec<DVec3>,
     triangles: Vec<[u32; 3]>,
@@ -96,7 +96,7 @@ impl TriangleTree {
         Ok(Self { origin, positions, triangles, tree })
     }
 
-    /// The origin of the positions.
+    /// The origin to which the positions are relative.
     pub(super) fn origin(&self) -> DVec3 {
         self.origin
     }
@@ -141,12 +141,13 @@ impl TriangleTree {
         self.tree.intersect_aabb(&around).next().is_some()
     }
 
-    /// The crossings of a line along x, at given y and z, with triangles beyond x = `from`, in no
-    /// particular order: the position, and 1 or -1 if the triangle faces along x or against it.
+    /// The crossings of a line along x, at the given y and z, with all triangles that reach beyond
+    /// x = `from`, in no particular order. A crossing has an x coordinate, and 1 or -1 if the
+    /// triangle faces along x or against it.
     ///
-    /// The edges of a triangle decide whether the line crosses it, and both triangles of an edge
-    /// get the same decision. For a closed surface, the sum of the signs beyond a place is
-    /// therefore the winding number of the surface around this place, for every line.
+    /// The edges of a triangle decide whether the line crosses it, and an edge gives the same
+    /// decision for both of its triangles. For a closed surface, the sum of the signs beyond a
+    /// place is therefore the winding number of the surface around this place, for every line.
     #[must_use]
     pub fn crossings(&self, [y, z]: [f64; 2], from: f64) -> Vec<(f64, i32)> {
         let at = DVec3::new(from, y, z) - self.origin;
@@ -179,17 +180,17 @@ impl TriangleTree {
     }
 }
 
-/// The crossing of a line along x, at given y and z, with a triangle, and 1 or -1 if the triangle
-/// faces along x or against it.
+/// The crossing of a line along x, at the given y and z, with a triangle: the x coordinate, and 1
+/// or -1 if the triangle faces along x or against it.
 fn crossing(corners: [DVec3; 3], [y, z]: [f64; 2]) -> Option<(f64, i32)> {
     let [a, b, c] = corners;
-    // Of three edges, none or two cross from below z to z or above.
+    // Either none or two of the three edges join a point at or below z to a point above z.
     let mut across = [(a, b), (b, c), (c, a)].into_iter().filter_map(|(from, to)| {
         let rises = from.z <= z;
         if rises == (to.z <= z) {
             return None;
         }
-        // The position on an edge is equal for both of its triangles.
+        // The computed position on an edge is the same for both of its triangles.
         let (low, high) = if rises { (from, to) } else { (to, from) };
         let share = (z - low.z) / (high.z - low.z);
         let at = low + (high - low) * share;
@@ -209,7 +210,7 @@ pub(super) fn scaled_normal([a, b, c]: [DVec3; 3]) -> DVec3 {
     (b - a).cross(c - a)
 }
 
-/// The nearest point of a surface to some point.
+/// The point of a surface that is nearest to a given point.
 pub(super) struct SurfacePoint {
     pub(super) triangle: usize,
     pub(super) squared: f64,

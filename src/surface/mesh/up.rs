@@ -31,7 +31,8 @@ impl fmt::Display for UpAxis {
 }
 
 impl UpAxis {
-    /// Rotates a place or a direction by a quarter turn about x, so that this axis becomes `to`.
+    /// Rotates a place or a direction by a quarter turn about x, so that the axis `self` becomes
+    /// `to`.
     #[must_use]
     pub fn turned<T: Copy + Default + Sub<Output = T>>(
         self,
@@ -48,9 +49,9 @@ impl UpAxis {
     }
 }
 
-/// A mesh that is rotated, if necessary, so that another axis points up: its positions, normals,
-/// and attributes of three components except colours and integers. Other attributes, including
-/// tensors, stay unchanged.
+/// A mesh that is rotated, if necessary, so that another axis points up. The rotation changes
+/// positions, normals, and attributes with three components, except colours and integers. Other
+/// attributes, including tensors, stay unchanged.
 pub struct TurnedMesh<'a> {
     mesh: &'a dyn MeshSource,
     from: UpAxis,
@@ -62,7 +63,7 @@ pub struct TurnedMesh<'a> {
 impl<'a> TurnedMesh<'a> {
     /// Rotates `mesh` from up axis `from` to up axis `to`.
     pub fn new(mesh: &'a dyn MeshSource, from: UpAxis, to: UpAxis) -> Self {
-        // Attributes of three components are directions, except colours and integers.
+        // Attributes with three components are directions, except colours and integers.
         let is_direction = |info: &AttributeInfo| {
             info.components == 3
                 && !info.kind.is_colour()

@@ -4,29 +4,29 @@ use glam::{DMat3, DVec2, DVec3};
 
 use crate::surface::mesh::source::Corners;
 
-/// The vertical field of view in degrees, similar to a lens of 70 mm.
+/// The vertical field of view in degrees, similar to that of a 70 mm lens.
 const FIELD_OF_VIEW: f64 = 28.0;
-/// The fraction of a picture that the box may fill.
+/// The fraction of a picture that the bounding box may fill.
 const FILLED: f64 = 0.94;
 /// The distance of the near plane from the eye, as a fraction of the distance to the target.
 const NEAREST: f64 = 1e-3;
 
-/// Maximum coordinate that is drawn. The squares of larger coordinates would overflow. Vertices
-/// with larger coordinates do not affect the bounding box either.
+/// Maximum magnitude of coordinates that are drawn. The squares of larger coordinates would
+/// overflow. Vertices with larger coordinates do not affect the bounding box either.
 pub(super) const FARTHEST: f64 = 1e100;
 
 /// A view of a mesh.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub enum View {
-    /// From a direction, as close as possible with the whole box visible.
+    /// From a direction, and as close as possible while the whole bounding box is visible.
     From {
-        /// Degrees around the up axis: 0 looks along the last horizontal axis, 90 along the other
-        /// horizontal axis.
+        /// Degrees around the up axis. At 0, the camera looks parallel to the last horizontal axis;
+        /// at 90, parallel to the other horizontal axis.
         azimuth: f64,
         /// Degrees above the horizon.
         elevation: f64,
-        /// Magnification relative to the view of the whole box.
+        /// Magnification relative to the view of the whole bounding box.
         zoom: f64,
     },
     /// From one point towards another point.
@@ -38,12 +38,12 @@ pub enum View {
     },
 }
 
-/// An eye, the axes of its picture, and the size of a unit length at distance 1, in heights of the
-/// picture.
+/// An eye, the axes of its picture, and the size of a unit length at distance 1, in units of the
+/// picture's height.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Camera {
     pub(super) eye: DVec3,
-    /// To the right, up, and towards the viewer.
+    /// The directions to the right, up, and towards the viewer.
     pub(super) axes: DMat3,
     focal: f64,
     /// The distance from the eye to the target.
@@ -51,8 +51,8 @@ pub(super) struct Camera {
 }
 
 impl Camera {
-    /// The eye for a view of a box. The axes of `world` are right, up and towards the viewer;
-    /// `width` is in heights of the picture.
+    /// The camera for a view of a box. The axes of `world` are right, up and towards the viewer;
+    /// `width` is the picture's width, in units of its height.
     pub(super) fn new(view: Option<View>, bounds: Corners, world: DMat3, width: f64) -> Self {
         let [lo, hi] = bounds.map(DVec3::from);
         let (middle, half) = ((lo + hi) / 2.0, (hi - lo) / 2.0);
@@ -64,7 +64,7 @@ impl Camera {
                 return Self { eye, axes, focal, distance: eye.distance(target) };
             }
             Some(View::From { azimuth, elevation, zoom }) => (azimuth, elevation, zoom),
-            // The long side of the box is horizontal.
+            // The longer horizontal side of the box extends across the picture.
             None => {
                 let size = world.transpose() * half;
                 let along = if size.z.abs() > 1.2 * size.x.abs() { 62.0 } else { 28.0 };
@@ -104,8 +104,9 @@ impl Camera {
                 .fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(lo, hi), at| {
                     (lo.min(at), hi.max(at))
                 });
-            // The step is as long as if every corner were as near as the nearest corner. Farther
-            // corners move less in the picture, so the step is never too long.
+            // The step has the length that would be right if every corner were as near as the
+            // nearest corner. Farther corners move less in the picture, so the step is never too
+            // long.
             let nearest = corners
                 .iter()
                 .map(|&corner| axes.z_axis.dot(corner - target))
@@ -117,7 +118,8 @@ impl Camera {
         Self { eye: target + axes.z_axis * distance, axes, focal, distance }
     }
 
-    /// An eye at a distance of `radii` from a ball, in a direction; the ball fills the picture.
+    /// A camera in the direction `back` from a ball, at a distance of `radii` radii from the ball's
+    /// middle. The ball fills the picture.
     pub(super) fn far(middle: DVec3, radius: f64, radii: f64, back: DVec3, world: DMat3) -> Self {
         let distance = radius * radii;
         Self {
@@ -128,8 +130,8 @@ impl Camera {
         }
     }
 
-    /// A place in the coordinates of the eye: `[x, y, distance]`. x / distance and y / distance are
-    /// the position on the picture, to the right and up from its middle, in heights of the picture.
+    /// A place in camera coordinates: `[x, y, distance]`. x / distance and y / distance are the
+    /// position on the picture, to the right and up from its middle, in units of its height.
     #[inline]
     pub(super) fn seen(&self, place: DVec3) -> [f64; 3] {
         let seen = self.axes.transpose() * (place - self.eye);
@@ -146,20 +148,21 @@ impl Camera {
         self.distance
     }
 
-    /// The direction of a point of the picture. The point is given in heights of the picture from
-    /// its middle, with y up. The component of the direction along the line of sight is 1.
+    /// The direction from the eye towards a point of the picture. The point is given relative to
+    /// the picture's middle, with y up, in units of the picture's height. The component of the
+    /// direction along the middle line of sight is 1.
     pub(super) fn towards(&self, x: f64, y: f64) -> DVec3 {
         self.axes * DVec3::new(x / self.focal, y / self.focal, -1.0)
     }
 }
 
-/// The centre and the radius of the circumscribed ball of a box.
+/// The centre and the radius of the ball around a box.
 pub(super) fn ball(bounds: Corners) -> (DVec3, f64) {
     let [lo, hi] = bounds.map(DVec3::from);
     ((lo + hi) / 2.0, ((hi - lo).length() / 2.0).max(f64::MIN_POSITIVE.sqrt()))
 }
 
-/// The axes of a picture from a direction.
+/// The axes of a picture that is seen from the direction `back`.
 fn looking(back: DVec3, world: DMat3) -> DMat3 {
     let right = world.y_axis.cross(back).normalize_or(world.x_axis);
     DMat3::from_cols(right, back.cross(right), back)

@@ -72,8 +72,8 @@ impl Reference {
 }
 
 impl PartialEq for Reference {
-    /// Whether one is a copy of the other. Surfaces of equal meshes that were prepared separately
-    /// differ.
+    /// Whether one reference is a copy of the other. References that were prepared separately
+    /// differ, even if their meshes are equal.
     fn eq(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.0, &other.0)
     }
@@ -100,7 +100,7 @@ const MAPS: [(&str, Gradient); 9] = [
 const DIVERGING: usize = MAPS.len() - 1;
 
 impl ColourMap {
-    /// Names of all maps.
+    /// The names of all colour maps.
     pub const NAMES: [&'static str; MAPS.len()] = {
         let mut names = [""; MAPS.len()];
         let mut n = 0;
@@ -141,7 +141,7 @@ impl FromStr for ColourMap {
 /// The values that determine the vertices' colours.
 pub(super) enum ColourSource<'a> {
     None,
-    /// An attribute with its number of components.
+    /// An attribute of the vertices.
     Attribute {
         index: usize,
         components: usize,
@@ -169,7 +169,7 @@ impl<'a> ColourSource<'a> {
         Ok(Self::Attribute { index, components, kind })
     }
 
-    /// Whether there are values.
+    /// Whether the colours depend on values.
     pub(super) fn any(&self) -> bool {
         !matches!(self, Self::None)
     }
@@ -213,7 +213,7 @@ impl Palette {
 }
 
 /// Draws a legend for the values from `lo` to `hi`. If `beyond` is true, the legend says that the
-/// colours at the ends also stand for values outside of this range.
+/// colours at the ends also stand for values outside this range.
 pub(super) fn legend(
     image: &mut Image,
     name: &str,

@@ -1,4 +1,4 @@
-//! Draws a mesh: bounding box, visible triangles, and the light of every pixel.
+//! Draws a mesh: finds its bounding box, its visible triangles, and the light of every pixel.
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -55,8 +55,8 @@ impl Picture {
         Ok(Shape::read(mesh, &values, &MeshMemory::Batches(0))?.scope)
     }
 
-    /// Decides whether the whole mesh or batches are held in memory, and how much memory remains
-    /// for the visible part of the mesh.
+    /// Decides whether the whole mesh or only batches of it are held in memory, and how much memory
+    /// remains for the visible part of the mesh.
     fn memory_for(&self, mesh: &dyn MeshSource) -> Result<(MeshMemory, Budget), PictureError> {
         let allowed = self.memory.unwrap_or(u64::MAX);
         let [width, height] = self.pixels();

@@ -1,7 +1,7 @@
 //! Draws triangles onto two rasters at once, on all threads: the views of the eye and the sun.
 //!
 //! Most triangles of a fine mesh lie between samples, and most triangles of a coarse mesh cover few
-//! rows. Therefore tasks first test whether the bounding box of each triangle contains a sample,
+//! rows. Therefore, tasks first test whether the bounding box of each triangle contains a sample,
 //! and draw small triangles immediately. Each thread then draws the large triangles within its own
 //! strips of rows.
 
@@ -37,7 +37,8 @@ fn may_show([a, b, c]: [u64; 3]) -> [u64; VIEWS] {
     [both(63), both(31)]
 }
 
-/// The triangles of a task that are not drawn yet: one bit each, and the range of their rows.
+/// The triangles of a task that have not been drawn yet: one bit for each, and the range of their
+/// rows.
 struct PendingTriangles {
     first: i32,
     end: i32,
@@ -111,7 +112,8 @@ fn draw_small(
 ) -> [PendingTriangles; VIEWS] {
     let mut large = [PendingTriangles::NONE; VIEWS];
     for (word, triangles) in triangles.chunks(WORD).enumerate() {
-        // This loop has no branches: whether a small triangle contains a sample is almost random.
+        // This loop has no branches, because whether a small triangle contains a sample is almost
+        // random.
         let mut may_hold = [0; VIEWS];
         for (n, &[a, b, c]) in triangles.iter().enumerate() {
             let halves = |corner: u32| corners.halves[batch.index(corner)];
@@ -120,8 +122,8 @@ fn draw_small(
             may_hold[1] |= sun << n;
         }
         for (view, raster) in rasters.iter().enumerate() {
-            // This loop has no branches either: whether the only sample in a triangle's box is
-            // inside the triangle is almost random.
+            // This loop has no branches either, because whether the only sample in a triangle's box
+            // is inside the triangle is almost random.
             let mut drawn = 0;
             for n in ones(may_hold[view]) {
                 let corners = of(&triangles[n], batch, corners, view);

@@ -1,4 +1,4 @@
-//! Images of 8 bits per channel: labels, contact sheets and files.
+//! Images with 8 bits per channel, and their labels, contact sheets and files.
 
 use std::convert::Infallible;
 use std::io::{self, BufRead, Seek, Write};
@@ -12,7 +12,7 @@ use embedded_graphics::pixelcolor::{Rgb888, RgbColor};
 use embedded_graphics::prelude::Drawable;
 use embedded_graphics::text::{Alignment, Baseline, Text, TextStyleBuilder};
 
-/// Images with more rows than this have labels in a larger type.
+/// Images with more rows than this have labels in a larger font.
 const HIGH: usize = 540;
 const INK: Rgb888 = Rgb888::new(28, 32, 36);
 /// Gap between images of a sheet, in pixels.
@@ -81,7 +81,8 @@ impl Image {
         }
     }
 
-    /// Joins images of the same size in rows of `columns`; `None` without images.
+    /// Joins images of the same size into a sheet with `columns` images per row; `None` if there
+    /// are no images.
     ///
     /// # Panics
     /// If the sizes of the images differ.
@@ -130,7 +131,7 @@ impl Image {
     }
 }
 
-/// The text that names the source of a `.png` file of this library; `None` for other files.
+/// The text that names the source of a `.png` file that this library wrote; `None` for other files.
 pub(crate) fn source_of_png(file: &mut (impl BufRead + Seek)) -> Option<String> {
     let reader = png::Decoder::new(file).read_info().ok()?;
     let text = reader.info().utf8_text.iter().find(|text| text.keyword == SOURCE)?;
@@ -144,15 +145,15 @@ pub struct Animation<'a> {
 }
 
 impl<'a> Animation<'a> {
-    /// Starts a file of `images` images that are as large as `first`, with `fps` images per second.
-    /// The animation repeats forever.
+    /// Starts a file of `images` images that have the size of `first`, with `fps` images per
+    /// second. The animation repeats forever.
     ///
     /// # Errors
     /// If `out` cannot be written, or if `images` is 0.
     pub fn begin(out: &'a mut dyn Write, first: &Image, images: u32, fps: f64) -> io::Result<Self> {
         let mut encoder = first.encoder(out);
         encoder.set_animated(images, 0)?;
-        // In milliseconds, which suffices for every valid rate.
+        // The delay is in milliseconds, which is precise enough for every valid rate.
         encoder.set_frame_delay((1000.0 / fps).round().clamp(1.0, 65_535.0) as u16, 1000)?;
         Ok(Self { writer: encoder.write_header()?, size: [first.width, first.height] })
     }

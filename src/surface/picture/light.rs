@@ -6,7 +6,7 @@ use std::sync::LazyLock;
 use glam::Vec3;
 use rayon::prelude::*;
 
-/// The direction of the sun, in the axes right, up and towards the viewer.
+/// The direction of the sun, with the components right, up and towards the viewer.
 pub(super) const SUN: Vec3 = Vec3::new(-0.42, 0.78, 0.46);
 const SUNLIGHT: Vec3 = Vec3::new(1.05, 1.0, 0.92);
 /// Light from above.
@@ -27,18 +27,18 @@ const INK: Vec3 = Vec3::new(0.01, 0.012, 0.015);
 /// The reflectance of water at normal incidence (Schlick 1994, index of refraction 1.33).
 const MIRRORED: f32 = 0.02;
 const REFRACTION: f32 = 1.0 / 1.33;
-/// Absorption of light by water over the radius of the scene.
+/// Absorption of light by water, per radius of the scene.
 const TAKEN: Vec3 = Vec3::new(9.0, 2.6, 1.1);
 /// Light that deep water adds.
 const GIVEN: Vec3 = Vec3::new(0.004, 0.105, 0.26);
-/// How fast the added light increases with the path length, over the radius of the scene.
+/// The rate at which the added light increases with the path length, per radius of the scene.
 const CLOUDED: f32 = 6.0;
-/// Diffuse reflection of water, for a film and for deep water. Without it, the shape of water, and
-/// drops and thin sheets, would be invisible.
+/// Diffuse reflection of water, for a film and for deep water. Without it, drops, thin sheets and
+/// the shape of the water would be invisible.
 const MILK: [f32; 2] = [0.34, 0.42];
 const MILK_COLOUR: Vec3 = Vec3::new(0.10, 0.38, 0.66);
 
-/// A place on a surface, with its line of sight.
+/// A place on a surface, as seen along a line of sight.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct ShadedPoint {
     /// The direction from the eye. All directions in this module have unit length.
@@ -51,7 +51,7 @@ pub(super) struct ShadedPoint {
     pub(super) lit: f32,
 }
 
-/// The light of the backdrop from a direction.
+/// The light of the backdrop, seen in the direction `towards`.
 pub(super) fn backdrop(towards: Vec3) -> Vec3 {
     let [above, level, below] = BACKDROP;
     let up = towards.y;
@@ -62,7 +62,7 @@ pub(super) fn backdrop(towards: Vec3) -> Vec3 {
     }
 }
 
-/// The light of the sky from a direction, including the sun's glow.
+/// The light of the sky, seen in the direction `towards`, including the sun's glow.
 fn sky(towards: Vec3) -> Vec3 {
     let up = towards.y;
     let sky = if up >= 0.0 {
@@ -74,13 +74,13 @@ fn sky(towards: Vec3) -> Vec3 {
     sky + SUNLIGHT * (1.6 * near.powi(180) + 0.25 * near.powi(12))
 }
 
-/// The light on a diffuse surface.
+/// The light that falls on a diffuse surface.
 fn fallen(normal: Vec3, lit: f32) -> Vec3 {
     let ambient = BELOW.lerp(ABOVE, 0.5 + 0.5 * normal.y);
     ambient * 0.75 + SUNLIGHT * (0.65 * lit * normal.dot(SUN.normalize()).max(0.0))
 }
 
-/// The light of flat ground; `lit` is the fraction of the sun's light.
+/// The light of flat ground; `lit` is the fraction of the sun's light that arrives.
 pub(super) fn ground(lit: f32) -> Vec3 {
     GROUND * fallen(Vec3::Y, lit)
 }
@@ -92,8 +92,8 @@ pub(super) fn solid(colour: Vec3, seen: ShadedPoint) -> Vec3 {
     colour * fallen(seen.normal, seen.lit) + SUNLIGHT * (0.12 * gloss * seen.lit)
 }
 
-/// The light of water. `behind` gives the light that comes from a direction behind the water; `exp`
-/// is the exponential function.
+/// The light of water. `behind` returns the light behind the water that is seen in a direction;
+/// `exp` is the exponential function.
 pub(super) fn water(
     seen: ShadedPoint,
     exp: impl Fn(f32) -> f32,
@@ -103,7 +103,8 @@ pub(super) fn water(
     let facing = (-towards.dot(normal)).clamp(0.0, 1.0);
     let mirrored = MIRRORED + (1.0 - MIRRORED) * (1.0 - facing).powi(5);
     let mirror = sky(towards + 2.0 * facing * normal);
-    // Refraction by Snell's law on entry; the light leaves in the same direction as it entered.
+    // The line of sight is refracted by Snell's law where it enters the water, and not again where
+    // it leaves the water.
     let along = towards + facing * normal;
     let bent = towards.lerp((towards - along * (1.0 - REFRACTION)).normalize(), 0.7).normalize();
     let left = Vec3::new(exp(-TAKEN.x * through), exp(-TAKEN.y * through), exp(-TAKEN.z * through));
@@ -131,7 +132,7 @@ pub(super) fn quick_exp(x: f32) -> f32 {
 }
 const EXPONENT_BIAS: f32 = (f32::MAX_EXP - 1) as f32;
 
-/// A dark wire that covers a fraction of a surface.
+/// The light of a surface, a fraction of which is covered by a dark wire.
 pub(super) fn wire(surface: Vec3, share: f32) -> Vec3 {
     surface.lerp(INK, share)
 }
@@ -139,7 +140,7 @@ pub(super) fn wire(surface: Vec3, share: f32) -> Vec3 {
 /// The byte of a channel in sRGB, after compressing values that are too bright.
 pub(super) fn byte(light: f32) -> u8 {
     let x = light.max(0.0);
-    // Linear up to 0.8, then towards 1.
+    // Linear up to 0.8, then approaching 1.
     let x = if x <= 0.8 { x } else { 1.0 - 0.2 * (-(x - 0.8) / 0.2).exp() };
     SRGB[((x * (SRGB_STEPS - 1) as f32 + 0.5) as usize).min(SRGB_STEPS - 1)]
 }
@@ -164,10 +165,10 @@ pub(super) fn linear([r, g, b]: [u8; 3]) -> Vec3 {
     Vec3::new(light(r), light(g), light(b))
 }
 
-/// Distance in pixels between computed points.
+/// Distance, in pixels, between computed points.
 const STEP: usize = 4;
 
-/// Light at a coarse grid of pixels, interpolated in between.
+/// Light on a coarse grid of pixels, interpolated between the grid's points.
 pub(super) struct Sketch {
     columns: usize,
     known: Vec<Vec3>,

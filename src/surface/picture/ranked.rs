@@ -11,13 +11,13 @@ use crate::system::memory::zeroed;
 /// Length of the range of numbers that a task maps.
 const NUMBERS: u32 = 1 << 13;
 
-/// A set to which several threads add.
+/// A set to which several threads can add members at the same time.
 pub(super) struct AtomicSet {
     first: u32,
     words: Vec<AtomicU64>,
 }
 
-/// A set with ranks.
+/// A set whose members have ranks.
 pub(super) struct RankedSet {
     first: u32,
     words: Vec<u64>,
@@ -26,12 +26,12 @@ pub(super) struct RankedSet {
 }
 
 impl AtomicSet {
-    /// An empty set for a range.
+    /// An empty set for the numbers in a range.
     pub(super) fn none_of(range: Range<u32>) -> Self {
         Self { first: range.start, words: zeroed(range.len().div_ceil(64)) }
     }
 
-    /// Bytes of a ranked set for a range of `numbers` numbers.
+    /// Size, in bytes, of a ranked set for a range of `numbers` numbers.
     pub(super) fn bytes(numbers: u64) -> u64 {
         numbers.div_ceil(64) * (size_of::<u64>() + size_of::<u32>()) as u64
     }
@@ -114,7 +114,7 @@ impl RankedSet {
         all
     }
 
-    /// The number of members less than a number.
+    /// The number of members that are less than `number`.
     fn rank_from(&self, number: u32) -> u32 {
         let at = number.saturating_sub(self.first) as usize;
         match self.words.get(at / 64) {

@@ -1,12 +1,12 @@
 //! The visible surface: for every sample of a picture, the nearest triangle, and the path length
 //! through the water behind it (a visibility buffer, Burns and Hunt 2013).
 //!
-//! Corners are rounded to 1 / 256 of a sample, and integer arithmetic decides whether a sample is
-//! inside a triangle. A sample on an edge belongs to the triangle below or to the right. A closed
-//! surface therefore has no cracks, and every line of sight leaves it as often as it enters. A
-//! sample holds an integer sum and a maximum over triangles, which do not depend on the triangles'
-//! order. Therefore any thread may draw small triangles. Each thread draws the parts of large
-//! triangles in its own rows.
+//! Corners are rounded to 1 / 256 of the distance between samples, and integer arithmetic decides
+//! whether a sample is inside a triangle. A sample on an edge belongs to the triangle below or to
+//! the right. A closed surface therefore has no cracks, and every line of sight leaves it as often
+//! as it enters. A sample holds an integer sum and a maximum over triangles, which do not depend on
+//! the triangles' order. Therefore, any thread may draw small triangles. Each thread draws the
+//! parts of large triangles in its own rows.
 
 use std::ops::Range;
 use std::sync::atomic::{AtomicI32, AtomicU64, Ordering};
@@ -28,7 +28,7 @@ const FAR: i32 = 1 << 28;
 const WAY_STEPS: f64 = (1 << 26) as f64;
 
 /// Maximum number of samples in the box of a triangle that any thread may draw. Larger triangles
-/// are faster without concurrent writes.
+/// are drawn faster without concurrent writes.
 const FEW: i64 = 4;
 
 /// A corner of a triangle on the picture.
@@ -60,8 +60,8 @@ pub(super) struct Raster {
     pub(super) height: usize,
     nearest: Vec<AtomicU64>,
     through: Vec<AtomicI32>,
-    /// Distance from the eye to the target. With this unit, numbers keep their digits for any size
-    /// of mesh.
+    /// Distance from the eye to the target. In this unit, numbers keep their precision for meshes
+    /// of any size.
     unit: f64,
     /// The distance of the near plane.
     before: f64,
@@ -69,7 +69,7 @@ pub(super) struct Raster {
 }
 
 impl Raster {
-    /// An empty raster, for an eye that sees up to about `farthest`.
+    /// An empty raster, for an eye that sees up to a distance of about `farthest`.
     pub(super) fn new(width: usize, height: usize, camera: &Camera, farthest: f64) -> Self {
         let unit = camera.distance();
         let way_steps = (WAY_STEPS * unit / farthest.max(unit)) as f32;
@@ -85,7 +85,7 @@ impl Raster {
         }
     }
 
-    /// Bytes of a raster of this size.
+    /// Memory, in bytes, of a raster of this size.
     pub(super) fn bytes(width: usize, height: usize) -> u64 {
         (width * height * (size_of::<AtomicU64>() + size_of::<AtomicI32>())) as u64
     }
@@ -114,14 +114,14 @@ impl Raster {
         if !(distance >= self.before && right.abs() < far && down.abs() < far) {
             return Corner::default();
         }
-        // Rounds positive numbers, because the conversion truncates.
+        // The sum is positive, so the conversion, which truncates, rounds it down.
         let round = |steps: f64| (steps + far + 0.5) as i32 - FAR;
         Corner { at: [round(right), round(down)], near: (self.unit * near) as f32 }
     }
 
     /// The column and row of a corner in half samples: odd numbers are between samples. Corners
-    /// outside of the picture are clamped. A corner without a place has even numbers beyond all
-    /// samples.
+    /// outside the picture are clamped. For a corner without a place, or in a picture that is too
+    /// large for 16 bits, both numbers are 0, which is even and before all samples.
     #[inline(always)]
     pub(super) fn halves(&self, corner: Corner) -> [u16; 2] {
         let (width, height) = (self.width as i32, self.height as i32);
@@ -144,7 +144,7 @@ impl Raster {
         [one, one & inside(a, b) & inside(b, c) & inside(c, a)]
     }
 
-    /// The first and last column and row in the bounding box of a triangle.
+    /// The first and last columns and rows of samples in the bounding box of a triangle.
     #[inline(always)]
     fn around(&self, corners: [Corner; 3]) -> [[i32; 2]; 2] {
         [
@@ -154,14 +154,14 @@ impl Raster {
     }
 
     /// Draws a triangle whose box contains few samples; any thread may do so. Otherwise draws
-    /// nothing, and returns the triangle's rows: all rows if a corner has no place.
+    /// nothing, and returns the triangle's rows, which are all rows if a corner has no place.
     #[inline(always)]
     pub(super) fn draw_if_small(&self, number: u32, corners: [Corner; 3]) -> Option<Range<i32>> {
         if !placed(corners) {
             return Some(0..self.height as i32);
         }
         let around @ [[left, right], [top, bottom]] = self.around(corners);
-        // The sides of the box are less than 2^22, so their product fits an i64.
+        // The sides of the box are less than 2^22, so their product fits into an i64.
         if i64::from(right + 1 - left) * i64::from(bottom + 1 - top) > FEW {
             return Some(top..bottom + 1);
         }
@@ -175,7 +175,7 @@ impl Raster {
         None
     }
 
-    /// Draws the part of a triangle in some rows, in which no other thread draws. `seen` returns
+    /// Draws the part of a triangle in `rows`, in which no other thread may draw. `seen` returns
     /// the camera coordinates of the corners; it is called only if the triangle must be clipped.
     pub(super) fn draw(
         &self,
@@ -247,7 +247,7 @@ impl Raster {
             return;
         }
         let [left, right] = samples(corners, 0, &(0..self.width as i32));
-        // A separate read and write is much faster than an atomic addition.
+        // A separate read and write are much faster than an atomic addition.
         self.fill([[left, right], [top, bottom]], number, corners, |sample, key, way| {
             let (nearest, through) = (&self.nearest[sample], &self.through[sample]);
             if nearest.load(Ordering::Relaxed) < key {
@@ -273,7 +273,7 @@ impl Raster {
             return;
         }
         // A triangle that is clockwise in the picture is seen from inside: there, the line of sight
-        // leaves the fluid. Its area is positive, because rows are counted downwards.
+        // leaves the fluid. The triangle's area is positive, because rows are counted downwards.
         let (b, c, area, leaves) = if area > 0 { (b, c, area, 1.0) } else { (c, b, -area, -1.0) };
         // For each edge: a value that is at least 0 if the first sample is inside, and its
         // increments to the right and down.
@@ -320,15 +320,15 @@ fn across(p: Corner, q: Corner) -> [i64; 2] {
     [i64::from(q.at[0]) - i64::from(p.at[0]), i64::from(q.at[1]) - i64::from(p.at[1])]
 }
 
-/// Twice the area of a triangle; negative if the triangle is counterclockwise in the picture.
+/// Twice the area of a triangle; negative if the triangle is counter-clockwise in the picture.
 #[inline(always)]
 fn area([a, b, c]: [Corner; 3]) -> i64 {
     let ([x, y], [u, v]) = (across(a, b), across(a, c));
     x * v - y * u
 }
 
-/// Twice the signed area of the triangle of an edge and a sample, minus one if samples on this edge
-/// count as outside. `turn` of -1 reverses the edge.
+/// Twice the signed area of the triangle that an edge forms with a sample, minus one if samples on
+/// this edge count as outside. A `turn` of -1 reverses the edge.
 #[inline(always)]
 fn turn_of(sample: [i32; 2], p: Corner, q: Corner, turn: i64) -> i64 {
     let [x, y] = across(p, q);
@@ -342,7 +342,7 @@ fn turn_of(sample: [i32; 2], p: Corner, q: Corner, turn: i64) -> i64 {
 #[inline(always)]
 fn halves(at: i32, samples: i32) -> u16 {
     let half = 2 * (at >> STEP_BITS) + i32::from(at & (STEPS - 1) != 0);
-    // Places outside of the picture count as between two samples that do not exist. No result is
+    // Places outside the picture count as lying between two samples that do not exist. No result is
     // less than 1.
     (half.clamp(-1, 2 * samples - 1) + 2) as u16
 }
@@ -386,7 +386,7 @@ impl Canvas<'_> {
 /// Number of views that are drawn at once: eye and sun.
 pub(super) const VIEWS: usize = 2;
 
-/// Corners on the pictures; the buffer is reused between batches.
+/// The corners of a batch in each view. The buffers are reused between batches.
 pub(super) struct ProjectedCorners {
     pub(super) at: Vec<[Corner; VIEWS]>,
     /// The [half samples](Raster::halves) of each corner, 16 bits per axis, with those of the eye's
@@ -395,7 +395,7 @@ pub(super) struct ProjectedCorners {
 }
 
 impl ProjectedCorners {
-    /// Bytes per corner.
+    /// Memory per corner, in bytes.
     pub(super) const BYTES: u64 = (size_of::<[Corner; VIEWS]>() + size_of::<u64>()) as u64;
 
     /// An empty list with capacity for `count`.

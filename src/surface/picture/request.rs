@@ -20,7 +20,8 @@ const DEFAULT_SIZE: [usize; 2] = [1920, 1080];
 pub struct Scope {
     /// The box that is completely visible; `None` without vertices.
     pub bounds: Option<Corners>,
-    /// The range of the attribute that is shown; for distances, the range of 99 of 100 vertices.
+    /// The range of the attribute that is shown; for distances, a range that contains those of 99 %
+    /// of the vertices.
     pub range: Option<[f32; 2]>,
     /// Whether some values are beyond the range; the legend then says so.
     pub beyond: bool,
@@ -46,8 +47,8 @@ pub enum Effort {
     /// Four samples per pixel.
     #[default]
     Full,
-    /// A draft in about half of the time: one sample per pixel, softer shadows, and no refraction.
-    /// A surface with more than two vertices per pixel is drawn with fewer and larger triangles.
+    /// A draft in about half the time: one sample per pixel, softer shadows, and no refraction. A
+    /// surface with more than two vertices per pixel is drawn with fewer and larger triangles.
     Draft,
 }
 
@@ -78,8 +79,8 @@ pub struct Picture {
 }
 
 impl Picture {
-    /// The default: 1920 x 1080 pixels of water, completely visible from the front, right and
-    /// above.
+    /// A picture with the default settings: 1920 x 1080 pixels, with the whole surface drawn as
+    /// water and seen from the front, right and above.
     #[must_use]
     pub fn new() -> Self {
         Self::default()
@@ -141,7 +142,8 @@ impl Picture {
         self
     }
 
-    /// Limits the memory of a picture in bytes, without its mesh. There is no limit by default.
+    /// Limits the memory for drawing a picture, in bytes. The mesh that is passed to
+    /// [`draw`](Self::draw) does not count. There is no limit by default.
     #[must_use]
     pub fn memory(mut self, bytes: u64) -> Self {
         self.memory = Some(bytes);
@@ -173,13 +175,13 @@ impl Picture {
         }
     }
 
-    /// Sets the memory limit, unless it is set.
+    /// Sets the memory limit, unless it is already set.
     pub(crate) fn memory_unless_set(mut self, bytes: u64) -> Self {
         self.memory = self.memory.or(Some(bytes));
         self
     }
 
-    /// Sets the axis that points up, unless it is set.
+    /// Sets the axis that points up, unless it is already set.
     pub(crate) fn up_unless_set(mut self, up: impl FnOnce() -> UpAxis) -> Self {
         self.up = self.up.or_else(|| Some(up()));
         self
@@ -213,12 +215,12 @@ pub(super) struct Budget {
 }
 
 impl Budget {
-    /// Starts with `used` bytes.
+    /// A budget of `allowed` bytes, of which `used` bytes are already used.
     pub(super) fn new(used: u64, allowed: u64) -> Self {
         Self { used, allowed }
     }
 
-    /// Checks that `bytes` more are available.
+    /// Checks that `bytes` more bytes are available.
     pub(super) fn check(&self, bytes: u64) -> Result<(), PictureError> {
         let Self { used, allowed } = *self;
         let needed = used + bytes;
@@ -264,9 +266,9 @@ pub enum PictureError {
     /// A picture that exceeds the memory limit.
     #[error("a picture of this mesh needs {needed} bytes of memory, but the limit is {allowed}")]
     Memory {
-        /// Bytes that the picture needs.
+        /// Memory that the picture needs, in bytes.
         needed: u64,
-        /// The limit in bytes.
+        /// The memory limit, in bytes.
         allowed: u64,
     },
     /// A mesh that cannot be read from its scratch file.

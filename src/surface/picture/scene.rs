@@ -45,7 +45,7 @@ impl SampleCounts {
     }
 }
 
-/// The data for the light of a pixel.
+/// The data from which the light of each pixel is computed.
 pub(super) struct Scene<'a> {
     picture: &'a Picture,
     camera: &'a Camera,
@@ -140,7 +140,7 @@ impl<'a> Scene<'a> {
         let inked = self.picture.wireframe.then(|| {
             let Edges { nearest, radius } = self.visible.edges(sample.triangle, towards);
             let [nearest, radius] = [nearest, radius].map(|heights| heights * rows);
-            // Wires fade on triangles that are smaller than the wires.
+            // Wires fade on triangles that are smaller than the width of the wires.
             (0.5 * WIRE + 0.5 - nearest).clamp(0.0, 1.0) * (radius / WIRE).min(1.0)
         });
         PixelSurface {
@@ -159,27 +159,27 @@ impl<'a> Scene<'a> {
         self.light(&self.surface(sample, towards), towards, quick_exp, |_, _| behind)
     }
 
-    /// The light of a pixel without the fluid.
+    /// The light that a pixel would have without the fluid.
     pub(super) fn empty(&self, x: usize, y: usize) -> Vec3 {
         let half = 0.5 * self.finer as f32;
         let middle = self.at((self.finer * x) as f32 + half, (self.finer * y) as f32 + half);
         self.behind(self.camera.eye, self.direction(middle))
     }
 
-    /// The place of a sample on the picture: to the right and up from the middle, in heights of the
-    /// picture.
+    /// The place of a sample on the picture: to the right and up from the picture's middle, in
+    /// units of the picture's height.
     fn at(&self, x: f32, y: f32) -> Vec2 {
         let [width, height] = [self.raster.width, self.raster.height].map(|samples| samples as f32);
         Vec2::new((x - width / 2.0) / height, 0.5 - y / height)
     }
 
-    /// The light of a surface on a line of sight, with refraction.
+    /// The light of a surface along a line of sight, with refraction.
     fn light_exactly(&self, surface: &PixelSurface, towards: Vec2) -> Vec3 {
         self.light(surface, towards, f32::exp, |place, bent| self.behind(place, bent))
     }
 
-    /// The light of a surface on a line of sight; `exp` is the exponential function, and `behind`
-    /// returns the light from behind the fluid that is seen from a place in a direction.
+    /// The light of a surface along a line of sight; `exp` is the exponential function, and
+    /// `behind` returns the light from behind the fluid that is seen from a place in a direction.
     fn light(
         &self,
         surface: &PixelSurface,
@@ -228,7 +228,7 @@ impl<'a> Scene<'a> {
     }
 }
 
-/// A lit surface.
+/// The visible surface at a sample, or its mean over the samples of a pixel.
 #[derive(Debug, Clone, Copy, Default)]
 struct PixelSurface {
     /// The eye's distance from the target, divided by the surface's distance in [camera
@@ -238,7 +238,7 @@ struct PixelSurface {
     normal: Vec3,
     value: f32,
     through: f32,
-    /// The fraction that wires cover.
+    /// The fraction of the surface that wires cover.
     inked: f32,
 }
 

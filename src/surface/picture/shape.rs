@@ -19,15 +19,15 @@ use super::request::MeshMemory;
 use super::request::PictureError;
 use super::request::Scope;
 
-/// Bytes per vertex in memory: its position, and its corner in each view during drawing.
+/// Memory per vertex, in bytes: its position, and its corner in each view during drawing.
 pub(super) const VERTEX_BYTES: u64 = size_of::<[f64; 3]>() as u64 + ProjectedCorners::BYTES;
 pub(super) const TRIANGLE_BYTES: u64 = size_of::<[u32; 3]>() as u64;
-/// Bytes per triangle of a batch without shared corners.
+/// Memory per triangle, in bytes, of a batch whose triangles share no corners.
 const BATCH_BYTES: u64 = TRIANGLE_BYTES + 3 * VERTEX_BYTES;
 /// Minimum number of triangles per batch, so that a batch has room for one piece with its vertices.
 pub(super) const LEAST_BATCH: u64 = 1 << 17;
 pub(super) const LEAST_BATCH_BYTES: u64 = LEAST_BATCH * BATCH_BYTES;
-/// Number of pieces that each thread reads before they are joined.
+/// Number of pieces per thread that are read before they are joined.
 const PIECES: usize = 16;
 
 /// Number of positions per task.
@@ -37,7 +37,8 @@ const PLACES: usize = 1 << 12;
 pub(super) struct Shape<'a> {
     pub(super) mesh: &'a dyn MeshSource,
     pub(super) scope: Scope,
-    /// The number of the first vertex of each piece; the last entry is the number of all vertices.
+    /// The number of the first vertex of each piece; the last entry is the total number of
+    /// vertices.
     firsts: Vec<u32>,
     kept: Option<WholeMesh<'a>>,
     /// Number of triangles per batch of a mesh that is not in memory.
@@ -59,7 +60,7 @@ pub(super) struct TriangleBatch<'a> {
     /// The corners of each triangle, as numbers of vertices of the mesh.
     pub(super) triangles: &'a [[u32; 3]],
     pub(super) places: &'a [[f64; 3]],
-    /// The vertices to which `places` belong; `None` for all vertices.
+    /// The vertices to which `places` belong; `None` if these are all vertices of the mesh.
     held: Option<RankedSet>,
 }
 
@@ -81,7 +82,7 @@ impl TriangleBatch<'_> {
 }
 
 impl<'a> Shape<'a> {
-    /// Reads the vertices of a mesh, and its triangles if everything fits the memory.
+    /// Reads the vertices of a mesh, and also its triangles if the whole mesh is held in memory.
     pub(super) fn read(
         mesh: &'a dyn MeshSource,
         kind: &ColourSource<'_>,
@@ -177,12 +178,12 @@ impl<'a> Shape<'a> {
         self.kept.as_ref().map_or(0, |kept| kept.places.len())
     }
 
-    /// The normals of all vertices, if they have any and are in memory.
+    /// The normals of all vertices, if the mesh is in memory; empty if it has no normals.
     pub(super) fn kept_normals(&self) -> Option<&[[f32; 3]]> {
         self.kept.as_ref().map(|kept| &kept.normals[..])
     }
 
-    /// The values of all vertices, if they are in memory.
+    /// The values of all vertices, if the mesh is in memory; empty if no values are shown.
     pub(super) fn kept_values(&self) -> Option<&[f32]> {
         self.kept.as_ref().map(|kept| &kept.values[..])
     }
@@ -192,7 +193,7 @@ impl<'a> Shape<'a> {
         self.firsts.windows(2).map(|ends| ends[0]..ends[1])
     }
 
-    /// Passes all triangles to `pass`, in batches, with the positions of their corners.
+    /// Calls `pass` for each batch of triangles, which includes the positions of their corners.
     pub(super) fn batches(
         &self,
         mut pass: impl FnMut(&TriangleBatch<'_>) -> Result<(), PictureError>,
@@ -211,8 +212,8 @@ impl<'a> Shape<'a> {
         })
     }
 
-    /// Passes all triangles to `pass`, in batches: the number of the first triangle, and the
-    /// corners.
+    /// Calls `pass` for each batch of triangles, with the number of its first triangle and the
+    /// corners of all of them.
     pub(super) fn triangles(
         &self,
         mut pass: impl FnMut(u32, &[[u32; 3]]) -> Result<(), PictureError>,
@@ -239,7 +240,7 @@ impl<'a> Shape<'a> {
         if triangles.is_empty() { Ok(()) } else { pass(first, &triangles) }
     }
 
-    /// The positions of the corners of triangles.
+    /// The corners of `triangles` without repetition, and their positions.
     fn places_of(&self, triangles: &[[u32; 3]]) -> io::Result<(RankedSet, Vec<[f64; 3]>)> {
         let range = triangles
             .par_iter()
@@ -270,8 +271,8 @@ impl<'a> Shape<'a> {
     }
 }
 
-/// Copies the data of pieces, on several threads, into an array from index `first` on; returns the
-/// end index.
+/// Copies the data of pieces, on several threads, into an array, starting at index `first`; returns
+/// the end index.
 fn put<P: Sync, T: Copy + Send + Sync>(
     into: &mut [T],
     first: usize,

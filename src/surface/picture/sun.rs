@@ -1,4 +1,4 @@
-//! Sunlight on and below the fluid, from a view of the sun (a shadow map, Williams 1978).
+//! Sunlight on and below the fluid, computed from the sun's view (a shadow map, Williams 1978).
 
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
@@ -9,11 +9,11 @@ use super::camera::{Camera, ball};
 use super::light::SUN;
 use super::raster::Raster;
 
-/// Distance of the sun's eye in radii, far enough for almost parallel rays.
+/// Distance of the sun's eye, in radii of the scene: far enough for almost parallel rays.
 const SUN_FAR: f64 = 40.0;
-/// Absorption of sunlight in water over the radius of the scene.
+/// Absorption of sunlight by water, per radius of the scene.
 const SUN_TAKEN: f32 = 5.0;
-/// Thickness of a layer that casts no shadow on itself, in radii of the scene.
+/// Thickness, in radii of the scene, of a layer that casts no shadow on itself.
 const SKIN: f32 = 0.012;
 
 /// The sun's view of the fluid.
@@ -25,7 +25,7 @@ pub(super) struct SunView {
 }
 
 impl SunView {
-    /// An empty view of a box, with `samples` along an edge.
+    /// An empty view of a box, with `samples` samples along each edge.
     pub(super) fn new([lo, hi]: Corners, world: DMat3, samples: usize) -> Self {
         let (middle, radius) = ball([lo, hi]);
         let back = world * SUN.normalize().as_dvec3();
@@ -34,9 +34,9 @@ impl SunView {
         Self { camera, raster, radii: SUN_FAR as f32 }
     }
 
-    /// Computes the sunlight after the fluid is drawn.
+    /// Computes the sunlight after the fluid has been drawn.
     ///
-    /// Shadows are blurred over `blurred` samples along an edge.
+    /// Shadows are blurred over squares with `blurred` samples along each edge.
     pub(super) fn light(self, blurred: usize) -> Sunlight {
         let Self { camera, raster, radii } = self;
         let of_sample = |n: usize| match raster.sample(n) {
@@ -61,23 +61,24 @@ pub(super) struct Sunlight {
     camera: Camera,
     /// Number of samples along an edge of the sun's view.
     samples: usize,
-    /// Number of samples along an edge of a shadow's blur.
+    /// Number of samples along an edge of the squares over which shadows are blurred.
     blurred: usize,
     radii: f32,
-    /// For each sample, the distance of the surface, in units of the camera's distance; infinite if
-    /// there is no surface.
+    /// For each sample, the distance of the surface, in units of the eye's distance from the
+    /// target; infinite if there is no surface.
     distances: Vec<f32>,
     /// For each sample, the fraction of the light that passes through all of the fluid.
     below: Vec<f32>,
 }
 
 impl Sunlight {
-    /// Bytes of a view with `samples` along an edge.
+    /// Memory, in bytes, of the sunlight for a view with `samples` samples along each edge.
     pub(super) fn bytes(samples: usize) -> u64 {
         (samples * samples * 2 * size_of::<f32>()) as u64
     }
 
-    /// The fraction of the sunlight at a place in the fluid; `exp` is the exponential function.
+    /// The fraction of the sunlight that reaches a place in the fluid; `exp` is the exponential
+    /// function.
     pub(super) fn within(&self, place: DVec3, exp: impl Fn(f32) -> f32) -> f32 {
         self.mean(place, &self.distances, |surface, distance| {
             let water = (distance - surface) * self.radii - SKIN;
@@ -85,7 +86,7 @@ impl Sunlight {
         })
     }
 
-    /// The fraction of the sunlight at a place on the ground.
+    /// The fraction of the sunlight that reaches a place on the ground.
     pub(super) fn below(&self, place: DVec3) -> f32 {
         self.mean(place, &self.below, |share, _| share)
     }

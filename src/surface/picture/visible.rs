@@ -16,7 +16,7 @@ use super::shape::{Shape, TriangleBatch};
 
 /// Number of triangles per task.
 const TASK: usize = 1 << 13;
-/// Number of groups of corners. One thread sums the normals of each group.
+/// Number of groups of corners. Each group's normals are summed by one thread.
 const SHARES: usize = 16;
 /// The rank of an invisible corner.
 const UNSEEN: u32 = u32::MAX;
@@ -41,22 +41,22 @@ pub(super) struct VisiblePoint {
     pub(super) value: f32,
 }
 
-/// The edges of a triangle near a place on it.
+/// How far a place on a triangle is from the triangle's edges, and how large the triangle is.
 pub(super) struct Edges {
-    /// Distance from the nearest edge, in heights of the picture.
+    /// Distance from the nearest edge, in units of the picture's height.
     pub(super) nearest: f32,
-    /// The radius of the inscribed circle, in heights of the picture.
+    /// The radius of the inscribed circle, in units of the picture's height.
     pub(super) radius: f32,
 }
 
 impl VisibleTriangles {
-    /// Bytes per visible triangle, while normals are summed.
+    /// Memory per visible triangle, in bytes, while normals are summed.
     pub(super) const TRIANGLE_BYTES: u64 =
         (size_of::<[u32; 3]>() + 3 * size_of::<Addition>()) as u64;
-    /// Bytes per visible corner.
+    /// Memory per visible corner, in bytes.
     pub(super) const VERTEX_BYTES: u64 = (2 * size_of::<[f32; 4]>() + size_of::<f32>()) as u64;
 
-    /// Collects the visible part of a mesh after it was drawn on a raster.
+    /// Collects the visible part of a mesh that has been drawn on a raster.
     pub(super) fn of(
         raster: &Raster,
         shape: &Shape<'_>,
@@ -116,7 +116,7 @@ impl VisibleTriangles {
         Ok(visible)
     }
 
-    /// Sets the normals and the values of the vertices.
+    /// Sets the normals and the values of the vertices from the mesh.
     fn carried(
         &mut self,
         shape: &Shape<'_>,
@@ -157,8 +157,9 @@ impl VisibleTriangles {
         Ok(())
     }
 
-    /// The point of a triangle that is visible at the place `towards` of the picture: to the right
-    /// and up from the middle, in heights of the picture.
+    /// The point of a triangle that is visible at the place `towards` of the picture. `towards` has
+    /// its distances to the right and up from the picture's middle, in units of the picture's
+    /// height.
     pub(super) fn spot(&self, triangle: u32, towards: Vec2) -> VisiblePoint {
         let (corners, _, [a, b, c]) = self.around(triangle, towards);
         let shares = [b.perp_dot(c), c.perp_dot(a), a.perp_dot(b)];
@@ -177,8 +178,8 @@ impl VisibleTriangles {
         VisiblePoint { normal: weighted(0) + weighted(1) + weighted(2), value }
     }
 
-    /// The edges of a triangle near the point that is visible at the place `towards` of the
-    /// picture.
+    /// How far the point that is visible at the place `towards` of the picture is from the edges of
+    /// its triangle, and how large the triangle is.
     pub(super) fn edges(&self, triangle: u32, towards: Vec2) -> Edges {
         let (_, distances, from_line) = self.around(triangle, towards);
         let at: [Vec2; 3] = std::array::from_fn(|n| from_line[n] / distances[n]);
@@ -206,13 +207,12 @@ impl VisibleTriangles {
 /// The area-weighted normal of a triangle, and the ranks of the corners to which it is added.
 type Addition = ([u32; 3], Vec3);
 
-/// Adds the area-weighted normals of triangles to their visible corners, in the order of the
-/// triangles.
+/// Adds the area-weighted normals of triangles to their visible corners, in triangle order.
 fn add_normals(batch: &TriangleBatch<'_>, vertices: &RankedSet, unit: f64, normals: &mut [Vec3]) {
     let share = normals.len().div_ceil(SHARES).max(1);
     let scale = 1.0 / unit;
-    // For each task, the triangles that contribute to each group, by the ranks of their corners.
-    // Most triangles contribute to one group only.
+    // For each task, the triangles that contribute to each group, given by the ranks of their
+    // corners. Most triangles contribute to one group only.
     let additions: Vec<[Vec<Addition>; SHARES]> = batch
         .triangles
         .par_chunks(TASK)

@@ -1,9 +1,10 @@
 //! Collapses edges while the surface stays within the tolerance.
 //!
-//! A vertex moves onto a neighbour, in the order of quadric errors (Garland and Heckbert, Surface
-//! simplification using quadric error metrics, 1997), if the mesh stays a 2-manifold there (Dey et
-//! al., Topology preserving edge contraction, 1999), no triangle turns over or becomes a sliver,
-//! and the distances between both surfaces stay within the tolerance, in both directions.
+//! Each step moves a vertex onto a neighbour, in order of increasing quadric error (Garland and
+//! Heckbert, Surface simplification using quadric error metrics, 1997). The mesh must stay a
+//! 2-manifold there (Dey et al., Topology preserving edge contraction, 1999), no triangle may turn
+//! over or become a sliver, and the distances between the two surfaces must stay within the
+//! tolerance in both directions.
 //!
 //! Every removed vertex of the reference has a closest triangle within the tolerance. When
 //! triangles change, the vertices for which the old triangles were closest must find closest
@@ -19,38 +20,38 @@ use super::surface::{
 use super::surface::{PatchTopology, Surroundings};
 
 /// Samples may be at most this fraction of the tolerance away from the other surface. The rest of
-/// the tolerance is for the surface between samples.
+/// the tolerance is reserved for the surface between samples.
 const SAMPLE_SHARE: f32 = 0.93;
 /// Maximum distance between samples along an edge, in cells.
 const SAMPLE_STEP: f32 = 0.5;
 /// If a sample is farther away than this fraction of the tolerance, more samples around it are
 /// checked.
 const UNCERTAIN_SHARE: f32 = 0.4;
-/// Number of additional samples on each side of such a sample.
+/// Number of these additional samples on each side of the sample.
 const FINE: i32 = 4;
-/// The segment between two vertices is not checked if both distances from their closest triangles
-/// are at most this fraction of the tolerance, and the cosine between the normals of these
+/// The segment between two vertices is not checked if both vertices are at most this fraction of
+/// the tolerance away from their closest triangles, and the cosine between the normals of these
 /// triangles is at least `FLAT`.
 const CLOSE_SHARE: f32 = 0.75;
 const FLAT: f32 = 0.9;
 /// If no segment around a vertex needed a check, these segments are not checked again until the
-/// vertex's closest triangle has turned by more than the angle with this cosine.
+/// vertex's closest triangle has turned by more than the angle whose cosine this is.
 const STEADY: f32 = 0.98;
 /// Maximum number of bisections of a segment.
 const HALVINGS: u32 = 4;
 /// Collapses are not tried if the root mean square distance from the planes is above this fraction
 /// of the tolerance.
 const QUADRIC_SHARE: f32 = 0.9;
-/// Maximum rotation of a triangle, as a cosine.
+/// Maximum rotation of a triangle in one collapse, as a cosine.
 const TURN: f32 = 0.2;
-/// Two triangles fold back on each other if the cosine between their normals is below this: 170
-/// degrees.
+/// Two triangles fold back on each other if the cosine between their normals is less than this,
+/// which corresponds to 170 degrees.
 const FOLD: f32 = -0.985;
 /// A triangle is a sliver if the squared sine of its smallest angle is less than this, which
 /// corresponds to 10 degrees.
 const SLIVER: f32 = 0.03;
-/// Maximum number of triangles of a closed part whose volume is checked with every collapse: a part
-/// that is smaller than the tolerance could vanish or turn inside out.
+/// Maximum number of triangles in a closed part whose volume is checked in every collapse. Without
+/// this check, a part smaller than the tolerance could vanish or turn inside out.
 const SMALL: usize = 16;
 /// A collapse must leave at least this fraction of the volume of such a part.
 const KEPT: f32 = 0.5;
@@ -58,11 +59,11 @@ const KEPT: f32 = 0.5;
 /// The reference surface and the limits for the collapses in a patch.
 pub struct Measure<'a> {
     pub topology: &'a PatchTopology,
-    /// The surface within whose tolerance the result must stay.
+    /// The surface from which the result must stay within the tolerance.
     pub reference: &'a EditableMesh<'a>,
     /// The edges of the reference.
     pub outgoing: &'a OutgoingEdges,
-    /// Normals of the reference, for all vertices.
+    /// Normals of the reference at all vertices.
     pub normals: &'a [Vec3A],
     pub distance: f32,
 }
@@ -112,13 +113,14 @@ pub fn find_homes(
     }
 }
 
-/// A weighted sum of squared distances from planes, relative to a vertex. Fits a cache line.
+/// A weighted sum of squared distances from planes, in coordinates relative to a vertex. A quadric
+/// fits into one cache line.
 #[derive(Clone, Copy)]
 #[repr(align(64))]
 struct Quadric {
     /// Columns of a matrix. The last element of the first column is the weight.
     planes: [Vec4; 3],
-    /// The last element is the constant.
+    /// The last element is the constant term.
     linear: Vec4,
 }
 
@@ -163,18 +165,18 @@ impl Quadric {
     }
 }
 
-/// State of a simplification.
+/// The state of a simplification.
 struct CollapseState<'a, 'b> {
     by: &'b Measure<'a>,
     surface: EditableMesh<'a>,
-    /// Linked lists of the vertices for which a triangle is closest: `first` has the first vertex
-    /// for each triangle, and `next` has the next vertex for each vertex.
+    /// For each triangle, a linked list of the removed vertices to which it is closest: `first` has
+    /// the first vertex of each triangle's list, and `next` the vertex after each vertex.
     first: Vec<u32>,
     next: Vec<u32>,
     /// For each removed vertex, the normal of its closest triangle if no segment around the vertex
     /// needed a check, and otherwise zero.
     calm: Vec<Vec3A>,
-    /// Vertices at the other ends of checked segments, which need checks again.
+    /// Vertices at the other ends of checked segments, whose own segments must be checked again.
     looked_at: Vec<u32>,
     quadrics: Vec<Quadric>,
     /// For each vertex, the smallest error of moving it onto a neighbour, and this neighbour;
@@ -185,9 +187,9 @@ struct CollapseState<'a, 'b> {
     is_changed: Vec<bool>,
     ring: Vec<Incident>,
     order: Vec<(f32, u32)>,
-    /// The new triangles and their normals.
+    /// The new triangles of a collapse and their normals.
     parts: Vec<([Vec3A; 3], Vec3A)>,
-    /// The triangles that were found of a part whose volume is checked.
+    /// The triangles found so far of the part whose volume is being checked.
     near: Vec<u32>,
     moved: Vec<MovedVertex>,
     /// For each vertex, its last mark. A new value of `mark` makes all old marks invalid.
@@ -245,7 +247,7 @@ impl<'a> Measure<'a> {
     }
 
     /// Whether a sample of the edge from `from` to `to` is too far from the triangles of the
-    /// reference that do not face against `normal`.
+    /// reference whose normals do not oppose `normal`.
     fn is_stray(&self, from: u32, to: u32, normal: Vec3A) -> bool {
         let (reference, distance) = (self.reference, self.distance);
         let is_next = |edge: &HalfEdge| edge.to == to || edge.before == to;
@@ -285,7 +287,7 @@ impl CollapseState<'_, '_> {
                     }
                     let (error, _) = self.best[vertex as usize];
                     if error <= limit {
-                        // Floats that are not negative have the same order as their bits.
+                        // Nonnegative floats have the same order as their bits.
                         queue.push(u64::from(error.max(0.0).to_bits()) << 32 | u64::from(vertex));
                     }
                 }
@@ -371,7 +373,8 @@ impl CollapseState<'_, '_> {
         }
     }
 
-    /// Moves a vertex onto the first vertex of its ring, if that is valid.
+    /// Moves a vertex onto the first vertex of its ring if this collapse is valid, and returns
+    /// whether it was.
     fn try_edge(&mut self, vertex: u32, ring: &[Incident]) -> bool {
         let target = ring[0].rim;
         if !self.may_turn(target, ring)
@@ -535,7 +538,7 @@ impl CollapseState<'_, '_> {
     }
 
     /// For each vertex whose closest triangle changes, finds the closest of the new triangles.
-    /// Returns `false` if all of these are too far from a vertex.
+    /// Returns `false` if all new triangles are too far from one of the vertices.
     fn find_new_homes(&mut self, vertex: u32, ring: &[Incident]) -> bool {
         self.moved.clear();
         self.mark += 1;
@@ -583,7 +586,7 @@ impl CollapseState<'_, '_> {
         true
     }
 
-    /// Whether new edges are within the tolerance of the reference.
+    /// Whether the new edges are within the tolerance of the reference.
     fn are_edges_near(&self, target: u32, ring: &[Incident]) -> bool {
         self.parts.windows(2).zip(&ring[2..]).all(|(parts, incident)| {
             let normal = parts[0].1 + parts[1].1;
@@ -591,8 +594,8 @@ impl CollapseState<'_, '_> {
         })
     }
 
-    /// Whether edges of the reference whose ends have new closest triangles are within the
-    /// tolerance.
+    /// Whether the edges of the reference whose ends have new closest triangles are within the
+    /// tolerance of the surface.
     fn is_between_near(&mut self) -> bool {
         let (mut moved, mut looked_at) =
             (std::mem::take(&mut self.moved), std::mem::take(&mut self.looked_at));
@@ -643,7 +646,7 @@ impl CollapseState<'_, '_> {
             && facing.is_some_and(|facing| facing.dot(self.calm[vertex as usize]) >= STEADY)
     }
 
-    /// Whether an edge of the reference with a removed end is within the tolerance.
+    /// Whether an edge of the reference with a removed end is within the tolerance of the surface.
     fn is_edge_near(&self, gone: u32, closest: u32, other: u32) -> bool {
         let other_closest = match self.surface.has(other) {
             true => self.surface.towards(other, self.position(gone)),
@@ -656,8 +659,8 @@ impl CollapseState<'_, '_> {
         )
     }
 
-    /// Whether triangles are within the tolerance of the segment between two points, each of which
-    /// has a close triangle.
+    /// Whether the segment between two points is within the tolerance of the surface. `closest` has
+    /// a triangle close to each of the points.
     fn are_near(&self, closest: [u32; 2], [mut p, mut q]: [Vec3A; 2], halvings: u32) -> bool {
         let within = SAMPLE_SHARE * self.by.distance;
         let [from, to] = closest.map(|closest| {
@@ -699,11 +702,11 @@ fn shape([a, b, c]: [Vec3A; 3], scaled: Vec3A) -> f32 {
 pub struct Patch<'a> {
     /// The positions of the vertices in cells, all different.
     pub positions: &'a [Vec3A],
-    /// The surface within whose tolerance the result must stay.
+    /// The surface from which the result must stay within the tolerance.
     pub reference: &'a [[u32; 3]],
     /// The triangles to simplify.
     pub triangles: &'a [[u32; 3]],
-    /// Vertices that stay, in addition to the border.
+    /// Vertices that must stay, in addition to the vertices on the border.
     pub pinned: &'a [u32],
     /// The kind of triangles beyond the border.
     pub outside: Surroundings,
@@ -711,8 +714,8 @@ pub struct Patch<'a> {
 
 impl<'a> Patch<'a> {
     /// Simplifies the patch: every sample of the result is within `distance` cells of the
-    /// reference, and every vertex of `positions` within this distance of `triangles` is also
-    /// within this distance of the result.
+    /// reference, and every vertex of `positions` that is within this distance of `triangles` is
+    /// also within this distance of the result.
     #[inline(never)]
     pub fn simplified(&self, distance: f32) -> Vec<[u32; 3]> {
         let vertices = self.positions.len();

@@ -1,10 +1,11 @@
-//! Finds components below a volume, and drops of few particles.
+//! Finds components that are smaller than a given volume, and drops with few particles.
 //!
 //! Each block's triangles are divided into parts; parts that share a vertex belong to one
-//! component. A block's triangles refer to vertices of its own and of later blocks, so one pass in
-//! order sees every vertex that two blocks share. By the divergence theorem, a part's contribution
-//! to the volume is a sum over its triangles, relative to a corner of its block. With the sum of
-//! the triangles' area vectors, the contribution can be converted to another corner.
+//! component. A block's triangles refer only to vertices of the block itself and of later blocks,
+//! so one pass over the blocks in order sees every vertex that two blocks share. By the divergence
+//! theorem, a part's contribution to the volume is a sum over its triangles, relative to a corner
+//! of its block. With the sum of the triangles' area vectors, the contribution can be converted to
+//! another corner.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -23,7 +24,7 @@ use super::MEASURING;
 /// Numbers of components that are left out of a surface because they are too small.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct TooSmall {
-    /// Number of components with too little volume, fluid or air.
+    /// Number of components of fluid or air with too little volume.
     pub components: u64,
     /// Number of drops that have enough volume, but too few particles.
     pub drops: u64,
@@ -36,7 +37,7 @@ impl TooSmall {
         self.components + self.drops
     }
 
-    /// The names of the limits by which components were left out.
+    /// The names of the limits because of which components were left out.
     #[must_use]
     pub fn limits(self) -> &'static str {
         match (self.components, self.drops) {
@@ -47,9 +48,9 @@ impl TooSmall {
     }
 }
 
-/// Finds the components of `surface` that are smaller than `volume`, including enclosed air, and
-/// the drops that are smaller than `drop`. Both are volumes in cells. Returns their vertices, and
-/// the number of components and drops.
+/// Finds the components of `surface`, including enclosed air, that are smaller than `volume`, and
+/// the drops that are smaller than `drop`. Both limits are volumes in cells. Returns the vertices
+/// of these components and drops, and their numbers.
 ///
 /// # Errors
 /// If scratch files cannot be read, or if the work was cancelled.
@@ -135,7 +136,8 @@ fn in_batches<T: Send>(
     Ok(())
 }
 
-/// The sums of volume and area over the triangles of a part, relative to a point.
+/// The volume and the area vector of a part, summed over its triangles. The volume is relative to
+/// the point `from`.
 #[derive(Clone, Copy)]
 struct PartSums {
     from: DVec3,
@@ -206,7 +208,7 @@ impl PieceParts {
     }
 }
 
-/// Components: parts that are joined.
+/// Components, each of which consists of joined parts.
 #[derive(Default)]
 struct Components {
     parents: Vec<u32>,
@@ -273,7 +275,7 @@ impl VertexSet {
         self.words[(vertex / 64) as usize] >> (vertex % 64) & 1 == 1
     }
 
-    /// Counts the members, which allows calls of `rank`.
+    /// Counts the members. `rank` can be called only afterwards.
     pub fn count(&mut self) {
         let mut total = 0;
         self.before = self

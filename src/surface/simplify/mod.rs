@@ -2,13 +2,13 @@
 //!
 //! A chunk is a cube of 2^3 blocks of the widest level. The first pass simplifies the triangles
 //! inside each chunk, with its border locked. The second pass does the same with chunks that are
-//! shifted by half, for the triangles on the former borders and near them. Both passes measure
+//! shifted by half a chunk, for the triangles on and near the former borders. Both passes measure
 //! against the original surface, so the result is within the requested distance of the original
 //! surface, and every vertex of the original surface is within this distance of the result.
 //!
 //! The remaining vertices are vertices of the original surface, and keep their positions, normals
-//! and attributes. Chunks do not depend on threads or memory. The memory holds the current chunks,
-//! one bit per vertex, and as many triangles as the limit allows.
+//! and attributes. Chunks do not depend on the number of threads or on the memory limit. Only the
+//! current chunks, one bit per vertex, and as many triangles as the limit allows are in memory.
 //!
 //! The guide for users is `guide.md`.
 
@@ -38,20 +38,20 @@ use drops::smaller_than;
 use surface::NONE;
 use surface::Surroundings;
 
-/// Edge of a chunk in blocks.
+/// Edge length of a chunk, in blocks.
 const CHUNK: i32 = 2;
-/// In the first pass, about one vertex stays in every square with an edge of this number of cells.
-/// Otherwise, triangles on flat ground would extend from a seam beyond the chunk that simplifies
+/// The first pass keeps about one vertex in every square whose edges are this many cells long.
+/// Otherwise, triangles on a flat surface would extend from a seam beyond the chunk that simplifies
 /// this seam in the second pass.
 const PIN_SPACING: i32 = 16;
 /// The second pass simplifies triangles within this many cells of a seam of the first pass.
 const BAND: i32 = 4;
-/// The fraction of the stage's progress that is for measuring components.
+/// The fraction of the stage's progress that the measurement of components takes.
 const MEASURING: f64 = 0.1;
-/// Edge in cells of the boxes with which nearby triangles are found.
+/// Edge length, in cells, of the boxes with which nearby triangles are found.
 const BOX: i32 = 4;
 
-/// Triangles as vertex numbers in the whole mesh.
+/// Triangles, given by their vertex numbers in the whole mesh.
 type WholeTriangles = Vec<[u64; 3]>;
 
 /// A surface with fewer triangles. Its pieces are the chunks of the second pass.
@@ -69,24 +69,24 @@ pub struct SimplifiedSurface {
     too_small: TooSmall,
 }
 
-/// Maximum memory of the chunks of each thread: 2^3 blocks full of wrinkled surface.
+/// Maximum memory, in bytes, of each thread's chunks: 2^3 blocks full of wrinkled surface.
 pub const BYTES_A_THREAD: u64 = 28 << 20;
-/// Number of vertices of such a chunk.
+/// Number of vertices in 2^3 blocks full of wrinkled surface.
 const CHUNK_VERTICES: usize = 160_000;
 
-/// The triangles, components and drops to leave out of a surface.
+/// The limits that decide which triangles, components and drops are left out of a surface.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Reduction {
     /// Maximum distance of the simplified surface from the original; `None` to keep all triangles.
     pub tolerance: Option<Tolerance>,
-    /// Minimum volume of components in cells, fluid or air.
+    /// Minimum volume, in cells, of components of fluid or air.
     pub smallest_component: Option<f64>,
-    /// Minimum number of particles in a drop, estimated from its volume.
+    /// Minimum number of particles in a drop, which is estimated from the drop's volume.
     pub smallest_drop: Option<u32>,
 }
 
-/// The volume of a small drop relative to the volume of its particles: 0.6 to 1.1 for one particle,
-/// 0.7 to 1.1 for two, 0.8 to 1.1 for eight.
+/// The assumed volume of a small drop, relative to the volume of its particles. The actual volume
+/// is 0.6 to 1.1 for one particle, 0.7 to 1.1 for two, and 0.8 to 1.1 for eight.
 const HELD: f64 = 0.85;
 
 impl Reduction {
@@ -99,14 +99,14 @@ impl Reduction {
 /// Space for the triangles of a reduced surface.
 #[derive(Debug, Clone, Copy)]
 pub struct TriangleSpace<'a> {
-    /// Bytes in memory.
+    /// Maximum size of the triangles in memory, in bytes.
     pub bytes: u64,
     /// The folder of scratch files for triangles that exceed `bytes`.
     pub folder: &'a Path,
 }
 
-/// Reduces `surface`. One particle fills `particle_cells` cells, `room` limits the memory of
-/// triangles, and `control` receives the progress of chunks.
+/// Reduces `surface`. One particle fills `particle_cells` cells, `room` limits the memory for
+/// triangles, and `control` receives the progress.
 ///
 /// # Errors
 /// If scratch files cannot be read or written, or if the work was cancelled.
@@ -138,7 +138,8 @@ pub fn simplify(
     let tolerance = reduction.tolerance;
     let passes = Passes { surface: &surface, scale, left_out, tolerance, meter };
     let mut between = Lists::in_memory();
-    // For each list, its shifted chunk and its treatment.
+    // For each list in `between`: its shifted chunk, its treatment in the second pass, and its
+    // number.
     let mut homes: Vec<(MortonKey, Fate, usize)> = Vec::new();
     for chunks in batches(&surface, &aligned) {
         let done: Vec<_> =
@@ -194,13 +195,13 @@ pub fn simplify(
     })
 }
 
-/// The edge of the surface's widest cells in the finest cells. All lengths that relate to a cell
-/// grow with it, so that a block of the widest cells is in one chunk.
+/// The width of the surface's widest cells, in finest cells. All lengths that are given in cells
+/// are multiplied by it, so that each block of the widest cells is within one chunk.
 #[derive(Debug, Clone, Copy)]
 struct Scale(i32);
 
 impl Scale {
-    /// Edge of a chunk in the finest blocks.
+    /// Edge length of a chunk, in finest blocks.
     fn chunk(self) -> i32 {
         CHUNK * self.0
     }
@@ -218,14 +219,15 @@ impl Scale {
         self.0 == 1
     }
 
-    /// Two opposite cells that enclose a dual cell: the cells of all its vertices are between these
-    /// two. The cell of a vertex between two wide cells can begin one wide cell lower.
+    /// The two opposite corner cells of a box that contains the cells of all vertices of a dual
+    /// cell. The cell of a vertex between two wide cells can begin one wide cell below the dual
+    /// cell.
     fn corners(self, cell: IVec3) -> [IVec3; 2] {
         if self.is_uniform() { [cell, cell + 1] } else { [cell - self.0, cell + 2 * self.0] }
     }
 }
 
-/// The pieces of each chunk, in Morton order.
+/// The pieces of each chunk, with the chunks in Morton order.
 fn grouped(blocks: &[IVec3], chunk: impl Fn(IVec3) -> IVec3) -> Vec<(MortonKey, Vec<usize>)> {
     let mut pieces: Vec<(MortonKey, usize)> = blocks
         .iter()
@@ -237,8 +239,9 @@ fn grouped(blocks: &[IVec3], chunk: impl Fn(IVec3) -> IVec3) -> Vec<(MortonKey, 
     groups.map(|group| (group[0].0, group.iter().map(|&(_, piece)| piece).collect())).collect()
 }
 
-/// Splits chunks into batches that are simplified together: two chunks for each thread, and at most
-/// [`CHUNK_VERTICES`] for each thread, unless a single chunk has more.
+/// Splits chunks into batches that are simplified together: at most two chunks and
+/// [`CHUNK_VERTICES`] vertices per thread. A chunk that alone exceeds the limit for all threads is
+/// a batch of its own.
 fn batches<'c>(
     surface: &StitchedSurface,
     chunks: &'c [(MortonKey, Vec<usize>)],
@@ -265,7 +268,8 @@ fn batches<'c>(
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Fate {
     Simplify,
-    /// The triangle stays unchanged, because it crosses the border of its chunk.
+    /// The triangle stays unchanged, because it is far from the former borders, or too close to the
+    /// border of its shifted chunk.
     Keep,
 }
 
@@ -273,7 +277,7 @@ struct Passes<'a> {
     surface: &'a StitchedSurface,
     scale: Scale,
     left_out: Option<VertexSet>,
-    /// Without a tolerance, all triangles stay.
+    /// Without a tolerance, all triangles are kept.
     tolerance: Option<Tolerance>,
     /// Progress of the chunks.
     meter: Meter<'a>,
@@ -296,8 +300,8 @@ impl Passes<'_> {
         }
     }
 
-    /// Simplifies the triangles inside the given pieces, and returns the triangles with their
-    /// treatment in the second pass.
+    /// Simplifies the triangles inside the given pieces, and returns the remaining triangles,
+    /// grouped by their treatment in the second pass.
     fn first(&self, pieces: &[usize]) -> io::Result<Vec<((MortonKey, Fate), WholeTriangles)>> {
         self.meter.go_on()?;
         let chunk = ChunkVertices::load(self.surface, pieces)?;
@@ -329,17 +333,18 @@ impl Passes<'_> {
         Ok(sorted.lists)
     }
 
-    /// Maximum distance, in cells, between a triangle's vertices and the surface within the
-    /// tolerance of the triangle.
+    /// Maximum distance, in cells, from the vertices of a triangle to any surface that is within
+    /// the tolerance of the triangle.
     fn reach(&self) -> i32 {
         let Scale(widest) = self.scale;
         let further = if self.scale.is_uniform() { 1 } else { 2 * widest };
         self.tolerance.map_or(0, |tolerance| tolerance.cells().ceil() as i32) + further
     }
 
-    /// The shifted chunk that contains the cell `of`, and the treatment there of a triangle whose
-    /// vertices have the given `cells`. The cell `of` must be in a block with a surface. A triangle
-    /// is simplified only if all of the surface within its tolerance is in the chunk.
+    /// The shifted chunk that contains the cell `of`, and how the second pass treats a triangle of
+    /// that chunk whose vertices are in `cells`. The cell `of` must be in a block with a surface. A
+    /// triangle is simplified only if the chunk contains all of the surface that is within the
+    /// tolerance of the triangle.
     fn home<const N: usize>(&self, of: IVec3, cells: [IVec3; N]) -> (MortonKey, Fate) {
         let block = of >> BLOCK.ilog2();
         let (chunk, edge) = (self.scale.shifted_chunk(block), self.scale.chunk());
@@ -354,7 +359,8 @@ impl Passes<'_> {
         (MortonKey::of(chunk), fate)
     }
 
-    /// Simplifies the remaining triangles of a shifted chunk again.
+    /// Returns the triangles of a shifted chunk, after simplifying those of its `lists` that are
+    /// marked [`Fate::Simplify`].
     fn second(
         &self,
         pieces: &[usize],
@@ -409,7 +415,7 @@ impl Passes<'_> {
     }
 }
 
-/// Lists of triangles, by the shifted chunk and the treatment of the triangles in the second pass.
+/// Lists of triangles, grouped by their shifted chunk and their treatment in the second pass.
 #[derive(Default)]
 struct SortedTriangles {
     lists: Vec<((MortonKey, Fate), WholeTriangles)>,
@@ -428,7 +434,7 @@ impl SortedTriangles {
 struct NearCells {
     lo: IVec3,
     size: IVec3,
-    /// Edge of a box in cells, a power of two.
+    /// Edge length of a box, in cells; a power of two.
     edge: i32,
     is_near: Vec<bool>,
 }
@@ -478,7 +484,7 @@ impl NearCells {
 /// The vertices of a chunk that triangles use, in order of first use.
 struct UsedVertices {
     vertices: Vec<u32>,
-    /// For each vertex of the chunk its new number, or `NONE`.
+    /// For each vertex of the chunk, its new number, or `NONE`.
     ranks: Vec<u32>,
 }
 
@@ -501,8 +507,8 @@ impl UsedVertices {
 
 /// The vertices of a chunk.
 struct ChunkVertices {
-    /// For consecutive pieces: the number of their first vertex in the whole mesh and in the chunk,
-    /// and the number of vertices.
+    /// For each run of consecutive pieces: the number of its first vertex in the whole mesh and in
+    /// the chunk, and its number of vertices.
     ranges: Vec<[u64; 3]>,
     /// The lower cell of each vertex's edge.
     cells: Vec<IVec3>,
@@ -541,7 +547,7 @@ impl ChunkVertices {
         Ok(chunk)
     }
 
-    /// Vertices on the lines of a coarse lattice.
+    /// The vertices on the lines of a coarse lattice, which the first pass keeps.
     fn pins(&self, scale: Scale) -> Vec<u32> {
         let spacing = PIN_SPACING * scale.0;
         let on_line = |cell: &IVec3| {

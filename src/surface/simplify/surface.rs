@@ -1,12 +1,12 @@
-//! The triangles of a patch with their neighbours, for single changes and distance searches.
+//! The triangles of a patch with their neighbours, for local changes and distance searches.
 //!
 //! There is no spatial index. Searches start from a known nearby triangle.
 
 use glam::{Vec3A, Vec3Swizzles};
 
-/// The absence of a triangle.
+/// Stands for a missing triangle or vertex.
 pub const NONE: u32 = u32::MAX;
-/// The next corner of each corner of a triangle.
+/// For each corner of a triangle, the index of the next corner.
 const NEXT: [usize; 3] = [1, 2, 0];
 const PREVIOUS: [usize; 3] = [2, 0, 1];
 /// Maximum number of triangles that a search visits before it gives up.
@@ -14,7 +14,7 @@ const PATIENCE: usize = 32;
 /// A search continues from a triangle whose squared distance is at most this many times the
 /// smallest squared distance found so far.
 const DETOUR: f32 = 1.5;
-/// Maximum number of triangles that a search visits per cell of distance.
+/// Maximum number of triangles that a path crosses per cell of its length.
 const STEPS_A_CELL: f32 = 8.0;
 
 /// Triangles in which each directed edge occurs at most once.
@@ -22,13 +22,13 @@ const STEPS_A_CELL: f32 = 8.0;
 pub struct EditableMesh<'a> {
     pub positions: &'a [Vec3A],
     pub triangles: Vec<[u32; 3]>,
-    /// For each triangle, its neighbours: across the edge from its first corner to the second, and
-    /// so on.
+    /// For each triangle, its neighbours: first the one across the edge from its first corner to
+    /// the second, and so on.
     across: Vec<[u32; 3]>,
-    /// For each vertex, its state. On the border, the triangle of the state is the first one
-    /// counterclockwise.
+    /// For each vertex, its state. If the vertex is on the border, the state has the first of its
+    /// triangles in counter-clockwise order.
     spots: Vec<VertexState>,
-    /// The outward normals of the triangles, of unit length.
+    /// The outward unit normals of the triangles.
     normals: Vec<Vec3A>,
 }
 
@@ -49,7 +49,7 @@ impl VertexState {
         Self(closest | Self::GONE | if is_close { 0 } else { Self::FAR })
     }
 
-    /// A triangle at the vertex, or its closest triangle.
+    /// A triangle at the vertex, or the closest triangle of a removed vertex.
     pub fn triangle(self) -> u32 {
         self.0 & !(Self::GONE | Self::FAR)
     }
@@ -124,7 +124,8 @@ impl OutgoingEdges {
 }
 
 impl<'a> EditableMesh<'a> {
-    /// Builds the neighbours from the edges. Each directed edge must occur only once.
+    /// Finds the neighbours of all triangles from the edges. Each directed edge must occur only
+    /// once.
     pub fn new(positions: &'a [Vec3A], triangles: Vec<[u32; 3]>, outgoing: &OutgoingEdges) -> Self {
         let normals = triangles
             .iter()
@@ -165,8 +166,7 @@ impl<'a> EditableMesh<'a> {
         self.spots[vertex as usize]
     }
 
-    /// The normal of the triangle at a vertex, or of its closest triangle; `None` for an unused
-    /// vertex.
+    /// The normal of the triangle in the state of a vertex; `None` for an unused vertex.
     pub fn normal_of(&self, spot: VertexState) -> Option<Vec3A> {
         self.normals.get(spot.triangle() as usize).copied()
     }
@@ -181,12 +181,12 @@ impl<'a> EditableMesh<'a> {
         !self.spot(vertex).is_gone()
     }
 
-    /// A triangle at a vertex, which must be a corner of a triangle.
+    /// A triangle at `vertex`, which must be a corner of a triangle.
     pub fn at(&self, vertex: u32) -> u32 {
         self.spot(vertex).triangle()
     }
 
-    /// For every vertex, the area-weighted sum of the normals around it.
+    /// For every vertex, the area-weighted sum of the normals of the triangles around it.
     pub fn vertex_normals(&self) -> Vec<Vec3A> {
         let mut normals = vec![Vec3A::ZERO; self.positions.len()];
         for &triangle in &self.triangles {
@@ -196,7 +196,7 @@ impl<'a> EditableMesh<'a> {
         normals
     }
 
-    /// The triangles around a vertex, in one fan, counterclockwise.
+    /// The triangles around a vertex, in one fan, in counter-clockwise order.
     pub fn star(&self, vertex: u32) -> impl Iterator<Item = u32> {
         self.incident(vertex).map(|incident| incident.triangle)
     }
@@ -224,10 +224,10 @@ impl<'a> EditableMesh<'a> {
         squared_near(point, self.corners(triangle), self.normal(triangle), squared).is_some()
     }
 
-    /// A triangle within `distance` of `point` that does not face against `normal`, and its squared
-    /// distance, if a search from triangle `from` finds one. The condition on the normals separates
-    /// the two sides of a thin sheet. The search goes towards the point, and then visits connected
-    /// triangles within the distance, up to a maximum number.
+    /// A triangle within `distance` of `point` whose normal does not oppose `normal`, and its
+    /// squared distance, if a search from triangle `from` finds one. The condition on the normals
+    /// separates the two sides of a thin sheet. The search goes towards the point, and then visits
+    /// connected triangles within the distance, up to a maximum number.
     pub fn holder(
         &self,
         from: u32,
@@ -273,8 +273,8 @@ impl<'a> EditableMesh<'a> {
     }
 
     /// Whether a path on the surface joins two vertices that are not adjacent. The path is in the
-    /// plane of `normal` and the line between the vertices. It stays within `distance` of this
-    /// line, and crosses no triangle that faces against `normal`.
+    /// plane that contains `normal` and the line between the vertices. It stays within `distance`
+    /// of this line, and crosses no triangle whose normal opposes `normal`.
     pub fn leads(&self, from: u32, to: u32, normal: Vec3A, distance: f32) -> bool {
         let start = self.positions[from as usize];
         let ahead = self.positions[to as usize] - start;
@@ -286,7 +286,8 @@ impl<'a> EditableMesh<'a> {
         };
         let crossing =
             |a: Vec3A, right: f32, b: Vec3A, left: f32| a + (b - a) * (right / (right - left));
-        // The current triangle, the side by which the path leaves it, and the ends of that side.
+        // The current triangle, the side through which the path leaves it, and the ends of that
+        // side.
         let mut way = None;
         let mut before = None;
         for triangle in self.star(from) {
@@ -328,7 +329,7 @@ impl<'a> EditableMesh<'a> {
         false
     }
 
-    /// The edges of a triangle that have no other triangle.
+    /// The edges of a triangle that no other triangle shares.
     pub fn open_edges(&self, triangle: u32) -> impl Iterator<Item = [u32; 2]> {
         let edges = edges(self.triangles[triangle as usize]).into_iter();
         edges
@@ -337,7 +338,7 @@ impl<'a> EditableMesh<'a> {
             .map(|(edge, _)| edge)
     }
 
-    /// The triangles around a vertex inside the patch, counterclockwise.
+    /// The triangles of the patch around a vertex, in counter-clockwise order.
     pub fn incident(&self, vertex: u32) -> impl Iterator<Item = Incident> {
         let spot = self.spot(vertex);
         let start = if spot.is_gone() { NONE } else { spot.triangle() };
@@ -354,7 +355,7 @@ impl<'a> EditableMesh<'a> {
         })
     }
 
-    /// The index of this vertex among a triangle's corners.
+    /// The index of `vertex` among a triangle's corners.
     fn corner(&self, triangle: u32, vertex: u32) -> usize {
         // There are no branches here, because they would be unpredictable.
         let [_, b, c] = self.triangles[triangle as usize];
@@ -379,7 +380,7 @@ impl<'a> EditableMesh<'a> {
     }
 
     /// Moves a vertex onto the first vertex of its ring. The ring's first and last triangle vanish;
-    /// the other triangles get the new `normals`.
+    /// the other triangles take the new `normals`.
     pub fn collapse(
         &mut self,
         vertex: u32,
@@ -403,7 +404,7 @@ impl<'a> EditableMesh<'a> {
         for incident in [ring[0], ring[last]] {
             self.triangles[incident.triangle as usize] = [NONE; 3];
         }
-        // A border vertex keeps its first triangle, or gets the triangle that replaces it.
+        // A border vertex keeps its first triangle, or takes the triangle that replaces it.
         for (vertex, to) in [(target, rightmost), (right, rightmost), (left, leftmost)] {
             let at = self.at(vertex);
             let is_gone = (at == ring[0].triangle) | (at == ring[last].triangle);
@@ -489,7 +490,7 @@ pub fn squared_near(
     }
     let mut least = f32::INFINITY;
     for [from, to] in [[a, b], [b, c], [c, a]] {
-        // The projection is outside of this side.
+        // The projection is outside this side.
         if cross(from, to).dot(normal) <= 0.0 {
             let ahead = to - from;
             let along = (-from.dot(ahead) / ahead.length_squared()).clamp(0.0, 1.0);

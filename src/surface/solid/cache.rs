@@ -1,5 +1,6 @@
-//! Distances that were computed before: the boxes of neighbouring blocks overlap, and the frames of
-//! a simulation share a solid that does not move. Cubes of 4^3 cells are kept.
+//! A cache of computed distances, in cubes of 4^3 cells. Distances are needed repeatedly, because
+//! the boxes of neighbouring blocks overlap, and because the frames of a simulation share a solid
+//! that does not move.
 
 use std::collections::VecDeque;
 use std::convert::Infallible;
@@ -11,30 +12,31 @@ use quick_cache::{OptionsBuilder, Weighter};
 
 use crate::grid::{Grid, Periodic, TILE};
 
-/// Cells of a cube.
+/// Number of cells in a cube.
 pub const CELLS: usize = (TILE * TILE * TILE) as usize;
-/// Upper limit of the memory of a kept cube, in bytes, including its share of the cache's tables,
-/// but without a distance for each cell.
+/// Upper limit, in bytes, on the memory of a kept cube, including its share of the cache's tables,
+/// but without individual distances of its cells.
 const CUBE_BYTES: u64 = 208;
-/// Upper limit of the memory of a distance for each cell of a cube, in bytes.
+/// Upper limit, in bytes, on the memory of individual distances of all cells in a cube.
 const EACH_BYTES: u64 = 160;
-/// Maximum number of lattices.
+/// Maximum number of lattices whose numbers are remembered.
 const MOST_LATTICES: usize = 64;
 
-/// The cells and units of distances. Distances of different lattices differ.
+/// The cells for which distances are computed, and the unit of the distances. Each lattice has its
+/// own distances.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DistanceLattice {
     pub grid: Grid,
     pub periodic: Option<Periodic>,
     /// Cells are 2^`level` times as wide as the grid's cells.
     pub level: u32,
-    /// The unit of a distance.
+    /// The unit of distances, in the grid's unit of length.
     pub step: f64,
-    /// The largest distance.
+    /// The largest distance, in steps.
     pub most: i16,
 }
 
-/// The distances of the cells of a cube, x fastest.
+/// The distances of the cells in a cube, with x varying fastest.
 #[derive(Debug, Clone)]
 pub enum CubeDistances {
     /// All cells have this distance.
@@ -69,14 +71,14 @@ impl Weighter<Key, CubeDistances> for CubeWeighter {
     }
 }
 
-/// Kept distances of a solid.
+/// A cache of a solid's distances.
 #[derive(Debug)]
 pub struct DistanceCache {
     lattices: Mutex<Lattices>,
     cubes: Cache<Key, CubeDistances, CubeWeighter>,
 }
 
-/// The latest lattices with their numbers.
+/// The latest lattices, with their numbers.
 #[derive(Debug, Default)]
 struct Lattices {
     known: VecDeque<(u64, DistanceLattice)>,
@@ -111,13 +113,13 @@ impl DistanceCache {
         if known.len() == MOST_LATTICES {
             known.pop_front();
         }
-        // A number is never used again, because cubes of its lattice may still be kept.
+        // A number is never reused, because cubes of its lattice may still be kept.
         known.push_back((*next, *lattice));
         *next += 1;
         *next - 1
     }
 
-    /// The distances of a cube of the lattice with this number, from the cache or from `make`.
+    /// The distances of a cube of the lattice that has this number, from the cache or from `make`.
     pub fn get_or_make(
         &self,
         number: u64,
@@ -172,7 +174,7 @@ mod tests {
         assert_eq!(of(0, &[3, 4, 1]), [4]);
         assert_eq!(of(1, &[3]), [3]);
         assert!(of(0, &[1, 2, 3, 4]).is_empty());
-        // A cube that is used again and again stays while others come and go.
+        // A cube that is used repeatedly stays in the cache while other cubes come and go.
         for first in (10..30_000).step_by(500) {
             of(0, &(first..first + 500).collect::<Vec<_>>());
             assert!(of(0, &[1]).is_empty());

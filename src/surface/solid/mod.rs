@@ -1,16 +1,17 @@
 //! Solids at which a fluid ends, as signed distances at the centres of cells.
 //!
-//! A solid is a closed mesh. Its inside is where the winding number is not 0: parts may overlap or
-//! touch, and a part inside another that faces the other way is a cavity. A solid that faces
-//! inwards as a whole is the same solid. The winding number of a place is counted along a line in x
-//! direction. The distance of a place is its distance to the nearest point on any triangle.
+//! A solid is a closed mesh. A place is inside the solid if the winding number there is nonzero:
+//! parts may overlap or touch, and a part that lies inside another part and faces the other way is
+//! a cavity. Reversing all triangles gives the same solid. The winding number of a place is counted
+//! along a line in the x direction. The distance of a place is its distance from the nearest point
+//! on any triangle.
 //!
-//! A distance depends only on the cell, not on the box of cells in a request: cells are processed
-//! in cubes of 4^3, bounded by the distance of the cube's centre. The distances of recently used
-//! cubes are kept.
+//! A distance depends only on the cell, not on the box of cells in a request. Cells are processed
+//! in cubes of 4^3, and the distance of a cube's centre bounds the search for its cells. The
+//! distances of recently used cubes are kept.
 //!
-//! In a periodic box a solid repeats as the fluid does: it has copies one box width away along each
-//! periodic axis.
+//! In a periodic box, a solid repeats as the fluid does: it has copies one box width away along
+//! each periodic axis.
 
 mod cache;
 
@@ -29,7 +30,8 @@ use super::mesh::Mesh;
 use super::mesh::tree::{CompareError, Side, TriangleTree};
 use cache::{CELLS, CubeDistances, DistanceCache, DistanceLattice};
 
-/// Bytes of memory per triangle while a solid is made, including its share of the vertices.
+/// Memory, in bytes per triangle, that making a solid takes, including the triangle's share of the
+/// vertices.
 const TRIANGLE_BYTES: u64 = 360;
 
 /// A mesh that cannot be a solid.
@@ -71,10 +73,10 @@ pub struct Solid {
 }
 
 impl Solid {
-    /// Combines meshes to a solid. The fluid ends at the distance `offset` from it.
+    /// Combines meshes into a solid. The fluid ends at the distance `offset` from the solid.
     ///
     /// # Errors
-    /// [`SolidFault`], with the number of the mesh.
+    /// [`SolidFault`], with the number of the faulty mesh.
     pub fn new(meshes: Vec<Mesh>, offset: SolidOffset) -> Result<Self, (usize, SolidFault)> {
         let mut solid = Self {
             meshes: Vec::new(),
@@ -101,19 +103,20 @@ impl Solid {
         Ok(solid)
     }
 
-    /// Keeps distances that were computed, in at most `bytes` bytes.
+    /// Keeps computed distances in a cache of at most `bytes` bytes.
     #[must_use]
     pub fn keeping_distances(self, bytes: u64) -> Self {
         Self { known: DistanceCache::new(bytes), ..self }
     }
 
-    /// The distance between the fluid and the solid in spacings.
+    /// The distance between the fluid and the solid, in spacings.
     #[must_use]
     pub fn offset(&self) -> f64 {
         self.offset.spacings()
     }
 
-    /// The numbers of the meshes whose triangles face inwards and were reversed.
+    /// The numbers of the meshes whose triangles face inwards. They give the same solids as if
+    /// their triangles faced outwards.
     #[must_use]
     pub fn turned(&self) -> &[usize] {
         &self.turned
@@ -125,14 +128,14 @@ impl Solid {
         &self.thickness
     }
 
-    /// Bytes of memory.
+    /// Maximum memory of the solid, in bytes.
     #[must_use]
     pub fn bytes(&self) -> u64 {
         self.triangles * TRIANGLE_BYTES + self.known.most_bytes()
     }
 
-    /// Whether some cells, 2^`level` times as wide as the grid's cells, may contain a part of a
-    /// solid, or lie in a solid.
+    /// Whether `cells`, which are 2^`level` times as wide as the grid's cells, may contain a part
+    /// of the solid's surface or lie inside the solid.
     #[must_use]
     pub fn is_near(
         &self,
@@ -145,9 +148,9 @@ impl Solid {
         self.copies(periodic).any(|copy| copy.meets(lo, hi) || copy.winds((lo + hi) / 2.0))
     }
 
-    /// Signed distances of the centres of some cells, 2^`level` times as wide as the grid's cells,
-    /// in steps of length `step`: negative in a solid, and at most 32767 steps. Distances of more
-    /// than `most` steps, which are longer than a cell, are clamped.
+    /// Signed distances of the centres of `cells`, which are 2^`level` times as wide as the grid's
+    /// cells. Distances are in steps of length `step`, and negative inside the solid. Their
+    /// magnitudes are clamped to `most` steps.
     #[must_use]
     pub fn distances(
         &self,
@@ -175,7 +178,7 @@ impl Solid {
         distances
     }
 
-    /// The meshes and copies that determine the distances on some cells.
+    /// The meshes and copies that determine the distances of `cells`.
     fn near(&self, lattice: &DistanceLattice, cells: CellBox) -> NearMeshes<'_> {
         let (lo, hi) = lattice.corners(cells);
         let farthest = lattice.farthest();
@@ -203,39 +206,40 @@ impl Solid {
     }
 }
 
-/// The lowest and the highest corner of cells 2^`level` times as wide as the grid's cells.
+/// The lowest and the highest corner of a box of cells that are 2^`level` times as wide as the
+/// grid's cells.
 fn corners(grid: &Grid, level: u32, cells: CellBox) -> (DVec3, DVec3) {
     let world = |cell: IVec3| grid.world_from_cells(cell.as_dvec3() * width(level));
     (world(cells.lo), world(cells.hi))
 }
 
 impl DistanceLattice {
-    /// The lowest and the highest corner of some cells.
+    /// The lowest and the highest corner of a box of cells.
     fn corners(&self, cells: CellBox) -> (DVec3, DVec3) {
         corners(&self.grid, self.level, cells)
     }
 
-    /// The largest distance, in the unit of the grid.
+    /// The largest distance, in the grid's unit of length.
     fn farthest(&self) -> f64 {
         f64::from(self.most) * self.step
     }
 }
 
-/// Number of grid cells along a cell that is 2^`level` times as wide.
+/// Width of a cell of level `level`, in grid cells.
 fn width(level: u32) -> f64 {
     f64::from(1_u32 << level)
 }
 
-/// The meshes that determine the distances on a box of cells.
+/// The meshes that determine the distances of the cells in a box.
 struct NearMeshes<'a> {
     /// The meshes with a triangle near the box.
     near: Vec<PlacedMesh<'a>>,
-    /// Whether the box is inside another mesh.
+    /// Whether the box is inside a mesh that has no triangle near it.
     is_inside: bool,
 }
 
 impl NearMeshes<'_> {
-    /// The distances of the cells of a cube in the box.
+    /// The distances of the cells in a cube of the box.
     fn distances(&self, lattice: &DistanceLattice, cube: CellBox) -> CubeDistances {
         let (lo, hi) = lattice.corners(cube);
         let (most, farthest) = (lattice.most, lattice.farthest());
@@ -269,7 +273,7 @@ struct PlacedMesh<'a> {
 }
 
 impl PlacedMesh<'_> {
-    /// Whether the bounding box of any triangle meets a box.
+    /// Whether the bounding box of any triangle meets the box from `lo` to `hi`.
     fn meets(&self, lo: DVec3, hi: DVec3) -> bool {
         self.mesh.meets(lo - self.shift, hi - self.shift)
     }
@@ -299,7 +303,7 @@ impl PlacedMesh<'_> {
             let cells = rows().flat_map(|(y, z)| (cube.lo.x..cube.hi.x).map(move |x| (x, y, z)));
             for ((x, y, z), steps) in cells.zip(&mut distances) {
                 let at = centre(x, y, z);
-                // A bound by the triangle inequality, through the cube's centre.
+                // The triangle inequality gives this bound, through the cube's centre.
                 let bound = (of_middle + at.distance(middle)).min(farthest) * (1.0 + 1e-9);
                 if let Some((distance, nearest)) = self.mesh.distance_within(at, bound, Some(near))
                 {
@@ -308,7 +312,7 @@ impl PlacedMesh<'_> {
                 }
             }
         }
-        // Distances in the mesh are negative.
+        // Distances inside the mesh are negative.
         for ((y, z), distances) in rows().zip(distances.chunks_exact_mut(TILE as usize)) {
             let line = centre(cube.lo.x, y, z);
             let passed = self.mesh.crossings([line.y, line.z], line.x);
@@ -325,7 +329,7 @@ impl PlacedMesh<'_> {
     }
 }
 
-/// The volume within a mesh, negative if it faces inwards, and its area.
+/// The volume that a mesh encloses, negative if its triangles face inwards, and the mesh's area.
 fn volume_and_area(mesh: &TriangleTree) -> [f64; 2] {
     let (mut sextuple_volume, mut doubled_area) = (0.0, 0.0);
     for [a, b, c] in (0..mesh.triangles().len()).map(|triangle| mesh.corners(triangle)) {
@@ -451,7 +455,7 @@ mod tests {
         for bytes in [0, 1 << 12, 1 << 20] {
             assert_eq!(all(&boxes().keeping_distances(bytes), part), whole.part(part), "{bytes}");
         }
-        // The distance of the nearest solid, negative in either.
+        // The distance from the nearer solid, negative inside either of them.
         let at = |x: f64| {
             let cell = ((DVec3::new(x, 0.0, 0.0) - grid().origin()) / 0.25).floor().as_ivec3();
             f64::from(whole.at(cell)) * 1e-4
@@ -480,7 +484,7 @@ mod tests {
         };
         assert_eq!(middle(both(outer.clone(), &inner)), -500);
         assert_eq!(middle(both(outer, &inwards)), 500);
-        // The inner mesh alone is a box again.
+        // Without the outer mesh, the inner mesh is a box and not a cavity.
         let turned = solid(vec![inner, inwards.clone()]);
         assert_eq!(turned.turned(), [1]);
         assert_eq!(middle(inwards), -500);

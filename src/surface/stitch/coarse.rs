@@ -2,8 +2,8 @@
 //! 1993).
 //!
 //! The vertices of 2 x 2 x 2 cells are merged at their mean position, and triangles with two equal
-//! corners are left out. The result of a closed surface is closed in the sense that matters for
-//! pictures: a line of sight leaves it as often as it enters it.
+//! corners are left out. The result for a closed surface is closed in the sense that matters for
+//! pictures: every line of sight leaves the result as often as it enters it.
 
 use std::io;
 
@@ -19,7 +19,7 @@ use super::{StitchedSurface, split};
 
 /// The lowest cells of all groups of 2 x 2 x 2 cells, as bits of a tile.
 const LOWEST: TileMask = 0x0505_0000_0505;
-/// With this mask, the number of a cell's bit becomes the number of the lowest cell of its group.
+/// This mask turns the number of a cell's bit into the number of the lowest cell in its group.
 const LOWEST_OF: u32 = 0b10_1010;
 
 /// A mesh with merged vertices.
@@ -29,7 +29,7 @@ pub(super) struct CoarseMesh<'a> {
     firsts: Vec<u64>,
 }
 
-/// The groups of 2 x 2 x 2 cells of a tile that have vertices, by their lowest cells.
+/// The groups of 2 x 2 x 2 cells in a tile that have vertices, each given by its lowest cell.
 fn groups(tile: &Tile, level: BlockLevel) -> TileMask {
     let [x, y, z] = level.crossed(tile);
     let crossed = x | y | z;
@@ -38,7 +38,7 @@ fn groups(tile: &Tile, level: BlockLevel) -> TileMask {
     (along_y | along_y >> 16) & LOWEST
 }
 
-/// The number of a cell's group among those of its tile.
+/// The number of a cell's group among the groups of its tile.
 fn rank(groups: TileMask, bit: u32) -> usize {
     (groups & ((1 << (bit & LOWEST_OF)) - 1)).count_ones() as usize
 }
@@ -64,7 +64,7 @@ impl<'a> CoarseMesh<'a> {
         (self.firsts[piece + 1] - self.firsts[piece]) as usize
     }
 
-    /// Writes the vertices of a block.
+    /// Writes the merged vertices of a block.
     fn place(&self, block: &BlockMesh, to: &mut [[f64; 3]]) {
         let places = self.fine.positions(block);
         let (mut places, mut rest) = (places.iter(), to);

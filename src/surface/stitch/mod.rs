@@ -1,9 +1,9 @@
 //! Joins the surfaces of all blocks into one mesh, by the identity of dual edges.
 //!
-//! A vertex's number is the sum of three numbers: the first number of its block, the number of
-//! vertices in previous tiles of the block, and the rank of its edge among the tile's crossed
-//! edges. Positions and distances are not used. Tiles are ordered along the Morton curve. Positions
-//! and triangles are computed on request, block by block, and never stored.
+//! A vertex's number is the sum of three numbers: the number of the first vertex of its block, the
+//! number of vertices in previous tiles of the block, and the rank of its edge among the tile's
+//! crossed edges. The numbering uses neither positions nor distances. Tiles are ordered along the
+//! Morton curve. Positions and triangles are computed on request, block by block, and never stored.
 
 mod coarse;
 mod numbers;
@@ -29,7 +29,7 @@ use crate::system::memory::zeroed_in_huge_pages;
 use numbers::VertexNumbers;
 pub use numbers::writing_bytes;
 
-/// An error of making one indexed mesh in memory.
+/// An error in making one indexed mesh in memory.
 #[derive(Debug, Error)]
 pub enum WholeMeshError {
     /// Vertex numbers exceed 32 bits.
@@ -106,7 +106,7 @@ impl StitchedSurface {
         })
     }
 
-    /// The positions of all vertices, and all triangles, for vertex numbers of 32 bits.
+    /// The positions of all vertices, and all triangles. Vertex numbers must fit into 32 bits.
     fn positions_and_triangles(&self) -> io::Result<Indexed> {
         let positions = self.of_vertices(1, |block, to| self.place(block, to))?;
         let mut triangles = zeroed_in_huge_pages(self.triangle_count() as usize);
@@ -136,13 +136,14 @@ impl StitchedSurface {
         self.grid
     }
 
-    /// Bytes of all block surfaces.
+    /// Size of all block surfaces, in bytes.
     pub fn bytes(&self) -> u64 {
         self.spool.bytes()
     }
 
-    /// The enclosed volume, computed from the lengths inside the surface of columns of cells along
-    /// x. It equals the volume of the mesh, except for the curvature within a cell.
+    /// The enclosed volume, computed from columns of cells along x and their lengths inside the
+    /// surface. It equals the volume of the mesh, except for the effect of the surface's curvature
+    /// within a cell.
     ///
     /// # Errors
     /// If the scratch file cannot be read.
@@ -150,7 +151,7 @@ impl StitchedSurface {
         self.volume_within(None)
     }
 
-    /// The [volume](Self::volume) inside the given cells, if any are given.
+    /// The [volume](Self::volume) inside the cells `within`, or everywhere if `within` is `None`.
     ///
     /// # Errors
     /// If the scratch file cannot be read.
@@ -162,7 +163,7 @@ impl StitchedSurface {
         Ok(columns.iter().sum::<f64>() * self.grid.cell_size().powi(3))
     }
 
-    /// The contribution of a block to the lengths of all columns along x, in the finest cells.
+    /// The contribution of a block's columns along x to the enclosed volume, in finest cells.
     fn block_columns(&self, block: &BlockMesh, within: Option<CellBox>) -> f64 {
         let edge = f64::from(1_u32 << block.level.level);
         let of_tile = |tile: &Tile| {
@@ -220,18 +221,18 @@ impl StitchedSurface {
         self.spool.first_vertex(piece)
     }
 
-    /// The piece of a vertex.
+    /// The piece that contains a vertex.
     pub fn piece_of(&self, vertex: u64) -> usize {
         self.spool.piece_of(vertex)
     }
 
-    /// Number of vertices of a piece.
+    /// Number of vertices in a piece.
     pub fn piece_vertices(&self, piece: usize) -> usize {
         self.spool.counts(piece)[0]
     }
 
-    /// For each vertex of a piece, the lower cell of its edge, and its position, both in the finest
-    /// cells.
+    /// For each vertex of a piece, the lower cell of its edge and the position of the vertex, both
+    /// in finest cells.
     ///
     /// # Errors
     /// If the scratch file cannot be read.
@@ -246,8 +247,8 @@ impl StitchedSurface {
         Ok(places)
     }
 
-    /// Calls `put` with each triangle of a piece, and the lowest corner of its dual cell, in the
-    /// finest cells.
+    /// Calls `put` with each triangle of a piece, and the lowest corner of the triangle's dual
+    /// cell, in finest cells.
     ///
     /// # Errors
     /// If the scratch file cannot be read.
@@ -260,7 +261,7 @@ impl StitchedSurface {
         self.emit(piece, |_, cell, triangle| put(cell << level, triangle))
     }
 
-    /// Computes the positions of a block's vertices: v = (1 - a) p_i + a p_j, or a point of the
+    /// Computes the positions of a block's vertices: v = (1 - a) p_i + a p_j, or a point on the
     /// wall. Stitching needs floating-point arithmetic only here.
     fn place(&self, block: &BlockMesh, positions: &mut [[f64; 3]]) {
         let level = block.level.level.into();
@@ -270,7 +271,7 @@ impl StitchedSurface {
         let place = |cell: IVec3, axis: usize, ends: [u16; 2]| {
             let fraction = self.crossings.fraction(ends);
             let mut cells = cell.as_dvec3() + 0.5;
-            // Beyond a wall there are only ghost points.
+            // Beyond a wall, there are only ghost points.
             let is_within = |cell| domain.is_none_or(|domain| domain.cells().contains(cell));
             if uniform || !is_within(cell) || !is_within(cell + IVec3::AXES[axis]) {
                 cells[axis] += fraction;
@@ -304,7 +305,7 @@ impl StitchedSurface {
         positions
     }
 
-    /// Number of triangles of a piece.
+    /// Number of triangles in a piece.
     fn piece_triangles(&self, piece: usize) -> usize {
         self.spool.counts(piece)[1]
     }
@@ -322,8 +323,8 @@ impl StitchedSurface {
         self.emit_by(i, numbered, put)
     }
 
-    /// Like `emit`, with other vertex numbers: for each tile of a block, in order, `numbered`
-    /// returns a function that numbers the tile's vertices by their bits.
+    /// Like `emit`, but with other vertex numbers. `numbered` is called for each tile of a block in
+    /// order, and returns a function that gives the number of a vertex from its bit in the tile.
     fn emit_by<N: FnMut(u32) -> u64>(
         &self,
         i: usize,
@@ -364,8 +365,8 @@ impl StitchedSurface {
     }
 }
 
-/// The middle of a cell of a block's lattice, or of the wide cell that it is part of, in cells of
-/// the block.
+/// The middle of a cell of a block's lattice, or of the wide cell that contains it, in cells of the
+/// block.
 fn middle(block: &BlockMesh, cell: IVec3) -> DVec3 {
     if !block.level.is_uniform() && block.level.is_wider(block.block, cell) {
         (cell & !1).as_dvec3() + 1.0
@@ -374,7 +375,7 @@ fn middle(block: &BlockMesh, cell: IVec3) -> DVec3 {
     }
 }
 
-/// Consecutive pieces of the given lengths.
+/// Splits a slice into consecutive pieces of the given lengths.
 fn split<T>(mut rest: &mut [T], lengths: impl Iterator<Item = usize>) -> Vec<&mut [T]> {
     lengths
         .map(|length| {

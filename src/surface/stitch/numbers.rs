@@ -21,20 +21,22 @@ const EDGE: usize = BLOCK as usize + 1;
 
 /// Approximate ratio of triangles to vertices of a closed surface.
 const TRIANGLES_A_VERTEX: u64 = 2;
-/// Bytes per triangle of a block for a thread that writes the block: three vertex numbers, and
-/// records of 13 bytes for four blocks.
+/// Memory, in bytes per triangle of a block, for a thread that writes the block: three vertex
+/// numbers, and 13-byte records for four blocks.
 const TRIANGLE_BYTES: u64 = 24 + 4 * 13;
 
-/// Bytes for `threads` threads, each of which numbers and writes the triangles of a block. These
-/// blocks have `vertices` vertices in total.
+/// Memory, in bytes, for `threads` threads, each of which numbers and writes the triangles of a
+/// block. These blocks have `vertices` vertices in total.
 pub fn writing_bytes(threads: u64, vertices: u64) -> u64 {
     let numbers = (3 * EDGE.pow(3) * size_of::<u64>()) as u64;
     threads * numbers + vertices * TRIANGLES_A_VERTEX * TRIANGLE_BYTES
 }
 
-/// The numbers of the vertices on the edges of a block's triangles. Other entries are undefined.
+/// The numbers of the vertices on the dual edges that a block's triangles use. Other entries are
+/// undefined.
 pub(super) struct VertexNumbers {
-    /// Three per cell, by the axis of the edge that starts there; x fastest.
+    /// Three numbers per cell, one for the dual edge along each axis that starts there, with x
+    /// varying fastest.
     numbers: Vec<u64>,
 }
 
@@ -44,7 +46,8 @@ impl VertexNumbers {
     }
 
     /// Sets the numbers of the vertices of a tile whose lowest cell is at `corner`, relative to the
-    /// block; `number` is called with the bit of each vertex in order.
+    /// block; `number` is called with the bit of each vertex in order, and returns the vertex's
+    /// number.
     #[inline]
     pub(super) fn enter(
         &mut self,
@@ -66,8 +69,8 @@ impl VertexNumbers {
         }
     }
 
-    /// Like [`enter`](Self::enter), for a tile of wider cells: each of its edges is four edges of
-    /// the block's lattice. `corner` is in cells of that lattice.
+    /// Like [`enter`](Self::enter), for a tile of wider cells: each edge of such a tile corresponds
+    /// to four edges of the block's lattice. `corner` is in cells of that lattice.
     pub(super) fn enter_wider(
         &mut self,
         tile: &Tile,
@@ -160,8 +163,8 @@ fn index(cell: IVec3) -> usize {
     3 * (cell.x + EDGE * (cell.y + EDGE * cell.z))
 }
 
-/// [`TABLE`], with each edge as the index of its number, relative to the first number of the dual
-/// cell's lowest corner.
+/// [`TABLE`], with each edge replaced by the index of its number, relative to the first number of
+/// the dual cell's lowest corner.
 static FANS: LazyLock<[Vec<[u16; 3]>; 256]> = LazyLock::new(|| {
     std::array::from_fn(|case| TABLE[case].iter().map(|triangle| triangle.map(place)).collect())
 });

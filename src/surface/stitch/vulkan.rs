@@ -1,6 +1,6 @@
-//! Stitches the whole mesh on a device: positions in f32 and triangles. Both are in the order of
-//! [`StitchedSurface`](super::StitchedSurface), and the positions are exactly its positions,
-//! rounded to f32.
+//! Stitches the whole mesh on a device, with positions in f32. Vertices and triangles are in the
+//! order of [`StitchedSurface`](super::StitchedSurface), and the positions are exactly those of
+//! this surface, rounded to f32.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -20,16 +20,16 @@ pub const BLOCK_EDGE_TILES: u32 = (BLOCK / TILE) as u32;
 /// Number of words per case in the table: one for the number of triangles, and one for each
 /// triangle.
 pub const CASE_WORDS: u32 = 6;
-/// Number of bits of an edge, which is stored as corner + 8 axis.
+/// Number of bits in which an edge is stored, as corner + 8 axis.
 pub const EDGE_BITS: u32 = 5;
 /// The number of a missing block.
 pub const NO_BLOCK: u32 = u32::MAX;
-/// Bytes of a position or a triangle.
+/// Size of a position or a triangle, in bytes.
 const ROW: u64 = 12;
 /// Maximum number of vertices or triangles per submission.
 const ROWS_AT_ONCE: u64 = 4 << 20;
 
-/// The shaders of stitching.
+/// The shaders that stitch meshes.
 #[derive(Debug)]
 pub struct StitchPipelines {
     starts: Arc<ComputePipeline>,
@@ -61,7 +61,7 @@ pub struct MeshBlock {
     above: [u32; 8],
 }
 
-/// The start of each block in the whole mesh.
+/// Where each block starts in the whole mesh.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MeshLayout {
     blocks: Vec<MeshBlock>,
@@ -71,8 +71,8 @@ pub struct MeshLayout {
 }
 
 impl MeshLayout {
-    /// Lays out blocks by their coordinates and tallies; `None` if numbers exceed 32 bits. Blocks
-    /// are in Morton order, and their coordinates are in blocks.
+    /// Lays out blocks by their coordinates and tallies; `None` if a number exceeds 32 bits. Blocks
+    /// must be in Morton order, with coordinates in blocks.
     ///
     /// # Panics
     /// If the blocks are in a different order.
@@ -101,28 +101,28 @@ impl MeshLayout {
         Some(layout)
     }
 
-    /// The blocks as shaders need them.
+    /// The blocks, in the form that shaders read.
     pub fn blocks(&self) -> &[MeshBlock] {
         &self.blocks
     }
 
-    /// The number of tiles of all blocks.
+    /// The total number of tiles in all blocks.
     pub fn tiles(&self) -> u32 {
         self.tiles
     }
 
-    /// The number of vertices of all blocks.
+    /// The total number of vertices in all blocks.
     pub fn vertices(&self) -> u32 {
         self.vertices
     }
 
-    /// The number of triangles of all blocks.
+    /// The total number of triangles in all blocks.
     pub fn triangles(&self) -> u32 {
         self.triangles
     }
 
-    /// Divides the blocks into runs whose rows, which are positions or triangles, fit one shader
-    /// binding. `first` returns the first row of each block.
+    /// Divides the blocks into runs whose rows, which are positions or triangles, fit into one
+    /// shader binding. `first` returns the first row of each block.
     fn runs(&self, first: impl Fn(&MeshBlock) -> u32, total: u32, range: u64) -> Vec<TileRun> {
         let begin =
             |i: usize| self.blocks.get(i).map_or((self.tiles, total), |b| (b.first_tile, first(b)));
@@ -149,14 +149,14 @@ struct TileRun {
 }
 
 impl TileRun {
-    /// One work group per tile, in rows that every device supports.
+    /// One work group per tile, in rows whose length every device supports.
     fn groups(&self) -> [u32; 3] {
         let tiles = self.tiles.len() as u32;
         let width = tiles.clamp(1, 1 << 15);
         [width, tiles.div_ceil(width), 1]
     }
 
-    /// A view of the run's part of a buffer, and the number of words in the view before it.
+    /// A view of the run's part of a buffer, and the number of words in the view before that part.
     fn view(&self, all: &View, alignment: u64) -> (View, u32) {
         all.aligned(u64::from(self.rows.start) * ROW, self.rows.len() as u64 * ROW, alignment)
     }
@@ -197,12 +197,13 @@ pub struct StitchBuffers {
     pub indices: View,
 }
 
-/// Writes the positions and the triangles of the whole mesh, after the work of the tickets `after`.
-/// The submissions are short enough for any driver, and the caller submits the last one.
+/// Writes the positions and the triangles of the whole mesh, once the work of the tickets `after`
+/// has finished. The submissions are short enough for any driver, and the caller submits the last
+/// one.
 ///
 /// # Errors
-/// [`VulkanError::OutOfMemory`] if the tiles or the ends exceed a shader binding, and other errors
-/// if the device fails.
+/// [`VulkanError::OutOfMemory`] if the tiles or the ends do not fit into one shader binding, and
+/// other errors if the device fails.
 ///
 /// # Panics
 /// If a buffer is too small.

@@ -1,4 +1,4 @@
-//! Lists between two passes: in memory, or in a scratch file if there are many.
+//! Lists that one pass writes and the next pass reads, in memory or in a scratch file.
 
 use std::borrow::Cow;
 use std::io;
@@ -11,7 +11,7 @@ use super::Scratch;
 /// Lists that are written once, and read by index.
 #[derive(Debug)]
 pub struct Lists<T> {
-    /// Position of each list in the file, and its length.
+    /// Byte offset of each list in the file, and its number of items.
     index: Vec<(u64, usize)>,
     store: ListStore<T>,
     bytes: u64,
@@ -29,15 +29,15 @@ impl<T: Pod> Lists<T> {
         Self { index: Vec::new(), store: ListStore::Memory(Vec::new()), bytes: 0 }
     }
 
-    /// Bytes of all lists, in memory or in the file.
+    /// Total size, in bytes, of all lists, in memory or in the file.
     pub fn bytes(&self) -> u64 {
         self.bytes
     }
 
-    /// Moves all current and future lists to a scratch file in `folder`.
+    /// Moves all lists to a scratch file in `folder`, to which later lists are added too.
     ///
     /// # Errors
-    /// If that file cannot be created or written.
+    /// If the file cannot be created or written.
     pub fn move_to_file(&mut self, folder: &Path) -> io::Result<()> {
         let ListStore::Memory(lists) = &mut self.store else { return Ok(()) };
         let lists = std::mem::take(lists);
@@ -77,7 +77,7 @@ impl<T: Pod> Lists<T> {
         self.index.is_empty()
     }
 
-    /// List number `i`.
+    /// Returns list number `i`.
     ///
     /// # Errors
     /// If the scratch file cannot be read.

@@ -1,5 +1,5 @@
-//! Scratch files for data that exceeds the memory limit. They disappear with the process, however
-//! it ends.
+//! Scratch files for data that exceeds the memory limit. They disappear when the process ends, even
+//! if it crashes.
 
 mod lists;
 
@@ -12,8 +12,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::system::reopened::{read_exact_at, write_all_at};
 
-/// An unnamed file that several threads read and write by position. It is never mapped, so a full
-/// disk is an ordinary error.
+/// An unnamed file that several threads read and write at given offsets. It is never mapped into
+/// memory, so a full disk gives an ordinary error.
 #[derive(Debug)]
 pub struct Scratch {
     file: File,
@@ -21,8 +21,7 @@ pub struct Scratch {
 }
 
 impl Scratch {
-    /// Creates a file without a name in `folder`. Nothing remains to be removed, even after a
-    /// crash.
+    /// Creates a file without a name in `folder`. It needs no clean-up, even after a crash.
     ///
     /// # Errors
     /// If the system cannot create a file there.
@@ -30,12 +29,12 @@ impl Scratch {
         Ok(Self { file: tempfile::tempfile_in(folder)?, end: AtomicU64::new(0) })
     }
 
-    /// Reserves `bytes`, and returns their position.
+    /// Reserves `bytes` bytes, and returns their offset in the file.
     pub fn reserve(&self, bytes: u64) -> u64 {
         self.end.fetch_add(bytes, Ordering::Relaxed)
     }
 
-    /// Reserved bytes.
+    /// Number of reserved bytes.
     pub fn len(&self) -> u64 {
         self.end.load(Ordering::Relaxed)
     }
@@ -45,7 +44,7 @@ impl Scratch {
         self.len() == 0
     }
 
-    /// Writes all of `bytes` from position `at`.
+    /// Writes all of `bytes` at offset `at`.
     ///
     /// # Errors
     /// Errors of the system, such as a full disk.
@@ -53,15 +52,16 @@ impl Scratch {
         write_all_at(&self.file, at, bytes)
     }
 
-    /// Fills `bytes` from position `at`.
+    /// Fills `bytes` with the data at offset `at`.
     ///
     /// # Errors
-    /// Errors of the system, and [`io::ErrorKind::UnexpectedEof`] past the written data.
+    /// Errors of the system, and [`io::ErrorKind::UnexpectedEof`] if the range goes past the
+    /// written data.
     pub fn read_at(&self, at: u64, bytes: &mut [u8]) -> io::Result<()> {
         read_exact_at(&self.file, at, bytes)
     }
 
-    /// Writes `bytes` at the end, and returns their position.
+    /// Writes `bytes` at the end, and returns their offset in the file.
     pub fn append(&self, bytes: &[u8]) -> io::Result<u64> {
         let at = self.reserve(bytes.len() as u64);
         self.write_at(at, bytes)?;
@@ -69,7 +69,7 @@ impl Scratch {
     }
 }
 
-/// Free bytes for files in `folder`.
+/// Returns the disk space, in bytes, that is available to files in `folder`.
 ///
 /// # Errors
 /// Errors of the system, such as a missing folder.

@@ -30,16 +30,16 @@ class Order:
     particles_up: str | None
     sampling: Sampling
     filters: Filters
-    #: The solids' files, with {} for the frame number; `solid_offset` is their distance to the
-    #: fluid.
+    #: The solids' files, with {} for the frame number; `solid_offset` is the distance between
+    #: solids and fluid.
     solids: tuple[str, ...] = ()
     solid_offset: float | None = None
 
     def keywords(self) -> dict[str, Any]:
         """The keywords for `meniscus.Simulation`.
 
-        With these, it keeps finished frames if their settings are the same, and otherwise makes
-        them again.
+        With these keywords, the simulation keeps finished frames if the settings are unchanged, and
+        otherwise makes them again.
         """
         of = [(each.name, getattr(part, each.name)) for part in (self.sampling, self.filters) for each in fields(part)]
         solids = {"solid": self.solids, "solid_offset": self.solid_offset} if self.solids else {}
@@ -66,7 +66,8 @@ class Conversion:
         self.error = ""
         self.problems: list[str] = []
         self._end = threading.Event()
-        # Only a daemon thread lets Python call `_leave` at exit: it waits for other threads first.
+        # The thread is a daemon because, at exit, Python waits for all other threads before it
+        # calls `_leave`.
         self._thread = threading.Thread(target=self._run, name="meniscus conversion", daemon=True)
         atexit.register(self._leave)
 

@@ -1,8 +1,8 @@
 """Surfaces that follow the scene: they are made again only if their frame, a setting or their input has changed.
 
-A mesh stores the name of the request that made it. If a mesh should show another request, the
-extension updates it. This also works after undo and in a reopened file, because Blender restores
-the name with the mesh.
+A mesh stores the name of the request that made it. If the mesh should show the result of
+another request, the extension updates it. This also works after undo and in a reopened file,
+because Blender restores the name with the mesh.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Status:
 
 
 class _State:
-    """State that the .blend file does not store. Keys are the meshes' `session_uid`."""
+    """State that the .blend file does not store. Dictionary keys are the meshes' `session_uid`."""
 
     def __init__(self) -> None:
         self.reset()
@@ -63,7 +63,7 @@ _state = _State()
 
 
 class Refused(Exception):
-    """The settings do not define a surface. The message says why, and the panel shows it."""
+    """The settings do not define a surface. The panel shows the message, which says why."""
 
 
 def bound_cache(mebibytes: int) -> None:
@@ -169,7 +169,7 @@ def _velocity_scale(settings: bpy.types.PropertyGroup, scene: bpy.types.Scene) -
 
 
 def update(mesh: bpy.types.Mesh, scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None = None) -> None:
-    """Makes a mesh's surface again if its settings, its input or the scene's frame have changed."""
+    """Makes a mesh's surface again if its settings, its input or the scene's frame has changed."""
     settings = mesh.meniscus
     if settings.source == "NONE" or not settings.live:
         return

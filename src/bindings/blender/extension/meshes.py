@@ -1,4 +1,4 @@
-"""Replaces the content of a Blender mesh by arrays."""
+"""Replaces the contents of a Blender mesh with arrays."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from .surfaces.arrays import Arrays
 
 #: Blender numbers the corners of a mesh with signed 32-bit integers.
 MOST_CORNERS = 2**31 - 1
-#: Blender's attribute type and the name of its values, by the number of components.
+#: For each number of components, Blender's attribute type and the name of its values.
 _TYPES = {1: ("FLOAT", "value"), 2: ("FLOAT2", "vector"), 3: ("FLOAT_VECTOR", "vector"), 4: ("FLOAT_COLOR", "color")}
-#: Blender's attribute type and the name of its values, for integers such as identifiers.
+#: For integers such as identifiers, Blender's attribute type and the name of its values.
 _WHOLE = ("INT", "value")
 #: The attribute from which Cycles computes motion blur.
 VELOCITY = "velocity"
@@ -22,7 +22,7 @@ class TooLarge(Exception):
 
 
 def fill(mesh: bpy.types.Mesh, arrays: Arrays, velocity_scale: float) -> None:
-    """Replaces the geometry of a mesh by a surface, and keeps the mesh's materials.
+    """Replaces the geometry of a mesh with a surface, and keeps the mesh's materials.
 
     `velocity_scale` is the number of simulated seconds per second of the scene. Velocities are
     multiplied by it, because Cycles computes motion blur from velocities per second of the scene.
@@ -39,7 +39,7 @@ def fill(mesh: bpy.types.Mesh, arrays: Arrays, velocity_scale: float) -> None:
     mesh.polygons.foreach_set("loop_start", np.arange(0, corners, 3, dtype=np.int32))
     for name, values in arrays.attributes.items():
         kind = _TYPES.get(1 if values.ndim == 1 else values.shape[1])
-        # Skip attributes that Blender has no type for, and names that Blender uses itself.
+        # Skip attributes for which Blender has no type, and names that Blender itself uses.
         if kind is None or name in mesh.attributes:
             continue
         if values.dtype == np.int32:

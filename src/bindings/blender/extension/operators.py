@@ -168,7 +168,7 @@ class Measure(bpy.types.Operator):
 def order_of(mesh: bpy.types.Mesh, scene: bpy.types.Scene) -> Order:
     """Returns the order for a conversion with a surface's settings, and writes the solids of all frames.
 
-    Raises `Hidden`, `OSError`, and the library's errors about the names of files.
+    Raises `Hidden`, `OSError`, and the library's errors about file names.
     """
     settings = mesh.meniscus
     folder = bpy.path.abspath(settings.output)
@@ -202,7 +202,7 @@ def _replace(mesh: bpy.types.Mesh) -> None:
 
 
 def play_volumes(context: bpy.types.Context, mesh: bpy.types.Mesh, output: str) -> bpy.types.Object:
-    """Replaces the live surface by a Volume object that plays a conversion's volumes."""
+    """Replaces the live surface with a Volume object that plays a conversion's volumes."""
     files = volumes.files_of(output)
     if not files:
         raise OSError(f"{output}: no files")
@@ -212,7 +212,10 @@ def play_volumes(context: bpy.types.Context, mesh: bpy.types.Mesh, output: str) 
 
 
 def play(context: bpy.types.Context, mesh: bpy.types.Mesh, stage: str) -> list[bpy.types.Object]:
-    """Replaces the live surface by objects that play a conversion's meshes (Mesh Sequence Cache)."""
+    """Replaces the live surface with objects that play a conversion's meshes.
+
+    The objects have Mesh Sequence Cache modifiers.
+    """
     before = set(bpy.data.objects)
     window = context.window or (context.window_manager.windows[0] if context.window_manager.windows else None)
     with context.temp_override(window=window) if window else context.temp_override():

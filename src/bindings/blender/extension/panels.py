@@ -1,4 +1,4 @@
-"""Panels for the settings of a surface in the properties of its mesh, and menus that add one."""
+"""Panels for a surface's settings in the properties of its mesh, and menus that add a surface."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .operators import AddFiles, AddObject, Cancel, Convert, Measure, Reread, co
 
 
 def _sentence(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, icon: str) -> None:
-    """Shows a text in a panel, broken into lines that fit its width."""
+    """Shows a text in a panel, broken into lines that fit the panel's width."""
     width = max(int(context.region.width / (7 * context.preferences.system.ui_scale)) - 6, 20)
     column = layout.column(align=True)
     for number, line in enumerate(textwrap.wrap(text, width)):

@@ -7,8 +7,7 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, FloatVectorProp
 
 from . import live
 
-#: The library's defaults of the cell size, the smoothing width and the solids' distance, in
-#: spacings.
+#: The library's default cell size, smoothing width and solid offset, all in spacings.
 CELL, CALM, SOLID_OFFSET = 0.5, 1.6, -0.1
 
 

@@ -26,7 +26,8 @@ def solids_of(settings: bpy.types.PropertyGroup, offset: float, depsgraph: bpy.t
     if settings.solids is None:
         return Solids()
     shown = next((each for each in depsgraph.scene.objects if each.data == settings.id_data), None)
-    # Particles of files are in the surface's space; particles of an object are in world space.
+    # Particles from files are in the local space of the surface's object; particles from an object
+    # are in world space.
     to_world = np.array(shown.matrix_world) if shown is not None and settings.source == "FILES" else np.eye(4)
     to_particles = np.linalg.inv(to_world)
     objects = [each for each in objects_of(settings.solids) if each.data != settings.id_data]
@@ -54,7 +55,7 @@ def _mesh_of(source: bpy.types.Object, to_particles: np.ndarray, depsgraph: bpy.
     placed = to_particles @ np.array(evaluated.matrix_world)
     triangles = triangles.reshape(-1, 3)
     if np.linalg.det(placed[:3, :3]) < 0.0:
-        # The triangles of a mirrored object face inwards, so turn them round.
+        # The triangles of a mirrored object face inwards, so reverse them.
         triangles = triangles[:, ::-1]
     vertices = positions.reshape(-1, 3).astype(np.float64) @ placed[:3, :3].T + placed[:3, 3]
     return SolidMesh(source.name, vertices, np.ascontiguousarray(triangles))
@@ -63,7 +64,7 @@ def _mesh_of(source: bpy.types.Object, to_particles: np.ndarray, depsgraph: bpy.
 def exported(settings: bpy.types.PropertyGroup, offset: float, scene: bpy.types.Scene, numbers: Iterator[int], folder: Path) -> list[str]:
     """Writes the solids of each file number into a folder, for a conversion.
 
-    Returns the files' names, with {} for the number. Raises `Hidden` like `solids_of`.
+    Returns the files' names, with {} for the number. Raises `Hidden` as `solids_of` does.
     """
     folder.mkdir(parents=True, exist_ok=True)
     shown_frame, shown_subframe, was_live = scene.frame_current, scene.frame_subframe, settings.live

@@ -29,14 +29,15 @@ class Hidden(Exception):
 def particles_of(source: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> tuple[Floats, Floats | None]:
     """Returns an object's positions, and its velocities if it has an attribute "velocity".
 
-    Raises `Hidden`.
+    Raises `Hidden` if Blender does not evaluate the object because it is hidden.
     """
     evaluated = source.evaluated_get(depsgraph)
     try:
         # Geometry nodes can make a point cloud from any object.
         geometry = evaluated.evaluated_geometry()
     except TypeError:
-        # The other dependency graph cannot help: a render does not update it to its frame.
+        # The dependency graph of the other mode cannot help: a render does not update that graph to
+        # the rendered frame.
         where = "in renders" if depsgraph.mode == "RENDER" else "in the viewport"
         what = f"{source.name} is hidden {where}, where its vertices are then not known: vertices without faces are not drawn anyway"
         raise Hidden(what) from None

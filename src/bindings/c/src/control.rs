@@ -15,19 +15,19 @@ use crate::status::{ask, c_text};
 pub enum MeniscusStage {
     /// A stage that is newer than this header.
     Other = 0,
-    /// The input is read.
+    /// Reads the input.
     Reading = 1,
-    /// Particles are counted in cells, to estimate the memory of the frame.
+    /// Counts particles in cells, to estimate the memory that the frame needs.
     Counting = 2,
-    /// A large frame waits until other frames have finished.
+    /// Waits until other frames have finished, because the frame is large.
     Waiting = 3,
-    /// Particles are sampled on the grid.
+    /// Samples the particles on the grid.
     Sampling = 4,
-    /// The field is meshed.
+    /// Meshes the field.
     Meshing = 5,
-    /// The mesh is simplified.
+    /// Simplifies the mesh.
     Simplifying = 6,
-    /// The mesh is written.
+    /// Writes the mesh.
     Writing = 7,
 }
 
@@ -50,7 +50,7 @@ impl From<Stage> for MeniscusStage {
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct MeniscusProgress {
-    /// Size of this structure in bytes, in the version of the library.
+    /// Size, in bytes, of this structure in the library's version.
     pub size: usize,
     /// The name of the stage, such as "meshing"; valid during the callback.
     pub name: *const c_char,
@@ -63,20 +63,21 @@ pub struct MeniscusProgress {
 /// A function that receives progress. It returns 0 to continue; any other value cancels the work,
 /// and the call returns MENISCUS_STATUS_CANCELLED.
 ///
-/// Threads of the library call it, one at a time for each call of the library, and never after that
-/// call has returned. It must not throw an exception or leave by longjmp.
+/// Within each call of the library, threads of the library call this function one at a time. They
+/// never call it after that call has returned. The function must not throw an exception or leave by
+/// longjmp.
 pub type MeniscusProgressCallback =
     Option<unsafe extern "C" fn(user: *mut c_void, progress: *const MeniscusProgress) -> i32>;
 
 /// A handle with which any thread can cancel work. Cancelled calls return
-/// MENISCUS_STATUS_CANCELLED. Later calls with the same handle do so too, so a cancelled handle
-/// cannot be reused. The handle may be freed while calls use it.
+/// MENISCUS_STATUS_CANCELLED. So do later calls with the same handle, which therefore cannot be
+/// reused. The handle may be freed while calls use it.
 #[derive(Debug, Default)]
 pub struct MeniscusCancel {
     pub cancel: Cancel,
 }
 
-/// Creates a cancel handle, to be freed by meniscus_cancel_free.
+/// Creates a cancel handle, which must be freed by meniscus_cancel_free.
 #[unsafe(no_mangle)]
 pub extern "C" fn meniscus_cancel_new() -> *mut MeniscusCancel {
     ask(std::ptr::null_mut(), || Box::into_raw(Box::default()))
@@ -85,7 +86,7 @@ pub extern "C" fn meniscus_cancel_new() -> *mut MeniscusCancel {
 /// Cancels all calls that use this handle. Any thread may call this function at any time; NULL is
 /// ignored.
 ///
-/// `cancel` is NULL or a handle that has not been freed.
+/// `cancel` must be NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_cancel(cancel: *const MeniscusCancel) {
     // SAFETY: the caller upholds this function's contract.
@@ -96,7 +97,7 @@ pub unsafe extern "C" fn meniscus_cancel(cancel: *const MeniscusCancel) {
 
 /// Frees a cancel handle; NULL is ignored.
 ///
-/// `cancel` is NULL or a handle that has not been freed.
+/// `cancel` must be NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_cancel_free(cancel: *mut MeniscusCancel) {
     // SAFETY: the caller upholds this function's contract.
@@ -106,7 +107,7 @@ pub unsafe extern "C" fn meniscus_cancel_free(cancel: *mut MeniscusCancel) {
 /// Frees a handle of any type; NULL is ignored.
 ///
 /// # Safety
-/// `handle` is NULL or came from a `Box` that has not been freed.
+/// `handle` must be NULL or come from a `Box` that has not been freed.
 pub unsafe fn free<T>(handle: *mut T) {
     if !handle.is_null() {
         // SAFETY: the caller upholds this function's contract.
@@ -121,9 +122,9 @@ pub struct Listener {
     pub user: *mut c_void,
 }
 
-/// Holds the callback only while it is active, during a call. Surfaces keep the slot, and may
-/// outlive the callback's argument. The lock is reentrant, because a callback may call the library,
-/// which may call the callback again.
+/// Holds the callback only while it is active, which is during a call. Surfaces keep the slot, and
+/// may outlive the callback's argument. The lock is reentrant, because a callback may call the
+/// library, which may call the callback again.
 struct CallbackSlot(ReentrantMutex<Cell<Option<Listener>>>);
 
 // SAFETY: the lock lets only one thread at a time use `*user`, and the documentation of
@@ -156,7 +157,8 @@ impl Control {
         Self { cancel: cancel.unwrap_or_default(), is_given, listener, slot: CallbackSlot::empty() }
     }
 
-    /// A copy for another frame: if the callback cancels one frame, the other continues.
+    /// A copy for another frame. Without a cancel handle from the caller, a callback that cancels
+    /// one of the two frames does not cancel the other.
     pub fn for_other_work(&self) -> Self {
         let cancel = if self.is_given { self.cancel.clone() } else { Cancel::new() };
         Self { cancel, slot: CallbackSlot::empty(), ..*self }
@@ -177,7 +179,7 @@ impl Control {
         request.progress(move |progress| slot.call(progress, &cancel))
     }
 
-    /// Activates the callback as long as the result lives.
+    /// Activates the callback until the result is dropped.
     pub fn activate(&self) -> ActiveCallback<'_> {
         self.slot.0.lock().set(self.listener);
         ActiveCallback(self)

@@ -1,5 +1,5 @@
 //! Converts the files of a simulation to mesh files. The state file and the records are the same as
-//! the program's.
+//! those that the program writes.
 
 use std::ffi::{CString, c_char, c_void};
 use std::path::PathBuf;
@@ -54,26 +54,26 @@ pub struct MeniscusEvent {
     /// The warnings about a finished frame, one per line; NULL if there are none. Valid during the
     /// callback.
     pub warnings: *const c_char,
-    /// The number of the frame, in events about stages and about finished or failed frames. It may
+    /// The number of the frame, for events about stages and about finished or failed frames. It may
     /// be negative.
     pub frame: i64,
-    /// Number of frames that have finished or failed so far, if known.
+    /// Number of frames that have finished or failed so far; 0 if unknown.
     pub done: u64,
-    /// Number of all frames of the conversion, if known.
+    /// Number of all frames of the conversion; 0 if unknown.
     pub total: u64,
-    /// Number of frames that have failed so far, if known.
+    /// Number of frames that have failed so far; 0 if unknown.
     pub failed: u64,
     /// One of MeniscusEventKind.
     pub kind: i32,
-    /// The finished fraction of the frame's stage, from 0 to 1.
+    /// The finished fraction of the frame's current stage, from 0 to 1.
     pub share: f64,
 }
 
 /// A function that receives events. It returns 0 to continue; any other value cancels the
-/// conversion, and keeps finished frames.
+/// conversion, but finished frames are kept.
 ///
-/// meniscus_convert calls it on the caller's thread. It must not throw an exception or leave by
-/// longjmp.
+/// meniscus_convert calls this function on the caller's thread. The function must not throw an
+/// exception or leave by longjmp.
 pub type MeniscusEventCallback =
     Option<unsafe extern "C" fn(user: *mut c_void, event: *const MeniscusEvent) -> i32>;
 
@@ -94,13 +94,13 @@ pub struct MeniscusSummary {
     pub made: u64,
     /// Number of frames that failed.
     pub failed: u64,
-    /// Number of frames that are missing between other frames.
+    /// Number of frames that are missing between existing frames.
     pub missing: u64,
     /// Number of particles in the frames that were made.
     pub particles: u64,
     /// Lower bound of the number of particles that are missing from the surfaces.
     pub lost: u64,
-    /// Duration of the conversion in seconds.
+    /// Duration, in seconds, of the conversion.
     pub seconds: f64,
 }
 
@@ -193,19 +193,19 @@ unsafe fn paths(inputs: *const *const c_char, count: usize) -> Outcome<Vec<PathB
     names.iter().map(|&name| unsafe { path(name, "inputs") }).collect()
 }
 
-/// Converts the files of a simulation to mesh files, like the program: several frames in parallel,
-/// all with the same calibration. Each file appears completely or not at all.
+/// Converts the files of a simulation to mesh files, as the program does: several frames in
+/// parallel, all with the same calibration. Each file appears completely or not at all.
 ///
 /// `inputs`: one name with {} for the number, a folder, a glob or a file with several steps; or the
 /// files of `input_count` frames; or, with the option "together", inputs whose frames with the same
-/// number are joined. `output`: a name with {} or {:04} for the number, a folder, or one .abc for
-/// all frames. `options`: the settings and the selected frames; NULL for all defaults. Their
-/// progress function is not called. `summary`: NULL, or the structure to fill.
+/// number are joined. `output`: a name with {} or {:04} for the number, a folder, or one .abc file
+/// for all frames. `options`: the settings and the selected frames, or NULL for all defaults. The
+/// progress function of the options is not called. `summary`: NULL, or the structure to fill.
 ///
-/// MENISCUS_STATUS_INCOMPLETE if frames failed or are missing between others: the message describes
+/// Returns MENISCUS_STATUS_INCOMPLETE if frames failed or are missing. The message then describes
 /// the first of them, and all other frames are finished.
 ///
-/// Pointers are NULL or point to the described data.
+/// Pointers must be NULL or point to the described data.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_convert(
     inputs: *const *const c_char,

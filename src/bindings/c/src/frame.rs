@@ -1,4 +1,4 @@
-//! Frames of particles: reconstructed in one call, or sampled once for several surfaces.
+//! Frames of particles, which are reconstructed in one call, or sampled once for several surfaces.
 
 use std::ffi::{CString, c_char};
 use std::path::Path;
@@ -13,8 +13,8 @@ use crate::particles::{CallerParticles, MeniscusParticles};
 use crate::status::{Failure, MeniscusStatus, Outcome, ask, c_text, call};
 use crate::text::{path, put};
 
-/// A frame whose particles are sampled. Surfaces with different filters can be made from it. Freed
-/// by meniscus_frame_free.
+/// A sampled frame, from which surfaces with different filters can be made. It must be freed by
+/// meniscus_frame_free.
 ///
 /// Several threads may use a frame at the same time, as long as none frees it.
 pub struct MeniscusFrame {
@@ -29,10 +29,10 @@ impl MeniscusFrame {
     }
 }
 
-/// Runs `work`, and stores a handle to its result in `out`, or NULL on failure.
+/// Runs `work` and stores a handle to its result in `out`. On failure, stores NULL.
 ///
 /// # Safety
-/// `out` is NULL or points to a pointer.
+/// `out` must be NULL or point to a pointer.
 pub unsafe fn making<T>(
     out: *mut *mut T,
     what: &str,
@@ -54,7 +54,7 @@ pub unsafe fn making<T>(
 /// Runs `act` with the caller's particles, while the progress callback is active.
 ///
 /// # Safety
-/// Pointers are NULL or point to the described data.
+/// Pointers must be NULL or point to the described data.
 unsafe fn of_particles<T>(
     particles: *const MeniscusParticles,
     options: *const MeniscusOptions,
@@ -71,7 +71,7 @@ unsafe fn of_particles<T>(
 /// Runs `act` with a file, while the progress callback is active.
 ///
 /// # Safety
-/// Pointers are NULL or point to the described data.
+/// Pointers must be NULL or point to the described data.
 unsafe fn of_file<T>(
     file: *const c_char,
     options: *const MeniscusOptions,
@@ -79,7 +79,7 @@ unsafe fn of_file<T>(
 ) -> Outcome<T> {
     // SAFETY: the caller upholds this function's contract.
     let (file, asked) = unsafe { (path(file, "path")?, RequestParts::new(options)?) };
-    // Report errors of the request before a device is opened.
+    // Report errors in the request before a device is opened.
     asked.request.check(&file)?;
     let asked = asked.for_file(&file)?;
     let _active = asked.control.activate();
@@ -88,14 +88,16 @@ unsafe fn of_file<T>(
 
 /// Reconstructs the surface of particles in memory.
 ///
-/// `options` may be NULL for all defaults. `mesh`: receives the mesh, to be freed by
-/// meniscus_mesh_free; NULL on failure.
+/// If `options` is NULL, all options have their defaults. `mesh`: receives the mesh, which must be
+/// freed by meniscus_mesh_free, or NULL on failure.
 ///
-/// MENISCUS_STATUS_REQUEST for invalid arguments and options, and for too little memory.
-/// MENISCUS_STATUS_INPUT if there are no particles, if particles are not finite or too far away, or
-/// if they have no surface. MENISCUS_STATUS_OUTPUT if scratch files cannot be written.
+/// Returns MENISCUS_STATUS_REQUEST if arguments or options are invalid, or if the memory is not
+/// sufficient. Returns MENISCUS_STATUS_INPUT if there are no particles, if positions are not finite
+/// or too far away, or if the particles have no surface. Returns MENISCUS_STATUS_OUTPUT if scratch
+/// files cannot be written.
 ///
-/// Pointers are NULL or point to the described data; the particles stay unchanged meanwhile.
+/// Pointers must be NULL or point to the described data; the particles must not change during the
+/// call.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_reconstruct(
     particles: *const MeniscusParticles,
@@ -110,12 +112,12 @@ pub unsafe extern "C" fn meniscus_reconstruct(
     unsafe { making(mesh, "mesh", || surface().map(MeniscusMesh::new)) }
 }
 
-/// Reconstructs the surface of the particles in a file, or of a packed frame.
+/// Reconstructs the surface of a file's particles, or of a packed frame.
 ///
-/// `path`: any file that the program reads; `file#N` is a step of a file with several steps. Apart
-/// from this, the function works like meniscus_reconstruct.
+/// `path`: any file that the program reads; `file#N` selects step N of a file with several steps.
+/// In all other respects, the function works like meniscus_reconstruct.
 ///
-/// Pointers are NULL or point to the described data.
+/// Pointers must be NULL or point to the described data.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_reconstruct_file(
     path: *const c_char,
@@ -130,11 +132,12 @@ pub unsafe extern "C" fn meniscus_reconstruct_file(
 
 /// Samples particles in memory once, for several surfaces with different settings.
 ///
-/// `frame`: receives the frame, to be freed by meniscus_frame_free; NULL on failure. Apart from
-/// this, the function works like meniscus_reconstruct. The frame does not need the particles any
-/// more.
+/// `frame`: receives the frame, which must be freed by meniscus_frame_free, or NULL on failure.
+/// After the call, the frame no longer needs the particles. In all other respects, the function
+/// works like meniscus_reconstruct.
 ///
-/// Pointers are NULL or point to the described data; the particles stay unchanged meanwhile.
+/// Pointers must be NULL or point to the described data; the particles must not change during the
+/// call.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_sample(
     particles: *const MeniscusParticles,
@@ -149,9 +152,9 @@ pub unsafe extern "C" fn meniscus_sample(
     unsafe { making(frame, "frame", || sampled().map(MeniscusFrame::new)) }
 }
 
-/// Samples the particles in a file once, or opens a packed frame.
+/// Samples a file's particles once, or opens a packed frame.
 ///
-/// Pointers are NULL or point to the described data.
+/// Pointers must be NULL or point to the described data.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_sample_file(
     path: *const c_char,
@@ -168,7 +171,7 @@ pub unsafe extern "C" fn meniscus_sample_file(
 /// Returns the frame of a handle, or an error if the handle is NULL.
 ///
 /// # Safety
-/// `frame` is NULL or a handle that has not been freed.
+/// `frame` must be NULL or a handle that has not been freed.
 unsafe fn of<'a>(frame: *const MeniscusFrame) -> Outcome<&'a MeniscusFrame> {
     // SAFETY: the caller upholds this function's contract.
     unsafe { frame.as_ref() }.ok_or_else(|| Failure::request("frame is NULL"))
@@ -177,12 +180,12 @@ unsafe fn of<'a>(frame: *const MeniscusFrame) -> Outcome<&'a MeniscusFrame> {
 /// Makes a surface from a frame.
 ///
 /// `options`: NULL for the surface that was requested when the particles were sampled. Otherwise,
-/// the options can change all settings from smoothing to simplifying. Settings of the sampling must
-/// be unset or the same as before (else MENISCUS_STATUS_REQUEST). The memory limit, the threads,
-/// the scratch folder and the device are always those of the frame. Apart from this, the function
-/// works like meniscus_reconstruct.
+/// the options can change all settings from smoothing to simplifying. Settings that affect the
+/// sampling must be unset or the same as before; otherwise, the function returns
+/// MENISCUS_STATUS_REQUEST. The memory limit, the threads, the scratch folder and the device are
+/// always those of the frame. In all other respects, the function works like meniscus_reconstruct.
 ///
-/// Pointers are NULL or point to the described data.
+/// Pointers must be NULL or point to the described data.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_frame_surface(
     frame: *const MeniscusFrame,
@@ -207,9 +210,10 @@ pub unsafe extern "C" fn meniscus_frame_surface(
 /// Packs a frame into a .mnf file, which meniscus_reconstruct_file and meniscus_sample_file can
 /// read. The file appears completely or not at all.
 ///
-/// `overwrite`: not 0 to replace an existing file. `bytes`: NULL, or receives the file's size.
+/// `overwrite`: nonzero to replace an existing file. `bytes`: NULL, or receives the file's size in
+/// bytes.
 ///
-/// Pointers are NULL or valid as described.
+/// Pointers must be NULL or valid as described.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_frame_pack(
     frame: *const MeniscusFrame,
@@ -230,17 +234,17 @@ pub unsafe extern "C" fn meniscus_frame_pack(
 
 /// Returns the number of warnings about the frame's particles; 0 for NULL.
 ///
-/// `frame` is NULL or a handle that has not been freed.
+/// `frame` must be NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_frame_warning_count(frame: *const MeniscusFrame) -> usize {
     // SAFETY: the caller upholds this function's contract.
     unsafe { frame.as_ref() }.map_or(0, |frame| frame.warnings.len())
 }
 
-/// Returns a warning by its index, as text that is valid until the frame is freed; NULL if there is
-/// no such warning.
+/// Returns the warning with this index, or NULL if there is no such warning. The text is valid
+/// until the frame is freed.
 ///
-/// `frame` is NULL or a handle that has not been freed.
+/// `frame` must be NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_frame_warning(
     frame: *const MeniscusFrame,
@@ -255,7 +259,7 @@ pub unsafe extern "C" fn meniscus_frame_warning(
 
 /// Frees a frame; NULL is ignored.
 ///
-/// `frame` is NULL or a handle that has not been freed.
+/// `frame` must be NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_frame_free(frame: *mut MeniscusFrame) {
     // SAFETY: the caller upholds this function's contract.

@@ -1,8 +1,9 @@
 //! The C interface of meniscus. cbindgen generates `include/meniscus.h` from its public items.
 //!
 //! The interface checks the caller's arguments as far as C allows, and passes them to the library.
-//! An error becomes a code and a message, and no panic leaves a function.
-// The docs of functions describe their safety without a heading, because they go into the header.
+//! An error becomes a status code and a message, and no panic crosses the interface.
+// The docs of functions state their safety requirements without a heading, because cbindgen copies
+// the docs into the header.
 #![allow(clippy::missing_safety_doc)]
 
 mod control;

@@ -10,7 +10,8 @@ use crate::options::{MeniscusOptions, RequestParts};
 use crate::particles::{CallerParticles, MeniscusParticles};
 use crate::status::{Failure, MeniscusStatus, ask};
 
-/// A simulation whose frames come from memory, in order. Freed by meniscus_simulation_free.
+/// A simulation whose frames come from memory, in order. It must be freed by
+/// meniscus_simulation_free.
 ///
 /// Cells, grid and calibration are measured on the first frame with fluid deeper than the reach of
 /// the filters, and kept for all later frames. A simulation makes one frame at a time.
@@ -21,12 +22,12 @@ pub struct MeniscusSimulation {
 
 /// Creates a simulation, and starts its threads.
 ///
-/// `options` may be NULL for all defaults. Their callback and its argument must exist until the
-/// simulation is freed. A callback can cancel a single frame, and a cancel handle cancels all later
-/// frames as well. `simulation`: receives the handle, to be freed by meniscus_simulation_free; NULL
-/// on failure.
+/// If `options` is NULL, all options have their defaults. The callback in `options` and its
+/// argument must exist until the simulation is freed. Without a cancel handle, the callback cancels
+/// only the current frame; a cancel handle also cancels all later frames. `simulation`: receives
+/// the handle, which must be freed by meniscus_simulation_free, or NULL on failure.
 ///
-/// Pointers are NULL or point to the described data.
+/// Pointers must be NULL or point to the described data.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_simulation_new(
     options: *const MeniscusOptions,
@@ -46,11 +47,12 @@ pub unsafe extern "C" fn meniscus_simulation_new(
 
 /// Reconstructs the surface of the next frame.
 ///
-/// A frame without particles, or without a surface, is an empty mesh. All other results are the
+/// A frame without particles, or without a surface, gives an empty mesh. All other results are the
 /// same as those of meniscus_reconstruct. After a failure, the next frame can still succeed.
-/// MENISCUS_STATUS_REQUEST while the simulation works on another frame.
+/// Returns MENISCUS_STATUS_REQUEST while the simulation is working on another frame.
 ///
-/// Pointers are NULL or point to the described data; the particles stay unchanged meanwhile.
+/// Pointers must be NULL or point to the described data; the particles must not change during the
+/// call.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_simulation_frame(
     simulation: *mut MeniscusSimulation,
@@ -77,10 +79,10 @@ pub unsafe extern "C" fn meniscus_simulation_frame(
     unsafe { making(mesh, "mesh", made) }
 }
 
-/// Returns 1 if cells, grid and calibration are fixed, else 0. Also returns 0 for NULL, and while
-/// the simulation works on a frame.
+/// Returns 1 if cells, grid and calibration are fixed, and 0 otherwise. Also returns 0 for NULL,
+/// and while the simulation is working on a frame.
 ///
-/// `simulation` is NULL or a handle that has not been freed.
+/// `simulation` must be NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_simulation_is_settled(
     simulation: *const MeniscusSimulation,
@@ -93,7 +95,7 @@ pub unsafe extern "C" fn meniscus_simulation_is_settled(
 
 /// Frees a simulation; NULL is ignored. Its meshes stay valid.
 ///
-/// `simulation` is NULL or a handle that has not been freed.
+/// `simulation` must be NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_simulation_free(simulation: *mut MeniscusSimulation) {
     // SAFETY: the caller upholds this function's contract.

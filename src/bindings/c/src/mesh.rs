@@ -1,5 +1,5 @@
-//! Surfaces. The caller can copy their data into own memory, read them in the library's memory, or
-//! write them to files.
+//! Surfaces. The caller can copy their data into its own memory, read them in the library's memory,
+//! or write them to files.
 
 use std::ffi::{CString, c_char};
 use std::path::Path;
@@ -17,7 +17,8 @@ use crate::sized::{Growing, check, fill};
 use crate::status::{Failure, MeniscusStatus, Outcome, ask, c_text, call};
 use crate::text::{buffer, path, put};
 
-/// A surface: a closed, oriented 2-manifold around the fluid. Freed by meniscus_mesh_free.
+/// A surface: a closed, oriented 2-manifold around the fluid. It must be freed by
+/// meniscus_mesh_free.
 ///
 /// Several threads may use a mesh at the same time, as long as none frees it.
 pub struct MeniscusMesh {
@@ -34,19 +35,19 @@ struct MeshInMemory {
     attributes: Vec<MeniscusMeshAttribute>,
 }
 
-// SAFETY: the pointers in `attributes` point into `mesh` and to names; both live as long as this
-// struct, and never change.
+// SAFETY: the pointers in `attributes` point into `mesh` and to the names of the `MeniscusMesh`.
+// Both live as long as this struct, and never change.
 unsafe impl Send for MeshInMemory {}
 // SAFETY: for the same reason as `Send`.
 unsafe impl Sync for MeshInMemory {}
 
-/// An attribute of the vertices, in memory of the mesh.
+/// A vertex attribute, in memory that belongs to the mesh.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct MeniscusMeshAttribute {
     /// The name of the attribute.
     pub name: *const c_char,
-    /// `components` numbers per vertex, vertex by vertex. Integers are rounded to float:
+    /// `components` numbers per vertex, vertex by vertex. Integers are rounded to float;
     /// meniscus_mesh_attribute_whole copies their exact values.
     pub values: *const f32,
     /// Numbers per vertex.
@@ -66,11 +67,12 @@ pub struct MeniscusArrays {
     pub triangle_count: u64,
     /// 3 numbers per vertex: x, y, z, in the unit of the particles' positions.
     pub positions: *const f64,
-    /// 3 numbers per triangle: its vertices, counterclockwise seen from outside.
+    /// 3 numbers per triangle: the indices of its vertices, counterclockwise when seen from
+    /// outside.
     pub triangles: *const u32,
     /// 3 numbers per vertex: the outward unit normal; NULL if no normals were requested.
     pub normals: *const f32,
-    /// The attributes of the vertices, without the normals.
+    /// The vertex attributes; the normals are not among them.
     pub attributes: *const MeniscusMeshAttribute,
     /// Number of elements in `attributes`.
     pub attribute_count: usize,
@@ -113,12 +115,12 @@ impl MeniscusMesh {
                 components: attribute.components as u64,
             };
         let attributes = mesh.attributes.iter().zip(&self.names).map(attribute).collect();
-        // If another thread has created it meanwhile, this returns the other thread's.
+        // If another thread has created the mesh meanwhile, this returns that mesh.
         Ok(self.lent.get_or_init(|| MeshInMemory { mesh, attributes }))
     }
 
     /// Copies the mesh's values into the buffer `out`, which must have room for `needed` values.
-    /// `each` passes on the values of one piece.
+    /// `each` passes the values of one piece to its second argument.
     ///
     /// # Safety
     /// The requirements of [`buffer`].
@@ -153,7 +155,7 @@ impl MeniscusMesh {
         unsafe { self.copy(out, self.outline.vertices.saturating_mul(3), each) }
     }
 
-    /// Returns the attribute with this index, or an error if there is none.
+    /// Returns the attribute with this index, or an error if there is no such attribute.
     fn attribute(&self, index: usize) -> Outcome<&AttributeInfo> {
         let there = self.names.len();
         let none =
@@ -191,7 +193,7 @@ impl MeniscusMesh {
 /// Returns the mesh of a handle, or an error if the handle is NULL.
 ///
 /// # Safety
-/// `mesh` is NULL or a handle that has not been freed.
+/// `mesh` must be NULL or a handle that has not been freed.
 unsafe fn of<'a>(mesh: *const MeniscusMesh) -> Outcome<&'a MeniscusMesh> {
     // SAFETY: the caller upholds this function's contract.
     unsafe { mesh.as_ref() }.ok_or_else(|| Failure::request("mesh is NULL"))
@@ -210,9 +212,9 @@ unsafe fn asked<T: Copy>(
     unsafe { mesh.as_ref() }.map_or(none, |mesh| ask(none, || what(mesh)))
 }
 
-/// Frees a mesh, and all memory of its arrays, names and warnings; NULL is ignored.
+/// Frees a mesh, including its arrays, names and warnings; NULL is ignored.
 ///
-/// `mesh` is NULL or a handle that has not been freed.
+/// `mesh` must be NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_free(mesh: *mut MeniscusMesh) {
     // SAFETY: the caller upholds this function's contract.
@@ -221,7 +223,7 @@ pub unsafe extern "C" fn meniscus_mesh_free(mesh: *mut MeniscusMesh) {
 
 /// Returns the number of vertices; 0 for NULL.
 ///
-/// `mesh` is NULL or a handle that has not been freed.
+/// `mesh` must be NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_vertex_count(mesh: *const MeniscusMesh) -> u64 {
     // SAFETY: the caller upholds this function's contract.
@@ -230,35 +232,35 @@ pub unsafe extern "C" fn meniscus_mesh_vertex_count(mesh: *const MeniscusMesh) -
 
 /// Returns the number of triangles; 0 for NULL.
 ///
-/// `mesh` is NULL or a handle that has not been freed.
+/// `mesh` must be NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_triangle_count(mesh: *const MeniscusMesh) -> u64 {
     // SAFETY: the caller upholds this function's contract.
     unsafe { asked(mesh, 0, |mesh| mesh.outline.triangles) }
 }
 
-/// Returns 1 if vertices have normals, else 0; 0 for NULL.
+/// Returns 1 if the vertices have normals, and 0 otherwise; 0 for NULL.
 ///
-/// `mesh` is NULL or a handle that has not been freed.
+/// `mesh` must be NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_has_normals(mesh: *const MeniscusMesh) -> i32 {
     // SAFETY: the caller upholds this function's contract.
     unsafe { asked(mesh, 0, |mesh| mesh.outline.normals.into()) }
 }
 
-/// Returns the number of attributes of the vertices, without normals; 0 for NULL.
+/// Returns the number of vertex attributes, not counting normals; 0 for NULL.
 ///
-/// `mesh` is NULL or a handle that has not been freed.
+/// `mesh` must be NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_attribute_count(mesh: *const MeniscusMesh) -> usize {
     // SAFETY: the caller upholds this function's contract.
     unsafe { asked(mesh, 0, |mesh| mesh.names.len()) }
 }
 
-/// Returns the name of an attribute by its index, valid until the mesh is freed; NULL if there is
-/// no such attribute.
+/// Returns the name of the attribute with this index, or NULL if there is no such attribute. The
+/// name is valid until the mesh is freed.
 ///
-/// `mesh` is NULL or a handle that has not been freed.
+/// `mesh` must be NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_attribute_name(
     mesh: *const MeniscusMesh,
@@ -270,9 +272,10 @@ pub unsafe extern "C" fn meniscus_mesh_attribute_name(
     }
 }
 
-/// Returns the number of components of an attribute by its index; 0 if there is no such attribute.
+/// Returns the number of components of the attribute with this index; 0 if there is no such
+/// attribute.
 ///
-/// `mesh` is NULL or a handle that has not been freed.
+/// `mesh` must be NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_attribute_components(
     mesh: *const MeniscusMesh,
@@ -288,10 +291,10 @@ pub unsafe extern "C" fn meniscus_mesh_attribute_components(
 
 /// Copies the vertices' positions as float: 3 numbers per vertex.
 ///
-/// `capacity`: the size of `out` in numbers, at least 3 per vertex. Far from the origin, rounding
-/// to float moves vertices visibly.
+/// `capacity`: how many numbers fit into `out`, at least 3 per vertex. Far from the origin,
+/// rounding to float moves vertices visibly.
 ///
-/// Pointers are NULL or valid as described.
+/// Pointers must be NULL or valid as described.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_positions_f32(
     mesh: *const MeniscusMesh,
@@ -304,9 +307,9 @@ pub unsafe extern "C" fn meniscus_mesh_positions_f32(
 
 /// Copies the vertices' positions as double: 3 numbers per vertex.
 ///
-/// `capacity`: the size of `out` in numbers, at least 3 per vertex.
+/// `capacity`: how many numbers fit into `out`, at least 3 per vertex.
 ///
-/// Pointers are NULL or valid as described.
+/// Pointers must be NULL or valid as described.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_positions_f64(
     mesh: *const MeniscusMesh,
@@ -317,13 +320,13 @@ pub unsafe extern "C" fn meniscus_mesh_positions_f64(
     call(|| unsafe { of(mesh)?.copy_positions((out, capacity), |x| x) })
 }
 
-/// Copies the triangles as uint32_t: the 3 vertices of each triangle, counterclockwise seen from
-/// outside.
+/// Copies the triangles as uint32_t: the indices of the 3 vertices of each triangle,
+/// counterclockwise when seen from outside.
 ///
-/// `capacity`: the size of `out` in numbers, at least 3 per triangle. MENISCUS_STATUS_REQUEST for a
-/// mesh of more than 2^32 vertices.
+/// `capacity`: how many numbers fit into `out`, at least 3 per triangle. Returns
+/// MENISCUS_STATUS_REQUEST for a mesh of more than 2^32 vertices.
 ///
-/// Pointers are NULL or valid as described.
+/// Pointers must be NULL or valid as described.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_triangles_u32(
     mesh: *const MeniscusMesh,
@@ -344,12 +347,12 @@ pub unsafe extern "C" fn meniscus_mesh_triangles_u32(
     })
 }
 
-/// Copies the triangles as uint64_t: the 3 vertices of each triangle, counterclockwise seen from
-/// outside.
+/// Copies the triangles as uint64_t: the indices of the 3 vertices of each triangle,
+/// counterclockwise when seen from outside.
 ///
-/// `capacity`: the size of `out` in numbers, at least 3 per triangle.
+/// `capacity`: how many numbers fit into `out`, at least 3 per triangle.
 ///
-/// Pointers are NULL or valid as described.
+/// Pointers must be NULL or valid as described.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_triangles_u64(
     mesh: *const MeniscusMesh,
@@ -360,12 +363,12 @@ pub unsafe extern "C" fn meniscus_mesh_triangles_u64(
     call(|| unsafe { of(mesh)?.copy_triangles((out, capacity), |vertex| vertex) })
 }
 
-/// Copies the vertices' outward unit normals: 3 numbers per vertex. MENISCUS_STATUS_REQUEST if no
-/// normals were requested.
+/// Copies the vertices' outward unit normals: 3 numbers per vertex. Returns MENISCUS_STATUS_REQUEST
+/// if no normals were requested.
 ///
-/// `capacity`: the size of `out` in numbers, at least 3 per vertex.
+/// `capacity`: how many numbers fit into `out`, at least 3 per vertex.
 ///
-/// Pointers are NULL or valid as described.
+/// Pointers must be NULL or valid as described.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_normals(
     mesh: *const MeniscusMesh,
@@ -388,10 +391,10 @@ pub unsafe extern "C" fn meniscus_mesh_normals(
     })
 }
 
-/// Returns 1 if the attribute with this index has integers, and 0 if it has not or does not exist.
-/// meniscus_mesh_attribute_whole copies the exact values of integers.
+/// Returns 1 if the attribute with this index holds integers, and 0 if it holds other numbers or
+/// does not exist. meniscus_mesh_attribute_whole copies the exact values of integers.
 ///
-/// `mesh` is NULL or a handle that has not been freed.
+/// `mesh` must be NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_attribute_is_whole(
     mesh: *const MeniscusMesh,
@@ -405,12 +408,13 @@ pub unsafe extern "C" fn meniscus_mesh_attribute_is_whole(
     }
 }
 
-/// Copies the attribute of the vertices with this index: all components of the first vertex, then
-/// those of the second, and so on. Integers are rounded to float.
+/// Copies the vertex attribute with this index: all components of the first vertex, then those of
+/// the second, and so on. Integers are rounded to float.
 ///
-/// `capacity`: the size of `out` in numbers, at least the number of vertices times components.
+/// `capacity`: how many numbers fit into `out`, at least the number of vertices times the number of
+/// components.
 ///
-/// Pointers are NULL or valid as described.
+/// Pointers must be NULL or valid as described.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_attribute(
     mesh: *const MeniscusMesh,
@@ -427,13 +431,14 @@ pub unsafe extern "C" fn meniscus_mesh_attribute(
     })
 }
 
-/// Copies the attribute with this index, if it has integers such as identifiers: all components of
-/// the first vertex, then those of the second, and so on. Otherwise MENISCUS_STATUS_REQUEST.
+/// Copies the vertex attribute with this index, which must hold integers, such as identifiers: all
+/// components of the first vertex, then those of the second, and so on. Returns
+/// MENISCUS_STATUS_REQUEST for other attributes.
 ///
-/// Values are from -2^31 to 2^31 - 1, or from 0 to 2^32 - 1. `capacity`: the size of `out` in
-/// numbers, at least the number of vertices times components.
+/// Values are from -2^31 to 2^31 - 1, or from 0 to 2^32 - 1. `capacity`: how many numbers fit into
+/// `out`, at least the number of vertices times the number of components.
 ///
-/// Pointers are NULL or valid as described.
+/// Pointers must be NULL or valid as described.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_attribute_whole(
     mesh: *const MeniscusMesh,
@@ -457,10 +462,10 @@ pub unsafe extern "C" fn meniscus_mesh_attribute_whole(
 }
 
 /// Returns pointers to the complete mesh, in memory that the first call allocates. Freeing the mesh
-/// also frees this memory. MENISCUS_STATUS_REQUEST for a mesh of more than 2^32 vertices.
+/// also frees this memory. Returns MENISCUS_STATUS_REQUEST for a mesh of more than 2^32 vertices.
 ///
-/// `mesh` is NULL or a handle that has not been freed; `arrays` is NULL or points to a structure
-/// with the size in its first field.
+/// `mesh` must be NULL or a handle that has not been freed; `arrays` must be NULL or point to a
+/// structure whose first field holds its size.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_arrays(
     mesh: *const MeniscusMesh,
@@ -488,19 +493,19 @@ pub unsafe extern "C" fn meniscus_mesh_arrays(
     })
 }
 
-/// Returns the number of warnings about the surface and about its request; 0 for NULL.
+/// Returns the number of warnings about the surface and about the request for it; 0 for NULL.
 ///
-/// `mesh` is NULL or a handle that has not been freed.
+/// `mesh` must be NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_warning_count(mesh: *const MeniscusMesh) -> usize {
     // SAFETY: the caller upholds this function's contract.
     unsafe { asked(mesh, 0, |mesh| mesh.warnings.len()) }
 }
 
-/// Returns a warning by its index, as text that is valid until the mesh is freed; NULL if there is
-/// no such warning.
+/// Returns the warning with this index, or NULL if there is no such warning. The text is valid
+/// until the mesh is freed.
 ///
-/// `mesh` is NULL or a handle that has not been freed.
+/// `mesh` must be NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_warning(
     mesh: *const MeniscusMesh,
@@ -514,8 +519,8 @@ pub unsafe extern "C" fn meniscus_mesh_warning(
 
 /// Reports how the mesh was made.
 ///
-/// `mesh` is NULL or a handle that has not been freed; `report` is NULL or points to a structure
-/// with the size in its first field.
+/// `mesh` must be NULL or a handle that has not been freed; `report` must be NULL or point to a
+/// structure whose first field holds its size.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_report(
     mesh: *const MeniscusMesh,
@@ -525,11 +530,11 @@ pub unsafe extern "C" fn meniscus_mesh_report(
     call(|| unsafe { fill(report, of(mesh)?.surface.report().into(), "report") })
 }
 
-/// Checks that the mesh is closed, oriented and 2-manifold, and measures it. Needs memory for a
-/// copy of the mesh, like meniscus_mesh_arrays.
+/// Checks that the mesh is closed, oriented and 2-manifold, and measures it. Like
+/// meniscus_mesh_arrays, this function needs memory for a copy of the mesh.
 ///
-/// `mesh` is NULL or a handle that has not been freed; `check` is NULL or points to a structure
-/// whose first field holds its size.
+/// `mesh` must be NULL or a handle that has not been freed; `check` must be NULL or point to a
+/// structure whose first field holds its size.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_check(
     mesh: *const MeniscusMesh,
@@ -550,12 +555,12 @@ pub unsafe extern "C" fn meniscus_mesh_check(
 }
 
 /// Writes the mesh to a file whose extension selects the format. The file appears completely or not
-/// at all, and has the same bytes as the program's.
+/// at all, and contains the same bytes as a file that the program writes.
 ///
-/// `overwrite`: not 0 to replace an existing file. `bytes`: NULL, or receives the file's size. The
-/// options of the mesh select the up axis and the compression.
+/// `overwrite`: nonzero to replace an existing file. `bytes`: NULL, or receives the file's size in
+/// bytes. The options with which the mesh was made select the up axis and the compression.
 ///
-/// Pointers are NULL or valid as described.
+/// Pointers must be NULL or valid as described.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_write(
     mesh: *const MeniscusMesh,
@@ -576,13 +581,14 @@ pub unsafe extern "C" fn meniscus_mesh_write(
     })
 }
 
-/// Copies the warnings about storing the mesh in the format of a file into the caller's buffer, one
-/// per line. The text ends with a NUL, and is truncated if the buffer is too small.
+/// Copies the warnings about storing the mesh in the format that the extension of `path` implies
+/// into the caller's buffer, one per line. The text ends with a NUL, and is truncated if the buffer
+/// is too small.
 ///
-/// `text`: NULL, or a buffer of `capacity` bytes. `length`: NULL, or receives the length of the
-/// whole text without the NUL: 0 without warnings.
+/// `text`: NULL, or a buffer of `capacity` bytes. `length`: NULL, or receives the length, in bytes,
+/// of the whole text without the NUL; 0 if there are no warnings.
 ///
-/// Pointers are NULL or valid as described.
+/// Pointers must be NULL or valid as described.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_format_warnings(
     mesh: *const MeniscusMesh,

@@ -21,7 +21,7 @@ use crate::status::{Failure, MeniscusStatus, Outcome, ask, c_text, call};
 use crate::text::{array, optional, optional_path, path};
 
 /// Options of a call. Their keys are the names of the program's options: "spacing", "cell-size",
-/// "threads". Freed by meniscus_options_free.
+/// "threads". They must be freed by meniscus_options_free.
 ///
 /// `meniscus reconstruct --help` documents the options, and meniscus_options_key lists their keys.
 /// An option that is not set has the program's default, with one exception: all stages run on the
@@ -54,8 +54,8 @@ macro_rules! options {
             /// The keys of all options, with their help texts.
             const KEYS: &[(&str, &str)] = &[$((stringify!($key), concat!($($help),*))),*];
 
-            /// Sets the option with this key, or resets it if `value` is `None`. Returns `false` if
-            /// no option has the key.
+            /// Sets the option called `key`, or resets it if `value` is `None`. Returns `false` if
+            /// no option has this key.
             fn set<S: Source<Error = String>>(&mut self, key: &str, value: Option<&S>) -> Result<bool, String> {
                 match key {
                     $(stringify!($key) => self.$key = value.map($read).transpose()?,)*
@@ -146,7 +146,7 @@ fn step<S: Source<Error = String>>(value: &S) -> Result<u64, String> {
 
 /// The number of a frame, which may be negative.
 fn frame<S: Source<Error = String>>(value: &S) -> Result<i64, String> {
-    // f64 represents all integers up to this one, 2^53.
+    // f64 represents all integers up to this one, 2^53, exactly.
     const LARGEST: f64 = 9_007_199_254_740_992.0;
     let is_whole = |number: &f64| number.fract() == 0.0 && number.abs() <= LARGEST;
     let number = match value.text() {
@@ -196,8 +196,8 @@ impl Frames {
 }
 
 impl MeniscusOptions {
-    /// Sets the option with this key, or resets it if `value` is `None`. Returns `false` if no
-    /// option has the key.
+    /// Sets the option called `key`, or resets it if `value` is `None`. Returns `false` if no
+    /// option has this key.
     fn set<S: Source<Error = String>>(
         &mut self,
         key: &str,
@@ -212,7 +212,7 @@ impl MeniscusOptions {
         }
     }
 
-    /// Sets the option with this key, or returns an error that describes an invalid key or value.
+    /// Sets the option called `key`, or returns an error that describes the invalid key or value.
     fn set_or_refuse<S: Source<Error = String> + Debug>(
         &mut self,
         key: &str,
@@ -235,7 +235,7 @@ impl MeniscusOptions {
 /// Messages show at most this many characters of an invalid value.
 const LONGEST_VALUE: usize = 100;
 
-/// The options of a call, as a request whose backend is not chosen yet.
+/// The options of a call, as a request whose backend has not been chosen yet.
 pub struct RequestParts {
     pub request: Reconstruction,
     pub control: Control,
@@ -247,11 +247,11 @@ pub struct RequestParts {
 }
 
 impl RequestParts {
-    /// Reads the options of a call that makes one frame at a time. Options for conversions are
-    /// errors.
+    /// Reads the options of a call that makes one frame at a time. Options that only conversions
+    /// have give an error.
     ///
     /// # Safety
-    /// `options` is NULL or a handle that has not been freed.
+    /// `options` must be NULL or a handle that has not been freed.
     pub unsafe fn new(options: *const MeniscusOptions) -> Outcome<Self> {
         // SAFETY: the caller upholds this function's contract.
         let asked = unsafe { Self::for_frames(options) };
@@ -312,7 +312,7 @@ impl RequestParts {
         Ok(self)
     }
 
-    /// Chooses the backend for an input file, by its size.
+    /// Chooses the backend for an input file according to its size.
     pub fn for_file(self, file: &Path) -> Outcome<Self> {
         self.on_machine(|_| bytes_of([file]))
     }
@@ -326,7 +326,8 @@ pub fn replacing(overwrite: i32) -> Replace {
 /// Returns the options of a handle, or an error if the handle is NULL.
 ///
 /// # Safety
-/// `options` is NULL or a handle that has not been freed. No other thread uses it during the call.
+/// `options` must be NULL or a handle that has not been freed. No other thread may use it during
+/// the call.
 unsafe fn of<'a>(options: *mut MeniscusOptions) -> Outcome<&'a mut MeniscusOptions> {
     // SAFETY: the caller upholds this function's contract.
     unsafe { options.as_mut() }.ok_or_else(|| Failure::request("options is NULL"))
@@ -341,16 +342,16 @@ unsafe fn key<'a>(key: *const c_char) -> Outcome<&'a str> {
     unsafe { optional(key, "key") }?.ok_or_else(|| Failure::request("key is NULL"))
 }
 
-/// Creates options that all have their defaults, to be freed by meniscus_options_free.
+/// Creates options with default values. They must be freed by meniscus_options_free.
 #[unsafe(no_mangle)]
 pub extern "C" fn meniscus_options_new() -> *mut MeniscusOptions {
     ask(std::ptr::null_mut(), || Box::into_raw(Box::default()))
 }
 
 /// Copies options, including their callbacks and their cancel handle. The copy must be freed by
-/// meniscus_options_free. If `options` is NULL, the copy has all defaults.
+/// meniscus_options_free. If `options` is NULL, the copy has default values.
 ///
-/// `options` is NULL or a handle that has not been freed.
+/// `options` must be NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_options_copy(
     options: *const MeniscusOptions,
@@ -362,7 +363,7 @@ pub unsafe extern "C" fn meniscus_options_copy(
 
 /// Frees options; NULL is ignored.
 ///
-/// `options` is NULL or a handle that has not been freed.
+/// `options` must be NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_options_free(options: *mut MeniscusOptions) {
     // SAFETY: the caller upholds this function's contract.
@@ -372,16 +373,16 @@ pub unsafe extern "C" fn meniscus_options_free(options: *mut MeniscusOptions) {
 /// Sets an option from text, as on the command line: `meniscus_options_set(options, "domain",
 /// "0,0,-,1,2,-")`.
 ///
-/// The decimal separator is '.' in every locale. Commas or blanks separate the numbers of a list,
+/// The decimal separator is '.' in every locale. Commas or spaces separate the numbers of a list,
 /// and commas separate names. A switch such as "normals" takes "true" or "false". If `value` is
-/// NULL, the option gets its default.
+/// NULL, the option is reset to its default.
 ///
-/// MENISCUS_STATUS_REQUEST for an unknown key and for a value of the wrong type: the message names
-/// the key, the value and the expected type, and the option keeps its old value. This function does
-/// not check whether a number is out of range or whether options conflict: the call that uses the
-/// options does.
+/// Returns MENISCUS_STATUS_REQUEST for an unknown key and for a value of the wrong type: the
+/// message names the key, the value and the expected type, and the option keeps its old value. This
+/// function does not check whether a number is out of range or whether options conflict; the call
+/// that uses the options checks this.
 ///
-/// Pointers are NULL or valid as described.
+/// Pointers must be NULL or valid as described.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_options_set(
     options: *mut MeniscusOptions,
@@ -403,10 +404,10 @@ pub unsafe extern "C" fn meniscus_options_set(
     })
 }
 
-/// Sets an option from a number. A switch takes 0 or 1. Apart from this, the function works like
-/// meniscus_options_set.
+/// Sets an option from a number. A switch takes 0 or 1. In all other respects, the function works
+/// like meniscus_options_set.
 ///
-/// Pointers are NULL or valid as described.
+/// Pointers must be NULL or valid as described.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_options_set_number(
     options: *mut MeniscusOptions,
@@ -420,11 +421,11 @@ pub unsafe extern "C" fn meniscus_options_set_number(
     })
 }
 
-/// Sets an option from several numbers: 3 for a point, 6 for a box, with its lowest corner first.
-/// -INFINITY and INFINITY leave an axis of a box open. Apart from this, the function works like
-/// meniscus_options_set.
+/// Sets an option from several numbers: 3 for a point, or 6 for a box, with its lowest corner
+/// first. -INFINITY and INFINITY leave a side of a box open. In all other respects, the function
+/// works like meniscus_options_set.
 ///
-/// Pointers are NULL or valid as described; `values` points to `count` numbers.
+/// Pointers must be NULL or valid as described; `values` must point to `count` numbers.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_options_set_numbers(
     options: *mut MeniscusOptions,
@@ -441,13 +442,13 @@ pub unsafe extern "C" fn meniscus_options_set_numbers(
     })
 }
 
-/// Sets the function that receives the progress of a frame, and its argument `user`. NULL for no
-/// function. meniscus_convert does not call it.
+/// Sets the function that receives the progress of a frame, and its argument `user`. If `progress`
+/// is NULL, no function receives it. meniscus_convert does not call the function.
 ///
 /// A simulation with these options can call the function until meniscus_simulation_free. Every
 /// other function of the library calls it only before that function returns.
 ///
-/// `options` is NULL or a handle that has not been freed.
+/// `options` must be NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_options_on_progress(
     options: *mut MeniscusOptions,
@@ -461,10 +462,10 @@ pub unsafe extern "C" fn meniscus_options_on_progress(
     })
 }
 
-/// Sets the function that receives the events of meniscus_convert, and its argument `user`. NULL
-/// for no function.
+/// Sets the function that receives the events of meniscus_convert, and its argument `user`. If
+/// `event` is NULL, no function receives them.
 ///
-/// `options` is NULL or a handle that has not been freed.
+/// `options` must be NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_options_on_event(
     options: *mut MeniscusOptions,
@@ -478,12 +479,12 @@ pub unsafe extern "C" fn meniscus_options_on_event(
     })
 }
 
-/// Sets the handle with which any thread can cancel the work; NULL for none. The handle may be
-/// freed before the options.
+/// Sets the handle with which any thread can cancel the work, or none if `cancel` is NULL. The
+/// handle may be freed before the options.
 ///
 /// If a callback cancels the work, this also cancels the handle.
 ///
-/// Pointers are NULL or handles that have not been freed.
+/// Pointers must be NULL or handles that have not been freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_options_cancel_by(
     options: *mut MeniscusOptions,
@@ -505,26 +506,27 @@ static KEYS: LazyLock<Vec<(CString, CString)>> = LazyLock::new(|| {
     settings.chain(others).map(|(key, help)| (c_text(key), c_text(help))).collect()
 });
 
-/// Returns the key of an option by its index; NULL if there is no such option. The string is
+/// Returns the key of the option with this index, or NULL if there is no such option. The string is
 /// static.
 #[unsafe(no_mangle)]
 pub extern "C" fn meniscus_options_key(index: usize) -> *const c_char {
     ask(null(), || KEYS.get(index).map_or(null(), |(key, _)| key.as_ptr()))
 }
 
-/// Returns one line of help on an option by its index; NULL if there is no such option. The string
-/// is static.
+/// Returns one line of help on the option with this index, or NULL if there is no such option. The
+/// string is static.
 #[unsafe(no_mangle)]
 pub extern "C" fn meniscus_options_help(index: usize) -> *const c_char {
     ask(null(), || KEYS.get(index).map_or(null(), |(_, help)| help.as_ptr()))
 }
 
 /// Checks in advance that a mesh can be written to `path`, whose extension selects the format, and
-/// that the format can store the requested data. Creates no file.
+/// that the format can store the requested data. The function creates no file.
 ///
-/// `options` may be NULL for all defaults. `overwrite`: not 0 if an existing file may be replaced.
+/// If `options` is NULL, all options have their defaults. `overwrite`: nonzero if an existing file
+/// may be replaced.
 ///
-/// Pointers are NULL or valid as described.
+/// Pointers must be NULL or valid as described.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_check_output(
     path: *const c_char,

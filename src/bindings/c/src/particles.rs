@@ -18,14 +18,14 @@ pub enum MeniscusType {
     F32 = 0,
     /// double, 8 bytes.
     F64 = 1,
-    /// int32_t, 4 bytes: for attributes.
+    /// int32_t, 4 bytes; only for attributes.
     I32 = 2,
-    /// uint32_t, 4 bytes: for attributes.
+    /// uint32_t, 4 bytes; only for attributes.
     U32 = 3,
 }
 
 impl MeniscusType {
-    /// Converts a number in the caller's structure, which may be invalid.
+    /// Converts a number from the caller's structure, or returns an error if the number is invalid.
     fn of(number: i32, what: &str) -> Outcome<Self> {
         match number {
             0 => Ok(Self::F32),
@@ -44,9 +44,9 @@ impl MeniscusType {
 pub struct MeniscusAttribute {
     /// sizeof(MeniscusAttribute).
     pub size: usize,
-    /// The name of the attribute, in the option "attributes" and on the vertices. By default, the
-    /// vertices get the attribute "velocity" if it has three components. Other usual names of the
-    /// velocity, such as "v" or "vel", also count.
+    /// The name of the attribute, as used in the option "attributes" and on the vertices. By
+    /// default, the vertices get the attribute "velocity" if it has three components. Other usual
+    /// names of the velocity, such as "v" or "vel", also count.
     pub name: *const c_char,
     /// The first number of the first particle; need not be aligned.
     pub values: *const std::ffi::c_void,
@@ -93,12 +93,12 @@ pub struct MeniscusParticles {
     pub reserved: i32,
 }
 
-// SAFETY: numbers and pointers.
+// SAFETY: all fields are numbers or nullable pointers.
 unsafe impl Growing for MeniscusAttribute {
     const NAME: &str = "MeniscusAttribute";
 }
 
-// SAFETY: numbers and pointers.
+// SAFETY: all fields are numbers or nullable pointers.
 unsafe impl Growing for MeniscusParticles {
     const NAME: &str = "MeniscusParticles";
 }
@@ -120,7 +120,7 @@ struct Numbers {
 }
 
 impl Numbers {
-    /// Rejects a layout for `count` particles with numbers outside of the address space.
+    /// Rejects the layout if some numbers of `count` particles would lie outside the address space.
     fn refuse_unaddressable(&self, count: usize, what: &str) -> Outcome {
         if count == 0 {
             return Ok(());
@@ -159,10 +159,10 @@ impl Numbers {
             && self.at.cast::<T>().is_aligned()
     }
 
-    /// Reads a component of a particle.
+    /// Reads one component of a particle.
     ///
     /// # Safety
-    /// The particle exists, and its memory is valid.
+    /// The particle must exist, and its memory must be valid.
     unsafe fn get(&self, particle: usize, component: usize) -> f64 {
         let offset = particle as isize * self.stride + component as isize * self.component_stride;
         // SAFETY: the caller guarantees this number's memory, and `refuse_unaddressable` has
@@ -191,7 +191,8 @@ impl MeniscusType {
         matches!(self, Self::I32 | Self::U32)
     }
 
-    /// The kind of an attribute with this type of numbers. Files use the same rule.
+    /// The kind of an attribute with this type of numbers. The same rule applies to attributes in
+    /// files.
     fn meaning(self, info: &AttributeInfo) -> AttributeKind {
         match self {
             Self::F32 | Self::F64 => info.kind,
@@ -221,8 +222,9 @@ impl CallerParticles {
     /// Reads and checks the caller's structure.
     ///
     /// # Safety
-    /// `at` is NULL or points to a structure with its size in its first field. The same applies to
-    /// its attributes. The particles' data exist and stay unchanged as long as the result lives.
+    /// `at` must be NULL or point to a structure with its size in its first field. The same applies
+    /// to its attributes. The particles' data must exist and stay unchanged as long as the result
+    /// lives.
     pub unsafe fn new(at: *const MeniscusParticles) -> Outcome<Self> {
         // SAFETY: the caller upholds this function's contract.
         let given = unsafe { read(at, "particles") }?;
@@ -260,8 +262,8 @@ impl CallerParticles {
         Ok(particles)
     }
 
-    /// Reads the array of attributes. Its stride is the size in its structures, because those of an
-    /// older caller are smaller.
+    /// Reads the array of attributes. Its stride is the size stated in its structures, because the
+    /// structures of an older caller are smaller.
     ///
     /// # Safety
     /// The requirements of [`new`](Self::new).
@@ -320,14 +322,14 @@ impl CallerParticles {
         Ok(())
     }
 
-    /// Size of all positions in bytes, which decides whether a device is worthwhile.
+    /// Size, in bytes, of all positions, which decides whether a device is worthwhile.
     pub fn bytes(&self) -> u64 {
         (self.count as u64).saturating_mul(3 * self.positions.number.bytes() as u64)
     }
 }
 
 impl Numbers {
-    /// Replaces strides of 0 by the strides of contiguous numbers.
+    /// Replaces strides of 0 with the strides of contiguous numbers.
     fn with_strides(mut self) -> Self {
         if self.component_stride == 0 {
             self.component_stride = self.number.bytes();

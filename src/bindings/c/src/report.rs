@@ -5,21 +5,21 @@ use meniscus::{Report, SpacingSource};
 
 use crate::sized::Growing;
 
-/// Where the spacing of a frame comes from.
+/// The source of a frame's spacing.
 #[repr(i32)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum MeniscusSpacingSource {
     /// Unknown: the frame was packed, or belongs to a simulation.
     Unknown = 0,
-    /// The options give it.
+    /// The options specify the spacing.
     Given = 1,
-    /// The particle file gives it.
+    /// The particle file contains the spacing.
     File = 2,
-    /// A scene file next to the particle file gives it.
+    /// A scene file next to the particle file contains the spacing.
     Scene = 3,
-    /// The library estimated it from the particles.
+    /// The library estimated the spacing from the particles.
     Estimated = 4,
-    /// The smallest size in an attribute of the particles gives it.
+    /// The spacing is the smallest size in an attribute of the particles.
     Sizes = 5,
 }
 
@@ -34,16 +34,16 @@ pub struct MeniscusReport {
     pub spacing: f64,
     /// Edge of a cell.
     pub cell_size: f64,
-    /// A corner of the grid's cells.
+    /// The origin of the grid, which is a corner of a cell.
     pub origin: [f64; 3],
-    /// Smoothing width in spacings, for the indicator "cloud"; else 0.
+    /// Smoothing width, in spacings, for the indicator "cloud"; 0 otherwise.
     pub smooth: f64,
-    /// Standard deviation of the Gaussian in cells, for the indicators "counting" and "symmetry";
-    /// else 0.
+    /// Standard deviation, in cells, of the Gaussian for the indicators "counting" and "symmetry";
+    /// 0 otherwise.
     pub sigma: f64,
-    /// The isovalue, if the surface has one; else 0.
+    /// The isovalue; 0 if the surface has none.
     pub isovalue: f64,
-    /// Total time of all stages in seconds, without writing.
+    /// Total time, in seconds, of all stages except writing.
     pub seconds: f64,
     /// Number of particles that were used.
     pub particles: u64,
@@ -51,7 +51,7 @@ pub struct MeniscusReport {
     pub not_finite: u64,
     /// Number of particles that were skipped because they are too far away.
     pub too_far: u64,
-    /// Number of particles that were left out because they are outside of the tank.
+    /// Number of particles that were left out because they are outside the domain.
     pub outside: u64,
     /// Lower bound of the number of particles that are missing from the surface.
     pub lost: u64,
@@ -59,7 +59,7 @@ pub struct MeniscusReport {
     pub small_components: u64,
     /// Number of drops that the option "smallest-drop" removed.
     pub small_drops: u64,
-    /// Number of triangles before simplifying and before components were removed.
+    /// Number of triangles before the mesh was simplified and components were removed.
     pub whole_triangles: u64,
     /// Number of threads.
     pub threads: u32,
@@ -118,9 +118,9 @@ impl From<&Report> for MeniscusReport {
 pub struct MeniscusCheck {
     /// sizeof(MeniscusCheck).
     pub size: usize,
-    /// The area of all triangles, in the square of the unit of the positions.
+    /// The total area of all triangles, in squared units of the positions.
     pub area: f64,
-    /// The enclosed volume, in the cube of the unit of the positions; NaN unless closed and
+    /// The enclosed volume, in cubed units of the positions; NaN unless the mesh is closed and
     /// oriented.
     pub volume: f64,
     /// The lowest corner of the bounding box of the vertices; 0 for an empty mesh.
@@ -129,19 +129,20 @@ pub struct MeniscusCheck {
     pub highest: [f64; 3],
     /// Number of connected components.
     pub components: u64,
-    /// Number of handles of all components; -1 unless closed, oriented and 2-manifold.
+    /// Total number of topological handles of all components; -1 unless the mesh is closed,
+    /// oriented and 2-manifold.
     pub genus: i64,
-    /// Number of edges with only one triangle.
+    /// Number of edges that belong to only one triangle.
     pub boundary_edges: u64,
-    /// Number of edges whose two triangles have the same direction there.
+    /// Number of edges that both of their triangles traverse in the same direction.
     pub misoriented_edges: u64,
-    /// Number of edges with more than two triangles.
+    /// Number of edges that belong to more than two triangles.
     pub crowded_edges: u64,
     /// Number of vertices whose triangles form more than one fan.
     pub pinched_vertices: u64,
     /// Number of triangles with a repeated vertex.
     pub degenerate_triangles: u64,
-    /// Number of vertices with a coordinate that is not finite.
+    /// Number of vertices with a coordinate that is NaN or infinite.
     pub non_finite_vertices: u64,
     /// 1 if the mesh is closed, oriented and 2-manifold, and all positions are finite; else 0.
     pub is_closed_oriented_manifold: i32,

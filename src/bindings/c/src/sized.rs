@@ -4,7 +4,7 @@
 
 use crate::status::{Failure, Outcome};
 
-/// Upper bound of the size of any structure: larger values are invalid.
+/// The largest valid size, in bytes, of any structure.
 const LARGEST: usize = 4096;
 
 /// A C structure whose first field is its size in bytes, of type `usize`.
@@ -20,7 +20,7 @@ pub unsafe trait Growing: Copy {
 /// Reads the size in the first field of a structure.
 ///
 /// # Safety
-/// `at` is NULL or points to a structure.
+/// `at` must be NULL or point to a structure.
 unsafe fn announced<T: Growing>(at: *const T, what: &str) -> Outcome<usize> {
     if at.is_null() {
         return Err(Failure::request(format!("{what} is NULL")));
@@ -40,7 +40,7 @@ unsafe fn announced<T: Growing>(at: *const T, what: &str) -> Outcome<usize> {
 /// larger, the additional fields must be 0.
 ///
 /// # Safety
-/// `at` is NULL or points to a structure of as many bytes as its size field says.
+/// `at` must be NULL or point to a structure that has the number of bytes stated in its size field.
 pub unsafe fn read<T: Growing>(at: *const T, what: &str) -> Outcome<T> {
     // SAFETY: the caller upholds this function's contract.
     let size = unsafe { announced(at, what) }?;
@@ -68,19 +68,19 @@ pub unsafe fn check<T: Growing>(at: *mut T, what: &str) -> Outcome {
     unsafe { announced(at.cast_const(), what) }.map(drop)
 }
 
-/// Fills the caller's structure. A smaller structure than `T` gets only its own fields. In a larger
-/// one, the additional fields become 0.
+/// Fills the caller's structure. If it is smaller than `T`, only the fields that it has are filled.
+/// If it is larger, the additional fields become 0.
 ///
 /// # Safety
-/// The requirements of [`read`]. Also, no other thread reads or writes the structure.
+/// The requirements of [`read`]. Also, no other thread may read or write the structure.
 pub unsafe fn fill<T: Growing>(at: *mut T, value: T, what: &str) -> Outcome {
     let own = size_of::<usize>();
     // SAFETY: the caller upholds this function's contract.
     let size = unsafe { announced(at.cast_const(), what) }?;
     let known = size.min(size_of::<T>());
     let (from, to) = ((&raw const value).cast::<u8>(), at.cast::<u8>());
-    // SAFETY: `known` is at most the size of each structure. The caller's size field stays the
-    // same.
+    // SAFETY: `known` is at most the size of each structure. The copy skips the caller's size
+    // field.
     unsafe {
         std::ptr::copy_nonoverlapping(from.add(own), to.add(own), known - own);
         to.add(known).write_bytes(0, size - known);

@@ -1,4 +1,5 @@
-//! Results of calls: functions return a status code, and the last message is stored per thread.
+//! Results of calls: functions return a status code, and each thread stores the message of its last
+//! failure.
 
 use std::any::Any;
 use std::cell::RefCell;
@@ -14,7 +15,7 @@ use meniscus::{Cause, Error};
 pub enum MeniscusStatus {
     /// Success.
     Ok = 0,
-    /// Some frames of a conversion failed or are missing; the others are finished.
+    /// Some frames of a conversion failed or are missing; the other frames are finished.
     Incomplete = 1,
     /// An invalid argument or option, or conflicting options; nothing was done.
     Request = 2,
@@ -24,7 +25,8 @@ pub enum MeniscusStatus {
     Output = 4,
     /// The requested Vulkan device cannot be used.
     Device = 5,
-    /// A bug in the library: please report it. Do not use the handles of this call, only free them.
+    /// A bug in the library: please report it. Do not use the handles of this call except to free
+    /// them.
     Internal = 70,
     /// A callback or another thread cancelled the work.
     Cancelled = 130,
@@ -73,7 +75,7 @@ pub fn c_text(text: impl Into<Vec<u8>>) -> CString {
 }
 
 fn keep(message: String) {
-    // Ignore the failure in a thread that is ending, whose message does not exist any more.
+    // In a thread that is ending, `LAST` may no longer exist; the message is then dropped.
     let _ = LAST.try_with(|last| *last.borrow_mut() = c_text(message));
 }
 
@@ -117,11 +119,11 @@ pub fn ask<T>(otherwise: T, work: impl FnOnce() -> T) -> T {
     })
 }
 
-/// Returns the message of the last call on this thread that failed: what is wrong, and where. Empty
-/// if no call on this thread has failed.
+/// Returns the message of this thread's last failed call, which says what is wrong and where. The
+/// message is empty if no call on this thread has failed.
 ///
-/// A call has failed if it did not return MENISCUS_STATUS_OK. The string belongs to the library,
-/// and is valid until the next call on this thread fails, or the thread ends.
+/// A call fails if it returns any status except MENISCUS_STATUS_OK. The string belongs to the
+/// library, and is valid until the next call on this thread fails, or the thread ends.
 #[unsafe(no_mangle)]
 pub extern "C" fn meniscus_last_error() -> *const c_char {
     LAST.try_with(|last| last.try_borrow().map_or(null(), |text| text.as_ptr()))

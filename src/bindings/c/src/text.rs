@@ -9,7 +9,7 @@ use crate::status::{Failure, Outcome};
 /// Reads the caller's string, or returns `None` for NULL.
 ///
 /// # Safety
-/// `at` is NULL or points to a string that ends in NUL and lives as long as the call.
+/// `at` must be NULL or point to a NUL-terminated string that lives as long as the call.
 pub unsafe fn optional<'a>(at: *const c_char, what: &str) -> Outcome<Option<&'a str>> {
     if at.is_null() {
         return Ok(None);
@@ -52,7 +52,8 @@ pub unsafe fn path(at: *const c_char, what: &str) -> Outcome<PathBuf> {
 /// Reads the caller's array of strings, none of which may be NULL.
 ///
 /// # Safety
-/// `at` is NULL or points to `count` pointers. Each pointer meets the requirements of [`optional`].
+/// `at` must be NULL or point to `count` pointers. Each pointer must meet the requirements of
+/// [`optional`].
 pub unsafe fn pointers<'a>(
     at: *const *const c_char,
     count: usize,
@@ -69,7 +70,7 @@ pub unsafe fn pointers<'a>(
 /// Converts the caller's array to a slice. An empty array may be NULL.
 ///
 /// # Safety
-/// `at` is NULL or points to `count` values that exist and do not change during the call.
+/// `at` must be NULL or point to `count` values, which must not change during the call.
 pub unsafe fn array<'a, T>(at: *const T, count: usize, what: &str) -> Outcome<&'a [T]> {
     if count == 0 {
         return Ok(&[]);
@@ -79,7 +80,7 @@ pub unsafe fn array<'a, T>(at: *const T, count: usize, what: &str) -> Outcome<&'
     Ok(unsafe { std::slice::from_raw_parts(at, count) })
 }
 
-/// Rejects an address that cannot have an array of `count` values.
+/// Rejects an address that cannot hold an array of `count` values.
 fn refuse_no_array<T>(at: *const T, count: usize, what: &str) -> Outcome {
     if at.is_null() {
         return Err(Failure::request(format!("{what} is NULL, but its count is {count}")));
@@ -98,11 +99,11 @@ fn refuse_no_array<T>(at: *const T, count: usize, what: &str) -> Outcome {
 }
 
 /// Converts the caller's buffer to a slice of `needed` numbers. Returns an error if its `capacity`
-/// is smaller.
+/// is smaller than that.
 ///
 /// # Safety
-/// `at` is NULL or points to memory for `capacity` values. No other thread uses this memory during
-/// the call.
+/// `at` must be NULL or point to memory for `capacity` values. No other thread may use this memory
+/// during the call.
 pub unsafe fn buffer<'a, T>(
     at: *mut T,
     capacity: u64,
@@ -129,7 +130,7 @@ pub unsafe fn buffer<'a, T>(
 /// Writes a value, unless the address is NULL.
 ///
 /// # Safety
-/// `at` is NULL or points to memory for a value, which need not be aligned.
+/// `at` must be NULL or point to memory for a value, which need not be aligned.
 pub unsafe fn put<T>(at: *mut T, value: T) {
     if !at.is_null() {
         // SAFETY: the caller upholds this function's contract.

@@ -1,4 +1,7 @@
-"""A dam break with position-based dynamics in NumPy, and a mesh of each frame while it runs: python dam_break.py FOLDER"""
+"""Simulates a dam break with position-based dynamics in NumPy, and writes a mesh of each frame.
+
+python dam_break.py FOLDER
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,7 @@ Points: TypeAlias = npt.NDArray[np.float64]
 
 
 def neighbours(points: Points) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """Pairs of particles in the same or in neighbouring cells."""
+    """Finds the pairs of particles in the same or in neighbouring cells."""
     cells = np.floor(points / SPACING).astype(np.int64) + 2
     size = cells.max(axis=0) + 3
     strides = np.array([size[1] * size[2], size[2], 1])
@@ -33,7 +36,7 @@ def neighbours(points: Points) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.int
 
 
 def advance(points: Points, velocity: Points) -> tuple[Points, Points]:
-    """Advances the particles by a time step, separates close particles, and keeps all of them in the tank."""
+    """Advances the particles by a time step, separates close ones, and keeps all in the tank."""
     moved = points + STEP * (velocity + STEP * GRAVITY)
     for _ in range(PUSHES):
         one, other = neighbours(moved)

@@ -1,7 +1,7 @@
 """An exporter for pySPlisHSPlasH that makes a mesh of each frame while it runs: python splishsplash.py SCENE.json FOLDER
 
-Needs pySPlisHSPlasH. On a machine without a screen, its wheel may need the system's libGLX in
-LD_PRELOAD.
+This script needs pySPlisHSPlasH. On a machine without a screen, the wheel of pySPlisHSPlasH may
+need the system's libGLX in LD_PRELOAD.
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ class MeshExporter(sph.ExporterBase):  # type: ignore[misc, unused-ignore]
         model, radius = now.getFluidModel(0), now.getParticleRadius()
         if self.simulation is None:
             self.simulation = meniscus.Simulation(radius=radius)
-        # Views of the simulator's memory, whose length is the maximum number of particles.
+        # Each buffer is a view of the simulator's memory, whose length is the maximum number of
+        # particles.
         count = model.numActiveParticles()
         positions, velocity = (np.asarray(model.getFieldBuffer(name))[:count] for name in ("position", "velocity"))
         mesh = self.simulation.frame(positions, velocity=velocity)

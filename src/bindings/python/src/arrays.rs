@@ -2,9 +2,9 @@
 //! buffer protocol.
 //!
 //! This module reads without the interpreter's lock, so another thread may write to an array
-//! meanwhile. Therefore it never makes a Rust slice of an array, whose values must not change.
-//! Instead, it loads every number once, by a volatile read through a pointer. The library detects
-//! and reports positions that differ between reads.
+//! meanwhile. Therefore it never makes a Rust slice of an array, because the values of a slice must
+//! not change. Instead, it loads every number once, with a volatile read through a pointer. The
+//! library detects and reports positions that differ between reads.
 
 use meniscus::files::{AttributeInfo, AttributeKind, velocity_attribute};
 use numpy::prelude::*;
@@ -44,7 +44,7 @@ enum Kind {
 }
 
 impl Kind {
-    /// The number type for NumPy's letter for its kind and its size in bytes.
+    /// The number type with this NumPy kind letter and this size in bytes.
     fn of(letter: u8, bytes: usize) -> Option<Self> {
         Some(match (letter, bytes) {
             (b'f', 4) => Self::F32,
@@ -111,7 +111,7 @@ pub struct HeldArray<'py> {
 }
 
 impl HeldArray<'_> {
-    /// Bytes of all numbers.
+    /// Size, in bytes, of all numbers.
     pub fn bytes(&self) -> u64 {
         (self.numbers.rows * self.numbers.columns * self.numbers.kind.bytes()) as u64
     }
@@ -148,7 +148,8 @@ impl Numbers {
         Self { first, columns: 1, ..*self }
     }
 
-    /// The kind of an attribute with this type of numbers. Files use the same rule.
+    /// The kind of an attribute with this type of numbers. The same rule applies to attributes in
+    /// files.
     pub fn meaning(&self, info: &AttributeInfo) -> AttributeKind {
         match self.kind {
             Kind::F32 | Kind::F64 => info.kind,
@@ -161,27 +162,28 @@ impl Numbers {
         }
     }
 
-    /// Calls `put` with each number of `rows` rows from row `first` on, row by row, and with the
-    /// number's index in this range.
+    /// Calls `put` for each number in `rows` rows, starting at row `first`, with the number's index
+    /// in this range and its value. The order is row by row.
     ///
     /// # Panics
     /// If the array has fewer rows.
     pub fn read(&self, first: usize, rows: usize, put: impl FnMut(usize, f64)) {
-        // SAFETY: it is called with places of numbers only.
+        // SAFETY: `each` passes only addresses of the array's numbers.
         self.each(first, rows, |at| unsafe { self.load(at) }, put);
     }
 
-    /// Does the same as [`read`](Self::read) with integers that f64 cannot represent. Values beyond
-    /// i64 become the maximum i64.
+    /// Like [`read`](Self::read), but exact for integers that f64 cannot represent. Values above
+    /// the greatest i64 become the greatest i64.
     ///
     /// # Panics
     /// If the array has fewer rows.
     pub fn read_whole(&self, first: usize, rows: usize, put: impl FnMut(usize, i64)) {
-        // SAFETY: it is called with places of numbers only.
+        // SAFETY: `each` passes only addresses of the array's numbers.
         self.each(first, rows, |at| unsafe { self.load_whole(at) }, put);
     }
 
-    /// Calls `put` with the result of `load` for each number of `rows` rows from row `first` on.
+    /// Calls `put` for each number in `rows` rows, starting at row `first`, with the number's index
+    /// in this range and the result of `load`.
     fn each<T>(
         &self,
         first: usize,
@@ -205,7 +207,7 @@ impl Numbers {
     /// Loads the number at an address.
     ///
     /// # Safety
-    /// `at` is the address of one of the array's numbers.
+    /// `at` must be the address of one of the array's numbers.
     #[inline(always)]
     unsafe fn load(&self, at: *const u8) -> f64 {
         // SAFETY: the caller upholds this function's contract.
@@ -221,7 +223,7 @@ impl Numbers {
     /// Loads the integer at an address.
     ///
     /// # Safety
-    /// `at` is the address of one of the array's numbers.
+    /// `at` must be the address of one of the array's numbers.
     #[inline(always)]
     unsafe fn load_whole(&self, at: *const u8) -> i64 {
         // SAFETY: the caller upholds this function's contract.
@@ -330,7 +332,8 @@ fn held<'py>(name: &str, object: &Bound<'py, PyAny>, types: Types) -> PyResult<H
     Ok(HeldArray { array, numbers })
 }
 
-/// Returns the object itself if it is a NumPy array, or else a NumPy array that shares its memory.
+/// Returns the object itself if it is a NumPy array, and otherwise a NumPy array that shares its
+/// memory.
 fn as_array<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyUntypedArray>> {
     let py = object.py();
     if let Ok(array) = object.cast::<PyUntypedArray>() {

@@ -27,8 +27,8 @@ enum Name {
     Vulkan,
 }
 
-/// Open devices. The key is the process, whether the caller requires a device, and the device's
-/// name. It has the process because a forked child cannot use its parent's devices.
+/// Open devices. The key consists of the process, whether the caller requires a device, and the
+/// device's name. It contains the process because a forked child cannot use its parent's devices.
 type Open = HashMap<(u32, bool, Option<String>), Backend>;
 
 static OPEN: LazyLock<Mutex<Open>> = LazyLock::new(Mutex::default);

@@ -14,7 +14,7 @@ mod base {
     pyo3::import_exception!(meniscus._errors, Error);
 }
 
-/// Whether an error becomes a ``FileError``, because a file is the cause and not the request.
+/// Whether an error becomes a ``FileError``, because its cause is a file and not the request.
 fn is_of_file(error: &Error) -> bool {
     let exists = |error: &WriteError| {
         matches!(error.fault, WriteFault::Exists | WriteFault::ExistsInSimulation)

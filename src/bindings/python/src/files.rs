@@ -22,14 +22,14 @@ use crate::work::Work;
 /// positions : float64 array of shape (N, 3)
 ///     In the file's unit of length.
 /// velocity : float32 array of shape (N, 3) or None
-///     The attribute called ``velocity``, or with another usual name such as ``v``.
+///     The attribute with the name ``velocity``, or with another usual name such as ``v``.
 /// attributes : dict from names to arrays of shape (N,) or (N, K)
 ///     All attributes, with their names in the file. Integers are int32 or uint32, or int64 if the
 ///     file stores 64 bits; other numbers are float32.
 /// spacing : float or None
-///     Distance between neighbouring particles, from the file or a scene file near it.
+///     Distance between neighbouring particles, from the file or from a scene file near it.
 /// time : float or None
-///     The simulation's time in seconds, from the file.
+///     Time, in seconds, of the frame in the simulation, from the file.
 /// up : str
 ///     "y" or "z": the axis that usually points up in this format, for the keyword
 ///     ``particles_up``.
@@ -102,7 +102,7 @@ impl Values {
 /// Parameters
 /// ----------
 /// path : str or os.PathLike
-///     The file; ``sim.h5part#12`` is a step of a file with several.
+///     The file; ``sim.h5part#12`` selects step 12 of a file with several steps.
 /// format : str, optional
 ///     The format, such as "csv"; by default, the extension selects it.
 /// where : str or list of str, optional
@@ -116,9 +116,9 @@ impl Values {
 /// Raises
 /// ------
 /// meniscus.FileError
-///     For a missing or damaged file; an OSError.
+///     If the file is missing or damaged. It is an OSError.
 /// meniscus.InputError
-///     For an unknown extension; a ValueError.
+///     If the extension is unknown. It is a ValueError.
 #[pyfunction]
 #[pyo3(signature = (path, *, **keywords), text_signature = "(path, *, format=None, where=None)")]
 pub fn read_particles(
@@ -178,9 +178,9 @@ pub fn read_particles(
 /// Returns
 /// -------
 /// list of pairs of int and pathlib.Path
-///     The frames in the order of their numbers, which may be negative. The path
-///     ``sim.h5part#12`` means a step of a file with several steps. If a frame is in several files,
-///     the list has the first of them.
+///     The frames in ascending order of their numbers, which may be negative. The path
+///     ``sim.h5part#12`` means step 12 of a file with several steps. If a frame is in several
+///     files, the list contains the first of these files.
 ///
 /// Raises
 /// ------

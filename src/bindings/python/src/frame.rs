@@ -1,4 +1,5 @@
-//! The Python class `Frame`: particles that are sampled once, for several surfaces or for packing.
+//! The Python class `Frame`: particles that are sampled once, and then give several surfaces or a
+//! packed frame.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -26,10 +27,10 @@ const OF_FRAMES: &[KeywordGroup] = &[
     KeywordGroup::Attributes,
 ];
 
-/// A sampled frame: the field, and the data that surfaces need. It does not need the particles any
-/// more.
+/// A sampled frame: the samples of its cells, and other data that surfaces need. It no longer needs
+/// the particles.
 ///
-/// ``Frame(positions, ...)`` has the keywords of ``reconstruct``, and samples the particles.
+/// ``Frame(positions, ...)`` samples the particles, and takes the keywords of ``reconstruct``.
 /// ``surface()`` makes a surface with the same or other settings, and can be called repeatedly. The
 /// frame has its own threads, and can be used only in the process that created it.
 ///
@@ -122,14 +123,14 @@ impl Frame {
         })
     }
 
-    /// Opens a packed frame, written by ``save`` or by the program's ``pack``, or samples the
-    /// particles of a file without making arrays.
+    /// Opens a packed frame that ``save`` or the program's ``pack`` wrote, or samples the particles
+    /// of a file without making arrays of them.
     ///
     /// Parameters
     /// ----------
     /// path : str or os.PathLike, or list of them
-    ///     The file: .mnf, or a particle file. The particles of several files, such as several
-    ///     fluids, make one surface, with the attributes that all of them have.
+    ///     A .mnf file or a particle file. The particles of several files, such as several fluids,
+    ///     give one surface, with the attributes that all these files have.
     /// attributes : list of str, optional
     ///     Attributes for the vertices; by default, the velocity.
     /// format : str, optional
@@ -139,7 +140,7 @@ impl Frame {
     ///     ``type`` selects one of several types of particles in a file.
     ///
     /// Other keywords are those of ``reconstruct``. For a packed frame, keywords of the sampling
-    /// are errors.
+    /// give an error.
     #[staticmethod]
     #[pyo3(
         signature = (path, *, progress=None, **keywords),
@@ -171,10 +172,10 @@ impl Frame {
         })
     }
 
-    /// Makes a surface with these keywords. All other settings have the values from the
+    /// Makes a surface with these keywords. All other settings keep the values from the
     /// constructor.
     ///
-    /// Allowed are the keywords of ``reconstruct`` that do not need the particles. The surface uses
+    /// The keywords of ``reconstruct`` that do not need the particles are allowed. The surface uses
     /// the threads and the memory limit of the frame.
     ///
     /// Returns
@@ -233,20 +234,20 @@ impl Frame {
         self.sampled.particles_up().to_string().to_lowercase()
     }
 
-    /// Packs the frame into a file, from which this module or the program can make surfaces.
+    /// Packs the frame into a file from which this module or the program can make surfaces.
     /// Attributes are not included.
     ///
     /// Parameters
     /// ----------
     /// path : str or os.PathLike
-    ///     The file: .mnf.
+    ///     The .mnf file.
     /// overwrite : bool
     ///     Whether an existing file may be replaced.
     ///
     /// Returns
     /// -------
     /// int
-    ///     Its size in bytes.
+    ///     Size, in bytes, of the file.
     #[pyo3(signature = (path, *, overwrite=false))]
     fn save(&self, py: Python<'_>, path: PathBuf, overwrite: bool) -> PyResult<u64> {
         self.refuse_other_process()?;

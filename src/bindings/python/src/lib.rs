@@ -1,7 +1,7 @@
 //! The Python module `meniscus._meniscus`: the library's facade with NumPy arrays.
 //!
 //! [`arrays`] reads arrays in place. [`work`] runs the library without the interpreter's lock,
-//! until it ends or Ctrl-C cancels it. [`options`] converts keywords, which are the program's
+//! until the call ends or Ctrl-C cancels it. [`options`] converts keywords, which are the program's
 //! options. [`errors`] converts errors to exceptions with the same messages.
 
 mod arrays;
@@ -24,8 +24,8 @@ mod work;
 
 use pyo3::prelude::*;
 
-/// Watertight surface meshes from particle fluids: see the package `meniscus`, which exports all of
-/// this.
+/// Watertight surface meshes from particle fluids: see the package `meniscus`, which exports these
+/// items.
 #[pymodule]
 mod _meniscus {
     #[pymodule_export]

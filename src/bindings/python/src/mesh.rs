@@ -18,10 +18,10 @@ use crate::memory::{GiveBack, give_back};
 use crate::report::{Check, Report};
 use crate::work::{Work, with_progress};
 
-/// A closed, oriented, 2-manifold triangle mesh around the fluid, the result of ``reconstruct`` and
-/// similar functions.
+/// A closed, oriented, 2-manifold triangle mesh around the fluid. It is the result of
+/// ``reconstruct`` and similar functions.
 ///
-/// Each array is created on first access, and later accesses return the same object. The caller may
+/// Each array is created on first access, and later accesses return the same array. The caller may
 /// modify it. Modifications do not affect ``write``, which writes the original surface.
 #[pyclass(frozen, module = "meniscus")]
 pub struct Mesh {
@@ -29,7 +29,8 @@ pub struct Mesh {
     request: Reconstruction,
     arrays: PyOnceLock<Arrays>,
     measures: OnceLock<Measures>,
-    /// Must be the last field: Rust drops it after the others, and it returns their memory.
+    /// Must be the last field: Rust drops it after the other fields, whose memory it returns to the
+    /// system.
     _emptied: GiveBack,
 }
 
@@ -124,13 +125,13 @@ fn threes<T: Element>(py: Python<'_>, rows: Vec<[T; 3]>) -> PyResult<Py<PyArray2
 
 #[pymethods]
 impl Mesh {
-    /// Positions: float64 of shape (V, 3), in the unit of the particles' positions.
+    /// Vertex positions: float64 of shape (V, 3), in the unit of the particles' positions.
     #[getter]
     fn vertices(&self, py: Python<'_>) -> PyResult<Py<PyArray2<f64>>> {
         Ok(self.arrays(py)?.vertices.clone_ref(py))
     }
 
-    /// Triangles as indices of vertices: uint32 of shape (T, 3), counter-clockwise seen from
+    /// Triangles as vertex indices: uint32 of shape (T, 3), counterclockwise when seen from
     /// outside.
     #[getter]
     fn triangles(&self, py: Python<'_>) -> PyResult<Py<PyArray2<u32>>> {
@@ -144,28 +145,27 @@ impl Mesh {
         Ok(self.arrays(py)?.triangles.bind(py).cast_array::<u64>(false)?.unbind())
     }
 
-    /// Outward unit normals of the vertices: float32 of shape (V, 3), or None without
-    /// ``normals=True``.
+    /// Outward unit normals of the vertices: float32 of shape (V, 3), or None if the surface was
+    /// made without ``normals=True``.
     #[getter]
     fn normals(&self, py: Python<'_>) -> PyResult<Option<Py<PyArray2<f32>>>> {
         Ok(self.arrays(py)?.normals.as_ref().map(|normals| normals.clone_ref(py)))
     }
 
-    /// Attributes of the vertices by name: float32 of shape (V,), or (V, K) for K components.
-    /// Integers, such as identifiers, are int32 or uint32: each vertex has the value of the nearest
-    /// particle.
+    /// Vertex attributes by name: float32 of shape (V,), or (V, K) for K components. Integers, such
+    /// as identifiers, are int32 or uint32, and each vertex has the value of the nearest particle.
     #[getter]
     fn attributes(&self, py: Python<'_>) -> PyResult<Py<PyDict>> {
         Ok(self.arrays(py)?.attributes.clone_ref(py))
     }
 
-    /// The enclosed volume, in the cube of the unit of length; 0 for an empty mesh.
+    /// The enclosed volume, in cubed units of length; 0 for an empty mesh.
     #[getter]
     fn volume(&self, py: Python<'_>) -> PyResult<f64> {
         Ok(self.measures(py)?.volume.unwrap_or(f64::NAN))
     }
 
-    /// The area of all triangles, in the square of the unit of length.
+    /// The total area of all triangles, in squared units of length.
     #[getter]
     fn area(&self, py: Python<'_>) -> PyResult<f64> {
         Ok(self.measures(py)?.area)
@@ -183,8 +183,8 @@ impl Mesh {
         self.surface.report().into()
     }
 
-    /// Checks that the mesh is closed, oriented and 2-manifold, and measures it, like the program's
-    /// ``check`` for a file.
+    /// Checks that the mesh is closed, oriented and 2-manifold, and measures it, as the program's
+    /// ``check`` does for a file.
     fn check(&self, py: Python<'_>) -> PyResult<Check> {
         let measures = self.measures(py)?;
         let mesh = self.whole(py)?;
@@ -210,19 +210,20 @@ impl Mesh {
     /// overwrite : bool
     ///     Whether an existing file may be replaced.
     /// preview : bool
-    ///     Also draw a picture next to it, with its name and .png.
+    ///     Whether to also draw a picture next to the file, with the same name and the extension
+    ///     .png.
     ///
     /// Returns
     /// -------
     /// int
-    ///     Its size in bytes.
+    ///     Size, in bytes, of the file.
     ///
     /// Raises
     /// ------
     /// meniscus.FileError
-    ///     If it already exists, or cannot be written; an OSError.
+    ///     If the file already exists, or cannot be written. It is an OSError.
     /// meniscus.InputError
-    ///     For an unknown extension, or data that the format cannot store; a ValueError.
+    ///     If the extension is unknown, or the format cannot store the data. It is a ValueError.
     #[pyo3(signature = (path, *, overwrite=false, preview=false))]
     fn write(
         &self,

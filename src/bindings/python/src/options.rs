@@ -10,7 +10,7 @@ use crate::errors::InputError;
 use crate::simulation::SIMULATION;
 use crate::values::Keyword;
 
-/// A group of keywords. Each function accepts some of the groups.
+/// A group of keywords. Each function accepts only certain groups.
 #[derive(Clone, Copy, PartialEq)]
 pub enum KeywordGroup {
     /// Keywords for sampling the particles.
@@ -66,8 +66,8 @@ pub struct Keywords {
 }
 
 impl Keywords {
-    /// Reads the keywords of a function. Keywords outside of the groups `known` are errors, and a
-    /// keyword with the value None is ignored.
+    /// Reads the keywords of a function. Keywords outside the groups in `known` give an error, and
+    /// a keyword with the value None is ignored.
     pub fn of(
         function: &str,
         keywords: Option<&Bound<'_, PyDict>>,
@@ -127,7 +127,8 @@ impl Keywords {
         Ok(())
     }
 
-    /// Returns the request, with a backend that suits an input of `input_bytes`, if this is known.
+    /// Returns the request with the chosen backend. If the library chooses, it considers
+    /// `input_bytes`, the size of the input, if known.
     pub fn on_machine(self, input_bytes: Option<u64>) -> PyResult<Reconstruction> {
         let request = self.request.memory(self.memory);
         if !request.uses_backend() {

@@ -57,7 +57,7 @@ impl<'py> Arrays<'py> {
         Ok(Self { positions, others })
     }
 
-    /// The particles for the library, which can read them only while `self` lives.
+    /// The particles for the library, which may read them only while `self` lives.
     pub fn water(&self) -> ArrayParticles {
         let info = |(name, held): &(String, HeldArray<'_>)| {
             let info = AttributeInfo::new(name, held.numbers.columns());
@@ -75,7 +75,8 @@ impl<'py> Arrays<'py> {
         self.others.iter().map(|(name, _)| name.as_str())
     }
 
-    /// The names of all attributes; `None` if the velocity, which is the default, is the only one.
+    /// The names of all attributes; `None` if there are none besides the velocity, which is the
+    /// default.
     pub fn named(&self) -> Option<Vec<String>> {
         let names: Vec<_> = self.others.iter().map(|(name, _)| name.clone()).collect();
         names.iter().any(|name| name != "velocity").then_some(names)

@@ -13,53 +13,91 @@ use crate::work::{Work, with_progress};
 /// Keywords are the options of ``meniscus reconstruct``, whose ``--help`` describes them in detail.
 /// All of them are optional. Lengths are in the unit of the positions.
 ///
-/// Parameters ---------- positions : array of shape (N, 3), float32 or float64 A NumPy array, or
-/// any object that shares its memory by DLPack, the array interface or the buffer protocol. It may
-/// have any strides and be read-only. It is read in place, and never copied. velocity : array of
-/// shape (N, 3), optional Velocities; the mesh has them as ``attributes["velocity"]``. attributes :
-/// mapping from names to arrays of shape (N,) or (N, K), optional Further values to interpolate to
-/// the vertices. ``v`` and similar names become ``velocity``. A vertex takes integers, such as
-/// identifiers, from the nearest particle; they must fit into 32 bits. where : str or list of str,
-/// optional Use only particles whose ``attributes`` satisfy a condition, such as "Type=1" or
-/// "age<2.5 and z>0". spacing, radius : float, optional Distance between neighbouring particles, or
-/// half of it. Estimated if neither is given. size : str, optional Attribute with the particles'
-/// sizes, if the sizes differ; "pscale", "radius" and "spacing" are found without it. The name says
-/// what the values are: radii, diameters, volumes, or masses, which need a density. "none" treats
-/// all particles as one size. cell, cell_size : float, optional Edge length of a cell, in spacings
-/// (0.5 by default; use 0.25 for renders) or as a length. origin : three floats, optional Position
-/// of a corner of a grid cell. domain : six floats or None, or two corners, or "auto", optional
-/// Walls of a tank, x0, y0, z0, x1, y1, z1, on which the surface ends exactly; None for an open
-/// side. "auto" finds the walls. periodic : six floats or None, or two corners, optional A periodic
-/// box; None for both ends of an open axis. periodic_mesh : "cut" or "overlap", optional How the
-/// mesh ends at the faces of a periodic box. indicator : "cloud", "counting" or "symmetry",
-/// optional Rule that computes the value of a cell from its particles: "cloud" by default; the
-/// others are from the paper. mu0 : float, optional Mean number of particles in non-empty cells,
-/// for counting. method : "dif", "mueller", "zhu-bridson" or "yu-turk", optional Discrete indicator
-/// functions, or a kernel method for comparison. skip_invalid : bool, optional Skip particles whose
-/// position is not finite or is outside the grid, and report their number; without this, such
-/// particles are an error. smooth : float, optional Smoothing width in spacings, 1.6 by default;
-/// larger is smoother, 2 is good for noisy FLIP particles. sheets : float, optional Join particles
-/// of thin sheets and filaments up to this many spacings apart, 2.15 by default; 0 turns it off.
-/// solid : list of str, optional Files of closed meshes where the fluid ends, such as obstacles.
-/// solid_offset : float, optional Distance between the fluid and solids in spacings, -0.1 by
-/// default. sigma : float, optional Standard deviation of the Gaussian in cells, for counting and
-/// symmetry. iso : float or "auto", optional Isovalue between 0 and 1, for counting, symmetry and
-/// kernel methods. detail : bool, optional Recover details, such as drops, that are lost in
-/// smoothing (for the indicators counting and symmetry). normals : bool, optional Add vertex
-/// normals, from the field's gradient. simplify : float, optional Merge triangles; no part of the
-/// surface moves by more than this many cells. smallest_component : float, optional Remove drops
-/// and bubbles with a volume of less than this many cells. smallest_drop : int, optional Remove
-/// drops with fewer than this many particles, estimated from the drop's volume. compress : bool,
-/// optional Compress the output: a .glb with quantization and EXT_meshopt_compression, a .vdb with
-/// zlib. up, particles_up : "y" or "z", optional Axis that points up in mesh files, and in the
-/// particles. backend : "auto", "cpu" or "vulkan", optional Where to compute; the mesh has the same
-/// bytes everywhere. device : str or int, optional Vulkan device, by number, UUID or part of its
-/// name. threads : int, optional Number of threads; one per core by default. memory : int in bytes
-/// or a str such as "512MiB", optional Memory limit; larger frames use scratch files. The default
-/// is three quarters of the available memory. scratch : str or os.PathLike, optional Folder for
-/// scratch files; by default the system's temporary folder. progress : callable, optional A
-/// function that is called on the caller's thread with the name of a stage and its progress from 0
-/// to 1. An exception in it cancels the work.
+/// Parameters
+/// ----------
+/// positions : array of shape (N, 3), float32 or float64
+///     A NumPy array, or any object that shares its memory by DLPack, the array interface or the
+///     buffer protocol. It may have any strides and be read-only. It is read in place, and never
+///     copied.
+/// velocity : array of shape (N, 3), optional
+///     Velocities of the particles; the mesh has them as ``attributes["velocity"]``.
+/// attributes : mapping from names to arrays of shape (N,) or (N, K), optional
+///     Further values to interpolate to the vertices. ``v`` and similar names become ``velocity``.
+///     A vertex takes integers, such as identifiers, from the nearest particle; they must fit into
+///     32 bits.
+/// where : str or list of str, optional
+///     Use only particles whose ``attributes`` satisfy a condition, such as "Type=1" or
+///     "age<2.5 and z>0".
+/// spacing, radius : float, optional
+///     Distance between neighbouring particles, or half this distance. It is estimated if neither
+///     is given.
+/// size : str, optional
+///     Attribute with the particles' sizes, if the sizes differ; "pscale", "radius" and "spacing"
+///     are found without this keyword. The name says what the values are: radii, diameters,
+///     volumes, or masses, which need a density. "none" treats all particles as one size.
+/// cell, cell_size : float, optional
+///     Edge length of a cell, in spacings (0.5 by default; use 0.25 for renders) or as a length.
+/// origin : three floats, optional
+///     Position of a corner of a grid cell.
+/// domain : six floats or None, or two corners, or "auto", optional
+///     Walls of a tank on which the surface ends exactly: x0, y0, z0, x1, y1, z1; None for an open
+///     side. "auto" finds the walls.
+/// periodic : six floats or None, or two corners, optional
+///     A periodic box; None for both ends of an open axis.
+/// periodic_mesh : "cut" or "overlap", optional
+///     How the mesh ends at the faces of a periodic box.
+/// indicator : "cloud", "counting" or "symmetry", optional
+///     Rule that computes the value of a cell from its particles: "cloud" by default; the others
+///     are from the paper.
+/// mu0 : float, optional
+///     Mean number of particles in non-empty cells, for counting.
+/// method : "dif", "mueller", "zhu-bridson" or "yu-turk", optional
+///     Discrete indicator functions, or a kernel method for comparison.
+/// skip_invalid : bool, optional
+///     Skip particles whose position is not finite or is outside the grid, and report their number;
+///     without this, such particles are an error.
+/// smooth : float, optional
+///     Smoothing width, in spacings, 1.6 by default; larger is smoother, and 2 is good for noisy
+///     FLIP particles.
+/// sheets : float, optional
+///     Join particles of thin sheets and filaments that are at most this many spacings apart, 2.15
+///     by default; 0 turns this off.
+/// solid : list of str, optional
+///     Files of closed meshes where the fluid ends, such as obstacles.
+/// solid_offset : float, optional
+///     Distance, in spacings, between the fluid and solids, -0.1 by default.
+/// sigma : float, optional
+///     Standard deviation, in cells, of the Gaussian, for counting and symmetry.
+/// iso : float or "auto", optional
+///     Isovalue between 0 and 1, for counting, symmetry, mueller and yu-turk.
+/// detail : bool, optional
+///     Recover details, such as drops, that smoothing loses, for counting and symmetry.
+/// normals : bool, optional
+///     Add vertex normals, from the field's gradient.
+/// simplify : float, optional
+///     Merge triangles; no part of the surface moves by more than this many cells.
+/// smallest_component : float, optional
+///     Remove drops and bubbles with a volume of less than this many cells.
+/// smallest_drop : int, optional
+///     Remove drops with fewer than this many particles, estimated from the drop's volume.
+/// compress : bool, optional
+///     Compress the output: a .glb with quantization and EXT_meshopt_compression, a .vdb with zlib.
+/// up, particles_up : "y" or "z", optional
+///     Axis that points up in mesh files, and axis that points up in the particles.
+/// backend : "auto", "cpu" or "vulkan", optional
+///     Where to compute; the mesh has the same bytes everywhere.
+/// device : str or int, optional
+///     Vulkan device, by number, UUID or part of its name.
+/// threads : int, optional
+///     Number of threads; one per core by default.
+/// memory : int in bytes or a str such as "512MiB", optional
+///     Memory limit; larger frames use scratch files. The default is three quarters of the
+///     available memory.
+/// scratch : str or os.PathLike, optional
+///     Folder for scratch files; by default the system's temporary folder.
+/// progress : callable, optional
+///     A function that is called on the caller's thread with the name of a stage and its progress
+///     from 0 to 1. An exception that it raises cancels the work.
 ///
 /// Returns
 /// -------

@@ -14,11 +14,11 @@ use pyo3::prelude::*;
 ///     Distance between neighbouring particles; None if it is unknown because a cell size was
 ///     given.
 /// spacing_source : str or None
-///     Source of the spacing, as text; None for packed frames and frames of a simulation.
+///     Source of the spacing, as text; None for packed frames and for frames of a simulation.
 /// cell_size : float
 ///     Edge of a cell.
 /// origin : tuple of three floats
-///     A corner of the grid's cells.
+///     The origin of the grid, which is a corner of a cell.
 /// indicator : str or None
 ///     The indicator that computed the field; None for kernel methods.
 /// smooth, sigma, iso : float or None
@@ -28,19 +28,19 @@ use pyo3::prelude::*;
 ///     Number of particles that were used.
 /// not_finite, too_far, outside : int
 ///     Number of particles that were skipped because a coordinate is not finite, because they are
-///     too far away, or because they are outside of the domain.
+///     too far away, or because they are outside the domain.
 /// lost : int
 ///     Lower bound of the number of particles that are missing from the surface.
 /// too_small : int
 ///     Number of drops and bubbles that were removed because they are too small.
 /// whole_triangles : int
-///     Number of triangles before simplifying and before small components were removed.
+///     Number of triangles before the mesh was simplified and small components were removed.
 /// backend : str
 ///     The CPU, or the name of the device.
 /// threads : int
 ///     Number of threads.
 /// seconds : dict
-///     Seconds of each stage.
+///     Time, in seconds, of each stage.
 /// warnings : list of str
 ///     Warnings about the surface, which were also issued as ``meniscus.MeshWarning``.
 #[pyclass(frozen, get_all, module = "meniscus")]
@@ -117,9 +117,9 @@ impl Report {
 /// Attributes
 /// ----------
 /// closed, oriented, manifold : bool
-///     Closed: no edge has only one triangle. Oriented: the two triangles of an edge have opposite
-///     directions there. Manifold: no edge has more than two triangles, and the triangles of each
-///     vertex form a single fan.
+///     Closed: no edge belongs to only one triangle. Oriented: the two triangles of an edge
+///     traverse it in opposite directions. Manifold: no edge belongs to more than two triangles,
+///     and the triangles around each vertex form a single fan.
 /// boundary_edges, misoriented_edges, crowded_edges, pinched_vertices, degenerate_triangles,
 /// non_finite_positions : int
 ///     Number of occurrences of each defect.
@@ -128,11 +128,12 @@ impl Report {
 /// euler_characteristic : int
 ///     Vertices - edges + triangles.
 /// genus : int or None
-///     Number of handles of all components; None unless closed, oriented and 2-manifold.
+///     Total number of topological handles of all components; None unless the mesh is closed,
+///     oriented and 2-manifold.
 /// area : float
-///     In the square of the unit of length.
+///     Total area of all triangles, in squared units of length.
 /// volume : float or None
-///     In the cube of the unit of length; None unless closed and oriented.
+///     Enclosed volume, in cubed units of length; None unless the mesh is closed and oriented.
 #[pyclass(frozen, get_all, module = "meniscus")]
 pub struct Check {
     closed: bool,

@@ -1,4 +1,5 @@
-//! The frames of a simulation: from memory while it runs, or from files to files.
+//! The frames of a simulation: reconstructed from memory while it runs, or converted from files to
+//! files.
 
 use std::path::PathBuf;
 use std::sync::{Mutex, TryLockError};
@@ -36,10 +37,10 @@ pub const SIMULATION: [&str; 10] = [
 ///
 /// For a running simulation, create an object without inputs, and call ``frame(positions)`` for
 /// each frame. The calibration is measured on the first frame with fluid deeper than the reach of
-/// the filters (see ``settled``). A frame without particles is an empty mesh. The object has its
+/// the filters (see ``settled``). A frame without particles gives an empty mesh. The object has its
 /// own threads, and can be used only in the process that created it.
 ///
-/// With inputs and an output, ``run()`` converts files to mesh files, like the program.
+/// With inputs and an output, ``run()`` converts files to mesh files, as the program does.
 ///
 /// Parameters
 /// ----------
@@ -47,12 +48,13 @@ pub const SIMULATION: [&str; 10] = [
 ///     A name with ``{}`` for the number, a folder, a glob, a file with several steps, or a list of
 ///     files.
 /// output : path, optional
-///     A name with ``{}`` or ``{:04}`` for the number, a folder, or one ``.abc`` for all frames.
+///     A name with ``{}`` or ``{:04}`` for the number, a folder, or one ``.abc`` file for all
+///     frames.
 /// start, end, step : int, optional
 ///     The first and last frame of the simulation, and the step between frames. Numbers may be
 ///     negative.
 /// frames : pair of int, optional
-///     Convert only these frames, both included, as one of several jobs.
+///     First and last frame to convert, both included, as one of several jobs.
 /// resume : bool, optional
 ///     Resume an interrupted conversion.
 /// overwrite : bool, optional
@@ -61,7 +63,7 @@ pub const SIMULATION: [&str; 10] = [
 ///     Convert frames as a running simulation writes them, until no new frame has appeared for this
 ///     many seconds.
 /// fps : float, optional
-///     Frames per second, if the files have no times.
+///     Frames per second, if the files contain no times.
 /// together : bool, optional
 ///     Join the frames with the same number from all inputs, such as several fluids. Each input is
 ///     a name with ``{}``, a folder or a glob.
@@ -70,7 +72,7 @@ pub const SIMULATION: [&str; 10] = [
 /// attributes : list of str, optional
 ///     Attributes for the vertices; by default, the velocity.
 /// format : str, optional
-///     The format of the files, such as "csv"; by default that of their extension.
+///     The format of the files, such as "csv"; by default, the extension selects it.
 /// where : str or list of str, optional
 ///     Use only particles whose attributes satisfy conditions, such as "Type=1" or "age<2.5";
 ///     ``type`` selects one of several types of particles in a file.
@@ -80,7 +82,7 @@ pub const SIMULATION: [&str; 10] = [
 /// Raises
 /// ------
 /// TypeError, meniscus.InputError, meniscus.FileError, meniscus.DeviceError
-///     Like ``reconstruct``.
+///     For the same reasons as in ``reconstruct``.
 #[pyclass(frozen, module = "meniscus")]
 pub struct Simulation {
     kind: Kind,
@@ -173,7 +175,7 @@ impl Simulation {
     /// Parameters
     /// ----------
     /// positions : array of shape (N, 3), float32 or float64
-    ///     Read in place, like in ``reconstruct``. If N is 0, the mesh is empty.
+    ///     The array is read in place, as in ``reconstruct``. If N is 0, the mesh is empty.
     /// velocity : array of shape (N, 3), optional
     ///     Velocities, which are interpolated to the vertices.
     /// attributes : mapping from names to arrays of shape (N,) or (N, K), optional
@@ -202,7 +204,7 @@ impl Simulation {
         }
         let arrays = Arrays::take(positions, velocity, attributes)?;
         self.refuse_unnamed(&arrays)?;
-        // Do not wait for the other thread: it may need the interpreter's lock, which this one
+        // Do not wait for another thread: it may need the interpreter's lock, which this thread
         // holds.
         let mut live = match live.try_lock() {
             Ok(live) => live,
@@ -220,7 +222,8 @@ impl Simulation {
         Mesh::new(py, surface, request)
     }
 
-    /// Whether the calibration is fixed. Always True for files, because ``run`` measures first.
+    /// Whether the calibration is fixed. Always True for files, because ``run`` measures the
+    /// calibration first.
     #[getter]
     fn settled(&self) -> PyResult<bool> {
         match &self.kind {
@@ -237,17 +240,18 @@ impl Simulation {
 
     /// Converts all frames from particle files to mesh files.
     ///
-    /// If a frame fails, the others are still converted: see ``Summary.complete``.
+    /// If a frame fails, the other frames are still converted: see ``Summary.complete``.
     ///
     /// Parameters
     /// ----------
     /// progress : callable, optional
-    ///     Called with each ``Event``, on the caller's thread. An exception cancels the work.
+    ///     Called with each ``Event``, on the caller's thread. An exception that it raises cancels
+    ///     the work.
     ///
     /// Returns
     /// -------
     /// list of Summary
-    ///     One for each simulation in the inputs.
+    ///     One summary for each simulation in the inputs.
     #[pyo3(signature = (*, progress=None))]
     fn run(&self, py: Python<'_>, progress: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<Summary>> {
         let preview = matches!(self.kind, Kind::Files(_, true));
@@ -262,8 +266,8 @@ impl Simulation {
         Ok(ended.into_iter().map(Summary::from).collect())
     }
 
-    /// Prepares a conversion by several jobs: measures the calibration of all frames, stores it
-    /// next to the outputs, and returns the frame numbers.
+    /// Prepares a conversion by several jobs: measures the calibration that all frames share,
+    /// stores it next to the outputs, and returns the frame numbers.
     ///
     /// Returns
     /// -------
@@ -296,14 +300,14 @@ impl Simulation {
         };
         work.run(py, hear, || {
             act(&files, &|event| {
-                // Cannot fail: the caller receives events until this work has ended.
+                // This cannot fail: the caller receives events until this work has ended.
                 let _ = sender.send(Message::Event(Event::of(&event)));
             })
         })
     }
 }
 
-/// Rejects keywords that apply only to files, for a simulation from memory.
+/// For a simulation from memory, rejects keywords that apply only to files.
 fn refuse_of_files(keywords: Option<&Bound<'_, PyDict>>) -> PyResult<()> {
     for (name, value) in keywords.into_iter().flatten() {
         let name: String = name.extract()?;

@@ -14,19 +14,19 @@ use pyo3::prelude::*;
 ///     "waiting", "spacing_warning", "restarted", "resumed", "measured", "started", "frame_appeared",
 ///     "stage", "done", "failed", "simulation_failed" or "ended".
 /// message : str
-///     The event as a line of text.
+///     A description of the event, as a line of text.
 /// frame : int or None
-///     The frame's number; negative before frame 0.
+///     The frame's number, which may be negative.
 /// output : pathlib.Path or None
-///     The mesh's file, for a finished frame.
+///     The mesh file of a finished frame.
 /// stage : str or None
 ///     The frame's stage: "reading", "counting", "waiting", "sampling", "meshing", "simplifying" or
 ///     "writing".
 /// share : float or None
-///     The finished fraction of that stage, from 0 to 1.
+///     The finished fraction of this stage, from 0 to 1.
 /// done, total, failed : int or None
-///     Number of frames that have finished or failed, of all frames, and of frames that have
-///     failed; None if unknown.
+///     Number of frames that have finished or failed, number of all frames, and number of frames
+///     that have failed; None if unknown.
 #[pyclass(frozen, get_all, module = "meniscus")]
 #[derive(Default)]
 pub struct Event {
@@ -111,7 +111,7 @@ impl Event {
 /// Attributes
 /// ----------
 /// folder : pathlib.Path
-///     The folder of the meshes.
+///     The folder that contains the meshes.
 /// made, failed : int
 ///     Number of frames that were made, and number of frames that failed.
 /// failures : dict of int to str
@@ -119,13 +119,14 @@ impl Event {
 /// error : str or None
 ///     The error that stopped this simulation, if several simulations were converted.
 /// missing : list of str
-///     Frames that are missing between others, one line each.
+///     Frames that are missing between existing frames, one line for each gap.
 /// complete : bool
-///     Whether no frame failed or is missing.
+///     Whether all frames were made: no frame failed or is missing, and no error stopped the
+///     conversion.
 /// lost : int
 ///     Lower bound of the number of particles that are missing from the surfaces of all frames.
 /// seconds : float
-///     Duration of the conversion in seconds.
+///     Duration, in seconds, of the conversion.
 #[pyclass(frozen, get_all, module = "meniscus")]
 pub struct Summary {
     folder: PathBuf,

@@ -42,7 +42,7 @@ impl<'py> Keyword<'_, 'py> {
         })
     }
 
-    /// Takes a text, or an integer as its digits.
+    /// Takes a text, or an integer, which is converted to its digits.
     pub fn text_or_number(&self) -> PyResult<String> {
         match self.value.extract::<u32>() {
             Ok(number) => Ok(number.to_string()),
@@ -79,7 +79,7 @@ impl<'py> Keyword<'_, 'py> {
         })
     }
 
-    /// Takes bytes, or a size such as `"512MiB"`.
+    /// Takes a number of bytes, or a size such as `"512MiB"`.
     pub fn bytes(&self) -> PyResult<u64> {
         if self.value.is_instance_of::<PyString>() {
             let text = self.text()?;

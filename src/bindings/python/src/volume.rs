@@ -7,11 +7,11 @@ use pyo3::prelude::*;
 /// Voxels along the edge of a brick.
 const EDGE: usize = 8;
 
-/// The signed distance from a surface at the voxels of a grid, the result of ``Frame.volume``.
+/// The signed distances of a grid's voxels from a surface, as ``Frame.volume`` returns them.
 ///
-/// Voxels are stored in bricks of 8 x 8 x 8, and only where the surface is nearer than three
-/// voxels. A .vdb file of the same surface contains the same values in its grid ``surface``. To
-/// make an OpenVDB grid, copy each brick:
+/// Voxels are stored in bricks of 8 x 8 x 8. Only bricks with a voxel less than three voxels from
+/// the surface are stored. A .vdb file of the same surface contains the same values in its grid
+/// ``surface``. To make an OpenVDB grid, copy each brick:
 /// ``grid.copyFromArray(values[i], ijk=tuple(origins[i]))``.
 #[pyclass(frozen, module = "meniscus")]
 pub struct Volume {
@@ -41,16 +41,16 @@ impl Volume {
 
 #[pymethods]
 impl Volume {
-    /// The coordinates of the first voxel of each brick, in voxels: int32 of shape (B, 3), multiples
-    /// of 8 in ascending order.
+    /// The voxel coordinates of the first voxel of each brick: int32 of shape (B, 3), multiples of
+    /// 8 in ascending order.
     #[getter]
     fn origins(&self, py: Python<'_>) -> Py<PyArray2<i32>> {
         self.origins.clone_ref(py)
     }
 
-    /// The distance of each voxel of each brick from the surface, in the unit of the positions:
-    /// float32 of shape (B, 8, 8, 8), indexed by x, y and z, negative inside. Where the surface is
-    /// farther than three voxels, the distance is three voxels.
+    /// The distance of each brick's voxels from the surface, in the unit of the positions: float32
+    /// of shape (B, 8, 8, 8), indexed by x, y and z, negative inside. Where the surface is more
+    /// than three voxels away, the magnitude of the distance is three voxels.
     #[getter]
     fn values(&self, py: Python<'_>) -> Py<PyArray4<f32>> {
         self.values.clone_ref(py)
@@ -62,8 +62,8 @@ impl Volume {
         self.voxel_size
     }
 
-    /// The matrix from coordinates of voxels to positions, for column vectors: float64 of shape
-    /// (4, 4).
+    /// The matrix that converts voxel coordinates to positions, for column vectors: float64 of
+    /// shape (4, 4).
     #[getter]
     fn transform(&self, py: Python<'_>) -> Py<PyArray2<f64>> {
         self.transform.clone_ref(py)

@@ -1,9 +1,9 @@
 //! Runs long calls of the library without the interpreter's lock. Ctrl-C or an exception in the
-//! progress callback cancels them.
+//! progress callback cancels a call.
 //!
-//! The call runs on a separate thread, while the caller's thread waits for its messages. Python can
-//! handle signals only on the caller's thread, and callbacks run there because they may use any
-//! API.
+//! The call runs on a separate thread, while the caller's thread waits for its messages. The
+//! caller's thread also checks for signals, which Python handles only on its main thread, and runs
+//! the callbacks, because they may use any API.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
@@ -54,7 +54,7 @@ impl<N: Send + 'static> Work<N> {
         let ended = thread::scope(|scope| {
             let act = move || {
                 let ended = catch_unwind(AssertUnwindSafe(act));
-                // Cannot fail: the receiver exists until the caller has received `Done`.
+                // This cannot fail: the receiver exists until the caller has received `Done`.
                 let _ = sender.send(Message::Done);
                 ended
             };
@@ -109,7 +109,7 @@ pub fn with_progress<T: Send>(
 }
 
 impl Work<Progress> {
-    /// Adds this work's cancel handle to a request, and its progress messages if `reports` is set.
+    /// Adds this work's cancel handle to a request and, if `reports` is set, its progress messages.
     pub fn holds(
         &self,
         request: meniscus::Reconstruction,
@@ -121,7 +121,8 @@ impl Work<Progress> {
         }
         let sender = self.sender.clone();
         request.progress(move |progress| {
-            // Ignore failures: writing the surface later reports progress that nobody receives.
+            // Ignore failures: if the surface is written later, that reports progress without a
+            // receiver.
             let _ = sender.send(Message::Event(progress));
         })
     }

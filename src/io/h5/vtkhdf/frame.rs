@@ -11,7 +11,7 @@ use crate::io::{ReadFault, malformed};
 pub(super) struct FrameRows {
     /// The number of the step. `None` for a file without steps.
     pub step: Option<u64>,
-    /// The number of the first partition, and the number after the last partition.
+    /// The number of the first partition, and the number of the partition after the last.
     pub parts: [u64; 2],
     /// The row of the frame's first point.
     point: u64,

@@ -51,7 +51,7 @@ pub(super) fn left(
     };
 
     let points = frame.points(file, root)?;
-    // A number of points that exceeds the file is rejected later, when the points are read.
+    // A number of points that exceeds the file's limit is rejected later, when the points are read.
     if sum(&points)? > file.limit {
         return Ok(None);
     }
@@ -112,7 +112,8 @@ pub(super) fn left(
     Ok(Some(left))
 }
 
-/// The array `name` of a group. `None` if it does not exist or has several numbers per row.
+/// The array `name` of a group. `None` if it does not exist, contains no numbers, or has several
+/// numbers per row.
 fn found(group: &Group, name: &str) -> Result<Option<H5Array>, ReadFault> {
     let (_, sets) = checked(group.member_names())?;
     if !sets.iter().any(|set| set == name) {
@@ -131,11 +132,11 @@ fn in_part(part: u64, fault: ReadFault) -> ReadFault {
     }
 }
 
-/// The positions of a frame's first cell in the arrays.
+/// Where the arrays store the first cell of a frame.
 struct FirstCells {
     cell: u64,
     corner: u64,
-    /// The row of the first cell's data, in arrays whose offset is not stored.
+    /// The row of the first cell's data in arrays whose offset is not stored.
     data: u64,
 }
 
@@ -213,7 +214,7 @@ struct PartitionCounts {
     others: u64,
 }
 
-/// The arrays of cells, positioned at the next partition.
+/// Readers of the arrays of cells, positioned at the next partition.
 struct Arrays {
     ends: NumberReader,
     types: Option<NumberReader>,
@@ -258,7 +259,7 @@ impl Arrays {
     }
 }
 
-/// Reads the numbers of an array in order. One window is in memory.
+/// Reads the numbers of an array in order, with one window in memory.
 struct NumberReader {
     array: H5Array,
     windows: RowWindows,
@@ -266,7 +267,7 @@ struct NumberReader {
     at: u64,
     /// The rows that are in memory.
     held: Range<u64>,
-    /// The numbers of these rows.
+    /// The numbers in the rows `held`.
     numbers: Vec<i64>,
 }
 

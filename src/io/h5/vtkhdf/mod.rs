@@ -1,8 +1,8 @@
 //! Reads VTKHDF: the points of PolyData and UnstructuredGrid, partition by partition, and the
 //! polygons of PolyData.
 //!
-//! The data of all steps is consecutive in every data set. The group `Steps` has the start of each
-//! step.
+//! The data of all steps is consecutive in every data set. The group `Steps` contains the start of
+//! each step.
 
 mod frame;
 mod ghosts;
@@ -85,7 +85,7 @@ fn faces(file: &H5File, root: &Group) -> Result<u64, ReadFault> {
     Ok(faces)
 }
 
-/// Whether the file is a mesh: PolyData with polygons or strips, or without any points.
+/// Whether the file contains a mesh: PolyData with polygons or strips, or without any points.
 pub fn has_faces(file: &H5File) -> Result<bool, ReadFault> {
     let (root, kind) = opened(file)?;
     if kind != POLY_DATA {

@@ -12,10 +12,10 @@ use crate::io::houdini::json::{JsonEvent, JsonNumber, JsonNumbers, Storage};
 
 /// Maximum number of attributes. Production files have a few hundred.
 const MOST_ATTRIBUTES: usize = 1 << 16;
-/// Maximum length of an attribute's name in bytes.
+/// Maximum length, in bytes, of an attribute's name.
 const LONGEST_NAME: usize = 1 << 10;
-/// Maximum number of 64-bit words for flags of constant pages in all attributes, enough for 10^11
-/// points.
+/// Maximum number of 64-bit words, in all attributes together, for the flags of constant pages.
+/// They suffice for 2^26 pages, usually of 1024 points each.
 const MOST_FLAGS: usize = 1 << 20;
 
 impl SchemaReader<'_, '_, '_> {
@@ -107,8 +107,8 @@ impl SchemaReader<'_, '_, '_> {
         Ok(())
     }
 
-    /// Reads the values of an attribute, one per point. `None` if the attribute has no numbers for
-    /// points.
+    /// Reads the values of an attribute, one per point. `None` if the attribute has no numbers, or
+    /// too many components.
     fn values(&mut self, name: &str, points: u64) -> Result<Option<PointValues>, ReadFault> {
         let (mut components, mut page) = (None, None);
         let mut storage = Storage::Scalar(Scalar::F64);
@@ -285,8 +285,8 @@ impl SchemaReader<'_, '_, '_> {
         }
     }
 
-    /// Reads tuples, which are lists with one number per component. Returns the number of
-    /// components, too.
+    /// Reads tuples, which are lists with one number per component. Also returns the number of
+    /// components.
     fn tuples(&mut self, name: &str, storage: Storage) -> Result<(u64, NumberRun), ReadFault> {
         if self.json.next()? != JsonEvent::List {
             return Err(self.json.fault(format!("attribute {name}: expected a list of tuples")));

@@ -16,16 +16,17 @@ use crate::particles::sieve::Sieve;
 
 use super::json::{Json, JsonEvent, JsonNumber, JsonNumbers, Storage};
 
-/// Maximum number of components of an attribute. An attribute with more is a spectrum.
+/// Maximum number of components of an attribute. An attribute with more components is a spectrum.
 pub const MOST_COMPONENTS: u64 = 64;
-/// Maximum number of texts in an attribute by which particles can be selected.
+/// Maximum number of texts in a text attribute by which particles can be selected.
 pub const MOST_TEXTS: usize = 4096;
-/// Maximum number of different kinds of primitives.
+/// Maximum number of kinds of primitives that are counted separately.
 const MOST_KINDS: usize = 64;
-/// Number of values that are copied at once.
+/// Number of bytes that are copied at once.
 const CHUNK: usize = 1 << 13;
 
-/// A geometry. Each attribute was checked to have a value for each of the announced points.
+/// A geometry. The reader has checked that each attribute has a value for each of the announced
+/// points.
 #[derive(Debug)]
 pub struct Geometry {
     pub points: u64,
@@ -35,8 +36,8 @@ pub struct Geometry {
     pub kinds: BTreeMap<Rc<str>, u64>,
     /// The index of the point of each vertex.
     pub vertex_points: NumberRun,
-    /// A bit for each vertex, set if it belongs to a particle system. Empty without particle
-    /// systems.
+    /// A bit for each vertex, set if the vertex belongs to a particle system. Empty if there are no
+    /// particle systems.
     pub particle_vertices: Vec<u64>,
     /// The time in seconds.
     pub time: Option<f64>,
@@ -80,7 +81,7 @@ pub struct PointPages {
     pub groups: Vec<ComponentGroup>,
 }
 
-/// Components of an attribute whose values are adjacent.
+/// Components of an attribute that a page stores together, as one tuple per point.
 #[derive(Debug)]
 pub struct ComponentGroup {
     pub components: u64,
@@ -102,7 +103,7 @@ impl ComponentGroup {
 }
 
 impl PointPages {
-    /// Number of values in the pages of `points` points. `None` if it overflows.
+    /// Number of values in the pages of `points` points. `None` if the number overflows.
     fn count(&self, points: u64) -> Option<u64> {
         let counted = self.groups.iter().map(|group| {
             let constant: u64 =
@@ -243,7 +244,7 @@ impl SchemaReader<'_, '_, '_> {
         Ok(())
     }
 
-    /// Reads a list or map of entries. Calls `take` with each key, and `take` reads the value.
+    /// Reads a list or map of entries. Calls `take` with each key. `take` must read the value.
     fn entries(
         &mut self,
         what: &str,
@@ -365,7 +366,7 @@ impl SchemaReader<'_, '_, '_> {
         Ok(NumberRun { place: NumberLocation::Gathered, numbers })
     }
 
-    /// Copies numbers of the document to the buffer, in which the numbers of several lists are
+    /// Copies numbers of the document to `gathered`, in which the numbers of consecutive lists are
     /// adjacent.
     fn gather(&mut self, numbers: JsonNumbers) -> Result<NumberRun, ReadFault> {
         let (bytes, endian) = self.document;
@@ -415,7 +416,7 @@ impl SchemaReader<'_, '_, '_> {
         }
     }
 
-    /// Reads a list of pairs. `take` reads both values of a pair.
+    /// Reads a list of pairs. `take` must read both values of a pair.
     fn pairs(
         &mut self,
         what: &str,

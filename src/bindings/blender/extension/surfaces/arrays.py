@@ -29,7 +29,8 @@ class Arrays:
         # Blender stores positions as float32, which also halves the memory.
         with np.errstate(over="ignore", invalid="ignore"):
             vertices = mesh.vertices.astype(np.float32)
-            # The sum is finite only if all numbers are, and is faster than a test of each number.
+            # The sum is finite only if all numbers are finite, and is faster than a test of each
+            # number.
             is_finite = np.isfinite(vertices.sum(dtype=np.float64))
         if not is_finite:
             raise OutOfRange("The surface exceeds single precision, which Blender uses")
@@ -53,5 +54,5 @@ class Arrays:
 
     @property
     def nbytes(self) -> int:
-        """The size of all arrays in bytes."""
+        """The total size, in bytes, of all arrays."""
         return self.vertices.nbytes + self.triangles.nbytes + sum(values.nbytes for values in self.attributes.values())

@@ -1,4 +1,4 @@
-"""A cache with a memory limit, for values that take long to make."""
+"""A cache with a memory limit, for values that take a long time to make."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Cache(Generic[V]):
         self._shrink()
 
     def get(self, key: Hashable) -> V | None:
-        """Returns a value, which becomes the most recently used one; None if there is none."""
+        """Returns the value of a key, or None. The value becomes the most recently used one."""
         value = self._values.get(key)
         if value is not None:
             self._values.move_to_end(key)
@@ -47,7 +47,7 @@ class Cache(Generic[V]):
     def put(self, key: Hashable, value: V) -> None:
         """Adds a value, and removes the least recently used values until the limit is met."""
         self.drop(key)
-        # A value that does not fit would only remove all others.
+        # A value that does not fit would only remove all other values.
         if value.nbytes <= self._bound:
             self._values[key] = value
             self.nbytes += value.nbytes

@@ -41,8 +41,8 @@ def reading(listing: Path, timing: Timing) -> Reading:
 def volume_offset(timing: Timing, first: int, last: int) -> str:
     """The driver expression for the frame offset of a Volume that plays the files `first` to `last`.
 
-    Blender plays the file whose number is this offset plus a count: 1 at the start frame and
-    before, 2 at the next frame, and so on.
+    Blender plays the file whose number is this offset plus a count, which is 1 up to the start
+    frame, 2 at the next frame, and so on.
     """
     number = f"{timing.first} + floor((frame - {timing.start}) * {timing.step:.9g} + 1e-6)"
     return f"max({first}, min({last}, {number})) - max(frame - {timing.start} + 1, 1)"

@@ -1,4 +1,4 @@
-"""Requests for surfaces: their inputs and settings, which also make the key in the cache."""
+"""Requests for surfaces: their inputs and settings, from which the keys for the cache are made."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Sampling:
 
 @dataclass(frozen=True)
 class Filters:
-    """Settings that apply to sampled particles, so that changing them needs no new sampling."""
+    """Settings that apply to sampled particles: changing them does not require sampling again."""
 
     smooth: float | None = None
     smallest_drop: int | None = None
@@ -93,7 +93,7 @@ class FromPoints:
 
     @property
     def _asked(self) -> Sampling:
-        """The sampling without settings that apply only to files."""
+        """The settings of the sampling, without settings that apply only to files."""
         return replace(self.sampling, attributes=None, where=None)
 
 
@@ -119,7 +119,7 @@ class Request:
 
 
 class Maker:
-    """Makes surfaces. It keeps the last sampled frame, so that other filters do not sample again."""
+    """Makes surfaces. Keeps the last sampled frame, so that other filters need no new sampling."""
 
     def __init__(self) -> None:
         self._key: Hashable = None

@@ -1,7 +1,7 @@
 """Finds the file of a sequence for a frame of the scene.
 
 The library lists the frames of a name, a folder or a file with several steps. This module selects
-one of them for each frame of the scene.
+one of these frames for each frame of the scene.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Shown:
 
     number: int
     path: str
-    #: The number from the timing. It differs from `number` if its file is missing.
+    #: The number from the timing. It differs from `number` if the file with that number is missing.
     wanted: int
 
     @property

@@ -50,8 +50,8 @@ class SolidMesh:
 class Solids:
     """The solids that the fluid touches.
 
-    `offset` is the distance between the fluid and the solids in spacings; None is the library's
-    default.
+    `offset` is the distance, in spacings, between the fluid and the solids; None stands for the
+    library's default.
     """
 
     meshes: tuple[SolidMesh, ...] = ()
@@ -71,8 +71,9 @@ class Solids:
 
 
 def unique(names: Iterable[str]) -> list[str]:
-    """Converts names to different file names, made of letters, digits and dashes."""
+    """Converts names to distinct file names that consist of letters, digits and dashes."""
     safe = ["".join(c if c.isascii() and c.isalnum() else "-" for c in name) for name in names]
-    # Names that differ only in case are the same file on some systems, so each name gets a number.
+    # On some systems, names that differ only in case refer to the same file, so each name gets a
+    # number.
     # The name must not end with digits, which would look like a frame number.
     return [f"{name}-{number}-solid" for number, name in enumerate(safe)]

@@ -10,7 +10,7 @@ True
 
 ``reconstruct`` makes a mesh from arrays. ``Simulation`` makes the meshes of a simulation's frames.
 ``Frame`` samples particles once for several surfaces. ``read_particles`` and ``list_frames`` read
-files. ``meniscus.compat.pysplashsurf`` has the interface of pysplashsurf.
+files. ``meniscus.compat.pysplashsurf`` provides the interface of pysplashsurf.
 """
 
 import warnings as _warnings

@@ -37,7 +37,7 @@ _Box: TypeAlias = Sequence[float | None] | Sequence[Sequence[float | None]] | np
 _Format: TypeAlias = Literal["bgeo", "bi4", "csv", "hdf5", "json", "lammps", "npy", "npz", "ply", "pvtp", "tecplot", "vtk", "vtp", "xyz"]
 _Progress: TypeAlias = Callable[[str, float], object]
 
-# Keywords, which are the program's options. Each keyword is in only one of these classes.
+# Keywords, which are the program's options. Each keyword is declared in only one of these classes.
 
 class _Sampling(TypedDict, total=False):
     """Keywords for sampling the particles."""

@@ -1,8 +1,8 @@
-"""The interface of pysplashsurf 0.14, implemented by meniscus: import this instead.
+"""The interface of pysplashsurf 0.14, implemented by meniscus: import this module instead.
 
 Keywords have the names that pysplashsurf gives them, and lengths are relative to the particle
-radius. A keyword has the same meaning as in pysplashsurf or the nearest equivalent, or it is
-ignored with one warning. The README has a table.
+radius. A keyword has the same meaning as in pysplashsurf, or the nearest equivalent; otherwise, it
+is ignored with one warning. A table in the README describes the keywords.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class UniformGrid:
 
 
 class TriMesh3d:
-    """A triangle mesh: vertices with the particles' type, and triangles as uint64."""
+    """A triangle mesh: vertices with the particles' number type, and triangles as uint64."""
 
     def __init__(self, vertices: _Array, triangles: npt.NDArray[np.uint64]) -> None:
         self.vertices = vertices
@@ -91,7 +91,7 @@ class TriMesh3d:
 
     @property
     def dtype(self) -> np.dtype[Any]:
-        """The type of the vertices' numbers."""
+        """The number type of the vertices."""
         return self.vertices.dtype
 
     def copy(self) -> TriMesh3d:
@@ -124,7 +124,7 @@ class MeshWithData:
 
     @property
     def dtype(self) -> np.dtype[Any]:
-        """The type of the vertices' numbers."""
+        """The number type of the vertices."""
         return self.mesh.dtype
 
     @property
@@ -162,7 +162,7 @@ class MeshWithData:
         self.cell_attributes[name] = _one_each(name, attribute, self.ncells)
 
     def write_to_file(self, path: str | os.PathLike[str], *, file_format: str | None = "vtk42") -> None:
-        """Writes the mesh with meshio, like pysplashsurf."""
+        """Writes the mesh with meshio, as pysplashsurf does."""
         import meshio  # type: ignore[import-untyped, import-not-found, unused-ignore]
 
         meshio.write_points_cells(
@@ -277,7 +277,10 @@ def _floats(values: _Array) -> _Array:
 
 
 def _cut(data: MeshWithData, low: _Corner, high: _Corner, clamp: bool) -> MeshWithData:
-    """Removes the triangles outside of a box, and moves outer vertices onto the box if `clamp` is set."""
+    """Removes the triangles that have no vertex inside a box.
+
+    If `clamp` is set, moves the remaining vertices outside the box onto it.
+    """
     mesh = data.mesh
     inside = _within(mesh.vertices, low, high)
     if inside is None:
@@ -311,7 +314,7 @@ def reconstruct_surface(
     subdomain_grid_auto_disable: bool = True,
     subdomain_num_cubes_per_dim: int = 64,
 ) -> SurfaceReconstruction:
-    """Reconstructs a surface: ``.mesh.vertices``, ``.mesh.triangles``.
+    """Reconstructs a surface, which is in ``.mesh.vertices`` and ``.mesh.triangles``.
 
     ``particles`` is an array of shape (N, 3), float32 or float64; smoothing length and cube size are relative to the particle radius.
     """
@@ -367,7 +370,9 @@ def reconstruction_pipeline(
     mesh_aabb_max: _Corner = None,
     mesh_aabb_clamp_vertices: bool = True,
 ) -> tuple[MeshWithData, SurfaceReconstruction]:
-    """Reconstructs a surface with values on its vertices: ``.mesh.vertices``, ``.mesh.triangles``, ``.point_attributes``.
+    """Reconstructs a surface with values on its vertices.
+
+    The surface is in ``.mesh.vertices``, ``.mesh.triangles`` and ``.point_attributes``.
 
     ``particles`` is an array of shape (N, 3), float32 or float64; smoothing length and cube size are relative to the particle radius. The
     mesh is closed and manifold, unless it is cut off at ``mesh_aabb_min`` and ``mesh_aabb_max``.
