@@ -35,7 +35,7 @@ enum MeniscusStatus
  {
   // Success.
   MENISCUS_STATUS_OK = 0,
-  // Some frames of a conversion failed or are missing; the others are finished.
+  // Some frames of a conversion failed or are missing; the other frames are finished.
   MENISCUS_STATUS_INCOMPLETE = 1,
   // An invalid argument or option, or conflicting options; nothing was done.
   MENISCUS_STATUS_REQUEST = 2,
@@ -45,7 +45,8 @@ enum MeniscusStatus
   MENISCUS_STATUS_OUTPUT = 4,
   // The requested Vulkan device cannot be used.
   MENISCUS_STATUS_DEVICE = 5,
-  // A bug in the library: please report it. Do not use the handles of this call, only free them.
+  // A bug in the library: please report it. Do not use the handles of this call except to free
+  // them.
   MENISCUS_STATUS_INTERNAL = 70,
   // A callback or another thread cancelled the work.
   MENISCUS_STATUS_CANCELLED = 130,
@@ -66,19 +67,19 @@ enum MeniscusStage
  {
   // A stage that is newer than this header.
   MENISCUS_STAGE_OTHER = 0,
-  // The input is read.
+  // Reads the input.
   MENISCUS_STAGE_READING = 1,
-  // Particles are counted in cells, to estimate the memory of the frame.
+  // Counts particles in cells, to estimate the memory that the frame needs.
   MENISCUS_STAGE_COUNTING = 2,
-  // A large frame waits until other frames have finished.
+  // Waits until other frames have finished, because the frame is large.
   MENISCUS_STAGE_WAITING = 3,
-  // Particles are sampled on the grid.
+  // Samples the particles on the grid.
   MENISCUS_STAGE_SAMPLING = 4,
-  // The field is meshed.
+  // Meshes the field.
   MENISCUS_STAGE_MESHING = 5,
-  // The mesh is simplified.
+  // Simplifies the mesh.
   MENISCUS_STAGE_SIMPLIFYING = 6,
-  // The mesh is written.
+  // Writes the mesh.
   MENISCUS_STAGE_WRITING = 7,
 };
 #ifndef __cplusplus
@@ -99,9 +100,9 @@ enum MeniscusType
   MENISCUS_TYPE_F32 = 0,
   // double, 8 bytes.
   MENISCUS_TYPE_F64 = 1,
-  // int32_t, 4 bytes: for attributes.
+  // int32_t, 4 bytes; only for attributes.
   MENISCUS_TYPE_I32 = 2,
-  // uint32_t, 4 bytes: for attributes.
+  // uint32_t, 4 bytes; only for attributes.
   MENISCUS_TYPE_U32 = 3,
 };
 #ifndef __cplusplus
@@ -112,7 +113,7 @@ typedef int32_t MeniscusType;
 #endif // __STDC_VERSION__ >= 202311L
 #endif // __cplusplus
 
-// Where the spacing of a frame comes from.
+// The source of a frame's spacing.
 enum MeniscusSpacingSource
 #if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
   : int32_t
@@ -120,15 +121,15 @@ enum MeniscusSpacingSource
  {
   // Unknown: the frame was packed, or belongs to a simulation.
   MENISCUS_SPACING_SOURCE_UNKNOWN = 0,
-  // The options give it.
+  // The options specify the spacing.
   MENISCUS_SPACING_SOURCE_GIVEN = 1,
-  // The particle file gives it.
+  // The particle file contains the spacing.
   MENISCUS_SPACING_SOURCE_FILE = 2,
-  // A scene file next to the particle file gives it.
+  // A scene file next to the particle file contains the spacing.
   MENISCUS_SPACING_SOURCE_SCENE = 3,
-  // The library estimated it from the particles.
+  // The library estimated the spacing from the particles.
   MENISCUS_SPACING_SOURCE_ESTIMATED = 4,
-  // The smallest size in an attribute of the particles gives it.
+  // The spacing is the smallest size in an attribute of the particles.
   MENISCUS_SPACING_SOURCE_SIZES = 5,
 };
 #ifndef __cplusplus
@@ -181,23 +182,24 @@ typedef int32_t MeniscusEventKind;
 #endif // __cplusplus
 
 // A handle with which any thread can cancel work. Cancelled calls return
-// MENISCUS_STATUS_CANCELLED. Later calls with the same handle do so too, so a cancelled handle
-// cannot be reused. The handle may be freed while calls use it.
+// MENISCUS_STATUS_CANCELLED. So do later calls with the same handle, which therefore cannot be
+// reused. The handle may be freed while calls use it.
 typedef struct MeniscusCancel MeniscusCancel;
 
-// A frame whose particles are sampled. Surfaces with different filters can be made from it. Freed
-// by meniscus_frame_free.
+// A sampled frame, from which surfaces with different filters can be made. It must be freed by
+// meniscus_frame_free.
 //
 // Several threads may use a frame at the same time, as long as none frees it.
 typedef struct MeniscusFrame MeniscusFrame;
 
-// A surface: a closed, oriented 2-manifold around the fluid. Freed by meniscus_mesh_free.
+// A surface: a closed, oriented 2-manifold around the fluid. It must be freed by
+// meniscus_mesh_free.
 //
 // Several threads may use a mesh at the same time, as long as none frees it.
 typedef struct MeniscusMesh MeniscusMesh;
 
 // Options of a call. Their keys are the names of the program's options: "spacing", "cell-size",
-// "threads". Freed by meniscus_options_free.
+// "threads". They must be freed by meniscus_options_free.
 //
 // `meniscus reconstruct --help` documents the options, and meniscus_options_key lists their keys.
 // An option that is not set has the program's default, with one exception: all stages run on the
@@ -208,7 +210,8 @@ typedef struct MeniscusMesh MeniscusMesh;
 // them.
 typedef struct MeniscusOptions MeniscusOptions;
 
-// A simulation whose frames come from memory, in order. Freed by meniscus_simulation_free.
+// A simulation whose frames come from memory, in order. It must be freed by
+// meniscus_simulation_free.
 //
 // Cells, grid and calibration are measured on the first frame with fluid deeper than the reach of
 // the filters, and kept for all later frames. A simulation makes one frame at a time.
@@ -222,13 +225,13 @@ typedef struct MeniscusSummary {
   uint64_t made;
   // Number of frames that failed.
   uint64_t failed;
-  // Number of frames that are missing between other frames.
+  // Number of frames that are missing between existing frames.
   uint64_t missing;
   // Number of particles in the frames that were made.
   uint64_t particles;
   // Lower bound of the number of particles that are missing from the surfaces.
   uint64_t lost;
-  // Duration of the conversion in seconds.
+  // Duration, in seconds, of the conversion.
   double seconds;
 } MeniscusSummary;
 
@@ -237,9 +240,9 @@ typedef struct MeniscusSummary {
 typedef struct MeniscusAttribute {
   // sizeof(MeniscusAttribute).
   size_t size;
-  // The name of the attribute, in the option "attributes" and on the vertices. By default, the
-  // vertices get the attribute "velocity" if it has three components. Other usual names of the
-  // velocity, such as "v" or "vel", also count.
+  // The name of the attribute, as used in the option "attributes" and on the vertices. By
+  // default, the vertices get the attribute "velocity" if it has three components. Other usual
+  // names of the velocity, such as "v" or "vel", also count.
   const char *name;
   // The first number of the first particle; need not be aligned.
   const void *values;
@@ -284,11 +287,11 @@ typedef struct MeniscusParticles {
   int32_t reserved;
 } MeniscusParticles;
 
-// An attribute of the vertices, in memory of the mesh.
+// A vertex attribute, in memory that belongs to the mesh.
 typedef struct MeniscusMeshAttribute {
   // The name of the attribute.
   const char *name;
-  // `components` numbers per vertex, vertex by vertex. Integers are rounded to float:
+  // `components` numbers per vertex, vertex by vertex. Integers are rounded to float;
   // meniscus_mesh_attribute_whole copies their exact values.
   const float *values;
   // Numbers per vertex.
@@ -306,11 +309,12 @@ typedef struct MeniscusArrays {
   uint64_t triangle_count;
   // 3 numbers per vertex: x, y, z, in the unit of the particles' positions.
   const double *positions;
-  // 3 numbers per triangle: its vertices, counterclockwise seen from outside.
+  // 3 numbers per triangle: the indices of its vertices, counterclockwise when seen from
+  // outside.
   const uint32_t *triangles;
   // 3 numbers per vertex: the outward unit normal; NULL if no normals were requested.
   const float *normals;
-  // The attributes of the vertices, without the normals.
+  // The vertex attributes; the normals are not among them.
   const struct MeniscusMeshAttribute *attributes;
   // Number of elements in `attributes`.
   size_t attribute_count;
@@ -325,16 +329,16 @@ typedef struct MeniscusReport {
   double spacing;
   // Edge of a cell.
   double cell_size;
-  // A corner of the grid's cells.
+  // The origin of the grid, which is a corner of a cell.
   double origin[3];
-  // Smoothing width in spacings, for the indicator "cloud"; else 0.
+  // Smoothing width, in spacings, for the indicator "cloud"; 0 otherwise.
   double smooth;
-  // Standard deviation of the Gaussian in cells, for the indicators "counting" and "symmetry";
-  // else 0.
+  // Standard deviation, in cells, of the Gaussian for the indicators "counting" and "symmetry";
+  // 0 otherwise.
   double sigma;
-  // The isovalue, if the surface has one; else 0.
+  // The isovalue; 0 if the surface has none.
   double isovalue;
-  // Total time of all stages in seconds, without writing.
+  // Total time, in seconds, of all stages except writing.
   double seconds;
   // Number of particles that were used.
   uint64_t particles;
@@ -342,7 +346,7 @@ typedef struct MeniscusReport {
   uint64_t not_finite;
   // Number of particles that were skipped because they are too far away.
   uint64_t too_far;
-  // Number of particles that were left out because they are outside of the tank.
+  // Number of particles that were left out because they are outside the domain.
   uint64_t outside;
   // Lower bound of the number of particles that are missing from the surface.
   uint64_t lost;
@@ -350,7 +354,7 @@ typedef struct MeniscusReport {
   uint64_t small_components;
   // Number of drops that the option "smallest-drop" removed.
   uint64_t small_drops;
-  // Number of triangles before simplifying and before components were removed.
+  // Number of triangles before the mesh was simplified and components were removed.
   uint64_t whole_triangles;
   // Number of threads.
   uint32_t threads;
@@ -363,9 +367,9 @@ typedef struct MeniscusReport {
 typedef struct MeniscusCheck {
   // sizeof(MeniscusCheck).
   size_t size;
-  // The area of all triangles, in the square of the unit of the positions.
+  // The total area of all triangles, in squared units of the positions.
   double area;
-  // The enclosed volume, in the cube of the unit of the positions; NaN unless closed and
+  // The enclosed volume, in cubed units of the positions; NaN unless the mesh is closed and
   // oriented.
   double volume;
   // The lowest corner of the bounding box of the vertices; 0 for an empty mesh.
@@ -374,19 +378,20 @@ typedef struct MeniscusCheck {
   double highest[3];
   // Number of connected components.
   uint64_t components;
-  // Number of handles of all components; -1 unless closed, oriented and 2-manifold.
+  // Total number of topological handles of all components; -1 unless the mesh is closed,
+  // oriented and 2-manifold.
   int64_t genus;
-  // Number of edges with only one triangle.
+  // Number of edges that belong to only one triangle.
   uint64_t boundary_edges;
-  // Number of edges whose two triangles have the same direction there.
+  // Number of edges that both of their triangles traverse in the same direction.
   uint64_t misoriented_edges;
-  // Number of edges with more than two triangles.
+  // Number of edges that belong to more than two triangles.
   uint64_t crowded_edges;
   // Number of vertices whose triangles form more than one fan.
   uint64_t pinched_vertices;
   // Number of triangles with a repeated vertex.
   uint64_t degenerate_triangles;
-  // Number of vertices with a coordinate that is not finite.
+  // Number of vertices with a coordinate that is NaN or infinite.
   uint64_t non_finite_vertices;
   // 1 if the mesh is closed, oriented and 2-manifold, and all positions are finite; else 0.
   int32_t is_closed_oriented_manifold;
@@ -396,7 +401,7 @@ typedef struct MeniscusCheck {
 
 // Progress of a frame. The library fills the structure, and later versions may append fields.
 typedef struct MeniscusProgress {
-  // Size of this structure in bytes, in the version of the library.
+  // Size, in bytes, of this structure in the library's version.
   size_t size;
   // The name of the stage, such as "meshing"; valid during the callback.
   const char *name;
@@ -409,8 +414,9 @@ typedef struct MeniscusProgress {
 // A function that receives progress. It returns 0 to continue; any other value cancels the work,
 // and the call returns MENISCUS_STATUS_CANCELLED.
 //
-// Threads of the library call it, one at a time for each call of the library, and never after that
-// call has returned. It must not throw an exception or leave by longjmp.
+// Within each call of the library, threads of the library call this function one at a time. They
+// never call it after that call has returned. The function must not throw an exception or leave by
+// longjmp.
 typedef int32_t (*MeniscusProgressCallback)(void *user, const struct MeniscusProgress *progress);
 
 // An event of a conversion. The library fills the structure, and later versions may append fields.
@@ -422,26 +428,26 @@ typedef struct MeniscusEvent {
   // The warnings about a finished frame, one per line; NULL if there are none. Valid during the
   // callback.
   const char *warnings;
-  // The number of the frame, in events about stages and about finished or failed frames. It may
+  // The number of the frame, for events about stages and about finished or failed frames. It may
   // be negative.
   int64_t frame;
-  // Number of frames that have finished or failed so far, if known.
+  // Number of frames that have finished or failed so far; 0 if unknown.
   uint64_t done;
-  // Number of all frames of the conversion, if known.
+  // Number of all frames of the conversion; 0 if unknown.
   uint64_t total;
-  // Number of frames that have failed so far, if known.
+  // Number of frames that have failed so far; 0 if unknown.
   uint64_t failed;
   // One of MeniscusEventKind.
   int32_t kind;
-  // The finished fraction of the frame's stage, from 0 to 1.
+  // The finished fraction of the frame's current stage, from 0 to 1.
   double share;
 } MeniscusEvent;
 
 // A function that receives events. It returns 0 to continue; any other value cancels the
-// conversion, and keeps finished frames.
+// conversion, but finished frames are kept.
 //
-// meniscus_convert calls it on the caller's thread. It must not throw an exception or leave by
-// longjmp.
+// meniscus_convert calls this function on the caller's thread. The function must not throw an
+// exception or leave by longjmp.
 typedef int32_t (*MeniscusEventCallback)(void *user, const struct MeniscusEvent *event);
 
 #ifdef __cplusplus
@@ -451,33 +457,33 @@ extern "C" {
 // Returns the version of the library, such as "0.3.0". The string is static.
 const char *meniscus_version(void);
 
-// Creates a cancel handle, to be freed by meniscus_cancel_free.
+// Creates a cancel handle, which must be freed by meniscus_cancel_free.
 struct MeniscusCancel *meniscus_cancel_new(void);
 
 // Cancels all calls that use this handle. Any thread may call this function at any time; NULL is
 // ignored.
 //
-// `cancel` is NULL or a handle that has not been freed.
+// `cancel` must be NULL or a handle that has not been freed.
 void meniscus_cancel(const struct MeniscusCancel *cancel);
 
 // Frees a cancel handle; NULL is ignored.
 //
-// `cancel` is NULL or a handle that has not been freed.
+// `cancel` must be NULL or a handle that has not been freed.
 void meniscus_cancel_free(struct MeniscusCancel *cancel);
 
-// Converts the files of a simulation to mesh files, like the program: several frames in parallel,
-// all with the same calibration. Each file appears completely or not at all.
+// Converts the files of a simulation to mesh files, as the program does: several frames in
+// parallel, all with the same calibration. Each file appears completely or not at all.
 //
 // `inputs`: one name with {} for the number, a folder, a glob or a file with several steps; or the
 // files of `input_count` frames; or, with the option "together", inputs whose frames with the same
-// number are joined. `output`: a name with {} or {:04} for the number, a folder, or one .abc for
-// all frames. `options`: the settings and the selected frames; NULL for all defaults. Their
-// progress function is not called. `summary`: NULL, or the structure to fill.
+// number are joined. `output`: a name with {} or {:04} for the number, a folder, or one .abc file
+// for all frames. `options`: the settings and the selected frames, or NULL for all defaults. The
+// progress function of the options is not called. `summary`: NULL, or the structure to fill.
 //
-// MENISCUS_STATUS_INCOMPLETE if frames failed or are missing between others: the message describes
+// Returns MENISCUS_STATUS_INCOMPLETE if frames failed or are missing. The message then describes
 // the first of them, and all other frames are finished.
 //
-// Pointers are NULL or point to the described data.
+// Pointers must be NULL or point to the described data.
 MeniscusStatus meniscus_convert(const char *const *inputs,
                                 size_t input_count,
                                 const char *output,
@@ -486,42 +492,45 @@ MeniscusStatus meniscus_convert(const char *const *inputs,
 
 // Reconstructs the surface of particles in memory.
 //
-// `options` may be NULL for all defaults. `mesh`: receives the mesh, to be freed by
-// meniscus_mesh_free; NULL on failure.
+// If `options` is NULL, all options have their defaults. `mesh`: receives the mesh, which must be
+// freed by meniscus_mesh_free, or NULL on failure.
 //
-// MENISCUS_STATUS_REQUEST for invalid arguments and options, and for too little memory.
-// MENISCUS_STATUS_INPUT if there are no particles, if particles are not finite or too far away, or
-// if they have no surface. MENISCUS_STATUS_OUTPUT if scratch files cannot be written.
+// Returns MENISCUS_STATUS_REQUEST if arguments or options are invalid, or if the memory is not
+// sufficient. Returns MENISCUS_STATUS_INPUT if there are no particles, if positions are not finite
+// or too far away, or if the particles have no surface. Returns MENISCUS_STATUS_OUTPUT if scratch
+// files cannot be written.
 //
-// Pointers are NULL or point to the described data; the particles stay unchanged meanwhile.
+// Pointers must be NULL or point to the described data; the particles must not change during the
+// call.
 MeniscusStatus meniscus_reconstruct(const struct MeniscusParticles *particles,
                                     const struct MeniscusOptions *options,
                                     struct MeniscusMesh **mesh);
 
-// Reconstructs the surface of the particles in a file, or of a packed frame.
+// Reconstructs the surface of a file's particles, or of a packed frame.
 //
-// `path`: any file that the program reads; `file#N` is a step of a file with several steps. Apart
-// from this, the function works like meniscus_reconstruct.
+// `path`: any file that the program reads; `file#N` selects step N of a file with several steps.
+// In all other respects, the function works like meniscus_reconstruct.
 //
-// Pointers are NULL or point to the described data.
+// Pointers must be NULL or point to the described data.
 MeniscusStatus meniscus_reconstruct_file(const char *path,
                                          const struct MeniscusOptions *options,
                                          struct MeniscusMesh **mesh);
 
 // Samples particles in memory once, for several surfaces with different settings.
 //
-// `frame`: receives the frame, to be freed by meniscus_frame_free; NULL on failure. Apart from
-// this, the function works like meniscus_reconstruct. The frame does not need the particles any
-// more.
+// `frame`: receives the frame, which must be freed by meniscus_frame_free, or NULL on failure.
+// After the call, the frame no longer needs the particles. In all other respects, the function
+// works like meniscus_reconstruct.
 //
-// Pointers are NULL or point to the described data; the particles stay unchanged meanwhile.
+// Pointers must be NULL or point to the described data; the particles must not change during the
+// call.
 MeniscusStatus meniscus_sample(const struct MeniscusParticles *particles,
                                const struct MeniscusOptions *options,
                                struct MeniscusFrame **frame);
 
-// Samples the particles in a file once, or opens a packed frame.
+// Samples a file's particles once, or opens a packed frame.
 //
-// Pointers are NULL or point to the described data.
+// Pointers must be NULL or point to the described data.
 MeniscusStatus meniscus_sample_file(const char *path,
                                     const struct MeniscusOptions *options,
                                     struct MeniscusFrame **frame);
@@ -529,12 +538,12 @@ MeniscusStatus meniscus_sample_file(const char *path,
 // Makes a surface from a frame.
 //
 // `options`: NULL for the surface that was requested when the particles were sampled. Otherwise,
-// the options can change all settings from smoothing to simplifying. Settings of the sampling must
-// be unset or the same as before (else MENISCUS_STATUS_REQUEST). The memory limit, the threads,
-// the scratch folder and the device are always those of the frame. Apart from this, the function
-// works like meniscus_reconstruct.
+// the options can change all settings from smoothing to simplifying. Settings that affect the
+// sampling must be unset or the same as before; otherwise, the function returns
+// MENISCUS_STATUS_REQUEST. The memory limit, the threads, the scratch folder and the device are
+// always those of the frame. In all other respects, the function works like meniscus_reconstruct.
 //
-// Pointers are NULL or point to the described data.
+// Pointers must be NULL or point to the described data.
 MeniscusStatus meniscus_frame_surface(const struct MeniscusFrame *frame,
                                       const struct MeniscusOptions *options,
                                       struct MeniscusMesh **mesh);
@@ -542,9 +551,10 @@ MeniscusStatus meniscus_frame_surface(const struct MeniscusFrame *frame,
 // Packs a frame into a .mnf file, which meniscus_reconstruct_file and meniscus_sample_file can
 // read. The file appears completely or not at all.
 //
-// `overwrite`: not 0 to replace an existing file. `bytes`: NULL, or receives the file's size.
+// `overwrite`: nonzero to replace an existing file. `bytes`: NULL, or receives the file's size in
+// bytes.
 //
-// Pointers are NULL or valid as described.
+// Pointers must be NULL or valid as described.
 MeniscusStatus meniscus_frame_pack(const struct MeniscusFrame *frame,
                                    const char *path,
                                    int32_t overwrite,
@@ -552,301 +562,307 @@ MeniscusStatus meniscus_frame_pack(const struct MeniscusFrame *frame,
 
 // Returns the number of warnings about the frame's particles; 0 for NULL.
 //
-// `frame` is NULL or a handle that has not been freed.
+// `frame` must be NULL or a handle that has not been freed.
 size_t meniscus_frame_warning_count(const struct MeniscusFrame *frame);
 
-// Returns a warning by its index, as text that is valid until the frame is freed; NULL if there is
-// no such warning.
+// Returns the warning with this index, or NULL if there is no such warning. The text is valid
+// until the frame is freed.
 //
-// `frame` is NULL or a handle that has not been freed.
+// `frame` must be NULL or a handle that has not been freed.
 const char *meniscus_frame_warning(const struct MeniscusFrame *frame, size_t index);
 
 // Frees a frame; NULL is ignored.
 //
-// `frame` is NULL or a handle that has not been freed.
+// `frame` must be NULL or a handle that has not been freed.
 void meniscus_frame_free(struct MeniscusFrame *frame);
 
 // Creates a simulation, and starts its threads.
 //
-// `options` may be NULL for all defaults. Their callback and its argument must exist until the
-// simulation is freed. A callback can cancel a single frame, and a cancel handle cancels all later
-// frames as well. `simulation`: receives the handle, to be freed by meniscus_simulation_free; NULL
-// on failure.
+// If `options` is NULL, all options have their defaults. The callback in `options` and its
+// argument must exist until the simulation is freed. Without a cancel handle, the callback cancels
+// only the current frame; a cancel handle also cancels all later frames. `simulation`: receives
+// the handle, which must be freed by meniscus_simulation_free, or NULL on failure.
 //
-// Pointers are NULL or point to the described data.
+// Pointers must be NULL or point to the described data.
 MeniscusStatus meniscus_simulation_new(const struct MeniscusOptions *options, struct MeniscusSimulation **simulation);
 
 // Reconstructs the surface of the next frame.
 //
-// A frame without particles, or without a surface, is an empty mesh. All other results are the
+// A frame without particles, or without a surface, gives an empty mesh. All other results are the
 // same as those of meniscus_reconstruct. After a failure, the next frame can still succeed.
-// MENISCUS_STATUS_REQUEST while the simulation works on another frame.
+// Returns MENISCUS_STATUS_REQUEST while the simulation is working on another frame.
 //
-// Pointers are NULL or point to the described data; the particles stay unchanged meanwhile.
+// Pointers must be NULL or point to the described data; the particles must not change during the
+// call.
 MeniscusStatus meniscus_simulation_frame(struct MeniscusSimulation *simulation,
                                          const struct MeniscusParticles *particles,
                                          struct MeniscusMesh **mesh);
 
-// Returns 1 if cells, grid and calibration are fixed, else 0. Also returns 0 for NULL, and while
-// the simulation works on a frame.
+// Returns 1 if cells, grid and calibration are fixed, and 0 otherwise. Also returns 0 for NULL,
+// and while the simulation is working on a frame.
 //
-// `simulation` is NULL or a handle that has not been freed.
+// `simulation` must be NULL or a handle that has not been freed.
 int32_t meniscus_simulation_is_settled(const struct MeniscusSimulation *simulation);
 
 // Frees a simulation; NULL is ignored. Its meshes stay valid.
 //
-// `simulation` is NULL or a handle that has not been freed.
+// `simulation` must be NULL or a handle that has not been freed.
 void meniscus_simulation_free(struct MeniscusSimulation *simulation);
 
-// Frees a mesh, and all memory of its arrays, names and warnings; NULL is ignored.
+// Frees a mesh, including its arrays, names and warnings; NULL is ignored.
 //
-// `mesh` is NULL or a handle that has not been freed.
+// `mesh` must be NULL or a handle that has not been freed.
 void meniscus_mesh_free(struct MeniscusMesh *mesh);
 
 // Returns the number of vertices; 0 for NULL.
 //
-// `mesh` is NULL or a handle that has not been freed.
+// `mesh` must be NULL or a handle that has not been freed.
 uint64_t meniscus_mesh_vertex_count(const struct MeniscusMesh *mesh);
 
 // Returns the number of triangles; 0 for NULL.
 //
-// `mesh` is NULL or a handle that has not been freed.
+// `mesh` must be NULL or a handle that has not been freed.
 uint64_t meniscus_mesh_triangle_count(const struct MeniscusMesh *mesh);
 
-// Returns 1 if vertices have normals, else 0; 0 for NULL.
+// Returns 1 if the vertices have normals, and 0 otherwise; 0 for NULL.
 //
-// `mesh` is NULL or a handle that has not been freed.
+// `mesh` must be NULL or a handle that has not been freed.
 int32_t meniscus_mesh_has_normals(const struct MeniscusMesh *mesh);
 
-// Returns the number of attributes of the vertices, without normals; 0 for NULL.
+// Returns the number of vertex attributes, not counting normals; 0 for NULL.
 //
-// `mesh` is NULL or a handle that has not been freed.
+// `mesh` must be NULL or a handle that has not been freed.
 size_t meniscus_mesh_attribute_count(const struct MeniscusMesh *mesh);
 
-// Returns the name of an attribute by its index, valid until the mesh is freed; NULL if there is
-// no such attribute.
+// Returns the name of the attribute with this index, or NULL if there is no such attribute. The
+// name is valid until the mesh is freed.
 //
-// `mesh` is NULL or a handle that has not been freed.
+// `mesh` must be NULL or a handle that has not been freed.
 const char *meniscus_mesh_attribute_name(const struct MeniscusMesh *mesh, size_t index);
 
-// Returns the number of components of an attribute by its index; 0 if there is no such attribute.
+// Returns the number of components of the attribute with this index; 0 if there is no such
+// attribute.
 //
-// `mesh` is NULL or a handle that has not been freed.
+// `mesh` must be NULL or a handle that has not been freed.
 uint64_t meniscus_mesh_attribute_components(const struct MeniscusMesh *mesh, size_t index);
 
 // Copies the vertices' positions as float: 3 numbers per vertex.
 //
-// `capacity`: the size of `out` in numbers, at least 3 per vertex. Far from the origin, rounding
-// to float moves vertices visibly.
+// `capacity`: how many numbers fit into `out`, at least 3 per vertex. Far from the origin,
+// rounding to float moves vertices visibly.
 //
-// Pointers are NULL or valid as described.
+// Pointers must be NULL or valid as described.
 MeniscusStatus meniscus_mesh_positions_f32(const struct MeniscusMesh *mesh, float *out, uint64_t capacity);
 
 // Copies the vertices' positions as double: 3 numbers per vertex.
 //
-// `capacity`: the size of `out` in numbers, at least 3 per vertex.
+// `capacity`: how many numbers fit into `out`, at least 3 per vertex.
 //
-// Pointers are NULL or valid as described.
+// Pointers must be NULL or valid as described.
 MeniscusStatus meniscus_mesh_positions_f64(const struct MeniscusMesh *mesh, double *out, uint64_t capacity);
 
-// Copies the triangles as uint32_t: the 3 vertices of each triangle, counterclockwise seen from
-// outside.
+// Copies the triangles as uint32_t: the indices of the 3 vertices of each triangle,
+// counterclockwise when seen from outside.
 //
-// `capacity`: the size of `out` in numbers, at least 3 per triangle. MENISCUS_STATUS_REQUEST for a
-// mesh of more than 2^32 vertices.
+// `capacity`: how many numbers fit into `out`, at least 3 per triangle. Returns
+// MENISCUS_STATUS_REQUEST for a mesh of more than 2^32 vertices.
 //
-// Pointers are NULL or valid as described.
+// Pointers must be NULL or valid as described.
 MeniscusStatus meniscus_mesh_triangles_u32(const struct MeniscusMesh *mesh, uint32_t *out, uint64_t capacity);
 
-// Copies the triangles as uint64_t: the 3 vertices of each triangle, counterclockwise seen from
-// outside.
+// Copies the triangles as uint64_t: the indices of the 3 vertices of each triangle,
+// counterclockwise when seen from outside.
 //
-// `capacity`: the size of `out` in numbers, at least 3 per triangle.
+// `capacity`: how many numbers fit into `out`, at least 3 per triangle.
 //
-// Pointers are NULL or valid as described.
+// Pointers must be NULL or valid as described.
 MeniscusStatus meniscus_mesh_triangles_u64(const struct MeniscusMesh *mesh, uint64_t *out, uint64_t capacity);
 
-// Copies the vertices' outward unit normals: 3 numbers per vertex. MENISCUS_STATUS_REQUEST if no
-// normals were requested.
+// Copies the vertices' outward unit normals: 3 numbers per vertex. Returns MENISCUS_STATUS_REQUEST
+// if no normals were requested.
 //
-// `capacity`: the size of `out` in numbers, at least 3 per vertex.
+// `capacity`: how many numbers fit into `out`, at least 3 per vertex.
 //
-// Pointers are NULL or valid as described.
+// Pointers must be NULL or valid as described.
 MeniscusStatus meniscus_mesh_normals(const struct MeniscusMesh *mesh, float *out, uint64_t capacity);
 
-// Returns 1 if the attribute with this index has integers, and 0 if it has not or does not exist.
-// meniscus_mesh_attribute_whole copies the exact values of integers.
+// Returns 1 if the attribute with this index holds integers, and 0 if it holds other numbers or
+// does not exist. meniscus_mesh_attribute_whole copies the exact values of integers.
 //
-// `mesh` is NULL or a handle that has not been freed.
+// `mesh` must be NULL or a handle that has not been freed.
 int32_t meniscus_mesh_attribute_is_whole(const struct MeniscusMesh *mesh, size_t index);
 
-// Copies the attribute of the vertices with this index: all components of the first vertex, then
-// those of the second, and so on. Integers are rounded to float.
+// Copies the vertex attribute with this index: all components of the first vertex, then those of
+// the second, and so on. Integers are rounded to float.
 //
-// `capacity`: the size of `out` in numbers, at least the number of vertices times components.
+// `capacity`: how many numbers fit into `out`, at least the number of vertices times the number of
+// components.
 //
-// Pointers are NULL or valid as described.
+// Pointers must be NULL or valid as described.
 MeniscusStatus meniscus_mesh_attribute(const struct MeniscusMesh *mesh, size_t index, float *out, uint64_t capacity);
 
-// Copies the attribute with this index, if it has integers such as identifiers: all components of
-// the first vertex, then those of the second, and so on. Otherwise MENISCUS_STATUS_REQUEST.
+// Copies the vertex attribute with this index, which must hold integers, such as identifiers: all
+// components of the first vertex, then those of the second, and so on. Returns
+// MENISCUS_STATUS_REQUEST for other attributes.
 //
-// Values are from -2^31 to 2^31 - 1, or from 0 to 2^32 - 1. `capacity`: the size of `out` in
-// numbers, at least the number of vertices times components.
+// Values are from -2^31 to 2^31 - 1, or from 0 to 2^32 - 1. `capacity`: how many numbers fit into
+// `out`, at least the number of vertices times the number of components.
 //
-// Pointers are NULL or valid as described.
+// Pointers must be NULL or valid as described.
 MeniscusStatus meniscus_mesh_attribute_whole(const struct MeniscusMesh *mesh,
                                              size_t index,
                                              int64_t *out,
                                              uint64_t capacity);
 
 // Returns pointers to the complete mesh, in memory that the first call allocates. Freeing the mesh
-// also frees this memory. MENISCUS_STATUS_REQUEST for a mesh of more than 2^32 vertices.
+// also frees this memory. Returns MENISCUS_STATUS_REQUEST for a mesh of more than 2^32 vertices.
 //
-// `mesh` is NULL or a handle that has not been freed; `arrays` is NULL or points to a structure
-// with the size in its first field.
+// `mesh` must be NULL or a handle that has not been freed; `arrays` must be NULL or point to a
+// structure whose first field holds its size.
 MeniscusStatus meniscus_mesh_arrays(const struct MeniscusMesh *mesh, struct MeniscusArrays *arrays);
 
-// Returns the number of warnings about the surface and about its request; 0 for NULL.
+// Returns the number of warnings about the surface and about the request for it; 0 for NULL.
 //
-// `mesh` is NULL or a handle that has not been freed.
+// `mesh` must be NULL or a handle that has not been freed.
 size_t meniscus_mesh_warning_count(const struct MeniscusMesh *mesh);
 
-// Returns a warning by its index, as text that is valid until the mesh is freed; NULL if there is
-// no such warning.
+// Returns the warning with this index, or NULL if there is no such warning. The text is valid
+// until the mesh is freed.
 //
-// `mesh` is NULL or a handle that has not been freed.
+// `mesh` must be NULL or a handle that has not been freed.
 const char *meniscus_mesh_warning(const struct MeniscusMesh *mesh, size_t index);
 
 // Reports how the mesh was made.
 //
-// `mesh` is NULL or a handle that has not been freed; `report` is NULL or points to a structure
-// with the size in its first field.
+// `mesh` must be NULL or a handle that has not been freed; `report` must be NULL or point to a
+// structure whose first field holds its size.
 MeniscusStatus meniscus_mesh_report(const struct MeniscusMesh *mesh, struct MeniscusReport *report);
 
-// Checks that the mesh is closed, oriented and 2-manifold, and measures it. Needs memory for a
-// copy of the mesh, like meniscus_mesh_arrays.
+// Checks that the mesh is closed, oriented and 2-manifold, and measures it. Like
+// meniscus_mesh_arrays, this function needs memory for a copy of the mesh.
 //
-// `mesh` is NULL or a handle that has not been freed; `check` is NULL or points to a structure
-// whose first field holds its size.
+// `mesh` must be NULL or a handle that has not been freed; `check` must be NULL or point to a
+// structure whose first field holds its size.
 MeniscusStatus meniscus_mesh_check(const struct MeniscusMesh *mesh, struct MeniscusCheck *check);
 
 // Writes the mesh to a file whose extension selects the format. The file appears completely or not
-// at all, and has the same bytes as the program's.
+// at all, and contains the same bytes as a file that the program writes.
 //
-// `overwrite`: not 0 to replace an existing file. `bytes`: NULL, or receives the file's size. The
-// options of the mesh select the up axis and the compression.
+// `overwrite`: nonzero to replace an existing file. `bytes`: NULL, or receives the file's size in
+// bytes. The options with which the mesh was made select the up axis and the compression.
 //
-// Pointers are NULL or valid as described.
+// Pointers must be NULL or valid as described.
 MeniscusStatus meniscus_mesh_write(const struct MeniscusMesh *mesh,
                                    const char *path,
                                    int32_t overwrite,
                                    uint64_t *bytes);
 
-// Copies the warnings about storing the mesh in the format of a file into the caller's buffer, one
-// per line. The text ends with a NUL, and is truncated if the buffer is too small.
+// Copies the warnings about storing the mesh in the format that the extension of `path` implies
+// into the caller's buffer, one per line. The text ends with a NUL, and is truncated if the buffer
+// is too small.
 //
-// `text`: NULL, or a buffer of `capacity` bytes. `length`: NULL, or receives the length of the
-// whole text without the NUL: 0 without warnings.
+// `text`: NULL, or a buffer of `capacity` bytes. `length`: NULL, or receives the length, in bytes,
+// of the whole text without the NUL; 0 if there are no warnings.
 //
-// Pointers are NULL or valid as described.
+// Pointers must be NULL or valid as described.
 MeniscusStatus meniscus_mesh_format_warnings(const struct MeniscusMesh *mesh,
                                              const char *path,
                                              char *text,
                                              size_t capacity,
                                              size_t *length);
 
-// Creates options that all have their defaults, to be freed by meniscus_options_free.
+// Creates options with default values. They must be freed by meniscus_options_free.
 struct MeniscusOptions *meniscus_options_new(void);
 
 // Copies options, including their callbacks and their cancel handle. The copy must be freed by
-// meniscus_options_free. If `options` is NULL, the copy has all defaults.
+// meniscus_options_free. If `options` is NULL, the copy has default values.
 //
-// `options` is NULL or a handle that has not been freed.
+// `options` must be NULL or a handle that has not been freed.
 struct MeniscusOptions *meniscus_options_copy(const struct MeniscusOptions *options);
 
 // Frees options; NULL is ignored.
 //
-// `options` is NULL or a handle that has not been freed.
+// `options` must be NULL or a handle that has not been freed.
 void meniscus_options_free(struct MeniscusOptions *options);
 
 // Sets an option from text, as on the command line: `meniscus_options_set(options, "domain",
 // "0,0,-,1,2,-")`.
 //
-// The decimal separator is '.' in every locale. Commas or blanks separate the numbers of a list,
+// The decimal separator is '.' in every locale. Commas or spaces separate the numbers of a list,
 // and commas separate names. A switch such as "normals" takes "true" or "false". If `value` is
-// NULL, the option gets its default.
+// NULL, the option is reset to its default.
 //
-// MENISCUS_STATUS_REQUEST for an unknown key and for a value of the wrong type: the message names
-// the key, the value and the expected type, and the option keeps its old value. This function does
-// not check whether a number is out of range or whether options conflict: the call that uses the
-// options does.
+// Returns MENISCUS_STATUS_REQUEST for an unknown key and for a value of the wrong type: the
+// message names the key, the value and the expected type, and the option keeps its old value. This
+// function does not check whether a number is out of range or whether options conflict; the call
+// that uses the options checks this.
 //
-// Pointers are NULL or valid as described.
+// Pointers must be NULL or valid as described.
 MeniscusStatus meniscus_options_set(struct MeniscusOptions *options, const char *key, const char *value);
 
-// Sets an option from a number. A switch takes 0 or 1. Apart from this, the function works like
-// meniscus_options_set.
+// Sets an option from a number. A switch takes 0 or 1. In all other respects, the function works
+// like meniscus_options_set.
 //
-// Pointers are NULL or valid as described.
+// Pointers must be NULL or valid as described.
 MeniscusStatus meniscus_options_set_number(struct MeniscusOptions *options, const char *key, double value);
 
-// Sets an option from several numbers: 3 for a point, 6 for a box, with its lowest corner first.
-// -INFINITY and INFINITY leave an axis of a box open. Apart from this, the function works like
-// meniscus_options_set.
+// Sets an option from several numbers: 3 for a point, or 6 for a box, with its lowest corner
+// first. -INFINITY and INFINITY leave a side of a box open. In all other respects, the function
+// works like meniscus_options_set.
 //
-// Pointers are NULL or valid as described; `values` points to `count` numbers.
+// Pointers must be NULL or valid as described; `values` must point to `count` numbers.
 MeniscusStatus meniscus_options_set_numbers(struct MeniscusOptions *options,
                                             const char *key,
                                             const double *values,
                                             size_t count);
 
-// Sets the function that receives the progress of a frame, and its argument `user`. NULL for no
-// function. meniscus_convert does not call it.
+// Sets the function that receives the progress of a frame, and its argument `user`. If `progress`
+// is NULL, no function receives it. meniscus_convert does not call the function.
 //
 // A simulation with these options can call the function until meniscus_simulation_free. Every
 // other function of the library calls it only before that function returns.
 //
-// `options` is NULL or a handle that has not been freed.
+// `options` must be NULL or a handle that has not been freed.
 MeniscusStatus meniscus_options_on_progress(struct MeniscusOptions *options,
                                             MeniscusProgressCallback progress,
                                             void *user);
 
-// Sets the function that receives the events of meniscus_convert, and its argument `user`. NULL
-// for no function.
+// Sets the function that receives the events of meniscus_convert, and its argument `user`. If
+// `event` is NULL, no function receives them.
 //
-// `options` is NULL or a handle that has not been freed.
+// `options` must be NULL or a handle that has not been freed.
 MeniscusStatus meniscus_options_on_event(struct MeniscusOptions *options, MeniscusEventCallback event, void *user);
 
-// Sets the handle with which any thread can cancel the work; NULL for none. The handle may be
-// freed before the options.
+// Sets the handle with which any thread can cancel the work, or none if `cancel` is NULL. The
+// handle may be freed before the options.
 //
 // If a callback cancels the work, this also cancels the handle.
 //
-// Pointers are NULL or handles that have not been freed.
+// Pointers must be NULL or handles that have not been freed.
 MeniscusStatus meniscus_options_cancel_by(struct MeniscusOptions *options, const struct MeniscusCancel *cancel);
 
-// Returns the key of an option by its index; NULL if there is no such option. The string is
+// Returns the key of the option with this index, or NULL if there is no such option. The string is
 // static.
 const char *meniscus_options_key(size_t index);
 
-// Returns one line of help on an option by its index; NULL if there is no such option. The string
-// is static.
+// Returns one line of help on the option with this index, or NULL if there is no such option. The
+// string is static.
 const char *meniscus_options_help(size_t index);
 
 // Checks in advance that a mesh can be written to `path`, whose extension selects the format, and
-// that the format can store the requested data. Creates no file.
+// that the format can store the requested data. The function creates no file.
 //
-// `options` may be NULL for all defaults. `overwrite`: not 0 if an existing file may be replaced.
+// If `options` is NULL, all options have their defaults. `overwrite`: nonzero if an existing file
+// may be replaced.
 //
-// Pointers are NULL or valid as described.
+// Pointers must be NULL or valid as described.
 MeniscusStatus meniscus_check_output(const char *path, const struct MeniscusOptions *options, int32_t overwrite);
 
-// Returns the message of the last call on this thread that failed: what is wrong, and where. Empty
-// if no call on this thread has failed.
+// Returns the message of this thread's last failed call, which says what is wrong and where. The
+// message is empty if no call on this thread has failed.
 //
-// A call has failed if it did not return MENISCUS_STATUS_OK. The string belongs to the library,
-// and is valid until the next call on this thread fails, or the thread ends.
+// A call fails if it returns any status except MENISCUS_STATUS_OK. The string belongs to the
+// library, and is valid until the next call on this thread fails, or the thread ends.
 const char *meniscus_last_error(void);
 
 #ifdef __cplusplus
