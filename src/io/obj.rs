@@ -152,8 +152,8 @@ impl ObjMesh {
             self.corners.push(corner);
         }
         match &self.corners[..] {
-            [apex, ghost_layer @ ..] if ghost_layer.len() > 1 => {
-                self.triangles.extend(ghost_layer.windows(2).map(|edge| [*apex, edge[0], edge[1]]));
+            [apex, rim @ ..] if rim.len() > 1 => {
+                self.triangles.extend(rim.windows(2).map(|edge| [*apex, edge[0], edge[1]]));
                 Ok(())
             }
             few => Err(scan.fault(line, format!("a face of {} corners", few.len()))),

@@ -122,7 +122,12 @@ impl Setup<'_> {
                 self.go_on()?;
                 let lattice = best.as_ref().filter(|(_, known)| known.trust == Trust::Lattice);
                 let lattice = lattice.map(|(_, known)| &known.shared);
-                match self.measure_on(&frame, lattice, resources) {
+                let measured = self.measure_on(&frame, lattice, resources);
+                // If its file changes later, the frame is measured again.
+                if let Some(watch) = &mut watch {
+                    watch.done(frame.number);
+                }
+                match measured {
                     Ok((found, file)) if found.trust == Trust::Sound => {
                         return Ok((frame, found, file));
                     }
@@ -147,9 +152,6 @@ impl Setup<'_> {
                                 Error::Frame { fault: FrameError::TooFine(_), .. }
                             ) =>
                     {
-                        if let Some(watch) = &mut watch {
-                            watch.done(frame.number);
-                        }
                         first_error = first_error.or(Some(error));
                     }
                     Err(error) => return Err(error),

@@ -250,12 +250,13 @@ impl<'a> Decoder<'a> {
 /// number types.
 const DOUBLE: (Scalar, Endian) = (Scalar::F64, Endian::Little);
 
-/// Converts a stored number to the nearest f64. A u64 above `i64::MAX` becomes -1.
+/// Converts a stored number to the nearest f64.
 fn double((scalar, endian): (Scalar, Endian), number: &[u8]) -> f64 {
     let bits = |scalar| integer(scalar, endian, number).unwrap_or_default();
     match scalar {
         Scalar::F32 => f32::from_bits(bits(Scalar::U32) as u32).into(),
         Scalar::F64 => f64::from_bits(bits(Scalar::I64) as u64),
+        Scalar::U64 => bits(Scalar::I64) as u64 as f64,
         scalar => bits(scalar) as f64,
     }
 }

@@ -92,12 +92,13 @@ pub struct Mesh {
 }
 
 impl Mesh {
-    /// Memory, in bytes, of the vertices and triangles, without the exact values of integer
-    /// attributes.
+    /// Memory, in bytes, of the vertices and triangles.
     #[must_use]
     pub fn bytes(&self) -> u64 {
-        let values: usize =
-            self.attributes.iter().map(|attribute| size_of_val(&attribute.values[..])).sum();
+        let of_attribute = |VertexAttribute { values, whole, .. }: &VertexAttribute| {
+            size_of_val(&values[..]) + size_of_val(&whole[..])
+        };
+        let values: usize = self.attributes.iter().map(of_attribute).sum();
         let normals = self.normals.as_ref().map_or(0, |normals| size_of_val(&normals[..]));
         (size_of_val(&self.positions[..]) + size_of_val(&self.triangles[..]) + normals + values)
             as u64
