@@ -2,7 +2,7 @@
 //! mutations of its seeds. libFuzzer runs them for hours (`tools/fuzz`).
 //!
 //! `MENISCUS_FUZZ_RUNS=100` multiplies the number of runs by 100, and `MENISCUS_FUZZ` selects the
-//! targets whose names contain it.
+//! targets whose names contain its value.
 #![cfg(feature = "cli")]
 #![allow(
     dead_code,
@@ -23,7 +23,7 @@ use std::time::{Duration, Instant};
 
 use targets::Target;
 
-/// In fast targets, every byte of a seed is damaged if the seed has less than this many bytes.
+/// In fast targets, every byte of each seed that has fewer bytes than this is damaged in turn.
 const SHORT: usize = 2000;
 /// A target is fast if it has at least this number of runs.
 const QUICK: u32 = 2000;

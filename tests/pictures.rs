@@ -35,7 +35,7 @@ fn small() -> Picture {
     Picture::new().size(160, 120)
 }
 
-/// Whether a pixel is red, unlike the grey or blue backdrop.
+/// Whether a pixel is red. The backdrop is grey or blue.
 fn is_red(pixel: &[u8]) -> bool {
     i32::from(pixel[0]) > i32::from(pixel[2]) + 40
 }
@@ -274,7 +274,8 @@ fn a_draft_resembles_the_full_picture() {
     assert_ne!(full, draft);
     let differences: Vec<u8> =
         full.rgb().iter().zip(draft.rgb()).map(|(a, b)| a.abs_diff(*b)).collect();
-    // Pixels may differ only at edges. With another camera, most of the body would differ.
+    // Pixels may differ only at edges. With a different camera, most of the body's pixels would
+    // differ.
     let far = differences.iter().filter(|&&difference| difference > 24).count();
     assert!(100 * far < differences.len(), "{far} of {} channels", differences.len());
 }
@@ -305,7 +306,7 @@ fn a_draft_draws_a_coarser_mesh_that_resembles_the_fine_one() {
         100 * far < 2 * channels && 100 * near < 6 * channels,
         "{far} and {near} of {channels}"
     );
-    // Pictures with a wireframe or attributes, and pictures that are no drafts, use all triangles.
+    // Pictures with a wireframe or attributes, and pictures that are not drafts, use all triangles.
     let by_velocity =
         Colour::Attribute { name: "velocity".into(), map: "viridis".parse().unwrap() };
     for picture in [draft.clone().wireframe(true), draft.colour(by_velocity), picture.clone()] {
@@ -387,7 +388,7 @@ fn a_mesh_larger_than_the_memory_budget_gives_the_same_picture() {
     {
         let picture = small().colour(colour);
         let whole = picture.draw(mesh).unwrap();
-        // This is less memory than the vertices and triangles need.
+        // Use less memory than the vertices and triangles need.
         let memory = 40 << 20;
         assert!(56 * mesh.vertex_count() + 12 * mesh.triangle_count() > memory);
         assert_eq!(picture.clone().memory(memory).draw(mesh).unwrap(), whole);
@@ -498,7 +499,7 @@ fn an_outlier_does_not_widen_the_colour_range_but_marks_the_legend() {
     let mut bounds = Scope::default();
     bounds.bounds = Some([[-1.2; 3], [1.2; 3]]);
     let mut ball = sphere(1.1, 5);
-    // Deform the ball, so that some vertices are inside the reference and some outside.
+    // Deform the ball, so that some vertices are inside the reference and others outside.
     ball.positions.iter_mut().for_each(|p| *p = p.map(|x| x * (1.0 + 0.1 * p[1])));
     let known = small().colour(colour.clone()).scope_of(&ball).unwrap();
     assert!(known.range.unwrap()[1] > 0.18);
@@ -538,7 +539,7 @@ fn huge_tiny_degenerate_and_non_finite_meshes_can_be_drawn() {
             seen.rgb().iter().zip(expected.rgb()).filter(|(a, b)| a.abs_diff(**b) > 4).count();
         assert!(differ < 100, "{by}: {differ} bytes differ");
     }
-    // A vertex that is not finite or too far away is not part of the bounds.
+    // The bounds ignore vertices that are not finite or too far away.
     for wrong in [f64::NAN, f64::INFINITY, 1e200] {
         let mut mesh = ball.clone();
         mesh.positions.push([wrong, 0.0, 0.0]);
@@ -561,7 +562,7 @@ fn huge_tiny_degenerate_and_non_finite_meshes_can_be_drawn() {
             3 * 160 * 120
         );
     }
-    // Values that are not finite are grey, and the others keep their colours.
+    // Non-finite values are grey, and finite values keep their colours.
     let mut valued = ball.clone();
     let values = valued.positions.iter().map(|p| if p[1] > 0.0 { f32::NAN } else { p[0] as f32 });
     let values = values.collect();

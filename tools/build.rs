@@ -15,7 +15,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     let compiler = cc::Build::new().cpp(true).get_compiler();
     let asked = compiler.to_command().arg("-print-file-name=libstdc++.a").output()?;
-    // If the compiler has no such archive, it prints the name without a folder.
+    // If the compiler has no such archive, it prints only the name, without a folder.
     let archive = String::from_utf8(asked.stdout)?;
     let archive = Path::new(archive.trim());
     if archive.is_absolute() {

@@ -1,10 +1,10 @@
 //! Finds all imports between the files of a source tree, by parsing their syntax.
 //!
-//! A file imports from the file that defines an item which it uses. Neither a re-export nor
-//! `mod child;` is an import, so a `mod.rs` that only declares and re-exports has no imports. A
-//! `mod.rs` that uses an item of its child imports from the child, and a child that uses an item of
-//! its `mod.rs` imports from it. Tests and comments are ignored. In macros, names with `::` between
-//! them are a path.
+//! A file imports from another file if it uses an item that the other file defines. Neither a
+//! re-export nor `mod child;` is an import, so a `mod.rs` that only declares and re-exports has no
+//! imports. A `mod.rs` that uses an item of its child imports from the child, and a child that uses
+//! an item of its `mod.rs` imports from it. Tests and comments are ignored. In macros, names that
+//! `::` joins count as a path.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -34,8 +34,8 @@ pub struct Import {
     pub path: String,
 }
 
-/// Finds all imports between the files below a folder. Files are named by their paths in the
-/// folder.
+/// Finds all imports between the files below a folder. Files are named by their paths relative to
+/// the folder.
 pub fn imports(folder: &Path) -> BTreeSet<Import> {
     let tree = Tree::read(folder);
     let mut imports = BTreeSet::new();
@@ -101,7 +101,7 @@ struct File {
     name: String,
     syntax: syn::File,
     /// For each name that the module's `use` declarations define, the path of the item, and whether
-    /// they re-export it.
+    /// the declaration re-exports it.
     uses: BTreeMap<String, (Vec<String>, bool)>,
 }
 
@@ -134,8 +134,8 @@ impl Tree {
         Self { modules: modules.map(file).collect() }
     }
 
-    /// Finds the module that defines an item, and the module that its path names. Returns `None`
-    /// for items of other crates.
+    /// Finds the module that defines an item, and the module that the item's path names. Returns
+    /// `None` for items of other crates.
     fn find(&self, here: &[String], path: &[String]) -> Option<[Module; 2]> {
         let (first, rest) = path.split_first()?;
         let start = match first.as_str() {
@@ -147,7 +147,7 @@ impl Tree {
             }
             name => {
                 let (used, _) = self.modules.get(here)?.uses.get(name)?;
-                // A name that leads to itself is the name of a crate, or a macro of this file.
+                // A name that resolves to itself is the name of a crate, or a macro of this file.
                 return if used[0] == *name {
                     None
                 } else {
@@ -220,7 +220,7 @@ impl Names<'_> {
         }
     }
 
-    /// Adds a path in code, unless a private `use` has already named its item.
+    /// Adds a path that occurs in code, unless a private `use` has already named its item.
     fn mention(&mut self, path: &[String]) {
         if self.file.uses.get(&path[0]).is_none_or(|(_, public)| *public) {
             self.name(path);

@@ -14,7 +14,7 @@ use std::path::PathBuf;
 
 use imports::Import;
 
-/// The rooms in their order. Each room may use the rooms before it.
+/// The rooms, in order. Each room may use the rooms before it.
 const ROOMS: [&str; 19] = [
     "grid",
     "system",
@@ -99,13 +99,15 @@ fn the_program_and_the_bindings_use_nothing_of_the_library_but_its_facade() {
     }
 }
 
-/// Words with which the first line of a comment must not begin, because it cannot stand alone then.
+/// Words with which the first line of a comment must not begin, because such a line cannot stand
+/// alone.
 const GOING_ON: [&str; 18] = [
     "Of", "What", "The same", "As", "Its", "Their", "Those", "These", "They", "It", "That", "So",
     "Whose", "Who", "Which", "There", "Another", "Such",
 ];
 
-/// Words with which the summary of a public item must not begin, because it then says too little.
+/// Words with which the summary of a public item must not begin, because such a summary says too
+/// little.
 const TOO_LITTLE: [&str; 6] =
     ["#", "In ", "All of them", "The other.", "How many there are", "How it "];
 

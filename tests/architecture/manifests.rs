@@ -4,7 +4,7 @@
 use std::fs;
 use std::path::Path;
 
-/// Manifests with a version, each with the key of its version.
+/// Manifests that contain the version, under the key `version`.
 const VERSIONED: [&str; 6] = [
     "Cargo.toml",
     "src/bindings/c/Cargo.toml",

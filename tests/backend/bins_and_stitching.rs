@@ -1,5 +1,4 @@
-//! Tests of bins of particles and stitched meshes that stay on a device: they equal the results of
-//! the CPU.
+//! Tests of particle bins and stitched meshes that stay on a device: both equal the CPU's results.
 
 use std::sync::Arc;
 
@@ -104,8 +103,8 @@ fn arithmetic(@builtin(global_invocation_id) id: vec3<u32>) {
 }
 ";
 
-/// A random f64 of any kind: random bits, few bits, close to a simple number, close to the middle
-/// between two numbers, tiny, huge or special.
+/// A random f64 of any kind: random bits, few bits, close to a simple number, close to the midpoint
+/// of two numbers, tiny, huge or special.
 fn number(random: &mut Random) -> f64 {
     const SPECIAL: [f64; 10] = [
         0.0,
@@ -263,7 +262,7 @@ fn from_device(device: &Device, bins: DeviceBins) -> Sorted {
     Sorted { keys, census, records }
 }
 
-/// Uploads parts of a scene, each at an unaligned offset of its buffer.
+/// Uploads the pieces of a scene, each to an unaligned offset in its own buffer.
 fn on_device<T: Pod>(
     device: &Device,
     pieces: &[&[[T; 3]]],
@@ -278,7 +277,7 @@ fn on_device<T: Pod>(
     pieces.iter().map(place).collect()
 }
 
-/// Particles in a dense cluster, on faces of cells, far away, and not finite.
+/// Particles in a dense cluster, on cell faces, far away, and at non-finite positions.
 fn cloud(count: usize, seed: u64) -> Vec<[f64; 3]> {
     let mut random = Random::new(seed);
     (0..count)

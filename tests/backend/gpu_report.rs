@@ -1,4 +1,5 @@
-//! Prints the devices and the milliseconds of each stage, for the report of `tools/gpu/run`.
+//! Prints the devices and the time of each stage, in milliseconds, for the report of
+//! `tools/gpu/run`.
 
 #[path = "../../tools/bench/backends.rs"]
 #[allow(dead_code, clippy::duplicate_mod, reason = "the benchmark uses its command line")]
@@ -26,7 +27,8 @@ fn stages() {
     assert!(same, "bytes differ");
 }
 
-/// Reads a list of numbers from an environment variable, or from `otherwise` if it is not set.
+/// Reads a list of numbers from an environment variable, or from `otherwise` if the variable is not
+/// set.
 fn list<T: FromStr<Err: Debug>>(variable: &str, otherwise: &str) -> Vec<T> {
     let text = env::var(variable).unwrap_or_else(|_| otherwise.to_owned());
     text.split(',').map(|number| number.parse().unwrap()).collect()

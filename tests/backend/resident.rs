@@ -58,8 +58,8 @@ fn settings(sampling: &Sampling, surfacing: &Surfacing) -> DeviceRequest {
     }
 }
 
-/// A spacing in cells for each indicator: clouds need a large one to have wide cells, and the
-/// paper's indicators need a small one.
+/// The spacing, in cells, for tests of an indicator: clouds need a large spacing to have wide
+/// cells, and the paper's indicators need a small spacing.
 fn spacing(indicator: IndicatorKind) -> f64 {
     if indicator == IndicatorKind::Cloud { 3.0 } else { 0.8 }
 }
@@ -75,7 +75,7 @@ fn resident_frames_match_the_cpu_for_all_indicators_filters_and_walls() {
     let pipeline = Pipeline::new(&device).unwrap();
     let input = [positions(&device, &particles)];
     for indicator in INDICATORS {
-        // Also test clouds in cells of a third of a spacing, with wide cells twice as wide as
+        // Also test clouds with three cells per spacing, whose wide cells are twice as wide as
         // cells.
         let spacings = if indicator == IndicatorKind::Cloud { &[0.8, 3.0][..] } else { &[0.8] };
         for (detail, sigma, smooth) in [(Detail::Smoothed, 1.0, 1.6), (Detail::Recovered, 1.5, 2.5)]
@@ -200,7 +200,8 @@ fn a_resident_frame_with_a_given_calibration_measures_nothing() {
 #[test]
 fn a_resident_frame_of_many_bins_has_the_calibration_of_the_cpu() {
     let Some((device, _)) = open() else { return };
-    // Drops have different numbers of particles, so that the mean over some bins differs from mu0.
+    // The drops have different numbers of particles, so that the mean over a subset of the bins
+    // differs from mu0.
     let mut random = Random::new(23);
     let mut particles: Vec<[f64; 3]> = Vec::new();
     for drop in 0..300 {
@@ -237,7 +238,7 @@ fn shaders_that_check_every_index_give_the_same_mesh() {
     assert_eq!(log.messages(), [""; 0]);
 }
 
-/// Opens a device with optional features; `None` if no device has them.
+/// Opens a device with optional features. Returns `None` if no device has these features.
 fn open_with(options: &DeviceOptions) -> Option<(Device, ValidationLog)> {
     match device::open(options) {
         Err(VulkanError::Unsuitable { device, lacks }) => {

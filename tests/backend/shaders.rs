@@ -1,5 +1,5 @@
-//! Tests that the shaders' binaries and their Rust table match the sources, and that devices run
-//! them.
+//! Tests that the shaders' binaries and their Rust table match the sources, stay within the limits
+//! of all devices, and are valid.
 
 use std::fs;
 use std::io::Write;

@@ -1,4 +1,4 @@
-//! Tests of the Vulkan backend with validation: stages and frames equal the CPU's, also with little
+//! Tests of the Vulkan backend with validation: stages and frames equal the CPU's, even with little
 //! memory and after failures.
 
 use std::sync::Arc;
@@ -151,7 +151,7 @@ fn validation_reports_a_missing_barrier() {
     );
 }
 
-/// Particles with one, two or very many in a cell, at corners of cells and elsewhere.
+/// Particles at cell corners and elsewhere, with one, two or very many particles per cell.
 fn crowds() -> Vec<[f64; 3]> {
     let mut random = Random::new(5);
     let mut particles = splashes(5);
@@ -162,7 +162,7 @@ fn crowds() -> Vec<[f64; 3]> {
 }
 
 /// Compares the pages of [`crowds`] on a device and on the CPU, for every rule. Returns the work
-/// that the device did for each rule, and all work of a rule.
+/// that the device did for each rule, and the total work of one rule.
 fn compare_pages_on(device: &Backend, budget: MemoryBudget) -> (Vec<Work>, Work) {
     let particles = crowds();
     let grid = Grid::new(glam::DVec3::ZERO, 1.0).unwrap();
@@ -210,7 +210,7 @@ fn the_device_makes_the_pages_of_crowded_cells_like_the_cpu() {
 #[test]
 fn only_the_page_of_a_bin_too_large_for_a_batch_is_made_on_the_cpu() {
     validated(|device| {
-        // A batch has at most 8 MiB, but the dense bin needs 14 MiB.
+        // A batch may use at most 8 MiB, but the dense bin needs 14 MiB.
         let vulkan = Backend::vulkan(device.clone()).unwrap();
         let (made, all) = compare_pages_on(&vulkan, MemoryBudget(64 << 20));
         assert_eq!(made, [Work { pages: all.pages - 1, ..all }; 9]);
@@ -260,7 +260,7 @@ fn the_device_makes_the_mesh_of_the_cpu_in_one_batch_and_in_many() {
     });
 }
 
-/// Compares two fields page by page, and the counts of their cells.
+/// Checks that two fields have equal pages and equal cell counts.
 fn assert_same_fields(one: &DifField, other: &DifField, what: &str) {
     assert_eq!(one.infos(), other.infos(), "{what}");
     for (page, info) in one.infos().iter().enumerate() {
@@ -405,8 +405,8 @@ fn shaders_that_check_every_index_give_the_same_bytes() {
 
 #[test]
 fn batches_without_a_surface_do_not_change_other_batches() {
-    // The ball is so large that one block has no surface. With a tiny budget, this block alone is a
-    // batch.
+    // The ball is so large that one block has no surface. With a tiny budget, this block is a batch
+    // of its own.
     let lattice =
         CellBox::cube(IVec3::splat(-1), 9).union(&CellBox::cube(IVec3::ZERO, 10)).cubes(1);
     let ball = lattice.filter(|at| at.as_dvec3().length() <= 9.0);
@@ -555,7 +555,7 @@ fn bundled_frames_have_the_same_mesh_on_the_device_and_the_cpu() {
 
 #[test]
 fn batches_with_too_many_vertices_are_emitted_again() {
-    // Use white noise, which has a vertex on nearly every second edge, far more than a fluid.
+    // Use white noise, which has a vertex on nearly every second edge, far more than in a fluid.
     let cells = CellBox { lo: IVec3::splat(-32), hi: IVec3::splat(64) };
     let mut random = Random::new(3);
     let pages = cells.cubes(16).map(|bin| {
@@ -599,7 +599,7 @@ struct Outcome {
     on_device: Work,
 }
 
-/// The scenes in which calls of the device are made to fail.
+/// The scenes in which device calls are made to fail.
 #[derive(Debug, Clone, Copy)]
 enum Scene {
     /// An indicator of the paper, on a device that shares the host's memory.
@@ -687,7 +687,7 @@ fn any_failed_allocation_leaves_the_right_mesh_and_leaks_no_memory() {
             );
         }
         // A failed allocation of a field's reserve gives no warning, because the device works
-        // without it. This happens for the cells and for the wide cells.
+        // without the reserve. Both the cells and the wide cells can have a reserve.
         assert!((1..=2).contains(&silent), "{scene:?}: {silent} without a warning");
     }
 }

@@ -1,4 +1,4 @@
-//! Runs a test in a separate process, if it limits or measures the whole process.
+//! Runs a test in a separate process, for tests that limit or measure the whole process.
 
 use std::process::Command;
 
@@ -13,8 +13,8 @@ pub fn alone(name: &str, test: impl FnOnce()) {
     run(name, Command::new(std::env::current_exe().unwrap()), test);
 }
 
-/// Does the same as [`alone`], but a shell starts the child process, after the commands in
-/// `before`, such as `ulimit`.
+/// Does the same as [`alone`], but a shell first runs the commands in `before`, such as `ulimit`,
+/// and then starts the child process.
 #[cfg(unix)]
 #[track_caller]
 pub fn alone_after(before: &str, name: &str, test: impl FnOnce()) {

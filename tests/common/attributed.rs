@@ -6,7 +6,7 @@ use meniscus::internals::particles::{AttributeInfo, Particles};
 pub struct Attributed {
     positions: Vec<[f64; 3]>,
     pub attributes: Vec<AttributeInfo>,
-    /// For each attribute, the values of all particles in order.
+    /// For each attribute, the values of all particles, in particle order.
     values: Vec<Vec<f32>>,
 }
 
@@ -16,7 +16,7 @@ impl Attributed {
         Self { positions, attributes: Vec::new(), values: Vec::new() }
     }
 
-    /// Adds an attribute, whose value is a function of a particle's number and position.
+    /// Adds an attribute. The function `value` computes it from a particle's number and position.
     pub fn with<const N: usize>(
         mut self,
         name: &str,

@@ -60,8 +60,8 @@ impl<T: Copy + Default> Dense<T> {
         &mut self.values[(local.x + size.x * (local.y + size.y * local.z)) as usize]
     }
 
-    /// The value of a cell. Outside of the box, this is 0, or with walls the value of the nearest
-    /// cell of the box.
+    /// The value of a cell. Outside the box, the value is 0 or, with walls, the value of the box's
+    /// nearest cell.
     pub fn at(&self, cell: IVec3, walls: Option<CellBox>) -> T {
         let cell =
             if walls.is_some() { cell.clamp(self.cells.lo, self.cells.hi - 1) } else { cell };
@@ -73,8 +73,7 @@ impl<T: Copy + Default> Dense<T> {
     }
 }
 
-/// Half of the mask of the Gaussian of section 4.2, from the centre outwards. The full mask has sum
-/// 1.
+/// Half of the Gaussian mask of section 4.2, from the centre outwards. The full mask sums to 1.
 pub fn gaussian(sigma: f64) -> Vec<f64> {
     let taps = 3.max(2 * (3.0 * sigma).floor() as i32 - 1);
     let weight = |k: i32| (-f64::from(k * k) / (2.0 * sigma * sigma)).exp();
@@ -161,7 +160,7 @@ impl Method {
         }
     }
 
-    /// Computes the field in the library's integers: offsets of 13 bits, and theta of 16 bits.
+    /// Computes the field in the library's integers: offsets have 13 bits, and theta has 16 bits.
     pub fn integer(&self, particles: &[[f64; 3]]) -> Dense<u16> {
         let by_cell = self.particles_by_cell(particles);
         let cells = self.cells(particles);
@@ -219,8 +218,8 @@ impl Method {
     }
 }
 
-/// A key that sorts cells as in a mesh: tiles of 4^3 cells along the Morton curve, and in a tile x
-/// first.
+/// A key that sorts cells in mesh order: tiles of 4^3 cells along the Morton curve, and within a
+/// tile along x first.
 fn order_of(cell: IVec3) -> (u64, i32) {
     let tile = (cell.div_euclid(IVec3::splat(4)) + (1 << 20)).to_array();
     let mut morton = 0;
@@ -235,7 +234,7 @@ fn order_of(cell: IVec3) -> (u64, i32) {
 
 /// Meshes a dense field by marching cubes. The isovalue `c` is in the field's unit.
 pub fn mesh(field: &Dense<f64>, c: f64, walls: Option<CellBox>) -> (Vec<[f64; 3]>, Vec<[u32; 3]>) {
-    // Beyond the box, all cells are outside: there are walls, or the field is 0.
+    // Beyond the box, all cells are outside, because the box ends at walls or the field is 0 there.
     let inside = |cell: IVec3| field.cells.contains(cell) && field.at(cell, None) > c;
     let dual = Dense::<u8>::new(field.cells.grown(1, 0), |_| 0)
         .iter()

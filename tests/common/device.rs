@@ -1,5 +1,5 @@
-//! The Vulkan device of the tests. The validation layers check all calls, and the tests check that
-//! work really runs on the device.
+//! The Vulkan device on which the tests run. The validation layers check all calls, and the tests
+//! check that work really runs on the device.
 
 use std::cell::RefCell;
 use std::fmt::Display;
@@ -126,7 +126,7 @@ pub fn contoured(
 /// Works around a bug in validation layers before 1.4.304 (issue 4391 of Vulkan-ValidationLayers):
 /// every call reads a table of instances and devices without a lock. So while a thread creates or
 /// frees an instance or a device, no other thread may make a call. Tests that open a device lock
-/// this for writing, and run alone. Tests on the shared device lock it for reading, and run in
+/// `LAYER` for writing, and run alone. Tests on the shared device lock it for reading, and run in
 /// parallel.
 static LAYER: RwLock<()> = RwLock::new(());
 
@@ -147,7 +147,8 @@ thread_local! {
 
 fn hold_alone() {
     if !HELD.with_borrow(|held| matches!(held, Held::Alone(_))) {
-        // Release a read lock first: two threads with read locks would wait for each other.
+        // Release a read lock first. Otherwise, two threads that hold read locks would wait for
+        // each other.
         HELD.take();
         HELD.set(Held::Alone(LAYER.write().unwrap_or_else(PoisonError::into_inner)));
     }
@@ -186,9 +187,9 @@ pub fn open(options: &DeviceOptions) -> Result<(Device, ValidationLog), VulkanEr
     Ok((Device::open(&instance, &choice, options)?, instance.log()))
 }
 
-/// Returns a device that all tests of a file share, and that fails a test if work falls back to the
-/// CPU. Also fails the calling test if there are validation errors. A test with the shared device
-/// must not open another.
+/// Returns the backend that all tests of a test program share, on one device. A test fails if its
+/// work falls back to the CPU. Also fails the calling test if there are validation errors. A test
+/// that uses the shared device must not open another device.
 pub fn shared() -> Result<Backend, &'static VulkanError> {
     static SHARED: OnceLock<Result<(Backend, ValidationLog), VulkanError>> = OnceLock::new();
     let open_watched = || {

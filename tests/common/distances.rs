@@ -13,9 +13,9 @@ use super::dense::Dense;
 
 /// The settings of the oracle.
 pub struct Distances {
-    /// The spacing in cells.
+    /// The spacing, in cells.
     pub spacing: f64,
-    /// The smoothing width in spacings.
+    /// The smoothing width, in spacings.
     pub smooth: f64,
     /// The measured plateau.
     pub plateau: u16,
@@ -29,7 +29,7 @@ pub const ZERO: f64 = 32768.0;
 
 /// Minimum edge of a wide cell, in spacings.
 const LEAST_WIDE: f64 = 0.55;
-/// The three widths relative to the smoothing width, each with the minimum variance of its mask.
+/// The three widths, relative to the smoothing width, each with the minimum variance of its mask.
 /// Masks are cut off at `CUT` standard deviations.
 const WIDTHS: [(f64, f64); 3] = [(0.625, 0.35), (1.0, 0.85), (1.5, 1.75)];
 const CUT: f64 = 2.2;
@@ -38,39 +38,38 @@ const AROUND: f64 = 0.5625;
 const AROUND_CUT: f64 = 1.7;
 /// Minimum variance of all other masks.
 const LEAST_VARIANCE: f64 = 0.35;
-/// Maximum depth that a width can measure, in spacings.
+/// Maximum depth, in spacings, that a width can measure.
 const DEEPEST: f64 = 2.5;
-/// Maximum distance between the fine and the calm surface, in spacings.
+/// Maximum distance, in spacings, between the fine and the calm surface.
 const FARTHEST_APART: f64 = 1.0;
-/// Distances between the fine and the calm surface, in spacings. Up to the first, a distance counts
-/// as noise; from the second on, it counts as shape.
+/// Limits, in spacings, for the distance between the fine and the calm surface. Up to the first
+/// limit, the distance counts as noise; from the second on, it counts as shape.
 const APART: [f64; 2] = [0.07, 0.14];
 /// Depths, in spacings, between which the fine surface is faded out.
 const DEEP: [f64; 2] = [0.3, 0.9];
-/// Distances from the calm surface, outwards in spacings, at which a particle begins to stand out,
-/// and at which it stands out fully.
+/// Distances outside the calm surface, in spacings. From the first on, a particle begins to stand
+/// out; from the second on, it stands out fully.
 const STANDS_OUT: [f64; 2] = [0.4, 1.0];
-/// A wide cell counts as containing a particle if it has at least 1 / `PARTS` of a particle's
-/// cloud.
+/// A wide cell counts as occupied if it contains at least 1 / `PARTS` of a particle's cloud.
 const PARTS: f64 = 9.0;
 /// Number of bits of precision that wide cells gain when a width is blurred.
 const GAIN: u32 = 2;
 /// The variance of the spline that interpolates wide cells, in squared wide cells.
 const SPLINE: f64 = 0.25;
-/// The width of a drop in spacings.
+/// The width of a drop, in spacings.
 const DROP: f64 = 0.6;
 /// The masks of drops are cut off at this number of standard deviations.
 const DROP_CUT: f64 = 2.6;
-/// The radius of a drop in spacings.
+/// The radius of a drop, in spacings.
 const DROP_RADIUS: f64 = 0.55;
-/// Divided by the squared spacing in cells, this number is subtracted from the radius: without
-/// refinement, and with refinement.
+/// The radius is reduced by this number divided by the squared spacing, in cells. The first number
+/// applies without refinement, the second with refinement.
 const LESS_RADIUS: [f64; 2] = [0.29, 0.41];
-/// The minimum radius of a drop in spacings.
+/// The minimum radius of a drop, in spacings.
 const LEAST_RADIUS: f64 = 0.38;
 
 /// Half of a Gaussian mask with this variance and cutoff, from the centre outwards. The full mask
-/// has sum 1.
+/// sums to 1.
 fn gaussian(variance: f64, cut: f64) -> Vec<f64> {
     let reach = (cut * variance.sqrt()).round().max(1.0) as i32;
     let mask = |square: f64| -> Vec<f64> {
@@ -87,7 +86,7 @@ fn gaussian(variance: f64, cut: f64) -> Vec<f64> {
     mask(below)
 }
 
-/// The variance of a mask, of which `half` is one half.
+/// The variance of the mask whose half is `half`.
 fn second(half: &[f64]) -> f64 {
     2.0 * (0_u32..).zip(half).map(|(k, weight)| f64::from(k * k) * weight).sum::<f64>()
 }
@@ -100,8 +99,8 @@ fn integers(half: &[f64]) -> Vec<u64> {
     weights
 }
 
-/// The standard deviation of clouds after a mask with this variance. Clouds have a variance of 0.25
-/// squared cells themselves.
+/// The standard deviation of clouds that are blurred with a mask of this variance. The clouds
+/// themselves have a variance of 0.25 squared cells.
 fn width(variance: f64) -> f64 {
     (variance + 0.25).sqrt()
 }
@@ -135,7 +134,7 @@ fn looked_up(table: impl Fn(usize) -> i64, share: i64, bits: u32) -> i64 {
     low + ((((table(at + 1) - table(at)) << bits) * between) >> 5)
 }
 
-/// The step 3 x^2 - 2 x^3 in units of 1 / 4096, between two values in spacings.
+/// The step 3 x^2 - 2 x^3, in units of 1 / 4096, between two values in spacings.
 fn passed(value: i64, [begin, end]: [f64; 2]) -> i64 {
     let (begin, range) = (units(begin), units(end) - units(begin));
     let slope = ((1_i64 << 28) + range - 1) / range;
@@ -195,7 +194,7 @@ pub fn clouds(
     Dense { cells, values: sums.values.iter().map(|&sum| sum.min(65535) as u16).collect() }
 }
 
-/// Sums a field into cells twice as wide, and multiplies by a factor in units of 1 / 65536.
+/// Sums a field into cells twice as wide. Multiplies the sums by `factor`, in units of 1 / 65536.
 fn halved(field: &Dense<u16>, walls: Option<CellBox>, factor: u64) -> Dense<u16> {
     let cells = CellBox { lo: field.cells.lo >> 1, hi: (field.cells.hi + 1) >> 1 };
     Dense::new(cells, |wide| {
@@ -220,8 +219,8 @@ impl Distances {
         wide
     }
 
-    /// The cells between the walls, or else all cells that the field can reach. Wide cells are
-    /// always complete.
+    /// The cells between the walls or, without walls, all cells that the field can reach. Without
+    /// walls, the wide cells are complete.
     fn cells(&self, particles: &[[f64; 3]]) -> CellBox {
         self.walls.unwrap_or_else(|| {
             // Add the distance of a surface from a particle, the reach of the mask that averages
@@ -256,8 +255,8 @@ impl Distances {
         if self.wide().0 > 0 { SPLINE / 2.0 * edge * edge } else { 0.0 }
     }
 
-    /// Computes the field in the library's integers. Wide cells for which `inside` holds are inside
-    /// without computation.
+    /// Computes the field in the library's integers. Wide cells for which `inside` returns true get
+    /// the maximum sample instead of a computed one.
     pub fn integer(&self, particles: &[[f64; 3]], inside: impl Fn(IVec3) -> bool) -> Dense<u16> {
         let (level, edge) = self.wide();
         let cells = self.cells(particles);
@@ -276,8 +275,8 @@ impl Distances {
         let (wide, walls) = clouds.last().expect("there is one at level 0");
         let (bulk, outlying) = self.bulk(wide, *walls, edge, inside);
         let [bulk, outlying] = [bulk, outlying].map(|field| refined(&field, level, cells, *walls));
-        // Compute drops in cells half as wide as wide cells, or in the grid's cells if these are as
-        // wide.
+        // Compute drops in cells half as wide as wide cells. If wide cells are as wide as the
+        // grid's cells, compute drops in the grid's cells.
         let level = level.max(1) - 1;
         let (fine, walls) = &clouds[level as usize];
         let drops = Drops::new(self.spacing / f64::from(1 << level), level > 0);
@@ -285,8 +284,8 @@ impl Distances {
         drops.joined(&shares, &bulk, &outlying)
     }
 
-    /// Computes the distance from the surface of the bulk in wide cells, and how far particles
-    /// nearby are outside of the calm surface.
+    /// Computes, for each wide cell, the distance from the surface of the bulk, and how far nearby
+    /// particles lie outside the calm surface.
     fn bulk(
         &self,
         wide: &Dense<u16>,
@@ -358,7 +357,7 @@ impl Distances {
 
 /// The surface around single particles and small groups.
 struct Drops {
-    /// The spacing in cells.
+    /// The spacing, in cells.
     spacing: f64,
     around: Vec<f64>,
     spread: Vec<f64>,
@@ -380,7 +379,7 @@ impl Drops {
         }
     }
 
-    /// Number of bits of precision that averages gain, and number of bits of a share.
+    /// The number of bits of precision that averages gain, and the number of bits of a share.
     fn bits(&self) -> (u32, u32) {
         let amount = amount(self.spacing) as f64;
         let alone = amount
@@ -597,8 +596,8 @@ impl Distances {
         })
     }
 
-    /// Computes the distance from the surface of the bulk, and how far particles nearby are outside
-    /// of the calm surface. 4 is added to both, and they are 0 far from all particles.
+    /// Computes the distance from the surface of the bulk, and how far nearby particles lie outside
+    /// the calm surface. Both values are increased by 4, and are 0 far from all particles.
     fn real_bulk(
         &self,
         wide: &Dense<f64>,

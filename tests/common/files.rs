@@ -1,5 +1,5 @@
-//! Files for the tests: the data in `tests/data`, particles and meshes as bytes, contents of
-//! folders.
+//! Files for the tests: the data in `tests/data`, particles and meshes as bytes, and the contents
+//! of folders.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -50,7 +50,8 @@ pub fn names(folder: &Path) -> Vec<String> {
     names
 }
 
-/// The bytes of every file below a folder. The key is the file's path in the folder, with slashes.
+/// The bytes of every file below a folder. Each key is a file's path relative to the folder, with
+/// `/` as separator.
 pub fn tree(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     let mut files = BTreeMap::new();
     for name in names(folder) {

@@ -65,7 +65,7 @@ pub fn dif(frame: &Engine) -> &SampledDif {
     frame.dif().expect("an indicator makes the field")
 }
 
-/// A sampled frame with this field, in cells of edge 1 and without particles.
+/// A sampled frame with the given field, which has cells of edge 1 and no particles.
 pub fn sampled(dif: DifField) -> SampledDif {
     let (grid, census) = (sampling().grid, Census::default());
     SampledDif::new(
@@ -138,8 +138,9 @@ pub fn shuffle<T>(items: &mut [T], random: &mut Random) {
     }
 }
 
-/// Particles of a lattice at positions for which `inside` holds. There are `per_axis` particles
-/// along a cell's edge, jittered by a share of their spacing.
+/// Particles at the lattice points for which `inside` returns true. There are `per_axis` points
+/// along a cell's edge. Each particle is moved along each axis by up to `jitter` spacings of the
+/// lattice.
 pub fn fill(
     half: f64,
     per_axis: f64,

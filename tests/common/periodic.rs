@@ -10,10 +10,12 @@ use super::scene::Random;
 /// The two faces of the box along each axis; `None` for an open axis.
 pub type Faces = [Option<[f64; 2]>; 3];
 
-/// Water with spacing 1 in a box from the origin, whose edges are whole numbers of spacings.
+/// Water with spacing 1 in a box that has a corner at the origin and edges of whole numbers of
+/// spacings.
 ///
-/// There are a pool whose waves cross the side faces, a ball across the corner at the origin, a
-/// ball across an edge, and spray. All coordinates are within the box, and are multiples of 2^-10.
+/// The water consists of a pool whose waves cross the side faces, a ball across the corner at the
+/// origin, a ball across an edge, and spray. All coordinates are within the box, and are multiples
+/// of 2^-10.
 pub fn fluid(seed: u64, edges: DVec3) -> Vec<[f64; 3]> {
     let mut random = Random::new(seed);
     let near = |p: DVec3, centre: DVec3| {
@@ -64,8 +66,8 @@ pub fn repeated(particles: &[[f64; 3]], faces: Faces) -> Vec<[f64; 3]> {
 /// The bits of a vertex's position, normal and attributes.
 type Vertex = Vec<u64>;
 
-/// The triangles that are at least `margin` away from the faces of the box. A triangle is the data
-/// of its vertices, rotated so that the smallest comes first.
+/// The triangles that are at least `margin` away from the faces of the box. Each triangle consists
+/// of the data of its vertices, rotated so that the smallest vertex comes first.
 pub fn triangles_within(mesh: &Mesh, faces: Faces, margin: f64) -> BTreeSet<[Vertex; 3]> {
     let within = |p: &[f64; 3]| {
         let between =

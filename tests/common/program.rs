@@ -5,10 +5,10 @@ use std::process::{Child, Command, Output};
 use std::thread::sleep;
 use std::time::Duration;
 
-/// The path of the program; `None` in tests that are built without the program to test a device.
+/// The path of the program. `None` in device tests that are built without the program.
 const MENISCUS: Option<&str> = option_env!("CARGO_BIN_EXE_meniscus");
 
-/// A command that runs the program in a folder. It is not started yet.
+/// A command that runs the program in a folder. The caller starts it.
 pub fn command(folder: &Path, arguments: &[&str]) -> Command {
     let mut command = Command::new(MENISCUS.unwrap());
     command.current_dir(folder).args(arguments);
@@ -31,7 +31,7 @@ pub fn in_shell(folder: &Path, before: &str, arguments: &str) -> Output {
     shell_command(folder, before, arguments).output().unwrap()
 }
 
-/// The command of [`in_shell`], not started yet. The program replaces the shell's process.
+/// The command of [`in_shell`], which the caller starts. The program replaces the shell's process.
 pub fn shell_command(folder: &Path, before: &str, arguments: &str) -> Command {
     let script = format!("{before}\nexec \"$0\" {arguments}");
     let mut command = Command::new("bash");
@@ -48,7 +48,7 @@ pub fn wait_until(child: &mut Child, what: &str, mut reached: impl FnMut(&Child)
     }
 }
 
-/// Kills `child` when `reached` returns true, which must happen before it ends.
+/// Kills `child` when `reached` returns true, which must happen before `child` ends.
 #[track_caller]
 pub fn kill_when(mut child: Child, what: &str, reached: impl FnMut(&Child) -> bool) {
     wait_until(&mut child, what, reached);

@@ -28,7 +28,8 @@ pub fn sphere(radius: f64, depth: u32) -> Mesh {
     let mut mesh = cone(&[[1., 0., 0.], [0., 1., 0.], [-1., 0., 0.], [0., -1., 0.]], [0., 0., 1.]);
     let below = cone(&[[0., -1., 0.], [-1., 0., 0.], [0., 1., 0.], [1., 0., 0.]], [0., 0., -1.]);
     mesh.positions.push([0., 0., -1.]);
-    // The rim of the lower cone runs in the opposite direction, so that vertex v is 3 - v there.
+    // The rim of the lower cone runs in the opposite direction, so that its vertices 0 to 3 are the
+    // sphere's vertices 3 to 0.
     mesh.triangles.extend(below.triangles.iter().map(|t| t.map(|v| if v < 4 { 3 - v } else { 5 })));
     for _ in 0..depth {
         mesh = split(&mesh);
@@ -40,7 +41,8 @@ pub fn sphere(radius: f64, depth: u32) -> Mesh {
     mesh
 }
 
-/// A cone without a base: a triangle from every edge of a closed rim to the apex, the last vertex.
+/// A cone without a base: one triangle from each edge of a closed rim to the apex, which is the
+/// last vertex.
 pub fn cone(rim: &[[f64; 3]], apex: [f64; 3]) -> Mesh {
     let n = rim.len() as u32;
     Mesh {

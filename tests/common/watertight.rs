@@ -1,4 +1,5 @@
-//! Checks that a mesh is closed, oriented and manifold, by the definition and without the library.
+//! Checks, directly by definition and without the library, that a mesh is closed, oriented and
+//! manifold.
 
 use std::collections::HashMap;
 

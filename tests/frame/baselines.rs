@@ -45,11 +45,11 @@ fn rounded_to_offsets(particles: Vec<[f64; 3]>) -> Vec<[f64; 3]> {
     particles.into_iter().map(|p| p.map(|x| ((x * 8192.0).floor() + 0.5) / 8192.0)).collect()
 }
 
-/// Implements each method as METHOD.md and its authors define it: as a sum over all particles,
-/// which is positive inside. Cells have edge 1.
+/// Implements each method as METHOD.md and the method's authors define it: as a sum over all
+/// particles. The result is positive inside the fluid. Cells have edge 1.
 struct Oracle {
     particles: Vec<DVec3>,
-    /// For each particle, m / rho divided by the scale of the kernel W.
+    /// For each particle, its volume m / rho, computed with m = 1.
     volumes: Vec<f64>,
     centres: Vec<DVec3>,
     shapes: Vec<DMat3>,
@@ -140,7 +140,7 @@ fn anisotropy(x: DVec3, particles: &[DVec3], h: f64) -> (DVec3, DMat3) {
     ((x + mean) / 2.0, g)
 }
 
-/// Eigenvalues and eigenvectors of a symmetric matrix by Jacobi's rotations.
+/// Eigenvalues and eigenvectors of a symmetric matrix, by Jacobi rotations.
 fn jacobi(mut a: DMat3) -> (DVec3, DMat3) {
     let mut axes = DMat3::IDENTITY;
     for (p, q) in [(0, 1), (0, 2), (1, 2)].into_iter().cycle().take(60) {

@@ -1,5 +1,5 @@
 //! Tests of the calibration for all cell sizes: clumps do not affect it, and cells that are too
-//! small for 16-bit samples are an error.
+//! small for 16-bit samples give an error.
 
 use std::collections::HashMap;
 
@@ -36,11 +36,12 @@ enum Disorder {
     Jittered(f64),
     Random,
     /// At a random position in each cell of a lattice, as in FLIP. A quarter of the particles are
-    /// next to another particle.
+    /// then moved next to another particle.
     Clumped,
 }
 
-/// A cube of particles with this edge from the origin, with `density` particles per unit of volume.
+/// A cube of particles with edge `edge` and one corner at the origin, with `density` particles per
+/// unit of volume.
 fn cube(edge: f64, density: f64, disorder: Disorder, seed: u64) -> Vec<[f64; 3]> {
     let mut random = Random::new(seed);
     let step = density.cbrt().recip();
@@ -85,7 +86,8 @@ fn check_before_sampling(
 }
 
 fn scaled(particles: &[[f64; 3]], by: f64) -> Vec<[f64; 3]> {
-    // Move particles off the faces of cells, because there rounding would decide about their cells.
+    // Move particles off the faces of cells, because rounding would decide there which cell
+    // contains a particle.
     particles.iter().map(|p| p.map(|x| x * by + 0.137)).collect()
 }
 
@@ -97,7 +99,8 @@ fn draw(frame: &Engine, surfacing: &Surfacing) -> StitchedSurface {
     frame.surface(surfacing, &mut Timings::default()).unwrap()
 }
 
-/// The median of a field over the cells deeper in a cube than `depth`.
+/// The median of a field over the cells of a cube that are at least `depth` cells away from the
+/// cube's faces.
 fn deep_median(field: &Dense<f64>, edge: f64, depth: i32) -> f64 {
     let deep = CellBox { lo: IVec3::splat(depth), hi: IVec3::splat(edge as i32 - depth) };
     let mut deep: Vec<f64> =
@@ -107,8 +110,8 @@ fn deep_median(field: &Dense<f64>, edge: f64, depth: i32) -> f64 {
 }
 
 /// Compares the calibration of a cube of particles with a dense oracle in f64. Returns the relative
-/// deviation and the plateau. For clouds, this compares the density, and otherwise the isovalue,
-/// which is a fixed share of the plateau.
+/// deviation and the plateau. Compares the density for clouds, and otherwise the isovalue, which is
+/// a fixed share of the plateau.
 fn deviation_from_oracle(particles: &[[f64; 3]], frame: &Engine, edge: f64) -> (f64, Plateau) {
     let (indicator, facts) = (dif(frame).indicator, frame.facts());
     let (recipe, measured) = recipe(frame, &surfacing());
@@ -147,7 +150,8 @@ fn the_plateau_matches_a_dense_oracle_for_all_cell_sizes() {
     let mut cases = Vec::new();
     for (i, density) in [0.5_f64, 1.0, 2.0, 4.0, 8.0].into_iter().enumerate() {
         for (j, disorder) in disorders.into_iter().enumerate() {
-            // Combine every density with every disorder, each in two of the six cell sizes.
+            // Combine every density with every disorder, and test each combination in two of the
+            // six cell sizes.
             for cell in [CELLS[(i + j) % 6], CELLS[(i + j + 3) % 6]] {
                 // Clouds measure at most four times the expected number of particles.
                 cases.extend(
@@ -197,7 +201,8 @@ fn places(surface: &StitchedSurface) -> HashMap<IVec3, Vec<DVec3>> {
 }
 
 /// The sorted distances of the vertices of `one` from the nearest vertices of `other`, for vertices
-/// farther than `away` from `place`. A distance is infinite if no vertex is within a cell.
+/// whose distance from `place` exceeds `away`. A distance is infinite if `other` has no vertex in
+/// the same cell or in a cell next to it.
 fn displacements(
     one: &StitchedSurface,
     other: &StitchedSurface,
@@ -278,7 +283,7 @@ fn duplicates_and_clumps_do_not_move_the_surface_elsewhere() {
                         "{name}, {indicator:?}, cells of {cell}, {count} more: {most} spacings, {all}"
                     );
                     // In the small ball, the clump affects the whole surface, because the widest
-                    // Gaussian of clouds reaches it from the centre.
+                    // Gaussian of clouds reaches the surface from the centre.
                     let within = match indicator {
                         CLOUD if name == "small ball" => 0.1,
                         CLOUD => 0.01,
@@ -307,7 +312,7 @@ fn without_an_interior_the_plateau_is_derived_from_the_spacing() {
             let Plateau::Interior { median, .. } = deep else {
                 panic!("a pool of {cell}: {deep:?}")
             };
-            // Use the mu0 of the pool, because thinner bodies would have another one.
+            // Use the mu0 of the pool, because thinner bodies would have a different mu0.
             let sampling = sampling_at(spacing, of_pool.method());
             for (name, body, _) in &bodies()[2..] {
                 let frame = sample(&scaled(body, spacing), &sampling);
@@ -395,7 +400,7 @@ fn the_volume_of_a_surface_matches_the_volume_of_its_mesh() {
         let mut tank = sampling_at(1.0, indicator);
         tank.domain = Domain::new(&tank.grid, DVec3::splat(-8.0), DVec3::splat(8.0)).ok();
         close(&draw(&sample(&ball, &tank), &surfacing()), 0.01, "a full tank");
-        // The tolerance is large, because flat triangles remove a large part of drops and sheets.
+        // The tolerance is large, because flat triangles cut off a large part of drops and sheets.
         let splashes = sample(
             &crate::common::splashes(3),
             &Sampling { method: indicator.into(), ..sampling() },

@@ -82,7 +82,8 @@ fn the_shared_apex_of_two_cones_is_a_pinched_vertex() {
 fn two_spheres_that_share_a_vertex_are_closed_but_not_a_manifold() {
     let mut mesh = union(&sphere(1., 2), &moved(&sphere(1., 2), [2., 0., 0.]));
     let second = mesh.positions.len() as u32 / 2;
-    // Merge vertex 0 of the first sphere, its rightmost, with vertex 2 of the second, its leftmost.
+    // Merge the rightmost vertex of the first sphere, which is vertex 0, with the leftmost vertex
+    // of the second sphere, which is its vertex 2.
     for vertex in mesh.triangles.iter_mut().flatten().filter(|v| **v == second + 2) {
         *vertex = 0;
     }
@@ -326,13 +327,11 @@ fn the_greatest_distance_is_reported_for_the_mesh_that_has_it() {
 
 #[test]
 fn signs_are_right_if_the_nearest_point_is_on_an_edge_or_a_corner() {
-    // For most points of a large sphere, the nearest point of a small box is a corner. Points near
-    // a corner's bisector lie behind the planes of some of its faces, but not of the corner.
+    // For most points of a large sphere, the nearest point of a small box is a corner.
     let small = cuboid([-0.1; 3], [0.1, 0.1, 0.3]);
     let found = compare(&small, &sphere(2., 2)).unwrap();
     assert!((found.bias - found.from_mesh.mean).abs() < 1e-12, "{found:?}");
-    // A small box lies inside a large notched box, although the edge of the notch is its nearest
-    // point.
+    // A small box lies inside a large notched box, close to the edge of the notch.
     let notch = [[0., 0., 0.], [4., 0., 0.], [4., 4., 0.], [2., 0.5, 0.], [0., 4., 0.]];
     let found = compare(&prism(&notch, 8.), &cuboid([1.8, 0.2, 3.], [2.2, 0.3, 5.])).unwrap();
     assert!((found.bias + found.from_mesh.mean).abs() < 1e-12, "{found:?}");
@@ -356,8 +355,8 @@ fn signs_are_independent_of_the_triangulation_around_a_corner() {
     assert!((found.bias - found.from_mesh.mean).abs() < 1e-12, "{found:?}");
 }
 
-/// Extrudes an outline along z. The outline must be counter-clockwise, and star-shaped as seen from
-/// its fourth corner.
+/// Extrudes an outline along z. The outline must be counter-clockwise, and star-shaped with respect
+/// to its fourth corner.
 fn prism(outline: &[[f64; 3]], height: f64) -> Mesh {
     let n = outline.len() as u32;
     let mut mesh = Mesh { positions: outline.to_vec(), ..Mesh::default() };

@@ -142,7 +142,7 @@ fn simplification_is_independent_of_threads_and_scratch_files() {
     }
 }
 
-/// A slab of fluid across many chunks of the simplification.
+/// A slab of fluid that extends across many chunks of the simplification.
 fn pool() -> Vec<[f64; 3]> {
     fill(70.0, 1.0, 0.0, 1, |p| p.y.abs() < 8.0 && p.x.abs() < 69.0 && p.z.abs() < 69.0)
 }
@@ -175,8 +175,8 @@ fn small_drops_survive_the_largest_tolerance() {
 
 #[test]
 fn components_below_the_volume_are_removed_across_blocks() {
-    // A ball of about 113 cells around a corner of eight blocks, a ball of 33 cells in the middle
-    // of a block, and a ball of 905 cells far away.
+    // A ball with a volume of about 113 cells around a corner of eight blocks, a ball of 33 cells
+    // in the middle of a block, and a ball of 905 cells far away.
     let balls = [(DVec3::ZERO, 3.0), (DVec3::splat(16.0), 2.0), (DVec3::new(3e5, -4e5, 0.0), 6.0)];
     let particles: Vec<[f64; 3]> = balls
         .iter()
@@ -208,8 +208,8 @@ fn components_below_the_volume_are_removed_across_blocks() {
 
 #[test]
 fn a_drop_on_a_corner_of_eight_blocks_is_one_component() {
-    // Put the drop around the origin, where eight blocks meet: a block shares few vertices with
-    // each other block, and three or more blocks share some of them.
+    // Put the drop around the origin, where eight blocks meet. Each pair of blocks shares few
+    // vertices, and some vertices are shared by three or more blocks.
     let places = [-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0];
     for (x, y, z) in
         places.iter().flat_map(|x| places.iter().flat_map(move |y| places.map(|z| (*x, *y, z))))

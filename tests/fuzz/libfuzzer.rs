@@ -16,8 +16,9 @@ use libfuzzer_sys::fuzz_target;
 
 static RUN: OnceLock<fn(&[u8])> = OnceLock::new();
 
-/// Returns the function of the target that `MENISCUS_FUZZ` names. Writes its seeds into the folder
-/// that `MENISCUS_SEEDS` names, and its words into a file next to the folder.
+/// Returns the function of the target that `MENISCUS_FUZZ` names. If `MENISCUS_SEEDS` names a
+/// folder, writes the target's seeds into the folder and its words into a file next to the folder,
+/// and exits.
 fn chosen() -> fn(&[u8]) {
     targets::on_one_thread();
     let name = std::env::var("MENISCUS_FUZZ").unwrap_or_default();

@@ -60,7 +60,7 @@ pub fn mutated(seeds: &[Vec<u8>], words: &[&str], number: u64) -> Vec<u8> {
     data
 }
 
-/// Replaces `width` bytes by the bytes of a number.
+/// Replaces `width` bytes with the bytes of a number.
 fn put_number(data: &mut [u8], at: usize, number: u64, width: usize, big: bool) {
     let mut bytes = number.to_le_bytes()[..width].to_vec();
     if big {
@@ -69,7 +69,7 @@ fn put_number(data: &mut [u8], at: usize, number: u64, width: usize, big: bool) 
     data[at..].iter_mut().zip(bytes).for_each(|(to, byte)| *to = byte);
 }
 
-/// Replaces the next number that is written in decimal digits.
+/// Replaces the next number, from `at` on, that is written in decimal digits.
 fn change_digits(data: &mut Vec<u8>, at: usize, number: u64) {
     let Some(first) = data[at..].iter().position(u8::is_ascii_digit).map(|first| at + first) else {
         return;

@@ -51,7 +51,7 @@ impl Values {
 struct Reader<'a> {
     bytes: &'a [u8],
     listed: Vec<String>,
-    /// The start and the end of each block that was read.
+    /// The end of each block that was read, by its start.
     seen: BTreeMap<usize, usize>,
     found: Archive,
 }
@@ -174,8 +174,8 @@ impl<'a> Reader<'a> {
     }
 }
 
-/// Reads an archive. Also returns the number of unused bytes, which are earlier versions of groups.
-/// All other bytes must belong to the archive.
+/// Reads an archive. Also returns the number of unused bytes, which contain earlier versions of
+/// groups. All other bytes must belong to the archive.
 fn read(bytes: &[u8]) -> (Archive, usize) {
     assert_eq!(bytes[..8], *b"Ogawa\xff\0\x01");
     let found = Archive {
@@ -272,7 +272,7 @@ fn an_alembic_archive_contains_all_values_and_clockwise_triangles() {
     assert_eq!(archive.values["/fluid/.xform/.inherits"].samples, [[1]]);
     assert_eq!(archive.values["/fluid/.xform/.inherits"].sampling, 0);
 
-    // Check a property's type, the number of components of its elements, and its metadata.
+    // Check a property's type, its elements' number of components, and its metadata.
     let of = |name: &str, pod: u32, extent: u32, metadata: &str| {
         let values = &archive.values[&format!("{SHAPE}/{name}")];
         assert_eq!((values.bits >> 4 & 15, values.bits >> 12 & 255), (pod, extent), "{name}");
@@ -360,7 +360,7 @@ fn metadata_and_names_of_any_length_are_preserved() {
     let vertices = mesh.positions.len();
     let long = "x".repeat(300);
     mesh.attributes = vec![VertexAttribute::new(&*long, 1, vec![1.0; vertices])];
-    // Use more different metadata than the archive's list can hold.
+    // Use more distinct metadata than the archive's list can hold.
     let widths = 5..280;
     let wide = widths.clone().map(|components| {
         let name = format!("wide{components}");
@@ -441,7 +441,7 @@ fn a_frame_archive_is_complete_after_each_added_frame() {
             assert_eq!(of(".selfBnds").samples[sample].len(), 48);
         }
     }
-    // A frame of a conversion with another state starts a new archive.
+    // A frame of a conversion with a different state starts a new archive.
     let listed = frame_file(&frames, 9, &meshes[1].1);
     archive.add(&listed, 8, numbers).unwrap();
     let (found, unused) = read(&fs::read(archive.path()).unwrap());
@@ -449,7 +449,7 @@ fn a_frame_archive_is_complete_after_each_added_frame() {
     assert_eq!(unused, 16 + (listed.bytes - end_of_arrays(&meshes[1].1)) as usize);
 }
 
-/// The offset of the end of the arrays, in the file of a mesh.
+/// The offset at which the arrays end in the file of a mesh.
 fn end_of_arrays(mesh: &Mesh) -> u64 {
     let arrays =
         [12 * mesh.vertex_count(), 48, 12 * mesh.triangle_count(), 4 * mesh.triangle_count()];
@@ -500,7 +500,7 @@ fn an_interrupted_archive_addition_resumes_to_the_same_bytes() {
     // Simulate a crash before the frame's own file is removed.
     add(&archive, &frames, 3);
     assert!(fs::read(archive.path()).unwrap() == whole);
-    // In a truncated archive, no frames are known.
+    // A truncated archive counts as having no frames.
     fs::write(archive.path(), &whole[..whole.len() - 1]).unwrap();
     assert_eq!(archive.frames().crc(1), None);
 }
@@ -552,7 +552,7 @@ fn a_simulation_archive_is_independent_of_threads_and_resume() {
     let summaries = run(simulation("later/wave.abc", 2).resume());
     assert_eq!(summaries[0].made, 2);
     assert!(bytes == fs::read(at("later/wave.abc")).unwrap());
-    // If an input has changed, its frame in the archive is replaced by a larger one.
+    // If an input has changed, a larger frame replaces its frame in the archive.
     fs::write(at("in/f_4.xyz"), fs::read(at("in/f_2.xyz")).unwrap()).unwrap();
     assert_eq!(run(simulation("later/wave.abc", 2).resume())[0].made, 1);
     let (changed, _) = read(&fs::read(at("later/wave.abc")).unwrap());

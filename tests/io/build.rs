@@ -1,4 +1,4 @@
-//! Builds files in every binary layout, byte by byte as the formats' descriptions say.
+//! Builds files in every binary layout, byte by byte as the formats' specifications say.
 
 #[path = "build/houdini.rs"]
 pub mod houdini;
@@ -13,7 +13,7 @@ use lzma_rust2::{XzOptions, XzWriter};
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 
-/// Positions with different coordinates, all of which f32 represents exactly.
+/// Positions whose coordinates all differ, and which f32 represents exactly.
 pub fn tuples(count: usize) -> Vec<[f64; 3]> {
     (0..count).map(|i| [0, 1, 2].map(|axis| (3 * i + axis) as f64 * 0.375 - 2.0)).collect()
 }
@@ -96,7 +96,7 @@ pub fn npz_frame(points: &[[f64; 3]], compression: CompressionMethod) -> Vec<u8>
     npz(&arrays, compression)
 }
 
-/// Where a .vtu or .vtp stores its numbers.
+/// Where a .vtu or .vtp file stores its numbers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Placed {
     Ascii,
@@ -105,7 +105,7 @@ pub enum Placed {
     AppendedBase64,
 }
 
-/// The compression of the blocks of a .vtu or .vtp.
+/// The compression of the blocks of a .vtu or .vtp file.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Compressor {
     None,
@@ -114,7 +114,7 @@ pub enum Compressor {
     Lzma,
 }
 
-/// The layout of a .vtu or .vtp.
+/// The layout of a .vtu or .vtp file.
 #[derive(Clone, Copy, Debug)]
 pub struct VtkXml {
     pub placed: Placed,
@@ -222,7 +222,7 @@ impl VtkXml {
         bytes
     }
 
-    /// Encodes the data of an array, and returns its header and the data.
+    /// Encodes the data of an array, and returns the header and the encoded data.
     fn packed(self, data: &[u8]) -> [Vec<u8>; 2] {
         const BLOCK: usize = 32;
         if !self.is_compressed() {
@@ -259,8 +259,8 @@ impl VtkXml {
     }
 }
 
-/// A .bgeo with the attributes id, v, an indexed string, uv, and a second v. The points are the
-/// last bytes of the file, so that a reader needs every byte.
+/// A .bgeo file with the attributes id, v, an indexed string, uv, and a second v. The points are at
+/// the end of the file, so that a reader needs every byte.
 pub fn bgeo(points: &[[f64; 3]]) -> Vec<u8> {
     let mut bytes = b"BgeoV".to_vec();
     let int = |bytes: &mut Vec<u8>, x: i32| bytes.extend(x.to_be_bytes());
@@ -299,7 +299,7 @@ pub fn bgeo(points: &[[f64; 3]]) -> Vec<u8> {
     bytes
 }
 
-/// The layout of a .bi4.
+/// The layout of a .bi4 file.
 #[derive(Clone, Copy)]
 pub struct Bi4 {
     /// Whether numbers are big-endian.
@@ -308,7 +308,8 @@ pub struct Bi4 {
     pub wide: bool,
     /// Whether positions and identifiers have 64 bits.
     pub double: bool,
-    /// Whether boundary and fluid particles alternate. Otherwise the boundary comes first.
+    /// Whether boundary and fluid particles alternate. Otherwise, the boundary particles come
+    /// first.
     pub mixed: bool,
     pub pieces: u32,
     /// The number of this piece.
@@ -322,7 +323,7 @@ impl Bi4 {
         self.build_spaced(points, 0.25)
     }
 
-    /// Builds a part with another spacing.
+    /// Builds the same part with the given spacing.
     pub fn build_spaced(self, points: &[[f64; 3]], spacing: f64) -> Vec<u8> {
         let mut head = b"#FileJBD JPartDataBi4".to_vec();
         head.resize(58, b' ');

@@ -13,21 +13,21 @@ use crate::common::files;
 use crate::common::particle_files::{attribute, positions};
 use crate::memory;
 
-/// The steps of the files, each with its number of points and the points that are no ghosts.
+/// The steps of the files, each with its number of points and the points that are not ghosts.
 const STEPS: [(u64, usize, &[usize]); 4] = [
-    // Point 4 is a copy, 3 is refined and 1 is hidden. The flag of point 2, high connectivity, does
-    // not mean a ghost.
+    // Point 4 is a copy, 3 is refined and 1 is hidden. The flag of point 2 means high connectivity,
+    // which does not make it a ghost.
     (0, 6, &[0, 2, 5]),
     // Points 6 to 8 are in a partition with a line. Point 10 has a flagged and an unflagged vertex,
     // and point 12 has no vertex.
     (1, 7, &[6, 7, 8, 10, 12]),
-    // This step has the cells of step 0, but other flags.
+    // This step has the cells of step 0, but different flags.
     (2, 6, &[1, 2, 3, 4]),
     // This step has the points and cells of step 0, as a separate partition.
     (3, 6, &[0, 2, 5]),
 ];
 
-/// The name and the bytes of the file with steps, for a kind of data set.
+/// The name and the bytes of the file that contains all steps, for a kind of data set.
 fn file_of_steps(kind: &str) -> (String, Vec<u8>) {
     let name = format!("flags_{kind}.vtkhdf");
     let bytes = fs::read(files::data("simulations").join(&name)).unwrap();
@@ -46,7 +46,7 @@ fn read(bytes: &[u8], step: impl Into<Option<u64>>) -> Result<ParticleFile, Read
     read.map_err(|error| error.fault)
 }
 
-/// The identifiers of the remaining points, in the order of the file.
+/// The identifiers of the remaining points, in file order.
 fn ids(file: &ParticleFile) -> Vec<usize> {
     let ids: Vec<usize> = attribute(file, "id").iter().map(|&id| id as usize).collect();
     let points =
@@ -58,7 +58,7 @@ fn ids(file: &ParticleFile) -> Vec<usize> {
     ids
 }
 
-/// All offsets of the bytes `from` in the file. There must be at least one.
+/// All offsets at which the file contains the bytes `from`. There must be at least one.
 fn places(bytes: &[u8], from: &[u8]) -> Vec<usize> {
     let places: Vec<usize> =
         (0..=bytes.len() - from.len()).filter(|&at| bytes[at..].starts_with(from)).collect();
@@ -66,7 +66,7 @@ fn places(bytes: &[u8], from: &[u8]) -> Vec<usize> {
     places
 }
 
-/// The file with every `from` replaced by `to`.
+/// The file with every occurrence of `from` replaced by `to`.
 fn replaced(bytes: &[u8], from: &[u8], to: &[u8]) -> Vec<u8> {
     assert_eq!(from.len(), to.len());
     let mut bytes = bytes.to_vec();
@@ -134,7 +134,8 @@ fn missing_cell_arrays_keep_all_points_and_steps_need_cell_offsets() {
                 "{fault}"
             );
         }
-        // Without offsets of cell data, the flags of the first step apply; without flags, none do.
+        // Without offsets of cell data, the flags of the first step apply. Without flags, no point
+        // is a ghost.
         for name in ["CellDataOffsets", "vtkGhostType"] {
             let file = read(&without(name), 2).unwrap();
             let left: &[usize] =
@@ -142,11 +143,11 @@ fn missing_cell_arrays_keep_all_points_and_steps_need_cell_offsets() {
             assert_eq!(ids(&file), left, "{kind} without {name}");
         }
     }
-    // Without the types of cells, their offsets show that each cell has one point.
+    // Without cell types, the cells' offsets show that each cell has one point.
     let (_, bytes) = file_of_steps("grid");
     let file = read(&replaced(&bytes, b"\0Types\0", b"\0~ypes\0"), 0).unwrap();
     assert_eq!(ids(&file), [0, 2, 5]);
-    // Flags do not apply to a cell that has one point but is no vertex.
+    // Flags do not apply to a cell that has one point but is not a vertex.
     let types = [[1; 9].as_slice(), &[3], &[1; 5]].concat();
     for (at, left) in [(0, &[0, 1, 2, 3, 4, 5][..]), (6, &[0, 2, 5])] {
         let mut other = types.clone();
@@ -160,7 +161,7 @@ fn invalid_cell_counts_and_indices_are_reported_with_their_partition() {
     let (_, bytes) = file_of_steps("grid");
     let counts = |cells: i64| longs(&[6, 0, 4, cells, 6]);
     let ids_of = |ids: i64| longs(&[6, 0, 5, ids, 6]);
-    // The points of the cells of the third and the fourth partition.
+    // The point numbers of the cells in the third and the fourth partition.
     let corners = |last: i64| longs(&[0, 1, 2, 0, 1, 0, 1, 1, 2, last]);
     let data = |of_step: i64| longs(&[0, of_step, 15]);
     let first = |cell: i64| longs(&[0, cell, 0]);

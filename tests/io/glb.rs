@@ -1,5 +1,5 @@
 //! Tests of glTF files, plain and compressed: a separate reader finds the mesh, and a mesh that is
-//! too large is an error.
+//! too large gives an error.
 
 use std::io;
 
@@ -172,7 +172,8 @@ fn a_compressed_glb_is_accurate_to_half_a_quantization_step() {
     assert_eq!(node["scale"], serde_json::json!([step, step, step]));
     assert_eq!(json["asset"]["extras"]["positionError"], serde_json::json!(step / 2.0));
     let (plain_json, plain_binary) = written(&mesh, CoordinateWidth::F32, GlbLayout::PLAIN);
-    // Compression keeps the order of vertices and triangles, but the codec rotates triangles.
+    // Compression keeps the order of vertices and triangles, but the codec rotates the corners of
+    // triangles.
     let positions = floats(&elements(&plain_json, &plain_binary, 0));
     let packed: Vec<u16> = elements(&json, &binary, 0)
         .chunks_exact(2)
@@ -223,7 +224,7 @@ fn the_glb_node_rotates_z_up_to_y_up_and_holds_large_offsets() {
     assert!(near.iter().flatten().all(|x| x.abs() <= 1.01));
 }
 
-/// A mesh of which only the numbers of vertices and triangles exist.
+/// A mesh that has only numbers of vertices and triangles, and no data.
 struct Huge(u64);
 
 impl MeshSource for Huge {

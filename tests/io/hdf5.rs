@@ -78,7 +78,7 @@ fn names(file: &ParticleFile) -> Vec<(&str, usize)> {
     file.particles.attributes().iter().map(|a| (&*a.name, a.components)).collect()
 }
 
-/// The points of all files, moved by the same distance along each axis.
+/// The points that all files contain, moved by `by` along each axis.
 fn points(by: f64) -> Vec<[f64; 3]> {
     let exact = positions(&open("steps.h5part#0").unwrap());
     exact.into_iter().map(|point| point.map(|x| x + by)).collect()

@@ -1,5 +1,5 @@
-//! Tests of Houdini geometries: points are read in every form and arrangement, and damage is an
-//! error.
+//! Tests of Houdini geometries: points are read in every form and arrangement, and damaged files
+//! give an error.
 
 use std::path::Path;
 
@@ -25,8 +25,7 @@ fn read(bytes: Vec<u8>) -> Result<ParticleFile, ReadFault> {
     houdini::read_particles(bytes.into(), WantedAttributes::All, Unpacking::in_memory())
 }
 
-/// Numbers that every storage type represents exactly. Points 1024 to 2047 all have the same
-/// numbers.
+/// Numbers that every storage type represents exactly. Points 1024 to 2047 have equal numbers.
 fn numbers(points: usize, components: usize) -> Vec<f64> {
     let number = |point: usize, component: usize| match point {
         1024..2048 => component as f64,
@@ -44,7 +43,7 @@ fn texts(file: &ParticleFile, name: &str) -> Vec<String> {
     places.iter().map(|&place| labels[index].texts[place as usize].clone()).collect()
 }
 
-/// The attribute of positions, as f32 in one page.
+/// The attribute of positions, as f32 in pages of 1024 points.
 fn position(points: usize) -> Value {
     let layout = Layout::Pages(1024, vec![3]);
     numeric("P", "fpreal32", 3, tuples(points).as_flattened(), &layout)
@@ -251,7 +250,8 @@ fn points_of_primitives_are_omitted_and_counted_by_kind() {
         let mut found = found.clone();
         found.sort();
         assert_eq!(found, kinds);
-        // Points of a particle system are particles, even if all points belong to it.
+        // The points of a particle system are particles, even if it contains all points of the
+        // file.
         let system = geometry(10, vec![position(10)], &vertices, vec![particles.clone()]);
         let file = read(system.document(form)).unwrap();
         assert_eq!((positions(&file), file.left_out.len()), (tuples(10), 0));
@@ -384,7 +384,7 @@ fn counts_beyond_the_file_size_are_refused_without_allocating() {
             assert!(largest < 1 << 20, "{largest} bytes: {fault}");
         }
     }
-    // Use lengths in the binary form that are far too large.
+    // Use lengths that are far too large, in the binary form.
     for length in [vec![0xf4, 0xff, 0xff, 0xff, 0xff], [&[0xf8][..], &[0xff; 8]].concat()] {
         for kind in [0x27, 0x26, 0x40] {
             let mut bytes = b"\x7fNSJb\x5b".to_vec();
@@ -397,7 +397,7 @@ fn counts_beyond_the_file_size_are_refused_without_allocating() {
     }
     let packed = Container::USUAL.pack(&cloud(7, vec![position(7)]).document(Form::ALL[1]));
     let length = packed.len();
-    // Damage the lengths in a container: of its metadata, header, chunks and index.
+    // Damage the lengths of a container's metadata, header, chunks and index.
     for (at, bytes) in [
         (4, 8),
         (12 + 16 + 4, 4),

@@ -1,4 +1,5 @@
-//! Tests of joined files: the colours of all files get the same scale, and none is scaled twice.
+//! Tests of joined files: the colours of all files get the same scale, and no colour is scaled
+//! twice.
 
 use std::fs;
 use std::path::Path;
@@ -119,7 +120,8 @@ fn joined_files_with_different_spacings_give_each_particle_its_spacing() {
     assert_eq!(joined(&[a, b], WantedPieces::All), (Some(0.25), None));
     let both = [[0.25; 7], [0.5; 7]].concat();
     assert_eq!(joined(&[a, c], WantedPieces::All), (None, Some(both)));
-    // A part of a frame opens some of its files, and must find the attribute of the whole frame.
+    // If only some of a frame's files are opened, as for a part, the attribute of the whole frame
+    // must still be found.
     let (_, values) = joined(&[a, c], WantedPieces::Numbered(&[1]));
     assert_eq!(values, Some(vec![0.5; 7]));
 }

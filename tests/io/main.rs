@@ -1,4 +1,4 @@
-//! Tests of reading and writing every format: valid files are read, and damaged files are errors.
+//! Tests of reading and writing every format: valid files are read, and damaged files give errors.
 #![allow(clippy::unwrap_used)]
 
 mod alembic;

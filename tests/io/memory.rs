@@ -4,19 +4,20 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::sync::atomic::{AtomicBool, AtomicIsize, Ordering};
 
-/// The largest block that tests may allocate, in bytes. A request for a larger block means that a
-/// reader trusts a size in a file's header.
+/// Size, in bytes, of the largest block that tests may allocate. A request for a larger block means
+/// that a reader trusts a size in a file's header.
 const LARGEST_BLOCK: usize = 64 << 20;
 
 thread_local! {
-    /// The largest block that this thread requested since [`largest_allocation`] began.
+    /// Size, in bytes, of the largest block that this thread has requested since
+    /// [`largest_allocation`] began.
     static LARGEST: Cell<usize> = const { Cell::new(0) };
     static UNLIMITED: Cell<bool> = const { Cell::new(false) };
 }
 
 /// Whether [`peak_of_process`] is measuring.
 static COUNTING: AtomicBool = AtomicBool::new(false);
-/// The number of bytes that all threads hold, counted since the measurement began.
+/// The number of bytes that all threads have allocated and not freed since the measurement began.
 static HELD: AtomicIsize = AtomicIsize::new(0);
 /// The peak of [`HELD`].
 static PEAK: AtomicIsize = AtomicIsize::new(0);
@@ -51,8 +52,8 @@ unsafe impl GlobalAlloc for Meter {
 #[global_allocator]
 static METER: Meter = Meter;
 
-/// Returns the result of `call`, and the size in bytes of the largest block that this thread
-/// requests in it.
+/// Returns the result of `call`, and the size, in bytes, of the largest block that this thread
+/// requests during the call.
 ///
 /// During the call, blocks of this thread may be larger than [`LARGEST_BLOCK`], so the caller must
 /// check the size.
@@ -62,7 +63,7 @@ pub fn largest_allocation<T>(call: impl FnOnce() -> T) -> (T, usize) {
     (result, LARGEST.get())
 }
 
-/// Runs `call` without the limit on the blocks of this thread, for tests that make large inputs.
+/// Runs `call` without the limit on the blocks of this thread, for tests that create large inputs.
 pub fn unlimited<T>(call: impl FnOnce() -> T) -> T {
     UNLIMITED.set(true);
     let result = call();
@@ -70,7 +71,7 @@ pub fn unlimited<T>(call: impl FnOnce() -> T) -> T {
     result
 }
 
-/// The maximum number of bytes that all threads allocate at once in `call`.
+/// The maximum number of bytes that all threads together hold during `call`.
 ///
 /// Other tests in the process would be counted too, so the caller must run in its own process.
 pub fn peak_of_process(call: impl FnOnce()) -> usize {

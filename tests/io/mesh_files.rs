@@ -1,5 +1,5 @@
-//! Tests of mesh files: reading returns the written mesh, damage is an error, and a failed write
-//! leaves no file.
+//! Tests of mesh files: reading returns the written mesh, damaged files give an error, and a failed
+//! write leaves no file.
 
 use std::fs;
 use std::io::{self, Read};
@@ -230,7 +230,7 @@ fn obj_files_of_other_programs_are_read() {
     let mesh = MeshFormat::Obj.read(text).unwrap();
     assert_eq!(mesh.positions, [[0., 0., 0.], [1., 0., 0.], [1., 1., 0.], [0., 1., 0.]]);
     assert_eq!(mesh.triangles, [[0, 1, 2], [0, 2, 3], [0, 1, 2], [0, 1, 3]]);
-    // All corners share one normal of the file, so the file has no normals of vertices.
+    // All corners share one normal, so the file has no vertex normals.
     assert_eq!(mesh.normals, None);
     // The file has vertex normals only if the vertex and the normal of every corner have the same
     // index.
@@ -561,7 +561,7 @@ fn the_extension_selects_the_mesh_format_ignoring_case() {
 
 #[test]
 fn an_existing_file_is_replaced_only_on_request_and_atomically() {
-    // Also test a folder in memory, which is below /dev although it is no device.
+    // Also test a folder in memory, which is below /dev although it is not a device.
     let shared = Path::new("/dev/shm").is_dir().then(|| tempfile::tempdir_in("/dev/shm").unwrap());
     for folder in shared.into_iter().chain([tempfile::tempdir().unwrap()]) {
         let path = folder.path().join("a.ply");

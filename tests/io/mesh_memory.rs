@@ -1,5 +1,5 @@
-//! Tests that the memory for writing a mesh depends on the size of its pieces, and not on their
-//! number, except for .stl, which needs all positions.
+//! Tests that the memory for writing a mesh depends on the size of the mesh's pieces, and not on
+//! their number. The exception is .stl, for which all positions are kept.
 
 use std::borrow::Cow;
 use std::io;
@@ -71,8 +71,8 @@ fn write_strips() {
         peak(format, 16);
         let [few, many] = [100, 400].map(|pieces| peak(format, pieces));
         let whole = if format.holds_whole_mesh() { 24 * VERTICES * 300 } else { 0 };
-        // Writing needs two pieces of the mesh, and encoding buffers for eight pieces. The buffers
-        // take up to 110 bytes per triangle, because they grow by doubling.
+        // Writing needs memory for two pieces of the mesh, and for encoding buffers of eight
+        // pieces. The buffers take up to 110 bytes per triangle, because they grow by doubling.
         assert!(few - whole / 3 < (8 * 110 + 2 * 100) * TRIANGLES, "{format}: {few} bytes");
         assert!(
             (whole..whole + few / 4 * 5).contains(&many),

@@ -1,5 +1,5 @@
-//! Tests that a mesh in any pieces gives the same file as the mesh in one piece, and that a piece
-//! that cannot be read leaves no file.
+//! Tests that a mesh gives the same file in any pieces as in one piece, and that no file remains if
+//! a piece cannot be read.
 
 use std::borrow::Cow;
 use std::fs;
@@ -35,8 +35,8 @@ struct Cut {
 }
 
 impl Cut {
-    /// Divides a mesh into pieces with these numbers of vertices and triangles. The last piece has
-    /// the rest of the mesh.
+    /// Divides a mesh into pieces with these numbers of vertices and triangles. The last piece
+    /// contains the rest of the mesh.
     fn new(mesh: &Mesh, vertices: &[usize], triangles: &[usize]) -> Self {
         let ranges = |sizes: &[usize], all: usize| -> Vec<Range<usize>> {
             let ends = sizes.iter().scan(0, |end, size| {

@@ -86,7 +86,7 @@ impl Folder {
     }
 }
 
-/// Opens a frame of particles of one size.
+/// Opens a frame whose particles have one size.
 fn dif(path: &Path, cache_bytes: u64) -> SampledDif {
     match open_frame(path, cache_bytes, None).unwrap() {
         PackedFrame::Dif(sampled) => sampled,
@@ -94,7 +94,7 @@ fn dif(path: &Path, cache_bytes: u64) -> SampledDif {
     }
 }
 
-/// The error of opening a frame that is damaged, but has correct checksums.
+/// The error from opening a frame that is damaged, but has correct checksums.
 fn refusal(folder: &Folder, bytes: &[u8]) -> String {
     open_frame(&folder.file(bytes), 1 << 20, None)
         .expect_err("damage is not detected")
@@ -179,7 +179,7 @@ fn extreme_frame_facts_are_preserved() {
     }
 }
 
-/// A frame with a box that is periodic along y, between the walls of a tank.
+/// A frame in a box that is periodic along y and has walls along x and z.
 fn small_periodic() -> SampledDif {
     let (open, mut frame) = (f64::INFINITY, small());
     let grid = frame.facts.grid;
@@ -441,7 +441,7 @@ fn packed_sizes_in_large_cells_and_far_away_are_read() {
             |error: Error| error.to_string().replace(&format!("{}: ", path.display()), "");
         assert_eq!(found.map_err(of_file), expected, "cells of {cell}");
     }
-    // A page of the coarsest octave that is beyond the finest grid.
+    // Move a page of the coarsest octave beyond the finest grid.
     let good = fs::read(&path).unwrap();
     let Layout { footer, index } = Layout::of(&good);
     let (layout, mut bad) = (Layout { footer, index: index + 16 }, good);

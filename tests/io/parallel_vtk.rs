@@ -64,7 +64,7 @@ fn list(sources: &[&str]) -> String {
 }
 
 /// A piece with a point at (i, 2 i, 3 i) + 0.1 for each i in `points`. All attributes of the point
-/// are i. The points in `ghosts` are flagged.
+/// have the value i. The points in `ghosts` are flagged as ghosts.
 fn piece(kind: &str, points: &[usize], attributes: &[&str], ghosts: &[usize]) -> String {
     let numbers = |values: &mut dyn Iterator<Item = String>| values.collect::<Vec<_>>().join(" ");
     let where_ = numbers(
@@ -106,7 +106,7 @@ fn pieces_written_by_vtk_are_joined_without_ghosts() {
         assert_eq!(names, [("velocity", 3), ("id", 1)], "{name}");
         assert_eq!(attribute(&file, "id"), (0..24).map(|i| i as f32).collect::<Vec<_>>(), "{name}");
         assert!(!holds_mesh(&data(name)).unwrap(), "{name}");
-        // Every range of particles must be right, also across ghosts and pieces.
+        // Every range of particles must be right, even across ghosts and pieces.
         for first in 0..=points.len() {
             for count in 0..=points.len() - first {
                 let mut part = vec![[0.0; 3]; count];
@@ -359,8 +359,8 @@ fn a_pvtp_mesh_is_a_list_and_a_folder_that_read_back_unchanged() {
     assert_eq!(read_mesh(&path).unwrap(), mesh);
     assert!(holds_mesh(&path).unwrap());
 
-    // The list and its folder are replaced only if this is allowed. Other files in the folder are
-    // kept.
+    // The list and its folder are replaced only with `Replace::Allow`, and never if the folder
+    // contains other files.
     let exists = |fault: &WriteFault| matches!(fault, WriteFault::Exists);
     assert!(exists(&write(Replace::Refuse).unwrap_err().fault));
     fs::remove_file(&path).unwrap();
@@ -381,8 +381,8 @@ fn a_pvtp_mesh_is_a_list_and_a_folder_that_read_back_unchanged() {
     assert!(read_mesh(&path).unwrap_err().path.ends_with("torus_0.vtp"));
 }
 
-/// A piece like that of [`piece`], with a vertex for each point in `order`. The vertices have these
-/// flags, under the given name.
+/// A piece like that of [`piece`], with a vertex for each point in `order`. The array `name`
+/// contains the flags of the vertices.
 fn with_cells(polydata: bool, order: &[usize], name: &str, flags: &[u8]) -> String {
     let numbers = |values: &mut dyn Iterator<Item = usize>| {
         values.map(|value| value.to_string()).collect::<Vec<_>>().join(" ")
@@ -432,7 +432,8 @@ fn points_whose_vertices_are_all_ghosts_are_omitted() {
             let found = points_left(polydata, &with_cells(polydata, &order, name, &flags)).unwrap();
             assert_eq!(found, left, "{name} {flags:?}");
         }
-        // A point with an unflagged second vertex is no ghost, and neither is one without vertices.
+        // A point with a flagged and an unflagged vertex is not a ghost, and neither is a point
+        // without vertices.
         let text = with_cells(polydata, &[0, 0, 1, 2, 2], "vtkGhostType", &[1, 0, 1, 1, 1]);
         assert_eq!(points_left(polydata, &text).unwrap(), [0, 3, 4, 5]);
         // Flags of a cell with several points do not apply to its points.

@@ -306,7 +306,7 @@ fn a_truncated_file_of_encoded_numbers_is_refused_at_every_length() {
     }
 }
 
-/// The result of a reader as text: all numbers, or the error.
+/// The result of a reader, as text: all numbers, or the error.
 fn outcome(file: Result<ParticleFile, ReadFault>) -> String {
     let numbers = |file: ParticleFile| {
         let values: Vec<_> =
@@ -637,7 +637,7 @@ fn concatenated_compressed_streams_are_read_as_one_file() {
                 .unwrap();
             assert_eq!(open_particles(&path).unwrap().particles.len(), count, "{extension}");
         }
-        // Bytes after a stream that do not form another stream are an error.
+        // Bytes that follow a stream but do not form another stream give an error.
         let begun = &pack(&two)[..4];
         std::fs::write(&path, [&pack(&one), begun, b"rest"].concat()).unwrap();
         let fault = open_particles(&path).expect_err("refused").fault;
@@ -725,7 +725,7 @@ fn huge_counts_of_encoded_numbers_are_refused_without_allocating() {
             for field in 0..if layout.is_compressed() { 3 } else { 1 } {
                 let width = if layout.wide { 8 } else { 4 };
                 let mut bytes = bytes.clone();
-                // Find the offset of the array of points, which is in the last element.
+                // Find the offset of the array of points, which the last element contains.
                 let offset: usize = text
                     .split("Name=\"Points\"")
                     .nth(1)

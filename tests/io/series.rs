@@ -1,5 +1,5 @@
-//! Tests of the listings of a simulation for other programs, which are valid after each frame, and
-//! of a USD stage with its layers.
+//! Tests of the listings that a simulation writes for other programs, and of a USD stage with its
+//! layers. Listings must be valid after each frame.
 
 use std::fs;
 use std::path::Path;

@@ -181,7 +181,7 @@ fn a_snapshot_is_read_completely_from_any_of_its_files_or_its_view() {
     assert_eq!(whole[..9], points()[..9]);
     let single: Vec<_> = points()[9..].iter().map(|p| p.map(|x| f64::from(x as f32))).collect();
     assert_eq!(whole[9..], single);
-    // One file has no particles of this type, and there is no virtual file that joins them.
+    // One file has no particles of this type, and no virtual file joins the files.
     let folder = copied("gadget_005.");
     fs::remove_file(folder.path().join("gadget_005.hdf5")).unwrap();
     assert_eq!(open_type(&folder.path().join(GADGET[2]), None).unwrap().particles.len(), 24);
@@ -294,7 +294,7 @@ fn contiguous_arrays_are_read_in_place_without_scratch_files() {
         let file = open_wanted(&data(name), wanted, nowhere).unwrap();
         assert_eq!(file.particles.scratch_bytes(), 0, "{name}");
     }
-    // Arrays in chunks need memory or scratch files, and here there is neither.
+    // Arrays in chunks need memory or scratch files, and neither is available here.
     let error = open_wanted(&data("grid.vtkhdf"), wanted, nowhere).unwrap_err();
     assert!(matches!(error.fault, ReadFault::Scratch(_)), "{error}");
 }
@@ -377,7 +377,7 @@ fn each_snapshot_in_a_folder_is_one_frame() {
         let arguments = [&inputs[..], &["-o", "m/", "--spacing", "1", "--overwrite"]].concat();
         assert_eq!(run(&arguments), expected, "{inputs:?}");
     }
-    // If a virtual file joins the pieces of a snapshot, it stands for the snapshot.
+    // If a virtual file joins the pieces of a snapshot, it represents the snapshot.
     fs::copy(data("gadget_005.hdf5"), path.join("gadget_005.hdf5")).unwrap();
     fs::copy(data("gadget_005.hdf5"), path.join("gadget_006.hdf5")).unwrap();
     assert_eq!(run(&[".", "-o", "m/", "--spacing", "1", "--overwrite"]), expected);

@@ -1,5 +1,5 @@
 //! Tests of .vdb files: a separate reader decodes each voxel, tile and value as in OpenVDB's
-//! sources, and the tests compare them with exact distances.
+//! sources, and the tests compare the values with exact distances.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -33,7 +33,7 @@ struct Grid {
     origin: [f64; 3],
     step: f64,
     background: Vec<f64>,
-    /// The values of tiles, by the edge and the corner of the tile.
+    /// The values of each tile, by the tile's edge and corner.
     tiles: BTreeMap<(i32, Index), Vec<f64>>,
     leaves: BTreeMap<Index, Leaf>,
 }
@@ -53,7 +53,7 @@ struct Node {
 #[derive(Clone, Copy)]
 struct Values {
     components: usize,
-    /// Size of a number in bytes.
+    /// Size of a number, in bytes.
     bytes: usize,
     /// Whether numbers are integers.
     whole: bool,
@@ -219,8 +219,8 @@ impl Reader<'_> {
         }
     }
 
-    /// Reads the values of a node. The file stores only the values of active voxels; all others are
-    /// the background or its negative.
+    /// Reads the values of a node. The file stores only the values of active voxels. All other
+    /// values are the background or its negative.
     fn values(&mut self, values: Values, background: &[f64], active: &[bool]) -> Vec<Vec<f64>> {
         let negated: Vec<f64> = background.iter().map(|number| -number).collect();
         let [kind] = self.array();
@@ -367,9 +367,10 @@ type Body = (&'static str, Mesh, Box<dyn Fn([f64; 3]) -> f64>);
 fn bodies() -> Vec<Body> {
     let centre = [0.4, -1.3, 6.9];
     let ball = moved(&sphere(2.0, 6), centre);
-    // A box with both signs of coordinates, longer along one axis than a node of 128 voxels.
+    // A box with positive and negative coordinates. Along one axis, it is longer than a node of 128
+    // voxels.
     let (low, high) = ([-3.21, -2.0, 2.5], [6.0, 3.33, 15.9]);
-    // Two boxes that share an edge, and two balls that touch in a vertex.
+    // Two boxes that share an edge, and two balls that touch at a vertex.
     let (one, other) = ([[0.0, 0.0, 7.0], [1.5, 1.5, 9.0]], [[1.5, 1.5, 7.0], [3.0, 3.0, 9.0]]);
     let cubes = union(&cuboid(one[0], one[1]), &cuboid(other[0], other[1]));
     let second = [centre[0] + 3.0, centre[1], centre[2]];
@@ -515,7 +516,8 @@ fn attributes_are_grids_of_their_values_at_the_nearest_point() {
             let component = if grid.name == "pair_0_" { 0 } else { component };
             for &index in &active {
                 let place = surface.place(index);
-                // Compare attributes only outside of the box, where its nearest point is unique.
+                // Compare attributes only outside the box, where the nearest point of the box is
+                // unique.
                 let outside = surface.at(index).0[0] > 0.0;
                 let nearest: [f64; 3] =
                     std::array::from_fn(|axis| place[axis].clamp(low[axis], high[axis]));
@@ -691,7 +693,7 @@ fn a_damaged_file_is_refused_or_read_and_never_a_panic() {
         }
     }
     assert_eq!(read_grids(damaged[..].into()).unwrap(), whole);
-    // Other versions, and files without offsets of grids, are unsupported.
+    // Other versions, and files without grid offsets, are unsupported.
     for (at, value) in [(8, 221), (8, 225), (20, 0)] {
         damaged[at] = value;
         let fault = read_grids(damaged[..].into()).unwrap_err();

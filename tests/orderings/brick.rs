@@ -1,5 +1,5 @@
-//! Tests of the slots that binning fills. The module `slots` is the library's file, and the items
-//! before it replace the items that this file imports from its parent module.
+//! Tests of the slots that binning fills. The module `slots` is the library's file. The items
+//! before it replace the items that the library's file imports from its parent module.
 
 use loom::sync::atomic;
 
@@ -15,7 +15,7 @@ use loom::sync::Arc;
 use loom::thread;
 use slots::Slots;
 
-/// Several threads fill slots of the same bins, as when spilled runs of particles are read.
+/// Several threads fill slots of the same bins, as they do when spilled runs of particles are read.
 #[test]
 fn slots_have_all_values_after_the_threads_are_joined() {
     loom::model(|| {

@@ -1,5 +1,5 @@
-//! Tests of the gate of parallel frames. The module `gate` is the library's file, and the items
-//! before it replace the items that this file imports from its parent module.
+//! Tests of the gate of parallel frames. The module `gate` is the library's file. The items before
+//! it replace the items that the library's file imports from its parent module.
 
 mod sync {
     pub use loom::sync::{Condvar, Mutex, MutexGuard};
@@ -14,8 +14,8 @@ use loom::sync::Arc;
 use loom::sync::atomic::{AtomicUsize, Ordering};
 use loom::thread;
 
-/// Checks that at most `lanes` frames are inside the gate at once, that a frame which must be alone
-/// is alone, and that every frame passes.
+/// Checks that at most `lanes` frames are inside the gate at once, that no other frame is inside
+/// together with a frame that must be alone, and that every frame passes.
 fn try_gate(lanes: usize, alone: &'static [bool]) {
     let mut model = loom::model::Builder::new();
     // Without a limit on preemptions, the test would not end. With this limit, it tries most

@@ -578,7 +578,7 @@ fn info_distinguishes_particles_from_meshes() {
     let spacing = infos[0]["spacing"].as_f64().unwrap();
     assert!((spacing / 0.5 - 1.0).abs() < 0.05, "{spacing}");
     assert_eq!(meniscus(folder.path(), &["info", "missing.ply"]).status.code(), Some(3));
-    // A bad file does not prevent the output about the other files.
+    // A bad file does not suppress the output for the other files.
     let run =
         meniscus(folder.path(), &["info", "missing.ply", "ball.xyz", "absent.ply", "ball.ply"]);
     assert_eq!(run.status.code(), Some(3));
@@ -790,7 +790,7 @@ fn the_output_is_independent_of_the_backend_and_the_memory_budget() {
                 stats["backend"].as_str().unwrap().starts_with("Vulkan"),
                 "{arguments:?}: {stats}"
             );
-            // The ball is around the origin, so there are eight bins and eight blocks.
+            // The ball surrounds the origin, so it occupies eight bins and eight blocks.
             let on_device = ["pages_on_device", "regions_on_device"].map(|key| stats[key].as_u64());
             assert_eq!(on_device, [Some(8); 2], "{arguments:?}: the CPU did some of the work");
         }
@@ -894,7 +894,7 @@ fn a_simplified_ball_is_watertight_and_its_simplification_is_reported() {
     assert!(fs::read(folder.path().join("less.glb")).unwrap().starts_with(b"glTF"));
 }
 
-/// Reconstructs a mesh and returns its bytes and the messages of the program.
+/// Reconstructs a mesh, and returns its bytes and the program's messages.
 #[track_caller]
 fn reconstructed(folder: &Path, input: &str, more: &[&str]) -> (Vec<u8>, String) {
     let options = ["reconstruct", input, "-o", "reconstructed.ply", "--overwrite"];
@@ -946,7 +946,7 @@ fn fine_cells_give_the_same_bytes_for_any_threads_budget_and_packing() {
     let folder = TempDir::new().unwrap();
     let frame = data("dambreak_small/ParticleData_Fluid_20.bgeo");
     let frame = frame.to_str().unwrap();
-    // In shallow fluid, the messages about clouds and about counting differ.
+    // In shallow fluid, clouds and counting give different messages.
     for (indicator, note) in
         [("cloud", "because the fluid is too shallow"), ("counting", "computed from the spacing")]
     {
@@ -1057,7 +1057,7 @@ fn a_surface_that_loses_most_of_its_particles_causes_a_warning() {
     assert!(!notes(&[]).contains("warning"));
     let lost = notes(&["--indicator", "counting", "--iso", "0.28"]);
     assert!(lost.contains("% of the volume of") && lost.contains("a lower --iso"), "{lost}");
-    // A ball, and three times as many particles in spray.
+    // A ball, and spray with three times as many particles.
     let mut random = Random::new(3);
     let ball = fill(10.0, 2.0, 0.2, 3, |p| p.length() < 4.0);
     let spray = (0..3 * ball.len()).map(|_| [(); 3].map(|()| 10.0 + 200.0 * random.unit()));
@@ -1143,7 +1143,7 @@ fn a_mesh_is_refused_as_particles_but_points_with_vertex_cells_are_read() {
     let packed = meniscus(folder.path(), &["pack", "ball.xyz", "-o", "ball.mnf", "--quiet"]);
     assert!(packed.status.success());
     for mesh in ["mesh.ply", "mesh.vtk", "mesh.vtp", "mesh.vtkhdf"] {
-        // A packed frame is an input of `reconstruct`, but a mesh is not.
+        // `reconstruct` accepts a packed frame as input, but not a mesh.
         let meshed = meniscus(folder.path(), &["reconstruct", "ball.mnf", "-o", mesh, "--quiet"]);
         assert!(meshed.status.success(), "{mesh}");
         let faces = read_mesh(&folder.path().join(mesh)).unwrap().triangles.len();
@@ -1259,7 +1259,8 @@ fn printed_numbers_are_rounded_and_json_has_all_digits() {
     for command in ["info", "check"] {
         let text = String::from_utf8(meniscus(folder.path(), &[command, "a.ply"]).stdout).unwrap();
         let corners = text.lines().find(|line| line.trim().starts_with("box")).unwrap();
-        // The box has six numbers. Each has up to six digits, and maybe a zero before its point.
+        // The box has six numbers. Each has up to six digits, and maybe a zero before its decimal
+        // point.
         assert!((12..=42).contains(&digits(corners)), "{corners}");
     }
     let json = meniscus(folder.path(), &["check", "--json", "a.ply"]);
@@ -1296,7 +1297,8 @@ fn every_setting_is_an_option_and_pack_refuses_surface_settings() {
     }
 }
 
-/// Packs a particle and reconstructs it. The options name the default method explicitly.
+/// Packs a particle, and reconstructs the packed frame. The options name the default method
+/// explicitly.
 fn pack_with_the_default_method(folder: &Path) {
     let given = ["--spacing", "1", "--method", "dif"];
     let pack = meniscus(folder, &[&["pack", "one.xyz", "-o", "given.mnf"], &given[..]].concat());
@@ -1331,7 +1333,7 @@ fn a_given_format_overrides_the_file_extension() {
     }
     let messages = run(&["reconstruct", "dump_1.out", "-o", "other.ply"], 2);
     assert!(messages.contains("extension") && messages.contains("--format"), "{messages}");
-    // Reading the file in a wrong format is an error.
+    // Reading the file in the wrong format gives an error.
     run(&["reconstruct", "dump_1.out", "-o", "other.ply", "--format", "bgeo"], 3);
     fs::copy(path("ball.xyz"), path("dump_3.out")).unwrap();
     run(&["reconstruct", "dump_{}.out", "-o", "out/m_{}.ply", "--format", "xyz"], 0);

@@ -1,5 +1,5 @@
-//! Tests random pairs and triples of options on a small frame. Either the mesh is closed and does
-//! not depend on threads, memory and backend, or there is an error and no file.
+//! Tests random pairs and triples of options on a small frame. Each combination must give either a
+//! closed mesh that does not depend on threads, memory and backend, or an error and no file.
 //!
 //! `MENISCUS_OPTIONS=5000` tries 5000 combinations, and `MENISCUS_OPTION=77` repeats number 77.
 
@@ -92,7 +92,7 @@ impl Run {
         );
     }
 
-    /// Checks the result of a run. `before` are the files in the folder before the run.
+    /// Checks the result of a run. `before` lists the files that were in the folder before the run.
     fn check_result(&self, folder: &Path, before: &[String]) {
         self.ensure([0, 2, 3].contains(&self.code), "an unexpected exit code");
         self.ensure(!self.errors.contains("panicked"), "a panic");

@@ -32,7 +32,7 @@ fn ball(radius: f64) -> Vec<[f64; 3]> {
     fill(2.0 * radius, 1.0, 0.3, 1, |p| p.length() < radius)
 }
 
-/// Particles as a .ply file, which could also be a mesh by its extension.
+/// Particles as a .ply file, whose extension could also be that of a mesh.
 fn ply(particles: &[[f64; 3]]) -> Vec<u8> {
     let count = particles.len();
     let header = format!(
@@ -247,7 +247,7 @@ fn inputs_are_not_overwritten_through_links_or_other_paths() {
     ] {
         refused(folder.path(), &all(&["--stats", stats]), stats);
     }
-    // Inputs must not be overwritten by the conversion of a single frame either.
+    // The conversion of a single frame must not overwrite inputs either.
     let one = [
         "reconstruct",
         "f_2.xyz",

@@ -139,7 +139,7 @@ fn packed_frames_parts_and_sequences_apply_the_condition() {
     reconstruct(folder, &[&["tank/{}.csv", "-o", "tanks/{}.obj"], &chosen[..]].concat(), 0);
     reconstruct(folder, &["fluid/{}.csv", "-o", "fluids/{}.obj"], 0);
     assert_eq!(read("tanks/2.obj"), read("fluids/2.obj"));
-    // A conversion with another condition cannot be resumed.
+    // A conversion cannot be resumed with a different condition.
     let other = ["tank/{}.csv", "-o", "tanks/{}.obj", "--resume", "--where", "Type=1"];
     assert!(reconstruct(folder, &other, 2).contains("where"));
 }
@@ -153,7 +153,8 @@ fn inapplicable_conditions_are_refused_with_the_available_values() {
         ("tank.csv", "Type=wall", 2, &["wall", "numbers"]),
         ("tank.csv", "Type.y=5", 2, &["Type.y", "single number", "use Type"]),
         ("words.csv", "phase<2", 2, &["phase", "its values are text"]),
-        // A condition without a match is an error of the input, because other frames may match.
+        // A condition without a match counts as an error of the input, because other frames may
+        // match.
         ("tank.csv", "Type=5", 3, &["Type=5", "0 (", "1 ("]),
         ("words.csv", "Phase=solid", 3, &["Phase=solid", "fluid (", "the wall ("]),
     ] {

@@ -1,5 +1,5 @@
 //! Tests of inputs that change while they are read: the frame fails with an error that names the
-//! file. There is no signal and no wrong mesh.
+//! file. The process gets no signal, and makes no wrong mesh.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::Write;
@@ -122,8 +122,8 @@ fn decoded_formats(folder: &Path) -> Vec<PathBuf> {
         .to_vec()
 }
 
-/// The number of bytes that a process has read from all files; `u64::MAX` if the system does not
-/// count them.
+/// The number of bytes that a process has read from all files. Returns `u64::MAX` if the system
+/// does not count them.
 fn bytes_read(child: &Child) -> u64 {
     let counts = fs::read_to_string(format!("/proc/{}/io", child.id())).unwrap_or_default();
     let read = counts.lines().find_map(|line| line.strip_prefix("rchar: "));
@@ -190,7 +190,8 @@ fn a_particle_that_changes_its_bin_between_two_passes_is_an_error() {
     for by in [[9.0, 0.0, 0.0], [1e4, 0.0, 0.0], [f64::NAN, 0.0, 0.0]] {
         for budget in [MemoryBudget(1 << 30), MemoryBudget(32 << 20)] {
             let particles = fill(60.0, 2.0, 0.2, 3, |p| p.length() < 24.0);
-            // Use so many cells that positions are not kept after the first pass but read again.
+            // Use so many cells that the library does not keep the positions after the first pass,
+            // but reads them again.
             let request = Reconstruction::new().spacing(0.5).cell(0.15).memory(budget);
             let unstable =
                 |still| Unstable { particles: particles.clone(), still, passes: 0.into(), by };

@@ -133,7 +133,7 @@ fn a_report_contains_settings_measurements_and_skipped_particles() {
     assert!(again.report().measured.is_none() && bytes_of(&again) == bytes_of(&surface));
 }
 
-/// The key of the setting that an error is about.
+/// The key of the setting that caused an error.
 fn key(error: &Error) -> String {
     match error {
         Error::Unit(unit) => unit.name().to_owned(),
@@ -310,7 +310,8 @@ fn empty_frames_are_errors_alone_but_empty_meshes_in_a_live_simulation() {
         let mesh = surface.to_mesh().unwrap();
         counts(surface) == [0; 2] && mesh.normals.is_some() && mesh.positions.is_empty()
     };
-    // A frame without particles is empty before and after the calibration is measured.
+    // A frame without particles gives an empty mesh, both before and after the calibration is
+    // measured.
     assert!(empty(&simulation.frame(&none).unwrap()));
     assert!(!empty(&simulation.frame(&ball()).unwrap()) && simulation.is_settled());
     assert!(empty(&simulation.frame(&none).unwrap()));
@@ -326,7 +327,7 @@ fn empty_frames_are_errors_alone_but_empty_meshes_in_a_live_simulation() {
     let path = folder.path().join("empty.ply");
     drop.write(&path).unwrap();
     assert_eq!(read_mesh(&path).unwrap().triangles.len(), 0);
-    // A frame without any valid position is still an error.
+    // A frame without any valid position still gives an error.
     let error = simulation.frame(&[[f64::NAN; 3]]).unwrap_err();
     assert_eq!(error.cause(), Cause::Input, "{error}");
 }

@@ -1,4 +1,4 @@
-//! Tests of memory budgets: a frame that needs scratch files has the same mesh, and stays within
+//! Tests of memory budgets: a frame that needs scratch files gives the same mesh, and stays within
 //! its budget.
 
 use std::fs;
@@ -90,8 +90,8 @@ fn wide_attributes_have_the_values_of_narrow_ones_at_little_more_memory() {
     for (of_narrow, of_wide) in narrow.values.chunks(3).zip(wide.values.chunks(WIDE)) {
         assert!(of_wide.iter().enumerate().all(|(i, value)| *value == of_narrow[i % 3]));
     }
-    // With more components, the memory of vertex attributes grows, but not the memory that threads
-    // need for smoothing.
+    // With more components, vertex attributes need more memory, but smoothing in the threads does
+    // not.
     let meshing = |carried| {
         let sampling = carrying(carried);
         CountedFrame::for_surface(&particles, &sampling, &surfacing(), None)
@@ -125,7 +125,7 @@ fn spray_is_stored_sparsely_within_the_estimated_memory() {
             .into_iter()
             .flat_map(|i| [BrickSide::Eight, BrickSide::Sixteen].map(|side| (i, side)))
         {
-            // The spacing for which a cell has two particles.
+            // The spacing, in cells, for which a cell contains two particles.
             let spacing_cells = 2_f64.cbrt().recip();
             let rule = PageRule { indicator, spacing_cells, side, walls: None };
             let plan = BinPlan::count(
@@ -254,7 +254,7 @@ fn a_frame_that_is_mostly_surface_stays_within_the_budget() {
         assert!(run.status.success(), "{arguments}: {}", String::from_utf8_lossy(&run.stderr));
         String::from_utf8(run.stdout).unwrap()
     };
-    // Measure the memory of the program itself, mostly its code, which is not part of the budget.
+    // Measure the memory of the program itself, which is mostly code and not part of the budget.
     fs::write(folder.path().join("drop.xyz"), [0; 12]).unwrap();
     let drop =
         "reconstruct drop.xyz -o drop.ply --spacing 1 --cell-size 1 --threads 2 --stats stats";
@@ -282,7 +282,7 @@ fn a_frame_that_is_mostly_surface_stays_within_the_budget() {
     }
 }
 
-/// The total size of the unnamed files in `scratch` that a process has opened, in bytes.
+/// The total size, in bytes, of the unnamed files in `scratch` that a process has opened.
 #[cfg(target_os = "linux")]
 fn scratch_bytes(child: &Child, scratch: &Path) -> u64 {
     let Ok(open) = fs::read_dir(format!("/proc/{}/fd", child.id())) else { return 0 };
@@ -400,8 +400,8 @@ fn a_frame_that_fits_its_budget_uses_no_scratch_files() {
     assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
 }
 
-/// A folder with 1.5 million particles as a table, a .ply and a .vtk, and their surface in
-/// `whole.ply`. The particle files are text of about 45 MB.
+/// A folder with 1.5 million particles as a table, a .ply file and a .vtk file, and with their
+/// surface in `whole.ply`. Each particle file contains about 45 MB of text.
 fn folder_with_texts() -> TempDir {
     let folder = TempDir::new().unwrap();
     let lines: Vec<String> =
@@ -459,7 +459,7 @@ fn text_inputs_larger_than_the_budget_are_read_within_it() {
 #[test]
 fn a_frame_too_large_for_any_memory_is_refused_before_the_work() {
     let mut particles = moving(splashes(31));
-    // Attributes that would need exbibytes, but are never read.
+    // Use attributes that would need exbibytes, but are never read.
     particles.attributes[0].components = 1 << 36;
     let scratch = TempDir::new().unwrap();
     let resources = Resources::new(MemoryBudget(1 << 20), scratch.path().to_owned());

@@ -1,5 +1,5 @@
-//! Metamorphic tests: a frame that is moved, mirrored, scaled, repeated or computed differently has
-//! the corresponding mesh.
+//! Metamorphic tests: a frame that is moved, mirrored, scaled, repeated or computed differently
+//! gives the corresponding mesh.
 //!
 //! `MENISCUS_RELATIONS=500` tries 500 frames, and `MENISCUS_RELATION=77` repeats number 77.
 
@@ -16,17 +16,17 @@ use crate::common::{shuffle, watertight};
 /// Default number of frames to try.
 const FRAMES: u64 = 4;
 
-/// Edge of a cell in spacings. All lengths have few binary digits, so that they are exact.
+/// Edge of a cell, in spacings. All lengths have few binary digits, so that they are exact.
 const CELL: f64 = 0.5;
 /// Number of coordinate steps per spacing. Particles are at half steps, so that none is on a cell
 /// face.
 const STEPS: f64 = 64.0;
-/// Maximum distance between corresponding vertices, in spacings. It is not 0, because positions are
-/// rounded.
+/// Maximum distance between corresponding vertices, in spacings. It is nonzero because positions
+/// are rounded.
 const NEAR: f64 = 1e-9;
-/// Maximum distance between corresponding vertices of mirrored meshes. Positions in a cell are
-/// rounded down, which moves the surface where the field is nearly flat, such as at the rims of
-/// sheets.
+/// Maximum distance between corresponding vertices of mirrored meshes, in spacings. Positions in a
+/// cell are rounded down, which moves the surface where the field is nearly flat, such as at the
+/// rims of sheets.
 const NEAR_IN_MIRROR: f64 = 0.1;
 
 /// Water at spacing 1 within 6 spacings of the origin: a pool, a ball or two, and spray.

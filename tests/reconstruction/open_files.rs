@@ -1,4 +1,5 @@
-//! Tests of inputs and meshes with more pieces than a process may open files.
+//! Tests of inputs and meshes whose number of pieces exceeds the number of files that a process may
+//! open.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::Write as _;
@@ -13,7 +14,7 @@ use tempfile::TempDir;
 use crate::common::files::raw;
 use crate::common::{fill, program};
 
-/// Number of pieces, more than [`MAX_OPEN_FILES`].
+/// Number of pieces, which exceeds [`MAX_OPEN_FILES`].
 const PIECES: usize = 700;
 const MAX_OPEN_FILES: usize = 256;
 
@@ -125,7 +126,7 @@ fn a_changed_piece_is_an_error_whether_its_file_is_open_or_closed() {
             fs::metadata(path).unwrap().modified().unwrap() + std::time::Duration::from_secs(1);
         File::options().write(true).open(path).unwrap().set_modified(modified).unwrap();
     };
-    // Change pieces that the library may have closed: any piece except the last ones.
+    // Change pieces that the library may have closed, which are any pieces except the last ones.
     for change in [shorter as fn(&Path), longer, later] {
         for changed in [PIECES / 2, PIECES - 20] {
             assert!(is_changed(&sample_after(changed..changed + 1, change).unwrap_err()));
@@ -133,7 +134,7 @@ fn a_changed_piece_is_an_error_whether_its_file_is_open_or_closed() {
     }
     // Not all of these pieces can still be open, so some are opened again.
     let many = 0..MAX_OPEN_FILES;
-    // Replace a piece by another file with the same name, size and time.
+    // Replace a piece with another file that has the same name, size and time.
     let replaced = |path: &Path| {
         let (bytes, modified) =
             (fs::read(path).unwrap(), fs::metadata(path).unwrap().modified().unwrap());

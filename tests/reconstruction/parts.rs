@@ -67,7 +67,8 @@ fn scenes() -> TempDir {
     folder
 }
 
-/// The messages of a run about its mesh, without times and without lines that contain `about`.
+/// The messages that a run prints about its mesh, without times and without lines that contain
+/// `about`.
 fn messages(text: &str, about: &str) -> Vec<String> {
     let timed = |line: &str| line.split(" in ").next().unwrap().to_owned();
     // Runs in parts do not search for walls, so remove this message.
@@ -394,7 +395,8 @@ fn invalid_requests_for_parts_are_refused_and_leave_no_files() {
         assert!(errors.contains(message), "{arguments:?}: {errors}");
         assert_eq!(names(folder), before, "{arguments:?} left something behind");
     }
-    // An invalid input must exit with the code for inputs, and not for requests.
+    // With an invalid input, the exit code must be the code for inputs, and not the code for
+    // requests.
     fs::write(folder.join("none.xyz"), "").unwrap();
     run(folder, &["none.xyz", "-o", "m.ply", "--parts", "2", "--plan", "--spacing", "1"], 3);
     assert!(!folder.join("m.ply.meniscus-parts").exists());
@@ -486,7 +488,7 @@ fn field_of(
     field(&recipe(&frame), dif(&frame), cells)
 }
 
-/// The six boxes that are smaller by one layer of cells on one side.
+/// The six boxes that lack one layer of cells on one side of `cells`.
 fn narrower(cells: CellBox) -> [CellBox; 6] {
     std::array::from_fn(|side| {
         let mut less = cells;
@@ -499,14 +501,14 @@ fn narrower(cells: CellBox) -> [CellBox; 6] {
     })
 }
 
-/// The cells on which a block's field is needed.
+/// The cells in which a block's field is needed.
 fn needed(normals: Normals) -> CellBox {
     normals.cells(CellBox::cube(IVec3::ZERO, BLOCK))
 }
 
 #[test]
 fn the_halo_of_the_cloud_recipe_is_exactly_the_reach_of_a_particle() {
-    // In calm water, the widest Gaussian has the longest reach; elsewhere, the inside test has the
+    // In calm water, the widest Gaussian has the longest reach. Elsewhere, the inside test has the
     // longest reach.
     for (spacing, smooth) in [(1.0, 3.0), (2.0, 3.0), (2.0, 1.6), (4.0, 1.6)] {
         let sampling =
@@ -522,8 +524,8 @@ fn the_halo_of_the_cloud_recipe_is_exactly_the_reach_of_a_particle() {
                 let surfacing = &surfacing;
                 move |frame: &Engine| surfacing.recipe(dif(frame), &Calibration::Clouds { plateau })
             };
-            // The same arrangement of particles in all wide cells, so that the outermost cells that
-            // matter contain particles.
+            // Use the same arrangement of particles in all wide cells, so that the outermost cells
+            // that matter contain particles.
             let lattice: Vec<[f64; 3]> = (seen.grown(20, 20).cubes(1))
                 .filter(|cell| (*cell - outermost) % spacing as i32 == IVec3::ZERO)
                 .map(|cell| (cell.as_dvec3() + 0.5).to_array())
@@ -580,7 +582,7 @@ fn the_halo_of_the_counting_recipe_is_exactly_the_reach_of_a_particle() {
         let all = CellBox { lo: IVec3::splat(-1000), hi: IVec3::splat(1000) };
         for (side, less) in narrower(seen).into_iter().enumerate() {
             let (axis, up) = (side % 3, if side < 3 { -1 } else { 1 });
-            // Particles are in the outermost cell that matters, and in a cell whose recovered
+            // Put particles into the outermost cell that matters, and into a cell whose recovered
             // details reach the outermost needed cell.
             let at = |place: i32| {
                 let mut cell = IVec3::splat(16);
@@ -609,7 +611,7 @@ fn the_halo_of_the_counting_recipe_is_exactly_the_reach_of_a_particle() {
                     .at(between);
             }
             let whole = field_of(&particles, all, &sampling, by(threshold), cells);
-            // Add a particle that has a surface, because a frame without a surface is an error.
+            // Add a particle that has a surface, because a frame without a surface gives an error.
             particles.push(middle(at(edge - 16 * up)));
             let whole_with = field_of(&particles, all, &sampling, by(threshold), cells);
             assert!(field_of(&particles, seen, &sampling, by(threshold), cells) == whole_with);
@@ -625,8 +627,8 @@ fn the_halo_of_the_counting_recipe_is_exactly_the_reach_of_a_particle() {
 
 #[test]
 fn carried_attributes_extend_the_cells_that_a_block_depends_on() {
-    // For the paper's indicators, attributes have the same reach as the field; for clouds, a
-    // shorter one.
+    // For the paper's indicators, attributes have the same reach as the field. For clouds, they
+    // have a shorter reach.
     for kind in [IndicatorKind::Symmetry, IndicatorKind::Cloud] {
         let sampling = Sampling { method: kind.into(), spacing: Some(1.5), ..sampling() };
         let with = Sampling { carried: vec![0], ..sampling.clone() };

@@ -1,5 +1,5 @@
 //! Tests that a part reads only the particles near its range of the Morton curve, and detects
-//! changes of these particles since the plan.
+//! changes of these particles since the plan was made.
 
 use std::fmt::Write as _;
 use std::fs::{self, File};
@@ -15,15 +15,15 @@ use crate::common::shuffle;
 
 /// A long pool along x, whose particles are sorted by x, as a simulation may sort them.
 ///
-/// Blocks at the sides of the pool have almost no surface. They come first along the curve, and
-/// belong to the first part. The last part is at the end of the pool.
+/// Blocks at the sides of the pool have almost no surface. These blocks come first along the Morton
+/// curve, and belong to the first part. The last part is at the end of the pool.
 fn pool() -> Vec<[f64; 3]> {
     let mut random = Random::new(3);
     let at = |i: usize| [i / 100, i / 10 % 10, i % 10].map(|c| 1.75 + 0.5 * c as f64);
     (0..100_000).map(|i| at(i).map(|x| x + 0.1 * random.unit())).collect()
 }
 
-/// A .vtp that contains only points with ghost flags, as raw appended data.
+/// A .vtp file that contains only points and their ghost flags, as raw appended data.
 fn vtp(particles: &[[f64; 3]], ghosts: &[u8]) -> Vec<u8> {
     let points = raw(particles);
     let mut bytes = format!(
@@ -44,8 +44,8 @@ fn vtp(particles: &[[f64; 3]], ghosts: &[u8]) -> Vec<u8> {
     bytes
 }
 
-/// Writes particles as a .pvtp with this number of pieces. Each piece also has the first particles
-/// of the next piece, as ghosts.
+/// Writes particles as a .pvtp with this number of pieces. Each piece also contains the first
+/// particles of the next piece, as ghosts.
 fn in_pieces(folder: &Path, particles: &[[f64; 3]], pieces: usize) -> PathBuf {
     let path = folder.join("pool.pvtp");
     let mut list = String::from("<VTKFile type=\"PPolyData\" version=\"1.0\"><PPolyData>\n");
@@ -115,11 +115,11 @@ fn a_part_reads_only_the_chunks_of_the_input_that_touch_it() {
     // NaN.
     change_silently(&input, |bytes| bytes[..12 * 8192].fill(0xff));
     assert_eq!(made(&parts, 7), whole[7]);
-    // A part that depends on the changed particles is an error.
+    // A part that depends on the changed particles gives an error.
     assert_refused(&parts, 0);
     change_silently(&input, |bytes| bytes.copy_from_slice(&raw(&particles)));
     assert_eq!(made(&parts, 0), whole[0]);
-    // Move a particle from this end of the pool to the other end.
+    // Replace the last particle with a copy of the first, which is at the other end of the pool.
     change_silently(&input, |bytes| bytes.copy_within(..12, 12 * (particles.len() - 1)));
     assert_refused(&parts, 7);
 }
@@ -174,7 +174,7 @@ fn merged_parts_equal_a_single_run_for_any_order_and_pieces_of_the_input() {
     }
 }
 
-/// Calm water in a box that is periodic along x and z, sorted by x. The box's length is no whole
+/// Calm water in a box that is periodic along x and z, sorted by x. The box's length is not a whole
 /// number of cells.
 fn channel() -> ([f64; 3], Vec<[f64; 3]>) {
     let (edge, mut random) = ([200.2, 0.0, 13.7], Random::new(5));

@@ -34,9 +34,9 @@ const METHODS: [KernelMethod; 3] = [
     KernelMethod::YuTurk { iso: 0.4 },
 ];
 
-/// Particles with an attribute "direction", which depends on a particle's position in `first`. If
-/// there are more particles than in `first`, they repeat its directions. All directions contain a
-/// 1, so that any selection is rounded in the same way.
+/// Particles with an attribute "direction", which depends on a particle's position in `first`.
+/// Further particles repeat the directions of `first`. Every direction has a component of 1, so
+/// that any selection of particles is rounded in the same way.
 fn with_directions(particles: &[[f64; 3]], first: &[[f64; 3]]) -> Attributed {
     let direction = |[x, _, z]: [f64; 3]| [(x as f32).sin(), 1.0, (z as f32).cos()];
     Attributed::new(particles.to_vec()).with("direction", |i, _| direction(first[i % first.len()]))

@@ -1,6 +1,7 @@
 //! Tests random particles, options and walls. The surface must be closed, oriented and manifold,
-//! and within its bounds. It must be the same for all threads, particle orders, budgets, brick
-//! sizes and devices, and after packing. If there is an error instead, it must always be the same.
+//! and within its bounds. It must be the same for all numbers of threads, particle orders, budgets,
+//! brick sizes and devices, and after packing. If a frame gives an error instead, the error must
+//! always be the same.
 //!
 //! `MENISCUS_FRAMES=100000` tries 100000 frames, and `MENISCUS_FRAME=77` repeats number 77.
 
@@ -167,7 +168,7 @@ impl Frame {
             let mut half =
                 || DVec3::from_array(std::array::from_fn(|_| between(random, 0.5, 6.0))) * spacing;
             let [lo, hi] = [half(), half()];
-            // In some frames, exchange the corners, which is an error.
+            // In some frames, exchange the corners, which must give an error.
             if seed.is_multiple_of(50) {
                 [centre + hi, centre - lo]
             } else {
@@ -261,7 +262,7 @@ impl Frame {
         if one_in(random, 4) && self.faces.iter().any(Option::is_some) {
             request = request.periodic_mesh(PeriodicMesh::Overlap);
         }
-        // One frame in ten may have settings that conflict; such a frame must fail with an error.
+        // One frame in ten may have conflicting settings, and must then fail with an error.
         let any = one_in(random, 10);
         let (clouds, kernels) = (self.indicator == IndicatorKind::Cloud, self.kernels);
         match random.bits() % 8 {
@@ -334,7 +335,8 @@ impl Frame {
     }
 }
 
-/// The mesh or the error message of a frame, which must be the same each time.
+/// The mesh or the error message of a frame. Every reconstruction of a frame must give the same
+/// one.
 fn outcome(surface: Result<Surface, Error>) -> Result<Mesh, String> {
     surface.map(|surface| surface.to_mesh().unwrap()).map_err(|error| error.to_string())
 }

@@ -12,7 +12,7 @@ const EDGE: u32 = 14;
 
 /// A jittered sheet that is rotated against the grid, and stretched along both of its axes.
 ///
-/// Stretching brings its layers closer together. Jitter moves every particle by up to a fifth of a
+/// Stretching brings the layers closer together. Jitter moves every particle by up to a fifth of a
 /// spacing along each axis.
 fn sheet(layers: u32, stretch: f64, random: &mut Random) -> Vec<[f64; 3]> {
     let turn = DMat3::from_euler(glam::EulerRot::XYZ, 0.5 + random.unit(), random.unit(), 0.3);
@@ -37,8 +37,8 @@ fn measured(particles: &[[f64; 3]], cell: f64, sheets: f64) -> Measures {
 
 #[test]
 fn sheets_stretched_to_1_9_spacings_stay_whole_and_keep_their_volume() {
-    // Layers, stretch, and the largest allowed ratio of the surface's volume to the particles',
-    // with cells of 0.5 and of 0.25.
+    // Layers, stretch, and the largest allowed ratio of the surface's volume to the particles'
+    // volume, with cells of 0.5 and of 0.25 spacings.
     let sheets = [
         (1, 1.0, [1.3, 1.3]),
         (1, 1.08, [1.3, 1.2]),

@@ -26,7 +26,8 @@ struct Sized {
 }
 
 impl Sized {
-    /// Adds a box of particles of one size, jittered by up to 0.3 sizes.
+    /// Adds a box of particles of one size, which are moved randomly by up to `JITTER` times their
+    /// size along each axis.
     fn with(self, cells: [[f64; 3]; 2], size: f64, random: &mut Random) -> Self {
         self.with_jittered(cells, size, JITTER, random)
     }
@@ -50,7 +51,7 @@ impl Sized {
         self
     }
 
-    /// Square pools next to each other along x, each with particles of another size.
+    /// Square pools next to each other along x, each with particles of a different size.
     fn pools(sizes: &[f64]) -> Self {
         Self::jittered_pools(sizes, JITTER)
     }
@@ -121,7 +122,7 @@ fn pools_of_several_particle_sizes_have_level_surfaces() {
         let [bias, rms] = level(&mesh, [seam - 2.0 * size, seam + 2.0 * size], size);
         assert!(bias.abs() < 0.1 && rms < 0.07, "seam {i}: {bias} {rms}");
     }
-    // If all particles count as the same size, the surface loses the coarse water.
+    // If all particles count as having the same size, the surface loses the coarse water.
     let one = measure(&water.mesh(&request().size("none")));
     assert!(one.components > 10 && one.volume.unwrap() < 0.7 * water.volume());
 }
@@ -299,7 +300,7 @@ fn masses_that_differ_give_sizes_but_equal_masses_do_not() {
 fn particles_of_one_size_give_the_same_mesh_as_without_sizes() {
     let water = Sized::pools(&[1.0]);
     let mut radii = water.radii();
-    // Sizes that differ by less than 10 % count as the same size.
+    // Sizes that differ by less than 10 % count as equal.
     radii.iter_mut().step_by(3).for_each(|radius| *radius *= 1.08);
     let cloud = Cloud::new(&water.positions).with("radius", &radii);
     let with = request().run(&cloud).unwrap().to_mesh().unwrap();
@@ -379,7 +380,7 @@ fn a_packed_frame_of_sizes_has_the_surface_of_its_particles() {
         let meshed =
             |by: &Reconstruction| text_of_obj(&frame.surface_by(by).unwrap().to_mesh().unwrap());
         let expected = text_of_obj(&frame.surface().unwrap().to_mesh().unwrap());
-        // The packed frame has its walls and its periodic box.
+        // The packed frame contains the walls and the periodic box.
         assert!(again(Reconstruction::new().threads(1)) == expected, "{what}");
         let little = Reconstruction::new().memory(MemoryBudget(24 << 20)).scratch(folder.path());
         assert!(again(little.clone().threads(2)) == expected, "{what}, little memory");
@@ -600,7 +601,7 @@ fn mean_and_rms(errors: &[f64]) -> [f64; 2] {
     [errors.iter().sum::<f64>() / count, (squares / count).sqrt()]
 }
 
-/// A lake of coarse particles with a pool of fine ones in it, and drops above.
+/// A lake of coarse particles that contains a pool of fine particles, and drops above.
 fn lake(ratio: f64, random: &mut Random) -> Sized {
     let edge = 80.0 * ratio;
     let mut water = Sized::default().with([[0.0; 3], [edge, edge, 8.0 * ratio]], ratio, random);
@@ -630,7 +631,7 @@ fn cells_follow_the_sizes_and_meet_without_gaps() {
             // The finest cells would need more than this number of triangles for two sides.
             let finest = 4.0 * (75.0 * ratio / cell).powi(2);
             assert!((mesh.triangles.len() as f64) < 0.6 * finest, "{}", mesh.triangles.len());
-            // Normals must point to the outer side of the triangles, also at seams.
+            // Normals must point to the outer side of the triangles, even at seams.
             let normals = mesh.normals.as_ref().unwrap();
             let mut against = 0;
             for triangle in &mesh.triangles {

@@ -33,12 +33,12 @@ const LEVEL: f64 = 13.0;
 /// The centre of a ball that is mostly under water.
 const CENTRE: DVec3 = DVec3::new(15.0, 8.0, 15.0);
 const RADIUS: f64 = 9.0;
-/// Half of the edge lengths of a box, which is rotated about the centre of the ball.
+/// Half of the edge lengths of a box that is rotated about the centre of the ball.
 const HALF: DVec3 = DVec3::new(7.0, 3.0, 6.0);
 const ANGLE: f64 = 0.5;
 
-/// Water outside of a solid. `distance` is the distance of a point from the solid, and `jitter` is
-/// in spacings.
+/// Water outside a solid. `distance` is the distance of a point from the solid, and `jitter` is in
+/// spacings.
 fn pool(jitter: f64, distance: impl Fn(DVec3) -> f64) -> Vec<[f64; 3]> {
     let mut random = Random::new(11);
     let mut water = Vec::new();
@@ -279,7 +279,8 @@ fn the_memory_limit_that_an_error_about_solids_asks_for_suffices() {
     let solid = written(&folder, "ball.obj", &moved(&sphere(RADIUS, 6), CENTRE.to_array()));
     let water = pool(0.3, from_ball);
     let run = |bytes: u64| at(request(0.5), &solid).memory(MemoryBudget(bytes)).run(&water);
-    // The file's size is known first, and the number of triangles only when it was read.
+    // The library first knows the file's size, and knows the number of triangles only after reading
+    // the file.
     let mut budget = 17 << 20;
     for _ in 0..2 {
         let Err(Error::LittleMemory { least, .. }) = run(budget) else {

@@ -195,7 +195,7 @@ fn a_simulation_warns_once_about_a_wrong_spacing_and_again_on_resume() {
     assert_eq!(warnings.len(), 1, "{warnings:?}");
     assert!(contradiction(&warnings).is_some());
     assert_eq!(warnings_of(&by(SPACING).overwrite()), []);
-    // Write later frames in another scale, so that they contradict the spacing of the state.
+    // Write later frames at a different scale, so that they contradict the spacing of the state.
     frame(4, 3.0);
     frame(5, 3.0);
     let warnings = warnings_of(&by(SPACING).resume());

@@ -14,7 +14,7 @@ use crate::common::device::contoured;
 use crate::common::scene::Random;
 use crate::common::{dif, recipe, sampling, surfacing};
 
-/// Random particles, on average `apart` spacings apart, and also a pair, a clump and a filament.
+/// Random particles, on average `apart` spacings apart, with a pair, a clump and a filament.
 fn spray(apart: f64, random: &mut Random) -> Vec<[f64; 3]> {
     let edge = 5.0 * apart;
     let mut particles: Vec<[f64; 3]> =

@@ -22,7 +22,7 @@ use crate::common::program::command;
 /// A function that changes a request.
 type Change = fn(Reconstruction) -> Reconstruction;
 
-/// The particles of a falling drop in a frame, with spacing 0.5.
+/// The particles of a falling drop in frame `frame`, with spacing 0.5.
 fn falling(frame: u64) -> Vec<[f32; 3]> {
     let drop = fill(10.0, 2.0, 0.2, 3 + frame, |p| p.length() < 5.0);
     drop.iter().map(|&[x, y, z]| [x as f32, (y - 0.3 * frame as f64) as f32, z as f32]).collect()
@@ -152,7 +152,7 @@ fn converted_while_changed(
 ) -> [BTreeMap<String, Vec<u8>>; 2] {
     let (folder, still) = (simulated(4), simulated(4));
     let first = folder.path().join("sim/drop_1.xyz");
-    // At first, frame 1 has another spacing and position.
+    // At first, frame 1 has a different spacing and position.
     let early: Vec<[f32; 3]> = falling(7).iter().map(|p| p.map(|x| 1.3 * x)).collect();
     write(&first, &early);
     let mut is_early = true;
@@ -359,8 +359,8 @@ fn calibration_and_component_measurement_report_progress() {
         .run(&fill(30.0, 1.0, 0.3, 5, |_| true))
         .unwrap();
     let reports = reports.lock().unwrap();
-    // The first tenth of a stage is for calibrating (meshing) or measuring components
-    // (simplifying).
+    // The first tenth of meshing is for calibrating, and the first tenth of simplifying is for
+    // measuring components.
     for stage in [Stage::Meshing, Stage::Simplifying] {
         let shares = reports.iter().filter(|progress| progress.stage == stage).map(|of| of.done);
         let shares: Vec<f64> = shares.filter(|&done| done > 0.0 && done < 1.0).collect();
@@ -560,7 +560,8 @@ fn warnings_of_a_simulation_name_the_calibration_frame() {
     assert!(found.iter().all(|warning| !warning.to_string().contains("--")), "{found:?}");
 }
 
-/// Water with waves in a frame, in a tank from 0 to 24 along x and z that is open at the top.
+/// Water with waves, which depend on the frame, in a tank that is open at the top. Along x and z,
+/// the tank reaches from 0 to 24.
 fn tank(frame: u64) -> Vec<[f32; 3]> {
     let waves = move |x: f64| 12.0 + 2.0 * (x / 3.0 + frame as f64).sin();
     let water = fill(12.0, 1.0, 0.3, 3 + frame, |_| true).into_iter();
@@ -671,7 +672,7 @@ fn sizes_that_the_calibration_frame_does_not_have_are_reported() {
     assert_eq!(none, []);
     assert!(matches!(&strays[..], [SpacingWarning::Sizes { invalid: 2, .. }]), "{strays:?}");
 
-    // Repeat this test with files. There, the largest frame calibrates the simulation.
+    // Repeat this test with files, where the largest frame calibrates the simulation.
     let folder = TempDir::new().unwrap();
     let mut invalid = one.clone();
     invalid[5] = 0.0;

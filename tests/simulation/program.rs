@@ -108,7 +108,7 @@ fn resuming_remakes_only_frames_that_are_damaged_unrecorded_or_changed() {
     let other = tree(&out);
     assert!(other["m_7.ply"] != whole["m_7.ply"] && other["m_6.ply"] == whole["m_6.ply"]);
 
-    // Other settings are an error, unless --overwrite allows making all frames again.
+    // Other settings give an error, unless --overwrite allows making all frames again.
     let errors = run(folder.path(), &with(&["--smooth", "1.3"]), 2);
     assert!(errors.contains("smooth") && errors.contains("--overwrite"), "{errors}");
     let errors = run(folder.path(), &with(&["--smooth", "1.3", "--resume"]), 2);
@@ -511,7 +511,8 @@ fn a_missing_input_folder_is_an_error_unless_watch_waits_for_it() {
 #[test]
 fn every_frame_uses_the_calibration_of_the_state_not_its_own() {
     let folder = falling(1..=1);
-    // Frame 2 is twice as dense, so that as a single frame it has another mu0 and isovalue.
+    // Frame 2 is twice as dense, so that it would have a different mu0 and isovalue as a single
+    // frame.
     let dense: Vec<_> = ball(2).into_iter().chain(ball(3)).collect();
     fs::write(folder.path().join("in/f_2.xyz"), raw(&dense)).unwrap();
     for indicator in ["counting", "symmetry"] {
@@ -571,7 +572,7 @@ fn every_cloud_frame_uses_the_plateau_of_the_state_not_its_own() {
     assert!(single(1) == made["m_1.ply"], "frame 1 uses its own plateau");
     assert!(single(2) != made["m_2.ply"], "frame 2 uses the plateau of frame 1");
     // Exchange the frames, so that the calibration uses the dense frame. Its plateau is about three
-    // times that of the thin frame, so frame 3 gets another mesh.
+    // times that of the thin frame, so frame 3 gets a different mesh.
     fs::rename(folder.path().join("in/f_2.xyz"), folder.path().join("in/f_1.xyz")).unwrap();
     fs::write(folder.path().join("in/f_2.xyz"), raw(&ball(1))).unwrap();
     let (by_dense, dense) = shared(&more);
@@ -850,7 +851,7 @@ fn a_lattice_in_the_first_frame_does_not_distort_the_calibration() {
     }
 }
 
-/// A pool of particles at rest, which is level or on a slope. `jitter` is in spacings.
+/// A pool of particles at rest, either level or on a slope. `jitter` is in spacings.
 fn pool(slope: DQuat, jitter: f64, shift: [f64; 3]) -> Vec<[f64; 3]> {
     let mut random = Random::new(9);
     let mut particles = Vec::new();
@@ -892,8 +893,8 @@ fn a_fluid_at_rest_does_not_flicker() {
         run(folder.path(), &["p_{}.xyz", "-o", "m_{}.ply", "--spacing", "0.1"], 0);
         let mesh = |frame: usize| read_mesh(&folder.path().join(format!("m_{frame}.ply"))).unwrap();
         assert_eq!(mesh(0), mesh(1), "particles at rest change the mesh");
-        // The height of the surface relative to the particles in spacings, including its rounded
-        // rim.
+        // The height, in spacings, of the surface relative to the particles. The surface includes
+        // its rounded rim.
         let level = |frame: usize| {
             let up = slope * DVec3::Y;
             level(&mesh(frame), up) / 0.1 - up.dot(shifts[frame].into())
@@ -1039,7 +1040,7 @@ fn watch_converts_a_running_simulation_without_half_written_frames() {
     assert!(meshes(&folder) == meshes(&plain), "{errors}");
 }
 
-/// The bytes of the listings of a simulation, by their names.
+/// The listings of a simulation: the bytes of each file, by its name.
 fn listings(out: &Path) -> BTreeMap<String, Vec<u8>> {
     let mut files = tree(out);
     files.retain(|name, _| !name.contains('_') && !name.contains('/'));
@@ -1225,14 +1226,14 @@ fn each_fluid_in_a_folder_becomes_its_own_sequence() {
     run(folder.path(), &["in", "-o", "again/"], 1);
     let again = tree(&folder.path().join("again"));
     assert!(again["oil_4.ply"] == out["oil_4.ply"] && !again.contains_key("f_1.ply"));
-    // A fluid in two formats would be two simulations with the same name, which is an error.
+    // A fluid in two formats would give two simulations with the same name, which is an error.
     fs::write(folder.path().join("in/oil_2.csv"), "x,y,z\n1,2,3\n").unwrap();
     let errors = run(folder.path(), &["in", "-o", "other/"], 2);
     assert!(errors.contains("oil_{}.csv (1 frame), oil_{}.xyz (4 frames)"), "{errors}");
     assert!(errors.contains("same file names") && !errors.contains("into a folder"), "{errors}");
 }
 
-/// The two halves of a ball's particles, for a frame.
+/// The two halves of the ball's particles in frame `frame`.
 fn halves(frame: u64) -> [Vec<[f64; 3]>; 2] {
     let all = ball(frame);
     let (low, high) = all.split_at(all.len() / 2);
@@ -1370,7 +1371,8 @@ fn a_colour_keeps_its_scale_when_it_fades_to_or_from_black() {
             assert!(!values.is_empty() && values.iter().all(is_equal), "{colour}: {:?}", values[0]);
         }
     }
-    // If one frame has colours from 0 to 255 and the others from 0 to 1, only this frame fails.
+    // If one frame has colours from 0 to 255 and the other frames from 0 to 1, only this frame
+    // fails.
     coloured(&folder.path().join("f_4.ply"), 4, 200.0);
     for frame in 1..4 {
         coloured(&folder.path().join(format!("f_{frame}.ply")), frame, 0.5);

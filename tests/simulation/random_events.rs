@@ -28,7 +28,7 @@ struct Sequence {
     frames: u64,
     /// Number of inputs that were written. Each input is different.
     written: u64,
-    /// Whether records were damaged. Without its record, a mesh counts as foreign, unless its input
+    /// Whether records were damaged. A mesh without its record counts as foreign, unless its input
     /// still gives the same bytes.
     lost_records: bool,
     format: &'static str,
@@ -197,8 +197,7 @@ impl Sequence {
         }
     }
 
-    /// Makes all missing frames. If records were lost, the run may need `--overwrite` to replace
-    /// meshes.
+    /// Makes all missing frames. If records were lost, replacing meshes may need `--overwrite`.
     fn finish(&self, out: &str) {
         let run = |options: &[&str]| {
             let output = self.command(out, options).output().unwrap();

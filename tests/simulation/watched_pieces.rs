@@ -1,5 +1,5 @@
-//! Tests `--watch` with frames in pieces: it reads them while a simulation writes them, and
-//! converts no incomplete frame.
+//! Tests `--watch` with frames in pieces: the program reads the pieces while a simulation writes
+//! them, and converts no incomplete frame.
 
 use std::fs;
 use std::path::Path;

@@ -1,9 +1,9 @@
 //! Measures each stage of a frame on a Vulkan device and on the CPU, and prints a Markdown table.
 //!
-//! The table has the milliseconds of each stage, with transfers as separate stages, and the share
-//! of the device's memory bandwidth that the stage uses. The frames use the cloud indicator, and
-//! the paper's symmetry indicator with recovered details. Fails if the device's mesh differs from
-//! the CPU's.
+//! The table contains the time of each stage, in milliseconds, with transfers as separate stages,
+//! and the share of the device's memory bandwidth that the stage uses. The frames use the cloud
+//! indicator, and the paper's symmetry indicator with recovered details. Fails if the device's mesh
+//! differs from the CPU's.
 //!
 //! `cargo bench --bench backends [-- --device DEVICE] [--cells 256,384,512] [--millions 1,10,100]`
 
@@ -28,8 +28,8 @@ use meniscus::internals::vulkan::{
     BufferKind, Device, DeviceChoice, DeviceOptions, Instance, Queue, Timing, VulkanError,
 };
 
-/// Sizes in bytes of the copy that measures the device's bandwidth. The first is larger than
-/// caches; the second is for devices with too little memory for the first.
+/// Sizes, in bytes, of the copies that measure the device's bandwidth. The first size is larger
+/// than caches. The second is for devices with too little memory for the first.
 const COPIED: [u64; 2] = [1 << 30, 64 << 20];
 /// The names of the stages on the device, in the order of the table's columns.
 const STAGES: [&str; 12] = [
@@ -70,7 +70,8 @@ fn main() -> Result<ExitCode, Box<dyn Error>> {
     Ok(if measure(Options::parse())? { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-/// Prints the table, and returns whether all bytes were equal.
+/// Prints the table, and returns whether every mesh has the same bytes on the device and on the
+/// CPU.
 pub fn measure(options: Options) -> Result<bool, Box<dyn Error>> {
     let choice = options.device.map_or(DeviceChoice::Best, DeviceChoice::Named);
     let instance = Instance::connect(false)?;
@@ -175,8 +176,8 @@ fn run(particles: &[[f32; 3]], sampling: &Sampling) -> Result<(Timings, u32), Fr
     Ok((timings, sum.finalize()))
 }
 
-/// A table entry: the milliseconds of a stage, and the share of the device's bandwidth that it
-/// uses.
+/// A table entry: the time of a stage, in milliseconds, and the share of the device's bandwidth
+/// that the stage uses.
 fn entry(timings: &[Timing], stage: &str, bandwidth: f64) -> String {
     match timings.iter().find(|timing| timing.stage == stage) {
         None => "-".into(),
@@ -187,8 +188,8 @@ fn entry(timings: &[Timing], stage: &str, bandwidth: f64) -> String {
     }
 }
 
-/// Measures the device's memory bandwidth, reads plus writes, in bytes per second. It copies
-/// `bytes` from one buffer to another.
+/// Measures the device's memory bandwidth for reads plus writes, in bytes per second, by copying
+/// `bytes` bytes from one buffer to another.
 fn bandwidth(device: &Device, bytes: u64) -> Result<f64, VulkanError> {
     let from = device.buffer(BufferKind::Device, bytes)?.whole();
     let to = device.buffer(BufferKind::Device, bytes)?.whole();

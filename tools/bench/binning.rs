@@ -56,8 +56,8 @@ fn upload<T: bytemuck::Pod>(device: &Device, values: &[T]) -> Result<View, Vulka
     Ok(buffer.whole())
 }
 
-/// Records a batch, submits it and waits for it. Returns the time from submission to end in
-/// seconds.
+/// Records a batch, submits it and waits for it. Returns the time, in seconds, from submission to
+/// completion.
 fn run(
     device: &Device,
     record: impl FnOnce(&mut Batch) -> Result<(), VulkanError>,

@@ -1,8 +1,9 @@
-//! Measures for each stage how long a frame takes to end after a cancel, and the longest time
-//! without a progress report.
+//! Measures, for each stage, how long a frame takes to end after it is cancelled, and the longest
+//! time without a progress report.
 //!
 //! `cargo run --release --example cancel -- INPUT OUTPUT.glb [RUNS]` reconstructs and simplifies
-//! INPUT once completely. Then it cancels RUNS further runs, each at a later time of the run.
+//! INPUT once completely. Then it starts RUNS further runs, and cancels each at a later time than
+//! the previous one.
 
 use std::path::Path;
 use std::sync::{Arc, Mutex};
@@ -44,7 +45,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let whole = start.elapsed();
     std::fs::remove_file(output)?;
     println!("whole: {:.2} s", whole.as_secs_f64());
-    // For each stage, the longest time after one of its reports until the next report, and the sum.
+    // For each stage, the longest time between one of its reports and the next report, and the sum
+    // of these times.
     let mut still: Vec<(Stage, Duration, Duration)> = Vec::new();
     let heard = std::mem::take(&mut *heard.lock().expect("nobody panics"));
     for (at, &(since, stage, _)) in heard.iter().enumerate() {

@@ -1,8 +1,8 @@
 //! Writes the benchmark scene as a particle file: raw f32 (.xyz), binary little-endian .ply, or
 //! .pvtp.
 //!
-//! In a .pvtp, each piece has the particles of one box of space, like the output of a simulation on
-//! many nodes. The particles are in random order, or sorted by rows of cells.
+//! In a .pvtp, each piece contains the particles of one box of space, as in the output of a
+//! simulation on many nodes. The particles are in random order, or sorted by rows of cells.
 //!
 //! `cargo run --release --example generate -- MILLIONS OUTPUT [PIECES | rows]`
 
@@ -74,7 +74,7 @@ fn divide(particles: &mut [[f32; 3]], pieces: usize, take: &mut impl FnMut(&[[f3
     divide(above, pieces - first, take);
 }
 
-/// Writes a .pvtp, and its pieces as .vtp files in a folder of the same name. `pieces` has the
+/// Writes a .pvtp, and its pieces as .vtp files in a folder of the same name. `pieces` contains the
 /// number of particles of each piece.
 fn write_pieces(path: &Path, particles: &[[f32; 3]], pieces: &[usize]) -> io::Result<()> {
     let folder = path.with_extension("");

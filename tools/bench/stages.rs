@@ -23,7 +23,8 @@ use meniscus::internals::surface::stitch::StitchedSurface;
 use meniscus::internals::system::timings::Timings;
 use rayon::prelude::*;
 
-/// The seconds and the result of the fastest of `runs` runs, which other processes disturb least.
+/// The time, in seconds, and the result of the fastest of `runs` runs. Other processes disturb the
+/// fastest run least.
 fn best_seconds<T>(runs: usize, mut work: impl FnMut() -> T) -> (f64, T) {
     let mut best: Option<(f64, T)> = None;
     for _ in 0..runs {

@@ -41,11 +41,11 @@ const HEAD: [&str; 9] = [
 #[derive(Debug, Clone, Copy)]
 pub struct Errors {
     pub hausdorff: f64,
-    /// Mean of both directions: from the surface to the true one, and back. The same holds for
-    /// `rms`.
+    /// The mean distance, averaged over both directions: from the surface to the true one, and
+    /// back. `rms` is averaged in the same way.
     pub mean: f64,
     pub rms: f64,
-    /// The mean signed distance, positive if the surface is outside of the true one.
+    /// The mean signed distance, positive if the surface is outside the true one.
     pub bias: f64,
     /// The error of the volume, relative to the true volume.
     pub volume: f64,
@@ -86,8 +86,9 @@ pub fn turns(options: &Options, cell: f64, jitter: f64) -> Vec<Lattice> {
     turned.iter().zip(straight).map(|(&turn, lattice)| Lattice { turn, ..lattice }).collect()
 }
 
-/// The errors of a method on each lattice. None if the method finds no surface on one of them,
-/// because the cells are too small, or because the isovalue is too high for a narrow filter.
+/// The errors of a method on each lattice. Returns `None` if the method finds no surface for one of
+/// the lattices, because the cells are too small, or because the isovalue is too high for a narrow
+/// filter.
 pub fn errors(
     solid: &Solid,
     method: &Method,
@@ -111,7 +112,7 @@ pub fn errors(
     lattices.par_iter().map(of).collect()
 }
 
-/// The cells of a table row: means and worst values of the errors, or "none".
+/// The entries of a table row: means and worst values of the errors, or "none".
 fn row(errors: Option<&[Errors]>, cell: f64) -> Vec<String> {
     let Some(errors) = errors else { return vec!["none".into()] };
     let of = |f: fn(&Errors) -> f64| errors.iter().map(f).collect::<Vec<_>>();

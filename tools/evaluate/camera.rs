@@ -11,8 +11,8 @@ use meniscus::picture::{Colour, Image, Picture, Scope, View};
 use crate::Outcome;
 
 const TOWARDS: DVec3 = DVec3::new(0.55, 0.5, 1.0);
-/// The distance in radii at which a ball fills the height of a picture. Half of the vertical field
-/// of view is 14 degrees.
+/// The distance, in radii, at which a ball fills the height of a picture. Half of the vertical
+/// field of view is 14 degrees.
 const DISTANCE: f64 = 4.011;
 /// The default colour. It is opaque, so that pictures show only the front of the surface.
 const WATER: Colour = Colour::Solid([92, 158, 214]);
@@ -25,13 +25,13 @@ pub struct Camera {
 }
 
 impl Camera {
-    /// A camera that views the box with these corners completely.
+    /// A camera that sees the whole box with these corners.
     pub fn of([lo, hi]: [DVec3; 2]) -> Self {
         Self { centre: (lo + hi) / 2.0, radius: (hi - lo).length() / 2.0 }
     }
 
-    /// Draws a mesh from this camera. The scene always has the size of the ball, so that pictures
-    /// of different meshes match.
+    /// Draws a mesh from this camera. The bounds of the scene depend only on the camera, so that
+    /// pictures of different meshes match.
     pub fn picture(&self, mesh: &Mesh, [width, height]: [usize; 2]) -> Outcome<Image> {
         self.coloured(mesh, [width, height], WATER, None)
     }
@@ -60,7 +60,7 @@ pub fn write(image: &Image, path: &Path) -> Outcome<()> {
     Ok(image.write_png(&mut out)?)
 }
 
-/// Writes a .png file of images side by side.
+/// Writes a .png file with images side by side.
 pub fn write_sheet(images: &[Image], columns: usize, path: &Path) -> Outcome<()> {
     write(&Image::sheet(images, columns).ok_or("a sheet of no pictures")?, path)
 }

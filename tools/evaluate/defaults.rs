@@ -1,4 +1,4 @@
-//! Compares quality and cost for several cells, sigmas and indicators.
+//! Compares quality and cost for several cell sizes, sigmas and indicators.
 
 use std::time::Instant;
 
@@ -80,7 +80,8 @@ pub fn run(options: &Options) -> Outcome<()> {
     Ok(())
 }
 
-/// The values of sigma to compare, in cells: a cell, and a spacing if it is larger than a cell.
+/// The values of sigma to compare, in cells: one cell, and one spacing if a spacing is larger than
+/// a cell.
 fn sigmas(cell: f64) -> Vec<f64> {
     if cell < 1.0 { vec![1.0, 1.0 / cell] } else { vec![1.0] }
 }

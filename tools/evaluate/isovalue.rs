@@ -2,8 +2,8 @@
 //! positions relative to the grid.
 //!
 //! While the lattice moves along the diagonal of a cell, the indicator takes all of its possible
-//! values. The symmetry indicator is 1 with particles in the cells' centres, and 0 with particles
-//! at the corners.
+//! values. The symmetry indicator is 1 if particles are at the cells' centres, and 0 if they are at
+//! the cells' corners.
 
 use glam::{DQuat, DVec3, IVec3};
 use meniscus::internals::backend::field;
@@ -31,7 +31,7 @@ enum Rule {
     Median(f64),
     /// This share of the interior's mean value.
     Mean(f64),
-    /// The value for which the cells above it have the same volume as the particles.
+    /// The value above which the cells have the same total volume as the particles.
     Volume,
     /// The default share of the median, on a grid whose origin suits the lattice.
     Moved,

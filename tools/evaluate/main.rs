@@ -102,7 +102,7 @@ enum Topic {
 }
 
 impl Options {
-    /// Returns `quick` for a quick run, or else `full`.
+    /// Returns `quick` for a quick run, and `full` otherwise.
     fn choose<T>(&self, full: T, quick: T) -> T {
         if self.quick { quick } else { full }
     }

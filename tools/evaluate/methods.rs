@@ -1,4 +1,4 @@
-//! The methods of this library that are compared, all on the same grid.
+//! The compared methods of this library, all of which use the same grid.
 
 use glam::DVec3;
 use meniscus::internals::baselines::KernelMethod;
@@ -15,7 +15,7 @@ use meniscus::internals::system::timings::Timings;
 
 use crate::Outcome;
 
-/// A method to make a surface from particles.
+/// A method for making a surface from particles.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Method {
     /// A discrete indicator function, smoothed and contoured.

@@ -27,7 +27,7 @@ const SIZE: [usize; 2] = [960, 720];
 /// Width and height of a picture on the contact sheet, in pixels.
 const SMALL: [usize; 2] = [400, 300];
 const JITTER: f64 = 0.3;
-/// Distance from the true surface at which colours are saturated, in spacings.
+/// Distance, in spacings, from the true surface at which colours are saturated.
 const FULL_COLOUR: f64 = 0.5;
 const SIGMAS: [f64; 4] = [0.8, 1.0, 1.2, 1.5];
 const ISOS: [Iso; 5] = [Iso::At(0.02), Iso::At(0.05), Iso::At(0.1), Iso::At(0.2), Iso::Auto];
@@ -147,7 +147,7 @@ fn bytes(colour: Vec3) -> [u8; 3] {
     (colour * 255.0).round().to_array().map(|channel| channel as u8)
 }
 
-/// Writes a mesh as .ply with vertex colours, which other programs show by default.
+/// Writes a mesh as a .ply file with vertex colours, which other programs show by default.
 fn write_coloured(mesh: &Mesh, colours: &[Vec3], path: &Path) -> Outcome<()> {
     let mut out = BufWriter::new(File::create(path)?);
     write!(

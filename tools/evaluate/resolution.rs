@@ -73,7 +73,7 @@ fn best_device() -> Result<Device, VulkanError> {
     Device::open(&Instance::connect(false)?, &DeviceChoice::Best, &DeviceOptions::default())
 }
 
-/// The seconds of each of [`STAGES`], the seconds of the whole frame, and the number of triangles.
+/// The time of each of [`STAGES`] and of the whole frame, in seconds, and the number of triangles.
 type Figures = ([Option<f64>; 4], f64, u64);
 
 fn on_cpu(particles: &[[f32; 3]], cell: f64) -> Outcome<Figures> {

@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use crate::scene::Random;
 use crate::shapes::Solid;
 
-/// Edge of a block of lattice points. One depth query often decides about a whole block.
+/// Edge of a block of lattice points. One depth query often decides for a whole block.
 const BLOCK: i32 = 4;
 
 /// The lattice of particles that fills a body.

@@ -61,7 +61,7 @@ impl Solid {
         Self::new(&name, read_mesh(path)?, particles)
     }
 
-    /// The distance of a point to the surface, positive inside.
+    /// The distance of a point from the surface, positive inside.
     pub fn depth(&self, point: DVec3) -> f64 {
         let (nearest, _) = self.search.project_local_point_and_get_location(point, false);
         let distance = nearest.point.distance(point);

@@ -22,7 +22,7 @@ use crate::scene::Random;
 use crate::tables::{Table, figure, mean, signed, worst};
 use crate::{Options, Outcome};
 
-/// The size of the pool in spacings. Its surface is at y = 0.
+/// The size of the pool, in spacings. The pool's surface is at y = 0.
 const SIZE: IVec3 = IVec3::new(44, 12, 34);
 const RADIUS: f64 = 6.0;
 /// The centre of the ball in the first frame.
@@ -32,9 +32,10 @@ const MOVE: DVec3 = DVec3::new(0.5, 0.0, 0.0);
 const FRAMES: usize = 20;
 /// Number of integration steps of a particle's movement per frame.
 const STEPS: usize = 8;
-/// Smallest and largest distance from the ball of vertices near the contact line, in spacings.
+/// Smallest and largest distance, in spacings, between the ball and vertices near the contact line.
 const NEAR: [f64; 2] = [0.3, 4.0];
-/// The pool's surface sinks behind the ball. Vertices below this height do not belong to it.
+/// The pool's surface sinks behind the ball. Vertices below this height do not belong to the
+/// surface.
 const DEEP: f64 = -4.0;
 
 pub fn run(options: &Options) -> Outcome<()> {
@@ -103,7 +104,7 @@ fn velocity(at: DVec3, ball: DVec3) -> DVec3 {
 }
 
 /// A particle's position one frame later, by the midpoint method. Points inside the ball move with
-/// it.
+/// the ball.
 fn after(mut at: DVec3, frame: usize) -> DVec3 {
     if from_ball(at, frame) < 0.0 {
         return at + MOVE;
@@ -117,7 +118,7 @@ fn after(mut at: DVec3, frame: usize) -> DVec3 {
     at
 }
 
-/// The particles of a frame that were outside of the ball in the first frame.
+/// The particles of a frame that were outside the ball in the first frame.
 fn outside(frame: &[[f64; 3]], first: &[[f64; 3]]) -> Vec<[f64; 3]> {
     let both = frame.iter().zip(first);
     both.filter(|(_, first)| from_ball(DVec3::from(**first), 0) > 0.0).map(|(&p, _)| p).collect()
@@ -136,8 +137,7 @@ fn frames(jitter: f64, count: usize) -> Vec<Vec<[f64; 3]>> {
     })
 }
 
-/// The surfaces of all frames. If there is a `folder` for the meshes of the ball, the ball is a
-/// solid.
+/// The surfaces of all frames. With a `folder` for the meshes of the ball, the ball is a solid.
 fn surfaces(frames: &[Vec<[f64; 3]>], cell: f64, folder: Option<&Path>) -> Outcome<Vec<Mesh>> {
     let surface = |(frame, particles): (usize, &Vec<[f64; 3]>)| -> Outcome<Mesh> {
         let mut request = Reconstruction::new().spacing(1.0).cell(cell).threads(1);

@@ -66,7 +66,7 @@ pub fn run(options: &Options) -> Outcome<()> {
     Ok(())
 }
 
-/// The spacing in the name of a DualSPHysics table, after `Dp`.
+/// The spacing that follows `Dp` in the name of a DualSPHysics table.
 fn named(name: &str) -> Option<f64> {
     let rest = &name[name.find("Dp")? + 2..];
     let end = rest.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(rest.len());

@@ -40,7 +40,7 @@ const PAPER: [PaperScene; 4] = [
     scene("spaceship", 4.76e6, 384, 0.8, [129.78, 60.54, 899.84, 29.74, 34.16]),
 ];
 
-/// A method that takes more seconds per frame is measured on one frame only.
+/// A method that takes more seconds per frame than this is measured on only one frame.
 const PATIENCE: f64 = 10.0;
 
 impl PaperScene {
@@ -116,8 +116,8 @@ pub fn run(options: &Options) -> Outcome<()> {
     Ok(())
 }
 
-/// The seconds of each frame, and the volume inside the last surface divided by the volume of its
-/// particles. The first frame runs twice, and its first run does not count.
+/// The time of each frame, in seconds, and the volume inside the last surface divided by the volume
+/// of the particles. The first frame runs twice, and its first run does not count.
 fn seconds(
     method: &Method,
     frames: &[Vec<[f32; 3]>],

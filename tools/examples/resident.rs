@@ -66,13 +66,13 @@ struct Program {
 
 impl Program {
     /// # Safety
-    /// The caller destroys the buffer before the device.
+    /// The caller must destroy the buffer before the device.
     unsafe fn buffer(&self, bytes: u64) -> Result<Own, Box<dyn Error>> {
         let usage = vk::BufferUsageFlags::STORAGE_BUFFER
             | vk::BufferUsageFlags::TRANSFER_SRC
             | vk::BufferUsageFlags::TRANSFER_DST;
         let wanted = vk::MemoryPropertyFlags::HOST_VISIBLE | vk::MemoryPropertyFlags::HOST_COHERENT;
-        // SAFETY: all handles are this device's.
+        // SAFETY: all handles belong to this device.
         unsafe {
             let info = vk::BufferCreateInfo::default().size(bytes).usage(usage);
             let raw = self.device.create_buffer(&info, None)?;
@@ -95,20 +95,20 @@ impl Program {
     }
 
     /// # Safety
-    /// Nothing uses the buffer any more.
+    /// Nothing may use the buffer any more.
     unsafe fn destroy(&self, buffer: &Own) {
-        // SAFETY: all handles are this device's.
+        // SAFETY: all handles belong to this device.
         unsafe {
             self.device.destroy_buffer(buffer.raw, None);
             self.device.free_memory(buffer.memory, None);
         }
     }
 
-    /// Submits a copy from one buffer to another of the same size. It waits for one value of a
-    /// timeline semaphore, and signals another.
+    /// Submits a copy from one buffer to another of the same size. The copy waits for one value of
+    /// a timeline semaphore, and signals another.
     ///
     /// # Safety
-    /// All objects exist until the copy has finished.
+    /// All objects must exist until the copy has finished.
     unsafe fn copy(
         &self,
         pool: vk::CommandPool,
@@ -116,7 +116,7 @@ impl Program {
         timeline: vk::Semaphore,
         [wait, signal]: [u64; 2],
     ) -> Result<(), vk::Result> {
-        // SAFETY: all handles are this device's.
+        // SAFETY: all handles belong to this device.
         unsafe {
             let info =
                 vk::CommandBufferAllocateInfo::default().command_pool(pool).command_buffer_count(1);
@@ -141,7 +141,8 @@ impl Program {
     }
 }
 
-/// Simulates, meshes and draws on a new device, the one with this number in the loader's list.
+/// Simulates, meshes and draws on a new device, for the physical device with this number in the
+/// loader's list.
 pub fn surface_of(
     number: usize,
     particles: &[[f32; 3]],
@@ -186,7 +187,7 @@ const MESHED: u64 = 2;
 const READ: u64 = 3;
 
 /// # Safety
-/// Nothing else uses the device.
+/// Nothing else may use the device.
 unsafe fn simulate_and_draw(
     program: &Program,
     particles: &[[f32; 3]],
@@ -194,7 +195,7 @@ unsafe fn simulate_and_draw(
 ) -> Result<Surface, Box<dyn Error>> {
     let Program { instance, physical, device, family, queue } = program;
     let bytes: &[u8] = bytemuck::cast_slice(particles);
-    // SAFETY: all handles are this device's, and are destroyed after the device has used them.
+    // SAFETY: all handles belong to this device, and are destroyed after the device has used them.
     unsafe {
         let info = vk::CommandPoolCreateInfo::default().queue_family_index(*family);
         let pool = device.create_command_pool(&info, None)?;
@@ -234,8 +235,8 @@ unsafe fn simulate_and_draw(
             calibration: None,
         };
         let moment = |value| SemaphorePoint { semaphore: timeline, value };
-        // The renderer creates the buffers for the surface, and larger ones if a surface needs
-        // them.
+        // The renderer creates the buffers for the surface, and replaces them with larger ones if
+        // the surface needs more space.
         let mut rows = [1_u64, 1];
         let (outputs, [vertices, triangles]) = loop {
             let own = [program.buffer(12 * rows[0])?, program.buffer(12 * rows[1])?];

@@ -41,7 +41,7 @@ with h5py.File(f"{folder}/columns.h5", "w", libver="latest") as file:
     file["C"] = np.zeros((9, 60), "i1")
     file["X"] = np.zeros((3, 60), "f4")
     file["time"] = [[0.5]]
-# An H5MD file with three frames, of which the second has two particles fewer.
+# An H5MD file with three frames, the second of which has two particles fewer.
 with h5py.File(f"{folder}/h5md.h5", "w", libver="latest") as file:
     file.create_group("h5md").attrs["version"] = [1, 1]
     fluid = file.create_group("particles/fluid")

@@ -39,8 +39,8 @@ reader.UpdatePipeline()
 info = reader.GetDataInformation()
 report = checked["report"]
 assert info.GetNumberOfCells() == report["triangles"] and checked["closed_oriented_manifold"], (info.GetNumberOfCells(), checked)
-# Each piece has all vertices of its triangles. A vertex in two pieces therefore occurs twice, with
-# the same identifier.
+# Each piece contains all vertices of its triangles. A vertex in two pieces therefore occurs twice,
+# with the same identifier.
 identifiers = [array for array in reader.PointData.keys() if reader.PointData[array].GetRange() == (0, report["vertices"] - 1)]
 assert len(identifiers) == 1, list(reader.PointData.keys())
 assert info.GetNumberOfPoints() > report["vertices"], info.GetNumberOfPoints()

@@ -172,9 +172,9 @@ def ghost_cells(folder, values):
             assert writer.Write()
 
 
-# The partitions of `ghost_steps`. Each has points, the point and the flag of every vertex, and the
-# flags of lines. In the last partition, the second point has two vertices, and the fourth point has
-# none.
+# The partitions of `ghost_steps`. Each partition contains points, the point and the flag of every
+# vertex, and the flags of lines. In the last partition, the second point has two vertices, and the
+# fourth point has none.
 PARTITIONS = [
     (6, [(5, 0), (4, 1), (3, 8), (2, 2), (1, 32), (0, 0)], []),
     (0, [], []),

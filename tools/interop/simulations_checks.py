@@ -59,7 +59,7 @@ check("openpmd.h5#200", values + 10, tolerance=1e-12)
 check("pysph_40.hdf5", values, 2)
 check("pysph_40.hdf5", values[:3], options=["--where", "type=wall"])
 
-# VTK and h5py read the meshes, whose values must equal those of the .vtp in the same folder.
+# VTK and h5py read the meshes, whose values must equal the values of the .vtp in the same folder.
 for ending in ["vtp", "pvtp", "vtkhdf"]:
     arguments = ["reconstruct", f"{folder}/grid_0007.pvtu", "-o", f"{folder}/mesh.{ending}", "-q", "--spacing", "0.2"]
     subprocess.check_call([meniscus, *arguments, "--normals", "--attributes", "velocity,id"])

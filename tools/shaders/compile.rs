@@ -19,7 +19,8 @@ use rspirv::binary::Assemble;
 use rspirv::dr::{Instruction, Operand};
 use rspirv::spirv::{Decoration, Op, StorageClass, Word};
 
-/// An error about a source that cannot be read or compiled, with its name, the line and the cause.
+/// An error about a source that cannot be read or compiled, with the source's name, the line and
+/// the cause.
 pub type Fault = Box<dyn std::error::Error + Send + Sync>;
 
 /// A file that is generated from the sources: a binary, or the Rust table.

@@ -6,9 +6,9 @@
 //!
 //! A complete source consists of the constants of `meniscus::internals::backend::wgsl_constants`
 //! that it uses, the parts that its first line names (`//! with wide float64`), and its own file.
-//! Therefore a change of a constant in Rust also changes binaries. This program links the library.
-//! If a shader or a field is new, change the WGSL and run this program before you use it in Rust
-//! code.
+//! Therefore, changing a constant in Rust also changes binaries. This program links the library, so
+//! for a new shader or field, change the WGSL and run this program before you use the shader or
+//! field in Rust code.
 
 #[allow(dead_code, reason = "tests use the rest")]
 mod compile;
@@ -52,7 +52,7 @@ fn run(options: &Options) -> Result<ExitCode, Fault> {
     Ok(if options.check && !outdated.is_empty() { ExitCode::FAILURE } else { ExitCode::SUCCESS })
 }
 
-/// Replaces a file by a temporary file, so that it is never half-written.
+/// Replaces a file with a complete temporary file, so that the file is never half-written.
 fn write(Made { file, bytes }: &Made) -> Result<(), Fault> {
     let mut whole = NamedTempFile::new_in(file.parent().expect("files are in folders"))?;
     whole.write_all(bytes)?;

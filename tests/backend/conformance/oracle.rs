@@ -102,8 +102,8 @@ fn dense_field(frame: &Engine, Variant { particles, sampling, surfacing }: &Vari
     distances(frame, sampling, surfacing).integer(particles, is_inside)
 }
 
-/// For a frame with the cloud indicator: the cells so deep in the fluid that they count as inside
-/// without being computed.
+/// The bricks whose cells lie so deep in the fluid that they count as inside without being
+/// computed, for a frame with the cloud indicator.
 fn inside(frame: &Engine, surfacing: &Surfacing) -> Arc<InsideBricks> {
     let (recipe, _) = recipe(frame, surfacing);
     let Filters::Distances(distances) = recipe.filters else { panic!("clouds have distances") };
@@ -208,7 +208,7 @@ pub fn the_mesh_of_spray_equals_the_mesh_of_the_dense_field(backend: &TestBacken
     }
 }
 
-/// Settings without the joining of sheets, which other tests cover.
+/// Settings that do not join sheets. Other tests cover the joining.
 fn without_sheets() -> Surfacing {
     Surfacing { sheets: SheetStretch::new(0.0).unwrap(), ..surfacing() }
 }
@@ -274,10 +274,11 @@ pub fn the_integer_field_and_its_vertices_approximate_the_method_in_f64(backend:
     }
 }
 
-/// Maximum error of the integer distances in spacings, for 99 % of the cells within a spacing of
-/// the surface.
+/// Maximum error, in spacings, of the integer distances for 99 % of the cells that are within one
+/// spacing of the surface.
 const ERROR_99_PERCENT: f64 = 0.0045;
-/// Maximum error of the integer distances in spacings, for all of these cells.
+/// Maximum error, in spacings, of the integer distances for all cells that are within one spacing
+/// of the surface.
 const MAX_ERROR: f64 = 0.017;
 
 /// This test runs on the CPU only, because devices compute the same integers.
@@ -351,8 +352,8 @@ pub fn moving_a_scene_by_whole_bins_moves_its_field(backend: &TestBackend) {
 }
 
 pub fn changing_cell_size_and_origin_scales_and_moves_the_mesh(backend: &TestBackend) {
-    // Scaling by a power of two, and moving by multiples of it, rounds nothing: cells keep exactly
-    // the same particles.
+    // Scaling by a power of two, and moving by multiples of it, causes no rounding: cells keep
+    // exactly the same particles.
     let (cell, origin) = (0.25, DVec3::new(-3.0, 0.5, 10.0));
     for Variant { particles, sampling: unit, surfacing } in of_each_kind(backend, 17) {
         let placed: Vec<[f64; 3]> =

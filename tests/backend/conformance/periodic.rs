@@ -119,13 +119,13 @@ pub fn a_full_periodic_box_has_its_faces_as_surface(backend: &TestBackend) {
         assert_eq!(found.bounds, Some([[0.0; 3], [edge; 3]]), "cells of {cell}");
         assert_eq!((found.components, found.genus), (1, Some(0)), "cells of {cell}");
         let share = found.volume.unwrap() / edge.powi(3);
-        // The mesh cuts off the edges of the box by at most a cell.
+        // The mesh cuts off at most one cell along the edges of the box.
         assert!((1.0 - share).abs() < 0.005, "cells of {cell}: {share}");
     }
 }
 
 pub fn a_periodic_mesh_is_the_same_on_every_backend(backend: &TestBackend) {
-    // The box's edge lengths are no multiples of cells or wide cells.
+    // The box's edge lengths are not multiples of the width of cells or wide cells.
     let edges = DVec3::new(31.0, 40.0, 29.0);
     let particles = fluid(9, edges);
     for (kind, cell) in

@@ -15,7 +15,7 @@ use crate::common::{dif, recipe, surfacing};
 /// Number of cells per spacing.
 const CELLS: f64 = 1.6;
 
-/// Water with waves, a sphere above it, a sheet and spray: about 400 bins, of which half contain
+/// Water with waves, a sphere above it, a sheet and spray: about 400 bins, half of which contain
 /// few particles.
 fn frame(backend: &TestBackend, indicator: IndicatorKind) -> (Engine, IVec3) {
     let particles = splash(200_000, 8);

@@ -35,8 +35,8 @@ fn assert_watertight(mesh: &Mesh, what: &str) {
     assert!(report.is_closed_oriented_manifold(), "{what}: {report}");
 }
 
-/// The name, genus and volume in cells of a shape, and whether a point is inside it. Shapes are at
-/// least 32 cells thick everywhere.
+/// The name, the genus and the volume, in cells, of a shape, and a function that returns whether a
+/// point is inside the shape. Shapes are at least 32 cells thick everywhere.
 type Shape = (&'static str, i64, f64, fn(DVec3) -> bool);
 
 const SHAPES: [Shape; 3] = [
@@ -89,8 +89,8 @@ pub fn the_normals_of_a_sphere_point_outwards(backend: &TestBackend) {
     assert!(measure(&surface.mesh).volume.unwrap() > 0.0);
 }
 
-/// The surface of a function that is sampled in cells, meshed in blocks of 32^3 cells. Outside of
-/// the samples, the field is 0.
+/// The surface of the function `sample`, which is evaluated in each cell of `blocks`. Outside these
+/// blocks of 32^3 cells, the field is 0.
 fn surface_of(
     backend: &TestBackend,
     blocks: CellBox,
@@ -167,7 +167,7 @@ pub fn all_pairs_of_adjacent_sign_patterns_give_a_closed_manifold(backend: &Test
     assert_watertight(&mesh, "all patterns");
 }
 
-/// Settings for clouds with spacing 1, with this cell size in spacings.
+/// Settings for clouds with spacing 1 and cells of size `cell`, in spacings.
 fn of_spacings(backend: &TestBackend, cell: f64) -> Sampling {
     let grid = Grid::new(DVec3::ZERO, cell).unwrap();
     Sampling { method: IndicatorKind::Cloud.into(), grid, spacing: Some(1.0), ..backend.sampling() }
@@ -217,7 +217,8 @@ fn a_lone_particle_has_about_its_volume_for_any_cell_size_and_position() {
     for cell in CELLS {
         let (mut least, mut most) = (f64::INFINITY, 0.0_f64);
         for i in 0..18 {
-            // Use random positions in a cell, and corners where cells, wide cells or blocks meet.
+            // Use random positions in a cell, and corners at which cells, wide cells or blocks
+            // meet.
             let particle = match i {
                 0..8 => [(); 3].map(|()| 4.0 * random.unit()),
                 8..16 => [i & 1, i >> 1 & 1, i >> 2 & 1].map(|half| 0.5 * cell * f64::from(half)),
@@ -298,7 +299,7 @@ pub fn air_bubbles_of_radius_2_spacings_survive_deep_in_water(backend: &TestBack
 }
 
 /// The mean height and roughness, in spacings, of the middle of a pool 32 spacings wide. No filter
-/// reaches from there to the pool's edges.
+/// reaches from this area to the pool's edges.
 fn level(backend: &TestBackend, cell: f64, smooth: f64) -> (f64, f64) {
     let pool = fill(16.0, 1.0, 0.3, 21, |p| p.z < 0.0 && p.z > -10.0);
     let surfacing = Surfacing { smooth: Smooth::new(smooth).unwrap(), ..surfacing() };
@@ -405,7 +406,7 @@ pub fn splashes_are_watertight_for_all_indicators_filters_and_walls(backend: &Te
 
 pub fn a_half_full_tank_ends_exactly_at_its_walls_and_keeps_its_volume(backend: &TestBackend) {
     // Test walls on cell faces, and walls that divide cells. The lattice does not fill the second
-    // tank exactly, so the tolerance is larger.
+    // tank exactly, so its tolerance is larger.
     for (lo, hi, tolerance) in [(-16.0, 16.0, 0.005), (-15.7, 16.4, 0.03)] {
         let (lo, hi) = (DVec3::splat(lo), DVec3::splat(hi));
         for indicator in INDICATORS {

@@ -9,7 +9,7 @@ thread_local! {
     static FOLDER: TempDir = in_memory().unwrap_or_else(|| tempfile::tempdir().unwrap());
 }
 
-/// Creates a folder in a file system in memory, if there is one. Most disks are slow at truncating
+/// Creates a folder in an in-memory file system, if there is one. Most disks are slow at truncating
 /// and rewriting files.
 fn in_memory() -> Option<TempDir> {
     tempfile::tempdir_in("/dev/shm").ok()
@@ -27,14 +27,14 @@ pub fn file(name: &str, bytes: &[u8]) -> PathBuf {
     path
 }
 
-/// Makes an empty folder in this thread's folder.
+/// Creates or empties a folder in this thread's folder.
 pub fn empty(name: &str) -> PathBuf {
     let folder = path(name);
     clear(&folder);
     folder
 }
 
-/// Removes the content of a folder.
+/// Empties a folder, or creates it if it does not exist.
 fn clear(folder: &Path) {
     match fs::remove_dir_all(folder) {
         Err(fault) if fault.kind() == std::io::ErrorKind::NotFound => {}

@@ -88,7 +88,8 @@ const NAMES: &[&str] = &["nx", "x", "red", "NORMALS", "end_header", "\"", "&", "
 const OBJ: &[&str] =
     &["v ", "f ", "vn ", "vt ", "//", "-1", "4294967296", "\\\n", "o a\n", "l 1 2\n"];
 
-/// Reads a mesh from any bytes. The mesh must be valid, and writing and reading must not change it.
+/// Reads a mesh from arbitrary bytes. The mesh must be valid, and writing and reading must not
+/// change it.
 fn read(format: MeshFormat, data: &[u8]) {
     let mesh = match format.read(data) {
         Ok(mesh) => mesh,
@@ -153,8 +154,8 @@ fn round(format: MeshFormat, mesh: &Mesh) -> Mesh {
 const NAMING: [MeshFormat; 4] =
     [MeshFormat::Ply, MeshFormat::Vtk, MeshFormat::Vtp, MeshFormat::VtkHdf];
 
-/// Writes and reads a mesh whose attributes have any names. They must not change the rest of the
-/// mesh. The first byte selects the format.
+/// Writes and reads a mesh whose attributes have arbitrary names. The names must not change the
+/// rest of the mesh. The first byte selects the format.
 fn written_and_read(data: &[u8]) {
     let Some((&format, names)) = data.split_first() else { return };
     let format = NAMING[usize::from(format) % NAMING.len()];

@@ -1,8 +1,8 @@
 //! The fuzz targets: the function of each target, and its small seed files, which are generated.
 //!
-//! A target takes any bytes, and panics if the library panics or breaks a guarantee. If a format
-//! has compression or checksums, the target adds them to the mutated bytes, so that the library
-//! accepts them.
+//! A target takes arbitrary bytes, and panics if the library panics or breaks a guarantee. If a
+//! format has compression or checksums, the target adds them to the mutated bytes, so that the
+//! library accepts them.
 
 mod arguments;
 pub mod folder;
@@ -22,10 +22,10 @@ pub mod build;
 pub struct Target {
     /// The name on the command line.
     pub name: &'static str,
-    /// Number of runs on stable Rust. All of them together should take less than a second.
+    /// Number of runs on stable Rust. All runs of a target together should take less than a second.
     pub runs: u32,
     pub run: fn(&[u8]),
-    /// The seeds of mutations.
+    /// Returns the seeds that are mutated.
     pub seeds: fn() -> Vec<Vec<u8>>,
     /// Words that mutations insert.
     pub words: &'static [&'static str],
@@ -46,7 +46,7 @@ pub fn all() -> Vec<Target> {
 }
 
 /// Makes the library do parallel work on the calling thread, because targets must be deterministic,
-/// and because their work is too small for several threads.
+/// and their work is too small for several threads.
 pub fn on_one_thread() {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).use_current_thread();
     // Ignore the error if this function was already called.

@@ -36,7 +36,7 @@ pub fn targets() -> Vec<Target> {
 }
 
 const HEADER: usize = 16;
-/// The size of the footer in bytes, without the number of pages, the periodic box and the sizes.
+/// The size, in bytes, of the footer without the number of pages, the periodic box and the sizes.
 const FACTS: usize = 136;
 const PERIODIC: usize = 56;
 const SIZES: usize = 16;
@@ -63,7 +63,7 @@ fn layout(bytes: &[u8]) -> Option<(usize, usize)> {
     (index <= tail).then_some((footer, index))
 }
 
-/// The size of the parts of the footer that depend on its flags.
+/// The size, in bytes, of the parts of the footer that depend on its flags.
 fn further(flags: u32) -> usize {
     [(2, PERIODIC), (4, SIZES)]
         .iter()
@@ -176,8 +176,8 @@ fn open(bytes: &[u8]) {
     }
 }
 
-/// Makes the surface of a frame. It must be closed, oriented and manifold, unless there is an
-/// error.
+/// Makes the surface of a frame. The surface must be closed, oriented and manifold, unless there is
+/// an error.
 fn draw(bytes: &[u8]) {
     let path = folder::file("b.mnf", bytes);
     let request = Reconstruction::new().threads(1).scratch(std::env::temp_dir());
@@ -194,8 +194,8 @@ fn draw(bytes: &[u8]) {
     }
 }
 
-/// Small seed frames: of every indicator, with walls, with a periodic box, of the first version,
-/// and of several sizes.
+/// Small seed frames: with every indicator, with walls, with a periodic box, in the first version
+/// of the format, and with particles of several sizes.
 fn frames() -> Vec<Vec<u8>> {
     let particles: Vec<[f64; 3]> =
         (0..20_u32).map(|i| [i % 3, i / 3 % 3, i / 9].map(|c| f64::from(c) * 0.9 + 0.3)).collect();

@@ -297,7 +297,7 @@ const HDF5: &[&str] = &[
     "Step#1",
 ];
 
-/// Unpacks files in memory, without a limit.
+/// Settings that unpack files in memory, without a limit.
 pub fn memory() -> Unpacking<'static> {
     Unpacking::in_memory()
 }
@@ -306,7 +306,8 @@ pub fn own(data: &[u8]) -> Bytes {
     data.to_vec().into()
 }
 
-/// Reads all numbers of a file, in several ranges. Every range must give the same numbers.
+/// Reads all numbers of a file, and then the second half again. Both times, the numbers must be the
+/// same.
 pub fn read_through(read: Result<ParticleFile, ReadFault>) {
     let file = match read {
         Ok(file) => file,
@@ -490,7 +491,7 @@ pub fn vtus() -> Vec<Vec<u8>> {
 }
 
 fn hdf5s() -> Vec<Vec<u8>> {
-    // Seeds that other programs wrote, by the scripts in `tools/interop`.
+    // Seeds that other programs wrote when the scripts in `tools/interop` ran them.
     let files: [(u8, &[u8]); 14] = [
         (0, include_bytes!("../../data/h5/columns.h5")),
         (1, include_bytes!("../../data/h5/groups.h5")),

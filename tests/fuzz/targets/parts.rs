@@ -1,4 +1,4 @@
-//! Fuzzes frames in parts: damaged files of a plan and its parts, and random particles in parts.
+//! Fuzzes frames in parts: damaged plans and parts, and random particles that are meshed in parts.
 
 use std::fs;
 use std::path::PathBuf;
@@ -67,7 +67,7 @@ fn fresh() -> (Parts, PathBuf) {
     (parts, files)
 }
 
-/// Replaces one of the files by the bytes, and merges the parts. The first byte selects the file,
+/// Replaces one of the files with the bytes, and merges the parts. The first byte selects the file,
 /// and whether the checksum of a part is corrected. With a correct checksum, the library trusts a
 /// part's content except its lists.
 fn damaged(data: &[u8]) {

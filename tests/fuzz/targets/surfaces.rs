@@ -29,7 +29,7 @@ pub fn targets() -> Vec<Target> {
     vec![Target { name: "fields", runs: 300, run, seeds, words: &[] }]
 }
 
-/// The number of samples along the edge of the cube that the bytes fill.
+/// Number of samples along an edge of the cube that the bytes fill.
 const EDGE: i32 = 9;
 
 /// Meshes and simplifies a field. The bytes are the isovalue, the tolerance, the position of the

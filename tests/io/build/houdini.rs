@@ -5,7 +5,7 @@ use std::collections::HashMap;
 
 use super::zlib;
 
-/// A value of JSON.
+/// A JSON value.
 #[derive(Debug, Clone)]
 pub enum Value {
     Text(String),
@@ -18,7 +18,7 @@ pub enum Value {
     Bits(Vec<bool>),
 }
 
-/// A form of JSON.
+/// How a file encodes JSON.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Form {
     Text,
@@ -34,18 +34,18 @@ impl Form {
     ];
 }
 
-/// An arrangement of an attribute's numbers in the file.
+/// How a file arranges the numbers of an attribute.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Layout {
     Tuples,
     Arrays,
-    /// Pages of this many points, whose components are in groups of these sizes. A page of equal
-    /// numbers is stored as a constant.
+    /// Pages of this many points. In each page, the components form groups of these sizes. If all
+    /// points of a page have the same values in a group, the group is stored as a constant.
     Pages(usize, Vec<usize>),
 }
 
-/// The storage types, each with the size of a number in bytes, and the number's type in binary
-/// JSON.
+/// The storage types, each with the size of a number, in bytes, and the code of the number's type
+/// in binary JSON.
 pub const STORAGES: [(&str, usize, u8); 9] = [
     ("fpreal16", 2, 0x18),
     ("fpreal32", 4, 0x19),
@@ -157,8 +157,8 @@ pub fn cloud(points: usize, attributes: Vec<Value>) -> Value {
     geometry(points, attributes, &[], Vec::new())
 }
 
-/// A geometry with primitives. `vertices` has the point of every vertex, and each primitive has a
-/// kind and data.
+/// A geometry with primitives. `vertex_points` contains the point of every vertex, and each
+/// primitive has a kind and data.
 pub fn geometry(
     points: usize,
     attributes: Vec<Value>,
@@ -180,7 +180,7 @@ pub fn geometry(
 }
 
 impl Value {
-    /// The bytes of a document with this value.
+    /// The bytes of a document that consists of this value.
     pub fn document(&self, form: Form) -> Vec<u8> {
         let Form::Binary { big, tokens } = form else {
             let mut out = String::new();
@@ -343,7 +343,7 @@ fn half(number: f64) -> u16 {
     (bits >> 63 << 15) as u16 | (exponent << 10) as u16 | (bits >> 42 & 0x3ff) as u16
 }
 
-/// A compression of chunks.
+/// How chunks are compressed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Codec {
     Stored,
@@ -352,7 +352,7 @@ pub enum Codec {
     Zstd,
 }
 
-/// An order of the bytes in a chunk.
+/// How the bytes in a chunk are ordered.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Shuffle {
     None,
@@ -366,9 +366,9 @@ pub struct Container {
     pub codec: Codec,
     pub shuffle: Shuffle,
     pub type_size: usize,
-    /// The uncompressed size of a chunk in bytes.
+    /// The uncompressed size of a chunk, in bytes.
     pub chunk: usize,
-    /// The uncompressed size of a block in bytes.
+    /// The uncompressed size of a block, in bytes.
     pub block: usize,
     /// Whether each block is compressed as several streams, one for each byte of its numbers.
     pub split: bool,
@@ -390,7 +390,7 @@ impl Container {
         out.extend(0_u64.to_be_bytes());
         let start = out.len();
         let (mut index, mut last) = (Vec::new(), 0);
-        // Without data, there is still one empty chunk.
+        // Without data, the container still has one empty chunk.
         let chunks: Vec<&[u8]> = match bytes {
             [] => vec![&[]],
             _ => bytes.chunks(self.chunk).collect(),

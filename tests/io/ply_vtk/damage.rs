@@ -52,8 +52,8 @@ fn a_truncated_ply_is_refused_at_every_length() {
     }
 }
 
-/// Files with six points, some of whose vertices are flagged, with all kinds of data sets and
-/// cells.
+/// Files with all kinds of data sets and cells. Each file has six points, and some of the vertices
+/// are flagged.
 fn with_ghosts(ascii: bool) -> Vec<VtkBuilder> {
     let file = |version: &str, types: Option<&[f64]>| {
         let corners = [5., 4., 3., 2., 1., 0.];

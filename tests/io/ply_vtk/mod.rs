@@ -87,7 +87,7 @@ fn stored_big(kind: &str, value: f64) -> Vec<u8> {
 
 const ENCODINGS: [&str; 3] = ["ascii", "binary_little_endian", "binary_big_endian"];
 
-/// Builds a .ply file in one of [`ENCODINGS`]. The caller gives the header without its first two
+/// Builds a .ply file in one of [`ENCODINGS`]. The caller provides the header without its first two
 /// lines.
 struct PlyBuilder {
     encoding: &'static str,
@@ -208,7 +208,7 @@ fn splish(ascii: bool) -> VtkBuilder {
         .end()
 }
 
-/// A file as DualSPHysics writes it, without the number of components of SCALARS.
+/// A file as DualSPHysics writes it. Its SCALARS line lacks the number of components.
 fn dual(ascii: bool) -> VtkBuilder {
     VtkBuilder::new("3.0", ascii, "POLYDATA")
         .line("POINTS 2 double")
@@ -231,7 +231,7 @@ fn dual(ascii: bool) -> VtkBuilder {
         .end()
 }
 
-/// A file in VTK's version 5.1, with all sections that may occur before and after the attributes.
+/// A file of version 5.1, with all sections that may occur before and after the attributes.
 fn toolkit(ascii: bool) -> VtkBuilder {
     let file = VtkBuilder::new("5.1", ascii, "UNSTRUCTURED_GRID")
         .line("FIELD FieldData 3")

@@ -4,7 +4,7 @@ use std::io::{self, Write};
 
 use meniscus::internals::io::encode::write_pieces;
 
-/// How many numbers a piece has; some pieces are empty.
+/// Number of values in a piece. Some pieces are empty.
 fn length(piece: usize) -> usize {
     piece * 7919 % 4096 / 16 * 16
 }

@@ -140,13 +140,13 @@ fn a_splishsplash_vtk_frame_matches_the_values_of_its_simulation() {
     let mut ids = attribute(&file, "id");
     ids.sort_by(f32::total_cmp);
     assert!(ids.windows(2).all(|pair| pair[0] < pair[1]), "an id occurs twice");
-    // Because of a bug, the exporter writes the density also under the name "pressure".
+    // Because of a bug, the exporter also writes the density under the name "pressure".
     assert_eq!(attribute(&file, "pressure"), attribute(&file, "density"));
     assert_eq!(file.particles.attributes().len(), 4);
 }
 
-/// A file with points along x and a vertex for each of `corners`. In an unstructured grid, vertices
-/// have these types. `data` adds the lines after `CELL_DATA`.
+/// A file with points along x and a vertex for each of `corners`. With `types`, the file is an
+/// unstructured grid, and its cells have these types. `data` adds the lines after `CELL_DATA`.
 pub(super) fn flagged(
     ascii: bool,
     version: &str,
@@ -188,7 +188,7 @@ pub(super) fn field(file: VtkBuilder, name: &str, flags: &[f64]) -> VtkBuilder {
     file.data("unsigned_char", flags)
 }
 
-/// The numbers of the points that are no ghosts.
+/// The numbers of the points that are not ghosts.
 fn left(bytes: &[u8]) -> Vec<usize> {
     let file = VTK.particles(bytes).expect("particles");
     positions(&file).iter().map(|position| position[0] as usize).collect()
@@ -220,8 +220,8 @@ fn points_whose_vertices_are_all_ghosts_are_omitted() {
                     "{version}, ascii {ascii}: {name} {flags:?}"
                 );
             }
-            // A point with an unflagged second vertex is no ghost, and neither is one without
-            // vertices.
+            // A point with a flagged and an unflagged vertex is not a ghost, and neither is a point
+            // without vertices.
             assert_eq!(
                 read(&[0., 0., 1., 2., 2.], "vtkGhostType", &[1., 0., 1., 1., 1.]),
                 [0, 3, 4, 5]

@@ -13,7 +13,7 @@ use crate::scene::Random;
 use crate::tables::mean;
 use crate::{Options, Outcome};
 
-/// Cell sizes in spacings, from fine to coarse.
+/// Cell sizes, in spacings, from fine to coarse.
 pub const CELLS: [f64; 4] = [0.25, 0.333, 0.5, 0.667];
 /// Vertical distance between objects above a bulk, in spacings.
 const STOREY: f64 = 12.0;
@@ -31,7 +31,7 @@ const GAPS: [f64; 3] = [1.0, 1.25, 1.5];
 const CHAINS: usize = 6;
 /// Distance between chains, in spacings.
 const APART: f64 = 8.0;
-/// Number of particles of a chain.
+/// Number of particles in a chain.
 const LINKS: usize = 8;
 /// Number of drops of each size along each of two axes.
 const DROPS: usize = 7;
@@ -196,8 +196,8 @@ fn chains() -> Points {
     particles
 }
 
-/// Means over the chains with a gap: the number of components near a chain and above the bulk, and
-/// the share of its particles that are inside the surface.
+/// Means over the chains with gap number `gap`: the number of components near a chain and above the
+/// bulk, and the share of the chain's particles that are inside the surface.
 fn chain_texts(mesh: &Mesh, gap: usize) -> [String; 2] {
     let (found, of_vertices) = components(mesh);
     let of = |chain: usize| {

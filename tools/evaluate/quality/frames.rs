@@ -21,17 +21,19 @@ use crate::{Options, Outcome};
 
 /// The numbers of the frames of the repository's dam break.
 const DAM_BREAK: [&str; 3] = ["1", "10", "20"];
-/// Standard deviation of the Gaussian in spacings. Wider features of the surface are not roughness.
+/// Standard deviation of the Gaussian, in spacings. Wider features of the surface are not
+/// roughness.
 const SIGMA: f64 = 3.0;
-/// Edge of the square cells in which particles are examined for calm water, in spacings.
+/// Edge, in spacings, of the square cells in which particles are examined for calm water.
 const EDGE: f64 = 2.0;
 /// Number of neighbouring cells on either side that must also be calm.
 const REACH: i32 = 1;
-/// Water is calm if the RMS distance of its top particles from a plane is less than this.
+/// Water is calm if the RMS distance of its top particles from a plane is less than this number of
+/// spacings.
 const CALM: f64 = 0.4;
 /// Minimum depth of calm water, in spacings.
 const DEPTH: f64 = 4.0;
-/// Minimum share of this depth that particles fill.
+/// Minimum share of [`DEPTH`] that particles fill in calm water.
 const FULL: f64 = 0.5;
 
 /// A frame of a simulation, scaled to spacing 1, with y up.
@@ -65,7 +67,7 @@ impl Frame {
         Ok(Self { name, points, directions })
     }
 
-    /// Reads the middle frame of a folder, in the order of the files' names.
+    /// Reads the middle frame of a folder, in file name order.
     pub fn middle_of(folder: &Path) -> Outcome<Self> {
         let entries: Vec<_> = std::fs::read_dir(folder)?.collect::<Result<_, _>>()?;
         let mut files: Vec<PathBuf> = entries.into_iter().map(|entry| entry.path()).collect();
@@ -108,7 +110,7 @@ impl Frame {
     }
 }
 
-/// Whether all cells around a cell have water, and the top of this water is nearly a plane.
+/// Whether all cells around a cell contain water, and the top of this water is nearly a plane.
 fn is_calm(tops: &HashMap<IVec2, f64>, cell: IVec2) -> bool {
     let range = || -REACH..=REACH;
     let offs = range().flat_map(|x| range().map(move |y| IVec2::new(x, y)));
@@ -203,7 +205,7 @@ pub fn run(options: &Options, board: &Board, dam: &[Frame], given: &[Frame]) -> 
 }
 
 /// The roughness of calm water: the RMS of its heights after subtracting their Gaussian mean, and
-/// the RMS of the remaining slope in degrees.
+/// the RMS of the remaining slope, in degrees.
 fn roughness(columns: &Columns, calm: &[bool], mesh: &Mesh) -> [f64; 2] {
     let tops = columns.tops(mesh).into_iter().zip(calm);
     let heights: Vec<Option<f64>> =

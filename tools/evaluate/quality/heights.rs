@@ -21,7 +21,7 @@ pub struct Top {
 }
 
 impl Columns {
-    /// A grid with half a spacing between points, over a box of x and z.
+    /// A grid with half a spacing between points, over a range of x and z.
     pub fn over(lo: DVec2, hi: DVec2) -> Self {
         let step = 0.5;
         let size = ((hi - lo) / step).round().max(DVec2::ONE);
@@ -43,7 +43,7 @@ impl Columns {
         (to - from) / self.step
     }
 
-    /// The number of the point nearest to a position, or `None` outside of the grid.
+    /// The number of the point nearest to a position, or `None` outside the grid.
     #[cfg(test)]
     pub fn nearest(&self, at: DVec2) -> Option<usize> {
         let place = ((at - self.lo) / self.step).round();

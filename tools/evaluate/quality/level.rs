@@ -34,7 +34,7 @@ fn height(seed: usize) -> f64 {
     place(seed).y
 }
 
-/// A grid over the middle of a pool, with a length of `along` spacings in the direction of x.
+/// A grid over the middle of a pool, which is `along` spacings long in the x direction.
 fn middle(along: f64) -> Columns {
     Columns::over(DVec2::splat(MARGIN), DVec2::new(MARGIN + along, f64::from(WIDTH) - MARGIN))
 }
@@ -93,7 +93,7 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
     )
 }
 
-/// The mean error of the height, the RMS deviation from this mean, and the RMS slope in degrees.
+/// The mean error of the height, the RMS deviation from this mean, and the RMS slope, in degrees.
 pub fn deviation(tops: &[Top], truth: f64) -> [f64; 3] {
     let bias = mean(tops.iter().map(|top| top.height)) - truth;
     let rms = mean(tops.iter().map(|top| (top.height - truth - bias).powi(2))).sqrt();

@@ -16,13 +16,13 @@ use super::programs::Method;
 use crate::Outcome;
 use crate::tables::Table;
 
-/// The extension of files of particles with sizes.
+/// The extension of particle files that contain sizes.
 pub const SIZED: &str = "csv";
 
 /// Positions of particles.
 pub type Points = Vec<[f64; 3]>;
 
-/// Particles, of spacing 1 or with sizes.
+/// Particles with spacing 1, or with individual sizes.
 pub struct Scene {
     pub points: Points,
     /// The sizes of the particles; `None` if all have size 1.
@@ -40,7 +40,7 @@ type Reading = Box<dyn Fn(&[Mesh]) -> Outcome<Vec<String>> + Send + Sync>;
 /// Scenes whose surfaces are measured together. They give one or more rows of a table.
 pub struct Line {
     pub rows: Vec<String>,
-    /// The cell size in spacings; `None` for the default of each method.
+    /// The cell size, in spacings; `None` for the default of each method.
     pub cell: Option<f64>,
     pub scenes: Vec<Scene>,
     pub lost: Lost,
@@ -48,12 +48,12 @@ pub struct Line {
     pub read: Reading,
 }
 
-/// The result if a method finds no surface in a scene.
+/// What the table shows if a method finds no surface in a scene.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Lost {
     /// All rows show `none`.
     Row,
-    /// The scene has an empty mesh. The rows show `none` only if all scenes have empty meshes.
+    /// The scene's mesh counts as empty. The rows show `none` only if all scenes have empty meshes.
     Scene,
 }
 
@@ -75,7 +75,7 @@ impl Board {
         self.folder.path().join(format!("{number}.{extension}"))
     }
 
-    /// Runs a method on a particle file. Returns `None` if it finds no surface.
+    /// Runs a method on a particle file. Returns `None` if the method finds no surface.
     pub fn mesh(
         &self,
         method: &Method,

@@ -1,10 +1,10 @@
 //! Compares the quality of this library's surfaces with those of other programs. Every program
-//! reads and writes files. A table has the programs' command lines.
+//! reads and writes files. A table contains the programs' command lines.
 //!
 //! `tools/compare/quality` finds the programs, writes the table and runs this module. Lengths are
-//! in spacings of the particles, and the spacing is 1 in all files, except those of several sizes.
-//! Each program's best isovalue is chosen on other bodies and lattices than those whose results are
-//! shown.
+//! in spacings of the particles, and the spacing is 1 in all files, except in those with particles
+//! of several sizes. Each program's best isovalue is chosen on bodies and lattices whose results
+//! are not shown.
 
 mod bodies;
 mod clumps;

@@ -17,9 +17,9 @@ const SCENES: usize = 10;
 #[derive(Debug, Clone, PartialEq)]
 pub struct Program {
     pub name: String,
-    /// The default or recommended cell size in spacings; `None` if the program chooses it.
+    /// The default or recommended cell size, in spacings; `None` if the program chooses it.
     pub cell: Option<f64>,
-    /// The documented isovalue, followed by others to try.
+    /// The documented isovalue, followed by other isovalues to try.
     pub isos: Vec<String>,
     pub takes: Takes,
     /// The command line with the variables `{in}`, `{out}`, `{cell}` (cell size in spacings),
@@ -29,7 +29,7 @@ pub struct Program {
     sized: Option<String>,
 }
 
-/// The scenes that a program is fast enough for.
+/// The scenes for which a program is fast enough.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Takes {
     Many,
@@ -83,7 +83,7 @@ impl Program {
         self.at(self.isos.first().cloned(), self.name.clone(), true)
     }
 
-    /// The program with the best isovalue.
+    /// The program with its best isovalue, `iso`.
     pub fn best(&self, iso: &str) -> Method {
         self.at(Some(iso.into()), format!("{}, best: {iso}", self.name), false)
     }
@@ -106,7 +106,7 @@ impl Method {
         starts && scenes.iter().all(|scene| self.takes(scene.points.len()) && takes_sizes(scene))
     }
 
-    /// The words of the command line. Words with a variable that has no value are left out.
+    /// The words of the command line. Leaves out words with a variable that has no value.
     fn words(&self, files: [&Path; 2], cell: Option<f64>, threads: usize) -> Vec<String> {
         let cell = cell.or(self.program.cell);
         let [input, output] = files.map(|file| Some(file.display().to_string()));
@@ -130,7 +130,8 @@ impl Method {
         command.split_whitespace().filter_map(filled).collect()
     }
 
-    /// Runs the program, and returns its time in seconds; `None` if it failed or found no surface.
+    /// Runs the program, and returns its time, in seconds. Returns `None` if the program failed or
+    /// found no surface.
     pub fn run(
         &self,
         files: [&Path; 2],

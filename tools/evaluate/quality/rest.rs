@@ -22,7 +22,7 @@ const CELL: f64 = 0.5;
 const STEPS: usize = 8;
 /// Number of steps of the flow.
 const MOVES: usize = 3;
-/// Distance that particles flow in a step, in spacings.
+/// Distance, in spacings, that particles flow in one step.
 const MOVE: f64 = 0.1;
 /// Edge length of the pool, in spacings.
 const WIDTH: i32 = 36;
@@ -30,7 +30,7 @@ const WIDTH: i32 = 36;
 const DEPTH: i32 = 12;
 /// Measurements ignore the parts of the pool within this distance of the edges.
 const MARGIN: f64 = 12.0;
-/// A vertex moves with the particles within this distance.
+/// A vertex moves with the particles that are within this distance of it.
 const NEAR: f64 = 2.5;
 
 pub fn run(options: &Options, board: &Board, dam: &[Frame]) -> Outcome<()> {

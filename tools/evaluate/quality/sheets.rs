@@ -35,21 +35,21 @@ const LINKS: usize = 20;
 /// The factors by which filaments are stretched.
 const STRETCHES: [f64; 3] = [1.4, 1.8, 2.1];
 const FILAMENT_JITTER: f64 = 0.1;
-/// Edge length of the box that holds the centres of filaments.
+/// Edge length of the box that contains the centres of the filaments.
 const BOX: f64 = 60.0;
 /// Minimum distance between particles of different filaments.
 const CLEARANCE: f64 = 7.0;
-/// Mean distances between the drops of a spray.
+/// Mean distances between the drops in a spray.
 const SPRAY: [f64; 2] = [3.0, 4.0];
-/// Number of drops of a spray.
+/// Number of drops in a spray.
 const DROPS: usize = 1200;
 /// Maximum distance between neighbours in a cluster.
 const LINKAGE: f64 = 1.9;
 /// The numbers of layers of the sheets that are stretched frame by frame.
 const SLOW: [i32; 2] = [1, 2];
-/// Number of frames in which these sheets are stretched.
+/// Number of frames in which the sheets of [`SLOW`] are stretched.
 const FRAMES: usize = 30;
-/// The stretch in the last frame.
+/// The stretch of these sheets in the last frame.
 const LAST: f64 = 2.4;
 
 /// The cell sizes and the seeds of the random samples for the rows of a table.
@@ -314,7 +314,7 @@ impl Tear {
     }
 
     /// Measures a shell. An intact shell has an inner and an outer surface. The first hole joins
-    /// them, and only further holes are handles.
+    /// the two surfaces, and only further holes are handles.
     fn of_shell(mesh: &Mesh, volume: f64) -> Self {
         let is_inner = |component: &Component| {
             component.volume < 0.0 && (component.hi - component.lo).min_element() > RADIUS

@@ -22,7 +22,7 @@ const DEPTH: f64 = 24.0;
 const MARGIN: f64 = 12.0;
 /// The sizes of single particles that become drops.
 const DROPS: [f64; 4] = [1.0, 2.0, 4.0, 8.0];
-/// The distance between neighbouring drops, in sizes of the larger one.
+/// The distance between neighbouring drops, in sizes of the larger drop.
 const APART: f64 = 20.0;
 /// The radius of the ball of fine particles.
 const RADIUS: f64 = 10.0;
@@ -39,7 +39,7 @@ struct Water {
 }
 
 impl Water {
-    /// Adds jittered particles of one size on a lattice in a box, where `holds` is true.
+    /// Adds jittered particles of one size on a lattice in a box, where `holds` returns true.
     fn fill(
         &mut self,
         [lo, hi]: [DVec3; 2],
@@ -67,7 +67,7 @@ impl Water {
         self.sizes.iter().map(|size| size.powi(3)).sum()
     }
 
-    /// The scene, moved to the place of a seed within a cell.
+    /// The scene, moved to the position within a cell that `seed` determines.
     fn scene(self, seed: usize) -> Scene {
         let moved = |p: [f64; 3]| (DVec3::from(p) + place(seed)).into();
         let points = self.points.into_iter().map(moved).collect();
@@ -139,7 +139,8 @@ fn layer(seed: usize) -> Water {
     water
 }
 
-/// The mean error of the height and the RMS deviation from it between two values of x, in sizes.
+/// The mean error of the height between two values of x, and the RMS deviation from this mean, both
+/// in units of `size`.
 fn level(meshes: &[Mesh], [from, to]: [f64; 2], size: f64) -> String {
     let of = meshes.iter().enumerate().map(|(seed, mesh)| {
         let moved = place(seed);
@@ -153,8 +154,8 @@ fn level(meshes: &[Mesh], [from, to]: [f64; 2], size: f64) -> String {
     format!("{}, {}", signed(bias), figure(rms))
 }
 
-/// The numbers of pieces and bubbles of all meshes, and the mean ratio of the volume of a mesh to
-/// that of its particles.
+/// The numbers of pieces and bubbles of all meshes, and the mean ratio of a mesh's volume to the
+/// volume of its particles.
 fn whole(meshes: &[Mesh], volumes: &[f64]) -> [String; 2] {
     let counts: Vec<Count> = meshes.iter().map(|mesh| Count::of(&components(mesh).0)).collect();
     let pieces: usize = counts.iter().map(|count| count.components).sum();
@@ -236,7 +237,7 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
 /// Measures the meshes of all seeds, given the volumes of their particles.
 type ReadWater = Box<dyn Fn(&[Mesh], &[f64]) -> Vec<String> + Send + Sync>;
 
-/// For each size, the mean volume of the drops, divided by the volume of their particle.
+/// For each size, the mean volume of the drops, divided by the volume of a particle.
 fn of_drops(meshes: &[Mesh]) -> String {
     let of = |size: f64| {
         let near = |at: DVec3| (at - drop_place(size)).abs().max_element() < APART * size / 2.0;

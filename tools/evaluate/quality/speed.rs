@@ -1,4 +1,5 @@
-//! Compares the speed of methods: seconds from file to file, one program after the other.
+//! Compares the speed of methods: the seconds that each program takes from file to file. The
+//! programs run one after the other.
 
 use std::num::NonZero;
 

@@ -12,13 +12,13 @@ use super::programs::Method;
 use crate::camera::{Camera, write_sheet};
 use crate::{Options, Outcome};
 
-/// Width and height in pixels of a picture on a sheet.
+/// Width and height, in pixels, of a picture on a sheet.
 const SMALL: [usize; 2] = [560, 420];
-/// Width and height in pixels of a picture in a pair.
+/// Width and height, in pixels, of a picture in a pair.
 const LARGE: [usize; 2] = [960, 720];
 const COLUMNS: usize = 3;
-/// Distance of the camera relative to a view of the whole box. This distance cuts off the corners
-/// of the box, and shows its content larger.
+/// Distance of the camera relative to a view of the whole box. At this distance, a picture cuts off
+/// the corners of the box, but shows its content larger.
 const FAR: f64 = 0.8;
 /// Radius of the region in a close-up, in spacings.
 const NEAR: f64 = 14.0;

@@ -41,7 +41,7 @@ def test_every_file_that_the_library_reads_can_be_chosen() -> None:
     with pytest.raises(meniscus.InputError) as refused:
         meniscus.read_particles("water.abc")
     known = set(re.findall(r"\.\w+", str(refused.value).split("abc", 1)[1]))
-    # The extension also offers packed frames and lists of frames, which are no particle files.
+    # The extension also offers packed frames and lists of frames, which are not particle files.
     assert set(EXTENSIONS) == known | {".mnf", ".pvd", ".series"}
     assert len(";".join(f"*{extension}" for extension in EXTENSIONS)) <= 255
 
@@ -60,8 +60,8 @@ def test_frames_are_shown_by_their_numbers() -> None:
     timing = Timing(start=1, first=2)
     shown = [shown_at(FRAMES, timing, frame) for frame in range(-2, 9)]
     assert [each.number for each in shown] == [2, 2, 2, 2, 3, 3, 3, 6, 6, 6, 6]
-    # A gap is a missing file between others; frames before the first or after the last file are
-    # not.
+    # A gap is a missing file between other files. Frames before the first file or after the last
+    # file are not gaps.
     assert [each.is_gap for each in shown] == [False, False, False, False, False, True, True, False, False, False, False]
     assert shown[5].wanted == 4 and shown[5].path == "f_3.bgeo"
 

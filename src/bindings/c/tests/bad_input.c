@@ -35,7 +35,7 @@ static void refuse_options(const char *message, const char *const *said, int lin
     refused(status, MENISCUS_STATUS_REQUEST, message, mesh, line);
     MeniscusSimulation *simulation = (MeniscusSimulation *)&positions;
     status = meniscus_simulation_new(options, &simulation);
-    if (status == MENISCUS_STATUS_OK) {  // Attributes are looked for in frames.
+    if (status == MENISCUS_STATUS_OK) {  // The library looks up attributes only in frames.
       meniscus_simulation_free(simulation);
     } else {
       refused(status, MENISCUS_STATUS_REQUEST, message, simulation, line);
@@ -201,7 +201,7 @@ static void particles_are_refused(void) {
       {.size = sizeof *twins, .name = "heat", .values = positions, .components = 1},
       {.size = sizeof *twins, .name = "heat", .values = positions, .components = 1}};
   PARTICLES(REQUEST, "another attribute is called \"heat\"", .attributes = twins, .attribute_count = 2);
-  // Frames in which all particles are left out, or all have the same position.
+  // Test frames in which all particles are left out, or all have the same position.
   static float nowhere[COUNT][3];
   MeniscusParticles same = particles_of(nowhere);
   REFUSED(INPUT, "spacing", meniscus_reconstruct(&same, NULL, &mesh));

@@ -1,4 +1,4 @@
-// Tests all guarantees of the interface except that bytes are equal: `behaviour FOLDER`.
+// Tests all guarantees of the interface except for equal bytes: `behaviour FOLDER`.
 #include "water.h"
 
 static float positions[COUNT][3];
@@ -301,7 +301,7 @@ static int32_t note(void *user, const MeniscusEvent *event) {
   return 0;
 }
 
-/// Cancels before the first frame, because after it all other frames may be finished as well.
+/// Cancels before the first frame, because all other frames may also be finished after it.
 static int32_t stop(void *user, const MeniscusEvent *event) {
   (void)user;
   return event->kind == MENISCUS_EVENT_KIND_STARTED;
@@ -315,7 +315,7 @@ static void a_conversion_reports_finished_and_failed_frames(const char *folder) 
     snprintf(inputs[i], sizeof inputs[i], "%s/water_%d.xyz", folder, i);
     FILE *file = fopen(inputs[i], "wb");
     CHECK(file && fwrite(positions, sizeof positions[0], COUNT, file) == COUNT);
-    // Make the third file invalid: append 3 bytes, which are no complete particle.
+    // Make the third file invalid: append 3 bytes, which are not a complete particle.
     CHECK(i != 2 || fwrite("bad", 1, 3, file) == 3);
     CHECK(fclose(file) == 0);
   }

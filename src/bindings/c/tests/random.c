@@ -41,7 +41,7 @@ static double share(void) {
   return pick(256) / 256.0;
 }
 
-/// True once in `times` calls.
+/// True with a probability of 1 / `times`.
 static bool rarely(uint32_t times) {
   return pick(times) == 0;
 }
@@ -66,7 +66,7 @@ enum { MOST = 200 };
 static const double EXTENT = 0.4;
 #endif
 
-// Exactly as large as the structures say, so that valgrind detects reads beyond its end.
+// A block exactly as large as the structures say, so that valgrind detects reads beyond its end.
 static unsigned char *memory;
 static MeniscusAttribute attributes[3];
 static const char *words[] = {"velocity", "heat", "v", "none", "", "\xff\xfe", "a very long name of an attribute, as nobody has", NULL};
@@ -186,8 +186,8 @@ static void set_box(MeniscusOptions *options, const char *key) {
   if (rarely(4)) set_numbers(options, key, box, 6);
 }
 
-/// Whether the option may get random values. The other options would search for devices, which is
-/// slow, wait for frames that never appear, write elsewhere, or start too many threads.
+/// Whether an option may be set to random values. The other options would search for devices, which
+/// is slow, wait for frames that never appear, write elsewhere, or start too many threads.
 static bool is_harmless(const char *key) {
   const char *harmful[] = {"backend", "device", "watch", "scratch", "threads"};
   for (size_t i = 0; i < sizeof harmful / sizeof *harmful; i++) {
@@ -214,7 +214,7 @@ static void set_anything(MeniscusOptions *options) {
   }
 }
 
-/// Options with valid and invalid values, to be freed.
+/// Options with valid and invalid values. The caller must free them.
 static MeniscusOptions *some_options(const char *folder) {
   MeniscusOptions *options = rarely(20) ? meniscus_options_copy(NULL) : meniscus_options_new();
   set_number(options, "spacing", rarely(2) ? 0.05 : rarely(8) ? number(0.05) : 0.05);
@@ -290,7 +290,8 @@ static void ask(const MeniscusMesh *mesh, const char *folder) {
   MeniscusArrays arrays = {.size = size_of(sizeof arrays)};
   MeniscusReport report = {.size = size_of(sizeof report)};
   MeniscusCheck check = {.size = size_of(sizeof check)};
-  // A structure whose announced size exceeds its memory must not be written to.
+  // The library must not write to a structure whose announced size exceeds its memory, so reduce
+  // the size.
   if (arrays.size > sizeof arrays && arrays.size <= 4096) arrays.size = 8;
   if (report.size > sizeof report && report.size <= 4096) report.size = 8;
   if (check.size > sizeof check && check.size <= 4096) check.size = 8;
@@ -369,7 +370,7 @@ static void convert(const char *folder, const char *frames) {
     if (rarely(3)) set(some, "frames", range);
     if (rarely(2)) set_number(some, "step", pick(3));
     if (rarely(3)) set_number(some, "fps", number(25));
-    // Only tiny or invalid timeouts, because no new frame ever appears.
+    // Use only tiny or invalid timeouts, because no new frame ever appears.
     if (rarely(9)) set_number(some, "watch", rarely(2) ? 1e-9 : -fabs(number(1)));
     set_number(some, "overwrite", rarely(2)), set_number(some, "resume", rarely(2));
     if (rarely(2)) {
@@ -385,7 +386,7 @@ static void convert(const char *folder, const char *frames) {
   meniscus_options_free(some);
 }
 
-/// Replaces a mesh by a new one, which must be closed.
+/// Replaces a mesh with a new one, which must be closed.
 static void keep(MeniscusMesh **mesh, MeniscusMesh *made) {
   MeniscusCheck check = {.size = sizeof check};
   OK(meniscus_mesh_check(made, &check));

@@ -19,7 +19,8 @@ static void run(const char *format, ...) {
   }
 }
 
-/// Compares the files of the program and of the library: the mesh, and the files that it refers to.
+/// Compares the files of the program and of the library: the mesh, and the files that the mesh
+/// refers to.
 static void compare(const char *extension, const MeniscusMesh *mesh, const char *input, const char *options) {
   char path[512];
   run("rm -rf %s/program %s/library && mkdir %s/program %s/library", folder, folder, folder, folder);
@@ -138,7 +139,8 @@ static int test(int count, char **arguments) {
     meniscus_mesh_free(mesh);
   }
 
-  // A packed frame has the same bytes as the program's, and its mesh has the same bytes too.
+  // A packed frame must have the same bytes as the program's packed frame, and the mesh of the
+  // packed frame must have the same bytes too.
   char packed[512];
   snprintf(packed, sizeof packed, "%s/library.mnf", folder);
   MeniscusFrame *frame;
@@ -153,7 +155,8 @@ static int test(int count, char **arguments) {
   compare("ply", mesh, wide_file, "--smooth 2");
   meniscus_mesh_free(mesh);
 
-  // Convert a simulation with both: all files are equal except for the times in them.
+  // Convert a simulation with the program and with the library: all files must be equal, except for
+  // the times in them.
   run("rm -rf %s/frames %s/by_*; mkdir %s/frames", folder, folder, folder);
   for (int number = 1; number <= 3; number++) {
     char name[64];

@@ -88,7 +88,7 @@ static inline void wait_for_threads(void) {
 }
 
 #ifndef FUZZED
-/// The test of a file; `main` calls it.
+/// The test that the including file defines; `main` calls it.
 static int test(int count, char **arguments);
 
 /// Whether a graphics driver was used. A driver keeps its own threads.

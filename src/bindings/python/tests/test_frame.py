@@ -20,7 +20,8 @@ def test_its_surface_is_that_of_its_particles_by_whatever_keywords(ball: Any) ->
     asked = meniscus.reconstruct(ball, spacing=1.0, velocity=ball, normals=True)
     assert same(frame.surface(), asked) and np.array_equal(frame.surface().normals, asked.normals)  # type: ignore[arg-type]
     assert np.array_equal(frame.surface().attributes["velocity"], asked.attributes["velocity"])
-    # A keyword overrides that keyword of the frame. All other keywords keep the frame's values.
+    # A keyword overrides the frame's value of this keyword. All other keywords keep the frame's
+    # values.
     calm = frame.surface(smooth=2.5)
     assert same(calm, meniscus.reconstruct(ball, spacing=1.0, smooth=2.5)) and calm.normals is not None
     assert frame.surface(normals=False).normals is None
@@ -105,8 +106,8 @@ def test_its_volume_has_the_distances_from_its_surface(ball: Any) -> None:
     for ends in zip(np.floor(voxels + 1e-4).astype(int), np.ceil(voxels - 1e-4).astype(int), strict=True):
         low, high = (volume.values[brick[tuple(at // 8 * 8)]][tuple(at % 8)] for at in ends)
         assert low * high <= 0 and max(abs(low), abs(high)) <= volume.voxel_size + 1e-5
-    # Compare each voxel's value with the distance to the nearest vertex, within a tenth of a voxel:
-    # the value must not be larger, and must be almost as large.
+    # Each voxel's value may exceed the distance to the nearest vertex by at most a tenth of a
+    # voxel, and must be almost as large as this distance.
     steps = np.stack(np.meshgrid(*[np.arange(8)] * 3, indexing="ij"), axis=-1)
     places = (volume.origins[:, None, None, None] + steps) * volume.voxel_size + volume.transform[:3, 3]
     inner = np.abs(volume.values) < band

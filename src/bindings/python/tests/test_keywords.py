@@ -13,7 +13,7 @@ import pytest
 
 import meniscus
 
-# Options of the program that are no keywords of `reconstruct`, each with the reason.
+# Options of the program that are not keywords of `reconstruct`, each with the reason.
 OF_FILES = {
     "output": "Mesh.write() takes it",
     "overwrite": "Mesh.write() takes it, too",

@@ -15,8 +15,8 @@ import meniscus
 from conftest import ROOT, lattice
 
 DATA = ROOT / "tests" / "data"
-# Files that other programs wrote. Options give the spacing if the file has none and has too few
-# particles for an estimate.
+# Files that other programs wrote. Options give the spacing if the file contains none and has too
+# few particles for an estimate.
 FILES: dict[str, dict[str, Any]] = {
     "dambreak_small/ParticleData_Fluid_20.bgeo": {},
     "dambreak_small/ParticleData_Fluid_10.vtk": {},

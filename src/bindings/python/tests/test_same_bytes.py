@@ -74,7 +74,8 @@ def test_options_mean_what_they_mean_to_the_program(tmp_path: Path, program: Any
     program("reconstruct", tmp_path / "in.npy", "-o", tmp_path / "theirs.ply", "-q", *given)
     theirs = (tmp_path / "theirs.ply").read_bytes()
     assert written(tmp_path, "ours.ply", meniscus.reconstruct(ball, **options)) == theirs
-    # A keyword that describes the surface changes the mesh; one that selects resources does not.
+    # A keyword that describes the surface changes the mesh. A keyword that selects resources does
+    # not.
     plain = written(tmp_path, "plain.ply", meniscus.reconstruct(ball, spacing=1.0))
     only_how = set(options) <= {"backend", "spacing", "skip_invalid", "iso"} or options.get("memory")
     assert (plain != theirs) or only_how

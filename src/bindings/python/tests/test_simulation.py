@@ -103,7 +103,7 @@ def test_files_become_the_files_of_the_program(tmp_path: Path, program: Any, dam
     assert {event.output for event in done} == {tmp_path / "ours" / f"{number:03}.ply" for number in (1, 10, 20)}
     assert str(done[0]) == done[0].message and "triangles" in done[0].message
     assert {"measured", "started", "stage", "ended"} <= {event.kind for event in events}
-    # A second run with `resume` makes no frames, and a second run without it is an error.
+    # A second run with `resume` makes no frames, and a second run without it gives an error.
     (again,) = meniscus.Simulation(inputs, tmp_path / "ours" / "{:03}.ply", normals=True, resume=True).run()
     assert again.made == 0 and again.complete
     with pytest.raises(meniscus.FileError, match="already exists"):

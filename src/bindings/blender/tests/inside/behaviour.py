@@ -307,7 +307,7 @@ def the_fluid_ends_at_the_objects_of_a_collection() -> None:
     conversion.start()
     conversion.join()
     assert (conversion.done, conversion.error, conversion.problems) == (3, "", []), vars(conversion)
-    # A hidden solid still shapes the fluid, also in renders. A mesh with a hole is an error.
+    # A hidden solid still shapes the fluid, even in renders. A mesh with a hole gives an error.
     cube.hide_viewport = cube.hide_render = True
     scene.frame_set(20)
     assert touches(shown, cube, 0.2), live.status_of(shown.data)
