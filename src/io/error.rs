@@ -15,7 +15,7 @@ use crate::system::reopened::ReopenedError;
 pub struct ReadError {
     /// Path of the input file.
     pub path: PathBuf,
-    /// What went wrong, with details.
+    /// The cause of the failure, with details.
     #[source]
     pub fault: ReadFault,
 }
@@ -27,7 +27,7 @@ impl ReadError {
     }
 }
 
-/// What went wrong while reading an input file.
+/// The cause of a failure to read an input file.
 #[derive(Debug, Error)]
 pub enum ReadFault {
     /// An error of the system, such as a missing file.
@@ -180,7 +180,7 @@ pub(super) fn no_step(step: u64) -> ReadFault {
 pub struct WriteError {
     /// Path of the output.
     pub path: PathBuf,
-    /// What went wrong, with details.
+    /// The cause of the failure, with details.
     #[source]
     pub fault: WriteFault,
 }

@@ -26,7 +26,7 @@ const WRITTEN_BLOCK: usize = 1 << 19;
 pub enum BloscFault {
     /// The name of a codec that is not supported.
     Unknown(&'static str),
-    /// What is damaged in the chunk.
+    /// A description of the damage in the chunk.
     Damaged(&'static str),
 }
 
