@@ -5,17 +5,28 @@ use std::path::PathBuf;
 use super::frame_file::{FrameFile, neighbours};
 use super::pattern::Pattern;
 
+/// Minimum number of frames that show the step of a simulation, so that a last frame off this step
+/// counts as the state at the end of the simulation, which many programs write in addition.
+const REGULAR: usize = 4;
+
 /// Finds the numbers that are missing between the frames. The step is the largest number that
-/// divides all differences between existing frame numbers.
+/// divides all differences between existing frame numbers, except for a last frame that does not
+/// fit the others.
 pub fn gaps(frames: &[FrameFile]) -> Gaps {
-    let steps = neighbours(frames).map(|(a, b)| b.number.abs_diff(a.number));
-    let step = steps.fold(0, greatest_common_divisor);
+    let step_of = |frames: &[FrameFile]| {
+        let steps = neighbours(frames).map(|(a, b)| b.number.abs_diff(a.number));
+        steps.fold(0, greatest_common_divisor)
+    };
+    let before_last = &frames[..frames.len().saturating_sub(1)];
+    let step = step_of(if before_last.len() < REGULAR { frames } else { before_last });
     let mut ranges = Vec::new();
     for (a, b) in neighbours(frames) {
-        if b.number.abs_diff(a.number) > step {
-            // The step divides every difference between existing numbers.
+        let difference = b.number.abs_diff(a.number);
+        if difference > step {
+            // The step divides every difference, except maybe the last.
+            let last = (difference - 1) / step * step;
             ranges
-                .push((a.number.wrapping_add_unsigned(step), b.number.wrapping_sub_unsigned(step)));
+                .push((a.number.wrapping_add_unsigned(step), a.number.wrapping_add_unsigned(last)));
         }
     }
     let gaps = Gaps { step, ranges, sparse: false };
@@ -126,8 +137,17 @@ mod tests {
             assert_eq!(found.within(first, last).ranges, within, "{first} to {last}");
         }
         assert_eq!(gaps(&frames(&[3, 4, 5])).ranges, []);
+        assert_eq!(gaps(&frames(&[0, 2, 4, 5])).ranges, [(1, 1), (3, 3)]);
         assert!(gaps(&frames(&[1, 10, 20])).sparse);
         assert!(gaps(&frames(&[0, 12, 13, 14])).sparse, "four frames of fifteen are a choice");
+    }
+
+    #[test]
+    fn a_last_frame_off_the_step_is_the_end_of_the_simulation() {
+        assert_eq!(gaps(&frames(&[0, 100, 200, 300, 350])).ranges, []);
+        let found = gaps(&frames(&[0, 100, 200, 400, 500, 725]));
+        assert_eq!((found.step, &*found.ranges), (100, &[(300, 300), (600, 700)][..]));
+        assert_eq!(gaps(&frames(&[0, 100, 200, 250, 300])).step, 50);
     }
 
     #[test]
