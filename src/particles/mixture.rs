@@ -11,10 +11,12 @@ use super::occurring::{AttributeOrLabel, Value, values_of};
 use super::{Particles, chunks};
 
 /// Names of attributes that distinguish materials, in lower case and without punctuation.
-const KINDS: [&str; 26] = [
+const KINDS: [&str; 38] = [
     "type",
     "ptype",
     "particletype",
+    "parttype",
+    "itype",
     "kind",
     "phase",
     "phaseid",
@@ -38,6 +40,16 @@ const KINDS: [&str; 26] = [
     "bodyid",
     "objectid",
     "species",
+    "element",
+    "class",
+    "classid",
+    "state",
+    "tag",
+    "tagid",
+    "flag",
+    "flags",
+    "iflag",
+    "imove",
 ];
 
 /// Maximum number of different values of an attribute that distinguishes materials.

@@ -109,7 +109,7 @@ fn describe(info: &Info) -> String {
             if let Some(edges) = box_size {
                 line(
                     "file's box",
-                    format!("edges {edges:?}; the file does not say whether it is periodic"),
+                    format!("edges {edges:?}; if fluid leaves through its faces, use --periodic"),
                 );
             }
             if let Some(metres) = unit_metres {

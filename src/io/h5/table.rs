@@ -595,7 +595,7 @@ pub(super) fn chosen_type(
             .map(str::to_owned)
             .ok_or_else(|| {
                 ReadFault::Unsupported(format!(
-                    "particles of several types: {}; choose one as the particle type",
+                    "particles of several types: {}; choose one with the condition type=NAME",
                     list_of(known)
                 ))
             }),

@@ -13,8 +13,8 @@ use crate::io::{ReadFault, malformed};
 const MOST_OF_NOTHING: usize = 9;
 
 /// Names of the field that contains the time. VTK's readers use the first, and newer writers the
-/// second.
-const TIMES: [&str; 2] = ["TIME", "TimeValue"];
+/// second. Simulations use the others.
+const TIMES: [&str; 4] = ["TIME", "TimeValue", "time", "Time"];
 
 /// The sections of a file that the reader uses.
 #[derive(Debug)]
