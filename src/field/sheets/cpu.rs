@@ -64,7 +64,7 @@ pub fn sheets(
     let strides = density.strides().map(|stride| stride as isize * step as isize);
     let [x, y, z] = strides;
     let width = dense.size().x as usize;
-    let (mut candidates, everywhere) = (vec![0; width], vec![1; width]);
+    let mut candidates = vec![0; width];
     // For each piece of a row, whether its sheets were computed.
     let in_row = width.div_ceil(LANES);
     let mut made = vec![false; density.rows(dense).count() * in_row];
@@ -72,21 +72,22 @@ pub fn sheets(
     for (([y_cell, z_cell], _), made) in density.rows(dense).zip(made.chunks_mut(in_row)) {
         let row = IVec3::new(dense.lo.x, y_cell, z_cell);
         let (first, to) = (density.index(row), shares.index(row));
-        let needed = needed
-            .map_or(&everywhere[..], |needed| &needed.samples()[needed.index(row)..][..width]);
-        if greatest_of(needed) == 0 {
+        let needed = needed.map(|needed| &needed.samples()[needed.index(row)..][..width]);
+        if needed.is_some_and(|needed| greatest_of(needed) == 0) {
             continue;
         }
         let row = |offset: isize| &logarithms[first.wrapping_add_signed(offset)..][..width];
         let beside = [row(-x), row(x), row(-y), row(y), row(-z), row(z)];
-        may_be_sheets(&mut candidates, numbers, needed, row(0), beside);
+        may_be_sheets(&mut candidates, numbers, row(0), beside);
+        for (candidate, &needed) in candidates.iter_mut().zip(needed.into_iter().flatten()) {
+            *candidate &= u16::from(needed > 0);
+        }
         let pieces = candidates.chunks(LANES).zip(made).zip((0..).step_by(LANES));
         for ((piece, made), start) in
             pieces.filter(|((candidates, _), _)| greatest_of(candidates) > 0)
         {
-            let found = sheets_of_each(numbers, &logarithms, first + start, strides, true);
-            let Some(found) = found else { continue };
             *made = true;
+            let found = sheets_of_each(numbers, &logarithms, first + start, strides);
             let place = to + start..to + start + piece.len();
             shares.samples_mut()[place.clone()].copy_from_slice(&found.0[..piece.len()]);
             certainty.samples_mut()[place].copy_from_slice(&found.1[..piece.len()]);
@@ -108,8 +109,7 @@ pub fn sheets(
         for ((piece, _), start) in
             pieces.filter(|((certain, made), _)| !**made && greatest_of(certain) > 0)
         {
-            let found = sheets_of_each(numbers, &logarithms, first + start, strides, false);
-            let (found, _) = found.expect("shares are computed without certainty too");
+            let (found, _) = sheets_of_each(numbers, &logarithms, first + start, strides);
             shares.samples_mut()[to + start..][..piece.len()]
                 .copy_from_slice(&found[..piece.len()]);
         }
@@ -124,40 +124,30 @@ fn logarithms_of(to: &mut [u16], samples: &[u16]) {
     }
 }
 
-/// For each logarithm of a row: 1 if it is needed and may belong to a sheet, according to its
-/// neighbours along the axes, and 0 otherwise.
+/// For each logarithm of a row: 1 if it may belong to a sheet, according to its neighbours along
+/// the axes, and 0 otherwise.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
-fn may_be_sheets(
-    to: &mut [u16],
-    numbers: &SheetConstants,
-    needed: &[u16],
-    row: &[u16],
-    beside: [&[u16]; 6],
-) {
+fn may_be_sheets(to: &mut [u16], numbers: &SheetConstants, row: &[u16], beside: [&[u16]; 6]) {
     let [x, to_x, y, to_y, z, to_z] = beside;
     let (x, y, z) = (x.iter().zip(to_x), y.iter().zip(to_y), z.iter().zip(to_z));
-    let taps = row.iter().zip(x.zip(y).zip(z));
-    for ((to, &needed), (&centre, ((x, y), z))) in to.iter_mut().zip(needed).zip(taps) {
+    for ((to, &centre), ((x, y), z)) in to.iter_mut().zip(row).zip(x.zip(y).zip(z)) {
         let centre = i32::from(centre);
         let second = |(&a, &b): (&u16, &u16)| 2 * centre - i32::from(a) - i32::from(b);
         let seconds = [second(x), second(y), second(z)];
         let is_thin = seconds[0] + seconds[1] + seconds[2] > numbers.least_across;
-        let may_be = (centre >= numbers.least) & is_thin & !numbers.is_round(seconds);
-        *to = u16::from((needed > 0) & may_be);
+        *to = u16::from((centre >= numbers.least) & is_thin & !numbers.is_round(seconds));
     }
 }
 
 /// Sheets at several adjacent cells at a time, as in [`SheetConstants::sheet`]. The three strides
-/// lead from a cell to the samples from which the cell's differences are computed. With
-/// `only_certain`, the result is `None` if all cells lie in thick bodies, where certainty is 0.
+/// lead from a cell to the samples from which the cell's differences are computed.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
 fn sheets_of_each(
     numbers: &SheetConstants,
     logarithms: &[u16],
     first: usize,
     [x, y, z]: [isize; 3],
-    only_certain: bool,
-) -> Option<([u16; LANES], [u16; LANES])> {
+) -> ([u16; LANES], [u16; LANES]) {
     let at = |offset: isize| -> &[u16; LANES] {
         let taps = logarithms[first.wrapping_add_signed(offset)..].first_chunk();
         taps.expect("there are enough samples beyond the last row")
@@ -165,33 +155,19 @@ fn sheets_of_each(
     let (centre, below, above) = (at(0), [at(-x), at(-y), at(-z)], [at(x), at(y), at(z)]);
     let same = [[at(x + y), at(-x - y)], [at(x + z), at(-x - z)], [at(y + z), at(-y - z)]];
     let opposite = [[at(x - y), at(y - x)], [at(x - z), at(z - x)], [at(y - z), at(z - y)]];
-    // Closures are inlined, and each loop below is vectorized.
-    let taps = |lane: usize| {
+    let (mut shares, mut certainty) = ([0; LANES], [0; LANES]);
+    for lane in 0..LANES {
         let one = |taps: &[u16; LANES]| i32::from(taps[lane]);
         let sum = |[a, b]: [&[u16; LANES]; 2]| one(a) + one(b);
-        Taps {
+        (shares[lane], certainty[lane]) = numbers.sheet(&Taps {
             centre: one(centre),
             below: [one(below[0]), one(below[1]), one(below[2])],
             above: [one(above[0]), one(above[1]), one(above[2])],
             same: [sum(same[0]), sum(same[1]), sum(same[2])],
             opposite: [sum(opposite[0]), sum(opposite[1]), sum(opposite[2])],
-        }
-    };
-    if only_certain {
-        let mut thinnest = 4096;
-        for lane in 0..LANES {
-            let bends = numbers.bends(&taps(lane));
-            thinnest = THICK.of(bends.determinant()).min(thinnest);
-        }
-        if thinnest == 4096 {
-            return None;
-        }
+        });
     }
-    let (mut shares, mut certainty) = ([0; LANES], [0; LANES]);
-    for lane in 0..LANES {
-        (shares[lane], certainty[lane]) = numbers.sheet(&taps(lane));
-    }
-    Some((shares, certainty))
+    (shares, certainty)
 }
 
 /// Blends the shares of drops with the shares of sheets, weighted by the certainty of the sheets.
@@ -230,29 +206,6 @@ struct Taps {
     opposite: [i32; 3],
 }
 
-/// The matrix B (see `mod.rs`).
-struct Bends {
-    /// The entries xx, yy and zz.
-    along: [i32; 3],
-    /// The entries xy, xz and yz.
-    across: [i32; 3],
-}
-
-impl Bends {
-    /// det(I - B).
-    #[inline(always)]
-    fn determinant(&self) -> u16 {
-        let ([xx, yy, zz], [xy, xz, yz]) = (self.along, self.across);
-        let [x, y, z] = [ONE - xx, ONE - yy, ONE - zz];
-        let minor = |a: [i32; 2], b: [i32; 2]| (a[0] * b[0] - a[1] * b[1]) / ONE;
-        let determinant = (x * minor([y, yz], [z, yz])
-            - xy * minor([xy, -yz], [z, xz])
-            - xz * minor([xz, -yz], [y, xy]))
-            >> BITS;
-        determinant.clamp(0, u16::MAX.into()) as u16
-    }
-}
-
 #[inline(always)]
 fn dot(a: [i32; 3], b: [i32; 3]) -> i32 {
     (a[0] * b[0] + a[1] * b[1] + a[2] * b[2]) / ONE
@@ -273,17 +226,6 @@ impl SheetConstants {
         x + y + z >= i32::from(ROUND.begin) + i32::from(ROUND.range)
     }
 
-    /// The matrix B at a cell.
-    #[inline(always)]
-    fn bends(&self, taps: &Taps) -> Bends {
-        let bend = |axis: usize| self.bend(2 * taps.centre - taps.above[axis] - taps.below[axis]);
-        let twist = |plane: usize| {
-            let second = taps.opposite[plane] - taps.same[plane];
-            (second.clamp(-8 * ONE, 8 * ONE) * self.bend / (4 * ONE)).clamp(-MOST_BEND, MOST_BEND)
-        };
-        Bends { along: [bend(0), bend(1), bend(2)], across: [twist(0), twist(1), twist(2)] }
-    }
-
     /// A cell's share of a sheet, and the certainty of the sheet.
     #[inline(always)]
     fn sheet(&self, taps: &Taps) -> (u16, u16) {
@@ -291,9 +233,14 @@ impl SheetConstants {
             let difference = (taps.above[axis] - taps.below[axis]).clamp(-4 * ONE, 4 * ONE);
             (difference * self.slope / ONE).clamp(-MOST_SLOPE, MOST_SLOPE)
         };
+        let bend = |axis: usize| self.bend(2 * taps.centre - taps.above[axis] - taps.below[axis]);
+        let twist = |plane: usize| {
+            let second = taps.opposite[plane] - taps.same[plane];
+            (second.clamp(-8 * ONE, 8 * ONE) * self.bend / (4 * ONE)).clamp(-MOST_BEND, MOST_BEND)
+        };
         let g = [slope(0), slope(1), slope(2)];
-        let bends = self.bends(taps);
-        let ([xx, yy, zz], [xy, xz, yz]) = (bends.along, bends.across);
+        let [xx, yy, zz] = [bend(0), bend(1), bend(2)];
+        let [xy, xz, yz] = [twist(0), twist(1), twist(2)];
         let b = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]];
         let times = |v: [i32; 3]| {
             [dot(b[0], v), dot(b[1], v), dot(b[2], v)].map(|x| x.clamp(-MOST_SLOPE, MOST_SLOPE))
@@ -312,7 +259,14 @@ impl SheetConstants {
         let (narrow, rounded) = ((directions - ONE).clamp(0, ONE), (directions - 2 * ONE).max(0));
         let rim = (impure * BY_RIM).min(ONE).max(narrow);
 
-        let determinant = bends.determinant();
+        // det(I - B).
+        let [x, y, z] = [ONE - xx, ONE - yy, ONE - zz];
+        let minor = |a: [i32; 2], b: [i32; 2]| (a[0] * b[0] - a[1] * b[1]) / ONE;
+        let determinant = (x * minor([y, yz], [z, yz])
+            - xy * minor([xy, -yz], [z, xz])
+            - xz * minor([xz, -yz], [y, xy]))
+            >> BITS;
+        let determinant = determinant.clamp(0, u16::MAX.into()) as u16;
         let flat = 4096 - FLAT.of(determinant) as i32;
         let impure = (impure - ((IMPURE_IF_FLAT * flat) >> BITS)).max(0) as u16;
 
