@@ -56,6 +56,8 @@ const KINDS: [&str; 38] = [
 const MOST: usize = 3;
 /// Maximum number of cells along each axis of the grid that finds the inside of the fluid.
 const FINEST: f64 = 32.0;
+/// Maximum thickness of a floor, in mean distances between its particles.
+const FLOOR: f64 = 5.0;
 /// Average number of fluid particles in a cell of this grid.
 const IN_CELL: f64 = 8.0;
 /// Maximum fraction of a boundary's particles that may be inside the fluid.
@@ -90,14 +92,18 @@ impl BoundingBox {
         Self([lo.min(other_lo), hi.max(other_hi)])
     }
 
-    /// Whether this box extends beyond `inner` on all sides, or on all but one, because a tank may
-    /// be open.
-    fn is_around(self, inner: Self) -> bool {
+    /// Whether this box of `count` particles extends beyond `inner` on all sides, or on all but one,
+    /// because a tank may be open. Where the middle of `inner` is outside this box, the box must be
+    /// as thin as a floor: water below spray is deeper.
+    fn is_around(self, inner: Self, count: usize) -> bool {
         let (Self([lo, hi]), Self([inner_lo, inner_hi])) = (self, inner);
         let beyond =
             lo.cmplt(inner_lo).bitmask().count_ones() + hi.cmpgt(inner_hi).bitmask().count_ones();
+        let (middle, extent) = (inner_lo.midpoint(inner_hi), hi - lo);
+        let floor = FLOOR * (extent.element_product() / count as f64).cbrt();
+        let is_inside = lo.cmple(middle) & middle.cmple(hi) | extent.cmple(DVec3::splat(floor));
         let is_body = (inner_hi - inner_lo).cmpgt(DVec3::ZERO).bitmask().count_ones() >= 2;
-        beyond >= 5 && is_body
+        beyond >= 5 && is_inside.all() && is_body
     }
 }
 
@@ -152,36 +158,36 @@ fn by(particles: &dyn Particles, source: AttributeOrLabel, name: &str) -> Option
     );
     let pairs =
         (0..values.len()).flat_map(|outer| (0..values.len()).map(move |inner| (outer, inner)));
-    pairs.filter(|&(outer, inner)| extents[outer].is_around(extents[inner])).find_map(
-        |(outer, inner)| {
-            let ((boundary, of_boundary, around), (fluid, of_fluid, within)) =
-                (&values[outer], &values[inner]);
-            let cells = FluidCells::of(extents[inner], *within);
-            let visit = |key: u64, visit: &(dyn Fn(usize) + Sync)| {
-                let take = |positions: &[[f64; 3]], keys: &[u64]| {
-                    let those =
-                        positions.iter().zip(keys).filter(|(p, own)| **own == key && finite(p));
-                    those.filter_map(|(p, _)| cells.index(DVec3::from(*p))).for_each(visit);
-                };
-                each(particles, source, take, |(), ()| (), || ());
+    let around = |&(outer, inner): &(usize, usize)| {
+        extents[outer].is_around(extents[inner], values[outer].2)
+    };
+    pairs.filter(around).find_map(|(outer, inner)| {
+        let ((boundary, of_boundary, around), (fluid, of_fluid, within)) =
+            (&values[outer], &values[inner]);
+        let cells = FluidCells::of(extents[inner], *within);
+        let visit = |key: u64, visit: &(dyn Fn(usize) + Sync)| {
+            let take = |positions: &[[f64; 3]], keys: &[u64]| {
+                let those = positions.iter().zip(keys).filter(|(p, own)| **own == key && finite(p));
+                those.filter_map(|(p, _)| cells.index(DVec3::from(*p))).for_each(visit);
             };
-            let counts: Vec<AtomicU32> = (0..cells.len()).map(|_| AtomicU32::new(0)).collect();
-            visit(*fluid, &|cell| _ = counts[cell].fetch_add(1, Ordering::Relaxed));
-            let wet: Vec<bool> = counts.into_iter().map(|count| count.into_inner() > 0).collect();
-            let inside = AtomicU32::new(0);
-            visit(*boundary, &|cell| {
-                if cells.is_inside(&wet, cell) {
-                    inside.fetch_add(1, Ordering::Relaxed);
-                }
-            });
-            let is_apart = f64::from(inside.into_inner()) <= WITHIN * *around as f64;
-            is_apart.then(|| Mixture {
-                attribute: name.to_owned(),
-                boundary: (of_boundary.clone(), *around),
-                fluid: (of_fluid.clone(), *within),
-            })
-        },
-    )
+            each(particles, source, take, |(), ()| (), || ());
+        };
+        let counts: Vec<AtomicU32> = (0..cells.len()).map(|_| AtomicU32::new(0)).collect();
+        visit(*fluid, &|cell| _ = counts[cell].fetch_add(1, Ordering::Relaxed));
+        let wet: Vec<bool> = counts.into_iter().map(|count| count.into_inner() > 0).collect();
+        let inside = AtomicU32::new(0);
+        visit(*boundary, &|cell| {
+            if cells.is_inside(&wet, cell) {
+                inside.fetch_add(1, Ordering::Relaxed);
+            }
+        });
+        let is_apart = f64::from(inside.into_inner()) <= WITHIN * *around as f64;
+        is_apart.then(|| Mixture {
+            attribute: name.to_owned(),
+            boundary: (of_boundary.clone(), *around),
+            fluid: (of_fluid.clone(), *within),
+        })
+    })
 }
 
 /// Cells in the bounding box of the fluid.
@@ -260,6 +266,13 @@ mod tests {
         );
         assert_eq!(boundary.1 + fluid.1, tank.0.len());
         assert_eq!(found("temperature", &tank), None);
+        // Water on a floor.
+        let floor = lattice(12, |p| match p.z {
+            ..-10 => Some(5.0),
+            ..-5 => (p.truncate().abs().max_element() < 9).then_some(1.0),
+            _ => None,
+        });
+        assert_eq!(found("group", &floor).unwrap().boundary.0, Value::Number(5.0));
         // A round tank, whose walls are inside the bounding box of the fluid.
         let round = lattice(12, |p| {
             let r = p.as_dvec3().truncate().length();
@@ -275,7 +288,12 @@ mod tests {
         let mixed =
             lattice(10, |p| Some((p.x * 7 + p.y * 13 + p.z * 29).rem_euclid(3).min(1) as f32));
         let drop = lattice(10, |p| Some(f32::from(p.length_squared() < 30)));
-        for one in [layers, mixed] {
+        // Spray above water, which is wider than the spray.
+        let spray = lattice(10, |p| match p.z {
+            ..=0 => Some(0.0),
+            _ => (p.truncate().abs().max_element() < 8 && p.element_sum() % 3 == 0).then_some(1.0),
+        });
+        for one in [layers, mixed, spray] {
             assert_eq!(found("phase", &one), None);
         }
         // Water around a drop of oil looks like a boundary.

@@ -572,14 +572,21 @@ impl SamplingRequest {
         if let CellSize::Length(size) = self.cell_size()
             && let Method::Indicator { kind, mean } = self.method
         {
-            // If cells of the given size would be rejected with this estimate, it is an estimate of
-            // spray.
             let grid = self.grid(size)?;
-            let fits = |estimate: &SpacingEstimate| {
+            let misfit = |estimate: &SpacingEstimate| {
                 let spacing = Some(estimate.spacing);
-                Surfacing::PLAIN.check_cell_size(kind, mean, spacing, &grid).is_ok()
+                Surfacing::PLAIN.check_cell_size(kind, mean, spacing, &grid).err()
             };
-            if !estimate.as_ref().is_ok_and(fits) {
+            let is_fluid = evidence.as_ref().is_some_and(|evidence| {
+                !evidence.neighbours.may_be_spray() && !evidence.neighbours.is_random()
+            });
+            let is_sure = |estimate: &&SpacingEstimate| is_fluid && !estimate.thin;
+            if let Some(fault) = estimate.as_ref().ok().filter(is_sure).and_then(misfit) {
+                return Err(Error::Frame { path: path(), fault: fault.into() });
+            }
+            // The particles of spray are farther apart than the spacing, so cells can be right that
+            // look too fine for an estimate of spray.
+            if !estimate.as_ref().is_ok_and(|estimate| misfit(estimate).is_none()) {
                 let origin = self.origin_for(middle, size);
                 return Ok(Cells {
                     size,

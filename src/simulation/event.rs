@@ -24,10 +24,13 @@ use super::shared_calibration::{SharedCalibration, Trust};
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub enum Event {
-    /// Waiting for the first frame.
+    /// Waiting for the first frame, or for a frame on which all frames can be calibrated.
     Waiting {
         /// The inputs of the request.
         inputs: String,
+        /// Number of frames so far on which the others cannot be calibrated, usually because
+        /// their fluid is too shallow.
+        unsuitable: usize,
     },
     /// The spacing may be wrong.
     SpacingWarning(Box<SpacingWarning>),
@@ -260,7 +263,14 @@ impl Summary {
 impl fmt::Display for Event {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Waiting { inputs } => write!(f, "{inputs}: waiting for the first frame"),
+            Self::Waiting { inputs, unsuitable: 0 } => {
+                write!(f, "{inputs}: waiting for the first frame")
+            }
+            Self::Waiting { inputs, unsuitable } => write!(
+                f,
+                "{inputs}: waiting for a frame with deeper fluid, to calibrate all frames on it; \
+                 frames so far: {unsuitable}"
+            ),
             Self::SpacingWarning(warning) => write!(f, "warning: {warning}"),
             Self::Restarted { state, differing } => {
                 write!(f, "{}: starting again, because of changes: {differing}", state.display())

@@ -105,7 +105,7 @@ impl Setup<'_> {
         let mut watch = idle.map(|idle| Watch::new(idle, self.simulation.selection));
         let mut best: Option<(FrameFile, MeasuredFrame)> = None;
         let mut first_error = None;
-        let mut looked_at = 0;
+        let (mut looked_at, mut is_reported) = (0, false);
         let (first, rest) = frames.split_at(frames.len().min(LOOKED_AT / 2));
         let step = rest.len().div_ceil(LOOKED_AT / 2).max(1);
         let mut current: Vec<_> = first.iter().chain(rest.iter().step_by(step)).cloned().collect();
@@ -160,6 +160,11 @@ impl Setup<'_> {
             match &mut watch {
                 Some(watch) if looked_at < LOOKED_AT && !watch.is_over() => {
                     self.go_on()?;
+                    if looked_at > 0 && !is_reported {
+                        let inputs = self.sequence.describe();
+                        self.send(Event::Waiting { inputs, unsuitable: looked_at });
+                        is_reported = true;
+                    }
                     std::thread::sleep(POLL);
                     current = self.frames()?;
                 }

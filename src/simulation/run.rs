@@ -209,7 +209,7 @@ impl Simulation {
             simulations.len() < 2 && frames.iter().all(Vec::is_empty)
         };
         if let Some(idle) = self.watch.filter(|_| is_early(&found)) {
-            events.send(Event::Waiting { inputs: inputs.describe() });
+            events.send(Event::Waiting { inputs: inputs.describe(), unsuitable: 0 });
             while is_early(&found) && begun.elapsed().as_secs_f64() <= idle {
                 checked.go_on()?;
                 sleep(POLL);

@@ -449,6 +449,19 @@ fn walls_are_found_with_one_more_pass_over_many_particles() {
 }
 
 #[test]
+fn cells_too_fine_for_the_estimated_spacing_are_refused_except_in_spray() {
+    let ball = fill(14.0, 1.0, 0.2, 3, |p| p.length() < 6.0);
+    let cells = |size: f64| Reconstruction::new().cell_size(size);
+    let error = cells(0.09).run(&ball).unwrap_err();
+    assert!(matches!(error, Error::Frame { fault: FrameError::TooFine(_), .. }), "{error}");
+    assert!(cells(0.2).run(&ball).is_ok());
+    // Drops of spray are farther apart than the spacing.
+    let spray: Vec<[f64; 3]> = ball.iter().map(|p| p.map(|x| 40.0 * x)).collect();
+    let spray: Vec<[f64; 3]> = spray.into_iter().step_by(7).take(60).collect();
+    assert!(cells(0.5).run(&spray).is_ok());
+}
+
+#[test]
 fn particles_are_counted_during_the_spacing_estimate_without_another_pass() {
     let ball = fill(44.0, 2.0, 0.2, 3, |p| p.length() < 21.0);
     assert!(ball.len() > 1 << 18);

@@ -661,6 +661,17 @@ fn the_plateau_is_measured_on_the_first_frame_with_an_interior() {
 }
 
 #[test]
+fn watch_says_that_it_waits_for_a_frame_with_deeper_fluid() {
+    let folder = TempDir::new().unwrap();
+    let spray = [[0.0; 3], [3.0, 0.0, 0.0], [0.0, 3.0, 0.0]];
+    fs::write(folder.path().join("f_1.xyz"), raw(&spray)).unwrap();
+    let arguments = ["f_{}.xyz", "-o", "m_{}.ply", "--spacing", "0.5", "--watch=3"];
+    let notes = run(folder.path(), &arguments, 0);
+    assert!(notes.contains("waiting for a frame with deeper fluid"), "{notes}");
+    assert!(folder.path().join("m_1.ply").exists(), "{notes}");
+}
+
+#[test]
 fn after_many_frames_of_spray_the_plateau_follows_from_the_spacing() {
     let folder = TempDir::new().unwrap();
     for frame in 1..=65 {

@@ -17,7 +17,7 @@ use crate::text::{path, pointers};
 pub enum MeniscusEventKind {
     /// An event that is newer than this header.
     Other = 0,
-    /// Waiting for the first frame.
+    /// Waiting for the first frame, or for a frame on which all frames can be calibrated.
     Waiting = 1,
     /// The spacing may be wrong.
     SpacingWarning = 2,
