@@ -153,18 +153,25 @@ impl OccupiedTiles {
     }
 
     /// A lower bound of the density in the tiles that contain particles, relative to the density of
-    /// particles `spacing_cells` apart.
+    /// particles `spacing_cells` apart. In tiles smaller than a spacing, a single particle would
+    /// look dense, so bins are used instead.
     pub fn crowding(&self, spacing_cells: f64) -> f64 {
-        self.mean() * (spacing_cells / f64::from(TILE)).powi(3)
+        let (mean, edge) = if spacing_cells > f64::from(TILE) {
+            (self.particles() / self.bins.len().max(1) as f64, BIN)
+        } else {
+            (self.mean(), TILE)
+        };
+        mean * (spacing_cells / f64::from(edge)).powi(3)
+    }
+
+    fn particles(&self) -> f64 {
+        self.bins.iter().map(|&(_, particles, _)| f64::from(particles)).sum()
     }
 
     /// The mean number of particles in the tiles that contain particles.
     fn mean(&self) -> f64 {
-        let sum = |of: fn(&(IVec3, u32, TileMask)) -> u32| {
-            self.bins.iter().map(|bin| f64::from(of(bin))).sum()
-        };
-        let (particles, tiles): (f64, f64) = (sum(|bin| bin.1), sum(|bin| bin.2.count_ones()));
-        particles / tiles.max(1.0)
+        let tiles: f64 = self.bins.iter().map(|(.., tiles)| f64::from(tiles.count_ones())).sum();
+        self.particles() / tiles.max(1.0)
     }
 
     /// A lower bound of the number of particles outside the surface. A tile is lost if it is
