@@ -52,9 +52,11 @@ pub fn run(options: &InfoOptions) -> Result<Verdict, Error> {
     last.map_or(Ok(Verdict::Good), Err)
 }
 
-/// Whether `info` describes this file when the user names its folder.
+/// Whether `info` describes this file when the user names its folder. In folders, `.json` files
+/// are lists of frames or scenes rather than particles.
 fn is_listed(file: &Path) -> bool {
-    InputFormat::of(file).is_some() || MeshFormat::of(file).is_some() || is_packed(file)
+    let is_particles = InputFormat::of(file).is_some_and(|format| format != InputFormat::Json);
+    is_particles || MeshFormat::of(file).is_some() || is_packed(file)
 }
 
 fn describe(info: &Info) -> String {

@@ -1200,6 +1200,7 @@ fn check_and_info_accept_folders_globs_and_patterns() {
         assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
     }
     fs::write(folder.path().join("mesh/notes.md"), "no mesh").unwrap();
+    fs::write(folder.path().join("mesh/m.ply.json"), "{}").unwrap();
     for meshes in ["mesh", "mesh/", "mesh/m_*.ply", "mesh/m_{}.ply"] {
         for command in ["check", "info"] {
             let run = meniscus(folder.path(), &[command, meshes]);
