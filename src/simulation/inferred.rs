@@ -143,6 +143,9 @@ fn frame_number(files: &[&FrameCandidate]) -> Result<FrameNumber, SimulationErro
     let Some((&last, others)) = varying.split_last() else {
         return Ok(FrameNumber::Run(first.runs.len() - 1));
     };
+    if let Some(pattern) = of_known_count(files, &varying) {
+        return Ok(FrameNumber::InPieces(pattern));
+    }
     let numbers = first.decimals();
     let is_joint = |&&run: &&usize| {
         let is_part = |number: &&Range<usize>| {
@@ -185,12 +188,44 @@ fn frame_number(files: &[&FrameCandidate]) -> Result<FrameNumber, SimulationErro
     }))
 }
 
+/// Texts between the number of a process and the number of all processes.
+const OF: [&str; 5] = ["_", "-", ".", "of", "_of_"];
+
+/// The pattern of files that are pieces of frames, if the number of pieces stands in their names:
+/// `a_0_2_050` and `a_1_2_050` are the two pieces of frame 50. Every frame must have all pieces.
+fn of_known_count(files: &[&FrameCandidate], varying: &[usize]) -> Option<Pattern> {
+    let (first, &[one, other]) = (files[0], varying) else { return None };
+    let count = |run: usize| {
+        let after = first.runs.get(run + 1).filter(|_| !varying.contains(&(run + 1)))?;
+        let between = &first.name[first.runs[run].end..after.start];
+        let count = first.digits(run + 1).parse::<usize>().ok().filter(|&count| count > 1)?;
+        OF.contains(&between).then_some(count)
+    };
+    let mut guesses = [(one, other), (other, one)].into_iter();
+    guesses.find_map(|(piece, frame)| {
+        let count = count(piece)?;
+        let mut frames: BTreeMap<&str, BTreeSet<usize>> = BTreeMap::new();
+        for file in files {
+            let number = file.digits(piece).parse().ok()?;
+            frames.entry(file.digits(frame)).or_default().insert(number);
+        }
+        let is_complete = frames.values().all(|own| own.iter().copied().eq(0..count));
+        is_complete.then(|| in_pieces(first, frame, piece))
+    })
+}
+
 /// Words before the number of a process. Each process writes one piece of each frame.
 const PROCESSES: [&str; 6] = ["rank", "proc", "procs", "process", "processor", "processors"];
 /// Words directly before the number of a frame.
 const FRAMES: [&str; 7] = ["t", "f", "fr", "frame", "step", "time", "it"];
 /// Words that often stand before the number of a piece, but also before other numbers.
 const MAY_BE_PIECES: [&str; 5] = ["p", "part", "piece", "block", "domain"];
+
+/// Whether a word often stands before the number of a piece.
+pub(super) fn is_word_for_pieces(word: &str) -> bool {
+    let word = word.to_ascii_lowercase();
+    PROCESSES.contains(&word.as_str()) || MAY_BE_PIECES.contains(&word.as_str())
+}
 
 /// Whether files are pieces of frames.
 enum PiecesGuess {
@@ -545,6 +580,8 @@ mod tests {
             (&["a_1_rank0", "a_1_rank1", "a_2_rank0", "a_2_rank1"][..], "a_{}_rank{piece}"),
             (&["proc_0.t7", "proc_1.t7", "proc_2.t7"], "proc_{piece}.t{}"),
             (&["a_1_p0", "a_1_p1", "a_2_p0", "a_2_p1"], "a_{}_p{piece}"),
+            (&["g-0_2-050", "g-1_2-050", "g-0_2-100", "g-1_2-100"], "g-{piece}_2-{}"),
+            (&["P_n0.2_01", "P_n1.2_01", "P_n0.2_02", "P_n1.2_02"], "P_n{piece}.2_{}"),
         ] {
             let names: Vec<_> = names.iter().map(|name| format!("{name}.xyz")).collect();
             assert_eq!(patterns(&names).unwrap(), [format!("{pattern}.xyz")], "{names:?}");

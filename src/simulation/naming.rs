@@ -7,6 +7,7 @@ use crate::io::alembic::frame_archive::FrameArchive;
 use crate::io::frame_files::snapshot_piece;
 use crate::io::output::MeshFormat;
 
+use super::inferred::is_word_for_pieces;
 use super::inputs::{Inputs, Sequence};
 use super::pattern::{NumberKind, PIECE, Pattern, stem};
 
@@ -130,11 +131,15 @@ fn tail(suffix: &str) -> String {
     stem(&whole.unwrap_or(name))[1..].to_owned()
 }
 
-/// Removes the number of a piece, the word before it, and the separator before that word.
+/// Removes the number of a piece. If the word before it is one for pieces, such as `rank`, this
+/// word and the separator before it are removed as well.
 fn without_piece(text: &str) -> String {
     let Some((before, after)) = text.split_once(PIECE) else { return text.to_owned() };
     let separators = ['_', '-', '.', ' '];
-    let before = before.trim_end_matches(separators).trim_end_matches(|c: char| c.is_alphabetic());
+    let with_word = before.trim_end_matches(separators);
+    let shorter = with_word.trim_end_matches(|c: char| c.is_alphabetic());
+    let word = &with_word[shorter.len()..];
+    let before = if word.is_empty() || is_word_for_pieces(word) { shorter } else { before };
     match before.strip_suffix(separators) {
         Some(shorter) if after.is_empty() || after.starts_with(separators) => {
             format!("{shorter}{after}")
@@ -196,6 +201,8 @@ mod tests {
             ("f_{}_rank{piece}.npy", "f_01.ply", "f.ply"),
             ("rank_{piece}_f{}.npy", "f01.ply", "f.ply"),
             ("f_p{piece}_t{}_v2.npy", "f_t01_v2.ply", "f_t_v2.ply"),
+            ("geometry-{piece}_2-{}.vtp", "geometry_2-01.ply", "geometry_2.ply"),
+            ("PART_n{piece}.2_{}.vtp", "PART_n.2_01.ply", "PART_n.2.ply"),
         ] {
             let outputs = outputs("m/", input);
             assert_eq!(outputs.path(1, "01"), Path::new("m").join(output));
