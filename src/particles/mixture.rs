@@ -100,7 +100,7 @@ impl BoundingBox {
         let beyond =
             lo.cmplt(inner_lo).bitmask().count_ones() + hi.cmpgt(inner_hi).bitmask().count_ones();
         let (middle, extent) = (inner_lo.midpoint(inner_hi), hi - lo);
-        let floor = FLOOR * (extent.element_product() / count as f64).cbrt();
+        let floor = FLOOR * libm::cbrt(extent.element_product() / count as f64);
         let is_inside = lo.cmple(middle) & middle.cmple(hi) | extent.cmple(DVec3::splat(floor));
         let is_body = (inner_hi - inner_lo).cmpgt(DVec3::ZERO).bitmask().count_ones() >= 2;
         beyond >= 5 && is_inside.all() && is_body
