@@ -320,7 +320,10 @@ settings! {
     ///
     /// The values are interpolated from particles to vertices. `none` transfers no attributes. By
     /// default, the mesh has velocities if the particles have them and the format can store them.
-    #[arg(value_name = "NAME,...", value_delimiter = ',', help_heading = "Output")]
+    #[arg(
+        value_name = "NAME,...", value_delimiter = ',', value_parser = value::trimmed,
+        help_heading = "Output"
+    )]
     attributes: Option<Vec<String>>,
 
     /// Merge triangles; the surface moves by at most this many cells.

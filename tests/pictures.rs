@@ -475,7 +475,7 @@ fn distances_from_a_reference_are_signed_and_coloured_around_zero() {
         assert_eq!(middle[2] > middle[0], blue, "{radius}: {middle:?}");
     }
     let nothing = Reference::new(&Mesh::default()).unwrap_err();
-    assert_eq!(nothing.to_string(), "every triangle of the reference has zero area");
+    assert_eq!(nothing.to_string(), "the reference has no triangle with a nonzero area");
 
     let folder = frames();
     let run = |arguments: &[&str]| {

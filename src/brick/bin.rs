@@ -106,7 +106,8 @@ pub enum BinError {
     },
     /// A coordinate is beyond the addressable grid.
     #[error(
-        "particle {index} at ({}, {}, {}) is more than {} cells of size {} away from the origin",
+        "particle {index} at ({}, {}, {}) is more than {} cells of size {} from the origin of the \
+         grid",
         position[0], position[1], position[2], crate::grid::CELL_LIMIT, crate::grid::units::shown(*cell_size)
     )]
     TooFar {

@@ -34,6 +34,7 @@ pub use setting::{Conflict, SettingConflict};
 pub use simulation::{FPS, SimulationError, WhyOne};
 
 use crate::io::UnreadPart;
+use crate::particles::particle_count;
 use crate::system::cancel::Cancelled;
 
 /// Anything that can go wrong between a particle file and a mesh file.
@@ -165,8 +166,9 @@ pub enum Error {
     Threads(String),
     /// The spacing is neither given nor in the file, and cannot be estimated.
     #[error(
-        "{}cannot estimate the spacing of {particles} particles: {why}{}",
+        "{}cannot estimate the spacing of {}: {why}{}",
         file(path.as_deref()),
+        particle_count(*particles),
         suggestion(*suggested)
     )]
     NoSpacing {
@@ -214,7 +216,7 @@ fn listed(names: &[String]) -> String {
 fn available(left_out: Option<&str>, known: &[String]) -> String {
     let known = listed(known);
     match left_out {
-        Some(part) => format!("the file contains {part}; available attributes: {known}"),
+        Some(part) => format!("the reader skipped {part}; available attributes: {known}"),
         None => format!("available: {known}"),
     }
 }

@@ -30,8 +30,11 @@ pub enum PartsError {
     /// The plan does not exist yet.
     #[error("{}: there is no plan yet", .0.display())]
     NoPlan(PathBuf),
-    /// A damaged plan.
-    #[error("{}: {what}", path.display())]
+    /// A damaged plan, or one of another version.
+    #[error(
+        "{}: the plan is damaged or was written by another version (error: {what})",
+        path.display()
+    )]
     Plan {
         /// The plan's file.
         path: PathBuf,

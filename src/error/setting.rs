@@ -73,17 +73,15 @@ impl SettingConflict {
             (Conflict::Indicator(kind), "mu0") => {
                 format!("{setting} does not apply to {} {}", named("indicator"), kind.name())
             }
-            (Conflict::Indicator(IndicatorKind::Cloud), which) => format!(
-                "{setting} applies only to {indicator} counting or symmetry{}; for {indicator} \
-                 cloud, use {}",
-                if which == "iso" {
-                    format!(", and to {} mueller or yu-turk", named("method"))
-                } else {
-                    String::new()
-                },
-                named("smooth"),
-                indicator = named("indicator"),
-            ),
+            (Conflict::Indicator(IndicatorKind::Cloud), which) => {
+                let indicator = named("indicator");
+                let alternative = match which {
+                    "iso" => format!(", and to {} mueller or yu-turk", named("method")),
+                    "sigma" => format!("; for {indicator} cloud, use {}", named("smooth")),
+                    _ => String::new(),
+                };
+                format!("{setting} applies only to {indicator} counting or symmetry{alternative}")
+            }
             (Conflict::Indicator(_), "smooth") => format!(
                 "{setting} applies only to {} cloud; for the other indicators, use {}",
                 named("indicator"),
@@ -97,14 +95,18 @@ impl SettingConflict {
             }
             (Conflict::Packed(path), _) => {
                 format!(
-                    "{}: {setting} needs the particles, which a packed frame does not contain",
+                    "{}: {setting} needs the particles, but a packed frame has none; use the \
+                     particle file",
                     path.display()
                 )
             }
+            (Conflict::Packing, "method" | "size" | "attributes") => {
+                format!("{setting} is not supported when packing")
+            }
             (Conflict::Packing, _) => {
                 format!(
-                    "{setting} has no effect when packing: set it when you reconstruct the packed \
-                         frame"
+                    "{setting} does not apply to packing; set it when you reconstruct the packed \
+                     frame"
                 )
             }
             (Conflict::SeveralSizes { attribute }, _) => format!(
@@ -124,10 +126,16 @@ impl SettingConflict {
             (Conflict::Format { path, .. }, "compress") => {
                 format!("{}: {setting} applies only to .glb and .vdb", path.display())
             }
-            (Conflict::Format { format, .. }, "up") => format!(
-                "{setting} z is not possible, because y always points up in {format}; if z points \
-                 up in the particles, use {} z",
+            (Conflict::Format { path, format }, "up") => format!(
+                "{}: {setting} z is not possible, because y always points up in {format}; if z \
+                 points up in the particles, use {} z",
+                path.display(),
                 named("particles_up")
+            ),
+            (Conflict::Format { path, format }, "attributes") if format.holds_colours() => format!(
+                "{}: {format} cannot store {setting}, except one colour: 3 or 4 numbers from 0 to \
+                 1, or integers from 0 to 255, with a name such as Cd; use .ply to store others",
+                path.display()
             ),
             (Conflict::Format { path, format }, _) => {
                 format!("{}: {format} cannot store {setting}", path.display())

@@ -99,7 +99,10 @@ pub enum SimulationError {
         fault: std::io::Error,
     },
     /// A damaged state file, or one of another version.
-    #[error("{}: this state file is damaged or of another version (error: {what})", path.display())]
+    #[error(
+        "{}: the state file is damaged or was written by another version (error: {what})",
+        path.display()
+    )]
     State {
         /// The file.
         path: PathBuf,
@@ -107,11 +110,17 @@ pub enum SimulationError {
         what: String,
     },
     /// A conversion with other settings that writes to the same outputs.
-    #[error("{}: a conversion with different settings is running in this folder; wait until it \
-             ends, or choose another output", .0.display())]
+    #[error(
+        "{}: another conversion, with different settings, uses this output; wait until it ends, or \
+         choose another output",
+        .0.display()
+    )]
     Busy(PathBuf),
     /// A state from a run with other settings, or whose calibration frame has changed since then.
-    #[error("{}: the existing frames were made with different settings ({differing})", path.display())]
+    #[error(
+        "{}: the existing frames do not match this request; changed: {differing}",
+        path.display()
+    )]
     Settings {
         /// The state file.
         path: PathBuf,

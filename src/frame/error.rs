@@ -53,7 +53,7 @@ pub enum FrameError {
         iso: Isovalue,
     },
     /// No cell's centre is inside the surface of the clouds.
-    #[error("the surface is empty: no cell's centre is inside the fluid")]
+    #[error("the surface is empty: no cell centre is inside the fluid")]
     NoDistanceSurface,
     /// The calibration was measured on a frame with a different indicator, so it cannot be used.
     #[error(
@@ -63,9 +63,9 @@ pub enum FrameError {
     OtherIndicator,
     /// The images were made for filters with a smaller reach.
     #[error(
-        "the frame was sampled with copies of particles up to {there} cells beyond its periodic \
-         faces, but these settings need copies up to {needed} cells; sample the particles again \
-         with these settings"
+        "the frame has copies of particles only up to {there} cells beyond its periodic faces, but \
+         these settings need {needed} cells; use less smoothing, or reconstruct the particles \
+         again with these settings"
     )]
     FewImages {
         /// The reach, in cells, of the filters beyond a face.
@@ -74,13 +74,13 @@ pub enum FrameError {
         there: i32,
     },
     /// Kernels need a spacing, which determines their width.
-    #[error("kernel methods need the spacing of the particles")]
+    #[error("kernel methods need the spacing of the particles; set it")]
     NoSpacing,
     /// The grid is too fine for kernels.
     #[error(transparent)]
     Kernels(#[from] TooManyCells),
     /// The field of a kernel method is not positive anywhere.
-    #[error("the surface is empty: no cell's centre is inside the fluid")]
+    #[error("the surface is empty: no cell centre is inside the fluid")]
     NoKernelSurface,
     /// The scratch files for data beyond the memory budget would not fit on the disk; nothing was
     /// written.
@@ -138,7 +138,7 @@ pub enum FrameError {
     #[error("cancelled")]
     Cancelled,
     /// A scratch file for data beyond the memory budget failed.
-    #[error("scratch files in {}: {fault}", folder.display())]
+    #[error("cannot use scratch files in {}: {fault}", folder.display())]
     Scratch {
         /// The scratch folder.
         folder: PathBuf,

@@ -117,7 +117,7 @@ pub struct MemoryShares {
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 #[error(
     "with a cell size of {}, the tables of bins alone exceed the memory limit of {}; use a cell \
-     size of {}",
+     size of at least {}",
     shown(*cell_size), ByteSize(*budget), shown(*fitting_cell_size)
 )]
 pub struct OverBudget {

@@ -6,6 +6,7 @@ use std::io;
 
 use crate::grid::CellBox;
 use crate::grid::units::shown;
+use crate::particles::particle_count;
 use crate::surface::stitch::StitchedSurface;
 
 use super::coincident::CoincidentParticles;
@@ -51,8 +52,8 @@ impl fmt::Display for Shortfall {
         let percent = 100.0 * share;
         write!(
             f,
-            "the surface encloses only {percent:.1} % of the volume of {particles} particles \
-             with spacing {}",
+            "the surface encloses only {percent:.1} % of the volume of {} with spacing {}",
+            particle_count(*particles),
             shown(*spacing)
         )
     }

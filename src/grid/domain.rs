@@ -80,12 +80,14 @@ pub struct Domain {
 pub enum DomainError {
     /// The corners are not in order, or not numbers.
     #[error(
-        "all coordinates of the domain must be numbers, and along each axis with two walls, the \
-         second corner must have the larger coordinate"
+        "invalid domain: all coordinates must be numbers, and along each axis with two walls, the \
+         second must be larger than the first"
     )]
     Corners,
     /// No cell's centre lies between the two walls along an axis.
-    #[error("the domain contains no cell centre along {axis}; use a smaller cell size")]
+    #[error(
+        "the domain is too thin along {axis}: it contains no cell centre; use a smaller cell size"
+    )]
     Thin {
         /// The axis: x, y or z.
         axis: char,
@@ -102,7 +104,7 @@ impl Domain {
     /// The box from `lo` to `hi` in world coordinates, on `grid`. A side at -inf or inf is open.
     ///
     /// # Errors
-    /// [`DomainError`] if the corners are not in order, if the box contains no cell's centre along
+    /// [`DomainError`] if the corners are not in order, if the box contains no cell centre along
     /// an axis, or if it extends beyond the grid.
     pub fn new(grid: &Grid, lo: DVec3, hi: DVec3) -> Result<Self, DomainError> {
         // These comparisons are also false for NaN.

@@ -56,16 +56,13 @@ impl PeriodicMesh {
 pub enum PeriodicError {
     /// The corners are not in order, or not finite.
     #[error(
-        "the corners of the periodic box must be finite, and along each periodic axis, the second \
-         corner must have the larger coordinate"
+        "invalid periodic box: all coordinates must be finite, and along each periodic axis, the \
+         second must be larger than the first"
     )]
     Corners,
     /// No axis is periodic.
     #[error("the periodic box is open along every axis; give both ends of at least one axis")]
     Open,
-    /// The end of the mesh at periodic faces is set, but there is no periodic box.
-    #[error("periodic-mesh can only be set with a periodic box")]
-    NoBox,
     /// The domain has walls along a periodic axis.
     #[error(
         "the domain has a wall at an end of {axis}, but {axis} is periodic; leave both ends of \

@@ -690,8 +690,8 @@ fn unpack(
     collect(plain, unpacking, damaged, |total| {
         let what = || {
             format!(
-                "decompresses to more than {GREATEST_RATIO} times its size; decompress \
-                        it first"
+                "the data expands to more than {GREATEST_RATIO} times the file's size; decompress \
+                 the file first"
             )
         };
         if total > limit { Err(ReadFault::Compression(what())) } else { Ok(()) }

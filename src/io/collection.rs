@@ -9,8 +9,9 @@ use serde::Deserialize;
 
 use crate::system::reopened::FileStamp;
 
+use super::blocks::open_blocks;
 use super::bytes::{LastFile, Unpacking, open_whole};
-use super::input::open_joined;
+use super::input::open_wanted;
 use super::listed::resolved;
 use super::vtp::each_tag;
 use super::wanted::WantedParticles;
@@ -21,8 +22,24 @@ use super::{ParticleFile, ReadError, ReadFault, malformed};
 pub struct ListedFrame {
     /// The time, if the list contains it.
     pub time: Option<f64>,
-    /// The files with the particles of this frame, in the order of their part numbers.
-    pub files: Vec<PathBuf>,
+    /// The data sets of this frame, in the order of their part numbers.
+    pub blocks: Vec<FrameBlock>,
+}
+
+/// A data set of a frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FrameBlock {
+    /// The file.
+    pub file: PathBuf,
+    /// The name, if the list contains it.
+    pub name: Option<String>,
+}
+
+impl ListedFrame {
+    /// The files of the data sets.
+    pub fn files(&self) -> impl Iterator<Item = &Path> {
+        self.blocks.iter().map(|block| &*block.file)
+    }
 }
 
 /// Whether `path` has the extension of a list of frames.
@@ -51,15 +68,11 @@ pub fn listed(path: &Path) -> Result<Arc<[ListedFrame]>, ReadError> {
 fn read_list(path: &Path) -> Result<Vec<ListedFrame>, ReadError> {
     let bytes = open_whole(path)?;
     let is_xml = bytes.trim_ascii_start().starts_with(b"<");
-    let named = if is_xml { collection(&bytes) } else { series(&bytes) };
-    let named = named.map_err(|fault| ReadError::new(path, fault))?;
     let folder = path.parent().unwrap_or(Path::new(""));
-    let frame = |(time, names): (Option<f64>, Vec<String>)| ListedFrame {
-        time,
-        files: names.iter().map(|name| resolved(folder, name)).collect(),
-    };
-    let frames: Vec<ListedFrame> = named.into_iter().map(frame).collect();
-    let fault = match frames.iter().flat_map(|frame| &frame.files).find(|file| is_list(file)) {
+    let frames = if is_xml { collection(&bytes, folder) } else { series(&bytes, folder) };
+    let frames = frames.map_err(|fault| ReadError::new(path, fault))?;
+    let other = frames.iter().flat_map(ListedFrame::files).find(|file| is_list(file));
+    let fault = match other.map(Path::to_owned) {
         Some(other) => {
             format!("{} is a list as well; a list must name particle files", other.display())
         }
@@ -69,7 +82,8 @@ fn read_list(path: &Path) -> Result<Vec<ListedFrame>, ReadError> {
     Err(ReadError::new(path, malformed(0, fault)))
 }
 
-/// Opens frame number `number` of a list. Without a number, the list must have a single frame.
+/// Opens frame number `number` of a list. Without a number, the list must have a single frame. If
+/// the frame has several data sets, those without particles are left out.
 ///
 /// # Errors
 /// [`ReadError`] if the list or a file of the frame cannot be read, and [`ReadFault::Unsupported`]
@@ -81,9 +95,11 @@ pub fn open_particles(
     wanted: WantedParticles,
     unpacking: Unpacking,
 ) -> Result<ParticleFile, ReadError> {
-    let ListedFrame { time, files } = frame_of(path, list, number)?;
-    let files: Vec<&Path> = files.iter().map(PathBuf::as_path).collect();
-    let opened = open_joined(&files, wanted, unpacking)?;
+    let ListedFrame { time, blocks } = frame_of(path, list, number)?;
+    let opened = match &blocks[..] {
+        [only] => open_wanted(&only.file, wanted, unpacking)?,
+        blocks => open_blocks(path, blocks, wanted, unpacking)?,
+    };
     Ok(ParticleFile { time: time.or(opened.time), ..opened })
 }
 
@@ -109,12 +125,9 @@ pub fn frame_of(path: &Path, list: &Path, number: Option<u64>) -> Result<ListedF
     Ok(frames[number].clone())
 }
 
-/// For each frame, its time and the names of its files.
-type Named = Vec<(Option<f64>, Vec<String>)>;
-
-/// Parses the entries of a .pvd file.
-fn collection(bytes: &[u8]) -> Result<Named, ReadFault> {
-    let mut sets: Vec<(Option<f64>, i64, String)> = Vec::new();
+/// Parses the entries of a .pvd file in `folder`.
+fn collection(bytes: &[u8], folder: &Path) -> Result<Vec<ListedFrame>, ReadFault> {
+    let mut sets: Vec<(Option<f64>, i64, FrameBlock)> = Vec::new();
     each_tag(bytes, |tag| {
         if tag.tag.name().as_ref() == "DataSet" {
             let file = tag.value("file")?.filter(|file| !file.is_empty());
@@ -123,22 +136,24 @@ fn collection(bytes: &[u8]) -> Result<Named, ReadFault> {
             if time.is_some_and(|time| !time.is_finite()) {
                 return Err(malformed(tag.at, "a timestep that is not finite"));
             }
-            sets.push((time, tag.number("part")?.unwrap_or(0), file));
+            let name = tag.value("name")?.filter(|name| !name.is_empty());
+            let block = FrameBlock { file: resolved(folder, &file), name };
+            sets.push((time, tag.number("part")?.unwrap_or(0), block));
         }
         Ok(())
     })?;
     let mut places = HashMap::new();
-    let mut frames = Named::new();
-    let mut parts: Vec<(usize, i64, String)> = Vec::new();
-    for (time, part, file) in sets {
+    let mut frames: Vec<ListedFrame> = Vec::new();
+    let mut parts: Vec<(usize, i64, FrameBlock)> = Vec::new();
+    for (time, part, block) in sets {
         let place = *places.entry(time.map(f64::to_bits)).or_insert(frames.len());
         if place == frames.len() {
-            frames.push((time, Vec::new()));
+            frames.push(ListedFrame { time, blocks: Vec::new() });
         }
-        parts.push((place, part, file));
+        parts.push((place, part, block));
     }
     parts.sort_by_key(|(place, part, _)| (*place, *part));
-    parts.into_iter().for_each(|(place, _, file)| frames[place].1.push(file));
+    parts.into_iter().for_each(|(place, _, block)| frames[place].blocks.push(block));
     Ok(frames)
 }
 
@@ -153,11 +168,15 @@ struct FileOfSeries {
     time: Option<f64>,
 }
 
-/// Parses the entries of a .series file.
-fn series(bytes: &[u8]) -> Result<Named, ReadFault> {
+/// Parses the entries of a .series file in `folder`.
+fn series(bytes: &[u8], folder: &Path) -> Result<Vec<ListedFrame>, ReadFault> {
     let series: FileSeries = serde_json::from_slice(bytes)
         .map_err(|fault| ReadFault::Line { line: fault.line() as u64, what: fault.to_string() })?;
-    Ok(series.files.into_iter().map(|file| (file.time, vec![file.name])).collect())
+    let frame = |FileOfSeries { name, time }: FileOfSeries| {
+        let block = FrameBlock { file: resolved(folder, &name), name: None };
+        ListedFrame { time, blocks: vec![block] }
+    };
+    Ok(series.files.into_iter().map(frame).collect())
 }
 
 #[cfg(test)]
@@ -173,14 +192,15 @@ mod tests {
             std::fs::write(folder.path().join(file), "").unwrap();
         }
         let mut frames = listed(&path)?.to_vec();
-        for file in frames.iter_mut().flat_map(|frame| &mut frame.files) {
-            *file = file.strip_prefix(folder.path()).unwrap().to_owned();
+        for block in frames.iter_mut().flat_map(|frame| &mut frame.blocks) {
+            block.file = block.file.strip_prefix(folder.path()).unwrap().to_owned();
         }
         Ok(frames)
     }
 
     fn frame(time: impl Into<Option<f64>>, files: &[&str]) -> ListedFrame {
-        ListedFrame { time: time.into(), files: files.iter().map(PathBuf::from).collect() }
+        let block = |file: &&str| FrameBlock { file: file.into(), name: None };
+        ListedFrame { time: time.into(), blocks: files.iter().map(block).collect() }
     }
 
     #[test]

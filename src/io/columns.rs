@@ -48,16 +48,17 @@ impl Scalar {
 
     /// The kind of an attribute whose numbers have this type.
     pub fn kind_of(self, info: &AttributeInfo) -> AttributeKind {
-        let kind = match self {
-            Self::F16 | Self::F32 | Self::F64 => return info.kind,
+        match self {
+            Self::F16 | Self::F32 | Self::F64 => info.kind,
             // A colour that is stored in bytes has values from 0 to 255, not fractions.
-            Self::U8 if info.kind.is_colour() => return AttributeKind::ByteColour,
-            _ if is_direction_name(info) => return AttributeKind::Number,
+            Self::U8 if info.kind.is_colour() => AttributeKind::ByteColour,
+            Self::U16 if info.kind.is_colour() => AttributeKind::ShortColour,
+            _ if info.kind.is_colour() => AttributeKind::WholeColour,
+            _ if is_direction_name(info) => AttributeKind::Number,
             Self::I8 | Self::U8 | Self::I16 | Self::U16 | Self::I32 => AttributeKind::Signed,
             Self::U32 => AttributeKind::Unsigned,
             Self::I64 | Self::U64 => AttributeKind::Wide,
-        };
-        if info.kind.is_colour() { AttributeKind::Number } else { kind }
+        }
     }
 }
 

@@ -37,13 +37,13 @@ pub enum ReadFault {
     #[error("the file is empty")]
     Empty,
     /// The scratch file, into which the input is unpacked or decoded, cannot be written or mapped.
-    #[error("cannot write the unpacked or decoded data to a scratch file: {0}")]
+    #[error("cannot write the decoded input to a scratch file: {0}")]
     Scratch(#[source] std::io::Error),
     /// A damaged compressed stream, or one whose compression ratio is too high.
-    #[error("damaged compressed data: {0}")]
+    #[error("cannot decompress: {0}")]
     Compression(String),
     /// The file is shorter than its header implies.
-    #[error("truncated: {needed} bytes are needed for {what}, but the file has {have}")]
+    #[error("truncated: the file has {have} bytes, but needs at least {needed} for {what}")]
     Truncated {
         /// Name of the part of the file that needs these bytes.
         what: String,
@@ -69,10 +69,13 @@ pub enum ReadFault {
         what: String,
     },
     /// The file was changed while it was read.
-    #[error("changed while it was read")]
+    #[error("the file changed while it was being read")]
     Changed,
     /// The file contains a mesh instead of particles. Vertices of a mesh are not used as particles.
-    #[error("holds a mesh ({faces} faces), not particles")]
+    #[error(
+        "contains a mesh (faces or cells: {faces}), not particles; remove them to use the vertices \
+         as particles"
+    )]
     Mesh {
         /// Number of cells with an area or a volume.
         faces: u64,

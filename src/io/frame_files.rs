@@ -27,7 +27,7 @@ pub fn files_of(path: &Path) -> Vec<PathBuf> {
     // earlier frames.
     if let Some(frames) = is_list(file).then(|| listed(file).ok()).flatten() {
         let frame = usize::try_from(step.unwrap_or(0)).ok().and_then(|step| frames.get(step));
-        return frame.map_or(Vec::new(), |f| f.files.iter().flat_map(|f| files_of(f)).collect());
+        return frame.map_or(Vec::new(), |frame| frame.files().flat_map(files_of).collect());
     }
     let mut files = vec![file.to_owned()];
     // Ignores an error here, because reading the file reports it.

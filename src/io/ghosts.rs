@@ -16,11 +16,6 @@ use super::wanted::GHOSTS;
 /// Bits of VTK's flags for a cell that is a copy (1), refined by finer cells (8), or hidden (32).
 /// Other bits describe neighbours of copies.
 const LEFT_OUT: i64 = 1 | 8 | 32;
-/// Type number of a vertex cell.
-pub(super) const VERTEX: i64 = 1;
-/// Type number of a cell of several vertices. Cells with greater type numbers have a length, an
-/// area or a volume.
-pub(super) const POLY_VERTEX: i64 = 2;
 
 /// Whether an array of cell data can contain flags.
 pub(super) fn is_flag(name: &str, components: usize, scalar: Scalar) -> bool {

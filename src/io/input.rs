@@ -13,8 +13,8 @@ use super::pieces::join_files;
 use super::text_format::TextHint;
 use super::wanted::{WantedParticles, WantedPieces};
 use super::{
-    ParticleFile, Pieces, ReadError, ReadFault, bi4, collection, houdini, json, npy, npz, ply,
-    text_format, vtk, vtp,
+    ParticleFile, ReadError, ReadFault, bi4, collection, houdini, json, npy, npz, ply, text_format,
+    vtk, vtp,
 };
 
 macro_rules! known {
@@ -68,10 +68,20 @@ pub fn open_wanted(
         return collection::open_particles(path, file, step, wanted, unpacking);
     }
     let file = read(path, (file, step), wanted, unpacking)?.without_ghosts();
-    match wanted.conditions {
-        [] => Ok(file),
-        conditions => file.selected(conditions, unpacking).map_err(|f| ReadError::new(path, f)),
-    }
+    file.selected(wanted.conditions, unpacking).map_err(|fault| ReadError::new(path, fault))
+}
+
+/// Opens a particle file like [`open_wanted`], but does not apply conditions to its particles. The
+/// file must not be a list of frames.
+///
+/// # Errors
+/// The errors of [`open_wanted`], except [`ReadFault::Selection`].
+pub(super) fn open_unselected(
+    path: &Path,
+    wanted: WantedParticles,
+    unpacking: Unpacking,
+) -> Result<ParticleFile, ReadError> {
+    read(path, file_and_step(path), wanted, unpacking).map(ParticleFile::without_ghosts)
 }
 
 /// Opens several files as one set of particles, in order, with the attributes that all of them
@@ -89,36 +99,67 @@ pub fn open_joined(
     if let [path] = paths {
         return open_wanted(path, wanted, unpacking);
     }
+    join(paths, open_each(paths, wanted, unpacking, open_wanted)?, wanted)
+}
+
+/// Opens the wanted files with `open`, in parallel. The result has `None` for each file that is not
+/// wanted.
+///
+/// # Errors
+/// The error of the first file that cannot be opened, and [`ReadFault::Twice`] for a file that is
+/// named twice.
+pub(super) fn open_each<T: Send>(
+    paths: &[&Path],
+    wanted: WantedParticles,
+    unpacking: Unpacking,
+    open: impl Fn(&Path, WantedParticles, Unpacking) -> Result<T, ReadError> + Sync,
+) -> Result<Vec<Option<T>>, ReadError> {
     refuse_twice(paths.iter().copied())?;
-    let share = Unpacking { in_memory: unpacking.in_memory / paths.len() as u64, ..unpacking };
+    let count = paths.len().max(1) as u64;
+    let share = Unpacking { in_memory: unpacking.in_memory / count, ..unpacking };
     // `wanted.pieces` selects among the files, so all pieces of each file are read.
     let whole = WantedParticles { pieces: WantedPieces::All, ..wanted };
-    let open = |(number, path): (usize, &&Path)| match wanted.pieces.hold(number) {
-        true => open_wanted(path, whole, share),
-        false => Ok(ParticleFile::new(Pieces::default(), "no file")),
+    let open = |(number, path): (usize, &&Path)| {
+        wanted.pieces.hold(number).then(|| open(path, whole, share)).transpose()
     };
     // Opens all files before it returns, so that the error is always that of the first faulty file.
     let files: Vec<_> = paths.par_iter().enumerate().map(open).collect();
-    let files = files.into_iter().collect::<Result<Vec<_>, _>>()?;
-    let named: Vec<_> = paths.iter().copied().zip(&files).collect();
-    refuse_other_scales(&named, wanted.attributes)?;
-    let Some(first) = files.first() else {
-        return Ok(ParticleFile::new(Pieces::default(), "no file"));
-    };
-    let other_unit = files.iter().position(|file| file.unit_metres != first.unit_metres);
-    if let Some(other) = other_unit {
-        let unit = |file: &ParticleFile| {
-            file.unit_metres.map_or("no unit".to_owned(), |unit| format!("a unit of {unit} m"))
-        };
-        let what = format!(
-            "has {}, but {} has {}; only inputs with the same unit can be joined",
-            unit(&files[other]),
-            paths[0].display(),
-            unit(first)
-        );
-        return Err(ReadError::new(paths[other], ReadFault::Unsupported(what)));
-    }
+    files.into_iter().collect()
+}
+
+/// Joins the opened files into one set of particles, in order. `None` stands for a file that was
+/// not opened, or that holds no particles.
+///
+/// # Errors
+/// [`ReadFault::ColourScale`] for colours of different scales, and [`ReadFault::Unsupported`] for
+/// files with different units of length.
+pub(super) fn join(
+    paths: &[&Path],
+    files: Vec<Option<ParticleFile>>,
+    wanted: WantedParticles,
+) -> Result<ParticleFile, ReadError> {
+    refuse_other_scales(paths, &files, wanted.attributes)?;
+    refuse_other_units(paths, &files)?;
     join_files(files, wanted.pieces).map_err(|(file, fault)| ReadError::new(paths[file], fault))
+}
+
+/// Returns an error if two files have different units of length.
+fn refuse_other_units(paths: &[&Path], files: &[Option<ParticleFile>]) -> Result<(), ReadError> {
+    let mut units = paths.iter().zip(files).filter_map(|(path, file)| {
+        let unit = file.as_ref()?.unit_metres;
+        Some((path, unit))
+    });
+    let Some((first, of_first)) = units.next() else { return Ok(()) };
+    let Some((other, of_other)) = units.find(|(_, unit)| *unit != of_first) else { return Ok(()) };
+    let unit =
+        |unit: Option<f64>| unit.map_or("no unit".to_owned(), |unit| format!("a unit of {unit} m"));
+    let what = format!(
+        "has {}, but {} has {}; only inputs with the same unit can be joined",
+        unit(of_other),
+        first.display(),
+        unit(of_first)
+    );
+    Err(ReadError::new(*other, ReadFault::Unsupported(what)))
 }
 
 fn read(
@@ -207,8 +248,8 @@ pub fn is_known(path: &Path) -> bool {
     InputFormat::of(path).is_some_and(|format| format != InputFormat::Json)
 }
 
-/// Whether a file contains a mesh instead of particles. If the format supports both, the presence
-/// of faces decides. Otherwise, the extension decides.
+/// Whether a file contains a mesh instead of particles. If the format supports both, cells with an
+/// area or a volume make the file a mesh. Otherwise, the extension decides.
 ///
 /// # Errors
 /// [`ReadError`] if the format supports both and the file cannot be read.
@@ -219,8 +260,8 @@ pub fn holds_mesh(path: &Path) -> Result<bool, ReadError> {
         Some("abc" | "glb" | "obj" | "stl" | "usd" | "usdc") => return Ok(true),
         Some("ply") => ply::has_faces,
         Some("vtk") => vtk::has_faces,
-        Some("vtp") => vtp::has_faces,
-        Some("pvtp") => return vtp::parallel::has_faces(path),
+        Some("vtp" | "vtu") => vtp::has_faces,
+        Some("pvtp" | "pvtu") => return vtp::parallel::has_faces(path),
         #[cfg(feature = "hdf5")]
         Some("hdf" | "vtkhdf") => {
             return super::h5::has_faces(open_bytes(path)?)
@@ -231,7 +272,7 @@ pub fn holds_mesh(path: &Path) -> Result<bool, ReadError> {
     let bytes = open_bytes(path)?;
     let bytes = match extension.as_deref() {
         Some("vtk") => vtk::unless_text(bytes, Unpacking::in_memory()),
-        Some("vtp") => vtp::unless_text(bytes),
+        Some("vtp" | "vtu") => vtp::unless_inline(bytes),
         // Only the header of a .ply is read, so its text need not be converted.
         _ => Ok(bytes),
     };
@@ -262,7 +303,8 @@ const HDF5: StepReader = |path, _, _, _, _| Err(ReadError::new(path, no_hdf5()))
 /// The error for HDF5 input in a build without HDF5.
 #[cfg(not(feature = "hdf5"))]
 pub(super) fn no_hdf5() -> ReadFault {
-    ReadFault::Unsupported("HDF5 needs meniscus built with the feature hdf5".to_owned())
+    let what = "reading HDF5 needs a build of meniscus with the feature hdf5";
+    ReadFault::Unsupported(what.to_owned())
 }
 
 fn reader(format: InputFormat) -> FormatReader {

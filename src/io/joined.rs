@@ -35,19 +35,24 @@ pub fn refuse_twice<'a>(paths: impl IntoIterator<Item = &'a Path>) -> Result<(),
     Ok(())
 }
 
-/// Returns an error if a requested colour has different scales in different files.
+/// Returns an error if a requested colour has different scales in different files. `files` has
+/// `None` for files that were not opened.
 ///
 /// Bytes and fractions from 0 to 1 can be joined. Floating-point numbers from 0 to 255 cannot be
-/// joined with fractions, nor colours with plain numbers.
+/// joined with fractions, nor colours with plain numbers. Wider integers from 0 to 255 count as
+/// bytes.
 ///
 /// # Errors
 /// [`ReadFault::ColourScale`] with the first file whose scale differs.
 pub(super) fn refuse_other_scales(
-    files: &[(&Path, &ParticleFile)],
+    paths: &[&Path],
+    files: &[Option<ParticleFile>],
     wanted: WantedAttributes,
 ) -> Result<(), ReadError> {
     let WantedAttributes::Only { names: Some(names), .. } = wanted else { return Ok(()) };
-    let filled = || files.iter().filter(|(_, file)| !file.particles.is_empty());
+    let opened =
+        || paths.iter().zip(files).filter_map(|(path, file)| Some((*path, file.as_ref()?)));
+    let filled = || opened().filter(|(_, file)| !file.particles.is_empty());
     let Some((_, first)) = filled().next() else { return Ok(()) };
     for name in names {
         let infos = first.particles.attributes();
@@ -61,12 +66,12 @@ pub(super) fn refuse_other_scales(
         for (path, file) in filled() {
             let particles = &file.particles;
             let index = particles.attributes().iter().position(is_it);
-            of_files.extend(index.map(|index| (*path, particles, index)));
+            of_files.extend(index.map(|index| (path, particles, index)));
         }
         let is_colour = |&(_, particles, index): &(_, &Pieces, usize)| {
             particles.attributes()[index].kind.is_colour()
         };
-        if !of_files.iter().any(is_colour) {
+        if !of_files.iter().any(is_colour) || are_of_one_type(&of_files) {
             continue;
         }
         let mut known: Option<(&Path, ColourScale)> = None;
@@ -83,9 +88,23 @@ pub(super) fn refuse_other_scales(
     Ok(())
 }
 
+/// Whether all files store a colour as integers of one type. Such a colour gets the scale that fits
+/// the values of all files.
+fn are_of_one_type(of_files: &[(&Path, &Pieces, usize)]) -> bool {
+    let mut kinds =
+        of_files.iter().map(|&(_, particles, index)| particles.attributes()[index].kind);
+    let first = kinds.next();
+    first.is_some_and(AttributeKind::is_whole_colour) && kinds.all(|kind| Some(kind) == first)
+}
+
 /// The scale of a colour. `None` if its values fit several scales, for example if all are 0.
 fn scale_of(particles: &Pieces, index: usize) -> Option<ColourScale> {
-    Some(match particles.attributes()[index].kind {
+    let kind = particles.attributes()[index].kind;
+    if kind.is_whole_colour() {
+        let is_bytes = evident_scale(particles, index)? == AttributeKind::ByteColour;
+        return Some(if is_bytes { ColourScale::Bytes } else { ColourScale::Whole });
+    }
+    Some(match kind {
         AttributeKind::ByteColour => ColourScale::Bytes,
         AttributeKind::Colour => match evident_scale(particles, index)? {
             AttributeKind::ByteColour => ColourScale::LargeShares,

@@ -8,7 +8,9 @@ pub mod alembic;
 mod beside;
 pub mod bgeo;
 pub mod bi4;
+mod blocks;
 pub mod bytes;
+mod cell_types;
 pub mod collection;
 pub mod columns;
 pub mod compression;
@@ -46,6 +48,7 @@ pub mod table;
 pub mod tecplot;
 mod text;
 pub mod text_format;
+pub(crate) mod time_codes;
 pub mod up;
 pub mod usd;
 pub mod vdb;
@@ -114,6 +117,8 @@ pub enum UnreadPart {
         /// Description of the block's contents, for a message.
         holds: String,
     },
+    /// The different names of blocks whose particles are joined.
+    Names(Vec<String>),
     /// Polygons and other primitives in a particle file, and the points that they use.
     Primitives {
         /// The name of each kind of primitive, with the number of primitives.
@@ -137,7 +142,7 @@ impl UnreadPart {
         match self {
             Self::Attribute(info) => Some(&info.name),
             Self::WideArray { name, .. } => Some(name),
-            Self::Block { .. } | Self::Primitives { .. } => None,
+            Self::Block { .. } | Self::Names(_) | Self::Primitives { .. } => None,
         }
     }
 }
@@ -153,6 +158,11 @@ impl fmt::Display for UnreadPart {
                 )
             }
             Self::Block { name, holds } => write!(f, "block {name:?}, which contains {holds}"),
+            Self::Names(names) => {
+                let names = names.iter().map(|name| format!("{name:?}"));
+                let names = names.collect::<Vec<_>>().join(", ");
+                write!(f, "the names of blocks that are joined ({names})")
+            }
             Self::Primitives { kinds, points } => {
                 let kinds = kinds.iter().map(|(kind, count)| format!("{count} {kind}"));
                 let kinds = kinds.collect::<Vec<_>>().join(", ");
@@ -160,7 +170,8 @@ impl fmt::Display for UnreadPart {
             }
             Self::WideArray { name, numbers } => write!(
                 f,
-                "array {name:?}, with {numbers} numbers per particle, but at most {} are supported",
+                "array {name:?}, which has {numbers} numbers per particle (at most {} are \
+                 supported)",
                 fields::MOST_COMPONENTS
             ),
         }

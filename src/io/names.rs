@@ -41,6 +41,9 @@ pub const COLOURS: [[&str; 4]; 3] = [
     ["r", "g", "b", "a"],
 ];
 
+/// Characters between the name of a vector and the name of its component.
+const JOINTS: [char; 7] = ['.', ':', '_', '-', '[', '(', ' '];
+
 /// One quantity of a table, such as a position or a velocity.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Quantity {
@@ -89,8 +92,9 @@ pub fn unique_names<'a>(
 ///
 /// Columns form one vector if their names differ only in a final `x`, `y`, `z`, or in a final `0`,
 /// `1`, `2` after a separator, and each axis occurs once. Examples are `Pos.x [m]`, `"Points:0"`,
-/// `vel_x`, `vel[0]` and `vx`. Likewise, `red`, `green`, `blue` and optionally `alpha`, or `r`,
-/// `g`, `b` and `a`, form one colour, called `color`. Returns `None` if there is no position.
+/// `vel_x`, `vel[0]`, `Velocity [x]` and `vx`. Likewise, `red`, `green`, `blue` and optionally
+/// `alpha`, or `r`, `g`, `b` and `a`, form one colour, called `color`. Returns `None` if there is
+/// no position.
 pub fn quantities(names: &[String]) -> Option<(Quantity, Vec<Quantity>)> {
     let names: Vec<&str> = names.iter().map(|name| without_unit(name)).collect();
     let mut vectors = HashMap::<_, [Vec<usize>; 3]>::new();
@@ -116,7 +120,7 @@ pub fn quantities(names: &[String]) -> Option<(Quantity, Vec<Quantity>)> {
         }
         match vector {
             Some((stem, columns)) if columns[0] == column => {
-                let name = stem.trim_end_matches(['.', ':', '_', '-', '[', ' ']).to_owned();
+                let name = stem.trim_end_matches(JOINTS).to_owned();
                 all.push(Quantity { name, columns: columns.into() });
             }
             Some((_, columns)) if columns.contains(&column) => {}
@@ -168,16 +172,62 @@ pub fn repeated_position(names: &[String]) -> Option<&str> {
     names.iter().find(|name| *name == found).map(String::as_str)
 }
 
+/// The axis of a position that a name gives: 0 for `x`, `pos_x` or `Position[x]`.
+pub fn position_axis(name: &str) -> Option<usize> {
+    let ((stem, _), axis) = component(name)?;
+    let stem = stem.trim_end_matches(JOINTS);
+    POSITION.iter().any(|position| stem.eq_ignore_ascii_case(position)).then_some(axis)
+}
+
+/// Whether a word names a position without a component, such as `pos` or `coordinates`.
+pub fn is_position_word(word: &str) -> bool {
+    word.len() > 1 && POSITION.iter().any(|position| word.eq_ignore_ascii_case(position))
+}
+
+/// The names without units, including units that follow a name without a blank, as in `vx[m/s]`.
+/// Names that would become equal are kept.
+pub fn bare_names(names: &[String]) -> Vec<String> {
+    let bare: Vec<&str> = names.iter().map(|name| bare_name(name)).collect();
+    let mut times = HashMap::new();
+    for name in &bare {
+        *times.entry(*name).or_insert(0) += 1;
+    }
+    let kept = names.iter().zip(&bare);
+    kept.map(|(name, bare)| if times[bare] > 1 { name.clone() } else { (*bare).to_owned() })
+        .collect()
+}
+
+fn bare_name(name: &str) -> &str {
+    // The index of a component, as in `vel[0]` or `stress[xy]`, is not a unit.
+    let is_index =
+        |text: &str| text.chars().all(|c| c.is_ascii_digit() || "xyzXYZijk,".contains(c));
+    let name = without_unit(name);
+    let brackets = name.match_indices(['[', '(']).map(|(at, _)| at);
+    let unit = brackets.filter(|&at| at > 0).find(|&at| !is_index(inside(&name[at + 1..])));
+    unit.filter(|_| name.ends_with([']', ')'])).map_or(name, |at| name[..at].trim_end())
+}
+
 fn without_unit(name: &str) -> &str {
     let name = name.trim().trim_matches(['"', '\'']);
-    let end = name.find(" [").or_else(|| name.find(" (")).unwrap_or(name.len());
+    // The axis of a component, as in `Velocity [x]`, is not a unit.
+    let is_axis = |text: &str| matches!(text, "x" | "y" | "z" | "X" | "Y" | "Z");
+    let unit = |open: &str| {
+        let mut brackets = name.match_indices(open).map(|(at, _)| at);
+        brackets.find(|&at| !is_axis(inside(&name[at + open.len()..])))
+    };
+    let end = unit(" [").or_else(|| unit(" (")).unwrap_or(name.len());
     name[..end].trim()
+}
+
+/// The text before the bracket that closes.
+fn inside(text: &str) -> &str {
+    text.split([']', ')']).next().unwrap_or_default().trim()
 }
 
 /// Splits the name of a vector's component, such as `vel.x`, into its stem `vel.`, its notation and
 /// its axis (here 0). The notation is identified by its name for the first axis: `x`, `X` or `0`.
 fn component(name: &str) -> Option<((&str, char), usize)> {
-    let name = name.strip_suffix(']').unwrap_or(name);
+    let name = name.strip_suffix([']', ')']).unwrap_or(name);
     let last = name.chars().next_back()?;
     let stem = &name[..name.len() - last.len_utf8()];
     match last {

@@ -237,7 +237,9 @@ fn unpack(
     let total = needed().fold(0u64, |sum, (_, array)| sum.saturating_add(array.bytes));
     if !in_place && total > unpacked_limit(bytes.view().len() as u64) {
         return Err(ReadFault::Compression(format!(
-            "decompresses to {total} bytes, too many for its size"
+            "the data expands to {total} bytes, too many for a file of {} bytes; decompress the \
+             file first",
+            bytes.view().len()
         )));
     }
     let mut archive = archive(bytes)?;

@@ -345,14 +345,20 @@ impl MeshFormat {
 /// [`ReadFault::UnknownExtension`].
 pub fn read_mesh(path: &Path) -> Result<Mesh, ReadError> {
     let unknown = || ReadError::new(path, ReadFault::UnknownExtension { known: MeshFormat::KNOWN });
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let format = MeshFormat::of(Path::new(plain_name(&name))).ok_or_else(unknown)?;
+    let format = mesh_format(path).ok_or_else(unknown)?;
     let read = match format {
         MeshFormat::Pvtp => return vtp::parallel::read_mesh(path),
         MeshFormat::VtkHdf => read_hdf(open_bytes(path)?),
         _ => format.read(&open_whole(path)?),
     };
     read.map_err(|fault| ReadError::new(path, fault))
+}
+
+/// The format of the mesh at `path`, whose extension may be followed by `.gz`, `.xz` or `.zst`.
+/// `None` if no mesh has this extension.
+pub fn mesh_format(path: &Path) -> Option<MeshFormat> {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    MeshFormat::of(Path::new(plain_name(&name)))
 }
 
 /// An opened mesh: in memory, or streamed from its file.

@@ -79,14 +79,15 @@ impl Pieces {
     /// Joins pieces, whose attributes must have the same names and numbers of components.
     ///
     /// Attributes may have any order and number type, and a piece without particles may lack
-    /// attributes. Colours in bytes become fractions from 0 to 1 if another piece has
+    /// attributes. Colours in integers become fractions from 0 to 1 if another piece has
     /// floating-point colours. Text attributes are kept only if there is a single piece.
     ///
     /// # Errors
     /// The number of the first piece whose attributes differ from those of the pieces before it,
     /// with [`ReadFault::Malformed`].
     pub fn join(parts: Vec<Self>) -> Result<Self, (usize, ReadFault)> {
-        let filled = parts.iter().find(|part| !part.is_empty()).or(parts.first());
+        let with_attributes = || parts.iter().find(|part| !part.infos.is_empty());
+        let filled = parts.iter().find(|part| !part.is_empty()).or_else(with_attributes);
         let infos = filled.map_or_else(Vec::new, |part| part.infos.clone());
         let labels = match &parts[..] {
             [only] => only.labels.clone(),
@@ -220,12 +221,14 @@ impl Pieces {
         self.stores.iter().map(ColumnStore::scratch_bytes).sum()
     }
 
-    /// Whether attribute number `index` is a colour that `piece` stores as bytes, and another piece
-    /// as fractions.
+    /// Whether attribute number `index` is a colour that `piece` stores as integers, and another
+    /// piece as fractions. The integers are from 0 to 255.
     fn is_byte_among_shares(&self, piece: usize, index: usize) -> bool {
         let Source::Attribute(number) = self.sources[piece][index] else { return false };
         let stored = &self.stores[piece].attributes()[number];
-        (self.infos[index].kind, stored.kind) == (AttributeKind::Colour, AttributeKind::ByteColour)
+        self.infos[index].kind == AttributeKind::Colour
+            && stored.kind.is_colour()
+            && stored.kind != AttributeKind::Colour
     }
 
     /// Reads attribute number `index` of a piece, from row `row` on.
@@ -256,7 +259,10 @@ impl Pieces {
 }
 
 /// Joins files into one set of particles, in order, with the attributes that all of them have. The
-/// first file determines the format, the unit and the types of particles.
+/// first opened file determines the format, the unit and the types of particles.
+///
+/// `None` stands for a file that was not opened, or that holds no particles. It counts as a piece
+/// without particles.
 ///
 /// If the files have different spacings, like the zones of a simulation with variable resolution,
 /// each particle gets the spacing of its file as the attribute `spacing`. This also happens if
@@ -266,14 +272,16 @@ impl Pieces {
 /// # Errors
 /// The number of the first file that cannot be joined with the files before it, and the reason.
 pub(super) fn join_files(
-    mut files: Vec<ParticleFile>,
+    mut files: Vec<Option<ParticleFile>>,
     wanted: WantedPieces,
 ) -> Result<ParticleFile, (usize, ReadFault)> {
-    let spacings: Vec<f64> = files.iter().filter_map(|file| file.spacing).collect();
+    let spacings: Vec<f64> = files.iter().flatten().filter_map(|file| file.spacing).collect();
     let differ = spacings.windows(2).any(|two| two[0] != two[1]);
     let is_known = |file: &ParticleFile| file.spacing.is_some() || file.particles.is_empty();
-    if (differ || matches!(wanted, WantedPieces::Numbered(_))) && files.iter().all(is_known) {
-        for file in &mut files {
+    if (differ || matches!(wanted, WantedPieces::Numbered(_)))
+        && files.iter().flatten().all(is_known)
+    {
+        for file in files.iter_mut().flatten() {
             if let Some(spacing) = file.spacing {
                 let particles = std::mem::take(&mut file.particles);
                 file.particles = particles.with_constant(SPACING, spacing as f32);
@@ -281,24 +289,29 @@ pub(super) fn join_files(
         }
     }
     let partial = keep_shared_attributes(&mut files).into_iter().map(UnreadPart::Attribute);
-    let blocks = files.iter().flat_map(|file| file.left_out.iter().cloned());
+    let opened = || files.iter().flatten();
+    let blocks = opened().flat_map(|file| file.left_out.iter().cloned());
     let left_out = blocks
         .filter(|part| !matches!(part, UnreadPart::Attribute(_)))
         .chain(partial)
         .collect::<Vec<_>>();
-    let time = files.iter().find_map(|file| file.time);
-    let ghosts = files.iter().map(|file| file.ghosts).sum();
-    let unselected = files.iter().map(|file| file.unselected).sum();
-    let is_empty = files.iter().all(|file| file.particles.is_empty());
-    let none_selected = files.iter().find_map(|file| file.none_selected.clone());
+    let time = opened().find_map(|file| file.time);
+    let ghosts = opened().map(|file| file.ghosts).sum();
+    let unselected = opened().map(|file| file.unselected).sum();
+    let is_empty = opened().all(|file| file.particles.is_empty());
+    let none_selected = opened().find_map(|file| file.none_selected.clone());
     let none_selected = none_selected.filter(|_| is_empty);
-    let Some(first) = files.first() else { return Err((0, malformed(0, "no pieces"))) };
-    let spacing = first.spacing.filter(|_| files.iter().all(|f| f.spacing == first.spacing));
-    let box_size = first.box_size.filter(|_| files.iter().all(|f| f.box_size == first.box_size));
+    let Some(first) = opened().next() else {
+        return Ok(ParticleFile::new(Pieces::default(), "no file"));
+    };
+    let spacing = first.spacing.filter(|_| opened().all(|f| f.spacing == first.spacing));
+    let box_size = first.box_size.filter(|_| opened().all(|f| f.box_size == first.box_size));
     let (format, unit_metres) = (first.format, first.unit_metres);
     let (unread, texts) = (first.unread.clone(), first.texts.clone());
     let particle_types = first.particle_types.clone();
-    let particles = Pieces::join(files.into_iter().map(|file| file.particles).collect())?;
+    let particles =
+        files.into_iter().map(|file| file.map_or_else(Pieces::default, |f| f.particles));
+    let particles = Pieces::join(particles.collect())?;
     Ok(ParticleFile {
         particles,
         format,
@@ -317,8 +330,8 @@ pub(super) fn join_files(
 }
 
 /// Removes and returns the attributes that at least one file with particles lacks.
-fn keep_shared_attributes(files: &mut [ParticleFile]) -> Vec<AttributeInfo> {
-    let filled = || files.iter().filter(|file| !file.particles.is_empty());
+fn keep_shared_attributes(files: &mut [Option<ParticleFile>]) -> Vec<AttributeInfo> {
+    let filled = || files.iter().flatten().filter(|file| !file.particles.is_empty());
     let mut partial: Vec<AttributeInfo> = Vec::new();
     for left_out in filled().flat_map(|file| file.left_out.clone()) {
         if let UnreadPart::Attribute(info) = left_out {
@@ -335,7 +348,7 @@ fn keep_shared_attributes(files: &mut [ParticleFile]) -> Vec<AttributeInfo> {
     partial.extend(filled().flat_map(|f| f.particles.attributes()).filter(lacks).cloned());
     let mut seen = HashSet::new();
     partial.retain(|info| seen.insert(key(info)));
-    for file in files {
+    for file in files.iter_mut().flatten() {
         file.particles.retain_attributes(|info| !seen.contains(&key(info)));
     }
     partial

@@ -12,7 +12,7 @@
 //!
 //! The times are the inputs' times in seconds, if these are strictly increasing. Otherwise, they
 //! are the frame numbers divided by the frame rate. Without a frame rate, they are the frame
-//! numbers.
+//! numbers. `time_codes.rs` converts times to the time codes of a stage.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -24,15 +24,11 @@ use crate::particles::AttributeInfo;
 use crate::surface::mesh::source::Corners;
 
 use super::output::MeshFormat;
-use super::usd::stage::{Manifest, stage};
+use super::time_codes::{FrameTime, Timeline};
+use super::usd::stage::{Manifest, path_fault, stage};
 use super::vtp::escaped;
 use super::whole::replace_small;
 use super::{UpAxis, WriteError};
-
-/// Frames per second in USD and Alembic if no frame rate is given. This is USD's default.
-pub const FRAMES_A_SECOND: f64 = 24.0;
-/// Time codes that differ from an integer by less than this are rounded.
-const WHOLE: f64 = 1e-6;
 
 /// A frame that has a mesh, as a list describes it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -66,19 +62,20 @@ pub struct Series {
     pub format: MeshFormat,
     /// Path of the frames without their numbers, such as `mesh/pool.vtp`.
     pub simulation: PathBuf,
-    /// Frames per second, if the frame rate is known.
+    /// Frames per second, if the frame rate is given.
     pub fps: Option<f64>,
     /// The up axis of the meshes as other programs show them.
     pub up: UpAxis,
 }
 
-/// The time of a frame.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct FrameTime {
-    /// Time in seconds, or the frame number if the time and the frame rate are unknown.
-    time: f64,
-    /// USD's time code of the frame.
-    code: f64,
+/// A frame in a .json list of frames.
+#[derive(Serialize)]
+struct ListedFrame {
+    #[serde(flatten)]
+    frame: SeriesFrame,
+    /// Time code at which a stage shows the frame, if the simulation has a stage.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    time_code: Option<f64>,
 }
 
 /// The up axis and the file names in a .json list of frames.
@@ -135,7 +132,7 @@ impl Series {
                 vec![list]
             }
             // The stage comes last, because it refers to the manifest.
-            MeshFormat::Usdc(_) => vec![list, self.clips(), self.simulation.with_extension("usda")],
+            MeshFormat::Usdc(_) => vec![list, self.clips(), self.stage_path()],
         }
     }
 
@@ -150,50 +147,50 @@ impl Series {
         self.simulation.with_extension("manifest.usda")
     }
 
+    fn stage_path(&self) -> PathBuf {
+        self.simulation.with_extension("usda")
+    }
+
+    /// The reason why programs could not play the lists at this path, as a message. `None` if they
+    /// can.
+    #[must_use]
+    pub fn path_fault(&self) -> Option<String> {
+        let MeshFormat::Usdc(_) = self.format else { return None };
+        let path = self.stage_path();
+        path_fault(&path).map(|fault| format!("{}: {fault}", path.display()))
+    }
+
     /// Writes the files that list `frames` (such as `.json` and `.pvd`), and replaces earlier ones.
     /// The frames must be sorted by number.
     ///
     /// # Errors
     /// If a file cannot be written or replaced.
     pub fn write(&self, frames: &[SeriesFrame]) -> Result<(), WriteError> {
-        let moments = self.moments(frames);
-        let shown: Vec<(&SeriesFrame, FrameTime)> = frames.iter().zip(moments).collect();
+        let Timeline { codes_per_second, frames: times } = Timeline::of(frames, self.fps);
+        let shown: Vec<(&SeriesFrame, FrameTime)> = frames.iter().zip(times).collect();
         for path in self.files() {
-            let text = self.text(&path, &shown);
+            let text = self.text(&path, &shown, codes_per_second);
             replace_small(&path, text.as_bytes()).map_err(|fault| WriteError::new(&path, fault))?;
         }
         Ok(())
     }
 
-    /// The times of `frames` in seconds. `frames` must be sorted by number. If neither the times
-    /// nor the frame rate are known, the frame rate is [`FRAMES_A_SECOND`].
+    /// The times of `frames` in an archive, in seconds. `frames` must be sorted by number.
+    ///
+    /// If the frame rate is given or implied, times that are close to the time of a whole frame are
+    /// rounded to it. If neither the times nor the frame rate are known, there are 24 frames per
+    /// second.
     #[must_use]
     pub fn times(&self, frames: &[SeriesFrame]) -> Vec<f64> {
-        let rate = self.codes_a_second();
-        self.moments(frames).into_iter().map(|FrameTime { code, .. }| code / rate).collect()
+        Timeline::of(frames, self.fps).frames.into_iter().map(|frame| frame.seconds).collect()
     }
 
-    fn moments(&self, frames: &[SeriesFrame]) -> Vec<FrameTime> {
-        let finite = |time: &f64| time.is_finite();
-        let times: Option<Vec<f64>> =
-            frames.iter().map(|frame| frame.time.filter(finite)).collect();
-        if let Some(times) = times.filter(|times| times.is_sorted_by(|a, b| a < b)) {
-            let rate = self.codes_a_second();
-            let code =
-                |code: f64| if (code - code.round()).abs() < WHOLE { code.round() } else { code };
-            return times.iter().map(|&time| FrameTime { time, code: code(time * rate) }).collect();
-        }
-        let numbers = frames.iter().map(|frame| frame.frame as f64);
-        numbers
-            .map(|number| FrameTime { time: number / self.fps.unwrap_or(1.0), code: number })
-            .collect()
-    }
-
-    fn codes_a_second(&self) -> f64 {
-        self.fps.unwrap_or(FRAMES_A_SECOND)
-    }
-
-    fn text(&self, path: &Path, shown: &[(&SeriesFrame, FrameTime)]) -> String {
+    fn text(
+        &self,
+        path: &Path,
+        shown: &[(&SeriesFrame, FrameTime)],
+        codes_per_second: f64,
+    ) -> String {
         let extension =
             path.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
         match extension {
@@ -201,23 +198,24 @@ impl Series {
             "pvd" => pvd(shown),
             "series" => file_series(shown),
             _ if path == self.clips() => self.manifest(shown).text(),
-            _ => self.stage(shown),
+            _ => self.stage(shown, codes_per_second),
         }
     }
 
     fn listing(&self, shown: &[(&SeriesFrame, FrameTime)]) -> String {
-        let frame = |&(frame, FrameTime { time, .. }): &(&SeriesFrame, FrameTime)| SeriesFrame {
-            time: Some(time),
-            ..frame.clone()
+        let has_stage = matches!(self.format, MeshFormat::Usdc(_));
+        let listed = |&(frame, FrameTime { time, code, .. }): &(&SeriesFrame, FrameTime)| {
+            let frame = SeriesFrame { time: Some(time), ..frame.clone() };
+            ListedFrame { frame, time_code: has_stage.then_some(code) }
         };
-        let frames: Vec<SeriesFrame> = shown.iter().map(frame).collect();
+        let frames: Vec<ListedFrame> = shown.iter().map(listed).collect();
         format!("{:#}\n", json!({ "fps": self.fps, "up": self.up.to_string(), "frames": frames }))
     }
 
-    fn stage(&self, shown: &[(&SeriesFrame, FrameTime)]) -> String {
+    fn stage(&self, shown: &[(&SeriesFrame, FrameTime)], codes_per_second: f64) -> String {
         let clips: Vec<_> =
-            shown.iter().map(|(frame, moment)| (moment.code, frame.file.clone())).collect();
-        stage(&clips, &self.manifest(shown), self.codes_a_second(), self.up)
+            shown.iter().map(|(frame, time)| (time.code, frame.file.clone())).collect();
+        stage(&clips, &self.manifest(shown), codes_per_second, self.up)
     }
 
     fn manifest(&self, shown: &[(&SeriesFrame, FrameTime)]) -> Manifest {

@@ -58,7 +58,8 @@ fn whole(store: &dyn Particles, normals: Option<usize>, triangles: Vec<[u32; 3]>
             whole.resize(values.len(), 0);
             store.integers(index, 0, &mut whole);
         }
-        VertexAttribute { name, components: info.components, values, kind: info.kind, whole }
+        let kind = info.kind.of_mesh();
+        VertexAttribute { name, components: info.components, values, kind, whole }
     });
     let attributes = attributes.collect();
     let normals = normals.map(|index| {

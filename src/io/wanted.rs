@@ -125,6 +125,9 @@ impl ParticleFile {
         conditions: &[Where],
         unpacking: Unpacking,
     ) -> Result<Self, ReadFault> {
+        if conditions.is_empty() {
+            return Ok(self);
+        }
         let infos = self.particles.attributes();
         let mut tested = Vec::new();
         for condition in conditions.iter().flat_map(Where::conditions) {

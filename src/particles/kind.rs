@@ -20,6 +20,12 @@ pub enum AttributeKind {
     Colour,
     /// Red, green and blue, and optionally alpha, from 0 to 255.
     ByteColour,
+    /// Red, green and blue, and optionally alpha, from 0 to 65535.
+    ShortColour,
+    /// A colour in integers of any other type, as the input stores it. A mesh with vertices never
+    /// has this kind: [`settled`] replaces it with [`ByteColour`](Self::ByteColour) or
+    /// [`Number`](Self::Number).
+    WholeColour,
     /// Integers that fit into signed 32-bit integers.
     Signed,
     /// Integers that fit into unsigned 32-bit integers.
@@ -35,7 +41,7 @@ pub enum KindFault {
     /// An integer that the mesh cannot store.
     #[error(
         "attribute {name:?} has the value {value}, but the mesh stores it as integers from {} to \
-         {}. Store the attribute as floating-point numbers, or leave it out",
+         {}; store the attribute as floating-point numbers, or leave it out",
         limits[0],
         limits[1]
     )]
@@ -50,7 +56,7 @@ pub enum KindFault {
     /// A colour from 0 to 255 in a sequence whose colours are from 0 to 1.
     #[error(
         "colour {name:?} has the value {greatest} and looks like bytes from 0 to 255, but the \
-         calibration frame (usually the first) has colours from 0 to 1. Store colours in the same \
+         calibration frame (usually the first) has colours from 0 to 1; store colours in the same \
          way in all frames, begin with a frame that has colours above 1, or leave the attribute out"
     )]
     Scale {
@@ -58,6 +64,18 @@ pub enum KindFault {
         name: String,
         /// The greatest value.
         greatest: f32,
+    },
+    /// An integer colour in a sequence whose colours are from 0 to 255.
+    #[error(
+        "colour {name:?} has the value {value}, but the calibration frame (usually the first) has \
+         integers from 0 to 255; store colours in the same way in all frames, begin with a frame \
+         that has such values, or leave the attribute out"
+    )]
+    NoByte {
+        /// The name of the attribute.
+        name: String,
+        /// The value that is farthest outside the range.
+        value: f32,
     },
 }
 
@@ -72,8 +90,14 @@ pub struct SettledKind {
     pub is_evident: bool,
 }
 
-/// If the greatest value of a colour exceeds this, the values are from 0 to 255.
+/// If the greatest value of a floating-point colour exceeds this, the values are from 0 to 255.
 const BRIGHT: f32 = 16.0;
+
+/// The greatest value of a colour in bytes.
+const BYTE: f32 = 255.0;
+
+/// The greatest value of a colour in unsigned 16-bit integers.
+const SHORT: f32 = 65535.0;
 
 /// Names of colours, in lower case.
 const COLOURS: [&str; 8] = ["cd", "color", "colors", "colour", "colours", "diffuse", "rgb", "rgba"];
@@ -112,14 +136,25 @@ impl AttributeKind {
         }
     }
 
+    /// The kind of an attribute in a mesh file. Whether integers wider than a byte are a colour
+    /// depends on all frames of a simulation, so in a mesh file they count as plain numbers.
+    pub(crate) fn of_mesh(self) -> Self {
+        match self {
+            Self::ShortColour | Self::WholeColour => Self::Number,
+            other => other,
+        }
+    }
+
     /// The kind that can hold the values of both kinds.
     #[must_use]
     pub fn together(self, other: Self) -> Self {
         match (self, other) {
             _ if self == other => self,
-            // If some pieces of a frame store colours as bytes and others as fractions, the frame
-            // has fractions.
-            _ if self.is_colour() && other.is_colour() => Self::Colour,
+            // If some pieces of a frame store colours as integers and others as fractions, the
+            // frame has fractions.
+            (Self::Colour, _) if other.is_colour() => Self::Colour,
+            (_, Self::Colour) if self.is_colour() => Self::Colour,
+            _ if self.is_colour() && other.is_colour() => Self::WholeColour,
             _ if self.is_whole() && other.is_whole() => Self::Wide,
             _ => Self::Number,
         }
@@ -165,7 +200,17 @@ impl AttributeKind {
     /// Whether this is a colour.
     #[must_use]
     pub fn is_colour(self) -> bool {
-        matches!(self, Self::Colour | Self::ByteColour)
+        matches!(self, Self::Colour | Self::ByteColour) || self.is_whole_colour()
+    }
+
+    /// Whether this is a colour in integers wider than a byte.
+    pub(crate) fn is_whole_colour(self) -> bool {
+        matches!(self, Self::ShortColour | Self::WholeColour)
+    }
+
+    /// Whether this is a colour, as the input stores it, whose scale depends on its values.
+    pub(crate) fn has_open_scale(self) -> bool {
+        self == Self::Colour || self.is_whole_colour()
     }
 
     /// Whether this is the default kind.
@@ -176,7 +221,11 @@ impl AttributeKind {
     /// A colour component from 0 to 1, as programs expect it: clamped, with NaN as 0.
     #[must_use]
     pub fn share(self, value: f32) -> f32 {
-        let share = if self == Self::ByteColour { value / 255.0 } else { value };
+        let share = match self {
+            Self::ByteColour | Self::WholeColour => value / BYTE,
+            Self::ShortColour => value / SHORT,
+            _ => value,
+        };
         if share.is_nan() { 0.0 } else { share.clamp(0.0, 1.0) }
     }
 
@@ -195,8 +244,13 @@ pub fn colour_attribute(attributes: &[AttributeInfo]) -> Option<usize> {
 }
 
 /// The vertex attributes, each with a kind that fits its values. 64-bit integers get a 32-bit kind.
-/// Floating-point colours get the scale from 0 to 255 if some values are too large for the scale
-/// from 0 to 1. An attribute that is stored as in `known` keeps its known kind.
+/// Colours get a scale:
+///
+/// - Floating-point colours are from 0 to 255 if their values are too large for fractions.
+/// - Unsigned 16-bit integers are from 0 to 65535 if a value exceeds 255, and else from 0 to 255.
+/// - Other integers are colours from 0 to 255 if all values are in this range, and else numbers.
+///
+/// An attribute that is stored as in `known` keeps its known kind.
 ///
 /// # Errors
 /// [`KindFault`] for values that do not fit their kind.
@@ -215,8 +269,8 @@ pub fn settled_for_all(particles: &dyn Particles, carried: &[usize]) -> Vec<Sett
     let infos = carried_infos(particles.attributes(), carried).into_iter().zip(carried);
     let settled = infos.filter_map(|(stored, &index)| {
         let kind = of_values(particles, index, stored.clone(), &[]).ok()?.kind;
-        let is_float = stored.kind == AttributeKind::Colour;
-        let is_evident = !is_float || evident_scale(particles, index).is_some();
+        let is_open = stored.kind.has_open_scale();
+        let is_evident = !is_open || evident_scale(particles, index).is_some();
         Some(SettledKind { stored, kind, is_evident })
     });
     settled.collect()
@@ -259,13 +313,22 @@ fn of_values(
                 KindFault::TooWide { name: info.name.clone(), value, limits }
             })?;
         }
-        AttributeKind::Colour => {
-            let extremes = extremes(particles, index);
-            let kind = AttributeKind::of_shares(extremes);
-            if (known, kind) == (Some(AttributeKind::Colour), AttributeKind::ByteColour) {
-                return Err(KindFault::Scale { name: info.name, greatest: extremes[1] });
+        stored if stored.has_open_scale() => {
+            let [least, greatest] = extremes(particles, index);
+            let kind = stored.of_extremes([least, greatest]);
+            match (known, kind) {
+                (Some(AttributeKind::Colour), AttributeKind::ByteColour) => {
+                    return Err(KindFault::Scale { name: info.name, greatest });
+                }
+                (
+                    Some(AttributeKind::ByteColour),
+                    AttributeKind::ShortColour | AttributeKind::Number,
+                ) => {
+                    let value = if greatest > BYTE { greatest } else { least };
+                    return Err(KindFault::NoByte { name: info.name, value });
+                }
+                _ => info.kind = known.unwrap_or(kind),
             }
-            info.kind = known.unwrap_or(kind);
         }
         _ => {}
     }
@@ -273,19 +336,29 @@ fn of_values(
 }
 
 impl AttributeKind {
-    /// The kind of floating-point colours whose values lie between these extremes.
-    fn of_shares([least, greatest]: [f32; 2]) -> Self {
-        let is_bytes = least >= 0.0 && greatest > BRIGHT && greatest <= 255.0;
-        if is_bytes { Self::ByteColour } else { Self::Colour }
+    /// The kind of a stored colour whose values lie between these extremes.
+    fn of_extremes(self, [least, greatest]: [f32; 2]) -> Self {
+        let fits_bytes = least >= 0.0 && greatest <= BYTE;
+        match self {
+            Self::Colour if fits_bytes && greatest > BRIGHT => Self::ByteColour,
+            Self::ShortColour | Self::WholeColour if fits_bytes => Self::ByteColour,
+            Self::WholeColour => Self::Number,
+            other => other,
+        }
     }
 }
 
-/// Whether a colour is stored as bytes or as fractions from 0 to 1, if its values show it; `None`
-/// if both are possible, for example if all values are 0.
+/// The kind that [`settled`] gives to a colour, if its values determine it; `None` if several kinds
+/// are possible, for example if all values are 0.
 pub fn evident_scale(particles: &dyn Particles, index: usize) -> Option<AttributeKind> {
     let extremes = extremes(particles, index);
-    let kind = AttributeKind::of_shares(extremes);
-    let is_evident = kind == AttributeKind::ByteColour || extremes[1] > 0.0 && extremes[1] <= 1.0;
+    let stored = particles.attributes()[index].kind;
+    let kind = stored.of_extremes(extremes);
+    let is_evident = if stored.is_whole_colour() {
+        extremes != [0.0; 2]
+    } else {
+        kind == AttributeKind::ByteColour || extremes[1] > 0.0 && extremes[1] <= 1.0
+    };
     is_evident.then_some(kind)
 }
 
@@ -336,5 +409,37 @@ mod tests {
         assert!(is_colour("Cd", 3) && is_colour("RGBA", 4) && is_colour("Colors", 3));
         assert!(!is_colour("Cd", 1) && !is_colour("velocity", 3) && !is_colour("red", 3));
         assert_eq!(AttributeKind::of_bytes("rgb", 3), AttributeKind::ByteColour);
+    }
+
+    #[test]
+    fn integers_are_a_colour_only_in_a_range_that_a_colour_can_have() {
+        use AttributeKind::{ByteColour, Number, ShortColour, WholeColour};
+        for (stored, extremes, kind) in [
+            (WholeColour, [0.0, 255.0], ByteColour),
+            (WholeColour, [0.0, 1.0], ByteColour),
+            (WholeColour, [0.0, 256.0], Number),
+            (WholeColour, [-1.0, 255.0], Number),
+            (ShortColour, [0.0, 255.0], ByteColour),
+            (ShortColour, [0.0, 256.0], ShortColour),
+        ] {
+            assert_eq!(stored.of_extremes(extremes), kind, "{stored:?} {extremes:?}");
+        }
+        for (short, byte) in [(0.0, 0), (257.0, 1), (32768.0, 128), (65535.0, 255)] {
+            assert_eq!(ShortColour.byte(short), byte);
+        }
+    }
+
+    #[test]
+    fn integer_colours_of_pieces_have_the_scale_of_all_pieces() {
+        use AttributeKind::{ByteColour, Colour, Number, ShortColour, WholeColour};
+        for (one, other, kind) in [
+            (ByteColour, WholeColour, WholeColour),
+            (ByteColour, ShortColour, WholeColour),
+            (ShortColour, ShortColour, ShortColour),
+            (Colour, WholeColour, Colour),
+            (Number, WholeColour, Number),
+        ] {
+            assert_eq!([one.together(other), other.together(one)], [kind; 2], "{one:?} {other:?}");
+        }
     }
 }

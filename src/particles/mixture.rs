@@ -268,8 +268,8 @@ mod tests {
         assert_eq!(found("temperature", &tank), None);
         // Water on a floor.
         let floor = lattice(12, |p| match p.z {
-            ..-10 => Some(5.0),
-            ..-5 => (p.truncate().abs().max_element() < 9).then_some(1.0),
+            ..=-11 => Some(5.0),
+            -10..=-6 => (p.truncate().abs().max_element() < 9).then_some(1.0),
             _ => None,
         });
         assert_eq!(found("group", &floor).unwrap().boundary.0, Value::Number(5.0));

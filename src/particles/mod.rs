@@ -64,11 +64,16 @@ impl AttributeInfo {
     }
 }
 
+/// A number of particles, as text for a message.
+pub(crate) fn particle_count(particles: usize) -> String {
+    format!("{particles} {}", if particles == 1 { "particle" } else { "particles" })
+}
+
 /// The reason why particles cannot be read again.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
 pub enum RereadError {
     /// The particles' file changed while it was read.
-    #[error("changed while it was read")]
+    #[error("the file changed while it was being read")]
     Changed,
     /// The operating system reported an error in reading the particles' file.
     #[error("{0}")]

@@ -8,7 +8,7 @@ use thiserror::Error;
 use super::condition::{Comparison, Condition, Where};
 use super::occurring::{ValueCounts, occurring};
 use super::sieve::{GROUP, Sieve};
-use super::{AttributeInfo, Label, Particles, RereadError, attribute_called};
+use super::{AttributeInfo, Label, Particles, RereadError, attribute_called, particle_count};
 
 /// Names of the components of vectors, and of the axes of positions.
 const AXES: [&str; 3] = ["x", "y", "z"];
@@ -68,7 +68,7 @@ pub enum SelectionFault {
         known: Vec<String>,
     },
     /// No particle satisfies all conditions.
-    #[error("none of {of} particles satisfies {conditions}{}", occur(values))]
+    #[error("{} {conditions}{}", no_particle(*of), occur(values))]
     None {
         /// The number of particles.
         of: usize,
@@ -90,12 +90,18 @@ fn listed(names: &[String]) -> String {
     if names.is_empty() { "none".to_owned() } else { names.join(", ") }
 }
 
+/// The subject and verb of a message about particles that fail a condition.
+fn no_particle(of: usize) -> String {
+    match of {
+        1 => "the only particle does not satisfy".to_owned(),
+        of => format!("none of {of} particles satisfies"),
+    }
+}
+
 fn occur(values: &[ValueCounts]) -> String {
     let one = |of: &ValueCounts| {
-        let listed = of.values.iter().map(|(value, count)| {
-            let particles = if *count == 1 { "particle" } else { "particles" };
-            format!("{value} ({count} {particles})")
-        });
+        let listed = of.values.iter();
+        let listed = listed.map(|(value, count)| format!("{value} ({})", particle_count(*count)));
         format!("; values of {}: {}", of.name, listed.collect::<Vec<_>>().join(", "))
     };
     values.iter().map(one).collect()

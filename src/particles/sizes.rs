@@ -103,8 +103,8 @@ pub enum SizeFault {
     },
     /// The attribute holds masses, but no attribute holds densities.
     #[error(
-        "attribute {name:?} holds masses, but no attribute holds the densities to compute volumes; \
-         available: {}",
+        "attribute {name:?} holds masses, but computing sizes from masses needs a density \
+         attribute; available: {}",
         listed(known)
     )]
     NoDensity {

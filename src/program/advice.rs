@@ -3,8 +3,8 @@
 
 use bytesize::ByteSize;
 use meniscus::error::{
-    BinError, Error, FrameError, NoEstimate, PartsError, ReadFault, Remedy, RereadError,
-    SimulationError, TooFine, WriteFault, shown, significant,
+    BinError, Error, FrameError, NoEstimate, PartsError, PictureError, ReadFault, Remedy,
+    RereadError, SimulationError, TooFine, VulkanError, WriteFault, shown, significant,
 };
 use meniscus::{
     Comparison, Condition, EmptyReason, Mixture, SpacingMistake, SpacingSource, SpacingWarning,
@@ -13,9 +13,30 @@ use meniscus::{
 
 use super::options::ReconstructOptions;
 
+/// The advice for an input that changes while it is read.
+const CHANGED: &str = "; convert it again when it is complete; for a simulation, add --resume";
+
+/// The advice for scratch files that do not fit, or that cannot be written.
+const NO_SCRATCH: &str = "; use another folder with --scratch, or a larger --memory";
+
 /// Prints an error with advice.
 pub fn say_error(error: &Error) {
     super::notes::say(&format!("meniscus: {}", error_message(error)));
+}
+
+/// Prints an error of a command without the options `--backend` and `--scratch`. The advice does
+/// not name these options.
+pub fn say_error_without_machine(error: &Error) {
+    let names_machine = match error {
+        Error::Vulkan(_) => true,
+        Error::Read(error) => matches!(error.fault, ReadFault::Scratch(_)),
+        _ => false,
+    };
+    if names_machine {
+        super::notes::say(&format!("meniscus: {error}"));
+    } else {
+        say_error(error);
+    }
 }
 
 /// The text of an error with advice.
@@ -44,13 +65,13 @@ fn in_options(error: &Error) -> Option<String> {
             format!("--{error}")
         }
         Error::Simulation(SimulationError::Steps(inputs)) => {
-            format!("{inputs}: --watch cannot follow steps inside one file")
+            format!(
+                "{inputs}: --watch cannot watch for new frames inside one file; convert it when \
+                 the simulation has ended"
+            )
         }
         Error::Simulation(SimulationError::Range { first, last }) => {
             format!("--start {first} is after --end {last}")
-        }
-        Error::Simulation(SimulationError::NoFrameSelected(inputs)) => {
-            format!("{inputs}: no frame matches --frames")
         }
         _ => return None,
     })
@@ -78,12 +99,26 @@ fn advice(error: &Error) -> String {
         Error::Read(error) if is_of_unknown_particles(&error.fault) => {
             "; if this is a particle file with another extension, use --format"
         }
-        Error::Read(error) if matches!(error.fault, ReadFault::Changed) => {
-            "; convert it again when it is complete; for a simulation, add --resume"
+        Error::Read(error) if matches!(error.fault, ReadFault::Changed) => CHANGED,
+        Error::Read(error) if matches!(error.fault, ReadFault::Scratch(_)) => NO_SCRATCH,
+        Error::Vulkan(VulkanError::SmallStack { .. }) => ", or use --backend cpu",
+        Error::Vulkan(_) => "; use --backend cpu",
+        Error::Picture { fault: PictureError::Memory { .. }, .. } => " with --memory",
+        Error::Simulation(SimulationError::NoFrameSelected(_)) => {
+            " (--start, --end, --step, --frames)"
         }
         Error::Simulation(SimulationError::State { .. }) => "; use --overwrite to start again",
+        // If only the input of the calibration frame has changed, no setting precedes it.
+        Error::Simulation(SimulationError::Settings { differing, .. })
+            if differing.starts_with("input frame") =>
+        {
+            "; use --resume or --overwrite to start again"
+        }
+        Error::Simulation(SimulationError::Settings { differing, .. }) if differing == "fps" => {
+            "; use the old --fps, or --resume and --overwrite to change it"
+        }
         Error::Simulation(SimulationError::Settings { .. }) => {
-            "; use the old settings, or --overwrite to make all frames again"
+            "; undo the change, or use --overwrite to make all frames again"
         }
         Error::Frame {
             fault: FrameError::TooFine(TooFine::Steps { remedy: Remedy::Origin(corner), .. }),
@@ -107,14 +142,18 @@ fn advice(error: &Error) -> String {
 
 fn advice_on_frame(fault: &FrameError) -> &'static str {
     match fault {
-        FrameError::Unread(RereadError::Changed) => "; convert it when it is complete",
+        FrameError::Unread(RereadError::Changed) => CHANGED,
         FrameError::Bin(BinError::NotFinite { .. }) => {
             "; use --skip-invalid to leave out such particles"
         }
         FrameError::Bin(BinError::TooFar { .. }) => {
             "; use a larger cell size, move --origin, or leave out such particles with --skip-invalid"
         }
+        FrameError::Bin(BinError::OutsideBox { .. }) => {
+            "; use a larger --periodic box, or --skip-invalid to leave out such particles"
+        }
         FrameError::OverBudget(_) => " or a larger --memory",
+        FrameError::NoSpacing => " with --spacing",
         FrameError::TooFine(TooFine::Finest { .. }) => {
             " (--cell 0.1 or more); is the --spacing correct?"
         }
@@ -122,8 +161,8 @@ fn advice_on_frame(fault: &FrameError) -> &'static str {
             " (--cell above 0.5), or another --indicator"
         }
         FrameError::NoSurface { .. } => {
-            "; use --indicator cloud, which keeps drops and sheets, or smaller cells, a lower --iso or a smaller \
-             --sigma; is the --spacing correct?"
+            "; use --indicator cloud, which keeps drops and sheets, or a smaller --cell, a lower \
+             --iso or a smaller --sigma; is the --spacing correct?"
         }
         FrameError::NothingLeft(TooSmall { drops: 0, .. }) => {
             "; use a smaller --smallest-component"
@@ -132,12 +171,12 @@ fn advice_on_frame(fault: &FrameError) -> &'static str {
             "; use a smaller --smallest-drop"
         }
         FrameError::NothingLeft(_) => "; use a smaller --smallest-component or --smallest-drop",
-        FrameError::NoDistanceSurface => "; use smaller cells; is the --spacing correct?",
-        FrameError::NoKernelSurface => "; use smaller cells, or a lower --iso",
+        FrameError::NoDistanceSurface => "; use a smaller --cell; is the --spacing correct?",
+        FrameError::NoKernelSurface => "; use a smaller --cell, or a lower --iso",
         FrameError::WideAttributes { .. } => {
             "; select fewer with --attributes, or use a larger --memory"
         }
-        FrameError::NoRoom { .. } => "; use another folder with --scratch, or a larger --memory",
+        FrameError::NoRoom { .. } | FrameError::Scratch { .. } => NO_SCRATCH,
         _ => "",
     }
 }
@@ -145,23 +184,29 @@ fn advice_on_frame(fault: &FrameError) -> &'static str {
 /// The text of a warning about a spacing, with advice.
 pub fn spacing_message(warning: &SpacingWarning) -> String {
     match warning {
-        SpacingWarning::Contradicted { found, source: SpacingSource::Packed, .. } => {
-            format!("{warning}; pack the particles again with --spacing {}", significant(*found, 3))
+        SpacingWarning::Contradicted { found, source: SpacingSource::Packed, spray, .. } => {
+            format!(
+                "{warning}; {}pack the particles again with --spacing {}",
+                otherwise(*spray),
+                significant(*found, 3)
+            )
         }
         SpacingWarning::Contradicted {
             given,
             found,
             mistake: Some(SpacingMistake::Radius),
+            spray,
             ..
         } => {
             format!(
-                "{warning}; use --radius {} or --spacing {}",
+                "{warning}; {}use --radius {} or --spacing {}",
+                otherwise(*spray),
                 shown(*given),
                 significant(*found, 3)
             )
         }
-        SpacingWarning::Contradicted { found, .. } => {
-            format!("{warning}; use --spacing {}", significant(*found, 3))
+        SpacingWarning::Contradicted { found, spray, .. } => {
+            format!("{warning}; {}use --spacing {}", otherwise(*spray), significant(*found, 3))
         }
         SpacingWarning::SinglePrecision { .. } => {
             format!(
@@ -180,16 +225,24 @@ pub fn spacing_message(warning: &SpacingWarning) -> String {
              different spacing"
         ),
         SpacingWarning::MoreSizes { .. } => {
-            format!("{warning}; convert frames of several sizes apart from the others")
+            format!("{warning}; convert frames that have several sizes separately")
         }
-        SpacingWarning::SizesContradicted { .. } => format!(
-            "{warning}; choose another attribute by --size, or use --size none and --spacing"
+        SpacingWarning::SizesContradicted { spray, .. } => format!(
+            "{warning}; {}choose another attribute with --size, or set --spacing, which ignores \
+             the sizes",
+            otherwise(*spray)
         ),
         SpacingWarning::Sizes { .. } => {
             format!("{warning}; use --size none to treat all particles as one size")
         }
         _ => format!("{warning}; use --spacing if you know it"),
     }
+}
+
+/// The beginning of advice that does not apply if the particles are spray. In that case, the
+/// warning already says that it can be right.
+fn otherwise(spray: bool) -> &'static str {
+    if spray { "otherwise, " } else { "" }
 }
 
 /// Returns the text as one word for a shell, quoted if necessary.
@@ -203,7 +256,7 @@ fn shell_word(text: &str) -> String {
 
 /// Advice for particles that are missing from the surface.
 fn on_lost(smoothed: bool) -> &'static str {
-    if smoothed { "use --indicator cloud, which keeps drops" } else { "use smaller cells" }
+    if smoothed { "use --indicator cloud, which keeps drops" } else { "use a smaller --cell" }
 }
 
 /// The text of a warning, with advice that depends on `options`.
@@ -213,14 +266,14 @@ pub fn warning_message(warning: &Warning, options: Option<&ReconstructOptions>) 
         Warning::Coincident { found, .. } if found.alone => {
             format!("{warning}; use --domain to leave them out")
         }
-        Warning::Crowded { .. } => format!("{warning}: is the --spacing correct?"),
+        Warning::Crowded { .. } => format!("{warning}; is the --spacing correct?"),
         Warning::OnCorners { origin, .. } => {
             let corner = origin.map(|x| x.to_string()).join(",");
             format!("{warning}; use --origin {corner} to move the grid")
         }
         Warning::Lost { smoothed, .. } => format!("{warning}; {}", on_lost(*smoothed)),
         Warning::ThinSolid { .. } => {
-            format!("{warning}; use smaller cells, a thicker mesh or a larger --solid-offset")
+            format!("{warning}; use a smaller --cell, a thicker mesh or a larger --solid-offset")
         }
         Warning::Shortfall { clouds, calibration_frame, .. } => {
             let what = if *clouds { "plateau" } else { "isovalue" };
@@ -258,7 +311,7 @@ fn limits(too_small: TooSmall) -> &'static str {
     match (too_small.components, too_small.drops) {
         (_, 0) => "--smallest-component",
         (0, _) => "--smallest-drop",
-        _ => "--smallest-component and --smallest-drop",
+        _ => "--smallest-component or --smallest-drop",
     }
 }
 
@@ -293,7 +346,14 @@ mod tests {
         let spacing = |why| Error::NoSpacing { path: None, particles: 7, why, suggested: None };
         let memory = |simplifying| Error::LittleMemory { least: 16 << 20, simplifying };
         let write = |fault: WriteFault| WriteError::new("m.ply".as_ref(), fault).into();
-        let plan = || path("m.ply.meniscus-parts/plan.json");
+        let read = |fault: ReadFault| ReadError::new("f_1.vtk", fault).into();
+        let full_disk = || io::Error::from(io::ErrorKind::StorageFull);
+        let state = || path("mesh/f.ply.meniscus/state.json");
+        let settings = |differing: &str| {
+            SimulationError::Settings { path: state(), differing: differing.to_owned() }.into()
+        };
+        let parts = || path("m.ply.meniscus-parts");
+        let plan = || parts().join("plan.json");
         let remedy = Remedy::Origin([0.5; 3]);
         let steps = TooFine::Steps { cell_size: 0.1, plateau: 9.0, step_cells: 0.2, remedy };
         let nothing_left = TooSmall { components: 1, drops: 0 };
@@ -305,41 +365,66 @@ mod tests {
             SimulationError::Steps("sim.h5part".into()).into(),
             SimulationError::Range { first: 5, last: 3 }.into(),
             SimulationError::NoFrameSelected("f_{}.vtk".into()).into(),
-            SimulationError::State { path: path("state.json"), what: "expected value".into() }
-                .into(),
-            SimulationError::Settings { path: path("state.json"), differing: "cell".into() }.into(),
+            SimulationError::State { path: state(), what: "expected value".into() }.into(),
+            settings("cell"),
+            settings("fps"),
+            settings("cell, input frame 1"),
+            settings("input frame 1"),
             spacing(NoEstimate::TooFew),
             spacing(NoEstimate::SinglePrecision { step: 0.03 }),
             write(WriteFault::Exists),
             write(WriteFault::ExistsInSimulation),
             ReadError::new("f.abc", ReadFault::UnknownExtension { known: ".bgeo, .csv" }).into(),
-            ReadError::new("f_1.vtk", ReadFault::Changed).into(),
+            read(ReadFault::Changed),
+            read(ReadFault::Scratch(full_disk())),
+            Error::Vulkan(VulkanError::NoDevice),
+            Error::Vulkan(VulkanError::SmallStack { limit: 16 << 10, least: 256 << 10 }),
+            Error::Picture {
+                path: Some(path("m.ply")),
+                fault: PictureError::Memory { needed: 1 << 30, allowed: 1 << 20 },
+            },
             frame(FrameError::TooFine(steps)),
             frame(FrameError::TooFine(TooFine::Finest { cell_size: 0.001, spacing: 0.05 })),
             frame(FrameError::TooFine(TooFine::Symmetry { cell_size: 0.02, spacing: 0.05 })),
             frame(FrameError::Unread(RereadError::Changed)),
             frame(FrameError::Bin(BinError::NotFinite { index: 7, position: [f64::NAN; 3] })),
+            frame(FrameError::Bin(BinError::OutsideBox {
+                index: 7,
+                position: [2.0, 0.0, 0.0],
+                axis: 'x',
+            })),
+            frame(FrameError::NoSpacing),
             frame(FrameError::NoDistanceSurface),
             frame(FrameError::NoKernelSurface),
             frame(FrameError::NothingLeft(nothing_left)),
             frame(FrameError::NoRoom { folder: path("/tmp"), needed: 1 << 30, free: 1 << 20 }),
+            frame(FrameError::Scratch { folder: path("/tmp"), fault: full_disk() }),
             frame(FrameError::WideAttributes { components: 300, needed: 1 << 30, budget: 1 << 20 }),
             PartsError::NoPlan(plan()).into(),
             PartsError::Settings { path: plan(), differing: "smooth".into() }.into(),
-            PartsError::Missing { folder: path("parts"), missing: vec![0, 2], of: 3 }.into(),
-            PartsError::OtherPlan(path("parts/part_3")).into(),
-            PartsError::Io { path: plan(), fault: io::ErrorKind::StorageFull.into() }.into(),
+            PartsError::Missing { folder: parts(), missing: vec![0, 2], of: 3 }.into(),
+            PartsError::OtherPlan(parts().join("part_2")).into(),
+            PartsError::Io { path: plan(), fault: full_disk() }.into(),
         ]
     }
 
     fn warnings() -> Vec<Warning> {
-        let spacing = |source, mistake| {
+        let contradicted = |source, mistake, spray| {
             Warning::Spacing(SpacingWarning::Contradicted {
                 given: 0.025,
                 source,
                 found: 0.05,
                 mistake,
-                spray: false,
+                spray,
+            })
+        };
+        let spacing = |source, mistake| contradicted(source, mistake, false);
+        let sizes = |found, spray| {
+            Warning::Spacing(SpacingWarning::SizesContradicted {
+                attribute: "h".into(),
+                sizes: [0.1, 0.4],
+                found,
+                spray,
             })
         };
         let empty =
@@ -348,15 +433,19 @@ mod tests {
             spacing(SpacingSource::Given, Some(SpacingMistake::Radius)),
             spacing(SpacingSource::Given, None),
             spacing(SpacingSource::Packed, None),
+            contradicted(SpacingSource::Given, Some(SpacingMistake::Radius), true),
+            contradicted(SpacingSource::Given, None, true),
+            contradicted(SpacingSource::Packed, None, true),
             Warning::Spacing(SpacingWarning::Random { used: 0.05 }),
             Warning::Spacing(SpacingWarning::SinglePrecision { step: 0.03, spacing: 0.05 }),
             Warning::Spacing(SpacingWarning::TwoResolutions { spacings: [0.05, 0.1], used: 0.05 }),
-            Warning::Spacing(SpacingWarning::SizesContradicted {
+            Warning::Spacing(SpacingWarning::MoreSizes {
                 attribute: "h".into(),
                 sizes: [0.1, 0.4],
-                found: 0.05,
-                spray: false,
+                used: 0.2,
             }),
+            sizes(0.05, false),
+            sizes(2.0, true),
             Warning::Crowded { times: 8.5, spacing: 0.1 },
             Warning::OnCorners { mean: 0.02, origin: [0.5; 3] },
             Warning::Lost { lost: 12, of: 1000, smoothed: true },

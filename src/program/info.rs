@@ -11,8 +11,9 @@ use meniscus::files::{
 };
 use meniscus::{Error, Settings, Where};
 
-use super::advice::say_error;
+use super::advice::say_error_without_machine;
 use super::notes::{Verdict, corners, point, print, print_json};
+use super::report::counted;
 
 #[derive(Args)]
 pub struct InfoOptions {
@@ -48,7 +49,7 @@ pub fn run(options: &InfoOptions) -> Result<Verdict, Error> {
     }
     // This function prints all errors but the last, which the caller prints.
     let last = errors.pop();
-    errors.iter().for_each(say_error);
+    errors.iter().for_each(say_error_without_machine);
     last.map_or(Ok(Verdict::Good), Err)
 }
 
@@ -118,7 +119,8 @@ fn describe(info: &Info) -> String {
                 line("unit", format!("{metres:?} m, from the file"));
             }
             if *unselected > 0 {
-                line("left out", format!("{unselected} particles that do not satisfy --where"));
+                let particles = counted(*unselected as u64, "particle");
+                line("left out", format!("{particles}, because of --where"));
             }
             line("attributes", names(attributes));
             for ValueCounts { name, values } in values {

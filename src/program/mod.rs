@@ -39,7 +39,13 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     interrupt::catch_crashes();
     let arguments: Vec<OsString> = arguments.into_iter().collect();
     process::on_own_stack(move || match Arguments::of_command_line(&arguments) {
-        Ok(Arguments { command }) => code(process::on_all_cores(|| execute(command))),
+        Ok(Arguments { command }) => {
+            let say_error: fn(&Error) = match command {
+                Command::Reconstruct(_) | Command::Pack(_) => advice::say_error,
+                _ => advice::say_error_without_machine,
+            };
+            code(process::on_all_cores(|| execute(command)), say_error)
+        }
         Err(error) => {
             // A failure to print is ignored: if the pipe is closed, nobody reads an error message.
             let _ = error.print();
@@ -84,13 +90,13 @@ fn execute(command: Command) -> Result<Verdict, Error> {
     }
 }
 
-/// The exit code of a command.
-fn code(verdict: Result<Verdict, Error>) -> u8 {
+/// The exit code of a command. Prints its error with `say_error`.
+fn code(verdict: Result<Verdict, Error>, say_error: impl FnOnce(&Error)) -> u8 {
     match verdict {
         Ok(Verdict::Good) => 0,
         Ok(Verdict::Bad) => 1,
         Err(error) => {
-            advice::say_error(&error);
+            say_error(&error);
             match error.cause() {
                 Cause::Request => 2,
                 Cause::Input => 3,

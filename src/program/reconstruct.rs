@@ -53,6 +53,7 @@ fn run_frame(options: &ReconstructOptions, inputs: &[PathBuf]) -> Result<Verdict
     let opened = request.open_together(inputs)?;
     let input = &inputs[0];
     report_opened(inputs, &opened, &notes);
+    opened.check_output(&output)?;
     if options.dry_run {
         print(&dry_run(options, &opened, output.format())?)?;
         return Ok(Verdict::Good);

@@ -15,19 +15,24 @@ use super::advice::{spacing_message, warning_message};
 use super::notes::Notes;
 use super::options::ReconstructOptions;
 
+/// A number of things, as text. The plural of `noun` ends in s.
+pub fn counted(number: u64, noun: &str) -> String {
+    format!("{number} {noun}{}", if number == 1 { "" } else { "s" })
+}
+
 /// Prints the number of particles in the opened inputs, what was left out, and the chosen cells.
 pub fn report_opened(inputs: &[PathBuf], opened: &OpenedFrame, notes: &Notes) {
     let names: Vec<_> = inputs.iter().map(|input| input.display().to_string()).collect();
     notes.say(format!(
-        "{}: {} particles, {}",
+        "{}: {}, {}",
         names.join(" and "),
-        opened.particles(),
+        counted(opened.particles() as u64, "particle"),
         opened.format()
     ));
     if opened.ghosts() > 0 {
         notes.say(format!(
-            "{} ghost particles left out (copies of particles in other pieces)",
-            opened.ghosts()
+            "{} left out (copies of particles in other pieces)",
+            counted(opened.ghosts() as u64, "ghost particle")
         ));
     }
     if opened.unselected() > 0 {
@@ -77,8 +82,8 @@ pub fn report(options: &ReconstructOptions, report: &Report, mesh: &dyn MeshSour
     let Some(left_out) = report.too_small else { return };
     if let Some(volume) = options.settings.smallest_component {
         notes.say(format!(
-            "{} components of less than {volume} cells left out",
-            left_out.components
+            "{} of less than {volume} cells left out",
+            counted(left_out.components, "component")
         ));
     }
     if let Some(particles) = options.settings.smallest_drop.filter(|&particles| particles > 1) {
@@ -145,14 +150,14 @@ pub fn report_census(census: &Census, notes: &Notes) {
         (census.outside, "left out: outside the domain or the periodic box"),
     ] {
         if count > 0 {
-            notes.say(format!("{count} particles {what}"));
+            notes.say(format!("{} {what}", counted(count as u64, "particle")));
         }
     }
 }
 
 /// Returns the message about drops that were left out.
 pub fn too_small(drops: u64, particles: u32) -> String {
-    format!("{drops} drops of fewer than {particles} particles left out")
+    format!("{} of fewer than {particles} particles left out", counted(drops, "drop"))
 }
 
 /// Prints a device's submissions, new buffers and transferred bytes, and its time for each stage.

@@ -14,7 +14,7 @@ use super::notes::Notes;
 use super::notes::{Verdict, print};
 use super::options::ReconstructOptions;
 use super::progress::{ProgressBars, ProgressMode};
-use super::report::{report_census, report_device, too_small, warn_all};
+use super::report::{counted, report_census, report_device, too_small, warn_all};
 use super::stats::{of_failed, of_frame};
 
 /// Runs `meniscus reconstruct` for each simulation in the inputs.
@@ -204,7 +204,7 @@ impl Listener<'_> {
             notes.say(too_small(left_out.drops, particles));
         }
         if left_out.unselected > 0 {
-            notes.say(format!("{} particles left out by --where", left_out.unselected));
+            notes.say(format!("{} left out by --where", counted(left_out.unselected, "particle")));
         }
         report_census(&left_out.census, notes);
         warn_all(summary.lost().as_slice(), None, notes);
@@ -266,7 +266,7 @@ pub struct SimulationOptions {
     ///
     /// The conversion stops after the last frame (--end), or when no new frame has appeared for
     /// SECONDS [default: no limit].
-    #[arg(long, value_name = "SECONDS", num_args = 0..=1, require_equals = true, default_missing_value = "inf", help_heading = "Simulations")]
+    #[arg(long, value_name = "SECONDS", num_args = 0..=1, require_equals = true, default_missing_value = "inf", conflicts_with = "dry_run", help_heading = "Simulations")]
     pub watch: Option<f64>,
     /// Frames per second of the simulation, if the files have no times.
     #[arg(long, value_name = "RATE", help_heading = "Simulations", hide_short_help = true)]

@@ -15,13 +15,13 @@ use crate::field::indicator::IndicatorKind;
 use crate::field::recipe::Detail;
 use crate::frame::estimate::SMALLEST_BUDGET;
 use crate::frame::{Method, Resources, Surfacing};
-use crate::grid::PeriodicError;
 use crate::grid::units::{
     Isovalue, MeanCount, SheetStretch, Sigma, Smooth, Tolerance, UnitError, positive_length,
 };
 use crate::io::bytes::Unpacking;
 use crate::io::input::InputFormat;
 use crate::io::output::MeshFormat;
+use crate::particles::AttributeInfo;
 use crate::particles::kind::asks_for_colour;
 use crate::particles::sizes::SizeChoice;
 use crate::settings::{Settings, Tank};
@@ -96,10 +96,12 @@ impl Reconstruction {
             Method::Kernels(_) => Backend::cpu(),
         };
         if let Some(folder) = self.scratch.as_ref().filter(|folder| !folder.is_dir()) {
-            return Err(Error::Request(format!(
-                "{}: the folder for scratch files does not exist",
-                folder.display()
-            )));
+            let what = if folder.exists() {
+                "is not a folder; choose a folder for scratch files"
+            } else {
+                "the folder for scratch files does not exist"
+            };
+            return Err(Error::Request(format!("{}: {what}", folder.display())));
         }
         let resources = Resources {
             budget,
@@ -350,6 +352,27 @@ impl Settings {
         let with = || Conflict::Format { path: path.to_owned(), format };
         refuse(self, &Self::default(), meaningless, with)
     }
+
+    /// Rejects named attributes that a format cannot store because of their kind or their number.
+    /// `attributes` returns the attributes of the mesh. It is called only if the names alone do not
+    /// decide.
+    pub(crate) fn check_attributes(
+        &self,
+        path: &Path,
+        format: MeshFormat,
+        attributes: impl FnOnce() -> Result<Vec<AttributeInfo>, Error>,
+    ) -> Result<(), Error> {
+        if !self.names_attributes() || format.holds_attributes() {
+            return Ok(());
+        }
+        let attributes = attributes()?;
+        let are_colours = attributes.iter().all(|info| info.kind.is_colour());
+        if format.holds_colours() && attributes.len() <= 1 && are_colours {
+            return Ok(());
+        }
+        let with = Conflict::Format { path: path.to_owned(), format };
+        Err(SettingConflict { setting: Setting::named("attributes"), with }.into())
+    }
 }
 
 impl CheckedRequest {
@@ -364,7 +387,8 @@ impl CheckedRequest {
     /// none.
     pub(crate) fn check_indicator(&self) -> Result<(), Error> {
         if self.settings.periodic_mesh.is_some() && self.settings.periodic.is_none() {
-            return Err(PeriodicError::NoBox.into());
+            let with = Conflict::Needs(Setting::named("periodic"));
+            return Err(SettingConflict { setting: Setting::named("periodic_mesh"), with }.into());
         }
         match self.sampling.method {
             Method::Indicator { kind, .. } => self.settings.check_indicator_settings(kind),

@@ -179,8 +179,8 @@ impl Frame {
     pub fn pack(&self, output: PackedOutput) -> Result<PackReport, Error> {
         let StartedRequest { checked, threads } = &self.ready;
         let Some(samples) = self.sampled.engine.packable() else {
-            let with = Conflict::Packed(output.path().to_owned());
-            return Err(SettingConflict { setting: Setting::named("method"), with }.into());
+            let (setting, with) = (Setting::named("method"), Conflict::Packing);
+            return Err(SettingConflict { setting, with }.into());
         };
         let mut timings = self.timings.clone();
         timings.skip();

@@ -14,7 +14,7 @@ use crate::io::bytes::{Unpacking, open_bytes};
 use crate::io::collection::{frame_of, is_list};
 use crate::io::input::{InputFormat, KNOWN, file_and_step, holds_mesh, open_wanted};
 use crate::io::mnf::{is_packed, open_frame};
-use crate::io::output::{MeshFormat, read_mesh};
+use crate::io::output::{MeshFormat, mesh_format, read_mesh};
 use crate::io::vdb::{GridInfo, read_grids};
 use crate::io::wanted::{WantedAttributes, WantedParticles};
 use crate::io::{ReadError, ReadFault};
@@ -180,8 +180,8 @@ pub fn info_with(path: impl AsRef<Path>, settings: &Settings) -> Result<Info, Er
     let path = path.as_ref();
     let (file, step) = file_and_step(path);
     if is_list(file) {
-        return match &frame_of(path, file, step)?.files[..] {
-            [only] => info_with(only, settings),
+        return match &frame_of(path, file, step)?.blocks[..] {
+            [only] => info_with(&only.file, settings),
             _ => particles(path, settings).map(Info::Particles),
         };
     }
@@ -191,7 +191,8 @@ pub fn info_with(path: impl AsRef<Path>, settings: &Settings) -> Result<Info, Er
         volume(path).map(Info::Volume)
     } else if settings.format.is_some() {
         particles(path, settings).map(Info::Particles)
-    } else if holds_mesh(path)? {
+    } else if mesh_format(path).is_some() && holds_mesh(path)? {
+        // The reader of particles refuses meshes in other formats, such as .vtu.
         mesh(path).map(Info::Mesh)
     } else if InputFormat::of(file).is_some() {
         particles(path, settings).map(Info::Particles)

@@ -113,7 +113,7 @@ fn requests() -> String {
         Frame { path: Some(path("frame_1.vtk")), fault: FrameError::NoSpacing },
         Simulation(SimulationError::Step),
         WholeMesh(WholeMeshError::TooManyVertices(1 << 32)),
-        Parts(PartsError::NoPlan(path("mesh.ply.meniscus-parts"))),
+        Parts(PartsError::NoPlan(path("mesh.ply.meniscus-parts/plan.json"))),
         Mesh { path: path("mesh.ply"), fault: CompareError::NoSurface(Side::Mesh) },
         Solid { path: path("ship.obj"), fault: SolidFault::Open { edges: 3 } },
         Picture { path: Some(path("mesh.ply")), fault: PictureError::Size(0, 99) },
@@ -156,7 +156,7 @@ fn requests() -> String {
     );
     examples!(text, DomainError: Corners, Thin { axis: 'x' }, TooFar);
     examples!(text, PeriodicError:
-        Corners, Open, NoBox, Walled { axis: 'y' },
+        Corners, Open, Walled { axis: 'y' },
         Narrow { axis: 'z', width: 1.0, reach: 0.55 }, TooFar,
     );
     examples!(text, VulkanError:
@@ -181,11 +181,13 @@ fn conflicts(text: &mut String) {
         ("mu0", Conflict::Indicator(IndicatorKind::Symmetry)),
         ("sigma", Conflict::Indicator(IndicatorKind::Cloud)),
         ("iso", Conflict::Indicator(IndicatorKind::Cloud)),
+        ("detail", Conflict::Indicator(IndicatorKind::Cloud)),
         ("smooth", Conflict::Indicator(IndicatorKind::Counting)),
         ("detail", Conflict::Method(KernelMethod::ZhuBridson)),
         ("format", Conflict::Packed(path("frame.mnf"))),
         ("cell", Conflict::Packed(path("frame.mnf"))),
         ("smooth", Conflict::Packing),
+        ("method", Conflict::Packing),
         ("method", Conflict::SeveralSizes { attribute: "pscale".into() }),
         ("cell", Conflict::Sampled),
         ("simplify", Conflict::OnDevice),
@@ -235,7 +237,7 @@ fn files() -> String {
             of_other: ColourScale::Shares,
         },
         Selection(types()),
-        Unsupported("HDF5 needs meniscus built with the feature hdf5".into()),
+        Unsupported("reading HDF5 needs a build of meniscus with the feature hdf5".into()),
         UnknownExtension { known: ".bgeo, .csv" },
     );
     examples!(text, SelectionFault:
@@ -260,6 +262,7 @@ fn files() -> String {
         Unsupported(".stl stores coordinates as f32, but some exceed its range".into()),
     );
     let families = || "oil_{} (8 frames), water_{} (8 frames)".into();
+    let state = || path("mesh/f.ply.meniscus/state.json");
     examples!(text, SimulationError:
         NoFrames("sim".into()),
         NoMatch("sim/frame_{}.bgeo".into()),
@@ -278,17 +281,17 @@ fn files() -> String {
         Several { from: "sim".into(), families: families(), why: WhyOne::Pattern },
         Several { from: "sim".into(), families: families(), why: WhyOne::Names },
         Io { path: path("mesh"), fault: full_disk() },
-        State { path: path("mesh/f.ply.meniscus/state.json"), what: "expected value".into() },
-        Busy(path("mesh/f.ply.meniscus")),
-        Settings { path: path("mesh/f.ply.meniscus"), differing: "smooth, cell".into() },
+        State { path: state(), what: "expected value".into() },
+        Busy(state()),
+        Settings { path: state(), differing: "smooth, cell".into() },
     );
     let plan = || path("m.ply.meniscus-parts/plan.json");
     examples!(text, PartsError:
         Count { asked: 5000, most: 1000 },
         NoPart { part: 8, of: 8 },
         NoFile(path("/dev/null")),
-        NoPlan(path("m.ply.meniscus-parts")),
-        Plan { path: plan(), what: "was modified after it was written".into() },
+        NoPlan(plan()),
+        Plan { path: plan(), what: "modified after it was written".into() },
         Settings { path: plan(), differing: "smooth".into() },
         Changed { input: path("frame.bgeo"), plan: plan() },
         Missing { folder: path("m.ply.meniscus-parts"), missing: vec![0, 1, 2, 7], of: 8 },
@@ -315,7 +318,7 @@ fn frames() -> String {
     let mut text = String::new();
     let census = Census { binned: 0, not_finite: 2, too_far: 1, outside: 5 };
     let iso = Isovalue::new(0.4).unwrap();
-    let mean = NoMeanCount(UnitError::MeanCount(0.0));
+    let mean = NoMeanCount(UnitError::MeanCount(70_000.0));
     let small = TooSmall { components: 3, drops: 1 };
     let fine = TooFine::Finest { cell_size: 0.001, spacing: 0.05 };
     let over = OverBudget { cell_size: 0.01, budget: 16 << 20, fitting_cell_size: 0.02 };
@@ -341,6 +344,7 @@ fn frames() -> String {
     examples!(text, KindFault:
         TooWide { name: "id".into(), value: 1 << 40, limits: [0, u32::MAX.into()] },
         Scale { name: "Cd".into(), greatest: 200.0 },
+        NoByte { name: "Cd".into(), value: 300.0 },
     );
     examples!(text, TooFine:
         Steps { cell_size: 0.01, plateau: 12.0, step_cells: 0.2, remedy: Remedy::Cells(0.1) },
@@ -370,6 +374,9 @@ fn warnings(all: &mut String) {
         Coincident { found: unused, of: 1000 },
         Coincident { found: some, of: 1000 },
         MissingValues { attribute: heat(), without: 3, of: 1000 },
+        MissingValues { attribute: heat(), without: 1000, of: 1000 },
+        MissingAttribute { attribute: "velocity".into(), calibration_frame: Some(1) },
+        MissingAttribute { attribute: heat(), calibration_frame: None },
         DeviceFallback("the Vulkan device was lost; continuing on the CPU".into()),
         OnCorners { mean: 0.02, origin: [0.5; 3] },
         Bubbles { iso: 0.6, lowest: 0.55 },
@@ -401,6 +408,7 @@ fn warnings(all: &mut String) {
     examples!(text, UnreadPart:
         Attribute(known),
         Block { name: "walls".into(), holds: "a grid".into() },
+        Names(vec!["fluid".into(), "boundary".into()]),
         Primitives { kinds: vec![("polygons".into(), 12)], points: 8 },
         WideArray { name: "spectrum".into(), numbers: 100 },
     );
@@ -447,7 +455,7 @@ fn warnings(all: &mut String) {
             ("Double", contradicted(0.1, Some(SpacingMistake::Double), false)),
             ("Unit", contradicted(50.0, Some(SpacingMistake::Unit(1000.0)), false)),
             ("Unit", contradicted(0.0005, Some(SpacingMistake::Unit(0.01)), false)),
-            ("none", contradicted(0.07, None, true)),
+            ("none", contradicted(0.035, None, true)),
         ],
     );
     all.push_str(&text);

@@ -63,6 +63,6 @@ pub use surface::Surface;
 pub(crate) use surface::made_of;
 #[cfg(feature = "pictures")]
 pub(crate) use threads::Threads;
-pub(crate) use warning::lost_warning;
 pub use warning::{EmptyReason, Warning};
+pub(crate) use warning::{lost_warning, missing_attributes};
 pub use width::SinglePrecision;

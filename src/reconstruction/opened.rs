@@ -9,13 +9,14 @@ use crate::frame::{Engine, FrameError};
 use crate::io::input::open_joined;
 use crate::io::mnf::{PackedFrame, is_packed, open_frame};
 use crate::io::{ParticleFile, ReadError, UnreadPart};
+use crate::particles::kind::settled;
 use crate::particles::{MeteredParticles, Particles};
 use crate::system::control::Stage;
 use crate::system::timings::Timings;
 
 use super::checked::{CheckedRequest, StartedRequest};
 use super::frame::{Frame, FrameSamples};
-use super::{Cells, ChosenSampling, FoundWalls, SamplingRequest, SpacingHints, WallSearch};
+use super::{Cells, ChosenSampling, FoundWalls, Output, SamplingRequest, SpacingHints, WallSearch};
 
 /// An opened input that is not sampled yet.
 #[derive(Debug)]
@@ -208,6 +209,23 @@ impl OpenedFrame {
             }
             Input::Packed(_) => None,
         }
+    }
+
+    /// Checks, before the particles are sampled, that the format of `output` can store the
+    /// attributes that the settings name. Whether integers are a colour depends on their values.
+    ///
+    /// # Errors
+    /// [`Error::SettingConflict`], and [`Error::Frame`] for values that a mesh cannot store.
+    pub fn check_output(&self, output: &Output) -> Result<(), Error> {
+        let StartedRequest { checked, threads } = &self.ready;
+        let attributes = || match &self.input {
+            Input::Packed(_) => Ok(Vec::new()),
+            Input::Particles { file, chosen } => {
+                let settle = || settled(&file.particles, &chosen.sampling.carried, &[]);
+                threads.install(settle).map_err(|fault| self.in_file(fault.into()))
+            }
+        };
+        checked.settings.check_attributes(output.path(), output.format(), attributes)
     }
 
     pub(super) fn in_file(&self, fault: FrameError) -> Error {

@@ -353,8 +353,8 @@ impl fmt::Display for SpacingWarning {
                         let times = factor.max(1.0 / factor);
                         write!(
                             f,
-                            "; {given} may be in another unit than the positions, which differs \
-                             by a factor of {times}"
+                            "; {given} may be in a different unit from the positions, by a factor \
+                             of {times}"
                         )?;
                     }
                     None => {}
@@ -404,8 +404,8 @@ impl fmt::Display for SpacingWarning {
                     };
                     write!(
                         f,
-                        "{invalid} {have} no positive, finite {attribute}, and {get} the size \
-                         (spacing) {}",
+                        "{invalid} {have} no positive, finite {attribute} and {get} the default \
+                         size {}",
                         about(*usual)
                     )?;
                 }
@@ -417,8 +417,7 @@ impl fmt::Display for SpacingWarning {
                     };
                     write!(
                         f,
-                        "{and}{larger} {exceed} the maximum size of {coarsest}, and {get} this \
-                         size",
+                        "{and}{larger} {exceed} the maximum size of {coarsest} and {get} that size",
                         coarsest = about(*coarsest)
                     )?;
                 }

@@ -185,11 +185,14 @@ impl Surface {
     /// file's size in bytes.
     ///
     /// # Errors
-    /// [`Error::Write`] if the file cannot be written, [`Error::Cancelled`] if the request that
+    /// [`Error::Write`] if the file cannot be written, [`Error::SettingConflict`] if its format
+    /// cannot store the attributes that the settings name, [`Error::Cancelled`] if the request that
     /// made the surface or the request that prepared the file is cancelled, and [`Error::Threads`]
     /// if threads cannot be started.
     pub fn write_to(&self, output: Output) -> Result<u64, Error> {
         let format = output.format();
+        let attributes = || Ok(self.mesh().attributes());
+        self.settings.check_attributes(output.path(), format, attributes)?;
         let orientation = self.settings.orientation(self.particles_up, format);
         let width = coordinate_width(self.extracted.precision, format, output.path())?;
         let output = output.with_layout(self.settings.layout(orientation));

@@ -11,6 +11,8 @@ use crate::frame::{CoincidentParticles, Engine, FrameError, Shortfall};
 use crate::grid::units::{FULL, Isovalue, shown, significant};
 use crate::io::UnreadPart;
 use crate::io::output::MeshFormat;
+use crate::particles::AttributeInfo;
+use crate::particles::kind::SettledKind;
 use crate::particles::selection::SelectionFault;
 use crate::surface::simplify::TooSmall;
 
@@ -51,6 +53,13 @@ pub enum Warning {
         without: usize,
         /// Number of all particles.
         of: usize,
+    },
+    /// The particles of a frame lack an attribute that the calibration frame has.
+    MissingAttribute {
+        /// The attribute's name on the mesh.
+        attribute: String,
+        /// The number of the calibration frame, if frames have numbers.
+        calibration_frame: Option<i64>,
     },
     /// The backend failed, and the CPU did its work.
     DeviceFallback(String),
@@ -151,7 +160,7 @@ pub enum Warning {
 pub enum EmptyReason {
     /// The field is nowhere above the isovalue.
     Field,
-    /// The surface encloses no cell's centre.
+    /// The surface encloses no cell centre.
     Distances,
     /// All components are smaller than the limits.
     TooSmall(TooSmall),
@@ -199,12 +208,31 @@ impl fmt::Display for Warning {
                     (false, _) => write!(f, ", such as at ({at})"),
                 }
             }
+            Self::MissingValues { attribute, without, of } if without >= of => write!(
+                f,
+                "{attribute} is NaN, infinite or too large for a 32-bit float in all {of} \
+                 particles; it is 0 at all vertices"
+            ),
             Self::MissingValues { attribute, without, of } => {
                 let them = if *without == 1 { "it" } else { "them" };
                 write!(
                     f,
                     "{attribute} is NaN, infinite or too large for a 32-bit float in {without} of \
-                     {of} particles; vertices near {them} take the values of other particles"
+                     {of} particles; vertices near {them} take the values of other particles, or 0 \
+                     if no other particle is near"
+                )
+            }
+            Self::MissingAttribute { attribute, calibration_frame } => {
+                let known = calibration_frame.map_or_else(
+                    || "the calibration frame".to_owned(),
+                    |frame| format!("calibration frame {frame}"),
+                );
+                let is_velocity = attribute == "velocity";
+                let blur = if is_velocity { "; motion blur stops in this frame" } else { "" };
+                write!(
+                    f,
+                    "the particles lack the attribute {attribute:?}, which {known} has, so the \
+                     mesh of this frame lacks it, too{blur}"
                 )
             }
             Self::DeviceFallback(what) => f.write_str(what),
@@ -216,10 +244,10 @@ impl fmt::Display for Warning {
             ),
             Self::Bubbles { iso, lowest } => write!(
                 f,
-                "isovalue {} is too high: inside the fluid, the field is as low as {}, so the mesh \
-                 can contain false bubbles",
+                "isovalue {} is too high: inside the fluid, the field is as low as {lowest}, so \
+                 the mesh can contain false bubbles; use an isovalue below {lowest}",
                 significant(*iso, 4),
-                significant(*lowest, 4)
+                lowest = significant(*lowest, 4)
             ),
             Self::BeyondWall(BeyondWall { axis, wall, reach, moved }) => {
                 let [wall, reach] = [wall, reach].map(|at| significant(*at, 6));
@@ -282,7 +310,7 @@ impl fmt::Display for Warning {
                     f.write_str("the mesh is empty: the field is nowhere above the isovalue")
                 }
                 EmptyReason::Distances => {
-                    f.write_str("the mesh is empty: no cell's centre is inside the fluid")
+                    f.write_str("the mesh is empty: no cell centre is inside the fluid")
                 }
                 EmptyReason::TooSmall(all) => {
                     write!(f, "the mesh is empty: all components are below {}", all.limits())
@@ -362,6 +390,20 @@ pub(crate) fn of_particles<'a>(
         origin: (facts.grid.origin() + facts.grid.cell_size() / 2.0).to_array(),
     }));
     warnings
+}
+
+/// Warnings about attributes that the vertices of the calibration frame have, with the kinds
+/// `known`, and that are not among the attributes `own` of a frame.
+pub(crate) fn missing_attributes(
+    own: &[AttributeInfo],
+    known: &[SettledKind],
+    calibration_frame: Option<i64>,
+) -> Vec<Warning> {
+    let is_missing = |name: &&String| own.iter().all(|info| info.name != **name);
+    let missing = known.iter().map(|known| &known.stored.name).filter(is_missing);
+    let warning =
+        |name: &String| Warning::MissingAttribute { attribute: name.clone(), calibration_frame };
+    missing.map(warning).collect()
 }
 
 /// A warning about a given isovalue, from measurements on the frame.

@@ -1,6 +1,7 @@
 //! Values of settings as text or as numbers, for callers that have no other types: C, files and
 //! forms.
 
+use super::value::trimmed;
 use super::{Faces, Source, Where, faces};
 use crate::grid::Walls;
 
@@ -56,7 +57,8 @@ impl Source for &str {
     }
 
     fn names(&self) -> Result<Vec<String>, String> {
-        Ok(self.split(',').map(str::to_owned).collect())
+        let Ok(names) = self.split(',').map(trimmed).collect::<Result<_, _>>();
+        Ok(names)
     }
 
     fn point(&self) -> Result<[f64; 3], String> {
@@ -184,7 +186,9 @@ mod tests {
         let open_above = numbers("domain", &[0.0, 0.0, 1.0, 2.0, hi, 3.0]);
         assert_eq!(text("domain", "0,0,1,2,-,3"), open_above);
         assert_eq!(text("domain", "auto").domain, Some(Tank::Auto));
-        assert_eq!(text("attributes", "heat,age").attributes.unwrap(), ["heat", "age"]);
+        for list in ["heat,age", "heat, age", " heat\t, age "] {
+            assert_eq!(text("attributes", list).attributes.unwrap(), ["heat", "age"], "{list:?}");
+        }
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! Values of settings, and their conversion from a caller's values.
 
+use std::convert::Infallible;
 use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
@@ -49,6 +50,12 @@ impl FromStr for Iso {
                 .map_err(|_| "expected a number between 0 and 1, or auto".to_owned()),
         }
     }
+}
+
+/// A name from a list, without the blanks around it. Never fails; the parser of the command line
+/// needs a `Result`.
+pub(super) fn trimmed(name: &str) -> Result<String, Infallible> {
+    Ok(name.trim().to_owned())
 }
 
 /// Whether a field of [`Settings`](super::Settings) has a value.

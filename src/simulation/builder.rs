@@ -198,7 +198,8 @@ impl Simulation {
         self
     }
 
-    /// Sets the frames per second, for files without times.
+    /// Sets the frames per second of the simulation. If the files have no times, a frame's time is
+    /// its number divided by this rate. A USD stage has this many time codes per second.
     pub fn fps(mut self, rate: f64) -> Self {
         self.fps = Some(rate);
         self

@@ -84,7 +84,7 @@ impl Conversion<'_> {
             setup.state(store, frames, &resources)
         };
         let (state, file) = known.map_or_else(measured, |state| Ok((state, None)))?;
-        let (number, fingerprint) = (state.shared.frame, state.fingerprint());
+        let (number, fingerprint) = (state.shared.frame, state.fingerprint(self.format));
         self.settled.get_or_init(|| Some(SharedMeasurements { state, fingerprint }));
         let open = file.filter(|file| file.particles.resident_bytes() <= division.unpacked());
         Ok(open.map(|file| (number, file)))

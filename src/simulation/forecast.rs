@@ -111,7 +111,9 @@ impl Setup<'_> {
             None => self.freeze(frames, &self.checked.resources)?.0,
         };
         let meshes = self.existing_meshes(store);
-        let fingerprint = kept.as_ref().filter(|_| self.simulation.resume).map(State::fingerprint);
+        let format = self.format(&frames[0])?;
+        let kept = kept.as_ref().filter(|_| self.simulation.resume);
+        let fingerprint = kept.map(|state| state.fingerprint(format));
         let done = |frame: &&&FrameFile| {
             let output = self.output(frame);
             let current = |fingerprint| meshes.current(frame, &output, fingerprint);

@@ -13,7 +13,7 @@ use crate::io::ReadError;
 use crate::io::bytes::Unpacking;
 use crate::io::mnf::{is_packed, open_frame};
 use crate::particles::kind::{SettledKind, evident_scale, settled_for_all};
-use crate::particles::{AttributeKind, Particles};
+use crate::particles::{AttributeInfo, Particles};
 use crate::reconstruction::{self, FoundWalls, Slab, SpacingWarning, WallSearch};
 
 use super::event::Event;
@@ -46,7 +46,9 @@ impl Setup<'_> {
     ) -> Result<(State, Option<ParticleFile>), Error> {
         let (mut shared, file) = self.freeze(frames, resources)?;
         self.settle_colours(&mut shared, frames, resources)?;
-        let measured = State::new(self.checked.settings.kept(), shared);
+        self.check_attributes(&shared, frames)?;
+        let settings = self.kept_settings(store.stale().as_ref());
+        let measured = State::new(settings, shared);
         // If several jobs measure at the same time, all of them use the state that is stored first.
         let state = self.checked.resources.control.cancel.undisturbed(|| store.add(&measured))?;
         let file = file.filter(|_| state.shared.frame == measured.shared.frame);
@@ -188,9 +190,8 @@ impl Setup<'_> {
     ) -> Result<(), Error> {
         let last = frames.len().saturating_sub(1);
         for index in [last, last / 2, last / 4, last - last / 4] {
-            let is_open = |known: &&mut SettledKind| {
-                known.stored.kind == AttributeKind::Colour && !known.is_evident
-            };
+            let is_open =
+                |known: &&mut SettledKind| known.stored.kind.has_open_scale() && !known.is_evident;
             let mut open: Vec<_> = shared.kinds.iter_mut().filter(is_open).collect();
             let Some(frame) = frames.get(index).filter(|_| !open.is_empty()) else { break };
             self.go_on()?;
@@ -205,6 +206,20 @@ impl Setup<'_> {
             }
         }
         Ok(())
+    }
+
+    /// Rejects named attributes that the format of the meshes cannot store in any frame.
+    fn check_attributes(
+        &self,
+        shared: &SharedCalibration,
+        frames: &[FrameFile],
+    ) -> Result<(), Error> {
+        let Some(first) = frames.first() else { return Ok(()) };
+        let info = |known: &SettledKind| AttributeInfo { kind: known.kind, ..known.stored.clone() };
+        let format = self.format(first)?;
+        self.checked.settings.check_attributes(&self.simulation.output, format, || {
+            Ok(shared.kinds.iter().map(info).collect())
+        })
     }
 
     /// Opens the particles of a frame on which something is measured.

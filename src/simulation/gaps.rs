@@ -2,12 +2,10 @@
 
 use std::path::PathBuf;
 
+use crate::io::time_codes::{REGULAR, greatest_common_divisor};
+
 use super::frame_file::{FrameFile, neighbours};
 use super::pattern::Pattern;
-
-/// Minimum number of frames that show the step of a simulation, so that a last frame off this step
-/// counts as the state at the end of the simulation, which many programs write in addition.
-const REGULAR: usize = 4;
 
 /// Finds the numbers that are missing between the frames. The step is the largest number that
 /// divides all differences between existing frame numbers, except for a last frame that does not
@@ -31,10 +29,6 @@ pub fn gaps(frames: &[FrameFile]) -> Gaps {
     }
     let gaps = Gaps { step, ranges, sparse: false };
     Gaps { sparse: gaps.count() >= frames.len() as u64, ..gaps }
-}
-
-fn greatest_common_divisor(a: u64, b: u64) -> u64 {
-    if b == 0 { a } else { greatest_common_divisor(b, a % b) }
 }
 
 /// Returns the path that the file of a missing frame would have, modelled on the file of the frame

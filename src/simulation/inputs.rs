@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use glob::MatchOptions;
 
-use crate::io::collection::{is_list, listed};
+use crate::io::collection::{ListedFrame, is_list, listed};
 use crate::io::input::{InputFormat, holds_mesh, is_known, steps};
 
 use crate::error::{Error, SimulationError, WhyOne};
@@ -214,7 +214,9 @@ impl Inputs {
         if let Self::Pattern(pattern) = self {
             let times = Pattern { numbers: NumberKind::Times, ..pattern.clone() };
             let files = self.candidates().unwrap_or_default();
-            if files.iter().any(|file| times.digits(&file.name).is_some()) {
+            let is_decimal =
+                |file: &FrameCandidate| times.digits(&file.name).is_some_and(|t| t.contains('.'));
+            if files.iter().any(is_decimal) {
                 return SimulationError::Names(format!(
                     "{pattern}: the numbers of these files are decimals; use \"{times}\""
                 ));
@@ -499,7 +501,8 @@ pub fn files(arguments: &[PathBuf], wanted: impl Fn(&Path) -> bool) -> Result<Ve
                 files.filter(|file| wanted(file)).collect()
             }
             _ if argument.is_file() && is_list(argument) => {
-                listed(argument)?.iter().flat_map(|frame| frame.files.clone()).collect()
+                let frames = listed(argument)?;
+                frames.iter().flat_map(ListedFrame::files).map(Path::to_owned).collect()
             }
             Some(inputs @ Inputs::Pattern(_)) => inputs
                 .only()

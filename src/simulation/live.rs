@@ -13,7 +13,7 @@ use crate::particles::sizes::Sizes;
 use crate::particles::{Particles, carried_infos};
 use crate::reconstruction::{
     self, ExtractedSurface, FoundWalls, Reconstruction, Report, SinglePrecision, Slab,
-    SpacingWarning, StartedRequest, Surface, Warning,
+    SpacingWarning, StartedRequest, Surface, Warning, missing_attributes,
 };
 use crate::system::timings::Timings;
 
@@ -158,6 +158,7 @@ impl LiveSimulation {
         };
         let carried = checked.settings.carried(particles.attributes(), None)?;
         let infos = known_of(carried_infos(particles.attributes(), &carried), kinds);
+        let missing = missing_attributes(&infos, kinds, None);
         let resources = checked.resources.clone();
         let request = &checked.sampling;
         if !is_measured {
@@ -176,7 +177,7 @@ impl LiveSimulation {
             checked.extract_or_empty(&engine, calibration.as_ref(), infos, None, &mut timings)?;
         extracted.report.timings = timings;
         let past = past.into_iter().map(Warning::BeyondWall);
-        let first = spacing_warnings.into_iter().map(Warning::Spacing).chain(past);
+        let first = spacing_warnings.into_iter().map(Warning::Spacing).chain(past).chain(missing);
         extracted.report.warnings.splice(0..0, first);
         Ok(extracted)
     }

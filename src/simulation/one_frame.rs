@@ -18,14 +18,16 @@ use crate::grid::units::MemoryBudget;
 use crate::io::bytes::Unpacking;
 use crate::io::input::file_and_step;
 use crate::io::mnf::{is_packed, open_frame};
-use crate::io::series::{FRAMES_A_SECOND, SeriesFrame};
+use crate::io::series::SeriesFrame;
+use crate::io::time_codes::FRAMES_A_SECOND;
 use crate::io::whole::{FilledFile, Replace};
 use crate::io::{ParticleFile, ReadError, ReadFault, WriteError, WriteFault};
 use crate::particles::kind::known_of;
 use crate::particles::{AttributeInfo, Particles, carried_infos};
 use crate::reconstruction::{
     CheckedRequest, ExtractedSurface, Orientation, Output, Report, SinglePrecision, SpacingSource,
-    SpacingWarning, TemporaryOutput, Warning, coordinate_width, made_of, refuse_same_file,
+    SpacingWarning, TemporaryOutput, Warning, coordinate_width, made_of, missing_attributes,
+    refuse_same_file,
 };
 use crate::surface::mesh::source::BoundedMesh;
 use crate::system::control::Stage;
@@ -171,13 +173,14 @@ impl Conversion<'_> {
             left_out.drops = report.too_small.map_or(0, |too_small| too_small.drops);
         }
         let mesh = mesh.source();
+        checked.settings.check_attributes(&target, self.format, || Ok(mesh.attributes()))?;
         let width = coordinate_width(precision, self.format, &target)?;
         warnings.extend(report.iter_mut().flat_map(|report| take(&mut report.warnings)));
         warnings.extend(made_of(mesh, self.format, &target)?);
         let turned = orientation.turned(mesh);
         let bounded = BoundedMesh::new(&turned);
         let number = frame.number as f64;
-        let shown = time.or(simulation.fps.map(|fps| number / fps));
+        let shown = time.or(settled.state.fps().map(|fps| number / fps));
         let output = output.at(shown.unwrap_or(number / FRAMES_A_SECOND));
         let (file, held) =
             permit.run(|| output.fill(&bounded, width, &checked.resources.control))?;
@@ -291,6 +294,11 @@ impl Conversion<'_> {
         let carried = carried.map_err(|error| error.of_file(path))?;
         let infos = carried_infos(file.particles.attributes(), &carried);
         let infos = known_of(infos, &shared.kinds);
+        let missing = if file.particles.is_empty() {
+            Vec::new()
+        } else {
+            missing_attributes(&infos, &shared.kinds, Some(shared.frame))
+        };
         let (mut sampling, past) =
             self.setup.sampling(shared, &file.particles, carried, opening)?;
         // Particles of several sizes have no single spacing to check.
@@ -341,7 +349,8 @@ impl Conversion<'_> {
         let parts = file.left_out.iter().cloned().map(Warning::LeftOut);
         let none_selected = file.none_selected.clone().map(Warning::NoneSelected);
         let of_sizes = of_sizes.map(Warning::Spacing);
-        let warnings = past.into_iter().chain(of_sizes).chain(none_selected).chain(parts).collect();
+        let of_input = none_selected.into_iter().chain(parts).chain(missing);
+        let warnings = past.into_iter().chain(of_sizes).chain(of_input).collect();
         Ok(MeshableFrame { frame, left_out, warnings, infos, time: file.time, permit })
     }
 

@@ -488,12 +488,12 @@ fn in_list(path: &Path) -> Result<Vec<FrameFile>, Error> {
         Some(_) => vec![frame_of(path, list, step)?],
         None => listed(list)?.to_vec(),
     };
-    let frame = |(number, frame): (i64, ListedFrame)| match &frame.files[..] {
-        [mesh] => Ok(FrameFile::new(number, number.to_string(), mesh.clone())),
-        files => Err(Error::Request(format!(
+    let frame = |(number, frame): (i64, ListedFrame)| match &frame.blocks[..] {
+        [mesh] => Ok(FrameFile::new(number, number.to_string(), mesh.file.clone())),
+        blocks => Err(Error::Request(format!(
             "{}#{number}: this frame is in {} files; a picture shows one mesh, so name one file",
             list.display(),
-            files.len()
+            blocks.len()
         ))),
     };
     (step.unwrap_or(0) as i64..).zip(frames).map(frame).collect()

@@ -266,8 +266,9 @@ impl Simulation {
                 let checked = &ready.checked;
                 let setup = Setup { simulation: self, sequence, outputs, archive, checked, events };
                 let result = match self.begin(&setup, frames).and_then(act) {
-                    // An error in the files of one simulation does not stop the others.
-                    Err(error) if error.cause() == Cause::Input && simulations.len() > 1 => {
+                    // An error in the files of one simulation, or a selection that contains none of
+                    // its frames, does not stop the others.
+                    Err(error) if concerns_one(&error) && simulations.len() > 1 => {
                         let error = Arc::new(error);
                         setup.send(Event::SimulationFailed(Arc::clone(&error)));
                         Err(error)
@@ -287,7 +288,10 @@ impl Simulation {
         frames: Vec<FrameFile>,
     ) -> Result<CheckedSimulation<'a>, Error> {
         let Some(first) = frames.first() else {
-            return Err(setup.sequence.no_frames().into());
+            return Err(match setup.sequence.list()?.is_empty() {
+                true => setup.sequence.no_frames().into(),
+                false => SimulationError::NoFrameSelected(setup.sequence.describe()).into(),
+            });
         };
         let format = setup.format(first)?;
         let simulation = naming::simulation(&setup.outputs);
@@ -297,6 +301,9 @@ impl Simulation {
             settings.orientation(settings.usual_up(&first.path), format).shown
         };
         let series = Series { format, simulation, fps: self.fps, up };
+        if let Some(what) = series.path_fault() {
+            return Err(SimulationError::Names(what).into());
+        }
         setup.refuse_own_inputs(&frames, &series, &store)?;
         let wanted: Vec<_> = frames.iter().filter(|frame| self.wants(frame.number)).collect();
         if wanted.is_empty() && self.watch.is_none() {
@@ -322,6 +329,12 @@ impl Simulation {
         setup.archive.as_ref().map_or(Ok(()), FrameArchive::check)?;
         Ok(CheckedSimulation { setup, series, store, frames, found })
     }
+}
+
+/// Whether an error concerns only one of several simulations.
+fn concerns_one(error: &Error) -> bool {
+    error.cause() == Cause::Input
+        || matches!(error, Error::Simulation(SimulationError::NoFrameSelected(_)))
 }
 
 /// The event for a conversion that is resumed.

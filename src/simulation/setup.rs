@@ -18,6 +18,7 @@ use crate::io::stamp::Identity;
 use crate::io::{WriteError, WriteFault};
 use crate::particles::Particles;
 use crate::reconstruction::{CheckedRequest, Warning};
+use crate::settings::StoredSettings;
 use crate::surface::simplify::BYTES_A_THREAD;
 
 use super::builder::Simulation;
@@ -30,7 +31,7 @@ use super::pattern::Pattern;
 use super::records::{Record, Records};
 use super::shared_calibration::SharedCalibration;
 use super::solids::SolidNames;
-use super::state::{State, StateFolder, StateLookup};
+use super::state::{State, StateFolder, StateLookup, with_frame_rate};
 
 /// Time between two checks of a running simulation for new frames.
 pub(super) const POLL: Duration = Duration::from_millis(250);
@@ -222,6 +223,15 @@ impl Setup<'_> {
         Ok(())
     }
 
+    /// The settings of the request as a state stores them. A request without a frame rate takes the
+    /// rate of `known`, the state of earlier frames, unless it replaces these frames.
+    pub(super) fn kept_settings(&self, known: Option<&State>) -> StoredSettings {
+        let Simulation { fps, resume, overwrite, .. } = *self.simulation;
+        let continues = resume || !overwrite;
+        let recorded = || known.filter(|_| continues).and_then(State::fps);
+        with_frame_rate(self.checked.settings.kept(), fps.or_else(recorded))
+    }
+
     /// Looks for a state with these settings and these inputs. A state that differs is stale if
     /// outputs may be replaced, or if the conversion is resumed and only the calibration frame has
     /// changed. Otherwise, a difference is an error.
@@ -236,7 +246,7 @@ impl Setup<'_> {
             Err(_) if anew => return Ok(StateLookup::Stale { text, of_others: true }),
             found => found?,
         };
-        let mut differing = state.differing(&self.checked.settings.kept());
+        let mut differing = state.differing(&self.kept_settings(Some(&state)));
         let of_others = !differing.is_empty();
         if state.shared.changed_in(frames).is_some() {
             let comma = if differing.is_empty() { "" } else { ", " };

@@ -8,19 +8,29 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
+use crate::io::output::MeshFormat;
 use crate::io::whole::{make_folder, replace_small};
 use crate::settings::{StoredSettings, differing};
 
 use super::records::Log;
 use super::shared_calibration::SharedCalibration;
-use crate::error::SimulationError;
+use crate::error::{FPS, SimulationError};
+
+/// Name of the frame rate among the settings of a state.
+const FRAME_RATE: &str = "fps";
+
+/// Adds a frame rate, in frames per second, to the settings of a state.
+pub fn with_frame_rate(mut settings: StoredSettings, fps: Option<f64>) -> StoredSettings {
+    settings.extend(fps.map(|fps| (FRAME_RATE.to_owned(), fps.into())));
+    settings
+}
 
 /// The state of a simulation: everything that its frames share.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct State {
     /// The version of the library that wrote the state.
     pub meniscus: String,
-    /// The settings of the request.
+    /// The settings of the request, with its frame rate.
     pub settings: StoredSettings,
     /// The shared calibration.
     pub shared: SharedCalibration,
@@ -32,9 +42,20 @@ impl State {
         Self { meniscus: env!("CARGO_PKG_VERSION").into(), settings, shared }
     }
 
-    /// A hash that changes with any value of the state.
-    pub fn fingerprint(&self) -> u32 {
-        crc32fast::hash(&json(self))
+    /// The frame rate of the conversion, in frames per second, if one was given.
+    pub fn fps(&self) -> Option<f64> {
+        let fps = self.settings.get(FRAME_RATE)?.as_f64()?;
+        FPS.contains(&fps).then_some(fps)
+    }
+
+    /// A hash that changes with any value of the state that meshes in this format depend on. Only
+    /// archives (.abc) depend on the frame rate.
+    pub fn fingerprint(&self, format: MeshFormat) -> u32 {
+        let mut state = self.clone();
+        if !matches!(format, MeshFormat::Abc(_)) {
+            state.settings.remove(FRAME_RATE);
+        }
+        crc32fast::hash(&json(&state))
     }
 
     /// Returns the names of the settings that differ from `wanted`, as text, which is empty if none
@@ -169,6 +190,12 @@ impl StateFolder {
         }
     }
 
+    /// The state that will be replaced, if there is one that can be parsed.
+    pub fn stale(&self) -> Option<State> {
+        let (text, _) = self.stale.as_ref()?;
+        self.parsed(text).ok()
+    }
+
     fn open_log(&self) -> Result<(), SimulationError> {
         if self.at_work { self.log.open() } else { Ok(()) }
     }
@@ -282,7 +309,9 @@ mod tests {
                 assert_eq!(store.add(&state).unwrap(), state);
                 let loaded = store.load().unwrap().unwrap();
                 assert_eq!(loaded, state);
-                assert_eq!(loaded.fingerprint(), state.fingerprint());
+                let [of_loaded, of_stored] =
+                    [&loaded, &state].map(|state| state.fingerprint(MeshFormat::Ply));
+                assert_eq!(of_loaded, of_stored);
                 // Another process that measures at the same time uses the state that was stored
                 // first.
                 let late = State {

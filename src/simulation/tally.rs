@@ -163,20 +163,28 @@ impl<'a> Tally<'a> {
         let listed: Vec<_> = self.listed.values().cloned().collect();
         self.conversion.cancel().undisturbed(|| {
             self.archive()?;
-            self.series.write(&listed)
+            self.series().write(&listed)
         })?;
         self.series_written = Instant::now();
         Ok(())
+    }
+
+    /// The lists, with the frame rate that the state records.
+    fn series(&self) -> Series {
+        let settled = self.conversion.settled.get().and_then(Option::as_ref);
+        let fps = settled.map_or(self.series.fps, |settled| settled.state.fps());
+        Series { fps, ..self.series.clone() }
     }
 
     /// If the output is an archive, adds finished frames to it. Adds them in frame order, and stops
     /// at the first frame that this run still has to convert, so that the bytes of the archive do
     /// not depend on the number of threads.
     fn archive(&self) -> Result<(), WriteError> {
-        let Self { conversion, series, listed, awaited, .. } = self;
+        let Self { conversion, listed, awaited, .. } = self;
         let Some(archive) = &conversion.setup.archive else { return Ok(()) };
         let Some(Some(settled)) = conversion.settled.get() else { return Ok(()) };
         let first = awaited.first().copied().unwrap_or(i64::MAX);
+        let series = self.series();
         listed.range(..first).try_for_each(|(_, mesh)| {
             archive.add(mesh, settled.fingerprint, |all| series.times(all))
         })

@@ -71,7 +71,7 @@ pub enum ReopenedError {
 impl From<ReopenedError> for io::Error {
     fn from(lost: ReopenedError) -> Self {
         match lost {
-            ReopenedError::Changed => Self::other("changed while it was read"),
+            ReopenedError::Changed => Self::other("the file changed while it was being read"),
             ReopenedError::Io(fault) => fault,
         }
     }

@@ -43,8 +43,9 @@ pub enum VulkanError {
     NoLoader(String),
     /// The threads of drivers would overflow their stacks.
     #[error(
-        "Vulkan drivers need a stack of at least {} KiB, but the limit is {} KiB; raise the limit \
-         with `ulimit -s`", least >> 10, limit >> 10
+        "Vulkan drivers need a stack of at least {needed} KiB, but the limit is {there} KiB; raise \
+         it with `ulimit -s {needed}`",
+        needed = least >> 10, there = limit >> 10
     )]
     SmallStack {
         /// The current stack limit, in bytes.

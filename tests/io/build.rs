@@ -144,6 +144,11 @@ impl VtkXml {
 
     /// Builds a file at time 1.5, with ids and with velocities twice as large as the positions.
     pub fn build(self, points: &[[f64; 3]]) -> Vec<u8> {
+        self.build_cells(points, &[])
+    }
+
+    /// Builds a file like that of [`build`](Self::build), with a cell type for each point.
+    pub fn build_cells(self, points: &[[f64; 3]], types: &[f64]) -> Vec<u8> {
         let mut appended = Vec::new();
         let mut array = |what: &str, kind: &str, numbers: &[f64]| {
             let mut element = format!("<DataArray type=\"{kind}\" {what} ");
@@ -175,6 +180,10 @@ impl VtkXml {
         let velocity = array("Name=\"velocity\" NumberOfComponents=\"3\"", "Float32", &doubled);
         let id = array("Name=\"id\"", "Int32", &ids);
         let position = array("Name=\"Points\" NumberOfComponents=\"3\"", "Float32", flat);
+        let types = match types {
+            [] => String::new(),
+            _ => array("Name=\"types\"", "Int32", types),
+        };
         let compressor = match self.compressor {
             Compressor::None => "",
             Compressor::Zlib => " compressor=\"vtkZLibDataCompressor\"",
@@ -189,7 +198,7 @@ impl VtkXml {
              <Piece NumberOfPoints=\"{count}\" NumberOfCells=\"{count}\">\n\
              <PointData Vectors=\"velocity\">{velocity}\n{id}</PointData>\n\
              <Points>{position}</Points>\n\
-             <Cells>{connectivity}</Cells>\n\
+             <Cells>{connectivity}{types}</Cells>\n\
              </Piece></UnstructuredGrid>",
             if self.big { "Big" } else { "Little" },
             if self.wide { 64 } else { 32 },

@@ -113,6 +113,35 @@ fn every_step_and_partition_uses_its_own_cells_and_ghost_flags() {
 }
 
 #[test]
+fn a_step_of_a_grid_is_a_mesh_only_if_one_of_its_own_cells_has_an_area() {
+    let (_, bytes) = file_of_steps("grid");
+    assert!(!h5::has_faces(bytes.clone().into()).unwrap());
+    // The second step has a line, which is not a face.
+    let types = [[1; 9].as_slice(), &[3], &[1; 5]].concat();
+    let faces = |bytes: &[u8], step: u64| match read(bytes, step) {
+        Ok(_) => 0,
+        Err(ReadFault::Mesh { faces }) => faces,
+        Err(fault) => panic!("{fault}"),
+    };
+    for (changed, of_steps) in [
+        (&[(0, 5)][..], [1, 0, 1]),
+        (&[(5, 10)], [1, 0, 1]),
+        (&[(6, 12)], [0, 1, 0]),
+        (&[(4, 7), (9, 9), (14, 42)], [1, 2, 1]),
+    ] {
+        let mut other = types.clone();
+        changed.iter().for_each(|&(cell, kind)| other[cell] = kind);
+        let bytes = replaced(&bytes, &types, &other);
+        assert_eq!([0, 1, 2].map(|step| faces(&bytes, step)), of_steps, "{changed:?}");
+        assert!(h5::has_faces(bytes.clone().into()).unwrap(), "{changed:?}");
+        // Without offsets, the cells of the steps follow each other.
+        let bytes = replaced(&bytes, b"\0CellData\0", b"\0~ellData\0");
+        let bytes = replaced(&bytes, b"\0CellOffsets\0", b"\0~ellOffsets\0");
+        assert_eq!([0, 1].map(|step| faces(&bytes, step)), of_steps[..2], "{changed:?}");
+    }
+}
+
+#[test]
 fn missing_cell_arrays_keep_all_points_and_steps_need_cell_offsets() {
     for kind in ["poly", "grid"] {
         let (_, bytes) = file_of_steps(kind);

@@ -15,10 +15,17 @@ use tempfile::TempDir;
 use crate::build::Bi4;
 use crate::common::particle_files::attribute;
 
+/// The properties of a colour that is called `Cd`, in any number type.
+const CD: [&str; 3] = ["Cd_0", "Cd_1", "Cd_2"];
+
 /// Writes two particles, each with a colour of the number type `scalar`.
 fn coloured(path: &Path, scalar: &str, colours: [&str; 2]) {
-    let properties: String =
-        ["red", "green", "blue"].map(|name| format!("property {scalar} {name}\n")).concat();
+    coloured_in(path, ["red", "green", "blue"], scalar, colours);
+}
+
+/// Like [`coloured`], with the colour in the properties `names`.
+fn coloured_in(path: &Path, names: [&str; 3], scalar: &str, colours: [&str; 2]) {
+    let properties: String = names.map(|name| format!("property {scalar} {name}\n")).concat();
     let [one, other] = colours;
     let text = format!(
         "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\n\
@@ -75,6 +82,37 @@ fn joined_byte_colours_become_fractions_and_other_scale_mixes_are_refused() {
     // Black is valid in any scale.
     for other in [&*shares, &*large, &*bytes] {
         join(&[&dark, other]).unwrap();
+    }
+}
+
+#[test]
+fn integer_colours_up_to_255_are_joined_like_bytes_and_others_refused() {
+    use ColourScale::{Bytes, Shares, Whole};
+    let folder = TempDir::new().unwrap();
+    let written = |name: &str, scalar: &str, colours: [&str; 2]| {
+        let path = folder.path().join(name);
+        coloured_in(&path, CD, scalar, colours);
+        path
+    };
+    let bytes = written("bytes.ply", "uchar", ["255 51 0", "0 0 0"]);
+    let whole = written("whole.ply", "int", ["255 51 0", "0 0 0"]);
+    let shares = written("shares.ply", "float", ["1 0.5 0", "0 0 0"]);
+    let short = written("short.ply", "ushort", ["65535 0 0", "0 0 0"]);
+    let dim = written("dim.ply", "ushort", ["200 0 0", "0 0 0"]);
+    let kind = |paths: &[&Path]| Particles::attributes(&join(paths).unwrap().particles)[0].kind;
+    assert_eq!(kind(&[&whole, &bytes]), AttributeKind::WholeColour);
+    // Integers of one type get their scale from the values of all files.
+    assert_eq!(kind(&[&short, &dim]), AttributeKind::ShortColour);
+    let file = join(&[&whole, &shares]).unwrap();
+    let mut values = attribute(&file, "Cd");
+    values.sort_by(f32::total_cmp);
+    assert_eq!(values[8..], [0.2, 0.5, 1.0, 1.0]);
+    for (other, expected) in [(&whole, Bytes), (&bytes, Bytes), (&shares, Shares)] {
+        let refused = join(&[&short, other]).unwrap_err();
+        let ReadFault::ColourScale { scale, of_other, .. } = refused.fault else {
+            panic!("{refused}")
+        };
+        assert_eq!([scale, of_other], [expected, Whole]);
     }
 }
 

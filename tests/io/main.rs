@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used)]
 
 mod alembic;
+mod blocks;
 mod build;
 #[path = "../common/mod.rs"]
 mod common;
@@ -24,3 +25,4 @@ mod series;
 #[cfg(feature = "hdf5")]
 mod snapshots;
 mod vdb;
+mod vtk_meshes;

@@ -95,7 +95,13 @@ fn colours_are_written_as_bytes_or_as_fractions_by_format() {
     let bytes = vec![0., 51., 255., 102., 153., 204., 0., 255., 0.];
     let kind = AttributeKind::ByteColour;
     let of_bytes = VertexAttribute::new("Cd", 3, bytes.clone());
-    for mesh in [floats, mesh(VertexAttribute { kind, ..of_bytes.clone() })] {
+    let shorts = bytes.iter().map(|byte| 257.0 * byte).collect();
+    let of_shorts = VertexAttribute {
+        kind: AttributeKind::ShortColour,
+        ..VertexAttribute::new("Cd", 3, shorts)
+    };
+    let of_kind = VertexAttribute { kind, ..of_bytes.clone() };
+    for mesh in [floats, mesh(of_kind), mesh(of_shorts)] {
         for format in FORMATS.into_iter().filter(|format| format.holds_attributes()) {
             let read = format.read(&written(format, &mesh, CoordinateWidth::F32)).unwrap();
             let [colour] = &read.attributes[..] else { panic!("{format:?} has one attribute") };

@@ -223,7 +223,9 @@ fn a_multiblock_file_gives_its_particles_and_names_skipped_blocks() {
     let named = |left_out: &UnreadPart| match left_out {
         UnreadPart::Block { name, .. } => name.clone(),
         UnreadPart::Attribute(info) => info.name.clone(),
-        UnreadPart::Primitives { .. } | UnreadPart::WideArray { .. } => panic!("{left_out}"),
+        UnreadPart::Names(_) | UnreadPart::Primitives { .. } | UnreadPart::WideArray { .. } => {
+            panic!("{left_out}")
+        }
     };
     assert_eq!(file.left_out.iter().map(named).collect::<Vec<_>>(), ["solid", "p/i.vti"]);
     set.write("a.vtm", &list(solid));

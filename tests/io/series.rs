@@ -118,7 +118,7 @@ fn a_usd_stage_shows_each_layer_from_its_own_time() {
         "upAxis = \"Z\"",
         "timeCodesPerSecond = 25",
         "startTimeCode = 1\n",
-        "endTimeCode = 4.25\n",
+        "endTimeCode = 5\n",
         "asset[] assetPaths = [@./f1.usdc@, @./f3.usdc@, @@@./f@4.usdc@@@]",
         "double2[] active = [(1, 0), (3, 1), (4.25, 2)]",
         "double2[] times = [(1, 0), (3, 2), (3, 0), (4.25, 1.25), (4.25, 0)]",
@@ -131,6 +131,100 @@ fn a_usd_stage_shows_each_layer_from_its_own_time() {
     let manifest = fs::read_to_string(folder.path().join("pool.manifest.usda")).unwrap();
     for line in ["point3f[] points\n", "vector3f[] velocities\n", "normal3f[] normals (\n"] {
         assert!(manifest.contains(line), "{line} is not in {manifest}");
+    }
+}
+
+/// The text of a stage that plays frames with these times.
+fn stage_of(fps: Option<f64>, times: &[f64]) -> String {
+    let folder = tempfile::tempdir().unwrap();
+    let series = series(folder.path(), MeshFormat::Usdc(UpAxis::Y), fps);
+    let frames = (0..).zip(times).map(|(number, &time)| frame(number, "f.usdc", Some(time)));
+    series.write(&frames.collect::<Vec<_>>()).unwrap();
+    fs::read_to_string(folder.path().join("pool.usda")).unwrap()
+}
+
+#[test]
+fn a_usd_stage_plays_every_frame_of_times_with_six_digits() {
+    let printed: Vec<f64> =
+        (0..12).map(|f| format!("{:.6}", f64::from(f) / 24.0).parse().unwrap()).collect();
+    let active: Vec<String> = (0..12).map(|f| format!("({f}, {f})")).collect();
+    for fps in [Some(24.0), None] {
+        let stage = stage_of(fps, &printed);
+        for line in [
+            "timeCodesPerSecond = 24\n",
+            "startTimeCode = 0\n",
+            "endTimeCode = 11\n",
+            &*format!("active = [{}]\n", active.join(", ")),
+        ] {
+            assert!(stage.contains(line), "{line} is not in {stage}");
+        }
+    }
+    // Frames between whole time codes are within the range of the stage, too.
+    let stage = stage_of(Some(24.0), &[0.020_833, 0.500_047, 0.900_049]);
+    for line in ["startTimeCode = 0\n", "endTimeCode = 22\n", "(12, 1), (21.6"] {
+        assert!(stage.contains(line), "{line} is not in {stage}");
+    }
+}
+
+#[test]
+fn evenly_spaced_times_set_the_rate_of_a_stage_unless_one_is_given() {
+    for (fps, times, lines) in [
+        (None, &[0.0, 0.04, 0.08, 0.12][..], ["PerSecond = 25\n", "endTimeCode = 3\n"]),
+        (None, &[1.0, 1.1, 1.4], ["PerSecond = 10\n", "startTimeCode = 10\n"]),
+        (None, &[0.0, 0.04, 0.1, 0.13], ["PerSecond = 24\n", "endTimeCode = 4\n"]),
+        (Some(50.0), &[0.0, 0.04, 0.08], ["PerSecond = 50\n", "endTimeCode = 4\n"]),
+    ] {
+        let stage = stage_of(fps, times);
+        assert!(lines.iter().all(|line| stage.contains(line)), "{lines:?} are not in {stage}");
+    }
+}
+
+#[test]
+fn a_list_of_usd_layers_has_the_time_codes_of_the_stage() {
+    let folder = tempfile::tempdir().unwrap();
+    for (format, codes) in
+        [(MeshFormat::Usdc(UpAxis::Y), [Some(1.0), Some(2.0)]), (MeshFormat::Ply, [None; 2])]
+    {
+        let series = series(folder.path(), format, Some(24.0));
+        series.write(&[frame(7, "a", Some(0.041_667)), frame(8, "b", Some(0.083_333))]).unwrap();
+        let json: Value = serde_json::from_slice(&fs::read(&series.files()[0]).unwrap()).unwrap();
+        assert_eq!([0, 1].map(|i| json["frames"][i]["time_code"].as_f64()), codes, "{format}");
+        assert_eq!(
+            [0, 1].map(|i| json["frames"][i]["time"].as_f64().unwrap()),
+            [0.041_667, 0.083_333]
+        );
+    }
+}
+
+#[test]
+fn late_frames_of_an_archive_have_the_times_of_whole_frames() {
+    let times = |fps: Option<f64>, times: &[f64]| {
+        let series = series(Path::new(""), MeshFormat::Abc(SampleTime::ZERO), fps);
+        let frames = (0..).zip(times).map(|(number, &time)| frame(number, "f.abc", Some(time)));
+        series.times(&frames.collect::<Vec<_>>())
+    };
+    let late = [0.0, 0.0404, 0.0804, 0.1204];
+    for fps in [Some(25.0), None] {
+        assert_eq!(times(fps, &late), [0.0, 1.0 / 25.0, 2.0 / 25.0, 3.0 / 25.0]);
+    }
+    // Uneven times are exact if no rate is given.
+    assert_eq!(times(None, &[0.0, 0.04, 0.1, 0.13]), [0.0, 0.04, 0.1, 0.13]);
+}
+
+#[cfg(unix)]
+#[test]
+fn a_stage_path_has_no_backslash_and_its_name_no_control_character() {
+    let fault = |simulation: &str, format: MeshFormat| {
+        let series = Series { format, simulation: simulation.into(), fps: None, up: UpAxis::Y };
+        series.path_fault()
+    };
+    let usd = MeshFormat::Usdc(UpAxis::Y);
+    for bad in ["/a/b\\c.usdc", "/a\\b/c.usdc", "a\\b.usdc", "/a/b\tc.usdc", "/a/b\u{85}c.usdc"] {
+        assert!(fault(bad, usd).is_some(), "{bad:?}");
+        assert_eq!(fault(&bad.replace("usdc", "ply"), MeshFormat::Ply), None, "{bad:?}");
+    }
+    for good in ["/a/b@ c.usdc", "/a\tb/c.usdc", "/ä/ö.usdc"] {
+        assert_eq!(fault(good, usd), None, "{good:?}");
     }
 }
 

@@ -140,7 +140,8 @@ fn invalid_arguments_exit_with_2_and_leave_no_files() {
             ball(&["--iso", "0.4"]),
             "--iso applies only to --indicator counting or symmetry, and to --method mueller or yu-turk",
         ),
-        (ball(&["--detail"]), "for --indicator cloud, use --smooth"),
+        (ball(&["--sigma", "1"]), "for --indicator cloud, use --smooth"),
+        (ball(&["--detail"]), "--detail applies only to --indicator counting or symmetry"),
         (ball(&["--mu0", "3"]), "--mu0 does not apply to --indicator cloud"),
         (
             ball(&["--smooth", "2", "--indicator", "counting"]),
@@ -162,13 +163,62 @@ fn invalid_arguments_exit_with_2_and_leave_no_files() {
         (ball(&["--origin", "1,2"]), "3 numbers"),
         (ball(&["--origin", "1,2,nan"]), "origin"),
         (ball(&["--domain", "0,0,0,1,-1,1"]), "domain"),
-        (ball(&["--domain", "0,0,0,0.01,1,1", "--cell-size", "0.5"]), "no cell centre along x"),
+        (ball(&["--domain", "0,0,0,0.01,1,1", "--cell-size", "0.5"]), "too thin along x"),
         (ball(&["--attributes", "colour"]), "colour"),
         (ball(&["--threads", "0"]), "--threads"),
         (ball(&["--memory", "much"]), "--memory"),
         (ball(&["--backend", "abacus"]), "abacus"),
     ] {
         assert_refused(folder.path(), &arguments, 2, &[message]);
+    }
+}
+
+/// Writes a ball as a .ply whose particles all have the values `values` of the properties
+/// `properties`, which are lines of the header.
+fn write_ball(path: &Path, properties: &str, values: &str) {
+    let ball = fill(10.0, 2.0, 0.2, 3, |p| p.length() < 5.0);
+    let rows: String = ball.iter().map(|[x, y, z]| format!("{x} {y} {z} {values}\n")).collect();
+    let places = ["x", "y", "z"].map(|name| format!("property float {name}\n")).concat();
+    let count = ball.len();
+    let text = format!(
+        "ply\nformat ascii 1.0\nelement vertex {count}\n{places}{properties}end_header\n{rows}"
+    );
+    fs::write(path, text).unwrap();
+}
+
+#[test]
+fn an_obj_stores_one_colour_and_other_named_attributes_are_refused() {
+    let folder = TempDir::new().unwrap();
+    let cd = |scalar: &str| {
+        ["Cd_0", "Cd_1", "Cd_2"].map(|name| format!("property {scalar} {name}\n")).concat()
+    };
+    let rgb = ["red", "green", "blue"].map(|name| format!("property uchar {name}\n")).concat();
+    let at = |name: &str| folder.path().join(name);
+    write_ball(&at("bytes.ply"), &cd("int"), "255 51 0");
+    write_ball(&at("shorts.ply"), &cd("ushort"), "65535 13107 0");
+    write_ball(&at("numbers.ply"), &cd("int"), "300 51 0");
+    write_ball(&at("one.ply"), "property float Cd\n", "0.5");
+    write_ball(&at("two.ply"), &(cd("int") + &rgb), "255 51 0 1 2 3");
+    for (input, names) in [("numbers", "Cd"), ("one", "Cd"), ("two", "Cd,color")] {
+        let input = format!("{input}.ply");
+        let arguments = [&*input, "-o", "m.obj", "--attributes", names];
+        let message = ".obj cannot store --attributes, except one colour";
+        assert_refused(folder.path(), &arguments, 2, &[message]);
+        assert_refused(folder.path(), &[&arguments[..], &["--dry-run"]].concat(), 2, &[message]);
+    }
+    // The names of the last list have blanks around them.
+    for (input, names) in [("bytes", "Cd"), ("shorts", "Cd"), ("two", " Cd , Cd ")] {
+        let (input, output) = (format!("{input}.ply"), format!("{input}.obj"));
+        let arguments = ["reconstruct", &input, "-o", &output, "--attributes", names];
+        let run = meniscus(folder.path(), &arguments);
+        assert!(run.status.success(), "{run:?}");
+        let text = fs::read_to_string(at(&output)).unwrap();
+        let vertex = text.lines().find(|line| line.starts_with("v ")).unwrap();
+        let numbers = vertex.split(' ').skip(1).map(|word| word.parse().unwrap());
+        let numbers: Vec<f64> = numbers.collect();
+        let [_, _, _, red, green, blue] = numbers[..] else { panic!("{input}: {vertex}") };
+        let is_equal = |(a, b): (f64, f64)| (a - b).abs() < 1e-5;
+        assert!([(red, 1.0), (green, 0.2), (blue, 0.0)].into_iter().all(is_equal), "{vertex}");
     }
 }
 
@@ -490,7 +540,7 @@ fn skip_invalid_omits_and_counts_invalid_particles() {
     let notes = String::from_utf8_lossy(&skipped.stderr);
     assert!(skipped.status.success(), "{notes}");
     assert!(
-        notes.contains("2 particles skipped") && notes.contains("1 particles skipped"),
+        notes.contains("2 particles skipped") && notes.contains("1 particle skipped"),
         "{notes}"
     );
     let bytes = |name| fs::read(folder.path().join(name)).unwrap();
@@ -1004,9 +1054,9 @@ fn cells_too_fine_for_the_indicator_are_refused_with_a_usable_size() {
         folder.path(),
         &fine,
         2,
-        &["ball.xyz", "too small", "of 65535", "0.125", "use a cell size of 0.0"],
+        &["ball.xyz", "too coarse", "of 65535", "0.125", "use a cell size of 0.0"],
     );
-    assert_refused(folder.path(), &[&fine[..], &["--dry-run"]].concat(), 2, &["too small"]);
+    assert_refused(folder.path(), &[&fine[..], &["--dry-run"]].concat(), 2, &["too coarse"]);
     let more = ["--indicator", "symmetry", "--cell", "0.4"];
     let symmetry = [&fine[..5], &more[..]].concat();
     assert_refused(folder.path(), &symmetry, 2, &["too small for the symmetry indicator", "0.25"]);
@@ -1032,7 +1082,7 @@ fn drops_without_a_cell_centre_fail_alone_but_are_empty_in_a_sequence() {
         folder.path(),
         &alone,
         3,
-        &["d_1.xyz", "no cell's centre is inside the fluid", "use smaller cells"],
+        &["d_1.xyz", "no cell centre is inside the fluid", "use a smaller --cell"],
     );
     let run = meniscus(
         folder.path(),
@@ -1041,7 +1091,7 @@ fn drops_without_a_cell_centre_fail_alone_but_are_empty_in_a_sequence() {
     let notes = String::from_utf8_lossy(&run.stderr);
     assert!(
         run.status.success()
-            && notes.contains("d_1.xyz: the mesh is empty: no cell's centre is inside the fluid"),
+            && notes.contains("d_1.xyz: the mesh is empty: no cell centre is inside the fluid"),
         "{notes}"
     );
     let empty = read_mesh(&folder.path().join("m_1.ply")).unwrap();
@@ -1147,7 +1197,7 @@ fn a_mesh_is_refused_as_particles_but_points_with_vertex_cells_are_read() {
         let meshed = meniscus(folder.path(), &["reconstruct", "ball.mnf", "-o", mesh, "--quiet"]);
         assert!(meshed.status.success(), "{mesh}");
         let faces = read_mesh(&folder.path().join(mesh)).unwrap().triangles.len();
-        let message = format!("{mesh}: holds a mesh ({faces} faces), not particles");
+        let message = format!("{mesh}: contains a mesh (faces or cells: {faces}), not particles");
         assert_refused(folder.path(), &[mesh, "-o", "out.ply"], 3, &[&message]);
         let packed = meniscus(folder.path(), &["pack", mesh, "-o", "out.mnf"]);
         let errors = String::from_utf8_lossy(&packed.stderr);
@@ -1286,15 +1336,17 @@ fn every_setting_is_an_option_and_pack_refuses_surface_settings() {
         assert_eq!(is_listed(&pack), setting.is_of_samples(), "{option}");
     }
     pack_with_the_default_method(folder.path());
-    for given in [&["--smooth", "2"][..], &["--normals"], &["--method", "mueller"], &["--up", "z"]]
-    {
+    let (later, never) = ("does not apply to packing", "is not supported when packing");
+    for (given, message) in [
+        (&["--smooth", "2"][..], later),
+        (&["--normals"], later),
+        (&["--method", "mueller"], never),
+        (&["--up", "z"], later),
+    ] {
         let run = meniscus(folder.path(), &[&["pack", "one.xyz", "-o", "one.mnf"], given].concat());
         let messages = String::from_utf8_lossy(&run.stderr).into_owned();
         assert_eq!(run.status.code(), Some(2), "{messages}");
-        assert!(
-            messages.contains(&format!("{} has no effect when packing", given[0])),
-            "{messages}"
-        );
+        assert!(messages.contains(&format!("{} {message}", given[0])), "{messages}");
     }
 }
 

@@ -240,6 +240,10 @@ fn a_full_scratch_folder_exits_with_4_and_leaves_no_files() {
         assert_eq!(run.status.code(), Some(2), "{errors}");
         assert!(errors.contains("does not exist"), "{errors}");
     }
+    let run = in_shell(folder.path(), "", &missing.replace("--scratch no", "--scratch splash.xyz"));
+    let errors = String::from_utf8_lossy(&run.stderr);
+    assert_eq!(run.status.code(), Some(2), "{errors}");
+    assert!(errors.contains("splash.xyz: is not a folder"), "{errors}");
 }
 
 #[test]

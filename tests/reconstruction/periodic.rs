@@ -301,7 +301,7 @@ fn invalid_periodic_boxes_are_refused_with_the_reason() {
             2,
             "cells per spacing, got",
         ),
-        (&["--periodic-mesh", "overlap"], 2, "with a periodic box"),
+        (&["--periodic-mesh", "overlap"], 2, "--periodic-mesh has no effect without --periodic"),
         (&["--periodic", "0,-,0,23,-,24"], 3, "is outside the periodic box along x"),
         (
             &["--periodic", BOX, "--domain", "-,0,-,-,nan,-"],
@@ -323,7 +323,7 @@ fn invalid_periodic_boxes_are_refused_with_the_reason() {
     );
     assert!(errors.contains(&named), "{errors}");
     let errors = run(folder.path(), &with(&astray, &["--skip-invalid"]), 0);
-    assert!(errors.contains("1 particles left out: outside"), "{errors}");
+    assert!(errors.contains("1 particle left out: outside"), "{errors}");
     run(folder.path(), &with(&POOL, &["--periodic", BOX, "-o", "whole.ply"]), 0);
     let [mesh, whole] =
         ["mesh.ply", "whole.ply"].map(|name| fs::read(folder.path().join(name)).unwrap());

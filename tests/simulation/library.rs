@@ -447,6 +447,18 @@ fn live_frames_from_memory_equal_frames_from_files() {
 }
 
 #[test]
+fn a_live_frame_that_lacks_the_velocity_of_the_first_causes_a_warning() {
+    let mut live = LiveSimulation::new(&Reconstruction::new().spacing(0.5)).unwrap();
+    let water = falling(1);
+    let velocity = vec![[0.0_f32, -1.0, 0.0]; water.len()];
+    let first = live.frame(&Cloud::new(&water).with("velocity", &velocity)).unwrap();
+    let second = live.frame(&falling(2)[..]).unwrap();
+    let [first, second] = [&first, &second].map(|surface| &surface.report().warnings);
+    let lacks = Warning::MissingAttribute { attribute: "velocity".into(), calibration_frame: None };
+    assert!(!first.contains(&lacks) && second.contains(&lacks), "{second:?}");
+}
+
+#[test]
 fn a_live_simulation_keeps_its_first_measurements_for_later_frames() {
     // A thin sheet has no interior, so it does not settle the calibration.
     let sheet: Vec<[f64; 3]> = fill(20.0, 2.0, 0.1, 7, |p| (0.0..0.5).contains(&p.y));

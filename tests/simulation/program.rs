@@ -301,6 +301,7 @@ fn invalid_sequence_requests_are_refused_and_leave_no_files() {
         (vec!["in/f_{}.xyz", "-o", "out_{}.ply", "--frames", "9..7"], 2, "--frames"),
         (vec!["in/f_{}.xyz", "-o", "out_{}.ply", "--step", "0"], 2, "--step"),
         (vec!["in/f_{}.xyz", "-o", "out_{}.ply", "--fps", "0"], 2, "--fps"),
+        (vec!["in/f_{}.xyz", "-o", "out_{}.ply", "--watch", "--dry-run"], 2, "--dry-run"),
         (vec!["in/f_1.xyz", "-o", "out.ply", "--resume"], 2, "--resume"),
         (vec!["none", "-o", "out_{}.ply"], 3, "no frames"),
         (vec!["in/h_{}.xyz", "-o", "out_{}.ply"], 3, "no file matches"),
@@ -339,6 +340,29 @@ fn a_dry_run_of_a_sequence_prints_estimates_and_writes_nothing() {
 }
 
 #[test]
+fn a_selection_without_frames_is_an_error_for_every_kind_of_input() {
+    let folder = falling(1..=3);
+    let before = tree(folder.path());
+    let inputs: [&[&str]; 4] =
+        [&["in/f_{}.xyz"], &["in"], &["in/f_*.xyz"], &["in/f_1.xyz", "in/f_3.xyz"]];
+    for input in inputs {
+        for range in [&["--start", "100"], &["--end", "0"], &["--frames", "7..9"]] {
+            let arguments = [input, &["-o", "out_{}.ply"], range].concat();
+            let errors = run(folder.path(), &arguments, 2);
+            let message = "in/f_{}.xyz: no frame matches the selection (--start";
+            assert!(errors.contains(message), "{arguments:?}: {errors}");
+        }
+    }
+    assert!(tree(folder.path()) == before);
+    // Another simulation in the folder, which has a selected frame, is converted.
+    let ball = folder.path().join("in/f_1.xyz");
+    fs::copy(ball, folder.path().join("in/g_9.xyz")).unwrap();
+    let errors = run(folder.path(), &["in", "-o", "out/", "--start", "5"], 1);
+    assert!(errors.contains("in/f_{}.xyz: no frame matches the selection"), "{errors}");
+    assert!(folder.path().join("out/g_9.ply").exists(), "{errors}");
+}
+
+#[test]
 fn kernel_methods_match_single_frames_and_a_new_method_needs_overwrite() {
     let folder = falling(1..=3);
     let made = |more: &[&str]| {
@@ -372,12 +396,9 @@ fn kernel_methods_match_single_frames_and_a_new_method_needs_overwrite() {
     assert!(made(&small).0 == first, "other threads and memory");
 
     let errors = run(folder.path(), &with(&["--method", "yu-turk"]), 2);
-    assert!(errors.contains("different settings (method)"), "{errors}");
+    assert!(errors.contains("changed: method"), "{errors}");
     let errors = run(folder.path(), &with(&["--method", "yu-turk", "--resume"]), 2);
-    assert!(
-        errors.contains("different settings (method)") && errors.contains("--overwrite"),
-        "{errors}"
-    );
+    assert!(errors.contains("changed: method") && errors.contains("--overwrite"), "{errors}");
     assert!(tree(&folder.path().join("out")) == first, "a refused run changed the output");
     let (other, notes) = made(&["--method", "yu-turk", "--overwrite"]);
     assert!(
@@ -750,7 +771,7 @@ fn a_frame_whose_kernels_reach_no_cell_centre_becomes_an_empty_mesh() {
     let coarse = ["--method", "mueller", "--spacing", "0.5", "--cell", "2"];
     let notes = run(folder.path(), &with(&coarse), 0);
     assert!(
-        notes.contains("f_2.xyz: the mesh is empty: no cell's centre is inside the fluid"),
+        notes.contains("f_2.xyz: the mesh is empty: no cell centre is inside the fluid"),
         "{notes}"
     );
     let [ball, nothing] =
@@ -1189,10 +1210,10 @@ fn the_up_axis_rotates_positions_normals_and_vectors_and_back() {
     assert!(check(&back).is_closed_oriented_manifold() && measure(&back).volume.unwrap() > 0.0);
 }
 
-#[test]
-fn times_in_the_input_files_become_the_times_of_the_listings() {
+/// A folder with frames that contain their times, in `f_N.vtk`.
+fn timed(frames: &[(u64, &str)]) -> TempDir {
     let folder = TempDir::new().unwrap();
-    for (frame, time) in [(1, "0.125"), (2, "0.5")] {
+    for &(frame, time) in frames {
         let particles = ball(frame);
         let rows: String = particles.iter().map(|[x, y, z]| format!("{x} {y} {z}\n")).collect();
         let text = format!(
@@ -1202,9 +1223,92 @@ fn times_in_the_input_files_become_the_times_of_the_listings() {
         );
         fs::write(folder.path().join(format!("f_{frame}.vtk")), text).unwrap();
     }
+    folder
+}
+
+#[test]
+fn times_in_the_input_files_become_the_times_of_the_listings() {
+    let folder = timed(&[(1, "0.125"), (2, "0.5")]);
     run(folder.path(), &["f_{}.vtk", "-o", "m_{}.vtp", "--fps", "7"], 0);
     let pvd = fs::read_to_string(folder.path().join("m.pvd")).unwrap();
     assert!(pvd.contains("timestep=\"0.125\"") && pvd.contains("timestep=\"0.5\""), "{pvd}");
+}
+
+#[test]
+fn the_rate_of_a_stage_comes_from_the_frames_of_all_jobs() {
+    // The times of the first two frames alone imply another rate.
+    let folder = timed(&[(1, "0"), (2, "0.08"), (3, "0.12"), (4, "0.16")]);
+    let stage = |runs: &[&[&str]]| {
+        let out = folder.path().join("out");
+        let _ = fs::remove_dir_all(&out);
+        for options in runs {
+            run(folder.path(), &[&["f_{}.vtk", "-o", "out/m_{}.usdc"], *options].concat(), 0);
+        }
+        fs::read_to_string(out.join("m.usda")).unwrap()
+    };
+    let whole = stage(&[&[]]);
+    for line in ["timeCodesPerSecond = 25\n", "active = [(0, 0), (2, 1), (3, 2), (4, 3)]\n"] {
+        assert!(whole.contains(line), "{line} is not in {whole}");
+    }
+    assert_ne!(stage(&[&["--frames", "1..2"]]), whole);
+    assert_eq!(stage(&[&["--frames", "1..2"], &["--frames", "3..4"]]), whole);
+    assert_eq!(stage(&[&["--end", "3"], &["--resume"]]), whole);
+}
+
+#[test]
+fn resuming_keeps_the_frame_rate_and_refuses_another() {
+    let folder = falling(1..=3);
+    let out = folder.path().join("out");
+    // Only archives contain times.
+    for (output, depends) in [("out/m_{}.usdc", false), ("out/m_{}.abc", true), ("out/m.abc", true)]
+    {
+        let convert = |more: &[&str], code| {
+            run(folder.path(), &[&["in/f_{}.xyz", "-o", output], more].concat(), code)
+        };
+        let at_once = |fps: &str| {
+            let _ = fs::remove_dir_all(&out);
+            convert(&["--fps", fps], 0);
+            tree(&out)
+        };
+        let [whole, faster] = ["25", "30"].map(at_once);
+        assert!(whole != faster);
+        fs::remove_dir_all(&out).unwrap();
+        convert(&["--end", "2", "--fps", "25"], 0);
+        let begun = tree(&out);
+        for refused in [&["--resume", "--fps", "30"][..], &["--frames", "3..3", "--fps", "30"]] {
+            let errors = convert(refused, 2);
+            assert!(errors.contains("state.json") && errors.contains("the old --fps"), "{errors}");
+            assert!(tree(&out) == begun, "{output}: a refused run changed the output");
+        }
+        convert(&["--resume"], 0);
+        assert!(tree(&out) == whole, "{output}: resumed without a rate");
+        let messages = convert(&["--resume", "--overwrite", "--fps", "30"], 0);
+        let kept = messages.contains("3 of 3 frames are already finished");
+        assert_eq!(kept, !depends, "{output}: {messages}");
+        assert!(tree(&out) == faster, "{output}: with a new rate");
+    }
+    // A rate is a change, too, if there was none.
+    run(folder.path(), &ALL, 0);
+    let errors = run(folder.path(), &with(&["--resume", "--fps", "25"]), 2);
+    assert!(errors.contains("fps"), "{errors}");
+    run(folder.path(), &with(&["--overwrite", "--fps", "25"]), 0);
+    run(folder.path(), &with(&["--overwrite"]), 0);
+    let json = fs::read(out.join("m.ply.json")).unwrap();
+    let json: Value = serde_json::from_slice(&json).unwrap();
+    assert_eq!(json["fps"], Value::Null, "a conversion from the start takes no earlier rate");
+}
+
+#[cfg(unix)]
+#[test]
+fn a_usd_stage_with_a_backslash_in_its_path_is_refused() {
+    let folder = falling(1..=2);
+    let before = tree(folder.path());
+    for output in [r"out/a\b_{}.usdc", r"o\ut/m_{}.usdc"] {
+        let errors = run(folder.path(), &["in/f_{}.xyz", "-o", output], 2);
+        assert!(errors.contains("a USD stage cannot have a backslash"), "{errors}");
+        assert!(tree(folder.path()) == before, "{output}");
+    }
+    run(folder.path(), &["in/f_{}.xyz", "-o", r"out/a\b_{}.ply"], 0);
 }
 
 #[test]
@@ -1318,6 +1422,33 @@ fn the_files_of_one_frame_are_merged_into_one_surface() {
 }
 
 #[test]
+fn meshes_in_a_list_are_left_out_and_reported_once() {
+    let folder = falling(1..=3);
+    run(folder.path(), &["in", "-o", "alone/"], 0);
+    let walls = "<VTKFile type='UnstructuredGrid'><UnstructuredGrid>\
+        <Piece NumberOfPoints='3' NumberOfCells='1'><Points>\
+        <DataArray type='Float32' NumberOfComponents='3'>-90 0 0 90 0 0 0 0 90</DataArray></Points>\
+        <Cells><DataArray type='UInt8' Name='types'>7</DataArray></Cells></Piece>\
+        </UnstructuredGrid></VTKFile>";
+    fs::write(folder.path().join("walls.vtu"), walls).unwrap();
+    let set = |frame: u64| {
+        format!(
+            "<DataSet timestep='{frame}' group='0' name='Walls' file='walls.vtu'/>\
+             <DataSet timestep='{frame}' group='1' name='Fluid' file='in/f_{frame}.xyz'/>"
+        )
+    };
+    let sets: String = (1..=3).map(set).collect();
+    let list = format!("<VTKFile><Collection>{sets}</Collection></VTKFile>");
+    fs::write(folder.path().join("list.pvd"), list).unwrap();
+    let messages = run(folder.path(), &["list.pvd", "-o", "listed/"], 0);
+    let [alone, listed] = ["alone", "listed"].map(|out| meshes_in(&folder.path().join(out)));
+    assert!(alone == listed, "{messages}");
+    // The first frame with the mesh reports it, and at the end the number of such frames.
+    assert_eq!(messages.matches("block \"Walls\"").count(), 2, "{messages}");
+    assert!(messages.contains("left out of 3 frames: block \"Walls\""), "{messages}");
+}
+
+#[test]
 fn negative_frame_numbers_are_accepted_and_times_are_sorted_by_value() {
     let folder = falling(1..=4);
     for (frame, [number, time]) in
@@ -1351,15 +1482,23 @@ fn negative_frame_numbers_are_accepted_and_times_are_sorted_by_value() {
     assert!(folder.path().join("meshes/f_1.1e1.ply").exists());
 }
 
+/// The properties of a colour that is called `Cd`, in any number type.
+const CD: [&str; 3] = ["Cd_0", "Cd_1", "Cd_2"];
+
 /// Writes a ball whose particles all have the same colour, as floating-point numbers.
 fn coloured(path: &Path, frame: u64, colour: f32) {
+    coloured_in(path, frame, ("float", ["red", "green", "blue"]), colour);
+}
+
+/// Like [`coloured`], with the colour in properties of the number type `scalar`.
+fn coloured_in(path: &Path, frame: u64, (scalar, names): (&str, [&str; 3]), colour: f32) {
     let rows: String = ball(frame)
         .iter()
         .map(|[x, y, z]| format!("{x} {y} {z} {colour} {colour} {colour}\n"))
         .collect();
-    let properties: String = ["x", "y", "z", "red", "green", "blue"]
-        .map(|name| format!("property float {name}\n"))
-        .concat();
+    let property = |scalar: &str, name: &str| format!("property {scalar} {name}\n");
+    let properties = ["x", "y", "z"].map(|name| property("float", name)).concat()
+        + &names.map(|name| property(scalar, name)).concat();
     let count = ball(frame).len();
     let text =
         format!("ply\nformat ascii 1.0\nelement vertex {count}\n{properties}end_header\n{rows}");
@@ -1391,6 +1530,105 @@ fn a_colour_keeps_its_scale_when_it_fades_to_or_from_black() {
     let all = ["f_{}.ply", "-o", "m_{}.ply", "--attributes", "rgb", "--overwrite"];
     let errors = run(folder.path(), &[&all[..], &["--spacing", "0.5"]].concat(), 1);
     assert!(errors.contains("frame 4") && !errors.contains("frame 3:"), "{errors}");
+}
+
+#[test]
+fn an_integer_colour_keeps_the_scale_of_the_calibration_frame() {
+    let folder = TempDir::new().unwrap();
+    let all = ["f_{}.ply", "-o", "m_{}.ply", "--attributes", "Cd", "--overwrite"];
+    let all = [&all[..], &["--spacing", "0.5", "--cell", "1"]].concat();
+    let write = |scalar: &str, colours: [f32; 4]| {
+        for (frame, colour) in (1..).zip(colours) {
+            let path = folder.path().join(format!("f_{frame}.ply"));
+            coloured_in(&path, frame, (scalar, CD), colour);
+        }
+    };
+    let made = |frame: usize| {
+        let mesh = read_mesh(&folder.path().join(format!("m_{frame}.ply"))).unwrap();
+        assert_eq!(mesh.attributes.len(), 1);
+        (mesh.attributes[0].name.clone(), mesh.attributes[0].values.clone())
+    };
+    for (scalar, colours, greatest) in [
+        ("int", [200.0, 20.0, 4.0, 1.0], 255.0),
+        ("uint", [0.0, 4.0, 10.0, 200.0], 255.0),
+        ("ushort", [60_000.0, 200.0, 0.0, 300.0], 65_535.0),
+        ("ushort", [0.0, 200.0, 0.0, 60_000.0], 65_535.0),
+    ] {
+        write(scalar, colours);
+        run(folder.path(), &all, 0);
+        for (frame, colour) in (1..).zip(colours) {
+            let (name, values) = made(frame);
+            let byte = colour / greatest * 255.0;
+            let is_equal = |value: &f32| (value - byte).abs() <= 0.5;
+            assert!(name == "color" && !values.is_empty(), "{scalar}: {name}");
+            assert!(values.iter().all(is_equal), "{scalar}: {colour} became {}", values[0]);
+        }
+    }
+    // A frame whose values do not fit fails alone.
+    write("int", [200.0, 20.0, 4.0, 300.0]);
+    let errors = run(folder.path(), &all, 1);
+    assert!(errors.contains("\"Cd\" has the value 300"), "{errors}");
+    assert_eq!(made(3).0, "color");
+    // If the calibration frame has no colour, no frame has one.
+    write("int", [300.0, 20.0, 4.0, 200.0]);
+    run(folder.path(), &all, 0);
+    for (frame, expected) in [(1, 300.0), (4, 200.0)] {
+        let (name, values) = made(frame);
+        assert!(name == "Cd" && values.iter().all(|value| (value - expected).abs() < 0.01));
+    }
+}
+
+#[test]
+fn frames_with_attributes_that_an_obj_cannot_store_fail() {
+    let folder = TempDir::new().unwrap();
+    let write = |frame: u64, scalar: &str, colour: f32| {
+        let path = folder.path().join(format!("f_{frame}.ply"));
+        coloured_in(&path, frame, (scalar, CD), colour);
+    };
+    let convert = |meshes: &str, code: i32| {
+        let all = ["f_{}.ply", "-o", meshes, "--attributes", "Cd", "--spacing", "0.5"];
+        run(folder.path(), &all, code)
+    };
+    let refused = ".obj cannot store --attributes, except one colour";
+    write(1, "float", 0.5);
+    write(2, "float", 0.25);
+    write(3, "int", 300.0);
+    let errors = convert("a_{}.obj", 1);
+    assert!(errors.contains(&format!("frame 3: a_3.obj: {refused}")), "{errors}");
+    assert!(errors.contains("1 frame failed"), "{errors}");
+    assert!(!folder.path().join("a_3.obj").exists());
+    let text = fs::read_to_string(folder.path().join("a_2.obj")).unwrap();
+    let vertex = text.lines().find(|line| line.starts_with("v ")).unwrap();
+    let shares: Vec<f32> = vertex.split(' ').skip(4).map(|word| word.parse().unwrap()).collect();
+    assert!(shares.len() == 3 && shares.iter().all(|share| (share - 0.25).abs() < 1e-5));
+    // If no frame has a colour, the run fails before it makes a frame.
+    (1..=2).for_each(|frame| write(frame, "int", 300.0));
+    let errors = convert("b_{}.obj", 2);
+    assert!(errors.contains(refused) && !errors.contains("failed:"), "{errors}");
+}
+
+#[test]
+fn a_frame_that_lacks_the_velocity_of_other_frames_causes_a_warning() {
+    let folder = TempDir::new().unwrap();
+    for frame in 1..=3 {
+        let (names, velocity) = if frame == 2 { ("", "") } else { (",vx,vy,vz", ",1,0,0") };
+        let rows: String =
+            ball(frame).iter().map(|[x, y, z]| format!("{x},{y},{z}{velocity}\n")).collect();
+        let table = format!("x,y,z{names}\n{rows}");
+        fs::write(folder.path().join(format!("f_{frame}.csv")), table).unwrap();
+    }
+    let warnings = |meshes: &str| -> Vec<String> {
+        let messages = run(folder.path(), &["f_{}.csv", "-o", meshes], 0);
+        let found = messages.lines().filter(|line| line.contains("lack the attribute"));
+        found.map(str::to_owned).collect()
+    };
+    let found = warnings("m_{}.ply");
+    let [only] = &found[..] else { panic!("{found:?}") };
+    assert!(only.starts_with("warning: f_2.csv: "), "{only}");
+    assert!(only.contains("\"velocity\", which calibration frame 1 has"), "{only}");
+    assert!(read_mesh(&folder.path().join("m_2.ply")).unwrap().attributes.is_empty());
+    // This format stores no velocity in any frame.
+    assert!(warnings("m_{}.obj").is_empty());
 }
 
 #[test]

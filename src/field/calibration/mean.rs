@@ -12,7 +12,10 @@ use crate::grid::units::{MeanCount, UnitError};
 
 /// An error: mu0 cannot be measured on this frame.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
-#[error("cannot measure mu0, the mean number of particles in a full cell, on this frame: {0}")]
+#[error(
+    "cannot measure mu0, the mean number of particles in a non-empty cell: {0}; use a smaller cell \
+     size"
+)]
 pub struct NoMeanCount(#[source] pub(crate) UnitError);
 
 /// A frame's particles on any backend, sorted into bins, from which pages can be made.

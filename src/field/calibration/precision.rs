@@ -45,9 +45,9 @@ pub const ON_CORNERS: f64 = 0.2;
 pub enum TooFine {
     /// The field's steps are too large.
     #[error(
-        "the cell size {} is too small: deep in the fluid, the 16-bit field reaches only \
-         {plateau:.1} (of 65535), so rounding could move the surface by {step_cells:.3} cells \
-         (limit {COARSEST_STEP}); {remedy}",
+        "with a cell size of {}, the field is too coarse: deep in the fluid, it reaches only \
+         {plateau:.1} of 65535, so rounding could move the surface by {step_cells:.3} cells (limit \
+         {COARSEST_STEP}); {remedy}",
         shown(*cell_size)
     )]
     Steps {

@@ -111,7 +111,8 @@ pub fn steps(bytes: Bytes) -> Result<Vec<u64>, ReadFault> {
     }
 }
 
-/// Whether a file contains a mesh: VTKHDF PolyData with polygons or strips, or without any points.
+/// Whether a file contains a mesh: VTKHDF in which a cell has an area or a volume, or PolyData
+/// without any points.
 pub fn has_faces(bytes: Bytes) -> Result<bool, ReadFault> {
     let file = H5File::open(bytes, Unpacking::in_memory())?;
     match H5Layout::of(&file)? {

@@ -51,8 +51,8 @@ pub fn unpack(bytes: Bytes, unpacking: Unpacking) -> Result<PrivateBytes, ReadFa
     let limit = unpacked_limit(view.len() as u64);
     if total > limit {
         let what = format!(
-            "decompresses to {total} bytes, too many for a file of {}; \
-                            decompress it first",
+            "the data expands to {total} bytes, too many for a file of {} bytes; decompress the \
+             file first",
             view.len()
         );
         return Err(ReadFault::Compression(what));

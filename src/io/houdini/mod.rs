@@ -158,7 +158,11 @@ impl OpenedGeometry {
         // A file whose pages are constant can announce any number of points, so this check bounds
         // the number.
         if geometry.points > unpacked_limit(view.len() as u64) / POSITION {
-            let what = format!("{} points in {} bytes", geometry.points, view.len());
+            let what = format!(
+                "{} points are too many for a file of {} bytes",
+                geometry.points,
+                view.len()
+            );
             return Err(ReadFault::Compression(what));
         }
         let gathered = gathered.finish()?;

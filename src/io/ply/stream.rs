@@ -72,7 +72,8 @@ impl StreamedMesh {
             } else {
                 all[index].name.clone()
             },
-            ..all[index].clone()
+            kind: all[index].kind.of_mesh(),
+            components: all[index].components,
         };
         let outline = Outline {
             vertices: count as u64,

@@ -74,10 +74,10 @@ fn header(mesh: &dyn MeshSource, width: CoordinateWidth) -> String {
     let infos = mesh.attributes();
     let normals = if mesh.has_normals() { 3 } else { 0 };
     let stored = |info: &AttributeInfo| match info.kind {
-        AttributeKind::Colour | AttributeKind::ByteColour => "uchar",
         AttributeKind::Signed | AttributeKind::Wide => "int",
         AttributeKind::Unsigned => "uint",
-        AttributeKind::Number => "float",
+        kind if kind.is_colour() => "uchar",
+        _ => "float",
     };
     let kinds = std::iter::repeat_n(coordinate, 3)
         .chain(std::iter::repeat_n("float", normals))

@@ -2,6 +2,7 @@
 //! clips.
 
 use std::fmt::Write;
+use std::path::{Component, Path, absolute};
 
 use crate::io::UpAxis;
 use crate::particles::AttributeInfo;
@@ -11,7 +12,8 @@ use super::{PRIM, properties};
 /// The text of the stage. `clips` contains the time code and the path of each layer, in order. A
 /// layer is shown from its time code to the time code of the next layer.
 ///
-/// Paths of layers are relative to the stage.
+/// Paths of layers are relative to the stage. The stage begins and ends at whole time codes,
+/// because programs show no others.
 pub fn stage(
     clips: &[(f64, String)],
     manifest: &Manifest,
@@ -30,8 +32,9 @@ pub fn stage(
         [Some(format!("({time}, 0)")), end.map(|end| format!("({end}, {})", end - time))]
     });
     let times = list(times.flatten().collect());
-    let start = clips.first().map_or(0.0, |(time, _)| *time);
-    let end = clips.last().map_or(0.0, |(time, _)| *time);
+    // Adding 0 turns -0 into 0.
+    let start = clips.first().map_or(0.0, |(time, _)| time.floor() + 0.0);
+    let end = clips.last().map_or(0.0, |(time, _)| time.ceil() + 0.0);
     let (path, declared) = (asset(&manifest.path), manifest.declarations());
     format!(
         "#usda 1.0\n\
@@ -83,6 +86,34 @@ impl Manifest {
                 .expect("memory takes all");
         }
         text
+    }
+}
+
+/// The reason why programs could not find the layers next to a stage at this path. `None` if they
+/// can.
+///
+/// When OpenUSD looks for layers, it takes each backslash in the path of the stage for a separator,
+/// even on Linux. It also rejects control characters in the paths of layers. The names of layers
+/// contain the name of the stage.
+pub fn path_fault(stage: &Path) -> Option<&'static str> {
+    let whole = absolute(stage).unwrap_or_else(|_| stage.to_owned());
+    let has_backslash = whole.components().any(|part| match part {
+        Component::Normal(name) => name.to_string_lossy().contains('\\'),
+        _ => false,
+    });
+    let name = stage.file_name().unwrap_or_default().to_string_lossy();
+    if has_backslash {
+        Some(
+            "a USD stage cannot have a backslash in its path; choose another name or folder for \
+             the meshes",
+        )
+    } else if name.contains(char::is_control) {
+        Some(
+            "a USD stage cannot have a control character in its name; choose another name for the \
+             meshes",
+        )
+    } else {
+        None
     }
 }
 

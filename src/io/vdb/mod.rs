@@ -214,7 +214,7 @@ impl AttributeValues {
         match self.kind {
             AttributeKind::Signed => Kind::Int32,
             AttributeKind::Unsigned | AttributeKind::Wide => Kind::Int64,
-            AttributeKind::Number | AttributeKind::Colour | AttributeKind::ByteColour => {
+            _ => {
                 let half = self.kind.is_colour() || info.is_velocity() && self.fits_half();
                 Kind::Real { components: grid.components.len(), half }
             }

@@ -4,8 +4,9 @@
 use std::ops::Range;
 
 use crate::io::bytes::{ByteView, Bytes, UnpackBuffer, Unpacking};
+use crate::io::cell_types::{PIXEL, POLYGON, QUAD, TRIANGLE, TRIANGLE_STRIP, VERTEX, is_face};
 use crate::io::columns::{Column, Endian, Scalar};
-use crate::io::ghosts::{VERTEX, VertexCells, VertexPoints};
+use crate::io::ghosts::{VertexCells, VertexPoints};
 use crate::io::number::ParseNumber;
 use crate::io::text::decode_numbers;
 use crate::io::vertices::{FileVertices, Triangles, columns, integer};
@@ -89,7 +90,7 @@ fn faces<'a>(
 ) -> impl Iterator<Item = Result<u64, ReadFault>> + 'a {
     let untyped = layout.cells.iter().filter(|cells| cells.kind != CellKind::Typed);
     let untyped = untyped.map(|cells| Ok(cells.corners.cells() as u64));
-    let of = |kind: Result<i64, ReadFault>| Ok::<_, ReadFault>(u64::from(!is_thin(kind?)));
+    let of = |kind: Result<i64, ReadFault>| Ok::<_, ReadFault>(u64::from(is_face(kind?)));
     let typed = layout.cell_types.iter().flat_map(move |types| {
         let rows = if layout.ascii { types.tuples.max(1) } else { AT_ONCE };
         (0..types.tuples).step_by(rows).map(move |first| {
@@ -127,7 +128,7 @@ pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
                 CellKind::Typed => types.next().unwrap_or(Ok(0))?,
             };
             match (kind, corners) {
-                (kind, _) if is_thin(kind) => Ok(()),
+                (kind, _) if !is_face(kind) => Ok(()),
                 (TRIANGLE_STRIP, _) => triangles.strip(cell, at, corners),
                 (PIXEL, &[a, b, c, d]) => triangles.polygon(cell, at, &[a, b, d, c]),
                 (TRIANGLE | POLYGON | QUAD, _) => triangles.polygon(cell, at, corners),
@@ -139,17 +140,6 @@ pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
         })?;
     }
     Ok(vertices(view, &layout, Unpacking::in_memory())?.into_mesh(bytes, triangles.triangles))
-}
-
-const TRIANGLE: i64 = 5;
-const TRIANGLE_STRIP: i64 = 6;
-const POLYGON: i64 = 7;
-const PIXEL: i64 = 8;
-const QUAD: i64 = 9;
-
-/// Whether cells of this type are empty, vertices or lines, and so have neither area nor volume.
-fn is_thin(kind: i64) -> bool {
-    (0..TRIANGLE).contains(&kind)
 }
 
 fn vertices(

@@ -49,10 +49,10 @@ pub fn write_mesh(
             continue;
         }
         let scalar = match info.kind {
-            AttributeKind::Colour | AttributeKind::ByteColour => "unsigned_char",
             AttributeKind::Signed | AttributeKind::Wide => "int",
             AttributeKind::Unsigned => "unsigned_int",
-            AttributeKind::Number => "float",
+            kind if kind.is_colour() => "unsigned_char",
+            _ => "float",
         };
         let (name, components) = (encoded(name), info.components);
         writeln!(out, "{name} {components} {} {scalar}", mesh.vertex_count())?;

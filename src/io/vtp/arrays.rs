@@ -59,10 +59,10 @@ pub(in crate::io) fn attribute_names(
 /// The number type of an attribute in the file.
 fn scalar(info: &AttributeInfo) -> Scalar {
     match info.kind {
-        AttributeKind::Colour | AttributeKind::ByteColour => Scalar::U8,
         AttributeKind::Signed | AttributeKind::Wide => Scalar::I32,
         AttributeKind::Unsigned => Scalar::U32,
-        AttributeKind::Number => Scalar::F32,
+        kind if kind.is_colour() => Scalar::U8,
+        _ => Scalar::F32,
     }
 }
 

@@ -171,7 +171,7 @@ impl<'a> Decoder<'a> {
             let mut take = |chunk: &[u8]| out.push(chunk);
             return stored.read(Some(points), &mut self.allowance, &mut take);
         }
-        stored.each_number(Some(points), &mut self.allowance, &mut |number| {
+        stored.each_number(Some(points), &mut self.allowance, |number| {
             out.push(&double(as_stored, number).to_le_bytes())
         })
     }
@@ -204,10 +204,34 @@ impl<'a> Decoder<'a> {
         mut take: impl FnMut(usize, i64),
     ) -> Result<(), ReadFault> {
         let mut count = 0;
-        let mut next = |number: i64| {
+        self.try_each_integer(array, |number| {
             take(count, number);
             count += 1;
-        };
+            Ok(())
+        })
+    }
+
+    /// Whether `holds` returns true for a number of an integer array. Decodes no further numbers.
+    pub fn any_integer(
+        &mut self,
+        array: &VtpArray,
+        holds: impl Fn(i64) -> bool,
+    ) -> Result<bool, ReadFault> {
+        let mut found = false;
+        let searched = self.try_each_integer(array, |number| {
+            found = holds(number);
+            // The error only ends the search. It is not returned.
+            if found { Err(ReadFault::Empty) } else { Ok(()) }
+        });
+        if found { Ok(true) } else { searched.map(|()| false) }
+    }
+
+    /// Calls `take` with each number of an integer array, until `take` returns an error.
+    fn try_each_integer(
+        &mut self,
+        array: &VtpArray,
+        mut take: impl FnMut(i64) -> Result<(), ReadFault>,
+    ) -> Result<(), ReadFault> {
         if let DataLocation::Text(text) = &array.data {
             let mut scan = Scanner::releasing_to(self.layout.text(), text.clone());
             loop {
@@ -215,13 +239,12 @@ impl<'a> Decoder<'a> {
                 if scan.rest().is_empty() {
                     return Ok(());
                 }
-                next(scan.number()?);
+                take(scan.number()?)?;
             }
         }
         let (stored, endian) = (StoredArray { layout: self.layout, array }, self.layout.endian);
-        stored.each_number(None, &mut self.allowance, &mut |number| {
-            next(integer(array.scalar, endian, number).ok_or_else(|| no_integers(array))?);
-            Ok(())
+        stored.each_number(None, &mut self.allowance, |number| {
+            take(integer(array.scalar, endian, number).ok_or_else(|| no_integers(array))?)
         })
     }
 
@@ -300,7 +323,7 @@ impl StoredArray<'_> {
         &self,
         points: Option<usize>,
         allowance: &mut u64,
-        take: &mut TakeBytes<'_>,
+        mut take: impl FnMut(&[u8]) -> Result<(), ReadFault>,
     ) -> Result<(), ReadFault> {
         let size = self.array.scalar.size();
         // A batch may end within a number, so the start of that number is kept for the next batch.
@@ -308,7 +331,7 @@ impl StoredArray<'_> {
         self.read(points, allowance, &mut |chunk| {
             begun.extend_from_slice(chunk);
             let whole = begun.len() / size * size;
-            begun[..whole].chunks_exact(size).try_for_each(&mut *take)?;
+            begun[..whole].chunks_exact(size).try_for_each(&mut take)?;
             begun.drain(..whole);
             Ok(())
         })
@@ -345,10 +368,8 @@ impl StoredArray<'_> {
                 Ok(bytes)
             }
             _ => {
-                let what = format!(
-                    "array {} decompresses to too many bytes for its size",
-                    self.array.name
-                );
+                let what =
+                    format!("array {} expands to too many bytes for its size", self.array.name);
                 Err(ReadFault::Compression(what))
             }
         };

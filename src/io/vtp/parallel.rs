@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
+use crate::io::blocks::{described_format, no_particles};
 use crate::io::bytes::{Bytes, Unpacking, open_bytes, open_bytes_within, open_whole};
 use crate::io::input_format::{InputFormat, extension};
 use crate::io::joined::refuse_other_scales;
@@ -14,11 +15,13 @@ use crate::io::listed::resolved;
 use crate::io::pieces::join_files;
 use crate::io::vertices::Triangles;
 use crate::io::wanted::WantedParticles;
-use crate::io::{ParticleFile, Pieces, ReadError, ReadFault, UnreadPart, malformed};
+use crate::io::{ParticleFile, ReadError, ReadFault, UnreadPart, malformed};
 use crate::surface::mesh::Mesh;
 
 use super::layout::{Tag, each_tag};
-use super::read::{NumberedMesh, counts, read_block, read_numbered, read_particles, unless_text};
+use super::read::{
+    NumberedMesh, PieceContents, contents, read_block, read_numbered, read_particles, unless_inline,
+};
 
 /// Reads the points of all wanted pieces as particles, in list order.
 ///
@@ -40,12 +43,9 @@ pub fn open_particles(
     let Sources { sources, format } = Sources::parse(path, &list)?;
     let opened = wanted.pieces.of(sources.len()).max(1) as u64;
     let share = Unpacking { in_memory: unpacking.in_memory / opened, ..unpacking };
-    let open = |(number, source): (usize, &ListedPiece)| {
-        if wanted.pieces.hold(number) {
-            source.open(share)
-        } else {
-            Ok(Ok(ParticleFile::new(Pieces::default(), format)))
-        }
+    let open = |(number, source): (usize, &ListedPiece)| match wanted.pieces.hold(number) {
+        true => source.open(share).map(Some),
+        false => Ok(None),
     };
     // Reads all pieces before it returns, so that the error is always that of the first faulty
     // piece.
@@ -54,46 +54,42 @@ pub fn open_particles(
     for read in read {
         match read? {
             // Removes ghosts piece by piece, because some pieces may lack flags.
-            Ok(file) => files.push(file.without_ghosts()),
-            Err(other) => {
+            Some(Ok(file)) => files.push(Some(file.without_ghosts())),
+            Some(Err(other)) => {
                 left_out.push(other);
-                files.push(ParticleFile::new(Pieces::default(), format));
+                files.push(None);
             }
+            None => files.push(None),
         }
     }
     if left_out.len() == files.len() {
-        let blocks: Vec<_> = left_out.iter().take(SHOWN).map(ToString::to_string).collect();
-        let what =
-            format!("none of {} blocks contains particles: {}", files.len(), blocks.join("; "));
-        return Err(fail(ReadFault::Unsupported(what)));
+        return Err(fail(no_particles(&left_out)));
     }
-    let named: Vec<_> = sources.iter().map(|source| &*source.path).zip(&files).collect();
-    refuse_other_scales(&named, wanted.attributes)?;
+    let paths: Vec<&Path> = sources.iter().map(|source| &*source.path).collect();
+    refuse_other_scales(&paths, &files, wanted.attributes)?;
     let file = join_files(files, wanted.pieces)
-        .map_err(|(piece, fault)| ReadError::new(&sources[piece].path, fault))?;
+        .map_err(|(piece, fault)| ReadError::new(paths[piece], fault))?;
     left_out.extend(file.left_out);
     Ok(ParticleFile { format, left_out, ..file })
 }
 
-/// Maximum number of blocks that a message lists.
-const SHOWN: usize = 4;
-
-/// Whether the pieces form a mesh: a piece has polygons, or no piece has points.
+/// Whether the pieces form a mesh: a cell of a piece has an area or a volume, or every piece is a
+/// PolyData without points.
 ///
 /// # Errors
 /// [`ReadError`] if the pieces cannot be read.
 pub fn has_faces(path: &Path) -> Result<bool, ReadError> {
-    let mut points = 0;
+    let mut is_empty_mesh = true;
     for piece in pieces(path)? {
         let bytes = open_bytes(&piece)?;
-        let found = unless_text(bytes).and_then(|bytes| counts(bytes.view()));
-        let found = found.map_err(|fault| ReadError::new(&piece, fault))?;
-        if found.faces > 0 {
-            return Ok(true);
+        let found = unless_inline(bytes).and_then(|bytes| contents(bytes.view()));
+        match found.map_err(|fault| ReadError::new(&piece, fault))? {
+            PieceContents::Faces => return Ok(true),
+            PieceContents::EmptyMesh => {}
+            PieceContents::Particles => is_empty_mesh = false,
         }
-        points += found.points;
     }
-    Ok(points == 0)
+    Ok(is_empty_mesh)
 }
 
 /// The paths of the pieces in a .pvtp or .pvtu, or of the blocks in a .vtm.
@@ -196,7 +192,7 @@ impl ListedPiece {
         };
         let read = match extension(&self.path).as_deref() {
             Some("vtp" | "vtu") => read_block(open()?, unpacking).map_err(fail)?,
-            other => Err(format!("data in the format .{}", other.unwrap_or_default())),
+            _ => Err(described_format(&self.path)),
         };
         Ok(read.map_err(|holds| UnreadPart::Block { name: name.clone(), holds }))
     }

@@ -1,13 +1,16 @@
 //! Reads .vtp and .vtu files. Points and attributes become columns, and polygons become triangles.
 
+use std::borrow::Cow;
 use std::collections::HashSet;
 use std::ops::Range;
 
 use memchr::memmem;
 
+use crate::io::blocks::described_mesh;
 use crate::io::bytes::{ByteView, Bytes, Unpacking, unpacked_limit};
+use crate::io::cell_types::{POLY_VERTEX, VERTEX, is_face};
 use crate::io::columns::{Column, Scalar};
-use crate::io::ghosts::{POLY_VERTEX, VERTEX, VertexCells, VertexPoints, append, is_flag};
+use crate::io::ghosts::{VertexCells, VertexPoints, append, is_flag};
 use crate::io::vertices::{FileVertices, Triangles};
 use crate::io::wanted::GHOSTS;
 use crate::io::{ParticleFile, ReadFault, UnreadPart, malformed};
@@ -18,7 +21,7 @@ use super::NORMALS;
 use super::data::{Decoder, JoinedArray, PieceArray};
 use super::layout::{DataSet, HEAD, Section, VtpArray, VtpLayout, VtpPiece};
 
-/// Reads the points of all pieces as particles. Lines, and the cells of a .vtu, are ignored.
+/// Reads the points of all pieces as particles. Lines are ignored.
 ///
 /// Raw appended arrays of a single piece are read in place. If there are several pieces, or any
 /// array is text, base64 or compressed, all arrays are decoded.
@@ -28,13 +31,16 @@ use super::layout::{DataSet, HEAD, Section, VtpArray, VtpLayout, VtpPiece};
 /// or hidden.
 ///
 /// # Errors
-/// [`ReadFault::Mesh`] for a file with polygons, [`ReadFault::Truncated`] and
+/// [`ReadFault::Mesh`] if a cell has an area or a volume, [`ReadFault::Truncated`] and
 /// [`ReadFault::Malformed`] for damaged files, [`ReadFault::Compression`] for data that cannot be
 /// decompressed or whose compression ratio is too high, [`ReadFault::Unsupported`] for compressors
 /// other than zlib, LZ4 and LZMA and for data sets other than PolyData and UnstructuredGrid, and
 /// [`ReadFault::Scratch`] if the scratch file cannot be written.
 pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
-    points(unless_encoded(bytes, unpacking)?, unpacking)
+    points(unless_encoded(bytes, unpacking)?, unpacking, |layout| match faces(layout)? {
+        0 => Ok(()),
+        faces => Err(ReadFault::Mesh { faces }),
+    })
 }
 
 /// Returns `bytes` unchanged if all arrays of the points are raw. Otherwise, reads the whole file,
@@ -56,14 +62,14 @@ pub(super) fn read_block(
     let bytes = unless_encoded(bytes, unpacking)?;
     match other_contents(&VtpLayout::parse(bytes.view())?)? {
         Some(other) => Ok(Err(other)),
-        None => points(bytes, unpacking).map(Ok),
+        None => points(bytes, unpacking, |_| Ok(())).map(Ok),
     }
 }
 
 /// Describes the contents of a data set that has cells other than points. `None` for particles.
 fn other_contents(layout: &VtpLayout) -> Result<Option<String>, ReadFault> {
     if layout.faces() > 0 {
-        return Ok(Some(format!("a mesh of {} faces", layout.faces())));
+        return Ok(Some(described_mesh(layout.faces() as u64)));
     }
     if layout.pieces.iter().any(|piece| piece.lines > 0) {
         return Ok(Some("lines".to_owned()));
@@ -76,31 +82,59 @@ fn other_contents(layout: &VtpLayout) -> Result<Option<String>, ReadFault> {
     Ok((others > 0).then(|| format!("{others} cells that are not points")))
 }
 
+/// The number of cells with an area or a volume.
+fn faces(layout: &VtpLayout) -> Result<u64, ReadFault> {
+    let mut decoder = Decoder::new(layout, Unpacking::in_memory());
+    let mut faces = layout.faces() as u64;
+    for types in cell_types(layout) {
+        decoder.each_integer(types, |_, kind| faces += u64::from(is_face(kind)))?;
+    }
+    Ok(faces)
+}
+
+/// The types of the cells of an UnstructuredGrid. Pieces without cells need no such array.
+fn cell_types<'a>(layout: &'a VtpLayout<'_>) -> impl Iterator<Item = &'a VtpArray> {
+    let pieces = layout.pieces.iter().filter(|piece| piece.cells > 0);
+    pieces.filter_map(|piece| piece.array(Section::Cells, "types"))
+}
+
 /// Whether the file must be read as a whole, because arrays are text, encoded or compressed.
 ///
 /// # Errors
 /// [`ReadFault::Changed`] and [`ReadFault::Io`] if the file cannot be read.
 pub fn is_text(bytes: ByteView) -> Result<bool, ReadFault> {
-    let head = bytes.read(0..bytes.len().min(HEAD))?;
-    let has = |text: &[u8]| memmem::find(&head, text).is_some();
-    Ok(!has(b"encoding=\"raw\"") || has(b"compressor="))
+    let head = head(bytes)?;
+    Ok(!is_raw(&head) || memmem::find(&head, b"compressor=").is_some())
 }
 
-/// Returns `bytes` unchanged, or reads them into memory if the file must be read as a whole.
-pub(in crate::io) fn unless_text(bytes: Bytes) -> Result<Bytes, ReadFault> {
-    if is_text(bytes.view())? {
-        bytes.read_whole(Unpacking::in_memory()).map(Bytes::Kept)
-    } else {
+/// The start of a file, which contains all XML before raw data.
+fn head(bytes: ByteView<'_>) -> Result<Cow<'_, [u8]>, ReadFault> {
+    bytes.read(0..bytes.len().min(HEAD))
+}
+
+/// Whether a file that starts with `head` has data that is neither text nor base64.
+fn is_raw(head: &[u8]) -> bool {
+    memmem::find(head, b"encoding=\"raw\"").is_some()
+}
+
+/// Returns `bytes` unchanged if each array can be decoded on its own, even if it is compressed.
+/// Otherwise, reads the whole file, because its arrays are text or base64.
+pub(in crate::io) fn unless_inline(bytes: Bytes) -> Result<Bytes, ReadFault> {
+    if is_raw(&head(bytes.view())?) {
         Ok(bytes)
+    } else {
+        bytes.read_whole(Unpacking::for_a_look()).map(Bytes::Kept)
     }
 }
 
-fn points(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
+/// Reads the points if `check` returns no error.
+fn points(
+    bytes: Bytes,
+    unpacking: Unpacking,
+    check: impl Fn(&VtpLayout) -> Result<(), ReadFault>,
+) -> Result<ParticleFile, ReadFault> {
     let layout = VtpLayout::parse(bytes.view())?;
-    let faces = layout.faces() as u64;
-    if faces > 0 {
-        return Err(ReadFault::Mesh { faces });
-    }
+    check(&layout)?;
     let format = match layout.data_set {
         DataSet::PolyData => "VTK XML .vtp",
         DataSet::UnstructuredGrid => "VTK XML .vtu",
@@ -116,21 +150,40 @@ fn points(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault>
     Ok(ParticleFile { time, left_out: names.left_out, texts, ..file }.with_points(left))
 }
 
-/// Whether the file is a mesh: it has polygons or strips, or it has no points.
+/// Whether the file is a mesh: a cell has an area or a volume, or the file is a PolyData without
+/// points.
+///
+/// # Errors
+/// The errors of [`read_particles`], except [`ReadFault::Mesh`].
 pub fn has_faces(bytes: ByteView) -> Result<bool, ReadFault> {
-    let PieceCounts { points, faces } = counts(bytes)?;
-    Ok(points == 0 || faces > 0)
+    Ok(contents(bytes)? != PieceContents::Particles)
 }
 
-/// Numbers of points and of faces, which are polygons and strips.
-pub(super) struct PieceCounts {
-    pub points: usize,
-    pub faces: usize,
+/// The contents of a file, as far as meshes and particles differ.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum PieceContents {
+    /// A cell with an area or a volume.
+    Faces,
+    /// No points, in a PolyData. An empty mesh is written like this.
+    EmptyMesh,
+    /// Points, or an UnstructuredGrid without points.
+    Particles,
 }
 
-pub(super) fn counts(bytes: ByteView) -> Result<PieceCounts, ReadFault> {
+/// Reads the cell types up to the first cell with an area or a volume.
+pub(super) fn contents(bytes: ByteView) -> Result<PieceContents, ReadFault> {
     let layout = VtpLayout::parse(bytes)?;
-    Ok(PieceCounts { points: layout.points(), faces: layout.faces() })
+    if layout.faces() > 0 {
+        return Ok(PieceContents::Faces);
+    }
+    let mut decoder = Decoder::new(&layout, Unpacking::in_memory());
+    for types in cell_types(&layout) {
+        if decoder.any_integer(types, is_face)? {
+            return Ok(PieceContents::Faces);
+        }
+    }
+    let is_empty_mesh = layout.data_set == DataSet::PolyData && layout.points() == 0;
+    Ok(if is_empty_mesh { PieceContents::EmptyMesh } else { PieceContents::Particles })
 }
 
 /// Reads points, their attributes, and polygons. Each polygon becomes a fan of triangles around its

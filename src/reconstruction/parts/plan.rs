@@ -10,6 +10,7 @@ use crate::grid::stretch::{DecidingCells, Stretch};
 use crate::grid::units::MemoryBudget;
 use crate::grid::{MortonKey, block_of_bin};
 use crate::io::input::open_wanted;
+use crate::io::output::MeshFormat;
 use crate::io::stamp::Stamp;
 use crate::io::whole::sweep;
 use crate::io::{ParticleFile, ReadError, ReadFault};
@@ -184,6 +185,10 @@ impl Parts {
             parts,
             chunks,
         };
+        if let Some(format) = MeshFormat::of(&self.output) {
+            let attributes = || Ok(plan.attributes.clone());
+            checked.settings.check_attributes(&self.output, format, attributes)?;
+        }
         let needs = (0..).zip(&shared).map(|(part, known)| {
             let bins = known.iter().map(|&bin| bins[bin as usize]);
             let estimate = sampling.estimate(particles, surfacing, bins, plan.stretch(part));

@@ -109,7 +109,7 @@ impl SharedPlan {
         let kept: PlanFile =
             serde_json::from_slice(&bytes).map_err(|fault| damaged(fault.to_string()))?;
         if kept.to_text() != bytes || kept.plan.fingerprint() != kept.fingerprint {
-            return Err(damaged("was modified after it was written".into()));
+            return Err(damaged("modified after it was written".into()));
         }
         let PlanFile { plan, fingerprint } = kept;
         plan.validate().map_err(damaged)?;
@@ -145,7 +145,7 @@ impl SharedPlan {
             .iter()
             .try_fold(0, |all: usize, chunk| all.checked_add(chunk.particles.count));
         if listed != Some(self.particles) {
-            return Err("its chunks are not all particles".into());
+            return Err("its chunks do not contain all particles".into());
         }
         Ok(())
     }

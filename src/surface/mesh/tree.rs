@@ -26,10 +26,13 @@ pub enum Side {
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 pub enum CompareError {
     /// No triangle has an area.
-    #[error("every triangle of the {} has zero area", .0.name())]
+    #[error("the {} has no triangle with a nonzero area", .0.name())]
     NoSurface(Side),
     /// A coordinate is not finite, or so large that its powers overflow.
-    #[error("vertex {vertex} of the {} is not finite, or farther than 1e70 from the origin", side.name())]
+    #[error(
+        "vertex {vertex} of the {} has a coordinate that is not finite or exceeds 1e70",
+        side.name()
+    )]
     NotFinite {
         /// The mesh to which the vertex belongs.
         side: Side,

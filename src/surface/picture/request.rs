@@ -2,6 +2,7 @@
 
 use std::io;
 
+use bytesize::ByteSize;
 use glam::{DMat3, DVec3};
 use thiserror::Error;
 
@@ -264,7 +265,11 @@ pub enum PictureError {
     #[error("{0}")]
     Reference(CompareError),
     /// A picture that exceeds the memory limit.
-    #[error("a picture of this mesh needs {needed} bytes of memory, but the limit is {allowed}")]
+    #[error(
+        "a picture of this mesh needs {} of memory, but the limit is {}; draw a smaller picture, or \
+         raise the limit",
+        ByteSize(*needed), ByteSize(*allowed)
+    )]
     Memory {
         /// Memory that the picture needs, in bytes.
         needed: u64,

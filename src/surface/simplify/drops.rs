@@ -43,7 +43,7 @@ impl TooSmall {
         match (self.components, self.drops) {
             (_, 0) => "the limit smallest-component",
             (0, _) => "the limit smallest-drop",
-            _ => "the limits smallest-component and smallest-drop",
+            _ => "the limit smallest-component or smallest-drop",
         }
     }
 }

@@ -43,20 +43,20 @@ pub enum SolidFault {
     Mesh(#[from] CompareError),
     /// The mesh has holes.
     #[error(
-        "a solid must be closed, but {edges} edges of the mesh have a triangle on only one side: fill the holes, or merge \
-         vertices that differ only by rounding"
+        "the solid is not closed: at {edges} edges, a triangle has no neighbour; fill the holes, \
+         or merge vertices that differ only by rounding"
     )]
     Open {
-        /// Number of edges with only one triangle.
+        /// Number of edges at which a triangle has no neighbour.
         edges: usize,
     },
     /// Neighbouring triangles face opposite ways.
     #[error(
-        "at {edges} edges of the mesh, the two triangles face opposite ways, so its inside is not defined: recalculate the \
-         normals of the mesh, or flip the triangles that face inwards"
+        "the inside of the solid is undefined: at {edges} edges, neighbouring triangles face \
+         opposite ways; recalculate the normals, or flip the triangles that face inwards"
     )]
     Inconsistent {
-        /// Number of edges whose two triangles face opposite ways.
+        /// Number of edges at which neighbouring triangles face opposite ways.
         edges: usize,
     },
 }
@@ -90,7 +90,7 @@ impl Solid {
             let mesh = joined(mesh);
             refuse_unclosed(&mesh).map_err(|fault| (number, fault))?;
             let origin = mesh.positions.first().map_or(DVec3::ZERO, |&p| DVec3::from(p));
-            let tree = TriangleTree::new(&mesh, origin, Side::Reference)
+            let tree = TriangleTree::new(&mesh, origin, Side::Mesh)
                 .map_err(|fault| (number, fault.into()))?;
             let [volume, area] = volume_and_area(&tree);
             if volume < 0.0 {

@@ -11,29 +11,31 @@ from surfaces.playing import reading, volume_offset
 from surfaces.sequence import Timing, shown_at
 
 
-def listing(folder: Path, frames: list[tuple[int, float]], fps: float = 25.0) -> Path:
+def listing(folder: Path, frames: list[tuple[int, float]]) -> Path:
+    """A list of frames with their numbers and time codes."""
     path = folder / "pool.usdc.json"
-    path.write_text(json.dumps({"fps": fps, "frames": [{"frame": number, "time": time} for number, time in frames]}))
+    path.write_text(json.dumps({"frames": [{"frame": number, "time_code": code} for number, code in frames]}))
     return path
 
 
 def test_numbers_over_the_rate_are_played_one_a_frame(tmp_path: Path) -> None:
-    read = reading(listing(tmp_path, [(3, 0.12), (10, 0.4), (20, 0.8)]), Timing(start=1, first=3))
-    # Frame 1 shows file 3, whose time code is 0.12 s * 25 per second = 3.
-    assert read.offset == pytest.approx(1 - 3)
+    read = reading(listing(tmp_path, [(3, 3.0), (10, 10.0), (20, 20.0)]), Timing(start=1, first=3))
+    # Frame 1 shows file 3, whose time code is 3.
+    assert read.offset == 1 - 3
 
 
 def test_times_of_the_simulation_and_steps_go_their_own_way(tmp_path: Path) -> None:
-    # The simulation has ten files per second, and each scene frame advances by two files.
-    read = reading(listing(tmp_path, [(0, 1.0), (5, 1.5)]), Timing(start=11, first=1, step=2.0))
+    # The simulation has ten files per second, the scene has 25 frames per second, and each scene
+    # frame advances by two files.
+    read = reading(listing(tmp_path, [(0, 25.0), (5, 37.5)]), Timing(start=11, first=1, step=2.0))
     assert read.offset is None
     code = eval(read.expression, {"frame": 13})
-    # Frame 13 shows file 5, whose time is 1.5 s.
-    assert code == pytest.approx(1.5 * 25)
+    # Frame 13 shows file 5.
+    assert code == pytest.approx(37.5)
 
 
 def test_one_frame_is_where_it_is(tmp_path: Path) -> None:
-    assert reading(listing(tmp_path, [(7, 0.28)]), Timing(start=1, first=7)).offset == pytest.approx(1 - 7)
+    assert reading(listing(tmp_path, [(7, 7.0)]), Timing(start=1, first=7)).offset == 1 - 7
 
 
 @pytest.mark.parametrize("timing", [Timing(), Timing(start=10, first=3), Timing(start=5, first=8, step=2.0), Timing(start=-4, first=2, step=0.3)])

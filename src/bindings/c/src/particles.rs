@@ -196,7 +196,7 @@ impl MeniscusType {
     fn meaning(self, info: &AttributeInfo) -> AttributeKind {
         match self {
             Self::F32 | Self::F64 => info.kind,
-            _ if info.kind.is_colour() => AttributeKind::Number,
+            _ if info.kind.is_colour() => AttributeKind::WholeColour,
             _ if velocity_attribute(std::slice::from_ref(info)).is_some() => AttributeKind::Number,
             Self::I32 => AttributeKind::Signed,
             Self::U32 => AttributeKind::Unsigned,

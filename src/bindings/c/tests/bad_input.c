@@ -75,7 +75,7 @@ static void options_are_refused(void) {
   OPTION("domain", "domain", "1,1,1,0,0,0");
   OPTION("periodic box", "periodic", "0,0,0,1,0,1");
   OPTION("periodic", "periodic", "-,-,-,-,-,-");
-  OPTION("periodic", "periodic-mesh", "cut");
+  OPTION("`periodic-mesh` has no effect without `periodic`", "periodic-mesh", "cut");
   OPTION("smooth must be", "smooth", "-1");
   OPTION("smooth must be", "smooth", "nan");
   OPTION("sigma must be", "indicator", "counting", "sigma", "-1");
@@ -279,7 +279,7 @@ static void files_are_refused(const char *folder) {
   MeniscusOptions *kernels = OPTIONS("method", "zhu-bridson");
   OK(meniscus_sample(&water, kernels, &frame));
   meniscus_options_free(kernels);
-  WRITE(REQUEST, "`method` needs the particles", meniscus_frame_pack(frame, "a.mnf", 0, NULL));
+  WRITE(REQUEST, "`method` is not supported when packing", meniscus_frame_pack(frame, "a.mnf", 0, NULL));
   meniscus_frame_free(frame);
   // All queries and frees accept NULL.
   CHECK(!meniscus_mesh_vertex_count(NULL) && !meniscus_mesh_triangle_count(NULL) && !meniscus_mesh_has_normals(NULL));

@@ -154,7 +154,8 @@ impl Numbers {
         match self.kind {
             Kind::F32 | Kind::F64 => info.kind,
             Kind::U8 if info.kind.is_colour() => AttributeKind::ByteColour,
-            _ if info.kind.is_colour() => AttributeKind::Number,
+            Kind::U16 if info.kind.is_colour() => AttributeKind::ShortColour,
+            _ if info.kind.is_colour() => AttributeKind::WholeColour,
             _ if velocity_attribute(std::slice::from_ref(info)).is_some() => AttributeKind::Number,
             Kind::I8 | Kind::I16 | Kind::I32 | Kind::U8 | Kind::U16 => AttributeKind::Signed,
             Kind::U32 => AttributeKind::Unsigned,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import array
 import subprocess
 import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -233,6 +234,16 @@ def test_whole_numbers_are_those_of_a_particle_nearby(ball: Any, dtype: str) -> 
     strided[:] = ids
     other = meniscus.reconstruct(ball, spacing=1.0, attributes={"id": strided})
     assert np.array_equal(other.attributes["id"], found)
+
+
+@pytest.mark.parametrize(("dtype", "greatest"), [(np.uint8, 255), (np.int64, 255), (np.uint16, 65535)])
+def test_whole_numbers_in_the_range_of_a_colour_become_one(ball: Any, tmp_path: Path, dtype: Any, greatest: int) -> None:
+    colours = np.tile(np.round(np.array([0.2, 0.4, 1.0]) * greatest).astype(dtype), (len(ball), 1))
+    mesh = meniscus.reconstruct(ball, spacing=1.0, attributes={"Cd": colours})
+    mesh.write(tmp_path / "mesh.obj")
+    with open(tmp_path / "mesh.obj") as file:
+        vertex = next(line for line in file if line.startswith("v "))
+    assert np.allclose([float(word) for word in vertex.split()[4:]], [0.2, 0.4, 1.0], atol=1e-6)
 
 
 def test_whole_numbers_that_a_mesh_does_not_hold_are_refused(ball: Any) -> None:

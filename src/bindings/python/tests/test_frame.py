@@ -49,7 +49,7 @@ def test_it_is_packed_as_by_the_program_and_opened_again(tmp_path: Path, program
     with pytest.raises(meniscus.FileError, match="already exists"):
         frame.save(tmp_path / "ours.mnf")
     assert frame.save(tmp_path / "ours.mnf", overwrite=True) == size
-    with pytest.raises(meniscus.InputError, match="`method` needs the particles"):
+    with pytest.raises(meniscus.InputError, match="`method` is not supported when packing"):
         meniscus.Frame(ball, method="mueller").save(tmp_path / "kernels.mnf")
 
 

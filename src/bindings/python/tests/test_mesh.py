@@ -149,11 +149,11 @@ def test_numbers_out_of_range_say_what_and_where(ball: Any) -> None:
         ({"cell": 0.5, "cell_size": 0.5}, "is given, and both say the same"),
         ({"domain": (0, 0, 0, 1, 1)}, "^domain: six numbers"),
         ({"periodic": (0, None, 0, 1, 1, 1)}, "^periodic: one end of y is open"),
-        ({"domain": (5, 5, 5, 1, 1, 1)}, "corner"),
+        ({"domain": (5, 5, 5, 1, 1, 1)}, "invalid domain"),
         ({"origin": (0, 0)}, "^origin: three numbers"),
         ({"indicator": "fog"}, "^indicator: \"fog\" is none of cloud, counting, symmetry"),
         ({"sigma": 1.0}, "^`sigma` applies only to `indicator` counting or symmetry"),
-        ({"periodic_mesh": "cut"}, "periodic"),
+        ({"periodic_mesh": "cut"}, "^`periodic_mesh` has no effect without `periodic`"),
         ({"device": "0", "backend": "cpu"}, "^device: "),
         ({"simplify": -1.0}, "-1"),
         ({"smallest_drop": 2**40}, "^smallest_drop: "),
@@ -170,7 +170,7 @@ def test_particles_that_have_no_surface_say_which_and_why(ball: Any) -> None:
         meniscus.reconstruct(bad, spacing=1.0)
     with pytest.raises(ValueError, match="no particles to reconstruct"):
         meniscus.reconstruct(np.zeros((0, 3)), spacing=1.0)
-    with pytest.raises(ValueError, match="cannot estimate the spacing of 1 particles"):
+    with pytest.raises(ValueError, match="cannot estimate the spacing of 1 particle:"):
         meniscus.reconstruct(np.zeros((1, 3), np.float32))
     with pytest.raises(ValueError, match="its only component is below"):
         meniscus.reconstruct(ball, smallest_drop=10**6)

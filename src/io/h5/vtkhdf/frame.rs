@@ -18,10 +18,17 @@ pub(super) struct FrameRows {
 }
 
 impl FrameRows {
-    pub fn of(file: &H5File, root: &Group, step: Option<u64>) -> Result<Self, ReadFault> {
+    /// All rows of the data sets, as in a file without steps.
+    pub fn all(root: &Group) -> Result<Self, ReadFault> {
         let all = H5Array::named(root, "NumberOfPoints")?.rows;
+        Ok(Self { step: None, parts: [0, all], point: 0 })
+    }
+
+    pub fn of(file: &H5File, root: &Group, step: Option<u64>) -> Result<Self, ReadFault> {
+        let whole = Self::all(root)?;
+        let [_, all] = whole.parts;
         let step = match (step, step_count(root)?) {
-            (None, None) => return Ok(Self { step: None, parts: [0, all], point: 0 }),
+            (None, None) => return Ok(whole),
             (None, Some(1)) => 0,
             (Some(step), Some(steps)) if step < steps => step,
             (None, Some(steps)) if steps > 1 => return Err(several_steps(0, steps - 1)),
@@ -81,6 +88,34 @@ impl FrameRows {
         H5Table::of_arrays(arrays, "Points").ok_or_else(no_points)
     }
 
+    /// The types of the cells of an UnstructuredGrid. `None` if the file does not contain them. A
+    /// file may have fewer types than cells.
+    pub fn cell_types(&self, file: &H5File, root: &Group) -> Result<Option<H5Array>, ReadFault> {
+        let arrays = [found(root, "Types")?, found(root, "NumberOfCells")?];
+        let [Some(types), Some(_)] = arrays else { return Ok(None) };
+        let first = self.first_cell(file, root)?.min(types.rows);
+        let cells = sum(&self.of_parts(file, root, "NumberOfCells", 0)?)?;
+        let rows = cells.min(types.rows - first);
+        let types = types.part(first, rows)?;
+        types.check_small(file)?;
+        Ok(Some(types))
+    }
+
+    /// The row of the frame's first cell in the data sets of an UnstructuredGrid.
+    fn first_cell(&self, file: &H5File, root: &Group) -> Result<u64, ReadFault> {
+        let Some(step) = self.step else { return Ok(0) };
+        let steps = checked(root.group("Steps"))?;
+        if found(&steps, "CellOffsets")?.is_some() {
+            return entry(file, &steps, "CellOffsets", step);
+        }
+        if self.parts[0] == 0 {
+            return Ok(0);
+        }
+        let before = H5Array::named(root, "NumberOfCells")?.part(0, self.parts[0])?;
+        let before = before.integers(file)?.into_iter().map(|cells| count(cells, "NumberOfCells"));
+        sum(&before.collect::<Result<Vec<_>, _>>()?)
+    }
+
     pub fn time(&self, file: &H5File, root: &Group) -> Result<Option<f64>, ReadFault> {
         let Some(step) = self.step else { return Ok(time_of(root)) };
         let values = H5Array::named(&checked(root.group("Steps"))?, "Values")?.part(step, 1)?;
@@ -92,6 +127,16 @@ impl FrameRows {
 pub(super) fn sum(counts: &[u64]) -> Result<u64, ReadFault> {
     let sum = counts.iter().try_fold(0u64, |sum, &count| sum.checked_add(count));
     sum.ok_or_else(|| malformed(0, "more points than can be counted"))
+}
+
+/// The array `name` of a group. `None` if it does not exist, contains no numbers, or has several
+/// numbers per row.
+pub(super) fn found(group: &Group, name: &str) -> Result<Option<H5Array>, ReadFault> {
+    let (_, sets) = checked(group.member_names())?;
+    if !sets.iter().any(|set| set == name) {
+        return Ok(None);
+    }
+    Ok(H5Array::new(checked(group.dataset(name))?).filter(|array| array.components == 1))
 }
 
 pub(super) fn sub_group(root: &Group, name: &str) -> Result<Option<Group>, ReadFault> {

@@ -9,13 +9,14 @@ use std::ops::Range;
 
 use hdf5_reader::group::Group;
 
-use crate::io::ghosts::{VERTEX, VertexCells, VertexPoints, append, is_flag};
+use crate::io::cell_types::VERTEX;
+use crate::io::ghosts::{VertexCells, VertexPoints, append, is_flag};
 use crate::io::h5::file::{H5File, checked};
 use crate::io::h5::table::{H5Array, RowWindows};
 use crate::io::wanted::GHOSTS;
 use crate::io::{ReadFault, malformed};
 
-use super::frame::{FrameRows, count, entries, entry, sub_group, sum};
+use super::frame::{FrameRows, count, entries, entry, found, sub_group, sum};
 
 /// How the cells of a data set are stored.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -110,16 +111,6 @@ pub(super) fn left(
         return Err(malformed(0, what));
     }
     Ok(Some(left))
-}
-
-/// The array `name` of a group. `None` if it does not exist, contains no numbers, or has several
-/// numbers per row.
-fn found(group: &Group, name: &str) -> Result<Option<H5Array>, ReadFault> {
-    let (_, sets) = checked(group.member_names())?;
-    if !sets.iter().any(|set| set == name) {
-        return Ok(None);
-    }
-    Ok(H5Array::new(checked(group.dataset(name))?).filter(|array| array.components == 1))
 }
 
 /// Adds the number of the partition to an error.

@@ -9,6 +9,7 @@ mod ghosts;
 
 use hdf5_reader::group::Group;
 
+use crate::io::cell_types::is_face;
 use crate::io::vertices::{Triangles, mesh_of};
 use crate::io::wanted::WantedAttributes;
 use crate::io::{ParticleFile, ReadFault, malformed, vtp};
@@ -16,6 +17,7 @@ use crate::particles::Particles;
 use crate::surface::mesh::Mesh;
 
 use super::file::{H5File, checked};
+use super::table::H5Array;
 
 use frame::{FrameRows, count, integers, step_count, sub_group, sum};
 use ghosts::CellLayout;
@@ -49,19 +51,22 @@ pub fn steps(file: &H5File) -> Result<Vec<u64>, ReadFault> {
     Ok((0..steps).collect())
 }
 
-/// Reads the points as particles. The file must not have faces. A point is left out if all of its
-/// vertex cells are flagged as copies or hidden.
+/// Reads the points as particles. The frame must not have cells with an area or a volume, and
+/// PolyData must have none in any frame. A point is left out if all of its vertex cells are flagged
+/// as copies or hidden.
 pub fn read_particles(
     file: H5File,
     step: Option<u64>,
     wanted: WantedAttributes,
 ) -> Result<ParticleFile, ReadFault> {
     let (root, kind) = opened(&file)?;
-    let faces = if kind == POLY_DATA { faces(&file, &root)? } else { 0 };
-    if faces > 0 {
-        return Err(ReadFault::Mesh { faces });
-    }
+    refuse_mesh(if kind == POLY_DATA { faces(&file, &root)? } else { 0 })?;
     let frame = FrameRows::of(&file, &root, step)?;
+    if kind != POLY_DATA
+        && let Some(types) = frame.cell_types(&file, &root)?
+    {
+        refuse_mesh(typed_faces(&types).sum::<Result<u64, ReadFault>>()?)?;
+    }
     let time = frame.time(&file, &root)?;
     let table = frame.table(&file, &root)?;
     let (cells, format) = match kind == POLY_DATA {
@@ -71,6 +76,20 @@ pub fn read_particles(
     let left = ghosts::left(&file, &root, &frame, cells)?;
     drop(root);
     Ok(ParticleFile { time, ..table.read(file, format, wanted)? }.with_points(left))
+}
+
+fn refuse_mesh(faces: u64) -> Result<(), ReadFault> {
+    if faces > 0 { Err(ReadFault::Mesh { faces }) } else { Ok(()) }
+}
+
+/// The numbers of cells with an area or a volume, one number for each window of the types. The
+/// caller adds them up.
+fn typed_faces(types: &H5Array) -> impl Iterator<Item = Result<u64, ReadFault>> {
+    let windows = types.windows();
+    (0..windows.count).map(move |window| {
+        let kinds = types.some_integers(windows.rows(window, types.rows))?;
+        Ok(kinds.into_iter().filter(|&kind| is_face(kind)).count() as u64)
+    })
 }
 
 /// The total number of polygons and strips in all partitions and steps.
@@ -85,10 +104,17 @@ fn faces(file: &H5File, root: &Group) -> Result<u64, ReadFault> {
     Ok(faces)
 }
 
-/// Whether the file contains a mesh: PolyData with polygons or strips, or without any points.
+/// Whether the file contains a mesh: a cell has an area or a volume, or PolyData has no points.
 pub fn has_faces(file: &H5File) -> Result<bool, ReadFault> {
     let (root, kind) = opened(file)?;
     if kind != POLY_DATA {
+        let types = FrameRows::all(&root)?.cell_types(file, &root)?;
+        let Some(types) = types else { return Ok(false) };
+        for faces in typed_faces(&types) {
+            if faces? > 0 {
+                return Ok(true);
+            }
+        }
         return Ok(false);
     }
     if faces(file, &root)? > 0 {

@@ -29,12 +29,12 @@ class Reading:
 
 
 def reading(listing: Path, timing: Timing) -> Reading:
-    """Reads the frames' times from the JSON file of a conversion, and maps scene frames to time codes."""
+    """Reads the frames' time codes from the JSON file of a conversion, and maps scene frames to time codes."""
     listed = json.loads(listing.read_text())
-    first, last, fps = listed["frames"][0], listed["frames"][-1], listed["fps"]
+    first, last = listed["frames"][0], listed["frames"][-1]
     numbers = last["frame"] - first["frame"]
-    codes = (last["time"] - first["time"]) * fps / numbers if numbers else 1.0
-    at_start = first["time"] * fps + codes * (timing.first - first["frame"])
+    codes = (last["time_code"] - first["time_code"]) / numbers if numbers else 1.0
+    at_start = first["time_code"] + codes * (timing.first - first["frame"])
     return Reading(timing.start, at_start, codes * timing.step)
 
 

@@ -1,0 +1,160 @@
+//! Joins the blocks of a frame, which a list of frames names, and leaves out blocks that hold no
+//! particles. Describes such blocks for messages.
+
+use std::path::Path;
+
+use crate::particles::Particles;
+use crate::particles::selection::SelectionFault;
+
+use super::bytes::Unpacking;
+use super::collection::FrameBlock;
+use super::input::{join, open_each, open_unselected};
+use super::input_format::extension;
+use super::wanted::WantedParticles;
+use super::{ParticleFile, ReadError, ReadFault, UnreadPart};
+
+/// Maximum number of blocks that a message lists.
+const SHOWN: usize = 4;
+
+/// A block that was opened.
+enum OpenedBlock {
+    Particles(Box<ParticleFile>),
+    /// Particles that lack the attribute of a condition.
+    Lacking {
+        particles: usize,
+        error: ReadError,
+    },
+    /// Description of contents other than particles.
+    Other(String),
+}
+
+/// Opens the blocks of a frame of the list at `path`, as one set of particles.
+///
+/// Blocks without particles, such as meshes, are left out. If only some blocks have the attribute
+/// of a condition, no particle of the other blocks satisfies the condition.
+///
+/// # Errors
+/// The errors of [`open_joined`](super::input::open_joined), and [`ReadFault::Unsupported`] if no
+/// block contains particles.
+pub(super) fn open_blocks(
+    path: &Path,
+    blocks: &[FrameBlock],
+    wanted: WantedParticles,
+    unpacking: Unpacking,
+) -> Result<ParticleFile, ReadError> {
+    let paths: Vec<&Path> = blocks.iter().map(|block| &*block.file).collect();
+    let opened = open_each(&paths, wanted, unpacking, open_block)?;
+    let (mut files, mut left_out) = (Vec::new(), Vec::new());
+    let (mut lacking, mut unselected): (Option<(usize, ReadError)>, _) = (None, 0);
+    for (block, opened) in blocks.iter().zip(opened) {
+        let file = match opened {
+            Some(OpenedBlock::Particles(file)) => Some(*file),
+            Some(OpenedBlock::Lacking { particles, error }) => {
+                // The largest block is the one whose attributes a message should list.
+                if lacking.as_ref().is_none_or(|(most, _)| particles > *most) {
+                    lacking = Some((particles, error));
+                }
+                unselected += particles;
+                None
+            }
+            Some(OpenedBlock::Other(holds)) => {
+                left_out.push(UnreadPart::Block { name: block.title(), holds });
+                None
+            }
+            None => None,
+        };
+        files.push(file);
+    }
+    if left_out.len() == files.len() {
+        return Err(ReadError::new(path, no_particles(&left_out)));
+    }
+    if let Some((_, error)) = lacking.filter(|_| files.iter().all(Option::is_none)) {
+        return Err(error);
+    }
+    left_out.extend(blocks.iter().zip(&files).filter_map(|(block, file)| block.empty(file)));
+    left_out.extend(joined_names(blocks, &files));
+    let joined = join(&paths, files, wanted)?;
+    left_out.extend(joined.left_out);
+    Ok(ParticleFile { unselected: joined.unselected + unselected, left_out, ..joined })
+}
+
+fn open_block(
+    path: &Path,
+    wanted: WantedParticles,
+    unpacking: Unpacking,
+) -> Result<OpenedBlock, ReadError> {
+    let file = match open_unselected(path, wanted, unpacking) {
+        Ok(file) => file,
+        Err(error) => return other_contents(path, error).map(OpenedBlock::Other),
+    };
+    let particles = file.particles.len();
+    match file.selected(wanted.conditions, unpacking) {
+        Ok(file) => Ok(OpenedBlock::Particles(Box::new(file))),
+        Err(fault) => {
+            let is_lacking =
+                matches!(fault, ReadFault::Selection(SelectionFault::NoAttribute { .. }));
+            let error = ReadError::new(path, fault);
+            if is_lacking { Ok(OpenedBlock::Lacking { particles, error }) } else { Err(error) }
+        }
+    }
+}
+
+/// Describes the contents of a block that holds no particles. Returns all other errors.
+fn other_contents(path: &Path, error: ReadError) -> Result<String, ReadError> {
+    match error.fault {
+        ReadFault::Mesh { faces } if error.path == path => Ok(described_mesh(faces)),
+        // Other pieces of the block may have more faces.
+        ReadFault::Mesh { .. } => Ok("a mesh".to_owned()),
+        ReadFault::UnknownExtension { .. } => Ok(described_format(path)),
+        _ => Err(error),
+    }
+}
+
+/// The names of the blocks with particles, if they differ.
+fn joined_names(blocks: &[FrameBlock], files: &[Option<ParticleFile>]) -> Option<UnreadPart> {
+    let mut names: Vec<String> = Vec::new();
+    for (block, file) in blocks.iter().zip(files) {
+        let filled = file.as_ref().filter(|file| !file.particles.is_empty());
+        if let Some(name) = block.name.as_ref().filter(|_| filled.is_some())
+            && !names.contains(name)
+        {
+            names.push(name.clone());
+        }
+    }
+    (names.len() > 1).then_some(UnreadPart::Names(names))
+}
+
+impl FrameBlock {
+    /// The name of the block or, without a name, of its file.
+    fn title(&self) -> String {
+        let file = self.file.file_name().unwrap_or_default().to_string_lossy();
+        self.name.clone().unwrap_or_else(|| file.into_owned())
+    }
+
+    /// The description of a block without points. `None` for other blocks, and for blocks without a
+    /// name, which are usually the pieces of a parallel simulation.
+    fn empty(&self, file: &Option<ParticleFile>) -> Option<UnreadPart> {
+        let file = file.as_ref()?;
+        let is_empty = file.particles.is_empty() && file.ghosts == 0 && file.unselected == 0;
+        let name = self.name.clone().filter(|_| is_empty)?;
+        Some(UnreadPart::Block { name, holds: "no points".to_owned() })
+    }
+}
+
+/// The error for a list none of whose blocks contains particles.
+pub(super) fn no_particles(blocks: &[UnreadPart]) -> ReadFault {
+    let shown: Vec<_> = blocks.iter().take(SHOWN).map(ToString::to_string).collect();
+    let count = blocks.len();
+    let what = format!("none of {count} blocks contains particles: {}", shown.join("; "));
+    ReadFault::Unsupported(what)
+}
+
+/// Describes a mesh, for [`UnreadPart::Block`].
+pub(super) fn described_mesh(faces: u64) -> String {
+    format!("a mesh of {faces} faces")
+}
+
+/// Describes a file in a format without particles, for [`UnreadPart::Block`].
+pub(super) fn described_format(path: &Path) -> String {
+    format!("data in the format .{}", extension(path).unwrap_or_default())
+}

@@ -1,0 +1,317 @@
+//! Time codes of a simulation's frames, and the frame rate that their times imply.
+//!
+//! A time code is a time in units of one frame of the scene that plays the meshes. Programs show
+//! whole time codes, and each mesh from its own time code on. If the time code of a mesh is 4.00001
+//! instead of 4, for example because its time was printed with six digits, programs show the mesh
+//! only at 5. So time codes that are close to a whole number are rounded.
+
+use std::ops::RangeInclusive;
+
+use super::series::SeriesFrame;
+
+/// Frames per second in USD and Alembic if the frame rate is neither given nor implied by the
+/// times. This is USD's default.
+pub(crate) const FRAMES_A_SECOND: f64 = 24.0;
+
+/// Largest difference, in frames, between the time of a frame and an evenly spaced time.
+///
+/// It covers times that are printed with six digits, up to 1000 s at 100 frames per second. It also
+/// covers simulators that write the first time step after the requested time, if they make at least
+/// 20 steps per frame. Rounding by this difference moves a mesh by at most a twentieth of its
+/// motion per frame. Without rounding, programs would show a late mesh a whole frame later.
+const TOLERANCE: f64 = 0.05;
+
+/// Largest difference between a time code and a whole number, if all frames of a simulation are
+/// this close to different whole numbers.
+///
+/// Then the simulation has at most one frame per time code, and its times are inaccurate. The
+/// difference covers times that are printed with two decimals, up to 40 frames per second, and
+/// simulators that make at least 5 steps per frame.
+const TOLERANCE_OF_ALL: f64 = 0.2;
+
+/// Frame rates that times can imply, in frames per second.
+const IMPLIED: RangeInclusive<f64> = 1.0..=1000.0;
+
+/// Whole frame rates that film and television divide by 1.001: 23.976 and 29.97 frames per second,
+/// for example.
+const DIVIDED: [f64; 5] = [24.0, 30.0, 48.0, 60.0, 120.0];
+
+/// Minimum number of frames that show the step of a simulation, so that a last frame off this step
+/// counts as the state at the end of the simulation, which many programs write in addition.
+pub(crate) const REGULAR: usize = 4;
+
+/// The time of a frame in the lists and archives of a simulation.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct FrameTime {
+    /// Time in seconds, or the frame number if the time and the frame rate are unknown.
+    pub time: f64,
+    /// Time code of the frame.
+    pub code: f64,
+    /// Time in seconds in an archive. If the frame rate is known, this is the time of the time
+    /// code.
+    pub seconds: f64,
+}
+
+/// The times of all frames of a simulation.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Timeline {
+    /// Number of time codes per second.
+    pub codes_per_second: f64,
+    /// The time of each frame, in the order of the frames.
+    pub frames: Vec<FrameTime>,
+}
+
+impl Timeline {
+    /// Makes the timeline of frames that are sorted by number. `fps` is the frame rate in frames
+    /// per second, if it is given.
+    ///
+    /// The times are those of the frames, if these are strictly increasing, and otherwise the frame
+    /// numbers. Time codes are strictly increasing, too.
+    pub fn of(frames: &[SeriesFrame], fps: Option<f64>) -> Self {
+        Self::of_times(frames, fps).unwrap_or_else(|| Self::of_numbers(frames, fps))
+    }
+
+    fn of_times(frames: &[SeriesFrame], fps: Option<f64>) -> Option<Self> {
+        let times: Vec<f64> = frames.iter().map(|frame| frame.time).collect::<Option<_>>()?;
+        if !is_increasing(&times) {
+            return None;
+        }
+        let numbers: Vec<i64> = frames.iter().map(|frame| frame.frame).collect();
+        let rate = fps.or_else(|| implied_rate(&times, &numbers));
+        let codes_per_second = rate.unwrap_or(FRAMES_A_SECOND);
+        let codes = time_codes(&times, codes_per_second);
+        if !is_increasing(&codes) {
+            return None;
+        }
+        let timed = |(time, code): (f64, f64)| {
+            // If the rate of the scene is unknown, an archive keeps the exact times.
+            FrameTime { time, code, seconds: rate.map_or(time, |rate| code / rate) }
+        };
+        Some(Self { codes_per_second, frames: times.into_iter().zip(codes).map(timed).collect() })
+    }
+
+    fn of_numbers(frames: &[SeriesFrame], fps: Option<f64>) -> Self {
+        let codes_per_second = fps.unwrap_or(FRAMES_A_SECOND);
+        let timed = |frame: &SeriesFrame| {
+            let code = frame.frame as f64;
+            FrameTime { time: code / fps.unwrap_or(1.0), code, seconds: code / codes_per_second }
+        };
+        Self { codes_per_second, frames: frames.iter().map(timed).collect() }
+    }
+}
+
+fn is_increasing(values: &[f64]) -> bool {
+    values.iter().all(|value| value.is_finite()) && values.is_sorted_by(|a, b| a < b)
+}
+
+/// Converts increasing times in seconds to time codes.
+///
+/// All time codes are rounded, if all are within [`TOLERANCE_OF_ALL`] of different whole numbers.
+/// Otherwise, a time code is rounded if it is within [`TOLERANCE`] of a whole number, in units of
+/// the smallest of 1 and the distances to the time codes before and after it. So rounding never
+/// makes two time codes equal.
+fn time_codes(times: &[f64], codes_per_second: f64) -> Vec<f64> {
+    let exact: Vec<f64> = times.iter().map(|time| time * codes_per_second).collect();
+    // Adding 0 turns -0 into 0.
+    let whole: Vec<f64> = exact.iter().map(|code| code.round() + 0.0).collect();
+    let is_near = |(code, whole): (&f64, &f64)| (code - whole).abs() <= TOLERANCE_OF_ALL;
+    if is_increasing(&whole) && exact.iter().zip(&whole).all(is_near) {
+        return whole;
+    }
+    let rounded = |(index, &code): (usize, &f64)| {
+        let before = index.checked_sub(1).map(|before| code - exact[before]);
+        let after = exact.get(index + 1).map(|after| after - code);
+        let step = before.into_iter().chain(after).fold(1.0, f64::min);
+        if (code - whole[index]).abs() <= TOLERANCE * step { whole[index] } else { code }
+    };
+    exact.iter().enumerate().map(rounded).collect()
+}
+
+/// Returns the frame rate, in frames per second, that evenly spaced times imply. It is a whole
+/// number, or one that is divided by 1.001.
+///
+/// Times are evenly spaced if they are proportional to the frame numbers, or if their differences
+/// are multiples of the smallest difference. So frames may be missing. The last frame may be off
+/// the step.
+fn implied_rate(times: &[f64], numbers: &[i64]) -> Option<f64> {
+    let before_last = Some(times.len().saturating_sub(1)).filter(|&frames| frames >= REGULAR);
+    [times.len()].into_iter().chain(before_last).find_map(|end| {
+        let times = &times[..end];
+        let steps = [steps_by_number(&numbers[..end]), steps_by_time(times)];
+        steps.iter().find_map(|steps| rate_of(times, steps))
+    })
+}
+
+/// Counts the steps from the first frame to each frame. A step is the largest number that divides
+/// all differences of frame numbers.
+fn steps_by_number(numbers: &[i64]) -> Vec<f64> {
+    let first = numbers.first().copied().unwrap_or_default();
+    let differences = || numbers.iter().map(|number| number.abs_diff(first));
+    let step = differences().fold(0, greatest_common_divisor).max(1);
+    differences().map(|difference| (difference / step) as f64).collect()
+}
+
+/// Counts the steps from the first frame to each frame. A step is the smallest difference of times.
+fn steps_by_time(times: &[f64]) -> Vec<f64> {
+    let differences = || times.windows(2).map(|pair| pair[1] - pair[0]);
+    let smallest = differences().fold(f64::INFINITY, f64::min);
+    let mut steps = vec![0.0; times.len().min(1)];
+    let mut sum = 0.0;
+    for difference in differences() {
+        sum += (difference / smallest).round();
+        steps.push(sum);
+    }
+    steps
+}
+
+/// Returns the frame rate at which each time is `steps` frames after the first time, within
+/// [`TOLERANCE`].
+fn rate_of(times: &[f64], steps: &[f64]) -> Option<f64> {
+    let (first, last) = (times.first()?, times.last()?);
+    let whole = (steps.last()? / (last - first)).round();
+    let deviation = |rate: f64| {
+        let deviations =
+            times.iter().zip(steps).map(|(time, step)| ((time - first) * rate - step).abs());
+        deviations.fold(0.0, f64::max)
+    };
+    // In a short sequence, both rates are within the tolerance. The whole rate is the usual one, so
+    // the other must be clearly better.
+    let divided = DIVIDED.contains(&whole).then_some(whole * 1000.0 / 1001.0);
+    let divided = divided.filter(|&divided| 10.0 * deviation(divided) < deviation(whole));
+    let rate = divided.unwrap_or(whole);
+    (IMPLIED.contains(&rate) && deviation(rate) <= TOLERANCE).then_some(rate)
+}
+
+/// The largest number that divides `a` and `b`.
+pub(crate) fn greatest_common_divisor(a: u64, b: u64) -> u64 {
+    if b == 0 { a } else { greatest_common_divisor(b, a % b) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A number with six significant digits, as simulators print it.
+    fn printed(time: f64) -> f64 {
+        format!("{time:.5e}").parse().unwrap()
+    }
+
+    /// The times of frames 0 to 199 at a frame rate, each changed by `change`.
+    fn at_rate(rate: f64, change: impl Fn(f64) -> f64) -> Vec<f64> {
+        (0..200).map(|frame| change(f64::from(frame) / rate)).collect()
+    }
+
+    fn numbers(times: &[f64]) -> Vec<i64> {
+        (0..times.len() as i64).collect()
+    }
+
+    fn implied(times: &[f64]) -> Option<f64> {
+        implied_rate(times, &numbers(times))
+    }
+
+    #[test]
+    fn printed_single_precision_and_late_times_have_whole_codes() {
+        let whole: Vec<f64> = (0..200).map(f64::from).collect();
+        for rate in [10.0, 24.0, 25.0, 30.0, 60.0, 100.0, 24_000.0 / 1001.0] {
+            assert_eq!(time_codes(&at_rate(rate, printed), rate), whole, "{rate}");
+            let single = at_rate(rate, |time| f64::from(time as f32));
+            assert_eq!(time_codes(&single, rate), whole, "{rate}");
+            let late = at_rate(rate, |time| if time > 0.0 { time + 0.0004 } else { time });
+            assert_eq!(time_codes(&late, rate), whole, "{rate}");
+        }
+        for rate in [24.0, 30.0] {
+            let two_decimals = at_rate(rate, |time| (100.0 * time).round() / 100.0);
+            assert_eq!(time_codes(&two_decimals, rate), whole, "{rate}");
+        }
+        assert_eq!(time_codes(&[-0.000_001, 0.25], 24.0)[0].to_bits(), 0, "no negative zero");
+    }
+
+    #[test]
+    fn times_between_time_codes_stay_as_they_are() {
+        // A simulation with 10 frames per second, in a stage with 24.
+        let codes = time_codes(&[0.0, 0.500_047, 0.900_049], 24.0);
+        assert_eq!(codes[..2], [0.0, 12.0]);
+        assert!((codes[2] - 21.601_176).abs() < 1e-9, "{codes:?}");
+        assert_eq!(time_codes(&[0.0, 0.125, 0.25], 10.0), [0.0, 1.25, 2.5]);
+    }
+
+    #[test]
+    fn rounding_never_makes_two_time_codes_equal() {
+        // The frames are much denser than the time codes.
+        for step in [1e-3, 1e-5, 1e-9, 1e-13] {
+            let times: Vec<f64> = (-50..50).map(|frame| 1.0 + step * f64::from(frame)).collect();
+            let codes = time_codes(&times, 24.0);
+            assert!(is_increasing(&codes), "{step}");
+            assert!(codes.contains(&24.0), "{step}");
+        }
+    }
+
+    #[test]
+    fn evenly_spaced_times_imply_their_rate_even_if_frames_are_missing() {
+        for rate in [1.0, 10.0, 24.0, 25.0, 30.0, 50.0, 60.0, 240.0, 1000.0] {
+            let mut times = at_rate(rate, printed);
+            assert_eq!(implied(&times), Some(rate));
+            times.retain(|time| (time * rate).round() as i64 % 7 != 3);
+            assert_eq!(implied(&times), Some(rate), "with gaps");
+            assert_eq!(implied(&times[..2]), Some(rate), "two frames");
+        }
+        for rate in DIVIDED.map(|rate| rate * 1000.0 / 1001.0) {
+            assert_eq!(implied(&at_rate(rate, printed)), Some(rate));
+        }
+        let late = at_rate(24.0, |time| if time > 0.0 { time + 0.0004 } else { time });
+        (2..200).for_each(|end| assert_eq!(implied(&late[..end]), Some(24.0), "{end} frames"));
+        // The first frame need not be at time 0, and the last may be off the step.
+        assert_eq!(implied(&[7.013, 7.053, 7.093, 7.133, 7.15]), Some(25.0));
+    }
+
+    #[test]
+    fn frame_numbers_reveal_the_rate_if_no_two_neighbours_exist() {
+        let times = [0.0, 0.500_047, 0.900_049];
+        assert_eq!(implied_rate(&times, &[0, 5, 9]), Some(10.0));
+        assert_eq!(implied(&times), None);
+        // If numbers count time steps, their common step is one frame.
+        assert_eq!(implied_rate(&[0.1, 0.14, 0.22], &[500, 700, 1100]), Some(25.0));
+        assert_eq!(implied_rate(&[0.0, 0.2, 0.4], &[i64::MIN, 0, i64::MAX]), Some(5.0));
+    }
+
+    #[test]
+    fn uneven_times_and_rates_out_of_range_imply_nothing() {
+        for times in [
+            &[][..],
+            &[0.5],
+            &[0.0, 0.04, 0.1, 0.13],
+            &[0.0, 2.0, 4.0],
+            &[0.0, 1e-4, 2e-4],
+            &[0.0, 0.375, 0.75],
+            &[-f64::MAX, 0.0, f64::MAX],
+            &[0.0, 5e-324, 1e-323],
+        ] {
+            assert_eq!(implied(times), None, "{times:?}");
+        }
+    }
+
+    #[test]
+    fn an_archive_has_exact_times_if_the_frame_rate_is_unknown() {
+        let frame = |(frame, time): (i64, f64)| SeriesFrame {
+            frame,
+            time: Some(time),
+            file: String::new(),
+            bytes: 0,
+            particles: 0,
+            vertices: 0,
+            triangles: 0,
+            bounds: None,
+            normals: false,
+            attributes: Vec::new(),
+        };
+        let frames: Vec<_> = (1..).zip([0.0, 0.04, 0.1]).map(frame).collect();
+        let seconds = |fps: Option<f64>| -> Vec<f64> {
+            Timeline::of(&frames, fps).frames.iter().map(|frame| frame.seconds).collect()
+        };
+        // At 24 frames per second, 0.04 s is 0.96 frames.
+        assert_eq!(Timeline::of(&frames, None).frames[1].code, 1.0);
+        assert_eq!(seconds(None), [0.0, 0.04, 0.1]);
+        assert_eq!(seconds(Some(24.0))[1], 1.0 / 24.0);
+        assert_eq!(Timeline::of(&frames, None).codes_per_second, 24.0);
+    }
+}

@@ -1,0 +1,173 @@
+//! Tests that a file of any VTK format is a mesh if a cell has an area or a volume, and otherwise
+//! contains particles.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use meniscus::error::Error;
+use meniscus::files::{frames, info};
+use meniscus::internals::io::bytes::Unpacking;
+use meniscus::internals::io::input::{holds_mesh, open_particles};
+use meniscus::internals::io::{ParticleFile, ReadError, ReadFault};
+use tempfile::TempDir;
+
+use crate::build::{VtkXml, tuples};
+use crate::common::particle_files::positions;
+
+fn open(path: &Path) -> Result<ParticleFile, ReadError> {
+    open_particles(path, Unpacking::in_memory())
+}
+
+/// The number of faces for which a file is refused as a mesh.
+#[track_caller]
+fn faces(path: &Path) -> u64 {
+    let error = open(path).expect_err("is a mesh");
+    let ReadFault::Mesh { faces } = error.fault else { panic!("{error}") };
+    faces
+}
+
+fn written(folder: &TempDir, name: &str, content: impl AsRef<[u8]>) -> PathBuf {
+    let path = folder.path().join(name);
+    fs::write(&path, content).unwrap();
+    path
+}
+
+/// A .vtu in text. Its two pieces have the points from 0 to 2 on each axis and 3 to 4, and cells of
+/// these types.
+fn grid(types: [&str; 2]) -> String {
+    let piece = |points: &[usize], types: &str| {
+        let numbers = |all: &mut dyn Iterator<Item = usize>| {
+            all.map(|number| number.to_string()).collect::<Vec<_>>().join(" ")
+        };
+        let at = numbers(&mut points.iter().flat_map(|&i| [i; 3]));
+        format!(
+            "<Piece NumberOfPoints=\"{}\" NumberOfCells=\"{}\"><Points>\
+             <DataArray type=\"Float64\" NumberOfComponents=\"3\">{at}</DataArray></Points>\
+             <Cells><DataArray type=\"UInt8\" Name=\"types\">{types}</DataArray></Cells></Piece>",
+            points.len(),
+            types.split_whitespace().count(),
+        )
+    };
+    format!(
+        "<VTKFile type=\"UnstructuredGrid\"><UnstructuredGrid>{}{}</UnstructuredGrid></VTKFile>",
+        piece(&[0, 1, 2], types[0]),
+        piece(&[3, 4], types[1]),
+    )
+}
+
+#[test]
+fn a_vtu_cell_with_an_area_or_volume_makes_a_mesh_in_every_encoding() {
+    let folder = TempDir::new().unwrap();
+    let points = tuples(5);
+    let list = "<VTKFile type=\"PUnstructuredGrid\"><PUnstructuredGrid><Piece Source=\"a.vtu\"/>\
+                </PUnstructuredGrid></VTKFile>";
+    let list = written(&folder, "a.pvtu", list);
+    for layout in VtkXml::all() {
+        // An empty cell, a vertex, several vertices, a line and several lines stay particles.
+        let path = written(&folder, "a.vtu", layout.build_cells(&points, &[0., 1., 2., 3., 4.]));
+        for path in [&path, &list] {
+            assert_eq!(positions(&open(path).unwrap()), points, "{layout:?}");
+            assert!(!holds_mesh(path).unwrap(), "{layout:?}");
+        }
+        for (types, count) in [
+            ([5., 1., 1., 1., 1.], 1),
+            ([1., 1., 1., 1., 7.], 1),
+            ([3., 12., 1., 10., 42.], 3),
+            ([1., 1., -1., 1., 1.], 1),
+        ] {
+            written(&folder, "a.vtu", layout.build_cells(&points, &types));
+            for path in [&path, &list] {
+                assert_eq!(faces(path), count, "{layout:?} {types:?}");
+                assert!(holds_mesh(path).unwrap(), "{layout:?} {types:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn every_piece_of_a_vtu_counts_and_cells_that_are_not_announced_do_not() {
+    let folder = TempDir::new().unwrap();
+    let count = |types| faces(&written(&folder, "a.vtu", grid(types)));
+    assert_eq!(count(["1 1 1", "1 9"]), 1);
+    assert_eq!(count(["10 8", "5 3"]), 3);
+    for types in [["1 1 1", "1 1"], ["2", "3"], ["", "1 1"], ["", ""]] {
+        let path = written(&folder, "a.vtu", grid(types));
+        assert_eq!(positions(&open(&path).unwrap()), [0, 1, 2, 3, 4].map(|i| [f64::from(i); 3]));
+        assert!(!holds_mesh(&path).unwrap(), "{types:?}");
+    }
+    let none = grid(["10", ""]).replace("NumberOfCells=\"1\"", "NumberOfCells=\"0\"");
+    assert_eq!(positions(&open(&written(&folder, "a.vtu", none)).unwrap()).len(), 5);
+}
+
+#[test]
+fn cell_types_after_the_first_face_are_not_read() {
+    let folder = TempDir::new().unwrap();
+    let path = written(&folder, "a.vtu", grid(["1 10 wrong", "1"]));
+    assert!(holds_mesh(&path).unwrap());
+    // The error for particles gives the number of faces, so all types are read.
+    assert!(matches!(open(&path).unwrap_err().fault, ReadFault::Line { .. }));
+    let path = written(&folder, "a.vtu", grid(["1 wrong 10", "1"]));
+    holds_mesh(&path).unwrap_err();
+}
+
+#[test]
+fn a_file_without_points_is_an_empty_mesh_only_if_it_is_polydata() {
+    let folder = TempDir::new().unwrap();
+    for (name, kind, is_mesh) in [("a.vtp", "PolyData", true), ("a.vtu", "UnstructuredGrid", false)]
+    {
+        let text = format!(
+            "<VTKFile type=\"{kind}\"><{kind}><Piece NumberOfPoints=\"0\"/></{kind}></VTKFile>"
+        );
+        assert_eq!(holds_mesh(&written(&folder, name, text)).unwrap(), is_mesh, "{name}");
+    }
+}
+
+#[test]
+fn a_grid_is_refused_as_particles_with_the_same_reason_in_every_format() {
+    let folder = TempDir::new().unwrap();
+    let points: String = (0..8).map(|i| format!("{} {} {}\n", i & 1, i >> 1 & 1, i >> 2)).collect();
+    written(
+        &folder,
+        "a.vtk",
+        format!(
+            "# vtk DataFile Version 3.0\ngrid\nASCII\nDATASET UNSTRUCTURED_GRID\nPOINTS 8 float\n\
+             {points}CELLS 1 9\n8 0 1 3 2 4 5 7 6\nCELL_TYPES 1\n12\n"
+        ),
+    );
+    written(
+        &folder,
+        "a.vtu",
+        format!(
+            "<VTKFile type=\"UnstructuredGrid\"><UnstructuredGrid>\
+             <Piece NumberOfPoints=\"8\" NumberOfCells=\"1\"><Points><DataArray type=\"Float32\" \
+             NumberOfComponents=\"3\">{points}</DataArray></Points><Cells>\
+             <DataArray type=\"UInt8\" Name=\"types\">12</DataArray></Cells></Piece>\
+             </UnstructuredGrid></VTKFile>"
+        ),
+    );
+    for name in ["a.vtk", "a.vtu"] {
+        assert_eq!(faces(&folder.path().join(name)), 1, "{name}");
+    }
+    // No mesh is read from a .vtu, so its contents are described as particles.
+    let error = info(folder.path().join("a.vtu")).unwrap_err();
+    let Error::Read(ReadError { fault: ReadFault::Mesh { faces: 1 }, .. }) = error else {
+        panic!("{error}")
+    };
+}
+
+#[test]
+fn grids_in_a_folder_of_particles_are_not_taken_for_frames() {
+    let folder = TempDir::new().unwrap();
+    let particles = VtkXml::all()[0].build(&tuples(5));
+    let list = "<VTKFile type=\"PUnstructuredGrid\"><PUnstructuredGrid>\
+                <Piece Source=\"piece.vtu\"/></PUnstructuredGrid></VTKFile>";
+    written(&folder, "piece.vtu", grid(["9", ""]));
+    for frame in 1..=2 {
+        written(&folder, &format!("fluid_{frame}.vtu"), &particles);
+        written(&folder, &format!("wall_{frame}.vtu"), grid(["9 9", "9"]));
+        written(&folder, &format!("floor_{frame}.pvtu"), list);
+    }
+    let frames = frames(&[folder.path().to_owned()]).unwrap();
+    let paths: Vec<_> = frames.iter().map(|frame| frame.path.clone()).collect();
+    assert_eq!(paths, [1, 2].map(|frame| folder.path().join(format!("fluid_{frame}.vtu"))));
+}
