@@ -9,8 +9,10 @@ use super::bytes::{ByteView, Bytes, Unpacking};
 use super::columns::{Column, ColumnStore, Endian, ParticleRows, Scalar};
 use super::names::{Quantity, repeated_position};
 use super::number::ParseNumber;
-use super::table::unnamed_columns;
-use super::table::{HEAD, Separator, Syntax, TableColumns, TextTable, excerpt, is_row, names_of};
+use super::table::{
+    HEAD, Separator, Syntax, TableColumns, TextTable, columns_in_comment, excerpt, is_row,
+    names_of, unnamed_columns,
+};
 use super::text::{LinePlace, TextLines};
 use super::wanted::WantedAttributes;
 use super::windows::{InputBytes, Windows};
@@ -102,8 +104,12 @@ fn count_of(line: &str) -> Option<u64> {
 
 /// The names of columns in a frame's comment.
 fn names_in(comment: &str) -> Vec<String> {
-    let comment = comment.trim_start_matches(['#', '%', '!', '/']);
-    names_of(comment.as_bytes(), Separator::of(comment.as_bytes()))
+    let comment = without_marks(comment).as_bytes();
+    names_of(comment, Separator::of(comment))
+}
+
+fn without_marks(comment: &str) -> &str {
+    comment.trim_start_matches(['#', '%', '!', '/'])
 }
 
 /// Skips a frame. Returns false at the end of the file.
@@ -184,7 +190,9 @@ impl XyzFrame {
                         let what = format!("several columns are named {name:?}");
                         return Err(ReadFault::Line { line: lines_above, what });
                     }
-                    (syntax, named.then(|| TableColumns::of(names)).flatten().unwrap_or(columns))
+                    let mut named = columns_in_comment(without_marks(&comment));
+                    let named = named.find(|named| named.names.len() == columns.names.len());
+                    (syntax, named.unwrap_or(columns))
                 }
                 None if rows == 0 => (Syntax::BLANKS, TableColumns::unnamed(0, 3)),
                 None => {

@@ -24,5 +24,6 @@ mod readers;
 mod series;
 #[cfg(feature = "hdf5")]
 mod snapshots;
+mod table_columns;
 mod vdb;
 mod vtk_meshes;

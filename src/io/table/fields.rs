@@ -4,6 +4,9 @@ use memchr::memchr;
 
 use crate::io::number::{Decimal, with_decimal};
 
+/// Maximum number of fields in a line of a table.
+pub const MOST_FIELDS: usize = 4096;
+
 /// The notation of a table: the separator of fields and the decimal separator.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Syntax {
@@ -90,6 +93,17 @@ pub fn lines(text: &[u8]) -> impl Iterator<Item = (u64, usize, &[u8])> {
     });
     let lines = (1..).zip(lines).map(|(line, (start, content))| (line, start, content));
     lines.filter(|(.., content)| content.iter().any(|byte| !byte.is_ascii_whitespace()))
+}
+
+/// The fields of each row. Comments are skipped.
+pub fn rows_of(
+    rows: &[u8],
+    syntax: Syntax,
+    expected: usize,
+) -> impl Iterator<Item = impl Iterator<Item = &[u8]>> {
+    lines(rows)
+        .filter(|(.., content)| !is_comment(content))
+        .map(move |(.., content)| LineFields::new(content, syntax.separator, expected))
 }
 
 /// A line without its line end and surrounding spaces.

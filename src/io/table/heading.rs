@@ -4,11 +4,17 @@ use std::collections::HashMap;
 
 use crate::io::ReadFault;
 use crate::io::bytes::ByteView;
-use crate::io::names::{Quantity, quantities, repeated_position};
+use crate::io::names::{Quantity, bare_names, quantities, repeated_position};
 use crate::io::number::{Decimal, is_overflow};
 
 use super::excerpt;
-use super::fields::{LineFields, Separator, Syntax, is_comment, lines, unquoted};
+use super::fields::{
+    LineFields, MOST_FIELDS, Separator, Syntax, is_comment, lines, rows_of, unquoted,
+};
+use super::header::{
+    Comments, comment_text, name_plane, named_columns, names_of, plain_names, separator_of,
+};
+use super::unnamed::{UnnamedColumns, is_row, is_row_of_words, is_whole};
 
 /// Maximum number of lines before the line of column names. Blank lines and comments do not count.
 const HEADER_LINES: usize = 32;
@@ -17,10 +23,6 @@ const HEADER_LINES: usize = 32;
 pub const HEAD: usize = 64 << 10;
 /// Maximum size, in bytes, of the head.
 const LONGEST_HEAD: usize = 16 << 20;
-/// Maximum number of fields in a line of a table.
-pub const MOST_FIELDS: usize = 4096;
-/// Number of rows that are sampled to find out what the first columns contain.
-const SAMPLED_ROWS: usize = 256;
 
 /// The contents of the head of a table, which ends before the first row.
 #[derive(Debug)]
@@ -48,21 +50,36 @@ struct TitleLine {
     names: Vec<String>,
 }
 
-/// The layout of a row in a table without column names.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct UnnamedColumns {
-    syntax: Syntax,
-    /// The index of the x column. The y and z columns follow it.
-    first: usize,
-    fields: usize,
+/// A line that may be the first row.
+#[derive(Clone, Copy)]
+struct FirstRow<'a> {
+    line: u64,
+    start: usize,
+    content: &'a [u8],
+}
+
+/// The lines above the first row, as far as they matter.
+#[derive(Default)]
+struct LinesAbove<'a> {
+    comments: Comments<'a>,
+    titles: Vec<TitleLine>,
+    /// The line of column names, unless it is a comment.
+    names: Option<&'a [u8]>,
+    first: Option<FirstRow<'a>>,
 }
 
 impl TableColumns {
     /// Returns the columns with these names, or `None` if the names give no unique position.
     /// Attributes with equal names get the numbers of their columns as suffixes: `a_column4` and
     /// `a_column7`.
-    pub fn of(names: Vec<String>) -> Option<Self> {
-        let (position, mut attributes) = quantities(&names)?;
+    pub fn of(mut names: Vec<String>) -> Option<Self> {
+        let mut found = quantities(&names);
+        if found.is_none() {
+            // A unit may follow a name without a blank, as in `x[m]`.
+            names = bare_names(&names);
+            found = quantities(&names);
+        }
+        let (position, mut attributes) = found?;
         let mut times = HashMap::new();
         for attribute in &attributes {
             *times.entry(attribute.name.clone()).or_insert(0) += 1;
@@ -124,121 +141,150 @@ impl Heading {
     }
 
     fn find(text: &[u8]) -> Result<Self, ReadFault> {
-        let (mut comment, mut named) = (None, None);
-        let mut titles: Vec<TitleLine> = Vec::new();
-        let mut first = None;
+        let mut above = LinesAbove::of(text);
+        match above.first {
+            None => above.without_rows(text.len()),
+            Some(first) => {
+                above.comments.truncate(first.line);
+                let rows = &text[first.start..];
+                let (syntax, columns) = above.columns_of(first, rows)?;
+                let syntax = with_decimals(syntax, rows, &columns);
+                Ok(Self { start: first.start, lines_above: first.line - 1, syntax, columns })
+            }
+        }
+    }
+}
+
+impl<'a> LinesAbove<'a> {
+    /// Reads lines until the first row is certain.
+    fn of(text: &'a [u8]) -> Self {
+        let mut above = Self::default();
         let mut units = 1;
         let mut left = HEADER_LINES;
         for (line, start, content) in lines(text) {
             if is_comment(content) {
-                let content = content.trim_ascii_start();
-                let marks = content.iter().take_while(|byte| b"#%!/".contains(byte)).count();
-                let content = &content[marks..];
-                let names = names_in_brackets(content)
-                    .unwrap_or_else(|| names_of(content, separator_of(content)));
-                if repeated_position(&names).is_some() || name_plane(&names) {
-                    titles.push(TitleLine { line, names });
-                } else {
-                    comment = TableColumns::of(names).or(comment);
-                }
+                above.add_comment(line, content);
                 continue;
             }
-            if named.is_some() {
+            let here = FirstRow { line, start, content };
+            if above.names.is_some() {
                 if units > 0 && is_units(content) {
                     units -= 1;
                     continue;
                 }
-                first = Some((line, start, content));
+                above.first = Some(here);
                 break;
             }
             // A line with a single integer gives the number of rows or steps.
             let row =
                 !is_whole(content) && (is_row(content) || is_row_of_words(content, &text[start..]));
-            if row && titles.is_empty() {
-                first = Some((line, start, content));
+            if row && above.titles.is_empty() {
+                above.first = Some(here);
                 break;
             }
             if row {
                 // Below a title without a position, this line may be the first row or another
                 // title.
-                first = first.or(Some((line, start, content)));
+                above.first = above.first.or(Some(here));
             } else {
-                let names = names_of(content, separator_of(content));
-                if quantities(&names).is_some() {
-                    named = Some((names, content));
-                    first = None;
-                } else if first.is_none() {
-                    titles.push(TitleLine { line, names });
-                }
+                above.add_title(line, content);
             }
             left -= 1;
             if left == 0 {
                 break;
             }
         }
-        let Some((line, start, row)) = first else {
-            let names = named.and_then(|(names, _)| TableColumns::of(names)).or(comment);
-            return match (names, titles.first()) {
-                (None, Some(title)) => Err(title.refused()),
-                (names, _) => Ok(Self {
-                    start: text.len(),
-                    lines_above: 0,
-                    syntax: Syntax::BLANKS,
-                    columns: names.unwrap_or_else(|| TableColumns::unnamed(0, 3)),
-                }),
-            };
-        };
-        let rows = &text[start..];
-        let at = |syntax: Syntax, columns: TableColumns| {
-            let syntax = with_decimals(syntax, rows, &columns);
-            Self { start, lines_above: line - 1, syntax, columns }
-        };
-        if let Some((names, content)) = named {
-            let columns = TableColumns::of(names).expect("they name a position");
-            let found = Syntax::of_row(row, &columns).map(|syntax| (syntax, columns));
-            // Names that are separated by blanks may be aligned with tabs.
-            let aligned = || {
-                let columns = TableColumns::of(names_of(content, Separator::Blanks))?;
-                Some((Syntax::of_row(row, &columns)?, columns))
-            };
-            let (syntax, columns) = match found.or_else(aligned) {
-                Some(found) => found,
-                None => {
-                    let separator = separator_of(content);
-                    let columns = TableColumns::of(names_of(content, separator)).expect("as above");
-                    let shown = Separator::of(row);
-                    let separator = if row.contains(&b'\t') { separator } else { shown };
-                    (Syntax { separator, decimal: Decimal::Point }, columns)
-                }
-            };
-            return Ok(at(syntax, columns));
+        above
+    }
+
+    fn add_comment(&mut self, line: u64, content: &'a [u8]) {
+        let text = comment_text(content);
+        let names = plain_names(&text);
+        if repeated_position(&names).is_some() || name_plane(&names) {
+            self.titles.push(TitleLine { line, names });
         }
-        if let Some(columns) = comment
-            && let Some(syntax) = Syntax::of_row(row, &columns)
+        self.comments.push(line, text);
+    }
+
+    /// Adds a line that is neither a comment nor a row. It may contain the names of columns.
+    fn add_title(&mut self, line: u64, content: &'a [u8]) {
+        if named_columns(&String::from_utf8_lossy(content)).next().is_some() {
+            self.names = Some(content);
+            self.first = None;
+        } else if self.first.is_none() {
+            let names = names_of(content, separator_of(content));
+            self.titles.push(TitleLine { line, names });
+            self.comments.end_block(line);
+        }
+    }
+
+    /// The head of a text of `length` bytes that contains no rows.
+    fn without_rows(&self, length: usize) -> Result<Heading, ReadFault> {
+        let named = self.names.map(String::from_utf8_lossy);
+        let named = named.and_then(|names| named_columns(&names).next());
+        let columns = match (named.or_else(|| self.comments.columns().next()), self.titles.first())
         {
-            refuse_rows_above(&titles, columns.names.len())?;
-            return Ok(at(syntax, columns));
+            (None, Some(title)) => return Err(title.refused()),
+            (columns, _) => columns.unwrap_or_else(|| TableColumns::unnamed(0, 3)),
+        };
+        Ok(Heading { start: length, lines_above: 0, syntax: Syntax::BLANKS, columns })
+    }
+
+    /// The notation and the columns of a table with these `rows`.
+    fn columns_of(
+        &self,
+        first: FirstRow,
+        rows: &[u8],
+    ) -> Result<(Syntax, TableColumns), ReadFault> {
+        let row = first.content;
+        if let Some(names) = self.names {
+            return Ok(columns_below(names, row));
         }
-        let found = unnamed(row);
+        if let Some((syntax, columns)) = fitting(self.comments.columns(), row) {
+            refuse_rows_above(&self.titles, columns.names.len())?;
+            return Ok((syntax, columns));
+        }
+        let found = UnnamedColumns::of(row);
         let fields = found.map_or_else(
             || LineFields::new(row, Separator::of(row), 0).count(),
             |unnamed| unnamed.fields,
         );
-        if let Some(title) = titles.iter().rfind(|title| title.names.len() == fields) {
+        if let Some(title) = self.titles.iter().rfind(|title| title.names.len() == fields) {
             return Err(title.refused());
         }
+        let fault = |what| ReadFault::Line { line: first.line, what };
         let Some(unnamed) = found else {
-            let what = format!("{fields} fields where x, y and z are expected");
-            return Err(ReadFault::Line { line, what });
+            return Err(fault(format!("{fields} fields where x, y and z are expected")));
         };
-        if unnamed.fields > MOST_FIELDS {
-            let what = format!("more than {MOST_FIELDS} fields");
-            return Err(ReadFault::Line { line, what });
+        if fields > MOST_FIELDS {
+            return Err(fault(format!("more than {MOST_FIELDS} fields")));
         }
-        refuse_rows_above(&titles, unnamed.fields)?;
-        let first = if counts(rows, unnamed) { 1 } else { unnamed.first };
-        Ok(at(unnamed.syntax, TableColumns::unnamed(first, unnamed.fields)))
+        refuse_rows_above(&self.titles, fields)?;
+        let x = unnamed.x_column(rows);
+        if let Some(unclear) = self.comments.unclear(fields, x.as_ref().ok().copied()) {
+            return Err(unclear);
+        }
+        Ok((unnamed.syntax, TableColumns::unnamed(x.map_err(fault)?, fields)))
     }
+}
+
+/// The first columns that fit a row, with its notation.
+fn fitting(
+    mut columns: impl Iterator<Item = TableColumns>,
+    row: &[u8],
+) -> Option<(Syntax, TableColumns)> {
+    columns.find_map(|columns| Some((Syntax::of_row(row, &columns)?, columns)))
+}
+
+/// The notation and the columns of a row below a line of names.
+fn columns_below(names: &[u8], row: &[u8]) -> (Syntax, TableColumns) {
+    let text = String::from_utf8_lossy(names);
+    fitting(named_columns(&text), row).unwrap_or_else(|| {
+        let columns = named_columns(&text).next().expect("the line names a position");
+        let shown = Separator::of(row);
+        let separator = if row.contains(&b'\t') { separator_of(names) } else { shown };
+        (Syntax { separator, decimal: Decimal::Point }, columns)
+    })
 }
 
 /// The columns of rows without column names. `None` if the first line is not a row.
@@ -248,56 +294,14 @@ impl Heading {
 /// coordinates.
 pub fn unnamed_columns(rows: &[u8]) -> Result<Option<(Syntax, TableColumns)>, ReadFault> {
     let Some((_, _, row)) = lines(rows).next() else { return Ok(None) };
-    let Some(found) = unnamed(row) else { return Ok(None) };
-    let numbers_only = found.first == 0 && found.fields > 3;
-    let first = match (numbers_only, has_whole_first(rows, found)) {
-        (true, true) if !has_fractions(rows, found) => {
-            let what = "rows of integers can be x, y and z, or begin with an atomic number; \
-                        name the columns by Properties=";
-            return Err(ReadFault::Unsupported(what.to_owned()));
-        }
-        // The first column has atomic numbers or counts the rows. In other cases, it is x, as in
-        // sorted rows.
-        (true, true) if are_elements(rows, found) || counts(rows, found) => 1,
-        _ => found.first,
-    };
+    let Some(found) = UnnamedColumns::of(row) else { return Ok(None) };
+    let first = found.x_column_of_xyz(rows).ok_or_else(|| {
+        let what = "rows of integers can be x, y and z, or begin with an atomic number; name the \
+                    columns by Properties=";
+        ReadFault::Unsupported(what.to_owned())
+    })?;
     let syntax = with_decimals(found.syntax, rows, &TableColumns::unnamed(first, found.fields));
     Ok(Some((syntax, TableColumns::unnamed(first, found.fields))))
-}
-
-/// The names in a line.
-pub fn names_of(line: &[u8], separator: Separator) -> Vec<String> {
-    let name = |name| String::from_utf8_lossy(unquoted(name)).into_owned();
-    LineFields::new(line, separator, 0).take(MOST_FIELDS).map(name).collect()
-}
-
-/// The names in a line such as `<x> <y> <velocity> <velocity>`. deal.II writes these lines, and
-/// gives all components of a vector the same name.
-fn names_in_brackets(line: &[u8]) -> Option<Vec<String>> {
-    let inside = line.trim_ascii().strip_prefix(b"<")?.strip_suffix(b">")?;
-    let inside = String::from_utf8_lossy(inside);
-    let names: Vec<&str> = inside.split("> <").take(MOST_FIELDS).collect();
-    let runs = names.chunk_by(|one, next| one == next);
-    let components = |run: &[&str]| match run {
-        [only] => vec![(*only).to_owned()],
-        several => (0..several.len()).map(|index| format!("{}:{index}", several[0])).collect(),
-    };
-    Some(runs.flat_map(components).collect())
-}
-
-/// Whether names include `x` and `y`, but form no position in three dimensions.
-fn name_plane(names: &[String]) -> bool {
-    let has = |axis: &str| names.iter().any(|name| name.eq_ignore_ascii_case(axis));
-    has("x") && has("y") && quantities(names).is_none()
-}
-
-/// The separator of a line of names. A tab has priority over blanks, because names may contain
-/// blanks.
-fn separator_of(line: &[u8]) -> Separator {
-    match Separator::of(line) {
-        Separator::Blanks if line.contains(&b'\t') => Separator::Byte(b'\t'),
-        separator => separator,
-    }
 }
 
 impl Syntax {
@@ -313,17 +317,6 @@ impl Syntax {
             fits && fields == columns.names.len()
         })
     }
-}
-
-/// The fields of each row. Comments are skipped.
-fn rows_of(
-    rows: &[u8],
-    syntax: Syntax,
-    expected: usize,
-) -> impl Iterator<Item = impl Iterator<Item = &[u8]>> {
-    lines(rows)
-        .filter(|(.., content)| !is_comment(content))
-        .map(move |(.., content)| LineFields::new(content, syntax.separator, expected))
 }
 
 /// Returns `syntax` with the decimal separator, comma or point, that occurs first in the rows.
@@ -350,52 +343,6 @@ fn with_decimals(syntax: Syntax, rows: &[u8], columns: &TableColumns) -> Syntax 
     syntax
 }
 
-/// The layout of a row without column names. The position consists of three numbers at the start of
-/// the row, after a word, or after an integer and a word.
-fn unnamed(row: &[u8]) -> Option<UnnamedColumns> {
-    let all = Syntax::ALL.map(|syntax| {
-        let fields = LineFields::new(row, syntax.separator, 0).take(MOST_FIELDS + 1);
-        (syntax, fields.collect::<Vec<_>>())
-    });
-    let between_blanks = LineFields::new(row, Separator::Blanks, 0).count();
-    let found = |first: fn(Syntax, &[&[u8]]) -> Option<usize>| {
-        all.iter().find_map(|(syntax, fields)| {
-            // Tries tabs as separators only if a cell is empty or contains blanks.
-            if syntax.separator == Separator::Byte(b'\t') && fields.len() == between_blanks {
-                return None;
-            }
-            let first = first(*syntax, fields)?;
-            let position = fields.get(first..first + 3)?;
-            let are_numbers = position.iter().all(|field| syntax.is_number(field));
-            are_numbers.then_some(UnnamedColumns { syntax: *syntax, first, fields: fields.len() })
-        })
-    };
-    found(|_, _| Some(0)).or_else(|| {
-        found(|_, fields| match fields {
-            [word, ..] if is_word(word) => Some(1),
-            [number, word, ..] if is_whole(number) && is_word(word) => Some(2),
-            _ => None,
-        })
-    })
-}
-
-/// Whether a line starts with three numbers, or contains only numbers.
-pub fn is_row(line: &[u8]) -> bool {
-    unnamed(line).is_some_and(|row| row.first == 0) || {
-        let syntax = Syntax { separator: Separator::of(line), decimal: Decimal::Point };
-        LineFields::new(line, syntax.separator, 0).take(3).all(|field| syntax.is_number(field))
-    }
-}
-
-/// Whether a line starts with words and all later lines have the same layout. A line that starts
-/// with words is a title if later lines differ.
-fn is_row_of_words(line: &[u8], rows: &[u8]) -> bool {
-    unnamed(line).is_some_and(|row| {
-        row.first > 0
-            && lines(rows).take(HEADER_LINES).all(|(.., other)| unnamed(other) == Some(row))
-    })
-}
-
 /// Whether a line below the names is a line of units: none of its fields is a number.
 fn is_units(line: &[u8]) -> bool {
     Syntax::ALL.iter().all(|syntax| {
@@ -404,56 +351,6 @@ fn is_units(line: &[u8]) -> bool {
             !is_overflow(field) && syntax.number(field).is_none_or(|_| field.is_empty())
         })
     })
-}
-
-fn is_word(field: &[u8]) -> bool {
-    let field = unquoted(field);
-    field.first().is_some_and(u8::is_ascii_alphabetic) && Syntax::BLANKS.number(field).is_none()
-}
-
-fn is_whole(field: &[u8]) -> bool {
-    !field.is_empty() && field.len() < 20 && field.iter().all(u8::is_ascii_digit)
-}
-
-/// Whether the first column of the sampled rows contains only integers.
-fn has_whole_first(rows: &[u8], row: UnnamedColumns) -> bool {
-    rows_of(rows, row.syntax, row.fields)
-        .take(SAMPLED_ROWS)
-        .all(|mut fields| fields.next().is_some_and(is_whole))
-}
-
-/// Whether the first column of the sampled rows contains only possible atomic numbers.
-fn are_elements(rows: &[u8], row: UnnamedColumns) -> bool {
-    let number = |field: &[u8]| std::str::from_utf8(field).ok()?.parse::<u64>().ok();
-    rows_of(rows, row.syntax, row.fields)
-        .take(SAMPLED_ROWS)
-        .all(|mut fields| fields.next().and_then(number).is_some_and(|n| (1..=118).contains(&n)))
-}
-
-/// Whether each of the three columns after the first contains numbers with fractions.
-fn has_fractions(rows: &[u8], row: UnnamedColumns) -> bool {
-    let mut fractions = [false; 3];
-    for fields in rows_of(rows, row.syntax, row.fields).take(SAMPLED_ROWS) {
-        for (field, has) in fields.skip(1).zip(&mut fractions) {
-            *has |= row.syntax.is_number(field) && !is_whole(field);
-        }
-    }
-    fractions == [true; 3]
-}
-
-/// Whether, in rows without column names, the first column numbers the rows and the position
-/// follows it.
-fn counts(rows: &[u8], row: UnnamedColumns) -> bool {
-    let mut seen = std::collections::HashSet::new();
-    let sample = || rows_of(rows, row.syntax, row.fields).take(SAMPLED_ROWS);
-    let are_different =
-        sample().all(|mut fields| fields.next().is_some_and(|number| seen.insert(number.to_vec())));
-    row.first == 0
-        && row.fields > 3
-        && sample().count() > 2
-        && are_different
-        && has_whole_first(rows, row)
-        && has_fractions(rows, row)
 }
 
 /// Returns an error if a line above the first row looks like a row with an invalid field.

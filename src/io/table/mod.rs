@@ -3,15 +3,20 @@
 //!
 //! The first rows determine the separator of fields and the decimal separator. A line that names
 //! `x`, `y` and `z` (see [`names`]) specifies the columns, even if it is a comment. Lines above it
-//! are skipped, and so is a line of units below it. Without such a line, the first three columns
-//! are the position, and the other columns are ignored because they have no names. Fields of unused
-//! columns are not parsed.
+//! are skipped, and so is a line of units below it. A comment that names the columns in a notation
+//! that is not understood is an error.
+//!
+//! Without such a line, the first three columns are the position, or the three columns after a row
+//! number. It is an error if these columns may contain identifiers or types. The other columns are
+//! ignored because they have no names. Fields of unused columns are not parsed.
 //!
 //! [`names`]: super::names
 
 mod fields;
+mod header;
 mod heading;
 mod labels;
+mod unnamed;
 
 use std::ops::{ControlFlow, Range};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -32,7 +37,9 @@ use heading::Heading;
 use labels::{Known, Texts};
 
 pub(super) use fields::{Separator, Syntax};
-pub(super) use heading::{HEAD, TableColumns, is_row, names_of, unnamed_columns};
+pub(super) use header::{columns_in_comment, names_of};
+pub(super) use heading::{HEAD, TableColumns, unnamed_columns};
+pub(super) use unnamed::is_row;
 
 /// Size, in bytes, of a decoded number.
 const WIDTH: usize = size_of::<f64>();
@@ -71,8 +78,8 @@ impl Cell {
 ///
 /// # Errors
 /// [`ReadFault::Line`] for a row with a wrong number of fields, for a required number that is
-/// invalid, and for a header without a position. [`ReadFault::Scratch`] if the scratch file cannot
-/// be written.
+/// invalid, for a header without a position, and for columns whose meaning is unclear.
+/// [`ReadFault::Scratch`] if the scratch file cannot be written.
 pub(super) fn read(
     bytes: Bytes,
     start: usize,

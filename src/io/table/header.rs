@@ -1,0 +1,492 @@
+//! Finds the names of columns in the lines above the rows of a table.
+//!
+//! | notation | example |
+//! |---|---|
+//! | separators | `x, y, z` |
+//! | units after blanks | `x (m) y (m) z (m)` |
+//! | names with blanks, two or more blanks between names | `Particle index  Position [x]` |
+//! | numbers of columns | `1:x 2:y 3:z` |
+//! | angle brackets | `<x> <y> <z>` |
+//! | one comment per column | `# [0] x`, `# column 1: x` |
+//!
+//! In a comment, a label may precede the names, as in `# columns: x y z`.
+
+use std::borrow::Cow;
+use std::collections::VecDeque;
+
+use crate::io::ReadFault;
+use crate::io::names::{bare_names, is_position_word, position_axis, quantities};
+
+use super::excerpt;
+use super::fields::{LineFields, MOST_FIELDS, Separator, unquoted};
+use super::heading::TableColumns;
+
+/// Maximum number of comments that are searched for names. Earlier comments are ignored.
+const MOST_COMMENTS: usize = 1024;
+/// Maximum length, in bytes, of a comment that is compared with the columns if its names do not
+/// fit.
+const LONGEST_COMMENT: usize = 64 << 10;
+/// Maximum number of labels that are skipped in a line.
+const MOST_LABELS: usize = 4;
+
+/// A function that splits a line into names. It returns no names if the line has another notation.
+type Notation = fn(&str) -> Vec<String>;
+
+/// All notations, in order of preference.
+const NOTATIONS: [Notation; 6] =
+    [in_angle_brackets, numbered, separated, between_blanks, with_units, far_apart];
+
+/// Last words of labels before the names of columns.
+const LABELS: [&str; 8] =
+    ["columns", "column", "fields", "names", "variables", "header", "format", "data"];
+
+/// Words of sentences, which are not names of columns. Words that are also names are missing, such
+/// as `at` and `by`.
+const PROSE: [&str; 12] =
+    ["along", "and", "are", "as", "for", "from", "in", "is", "of", "the", "to", "with"];
+
+/// The names in a line.
+pub fn names_of(line: &[u8], separator: Separator) -> Vec<String> {
+    let name = |name| String::from_utf8_lossy(unquoted(name)).into_owned();
+    LineFields::new(line, separator, 0).take(MOST_FIELDS).map(name).collect()
+}
+
+/// The names in a line, in the notation that most programs write.
+pub fn plain_names(line: &str) -> Vec<String> {
+    let names = in_angle_brackets(line);
+    if names.is_empty() { separated(line) } else { names }
+}
+
+/// The separator of a line of names. A tab has priority over blanks, because names may contain
+/// blanks.
+pub fn separator_of(line: &[u8]) -> Separator {
+    match Separator::of(line) {
+        Separator::Blanks if line.contains(&b'\t') => Separator::Byte(b'\t'),
+        separator => separator,
+    }
+}
+
+/// Each possible division of a line into columns with a position.
+pub fn named_columns(line: &str) -> impl Iterator<Item = TableColumns> {
+    names_in(line).filter_map(TableColumns::of)
+}
+
+/// Each possible division of a comment into columns with a position. Labels are skipped, and
+/// sentences are ignored.
+pub fn columns_in_comment(comment: &str) -> impl Iterator<Item = TableColumns> {
+    let lists = without_labels(comment).into_iter().flat_map(names_in);
+    lists.filter(|names| are_names(names)).filter_map(TableColumns::of)
+}
+
+/// Whether names include `x` and `y`, but form no position in three dimensions.
+pub fn name_plane(names: &[String]) -> bool {
+    let bare = bare_names(names);
+    let has = |axis: &str| bare.iter().any(|name| name.eq_ignore_ascii_case(axis));
+    has("x") && has("y") && quantities(names).is_none() && quantities(&bare).is_none()
+}
+
+/// The names in a line, in each notation.
+fn names_in(line: &str) -> impl Iterator<Item = Vec<String>> {
+    let lists = NOTATIONS.into_iter().map(move |notation| notation(line));
+    lists.filter(|names| !names.is_empty())
+}
+
+/// The line, and its parts after a label. A part after a well-known label comes before the line.
+fn without_labels(line: &str) -> Vec<&str> {
+    let mut texts = vec![line];
+    for (at, mark) in labels(line).take(MOST_LABELS) {
+        let (label, names) = (&line[..at], &line[at + mark.len()..]);
+        let last = label.split_whitespace().next_back().unwrap_or_default();
+        match LABELS.iter().any(|known| last.eq_ignore_ascii_case(known)) {
+            true => texts.insert(0, names),
+            false => texts.push(names),
+        }
+    }
+    texts
+}
+
+/// The ends of labels: equals signs, and colons before a blank.
+fn labels(line: &str) -> impl Iterator<Item = (usize, &str)> {
+    line.match_indices([':', '=']).filter(move |(at, mark)| {
+        *mark == "=" || line[at + 1..].starts_with(|next: char| next.is_ascii_whitespace())
+    })
+}
+
+/// The names in a line such as `<x> <y> <velocity> <velocity>`. deal.II writes these lines, and
+/// gives all components of a vector the same name.
+fn in_angle_brackets(line: &str) -> Vec<String> {
+    let inside = line.trim().strip_prefix('<').and_then(|line| line.strip_suffix('>'));
+    let Some(inside) = inside else { return Vec::new() };
+    let names: Vec<&str> = inside.split("> <").take(MOST_FIELDS).collect();
+    let runs = names.chunk_by(|one, next| one == next);
+    let components = |run: &[&str]| match run {
+        [only] => vec![(*only).to_owned()],
+        several => (0..several.len()).map(|index| format!("{}:{index}", several[0])).collect(),
+    };
+    runs.flat_map(components).collect()
+}
+
+/// The names in a line such as `1:id 2:x` or `[0] id [1] x`. Text before the first number is
+/// ignored.
+fn numbered(line: &str) -> Vec<String> {
+    let mut names: Vec<String> = Vec::new();
+    let mut next = None;
+    for word in line.split(is_separator).filter(|word| !word.is_empty()) {
+        match column_number(word) {
+            Some((number, name)) if next.map_or(number <= 1, |next| number == next) => {
+                if names.len() == MOST_FIELDS {
+                    break;
+                }
+                names.push(name.to_owned());
+                next = Some(number + 1);
+            }
+            _ => {
+                if let Some(name) = names.last_mut() {
+                    name.push_str(if name.is_empty() { "" } else { " " });
+                    name.push_str(word);
+                }
+            }
+        }
+    }
+    names
+}
+
+fn separated(line: &str) -> Vec<String> {
+    names_of(line.as_bytes(), separator_of(line.as_bytes()))
+}
+
+/// The names in a line with blanks between names. They may be aligned with tabs.
+fn between_blanks(line: &str) -> Vec<String> {
+    names_of(line.as_bytes(), Separator::Blanks)
+}
+
+/// The names in a line such as `x [m] rho (kg / m^3)`.
+fn with_units(line: &str) -> Vec<String> {
+    if line.contains([',', ';']) {
+        return Vec::new();
+    }
+    let mut names: Vec<String> = Vec::new();
+    let mut open = 0;
+    for word in line.split_whitespace() {
+        let is_unit = open > 0 || word.starts_with(['[', '(']);
+        if is_unit && let Some(name) = names.last_mut() {
+            name.push(' ');
+            name.push_str(word);
+        } else if names.len() < MOST_FIELDS {
+            names.push(word.to_owned());
+        } else {
+            break;
+        }
+        open += word.matches(['[', '(']).count();
+        open = open.saturating_sub(word.matches([']', ')']).count());
+    }
+    names
+}
+
+/// The names in a line with a tab or at least two blanks between names. OpenSPH writes these lines.
+fn far_apart(line: &str) -> Vec<String> {
+    if line.contains([',', ';']) {
+        return Vec::new();
+    }
+    let parts = line.split('\t').flat_map(|part| part.split("  ")).map(str::trim);
+    parts.filter(|name| !name.is_empty()).take(MOST_FIELDS).map(str::to_owned).collect()
+}
+
+fn is_separator(character: char) -> bool {
+    character.is_ascii_whitespace() || matches!(character, ',' | ';')
+}
+
+/// Splits a text such as `1:x`, `[1] x` or `1` into the number of a column and the name after it.
+fn column_number(text: &str) -> Option<(u64, &str)> {
+    /// Characters after the number of a column.
+    const MARKS: [char; 8] = [']', ')', ':', '.', '=', '-', '>', ' '];
+    let text = text.trim_start_matches(['[', '(']);
+    let end = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
+    let (digits, rest) = text.split_at(end);
+    let name = rest.trim_start_matches(MARKS);
+    let is_fraction = name.starts_with(|c: char| c.is_ascii_digit());
+    let is_marked = rest.is_empty() || name.len() < rest.len();
+    let number = digits.parse().ok().filter(|number| *number < MOST_FIELDS as u64)?;
+    (is_marked && !is_fraction).then_some((number, name.trim_end()))
+}
+
+/// The number and the name of a column in a comment such as `[0] x`, `1: x` or `column 2: y`.
+fn column_in_comment(comment: &str) -> Option<(u64, &str)> {
+    let text = comment.trim();
+    let word = text.find(|c: char| !c.is_ascii_alphabetic()).unwrap_or(text.len());
+    let is_label = ["column", "col", "field"].iter().any(|w| text[..word].eq_ignore_ascii_case(w));
+    let text = if is_label { text[word..].trim_start_matches(['.', ' ']) } else { text };
+    column_number(text).filter(|(_, name)| !name.is_empty())
+}
+
+fn is_word_of(words: &[&str], word: &str) -> bool {
+    words.iter().any(|known| word.eq_ignore_ascii_case(known))
+}
+
+/// Whether all texts in a comment can be names of columns. A unit, a number, a word of a sentence,
+/// or a title such as `positions` is no name.
+fn are_names(texts: &[String]) -> bool {
+    texts.iter().all(|text| {
+        text.contains(char::is_alphabetic)
+            && !text.starts_with(['[', '('])
+            && !text.ends_with([',', ';'])
+            && !is_word_of(&PROSE, text)
+            && !is_word_of(&["position", "positions", "coordinates"], text)
+    })
+}
+
+/// The text of a comment, without the comment marks.
+pub fn comment_text(comment: &[u8]) -> Cow<'_, str> {
+    let comment = comment.trim_ascii_start();
+    let marks = comment.iter().take_while(|byte| b"#%!/".contains(byte)).count();
+    String::from_utf8_lossy(&comment[marks..])
+}
+
+/// The comments above the rows.
+#[derive(Debug, Default)]
+pub struct Comments<'a> {
+    lines: VecDeque<Comment<'a>>,
+    /// The number of the last line that is neither a comment nor a row.
+    last_title: u64,
+}
+
+#[derive(Debug)]
+struct Comment<'a> {
+    line: u64,
+    /// The content without comment marks.
+    text: Cow<'a, str>,
+}
+
+impl<'a> Comments<'a> {
+    /// Adds a comment, given its text without comment marks.
+    pub fn push(&mut self, line: u64, text: Cow<'a, str>) {
+        if self.lines.len() == MOST_COMMENTS {
+            self.lines.pop_front();
+        }
+        self.lines.push_back(Comment { line, text });
+    }
+
+    /// Records the number of a line that is neither a comment nor a row.
+    pub fn end_block(&mut self, line: u64) {
+        self.last_title = line;
+    }
+
+    /// Removes the comments below a line.
+    pub fn truncate(&mut self, line: u64) {
+        self.lines.retain(|comment| comment.line < line);
+    }
+
+    /// Each possible division of the comments into columns with a position. The last comment comes
+    /// first.
+    pub fn columns(&self) -> impl Iterator<Item = TableColumns> {
+        let single = self.lines.iter().rev().flat_map(|comment| columns_in_comment(&comment.text));
+        single.chain(self.lists().into_iter().filter_map(TableColumns::of))
+    }
+
+    /// The names in consecutive comments with consecutive column numbers. The names are either the
+    /// complete texts, or their first words.
+    fn lists(&self) -> Vec<Vec<String>> {
+        let mut lists: Vec<Vec<&str>> = Vec::new();
+        let mut next = None;
+        for comment in &self.lines {
+            let column = column_in_comment(&comment.text);
+            match (column, lists.last_mut()) {
+                (Some((number, name)), Some(list)) if next == Some(number) => list.push(name),
+                (Some((0 | 1, name)), _) => lists.push(vec![name]),
+                _ => {
+                    next = None;
+                    continue;
+                }
+            }
+            next = column.map(|(number, _)| number + 1);
+        }
+        lists.iter().flat_map(|list| whole_and_first_words(list)).collect()
+    }
+
+    /// The error for comments directly above the rows that seem to name the columns of the
+    /// position, but do not fit rows with this number of `fields`. Without the comments, the
+    /// position starts at the column `first`.
+    ///
+    /// A table without names is read as x, y and z, and unnamed columns. This is wrong if the
+    /// comment names the columns in another order, and the reader does not understand it.
+    /// Sentences about x, y and z are harmless, if x is the first column that they mention.
+    pub fn unclear(&self, fields: usize, first: Option<usize>) -> Option<ReadFault> {
+        let block: Vec<&Comment> =
+            self.lines.iter().filter(|comment| comment.line > self.last_title).collect();
+        let last = block.iter().rfind(|comment| has_words(&comment.text));
+        let last = last.filter(|comment| is_unclear(&comment.text, fields, first));
+        let numbered = || is_unclear_list(&block, fields, first).then(|| block.last()).flatten();
+        let Comment { line, text } = last.or_else(numbered)?;
+        let what = format!(
+            "this comment seems to name the columns, but its names do not fit the {fields} \
+             columns below it: {}; write one name per column in a first line, for example \
+             `x y z vx vy vz`, or delete the comment",
+            excerpt(text.trim().as_bytes())
+        );
+        Some(ReadFault::Line { line: *line, what })
+    }
+}
+
+/// The texts, and their first words.
+fn whole_and_first_words(texts: &[&str]) -> [Vec<String>; 2] {
+    let first = |text: &&str| text.split_whitespace().next().unwrap_or_default().to_owned();
+    [texts.iter().map(|text| (*text).to_owned()).collect(), texts.iter().map(first).collect()]
+}
+
+/// The order of x, y and z among the columns that a comment mentions.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Mention {
+    /// Three consecutive columns. The number is the index of the first.
+    InOrder(usize),
+    /// Columns in this order, with other columns between them.
+    Apart,
+    /// An unknown or a different order.
+    Unordered,
+}
+
+impl Mention {
+    fn of(columns: &[usize]) -> Self {
+        match *columns {
+            [x, y, z] if y == x + 1 && z == y + 1 => Self::InOrder(x),
+            [x, y, z] if x < y && y < z => Self::Apart,
+            _ => Self::Unordered,
+        }
+    }
+
+    /// Whether it is correct to read the position from the column `first` on. In rows with three
+    /// `fields`, only the order matters.
+    fn agrees(self, fields: usize, first: Option<usize>) -> bool {
+        match self {
+            Self::InOrder(start) => start == 0 || Some(start) == first || fields == 3,
+            Self::Apart => fields == 3,
+            Self::Unordered => false,
+        }
+    }
+}
+
+/// Whether a comment contradicts a position that starts at the column `first`.
+fn is_unclear(comment: &str, fields: usize, first: Option<usize>) -> bool {
+    if comment.len() > LONGEST_COMMENT {
+        return false;
+    }
+    let label = labels(comment).next().map(|(at, mark)| &comment[at + mark.len()..]);
+    let texts = || [comment].into_iter().chain(label);
+    let mut lists = texts().flat_map(|text| mentions_in_names(text, fields, first)).peekable();
+    if lists.peek().is_some() {
+        return !lists.any(|mention| mention.agrees(fields, None));
+    }
+    let mut sentences = texts().filter_map(mention_in_sentence).peekable();
+    sentences.peek().is_some() && !sentences.any(|mention| mention.agrees(fields, first))
+}
+
+/// The order of x, y and z, in each notation in which a text is a list of names.
+fn mentions_in_names(
+    text: &str,
+    fields: usize,
+    first: Option<usize>,
+) -> impl Iterator<Item = Mention> {
+    names_in(text).filter(|names| are_names(names)).filter_map(move |names| {
+        let count = names.len();
+        if count == fields && name_plane(&names) {
+            return Some(Mention::Unordered);
+        }
+        let mention = Mention::of(&TableColumns::of(names)?.position.columns);
+        // A row number has no name in some files, and the last columns have none in others. All
+        // other columns must have names.
+        let names_first = first == Some(0) && count < fields;
+        let is_complete = fields == 3 || first.is_some_and(|first| first + count == fields);
+        Some(if is_complete || names_first { mention } else { Mention::Unordered })
+    })
+}
+
+/// Whether comments with column numbers contradict a position that starts at the column `first`.
+fn is_unclear_list(comments: &[&Comment], fields: usize, first: Option<usize>) -> bool {
+    let columns = comments.iter().filter_map(|comment| column_in_comment(&comment.text));
+    let (numbers, names): (Vec<u64>, Vec<&str>) = columns.unzip();
+    let mention = |columns: TableColumns| match numbers.first() {
+        Some(0 | 1) => Mention::of(&columns.position.columns),
+        _ => Mention::Unordered,
+    };
+    let lists = whole_and_first_words(&names).into_iter().filter_map(TableColumns::of);
+    let mut mentions = lists.map(mention).peekable();
+    mentions.peek().is_some() && !mentions.any(|mention| mention.agrees(fields, first))
+}
+
+/// The place of words for x, y and z in a text. `None` if it does not contain them, or if numbers
+/// or words of a sentence separate them, as in `x 0 1, y 0 1, z 0 1`.
+fn mention_in_sentence(text: &str) -> Option<Mention> {
+    let words = words_of(text);
+    let axes = words.iter().enumerate().filter(|(_, word)| axis_of(word).is_some());
+    let (first, last) = (axes.clone().next()?.0, axes.clone().next_back()?.0);
+    let is_named = |axis| axes.clone().any(|(_, word)| axis_of(word) == Some(axis));
+    // Units may follow axes, as in `x in m`.
+    let is_prose = |word: &str| is_word_of(&PROSE, word) && !word.eq_ignore_ascii_case("in");
+    let is_other = |word: &&str| is_number(word) || is_prose(word);
+    if !(0..3).all(is_named) || words[first..last].iter().any(is_other) {
+        return None;
+    }
+    // In a sentence, columns are listed after words such as `of` or `in`, unless `and` indicates
+    // that the sentence lists other columns before.
+    let before = &words[..first];
+    let start = match before.iter().rposition(|word| is_word_of(&PROSE, word)) {
+        Some(at) if !before.iter().any(|word| word.eq_ignore_ascii_case("and")) => at + 1,
+        _ => 0,
+    };
+    let is_of_column =
+        |word: &&&str| axis_of(word).is_some() || !(is_number(word) || is_position_word(word));
+    let names: Vec<&&str> = words[start..].iter().filter(is_of_column).collect();
+    let place = |axis| {
+        let mut places = (0..names.len()).filter(|&place| axis_of(names[place]) == Some(axis));
+        places.next().filter(|_| places.next().is_none())
+    };
+    let columns: Vec<usize> = (0..3).filter_map(place).collect();
+    Some(Mention::of(&columns))
+}
+
+/// The axis of a position that a word names, such as `x`, `pos_x`, `x_m` or `x-coordinate`.
+fn axis_of(word: &str) -> Option<usize> {
+    position_axis(word).or_else(|| match word.split_once(['_', '-'])? {
+        (axis, rest) if axis.len() == 1 && !rest.contains(['_', '-']) => position_axis(axis),
+        _ => None,
+    })
+}
+
+fn is_number(word: &str) -> bool {
+    word.starts_with(|c: char| c.is_ascii_digit())
+}
+
+/// The parts of a text in and after each bracket. The first part is before the first bracket.
+fn bracketed(text: &str) -> impl Iterator<Item = (&str, &str)> {
+    let parts = text.split(['[', '(']).enumerate();
+    parts.map(|(number, part)| match part.split_once([']', ')']) {
+        Some(both) if number > 0 => both,
+        _ => ("", part),
+    })
+}
+
+/// Whether a comment contains words outside brackets, in contrast to a line of units or dashes.
+fn has_words(comment: &str) -> bool {
+    bracketed(comment).any(|(_, after)| after.contains(char::is_alphabetic))
+}
+
+/// The words and numbers of a text, without column numbers and units. Units are brackets that name
+/// no axis.
+fn words_of(text: &str) -> Vec<&str> {
+    let mut words = Vec::new();
+    for (inside, after) in bracketed(text) {
+        if words_between(inside).any(|word| axis_of(word).is_some()) {
+            words.extend(words_between(inside));
+        }
+        words.extend(words_between(after));
+    }
+    words
+}
+
+fn words_between(text: &str) -> impl Iterator<Item = &str> {
+    let words = text.split(|c: char| is_separator(c) || matches!(c, '=' | '|' | '<' | '>'));
+    words.filter_map(|word| {
+        let name = column_number(word).map(|(_, name)| name).filter(|name| !name.is_empty());
+        let word = name.unwrap_or(word).trim_matches(|c: char| !c.is_alphanumeric());
+        (!word.is_empty()).then_some(word)
+    })
+}

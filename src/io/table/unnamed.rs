@@ -1,0 +1,355 @@
+//! Finds the position in rows without column names.
+
+use std::collections::HashSet;
+
+use crate::io::number::Decimal;
+
+use super::fields::{LineFields, MOST_FIELDS, Separator, Syntax, lines, rows_of, unquoted};
+
+/// Number of rows that are sampled to find out what the first columns contain.
+const SAMPLED_ROWS: usize = 256;
+/// Maximum number of columns that are sampled.
+const SAMPLED_COLUMNS: usize = 16;
+/// Number of rows in which coordinates rarely have a pattern by accident.
+const MANY_ROWS: usize = 16;
+/// Number of rows that must be the same to be words instead of a title.
+const ROWS_OF_WORDS: usize = 32;
+
+/// The layout of a row in a table without column names.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct UnnamedColumns {
+    pub syntax: Syntax,
+    /// The index of the first column of the position, or of the row number before it.
+    pub first: usize,
+    pub fields: usize,
+}
+
+impl UnnamedColumns {
+    /// The layout of a row. `None` if it does not contain three numbers at its start, after a word,
+    /// or after an integer and a word.
+    pub fn of(row: &[u8]) -> Option<Self> {
+        let all = Syntax::ALL.map(|syntax| {
+            let fields = LineFields::new(row, syntax.separator, 0).take(MOST_FIELDS + 1);
+            (syntax, fields.collect::<Vec<_>>())
+        });
+        let between_blanks = LineFields::new(row, Separator::Blanks, 0).count();
+        let found = |first: fn(Syntax, &[&[u8]]) -> Option<usize>| {
+            all.iter().find_map(|(syntax, fields)| {
+                // Tries tabs as separators only if a cell is empty or contains blanks.
+                if syntax.separator == Separator::Byte(b'\t') && fields.len() == between_blanks {
+                    return None;
+                }
+                let first = first(*syntax, fields)?;
+                let position = fields.get(first..first + 3)?;
+                let are_numbers = position.iter().all(|field| syntax.is_number(field));
+                are_numbers.then_some(Self { syntax: *syntax, first, fields: fields.len() })
+            })
+        };
+        found(|_, _| Some(0)).or_else(|| {
+            found(|_, fields| match fields {
+                [word, ..] if is_word(word) => Some(1),
+                [number, word, ..] if is_whole(number) && is_word(word) => Some(2),
+                _ => None,
+            })
+        })
+    }
+
+    /// The index of the x column in a table whose first rows are `rows`.
+    ///
+    /// # Errors
+    /// A description of the columns that may contain identifiers or types instead of coordinates.
+    pub fn x_column(self, rows: &[u8]) -> Result<usize, String> {
+        // Three columns can only be the position.
+        if self.fields < self.first + 4 {
+            return Ok(self.first);
+        }
+        let sample = Sample::of(rows, self);
+        match sample.leading_columns() {
+            Leading::Position => Ok(self.first),
+            Leading::RowNumber => Ok(self.first + 1),
+            Leading::Unclear(columns) => Err(sample.describe(&columns, self)),
+        }
+    }
+
+    /// The index of the x column in a frame of an XYZ file whose rows are `rows`. `None` if the
+    /// rows start with integers that may be either atomic numbers or x coordinates.
+    pub fn x_column_of_xyz(self, rows: &[u8]) -> Option<usize> {
+        let sample = Sample::of(rows, self);
+        if self.first > 0 || self.fields < 4 || !sample.columns[0].is_unsigned() {
+            return Some(self.first);
+        }
+        // The first column has atomic numbers or counts the rows. In other cases, it is x, as in
+        // sorted rows.
+        let is_skipped = sample.starts_with_elements() || sample.starts_with_row_numbers();
+        (1..4).all(|column| sample.columns[column].has_reals()).then_some(usize::from(is_skipped))
+    }
+}
+
+/// Whether a line starts with three numbers, or contains only numbers.
+pub fn is_row(line: &[u8]) -> bool {
+    UnnamedColumns::of(line).is_some_and(|row| row.first == 0) || {
+        let syntax = Syntax { separator: Separator::of(line), decimal: Decimal::Point };
+        LineFields::new(line, syntax.separator, 0).take(3).all(|field| syntax.is_number(field))
+    }
+}
+
+/// Whether a line starts with words and all later lines have the same layout. A line that starts
+/// with words is a title if later lines differ.
+pub fn is_row_of_words(line: &[u8], rows: &[u8]) -> bool {
+    UnnamedColumns::of(line).is_some_and(|row| {
+        row.first > 0
+            && lines(rows)
+                .take(ROWS_OF_WORDS)
+                .all(|(.., other)| UnnamedColumns::of(other) == Some(row))
+    })
+}
+
+fn is_word(field: &[u8]) -> bool {
+    let field = unquoted(field);
+    field.first().is_some_and(u8::is_ascii_alphabetic) && Syntax::BLANKS.number(field).is_none()
+}
+
+/// Whether a field is an integer without a sign.
+pub fn is_whole(field: &[u8]) -> bool {
+    !field.is_empty() && field.len() < 20 && field.iter().all(u8::is_ascii_digit)
+}
+
+/// The meaning of the columns at the start of a row.
+#[derive(Debug, PartialEq, Eq)]
+enum Leading {
+    Position,
+    /// A row number or an identifier, followed by the position.
+    RowNumber,
+    /// Columns, by their indices in the sample, that may be identifiers, types or flags.
+    Unclear(Vec<usize>),
+}
+
+/// Numbers in the first rows. The columns start with [`UnnamedColumns::first`].
+#[derive(Debug)]
+struct Sample {
+    columns: Vec<SampledColumn>,
+    rows: usize,
+}
+
+/// The fields of a column in the sampled rows.
+#[derive(Debug, Default)]
+struct SampledColumn {
+    /// The numbers. NaN for a field without a number.
+    values: Vec<f64>,
+    /// For each field, a number that is the same for equal fields. Exact for all integers.
+    keys: Vec<u64>,
+    /// Number of fields that are numbers.
+    numbers: usize,
+    /// Number of fields that are integers, with or without a sign.
+    integers: usize,
+    /// Number of fields that are integers without a sign.
+    unsigned: usize,
+}
+
+impl SampledColumn {
+    fn push(&mut self, field: &[u8], syntax: Syntax) {
+        let field = unquoted(field);
+        let comma = Syntax { decimal: Decimal::Comma, ..syntax };
+        let number = syntax.number(field).or_else(|| comma.number(field));
+        let value = number.unwrap_or(f64::NAN);
+        let digits = field.strip_prefix(b"-").or(field.strip_prefix(b"+")).unwrap_or(field);
+        let exact = std::str::from_utf8(field).ok().filter(|_| is_whole(field));
+        let exact = exact.and_then(|digits| digits.parse().ok());
+        self.values.push(value);
+        self.keys.push(exact.unwrap_or(value.to_bits()));
+        self.numbers += usize::from(syntax.is_number(field) || comma.is_number(field));
+        self.integers += usize::from(is_whole(digits));
+        self.unsigned += usize::from(is_whole(field));
+    }
+
+    /// Whether all fields are integers without a sign.
+    fn is_unsigned(&self) -> bool {
+        self.unsigned == self.values.len()
+    }
+
+    /// Whether all fields are written as integers.
+    fn is_integer(&self) -> bool {
+        self.integers == self.values.len()
+    }
+
+    /// Whether all numbers are whole, even if they are written like `1.0` or `1e0`.
+    fn is_whole(&self) -> bool {
+        self.values.iter().all(|value| value.fract() == 0.0)
+    }
+
+    /// Whether a field is a number, but not an integer without a sign.
+    fn has_reals(&self) -> bool {
+        self.numbers > self.unsigned
+    }
+
+    fn has_fractions(&self) -> bool {
+        self.values.iter().any(|value| value.is_finite() && value.fract() != 0.0)
+    }
+
+    fn distinct(&self) -> usize {
+        self.keys.iter().collect::<HashSet<_>>().len()
+    }
+
+    /// Whether each number is the previous number plus one.
+    fn counts_up(&self) -> bool {
+        self.values.windows(2).all(|pair| pair[1] == pair[0] + 1.0)
+    }
+}
+
+impl Sample {
+    fn of(rows: &[u8], row: UnnamedColumns) -> Self {
+        let width = (row.fields - row.first).min(SAMPLED_COLUMNS);
+        let mut columns: Vec<_> = (0..width).map(|_| SampledColumn::default()).collect();
+        let mut count = 0;
+        for fields in rows_of(rows, row.syntax, row.fields).take(SAMPLED_ROWS) {
+            let mut fields = fields.skip(row.first);
+            for column in &mut columns {
+                column.push(fields.next().unwrap_or_default(), row.syntax);
+            }
+            count += 1;
+        }
+        Self { columns, rows: count }
+    }
+
+    /// Distinguishes identifiers, types and flags from coordinates.
+    ///
+    /// Each rule needs evidence that a column is not a coordinate. Whole numbers alone are no
+    /// evidence: x is whole in a lattice, and constant in a plane. The evidence is as follows.
+    ///
+    /// - An identifier has a different whole number in each row. Coordinates of particles repeat,
+    ///   because particles with the same x differ in y or z.
+    /// - Positions differ between rows. Combinations of types and flags repeat.
+    /// - In the same file, a program writes all coordinates in the same way. If y and z have
+    ///   fractions, x has fractions too, except in a plane.
+    ///
+    /// A single identifier before three columns of real numbers is skipped. In all other cases,
+    /// the number of columns before the position is unknown. A constant first column cannot be
+    /// distinguished from a plane, and is read as x.
+    fn leading_columns(&self) -> Leading {
+        if self.starts_with_row_numbers() {
+            // The second column can be a type with a sign.
+            let [x, y, z] = [1, 2, 3].map(|column| self.columns[column].is_integer());
+            return if x && !(y && z) { Leading::Unclear(vec![0, 1]) } else { Leading::RowNumber };
+        }
+        let whole = (0..self.columns.len()).take_while(|&column| !self.is_real(0, column)).count();
+        let are_followed = (whole..whole + 3).all(|column| self.is_real(0, column));
+        if whole >= 2 && are_followed && !self.starts_with_lattice(whole.min(3)) {
+            return Leading::Unclear((0..whole).collect());
+        }
+        let identifier = (0..3).find(|&column| self.is_identifier_instead_of_coordinate(column));
+        let unclear = identifier.or((whole == 1 && self.starts_with_type()).then_some(0));
+        unclear.map_or(Leading::Position, |column| Leading::Unclear(vec![column]))
+    }
+
+    /// Whether the first column numbers the rows or identifies particles, and real numbers follow
+    /// it.
+    fn starts_with_row_numbers(&self) -> bool {
+        let [first, rest @ ..] = &self.columns[..] else { return false };
+        let are_real = match first.is_unsigned() {
+            true => rest.iter().take(3).all(SampledColumn::has_reals),
+            false => (1..4).all(|column| self.is_real(0, column)),
+        };
+        rest.len() >= 3 && self.rows > 2 && are_real && self.is_identifier(0)
+    }
+
+    /// Whether the first column contains only possible atomic numbers.
+    fn starts_with_elements(&self) -> bool {
+        self.columns[0].values.iter().all(|value| (1.0..=118.0).contains(value))
+    }
+
+    /// Whether a column has a different whole number in each row. Real numbers that are whole by
+    /// accident do not count.
+    fn is_identifier(&self, column: usize) -> bool {
+        let column = &self.columns[column];
+        self.rows > 1
+            && column.is_whole()
+            && (column.is_integer() || self.rows >= MANY_ROWS)
+            && column.distinct() == self.rows
+    }
+
+    /// Whether a column contains real numbers, in contrast to the column `other`. If `other` has
+    /// integers, `1.0` is a real number. Otherwise, only fractions distinguish the columns.
+    fn is_real(&self, other: usize, column: usize) -> bool {
+        self.columns.get(column).is_some_and(|column| match self.columns[other].is_integer() {
+            true => column.numbers > column.integers,
+            false => column.has_fractions(),
+        })
+    }
+
+    /// Whether a number of different texts is small compared to the number of rows.
+    fn is_small(&self, distinct: usize) -> bool {
+        4 * distinct < 3 * self.rows
+    }
+
+    /// Whether the first `count` columns, which have whole numbers, can be coordinates of a
+    /// lattice.
+    fn starts_with_lattice(&self, count: usize) -> bool {
+        let columns = &self.columns[..count];
+        let tuples: HashSet<Vec<u64>> = (0..self.rows)
+            .map(|row| columns.iter().map(|column| column.keys[row]).collect())
+            .collect();
+        // In a large lattice of small cells, each coordinate of a sampled row may be different.
+        let has_repeating = || columns.iter().any(|column| self.is_small(column.distinct()));
+        let has_identifier = (0..2).any(|column| self.is_identifier(column));
+        !self.is_small(tuples.len()) && !(has_identifier && (count == 2 || has_repeating()))
+    }
+
+    /// Whether one of the first three columns is an identifier, and the others are unlike it.
+    fn is_identifier_instead_of_coordinate(&self, column: usize) -> bool {
+        if self.rows < 3 || !self.is_identifier(column) {
+            return false;
+        }
+        let are_many = self.rows >= MANY_ROWS;
+        let is_unlike = (0..3).any(|other| other != column && self.is_real(column, other));
+        match (column, is_unlike) {
+            (0, true) => are_many || self.columns[0].counts_up(),
+            // A lattice of whole numbers rarely begins with so long a line of particles.
+            (0, false) => are_many && self.columns[0].counts_up(),
+            (_, is_unlike) => are_many && is_unlike,
+        }
+    }
+
+    /// Whether the first column has a few different integers, and no number in the next three
+    /// columns is whole.
+    fn starts_with_type(&self) -> bool {
+        let first = &self.columns[0];
+        let has_no_whole =
+            |column: &SampledColumn| column.values.iter().all(|value| value.fract() != 0.0);
+        self.rows >= MANY_ROWS
+            && first.is_integer()
+            && first.distinct() > 1
+            && self.is_small(first.distinct())
+            && self.columns[1..4].iter().all(has_no_whole)
+    }
+
+    /// A message about unclear columns, with an example of a header.
+    fn describe(&self, unclear: &[usize], row: UnnamedColumns) -> String {
+        let numbers: Vec<_> = unclear.iter().map(|c| (row.first + c + 1).to_string()).collect();
+        let shown = match numbers.split_last() {
+            Some((last, others)) if !others.is_empty() => {
+                format!("columns {} and {last} look like identifiers or types", others.join(", "))
+            }
+            _ => format!("column {} looks like an identifier or a type", numbers.concat()),
+        };
+        let mut example = vec!["name"; row.first];
+        let mut types = ["type", "object"].into_iter();
+        for column in 0..unclear.last().map_or(0, |last| last + 1) {
+            let name = match unclear.contains(&column) {
+                true if self.is_identifier(column) && !example.contains(&"id") => "id",
+                true => types.next().unwrap_or("flag"),
+                false => "mass",
+            };
+            example.push(name);
+        }
+        example.extend(["x", "y", "z"]);
+        if example.len() < row.fields {
+            example.push("...");
+        }
+        format!(
+            "{shown}, so the columns of the position are unclear; write the names of all {} \
+             columns in a first line, for example `{}`",
+            row.fields,
+            example.join(" ")
+        )
+    }
+}

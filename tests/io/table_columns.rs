@@ -1,0 +1,336 @@
+//! Tests of finding the columns of text tables: names in any notation give the columns, and a table
+//! whose columns are unclear is refused.
+
+use meniscus::internals::io::bytes::Unpacking;
+use meniscus::internals::io::input::InputFormat;
+use meniscus::internals::io::text_format::{self, TextHint};
+use meniscus::internals::io::wanted::WantedAttributes;
+use meniscus::internals::io::{ParticleFile, ReadFault};
+use meniscus::internals::particles::Particles;
+
+use crate::common::particle_files::{attribute, positions};
+
+/// Rows of two particles: the velocity, then the position.
+const VELOCITY_FIRST: &str = "0.5 0.25 -0.5 1.5 2.5 3.5\n0.75 0.5 0.25 4.5 5.5 6.5\n";
+const VELOCITIES: [f32; 6] = [0.5, 0.25, -0.5, 0.75, 0.5, 0.25];
+const POSITIONS: [[f64; 3]; 2] = [[1.5, 2.5, 3.5], [4.5, 5.5, 6.5]];
+
+fn read_as(format: InputFormat, table: &str) -> Result<ParticleFile, ReadFault> {
+    let hint = TextHint::Extension(Some(format));
+    let bytes = table.as_bytes().to_vec().into();
+    let all = WantedAttributes::All;
+    text_format::read_particles(bytes, hint, (None, None), all, Unpacking::in_memory())
+}
+
+fn text(table: &str) -> Result<ParticleFile, ReadFault> {
+    read_as(InputFormat::Csv, table)
+}
+
+/// The line and the description of a table's error.
+fn refusal(table: &str) -> (u64, String) {
+    match text(table) {
+        Err(ReadFault::Line { line, what }) => (line, what),
+        other => panic!("{table:?}: {other:?}"),
+    }
+}
+
+fn attributes(file: &ParticleFile) -> Vec<(&str, usize)> {
+    file.particles.attributes().iter().map(|info| (info.name.as_str(), info.components)).collect()
+}
+
+fn table(rows: usize, row: impl Fn(usize) -> String) -> String {
+    (0..rows).map(|number| row(number) + "\n").collect()
+}
+
+/// Three coordinates that are not whole numbers.
+fn place(row: usize) -> String {
+    let coordinate = |number: usize| format!("{:.3}", (number * 37 % 101) as f64 / 102.0 + 0.005);
+    format!("{} {} {}", coordinate(row), coordinate(row + 5), coordinate(row + 9))
+}
+
+/// The numbers in the columns from `first` on.
+fn three_columns(table: &str, first: usize) -> Vec<[f64; 3]> {
+    let row = |line: &str| {
+        let numbers: Vec<f64> = line.split(' ').map(|word| word.parse().unwrap()).collect();
+        [0, 1, 2].map(|axis| numbers[first + axis])
+    };
+    table.lines().map(row).collect()
+}
+
+#[test]
+fn unnamed_columns_of_identifiers_and_types_are_refused() {
+    let vectors = |i: usize| format!("{} {}", place(i), place(i + 1)).replace(' ', "\t");
+    let gpusph = table(3, |i| format!("{i}\t0\t0\t{}\t0.125\t1000\t0\t", vectors(i)));
+    let cases = [
+        (table(3, |i| format!("{i} 1 {}", place(i))), "columns 1 and 2", "`id type x y z`"),
+        (table(2, |i| format!("{i} 1 {}", place(i))), "columns 1 and 2", "`id type x y z`"),
+        (
+            table(9, |i| format!("{i} {} {} {}", i % 2, place(i), place(i + 1))),
+            "columns 1 and 2",
+            "`id type x y z ...`",
+        ),
+        (gpusph, "columns 1, 2 and 3", "`id type object x y z ...`"),
+        (table(9, |i| format!("{i} -1 {}", place(i))), "columns 1 and 2", "`id type x y z`"),
+        (table(9, |i| format!("2 {} {}", 90 - i, place(i))), "columns 1 and 2", "`type id x y z`"),
+        (
+            table(9, |i| format!("{} 0 {}", i % 2, place(i))),
+            "columns 1 and 2",
+            "`type object x y z`",
+        ),
+        (
+            table(20, |i| format!("{:.3e} 1.000e0 {}", i as f64, place(i))),
+            "columns 1 and 2",
+            "`id type x y z`",
+        ),
+        (
+            table(9, |i| format!("{i} 1 {}", place(i))).replace(' ', ";").replace('.', ","),
+            "columns 1 and 2",
+            "`id type x y z`",
+        ),
+        (table(20, |i| format!("{} {}", i % 3, place(i))), "column 1", "`type x y z`"),
+        (table(9, |i| format!("{i} {} 0", &place(i)[..11])), "column 1", "`id x y z`"),
+        (table(20, |i| format!("{} {} 0", i * 7 % 23, &place(i)[..11])), "column 1", "`id x y z`"),
+        (table(20, |i| format!("0.125 {i} {}", place(i))), "column 2", "`mass id x y z`"),
+        (
+            table(300, |i| format!("{i} {} {} {}", i % 10, i / 10 % 10, i / 100)),
+            "column 1",
+            "`id x y z`",
+        ),
+        (table(3, |i| format!("water {i} 1 {}", place(i))), "columns 2 and 3", "`name id type x"),
+    ];
+    for (table, columns, header) in cases {
+        let (line, what) = refusal(&format!("# t = 0.1\n{table}"));
+        assert_eq!(line, 2, "{what}");
+        assert!(what.contains(columns) && what.contains(header), "{table}: {what}");
+    }
+}
+
+#[test]
+fn an_example_of_a_header_in_an_error_makes_the_table_readable() {
+    let rows = table(5, |i| format!("{i} 1 {}", place(i)));
+    let (_, what) = refusal(&rows);
+    let header = what.split('`').nth(1).unwrap();
+    let file = text(&format!("{header}\n{rows}")).unwrap();
+    assert_eq!(positions(&file), three_columns(&rows, 2));
+    assert_eq!(attributes(&file), [("id", 1), ("type", 1)]);
+}
+
+#[test]
+fn a_single_identifier_before_real_coordinates_is_skipped() {
+    for rows in [
+        table(3, |i| format!("{i} {}", place(i))),
+        table(3, |i| format!("{} {} {}", 90 - i, place(i), place(i + 1))),
+        table(20, |i| format!("{} {}", i * 7 % 23, place(i))),
+        table(20, |i| format!("{:.3e} {}", i as f64, place(i))),
+        table(20, |i| format!("{} {}", (1 << 62) + i, place(i))),
+        table(27, |i| format!("{i} {}.0 {}.0 {}.0", i % 3, i / 3 % 3, i / 9)),
+    ] {
+        assert_eq!(positions(&text(&rows).expect(&rows)), three_columns(&rows, 1), "{rows}");
+    }
+}
+
+#[test]
+fn whole_coordinates_of_lattices_and_planes_are_not_taken_for_types() {
+    let whole = |i: usize| format!("{} {} {}", i % 10, i / 10 % 10, i / 100);
+    let reverse = |i: usize| format!("{} {} {}", i / 100, i / 10 % 10, i % 10);
+    for rows in [
+        table(300, whole),
+        table(300, |i| format!("{i} 0 0")),
+        table(300, |i| format!("{} 1 0.5", whole(i))),
+        table(300, |i| format!("{} {}", whole(i), place(i))),
+        table(300, |i| format!("{} {}", reverse(i), place(i))),
+        table(20, |i| format!("0 {}", &place(i)[..11])),
+        table(20, |i| format!("0 {} {}", &place(i)[..11], place(i + 1))),
+        table(20, |i| format!("0 {} 0 {}", &place(i)[..11], &place(i + 1)[..11])),
+        table(20, |i| format!("1.0 {} {}", &place(i)[..11], place(i + 1))),
+        table(20, |i| format!("{} 0 {}", &place(i)[..11], place(i + 1))),
+        // Planes at several whole numbers.
+        table(8, |i| format!("{} {} {}", i % 2, &place(i)[..11], place(i + 1))),
+        table(60, |i| format!("{} {} {} {}", i % 3, (i / 3) as f64 / 2.0, i % 5, place(i))),
+        // A column of water at x = 0 and y = 0, whose pressure depends on the depth.
+        table(300, |i| format!("0 0 {} 0 0 0 1000 {}", i as f64 / 20.0, 9.81 * (300 - i) as f64)),
+        // Coordinates in micrometres.
+        table(300, |i| {
+            let coordinate = |factor: usize| i * factor % 1_000_003;
+            format!("{} {} {} {}", coordinate(7919), coordinate(104_729), coordinate(31), place(i))
+        }),
+        table(20, |i| format!("{} {}", place(i), i % 2)),
+        table(20, |i| format!("{} {i}", place(i))),
+    ] {
+        assert_eq!(positions(&text(&rows).expect(&rows)), three_columns(&rows, 0), "{rows}");
+    }
+}
+
+#[test]
+fn names_in_a_comment_are_understood_in_every_notation() {
+    for names in [
+        "# vx[m/s] vy[m/s] vz[m/s] x[m] y[m] z[m]",
+        "# vx[m/s], vy[m/s], vz[m/s], x[m], y[m], z[m]",
+        "# vx (m/s)   vy (m/s) vz (m/s) x (m) y (m) z (m)",
+        "# vx (m / s) vy (m / s) vz (m / s) x (m) y (m) z (m)",
+        "# 1:vx 2:vy 3:vz 4:x 5:y 6:z",
+        "# [0] vx [1] vy [2] vz [3] x [4] y [5] z",
+        "# (1) vx, (2) vy, (3) vz, (4) x, (5) y, (6) z",
+        "# 1 vx 2 vy 3 vz 4 x 5 y 6 z",
+        "# 1: vx [m/s] 2: vy [m/s] 3: vz [m/s] 4: x [m] 5: y [m] 6: z [m]",
+        "# [0] vx\n# [1] vy\n# [2] vz\n# [3] x\n# [4] y\n# [5] z",
+        "# SPH\n# column 1: vx\n# column 2: vy\n# column 3: vz\n# column 4: x\n# column 5: y\n\
+         # column 6: z\n# ---",
+        "# 1 = vx [m/s]\n# 2 = vy [m/s]\n# 3 = vz [m/s]\n# 4 = x [m]\n# 5 = y [m]\n# 6 = z [m]",
+        "# 1: vx of it\n# 2: vy of it\n# 3: vz of it\n# 4: x of it\n# 5: y of it\n# 6: z of it",
+        "# columns: vx vy vz x y z",
+        "# t = 0.1, columns: vx, vy, vz, x, y, z",
+        "# fields=vx,vy,vz,x,y,z",
+        "# vx vy vz x y z\n# [m/s] [m/s] [m/s] [m] [m] [m]",
+        "vx[m/s] vy[m/s] vz[m/s] x[m] y[m] z[m]",
+        "vx (m/s)   vy (m/s)  vz (m/s)  x (m)  y (m)  z (m)",
+        "1:vx 2:vy 3:vz 4:x 5:y 6:z",
+    ] {
+        let file = text(&format!("{names}\n{VELOCITY_FIRST}")).expect(names);
+        assert_eq!(positions(&file), POSITIONS, "{names}");
+        assert_eq!(attributes(&file), [("v", 3)], "{names}");
+        assert_eq!(attribute(&file, "v"), VELOCITIES, "{names}");
+    }
+    let rows = table(3, |i| format!("{i} 1 {}", place(i)));
+    for names in ["# time 0.1\n# 1:id 2:type 3:x 4:y 5:z", "# columns: id, type, x, y, z"] {
+        let file = text(&format!("{names}\n{rows}")).expect(names);
+        assert_eq!(positions(&file), three_columns(&rows, 2), "{names}");
+        assert_eq!(attributes(&file), [("id", 1), ("type", 1)], "{names}");
+    }
+}
+
+#[test]
+fn opensph_names_with_blanks_and_axes_in_brackets_are_understood() {
+    let head = "# Run: unnamed\n# SPH dump, time = 0.1\n";
+    for [open, close] in [["[", "]"], ["(", ")"]] {
+        let of = |name: &str| {
+            ["x", "y", "z"].map(|axis| format!("{name} {open}{axis}{close}")).join("        ")
+        };
+        let names = format!("#         {}        {}", of("Velocity"), of("Position"));
+        let file = text(&format!("{head}{names}\n{VELOCITY_FIRST}")).unwrap();
+        assert_eq!(
+            (positions(&file), attributes(&file)),
+            (POSITIONS.to_vec(), vec![("Velocity", 3)])
+        );
+
+        let names = format!(
+            "#       Particle index        {}        {}        Smoothing length    Density",
+            of("Position"),
+            of("Velocity")
+        );
+        let rows = "    0    1.5    2.5    3.5    0.5    0.25    -0.5    0.06    1000\n\
+                        1    4.5    5.5    6.5    0.75    0.5    0.25    0.06    1000\n";
+        let file = text(&format!("{head}{names}\n{rows}")).unwrap();
+        assert_eq!(positions(&file), POSITIONS);
+        let expected =
+            [("Particle index", 1), ("Velocity", 3), ("Smoothing length", 1), ("Density", 1)];
+        assert_eq!(attributes(&file), expected);
+        assert_eq!(attribute(&file, "Velocity"), VELOCITIES);
+    }
+}
+
+#[test]
+fn a_comment_whose_names_do_not_fit_the_rows_is_refused() {
+    for (names, line) in [
+        ("# t = 0.1\n# x y z vx vy vz rho", 2),
+        ("# vx vy vz x y z rho", 1),
+        ("# vx[m/s] vy[m/s] vz[m/s] x[m] y[m] z[m] rho[kg/m^3]", 1),
+        ("# id x (m) y (m) z (m)\n# ------", 1),
+        ("# [1] vx [2] vy [4] x [5] y [6] z", 1),
+        ("# [3] x\n# [4] y\n# [5] z", 3),
+        ("# [0] vx\n# [1] vy\n# [3] x\n# [4] y\n# [5] z", 5),
+        ("# Particle index  Position [x]  Position [y]  Position [z]", 1),
+        ("# velocity: vx vy vz, position: x y z", 1),
+        ("# velocity (x, y, z), position (x, y, z)", 1),
+        ("# velocities vx, vy, vz; positions x, y, z", 1),
+        ("# vx in m/s, vy in m/s, vz in m/s, x in m, y in m, z in m", 1),
+        ("# x-velocity, y-velocity, z-velocity, x-coordinate, y-coordinate, z-coordinate", 1),
+        ("# the velocity vx vy vz and the position x_m y_m z_m of it", 1),
+        ("# z y x of all particles", 1),
+        ("# x[m] y[m] z[m] x[m] y[m] z[m]", 1),
+        ("# x (m) y (m) a (1) b (1) c (1) d (1)", 1),
+    ] {
+        let (at, what) = refusal(&format!("{names}\n{VELOCITY_FIRST}"));
+        assert_eq!(at, line, "{names}: {what}");
+    }
+    let (_, what) = refusal(&format!("# vx vy vz x y z rho\n{VELOCITY_FIRST}"));
+    assert!(what.contains("6 columns") && what.contains("\"vx vy vz x y z rho\""), "{what}");
+}
+
+#[test]
+fn sentences_and_numbers_in_comments_are_not_taken_for_names() {
+    let numbered = table(3, |i| format!("{i} {} {}", place(i), place(i + 1)));
+    let rows = table(3, |i| format!("{} {}", place(i), place(i + 1)));
+    for comment in [
+        "# written by foo x 3",
+        "# t = 0.1",
+        "# n = 5 x 5 x 5",
+        "# 5 x 5 y 5 z",
+        "# x: 0 1, y: 0 1, z: 0 2",
+        "# x=0..1 y=0..1 z=0..2",
+        "# gravity x 0 y 0 z -9.81",
+        "# x y z",
+        "# x y z of all particles",
+        "# x, y, z and the velocities",
+        "# periodic in x, y, z",
+        "# periodic in x y z",
+        "# x is right, y is up and z points at the viewer",
+        "# 1. x is to the right\n# 2. y is up\n# 3. z is depth",
+        "# position (x, y, z), velocity",
+        "# Lx Ly Lz",
+        "# 1 2 3 4 5 6",
+        "# [m] [m] [m]",
+    ] {
+        for (rows, first) in [(&rows, 0), (&numbered, 1)] {
+            let file = text(&format!("{comment}\n{rows}")).expect(comment);
+            assert_eq!(positions(&file), three_columns(rows, first), "{comment}");
+        }
+    }
+    // Rows of three numbers can only be positions.
+    let rows = table(3, place);
+    for comment in [
+        "# x y z of all particles",
+        "# positions x y z of the particles in metres",
+        "# x in m, y in m, z in m",
+        "# x y z (m)",
+        "# [0] x\n# [1] y\n# [2] z",
+    ] {
+        let file = text(&format!("{comment}\n{rows}")).expect(comment);
+        assert_eq!(positions(&file), three_columns(&rows, 0), "{comment}");
+    }
+}
+
+#[test]
+fn names_above_a_title_do_not_concern_the_rows() {
+    let rows = table(3, |i| format!("{} {}", place(i), place(i + 1)));
+    let file = text(&format!("# vx vy vz x y z rho\nwater\n{rows}")).unwrap();
+    assert_eq!(positions(&file), three_columns(&rows, 0));
+}
+
+#[test]
+fn names_without_the_row_number_are_accepted_only_if_x_is_first() {
+    let rows = table(3, |i| format!("{i} {} {}", place(i), place(i + 1)));
+    let file = text(&format!("# x y z vx vy vz\n{rows}")).unwrap();
+    assert_eq!(positions(&file), three_columns(&rows, 1));
+    assert_eq!(refusal(&format!("# vx vy vz x y z\n{rows}")).0, 1);
+}
+
+#[test]
+fn units_without_a_blank_are_removed_only_if_the_position_has_one() {
+    let file = text("x[m],y[m],z[m],vel[0],vel[1],vel[2],rho[kg/m^3]\n1,2,3,4,5,6,7\n").unwrap();
+    assert_eq!(attributes(&file), [("vel", 3), ("rho", 1)]);
+    let file = text("x,y,z,log(rho),a[1]\n1,2,3,4,5\n").unwrap();
+    assert_eq!(attributes(&file), [("log(rho)", 1), ("a[1]", 1)]);
+    let file = text("x(m),y(m),z(m),phi(air),phi(water)\n1,2,3,4,5\n").unwrap();
+    assert_eq!(attributes(&file), [("phi(air)", 1), ("phi(water)", 1)]);
+}
+
+#[test]
+fn decorated_names_in_the_comment_of_an_xyz_frame_are_understood() {
+    for names in ["# vx[m/s] vy[m/s] vz[m/s] x[m] y[m] z[m]", "1:vx 2:vy 3:vz 4:x 5:y 6:z"] {
+        let frame = format!("2\n{names}\n{VELOCITY_FIRST}");
+        let file = read_as(InputFormat::Xyz, &frame).expect(names);
+        assert_eq!((file.format, positions(&file)), ("XYZ", POSITIONS.to_vec()), "{names}");
+        assert_eq!(attributes(&file), [("v", 3)], "{names}");
+    }
+}
