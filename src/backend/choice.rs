@@ -173,8 +173,8 @@ fn opened(
     Backend::vulkan(Device::open(instance, &choice, &options)?)
 }
 
-/// Total size, in bytes, of the particles in `files`; `None` if a file is missing or does not show
-/// the size of its particles.
+/// Total size, in bytes, of the particles in `files`; `None` if a file is missing, or if its size
+/// does not show how many particles it holds.
 pub fn bytes_of<'a>(files: impl IntoIterator<Item = &'a Path>) -> Option<u64> {
     let bytes = |file: &Path| {
         let extension = file.extension().unwrap_or_default().to_ascii_lowercase();

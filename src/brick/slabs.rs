@@ -63,8 +63,7 @@ impl Slabs {
 
     /// Adds `words`, and returns the index of the first added word.
     ///
-    /// # Errors
-    /// If the system has no memory for the words; then no word is added.
+    /// # Errors If the system has no memory for the words. In this case, no word is added.
     pub(super) fn push(&mut self, mut words: &[u64]) -> io::Result<usize> {
         let at = self.len;
         while self.slabs.len() * self.slab < at + words.len() {

@@ -133,8 +133,8 @@ impl SettingConflict {
                 named("particles_up")
             ),
             (Conflict::Format { path, format }, "attributes") if format.holds_colours() => format!(
-                "{}: {format} cannot store {setting}, except one colour: 3 or 4 numbers from 0 to \
-                 1, or integers from 0 to 255, with a name such as Cd; use .ply to store others",
+                "{}: {format} cannot store {setting} other than one colour (3 or 4 numbers from 0 \
+                 to 1, or integers from 0 to 255, with a name such as Cd); use .ply for others",
                 path.display()
             ),
             (Conflict::Format { path, format }, _) => {

@@ -73,8 +73,8 @@ pub enum ReadFault {
     Changed,
     /// The file contains a mesh instead of particles. Vertices of a mesh are not used as particles.
     #[error(
-        "contains a mesh (faces or cells: {faces}), not particles; remove them to use the vertices \
-         as particles"
+        "contains a mesh ({faces} faces or cells), not particles; to use its vertices as \
+         particles, remove the faces or cells"
     )]
     Mesh {
         /// Number of cells with an area or a volume.

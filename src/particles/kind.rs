@@ -69,7 +69,7 @@ pub enum KindFault {
     #[error(
         "colour {name:?} has the value {value}, but the calibration frame (usually the first) has \
          integers from 0 to 255; store colours in the same way in all frames, begin with a frame \
-         that has such values, or leave the attribute out"
+         whose values exceed 255, or leave the attribute out"
     )]
     NoByte {
         /// The name of the attribute.

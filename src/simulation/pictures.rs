@@ -672,7 +672,7 @@ impl Sheet {
         Ok(SheetDone { path, meshes, undrawn })
     }
 
-    /// Returns the text that is stored in the picture's file, and names the meshes.
+    /// Returns the text to store in the picture's file. It lists the names of the meshes.
     fn source(&self) -> String {
         let meshes = self.pictures.meshes.iter().filter_map(|output| output.file_name());
         let names: Vec<_> = meshes.map(|name| name.to_string_lossy()).collect();

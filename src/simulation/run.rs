@@ -72,7 +72,7 @@ impl Simulation {
     /// Converts a simulation. If the calibration frame changes meanwhile, measures the calibration
     /// again, and remakes the frames that used the old one.
     fn convert(&self, begun: CheckedSimulation<'_>) -> Result<Summary, Error> {
-        // Later passes resume, because all existing outputs are then from this conversion.
+        // Later passes can resume: by then, all existing outputs come from this conversion.
         let resumed = Self { resume: true, ..self.clone() };
         let first = begun.setup;
         let mut ran = self.convert_once(begun)?;

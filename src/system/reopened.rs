@@ -187,7 +187,8 @@ pub fn will_read(file: &File, at: u64, bytes: u64) {
     let _ = (file, at, bytes);
 }
 
-/// Reads and writes whole ranges by system calls that may each handle only a part of the range.
+/// Reads and writes whole ranges with system calls, each of which may handle only a part of the
+/// range.
 #[cfg(windows)]
 mod windows {
     use std::fs::File;

@@ -202,7 +202,7 @@ fn an_obj_stores_one_colour_and_other_named_attributes_are_refused() {
     for (input, names) in [("numbers", "Cd"), ("one", "Cd"), ("two", "Cd,color")] {
         let input = format!("{input}.ply");
         let arguments = [&*input, "-o", "m.obj", "--attributes", names];
-        let message = ".obj cannot store --attributes, except one colour";
+        let message = ".obj cannot store --attributes other than one colour";
         assert_refused(folder.path(), &arguments, 2, &[message]);
         assert_refused(folder.path(), &[&arguments[..], &["--dry-run"]].concat(), 2, &[message]);
     }
@@ -1197,7 +1197,7 @@ fn a_mesh_is_refused_as_particles_but_points_with_vertex_cells_are_read() {
         let meshed = meniscus(folder.path(), &["reconstruct", "ball.mnf", "-o", mesh, "--quiet"]);
         assert!(meshed.status.success(), "{mesh}");
         let faces = read_mesh(&folder.path().join(mesh)).unwrap().triangles.len();
-        let message = format!("{mesh}: contains a mesh (faces or cells: {faces}), not particles");
+        let message = format!("{mesh}: contains a mesh ({faces} faces or cells), not particles");
         assert_refused(folder.path(), &[mesh, "-o", "out.ply"], 3, &[&message]);
         let packed = meniscus(folder.path(), &["pack", mesh, "-o", "out.mnf"]);
         let errors = String::from_utf8_lossy(&packed.stderr);

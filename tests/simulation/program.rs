@@ -1589,7 +1589,7 @@ fn frames_with_attributes_that_an_obj_cannot_store_fail() {
         let all = ["f_{}.ply", "-o", meshes, "--attributes", "Cd", "--spacing", "0.5"];
         run(folder.path(), &all, code)
     };
-    let refused = ".obj cannot store --attributes, except one colour";
+    let refused = ".obj cannot store --attributes other than one colour";
     write(1, "float", 0.5);
     write(2, "float", 0.25);
     write(3, "int", 300.0);

@@ -229,8 +229,8 @@ impl DeviceFrame {
         Ok(read)
     }
 
-    /// Makes the pages of particles that are already binned on the device. Returns only
-    /// descriptions of the pages if the pages stay on the device.
+    /// Makes the pages of particles that are already binned on the device. If the pages stay on the
+    /// device, returns only their descriptions.
     pub(super) fn indicate_resident(
         &self,
         state: &mut DeviceState,

@@ -128,8 +128,8 @@ impl Plateau {
             apply: &|block, walls| smoothing.apply(block, walls),
             meter,
         };
-        // Symmetry does not give the number of particles. Without a spacing no value can be
-        // expected, so any interior is better than none.
+        // The symmetry indicator does not count particles. Without a spacing, the expected value is
+        // unknown, so any interior is accepted.
         let counted = spacing.filter(|_| indicator.kind().counts());
         let volume = cells * cells * cells;
         let (enough, least) =

@@ -26,9 +26,9 @@ const DENSITY: f64 = 0.3978;
 /// steps are visible in the shading.
 pub const COARSEST_STEP: f64 = 0.125;
 
-/// The largest cell size, in spacings, at which symmetry fails. At this size, seven of eight cells
-/// deep in the fluid are empty, and the surface depends on where in the remaining cells the
-/// particles lie.
+/// The largest cell size, in spacings, at which the symmetry indicator fails. At this size, seven
+/// of eight cells deep in the fluid are empty, and the surface depends on where in the remaining
+/// cells the particles lie.
 pub const FINEST_OF_SYMMETRY: f64 = 0.5;
 
 /// The minimum cell size for distances from clouds, in spacings: the drop of a single particle is
@@ -45,7 +45,7 @@ pub const ON_CORNERS: f64 = 0.2;
 pub enum TooFine {
     /// The field's steps are too large.
     #[error(
-        "with a cell size of {}, the field is too coarse: deep in the fluid, it reaches only \
+        "with a cell size of {}, the field is too imprecise: deep in the fluid, it reaches only \
          {plateau:.1} of 65535, so rounding could move the surface by {step_cells:.3} cells (limit \
          {COARSEST_STEP}); {remedy}",
         shown(*cell_size)

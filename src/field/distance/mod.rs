@@ -146,7 +146,8 @@ impl Ramp {
 pub struct StandsOut {
     /// The ramp over this distance along which drops replace the surface.
     pub ramp: Ramp,
-    /// The distance, in units, by which a sheet of full certainty stands out earlier than drops.
+    /// The distance, in units of the field, by which a sheet of full certainty stands out earlier
+    /// than drops.
     pub earlier: u16,
     /// The ramp over the difference between the fine and the calm surface. The surfaces agree in
     /// the bulk; where they differ, sheets stand out earlier.

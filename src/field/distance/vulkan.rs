@@ -32,7 +32,7 @@ pub const CUBE_WORDS: u32 = (MOST_PARTS + 1 - WIDEST_CUBE).pow(3).div_ceil(u32::
 pub struct DistancePipelines {
     /// The calm and the fine surface of the bulk, and the difference between them.
     pub depths: Arc<ComputePipeline>,
-    /// The surface of the bulk, from the calm and the fine surface.
+    /// Blends the calm and the fine surface to the surface of the bulk.
     pub mix: Arc<ComputePipeline>,
     /// The distance by which particles lie outside the calm surface.
     pub outlying: Arc<ComputePipeline>,

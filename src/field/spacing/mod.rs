@@ -69,7 +69,7 @@ pub struct CoordinateFacts {
     pub plane: Option<Plane>,
     /// The step of the coordinates, if they were rounded to single precision.
     pub step: Option<f64>,
-    /// A robust middle of the particles, which stray particles do not move.
+    /// A robust middle of the particles, which stray particles do not affect.
     pub middle: DVec3,
 }
 

@@ -84,7 +84,7 @@ pub struct Neighbours {
     pub sheet: Option<f64>,
     /// The spacing from the density in the plane, if all particles lie in a plane.
     pub plane: Option<f64>,
-    /// The scatter of the density relative to randomly placed particles, for 12 and for 20
+    /// The scatter of the density, relative to that of randomly placed particles, for 12 and for 20
     /// neighbours.
     pub scatter: Option<[f64; 2]>,
     /// A lower bound of the number of particles in the sample that coincide with another particle.

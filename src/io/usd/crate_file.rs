@@ -229,8 +229,8 @@ fn packed(bytes: &[u8]) -> Vec<u8> {
     out
 }
 
-/// Encodes the differences of consecutive numbers. A two-bit code says whether a difference is 0 or
-/// is stored as an i32.
+/// Encodes the differences between consecutive numbers. A two-bit code says whether a difference is
+/// 0 or is stored as an i32.
 fn integers(numbers: impl ExactSizeIterator<Item = i32>) -> Vec<u8> {
     let mut codes = vec![0; numbers.len().div_ceil(4)];
     let mut differences = Vec::new();

@@ -33,7 +33,7 @@ pub const ANGLE_CLASSES: usize = 12;
 pub struct Measures {
     /// Minimum and maximum corner of the vertices that triangles use; `None` for an empty mesh.
     pub bounds: Option<[[f64; 3]; 2]>,
-    /// The area of all triangles, in the square of the unit of length.
+    /// The area of all triangles, in squared units of length.
     pub area: f64,
     /// The enclosed volume, in the cube of the unit of length, negative if triangles face inwards.
     /// `None` unless the mesh is closed and oriented.

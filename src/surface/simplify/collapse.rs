@@ -68,8 +68,8 @@ pub struct Measure<'a> {
     pub distance: f32,
 }
 
-/// Finds closest triangles on `surface` for the vertices of `reference` that `surface` lacks. Each
-/// search starts from a neighbour's result.
+/// For each vertex of `reference` that `surface` lacks, finds the closest triangle on `surface`.
+/// Each search starts from a neighbour's result.
 pub fn find_homes(
     reference: &EditableMesh,
     surface: &mut EditableMesh,

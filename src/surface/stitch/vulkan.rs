@@ -72,7 +72,7 @@ pub struct MeshLayout {
 
 impl MeshLayout {
     /// Lays out blocks by their coordinates and tallies; `None` if a number exceeds 32 bits. Blocks
-    /// must be in Morton order, with coordinates in blocks.
+    /// must be in Morton order. Their coordinates are in units of blocks.
     ///
     /// # Panics
     /// If the blocks are in a different order.

@@ -14,8 +14,8 @@ use crate::io::houdini::json::{JsonEvent, JsonNumber, JsonNumbers, Storage};
 const MOST_ATTRIBUTES: usize = 1 << 16;
 /// Maximum length, in bytes, of an attribute's name.
 const LONGEST_NAME: usize = 1 << 10;
-/// Maximum number of 64-bit words, in all attributes together, for the flags of constant pages.
-/// They suffice for 2^26 pages, usually of 1024 points each.
+/// Maximum number of 64-bit words, across all attributes, for the flags of constant pages. They
+/// suffice for 2^26 pages, usually of 1024 points each.
 const MOST_FLAGS: usize = 1 << 20;
 
 impl SchemaReader<'_, '_, '_> {
