@@ -203,8 +203,8 @@ fn a_periodic_box_is_preserved_and_damage_to_it_is_detected() {
     let Layout { footer, index } = Layout::of(&good);
     let (layout, faces) = (Layout { footer, index: index + 56 }, footer + 136);
     let cases: [(usize, Vec<u8>, &str); 7] = [
-        (faces, 0_f64.to_le_bytes().into(), "corner"),
-        (faces + 8, 9.5_f64.to_le_bytes().into(), "corner"),
+        (faces, 0_f64.to_le_bytes().into(), "invalid periodic box"),
+        (faces + 8, 9.5_f64.to_le_bytes().into(), "invalid periodic box"),
         (faces + 8, (-1e9_f64).to_le_bytes().into(), "from the origin"),
         (faces + 32, 2.5_f64.to_le_bytes().into(), "which is twice the reach"),
         (faces + 48, u32::MAX.to_le_bytes().into(), "no periodic box"),
@@ -318,7 +318,7 @@ fn invalid_values_with_valid_checksums_are_refused() {
         (footer + 36, 2_u32.to_le_bytes().into(), "does not decompress to its size"),
         (footer + 36, 3_u32.to_le_bytes().into(), "indicator 3"),
         (footer + 36, 0_u32.to_le_bytes().into(), ""),
-        (footer + 40, 1e9_f64.to_le_bytes().into(), "corner"),
+        (footer + 40, 1e9_f64.to_le_bytes().into(), "invalid domain"),
         (footer + 40, 0_f64.to_le_bytes().into(), "beyond the grid or the walls"),
         (footer + 88, 0_f64.to_le_bytes().into(), "mu0"),
         (footer + 96, (-1_f64).to_le_bytes().into(), "spacing"),

@@ -566,7 +566,7 @@ fn a_cell_size_too_small_for_the_memory_is_refused_with_one_that_fits() {
     let sizes: Vec<&str> = errors
         .split("cell size of ")
         .skip(1)
-        .map(|s| s.split([' ', ',']).next().unwrap())
+        .map(|s| s.trim_start_matches("at least ").split([' ', ',']).next().unwrap())
         .collect();
     let [asked, fitting] = sizes[..] else { panic!("{errors}") };
     assert_eq!(asked, "0.5");

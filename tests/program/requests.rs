@@ -405,7 +405,7 @@ fn attribute_values_beyond_f32_are_reported() {
     let notes = run(folder.path(), &one, 0);
     assert!(
         notes.contains(&format!(
-            "heat is NaN, infinite or too large for a 32-bit float in {count} of {count} particles"
+            "heat is NaN, infinite or too large for a 32-bit float in all {count} particles"
         )),
         "{notes}"
     );

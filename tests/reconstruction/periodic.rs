@@ -306,7 +306,7 @@ fn invalid_periodic_boxes_are_refused_with_the_reason() {
         (
             &["--periodic", BOX, "--domain", "-,0,-,-,nan,-"],
             2,
-            "coordinates of the domain must be numbers",
+            "invalid domain: all coordinates must be numbers",
         ),
     ] {
         let options = with(&with(&POOL, &["-o", "mesh.ply"]), options);
@@ -392,7 +392,7 @@ fn a_packed_frame_keeps_its_periodic_box_and_allows_both_mesh_ends() {
     }
     let errors =
         run(folder.path(), &["reconstruct", "pool.mnf", "--smooth", "2.5", "-o", "calm.ply"], 2);
-    assert!(errors.contains("particles up to"), "{errors}");
+    assert!(errors.contains("copies of particles only up to"), "{errors}");
     let errors =
         run(folder.path(), &["reconstruct", "pool.mnf", "--periodic", BOX, "-o", "box.ply"], 2);
     assert!(errors.contains("--periodic needs the particles"), "{errors}");

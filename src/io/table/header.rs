@@ -393,7 +393,7 @@ fn mentions_in_names(
         let mention = Mention::of(&TableColumns::of(names)?.position.columns);
         // A row number has no name in some files, and the last columns have none in others. All
         // other columns must have names.
-        let names_first = first == Some(0) && count < fields;
+        let names_first = first.is_some_and(|first| first + count < fields);
         let is_complete = fields == 3 || first.is_some_and(|first| first + count == fields);
         Some(if is_complete || names_first { mention } else { Mention::Unordered })
     })
