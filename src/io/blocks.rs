@@ -68,7 +68,9 @@ pub(super) fn open_blocks(
     if left_out.len() == files.len() {
         return Err(ReadError::new(path, no_particles(&left_out)));
     }
-    if let Some((_, error)) = lacking.filter(|_| files.iter().all(Option::is_none)) {
+    let can_select =
+        |file: &ParticleFile| !file.particles.is_empty() || file.unselected > 0 || file.ghosts > 0;
+    if let Some((_, error)) = lacking.filter(|_| !files.iter().flatten().any(can_select)) {
         return Err(error);
     }
     left_out.extend(blocks.iter().zip(&files).filter_map(|(block, file)| block.empty(file)));

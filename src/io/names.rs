@@ -233,9 +233,7 @@ fn component(name: &str) -> Option<((&str, char), usize)> {
     match last {
         'x'..='z' => Some(((stem, 'x'), last as usize - 'x' as usize)),
         'X'..='Z' => Some(((stem, 'X'), last as usize - 'X' as usize)),
-        '0'..='2' if stem.ends_with(['.', ':', '_', '-', '[', ' ']) => {
-            Some(((stem, '0'), last as usize - '0' as usize))
-        }
+        '0'..='2' if stem.ends_with(JOINTS) => Some(((stem, '0'), last as usize - '0' as usize)),
         _ => None,
     }
 }

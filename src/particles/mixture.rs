@@ -56,6 +56,8 @@ const KINDS: [&str; 38] = [
 const MOST: usize = 3;
 /// Maximum number of cells along each axis of the grid that finds the inside of the fluid.
 const FINEST: f64 = 32.0;
+/// Minimum overlap of a tank and its fluid along each axis, as a fraction of the fluid's extent.
+const OVERLAP: f64 = 0.1;
 /// Maximum thickness of a floor, in mean distances between its particles.
 const FLOOR: f64 = 5.0;
 /// Average number of fluid particles in a cell of this grid.
@@ -93,15 +95,17 @@ impl BoundingBox {
     }
 
     /// Whether this box of `count` particles extends beyond `inner` on all sides, or on all but one,
-    /// because a tank may be open. Where the middle of `inner` is outside this box, the box must be
+    /// because a tank may be open. Along an axis on which the boxes hardly overlap, this box must be
     /// as thin as a floor: water below spray is deeper.
     fn is_around(self, inner: Self, count: usize) -> bool {
         let (Self([lo, hi]), Self([inner_lo, inner_hi])) = (self, inner);
         let beyond =
             lo.cmplt(inner_lo).bitmask().count_ones() + hi.cmpgt(inner_hi).bitmask().count_ones();
-        let (middle, extent) = (inner_lo.midpoint(inner_hi), hi - lo);
+        let extent = hi - lo;
+        let overlap = hi.min(inner_hi) - lo.max(inner_lo);
         let floor = FLOOR * libm::cbrt(extent.element_product() / count as f64);
-        let is_inside = lo.cmple(middle) & middle.cmple(hi) | extent.cmple(DVec3::splat(floor));
+        let is_inside =
+            overlap.cmpge(OVERLAP * (inner_hi - inner_lo)) | extent.cmple(DVec3::splat(floor));
         let is_body = (inner_hi - inner_lo).cmpgt(DVec3::ZERO).bitmask().count_ones() >= 2;
         beyond >= 5 && is_inside.all() && is_body
     }

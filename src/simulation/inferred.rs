@@ -143,8 +143,18 @@ fn frame_number(files: &[&FrameCandidate]) -> Result<FrameNumber, SimulationErro
     let Some((&last, others)) = varying.split_last() else {
         return Ok(FrameNumber::Run(first.runs.len() - 1));
     };
-    if let Some(pattern) = of_known_count(files, &varying) {
-        return Ok(FrameNumber::InPieces(pattern));
+    match of_known_count(files, &varying) {
+        Some(KnownCount { pattern, is_certain: true, .. }) => {
+            return Ok(FrameNumber::InPieces(pattern));
+        }
+        Some(KnownCount { pattern, count, frame, .. }) => {
+            return Err(SimulationError::Names(format!(
+                "these file names can be those of {count} simulations, or of {count} pieces of each \
+                 frame; use the input pattern \"{pattern}\" for pieces, or \"{}\" for a simulation",
+                first.pattern(frame)
+            )));
+        }
+        None => {}
     }
     let numbers = first.decimals();
     let is_joint = |&&run: &&usize| {
@@ -188,29 +198,42 @@ fn frame_number(files: &[&FrameCandidate]) -> Result<FrameNumber, SimulationErro
     }))
 }
 
-/// Texts between the number of a process and the number of all processes.
-const OF: [&str; 5] = ["_", "-", ".", "of", "_of_"];
+/// Texts between the number of a piece and the number of all pieces.
+const OF: [&str; 3] = ["of", "_of_", "-of-"];
+/// Texts that can also stand between other numbers.
+const MAY_BE_OF: [&str; 3] = ["_", "-", "."];
 
-/// The pattern of files that are pieces of frames, if the number of pieces stands in their names:
-/// `a_0_2_050` and `a_1_2_050` are the two pieces of frame 50. Every frame must have all pieces.
-fn of_known_count(files: &[&FrameCandidate], varying: &[usize]) -> Option<Pattern> {
+/// Files whose names seem to contain the number of pieces.
+struct KnownCount {
+    pattern: Pattern,
+    count: usize,
+    /// The run of digits with the frame number.
+    frame: usize,
+    is_certain: bool,
+}
+
+/// Finds the number of pieces in the names of files: `a_0of2_050` and `a_1of2_050` are the two
+/// pieces of frame 50, and `a_0_2_050` and `a_1_2_050` may be. Every frame must have all pieces.
+fn of_known_count(files: &[&FrameCandidate], varying: &[usize]) -> Option<KnownCount> {
     let (first, &[one, other]) = (files[0], varying) else { return None };
     let count = |run: usize| {
         let after = first.runs.get(run + 1).filter(|_| !varying.contains(&(run + 1)))?;
         let between = &first.name[first.runs[run].end..after.start];
         let count = first.digits(run + 1).parse::<usize>().ok().filter(|&count| count > 1)?;
-        OF.contains(&between).then_some(count)
+        let is_certain = OF.contains(&between);
+        (is_certain || MAY_BE_OF.contains(&between)).then_some((count, is_certain))
     };
     let mut guesses = [(one, other), (other, one)].into_iter();
     guesses.find_map(|(piece, frame)| {
-        let count = count(piece)?;
+        let (count, is_certain) = count(piece)?;
         let mut frames: BTreeMap<&str, BTreeSet<usize>> = BTreeMap::new();
         for file in files {
             let number = file.digits(piece).parse().ok()?;
             frames.entry(file.digits(frame)).or_default().insert(number);
         }
         let is_complete = frames.values().all(|own| own.iter().copied().eq(0..count));
-        is_complete.then(|| in_pieces(first, frame, piece))
+        let pattern = || in_pieces(first, frame, piece);
+        is_complete.then(|| KnownCount { pattern: pattern(), count, frame, is_certain })
     })
 }
 
@@ -220,12 +243,6 @@ const PROCESSES: [&str; 6] = ["rank", "proc", "procs", "process", "processor", "
 const FRAMES: [&str; 7] = ["t", "f", "fr", "frame", "step", "time", "it"];
 /// Words that often stand before the number of a piece, but also before other numbers.
 const MAY_BE_PIECES: [&str; 5] = ["p", "part", "piece", "block", "domain"];
-
-/// Whether a word often stands before the number of a piece.
-pub(super) fn is_word_for_pieces(word: &str) -> bool {
-    let word = word.to_ascii_lowercase();
-    PROCESSES.contains(&word.as_str()) || MAY_BE_PIECES.contains(&word.as_str())
-}
 
 /// Whether files are pieces of frames.
 enum PiecesGuess {
@@ -526,6 +543,15 @@ mod tests {
                 ["\"a_{}_rank{piece}.xyz\"", "\"a_{}_rank0.xyz\""],
             ),
             (&["rank0.xyz", "rank1.xyz"], ["\"rank{}.xyz\"", "join"]),
+            // The second number may be the number of pieces.
+            (
+                &["g-0_2-050.xyz", "g-1_2-050.xyz", "g-0_2-100.xyz", "g-1_2-100.xyz"],
+                ["\"g-{piece}_2-{}.xyz\"", "\"g-0_2-{}.xyz\""],
+            ),
+            (
+                &["P_n0.2_01.xyz", "P_n1.2_01.xyz", "P_n0.2_02.xyz", "P_n1.2_02.xyz"],
+                ["\"P_n{piece}.2_{}.xyz\"", "\"P_n0.2_{}.xyz\""],
+            ),
         ] {
             let refused = patterns(names).unwrap_err().to_string();
             assert!(choices.iter().all(|choice| refused.contains(choice)), "{refused}");
@@ -580,8 +606,7 @@ mod tests {
             (&["a_1_rank0", "a_1_rank1", "a_2_rank0", "a_2_rank1"][..], "a_{}_rank{piece}"),
             (&["proc_0.t7", "proc_1.t7", "proc_2.t7"], "proc_{piece}.t{}"),
             (&["a_1_p0", "a_1_p1", "a_2_p0", "a_2_p1"], "a_{}_p{piece}"),
-            (&["g-0_2-050", "g-1_2-050", "g-0_2-100", "g-1_2-100"], "g-{piece}_2-{}"),
-            (&["P_n0.2_01", "P_n1.2_01", "P_n0.2_02", "P_n1.2_02"], "P_n{piece}.2_{}"),
+            (&["g-0of2-050", "g-1of2-050", "g-0of2-100", "g-1of2-100"], "g-{piece}of2-{}"),
         ] {
             let names: Vec<_> = names.iter().map(|name| format!("{name}.xyz")).collect();
             assert_eq!(patterns(&names).unwrap(), [format!("{pattern}.xyz")], "{names:?}");

@@ -7,7 +7,6 @@ use crate::io::alembic::frame_archive::FrameArchive;
 use crate::io::frame_files::snapshot_piece;
 use crate::io::output::MeshFormat;
 
-use super::inferred::is_word_for_pieces;
 use super::inputs::{Inputs, Sequence};
 use super::pattern::{NumberKind, PIECE, Pattern, stem};
 
@@ -131,15 +130,16 @@ fn tail(suffix: &str) -> String {
     stem(&whole.unwrap_or(name))[1..].to_owned()
 }
 
-/// Removes the number of a piece. If the word before it is one for pieces, such as `rank`, this
-/// word and the separator before it are removed as well.
+/// Removes the number of a piece, the word before it, and the separator before that word. The word
+/// stays if the number of pieces follows, as in `out-{piece}_2-`.
 fn without_piece(text: &str) -> String {
     let Some((before, after)) = text.split_once(PIECE) else { return text.to_owned() };
     let separators = ['_', '-', '.', ' '];
-    let with_word = before.trim_end_matches(separators);
-    let shorter = with_word.trim_end_matches(|c: char| c.is_alphabetic());
-    let word = &with_word[shorter.len()..];
-    let before = if word.is_empty() || is_word_for_pieces(word) { shorter } else { before };
+    let before = if after.trim_start_matches(separators).starts_with(|c: char| c.is_ascii_digit()) {
+        before
+    } else {
+        before.trim_end_matches(separators).trim_end_matches(|c: char| c.is_alphabetic())
+    };
     match before.strip_suffix(separators) {
         Some(shorter) if after.is_empty() || after.starts_with(separators) => {
             format!("{shorter}{after}")

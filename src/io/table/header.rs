@@ -373,9 +373,10 @@ fn is_unclear(comment: &str, fields: usize, first: Option<usize>) -> bool {
     let texts = || [comment].into_iter().chain(label);
     let mut lists = texts().flat_map(|text| mentions_in_names(text, fields, first)).peekable();
     if lists.peek().is_some() {
-        return !lists.any(|mention| mention.agrees(fields, None));
+        return !lists.any(|mention| mention.agrees(fields, first));
     }
-    let mut sentences = texts().filter_map(mention_in_sentence).peekable();
+    // A position of three columns needs no names.
+    let mut sentences = texts().filter(|_| fields > 3).filter_map(mention_in_sentence).peekable();
     sentences.peek().is_some() && !sentences.any(|mention| mention.agrees(fields, first))
 }
 
@@ -391,9 +392,10 @@ fn mentions_in_names(
             return Some(Mention::Unordered);
         }
         let mention = Mention::of(&TableColumns::of(names)?.position.columns);
-        // A row number has no name in some files, and the last columns have none in others. All
-        // other columns must have names.
-        let names_first = first.is_some_and(|first| first + count < fields);
+        // A row number has no name in some files, and the last columns have none in others, or
+        // names with blanks. All other columns must have names.
+        let names_first =
+            first.is_some_and(|first| first + count < fields) || first == Some(0) && count > fields;
         let is_complete = fields == 3 || first.is_some_and(|first| first + count == fields);
         Some(if is_complete || names_first { mention } else { Mention::Unordered })
     })
@@ -422,7 +424,12 @@ fn mention_in_sentence(text: &str) -> Option<Mention> {
     // Units may follow axes, as in `x in m`.
     let is_prose = |word: &str| is_word_of(&PROSE, word) && !word.eq_ignore_ascii_case("in");
     let is_other = |word: &&str| is_number(word) || is_prose(word);
-    if !(0..3).all(is_named) || words[first..last].iter().any(is_other) {
+    let is_about_values = || {
+        let after = text.rsplit(words[last]).next().unwrap_or_default();
+        after.contains(|c: char| c.is_ascii_digit())
+            || words.iter().any(|word| word.to_ascii_lowercase().contains("axis"))
+    };
+    if !(0..3).all(is_named) || words[first..last].iter().any(is_other) || is_about_values() {
         return None;
     }
     // In a sentence, columns are listed after words such as `of` or `in`, unless `and` indicates

@@ -190,6 +190,15 @@ impl SampledColumn {
         self.keys.iter().collect::<HashSet<_>>().len()
     }
 
+    fn varies(&self) -> bool {
+        self.distinct() > 1
+    }
+
+    /// Whether each number is larger than the previous number.
+    fn grows(&self) -> bool {
+        self.values.is_sorted_by(|a, b| a < b)
+    }
+
     /// Whether each number is the previous number plus one.
     fn counts_up(&self) -> bool {
         self.values.windows(2).all(|pair| pair[1] == pair[0] + 1.0)
@@ -224,7 +233,8 @@ impl Sample {
     ///
     /// A single identifier before three columns of real numbers is skipped. In all other cases,
     /// the number of columns before the position is unknown. A constant first column cannot be
-    /// distinguished from a plane, and is read as x.
+    /// distinguished from a plane, and is read as x. Two constant columns are x and y if the next
+    /// column grows from row to row, as z does in a lattice.
     fn leading_columns(&self) -> Leading {
         if self.starts_with_row_numbers() {
             // The second column can be a type with a sign.
@@ -233,7 +243,11 @@ impl Sample {
         }
         let whole = (0..self.columns.len()).take_while(|&column| !self.is_real(0, column)).count();
         let are_followed = (whole..whole + 3).all(|column| self.is_real(0, column));
-        if whole >= 2 && are_followed && !self.starts_with_lattice(whole.min(3)) {
+        let is_line = || {
+            let are_constant = self.columns[..whole].iter().all(|c| c.distinct() == 1);
+            whole == 2 && are_constant && self.columns[2].grows()
+        };
+        if whole >= 2 && are_followed && !self.starts_with_lattice(whole.min(3)) && !is_line() {
             return Leading::Unclear((0..whole).collect());
         }
         let identifier = (0..3).find(|&column| self.is_identifier_instead_of_coordinate(column));
@@ -247,7 +261,8 @@ impl Sample {
         let [first, rest @ ..] = &self.columns[..] else { return false };
         let are_real = match first.is_unsigned() {
             true => rest.iter().take(3).all(SampledColumn::has_reals),
-            false => (1..4).all(|column| self.is_real(0, column)),
+            // In a lattice, the particles of a line have the same y and z.
+            false => (1..4).all(|column| self.is_real(0, column) && self.columns[column].varies()),
         };
         rest.len() >= 3 && self.rows > 2 && are_real && self.is_identifier(0)
     }
@@ -290,7 +305,7 @@ impl Sample {
             .collect();
         // In a large lattice of small cells, each coordinate of a sampled row may be different.
         let has_repeating = || columns.iter().any(|column| self.is_small(column.distinct()));
-        let has_identifier = (0..2).any(|column| self.is_identifier(column));
+        let has_identifier = self.rows > 2 && (0..2).any(|column| self.is_identifier(column));
         !self.is_small(tuples.len()) && !(has_identifier && (count == 2 || has_repeating()))
     }
 

@@ -93,6 +93,9 @@ impl FrameRows {
     pub fn cell_types(&self, file: &H5File, root: &Group) -> Result<Option<H5Array>, ReadFault> {
         let arrays = [found(root, "Types")?, found(root, "NumberOfCells")?];
         let [Some(types), Some(_)] = arrays else { return Ok(None) };
+        if types.rows == 0 {
+            return Ok(None);
+        }
         let first = self.first_cell(file, root)?.min(types.rows);
         let cells = sum(&self.of_parts(file, root, "NumberOfCells", 0)?)?;
         let rows = cells.min(types.rows - first);
