@@ -148,7 +148,7 @@ enum MeniscusEventKind
  {
   // An event that is newer than this header.
   MENISCUS_EVENT_KIND_OTHER = 0,
-  // Waiting for the first frame.
+  // Waiting for the first frame, or for a frame on which all frames can be calibrated.
   MENISCUS_EVENT_KIND_WAITING = 1,
   // The spacing may be wrong.
   MENISCUS_EVENT_KIND_SPACING_WARNING = 2,
