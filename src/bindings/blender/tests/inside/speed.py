@@ -42,7 +42,7 @@ def cell_of(cell: float) -> None:
     settings.cell_viewport = cell
     numbers = [extension.surfaces.sequence.number_of(str(path)) for path in (first, second)]
     frames = [number - settings.first + settings.start for number in numbers]
-    asked = {"spacing": live._typed(settings.spacing), "cell": cell}
+    asked = {"spacing": live.typed(settings.spacing), "cell": cell}
     bare = bpy.data.meshes.new("bare")
     other = bpy.data.objects.new("bare", bare)
     scene.collection.objects.link(other)
