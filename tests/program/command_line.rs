@@ -1054,9 +1054,9 @@ fn cells_too_fine_for_the_indicator_are_refused_with_a_usable_size() {
         folder.path(),
         &fine,
         2,
-        &["ball.xyz", "too coarse", "of 65535", "0.125", "use a cell size of 0.0"],
+        &["ball.xyz", "too imprecise", "of 65535", "0.125", "use a cell size of 0.0"],
     );
-    assert_refused(folder.path(), &[&fine[..], &["--dry-run"]].concat(), 2, &["too coarse"]);
+    assert_refused(folder.path(), &[&fine[..], &["--dry-run"]].concat(), 2, &["too imprecise"]);
     let more = ["--indicator", "symmetry", "--cell", "0.4"];
     let symmetry = [&fine[..5], &more[..]].concat();
     assert_refused(folder.path(), &symmetry, 2, &["too small for the symmetry indicator", "0.25"]);

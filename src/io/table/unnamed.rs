@@ -305,7 +305,7 @@ impl Sample {
             .collect();
         // In a large lattice of small cells, each coordinate of a sampled row may be different.
         let has_repeating = || columns.iter().any(|column| self.is_small(column.distinct()));
-        let has_identifier = self.rows > 2 && (0..2).any(|column| self.is_identifier(column));
+        let has_identifier = (0..2).any(|column| self.is_identifier(column));
         !self.is_small(tuples.len()) && !(has_identifier && (count == 2 || has_repeating()))
     }
 
@@ -315,7 +315,9 @@ impl Sample {
             return false;
         }
         let are_many = self.rows >= MANY_ROWS;
-        let is_unlike = (0..3).any(|other| other != column && self.is_real(column, other));
+        let is_unlike = (0..3).any(|other| {
+            other != column && self.is_real(column, other) && self.columns[other].varies()
+        });
         match (column, is_unlike) {
             (0, true) => are_many || self.columns[0].counts_up(),
             // A lattice of whole numbers rarely begins with so long a line of particles.
