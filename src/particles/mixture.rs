@@ -94,9 +94,9 @@ impl BoundingBox {
         Self([lo.min(other_lo), hi.max(other_hi)])
     }
 
-    /// Whether this box of `count` particles extends beyond `inner` on all sides, or on all but one,
-    /// because a tank may be open. Along an axis on which the boxes hardly overlap, this box must be
-    /// as thin as a floor: water below spray is deeper.
+    /// Whether this box of `count` particles extends beyond `inner` on all sides, or on all but
+    /// one, because a tank may be open. Along an axis on which the boxes hardly overlap, this box
+    /// must be as thin as a floor: water below spray is deeper.
     fn is_around(self, inner: Self, count: usize) -> bool {
         let (Self([lo, hi]), Self([inner_lo, inner_hi])) = (self, inner);
         let beyond =
@@ -104,10 +104,10 @@ impl BoundingBox {
         let extent = hi - lo;
         let overlap = hi.min(inner_hi) - lo.max(inner_lo);
         let floor = FLOOR * libm::cbrt(extent.element_product() / count as f64);
-        let is_inside =
+        let holds =
             overlap.cmpge(OVERLAP * (inner_hi - inner_lo)) | extent.cmple(DVec3::splat(floor));
         let is_body = (inner_hi - inner_lo).cmpgt(DVec3::ZERO).bitmask().count_ones() >= 2;
-        beyond >= 5 && is_inside.all() && is_body
+        beyond >= 5 && holds.all() && is_body
     }
 }
 

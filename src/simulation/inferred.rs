@@ -149,8 +149,9 @@ fn frame_number(files: &[&FrameCandidate]) -> Result<FrameNumber, SimulationErro
         }
         Some(KnownCount { pattern, count, frame, .. }) => {
             return Err(SimulationError::Names(format!(
-                "these file names can be those of {count} simulations, or of {count} pieces of each \
-                 frame; use the input pattern \"{pattern}\" for pieces, or \"{}\" for a simulation",
+                "these file names can be those of {count} simulations, or of {count} pieces of \
+                 each frame; use the input pattern \"{pattern}\" for pieces, or \"{}\" for a \
+                 simulation",
                 first.pattern(frame)
             )));
         }

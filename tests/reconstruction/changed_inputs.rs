@@ -190,7 +190,7 @@ fn a_particle_that_changes_its_bin_between_two_passes_is_an_error() {
     for by in [[9.0, 0.0, 0.0], [1e4, 0.0, 0.0], [f64::NAN, 0.0, 0.0]] {
         for budget in [MemoryBudget(1 << 30), MemoryBudget(32 << 20)] {
             let particles = fill(60.0, 2.0, 0.2, 3, |p| p.length() < 24.0);
-            // Use so many cells that the library does not keep the positions after the first pass,
+            // Use enough cells that the library does not keep the positions after the first pass,
             // but reads them again.
             let request = Reconstruction::new().spacing(0.5).cell(0.15).memory(budget);
             let unstable =

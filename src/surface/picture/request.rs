@@ -266,8 +266,8 @@ pub enum PictureError {
     Reference(CompareError),
     /// A picture that exceeds the memory limit.
     #[error(
-        "a picture of this mesh needs {} of memory, but the limit is {}; draw a smaller picture, or \
-         raise the limit",
+        "a picture of this mesh needs {} of memory, but the limit is {}; draw a smaller picture, \
+         or raise the limit",
         ByteSize(*needed), ByteSize(*allowed)
     )]
     Memory {
