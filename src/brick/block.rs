@@ -175,6 +175,20 @@ impl<T: Copy + Default> Block<T> {
         found
     }
 
+    /// Sets the samples of `part` to `sample`.
+    ///
+    /// # Panics
+    /// If the block does not cover `part`.
+    pub fn fill(&mut self, part: CellBox, sample: T) {
+        let size = part.size().as_usizevec3();
+        for z in part.lo.z..part.hi.z {
+            for y in part.lo.y..part.hi.y {
+                let first = self.index(IVec3::new(part.lo.x, y, z));
+                self.samples[first..first + size.x].fill(sample);
+            }
+        }
+    }
+
     /// Sets each sample in `part` to `value(existing, new)`. The new `samples` cover the box
     /// `from`, x fastest.
     ///

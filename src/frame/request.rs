@@ -245,7 +245,7 @@ impl Surfacing {
         if !self.at_solids {
             return 0;
         }
-        let wide = WideCells::of_spacing(spacing.map_or(1.0, |spacing| spacing / grid.cell_size()));
+        let wide = wide_cells(spacing, grid);
         (SolidFill::new(wide.edge).reach() + 1) << wide.level
     }
 
@@ -264,7 +264,8 @@ impl Surfacing {
         }
         let blocks = CellBox { lo: IVec3::NEG_ONE, hi: IVec3::splat(2 * BLOCK + 2) };
         let wide = distances.wide_cells(blocks.grown(further, further));
-        SolidFill::bytes(wide.grown(distances.widest_halo(), distances.widest_halo()))
+        let fill = SolidFill::new(wide_cells(spacing, grid).edge);
+        fill.bytes(wide.grown(distances.widest_halo(), distances.widest_halo()))
     }
 
     /// The quantities that determine the memory of the surface stages. `coarsest` is the largest
@@ -420,4 +421,9 @@ impl Surfacing {
             _ => unreachable!("filters and calibration are of one indicator"),
         }
     }
+}
+
+/// The wide cells for a spacing, or for cells of one spacing if the spacing is unknown.
+fn wide_cells(spacing: Option<f64>, grid: &Grid) -> WideCells {
+    WideCells::of_spacing(spacing.map_or(1.0, |spacing| spacing / grid.cell_size()))
 }

@@ -70,7 +70,7 @@ pub(super) fn cut_fields<'a>(
     let filled = |_: &Solid| {
         let fill = fill(sampled, distances.level);
         let around = distances.wide_halo() + fill.reach();
-        SolidFill::bytes(distances.wide_cells(all).grown(around, around))
+        fill.bytes(distances.wide_cells(all).grown(around, around))
     };
     let bytes = distances.bulk_bytes(distances.wide_cells(all)) + solid.map_or(0, filled);
     let fits = bytes <= most_bytes;

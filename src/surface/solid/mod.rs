@@ -15,7 +15,6 @@
 
 mod cache;
 
-use std::cell::OnceCell;
 use std::sync::Arc;
 
 use glam::{DVec3, IVec3};
@@ -30,6 +29,9 @@ use super::mesh::Mesh;
 use super::mesh::tree::{CompareError, Side, TriangleTree};
 use cache::{CELLS, CubeDistances, DistanceCache, DistanceLattice};
 
+/// Number of cells along the edge of the cubes for which a search finds out whether a triangle is
+/// near.
+const WIDE: i32 = 4 * TILE;
 /// Memory, in bytes per triangle, that making a solid takes, including the triangle's share of the
 /// vertices.
 const TRIANGLE_BYTES: u64 = 360;
@@ -165,15 +167,20 @@ impl Solid {
             DistanceLattice { grid: *grid, periodic: periodic.copied(), level, step, most };
         let number = self.known.number(&lattice);
         let mut distances = Block::zero(cells);
-        let copies = OnceCell::new();
-        for cube in cells.cubes(TILE) {
-            let found = self.known.get_or_make(number, cube, || {
-                let near = copies.get_or_init(|| self.near(&lattice, cells.tiled()));
-                near.distances(&lattice, CellBox::cube(cube, TILE))
-            });
-            let cube = CellBox::cube(cube, TILE);
-            let part = cube.intersection(&cells);
-            distances.put_part(part, cube, &found.each(), |_, distance| distance);
+        for wide in cells.cubes(WIDE) {
+            let part = CellBox::cube(wide, WIDE).intersection(&cells);
+            let near = self.near(&lattice, part.tiled());
+            if let Some(distance) = near.same(&lattice) {
+                distances.fill(part, distance);
+                continue;
+            }
+            for cube in part.cubes(TILE) {
+                let in_cube = CellBox::cube(cube, TILE);
+                let found =
+                    self.known.get_or_make(number, cube, || near.distances(&lattice, in_cube));
+                let part = in_cube.intersection(&part);
+                distances.put_part(part, in_cube, &found.each(), |_, distance| distance);
+            }
         }
         distances
     }
@@ -239,13 +246,16 @@ struct NearMeshes<'a> {
 }
 
 impl NearMeshes<'_> {
+    /// The distance of all cells in the box, if no triangle is near.
+    fn same(&self, lattice: &DistanceLattice) -> Option<i16> {
+        let is_far = self.is_inside || self.near.is_empty();
+        is_far.then_some(if self.is_inside { -lattice.most } else { lattice.most })
+    }
+
     /// The distances of the cells in a cube of the box.
     fn distances(&self, lattice: &DistanceLattice, cube: CellBox) -> CubeDistances {
         let (lo, hi) = lattice.corners(cube);
         let (most, farthest) = (lattice.most, lattice.farthest());
-        if self.is_inside {
-            return CubeDistances::Same(-most);
-        }
         let mut nearest: Option<[i16; CELLS]> = None;
         for mesh in &self.near {
             if mesh.meets(lo - farthest, hi + farthest) {
@@ -280,9 +290,12 @@ impl PlacedMesh<'_> {
 
     /// Whether the mesh winds around a place.
     fn winds(&self, place: DVec3) -> bool {
-        let place = place - self.shift;
-        let passed = self.mesh.crossings([place.y, place.z], place.x);
-        passed.iter().filter(|(x, _)| *x > place.x).map(|(_, sign)| sign).sum::<i32>() != 0
+        self.winds_around(place - self.shift)
+    }
+
+    /// Whether the mesh winds around a place that is not displaced.
+    fn winds_around(&self, place: DVec3) -> bool {
+        winding(&self.mesh.crossings([place.y, place.z], place.x), place.x) != 0
     }
 
     /// The distances of the cells of a cube.
@@ -297,36 +310,48 @@ impl PlacedMesh<'_> {
         let mut distances = [most; CELLS];
         let rows = (cube.lo.z..cube.hi.z).flat_map(|z| (cube.lo.y..cube.hi.y).map(move |y| (y, z)));
         let rows = || rows.clone();
-        let reach = farthest + to_corner;
-        if let Some((of_middle, nearest)) = self.mesh.distance_within(middle, reach, None) {
-            let mut near = nearest;
-            let cells = rows().flat_map(|(y, z)| (cube.lo.x..cube.hi.x).map(move |x| (x, y, z)));
-            for ((x, y, z), steps) in cells.zip(&mut distances) {
-                let at = centre(x, y, z);
-                // The triangle inequality gives this bound, through the cube's centre.
-                let bound = (of_middle + at.distance(middle)).min(farthest) * (1.0 + 1e-9);
-                if let Some((distance, nearest)) = self.mesh.distance_within(at, bound, Some(near))
-                {
-                    near = nearest;
-                    *steps = (distance / step).round().min(f64::from(most)) as i16;
-                }
+        let Some((of_middle, nearest)) =
+            self.mesh.distance_within(middle, farthest + to_corner, None)
+        else {
+            return [if self.winds_around(middle) { -most } else { most }; CELLS];
+        };
+        let mut near = nearest;
+        let cells = rows().flat_map(|(y, z)| (cube.lo.x..cube.hi.x).map(move |x| (x, y, z)));
+        for ((x, y, z), steps) in cells.zip(&mut distances) {
+            let at = centre(x, y, z);
+            // The triangle inequality gives this bound, through the cube's centre.
+            let bound = (of_middle + at.distance(middle)).min(farthest) * (1.0 + 1e-9);
+            if let Some((distance, nearest)) = self.mesh.distance_within(at, bound, Some(near)) {
+                near = nearest;
+                // Rounds to the nearest integer.
+                *steps = (distance / step + 0.5).min(f64::from(most)) as i16;
             }
         }
         // Distances inside the mesh are negative.
+        if of_middle > to_corner * (1.0 + 1e-9) {
+            // No triangle is between the middle of the cube and its cells.
+            if self.winds_around(middle) {
+                distances.iter_mut().for_each(|distance| *distance = -*distance);
+            }
+            return distances;
+        }
         for ((y, z), distances) in rows().zip(distances.chunks_exact_mut(TILE as usize)) {
             let line = centre(cube.lo.x, y, z);
             let passed = self.mesh.crossings([line.y, line.z], line.x);
             for (x, distance) in (cube.lo.x..).zip(distances) {
-                let at = centre(x, y, z).x;
-                let winding: i32 =
-                    passed.iter().filter(|(passed, _)| *passed > at).map(|(_, sign)| sign).sum();
-                if winding != 0 {
+                if winding(&passed, centre(x, y, z).x) != 0 {
                     *distance = -*distance;
                 }
             }
         }
         distances
     }
+}
+
+/// The winding number of a mesh around the place at `x` on a line, whose crossings with the mesh
+/// are `passed`.
+fn winding(passed: &[(f64, i32)], x: f64) -> i32 {
+    passed.iter().filter(|(passed, _)| *passed > x).map(|(_, sign)| sign).sum()
 }
 
 /// The volume that a mesh encloses, negative if its triangles face inwards, and the mesh's area.

@@ -5,7 +5,7 @@
 //! is computed as if the solid were bounded by a plane at the solid's distance from the cell's
 //! centre. Where w is less than 1, the density of the nearby fluid is blended in, with a weight
 //! that grows from 0 to 1 as w falls from 1 to 0.9. The density that is blended in is the value, at
-//! the cell, of the linear function that best fits rho / w under a Gaussian of 1 d (moving least
+//! the cell, of the linear function that best fits rho / w under a Gaussian of 1.8 d (moving least
 //! squares, Lancaster and Salkauskas 1981). Over the same range of w, the weights of the fit fall
 //! from 1 to 0. At a sloping solid, a mean would bend the level surface of the fluid, and so would
 //! a fit to cells that are mostly solid. Where too little fluid is within reach of the fit, as deep
@@ -14,28 +14,26 @@
 //! continues straight into the solid. Afterwards, the field is limited to the distance from the
 //! solid minus the solid's offset.
 //!
-//! Sums are integers, and each cell has its own sums, so the result does not depend on the block in
-//! which it is computed.
+//! Each cell has its own sums, whose terms are always added in the same order, so the result does
+//! not depend on the block in which it is computed.
 
-use glam::{DMat3, DVec3, IVec3};
+mod fit;
+
+use glam::IVec3;
 
 use crate::brick::Block;
 use crate::field::blur::{Weights, blur};
-use crate::field::distance::{NONE, ZERO, spread};
+use crate::field::distance::{NONE, ZERO};
 use crate::grid::CellBox;
+
+use fit::LinearFit;
 
 /// A cell's density is used only if more than this share of its cloud lies outside the solid.
 const USABLE: u16 = WHOLE / 10 * 9;
 /// The standard deviation of the Gaussian for the linear fit, in spacings.
-const FIT: f64 = 1.0;
+const FIT: f64 = 1.8;
 /// The cut-off of this Gaussian, in standard deviations.
 const FIT_CUT: f64 = 2.5;
-/// The fit needs at least this share of its Gaussian outside the solid.
-const FIT_LEAST: f64 = 0.004;
-/// The variance that is added to the variances of the fitted positions, as a fraction of the
-/// Gaussian's variance. If all positions lie in a plane, it keeps the linear function nearly
-/// constant across the plane; if there are few positions, in all directions.
-const FIT_STIFFNESS: f64 = 0.01;
 /// The standard deviation of the Gaussian for means, in spacings.
 const MEAN: f64 = 2.5;
 /// The cut-off of this Gaussian, in standard deviations.
@@ -55,9 +53,6 @@ pub const FARTHEST: i16 = 3 * 2048;
 #[derive(Debug, Clone, PartialEq)]
 pub struct SolidFill {
     fit: Weights,
-    /// The variance that is added to the variance of the fitted positions along each axis, in
-    /// squared cells.
-    stiffness: f64,
     mean: Weights,
 }
 
@@ -70,8 +65,7 @@ impl SolidFill {
             Weights::of_variance(variance, (cut * variance.sqrt()).round().max(1.0) as i32)
         };
         let fit = gaussian(FIT, FIT_CUT);
-        let stiffness = FIT_STIFFNESS * fit.variance();
-        Self { fit, stiffness, mean: gaussian(MEAN, MEAN_CUT).gaining(GAIN) }
+        Self { fit, mean: gaussian(MEAN, MEAN_CUT).gaining(GAIN) }
     }
 
     /// The distance, in cells, within which other cells affect a cell's density.
@@ -83,10 +77,12 @@ impl SolidFill {
     /// Memory, in bytes, that is needed to continue clouds into solids on `cells`, which include
     /// the halo.
     #[must_use]
-    pub fn bytes(cells: CellBox) -> u64 {
-        // Clouds, distances twice, shares, the usable cells and their density, both means with a
-        // buffer each for smoothing, and the result.
-        11 * (cells.volume() * size_of::<u16>()) as u64
+    pub fn bytes(&self, cells: CellBox) -> u64 {
+        // Clouds, distances twice, shares, the usable cells and their density, which is copied for
+        // its maximum, both means with a buffer each for smoothing, and the result.
+        let blocks = 13 * cells.volume() * size_of::<u16>();
+        let size = cells.size().max(IVec3::ZERO).as_uvec3();
+        (blocks + LinearFit::bytes(&self.fit, (size.x * size.y) as usize)) as u64
     }
 
     /// Returns the samples of `cells`, continued into a solid. `outside` holds the share of each
@@ -116,7 +112,7 @@ impl SolidFill {
             let beyond = u32::from(share.saturating_sub(USABLE));
             *share = (beyond * u32::from(WHOLE) / u32::from(WHOLE - USABLE)) as u16;
         }
-        let in_reach = spread(usable.clone(), self.fit.reach());
+        let mut fit = LinearFit::new(&self.fit, &dense, &usable, part);
         let density = blur(clouds.part(around), &self.mean, None);
         let share = blur(outside.part(around), &self.mean.clone().gaining(0), None);
         for cell in places(part) {
@@ -126,9 +122,7 @@ impl SolidFill {
             }
             let index = filled.index(cell);
             let own = u64::from(filled.samples()[index]);
-            let fitted =
-                (in_reach.at(cell) > 0).then(|| self.fitted(&dense, &usable, cell)).flatten();
-            let sample = match fitted {
+            let sample = match fit.at(cell) {
                 Some(fitted) => {
                     let usable = u64::from(usable.at(cell));
                     (own * usable + fitted * (u64::from(WHOLE) - usable)) >> 15
@@ -145,67 +139,6 @@ impl SolidFill {
         walls.into_iter().for_each(|walls| filled.repeat_edges(walls));
         filled
     }
-
-    /// The value, at `cell`, of the linear function that best fits the density around the cell. It
-    /// is limited to the range from 0 to the maximum density around the cell. Returns `None` if too
-    /// little fluid is within reach.
-    fn fitted(&self, dense: &Block, usable: &Block, cell: IVec3) -> Option<u64> {
-        let (half, reach) = (self.fit.half(), self.fit.reach());
-        let weight = |offset: i32| u64::from(half[offset.unsigned_abs() as usize]);
-        // For the weights: the sum, and the first and second moments. For the densities: the sum
-        // and the first moments. Each has at most 62 bits.
-        let (mut sum, mut first, mut second) = (0_i64, [0_i64; 3], [0_i64; 6]);
-        let (mut total, mut moment, mut most) = (0_i64, [0_i64; 3], 0);
-        for z in -reach..=reach {
-            for y in -reach..=reach {
-                let across = (weight(z) * weight(y)) >> 16;
-                let row = cell + IVec3::new(-reach, y, z);
-                let [at_dense, at_told] = [dense.index(row), usable.index(row)];
-                for x in -reach..=reach {
-                    let step = (x + reach) as usize;
-                    let share = usable.samples()[at_told + step];
-                    if share == 0 {
-                        continue;
-                    }
-                    let cloud = dense.samples()[at_dense + step];
-                    let weight = ((across * weight(x)) >> 16) as i64;
-                    let of_share = weight * i64::from(share);
-                    let of_cloud = of_share * i64::from(cloud);
-                    let [x, y, z] = [x, y, z].map(i64::from);
-                    sum += of_share;
-                    total += of_cloud;
-                    for (axis, along) in [x, y, z].into_iter().enumerate() {
-                        first[axis] += of_share * along;
-                        moment[axis] += of_cloud * along;
-                    }
-                    let products = [x * x, y * y, z * z, x * y, x * z, y * z];
-                    for (second, product) in second.iter_mut().zip(products) {
-                        *second += of_share * product;
-                    }
-                    most = most.max(cloud);
-                }
-            }
-        }
-        let whole = f64::from(1 << 16) * f64::from(WHOLE);
-        let sum = sum as f64;
-        if sum < FIT_LEAST * whole {
-            return None;
-        }
-        let of = |moments: [i64; 3]| DVec3::from(moments.map(|moment| moment as f64)) / sum;
-        let (middle, mean, slope) = (of(first), total as f64 / sum, of(moment));
-        let [xx, yy, zz, xy, xz, yz] = second.map(|moment| moment as f64 / sum);
-        let moments = DMat3::from_cols(
-            DVec3::new(xx, xy, xz),
-            DVec3::new(xy, yy, yz),
-            DVec3::new(xz, yz, zz),
-        );
-        let spread = moments
-            - DMat3::from_cols(middle * middle.x, middle * middle.y, middle * middle.z)
-            + DMat3::from_diagonal(DVec3::splat(self.stiffness));
-        let rise = spread.inverse() * (slope - middle * mean);
-        let density = mean - rise.dot(middle);
-        Some(density.round().clamp(0.0, f64::from(most)) as u64)
-    }
 }
 
 /// The cells of a box, x fastest.
@@ -221,18 +154,28 @@ fn places(cells: CellBox) -> impl Iterator<Item = IVec3> {
 pub fn outside(distances: &Block<i16>) -> Block {
     let mut shares = Block::zero(distances.cells());
     for (share, &distance) in shares.samples_mut().iter_mut().zip(distances.samples()) {
-        // The integral of the quadratic B-spline.
-        let at = f64::from(distance) / STEPS;
-        let beyond = (1.5 - at.abs()).max(0.0);
-        let farther = if at.abs() < 0.5 {
-            0.5 - at.abs() * (0.75 - at * at / 3.0)
+        *share = if distance.abs() < FARTHEST {
+            share_outside(distance)
         } else {
-            beyond * beyond * beyond / 6.0
+            WHOLE * u16::from(distance > 0)
         };
-        let outside = if at > 0.0 { 1.0 - farther } else { farther };
-        *share = (outside * f64::from(WHOLE)).round() as u16;
     }
     shares
+}
+
+/// The share of a cloud outside a plane at this distance from the cell's centre.
+fn share_outside(distance: i16) -> u16 {
+    // The integral of the quadratic B-spline.
+    let at = f64::from(distance) / STEPS;
+    let beyond = 1.5 - at.abs();
+    let farther = if at.abs() < 0.5 {
+        0.5 - at.abs() * (0.75 - at * at / 3.0)
+    } else {
+        beyond * beyond * beyond / 6.0
+    };
+    let outside = if at > 0.0 { 1.0 - farther } else { farther };
+    // Rounds to the nearest integer.
+    (outside * f64::from(WHOLE) + 0.5) as u16
 }
 
 /// Limits the distances of a field to the distances from a solid minus `offset`, all in the same
