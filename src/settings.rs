@@ -166,9 +166,9 @@ settings! {
     /// Each region of the fluid is meshed at its own particle spacing. The attribute's name
     /// determines how its values are read: as radii (half of a particle's spacing), diameters,
     /// volumes or masses. Masses also need a density attribute. Smoothing lengths are scaled to
-    /// sizes. In files of GADGET and SWIFT, masses (or smoothing lengths, without densities) are
-    /// used by default if the masses differ. `none` treats all particles as one size. Works only
-    /// with the cloud indicator, the default.
+    /// sizes. If the particles of a GADGET or SWIFT file have different masses, the default is the
+    /// masses or, if the file has no densities, the smoothing lengths. `none` gives all particles
+    /// the same size. Works only with the cloud indicator, the default.
     #[arg(
         value_name = "NAME", conflicts_with_all = ["spacing", "radius"], help_heading = "Input",
         hide_short_help = true
@@ -195,7 +195,7 @@ settings! {
     )]
     origin: Option<[f64; 3]>,
 
-    /// Format of the input [default: by its extension].
+    /// Format of the input [default: determined by the extension].
     #[arg(value_enum, value_name = "NAME", help_heading = "Input", hide_short_help = true)]
     format: Option<InputFormat>,
 
@@ -212,9 +212,9 @@ settings! {
 
     /// Walls of a tank, or auto to find them [default: unbounded].
     ///
-    /// The surface ends exactly on the walls. Particles outside are left out. `-` leaves a side
+    /// The surface ends exactly on the walls, and particles outside are left out. `-` leaves a side
     /// open. auto takes the walls from the simulator's scene file, or looks for planes at which the
-    /// particles end. With auto, no particles are left out.
+    /// particles end; it leaves no particles out.
     #[arg(
         value_name = "X0,Y0,Z0,X1,Y1,Z1|auto", allow_hyphen_values = true, help_heading = "Input"
     )]
@@ -222,8 +222,8 @@ settings! {
 
     /// Periodic box, whose opposite faces are joined.
     ///
-    /// `-` for both ends of an axis leaves the axis open: 0,-,0,1,-,1 is periodic along x and z. A
-    /// particle exactly on an upper face counts as being on the lower face. Any other particle
+    /// `-` for both ends of an axis makes it non-periodic: 0,-,0,1,-,1 is periodic along x and z.
+    /// A particle exactly on an upper face counts as being on the lower face. Any other particle
     /// outside the box is an error, unless you skip invalid particles.
     #[arg(value_name = "X0,Y0,Z0,X1,Y1,Z1", allow_hyphen_values = true, help_heading = "Input")]
     periodic: Option<Faces>,
@@ -259,8 +259,8 @@ settings! {
     )]
     mu0: Option<f64>,
 
-    /// Skip particles whose position is not finite or is outside the grid, and report their number;
-    /// without this, such particles are an error.
+    /// Skip particles whose position is not finite or is outside the grid or the periodic box, and
+    /// report their number; by default, such particles are an error.
     #[arg(help_heading = "Input", hide_short_help = true)]
     skip_invalid: bool,
 
@@ -274,8 +274,9 @@ settings! {
     /// Join particles of thin sheets and filaments that are at most this many spacings apart
     /// [default: 2.15].
     ///
-    /// The value is from 1 to 3; 0 turns this off. Sheets tear slightly before this distance: with
-    /// the default, at about 2.1 spacings. Works only with the cloud indicator, the default.
+    /// The value must be from 1 to 3, or 0, which turns this off. Sheets tear slightly before this
+    /// distance: with the default, at about 2.1 spacings. Works only with the cloud indicator, the
+    /// default.
     #[arg(value_name = "SPACINGS", allow_negative_numbers = true, help_heading = "Surface")]
     sheets: Option<f64>,
 
@@ -296,14 +297,15 @@ settings! {
     /// yu-turk methods [default: auto].
     ///
     /// auto is 0.47 times the value of the field deep inside the fluid. If the fluid is too shallow
-    /// to measure that value, it is computed from the spacing. For kernel methods, auto is 0.5.
+    /// to measure that value, meniscus computes it from the spacing. For kernel methods, auto is
+    /// 0.5.
     #[arg(
         value_name = "VALUE|auto", allow_hyphen_values = true, help_heading = "Surface",
         hide_short_help = true
     )]
     iso: Option<Iso>,
 
-    /// Recover details, such as drops, that are lost in smoothing (for the counting and symmetry
+    /// Recover details that smoothing removes, such as drops (for the counting and symmetry
     /// indicators).
     #[arg(help_heading = "Surface", hide_short_help = true)]
     detail: bool,
@@ -337,8 +339,8 @@ settings! {
     )]
     smallest_component: Option<f64>,
 
-    /// Remove drops with fewer than this many particles, estimated from the drop's volume
-    /// [default: 1, which keeps all drops].
+    /// Remove drops with fewer than this many particles; the number of particles is estimated from
+    /// the drop's volume [default: 1, which keeps all drops].
     #[arg(
         value_name = "PARTICLES", value_parser = clap::value_parser!(u32).range(1..),
         help_heading = "Output", hide_short_help = true
@@ -355,7 +357,7 @@ settings! {
     #[arg(value_enum, help_heading = "Output", hide_short_help = true)]
     up: Option<UpAxis>,
 
-    /// Axis that points up in the particles [default: z for .bi4, else y].
+    /// Axis that points up in the particle file [default: z for .bi4, else y].
     #[arg(value_enum, help_heading = "Input", hide_short_help = true)]
     particles_up: Option<UpAxis>,
 }
@@ -364,11 +366,11 @@ settings! {
 pub type StoredSettings = Map<String, Value>;
 
 /// Names of the settings that differ from the settings of an earlier run, joined by commas; empty
-/// if none differs. If the earlier run had another `version`, the result is "version", because
+/// if none differs. If the earlier run had another `version`, the result says only this, because
 /// another version may give a different mesh.
 pub(crate) fn differing(version: &str, kept: &StoredSettings, wanted: &StoredSettings) -> String {
     if version != env!("CARGO_PKG_VERSION") {
-        return "version".into();
+        return "the version of meniscus".into();
     }
     let keys = kept.keys().chain(wanted.keys().filter(|key| !kept.contains_key(*key)));
     keys.filter(|key| kept.get(*key) != wanted.get(*key))
@@ -582,7 +584,7 @@ mod tests {
         assert_eq!(none(&[]).kept(), none(&["none"]).kept());
         let version = env!("CARGO_PKG_VERSION");
         assert_eq!(differing(version, &by_radius, &nothing), "spacing");
-        assert_eq!(differing("0.1", &by_radius, &nothing), "version");
+        assert_eq!(differing("0.1", &by_radius, &nothing), "the version of meniscus");
     }
 
     #[test]

@@ -174,7 +174,7 @@ fn attribute_values_span_the_colour_map_and_appear_in_the_legend() {
     let missing = by("pressure", "magma").draw(&mesh).unwrap_err();
     assert_eq!(
         missing.to_string(),
-        "no attribute \"pressure\" on the vertices; available: height, velocity"
+        "the vertices have no attribute \"pressure\"; available: height, velocity"
     );
     let unknown = "rainbow".parse::<meniscus::picture::ColourMap>().unwrap_err();
     assert!(
@@ -710,15 +710,15 @@ fn invalid_render_requests_are_refused_and_leave_no_files() {
         (&["ball_2.ply", "-o", "a.jpg"], 2, "a.jpg: unknown extension; supported: .png, and .apng"),
         (&["ball_{}.ply", "-o", "a_{}.apng"], 2, "unknown extension; supported: .png"),
         (&["ball_2.ply", "-o", "a.apng"], 2, "an animation needs several meshes"),
-        (&["ball_2.ply", "-o", "ball_2.ply", "--overwrite"], 2, "choose another file"),
+        (&["ball_2.ply", "-o", "ball_2.ply", "--overwrite"], 2, "choose another output"),
         (&["ball_2.ply", "-o", "a.png", "--size", "0x5"], 2, "got 0 x 5"),
         (&["ball_2.ply", "-o", "a.png", "--size", "5"], 2, "a width and a height"),
-        (&["ball_2.ply", "-o", "a.png", "--camera", "1,2,3,4"], 2, "--camera takes"),
-        (&["ball_2.ply", "-o", "a.png", "--camera", "1,2,0"], 2, "the zoom positive"),
+        (&["ball_2.ply", "-o", "a.png", "--camera", "1,2,3,4"], 2, "--camera must be"),
+        (&["ball_2.ply", "-o", "a.png", "--camera", "1,2,0"], 2, "zoom factor positive"),
         (
             &["ball_2.ply", "-o", "a.png", "--colour", "velocity"],
             2,
-            "ball_2.ply: no attribute \"velocity\"",
+            "ball_2.ply: the vertices have no attribute \"velocity\"",
         ),
         (
             &["ball_2.ply", "-o", "a.png", "--colour", "velocity:mauve"],

@@ -95,10 +95,14 @@ impl fmt::Display for CpuReason {
             Self::LittleMemory(needed) => {
                 write!(f, "GPU drivers may need {}, more than the memory limit", ByteSize(*needed))
             }
-            Self::NoGpu => f.write_str("no GPU (drivers such as llvmpipe compute on the CPU)"),
-            Self::Small(bytes) => {
-                write!(f, "{} of particles take less time than starting a GPU", ByteSize(*bytes))
+            Self::NoGpu => {
+                f.write_str("no GPU found (drivers such as llvmpipe compute on the CPU)")
             }
+            Self::Small(bytes) => write!(
+                f,
+                "meshing {} of particles takes less time than starting a GPU",
+                ByteSize(*bytes)
+            ),
             Self::NotDiscrete(name) => write!(f, "{name} is not a discrete GPU"),
             Self::NotConformant(name) => {
                 write!(f, "{name} has not passed the Vulkan conformance tests")

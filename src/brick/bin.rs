@@ -76,7 +76,8 @@ pub enum InvalidParticles {
 pub enum BinError {
     /// A coordinate is NaN or infinite.
     #[error(
-        "particle {index} has a coordinate that is not finite: ({}, {}, {})",
+        "particle {index} has a coordinate that is not finite: ({}, {}, {}); repair the input, or \
+         skip such particles",
         position[0], position[1], position[2]
     )]
     NotFinite {
@@ -86,14 +87,15 @@ pub enum BinError {
         position: [f64; 3],
     },
     /// The particles are spread over too many bins.
-    #[error("the particles touch more than {limit} bins of 16^3 cells; use larger cells")]
+    #[error("the particles are spread over more than {limit} bins of 16^3 cells; use larger cells")]
     TooManyBins {
         /// Maximum number of bins.
         limit: usize,
     },
     /// A particle is outside the periodic box.
     #[error(
-        "particle {index} at ({}, {}, {}) is outside the periodic box along {axis}",
+        "particle {index} at ({}, {}, {}) is outside the periodic box along {axis}; use a larger \
+         box, or skip such particles",
         position[0], position[1], position[2]
     )]
     OutsideBox {
@@ -107,7 +109,7 @@ pub enum BinError {
     /// A coordinate is beyond the addressable grid.
     #[error(
         "particle {index} at ({}, {}, {}) is more than {} cells of size {} from the origin of the \
-         grid",
+         grid; use larger cells, or an origin near the particles",
         position[0], position[1], position[2], crate::grid::CELL_LIMIT, crate::grid::units::shown(*cell_size)
     )]
     TooFar {

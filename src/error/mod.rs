@@ -166,7 +166,7 @@ pub enum Error {
     Threads(String),
     /// The spacing is neither given nor in the file, and cannot be estimated.
     #[error(
-        "{}cannot estimate the spacing of {}: {why}{}",
+        "{}cannot estimate the spacing of {}: {why}{}; set the spacing or the cell size",
         file(path.as_deref()),
         particle_count(*particles),
         suggestion(*suggested)
@@ -190,7 +190,7 @@ fn file(path: Option<&Path>) -> String {
 
 fn suggestion(suggested: Option<f64>) -> String {
     suggested.map_or(String::new(), |d| {
-        format!("; their nearest neighbours suggest {}", significant(d, 3))
+        format!("; their nearest neighbours suggest a spacing of {}", significant(d, 3))
     })
 }
 
@@ -202,9 +202,9 @@ fn same_file(path: &Path, other: &Path) -> String {
     let path = path.display();
     match other.display() {
         other if other.to_string() == path.to_string() => {
-            format!("{path}: used twice in this request; choose another file")
+            format!("{path}: the request uses this file twice; choose another output")
         }
-        other => format!("{path}: this is the same file as {other}; choose another file"),
+        other => format!("{path}: this is the same file as {other}; choose another output"),
     }
 }
 

@@ -17,7 +17,7 @@ pub enum PartsError {
         most: u32,
     },
     /// A part number beyond the last part.
-    #[error("the part must be from 0 to {last}, got {part}", last = of - 1)]
+    #[error("the part number must be from 0 to {last}, got {part}", last = of - 1)]
     NoPart {
         /// The part's number.
         part: u32,
@@ -28,11 +28,12 @@ pub enum PartsError {
     #[error("{}: the output of a mesh in parts must be a regular file", .0.display())]
     NoFile(PathBuf),
     /// The plan does not exist yet.
-    #[error("{}: there is no plan yet", .0.display())]
+    #[error("{}: there is no plan yet; make the plan first", .0.display())]
     NoPlan(PathBuf),
     /// A damaged plan, or one of another version.
     #[error(
-        "{}: the plan is damaged or was written by another version (error: {what})",
+        "{}: the plan is damaged or was written by another version of meniscus (error: {what}); \
+         make the plan again",
         path.display()
     )]
     Plan {
@@ -42,7 +43,11 @@ pub enum PartsError {
         what: String,
     },
     /// A plan with other settings.
-    #[error("{}: the plan was made with different settings ({differing})", path.display())]
+    #[error(
+        "{}: the plan was made with different settings ({differing}); undo the change, or make the \
+         plan again",
+        path.display()
+    )]
     Settings {
         /// The plan's file.
         path: PathBuf,
@@ -51,7 +56,8 @@ pub enum PartsError {
     },
     /// A particle file that is not the one of the plan, or that has changed since then.
     #[error(
-        "{}: this is not the file for which {} was made, or it has changed since then",
+        "{}: this is not the file for which {} was made, or it has changed since then; make the \
+         plan again",
         input.display(), plan.display()
     )]
     Changed {
@@ -61,7 +67,10 @@ pub enum PartsError {
         plan: PathBuf,
     },
     /// Missing parts.
-    #[error("{}: {} of {of} parts are missing: {}", folder.display(), missing.len(), shortened(missing))]
+    #[error(
+        "{}: {} of {of} parts are missing: {}; make them first",
+        folder.display(), missing.len(), shortened(missing)
+    )]
     Missing {
         /// The folder of the parts.
         folder: PathBuf,
@@ -71,7 +80,7 @@ pub enum PartsError {
         of: u32,
     },
     /// A damaged part.
-    #[error("{}: damaged: {what}", path.display())]
+    #[error("{}: this part is damaged: {what}; make it again", path.display())]
     Damaged {
         /// The part's file.
         path: PathBuf,
@@ -79,7 +88,11 @@ pub enum PartsError {
         what: String,
     },
     /// A part that was made with another plan.
-    #[error("{}: was made with a different plan than the plan.json in its folder", .0.display())]
+    #[error(
+        "{}: this part was made with a different plan than the plan.json in its folder; make the \
+         part again",
+        .0.display()
+    )]
     OtherPlan(PathBuf),
     /// A folder, plan or part that cannot be read or written.
     #[error("{}: {fault}", path.display())]

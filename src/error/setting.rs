@@ -66,32 +66,35 @@ impl SettingConflict {
             }
             (Conflict::Packed(path), "format") => {
                 format!(
-                    "{}: {setting} is for particle files, but this is a packed frame",
+                    "{}: {setting} is for particle files, but this is a packed frame; omit \
+                     {setting}",
                     path.display()
                 )
             }
-            (Conflict::Indicator(kind), "mu0") => {
-                format!("{setting} does not apply to {} {}", named("indicator"), kind.name())
-            }
+            (Conflict::Indicator(kind), "mu0") => format!(
+                "{setting} works only with {} counting, not with {}",
+                named("indicator"),
+                kind.name()
+            ),
             (Conflict::Indicator(IndicatorKind::Cloud), which) => {
                 let indicator = named("indicator");
                 let alternative = match which {
-                    "iso" => format!(", and to {} mueller or yu-turk", named("method")),
-                    "sigma" => format!("; for {indicator} cloud, use {}", named("smooth")),
+                    "iso" => format!(", and with {} mueller or yu-turk", named("method")),
+                    "sigma" => format!("; with {indicator} cloud, use {}", named("smooth")),
                     _ => String::new(),
                 };
-                format!("{setting} applies only to {indicator} counting or symmetry{alternative}")
+                format!("{setting} works only with {indicator} counting or symmetry{alternative}")
             }
             (Conflict::Indicator(_), "smooth") => format!(
-                "{setting} applies only to {} cloud; for the other indicators, use {}",
+                "{setting} works only with {} cloud; with the other indicators, use {}",
                 named("indicator"),
                 named("sigma")
             ),
             (Conflict::Indicator(_), _) => {
-                format!("{setting} applies only to {} cloud", named("indicator"))
+                format!("{setting} works only with {} cloud", named("indicator"))
             }
             (Conflict::Method(kernels), _) => {
-                format!("{setting} does not apply to {} {}", named("method"), kernels.name())
+                format!("{setting} does not work with {} {}", named("method"), kernels.name())
             }
             (Conflict::Packed(path), _) => {
                 format!(
@@ -121,10 +124,10 @@ impl SettingConflict {
                 )
             }
             (Conflict::OnDevice, _) => {
-                format!("{setting} is not supported for a surface on a device")
+                format!("{setting} is not supported for a surface on a device; omit {setting}")
             }
             (Conflict::Format { path, .. }, "compress") => {
-                format!("{}: {setting} applies only to .glb and .vdb", path.display())
+                format!("{}: {setting} works only with .glb and .vdb files", path.display())
             }
             (Conflict::Format { path, format }, "up") => format!(
                 "{}: {setting} z is not possible, because y always points up in {format}; if z \
@@ -138,7 +141,7 @@ impl SettingConflict {
                 path.display()
             ),
             (Conflict::Format { path, format }, _) => {
-                format!("{}: {format} cannot store {setting}", path.display())
+                format!("{}: {format} cannot store {setting}; use .ply, which can", path.display())
             }
         }
     }

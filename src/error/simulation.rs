@@ -16,13 +16,13 @@ pub const FPS: RangeInclusive<f64> = 1e-9..=1e9;
 #[derive(Debug, Error)]
 pub enum SimulationError {
     /// The inputs contain no frame.
-    #[error("{0}: no frames found")]
+    #[error("{0}: no frames found; check the path and the file names")]
     NoFrames(String),
     /// A pattern that matches no file.
     #[error("{0}: no file matches this pattern")]
     NoMatch(String),
     /// A folder or glob without matching files.
-    #[error("{0}: no matching files")]
+    #[error("{0}: no files in a supported format found")]
     NoFiles(String),
     /// A folder of inputs that does not exist.
     #[error("{}: the folder does not exist", .0.display())]
@@ -100,7 +100,8 @@ pub enum SimulationError {
     },
     /// A damaged state file, or one of another version.
     #[error(
-        "{}: the state file is damaged or was written by another version (error: {what})",
+        "{}: the state file is damaged or was written by another version of meniscus (error: \
+         {what})",
         path.display()
     )]
     State {

@@ -45,7 +45,8 @@ pub enum FrameError {
     TooFine(#[from] TooFine),
     /// The field is nowhere above the isovalue.
     #[error(
-        "the surface is empty: the field is nowhere above the isovalue {}",
+        "the surface is empty: the field is nowhere above the isovalue {}; use a lower isovalue or \
+         smaller cells",
         significant(iso.value(), 4)
     )]
     NoSurface {
@@ -53,7 +54,7 @@ pub enum FrameError {
         iso: Isovalue,
     },
     /// No cell's centre is inside the surface of the clouds.
-    #[error("the surface is empty: no cell centre is inside the fluid")]
+    #[error("the surface is empty: no cell centre is inside the fluid; use smaller cells")]
     NoDistanceSurface,
     /// The calibration was measured on a frame with a different indicator, so it cannot be used.
     #[error(
@@ -63,9 +64,9 @@ pub enum FrameError {
     OtherIndicator,
     /// The images were made for filters with a smaller reach.
     #[error(
-        "the frame has copies of particles only up to {there} cells beyond its periodic faces, but \
-         these settings need {needed} cells; use less smoothing, or reconstruct the particles \
-         again with these settings"
+        "the frame has copies of particles only up to {there} cells beyond the faces of its \
+         periodic box, but these settings need {needed} cells; use less smoothing, or reconstruct \
+         the particles again with these settings"
     )]
     FewImages {
         /// The reach, in cells, of the filters beyond a face.
@@ -80,7 +81,7 @@ pub enum FrameError {
     #[error(transparent)]
     Kernels(#[from] TooManyCells),
     /// The field of a kernel method is not positive anywhere.
-    #[error("the surface is empty: no cell centre is inside the fluid")]
+    #[error("the surface is empty: no cell centre is inside the fluid; use smaller cells")]
     NoKernelSurface,
     /// The scratch files for data beyond the memory budget would not fit on the disk; nothing was
     /// written.
@@ -100,7 +101,7 @@ pub enum FrameError {
     /// the budget.
     #[error(
         "the attributes have {components} numbers per particle and need at least {} of memory, \
-         but the limit is {}",
+         but the limit is {}; transfer fewer attributes, or raise the limit",
         ByteSize(*needed), ByteSize(*budget)
     )]
     WideAttributes {
@@ -112,7 +113,7 @@ pub enum FrameError {
         budget: u64,
     },
     /// Every component is smaller than the minimum size.
-    #[error("the surface is empty: {} below {}", all_components(.0), .0.limits())]
+    #[error("the surface is empty: {} removed {}", .0.limits(), all_components(.0))]
     NothingLeft(TooSmall),
     /// A mesh on a device has more vertices or triangles than 32 bits can count.
     #[error(
@@ -123,7 +124,7 @@ pub enum FrameError {
     /// The surface does not fit into the caller's buffers.
     #[error(
         "the surface has {vertices} vertices and {triangles} triangles, more than the given buffers \
-         can hold"
+         can hold; use larger buffers"
     )]
     NoSpace {
         /// Number of vertices; each takes three f32.
@@ -180,11 +181,11 @@ fn explain(census: &Census) -> String {
     }
 }
 
-/// The subject and verb of a message about all components of a surface.
+/// The object of a message about all components of a surface.
 fn all_components(small: &TooSmall) -> String {
     match small.total() {
-        1 => "its only component is".into(),
-        total => format!("all of its {total} components are"),
+        1 => "its only component".into(),
+        total => format!("all of its {total} components"),
     }
 }
 

@@ -116,8 +116,8 @@ pub struct MemoryShares {
 /// An error: the frame does not fit into its memory budget.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 #[error(
-    "with a cell size of {}, the tables of bins alone exceed the memory limit of {}; use a cell \
-     size of at least {}",
+    "with a cell size of {}, the tables for sorting the particles alone exceed the memory limit of \
+     {}; use a cell size of at least {}",
     shown(*cell_size), ByteSize(*budget), shown(*fitting_cell_size)
 )]
 pub struct OverBudget {

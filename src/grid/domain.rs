@@ -80,8 +80,8 @@ pub struct Domain {
 pub enum DomainError {
     /// The corners are not in order, or not numbers.
     #[error(
-        "invalid domain: all coordinates must be numbers, and along each axis with two walls, the \
-         second must be larger than the first"
+        "invalid domain: every coordinate must be a number, and along an axis with two walls, the \
+         second wall must have the larger coordinate"
     )]
     Corners,
     /// No cell's centre lies between the two walls along an axis.

@@ -56,12 +56,12 @@ impl PeriodicMesh {
 pub enum PeriodicError {
     /// The corners are not in order, or not finite.
     #[error(
-        "invalid periodic box: all coordinates must be finite, and along each periodic axis, the \
-         second must be larger than the first"
+        "invalid periodic box: every coordinate must be finite, and along a periodic axis, the \
+         second face must have the larger coordinate"
     )]
     Corners,
     /// No axis is periodic.
-    #[error("the periodic box is open along every axis; give both ends of at least one axis")]
+    #[error("no axis of the periodic box is periodic; give both ends of at least one axis")]
     Open,
     /// The domain has walls along a periodic axis.
     #[error(

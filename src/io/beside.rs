@@ -66,8 +66,8 @@ impl FolderInProgress {
             let is_ours = name.to_str().is_some_and(|name| is_piece(name, &stem, extension));
             if !is_ours {
                 let what = format!(
-                    "the folder {} beside it contains other files; choose another \
-                               name",
+                    "its pieces go into the folder {}, which contains other files; choose another \
+                     name",
                     folder.display()
                 );
                 return Err(io::Error::new(ErrorKind::InvalidInput, what));

@@ -30,7 +30,7 @@ pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
     let version = cursor.u32("the version")?;
     if version != 5 {
         return Err(ReadFault::Unsupported(format!(
-            "version {version} of .bgeo; only version 5 is supported"
+            "version {version} of the classic .bgeo format is not supported, only version 5"
         )));
     }
     let points = cursor.count("points")?;

@@ -45,8 +45,8 @@ pub fn open_particles(
     }
     let name = PieceName::of(path).ok_or_else(|| {
         let what = format!(
-            "is one of {count} pieces of a part; their names must be like \
-                     Part_p00_0000.bi4"
+            "is one of {count} pieces of a frame; the names of the pieces must be like \
+             Part_p00_0000.bi4"
         );
         fail(ReadFault::Unsupported(what))
     })?;
@@ -98,7 +98,7 @@ fn misplaced(said: (Option<u64>, u64), expected: (Option<u64>, u64)) -> ReadFaul
     let words = |(piece, pieces): (Option<u64>, u64)| {
         format!("piece {} of {pieces}", piece.map_or("?".to_owned(), |piece| piece.to_string()))
     };
-    malformed(HEAD, format!("{} where {} was expected", words(said), words(expected)))
+    malformed(HEAD, format!("expected {}, found {}", words(expected), words(said)))
 }
 
 /// The components of a name such as `Part_p00_0000.bi4`.
@@ -142,8 +142,8 @@ pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
     let Case { pieces, spacing, time, .. } = piece.case;
     if pieces > 1 {
         let what = format!(
-            "is one of {pieces} pieces of a part, which are read together; name the \
-                     file on disk"
+            "is one of {pieces} pieces of a frame, which must be read together; give the path of \
+             the file"
         );
         return Err(ReadFault::Unsupported(what));
     }
@@ -200,7 +200,8 @@ impl Bi4Piece {
         let ids = find(["Idp", "Idpd"], [Scalar::U32, Scalar::U64], 1)?;
         let position = find(["Pos", "Posd"], [Scalar::F32, Scalar::F64], 3)?;
         if ids.count != position.count {
-            let what = format!("{} positions for {} particles", position.count, ids.count);
+            let what =
+                format!("the file has {} positions for {} particles", position.count, ids.count);
             return Err(malformed(position.offset, what));
         }
         let fluid = FluidRows::pick(bytes, ids, case.boundary()?, endian)?;
@@ -376,7 +377,7 @@ impl Bi4Tree {
             Some(other) => {
                 let what = String::from_utf8_lossy(other);
                 let what =
-                    format!("a {what} file contains no particles; use Part_0000.bi4 and so on");
+                    format!("a {what} file contains no particles; use files like Part_0000.bi4");
                 return Err(ReadFault::Unsupported(what));
             }
             None => {
@@ -452,7 +453,7 @@ impl Bi4Array {
         if entry.is_some_and(|size| count.checked_mul(size) != Some(bytes)) {
             return Err(malformed(
                 at,
-                format!("the array {name} of {count} entries has {bytes} bytes"),
+                format!("the array {name} has {count} entries, but a size of {bytes} bytes"),
             ));
         }
         let offset = cursor.skip(&format!("the array {name}"), bytes, 1)?;
@@ -476,7 +477,7 @@ fn tag(cursor: &mut Cursor, tag: &[u8]) -> Result<(), ReadFault> {
     let found = text(cursor, "a tag")?;
     if found != tag {
         let [found, tag] = [found, tag].map(String::from_utf8_lossy);
-        return Err(malformed(at, format!("{found:?} where {tag:?} was expected")));
+        return Err(malformed(at, format!("expected {tag:?}, found {found:?}")));
     }
     Ok(())
 }

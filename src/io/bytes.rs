@@ -680,8 +680,8 @@ fn unpack(
     let plain = compression.unpack(MeteredBytes::new(packed, count, unpacking))?;
     let damaged = |e: io::Error| match e.kind() {
         io::ErrorKind::OutOfMemory => ReadFault::Unsupported(format!(
-            "decompression needs a dictionary of more than {} MiB; decompress the file first, \
-             or compress it with a smaller one",
+            "decompression needs a dictionary of more than {} MiB; decompress the file with \
+             another program, or compress it with a smaller dictionary",
             DICTIONARY >> 20
         )),
         _ => ReadFault::Compression(e.to_string()),
@@ -691,7 +691,7 @@ fn unpack(
         let what = || {
             format!(
                 "the data expands to more than {GREATEST_RATIO} times the file's size; decompress \
-                 the file first"
+                 the file with another program"
             )
         };
         if total > limit { Err(ReadFault::Compression(what())) } else { Ok(()) }

@@ -74,7 +74,7 @@ fn read_list(path: &Path) -> Result<Vec<ListedFrame>, ReadError> {
     let other = frames.iter().flat_map(ListedFrame::files).find(|file| is_list(file));
     let fault = match other.map(Path::to_owned) {
         Some(other) => {
-            format!("{} is a list as well; a list must name particle files", other.display())
+            format!("names another list, {}; a list must name only data files", other.display())
         }
         None if frames.is_empty() => "lists no files".to_owned(),
         None => return Ok(frames),
@@ -115,8 +115,8 @@ pub fn frame_of(path: &Path, list: &Path, number: Option<u64>) -> Result<ListedF
         number.or((count == 1).then_some(0)).and_then(|number| usize::try_from(number).ok());
     let Some(number) = number.filter(|number| *number < count) else {
         let what = format!(
-            "lists {count} frames, {0}#0 to {0}#{1}; name one of them, or an output folder or \
-             pattern for all",
+            "lists {count} frames; choose one of {0}#0 to {0}#{1}, or convert all of them to a \
+             folder or pattern",
             list.display(),
             count - 1
         );
@@ -131,10 +131,10 @@ fn collection(bytes: &[u8], folder: &Path) -> Result<Vec<ListedFrame>, ReadFault
     each_tag(bytes, |tag| {
         if tag.tag.name().as_ref() == "DataSet" {
             let file = tag.value("file")?.filter(|file| !file.is_empty());
-            let file = file.ok_or_else(|| malformed(tag.at, "a DataSet without a file"))?;
+            let file = file.ok_or_else(|| malformed(tag.at, "a DataSet has no file"))?;
             let time: Option<f64> = tag.number("timestep")?;
             if time.is_some_and(|time| !time.is_finite()) {
-                return Err(malformed(tag.at, "a timestep that is not finite"));
+                return Err(malformed(tag.at, "a timestep is not finite"));
             }
             let name = tag.value("name")?.filter(|name| !name.is_empty());
             let block = FrameBlock { file: resolved(folder, &file), name };

@@ -40,10 +40,13 @@ pub enum ReadFault {
     #[error("cannot write the decoded input to a scratch file: {0}")]
     Scratch(#[source] std::io::Error),
     /// A damaged compressed stream, or one whose compression ratio is too high.
-    #[error("cannot decompress: {0}")]
+    #[error("cannot decompress the file: {0}")]
     Compression(String),
     /// The file is shorter than its header implies.
-    #[error("truncated: the file has {have} bytes, but needs at least {needed} for {what}")]
+    #[error(
+        "the file is truncated: it has {have} bytes, but needs at least {needed} for {what}; copy \
+         or export it again"
+    )]
     Truncated {
         /// Name of the part of the file that needs these bytes.
         what: String,
@@ -69,7 +72,7 @@ pub enum ReadFault {
         what: String,
     },
     /// The file was changed while it was read.
-    #[error("the file changed while it was being read")]
+    #[error("the file changed while it was being read; try again when it is complete")]
     Changed,
     /// The file contains a mesh instead of particles. Vertices of a mesh are not used as particles.
     #[error(
@@ -89,7 +92,7 @@ pub enum ReadFault {
     /// A colour whose numbers have different scales in two joined files.
     #[error(
         "colour {attribute} is stored as {scale} in this file, but as {of_other} in {}; store it \
-         in the same way in both files, or leave the attribute out",
+         in the same way in both files, or do not transfer the attribute",
         other.display()
     )]
     ColourScale {
@@ -166,15 +169,15 @@ pub(super) fn malformed(at: usize, what: impl Into<String>) -> ReadFault {
 /// The error for a file with several steps, if the caller chose none of them.
 pub(super) fn several_steps(first: u64, last: u64) -> ReadFault {
     let what = format!(
-        "contains several frames, steps {first} to {last}; append #{first} to the name to \
-         choose one"
+        "contains several frames (steps {first} to {last}); to choose one, append its step to the \
+         name, such as #{first}"
     );
     ReadFault::Unsupported(what)
 }
 
 /// The error for a step that does not exist.
 pub(super) fn no_step(step: u64) -> ReadFault {
-    ReadFault::Unsupported(format!("there is no step {step}"))
+    ReadFault::Unsupported(format!("the file has no step {step}"))
 }
 
 /// An error that occurred while writing a file. No part of the file remains.

@@ -95,7 +95,7 @@ impl Arrangement {
         match (step, self.frames) {
             (None, None | Some(1)) => Ok(0),
             (None, Some(0)) => {
-                Err(ReadFault::Unsupported("its arrays contain no frames".to_owned()))
+                Err(ReadFault::Unsupported("the arrays contain no frames".to_owned()))
             }
             (None, Some(frames)) => Err(several_steps(0, frames - 1)),
             (Some(step), Some(frames)) if step < frames => Ok(step),
@@ -211,7 +211,7 @@ fn arrange_along(fields: &[NamedArray], axes: Axes) -> Result<Option<Arrangement
             format!("{name} {}", shown(shape))
         });
         let names: Vec<_> = names.collect();
-        let what = format!("the arrays of the position differ in length: {}", names.join(", "));
+        let what = format!("the arrays with the positions differ in length: {}", names.join(", "));
         return Err(malformed(0, what));
     }
     // For each array, tries the axes of the position first, and then axes without frames. The

@@ -185,7 +185,7 @@ fn read(
         FormatReader::Steps(read) => read(path, bytes, step, wanted, unpacking),
         FormatReader::Arrays(read) => read(bytes, step, unpacking).map_err(fail),
         FormatReader::OneFile(_) | FormatReader::Pieces(_) if step.is_some() => {
-            let what = "its format has a single frame; remove # and the number from its name";
+            let what = "this format has a single frame; remove # and the number from the name";
             Err(fail(ReadFault::Unsupported(what.to_owned())))
         }
         FormatReader::OneFile(read) => read(bytes, unpacking).map_err(fail),
@@ -303,7 +303,7 @@ const HDF5: StepReader = |path, _, _, _, _| Err(ReadError::new(path, no_hdf5()))
 /// The error for HDF5 input in a build without HDF5.
 #[cfg(not(feature = "hdf5"))]
 pub(super) fn no_hdf5() -> ReadFault {
-    let what = "reading HDF5 needs a build of meniscus with the feature hdf5";
+    let what = "this build of meniscus cannot read HDF5; build it with the Cargo feature hdf5";
     ReadFault::Unsupported(what.to_owned())
 }
 

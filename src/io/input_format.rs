@@ -11,7 +11,7 @@ use super::compression::plain_name;
 #[serde(rename_all = "lowercase")]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum), value(rename_all = "lower"))]
 pub enum InputFormat {
-    /// Houdini's .bgeo, .bgeo.sc and .geo, of all versions.
+    /// Houdini's .bgeo (also the classic format), .bgeo.sc and .geo.
     Bgeo,
     /// DualSPHysics' .bi4.
     Bi4,

@@ -100,7 +100,7 @@ impl DumpStep {
                 ("BOX", _) => cell = Some(bounds(lines, rest)?),
                 ("ATOMS", _) => {
                     let (Some(number), Some(atoms)) = (number, atoms) else {
-                        let what = "ATOMS before the TIMESTEP and the NUMBER OF ATOMS";
+                        let what = "ATOMS must come after TIMESTEP and NUMBER OF ATOMS";
                         return Err(lines.fault(what));
                     };
                     let LinePlace { at: start, lines_above } = lines.place();
@@ -120,7 +120,7 @@ impl DumpStep {
                     }));
                 }
                 _ => {
-                    let what = format!("a dump of {}, not of atoms", item.to_lowercase());
+                    let what = format!("contains a dump of {}, not of atoms", item.to_lowercase());
                     return Err(ReadFault::Unsupported(what));
                 }
             }
@@ -147,7 +147,7 @@ impl DumpStep {
         let shown = names.join(" ");
         let no_position = || {
             let what =
-                format!("no columns x, y and z (nor xu, xs or xsu and so on) among {shown:?}");
+                format!("no columns x, y and z (or xu, xs or xsu and so on) among {shown:?}");
             ReadFault::Line { line: self.lines_above, what }
         };
         let (columns, are_fractions) = found.ok_or_else(no_position)?;
@@ -223,7 +223,7 @@ fn bounds(lines: &mut TextLines, words: &str) -> Result<Cell, ReadFault> {
             origin: [xlo, ylo, zlo],
             edges: [[xhi - xlo, 0.0, 0.0], [0.0, yhi - ylo, 0.0], [0.0, 0.0, zhi - zlo]],
         },
-        _ => return Err(lines.fault("bounds of a box that are neither 2, 3 nor 4 numbers each")),
+        _ => return Err(lines.fault("the box bounds must be three rows of 2, 3 or 4 numbers")),
     })
 }
 

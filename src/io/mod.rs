@@ -161,7 +161,7 @@ impl fmt::Display for UnreadPart {
             Self::Names(names) => {
                 let names = names.iter().map(|name| format!("{name:?}"));
                 let names = names.collect::<Vec<_>>().join(", ");
-                write!(f, "the names of blocks that are joined ({names})")
+                write!(f, "the names of the blocks ({names}), because the blocks are joined")
             }
             Self::Primitives { kinds, points } => {
                 let kinds = kinds.iter().map(|(kind, count)| format!("{count} {kind}"));

@@ -192,7 +192,7 @@ impl NpyHeader {
                     .to_owned()
             }
             false => format!(
-                "elements {}; positions must be float16, float32 or float64 \
+                "the elements are {}; positions must be float16, float32 or float64 \
                  (.astype(np.float32))",
                 self.descr
             ),
@@ -209,7 +209,7 @@ impl NpyHeader {
                     fields.map(|field| format!("{} {}", field.name, shown(&field.shape))).collect();
                 let fields = fields.join(", ");
                 return ReadFault::Unsupported(format!(
-                    "a structured array without fields x, y and z, or pos; its fields: {fields}"
+                    "the structured array has no fields x, y and z, or pos; its fields: {fields}"
                 ));
             }
             [_, 2] => "add a column of zeros: np.pad(a, ((0, 0), (0, 1)))",
@@ -219,8 +219,8 @@ impl NpyHeader {
         };
         let shape = shown(&self.shape);
         ReadFault::Unsupported(format!(
-            "an array of shape {shape}; particles must be (N, 3), (3, N) or, for frames, (T, N, \
-             3): {remedy}"
+            "the array has shape {shape}, but must have (N, 3), (3, N) or, for frames, (T, N, 3); \
+             {remedy}"
         ))
     }
 

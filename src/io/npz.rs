@@ -159,7 +159,7 @@ fn no_position(arrays: &[NpzArray], contents: &Contents) -> ReadFault {
     let pickled = arrays.iter().filter(|array| array.header.is_pickled());
     let pickled: Vec<_> = pickled.map(|array| array.name.clone()).collect();
     let mut what = format!(
-        "no array of positions; save it as pos, with shape (N, 3). Arrays of numbers: {numbers}"
+        "no array of positions; save one as pos, with shape (N, 3). Arrays of numbers: {numbers}"
     );
     if !pickled.is_empty() {
         let is_pysph = ["particles", "solver_data"].iter().all(|n| pickled.iter().any(|p| p == n));
@@ -216,7 +216,7 @@ fn arrays(bytes: &Bytes) -> Result<Vec<NpzArray>, ReadFault> {
         })?;
         if header.is_numeric() && header.data_bytes().checked_add(header.start as u64) != Some(size)
         {
-            let what = format!("array {name} of shape {} has {size} bytes", shown(&header.shape));
+            let what = format!("array {name} has shape {}, but {size} bytes", shown(&header.shape));
             return Err(malformed(stored_at.unwrap_or(0) as usize, what));
         }
         arrays.push(NpzArray { name, entry, header, stored_at, bytes: size });
@@ -237,8 +237,8 @@ fn unpack(
     let total = needed().fold(0u64, |sum, (_, array)| sum.saturating_add(array.bytes));
     if !in_place && total > unpacked_limit(bytes.view().len() as u64) {
         return Err(ReadFault::Compression(format!(
-            "the data expands to {total} bytes, too many for a file of {} bytes; decompress the \
-             file first",
+            "the data expands to {total} bytes, too many for a file of {} bytes; save it without \
+             compression",
             bytes.view().len()
         )));
     }

@@ -146,7 +146,7 @@ impl ObjMesh {
             let corner = self.corner(word).map_err(|what| scan.fault(at, what))?;
             let corner = u32::try_from(corner).map_err(|_| {
                 ReadFault::Unsupported(format!(
-                    "a face refers to vertex {corner}; a mesh has less than 2^32"
+                    "a face refers to vertex {corner}, but a mesh must have fewer than 2^32"
                 ))
             })?;
             self.corners.push(corner);
@@ -156,7 +156,7 @@ impl ObjMesh {
                 self.triangles.extend(rim.windows(2).map(|edge| [*apex, edge[0], edge[1]]));
                 Ok(())
             }
-            few => Err(scan.fault(line, format!("a face of {} corners", few.len()))),
+            few => Err(scan.fault(line, format!("a face has {} corners", few.len()))),
         }
     }
 
@@ -195,5 +195,5 @@ fn resolve(number: &[u8], what: &str, count: usize) -> Result<usize, String> {
     let index = if parsed < 0 { count.checked_sub(distance) } else { distance.checked_sub(1) };
     index
         .filter(|&index| index < count)
-        .ok_or_else(|| format!("{what} {parsed}, but only {count} are defined so far"))
+        .ok_or_else(|| format!("{what} {parsed} is not defined: only {count} are defined so far"))
 }

@@ -330,7 +330,7 @@ impl MeshFormat {
             Self::Stl => stl::read_mesh(bytes),
             Self::Usdc(_) | Self::Glb(_) | Self::BgeoSc | Self::Abc(_) | Self::Vdb { .. } => {
                 let what =
-                    format!("cannot read {self} meshes; convert the particles to .ply as well");
+                    format!("cannot read {self} meshes; convert the particles to .ply instead");
                 Err(ReadFault::Unsupported(what))
             }
         }

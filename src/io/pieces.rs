@@ -367,7 +367,7 @@ fn same_attributes(
 ) -> Result<Vec<usize>, ReadFault> {
     let differs = |what: &str, info: &AttributeInfo| {
         let AttributeInfo { name, components, .. } = info;
-        malformed(0, format!("{what} {name} of {components} numbers, unlike the pieces before"))
+        malformed(0, format!("has {what} {name} (components: {components}), unlike earlier pieces"))
     };
     if let Some(extra) = own.iter().find(|info| !infos.iter().any(|other| same(info, other))) {
         return Err(differs("an attribute", extra));

@@ -134,7 +134,7 @@ fn records(bytes: &[u8]) -> Result<impl Iterator<Item = &[u8; RECORD]>, ReadFaul
         }
         std::cmp::Ordering::Less => Err(malformed(
             needed as usize,
-            format!("more bytes after the last of {count} triangles"),
+            format!("extra bytes follow the last of {count} triangles"),
         )),
         std::cmp::Ordering::Equal => Ok(body.as_chunks().0.iter()),
     }
@@ -172,7 +172,8 @@ fn text(bytes: &[u8]) -> Result<Vec<[f64; 3]>, ReadFault> {
             }
             _ => {
                 let shown = String::from_utf8_lossy(&word[..word.len().min(40)]);
-                return Err(scan.fault(at, format!("{shown:?} {}", inside.complaint())));
+                let expected = inside.expected();
+                return Err(scan.fault(at, format!("expected {expected}, found {shown:?}")));
             }
         };
         scan.skip_line();
@@ -191,11 +192,11 @@ enum TextContext {
 }
 
 impl TextContext {
-    fn complaint(self) -> &'static str {
+    fn expected(self) -> &'static str {
         match self {
-            Self::Nothing => "where a solid should start",
-            Self::Solid => "where a facet, or the end of the solid, should be",
-            Self::Loop { .. } => "in a loop, which should have three vertices and then end",
+            Self::Nothing => "the start of a solid",
+            Self::Solid => "a facet or the end of the solid",
+            Self::Loop { .. } => "three vertices and the end of the loop",
         }
     }
 }
@@ -209,7 +210,7 @@ fn joined(corners: impl Iterator<Item = [f64; 3]>) -> Result<Mesh, ReadFault> {
     for position in corners {
         let next = u32::try_from(mesh.positions.len()).map_err(|_| {
             ReadFault::Unsupported(
-                "2^32 different corners are more than a mesh can have".to_owned(),
+                "the file has too many corners: a mesh must have fewer than 2^32".to_owned(),
             )
         })?;
         let vertex = *known.entry(position.map(f64::to_bits)).or_insert(next);

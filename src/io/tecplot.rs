@@ -116,7 +116,7 @@ pub(super) fn read(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, R
     let repeated = repeated_position(&names).map(str::to_owned);
     let Some(columns) = TableColumns::of(names) else {
         let what = match repeated {
-            Some(name) => format!("several VARIABLES are named {name:?}"),
+            Some(name) => format!("several VARIABLES are named {name:?}; rename all but one"),
             None => format!("no VARIABLES x, y and z among {shown:?}"),
         };
         return Err(ReadFault::Line { line: lines_above.max(1), what });
@@ -132,8 +132,8 @@ pub(super) fn read(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, R
             let shown: Vec<_> = zones.iter().take(ZONES_SHOWN).map(|zone| zone.as_str()).collect();
             let more = if zones.len() > ZONES_SHOWN { " and more" } else { "" };
             let what = format!(
-                "another zone begins; the file has {}: {}{more}. Write each zone of particles to \
-                 a file of its own",
+                "another zone begins here; the file has {}: {}{more}. Write each zone of particles \
+                 to its own file",
                 zones.len(),
                 shown.join(", ")
             );
@@ -145,7 +145,9 @@ pub(super) fn read(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, R
     let points = match zone.points {
         [None, None, None] if count.is_multiple_of(width) => count / width,
         [None, None, None] => {
-            return wrong(format!("{count} values cannot be divided among {width} variables"));
+            return wrong(format!(
+                "the zone has {count} values, which is not a multiple of its {width} variables"
+            ));
         }
         points => {
             let product = points.iter().flatten().try_fold(1_usize, |all, n| all.checked_mul(*n));
@@ -155,7 +157,8 @@ pub(super) fn read(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, R
                     let sizes: Vec<_> = points.iter().flatten().map(usize::to_string).collect();
                     let points = sizes.join(" x ");
                     return wrong(format!(
-                        "{count} values, but {points} points of {width} variables are announced"
+                        "the zone has {count} values, but announces {points} points of {width} \
+                         variables"
                     ));
                 }
             }
@@ -166,8 +169,8 @@ pub(super) fn read(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, R
         (Some(packing), _) => packing,
         (None, None) => ZonePacking::Point,
         (None, Some(_)) => {
-            let what = "the zone does not say the order of its values; add DATAPACKING=POINT or \
-                 DATAPACKING=BLOCK to it";
+            let what = "the zone does not define the order of its values; add DATAPACKING=POINT \
+                        or DATAPACKING=BLOCK";
             return Err(ReadFault::Unsupported(what.to_owned()));
         }
     };
@@ -250,12 +253,12 @@ impl Zone {
             ("ZONETYPE", "ORDERED") => {}
             ("F" | "DATAPACKING" | "ZONETYPE" | "N" | "NODES" | "E" | "ELEMENTS", _) => {
                 return Err(format!(
-                    "a zone with {key}={value}: only zones of points are supported"
+                    "the zone has {key}={value}, but only zones of points are supported"
                 ));
             }
             ("VARLOCATION" | "VARSHARELIST" | "PASSIVEVARLIST", _) => {
                 return Err(format!(
-                    "a zone with {key}: each variable needs a value at each point"
+                    "the zone has {key}, but each variable needs a value at each point"
                 ));
             }
             ("SOLUTIONTIME", _) => self.time = f64::of(value.as_bytes()),

@@ -147,7 +147,7 @@ pub(super) fn utf8(bytes: Bytes, unpacking: Unpacking) -> Result<Bytes, ReadFaul
         return Ok(bytes);
     };
     if !view.len().is_multiple_of(2) {
-        return Err(malformed(view.len() - 1, "an incomplete UTF-16 character"));
+        return Err(malformed(view.len() - 1, "the last UTF-16 character is incomplete"));
     }
     let unit = match endian {
         Endian::Little => u16::from_le_bytes,
@@ -244,7 +244,7 @@ impl<'a> TextLines<'a> {
             self.at += count + usize::from(end.is_some());
             if line.len() > LONGEST_LINE {
                 self.passed += 1;
-                return Err(self.fault(format!("a line of more than {LONGEST_LINE} bytes")));
+                return Err(self.fault(format!("the line is longer than {LONGEST_LINE} bytes")));
             }
             if end.is_some() || is_last {
                 if self.at == start {

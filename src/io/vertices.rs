@@ -107,7 +107,7 @@ impl Triangles {
     pub fn new(vertices: usize) -> Result<Self, ReadFault> {
         if u32::try_from(vertices).is_err() {
             return Err(ReadFault::Unsupported(format!(
-                "{vertices} vertices; a mesh has less than 2^32"
+                "the file has {vertices} vertices, but a mesh must have fewer than 2^32"
             )));
         }
         Ok(Self { vertices, triangles: Vec::new() })

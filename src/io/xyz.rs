@@ -33,13 +33,14 @@ pub(super) fn read_raw(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
     let rest = bytes % TRIPLE;
     if rest > 0 {
         let what = format!(
-            "{rest} extra bytes at the end; raw f32 positions have {TRIPLE} \
-                            bytes each"
+            "{rest} extra bytes at the end; each position must have {TRIPLE} bytes (three 32-bit \
+             floats)"
         );
         return Err(malformed(bytes - rest, what));
     }
     if bytes.is_multiple_of(2 * TRIPLE) && source.with(0..bytes.min(SAMPLED), are_f64) {
-        let what = "its numbers look like f64, but a raw .xyz contains f32; convert them";
+        let what = "the numbers look like 64-bit floats, but a raw .xyz needs 32-bit floats; \
+                    convert them";
         return Err(ReadFault::Unsupported(what.to_owned()));
     }
     let rows = ParticleRows::All(bytes / TRIPLE);
@@ -134,7 +135,7 @@ pub(super) fn read(
     let view = bytes.view();
     let mut lines = TextLines::at(view, place)?;
     let frame = XyzFrame::next(&mut lines)?;
-    let frame = frame.ok_or_else(|| lines.fault("expected the number of a frame's particles"))?;
+    let frame = frame.ok_or_else(|| lines.fault("expected the number of particles"))?;
     view.check()?;
     frame.read(bytes, wanted, unpacking)
 }
@@ -151,7 +152,7 @@ impl XyzFrame {
         };
         let count = count_of(&line).ok_or_else(|| {
             let found = excerpt(line.as_bytes());
-            lines.fault(format!("expected the number of a frame's particles, found {found}"))
+            lines.fault(format!("expected the number of particles, found {found}"))
         })?;
         let comment = lines.line()?.unwrap_or_default();
         let LinePlace { at: start, lines_above } = lines.place();
@@ -187,7 +188,7 @@ impl XyzFrame {
                     let names = names_in(&comment);
                     let named = names.len() == columns.names.len();
                     if let Some(name) = repeated_position(&names).filter(|_| named) {
-                        let what = format!("several columns are named {name:?}");
+                        let what = format!("several columns have the name {name:?}; rename them");
                         return Err(ReadFault::Line { line: lines_above, what });
                     }
                     let mut named = columns_in_comment(without_marks(&comment));
@@ -197,7 +198,7 @@ impl XyzFrame {
                 None if rows == 0 => (Syntax::BLANKS, TableColumns::unnamed(0, 3)),
                 None => {
                     let row = head.split(|&byte| byte == b'\n').next().unwrap_or_default();
-                    let what = format!("no three numbers for x, y and z: {}", excerpt(row));
+                    let what = format!("expected three numbers x, y and z, found {}", excerpt(row));
                     return Err(ReadFault::Line { line: lines_above + 1, what });
                 }
             },
@@ -241,7 +242,7 @@ fn columns_of(properties: &str) -> Result<TableColumns, String> {
     let mut names = Vec::new();
     for part in parts.chunks(3) {
         let &[name, _, count] = part else {
-            return Err(format!("{} are not triples of name, type and number", shown()));
+            return Err(format!("{} must be triples of name, type and number", shown()));
         };
         let count = count.parse().ok().filter(|count| (1..=MOST).contains(count));
         let count = count.ok_or_else(|| format!("{}: {name} has no number of columns", shown()))?;
@@ -252,7 +253,7 @@ fn columns_of(properties: &str) -> Result<TableColumns, String> {
             _ => names.extend((0..count).map(|component| format!("{name}:{component}"))),
         }
     }
-    TableColumns::of(names).ok_or_else(|| format!("{} without pos:R:3", shown()))
+    TableColumns::of(names).ok_or_else(|| format!("{} does not contain pos:R:3", shown()))
 }
 
 /// The edge lengths of the box, from the nine components of its vectors. `None` if the box is not

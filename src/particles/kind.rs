@@ -41,7 +41,7 @@ pub enum KindFault {
     /// An integer that the mesh cannot store.
     #[error(
         "attribute {name:?} has the value {value}, but the mesh stores it as integers from {} to \
-         {}; store the attribute as floating-point numbers, or leave it out",
+         {}; store floating-point numbers in the particle file, or do not transfer the attribute",
         limits[0],
         limits[1]
     )]
@@ -57,7 +57,8 @@ pub enum KindFault {
     #[error(
         "colour {name:?} has the value {greatest} and looks like bytes from 0 to 255, but the \
          calibration frame (usually the first) has colours from 0 to 1; store colours in the same \
-         way in all frames, begin with a frame that has colours above 1, or leave the attribute out"
+         way in all frames, begin with a frame that also has such values (above 16), or do not \
+         transfer the attribute"
     )]
     Scale {
         /// The name of the attribute.
@@ -69,7 +70,7 @@ pub enum KindFault {
     #[error(
         "colour {name:?} has the value {value}, but the calibration frame (usually the first) has \
          integers from 0 to 255; store colours in the same way in all frames, begin with a frame \
-         whose values exceed 255, or leave the attribute out"
+         that has values outside this range, or do not transfer the attribute"
     )]
     NoByte {
         /// The name of the attribute.

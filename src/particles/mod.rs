@@ -73,7 +73,7 @@ pub(crate) fn particle_count(particles: usize) -> String {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
 pub enum RereadError {
     /// The particles' file changed while it was read.
-    #[error("the file changed while it was being read")]
+    #[error("the file changed while it was being read; try again when it is complete")]
     Changed,
     /// The operating system reported an error in reading the particles' file.
     #[error("{0}")]

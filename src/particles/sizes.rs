@@ -94,7 +94,10 @@ pub enum SizeFault {
         known: Vec<String>,
     },
     /// The attribute has several components.
-    #[error("attribute {name:?} has {components} components, but a size is one number")]
+    #[error(
+        "attribute {name:?} has {components} components, but a size is one number; choose another \
+         attribute"
+    )]
     Components {
         /// The attribute.
         name: String,
@@ -103,8 +106,8 @@ pub enum SizeFault {
     },
     /// The attribute holds masses, but no attribute holds densities.
     #[error(
-        "attribute {name:?} holds masses, but computing sizes from masses needs a density \
-         attribute; available: {}",
+        "attribute {name:?} holds masses, and computing sizes from masses needs densities, but \
+         there is no density attribute; available: {}",
         listed(known)
     )]
     NoDensity {
@@ -114,7 +117,7 @@ pub enum SizeFault {
         known: Vec<String>,
     },
     /// No particle has a valid size.
-    #[error("no particle has a positive, finite {name:?}")]
+    #[error("no particle has a positive, finite {name:?}; choose another attribute for the sizes")]
     NoSize {
         /// The attribute.
         name: String,

@@ -14,7 +14,7 @@ use meniscus::{
 use super::options::ReconstructOptions;
 
 /// The advice for an input that changes while it is read.
-const CHANGED: &str = "; convert it again when it is complete; for a simulation, add --resume";
+const CHANGED: &str = " (for a simulation, with --resume)";
 
 /// The advice for scratch files that do not fit, or that cannot be written.
 const NO_SCRATCH: &str = "; use another folder with --scratch, or a larger --memory";
@@ -85,10 +85,11 @@ fn is_of_unknown_particles(fault: &ReadFault) -> bool {
 fn advice(error: &Error) -> String {
     match error {
         Error::NoSpacing { why: NoEstimate::SinglePrecision { .. }, .. } => {
-            "; store the coordinates in double precision, move the particles to the origin, or use \
-             --spacing"
+            " (--spacing, --cell-size), store the coordinates in double precision, or move the \
+             particles to the origin"
         }
-        Error::NoSpacing { .. } => "; use --spacing, --radius or --cell-size",
+        Error::NoSpacing { .. } => " (--spacing, --radius or --cell-size)",
+        Error::Threads(_) => "; use fewer --threads",
         Error::Write(error) => match error.fault {
             WriteFault::Exists => "; --overwrite replaces it",
             WriteFault::ExistsInSimulation => {
@@ -102,6 +103,10 @@ fn advice(error: &Error) -> String {
         Error::Read(error) if matches!(error.fault, ReadFault::Changed) => CHANGED,
         Error::Read(error) if matches!(error.fault, ReadFault::Scratch(_)) => NO_SCRATCH,
         Error::Vulkan(VulkanError::SmallStack { .. }) => ", or use --backend cpu",
+        Error::Vulkan(VulkanError::NoDevice) => "; install a Vulkan driver, or use --backend cpu",
+        Error::Vulkan(VulkanError::NotFound { .. }) => {
+            "; choose a device with --device, or use --backend cpu"
+        }
         Error::Vulkan(_) => "; use --backend cpu",
         Error::Picture { fault: PictureError::Memory { .. }, .. } => " with --memory",
         Error::Simulation(SimulationError::NoFrameSelected(_)) => {
@@ -126,14 +131,13 @@ fn advice(error: &Error) -> String {
         } => {
             return format!(" (--origin {})", corner.map(|x| x.to_string()).join(","));
         }
-        Error::Parts(PartsError::NoPlan(_)) => "; run with --plan first",
+        Error::Parts(PartsError::NoPlan(_)) => " (--plan)",
         Error::Parts(
             PartsError::Plan { .. } | PartsError::Settings { .. } | PartsError::Changed { .. },
-        ) => "; use --plan with --resume or --overwrite to replace the plan",
-        Error::Parts(PartsError::Missing { .. }) => "; make them with --part",
-        Error::Parts(PartsError::Damaged { .. } | PartsError::OtherPlan(_)) => {
-            "; make it again with --part"
-        }
+        ) => " (--plan with --resume or --overwrite)",
+        Error::Parts(
+            PartsError::Missing { .. } | PartsError::Damaged { .. } | PartsError::OtherPlan(_),
+        ) => " (--part)",
         Error::Frame { fault, .. } => advice_on_frame(fault),
         _ => "",
     }
@@ -143,17 +147,15 @@ fn advice(error: &Error) -> String {
 fn advice_on_frame(fault: &FrameError) -> &'static str {
     match fault {
         FrameError::Unread(RereadError::Changed) => CHANGED,
-        FrameError::Bin(BinError::NotFinite { .. }) => {
-            "; use --skip-invalid to leave out such particles"
-        }
+        FrameError::Bin(BinError::NotFinite { .. }) => " (--skip-invalid)",
         FrameError::Bin(BinError::TooFar { .. }) => {
-            "; use a larger cell size, move --origin, or leave out such particles with --skip-invalid"
+            " (--cell-size, --origin), or skip such particles (--skip-invalid)"
         }
-        FrameError::Bin(BinError::OutsideBox { .. }) => {
-            "; use a larger --periodic box, or --skip-invalid to leave out such particles"
-        }
+        FrameError::Bin(BinError::OutsideBox { .. }) => " (--periodic, --skip-invalid)",
+        FrameError::NoParticles(census) if census.outside > 0 => "; check --domain and --periodic",
         FrameError::OverBudget(_) => " or a larger --memory",
         FrameError::NoSpacing => " with --spacing",
+        FrameError::TooFine(TooFine::Steps { .. }) => " (--cell-size)",
         FrameError::TooFine(TooFine::Finest { .. }) => {
             " (--cell 0.1 or more); is the --spacing correct?"
         }
@@ -161,8 +163,8 @@ fn advice_on_frame(fault: &FrameError) -> &'static str {
             " (--cell above 0.5), or another --indicator"
         }
         FrameError::NoSurface { .. } => {
-            "; use --indicator cloud, which keeps drops and sheets, or a smaller --cell, a lower \
-             --iso or a smaller --sigma; is the --spacing correct?"
+            " (--iso, --cell), a smaller --sigma, or --indicator cloud, which keeps drops and \
+             sheets; is the --spacing correct?"
         }
         FrameError::NothingLeft(TooSmall { drops: 0, .. }) => {
             "; use a smaller --smallest-component"
@@ -171,11 +173,11 @@ fn advice_on_frame(fault: &FrameError) -> &'static str {
             "; use a smaller --smallest-drop"
         }
         FrameError::NothingLeft(_) => "; use a smaller --smallest-component or --smallest-drop",
-        FrameError::NoDistanceSurface => "; use a smaller --cell; is the --spacing correct?",
-        FrameError::NoKernelSurface => "; use a smaller --cell, or a lower --iso",
-        FrameError::WideAttributes { .. } => {
-            "; select fewer with --attributes, or use a larger --memory"
+        FrameError::NoDistanceSurface => " (--cell); is the --spacing correct?",
+        FrameError::NoKernelSurface => {
+            " (--cell) or, except with --method zhu-bridson, a lower --iso"
         }
+        FrameError::WideAttributes { .. } => " (--attributes, --memory)",
         FrameError::NoRoom { .. } | FrameError::Scratch { .. } => NO_SCRATCH,
         _ => "",
     }
@@ -221,8 +223,8 @@ pub fn spacing_message(warning: &SpacingWarning) -> String {
             format!("{warning}; use --where {} to select the fluid", shell_word(&fluid.to_string()))
         }
         SpacingWarning::TwoResolutions { .. } => format!(
-            "{warning}; use --size if an attribute holds the particles' sizes, or --spacing to choose a \
-             different spacing"
+            "{warning}; use --size if an attribute holds the particles' sizes, or --spacing to \
+             choose a different spacing"
         ),
         SpacingWarning::MoreSizes { .. } => {
             format!("{warning}; convert frames that have several sizes separately")
@@ -254,9 +256,9 @@ fn shell_word(text: &str) -> String {
     format!("'{}'", text.replace('\'', r"'\''"))
 }
 
-/// Advice for particles that are missing from the surface.
+/// The option against particles that are missing from the surface.
 fn on_lost(smoothed: bool) -> &'static str {
-    if smoothed { "use --indicator cloud, which keeps drops" } else { "use a smaller --cell" }
+    if smoothed { "--indicator cloud" } else { "--cell" }
 }
 
 /// The text of a warning, with advice that depends on `options`.
@@ -266,15 +268,13 @@ pub fn warning_message(warning: &Warning, options: Option<&ReconstructOptions>) 
         Warning::Coincident { found, .. } if found.alone => {
             format!("{warning}; use --domain to leave them out")
         }
-        Warning::Crowded { .. } => format!("{warning}; is the --spacing correct?"),
+        Warning::Crowded { .. } => format!("{warning} (--spacing)"),
         Warning::OnCorners { origin, .. } => {
             let corner = origin.map(|x| x.to_string()).join(",");
-            format!("{warning}; use --origin {corner} to move the grid")
+            format!("{warning} (--origin {corner})")
         }
-        Warning::Lost { smoothed, .. } => format!("{warning}; {}", on_lost(*smoothed)),
-        Warning::ThinSolid { .. } => {
-            format!("{warning}; use a smaller --cell, a thicker mesh or a larger --solid-offset")
-        }
+        Warning::Lost { smoothed, .. } => format!("{warning} ({})", on_lost(*smoothed)),
+        Warning::ThinSolid { .. } => format!("{warning} (--cell, --solid-offset)"),
         Warning::Shortfall { clouds, calibration_frame, .. } => {
             let what = if *clouds { "plateau" } else { "isovalue" };
             let measured = calibration_frame.map_or(String::new(), |frame| {
@@ -289,7 +289,7 @@ pub fn warning_message(warning: &Warning, options: Option<&ReconstructOptions>) 
             format!("{warning}{measured}{}", on_shortfall(options, *clouds))
         }
         Warning::Empty { why: EmptyReason::TooSmall(all), .. } => {
-            format!("the mesh is empty: all components are below {}", limits(*all))
+            format!("the mesh is empty: {} removed all components", limits(*all))
         }
         _ => warning.to_string(),
     }
@@ -311,7 +311,7 @@ fn limits(too_small: TooSmall) -> &'static str {
     match (too_small.components, too_small.drops) {
         (_, 0) => "--smallest-component",
         (0, _) => "--smallest-drop",
-        _ => "--smallest-component or --smallest-drop",
+        _ => "--smallest-component and --smallest-drop",
     }
 }
 

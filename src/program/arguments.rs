@@ -19,7 +19,7 @@ pub struct Arguments {
 pub enum Command {
     /// Make a mesh from the particles of a frame, or of each frame of a simulation.
     Reconstruct(Box<options::ReconstructOptions>),
-    /// Save a packed frame, to mesh it later with different smoothing or isovalues.
+    /// Save a frame in a compact form (.mnf), to mesh it later with different smoothing.
     Pack(Box<pack::PackOptions>),
     /// Print what particle files, packed frames or meshes contain.
     Info(info::InfoOptions),

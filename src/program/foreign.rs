@@ -16,25 +16,33 @@ const FOREIGN: &[(&[&str], &str, &str)] = &[
     (
         &["-l", "--smoothing-length", "--smoothing-radius", "--kernel-radius"],
         "smooth",
-        "sets the smoothing width, in spacings; a spacing is two particle radii",
+        "sets the smoothing width in spacings (a spacing is two particle radii)",
     ),
     (
         &["--mesh-smoothing-iters", "--mesh-smoothing-weights", "--smoothing-iterations"],
         "smooth",
-        "sets the smoothing width, in spacings",
+        "sets the smoothing width in spacings",
     ),
     (
         &["-c", "--cube-size"],
         "cell-size",
-        "sets the edge of a cell as a length; --cell sets it in spacings of two particle radii",
+        "is a length; if the cube size is in particle radii, use half the number with --cell",
     ),
-    (&["--voxel-size", "--grid-size", "--resolution"], "cell-size", "sets the edge of a cell"),
+    (
+        &["--voxel-size", "--grid-size", "--resolution"],
+        "cell-size",
+        "sets the edge length of a cell",
+    ),
     (
         &["-t", "--surface-threshold", "--threshold", "--isovalue", "--iso-value", "--iso-level"],
         "iso",
         "sets the isovalue, for the indicators counting and symmetry and for kernel methods",
     ),
-    (&["--mesh-cleanup", "--decimate", "--decimation"], "simplify", "reduces the triangles"),
+    (
+        &["--mesh-cleanup", "--decimate", "--decimation"],
+        "simplify",
+        "reduces the number of triangles",
+    ),
     (&["-a", "--interpolate-attribute"], "attributes", "takes names separated by commas"),
     (&["--sph-normals", "--normals-smoothing-iters"], "normals", "computes them from the field"),
     (
@@ -64,7 +72,7 @@ pub fn explained(mut error: Error, command: &mut Command, subcommand: Option<&st
     let same = FOREIGN.iter().find(|(names, ours, _)| names.contains(&&*named) && is_ours(ours));
     let tip = match same {
         Some((_, ours, what)) => format!("use '--{ours}', which {what}"),
-        None if INPUT.contains(&&*named) => "inputs need no option: give only their paths".into(),
+        None if INPUT.contains(&&*named) => "inputs need no option; give only their paths".into(),
         None => return error,
     };
     error.remove(ContextKind::SuggestedArg);

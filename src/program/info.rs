@@ -21,7 +21,7 @@ pub struct InfoOptions {
     /// with {} for the frame number also work.
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
-    /// Format of particle files [default: by their extension].
+    /// Format of particle files [default: determined by the extension].
     #[arg(long, value_enum, value_name = "NAME")]
     format: Option<InputFormat>,
     /// Use only particles whose attributes satisfy a condition, such as Type=1.
@@ -96,7 +96,7 @@ fn describe(info: &Info) -> String {
             line("particles", particles.to_string());
             match &particle_types[..] {
                 [] => {}
-                [only] => line("type", format!("{only}, the only one")),
+                [only] => line("type", format!("{only} (the only one)")),
                 [read, others @ ..] => {
                     line("type", format!("{read}; not read: {}", others.join(", ")))
                 }
@@ -105,7 +105,7 @@ fn describe(info: &Info) -> String {
                 line("not finite", not_finite.to_string());
             }
             if *ghosts > 0 {
-                line("left out", format!("{ghosts} ghosts, copies of particles in other pieces"));
+                line("left out", format!("{ghosts} ghosts (copies of particles in other pieces)"));
             }
             left_out.iter().for_each(|part| line("left out", part.clone()));
             bounds.iter().for_each(|bounds| line("box", corners(bounds)));

@@ -95,9 +95,9 @@ fn describe(measures: &Measures) -> String {
             "genus",
             known(genus.map(|g| format!("{g} (Euler characteristic {euler_characteristic})"))),
         ),
-        ("least angle", known(quality.worst_angle.map(|a| format!("{a:.2} degrees")))),
-        ("mean least angle", known(quality.mean_angle.map(|a| format!("{a:.2} degrees")))),
-        ("worst aspect", known(quality.worst_aspect.map(|a| format!("{a:.1}")))),
+        ("smallest angle", known(quality.worst_angle.map(|a| format!("{a:.2} degrees")))),
+        ("mean smallest angle", known(quality.mean_angle.map(|a| format!("{a:.2} degrees")))),
+        ("worst aspect ratio", known(quality.worst_aspect.map(|a| format!("{a:.1}")))),
         ("flat triangles", quality.flat.to_string()),
     ];
     lines.map(|(name, value)| format!("  {name:<25} {value}")).join("\n")

@@ -75,8 +75,8 @@ pub fn catch_crashes() {
         // `abandon` waits forever because the crash corrupted its data.
         unsafe { libc::alarm(2) };
         abandon(
-            b"meniscus: crashed. If it used a Vulkan device, the driver may be the cause: try \
-            --backend cpu. Otherwise, please report this\n",
+            b"meniscus: crashed. If it used a GPU, the Vulkan driver may be the cause: try \
+            --backend cpu. Otherwise, please report this crash\n",
         );
         // SAFETY: both functions may be called in a signal handler. The raised signal is blocked
         // until this handler returns, and then ends the process.

@@ -15,9 +15,10 @@ const INPUT: &str = "Particle files of one frame, or of all frames of a simulati
 /// The possible inputs, for `--help`.
 fn inputs() -> String {
     format!(
-        "One frame can be any of these files: {}; or a packed frame (.mnf). A simulation can be several files, a folder, a \
-         glob, a pattern with {{}} for the frame number, a list (.pvd, .series), or one file with several steps, such as \
-         .h5part or .vtkhdf.",
+        "One frame can be any of these files: {}; or a packed frame (.mnf). A simulation can be \
+         several files, a folder, a glob (such as 'sim/*.vtk'), a pattern with {{}} for the frame \
+         number, a list (.pvd, .series), or one file with several steps, such as .h5part or \
+         .vtkhdf.",
         InputFormat::KNOWN
     )
 }
@@ -41,7 +42,7 @@ pub struct ReconstructOptions {
     /// all frames.
     #[arg(short, long, help_heading = "Output")]
     pub output: PathBuf,
-    /// Draw a picture (.png) of the mesh, or of all meshes on one sheet.
+    /// Draw a picture (.png) of the mesh, or a contact sheet of all meshes.
     #[arg(long, help_heading = "Output")]
     pub preview: bool,
     /// Print what would be done without doing it.

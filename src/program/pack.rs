@@ -17,7 +17,7 @@ use super::run::{RunOptions, bytes_of};
 pub struct PackOptions {
     #[arg(value_name = "INPUT", help = "Particle file", long_help = format!("Particle file: {}.", InputFormat::KNOWN))]
     input: PathBuf,
-    /// Packed frame to write: .mnf.
+    /// Packed frame to write (.mnf).
     #[arg(short, long)]
     output: PathBuf,
     #[command(flatten)]

@@ -19,16 +19,16 @@ pub fn run(options: &ReconstructOptions, input: &Path, count: u32) -> Result<Ver
     let step = options.parts.step(options.simulation.plan)?;
     let refused = match step {
         _ if options.dry_run => {
-            Some("--dry-run does not support --parts: --plan prints the needs of each part")
+            Some("--dry-run does not work with --parts; --plan prints the needs of each part")
         }
         PartsStep::Plan | PartsStep::Part(_) if options.stats.is_some() => {
-            Some("--stats needs --merge: the other steps of --parts make no mesh")
+            Some("--stats works only with --merge: the other steps of --parts make no mesh")
         }
         PartsStep::Plan | PartsStep::Part(_) if options.preview => {
-            Some("--preview needs --merge: the other steps of --parts make no mesh")
+            Some("--preview works only with --merge: the other steps of --parts make no mesh")
         }
         PartsStep::Merge if options.simulation.resume => {
-            Some("--resume needs --plan: --merge always writes the whole mesh")
+            Some("--resume does not work with --merge, which always writes the whole mesh")
         }
         _ => None,
     };
@@ -99,7 +99,7 @@ fn listed(planned: &PartsPlan) -> String {
     let mut lines = Vec::new();
     for (number, part) in planned.parts.iter().enumerate() {
         let mut line = format!(
-            "part {number}: {} particles, or {} with those within reach of the filters",
+            "part {number}: {} particles, or {} with the particles around it that affect it",
             part.particles, part.kept
         );
         if let Some(PartNeeds { memory, in_core, scratch, .. }) = part.needs {

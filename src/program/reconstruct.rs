@@ -22,7 +22,7 @@ pub fn run(options: &ReconstructOptions) -> Result<Verdict, Error> {
     let format = options.settings.format;
     match (Simulation::detect(&options.inputs, &options.output, format)?, options.parts.parts) {
         (Some(_), Some(_)) => {
-            let what = "--parts is for one frame; divide a simulation by --frames";
+            let what = "--parts is for one frame; divide a simulation with --frames";
             Err(Error::Request(what.into()))
         }
         (Some(simulation), None) => simulation::run(options, simulation),
@@ -89,7 +89,7 @@ fn dry_run(
     );
     if let Some([threads, triangles]) = needs.simplifying.map(|bytes| bytes.map(ByteSize)) {
         text += &format!(
-            "\nsimplifying: up to {threads} more memory, and {triangles} of memory or scratch"
+            "\nsimplifying: up to {threads} more memory, and {triangles} of memory or scratch files"
         );
     }
     if let Some(bytes) = needs.writing {

@@ -122,7 +122,9 @@ fn view(numbers: &[f64]) -> Result<View, Error> {
         [azimuth, elevation, zoom] => Ok(View::From { azimuth, elevation, zoom }),
         [a, b, c, d, e, f] => Ok(View::At { eye: [a, b, c], target: [d, e, f] }),
         _ => {
-            let what = "--camera takes degrees around and above, and optionally a zoom factor; or six numbers: the position of the camera and the point that it looks at";
+            let what = "--camera must be two angles in degrees (azimuth and elevation) and \
+                        optionally a zoom factor, or six numbers: the position of the camera, and \
+                        the point that it looks at";
             Err(Error::Request(what.to_owned()))
         }
     }

@@ -31,7 +31,7 @@ pub fn report_opened(inputs: &[PathBuf], opened: &OpenedFrame, notes: &Notes) {
     ));
     if opened.ghosts() > 0 {
         notes.say(format!(
-            "{} left out (copies of particles in other pieces)",
+            "{} left out, because they are copies of particles in other pieces",
             counted(opened.ghosts() as u64, "ghost particle")
         ));
     }
@@ -39,7 +39,7 @@ pub fn report_opened(inputs: &[PathBuf], opened: &OpenedFrame, notes: &Notes) {
         let all = opened.particles() + opened.unselected();
         notes.say(format!("{} of {all} particles left out by --where", opened.unselected()));
     }
-    opened.left_out().iter().for_each(|part| notes.warn(&format!("left out: {part}")));
+    opened.left_out().iter().for_each(|part| notes.warn(&format!("meniscus left out {part}")));
     if let Some(cells) = opened.cells() {
         report_cells(cells, opened.indicator(), opened.moved_to(), notes);
     }
@@ -66,7 +66,7 @@ pub fn report_cells(
     if let Some(corner) = moved_to {
         let corner = corner.map(shown).join(",");
         notes.say(format!(
-            "all particles are on a lattice: the grid was moved to the origin {corner}"
+            "all particles are on a lattice, so the grid's origin was moved to {corner}"
         ));
     }
 }
@@ -82,7 +82,7 @@ pub fn report(options: &ReconstructOptions, report: &Report, mesh: &dyn MeshSour
     let Some(left_out) = report.too_small else { return };
     if let Some(volume) = options.settings.smallest_component {
         notes.say(format!(
-            "{} of less than {volume} cells left out",
+            "{} smaller than {volume} cells left out",
             counted(left_out.components, "component")
         ));
     }
@@ -93,7 +93,8 @@ pub fn report(options: &ReconstructOptions, report: &Report, mesh: &dyn MeshSour
         let whole = report.whole_triangles;
         let share = 100.0 * mesh.triangle_count() as f64 / whole as f64;
         notes.say(format!(
-            "simplified within {tolerance} cells: {share:.1} % of {whole} triangles left"
+            "simplified with a tolerance of {tolerance} cells: {share:.1} % of {whole} triangles \
+             remain"
         ));
     }
 }
@@ -123,7 +124,10 @@ fn report_calibration(
                     Some(_) => "spacing",
                     None => "spacing of one cell (the spacing is unknown)",
                 };
-                format!("density: assumed to be one particle per cubed {spacing}, because the fluid is too shallow to measure")
+                format!(
+                    "density: assumed to be one particle per cubed {spacing}, because the fluid \
+                     is too shallow to measure"
+                )
             }
         });
         return;
@@ -133,11 +137,17 @@ fn report_calibration(
     match plateau {
         _ if options.settings.isovalue().is_some() => {}
         Plateau::Interior { .. } => {
-            notes.say(format!("isovalue {iso}, {share} of the interior plateau {fluid}"));
+            notes.say(format!(
+                "isovalue {iso}: {share} times {fluid}, the value of the field deep in the fluid"
+            ));
         }
         Plateau::Shallow { .. } => notes.say(format!(
-            "isovalue {iso}, {share} of the plateau {fluid}, which is computed from {} because the fluid is too shallow to measure",
-            if facts.spacing.is_some() { "the spacing" } else { "a spacing of one cell (the spacing is unknown)" }
+            "isovalue {iso}: {share} times {fluid}, which is computed from {} because the fluid is \
+             too shallow to measure the field",
+            match facts.spacing {
+                Some(_) => "the spacing",
+                None => "a spacing of one cell (the spacing is unknown)",
+            }
         )),
     }
 }

@@ -189,7 +189,7 @@ impl Listener<'_> {
         let notes = &self.notes;
         for (part, frames) in std::mem::take(&mut self.left_out) {
             if frames > 1 {
-                notes.warn(&format!("left out of {frames} frames: {part}"));
+                notes.warn(&format!("in {frames} frames, meniscus left out {part}"));
             }
         }
         report_device(self.device.as_ref(), summary.made + summary.failed.len(), notes);
@@ -252,14 +252,14 @@ pub struct SimulationOptions {
     /// Convert every Nth frame.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..), help_heading = "Simulations", hide_short_help = true)]
     step: Option<u64>,
-    /// Convert only frames A to B, inclusive, but calibrate as if all were converted, so that
-    /// several jobs can share a simulation.
+    /// Convert only frames A to B (inclusive), with the calibration of the whole simulation, so
+    /// that several jobs can share it.
     #[arg(long, value_name = "A..B", value_parser = range, allow_hyphen_values = true, help_heading = "Simulations", hide_short_help = true)]
     frames: Option<(i64, i64)>,
     /// Resume an interrupted conversion.
     ///
-    /// Finished frames are kept, and all other frames are made. Changed settings are an error; use
-    /// --overwrite to make all frames again.
+    /// Finished frames are kept, and all other frames are made. If settings have changed, the
+    /// conversion fails; use --overwrite to make all frames again.
     #[arg(long, help_heading = "Simulations")]
     pub resume: bool,
     /// Convert frames as a running simulation writes them.
@@ -284,7 +284,7 @@ fn range(text: &str) -> Result<(i64, i64), String> {
     let numbers = text.split_once("..").and_then(|(a, b)| Some((a.parse().ok()?, b.parse().ok()?)));
     numbers
         .filter(|(a, b)| a <= b)
-        .ok_or_else(|| "expected two increasing numbers, such as 100..199".to_owned())
+        .ok_or_else(|| "expected the first and the last frame number, such as 100..199".to_owned())
 }
 
 /// Returns an error if one of `options` was given, because these options apply only to simulations.
@@ -292,7 +292,8 @@ fn refuse_sequence_options(options: &[(&str, bool)]) -> Result<(), Error> {
     match options.iter().find(|(_, given)| *given) {
         None => Ok(()),
         Some((name, _)) => Err(Error::Request(format!(
-            "{name} needs a simulation: several inputs, and an output with {{}}"
+            "{name} is only for simulations; give several input frames, and an output with {{}} \
+             for the frame number"
         ))),
     }
 }

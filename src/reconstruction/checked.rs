@@ -79,7 +79,9 @@ impl Reconstruction {
         let threads =
             self.threads.or_else(|| available_parallelism().ok().map(Into::into)).unwrap_or(1);
         if !(1..=MOST_THREADS).contains(&threads) {
-            return Err(Error::Threads(format!("their number must be from 1 to {MOST_THREADS}")));
+            return Err(Error::Threads(format!(
+                "the number of threads must be from 1 to {MOST_THREADS}, got {threads}"
+            )));
         }
         // A chunk is simplified as a whole, and each thread has its own chunk.
         let simplifying = reduction.tolerance.map(|_| threads);
@@ -99,7 +101,7 @@ impl Reconstruction {
             let what = if folder.exists() {
                 "is not a folder; choose a folder for scratch files"
             } else {
-                "the folder for scratch files does not exist"
+                "the folder for scratch files does not exist; create it, or choose another folder"
             };
             return Err(Error::Request(format!("{}: {what}", folder.display())));
         }

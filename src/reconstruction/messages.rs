@@ -66,6 +66,11 @@ fn types() -> SelectionFault {
     SelectionFault::Types { condition: "type=sand,wall".into(), known: kinds() }
 }
 
+fn values() -> ValueCounts {
+    let values = vec![(Value::Number(0.0), 60), (Value::Text("wall".into()), 40)];
+    ValueCounts { name: "Type".into(), values }
+}
+
 fn kinds() -> Vec<String> {
     ["sand", "wall"].map(str::to_owned).to_vec()
 }
@@ -141,7 +146,7 @@ fn requests() -> String {
     examples!(text, SizeFault:
         NoAttribute { name: "size".into(), known: names() },
         Components { name: "velocity".into(), components: 3 },
-        NoDensity { name: "mass".into(), known: names() },
+        NoDensity { name: "mass".into(), known: vec!["velocity".into(), "mass".into()] },
         NoSize { name: "radius".into() },
     );
     examples!(text, NoEstimate: TooFew, Coincident { places: 3 }, SinglePrecision { step: 0.03 });
@@ -237,7 +242,9 @@ fn files() -> String {
             of_other: ColourScale::Shares,
         },
         Selection(types()),
-        Unsupported("reading HDF5 needs a build of meniscus with the feature hdf5".into()),
+        Unsupported(
+            "this build of meniscus cannot read HDF5; build it with the Cargo feature hdf5".into()
+        ),
         UnknownExtension { known: ".bgeo, .csv" },
     );
     examples!(text, SelectionFault:
@@ -246,20 +253,16 @@ fn files() -> String {
         Text { name: "Type".into(), value: "water".into() },
         Order { name: "material".into() },
         Types { condition: "type=sand,wall".into(), known: kinds() },
-        None {
-            of: 100,
-            conditions: "Type=7".into(),
-            values: vec![ValueCounts {
-                name: "Type".into(),
-                values: vec![(Value::Number(0.0), 60), (Value::Text("wall".into()), 40)],
-            }],
-        },
+        None { of: 100, conditions: "Type=7".into(), values: vec![values()] },
         Unread(RereadError::Changed),
         Cancelled,
     );
     examples!(text, WriteFault:
         Io(full_disk()), Exists, ExistsInSimulation, UnknownExtension { known: ".ply, .obj" },
-        Unsupported(".stl stores coordinates as f32, but some exceed its range".into()),
+        Unsupported(
+            ".stl stores coordinates as 32-bit floats, but some coordinates of this mesh are too \
+             large for them; use .ply".into()
+        ),
     );
     let families = || "oil_{} (8 frames), water_{} (8 frames)".into();
     let state = || path("mesh/f.ply.meniscus/state.json");
@@ -276,7 +279,11 @@ fn files() -> String {
         Joined("sim/f_{}_{piece}.npy".into()),
         Range { first: 5, last: 3 },
         Step,
-        Names("f_1_2.csv: the digits could be one decimal number (1_2 as 1.2) or two integers".into()),
+        Names(
+            "f_1_2.csv: the digits in this name could be one decimal number (1_2 as 1.2) or two \
+             integers; use the input pattern \"f_{time}.csv\" or \"f_1_{}.csv\", where {time} is a \
+             decimal number".into()
+        ),
         Several { from: "sim".into(), families: families(), why: WhyOne::Request },
         Several { from: "sim".into(), families: families(), why: WhyOne::Pattern },
         Several { from: "sim".into(), families: families(), why: WhyOne::Names },
@@ -291,7 +298,7 @@ fn files() -> String {
         NoPart { part: 8, of: 8 },
         NoFile(path("/dev/null")),
         NoPlan(plan()),
-        Plan { path: plan(), what: "modified after it was written".into() },
+        Plan { path: plan(), what: "it was modified after it was written".into() },
         Settings { path: plan(), differing: "smooth".into() },
         Changed { input: path("frame.bgeo"), plan: plan() },
         Missing { folder: path("m.ply.meniscus-parts"), missing: vec![0, 1, 2, 7], of: 8 },
@@ -377,7 +384,7 @@ fn warnings(all: &mut String) {
         MissingValues { attribute: heat(), without: 1000, of: 1000 },
         MissingAttribute { attribute: "velocity".into(), calibration_frame: Some(1) },
         MissingAttribute { attribute: heat(), calibration_frame: None },
-        DeviceFallback("the Vulkan device was lost; continuing on the CPU".into()),
+        DeviceFallback(format!("{}; continuing on the CPU", VulkanError::Lost)),
         OnCorners { mean: 0.02, origin: [0.5; 3] },
         Bubbles { iso: 0.6, lowest: 0.55 },
         BeyondWall(past(Some(1.1))),
@@ -385,7 +392,7 @@ fn warnings(all: &mut String) {
         Lost { lost: 12, of: 1000, smoothed: true },
         Shortfall { shortfall, clouds: false, calibration_frame: Some(1) },
         Merged { vertices: 2, format },
-        Renamed { attribute: heat(), name: "heat_2".into(), format },
+        Renamed { attribute: heat(), name: "heat_2".into(), format: MeshFormat::Vtk },
         NotStored {
             attribute: "stress".into(),
             components: 9,
@@ -395,7 +402,11 @@ fn warnings(all: &mut String) {
         InvertedSolid(path("ship.obj")),
         ThinSolid { path: path("plate.obj"), thickness: 0.01, cell_size: 0.025 },
         LeftOut(block),
-        NoneSelected(types()),
+        NoneSelected(SelectionFault::None {
+            of: 100,
+            conditions: "Type=7".into(),
+            values: vec![values()],
+        }),
         Empty { why: EmptyReason::Field, clouds, calibration_frame },
         Empty { why: EmptyReason::Distances, clouds, calibration_frame },
         Empty {

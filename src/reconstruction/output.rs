@@ -86,8 +86,8 @@ pub(crate) fn coordinate_width(
         SinglePrecision::TooCoarse => Ok(CoordinateWidth::F32),
         SinglePrecision::Exceeded => {
             let what = format!(
-                "{format} stores coordinates as f32, but some coordinates of this mesh exceed the \
-                 range of f32; use .ply"
+                "{format} stores coordinates as 32-bit floats, but some coordinates of this mesh \
+                 are too large for them; use .ply"
             );
             Err(WriteError::new(path, WriteFault::Unsupported(what)))
         }
@@ -173,7 +173,7 @@ impl PackedOutput {
     pub(super) fn prepare(path: &Path, replace: Replace, cancel: &Cancel) -> Result<Self, Error> {
         if !crate::io::mnf::is_packed(path) {
             return Err(Error::Request(format!(
-                "{}: packed frames are .mnf files",
+                "{}: a packed frame needs the extension .mnf",
                 path.display()
             )));
         }

@@ -331,7 +331,7 @@ impl fmt::Display for SpacingWarning {
         match self {
             Self::TwoResolutions { spacings: [one, other], used } => write!(
                 f,
-                "the particles have two spacings, {} and {}; {} is used for all",
+                "the particles have two spacings, {} and {}; meniscus uses {} for all of them",
                 shown(*one),
                 shown(*other),
                 shown(*used)
@@ -353,8 +353,8 @@ impl fmt::Display for SpacingWarning {
                         let times = factor.max(1.0 / factor);
                         write!(
                             f,
-                            "; {given} may be in a different unit from the positions, by a factor \
-                             of {times}"
+                            "; {given} and the positions may have different units (a factor of \
+                             {times})"
                         )?;
                     }
                     None => {}
@@ -378,22 +378,22 @@ impl fmt::Display for SpacingWarning {
                 match counted {
                     Some(counted) => write!(
                         f,
-                        "the fluid is thin, so its spacing is uncertain: {used} by nearest \
-                         neighbours, {} by density; {used} is used",
+                        "the fluid is thin, so its spacing is uncertain: nearest neighbours \
+                         suggest {used}, and the density suggests {}; meniscus uses {used}",
                         about(*counted)
                     ),
                     None => write!(
                         f,
-                        "few particles are surrounded by others, so the spacing is uncertain; \
-                         nearest neighbours are {} apart, and a spacing of {used} is used",
+                        "few particles are surrounded by others, so the spacing is uncertain: \
+                         nearest neighbours are {} apart; meniscus uses a spacing of {used}",
                         about(*nearest)
                     ),
                 }
             }
             Self::Random { used } => write!(
                 f,
-                "the particles are at random positions, as in spray, so the spacing {} comes from \
-                 their density alone; the true spacing may be smaller",
+                "the particles are at random positions, as in spray, so the spacing {} is \
+                 estimated from their density alone; the true spacing may be smaller",
                 about(*used)
             ),
             Self::Sizes { attribute, invalid, usual, larger, coarsest } => {
@@ -441,7 +441,8 @@ impl fmt::Display for SpacingWarning {
             Self::MoreSizes { attribute, sizes: [least, most], used } => write!(
                 f,
                 "in this frame, {attribute} gives the particles sizes from {} to {}, but in the \
-                 calibration frame all particles have one size; size {} is used for all particles",
+                 calibration frame, all particles have one size; meniscus uses size {} for all of \
+                 them",
                 about(*least),
                 about(*most),
                 about(*used)

@@ -185,7 +185,8 @@ impl fmt::Display for Warning {
             Self::Crowded { times, spacing } => {
                 write!(
                     f,
-                    "particles are {times:.1} times denser than spacing {} allows",
+                    "particles are {times:.1} times denser than spacing {} allows; check the \
+                     spacing",
                     shown(*spacing)
                 )
             }
@@ -194,18 +195,25 @@ impl fmt::Display for Warning {
                 let at = at.map(|c| significant(c, 6)).join(", ");
                 write!(
                     f,
-                    "{particles} of {of} particles duplicate the position of an earlier particle"
+                    "{particles} of {of} particles have the same position as an earlier particle"
                 )?;
                 match (*alone, *most) {
                     (true, most) => {
                         write!(
                             f,
                             "; {most} particles are at ({at}), far from all others, and may be \
-                             unused slots"
+                             placeholders"
                         )
                     }
-                    (false, most) if most > 2 => write!(f, "; {most} particles are at ({at})"),
-                    (false, _) => write!(f, ", such as at ({at})"),
+                    (false, most) if most > 2 => {
+                        write!(
+                            f,
+                            "; {most} particles are at ({at}); the input may contain duplicates"
+                        )
+                    }
+                    (false, _) => {
+                        write!(f, ", for example at ({at}); the input may contain duplicates")
+                    }
                 }
             }
             Self::MissingValues { attribute, without, of } if without >= of => write!(
@@ -228,7 +236,7 @@ impl fmt::Display for Warning {
                     |frame| format!("calibration frame {frame}"),
                 );
                 let is_velocity = attribute == "velocity";
-                let blur = if is_velocity { "; motion blur stops in this frame" } else { "" };
+                let blur = if is_velocity { "; this frame has no motion blur" } else { "" };
                 write!(
                     f,
                     "the particles lack the attribute {attribute:?}, which {known} has, so the \
@@ -236,11 +244,12 @@ impl fmt::Display for Warning {
                 )
             }
             Self::DeviceFallback(what) => f.write_str(what),
-            Self::OnCorners { mean, .. } => write!(
+            Self::OnCorners { mean, origin } => write!(
                 f,
-                "the particles lie on the corners of cells (mean indicator {}), which makes the \
-                 surface inaccurate",
-                significant(*mean, 3)
+                "the particles lie on the corners of cells, which makes the surface inaccurate \
+                 (mean indicator {}); move the grid's origin to {}",
+                significant(*mean, 3),
+                origin.map(|x| x.to_string()).join(",")
             ),
             Self::Bubbles { iso, lowest } => write!(
                 f,
@@ -261,20 +270,32 @@ impl fmt::Display for Warning {
                      {wall}; in this frame, {what}"
                 )
             }
-            Self::Lost { lost, of, .. } => {
-                write!(f, "at least {lost} of {of} particles are missing from the surface")
+            Self::Lost { lost, of, smoothed } => {
+                let remedy = if *smoothed {
+                    "the indicator cloud, which keeps drops"
+                } else {
+                    "smaller cells"
+                };
+                write!(
+                    f,
+                    "at least {lost} of {of} particles are missing from the surface; use {remedy}"
+                )
             }
             Self::Shortfall { shortfall, .. } => shortfall.fmt(f),
             Self::Merged { vertices, format } => {
-                let have = if *vertices == 1 { "vertex has" } else { "vertices have" };
+                let get = if *vertices == 1 { "vertex gets" } else { "vertices get" };
                 write!(
                     f,
-                    "in {format}, which stores f32, {vertices} {have} the same position as another \
-                     vertex and cannot be distinguished; use .ply, which keeps them apart"
+                    "{vertices} {get} the same position as another vertex, because {format} stores \
+                     coordinates as 32-bit floats; use .ply, which can store 64-bit floats"
                 )
             }
             Self::Renamed { attribute, name, format } => {
-                write!(f, "the attribute \"{attribute}\" is stored as \"{name}\" in {format}")
+                write!(
+                    f,
+                    "the attribute \"{attribute}\" is stored as \"{name}\", because {format} \
+                     cannot store its name or already uses it"
+                )
             }
             Self::NotStored { attribute, components, format } => {
                 write!(
@@ -286,8 +307,8 @@ impl fmt::Display for Warning {
             Self::Coarse { format } => {
                 write!(
                     f,
-                    "{format} stores coordinates as f32, which is too coarse for this surface; use \
-                     .ply, which stores f64"
+                    "{format} stores coordinates as 32-bit floats, which are too coarse for this \
+                     surface; use .ply, which can store 64-bit floats"
                 )
             }
             Self::InvertedSolid(path) => write!(
@@ -297,23 +318,24 @@ impl fmt::Display for Warning {
             ),
             Self::ThinSolid { path, thickness, cell_size } => write!(
                 f,
-                "{}: with its offset, the solid is about {} thick, which is less than the cell \
-                 size of {}; fluid may leak through it",
+                "{}: including its offset, the solid is about {} thick, which is less than the \
+                 cell size of {}, so fluid may leak through it; use smaller cells, a thicker mesh \
+                 or a larger solid-offset",
                 path.display(),
                 significant(*thickness, 2),
                 significant(*cell_size, 3)
             ),
-            Self::LeftOut(part) => write!(f, "left out: {part}"),
+            Self::LeftOut(part) => write!(f, "meniscus left out {part}"),
             Self::NoneSelected(fault) => write!(f, "the mesh is empty: {fault}"),
             Self::Empty { why, .. } => match why {
                 EmptyReason::Field => {
                     f.write_str("the mesh is empty: the field is nowhere above the isovalue")
                 }
-                EmptyReason::Distances => {
-                    f.write_str("the mesh is empty: no cell centre is inside the fluid")
-                }
+                EmptyReason::Distances => f.write_str(
+                    "the mesh is empty: no cell centre is inside the fluid; use smaller cells",
+                ),
                 EmptyReason::TooSmall(all) => {
-                    write!(f, "the mesh is empty: all components are below {}", all.limits())
+                    write!(f, "the mesh is empty: {} removed all components", all.limits())
                 }
             },
         }

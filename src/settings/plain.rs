@@ -12,7 +12,7 @@ const LARGEST_COUNT: f64 = 9_007_199_254_740_992.0;
 /// Descriptions of the expected value, for the errors of both kinds of sources.
 mod expected {
     pub const NUMBER: &str = "expected a number";
-    pub const COUNT: &str = "expected a whole number from 0";
+    pub const COUNT: &str = "expected a whole number, 0 or greater";
     pub const SWITCH: &str = "expected true or false";
     pub const TEXT: &str = "expected text";
     pub const POINT: &str = "expected 3 numbers: x, y, z";
@@ -196,7 +196,7 @@ mod tests {
         for (name, text, expected) in [
             ("spacing", "0,05", "expected a number"),
             ("spacing", "", "expected a number"),
-            ("smallest_drop", "-1", "expected a whole number from 0"),
+            ("smallest_drop", "-1", "expected a whole number, 0 or greater"),
             ("smallest_drop", "4294967296", "expected a smaller number"),
             ("detail", "yes", "expected true or false"),
             ("up", "x", "expected one of y, z"),
@@ -209,9 +209,9 @@ mod tests {
         assert!(set("periodic", "0,-,1,2,3,4").unwrap_err().starts_with(expected::FACES));
         for (name, numbers, expected) in [
             ("spacing", &[][..], "expected a number"),
-            ("smallest_drop", &[0.5], "expected a whole number from 0"),
-            ("smallest_drop", &[f64::NAN], "expected a whole number from 0"),
-            ("smallest_drop", &[1e300], "expected a whole number from 0"),
+            ("smallest_drop", &[0.5], "expected a whole number, 0 or greater"),
+            ("smallest_drop", &[f64::NAN], "expected a whole number, 0 or greater"),
+            ("smallest_drop", &[1e300], "expected a whole number, 0 or greater"),
             ("smallest_drop", &[4_294_967_296.0], "expected a smaller number"),
             ("detail", &[2.0], "expected true or false"),
             ("up", &[1.0], "expected one of y, z"),

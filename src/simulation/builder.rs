@@ -216,8 +216,8 @@ impl Simulation {
     pub(super) fn names(&self) -> Result<(Inputs, Naming), Error> {
         let Some(naming) = Naming::of_several(&self.output)? else {
             let what = format!(
-                "{}: names one file for all frames; write {{}} for the frame number, or name an \
-                 existing folder, or end it in /",
+                "{}: this output is one file for all frames; use {{}} for the frame number, or a \
+                 folder (an existing one, or a name that ends in /)",
                 self.output.display()
             );
             return Err(SimulationError::Names(what).into());
@@ -269,8 +269,8 @@ impl Simulation {
 /// The error for an output that names one file for several frames.
 fn one_output(output: &Path, inputs: &Inputs) -> Error {
     Error::Request(format!(
-        "{}: names one file for the frames of {}; write {{}} for the frame number, or name an \
-         existing folder, or end it in /",
+        "{}: this output is one file for all frames of {}; use {{}} for the frame number, or a \
+         folder (an existing one, or a name that ends in /)",
         output.display(),
         inputs.describe()
     ))

@@ -273,7 +273,7 @@ impl fmt::Display for Event {
             ),
             Self::SpacingWarning(warning) => write!(f, "warning: {warning}"),
             Self::Restarted { state, differing } => {
-                write!(f, "{}: starting again, because of changes: {differing}", state.display())
+                write!(f, "{}: starting again; changed: {differing}", state.display())
             }
             Self::Resumed { state, shared } => {
                 write!(f, "resuming with {}: {shared}", state.display())
@@ -283,8 +283,10 @@ impl fmt::Display for Event {
             }
             Self::Measured { shared, trust, .. } => {
                 let what = match trust {
-                    Trust::Shallow => "the fluid is too shallow to measure it reliably",
-                    Trust::Lattice | Trust::Sound => "all particles are on a lattice",
+                    Trust::Shallow => "the fluid is too shallow for a reliable calibration",
+                    Trust::Lattice | Trust::Sound => {
+                        "all particles are on a lattice, so the calibration is less reliable"
+                    }
                 };
                 write!(f, "warning: {what}; measured on frame {}: {shared}", shared.frame)
             }

@@ -149,9 +149,8 @@ fn frame_number(files: &[&FrameCandidate]) -> Result<FrameNumber, SimulationErro
         }
         Some(KnownCount { pattern, count, frame, .. }) => {
             return Err(SimulationError::Names(format!(
-                "these file names can be those of {count} simulations, or of {count} pieces of \
-                 each frame; use the input pattern \"{pattern}\" for pieces, or \"{}\" for a \
-                 simulation",
+                "these files could be {count} simulations, or {count} pieces of each frame; use \
+                 the input pattern \"{pattern}\" for pieces, or \"{}\" for one of the simulations",
                 first.pattern(frame)
             )));
         }
@@ -282,8 +281,9 @@ fn pieces(files: &[&FrameCandidate], varying: &[usize]) -> Result<PiecesGuess, S
             // The frame's number is the last of the other numbers.
             let Some(frame) = (0..first.runs.len()).rev().find(|run| run != piece) else {
                 return Err(SimulationError::Names(format!(
-                    "{}: its only number looks like that of a process, not of a frame; join the \
-                     files of one frame, or name the frames with \"{}\"",
+                    "{}: the only number in this name looks like the number of a process, not of \
+                     a frame; if the files are pieces of one frame, join them; if they are frames, \
+                     use the input pattern \"{}\"",
                     first.path.display(),
                     first.pattern(*piece),
                 )));
@@ -325,11 +325,11 @@ fn pieces(files: &[&FrameCandidate], varying: &[usize]) -> Result<PiecesGuess, S
         }
         let (frame, own) = frames.iter().find(|(_, own)| **own != counted).expect("one differs");
         let lacking = counted.difference(own).flatten().next();
-        let lacking =
-            lacking.map_or(String::new(), |piece| format!(", which has none of number {piece}"));
+        let lacking = lacking.map_or(String::new(), |piece| format!(" (piece {piece} is missing)"));
         return Err(SimulationError::Names(format!(
-            "these files look like pieces of frames, but frame {frame} does not have the pieces 0 to {}{lacking}; complete or remove \
-             that frame, or name frames with \"{pattern}\" or \"{}\"",
+            "these files look like pieces of frames, but the pieces of frame {frame} are not \
+             exactly 0 to {}{lacking}; complete or remove that frame, or use the input pattern \
+             \"{pattern}\" (pieces) or \"{}\" (frames)",
             pieces - 1,
             first.pattern(varying.iter().copied().find(|run| *run != piece).unwrap_or(piece)),
         )));

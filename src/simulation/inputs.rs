@@ -149,7 +149,7 @@ impl Inputs {
                 return match &found[..] {
                     [] => Ok(Vec::new()),
                     [only] if !only.is_joined() => Err(SimulationError::Names(format!(
-                        "{}: is the only simulation; name another one to join with it",
+                        "{}: cannot join a single simulation; give at least two",
                         only.describe()
                     ))),
                     _ => Ok(vec![sequence(pattern)]),
@@ -165,7 +165,8 @@ impl Inputs {
                 return Ok(vec![sequence(None)]);
             }
             return Err(SimulationError::Names(format!(
-                "{}: its name has no number, unlike those of the other frames",
+                "{}: this name has no number, but the names of the other frames do; rename the \
+                 file, or leave it out",
                 odd.path.display()
             )));
         }
@@ -218,7 +219,8 @@ impl Inputs {
                 |file: &FrameCandidate| times.digits(&file.name).is_some_and(|t| t.contains('.'));
             if files.iter().any(is_decimal) {
                 return SimulationError::Names(format!(
-                    "{pattern}: the numbers of these files are decimals; use \"{times}\""
+                    "{pattern}: the numbers of these files are decimals; use the pattern \
+                     \"{times}\""
                 ));
             }
             return SimulationError::NoMatch(pattern.to_string());
@@ -390,8 +392,8 @@ impl Sequence {
             .find(|(a, b)| a.number == b.number || a.time.is_some() && a.time == b.time)
         {
             return Err(SimulationError::Names(format!(
-                "{} and {} are both frame {}; name one simulation, with {{}} for the frame \
-                 number",
+                "{} and {} are both frame {}; use a pattern with {{}} for the frame number that \
+                 matches only one of them",
                 a.path.display(),
                 b.path.display(),
                 a.digits
@@ -437,7 +439,8 @@ impl Sequence {
         }
         let patterns: Vec<_> = patterns.iter().map(|new| format!("\"{new}\"")).collect();
         Err(SimulationError::Names(format!(
-            "the first frames matched \"{pattern}\", but later files differ in another number; use the input pattern {}",
+            "the first frames matched \"{pattern}\", but later files differ in another number; \
+             use the input pattern {}",
             patterns.join(" or ")
         )))
     }
@@ -583,8 +586,8 @@ fn refuse_decimals(pattern: &Pattern, frames: &[FrameFile]) -> Result<(), Simula
     match neighbours(frames).find(|(a, b)| fraction(a) > fraction(b)) {
         None => Ok(()),
         Some((a, b)) => Err(SimulationError::Names(format!(
-            "{} and {}: their numbers can be decimals; if {} and {} are the frame numbers, use \
-             \"{pattern}\"",
+            "{} and {}: the numbers in these names could be decimals; if {} and {} are the frame \
+             numbers, use the input pattern \"{pattern}\"",
             a.path.display(),
             b.path.display(),
             a.number,

@@ -44,8 +44,7 @@ impl Naming {
         }
         let pattern = Pattern::parse(path)?;
         if pattern.as_ref().is_some_and(Pattern::has_pieces) {
-            let what = "{piece} is the number of a piece in the name of an input, not of an \
-                        output";
+            let what = "{piece} stands for a piece of an input; an output cannot contain it";
             return Err(SimulationError::Names(format!("{}: {what}", path.display())));
         }
         Ok(pattern.map(Self::Pattern))

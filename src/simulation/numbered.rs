@@ -19,7 +19,7 @@ pub(super) fn whole(
     let number = |(digits, file): (String, FrameCandidate)| match digits.parse() {
         Ok(number) => Ok((number, digits, file)),
         Err(_) => Err(SimulationError::Names(format!(
-            "{}: frames are numbered from {} to {}",
+            "{}: the frame number must be from {} to {}",
             file.path.display(),
             i64::MIN,
             i64::MAX
@@ -49,7 +49,8 @@ pub(super) fn whole(
     for (number, pieces) in frames {
         if let Some(lacking) = all.iter().find(|piece| !pieces.contains_key(piece)) {
             return Err(SimulationError::Names(format!(
-                "{pattern}: frame {number} has no piece {lacking}, but other frames do; add the piece, or leave that frame out"
+                "{pattern}: frame {number} has no piece {lacking}, but other frames do; add the \
+                 piece, or leave that frame out"
             )));
         }
         let mut pieces = pieces.into_values();

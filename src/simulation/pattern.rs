@@ -67,7 +67,7 @@ impl Pattern {
         let folder = path.parent().unwrap_or(Path::new(""));
         let in_folder = folder.iter().filter_map(|name| name.to_str());
         if in_folder.flat_map(all).next().is_some() && !folder.is_dir() {
-            return wrong("{} must be in the name of the file, not of a folder");
+            return wrong("{} must be in the file name, not in the name of a folder");
         }
         let (pieces, mut found): (Vec<_>, Vec<_>) =
             all(name).into_iter().partition(|(_, placeholder)| *placeholder == Placeholder::Piece);
@@ -76,10 +76,10 @@ impl Pattern {
             return Ok(None);
         }
         if found.len() > 1 || pieces.len() > 1 {
-            return wrong("one {} is enough");
+            return wrong("a name can contain only one {} and one {piece}");
         }
         let Some((at, placeholder)) = found.pop() else {
-            let lacks = "{piece} is the number of a piece; {} must stand for the frame number";
+            let lacks = "{piece} stands for the number of a piece; add {} for the frame number";
             return if pieces.is_empty() { Ok(None) } else { wrong(lacks) };
         };
         let (prefix, suffix) = (&name[..at.start], &name[at.end..]);
@@ -92,7 +92,8 @@ impl Pattern {
             Placeholder::Unknown(better) => {
                 let ours = folder.join(format!("{prefix}{better}{suffix}"));
                 return wrong(&format!(
-                    "{} does not stand for a frame's number, which is written {{}} or, padded to four digits, {{:04}}: write \"{}\"",
+                    "{} does not stand for the frame number; use {{}}, or {{:04}} for four digits, \
+                     as in \"{}\"",
                     &name[at],
                     ours.display()
                 ));

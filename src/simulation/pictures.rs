@@ -278,11 +278,7 @@ impl Pictures {
             // The folder may contain other files.
             let files = files_in(mesh, |file| MeshFormat::of(file).is_some())?;
             match &files[..] {
-                [] => {
-                    return Err(
-                        SimulationError::NoFrames(format!("{}: no mesh", mesh.display())).into()
-                    );
-                }
+                [] => return Err(SimulationError::NoFiles(mesh.display().to_string()).into()),
                 [file] => return Ok((None, vec![alone(file)])),
                 _ => Inputs::Files(files),
             }
@@ -290,13 +286,13 @@ impl Pictures {
             match (Inputs::of(&self.meshes, None)?, &self.meshes[..]) {
                 (Some(inputs), [_, ..]) => inputs,
                 (_, [mesh]) => return Ok((None, vec![alone(mesh)])),
-                _ => return Err(SimulationError::NoFrames("no mesh".into()).into()),
+                _ => return Err(Error::Request("name at least one mesh".into())),
             }
         };
         match inputs.only() {
             Ok((sequence, frames)) => Ok((Some(sequence), frames)),
             Err(SimulationError::NoFrames(given)) if matches!(inputs, Inputs::Files(_)) => {
-                Err(SimulationError::NoFrames(format!("{given}: not a mesh")).into())
+                Err(SimulationError::NoFiles(given).into())
             }
             Err(error) => Err(error.into()),
         }
@@ -544,13 +540,16 @@ impl SheetDone {
     #[must_use]
     pub fn warning(&self) -> Option<String> {
         let (first, last) = (self.undrawn.first()?, self.undrawn.last()?);
-        let which = match self.undrawn.len() {
-            1 => first.display().to_string(),
-            count => format!("{} to {} ({count} meshes)", first.display(), last.display()),
+        let (which, them) = match self.undrawn.len() {
+            1 => (first.display().to_string(), "it"),
+            count => {
+                let which = format!("{} to {} ({count} meshes)", first.display(), last.display());
+                (which, "them")
+            }
         };
         Some(format!(
-            "{which}: not on the contact sheet, because they were made without it and their \
-             format cannot be read; make them again to see them"
+            "{which}: missing from the contact sheet, because an earlier run made no sheet, and \
+             meniscus cannot read meshes of this format; make {them} again to see {them}"
         ))
     }
 }
@@ -590,8 +589,8 @@ impl Simulation {
         let (inputs, naming) = self.names()?;
         if let Naming::Archive { path, .. } = naming {
             return Err(Error::Request(format!(
-                "{}: no contact sheet can be drawn of one archive; write a file per frame, with \
-                 {{}} for its number",
+                "{}: cannot draw a contact sheet of one archive; write one file per frame, with \
+                 {{}} for the frame number",
                 path.display()
             )));
         }

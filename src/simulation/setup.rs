@@ -201,7 +201,7 @@ impl Setup<'_> {
             }
             if self.sequence.takes(&output) {
                 return Err(Error::Request(format!(
-                    "{}: this mesh would be taken for a frame of {}; choose another name or \
+                    "{}: this mesh would look like an input frame of {}; choose another name or \
                      folder for the meshes",
                     output.display(),
                     self.sequence.describe()

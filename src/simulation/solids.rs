@@ -28,7 +28,7 @@ impl SolidNames {
             match Pattern::parse(&path)? {
                 None => names.same.push(path),
                 Some(pattern) if pattern.has_pieces() || pattern.numbers == NumberKind::Times => {
-                    let what = "a solid needs one file per frame, with {} for the frame number";
+                    let what = "a solid must be one file per frame, with {} for the frame number";
                     return Err(SimulationError::Names(format!("{}: {what}", path.display())));
                 }
                 Some(pattern) => names.numbered.push(pattern),

@@ -384,9 +384,13 @@ pub(super) fn lacks(
     let computes = |f: &vk::QueueFamilyProperties| f.queue_flags.contains(vk::QueueFlags::COMPUTE);
     let limits = &properties.limits;
     match () {
-        () if vulkan12.timeline_semaphore == vk::FALSE => Some("it has no timeline semaphores"),
-        () if vulkan12.host_query_reset == vk::FALSE => Some("its queries cannot be reset"),
-        () if !families.iter().any(computes) => Some("it has no queue for compute"),
+        () if vulkan12.timeline_semaphore == vk::FALSE => {
+            Some("it does not support timeline semaphores")
+        }
+        () if vulkan12.host_query_reset == vk::FALSE => {
+            Some("it does not support host query reset")
+        }
+        () if !families.iter().any(computes) => Some("it has no compute queue"),
         () if limits
             .max_compute_work_group_invocations
             .min(limits.max_compute_work_group_size[0])
@@ -398,7 +402,7 @@ pub(super) fn lacks(
             Some("its shared memory is too small")
         }
         () if limits.max_per_stage_descriptor_storage_buffers < MOST_BUFFERS => {
-            Some("it binds too few buffers")
+            Some("it supports too few storage buffers per shader")
         }
         () if limits.max_storage_buffer_range < 1 << 27 => {
             Some("its storage buffers are too small")

@@ -54,7 +54,7 @@ pub enum VulkanError {
         least: u64,
     },
     /// The validation layer was requested, but is not installed.
-    #[error("the Vulkan validation layer is not installed")]
+    #[error("the Vulkan validation layer is not installed; install it, or do not request it")]
     NoValidation,
     /// The loader does not list any device.
     #[error("no Vulkan device found")]
@@ -82,7 +82,7 @@ pub enum VulkanError {
         bytes: u64,
     },
     /// The device stopped working.
-    #[error("the Vulkan device was lost")]
+    #[error("the Vulkan device stopped working (device lost)")]
     Lost,
     /// Any other call that failed.
     #[error("{call} failed: {result}")]

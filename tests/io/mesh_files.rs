@@ -256,19 +256,19 @@ fn invalid_obj_lines_are_reported_with_their_number() {
     for (tail, expected) in [
         ("v 1 2", "line 4: expected a number, found the end of the line"),
         ("v 1 2 x", "line 4: expected a number, found \"x\""),
-        ("f 1 2", "line 4: a face of 2 corners"),
-        ("f 1 2 4", "line 4: vertex 4, but only 3 are defined so far"),
-        ("f 1 2 0", "line 4: vertex 0, but only 3 are defined so far"),
-        ("f 1 2 -4", "line 4: vertex -4, but only 3 are defined so far"),
+        ("f 1 2", "line 4: a face has 2 corners"),
+        ("f 1 2 4", "line 4: vertex 4 is not defined: only 3 are defined so far"),
+        ("f 1 2 0", "line 4: vertex 0 is not defined: only 3 are defined so far"),
+        ("f 1 2 -4", "line 4: vertex -4 is not defined: only 3 are defined so far"),
         (
             "f 1 2 9223372036854775808",
             "line 4: \"9223372036854775808\" is not the number of a vertex",
         ),
         (
             "f 1 2 -9223372036854775808",
-            "line 4: vertex -9223372036854775808, but only 3 are defined so far",
+            "line 4: vertex -9223372036854775808 is not defined: only 3 are defined so far",
         ),
-        ("f 1//1 2//1 3//1", "line 4: normal 1, but only 0 are defined so far"),
+        ("f 1//1 2//1 3//1", "line 4: normal 1 is not defined: only 0 are defined so far"),
         ("f 1 /2 3", "line 4: \"\" is not the number of a vertex"),
         ("\nhello", "line 5: \"hello\" does not begin a valid .obj line"),
     ] {
@@ -429,7 +429,7 @@ fn invalid_vtp_files_are_refused_with_the_reason() {
         (
             "Name=\"id\" format=\"ascii\"",
             "Name=\"id\" format=\"hex\"",
-            "array id has unknown format \"hex\"",
+            "array id has the unknown format \"hex\"",
         ),
         (
             "Name=\"id\" format=\"ascii\"",
@@ -441,10 +441,10 @@ fn invalid_vtp_files_are_refused_with_the_reason() {
         ("7 8 9 10", "7 8 9", "array id must have 1 numbers for each of 4 points"),
         ("4\n7", "4\n8", "polygon 1 has no corners from 4 to 8"),
         ("4\n7", "4\n3", "polygon 1 has no corners from 4 to 3"),
-        ("4\n7", "7", "2 polygons are announced, 1 have an offset"),
+        ("4\n7", "7", "2 polygons are announced, but 1 have offsets"),
         ("2 3 3", "2 4 3", "face 0 refers to vertex 4, but the file has 4"),
         ("<Points>", "<Other>", "expected `</Other>`"),
-        ("NumberOfPoints=\"4\"", "NumberOfPoints=\"many\"", "NumberOfPoints is \"many\""),
+        ("NumberOfPoints=\"4\"", "NumberOfPoints=\"many\"", "is not a valid number: \"many\""),
         (VTP_TEXT, "<html></html>", "without </VTKFile>"),
         (VTP_TEXT, "<a></a><!-- </VTKFile>", "at byte"),
         (

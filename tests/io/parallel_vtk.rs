@@ -272,9 +272,9 @@ fn an_error_in_a_piece_names_the_file_of_the_piece() {
                 .replace("NumberOfPoints=\"2\"", "NumberOfPoints=\"9\""),
             "9 points",
         ),
-        ("a.pvtu", list(&["p/0.vtu", "p/0.vtu"]), "named twice"),
+        ("a.pvtu", list(&["p/0.vtu", "p/0.vtu"]), "p/0.vtu twice"),
         ("a.pvtu", list(&[]), "names no pieces"),
-        ("a.pvtu", list(&[""]), "without a Source"),
+        ("a.pvtu", list(&[""]), "has no Source"),
         ("a.pvtu", list(&["p/0.vtu"]).replace("PUnstructuredGrid", "PImageData"), "PImageData"),
     ] {
         let set = Set::new();

@@ -135,21 +135,22 @@ fn invalid_arguments_exit_with_2_and_leave_no_files() {
         (ball(&["--smooth", "4.01"]), "--smooth must be from 0.8 to 4 spacings, got 4.01"),
         (ball(&["--smooth", "-1"]), "--smooth must be"),
         (ball(&["--smooth", "nan"]), "--smooth must be"),
-        (ball(&["--sigma", "1"]), "--sigma applies only to --indicator counting or symmetry"),
+        (ball(&["--sigma", "1"]), "--sigma works only with --indicator counting or symmetry"),
         (
             ball(&["--iso", "0.4"]),
-            "--iso applies only to --indicator counting or symmetry, and to --method mueller or yu-turk",
+            "--iso works only with --indicator counting or symmetry, and with --method mueller or \
+             yu-turk",
         ),
-        (ball(&["--sigma", "1"]), "for --indicator cloud, use --smooth"),
-        (ball(&["--detail"]), "--detail applies only to --indicator counting or symmetry"),
-        (ball(&["--mu0", "3"]), "--mu0 does not apply to --indicator cloud"),
+        (ball(&["--sigma", "1"]), "with --indicator cloud, use --smooth"),
+        (ball(&["--detail"]), "--detail works only with --indicator counting or symmetry"),
+        (ball(&["--mu0", "3"]), "--mu0 works only with --indicator counting, not with cloud"),
         (
             ball(&["--smooth", "2", "--indicator", "counting"]),
-            "--smooth applies only to --indicator cloud",
+            "--smooth works only with --indicator cloud",
         ),
         (
             ball(&["--smooth", "2", "--indicator", "symmetry"]),
-            "for the other indicators, use --sigma",
+            "with the other indicators, use --sigma",
         ),
         (ball(&["--method", "zhu-bridson", "--iso", "0.4"]), "--iso"),
         (ball(&["--method", "mueller", "--mu0", "3"]), "--mu0"),
@@ -325,7 +326,7 @@ fn an_input_is_never_its_own_output() {
         folder.path(),
         &["spot.ply", "-o", "./spot.ply", "--overwrite"],
         2,
-        &["choose another file"],
+        &["choose another output"],
     );
     assert_eq!(fs::read(folder.path().join("spot.ply")).unwrap(), before);
 }
@@ -510,7 +511,7 @@ fn a_lattice_on_cell_corners_is_refused_with_a_suitable_origin() {
     assert!(!notes(&["symmetry", "--origin", "0.25,0.25,0.25"], 0).contains("warning"));
     let moved = notes(&["symmetry"], 0);
     assert!(
-        moved.contains("lattice: the grid was moved to the origin") && !moved.contains("warning"),
+        moved.contains("lattice, so the grid's origin was moved to") && !moved.contains("warning"),
         "{moved}"
     );
     assert!(!notes(&["counting"], 0).contains("warning"));
@@ -699,7 +700,7 @@ fn statistics_never_replace_inputs_or_outputs_or_outlive_a_failed_run() {
             folder.path(),
             &["ball.xyz", "-o", "out.ply", "--stats", stats],
             2,
-            &["choose another file"],
+            &["choose another output"],
         );
     }
     assert_refused(
@@ -903,7 +904,7 @@ fn invalid_simplify_component_compress_and_up_options_are_refused() {
         (&["a.ply", "--simplify", "4.1"], "at most 4 cells"),
         (&["a.ply", "--simplify", "nan"], "--simplify"),
         (&["a.ply", "--smallest-component", "-1"], "--smallest-component"),
-        (&["a.ply", "--compress"], "--compress applies only to .glb"),
+        (&["a.ply", "--compress"], "--compress works only with .glb"),
         (
             &["a.glb", "--up", "z"],
             "y always points up in .glb; if z points up in the particles, use --particles-up z",
@@ -917,7 +918,7 @@ fn invalid_simplify_component_compress_and_up_options_are_refused() {
         &all,
         3,
         &[
-            "its only component is below the limit smallest-component; use a smaller --smallest-component",
+            "smallest-component removed its only component; use a smaller --smallest-component",
         ],
     );
 }
@@ -934,8 +935,8 @@ fn a_simplified_ball_is_watertight_and_its_simplification_is_reported() {
     };
     run(&["-o", "whole.ply"]);
     let messages = run(&["-o", "less.ply", "--simplify", "0.25", "--smallest-component", "10"]);
-    assert!(messages.contains("simplified within 0.25 cells"), "{messages}");
-    assert!(messages.contains("0 components of less than 10 cells left out"), "{messages}");
+    assert!(messages.contains("simplified with a tolerance of 0.25 cells"), "{messages}");
+    assert!(messages.contains("0 components smaller than 10 cells left out"), "{messages}");
     let [whole, less] =
         ["whole.ply", "less.ply"].map(|name| read_mesh(&folder.path().join(name)).unwrap());
     assert!(less.triangles.len() * 2 < whole.triangles.len());
@@ -970,7 +971,7 @@ fn volume_and_component_count_of_real_frames_depend_little_on_cell_size() {
                 let (_, notes) = reconstructed(folder.path(), frame.to_str().unwrap(), &more);
                 // A warning is allowed for counting, which loses drops of one particle.
                 let lost = indicator == "counting"
-                    && notes.contains("are missing from the surface; use --indicator cloud");
+                    && notes.contains("are missing from the surface; use the indicator cloud");
                 assert!(lost || !notes.contains("warning"), "{notes}");
                 let measures =
                     measure(&read_mesh(&folder.path().join("reconstructed.ply")).unwrap());
@@ -1054,9 +1055,9 @@ fn cells_too_fine_for_the_indicator_are_refused_with_a_usable_size() {
         folder.path(),
         &fine,
         2,
-        &["ball.xyz", "too imprecise", "of 65535", "0.125", "use a cell size of 0.0"],
+        &["ball.xyz", "too weak", "of at most 65535", "0.125", "use a cell size of 0.0"],
     );
-    assert_refused(folder.path(), &[&fine[..], &["--dry-run"]].concat(), 2, &["too imprecise"]);
+    assert_refused(folder.path(), &[&fine[..], &["--dry-run"]].concat(), 2, &["too weak"]);
     let more = ["--indicator", "symmetry", "--cell", "0.4"];
     let symmetry = [&fine[..5], &more[..]].concat();
     assert_refused(folder.path(), &symmetry, 2, &["too small for the symmetry indicator", "0.25"]);
@@ -1082,7 +1083,7 @@ fn drops_without_a_cell_centre_fail_alone_but_are_empty_in_a_sequence() {
         folder.path(),
         &alone,
         3,
-        &["d_1.xyz", "no cell centre is inside the fluid", "use a smaller --cell"],
+        &["d_1.xyz", "no cell centre is inside the fluid", "use smaller cells (--cell)"],
     );
     let run = meniscus(
         folder.path(),

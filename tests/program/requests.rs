@@ -203,20 +203,20 @@ fn outputs_named_like_input_frames_are_refused() {
     refused(
         folder.path(),
         &["reconstruct", ".", "-o", "f_{:04}.ply"],
-        "would be taken for a frame",
+        "would look like an input frame",
     );
     refused(
         folder.path(),
         &["reconstruct", "*.ply", "-o", "f_{:04}.ply"],
-        "would be taken for a frame",
+        "would look like an input frame",
     );
     refused(
         folder.path(),
         &["reconstruct", "f_{}.ply", "-o", "f_1{}.ply"],
-        "would be taken for a frame",
+        "would look like an input frame",
     );
-    refused(folder.path(), &["reconstruct", "f_{}.ply", "-o", "f_{}.ply"], "choose another file");
-    refused(folder.path(), &["reconstruct", ".", "-o", "./"], "choose another file");
+    refused(folder.path(), &["reconstruct", "f_{}.ply", "-o", "f_{}.ply"], "choose another output");
+    refused(folder.path(), &["reconstruct", ".", "-o", "./"], "choose another output");
     run(folder.path(), &["reconstruct", ".", "-o", "mesh_{}.ply", "--spacing", "1"], 0);
 }
 
@@ -309,7 +309,7 @@ fn out_of_range_and_ambiguous_frame_numbers_are_refused_with_advice() {
         refused(
             folder.path(),
             &["reconstruct", inputs, "-o", "m_{}.ply"],
-            "numbered from -9223372036854775808 to 9223372036854775807",
+            "must be from -9223372036854775808 to 9223372036854775807",
         );
     }
     let folder = frames(&["f_3.1.xyz", "f_3.15.xyz", "f_3.2.xyz"]);
@@ -568,7 +568,7 @@ fn vertices_that_coincide_in_f32_are_reported_for_stl() {
         );
         if joined < whole {
             assert!(
-                notes.contains(&format!("stores f32, {} vert", whole - joined)),
+                notes.contains(&format!("warning: {} vert", whole - joined)),
                 "{far}: {joined} of {whole}: {notes}"
             );
             merged += 1;

@@ -220,7 +220,7 @@ fn settings_and_inputs_changed_since_the_plan_are_refused_by_name() {
     let common = ["dam.bgeo", "-o", "m.ply", "--parts", "3"];
     let with = |more: &[&'static str]| [&common[..], more].concat();
     for step in [&["--part", "0"][..], &["--merge"]] {
-        assert!(run(folder, &with(step), 2).contains("no plan yet; run with --plan first"));
+        assert!(run(folder, &with(step), 2).contains("no plan yet; make the plan first (--plan)"));
     }
     run(folder, &with(&["--plan"]), 0);
     let plan = folder.join("m.ply.meniscus-parts/plan.json");
@@ -305,7 +305,7 @@ fn merging_refuses_missing_damaged_and_foreign_parts() {
     for name in ["part_0", "part_2"] {
         fs::rename(parts.join(name), folder.join(name)).unwrap();
     }
-    refused("2 of 3 parts are missing: 0, 2; make them with --part");
+    refused("2 of 3 parts are missing: 0, 2; make them first (--part)");
     for name in ["part_0", "part_2"] {
         fs::rename(folder.join(name), parts.join(name)).unwrap();
     }
@@ -371,19 +371,19 @@ fn invalid_requests_for_parts_are_refused_and_leave_no_files() {
         (ask(&["--parts", "2", "--part", "0", "--plan"]), "cannot be used with"),
         (ask(&["--part", "0"]), "--parts"),
         (ask(&["--merge"]), "--parts"),
-        (ask(&["--plan"]), "--plan needs a simulation"),
+        (ask(&["--plan"]), "--plan is only for simulations"),
         (ask(&["--parts", "0", "--plan"]), "--parts"),
         (ask(&["--parts", "1001", "--plan"]), "must be from 1 to 1000"),
-        (ask(&["--parts", "2", "--part", "2"]), "the part must be from 0 to 1, got 2"),
-        (ask(&["--parts", "2", "--plan", "--start", "3"]), "--start needs a simulation"),
+        (ask(&["--parts", "2", "--part", "2"]), "the part number must be from 0 to 1, got 2"),
+        (ask(&["--parts", "2", "--plan", "--start", "3"]), "--start is only for simulations"),
         (ask(&["--parts", "2", "--plan", "--watch"]), "--watch"),
         (
             ask(&["--parts", "2", "--plan", "--method", "mueller"]),
-            "--parts does not apply to --method mueller",
+            "--parts does not work with --method mueller",
         ),
-        (ask(&["--parts", "2", "--plan", "--stats", "s"]), "--stats needs --merge"),
-        (ask(&["--parts", "2", "--part", "0", "--dry-run"]), "--dry-run does not support --parts"),
-        (ask(&["--parts", "2", "--merge", "--resume"]), "--resume needs --plan"),
+        (ask(&["--parts", "2", "--plan", "--stats", "s"]), "--stats works only with --merge"),
+        (ask(&["--parts", "2", "--part", "0", "--dry-run"]), "--dry-run does not work with"),
+        (ask(&["--parts", "2", "--merge", "--resume"]), "--resume does not work with --merge"),
         (vec!["frames", "-o", "m_{}.ply", "--parts", "2", "--plan"], "--parts is for one frame"),
         (vec!["drop.xyz", "-o", "m_{}.ply", "--parts", "2", "--plan"], "--parts is for one frame"),
         (vec!["splash.xyz", "-o", "there.ply", "--parts", "2", "--plan"], "there.ply"),

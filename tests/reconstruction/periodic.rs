@@ -284,10 +284,10 @@ fn invalid_periodic_boxes_are_refused_with_the_reason() {
     for (options, code, message) in [
         (&["--periodic", "0,-,0,24,-"][..], 2, "6 numbers"),
         (&["--periodic", "0,-,0,-,-,24"], 2, "one end of x is open"),
-        (&["--periodic", "-,-,-,-,-,-"], 2, "open along every axis"),
-        (&["--periodic", "24,-,0,0,-,24"], 2, "must be finite, and along each"),
-        (&["--periodic", "0,-,nan,24,-,24"], 2, "must be finite, and along each"),
-        (&["--periodic", "0,-,0,inf,-,24"], 2, "must be finite, and along each"),
+        (&["--periodic", "-,-,-,-,-,-"], 2, "no axis of the periodic box is periodic"),
+        (&["--periodic", "24,-,0,0,-,24"], 2, "must be finite, and along a periodic axis"),
+        (&["--periodic", "0,-,nan,24,-,24"], 2, "must be finite, and along a periodic axis"),
+        (&["--periodic", "0,-,0,inf,-,24"], 2, "must be finite, and along a periodic axis"),
         (&["--periodic", "0,-,0,24,-,20"], 2, "20 wide along z, but must be at least"),
         (
             &["--periodic", BOX, "--domain", "0,0,0,24,20,24"],
@@ -306,7 +306,7 @@ fn invalid_periodic_boxes_are_refused_with_the_reason() {
         (
             &["--periodic", BOX, "--domain", "-,0,-,-,nan,-"],
             2,
-            "invalid domain: all coordinates must be numbers",
+            "invalid domain: every coordinate must be a number",
         ),
     ] {
         let options = with(&with(&POOL, &["-o", "mesh.ply"]), options);

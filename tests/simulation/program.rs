@@ -283,7 +283,7 @@ fn invalid_sequence_requests_are_refused_and_leave_no_files() {
         (
             vec!["in/f_{}.xyz", "-o", "out_{}.ply", "--compress"],
             2,
-            "--compress applies only to .glb",
+            "--compress works only with .glb",
         ),
         (vec!["in/f_{}.xyz", "-o", "out_{}.ply", "--simplify", "9"], 2, "--simplify"),
         (
@@ -408,7 +408,7 @@ fn kernel_methods_match_single_frames_and_a_new_method_needs_overwrite() {
     let (again, notes) = made(&["--method", "yu-turk", "--resume"]);
     assert!(notes.contains("3 of 3 frames are already finished") && again == other, "{notes}");
     let (_, notes) = made(&["--resume", "--overwrite"]);
-    assert!(notes.contains("starting again, because of changes: method"), "{notes}");
+    assert!(notes.contains("starting again; changed: method"), "{notes}");
 }
 
 #[test]
@@ -702,7 +702,7 @@ fn after_many_frames_of_spray_the_plateau_follows_from_the_spacing() {
     }
     fs::write(folder.path().join("f_66.xyz"), raw(&ball(1))).unwrap();
     let notes = run(folder.path(), &["f_{}.xyz", "-o", "m_{}.ply", "--spacing", "0.5"], 0);
-    assert!(notes.contains("warning: the fluid is too shallow to measure it reliably"), "{notes}");
+    assert!(notes.contains("warning: the fluid is too shallow for a reliable"), "{notes}");
     assert!(notes.contains("density 1.000 particles per cubed spacing"), "{notes}");
     let mesh = read_mesh(&folder.path().join("m_66.ply")).unwrap();
     let volume = measure(&mesh).volume.unwrap() / (ball(1).len() as f64 * 0.125);
@@ -1172,7 +1172,7 @@ fn post_processing_gives_a_sequence_the_bytes_of_its_single_frames() {
 
     let all = ["f_{}.xyz", "-o", "none_{}.ply", "--smallest-component", "1e9"];
     let messages = run(folder.path(), &all, 0);
-    assert!(messages.contains("all components are below --smallest-component"), "{messages}");
+    assert!(messages.contains("--smallest-component removed all components"), "{messages}");
     assert_eq!(read_mesh(&folder.path().join("none_2.ply")).unwrap().triangles.len(), 0);
 }
 
@@ -1445,7 +1445,7 @@ fn meshes_in_a_list_are_left_out_and_reported_once() {
     assert!(alone == listed, "{messages}");
     // The first frame with the mesh reports it, and at the end the number of such frames.
     assert_eq!(messages.matches("block \"Walls\"").count(), 2, "{messages}");
-    assert!(messages.contains("left out of 3 frames: block \"Walls\""), "{messages}");
+    assert!(messages.contains("in 3 frames, meniscus left out block \"Walls\""), "{messages}");
 }
 
 #[test]
@@ -1653,6 +1653,6 @@ fn frames_emptied_by_a_condition_and_omitted_attributes_are_reported() {
     }
     let both = ["f_{}.csv", "g_{}.xyz", "--together", "-o", "j_{}.ply", "--spacing", "0.5"];
     let messages = run(folder.path(), &both, 0);
-    assert_eq!(messages.matches("left out: attribute \"Type\"").count(), 1, "{messages}");
-    assert!(messages.contains("left out of 3 frames"), "{messages}");
+    assert_eq!(messages.matches(": meniscus left out attribute \"Type\"").count(), 1, "{messages}");
+    assert!(messages.contains("in 3 frames, meniscus left out"), "{messages}");
 }

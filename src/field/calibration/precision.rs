@@ -45,9 +45,9 @@ pub const ON_CORNERS: f64 = 0.2;
 pub enum TooFine {
     /// The field's steps are too large.
     #[error(
-        "with a cell size of {}, the field is too imprecise: deep in the fluid, it reaches only \
-         {plateau:.1} of 65535, so rounding could move the surface by {step_cells:.3} cells (limit \
-         {COARSEST_STEP}); {remedy}",
+        "with a cell size of {}, the field is too weak: deep in the fluid, its value is only \
+         {plateau:.1} (of at most 65535), so rounding could move the surface by {step_cells:.3} \
+         cells (the limit is {COARSEST_STEP}); {remedy}",
         shown(*cell_size)
     )]
     Steps {

@@ -135,8 +135,8 @@ impl GroupSearch {
             if seen.len() > MOST_GROUPS {
                 // Groups that are not searched might also have positions, so this is an error.
                 return Err(ReadFault::Unsupported(format!(
-                    "HDF5 with more than {MOST_GROUPS} groups; copy the particles' group to a \
-                     separate file, for example by h5copy"
+                    "the file has more than {MOST_GROUPS} HDF5 groups; copy the particles' group \
+                     to a separate file, for example with h5copy"
                 )));
             }
             let (mut groups, mut sets) = checked(group.members())?;
@@ -320,7 +320,7 @@ impl GroupFields {
             .and_then(|numbers| usize::try_from(numbers).ok()?.checked_mul(number.0.size()))
             .and_then(|bytes| bytes.checked_add(offset));
         if end.is_none_or(|end| end > stride) {
-            let what = format!("{name} ends beyond the {stride} bytes of a row");
+            let what = format!("{name} extends beyond the {stride} bytes of a row");
             return Err(malformed(0, what));
         }
         let shape = [rows].into_iter().chain(dims.iter().copied()).collect();

@@ -52,10 +52,10 @@ pub fn read_particles(
     let step = match (step, &*steps(&file)?) {
         (Some(step), known) if known.contains(&step) => step,
         (Some(step), _) => {
-            return Err(ReadFault::Unsupported(format!("there is no iteration {step}")));
+            return Err(ReadFault::Unsupported(format!("the file has no iteration {step}")));
         }
         (None, [only]) => *only,
-        (None, []) => return Err(malformed(0, "no iterations")),
+        (None, []) => return Err(malformed(0, "the file has no iterations")),
         (None, [first, .., last]) => return Err(several_steps(*first, *last)),
     };
     let root = file.root()?;
@@ -167,8 +167,8 @@ fn particles(
     let position = record(species, "position")?.filter(|position| position.len() == 3);
     let position = position.ok_or_else(|| {
         ReadFault::Unsupported(
-            "no position with three components; particles must be \
-                               three-dimensional"
+            "the file has no positions with three components; only three-dimensional particles \
+             are supported"
                 .to_owned(),
         )
     })?;

@@ -35,7 +35,7 @@ fn table(arrays: Vec<H5Array>) -> Result<H5Table, ReadFault> {
         let [x, y, z] = names.map(named);
         Some([x?, y?, z?])
     };
-    let missing = || malformed(0, "no arrays x, y and z");
+    let missing = || malformed(0, "the file has no arrays x, y and z");
     let position = vector(["x", "y", "z"]).ok_or_else(missing)?;
     let rows = arrays[position[0]].rows;
     if position.iter().any(|&axis| arrays[axis].rows != rows) {

@@ -201,7 +201,7 @@ fn read_piece(
     }
     let group = file.group(kind)?;
     let arrays = H5Array::by_name(&group)?;
-    let missing = || malformed(0, format!("no {POSITION} with three components in {kind}"));
+    let missing = || malformed(0, format!("{kind} has no {POSITION} with three components"));
     let table = H5Table::of_arrays(arrays, POSITION).ok_or_else(missing)?;
     if table.rows() != announced {
         let what = format!(
@@ -223,7 +223,7 @@ fn piece_paths(path: &Path, header: &SnapshotHeader) -> Result<Vec<PathBuf>, Rea
         [base.file_stem(), base.extension()].map(|part| part.and_then(|part| part.to_str()));
     let unnamed = || {
         ReadFault::Unsupported(
-            "is one of several files; their names must be like base.0.hdf5".into(),
+            "is one of several files; the names of the files must be like base.0.hdf5".into(),
         )
     };
     let (stem, extension) = stem.zip(extension).ok_or_else(|| ReadError::new(path, unnamed()))?;

@@ -588,14 +588,14 @@ pub(super) fn chosen_type(
 ) -> Result<String, ReadFault> {
     match (named_type(known, wanted)?, known) {
         (Some(named), _) => Ok(named.to_owned()),
-        (None, []) => Err(ReadFault::Unsupported("no particles at all".to_owned())),
+        (None, []) => Err(ReadFault::Unsupported("the file contains no particles".to_owned())),
         (None, [only]) => Ok(only.clone()),
         (None, _) => usual
             .filter(|usual| known.iter().any(|name| name == usual))
             .map(str::to_owned)
             .ok_or_else(|| {
                 ReadFault::Unsupported(format!(
-                    "particles of several types: {}; choose one with the condition type=NAME",
+                    "contains several types: {}; choose one with the condition type=NAME",
                     list_of(known)
                 ))
             }),

@@ -71,7 +71,7 @@ impl<'a> Binary<'a> {
             0xf2 => u16::from_le_bytes(self.array()?).into(),
             0xf4 => u32::from_le_bytes(self.array()?).into(),
             0xf8 => u64::from_le_bytes(self.array()?),
-            other => return Err(self.fault(format!("a length that begins with byte {other:#x}"))),
+            other => return Err(self.fault(format!("a length begins with the byte {other:#x}"))),
         })
     }
 
@@ -106,7 +106,7 @@ impl<'a> Binary<'a> {
                 self.texts = Some(count);
                 return self.begin(JsonEvent::List);
             }
-            other => return Err(self.fault(format!("an array of unknown type {other:#x}"))),
+            other => return Err(self.fault(format!("an array has the unknown type {other:#x}"))),
         };
         let at = self.cursor.skip("an array", storage.bytes(count), 1)?;
         Ok(JsonEvent::Numbers(JsonNumbers { at, storage, count }))
@@ -168,7 +168,7 @@ impl Json for Binary<'_> {
                 0x26 => JsonEvent::Text(self.token()?),
                 0x27 => JsonEvent::Text(self.text()?),
                 0x40 => self.uniform()?,
-                other => return Err(self.fault(format!("a value of unknown type {other:#x}"))),
+                other => return Err(self.fault(format!("a value has the unknown type {other:#x}"))),
             });
         }
     }
@@ -180,7 +180,7 @@ impl Json for Binary<'_> {
     fn end(&mut self) -> Result<(), ReadFault> {
         let at = self.cursor.at();
         if at < self.len {
-            return Err(malformed(at, format!("{} bytes after the geometry", self.len - at)));
+            return Err(malformed(at, format!("{} extra bytes follow the geometry", self.len - at)));
         }
         Ok(())
     }

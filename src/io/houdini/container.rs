@@ -52,7 +52,7 @@ pub fn unpack(bytes: Bytes, unpacking: Unpacking) -> Result<PrivateBytes, ReadFa
     if total > limit {
         let what = format!(
             "the data expands to {total} bytes, too many for a file of {} bytes; decompress the \
-             file first",
+             file with another program",
             view.len()
         );
         return Err(ReadFault::Compression(what));
@@ -103,7 +103,8 @@ impl<'a> Chunks<'a> {
             return Err(malformed(tail_at as usize, what));
         }
         if index % NUMBER != 0 || index < 2 * NUMBER || index > tail_at - start {
-            return Err(malformed(tail_at as usize, format!("an index of {index} bytes")));
+            let what = format!("the index has an invalid size of {index} bytes");
+            return Err(malformed(tail_at as usize, what));
         }
         let index_at = tail_at - index;
         let count = index / NUMBER - 1;
@@ -114,13 +115,15 @@ impl<'a> Chunks<'a> {
             let bound = cursor.u64("the index")?.checked_add(start).filter(|at| *at < index_at);
             let bound =
                 bound.map(|bound| bound as usize).filter(|bound| *bound > bounds[bounds.len() - 1]);
-            bounds.push(bound.ok_or_else(|| malformed(at, format!("chunk {chunk} is outside")))?);
+            let outside = || malformed(at, format!("chunk {chunk} is outside the file"));
+            bounds.push(bound.ok_or_else(outside)?);
         }
         bounds.push(index_at as usize);
         let at = cursor.at();
         let (each, last) = (cursor.u64("the index")?, cursor.u64("the index")?);
         if each == 0 || each > LARGEST || last > each {
-            return Err(malformed(at, format!("chunks of {each} bytes, the last of {last}")));
+            let what = format!("invalid sizes of chunks: {each}, and {last} for the last");
+            return Err(malformed(at, what));
         }
         Ok(Self { view, bounds, each, last })
     }

@@ -113,7 +113,7 @@ impl Nesting {
     pub fn end(&mut self, begun: &JsonEvent) -> Result<JsonEvent, String> {
         match self.0.pop() {
             Some(open) if open == *begun => Ok(JsonEvent::End),
-            _ => Err("the end of a list or map that did not begin".to_owned()),
+            _ => Err("a list or map ends that did not begin".to_owned()),
         }
     }
 }

@@ -53,7 +53,7 @@ impl<'a> Text<'a> {
             escaped = byte == b'\\' && !escaped;
             ends
         });
-        let end = end.ok_or_else(|| self.fault("a string without an end".to_owned()))? + 2;
+        let end = end.ok_or_else(|| self.fault("a string has no end".to_owned()))? + 2;
         self.at += end;
         let quoted = &rest[..end];
         if !quoted.contains(&b'\\') {
@@ -83,7 +83,7 @@ impl<'a> Text<'a> {
                 (None, None) => {
                     let found = &rest[..length.clamp(1, 40)];
                     let found = String::from_utf8_lossy(found);
-                    return Err(self.fault(format!("found {found:?} instead of a value")));
+                    return Err(self.fault(format!("expected a value, found {found:?}")));
                 }
             },
         })

@@ -87,7 +87,7 @@ impl PlyHeader {
                 ["format", name, "1.0"] => {
                     encoding = Some(encoding_named(name).ok_or_else(|| {
                         fault(format!(
-                            "format {name:?}; supported: ascii, binary_little_endian, \
+                            "format {name:?} is unknown; supported: ascii, binary_little_endian, \
                              binary_big_endian"
                         ))
                     })?)
@@ -102,7 +102,7 @@ impl PlyHeader {
                         .ok_or_else(|| fault(format!("{text:?} is not a valid property")))?;
                     let element = elements
                         .last_mut()
-                        .ok_or_else(|| fault("a property without an element".into()))?;
+                        .ok_or_else(|| fault("a property has no element".into()))?;
                     element.properties.push(property);
                 }
                 ["end_header"] => {

@@ -314,7 +314,7 @@ fn end_row(scan: &mut Scanner) -> Result<(), ReadFault> {
     scan.skip_blanks();
     match scan.rest() {
         [] | [b'\n', ..] | [b'\r', ..] => Ok(()),
-        _ => Err(scan.fault(scan.at(), "there are more values than properties".into())),
+        _ => Err(scan.fault(scan.at(), "the row has more values than properties".into())),
     }
 }
 
@@ -340,7 +340,7 @@ pub(super) fn faces(header: &PlyHeader) -> Result<Option<(&Element, usize)>, Rea
     let list = list.ok_or_else(|| {
         malformed(
             header.body,
-            "faces have no list of integers named `vertex_indices` or `vertex_index`",
+            "the faces have no list of integers named `vertex_indices` or `vertex_index`",
         )
     })?;
     Ok(Some((element, list)))
@@ -439,7 +439,7 @@ fn list_length(
     let length = next_integer(scan, encoding, scalar)?;
     usize::try_from(length).map_err(|_| {
         let (name, list) = (&element.name, &property.name);
-        malformed(at, format!("the list `{list}` of a row of `{name}` has the length {length}"))
+        malformed(at, format!("a list `{list}` of element `{name}` has the length {length}"))
     })
 }
 

@@ -319,7 +319,7 @@ impl<'a> Comments<'a> {
         let Comment { line, text } = last.or_else(numbered)?;
         let what = format!(
             "this comment seems to name the columns, but its names do not fit the {fields} \
-             columns below it: {}; write one name per column in a first line, for example \
+             columns below it: {}; write one name per column in the first line, such as \
              `x y z vx vy vz`, or delete the comment",
             excerpt(text.trim().as_bytes())
         );

@@ -254,10 +254,10 @@ impl<'a> LinesAbove<'a> {
         }
         let fault = |what| ReadFault::Line { line: first.line, what };
         let Some(unnamed) = found else {
-            return Err(fault(format!("{fields} fields where x, y and z are expected")));
+            return Err(fault(format!("expected x, y and z, but the line has {fields} fields")));
         };
         if fields > MOST_FIELDS {
-            return Err(fault(format!("more than {MOST_FIELDS} fields")));
+            return Err(fault(format!("the line has more than {MOST_FIELDS} fields")));
         }
         refuse_rows_above(&self.titles, fields)?;
         let x = unnamed.x_column(rows);
@@ -296,8 +296,8 @@ pub fn unnamed_columns(rows: &[u8]) -> Result<Option<(Syntax, TableColumns)>, Re
     let Some((_, _, row)) = lines(rows).next() else { return Ok(None) };
     let Some(found) = UnnamedColumns::of(row) else { return Ok(None) };
     let first = found.x_column_of_xyz(rows).ok_or_else(|| {
-        let what = "rows of integers can be x, y and z, or begin with an atomic number; name the \
-                    columns by Properties=";
+        let what = "it is unclear whether these integers are x, y and z or begin with an atomic \
+                    number; name the columns with Properties=";
         ReadFault::Unsupported(what.to_owned())
     })?;
     let syntax = with_decimals(found.syntax, rows, &TableColumns::unnamed(first, found.fields));
@@ -375,7 +375,7 @@ impl TitleLine {
         let shown: Vec<_> =
             self.names.iter().take(8).map(|name| excerpt(name.as_bytes())).collect();
         let what = format!(
-            "neither three numbers nor the names of columns x, y and z: {}",
+            "expected three numbers, or the names of columns x, y and z, found {}",
             shown.join(", ")
         );
         ReadFault::Line { line: self.line, what }

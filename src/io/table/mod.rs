@@ -162,7 +162,7 @@ impl TextTable {
         let stride = width * WIDTH;
         let count = rows.len() / stride;
         if let Some(expected) = table.count.filter(|expected| *expected != count as u64) {
-            let what = format!("{expected} rows are announced, but {count} found");
+            let what = format!("the header announces {expected} rows, but the file has {count}");
             return Err(ReadFault::Line { line: table.lines_above, what });
         }
         let first = Column { offset: 0, stride, scalar: Scalar::F64, endian: Endian::Little };
@@ -258,7 +258,7 @@ impl TextTable {
             }
             if fields != slots.len() {
                 let expected = slots.len();
-                let what = format!("{fields} fields where {expected} are expected");
+                let what = format!("expected {expected} fields, found {fields}");
                 return Err((line, format!("{what}: {}", excerpt(content))));
             }
             if let Some(cell) = &self.cell {
@@ -276,15 +276,15 @@ impl TextTable {
         let name = &self.columns.names[column];
         let what = format!("{} is not a number (column {name})", excerpt(field));
         if is_overflow(field) {
-            return format!("{what}: its field was too narrow when Fortran wrote it");
+            return format!("{what}: the field was too narrow when Fortran wrote it");
         }
         match self.syntax {
             Syntax { separator: Separator::Byte(b','), .. } => what,
             Syntax { decimal: Decimal::Comma, .. } if field.contains(&b'.') => {
-                format!("{what}, but others have decimal commas")
+                format!("{what}: other numbers have decimal commas")
             }
             Syntax { decimal: Decimal::Point, .. } if field.contains(&b',') => {
-                format!("{what}, but others have decimal points")
+                format!("{what}: other numbers have decimal points")
             }
             _ => what,
         }

@@ -363,8 +363,8 @@ impl Sample {
             example.push("...");
         }
         format!(
-            "{shown}, so the columns of the position are unclear; write the names of all {} \
-             columns in a first line, for example `{}`",
+            "{shown}, so it is unclear which columns are the position; write the names of all {} \
+             columns in the first line, such as `{}`",
             row.fields,
             example.join(" ")
         )

@@ -82,7 +82,7 @@ pub fn read_grids(bytes: ByteView) -> Result<Vec<GridInfo>, ReadFault> {
     metadata(&mut file)?;
     let count = file.u32("the number of grids")?;
     if count > 0 && !has_offsets {
-        let what = "the file does not say where its grids are; it was written to a stream";
+        let what = "the file was written to a stream and does not list the positions of its grids";
         return Err(ReadFault::Unsupported(what.to_owned()));
     }
     let mut grids = Vec::new();
@@ -100,7 +100,8 @@ pub fn read_grids(bytes: ByteView) -> Result<Vec<GridInfo>, ReadFault> {
         ];
         let len = bytes.len() as u64;
         if grid < file.at() as u64 || end < grid {
-            return Err(malformed(descriptor_at, format!("a grid from {grid} to {end}")));
+            let what = format!("a grid cannot be at bytes {grid} to {end}");
+            return Err(malformed(descriptor_at, what));
         }
         if end > len {
             let what = format!("grid {name}");
@@ -159,7 +160,7 @@ fn text(file: &mut Cursor, what: &str) -> Result<String, ReadFault> {
     let at = file.at();
     let length = file.u32(what)?;
     if length > LONGEST {
-        return Err(malformed(at, format!("{what} has {length} bytes")));
+        return Err(malformed(at, format!("{what} is too long: {length} bytes")));
     }
     Ok(String::from_utf8_lossy(file.take(what, length.into())?).into_owned())
 }

@@ -196,13 +196,13 @@ impl<'a> LayoutParser<'a> {
         match (keyword.as_str(), &words[1..]) {
             ("DATASET", [kind]) if is(kind, "POLYDATA") || is(kind, "UNSTRUCTURED_GRID") => {}
             ("DATASET", [kind]) => {
-                let what = "supported: POLYDATA and UNSTRUCTURED_GRID";
-                return Err(ReadFault::Unsupported(format!("DATASET {kind}; {what}")));
+                let what = "is not supported, only POLYDATA and UNSTRUCTURED_GRID";
+                return Err(ReadFault::Unsupported(format!("DATASET {kind} {what}")));
             }
             ("POINTS", [count, kind]) => {
                 let array = self.numbers("POINTS", self.count(count)?, 3, kind)?;
                 if self.points.replace(array).is_some() {
-                    return Err(self.fault("there are POINTS already".into()));
+                    return Err(self.fault("there are two sections POINTS".into()));
                 }
             }
             ("VERTICES", [count, size]) => {
@@ -235,7 +235,7 @@ impl<'a> LayoutParser<'a> {
                     .is_some_and(|word| is(word, "LOOKUP_TABLE"))
                 {
                     return Err(
-                        self.fault(format!("SCALARS {name} (byte {at}) need a LOOKUP_TABLE"))
+                        self.fault(format!("SCALARS {name} (byte {at}) has no LOOKUP_TABLE"))
                     );
                 }
                 self.attribute(name, components, kind)?;
@@ -308,17 +308,18 @@ impl<'a> LayoutParser<'a> {
         let count = self.count(count)?;
         match &self.points {
             Some(points) if points.tuples == count => Ok(count),
-            Some(points) => {
-                Err(self.fault(format!("POINT_DATA of {count}, but POINTS of {}", points.tuples)))
-            }
-            None => Err(self.fault("POINT_DATA stand before POINTS".into())),
+            Some(points) => Err(self.fault(format!(
+                "POINT_DATA is for {count} points, but POINTS has {}",
+                points.tuples
+            ))),
+            None => Err(self.fault("POINT_DATA must come after POINTS".into())),
         }
     }
 
     fn tuples(&self) -> Result<usize, ReadFault> {
         match self.owner {
             Some(Owner::Points(count) | Owner::Cells(count)) => Ok(count),
-            None => Err(self.fault("an attribute before POINT_DATA or CELL_DATA".into())),
+            None => Err(self.fault("an attribute must come after POINT_DATA or CELL_DATA".into())),
         }
     }
 
@@ -343,7 +344,7 @@ impl<'a> LayoutParser<'a> {
                 let (name, tuples) = (percent_decoded(name), self.count(tuples)?);
                 match self.owner {
                     Some(Owner::Points(points)) if tuples != points => {
-                        Err(self.fault(format!("{name} has {tuples} tuples for {points} points")))
+                        Err(self.fault(format!("{name} has {tuples} entries for {points} points")))
                     }
                     _ => {
                         let array = self.array(&name, tuples, self.count(components)?, kind)?;
@@ -413,7 +414,7 @@ impl<'a> LayoutParser<'a> {
         kind: &str,
     ) -> Result<VtkArray, ReadFault> {
         let array = self.array(name, tuples, components, kind)?;
-        array.ok_or_else(|| self.fault(format!("{name} of type {kind}")))
+        array.ok_or_else(|| self.fault(format!("{name} cannot have the type {kind}")))
     }
 
     /// Skips the array that starts here. Returns its position and type if it contains numbers, and
@@ -435,7 +436,8 @@ impl<'a> LayoutParser<'a> {
                 return self.strings(values, name).map(|()| None);
             }
             kind => Some(
-                scalar_named(kind).ok_or_else(|| self.fault(format!("{name} of type {kind:?}")))?,
+                scalar_named(kind)
+                    .ok_or_else(|| self.fault(format!("{name} has the unknown type {kind:?}")))?,
             ),
         };
         let at = self.lines.at();
@@ -502,7 +504,7 @@ impl<'a> LayoutParser<'a> {
                     }
                 }
                 Some(_) => {}
-                None => return Err(self.fault("METADATA do not end with an empty line".into())),
+                None => return Err(self.fault("METADATA does not end with an empty line".into())),
             }
         }
     }

@@ -204,7 +204,7 @@ fn visit(
         CellCorners::Offsets { offsets, connectivity } => {
             let mut ends = integers(bytes, ascii, offsets);
             if ends.next().transpose()?.is_some_and(|first| first != 0) {
-                return Err(malformed(offsets.at, "the first of OFFSETS is not 0"));
+                return Err(malformed(offsets.at, "the first offset in OFFSETS is not 0"));
             }
             (connectivity, Some(ends), cells.corners.cells())
         }
@@ -212,7 +212,10 @@ fn visit(
     let mut values = integers(bytes, ascii, stream);
     let mut next = |cell| {
         let short = || {
-            Err(malformed(stream.at, format!("cell {cell} of {count} ends beyond {}", stream.name)))
+            Err(malformed(
+                stream.at,
+                format!("cell {cell} of {count} ends beyond the end of {}", stream.name),
+            ))
         };
         values.next().unwrap_or_else(short)
     };
@@ -260,7 +263,7 @@ pub(super) fn not_ghosts(
         CellCorners::Counted { stream, .. } => {
             each(stream, &mut |index, number| all_vertices &= index % 2 == 1 || number == 1)?;
             if all_vertices && Some(stream.tuples) != cells.checked_mul(2) {
-                let what = format!("{cells} cells of a point each, but {} numbers", stream.tuples);
+                let what = format!("{cells} cells of one point have {} numbers", stream.tuples);
                 return Err(malformed(stream.at, what));
             }
             stream

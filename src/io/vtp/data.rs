@@ -108,7 +108,7 @@ impl<'a> Decoder<'a> {
             }
             claimed += expected;
             if claimed > self.layout.bytes.len() as u64 {
-                let what = format!("array {} shares its data with others", array.name);
+                let what = format!("array {} shares its data with other arrays", array.name);
                 return Err(malformed(span.start, what));
             }
             let stride = components * scalar.size();
@@ -436,7 +436,7 @@ impl StoredArray<'_> {
         }
         // Incompressible data grows only slightly in LZ4.
         if packed.limit() > length + length / LZ4_RATIO + 16 {
-            return Err(self.damaged(format_args!("a block of more than {length} bytes")));
+            return Err(self.damaged(format_args!("a block has more than {length} bytes")));
         }
         let mut block = Vec::new();
         packed.read_to_end(&mut block).map_err(|e| self.fault(&e))?;
@@ -465,7 +465,7 @@ impl StoredArray<'_> {
                 .read_to_end(&mut chunk)
                 .map_err(|e| damaged(e.to_string()))?;
             let Some(rest) = left.checked_sub(chunk.len() as u64) else {
-                return Err(damaged(format!("a block of more than {length} bytes")));
+                return Err(damaged(format!("a block has more than {length} bytes")));
             };
             if chunk.is_empty() {
                 break;
@@ -473,7 +473,10 @@ impl StoredArray<'_> {
             take(&chunk)?;
             left = rest;
         }
-        if left > 0 { Err(damaged(format!("a block of less than {length} bytes"))) } else { Ok(()) }
+        match left {
+            0 => Ok(()),
+            _ => Err(damaged(format!("a block has less than {length} bytes"))),
+        }
     }
 
     fn pass_on(
@@ -508,7 +511,7 @@ impl StoredArray<'_> {
         }
         let VtpArray { name, .. } = self.array;
         let what = match fault.kind() {
-            io::ErrorKind::UnexpectedEof => format!("array {name} has less data than it says"),
+            io::ErrorKind::UnexpectedEof => format!("array {name} has less data than announced"),
             _ => format!("array {name}: {fault}"),
         };
         malformed(self.array.place(), what)

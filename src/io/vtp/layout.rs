@@ -197,7 +197,7 @@ impl<'a> VtpLayout<'a> {
                 Event::Eof
                     if text.len() < bytes.len() || layout.all_arrays().any(|a| a.is_to_come()) =>
                 {
-                    return Err(malformed(at, "no <AppendedData>"));
+                    return Err(malformed(at, "the file has no <AppendedData>"));
                 }
                 Event::Eof => break,
                 _ => continue,
@@ -227,8 +227,8 @@ impl<'a> VtpLayout<'a> {
             }
         }
         match (seen_root, &*layout.pieces) {
-            (false, _) => Err(malformed(0, "no <VTKFile>")),
-            (true, []) => Err(malformed(0, "no <Piece>")),
+            (false, _) => Err(malformed(0, "the file has no <VTKFile>")),
+            (true, []) => Err(malformed(0, "the file has no <Piece>")),
             (true, _) => Ok(layout),
         }
     }
@@ -254,8 +254,8 @@ impl<'a> VtpLayout<'a> {
             "PolyData" => DataSet::PolyData,
             "UnstructuredGrid" => DataSet::UnstructuredGrid,
             _ => {
-                let what = "supported: PolyData and UnstructuredGrid";
-                return Err(ReadFault::Unsupported(format!("data set of type {kind:?}; {what}")));
+                let what = "is not supported, only PolyData and UnstructuredGrid";
+                return Err(ReadFault::Unsupported(format!("a data set of type {kind:?} {what}")));
             }
         };
         self.compressor = match tag.value("compressor")?.as_deref() {
@@ -265,8 +265,8 @@ impl<'a> VtpLayout<'a> {
             Some("vtkLZMADataCompressor") => Some(Compressor::Lzma),
             Some(other) => {
                 let what = format!(
-                    "data compressed by {other}, which is not supported; save with zlib, LZ4 or \
-                     LZMA, or uncompressed"
+                    "the data is compressed with {other}, which is not supported; save it with \
+                     zlib, LZ4 or LZMA, or uncompressed"
                 );
                 return Err(ReadFault::Unsupported(what));
             }
@@ -328,7 +328,7 @@ impl<'a> VtpLayout<'a> {
             Some(other) => {
                 return Err(malformed(
                     tag.at,
-                    format!("array {name} has unknown format {other:?}"),
+                    format!("array {name} has the unknown format {other:?}"),
                 ));
             }
         };
@@ -346,7 +346,7 @@ impl<'a> VtpLayout<'a> {
         let mark =
             behind + xml[behind..].iter().take_while(|byte| byte.is_ascii_whitespace()).count();
         if xml.get(mark) != Some(&b'_') {
-            return Err(malformed(mark, "no underscore before the data"));
+            return Err(malformed(mark, "the data does not begin with an underscore"));
         }
         let data = mark as u64 + 1;
         let encoding = tag.value("encoding")?.unwrap_or_default();
@@ -354,7 +354,8 @@ impl<'a> VtpLayout<'a> {
             "raw" => None,
             "base64" => Some(text(xml, data as usize)),
             _ => {
-                return Err(malformed(tag.at, format!("data with unknown encoding {encoding:?}")));
+                let what = format!("the data has the unknown encoding {encoding:?}");
+                return Err(malformed(tag.at, what));
             }
         };
         for array in self.all_arrays() {
@@ -384,7 +385,7 @@ impl VtpPiece {
         let count = |name: &str| Ok::<_, ReadFault>(tag.number(name)?.unwrap_or(0));
         let points = tag.number("NumberOfPoints")?;
         Ok(Self {
-            points: points.ok_or_else(|| malformed(tag.at, "a piece without NumberOfPoints"))?,
+            points: points.ok_or_else(|| malformed(tag.at, "a piece has no NumberOfPoints"))?,
             vertices: count("NumberOfVerts")?,
             lines: count("NumberOfLines")?,
             cells: count("NumberOfCells")?,
@@ -466,8 +467,8 @@ impl Tag<'_> {
 
     pub fn number<T: std::str::FromStr>(&self, name: &str) -> Result<Option<T>, ReadFault> {
         let Some(value) = self.value(name)? else { return Ok(None) };
-        let parsed =
-            value.trim().parse().map_err(|_| malformed(self.at, format!("{name} is {value:?}")))?;
+        let what = || format!("{name} is not a valid number: {value:?}");
+        let parsed = value.trim().parse().map_err(|_| malformed(self.at, what()))?;
         Ok(Some(parsed))
     }
 }

@@ -148,7 +148,7 @@ impl JoinedMesh {
         };
         let [expected, found] = [kind(all), kind(&piece)];
         if expected != found {
-            let what = format!("its arrays are {found:?}, those of the pieces before {expected:?}");
+            let what = format!("the arrays are {found:?}, but {expected:?} in earlier pieces");
             return Err(malformed(0, what));
         }
         let mut own = Vec::with_capacity(piece.positions.len());
@@ -229,13 +229,13 @@ impl Sources {
         for PieceFile { name, block } in files {
             let path = resolved(folder, &name);
             if !seen.insert(path.clone()) {
-                return Err(fail(malformed(0, format!("the piece {name} is named twice"))));
+                return Err(fail(malformed(0, format!("the list names the piece {name} twice"))));
             }
             let is_list = InputFormat::of(&path) == Some(InputFormat::Pvtp);
             if block.is_none() || !is_list {
                 self.sources.push(ListedPiece { path, block });
             } else if depth == MOST_NESTED {
-                let what = format!("more than {MOST_NESTED} lists within lists");
+                let what = format!("lists are nested more than {MOST_NESTED} levels deep");
                 return Err(fail(ReadFault::Unsupported(what)));
             } else {
                 self.add(&path, &open_whole(&path)?, seen, depth + 1)?;
@@ -265,7 +265,7 @@ impl List {
                 ("VTKFile", _) => format = Some(Format::of(tag)?),
                 ("Piece", Some(Format { blocks: false, .. })) => {
                     let name = tag.value("Source")?.filter(|source| !source.is_empty());
-                    let name = name.ok_or_else(|| malformed(tag.at, "a piece without a Source"))?;
+                    let name = name.ok_or_else(|| malformed(tag.at, "a piece has no Source"))?;
                     files.push(PieceFile { name, block: None });
                 }
                 // An empty block names no file.
@@ -279,7 +279,7 @@ impl List {
             }
             Ok(())
         })?;
-        let Format { name, .. } = format.ok_or_else(|| malformed(0, "no <VTKFile>"))?;
+        let Format { name, .. } = format.ok_or_else(|| malformed(0, "the file has no <VTKFile>"))?;
         if files.is_empty() {
             return Err(malformed(0, "names no pieces"));
         }
@@ -305,8 +305,8 @@ impl Format {
             "vtkPartitionedDataSet" => ("VTK XML .vtpd", true),
             "vtkPartitionedDataSetCollection" => ("VTK XML .vtpc", true),
             _ => {
-                let what = "supported: PPolyData, PUnstructuredGrid and lists of blocks";
-                return Err(ReadFault::Unsupported(format!("data set of type {kind:?}; {what}")));
+                let what = "is not supported, only PPolyData, PUnstructuredGrid and block lists";
+                return Err(ReadFault::Unsupported(format!("a data set of type {kind:?} {what}")));
             }
         };
         Ok(Self { name, blocks })

@@ -209,11 +209,11 @@ pub(super) fn read_numbered(bytes: &[u8]) -> Result<NumberedMesh, ReadFault> {
     let layout = VtpLayout::parse(bytes.into())?;
     if layout.data_set != DataSet::PolyData {
         return Err(ReadFault::Unsupported(
-            "an UnstructuredGrid; meshes must be PolyData".to_owned(),
+            "contains an UnstructuredGrid, but meshes must be PolyData".to_owned(),
         ));
     }
     let [piece] = &*layout.pieces else {
-        let what = format!("a mesh in {} pieces; save it as one", layout.pieces.len());
+        let what = format!("the mesh has {} pieces; save it as one", layout.pieces.len());
         return Err(ReadFault::Unsupported(what));
     };
     if piece.strips > 0 {
@@ -229,7 +229,7 @@ pub(super) fn read_numbered(bytes: &[u8]) -> Result<NumberedMesh, ReadFault> {
     let ends = integers("offsets")?;
     if ends.len() != piece.polygons {
         let what =
-            format!("{} polygons are announced, {} have an offset", piece.polygons, ends.len());
+            format!("{} polygons are announced, but {} have offsets", piece.polygons, ends.len());
         return Err(malformed(0, what));
     }
     let ids = piece.global_ids.as_ref().and_then(|ids| piece.array(Section::PointData, ids));
@@ -237,7 +237,7 @@ pub(super) fn read_numbered(bytes: &[u8]) -> Result<NumberedMesh, ReadFault> {
     if numbers.as_ref().is_some_and(|numbers| numbers.len() != piece.points) {
         return Err(malformed(
             0,
-            format!("not one global identifier for each of {} points", piece.points),
+            format!("each of the {} points must have one global identifier", piece.points),
         ));
     }
     let mut triangles = Triangles::new(piece.points)?;
@@ -320,8 +320,7 @@ fn vertices(
     let mut parts = Vec::new();
     for piece in &filled {
         let array = piece.arrays.iter().find(is_points);
-        let array =
-            array.ok_or_else(|| malformed(0, "no array of points with three components"))?;
+        let array = array.ok_or_else(|| malformed(0, "no array of points has three components"))?;
         parts.push(PieceArray { points: piece.points, array: Some(array) });
     }
     // Positions are decoded first, because their size confirms the number of points.
@@ -403,7 +402,7 @@ fn points_left(
     if count != cells {
         return Err(malformed(
             ends.place(),
-            format!("{cells} cells are announced, {count} have an offset"),
+            format!("{cells} cells are announced, but {count} have offsets"),
         ));
     }
     if let (DataSet::UnstructuredGrid, Some(types)) = (data_set, piece.array(section, "types")) {

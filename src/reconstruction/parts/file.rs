@@ -201,7 +201,7 @@ fn list<T: Pod>(file: &ReopenedFile, at: &mut u64, count: u64) -> io::Result<Vec
 /// Reads a whole file, and returns its end, or the reason why the file is invalid.
 fn read_whole(mut file: &File) -> io::Result<Result<End, &'static str>> {
     let len = file.metadata()?.len();
-    let Some(before) = len.checked_sub(END) else { return Ok(Err("truncated")) };
+    let Some(before) = len.checked_sub(END) else { return Ok(Err("it is truncated")) };
     let (mut crc, mut left, mut buffer) = (Hasher::new(), before, vec![0; PIECE]);
     while left > 0 {
         let piece = &mut buffer[..left.min(PIECE as u64) as usize];
@@ -213,7 +213,7 @@ fn read_whole(mut file: &File) -> io::Result<Result<End, &'static str>> {
     file.read_exact(bytemuck::bytes_of_mut(&mut end))?;
     crc.update(&bytemuck::bytes_of(&end)[..END as usize - 4]);
     Ok(if end.magic != MAGIC {
-        Err("truncated, or not a part of a mesh")
+        Err("it is truncated, or is not a part of a mesh")
     } else if crc.finalize() != end.crc || end.bytes != before || end.nothing != 0 {
         Err("its checksum is wrong")
     } else {

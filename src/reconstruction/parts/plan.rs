@@ -74,7 +74,7 @@ impl Parts {
     ) -> Result<PartsPlan, Error> {
         let path = path_in(&begun.folder);
         let no_calibration =
-            || PartsError::Plan { path: path.clone(), what: "no calibration".into() };
+            || PartsError::Plan { path: path.clone(), what: "it has no calibration".into() };
         let calibration = plan.calibration.ok_or_else(no_calibration)?;
         let share = |(part, share): (usize, &BlockShare)| PartShare {
             particles: share.particles,

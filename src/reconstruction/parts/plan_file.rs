@@ -109,7 +109,7 @@ impl SharedPlan {
         let kept: PlanFile =
             serde_json::from_slice(&bytes).map_err(|fault| damaged(fault.to_string()))?;
         if kept.to_text() != bytes || kept.plan.fingerprint() != kept.fingerprint {
-            return Err(damaged("modified after it was written".into()));
+            return Err(damaged("it was modified after it was written".into()));
         }
         let PlanFile { plan, fingerprint } = kept;
         plan.validate().map_err(damaged)?;
@@ -133,12 +133,12 @@ impl SharedPlan {
     /// Rejects values that cannot have been planned.
     fn validate(&self) -> Result<(), String> {
         self.grid().map_err(|fault| fault.to_string())?;
-        let first = self.parts.first().ok_or("no parts")?;
+        let first = self.parts.first().ok_or("it has no parts")?;
         if first.first != 0 || !self.parts.is_sorted_by_key(|share| share.first) {
             return Err("its parts are not in order".into());
         }
         if self.calibration.is_none() {
-            return Err("no calibration".into());
+            return Err("it has no calibration".into());
         }
         let listed = self
             .chunks

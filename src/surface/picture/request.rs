@@ -165,7 +165,9 @@ impl Picture {
             Some(View::From { azimuth, elevation, zoom })
                 if !finite(&[azimuth, elevation, zoom]) || zoom <= 0.0 =>
             {
-                Err(PictureError::View("angles must be finite, and the zoom positive"))
+                Err(PictureError::View(
+                    "the camera's angles must be finite, and its zoom factor positive",
+                ))
             }
             Some(View::At { eye, target }) if !finite(&[eye, target].concat()) || eye == target => {
                 Err(PictureError::View(
@@ -254,7 +256,7 @@ pub enum PictureError {
         known: String,
     },
     /// An attribute that the vertices do not have.
-    #[error("no attribute {name:?} on the vertices; available: {known}")]
+    #[error("the vertices have no attribute {name:?}; available: {known}")]
     NoAttribute {
         /// The requested attribute.
         name: String,

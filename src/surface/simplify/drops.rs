@@ -41,9 +41,9 @@ impl TooSmall {
     #[must_use]
     pub fn limits(self) -> &'static str {
         match (self.components, self.drops) {
-            (_, 0) => "the limit smallest-component",
-            (0, _) => "the limit smallest-drop",
-            _ => "the limit smallest-component or smallest-drop",
+            (_, 0) => "smallest-component",
+            (0, _) => "smallest-drop",
+            _ => "smallest-component and smallest-drop",
         }
     }
 }

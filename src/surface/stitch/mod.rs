@@ -34,12 +34,12 @@ pub use numbers::writing_bytes;
 pub enum WholeMeshError {
     /// Vertex numbers exceed 32 bits.
     #[error(
-        "the surface has {0} vertices, more than an indexed mesh in memory can have; use a \
+        "the surface has {0} vertices, but a mesh in memory can have at most 4294967295; use a \
          larger cell size"
     )]
     TooManyVertices(u64),
     /// A scratch file with surfaces cannot be read.
-    #[error("scratch file: {0}")]
+    #[error("cannot use a scratch file: {0}")]
     Scratch(#[from] io::Error),
 }
 

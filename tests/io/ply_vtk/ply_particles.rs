@@ -235,14 +235,14 @@ fn invalid_ply_files_are_refused_with_the_reason() {
         ),
         (
             header(&format!("element vertex 1\n{xyz}")) + "1 2 3 4\n",
-            "line 8: there are more values",
+            "line 8: the row has more values",
         ),
         (
             header(&format!("element vertex 1\n{xyz}")) + "\n1 two 3\n",
             "line 9: expected a number, found \"two\"",
         ),
         (header("element vertex -1\n"), "line 3: \"-1\" is not a count"),
-        (header("property float x\n"), "line 3: a property without an element"),
+        (header("property float x\n"), "line 3: a property has no element"),
         (
             header("element vertex 1\nproperty quad x\n"),
             "line 4: \"property quad x\" is not a valid property",

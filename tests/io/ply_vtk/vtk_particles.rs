@@ -91,18 +91,18 @@ fn inconsistent_vtk_files_are_refused_with_the_reason() {
     let refused = [
         (format!("{head}DATASET STRUCTURED_POINTS\n"), "DATASET STRUCTURED_POINTS"),
         (format!("{head}DATASET POLYDATA\n"), "without POINTS"),
-        (format!("{points}POINT_DATA 2\n"), "line 7: POINT_DATA of 2, but POINTS of 1"),
-        (format!("{points}POINTS 1 float\n1 2 3\n"), "POINTS already"),
-        (format!("{points}VECTORS v float\n1 2 3\n"), "line 7: an attribute before POINT_DATA"),
-        (format!("{points}POINT_DATA 1\nSCALARS a float\n1\n"), "need a LOOKUP_TABLE"),
+        (format!("{points}POINT_DATA 2\n"), "line 7: POINT_DATA is for 2 points, but POINTS has 1"),
+        (format!("{points}POINTS 1 float\n1 2 3\n"), "two sections POINTS"),
+        (format!("{points}VECTORS v float\n1 2 3\n"), "line 7: an attribute must come after"),
+        (format!("{points}POINT_DATA 1\nSCALARS a float\n1\n"), "has no LOOKUP_TABLE"),
         (
             format!("{points}POINT_DATA 1\nFIELD f 1\na 1 2 float\n1 2\n"),
-            "a has 2 tuples for 1 points",
+            "a has 2 entries for 1 points",
         ),
         (format!("{points}POINT_DATA 1\nFIELD f 1\na 1 1 variant\n1\n"), "\"variant\""),
         (format!("{points}CELLS 1 2\n1 0\n"), "1 CELLS, but 0 CELL_TYPES"),
         (format!("{points}NONSENSE\n"), "line 7: \"NONSENSE\" is not a section"),
-        (format!("{points}METADATA\nINFORMATION 0\n"), "do not end with an empty line"),
+        (format!("{points}METADATA\nINFORMATION 0\n"), "does not end with an empty line"),
         ("# vtk DataFile Version x\n".into(), "line 1"),
         ("# vtk DataFile Version 3.0\nt\nTEXT\n".into(), "line 3: expected ASCII or BINARY"),
     ];
@@ -351,7 +351,7 @@ fn inconsistent_cell_counts_are_refused() {
                         &flags,
                         "VERTICES 6 12",
                         "VERTICES 7 12",
-                        "7 cells of a point each, but 12 numbers",
+                        "7 cells of one point have 12 numbers",
                     );
                     let huge = "VERTICES 9223372036854775814 12";
                     assert_refused(
@@ -359,7 +359,7 @@ fn inconsistent_cell_counts_are_refused() {
                         &flags,
                         "VERTICES 6 12",
                         huge,
-                        "of a point each, but 12 numbers",
+                        "of one point have 12 numbers",
                     );
                 }
                 _ => assert_refused(

@@ -143,7 +143,7 @@ def _request(
         status.file = f"{len(positions)} vertices of {settings.object.name}"
         return Request(FromPoints(positions, velocity, sampling), filters, touched)
     if not settings.path.strip():
-        raise Refused("No files are chosen")
+        raise Refused("Choose the particle files")
     path = bpy.path.abspath(settings.path)
     frames = _state.listings.frames(path)
     shown = shown_at(frames, timing_of(settings), frame)
@@ -176,7 +176,7 @@ def update(mesh: bpy.types.Mesh, scene: bpy.types.Scene, depsgraph: bpy.types.De
     began, status = time.perf_counter(), Status()
     try:
         if mesh.is_editmode:
-            raise Refused("The surface is updated when its mesh leaves Edit Mode")
+            raise Refused("Leave Edit Mode to update the surface")
         request = _request(settings, scene.frame_current, depsgraph, status)
         if request is None:
             return

@@ -41,7 +41,7 @@ def _mesh_of(source: bpy.types.Object, to_particles: np.ndarray, depsgraph: bpy.
         evaluated.evaluated_geometry()
     except TypeError:
         where = "in renders" if depsgraph.mode == "RENDER" else "in the viewport"
-        what = f"The solid {source.name} is hidden {where}, where its shape is then not known: hide it from the camera instead"
+        what = f"The solid {source.name} is hidden {where}, so Blender does not compute its shape: show it, or hide it only from the camera"
         raise Hidden(what) from None
     mesh = evaluated.to_mesh(depsgraph=depsgraph)
     if mesh is None:

@@ -39,7 +39,7 @@ def particles_of(source: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> tu
         # The dependency graph of the other mode cannot help: a render does not update that graph to
         # the rendered frame.
         where = "in renders" if depsgraph.mode == "RENDER" else "in the viewport"
-        what = f"{source.name} is hidden {where}, where its vertices are then not known: vertices without faces are not drawn anyway"
+        what = f"{source.name} is hidden {where}, so Blender does not compute its vertices: show it (vertices without faces are not drawn)"
         raise Hidden(what) from None
     points = geometry.pointcloud
     if points is not None and len(points.points):

@@ -187,7 +187,7 @@ unsafe fn paths(inputs: *const *const c_char, count: usize) -> Outcome<Vec<PathB
     // SAFETY: the caller upholds this function's contract.
     let names = unsafe { pointers(inputs, count, "inputs") }?;
     if names.is_empty() {
-        return Err(Failure::request("input_count is 0"));
+        return Err(Failure::request("input_count is 0, but must be at least 1"));
     }
     // SAFETY: the caller upholds this function's contract.
     names.iter().map(|&name| unsafe { path(name, "inputs") }).collect()
@@ -260,9 +260,10 @@ fn incomplete(summaries: &[Summary], all: MeniscusSummary) -> Outcome {
     let Some(first) = failed.chain(ended).chain(missing).next() else { return Ok(()) };
     let message = match all.failed + all.missing {
         0 => first,
-        _ => {
-            format!("{} frames failed and {} are missing; first: {first}", all.failed, all.missing)
-        }
+        _ => format!(
+            "{} frames failed and {} are missing; first error: {first}",
+            all.failed, all.missing
+        ),
     };
     Err(Failure { status: MeniscusStatus::Incomplete, message })
 }

@@ -68,7 +68,7 @@ pub unsafe extern "C" fn meniscus_simulation_frame(
         let particles = unsafe { CallerParticles::new(particles) }?;
         // Do not wait for the lock: a callback that requests another frame would wait for itself.
         let Some(mut live) = live.try_lock() else {
-            return Err(Failure::request("the simulation is at work on another frame"));
+            return Err(Failure::request("the simulation is already processing another frame"));
         };
         let control = control.for_other_work();
         live.set_control(&control.of(Reconstruction::new()));

@@ -139,7 +139,7 @@ impl MeniscusMesh {
             let read = each(piece, &mut put);
             read.map_err(|fault| Failure {
                 status: MeniscusStatus::Output,
-                message: format!("scratch file: {fault}"),
+                message: format!("cannot use a scratch file: {fault}"),
             })?;
         }
         Ok(())
@@ -159,7 +159,7 @@ impl MeniscusMesh {
     fn attribute(&self, index: usize) -> Outcome<&AttributeInfo> {
         let there = self.names.len();
         let none =
-            || Failure::request(format!("attribute number {index} of a mesh that has {there}"));
+            || Failure::request(format!("no attribute number {index}: the mesh has {there}"));
         self.outline.attributes.get(index).ok_or_else(none)
     }
 
@@ -339,7 +339,7 @@ pub unsafe extern "C" fn meniscus_mesh_triangles_u32(
         let vertices = mesh.outline.vertices;
         if vertices > 1 << 32 {
             return Err(Failure::request(format!(
-                "{vertices} vertices are more than 32 bits number"
+                "{vertices} vertices exceed 32-bit numbers; use meniscus_mesh_triangles_u64"
             )));
         }
         // SAFETY: the caller upholds this function's contract.
@@ -379,7 +379,7 @@ pub unsafe extern "C" fn meniscus_mesh_normals(
         // SAFETY: the caller upholds this function's contract.
         let mesh = unsafe { of(mesh) }?;
         if !mesh.outline.normals {
-            return Err(Failure::request("the mesh has no normals: none were asked for"));
+            return Err(Failure::request("the mesh has no normals; set the option normals"));
         }
         let each = |piece, put: &mut dyn FnMut(f32)| {
             let vertices = mesh.surface.mesh().vertices(piece)?;
@@ -452,7 +452,7 @@ pub unsafe extern "C" fn meniscus_mesh_attribute_whole(
         let info = mesh.attribute(index)?;
         if !info.kind.is_whole() {
             return Err(Failure::request(format!(
-                "{}: an attribute of floating-point numbers; meniscus_mesh_attribute copies them",
+                "{}: the attribute has floating-point numbers; use meniscus_mesh_attribute",
                 info.name
             )));
         }
@@ -627,6 +627,8 @@ fn on_threads<T: Send>(count: usize, act: impl FnOnce() -> T + Send) -> Outcome<
 
 fn format(path: &Path) -> Outcome<MeshFormat> {
     let known = MeshFormat::KNOWN;
-    let unknown = || Failure::request(format!("{}: meshes are {known} files", path.display()));
+    let unknown = || {
+        Failure::request(format!("{}: unknown extension; supported: {known}", path.display()))
+    };
     MeshFormat::of(path).ok_or_else(unknown)
 }

@@ -141,7 +141,7 @@ fn bytes<S: Source<Error = String>>(size: &S) -> Result<u64, String> {
 fn step<S: Source<Error = String>>(value: &S) -> Result<u64, String> {
     Some(value.count()?)
         .filter(|&step| step > 0)
-        .ok_or_else(|| "expected a whole number from 1".into())
+        .ok_or_else(|| "expected a whole number, 1 or greater".into())
 }
 
 /// The number of a frame, which may be negative.
@@ -161,7 +161,7 @@ fn range<S: Source<Error = String>>(value: &S) -> Result<(i64, i64), String> {
     let ends = text.split_once("..");
     let ends = ends.and_then(|(first, last)| Some((first.parse().ok()?, last.parse().ok()?)));
     ends.filter(|(first, last)| first <= last)
-        .ok_or_else(|| "expected two increasing numbers, such as 100..199".into())
+        .ok_or_else(|| "expected the first and the last frame number, such as 100..199".into())
 }
 
 impl Frames {
@@ -221,7 +221,7 @@ impl MeniscusOptions {
         match self.set(key, value) {
             Ok(true) => Ok(()),
             Ok(false) => Err(Failure::request(format!(
-                "no option has the key {key:?}: meniscus_options_key lists all keys"
+                "no option has the key {key:?}; meniscus_options_key lists all keys"
             ))),
             Err(expected) => {
                 let given = value.map_or_else(String::new, |value| format!("{value:?}"));
@@ -256,9 +256,7 @@ impl RequestParts {
         // SAFETY: the caller upholds this function's contract.
         let asked = unsafe { Self::for_frames(options) };
         match asked.frames.first() {
-            Some(key) => {
-                Err(Failure::request(format!("{key} is an option of meniscus_convert only")))
-            }
+            Some(key) => Err(Failure::request(format!("{key} works only with meniscus_convert"))),
             None => Ok(asked),
         }
     }
@@ -299,10 +297,12 @@ impl RequestParts {
         let open = |choice| device(&choice, None).map_err(Error::from);
         let backend = match (self.backend, self.device.take()) {
             (None | Some(Cpu), None) => return Ok(self),
-            (Some(Cpu), Some(_)) => return Err(Failure::request("device: the backend is cpu")),
+            (Some(Cpu), Some(_)) => {
+                return Err(Failure::request("device cannot be used with backend cpu"));
+            }
             (Some(Auto), None) if !self.request.uses_backend() => return Ok(self),
             _ if !self.request.uses_backend() => {
-                return Err(Failure::request("backend: kernel methods run on the CPU"));
+                return Err(Failure::request("backend: kernel methods run only on the CPU"));
             }
             (Some(Auto), None) => fastest(self.memory, || input_bytes(&self.request), None).0,
             (Some(Vulkan), None) => open(DeviceChoice::Best)?,

@@ -32,7 +32,7 @@ impl MeniscusType {
             1 => Ok(Self::F64),
             2 => Ok(Self::I32),
             3 => Ok(Self::U32),
-            _ => Err(Failure::request(format!("{what} is {number}, which is no MeniscusType"))),
+            _ => Err(Failure::request(format!("{what} is {number}, which is not a MeniscusType"))),
         }
     }
 }
@@ -146,7 +146,7 @@ impl Numbers {
         let strides = [self.stride, self.component_stride];
         reach().ok_or_else(|| {
             Failure::request(format!(
-                "{what}: {count} particles, strides {strides:?}: more than memory holds"
+                "{what}: {count} particles with strides {strides:?} exceed the address space"
             ))
         })
     }
@@ -231,19 +231,19 @@ impl CallerParticles {
         let number = MeniscusType::of(given.number, "particles.number")?;
         if number.is_whole() {
             return Err(Failure::request(format!(
-                "particles.number is {}: coordinates are MENISCUS_TYPE_F32 or MENISCUS_TYPE_F64",
+                "particles.number is {}, but must be MENISCUS_TYPE_F32 or MENISCUS_TYPE_F64",
                 given.number
             )));
         }
         if given.reserved != 0 {
             return Err(Failure::request(format!(
-                "particles.reserved is {}, and must be 0",
+                "particles.reserved is {}, but must be 0",
                 given.reserved
             )));
         }
         let Ok(count) = usize::try_from(given.count) else {
             return Err(Failure::request(format!(
-                "particles.count is {}: too many for this machine",
+                "particles.count is {}, which is too large for this machine",
                 given.count
             )));
         };
@@ -278,7 +278,7 @@ impl CallerParticles {
         }
         if count > MOST_ATTRIBUTES {
             return Err(Failure::request(format!(
-                "particles.attribute_count is {count}: at most {MOST_ATTRIBUTES}"
+                "particles.attribute_count is {count}, but must be at most {MOST_ATTRIBUTES}"
             )));
         }
         let mut size = 0;
@@ -287,22 +287,22 @@ impl CallerParticles {
             // SAFETY: the caller guarantees the array, and all previous structures have this size.
             let given = unsafe { read(at.byte_add(index * size), &what) }?;
             if index > 0 && given.size != size {
-                let sizes = format!("its size is {}, and that of those before {size}", given.size);
-                return Err(Failure::request(format!("{what}: {sizes}")));
+                let sizes = format!("is {}, but {size} in previous attributes", given.size);
+                return Err(Failure::request(format!("{what}.size {sizes}")));
             }
             size = given.size;
             // SAFETY: the caller upholds this function's contract.
             let name = unsafe { optional(given.name, &format!("{what}.name")) }?;
             let name = name.filter(|name| !name.is_empty());
             let name =
-                name.ok_or_else(|| Failure::request(format!("{what}.name is NULL, or empty")))?;
+                name.ok_or_else(|| Failure::request(format!("{what}.name is NULL or empty")))?;
             if self.attributes.iter().any(|info| info.name == name) {
                 return Err(Failure::request(format!(
                     "{what}.name: another attribute is called {name:?}"
                 )));
             }
             if !(1..=MOST_COMPONENTS).contains(&given.components) {
-                let range = format!("is {}, and must be 1 to {MOST_COMPONENTS}", given.components);
+                let range = format!("is {}, but must be 1 to {MOST_COMPONENTS}", given.components);
                 return Err(Failure::request(format!("{what}.components {range}")));
             }
             let numbers = Numbers {

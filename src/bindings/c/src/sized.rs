@@ -30,7 +30,7 @@ unsafe fn announced<T: Growing>(at: *const T, what: &str) -> Outcome<usize> {
     if !(size_of::<usize>()..=LARGEST).contains(&size) || !size.is_multiple_of(size_of::<usize>()) {
         let (name, own) = (T::NAME, size_of::<T>());
         return Err(Failure::request(format!(
-            "{what}: its size is {size}; sizeof({name}) is {own}"
+            "{what}.size is {size}; set it to sizeof({name}), {own}"
         )));
     }
     Ok(size)
@@ -48,9 +48,9 @@ pub unsafe fn read<T: Growing>(at: *const T, what: &str) -> Outcome<T> {
     let bytes = unsafe { std::slice::from_raw_parts(at.cast::<u8>(), size) };
     let (known, unknown) = bytes.split_at(size.min(size_of::<T>()));
     if unknown.iter().any(|&byte| byte != 0) {
-        let what =
-            format!("{what}: it is of a newer version, and asks for what this one does not have");
-        return Err(Failure::request(what));
+        return Err(Failure::request(format!(
+            "{what}: a field that this version of meniscus does not know must be 0"
+        )));
     }
     // SAFETY: zeros are valid for all fields of a `Growing` structure.
     let mut value: T = unsafe { std::mem::zeroed() };
@@ -119,10 +119,11 @@ mod tests {
             assert_eq!(read(at(&mut [16, 5]), "two").unwrap(), Two { size: 16, one: 5, two: 0 });
             assert_eq!(read(at(&mut [8]), "two").unwrap(), Two { size: 8, one: 0, two: 0 });
             assert_eq!(read(at(&mut [40, 5, 6, 0, 0]), "two").unwrap(), Two { size: 40, ..whole });
-            assert!(read(at(&mut [40, 5, 6, 0, 1]), "two").unwrap_err().message.contains("newer"));
+            let unknown = read(at(&mut [40, 5, 6, 0, 1]), "two").unwrap_err().message;
+            assert!(unknown.contains("must be 0"), "{unknown}");
             for nonsense in [0, 7, 12, 4104, u64::MAX] {
                 let message = read(at(&mut [nonsense]), "two").unwrap_err().message;
-                assert_eq!(message, format!("two: its size is {nonsense}; sizeof(Two) is 24"));
+                assert_eq!(message, format!("two.size is {nonsense}; set it to sizeof(Two), 24"));
             }
             assert_eq!(read::<Two>(std::ptr::null(), "two").unwrap_err().message, "two is NULL");
         }

@@ -82,7 +82,8 @@ fn keep(message: String) {
 fn panicked(payload: &(dyn Any + Send)) -> Failure {
     let text = payload.downcast_ref::<&str>().map(|text| (*text).to_owned());
     let text = text.or_else(|| payload.downcast_ref::<String>().cloned());
-    let message = format!("a bug of meniscus: {}", text.as_deref().unwrap_or("a panic"));
+    let text = text.as_deref().unwrap_or("a panic");
+    let message = format!("a bug in meniscus, please report it: {text}");
     Failure { status: MeniscusStatus::Internal, message }
 }
 
@@ -143,11 +144,11 @@ mod tests {
     #[test]
     fn a_panic_becomes_a_status_code_and_a_message() {
         assert_eq!(call(|| panic!("number {}", 7)), MeniscusStatus::Internal);
-        assert_eq!(last(), "a bug of meniscus: number 7");
+        assert_eq!(last(), "a bug in meniscus, please report it: number 7");
         assert_eq!(call(|| std::panic::panic_any(7)), MeniscusStatus::Internal);
-        assert_eq!(last(), "a bug of meniscus: a panic");
+        assert_eq!(last(), "a bug in meniscus, please report it: a panic");
         assert_eq!(ask(5, || panic!("asked")), 5);
-        assert_eq!(last(), "a bug of meniscus: asked");
+        assert_eq!(last(), "a bug in meniscus, please report it: asked");
     }
 
     #[test]

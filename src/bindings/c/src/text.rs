@@ -93,7 +93,7 @@ fn refuse_no_array<T>(at: *const T, count: usize, what: &str) -> Outcome {
     }
     let bytes = count.checked_mul(size_of::<T>()).filter(|&bytes| bytes <= isize::MAX as usize);
     if bytes.is_none_or(|bytes| at.addr().checked_add(bytes).is_none()) {
-        return Err(Failure::request(format!("{what}: {count} are more than the memory holds")));
+        return Err(Failure::request(format!("{what}: {count} elements exceed the address space")));
     }
     Ok(())
 }
@@ -111,13 +111,11 @@ pub unsafe fn buffer<'a, T>(
     what: &str,
 ) -> Outcome<&'a mut [MaybeUninit<T>]> {
     if capacity < needed {
-        let what = format!("{what} holds {capacity} numbers, and {needed} are needed");
+        let what = format!("{what} holds {capacity} numbers, but {needed} are needed");
         return Err(Failure::request(what));
     }
     let Ok(needed) = usize::try_from(needed) else {
-        return Err(Failure::request(format!(
-            "{what}: {needed} numbers are more than the memory holds"
-        )));
+        return Err(Failure::request(format!("{what}: {needed} numbers exceed the address space")));
     };
     if needed == 0 {
         return Ok(&mut []);

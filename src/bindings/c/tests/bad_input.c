@@ -80,19 +80,19 @@ static void options_are_refused(void) {
   OPTION("smooth must be", "smooth", "nan");
   OPTION("sigma must be", "indicator", "counting", "sigma", "-1");
   OPTION("mu0 must be", "indicator", "counting", "mu0", "inf");
-  OPTION("`mu0` does not apply to `indicator` cloud", "mu0", "1");
+  OPTION("`mu0` works only with `indicator` counting, not with cloud", "mu0", "1");
   OPTION("iso must be", "indicator", "symmetry", "iso", "2");
-  OPTION("`iso` does not apply to `method` zhu-bridson", "method", "zhu-bridson", "iso", "0.5");
+  OPTION("`iso` does not work with `method` zhu-bridson", "method", "zhu-bridson", "iso", "0.5");
   OPTION("simplify must be", "simplify", "-1");
   OPTION("smallest-component must be", "smallest-component", "nan");
   OPTION("the memory limit must be at least", "memory", "1");
-  OPTION("cannot start threads: their number must be from 1 to 1024", "threads", "4000000000");
-  OPTION("device: the backend is cpu", "backend", "cpu", "device", "0");
-  OPTION("backend: kernel methods run on the CPU", "backend", "vulkan", "method", "mueller");
-  OPTION("backend: kernel methods run on the CPU", "device", "0", "method", "yu-turk");
+  OPTION("cannot start threads: the number of threads must be from 1 to 1024, got 4000000000", "threads", "4000000000");
+  OPTION("device cannot be used with backend cpu", "backend", "cpu", "device", "0");
+  OPTION("backend: kernel methods run only on the CPU", "backend", "vulkan", "method", "mueller");
+  OPTION("backend: kernel methods run only on the CPU", "device", "0", "method", "yu-turk");
   OPTION("no attribute \"heat\"", "attributes", "heat");
-  OPTION("fps is an option of meniscus_convert only", "fps", "25");
-  OPTION("resume is an option of meniscus_convert only", "resume", "false");
+  OPTION("fps works only with meniscus_convert", "fps", "25");
+  OPTION("resume works only with meniscus_convert", "resume", "false");
 }
 
 static void keys_and_values_are_refused(void) {
@@ -104,7 +104,7 @@ static void keys_and_values_are_refused(void) {
   OPTION("spacing: expected a number, got \"0,05\"", "spacing", "0,05");
   OPTION("spacing: expected a number, got \"\"", "spacing", "");
   OPTION("normals: expected true or false, got \"1\"", "normals", "1");
-  OPTION("smallest-drop: expected a whole number from 0, got \"-1\"", "smallest-drop", "-1");
+  OPTION("smallest-drop: expected a whole number, 0 or greater, got \"-1\"", "smallest-drop", "-1");
   OPTION("indicator: expected one of cloud, counting, symmetry, got \"4\"", "indicator", "4");
   OPTION("method: expected one of dif, ", "method", "Mueller");
   OPTION("periodic-mesh: expected one of ", "periodic-mesh", "open");
@@ -115,11 +115,11 @@ static void keys_and_values_are_refused(void) {
   OPTION("origin: expected 3 numbers: x, y, z, got \"1,2\"", "origin", "1,2");
   OPTION("domain: expected auto or 6 numbers: ", "domain", "0,0,0,1,1");
   OPTION("memory: expected a number of bytes, or a size such as 512MiB", "memory", "much");
-  OPTION("step: expected a whole number from 1, got \"0\"", "step", "0");
+  OPTION("step: expected a whole number, 1 or greater, got \"0\"", "step", "0");
   OPTION("start: expected a whole number, got \"1.5\"", "start", "1.5");
   OPTION("end: expected a whole number, got \"last\"", "end", "last");
   OPTION("together: expected true or false, got \"a,b\"", "together", "a,b");
-  OPTION("frames: expected two increasing numbers, such as 100..199, got \"5..3\"", "frames", "5..3");
+  OPTION("frames: expected the first and the last frame number, such as 100..199, got \"5..3\"", "frames", "5..3");
   OPTION("device is not UTF-8", "device", "\xff");
   OPTION("where is not UTF-8", "where", "\xff");
   OPTION("attributes is not UTF-8", "attributes", "\xe9t\xe9");
@@ -135,7 +135,7 @@ static void keys_and_values_are_refused(void) {
   SET("options is NULL", meniscus_options_cancel_by(NULL, NULL));
   SET("key is NULL", meniscus_options_set(options, NULL, "1"));
   SET("no option has the key \"thread\"", meniscus_options_set_number(options, "thread", 1));
-  SET("threads: expected a whole number from 0, got [1.5]",
+  SET("threads: expected a whole number, 0 or greater, got [1.5]",
       meniscus_options_set_number(options, "threads", 1.5));
   SET("smallest-drop: expected a smaller number",
       meniscus_options_set_number(options, "smallest-drop", 1e10));
@@ -183,16 +183,16 @@ static void particles_are_refused(void) {
   PARTICLES(REQUEST, "particles.positions: ", .count = UINT64_MAX);
   PARTICLES(REQUEST, "particles.positions: ", .stride = PTRDIFF_MAX);
   PARTICLES(REQUEST, "particles.positions: ", .component_stride = PTRDIFF_MIN);
-  PARTICLES(REQUEST, "particles.number is 4, which is no MeniscusType", .number = 4);
-  PARTICLES(REQUEST, "particles.number is 2: coordinates are MENISCUS_TYPE_F32 or MENISCUS_TYPE_F64", .number = MENISCUS_TYPE_I32);
-  PARTICLES(REQUEST, "particles.reserved is 1, and must be 0", .reserved = 1);
-  PARTICLES(REQUEST, "particles: its size is 7;", .size = 7);
+  PARTICLES(REQUEST, "particles.number is 4, which is not a MeniscusType", .number = 4);
+  PARTICLES(REQUEST, "particles.number is 2, but must be MENISCUS_TYPE_F32 or MENISCUS_TYPE_F64", .number = MENISCUS_TYPE_I32);
+  PARTICLES(REQUEST, "particles.reserved is 1, but must be 0", .reserved = 1);
+  PARTICLES(REQUEST, "particles.size is 7;", .size = 7);
   PARTICLES(REQUEST, "particles.attributes is NULL, but attribute_count is 2", .attribute_count = 2);
-  ATTRIBUTE("particles.attributes[0]: its size is 1;", .size = 1);
-  ATTRIBUTE("particles.attributes[0].name is NULL, or empty", .name = NULL);
-  ATTRIBUTE("particles.attributes[0].name is NULL, or empty", .name = "");
+  ATTRIBUTE("particles.attributes[0].size is 1;", .size = 1);
+  ATTRIBUTE("particles.attributes[0].name is NULL or empty", .name = NULL);
+  ATTRIBUTE("particles.attributes[0].name is NULL or empty", .name = "");
   ATTRIBUTE("particles.attributes[0].name is not UTF-8", .name = "\x80");
-  ATTRIBUTE("particles.attributes[0].components is 0, and must be 1 to 65536", .components = 0);
+  ATTRIBUTE("particles.attributes[0].components is 0, but must be 1 to 65536", .components = 0);
   ATTRIBUTE("particles.attributes[0].components is 4294967295", .components = UINT32_MAX);
   ATTRIBUTE("particles.attributes[0].values is NULL", .values = NULL);
   ATTRIBUTE("particles.attributes[0].number is -3", .number = -3);
@@ -250,7 +250,7 @@ static void files_are_refused(const char *folder) {
   size_t length = 9;
   OK(meniscus_mesh_format_warnings(made, "a.ply", text, sizeof text, &length));
   CHECK(length == 0 && *text == 0);
-  WRITE(REQUEST, "a.txt: meshes are", meniscus_mesh_format_warnings(made, "a.txt", text, sizeof text, &length));
+  WRITE(REQUEST, "a.txt: unknown extension", meniscus_mesh_format_warnings(made, "a.txt", text, sizeof text, &length));
 
   float number;
   uint64_t wide;
@@ -259,11 +259,11 @@ static void files_are_refused(const char *folder) {
   WRITE(REQUEST, "out holds 1 numbers", meniscus_mesh_triangles_u64(made, &wide, 1));
   WRITE(REQUEST, "out is not aligned to 8 bytes", meniscus_mesh_triangles_u64(made, (void *)((char *)&wide + 1), 1 << 30));
   WRITE(REQUEST, "no normals", meniscus_mesh_normals(made, &number, 1));
-  WRITE(REQUEST, "attribute number 0 of a mesh that has 0", meniscus_mesh_attribute(made, 0, &number, 1));
+  WRITE(REQUEST, "no attribute number 0: the mesh has 0", meniscus_mesh_attribute(made, 0, &number, 1));
   WRITE(REQUEST, "mesh is NULL", meniscus_mesh_normals(NULL, &number, 1));
   WRITE(REQUEST, "arrays is NULL", meniscus_mesh_arrays(made, NULL));
   MeniscusArrays arrays = {.size = 3};
-  WRITE(REQUEST, "arrays: its size is 3;", meniscus_mesh_arrays(made, &arrays));
+  WRITE(REQUEST, "arrays.size is 3;", meniscus_mesh_arrays(made, &arrays));
   WRITE(REQUEST, "report is NULL", meniscus_mesh_report(made, NULL));
   WRITE(REQUEST, "check is NULL", meniscus_mesh_check(made, NULL));
   WRITE(REQUEST, "mesh is NULL", meniscus_reconstruct(&water, NULL, NULL));
@@ -274,7 +274,7 @@ static void files_are_refused(const char *folder) {
   REFUSED(REQUEST, "simulation is NULL", meniscus_simulation_frame(NULL, &water, &mesh));
   MeniscusFrame *frame;
   OK(meniscus_sample(&water, NULL, &frame));
-  WRITE(REQUEST, "a.ply: packed frames are .mnf files", meniscus_frame_pack(frame, "a.ply", 0, NULL));
+  WRITE(REQUEST, "a.ply: a packed frame needs the extension .mnf", meniscus_frame_pack(frame, "a.ply", 0, NULL));
   meniscus_frame_free(frame);
   MeniscusOptions *kernels = OPTIONS("method", "zhu-bridson");
   OK(meniscus_sample(&water, kernels, &frame));
@@ -313,7 +313,7 @@ static void conversions_are_refused(const char *folder) {
   CONVERT(REQUEST, "fps must be", inputs, 1, output, "fps", "nan");
   CONVERT(REQUEST, "watch must be at least 0 seconds", inputs, 1, output, "watch", "nan");
   MeniscusSummary summary = {.size = 5};
-  WRITE(REQUEST, "summary: its size is 5;", meniscus_convert(inputs, 1, output, NULL, &summary));
+  WRITE(REQUEST, "summary.size is 5;", meniscus_convert(inputs, 1, output, NULL, &summary));
 }
 
 static int test(int count, char **arguments) {

@@ -250,9 +250,9 @@ pub fn vectors<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<HeldArra
     let held = held(name, object, Types::Floats)?;
     let shape = held.array.shape();
     if shape.len() != 2 || shape[1] != 3 {
-        let way = if shape.len() == 2 && shape[0] == 3 { "; .T turns it" } else { "" };
+        let way = if shape.len() == 2 && shape[0] == 3 { "; use .T" } else { "" };
         return Err(InputError::new_err(format!(
-            "{name}: an array of shape (N, 3) is needed, not {}{way}",
+            "{name}: must be an array of shape (N, 3), not {}{way}",
             shown(shape)
         )));
     }
@@ -266,7 +266,7 @@ pub fn columns<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<HeldArra
     let shape = held.array.shape();
     if !(1..=2).contains(&shape.len()) || held.numbers.columns == 0 {
         return Err(InputError::new_err(format!(
-            "{name}: an array of shape (N,) or (N, K) is needed, not {}",
+            "{name}: must be an array of shape (N,) or (N, K), not {}",
             shown(shape)
         )));
     }
@@ -279,7 +279,7 @@ pub fn refuse_length(name: &str, held: &HeldArray<'_>, particles: usize) -> PyRe
         return Ok(());
     }
     let rows = held.numbers.rows;
-    Err(InputError::new_err(format!("{name}: {rows} rows for {particles} particles")))
+    Err(InputError::new_err(format!("{name}: has {rows} rows for {particles} particles")))
 }
 
 /// Formats a shape as Python does, such as (3, 4) or (5,).
@@ -309,14 +309,14 @@ fn held<'py>(name: &str, object: &Bound<'py, PyAny>, types: Types) -> PyResult<H
                 Types::Numbers => "numbers of type float32 or float64, or integers",
             };
             return Err(PyTypeError::new_err(format!(
-                "{name}: {wanted} are needed, not {}; {way} makes them",
+                "{name}: must contain {wanted}, not {}; use {way}",
                 called()
             )));
         }
     };
     if dtype.is_native_byteorder() == Some(false) {
         return Err(PyTypeError::new_err(format!(
-            "{name}: its numbers are byte-swapped ({}); .astype(\"{}\") turns them",
+            "{name}: the numbers are byte-swapped ({}); use .astype(\"{}\")",
             called(),
             kind.name(),
         )));
@@ -339,8 +339,7 @@ fn as_array<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<Bound<'py, 
     let py = object.py();
     if let Ok(array) = object.cast::<PyUntypedArray>() {
         if object.hasattr("mask")? {
-            let what =
-                format!("{name}: an array with a mask; .filled(numpy.nan) makes one without");
+            let what = format!("{name}: the array has a mask; use .filled(numpy.nan)");
             return Err(PyTypeError::new_err(what));
         }
         return Ok(array.clone());
@@ -371,7 +370,7 @@ fn as_array<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<Bound<'py, 
             let has_way = object.hasattr("to_numpy").unwrap_or(false);
             let way = if has_way { ".to_numpy()" } else { "numpy.asarray" };
             PyTypeError::new_err(format!(
-                "{name}: an array is needed, not {}; {way} may make one",
+                "{name}: must be an array, not {}; try {way}",
                 type_of(object)
             ))
         })?;
@@ -400,7 +399,7 @@ fn refuse_device(name: &str, object: &Bound<'_, PyAny>, (kind, _): (i32, i32)) -
 
 fn on_device(name: &str, object: &Bound<'_, PyAny>, device: &str) -> PyErr {
     PyTypeError::new_err(format!(
-        "{name}: {} is on {device}; .cpu() brings it to the host",
+        "{name}: {} is on {device}; use .cpu() to copy it to the CPU",
         type_of(object)
     ))
 }

@@ -47,7 +47,7 @@ impl Device {
     /// Returns an error if the keywords select the CPU and also name a device.
     pub fn check(&self) -> PyResult<()> {
         if self.backend == Some(Name::Cpu) && self.device.is_some() {
-            return Err(InputError::new_err("device: the backend is the processor"));
+            return Err(InputError::new_err("device: cannot be used with backend=\"cpu\""));
         }
         Ok(())
     }

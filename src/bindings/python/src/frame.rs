@@ -71,7 +71,7 @@ impl Frame {
         if self.process == std::process::id() {
             return Ok(());
         }
-        Err(other("the frame was made in another process, whose threads are not there in this one"))
+        Err(other("the frame was made in another process and cannot be used in this one"))
     }
 }
 

@@ -93,7 +93,7 @@ impl Keywords {
             };
             if let Some(before) = exclusive.and_then(|slot| slot.replace(name.clone())) {
                 return Err(InputError::new_err(format!(
-                    "{name}: {before} is given, and both say the same"
+                    "{name}: cannot be used with {before}, which sets the same length"
                 )));
             }
             let given = Keyword { name: &name, value: &value };
@@ -132,7 +132,7 @@ impl Keywords {
     pub fn on_machine(self, input_bytes: Option<u64>) -> PyResult<Reconstruction> {
         let request = self.request.memory(self.memory);
         if !request.uses_backend() {
-            self.device.refuse("kernel methods run on the processor")?;
+            self.device.refuse("kernel methods run only on the CPU")?;
             return Ok(request);
         }
         Ok(match self.device.open(self.memory, input_bytes)? {

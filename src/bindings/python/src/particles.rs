@@ -38,15 +38,15 @@ impl<'py> Arrays<'py> {
         }
         if let Some(attributes) = attributes {
             let mapping = attributes.cast::<PyMapping>().map_err(|_| {
-                PyTypeError::new_err("attributes: a mapping from names to arrays is needed")
+                PyTypeError::new_err("attributes: must be a mapping from names to arrays")
             })?;
             for item in mapping.items()?.iter() {
                 let (name, array): (Bound<'_, PyAny>, Bound<'_, PyAny>) = item.extract()?;
                 let name: String = name.extract().map_err(|_| {
-                    PyTypeError::new_err(format!("attributes: {name} is no name of an attribute"))
+                    PyTypeError::new_err(format!("attributes: {name} is not a name; use a str"))
                 })?;
                 if others.iter().any(|(known, _)| *known == name) {
-                    return Err(PyTypeError::new_err("velocity: it is given as an attribute, too"));
+                    return Err(PyTypeError::new_err("velocity: is also given in attributes"));
                 }
                 let shown = format!("attributes[{name:?}]");
                 let held = columns(&shown, &array)?;

@@ -107,7 +107,8 @@ impl Simulation {
         });
         unnamed.map_or(Ok(()), |name| {
             Err(InputError::new_err(format!(
-                "attributes: {name:?} is none of those that the simulation was made with; its keyword attributes names them"
+                "attributes: {name:?} was not named when the simulation was made; name it in the \
+                 keyword attributes of Simulation"
             )))
         })
     }
@@ -150,7 +151,7 @@ impl Simulation {
         let asked = Keywords::of("Simulation", keywords, known)?;
         let (Some(inputs), Some(output)) = (inputs, &output) else {
             if inputs.is_some() || output.is_some() {
-                return Err(InputError::new_err("output: inputs and an output go together"));
+                return Err(InputError::new_err("output: inputs and output must be given together"));
             }
             refuse_of_files(keywords)?;
             let request = asked.on_machine(None)?;
@@ -196,10 +197,10 @@ impl Simulation {
         progress: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Mesh> {
         let Kind::Live(live) = &self.kind else {
-            return Err(InputError::new_err("the simulation is of files: run() makes its meshes"));
+            return Err(InputError::new_err("this simulation converts files; use run() instead"));
         };
         if self.process != std::process::id() {
-            let what = "the simulation was made in another process, whose threads are not there in this one";
+            let what = "the simulation was made in another process and cannot be used in this one";
             return Err(other(what));
         }
         let arrays = Arrays::take(positions, velocity, attributes)?;
@@ -210,7 +211,7 @@ impl Simulation {
             Ok(live) => live,
             Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner(),
             Err(TryLockError::WouldBlock) => {
-                return Err(other("another thread is at work on a frame of it"));
+                return Err(other("another thread is using this simulation"));
             }
         };
         let live = &mut *live;
@@ -231,7 +232,7 @@ impl Simulation {
                 Ok(live) => Ok(live.is_settled()),
                 Err(TryLockError::Poisoned(poisoned)) => Ok(poisoned.into_inner().is_settled()),
                 Err(TryLockError::WouldBlock) => {
-                    Err(other("another thread is at work on a frame of it"))
+                    Err(other("another thread is using this simulation"))
                 }
             },
             Kind::Files(..) => Ok(true),
@@ -286,9 +287,7 @@ impl Simulation {
         act: impl FnOnce(&FileSimulation, &dyn Fn(meniscus::Event)) -> Result<T, meniscus::Error> + Send,
     ) -> PyResult<T> {
         let Kind::Files(files, _) = &self.kind else {
-            return Err(InputError::new_err(
-                "the simulation is one that runs: frame() makes its meshes",
-            ));
+            return Err(InputError::new_err("this simulation has no files; use frame() instead"));
         };
         let work = Work::<(Event, Vec<String>)>::new();
         let files =
@@ -312,7 +311,7 @@ fn refuse_of_files(keywords: Option<&Bound<'_, PyDict>>) -> PyResult<()> {
     for (name, value) in keywords.into_iter().flatten() {
         let name: String = name.extract()?;
         if !value.is_none() && (name == "format" || SIMULATION.contains(&name.as_str())) {
-            return Err(InputError::new_err(format!("{name}: it is for inputs and an output")));
+            return Err(InputError::new_err(format!("{name}: works only with inputs and output")));
         }
     }
     Ok(())
@@ -337,7 +336,7 @@ fn of_files(
             "step" => files.step(given.whole()?),
             "frames" => {
                 let wrong =
-                    |_| PyTypeError::new_err("frames: a pair of numbers is needed: first and last");
+                    |_| PyTypeError::new_err("frames: must be a pair of numbers: first and last");
                 let (first, last): (i64, i64) = value.extract().map_err(wrong)?;
                 if first > last {
                     return Err(InputError::new_err(format!("frames: {first} is after {last}")));

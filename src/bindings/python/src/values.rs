@@ -21,7 +21,7 @@ impl<'py> Keyword<'_, 'py> {
     fn wants(&self, what: &str) -> PyErr {
         let kind =
             self.value.get_type().name().map_or_else(|_| "that".into(), |name| name.to_string());
-        PyTypeError::new_err(format!("{}: {what} is needed, not {kind}", self.name))
+        PyTypeError::new_err(format!("{}: must be {what}, not {kind}", self.name))
     }
 
     /// Takes a non-negative integer.
@@ -74,7 +74,7 @@ impl<'py> Keyword<'_, 'py> {
     /// Takes six numbers, or two corners of three numbers each.
     fn six_ends(&self) -> PyResult<[Option<f64>; 6]> {
         self.ends()?.try_into().map_err(|_| {
-            let what = "six numbers are needed: x0, y0, z0, x1, y1, z1";
+            let what = "must be six numbers: x0, y0, z0, x1, y1, z1";
             InputError::new_err(format!("{}: {what}", self.name))
         })
     }
@@ -86,7 +86,7 @@ impl<'py> Keyword<'_, 'py> {
             let size: Result<ByteSize, _> = text.parse();
             return size.map(|size| size.as_u64()).map_err(|_| {
                 InputError::new_err(format!(
-                    "{}: {text:?} is no size such as \"512MiB\"",
+                    "{}: {text:?} is not a size such as \"512MiB\"",
                     self.name
                 ))
             });
@@ -119,7 +119,8 @@ impl Source for Keyword<'_, '_> {
     fn one_of(&self, words: &[&str]) -> PyResult<usize> {
         let word = self.text()?;
         words.iter().position(|known| *known == word).ok_or_else(|| {
-            InputError::new_err(format!("{}: {word:?} is none of {}", self.name, words.join(", ")))
+            let known = words.join(", ");
+            InputError::new_err(format!("{}: {word:?} is not one of {known}", self.name))
         })
     }
 
@@ -138,7 +139,7 @@ impl Source for Keyword<'_, '_> {
         let ends = self.ends()?;
         let numbers: Option<Vec<f64>> = ends.into_iter().collect();
         numbers.and_then(|numbers| numbers.try_into().ok()).ok_or_else(|| {
-            InputError::new_err(format!("{}: three numbers are needed: x, y, z", self.name))
+            InputError::new_err(format!("{}: must be three numbers: x, y, z", self.name))
         })
     }
 

@@ -84,7 +84,7 @@ impl<N: Send + 'static> Work<N> {
             ended.map_err(|panic| {
                 let text = panic.downcast_ref::<String>().map(String::as_str);
                 let text = text.or(panic.downcast_ref::<&str>().copied()).unwrap_or("a panic");
-                other(format!("a bug of the library: {text}"))
+                other(format!("a bug in meniscus, please report it: {text}"))
             })
         });
         match raised {

@@ -112,13 +112,13 @@ def test_torch_on_the_host_is_read_by_dlpack(ball: Any) -> None:
 @pytest.mark.parametrize("keyword", ["positions", "velocity"])
 def test_an_array_on_a_device_is_a_type_error_that_names_cpu(ball: Any, keyword: str) -> None:
     arrays = {"positions": ball, keyword: OnlyDLPack(ball, (2, 0), "cuda:0")}
-    with pytest.raises(TypeError, match=rf"^{keyword}: OnlyDLPack is on cuda:0; \.cpu\(\) brings it to the host"):
+    with pytest.raises(TypeError, match=rf"^{keyword}: OnlyDLPack is on cuda:0; use \.cpu\(\) to copy it to the CPU"):
         meniscus.reconstruct(**arrays)
 
     class Cuda:
         __cuda_array_interface__: dict[str, Any] = {}
 
-    with pytest.raises(TypeError, match=r"is on a CUDA device; \.cpu\(\)"):
+    with pytest.raises(TypeError, match=r"is on a CUDA device; use \.cpu\(\)"):
         meniscus.reconstruct(Cuda())  # type: ignore[arg-type]
 
     class Nowhere(OnlyDLPack):
@@ -135,7 +135,7 @@ def test_an_error_for_an_array_without_astype_names_its_type_and_conversion(ball
 
         def float(self) -> None: ...
 
-    with pytest.raises(TypeError, match=r"not float16; \.float\(\) makes them"):
+    with pytest.raises(TypeError, match=r"not float16; use \.float\(\)"):
         meniscus.reconstruct(Half(ball.astype(np.float16)))
     with pytest.raises(TypeError, match=r"^positions: Half of torch\.half cannot be read as an array: "):
         meniscus.reconstruct(Half(ball.astype(object)))
@@ -145,25 +145,25 @@ def test_an_error_for_a_field_names_the_method_that_makes_an_array() -> None:
     class Field:
         def to_numpy(self) -> None: ...
 
-    with pytest.raises(TypeError, match=r"^positions: an array is needed, not Field; \.to_numpy\(\) may make one"):
+    with pytest.raises(TypeError, match=r"^positions: must be an array, not Field; try \.to_numpy\(\)"):
         meniscus.reconstruct(Field())  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
     ("positions", "error", "what"),
     [
-        (np.zeros((5, 2)), meniscus.InputError, r"shape \(N, 3\) is needed, not \(5, 2\)"),
+        (np.zeros((5, 2)), meniscus.InputError, r"shape \(N, 3\), not \(5, 2\)"),
         (np.zeros(3), meniscus.InputError, r"not \(3,\)"),
         (np.zeros((1, 5, 3)), meniscus.InputError, r"not \(1, 5, 3\)"),
-        (np.zeros((5, 3), np.int64), TypeError, r"not int64; \.astype"),
+        (np.zeros((5, 3), np.int64), TypeError, r"not int64; use \.astype"),
         (np.zeros((5, 3), np.float16), TypeError, "not float16"),
         (np.zeros((5, 3), np.complex64), TypeError, "not complex64"),
         (np.zeros((5, 3), object), TypeError, "not object"),
         (np.zeros((5, 3), ">f8"), TypeError, r"byte-swapped \(>f8\)"),
-        (np.zeros((5, 3), ">f4"), TypeError, r'\.astype\("float32"\)'),
-        (np.zeros((3, 5)), meniscus.InputError, r"not \(3, 5\); \.T turns it"),
-        (np.zeros(5, [("x", "f4"), ("y", "f4"), ("z", "f4")]), TypeError, r"; numpy\.lib\.recfunctions\.structured_to_unstructured"),
-        (np.ma.masked_array(np.zeros((5, 3))), TypeError, r"with a mask; \.filled\(numpy\.nan\)"),
+        (np.zeros((5, 3), ">f4"), TypeError, r'use \.astype\("float32"\)'),
+        (np.zeros((3, 5)), meniscus.InputError, r"not \(3, 5\); use \.T"),
+        (np.zeros(5, [("x", "f4"), ("y", "f4"), ("z", "f4")]), TypeError, r"; use numpy\.lib\.recfunctions\.structured_to_unstructured"),
+        (np.ma.masked_array(np.zeros((5, 3))), TypeError, r"has a mask; use \.filled\(numpy\.nan\)"),
         ([[0.0, 0.0, 0.0]], TypeError, "not list"),
         ("positions", TypeError, "not str"),
         (None, TypeError, "not NoneType"),
@@ -183,17 +183,17 @@ def test_what_is_no_array_of_positions_is_refused_by_name(positions: Any, error:
 @pytest.mark.parametrize(
     ("keywords", "error", "what"),
     [
-        ({"velocity": np.zeros((4, 3))}, meniscus.InputError, "velocity: 4 rows for 5 particles"),
+        ({"velocity": np.zeros((4, 3))}, meniscus.InputError, "velocity: has 4 rows for 5 particles"),
         ({"velocity": np.zeros((5, 2))}, meniscus.InputError, r"velocity: .*not \(5, 2\)"),
-        ({"attributes": {"t": np.zeros(6)}}, meniscus.InputError, r'attributes\["t"\]: 6 rows for 5'),
+        ({"attributes": {"t": np.zeros(6)}}, meniscus.InputError, r'attributes\["t"\]: has 6 rows for 5'),
         ({"attributes": {"t": np.zeros((5, 2, 2))}}, meniscus.InputError, r'attributes\["t"\]: .*\(5, 2, 2\)'),
         ({"attributes": {"t": np.zeros((5, 0))}}, meniscus.InputError, r'attributes\["t"\]'),
-        ({"attributes": {"t": np.zeros(5, complex)}}, TypeError, r'attributes\["t"\]: .*or integers are needed, not complex128'),
+        ({"attributes": {"t": np.zeros(5, complex)}}, TypeError, r'attributes\["t"\]: .*or integers, not complex128'),
         ({"attributes": {"t": np.zeros(5, bool)}}, TypeError, r'attributes\["t"\]: .*not bool'),
-        ({"attributes": {"t": np.zeros(5, ">i4")}}, TypeError, r'byte-swapped \(>i4\); \.astype\("int32"\)'),
+        ({"attributes": {"t": np.zeros(5, ">i4")}}, TypeError, r'byte-swapped \(>i4\); use \.astype\("int32"\)'),
         ({"velocity": np.zeros((5, 3), int)}, TypeError, "velocity: .*not int64"),
-        ({"attributes": {3: np.zeros(5)}}, TypeError, "attributes: 3 is no name"),
-        ({"attributes": ["t"]}, TypeError, "attributes: a mapping"),
+        ({"attributes": {3: np.zeros(5)}}, TypeError, "attributes: 3 is not a name"),
+        ({"attributes": ["t"]}, TypeError, "attributes: must be a mapping"),
         ({"attributes": {"velocity": np.zeros(5)}, "velocity": np.zeros((5, 3))}, TypeError, "velocity: "),
     ],
 )

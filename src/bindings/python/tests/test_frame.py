@@ -84,7 +84,7 @@ def test_particles_of_several_files_make_one_surface(tmp_path: Path, program: An
     program("reconstruct", *parts, "-o", tmp_path / "theirs.ply", "-q", "--together", "--spacing", 1)
     mesh.write(tmp_path / "ours.ply")
     assert (tmp_path / "ours.ply").read_bytes() == (tmp_path / "theirs.ply").read_bytes()
-    with pytest.raises(TypeError, match="^path: a path or a list of paths is needed"):
+    with pytest.raises(TypeError, match="^path: must be a path or a list of paths"):
         meniscus.Frame.load(7)  # type: ignore[arg-type]
     with pytest.raises(meniscus.InputError, match="no file"):
         meniscus.Frame.load([])

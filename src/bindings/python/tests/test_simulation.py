@@ -47,13 +47,13 @@ def test_attributes_are_named_when_it_is_made(pool: Any) -> None:
     simulation = meniscus.Simulation(spacing=1.0, attributes=["heat"])
     mesh = simulation.frame(pool, attributes={"heat": pool[:, 0]})
     assert set(mesh.attributes) == {"heat"}
-    with pytest.raises(meniscus.InputError, match='"cold" is none of those'):
+    with pytest.raises(meniscus.InputError, match='"cold" was not named'):
         simulation.frame(pool, attributes={"heat": pool[:, 0], "cold": pool[:, 1]})
-    with pytest.raises(meniscus.InputError, match='"velocity" is none of those'):
+    with pytest.raises(meniscus.InputError, match='"velocity" was not named'):
         simulation.frame(pool, velocity=pool, attributes={"heat": pool[:, 0]})
     with pytest.raises(meniscus.InputError, match='no attribute "heat"'):
         simulation.frame(pool)
-    with pytest.raises(TypeError, match="attributes: a list of names is needed, not str"):
+    with pytest.raises(TypeError, match="attributes: must be a list of names, not str"):
         meniscus.Simulation(attributes="heat")
     assert set(meniscus.Simulation().frame(pool, velocity=pool).attributes) == {"velocity"}
 
@@ -77,7 +77,7 @@ def test_requests_are_refused_when_it_is_made(tmp_path: Path) -> None:
     for keywords in [{"spacing": -1.0}, {"sigma": 1.0}, {"start": 3}, {"resume": True}, {"format": "csv"}]:
         with pytest.raises(meniscus.InputError):
             meniscus.Simulation(**keywords)  # type: ignore[arg-type]
-    with pytest.raises(meniscus.InputError, match="go together"):
+    with pytest.raises(meniscus.InputError, match="must be given together"):
         meniscus.Simulation("in_{}.bgeo")
     with pytest.raises(meniscus.InputError, match="frames: 3 is after 2"):
         meniscus.Simulation("in_{}.bgeo", tmp_path / "{}.ply", frames=(3, 2))
@@ -150,7 +150,7 @@ def test_frames_are_listed_by_their_numbers(dambreak: Path, tmp_path: Path) -> N
         meniscus.list_frames(dambreak)
     with pytest.raises(meniscus.FileError, match="no frames found"):
         meniscus.list_frames(tmp_path)
-    with pytest.raises(TypeError, match="a path or a list of paths is needed"):
+    with pytest.raises(TypeError, match="must be a path or a list of paths"):
         meniscus.list_frames(7)  # type: ignore[arg-type]
 
 
@@ -186,5 +186,5 @@ def test_frames_of_several_inputs_are_joined(tmp_path: Path, program: Any) -> No
     for number in 1, 2:
         ours, theirs = (tmp_path / by / f"{number}.ply" for by in ("ours", "theirs"))
         assert ours.read_bytes() == theirs.read_bytes()
-    with pytest.raises(meniscus.InputError, match="together: it is for inputs and an output"):
+    with pytest.raises(meniscus.InputError, match="together: works only with inputs and output"):
         meniscus.Simulation(together=True)

@@ -44,8 +44,9 @@ impl FrameRows {
         let parts =
             if sets.iter().any(|set| set == "NumberOfParts") { at("NumberOfParts")? } else { 1 };
         let end = first.checked_add(parts).filter(|end| *end <= all);
-        let end =
-            end.ok_or_else(|| malformed(0, format!("{parts} parts from {first} on of {all}")))?;
+        let end = end.ok_or_else(|| {
+            malformed(0, format!("a step has {parts} parts from {first}, but there are {all}"))
+        })?;
         Ok(Self { step: Some(step), parts: [first, end], point: at("PointOffsets")? })
     }
 
@@ -84,7 +85,7 @@ impl FrameRows {
                 arrays.push(array.part(first, rows)?);
             }
         }
-        let no_points = || malformed(0, "Points must have three components");
+        let no_points = || malformed(0, "the array Points must have three components");
         H5Table::of_arrays(arrays, "Points").ok_or_else(no_points)
     }
 
@@ -129,7 +130,7 @@ impl FrameRows {
 
 pub(super) fn sum(counts: &[u64]) -> Result<u64, ReadFault> {
     let sum = counts.iter().try_fold(0u64, |sum, &count| sum.checked_add(count));
-    sum.ok_or_else(|| malformed(0, "more points than can be counted"))
+    sum.ok_or_else(|| malformed(0, "the number of points is too large"))
 }
 
 /// The array `name` of a group. `None` if it does not exist, contains no numbers, or has several
@@ -154,7 +155,7 @@ pub(super) fn integers(file: &H5File, group: &Group, name: &str) -> Result<Vec<i
 
 /// Converts a count. Returns an error if it is negative.
 pub(super) fn count(value: i64, name: &str) -> Result<u64, ReadFault> {
-    u64::try_from(value).map_err(|_| malformed(0, format!("{value} in {name}")))
+    u64::try_from(value).map_err(|_| malformed(0, format!("{name} contains {value}")))
 }
 
 /// Entry number `index` of a data set of counts.
@@ -179,7 +180,7 @@ pub(super) fn entries(
     if entries.len() < least {
         return Err(malformed(
             0,
-            format!("{name} has {} numbers of {least} in an entry", entries.len()),
+            format!("an entry of {name} has {} numbers, expected {least}", entries.len()),
         ));
     }
     entries.into_iter().map(|value| count(value, name)).collect()

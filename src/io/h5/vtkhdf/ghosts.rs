@@ -281,7 +281,7 @@ impl NumberReader {
         let end = self.at.saturating_add(rows);
         if end > *all {
             let left = all.saturating_sub(self.at);
-            return Err(malformed(0, format!("{name} has {left} numbers of {rows}")));
+            return Err(malformed(0, format!("{name} has {left} more numbers, expected {rows}")));
         }
         let mut taken = 0;
         while self.at < end {

@@ -33,8 +33,8 @@ fn opened(file: &H5File) -> Result<(Group, String), ReadFault> {
     match kind.as_str() {
         POLY_DATA | "UnstructuredGrid" => Ok((root, kind)),
         _ => {
-            let what = "supported: PolyData and UnstructuredGrid";
-            Err(ReadFault::Unsupported(format!("data set of type {kind:?}; {what}")))
+            let what = "is not supported, only PolyData and UnstructuredGrid";
+            Err(ReadFault::Unsupported(format!("a data set of type {kind:?} {what}")))
         }
     }
 }
@@ -127,12 +127,14 @@ pub fn has_faces(file: &H5File) -> Result<bool, ReadFault> {
 pub fn read_mesh(file: H5File) -> Result<Mesh, ReadFault> {
     let (root, kind) = opened(&file)?;
     if kind != POLY_DATA {
-        return Err(ReadFault::Unsupported(format!("an {kind}; meshes must be {POLY_DATA}")));
+        return Err(ReadFault::Unsupported(format!(
+            "contains an {kind}, but meshes must be {POLY_DATA}"
+        )));
     }
     let frame = FrameRows::of(&file, &root, None)?;
     if frame.step.is_some() {
         return Err(ReadFault::Unsupported(
-            "several time steps; a mesh must be a single frame".to_owned(),
+            "contains several time steps, but a mesh must be a single frame".to_owned(),
         ));
     }
     let points = frame.points(&file, &root)?;
@@ -171,7 +173,7 @@ fn add_polygons(
     let (mut at, mut corner, mut base, mut face) = (0usize, 0usize, 0i64, 0);
     for ((cells, ids), points) in cells.into_iter().zip(ids).zip(points) {
         let short = || {
-            malformed(0, format!("{cells} polygons with {ids} corners are announced, but missing"))
+            malformed(0, format!("some of {cells} polygons with {ids} corners are missing"))
         };
         let end = |start: usize, count: u64| start.checked_add(usize::try_from(count).ok()?);
         let ends = end(at, cells).and_then(|last| offsets.get(at..=last)).ok_or_else(short)?;
@@ -190,7 +192,7 @@ fn add_polygons(
             {
                 return Err(malformed(
                     0,
-                    format!("polygon {face} refers to point {wrong} of {points}"),
+                    format!("polygon {face} refers to point {wrong}, but there are {points}"),
                 ));
             }
             let moved: Vec<i64> = polygon.iter().map(|corner| corner + base).collect();

@@ -32,10 +32,10 @@ impl SchemaReader<'_, '_, '_> {
                 }
                 Ok(())
             })?;
-            let missing = || reader.json.fault("an attribute without a name or type".to_owned());
+            let missing = || reader.json.fault("an attribute has no name or type".to_owned());
             let (kind, name) = kind.zip(name).ok_or_else(missing)?;
             if name.len() > LONGEST_NAME {
-                let what = format!("the name of an attribute is {} bytes long", name.len());
+                let what = format!("the name of an attribute is too long: {} bytes", name.len());
                 return Err(reader.json.fault(what));
             }
             let attribute = match &*kind {
@@ -46,7 +46,8 @@ impl SchemaReader<'_, '_, '_> {
             };
             attributes.extend(attribute);
             if attributes.len() > MOST_ATTRIBUTES {
-                return Err(reader.json.fault(format!("more than {MOST_ATTRIBUTES} attributes")));
+                let what = format!("there are more than {MOST_ATTRIBUTES} attributes");
+                return Err(reader.json.fault(what));
             }
             Ok(())
         })?;
@@ -101,7 +102,10 @@ impl SchemaReader<'_, '_, '_> {
                 // there are too many.
                 JsonEvent::Text(text) if texts.len() <= MOST_TEXTS => texts.push(text),
                 JsonEvent::Text(_) => {}
-                other => return Err(self.json.fault(format!("{} among texts", shown(&other)))),
+                other => {
+                    let what = format!("expected a text, found {}", shown(&other));
+                    return Err(self.json.fault(what));
+                }
             }
         }
         Ok(())
@@ -143,15 +147,17 @@ impl SchemaReader<'_, '_, '_> {
         let fault = |what: String| self.json.fault(format!("attribute {name}: {what}"));
         let wrong_count = |found: u64, expected: Option<u64>| {
             let expected =
-                expected.map_or("more than can be".to_owned(), |count| count.to_string());
-            fault(format!("{found} numbers for {points} points, which take {expected}"))
+                expected.map_or("more than can exist".to_owned(), |count| count.to_string());
+            fault(format!("it has {found} numbers for {points} points, expected {expected}"))
         };
         let all = points.checked_mul(components);
         let data = match (tuples, arrays, raw) {
             (Some((own, run)), None, None) => {
                 // A geometry without points has no tuple that shows the number of components.
                 if own != components && points > 0 {
-                    return Err(fault(format!("tuples of {own} numbers, not of {components}")));
+                    return Err(fault(format!(
+                        "its tuples have {own} numbers, expected {components}"
+                    )));
                 }
                 if Some(run.numbers.count) != all {
                     return Err(wrong_count(run.numbers.count, all));
@@ -161,7 +167,10 @@ impl SchemaReader<'_, '_, '_> {
             (None, Some(arrays), None) => {
                 // A geometry without points may have no arrays.
                 if arrays.len() as u64 != components && !(arrays.is_empty() && points == 0) {
-                    return Err(fault(format!("{} arrays for {components} numbers", arrays.len())));
+                    return Err(fault(format!(
+                        "it has {} arrays, expected {components}",
+                        arrays.len()
+                    )));
                 }
                 if let Some(run) = arrays.iter().find(|run| run.numbers.count != points) {
                     return Err(wrong_count(run.numbers.count, Some(points)));
@@ -176,10 +185,12 @@ impl SchemaReader<'_, '_, '_> {
                     != Some(components)
                     || packing.contains(&0)
                 {
-                    return Err(fault(format!("packing of {packing:?} for {components} numbers")));
+                    return Err(fault(format!(
+                        "its packing {packing:?} does not fit {components} numbers"
+                    )));
                 }
                 let Some(size) = page.filter(|&size| size > 0) else {
-                    return Err(fault("pages without a pagesize".to_owned()));
+                    return Err(fault("its pages have no pagesize".to_owned()));
                 };
                 if flags.is_empty() {
                     flags.resize_with(packing.len(), || (0, Vec::new()));
@@ -190,7 +201,7 @@ impl SchemaReader<'_, '_, '_> {
                 {
                     let counts: Vec<u64> = flags.iter().map(|(count, _)| *count).collect();
                     return Err(fault(format!(
-                        "constant flags of {counts:?} pages, not of {pages}"
+                        "its constantpageflags are for {counts:?} pages, expected {pages}"
                     )));
                 }
                 let groups = packing.into_iter().zip(flags);
@@ -204,7 +215,7 @@ impl SchemaReader<'_, '_, '_> {
                 ValueLayout::Pages(pages)
             }
             (None, None, None) => return Ok(None),
-            _ => return Err(fault("several arrangements of its values".to_owned())),
+            _ => return Err(fault("it stores its values in several ways".to_owned())),
         };
         Ok(Some(PointValues { components, data }))
     }
@@ -267,19 +278,19 @@ impl SchemaReader<'_, '_, '_> {
                         JsonEvent::Bool(truth) => take(JsonNumber::Integer(truth.into())),
                         JsonEvent::Integer(whole) => take(JsonNumber::Integer(whole)),
                         other => {
-                            let what = format!("{} among constantpageflags", shown(&other));
+                            let what = format!("constantpageflags contains {}", shown(&other));
                             return Err(self.json.fault(what));
                         }
                     }
                 },
                 other => {
-                    let what = format!("{} among constantpageflags", shown(&other));
+                    let what = format!("constantpageflags contains {}", shown(&other));
                     return Err(self.json.fault(what));
                 }
             }
             self.flag_words += bits.len();
             if count.div_ceil(64) > bits.len() as u64 || groups.len() as u64 == MOST_COMPONENTS {
-                return Err(self.json.fault("too many constantpageflags".to_owned()));
+                return Err(self.json.fault("constantpageflags has too many flags".to_owned()));
             }
             groups.push((count, bits));
         }

@@ -254,7 +254,7 @@ impl SchemaReader<'_, '_, '_> {
             JsonEvent::List | JsonEvent::Map => self.entries_within(take),
             // Some writers write an empty list as an empty array of numbers.
             JsonEvent::Numbers(JsonNumbers { count: 0, .. }) => Ok(()),
-            _ => Err(self.json.fault(format!("expected {what} as a list of keys and values"))),
+            _ => Err(self.json.fault(format!("{what} must be a list of keys and values"))),
         }
     }
 
@@ -300,14 +300,14 @@ impl SchemaReader<'_, '_, '_> {
     fn count(&mut self, what: &str) -> Result<u64, ReadFault> {
         match self.json.next()? {
             JsonEvent::Integer(count @ 0..) => Ok(count as u64),
-            other => Err(self.json.fault(format!("{what} is {}", shown(&other)))),
+            other => Err(self.json.fault(format!("{what} cannot be {}", shown(&other)))),
         }
     }
 
     fn text(&mut self, what: &str) -> Result<Rc<str>, ReadFault> {
         match self.json.next()? {
             JsonEvent::Text(text) => Ok(text),
-            other => Err(self.json.fault(format!("{what} is {}", shown(&other)))),
+            other => Err(self.json.fault(format!("{what} cannot be {}", shown(&other)))),
         }
     }
 
@@ -325,7 +325,7 @@ impl SchemaReader<'_, '_, '_> {
     ) -> Result<NumberRun, ReadFault> {
         match first {
             JsonEvent::Numbers(JsonNumbers { storage: Storage::Bits, .. }) => {
-                return Err(self.json.fault(format!("{what} is an array of booleans")));
+                return Err(self.json.fault(format!("{what} cannot be an array of booleans")));
             }
             JsonEvent::Numbers(numbers) => {
                 return Ok(NumberRun { place: NumberLocation::Document, numbers });
@@ -334,7 +334,7 @@ impl SchemaReader<'_, '_, '_> {
             other => {
                 return Err(self
                     .json
-                    .fault(format!("expected {what} as numbers, found {}", shown(&other))));
+                    .fault(format!("expected numbers for {what}, found {}", shown(&other))));
             }
         }
         let scalar = storage.scalar();
@@ -349,11 +349,11 @@ impl SchemaReader<'_, '_, '_> {
                 other => {
                     return Err(self
                         .json
-                        .fault(format!("{} among the numbers of {what}", shown(&other))));
+                        .fault(format!("expected numbers for {what}, found {}", shown(&other))));
                 }
             };
             number.put(scalar, &mut chunk).ok_or_else(|| {
-                self.json.fault(format!("a number of {what} does not fit its type"))
+                self.json.fault(format!("a number of {what} is out of the range of its type"))
             })?;
             count += 1;
             if chunk.len() >= CHUNK {
@@ -433,12 +433,13 @@ impl SchemaReader<'_, '_, '_> {
             match self.json.next()? {
                 JsonEvent::End => return Ok(()),
                 JsonEvent::List => take(self)?,
-                other => return Err(self.json.fault(format!("{} among {what}", shown(&other)))),
+                other => return Err(self.json.fault(format!("{what} contain {}", shown(&other)))),
             }
             match self.json.next()? {
                 JsonEvent::End => {}
                 other => {
-                    return Err(self.json.fault(format!("{} in a pair of {what}", shown(&other))));
+                    let what = format!("a pair of {what} contains {}", shown(&other));
+                    return Err(self.json.fault(what));
                 }
             }
         }
@@ -457,8 +458,7 @@ impl SchemaReader<'_, '_, '_> {
                 }
                 Ok(())
             })?;
-            let kind =
-                kind.ok_or_else(|| reader.json.fault("a primitive without a type".to_owned()))?;
+            let kind = kind.ok_or_else(|| reader.json.fault("a primitive has no type".to_owned()))?;
             let mut count = 1;
             let (kind, is_run) = match of_run {
                 Some(of_run) if &*kind == "run" => (of_run, true),

@@ -33,7 +33,7 @@ class Arrays:
             # number.
             is_finite = np.isfinite(vertices.sum(dtype=np.float64))
         if not is_finite:
-            raise OutOfRange("The surface exceeds single precision, which Blender uses")
+            raise OutOfRange("The surface has coordinates that are too large for Blender, which uses single precision")
         return cls(
             vertices=vertices,
             # uint32 and int32 agree on all indices: a Blender mesh has fewer than 2^31 vertices.

@@ -232,7 +232,7 @@ def vertices_of_an_object_are_particles() -> None:
     assert len(made) <= 1, made
     bpy.data.objects.remove(source)
     scene.frame_set(2)
-    assert "Choose an object" in live.status_of(shown.data).error and sizes(shown.data) == (0, 0)
+    assert "Choose the object" in live.status_of(shown.data).error and sizes(shown.data) == (0, 0)
 
 
 @check
@@ -338,7 +338,7 @@ def what_is_wrong_is_a_sentence() -> None:
     refused(shown, "nowhere")
     shown = dam()
     shown.data.meniscus.path = ""
-    refused(shown, "No files are chosen")
+    refused(shown, "Choose the particle files")
     shown.data.meniscus.path = str(DAM)
     refused(shown, "several simulations")
     shown.data.meniscus.path = str(DAM / "ParticleData_Fluid_{}.bgeo")

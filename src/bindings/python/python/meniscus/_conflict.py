@@ -24,4 +24,4 @@ def require_own_package() -> None:
     package = sys.modules["meniscus"]
     if not hasattr(package, "reconstruct"):
         where = getattr(package, "__file__", None) or list(package.__path__)
-        raise ImportError(f"import meniscus does not give the package meniscus-surface, but {where}. {_REMEDY}")
+        raise ImportError(f"import meniscus loads {where}, not the package meniscus-surface. {_REMEDY}")

@@ -193,7 +193,7 @@ class SurfaceReconstruction:
 
 def _one_each(name: str, attribute: _Array, count: int) -> _Array:
     if len(attribute) != count:
-        raise ValueError(f"{name}: {len(attribute)} values for {count}")
+        raise ValueError(f"{name}: has {len(attribute)} values, expected {count}")
     return np.array(attribute)
 
 
@@ -205,7 +205,7 @@ def _ignore(keywords: Mapping[str, bool]) -> None:
     new = [name for name, given in keywords.items() if given and name not in _ignored]
     if new:
         _ignored.update(new)
-        what = f"meniscus has nothing for these keywords of pysplashsurf's, and ignores them: {', '.join(new)}"
+        what = f"meniscus ignores these keywords of pysplashsurf: {', '.join(new)}"
         warnings.warn(what, MeshWarning, stacklevel=3)
 
 
