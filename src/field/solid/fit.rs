@@ -207,7 +207,7 @@ mod tests {
         let part = CellBox { lo: IVec3::new(-3, -2, -4), hi: IVec3::new(4, 3, 5) };
         let around = part.grown(gaussian.reach(), gaussian.reach());
         for normal in [IVec3::X, IVec3::NEG_Y, IVec3::Z, IVec3::new(1, -1, 1)] {
-            let is_outside = |cell: IVec3| (cell.dot(normal) >= 1) as u16 * WHOLE;
+            let is_outside = |cell: IVec3| u16::from(cell.dot(normal) >= 1) * WHOLE;
             let (dense, usable) = sampled(around, is_outside);
             let mut fit = LinearFit::new(&gaussian, &dense, &usable, part);
             for cell in super::super::places(part).filter(|cell| cell.dot(normal) > -2) {
