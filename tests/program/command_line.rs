@@ -800,7 +800,7 @@ fn coordinates_beyond_f32_are_written_as_f64_or_refused() {
                 folder.path(),
                 &[name, "-o", "out.stl", "--spacing", &spacing],
                 2,
-                &[".stl", "f32"],
+                &[".stl", "32-bit floats"],
             );
         }
     }

@@ -5,7 +5,7 @@
 //! is computed as if the solid were bounded by a plane at the solid's distance from the cell's
 //! centre. Where w is less than 1, the density of the nearby fluid is blended in, with a weight
 //! that grows from 0 to 1 as w falls from 1 to 0.9. The density that is blended in is the value, at
-//! the cell, of the linear function that best fits rho / w under a Gaussian of 1.8 d (moving least
+//! the cell, of the linear function that best fits rho / w under a Gaussian of 1 d (moving least
 //! squares, Lancaster and Salkauskas 1981). Over the same range of w, the weights of the fit fall
 //! from 1 to 0. At a sloping solid, a mean would bend the level surface of the fluid, and so would
 //! a fit to cells that are mostly solid. Where too little fluid is within reach of the fit, as deep
@@ -31,7 +31,7 @@ use fit::LinearFit;
 /// A cell's density is used only if more than this share of its cloud lies outside the solid.
 const USABLE: u16 = WHOLE / 10 * 9;
 /// The standard deviation of the Gaussian for the linear fit, in spacings.
-const FIT: f64 = 1.8;
+const FIT: f64 = 1.0;
 /// The cut-off of this Gaussian, in standard deviations.
 const FIT_CUT: f64 = 2.5;
 /// The standard deviation of the Gaussian for means, in spacings.
