@@ -917,9 +917,7 @@ fn invalid_simplify_component_compress_and_up_options_are_refused() {
         folder.path(),
         &all,
         3,
-        &[
-            "smallest-component removed its only component; use a smaller --smallest-component",
-        ],
+        &["smallest-component removed its only component; use a smaller --smallest-component"],
     );
 }
 

@@ -180,7 +180,10 @@ impl Json for Binary<'_> {
     fn end(&mut self) -> Result<(), ReadFault> {
         let at = self.cursor.at();
         if at < self.len {
-            return Err(malformed(at, format!("{} extra bytes follow the geometry", self.len - at)));
+            return Err(malformed(
+                at,
+                format!("{} extra bytes follow the geometry", self.len - at),
+            ));
         }
         Ok(())
     }

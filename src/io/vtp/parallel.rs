@@ -279,7 +279,8 @@ impl List {
             }
             Ok(())
         })?;
-        let Format { name, .. } = format.ok_or_else(|| malformed(0, "the file has no <VTKFile>"))?;
+        let Format { name, .. } =
+            format.ok_or_else(|| malformed(0, "the file has no <VTKFile>"))?;
         if files.is_empty() {
             return Err(malformed(0, "names no pieces"));
         }

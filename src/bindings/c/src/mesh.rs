@@ -627,8 +627,7 @@ fn on_threads<T: Send>(count: usize, act: impl FnOnce() -> T + Send) -> Outcome<
 
 fn format(path: &Path) -> Outcome<MeshFormat> {
     let known = MeshFormat::KNOWN;
-    let unknown = || {
-        Failure::request(format!("{}: unknown extension; supported: {known}", path.display()))
-    };
+    let unknown =
+        || Failure::request(format!("{}: unknown extension; supported: {known}", path.display()));
     MeshFormat::of(path).ok_or_else(unknown)
 }

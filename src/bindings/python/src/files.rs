@@ -200,6 +200,5 @@ pub fn paths(name: &str, inputs: &Bound<'_, PyAny>) -> PyResult<Vec<PathBuf>> {
         return Ok(vec![path]);
     }
     let several = inputs.try_iter().and_then(|paths| paths.map(|path| path?.extract()).collect());
-    several
-        .map_err(|_| PyTypeError::new_err(format!("{name}: must be a path or a list of paths")))
+    several.map_err(|_| PyTypeError::new_err(format!("{name}: must be a path or a list of paths")))
 }

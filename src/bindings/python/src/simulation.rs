@@ -151,7 +151,9 @@ impl Simulation {
         let asked = Keywords::of("Simulation", keywords, known)?;
         let (Some(inputs), Some(output)) = (inputs, &output) else {
             if inputs.is_some() || output.is_some() {
-                return Err(InputError::new_err("output: inputs and output must be given together"));
+                return Err(InputError::new_err(
+                    "output: inputs and output must be given together",
+                ));
             }
             refuse_of_files(keywords)?;
             let request = asked.on_machine(None)?;

@@ -458,7 +458,8 @@ impl SchemaReader<'_, '_, '_> {
                 }
                 Ok(())
             })?;
-            let kind = kind.ok_or_else(|| reader.json.fault("a primitive has no type".to_owned()))?;
+            let kind =
+                kind.ok_or_else(|| reader.json.fault("a primitive has no type".to_owned()))?;
             let mut count = 1;
             let (kind, is_run) = match of_run {
                 Some(of_run) if &*kind == "run" => (of_run, true),
