@@ -31,8 +31,8 @@ const ALONG_Y: [(usize, usize); 9] =
 
 /// Sums along x and y, at all cells of a box with the same z coordinate, with x varying fastest.
 /// Let u be the share of a cell, and f the product of its share and its density. The sums are those
-/// of u, u x, u x², u y, u x y, u y², f, f x and f y, times the weights along x and y. x and y are
-/// relative to the cell to which the sum belongs.
+/// of u, u x, u x^2, u y, u x y, u y^2, f, f x and f y, times the weights along x and y. x and y
+/// are relative to the cell to which the sum belongs.
 type Plane = [Vec<f64>; ALONG_Y.len()];
 
 /// Fits linear functions to the densities of the cells outside a solid. The cells' z coordinates
@@ -188,12 +188,13 @@ fn add_weighted(to: &mut [f64], taps: &[f64], step: usize, weights: &[f64]) {
 
 #[cfg(test)]
 mod tests {
+    use super::super::places;
     use super::*;
 
     /// A linear density on a box of cells, with a share for each cell.
     fn sampled(cells: CellBox, share: impl Fn(IVec3) -> u16) -> (Block, Block) {
         let (mut dense, mut usable) = (Block::zero(cells), Block::zero(cells));
-        for cell in super::super::places(cells) {
+        for cell in places(cells) {
             let index = dense.index(cell);
             dense.samples_mut()[index] = (5000 + 300 * cell.x - 200 * cell.y + 100 * cell.z) as u16;
             usable.samples_mut()[index] = share(cell);
@@ -210,7 +211,7 @@ mod tests {
             let is_outside = |cell: IVec3| u16::from(cell.dot(normal) >= 1) * WHOLE;
             let (dense, usable) = sampled(around, is_outside);
             let mut fit = LinearFit::new(&gaussian, &dense, &usable, part);
-            for cell in super::super::places(part).filter(|cell| cell.dot(normal) > -2) {
+            for cell in places(part).filter(|cell| cell.dot(normal) > -2) {
                 let expected = f64::from(5000 + 300 * cell.x - 200 * cell.y + 100 * cell.z);
                 let found = fit.at(cell).unwrap() as f64;
                 // The stiffness makes the continuation slightly too flat.
@@ -230,7 +231,7 @@ mod tests {
         };
         let (dense, usable) = sampled(around(part), share);
         let mut fit = LinearFit::new(&gaussian, &dense, &usable, part);
-        let all: Vec<_> = super::super::places(part).map(|cell| (cell, fit.at(cell))).collect();
+        let all: Vec<_> = places(part).map(|cell| (cell, fit.at(cell))).collect();
         let few = CellBox { lo: IVec3::new(2, 3, 1), hi: IVec3::new(8, 6, 9) };
         let (dense, usable) = (dense.part(around(few)), usable.part(around(few)));
         let mut fit = LinearFit::new(&gaussian, &dense, &usable, few);
