@@ -32,6 +32,10 @@ const POSITION: [&str; 25] = [
     "r",
 ];
 
+/// Names of the field that contains the time of a file, in order of preference. VTK writes the
+/// first, and its older readers expect `TIME`. Simulations also use the others.
+pub const TIMES: [&str; 5] = ["TimeValue", "time", "Time", "TIME", "t"];
+
 /// Name of a colour whose components are separate columns.
 pub const COLOUR: &str = "color";
 /// Names of the columns of a colour; the fourth is optional.
@@ -51,6 +55,15 @@ pub struct Quantity {
     pub name: String,
     /// Indices of its columns: one column, or the columns of x, y and z, or of a colour.
     pub columns: Vec<usize>,
+}
+
+/// Whether the field `name` contains the time of a file, and is preferred to the field `known`.
+pub fn is_preferred_time(name: &str, known: Option<&str>) -> bool {
+    let rank = |name: &str| TIMES.iter().position(|time| *time == name);
+    match (rank(name), known.and_then(rank)) {
+        (Some(new), Some(old)) => new < old,
+        (new, old) => new.is_some() && old.is_none(),
+    }
 }
 
 /// Decodes percent codes. For example, `%20` becomes a space.

@@ -427,6 +427,57 @@ fn vtk_xml_and_npz_give_attributes_and_time_in_every_encoding() {
 }
 
 #[test]
+fn legacy_and_xml_vtk_files_take_the_time_from_the_same_fields() {
+    let legacy = |fields: &[(&str, &str)]| {
+        let field = |(name, values): &(&str, &str)| {
+            format!("{name} 1 {} double\n{values}\n", values.split(' ').count())
+        };
+        format!(
+            "# vtk DataFile Version 3.0\nt\nASCII\nDATASET POLYDATA\nFIELD FieldData {}\n{}\
+             POINTS 1 float\n1 2 3\n",
+            fields.len(),
+            fields.iter().map(field).collect::<String>()
+        )
+    };
+    let xml = |fields: &[(&str, &str)]| {
+        let field = |(name, values): &(&str, &str)| {
+            format!(
+                "<DataArray type=\"Float64\" Name=\"{name}\" NumberOfTuples=\"{}\" \
+                 format=\"ascii\">{values}</DataArray>",
+                values.split(' ').count()
+            )
+        };
+        format!(
+            "<VTKFile type=\"UnstructuredGrid\"><UnstructuredGrid><FieldData>{}</FieldData>\
+             <Piece NumberOfPoints=\"1\"><Points><DataArray type=\"Float32\" \
+             NumberOfComponents=\"3\">1 2 3</DataArray></Points></Piece></UnstructuredGrid>\
+             </VTKFile>",
+            fields.iter().map(field).collect::<String>()
+        )
+    };
+    let cases: [(&[(&str, &str)], Option<f64>); 8] = [
+        (&[("time", "0.5")], Some(0.5)),
+        (&[("t", "0.25")], Some(0.25)),
+        (&[("mass", "2")], None),
+        (&[("time", "1 2")], None),
+        // The order of the names decides, not that of the fields.
+        (&[("time", "1"), ("TimeValue", "0.5")], Some(0.5)),
+        (&[("TimeValue", "0.5"), ("time", "1")], Some(0.5)),
+        (&[("TIME", "3"), ("Time", "2"), ("t", "1")], Some(2.0)),
+        (&[("TimeValue", "1 2"), ("time", "0.5")], Some(0.5)),
+    ];
+    for (fields, time) in cases {
+        for (reader, text) in [(VTK, legacy(fields)), (VTU, xml(fields))] {
+            assert_eq!(read(reader, text.as_bytes()).unwrap().time, time, "{text}");
+        }
+    }
+    let announced = xml(&[("time", "1 2")]);
+    let not = announced.replace(" NumberOfTuples=\"2\"", "");
+    assert_ne!(not, announced);
+    assert_eq!(read(VTU, not.as_bytes()).unwrap().time, None, "two numbers");
+}
+
+#[test]
 fn encoded_numbers_beyond_the_memory_limit_are_decoded_to_scratch_files() {
     let scratch = tempfile::tempdir().unwrap();
     let unpacking = Unpacking { in_memory: 100, scratch: scratch.path(), control: None };

@@ -10,13 +10,12 @@ use hdf5_reader::messages::layout::DataLayout;
 use hdf5_reader::{Dataset, FilterRegistry, Hdf5File, OpenOptions, Storage, StorageBuffer};
 
 use crate::io::bytes::{Bytes, Unpacking, unpacked_limit};
+use crate::io::names::TIMES;
 use crate::io::{ReadFault, malformed};
 
 use super::lzf;
 use super::table::{H5Array, RowPart, scalar};
 
-/// Possible names of the attribute or data set that contains the time of a step or a file.
-const TIMES: [&str; 5] = ["TimeValue", "time", "Time", "TIME", "t"];
 /// Maximum size, in bytes, of the cache of decoded chunks. The cache serves repeated reads of rows
 /// in the same chunk.
 const CHUNKS: u64 = 16 << 20;

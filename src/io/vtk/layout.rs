@@ -3,7 +3,7 @@
 use crate::io::bytes::ByteView;
 use crate::io::columns::{Endian, Scalar};
 use crate::io::ghosts::is_flag;
-use crate::io::names::percent_decoded;
+use crate::io::names::{is_preferred_time, percent_decoded};
 use crate::io::scan::{Lines, Scanner};
 use crate::io::vertices::integer;
 use crate::io::{ReadFault, malformed};
@@ -11,10 +11,6 @@ use crate::io::{ReadFault, malformed};
 /// Maximum number of components of an array without tuples. For such an array, the size of the file
 /// does not bound this number. A tensor has 9 components.
 const MOST_OF_NOTHING: usize = 9;
-
-/// Names of the field that contains the time. VTK's readers use the first, and newer writers the
-/// second. Simulations use the others.
-const TIMES: [&str; 4] = ["TIME", "TimeValue", "time", "Time"];
 
 /// The sections of a file that the reader uses.
 #[derive(Debug)]
@@ -348,10 +344,11 @@ impl<'a> LayoutParser<'a> {
                     }
                     _ => {
                         let array = self.array(&name, tuples, self.count(components)?, kind)?;
-                        if self.owner.is_none() && TIMES.contains(&&*name) {
-                            self.time = array.filter(|array| array.values() == 1);
-                        } else {
-                            self.keep(array);
+                        match self.owner {
+                            None => self.keep_time(array),
+                            Some(_) => {
+                                self.keep(array);
+                            }
                         }
                         Ok(())
                     }
@@ -360,6 +357,16 @@ impl<'a> LayoutParser<'a> {
             _ => {
                 Err(self.fault("expected an array of FIELD: name, components, tuples, type".into()))
             }
+        }
+    }
+
+    /// Keeps an array that belongs to the whole file, if it contains the time.
+    fn keep_time(&mut self, array: Option<VtkArray>) {
+        let known = self.time.as_ref().map(|time| &*time.name);
+        let is_time =
+            |array: &VtkArray| array.values() == 1 && is_preferred_time(&array.name, known);
+        if let Some(time) = array.filter(is_time) {
+            self.time = Some(time);
         }
     }
 

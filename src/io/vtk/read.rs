@@ -38,8 +38,8 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
 ///
 /// Every numeric array in `POINT_DATA` becomes an attribute. Percent codes in its name are decoded.
 /// Strings, bits, colours and cell data are skipped, except for cell data that flags vertex cells
-/// as copies or hidden: a point is left out if all of its vertex cells are flagged. The file's
-/// field `TIME` or `TimeValue` gives the time.
+/// as copies or hidden: a point is left out if all of its vertex cells are flagged. A field of the
+/// file with one of the names [`TIMES`](crate::io::names::TIMES) gives the time.
 ///
 /// # Errors
 /// [`ReadFault::Truncated`] for an array that exceeds the file, [`ReadFault::Malformed`] (or

@@ -248,14 +248,15 @@ impl<'a> Decoder<'a> {
         })
     }
 
-    /// Decodes the first number of an array.
-    pub fn first(&mut self, array: &VtpArray) -> Result<Option<f64>, ReadFault> {
+    /// Decodes an array of a single number. `None` if it has several numbers or none.
+    pub fn single(&mut self, array: &VtpArray) -> Result<Option<f64>, ReadFault> {
         if let DataLocation::Text(text) = &array.data {
-            return Ok(numbers(&self.layout.text()[..text.end], text.start)?.first().copied());
+            let numbers: Vec<f64> = numbers(&self.layout.text()[..text.end], text.start)?;
+            return Ok(numbers.first().copied().filter(|_| numbers.len() == 1));
         }
         let bytes = self.whole(array)?;
-        let first = bytes.get(..array.scalar.size());
-        Ok(first.map(|first| double((array.scalar, self.layout.endian), first)))
+        let is_single = bytes.len() == array.scalar.size();
+        Ok(is_single.then(|| double((array.scalar, self.layout.endian), &bytes)))
     }
 
     fn whole(&mut self, array: &VtpArray) -> Result<Vec<u8>, ReadFault> {

@@ -7,10 +7,8 @@ use quick_xml::events::{BytesStart, Event};
 
 use crate::io::bytes::{ByteView, PrivateBytes, Slice};
 use crate::io::columns::{Endian, Scalar};
+use crate::io::names::is_preferred_time;
 use crate::io::{ReadFault, malformed};
-
-/// Name of the array that contains the time of the file.
-pub(super) const TIME: &str = "TimeValue";
 
 /// The part of the file to which an array belongs.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -303,8 +301,9 @@ impl<'a> VtpLayout<'a> {
             }
             return Ok(());
         };
+        let known_time = self.time.as_ref().map(|time| &*time.name);
         let arrays = match (section, self.pieces.last_mut()) {
-            (Section::FieldData, _) if name != TIME || self.time.is_some() => return Ok(()),
+            (Section::FieldData, _) if !is_preferred_time(&name, known_time) => return Ok(()),
             (Section::FieldData, _) => None,
             (_, Some(piece)) => Some(&mut piece.arrays),
             (_, None) => return Err(malformed(tag.at, format!("array {name} is in no <Piece>"))),
@@ -312,6 +311,12 @@ impl<'a> VtpLayout<'a> {
         let default = if is_points { 3 } else { 1 };
         let components = tag.number("NumberOfComponents")?.unwrap_or(default);
         if components == 0 && section == Section::PointData {
+            return Ok(());
+        }
+        // The time is a single number.
+        let tuples = tag.value("NumberOfTuples")?;
+        let has_several = components != 1 || tuples.is_some_and(|tuples| tuples.trim() != "1");
+        if section == Section::FieldData && has_several {
             return Ok(());
         }
         let data = match tag.value("format")?.as_deref() {

@@ -26,9 +26,9 @@ use super::layout::{DataSet, HEAD, Section, VtpArray, VtpLayout, VtpPiece};
 /// Raw appended arrays of a single piece are read in place. If there are several pieces, or any
 /// array is text, base64 or compressed, all arrays are decoded.
 ///
-/// Every numeric array in `PointData` that all pieces have becomes an attribute. `TimeValue` in
-/// `FieldData` gives the time. A point is left out if `CellData` flags its vertex cells as copies
-/// or hidden.
+/// Every numeric array in `PointData` that all pieces have becomes an attribute. An array in
+/// `FieldData` with one of the names [`TIMES`](crate::io::names::TIMES) gives the time. A point is
+/// left out if `CellData` flags its vertex cells as copies or hidden.
 ///
 /// # Errors
 /// [`ReadFault::Mesh`] if a cell has an area or a volume, [`ReadFault::Truncated`] and
@@ -140,7 +140,7 @@ fn points(
         DataSet::UnstructuredGrid => "VTK XML .vtu",
     };
     let mut decoder = Decoder::new(&layout, unpacking);
-    let time = layout.time.as_ref().map(|array| decoder.first(array)).transpose()?.flatten();
+    let time = layout.time.as_ref().map(|array| decoder.single(array)).transpose()?.flatten();
     let time = time.filter(|time| time.is_finite());
     let left = not_ghosts(&layout, &mut decoder)?;
     let names = attributes(&layout.pieces);
