@@ -11,7 +11,7 @@ use meniscus::internals::io::input::{holds_mesh, open_particles};
 use meniscus::internals::io::{ParticleFile, ReadError, ReadFault};
 use tempfile::TempDir;
 
-use crate::build::{VtkXml, tuples};
+use crate::build::{Compressor, Placed, VtkXml, tuples};
 use crate::common::particle_files::positions;
 
 fn open(path: &Path) -> Result<ParticleFile, ReadError> {
@@ -108,6 +108,25 @@ fn cell_types_after_the_first_face_are_not_read() {
     assert!(matches!(open(&path).unwrap_err().fault, ReadFault::Line { .. }));
     let path = written(&folder, "a.vtu", grid(["1 wrong 10", "1"]));
     holds_mesh(&path).unwrap_err();
+}
+
+#[test]
+fn blocks_of_cell_types_after_the_first_face_are_not_decompressed() {
+    let folder = TempDir::new().unwrap();
+    let points = tuples(20);
+    let is_packed =
+        |l: &VtkXml| l.placed == Placed::AppendedRaw && l.compressor == Compressor::Zlib;
+    for layout in VtkXml::all().into_iter().filter(is_packed) {
+        for (first, is_mesh) in [(5.0, Some(true)), (1.0, None)] {
+            // The types are the last array, in three blocks. The checksum of the last is damaged.
+            let types: Vec<f64> = (0..20).map(|cell| if cell == 0 { first } else { 1.0 }).collect();
+            let mut bytes = layout.build_cells(&points, &types);
+            let end = bytes.len() - "\n</AppendedData></VTKFile>\n".len();
+            bytes[end - 1] ^= 1;
+            let path = written(&folder, "a.vtu", bytes);
+            assert_eq!(holds_mesh(&path).ok(), is_mesh, "{layout:?}");
+        }
+    }
 }
 
 #[test]

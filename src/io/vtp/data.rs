@@ -9,6 +9,7 @@
 //! Arrays with the same name in several pieces are joined.
 
 use std::io::{self, Read};
+use std::ops::ControlFlow;
 
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
@@ -167,13 +168,15 @@ impl<'a> Decoder<'a> {
         }
         let stored = StoredArray { layout: self.layout, array };
         let (out, as_stored) = (&mut self.unpacked, (array.scalar, self.layout.endian));
-        if kind == as_stored {
-            let mut take = |chunk: &[u8]| out.push(chunk);
-            return stored.read(Some(points), &mut self.allowance, &mut take);
-        }
-        stored.each_number(Some(points), &mut self.allowance, |number| {
-            out.push(&double(as_stored, number).to_le_bytes())
-        })
+        let mut push = |bytes: &[u8]| out.push(bytes).map(ControlFlow::Continue);
+        let read = if kind == as_stored {
+            stored.read(Some(points), &mut self.allowance, &mut push)
+        } else {
+            stored.each_number(Some(points), &mut self.allowance, |number| {
+                push(&double(as_stored, number).to_le_bytes())
+            })
+        };
+        read.map(|_| ())
     }
 
     /// Returns the decoded data. `None` if all columns are in the file.
@@ -204,11 +207,12 @@ impl<'a> Decoder<'a> {
         mut take: impl FnMut(usize, i64),
     ) -> Result<(), ReadFault> {
         let mut count = 0;
-        self.try_each_integer(array, |number| {
+        let read = self.integers_until(array, |number| {
             take(count, number);
             count += 1;
-            Ok(())
-        })
+            ControlFlow::Continue(())
+        });
+        read.map(|_| ())
     }
 
     /// Whether `holds` returns true for a number of an integer array. Decodes no further numbers.
@@ -217,34 +221,35 @@ impl<'a> Decoder<'a> {
         array: &VtpArray,
         holds: impl Fn(i64) -> bool,
     ) -> Result<bool, ReadFault> {
-        let mut found = false;
-        let searched = self.try_each_integer(array, |number| {
-            found = holds(number);
-            // The error only ends the search. It is not returned.
-            if found { Err(ReadFault::Empty) } else { Ok(()) }
+        let found = self.integers_until(array, |number| match holds(number) {
+            true => ControlFlow::Break(()),
+            false => ControlFlow::Continue(()),
         });
-        if found { Ok(true) } else { searched.map(|()| false) }
+        found.map(|flow| flow.is_break())
     }
 
-    /// Calls `take` with each number of an integer array, until `take` returns an error.
-    fn try_each_integer(
+    /// Calls `take` with each number of an integer array, until `take` breaks.
+    fn integers_until(
         &mut self,
         array: &VtpArray,
-        mut take: impl FnMut(i64) -> Result<(), ReadFault>,
-    ) -> Result<(), ReadFault> {
+        mut take: impl FnMut(i64) -> ControlFlow<()>,
+    ) -> Result<ControlFlow<()>, ReadFault> {
         if let DataLocation::Text(text) = &array.data {
             let mut scan = Scanner::releasing_to(self.layout.text(), text.clone());
             loop {
                 scan.skip_whitespace();
                 if scan.rest().is_empty() {
-                    return Ok(());
+                    return Ok(ControlFlow::Continue(()));
                 }
-                take(scan.number()?)?;
+                if take(scan.number()?).is_break() {
+                    return Ok(ControlFlow::Break(()));
+                }
             }
         }
         let (stored, endian) = (StoredArray { layout: self.layout, array }, self.layout.endian);
         stored.each_number(None, &mut self.allowance, |number| {
-            take(integer(array.scalar, endian, number).ok_or_else(|| no_integers(array))?)
+            let number = integer(array.scalar, endian, number);
+            number.map(&mut take).ok_or_else(|| no_integers(array))
         })
     }
 
@@ -262,9 +267,9 @@ impl<'a> Decoder<'a> {
     fn whole(&mut self, array: &VtpArray) -> Result<Vec<u8>, ReadFault> {
         let mut bytes = Vec::new();
         let stored = StoredArray { layout: self.layout, array };
-        stored.read(None, &mut self.allowance, &mut |chunk| {
+        let _ = stored.read(None, &mut self.allowance, &mut |chunk| {
             bytes.extend_from_slice(chunk);
-            Ok(())
+            Ok(ControlFlow::Continue(()))
         })?;
         Ok(bytes)
     }
@@ -309,7 +314,8 @@ fn numbers<T: ParseNumber>(text: &[u8], at: usize) -> Result<Vec<T>, ReadFault> 
     }
 }
 
-type TakeBytes<'t> = dyn FnMut(&[u8]) -> Result<(), ReadFault> + 't;
+/// A function that takes bytes, and breaks if it needs no more.
+type TakeBytes<'t> = dyn FnMut(&[u8]) -> Result<ControlFlow<()>, ReadFault> + 't;
 
 /// An array that is stored as numbers, not as text.
 struct StoredArray<'a> {
@@ -318,35 +324,39 @@ struct StoredArray<'a> {
 }
 
 impl StoredArray<'_> {
-    /// Calls `take` with the bytes of each number. The other arguments are those of
-    /// [`read`](Self::read).
+    /// Calls `take` with the bytes of each number, until `take` breaks. The other arguments are
+    /// those of [`read`](Self::read).
     fn each_number(
         &self,
         points: Option<usize>,
         allowance: &mut u64,
-        mut take: impl FnMut(&[u8]) -> Result<(), ReadFault>,
-    ) -> Result<(), ReadFault> {
+        mut take: impl FnMut(&[u8]) -> Result<ControlFlow<()>, ReadFault>,
+    ) -> Result<ControlFlow<()>, ReadFault> {
         let size = self.array.scalar.size();
         // A batch may end within a number, so the start of that number is kept for the next batch.
         let mut begun = Vec::new();
         self.read(points, allowance, &mut |chunk| {
             begun.extend_from_slice(chunk);
             let whole = begun.len() / size * size;
-            begun[..whole].chunks_exact(size).try_for_each(&mut take)?;
+            for number in begun[..whole].chunks_exact(size) {
+                if take(number)?.is_break() {
+                    return Ok(ControlFlow::Break(()));
+                }
+            }
             begun.drain(..whole);
-            Ok(())
+            Ok(ControlFlow::Continue(()))
         })
     }
 
-    /// Calls `take` with batches of the numbers' bytes, and subtracts the number of bytes from
-    /// `allowance`. `points` is the number of points for which the array must have values. If it is
-    /// `None`, the array may have any length.
+    /// Calls `take` with batches of the numbers' bytes, until `take` breaks, and subtracts the size
+    /// of the array from `allowance`. `points` is the number of points for which the array must
+    /// have values. If it is `None`, the array may have any length.
     fn read(
         &self,
         points: Option<usize>,
         allowance: &mut u64,
         take: &mut TakeBytes<'_>,
-    ) -> Result<(), ReadFault> {
+    ) -> Result<ControlFlow<()>, ReadFault> {
         let mut stream: Box<dyn Read> = match self.array.data {
             DataLocation::Base64(ref text) => {
                 let text = RemainingText {
@@ -403,16 +413,19 @@ impl StoredArray<'_> {
                 for (number, packed) in (0..).zip(packed) {
                     let mut packed = stream.by_ref().take(packed);
                     let length = if number < full { block } else { last };
-                    match compressor {
+                    let unpacked = match compressor {
                         Compressor::Zlib => {
                             self.unpack(ZlibDecoder::new(&mut packed), length, take)
                         }
                         Compressor::Lzma => self.unpack(unpack_xz(&mut packed), length, take),
                         Compressor::Lz4 => self.unpack_lz4(&mut packed, length, take),
                     }?;
+                    if unpacked.is_break() {
+                        return Ok(ControlFlow::Break(()));
+                    }
                     io::copy(&mut packed, &mut io::sink()).map_err(|e| self.fault(&e))?;
                 }
-                Ok(())
+                Ok(ControlFlow::Continue(()))
             }
         }
     }
@@ -421,13 +434,14 @@ impl StoredArray<'_> {
         ReadFault::Compression(format!("array {}: {what}", self.array.name))
     }
 
-    /// Decompresses an LZ4 block. Its decompressed size must be `length` bytes.
+    /// Decompresses an LZ4 block, until `take` breaks. The decompressed size must be `length`
+    /// bytes.
     fn unpack_lz4(
         &self,
         packed: &mut io::Take<impl Read>,
         length: u64,
         take: &mut TakeBytes<'_>,
-    ) -> Result<(), ReadFault> {
+    ) -> Result<ControlFlow<()>, ReadFault> {
         if length > MOST_LZ4 {
             return Err(ReadFault::Unsupported(format!(
                 "array {} has LZ4 blocks of {length} bytes; save it in blocks of {MOST_LZ4} \
@@ -447,13 +461,13 @@ impl StoredArray<'_> {
         self.unpack(&plain[..count], length, take)
     }
 
-    /// Decompresses a block. Its decompressed size must be `length` bytes.
+    /// Decompresses a block, until `take` breaks. The decompressed size must be `length` bytes.
     fn unpack(
         &self,
         mut plain: impl Read,
         length: u64,
         take: &mut TakeBytes<'_>,
-    ) -> Result<(), ReadFault> {
+    ) -> Result<ControlFlow<()>, ReadFault> {
         let damaged = |what: String| self.damaged(what);
         let mut chunk = Vec::new();
         let mut left = length;
@@ -471,11 +485,13 @@ impl StoredArray<'_> {
             if chunk.is_empty() {
                 break;
             }
-            take(&chunk)?;
+            if take(&chunk)?.is_break() {
+                return Ok(ControlFlow::Break(()));
+            }
             left = rest;
         }
         match left {
-            0 => Ok(()),
+            0 => Ok(ControlFlow::Continue(())),
             _ => Err(damaged(format!("a block has less than {length} bytes"))),
         }
     }
@@ -485,16 +501,18 @@ impl StoredArray<'_> {
         stream: &mut dyn Read,
         length: u64,
         take: &mut TakeBytes<'_>,
-    ) -> Result<(), ReadFault> {
+    ) -> Result<ControlFlow<()>, ReadFault> {
         let mut chunk = vec![0; length.min(CHUNK as u64) as usize];
         let mut left = length;
         while left > 0 {
             let some = &mut chunk[..left.min(CHUNK as u64) as usize];
             stream.read_exact(some).map_err(|e| self.fault(&e))?;
-            take(some)?;
+            if take(some)?.is_break() {
+                return Ok(ControlFlow::Break(()));
+            }
             left -= some.len() as u64;
         }
-        Ok(())
+        Ok(ControlFlow::Continue(()))
     }
 
     /// Reads a length from the header of an array.
