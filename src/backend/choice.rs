@@ -11,6 +11,7 @@ use crate::vulkan::{
     Device, DeviceChoice, DeviceInfo, DeviceKind, DeviceOptions, Instance, VulkanError,
 };
 
+use super::vulkan::MOST_HOST_BYTES;
 use super::{Cpu, Executor, Vulkan};
 
 /// A CPU or a device that runs the stages of frames. All backends produce the same bytes.
@@ -64,8 +65,12 @@ impl Backend {
 /// corresponds to a million particles.
 const SMALL: u64 = 12_000_000;
 
-/// The smallest memory budget with which [`fastest`] looks for devices: drivers take about 100 MiB.
-const DRIVERS: MemoryBudget = MemoryBudget(1 << 30);
+/// The smallest memory budget with which [`fastest`] looks for a device.
+///
+/// The driver and the batches of a device take up to [`MOST_HOST_BYTES`] of this budget. They leave
+/// at least three fifths of it for particles, samples and the surface.
+const DEVICE_BUDGET: MemoryBudget = MemoryBudget(1 << 30);
+const _: () = assert!(MOST_HOST_BYTES <= DEVICE_BUDGET.0 / 5 * 2);
 
 /// Extensions of files whose size does not show the size of the particles, because the files are
 /// compressed or consist of several pieces.
@@ -75,7 +80,7 @@ const UNKNOWN_SIZE: [&str; 7] = ["gz", "xz", "zst", "mnf", "npz", "bi4", "vtm"];
 #[derive(Debug)]
 #[non_exhaustive]
 pub enum CpuReason {
-    /// Drivers may need this number of bytes, which exceeds the memory limit.
+    /// The memory limit is below this number of bytes. A device would take too much of it.
     LittleMemory(u64),
     /// The machine has no GPU.
     NoGpu,
@@ -92,8 +97,8 @@ pub enum CpuReason {
 impl fmt::Display for CpuReason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::LittleMemory(needed) => {
-                write!(f, "GPU drivers may need {}, more than the memory limit", ByteSize(*needed))
+            Self::LittleMemory(least) => {
+                write!(f, "a GPU is used only if the memory limit is at least {}", ByteSize(*least))
             }
             Self::NoGpu => {
                 f.write_str("no GPU found (drivers such as llvmpipe compute on the CPU)")
@@ -122,9 +127,9 @@ pub fn device(choice: &DeviceChoice, cache: Option<&Path>) -> Result<Backend, Vu
     opened(&instance, &instance.choose(choice)?, cache)
 }
 
-/// Opens the best device if it is likely to be faster than the CPU, and if drivers fit into the
-/// memory limit. Otherwise, returns the CPU and the reason. `input_bytes` returns the size of the
-/// input in bytes, if it is known.
+/// Opens the best device if it is likely to be faster than the CPU, and if the memory limit is
+/// large enough for the host memory that a device needs. Otherwise, returns the CPU and the reason.
+/// `input_bytes` returns the size of the input in bytes, if it is known.
 #[must_use]
 pub fn fastest(
     budget: MemoryBudget,
@@ -142,8 +147,8 @@ fn fast_device(
     input_bytes: impl FnOnce() -> Option<u64>,
     cache: Option<&Path>,
 ) -> Result<Backend, CpuReason> {
-    if budget < DRIVERS {
-        return Err(CpuReason::LittleMemory(DRIVERS.0));
+    if budget < DEVICE_BUDGET {
+        return Err(CpuReason::LittleMemory(DEVICE_BUDGET.0));
     }
     if !may_have_gpu(Path::new("/dev")) {
         return Err(CpuReason::NoGpu);
@@ -208,5 +213,16 @@ mod tests {
             std::fs::write(nodes.path().join(node), "").expect("a file can be written");
         }
         assert!(may_have_gpu(nodes.path()));
+    }
+
+    #[test]
+    fn a_device_is_looked_for_only_with_the_budget_that_it_needs() {
+        // A small input ends the search before any driver is loaded.
+        let is_too_little = |budget: u64| {
+            let chosen = fast_device(MemoryBudget(budget), || Some(0), None);
+            matches!(chosen, Err(CpuReason::LittleMemory(least)) if least == DEVICE_BUDGET.0)
+        };
+        assert!(is_too_little(DEVICE_BUDGET.0 - 1));
+        assert!(!is_too_little(DEVICE_BUDGET.0));
     }
 }

@@ -44,6 +44,8 @@ use pipelines::{Pipelines, page_bytes};
 const LARGEST_BATCH: u64 = 128 << 20;
 /// Bytes of the host's memory that a driver takes.
 const DRIVER: u64 = 96 << 20;
+/// Maximum bytes of the host's memory that a frame takes on a device with its own memory.
+pub(super) const MOST_HOST_BYTES: u64 = LANES as u64 * LARGEST_BATCH + DRIVER;
 
 /// A Vulkan device with all shaders compiled.
 #[derive(Debug)]
