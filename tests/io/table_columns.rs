@@ -48,6 +48,13 @@ fn place(row: usize) -> String {
     format!("{} {} {}", coordinate(row), coordinate(row + 5), coordinate(row + 9))
 }
 
+/// Coordinates in a lattice that is sorted by x, then by y, then by z. `y` and `z` are the numbers
+/// of particles along these axes.
+fn lattice(row: usize, [y, z]: [usize; 2]) -> String {
+    let along = [row / (y * z), row / z % y, row % z].map(|cell| 0.05 * cell as f64 + 0.025);
+    format!("{:.3} {:.3} {:.3}", along[0], along[1], along[2])
+}
+
 /// The numbers in the columns from `first` on.
 fn three_columns(table: &str, first: usize) -> Vec<[f64; 3]> {
     let row = |line: &str| {
@@ -97,6 +104,20 @@ fn unnamed_columns_of_identifiers_and_types_are_refused() {
             "`id x y z`",
         ),
         (table(3, |i| format!("water {i} 1 {}", place(i))), "columns 2 and 3", "`name id type x"),
+        (table(16, |i| format!("1 {}", place(i))), "column 1", "`type x y z`"),
+        (table(16, |i| format!("0.000 {}", place(i))), "column 1", "`type x y z`"),
+        (table(16, |i| format!("0.125 {}", place(i))), "column 1", "`mass x y z`"),
+        (table(16, |i| format!("water 1 {}", place(i))), "column 2", "`name type x y z`"),
+        (table(20, |i| format!("1 {} water", place(i))), "column 1", "`type x y z ...`"),
+        (table(20, |i| format!("1 {} {}", place(i), place(i + 1))), "column 1", "`type x y z ...`"),
+        // In a lattice, a type before the position would make particles coincide.
+        (table(300, |i| format!("1 {}", lattice(i, [10, 6]))), "column 1", "`type x y z`"),
+        (
+            table(300, |i| format!("1 {} 0.5 0 0", lattice(i, [10, 6]))),
+            "column 1",
+            "`type x y z ...`",
+        ),
+        (table(300, |i| format!("1 {}", lattice(i, [10, 30]))), "column 1", "`type x y z`"),
     ];
     for (table, columns, header) in cases {
         let (line, what) = refusal(&format!("# t = 0.1\n{table}"));
@@ -157,6 +178,10 @@ fn whole_coordinates_of_lattices_and_planes_are_not_taken_for_types() {
         }),
         table(20, |i| format!("{} {}", place(i), i % 2)),
         table(20, |i| format!("{} {i}", place(i))),
+        table(20, |i| format!("{} 0.125", place(i))),
+        table(20, |i| format!("0 {} 0.125", &place(i)[..11])),
+        // The first plane of a lattice, with the pressure.
+        table(300, |i| format!("{} {}", lattice(i, [20, 15]), 9.81 * (300 - i) as f64)),
     ] {
         assert_eq!(positions(&text(&rows).expect(&rows)), three_columns(&rows, 0), "{rows}");
     }

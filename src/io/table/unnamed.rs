@@ -1,6 +1,7 @@
 //! Finds the position in rows without column names.
 
 use std::collections::HashSet;
+use std::ops::Range;
 
 use crate::io::number::Decimal;
 
@@ -14,6 +15,8 @@ const SAMPLED_COLUMNS: usize = 16;
 const MANY_ROWS: usize = 16;
 /// Number of rows that must be the same to be words instead of a title.
 const ROWS_OF_WORDS: usize = 32;
+/// Number of columns of a position and a vector, such as a velocity.
+const POSITION_AND_VECTOR: usize = 6;
 
 /// The layout of a row in a table without column names.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -230,11 +233,12 @@ impl Sample {
     /// - Positions differ between rows. Combinations of types and flags repeat.
     /// - In the same file, a program writes all coordinates in the same way. If y and z have
     ///   fractions, x has fractions too, except in a plane.
+    /// - Particles with the same x fill a plane. This is rare, except in the first rows of a
+    ///   lattice that is sorted by x.
     ///
     /// A single identifier before three columns of real numbers is skipped. In all other cases,
-    /// the number of columns before the position is unknown. A constant first column cannot be
-    /// distinguished from a plane, and is read as x. Two constant columns are x and y if the next
-    /// column grows from row to row, as z does in a lattice.
+    /// the number of columns before the position is unknown. Two constant columns are x and y if
+    /// the next column grows from row to row, as z does in a lattice.
     fn leading_columns(&self) -> Leading {
         if self.starts_with_row_numbers() {
             // The second column can be a type with a sign.
@@ -251,7 +255,8 @@ impl Sample {
             return Leading::Unclear((0..whole).collect());
         }
         let identifier = (0..3).find(|&column| self.is_identifier_instead_of_coordinate(column));
-        let unclear = identifier.or((whole == 1 && self.starts_with_type()).then_some(0));
+        let is_type = whole == 1 && self.starts_with_type() || self.starts_with_constant();
+        let unclear = identifier.or(is_type.then_some(0));
         unclear.map_or(Leading::Position, |column| Leading::Unclear(vec![column]))
     }
 
@@ -291,6 +296,13 @@ impl Sample {
         })
     }
 
+    /// The number of different tuples in the columns `range`.
+    fn distinct(&self, range: Range<usize>) -> usize {
+        let columns = &self.columns[range];
+        let tuple = |row: usize| columns.iter().map(|column| column.keys[row]).collect::<Vec<_>>();
+        (0..self.rows).map(tuple).collect::<HashSet<_>>().len()
+    }
+
     /// Whether a number of different texts is small compared to the number of rows.
     fn is_small(&self, distinct: usize) -> bool {
         4 * distinct < 3 * self.rows
@@ -300,13 +312,11 @@ impl Sample {
     /// lattice.
     fn starts_with_lattice(&self, count: usize) -> bool {
         let columns = &self.columns[..count];
-        let tuples: HashSet<Vec<u64>> = (0..self.rows)
-            .map(|row| columns.iter().map(|column| column.keys[row]).collect())
-            .collect();
         // In a large lattice of small cells, each coordinate of a sampled row may be different.
         let has_repeating = || columns.iter().any(|column| self.is_small(column.distinct()));
         let has_identifier = (0..2).any(|column| self.is_identifier(column));
-        !self.is_small(tuples.len()) && !(has_identifier && (count == 2 || has_repeating()))
+        !self.is_small(self.distinct(0..count))
+            && !(has_identifier && (count == 2 || has_repeating()))
     }
 
     /// Whether one of the first three columns is an identifier, and the others are unlike it.
@@ -339,12 +349,46 @@ impl Sample {
             && self.columns[1..4].iter().all(has_no_whole)
     }
 
+    /// Whether a column is sorted and has many equal numbers, like the coordinate of a lattice that
+    /// changes most slowly.
+    fn is_in_steps(&self, column: usize) -> bool {
+        let column = &self.columns[column];
+        let falls = || column.values.is_sorted_by(|one, next| one >= next);
+        (column.values.is_sorted() || falls()) && self.is_small(column.distinct())
+    }
+
+    /// Whether the first column has the same number in all rows, and may be a type or a mass before
+    /// the position.
+    ///
+    /// The column is not x if particles would then coincide. Otherwise, it is x if the rows are the
+    /// first plane of a sorted lattice, if they also have the same number in one of the next three
+    /// columns, or if they have six numbers, which are usually a position and a velocity.
+    fn starts_with_constant(&self) -> bool {
+        let is_numeric = |column: &&SampledColumn| column.numbers == self.rows;
+        let numeric = self.columns.iter().take_while(is_numeric).count();
+        if self.rows < MANY_ROWS || numeric < 4 || self.columns[0].varies() {
+            return false;
+        }
+        let would_coincide =
+            self.is_small(self.distinct(0..3)) && !self.is_small(self.distinct(1..4));
+        let is_plane = || {
+            numeric == POSITION_AND_VECTOR
+                || (1..3).any(|column| self.is_in_steps(column))
+                || !self.columns[3].varies()
+        };
+        would_coincide || !is_plane()
+    }
+
     /// A message about unclear columns, with an example of a header.
     fn describe(&self, unclear: &[usize], row: UnnamedColumns) -> String {
         let numbers: Vec<_> = unclear.iter().map(|c| (row.first + c + 1).to_string()).collect();
         let shown = match numbers.split_last() {
             Some((last, others)) if !others.is_empty() => {
                 format!("columns {} and {last} look like identifiers or types", others.join(", "))
+            }
+            _ if unclear.iter().all(|&column| !self.columns[column].varies()) => {
+                let column = numbers.concat();
+                format!("column {column} has the same number in all rows, like a type or a mass")
             }
             _ => format!("column {} looks like an identifier or a type", numbers.concat()),
         };
@@ -353,6 +397,7 @@ impl Sample {
         for column in 0..unclear.last().map_or(0, |last| last + 1) {
             let name = match unclear.contains(&column) {
                 true if self.is_identifier(column) && !example.contains(&"id") => "id",
+                true if self.columns[column].has_fractions() => "mass",
                 true => types.next().unwrap_or("flag"),
                 false => "mass",
             };
