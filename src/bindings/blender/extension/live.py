@@ -51,12 +51,15 @@ class _State:
         self.listings = Listings()
         self.makers: dict[int, Maker] = {}
         self.statuses: dict[int, Status] = {}
+        #: The frame and the request's name of each surface that the opened .blend file contains.
+        self.saved: dict[int, tuple[int, str]] = {}
         self.renders = False
 
     def forget(self, gone: set[int]) -> None:
         for uid in gone:
             self.makers.pop(uid, None)
             self.statuses.pop(uid, None)
+            self.saved.pop(uid, None)
 
 
 _state = _State()
@@ -193,10 +196,14 @@ def update(mesh: bpy.types.Mesh, scene: bpy.types.Scene, depsgraph: bpy.types.De
         mesh[MADE] = name
     except (Refused, OutOfRange, vertices.Hidden, meshes.TooLarge, meniscus.Error, OSError, MemoryError) as error:
         status.error = str(error) or "Out of memory"
-        if mesh.vertices and not mesh.is_editmode:
-            mesh.clear_geometry()
-            mesh.update()
-        mesh[MADE] = ""
+        if not mesh.is_editmode and _state.saved.get(mesh.session_uid) == (scene.frame_current, mesh.get(MADE)):
+            # If the mesh were cleared, saving the .blend file again would lose the surface.
+            status.notes += ("Showing the surface that was saved in the .blend file",)
+        else:
+            if mesh.vertices and not mesh.is_editmode:
+                mesh.clear_geometry()
+                mesh.update()
+            mesh[MADE] = ""
         if bpy.app.background or _state.renders:
             # There is no panel in background mode and during renders, so print the error.
             print(f"{mesh.name}: {status.error}", flush=True)
@@ -215,6 +222,7 @@ def update_all(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None, wh
 
 def refresh(mesh: bpy.types.Mesh) -> None:
     """Updates a mesh whose settings have changed."""
+    _state.saved.pop(mesh.session_uid, None)
     context = bpy.context
     update(mesh, context.scene, context.evaluated_depsgraph_get() if _is_of_objects(mesh) else None)
 
@@ -292,7 +300,10 @@ def _after_load(_path: object, _other: object = None) -> None:
     _state.makers.clear()
     _state.statuses.clear()
     _state.renders = False
-    _everything(bpy.context.scene)
+    scene = bpy.context.scene
+    # A mesh that shows no surface has an empty name, or none.
+    _state.saved = {mesh.session_uid: (scene.frame_current, mesh[MADE]) for mesh in surfaces() if mesh.get(MADE)}
+    _everything(scene)
 
 
 def _everything(scene: bpy.types.Scene) -> None:

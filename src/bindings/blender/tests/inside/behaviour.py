@@ -175,6 +175,45 @@ def a_file_that_is_saved_and_opened_again_goes_on() -> None:
 
 
 @check
+def a_saved_surface_stays_while_its_files_are_missing() -> None:
+    folder, away = options.folder / "moved", options.folder / "away"
+    for each in (folder, away):
+        shutil.rmtree(each, ignore_errors=True)
+    folder.mkdir()
+    np.save(folder / "pool_1.npy", block(1000))
+    np.save(folder / "pool_2.npy", block(2000))
+    shown, blend = dam(str(folder / "pool_1.npy")), str(options.folder / "moved.blend")
+    name, before = shown.name, positions(shown.data)
+    assert len(before) > 0
+    bpy.ops.wm.save_as_mainfile(filepath=blend)
+
+    def opened() -> bpy.types.Object:
+        bpy.ops.wm.read_homefile(use_empty=True)
+        live._state.reset()
+        made.clear()
+        bpy.ops.wm.open_mainfile(filepath=blend)
+        return bpy.data.objects[name]
+
+    folder.rename(away)
+    shown = opened()
+    for _ in range(2):
+        status = live.status_of(shown.data)
+        assert "moved" in status.error and "saved" in status.notes[0], status
+        assert np.array_equal(positions(shown.data), before)
+        bpy.context.scene.frame_set(bpy.context.scene.frame_current)
+    # The saved surface is not that of another frame, or of other settings.
+    bpy.context.scene.frame_set(2)
+    assert live.status_of(shown.data).error and sizes(shown.data) == (0, 0)
+    shown = opened()
+    shown.data.meniscus.smooth = 2.5
+    assert live.status_of(shown.data).error and sizes(shown.data) == (0, 0)
+    away.rename(folder)
+    shown = opened()
+    assert not live.status_of(shown.data).error and np.array_equal(positions(shown.data), before)
+    assert made == [], "nothing had changed"
+
+
+@check
 def packed_frames_take_filters_and_no_particles() -> None:
     folder = options.folder / "packed"
     shutil.rmtree(folder, ignore_errors=True)
