@@ -15,6 +15,8 @@ use super::{ParticleFile, ReadError, ReadFault, UnreadPart};
 
 /// Maximum number of blocks that a message lists.
 const SHOWN: usize = 4;
+/// Description of lines, for [`UnreadPart::Block`].
+pub(super) const LINES: &str = "lines";
 
 /// A block that was opened.
 enum OpenedBlock {
@@ -22,16 +24,39 @@ enum OpenedBlock {
     /// Particles that lack the attribute of a condition.
     Lacking {
         particles: usize,
+        only_lines: bool,
         error: ReadError,
     },
     /// Description of contents other than particles.
     Other(String),
 }
 
+impl OpenedBlock {
+    /// Whether all cells are lines, whose points may be particles.
+    fn is_lines(&self) -> bool {
+        match self {
+            Self::Particles(file) => file.only_lines,
+            Self::Lacking { only_lines, .. } => *only_lines,
+            Self::Other(_) => false,
+        }
+    }
+
+    /// Whether the block has points that are particles in any case.
+    fn is_particles(&self) -> bool {
+        let is_filled = match self {
+            Self::Particles(file) => has_points(file),
+            Self::Lacking { particles, .. } => *particles > 0,
+            Self::Other(_) => false,
+        };
+        is_filled && !self.is_lines()
+    }
+}
+
 /// Opens the blocks of a frame of the list at `path`, as one set of particles.
 ///
-/// Blocks without particles, such as meshes, are left out. If only some blocks have the attribute
-/// of a condition, no particle of the other blocks satisfies the condition.
+/// Blocks without particles, such as meshes, are left out. Lines, such as wave gauges or the paths
+/// of particles, are left out if another block contains particles. If only some blocks have the
+/// attribute of a condition, no particle of the other blocks satisfies the condition.
 ///
 /// # Errors
 /// The errors of [`open_joined`](super::input::open_joined), and [`ReadFault::Unsupported`] if no
@@ -43,13 +68,18 @@ pub(super) fn open_blocks(
     unpacking: Unpacking,
 ) -> Result<ParticleFile, ReadError> {
     let paths: Vec<&Path> = blocks.iter().map(|block| &*block.file).collect();
-    let opened = open_each(&paths, wanted, unpacking, open_block)?;
+    let mut opened = open_each(&paths, wanted, unpacking, open_block)?;
+    if opened.iter().flatten().any(OpenedBlock::is_particles) {
+        for lines in opened.iter_mut().flatten().filter(|block| block.is_lines()) {
+            *lines = OpenedBlock::Other(LINES.to_owned());
+        }
+    }
     let (mut files, mut left_out) = (Vec::new(), Vec::new());
     let (mut lacking, mut unselected): (Option<(usize, ReadError)>, _) = (None, 0);
     for (block, opened) in blocks.iter().zip(opened) {
         let file = match opened {
             Some(OpenedBlock::Particles(file)) => Some(*file),
-            Some(OpenedBlock::Lacking { particles, error }) => {
+            Some(OpenedBlock::Lacking { particles, error, .. }) => {
                 // The largest block is the one whose attributes a message should list.
                 if lacking.as_ref().is_none_or(|(most, _)| particles > *most) {
                     lacking = Some((particles, error));
@@ -68,9 +98,7 @@ pub(super) fn open_blocks(
     if left_out.len() == files.len() {
         return Err(ReadError::new(path, no_particles(&left_out)));
     }
-    let can_select =
-        |file: &ParticleFile| !file.particles.is_empty() || file.unselected > 0 || file.ghosts > 0;
-    if let Some((_, error)) = lacking.filter(|_| !files.iter().flatten().any(can_select)) {
+    if let Some((_, error)) = lacking.filter(|_| !files.iter().flatten().any(has_points)) {
         return Err(error);
     }
     left_out.extend(blocks.iter().zip(&files).filter_map(|(block, file)| block.empty(file)));
@@ -89,16 +117,24 @@ fn open_block(
         Ok(file) => file,
         Err(error) => return other_contents(path, error).map(OpenedBlock::Other),
     };
-    let particles = file.particles.len();
+    let (particles, only_lines) = (file.particles.len(), file.only_lines);
     match file.selected(wanted.conditions, unpacking) {
         Ok(file) => Ok(OpenedBlock::Particles(Box::new(file))),
         Err(fault) => {
             let is_lacking =
                 matches!(fault, ReadFault::Selection(SelectionFault::NoAttribute { .. }));
             let error = ReadError::new(path, fault);
-            if is_lacking { Ok(OpenedBlock::Lacking { particles, error }) } else { Err(error) }
+            match is_lacking {
+                true => Ok(OpenedBlock::Lacking { particles, only_lines, error }),
+                false => Err(error),
+            }
         }
     }
+}
+
+/// Whether a file has points, including ghosts and points that no condition selects.
+fn has_points(file: &ParticleFile) -> bool {
+    !file.particles.is_empty() || file.unselected > 0 || file.ghosts > 0
 }
 
 /// Describes the contents of a block that holds no particles. Returns all other errors.
@@ -137,8 +173,7 @@ impl FrameBlock {
     /// name, which are usually the pieces of a parallel simulation.
     fn empty(&self, file: &Option<ParticleFile>) -> Option<UnreadPart> {
         let file = file.as_ref()?;
-        let is_empty = file.particles.is_empty() && file.ghosts == 0 && file.unselected == 0;
-        let name = self.name.clone().filter(|_| is_empty)?;
+        let name = self.name.clone().filter(|_| !has_points(file))?;
         Some(UnreadPart::Block { name, holds: "no points".to_owned() })
     }
 }

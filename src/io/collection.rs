@@ -83,7 +83,8 @@ fn read_list(path: &Path) -> Result<Vec<ListedFrame>, ReadError> {
 }
 
 /// Opens frame number `number` of a list. Without a number, the list must have a single frame. If
-/// the frame has several data sets, those without particles are left out.
+/// the frame has several data sets, those without particles are left out, and those of lines unless
+/// there are no others.
 ///
 /// # Errors
 /// [`ReadError`] if the list or a file of the frame cannot be read, and [`ReadFault::Unsupported`]

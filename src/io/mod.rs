@@ -103,6 +103,8 @@ pub struct ParticleFile {
     pub texts: Vec<String>,
     /// Parts of the input that are not read.
     pub left_out: Vec<UnreadPart>,
+    /// Whether the input has cells and all of them are lines, such as the paths of particles.
+    pub only_lines: bool,
 }
 
 /// A part of an input that is not read.
@@ -196,6 +198,7 @@ impl ParticleFile {
             unread: Vec::new(),
             texts: Vec::new(),
             left_out: Vec::new(),
+            only_lines: false,
         }
     }
 }

@@ -301,6 +301,8 @@ pub(super) fn join_files(
     let is_empty = opened().all(|file| file.particles.is_empty());
     let none_selected = opened().find_map(|file| file.none_selected.clone());
     let none_selected = none_selected.filter(|_| is_empty);
+    let only_lines = opened().any(|file| file.only_lines)
+        && opened().all(|file| file.only_lines || file.particles.is_empty());
     let Some(first) = opened().next() else {
         return Ok(ParticleFile::new(Pieces::default(), "no file"));
     };
@@ -326,6 +328,7 @@ pub(super) fn join_files(
         unread,
         texts,
         left_out,
+        only_lines,
     })
 }
 

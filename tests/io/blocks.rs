@@ -132,6 +132,94 @@ fn data_sets_without_particles_are_left_out_and_reported_by_name() {
     assert_eq!(file.left_out, left_out);
 }
 
+/// Two points at x = 1 and x = 2, which a line connects, in each of VTK's formats.
+const LINES: [(&str, &str); 4] = [
+    (
+        "lines.vtp",
+        "<VTKFile type='PolyData'><PolyData><Piece NumberOfPoints='2' NumberOfLines='1'><Points>\
+        <DataArray type='Float32' NumberOfComponents='3'>1 0 0 2 0 0</DataArray></Points></Piece>\
+        </PolyData></VTKFile>",
+    ),
+    (
+        "lines.vtu",
+        "<VTKFile type='UnstructuredGrid'><UnstructuredGrid><Piece NumberOfPoints='2' \
+        NumberOfCells='2'><Points><DataArray type='Float32' NumberOfComponents='3'>1 0 0 2 0 0\
+        </DataArray></Points><Cells><DataArray type='UInt8' Name='types'>4 3</DataArray></Cells>\
+        </Piece></UnstructuredGrid></VTKFile>",
+    ),
+    (
+        "lines.vtk",
+        "# vtk DataFile Version 3.0\nt\nASCII\nDATASET POLYDATA\nPOINTS 2 float\n1 0 0 2 0 0\n\
+        LINES 1 3\n2 0 1\n",
+    ),
+    (
+        "grid.vtk",
+        "# vtk DataFile Version 3.0\nt\nASCII\nDATASET UNSTRUCTURED_GRID\nPOINTS 2 float\n\
+        1 0 0 2 0 0\nCELLS 2 6\n2 0 1\n2 1 0\nCELL_TYPES 2\n4 3\n",
+    ),
+];
+
+/// A data set without points.
+const EMPTY: &str =
+    "<VTKFile type='PolyData'><PolyData><Piece NumberOfPoints='0'/></PolyData></VTKFile>";
+
+#[test]
+fn lines_beside_particles_are_left_out_in_every_vtk_format() {
+    let rows = table(&[[7, 0], [8, 1]]);
+    let fluid = ("name='fluid' file='fluid.csv'", &*rows);
+    for (file, content) in LINES {
+        let gauges = format!("name='gauges' file='{file}'");
+        let listed = Listed::new(&[(&*gauges, content), fluid]);
+        for (opened, unselected) in
+            [(listed.open().unwrap(), 0), (listed.open_where("Part type=0").unwrap(), 1)]
+        {
+            assert_eq!(along(&opened), [7.0, 8.0][..2 - unselected], "{file}");
+            assert_eq!(opened.left_out, [block("gauges", "lines")], "{file}");
+            assert_eq!(opened.unselected, unselected, "{file}");
+        }
+        // Bonds between vertices are no reason to leave out the vertices.
+        let bonded = content
+            .replace("NumberOfLines", "NumberOfVerts='2' NumberOfLines")
+            .replace("4 3", "1 3")
+            .replace("LINES", "VERTICES 2 4\n1 0 1 1\nLINES");
+        assert_ne!(bonded, content);
+        let listed = Listed::new(&[(&*gauges, &bonded), fluid]);
+        assert_eq!(along(&listed.open().unwrap()), [1.0, 2.0, 7.0, 8.0], "{file}");
+    }
+}
+
+#[test]
+fn lines_are_particles_if_a_frame_has_nothing_else() {
+    let [(vtp, one), (vtk, other)] = [LINES[0], LINES[2]];
+    let [first, second] = [vtp, vtk].map(|file| format!("file='{file}'"));
+    let alone = Listed::new(&[(&*first, one)]).open().unwrap();
+    assert_eq!((along(&alone), alone.left_out), (vec![1.0, 2.0], vec![]));
+    let planes = ("name='Planes' file='PLANES.vtu'", PLANES);
+    let several = Listed::new(&[(&*first, one), planes, (&*second, other)]).open().unwrap();
+    assert_eq!(along(&several), [1.0, 2.0, 1.0, 2.0]);
+    assert_eq!(several.left_out, [block("Planes", "a mesh of 2 faces")]);
+    let empty = ("name='fluid' file='empty.vtp'", EMPTY);
+    let beside = Listed::new(&[(&*first, one), empty]).open().unwrap();
+    assert_eq!(
+        (along(&beside), beside.left_out),
+        (vec![1.0, 2.0], vec![block("fluid", "no points")])
+    );
+}
+
+#[test]
+fn lines_in_pieces_are_left_out_of_a_frame_with_particles() {
+    let pieces = "<VTKFile type='PPolyData'><PPolyData><Piece Source='empty.vtp'/>\
+        <Piece Source='lines.vtp'/></PPolyData></VTKFile>";
+    let listed = Listed::new(&[
+        ("name='paths' file='paths.pvtp'", pieces),
+        ("name='fluid' file='fluid.csv'", &table(&[[7]])),
+    ]);
+    fs::write(listed.path("empty.vtp"), EMPTY).unwrap();
+    fs::write(listed.path("lines.vtp"), LINES[0].1).unwrap();
+    let file = listed.open().unwrap();
+    assert_eq!((along(&file), file.left_out), (vec![7.0], vec![block("paths", "lines")]));
+}
+
 #[test]
 fn a_frame_of_meshes_alone_is_refused_and_a_damaged_file_is_not_left_out() {
     let planes = ("name='Planes' file='PLANES.vtu'", PLANES);
@@ -241,11 +329,9 @@ fn attributes_that_a_data_set_with_particles_lacks_are_left_out() {
 
 #[test]
 fn a_data_set_without_points_is_reported_if_it_has_a_name() {
-    let empty =
-        "<VTKFile type='PolyData'><PolyData><Piece NumberOfPoints='0'/></PolyData></VTKFile>";
     let listed = Listed::new(&[
-        ("name='foam' file='foam.vtp'", empty),
-        ("file='rank_1.vtp'", empty),
+        ("name='foam' file='foam.vtp'", EMPTY),
+        ("file='rank_1.vtp'", EMPTY),
         ("name='fluid' file='fluid.csv'", &table(&[[7, 0]])),
     ]);
     let file = listed.open().unwrap();
@@ -259,7 +345,7 @@ fn a_data_set_without_points_is_reported_if_it_has_a_name() {
     ]);
     assert_eq!(listed.open_where("Part type=0").unwrap().left_out, []);
     // A frame without any particles is not an error.
-    let listed = Listed::new(&[("file='a.vtp'", empty), ("file='b.vtp'", empty)]);
+    let listed = Listed::new(&[("file='a.vtp'", EMPTY), ("file='b.vtp'", EMPTY)]);
     assert!(listed.open().unwrap().particles.is_empty());
 }
 

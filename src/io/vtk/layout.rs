@@ -25,6 +25,8 @@ pub(super) struct VtkLayout {
     pub texts: Vec<String>,
     /// The last `VERTICES` section.
     pub vertices: Option<CellCorners>,
+    /// Number of cells in all `LINES` sections.
+    pub line_cells: usize,
     /// Whether there are `LINES`, or several `VERTICES` sections.
     pub has_others: bool,
     pub cells: Vec<VtkCells>,
@@ -97,6 +99,7 @@ struct LayoutParser<'a> {
     normals: Option<usize>,
     texts: Vec<String>,
     vertices: Option<CellCorners>,
+    line_cells: usize,
     has_others: bool,
     cells: Vec<VtkCells>,
     cell_types: Option<VtkArray>,
@@ -152,6 +155,7 @@ impl<'a> LayoutParser<'a> {
             normals: None,
             texts: Vec::new(),
             vertices: None,
+            line_cells: 0,
             has_others: false,
             cells: Vec::new(),
             cell_types: None,
@@ -206,7 +210,11 @@ impl<'a> LayoutParser<'a> {
                 let before = self.vertices.replace(vertices);
                 self.has_others |= before.is_some_and(|before| before.cells() > 0);
             }
-            ("LINES", [count, size]) => self.has_others |= self.corners(count, size)?.cells() > 0,
+            ("LINES", [count, size]) => {
+                let cells = self.corners(count, size)?.cells();
+                self.line_cells = self.line_cells.saturating_add(cells);
+                self.has_others |= cells > 0;
+            }
             ("POLYGONS", [count, size]) => self.cells(CellKind::Polygons, count, size)?,
             ("TRIANGLE_STRIPS", [count, size]) => self.cells(CellKind::Strips, count, size)?,
             ("CELLS", [count, size]) => self.cells(CellKind::Typed, count, size)?,
@@ -288,6 +296,7 @@ impl<'a> LayoutParser<'a> {
             normals: self.normals,
             texts: self.texts,
             vertices: self.vertices,
+            line_cells: self.line_cells,
             has_others: self.has_others,
             cells: self.cells,
             cell_types: self.cell_types,

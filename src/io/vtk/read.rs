@@ -4,7 +4,9 @@
 use std::ops::Range;
 
 use crate::io::bytes::{ByteView, Bytes, UnpackBuffer, Unpacking};
-use crate::io::cell_types::{PIXEL, POLYGON, QUAD, TRIANGLE, TRIANGLE_STRIP, VERTEX, is_face};
+use crate::io::cell_types::{
+    CellCounts, PIXEL, POLYGON, QUAD, TRIANGLE, TRIANGLE_STRIP, VERTEX, is_face,
+};
 use crate::io::columns::{Column, Endian, Scalar};
 use crate::io::ghosts::{VertexCells, VertexPoints};
 use crate::io::number::ParseNumber;
@@ -24,13 +26,15 @@ use super::layout::{CellCorners, CellKind, VtkArray, VtkCells, VtkLayout, is_tex
 pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
     let bytes = unless_text(bytes, unpacking)?;
     let layout = VtkLayout::parse(bytes.view())?;
-    let sum =
-        |sum: u64, more: Result<u64, ReadFault>| Ok::<_, ReadFault>(sum.saturating_add(more?));
-    let faces = faces(bytes.view(), &layout).try_fold(0, sum)?;
-    if faces > 0 {
-        return Err(ReadFault::Mesh { faces });
+    let mut cells = CellCounts::default();
+    for more in cell_counts(bytes.view(), &layout) {
+        cells = cells.plus(more?);
     }
-    points(bytes, &layout, unpacking)
+    if cells.faces > 0 {
+        return Err(ReadFault::Mesh { faces: cells.faces });
+    }
+    let file = points(bytes, &layout, unpacking)?;
+    Ok(ParticleFile { only_lines: cells.are_lines(), ..file })
 }
 
 /// Reads the points as particles, even if the file is a mesh. Binary arrays are read in place. Text
@@ -74,36 +78,46 @@ fn points(
 
 /// Whether the file is a mesh: any cell has an area or a volume.
 pub fn has_faces(bytes: ByteView) -> Result<bool, ReadFault> {
-    for found in faces(bytes, &VtkLayout::parse(bytes)?) {
-        if found? > 0 {
+    for cells in cell_counts(bytes, &VtkLayout::parse(bytes)?) {
+        if cells?.faces > 0 {
             return Ok(true);
         }
     }
     Ok(false)
 }
 
-/// The numbers of cells with an area or a volume, one number for each array or part of an array.
-/// The caller adds them up.
-fn faces<'a>(
+/// Counts the cells. The first counts are those of cells without a type. Each of the others counts
+/// the cells in a part of the array of types. The caller adds them up.
+fn cell_counts<'a>(
     bytes: ByteView<'a>,
     layout: &'a VtkLayout,
-) -> impl Iterator<Item = Result<u64, ReadFault>> + 'a {
-    let untyped = layout.cells.iter().filter(|cells| cells.kind != CellKind::Typed);
-    let untyped = untyped.map(|cells| Ok(cells.corners.cells() as u64));
-    let of = |kind: Result<i64, ReadFault>| Ok::<_, ReadFault>(u64::from(is_face(kind?)));
+) -> impl Iterator<Item = Result<CellCounts, ReadFault>> + 'a {
+    let faces = layout.cells.iter().filter(|cells| cells.kind != CellKind::Typed);
+    let untyped = CellCounts {
+        faces: faces.map(|cells| cells.corners.cells() as u64).fold(0, u64::saturating_add),
+        lines: layout.line_cells as u64,
+        vertices: layout.vertices.as_ref().map_or(0, CellCorners::cells) as u64,
+    };
     let typed = layout.cell_types.iter().flat_map(move |types| {
         let rows = if layout.ascii { types.tuples.max(1) } else { AT_ONCE };
         (0..types.tuples).step_by(rows).map(move |first| {
+            let mut counts = CellCounts::default();
             if layout.ascii {
-                return integers(bytes.kept()?.bytes(), true, types).map(of).sum();
+                for kind in integers(bytes.kept()?.bytes(), true, types) {
+                    counts.add(kind?);
+                }
+                return Ok(counts);
             }
             let size = types.scalar.size();
             let end = types.tuples.min(first + rows);
             let piece = bytes.read(types.at + first * size..types.at + end * size)?;
-            stored(&piece, types).map(of).sum()
+            for kind in stored(&piece, types) {
+                counts.add(kind?);
+            }
+            Ok(counts)
         })
     });
-    untyped.chain(typed)
+    std::iter::once(Ok(untyped)).chain(typed)
 }
 
 /// Reads points, and converts cells to triangles: polygons, triangle strips, and typed cells with

@@ -6,9 +6,9 @@ use std::ops::Range;
 
 use memchr::memmem;
 
-use crate::io::blocks::described_mesh;
+use crate::io::blocks::{LINES, described_mesh};
 use crate::io::bytes::{ByteView, Bytes, Unpacking, unpacked_limit};
-use crate::io::cell_types::{POLY_VERTEX, VERTEX, is_face};
+use crate::io::cell_types::{CellCounts, POLY_VERTEX, VERTEX, is_face};
 use crate::io::columns::{Column, Scalar};
 use crate::io::ghosts::{VertexCells, VertexPoints, append, is_flag};
 use crate::io::vertices::{FileVertices, Triangles};
@@ -37,9 +37,9 @@ use super::layout::{DataSet, HEAD, Section, VtpArray, VtpLayout, VtpPiece};
 /// other than zlib, LZ4 and LZMA and for data sets other than PolyData and UnstructuredGrid, and
 /// [`ReadFault::Scratch`] if the scratch file cannot be written.
 pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
-    points(unless_encoded(bytes, unpacking)?, unpacking, |layout| match faces(layout)? {
-        0 => Ok(()),
-        faces => Err(ReadFault::Mesh { faces }),
+    points(unless_encoded(bytes, unpacking)?, unpacking, |layout| match cell_counts(layout)? {
+        cells @ CellCounts { faces: 0, .. } => Ok(cells),
+        CellCounts { faces, .. } => Err(ReadFault::Mesh { faces }),
     })
 }
 
@@ -62,7 +62,7 @@ pub(super) fn read_block(
     let bytes = unless_encoded(bytes, unpacking)?;
     match other_contents(&VtpLayout::parse(bytes.view())?)? {
         Some(other) => Ok(Err(other)),
-        None => points(bytes, unpacking, |_| Ok(())).map(Ok),
+        None => points(bytes, unpacking, |_| Ok(CellCounts::default())).map(Ok),
     }
 }
 
@@ -72,7 +72,7 @@ fn other_contents(layout: &VtpLayout) -> Result<Option<String>, ReadFault> {
         return Ok(Some(described_mesh(layout.faces() as u64)));
     }
     if layout.pieces.iter().any(|piece| piece.lines > 0) {
-        return Ok(Some("lines".to_owned()));
+        return Ok(Some(LINES.to_owned()));
     }
     let mut decoder = Decoder::new(layout, Unpacking::in_memory());
     let mut others = 0;
@@ -82,14 +82,19 @@ fn other_contents(layout: &VtpLayout) -> Result<Option<String>, ReadFault> {
     Ok((others > 0).then(|| format!("{others} cells that are not points")))
 }
 
-/// The number of cells with an area or a volume.
-fn faces(layout: &VtpLayout) -> Result<u64, ReadFault> {
+/// Counts the cells of all pieces.
+fn cell_counts(layout: &VtpLayout) -> Result<CellCounts, ReadFault> {
     let mut decoder = Decoder::new(layout, Unpacking::in_memory());
-    let mut faces = layout.faces() as u64;
+    let announced = layout.pieces.iter().map(|piece| CellCounts {
+        faces: piece.faces() as u64,
+        lines: piece.lines as u64,
+        vertices: piece.vertices as u64,
+    });
+    let mut cells = announced.fold(CellCounts::default(), CellCounts::plus);
     for types in cell_types(layout) {
-        decoder.each_integer(types, |_, kind| faces += u64::from(is_face(kind)))?;
+        decoder.each_integer(types, |_, kind| cells.add(kind))?;
     }
-    Ok(faces)
+    Ok(cells)
 }
 
 /// The types of the cells of an UnstructuredGrid. Pieces without cells need no such array.
@@ -127,14 +132,14 @@ pub(in crate::io) fn unless_inline(bytes: Bytes) -> Result<Bytes, ReadFault> {
     }
 }
 
-/// Reads the points if `check` returns no error.
+/// Reads the points if `check`, which counts the cells, returns no error.
 fn points(
     bytes: Bytes,
     unpacking: Unpacking,
-    check: impl Fn(&VtpLayout) -> Result<(), ReadFault>,
+    check: impl Fn(&VtpLayout) -> Result<CellCounts, ReadFault>,
 ) -> Result<ParticleFile, ReadFault> {
     let layout = VtpLayout::parse(bytes.view())?;
-    check(&layout)?;
+    let only_lines = check(&layout)?.are_lines();
     let format = match layout.data_set {
         DataSet::PolyData => "VTK XML .vtp",
         DataSet::UnstructuredGrid => "VTK XML .vtu",
@@ -147,7 +152,8 @@ fn points(
     let texts = layout.pieces.first().map_or_else(Vec::new, |piece| piece.texts.clone());
     let vertices = vertices(&layout, decoder, &names.shared)?;
     let file = vertices.into_particles(bytes, format);
-    Ok(ParticleFile { time, left_out: names.left_out, texts, ..file }.with_points(left))
+    let file = ParticleFile { time, left_out: names.left_out, texts, only_lines, ..file };
+    Ok(file.with_points(left))
 }
 
 /// Whether the file is a mesh: a cell has an area or a volume, or the file is a PolyData without
