@@ -455,7 +455,8 @@ fn legacy_and_xml_vtk_files_take_the_time_from_the_same_fields() {
             fields.iter().map(field).collect::<String>()
         )
     };
-    let cases: [(&[(&str, &str)], Option<f64>); 8] = [
+    type Fields = &'static [(&'static str, &'static str)];
+    let cases: [(Fields, Option<f64>); 8] = [
         (&[("time", "0.5")], Some(0.5)),
         (&[("t", "0.25")], Some(0.25)),
         (&[("mass", "2")], None),
