@@ -6,6 +6,9 @@
 //! the band.
 
 mod band;
+mod near;
+mod reach;
+mod sides;
 mod triangle;
 mod volume;
 
@@ -17,7 +20,7 @@ use rayon::prelude::*;
 
 use crate::surface::mesh::source::{Indexed, Lattice, MeshSource, Outline};
 
-use band::{Band, BlockTriangles, MARGIN, band_corner};
+use band::{Band, MARGIN};
 pub use volume::Volume;
 
 /// Half the width of the band, in voxels.
@@ -28,6 +31,9 @@ pub const LEAF: i32 = 8;
 pub const VOXELS: usize = (LEAF * LEAF * LEAF) as usize;
 /// Number of voxels along the edge of a block.
 const BLOCK: i32 = 64;
+/// Number of voxels from the first voxel of block 0 to the lattice's origin. Tanks often begin at
+/// the origin, so that many triangles would be near two blocks if a block began there.
+const SHIFT: i32 = LEAF;
 /// Upper limit, in voxels, on the magnitude of vertex coordinates. With this limit, differences
 /// between coordinates fit into an i32.
 const FARTHEST: f64 = (1 << 29) as f64;
@@ -144,13 +150,13 @@ impl LevelSet {
         make: impl Fn(Vec<Leaf>) -> io::Result<T> + Sync,
     ) -> io::Result<Vec<T>> {
         let block = |band: &mut Band, (block, lists): BlockLists| {
-            let corner = band_corner(block).as_dvec3();
-            let mut near = BlockTriangles::default();
+            let corner = first_voxel(block).as_dvec3();
+            band.begin(lists.iter().map(Vec::len).sum());
             for number in lists.into_iter().flatten() {
                 let corners = self.triangles[number as usize];
-                near.add(corners.map(|vertex| self.position(vertex) - corner), number);
+                band.add(corners, number, |vertex| self.position(vertex) - corner);
             }
-            make(band.leaves(block, &near))
+            make(band.leaves(block))
         };
         self.blocks().into_par_iter().map_init(Band::new, block).collect()
     }
@@ -199,16 +205,15 @@ impl<T> BlocksByPlace<T> {
 /// Calls `take` with each block that is near a triangle: at most [`MARGIN`] voxels away from the
 /// triangle's bounding box and from its plane.
 fn each_block_near([a, b, c]: [DVec3; 3], mut take: impl FnMut(IVec3)) {
-    let reach = f64::from(MARGIN);
-    let [low, high] = [block_of(a.min(b).min(c) - reach), block_of(a.max(b).max(c) + reach + 1.0)];
+    let [low, high] = [block_of(a.min(b).min(c) - MARGIN), block_of(a.max(b).max(c) + MARGIN)];
     if low == high {
         return take(low);
     }
     let normal = (b - a).cross(c - a);
-    // Half the extent along the normal of a block that is enlarged by `reach` on each side.
-    let extent = normal.abs().element_sum() * (f64::from(BLOCK) / 2.0 + reach);
+    // Half the extent along the normal of a block that is enlarged by the margin on each side.
+    let extent = normal.abs().element_sum() * (f64::from(BLOCK) / 2.0 + MARGIN);
     let is_near = |block: IVec3| {
-        let centre = (block.as_dvec3() + 0.5) * f64::from(BLOCK);
+        let centre = (first_voxel(block) + BLOCK / 2).as_dvec3();
         normal.dot(centre - a).abs() <= extent
     };
     for x in low.x..=high.x {
@@ -223,11 +228,16 @@ fn each_block_near([a, b, c]: [DVec3; 3], mut take: impl FnMut(IVec3)) {
     }
 }
 
+/// The coordinates of a block's first voxel.
+fn first_voxel(block: IVec3) -> IVec3 {
+    block * BLOCK - SHIFT
+}
+
 /// The block that contains a place.
 fn block_of(place: DVec3) -> IVec3 {
     // The sum is positive, and converting a positive number to an integer rounds down without a
     // function call.
-    let blocks = (place + 2.0 * FARTHEST).as_uvec3() / BLOCK as u32;
+    let blocks = (place + (2.0 * FARTHEST + f64::from(SHIFT))).as_uvec3() / BLOCK as u32;
     blocks.as_ivec3() - 2 * FARTHEST as i32 / BLOCK
 }
 
@@ -276,9 +286,9 @@ mod tests {
     }
 
     /// An octahedron around `centre`, whose faces point outwards.
-    fn octahedron(centre: [f64; 3], radius: f64) -> Mesh {
+    fn octahedron(centre: [f64; 3], radii: [f64; 3]) -> Mesh {
         let corner = |axis: usize, sign: f64| -> [f64; 3] {
-            std::array::from_fn(|k| centre[k] + if k == axis { sign * radius } else { 0.0 })
+            std::array::from_fn(|k| centre[k] + if k == axis { sign * radii[k] } else { 0.0 })
         };
         let positions: Vec<_> =
             [0, 1, 2].into_iter().flat_map(|k| [corner(k, 1.0), corner(k, -1.0)]).collect();
@@ -290,36 +300,53 @@ mod tests {
         Mesh { positions, triangles, ..Mesh::default() }
     }
 
-    #[test]
-    fn distances_of_an_octahedron_are_exact_and_negative_inside() {
-        const RADIUS: f64 = 61.3;
-        let centre = [0.25, -0.125, 64.5];
+    /// Compares all distances of an octahedron with the distances from its triangles. Returns the
+    /// number of voxels in the band.
+    fn check_octahedron(centre: [f64; 3], radii: [f64; 3]) -> i32 {
         let lattice = Lattice { origin: [0.0; 3], step: 1.0 };
-        let level_set = LevelSet::new(&octahedron(centre, RADIUS), lattice).unwrap();
+        let level_set = LevelSet::new(&octahedron(centre, radii), lattice).unwrap();
         let mut checked = 0;
         for leaf in level_set.map(Ok).unwrap().into_iter().flatten() {
             let mut distances = leaf.distances.iter();
             for i in 0..VOXELS {
                 let at = leaf.corner + place_in_leaf(i);
-                let from_centre = (at.as_dvec3() - DVec3::from(centre)).abs().element_sum();
-                let inside = from_centre < RADIUS;
-                assert_eq!(leaf.is_inside(i), inside, "{at}");
                 let exact = distance(&level_set, at);
+                let from_centre = (at.as_dvec3() - DVec3::from(centre)) / DVec3::from(radii);
+                let inside = from_centre.abs().element_sum() < 1.0;
+                if exact > 1e-5 {
+                    assert_eq!(leaf.is_inside(i), inside, "{radii:?}: {at}");
+                }
                 let is_active = leaf.active[i / 64] >> (i % 64) & 1 == 1;
-                if (exact - 3.0).abs() > 1e-4 {
-                    assert_eq!(is_active, exact < 3.0, "{at}: {exact}");
+                if (exact - 3.0).abs() > 1e-5 {
+                    assert_eq!(is_active, exact < 3.0, "{radii:?}: {at}: {exact}");
                 }
                 if is_active {
-                    let expected = if inside { -exact } else { exact };
-                    let found = f64::from(*distances.next().unwrap());
-                    assert!((found - expected).abs() < 1e-4, "{at}: {found}, not {expected}");
+                    let found = f64::from(distances.next().unwrap().abs());
+                    assert!((found - exact).abs() < 1e-5, "{at}: {found}, not {exact}");
                     checked += 1;
                 }
             }
         }
+        checked
+    }
+
+    #[test]
+    fn distances_of_an_octahedron_are_exact_and_negative_inside() {
+        const RADIUS: f64 = 61.3;
+        let checked = check_octahedron([0.25, -0.125, 64.5], [RADIUS; 3]);
         // The band is six voxels thick.
         let area = 8.0 * 3f64.sqrt() / 4.0 * (2f64.sqrt() * RADIUS).powi(2);
         assert!((f64::from(checked) / (6.0 * area) - 1.0).abs() < 0.05, "{checked} of {area}");
+    }
+
+    #[test]
+    fn distances_of_needles_and_blades_are_exact_and_negative_inside() {
+        for centre in [[0.0; 3], [0.5, 0.0, 0.0], [0.25, -0.125, 56.0], [-8.0, 0.3, 0.7]] {
+            for radii in [[40.0, 0.7, 0.7], [1.0, 30.0, 1.0], [0.6, 0.6, 20.0], [9.0, 9.0, 0.4]] {
+                assert!(check_octahedron(centre, radii) > 500);
+            }
+            check_octahedron(centre, [0.2, 12.0, 9.0]);
+        }
     }
 
     #[test]
@@ -327,7 +354,7 @@ mod tests {
         let lattice = Lattice { origin: [0.0; 3], step: 1.0 };
         for far in [f64::NAN, f64::INFINITY, 1e9] {
             for axis in 0..3 {
-                let mut mesh = octahedron([0.0; 3], 5.0);
+                let mut mesh = octahedron([0.0; 3], [5.0; 3]);
                 mesh.positions[0][axis] = far;
                 let fault = LevelSet::new(&mesh, lattice).unwrap_err();
                 assert_eq!(fault.kind(), io::ErrorKind::InvalidInput, "{far} along {axis}");
