@@ -1,6 +1,6 @@
-// One axis of a separable operation, with `with_tap` of the including file for the cells within
-// reach. Taps beyond a wall read the outermost cell before it. A thread computes a run of RUN = 4
-// pairs along the axis, so that it reads each sample once for all of them.
+// One axis of a separable operation, which a shader defines by its functions `weight_of` and
+// `with_tap`. Taps beyond a wall read the outermost cell before it. A thread computes a run of 4
+// pairs (RUN) along the axis, so that it reads each sample once for all of them.
 
 struct AxisPush {
     // The lowest cell within the walls, and the highest.
@@ -8,9 +8,9 @@ struct AxisPush {
     axis: u32,
     walls_hi: vec3<i32>,
     reach: u32,
-    // Cells at the block's faces to skip.
+    // The number of cells at each face of the block that are not computed.
     margin: vec3<u32>,
-    // Bits by which sums are shifted down, if there are sums.
+    // The number of bits by which sums are shifted right; used only by shaders that compute sums.
     shift: u32,
 }
 
@@ -19,9 +19,9 @@ var<immediate> push: AxisPush;
 @group(0) @binding(1) var<storage, read> samples: array<u32>;
 @group(0) @binding(2) var<storage, read_write> filtered: array<u32>;
 
-// The results of eight cells so far, and the weights of the last tap for them. Along x `a` has the
-// first four cells of the run and `b` the last four; along the other axes they have the first and
-// the second cell of each pair.
+// The results of eight cells so far, and the weight of the last tap in each of them. Along x, `a`
+// has the first four cells of the run, and `b` the last four. Along the other axes, `a` has the
+// first cell of each pair, and `b` the second.
 struct Run {
     a: vec4<u32>,
     b: vec4<u32>,

@@ -1,12 +1,12 @@
 //! with tally scan
-// The start of each block's tiles, vertices and triangles in the batch: an exclusive prefix sum by
-// one work group. The last entry has the totals, which determine the number of work groups that
-// write them.
+// Computes where the tiles, vertices and triangles of each block start in the batch: an exclusive
+// prefix sum by one work group. The last entry has the totals. The number of tiles determines the
+// number of work groups that write tiles.
 
 struct BasesPush {
     // Blocks of the batch.
     blocks: u32,
-    // Vertices for which there is memory.
+    // The maximum number of vertices for which there is memory.
     room: u32,
     // Maximum number of work groups in a row.
     width: u32,
@@ -14,7 +14,7 @@ struct BasesPush {
 
 var<immediate> push: BasesPush;
 @group(0) @binding(0) var<storage, read_write> tallies: array<BlockTally>;
-// Work groups, one per tile, in rows; none if the vertices do not fit.
+// The number of work groups that write tiles, one per tile, in rows; 0 if the vertices do not fit.
 @group(0) @binding(1) var<storage, read_write> groups: array<u32, 3>;
 
 @compute @workgroup_size(256)

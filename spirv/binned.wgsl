@@ -1,7 +1,7 @@
 // Bins with their particles.
 
 struct Bin {
-    // The index of its first particle, and the number of particles.
+    // The index of the bin's first particle, and the number of its particles.
     first: u32,
     count: u32,
     // Coordinates in bins.

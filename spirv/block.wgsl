@@ -2,7 +2,7 @@
 // whole words.
 
 struct Block {
-    // The lowest cell, and its first word in the field.
+    // The lowest cell, and the index of the block's first word in the field.
     lo: vec3<i32>,
     field: u32,
     // The size in cells, and the first entry of the block's page table.
@@ -10,9 +10,10 @@ struct Block {
     table: u32,
     // The lowest cell of the tiles that are meshed.
     tiles_lo: vec3<i32>,
-    // Its first word among the bits of bricks of all blocks, if there are any.
+    // The index of the block's first word in a buffer that has one bit for each brick of every
+    // block; unused without such a buffer.
     marks: u32,
-    // In cells.
+    // The edges, in cells, of the part of the block that is divided into tiles.
     tiles_size: vec3<u32>,
     spare: u32,
 }

@@ -23,7 +23,8 @@ var<immediate> push: CloudsPush;
 
 var<workgroup> sums: array<atomic<u32>, CLOUD_SAMPLES>;
 
-// Sums above this count as infinite; the margin prevents an overflow of 32 bits.
+// Sums above this limit stay above 65535, so they saturate; the margin prevents an overflow of 32
+// bits.
 const ENOUGH: u32 = 1u << 31u;
 
 fn add(at: u32, value: u32) {
@@ -32,8 +33,8 @@ fn add(at: u32, value: u32) {
     }
 }
 
-// The shares of a cloud in the cell below, the particle's own, and the one above. The share beyond
-// a wall is added to the cell before it.
+// The shares of a cloud in the cell below, in the particle's own cell, and in the cell above. A
+// share beyond a wall is added to the share of the particle's own cell.
 fn shares(offset: u32, at_lo: bool, at_hi: bool) -> array<u32, 3> {
     let twice = 2u * offset + 1u;
     let rest = (2u << FRACTION_BITS) - twice;

@@ -1,30 +1,32 @@
-// Two surfaces of the bulk: depths from the shares under three widths, and lines through two of
-// them each, extrapolated to the width 0.
+// Computes the calm and the fine surface of the bulk: depths for the samples under three widths,
+// extrapolated to width 0 along lines through two widths each.
 
 struct DepthsOfPush {
     // Words of the field.
     words: u32,
-    // The factor from samples to shares of the plateau.
+    // The factor that converts samples to fractions of the plateau.
     scale: u32,
-    // The standard deviations, and the maximum distance in them.
+    // For each width, the standard deviation of a smoothed particle in 4096ths of a spacing, and
+    // the maximum distance in 32768ths of this standard deviation.
     narrow_width: i32,
     middle_width: i32,
     wide_width: i32,
     narrow_most: i32,
     middle_most: i32,
     wide_most: i32,
-    // The extrapolation from two widths to 0, relative to their difference.
+    // For each surface, the factor, in 4096ths, that extrapolates from two widths to width 0. It
+    // multiplies the difference between the distances of the two widths.
     fine_share: i32,
     calm_share: i32,
 }
 
 var<immediate> push: DepthsOfPush;
-// The field under each width; replaced by the fine surface, the difference of the surfaces, and the
-// calm surface.
+// The samples under each width. They are replaced by the fine surface (`narrow`), the difference
+// between the two surfaces (`middle`), and the calm surface (`wide`).
 @group(0) @binding(0) var<storage, read_write> narrow: array<u32>;
 @group(0) @binding(1) var<storage, read_write> middle: array<u32>;
 @group(0) @binding(2) var<storage, read_write> wide: array<u32>;
-// The inverse of the normal distribution.
+// The inverse of the normal distribution function.
 @group(0) @binding(3) var<storage, read> depths: array<i32>;
 
 fn depth(sample: u32, width: i32, most: i32) -> i32 {
@@ -40,7 +42,7 @@ fn beyond(near: i32, far: i32, share: i32) -> i32 {
     return clamp(distance + DISTANCE_ZERO, 1, 65535);
 }
 
-// The fine surface, the difference of the surfaces, and the calm surface.
+// Returns the fine surface, the difference between the surfaces, and the calm surface.
 fn surfaces(shares: vec3<u32>) -> vec3<u32> {
     let a = depth(shares.x, push.narrow_width, push.narrow_most);
     let b = depth(shares.y, push.middle_width, push.middle_most);

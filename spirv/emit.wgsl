@@ -8,7 +8,7 @@ struct EmitPush {
     // Blocks of the batch.
     blocks: u32,
     walls_hi: vec3<i32>,
-    // Whether to write the negative differences of the field too.
+    // Whether to write the decrease of the field along each axis too, for normals.
     normals: u32,
 }
 
@@ -19,11 +19,13 @@ var<immediate> push: EmitPush;
 @group(0) @binding(3) var<storage, read> slots: array<TileSlot>;
 // The start of each block in the batch.
 @group(0) @binding(4) var<storage, read> tallies: array<BlockTally>;
-// TILE_WORDS each: Morton index, first vertex in the block, eight corners.
+// For each tile, TILE_WORDS words: its Morton index, its first vertex in the block, and the signs
+// at eight corners.
 @group(0) @binding(5) var<storage, read_write> tiles: array<u32>;
 // For each vertex, the samples at the lower and the upper end of its edge.
 @group(0) @binding(6) var<storage, read_write> ends: array<u32>;
-// For each vertex, at the lower and then at the upper end, the differences along x, y and z.
+// For each vertex, the decrease of the field along x, y and z, first at the lower and then at the
+// upper end of its edge.
 @group(0) @binding(7) var<storage, read_write> falls: array<i32>;
 
 // Beyond a wall the field repeats the edge cell.
@@ -38,7 +40,8 @@ fn falling(block: Block, cell: vec3<i32>, axis: u32) -> i32 {
     return i32(sample(block, cell - up)) - i32(sample(block, cell + up));
 }
 
-// The block of a tile of the batch: the last block that begins no later.
+// The block that contains a tile of the batch: the last block whose first tile is not after this
+// tile.
 fn block_of(tile: u32) -> u32 {
     var low = 0u;
     var beyond = push.blocks;

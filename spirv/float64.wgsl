@@ -88,7 +88,7 @@ fn f64_sub(a: vec2<u32>, b: vec2<u32>) -> vec2<u32> {
     return f64_add(a, vec2(b.x, b.y ^ SIGN));
 }
 
-// For finite numbers.
+// Multiplies finite numbers.
 fn f64_mul(a: vec2<u32>, b: vec2<u32>) -> vec2<u32> {
     let x = normalised(a);
     let y = normalised(b);

@@ -3,11 +3,12 @@
 // one thread per row along x.
 
 struct Full {
-    // A bit for each layer across x, y and z with a full cell.
+    // For each axis, a bit for each layer of cells perpendicular to the axis: whether the layer has
+    // a full cell.
     layers: array<u32, 3>,
     // The number of full cells.
     count: u32,
-    // A bit for each brick with a full cell of its own.
+    // A bit for each brick: whether the brick has a full cell of its own.
     bricks: array<u32, 2>,
 }
 
@@ -22,7 +23,8 @@ struct FullCellsPush {
 }
 
 var<immediate> push: FullCellsPush;
-// Piece after piece along the Morton curve, x fastest in each.
+// The pages. A page has its pieces in the order of the Morton curve, and x varies fastest in each
+// piece.
 @group(0) @binding(0) var<storage, read> pages: array<u32>;
 @group(0) @binding(1) var<storage, read_write> found: array<Full>;
 

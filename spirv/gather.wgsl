@@ -18,7 +18,8 @@ var<immediate> push: GatherPush;
 // For every bin whose bricks or ghost layers overlap a block, x fastest: the number of its page
 // plus 1, or 0.
 @group(0) @binding(1) var<storage, read> tables: array<u32>;
-// Brick after brick along the Morton curve, x fastest in each.
+// The pages. A page has its bricks in the order of the Morton curve, and x varies fastest in each
+// brick.
 @group(0) @binding(2) var<storage, read> pages: array<u32>;
 @group(0) @binding(3) var<storage, read> theta: array<u32>;
 @group(0) @binding(4) var<storage, read_write> field: array<u32>;
@@ -42,7 +43,7 @@ fn bins_of(block: Block) -> Bins {
     return Bins(first, ((block.lo + vec3<i32>(block.size) - 1 + ghost_layer) >> vec3(BIN_BITS)) - first + 1);
 }
 
-// The stored samples of a brick, by the brick's coordinates, for a pair of cells.
+// The stored samples of a pair of cells in one brick, which is given by its coordinates.
 fn stored(block: Block, bins: Bins, cell: vec3<i32>, brick: vec3<i32>) -> vec2<u32> {
     let corner = brick << vec3(push.brick_bits);
     let bin = (corner >> vec3(BIN_BITS)) - bins.first;
@@ -66,7 +67,7 @@ fn gather(@builtin(global_invocation_id) id: vec3<u32>) {
     let block = blocks[id.y];
     let width = block.size.x / 2u;
     let row = id.x / width;
-    // A run along z, so that the divisions are done once.
+    // Computes a run of pairs along z, so that the divisions are done only once per run.
     var at = vec3(2u * (id.x % width), row % block.size.y, RUN * (row / block.size.y));
     let bins = bins_of(block);
     for (var i = 0u; i < RUN && at.z < block.size.z; i++) {

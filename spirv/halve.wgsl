@@ -4,7 +4,7 @@
 struct HalvePush {
     // The lowest finer cell within the walls, and the highest.
     walls_lo: vec3<i32>,
-    // The factor of the mean of the finer cells, in 2^-16.
+    // The factor that multiplies the mean of the finer cells, in steps of 2^-16.
     factor: u32,
     walls_hi: vec3<i32>,
 }

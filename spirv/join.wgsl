@@ -1,33 +1,35 @@
 //! with block ramp
-// The bulk's surface, blended with the drops in proportion to the distance by which nearby
-// particles lie outside of it, and with sheets earlier, according to their certainty.
+// Blends the surface of the bulk with drops. Drops get more weight the farther nearby particles lie
+// outside the calm surface. Sheets get weight at smaller distances, according to their certainty.
 
 struct JoinPush {
     // The sample at which drops begin to fade in.
     begin: u32,
-    // The distance from there at which drops replace the surface, in units.
+    // The distance beyond `begin` from which drops completely replace the surface, in units.
     range: u32,
     slope: u32,
-    // The radius of a single particle.
+    // The radius of a single particle's drop.
     radius: i32,
     // The standard deviation of a drop.
     width: i32,
-    // The distance by which a certain sheet stands out earlier.
+    // The distance by which a sheet of full certainty stands out earlier than drops.
     earlier: u32,
 }
 
 var<immediate> push: JoinPush;
-// The parts of blocks in which particles stand out, the blocks, and for each part the number of its
-// block.
+// The parts of blocks in which particles stand out, the blocks, and for each part, the number of
+// its block.
 @group(0) @binding(0) var<storage, read> parts: array<Block>;
 @group(0) @binding(1) var<storage, read> blocks: array<Block>;
 @group(0) @binding(2) var<storage, read> homes: array<u32>;
-// On the parts.
+// On the cells of the parts, the distance by which nearby particles lie outside the calm surface,
+// and the shares of drops.
 @group(0) @binding(3) var<storage, read> near: array<u32>;
 @group(0) @binding(4) var<storage, read> shares: array<u32>;
-// The distance from the middle of a normal density at which it has a share of its maximum.
+// For shares from 0 to 1, the distance from the middle of a normal density at which the density is
+// this share of its maximum.
 @group(0) @binding(5) var<storage, read> away: array<i32>;
-// The certainty of sheets, on the parts.
+// The certainty of sheets, on the cells of the parts.
 @group(0) @binding(6) var<storage, read> certainty: array<u32>;
 // The bulk's surface; replaced by the field.
 @group(0) @binding(7) var<storage, read_write> field: array<u32>;

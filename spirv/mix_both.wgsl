@@ -1,14 +1,15 @@
 //! with block ramp
-// The surface of the bulk: the calm one, blended with the fine one where their mean difference is
-// large, except deep in the fluid. Where no particle is near, it is 0; in inside bricks it is at
-// its maximum.
+// Makes the surface of the bulk: the calm surface, blended with the fine surface where their mean
+// difference is large, except deep in the fluid. The samples are 0 where no particle is near, and
+// maximal in inside bricks.
 
 struct MixBothPush {
-    // The mean differences between which the fine surface replaces the calm one.
+    // The ramp, over the mean difference, along which the fine surface replaces the calm surface.
     apart_begin: u32,
     apart_range: u32,
     apart_slope: u32,
-    // The samples of the calm surface between which the calm surface stays unchanged.
+    // The ramp, over samples of the calm surface, along which the fine surface fades out deep in
+    // the fluid.
     deep_begin: u32,
     deep_range: u32,
     deep_slope: u32,
@@ -19,11 +20,12 @@ var<immediate> push: MixBothPush;
 // The calm surface; replaced by the result.
 @group(0) @binding(1) var<storage, read_write> calm: array<u32>;
 @group(0) @binding(2) var<storage, read> fine: array<u32>;
-// The mean difference of the two surfaces.
+// The mean difference between the two surfaces.
 @group(0) @binding(3) var<storage, read> apart: array<u32>;
-// 0 where no particle is near.
+// For each cell, the distance by which nearby particles lie outside the calm surface; 0 where no
+// particle is near.
 @group(0) @binding(4) var<storage, read> near: array<u32>;
-// A bit for each brick that overlaps a block, x fastest: whether it is inside.
+// For each brick that overlaps a block, x fastest, a bit that says whether the brick is inside.
 @group(0) @binding(5) var<storage, read> marks: array<u32>;
 
 fn is_inside(block: Block, cell: vec3<i32>) -> bool {

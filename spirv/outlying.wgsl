@@ -1,16 +1,17 @@
 //! with ramp
-// The distance by which cells with particles lie outside of the calm surface; 0 for other cells.
-// Small distances are reduced where the fine surface agrees with the calm one.
+// Computes the distance by which each cell with a particle lies outside the calm surface; 0 for
+// other cells. Small distances are reduced where the fine surface agrees with the calm surface.
 
 struct OutlyingPush {
     // Words of the field.
     words: u32,
     // The minimum sample of a cell that contains a particle's centre.
     least: u32,
-    // The sample at which drops begin to stand out, and the one at which sheets do.
+    // The distances at which drops and sheets begin to stand out.
     begin: u32,
     begin_of_sheets: u32,
-    // Over the difference of the fine and the calm surface.
+    // The ramp over the difference between the fine and the calm surface. Where they differ, sheets
+    // stand out earlier.
     apart_begin: u32,
     apart_range: u32,
     apart_slope: u32,

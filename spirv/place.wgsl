@@ -1,6 +1,6 @@
 //! with wide float64 grid placing
-// The bin and the record of every particle of a chunk, and counts of the particles without a bin:
-// one thread per particle.
+// Computes the bin and the record of every particle of a chunk, and counts the particles without a
+// bin: one thread per particle.
 
 struct PlacePush {
     // Words before the chunk's first coordinate.
@@ -19,7 +19,7 @@ struct Census {
     outside: atomic<u32>,
     // `count` minus the number of the first invalid particle; 0 if there is none.
     invalid: atomic<u32>,
-    // Whether the table of bins was too small; only in the first chunk.
+    // Whether the table of bins was too small; used only in the census of the first chunk.
     overflow: atomic<u32>,
 }
 
@@ -31,10 +31,12 @@ var<immediate> push: PlacePush;
 @group(0) @binding(3) var<storage, read_write> packed: array<vec2<u32>>;
 @group(0) @binding(4) var<storage, read_write> census: array<Census>;
 
-// Counts by fate; the entry for binned particles is used for `invalid`.
+// The number of particles with each fate. The entry for binned particles is used for `invalid`
+// instead.
 var<workgroup> tally: array<atomic<u32>, 4>;
 
-// For each axis from x on, the offset in the cell followed by the cell in the bin.
+// Packs a particle: for each axis, starting with x, the offset in the cell and then the cell in the
+// bin.
 fn record_of(placed: Placed) -> vec2<u32> {
     let axis = (vec3<u32>(placed.cell & vec3(BIN - 1)) << vec3(FRACTION_BITS)) | placed.offset;
     return vec2(

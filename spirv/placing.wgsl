@@ -57,7 +57,7 @@ fn place_particle(i: u32) -> Placed {
         if !is_finite(world[0]) || !is_finite(world[1]) || !is_finite(world[2]) {
             placed.fate = NOT_FINITE;
         } else {
-            // The grid's limits do not matter outside of the walls.
+            // Outside the walls, it does not matter whether the grid can hold the particle.
             placed.fate = select(TOO_FAR, OUTSIDE, grid.walled != 0u);
         }
         return placed;

@@ -1,6 +1,6 @@
 //! with block
-// Probes the wide cells around each region: whether any is inside, whether any is outside, and the box around the cells near which
-// particles stand out.
+// Probes the wide cells around each region: whether any is inside, whether any is outside, and the
+// box around the cells near which particles stand out.
 
 struct RegionProbe {
     // The region's lowest wide cell, and the number of the block that contains its cells.
@@ -12,10 +12,11 @@ struct RegionProbe {
 }
 
 struct ProbeResult {
-    // Whether any sample is above the threshold, and whether any is not.
+    // Whether any sample is above the threshold, and whether any sample is not above it.
     above: u32,
     below: u32,
-    // Relative to the region's lowest wide cell; `lo` is greater than `hi` if no particle stands out.
+    // The box around the cells near which particles stand out, relative to the region's lowest wide
+    // cell. If there are none, `lo` is greater than `hi`.
     lo: array<u32, 3>,
     hi: array<u32, 3>,
 }

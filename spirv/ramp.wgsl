@@ -3,7 +3,7 @@
 struct Ramp {
     begin: u32,
     range: u32,
-    // 2^28 over the range, rounded up.
+    // 2^28 / `range`, rounded up.
     slope: u32,
 }
 

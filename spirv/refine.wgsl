@@ -1,6 +1,6 @@
 //! with block
-// Interpolates a field of wide cells at the middles of cells: its samples are the control points of
-// a quadratic B-spline. Cells beyond a wall repeat the outermost cell before it.
+// Interpolates a field of wide cells at the middles of cells. The samples of wide cells are the
+// control points of a quadratic B-spline. Cells beyond a wall repeat the outermost cell before it.
 
 struct RefinePush {
     // The lowest cell within the walls.
@@ -13,13 +13,15 @@ struct RefinePush {
 
 var<immediate> push: RefinePush;
 @group(0) @binding(0) var<storage, read> blocks: array<Block>;
-// Blocks of wide cells, and for each of the other blocks the number of the one that contains it.
+// The blocks of wide cells, and for each block of cells, the number of the block of wide cells that
+// contains it.
 @group(0) @binding(1) var<storage, read> wide_blocks: array<Block>;
 @group(0) @binding(2) var<storage, read> within: array<u32>;
 @group(0) @binding(3) var<storage, read> wide: array<u32>;
 @group(0) @binding(4) var<storage, read_write> field: array<u32>;
 
-// Results for a pair of cells and the pairs above it: a thread computes RUN pairs along z.
+// Maximum number of planes of wide cells that a thread reads. It computes RUN pairs of cells along
+// z, and each pair needs the planes of wide cells below, at and above the pair.
 const PLANES: u32 = RUN + 2u;
 
 fn mean(weights: vec3<u32>, taps: vec3<u32>) -> u32 {
@@ -38,8 +40,9 @@ fn weights_of(cell: i32) -> vec3<u32> {
     return vec3(below, 2u * edge * edge - below - above, above);
 }
 
-// The positions of wide cells along an axis in a block. Beyond walls they are clamped, and only
-// cells that are not wanted lie beyond the block.
+// The index of a wide cell along an axis of a block. Cells beyond a wall are replaced by the
+// outermost cell before the wall. Only cells whose results are not used lie beyond the block; they
+// are replaced by the block's outermost cell.
 fn wide_place(block: Block, axis: u32, cell: i32) -> u32 {
     let inside = clamp(cell, push.walls_lo[axis] >> push.level, push.walls_hi[axis] >> push.level);
     return u32(clamp(inside - block.lo[axis], 0, i32(block.size[axis]) - 1));

@@ -1,12 +1,13 @@
 //! with block ramp
-// Shares and certainty of sheets and filaments, from the smoothed density. Cells beyond a wall repeat
-// the outermost cell before it. The formulas are in src/field/sheets/mod.rs; numbers have
-// SHEET_BITS fraction bits, and logarithms are binary.
+// Computes the shares and the certainty of sheets and filaments from the smoothed density. Cells
+// beyond a wall repeat the outermost cell before it. The formulas are in src/field/sheets/mod.rs;
+// numbers have SHEET_BITS fraction bits, and logarithms are binary.
 
 struct SheetsPush {
     // The lowest cell within the walls.
     walls_lo: vec3<i32>,
-    // The distance of the samples for differences, in cells.
+    // The distance, in cells, between a cell and the samples from which its differences are
+    // computed.
     step: i32,
     // The highest cell within the walls.
     walls_hi: vec3<i32>,
@@ -105,7 +106,7 @@ fn minor(a: vec2<i32>, b: vec2<i32>) -> i32 {
     return (a.x * b.x - a.y * b.y) / ONE;
 }
 
-// The share and the certainty at a cell.
+// Returns the share and the certainty of a sheet at a cell.
 fn sheeted(block: Block, cell: vec3<i32>) -> vec2<u32> {
     let x = vec3(push.step, 0, 0);
     let y = vec3(0, push.step, 0);

@@ -1,10 +1,11 @@
 //! with block
-// A sign word for every tile to mesh and for the tiles beyond their upper faces: bit x + 4 y + 16 z
-// is set if that cell is inside the fluid. Of the tiles beyond, only the first layer of cells is
-// known.
+// Computes a sign word for every tile to mesh, and for the tiles beyond the upper faces of the
+// meshed part: bit x + 4 y + 16 z is set if that cell is inside the fluid. In the tiles beyond the
+// upper faces, only the first layer of cells is known.
 
 struct SignsPush {
-    // The lowest cell within the walls, and the highest; ghost points beyond are all outside.
+    // The lowest cell within the walls, and the highest; all ghost points beyond the walls are
+    // outside.
     walls_lo: vec3<i32>,
     // The greatest sample that is outside.
     threshold: u32,

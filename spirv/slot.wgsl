@@ -1,15 +1,16 @@
 // A tile that the surface passes through, and the signs of a block's tiles.
 
 struct TileSlot {
-    // Its Morton index in the block.
+    // The tile's Morton index in the block.
     index: u32,
-    // The numbers of its first vertex and its first triangle within the block.
+    // The numbers of the tile's first vertex and its first triangle within the block.
     vertex: u32,
     triangle: u32,
     spare: u32,
 }
 
-// The corners of a tile of block number `number`, relative to the block's first tile.
+// The signs at the corners of a tile's dual cells. `number` is the number of the block, and `tile`
+// is relative to the block's first tile.
 fn corners_at(number: u32, block: Block, tile: vec3<u32>) -> Corners {
     let row = block.tiles_size.x / TILE + 1u;
     let slab = row * (block.tiles_size.y / TILE + 1u);

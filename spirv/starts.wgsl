@@ -1,6 +1,6 @@
 //! with tile surface
-// The first triangle of every tile: one work group per block, with a prefix sum over the block's
-// tiles.
+// Computes the number of the first triangle of every tile: one work group per block, with a prefix
+// sum over the block's tiles.
 
 struct StartsPush {
     blocks: u32,
@@ -9,7 +9,7 @@ struct StartsPush {
 var<immediate> push: StartsPush;
 @group(0) @binding(0) var<storage, read> blocks: array<Block>;
 @group(0) @binding(1) var<storage, read> tiles: array<u32>;
-// For each case: the number of triangles, followed by their edges.
+// For each case: the number of triangles, followed by the edges on which their vertices lie.
 @group(0) @binding(2) var<storage, read> table: array<u32>;
 @group(0) @binding(3) var<storage, read_write> begins: array<Start>;
 

@@ -1,26 +1,26 @@
 // The surfaces of all blocks, in Morton order. Uses `blocks` and `tiles` of the shader.
 
 struct Block {
-    // Block coordinates.
+    // The block's coordinates, in blocks.
     coord: vec3<i32>,
     first_tile: u32,
     tiles: u32,
-    // Index in the whole mesh.
+    // The numbers of the block's first vertex and first triangle in the whole mesh.
     first_vertex: u32,
     first_triangle: u32,
     spare: u32,
-    // For each corner number, the number of the next block along the corner's axes; NO_BLOCK if
-    // there is none.
+    // For each corner number, the number of the neighbouring block one block up along the corner's
+    // axes; NO_BLOCK if there is none.
     above: array<u32, 8>,
 }
 
-// A tile's block, and its first triangle in the whole mesh.
+// The block of a tile, and the number of the tile's first triangle in the whole mesh.
 struct Start {
     block: u32,
     triangle: u32,
 }
 
-// The corners of a tile's dual cells; see Corners.
+// The signs at the corners of a tile's dual cells; see `Corners`.
 fn corners_at(tile: u32) -> Corners {
     var corners: Corners;
     for (var k = 0u; k < 8u; k++) {
@@ -30,7 +30,7 @@ fn corners_at(tile: u32) -> Corners {
     return corners;
 }
 
-// A tile's first vertex in the whole mesh.
+// The number of a tile's first vertex in the whole mesh.
 fn first_vertex_of(tile: u32, block: u32) -> u32 {
     return blocks[block].first_vertex + tiles[tile * TILE_WORDS + 1u];
 }

@@ -1,4 +1,4 @@
-// The counts of a block, or its start among the blocks of a batch.
+// The numbers of tiles, vertices and triangles of a block, or of all blocks before it in the batch.
 
 struct BlockTally {
     tiles: u32,

@@ -1,14 +1,14 @@
 //! with block
 // Sign words of tiles, and the corners of the dual cells that a tile owns.
 
-// The signs of a tile's cells, and of their neighbours one cell up along the axes of each corner
-// number.
+// For each corner number, the signs of the cells one cell up along the corner's axes from each of a
+// tile's cells. Corner 0 has the signs of the tile's own cells.
 struct Corners {
     at: array<vec2<u32>, 8>,
 }
 
-// For each cell, the sign of the next cell along x, given the next tile's word; similarly for y and
-// z.
+// For each cell of a tile, the sign of the next cell along x. `next` is the word of the next tile.
+// `up_y` and `up_z` do the same along y and z.
 fn up_x(tile: vec2<u32>, next: vec2<u32>) -> vec2<u32> {
     return ((tile >> vec2(1u)) & vec2(0x77777777u)) | ((next << vec2(3u)) & vec2(0x88888888u));
 }
@@ -21,7 +21,8 @@ fn up_z(tile: vec2<u32>, next: vec2<u32>) -> vec2<u32> {
     return vec2((tile.x >> 16u) | (tile.y << 16u), (tile.y >> 16u) | (next.x << 16u));
 }
 
-// The tile's corners from its own word and those of its upper neighbours, by corner number.
+// The signs at the corners of a tile's dual cells, from the words of the tile and of its upper
+// neighbours, in the order of corner numbers.
 fn corners_of(s: array<vec2<u32>, 8>) -> Corners {
     let x0 = up_x(s[0], s[1]);
     let x2 = up_x(s[2], s[3]);

@@ -3,10 +3,10 @@
 // vertex is the first number of its tile, plus its rank among the tile's crossed edges.
 
 struct TrianglesPush {
-    // The first tile.
+    // The number of the first tile.
     first_tile: u32,
     tiles: u32,
-    // The number of the first triangle to write, and the words before it.
+    // The number of the first triangle to write, and the number of words in the buffer before it.
     first_triangle: u32,
     first_word: u32,
 }
@@ -15,12 +15,13 @@ var<immediate> push: TrianglesPush;
 @group(0) @binding(0) var<storage, read> blocks: array<Block>;
 @group(0) @binding(1) var<storage, read> tiles: array<u32>;
 @group(0) @binding(2) var<storage, read> begins: array<Start>;
-// For each case: the number of triangles, followed by three edges each, of EDGE_BITS: corner + 8
-// axis.
+// For each case: the number of triangles, followed by a word for each triangle. The word has the
+// three edges on which the triangle's vertices lie, each as corner + 8 axis in EDGE_BITS bits.
 @group(0) @binding(3) var<storage, read> table: array<u32>;
 @group(0) @binding(4) var<storage, read_write> indices: array<u32>;
 
-// For the tile and those above it, by corner: crossed edges and first vertex along each axis.
+// For the tile and its upper neighbours, in the order of corner numbers, and for each axis: the
+// crossed edges, and the number of the first vertex on them.
 var<workgroup> crossed_edges: array<vec2<u32>, 24>;
 var<workgroup> first_vertices: array<u32, 24>;
 // For each cell, the number of triangles up to it.

@@ -1,12 +1,12 @@
 //! with wide float64 grid tile surface
-// The positions of the vertices (eq. 8), in the host's f64 arithmetic, rounded to f32: one work
-// group per tile, one thread per cell.
+// Computes the positions of the vertices (eq. 8) with the host's f64 arithmetic, and rounds them to
+// f32: one work group per tile, one thread per cell.
 
 struct VerticesPush {
-    // The first tile.
+    // The number of the first tile.
     first_tile: u32,
     tiles: u32,
-    // The number of the first vertex to write, and the words before it.
+    // The number of the first vertex to write, and the number of words in the buffer before it.
     first_vertex: u32,
     first_word: u32,
     // The greatest sample that is outside.
@@ -20,7 +20,7 @@ var<immediate> push: VerticesPush;
 @group(0) @binding(3) var<storage, read> begins: array<Start>;
 // For each vertex, the samples at the lower and the upper end of its edge.
 @group(0) @binding(4) var<storage, read> ends: array<u32>;
-// As bits, because a device may flush subnormal f32 to 0.
+// The positions, as the bits of f32, because a device may flush subnormal f32 to 0.
 @group(0) @binding(5) var<storage, read_write> positions: array<u32>;
 
 // The position of a vertex along its edge. Equal samples belong to a cell and its mirror image

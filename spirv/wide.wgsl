@@ -47,13 +47,13 @@ fn product(a: u32, b: u32) -> vec2<u32> {
     return vec2((other << 16u) | (low & 0xffffu), (a >> 16u) * (b >> 16u) + (middle >> 16u) + (other >> 16u));
 }
 
-// The lower 64 of a product's 128 bits.
+// The lower 64 of the 128 bits of a product.
 fn low_product(a: vec2<u32>, b: vec2<u32>) -> vec2<u32> {
     let first = product(a.x, b.x);
     return vec2(first.x, first.y + a.x * b.y + a.y * b.x);
 }
 
-// The upper 64 of a product's 128 bits.
+// The upper 64 of the 128 bits of a product.
 fn high_product(a: vec2<u32>, b: vec2<u32>) -> vec2<u32> {
     let cross = product(a.x, b.y);
     let other = product(a.y, b.x);

@@ -165,10 +165,12 @@ settings! {
     ///
     /// Each region of the fluid is meshed at its own particle spacing. The attribute's name
     /// determines how its values are read: as radii (half of a particle's spacing), diameters,
-    /// volumes or masses. Masses also need a density attribute. Smoothing lengths are scaled to
-    /// sizes. If the particles of a GADGET or SWIFT file have different masses, the default is the
-    /// masses or, if the file has no densities, the smoothing lengths. `none` gives all particles
-    /// the same size. Works only with the cloud indicator, the default.
+    /// volumes, masses or smoothing lengths. Masses also need a density attribute. meniscus adds up
+    /// the volumes that the values imply. If the sum differs from the volume of the fluid by more
+    /// than a factor of 1.4, as is usual for smoothing lengths, all sizes are scaled by the same
+    /// factor, so that the volumes match. If the particles of a GADGET or SWIFT file have different
+    /// masses, the default is the masses or, if the file has no densities, the smoothing lengths.
+    /// `none` gives all particles the same size. Works only with the cloud indicator, the default.
     #[arg(
         value_name = "NAME", conflicts_with_all = ["spacing", "radius"], help_heading = "Input",
         hide_short_help = true
@@ -251,16 +253,18 @@ settings! {
     #[arg(value_enum, help_heading = "Surface", hide_short_help = true)]
     indicator: Option<IndicatorKind>,
 
-    /// Mean number of particles in non-empty cells, for the indicator counting [default:
-    /// measured].
+    /// Mean number of particles in non-empty cells, for the counting indicator [default: measured].
     #[arg(
         value_name = "VALUE", allow_negative_numbers = true, help_heading = "Surface",
         hide_short_help = true
     )]
     mu0: Option<f64>,
 
-    /// Skip particles whose position is not finite or is outside the grid or the periodic box, and
-    /// report their number; by default, such particles are an error.
+    /// Skip particles with an invalid position, and report their number; by default, such particles
+    /// are an error.
+    ///
+    /// A position is invalid if it is not finite, if it is outside the periodic box, or if it is
+    /// more than 4.19 million cells from the grid's origin along an axis.
     #[arg(help_heading = "Input", hide_short_help = true)]
     skip_invalid: bool,
 

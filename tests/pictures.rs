@@ -706,7 +706,7 @@ fn invalid_render_requests_are_refused_and_leave_no_files() {
     fs::write(folder.path().join("bad.ply"), "ply\nformat ascii 1.0\nelement vertex 3\n").unwrap();
     let before = listing(folder.path());
     for (arguments, code, expected) in [
-        (&["ball_2.ply", "-o", "there.png"][..], 2, "there.png: already exists"),
+        (&["ball_2.ply", "-o", "there.png"][..], 2, "there.png: the file already exists"),
         (&["ball_2.ply", "-o", "a.jpg"], 2, "a.jpg: unknown extension; supported: .png, and .apng"),
         (&["ball_{}.ply", "-o", "a_{}.apng"], 2, "unknown extension; supported: .png"),
         (&["ball_2.ply", "-o", "a.apng"], 2, "an animation needs several meshes"),
@@ -801,7 +801,7 @@ fn a_preview_is_written_next_to_the_mesh_and_does_not_change_it() {
     fs::write(at("other.png"), "mine").unwrap();
     let messages = run(&[frame, "-o", "other.ply", "--preview"], 2);
     assert!(
-        messages.contains("other.png: already exists") && !at("other.ply").exists(),
+        messages.contains("other.png: the file already exists") && !at("other.ply").exists(),
         "{messages}"
     );
     run(&[frame, "-o", "p.ply", "--parts", "2", "--plan", "--preview"], 2);
@@ -811,7 +811,7 @@ fn a_preview_is_written_next_to_the_mesh_and_does_not_change_it() {
     run(&[frames, "-o", "mesh_{}.ply", "--preview"], 0);
     assert_eq!(png_size(&at("mesh.png")), [3 * 640 + 2 * 4, 360]);
     let messages = run(&[frames, "-o", "mesh_{}.ply", "--preview"], 2);
-    assert!(messages.contains("mesh.png: already exists"), "{messages}");
+    assert!(messages.contains("mesh.png: the file already exists"), "{messages}");
     // Resuming may replace the conversion's own sheet, but no other picture.
     let sheet = fs::read(at("mesh.png")).unwrap();
     let picture = Picture::new().size(8, 8).draw(&Mesh::default()).unwrap();

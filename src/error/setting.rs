@@ -72,29 +72,37 @@ impl SettingConflict {
                 )
             }
             (Conflict::Indicator(kind), "mu0") => format!(
-                "{setting} works only with {} counting, not with {}",
+                "{setting} needs the indicator counting, but {} is {}",
                 named("indicator"),
                 kind.name()
             ),
             (Conflict::Indicator(IndicatorKind::Cloud), which) => {
                 let indicator = named("indicator");
                 let alternative = match which {
-                    "iso" => format!(", and with {} mueller or yu-turk", named("method")),
-                    "sigma" => format!("; with {indicator} cloud, use {}", named("smooth")),
+                    "iso" => {
+                        format!("; alternatively, set {} to mueller or yu-turk", named("method"))
+                    }
+                    "sigma" => format!("; use {} instead", named("smooth")),
                     _ => String::new(),
                 };
-                format!("{setting} works only with {indicator} counting or symmetry{alternative}")
+                format!(
+                    "{setting} needs the indicator counting or symmetry, but {indicator} is cloud \
+                     (the default){alternative}"
+                )
             }
-            (Conflict::Indicator(_), "smooth") => format!(
-                "{setting} works only with {} cloud; with the other indicators, use {}",
+            (Conflict::Indicator(kind), "smooth") => format!(
+                "{setting} needs the indicator cloud (the default), but {} is {}; use {} instead",
                 named("indicator"),
+                kind.name(),
                 named("sigma")
             ),
-            (Conflict::Indicator(_), _) => {
-                format!("{setting} works only with {} cloud", named("indicator"))
-            }
+            (Conflict::Indicator(kind), _) => format!(
+                "{setting} needs the indicator cloud (the default), but {} is {}",
+                named("indicator"),
+                kind.name()
+            ),
             (Conflict::Method(kernels), _) => {
-                format!("{setting} does not work with {} {}", named("method"), kernels.name())
+                format!("{setting} cannot be used if {} is {}", named("method"), kernels.name())
             }
             (Conflict::Packed(path), _) => {
                 format!(
@@ -130,8 +138,8 @@ impl SettingConflict {
                 format!("{}: {setting} works only with .glb and .vdb files", path.display())
             }
             (Conflict::Format { path, format }, "up") => format!(
-                "{}: {setting} z is not possible, because y always points up in {format}; if z \
-                 points up in the particles, use {} z",
+                "{}: {setting} cannot be z, because y always points up in {format}; if z points up \
+                 in the particles, set {} to z",
                 path.display(),
                 named("particles_up")
             ),

@@ -125,7 +125,7 @@ impl Filters {
         }
     }
 
-    /// Whether every drop and every sheet can have a surface.
+    /// Whether the filters keep details, so that every drop and every sheet can have a surface.
     pub fn keeps_details(&self) -> bool {
         match self {
             Self::Paper(paper) => paper.recovery.is_some(),
@@ -255,7 +255,8 @@ pub fn joined<F: Fields>(
     fields.joined(bulk, near, ThinShares { shares, certainty }, (drops, stands_out))
 }
 
-/// The shares of drops and of sheets, in the cells of the drops' level.
+/// Computes the shares of drops, blended with the shares of sheets, in the cells of the drops'
+/// level.
 pub fn thin_shares<F: Fields>(
     distances: &DistanceFilters,
     fields: &mut F,
@@ -264,7 +265,7 @@ pub fn thin_shares<F: Fields>(
     with_drops(distances, fields, sheets)
 }
 
-/// The shares of drops, blended with the shares of sheets.
+/// Computes the shares of drops, and blends them with the shares of `sheets`, if there are any.
 pub fn with_drops<F: Fields>(
     distances: &DistanceFilters,
     fields: &mut F,
@@ -339,7 +340,8 @@ pub trait Fields {
         other: Self::Field,
     ) -> Result<Self::Field, Self::Error>;
 
-    /// The calm and the fine surface of the bulk, from clouds that are smoothed with each width.
+    /// Smooths `clouds` with each of the three widths, and computes the calm and the fine surface
+    /// of the bulk and the difference between them.
     fn depths(
         &mut self,
         bulk: &Bulk,
@@ -356,9 +358,9 @@ pub trait Fields {
         near: &Self::Field,
     ) -> Result<Self::Field, Self::Error>;
 
-    /// The distance by which particles lie outside the calm surface, from the calm and the fine
-    /// surface: see [`StandsOut::of_particle`]. A cell contains a particle if its sample in
-    /// `clouds` is at least the number in `by`.
+    /// The distance by which each cell with a particle lies outside the calm surface, from the calm
+    /// and the fine surface: see [`StandsOut::of_particle`]. A cell contains a particle if its
+    /// sample in `clouds` is at least the number in `by`.
     fn outlying(
         &mut self,
         surfaces: [&Self::Field; 2],

@@ -27,7 +27,7 @@ pub(super) fn sorted(
         return Ok(BinnedParticles::InMemory(bin_plan.fill(particles, carried)?));
     };
     let runs = bin_plan.runs(particles, carried, shares.particles);
-    // No run is being sorted yet, so this share is free for buffers.
+    // No run is being sorted yet, so the memory for sorted particles is free for buffers.
     let buffers = shares.particles as usize;
     let spilled =
         bin_plan.spill(particles, carried, runs, &resources.scratch, buffers, shares.coded);

@@ -77,7 +77,7 @@ pub struct Extraction {
     pub block_bytes: u64,
     /// The distance, in cells, within which particles affect the attributes of a cell.
     pub carried_halo: i32,
-    /// Whether every drop and every sheet can have a surface.
+    /// Whether the filters keep details, so that every drop and every sheet can have a surface.
     pub keeps_details: bool,
     /// The particles' spacing in cells, if it is known.
     pub spacing_cells: Option<f64>,

@@ -239,8 +239,8 @@ impl Surfacing {
         }
     }
 
-    /// The distance, in cells, beyond the halo of the field within which particles affect the
-    /// field's continuation into a solid; 0 without a solid.
+    /// How far beyond the halo of the field, in cells, particles affect the continuation of clouds
+    /// into a solid; 0 without a solid.
     fn fill_reach(&self, spacing: Option<f64>, grid: &Grid) -> i32 {
         if !self.at_solids {
             return 0;

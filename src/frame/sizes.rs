@@ -27,7 +27,8 @@ use super::{FrameError, Resources, SizedParticles, Surfacing};
 #[derive(Debug)]
 pub(super) struct SampledSizes {
     pub(super) sampled: SampledOctaves,
-    /// For each level of cells, all clouds, with the octave of this level as the first octave.
+    /// The clouds of all octaves, once for each level of cells: entry k has octave k as its first
+    /// octave.
     clouds: Vec<SizedClouds>,
     /// The blocks near particles of finer octaves, which determine the levels of cells.
     finer: FinerBlocks,

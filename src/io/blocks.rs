@@ -80,7 +80,8 @@ pub(super) fn open_blocks(
         let file = match opened {
             Some(OpenedBlock::Particles(file)) => Some(*file),
             Some(OpenedBlock::Lacking { particles, error, .. }) => {
-                // The largest block is the one whose attributes a message should list.
+                // Keep the error of the largest block, because the message lists the attributes of
+                // this block.
                 if lacking.as_ref().is_none_or(|(most, _)| particles > *most) {
                     lacking = Some((particles, error));
                 }
@@ -141,7 +142,7 @@ fn has_points(file: &ParticleFile) -> bool {
 fn other_contents(path: &Path, error: ReadError) -> Result<String, ReadError> {
     match error.fault {
         ReadFault::Mesh { faces } if error.path == path => Ok(described_mesh(faces)),
-        // Other pieces of the block may have more faces.
+        // The error counts only the faces of one piece, and the block's other pieces may have more.
         ReadFault::Mesh { .. } => Ok("a mesh".to_owned()),
         ReadFault::UnknownExtension { .. } => Ok(described_format(path)),
         _ => Err(error),

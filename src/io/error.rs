@@ -205,10 +205,10 @@ pub enum WriteFault {
     #[error("{0}")]
     Io(#[from] std::io::Error),
     /// The output already exists, and may not be replaced.
-    #[error("already exists")]
+    #[error("the file already exists")]
     Exists,
     /// The output of a frame already exists, and may not be replaced.
-    #[error("already exists")]
+    #[error("the output of a frame already exists")]
     ExistsInSimulation,
     /// An unknown extension.
     #[error("unknown extension; supported: {known}")]

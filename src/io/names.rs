@@ -232,7 +232,7 @@ fn without_unit(name: &str) -> &str {
     name[..end].trim()
 }
 
-/// The text before the bracket that closes.
+/// The text before the first closing bracket.
 fn inside(text: &str) -> &str {
     text.split([']', ')']).next().unwrap_or_default().trim()
 }

@@ -57,8 +57,8 @@ pub enum KindFault {
     #[error(
         "colour {name:?} has the value {greatest} and looks like bytes from 0 to 255, but the \
          calibration frame (usually the first) has colours from 0 to 1; store colours in the same \
-         way in all frames, begin with a frame that also has such values (above 16), or do not \
-         transfer the attribute"
+         way in all frames, begin with a frame that also has values above 16, or do not transfer \
+         the attribute"
     )]
     Scale {
         /// The name of the attribute.

@@ -252,8 +252,11 @@ pub struct SimulationOptions {
     /// Convert every Nth frame.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..), help_heading = "Simulations", hide_short_help = true)]
     step: Option<u64>,
-    /// Convert only frames A to B (inclusive), with the calibration of the whole simulation, so
-    /// that several jobs can share it.
+    /// Convert only frames A to B (inclusive), as one of several jobs that share a simulation.
+    ///
+    /// --start, --end and --step select the frames on which the calibration is measured; --frames
+    /// does not. All jobs therefore use the same calibration, and together make the same meshes as
+    /// a single run.
     #[arg(long, value_name = "A..B", value_parser = range, allow_hyphen_values = true, help_heading = "Simulations", hide_short_help = true)]
     frames: Option<(i64, i64)>,
     /// Resume an interrupted conversion.
@@ -269,6 +272,9 @@ pub struct SimulationOptions {
     #[arg(long, value_name = "SECONDS", num_args = 0..=1, require_equals = true, default_missing_value = "inf", conflicts_with = "dry_run", help_heading = "Simulations")]
     pub watch: Option<f64>,
     /// Frames per second of the simulation, if the files have no times.
+    ///
+    /// Times in the files take precedence. The rate then only sets the number of frames per second
+    /// in USD stages and Alembic archives.
     #[arg(long, value_name = "RATE", help_heading = "Simulations", hide_short_help = true)]
     pub fps: Option<f64>,
     /// Prepare a conversion that several jobs will share: calibrate, write the state file, and

@@ -279,7 +279,7 @@ fn reduction(settings: &Settings) -> Result<Reduction, Error> {
     Ok(Reduction {
         tolerance: settings.simplify.map(Tolerance::new).transpose()?,
         smallest_component: settings.smallest_component,
-        // Every drop has at least one particle.
+        // A minimum of 1 removes nothing, because every drop has at least one particle.
         smallest_drop: settings.smallest_drop.filter(|&particles| particles > 1),
     })
 }

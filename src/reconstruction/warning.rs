@@ -18,8 +18,8 @@ use crate::surface::simplify::TooSmall;
 
 use super::{Cells, SpacingWarning};
 
-/// The density, relative to the density for the spacing, above which there is a warning. Particles
-/// at half the spacing have a relative density of 8.
+/// The density above which there is a warning, relative to the density that the spacing implies.
+/// Particles at half the spacing have a relative density of 8.
 const CROWDED: f64 = 8.0;
 
 /// Maximum number of lost or coincident particles that gives no warning.
@@ -33,7 +33,7 @@ pub enum Warning {
     Spacing(SpacingWarning),
     /// Particles are much denser than the spacing allows.
     Crowded {
-        /// Lower bound of the ratio of the particles' density to the density for the spacing.
+        /// Lower bound of the particles' density, relative to the density that the spacing implies.
         times: f64,
         /// The spacing.
         spacing: f64,
@@ -63,7 +63,7 @@ pub enum Warning {
     },
     /// The backend failed, and the CPU did its work.
     DeviceFallback(String),
-    /// A lattice of particles lies on the corners of cells, where symmetry fails.
+    /// Particles form a lattice on the corners of cells, where the indicator symmetry is almost 0.
     OnCorners {
         /// The mean indicator of full cells.
         mean: f64,
@@ -85,8 +85,8 @@ pub enum Warning {
         lost: u64,
         /// Number of all particles.
         of: usize,
-        /// Whether they are lost to the smoothing of counting or symmetry, so that smaller cells do
-        /// not help.
+        /// Whether the particles are missing because the smoothing of counting or symmetry removed
+        /// them; smaller cells do not help then.
         smoothed: bool,
     },
     /// The surface encloses much less than the particles' volume.
@@ -233,22 +233,21 @@ impl fmt::Display for Warning {
             Self::MissingAttribute { attribute, calibration_frame } => {
                 let known = calibration_frame.map_or_else(
                     || "the calibration frame".to_owned(),
-                    |frame| format!("calibration frame {frame}"),
+                    |frame| format!("frame {frame}, the calibration frame"),
                 );
                 let is_velocity = attribute == "velocity";
-                let blur = if is_velocity { "; this frame has no motion blur" } else { "" };
+                let blur = if is_velocity { ", so the frame has no motion blur" } else { "" };
                 write!(
                     f,
-                    "the particles lack the attribute {attribute:?}, which {known} has, so the \
-                     mesh of this frame lacks it, too{blur}"
+                    "the particles of this frame lack the attribute {attribute:?}, unlike those of \
+                     {known}; the mesh of this frame lacks it, too{blur}"
                 )
             }
             Self::DeviceFallback(what) => f.write_str(what),
-            Self::OnCorners { mean, origin } => write!(
+            Self::OnCorners { origin, .. } => write!(
                 f,
-                "the particles lie on the corners of cells, which makes the surface inaccurate \
-                 (mean indicator {}); move the grid's origin to {}",
-                significant(*mean, 3),
+                "the particles lie on the corners of cells, where the symmetry indicator is almost \
+                 0, so the surface is inaccurate; move the grid's origin to {}",
                 origin.map(|x| x.to_string()).join(",")
             ),
             Self::Bubbles { iso, lowest } => write!(

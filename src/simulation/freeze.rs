@@ -125,7 +125,7 @@ impl Setup<'_> {
                 let lattice = best.as_ref().filter(|(_, known)| known.trust == Trust::Lattice);
                 let lattice = lattice.map(|(_, known)| &known.shared);
                 let measured = self.measure_on(&frame, lattice, resources);
-                // If its file changes later, the frame is measured again.
+                // If the file of this frame changes later, the frame is measured again.
                 if let Some(watch) = &mut watch {
                     watch.done(frame.number);
                 }

@@ -160,8 +160,8 @@ pub fn nearest_values(
     };
     let mut values = Vec::with_capacity(edges.len() * components);
     for (&(cell, axis), &ends) in edges.iter().zip(&mesh.ends) {
-        // The place of the vertex, in the steps to which particle positions are rounded. A cell of
-        // the block is 2^`bits` steps wide.
+        // The position of the vertex, in the steps to which particle positions are rounded. A cell
+        // of the block is 2^`bits` steps wide.
         let bits = FRACTION_BITS + level;
         let half = 1_i64 << (bits - 1);
         let mut place = [0, 1, 2].map(|a| (i64::from(cell[a]) << bits) + half);
@@ -216,7 +216,7 @@ fn interpolate(
 ) {
     let index = cells.map(|cell| weight.index(cell));
     let weights = index.map(|i| weight.samples()[i]);
-    // An end of the edge that no particle reaches has no value.
+    // If no particle reaches one end of the edge, the vertex takes the value of the other end.
     let shares = match weights.map(|w| w > 0.0) {
         [true, true] => [(1.0 - upper_share) / weights[0], upper_share / weights[1]],
         [true, false] => [1.0 / weights[0], 0.0],

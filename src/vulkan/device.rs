@@ -577,8 +577,8 @@ impl Drop for SharedDevice {
     fn drop(&mut self) {
         // If the cache cannot be saved, the next run only takes longer.
         let _ = self.save_cache();
-        // SAFETY: buffers, shaders and batches hold this object, so none is left. The allocator is
-        // dropped before its device.
+        // SAFETY: buffers, shaders and batches hold references to this object, so all of them are
+        // already destroyed when it is dropped. The allocator is dropped before its device.
         unsafe {
             ManuallyDrop::drop(&mut self.allocator);
             for queue in &self.queues {

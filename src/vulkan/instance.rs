@@ -413,7 +413,8 @@ pub(super) fn lacks(
 
 impl Drop for Instance {
     fn drop(&mut self) {
-        // SAFETY: devices hold their instance, so no device is left.
+        // SAFETY: every device holds a reference to its instance, so all devices are already
+        // destroyed when the instance is dropped.
         unsafe {
             if let Some((debug, messenger)) = &self.messenger {
                 debug.destroy_debug_utils_messenger(*messenger, None);

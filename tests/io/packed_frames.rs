@@ -511,7 +511,7 @@ fn impossible_samples_in_the_ghost_layer_of_a_page_are_refused() {
     samples[0] = 1;
     assert!(refusal(&folder, &written(&samples)).contains("page 0 contains other cells"));
 
-    // Write the largest number that the footer can store as the number of particles.
+    // Set the footer's number of particles to the largest possible value.
     let layout = Layout::of(&whole);
     whole[layout.footer + 104..][..8].fill(0xff);
     layout.seal(&mut whole);

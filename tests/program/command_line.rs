@@ -135,22 +135,22 @@ fn invalid_arguments_exit_with_2_and_leave_no_files() {
         (ball(&["--smooth", "4.01"]), "--smooth must be from 0.8 to 4 spacings, got 4.01"),
         (ball(&["--smooth", "-1"]), "--smooth must be"),
         (ball(&["--smooth", "nan"]), "--smooth must be"),
-        (ball(&["--sigma", "1"]), "--sigma works only with --indicator counting or symmetry"),
+        (ball(&["--sigma", "1"]), "--sigma needs the indicator counting or symmetry"),
         (
             ball(&["--iso", "0.4"]),
-            "--iso works only with --indicator counting or symmetry, and with --method mueller or \
-             yu-turk",
+            "--iso needs the indicator counting or symmetry, but --indicator is cloud (the \
+             default); alternatively, set --method to mueller or yu-turk",
         ),
-        (ball(&["--sigma", "1"]), "with --indicator cloud, use --smooth"),
-        (ball(&["--detail"]), "--detail works only with --indicator counting or symmetry"),
-        (ball(&["--mu0", "3"]), "--mu0 works only with --indicator counting, not with cloud"),
+        (ball(&["--sigma", "1"]), "--indicator is cloud (the default); use --smooth instead"),
+        (ball(&["--detail"]), "--detail needs the indicator counting or symmetry"),
+        (ball(&["--mu0", "3"]), "--mu0 needs the indicator counting, but --indicator is cloud"),
         (
             ball(&["--smooth", "2", "--indicator", "counting"]),
-            "--smooth works only with --indicator cloud",
+            "--smooth needs the indicator cloud (the default)",
         ),
         (
             ball(&["--smooth", "2", "--indicator", "symmetry"]),
-            "with the other indicators, use --sigma",
+            "--indicator is symmetry; use --sigma instead",
         ),
         (ball(&["--method", "zhu-bridson", "--iso", "0.4"]), "--iso"),
         (ball(&["--method", "mueller", "--mu0", "3"]), "--mu0"),
@@ -504,7 +504,7 @@ fn a_lattice_on_cell_corners_is_refused_with_a_suitable_origin() {
     };
     let refused = notes(&["symmetry", "--origin", "0,0,0"], 2);
     assert!(
-        refused.contains("--origin 0.25,0.25,0.25") && refused.contains("on corners of cells"),
+        refused.contains("--origin 0.25,0.25,0.25") && refused.contains("on the corners of cells"),
         "{refused}"
     );
     assert_eq!(names(folder.path()), ["lattice.xyz"]);
@@ -907,7 +907,7 @@ fn invalid_simplify_component_compress_and_up_options_are_refused() {
         (&["a.ply", "--compress"], "--compress works only with .glb"),
         (
             &["a.glb", "--up", "z"],
-            "y always points up in .glb; if z points up in the particles, use --particles-up z",
+            "y always points up in .glb; if z points up in the particles, set --particles-up to z",
         ),
     ] {
         assert_refused(folder.path(), &[&ball[..], arguments].concat(), 2, &[message]);
@@ -1053,9 +1053,9 @@ fn cells_too_fine_for_the_indicator_are_refused_with_a_usable_size() {
         folder.path(),
         &fine,
         2,
-        &["ball.xyz", "too weak", "of at most 65535", "0.125", "use a cell size of 0.0"],
+        &["ball.xyz", "too few particles", "0.125", "use a cell size of 0.0"],
     );
-    assert_refused(folder.path(), &[&fine[..], &["--dry-run"]].concat(), 2, &["too weak"]);
+    assert_refused(folder.path(), &[&fine[..], &["--dry-run"]].concat(), 2, &["too few particles"]);
     let more = ["--indicator", "symmetry", "--cell", "0.4"];
     let symmetry = [&fine[..5], &more[..]].concat();
     assert_refused(folder.path(), &symmetry, 2, &["too small for the symmetry indicator", "0.25"]);

@@ -379,7 +379,7 @@ fn invalid_requests_for_parts_are_refused_and_leave_no_files() {
         (ask(&["--parts", "2", "--plan", "--watch"]), "--watch"),
         (
             ask(&["--parts", "2", "--plan", "--method", "mueller"]),
-            "--parts does not work with --method mueller",
+            "--parts cannot be used if --method is mueller",
         ),
         (ask(&["--parts", "2", "--plan", "--stats", "s"]), "--stats works only with --merge"),
         (ask(&["--parts", "2", "--part", "0", "--dry-run"]), "--dry-run does not work with"),

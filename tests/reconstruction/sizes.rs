@@ -122,7 +122,8 @@ fn pools_of_several_particle_sizes_have_level_surfaces() {
         let [bias, rms] = level(&mesh, [seam - 2.0 * size, seam + 2.0 * size], size);
         assert!(bias.abs() < 0.1 && rms < 0.07, "seam {i}: {bias} {rms}");
     }
-    // If all particles count as having the same size, the surface loses the coarse water.
+    // If sizes are ignored, the cells are too fine for the coarse water, so its surface falls
+    // apart.
     let one = measure(&water.mesh(&request().size("none")));
     assert!(one.components > 10 && one.volume.unwrap() < 0.7 * water.volume());
 }

@@ -37,7 +37,7 @@ pub const PROBES: u32 = 128;
 pub const SETTLED: u32 = u32::MAX;
 /// The value of both words of the key of a particle without a bin.
 pub const NO_BIN: u32 = u32::MAX;
-/// The position of a slot whose bin belongs to another run.
+/// Replaces the position of a slot's next particle if the slot's bin belongs to another run.
 pub const ELSEWHERE: u32 = u32::MAX;
 /// Bytes of a packed particle.
 const RECORD_BYTES: u64 = 8;

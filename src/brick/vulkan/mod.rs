@@ -52,8 +52,8 @@ pub struct DeviceBlock {
     pub table: u32,
     /// The lowest cell of the tiles to mesh.
     pub tiles_lo: [i32; 3],
-    /// The index of the block's first word in the bits that mark the inside bricks of all blocks,
-    /// if there are such bits.
+    /// The index of the block's first word in a buffer that has one bit for each brick of every
+    /// block: 1 if the brick is inside the fluid. It is unused if there is no such buffer.
     pub marks: u32,
     /// The edges, in cells, of the part of the block that is divided into tiles.
     pub tiles_size: [u32; 3],

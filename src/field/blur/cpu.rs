@@ -10,8 +10,8 @@ use super::{UNIT, Weights};
 
 /// A number that can be blurred.
 pub trait BlurSample: Copy + Default + PartialEq {
-    /// Fills `to[i]` with the weighted sum of `taps[i]`, `taps[i + step]`, ..., with one tap per
-    /// weight, along an axis.
+    /// Fills `to[i]` with the weighted sum of the taps `taps[i]`, `taps[i + step]`, ..., one tap
+    /// per weight. `axis` is the axis along which the samples are blurred.
     fn blur_row(to: &mut [Self], taps: &[Self], step: usize, weights: &Weights, axis: usize);
 }
 
@@ -29,8 +29,9 @@ pub fn blur<T: BlurSample>(block: Block<T>, weights: &Weights, walls: Option<Cel
     blur_while(block, weights, walls, |_| true).expect("nothing stops it")
 }
 
-/// Blurs like [`blur`], but returns `None` as soon as `goes_on` rejects the block that was blurred
-/// along an axis. In the block that `goes_on` receives, edge cells are not repeated yet.
+/// Blurs like [`blur`], but passes the block to `goes_on` after each axis, and returns `None` as
+/// soon as `goes_on` returns false. In the block that `goes_on` receives, edge cells are not
+/// repeated yet.
 ///
 /// # Panics
 /// If the block is too small for one cell to remain.
@@ -74,7 +75,8 @@ pub fn blur_of_few(
     blurred
 }
 
-/// Blurs the box of cells that the nonzero samples reach.
+/// Blurs like [`blur_of_few`], but does not repeat edge cells. Computes only the cells that nonzero
+/// samples reach; all other cells are 0.
 fn blurred_part(block: &Block, full: &[IVec3], weights: &Weights, cells: CellBox) -> Block {
     let reach = weights.reach();
     let near = cells.grown(reach, reach);

@@ -13,7 +13,7 @@ use super::Weights;
 /// output.
 ///
 /// In the input, the samples within `margin` cells of a block's faces are unknown; in the result,
-/// the samples within `margin` plus the filter's reach are.
+/// they are unknown within `margin` plus the filter's reach.
 ///
 /// # Errors
 /// If a view is larger than the storage range of the device, or if the driver fails.

@@ -15,7 +15,7 @@ const PLACES: u64 = 8;
 const EDGE: f64 = 16.0;
 
 /// A synthetic fluid has at most this many particles along the edge of a cell. With this number of
-/// particles, disorder does not affect a cell.
+/// particles, disorder does not change the sample of a cell.
 const LONGEST: f64 = 24.0;
 
 /// Maximum number of cells per spacing in a synthetic fluid. At this number no cell holds two
@@ -118,7 +118,7 @@ impl FluidSums {
     }
 }
 
-/// The number of particles per full cell relative to `usual`, at least 1.
+/// The mean number of particles per full cell of `dif`, divided by `usual`; at least 1.
 fn crowding(dif: &DifField, usual: f64) -> f64 {
     let full_cells = dif.full_cells();
     if full_cells < TELLING {

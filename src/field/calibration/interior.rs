@@ -50,8 +50,8 @@ pub struct Interior<'a> {
 }
 
 impl<'a> Interior<'a> {
-    /// Defines the interior so that gaps up to the size of a cube of `gap` cells count as fluid, or
-    /// of three cells if `gap` is less.
+    /// Defines the interior cells. Gaps in which a cube with an edge of max(`gap`, 3) cells does
+    /// not fit count as fluid.
     pub fn new(blurred: &'a BlurredSamples<'a>, gap: f64) -> Self {
         let &BlurredSamples { reach, halo, width, .. } = blurred;
         let depth = (reach + halo).min((DEPTH * width).ceil() as i32);
@@ -93,8 +93,9 @@ impl<'a> Interior<'a> {
             fullness(wide.samples()).chunks_exact(width).map(full_bits).collect();
         windows(&mut rows, slab / width, 2 * dilation + 1, |a, b| a | b);
         windows(&mut rows, slab / width, 2 * erosion + 1, |a, b| a & b);
-        // The two windows of a cell together begin `seen` cells below the cell, and `wide` begins
-        // `margin` cells below `cells`.
+        // Dilation and erosion together look from `seen` cells below a cell to `seen` cells above
+        // it. A window begins at its cell, so the result for a cell is stored `seen` cells below it
+        // along each axis. `wide` begins `margin` cells below `cells`.
         let CellBox { lo, hi } = cells;
         let among = (1 << (hi.x - lo.x)) - 1;
         let row = |y, z| {

@@ -13,8 +13,8 @@ use crate::grid::units::{MeanCount, UnitError};
 /// An error: mu0 cannot be measured on this frame.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 #[error(
-    "cannot measure mu0, the mean number of particles in a non-empty cell: {0}; use a smaller cell \
-     size"
+    "the mean number of particles in a non-empty cell (mu0) is out of range: {0}; use a smaller \
+     cell size"
 )]
 pub struct NoMeanCount(#[source] pub(crate) UnitError);
 

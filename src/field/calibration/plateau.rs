@@ -30,18 +30,18 @@ use super::interior::{BlurredSamples, Interior};
 /// curve.
 const SAMPLED_BLOCKS: usize = 64;
 
-/// The minimum interior volume, in cubed spacings, in the middles of the sampled blocks. With less,
-/// whole blocks are examined.
+/// The minimum interior volume, in cubed spacings, in the middles of the sampled blocks. If the
+/// interior is smaller, whole blocks are examined.
 const ENOUGH: f64 = (1 << 16) as f64 * 8.0 / 27.0;
 
-/// The minimum interior volume of a frame, in cubed spacings. With less, one clump of particles
-/// would determine the result.
+/// The minimum interior volume of a frame, in cubed spacings. If the interior is smaller, one clump
+/// of particles would determine the result.
 const LEAST: f64 = 256.0;
 
-/// Gaps that count as fluid, in spacings, each with the minimum plateau of a fluid with such gaps.
-/// The minimum is a fraction of the plateau expected from the spacing; `None` for no minimum. A
-/// thin random fluid has an interior only with the wider gaps. Mist also has wide gaps, but a lower
-/// plateau.
+/// The sizes of gaps that count as fluid, in spacings. Each size comes with the minimum plateau of
+/// a fluid with such gaps, as a fraction of the plateau expected from the spacing; `None` for no
+/// minimum. A thin random fluid has an interior only with the wider gaps. Mist also has wide gaps,
+/// but a lower plateau.
 const GAPS: [(f64, Option<f64>); 2] = [(2.0, None), (3.0, Some(1.0 / 3.0))];
 
 /// The value of the smoothed DIF deep in the fluid, measured or expected.

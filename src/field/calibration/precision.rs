@@ -35,9 +35,9 @@ pub const FINEST_OF_SYMMETRY: f64 = 0.5;
 /// twelve such cells wide.
 pub const FINEST: f64 = 0.1;
 
-/// The minimum mean of the symmetry indicator over full cells, unless particles lie on the corners
-/// of cells. The mean is 0.44 for disordered particles, one per cell. It is almost 0 for a lattice
-/// whose particles lie on the corners of cells.
+/// The minimum mean of the symmetry indicator over full cells. A lower mean shows that particles
+/// lie on the corners of cells: the mean is almost 0 for a lattice of such particles, but 0.44 for
+/// disordered particles, one per cell.
 pub const ON_CORNERS: f64 = 0.2;
 
 /// An error: the cells are too small to locate the surface precisely.
@@ -45,9 +45,8 @@ pub const ON_CORNERS: f64 = 0.2;
 pub enum TooFine {
     /// The field's steps are too large.
     #[error(
-        "with a cell size of {}, the field is too weak: deep in the fluid, its value is only \
-         {plateau:.1} (of at most 65535), so rounding could move the surface by {step_cells:.3} \
-         cells (the limit is {COARSEST_STEP}); {remedy}",
+        "with a cell size of {}, the surface would be inaccurate by up to {step_cells:.3} cells \
+         (the limit is {COARSEST_STEP}), because {remedy}",
         shown(*cell_size)
     )]
     Steps {
@@ -98,11 +97,15 @@ pub enum Remedy {
 impl fmt::Display for Remedy {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Cells(size) => write!(f, "use a cell size of {} or more", shown(*size)),
+            Self::Cells(size) => write!(
+                f,
+                "the cells contain too few particles; use a cell size of {} or more",
+                shown(*size)
+            ),
             Self::Origin([x, y, z]) => write!(
                 f,
-                "the particles lie on corners of cells, where the symmetry indicator is almost 0; \
-                 move the grid's origin to {x},{y},{z}"
+                "the particles lie on the corners of cells, where the symmetry indicator is almost \
+                 0; move the grid's origin to {x},{y},{z}"
             ),
         }
     }
@@ -154,7 +157,8 @@ pub fn check_cell_size(
             let grid = frame.facts.grid;
             return Remedy::Origin((grid.origin() + grid.cell_size() / 2.0).to_array());
         }
-        // The plateau grows with the cell's volume.
+        // The plateau is proportional to the cell's volume, so the step in cells is inversely
+        // proportional to it.
         Remedy::Cells(roundly_above(cell_size * libm::cbrt(step_cells / COARSEST_STEP)))
     })
 }

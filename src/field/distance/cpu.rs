@@ -11,7 +11,8 @@ use super::{
     Bulk, Depths, Drops, MOST_APART, NONE, Ramp, StandsOut, ZERO, spline, spline_bits, wide_cells,
 };
 
-/// The number of low bits of a share that are not part of its index in a table with 1024 steps.
+/// The number of low bits of a share that give its position between two entries of a table with
+/// 1024 steps. The other bits are the index of the lower entry.
 const BETWEEN_BITS: u32 = 5;
 
 /// The greatest share, 1.
@@ -42,8 +43,8 @@ fn entry(steps: &Steps, share: u32) -> (i32, i32, i32) {
     (low.into(), more.into(), (share & ((1 << BETWEEN_BITS) - 1)) as i32)
 }
 
-/// The depth for a sample: the tabulated depth for its share of the plateau, times the standard
-/// deviation of the smoothing.
+/// The depth for a sample: the tabulated depth for the sample divided by the plateau, times the
+/// standard deviation of the smoothing.
 #[inline(always)]
 fn depth(sample: u16, scale: u32, spacings: i32, most: i32) -> i32 {
     let (low, more, between) = entry(&DEPTH_STEPS, ((u32::from(sample) * scale) >> 14).min(WHOLE));
@@ -229,7 +230,7 @@ fn refined_along_x(wide: &Block, level: u32, cells: CellBox, weights: &[[u32; 3]
             continue;
         }
         // Means are computed for all samples except the first and the last of the field. Means that
-        // mix two rows are not used.
+        // mix two rows are never read.
         means(
             &mut of_place,
             weights,

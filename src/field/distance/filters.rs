@@ -324,9 +324,9 @@ fn halved_from_all(level: u32, wide: CellBox) -> CellBox {
     (0..level).fold(wide, |wide, _| halved_from_box(wide))
 }
 
-/// Converts a halo from cells that are 2^`level` times as wide to cells. The result includes the
-/// distance from a cell to the far end of its wide cell, and the cells beyond the halo that
-/// contribute to wide cells.
+/// Converts a halo from cells that are 2^`level` times as wide to narrow cells. The result
+/// includes the distance from a cell to the far end of its wide cell, and the cells beyond the halo
+/// that contribute to wide cells.
 #[must_use]
 pub fn halo_in_cells(level: u32, halo: i32) -> i32 {
     (halo << level) + 2 * ((1 << level) - 1)
@@ -337,8 +337,8 @@ fn volume_bytes(cells: CellBox) -> u64 {
     cells.volume() as u64 * size_of::<u16>() as u64
 }
 
-/// The factor that converts samples to shares of `plateau`: sample * factor / 16384 is the share in
-/// 32768ths.
+/// The factor that converts samples to fractions of `plateau`: sample * factor / 16384 is the
+/// fraction in 32768ths.
 fn scale(plateau: f64) -> u32 {
     ((f64::from(1_u32 << 29) / plateau.max(1.0)).round() as u32).min(u16::MAX.into())
 }

@@ -74,9 +74,9 @@ pub fn spline_bits(level: u32) -> u32 {
     2 * level + 3
 }
 
-/// The weights of a quadratic B-spline at the middle of a cell, which is number `place` of the
-/// 2^`level` cells along its wide cell. The weights are those of the wide cell below, of the cell's
-/// own wide cell, and of the wide cell above; their sum is 2^[`spline_bits`].
+/// The weights of a quadratic B-spline at the middle of a cell. The cell is number `place` of the
+/// 2^`level` cells along an axis of its wide cell. The weights are those of the wide cell below, of
+/// the cell's own wide cell, and of the wide cell above; their sum is 2^[`spline_bits`].
 pub fn spline(level: u32, place: u32) -> [u32; 3] {
     let (edge, at) = (2 << level, 2 * place + 1);
     let [below, above] = [edge - at, at].map(|length: u32| length * length);
@@ -103,8 +103,8 @@ pub struct Bulk {
     /// difference between these distances: first for the two narrower widths, then for the two
     /// wider ones.
     pub shares: [i32; 2],
-    /// The factor that converts samples to shares of the plateau: sample * factor / 16384 is the
-    /// share in 32768ths.
+    /// The factor that converts samples to fractions of the plateau: sample * factor / 16384 is the
+    /// fraction in 32768ths.
     pub scale: u32,
     /// The filter that averages the difference between the fine and the calm surface.
     pub around: Weights,
@@ -160,10 +160,10 @@ impl StandsOut {
         self.ramp.begin - self.earlier
     }
 
-    /// Returns `distance`, by which a particle lies outside the calm surface, or a reduced
-    /// distance. `apart` is the difference between the fine and the calm surface. Where it is
-    /// small, as in the bulk, a distance at which no drop stands out is reduced, so that no drop
-    /// has to be made.
+    /// The distance that counts for a particle `distance` outside the calm surface: `distance` or
+    /// less. `apart` is the difference between the fine and the calm surface. Where it is small, as
+    /// in the bulk, a distance at which no drop stands out is reduced, so that no drop has to be
+    /// made.
     #[inline(always)]
     pub fn of_particle(&self, distance: u16, apart: u16) -> u16 {
         let earlier = (u32::from(self.earlier) * self.apart.of(apart)) >> 12;

@@ -139,9 +139,9 @@ pub fn mixed(
     batch.dispatch(&pipelines.mix, &views, &push, blocks.groups(&pipelines.mix))
 }
 
-/// Overwrites each cloud sample: with the distance by which the cell lies outside the calm surface
-/// or, if the cell contains no particle, with 0. A cell contains a particle if its cloud sample is
-/// at least `least`.
+/// Replaces each cloud sample with the distance by which the cell lies outside the calm surface, or
+/// with 0 if the cell contains no particle. A cell contains a particle if its cloud sample is at
+/// least `least`.
 ///
 /// # Errors
 /// If a view is larger than the storage range of the device, or if the driver fails.

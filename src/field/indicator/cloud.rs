@@ -10,8 +10,8 @@ use crate::grid::{BIN, CellBox, FRACTION_BITS, FRACTIONS};
 pub const GHOST_LAYER: i32 = 1;
 /// Number of fraction bits of a share of a cloud.
 pub const SHARE_BITS: u32 = 16;
-/// Number of bits by which the square of a length is shifted right to give a share, which is half
-/// the square. A length has one more fraction bit than an offset.
+/// The shift that computes a share, which is half the square of a length. A length has one fraction
+/// bit more than an offset, so its square, shifted right by this number of bits, is the share.
 pub const SQUARE_BITS: u32 = 2 * FRACTION_BITS + 3 - SHARE_BITS;
 /// The minimum amount. A particle's own cell gets at least half of the cloud along each axis, and
 /// so at least an eighth of the whole cloud. An eighth of a smaller amount could be rounded to 0.
@@ -107,7 +107,8 @@ impl Clouds {
 
     /// A buffer of zeros, which can be reused for all pages.
     pub fn room(&self) -> Vec<u16> {
-        // One additional sample for the empty share beyond the last row.
+        // An update writes rows of four samples. The fourth sample of the last row, which is never
+        // changed, lies beyond the page.
         vec![0; self.shape.bin_samples() + 1]
     }
 

@@ -419,7 +419,8 @@ mod tests {
         }
     }
 
-    /// The binary logarithm of the share of a half space x < 0 under the density's Gaussian.
+    /// The binary logarithm of the smoothed density at `x`, relative to the plateau, if the half
+    /// space x < 0 is full of fluid.
     fn half(x: f64) -> f64 {
         (0.5 * libm::erfc(x / width() / 2.0_f64.sqrt())).log2()
     }

@@ -180,14 +180,15 @@ pub struct SheetConstants {
     /// The logarithm of the stretch, plus half of the density's logarithm for sheets, and plus all
     /// of it for filaments.
     pub stretches: [i32; 2],
-    /// The logarithm of a share where T, R and the distance from the middle are 0. The factors
-    /// below multiply T, R^2 and the squared distance.
+    /// The constant term of the logarithm of a share: log2 share = `share` + `by_directions` T +
+    /// `by_size` R^2 - `by_distance` a^2, where a is the distance from the middle in units of s
+    /// (for T, R and s, see the top of this file).
     pub share: i32,
-    /// The factor of T.
+    /// The factor of T in the logarithm of a share.
     pub by_directions: i32,
-    /// The factor of R^2.
+    /// The factor of R^2 in the logarithm of a share.
     pub by_size: i32,
-    /// The factor of the squared distance from the middle, which is in units of s.
+    /// The factor of a^2 in the logarithm of a share.
     pub by_distance: i32,
     /// The ramp over the stretch's logarithm along which sheets fade out.
     pub torn: Ramp,

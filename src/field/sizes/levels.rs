@@ -28,8 +28,8 @@ impl SizedClouds {
     #[must_use]
     pub fn finer_blocks(&self) -> FinerBlocks {
         // The reach of the filter that averages sizes, in cells of an octave. It is larger than the
-        // reach of drops. The margin is the same number of cells of the next coarser octave, which
-        // is twice as far.
+        // reach of drops. The margin has the same number of cells, but of the next coarser octave,
+        // so it is twice as wide.
         let wide = self.wide_cells();
         let margin = (averaging(wide).reach() + 1) << wide.level;
         let of_level = |level: usize| {
@@ -151,7 +151,8 @@ impl BlockLevels {
             let part = (1..8_u8).filter(|upper| wider >> upper & 1 == 0).fold(
                 CellBox::EMPTY,
                 |all, upper| {
-                    // Along each axis on which the two blocks differ, only the last layer of cells.
+                    // The part of the block in which cells of both levels meet: along each axis on
+                    // which the two blocks differ, only the last layer of cells.
                     let own = CellBox::cube(block, BLOCK);
                     let is_last = |axis: usize| upper >> axis & 1 == 1;
                     let lo = [0, 1, 2]

@@ -9,7 +9,7 @@ use crate::field::distance::{Drops, NONE, StandsOut, ZERO, away, greatest_of};
 /// A share of 1.
 pub const WHOLE: u32 = 1 << 15;
 
-/// One smoothed density divided by another, in 32768ths; `of_none` where `all` is 0.
+/// The quotient `part` / `all` of two smoothed densities, in 32768ths; `of_none` where `all` is 0.
 ///
 /// # Panics
 /// If the densities are on different cells.
@@ -26,8 +26,8 @@ pub fn share(part: &Block, all: &Block, of_none: u32) -> Block {
 }
 
 /// Mixes the distances of an octave with the distances of the next coarser octave, weighted by the
-/// `shares` of the coarser octave. Both distances are in spacings of the finer octave. If only one
-/// of the two samples at a cell has a particle nearby, the result is that sample.
+/// `shares` of the coarser octave. Both distances are in spacings of the finer octave. Where only
+/// one of the two fields has a particle nearby, the result is the sample of that field.
 ///
 /// # Panics
 /// If the fields are on different cells.

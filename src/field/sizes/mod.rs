@@ -60,7 +60,8 @@ const GROWTH: [f64; 2] = [0.65, 0.3];
 pub fn growth(spacing_cells: f64) -> i32 {
     let [fine, coarse] = GROWTH;
     let units = (fine + coarse / (spacing_cells * spacing_cells)) * UNITS;
-    // In cells of a thousand spacings, a drop is smaller than a cell anyway.
+    // The limit applies only to cells of more than 300 spacings, in which every drop is smaller
+    // than a cell anyway.
     units.round().min(f64::from(1 << 28)) as i32
 }
 

@@ -78,8 +78,9 @@ impl SolidFill {
     /// the halo.
     #[must_use]
     pub fn bytes(&self, cells: CellBox) -> u64 {
-        // Clouds, distances twice, shares, the usable cells and their density, which is copied for
-        // its maximum, both means with a buffer each for smoothing, and the result.
+        // The blocks that exist at once: clouds, two blocks of distances, shares, the usable cells,
+        // their density and a copy of it for its maximum, two means with a buffer each for
+        // smoothing, and the result.
         let blocks = 13 * cells.volume() * size_of::<u16>();
         let size = cells.size().max(IVec3::ZERO).as_uvec3();
         (blocks + LinearFit::bytes(&self.fit, (size.x * size.y) as usize)) as u64

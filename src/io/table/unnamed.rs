@@ -330,7 +330,7 @@ impl Sample {
         });
         match (column, is_unlike) {
             (0, true) => are_many || self.columns[0].counts_up(),
-            // A lattice of whole numbers rarely begins with so long a line of particles.
+            // A lattice of whole numbers rarely begins with a line of this many particles.
             (0, false) => are_many && self.columns[0].counts_up(),
             (_, is_unlike) => are_many && is_unlike,
         }

@@ -112,7 +112,7 @@ pub struct PartsPlan {
     pub timings: Timings,
 }
 
-/// The share of particles and resources of one part.
+/// The number of particles of one part, and the resources that it needs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct PartShare {

@@ -272,8 +272,8 @@ mod tests {
     use super::*;
     use crate::surface::mesh::Mesh;
 
-    /// The distance of a voxel from the surface, computed from the shares of the nearest triangle's
-    /// corners.
+    /// The distance of a voxel from the surface, computed from the weights of the nearest
+    /// triangle's corners.
     fn distance(level_set: &LevelSet, voxel: IVec3) -> f64 {
         let nearest = |triangle: u32| {
             let NearestPoint { corners, shares } = level_set.nearest_point(triangle, voxel);

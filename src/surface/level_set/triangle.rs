@@ -74,10 +74,10 @@ impl Triangle {
     }
 }
 
-/// The share of each corner of a triangle in the triangle's nearest point to the origin; the sum of
-/// the shares is 1. The nearest point is a corner, a point on an edge, or the foot of the
-/// perpendicular, depending on the region of space in which the origin lies (Ericson, Real-Time
-/// Collision Detection, 5.1.5).
+/// The weights (barycentric coordinates) of a triangle's corners in the triangle's nearest point to
+/// the origin; the sum of the weights is 1. The nearest point is a corner, a point on an edge, or
+/// the foot of the perpendicular, depending on the region of space in which the origin lies
+/// (Ericson, Real-Time Collision Detection, 5.1.5).
 pub fn shares([a, b, c]: [DVec3; 3]) -> [f32; 3] {
     let (ab, ac) = (b - a, c - a);
     let (along_b, along_c) = (-ab.dot(a), -ac.dot(a));

@@ -1,4 +1,4 @@
-//! Draws a mesh: finds its bounding box, its visible triangles, and the light of every pixel.
+//! Draws a mesh: finds its bounding box, its visible triangles, and the radiance of every pixel.
 
 use glam::Vec3;
 use rayon::prelude::*;

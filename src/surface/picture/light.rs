@@ -1,5 +1,5 @@
-//! Light: a soft sky, a sun, the ground, and their effect on water, a solid colour or a colour map.
-//! Colours are linear.
+//! Computes the radiance of the sky, the ground and a surface of water, of a solid colour or of a
+//! colour map, under a soft sky and a sun. Colours are linear.
 
 use std::sync::LazyLock;
 
@@ -9,17 +9,17 @@ use rayon::prelude::*;
 /// The direction of the sun, with the components right, up and towards the viewer.
 pub(super) const SUN: Vec3 = Vec3::new(-0.42, 0.78, 0.46);
 const SUNLIGHT: Vec3 = Vec3::new(1.05, 1.0, 0.92);
-/// Light from above.
+/// Diffuse light from the sky overhead.
 const ABOVE: Vec3 = Vec3::new(0.62, 0.70, 0.80);
-/// Light from the ground.
+/// Diffuse light from the ground.
 const BELOW: Vec3 = Vec3::new(0.34, 0.33, 0.31);
-/// The sky in reflections, at the horizon.
+/// The radiance of the sky at the horizon, in reflections.
 const HORIZON: Vec3 = Vec3::new(0.92, 0.95, 0.97);
-/// The sky in reflections, overhead.
+/// The radiance of the sky overhead, in reflections.
 const ZENITH: Vec3 = Vec3::new(0.30, 0.50, 0.80);
 /// The colour of the ground.
 pub(super) const GROUND: Vec3 = Vec3::new(0.50, 0.50, 0.49);
-/// The backdrop: overhead, at the horizon, and below.
+/// The radiance of the backdrop: overhead, at the horizon, and below.
 const BACKDROP: [Vec3; 3] =
     [Vec3::new(0.44, 0.51, 0.58), Vec3::new(0.78, 0.81, 0.83), Vec3::new(0.44, 0.45, 0.46)];
 /// Colour of wires.
@@ -29,9 +29,9 @@ const MIRRORED: f32 = 0.02;
 const REFRACTION: f32 = 1.0 / 1.33;
 /// Absorption of light by water, per radius of the scene.
 const TAKEN: Vec3 = Vec3::new(9.0, 2.6, 1.1);
-/// Light that deep water adds.
+/// Radiance that deep water adds by scattering.
 const GIVEN: Vec3 = Vec3::new(0.004, 0.105, 0.26);
-/// The rate at which the added light increases with the path length, per radius of the scene.
+/// The rate at which the added radiance increases with the path length, per radius of the scene.
 const CLOUDED: f32 = 6.0;
 /// Diffuse reflection of water, for a film and for deep water. Without it, drops, thin sheets and
 /// the shape of the water would be invisible.
@@ -47,11 +47,11 @@ pub(super) struct ShadedPoint {
     pub(super) normal: Vec3,
     /// The path length through the fluid behind the place, in radii of the scene.
     pub(super) through: f32,
-    /// The fraction of the sun's light that arrives.
+    /// The fraction of the sunlight that reaches the place.
     pub(super) lit: f32,
 }
 
-/// The light of the backdrop, seen in the direction `towards`.
+/// The radiance of the backdrop in the direction `towards`.
 pub(super) fn backdrop(towards: Vec3) -> Vec3 {
     let [above, level, below] = BACKDROP;
     let up = towards.y;
@@ -62,7 +62,7 @@ pub(super) fn backdrop(towards: Vec3) -> Vec3 {
     }
 }
 
-/// The light of the sky, seen in the direction `towards`, including the sun's glow.
+/// The radiance of the sky in the direction `towards`, including the sun's glow.
 fn sky(towards: Vec3) -> Vec3 {
     let up = towards.y;
     let sky = if up >= 0.0 {
@@ -74,26 +74,26 @@ fn sky(towards: Vec3) -> Vec3 {
     sky + SUNLIGHT * (1.6 * near.powi(180) + 0.25 * near.powi(12))
 }
 
-/// The light that falls on a diffuse surface.
+/// The light that falls on a diffuse surface from the sky, the ground and the sun.
 fn fallen(normal: Vec3, lit: f32) -> Vec3 {
     let ambient = BELOW.lerp(ABOVE, 0.5 + 0.5 * normal.y);
     ambient * 0.75 + SUNLIGHT * (0.65 * lit * normal.dot(SUN.normalize()).max(0.0))
 }
 
-/// The light of flat ground; `lit` is the fraction of the sun's light that arrives.
+/// The radiance of flat ground; `lit` is the fraction of the sunlight that reaches it.
 pub(super) fn ground(lit: f32) -> Vec3 {
     GROUND * fallen(Vec3::Y, lit)
 }
 
-/// The light of a surface of one colour.
+/// The radiance of a surface of one colour.
 pub(super) fn solid(colour: Vec3, seen: ShadedPoint) -> Vec3 {
     let half = (SUN.normalize() - seen.towards).normalize();
     let gloss = seen.normal.dot(half).max(0.0).powi(60);
     colour * fallen(seen.normal, seen.lit) + SUNLIGHT * (0.12 * gloss * seen.lit)
 }
 
-/// The light of water. `behind` returns the light behind the water that is seen in a direction;
-/// `exp` is the exponential function.
+/// The radiance of water. `behind` returns the radiance behind the water in a direction; `exp` is
+/// the exponential function.
 pub(super) fn water(
     seen: ShadedPoint,
     exp: impl Fn(f32) -> f32,
@@ -132,7 +132,7 @@ pub(super) fn quick_exp(x: f32) -> f32 {
 }
 const EXPONENT_BIAS: f32 = (f32::MAX_EXP - 1) as f32;
 
-/// The light of a surface, a fraction of which is covered by a dark wire.
+/// The radiance of a surface, of which the fraction `share` is covered by a dark wire.
 pub(super) fn wire(surface: Vec3, share: f32) -> Vec3 {
     surface.lerp(INK, share)
 }
@@ -145,7 +145,7 @@ pub(super) fn byte(light: f32) -> u8 {
     SRGB[((x * (SRGB_STEPS - 1) as f32 + 0.5) as usize).min(SRGB_STEPS - 1)]
 }
 
-/// Bytes for light from 0 to 1, in steps fine enough for the darkest bytes.
+/// The sRGB bytes of linear values from 0 to 1, in steps fine enough for the darkest bytes.
 static SRGB: LazyLock<Vec<u8>> = LazyLock::new(|| {
     let byte = |step: usize| {
         let x = step as f32 / (SRGB_STEPS - 1) as f32;
@@ -156,7 +156,7 @@ static SRGB: LazyLock<Vec<u8>> = LazyLock::new(|| {
 });
 const SRGB_STEPS: usize = 1 << 13;
 
-/// The linear light of an sRGB colour.
+/// The linear values of an sRGB colour.
 pub(super) fn linear([r, g, b]: [u8; 3]) -> Vec3 {
     let light = |byte: u8| {
         let x = f32::from(byte) / 255.0;
@@ -168,7 +168,7 @@ pub(super) fn linear([r, g, b]: [u8; 3]) -> Vec3 {
 /// Distance, in pixels, between computed points.
 const STEP: usize = 4;
 
-/// Light on a coarse grid of pixels, interpolated between the grid's points.
+/// Radiance on a coarse grid of pixels, interpolated between the grid's points.
 pub(super) struct Sketch {
     columns: usize,
     known: Vec<Vec3>,
@@ -187,7 +187,7 @@ impl Sketch {
         Self { columns, known }
     }
 
-    /// The light at a pixel.
+    /// The radiance at a pixel.
     pub(super) fn at(&self, x: usize, y: usize) -> Vec3 {
         let share = |at: usize| (at % STEP) as f32 / STEP as f32;
         let first = y / STEP * self.columns + x / STEP;

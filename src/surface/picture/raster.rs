@@ -120,8 +120,9 @@ impl Raster {
     }
 
     /// The column and row of a corner in half samples: odd numbers are between samples. Corners
-    /// outside the picture are clamped. For a corner without a place, or in a picture that is too
-    /// large for 16 bits, both numbers are 0, which is even and before all samples.
+    /// outside the picture are clamped. For a corner that is behind the eye or too far to the side,
+    /// or in a picture that is too large for 16 bits, both numbers are 0, which is even and before
+    /// all samples.
     #[inline(always)]
     pub(super) fn halves(&self, corner: Corner) -> [u16; 2] {
         let (width, height) = (self.width as i32, self.height as i32);
@@ -154,7 +155,8 @@ impl Raster {
     }
 
     /// Draws a triangle whose box contains few samples; any thread may do so. Otherwise draws
-    /// nothing, and returns the triangle's rows, which are all rows if a corner has no place.
+    /// nothing, and returns the triangle's rows, which are all rows if a corner is behind the eye
+    /// or too far to the side.
     #[inline(always)]
     pub(super) fn draw_if_small(&self, number: u32, corners: [Corner; 3]) -> Option<Range<i32>> {
         if !placed(corners) {
@@ -347,7 +349,7 @@ fn halves(at: i32, samples: i32) -> u16 {
     (half.clamp(-1, 2 * samples - 1) + 2) as u16
 }
 
-/// Whether all corners have a place: none is behind the eye or too far to the side.
+/// Whether no corner is behind the eye or too far to the side.
 #[inline(always)]
 fn placed([a, b, c]: [Corner; 3]) -> bool {
     a.near.min(b.near).min(c.near) > 0.0

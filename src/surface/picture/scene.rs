@@ -1,4 +1,5 @@
-//! The light of every pixel: the visible surface, the sunlight on it, and the light behind it.
+//! Computes the radiance of every pixel from the visible surface, the sunlight on it, and the
+//! radiance behind it.
 
 use glam::{DMat3, DVec3, Vec2, Vec3};
 
@@ -82,7 +83,7 @@ impl<'a> Scene<'a> {
         Self { picture, camera, raster, finer, visible, sun, world, middle, radii, floor, palette }
     }
 
-    /// The light of a pixel: the mean over its samples.
+    /// The radiance of a pixel: the mean over its samples.
     pub(super) fn pixel(&self, x: usize, y: usize) -> Vec3 {
         let finer = self.finer;
         let of_sample = |i: usize| {
@@ -152,34 +153,35 @@ impl<'a> Scene<'a> {
         }
     }
 
-    /// The light of a pixel with one sample, without refraction of the light from behind the fluid.
+    /// The radiance of a pixel with one sample, without refraction. `behind` is the radiance behind
+    /// the fluid.
     pub(super) fn sketched(&self, x: usize, y: usize, behind: Vec3) -> Vec3 {
         let Some(sample) = self.raster.sample(y * self.raster.width + x) else { return behind };
         let towards = self.at(x as f32 + 0.5, y as f32 + 0.5);
         self.light(&self.surface(sample, towards), towards, quick_exp, |_, _| behind)
     }
 
-    /// The light that a pixel would have without the fluid.
+    /// The radiance of a pixel without the fluid.
     pub(super) fn empty(&self, x: usize, y: usize) -> Vec3 {
         let half = 0.5 * self.finer as f32;
         let middle = self.at((self.finer * x) as f32 + half, (self.finer * y) as f32 + half);
         self.behind(self.camera.eye, self.direction(middle))
     }
 
-    /// The place of a sample on the picture: to the right and up from the picture's middle, in
+    /// The position of a sample on the picture: to the right and up from the picture's middle, in
     /// units of the picture's height.
     fn at(&self, x: f32, y: f32) -> Vec2 {
         let [width, height] = [self.raster.width, self.raster.height].map(|samples| samples as f32);
         Vec2::new((x - width / 2.0) / height, 0.5 - y / height)
     }
 
-    /// The light of a surface along a line of sight, with refraction.
+    /// The radiance of a surface along a line of sight, with refraction.
     fn light_exactly(&self, surface: &PixelSurface, towards: Vec2) -> Vec3 {
         self.light(surface, towards, f32::exp, |place, bent| self.behind(place, bent))
     }
 
-    /// The light of a surface along a line of sight; `exp` is the exponential function, and
-    /// `behind` returns the light from behind the fluid that is seen from a place in a direction.
+    /// The radiance of a surface along a line of sight. `exp` is the exponential function, and
+    /// `behind` returns the radiance behind the fluid, as seen from a place in a direction.
     fn light(
         &self,
         surface: &PixelSurface,
@@ -205,7 +207,7 @@ impl<'a> Scene<'a> {
         if surface.inked > 0.0 { wire(light, surface.inked) } else { light }
     }
 
-    /// The light from behind the fluid: the floor and the backdrop.
+    /// The radiance behind the fluid, which comes from the floor or the backdrop.
     fn behind(&self, from: DVec3, direction: Vec3) -> Vec3 {
         let Some(floor) = self.floor else { return backdrop(direction) };
         let above = self.world.y_axis.dot(from) - floor;

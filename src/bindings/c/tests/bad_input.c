@@ -80,9 +80,9 @@ static void options_are_refused(void) {
   OPTION("smooth must be", "smooth", "nan");
   OPTION("sigma must be", "indicator", "counting", "sigma", "-1");
   OPTION("mu0 must be", "indicator", "counting", "mu0", "inf");
-  OPTION("`mu0` works only with `indicator` counting, not with cloud", "mu0", "1");
+  OPTION("`mu0` needs the indicator counting, but `indicator` is cloud", "mu0", "1");
   OPTION("iso must be", "indicator", "symmetry", "iso", "2");
-  OPTION("`iso` does not work with `method` zhu-bridson", "method", "zhu-bridson", "iso", "0.5");
+  OPTION("`iso` cannot be used if `method` is zhu-bridson", "method", "zhu-bridson", "iso", "0.5");
   OPTION("simplify must be", "simplify", "-1");
   OPTION("smallest-component must be", "smallest-component", "nan");
   OPTION("the memory limit must be at least", "memory", "1");

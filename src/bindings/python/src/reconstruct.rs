@@ -54,8 +54,9 @@ use crate::work::{Work, with_progress};
 /// method : "dif", "mueller", "zhu-bridson" or "yu-turk", optional
 ///     Discrete indicator functions, or a kernel method for comparison.
 /// skip_invalid : bool, optional
-///     Skip particles whose position is not finite or is outside the grid, and report their number;
-///     without this, such particles are an error.
+///     Skip particles whose position is not finite, outside the periodic box, or more than 4.19
+///     million cells from the grid's origin along an axis, and report their number; without this,
+///     such particles are an error.
 /// smooth : float, optional
 ///     Smoothing width, in spacings, 1.6 by default; larger is smoother, and 2 is good for noisy
 ///     FLIP particles.

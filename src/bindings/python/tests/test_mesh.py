@@ -110,7 +110,7 @@ def test_a_file_appears_whole_and_is_replaced_only_where_that_is_asked_for(tmp_p
     path = tmp_path / "mesh.ply"
     size = mesh.write(str(path))
     assert size == path.stat().st_size
-    with pytest.raises(meniscus.FileError, match=r"mesh\.ply: already exists") as raised:
+    with pytest.raises(meniscus.FileError, match=r"mesh\.ply: the file already exists") as raised:
         mesh.write(path)
     assert isinstance(raised.value, OSError)
     assert mesh.write(path, overwrite=True) == size
@@ -152,7 +152,7 @@ def test_numbers_out_of_range_say_what_and_where(ball: Any) -> None:
         ({"domain": (5, 5, 5, 1, 1, 1)}, "invalid domain"),
         ({"origin": (0, 0)}, "^origin: must be three numbers"),
         ({"indicator": "fog"}, "^indicator: \"fog\" is not one of cloud, counting, symmetry"),
-        ({"sigma": 1.0}, "^`sigma` works only with `indicator` counting or symmetry"),
+        ({"sigma": 1.0}, "^`sigma` needs the indicator counting or symmetry"),
         ({"periodic_mesh": "cut"}, "^`periodic_mesh` has no effect without `periodic`"),
         ({"device": "0", "backend": "cpu"}, "^device: "),
         ({"simplify": -1.0}, "-1"),

@@ -103,7 +103,7 @@ def test_previews_hold_the_bytes_of_the_programs(tmp_path: Path, program: Any, b
     assert (tmp_path / "ours.png").read_bytes() == (tmp_path / "theirs.png").read_bytes()
     # If the picture's file already exists, the call fails and writes no mesh either.
     (tmp_path / "kept.png").write_bytes(b"mine")
-    with pytest.raises(meniscus.FileError, match=r"kept\.png: already exists"):
+    with pytest.raises(meniscus.FileError, match=r"kept\.png: the file already exists"):
         meniscus.reconstruct(ball).write(tmp_path / "kept.ply", preview=True)
     assert (tmp_path / "kept.png").read_bytes() == b"mine" and not (tmp_path / "kept.ply").exists()
 
