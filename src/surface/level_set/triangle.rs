@@ -6,14 +6,14 @@
 
 use glam::{DVec3, Vec4, Vec4Swizzles};
 
-/// A triangle, with its coordinates in voxels. Each number that is the same for all four points is
-/// stored four times.
+/// A triangle, with its coordinates in voxels. A `Vec4` that describes one number has four copies of
+/// this number, one for each point.
 #[derive(Debug, Default, Clone, Copy)]
 pub struct Triangle {
-    /// The coordinates of the lattice's origin in the triangle's coordinate system, and what a step along x and along y
-    /// adds to them.
+    /// The coordinates of the lattice's origin in the triangle's system, and the amounts by which
+    /// they change with each step along the lattice's x and y. The fourth components are 0.
     start: [Vec4; 3],
-    /// What a step along z adds to each coordinate.
+    /// The amount by which each coordinate changes with each step along the lattice's z.
     along_z: [Vec4; 3],
     /// The length of the first edge.
     length: Vec4,
@@ -22,6 +22,7 @@ pub struct Triangle {
 }
 
 impl Triangle {
+    /// Prepares a triangle that is not flat. `normal` is its unit normal.
     #[inline]
     pub fn new([a, b, c]: [DVec3; 3], normal: DVec3) -> Self {
         let (ab, ac) = (b - a, c - a);
