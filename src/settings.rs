@@ -167,10 +167,11 @@ settings! {
     /// determines how its values are read: as radii (half of a particle's spacing), diameters,
     /// volumes, masses or smoothing lengths. Masses also need a density attribute. meniscus adds up
     /// the volumes that the values imply. If the sum differs from the volume of the fluid by more
-    /// than a factor of 1.4, as is usual for smoothing lengths, all sizes are scaled by the same
-    /// factor, so that the volumes match. If the particles of a GADGET or SWIFT file have different
-    /// masses, the default is the masses or, if the file has no densities, the smoothing lengths.
-    /// `none` gives all particles the same size. Works only with the cloud indicator, the default.
+    /// than a factor of 1.4, as is usual for smoothing lengths, meniscus multiplies all sizes by
+    /// one common factor, so that the volumes match. In a GADGET or SWIFT file, sizes come from the
+    /// masses and densities by default if the masses differ. If such a file has no densities, sizes
+    /// come from the smoothing lengths. `none` gives all particles the same size. Works only with
+    /// the cloud indicator, the default.
     #[arg(
         value_name = "NAME", conflicts_with_all = ["spacing", "radius"], help_heading = "Input",
         hide_short_help = true

@@ -174,11 +174,11 @@ fn attribute_values_span_the_colour_map_and_appear_in_the_legend() {
     let missing = by("pressure", "magma").draw(&mesh).unwrap_err();
     assert_eq!(
         missing.to_string(),
-        "the vertices have no attribute \"pressure\"; available: height, velocity"
+        "the vertices have no attribute \"pressure\"; available attributes: height, velocity"
     );
     let unknown = "rainbow".parse::<meniscus::picture::ColourMap>().unwrap_err();
     assert!(
-        unknown.to_string().starts_with("no colour map \"rainbow\"; available: viridis, "),
+        unknown.to_string().starts_with("no colour map \"rainbow\"; available maps: viridis, "),
         "{unknown}"
     );
 }

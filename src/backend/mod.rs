@@ -121,7 +121,7 @@ pub struct Surfaces<'a> {
     pub solid: Option<&'a Solid>,
     /// Whether vertices get normals.
     pub normals: Normals,
-    /// How the mesh ends at periodic faces.
+    /// The end of the mesh at periodic faces.
     pub periodic_mesh: PeriodicMesh,
 }
 

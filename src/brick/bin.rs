@@ -27,7 +27,7 @@ use super::cubes::{BinCode, CUBE, bin_coord};
 use super::place::{BinSieve, CHUNK, Placer};
 use super::slots::{Record, Slots};
 
-/// Maximum number of bins in the table of a range of particles whose places are kept. The free bits
+/// Maximum number of bins that a range of particles may touch if its places are kept. The free bits
 /// of a place's record hold the rank of a bin; the greatest rank stands for no bin.
 const KEPT_BINS: usize = (1 << FREE_BITS) - 1;
 
@@ -36,14 +36,14 @@ const KEPT_BINS: usize = (1 << FREE_BITS) - 1;
 pub struct CountingRoom {
     /// Maximum number of bins.
     pub bins: usize,
-    /// Maximum number of particles in a frame whose places are kept. A place consists of the rank
-    /// of a bin and a packed position, and takes [`Self::PLACE`] bytes. If places are kept, the
-    /// second reading does not read the positions again.
+    /// Maximum number of particles for which places are kept: a larger frame keeps none. A place
+    /// consists of the rank of a bin and a packed position, and takes [`Self::PLACE`] bytes. If
+    /// places are kept, the second reading does not read the positions again.
     pub places: usize,
 }
 
-/// Maximum bytes of places that are kept between the two readings. Larger frames usually touch more
-/// bins than a place can number.
+/// Maximum bytes of places that are kept between the two readings. A higher limit would rarely
+/// help: larger frames usually touch more bins than a place can number.
 const MOST_PLACES: u64 = 64 << 20;
 
 impl CountingRoom {
@@ -380,7 +380,8 @@ impl BinPlan {
                     Ok::<_, Infallible>(())
                 });
             }
-            // A cube that only the second reading found has counters in the table, but no cursors.
+            // If the particles have changed, the second reading can find a cube of bins that the
+            // first did not. This cube has counters in the table, but no cursors.
             cursors == ends && table.len() == ends.len()
         });
         if as_counted.reduce(|| true, |one, other| one & other) {

@@ -49,7 +49,7 @@ pub fn equal_steps(len: usize, most: usize) -> impl Iterator<Item = usize> {
     (0..len).step_by(len.div_ceil(most) | 1)
 }
 
-/// Bytes of a particle whose attributes have these numbers of components.
+/// Bytes of a particle. `components` has the number of components of each attribute.
 pub(super) fn tuple_bytes(components: &[usize]) -> usize {
     size_of::<Record>() + size_of::<f32>() * components.iter().sum::<usize>()
 }
@@ -112,7 +112,7 @@ impl Bins {
         &self.without
     }
 
-    /// Bytes of a binned particle whose attributes have these numbers of components.
+    /// Bytes of a binned particle. `components` has the number of components of each attribute.
     pub fn particle_bytes(components: &[usize]) -> u64 {
         tuple_bytes(components) as u64
     }

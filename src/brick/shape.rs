@@ -27,8 +27,8 @@ impl BrickSide {
         }
     }
 
-    /// The number of bricks in a bin. Only this number of the lowest bits of
-    /// [`PageInfo::bricks`](super::PageInfo::bricks) can be set.
+    /// The number of bricks in a bin. [`PageInfo::bricks`](super::PageInfo::bricks) uses one bit
+    /// for each brick, starting with the lowest.
     pub fn bricks_a_bin(self) -> usize {
         (BIN / self.cells()).pow(3) as usize
     }

@@ -31,7 +31,7 @@ pub(super) struct Slabs {
 }
 
 impl Slabs {
-    /// Bytes of a slab, for lists that may take about `share` bytes each.
+    /// Bytes of a slab of a list that may take about `share` bytes in total.
     pub(super) fn slab_bytes(share: u64) -> usize {
         1 << (share / A_SHARE).clamp(LEAST, MOST).ilog2()
     }
@@ -63,7 +63,8 @@ impl Slabs {
 
     /// Adds `words`, and returns the index of the first added word.
     ///
-    /// # Errors If the system has no memory for the words. In this case, no word is added.
+    /// # Errors
+    /// If the system has no memory for the words. In this case, no word is added.
     pub(super) fn push(&mut self, mut words: &[u64]) -> io::Result<usize> {
         let at = self.len;
         while self.slabs.len() * self.slab < at + words.len() {

@@ -17,7 +17,8 @@ pub(super) struct Slots {
 }
 
 impl Slots {
-    /// Creates slots for `particles` particles whose attributes have these numbers of `components`.
+    /// Creates a slot for each of `particles` particles. `components` has the number of components
+    /// of each attribute.
     pub(super) fn new(particles: usize, components: &[usize]) -> Self {
         let attributes = components.iter().map(|n| zeroed_in_huge_pages(particles * n)).collect();
         Self { records: zeroed_in_huge_pages(particles), attributes }

@@ -217,7 +217,7 @@ fn available(left_out: Option<&str>, known: &[String]) -> String {
     let known = listed(known);
     match left_out {
         Some(part) => format!("the reader skipped {part}; available attributes: {known}"),
-        None => format!("available: {known}"),
+        None => format!("available attributes: {known}"),
     }
 }
 
@@ -320,7 +320,8 @@ impl Error {
             }
             #[cfg(feature = "pictures")]
             Self::Picture { .. } => Cause::Request,
-            // In another frame, particles may satisfy the same conditions.
+            // The conditions can be right even if no particle of this frame satisfies them, because
+            // particles of another frame may. The cause is therefore the input.
             Self::Read(ReadError {
                 fault: ReadFault::Selection(SelectionFault::None { .. }),
                 ..

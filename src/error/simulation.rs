@@ -80,7 +80,7 @@ pub enum SimulationError {
     #[error("{0}")]
     Names(String),
     /// Files of several simulations where only one is possible.
-    #[error("{from}: contains several simulations: {families}; name one of them{why}")]
+    #[error("{from}: there are several simulations: {families}; name one of them{why}")]
     Several {
         /// The folder or pattern.
         from: String,

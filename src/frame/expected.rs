@@ -32,7 +32,8 @@ pub(super) struct ExpectedVertices {
     pub(super) vertices: u64,
     /// The number of vertices if all cells were as narrow as the finest.
     pub(super) in_finest_cells: u64,
-    /// The number of vertices in the same block as a vertex, averaged over all vertices.
+    /// The mean, over all vertices, of the number of vertices in the vertex's block. Full blocks
+    /// count for more than in a mean over blocks.
     pub(super) in_its_block: u64,
 }
 
@@ -51,8 +52,8 @@ impl ExpectedVertices {
     /// An upper bound of the number of vertices in `blocks` blocks together, if no block has more
     /// than `most` vertices.
     pub(super) fn vertices_of(&self, blocks: u64, most: u64) -> u64 {
-        // A single block can be full of spray while the other blocks are typical, and few frames
-        // have twice the expected number.
+        // A single block can be full of spray, so it is assumed to have `most` vertices; the other
+        // blocks are typical. Few frames have more than twice the expected number of vertices.
         let like_most = self.in_its_block.saturating_mul(2 * blocks).saturating_add(most);
         (blocks * most).min(like_most).min(self.vertices.saturating_mul(2))
     }
@@ -165,8 +166,8 @@ mod tests {
     use super::*;
     use crate::grid::CellBox;
 
-    /// The expected surface of bins with these numbers of particles. Cells are one spacing wide, so
-    /// a full bin has 4096 particles.
+    /// The expected surface of `bins`, each with its number of particles. Cells are one spacing
+    /// wide, so a full bin has 4096 particles.
     fn surface_of(bins: &[(IVec3, usize)]) -> ExpectedVertices {
         let bins = bins.iter().map(|&(bin, count)| (MortonKey::of(bin), count));
         surface(bins, 4096.0, vertices_alone(1.0), |_| true)
@@ -216,8 +217,8 @@ mod tests {
 
     #[test]
     fn coarse_fluid_has_the_vertices_of_its_own_cells_beside_fine_fluid() {
-        // A cube of coarse fluid, with an eighth of the particles per bin of fine fluid, contains
-        // fine fluid.
+        // A cube of coarse fluid around fine fluid. A bin of coarse fluid has an eighth as many
+        // particles as a bin of fine fluid.
         let of = |lo: i32, hi: i32, count: usize| {
             (CellBox { lo: IVec3::splat(lo), hi: IVec3::splat(hi) })
                 .cubes(1)

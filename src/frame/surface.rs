@@ -70,7 +70,7 @@ pub(super) struct ExtractableField<'a> {
     /// The parts of blocks that the surface can pass through, in Morton order.
     pub(super) regions: Vec<LevelRegion>,
     pub(super) contour: Box<Contour<'a>>,
-    /// How vertices store their positions on their edges.
+    /// The form in which vertices store their positions on their edges.
     pub(super) crossings: Crossings,
     /// For each level of cells, the smoothing of attributes.
     pub(super) attribute_smoothing: Vec<Smoothing>,

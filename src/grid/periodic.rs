@@ -28,7 +28,7 @@ pub struct Periodic {
     reach_length: f64,
 }
 
-/// How a mesh ends at periodic faces.
+/// The end of a mesh at periodic faces.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]

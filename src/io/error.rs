@@ -76,7 +76,7 @@ pub enum ReadFault {
     Changed,
     /// The file contains a mesh instead of particles. Vertices of a mesh are not used as particles.
     #[error(
-        "contains a mesh ({faces} faces or cells), not particles; to use its vertices as \
+        "the file contains a mesh ({faces} faces or cells), not particles; to use its vertices as \
          particles, remove the faces or cells"
     )]
     Mesh {
@@ -169,8 +169,8 @@ pub(super) fn malformed(at: usize, what: impl Into<String>) -> ReadFault {
 /// The error for a file with several steps, if the caller chose none of them.
 pub(super) fn several_steps(first: u64, last: u64) -> ReadFault {
     let what = format!(
-        "contains several frames (steps {first} to {last}); to choose one, append its step to the \
-         name, such as #{first}"
+        "the file contains several frames (steps {first} to {last}); to choose one, append its \
+         step to the name, such as #{first}"
     );
     ReadFault::Unsupported(what)
 }

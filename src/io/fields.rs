@@ -60,7 +60,7 @@ pub struct LocatedQuantity {
     pub places: Vec<ColumnIndex>,
 }
 
-/// How arrays with the same number of particles are interpreted.
+/// An interpretation of arrays with the same number of particles.
 #[derive(Debug)]
 pub struct Arrangement {
     /// Number of particles in each frame.

@@ -120,7 +120,8 @@ impl DumpStep {
                     }));
                 }
                 _ => {
-                    let what = format!("contains a dump of {}, not of atoms", item.to_lowercase());
+                    let item = item.to_lowercase();
+                    let what = format!("the file contains a dump of {item}, not of atoms");
                     return Err(ReadFault::Unsupported(what));
                 }
             }

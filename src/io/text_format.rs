@@ -101,7 +101,7 @@ struct Frames {
     format: TextFormat,
     /// Number and place of each frame, in file order.
     all: Vec<(u64, LinePlace)>,
-    /// Where the invalid part of the text starts. `None` if the text is valid.
+    /// The start of the invalid part of the text. `None` if the text is valid.
     broken: Option<LinePlace>,
 }
 
@@ -157,7 +157,7 @@ impl Frames {
         self.check(view)?;
         match (step, &*self.all) {
             (Some(step), _) => Err(no_step(step)),
-            (None, []) => Err(ReadFault::Unsupported("contains no frame".to_owned())),
+            (None, []) => Err(ReadFault::Unsupported("the file contains no frame".to_owned())),
             (None, [(_, only)]) => Ok(*only),
             (None, _) => {
                 let numbers = self.numbers();
@@ -231,9 +231,11 @@ pub fn read_particles(
             let place = frames.find(view, step)?;
             xyz::read(bytes, place, wanted, unpacking)
         }
-        (TextFormat::Tecplot | TextFormat::Raw | TextFormat::Table, Some(step)) => Err(
-            ReadFault::Unsupported(format!("contains a single frame, so there is no step {step}")),
-        ),
+        (TextFormat::Tecplot | TextFormat::Raw | TextFormat::Table, Some(step)) => {
+            Err(ReadFault::Unsupported(format!(
+                "the file contains a single frame, so there is no step {step}"
+            )))
+        }
         (TextFormat::Tecplot, None) => tecplot::read(bytes, unpacking),
         (TextFormat::Raw, None) => xyz::read_raw(bytes),
         (TextFormat::Table, None) => {

@@ -57,8 +57,8 @@ pub enum KindFault {
     #[error(
         "colour {name:?} has the value {greatest} and looks like bytes from 0 to 255, but the \
          calibration frame (usually the first) has colours from 0 to 1; store colours in the same \
-         way in all frames, begin with a frame that also has values above 16, or do not transfer \
-         the attribute"
+         way in all frames, begin with a frame that has a value above 16, which shows that the \
+         range is 0 to 255, or do not transfer the attribute"
     )]
     Scale {
         /// The name of the attribute.
@@ -70,7 +70,8 @@ pub enum KindFault {
     #[error(
         "colour {name:?} has the value {value}, but the calibration frame (usually the first) has \
          integers from 0 to 255; store colours in the same way in all frames, begin with a frame \
-         that has values outside this range, or do not transfer the attribute"
+         that has a value outside this range, so that meniscus accepts such values in all frames, \
+         or do not transfer the attribute"
     )]
     NoByte {
         /// The name of the attribute.

@@ -18,7 +18,7 @@ const AXES: [&str; 3] = ["x", "y", "z"];
 pub enum SelectionFault {
     /// An attribute that the particles do not have.
     #[error(
-        "cannot select particles by {name:?}: there is no such attribute; available: {}",
+        "cannot select particles by {name:?}: there is no such attribute; available attributes: {}",
         listed(known)
     )]
     NoAttribute {
@@ -58,7 +58,7 @@ pub enum SelectionFault {
     /// read.
     #[error(
         "cannot apply {condition}: only one type of particles can be read at a time; choose one \
-         with type=NAME; available: {}",
+         with type=NAME; available types: {}",
         listed(known)
     )]
     Types {

@@ -86,7 +86,7 @@ pub enum SizeChoice {
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum SizeFault {
     /// The attribute does not exist.
-    #[error("no attribute {name:?} to take sizes from; available: {}", listed(known))]
+    #[error("no attribute {name:?} to take sizes from; available attributes: {}", listed(known))]
     NoAttribute {
         /// The requested name.
         name: String,
@@ -107,7 +107,7 @@ pub enum SizeFault {
     /// The attribute holds masses, but no attribute holds densities.
     #[error(
         "attribute {name:?} holds masses, and computing sizes from masses needs densities, but \
-         there is no density attribute; available: {}",
+         there is no density attribute; available attributes: {}",
         listed(known)
     )]
     NoDensity {

@@ -100,7 +100,7 @@ fn wide() -> UnreadPart {
 fn requests() -> String {
     let mut text = "Every error and warning of the library, with example values.\n".to_owned();
     examples!(text, Error:
-        Request("thickness must be at least 1".into()),
+        Request("no input file; name one".into()),
         SettingConflict(SettingConflict {
             setting: Setting::named("smooth"),
             with: Conflict::Packing,

@@ -38,7 +38,8 @@ pub(super) enum Input {
 impl StartedRequest {
     /// Opens one file, or several as one frame.
     pub(super) fn open(self, paths: &[&Path]) -> Result<OpenedFrame, Error> {
-        let path = *paths.first().ok_or_else(|| Error::Request("name at least one file".into()))?;
+        let path =
+            *paths.first().ok_or_else(|| Error::Request("no input file; name one".into()))?;
         let checked = &self.checked;
         let mut timings = Timings::default();
         if let Some(packed) = paths.iter().filter(|_| paths.len() > 1).find(|path| is_packed(path))

@@ -260,8 +260,10 @@ impl fmt::Display for Warning {
             Self::BeyondWall(BeyondWall { axis, wall, reach, moved }) => {
                 let [wall, reach] = [wall, reach].map(|at| significant(*at, 6));
                 let what = match moved {
-                    Some(to) => format!("the wall is moved to {axis} = {}", significant(*to, 6)),
-                    None => "that side of the tank is open".to_owned(),
+                    Some(to) => {
+                        format!("meniscus moves the wall to {axis} = {}", significant(*to, 6))
+                    }
+                    None => "meniscus leaves that side of the tank open".to_owned(),
                 };
                 write!(
                     f,

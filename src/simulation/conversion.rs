@@ -44,7 +44,7 @@ impl Drop for SettleOnDrop<'_> {
     }
 }
 
-/// How a conversion ended.
+/// The outcome of a conversion.
 pub(super) enum ConversionEnd {
     /// All frames have finished or failed.
     Ended(Box<Summary>),

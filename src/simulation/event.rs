@@ -54,7 +54,7 @@ pub enum Event {
         path: PathBuf,
         /// The calibration that all frames share.
         shared: Box<SharedCalibration>,
-        /// How well the calibration frame represents the other frames.
+        /// The suitability of the calibration frame to represent the other frames.
         trust: Trust,
     },
     /// The conversion begins.

@@ -292,7 +292,7 @@ fn pieces(files: &[&FrameCandidate], varying: &[usize]) -> Result<PiecesGuess, S
             let word = before.trim_end_matches(char::is_alphabetic).len();
             let word = before[word..].to_ascii_lowercase();
             if !word.is_empty() && !FRAMES.contains(&word.as_str()) {
-                // As in `case1_rank0`, where `rank0` may be a frame of `case1`.
+                // In `case1_rank0`, for example, `rank0` may also be a frame of `case1`.
                 return Ok(PiecesGuess::Unclear);
             }
             if files.iter().any(|file| is_padded(file.digits(*piece))) {
@@ -473,7 +473,7 @@ mod tests {
         for _ in 0..2000 {
             let mut text =
                 |from: &[&str]| (0..pick(4)).map(|_| from[pick(from.len())]).collect::<String>();
-            // No digits next to the number, so that it is a separate run.
+            // Allow no digits next to the number, so that it is a separate run of digits.
             let prefix = text(&texts).trim_end_matches(|c: char| c.is_ascii_digit()).to_owned();
             let middle = text(&texts).trim_start_matches(|c: char| c.is_ascii_digit()).to_owned();
             let suffix = middle + [".ply", ".bi4", ".h5", ".xyz"][pick(4)];

@@ -20,8 +20,9 @@ use super::numbered::{joined, timed, whole};
 use super::pattern::{FrameCandidate, NumberKind, Pattern, digit_runs};
 use super::pieces::{may_be_piece, whole_frames};
 
-/// Maximum time to wait, for each file with an ambiguous name, for another file that shows how to
-/// interpret the name.
+/// Upper limit of [`Sequence::patience`]: a file with an ambiguous name counts as a frame at the
+/// latest when it has stayed unchanged for this time. Until then, another file can appear that
+/// shows how to interpret the name.
 const PATIENCE: Duration = Duration::from_secs(300);
 
 /// A request for the frames of one or several simulations.
@@ -53,7 +54,7 @@ pub struct Sequence {
     /// The pattern of the files' names; `None` for steps of a file, and for files without numbers,
     /// which are numbered in order.
     pattern: Option<Pattern>,
-    /// How long a file with an ambiguous name must stay unchanged before it counts as a frame.
+    /// Time without changes after which a file with an ambiguous name counts as a frame.
     /// `None` unless a folder or a glob is watched.
     patience: Option<Duration>,
 }

@@ -286,7 +286,7 @@ impl Pictures {
             match (Inputs::of(&self.meshes, None)?, &self.meshes[..]) {
                 (Some(inputs), [_, ..]) => inputs,
                 (_, [mesh]) => return Ok((None, vec![alone(mesh)])),
-                _ => return Err(Error::Request("name at least one mesh".into())),
+                _ => return Err(Error::Request("no mesh file; name at least one".into())),
             }
         };
         match inputs.only() {

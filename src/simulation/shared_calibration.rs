@@ -68,11 +68,11 @@ pub struct FrameMeasurements {
     pub grid: Grid,
     /// The measured or given calibration; `None` for kernel methods.
     pub calibration: Option<Calibration>,
-    /// How well the calibration frame represents the other frames.
+    /// The suitability of the calibration frame to represent the other frames.
     pub trust: Trust,
 }
 
-/// How well a calibration frame represents the other frames.
+/// The suitability of a calibration frame to represent the other frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Trust {
     /// Almost no fluid is deeper than the reach of the filters.

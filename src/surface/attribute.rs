@@ -31,8 +31,8 @@ const AT_ONCE: usize = 16;
 /// memory than the mesh.
 const WIDE: usize = 64;
 
-/// Whether attributes with these numbers of components are wide in total. Wide attributes are
-/// interpolated and encoded for only a few blocks at a time.
+/// Whether attributes are wide in total: `components` has the number of components of each. Wide
+/// attributes are interpolated and encoded for only a few blocks at a time.
 pub fn are_wide(components: impl IntoIterator<Item = usize>) -> bool {
     components.into_iter().sum::<usize>() > WIDE
 }

@@ -27,7 +27,7 @@ pub struct PastCache<'a> {
     way: WriteMode,
 }
 
-/// How the next bytes are written.
+/// The method by which the next bytes are written.
 enum WriteMode {
     /// At most this many bytes go through the cache.
     Cached(u64),

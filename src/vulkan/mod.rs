@@ -60,7 +60,7 @@ pub enum VulkanError {
     #[error("no Vulkan device found")]
     NoDevice,
     /// No device has the requested number or name.
-    #[error("no Vulkan device matches {wanted:?}; available: {known}")]
+    #[error("no Vulkan device matches {wanted:?}; available devices: {known}")]
     NotFound {
         /// The requested number or name.
         wanted: String,

@@ -130,8 +130,8 @@ pub fn contoured(
 /// parallel.
 static LAYER: RwLock<()> = RwLock::new(());
 
-/// How a thread has locked `LAYER`. The lock lasts until the thread ends, after the test has freed
-/// its devices.
+/// The lock that a thread holds on `LAYER`. The lock lasts until the thread ends, after the test
+/// has freed its devices.
 #[derive(Default)]
 #[allow(dead_code, reason = "guards are only held")]
 enum Held {

@@ -146,7 +146,8 @@ fn units(spacings: f64) -> i64 {
     (spacings * UNITS).round() as i64
 }
 
-/// Maximum distance of the surface from a particle, in wide cells.
+/// Maximum distance from a point of the surface to the nearest particle, in wide cells: about one
+/// spacing. The edge of a wide cell is `edge` spacings.
 fn near(edge: f64) -> i32 {
     (1.0 / edge).round().max(1.0) as i32
 }

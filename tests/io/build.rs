@@ -96,7 +96,7 @@ pub fn npz_frame(points: &[[f64; 3]], compression: CompressionMethod) -> Vec<u8>
     npz(&arrays, compression)
 }
 
-/// Where a .vtu or .vtp file stores its numbers.
+/// The place and encoding of the numbers of a .vtu or .vtp file.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Placed {
     Ascii,

@@ -35,8 +35,8 @@ struct Cut {
 }
 
 impl Cut {
-    /// Divides a mesh into pieces with these numbers of vertices and triangles. The last piece
-    /// contains the rest of the mesh.
+    /// Divides a mesh into pieces. `vertices` and `triangles` have the number of vertices and of
+    /// triangles in each piece except the last, which contains the rest of the mesh.
     fn new(mesh: &Mesh, vertices: &[usize], triangles: &[usize]) -> Self {
         let ranges = |sizes: &[usize], all: usize| -> Vec<Range<usize>> {
             let ends = sizes.iter().scan(0, |end, size| {

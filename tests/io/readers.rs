@@ -461,7 +461,7 @@ fn legacy_and_xml_vtk_files_take_the_time_from_the_same_fields() {
         (&[("t", "0.25")], Some(0.25)),
         (&[("mass", "2")], None),
         (&[("time", "1 2")], None),
-        // The order of the names decides, not that of the fields.
+        // The preferred name decides, in whichever order the fields are.
         (&[("time", "1"), ("TimeValue", "0.5")], Some(0.5)),
         (&[("TimeValue", "0.5"), ("time", "1")], Some(0.5)),
         (&[("TIME", "3"), ("Time", "2"), ("t", "1")], Some(2.0)),

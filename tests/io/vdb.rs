@@ -49,7 +49,7 @@ struct Node {
     tiles: Vec<Vec<f64>>,
 }
 
-/// How a file stores the values of a grid.
+/// The form in which a file stores the values of a grid.
 #[derive(Clone, Copy)]
 struct Values {
     components: usize,

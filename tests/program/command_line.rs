@@ -1196,7 +1196,8 @@ fn a_mesh_is_refused_as_particles_but_points_with_vertex_cells_are_read() {
         let meshed = meniscus(folder.path(), &["reconstruct", "ball.mnf", "-o", mesh, "--quiet"]);
         assert!(meshed.status.success(), "{mesh}");
         let faces = read_mesh(&folder.path().join(mesh)).unwrap().triangles.len();
-        let message = format!("{mesh}: contains a mesh ({faces} faces or cells), not particles");
+        let message =
+            format!("{mesh}: the file contains a mesh ({faces} faces or cells), not particles");
         assert_refused(folder.path(), &[mesh, "-o", "out.ply"], 3, &[&message]);
         let packed = meniscus(folder.path(), &["pack", mesh, "-o", "out.mnf"]);
         let errors = String::from_utf8_lossy(&packed.stderr);

@@ -1443,7 +1443,7 @@ fn meshes_in_a_list_are_left_out_and_reported_once() {
     let messages = run(folder.path(), &["list.pvd", "-o", "listed/"], 0);
     let [alone, listed] = ["alone", "listed"].map(|out| meshes_in(&folder.path().join(out)));
     assert!(alone == listed, "{messages}");
-    // The first frame with the mesh reports it, and at the end the number of such frames.
+    // The first frame with the mesh reports it, and the last message gives the number of frames.
     assert_eq!(messages.matches("block \"Walls\"").count(), 2, "{messages}");
     assert!(messages.contains("in 3 frames, meniscus left out block \"Walls\""), "{messages}");
 }

@@ -28,8 +28,8 @@ struct Sequence {
     frames: u64,
     /// Number of inputs that were written. Each input is different.
     written: u64,
-    /// Whether records were damaged. A mesh without its record counts as foreign, unless its input
-    /// still gives the same bytes.
+    /// Whether records were damaged. The program treats a mesh without a record as a foreign file:
+    /// if its input now gives other bytes, only `--overwrite` replaces it.
     lost_records: bool,
     format: &'static str,
     history: String,

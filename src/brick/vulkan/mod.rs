@@ -132,23 +132,27 @@ impl DeviceBlocks {
         }
     }
 
-    /// Work groups for one thread per run of every block.
+    /// The numbers of work groups along x, y and z for one thread per run: y is the block, and x
+    /// covers the runs of the block that has the most.
     pub fn run_groups(&self, pipeline: &ComputePipeline) -> [u32; 3] {
         [pipeline.groups(self.runs), self.count, 1]
     }
 
-    /// Work groups for one thread per word of every block.
+    /// The numbers of work groups along x, y and z for one thread per word: y is the block, and x
+    /// covers the words of the largest block.
     pub fn groups(&self, pipeline: &ComputePipeline) -> [u32; 3] {
         [pipeline.groups(self.largest), self.count, 1]
     }
 
-    /// Work groups for one thread per word of the field, in rows that every device supports.
+    /// The numbers of work groups along x, y and z for one thread per word of all blocks together.
+    /// The rows along x are no longer than every device supports.
     pub fn flat_groups(&self, pipeline: &ComputePipeline) -> [u32; 3] {
         flat_groups(self.words, pipeline)
     }
 }
 
-/// Work groups for `threads`, in rows that every device supports.
+/// The numbers of work groups along x, y and z for `threads` threads. The rows along x are no
+/// longer than every device supports.
 fn flat_groups(threads: u32, pipeline: &ComputePipeline) -> [u32; 3] {
     let groups = pipeline.groups(threads);
     let width = groups.clamp(1, GROUP_ROW);

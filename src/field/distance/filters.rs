@@ -186,7 +186,8 @@ impl DistanceFilters {
         Self { drops, sheets, ..self }
     }
 
-    /// Adapts the filters to clouds of half the usual [amounts](Amount).
+    /// Halves the densities in the filters, for clouds to which each particle adds half the usual
+    /// [`Amount`].
     #[must_use]
     pub fn of_half_amounts(self) -> Self {
         let least = (self.least / 2).max(1);

@@ -287,7 +287,8 @@ impl Sheets {
         })
     }
 
-    /// Adapts the parameters to densities of clouds with half the usual amounts.
+    /// Halves the densities in the parameters, for clouds to which each particle adds half the
+    /// usual amount.
     #[must_use]
     pub fn of_half_amounts(mut self) -> Self {
         self.least /= 2;

@@ -2,8 +2,9 @@
 //!
 //! The size s of a particle is the edge of the cube that it fills: its own spacing. Octave k holds
 //! the particles of sizes from 2^k d up to twice that, where d is the smallest size. Each octave
-//! has its own grid, whose cells are 2^k times as wide as those of the mesh, so that a cell has the
-//! same edge in spacings of each octave.
+//! has its own grid, whose cells are 2^k times as wide as those of the mesh. The spacing of the
+//! octave, 2^k d, grows by the same factor, so the ratio of cell to spacing is the same in all
+//! octaves.
 //!
 //! 1. Clouds. In its octave, a particle's cloud is weighted by the particle's volume: its amount is
 //!    (s / (2^k d))^3 times half the usual [`Amount`]. The density of an octave is the sum over all

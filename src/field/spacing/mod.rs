@@ -107,7 +107,7 @@ impl SpacingEstimate {
 #[non_exhaustive]
 pub enum NoEstimate {
     /// Too few particles.
-    #[error("there are too few particles")]
+    #[error("an estimate needs more particles")]
     TooFew,
     /// Nearly all particles share a few positions.
     #[error("they have only {places} different positions")]

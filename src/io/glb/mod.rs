@@ -30,7 +30,7 @@ use super::UpAxis;
 pub struct GlbLayout {
     /// The axis that points up in the coordinates of the particles.
     pub up: UpAxis,
-    /// How numbers are stored.
+    /// The encoding of the numbers.
     pub compression: GlbCompression,
 }
 
@@ -39,7 +39,7 @@ impl GlbLayout {
     pub const PLAIN: Self = Self { up: UpAxis::Y, compression: GlbCompression::None };
 }
 
-/// How the numbers of a mesh are stored.
+/// The encoding of the numbers of a mesh.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum GlbCompression {
     /// f32 and u32 numbers, without compression.

@@ -50,8 +50,8 @@ pub fn no_position(root: &Group) -> Result<ReadFault, ReadFault> {
     Ok(ReadFault::Unsupported(what))
 }
 
-/// A line for each of the first data sets and empty groups below `root`, and the number of those
-/// that have no line.
+/// Lines that describe the first data sets and empty groups below `root`, one each, and the number
+/// of further data sets and empty groups.
 fn lines(root: &Group) -> Result<(Vec<String>, usize), ReadFault> {
     let (mut lines, mut more) = (Vec::new(), 0);
     let mut push = |line: &dyn Fn() -> String| match lines.len() < LINES {

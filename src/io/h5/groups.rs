@@ -31,7 +31,7 @@ pub(super) struct GroupCandidate {
     pub arrangement: Arrangement,
 }
 
-/// Where a field is stored: in a whole data set, or in a part of each row of a data set.
+/// The place of a field: a whole data set, or a part of each row of a data set.
 struct FieldStorage {
     set: Arc<Dataset>,
     number: (Scalar, Endian),

@@ -85,7 +85,7 @@ pub fn open_particles(
     let layout = H5Layout::of(&file).map_err(fail)?;
     if let (H5Layout::Snapshot | H5Layout::PySph, Some(step)) = (&layout, step) {
         return Err(fail(ReadFault::Unsupported(format!(
-            "contains a single frame, so there is no step {step}"
+            "the file contains a single frame, so there is no step {step}"
         ))));
     }
     match layout {

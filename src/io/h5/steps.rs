@@ -130,8 +130,8 @@ fn numbered(root: &Group, file: &H5File) -> Result<Vec<(u64, Group)>, ReadFault>
     Ok(Vec::new())
 }
 
-/// The groups for whose names `number` returns a number, with these numbers. `number` is called
-/// with names in lower case.
+/// The groups in whose names `number` finds a number, each with its number. `number` is called with
+/// names in lower case.
 fn in_group(groups: &[Group], number: impl Fn(&str) -> Option<u64>) -> Vec<(u64, Group)> {
     let number = |group: &Group| {
         let name = group.name().to_ascii_lowercase();

@@ -381,7 +381,7 @@ impl H5Type for RawElement {
     }
 }
 
-/// How the rows of a data set are divided into windows.
+/// The division of the rows of a data set into windows.
 pub(super) struct RowWindows {
     /// Number of rows in the first window.
     lead: u64,
@@ -595,7 +595,7 @@ pub(super) fn chosen_type(
             .map(str::to_owned)
             .ok_or_else(|| {
                 ReadFault::Unsupported(format!(
-                    "contains several types: {}; choose one with the condition type=NAME",
+                    "the file contains several types: {}; choose one with the condition type=NAME",
                     list_of(known)
                 ))
             }),

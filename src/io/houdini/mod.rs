@@ -331,5 +331,5 @@ fn no_particles(geometry: &Geometry) -> ReadFault {
              an Add SOP"
         }
     };
-    ReadFault::Unsupported(format!("contains {primitives}, but no other points; {remedy}"))
+    ReadFault::Unsupported(format!("the file contains {primitives}, but no other points; {remedy}"))
 }

@@ -93,7 +93,7 @@ pub(super) fn read(
     table.read(bytes, wanted, unpacking, "text table")
 }
 
-/// Where the number of a field is stored in a decoded row, and how an invalid field is treated.
+/// The place of a field's number in a decoded row, and the treatment of an invalid field.
 #[derive(Debug, Clone, Copy)]
 struct FieldTarget {
     /// The index of the number in a decoded row.

@@ -343,7 +343,7 @@ pub fn attribute_names(infos: &[AttributeInfo]) -> Vec<String> {
     known.into_iter().filter_map(name).collect()
 }
 
-/// How many times the writer reads all vertices of a mesh to store their attributes.
+/// The number of times that the writer reads all vertices of a mesh to store their attributes.
 pub fn attribute_readings(infos: &[AttributeInfo]) -> usize {
     together(&attribute_grids(infos)).count()
 }

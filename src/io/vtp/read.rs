@@ -215,7 +215,7 @@ pub(super) fn read_numbered(bytes: &[u8]) -> Result<NumberedMesh, ReadFault> {
     let layout = VtpLayout::parse(bytes.into())?;
     if layout.data_set != DataSet::PolyData {
         return Err(ReadFault::Unsupported(
-            "contains an UnstructuredGrid, but meshes must be PolyData".to_owned(),
+            "the file contains an UnstructuredGrid, but meshes must be PolyData".to_owned(),
         ));
     }
     let [piece] = &*layout.pieces else {

@@ -203,7 +203,7 @@ impl Picture {
     }
 }
 
-/// How much of a mesh is held in memory.
+/// The part of a mesh that is held in memory.
 pub(super) enum MeshMemory {
     /// The whole mesh.
     Whole,
@@ -248,7 +248,7 @@ pub enum PictureError {
     #[error("{0}")]
     View(&'static str),
     /// An unknown colour map.
-    #[error("no colour map {name:?}; available: {known}")]
+    #[error("no colour map {name:?}; available maps: {known}")]
     Map {
         /// The requested name.
         name: String,
@@ -256,7 +256,7 @@ pub enum PictureError {
         known: String,
     },
     /// An attribute that the vertices do not have.
-    #[error("the vertices have no attribute {name:?}; available: {known}")]
+    #[error("the vertices have no attribute {name:?}; available attributes: {known}")]
     NoAttribute {
         /// The requested attribute.
         name: String,

@@ -61,7 +61,7 @@ pub struct MeshBlock {
     above: [u32; 8],
 }
 
-/// Where each block starts in the whole mesh.
+/// The start of each block in the whole mesh.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MeshLayout {
     blocks: Vec<MeshBlock>,

@@ -18,7 +18,7 @@ pub enum Value {
     Bits(Vec<bool>),
 }
 
-/// How a file encodes JSON.
+/// The encoding of a file's JSON.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Form {
     Text,
@@ -34,7 +34,7 @@ impl Form {
     ];
 }
 
-/// How a file arranges the numbers of an attribute.
+/// The arrangement of the numbers of an attribute in a file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Layout {
     Tuples,
@@ -343,7 +343,7 @@ fn half(number: f64) -> u16 {
     (bits >> 63 << 15) as u16 | (exponent << 10) as u16 | (bits >> 42 & 0x3ff) as u16
 }
 
-/// How chunks are compressed.
+/// The compression of chunks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Codec {
     Stored,
@@ -352,7 +352,7 @@ pub enum Codec {
     Zstd,
 }
 
-/// How the bytes in a chunk are ordered.
+/// The order of the bytes in a chunk.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Shuffle {
     None,

@@ -320,8 +320,8 @@ typedef struct MeniscusArrays {
   size_t attribute_count;
 } MeniscusArrays;
 
-// How a mesh was made. The caller sets `size`, and the library sets the other fields. Lengths are
-// in the unit of the positions.
+// Facts about the reconstruction of a mesh. The caller sets `size`, and the library sets the other
+// fields. Lengths are in the unit of the positions.
 typedef struct MeniscusReport {
   // sizeof(MeniscusReport).
   size_t size;

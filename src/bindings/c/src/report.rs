@@ -23,8 +23,8 @@ pub enum MeniscusSpacingSource {
     Sizes = 5,
 }
 
-/// How a mesh was made. The caller sets `size`, and the library sets the other fields. Lengths are
-/// in the unit of the positions.
+/// Facts about the reconstruction of a mesh. The caller sets `size`, and the library sets the other
+/// fields. Lengths are in the unit of the positions.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct MeniscusReport {

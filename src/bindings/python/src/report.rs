@@ -6,7 +6,7 @@ use meniscus::SpacingSource;
 use meniscus::mesh::{CheckReport, Measures};
 use pyo3::prelude::*;
 
-/// How a surface was made. Lengths are in the unit of the positions.
+/// Facts about the reconstruction of a surface. Lengths are in the unit of the positions.
 ///
 /// Attributes
 /// ----------

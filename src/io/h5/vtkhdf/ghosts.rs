@@ -18,7 +18,7 @@ use crate::io::{ReadFault, malformed};
 
 use super::frame::{FrameRows, count, entries, entry, found, sub_group, sum};
 
-/// How the cells of a data set are stored.
+/// The arrangement of the cells of a data set.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum CellLayout {
     /// In four groups, one per kind of cells, as in PolyData.
@@ -123,7 +123,7 @@ fn in_part(part: u64, fault: ReadFault) -> ReadFault {
     }
 }
 
-/// Where the arrays store the first cell of a frame.
+/// The places of the first cell of a frame in the arrays.
 struct FirstCells {
     cell: u64,
     corner: u64,

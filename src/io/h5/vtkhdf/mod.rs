@@ -128,13 +128,13 @@ pub fn read_mesh(file: H5File) -> Result<Mesh, ReadFault> {
     let (root, kind) = opened(&file)?;
     if kind != POLY_DATA {
         return Err(ReadFault::Unsupported(format!(
-            "contains an {kind}, but meshes must be {POLY_DATA}"
+            "the file contains an {kind}, but meshes must be {POLY_DATA}"
         )));
     }
     let frame = FrameRows::of(&file, &root, None)?;
     if frame.step.is_some() {
         return Err(ReadFault::Unsupported(
-            "contains several time steps, but a mesh must be a single frame".to_owned(),
+            "the file contains several time steps, but a mesh must be a single frame".to_owned(),
         ));
     }
     let points = frame.points(&file, &root)?;

@@ -61,7 +61,7 @@ pub struct PointValues {
     pub data: ValueLayout,
 }
 
-/// How the values of an attribute are arranged in the document.
+/// The arrangement of the values of an attribute in the document.
 #[derive(Debug)]
 pub enum ValueLayout {
     /// Tuples, one per point.

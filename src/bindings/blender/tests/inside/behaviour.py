@@ -133,7 +133,7 @@ def other_settings_make_another_surface_and_the_same_none() -> None:
     settings.attributes = "density"
     assert "density" in shown.data.attributes and "velocity" not in shown.data.attributes
     settings.attributes = "heat"
-    assert 'no attribute "heat"; available: id, velocity, density' in live.status_of(shown.data).error
+    assert 'no attribute "heat"; available attributes: id, velocity, density' in live.status_of(shown.data).error
     assert sizes(shown.data) == (0, 0)
 
 
