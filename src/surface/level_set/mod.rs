@@ -37,6 +37,8 @@ const SHIFT: i32 = LEAF;
 /// Upper limit, in voxels, on the magnitude of vertex coordinates. With this limit, differences
 /// between coordinates fit into an i32.
 const FARTHEST: f64 = (1 << 29) as f64;
+/// Upper limit on the error of a cross product, relative to the lengths of both vectors.
+const NORMAL_ERROR: f64 = 1e-14;
 const TOO_FAR: &str = "a vertex is not finite, or more than 2^29 cells from the grid's origin; \
                        use larger cells";
 /// The lattice of an empty mesh.
@@ -212,9 +214,11 @@ fn each_block_near([a, b, c]: [DVec3; 3], mut take: impl FnMut(IVec3)) {
     let normal = (b - a).cross(c - a);
     // Half the extent along the normal of a block that is enlarged by the margin on each side.
     let extent = normal.abs().element_sum() * (f64::from(BLOCK) / 2.0 + MARGIN);
+    // The normal of a triangle whose corners are almost on a line has no correct digits.
+    let error = NORMAL_ERROR * (b - a).length() * (c - a).length();
     let is_near = |block: IVec3| {
-        let centre = (first_voxel(block) + BLOCK / 2).as_dvec3();
-        normal.dot(centre - a).abs() <= extent
+        let from_corner = (first_voxel(block) + BLOCK / 2).as_dvec3() - a;
+        normal.dot(from_corner).abs() <= extent + error * from_corner.length()
     };
     for x in low.x..=high.x {
         for y in low.y..=high.y {
@@ -347,6 +351,117 @@ mod tests {
             }
             check_octahedron(centre, [0.2, 12.0, 9.0]);
         }
+    }
+
+    /// The surface of a box of `size` unit squares along each axis, each made of two triangles.
+    fn tiled_box(low: [f64; 3], size: [u32; 3]) -> Mesh {
+        let mut numbers = HashMap::new();
+        let mut mesh = Mesh::default();
+        let mut vertex = |at: [u32; 3]| {
+            *numbers.entry(at).or_insert_with(|| {
+                mesh.positions.push(std::array::from_fn(|k| low[k] + f64::from(at[k])));
+                mesh.positions.len() as u32 - 1
+            })
+        };
+        let mut triangles = Vec::new();
+        for axis in 0..3 {
+            let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+            for end in [0, size[axis]] {
+                for i in 0..size[u] * size[v] {
+                    let mut at = [0; 3];
+                    (at[axis], at[u], at[v]) = (end, i % size[u], i / size[u]);
+                    let [a, b, c, d] = [[0, 0], [1, 0], [1, 1], [0, 1]].map(|[du, dv]| {
+                        let mut to = at;
+                        (to[u], to[v]) = (at[u] + du, at[v] + dv);
+                        vertex(to)
+                    });
+                    let square = [[a, b, c], [a, c, d]];
+                    triangles.extend(if end > 0 {
+                        square
+                    } else {
+                        square.map(|[a, b, c]| [a, c, b])
+                    });
+                }
+            }
+        }
+        mesh.triangles = triangles;
+        mesh
+    }
+
+    #[test]
+    fn walls_midway_between_voxels_have_the_right_sides_in_every_block() {
+        let lattice = Lattice { origin: [0.0; 3], step: 1.0 };
+        for (low, size) in [([-20.5, 0.5, -70.5], [150, 6, 180]), ([3.5, -40.0, 0.5], [4, 140, 90])]
+        {
+            let level_set = LevelSet::new(&tiled_box(low, size), lattice).unwrap();
+            let (low, size) = (DVec3::from(low), DVec3::from(size.map(f64::from)));
+            let mut checked = 0;
+            // Blocks share their memory with the blocks before.
+            for leaf in level_set.map(Ok).unwrap().into_iter().flatten() {
+                for i in 0..VOXELS {
+                    let at = leaf.corner + place_in_leaf(i);
+                    let from_faces = (at.as_dvec3() - low).min(low + size - at.as_dvec3());
+                    let inside = from_faces.min_element();
+                    if inside != 0.0 {
+                        assert_eq!(leaf.is_inside(i), inside > 0.0, "{at}");
+                        checked += 1;
+                    }
+                }
+            }
+            assert!(checked > 100_000, "{checked}");
+        }
+    }
+
+    #[test]
+    fn two_bodies_that_overlap_are_inside_in_both() {
+        let centres = [[0.3, 0.2, 0.1], [9.3, 3.2, 10.1]];
+        let radii = [12.0, 12.0, 30.0];
+        let [mut mesh, other] = centres.map(|centre| octahedron(centre, radii));
+        let first = mesh.positions.len() as u32;
+        mesh.positions.extend(other.positions);
+        mesh.triangles.extend(other.triangles.iter().map(|corners| corners.map(|v| v + first)));
+        let lattice = Lattice { origin: [0.0; 3], step: 1.0 };
+        let level_set = LevelSet::new(&mesh, lattice).unwrap();
+        let mut checked = 0;
+        for leaf in level_set.map(Ok).unwrap().into_iter().flatten() {
+            for i in 0..VOXELS {
+                let at = (leaf.corner + place_in_leaf(i)).as_dvec3();
+                let [a, b] = centres.map(|centre| {
+                    ((at - DVec3::from(centre)) / DVec3::from(radii)).abs().element_sum()
+                });
+                if (a - 1.0).abs() > 1e-5 && (b - 1.0).abs() > 1e-5 {
+                    assert_eq!(leaf.is_inside(i), a.min(b) < 1.0, "{at}");
+                    checked += 1;
+                }
+            }
+        }
+        assert!(checked > 10_000, "{checked}");
+    }
+
+    #[test]
+    fn a_small_body_that_is_inside_out_changes_no_side_outside() {
+        let mut mesh = octahedron([0.3, 0.2, 0.1], [12.0, 12.0, 30.0]);
+        let small = octahedron([18.3, 0.2, 0.1], [2.3; 3]);
+        let first = mesh.positions.len() as u32;
+        mesh.positions.extend(small.positions);
+        mesh.triangles
+            .extend(small.triangles.iter().map(|&[a, b, c]| [a, c, b].map(|v| v + first)));
+        let lattice = Lattice { origin: [0.0; 3], step: 1.0 };
+        let level_set = LevelSet::new(&mesh, lattice).unwrap();
+        let mut checked = 0;
+        for leaf in level_set.map(Ok).unwrap().into_iter().flatten() {
+            for i in 0..VOXELS {
+                let at = leaf.corner + place_in_leaf(i);
+                let from_small = (at.as_dvec3() - DVec3::new(18.3, 0.2, 0.1)).abs().element_sum();
+                if from_small > 2.3 && distance(&level_set, at) > 0.51 {
+                    let from_centre = (at.as_dvec3() - DVec3::new(0.3, 0.2, 0.1)).abs();
+                    let within = from_centre / DVec3::new(12.0, 12.0, 30.0);
+                    assert_eq!(leaf.is_inside(i), within.element_sum() < 1.0, "{at}");
+                    checked += 1;
+                }
+            }
+        }
+        assert!(checked > 10_000, "{checked}");
     }
 
     #[test]

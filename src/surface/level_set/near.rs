@@ -1,6 +1,6 @@
 //! The triangles near a block.
 
-use glam::{DVec3, Vec3};
+use glam::{DVec3, Vec4};
 
 /// Minimum height, in voxels, of a triangle from which distances are measured. Every point of a
 /// flatter triangle is within this distance of an edge or a corner of another triangle.
@@ -24,9 +24,10 @@ pub struct NearTriangles {
     numbering: Numbering,
     /// The position of each vertex.
     places: Vec<DVec3>,
-    /// The normals of the triangles around each vertex.
-    normals: Vec<NormalBox>,
-    /// The [`NormalBox::spread`] of each vertex.
+    /// The sum of the normals of the triangles around each vertex, and their number. NaN if one of
+    /// them is too flat.
+    normals: Vec<Vec4>,
+    /// The [`spread`](Self::spread) of each vertex.
     spreads: Vec<f32>,
 }
 
@@ -52,7 +53,7 @@ impl NearTriangles {
             *corner = self.numbering.number(vertex, next);
             if *corner == next {
                 self.places.push(place(vertex));
-                self.normals.push(NormalBox::NONE);
+                self.normals.push(Vec4::ZERO);
             }
         }
         let [a, b, c] = self.places(corners);
@@ -61,27 +62,51 @@ impl NearTriangles {
         let longest = a.distance_squared(b).max(a.distance_squared(c)).max(b.distance_squared(c));
         if area <= LEAST_HEIGHT * longest.sqrt() {
             for corner in corners {
-                self.normals[corner as usize] = NormalBox::ALL;
+                self.normals[corner as usize] = Vec4::NAN;
             }
         } else {
             let normal = normal * area.recip();
             for corner in corners {
-                self.normals[corner as usize].add(normal.as_vec3());
+                self.normals[corner as usize] += normal.as_vec3().extend(1.0);
             }
             self.triangles.push(NearTriangle { corners, number, normal });
         }
         corners
     }
 
-    /// Computes the [`spread`](Self::spread) of each vertex.
+    /// Computes the [`spread`](Self::spread) of each vertex, after all triangles were added.
     pub fn find_spreads(&mut self) {
+        for normal in &mut self.normals {
+            *normal /= normal.w;
+        }
+        // The greatest squared distance of a normal from the mean normal.
         self.spreads.clear();
-        self.spreads.extend(self.normals.iter().map(NormalBox::spread));
+        self.spreads.extend(self.normals.iter().map(|mean| 0.0 * mean.w));
+        for triangle in &self.triangles {
+            let normal = triangle.normal.as_vec3().extend(1.0);
+            for corner in triangle.corners {
+                let apart = normal.distance_squared(self.normals[corner as usize]);
+                let most = &mut self.spreads[corner as usize];
+                // NaN stays NaN.
+                *most = if apart <= *most { *most } else { apart };
+            }
+        }
+        for spread in &mut self.spreads {
+            let squared = *spread;
+            *spread =
+                if squared < 0.5 { (squared / (1.0 - squared)).sqrt() } else { f32::INFINITY };
+        }
     }
 
-    /// The tangent of an angle. If a vertex is the nearest point of a voxel, the direction from the
-    /// vertex to the voxel is within this angle of the normal of one of the triangles around the
-    /// vertex. Infinite if the angle is not known to be less than 45 degrees.
+    /// The tangent of an angle. If a vertex is the nearest point of a voxel outside the mesh, the
+    /// direction from the vertex to the voxel is within this angle of the normal of one of the
+    /// triangles around the vertex; inside the mesh, the opposite direction is. Infinite if normals
+    /// can differ by 90 degrees or more.
+    ///
+    /// Such a direction is a sum of the normals with positive weights, so it passes through the
+    /// convex hull of the normals. No point of the hull is farther from the nearest normal than the
+    /// radius r of a ball that contains all normals. Since normals have length 1, the sine of the
+    /// angle is at most r.
     pub fn spread(&self, vertex: u32) -> f32 {
         self.spreads[vertex as usize]
     }
@@ -97,33 +122,6 @@ impl NearTriangles {
     }
 }
 
-/// The bounding box of unit normals.
-#[derive(Debug, Clone, Copy)]
-struct NormalBox {
-    low: Vec3,
-    high: Vec3,
-}
-
-impl NormalBox {
-    const NONE: Self = Self { low: Vec3::splat(2.0), high: Vec3::splat(-2.0) };
-    const ALL: Self = Self { low: Vec3::splat(-1.0), high: Vec3::splat(1.0) };
-
-    fn add(&mut self, normal: Vec3) {
-        self.low = self.low.min(normal);
-        self.high = self.high.max(normal);
-    }
-
-    /// See [`NearTriangles::spread`]. The direction to such a voxel is a sum of the normals with
-    /// positive weights. It therefore passes through the convex hull of the normals, in which no
-    /// point is farther from the nearest normal than half the diagonal of the box.
-    fn spread(&self) -> f32 {
-        let centre = (self.low + self.high) / 2.0;
-        let radius = (self.high - self.low).length_squared() / 4.0;
-        let rest = centre.length_squared() - radius;
-        if rest > radius { (radius / rest).sqrt() } else { f32::INFINITY }
-    }
-}
-
 /// A hash table with the block's number of each vertex.
 #[derive(Debug, Default)]
 struct Numbering {
@@ -134,21 +132,21 @@ struct Numbering {
 const EMPTY: u32 = u32::MAX;
 /// Number of consecutive vertices of the mesh that have consecutive slots, because consecutive
 /// vertices are often looked up together.
-const TOGETHER: usize = 16;
+const RUN: usize = 16;
 
 impl Numbering {
     fn clear(&mut self, triangles: usize) {
         // The vertices of a closed mesh are about half as many as its triangles.
         self.slots.clear();
-        self.slots.resize((triangles * 4).next_power_of_two().max(TOGETHER), [EMPTY; 2]);
+        self.slots.resize((triangles * 4).next_power_of_two().max(RUN), [EMPTY; 2]);
     }
 
     /// The number of a vertex, which becomes `next` if the vertex has no number.
     fn number(&mut self, vertex: u32, next: u32) -> u32 {
         let mask = self.slots.len() - 1;
-        let group = u64::from(vertex) / TOGETHER as u64;
+        let group = u64::from(vertex) / RUN as u64;
         let hash = (group.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 32) as usize;
-        let mut at = (hash * TOGETHER + vertex as usize % TOGETHER) & mask;
+        let mut at = (hash * RUN + vertex as usize % RUN) & mask;
         while self.slots[at][0] != vertex {
             if self.slots[at][0] == EMPTY {
                 self.slots[at] = [vertex, next];

@@ -1,8 +1,8 @@
 //! The voxels to which a triangle can be nearest.
 //!
-//! If a point of a triangle is the nearest point of a voxel, the direction from the point to the
-//! voxel is the triangle's normal, or, at an edge or a vertex, within an angle of the normal of one
-//! of the triangles around it. So the voxel is near the line through the triangle along its normal.
+//! If a point of a triangle is the nearest point of a voxel, the line through both is parallel to
+//! the triangle's normal, or, at an edge or a vertex, within an angle of the normal of one of the
+//! triangles around it. So the voxel is near the line through the point along the normal.
 
 use glam::{IVec3, Vec3A, Vec4};
 
@@ -13,8 +13,6 @@ use super::{BAND, BLOCK};
 pub const TOGETHER: usize = 4;
 /// Added to limits on distances, in voxels, because they are rounded.
 pub const ROUNDING: f32 = 1e-3;
-/// Limit on the product of two tangents, above which no limit on the sum of their angles is used.
-const WIDE: f32 = 0.5;
 
 /// The voxels of a block, within the band, to which one of a few triangles can be nearest.
 /// Coordinates are relative to `first`.
@@ -60,9 +58,10 @@ impl Reach {
             normal = normal.normalize();
             let cos = normal.dot(triangles[0].normal.as_vec3a());
             let tan = (1.0 - cos * cos).max(0.0).sqrt() / cos;
-            // The tangent of the sum of both angles.
-            let sum = (spread + tan) / (1.0 - spread * tan);
-            spread = if spread * tan < WIDE { sum } else { f32::INFINITY };
+            // The tangent of the sum of both angles, which is less than 90 degrees.
+            if spread.is_finite() {
+                spread = (spread + tan) / (1.0 - spread * tan);
+            }
         }
         let aside = less(spread * BAND, BAND);
         let across = Vec4::from((1.0 - normal * normal, 0.0)).max(Vec4::splat(1e-6)).sqrt();
@@ -102,11 +101,11 @@ impl Reach {
             for y in y..y_end {
                 let heights = self.heights(heights, 1, y);
                 let [mut z, z_end] = self.range(heights, 2, left - self.squared_beyond(1, y));
-                // There is rarely more than one group, so that the processor can foretell most of
-                // what this code does.
+                // There is rarely more than one group. Storing the first one without a branch
+                // leaves only branches that the processor predicts well.
                 groups[count] = [x as i8, y as i8, z.min(last) as i8, 0];
                 count += usize::from(z < z_end);
-                while z + together < z_end {
+                while z_end - z > together {
                     z += together;
                     groups[count] = [x as i8, y as i8, z.min(last) as i8, 0];
                     count += 1;

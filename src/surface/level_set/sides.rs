@@ -3,7 +3,9 @@
 //! A column is a line of voxels along z. The side changes where the column crosses a triangle.
 //! Crossings are found in integers, and each column counts as shifted by an infinitely small step,
 //! so that a column crosses an edge or a vertex exactly as often as it crosses the surface there.
-//! Columns without crossings get their side from neighbouring columns.
+//! Columns without crossings get their side from neighbouring columns, or from a triangle that one
+//! of their voxels sees. Where the mesh passes through itself, columns can contradict each other; then the majority
+//! decides.
 
 use std::ops::RangeInclusive;
 
@@ -16,36 +18,42 @@ use super::{BAND, BLOCK};
 /// Number of bits after the binary point of a [`Place`].
 const FRACTION: u32 = 20;
 /// Added to a coordinate before it is rounded, because converting a positive number to an integer
-/// rounds down without a function call.
+/// rounds down without a function call. Where the sum is negative, it is rounded up, which is as
+/// good, because all triangles of a block round a vertex in the same way.
 const OFFSET: i64 = 1 << (52 - FRACTION);
-/// Number of voxels along the edge of a block.
-const SIDE: usize = BLOCK as usize;
+/// Number of columns along the edge of a block, and of voxels in a column.
+const EDGE: usize = BLOCK as usize;
 /// Two neighbouring voxels are on the same side if the sum of their distances, in voxels, is greater
 /// than this. Distances are rounded, so the limit is more than 1.
 const APART: f32 = 1.001;
-/// Minimum weight of each corner of a triangle in a point that is surely not on an edge.
-const WITHIN: f32 = 1e-3;
+/// The square of the distance, in voxels, above which a voxel is deep: two neighbouring deep voxels
+/// are on the same side.
+const DEEP: f32 = APART * APART / 4.0;
+/// The square of the distance, in voxels, below which a voxel is on the surface, and so on any side.
+const ON_SURFACE: f32 = 1e-10;
+/// The length, in voxels, by which a line of sight ends inside a triangle instead of at its edge.
+const INWARDS: f64 = 0.1;
 
 /// The coordinates x and y of a vertex, in multiples of 2^-[`FRACTION`] voxels.
 type Place = [i64; 2];
 
-/// For each column of a block, with y varying fastest, a word in which bit z stands for voxel z.
+/// For each column of a block, with y varying fastest, words in which bit z stands for voxel z.
 pub struct Sides {
     /// For each step from voxel z - 1 to voxel z, the number of exits minus the number of entries,
     /// modulo 4: the lower bit.
     low: Vec<u64>,
     /// The upper bit of the same number.
     high: Vec<u64>,
-    /// Whether each voxel is inside.
+    /// Whether each voxel is inside; 0 for columns that are not known.
     inside: Vec<u64>,
-    /// Whether `inside` is known.
+    /// Whether the sides of a column's voxels are known.
     is_known: Vec<bool>,
 }
 
 impl Sides {
     pub fn new() -> Self {
-        let none = || vec![0; SIDE * SIDE];
-        Self { low: none(), high: none(), inside: none(), is_known: vec![false; SIDE * SIDE] }
+        let none = || vec![0; EDGE * EDGE];
+        Self { low: none(), high: none(), inside: none(), is_known: vec![false; EDGE * EDGE] }
     }
 
     /// Forgets all crossings.
@@ -56,6 +64,11 @@ impl Sides {
 
     /// Adds the crossings of a triangle, with coordinates relative to the block's first voxel.
     pub fn cross(&mut self, corners: [DVec3; 3]) {
+        let lowest = corners[0].z.min(corners[1].z).min(corners[2].z);
+        let highest = corners[0].z.max(corners[1].z).max(corners[2].z);
+        if highest <= 0.0 || lowest > f64::from(BLOCK - 1) {
+            return;
+        }
         let [a, b, c] = [rounded(corners[0]), rounded(corners[1]), rounded(corners[2])];
         let [along_x, along_y] = [columns(a[0], b[0], c[0]), columns(a[1], b[1], c[1])];
         if along_x.is_empty() || along_y.is_empty() {
@@ -78,7 +91,7 @@ impl Sides {
                 if left == [area > 0; 3] {
                     let weighted = |i: usize| turns[i] as f64 * corners[i].z;
                     let z = (weighted(0) + weighted(1) + weighted(2)) / area as f64;
-                    self.step(x as usize * SIDE + y as usize, z, area > 0);
+                    self.step(x as usize * EDGE + y as usize, z, area > 0);
                 }
             }
         }
@@ -97,21 +110,20 @@ impl Sides {
     /// Finds the sides of all voxels near the band, from all triangles near the block. `squared` and
     /// `nearest` are the squared distance and the nearest triangle of each voxel.
     pub fn find(&mut self, squared: &[f32], nearest: &[u32], near: &NearTriangles) {
-        for column in 0..SIDE * SIDE {
+        for column in 0..EDGE * EDGE {
             self.is_known[column] = self.low[column] != 0;
-            if self.is_known[column] {
-                self.inside[column] = self.crossed(column);
-            }
+            self.inside[column] = self.crossed(column);
         }
         self.spread(squared);
-        for column in 0..SIDE * SIDE {
+        for column in 0..EDGE * EDGE {
             if !self.is_known[column]
-                && let Some(is_inside) = facing(column, squared, nearest, near)
+                && let Some(is_inside) = sighted(column, squared, nearest, near)
             {
                 self.set(column, is_inside);
+                self.spread(squared);
             }
         }
-        self.spread(squared);
+        self.settle(squared);
     }
 
     /// For each voxel of a column, a bit that says whether it is inside. The order is that of
@@ -120,16 +132,25 @@ impl Sides {
         self.inside[column]
     }
 
-    /// The sides of a column that crosses the surface.
+    /// The sides of a column that crosses the surface; 0 for other columns. A voxel is inside if its
+    /// winding number is greater than the least winding number in the column.
     fn crossed(&self, column: usize) -> u64 {
         let steps = self.low[column];
-        let begins_with_exit = self.high[column] >> steps.trailing_zeros() & 1 == 0;
-        // The parity of the number of steps up to each voxel.
-        let mut odd = steps;
-        for shift in [1, 2, 4, 8, 16, 32] {
-            odd ^= odd << shift;
-        }
-        if begins_with_exit { !odd } else { odd }
+        let entries = self.high[column];
+        let (mut winding, mut least) = (0, 0);
+        each_bit(steps, |z| {
+            winding += if entries >> z & 1 == 1 { 1 } else { -1 };
+            least = least.min(winding);
+        });
+        let (mut winding, mut inside) = (-least, 0);
+        let mut all_from = u64::MAX;
+        each_bit(steps, |z| {
+            let from = u64::MAX << z;
+            inside |= if winding > 0 { all_from & !from } else { 0 };
+            winding += if entries >> z & 1 == 1 { 1 } else { -1 };
+            all_from = from;
+        });
+        inside | if winding > 0 { all_from } else { 0 }
     }
 
     /// Sets the side of a column that crosses no triangle.
@@ -140,24 +161,24 @@ impl Sides {
 
     /// Spreads the known sides over the block: along +x and +y, and then back.
     fn spread(&mut self, squared: &[f32]) {
-        for x in 0..SIDE {
-            for y in 0..SIDE {
-                let column = x * SIDE + y;
+        for x in 0..EDGE {
+            for y in 0..EDGE {
+                let column = x * EDGE + y;
                 if x > 0 {
-                    self.pass(column - SIDE, column, squared);
+                    self.pass(column - EDGE, column, squared);
                 }
                 if y > 0 {
                     self.pass(column - 1, column, squared);
                 }
             }
         }
-        for x in (0..SIDE).rev() {
-            for y in (0..SIDE).rev() {
-                let column = x * SIDE + y;
-                if x < SIDE - 1 {
-                    self.pass(column + SIDE, column, squared);
+        for x in (0..EDGE).rev() {
+            for y in (0..EDGE).rev() {
+                let column = x * EDGE + y;
+                if x < EDGE - 1 {
+                    self.pass(column + EDGE, column, squared);
                 }
-                if y < SIDE - 1 {
+                if y < EDGE - 1 {
                     self.pass(column + 1, column, squared);
                 }
             }
@@ -168,29 +189,103 @@ impl Sides {
     /// which the surface cannot be.
     fn pass(&mut self, from: usize, to: usize, squared: &[f32]) {
         if self.is_known[from] && !self.is_known[to] {
-            let distance = |column: usize, z: usize| squared[column * SIDE + z].sqrt();
-            let apart = (0..SIDE).find(|&z| distance(from, z) + distance(to, z) > APART);
+            let distance = |column: usize, z: usize| squared[column * EDGE + z].sqrt();
+            let apart = (0..EDGE).find(|&z| distance(from, z) + distance(to, z) > APART);
             if let Some(z) = apart {
                 self.set(to, self.inside[from] >> z & 1 == 1);
             }
         }
     }
+
+    /// If neighbouring deep voxels are on different sides, moves each set of connected deep voxels
+    /// to the side on which most of them are.
+    fn settle(&mut self, squared: &[f32]) {
+        let deep: Vec<u64> = squared
+            .chunks_exact(EDGE)
+            .map(|column| {
+                let bits = column.iter().enumerate();
+                bits.fold(0, |all, (z, &squared)| all | u64::from(squared > DEEP) << z)
+            })
+            .collect();
+        let contradict = |a: usize, b: usize| (self.inside[a] ^ self.inside[b]) & deep[a] & deep[b];
+        let is_settled = (0..EDGE * EDGE).all(|column| {
+            let changes = self.inside[column] ^ self.inside[column] << 1;
+            changes & deep[column] & deep[column] << 1 & !1 == 0
+                && (column < EDGE || contradict(column - EDGE, column) == 0)
+                && (column % EDGE == 0 || contradict(column - 1, column) == 0)
+        });
+        if !is_settled {
+            self.vote(deep);
+        }
+    }
+
+    /// Moves each set of connected voxels to the side on which most of them are.
+    fn vote(&mut self, mut left: Vec<u64>) {
+        let mut connected: Vec<[usize; 3]> = Vec::new();
+        for column in 0..EDGE * EDGE {
+            while left[column] != 0 {
+                let z = left[column].trailing_zeros() as usize;
+                left[column] &= left[column] - 1;
+                connected.clear();
+                connected.push([column / EDGE, column % EDGE, z]);
+                let (mut next, mut inside) = (0, 0);
+                while let Some(&at) = connected.get(next) {
+                    next += 1;
+                    inside += usize::from(self.inside[at[0] * EDGE + at[1]] >> at[2] & 1 == 1);
+                    for axis in 0..3 {
+                        for step in [-1, 1] {
+                            let mut to = at;
+                            to[axis] = at[axis].wrapping_add_signed(step);
+                            if to[axis] < EDGE && left[to[0] * EDGE + to[1]] >> to[2] & 1 == 1 {
+                                left[to[0] * EDGE + to[1]] ^= 1 << to[2];
+                                connected.push(to);
+                            }
+                        }
+                    }
+                }
+                let is_inside = 2 * inside > connected.len();
+                for &[x, y, z] in &connected {
+                    let word = &mut self.inside[x * EDGE + y];
+                    *word = if is_inside { *word | 1 << z } else { *word & !(1 << z) };
+                }
+            }
+        }
+    }
 }
 
-/// Whether a column that crosses no triangle is inside: the side of a triangle that has the nearest
-/// point of a voxel of the column in its interior, if there is such a voxel in the band.
-fn facing(column: usize, squared: &[f32], nearest: &[u32], near: &NearTriangles) -> Option<bool> {
-    let voxels = column * SIDE..(column + 1) * SIDE;
-    voxels.filter(|&voxel| squared[voxel] < BAND * BAND).find_map(|voxel| {
-        let triangle = near.triangles[nearest[voxel] as usize];
-        let at = [column / SIDE, column % SIDE, voxel % SIDE].map(|at| at as i32);
-        let at = IVec3::from(at).as_dvec3();
-        let [a, b, c] = near.places(triangle.corners).map(|place| place - at);
-        let height = -triangle.normal.dot(a);
-        let is_sure = height.abs() > f64::from(WITHIN)
-            && shares([a, b, c]).iter().all(|&share| share > WITHIN);
-        is_sure.then_some(height < 0.0)
-    })
+/// Whether a column that crosses no triangle is inside, from the first triangle on a line of sight
+/// between one of its voxels in the band and the nearest triangle of this voxel. `None` if there is
+/// no such voxel.
+fn sighted(column: usize, squared: &[f32], nearest: &[u32], near: &NearTriangles) -> Option<bool> {
+    let mut voxels = column * EDGE..(column + 1) * EDGE;
+    let voxel = voxels.find(|&voxel| (ON_SURFACE..BAND * BAND).contains(&squared[voxel]))?;
+    let at = [column / EDGE, column % EDGE, voxel % EDGE].map(|at| at as i32);
+    let at = IVec3::from(at).as_dvec3();
+    let places = |corners| near.places(corners).map(|place| place - at);
+    let [a, b, c] = places(near.triangles[nearest[voxel] as usize].corners);
+    let [share_a, share_b, share_c] = shares([a, b, c]).map(f64::from);
+    let point = a * share_a + b * share_b + c * share_c;
+    let inwards = (a + b + c) / 3.0 - point;
+    // An edge could be missed because of rounding errors.
+    let to = point + inwards * (INWARDS / inwards.length()).min(1.0);
+    let hits = near.triangles.iter().filter_map(|triangle| {
+        let [a, b, c] = places(triangle.corners);
+        let towards = triangle.normal.dot(to);
+        let along = triangle.normal.dot(a) / towards;
+        // The signs tell on which side of each edge the line passes.
+        let around = [a.cross(b).dot(to), b.cross(c).dot(to), c.cross(a).dot(to)];
+        let is_hit = around.iter().all(|&v| v >= 0.0) || around.iter().all(|&v| v <= 0.0);
+        (is_hit && along > 0.0).then_some((along, towards > 0.0))
+    });
+    hits.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, is_inside)| is_inside)
+}
+
+/// Calls `take` with the number of each bit that is set, in ascending order.
+fn each_bit(mut word: u64, mut take: impl FnMut(u32)) {
+    while word != 0 {
+        take(word.trailing_zeros());
+        word &= word - 1;
+    }
 }
 
 /// Rounds the coordinates of a vertex.
