@@ -42,7 +42,7 @@ pub struct ReconstructOptions {
     /// all frames.
     #[arg(short, long, help_heading = "Output")]
     pub output: PathBuf,
-    /// Draw a picture (.png) of the mesh, or a contact sheet of up to 24 frames.
+    /// Draw the mesh (.png), or a contact sheet of at most 24 frames.
     #[arg(long, help_heading = "Output")]
     pub preview: bool,
     /// Print what would be done without doing it.
