@@ -6,6 +6,9 @@
 //! the band.
 
 mod band;
+mod near;
+mod reach;
+mod sides;
 mod triangle;
 mod volume;
 
@@ -17,7 +20,7 @@ use rayon::prelude::*;
 
 use crate::surface::mesh::source::{Indexed, Lattice, MeshSource, Outline};
 
-use band::{Band, BlockTriangles, MARGIN, band_corner};
+use band::{Band, MARGIN};
 pub use volume::Volume;
 
 /// Half the width of the band, in voxels.
@@ -28,9 +31,14 @@ pub const LEAF: i32 = 8;
 pub const VOXELS: usize = (LEAF * LEAF * LEAF) as usize;
 /// Number of voxels along the edge of a block.
 const BLOCK: i32 = 64;
+/// Number of voxels from the first voxel of block 0 to the lattice's origin. Tanks often begin at
+/// the origin, so that many triangles would be near two blocks if a block began there.
+const SHIFT: i32 = LEAF;
 /// Upper limit, in voxels, on the magnitude of vertex coordinates. With this limit, differences
 /// between coordinates fit into an i32.
 const FARTHEST: f64 = (1 << 29) as f64;
+/// Upper limit on the error of a cross product, relative to the lengths of both vectors.
+const NORMAL_ERROR: f64 = 1e-14;
 const TOO_FAR: &str = "a vertex is not finite, or more than 2^29 cells from the grid's origin; \
                        use larger cells";
 /// The lattice of an empty mesh.
@@ -144,13 +152,13 @@ impl LevelSet {
         make: impl Fn(Vec<Leaf>) -> io::Result<T> + Sync,
     ) -> io::Result<Vec<T>> {
         let block = |band: &mut Band, (block, lists): BlockLists| {
-            let corner = band_corner(block).as_dvec3();
-            let mut near = BlockTriangles::default();
+            let corner = first_voxel(block).as_dvec3();
+            band.begin(lists.iter().map(Vec::len).sum());
             for number in lists.into_iter().flatten() {
                 let corners = self.triangles[number as usize];
-                near.add(corners.map(|vertex| self.position(vertex) - corner), number);
+                band.add(corners, number, |vertex| self.position(vertex) - corner);
             }
-            make(band.leaves(block, &near))
+            make(band.leaves(block))
         };
         self.blocks().into_par_iter().map_init(Band::new, block).collect()
     }
@@ -199,17 +207,18 @@ impl<T> BlocksByPlace<T> {
 /// Calls `take` with each block that is near a triangle: at most [`MARGIN`] voxels away from the
 /// triangle's bounding box and from its plane.
 fn each_block_near([a, b, c]: [DVec3; 3], mut take: impl FnMut(IVec3)) {
-    let reach = f64::from(MARGIN);
-    let [low, high] = [block_of(a.min(b).min(c) - reach), block_of(a.max(b).max(c) + reach + 1.0)];
+    let [low, high] = [block_of(a.min(b).min(c) - MARGIN), block_of(a.max(b).max(c) + MARGIN)];
     if low == high {
         return take(low);
     }
     let normal = (b - a).cross(c - a);
-    // Half the extent along the normal of a block that is enlarged by `reach` on each side.
-    let extent = normal.abs().element_sum() * (f64::from(BLOCK) / 2.0 + reach);
+    // Half the extent along the normal of a block that is enlarged by the margin on each side.
+    let extent = normal.abs().element_sum() * (f64::from(BLOCK) / 2.0 + MARGIN);
+    // The normal of a triangle whose corners are almost on a line has no correct digits.
+    let error = NORMAL_ERROR * (b - a).length() * (c - a).length();
     let is_near = |block: IVec3| {
-        let centre = (block.as_dvec3() + 0.5) * f64::from(BLOCK);
-        normal.dot(centre - a).abs() <= extent
+        let from_corner = (first_voxel(block) + BLOCK / 2).as_dvec3() - a;
+        normal.dot(from_corner).abs() <= extent + error * from_corner.length()
     };
     for x in low.x..=high.x {
         for y in low.y..=high.y {
@@ -223,11 +232,16 @@ fn each_block_near([a, b, c]: [DVec3; 3], mut take: impl FnMut(IVec3)) {
     }
 }
 
+/// The coordinates of a block's first voxel.
+fn first_voxel(block: IVec3) -> IVec3 {
+    block * BLOCK - SHIFT
+}
+
 /// The block that contains a place.
 fn block_of(place: DVec3) -> IVec3 {
     // The sum is positive, and converting a positive number to an integer rounds down without a
     // function call.
-    let blocks = (place + 2.0 * FARTHEST).as_uvec3() / BLOCK as u32;
+    let blocks = (place + (2.0 * FARTHEST + f64::from(SHIFT))).as_uvec3() / BLOCK as u32;
     blocks.as_ivec3() - 2 * FARTHEST as i32 / BLOCK
 }
 
@@ -262,8 +276,8 @@ mod tests {
     use super::*;
     use crate::surface::mesh::Mesh;
 
-    /// The distance of a voxel from the surface, computed from the shares of the nearest triangle's
-    /// corners.
+    /// The distance of a voxel from the surface, computed from the weights of the nearest
+    /// triangle's corners.
     fn distance(level_set: &LevelSet, voxel: IVec3) -> f64 {
         let nearest = |triangle: u32| {
             let NearestPoint { corners, shares } = level_set.nearest_point(triangle, voxel);
@@ -276,9 +290,9 @@ mod tests {
     }
 
     /// An octahedron around `centre`, whose faces point outwards.
-    fn octahedron(centre: [f64; 3], radius: f64) -> Mesh {
+    fn octahedron(centre: [f64; 3], radii: [f64; 3]) -> Mesh {
         let corner = |axis: usize, sign: f64| -> [f64; 3] {
-            std::array::from_fn(|k| centre[k] + if k == axis { sign * radius } else { 0.0 })
+            std::array::from_fn(|k| centre[k] + if k == axis { sign * radii[k] } else { 0.0 })
         };
         let positions: Vec<_> =
             [0, 1, 2].into_iter().flat_map(|k| [corner(k, 1.0), corner(k, -1.0)]).collect();
@@ -290,36 +304,166 @@ mod tests {
         Mesh { positions, triangles, ..Mesh::default() }
     }
 
-    #[test]
-    fn distances_of_an_octahedron_are_exact_and_negative_inside() {
-        const RADIUS: f64 = 61.3;
-        let centre = [0.25, -0.125, 64.5];
+    /// Compares all distances of an octahedron with the distances from its triangles. Returns the
+    /// number of voxels in the band.
+    fn check_octahedron(centre: [f64; 3], radii: [f64; 3]) -> i32 {
         let lattice = Lattice { origin: [0.0; 3], step: 1.0 };
-        let level_set = LevelSet::new(&octahedron(centre, RADIUS), lattice).unwrap();
+        let level_set = LevelSet::new(&octahedron(centre, radii), lattice).unwrap();
         let mut checked = 0;
         for leaf in level_set.map(Ok).unwrap().into_iter().flatten() {
             let mut distances = leaf.distances.iter();
             for i in 0..VOXELS {
                 let at = leaf.corner + place_in_leaf(i);
-                let from_centre = (at.as_dvec3() - DVec3::from(centre)).abs().element_sum();
-                let inside = from_centre < RADIUS;
-                assert_eq!(leaf.is_inside(i), inside, "{at}");
                 let exact = distance(&level_set, at);
+                let from_centre = (at.as_dvec3() - DVec3::from(centre)) / DVec3::from(radii);
+                let inside = from_centre.abs().element_sum() < 1.0;
+                if exact > 1e-5 {
+                    assert_eq!(leaf.is_inside(i), inside, "{radii:?}: {at}");
+                }
                 let is_active = leaf.active[i / 64] >> (i % 64) & 1 == 1;
                 if (exact - 3.0).abs() > 1e-4 {
-                    assert_eq!(is_active, exact < 3.0, "{at}: {exact}");
+                    assert_eq!(is_active, exact < 3.0, "{radii:?}: {at}: {exact}");
                 }
                 if is_active {
-                    let expected = if inside { -exact } else { exact };
-                    let found = f64::from(*distances.next().unwrap());
-                    assert!((found - expected).abs() < 1e-4, "{at}: {found}, not {expected}");
+                    let found = f64::from(distances.next().unwrap().abs());
+                    assert!((found - exact).abs() < 1e-4, "{at}: {found}, not {exact}");
                     checked += 1;
                 }
             }
         }
+        checked
+    }
+
+    #[test]
+    fn distances_of_an_octahedron_are_exact_and_negative_inside() {
+        const RADIUS: f64 = 61.3;
+        let checked = check_octahedron([0.25, -0.125, 64.5], [RADIUS; 3]);
         // The band is six voxels thick.
         let area = 8.0 * 3f64.sqrt() / 4.0 * (2f64.sqrt() * RADIUS).powi(2);
         assert!((f64::from(checked) / (6.0 * area) - 1.0).abs() < 0.05, "{checked} of {area}");
+    }
+
+    #[test]
+    fn distances_of_needles_and_blades_are_exact_and_negative_inside() {
+        for centre in [[0.0; 3], [0.5, 0.0, 0.0], [0.25, -0.125, 56.0], [-8.0, 0.3, 0.7]] {
+            for radii in [[40.0, 0.7, 0.7], [1.0, 30.0, 1.0], [0.6, 0.6, 20.0], [9.0, 9.0, 0.4]] {
+                assert!(check_octahedron(centre, radii) > 500);
+            }
+            check_octahedron(centre, [0.2, 12.0, 9.0]);
+        }
+    }
+
+    /// The surface of a box of `size` unit squares along each axis, each made of two triangles.
+    fn tiled_box(low: [f64; 3], size: [u32; 3]) -> Mesh {
+        let mut numbers = HashMap::new();
+        let mut mesh = Mesh::default();
+        let mut vertex = |at: [u32; 3]| {
+            *numbers.entry(at).or_insert_with(|| {
+                mesh.positions.push(std::array::from_fn(|k| low[k] + f64::from(at[k])));
+                mesh.positions.len() as u32 - 1
+            })
+        };
+        let mut triangles = Vec::new();
+        for axis in 0..3 {
+            let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+            for end in [0, size[axis]] {
+                for i in 0..size[u] * size[v] {
+                    let mut at = [0; 3];
+                    (at[axis], at[u], at[v]) = (end, i % size[u], i / size[u]);
+                    let [a, b, c, d] = [[0, 0], [1, 0], [1, 1], [0, 1]].map(|[du, dv]| {
+                        let mut to = at;
+                        (to[u], to[v]) = (at[u] + du, at[v] + dv);
+                        vertex(to)
+                    });
+                    let square = [[a, b, c], [a, c, d]];
+                    triangles.extend(if end > 0 {
+                        square
+                    } else {
+                        square.map(|[a, b, c]| [a, c, b])
+                    });
+                }
+            }
+        }
+        mesh.triangles = triangles;
+        mesh
+    }
+
+    #[test]
+    fn walls_midway_between_voxels_have_the_right_sides_in_every_block() {
+        let lattice = Lattice { origin: [0.0; 3], step: 1.0 };
+        for (low, size) in [([-20.5, 0.5, -70.5], [150, 6, 180]), ([3.5, -40.0, 0.5], [4, 140, 90])]
+        {
+            let level_set = LevelSet::new(&tiled_box(low, size), lattice).unwrap();
+            let (low, size) = (DVec3::from(low), DVec3::from(size.map(f64::from)));
+            let mut checked = 0;
+            // Blocks share their memory with the blocks before.
+            for leaf in level_set.map(Ok).unwrap().into_iter().flatten() {
+                for i in 0..VOXELS {
+                    let at = leaf.corner + place_in_leaf(i);
+                    let from_faces = (at.as_dvec3() - low).min(low + size - at.as_dvec3());
+                    let inside = from_faces.min_element();
+                    if inside != 0.0 {
+                        assert_eq!(leaf.is_inside(i), inside > 0.0, "{at}");
+                        checked += 1;
+                    }
+                }
+            }
+            assert!(checked > 100_000, "{checked}");
+        }
+    }
+
+    #[test]
+    fn two_bodies_that_overlap_are_inside_in_both() {
+        let radii = [12.0, 12.0, 30.0];
+        // With the second pair, columns enter both bodies in the same step.
+        for centres in [[[0.3, 0.2, 0.1], [9.3, 3.2, 10.1]], [[0.3, 0.2, 0.1], [0.5, 0.3, 0.4]]] {
+            let [mut mesh, other] = centres.map(|centre| octahedron(centre, radii));
+            let first = mesh.positions.len() as u32;
+            mesh.positions.extend(other.positions);
+            mesh.triangles.extend(other.triangles.iter().map(|corners| corners.map(|v| v + first)));
+            let lattice = Lattice { origin: [0.0; 3], step: 1.0 };
+            let level_set = LevelSet::new(&mesh, lattice).unwrap();
+            let mut checked = 0;
+            for leaf in level_set.map(Ok).unwrap().into_iter().flatten() {
+                for i in 0..VOXELS {
+                    let at = (leaf.corner + place_in_leaf(i)).as_dvec3();
+                    let [a, b] = centres.map(|centre| {
+                        ((at - DVec3::from(centre)) / DVec3::from(radii)).abs().element_sum()
+                    });
+                    if (a - 1.0).abs() > 1e-5 && (b - 1.0).abs() > 1e-5 {
+                        assert_eq!(leaf.is_inside(i), a.min(b) < 1.0, "{at}");
+                        checked += 1;
+                    }
+                }
+            }
+            assert!(checked > 10_000, "{checked}");
+        }
+    }
+
+    #[test]
+    fn a_small_body_that_is_inside_out_changes_no_side_outside() {
+        let mut mesh = octahedron([0.3, 0.2, 0.1], [12.0, 12.0, 30.0]);
+        let small = octahedron([18.3, 0.2, 0.1], [2.3; 3]);
+        let first = mesh.positions.len() as u32;
+        mesh.positions.extend(small.positions);
+        mesh.triangles
+            .extend(small.triangles.iter().map(|&[a, b, c]| [a, c, b].map(|v| v + first)));
+        let lattice = Lattice { origin: [0.0; 3], step: 1.0 };
+        let level_set = LevelSet::new(&mesh, lattice).unwrap();
+        let mut checked = 0;
+        for leaf in level_set.map(Ok).unwrap().into_iter().flatten() {
+            for i in 0..VOXELS {
+                let at = leaf.corner + place_in_leaf(i);
+                let from_small = (at.as_dvec3() - DVec3::new(18.3, 0.2, 0.1)).abs().element_sum();
+                if from_small > 2.3 && distance(&level_set, at) > 0.51 {
+                    let from_centre = (at.as_dvec3() - DVec3::new(0.3, 0.2, 0.1)).abs();
+                    let within = from_centre / DVec3::new(12.0, 12.0, 30.0);
+                    assert_eq!(leaf.is_inside(i), within.element_sum() < 1.0, "{at}");
+                    checked += 1;
+                }
+            }
+        }
+        assert!(checked > 10_000, "{checked}");
     }
 
     #[test]
@@ -327,7 +471,7 @@ mod tests {
         let lattice = Lattice { origin: [0.0; 3], step: 1.0 };
         for far in [f64::NAN, f64::INFINITY, 1e9] {
             for axis in 0..3 {
-                let mut mesh = octahedron([0.0; 3], 5.0);
+                let mut mesh = octahedron([0.0; 3], [5.0; 3]);
                 mesh.positions[0][axis] = far;
                 let fault = LevelSet::new(&mesh, lattice).unwrap_err();
                 assert_eq!(fault.kind(), io::ErrorKind::InvalidInput, "{far} along {axis}");

@@ -2,107 +2,83 @@
 //!
 //! Each triangle has its own coordinate system, in which the triangle lies in the plane z = 0, with
 //! the first corner at the origin and the first edge along x. In this system, a point's squared
-//! distance is the sum of the squares of its height z and of its distance within the plane. Three
-//! numbers describe the triangle in the plane.
+//! distance is the sum of the squares of its height z and of its distance within the plane.
 
-use glam::{DVec3, Mat4, Vec4, Vec4Swizzles};
+use glam::{DVec3, Vec4, Vec4Swizzles};
 
-/// Minimum height, in voxels, of a triangle that is used.
-const LEAST_HEIGHT: f64 = 1e-6;
-
-/// A triangle, with its coordinates in voxels.
-#[derive(Debug, Clone, Copy)]
-#[repr(C, align(64))]
+/// A triangle, with its coordinates in voxels. A `Vec4` that describes one number has four copies of
+/// this number, one for each point.
+#[derive(Debug, Default, Clone, Copy)]
 pub struct Triangle {
-    /// The axes of the triangle's coordinate system. The fourth component of each is minus the
-    /// coordinate of the first corner along that axis.
-    axes: [Vec4; 3],
-    /// The coordinate x of the second corner, and the coordinates x and y of the third corner.
-    shape: Vec4,
-}
-
-/// Squared distances from triangles, and heights above their planes.
-#[derive(Debug, Clone, Copy)]
-pub struct TriangleDistances {
-    pub squared: Vec4,
-    /// Negative behind the triangle.
-    pub heights: Vec4,
+    /// The coordinates of the lattice's origin in the triangle's system, and the amounts by which
+    /// they change with each step along the lattice's x and y. The fourth components are 0.
+    start: [Vec4; 3],
+    /// The amount by which each coordinate changes with each step along the lattice's z.
+    along_z: [Vec4; 3],
+    /// The length of the first edge.
+    length: Vec4,
+    /// The directions of the other two edges in the plane, and their lengths.
+    edges: [[Vec4; 3]; 2],
 }
 
 impl Triangle {
-    /// Prepares a triangle; `None` if its height is less than [`LEAST_HEIGHT`]. Every point of such
-    /// a flat triangle is within this distance of an edge or a corner of another triangle.
-    pub fn new([a, b, c]: [DVec3; 3]) -> Option<Self> {
-        let (ab, ac) = (b - a, c - a);
-        let normal = ab.cross(ac);
-        let longest = ab.length_squared().max(ac.length_squared()).max(b.distance_squared(c));
-        let area = normal.length();
-        if area <= LEAST_HEIGHT * longest.sqrt() {
-            return None;
-        }
-        let length = ab.length();
-        let (x, z) = (ab / length, normal / area);
-        let y = z.cross(x);
-        let row = |axis: DVec3| axis.extend(-axis.dot(a)).as_vec4();
-        let shape = [length, ac.dot(x), area / length, 0.0].map(|number| number as f32);
-        Some(Self { axes: [row(x), row(y), row(z)], shape: shape.into() })
-    }
-
-    /// The distances of four points from this triangle. `x`, `y` and `z` have the coordinates of
-    /// the four points.
+    /// Prepares a triangle that is not flat. `normal` is its unit normal.
     #[inline]
-    pub fn distances(&self, [x, y, z]: [Vec4; 3]) -> TriangleDistances {
-        let along = |axis: Vec4| axis.xxxx() * x + axis.yyyy() * y + axis.zzzz() * z + axis.wwww();
-        let [u, v, height] = self.axes.map(along);
-        let shape = self.shape;
-        let in_plane = squared_in_plane([u, v], [shape.xxxx(), shape.yyyy(), shape.zzzz()]);
-        TriangleDistances { squared: in_plane + height * height, heights: height }
+    pub fn new([a, b, c]: [DVec3; 3], normal: DVec3) -> Self {
+        let (ab, ac) = (b - a, c - a);
+        let length = ab.length();
+        let x = ab * length.recip();
+        let y = normal.cross(x);
+        let (c_x, c_y) = (ac.dot(x), ac.dot(y) as f32);
+        let edge = |x: f32| {
+            let length = (x * x + c_y * c_y).sqrt();
+            let inverse = length.recip();
+            [x * inverse, c_y * inverse, length].map(Vec4::splat)
+        };
+        let start = [-x.dot(a), -y.dot(a), -normal.dot(a)].map(|number| number as f32);
+        let [x, y, z] = [x.as_vec3(), y.as_vec3(), normal.as_vec3()];
+        Self {
+            start: [
+                Vec4::new(start[0], start[1], start[2], 0.0),
+                Vec4::new(x.x, y.x, z.x, 0.0),
+                Vec4::new(x.y, y.y, z.y, 0.0),
+            ],
+            along_z: [Vec4::splat(x.z), Vec4::splat(y.z), Vec4::splat(z.z)],
+            length: Vec4::splat(length as f32),
+            edges: [edge((c_x - length) as f32), edge(c_x as f32)],
+        }
     }
 
-    /// The squared distances of a place from four triangles.
-    pub fn squared_of(triangles: [&Self; 4], place: [f32; 3]) -> [f32; 4] {
-        let transposed = |row: fn(&Self) -> Vec4| {
-            let [a, b, c, d] = triangles.map(row);
-            Mat4::from_cols(a, b, c, d).transpose()
+    /// The squared distances of four points with equal x and y.
+    #[inline(always)]
+    pub fn squared_distances(&self, x: f32, y: f32, z: Vec4) -> Vec4 {
+        let start = self.start[0] + self.start[1] * x + self.start[2] * y;
+        let [u, v, height] = [
+            start.xxxx() + z * self.along_z[0],
+            start.yyyy() + z * self.along_z[1],
+            start.zzzz() + z * self.along_z[2],
+        ];
+        let zero = Vec4::ZERO;
+        let from_edge = |x: Vec4, [along_x, along_y, length]: [Vec4; 3]| {
+            let along = x * along_x + v * along_y;
+            let across = v * along_x - x * along_y;
+            let beyond = along - along.max(zero).min(length);
+            (beyond * beyond + across * across, across)
         };
-        let [x, y, z] = place.map(Vec4::splat);
-        let along = |Mat4 { x_axis, y_axis, z_axis, w_axis }: Mat4| {
-            x_axis * x + y_axis * y + z_axis * z + w_axis
-        };
-        let (u, v, height) = (
-            along(transposed(|triangle| triangle.axes[0])),
-            along(transposed(|triangle| triangle.axes[1])),
-            along(transposed(|triangle| triangle.axes[2])),
-        );
-        let Mat4 { x_axis: b_x, y_axis: c_x, z_axis: c_y, .. } =
-            transposed(|triangle| triangle.shape);
-        (squared_in_plane([u, v], [b_x, c_x, c_y]) + height * height).to_array()
+        let beyond = u - u.max(zero).min(self.length);
+        let first = beyond * beyond + v * v;
+        let (second, left_of_second) = from_edge(u - self.length, self.edges[0]);
+        let (third, left_of_third) = from_edge(u, self.edges[1]);
+        let is_inside = v.min(left_of_second).min(-left_of_third).cmpge(zero);
+        let in_plane = Vec4::select(is_inside, zero, first.min(second).min(third));
+        in_plane + height * height
     }
 }
 
-/// The squared distances of places in the plane from triangles with the corners (0, 0), (`b_x`, 0)
-/// and (`c_x`, `c_y`): 0 inside, and otherwise the squared distance from the nearest edge.
-#[inline(always)]
-fn squared_in_plane([x, y]: [Vec4; 2], [b_x, c_x, c_y]: [Vec4; 3]) -> Vec4 {
-    let from_edge = |[x, y]: [Vec4; 2], [edge_x, edge_y]: [Vec4; 2]| {
-        let length = edge_x * edge_x + edge_y * edge_y;
-        let share = ((x * edge_x + y * edge_y) / length).max(Vec4::ZERO).min(Vec4::ONE);
-        let (dx, dy) = (x - share * edge_x, y - share * edge_y);
-        (dx * dx + dy * dy, edge_x * y - edge_y * x)
-    };
-    let along_x = x - x.max(Vec4::ZERO).min(b_x);
-    let first = along_x * along_x + y * y;
-    let (second, left_of_second) = from_edge([x - b_x, y], [c_x - b_x, c_y]);
-    let (third, left_of_third) = from_edge([x, y], [c_x, c_y]);
-    let zero = Vec4::ZERO;
-    let inside = y.cmpge(zero) & left_of_second.cmpge(zero) & left_of_third.cmple(zero);
-    Vec4::select(inside, zero, first.min(second).min(third))
-}
-
-/// The share of each corner of a triangle in the triangle's nearest point to the origin; the sum of
-/// the shares is 1. The nearest point is a corner, a point on an edge, or the foot of the
-/// perpendicular, depending on the region of space in which the origin lies (Ericson, Real-Time
-/// Collision Detection, 5.1.5).
+/// The weights (barycentric coordinates) of a triangle's corners in the triangle's nearest point to
+/// the origin; the sum of the weights is 1. The nearest point is a corner, a point on an edge, or
+/// the foot of the perpendicular, depending on the region of space in which the origin lies
+/// (Ericson, Real-Time Collision Detection, 5.1.5).
 pub fn shares([a, b, c]: [DVec3; 3]) -> [f32; 3] {
     let (ab, ac) = (b - a, c - a);
     let (along_b, along_c) = (-ab.dot(a), -ac.dot(a));

@@ -1,0 +1,358 @@
+//! The side of a closed mesh on which each voxel of a block is.
+//!
+//! A column is a line of voxels along z. The side changes where the column crosses a triangle.
+//! Crossings are found in integers, and each column counts as shifted by an infinitely small step,
+//! so that a column crosses an edge or a vertex exactly as often as it crosses the surface there.
+//! Columns without crossings get their side from neighbouring columns, or from a triangle that one
+//! of their voxels sees. Where the mesh passes through itself, columns can contradict each other;
+//! then the majority decides.
+
+use std::ops::RangeInclusive;
+
+use glam::{DVec3, IVec3};
+
+use super::near::NearTriangles;
+use super::triangle::shares;
+use super::{BAND, BLOCK};
+
+/// Number of bits after the binary point of a [`Place`].
+const FRACTION: u32 = 20;
+/// Added to a coordinate before it is rounded, because converting a positive number to an integer
+/// rounds down without a function call. Where the sum is negative, it is rounded up, which is as
+/// good, because all triangles of a block round a vertex in the same way.
+const OFFSET: i64 = 1 << (52 - FRACTION);
+/// Number of columns along the edge of a block, and of voxels in a column.
+const EDGE: usize = BLOCK as usize;
+/// Two neighbouring voxels are on the same side if the sum of their distances, in voxels, is greater
+/// than this. Distances are rounded, so the limit is more than 1.
+const APART: f32 = 1.0001;
+/// The square of the distance, in voxels, above which a voxel is deep: two neighbouring deep voxels
+/// are on the same side.
+const DEEP: f32 = APART * APART / 4.0;
+/// The square of the distance, in voxels, below which a voxel is on the surface, and so on any side.
+const ON_SURFACE: f32 = 1e-10;
+/// The length, in voxels, by which a line of sight ends inside a triangle instead of at its edge.
+const INWARDS: f64 = 0.1;
+/// Number of bits for the number of entries at a step.
+const COUNT_BITS: usize = 3;
+
+/// The coordinates x and y of a vertex, in multiples of 2^-[`FRACTION`] voxels.
+type Place = [i64; 2];
+
+/// For each column of a block, with y varying fastest, words in which bit z stands for voxel z.
+pub struct Sides {
+    /// For each step from voxel z - 1 to voxel z, the number of entries minus the number of exits,
+    /// in two's complement: its bits, with the lowest bit first.
+    entries: [Vec<u64>; COUNT_BITS],
+    /// Whether each voxel is inside; 0 for columns that are not known.
+    inside: Vec<u64>,
+    /// Whether the sides of a column's voxels are known.
+    is_known: Vec<bool>,
+}
+
+impl Sides {
+    pub fn new() -> Self {
+        let none = || vec![0; EDGE * EDGE];
+        Self {
+            entries: [none(), none(), none()],
+            inside: none(),
+            is_known: vec![false; EDGE * EDGE],
+        }
+    }
+
+    /// Forgets all crossings.
+    pub fn clear(&mut self) {
+        self.entries.iter_mut().for_each(|bits| bits.fill(0));
+    }
+
+    /// Adds the crossings of a triangle, with coordinates relative to the block's first voxel.
+    pub fn cross(&mut self, corners: [DVec3; 3]) {
+        let lowest = corners[0].z.min(corners[1].z).min(corners[2].z);
+        let highest = corners[0].z.max(corners[1].z).max(corners[2].z);
+        if highest <= 0.0 || lowest > f64::from(BLOCK - 1) {
+            return;
+        }
+        let [a, b, c] = [rounded(corners[0]), rounded(corners[1]), rounded(corners[2])];
+        let [along_x, along_y] = [columns(a[0], b[0], c[0]), columns(a[1], b[1], c[1])];
+        if along_x.is_empty() || along_y.is_empty() {
+            return;
+        }
+        // Twice the area; positive if columns leave the mesh through this triangle.
+        let area = turn(a, b, c);
+        if area == 0 {
+            return;
+        }
+        for x in along_x {
+            for y in along_y.clone() {
+                let at = [x << FRACTION, y << FRACTION];
+                let turns = [turn(b, c, at), turn(c, a, at), turn(a, b, at)];
+                let is_left = |turn: i128, from: Place, to: Place| {
+                    turn > 0 || turn == 0 && shifted_turn(from, to) > 0
+                };
+                let left =
+                    [is_left(turns[0], b, c), is_left(turns[1], c, a), is_left(turns[2], a, b)];
+                if left == [area > 0; 3] {
+                    let weighted = |i: usize| turns[i] as f64 * corners[i].z;
+                    let z = (weighted(0) + weighted(1) + weighted(2)) / area as f64;
+                    self.step(x as usize * EDGE + y as usize, z, area > 0);
+                }
+            }
+        }
+    }
+
+    /// Adds a crossing of a column at the coordinate z.
+    fn step(&mut self, column: usize, z: f64, is_exit: bool) {
+        if z > 0.0 && z <= f64::from(BLOCK - 1) {
+            let mut carry = 1 << z.ceil() as u32;
+            for bits in &mut self.entries {
+                let before = bits[column];
+                bits[column] ^= carry;
+                carry &= if is_exit { !before } else { before };
+            }
+        }
+    }
+
+    /// Finds the sides of all voxels near the band, from all triangles near the block. `squared` and
+    /// `nearest` are the squared distance and the nearest triangle of each voxel.
+    pub fn find(&mut self, squared: &[f32], nearest: &[u32], near: &NearTriangles) {
+        for column in 0..EDGE * EDGE {
+            self.is_known[column] = self.is_crossed(column);
+            self.inside[column] = self.crossed(column, 0);
+        }
+        self.spread(squared);
+        for column in 0..EDGE * EDGE {
+            if !self.is_known[column]
+                && let Some(is_inside) = sighted(column, squared, nearest, near)
+            {
+                self.set(column, is_inside);
+                self.spread(squared);
+            }
+        }
+        self.settle(squared);
+    }
+
+    /// For each voxel of a column, a bit that says whether it is inside. The order is that of
+    /// [`Sides`].
+    pub fn inside(&self, column: usize) -> u64 {
+        self.inside[column]
+    }
+
+    /// The steps of a column at which the winding number changes.
+    fn steps(&self, column: usize) -> u64 {
+        self.entries.iter().fold(0, |all, bits| all | bits[column])
+    }
+
+    /// Whether the winding number changes in a column.
+    fn is_crossed(&self, column: usize) -> bool {
+        self.steps(column) != 0
+    }
+
+    /// The sides of a column in which the least winding number is `least`. A voxel is inside if its
+    /// winding number is positive.
+    fn crossed(&self, column: usize, least: i32) -> u64 {
+        let steps = self.steps(column);
+        let change = |z: u32| {
+            let bit = |i: usize| (self.entries[i][column] >> z & 1) as i32;
+            bit(0) + 2 * bit(1) - 4 * bit(2)
+        };
+        let (mut winding, mut lowest) = (0, 0);
+        each_bit(steps, |z| {
+            winding += change(z);
+            lowest = lowest.min(winding);
+        });
+        let (mut winding, mut inside) = (least - lowest, 0);
+        let mut all_from = u64::MAX;
+        each_bit(steps, |z| {
+            let from = u64::MAX << z;
+            inside |= if winding > 0 { all_from & !from } else { 0 };
+            winding += change(z);
+            all_from = from;
+        });
+        inside | if winding > 0 { all_from } else { 0 }
+    }
+
+    /// Sets the side of a column that crosses no triangle.
+    fn set(&mut self, column: usize, is_inside: bool) {
+        self.inside[column] = if is_inside { u64::MAX } else { 0 };
+        self.is_known[column] = true;
+    }
+
+    /// Spreads the known sides over the block: along +x and +y, and then back.
+    fn spread(&mut self, squared: &[f32]) {
+        for x in 0..EDGE {
+            for y in 0..EDGE {
+                let column = x * EDGE + y;
+                if x > 0 {
+                    self.pass(column - EDGE, column, squared);
+                }
+                if y > 0 {
+                    self.pass(column - 1, column, squared);
+                }
+            }
+        }
+        for x in (0..EDGE).rev() {
+            for y in (0..EDGE).rev() {
+                let column = x * EDGE + y;
+                if x < EDGE - 1 {
+                    self.pass(column + EDGE, column, squared);
+                }
+                if y < EDGE - 1 {
+                    self.pass(column + 1, column, squared);
+                }
+            }
+        }
+    }
+
+    /// Passes a side from a column to a neighbour that crosses no triangle, at two voxels between
+    /// which the surface cannot be.
+    fn pass(&mut self, from: usize, to: usize, squared: &[f32]) {
+        if self.is_known[from] && !self.is_known[to] {
+            let distance = |column: usize, z: usize| squared[column * EDGE + z].sqrt();
+            let apart = (0..EDGE).find(|&z| distance(from, z) + distance(to, z) > APART);
+            if let Some(z) = apart {
+                self.set(to, self.inside[from] >> z & 1 == 1);
+            }
+        }
+    }
+
+    /// If neighbouring deep voxels are on different sides, moves each set of connected deep voxels
+    /// to the side on which most of them are.
+    fn settle(&mut self, squared: &[f32]) {
+        let deep: Vec<u64> = squared
+            .chunks_exact(EDGE)
+            .map(|column| {
+                let bits = column.iter().enumerate();
+                bits.fold(0, |all, (z, &squared)| all | u64::from(squared > DEEP) << z)
+            })
+            .collect();
+        let contradict = |a: usize, b: usize| (self.inside[a] ^ self.inside[b]) & deep[a] & deep[b];
+        let is_settled = (0..EDGE * EDGE).all(|column| {
+            let changes = self.inside[column] ^ self.inside[column] << 1;
+            changes & deep[column] & deep[column] << 1 & !1 == 0
+                && (column < EDGE || contradict(column - EDGE, column) == 0)
+                && (column % EDGE == 0 || contradict(column - 1, column) == 0)
+        });
+        if !is_settled {
+            let voted = self.vote(&deep);
+            for column in 0..EDGE * EDGE {
+                self.agree(column, voted[column], deep[column]);
+            }
+        }
+    }
+
+    /// The sides of deep voxels: for each set of connected deep voxels, the side on which most of
+    /// its voxels in crossed columns are, or, if there are none, on which most of its voxels are.
+    fn vote(&self, deep: &[u64]) -> Vec<u64> {
+        let mut voted = vec![0; EDGE * EDGE];
+        let mut left = deep.to_vec();
+        let mut connected: Vec<[usize; 3]> = Vec::new();
+        for column in 0..EDGE * EDGE {
+            while left[column] != 0 {
+                let z = left[column].trailing_zeros() as usize;
+                left[column] &= left[column] - 1;
+                connected.clear();
+                connected.push([column / EDGE, column % EDGE, z]);
+                let mut next = 0;
+                // More votes for the inside than for the outside, of all and of crossed columns.
+                let (mut all, mut of_crossed) = (0, 0);
+                while let Some(&at) = connected.get(next) {
+                    next += 1;
+                    let column = at[0] * EDGE + at[1];
+                    let vote = if self.inside[column] >> at[2] & 1 == 1 { 1 } else { -1 };
+                    all += vote;
+                    of_crossed += if self.is_crossed(column) { vote } else { 0 };
+                    for axis in 0..3 {
+                        for step in [-1, 1] {
+                            let mut to = at;
+                            to[axis] = at[axis].wrapping_add_signed(step);
+                            if to[axis] < EDGE && left[to[0] * EDGE + to[1]] >> to[2] & 1 == 1 {
+                                left[to[0] * EDGE + to[1]] ^= 1 << to[2];
+                                connected.push(to);
+                            }
+                        }
+                    }
+                }
+                let votes: i32 = if of_crossed == 0 { all } else { of_crossed };
+                if votes > 0 {
+                    connected.iter().for_each(|&[x, y, z]| voted[x * EDGE + y] |= 1 << z);
+                }
+            }
+        }
+        voted
+    }
+
+    /// Gives the deep voxels of a column the sides that were voted for, and the other voxels the
+    /// sides that fit best.
+    fn agree(&mut self, column: usize, voted: u64, deep: u64) {
+        let candidates = if self.is_crossed(column) {
+            [0, -1, 1].map(|least| self.crossed(column, least))
+        } else {
+            [self.inside[column], 0, u64::MAX]
+        };
+        let wrong = |sides: &u64| ((sides ^ voted) & deep).count_ones();
+        let best = candidates.into_iter().min_by_key(wrong).unwrap_or(0);
+        self.inside[column] = voted & deep | best & !deep;
+    }
+}
+
+/// Whether a column that crosses no triangle is inside, from the first triangle on a line of sight
+/// between one of its voxels in the band and the nearest triangle of this voxel. `None` if there is
+/// no such voxel.
+fn sighted(column: usize, squared: &[f32], nearest: &[u32], near: &NearTriangles) -> Option<bool> {
+    let mut voxels = column * EDGE..(column + 1) * EDGE;
+    let voxel = voxels.find(|&voxel| (ON_SURFACE..BAND * BAND).contains(&squared[voxel]))?;
+    let at = [column / EDGE, column % EDGE, voxel % EDGE].map(|at| at as i32);
+    let at = IVec3::from(at).as_dvec3();
+    let places = |corners| near.places(corners).map(|place| place - at);
+    let [a, b, c] = places(near.triangles[nearest[voxel] as usize].corners);
+    let [share_a, share_b, share_c] = shares([a, b, c]).map(f64::from);
+    let point = a * share_a + b * share_b + c * share_c;
+    let inwards = (a + b + c) / 3.0 - point;
+    // An edge could be missed because of rounding errors.
+    let to = point + inwards * (INWARDS / inwards.length()).min(1.0);
+    let hits = near.triangles.iter().filter_map(|triangle| {
+        let [a, b, c] = places(triangle.corners);
+        let towards = triangle.normal.dot(to);
+        let along = triangle.normal.dot(a) / towards;
+        // The signs tell on which side of each edge the line passes.
+        let around = [a.cross(b).dot(to), b.cross(c).dot(to), c.cross(a).dot(to)];
+        let is_hit = around.iter().all(|&v| v >= 0.0) || around.iter().all(|&v| v <= 0.0);
+        (is_hit && along > 0.0).then_some((along, towards > 0.0))
+    });
+    hits.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, is_inside)| is_inside)
+}
+
+/// Calls `take` with the number of each bit that is set, in ascending order.
+fn each_bit(mut word: u64, mut take: impl FnMut(u32)) {
+    while word != 0 {
+        take(word.trailing_zeros());
+        word &= word - 1;
+    }
+}
+
+/// Rounds the coordinates of a vertex.
+fn rounded(at: DVec3) -> Place {
+    let scale = f64::from(1 << FRACTION);
+    let round = |at: f64| (at * scale + (OFFSET as f64 + 0.5)) as i64 - OFFSET;
+    [round(at.x), round(at.y)]
+}
+
+/// The columns of a block whose coordinate is between those of three places.
+fn columns(a: i64, b: i64, c: i64) -> RangeInclusive<i64> {
+    let first = ((a.min(b).min(c) - 1) >> FRACTION) + 1;
+    let last = a.max(b).max(c) >> FRACTION;
+    first.max(0)..=last.min(i64::from(BLOCK) - 1)
+}
+
+/// Twice the signed area of a triangle: positive if `c` is to the left of the line from `a` to `b`.
+fn turn(a: Place, b: Place, c: Place) -> i128 {
+    let product = |x: i64, y: i64| i128::from(x) * i128::from(y);
+    product(b[0] - a[0], c[1] - a[1]) - product(b[1] - a[1], c[0] - a[0])
+}
+
+/// The sign of the [`turn`] to a point on the line from `a` to `b`, after the point is shifted by a
+/// very small step along x and by a much smaller step along y.
+fn shifted_turn(a: Place, b: Place) -> i64 {
+    let [dx, dy] = [b[0] - a[0], b[1] - a[1]];
+    if dy != 0 { -dy } else { dx }
+}
