@@ -86,7 +86,7 @@ def test_particles_of_several_files_make_one_surface(tmp_path: Path, program: An
     assert (tmp_path / "ours.ply").read_bytes() == (tmp_path / "theirs.ply").read_bytes()
     with pytest.raises(TypeError, match="^path: must be a path or a list of paths"):
         meniscus.Frame.load(7)  # type: ignore[arg-type]
-    with pytest.raises(meniscus.InputError, match="at least one file"):
+    with pytest.raises(meniscus.InputError, match="no input file"):
         meniscus.Frame.load([])
 
 
