@@ -69,15 +69,12 @@ impl Band {
     pub fn leaves(&mut self, block: IVec3) -> Vec<Leaf> {
         self.near.find_spreads();
         let near = std::mem::take(&mut self.near);
-        let mut rest = &near.triangles[..];
         let mut index = 0;
-        while !rest.is_empty() {
-            let count = match rest {
+        while index < near.triangles.len() {
+            index += match &near.triangles[index..] {
                 [a, b, ..] if are_alike(a, b) => self.compare::<2>(&near, index),
                 _ => self.compare::<1>(&near, index),
             };
-            rest = &rest[count..];
-            index += count;
         }
         self.near = near;
         self.sides.find(&self.squared, &self.nearest, &self.near);

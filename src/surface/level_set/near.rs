@@ -79,15 +79,15 @@ impl NearTriangles {
         for normal in &mut self.normals {
             *normal /= normal.w;
         }
-        // The greatest squared distance of a normal from the mean normal.
+        // First, the greatest squared distance of a normal from the mean normal.
         self.spreads.clear();
-        self.spreads.extend(self.normals.iter().map(|mean| 0.0 * mean.w));
+        self.spreads.resize(self.normals.len(), 0.0);
         for triangle in &self.triangles {
             let normal = triangle.normal.as_vec3().extend(1.0);
             for corner in triangle.corners {
                 let apart = normal.distance_squared(self.normals[corner as usize]);
                 let most = &mut self.spreads[corner as usize];
-                // NaN stays NaN.
+                // NaN is kept.
                 *most = if apart <= *most { *most } else { apart };
             }
         }

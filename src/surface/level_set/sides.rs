@@ -11,6 +11,8 @@ use std::ops::RangeInclusive;
 
 use glam::{DVec3, IVec3};
 
+use crate::system::bits::ones;
+
 use super::near::NearTriangles;
 use super::triangle::shares;
 use super::{BAND, BLOCK};
@@ -23,13 +25,14 @@ const FRACTION: u32 = 20;
 const OFFSET: i64 = 1 << (52 - FRACTION);
 /// Number of columns along the edge of a block, and of voxels in a column.
 const EDGE: usize = BLOCK as usize;
-/// Two neighbouring voxels are on the same side if the sum of their distances, in voxels, is greater
+/// Two neighbouring voxels are on the same side if the sum of their distances, in voxels, is more
 /// than this. Distances are rounded, so the limit is more than 1.
 const APART: f32 = 1.0001;
 /// The square of the distance, in voxels, above which a voxel is deep: two neighbouring deep voxels
 /// are on the same side.
 const DEEP: f32 = APART * APART / 4.0;
-/// The square of the distance, in voxels, below which a voxel is on the surface, and so on any side.
+/// The square of the distance, in voxels, below which a voxel is on the surface, so that either
+/// side is right.
 const ON_SURFACE: f32 = 1e-10;
 /// The length, in voxels, by which a line of sight ends inside a triangle instead of at its edge.
 const INWARDS: f64 = 0.1;
@@ -112,8 +115,8 @@ impl Sides {
         }
     }
 
-    /// Finds the sides of all voxels near the band, from all triangles near the block. `squared` and
-    /// `nearest` are the squared distance and the nearest triangle of each voxel.
+    /// Finds the sides of all voxels near the band, from all triangles near the block. `squared`
+    /// and `nearest` are the squared distance and the nearest triangle of each voxel.
     pub fn find(&mut self, squared: &[f32], nearest: &[u32], near: &NearTriangles) {
         for column in 0..EDGE * EDGE {
             self.is_known[column] = self.is_crossed(column);
@@ -151,23 +154,23 @@ impl Sides {
     /// winding number is positive.
     fn crossed(&self, column: usize, least: i32) -> u64 {
         let steps = self.steps(column);
-        let change = |z: u32| {
+        let change = |z: usize| {
             let bit = |i: usize| (self.entries[i][column] >> z & 1) as i32;
             bit(0) + 2 * bit(1) - 4 * bit(2)
         };
         let (mut winding, mut lowest) = (0, 0);
-        each_bit(steps, |z| {
+        for z in ones(steps) {
             winding += change(z);
             lowest = lowest.min(winding);
-        });
+        }
         let (mut winding, mut inside) = (least - lowest, 0);
         let mut all_from = u64::MAX;
-        each_bit(steps, |z| {
+        for z in ones(steps) {
             let from = u64::MAX << z;
             inside |= if winding > 0 { all_from & !from } else { 0 };
             winding += change(z);
             all_from = from;
-        });
+        }
         inside | if winding > 0 { all_from } else { 0 }
     }
 
@@ -215,8 +218,8 @@ impl Sides {
         }
     }
 
-    /// If neighbouring deep voxels are on different sides, moves each set of connected deep voxels
-    /// to the side on which most of them are.
+    /// If neighbouring deep voxels are on different sides, puts connected deep voxels on the same
+    /// side, for which they [vote](Self::vote).
     fn settle(&mut self, squared: &[f32]) {
         let deep: Vec<u64> = squared
             .chunks_exact(EDGE)
@@ -320,14 +323,6 @@ fn sighted(column: usize, squared: &[f32], nearest: &[u32], near: &NearTriangles
         (is_hit && along > 0.0).then_some((along, towards > 0.0))
     });
     hits.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, is_inside)| is_inside)
-}
-
-/// Calls `take` with the number of each bit that is set, in ascending order.
-fn each_bit(mut word: u64, mut take: impl FnMut(u32)) {
-    while word != 0 {
-        take(word.trailing_zeros());
-        word &= word - 1;
-    }
 }
 
 /// Rounds the coordinates of a vertex.

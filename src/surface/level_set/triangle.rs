@@ -6,8 +6,8 @@
 
 use glam::{DVec3, Vec4, Vec4Swizzles};
 
-/// A triangle, with its coordinates in voxels. A `Vec4` that describes one number has four copies of
-/// this number, one for each point.
+/// A triangle, with its coordinates in voxels. A `Vec4` that describes one number has four copies
+/// of this number, one for each point.
 #[derive(Debug, Default, Clone, Copy)]
 pub struct Triangle {
     /// The coordinates of the lattice's origin in the triangle's system, and the amounts by which
@@ -76,9 +76,8 @@ impl Triangle {
 }
 
 /// The weights (barycentric coordinates) of a triangle's corners in the triangle's nearest point to
-/// the origin; the sum of the weights is 1. The nearest point is a corner, a point on an edge, or
-/// the foot of the perpendicular, depending on the region of space in which the origin lies
-/// (Ericson, Real-Time Collision Detection, 5.1.5).
+/// the origin; the sum of the weights is 1. The tests find whether the nearest point is a corner,
+/// on an edge, or inside the triangle (Ericson, Real-Time Collision Detection, 5.1.5).
 pub fn shares([a, b, c]: [DVec3; 3]) -> [f32; 3] {
     let (ab, ac) = (b - a, c - a);
     let (along_b, along_c) = (-ab.dot(a), -ac.dot(a));
