@@ -165,13 +165,13 @@ settings! {
     ///
     /// Each region of the fluid is meshed at its own particle spacing. The attribute's name
     /// determines how its values are read: as radii (half of a particle's spacing), diameters,
-    /// volumes, masses or smoothing lengths. Masses also need a density attribute. meniscus adds up
-    /// the volumes that the values imply. If the sum differs from the volume of the fluid by more
-    /// than a factor of 1.4, as is usual for smoothing lengths, meniscus multiplies all sizes by
-    /// one common factor, so that the volumes match. In a GADGET or SWIFT file, sizes come from the
-    /// masses and densities by default if the masses differ. If such a file has no densities, sizes
-    /// come from the smoothing lengths. `none` gives all particles the same size. Works only with
-    /// the cloud indicator, the default.
+    /// volumes, masses or smoothing lengths. Masses also need a density attribute. meniscus
+    /// compares the volume that the values imply with the volume that the particles fill. If the
+    /// two differ by more than a factor of 1.4, as is usual for the smoothing lengths of SPH,
+    /// meniscus multiplies all sizes by one common factor, so that the volumes match. In a GADGET
+    /// or SWIFT file, sizes come from the masses and densities by default if the masses differ. If
+    /// such a file has no densities, sizes come from the smoothing lengths. `none` gives all
+    /// particles the same size. Works only with the indicator `cloud` (the default).
     #[arg(
         value_name = "NAME", conflicts_with_all = ["spacing", "radius"], help_heading = "Input",
         hide_short_help = true
@@ -235,8 +235,8 @@ settings! {
     ///
     /// The mesh must have the units and axes of the particles. It can be in any format that `check`
     /// reads. Repeat the option for several solids. {} in the name stands for the frame number:
-    /// solid.{}.obj gives each frame its own mesh. Works only with the cloud indicator, the
-    /// default.
+    /// solid.{}.obj gives each frame its own mesh. Works only with the indicator `cloud` (the
+    /// default).
     #[arg(value_name = "MESH", help_heading = "Input")]
     solid: Option<Vec<String>>,
 
@@ -272,7 +272,7 @@ settings! {
     /// Smoothing width in spacings, from 0.8 to 4 [default: 1.6].
     ///
     /// Larger is smoother: use 2 for noisy FLIP particles, and a smaller value to keep every
-    /// ripple. Works only with the cloud indicator, the default.
+    /// ripple. Works only with the indicator `cloud` (the default).
     #[arg(value_name = "SPACINGS", allow_negative_numbers = true, help_heading = "Surface")]
     smooth: Option<f64>,
 
@@ -280,13 +280,13 @@ settings! {
     /// [default: 2.15].
     ///
     /// The value must be from 1 to 3, or 0, which turns this off. Sheets tear slightly before this
-    /// distance: with the default, at about 2.1 spacings. Works only with the cloud indicator, the
-    /// default.
+    /// distance: with the default, at about 2.1 spacings. Works only with the indicator `cloud`
+    /// (the default).
     #[arg(value_name = "SPACINGS", allow_negative_numbers = true, help_heading = "Surface")]
     sheets: Option<f64>,
 
-    /// Method that makes the field: discrete indicator functions, or a kernel method for comparison
-    /// [default: dif].
+    /// Method that computes the surface: dif, which uses the indicator, or another published
+    /// method, for comparison [default: dif].
     #[arg(value_enum, help_heading = "Surface", hide_short_help = true)]
     method: Option<MethodName>,
 

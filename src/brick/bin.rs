@@ -549,7 +549,8 @@ mod tests {
         let grid = Grid::new(DVec3::ZERO, 1.0).unwrap();
         let walls = Domain::new(&grid, DVec3::ZERO, DVec3::splat(1000.0)).unwrap();
         let kept = CountingRoom { places: usize::MAX, ..CountingRoom::BINS };
-        // Number of bins along each axis; the second scene has more bins than a place can number.
+        // Number of bins along each axis. In the second case, the numbers of the bins do not fit
+        // into a kept place.
         for bins in [5, 25] {
             let coordinate =
                 |i: usize, a: usize| ((i * [7919, 6761, 5879][a]) % 40_009) as f64 / 40_009.0;

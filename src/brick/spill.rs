@@ -25,11 +25,12 @@ use super::elias_fano::EliasFano;
 use super::slabs::Slabs;
 use super::slots::{Record, Slots};
 
-/// Maximum bytes of a piece before it is coded: small enough to be sorted in a second-level cache.
+/// Maximum size of a piece before compression, in bytes. A piece of this size can be sorted in a
+/// processor's level-2 cache.
 const PIECE: usize = 1 << 19;
 /// Minimum number of particles in a piece, except in the last piece that a buffer writes.
 const FEWEST: usize = 16;
-/// The additional memory for coding a piece, as a multiple of the size of a piece.
+/// The additional memory for compressing a piece, as a multiple of the size of a piece.
 const CODING: usize = 2;
 const RECORD_MASK: Record = (1 << RECORD_BITS) - 1;
 

@@ -127,8 +127,8 @@ impl SettingConflict {
             ),
             (Conflict::Sampled, _) => {
                 format!(
-                    "{setting} cannot be changed for a frame that is already sampled; sample the \
-                     particles again"
+                    "{setting} cannot be changed after the particles were sampled; sample or pack \
+                     them again"
                 )
             }
             (Conflict::OnDevice, _) => {

@@ -36,7 +36,7 @@ pub enum PeriodicMesh {
     /// Ends on the faces, closed as at the walls of a tank.
     #[default]
     Cut,
-    /// Continues beyond the faces by the reach of the filters, so that adjacent copies overlap.
+    /// Continues some cells beyond the faces, so that adjacent copies overlap.
     Overlap,
 }
 

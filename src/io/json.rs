@@ -1,37 +1,43 @@
 //! Reads a JSON list of positions, each a list of x, y and z, as splashsurf writes it.
 
 use std::fmt;
+use std::io::BufReader;
 
 use serde::de::{DeserializeSeed, Deserializer, SeqAccess, Visitor};
 
-use super::bytes::{Bytes, UnpackBuffer, Unpacking};
+use super::bytes::{Bytes, SequentialReader, UnpackBuffer, Unpacking};
 use super::columns::{Column, ColumnStore, Endian, ParticleRows, Scalar};
 use super::{ParticleFile, ReadFault};
 
 /// Size, in bytes, of a position.
 const TRIPLE: usize = 3 * size_of::<f64>();
-/// Number of bytes that are buffered before they are appended to the positions.
+/// Number of bytes of text, and of positions, that are buffered.
 const CHUNK: usize = 1 << 16;
+const BYTE_ORDER_MARK: [u8; 3] = *b"\xef\xbb\xbf";
 
 /// Reads a list of positions.
 ///
 /// # Errors
-/// [`ReadFault::Line`] for text that is not JSON or not a list of triples of numbers, and
+/// [`ReadFault::Line`] for text that is not JSON or not a list of triples of numbers,
+/// [`ReadFault::Changed`] and [`ReadFault::Io`] for a file that has changed or cannot be read, and
 /// [`ReadFault::Scratch`] if the scratch file cannot be written.
 pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
-    let text = bytes.read_whole(unpacking)?;
-    let text = text.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&text);
+    let view = bytes.view();
+    let begins_with_mark = *view.read(0..view.len().min(BYTE_ORDER_MARK.len()))? == BYTE_ORDER_MARK;
+    let start = if begins_with_mark { BYTE_ORDER_MARK.len() } else { 0 };
+    let text = BufReader::with_capacity(CHUNK, SequentialReader::new(view, start));
     let mut rows = UnpackBuffer::new(unpacking);
-    let mut json = serde_json::Deserializer::from_slice(text);
+    let mut json = serde_json::Deserializer::from_reader(text);
     let mut scratch = Ok(());
     let positions = Positions { rows: &mut rows, scratch: &mut scratch };
     let read = positions.deserialize(&mut json).and_then(|()| json.end());
     scratch?;
+    view.check()?;
     read.map_err(|fault| {
-        let what = format!(
-            "{fault}; expected a list of positions, such as [[0, 0, 0], [1, 0, \
-                            0]]"
-        );
+        if fault.is_io() {
+            return ReadFault::Io(fault.into());
+        }
+        let what = format!("{fault}; expected a list of positions, such as [[0, 0, 0], [1, 0, 0]]");
         ReadFault::Line { line: fault.line().max(1) as u64, what }
     })?;
     let rows = rows.finish()?;

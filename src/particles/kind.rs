@@ -56,9 +56,9 @@ pub enum KindFault {
     /// A colour from 0 to 255 in a sequence whose colours are from 0 to 1.
     #[error(
         "colour {name:?} has the value {greatest} and looks like bytes from 0 to 255, but the \
-         calibration frame (usually the first) has colours from 0 to 1; store colours in the same \
-         way in all frames, begin with a frame that has a value above 16, which shows that the \
-         range is 0 to 255, or do not transfer the attribute"
+         calibration frame (usually the first) seems to have colours from 0 to 1; use the same \
+         range in all frames, or do not transfer the attribute; if the range is 0 to 255 in all \
+         frames, begin with a frame that has a value above 16"
     )]
     Scale {
         /// The name of the attribute.

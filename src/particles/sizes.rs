@@ -408,14 +408,35 @@ impl Sizes {
         }
     }
 
+    /// Reduces the sizes if the density could not be measured before, and if it is too high in
+    /// cells half as large, for which `spacing` is the largest spacing of the particles. A low
+    /// density proves nothing in such cells, because they can be partly empty.
+    pub fn reduce_if_too_dense(
+        &mut self,
+        particles: &dyn Particles,
+        columns: &SizeAttributes,
+        spacing: f64,
+    ) {
+        let density = || filling(particles, columns, self, CELL / 2.0 * spacing);
+        if self.density.is_none()
+            && let Some(density) = density().filter(|&density| density >= FLUID[1])
+        {
+            self.scale_to_fill(density);
+        }
+    }
+
     /// Measures the density deep in the fluid, in cells of edge `edge`. If the density is not
     /// plausible, scales the sizes so that it becomes 1.
     fn scale_by_density(&mut self, particles: &dyn Particles, columns: &SizeAttributes, edge: f64) {
         self.density = filling(particles, columns, self, edge);
         let [least, most] = FLUID;
-        let Some(density) = self.density.filter(|density| !(least..most).contains(density)) else {
-            return;
-        };
+        if let Some(density) = self.density.filter(|density| !(least..most).contains(density)) {
+            self.scale_to_fill(density);
+        }
+    }
+
+    /// Scales the sizes so that a measured density becomes 1.
+    fn scale_to_fill(&mut self, density: f64) {
         let scale = cube_root(1.0 / density);
         for size in [&mut self.finest, &mut self.coarsest, &mut self.usual, &mut self.scale] {
             *size *= scale;
@@ -435,12 +456,15 @@ impl Sizes {
         let census = SizeCounts::of(particles, columns);
         let none = || SizeFault::NoSize { name: attribute.clone() };
         let (finest, quantile) = census.range(STRAYS).ok_or_else(none)?;
+        let usual = census.middle();
+        // A few tiny particles must not limit the size of most particles.
+        let finest = finest.max(usual / MOST_TIMES);
         if quantile < ONE_SIZE * finest {
             let (size, invalid) = (census.middle(), census.invalid);
             return Ok(FoundSizes::One { attribute, size, invalid });
         }
         let most = MOST_TIMES * finest;
-        let (coarsest, usual) = (census.most().min(most), census.middle().min(most));
+        let coarsest = census.most().min(most);
         let larger = census.beyond(most);
         let mut sizes = Self {
             attribute,
@@ -454,6 +478,7 @@ impl Sizes {
             larger,
         };
         sizes.scale_by_density(particles, columns, CELL * quantile);
+        sizes.reduce_if_too_dense(particles, columns, quantile);
         Ok(FoundSizes::Several(sizes))
     }
 }
@@ -679,6 +704,40 @@ mod tests {
             sizes.scale_by_spacing(&cloud, &columns, 2.0);
             assert!((sizes.finest - 1.0).abs() < 0.05, "{sizes:?}");
         }
+    }
+
+    #[test]
+    fn too_large_sizes_are_reduced_in_a_body_of_a_few_cells() {
+        let near = |i: usize, spacing: f64| (i as f64 + 0.5) * spacing;
+        let cube = |first: f64, spacing: f64, count: usize| {
+            let at = move |i: usize, a: u32| near(i / count.pow(a) % count, spacing);
+            (0..count.pow(3)).map(move |i| [first + at(i, 0), at(i, 1), at(i, 2)])
+        };
+        let positions: Vec<_> = cube(0.0, 1.0, 16).chain(cube(16.0, 2.0, 8)).collect();
+        for times in [1.0, 1.2, 1.3, 1.4, 1.5, 1.6, 2.0, 3.0] {
+            let size = |spacing: f32| spacing * times;
+            let lengths: Vec<f32> =
+                (0..positions.len()).map(|i| size(if i < 4096 { 1.0 } else { 2.0 })).collect();
+            let cloud = Cloud::new(&positions).with("h", &lengths);
+            let columns = SizeAttributes::named("h", cloud.attributes()).unwrap();
+            let mut sizes = several(&cloud, &columns);
+            sizes.reduce_if_too_dense(&cloud, &columns, 2.0);
+            let (finest, coarsest) = (sizes.finest, sizes.coarsest);
+            assert!((0.9..1.12).contains(&finest), "{times}: {finest}");
+            assert!((coarsest / finest - 2.0).abs() < 1e-6, "{times}: {coarsest}");
+        }
+    }
+
+    #[test]
+    fn one_tiny_particle_does_not_limit_the_sizes_of_the_others() {
+        let positions: Vec<_> = (0..1000).map(|i| [f64::from(i), 0.0, 0.0]).collect();
+        let mut radii: Vec<f32> = (0..1000).map(|i| if i < 900 { 0.5 } else { 1.0 }).collect();
+        radii[0] = 1e-20;
+        let cloud = Cloud::new(&positions).with("radius", &radii);
+        let columns = SizeChoice::Usual.columns(cloud.attributes()).unwrap().unwrap();
+        let sizes = several(&cloud, &columns);
+        assert_eq!((sizes.finest, sizes.usual), (1.0 / 64.0, 1.0));
+        assert_eq!((sizes.coarsest, sizes.larger), (1.0, 1));
     }
 
     #[test]

@@ -254,9 +254,9 @@ pub struct SimulationOptions {
     step: Option<u64>,
     /// Convert only frames A to B (inclusive), as one of several jobs that share a simulation.
     ///
-    /// The calibration is measured on one of the frames that --start, --end and --step select.
-    /// --frames does not change this choice, so all jobs use the same calibration, and together
-    /// make the same meshes as a single run.
+    /// The calibration (the density deep in the fluid, which all frames share) is measured on one
+    /// of the frames that --start, --end and --step select. --frames does not change this choice,
+    /// so all jobs use the same calibration, and together make the same meshes as a single run.
     #[arg(long, value_name = "A..B", value_parser = range, allow_hyphen_values = true, help_heading = "Simulations", hide_short_help = true)]
     frames: Option<(i64, i64)>,
     /// Resume an interrupted conversion.

@@ -118,7 +118,8 @@ fn usual_spacing(cell_size: f64) -> f64 {
 }
 
 /// Corrects sizes that the density of the fluid did not confirm, if the neighbours of particles
-/// contradict the sizes. Returns a warning if the sizes cannot be corrected.
+/// contradict the sizes, or if the sizes are impossible. Returns a warning if the sizes cannot be
+/// corrected.
 fn corrected_by_neighbours(
     particles: &dyn Particles,
     columns: &SizeAttributes,
@@ -128,9 +129,10 @@ fn corrected_by_neighbours(
         return None;
     }
     let evidence = evidence(particles)?;
+    let [_, widest] = evidence.estimate().ok()?.extremes();
+    sizes.reduce_if_too_dense(particles, columns, widest);
     let warning = SpacingWarning::of_unmeasured_sizes(sizes, &evidence)?;
-    let spacings = evidence.estimate().ok()?.extremes();
-    sizes.scale_by_spacing(particles, columns, spacings[1]);
+    sizes.scale_by_spacing(particles, columns, widest);
     sizes.density.is_none().then_some(warning)
 }
 

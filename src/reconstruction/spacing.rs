@@ -353,8 +353,8 @@ impl fmt::Display for SpacingWarning {
                         let times = factor.max(1.0 / factor);
                         write!(
                             f,
-                            "; {given} and the positions may have different units (a factor of \
-                             {times})"
+                            "; the spacing and the positions may have different units (a factor \
+                             of {times})"
                         )?;
                     }
                     None => {}

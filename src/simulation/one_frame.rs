@@ -140,7 +140,8 @@ impl Conversion<'_> {
         Ok(PreparedFrame { input, target, replaces, orientation, output, particles, timings })
     }
 
-    /// Converts a frame with the threads of its lane, or alone with all threads.
+    /// Converts a frame. If several frames are converted at a time, each uses its share of the
+    /// threads; otherwise, the frame uses all threads.
     pub(super) fn convert(
         &self,
         checked: &CheckedRequest,

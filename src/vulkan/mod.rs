@@ -32,7 +32,7 @@ pub const MOST_BUFFERS: u32 = 8;
 pub const MOST_THREADS: u32 = 256;
 /// Maximum bytes of shared memory per work group; devices with a lower limit are not supported.
 pub const MOST_SHARED: u32 = 16 << 10;
-/// Maximum bytes of push constants, which every device supports.
+/// Maximum size of push constants, in bytes. Every device supports this size.
 pub const MOST_PUSH: u32 = 128;
 
 /// An error of a device, its driver or the loader.

@@ -287,7 +287,7 @@ fn a_resident_field_with_its_wide_and_inside_cells_matches_the_cpu() {
             [BrickSide::Four, BrickSide::Eight, BrickSide::Sixteen].map(|side| (indicator, side))
         }) {
             let cells = [(0.3, true), (0.3, false), (0.6, false), (1.1, true)];
-            // The paper's indicators need cells with at least one particle.
+            // The paper's indicators need cells wide enough to contain about one particle each.
             let cells = if indicator == IndicatorKind::Cloud { &cells[..] } else { &cells[3..] };
             for &(cell_size, walls) in cells {
                 let grid = Grid::new(glam::DVec3::splat(0.1), cell_size).unwrap();

@@ -18,7 +18,7 @@ fn open(path: &Path) -> Result<ParticleFile, ReadError> {
     open_particles(path, Unpacking::in_memory())
 }
 
-/// The number of faces for which a file is refused as a mesh.
+/// The number of faces in the error that refuses a file because it is a mesh.
 #[track_caller]
 fn faces(path: &Path) -> u64 {
     let error = open(path).expect_err("is a mesh");

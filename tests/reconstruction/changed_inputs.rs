@@ -163,7 +163,8 @@ fn truncating_an_input_during_decoding_is_an_error_or_has_no_effect() {
     assert!(changed > 0, "no file was shortened while it was read");
 }
 
-/// Particles that can be read `still` times. After that, the first particle has moved by `by`.
+/// Particles that stay the same for the first `still` readings. In all later readings, the first
+/// particle is displaced by the vector `by`.
 struct Unstable {
     particles: Vec<[f64; 3]>,
     still: usize,

@@ -94,8 +94,8 @@ fn from_ball(at: DVec3, frame: usize) -> f64 {
     at.distance(centre(frame)) - RADIUS
 }
 
-/// The velocity of the fluid around a moving ball, in distance per frame. This is the field of a
-/// dipole.
+/// The velocity of the fluid around a moving ball, in distance per frame. This is the ideal flow
+/// around a ball (a dipole).
 fn velocity(at: DVec3, ball: DVec3) -> DVec3 {
     let away = at - ball;
     let distance = away.length().max(RADIUS);

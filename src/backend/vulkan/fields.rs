@@ -111,8 +111,9 @@ impl PaddedFields<'_> {
     /// it.
     fn within(&self, of: usize, other: usize) -> View {
         let mut known = self.grids[of].within.iter();
-        let (_, numbers) =
-            known.find(|(known, _)| *known == other).expect("a recipe refines what lies around");
+        let (_, numbers) = known
+            .find(|(known, _)| *known == other)
+            .expect("a field is refined from a grid that contains it");
         numbers.clone()
     }
 }

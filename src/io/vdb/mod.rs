@@ -171,7 +171,8 @@ impl StoredBlock {
         let (mut distances, mut triangles) = (Vec::new(), Vec::new());
         let (size, mut end) = (lattice.step as f32, 0);
         let leaf = |leaf: Leaf| {
-            leaf.distances.iter().for_each(|&voxels| distance.put(&mut distances, voxels * size));
+            let of_leaf: Vec<f32> = leaf.distances.iter().map(|voxels| voxels * size).collect();
+            distance.put_all(&mut distances, &of_leaf);
             if with_triangles {
                 triangles.extend(&leaf.triangles);
             }
@@ -295,7 +296,7 @@ impl GridWriter<'_> {
                 masks + voxels * kind.bytes() as u64
             }
         };
-        let tree = leaves.iter().map(|leaf| &leaf.tree);
+        let tree = leaves.par_iter().map(|leaf| &leaf.tree);
         let tree = topology(tree, kind, BAND * lattice.step as f32, zip);
         let head = GridHead { name: name.to_owned(), kind, lattice, zip, voxels, bounds };
         let head = head.bytes(self.at, tree.len() as u64, bytes);

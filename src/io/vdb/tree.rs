@@ -40,8 +40,14 @@ impl TreeLeaf {
 
     /// The least and the greatest coordinates of the active voxels along each axis.
     pub fn bounds(&self) -> Option<[IVec3; 2]> {
-        let voxels = self.active_voxels().map(|voxel| [voxel; 2]);
-        voxels.reduce(|[a, b], [c, d]| [a.min(c), b.max(d)])
+        // The active voxels, seen along x as 8² bits, and then along y as 8 bits.
+        let yz = self.active.into_iter().fold(0, |all, word| all | word);
+        let z = yz.to_le_bytes().into_iter().fold(0, |all, byte| all | byte);
+        let low_x = self.active.iter().position(|&word| word != 0)?;
+        let high_x = self.active.iter().rposition(|&word| word != 0)?;
+        let low = [low_x as u32, yz.trailing_zeros() / 8, z.trailing_zeros()];
+        let high = [high_x as u32, yz.ilog2() / 8, z.ilog2()];
+        Some([low, high].map(|place| self.corner + IVec3::from(place.map(|k| k as i32))))
     }
 
     /// The number of inactive voxels inside the surface, and the number of all inactive voxels.
@@ -64,7 +70,7 @@ struct InnerNode {
 
 /// The bytes of the tree without the values of its leaves. `leaves` must be sorted by [`sort_key`].
 pub fn topology<'a>(
-    leaves: impl Iterator<Item = &'a TreeLeaf>,
+    leaves: impl IndexedParallelIterator<Item = &'a TreeLeaf>,
     kind: Kind,
     background: f32,
     zip: bool,
@@ -180,6 +186,26 @@ mod tests {
     use super::*;
 
     #[test]
+    fn the_bounds_of_a_leaf_are_those_of_its_active_voxels() {
+        let mut state = 1u64;
+        let mut random = || {
+            state = state.wrapping_mul(0x5851_f42d_4c95_7f2d).wrapping_add(1);
+            (state >> 33) as usize
+        };
+        assert_eq!(TreeLeaf { corner: IVec3::ONE, active: [0; 8], inside: [!0; 8] }.bounds(), None);
+        for count in (1..6).flat_map(|count| [count; 50]) {
+            let mut leaf =
+                TreeLeaf { corner: IVec3::new(-8, 16, 0), active: [0; 8], inside: [0; 8] };
+            for _ in 0..count {
+                leaf.active[random() % 8] |= 1 << (random() % 64);
+            }
+            let corners = leaf.active_voxels().map(|voxel| [voxel; 2]);
+            let expected = corners.reduce(|[a, b], [c, d]| [a.min(c), b.max(d)]);
+            assert_eq!(leaf.bounds(), expected, "{:?}", leaf.active);
+        }
+    }
+
+    #[test]
     fn a_root_has_tiles_between_nodes_of_a_column_that_face_inwards() {
         const EDGE: i32 = 4096;
         // The last voxel of the lower leaf and the first voxel of the upper leaf are inside.
@@ -189,7 +215,7 @@ mod tests {
         };
         let leaves = [leaf(-3 * EDGE - 8, !0), leaf(2 * EDGE, !0), leaf(3 * EDGE, 0)];
         let kind = Kind::Distance { half: false };
-        let tree = topology(leaves.iter(), kind, 3.0, false);
+        let tree = topology(leaves.par_iter(), kind, 3.0, false);
         let word = |at: usize| i32::from_le_bytes(tree[at..][..4].try_into().unwrap());
         let [buffers, tiles, children] = [word(0), word(8), word(12)];
         assert_eq!([buffers, tiles, children], [1, 5, 3]);

@@ -5,6 +5,7 @@ use std::io::{self, Write};
 use flate2::Compression;
 use flate2::write::ZlibEncoder;
 use half::f16;
+use half::slice::HalfFloatSliceExt;
 
 /// Marks a node whose inactive values are all the background value.
 const OUTSIDE: u8 = 0;
@@ -84,6 +85,17 @@ impl Kind {
         }
     }
 
+    /// Appends numbers as [`put`](Self::put) does, but faster.
+    pub fn put_all(self, out: &mut Vec<u8>, numbers: &[f32]) {
+        if self.is_half() {
+            let mut halves = vec![f16::ZERO; numbers.len()];
+            halves.convert_from_f32_slice(numbers);
+            out.extend(halves.iter().flat_map(|half| half.to_le_bytes()));
+        } else {
+            numbers.iter().for_each(|&number| self.put(out, number));
+        }
+    }
+
     /// Appends an empty list of active values, for a node that has none.
     pub fn put_none(self, out: &mut Vec<u8>, zip: bool) {
         if zip && !self.is_half() {
@@ -132,5 +144,21 @@ pub fn put_zipped(out: &mut Vec<u8>, bytes: &[u8]) {
     } else {
         out.extend((-(bytes.len() as i64)).to_le_bytes());
         out.extend(bytes);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_encoded_alike_one_by_one_and_together() {
+        let numbers: Vec<f32> = (-300..300).map(|i| (i as f32 * 0.1).powi(5) * 1e-4).collect();
+        for kind in [Kind::Distance { half: true }, Kind::Distance { half: false }, Kind::Int64] {
+            let (mut together, mut one_by_one) = (vec![7], vec![7]);
+            kind.put_all(&mut together, &numbers);
+            numbers.iter().for_each(|&number| kind.put(&mut one_by_one, number));
+            assert_eq!(together, one_by_one, "{kind:?}");
+        }
     }
 }

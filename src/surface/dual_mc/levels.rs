@@ -73,7 +73,8 @@ pub fn cells_by_level(block: IVec3, level: BlockLevel, region: CellBox) -> [Cell
     let own = CellBox::cube(block, BLOCK);
     let mut boxes = [CellBox::EMPTY; 2];
     for beyond in 0..8 {
-        // Along each axis, the part is the whole block, or the first layer of the upper neighbour.
+        // Along each axis, the part is the whole block or, if `beyond` has this axis's bit, the
+        // first layer of the upper neighbour.
         let offset = corner_offset(beyond);
         let part = CellBox { lo: own.lo + BLOCK * offset, hi: own.hi + offset };
         let part = part.intersection(&cells);

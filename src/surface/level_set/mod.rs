@@ -186,21 +186,26 @@ impl LevelSet {
 struct BlocksByPlace<T> {
     blocks: Vec<(IVec3, Vec<T>)>,
     numbers: HashMap<IVec3, usize>,
+    /// The number of the block for which `of` was called last.
+    last: usize,
 }
 
 impl<T> Default for BlocksByPlace<T> {
     fn default() -> Self {
-        Self { blocks: Vec::new(), numbers: HashMap::new() }
+        Self { blocks: Vec::new(), numbers: HashMap::new(), last: 0 }
     }
 }
 
 impl<T> BlocksByPlace<T> {
     fn of(&mut self, block: IVec3) -> &mut Vec<T> {
-        let number = *self.numbers.entry(block).or_insert_with(|| {
-            self.blocks.push((block, Vec::new()));
-            self.blocks.len() - 1
-        });
-        &mut self.blocks[number].1
+        // Consecutive triangles of a mesh are mostly in the same block.
+        if self.blocks.get(self.last).is_none_or(|&(last, _)| last != block) {
+            self.last = *self.numbers.entry(block).or_insert_with(|| {
+                self.blocks.push((block, Vec::new()));
+                self.blocks.len() - 1
+            });
+        }
+        &mut self.blocks[self.last].1
     }
 }
 

@@ -30,7 +30,8 @@ pub struct Reach {
     inverse: Vec3A,
     /// For each axis, the greatest component of a unit vector that is perpendicular to the normal.
     across: Vec3A,
-    /// The tangent of the greatest angle between the normal and the direction to a voxel.
+    /// The tangent of the greatest angle between the normal and the direction from the triangles to
+    /// a voxel.
     spread: f32,
     /// The greatest distance between a voxel and the line through its nearest point along the
     /// normal.
