@@ -173,11 +173,16 @@ struct FileOfSeries {
 fn series(bytes: &[u8], folder: &Path) -> Result<Vec<ListedFrame>, ReadFault> {
     let series: FileSeries = serde_json::from_slice(bytes)
         .map_err(|fault| ReadFault::Line { line: fault.line() as u64, what: fault.to_string() })?;
-    let frame = |FileOfSeries { name, time }: FileOfSeries| {
-        let block = FrameBlock { file: resolved(folder, &name), name: None };
-        ListedFrame { time, blocks: vec![block] }
-    };
-    Ok(series.files.into_iter().map(frame).collect())
+    let (mut frames, mut places) = (Vec::new(), HashMap::new());
+    for FileOfSeries { name, time } in series.files {
+        let next = frames.len();
+        let place = time.map_or(next, |time| *places.entry(time.to_bits()).or_insert(next));
+        if place == next {
+            frames.push(ListedFrame { time, blocks: Vec::new() });
+        }
+        frames[place].blocks.push(FrameBlock { file: resolved(folder, &name), name: None });
+    }
+    Ok(frames)
 }
 
 #[cfg(test)]
@@ -214,9 +219,12 @@ mod tests {
         let frames = listed_in("s.pvd", list, &["b c.vtp", "d/a.vtp", "100%25.vtp"]).unwrap();
         assert_eq!(frames, [frame(0.5, &["d/a.vtp", "b c.vtp"]), frame(0.25, &["100%25.vtp"])]);
         let series = r#"{"file-series-version": "1.0",
-            "files": [{"name": "a.vtp", "time": 1}, {"name": "b.vtp"}]}"#;
+            "files": [{"name": "a.vtp", "time": 1}, {"name": "b.vtp"}, {"name": "c.vtp"},
+                {"name": "d.vtp", "time": 1}]}"#;
         let frames = listed_in("s.vtp.series", series, &[]).unwrap();
-        assert_eq!(frames, [frame(1.0, &["a.vtp"]), frame(None, &["b.vtp"])]);
+        let expected = [&["a.vtp", "d.vtp"][..], &["b.vtp"], &["c.vtp"]];
+        let times = [Some(1.0), None, None];
+        assert_eq!(frames, [0, 1, 2].map(|i| frame(times[i], expected[i])));
     }
 
     #[test]

@@ -11,7 +11,7 @@ use meniscus::files::{
 };
 use meniscus::{Error, Settings, Where};
 
-use super::advice::say_error_without_machine;
+use super::advice::all_or_last;
 use super::notes::{Verdict, corners, point, print, print_json};
 use super::report::counted;
 
@@ -47,10 +47,8 @@ pub fn run(options: &InfoOptions) -> Result<Verdict, Error> {
     if options.json {
         print_json(&infos)?;
     }
-    // This function prints all errors but the last, which the caller prints.
-    let last = errors.pop();
-    errors.iter().for_each(say_error_without_machine);
-    last.map_or(Ok(Verdict::Good), Err)
+    all_or_last(errors)?;
+    Ok(Verdict::Good)
 }
 
 /// Whether `info` describes this file when the user names its folder. In folders, `.json` files

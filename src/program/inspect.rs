@@ -10,6 +10,7 @@ use meniscus::files::{MeshFormat, files};
 use meniscus::mesh::{CheckReport, Comparison, Distances, Measures, Side, measure, read_mesh};
 use serde::Serialize;
 
+use super::advice::all_or_last;
 use super::notes::{Verdict, corners, point, print, print_json};
 
 #[derive(Args)]
@@ -41,12 +42,20 @@ struct MeshCheck {
     measures: Measures,
 }
 
-/// Checks every mesh. The verdict is good only if all meshes are closed, oriented 2-manifolds and
-/// every component encloses a volume.
+/// Checks every mesh that can be read, and then fails if some could not. The verdict is good only
+/// if all meshes are closed, oriented 2-manifolds and every component encloses a volume.
 pub fn check(options: &CheckOptions) -> Result<Verdict, Error> {
-    let mut all = Vec::new();
-    for path in files(&options.meshes, |file| MeshFormat::of(file).is_some())? {
-        let mesh = read_mesh(&path)?;
+    let (mut all, mut errors) = (Vec::new(), Vec::new());
+    for path in
+        files(&options.meshes, |file| MeshFormat::of(file).is_some_and(MeshFormat::is_read))?
+    {
+        let mesh = match read_mesh(&path) {
+            Ok(mesh) => mesh,
+            Err(error) => {
+                errors.push(Error::from(error));
+                continue;
+            }
+        };
         let report = meniscus::mesh::check(&mesh);
         let checked = MeshCheck {
             mesh: path.clone(),
@@ -67,6 +76,7 @@ pub fn check(options: &CheckOptions) -> Result<Verdict, Error> {
     if options.json {
         print_json(&all)?;
     }
+    all_or_last(errors)?;
     let good = all
         .iter()
         .all(|checked| checked.closed_oriented_manifold && checked.measures.flat_components == 0);

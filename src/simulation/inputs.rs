@@ -617,11 +617,12 @@ fn all_in(folder: &Path) -> Result<Vec<PathBuf>, SimulationError> {
     for entry in entries {
         let entry = entry.map_err(fail)?;
         let path = entry.path();
-        let is_dir = match entry.file_type() {
-            Ok(kind) if !kind.is_symlink() => kind.is_dir(),
-            _ => path.is_dir(),
+        // Opening a pipe would wait for another program. A broken link stays, so that it is reported.
+        let is_file = match entry.file_type() {
+            Ok(kind) if !kind.is_symlink() => kind.is_file(),
+            _ => path.metadata().map_or(true, |file| file.is_file()),
         };
-        if !is_dir {
+        if is_file {
             files.push(path);
         }
     }
@@ -642,6 +643,21 @@ mod tests {
             assert!(!inputs.takes(Path::new(below)), "{below}");
         }
         assert!(Inputs::Glob("sim/**/*.xyz".to_owned()).takes(Path::new("sim/a/b/f_1.xyz")));
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_folder_has_files_and_broken_links_but_no_pipes_and_no_folders() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        std::fs::write(at("a_1.xyz"), "").unwrap();
+        std::fs::create_dir(at("a_2.xyz")).unwrap();
+        std::os::unix::fs::symlink("nowhere", at("a_3.xyz")).unwrap();
+        let made = std::process::Command::new("mkfifo").arg(at("a_4.xyz")).status().unwrap();
+        assert!(made.success());
+        let mut files = all_in(folder.path()).unwrap();
+        files.sort();
+        assert_eq!(files, [at("a_1.xyz"), at("a_3.xyz")]);
     }
 
     #[test]
