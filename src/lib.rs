@@ -376,7 +376,7 @@ pub use brick::{Census, FrameFacts};
 pub use error::{Cause, Error};
 pub use field::calibration::{Calibration, MeasuredCalibration, Plateau};
 pub use field::indicator::{Indicator, IndicatorKind};
-pub use field::walls::BeyondWall;
+pub use field::walls::{BeyondWall, GapAtWall};
 pub use frame::{CoincidentParticles, Shortfall};
 pub use grid::units::{Isovalue, MeanCount, MemoryBudget};
 pub use grid::{Domain, Grid, Periodic, PeriodicMesh, Walls};

@@ -359,6 +359,7 @@ impl Error {
                     | FrameError::NoKernelSurface
                     | FrameError::NoDistanceSurface
                     | FrameError::OtherIndicator
+                    | FrameError::OtherCells { .. }
                     | FrameError::NothingLeft { .. },
                 ..
             }

@@ -126,6 +126,17 @@ pub struct BeyondWall {
     pub moved: Option<f64>,
 }
 
+/// A gap between a wall and the plane at which the particles end.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct GapAtWall {
+    /// x, y or z.
+    pub axis: char,
+    /// The coordinate of the wall.
+    pub wall: f64,
+    /// The coordinate of the plane at which the fluid ends.
+    pub end: f64,
+}
+
 /// Counts of the particles in a column near a side.
 struct ColumnCounts {
     /// The minimum depth, in steps.

@@ -12,7 +12,7 @@ use crate::brick::{BinError, Census};
 use crate::field::calibration::{NoMeanCount, TooFine};
 use crate::field::recipe::{Filters, Recipe};
 use crate::frame::estimate::OverBudget;
-use crate::grid::units::{Isovalue, significant};
+use crate::grid::units::{Isovalue, shown, significant};
 use crate::particles::RereadError;
 use crate::particles::kind::KindFault;
 use crate::surface::simplify::TooSmall;
@@ -62,6 +62,19 @@ pub enum FrameError {
          with the same indicator"
     )]
     OtherIndicator,
+    /// The calibration was measured on a frame with other cells or another spacing, so it cannot be
+    /// used.
+    #[error(
+        "this packed frame has cells of {} and spacing {}, but the calibration frame has cells of \
+         {} and spacing {}; pack all frames again with the same spacing and cell size",
+        shown(own[0]), shown(own[1]), shown(calibrated[0]), shown(calibrated[1])
+    )]
+    OtherCells {
+        /// The cell size and the spacing of the frame.
+        own: [f64; 2],
+        /// The cell size and the spacing of the calibration frame.
+        calibrated: [f64; 2],
+    },
     /// The images were made for filters with a smaller reach.
     #[error(
         "the frame has copies of particles only up to {there} cells beyond the faces of its \

@@ -39,6 +39,13 @@ pub fn say_error_without_machine(error: &Error) {
     }
 }
 
+/// Prints all errors but the last, which it returns and the caller prints.
+pub fn all_or_last(mut errors: Vec<Error>) -> Result<(), Error> {
+    let last = errors.pop();
+    errors.iter().for_each(say_error_without_machine);
+    last.map_or(Ok(()), Err)
+}
+
 /// The text of an error with advice.
 pub fn error_message(error: &Error) -> String {
     in_options(error).unwrap_or_else(|| format!("{error}{}", advice(error)))
@@ -173,7 +180,9 @@ fn advice_on_frame(fault: &FrameError) -> &'static str {
             "; use a smaller --smallest-drop"
         }
         FrameError::NothingLeft(_) => "; use a smaller --smallest-component or --smallest-drop",
-        FrameError::NoDistanceSurface => " (--cell); is the --spacing correct?",
+        FrameError::NoDistanceSurface => {
+            " (--cell); is the --spacing correct? if there is a --solid, does it cover the fluid?"
+        }
         FrameError::NoKernelSurface => {
             " (--cell) or, except with --method zhu-bridson, a lower --iso"
         }
@@ -269,11 +278,18 @@ pub fn warning_message(warning: &Warning, options: Option<&ReconstructOptions>) 
             format!("{warning}; use --domain to leave them out")
         }
         Warning::Crowded { .. } => format!("{warning} (--spacing)"),
+        Warning::CoarseCells { .. } => format!("{warning} (--cell)"),
         Warning::OnCorners { origin, .. } => {
             let corner = origin.map(|x| x.to_string()).join(",");
             format!("{warning} (--origin {corner})")
         }
-        Warning::Lost { smoothed, .. } => format!("{warning} ({})", on_lost(*smoothed)),
+        Warning::Lost { smoothed, .. } => {
+            let at_solids =
+                options.is_some_and(|options| !options.settings.solid_files().is_empty());
+            let unless = if at_solids { ", unless they are inside a --solid" } else { "" };
+            format!("{warning} ({}){unless}", on_lost(*smoothed))
+        }
+        Warning::BeforeWall(_) => format!("{warning} (--domain)"),
         Warning::ThinSolid { .. } => format!("{warning} (--cell, --solid-offset)"),
         Warning::Shortfall { clouds, calibration_frame, .. } => {
             let what = if *clouds { "plateau" } else { "isovalue" };
@@ -320,6 +336,7 @@ mod tests {
     use std::io;
     use std::path::PathBuf;
 
+    use meniscus::GapAtWall;
     use meniscus::error::{ReadError, WriteError};
 
     use super::*;
@@ -447,6 +464,8 @@ mod tests {
             sizes(0.05, false),
             sizes(2.0, true),
             Warning::Crowded { times: 8.5, spacing: 0.1 },
+            Warning::BeforeWall(GapAtWall { axis: 'y', wall: -0.05, end: 0.002 }),
+            Warning::CoarseCells { cell_size: 0.3, spacing: 0.1 },
             Warning::OnCorners { mean: 0.02, origin: [0.5; 3] },
             Warning::Lost { lost: 12, of: 1000, smoothed: true },
             Warning::Lost { lost: 12, of: 1000, smoothed: false },

@@ -50,6 +50,9 @@ pub fn report_opened(inputs: &[PathBuf], opened: &OpenedFrame, notes: &Notes) {
         }
         None => {}
     }
+    for gap in opened.gaps_at_walls() {
+        notes.warn(&warning_message(&Warning::BeforeWall(*gap), None));
+    }
 }
 
 /// Prints the cell size, the indicator, and the new origin if the grid was moved.

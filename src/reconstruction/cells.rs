@@ -2,13 +2,16 @@
 //! file next to it, or estimated.
 
 use std::fmt;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
+use glam::DVec3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::field::indicator::IndicatorKind;
 use crate::field::spacing::Plane;
+use crate::field::walls::GapAtWall;
 use crate::frame::Method;
 use crate::grid::Walls;
 use crate::grid::units::shown;
@@ -89,6 +92,28 @@ pub struct FoundWalls {
     /// spacing of the smallest particles.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub spacings: Option<[[f64; 2]; 3]>,
+}
+
+/// The range of distances, in spacings, between a wall and the fluid's end at which the surface is
+/// ragged: too far for the fluid to reach the wall, and too near for a surface of its own.
+const RAGGED: Range<f64> = 0.35..1.0;
+
+impl FoundWalls {
+    /// The given walls that the fluid almost reaches. `spacing` is the spacing at every side for
+    /// which no other spacing is known.
+    pub(super) fn gaps(&self, walls: [DVec3; 2], spacing: f64) -> Vec<GapAtWall> {
+        let gap = |axis: usize, side: usize| {
+            let (end, wall) = (self.walls.0[axis][side]?, walls[side][axis]);
+            let outwards = if side == 0 { end - wall } else { wall - end };
+            let spacing = self.spacings.map_or(spacing, |spacings| spacings[axis][side]);
+            let axis = ['x', 'y', 'z'][axis];
+            RAGGED.contains(&(outwards / spacing)).then_some(GapAtWall { axis, wall, end })
+        };
+        (0..3)
+            .flat_map(|axis| [0, 1].map(|side| (axis, side)))
+            .filter_map(|(a, s)| gap(a, s))
+            .collect()
+    }
 }
 
 impl fmt::Display for FoundWalls {

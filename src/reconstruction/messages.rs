@@ -21,7 +21,7 @@ use crate::error::{
 };
 use crate::field::calibration::NoMeanCount;
 use crate::field::indicator::IndicatorKind;
-use crate::field::walls::BeyondWall;
+use crate::field::walls::{BeyondWall, GapAtWall};
 use crate::frame::{CoincidentParticles, Shortfall};
 use crate::grid::units::Isovalue;
 use crate::io::UnreadPart;
@@ -334,7 +334,7 @@ fn frames() -> String {
         NoParticles(census), NoParticles(Census::default()), Bin(far), Unread(RereadError::Changed),
         Kind(KindFault::Scale { name: "Cd".into(), greatest: 200.0 }),
         OverBudget(over), MeanCount(mean), TooFine(fine), NoSurface { iso }, NoDistanceSurface,
-        OtherIndicator, FewImages { needed: 40, there: 22 }, NoSpacing,
+        OtherIndicator, OtherCells { own: [0.06, 0.12], calibrated: [0.05, 0.1] }, FewImages { needed: 40, there: 22 }, NoSpacing,
         Kernels(TooManyCells(20.0)), NoKernelSurface,
         NoRoom { folder: path("/tmp"), needed: 1 << 30, free: 1 << 20 },
         WideAttributes { components: 300, needed: 1 << 30, budget: 1 << 20 },
@@ -378,6 +378,7 @@ fn warnings(all: &mut String) {
     examples!(text, Warning:
         Spacing(SpacingWarning::Random { used: 0.05 }),
         Crowded { times: 8.5, spacing: 0.1 },
+        CoarseCells { cell_size: 0.3, spacing: 0.1 },
         Coincident { found: unused, of: 1000 },
         Coincident { found: some, of: 1000 },
         MissingValues { attribute: heat(), without: 3, of: 1000 },
@@ -389,6 +390,7 @@ fn warnings(all: &mut String) {
         Bubbles { iso: 0.6, lowest: 0.55 },
         BeyondWall(past(Some(1.1))),
         BeyondWall(past(None)),
+        BeforeWall(GapAtWall { axis: 'y', wall: -0.05, end: 0.002 }),
         Lost { lost: 12, of: 1000, smoothed: true },
         Shortfall { shortfall, clouds: false, calibration_frame: Some(1) },
         Merged { vertices: 2, format },

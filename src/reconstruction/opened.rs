@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use crate::error::Error;
 use crate::field::indicator::IndicatorKind;
+use crate::field::walls::GapAtWall;
 use crate::frame::{Engine, FrameError};
 use crate::io::input::open_joined;
 use crate::io::mnf::{PackedFrame, is_packed, open_frame};
@@ -26,6 +27,7 @@ pub struct OpenedFrame {
     pub(super) input: Input,
     /// Walls that were found although the settings do not ask for them.
     hint: Option<FoundWalls>,
+    gaps: Vec<GapAtWall>,
     pub(super) timings: Timings,
 }
 
@@ -70,24 +72,31 @@ impl StartedRequest {
         };
         let control = &checked.resources.control;
         let mut input = self.threads.install(|| control.during(Stage::Reading, open))?;
-        let hint = match &mut input {
-            Input::Particles { chosen, .. } if checked.sampling.search != WallSearch::Walls => {
-                chosen.cells.walls.take()
+        let (mut hint, mut gaps) = (None, Vec::new());
+        if let Input::Particles { chosen, .. } = &mut input
+            && checked.sampling.search != WallSearch::Walls
+        {
+            let found = chosen.cells.walls.take();
+            match (checked.sampling.walls, &found) {
+                (None, _) => hint = found,
+                (Some(walls), Some(found)) => {
+                    let spacing =
+                        chosen.cells.spacing.as_ref().map_or(0.0, |(spacing, _)| *spacing);
+                    gaps = found.gaps(walls, spacing);
+                }
+                (Some(_), None) => {}
             }
-            Input::Particles { .. } | Input::Packed(_) => None,
-        };
-        Ok(OpenedFrame { path: path.to_owned(), ready: self, input, hint, timings })
+        }
+        Ok(OpenedFrame { path: path.to_owned(), ready: self, input, hint, gaps, timings })
     }
 }
 
 impl CheckedRequest {
-    /// Returns the request, with a search for walls if it has neither a domain nor a periodic box.
+    /// Returns the request, with a search for walls unless it has a periodic box. In a domain, the
+    /// walls that are found show whether the fluid reaches the walls of the domain.
     fn hinted(&self) -> Cow<'_, Self> {
         let request = &self.sampling;
-        if request.search != WallSearch::Never
-            || request.walls.is_some()
-            || request.periodic.is_some()
-        {
+        if request.search != WallSearch::Never || request.periodic.is_some() {
             return Cow::Borrowed(self);
         }
         let sampling = SamplingRequest { search: WallSearch::Hint, ..request.clone() };
@@ -190,6 +199,13 @@ impl OpenedFrame {
         let asked_for = self.cells().and_then(|cells| cells.walls.as_ref());
         let hint = self.hint.as_ref().map(|walls| (walls, false));
         asked_for.map(|walls| (walls, true)).or(hint)
+    }
+
+    /// The walls of the domain that the fluid almost reaches, so that the surface there can be
+    /// ragged.
+    #[must_use]
+    pub fn gaps_at_walls(&self) -> &[GapAtWall] {
+        &self.gaps
     }
 
     /// The indicator; `None` for kernel methods.

@@ -7,7 +7,7 @@ use crate::error::{Error, FPS, SimulationError};
 use crate::io::input::{InputFormat, is_known};
 use crate::reconstruction::Reconstruction;
 
-use super::frame_file::Selection;
+use super::frame_file::{FrameFile, Selection};
 
 use super::inputs::{Inputs, Sequence};
 use super::naming::Naming;
@@ -239,6 +239,12 @@ impl Simulation {
             (None, files) => Inputs::Files(files.to_vec()),
         };
         Ok((inputs, naming))
+    }
+
+    /// Whether this process alone makes all frames again.
+    pub(super) fn makes_all_again(&self, frames: &[FrameFile]) -> bool {
+        let alone = self.overwrite && !self.resume && !self.planned && self.watch.is_none();
+        alone && frames.iter().all(|frame| self.wants(frame.number))
     }
 
     /// Whether this conversion includes the frame with this number.

@@ -224,6 +224,7 @@ impl Conversion<'_> {
                 }
                 Err(RecvTimeoutError::Disconnected) => return Ok(()),
                 Err(RecvTimeoutError::Timeout) => {
+                    tally.catch_up()?;
                     let there = self.setup.frames()?;
                     let ready = watch.ready(&there);
                     let is_ready = |frame: &FrameFile| {

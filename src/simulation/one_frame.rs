@@ -157,7 +157,7 @@ impl Conversion<'_> {
         timings.skip();
         let ready = match particles {
             Some(file) => self.sample(checked, frame, file, shared, &mut timings),
-            None => self.unpack(checked, path, &mut timings),
+            None => self.unpack(checked, path, shared, &mut timings),
         };
         let MeshableFrame { frame: sampled, mut left_out, mut warnings, infos, time, permit } =
             ready?;
@@ -257,6 +257,7 @@ impl Conversion<'_> {
         &self,
         checked: &CheckedRequest,
         path: &Path,
+        shared: &SharedCalibration,
         timings: &mut Timings,
     ) -> Result<MeshableFrame<'_>, Error> {
         let budget = self.frame_budget(checked, self.division.share);
@@ -264,6 +265,7 @@ impl Conversion<'_> {
         let packed = open_frame(path, budget.0 / 4, Some(&checked.resources.scratch))?;
         timings.done("open");
         checked.settings.check_indicator_settings(packed.indicator().kind())?;
+        shared.check_cells(packed.facts()).map_err(|fault| Error::from(fault).of_file(path))?;
         let resources = Resources { budget, ..checked.resources.clone() };
         let frame = Engine::from_packed(packed, &checked.surfacing, resources);
         Ok(MeshableFrame {

@@ -234,7 +234,8 @@ impl Setup<'_> {
 
     /// Looks for a state with these settings and these inputs. A state that differs is stale if
     /// outputs may be replaced, or if the conversion is resumed and only the calibration frame has
-    /// changed. Otherwise, a difference is an error.
+    /// changed. Otherwise, a difference is an error. A state is also stale if all frames are made
+    /// again, because another frame may be better for the calibration by now.
     pub(super) fn kept_state(
         &self,
         store: &StateFolder,
@@ -251,6 +252,9 @@ impl Setup<'_> {
         if state.shared.changed_in(frames).is_some() {
             let comma = if differing.is_empty() { "" } else { ", " };
             let _ = write!(differing, "{comma}input frame {}", state.shared.frame);
+        }
+        if differing.is_empty() && self.simulation.makes_all_again(frames) {
+            return Ok(StateLookup::Stale { text, of_others: false });
         }
         if differing.is_empty() {
             if self.is_calibrated(&state, frames) {

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::brick::FrameFacts;
 use crate::error::Error;
 use crate::field::calibration::{Calibration, MeasuredCalibration, Plateau, TooFine};
 use crate::field::indicator::{IndicatorKind, SampledDif};
@@ -50,6 +51,26 @@ pub struct SharedCalibration {
     /// The kinds of the vertex attributes, such as colours.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub kinds: Vec<SettledKind>,
+}
+
+/// Maximum relative difference between the cells of a packed frame and those of the calibration
+/// frame. It changes the volume of the surface by about as much.
+const SAME_CELLS: f64 = 0.01;
+
+impl SharedCalibration {
+    /// Refuses a packed frame whose cells or spacing differ from those of the calibration frame.
+    pub(super) fn check_cells(&self, facts: &FrameFacts) -> Result<(), FrameError> {
+        let own = [facts.grid.cell_size(), facts.spacing.unwrap_or_default()];
+        let calibrated = [self.cell_size, self.spacing.unwrap_or_default()];
+        // A spacing of 0 is not known.
+        let differs = |(own, calibrated): (f64, f64)| {
+            own > 0.0 && calibrated > 0.0 && (own - calibrated).abs() > SAME_CELLS * calibrated
+        };
+        if own.into_iter().zip(calibrated).any(differs) {
+            return Err(FrameError::OtherCells { own, calibrated });
+        }
+        Ok(())
+    }
 }
 
 /// Whether the grid may be moved to suit the particles.

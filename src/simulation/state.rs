@@ -77,7 +77,7 @@ pub enum StateLookup {
         /// The bytes of the state's file.
         text: Vec<u8>,
         /// Whether the state has other settings or is damaged. False if only the calibration frame
-        /// has changed.
+        /// has changed, or if all frames are made again.
         of_others: bool,
     },
 }

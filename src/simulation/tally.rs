@@ -42,6 +42,8 @@ pub(super) struct Tally<'a> {
     begun: Instant,
     /// The time of the last write of the series.
     series_written: Instant,
+    /// Whether frames are finished that the written series does not list.
+    is_behind: bool,
 }
 
 impl<'a> Tally<'a> {
@@ -59,6 +61,7 @@ impl<'a> Tally<'a> {
             left_out: OmittedCounts::default(),
             begun,
             series_written: begun,
+            is_behind: false,
         }
     }
 
@@ -132,6 +135,7 @@ impl<'a> Tally<'a> {
                     progress: self.tallied(frame),
                 };
                 self.listed.insert(frame.number, done.mesh.clone());
+                self.is_behind = true;
                 setup.send(Event::Done(Box::new(done)));
                 if self.series_written.elapsed() > SERIES_PAUSE {
                     self.write_series()?;
@@ -166,7 +170,13 @@ impl<'a> Tally<'a> {
             self.series().write(&listed)
         })?;
         self.series_written = Instant::now();
+        self.is_behind = false;
         Ok(())
+    }
+
+    /// Lists the frames that were finished since the series was written.
+    pub(super) fn catch_up(&mut self) -> Result<(), Error> {
+        if self.is_behind { self.write_series() } else { Ok(()) }
     }
 
     /// The lists, with the frame rate that the state records.

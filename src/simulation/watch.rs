@@ -9,6 +9,9 @@ use super::shared_calibration::Stamp;
 
 /// Time without changes after which a file counts as complete.
 const SETTLED: Duration = Duration::from_secs(1);
+/// Time, in seconds, after the last new or changed file, for which a watch waits for missing numbers
+/// before the last selected frame.
+const FOR_GAPS: f64 = 10.0;
 
 /// The frames that have been seen so far.
 pub(super) struct Watch {
@@ -78,6 +81,40 @@ impl Watch {
         let last = self.seen.last_key_value();
         let complete = last.is_some_and(|(number, _)| number.saturating_add_unsigned(step) > end)
             && self.seen.values().all(|seen| seen.given == Some(seen.stamp));
-        complete || self.last_news.elapsed().as_secs_f64() > self.idle.max(SETTLED.as_secs_f64())
+        let idle = self.idle.max(SETTLED.as_secs_f64());
+        // The last frame can arrive before others, for example if a program copies the files.
+        let grace = if complete && self.has_gaps(step) { FOR_GAPS.min(idle) } else { idle };
+        complete && !self.has_gaps(step) || self.last_news.elapsed().as_secs_f64() > grace
+    }
+
+    /// Whether numbers are missing between the frames that have been seen.
+    fn has_gaps(&self, step: u64) -> bool {
+        let mut pairs = self.seen.keys().zip(self.seen.keys().skip(1));
+        pairs.any(|(number, next)| number.saturating_add_unsigned(step) < *next)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A watch that ends with frame 4, and has seen these frames.
+    fn watching(numbers: &[i64], since_news: Duration) -> Watch {
+        let now = Instant::now();
+        let stamp = Stamp { bytes: 0, modified: 0, files: 0 };
+        let file = || WatchedFile { stamp, since: now, given: Some(stamp), under_way: false };
+        let seen = numbers.iter().map(|&number| (number, file())).collect();
+        let selection = Selection { end: 4, ..Selection::default() };
+        let last_news = now.checked_sub(since_news).unwrap();
+        Watch { idle: f64::INFINITY, selection, seen, last_news }
+    }
+
+    #[test]
+    fn a_watch_waits_for_numbers_that_are_missing_before_its_last_frame() {
+        let [soon, late] = [1, 60].map(Duration::from_secs);
+        assert!(watching(&[1, 2, 3, 4], soon).is_over());
+        assert!(!watching(&[1, 4], soon).is_over());
+        assert!(watching(&[1, 4], late).is_over());
+        assert!(!watching(&[1, 2, 3], late).is_over());
     }
 }

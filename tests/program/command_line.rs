@@ -658,6 +658,51 @@ fn check_exits_0_only_for_a_closed_oriented_manifold() {
 }
 
 #[test]
+fn check_goes_on_after_a_damaged_mesh_and_then_fails() {
+    let folder = folder_with_ball();
+    for name in ["mesh/a_1.ply", "mesh/a_2.ply", "mesh/a_3.usdc"] {
+        assert!(meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", name]).status.success());
+    }
+    let damaged = folder.path().join("mesh/a_1.ply");
+    let bytes = fs::read(&damaged).unwrap();
+    fs::write(&damaged, &bytes[..bytes.len() / 2]).unwrap();
+    // In a folder, `check` leaves out formats that it cannot read.
+    for meshes in ["mesh", "mesh/a_{}.ply"] {
+        let run = meniscus(folder.path(), &["check", "--json", meshes]);
+        let errors = String::from_utf8_lossy(&run.stderr);
+        assert_eq!(run.status.code(), Some(3), "{errors}");
+        assert!(errors.contains("a_1.ply") && !errors.contains("a_3.usdc"), "{errors}");
+        let checked: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
+        assert_eq!(checked.as_array().unwrap().len(), 1);
+        assert_eq!(checked[0]["closed_oriented_manifold"], true);
+    }
+}
+
+#[test]
+fn a_wall_that_the_fluid_almost_reaches_and_coarse_cells_are_reported() {
+    let folder = TempDir::new().unwrap();
+    let pool: Vec<_> = fill(20.0, 1.0, 0.3, 5, |p| p.y < 5.0);
+    fs::write(folder.path().join("pool.xyz"), raw(&pool)).unwrap();
+    let errors = |arguments: &[&str]| {
+        let all = [&["reconstruct", "pool.xyz", "-o", "a.ply", "--overwrite"], arguments].concat();
+        let run = meniscus(folder.path(), &all);
+        assert!(run.status.success());
+        String::from_utf8(run.stderr).unwrap()
+    };
+    let before_wall = "shortly before the wall at y =";
+    let end = -10.0;
+    for (gap, is_reported) in [(0.0, false), (0.2, false), (0.5, true), (0.8, true), (3.0, false)] {
+        let domain = format!("-,{},-,-,-,-", end - gap);
+        let errors = errors(&["--spacing", "1", "--domain", &domain]);
+        assert_eq!(errors.contains(before_wall), is_reported, "{gap}: {errors}");
+    }
+    for (cell, is_reported) in [("2", false), ("3", true)] {
+        let errors = errors(&["--spacing", "1", "--cell", cell]);
+        assert_eq!(errors.contains("spacings wide"), is_reported, "{cell}: {errors}");
+    }
+}
+
+#[test]
 fn compare_gives_zero_for_equal_meshes_and_the_bias_of_a_larger_one() {
     let folder = folder_with_ball();
     for (output, iso) in [("half.ply", "auto"), ("large.ply", "0.005")] {

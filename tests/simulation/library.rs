@@ -193,6 +193,58 @@ fn a_watched_calibration_frame_that_grows_recalibrates_every_frame() {
 }
 
 #[test]
+fn a_conversion_of_all_frames_again_measures_the_calibration_again() {
+    let folder = TempDir::new().unwrap();
+    fs::create_dir(folder.path().join("sim")).unwrap();
+    let put = |frame: u64, particles: &[[f32; 3]]| {
+        write(&folder.path().join(format!("sim/drop_{frame}.xyz")), particles);
+    };
+    let spray: Vec<[f32; 3]> = falling(1).into_iter().step_by(97).collect();
+    (1..=2).for_each(|frame| put(frame, &spray));
+    simulation(folder.path(), "mesh").run(|_| {}).unwrap();
+    (3..=4).for_each(|frame| put(frame, &falling(frame)));
+    let run = |all: Simulation| assert!(all.run(|_| {}).unwrap()[0].is_complete());
+    run(simulation(folder.path(), "mesh").overwrite());
+    run(simulation(folder.path(), "fresh"));
+    let meshes = |meshes: &str| {
+        let mut files = tree(&folder.path().join(meshes));
+        files.retain(|name, _| name.ends_with(".ply"));
+        files
+    };
+    assert!(meshes("mesh") == meshes("fresh"));
+}
+
+#[test]
+fn packed_frames_with_different_spacings_are_refused_in_a_sequence() {
+    let folder = TempDir::new().unwrap();
+    fs::create_dir(folder.path().join("packed")).unwrap();
+    let pack = |frame: u64, spacing: f64| {
+        let output = folder.path().join(format!("packed/drop_{frame}.mnf"));
+        let request = Reconstruction::new().spacing(spacing);
+        let frame = request.sample(&falling(frame)[..]).unwrap();
+        frame.pack(request.packed_output(&output, Replace::Allow).unwrap()).unwrap();
+    };
+    let convert = || {
+        let input = folder.path().join("packed/drop_{}.mnf");
+        let mut faults = Vec::new();
+        let _ = Simulation::new(input, folder.path().join("mesh/drop_{}.ply")).overwrite().run(
+            |event| {
+                if let Event::Failed(failed) = event {
+                    faults.push(failed.error.to_string());
+                }
+            },
+        );
+        faults
+    };
+    pack(1, 0.5);
+    pack(2, 0.6);
+    let faults = convert();
+    assert!(faults.len() == 1 && faults[0].contains("0.6"), "{faults:?}");
+    pack(2, 0.502);
+    assert_eq!(convert(), Vec::<String>::new());
+}
+
+#[test]
 fn a_cancelled_conversion_keeps_finished_frames_and_can_be_resumed() {
     let folder = simulated(40);
     let cancel = Cancel::new();
