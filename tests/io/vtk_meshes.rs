@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use meniscus::error::Error;
-use meniscus::files::{frames, info};
+use meniscus::files::{Info, frames, info};
 use meniscus::internals::io::bytes::Unpacking;
 use meniscus::internals::io::input::{holds_mesh, open_particles};
 use meniscus::internals::io::{ParticleFile, ReadError, ReadFault};
@@ -130,14 +130,27 @@ fn blocks_of_cell_types_after_the_first_face_are_not_decompressed() {
 }
 
 #[test]
-fn a_file_without_points_is_an_empty_mesh_only_if_it_is_polydata() {
+fn a_file_without_points_is_a_mesh_only_if_all_its_cells_are_polygons() {
     let folder = TempDir::new().unwrap();
-    for (name, kind, is_mesh) in [("a.vtp", "PolyData", true), ("a.vtu", "UnstructuredGrid", false)]
-    {
+    let cells = |name: &str| {
+        format!("<{name}><DataArray type=\"Int32\" Name=\"offsets\"></DataArray></{name}>")
+    };
+    let [polys, verts] = ["Polys", "Verts"].map(cells);
+    for (name, kind, cells, is_mesh) in [
+        ("a.vtp", "PolyData", &*polys, true),
+        // VTK also writes empty arrays.
+        ("a.vtp", "PolyData", &format!("{verts}{polys}"), false),
+        ("a.vtp", "PolyData", "", false),
+        ("a.vtu", "UnstructuredGrid", "", false),
+    ] {
         let text = format!(
-            "<VTKFile type=\"{kind}\"><{kind}><Piece NumberOfPoints=\"0\"/></{kind}></VTKFile>"
+            "<VTKFile type=\"{kind}\"><{kind}><Piece NumberOfPoints=\"0\">{cells}</Piece></{kind}>\
+             </VTKFile>"
         );
-        assert_eq!(holds_mesh(&written(&folder, name, text)).unwrap(), is_mesh, "{name}");
+        let path = written(&folder, name, text);
+        assert_eq!(holds_mesh(&path).unwrap(), is_mesh, "{name}: {cells}");
+        let found = info(&path).unwrap();
+        assert_eq!(matches!(found, Info::Particles(_)), !is_mesh, "{name}: {cells}");
     }
 }
 

@@ -73,8 +73,8 @@ pub fn open_particles(
     Ok(ParticleFile { format, left_out, ..file })
 }
 
-/// Whether the pieces form a mesh: a cell of a piece has an area or a volume, or every piece is a
-/// PolyData without points.
+/// Whether the pieces form a mesh: a cell of a piece has an area or a volume, or every piece is an
+/// empty mesh.
 ///
 /// # Errors
 /// [`ReadError`] if the pieces cannot be read.

@@ -156,8 +156,7 @@ fn points(
     Ok(file.with_points(left))
 }
 
-/// Whether the file is a mesh: a cell has an area or a volume, or the file is a PolyData without
-/// points.
+/// Whether the file is a mesh: a cell has an area or a volume, or the file is an empty mesh.
 ///
 /// # Errors
 /// The errors of [`read_particles`], except [`ReadFault::Mesh`].
@@ -170,9 +169,10 @@ pub fn has_faces(bytes: ByteView) -> Result<bool, ReadFault> {
 pub(super) enum PieceContents {
     /// A cell with an area or a volume.
     Faces,
-    /// No points, in a PolyData. An empty mesh is written like this.
+    /// No points, and arrays for polygons but not for vertex cells. meniscus writes an empty mesh
+    /// like this.
     EmptyMesh,
-    /// Points, or an UnstructuredGrid without points.
+    /// Everything else. VTK declares the arrays of all kinds of cells, even for particles.
     Particles,
 }
 
@@ -188,7 +188,12 @@ pub(super) fn contents(bytes: ByteView) -> Result<PieceContents, ReadFault> {
             return Ok(PieceContents::Faces);
         }
     }
-    let is_empty_mesh = layout.data_set == DataSet::PolyData && layout.points() == 0;
+    let declares = |section| {
+        let mut arrays = layout.pieces.iter().flat_map(|piece| &piece.arrays);
+        arrays.any(|array| array.section == section)
+    };
+    let is_empty_mesh =
+        layout.points() == 0 && declares(Section::Polys) && !declares(Section::Verts);
     Ok(if is_empty_mesh { PieceContents::EmptyMesh } else { PieceContents::Particles })
 }
 
