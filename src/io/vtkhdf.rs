@@ -47,7 +47,7 @@ type Link = (String, Node);
 
 enum Node {
     Group { links: Vec<Link>, attributes: Vec<HdfAttribute> },
-    Set { scalar: Scalar, shape: Vec<u64>, data: DatasetContent },
+    Set { scalar: Scalar, shape: Vec<u64>, data: DatasetContent, role: Option<&'static str> },
 }
 
 enum DatasetContent {
@@ -80,6 +80,7 @@ fn root(mesh: &dyn MeshSource, width: CoordinateWidth) -> Node {
         scalar: ends.scalar(),
         shape: vec![triangles + 1],
         data: DatasetContent::Ends(ends),
+        role: None,
     };
     let data = point_data(mesh, spelled).into_iter().map(|array| (array.name.clone(), set(array)));
     let vtk = Node::Group {
@@ -115,6 +116,7 @@ fn counts(values: &[u64]) -> Node {
         scalar: Scalar::I64,
         shape: vec![values.len() as u64],
         data: DatasetContent::Counts(values.to_vec()),
+        role: None,
     }
 }
 
@@ -126,7 +128,8 @@ fn set(array: Array<'static>) -> Node {
         // components.
         _ => vec![array.length / components.max(1), components],
     };
-    Node::Set { scalar: array.scalar(), shape, data: DatasetContent::Array(array) }
+    let (scalar, role) = (array.scalar(), array.role);
+    Node::Set { scalar, shape, data: DatasetContent::Array(array), role }
 }
 
 impl Node {
@@ -152,7 +155,7 @@ impl Node {
                 }
                 attributes.iter().for_each(|attribute| messages.add(0x0c, &attribute.encoded()));
             }
-            Self::Set { scalar, shape, .. } => {
+            Self::Set { scalar, shape, role, .. } => {
                 messages.add(0x01, &dataspace(shape));
                 messages.add(0x03, &datatype(*scalar));
                 // No fill value, because all data is written.
@@ -162,6 +165,9 @@ impl Node {
                     0x08,
                     &[&[3, 1], &address.to_le_bytes()[..], &bytes.to_le_bytes()].concat(),
                 );
+                // As in VTK's files, this attribute makes an array the active one of its kind.
+                let role = role.map(|role| HdfAttribute::Text("Attribute", role));
+                role.iter().for_each(|role| messages.add(0x0c, &role.encoded()));
             }
         }
         messages.with_prefix()

@@ -24,6 +24,8 @@ pub(in crate::io) struct Array<'a> {
     pub components: usize,
     /// Number of values. A tuple counts as several values.
     pub length: u64,
+    /// VTK's name for the purpose of the array, such as `Normals`.
+    pub role: Option<&'static str>,
     numbers: ArraySource<'a>,
 }
 
@@ -72,24 +74,31 @@ pub(in crate::io) fn point_data(
     mesh: &dyn MeshSource,
     spelled: impl Fn(&str) -> String,
 ) -> Vec<Array<'static>> {
-    let array = |name: String, components: usize, numbers: ArraySource<'static>| {
+    let array = |name: String, components: usize, role, numbers: ArraySource<'static>| {
         let length = mesh.vertex_count() * components as u64;
-        Array { name, components, length, numbers }
+        Array { name, components, length, role, numbers }
     };
-    let normals = mesh.has_normals().then(|| array(NORMALS.to_owned(), 3, ArraySource::Normals));
+    let normals = || array(NORMALS.to_owned(), 3, Some("Normals"), ArraySource::Normals);
+    let normals = mesh.has_normals().then(normals);
     let infos = mesh.attributes();
     let names = attribute_names(&infos, mesh.has_normals(), spelled);
     let attributes = names.into_iter().zip(&infos).enumerate();
     let attributes = attributes.map(|(index, (name, info))| {
-        array(name, info.components, ArraySource::Attribute(index, scalar(info)))
+        let role = info.is_velocity().then_some("Vectors");
+        array(name, info.components, role, ArraySource::Attribute(index, scalar(info)))
     });
     normals.into_iter().chain(attributes).collect()
 }
 
 /// The array of positions.
 pub(in crate::io) fn points(mesh: &dyn MeshSource, width: CoordinateWidth) -> Array<'static> {
-    let numbers = ArraySource::Positions(width);
-    Array { name: "Points".to_owned(), components: 3, length: 3 * mesh.vertex_count(), numbers }
+    Array {
+        name: "Points".to_owned(),
+        components: 3,
+        length: 3 * mesh.vertex_count(),
+        role: None,
+        numbers: ArraySource::Positions(width),
+    }
 }
 
 /// The array of the triangles' corners, and the array with the end of each triangle's corners.
@@ -100,6 +109,7 @@ pub(in crate::io) fn polygons(mesh: &dyn MeshSource) -> [Array<'static>; 2] {
         name: name.to_owned(),
         components: 1,
         length,
+        role: None,
         numbers,
     };
     [
@@ -115,6 +125,7 @@ pub(super) fn identifiers<'a>(name: &str, numbers: &'a [u64]) -> Array<'a> {
         name: name.to_owned(),
         components: 1,
         length,
+        role: Some("GlobalIds"),
         numbers: ArraySource::Identifiers(numbers),
     }
 }

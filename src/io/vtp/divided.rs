@@ -81,7 +81,7 @@ impl<'a> Divided<'a> {
              {}</PPolyData>\n\
              </VTKFile>\n",
             noted(self.mesh, COMMENT),
-            roles(self.mesh, numbered),
+            roles(&arrays),
             arrays.iter().map(array).collect::<String>(),
             array(&points(self.mesh, self.width)),
             names.iter().map(source).collect::<String>(),

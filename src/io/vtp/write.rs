@@ -5,10 +5,8 @@ use std::io::{self, Write};
 use crate::io::CoordinateWidth;
 use crate::io::columns::Scalar;
 use crate::io::up::noted;
-use crate::particles::AttributeInfo;
 use crate::surface::mesh::source::MeshSource;
 
-use super::NORMALS;
 use super::arrays::{Array, identifiers, point_data, points, polygons};
 
 /// Name of the array with the indices that a piece's vertices have in the whole mesh.
@@ -50,7 +48,7 @@ pub(super) fn write_piece(
     let (mut point_data, points, polygons) =
         (point_data(mesh, str::to_owned), points(mesh, width), polygons(mesh));
     point_data.extend(numbers.map(|numbers| identifiers(GLOBAL_IDS, numbers)));
-    let roles = roles(mesh, numbers.is_some());
+    let roles = roles(&point_data);
     write!(
         out,
         "<?xml version=\"1.0\"?>\n{}\
@@ -79,18 +77,9 @@ pub(super) fn write_piece(
 }
 
 /// The XML attributes that say which arrays are normals, vectors and global identifiers.
-pub(super) fn roles(mesh: &dyn MeshSource, numbered: bool) -> String {
-    let has_velocity = mesh.attributes().iter().any(AttributeInfo::is_velocity);
-    let roles = [
-        ("Normals", NORMALS, mesh.has_normals()),
-        ("Vectors", "velocity", has_velocity),
-        ("GlobalIds", GLOBAL_IDS, numbered),
-    ];
-    roles
-        .iter()
-        .filter(|(.., given)| *given)
-        .map(|(role, name, _)| format!(" {role}=\"{name}\""))
-        .collect()
+pub(super) fn roles(arrays: &[Array]) -> String {
+    let role = |array: &Array| Some(format!(" {}=\"{}\"", array.role?, array.name));
+    arrays.iter().filter_map(role).collect()
 }
 
 /// The XML element that declares an array. `more` contains additional XML attributes.
