@@ -278,9 +278,19 @@ pub fn settled_for_all(particles: &dyn Particles, carried: &[usize]) -> Vec<Sett
     settled.collect()
 }
 
-/// Replaces the kinds of the attributes that `known` contains with their known kinds.
+/// The vertex attributes, with the known kinds of those that `known` contains. A frame without
+/// particles also has the other known attributes, so that all frames have the same ones.
 #[must_use]
-pub fn known_of(mut infos: Vec<AttributeInfo>, known: &[SettledKind]) -> Vec<AttributeInfo> {
+pub fn known_of(
+    particles: &dyn Particles,
+    carried: &[usize],
+    known: &[SettledKind],
+) -> Vec<AttributeInfo> {
+    let stored = carried_infos(particles.attributes(), carried);
+    let is_missing = |name: &str| stored.iter().all(|info| info.name != name);
+    let missing = known.iter().map(|known| &known.stored);
+    let missing = missing.filter(|info| particles.is_empty() && is_missing(&info.name));
+    let mut infos: Vec<_> = stored.iter().chain(missing).cloned().collect();
     for info in &mut infos {
         if let Some(known) = known.iter().find(|known| known.stored == *info) {
             info.kind = known.kind;

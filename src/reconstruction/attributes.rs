@@ -5,7 +5,7 @@ use crate::error::Error;
 use crate::io::output::MeshFormat;
 use crate::io::wanted::{WantedAttributes, WantedParticles};
 use crate::particles::sizes::SizeChoice;
-use crate::particles::{AttributeInfo, attribute_called, velocity_attribute};
+use crate::particles::{Particles, attribute_called, velocity_attribute};
 use crate::settings::Settings;
 
 use super::checked::CheckedRequest;
@@ -31,13 +31,15 @@ impl Settings {
         }
     }
 
-    /// Indices in `all` of the attributes that go to the vertices. By default, this is the
-    /// velocity, if there is one and the format can store it.
+    /// Indices of the attributes that go to the vertices. By default, this is the velocity, if
+    /// there is one and the format can store it. If there are no particles, an attribute may be
+    /// missing, because some formats then store no attributes.
     pub(crate) fn carried(
         &self,
-        all: &[AttributeInfo],
+        particles: &dyn Particles,
         format: Option<MeshFormat>,
     ) -> Result<Vec<usize>, Error> {
+        let all = particles.attributes();
         let Some(names) = self.attribute_names() else {
             let is_held = format.is_none_or(MeshFormat::holds_attributes);
             return Ok(velocity_attribute(all).filter(|_| is_held).into_iter().collect());
@@ -50,9 +52,11 @@ impl Settings {
                 known: all.iter().map(|info| info.name.clone()).collect(),
                 left_out: None,
             };
-            let found = attribute_called(name, all).ok_or_else(missing)?;
-            if !carried.contains(&found) {
-                carried.push(found);
+            match attribute_called(name, all) {
+                Some(found) if carried.contains(&found) => {}
+                Some(found) => carried.push(found),
+                None if particles.is_empty() => {}
+                None => return Err(missing()),
             }
         }
         Ok(carried)

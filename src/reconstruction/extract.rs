@@ -4,8 +4,9 @@
 use crate::error::Error;
 use crate::field::calibration::{Calibration, MeasuredCalibration};
 use crate::frame::{Engine, FrameError, Normals, Shortfall};
+use crate::grid::Grid;
 use crate::particles::AttributeInfo;
-use crate::surface::mesh::source::MeshSource;
+use crate::surface::mesh::source::{EmptyMesh, Lattice, MeshSource};
 use crate::surface::mesh::{Mesh, VertexAttribute};
 use crate::surface::simplify::SimplifiedSurface;
 use crate::surface::stitch::StitchedSurface;
@@ -38,7 +39,7 @@ pub(crate) struct Findings {
 /// A mesh in memory, or in scratch files if it exceeds its share of the memory.
 pub(crate) enum ExtractedMesh {
     /// The mesh of a frame that has no surface.
-    Empty(Mesh),
+    Empty(EmptyMesh),
     Whole(StitchedSurface),
     Reduced(SimplifiedSurface),
 }
@@ -87,7 +88,7 @@ impl CheckedRequest {
                     Ok(self.empty(
                         report,
                         EmptyReason::TooSmall(all),
-                        infos.clone(),
+                        (infos.clone(), engine.facts().grid),
                         calibration_frame,
                     ))
                 }
@@ -100,7 +101,7 @@ impl CheckedRequest {
                 let mut report = Report::of(engine, &self.surfacing);
                 report.calibration = known.copied().filter(|_| report.indicator.is_some());
                 report.lost = engine.facts().census.binned as u64;
-                Ok(self.empty(report, why, infos, calibration_frame))
+                Ok(self.empty(report, why, (infos, engine.facts().grid), calibration_frame))
             }
             extracted => extracted,
         }
@@ -111,26 +112,26 @@ impl CheckedRequest {
         &self,
         mut report: Report,
         why: EmptyReason,
-        infos: Vec<AttributeInfo>,
+        (infos, grid): (Vec<AttributeInfo>, Grid),
         calibration_frame: Option<i64>,
     ) -> ExtractedSurface {
         let clouds = report.is_clouds();
         report.warnings.push(Warning::Empty { why, clouds, calibration_frame });
         ExtractedSurface {
-            mesh: self.empty_mesh(infos),
+            mesh: self.empty_mesh(infos, grid),
             precision: SinglePrecision::Enough,
             report,
         }
     }
 
-    /// An empty mesh with the expected attributes, which every program can load.
-    pub(crate) fn empty_mesh(&self, infos: Vec<AttributeInfo>) -> ExtractedMesh {
+    /// An empty mesh on `grid` with the expected attributes, which every program can load.
+    pub(crate) fn empty_mesh(&self, infos: Vec<AttributeInfo>, grid: Grid) -> ExtractedMesh {
         let mesh = Mesh {
             normals: (self.surfacing.normals == Normals::Gradient).then(Vec::new),
             attributes: infos.into_iter().map(VertexAttribute::without_values).collect(),
             ..Mesh::default()
         };
-        ExtractedMesh::Empty(mesh)
+        ExtractedMesh::Empty(EmptyMesh { mesh, lattice: Lattice::of(grid) })
     }
 
     /// Extracts the whole surface of a frame.

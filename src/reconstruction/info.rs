@@ -315,7 +315,7 @@ fn memory(particles: &dyn Particles, cells: &Cells) -> Option<u64> {
     let request = request.in_slab(cells.slab);
     let resources = Resources::new(MemoryBudget(u64::MAX), PathBuf::new());
     let grid = request.grid_of(cells).ok()?;
-    let carried = Settings::default().carried(particles.attributes(), None).ok()?;
+    let carried = Settings::default().carried(particles, None).ok()?;
     let sampling =
         request.sampling_on(grid, request.method, cells.lengths(), carried, resources).ok()?;
     let sampling = sampling.sized(cells.sizes.as_ref(), particles).ok()?;

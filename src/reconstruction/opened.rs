@@ -119,7 +119,7 @@ impl CheckedRequest {
         particles: &dyn Particles,
         source: SpacingHints<'_>,
     ) -> Result<ChosenSampling, Error> {
-        let carried = self.settings.carried(particles.attributes(), None)?;
+        let carried = self.settings.carried(particles, None)?;
         let particles = self.metered(particles);
         self.sampling.sampling(&particles, source, carried, self.resources.clone())
     }
@@ -131,7 +131,7 @@ impl CheckedRequest {
         particles: &dyn Particles,
         source: SpacingHints<'_>,
     ) -> Result<ChosenSampling, Error> {
-        let carried = self.settings.carried(particles.attributes(), None)?;
+        let carried = self.settings.carried(particles, None)?;
         let particles = self.metered(particles);
         self.sampling.sampling_and_plan(&particles, source, carried, self.resources.clone())
     }

@@ -74,7 +74,7 @@ impl Surface {
     pub fn to_mesh(&self) -> Result<Mesh, Error> {
         let threads = self.threads.started().map_err(Error::Threads)?;
         let mesh = threads.install(|| match &self.extracted.mesh {
-            ExtractedMesh::Empty(mesh) => Ok(mesh.clone()),
+            ExtractedMesh::Empty(empty) => Ok(empty.mesh.clone()),
             ExtractedMesh::Whole(mesh) => mesh.to_mesh(),
             ExtractedMesh::Reduced(mesh) => in_one_piece(mesh),
         });

@@ -11,7 +11,6 @@ use crate::error::Error;
 use crate::frame::{CountedFrame, Engine};
 use crate::io::bytes::Unpacking;
 use crate::io::mnf::is_packed;
-use crate::particles::Particles;
 use crate::reconstruction::mesh_bytes;
 use crate::surface::mesh::source::MeshSource;
 use crate::system::timings::Timings;
@@ -153,8 +152,7 @@ impl Setup<'_> {
             control: Some(&resources.control),
         };
         let file = largest.open(checked.wanted(), unpacking)?;
-        let carried =
-            checked.settings.carried(file.particles.attributes(), Some(self.format(largest)?));
+        let carried = checked.settings.carried(&file.particles, Some(self.format(largest)?));
         let carried = carried.map_err(|error| error.of_file(path))?;
         let (sampling, _) = self.sampling(shared, &file.particles, carried, resources.clone())?;
         let in_file = |fault| Error::from(fault).of_file(path);

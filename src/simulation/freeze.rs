@@ -294,7 +294,7 @@ impl Setup<'_> {
         shared.sizes = cells.sizes.clone();
         // A frame that lacks a requested attribute fails when it is converted, not here.
         let (settings, format) = (&self.checked.settings, self.format(frame).ok());
-        let carried = settings.carried(file.particles.attributes(), format).unwrap_or_default();
+        let carried = settings.carried(&file.particles, format).unwrap_or_default();
         shared.kinds = settled_for_all(&file.particles, &carried);
         if let Some(first) = lattice {
             (shared.spacing, shared.spacing_source) = (first.spacing, first.spacing_source.clone());

@@ -8,9 +8,9 @@ use crate::field::calibration::Calibration;
 use crate::frame::{FrameError, Method, Sampling};
 use crate::grid::Grid;
 use crate::io::UpAxis;
+use crate::particles::Particles;
 use crate::particles::kind::{SettledKind, known_of, settled_for_all};
 use crate::particles::sizes::Sizes;
-use crate::particles::{Particles, carried_infos};
 use crate::reconstruction::{
     self, ExtractedSurface, FoundWalls, Reconstruction, Report, SinglePrecision, Slab,
     SpacingWarning, StartedRequest, Surface, Warning, missing_attributes,
@@ -156,8 +156,8 @@ impl LiveSimulation {
             let (particles, why) = (particles.len(), NoEstimate::TooFew);
             return Err(Error::NoSpacing { path: None, particles, why, suggested: None });
         };
-        let carried = checked.settings.carried(particles.attributes(), None)?;
-        let infos = known_of(carried_infos(particles.attributes(), &carried), kinds);
+        let carried = checked.settings.carried(particles, None)?;
+        let infos = known_of(particles, &carried, kinds);
         let missing = missing_attributes(&infos, kinds, None);
         let resources = checked.resources.clone();
         let request = &checked.sampling;
@@ -205,10 +205,10 @@ impl LiveSimulation {
         facts: FrameFacts,
     ) -> Result<ExtractedSurface, Error> {
         let checked = &self.ready.checked;
-        let carried = checked.settings.carried(particles.attributes(), None)?;
+        let carried = checked.settings.carried(particles, None)?;
         let kinds = self.known.as_ref().map_or(&[][..], |known| &known.kinds);
-        let infos = known_of(carried_infos(particles.attributes(), &carried), kinds);
-        let mesh = checked.empty_mesh(infos);
+        let infos = known_of(particles, &carried, kinds);
+        let mesh = checked.empty_mesh(infos, facts.grid);
         let report =
             Report::of_facts(facts, None, &checked.surfacing, checked.resources.backend.name());
         Ok(ExtractedSurface { mesh, precision: SinglePrecision::Enough, report })
@@ -232,7 +232,7 @@ fn measured(
     let FrameMeasurements { grid, calibration, trust } = measured;
     let (slab, spacing) = (cells.slab, lattice.map_or(cells.spacing(), |known| known.spacing));
     let method = request.method.calibrated(calibration.as_ref());
-    let carried = checked.settings.carried(particles.attributes(), None)?;
+    let carried = checked.settings.carried(particles, None)?;
     let kinds = settled_for_all(particles, &carried);
     let reconstruction::Cells { sizes, warnings, walls, .. } = cells;
     Ok((

@@ -22,8 +22,8 @@ use crate::io::series::SeriesFrame;
 use crate::io::time_codes::FRAMES_A_SECOND;
 use crate::io::whole::{FilledFile, Replace};
 use crate::io::{ParticleFile, ReadError, ReadFault, WriteError, WriteFault};
+use crate::particles::AttributeInfo;
 use crate::particles::kind::known_of;
-use crate::particles::{AttributeInfo, Particles, carried_infos};
 use crate::reconstruction::{
     CheckedRequest, ExtractedSurface, Orientation, Output, Report, SinglePrecision, SpacingSource,
     SpacingWarning, TemporaryOutput, Warning, coordinate_width, made_of, missing_attributes,
@@ -167,7 +167,10 @@ impl Conversion<'_> {
                 let ExtractedSurface { mesh, precision, report } = permit.run(extract)?;
                 (mesh, precision, Some(report))
             }
-            None => (checked.empty_mesh(infos), SinglePrecision::Enough, None),
+            None => {
+                let mesh = checked.empty_mesh(infos, shared.grid()?);
+                (mesh, SinglePrecision::Enough, None)
+            }
         };
         if let Some(report) = &report {
             left_out.lost = report.lost;
@@ -293,15 +296,10 @@ impl Conversion<'_> {
         let [share, alone] = [self.division.share, self.division.alone]
             .map(|whole| self.frame_budget(checked, whole));
         let opening = Resources { budget: self.division.opening, ..resources.clone() };
-        let carried = settings.carried(file.particles.attributes(), Some(self.format));
+        let carried = settings.carried(&file.particles, Some(self.format));
         let carried = carried.map_err(|error| error.of_file(path))?;
-        let infos = carried_infos(file.particles.attributes(), &carried);
-        let infos = known_of(infos, &shared.kinds);
-        let missing = if file.particles.is_empty() {
-            Vec::new()
-        } else {
-            missing_attributes(&infos, &shared.kinds, Some(shared.frame))
-        };
+        let infos = known_of(&file.particles, &carried, &shared.kinds);
+        let missing = missing_attributes(&infos, &shared.kinds, Some(shared.frame));
         let (mut sampling, past) =
             self.setup.sampling(shared, &file.particles, carried, opening)?;
         // Particles of several sizes have no single spacing to check.

@@ -8,6 +8,7 @@ use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use glam::{DQuat, DVec3, EulerRot};
+use meniscus::files::{Info, info};
 use meniscus::internals::io::output::read_mesh;
 use meniscus::internals::surface::mesh::Mesh;
 use meniscus::internals::surface::mesh::check::check;
@@ -807,6 +808,89 @@ fn frames_without_particles_or_surface_become_readable_empty_meshes() {
                 "{extension}"
             );
         }
+    }
+}
+
+#[test]
+fn an_empty_frame_of_a_vdb_sequence_has_the_voxels_of_the_other_frames() {
+    let folder = TempDir::new().unwrap();
+    let rows: String = ball(1).iter().map(|[x, y, z]| format!("{x},{y},{z}\n")).collect();
+    fs::write(folder.path().join("f_1.csv"), format!("x,y,z\n{rows}")).unwrap();
+    fs::write(folder.path().join("f_2.csv"), "x,y,z\n").unwrap();
+    run(folder.path(), &["f_{}.csv", "-o", "m_{}.vdb", "--spacing", "0.5", "--cell", "0.8"], 0);
+    let grid = |frame: u64| {
+        let Info::Volume(volume) = info(folder.path().join(format!("m_{frame}.vdb"))).unwrap()
+        else {
+            panic!("not a volume")
+        };
+        volume.grids[0].clone()
+    };
+    let (whole, empty) = (grid(1), grid(2));
+    assert!(whole.active_voxels > Some(1000) && empty.active_voxels == Some(0));
+    assert_eq!(whole.voxel_size, Some([0.4; 3]));
+    assert_eq!(empty.voxel_size, whole.voxel_size);
+    // The bounds of no voxels are those of index 0, which lies on the lattice of the other frame.
+    let [from, to] = [&empty, &whole].map(|grid| grid.bounds.unwrap()[0]);
+    for axis in 0..3 {
+        let index = whole.index_bounds.unwrap()[0][axis];
+        assert!((from[axis] + 0.4 * f64::from(index) - to[axis]).abs() < 1e-9, "{axis}");
+    }
+}
+
+#[test]
+fn empty_vtk_frames_need_no_attributes_and_get_those_of_other_frames() {
+    let folder = TempDir::new().unwrap();
+    let text = |rows: &[[f64; 3]]| -> String {
+        rows.iter().map(|[x, y, z]| format!("{x} {y} {z}\n")).collect()
+    };
+    let (points, count) = (text(&ball(0)), ball(0).len());
+    let velocities = "1 2 3\n".repeat(count);
+    let legacy = |count: usize, data: &str| {
+        format!(
+            "# vtk DataFile Version 3.0\n\nASCII\nDATASET POLYDATA\nPOINTS {count} float\n{data}"
+        )
+    };
+    let data = format!("{points}POINT_DATA {count}\nVECTORS velocity float\n{velocities}");
+    // Legacy VTK stores no attributes for 0 points.
+    let legacy = [legacy(count, &data), legacy(0, "")];
+    let xml = |count: usize, points: &str, velocities: &str| {
+        let array = |name: &str, text: &str| {
+            format!(
+                "<DataArray type=\"Float32\" Name=\"{name}\" NumberOfComponents=\"3\" \
+                 format=\"ascii\">{text}</DataArray>"
+            )
+        };
+        let cells = ["Verts", "Polys"].map(|kind| {
+            format!(
+                "<{kind}><DataArray type=\"Int32\" Name=\"offsets\" format=\"ascii\"/></{kind}>"
+            )
+        });
+        format!(
+            "<VTKFile type=\"PolyData\"><PolyData><Piece NumberOfPoints=\"{count}\"><PointData>{}\
+             </PointData><Points>{}</Points>{}</Piece></PolyData></VTKFile>",
+            array("velocity", velocities),
+            array("Points", points),
+            cells.concat()
+        )
+    };
+    let xml = [xml(count, &points, &velocities), xml(0, "", "")];
+    for (extension, frames) in [("vtk", legacy), ("vtp", xml)] {
+        let input = folder.path().join(extension);
+        fs::create_dir(&input).unwrap();
+        for (frame, text) in frames.iter().enumerate() {
+            fs::write(input.join(format!("f_{frame}.{extension}")), text).unwrap();
+        }
+        let out = format!("{extension}/m_{{}}.ply");
+        let arguments = ["--spacing", "0.5", "--attributes", "velocity"];
+        run(folder.path(), &[&[extension, "-o", &out], &arguments[..]].concat(), 0);
+        let bytes = fs::read(input.join("m_1.ply")).unwrap();
+        let header = String::from_utf8_lossy(&bytes);
+        assert!(header.contains("element vertex 0") && header.contains("float vx"), "{header}");
+        // The attribute is required in frames with particles.
+        let out = format!("{extension}/n_{{}}.ply");
+        let unknown = ["-o", &out, "--spacing", "0.5", "--attributes", "heat"];
+        let errors = run(folder.path(), &[&[extension], &unknown[..]].concat(), 1);
+        assert!(errors.contains("no attribute \"heat\""), "{errors}");
     }
 }
 

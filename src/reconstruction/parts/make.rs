@@ -115,7 +115,7 @@ impl Parts {
             let mut file = control.during(Stage::Reading, open)?;
             timings.done("open");
             let attributes = file.particles.attributes();
-            let carried = checked.settings.carried(attributes, None)?;
+            let carried = checked.settings.carried(&file.particles, None)?;
             if !reading.is_of(&file.particles)
                 || !alike(&carried_infos(attributes, &carried), &plan.attributes)
             {

@@ -4,6 +4,7 @@ use std::borrow::Cow;
 use std::io;
 use std::sync::{Mutex, PoisonError};
 
+use crate::grid::Grid;
 use crate::particles::AttributeInfo;
 use crate::system::control::{Control, Meter, Stage};
 
@@ -49,6 +50,24 @@ pub struct Lattice {
     pub origin: [f64; 3],
     /// The distance between neighbouring points, in the mesh's unit of length.
     pub step: f64,
+}
+
+impl Lattice {
+    /// The centres of the cells of `grid`.
+    #[must_use]
+    pub fn of(grid: Grid) -> Self {
+        let (origin, step) = (grid.origin(), grid.cell_size());
+        Self { origin: (origin + step / 2.0).to_array(), step }
+    }
+}
+
+/// A mesh without vertices, made on a known lattice.
+#[derive(Debug, Clone)]
+pub struct EmptyMesh {
+    /// The mesh, which has names of attributes, but no values.
+    pub mesh: Mesh,
+    /// The lattice of the samples.
+    pub lattice: Lattice,
 }
 
 /// The positions of all vertices, and all triangles as indices into them.
@@ -133,6 +152,20 @@ pub trait MeshSource: Sync {
     /// Number of pieces.
     fn pieces(&self) -> usize {
         self.outline().pieces
+    }
+}
+
+impl MeshSource for EmptyMesh {
+    fn outline(&self) -> Outline {
+        Outline { lattice: Some(self.lattice), ..self.mesh.outline() }
+    }
+
+    fn vertices(&self, piece: usize) -> io::Result<Vertices<'_>> {
+        self.mesh.vertices(piece)
+    }
+
+    fn triangles(&self, piece: usize) -> io::Result<Vec<[u64; 3]>> {
+        self.mesh.triangles(piece)
     }
 }
 

@@ -177,10 +177,7 @@ impl MeshSource for StitchedSurface {
             normals: self.spool.has_normals(),
             attributes: self.attributes.clone(),
             pieces: self.spool.len(),
-            lattice: Some(Lattice {
-                origin: (self.grid.origin() + self.grid.cell_size() / 2.0).to_array(),
-                step: self.grid.cell_size(),
-            }),
+            lattice: Some(Lattice::of(self.grid)),
         }
     }
 
