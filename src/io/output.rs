@@ -198,7 +198,8 @@ impl MeshFormat {
             // Reads the vertices for each array, up to twice for a colour, and the triangles once.
             Self::BgeoSc => arrays + 2,
             // Reads the vertices for each array, and the triangles once.
-            Self::Vtk | Self::Vtp | Self::Pvtp | Self::VtkHdf | Self::Usdc(_) => arrays + 1,
+            Self::Vtk | Self::Vtp | Self::Pvtp | Self::VtkHdf => arrays + 1,
+            Self::Usdc(_) => usd::readings(mesh.has_normals(), &mesh.attributes()),
             // Reads vertices and triangles once more than other formats, to determine their order.
             Self::Glb(_) => 2 + arrays + 1,
             // Reads everything twice: the vertices for each array, and the triangles.

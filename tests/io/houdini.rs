@@ -477,6 +477,10 @@ fn mesh_with_attributes() -> Mesh {
         whole("flags", AttributeKind::Unsigned, 4_000_000_000),
         VertexAttribute::new("rest density", 1, values(1).collect()),
         VertexAttribute::new("P", 2, values(2).collect()),
+        VertexAttribute {
+            kind: AttributeKind::ByteColour,
+            ..VertexAttribute::new("rgba", 4, (0..4 * count).map(|i| (i % 256) as f32).collect())
+        },
     ];
     mesh
 }
@@ -498,7 +502,7 @@ fn a_written_bgeo_sc_contains_points_with_all_attributes() {
         };
         assert!(positions(&file) == expected);
         let names: Vec<&str> = file.particles.attributes().iter().map(|a| &*a.name).collect();
-        assert_eq!(names, ["N", "v", "Cd", "Alpha", "id", "flags", "rest_density", "P_"]);
+        assert_eq!(names, ["N", "v", "Cd", "Alpha", "id", "flags", "rest_density", "P_", "rgba"]);
         assert!(attribute(&file, "N") == mesh.normals.clone().unwrap().as_flattened());
         assert!(attribute(&file, "v") == mesh.attributes[0].values);
         let colours = mesh.attributes[1].values.chunks(4);
@@ -507,6 +511,8 @@ fn a_written_bgeo_sc_contains_points_with_all_attributes() {
         assert!(attribute(&file, "id").iter().all(|&id| id == -7.0));
         assert!(attribute(&file, "flags").iter().all(|&flags| flags == 4e9));
         assert!(attribute(&file, "rest_density") == mesh.attributes[4].values);
+        let shares = mesh.attributes[6].values.iter().map(|byte| byte / 255.0);
+        assert!(attribute(&file, "rgba") == shares.collect::<Vec<_>>());
         // A mesh is not read as particles.
         let fault = read(bytes).unwrap_err();
         assert!(matches!(fault, ReadFault::Unsupported(_)), "{fault}");

@@ -121,6 +121,71 @@ fn colours_are_written_as_bytes_or_as_fractions_by_format() {
 }
 
 #[test]
+fn usdc_attributes_have_only_types_that_blender_reads() {
+    let attribute = |name: &str, components: usize, kind, first: f32| {
+        let values = (0..3 * components).map(|i| first + i as f32).collect();
+        VertexAttribute { kind, ..VertexAttribute::new(name, components, values) }
+    };
+    let byte = AttributeKind::ByteColour;
+    let whole: Vec<i64> = vec![7, -8, 9, 10, 11, -12];
+    let values = whole.iter().map(|&x| x as f32).collect();
+    let pair = VertexAttribute { whole, ..VertexAttribute::new("pair", 2, values) };
+    let mesh = Mesh {
+        positions: vec![[0.; 3], [1., 0., 0.], [0., 1., 0.]],
+        triangles: vec![[0, 1, 2]],
+        attributes: vec![
+            attribute("Cd", 3, byte, 0.),
+            attribute("rgba", 4, byte, 51.),
+            attribute("uv", 2, AttributeKind::Number, 100.),
+            attribute("stress", 4, AttributeKind::Number, 200.),
+            VertexAttribute { kind: AttributeKind::Signed, ..pair },
+        ],
+        ..Mesh::default()
+    };
+    let bytes = written(MeshFormat::Usdc(UpAxis::Y), &mesh, CoordinateWidth::F32);
+    let holds = |text: &[u8]| bytes.windows(text.len()).any(|window| window == text);
+    // An array is stored as its length, followed by its values.
+    let floats = |values: &[f32]| {
+        let values: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
+        holds(&[&3u64.to_le_bytes()[..], &values].concat())
+    };
+    assert!(holds(b"\0primvars:rgba\0") && holds(b"\0color4f[]\0"));
+    assert!(floats(&std::array::from_fn::<f32, 12, _>(|i| (51 + i) as f32 / 255.)));
+    assert!(holds(b"\0primvars:uv\0") && holds(b"\0float2[]\0"));
+    assert!(floats(&[100., 101., 102., 103., 104., 105.]));
+    for component in 0..4u8 {
+        assert!(holds(format!("\0primvars:stress_{component}\0").as_bytes()));
+        assert!(floats(&[200., 204., 208.].map(|first| first + f32::from(component))));
+    }
+    for (component, numbers) in [[7, 9, 11], [-8, 10, -12]].iter().enumerate() {
+        assert!(holds(format!("\0primvars:pair_{component}\0").as_bytes()));
+        assert!(floats(&numbers.map(|number: i32| f32::from_bits(number as u32))));
+    }
+    assert!(!holds(b"elementSize"));
+}
+
+#[test]
+fn vtkhdf_marks_normals_and_velocity_as_vtk_does() {
+    let positions = vec![[0.; 3], [1., 0., 0.], [0., 1., 0.]];
+    let mesh = Mesh {
+        positions,
+        triangles: vec![[0, 1, 2]],
+        normals: Some(vec![[0., 0., 1.]; 3]),
+        attributes: vec![
+            VertexAttribute::new("velocity", 3, vec![1.; 9]),
+            VertexAttribute::new("force", 3, vec![2.; 9]),
+        ],
+    };
+    let bytes = written(MeshFormat::VtkHdf, &mesh, CoordinateWidth::F32);
+    let count = |text: &[u8]| bytes.windows(text.len()).filter(|&window| window == text).count();
+    // The name is padded to 16 bytes. The type of the value is a string of seven bytes.
+    let named = b"Attribute\0\0\0\0\0\0\0\x13\x01\0\0\x07\0\0\0\x01\0\0\0\0\0\0\0";
+    assert_eq!(count(named), 2);
+    assert_eq!(count(&[named, &b"Normals"[..]].concat()), 1);
+    assert_eq!(count(&[named, &b"Vectors"[..]].concat()), 1);
+}
+
+#[test]
 fn integer_attributes_beyond_f32_precision_are_preserved() {
     let positions = vec![[0.; 3], [1., 0., 0.], [0., 1., 0.]];
     let cases = [

@@ -492,6 +492,10 @@ fn attributes_are_grids_of_their_values_at_the_nearest_point() {
         .flat_map(|&[x, y, _]| [x as f32 / 2.0, y as f32 / 2.0, 2.0, 0.5])
         .collect();
     mesh.attributes.push(colour);
+    // The alpha of a second colour is stored.
+    let tint = [51.0, 102.0, 255.0, 128.0].repeat(positions.len());
+    let kind = AttributeKind::ByteColour;
+    mesh.attributes.push(VertexAttribute { kind, ..VertexAttribute::new("tint", 4, tint) });
     for zip in [false, true] {
         let grids = decoded(&written(&on_lattice(mesh.clone()), zip));
         let names: Vec<(&str, &str)> =
@@ -503,7 +507,11 @@ fn attributes_are_grids_of_their_values_at_the_nearest_point() {
             .chain([("density", float), ("pair_0", float), ("pair_1", float)])
             .chain(tensor.iter().map(|name| (&**name, float)))
             .chain([("surface_", float), ("pair_0_", float), ("force", "Tree_vec3s_5_4_3")])
-            .chain([("id", "Tree_int32_5_4_3"), ("key", "Tree_int64_5_4_3"), ("Cd", half)]);
+            .chain([("id", "Tree_int32_5_4_3"), ("key", "Tree_int64_5_4_3"), ("Cd", half)])
+            .chain(
+                ["tint_0", "tint_1", "tint_2", "tint_3"]
+                    .map(|name| (name, "Tree_float_5_4_3_HalfFloat")),
+            );
         assert_eq!(names, expected.collect::<Vec<_>>());
         let surface = &grids[0];
         let active = surface.active();
@@ -525,6 +533,10 @@ fn attributes_are_grids_of_their_values_at_the_nearest_point() {
                 match &*grid.name {
                     "id" => assert!((-3.0..5.0).contains(&value[0]) && value[0].fract() == 0.0),
                     "key" => assert!((4e9..4e9 + 8.0).contains(&value[0])),
+                    "tint_0" | "tint_1" | "tint_2" | "tint_3" => {
+                        let expected = [0.2, 0.4, 1.0, 128.0 / 255.0][component];
+                        assert!((value[0] - expected).abs() < 1e-3, "{}: {value:?}", grid.name);
+                    }
                     "Cd" if outside => {
                         let [x, y, _] = nearest;
                         assert!((value[0] - x / 2.0).abs() < 1e-3, "{value:?}");

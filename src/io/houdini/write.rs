@@ -60,7 +60,7 @@ impl Type {
 }
 
 /// Writes `mesh` with all of its attributes. The velocity is named `v`, the normals `N`, and the
-/// first colour `Cd`, with its alpha in `Alpha`.
+/// first colour `Cd`, with its alpha in `Alpha`. All colours range from 0 to 1.
 ///
 /// # Panics
 /// Like [`MeshFormat::write`](crate::io::output::MeshFormat::write).
@@ -190,7 +190,10 @@ fn arrays(mesh: &dyn MeshSource, width: CoordinateWidth) -> Vec<PointArray> {
             AttributeKind::Unsigned => Type::I64,
             _ => Type::F32,
         };
-        let numbers = ValueSource::Attribute(index);
+        let numbers = match info.kind.is_colour() {
+            true => ValueSource::Shares(index, [0, info.components]),
+            false => ValueSource::Attribute(index),
+        };
         all.push(PointArray { storage, ..array(name, info.components, meaning, numbers) });
     }
     all

@@ -10,7 +10,9 @@ pub(super) const UINT: u64 = 4;
 pub(super) const FLOAT: u64 = 8;
 const DOUBLE: u64 = 9;
 const TOKEN: u64 = 11;
+pub(super) const VEC2F: u64 = 20;
 pub(super) const VEC3F: u64 = 24;
+pub(super) const VEC4F: u64 = 28;
 const TOKEN_VECTOR: u64 = 41;
 const SPECIFIER: u64 = 42;
 const VARIABILITY: u64 = 44;
@@ -47,10 +49,6 @@ impl UsdValue {
     /// The variability `uniform`, which has the number 1.
     pub fn uniform() -> Self {
         Self::inlined(VARIABILITY, 1)
-    }
-
-    pub fn int(value: u32) -> Self {
-        Self::inlined(INT, value.into())
     }
 
     /// A double that an f32 represents exactly. The format stores it as this f32.

@@ -6,11 +6,13 @@ use std::sync::{Mutex, PoisonError};
 
 use crate::io::UpAxis;
 use crate::io::encode::{write_floats, write_pieces, write_triangles, write_vertices};
-use crate::particles::{AttributeInfo, AttributeKind, colour_attribute};
+use crate::particles::{AttributeInfo, AttributeKind};
 use crate::surface::mesh::source::MeshSource;
 
-use super::crate_file::{FLOAT, FileTail, HEADER, INT, UINT, UsdValue, VEC3F, header};
-use super::{PRIM, UsdProperty, properties};
+use super::crate_file::{
+    FLOAT, FileTail, HEADER, INT, UINT, UsdValue, VEC2F, VEC3F, VEC4F, header,
+};
+use super::{PRIM, UsdProperty, UsdValues, properties};
 
 /// Number of triangles whose corner counts are encoded at once.
 const COUNTS: u64 = 1 << 16;
@@ -20,7 +22,7 @@ const COUNTS: u64 = 1 << 16;
 /// Points are written as f32, as the schema requires. An attribute `velocity` of three components
 /// is written as `velocities`, the first colour as `primvars:displayColor`, and its alpha as
 /// `primvars:displayOpacity`. Other attributes become `primvars` under their own names, in which
-/// underscores replace invalid characters.
+/// underscores replace invalid characters. Colours range from 0 to 1.
 ///
 /// The layer declares the up axis, and no data is rotated. The unit is 1 m, because the actual unit
 /// is unknown.
@@ -29,7 +31,7 @@ const COUNTS: u64 = 1 << 16;
 /// Like [`MeshFormat::write`](crate::io::output::MeshFormat::write).
 pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, up: UpAxis) -> io::Result<()> {
     let properties = properties(mesh.has_normals(), &mesh.attributes());
-    let arrays = arrays(mesh, properties.len());
+    let arrays: Vec<_> = properties.iter().map(|property| UsdArray::of(property, mesh)).collect();
     let mut end = HEADER;
     let mut place = |array: &UsdArray| {
         let at = end;
@@ -49,66 +51,38 @@ pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, up: UpAxis) -> io:
     out.write_all(&tail)
 }
 
-/// An array in the file. The arrays are in the order of the properties.
-struct UsdArray {
+/// The array with the values of a property.
+struct UsdArray<'a> {
+    values: &'a UsdValues,
     kind: u64,
     length: u64,
     /// Size of an element in bytes.
     width: u64,
-    values: UsdValues,
 }
 
-enum UsdValues {
-    Points,
-    CornerCounts,
-    Corners,
-    Extent,
-    Normals,
-    /// The attribute with this index.
-    Attribute(usize),
-    /// Red, green and blue of the attribute with this index.
-    Colour(usize),
-    /// Alpha of the attribute with this index.
-    Opacity(usize),
-}
-
-fn arrays(mesh: &dyn MeshSource, count: usize) -> Vec<UsdArray> {
-    let (vertices, triangles) = (mesh.vertex_count(), mesh.triangle_count());
-    let vectors = |values| UsdArray { kind: VEC3F, length: vertices, width: 12, values };
-    let integers = |length, values| UsdArray { kind: INT, length, width: 4, values };
-    let mut arrays = vec![
-        vectors(UsdValues::Points),
-        integers(triangles, UsdValues::CornerCounts),
-        integers(3 * triangles, UsdValues::Corners),
-        UsdArray { length: 2, ..vectors(UsdValues::Extent) },
-    ];
-    arrays.extend(mesh.has_normals().then(|| vectors(UsdValues::Normals)));
-    let infos = mesh.attributes();
-    let colour = colour_attribute(&infos);
-    let floats = |length, values| UsdArray { kind: FLOAT, length, width: 4, values };
-    for (index, attribute) in infos.iter().enumerate() {
-        if colour == Some(index) {
-            arrays.push(vectors(UsdValues::Colour(index)));
-            let opacity = || floats(vertices, UsdValues::Opacity(index));
-            arrays.extend((attribute.components == 4).then(opacity));
-            continue;
-        }
-        let values = UsdValues::Attribute(index);
-        let numbers = floats(vertices * attribute.components as u64, values);
-        arrays.push(match (attribute.kind, attribute.components) {
-            (AttributeKind::Unsigned, _) => UsdArray { kind: UINT, ..numbers },
-            (kind, _) if kind.is_whole() => UsdArray { kind: INT, ..numbers },
-            (_, 3) => vectors(numbers.values),
-            _ => numbers,
-        });
+impl<'a> UsdArray<'a> {
+    fn of(property: &'a UsdProperty, mesh: &dyn MeshSource) -> Self {
+        let (kind, width) = match property.kind {
+            "int[]" => (INT, 4),
+            "uint[]" => (UINT, 4),
+            "float[]" => (FLOAT, 4),
+            "float2[]" => (VEC2F, 8),
+            "color4f[]" => (VEC4F, 16),
+            _ => (VEC3F, 12),
+        };
+        let length = match property.values {
+            UsdValues::CornerCounts => mesh.triangle_count(),
+            UsdValues::Corners => 3 * mesh.triangle_count(),
+            UsdValues::Extent => 2,
+            _ => mesh.vertex_count(),
+        };
+        Self { values: &property.values, kind, length, width }
     }
-    assert_eq!(arrays.len(), count, "an array a property");
-    arrays
 }
 
 fn tail(
     properties: &[UsdProperty],
-    arrays: &[UsdArray],
+    arrays: &[UsdArray<'_>],
     offsets: &[u64],
     at: u64,
     up: UpAxis,
@@ -141,15 +115,12 @@ fn tail(
         if let Some(interpolation) = property.interpolation {
             fields.push(("interpolation", tail.token(interpolation)));
         }
-        if let Some(size) = property.element_size {
-            fields.push(("elementSize", UsdValue::int(size as u32)));
-        }
         tail.property(&property.name, &fields);
     }
     tail.finish()
 }
 
-impl UsdArray {
+impl UsdArray<'_> {
     /// Size, in bytes, of the length, the values, and the padding to a multiple of 8.
     fn bytes(&self) -> u64 {
         8 + self.length * self.width + self.padding()
@@ -166,7 +137,7 @@ impl UsdArray {
         extent: &Mutex<[[f32; 3]; 2]>,
     ) -> io::Result<()> {
         let extent = || extent.lock().unwrap_or_else(PoisonError::into_inner);
-        match self.values {
+        match *self.values {
             UsdValues::Points => write_vertices(out, mesh, |vertices, out| {
                 let mut own = *extent();
                 for point in vertices.positions.iter().map(|point| point.map(|x| x as f32)) {
@@ -206,27 +177,29 @@ impl UsdArray {
             UsdValues::Normals => {
                 write_floats(out, mesh, |vertices| vertices.normals.as_flattened())
             }
-            UsdValues::Attribute(index) => {
-                write_floats(out, mesh, |vertices| &vertices.attributes[index])
+            UsdValues::Attribute(index, ref components) => {
+                write_components(out, mesh, index, components, |_, number| number)
             }
-            UsdValues::Colour(index) => write_shares(out, mesh, index, 0..3),
-            UsdValues::Opacity(index) => write_shares(out, mesh, index, 3..4),
+            UsdValues::Shares(index, ref components) => {
+                write_components(out, mesh, index, components, AttributeKind::share)
+            }
         }
     }
 }
 
-/// Writes the components `shares` of the colour attribute `index` as f32 from 0 to 1.
-fn write_shares(
+/// Writes the wanted `components` of the attribute `index`, each converted by `number`.
+fn write_components(
     out: &mut dyn Write,
     mesh: &dyn MeshSource,
     index: usize,
-    shares: Range<usize>,
+    components: &Range<usize>,
+    number: fn(AttributeKind, f32) -> f32,
 ) -> io::Result<()> {
-    let AttributeInfo { components, kind, .. } = mesh.attributes()[index];
+    let AttributeInfo { components: stride, kind, .. } = mesh.attributes()[index];
     write_vertices(out, mesh, |vertices, out| {
-        for colour in vertices.attributes[index].chunks_exact(components) {
-            let shares = colour[shares.clone()].iter().map(|&share| kind.share(share));
-            shares.for_each(|share| out.extend(share.to_le_bytes()));
+        for values in vertices.attributes[index].chunks_exact(stride) {
+            let values = values[components.clone()].iter();
+            values.for_each(|&value| out.extend(number(kind, value).to_le_bytes()));
         }
     })
 }

@@ -11,6 +11,8 @@ pub mod stage;
 
 pub use layer::write_mesh;
 
+use std::ops::Range;
+
 use crate::particles::{AttributeInfo, AttributeKind, colour_attribute};
 
 /// Name of the mesh's prim.
@@ -23,58 +25,93 @@ struct UsdProperty {
     kind: &'static str,
     /// `vertex` for properties whose interpolation must be specified.
     interpolation: Option<&'static str>,
-    /// Number of values per vertex. `None` if the type implies it.
-    element_size: Option<usize>,
+    values: UsdValues,
+}
+
+/// The source of a property's values.
+#[derive(Debug, Clone, PartialEq, Eq)]
+enum UsdValues {
+    Points,
+    CornerCounts,
+    Corners,
+    Extent,
+    Normals,
+    /// A range of components of the attribute with this index.
+    Attribute(usize, Range<usize>),
+    /// A range of components of the colour attribute with this index, as numbers from 0 to 1.
+    Shares(usize, Range<usize>),
 }
 
 /// The properties of a mesh with `attributes`, in the order in which a layer stores them.
+///
+/// Except for `uint[]`, Blender reads all types that are used here. It reads no `float4[]`, and no
+/// arrays with several elements per vertex, so an attribute with another number of components has
+/// one property per component.
 fn properties(has_normals: bool, attributes: &[AttributeInfo]) -> Vec<UsdProperty> {
-    let plain = |name: &str, kind| UsdProperty {
+    let plain = |name: &str, kind, values| UsdProperty {
         name: name.into(),
         kind,
         interpolation: None,
-        element_size: None,
+        values,
+    };
+    let vertex = |name: &str, kind, values| UsdProperty {
+        interpolation: Some("vertex"),
+        ..plain(name, kind, values)
     };
     let mut all = vec![
-        plain("points", "point3f[]"),
-        plain("faceVertexCounts", "int[]"),
-        plain("faceVertexIndices", "int[]"),
-        plain("extent", "float3[]"),
+        plain("points", "point3f[]", UsdValues::Points),
+        plain("faceVertexCounts", "int[]", UsdValues::CornerCounts),
+        plain("faceVertexIndices", "int[]", UsdValues::Corners),
+        plain("extent", "float3[]", UsdValues::Extent),
     ];
-    if has_normals {
-        all.push(UsdProperty { interpolation: Some("vertex"), ..plain("normals", "normal3f[]") });
-    }
+    all.extend(has_normals.then(|| vertex("normals", "normal3f[]", UsdValues::Normals)));
     let colour = colour_attribute(attributes);
     for (index, attribute) in attributes.iter().enumerate() {
+        let AttributeInfo { name, components, kind } = attribute;
         if colour == Some(index) {
-            let vertex =
-                |name, kind| UsdProperty { interpolation: Some("vertex"), ..plain(name, kind) };
-            all.push(vertex("primvars:displayColor", "color3f[]"));
-            if attribute.components == 4 {
-                all.push(vertex("primvars:displayOpacity", "float[]"));
+            all.push(vertex("primvars:displayColor", "color3f[]", UsdValues::Shares(index, 0..3)));
+            if *components == 4 {
+                let alpha = UsdValues::Shares(index, 3..4);
+                all.push(vertex("primvars:displayOpacity", "float[]", alpha));
             }
             continue;
         }
+        let whole = UsdValues::Attribute(index, 0..*components);
         if attribute.is_velocity() {
-            all.push(plain("velocities", "vector3f[]"));
+            all.push(plain("velocities", "vector3f[]", whole));
             continue;
         }
-        let AttributeInfo { name, components, .. } = attribute;
-        let mut name = format!("primvars:{}", identifier(name));
-        while all.iter().any(|other| other.name == name) {
-            name.push('_');
-        }
-        let kind = match attribute.kind {
+        let mut add = |name: &str, kind, values| {
+            let mut name = format!("primvars:{}", identifier(name));
+            while all.iter().any(|other| other.name == name) {
+                name.push('_');
+            }
+            all.push(vertex(&name, kind, values));
+        };
+        let number = match kind {
             AttributeKind::Signed | AttributeKind::Wide => "int[]",
             AttributeKind::Unsigned => "uint[]",
-            _ if *components == 3 => "float3[]",
             _ => "float[]",
         };
-        let says = *components == 1 || kind == "float3[]";
-        let element_size = Some(*components).filter(|_| !says);
-        all.push(UsdProperty { name, kind, interpolation: Some("vertex"), element_size });
+        match components {
+            4 if kind.is_colour() => add(name, "color4f[]", UsdValues::Shares(index, 0..4)),
+            3 if kind.is_colour() => add(name, "color3f[]", UsdValues::Shares(index, 0..3)),
+            3 if !kind.is_whole() => add(name, "float3[]", whole),
+            2 if !kind.is_whole() => add(name, "float2[]", whole),
+            1 => add(name, number, whole),
+            _ => (0..*components).for_each(|component| {
+                let values = UsdValues::Attribute(index, component..component + 1);
+                add(&format!("{name}_{component}"), number, values);
+            }),
+        }
     }
     all
+}
+
+/// Number of passes that the writer makes over the vertices of a mesh, plus one over its triangles.
+pub fn readings(has_normals: bool, attributes: &[AttributeInfo]) -> usize {
+    // The counts of corners and the extent need no pass.
+    properties(has_normals, attributes).len() - 2
 }
 
 /// Converts a name to a valid USD identifier: only letters, digits and underscores, and no digit at

@@ -76,13 +76,10 @@ impl Manifest {
     fn declarations(&self) -> String {
         let mut text = String::new();
         for property in properties(self.normals, &self.attributes) {
-            let mut details = Vec::new();
-            details.extend(property.interpolation.map(|how| format!("interpolation = \"{how}\"")));
-            details.extend(property.element_size.map(|size| format!("elementSize = {size}")));
-            let details: String =
-                details.iter().map(|detail| format!("        {detail}\n")).collect();
-            let details = if details.is_empty() { details } else { format!(" (\n{details}    )") };
-            writeln!(text, "    {} {}{details}", property.kind, property.name)
+            let interpolation = property.interpolation.map_or(String::new(), |how| {
+                format!(" (\n        interpolation = \"{how}\"\n    )")
+            });
+            writeln!(text, "    {} {}{interpolation}", property.kind, property.name)
                 .expect("memory takes all");
         }
         text

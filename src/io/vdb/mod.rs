@@ -7,8 +7,8 @@
 //!
 //! The voxels are the cells of the particles' grid. An attribute with one component is stored as a
 //! float grid or, if it contains integers, as an int32 or int64 grid. An attribute with three
-//! floating-point components is stored as a vec3s grid. Other attributes have one grid per
-//! component.
+//! floating-point components is stored as a vec3s grid. So is the first colour, without its alpha.
+//! Other attributes have one grid per component.
 //!
 //! Distances, velocities and colours are stored in half precision if their range allows it. This
 //! changes a distance by less than 0.002 voxels. Only values in the band are stored. With
@@ -352,9 +352,10 @@ pub fn attribute_readings(infos: &[AttributeInfo]) -> usize {
 /// The grids that store the attributes.
 fn attribute_grids(infos: &[AttributeInfo]) -> Vec<AttributeGrid> {
     let mut grids = Vec::new();
+    let first_colour = colour_attribute(infos);
     for (attribute, (info, name)) in infos.iter().zip(attribute_names(infos)).enumerate() {
-        // The alpha of a colour is not stored.
-        let components = if info.kind.is_colour() { 3 } else { info.components };
+        // The alpha of the first colour is not stored, because `Cd` has three components.
+        let components = if first_colour == Some(attribute) { 3 } else { info.components };
         match components {
             1 => grids.push(AttributeGrid { name, attribute, components: 0..1 }),
             3 if !info.kind.is_whole() => {
