@@ -173,6 +173,7 @@ impl DumpStep {
             syntax: Syntax::BLANKS,
             columns: TableColumns::of(names).ok_or_else(no_position)?,
             count: Some(self.atoms),
+            announced: None,
             cell,
         };
         let file = table.read(bytes, wanted, unpacking, "LAMMPS dump")?;

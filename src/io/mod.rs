@@ -128,6 +128,17 @@ pub enum UnreadPart {
         /// Number of points that the primitives use.
         points: u64,
     },
+    /// The times of several frames in a table, whose rows are read as one frame.
+    Times {
+        /// The name of the column of times.
+        column: String,
+        /// Number of different times.
+        count: usize,
+        /// The first time.
+        first: String,
+        /// The last time.
+        last: String,
+    },
     /// An array with more numbers per particle than an attribute can have.
     WideArray {
         /// The array's name.
@@ -144,7 +155,9 @@ impl UnreadPart {
         match self {
             Self::Attribute(info) => Some(&info.name),
             Self::WideArray { name, .. } => Some(name),
-            Self::Block { .. } | Self::Names(_) | Self::Primitives { .. } => None,
+            Self::Block { .. } | Self::Names(_) | Self::Primitives { .. } | Self::Times { .. } => {
+                None
+            }
         }
     }
 }
@@ -170,6 +183,12 @@ impl fmt::Display for UnreadPart {
                 let kinds = kinds.collect::<Vec<_>>().join(", ");
                 write!(f, "{kinds} and their {points} points")
             }
+            Self::Times { column, count, first, last } => write!(
+                f,
+                "the division into {count} frames by column {column:?} (from {first} to {last}), \
+                 because all rows of a table form one frame; to select one of them, use the \
+                 condition {column}={first}"
+            ),
             Self::WideArray { name, numbers } => write!(
                 f,
                 "array {name:?}, which has {numbers} numbers per particle (at most {} are \

@@ -32,6 +32,62 @@ const POSITION: [&str; 25] = [
     "r",
 ];
 
+/// Names of a position whose three components have no names of their own, as in `pos vel rho`.
+const POSITION_WORDS: [&str; 10] = [
+    "pos",
+    "position",
+    "positions",
+    "coordinate",
+    "coordinates",
+    "coord",
+    "coords",
+    "xyz",
+    "location",
+    "locations",
+];
+/// Names of a velocity whose three components have no names of their own.
+const VELOCITY_WORDS: [&str; 4] = ["v", "vel", "velocity", "velocities"];
+/// Names of other columns that many programs write.
+const COLUMN_WORDS: [&str; 34] = [
+    "acc",
+    "acceleration",
+    "dens",
+    "density",
+    "energy",
+    "force",
+    "h",
+    "hsml",
+    "id",
+    "idp",
+    "ids",
+    "index",
+    "m",
+    "mass",
+    "material",
+    "mk",
+    "p",
+    "phase",
+    "press",
+    "pressure",
+    "radius",
+    "rho",
+    "rhop",
+    "speed",
+    "temp",
+    "temperature",
+    "time",
+    "type",
+    "vol",
+    "volume",
+    "vorticity",
+    "vx",
+    "vy",
+    "vz",
+];
+
+/// Ends of names that begin with the axis of a position, such as `x-coordinate`, `xpos` or `x_m`.
+const AXIS_FIRST: [&str; 6] = ["coordinate", "coord", "position", "pos", "p", "m"];
+
 /// Names of the field that contains the time of a file, in order of preference. VTK writes the
 /// first, and its older readers expect `TIME`. Simulations also use the others.
 pub const TIMES: [&str; 5] = ["TimeValue", "time", "Time", "TIME", "t"];
@@ -106,17 +162,21 @@ pub fn unique_names<'a>(
 /// Columns form one vector if their names differ only in a final `x`, `y`, `z`, or in a final `0`,
 /// `1`, `2` after a separator, and each axis occurs once. Examples are `Pos.x [m]`, `"Points:0"`,
 /// `vel_x`, `vel[0]`, `Velocity [x]` and `vx`. Likewise, `red`, `green`, `blue` and optionally
-/// `alpha`, or `r`, `g`, `b` and `a`, form one colour, called `color`. Returns `None` if there is
-/// no position.
+/// `alpha`, or `r`, `g`, `b` and `a`, form one colour, called `color`. Names such as `x-coordinate`
+/// are the position if there is no other. Returns `None` if there is no position.
 pub fn quantities(names: &[String]) -> Option<(Quantity, Vec<Quantity>)> {
     let names: Vec<&str> = names.iter().map(|name| without_unit(name)).collect();
+    grouped(&names).or_else(|| grouped(&with_plain_axes(&names)?))
+}
+
+fn grouped(names: &[&str]) -> Option<(Quantity, Vec<Quantity>)> {
     let mut vectors = HashMap::<_, [Vec<usize>; 3]>::new();
     for (column, name) in names.iter().enumerate() {
         if let Some((stem, axis)) = component(name) {
             vectors.entry(stem).or_default()[axis].push(column);
         }
     }
-    let colours: Vec<Vec<usize>> = COLOURS.iter().filter_map(|c| colour(&names, c)).collect();
+    let colours: Vec<Vec<usize>> = COLOURS.iter().filter_map(|c| colour(names, c)).collect();
     let mut all = Vec::new();
     for (column, name) in names.iter().enumerate() {
         let vector = component(name).and_then(|(stem, _)| match vectors[&stem].each_ref() {
@@ -156,6 +216,40 @@ pub fn quantities(names: &[String]) -> Option<(Quantity, Vec<Quantity>)> {
     Some((position, all))
 }
 
+/// The names, with `x`, `y` and `z` instead of names such as `x-coordinate`. `None` if there are no
+/// such names for all three axes.
+fn with_plain_axes<'a>(names: &[&'a str]) -> Option<Vec<&'a str>> {
+    let found: Vec<_> = names.iter().map(|name| axis_in_name(name)).collect();
+    // If there is also `y1`, the names `x1`, `x2` and `x3` are the x of three points.
+    let is_point = names.iter().any(|name| name.eq_ignore_ascii_case("y1"));
+    let is_complete = |kind: &str| {
+        let times = |axis| found.iter().filter(|found| **found == Some((kind, axis))).count();
+        (0..3).all(|axis| times(axis) == 1) && !(kind == "x" && is_point)
+    };
+    let kind = found.iter().flatten().map(|(kind, _)| *kind).find(|kind| is_complete(kind))?;
+    let plain = found.iter().zip(names).map(|(found, name)| match found {
+        Some((of, axis)) if *of == kind => ["x", "y", "z"][*axis],
+        _ => *name,
+    });
+    Some(plain.collect())
+}
+
+/// The kind and the axis of a name such as `x-coordinate`, `x_pos`, `x1` or `coord0`.
+fn axis_in_name(name: &str) -> Option<(&'static str, usize)> {
+    let name = name.to_ascii_lowercase();
+    let (kind, first) = if name.starts_with('x') { ("x", '1') } else { ("coord", '0') };
+    if let Some(digit) = name.strip_prefix(kind).and_then(|digit| digit.parse::<char>().ok())
+        && let Some(axis) = (digit as usize).checked_sub(first as usize).filter(|axis| *axis < 3)
+    {
+        return Some((if kind == "x" { "x" } else { "coord0" }, axis));
+    }
+    let axis = "xyz".find(name.chars().next()?)?;
+    let end = name[1..].trim_start_matches(JOINTS);
+    let kind = AXIS_FIRST.into_iter().find(|known| end == *known)?;
+    // `xm` may be a mean.
+    (kind != "m" || name.len() > 2).then_some((kind, axis))
+}
+
 /// The columns of a colour's components. `None` if the name of a component is missing or occurs
 /// twice. Alpha is optional.
 fn colour(names: &[&str], [shares @ .., alpha]: &[&str; 4]) -> Option<Vec<usize>> {
@@ -187,9 +281,30 @@ pub fn repeated_position(names: &[String]) -> Option<&str> {
 
 /// The axis of a position that a name gives: 0 for `x`, `pos_x` or `Position[x]`.
 pub fn position_axis(name: &str) -> Option<usize> {
-    let ((stem, _), axis) = component(name)?;
-    let stem = stem.trim_end_matches(JOINTS);
-    POSITION.iter().any(|position| stem.eq_ignore_ascii_case(position)).then_some(axis)
+    let axis = component(name).and_then(|((stem, _), axis)| {
+        let stem = stem.trim_end_matches(JOINTS);
+        POSITION.iter().any(|position| stem.eq_ignore_ascii_case(position)).then_some(axis)
+    });
+    axis.or_else(|| axis_in_name(name).map(|(_, axis)| axis))
+}
+
+fn is_among(names: &[&str], name: &str) -> bool {
+    names.iter().any(|known| name.eq_ignore_ascii_case(known))
+}
+
+/// Whether a name stands for the three columns of a position, such as `pos`.
+pub fn names_position(name: &str) -> bool {
+    is_among(&POSITION_WORDS, name)
+}
+
+/// Whether a name stands for the three columns of a velocity, such as `vel`.
+pub fn names_velocity(name: &str) -> bool {
+    is_among(&VELOCITY_WORDS, name)
+}
+
+/// Whether a name is a common name of a column or a vector that is not a position.
+pub fn names_other_column(name: &str) -> bool {
+    is_among(&COLUMN_WORDS, name) || names_velocity(name)
 }
 
 /// Whether a word names a position without a component, such as `pos` or `coordinates`.
@@ -210,7 +325,8 @@ pub fn bare_names(names: &[String]) -> Vec<String> {
         .collect()
 }
 
-fn bare_name(name: &str) -> &str {
+/// The name without its unit, including a unit that follows it without a blank.
+pub fn bare_name(name: &str) -> &str {
     // The index of a component, as in `vel[0]` or `stress[xy]`, is not a unit.
     let is_index =
         |text: &str| text.chars().all(|c| c.is_ascii_digit() || "xyzXYZijk,".contains(c));
@@ -238,8 +354,16 @@ fn inside(text: &str) -> &str {
 }
 
 /// Splits the name of a vector's component, such as `vel.x`, into its stem `vel.`, its notation and
-/// its axis (here 0). The notation is identified by its name for the first axis: `x`, `X` or `0`.
+/// its axis (here 0). The notation is identified by its name for the first axis, such as `x`, `X`
+/// or `0`. Fluent writes `x-velocity`, CFX `Velocity u`, and STAR-CCM+ `Velocity[i]`.
 fn component(name: &str) -> Option<((&str, char), usize)> {
+    if let Some((axis, velocity)) = name.split_once(['-', '_', ' '])
+        && velocity.eq_ignore_ascii_case("velocity")
+        && let Some(axis) = ["x", "y", "z"].iter().position(|a| axis.eq_ignore_ascii_case(a))
+    {
+        return Some(((velocity, 'f'), axis));
+    }
+    let is_closed = name.ends_with(']');
     let name = name.strip_suffix([']', ')']).unwrap_or(name);
     let last = name.chars().next_back()?;
     let stem = &name[..name.len() - last.len_utf8()];
@@ -247,6 +371,12 @@ fn component(name: &str) -> Option<((&str, char), usize)> {
         'x'..='z' => Some(((stem, 'x'), last as usize - 'x' as usize)),
         'X'..='Z' => Some(((stem, 'X'), last as usize - 'X' as usize)),
         '0'..='2' if stem.ends_with(JOINTS) => Some(((stem, '0'), last as usize - '0' as usize)),
+        'i'..='k' if is_closed && stem.ends_with('[') => {
+            Some(((stem, 'i'), last as usize - 'i' as usize))
+        }
+        'u'..='w' if stem.ends_with(JOINTS) && names_velocity(stem.trim_end_matches(JOINTS)) => {
+            Some(((stem, 'u'), last as usize - 'u' as usize))
+        }
         _ => None,
     }
 }

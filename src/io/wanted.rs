@@ -81,9 +81,14 @@ pub enum WantedAttributes<'a> {
 impl WantedAttributes<'_> {
     /// Whether to read the text attribute `name`.
     pub fn hold_label(&self, name: &str) -> bool {
-        let Self::Only { conditions, .. } = self else { return true };
+        matches!(self, Self::All) || is_kind(name) || self.test(name)
+    }
+
+    /// Whether a condition tests the attribute `name`.
+    pub fn test(&self, name: &str) -> bool {
+        let Self::Only { conditions, .. } = self else { return false };
         let mut conditions = conditions.iter().flat_map(Where::conditions);
-        is_kind(name) || conditions.any(|condition| condition.name.eq_ignore_ascii_case(name))
+        conditions.any(|condition| condition.name.eq_ignore_ascii_case(name))
     }
 
     /// For each attribute of an input, whether to read it. If a wanted attribute is missing, all

@@ -209,6 +209,7 @@ impl XyzFrame {
             syntax,
             columns,
             count: Some(count),
+            announced: None,
             cell: None,
         };
         let file = table.read(bytes, wanted, unpacking, "XYZ")?;

@@ -423,6 +423,7 @@ fn warnings(all: &mut String) {
         Block { name: "walls".into(), holds: "a grid".into() },
         Names(vec!["fluid".into(), "boundary".into()]),
         Primitives { kinds: vec![("polygons".into(), 12)], points: 8 },
+        Times { column: "time".into(), count: 3, first: "0".into(), last: "0.5".into() },
         WideArray { name: "spectrum".into(), numbers: 100 },
     );
     let contradicted = |given, mistake, spray| SpacingWarning::Contradicted {

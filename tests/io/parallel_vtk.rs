@@ -223,7 +223,10 @@ fn a_multiblock_file_gives_its_particles_and_names_skipped_blocks() {
     let named = |left_out: &UnreadPart| match left_out {
         UnreadPart::Block { name, .. } => name.clone(),
         UnreadPart::Attribute(info) => info.name.clone(),
-        UnreadPart::Names(_) | UnreadPart::Primitives { .. } | UnreadPart::WideArray { .. } => {
+        UnreadPart::Names(_)
+        | UnreadPart::Primitives { .. }
+        | UnreadPart::Times { .. }
+        | UnreadPart::WideArray { .. } => {
             panic!("{left_out}")
         }
     };

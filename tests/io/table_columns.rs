@@ -5,8 +5,10 @@ use meniscus::internals::io::bytes::Unpacking;
 use meniscus::internals::io::input::InputFormat;
 use meniscus::internals::io::text_format::{self, TextHint};
 use meniscus::internals::io::wanted::WantedAttributes;
-use meniscus::internals::io::{ParticleFile, ReadFault};
+use meniscus::internals::io::{ParticleFile, ReadFault, UnreadPart};
 use meniscus::internals::particles::Particles;
+use meniscus::internals::particles::condition::Where;
+use meniscus::internals::particles::sizes::SizeChoice;
 
 use crate::common::particle_files::{attribute, positions};
 
@@ -211,6 +213,22 @@ fn names_in_a_comment_are_understood_in_every_notation() {
         "vx[m/s] vy[m/s] vz[m/s] x[m] y[m] z[m]",
         "vx (m/s)   vy (m/s)  vz (m/s)  x (m)  y (m)  z (m)",
         "1:vx 2:vy 3:vz 4:x 5:y 6:z",
+        "# vx[1] vy[2] vz[3] x[4] y[5] z[6]",
+        "vx(0), vy(1), vz(2), x(3), y(4), z(5)",
+        "# vx [1] vy [2] vz [3] x [4] y [5] z [6]",
+        "vx:1 vy:2 vz:3 x:4 y:5 z:6",
+        "% vx{1} vy{2} vz{3} x{4} y{5} z{6}",
+        "// vx=1 vy=2 vz=3 x=4 y=5 z=6",
+        "#1 vx #2 vy #3 vz #4 x #5 y #6 z",
+        "# v[1] v[2] v[3] x[4] x[5] x[6]",
+        "! v (1-3), x (4-6)",
+        "# v(3), x(3)",
+        "v[3] x[3]",
+        "v pos",
+        "# v, positions",
+        "v,x,y,z",
+        "# v pos [m]",
+        "# data: v pos",
     ] {
         let file = text(&format!("{names}\n{VELOCITY_FIRST}")).expect(names);
         assert_eq!(positions(&file), POSITIONS, "{names}");
@@ -223,6 +241,183 @@ fn names_in_a_comment_are_understood_in_every_notation() {
         assert_eq!(positions(&file), three_columns(&rows, 2), "{names}");
         assert_eq!(attributes(&file), [("id", 1), ("type", 1)], "{names}");
     }
+}
+
+#[test]
+fn names_of_vectors_stand_for_three_columns_if_the_number_of_columns_fits() {
+    let rows = "7 0.5 0.25 -0.5 1.5 2.5 3.5\n8 0.75 0.5 0.25 4.5 5.5 6.5\n";
+    for names in [
+        "rho velocity position",
+        "rho, velocity, position",
+        "# rho velocity(3) position(3)",
+        "# rho, velocity[3], position[3]",
+        "# rho (1), velocity (2-4), position (5-7)",
+        "# rho velocity x y z",
+        "\"rho\" \"velocity\" \"coordinates\"",
+        "# rho velocity position\n1920",
+    ] {
+        let file = text(&format!("{names}\n{rows}")).expect(names);
+        assert_eq!(positions(&file), POSITIONS, "{names}");
+        assert_eq!(attributes(&file), [("rho", 1), ("velocity", 3)], "{names}");
+        assert_eq!(attribute(&file, "velocity"), VELOCITIES, "{names}");
+    }
+}
+
+#[test]
+fn names_that_begin_with_the_axis_are_a_position_if_there_is_no_other() {
+    for [x, y, z] in [
+        ["x-coordinate", "y-coordinate", "z-coordinate"],
+        ["x coordinate", "y coordinate", "z coordinate"],
+        ["X_coord", "Y_coord", "Z_coord"],
+        ["xcoord", "ycoord", "zcoord"],
+        ["x_pos", "y_pos", "z_pos"],
+        ["xpos", "ypos", "zpos"],
+        ["xp", "yp", "zp"],
+        ["x_m", "y_m", "z_m"],
+        ["x1", "x2", "x3"],
+        ["coord0", "coord1", "coord2"],
+    ] {
+        let file = text(&format!("id,{z},{y},{x}\n7,3,2,1\n")).expect(x);
+        assert_eq!((positions(&file), attributes(&file)), (vec![[1.0, 2.0, 3.0]], vec![("id", 1)]));
+        let file = text(&format!("{x},{y},{z},x,y,z\n7,8,9,1,2,3\n")).expect(x);
+        assert_eq!(positions(&file), [[1.0, 2.0, 3.0]], "{x}");
+        assert_eq!(attributes(&file), [(x, 1), (y, 1), (z, 1)]);
+        assert_eq!(refusal(&format!("id,{x},{y}\n7,1,2\n")).0, 1);
+    }
+    let corners = "x1,y1,z1,x2,y2,z2,x3,y3,z3";
+    assert_eq!(refusal(&format!("{corners}\n1,2,3,4,5,6,7,8,9\n")).0, 1);
+}
+
+#[test]
+fn velocities_of_fluent_star_ccm_and_cfx_are_vectors() {
+    for (names, velocity) in [
+        ("x-velocity,y-velocity,z-velocity", "velocity"),
+        ("Velocity[i] (m/s),Velocity[j] (m/s),Velocity[k] (m/s)", "Velocity"),
+        ("Velocity u [ m s^-1 ],Velocity v [ m s^-1 ],Velocity w [ m s^-1 ]", "Velocity"),
+    ] {
+        let file = text(&format!("{names},X (m),Y (m),Z (m)\n4,5,6,1,2,3\n")).expect(names);
+        assert_eq!(positions(&file), [[1.0, 2.0, 3.0]], "{names}");
+        assert_eq!(attributes(&file), [(velocity, 3)], "{names}");
+        assert_eq!(attribute(&file, velocity), [4.0, 5.0, 6.0], "{names}");
+    }
+    let file = text("x,y,z,u,v,w,A[i]\n1,2,3,4,5,6,7\n").unwrap();
+    assert_eq!(attributes(&file), [("u", 1), ("v", 1), ("w", 1), ("A[i]", 1)]);
+}
+
+#[test]
+fn a_line_of_names_that_does_not_fit_the_rows_is_refused() {
+    let rows = table(3, |i| format!("{} {} 0.5 0.25", place(i), place(i + 1)));
+    for (names, line) in [
+        ("rho vel pos", 1),
+        ("# rho vel pos", 1),
+        ("% density, velocity, position", 1),
+        ("density velocity(3) position(3)", 1),
+        ("velocity position", 1),
+        ("// velocity and position of each particle", 1),
+        ("velocity in m/s, position in m", 1),
+        // The names are understood, so the first row is refused.
+        ("density[1] vx[2] vy[3] vz[4] x[5] y[6] z[7]", 2),
+        ("# density[1] vx[2] vy[3] vz[4] x[6] y[7] z[8]", 1),
+        ("DATA density x y", 1),
+        ("; rho vel pos", 1),
+        ("! density pressure", 1),
+        ("foo bar pos vel", 1),
+        ("rho vel pos\n1920", 1),
+        ("# rho vel pos\n1920\n# 0.5", 1),
+        ("a title\nvelocity\nposition", 2),
+        ("rho\nvx\nvy\nvz\nx\ny\nz\nm", 1),
+        ("# rho\n# vx\n# vy\n# vz\n# x\n# y\n# z\n# m", 1),
+    ] {
+        let (at, what) = refusal(&format!("{names}\n{rows}"));
+        assert_eq!(at, line, "{names}: {what}");
+    }
+}
+
+#[test]
+fn a_first_row_that_announces_the_number_of_rows_is_left_out() {
+    let rows = table(20, place);
+    for head in ["20 0.5 0.1", "20 3 1", "# N time dt\n20 0.5 0.1\n# x y z", "20, 0.5, 0.1"] {
+        let rows = if head.contains(',') { rows.replace(' ', ", ") } else { rows.clone() };
+        let file = text(&format!("{head}\n{rows}")).expect(head);
+        assert_eq!(positions(&file), three_columns(&rows.replace(',', ""), 0), "{head}");
+    }
+    let wide = table(9, |i| format!("{} {}", place(i), place(i + 9)));
+    let file = text(&format!("9 1 2 3 4 5\n{wide}")).unwrap();
+    assert_eq!(positions(&file), three_columns(&wide, 0));
+    let lattice = table(27, |i| format!("{} {} {}", i / 9, i / 3 % 3, i % 3));
+    let file = text(&format!("27 3 3\n{lattice}")).unwrap();
+    assert_eq!(positions(&file), three_columns(&lattice, 0));
+}
+
+#[test]
+fn a_first_row_that_may_be_a_particle_is_kept() {
+    for rows in [
+        format!("19 0.5 0.1\n{}", table(20, place)),
+        format!("20.0 0.5 0.1\n{}", table(20, place)),
+        format!("7 0.5 0.1\n{}", table(7, place)),
+        table(21, |i| format!("{} 0 {}", 20 - 2 * i as i64, i % 2)),
+        table(300, |i| format!("{} 0 0", 299 - i)),
+    ] {
+        assert_eq!(positions(&text(&rows).expect(&rows)), three_columns(&rows, 0), "{rows}");
+    }
+    // The first column has row numbers.
+    let rows = table(20, |i| format!("{} {}", 19 - i, place(i)));
+    assert_eq!(positions(&text(&rows).unwrap()), three_columns(&rows, 1));
+}
+
+#[test]
+fn rows_without_values_are_ignored_at_the_end_and_refused_elsewhere() {
+    let expected = [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]];
+    for end in [";;", ";;\n;;\n", " ; ;\n# end\n\n;;;\n", "\"\";\"\";\"\""] {
+        let file = text(&format!("x;y;z\n1;2;3\n4;5;6\n{end}")).expect(end);
+        assert_eq!(positions(&file), expected, "{end}");
+    }
+    let (line, what) = refusal("x,y,z\n1,2,3\n\n,,\n,,\n4,5,6\n");
+    assert_eq!((line, what.contains("empty")), (4, true), "{what}");
+    // The empty row and the next row are in different pieces of the text.
+    let rows = "1,2,3\n".repeat(200_000);
+    let empty = ",,\n".repeat(100_000);
+    assert_eq!(refusal(&format!("{rows}{empty}{rows}")).0, 200_001);
+    assert_eq!(positions(&text(&format!("{rows}{empty}")).unwrap()).len(), 200_000);
+}
+
+#[test]
+fn a_table_that_a_column_of_times_divides_into_frames_gives_a_warning() {
+    let frames =
+        |time: fn(usize) -> String| table(40, |i| format!("{} {}", time(i / 10), place(i)));
+    let times = |column: &str, count, first: &str, last: &str| {
+        let (column, first, last) = (column.to_owned(), first.to_owned(), last.to_owned());
+        vec![UnreadPart::Times { column, count, first, last }]
+    };
+    let rows = frames(|frame| format!("{}", 0.25 * frame as f64));
+    for name in ["time", "Frame", "timestep", "STEP", "t"] {
+        let file = text(&format!("{name} x y z\n{rows}")).expect(name);
+        assert_eq!(file.left_out, times(name, 4, "0", "0.75"), "{name}");
+        assert_eq!(positions(&file).len(), 40);
+    }
+    let long = table(60_000, |i| format!("{} {}", i / 20_000, place(i)));
+    let file = text(&format!("time x y z\n{long}")).unwrap();
+    assert_eq!(file.left_out, times("time", 3, "0", "2"));
+    for (name, rows) in [
+        ("age", rows.clone()),
+        ("T", rows.clone()),
+        ("time", frames(|_| "1".to_owned())),
+        ("time", frames(|frame| format!("{}", 4 - frame))),
+        ("time", table(40, |i| format!("{i} {}", place(i)))),
+        ("time", table(40, |i| format!("{} {}", i % 2, place(i)))),
+        ("time", table(40, |i| format!("{} {}", i / 30, place(i)))),
+    ] {
+        let file = text(&format!("{name} x y z\n{rows}")).expect(name);
+        assert_eq!(file.left_out, [], "{name}\n{rows}");
+    }
+    let condition: [Where; 1] = ["time=0.25".parse().unwrap()];
+    let wanted =
+        WantedAttributes::Only { names: None, conditions: &condition, sizes: &SizeChoice::Ignored };
+    let bytes = format!("time x y z\n{rows}").into_bytes().into();
+    let hint = TextHint::Named(InputFormat::Csv);
+    let read =
+        text_format::read_particles(bytes, hint, (None, None), wanted, Unpacking::in_memory());
+    assert_eq!(read.unwrap().left_out, []);
 }
 
 #[test]
@@ -269,7 +464,6 @@ fn a_comment_whose_names_do_not_fit_the_rows_is_refused() {
         ("# velocity (x, y, z), position (x, y, z)", 1),
         ("# velocities vx, vy, vz; positions x, y, z", 1),
         ("# vx in m/s, vy in m/s, vz in m/s, x in m, y in m, z in m", 1),
-        ("# x-velocity, y-velocity, z-velocity, x-coordinate, y-coordinate, z-coordinate", 1),
         ("# the velocity vx vy vz and the position x_m y_m z_m of it", 1),
         ("# z y x of all particles", 1),
         ("# x[m] y[m] z[m] x[m] y[m] z[m]", 1),
@@ -309,6 +503,18 @@ fn sentences_and_numbers_in_comments_are_not_taken_for_names() {
         "# Lx Ly Lz",
         "# 1 2 3 4 5 6",
         "# [m] [m] [m]",
+        "# created by x at 12:30",
+        "# 1920 particles",
+        "# time = 0.5, step 3",
+        "# initial positions and velocities",
+        "# position, velocity, density and more",
+        "# density 1000, viscosity 0.01, gravity 9.81",
+        "# pressure at time 0.5",
+        "# SPH solver, velocity limited to 3, position unlimited",
+        "Particle positions",
+        "x y plane",
+        "density of the fluid",
+        "a title\nby x\nfinal",
     ] {
         for (rows, first) in [(&rows, 0), (&numbered, 1)] {
             let file = text(&format!("{comment}\n{rows}")).expect(comment);
@@ -342,6 +548,9 @@ fn names_without_the_row_number_are_accepted_only_if_x_is_first() {
     let file = text(&format!("# x y z vx vy vz\n{rows}")).unwrap();
     assert_eq!(positions(&file), three_columns(&rows, 1));
     assert_eq!(refusal(&format!("# vx vy vz x y z\n{rows}")).0, 1);
+    let file = text(&format!("# id and position, velocity\n{rows}")).unwrap();
+    assert_eq!(positions(&file), three_columns(&rows, 1));
+    assert_eq!(refusal(&format!("# mass, id and position, velocity\n{rows}")).0, 1);
 }
 
 #[test]

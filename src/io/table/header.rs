@@ -5,7 +5,10 @@
 //! | separators | `x, y, z` |
 //! | units after blanks | `x (m) y (m) z (m)` |
 //! | names with blanks, two or more blanks between names | `Particle index  Position [x]` |
-//! | numbers of columns | `1:x 2:y 3:z` |
+//! | numbers of columns | `1:x 2:y 3:z`, `#1 x #2 y #3 z` |
+//! | numbers of columns after names | `x[1] y[2] z[3]`, `id (1), position (2-4)` |
+//! | numbers of components | `id v[3] x[3]` |
+//! | vectors | `id vel pos` |
 //! | angle brackets | `<x> <y> <z>` |
 //! | one comment per column | `# [0] x`, `# column 1: x` |
 //!
@@ -15,7 +18,10 @@ use std::borrow::Cow;
 use std::collections::VecDeque;
 
 use crate::io::ReadFault;
-use crate::io::names::{bare_names, is_position_word, position_axis, quantities};
+use crate::io::names::{
+    bare_name, bare_names, is_position_word, names_other_column, names_position, names_velocity,
+    position_axis, quantities,
+};
 
 use super::excerpt;
 use super::fields::{LineFields, MOST_FIELDS, Separator, unquoted};
@@ -33,8 +39,8 @@ const MOST_LABELS: usize = 4;
 type Notation = fn(&str) -> Vec<String>;
 
 /// All notations, in order of preference.
-const NOTATIONS: [Notation; 6] =
-    [in_angle_brackets, numbered, separated, between_blanks, with_units, far_apart];
+const NOTATIONS: [Notation; 7] =
+    [in_angle_brackets, numbered, separated, between_blanks, with_units, far_apart, numbered_after];
 
 /// Last words of labels before the names of columns.
 const LABELS: [&str; 8] =
@@ -74,7 +80,15 @@ pub fn named_columns(line: &str) -> impl Iterator<Item = TableColumns> {
 /// Each possible division of a comment into columns with a position. Labels are skipped, and
 /// sentences are ignored.
 pub fn columns_in_comment(comment: &str) -> impl Iterator<Item = TableColumns> {
-    let lists = without_labels(comment).into_iter().flat_map(names_in);
+    columns_in(without_labels(comment))
+}
+
+/// Each possible division of one of the texts into columns with a position. Names of vectors come
+/// last, because they may have other meanings.
+fn columns_in(texts: Vec<&str>) -> impl Iterator<Item = TableColumns> {
+    let known = |text| vectors_in(text).filter(|(_, are_known)| *are_known);
+    let vectors: Vec<_> = texts.iter().filter_map(|text| Some(known(text)?.0)).collect();
+    let lists = texts.into_iter().flat_map(names_in).chain(vectors);
     lists.filter(|names| are_names(names)).filter_map(TableColumns::of)
 }
 
@@ -118,12 +132,15 @@ fn in_angle_brackets(line: &str) -> Vec<String> {
     let inside = line.trim().strip_prefix('<').and_then(|line| line.strip_suffix('>'));
     let Some(inside) = inside else { return Vec::new() };
     let names: Vec<&str> = inside.split("> <").take(MOST_FIELDS).collect();
-    let runs = names.chunk_by(|one, next| one == next);
-    let components = |run: &[&str]| match run {
-        [only] => vec![(*only).to_owned()],
-        several => (0..several.len()).map(|index| format!("{}:{index}", several[0])).collect(),
-    };
-    runs.flat_map(components).collect()
+    names.chunk_by(|one, next| one == next).flat_map(|run| components(run[0], run.len())).collect()
+}
+
+/// The names of the components of a vector.
+fn components(name: &str, count: usize) -> Vec<String> {
+    match count {
+        1 => vec![name.to_owned()],
+        _ => (0..count).map(|index| format!("{name}:{index}")).collect(),
+    }
 }
 
 /// The names in a line such as `1:id 2:x` or `[0] id [1] x`. Text before the first number is
@@ -149,6 +166,72 @@ fn numbered(line: &str) -> Vec<String> {
         }
     }
     names
+}
+
+/// The names in a line such as `x[1] y[2]`, `x:1 y:2`, `v[1] v[2] v[3]` or `id (1), position (2-4)`.
+/// A number or a range of columns follows each name.
+fn numbered_after(line: &str) -> Vec<String> {
+    let mut names: Vec<String> = Vec::new();
+    let mut next = None;
+    let mut name = Vec::new();
+    for word in line.split(is_separator).filter(|word| !word.is_empty()) {
+        let (text, range) = word.rfind(['[', '(', '{', ':', '=']).map_or((word, ""), |at| {
+            (&word[..at], word[at + 1..].trim_end_matches([']', ')', '}']))
+        });
+        let (first, last) = range.split_once('-').unwrap_or((range, range));
+        let (Ok(first), Ok(last)) = (first.parse::<usize>(), last.parse()) else {
+            name.push(word);
+            continue;
+        };
+        let follows = next.map_or(first <= 1, |next| first == next);
+        if !follows || !(first..MOST_FIELDS).contains(&last) {
+            return Vec::new();
+        }
+        next = Some(last + 1);
+        name.extend(Some(text).filter(|text| !text.is_empty()));
+        let text = name.join(" ");
+        name.clear();
+        names.extend(std::iter::repeat_n(text, last + 1 - first));
+    }
+    if !name.is_empty() {
+        return Vec::new();
+    }
+    names.chunk_by(|one, next| one == next).flat_map(|run| components(&run[0], run.len())).collect()
+}
+
+/// The names in a line such as `rho vel pos` or `rho, v[3], x[3]`, in which a name stands for all
+/// components of a vector, and whether all names are well known. `None` if the line names no such
+/// vector.
+fn vectors_in(line: &str) -> Option<(Vec<String>, bool)> {
+    let listed = line.contains([',', ';']);
+    let names = if listed { separated(line) } else { with_units(line) };
+    let is_named = |known: &str| names.iter().any(|name| name.eq_ignore_ascii_case(known));
+    // In `u v w`, `v` is a component.
+    let has_components = is_named("u") || is_named("w");
+    let (mut all, mut are_known) = (Vec::new(), true);
+    for name in &names {
+        let bare = bare_name(name);
+        let counted = bare.split_once(['[', '(']).and_then(|(name, count)| {
+            let count = count.strip_suffix([']', ')'])?.parse().ok()?;
+            (1..MOST_FIELDS).contains(&count).then_some((name.trim_end(), count))
+        });
+        let is_vector = names_position(bare)
+            || names_velocity(bare) && !(has_components && bare.eq_ignore_ascii_case("v"));
+        let (bare, count) = counted.unwrap_or((bare, if is_vector { 3 } else { 1 }));
+        let is_known =
+            || names_position(bare) || names_other_column(bare) || position_axis(bare).is_some();
+        are_known &= counted.is_some() || listed && !has_prose(bare) || is_known();
+        all.extend(components(bare, count));
+        if all.len() > MOST_FIELDS {
+            return None;
+        }
+    }
+    (all.len() > names.len()).then_some((all, are_known))
+}
+
+/// Whether a text contains a number or a word of a sentence.
+fn has_prose(text: &str) -> bool {
+    text.split_whitespace().any(|word| is_number(word) || is_word_of(&PROSE, word))
 }
 
 fn separated(line: &str) -> Vec<String> {
@@ -200,7 +283,7 @@ fn is_separator(character: char) -> bool {
 fn column_number(text: &str) -> Option<(u64, &str)> {
     /// Characters after the number of a column.
     const MARKS: [char; 8] = [']', ')', ':', '.', '=', '-', '>', ' '];
-    let text = text.trim_start_matches(['[', '(']);
+    let text = text.trim_start_matches(['[', '(', '#']);
     let end = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
     let (digits, rest) = text.split_at(end);
     let name = rest.trim_start_matches(MARKS);
@@ -242,11 +325,11 @@ pub fn comment_text(comment: &[u8]) -> Cow<'_, str> {
     String::from_utf8_lossy(&comment[marks..])
 }
 
-/// The comments above the rows.
+/// The comments above the rows, and the other lines above the rows that are no rows themselves.
 #[derive(Debug, Default)]
 pub struct Comments<'a> {
     lines: VecDeque<Comment<'a>>,
-    /// The number of the last line that is neither a comment nor a row.
+    /// The number of the last line with words that is neither a comment nor a row.
     last_title: u64,
 }
 
@@ -255,20 +338,29 @@ struct Comment<'a> {
     line: u64,
     /// The content without comment marks.
     text: Cow<'a, str>,
+    /// Whether the line is not marked as a comment.
+    is_title: bool,
 }
 
 impl<'a> Comments<'a> {
     /// Adds a comment, given its text without comment marks.
     pub fn push(&mut self, line: u64, text: Cow<'a, str>) {
+        self.add(Comment { line, text, is_title: false });
+    }
+
+    fn add(&mut self, comment: Comment<'a>) {
         if self.lines.len() == MOST_COMMENTS {
             self.lines.pop_front();
         }
-        self.lines.push_back(Comment { line, text });
+        self.lines.push_back(comment);
     }
 
-    /// Records the number of a line that is neither a comment nor a row.
-    pub fn end_block(&mut self, line: u64) {
-        self.last_title = line;
+    /// Adds a line that is neither a comment nor a row.
+    pub fn push_title(&mut self, line: u64, text: Cow<'a, str>) {
+        if has_words(&text) {
+            self.last_title = line;
+        }
+        self.add(Comment { line, text, is_title: true });
     }
 
     /// Removes the comments below a line.
@@ -278,8 +370,12 @@ impl<'a> Comments<'a> {
 
     /// Each possible division of the comments into columns with a position. The last comment comes
     /// first.
-    pub fn columns(&self) -> impl Iterator<Item = TableColumns> {
-        let single = self.lines.iter().rev().flat_map(|comment| columns_in_comment(&comment.text));
+    pub fn columns<'b>(&'b self) -> impl Iterator<Item = TableColumns> {
+        let texts = |comment: &'b Comment| match comment.is_title {
+            true => vec![&*comment.text],
+            false => without_labels(&comment.text),
+        };
+        let single = self.lines.iter().rev().flat_map(move |comment| columns_in(texts(comment)));
         single.chain(self.lists().into_iter().filter_map(TableColumns::of))
     }
 
@@ -303,27 +399,42 @@ impl<'a> Comments<'a> {
         lists.iter().flat_map(|list| whole_and_first_words(list)).collect()
     }
 
-    /// The error for comments directly above the rows that seem to name the columns of the
-    /// position, but do not fit rows with this number of `fields`. Without the comments, the
-    /// position starts at the column `first`.
+    /// The error for lines directly above the rows that seem to name the columns of the position,
+    /// but do not fit rows with this number of `fields`. Without these lines, the position starts
+    /// at the column `first`.
     ///
-    /// A table without names is read as x, y and z, and unnamed columns. This is wrong if the
-    /// comment names the columns in another order, and the reader does not understand it.
-    /// Sentences about x, y and z are harmless, if x is the first column that they mention.
+    /// A table without names is read as x, y and z, and unnamed columns. This is wrong if a line
+    /// names the columns in another order, and the reader does not understand it. Sentences about
+    /// x, y and z are harmless, if x is the first column that they mention.
     pub fn unclear(&self, fields: usize, first: Option<usize>) -> Option<ReadFault> {
         let block: Vec<&Comment> =
-            self.lines.iter().filter(|comment| comment.line > self.last_title).collect();
+            self.lines.iter().filter(|comment| comment.line >= self.last_title).collect();
         let last = block.iter().rfind(|comment| has_words(&comment.text));
         let last = last.filter(|comment| is_unclear(&comment.text, fields, first));
         let numbered = || is_unclear_list(&block, fields, first).then(|| block.last()).flatten();
-        let Comment { line, text } = last.or_else(numbered)?;
+        let found = last.or_else(numbered).map(|found| (found.line, Cow::Borrowed(&*found.text)));
+        let (line, text) = found.or_else(|| {
+            let (line, names) = self.single_names()?;
+            is_unclear(&names, fields, first).then_some((line, Cow::Owned(names)))
+        })?;
         let what = format!(
-            "this comment seems to name the columns, but its names do not fit the {fields} \
-             columns below it: {}; write one name per column in the first line, such as \
-             `x y z vx vy vz`, or delete the comment",
+            "this line seems to name the columns, but its names do not fit the {fields} columns \
+             below it: {}; write one name per column in the first line, such as `x y z vx vy vz`, \
+             or delete this line",
             excerpt(text.trim().as_bytes())
         );
-        Some(ReadFault::Line { line: *line, what })
+        Some(ReadFault::Line { line, what })
+    }
+
+    /// The line of the first, and the text, of the last lines that have a single word each. `None`
+    /// if there are fewer than two.
+    fn single_names(&self) -> Option<(u64, String)> {
+        let lines = self.lines.iter().rev().filter(|comment| has_words(&comment.text));
+        let mut lines: Vec<_> =
+            lines.take_while(|comment| comment.text.split_whitespace().count() == 1).collect();
+        lines.reverse();
+        let names: Vec<&str> = lines.iter().map(|comment| comment.text.trim()).collect();
+        Some((lines.first()?.line, names.join(" "))).filter(|_| lines.len() > 1)
     }
 }
 
@@ -376,8 +487,45 @@ fn is_unclear(comment: &str, fields: usize, first: Option<usize>) -> bool {
         return !lists.any(|mention| mention.agrees(fields, first));
     }
     // A position of three columns needs no names.
-    let mut sentences = texts().filter(|_| fields > 3).filter_map(mention_in_sentence).peekable();
-    sentences.peek().is_some() && !sentences.any(|mention| mention.agrees(fields, first))
+    if fields == 3 {
+        return false;
+    }
+    let mut sentences = texts().filter_map(mention_in_sentence).peekable();
+    if sentences.peek().is_some() {
+        return !sentences.any(|mention| mention.agrees(fields, first));
+    }
+    let is_fitting = |names: &[String]| {
+        let mention = TableColumns::of(names.to_vec()).map(|c| Mention::of(&c.position.columns));
+        names.len() == fields && mention.is_some_and(|mention| !mention.agrees(fields, first))
+    };
+    texts().any(|text| {
+        vectors_in(text).is_some_and(|(names, _)| is_fitting(&names))
+            || names_others_first(text, first)
+    })
+}
+
+/// Whether a text is a list of columns that starts with other columns than the position. An
+/// identifier before the position is allowed if the position starts at the column `first`.
+fn names_others_first(text: &str, first: Option<usize>) -> bool {
+    let words = words_of(text);
+    let are_axes = words.iter().filter(|word| axis_of(word).is_some()).count() > 1;
+    let is_position =
+        |word: &str| names_position(word) || are_axes && position_axis(word).is_some();
+    let is_known = |word: &&str| is_position(word) || names_other_column(word);
+    let Some(start) = words.iter().position(|word| is_known(&word)) else { return false };
+    let end = words.iter().rposition(|word| is_known(&word)).unwrap_or(start);
+    let known = words[start..=end].iter().filter(|word| is_known(word)).count();
+    // Units may follow names, as in `velocity in m/s`.
+    let is_prose =
+        |word: &str| is_word_of(&PROSE, word) && !is_word_of(&["and", "in", "the"], word);
+    let is_list =
+        known > 1 && !words[start..end].iter().any(|word| is_number(word) || is_prose(word));
+    let is_about_values = || words[end..].iter().any(|word| is_number(word));
+    let mut names = words[start..].iter().filter(|word| !is_word_of(&["and", "the"], word));
+    match names.position(|word| is_position(word)) {
+        Some(place) => is_list && place > 0 && Some(place) != first,
+        None => is_list && 2 * known >= words.len() && !is_about_values(),
+    }
 }
 
 /// The order of x, y and z, in each notation in which a text is a list of names.

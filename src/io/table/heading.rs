@@ -12,7 +12,8 @@ use super::fields::{
     LineFields, MOST_FIELDS, Separator, Syntax, is_comment, lines, rows_of, unquoted,
 };
 use super::header::{
-    Comments, comment_text, name_plane, named_columns, names_of, plain_names, separator_of,
+    Comments, columns_in_comment, comment_text, name_plane, named_columns, names_of, plain_names,
+    separator_of,
 };
 use super::unnamed::{UnnamedColumns, is_row, is_row_of_words, is_whole};
 
@@ -33,6 +34,8 @@ pub struct Heading {
     pub lines_above: u64,
     pub syntax: Syntax,
     pub columns: TableColumns,
+    /// The number at the start of the first row, if it may be the number of rows below it.
+    pub announced: Option<u64>,
 }
 
 /// The columns of a table, and the quantities that they form.
@@ -147,9 +150,10 @@ impl Heading {
             Some(first) => {
                 above.comments.truncate(first.line);
                 let rows = &text[first.start..];
-                let (syntax, columns) = above.columns_of(first, rows)?;
+                let (syntax, columns, announced) = above.columns_of(first, rows)?;
                 let syntax = with_decimals(syntax, rows, &columns);
-                Ok(Self { start: first.start, lines_above: first.line - 1, syntax, columns })
+                let (start, lines_above) = (first.start, first.line - 1);
+                Ok(Self { start, lines_above, syntax, columns, announced })
             }
         }
     }
@@ -214,7 +218,7 @@ impl<'a> LinesAbove<'a> {
         } else if self.first.is_none() {
             let names = names_of(content, separator_of(content));
             self.titles.push(TitleLine { line, names });
-            self.comments.end_block(line);
+            self.comments.push_title(line, String::from_utf8_lossy(content));
         }
     }
 
@@ -227,22 +231,25 @@ impl<'a> LinesAbove<'a> {
             (None, Some(title)) => return Err(title.refused()),
             (columns, _) => columns.unwrap_or_else(|| TableColumns::unnamed(0, 3)),
         };
-        Ok(Heading { start: length, lines_above: 0, syntax: Syntax::BLANKS, columns })
+        let (syntax, announced) = (Syntax::BLANKS, None);
+        Ok(Heading { start: length, lines_above: 0, syntax, columns, announced })
     }
 
-    /// The notation and the columns of a table with these `rows`.
+    /// The notation and the columns of a table with these `rows`, and the number at the start of
+    /// the first row, if it may be the number of rows below it.
     fn columns_of(
         &self,
         first: FirstRow,
         rows: &[u8],
-    ) -> Result<(Syntax, TableColumns), ReadFault> {
+    ) -> Result<(Syntax, TableColumns, Option<u64>), ReadFault> {
         let row = first.content;
         if let Some(names) = self.names {
-            return Ok(columns_below(names, row));
+            let (syntax, columns) = columns_below(names, row);
+            return Ok((syntax, columns, None));
         }
         if let Some((syntax, columns)) = fitting(self.comments.columns(), row) {
             refuse_rows_above(&self.titles, columns.names.len())?;
-            return Ok((syntax, columns));
+            return Ok((syntax, columns, None));
         }
         let found = UnnamedColumns::of(row);
         let fields = found.map_or_else(
@@ -264,7 +271,9 @@ impl<'a> LinesAbove<'a> {
         if let Some(unclear) = self.comments.unclear(fields, x.as_ref().ok().copied()) {
             return Err(unclear);
         }
-        Ok((unnamed.syntax, TableColumns::unnamed(x.map_err(fault)?, fields)))
+        let x = x.map_err(fault)?;
+        let announced = unnamed.announced(rows).filter(|_| x == 0);
+        Ok((unnamed.syntax, TableColumns::unnamed(x, fields), announced))
     }
 }
 
@@ -276,10 +285,11 @@ fn fitting(
     columns.find_map(|columns| Some((Syntax::of_row(row, &columns)?, columns)))
 }
 
-/// The notation and the columns of a row below a line of names.
+/// The notation and the columns of a row below a line of names. One of these names may stand for a
+/// vector.
 fn columns_below(names: &[u8], row: &[u8]) -> (Syntax, TableColumns) {
     let text = String::from_utf8_lossy(names);
-    fitting(named_columns(&text), row).unwrap_or_else(|| {
+    fitting(named_columns(&text).chain(columns_in_comment(&text)), row).unwrap_or_else(|| {
         let columns = named_columns(&text).next().expect("the line names a position");
         let shown = Separator::of(row);
         let separator = if row.contains(&b'\t') { separator_of(names) } else { shown };

@@ -16,6 +16,7 @@ mod fields;
 mod header;
 mod heading;
 mod labels;
+mod times;
 mod unnamed;
 
 use std::ops::{ControlFlow, Range};
@@ -35,14 +36,22 @@ use super::{ParticleFile, ReadFault};
 use fields::{LineFields, is_comment, lines, unquoted};
 use heading::Heading;
 use labels::{Known, Texts};
+use times::Times;
 
 pub(super) use fields::{Separator, Syntax};
 pub(super) use header::{columns_in_comment, names_of};
 pub(super) use heading::{HEAD, TableColumns, unnamed_columns};
 pub(super) use unnamed::is_row;
 
+/// The error for a row without values.
+const EMPTY_ROW: &str = "all fields of this row are empty; delete the row";
+
 /// Size, in bytes, of a decoded number.
 const WIDTH: usize = size_of::<f64>();
+
+/// Minimum number of rows that the first row can announce. In a smaller table, the first row may
+/// contain this number by accident.
+const FEWEST_ANNOUNCED: u64 = 8;
 
 /// The rows of a table, and the meaning of their fields.
 pub(super) struct TextTable {
@@ -53,6 +62,9 @@ pub(super) struct TextTable {
     pub columns: TableColumns,
     /// The number of rows, if the file announces it.
     pub count: Option<u64>,
+    /// The number at the start of the first row. If this number of rows follows, the first row is
+    /// no particle.
+    pub announced: Option<u64>,
     /// The simulation box, if coordinates are fractions of its edges.
     pub cell: Option<Cell>,
 }
@@ -87,9 +99,10 @@ pub(super) fn read(
     unpacking: Unpacking,
 ) -> Result<ParticleFile, ReadFault> {
     let view = bytes.view();
-    let Heading { start, lines_above, syntax, columns } = Heading::of(view, start)?;
+    let Heading { start, lines_above, syntax, columns, announced } = Heading::of(view, start)?;
     let rows = start..view.len();
-    let table = TextTable { rows, lines_above, syntax, columns, count: None, cell: None };
+    let (count, cell) = (None, None);
+    let table = TextTable { rows, lines_above, syntax, columns, count, announced, cell };
     table.read(bytes, wanted, unpacking, "text table")
 }
 
@@ -100,6 +113,17 @@ struct FieldTarget {
     place: usize,
     /// The treatment of a field that is not a number.
     otherwise: BadFieldPolicy,
+}
+
+/// The decoded rows of a piece of text.
+struct DecodedPiece {
+    rows: Vec<u8>,
+    /// The number of lines.
+    lines: u64,
+    /// The line of the first row without values at the end of the piece.
+    empty: Option<u64>,
+    /// The numbers in the column of times.
+    times: Times,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -158,14 +182,21 @@ impl TextTable {
         let text: Vec<AtomicBool> = (0..width).map(|_| AtomicBool::new(false)).collect();
         let source = InputBytes::from(bytes);
         let labels: Vec<_> = texts.iter().map(|_| Texts::default()).collect();
-        let rows = table.decode(&source, &slots, (&text, &labels), unpacking)?;
+        let may_have_frames = |a: &&Quantity| Times::are_in(a) && !wanted.test(&a.name);
+        let time = attributes.iter().find(may_have_frames).filter(|_| table.count.is_none());
+        let time_column = time.map(|time| time.columns[0]);
+        let (rows, times) =
+            table.decode(&source, (&slots, time_column), (&text, &labels), unpacking)?;
         let stride = width * WIDTH;
         let count = rows.len() / stride;
         if let Some(expected) = table.count.filter(|expected| *expected != count as u64) {
             let what = format!("the header announces {expected} rows, but the file has {count}");
             return Err(ReadFault::Line { line: table.lines_above, what });
         }
-        let first = Column { offset: 0, stride, scalar: Scalar::F64, endian: Endian::Little };
+        let is_announced = |&below: &u64| below >= FEWEST_ANNOUNCED && below + 1 == count as u64;
+        let skipped = usize::from(table.announced.as_ref().is_some_and(is_announced));
+        let (offset, count) = (skipped * stride, count - skipped);
+        let first = Column { offset, stride, scalar: Scalar::F64, endian: Endian::Little };
         let mut places = 3..;
         let attributes = read().filter_map(|attribute| {
             let places: Vec<_> = places.by_ref().take(attribute.columns.len()).collect();
@@ -186,49 +217,68 @@ impl TextTable {
         let store = store.with_labels(labels);
         let unread = infos.into_iter().zip(is_read).filter(|(_, read)| !read);
         let unread = unread.map(|(info, _)| info).collect();
-        Ok(ParticleFile { unread, ..ParticleFile::new(store, format) })
+        let left_out = time.and_then(|time| times.frames(&time.name)).into_iter().collect();
+        Ok(ParticleFile { unread, left_out, ..ParticleFile::new(store, format) })
     }
 
-    /// Decodes all rows in order.
+    /// Decodes all rows in order. Also returns the numbers in the column of times, if there is one.
     fn decode(
         &self,
         source: &InputBytes,
-        slots: &[Option<FieldTarget>],
+        columns: (&[Option<FieldTarget>], Option<usize>),
         text: (&[AtomicBool], &[Texts]),
         unpacking: Unpacking,
-    ) -> Result<PrivateBytes, ReadFault> {
+    ) -> Result<(PrivateBytes, Times), ReadFault> {
         let mut rows = UnpackBuffer::new(unpacking);
         let mut lines_above = self.lines_above;
+        // Rows without values, as spreadsheets write them, are allowed only at the end.
+        let mut empty = None;
+        let mut times = Times::default();
         decode_windows(
             source,
             self.rows.clone(),
             |byte| byte == b'\n',
-            |piece| self.decode_piece(piece, slots, text),
+            |piece| self.decode_piece(piece, columns, text),
             |piece| {
-                let (piece, lines) = piece
+                let has_rows = piece.as_ref().map_or(true, |piece| !piece.rows.is_empty());
+                if let Some(line) = empty.filter(|_| has_rows) {
+                    return Err(ReadFault::Line { line, what: EMPTY_ROW.to_owned() });
+                }
+                let piece = piece
                     .map_err(|(line, what)| ReadFault::Line { line: lines_above + line, what })?;
-                lines_above += lines;
-                rows.push(&piece)?;
+                empty = empty.or(piece.empty.map(|line| lines_above + line));
+                lines_above += piece.lines;
+                times.append(piece.times);
+                rows.push(&piece.rows)?;
                 Ok(ControlFlow::Continue(()))
             },
         )?;
-        rows.finish()
+        Ok((rows.finish()?, times))
     }
 
-    /// Decodes the rows of a piece of text. Returns the decoded rows and the number of lines, or
-    /// the line number and the error of the first invalid line.
+    /// Decodes the rows of a piece of text. Returns the line number and the error of the first
+    /// invalid line.
     fn decode_piece(
         &self,
         piece: &[u8],
-        slots: &[Option<FieldTarget>],
+        (slots, time): (&[Option<FieldTarget>], Option<usize>),
         (text, labels): (&[AtomicBool], &[Texts]),
-    ) -> Result<(Vec<u8>, u64), (u64, String)> {
+    ) -> Result<DecodedPiece, (u64, String)> {
         let width = text.len() * WIDTH;
         let mut known: Vec<Known> = labels.iter().map(|_| Known::new()).collect();
         let mut rows = Vec::new();
+        let mut empty = None;
+        let mut times = Times::default();
         for (line, _, content) in lines(piece) {
             if is_comment(content) {
                 continue;
+            }
+            if is_empty_row(content, self.syntax.separator) {
+                empty = empty.or(Some(line));
+                continue;
+            }
+            if let Some(line) = empty {
+                return Err((line, EMPTY_ROW.to_owned()));
             }
             let row = rows.len();
             rows.resize(row + width, 0);
@@ -254,6 +304,9 @@ impl TextTable {
                     };
                     rows[row + place * WIDTH..][..WIDTH].copy_from_slice(&number.to_le_bytes());
                 }
+                if Some(fields) == time {
+                    times.push(self.syntax.number(field).unwrap_or(f64::NAN), 1);
+                }
                 fields += 1;
             }
             if fields != slots.len() {
@@ -268,8 +321,8 @@ impl TextTable {
                 position.copy_from_slice(place.map(f64::to_le_bytes).as_flattened());
             }
         }
-        let lines = piece.iter().filter(|&&byte| byte == b'\n').count();
-        Ok((rows, lines as u64))
+        let lines = piece.iter().filter(|&&byte| byte == b'\n').count() as u64;
+        Ok(DecodedPiece { rows, lines, empty, times })
     }
 
     fn not_a_number(&self, field: &[u8], column: usize) -> String {
@@ -289,6 +342,12 @@ impl TextTable {
             _ => what,
         }
     }
+}
+
+/// Whether a row consists only of separators and quotes.
+fn is_empty_row(row: &[u8], separator: Separator) -> bool {
+    let Separator::Byte(separator) = separator else { return false };
+    row.iter().all(|&byte| byte == separator || byte == b'"' || byte.is_ascii_whitespace())
 }
 
 /// A quoted excerpt of a field or a line, for a message.

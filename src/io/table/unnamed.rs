@@ -74,6 +74,22 @@ impl UnnamedColumns {
         }
     }
 
+    /// The first number of the first row, if it may be the number of rows below it instead of x.
+    ///
+    /// It is an integer, in contrast to all other x coordinates, or it is far from them.
+    pub fn announced(self, rows: &[u8]) -> Option<u64> {
+        let first = rows_of(rows, self.syntax, self.fields).next()?.next()?;
+        let count = std::str::from_utf8(first).ok().filter(|_| is_whole(first))?.parse().ok()?;
+        let sample = Sample::of(rows, self);
+        let x = sample.columns.first().filter(|_| self.first == 0)?;
+        let others = x.values[1..].iter();
+        let least = others.clone().copied().fold(f64::INFINITY, f64::min);
+        let most = others.copied().fold(f64::NEG_INFINITY, f64::max);
+        let span = most - least;
+        let is_far = !(least - span..=most + span).contains(&(count as f64));
+        (x.unsigned == 1 || is_far).then_some(count)
+    }
+
     /// The index of the x column in a frame of an XYZ file whose rows are `rows`. `None` if the
     /// rows start with integers that may be either atomic numbers or x coordinates.
     pub fn x_column_of_xyz(self, rows: &[u8]) -> Option<usize> {
