@@ -168,8 +168,8 @@ fn numbered(line: &str) -> Vec<String> {
     names
 }
 
-/// The names in a line such as `x[1] y[2]`, `x:1 y:2`, `v[1] v[2] v[3]` or `id (1), position (2-4)`.
-/// A number or a range of columns follows each name.
+/// The names in a line such as `x[1] y[2]`, `x:1 y:2` or `id (1), position (2-4)`. A number or a
+/// range of columns follows each name.
 fn numbered_after(line: &str) -> Vec<String> {
     let mut names: Vec<String> = Vec::new();
     let mut next = None;
