@@ -512,8 +512,8 @@ fn names_others_first(text: &str, first: Option<usize>) -> bool {
     let is_position =
         |word: &str| names_position(word) || are_axes && position_axis(word).is_some();
     let is_known = |word: &&str| is_position(word) || names_other_column(word);
-    let Some(start) = words.iter().position(|word| is_known(word)) else { return false };
-    let end = words.iter().rposition(|word| is_known(word)).unwrap_or(start);
+    let Some(start) = words.iter().position(&is_known) else { return false };
+    let end = words.iter().rposition(is_known).unwrap_or(start);
     let known = words[start..=end].iter().filter(|word| is_known(word)).count();
     // Units may follow names, as in `velocity in m/s`.
     let is_prose =
