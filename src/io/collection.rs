@@ -13,6 +13,7 @@ use super::blocks::open_blocks;
 use super::bytes::{LastFile, Unpacking, open_whole};
 use super::input::open_wanted;
 use super::listed::resolved;
+use super::scan::mark_length;
 use super::vtp::each_tag;
 use super::wanted::WantedParticles;
 use super::{ParticleFile, ReadError, ReadFault, malformed};
@@ -67,9 +68,10 @@ pub fn listed(path: &Path) -> Result<Arc<[ListedFrame]>, ReadError> {
 
 fn read_list(path: &Path) -> Result<Vec<ListedFrame>, ReadError> {
     let bytes = open_whole(path)?;
+    let bytes = &bytes[mark_length(&bytes)..];
     let is_xml = bytes.trim_ascii_start().starts_with(b"<");
     let folder = path.parent().unwrap_or(Path::new(""));
-    let frames = if is_xml { collection(&bytes, folder) } else { series(&bytes, folder) };
+    let frames = if is_xml { collection(bytes, folder) } else { series(bytes, folder) };
     let frames = frames.map_err(|fault| ReadError::new(path, fault))?;
     let other = frames.iter().flat_map(ListedFrame::files).find(|file| is_list(file));
     let fault = match other.map(Path::to_owned) {
@@ -225,6 +227,10 @@ mod tests {
         let expected = [&["a.vtp", "d.vtp"][..], &["b.vtp"], &["c.vtp"]];
         let times = [Some(1.0), None, None];
         assert_eq!(frames, [0, 1, 2].map(|i| frame(times[i], expected[i])));
+        for (name, list) in [("s.pvd", list), ("s.vtp.series", series)] {
+            let marked = listed_in(name, &format!("\u{feff}{list}"), &["b c.vtp"]).unwrap();
+            assert_eq!(marked, listed_in(name, list, &["b c.vtp"]).unwrap());
+        }
     }
 
     #[test]

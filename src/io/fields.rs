@@ -2,7 +2,7 @@
 //! attributes.
 
 use super::error::{no_step, several_steps};
-use super::names::{Quantity, quantities};
+use super::names::{Quantity, is_preferred_position, quantities};
 use super::{ReadFault, UnreadPart, malformed};
 
 /// Maximum number of components of an attribute. An array with more components is a matrix or a
@@ -73,7 +73,7 @@ pub struct Arrangement {
     pub position: LocatedQuantity,
     /// The other quantities with the same number of particles.
     pub attributes: Vec<LocatedQuantity>,
-    /// Arrays with the same number of particles, but with too many numbers per particle.
+    /// Arrays with too many numbers per particle, and arrays `x`, `y` and `z` of another length.
     pub left_out: Vec<UnreadPart>,
 }
 
@@ -133,22 +133,29 @@ impl Axes {
 
 /// Names and places of the columns of arrays. A vector gives three columns, with the names
 /// `name.x`, `name.y` and `name.z`.
-#[derive(Default)]
-struct NamedColumns {
+struct NamedColumns<'a> {
+    fields: &'a [NamedArray],
     names: Vec<String>,
     places: Vec<ColumnIndex>,
     others: Vec<LocatedQuantity>,
 }
 
-impl NamedColumns {
-    fn push(&mut self, field: usize, name: &str, components: u64) {
+impl<'a> NamedColumns<'a> {
+    fn of(fields: &'a [NamedArray]) -> Self {
+        Self { fields, names: Vec::new(), places: Vec::new(), others: Vec::new() }
+    }
+
+    fn push(&mut self, field: usize, components: u64) {
+        let name = &self.fields[field].name;
         let places = (0..components as usize).map(|component| ColumnIndex { field, component });
         match components {
-            1 => self.names.push(name.to_owned()),
-            3 => self.names.extend(["x", "y", "z"].map(|axis| format!("{name}.{axis}"))),
+            1 => self.names.push(name.clone()),
+            3 if !is_one_axis(self.fields, field) => {
+                self.names.extend(["x", "y", "z"].map(|axis| format!("{name}.{axis}")))
+            }
             _ => {
-                self.others
-                    .push(LocatedQuantity { name: name.to_owned(), places: places.collect() });
+                let (name, places) = (name.clone(), places.collect());
+                self.others.push(LocatedQuantity { name, places });
                 return;
             }
         }
@@ -157,7 +164,7 @@ impl NamedColumns {
 
     /// Separates the position from the other quantities.
     fn position(self) -> Option<(LocatedQuantity, Vec<LocatedQuantity>)> {
-        let Self { names, places, others } = self;
+        let Self { names, places, others, .. } = self;
         let found = |q: Quantity| LocatedQuantity {
             name: q.name,
             places: q.columns.iter().map(|&column| places[column]).collect(),
@@ -173,22 +180,46 @@ impl NamedColumns {
 /// of shape (3, 3) has three particles. Every other array with the same number of particles is an
 /// attribute.
 ///
+/// A single array called `pos` or similar is preferred to three arrays `x`, `y` and `z`, which may
+/// be the axes of a grid.
+///
 /// Returns `None` if no array is a position.
 ///
 /// # Errors
 /// [`ReadFault::Malformed`] if the position consists of arrays of different lengths.
 pub fn arrange(fields: &[NamedArray]) -> Result<Option<Arrangement>, ReadFault> {
+    let mut separate = None;
     for axes in [Axes::Particles, Axes::Components, Axes::Frames] {
-        if let Some(arrangement) = arrange_along(fields, axes)? {
-            return Ok(Some(arrangement));
+        match (arrange_along(fields, axes).transpose(), &separate) {
+            (None, _) => {}
+            (Some(Ok(found)), None) if !found.position.name.is_empty() => return Ok(Some(found)),
+            (Some(found), None) => separate = Some(found),
+            (Some(Ok(found)), Some(_)) if is_preferred_position(&found.position.name) => {
+                return Ok(Some(found));
+            }
+            _ => {}
         }
     }
-    Ok(None)
+    separate.transpose()
+}
+
+/// Whether a field is one of three arrays `x`, `y` and `z` of equal shape. Such an array is no
+/// vector: its axes may be frames and particles.
+fn is_one_axis(fields: &[NamedArray], field: usize) -> bool {
+    const AXES: [&str; 3] = ["x", "y", "z"];
+    let NamedArray { name, shape } = &fields[field];
+    let lower = name.to_ascii_lowercase();
+    let own: Vec<_> = AXES.into_iter().filter(|axis| lower.contains(axis)).collect();
+    let has = |axis: &str| {
+        let name = lower.replace(own[0], axis);
+        fields.iter().any(|f| f.name.eq_ignore_ascii_case(&name) && f.shape == *shape)
+    };
+    own.len() == 1 && AXES.into_iter().all(has)
 }
 
 fn arrange_along(fields: &[NamedArray], axes: Axes) -> Result<Option<Arrangement>, ReadFault> {
-    let mut candidates = NamedColumns::default();
-    for (number, NamedArray { name, shape }) in fields.iter().enumerate() {
+    let mut candidates = NamedColumns::of(fields);
+    for (number, NamedArray { shape, .. }) in fields.iter().enumerate() {
         let Some(extent) = axes.extent(shape) else { continue };
         // Arrays of shape (T, N) called x, y and z are not used as positions: their axes may be
         // frames and particles, or the two axes of a grid.
@@ -198,7 +229,7 @@ fn arrange_along(fields: &[NamedArray], axes: Axes) -> Result<Option<Arrangement
             Axes::Frames => shape.len() == 3,
         };
         if may_be {
-            candidates.push(number, name, extent.components);
+            candidates.push(number, extent.components);
         }
     }
     let Some((position, _)) = candidates.position() else { return Ok(None) };
@@ -216,8 +247,8 @@ fn arrange_along(fields: &[NamedArray], axes: Axes) -> Result<Option<Arrangement
     }
     // For each array, tries the axes of the position first, and then axes without frames. The
     // values of an array without frames apply to every frame.
-    let mut columns = NamedColumns::default();
-    let mut left_out = Vec::new();
+    let mut columns = NamedColumns::of(fields);
+    let (mut left_out, mut separate) = (Vec::new(), Vec::new());
     let mut chosen = vec![Axes::Particles; fields.len()];
     for (number, NamedArray { name, shape }) in fields.iter().enumerate() {
         let fitting = [axes, Axes::Particles, Axes::Components].into_iter().find_map(|axes| {
@@ -227,10 +258,15 @@ fn arrange_along(fields: &[NamedArray], axes: Axes) -> Result<Option<Arrangement
         });
         if let Some((axes, extent)) = fitting {
             chosen[number] = axes;
-            columns.push(number, name, extent.components);
+            columns.push(number, extent.components);
         } else if let Some(numbers) = too_many(shape, rows, frames) {
             left_out.push(UnreadPart::WideArray { name: name.clone(), numbers });
+        } else if ["x", "y", "z"].iter().any(|axis| name.eq_ignore_ascii_case(axis)) {
+            separate.push(name.clone());
         }
+    }
+    if let Ok(names) = separate.try_into() {
+        left_out.push(UnreadPart::Coordinates { names, position: position.name });
     }
     let found = columns.position();
     Ok(found.map(|(position, attributes)| Arrangement {
@@ -322,6 +358,47 @@ mod tests {
             arranged.attributes.iter().map(|f| (&*f.name, f.places.len())).collect();
         assert_eq!(names, [("v", 3), ("volume", 1), ("C", 9), ("F", 9)]);
         assert_eq!((arranged.rows, &*arranged.position.name), (20, "x"));
+    }
+
+    #[test]
+    fn an_array_of_positions_is_preferred_to_separate_coordinates() {
+        let found = |all: &[(&str, &[u64])]| {
+            let found = arrange(&fields(all)).unwrap().unwrap();
+            let attributes = found.attributes.into_iter().map(|f| (f.name, f.places.len()));
+            (found.position.name, found.rows, attributes.collect(), found.left_out)
+        };
+        let of = |axes: [u64; 3], name, shape: &[u64]| {
+            found(&[("x", &axes[..1]), ("y", &axes[1..2]), ("z", &axes[2..]), (name, shape)])
+        };
+        let axes = || UnreadPart::Coordinates {
+            names: ["x", "y", "z"].map(String::from),
+            position: "pos".into(),
+        };
+        let pos = |rows| ("pos".into(), rows, vec![], vec![axes()]);
+        assert_eq!(of([8, 8, 8], "pos", &[20, 3]), pos(20));
+        assert_eq!(of([8, 9, 10], "pos", &[20, 3]), pos(20));
+        assert_eq!(of([8, 8, 8], "pos", &[3, 20]), pos(20));
+        assert_eq!(of([8, 9, 10], "pos", &[2, 20, 3]), pos(20));
+        assert_eq!(
+            of([20, 20, 20], "Coordinates", &[20, 3]),
+            ("Coordinates".into(), 20, vec![("xyz".into(), 3)], vec![])
+        );
+        // `p` may be a momentum.
+        let separate =
+            |name: &str, components| ("".into(), 20, vec![(name.to_owned(), components)], vec![]);
+        assert_eq!(of([20, 20, 20], "p", &[20, 3]), separate("p", 3));
+        assert_eq!(of([20, 20, 20], "p", &[3, 20]), separate("p", 3));
+    }
+
+    #[test]
+    fn coordinates_with_an_axis_for_frames_are_not_a_vector() {
+        for shape in [[3, 20], [20, 3], [3, 3]] {
+            let all = fields(&[("x", &shape), ("y", &shape), ("z", &shape), ("m", &[20])]);
+            assert!(arrange(&all).unwrap().is_none(), "{shape:?}");
+            assert_eq!(only_vector(&all), None);
+        }
+        let of_each_axis = fields(&[("x", &[20, 3]), ("y", &[20]), ("z", &[20])]);
+        assert_eq!(arrange(&of_each_axis).unwrap().unwrap().position.name, "x");
     }
 
     #[test]

@@ -146,6 +146,15 @@ pub enum UnreadPart {
         /// Number of values per particle.
         numbers: u64,
     },
+    /// The name of an array of cell data, unless the reader uses it as point data.
+    CellData(String),
+    /// Arrays `x`, `y` and `z` whose length is not the number of particles.
+    Coordinates {
+        /// The names of the arrays.
+        names: [String; 3],
+        /// The name of the position.
+        position: String,
+    },
 }
 
 impl UnreadPart {
@@ -154,10 +163,12 @@ impl UnreadPart {
     pub fn attribute(&self) -> Option<&str> {
         match self {
             Self::Attribute(info) => Some(&info.name),
-            Self::WideArray { name, .. } => Some(name),
-            Self::Block { .. } | Self::Names(_) | Self::Primitives { .. } | Self::Times { .. } => {
-                None
-            }
+            Self::WideArray { name, .. } | Self::CellData(name) => Some(name),
+            Self::Block { .. }
+            | Self::Names(_)
+            | Self::Primitives { .. }
+            | Self::Times { .. }
+            | Self::Coordinates { .. } => None,
         }
     }
 }
@@ -194,6 +205,11 @@ impl fmt::Display for UnreadPart {
                 "array {name:?}, which has {numbers} numbers per particle (at most {} are \
                  supported)",
                 fields::MOST_COMPONENTS
+            ),
+            Self::CellData(name) => write!(f, "cell data {name:?}; convert it to point data"),
+            Self::Coordinates { names: [x, y, z], position } => write!(
+                f,
+                "arrays {x:?}, {y:?} and {z:?}, because {position:?} contains the positions"
             ),
         }
     }

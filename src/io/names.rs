@@ -4,14 +4,13 @@
 use std::collections::{HashMap, HashSet};
 
 /// Names of a position in order of preference. The empty name stands for columns `x`, `y` and `z`.
+/// Names after it may also mean a momentum, a pressure or a rotation.
 const POSITION: [&str; 25] = [
-    "",
     "points",
     "point",
     "pos",
     "position",
     "positions",
-    "p",
     "coordinates",
     "coordinate",
     "coords",
@@ -25,6 +24,8 @@ const POSITION: [&str; 25] = [
     "particle_pos",
     "particle_q",
     "particles",
+    "",
+    "p",
     "xp",
     "x_p",
     "p_x",
@@ -310,6 +311,12 @@ pub fn names_other_column(name: &str) -> bool {
 /// Whether a word names a position without a component, such as `pos` or `coordinates`.
 pub fn is_position_word(word: &str) -> bool {
     word.len() > 1 && POSITION.iter().any(|position| word.eq_ignore_ascii_case(position))
+}
+
+/// Whether a position with this name is preferred to columns `x`, `y` and `z`.
+pub fn is_preferred_position(name: &str) -> bool {
+    let preferred = POSITION.iter().take_while(|position| !position.is_empty());
+    preferred.into_iter().any(|position| name.eq_ignore_ascii_case(position))
 }
 
 /// The names without units, including units that follow a name without a blank, as in `vx[m/s]`.

@@ -200,6 +200,12 @@ fn fortran(word: &[u8]) -> Option<f64> {
     std::str::from_utf8(rewritten).ok()?.parse().ok()
 }
 
+/// Whether a number is a plausible length. Numbers that are read with the wrong type or byte order
+/// have arbitrary magnitudes.
+pub fn is_length(number: f64) -> bool {
+    number == 0.0 || (1e-12..1e12).contains(&number.abs())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -291,8 +291,10 @@ pub(super) fn join_files(
     let partial = keep_shared_attributes(&mut files).into_iter().map(UnreadPart::Attribute);
     let opened = || files.iter().flatten();
     let blocks = opened().flat_map(|file| file.left_out.iter().cloned());
+    let mut named = HashSet::new();
     let left_out = blocks
         .filter(|part| !matches!(part, UnreadPart::Attribute(_)))
+        .filter(|part| part.attribute().is_none_or(|name| named.insert(name.to_owned())))
         .chain(partial)
         .collect::<Vec<_>>();
     let time = opened().find_map(|file| file.time);

@@ -14,6 +14,12 @@ const SHORT_LINE: usize = 1 << 8;
 /// Number of scanned bytes after which their memory is released.
 const PASSED: usize = 1 << 20;
 
+/// The length of the byte order mark of UTF-8 at the start of `bytes`: 0 if there is none.
+pub fn mark_length(bytes: &[u8]) -> usize {
+    const MARK: &[u8] = b"\xef\xbb\xbf";
+    if bytes.starts_with(MARK) { MARK.len() } else { 0 }
+}
+
 /// A position in a text, which moves only forward.
 #[derive(Debug, Clone)]
 pub struct Scanner<'a> {
@@ -152,6 +158,15 @@ impl<'a> Lines<'a> {
     /// Creates a reader at byte `at` of `bytes`, or at their end if `at` is beyond it.
     pub fn new(bytes: ByteView<'a>, at: usize) -> Self {
         Self { bytes, at: at.min(bytes.len()) }
+    }
+
+    /// Creates a reader at the start of `bytes`. A byte order mark is skipped.
+    ///
+    /// # Errors
+    /// The errors of [`ahead`](Self::ahead).
+    pub fn of_text(bytes: ByteView<'a>) -> Result<Self, ReadFault> {
+        let head = bytes.read(0..bytes.len().min(3))?;
+        Ok(Self::new(bytes, mark_length(&head)))
     }
 
     /// The position, as a byte offset from the start of the file.

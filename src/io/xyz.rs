@@ -8,7 +8,7 @@
 use super::bytes::{ByteView, Bytes, Unpacking};
 use super::columns::{Column, ColumnStore, Endian, ParticleRows, Scalar};
 use super::names::{Quantity, repeated_position};
-use super::number::ParseNumber;
+use super::number::{ParseNumber, is_length};
 use super::table::{
     HEAD, Separator, Syntax, TableColumns, TextTable, columns_in_comment, excerpt, is_row,
     names_of, unnamed_columns,
@@ -53,7 +53,6 @@ pub(super) fn read_raw(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
 /// Whether raw numbers are f64: all are plausible lengths as f64, but many are not as f32. The
 /// lower half of an f64, read as an f32, has an arbitrary magnitude.
 fn are_f64(raw: &[u8]) -> bool {
-    let is_length = |number: f64| number == 0.0 || (1e-12..1e12).contains(&number.abs());
     let wide = raw.as_chunks().0.iter().map(|&bytes| f64::from_le_bytes(bytes));
     let narrow = raw.as_chunks().0.iter().map(|&bytes| f64::from(f32::from_le_bytes(bytes)));
     let far = narrow.filter(|&number| !is_length(number)).count();

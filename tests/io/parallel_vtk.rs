@@ -223,12 +223,7 @@ fn a_multiblock_file_gives_its_particles_and_names_skipped_blocks() {
     let named = |left_out: &UnreadPart| match left_out {
         UnreadPart::Block { name, .. } => name.clone(),
         UnreadPart::Attribute(info) => info.name.clone(),
-        UnreadPart::Names(_)
-        | UnreadPart::Primitives { .. }
-        | UnreadPart::Times { .. }
-        | UnreadPart::WideArray { .. } => {
-            panic!("{left_out}")
-        }
+        _ => panic!("{left_out}"),
     };
     assert_eq!(file.left_out.iter().map(named).collect::<Vec<_>>(), ["solid", "p/i.vti"]);
     set.write("a.vtm", &list(solid));
@@ -461,6 +456,31 @@ fn points_whose_vertices_are_all_ghosts_are_omitted() {
         points_left(true, &text.replace("<Piece ", "<Piece NumberOfLines=\"1\" ")).unwrap().len(),
         6
     );
+}
+
+#[test]
+fn cell_data_of_one_vertex_per_point_in_order_are_attributes() {
+    let folder = TempDir::new().unwrap();
+    let (order, masses) = ([0, 1, 2, 3, 4, 5], [7, 5, 3, 2, 1, 0]);
+    for polydata in [true, false] {
+        let read = |text: &str| {
+            let path = folder.path().join(if polydata { "a.vtp" } else { "a.vtu" });
+            fs::write(&path, text).unwrap();
+            open(&path).unwrap()
+        };
+        let text = with_cells(polydata, &order, "mass", &masses);
+        let file = read(&text);
+        assert_eq!(attribute(&file, "mass"), [7.0, 5.0, 3.0, 2.0, 1.0, 0.0]);
+        assert_eq!(file.left_out, []);
+        let unordered = with_cells(polydata, &[1, 0, 2, 3, 4, 5], "mass", &masses);
+        let fewer = with_cells(polydata, &order[1..], "mass", &masses[1..]);
+        let several = text.replace(">1 2 3 4 5 6<", ">1 2 3 4 5 7<");
+        for other in [unordered, fewer, several] {
+            let file = read(&other);
+            assert_eq!(file.particles.attributes().len(), 1, "{other}");
+            assert_eq!(file.left_out, [UnreadPart::CellData("mass".into())]);
+        }
+    }
 }
 
 #[test]

@@ -16,7 +16,7 @@ use meniscus::internals::particles::sizes::SizeChoice;
 use meniscus::internals::particles::{Particles, RereadError, velocity_attribute};
 use zip::CompressionMethod;
 
-use crate::build::{self, Bi4, Compressor, VtkXml, gzip, tuples, xz};
+use crate::build::{self, Bi4, Compressor, Placed, VtkXml, gzip, tuples, xz};
 use crate::common::files::data;
 use crate::common::particle_files::{attribute, positions};
 use crate::memory;
@@ -383,7 +383,7 @@ fn a_flipped_bit_in_checksummed_positions_is_detected() {
     // Leave out LZ4, whose blocks have no checksum.
     let compressed = |layout: &VtkXml| {
         matches!(layout.compressor, Compressor::Zlib | Compressor::Lzma)
-            && layout.placed != build::Placed::Ascii
+            && layout.placed != Placed::Ascii
     };
     files.extend(
         VtkXml::all().into_iter().filter(compressed).map(|layout| (VTU, layout.build(&points))),
@@ -540,6 +540,67 @@ fn npz_positions_are_found_by_name_or_as_the_only_candidate() {
 }
 
 #[test]
+fn a_byte_order_mark_before_vtk_xml_is_skipped() {
+    for layout in VtkXml::all() {
+        let points = tuples(5);
+        let marked = [b"\xef\xbb\xbf", &layout.build(&points)[..]].concat();
+        let file = VTU(marked.into()).unwrap();
+        assert_eq!(positions(&file), points, "{layout:?}");
+        assert_eq!(file.time, Some(1.5));
+    }
+}
+
+#[test]
+fn vtk_xml_lengths_of_8_bytes_need_no_declaration_if_only_they_fit() {
+    for points in [tuples(5), vec![[0.0; 3]; 5]] {
+        for layout in VtkXml::all().into_iter().filter(|l| !l.is_compressed()) {
+            let mut bytes = layout.build(&points);
+            if layout.wide {
+                let at = bytes.windows(6).position(|word| word == b"UInt64").unwrap();
+                bytes[at..at + 6].copy_from_slice(b"UInt32");
+            }
+            let file = VTU(bytes.into());
+            match (layout.placed, layout.wide) {
+                (Placed::AppendedBase64, true) => {}
+                (Placed::Base64, true) => {
+                    let fault = file.expect_err("refused").to_string();
+                    assert!(layout.big || fault.contains("header_type=\"UInt64\""), "{fault}");
+                }
+                _ => {
+                    let file = file.unwrap();
+                    assert_eq!(positions(&file), points, "{layout:?}");
+                    assert_eq!(attribute(&file, "id"), [0.0, 1.0, 2.0, 3.0, 4.0]);
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn npz_positions_are_preferred_to_coordinates_and_grid_axes() {
+    let (points, axis) = (tuples(4), |count: usize| {
+        let numbers = (0..count).flat_map(|i| (i as f64).to_le_bytes()).collect();
+        [build::npy_header("<f8", false, &format!("({count},)")), numbers].concat()
+    });
+    let of = |count, position| {
+        let names = ["x", "y", "z"].map(|name| (name, axis(count)));
+        let arrays = [&names[..], &[position]].concat();
+        read(NPZ, &build::npz(&arrays, CompressionMethod::Stored)).unwrap()
+    };
+    let file = of(9, ("Position", build::npy(&points, "<f4", false)));
+    assert_eq!((positions(&file), attributes(&file)), (points.clone(), vec![]));
+    let left_out = r#"arrays "x", "y" and "z", because "Position" contains the positions"#;
+    assert_eq!(file.left_out[0].to_string(), left_out);
+    let file = of(4, ("pos", build::npy(&points, "<f4", false)));
+    assert_eq!((positions(&file), attributes(&file)), (points, vec![("xyz", 3)]));
+    assert_eq!(attribute(&file, "xyz")[3..6], [1.0; 3]);
+    let frames = build::npy(&tuples(4), "<f8", false);
+    let frames = ["x", "y", "z"].map(|name| (name, frames.clone()));
+    let fault = fault(read(NPZ, &build::npz(&frames, CompressionMethod::Stored)));
+    assert!(fault.contains("x (4, 3), y (4, 3), z (4, 3)"), "{fault}");
+}
+
+#[test]
 fn numpy_arrays_may_contain_frames_or_have_components_first() {
     let points = tuples(6);
     let numbers = |values: &[f64]| values.iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<_>>();
@@ -590,6 +651,12 @@ fn fields_of_a_structured_numpy_array_become_attributes() {
         assert_eq!(attributes(&file), [("id", 1), ("v", 1)]);
         assert_eq!(attribute(&file, "v"), [10.0, 20.0]);
     }
+    let text = text.replace("'id'", "'x'").replace("'v'", "'y'").replace("'|S2'", "'<i2'");
+    let text = text.replace("'name'", "'z'").replace('}', "}    ");
+    let coordinates = [&bytes[..8], &length[..], text.as_bytes(), &bytes[10 + text.len()..]];
+    let file = read(NPY, &coordinates.concat()).unwrap();
+    assert_eq!(positions(&file), [[1.0, 3.0, 4.0], [2.0, 3.0, 4.0]]);
+    assert_eq!(attributes(&file), [("xyz", 3)]);
     let two = build::npz(&[("a", bytes.clone()), ("b", bytes)], CompressionMethod::Stored);
     assert!(matches!(read(NPZ, &two), Err(ReadFault::Unsupported(_))));
 }
@@ -772,7 +839,7 @@ fn huge_counts_of_encoded_numbers_are_refused_without_allocating() {
             let rest = at + "NumberOfPoints=\"7\"".len();
             cases.push((VTU, [&bytes[..at], wrong.as_bytes(), &bytes[rest..]].concat()));
         }
-        if layout.placed == build::Placed::AppendedRaw {
+        if layout.placed == Placed::AppendedRaw {
             let data = bytes.windows(2).position(|at| at == b" _").unwrap() + 2;
             for field in 0..if layout.is_compressed() { 3 } else { 1 } {
                 let width = if layout.wide { 8 } else { 4 };
@@ -819,9 +886,8 @@ fn huge_counts_of_encoded_numbers_are_refused_without_allocating() {
 
 #[test]
 fn a_last_vtk_block_without_any_blocks_is_refused() {
-    for layout in VtkXml::all()
-        .into_iter()
-        .filter(|l| l.is_compressed() && l.placed == build::Placed::AppendedRaw)
+    for layout in
+        VtkXml::all().into_iter().filter(|l| l.is_compressed() && l.placed == Placed::AppendedRaw)
     {
         // The coordinates of two points fit into one block, which is not full.
         let mut bytes = layout.build(&tuples(2));

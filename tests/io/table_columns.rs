@@ -572,3 +572,14 @@ fn decorated_names_in_the_comment_of_an_xyz_frame_are_understood() {
         assert_eq!(attributes(&file), [("v", 3)], "{names}");
     }
 }
+
+#[test]
+fn the_points_of_paraview_are_preferred_to_columns_x_y_and_z() {
+    let file = text("x,y,z,Points:0,Points:1,Points:2\n1,2,3,1.5,2.5,3.5\n4,5,6,4.5,5.5,6.5\n");
+    let file = file.unwrap();
+    assert_eq!((positions(&file), attributes(&file)), (POSITIONS.to_vec(), vec![("xyz", 3)]));
+    assert_eq!(attribute(&file, "xyz"), [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]);
+    // A stem that may be a pressure is not preferred.
+    let file = text("p_xx,p_xy,p_xz,x,y,z\n1,2,3,1.5,2.5,3.5\n4,5,6,4.5,5.5,6.5\n").unwrap();
+    assert_eq!((positions(&file), attributes(&file)), (POSITIONS.to_vec(), vec![("p_x", 3)]));
+}

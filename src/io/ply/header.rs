@@ -63,7 +63,7 @@ pub(super) struct PlyHeader {
 
 impl PlyHeader {
     pub fn parse(bytes: ByteView) -> Result<Self, ReadFault> {
-        let mut lines = Lines::new(bytes, 0);
+        let mut lines = Lines::of_text(bytes)?;
         if lines.line()?.as_deref().map(str::trim_end) != Some("ply") {
             return Err(lines.fault(0, "a .ply file starts with `ply`".into()));
         }

@@ -34,6 +34,8 @@ pub(super) struct VtkLayout {
     pub cell_types: Option<VtkArray>,
     /// Arrays of `CELL_DATA` that flag cells as ghosts.
     pub flags: Vec<VtkArray>,
+    /// Other arrays of `CELL_DATA`.
+    pub cell_data: Vec<VtkArray>,
     /// The array of one number that contains the time.
     pub time: Option<VtkArray>,
 }
@@ -104,6 +106,7 @@ struct LayoutParser<'a> {
     cells: Vec<VtkCells>,
     cell_types: Option<VtkArray>,
     flags: Vec<VtkArray>,
+    cell_data: Vec<VtkArray>,
     time: Option<VtkArray>,
 }
 
@@ -124,7 +127,7 @@ impl VtkLayout {
 
 impl<'a> LayoutParser<'a> {
     fn start(bytes: ByteView<'a>) -> Result<Self, ReadFault> {
-        let mut lines = Lines::new(bytes, 0);
+        let mut lines = Lines::of_text(bytes)?;
         let first = lines.line()?.unwrap_or_default();
         let version = first.strip_prefix("# vtk DataFile Version ");
         let major =
@@ -160,6 +163,7 @@ impl<'a> LayoutParser<'a> {
             cells: Vec::new(),
             cell_types: None,
             flags: Vec::new(),
+            cell_data: Vec::new(),
             time: None,
         })
     }
@@ -301,6 +305,7 @@ impl<'a> LayoutParser<'a> {
             cells: self.cells,
             cell_types: self.cell_types,
             flags: self.flags,
+            cell_data: self.cell_data,
             time: self.time,
         })
     }
@@ -382,7 +387,10 @@ impl<'a> LayoutParser<'a> {
     fn keep(&mut self, array: Option<VtkArray>) -> Option<usize> {
         let array = array?;
         if let Some(Owner::Cells(_)) = self.owner {
-            self.flags.extend(Some(array).filter(|a| is_flag(&a.name, a.components, a.scalar)));
+            match is_flag(&array.name, array.components, array.scalar) {
+                true => self.flags.push(array),
+                false => self.cell_data.push(array),
+            }
             return None;
         }
         let most = if array.tuples > 0 { usize::MAX } else { MOST_OF_NOTHING };

@@ -9,10 +9,10 @@ use crate::io::cell_types::{
 };
 use crate::io::columns::{Column, Endian, Scalar};
 use crate::io::ghosts::{VertexCells, VertexPoints};
-use crate::io::number::ParseNumber;
+use crate::io::number::{ParseNumber, is_length};
 use crate::io::text::decode_numbers;
 use crate::io::vertices::{FileVertices, Triangles, columns, integer};
-use crate::io::{ParticleFile, ReadFault, malformed};
+use crate::io::{ParticleFile, ReadFault, UnreadPart, malformed};
 use crate::particles::AttributeInfo;
 use crate::surface::mesh::Mesh;
 
@@ -41,8 +41,9 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
 /// is decoded into columns of f64.
 ///
 /// Every numeric array in `POINT_DATA` becomes an attribute. Percent codes in its name are decoded.
-/// Strings, bits, colours and cell data are skipped, except for cell data that flags vertex cells
-/// as copies or hidden: a point is left out if all of its vertex cells are flagged. A field of the
+/// Arrays in `CELL_DATA` become attributes if cell i is a vertex at point i, and if there is one
+/// cell per point. Strings, bits and colours are skipped. If cell data flags vertex cells as copies
+/// or hidden, a point is left out if all of its vertex cells are flagged. A field of the
 /// file with one of the names [`TIMES`](crate::io::names::TIMES) gives the time.
 ///
 /// # Errors
@@ -70,10 +71,16 @@ fn points(
     let time =
         layout.time.as_ref().map(|array| number(bytes.view(), layout.ascii, array)).transpose()?;
     let left = not_ghosts(bytes.view(), layout)?;
-    let vertices = vertices(bytes.view(), layout, unpacking)?;
+    let (mut cell_data, mut left_out): (&[_], _) = (&layout.cell_data, Vec::new());
+    if !cell_data.is_empty() && !cells_are_points(bytes.view(), layout)? {
+        left_out = cell_data.iter().map(|a| UnreadPart::CellData(a.name.clone())).collect();
+        cell_data = &[];
+    }
+    let vertices = vertices(bytes.view(), layout, cell_data, unpacking)?;
     let time = time.flatten().filter(|time| time.is_finite());
     let texts = layout.texts.clone();
-    Ok(ParticleFile { time, texts, ..vertices.into_particles(bytes, format) }.with_points(left))
+    Ok(ParticleFile { time, texts, left_out, ..vertices.into_particles(bytes, format) }
+        .with_points(left))
 }
 
 /// Whether the file is a mesh: any cell has an area or a volume.
@@ -153,12 +160,15 @@ pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
             }
         })?;
     }
-    Ok(vertices(view, &layout, Unpacking::in_memory())?.into_mesh(bytes, triangles.triangles))
+    Ok(vertices(view, &layout, &[], Unpacking::in_memory())?.into_mesh(bytes, triangles.triangles))
 }
 
+/// The points with their attributes, and with the values of `cell_data`, which has one tuple per
+/// point.
 fn vertices(
     bytes: ByteView,
     layout: &VtkLayout,
+    cell_data: &[VtkArray],
     unpacking: Unpacking,
 ) -> Result<FileVertices, ReadFault> {
     let mut decoded = UnpackBuffer::new(unpacking);
@@ -177,13 +187,16 @@ fn vertices(
             Endian::Little,
         ))
     };
+    if !layout.ascii {
+        refuse_little_endian(bytes, &layout.points)?;
+    }
     let position = place(&layout.points)?;
     let attribute = |array: &VtkArray| {
         let info = AttributeInfo::new(&array.name, array.components);
         Ok((info, place(array)?))
     };
-    let attributes =
-        layout.attributes.iter().map(attribute).collect::<Result<Vec<_>, ReadFault>>()?;
+    let attributes = layout.attributes.iter().chain(cell_data).map(attribute);
+    let attributes = attributes.collect::<Result<Vec<_>, ReadFault>>()?;
     Ok(FileVertices {
         decoded: layout.ascii.then(|| decoded.finish()).transpose()?,
         count: layout.points.tuples,
@@ -191,6 +204,35 @@ fn vertices(
         attributes,
         normals: layout.normals,
     })
+}
+
+/// Returns an error if the first positions are plausible in little-endian order only.
+fn refuse_little_endian(bytes: ByteView, points: &VtkArray) -> Result<(), ReadFault> {
+    /// Maximum number of bytes that are sampled.
+    const SAMPLED: usize = 1 << 16;
+    /// Minimum number of coordinates from which the order is certain.
+    const FEWEST: usize = 9;
+    let sample = bytes.read(points.at..points.end.min(points.at + SAMPLED))?;
+    let (big, little): (Vec<f64>, Vec<f64>) = match points.scalar {
+        Scalar::F32 => {
+            let numbers = sample.as_chunks().0.iter().filter(|bytes| **bytes != [0; 4]);
+            let both = |&b: &[u8; 4]| [f32::from_be_bytes(b), f32::from_le_bytes(b)].map(f64::from);
+            numbers.map(both).map(<(f64, f64)>::from).unzip()
+        }
+        Scalar::F64 => {
+            let numbers = sample.as_chunks().0.iter().filter(|bytes| **bytes != [0; 8]);
+            numbers.map(|&b| (f64::from_be_bytes(b), f64::from_le_bytes(b))).unzip()
+        }
+        _ => return Ok(()),
+    };
+    // A few particles may have flown far away, or lie within rounding of a plane through 0.
+    let far = |numbers: &[f64]| numbers.iter().filter(|number| !is_length(**number)).count();
+    if big.len() >= FEWEST && far(&big) > big.len() / 4 && far(&little) < big.len() / 8 {
+        let what = "the positions look little-endian, but a binary legacy .vtk must be big-endian; \
+                    reverse the bytes of each number when you write the file";
+        return Err(ReadFault::Unsupported(what.to_owned()));
+    }
+    Ok(())
 }
 
 /// The number in an array of one number.
@@ -256,17 +298,54 @@ fn visit(
     Ok(())
 }
 
+/// The only section of cells, if its cells may be vertices.
+fn vertex_section(layout: &VtkLayout) -> Option<&CellCorners> {
+    match (&layout.vertices, &*layout.cells, layout.has_others) {
+        (Some(vertices), [], false) => Some(vertices),
+        (None, [VtkCells { kind: CellKind::Typed, corners }], false) => Some(corners),
+        _ => None,
+    }
+}
+
+/// Whether cell i is a vertex at point i, there is one cell per point, and all cell data has one
+/// tuple per cell.
+fn cells_are_points(bytes: ByteView, layout: &VtkLayout) -> Result<bool, ReadFault> {
+    let points = layout.points.tuples;
+    let is_of_points = |array: &VtkArray| array.tuples == points && array.components > 0;
+    let corners = vertex_section(layout).filter(|corners| corners.cells() == points);
+    let Some(corners) = corners.filter(|_| points > 0 && layout.cell_data.iter().all(is_of_points))
+    else {
+        return Ok(false);
+    };
+    let mut in_order = true;
+    let mut expect = |array: &VtkArray, number: &dyn Fn(usize) -> usize| {
+        let take = |index, found| in_order &= found == number(index) as i64;
+        each_integer(bytes, layout.ascii, array, take)
+    };
+    let count = match corners {
+        CellCorners::Counted { stream, .. } => {
+            expect(stream, &|index| if index % 2 == 0 { 1 } else { index / 2 })?;
+            stream.tuples / 2
+        }
+        CellCorners::Offsets { offsets, connectivity } => {
+            expect(offsets, &|index| index)?;
+            expect(connectivity, &|index| index)?;
+            connectivity.tuples
+        }
+    };
+    if let Some(types) = &layout.cell_types {
+        expect(types, &|_| VERTEX as usize)?;
+    }
+    Ok(in_order && count == points)
+}
+
 /// Ranges of the points that are not ghosts. `None` if all points are kept.
 pub(super) fn not_ghosts(
     bytes: ByteView,
     layout: &VtkLayout,
 ) -> Result<Option<Vec<Range<usize>>>, ReadFault> {
-    let corners = match (&layout.vertices, &*layout.cells, layout.has_others) {
-        _ if layout.flags.is_empty() => return Ok(None),
-        (Some(vertices), [], false) => vertices,
-        (None, [VtkCells { kind: CellKind::Typed, corners }], false) => corners,
-        _ => return Ok(None),
-    };
+    let corners = vertex_section(layout).filter(|_| !layout.flags.is_empty());
+    let Some(corners) = corners else { return Ok(None) };
     let each = |array: &VtkArray, take: &mut dyn FnMut(usize, i64)| {
         each_integer(bytes, layout.ascii, array, take)
     };

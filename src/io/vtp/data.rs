@@ -386,13 +386,18 @@ impl StoredArray<'_> {
         };
         match self.layout.compressor {
             None => {
-                // For raw data, checks the length first, because the error of this check says how
-                // many bytes are missing.
                 if let DataLocation::Raw(_) = self.array.data {
-                    self.raw_span()?;
+                    let span = self.raw_span()?;
+                    let mut stream = SequentialReader::new(self.layout.bytes, span.start);
+                    let length = claim(Some(span.len() as u64))?;
+                    return self.pass_on(&mut stream, length, take);
                 }
                 let length = claim(Some(self.number(&mut stream)?))?;
-                self.pass_on(&mut stream, length, take)
+                let passed = self.pass_on(&mut stream, length, take)?;
+                if passed.is_continue() {
+                    self.expect_end(&mut stream)?;
+                }
+                Ok(passed)
             }
             Some(compressor) => {
                 let count = self.number(&mut stream)?;
@@ -515,6 +520,28 @@ impl StoredArray<'_> {
         Ok(ControlFlow::Continue(()))
     }
 
+    /// Returns an error if 4 bytes are left in the element of an array with a length of 4 bytes.
+    /// Some programs write lengths of 8 bytes without declaring them.
+    fn expect_end(&self, stream: &mut dyn Read) -> Result<(), ReadFault> {
+        let DataLocation::Base64(ref text) = self.array.data else { return Ok(()) };
+        if self.layout.header != Scalar::U32
+            || !self.layout.text()[text.end..].starts_with(b"</DataArray")
+        {
+            return Ok(());
+        }
+        let mut rest = Vec::new();
+        stream.take(5).read_to_end(&mut rest).map_err(|e| self.fault(&e))?;
+        if rest.len() != 4 {
+            return Ok(());
+        }
+        let what = format!(
+            "array {} has 4 bytes more than its length says; if the length has 64 bits, add \
+             header_type=\"UInt64\" to the tag VTKFile",
+            self.array.name
+        );
+        Err(malformed(self.array.place(), what))
+    }
+
     /// Reads a length from the header of an array.
     fn number(&self, stream: &mut dyn Read) -> Result<u64, ReadFault> {
         let mut bytes = [0; 8];
@@ -552,7 +579,23 @@ impl StoredArray<'_> {
         let length = integer(*header, *endian, &bytes.read(at as usize..start as usize)?);
         let length = length.and_then(|length| u64::try_from(length).ok()).unwrap_or(u64::MAX);
         let end = start.saturating_add(length);
-        if end > have { Err(truncated(end)) } else { Ok(start as usize..end as usize) }
+        if end > have {
+            return Err(truncated(end));
+        }
+        // Some programs write lengths of 8 bytes without declaring them.
+        let wide = at.saturating_add(size_of::<u64>() as u64);
+        if *header == Scalar::U32 && wide <= have {
+            let length = integer(Scalar::U64, *endian, &bytes.read(at as usize..wide as usize)?);
+            let length = length.and_then(|length| u64::try_from(length).ok());
+            let wide_end = length.and_then(|length| wide.checked_add(length));
+            if let Some(wide_end) = wide_end.filter(|end| *end <= have)
+                && self.layout.is_end_of_array(wide_end)?
+                && !self.layout.is_end_of_array(end)?
+            {
+                return Ok(wide as usize..wide_end as usize);
+            }
+        }
+        Ok(start as usize..end as usize)
     }
 }
 

@@ -8,6 +8,7 @@ use quick_xml::events::{BytesStart, Event};
 use crate::io::bytes::{ByteView, PrivateBytes, Slice};
 use crate::io::columns::{Endian, Scalar};
 use crate::io::names::is_preferred_time;
+use crate::io::scan::mark_length;
 use crate::io::{ReadFault, malformed};
 
 /// The part of the file to which an array belongs.
@@ -163,7 +164,8 @@ impl<'a> VtpLayout<'a> {
 
     /// Parses the XML in `text`, which must include the start of the appended data.
     fn of_xml(bytes: ByteView<'a>, text: Slice) -> Result<Self, ReadFault> {
-        let mut xml = Reader::from_reader(&*text);
+        let mark = mark_length(&text);
+        let mut xml = Reader::from_reader(&text[mark..]);
         let mut layout = VtpLayout {
             bytes,
             head: PrivateBytes::Owned(Vec::new()),
@@ -177,11 +179,11 @@ impl<'a> VtpLayout<'a> {
         let mut section = None;
         let mut seen_root = false;
         loop {
-            let at = xml.buffer_position() as usize;
-            let event = xml
-                .read_event()
-                .map_err(|fault| malformed(xml.error_position() as usize, fault.to_string()))?;
-            let behind = xml.buffer_position() as usize;
+            let at = mark + xml.buffer_position() as usize;
+            let event = xml.read_event().map_err(|fault| {
+                malformed(mark + xml.error_position() as usize, fault.to_string())
+            })?;
+            let behind = mark + xml.buffer_position() as usize;
             text.release(at..behind);
             let (tag, is_empty) = match &event {
                 Event::Start(tag) => (tag, false),
@@ -375,6 +377,19 @@ impl<'a> VtpLayout<'a> {
         Ok(())
     }
 
+    /// Whether an array or the end of the appended data follows at byte `at`.
+    pub fn is_end_of_array(&self, at: u64) -> Result<bool, ReadFault> {
+        const END: &[u8] = b"</AppendedData";
+        let of_pieces = self.pieces.iter().flat_map(|piece| &piece.arrays);
+        let mut arrays = self.time.iter().chain(of_pieces);
+        if arrays.any(|array| matches!(array.data, DataLocation::Raw(start) if start == at)) {
+            return Ok(true);
+        }
+        let at = at as usize;
+        let ahead = self.bytes.read(at..self.bytes.len().min(at + TAG))?;
+        Ok(ahead.trim_ascii_start().starts_with(END))
+    }
+
     /// The bytes of the file's text: the whole file, or only its start if the file is not read as a
     /// whole.
     pub fn text(&self) -> Slice<'_> {
@@ -438,12 +453,13 @@ pub(in crate::io) fn each_tag(
     if !bytes.trim_ascii_end().ends_with(b"</VTKFile>") {
         return Err(malformed(bytes.len(), "the file ends without </VTKFile>"));
     }
-    let mut xml = Reader::from_reader(bytes);
+    let mark = mark_length(bytes);
+    let mut xml = Reader::from_reader(&bytes[mark..]);
     loop {
-        let at = xml.buffer_position() as usize;
+        let at = mark + xml.buffer_position() as usize;
         let event = xml
             .read_event()
-            .map_err(|fault| malformed(xml.error_position() as usize, fault.to_string()))?;
+            .map_err(|fault| malformed(mark + xml.error_position() as usize, fault.to_string()))?;
         match &event {
             Event::Start(tag) | Event::Empty(tag) => take(&Tag { tag, at })?,
             Event::Eof => return Ok(()),

@@ -26,7 +26,8 @@ use super::layout::{DataSet, HEAD, Section, VtpArray, VtpLayout, VtpPiece};
 /// Raw appended arrays of a single piece are read in place. If there are several pieces, or any
 /// array is text, base64 or compressed, all arrays are decoded.
 ///
-/// Every numeric array in `PointData` that all pieces have becomes an attribute. An array in
+/// Every numeric array in `PointData` that all pieces have becomes an attribute. So does every array
+/// in `CellData` if cell i is a vertex at point i, and if there is one cell per point. An array in
 /// `FieldData` with one of the names [`TIMES`](crate::io::names::TIMES) gives the time. A point is
 /// left out if `CellData` flags its vertex cells as copies or hidden.
 ///
@@ -148,7 +149,9 @@ fn points(
     let time = layout.time.as_ref().map(|array| decoder.single(array)).transpose()?.flatten();
     let time = time.filter(|time| time.is_finite());
     let left = not_ghosts(&layout, &mut decoder)?;
-    let names = attributes(&layout.pieces);
+    let mut cell_data = layout.pieces.iter().flat_map(|piece| &piece.arrays).filter(is_cell_data);
+    let cells_are_points = cell_data.next().is_some() && cells_are_points(&layout, &mut decoder)?;
+    let names = attributes(&layout.pieces, cells_are_points);
     let texts = layout.pieces.first().map_or_else(Vec::new, |piece| piece.texts.clone());
     let vertices = vertices(&layout, decoder, &names.shared)?;
     let file = vertices.into_particles(bytes, format);
@@ -278,14 +281,30 @@ struct Attributes<'a> {
     left_out: Vec<UnreadPart>,
 }
 
+/// Whether an array has values for cells, and does not flag them as ghosts.
+fn is_cell_data(array: &&VtpArray) -> bool {
+    let flags = is_flag(&array.name, array.components, array.scalar);
+    array.section == Section::CellData && array.components > 0 && !flags
+}
+
 /// Finds the attributes that all pieces with points have, in the order of the first piece. Pieces
-/// may lack an array that flags ghosts.
-fn attributes(pieces: &[VtpPiece]) -> Attributes<'_> {
+/// may lack an array that flags ghosts. Cell data gives attributes if `cells_are_points`.
+fn attributes(pieces: &[VtpPiece], cells_are_points: bool) -> Attributes<'_> {
     let filled: Vec<&VtpPiece> = pieces.iter().filter(|piece| piece.points > 0).collect();
     let mut all = Attributes { shared: Vec::new(), left_out: Vec::new() };
     let mut seen = HashSet::new();
     for (number, piece) in filled.iter().enumerate() {
-        for array in piece.arrays.iter().filter(|array| array.section == Section::PointData) {
+        let of_points = piece.arrays.iter().filter(|array| array.section == Section::PointData);
+        let mut of_cells: Vec<&VtpArray> = piece.arrays.iter().filter(is_cell_data).collect();
+        if !cells_are_points {
+            let parts = of_cells.drain(..).map(|array| UnreadPart::CellData(array.name.clone()));
+            for part in parts {
+                if !all.left_out.contains(&part) {
+                    all.left_out.push(part);
+                }
+            }
+        }
+        for array in of_points.chain(of_cells) {
             let info = AttributeInfo::new(&array.name, array.components);
             if number == 0 && filled.len() == 1 {
                 all.shared.push(array);
@@ -360,6 +379,42 @@ fn vertices(
     })
 }
 
+/// Section and number of the cells that may be vertices. In PolyData, vertices are the first cells,
+/// so their data comes first.
+fn vertex_cells(data_set: DataSet, piece: &VtpPiece) -> (Section, usize) {
+    match data_set {
+        DataSet::PolyData => (Section::Verts, piece.vertices),
+        DataSet::UnstructuredGrid => (Section::Cells, piece.cells),
+    }
+}
+
+/// Whether, in each piece with points, cell i is a vertex at point i, and there is one cell per
+/// point.
+fn cells_are_points(layout: &VtpLayout, decoder: &mut Decoder) -> Result<bool, ReadFault> {
+    for piece in layout.pieces.iter().filter(|piece| piece.points > 0) {
+        let (section, cells) = vertex_cells(layout.data_set, piece);
+        let arrays = ["connectivity", "offsets"].map(|name| piece.array(section, name));
+        let ([Some(corners), Some(ends)], 0) = (arrays, piece.lines) else { return Ok(false) };
+        if cells != piece.points {
+            return Ok(false);
+        }
+        let (mut in_order, mut numbers) = (true, 0);
+        for (array, first) in [(corners, 0), (ends, 1)] {
+            decoder.each_integer(array, |index, number| {
+                in_order &= number == (index + first) as i64;
+                numbers += 1;
+            })?;
+        }
+        if let Some(types) = piece.array(section, "types") {
+            decoder.each_integer(types, |_, kind| in_order &= kind == VERTEX)?;
+        }
+        if !in_order || numbers != 2 * cells {
+            return Ok(false);
+        }
+    }
+    Ok(true)
+}
+
 /// Ranges of the points that are not ghosts. `None` if all points are kept.
 fn not_ghosts(
     layout: &VtpLayout,
@@ -392,11 +447,7 @@ fn points_left(
     piece: &VtpPiece,
     decoder: &mut Decoder,
 ) -> Result<Option<Vec<Range<usize>>>, ReadFault> {
-    let (section, cells) = match data_set {
-        // In PolyData, vertices are the first cells, so their flags come first.
-        DataSet::PolyData => (Section::Verts, piece.vertices),
-        DataSet::UnstructuredGrid => (Section::Cells, piece.cells),
-    };
+    let (section, cells) = vertex_cells(data_set, piece);
     let flags = GHOSTS.iter().filter_map(|name| piece.array(Section::CellData, name));
     let flags: Vec<&VtpArray> =
         flags.filter(|array| is_flag(&array.name, array.components, array.scalar)).collect();

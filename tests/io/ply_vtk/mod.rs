@@ -328,3 +328,20 @@ fn some_mesh() -> Mesh {
             .to_vec(),
     }
 }
+
+#[test]
+fn a_byte_order_mark_before_ply_and_vtk_files_is_skipped() {
+    for ascii in [true, false] {
+        let encoding = if ascii { "ascii" } else { "binary_little_endian" };
+        let header = "element vertex 1\nproperty float x\nproperty float y\nproperty float z\n";
+        let ply = PlyBuilder::new(encoding, header);
+        let ply = ply.row(&[("float", 0.5), ("float", 1.0), ("float", -2.0)]);
+        for (format, bytes) in [(PLY, ply.bytes), (VTK, splish(ascii).bytes)] {
+            let marked = [b"\xef\xbb\xbf", &bytes[..]].concat();
+            let (file, marked) =
+                (format.particles(&bytes).unwrap(), format.particles(&marked).unwrap());
+            assert_eq!(positions(&marked), positions(&file));
+            assert_eq!(attributes(&marked), attributes(&file));
+        }
+    }
+}

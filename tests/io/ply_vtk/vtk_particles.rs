@@ -3,11 +3,12 @@
 use std::path::Path;
 
 use meniscus::internals::io::bytes::{Unpacking, open_bytes};
-use meniscus::internals::io::vtk;
+use meniscus::internals::io::{ReadFault, UnreadPart, vtk};
 use meniscus::internals::particles::Particles;
 
 use super::{
-    TWO, TWO_POSITIONS, VTK, VtkBuilder, attribute, attributes, dual, positions, splish, toolkit,
+    TWO, TWO_POSITIONS, VTK, VtkBuilder, attribute, attributes, dual, positions, splish,
+    stored_big, toolkit,
 };
 
 #[test]
@@ -27,7 +28,12 @@ fn vtk_files_of_every_program_are_read_exactly() {
             (dual(ascii), vec![("Idp", vec![7., 8.]), ("Vel", v.clone()), ("Type", vec![3., 3.])]),
             (
                 toolkit(ascii),
-                vec![("velocity", v.clone()), ("gid", vec![1., 2.]), ("density", vec![1000., 9.])],
+                vec![
+                    ("velocity", v.clone()),
+                    ("gid", vec![1., 2.]),
+                    ("density", vec![1000., 9.]),
+                    ("ofCells", vec![5., 5.]),
+                ],
             ),
         ];
         for (number, (file, wanted)) in cases.into_iter().enumerate() {
@@ -270,6 +276,56 @@ fn flags_of_cells_other_than_vertices_omit_no_points() {
             flags(file, 6)
         });
         assert_eq!(left(&file.bytes).len(), 6);
+    }
+}
+
+#[test]
+fn vtk_cell_data_of_one_vertex_per_point_in_order_are_attributes() {
+    let masses = [7., 5., 3., 2., 1., 0.];
+    let (order, line) = ([0., 1., 2., 3., 4., 5.], [1., 1., 3., 1., 1., 1.]);
+    for (ascii, version) in [(true, "3.0"), (false, "3.0"), (true, "5.1"), (false, "5.1")] {
+        for types in [None, Some(&[1.0; 6][..]), Some(&line)] {
+            let read = |corners: &[f64]| {
+                let of = |file| field(file, "mass", &masses);
+                VTK.particles(&flagged(ascii, version, 6, corners, types, of).bytes).unwrap()
+            };
+            let left_out = [UnreadPart::CellData("mass".into())];
+            let (file, other) = (read(&order), read(&[1., 0., 2., 3., 4., 5.]));
+            assert_eq!(other.left_out, left_out);
+            if types == Some(&line) {
+                assert_eq!(file.left_out, left_out);
+            } else {
+                assert_eq!(attribute(&file, "mass"), [7., 5., 3., 2., 1., 0.], "{version}");
+                assert_eq!(file.left_out, []);
+            }
+        }
+    }
+}
+
+#[test]
+fn little_endian_positions_in_a_binary_vtk_are_refused() {
+    for (kind, size) in [("float", 4), ("double", 8)] {
+        for scale in [1.0, 0.1] {
+            let mut values: Vec<f64> = (0..60).map(|i| f64::from(i - 20) * scale).collect();
+            values[30] = 1e30;
+            let file = |values: &[f64]| {
+                let points = VtkBuilder::new("3.0", false, "POLYDATA").line("POINTS 20 X");
+                let points = String::from_utf8(points.bytes).unwrap().replace('X', kind);
+                let swap = |&value| stored_big(kind, value);
+                (points.into_bytes(), values.iter().flat_map(swap).collect::<Vec<u8>>())
+            };
+            let (head, mut numbers) = file(&values);
+            let read = |numbers: &[u8]| VTK.particles(&[&head[..], numbers].concat());
+            assert_eq!(positions(&read(&numbers).unwrap()).len(), 20);
+            numbers.chunks_exact_mut(size).for_each(<[u8]>::reverse);
+            let fault = read(&numbers).unwrap_err();
+            let what = fault.to_string();
+            assert!(matches!(fault, ReadFault::Unsupported(_)), "{what}");
+            assert!(what.contains("look little-endian"), "{what}");
+            // Numbers that are invalid in both orders are not refused.
+            let far: Vec<f64> = values.iter().map(|x| 1e20 * (x + 0.3)).collect();
+            assert!(read(&file(&[f64::NAN; 60]).1).is_ok() && read(&file(&far).1).is_ok());
+        }
     }
 }
 

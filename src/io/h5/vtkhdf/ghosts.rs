@@ -14,7 +14,7 @@ use crate::io::ghosts::{VertexCells, VertexPoints, append, is_flag};
 use crate::io::h5::file::{H5File, checked};
 use crate::io::h5::table::{H5Array, RowWindows};
 use crate::io::wanted::GHOSTS;
-use crate::io::{ReadFault, malformed};
+use crate::io::{ReadFault, UnreadPart, malformed};
 
 use super::frame::{FrameRows, count, entries, entry, found, sub_group, sum};
 
@@ -25,6 +25,14 @@ pub(super) enum CellLayout {
     ByKind,
     /// In one group with an array of types, as in UnstructuredGrid.
     Typed,
+}
+
+/// The arrays of cell data that are not flags.
+pub(super) fn other_cell_data(root: &Group) -> Result<Vec<UnreadPart>, ReadFault> {
+    let Some(data) = sub_group(root, "CellData")? else { return Ok(Vec::new()) };
+    let arrays = H5Array::by_name(&data)?.into_iter();
+    let others = arrays.filter(|array| !is_flag(&array.name, array.components, array.scalar));
+    Ok(others.map(|array| UnreadPart::CellData(array.name)).collect())
 }
 
 /// Ranges of the points that are not ghosts. `None` if all points are kept.

@@ -74,8 +74,11 @@ pub fn read_particles(
         false => (CellLayout::Typed, "VTKHDF UnstructuredGrid"),
     };
     let left = ghosts::left(&file, &root, &frame, cells)?;
+    let mut left_out = ghosts::other_cell_data(&root)?;
     drop(root);
-    Ok(ParticleFile { time, ..table.read(file, format, wanted)? }.with_points(left))
+    let file = table.read(file, format, wanted)?;
+    left_out.extend(file.left_out);
+    Ok(ParticleFile { time, left_out, ..file }.with_points(left))
 }
 
 fn refuse_mesh(faces: u64) -> Result<(), ReadFault> {
