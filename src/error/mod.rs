@@ -166,10 +166,11 @@ pub enum Error {
     Threads(String),
     /// The spacing is neither given nor in the file, and cannot be estimated.
     #[error(
-        "{}cannot estimate the spacing of {}: {why}{}; set the spacing or the cell size",
+        "{}cannot estimate the spacing of {}: {why}{}; {}",
         file(path.as_deref()),
         particle_count(*particles),
-        suggestion(*suggested)
+        suggestion(*suggested),
+        remedy(*why)
     )]
     NoSpacing {
         /// The file, if the particles come from one.
@@ -186,6 +187,13 @@ pub enum Error {
 /// The beginning of a message about a file: its path and a colon.
 fn file(path: Option<&Path>) -> String {
     path.map_or(String::new(), |path| format!("{}: ", path.display()))
+}
+
+fn remedy(why: NoEstimate) -> &'static str {
+    match why {
+        NoEstimate::NotFinite => "repair the input",
+        _ => "set the spacing or the cell size",
+    }
 }
 
 fn suggestion(suggested: Option<f64>) -> String {

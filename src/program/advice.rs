@@ -95,6 +95,7 @@ fn advice(error: &Error) -> String {
             " (--spacing, --cell-size), store the coordinates in double precision, or move the \
              particles to the origin"
         }
+        Error::NoSpacing { why: NoEstimate::NotFinite, .. } => "",
         Error::NoSpacing { .. } => " (--spacing, --radius or --cell-size)",
         Error::Threads(_) => "; use fewer --threads",
         Error::Write(error) => match error.fault {

@@ -149,7 +149,7 @@ fn requests() -> String {
         NoDensity { name: "mass".into(), known: vec!["velocity".into(), "mass".into()] },
         NoSize { name: "radius".into() },
     );
-    examples!(text, NoEstimate: TooFew, Coincident { places: 3 }, SinglePrecision { step: 0.03 });
+    examples!(text, NoEstimate: TooFew, NotFinite, TooLarge, Coincident { places: 3 }, SinglePrecision { step: 0.03 });
     examples!(text, SolidFault:
         Mesh(CompareError::NoSurface(Side::Mesh)), Open { edges: 3 }, Inconsistent { edges: 12 },
     );
@@ -425,6 +425,8 @@ fn warnings(all: &mut String) {
         Primitives { kinds: vec![("polygons".into(), 12)], points: 8 },
         Times { column: "time".into(), count: 3, first: "0".into(), last: "0.5".into() },
         WideArray { name: "spectrum".into(), numbers: 100 },
+        CellData("density".into()),
+        Coordinates { names: ["x", "y", "z"].map(String::from), position: "pos".into() },
     );
     let contradicted = |given, mistake, spray| SpacingWarning::Contradicted {
         given,

@@ -570,7 +570,7 @@ impl SamplingRequest {
         }
         let place = evidence.as_ref().map(|evidence| evidence.place);
         let middle = place.map(|place| place.middle);
-        let estimate = evidence.as_ref().map_or(Err(NoEstimate::TooFew), Evidence::estimate);
+        let estimate = evidence.as_ref().map_or(Err(NoEstimate::NotFinite), Evidence::estimate);
         if let CellSize::Length(size) = self.cell_size()
             && let Method::Indicator { kind, mean } = self.method
         {

@@ -376,4 +376,7 @@ fn coincident_particles_and_clumps_of_unused_slots_are_reported() {
     let error = Reconstruction::new().run(&[[1.0_f64; 3]; 100]).unwrap_err();
     let Error::NoSpacing { particles: 100, why, .. } = error else { panic!("{error}") };
     assert_eq!(why, NoEstimate::Coincident { places: 1 });
+    let error = Reconstruction::new().run(&[[f64::NAN; 3]; 100]).unwrap_err();
+    let Error::NoSpacing { particles: 100, why, .. } = error else { panic!("{error}") };
+    assert_eq!(why, NoEstimate::NotFinite);
 }

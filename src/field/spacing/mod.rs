@@ -44,6 +44,8 @@ const MOST_SEARCHED: usize = 1 << 15;
 const ENOUGH_SHARE: f64 = 1.0 / 16.0;
 /// The minimum number of distinct positions for an estimate.
 const FEWEST: usize = 8;
+/// An estimate that fails for coordinates beyond this fails because of their size.
+const LARGEST: f64 = 1e100;
 /// The minimum share of deep particles; with a smaller share, the fluid is thin.
 const THIN: f64 = 0.15;
 
@@ -109,6 +111,12 @@ pub enum NoEstimate {
     /// Too few particles.
     #[error("an estimate needs more particles")]
     TooFew,
+    /// No position is finite.
+    #[error("no particle has a finite position")]
+    NotFinite,
+    /// Coordinates so large that squares of distances exceed f64.
+    #[error("their coordinates are too large")]
+    TooLarge,
     /// Nearly all particles share a few positions.
     #[error("they have only {places} different positions")]
     Coincident {
@@ -439,7 +447,10 @@ impl Evidence {
                 NoEstimate::TooFew
             });
         }
-        let estimate = self.estimated().ok_or(NoEstimate::TooFew)?;
+        let estimate = self.estimated().ok_or(match self.place.middle.abs().max_element() {
+            LARGEST.. => NoEstimate::TooLarge,
+            _ => NoEstimate::TooFew,
+        })?;
         match self.place.step {
             // Different positions are at least one step apart, so the true spacing may be less than
             // an estimate of about a step.

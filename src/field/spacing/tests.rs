@@ -222,6 +222,16 @@ fn duplicates_and_clumps_are_excluded() {
 }
 
 #[test]
+fn coordinates_whose_squares_overflow_are_too_large_for_an_estimate() {
+    let [near, far] = [1.0, 1e300].map(|scale| {
+        let particles = layers([9; 3], 0.3);
+        particles.into_iter().map(|p| p.map(|c| c * scale)).collect::<Vec<_>>()
+    });
+    assert!(evidence(&near).unwrap().estimate().is_ok());
+    assert_eq!(evidence(&far).unwrap().estimate(), Err(NoEstimate::TooLarge));
+}
+
+#[test]
 fn duplicates_and_clumps_are_excluded_from_a_sample_of_many() {
     let once = layers([90; 3], 0.3);
     let alone = estimated(&once);
