@@ -149,7 +149,9 @@ fn requests() -> String {
         NoDensity { name: "mass".into(), known: vec!["velocity".into(), "mass".into()] },
         NoSize { name: "radius".into() },
     );
-    examples!(text, NoEstimate: TooFew, NotFinite, TooLarge, Coincident { places: 3 }, SinglePrecision { step: 0.03 });
+    examples!(text, NoEstimate:
+        TooFew, NotFinite, TooLarge, Coincident { places: 3 }, SinglePrecision { step: 0.03 },
+    );
     examples!(text, SolidFault:
         Mesh(CompareError::NoSurface(Side::Mesh)), Open { edges: 3 }, Inconsistent { edges: 12 },
     );
