@@ -175,10 +175,17 @@ struct FileOfSeries {
 fn series(bytes: &[u8], folder: &Path) -> Result<Vec<ListedFrame>, ReadFault> {
     let series: FileSeries = serde_json::from_slice(bytes)
         .map_err(|fault| ReadFault::Line { line: fault.line() as u64, what: fault.to_string() })?;
+    // If all times are equal, they are no times.
+    let mut times: Vec<u64> =
+        series.files.iter().filter_map(|file| file.time).map(f64::to_bits).collect();
+    times.sort_unstable();
+    times.dedup();
+    let has_times = times.len() > 1;
     let (mut frames, mut places) = (Vec::new(), HashMap::new());
     for FileOfSeries { name, time } in series.files {
         let next = frames.len();
-        let place = time.map_or(next, |time| *places.entry(time.to_bits()).or_insert(next));
+        let known = time.filter(|_| has_times);
+        let place = known.map_or(next, |time| *places.entry(time.to_bits()).or_insert(next));
         if place == next {
             frames.push(ListedFrame { time, blocks: Vec::new() });
         }
@@ -222,11 +229,14 @@ mod tests {
         assert_eq!(frames, [frame(0.5, &["d/a.vtp", "b c.vtp"]), frame(0.25, &["100%25.vtp"])]);
         let series = r#"{"file-series-version": "1.0",
             "files": [{"name": "a.vtp", "time": 1}, {"name": "b.vtp"}, {"name": "c.vtp"},
-                {"name": "d.vtp", "time": 1}]}"#;
+                {"name": "d.vtp", "time": 1}, {"name": "e.vtp", "time": 2}]}"#;
         let frames = listed_in("s.vtp.series", series, &[]).unwrap();
-        let expected = [&["a.vtp", "d.vtp"][..], &["b.vtp"], &["c.vtp"]];
-        let times = [Some(1.0), None, None];
-        assert_eq!(frames, [0, 1, 2].map(|i| frame(times[i], expected[i])));
+        let expected = [&["a.vtp", "d.vtp"][..], &["b.vtp"], &["c.vtp"], &["e.vtp"]];
+        let times = [Some(1.0), None, None, Some(2.0)];
+        assert_eq!(frames, [0, 1, 2, 3].map(|i| frame(times[i], expected[i])));
+        let equal = r#"{"files": [{"name": "a", "time": 0}, {"name": "b", "time": 0}]}"#;
+        let frames = listed_in("equal.vtp.series", equal, &[]).unwrap();
+        assert_eq!(frames, [frame(0.0, &["a"]), frame(0.0, &["b"])]);
         for (name, list) in [("s.pvd", list), ("s.vtp.series", series)] {
             let marked = listed_in(name, &format!("\u{feff}{list}"), &["b c.vtp"]).unwrap();
             assert_eq!(marked, listed_in(name, list, &["b c.vtp"]).unwrap());

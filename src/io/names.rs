@@ -227,7 +227,10 @@ fn with_plain_axes<'a>(names: &[&'a str]) -> Option<Vec<&'a str>> {
         let times = |axis| found.iter().filter(|found| **found == Some((kind, axis))).count();
         (0..3).all(|axis| times(axis) == 1) && !(kind == "x" && is_point)
     };
-    let kind = found.iter().flatten().map(|(kind, _)| *kind).find(|kind| is_complete(kind))?;
+    let mut kinds: Vec<_> = found.iter().flatten().map(|(kind, _)| *kind).collect();
+    kinds.sort_unstable();
+    kinds.dedup();
+    let kind = kinds.into_iter().find(|kind| is_complete(kind))?;
     let plain = found.iter().zip(names).map(|(found, name)| match found {
         Some((of, axis)) if *of == kind => ["x", "y", "z"][*axis],
         _ => *name,

@@ -458,7 +458,7 @@ impl Sizes {
         let (finest, quantile) = census.range(STRAYS).ok_or_else(none)?;
         let usual = census.middle();
         // A few tiny particles must not limit the size of most particles.
-        let finest = finest.max(usual / MOST_TIMES);
+        let finest = finest.max(census.least_from(usual / MOST_TIMES));
         if quantile < ONE_SIZE * finest {
             let (size, invalid) = (census.middle(), census.invalid);
             return Ok(FoundSizes::One { attribute, size, invalid });
@@ -558,6 +558,12 @@ impl SizeCounts {
         let steps = self.sorted();
         let all: u64 = steps.iter().map(|(count, ..)| count).sum();
         Self::at(steps.into_iter(), all.div_ceil(2)).map_or(0.0, |(_, least, _)| least)
+    }
+
+    /// The smallest size in the steps whose sizes are all at least `size`.
+    fn least_from(&self, size: f64) -> f64 {
+        let least = self.steps.values().map(|&(_, least, _)| least);
+        least.filter(|&least| least >= size).fold(f64::MAX, f64::min)
     }
 
     /// Number of particles in the steps whose sizes all exceed `size`.
@@ -736,8 +742,8 @@ mod tests {
         let cloud = Cloud::new(&positions).with("radius", &radii);
         let columns = SizeChoice::Usual.columns(cloud.attributes()).unwrap().unwrap();
         let sizes = several(&cloud, &columns);
-        assert_eq!((sizes.finest, sizes.usual), (1.0 / 64.0, 1.0));
-        assert_eq!((sizes.coarsest, sizes.larger), (1.0, 1));
+        assert_eq!((sizes.finest, sizes.usual), (1.0, 1.0));
+        assert_eq!((sizes.coarsest, sizes.larger), (2.0, 0));
     }
 
     #[test]

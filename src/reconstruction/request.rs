@@ -305,7 +305,9 @@ impl SamplingRequest {
         }
         if seeks_walls {
             let ends = self.ends(particles, known, &cells)?;
-            let found = ends.map(|ends| self.walls_of(&[ends], from.path));
+            // In a domain, only the planes matter at which the particles end.
+            let scene = from.path.filter(|_| self.walls.is_none());
+            let found = ends.map(|ends| self.walls_of(&[ends], scene));
             cells.walls =
                 found.filter(|found| self.search == WallSearch::Walls || !found.walls.is_open());
         }
@@ -367,6 +369,9 @@ impl SamplingRequest {
         (spacing, sizes): (Option<f64>, Option<&Sizes>),
         particles: &dyn Particles,
     ) -> Result<Option<SpacingWarning>, Error> {
+        if particles.is_empty() {
+            return Ok(None);
+        }
         if let Some(sizes) = sizes {
             let columns = sizes.columns(particles.attributes())?;
             return Ok(SpacingWarning::of_strays(sizes, sizes.strays(particles, &columns)));

@@ -7,7 +7,7 @@ use crate::error::{Error, FPS, SimulationError};
 use crate::io::input::{InputFormat, is_known};
 use crate::reconstruction::Reconstruction;
 
-use super::frame_file::{FrameFile, Selection};
+use super::frame_file::Selection;
 
 use super::inputs::{Inputs, Sequence};
 use super::naming::Naming;
@@ -241,10 +241,11 @@ impl Simulation {
         Ok((inputs, naming))
     }
 
-    /// Whether this process alone makes all frames again.
-    pub(super) fn makes_all_again(&self, frames: &[FrameFile]) -> bool {
-        let alone = self.overwrite && !self.resume && !self.planned && self.watch.is_none();
-        alone && frames.iter().all(|frame| self.wants(frame.number))
+    /// Whether this request makes all frames again.
+    pub(super) fn makes_all_again(&self) -> bool {
+        let is_plain = !self.resume && !self.planned && self.watch.is_none();
+        let has_all = self.frames == (i64::MIN, i64::MAX) && self.selection == Selection::default();
+        self.overwrite && is_plain && has_all
     }
 
     /// Whether this conversion includes the frame with this number.

@@ -224,7 +224,7 @@ impl Conversion<'_> {
                 }
                 Err(RecvTimeoutError::Disconnected) => return Ok(()),
                 Err(RecvTimeoutError::Timeout) => {
-                    tally.catch_up()?;
+                    tally.catch_up().inspect_err(|_| self.stop.store(true, Ordering::Relaxed))?;
                     let there = self.setup.frames()?;
                     let ready = watch.ready(&there);
                     let is_ready = |frame: &FrameFile| {

@@ -138,7 +138,8 @@ impl Setup<'_> {
             carried,
             resources,
         )?;
-        let sampling = sampling.sized(shared.sizes.as_ref(), particles)?;
+        let sampling =
+            sampling.sized(shared.sizes.as_ref().filter(|_| !particles.is_empty()), particles)?;
         let sampling = Sampling { kinds: shared.kinds.clone(), ..sampling };
         Ok((sampling, past.into_iter().map(Warning::BeyondWall).collect()))
     }
@@ -235,7 +236,7 @@ impl Setup<'_> {
     /// Looks for a state with these settings and these inputs. A state that differs is stale if
     /// outputs may be replaced, or if the conversion is resumed and only the calibration frame has
     /// changed. Otherwise, a difference is an error. A state is also stale if all frames are made
-    /// again, because another frame may be better for the calibration by now.
+    /// again by this process alone, because another frame may be better for the calibration by now.
     pub(super) fn kept_state(
         &self,
         store: &StateFolder,
@@ -253,7 +254,8 @@ impl Setup<'_> {
             let comma = if differing.is_empty() { "" } else { ", " };
             let _ = write!(differing, "{comma}input frame {}", state.shared.frame);
         }
-        if differing.is_empty() && self.simulation.makes_all_again(frames) {
+        let alone = self.simulation.makes_all_again() && !store.log.others_are_open();
+        if differing.is_empty() && alone {
             return Ok(StateLookup::Stale { text, of_others: false });
         }
         if differing.is_empty() {

@@ -54,12 +54,17 @@ pub struct SharedCalibration {
 }
 
 /// Maximum relative difference between the cells of a packed frame and those of the calibration
-/// frame. It changes the volume of the surface by about as much.
-const SAME_CELLS: f64 = 0.01;
+/// frame. It changes the volume of the surface by about as much. Estimated spacings of similar
+/// frames differ by less.
+const SAME_CELLS: f64 = 0.05;
 
 impl SharedCalibration {
-    /// Refuses a packed frame whose cells or spacing differ from those of the calibration frame.
+    /// Refuses a packed frame whose cells or spacing differ from those of the calibration frame. If
+    /// particles have several sizes, the spacing is the smallest size, which may differ.
     pub(super) fn check_cells(&self, facts: &FrameFacts) -> Result<(), FrameError> {
+        if self.sizes.is_some() {
+            return Ok(());
+        }
         let own = [facts.grid.cell_size(), facts.spacing.unwrap_or_default()];
         let calibrated = [self.cell_size, self.spacing.unwrap_or_default()];
         // A spacing of 0 is not known.

@@ -78,19 +78,23 @@ impl Watch {
     /// Whether no further frame is expected.
     pub(super) fn is_over(&self) -> bool {
         let Selection { end, step, .. } = self.selection;
+        let has_gaps = self.has_gaps();
         let last = self.seen.last_key_value();
         let complete = last.is_some_and(|(number, _)| number.saturating_add_unsigned(step) > end)
             && self.seen.values().all(|seen| seen.given == Some(seen.stamp));
         let idle = self.idle.max(SETTLED.as_secs_f64());
         // The last frame can arrive before others, for example if a program copies the files.
-        let grace = if complete && self.has_gaps(step) { FOR_GAPS.min(idle) } else { idle };
-        complete && !self.has_gaps(step) || self.last_news.elapsed().as_secs_f64() > grace
+        let grace = if complete && has_gaps { FOR_GAPS.min(idle) } else { idle };
+        complete && !has_gaps || self.last_news.elapsed().as_secs_f64() > grace
     }
 
-    /// Whether numbers are missing between the frames that have been seen.
-    fn has_gaps(&self, step: u64) -> bool {
+    /// Whether selected numbers are missing before the last frame that has been seen.
+    fn has_gaps(&self) -> bool {
+        let Selection { start, step, .. } = self.selection;
         let mut pairs = self.seen.keys().zip(self.seen.keys().skip(1));
-        pairs.any(|(number, next)| number.saturating_add_unsigned(step) < *next)
+        let first = self.seen.first_key_value().map_or(i64::MAX, |(number, _)| *number);
+        let is_late = start > i64::MIN && first.saturating_sub_unsigned(step) >= start;
+        is_late || pairs.any(|(number, next)| number.saturating_add_unsigned(step) < *next)
     }
 }
 
@@ -104,7 +108,7 @@ mod tests {
         let stamp = Stamp { bytes: 0, modified: 0, files: 0 };
         let file = || WatchedFile { stamp, since: now, given: Some(stamp), under_way: false };
         let seen = numbers.iter().map(|&number| (number, file())).collect();
-        let selection = Selection { end: 4, ..Selection::default() };
+        let selection = Selection { start: 1, end: 4, ..Selection::default() };
         let last_news = now.checked_sub(since_news).unwrap();
         Watch { idle: f64::INFINITY, selection, seen, last_news }
     }
@@ -114,6 +118,7 @@ mod tests {
         let [soon, late] = [1, 60].map(Duration::from_secs);
         assert!(watching(&[1, 2, 3, 4], soon).is_over());
         assert!(!watching(&[1, 4], soon).is_over());
+        assert!(!watching(&[4], soon).is_over());
         assert!(watching(&[1, 4], late).is_over());
         assert!(!watching(&[1, 2, 3], late).is_over());
     }

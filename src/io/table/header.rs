@@ -32,6 +32,8 @@ const MOST_COMMENTS: usize = 1024;
 /// Maximum length, in bytes, of a comment that is compared with the columns if its names do not
 /// fit.
 const LONGEST_COMMENT: usize = 64 << 10;
+/// Maximum length of a line in which a name can stand for several columns.
+const LONGEST_NAMES: usize = 4 << 10;
 /// Maximum number of labels that are skipped in a line.
 const MOST_LABELS: usize = 4;
 
@@ -174,6 +176,9 @@ fn numbered_after(line: &str) -> Vec<String> {
     let mut names: Vec<String> = Vec::new();
     let mut next = None;
     let mut name = Vec::new();
+    if line.len() > LONGEST_NAMES {
+        return names;
+    }
     for word in line.split(is_separator).filter(|word| !word.is_empty()) {
         let (text, range) = word.rfind(['[', '(', '{', ':', '=']).map_or((word, ""), |at| {
             (&word[..at], word[at + 1..].trim_end_matches([']', ')', '}']))
@@ -203,8 +208,15 @@ fn numbered_after(line: &str) -> Vec<String> {
 /// components of a vector, and whether all names are well known. `None` if the line names no such
 /// vector.
 fn vectors_in(line: &str) -> Option<(Vec<String>, bool)> {
+    if line.len() > LONGEST_NAMES {
+        return None;
+    }
     let listed = line.contains([',', ';']);
     let names = if listed { separated(line) } else { with_units(line) };
+    // Two words, such as `Material positions`, may be a title.
+    if !listed && names.len() < 3 && !line.contains(['[', '(']) {
+        return None;
+    }
     let is_named = |known: &str| names.iter().any(|name| name.eq_ignore_ascii_case(known));
     // In `u v w`, `v` is a component.
     let has_components = is_named("u") || is_named("w");
@@ -500,32 +512,31 @@ fn is_unclear(comment: &str, fields: usize, first: Option<usize>) -> bool {
     };
     texts().any(|text| {
         vectors_in(text).is_some_and(|(names, _)| is_fitting(&names))
-            || names_others_first(text, first)
+            || names_others_first(text, fields, first)
     })
 }
 
-/// Whether a text is a list of columns that starts with other columns than the position. An
-/// identifier before the position is allowed if the position starts at the column `first`.
-fn names_others_first(text: &str, first: Option<usize>) -> bool {
+/// Whether a text consists only of known names for all `fields`, and starts with other columns than
+/// the position. An identifier before the position is allowed if the position starts at the column
+/// `first`.
+fn names_others_first(text: &str, fields: usize, first: Option<usize>) -> bool {
     let words = words_of(text);
     let are_axes = words.iter().filter(|word| axis_of(word).is_some()).count() > 1;
     let is_position =
         |word: &str| names_position(word) || are_axes && position_axis(word).is_some();
-    let is_known = |word: &&str| is_position(word) || names_other_column(word);
-    let Some(start) = words.iter().position(&is_known) else { return false };
-    let end = words.iter().rposition(is_known).unwrap_or(start);
-    let known = words[start..=end].iter().filter(|word| is_known(word)).count();
     // Units may follow names, as in `velocity in m/s`.
-    let is_prose =
-        |word: &str| is_word_of(&PROSE, word) && !is_word_of(&["and", "in", "the"], word);
-    let is_list =
-        known > 1 && !words[start..end].iter().any(|word| is_number(word) || is_prose(word));
-    let is_about_values = || words[end..].iter().any(|word| is_number(word));
-    let mut names = words[start..].iter().filter(|word| !is_word_of(&["and", "the"], word));
-    match names.position(|word| is_position(word)) {
-        Some(place) => is_list && place > 0 && Some(place) != first,
-        None => is_list && 2 * known >= words.len() && !is_about_values(),
+    let names: Vec<_> =
+        words.iter().filter(|word| !is_word_of(&["and", "in", "the"], word)).collect();
+    if names.len() < 2 || !names.iter().all(|word| is_position(word) || names_other_column(word)) {
+        return false;
     }
+    let is_vector = |word: &str| names_position(word) || names_velocity(word);
+    let columns = names.iter().map(|word| if is_vector(word) { 3 } else { 1 }).sum();
+    let is_whole =
+        |count: usize| count == fields || first.is_some_and(|first| first + count == fields);
+    let place = names.iter().position(|word| is_position(word));
+    (is_whole(columns) || is_whole(names.len()))
+        && place.is_none_or(|place| place > 0 && Some(place) != first)
 }
 
 /// The order of x, y and z, in each notation in which a text is a list of names.

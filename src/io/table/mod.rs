@@ -43,9 +43,6 @@ pub(super) use header::{columns_in_comment, names_of};
 pub(super) use heading::{HEAD, TableColumns, unnamed_columns};
 pub(super) use unnamed::is_row;
 
-/// The error for a row without values.
-const EMPTY_ROW: &str = "all fields of this row are empty; delete the row";
-
 /// Size, in bytes, of a decoded number.
 const WIDTH: usize = size_of::<f64>();
 
@@ -120,8 +117,8 @@ struct DecodedPiece {
     rows: Vec<u8>,
     /// The number of lines.
     lines: u64,
-    /// The line of the first row without values at the end of the piece.
-    empty: Option<u64>,
+    /// The number of rows without values at the end of the piece.
+    empty: usize,
     /// The numbers in the column of times.
     times: Times,
 }
@@ -185,10 +182,10 @@ impl TextTable {
         let may_have_frames = |a: &&Quantity| Times::are_in(a) && !wanted.test(&a.name);
         let time = attributes.iter().find(may_have_frames).filter(|_| table.count.is_none());
         let time_column = time.map(|time| time.columns[0]);
-        let (rows, times) =
+        let (rows, empty, times) =
             table.decode(&source, (&slots, time_column), (&text, &labels), unpacking)?;
         let stride = width * WIDTH;
-        let count = rows.len() / stride;
+        let count = rows.len() / stride - empty;
         if let Some(expected) = table.count.filter(|expected| *expected != count as u64) {
             let what = format!("the header announces {expected} rows, but the file has {count}");
             return Err(ReadFault::Line { line: table.lines_above, what });
@@ -221,18 +218,18 @@ impl TextTable {
         Ok(ParticleFile { unread, left_out, ..ParticleFile::new(store, format) })
     }
 
-    /// Decodes all rows in order. Also returns the numbers in the column of times, if there is one.
+    /// Decodes all rows in order. Also returns the number of rows without values at the end, as
+    /// spreadsheets write them, and the numbers in the column of times, if there is one.
     fn decode(
         &self,
         source: &InputBytes,
         columns: (&[Option<FieldTarget>], Option<usize>),
         text: (&[AtomicBool], &[Texts]),
         unpacking: Unpacking,
-    ) -> Result<(PrivateBytes, Times), ReadFault> {
+    ) -> Result<(PrivateBytes, usize, Times), ReadFault> {
         let mut rows = UnpackBuffer::new(unpacking);
         let mut lines_above = self.lines_above;
-        // Rows without values, as spreadsheets write them, are allowed only at the end.
-        let mut empty = None;
+        let mut empty = 0;
         let mut times = Times::default();
         decode_windows(
             source,
@@ -240,20 +237,17 @@ impl TextTable {
             |byte| byte == b'\n',
             |piece| self.decode_piece(piece, columns, text),
             |piece| {
-                let has_rows = piece.as_ref().map_or(true, |piece| !piece.rows.is_empty());
-                if let Some(line) = empty.filter(|_| has_rows) {
-                    return Err(ReadFault::Line { line, what: EMPTY_ROW.to_owned() });
-                }
                 let piece = piece
                     .map_err(|(line, what)| ReadFault::Line { line: lines_above + line, what })?;
-                empty = empty.or(piece.empty.map(|line| lines_above + line));
+                let is_empty = piece.empty * text.0.len() * WIDTH == piece.rows.len();
+                empty = if is_empty { empty + piece.empty } else { piece.empty };
                 lines_above += piece.lines;
                 times.append(piece.times);
                 rows.push(&piece.rows)?;
                 Ok(ControlFlow::Continue(()))
             },
         )?;
-        Ok((rows.finish()?, times))
+        Ok((rows.finish()?, empty, times))
     }
 
     /// Decodes the rows of a piece of text. Returns the line number and the error of the first
@@ -267,19 +261,13 @@ impl TextTable {
         let width = text.len() * WIDTH;
         let mut known: Vec<Known> = labels.iter().map(|_| Known::new()).collect();
         let mut rows = Vec::new();
-        let mut empty = None;
+        let mut empty = 0;
         let mut times = Times::default();
         for (line, _, content) in lines(piece) {
             if is_comment(content) {
                 continue;
             }
-            if is_empty_row(content, self.syntax.separator) {
-                empty = empty.or(Some(line));
-                continue;
-            }
-            if let Some(line) = empty {
-                return Err((line, EMPTY_ROW.to_owned()));
-            }
+            empty = if is_empty_row(content, self.syntax.separator) { empty + 1 } else { 0 };
             let row = rows.len();
             rows.resize(row + width, 0);
             let mut fields = 0;

@@ -230,7 +230,10 @@ impl Sample {
         let mut columns: Vec<_> = (0..width).map(|_| SampledColumn::default()).collect();
         let mut count = 0;
         for fields in rows_of(rows, row.syntax, row.fields).take(SAMPLED_ROWS) {
-            let mut fields = fields.skip(row.first);
+            let mut fields = fields.skip(row.first).peekable();
+            if fields.peek().is_some_and(|field| field.is_empty()) {
+                continue;
+            }
             for column in &mut columns {
                 column.push(fields.next().unwrap_or_default(), row.syntax);
             }
