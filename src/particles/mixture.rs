@@ -64,8 +64,10 @@ const FLOOR: f64 = 5.0;
 const IN_CELL: f64 = 8.0;
 /// Maximum fraction of a boundary's particles that may be inside the fluid.
 const WITHIN: f64 = 0.02;
-/// Maximum number of boundary particles in cells with fluid, as a multiple of the number of fluid
-/// particles. Among scattered particles, such as tracers, there are many more.
+/// Minimum number of cells along each axis for which cells can be inside the fluid.
+const LEAST_CELLS: i32 = 3;
+/// Maximum number of boundary particles in the bounding box of a fluid with fewer cells, as a
+/// multiple of the number of fluid particles. Among a few tracers, there are many more.
 const AMONG: f64 = 0.5;
 
 /// Whether the name of an attribute suggests materials.
@@ -184,13 +186,14 @@ fn by(particles: &dyn Particles, source: AttributeOrLabel, name: &str) -> Option
         let wet: Vec<bool> = counts.into_iter().map(|count| count.into_inner() > 0).collect();
         let (among, inside) = (AtomicU32::new(0), AtomicU32::new(0));
         visit(*boundary, &|cell| {
-            among.fetch_add(u32::from(wet[cell]), Ordering::Relaxed);
+            among.fetch_add(1, Ordering::Relaxed);
             if cells.is_inside(&wet, cell) {
                 inside.fetch_add(1, Ordering::Relaxed);
             }
         });
         let is_apart = f64::from(inside.into_inner()) <= WITHIN * *around as f64;
-        let is_around = f64::from(among.into_inner()) <= AMONG * *within as f64;
+        let is_around =
+            cells.count >= LEAST_CELLS || f64::from(among.into_inner()) <= AMONG * *within as f64;
         (is_apart && is_around).then(|| Mixture {
             attribute: name.to_owned(),
             boundary: (of_boundary.clone(), *around),

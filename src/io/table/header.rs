@@ -214,7 +214,8 @@ fn vectors_in(line: &str) -> Option<(Vec<String>, bool)> {
     let listed = line.contains([',', ';']);
     let names = if listed { separated(line) } else { with_units(line) };
     // Two words, such as `Material positions`, may be a title.
-    if !listed && names.len() < 3 && !line.contains(['[', '(']) {
+    let are_vectors = || names.iter().all(|name| names_position(name) || names_velocity(name));
+    if !listed && names.len() < 3 && !line.contains(['[', '(']) && !are_vectors() {
         return None;
     }
     let is_named = |known: &str| names.iter().any(|name| name.eq_ignore_ascii_case(known));
@@ -516,9 +517,9 @@ fn is_unclear(comment: &str, fields: usize, first: Option<usize>) -> bool {
     })
 }
 
-/// Whether a text consists only of known names for all `fields`, and starts with other columns than
-/// the position. An identifier before the position is allowed if the position starts at the column
-/// `first`.
+/// Whether a text consists only of known names, and starts with other columns than the position. An
+/// identifier before the position is allowed if the position starts at the column `first`. If the
+/// text has fewer than three names or no position, the names must fit all `fields`.
 fn names_others_first(text: &str, fields: usize, first: Option<usize>) -> bool {
     let words = words_of(text);
     let are_axes = words.iter().filter(|word| axis_of(word).is_some()).count() > 1;
@@ -535,7 +536,8 @@ fn names_others_first(text: &str, fields: usize, first: Option<usize>) -> bool {
     let is_whole =
         |count: usize| count == fields || first.is_some_and(|first| first + count == fields);
     let place = names.iter().position(|word| is_position(word));
-    (is_whole(columns) || is_whole(names.len()))
+    let is_list = names.len() > 2 && place.is_some();
+    (is_list || is_whole(columns) || is_whole(names.len()))
         && place.is_none_or(|place| place > 0 && Some(place) != first)
 }
 
