@@ -313,15 +313,10 @@ fn a_line_of_names_that_does_not_fit_the_rows_is_refused() {
         ("% density, velocity, position", 1),
         ("density velocity(3) position(3)", 1),
         ("velocity position", 1),
-        ("// velocity and position of each particle", 1),
-        ("velocity in m/s, position in m", 1),
         // The names are understood, so the first row is refused.
         ("density[1] vx[2] vy[3] vz[4] x[5] y[6] z[7]", 2),
         ("# density[1] vx[2] vy[3] vz[4] x[6] y[7] z[8]", 1),
-        ("DATA density x y", 1),
         ("; rho vel pos", 1),
-        ("! density pressure", 1),
-        ("foo bar pos vel", 1),
         ("rho vel pos\n1920", 1),
         ("# rho vel pos\n1920\n# 0.5", 1),
         ("a title\nvelocity\nposition", 2),
@@ -331,6 +326,25 @@ fn a_line_of_names_that_does_not_fit_the_rows_is_refused() {
         let (at, what) = refusal(&format!("{names}\n{rows}"));
         assert_eq!(at, line, "{names}: {what}");
     }
+}
+
+#[test]
+fn titles_with_a_few_names_of_columns_do_not_name_the_columns() {
+    let rows = table(5, |i| format!("{} 0.5", place(i)));
+    let expected = positions(&text(&rows).unwrap());
+    for title in [
+        "Material point positions",
+        "SPH mass density output",
+        "Material type: water",
+        "units: m, m, m, kg",
+        "velocities are in another file",
+    ] {
+        let file = text(&format!("# {title}\n{rows}")).expect(title);
+        assert_eq!(positions(&file), expected, "{title}");
+    }
+    let rows = table(5, |i| format!("{} {} 0.5", place(i), place(i + 1)));
+    let file = text(&format!("# x y z\n# vx vy vz rho\n{rows}")).unwrap();
+    assert_eq!(positions(&file), expected);
 }
 
 #[test]

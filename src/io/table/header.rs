@@ -518,8 +518,9 @@ fn is_unclear(comment: &str, fields: usize, first: Option<usize>) -> bool {
 }
 
 /// Whether a text consists only of known names, and starts with other columns than the position. An
-/// identifier before the position is allowed if the position starts at the column `first`. If the
-/// text has fewer than three names or no position, the names must fit all `fields`.
+/// identifier before the position is allowed if the position starts at the column `first`. Two names
+/// can be a title, such as `Material positions`, unless both are vectors. They must fit all `fields`
+/// then, as names without a position must.
 fn names_others_first(text: &str, fields: usize, first: Option<usize>) -> bool {
     let words = words_of(text);
     let are_axes = words.iter().filter(|word| axis_of(word).is_some()).count() > 1;
@@ -536,7 +537,7 @@ fn names_others_first(text: &str, fields: usize, first: Option<usize>) -> bool {
     let is_whole =
         |count: usize| count == fields || first.is_some_and(|first| first + count == fields);
     let place = names.iter().position(|word| is_position(word));
-    let is_list = names.len() > 2 && place.is_some();
+    let is_list = place.is_some() && (names.len() > 2 || names.iter().all(|word| is_vector(word)));
     (is_list || is_whole(columns) || is_whole(names.len()))
         && place.is_none_or(|place| place > 0 && Some(place) != first)
 }
