@@ -7,13 +7,13 @@ use serde::de::{DeserializeSeed, Deserializer, SeqAccess, Visitor};
 
 use super::bytes::{Bytes, SequentialReader, UnpackBuffer, Unpacking};
 use super::columns::{Column, ColumnStore, Endian, ParticleRows, Scalar};
+use super::scan::mark_length;
 use super::{ParticleFile, ReadFault};
 
 /// Size, in bytes, of a position.
 const TRIPLE: usize = 3 * size_of::<f64>();
 /// Number of bytes of text, and of positions, that are buffered.
 const CHUNK: usize = 1 << 16;
-const BYTE_ORDER_MARK: [u8; 3] = *b"\xef\xbb\xbf";
 
 /// Reads a list of positions.
 ///
@@ -23,8 +23,7 @@ const BYTE_ORDER_MARK: [u8; 3] = *b"\xef\xbb\xbf";
 /// [`ReadFault::Scratch`] if the scratch file cannot be written.
 pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
     let view = bytes.view();
-    let begins_with_mark = *view.read(0..view.len().min(BYTE_ORDER_MARK.len()))? == BYTE_ORDER_MARK;
-    let start = if begins_with_mark { BYTE_ORDER_MARK.len() } else { 0 };
+    let start = mark_length(&view.read(0..view.len().min(3))?);
     let text = BufReader::with_capacity(CHUNK, SequentialReader::new(view, start));
     let mut rows = UnpackBuffer::new(unpacking);
     let mut json = serde_json::Deserializer::from_reader(text);

@@ -617,7 +617,8 @@ fn all_in(folder: &Path) -> Result<Vec<PathBuf>, SimulationError> {
     for entry in entries {
         let entry = entry.map_err(fail)?;
         let path = entry.path();
-        // Opening a pipe would wait for another program. A broken link stays, so that it is reported.
+        // Opening a pipe would wait for another program. A broken link stays, so that it is
+        // reported.
         let is_file = match entry.file_type() {
             Ok(kind) if !kind.is_symlink() => kind.is_file(),
             _ => path.metadata().map_or(true, |file| file.is_file()),

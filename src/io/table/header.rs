@@ -518,9 +518,10 @@ fn is_unclear(comment: &str, fields: usize, first: Option<usize>) -> bool {
 }
 
 /// Whether a text consists only of known names, and starts with other columns than the position. An
-/// identifier before the position is allowed if the position starts at the column `first`. Two names
-/// can be a title, such as `Material positions`, unless both are vectors. They must fit all `fields`
-/// then, as names without a position must.
+/// identifier before the position is allowed if the position starts at the column `first`.
+///
+/// Two names can be a title, such as `Material positions`, unless both are vectors. They must fit
+/// all `fields` then, as names without a position must.
 fn names_others_first(text: &str, fields: usize, first: Option<usize>) -> bool {
     let words = words_of(text);
     let are_axes = words.iter().filter(|word| axis_of(word).is_some()).count() > 1;
