@@ -59,7 +59,8 @@ fn ignore(signal: libc::c_int) {
 static UNFINISHED: OnceLock<Cancel> = OnceLock::new();
 
 /// Installs signal handlers for SIGABRT, which the standard library raises when no memory is left,
-/// and for crashes, which may happen in a driver.
+/// and for crashes, which may happen in a driver. Also ends the process as if by SIGABRT if a new
+/// thread has no memory for its signal stack, in which case the standard library panics.
 #[cfg(unix)]
 pub fn catch_crashes() {
     extern "C" fn abort(_: libc::c_int) {
@@ -99,6 +100,13 @@ pub fn catch_crashes() {
     for signal in [libc::SIGSEGV, libc::SIGBUS, libc::SIGILL, libc::SIGFPE] {
         handle(signal, crash);
     }
+    let print = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |panic| {
+        if panic.location().is_some_and(|location| location.file().ends_with("stack_overflow.rs")) {
+            std::process::abort();
+        }
+        print(panic);
+    }));
 }
 
 /// Prints the message and removes all unfinished files, from a signal handler.

@@ -374,7 +374,7 @@ fn commands_without_memory_or_threads_fail_and_leave_no_files() {
     let commands = [
         "reconstruct ball.xyz -o out.ply --backend cpu --cell 0.25",
         "reconstruct ball.xyz -o out.glb --backend cpu --simplify 0.2",
-        "reconstruct ball_{}.xyz -o out/{}.ply --backend cpu",
+        "reconstruct ball_{}.xyz -o out/{}.ply --backend cpu --threads 6",
         "reconstruct ball_{}.xyz -o out/{}.usdc --backend cpu --preview",
         "pack ball.xyz -o out.mnf",
         "info ball.ply",
