@@ -10,6 +10,7 @@
 //! cell and position. The sums are therefore the same for any number of threads. Positions are
 //! rounded to 1 / 8192 of a cell, as for the DIF.
 
+mod eigen;
 mod kernels;
 mod mueller;
 mod neighbours;

@@ -21,8 +21,8 @@
 //! times the identity.
 
 use glam::{DMat3, DVec3};
-use glamx::DSymmetricEigen3;
 
+use super::eigen::symmetric_eigen;
 use super::mueller::density;
 use super::neighbours::NeighbourGrid;
 use super::scheme::{Scheme, Spacing, weight};
@@ -74,7 +74,7 @@ impl YuTurk {
         let mean = first / weights;
         let outer = DMat3::from_cols(mean * mean.x, mean * mean.y, mean * mean.z);
         let covariance = second * weights.recip() - outer;
-        let DSymmetricEigen3 { eigenvalues, eigenvectors } = DSymmetricEigen3::new(covariance);
+        let (eigenvalues, eigenvectors) = symmetric_eigen(covariance);
         let greatest = eigenvalues.max_element() / (UNIFORM * radius * radius);
         // If all particles are at the same position, the covariance is zero and has no shape.
         let widths = if found > N_EPSILON + 1 && greatest > f64::EPSILON {

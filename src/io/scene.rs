@@ -26,25 +26,37 @@ struct SceneFacts {
     tank: Option<Walls>,
 }
 
-/// The spacing of the particles at `path`, and the path of the scene file that contains it.
+/// The spacing of the particles at `path`, and the path of a scene file that contains it. `None` if
+/// scene files contain different spacings.
 ///
-/// Tries the .json and .xml files in the folder of `path`, sorted by name, and then those in the
-/// parent folder. Invalid files and files with other contents are skipped.
+/// Reads the .json and .xml files in the folder of `path`, or, if none of them is a scene, those in
+/// the parent folder. Invalid files and files with other contents are skipped.
 pub fn spacing_beside(path: &Path) -> Option<(f64, PathBuf)> {
-    scene_beside(path).map(|(scene, path)| (scene.spacing, path))
+    agreed(scenes_beside(path), |scene| Some(scene.spacing))
 }
 
-/// The walls of the tank around the particles at `path`, and the path of the scene file that
-/// contains them. This is the same scene file that [`spacing_beside`] finds.
+/// The walls of the tank around the particles at `path`, and the path of a scene file that contains
+/// them. `None` if scene files contain different tanks.
 pub fn tank_beside(path: &Path) -> Option<(Walls, PathBuf)> {
-    let (scene, path) = scene_beside(path)?;
-    scene.tank.map(|tank| (tank, path))
+    agreed(scenes_beside(path), |scene| scene.tank)
 }
 
-fn scene_beside(path: &Path) -> Option<(SceneFacts, PathBuf)> {
+/// The value of the first scene that has one, unless another scene has a different value.
+fn agreed<T: PartialEq>(
+    scenes: Vec<(SceneFacts, PathBuf)>,
+    value: impl Fn(&SceneFacts) -> Option<T>,
+) -> Option<(T, PathBuf)> {
+    let mut values = scenes.into_iter().filter_map(|(scene, path)| Some((value(&scene)?, path)));
+    let first = values.next()?;
+    values.all(|(other, _)| other == first.0).then_some(first)
+}
+
+/// The scenes in the folder of `path`, or, if there are none, those in the parent folder.
+fn scenes_beside(path: &Path) -> Vec<(SceneFacts, PathBuf)> {
     let folder =
         path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    [folder, &above(folder)].iter().find_map(|folder| scene_in(folder))
+    let scenes = scenes_in(folder);
+    if scenes.is_empty() { scenes_in(&above(folder)) } else { scenes }
 }
 
 /// The path of the parent folder, without `..` if possible.
@@ -56,16 +68,17 @@ fn above(folder: &Path) -> PathBuf {
     }
 }
 
-fn scene_in(folder: &Path) -> Option<(SceneFacts, PathBuf)> {
-    let files = std::fs::read_dir(folder).ok()?.filter_map(|entry| Some(entry.ok()?.path()));
-    let mut scenes: Vec<(PathBuf, Parser)> =
-        files.filter_map(|path| parser_for(&path).map(|parser| (path, parser))).collect();
-    scenes.sort();
-    scenes.into_iter().find_map(|(path, parser)| {
-        let scene = parser(&read_small(&path)?)?;
+/// The scenes in a folder, sorted by the names of their files.
+fn scenes_in(folder: &Path) -> Vec<(SceneFacts, PathBuf)> {
+    let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };
+    let mut files: Vec<PathBuf> = entries.filter_map(|entry| Some(entry.ok()?.path())).collect();
+    files.sort();
+    let scene = |path: PathBuf| {
+        let scene = parser_for(&path)?(&read_small(&path)?)?;
         positive_length("spacing", scene.spacing).ok()?;
         Some((scene, path))
-    })
+    };
+    files.into_iter().filter_map(scene).collect()
 }
 
 type Parser = fn(&[u8]) -> Option<SceneFacts>;
@@ -271,6 +284,25 @@ mod tests {
         );
         format!(r#"{{"Configuration": {{"particleRadius": 0.025}}, "RigidBodies": [{body}]}}"#)
             .into()
+    }
+
+    #[test]
+    fn scenes_that_disagree_give_no_spacing_and_no_tank() {
+        let folder = tempfile::tempdir().unwrap();
+        let frame = folder.path().join("frame_1.vtk");
+        // The spacing, and the top of the tank.
+        let found_with = |name: &str, scene: Vec<u8>| {
+            std::fs::write(folder.path().join(name), scene).unwrap();
+            let top = tank_beside(&frame).map(|(walls, _)| walls.0[1][1].unwrap());
+            (spacing_beside(&frame).map(|(spacing, _)| spacing), top)
+        };
+        let with = |old: &str, new: &str| {
+            String::from_utf8(body("")).unwrap().replace(old, new).into_bytes()
+        };
+        assert_eq!(found_with("c.json", body("")), (Some(0.05), Some(3.0)));
+        assert_eq!(found_with("results.json", b"{}".into()), (Some(0.05), Some(3.0)));
+        assert_eq!(found_with("b.json", with("[4, 3, 1.5]", "[4, 2, 1.5]")), (Some(0.05), None));
+        assert_eq!(found_with("a.json", with("0.025", "0.05")), (None, None));
     }
 
     #[test]

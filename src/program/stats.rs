@@ -1,7 +1,7 @@
 //! `--stats`: a line of JSON for each frame, for other programs.
 
-use std::fs::OpenOptions;
-use std::io::Write;
+use std::fs::{File, OpenOptions};
+use std::io::{self, Read, Write};
 use std::path::Path;
 
 use meniscus::error::WriteError;
@@ -24,7 +24,7 @@ pub struct MeshStats<'a> {
 
 impl ReconstructOptions {
     /// Checks before the reconstruction that statistics can be appended, without creating the file.
-    /// The file's folder need not exist yet if it will be created for the meshes.
+    /// A file with other contents than JSON records is refused. The file's folder need not exist yet if it will be created for the meshes.
     pub fn prepare_stats(&self) -> Result<(), Error> {
         let Some(path) = self
             .stats
@@ -39,7 +39,7 @@ impl ReconstructOptions {
         }
         let is_new = !path.exists();
         let file = OpenOptions::new().create(true).append(true).open(path);
-        file.map_err(|e| WriteError::new(path, e))?;
+        file.and_then(|_| refuse_other_contents(path)).map_err(|e| WriteError::new(path, e))?;
         if is_new {
             let _ = std::fs::remove_file(path);
         }
@@ -52,6 +52,20 @@ impl ReconstructOptions {
         let file = OpenOptions::new().create(true).append(true).open(path);
         let written = file.and_then(|mut file| writeln!(file, "{}", record()));
         Ok(written.map_err(|e| WriteError::new(path, e))?)
+    }
+}
+
+/// Refuses a file that does not begin with a JSON object.
+fn refuse_other_contents(path: &Path) -> io::Result<()> {
+    // A file that may not be read can still be appended to.
+    let Ok(mut file) = File::open(path) else { return Ok(()) };
+    let mut first = [0];
+    match file.read(&mut first)? {
+        1 if first != *b"{" => Err(io::Error::new(
+            io::ErrorKind::AlreadyExists,
+            "the file has other contents than statistics; name another file for --stats",
+        )),
+        _ => Ok(()),
     }
 }
 

@@ -272,14 +272,23 @@ fn inputs_are_not_overwritten_through_links_or_other_paths() {
 #[test]
 fn unwritable_statistics_are_refused_before_the_work() {
     let folder = frames(&["f_1.xyz"]);
-    for arguments in [
-        &["reconstruct", "f_1.xyz", "-o", "a.ply", "--spacing", "1", "--stats", "none/s.json"][..],
-        &["reconstruct", "f_{}.xyz", "-o", "a_{}.ply", "--spacing", "1", "--stats", "none/s.json"],
-    ] {
-        let before = tree(folder.path());
-        assert!(run(folder.path(), arguments, 4).contains("none/s.json"));
-        assert!(tree(folder.path()) == before, "{arguments:?}");
+    fs::write(folder.path().join("notes.txt"), "remember\n").unwrap();
+    fs::write(folder.path().join("empty"), "").unwrap();
+    let inputs = [["f_1.xyz", "a.ply"], ["f_{}.xyz", "a_{}.ply"]];
+    for [input, output] in inputs {
+        let with = |stats| {
+            ["reconstruct", input, "-o", output, "--spacing", "1", "--overwrite", "--stats", stats]
+        };
+        for stats in ["none/s.json", "notes.txt"] {
+            let before = tree(folder.path());
+            assert!(run(folder.path(), &with(stats), 4).contains(stats));
+            assert!(tree(folder.path()) == before, "{input}, {stats}");
+        }
+        // Records are appended to an empty file and to other records.
+        run(folder.path(), &with("empty"), 0);
+        run(folder.path(), &with("empty"), 0);
     }
+    assert_eq!(fs::read_to_string(folder.path().join("empty")).unwrap().lines().count(), 4);
 }
 
 #[test]

@@ -5,9 +5,8 @@ use std::path::Path;
 use glam::DVec3;
 use meniscus::internals::io::output::read_mesh;
 use meniscus::internals::surface::mesh::Mesh;
+use meniscus::internals::surface::mesh::compare::SearchableSurface;
 use meniscus::internals::surface::mesh::measure::measure;
-use parry3d_f64::query::PointQueryWithLocation;
-use parry3d_f64::shape::{TriMesh, TriMeshFlags};
 
 use crate::meshes::{sphere, torus};
 use crate::{Options, Outcome};
@@ -24,7 +23,7 @@ pub struct Solid {
     pub centre: DVec3,
     /// The radius of the sphere around the bounding box.
     pub radius: f64,
-    search: TriMesh,
+    search: SearchableSurface,
 }
 
 impl Solid {
@@ -42,9 +41,8 @@ impl Solid {
             *position = (CENTRE + scale * (DVec3::from(*position) - (lo + hi) / 2.0)).into();
         }
         mesh = Mesh { normals: None, attributes: Vec::new(), ..mesh };
-        let positions = mesh.positions.iter().map(|&position| position.into()).collect();
-        let search = TriMesh::with_flags(positions, mesh.triangles.clone(), TriMeshFlags::ORIENTED)
-            .map_err(|fault| format!("{name}: {fault}"))?;
+        let search =
+            SearchableSurface::reference(&mesh).map_err(|fault| format!("{name}: {fault}"))?;
         let radius = scale * (hi - lo).length() / 2.0;
         Ok(Self {
             name: name.into(),
@@ -63,9 +61,7 @@ impl Solid {
 
     /// The distance of a point from the surface, positive inside.
     pub fn depth(&self, point: DVec3) -> f64 {
-        let (nearest, _) = self.search.project_local_point_and_get_location(point, false);
-        let distance = nearest.point.distance(point);
-        if nearest.is_inside { distance } else { -distance }
+        -self.search.signed_distances(&[point.to_array()])[0]
     }
 }
 

@@ -12,13 +12,13 @@
 use std::ops::Range;
 
 use glam::DVec3;
-use parry3d_f64::shape::TrianglePointLocation;
 use rayon::prelude::*;
 use serde::Serialize;
 
 pub use super::tree::{CompareError, Side};
 
 use super::Mesh;
+use super::box_tree::Place;
 use super::check::Stars;
 use super::tree::{GREATEST_COORDINATE, SurfacePoint, TriangleTree, scaled_normal};
 
@@ -118,7 +118,7 @@ impl SearchableSurface {
                 return f64::NAN;
             }
             let point = DVec3::from(place) - self.tree.origin();
-            let nearest = self.nearest(point, near);
+            let nearest = self.tree.nearest(point, near);
             near = Some(nearest.triangle);
             self.signed(point, &nearest)
         };
@@ -185,7 +185,7 @@ impl SearchableSurface {
         let mut summary = DistanceSums::default();
         let mut near = None;
         for point in points {
-            let nearest = self.nearest(point, near);
+            let nearest = self.tree.nearest(point, near);
             near = Some(nearest.triangle);
             summary.note(point, nearest.squared.sqrt(), self.signed(point, &nearest));
         }
@@ -199,28 +199,15 @@ impl SearchableSurface {
         if side < 0.0 { -distance } else { distance }
     }
 
-    /// The point of the surface that is nearest to `point`. The search is faster if `near` is a
-    /// triangle close to `point`.
-    fn nearest(&self, point: DVec3, near: Option<usize>) -> SurfacePoint {
-        let known = near.map(|triangle| self.tree.nearest_on(triangle, point));
-        let bound = known.as_ref().map_or(f64::INFINITY, |known| known.squared);
-        self.tree
-            .nearest_within(point, bound)
-            .or(known)
-            .expect("there are triangles, and finite points are at a finite distance from each")
-    }
-
     /// A vector that points outwards at the nearest point: the triangle's normal; on an edge, the
     /// sum of the unit normals of both triangles; on a vertex, the sum of the unit normals of all
     /// its triangles, weighted by their angles.
     fn pseudo_normal(&self, nearest: &SurfacePoint) -> DVec3 {
         let [a, b, c] = self.tree.triangles()[nearest.triangle];
-        match nearest.location {
-            TrianglePointLocation::OnVertex(corner) => {
-                self.at_vertices[[a, b, c][corner as usize] as usize]
-            }
-            TrianglePointLocation::OnEdge(side, _) => {
-                let ends = [[a, b], [b, c], [a, c]][side as usize];
+        match nearest.place {
+            Place::Corner(corner) => self.at_vertices[[a, b, c][corner] as usize],
+            Place::Edge(edge) => {
+                let ends = [[a, b], [b, c], [c, a]][edge];
                 let triangles_at = |vertex: u32| self.stars.of(vertex as usize).len();
                 let [from, to] = if triangles_at(ends[1]) < triangles_at(ends[0]) {
                     [ends[1], ends[0]]
@@ -233,9 +220,7 @@ impl SearchableSurface {
                     .map(|(_, corners)| unit_normal(corners))
                     .sum()
             }
-            TrianglePointLocation::OnFace(..) | TrianglePointLocation::OnSolid => {
-                scaled_normal(self.tree.corners(nearest.triangle))
-            }
+            Place::Face => scaled_normal(self.tree.corners(nearest.triangle)),
         }
     }
 }

@@ -1,6 +1,7 @@
 //! Triangle meshes, their checks and measures.
 
 mod block;
+mod box_tree;
 pub mod check;
 pub mod clustered;
 pub mod compare;

@@ -1,13 +1,10 @@
-//! The triangles of a mesh in a tree of boxes, for finding nearest points and crossings.
+//! The triangles of a mesh, which can be searched for nearest points and crossings.
 
 use glam::DVec3;
-use parry3d_f64::bounding_volume::Aabb;
-use parry3d_f64::partitioning::{Bvh, BvhBuildStrategy, BvhNode};
-use parry3d_f64::query::PointQueryWithLocation;
-use parry3d_f64::shape::{Triangle, TrianglePointLocation};
 use thiserror::Error;
 
 use super::Mesh;
+use super::box_tree::{BoxTree, Place, Vicinity, nearest_place, squared_distance};
 use super::check::is_sound;
 
 /// Maximum absolute coordinate of a vertex, so that products of four lengths do not overflow.
@@ -66,7 +63,9 @@ pub struct TriangleTree {
     origin: DVec3,
     positions: Vec<DVec3>,
     triangles: Vec<[u32; 3]>,
-    tree: Bvh,
+    /// The corners of the box around the triangles.
+    bounds: [DVec3; 2],
+    tree: BoxTree,
 }
 
 impl TriangleTree {
@@ -91,12 +90,9 @@ impl TriangleTree {
         if triangles.iter().all(|triangle| scaled_normal(corners(triangle)).length() == 0.0) {
             return Err(CompareError::NoSurface(side));
         }
-        let boxes = triangles.iter().map(|triangle| {
-            let [a, b, c] = corners(triangle);
-            Aabb::new(a.min(b).min(c), a.max(b).max(c))
-        });
-        let tree = Bvh::from_iter(BvhBuildStrategy::Binned, boxes.enumerate());
-        Ok(Self { origin, positions, triangles, tree })
+        let tree = BoxTree::new(triangles.len(), |number| corners(&triangles[number]));
+        let bounds = tree.bounds();
+        Ok(Self { origin, positions, triangles, bounds, tree })
     }
 
     /// The origin to which the positions are relative.
@@ -118,69 +114,108 @@ impl TriangleTree {
     }
 
     /// The distance of a place from the surface, and the nearest triangle, if the distance is at
+    /// most `most`.
+    #[must_use]
+    pub fn distance_within(&self, place: DVec3, most: f64) -> Option<(f64, usize)> {
+        let point = place - self.origin;
+        distance_within(most, self.tree.nearest(point, squared_bound(most)))
+    }
+
+    /// The triangles within the distance `most` of the box from `lo` to `hi`.
+    #[must_use]
+    pub fn vicinity(&self, lo: DVec3, hi: DVec3, most: f64) -> NearTriangles<'_> {
+        let most = most * (1.0 + 1e-9) + f64::MIN_POSITIVE;
+        let tree = self.tree.vicinity(lo - self.origin, hi - self.origin, most);
+        NearTriangles { all: self, tree }
+    }
+
+    /// Whether the box from `lo` to `hi` may meet a triangle: it meets the bounding box of nearby
+    /// triangles.
+    #[must_use]
+    pub fn meets(&self, lo: DVec3, hi: DVec3) -> bool {
+        self.tree.meets(lo - self.origin, hi - self.origin)
+    }
+
+    /// The winding number of the surface around a place, if the surface is closed.
+    ///
+    /// It is the sum over the triangles that a line from the place crosses: 1 if the triangle faces
+    /// along the line, otherwise -1. The edges of a triangle decide whether the line crosses it, and
+    /// an edge gives the same decision for both of its triangles, so the sum is the same for every
+    /// line. The line runs along the axis in which the mesh is shortest, to the nearer end.
+    #[must_use]
+    pub fn winding_number(&self, place: DVec3) -> i32 {
+        let [lo, hi] = self.bounds;
+        let axis = (hi / 2.0 - lo / 2.0).min_position();
+        // The axis becomes x. A cyclic permutation keeps the sign of a crossing.
+        let turned = |at: DVec3| DVec3::from([0, 1, 2].map(|other| at[(axis + other) % 3]));
+        let from = place - self.origin;
+        let is_forward = hi[axis] - from[axis] < from[axis] - lo[axis];
+        let (mut start, mut end) = (from, from);
+        if is_forward {
+            end[axis] = f64::MAX
+        } else {
+            start[axis] = f64::MIN
+        }
+        let from = turned(from);
+        let mut sum = 0;
+        self.tree.visit(start, end, |triangle| {
+            let corners = self.corners(triangle).map(turned);
+            let crossing = crossing(corners, [from.y, from.z]);
+            let beyond =
+                crossing.filter(|&(x, _)| if is_forward { x > from.x } else { x <= from.x });
+            sum += beyond.map_or(0, |(_, sign)| sign);
+        });
+        if is_forward { sum } else { -sum }
+    }
+
+    /// The nearest point of the surface. The search is faster if `near` is a triangle close to the
+    /// point.
+    pub(super) fn nearest(&self, point: DVec3, near: Option<usize>) -> SurfacePoint {
+        let squared = near.map_or(f64::INFINITY, |near| self.squared_distance(near, point));
+        let nearest = self.tree.nearest(point, squared).map(|(_, triangle)| triangle).or(near);
+        let triangle = nearest
+            .expect("there are triangles, and finite points are at a finite distance from each");
+        let (squared, at, place) = nearest_place(point, self.corners(triangle));
+        SurfacePoint { triangle, squared, at, place }
+    }
+
+    /// The squared distance of a point from a triangle.
+    fn squared_distance(&self, triangle: usize, point: DVec3) -> f64 {
+        squared_distance(point.to_array(), self.corners(triangle).map(|corner| corner.to_array()))
+    }
+}
+
+/// The triangles near a box.
+#[derive(Debug)]
+pub struct NearTriangles<'a> {
+    all: &'a TriangleTree,
+    tree: Vicinity<'a>,
+}
+
+impl NearTriangles<'_> {
+    /// The distance of a place from these triangles, and the nearest of them, if the distance is at
     /// most `most`. The search is faster if `near` is a triangle close to the place. The distance
     /// depends neither on `most` nor on `near`.
     #[must_use]
-    pub fn distance_within(
-        &self,
-        place: DVec3,
-        most: f64,
-        near: Option<usize>,
-    ) -> Option<(f64, usize)> {
-        let point = place - self.origin;
-        let bound = (most * (1.0 + 1e-9) + f64::MIN_POSITIVE).powi(2);
-        let known = near.map(|triangle| self.nearest_on(triangle, point));
-        let known = known.filter(|known| known.squared < bound);
-        let bound = known.as_ref().map_or(bound, |known| known.squared);
-        let nearest = self.nearest_within(point, bound).or(known)?;
-        let distance = nearest.squared.sqrt();
-        (distance <= most).then_some((distance, nearest.triangle))
+    pub fn distance_within(&self, place: DVec3, most: f64, near: usize) -> Option<(f64, usize)> {
+        let point = place - self.all.origin;
+        let squared = self.all.squared_distance(near, point);
+        let bound = squared_bound(most);
+        let nearest = self.tree.nearest(point, bound.min(squared));
+        distance_within(most, nearest.or((squared < bound).then_some((squared, near))))
     }
+}
 
-    /// Whether the bounding box of any triangle meets the box from `lo` to `hi`.
-    #[must_use]
-    pub fn meets(&self, lo: DVec3, hi: DVec3) -> bool {
-        let around = Aabb::new(lo - self.origin, hi - self.origin);
-        self.tree.intersect_aabb(&around).next().is_some()
-    }
+/// An upper bound on the squares of distances up to `most`.
+fn squared_bound(most: f64) -> f64 {
+    (most * (1.0 + 1e-9) + f64::MIN_POSITIVE).powi(2)
+}
 
-    /// The crossings of a line along x, at the given y and z, with all triangles that reach beyond
-    /// x = `from`, in no particular order. A crossing has an x coordinate, and 1 or -1 if the
-    /// triangle faces along x or against it.
-    ///
-    /// The edges of a triangle decide whether the line crosses it, and an edge gives the same
-    /// decision for both of its triangles. For a closed surface, the sum of the signs beyond a
-    /// place is therefore the winding number of the surface around this place, for every line.
-    #[must_use]
-    pub fn crossings(&self, [y, z]: [f64; 2], from: f64) -> Vec<(f64, i32)> {
-        let at = DVec3::new(from, y, z) - self.origin;
-        let line = Aabb::new(at, DVec3::new(f64::MAX, at.y, at.z));
-        let passed = self.tree.intersect_aabb(&line);
-        let crossing = |triangle: u32| crossing(self.corners(triangle as usize), [at.y, at.z]);
-        passed.filter_map(crossing).map(|(x, sign)| (x + self.origin.x, sign)).collect()
-    }
-
-    /// The nearest point of the surface, if its squared distance is less than `bound`.
-    pub(super) fn nearest_within(&self, point: DVec3, bound: f64) -> Option<SurfacePoint> {
-        let box_cost = |node: &BvhNode, _| {
-            let outside = (node.mins() - point).max(point - node.maxs()).max(DVec3::ZERO);
-            outside.length_squared()
-        };
-        let triangle_cost = |triangle: u32, _| {
-            let nearest = self.nearest_on(triangle as usize, point);
-            Some((nearest.squared, nearest))
-        };
-        let found = self.tree.find_best(bound, box_cost, triangle_cost);
-        found.map(|(_, (_, nearest))| nearest)
-    }
-
-    pub(super) fn nearest_on(&self, triangle: usize, point: DVec3) -> SurfacePoint {
-        let [a, b, c] = self.corners(triangle);
-        let (projection, location) =
-            Triangle::new(a, b, c).project_local_point_and_get_location(point, false);
-        let at = projection.point;
-        SurfacePoint { triangle, squared: point.distance_squared(at), at, location }
-    }
+/// The distance and the triangle of a search, if the distance is at most `most`.
+fn distance_within(most: f64, nearest: Option<(f64, usize)>) -> Option<(f64, usize)> {
+    let (squared, triangle) = nearest?;
+    let distance = squared.sqrt();
+    (distance <= most).then_some((distance, triangle))
 }
 
 /// The crossing of a line along x, at the given y and z, with a triangle: the x coordinate, and 1
@@ -218,5 +253,5 @@ pub(super) struct SurfacePoint {
     pub(super) triangle: usize,
     pub(super) squared: f64,
     pub(super) at: DVec3,
-    pub(super) location: TrianglePointLocation,
+    pub(super) place: Place,
 }

@@ -2,8 +2,7 @@
 //!
 //! A solid is a closed mesh. A place is inside the solid if the winding number there is nonzero:
 //! parts may overlap or touch, and a part that lies inside another part and faces the other way is
-//! a cavity. Reversing all triangles gives the same solid. The winding number of a place is counted
-//! along a line in the x direction. The distance of a place is its distance from the nearest point
+//! a cavity. Reversing all triangles gives the same solid. The distance of a place is its distance from the nearest point
 //! on any triangle.
 //!
 //! A distance depends only on the cell, not on the box of cells in a request. Cells are processed
@@ -15,6 +14,7 @@
 
 mod cache;
 
+use std::cmp::Ordering;
 use std::sync::Arc;
 
 use glam::{DVec3, IVec3};
@@ -32,9 +32,9 @@ use cache::{CELLS, CubeDistances, DistanceCache, DistanceLattice};
 /// Number of cells along the edge of the cubes for which a search finds out whether a triangle is
 /// near.
 const WIDE: i32 = 4 * TILE;
-/// Memory, in bytes per triangle, that making a solid takes, including the triangle's share of the
-/// vertices.
-const TRIANGLE_BYTES: u64 = 360;
+/// Upper limit, in bytes per triangle, on the memory that making a solid takes. It is reached if no
+/// two triangles share a vertex.
+const TRIANGLE_BYTES: u64 = 280;
 
 /// A mesh that cannot be a solid.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
@@ -46,7 +46,7 @@ pub enum SolidFault {
     /// The mesh has holes.
     #[error(
         "the solid is not closed: at {edges} edges, a triangle has no neighbour; fill the holes, \
-         or merge vertices that differ only by rounding"
+         merge vertices that differ only by rounding, or remove duplicate triangles"
     )]
     Open {
         /// Number of edges at which a triangle has no neighbour.
@@ -89,8 +89,9 @@ impl Solid {
             known: DistanceCache::new(0),
         };
         for (number, mesh) in meshes.into_iter().enumerate() {
-            let mesh = joined(mesh);
-            refuse_unclosed(&mesh).map_err(|fault| (number, fault))?;
+            if !is_closed(&mesh) {
+                return Err((number, fault_of(&mesh)));
+            }
             let origin = mesh.positions.first().map_or(DVec3::ZERO, |&p| DVec3::from(p));
             let tree = TriangleTree::new(&mesh, origin, Side::Mesh)
                 .map_err(|fault| (number, fault.into()))?;
@@ -254,24 +255,16 @@ impl NearMeshes<'_> {
 
     /// The distances of the cells in a cube of the box.
     fn distances(&self, lattice: &DistanceLattice, cube: CellBox) -> CubeDistances {
-        let (lo, hi) = lattice.corners(cube);
-        let (most, farthest) = (lattice.most, lattice.farthest());
-        let mut nearest: Option<[i16; CELLS]> = None;
+        let mut nearest = [lattice.most; CELLS];
         for mesh in &self.near {
-            if mesh.meets(lo - farthest, hi + farthest) {
-                let nearest = nearest.get_or_insert([most; CELLS]);
-                for (nearest, own) in nearest.iter_mut().zip(mesh.distances(lattice, cube)) {
-                    *nearest = (*nearest).min(own);
-                }
-            } else if mesh.winds((lo + hi) / 2.0) {
-                return CubeDistances::Same(-most);
+            for (nearest, own) in nearest.iter_mut().zip(mesh.distances(lattice, cube)) {
+                *nearest = (*nearest).min(own);
             }
         }
-        match nearest {
-            Some(each) if each.iter().any(|&distance| distance != each[0]) => {
-                CubeDistances::Each(Arc::new(each))
-            }
-            same => CubeDistances::Same(same.map_or(most, |each| each[0])),
+        if nearest.iter().any(|&distance| distance != nearest[0]) {
+            CubeDistances::Each(Arc::new(nearest))
+        } else {
+            CubeDistances::Same(nearest[0])
         }
     }
 }
@@ -295,7 +288,7 @@ impl PlacedMesh<'_> {
 
     /// Whether the mesh winds around a place that is not displaced.
     fn winds_around(&self, place: DVec3) -> bool {
-        winding(&self.mesh.crossings([place.y, place.z], place.x), place.x) != 0
+        self.mesh.winding_number(place) != 0
     }
 
     /// The distances of the cells of a cube.
@@ -303,55 +296,68 @@ impl PlacedMesh<'_> {
         let &DistanceLattice { ref grid, level, step, most, .. } = lattice;
         let farthest = lattice.farthest();
         let place = |cell: DVec3| grid.world_from_cells(cell * width(level)) - self.shift;
-        let centre = |x: i32, y: i32, z: i32| place(IVec3::new(x, y, z).as_dvec3() + 0.5);
+        let centre = |cell: usize| {
+            let cell = cell as i32;
+            let in_cube = IVec3::new(cell % TILE, cell / TILE % TILE, cell / (TILE * TILE));
+            place((cube.lo + in_cube).as_dvec3() + 0.5)
+        };
         let middle = place((cube.lo + cube.hi).as_dvec3() / 2.0);
-        let to_centre = grid.cell_size() * width(level) * 0.5 * 3_f64.sqrt();
-        let to_corner = f64::from(TILE - 1) * to_centre;
-        let mut distances = [most; CELLS];
-        let rows = (cube.lo.z..cube.hi.z).flat_map(|z| (cube.lo.y..cube.hi.y).map(move |y| (y, z)));
-        let rows = || rows.clone();
-        let Some((of_middle, nearest)) =
-            self.mesh.distance_within(middle, farthest + to_corner, None)
+        let width = grid.cell_size() * width(level);
+        let to_corner = f64::from(TILE - 1) * width * 0.5 * 3_f64.sqrt();
+        let Some((of_middle, nearest)) = self.mesh.distance_within(middle, farthest + to_corner)
         else {
             return [if self.winds_around(middle) { -most } else { most }; CELLS];
         };
+        let reach = (of_middle + to_corner).min(farthest);
+        let triangles = self.mesh.vicinity(centre(0), centre(CELLS - 1), reach);
         let mut near = nearest;
-        let cells = rows().flat_map(|(y, z)| (cube.lo.x..cube.hi.x).map(move |x| (x, y, z)));
-        for ((x, y, z), steps) in cells.zip(&mut distances) {
-            let at = centre(x, y, z);
+        let mut distances = [farthest; CELLS];
+        for (cell, distance) in distances.iter_mut().enumerate() {
+            let at = centre(cell);
             // The triangle inequality gives this bound, through the cube's centre.
             let bound = (of_middle + at.distance(middle)).min(farthest) * (1.0 + 1e-9);
-            if let Some((distance, nearest)) = self.mesh.distance_within(at, bound, Some(near)) {
-                near = nearest;
-                // Rounds to the nearest integer.
-                *steps = (distance / step + 0.5).min(f64::from(most)) as i16;
+            if let Some(found) = triangles.distance_within(at, bound, near) {
+                (*distance, near) = found;
             }
         }
         // Distances inside the mesh are negative.
-        if of_middle > to_corner * (1.0 + 1e-9) {
+        let are_inside = if of_middle > to_corner * (1.0 + 1e-9) {
             // No triangle is between the middle of the cube and its cells.
-            if self.winds_around(middle) {
-                distances.iter_mut().for_each(|distance| *distance = -*distance);
-            }
-            return distances;
-        }
-        for ((y, z), distances) in rows().zip(distances.chunks_exact_mut(TILE as usize)) {
-            let line = centre(cube.lo.x, y, z);
-            let passed = self.mesh.crossings([line.y, line.z], line.x);
-            for (x, distance) in (cube.lo.x..).zip(distances) {
-                if winding(&passed, centre(x, y, z).x) != 0 {
-                    *distance = -*distance;
-                }
-            }
-        }
-        distances
+            [self.winds_around(middle); CELLS]
+        } else {
+            are_inside(&distances, width, |cell| self.winds_around(centre(cell)))
+        };
+        std::array::from_fn(|cell| {
+            // Rounds to the nearest integer.
+            let steps = (distances[cell] / step + 0.5).min(f64::from(most)) as i16;
+            if are_inside[cell] { -steps } else { steps }
+        })
     }
 }
 
-/// The winding number of a mesh around the place at `x` on a line, whose crossings with the mesh
-/// are `passed`.
-fn winding(passed: &[(f64, i32)], x: f64) -> i32 {
-    passed.iter().filter(|(passed, _)| *passed > x).map(|(_, sign)| sign).sum()
+/// Whether each cell of a cube is inside a mesh. `distances` are the cells' distances from the mesh,
+/// and `is_inside` decides for a cell. Cells are `width` wide. No triangle is between a cell and its
+/// neighbour if the distance of either is larger than `width`.
+fn are_inside(
+    distances: &[f64; CELLS],
+    width: f64,
+    is_inside: impl Fn(usize) -> bool,
+) -> [bool; CELLS] {
+    let mut farthest_first: [usize; CELLS] = std::array::from_fn(|cell| cell);
+    farthest_first.sort_unstable_by(|&a, &b| distances[b].total_cmp(&distances[a]));
+    let mut known = [None; CELLS];
+    for cell in farthest_first {
+        let beside = [1, TILE as usize, (TILE * TILE) as usize].into_iter().flat_map(|step| {
+            let place = cell / step % TILE as usize;
+            let before = (place > 0).then(|| cell - step);
+            let after = (place + 1 < TILE as usize).then(|| cell + step);
+            [before, after].into_iter().flatten()
+        });
+        let same = beside.filter(|&beside| distances[beside] > width * (1.0 + 1e-9));
+        let same = same.filter_map(|beside| known[beside]).next();
+        known[cell] = Some(same.unwrap_or_else(|| is_inside(cell)));
+    }
+    known.map(|inside| inside.unwrap_or_default())
 }
 
 /// The volume that a mesh encloses, negative if its triangles face inwards, and the mesh's area.
@@ -364,30 +370,62 @@ fn volume_and_area(mesh: &TriangleTree) -> [f64; 2] {
     [sextuple_volume / 6.0, doubled_area / 2.0]
 }
 
-/// Merges the vertices of a mesh that have the same position.
-fn joined(mesh: Mesh) -> Mesh {
-    let mut order: Vec<u32> = (0..mesh.positions.len() as u32).collect();
+/// Whether the winding number of a mesh is an integer everywhere: every edge occurs equally often in
+/// both directions. Vertices with the same position are the same vertex.
+///
+/// Each edge adds a hash of its ends, or subtracts it, depending on the edge's direction. With 128
+/// bits, other sums than that of a closed mesh are never 0 in practice.
+fn is_closed(mesh: &Mesh) -> bool {
     // Adding 0 turns -0 into 0.
+    let of_position = |position: &[f64; 3]| hash(position.map(|x| [(x + 0.0).to_bits(); 2]));
+    let hashes: Vec<[u64; 2]> = mesh.positions.par_iter().map(of_position).collect();
+    let edge = |[a, b]: [[u64; 2]; 2]| match a.cmp(&b) {
+        Ordering::Less => number(hash([a, b])),
+        Ordering::Equal => 0,
+        Ordering::Greater => number(hash([b, a])).wrapping_neg(),
+    };
+    let edges = |triangle: &[u32; 3]| {
+        let [a, b, c] = triangle.map(|vertex| hashes.get(vertex as usize));
+        let (Some(&a), Some(&b), Some(&c)) = (a, b, c) else { return 0 };
+        edge([a, b]).wrapping_add(edge([b, c])).wrapping_add(edge([c, a]))
+    };
+    mesh.triangles.par_iter().map(edges).reduce(|| 0, u128::wrapping_add) == 0
+}
+
+/// Two independent hashes of pairs of words: one of the first words, and one of the second words.
+fn hash<const N: usize>(words: [[u64; 2]; N]) -> [u64; 2] {
+    // The finalizer of MurmurHash3.
+    let mixed = |x: u64| {
+        let x = (x ^ x >> 33).wrapping_mul(0xff51_afd7_ed55_8ccd);
+        let x = (x ^ x >> 33).wrapping_mul(0xc4ce_b9fe_1a85_ec53);
+        x ^ x >> 33
+    };
+    // The fractional parts of the golden ratio and of the square root of 2.
+    let seeds = [0x9e37_79b9_7f4a_7c15_u64, 0x6a09_e667_f3bc_c909];
+    words.iter().fold(seeds, |state, pair| {
+        [0, 1].map(|half| mixed(state[half].wrapping_mul(seeds[half]).wrapping_add(pair[half])))
+    })
+}
+
+/// The number whose halves are two hashes.
+fn number([high, low]: [u64; 2]) -> u128 {
+    u128::from(high) << 64 | u128::from(low)
+}
+
+/// The edges at which a mesh is not closed.
+fn fault_of(mesh: &Mesh) -> SolidFault {
+    // Vertices with the same position are the same vertex.
+    let mut order: Vec<u32> = (0..mesh.positions.len() as u32).collect();
     let key = |vertex: u32| mesh.positions[vertex as usize].map(|x| (x + 0.0).to_bits());
     order.par_sort_unstable_by_key(|&vertex| (key(vertex), vertex));
     let mut first_of: Vec<u32> = (0..mesh.positions.len() as u32).collect();
     for together in order.chunk_by(|&a, &b| key(a) == key(b)) {
         together.iter().for_each(|&vertex| first_of[vertex as usize] = together[0]);
     }
-    let triangles = mesh.triangles.iter().map(|triangle| {
-        triangle.map(|vertex| first_of.get(vertex as usize).copied().unwrap_or(vertex))
-    });
-    let is_whole = |[a, b, c]: &[u32; 3]| {
-        a != b && b != c && c != a && [a, b, c].iter().all(|v| (**v as usize) < first_of.len())
-    };
-    let triangles = triangles.filter(is_whole).collect();
-    Mesh { positions: mesh.positions, triangles, ..Mesh::default() }
-}
-
-/// Rejects a mesh unless its winding number is an integer everywhere: every edge must occur equally
-/// often in both directions.
-fn refuse_unclosed(mesh: &Mesh) -> Result<(), SolidFault> {
-    let edges = mesh.triangles.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]);
+    let known = |&&triangle: &&[u32; 3]| triangle.iter().all(|&v| (v as usize) < first_of.len());
+    let triangles = mesh.triangles.iter().filter(known);
+    let triangles = triangles.map(|triangle| triangle.map(|v| first_of[v as usize]));
+    let edges = triangles.flat_map(|[a, b, c]| [[a, b], [b, c], [c, a]]).filter(|[a, b]| a != b);
     let mut edges: Vec<([u32; 2], i8)> =
         edges.map(|[a, b]| if a < b { ([a, b], 1) } else { ([b, a], -1) }).collect();
     edges.par_sort_unstable();
@@ -401,9 +439,8 @@ fn refuse_unclosed(mesh: &Mesh) -> Result<(), SolidFault> {
         }
     }
     match (open, inconsistent) {
-        (0, 0) => Ok(()),
-        (0, edges) => Err(SolidFault::Inconsistent { edges }),
-        (edges, _) => Err(SolidFault::Open { edges }),
+        (0, edges) => SolidFault::Inconsistent { edges },
+        (edges, _) => SolidFault::Open { edges },
     }
 }
 
@@ -441,9 +478,11 @@ mod tests {
 
     #[test]
     fn the_distance_of_a_rotated_box_matches_its_formula() {
-        let (half, angle) = (DVec3::new(1.0, 1.5, 0.7), 0.3_f64);
-        let solid = solid(vec![turned_box(-half, half, angle)]);
-        for level in 0..2 {
+        let angle = 0.3_f64;
+        // Each axis is once the axis in which the mesh is shortest.
+        let halves = [[0.7, 1.0, 1.5], [1.5, 0.7, 1.0], [1.0, 1.5, 0.7]].map(DVec3::from);
+        for (half, level) in halves.into_iter().flat_map(|half| [(half, 0), (half, 1)]) {
+            let solid = solid(vec![turned_box(-half, half, angle)]);
             let cells = cells(16 >> level);
             let found = solid.distances(&grid(), None, level, cells, 1e-3, 900);
             for z in cells.lo.z..cells.hi.z {
