@@ -11,6 +11,7 @@ use glob::MatchOptions;
 
 use crate::io::collection::{ListedFrame, is_list, listed};
 use crate::io::input::{InputFormat, holds_mesh, is_known, steps};
+use crate::io::mnf::is_packed;
 
 use crate::error::{Error, SimulationError, WhyOne};
 
@@ -30,7 +31,7 @@ const PATIENCE: Duration = Duration::from_secs(300);
 pub enum Inputs {
     /// A name with `{}` for the number.
     Pattern(Pattern),
-    /// All supported files in a folder.
+    /// All supported files in a folder. Packed frames only if there are no particle files.
     Folder(PathBuf),
     /// A glob that a shell would expand.
     Glob(String),
@@ -257,7 +258,7 @@ impl Inputs {
         };
         match self {
             Self::Pattern(pattern) => is_in(&pattern.folder),
-            Self::Folder(folder) => is_in(folder) && is_known(path),
+            Self::Folder(folder) => is_in(folder) && (is_known(path) || is_packed(path)),
             Self::Glob(pattern) => {
                 // As in the search for files, a wildcard does not match a folder separator.
                 let in_one_folder =
@@ -299,12 +300,17 @@ impl Inputs {
                     .collect()
             }
             Self::Folder(folder) => {
-                let known = all_in(folder)?.into_iter();
-                let known = known.filter(|path| is_known(path) && !self.hides(path)).collect();
-                // A folder may contain other files: files without a number are not frames.
-                let mut files = whole_frames(known);
-                files.retain(|file| !file.runs.is_empty());
-                files
+                let all = all_in(folder)?;
+                let frames = |is_frame: fn(&Path) -> bool| {
+                    let files = all.iter().filter(|path| is_frame(path) && !self.hides(path));
+                    // A folder may contain other files: files without a number are not frames.
+                    let mut frames = whole_frames(files.cloned().collect());
+                    frames.retain(|frame| !frame.runs.is_empty());
+                    frames
+                };
+                // Packed frames beside particle files may be copies of their frames.
+                let of_particles = frames(is_known);
+                if of_particles.is_empty() { frames(is_packed) } else { of_particles }
             }
             Self::Glob(pattern) => {
                 let fail =

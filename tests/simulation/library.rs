@@ -245,6 +245,28 @@ fn packed_frames_with_different_spacings_are_refused_in_a_sequence() {
 }
 
 #[test]
+fn packed_frames_in_a_folder_are_frames_unless_it_has_particle_files() {
+    let folder = TempDir::new().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    fs::create_dir(path("frames")).unwrap();
+    for frame in 1..=2 {
+        let request = Reconstruction::new().spacing(0.5);
+        let sampled = request.sample(&falling(frame)[..]).unwrap();
+        let output = path(&format!("frames/drop_{frame}.mnf"));
+        sampled.pack(request.packed_output(&output, Replace::Allow).unwrap()).unwrap();
+    }
+    let convert = |output: &str| {
+        let all = Simulation::new(path("frames"), path(output)).run(|_| {}).unwrap();
+        assert!(all[0].is_complete());
+        let meshes = tree(&path(output)).into_keys();
+        meshes.filter(|name| name.ends_with(".ply")).collect::<Vec<_>>()
+    };
+    assert_eq!(convert("of_packed"), ["drop_1.ply", "drop_2.ply"]);
+    fs::write(path("frames/drop_3.xyz"), "0 0 0\n0.5 0 0\n0 0.5 0\n0 0 0.5\n").unwrap();
+    assert_eq!(convert("of_particles"), ["drop_3.ply"]);
+}
+
+#[test]
 fn a_cancelled_conversion_keeps_finished_frames_and_can_be_resumed() {
     let folder = simulated(40);
     let cancel = Cancel::new();
