@@ -1,10 +1,10 @@
 //! Triangles in a tree of boxes, for searches.
 //!
-//! The triangles are divided into two groups again and again, by the coordinate in which they differ
-//! most. The size of a triangle counts as a coordinate, because a large triangle makes the boxes of
-//! all its nodes large. A leaf has 8 consecutive triangles and a node up to 8 consecutive children,
-//! so no node stores where its children are. A node's data are arrays of 8 numbers, on which vector
-//! instructions work.
+//! The triangles are divided into two groups again and again, by the coordinate in which they
+//! differ most. The size of a triangle counts as a coordinate, because a large triangle makes the
+//! boxes of all its nodes large. A leaf has 8 consecutive triangles and a node up to 8 consecutive
+//! children, so no node stores where its children are. A node's data are arrays of 8 numbers, on
+//! which vector instructions work.
 
 use glam::{DVec3, Vec3};
 use multiversion::multiversion;
@@ -12,8 +12,8 @@ use rayon::prelude::*;
 
 /// Number of triangles in a leaf, and of children of a node.
 const WIDTH: usize = 8;
-/// The margin of a disc, as a share of its size, and the share by which the squared distance from a
-/// disc is reduced, because rounding to f32 changes a disc's size and the length of its normal.
+/// The margin of a disc, as a share of its size, and the share by which the squared distance from
+/// a disc is reduced, because rounding to f32 changes a disc's size and the length of its normal.
 const DISC_MARGIN: f64 = 1e-5;
 /// Maximum number of nodes in a [`Vicinity`].
 const MOST_IN_VICINITY: usize = 128;
@@ -26,8 +26,9 @@ type Lanes = [f64; WIDTH];
 /// The bounds of a node's children, or of 8 leaves: boxes and discs, which are rounded outwards.
 ///
 /// A disc bounds a smooth surface more tightly than a box does. It contains the points whose
-/// distance from its centre is at most `thickness` along its normal, and at most `radius` across it.
-/// Children with many triangles have infinite discs. The boxes of missing children contain nothing.
+/// distance from its centre is at most `thickness` along its normal, and at most `radius` across
+/// it. Children with many triangles have infinite discs. The boxes of missing children contain
+/// nothing.
 #[derive(Debug, Clone)]
 struct Node {
     lo: [[f32; WIDTH]; 3],
@@ -48,14 +49,14 @@ pub struct BoxTree {
     /// The number of each triangle, in the order of the leaves.
     order: Vec<u32>,
     leaves: Vec<Leaf>,
-    /// The nodes of each level. The first level has the bounds of the leaves, and the last level has
-    /// a single node.
+    /// The nodes of each level. The first level has the bounds of the leaves, and the last level
+    /// has a single node.
     levels: Vec<Vec<Node>>,
 }
 
 impl BoxTree {
-    /// Builds the tree of the triangles with the numbers `0..count`. `corners` returns a triangle's
-    /// corners.
+    /// Builds the tree of the triangles with the numbers `0..count`. `corners` returns a
+    /// triangle's corners.
     ///
     /// # Panics
     /// If there are no triangles.
@@ -76,12 +77,10 @@ impl BoxTree {
         let leaves: Vec<Leaf> = order.par_chunks(WIDTH).map(leaf).collect();
         let mut levels: Vec<Vec<Node>> = Vec::new();
         loop {
-            let bounds: Vec<Bounds> = match levels.last() {
-                None => leaves.par_chunks(1).map(Bounds::of_leaves).collect(),
-                Some(_) if levels.len() == 1 => {
-                    leaves.par_chunks(WIDTH).map(Bounds::of_leaves).collect()
-                }
-                Some(nodes) => nodes.par_iter().map(Bounds::of_node).collect(),
+            let bounds: Vec<Bounds> = match levels.as_slice() {
+                [] => leaves.par_chunks(1).map(Bounds::of_leaves).collect(),
+                [_] => leaves.par_chunks(WIDTH).map(Bounds::of_leaves).collect(),
+                [.., nodes] => nodes.par_iter().map(Bounds::of_node).collect(),
             };
             let nodes: Vec<Node> = bounds.par_chunks(WIDTH).map(Node::of).collect();
             let is_top = nodes.len() == 1;
@@ -116,7 +115,8 @@ impl BoxTree {
         (place < usize::MAX).then(|| (squared, self.order[place] as usize))
     }
 
-    /// Replaces `best` by the nearest triangle in the children of a node if that triangle is nearer.
+    /// Replaces `best` by the nearest triangle in the children of a node if that triangle is
+    /// nearer.
     fn search(&self, level: usize, node: usize, point: [f64; 3], best: &mut (f64, usize)) {
         let squared = squared_distances(&self.levels[level][node], point);
         let mut nearest_first = [(0.0, 0); WIDTH];
@@ -185,7 +185,8 @@ impl BoxTree {
         self.any_leaf_in(self.top(), 0, [lo, hi].map(|at| at.to_array()), &mut |_| true)
     }
 
-    /// Calls `visit` with the numbers of all triangles whose leaves meet the box from `lo` to `hi`.
+    /// Calls `visit` with the numbers of all triangles whose leaves meet the box from `lo` to
+    /// `hi`.
     pub fn visit(&self, lo: DVec3, hi: DVec3, mut visit: impl FnMut(usize)) {
         self.any_leaf_in(self.top(), 0, [lo, hi].map(|at| at.to_array()), &mut |leaf| {
             let from = leaf * WIDTH;
@@ -281,8 +282,8 @@ impl Node {
                 node.centre[axis][lane] = child.centre[axis];
                 node.normal[axis][lane] = child.normal[axis];
             }
-            node.thickness[lane] = child.thickness as f32;
-            node.radius[lane] = child.radius as f32;
+            node.thickness[lane] = -rounded_down(-child.thickness);
+            node.radius[lane] = -rounded_down(-child.radius);
         }
         node
     }
@@ -369,7 +370,7 @@ fn sorted(count: usize, corners: &(impl Fn(usize) -> [DVec3; 3] + Sync)) -> Vec<
     let size = (hi - lo).max_element();
     let item = |number: usize| {
         let [from, to] = bounds(number);
-        let [x, y, z] = ((from / 2.0 + to / 2.0 - lo) / size).as_vec3().to_array();
+        let [x, y, z] = ((from / 2.0 + to / 2.0) / size).as_vec3().to_array();
         let half = ((to - from).max_element() / 2.0 / size) as f32;
         ([x, y, z, half], number as u32)
     };
@@ -432,15 +433,15 @@ fn squared_distances(node: &Node, point: [f64; 3]) -> Lanes {
             or_zero(greater(below[1], above[1])),
             or_zero(greater(below[2], above[2])),
         ];
-        // Without a margin for rounding: if many triangles meet at the nearest point, a search with a
-        // margin would visit them all.
+        // Without a margin for rounding: if many triangles meet at the nearest point, a search
+        // with a margin would visit them all.
         let from_box = dot(outside, outside);
         let from_centre = minus(point, at_lane(&node.centre, lane));
         let height = dot(from_centre, at_lane(&node.normal, lane));
         let along = or_zero(height.abs() - f64::from(node.thickness[lane]));
         let squared_across = dot(from_centre, from_centre) - height * height;
         let across = or_zero(squared_across.sqrt() - f64::from(node.radius[lane]));
-        // A disc that is too large for f32 is infinite, or its distance is 0.
+        // For a disc that is too large for f32, the differences are NaN or negative, and thus 0.
         let from_disc = (along * along + across * across) * (1.0 - DISC_MARGIN);
         *squared = greater(from_disc, from_box);
     }
@@ -515,12 +516,14 @@ pub fn nearest_place(point: DVec3, [a, b, c]: [DVec3; 3]) -> (f64, DVec3, Place)
     let [of_a, of_b, of_c] =
         [[b, c], [c, a], [a, b]].map(|[from, to]| (to - from).cross(point - from).dot(normal));
     if of_a > 0.0 && of_b > 0.0 && of_c > 0.0 {
-        note(a + ((b - a) * of_b + (c - a) * of_c) / (of_a + of_b + of_c), Place::Face);
+        let all = of_a + of_b + of_c;
+        note(a + (b - a) * (of_b / all) + (c - a) * (of_c / all), Place::Face);
     }
     nearest
 }
 
-/// The squared distance from the edge `edge` that starts at the point's position minus `from`.
+/// The squared distance of a point from an edge. `edge` is the vector from the edge's start to its
+/// end, and `from` the vector from its start to the point.
 #[inline(always)]
 fn to_edge(edge: [f64; 3], from: [f64; 3]) -> f64 {
     let share = dot(from, edge) / dot(edge, edge);

@@ -20,7 +20,7 @@ pub use super::tree::{CompareError, Side};
 use super::Mesh;
 use super::box_tree::Place;
 use super::check::Stars;
-use super::tree::{GREATEST_COORDINATE, SurfacePoint, TriangleTree, scaled_normal};
+use super::tree::{GREATEST_COORDINATE, SurfacePoint, TriangleTree, origin_on, scaled_normal};
 
 /// Minimum and maximum number of samples of a surface. Within these bounds, there are ten samples
 /// per triangle.
@@ -69,9 +69,7 @@ pub struct Distances {
 /// # Errors
 /// If either mesh has no surface, or an invalid vertex: see [`CompareError`].
 pub fn compare(reference: &Mesh, mesh: &Mesh) -> Result<Comparison, CompareError> {
-    // Positions are relative to the first vertex of the reference, so that they keep as many digits
-    // as possible.
-    let origin = reference.positions.first().map_or(DVec3::ZERO, |&p| DVec3::from(p));
+    let origin = origin_on(reference);
     let (reference, mesh) = (
         SearchableSurface::new(reference, origin, Side::Reference)?,
         SearchableSurface::new(mesh, origin, Side::Mesh)?,
@@ -104,8 +102,7 @@ impl SearchableSurface {
     /// # Errors
     /// If the mesh has no surface, or an invalid vertex: see [`CompareError`].
     pub fn reference(mesh: &Mesh) -> Result<Self, CompareError> {
-        let origin = mesh.positions.first().map_or(DVec3::ZERO, |&p| DVec3::from(p));
-        Self::new(mesh, origin, Side::Reference)
+        Self::new(mesh, origin_on(mesh), Side::Reference)
     }
 
     /// Signed distances of places from this surface, negative inside. The distance is NaN if a

@@ -56,6 +56,13 @@ impl Side {
     }
 }
 
+/// A position on the mesh, as an origin for [`TriangleTree::new`]: positions relative to it keep
+/// as many digits as possible.
+pub fn origin_on(mesh: &Mesh) -> DVec3 {
+    let sound = mesh.triangles.iter().find(|&&triangle| is_sound(triangle, mesh.positions.len()));
+    sound.map_or(DVec3::ZERO, |&[vertex, ..]| DVec3::from(mesh.positions[vertex as usize]))
+}
+
 /// A mesh whose triangles can be searched.
 #[derive(Debug)]
 pub struct TriangleTree {
@@ -69,14 +76,19 @@ pub struct TriangleTree {
 }
 
 impl TriangleTree {
-    /// Prepares a mesh, with positions relative to `origin`. Triangles with a missing or repeated
-    /// vertex are left out.
+    /// Prepares a mesh, with positions relative to `origin`. Triangles with a missing vertex, or
+    /// with two corners at the same position, are left out.
     ///
     /// # Errors
     /// If the mesh has no surface, or an invalid vertex: see [`CompareError`].
     pub fn new(mesh: &Mesh, origin: DVec3, side: Side) -> Result<Self, CompareError> {
-        let sound = mesh.triangles.iter().copied().filter(|&t| is_sound(t, mesh.positions.len()));
-        let triangles: Vec<[u32; 3]> = sound.collect();
+        let is_kept = |&&triangle: &&[u32; 3]| {
+            is_sound(triangle, mesh.positions.len()) && {
+                let [a, b, c] = triangle.map(|vertex| mesh.positions[vertex as usize]);
+                a != b && b != c && c != a
+            }
+        };
+        let triangles: Vec<[u32; 3]> = mesh.triangles.iter().filter(is_kept).copied().collect();
         let far = |&&vertex: &&u32| {
             let position = mesh.positions[vertex as usize];
             !position.iter().all(|x| x.abs() <= GREATEST_COORDINATE)
@@ -124,13 +136,13 @@ impl TriangleTree {
     /// The triangles within the distance `most` of the box from `lo` to `hi`.
     #[must_use]
     pub fn vicinity(&self, lo: DVec3, hi: DVec3, most: f64) -> NearTriangles<'_> {
-        let most = most * (1.0 + 1e-9) + f64::MIN_POSITIVE;
+        let most = most * (1.0 + 1e-9);
         let tree = self.tree.vicinity(lo - self.origin, hi - self.origin, most);
         NearTriangles { all: self, tree }
     }
 
-    /// Whether the box from `lo` to `hi` may meet a triangle: it meets the bounding box of nearby
-    /// triangles.
+    /// Whether the box from `lo` to `hi` may meet a triangle: it meets the bounding box of a few
+    /// neighbouring triangles.
     #[must_use]
     pub fn meets(&self, lo: DVec3, hi: DVec3) -> bool {
         self.tree.meets(lo - self.origin, hi - self.origin)
@@ -138,10 +150,11 @@ impl TriangleTree {
 
     /// The winding number of the surface around a place, if the surface is closed.
     ///
-    /// It is the sum over the triangles that a line from the place crosses: 1 if the triangle faces
-    /// along the line, otherwise -1. The edges of a triangle decide whether the line crosses it, and
-    /// an edge gives the same decision for both of its triangles, so the sum is the same for every
-    /// line. The line runs along the axis in which the mesh is shortest, to the nearer end.
+    /// It is the sum over the triangles that a line from the place crosses: 1 if the triangle
+    /// faces along the line, otherwise -1. The edges of a triangle decide whether the line crosses
+    /// it, and an edge gives the same decision for both of its triangles, so the sum is the same
+    /// for every line. The line runs along the axis in which the mesh is shortest, to the nearer
+    /// end.
     #[must_use]
     pub fn winding_number(&self, place: DVec3) -> i32 {
         let [lo, hi] = self.bounds;
@@ -193,9 +206,9 @@ pub struct NearTriangles<'a> {
 }
 
 impl NearTriangles<'_> {
-    /// The distance of a place from these triangles, and the nearest of them, if the distance is at
-    /// most `most`. The search is faster if `near` is a triangle close to the place. The distance
-    /// depends neither on `most` nor on `near`.
+    /// The distance of a place from these triangles, and the nearest of them, if the distance is
+    /// at most `most`. The search is faster if `near` is a triangle close to the place. Except for
+    /// rounding, the distance depends neither on `most` nor on `near`.
     #[must_use]
     pub fn distance_within(&self, place: DVec3, most: f64, near: usize) -> Option<(f64, usize)> {
         let point = place - self.all.origin;
@@ -208,7 +221,7 @@ impl NearTriangles<'_> {
 
 /// An upper bound on the squares of distances up to `most`.
 fn squared_bound(most: f64) -> f64 {
-    (most * (1.0 + 1e-9) + f64::MIN_POSITIVE).powi(2)
+    (most * (1.0 + 1e-9)).powi(2) + f64::MIN_POSITIVE
 }
 
 /// The distance and the triangle of a search, if the distance is at most `most`.
@@ -232,6 +245,8 @@ fn crossing(corners: [DVec3; 3], [y, z]: [f64; 2]) -> Option<(f64, i32)> {
         let (low, high) = if rises { (from, to) } else { (to, from) };
         let share = (z - low.z) / (high.z - low.z);
         let at = low + (high - low) * share;
+        // Rounding must not move it beyond the ends, where the search would miss a triangle.
+        let at = at.clamp(low.min(high), low.max(high));
         Some((at.y, at.x, if rises { 1 } else { -1 }))
     });
     let (one, other) = (across.next()?, across.next()?);
@@ -254,4 +269,42 @@ pub(super) struct SurfacePoint {
     pub(super) squared: f64,
     pub(super) at: DVec3,
     pub(super) place: Place,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_crossing_is_within_the_box_of_its_triangle() {
+        // The second corner is beside the line by less than the rounding of the other edges.
+        let beside =
+            [DVec3::new(0.0, 1.0, -1.0), DVec3::new(0.0, 1e-17, 1e-17), DVec3::new(0.0, 2.0, 1.0)];
+        assert_eq!(crossing(beside, [0.0, 0.0]), None);
+        assert!(crossing(beside, [1.0, 0.5]).is_some());
+    }
+
+    #[test]
+    fn the_winding_number_is_1_inside_a_mesh_with_vertices_beside_its_lines() {
+        // An octahedron whose vertices are on the axes, except for rounding errors.
+        let noise = 1e-17;
+        let positions = vec![
+            [1.0, noise, -noise],
+            [-1.0, noise, noise],
+            [-noise, 1.0, noise],
+            [noise, -1.0, noise],
+            [noise, noise, 1.0],
+            [-noise, noise, -1.0],
+        ];
+        let sides = [[0, 2], [2, 1], [1, 3], [3, 0]];
+        let triangles = sides.iter().flat_map(|&[a, b]| [[a, b, 4], [b, a, 5]]).collect();
+        let mesh = Mesh { positions, triangles, ..Mesh::default() };
+        let tree = TriangleTree::new(&mesh, DVec3::ZERO, Side::Mesh).unwrap();
+        for x in [-0.5, -0.25, 0.0, 0.25, 0.5] {
+            for place in [DVec3::X * x, DVec3::Y * x, DVec3::Z * x] {
+                assert_eq!(tree.winding_number(place), 1, "{place}");
+            }
+        }
+        assert_eq!(tree.winding_number(DVec3::splat(0.5)), 0);
+    }
 }

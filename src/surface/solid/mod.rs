@@ -2,8 +2,8 @@
 //!
 //! A solid is a closed mesh. A place is inside the solid if the winding number there is nonzero:
 //! parts may overlap or touch, and a part that lies inside another part and faces the other way is
-//! a cavity. Reversing all triangles gives the same solid. The distance of a place is its distance from the nearest point
-//! on any triangle.
+//! a cavity. Reversing all triangles gives the same solid. The distance of a place is its distance
+//! from the nearest point on any triangle.
 //!
 //! A distance depends only on the cell, not on the box of cells in a request. Cells are processed
 //! in cubes of 4^3, and the distance of a cube's centre bounds the search for its cells. The
@@ -26,14 +26,14 @@ use crate::grid::units::SolidOffset;
 use crate::grid::{CellBox, Grid, Periodic, TILE};
 
 use super::mesh::Mesh;
-use super::mesh::tree::{CompareError, Side, TriangleTree};
+use super::mesh::tree::{CompareError, Side, TriangleTree, origin_on};
 use cache::{CELLS, CubeDistances, DistanceCache, DistanceLattice};
 
 /// Number of cells along the edge of the cubes for which a search finds out whether a triangle is
 /// near.
 const WIDE: i32 = 4 * TILE;
-/// Upper limit, in bytes per triangle, on the memory that making a solid takes. It is reached if no
-/// two triangles share a vertex.
+/// Upper limit, in bytes per triangle, on the memory that making a solid takes. It is reached if
+/// no two triangles share a vertex.
 const TRIANGLE_BYTES: u64 = 280;
 
 /// A mesh that cannot be a solid.
@@ -92,8 +92,7 @@ impl Solid {
             if !is_closed(&mesh) {
                 return Err((number, fault_of(&mesh)));
             }
-            let origin = mesh.positions.first().map_or(DVec3::ZERO, |&p| DVec3::from(p));
-            let tree = TriangleTree::new(&mesh, origin, Side::Mesh)
+            let tree = TriangleTree::new(&mesh, origin_on(&mesh), Side::Mesh)
                 .map_err(|fault| (number, fault.into()))?;
             let [volume, area] = volume_and_area(&tree);
             if volume < 0.0 {
@@ -335,9 +334,9 @@ impl PlacedMesh<'_> {
     }
 }
 
-/// Whether each cell of a cube is inside a mesh. `distances` are the cells' distances from the mesh,
-/// and `is_inside` decides for a cell. Cells are `width` wide. No triangle is between a cell and its
-/// neighbour if the distance of either is larger than `width`.
+/// Whether each cell of a cube is inside a mesh. `distances` are the cells' distances from the
+/// mesh, and `is_inside` decides for a cell. Cells are `width` wide. No triangle is between a cell
+/// and its neighbour if the distance of either is larger than `width`.
 fn are_inside(
     distances: &[f64; CELLS],
     width: f64,
@@ -370,11 +369,11 @@ fn volume_and_area(mesh: &TriangleTree) -> [f64; 2] {
     [sextuple_volume / 6.0, doubled_area / 2.0]
 }
 
-/// Whether the winding number of a mesh is an integer everywhere: every edge occurs equally often in
-/// both directions. Vertices with the same position are the same vertex.
+/// Whether the winding number of a mesh is an integer everywhere: every edge occurs equally often
+/// in both directions. Vertices with the same position are the same vertex.
 ///
-/// Each edge adds a hash of its ends, or subtracts it, depending on the edge's direction. With 128
-/// bits, other sums than that of a closed mesh are never 0 in practice.
+/// Each edge adds a hash of its ends, or subtracts it, depending on the edge's direction. The sum
+/// for a mesh that is not closed is 0 with a probability of 2^-128.
 fn is_closed(mesh: &Mesh) -> bool {
     // Adding 0 turns -0 into 0.
     let of_position = |position: &[f64; 3]| hash(position.map(|x| [(x + 0.0).to_bits(); 2]));
@@ -552,6 +551,19 @@ mod tests {
         let turned = solid(vec![inner, inwards.clone()]);
         assert_eq!(turned.turned(), [1]);
         assert_eq!(middle(inwards), -500);
+    }
+
+    #[test]
+    fn triangles_without_extent_are_not_part_of_a_solid() {
+        let half = DVec3::splat(1.0);
+        let mut mesh = turned_box(-half, half, 0.0);
+        let whole = solid(vec![mesh.clone()]);
+        // Three vertices at a place away from the box, and two at one of its corners.
+        mesh.positions.extend([[2.5; 3]; 3]);
+        mesh.positions.extend([mesh.positions[0]; 2]);
+        mesh.triangles.extend([[8, 9, 10], [0, 11, 5]]);
+        let found = |solid: &Solid| solid.distances(&grid(), None, 0, cells(12), 1e-3, 2000);
+        assert_eq!(found(&solid(vec![mesh])), found(&whole));
     }
 
     #[test]
