@@ -279,9 +279,9 @@ settings! {
     /// Join particles of thin sheets and filaments that are at most this many spacings apart
     /// [default: 2.15].
     ///
-    /// The value must be from 1 to 3, or 0, which turns this off. Sheets tear slightly before this
-    /// distance: with the default, at about 2.1 spacings. Works only with the indicator `cloud`
-    /// (the default).
+    /// The value must be from 1 to 3, or 0, which turns this off. In practice, sheets tear a little
+    /// earlier: with the default, at about 2.1 spacings. Works only with the indicator `cloud` (the
+    /// default).
     #[arg(value_name = "SPACINGS", allow_negative_numbers = true, help_heading = "Surface")]
     sheets: Option<f64>,
 

@@ -37,7 +37,7 @@ pub struct SizedParticles {
     pub sizes: Sizes,
     /// The attributes.
     pub columns: SizeAttributes,
-    /// If the particles are only a part of a frame, the blocks near finer particles in the whole
+    /// The blocks near finer particles in the whole frame; `None` if the particles are the whole
     /// frame.
     pub finer: Option<FinerBlocks>,
 }

@@ -1,7 +1,7 @@
 //! `--stats`: a line of JSON for each frame, for other programs.
 
 use std::fs::{File, OpenOptions};
-use std::io::{self, Read, Write};
+use std::io::{Read, Write};
 use std::path::Path;
 
 use meniscus::error::WriteError;
@@ -39,11 +39,11 @@ impl ReconstructOptions {
         }
         let is_new = !path.exists();
         let file = OpenOptions::new().create(true).append(true).open(path);
-        file.and_then(|_| refuse_other_contents(path)).map_err(|e| WriteError::new(path, e))?;
+        file.map_err(|e| WriteError::new(path, e))?;
         if is_new {
             let _ = std::fs::remove_file(path);
         }
-        Ok(())
+        refuse_other_contents(path)
     }
 
     /// Appends a line to the file of `--stats`, if the option was given.
@@ -56,15 +56,14 @@ impl ReconstructOptions {
 }
 
 /// Refuses a file that does not begin with a JSON object.
-fn refuse_other_contents(path: &Path) -> io::Result<()> {
-    // A file that may not be read can still be appended to.
-    let Ok(mut file) = File::open(path) else { return Ok(()) };
+fn refuse_other_contents(path: &Path) -> Result<(), Error> {
     let mut first = [0];
-    match file.read(&mut first)? {
-        1 if first != *b"{" => Err(io::Error::new(
-            io::ErrorKind::AlreadyExists,
-            "the file has other contents than statistics; name another file for --stats",
-        )),
+    // A file that may not be read can still be appended to.
+    match File::open(path).and_then(|mut file| file.read(&mut first)) {
+        Ok(1) if first != *b"{" => Err(Error::Request(format!(
+            "{}: the file has other contents than statistics; name another file for --stats",
+            path.display()
+        ))),
         _ => Ok(()),
     }
 }

@@ -4,11 +4,11 @@
 //! `cargo run --example shaders` writes outdated files and prints their names. `cargo run --example
 //! shaders -- --check` only prints the names of outdated files, and exits with 1 if there are any.
 //!
-//! A complete source consists of the constants of `meniscus::internals::backend::wgsl_constants`
-//! that it uses, the parts that its first line names (`//! with wide float64`), and its own file.
-//! Therefore, changing a constant in Rust also changes binaries. This program links the library, so
-//! for a new shader or field, change the WGSL and run this program before you use the shader or
-//! field in Rust code.
+//! Each shader is compiled from three pieces: the constants of
+//! `meniscus::internals::backend::wgsl_constants` that it uses, the parts that its first line names
+//! (`//! with wide float64`), and its own file. Therefore, changing a constant in Rust also changes
+//! binaries. This program links the library, so for a new shader or field, change the WGSL and run
+//! this program before you use the shader or field in Rust code.
 
 #[allow(dead_code, reason = "tests use the rest")]
 mod compile;

@@ -107,8 +107,8 @@ impl PaddedFields<'_> {
         Ok(Rc::new(PaddedSamples { samples: to, margin: 0, of }))
     }
 
-    /// For each block of the grid `of`, the number of the block of the grid `other` that contains
-    /// it.
+    /// Maps each block of the grid `of` to the number of the block of the grid `other` that
+    /// contains it.
     fn within(&self, of: usize, other: usize) -> View {
         let mut known = self.grids[of].within.iter();
         let (_, numbers) = known

@@ -41,7 +41,7 @@ pub const NO_BIN: u32 = u32::MAX;
 pub const ELSEWHERE: u32 = u32::MAX;
 /// Bytes of a packed particle.
 const RECORD_BYTES: u64 = 8;
-/// Bytes of the number of a bin's slot, which is stored for each particle.
+/// Size, in bytes, of the number of a slot, which is stored for each particle.
 const HOME_BYTES: u64 = 4;
 /// Maximum number of particles in a bin: one work group can sum them before the driver's timeout.
 /// This is about 16000 times as many particles as are useful in a bin.

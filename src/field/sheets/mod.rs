@@ -124,8 +124,8 @@ pub(in crate::field) const STANDS_OUT_EARLIER: f64 = 0.35;
 /// The maximum difference between the density's natural logarithms at the middle and at the cell.
 const MOST_MORE: f64 = 0.7;
 
-/// The parameters of thin fluid, for a density in wide cells that is interpolated in the cells of
-/// drops.
+/// The parameters for joining sheets. The density is computed in wide cells and interpolated in the
+/// narrower cells in which drops are made.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Sheets {
     /// The filter that smooths the density in wide cells.

@@ -42,7 +42,7 @@ pub fn mixed(mut fine: Block, coarse: &Block, shares: &Block) -> Block {
         } else if share == i64::from(WHOLE) || *fine == NONE {
             coarse
         } else {
-            // Divided towards 0, so that a mirrored frame has a mirrored field.
+            // The division rounds towards 0, so that a mirrored frame has a mirrored field.
             let more = (i64::from(coarse) - i64::from(*fine)) * share / i64::from(WHOLE);
             (i64::from(*fine) + more) as u16
         };

@@ -10,12 +10,12 @@ const MOST_FRAMES: usize = 1 << 16;
 /// Minimum number of rows of a frame.
 const FEWEST_ROWS: u64 = 4;
 
-/// The runs of equal numbers in a column of times.
+/// The runs of rows with equal times in a table.
 #[derive(Debug, Default)]
 pub struct Times {
-    /// The number and the count of rows of each run, in ascending order of the numbers.
+    /// The time and the number of rows of each run, in ascending order of the times.
     runs: Vec<(f64, u64)>,
-    /// Whether the numbers are not sorted, or there are too many.
+    /// Whether the times are not sorted, or there are too many.
     is_mixed: bool,
 }
 
