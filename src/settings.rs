@@ -327,6 +327,7 @@ settings! {
     ///
     /// The values are interpolated from particles to vertices. `none` transfers no attributes. By
     /// default, the mesh has velocities if the particles have them and the format can store them.
+    /// A list replaces this default: include `velocity` to keep it.
     #[arg(
         value_name = "NAME,...", value_delimiter = ',', value_parser = value::trimmed,
         help_heading = "Output"
