@@ -1359,7 +1359,7 @@ fn the_spacing_is_found_in_scene_files_next_to_or_above_the_frames() {
     assert_eq!(spacing_beside(&frame).unwrap().0, 2.0);
     std::fs::write(frames.join("b.json"), scene("3")).unwrap();
     for other in 'c'..='z' {
-        std::fs::write(frames.join(format!("{other}.json")), scene("4")).unwrap();
+        std::fs::write(frames.join(format!("{other}.json")), scene("3")).unwrap();
     }
     for (name, no_scene) in [
         ("0.json", scene("-1")),
@@ -1373,6 +1373,8 @@ fn the_spacing_is_found_in_scene_files_next_to_or_above_the_frames() {
         std::fs::write(frames.join(name), no_scene).unwrap();
     }
     assert_eq!(spacing_beside(&frame).unwrap(), (6.0, frames.join("b.json")));
+    std::fs::write(frames.join("y.json"), scene("4")).unwrap();
+    assert_eq!(spacing_beside(&frame), None);
 }
 
 #[test]
