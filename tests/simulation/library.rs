@@ -256,14 +256,15 @@ fn packed_frames_in_a_folder_are_frames_unless_it_has_particle_files() {
         sampled.pack(request.packed_output(&output, Replace::Allow).unwrap()).unwrap();
     }
     let convert = |output: &str| {
-        let all = Simulation::new(path("frames"), path(output)).run(|_| {}).unwrap();
-        assert!(all[0].is_complete());
+        let simulation = Simulation::new(path("frames"), path(output));
+        let request = Reconstruction::new().spacing(0.5);
+        assert!(simulation.reconstruction(request).run(|_| {}).unwrap()[0].is_complete());
         let meshes = tree(&path(output)).into_keys();
         meshes.filter(|name| name.ends_with(".ply")).collect::<Vec<_>>()
     };
-    assert_eq!(convert("of_packed"), ["drop_1.ply", "drop_2.ply"]);
+    assert_eq!(convert("of_packed/"), ["drop_1.ply", "drop_2.ply"]);
     fs::write(path("frames/drop_3.xyz"), "0 0 0\n0.5 0 0\n0 0.5 0\n0 0 0.5\n").unwrap();
-    assert_eq!(convert("of_particles"), ["drop_3.ply"]);
+    assert_eq!(convert("of_particles/"), ["drop_3.ply"]);
 }
 
 #[test]
