@@ -257,13 +257,14 @@ fn packed_frames_in_a_folder_are_frames_unless_it_has_particle_files() {
     }
     let convert = |output: &str| {
         let simulation = Simulation::new(path("frames"), path(output));
-        let request = Reconstruction::new().spacing(0.5);
-        assert!(simulation.reconstruction(request).run(|_| {}).unwrap()[0].is_complete());
+        assert!(simulation.run(|_| {}).unwrap()[0].is_complete());
         let meshes = tree(&path(output)).into_keys();
         meshes.filter(|name| name.ends_with(".ply")).collect::<Vec<_>>()
     };
     assert_eq!(convert("of_packed/"), ["drop_1.ply", "drop_2.ply"]);
-    fs::write(path("frames/drop_3.xyz"), "0 0 0\n0.5 0 0\n0 0.5 0\n0 0 0.5\n").unwrap();
+    let particles = falling(3);
+    let rows = particles.iter().map(|[x, y, z]| format!("{x} {y} {z}\n"));
+    fs::write(path("frames/drop_3.xyz"), rows.collect::<String>()).unwrap();
     assert_eq!(convert("of_particles/"), ["drop_3.ply"]);
 }
 
