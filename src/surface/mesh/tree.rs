@@ -285,6 +285,14 @@ mod tests {
     }
 
     #[test]
+    fn the_origin_is_a_corner_of_a_triangle() {
+        let positions = vec![[f64::NAN; 3], [1.0; 3], [2.0; 3], [1.0, 2.0, 3.0]];
+        let mesh = Mesh { positions, triangles: vec![[0, 0, 9], [1, 2, 3]], ..Mesh::default() };
+        assert_eq!(origin_on(&mesh), DVec3::ONE);
+        assert_eq!(origin_on(&Mesh::default()), DVec3::ZERO);
+    }
+
+    #[test]
     fn the_winding_number_is_1_inside_a_mesh_with_vertices_beside_its_lines() {
         // An octahedron whose vertices are on the axes, except for rounding errors.
         let noise = 1e-17;
