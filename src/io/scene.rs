@@ -32,21 +32,21 @@ struct SceneFacts {
 /// Reads the .json and .xml files in the folder of `path`, or, if none of them is a scene, those in
 /// the parent folder. Invalid files and files with other contents are skipped.
 pub fn spacing_beside(path: &Path) -> Option<(f64, PathBuf)> {
-    agreed(scenes_beside(path), |scene| Some(scene.spacing))
+    let scenes = scenes_beside(path).into_iter();
+    agreed(scenes.map(|(scene, path)| (scene.spacing, path)))
 }
 
 /// The walls of the tank around the particles at `path`, and the path of a scene file that contains
-/// them. `None` if scene files contain different tanks.
+/// them. `None` if scene files contain different spacings or different tanks.
 pub fn tank_beside(path: &Path) -> Option<(Walls, PathBuf)> {
-    agreed(scenes_beside(path), |scene| scene.tank)
+    let scenes = scenes_beside(path);
+    agreed(scenes.iter().map(|(scene, path)| (scene.spacing, path)))?;
+    let tanks = scenes.into_iter().filter_map(|(scene, path)| Some((scene.tank?, path)));
+    agreed(tanks)
 }
 
-/// The value of the first scene that has one, unless another scene has a different value.
-fn agreed<T: PartialEq>(
-    scenes: Vec<(SceneFacts, PathBuf)>,
-    value: impl Fn(&SceneFacts) -> Option<T>,
-) -> Option<(T, PathBuf)> {
-    let mut values = scenes.into_iter().filter_map(|(scene, path)| Some((value(&scene)?, path)));
+/// The first value, unless another value differs.
+fn agreed<T: PartialEq, P>(mut values: impl Iterator<Item = (T, P)>) -> Option<(T, P)> {
     let first = values.next()?;
     values.all(|(other, _)| other == first.0).then_some(first)
 }
@@ -71,10 +71,12 @@ fn above(folder: &Path) -> PathBuf {
 /// The scenes in a folder, sorted by the names of their files.
 fn scenes_in(folder: &Path) -> Vec<(SceneFacts, PathBuf)> {
     let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };
-    let mut files: Vec<PathBuf> = entries.filter_map(|entry| Some(entry.ok()?.path())).collect();
-    files.sort();
-    let scene = |path: PathBuf| {
-        let scene = parser_for(&path)?(&read_small(&path)?)?;
+    let files = entries.filter_map(|entry| Some(entry.ok()?.path()));
+    let mut files: Vec<(PathBuf, Parser)> =
+        files.filter_map(|path| parser_for(&path).map(|parser| (path, parser))).collect();
+    files.sort_by(|(a, _), (b, _)| a.cmp(b));
+    let scene = |(path, parser): (PathBuf, Parser)| {
+        let scene = parser(&read_small(&path)?)?;
         positive_length("spacing", scene.spacing).ok()?;
         Some((scene, path))
     };
@@ -301,6 +303,10 @@ mod tests {
         };
         assert_eq!(found_with("c.json", body("")), (Some(0.05), Some(3.0)));
         assert_eq!(found_with("results.json", b"{}".into()), (Some(0.05), Some(3.0)));
+        // A scene of other particles, without a tank.
+        let other = br#"{"Configuration": {"particleRadius": 0.1}}"#;
+        assert_eq!(found_with("d.json", other.into()), (None, None));
+        assert_eq!(found_with("d.json", b"{}".into()), (Some(0.05), Some(3.0)));
         assert_eq!(found_with("b.json", with("[4, 3, 1.5]", "[4, 2, 1.5]")), (Some(0.05), None));
         assert_eq!(found_with("a.json", with("0.025", "0.05")), (None, None));
     }

@@ -24,7 +24,8 @@ pub struct MeshStats<'a> {
 
 impl ReconstructOptions {
     /// Checks before the reconstruction that statistics can be appended, without creating the file.
-    /// A file with other contents than JSON records is refused. The file's folder need not exist yet if it will be created for the meshes.
+    /// A file with other contents than JSON records is refused. The file's folder need not exist
+    /// yet if it will be created for the meshes.
     pub fn prepare_stats(&self) -> Result<(), Error> {
         let Some(path) = self
             .stats
