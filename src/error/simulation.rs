@@ -27,10 +27,10 @@ pub enum SimulationError {
     /// A folder of inputs that does not exist.
     #[error("{}: the folder does not exist", .0.display())]
     NoFolder(PathBuf),
-    /// A folder of inputs that cannot be read.
+    /// An input, or a folder of inputs, that cannot be read.
     #[error("{}: {fault}", path.display())]
     Unreadable {
-        /// The folder.
+        /// The file or folder.
         path: PathBuf,
         /// The system's error.
         #[source]
@@ -65,6 +65,12 @@ pub enum SimulationError {
          frame is complete; convert the frames when the simulation has ended"
     )]
     Joined(String),
+    /// Frames of another simulation, which appeared while one simulation was watched.
+    #[error(
+        "{0}: these frames appeared while another simulation was watched, and were not converted; \
+         convert them separately"
+    )]
+    Unwatched(String),
     /// A first frame after the last.
     #[error("the first frame ({first}) is after the last ({last})")]
     Range {
@@ -117,6 +123,22 @@ pub enum SimulationError {
         .0.display()
     )]
     Busy(PathBuf),
+    /// Meshes of other inputs, which a resumed conversion would replace.
+    #[error(
+        "{}: the existing meshes were made from {recorded}, and frame {frame} of {inputs} differs; \
+         write these meshes to another output",
+        path.display()
+    )]
+    OtherInputs {
+        /// The state file.
+        path: PathBuf,
+        /// The folder or file with the inputs of the existing meshes.
+        recorded: String,
+        /// The folder or file with the inputs of this request.
+        inputs: String,
+        /// The number of a frame that differs.
+        frame: i64,
+    },
     /// A state from a run with other settings, or whose calibration frame has changed since then.
     #[error(
         "{}: the existing frames do not match this request; changed: {differing}",

@@ -120,6 +120,9 @@ fn advice(error: &Error) -> String {
         Error::Simulation(SimulationError::NoFrameSelected(_)) => {
             " (--start, --end, --step, --frames)"
         }
+        Error::Simulation(SimulationError::OtherInputs { .. }) => {
+            ", or use --overwrite to replace the existing ones"
+        }
         Error::Simulation(SimulationError::State { .. }) => "; use --overwrite to start again",
         // If only the input of the calibration frame has changed, no setting precedes it.
         Error::Simulation(SimulationError::Settings { differing, .. })
@@ -384,6 +387,13 @@ mod tests {
             SimulationError::Range { first: 5, last: 3 }.into(),
             SimulationError::NoFrameSelected("f_{}.vtk".into()).into(),
             SimulationError::State { path: state(), what: "expected value".into() }.into(),
+            SimulationError::OtherInputs {
+                path: state(),
+                recorded: "/data/run_1".into(),
+                inputs: "/data/run_2".into(),
+                frame: 1,
+            }
+            .into(),
             settings("cell"),
             settings("fps"),
             settings("cell, input frame 1"),

@@ -197,6 +197,17 @@ impl Listener<'_> {
             notes.say(format!("{}: no files for frames {missing}", summary.inputs));
         }
         notes.say(summary.to_string());
+        if summary.without_input > 0 {
+            let (meshes, stay) = match summary.without_input {
+                1 => ("mesh", "stays"),
+                _ => ("meshes", "stay"),
+            };
+            notes.say(format!(
+                "{} existing {meshes} without an input {stay} in the list of frames; use --overwrite \
+                 to list only frames with an input",
+                summary.without_input
+            ));
+        }
         let left_out = &summary.left_out;
         if let Some(particles) =
             self.options.settings.smallest_drop.filter(|&particles| particles > 1)

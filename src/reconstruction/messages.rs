@@ -279,6 +279,7 @@ fn files() -> String {
         Timeout(-1.0),
         Steps("sim.h5part".into()),
         Joined("sim/f_{}_{piece}.npy".into()),
+        Unwatched("sim/spray_{}.npy".into()),
         Range { first: 5, last: 3 },
         Step,
         Names(
@@ -292,6 +293,12 @@ fn files() -> String {
         Io { path: path("mesh"), fault: full_disk() },
         State { path: state(), what: "expected value".into() },
         Busy(state()),
+        OtherInputs {
+            path: state(),
+            recorded: "/data/run_1".into(),
+            inputs: "/data/run_2".into(),
+            frame: 1,
+        },
         Settings { path: state(), differing: "smooth, cell".into() },
     );
     let plan = || path("m.ply.meniscus-parts/plan.json");

@@ -226,6 +226,9 @@ pub struct Summary {
     /// The missing frame numbers, if at least as many numbers are missing as exist. In that case,
     /// the existing files count as a selection of frames, and `missing` is empty.
     pub chosen: Option<Gaps>,
+    /// Number of existing meshes that stay in the lists although their frames are not among the
+    /// inputs.
+    pub without_input: usize,
     /// Particles and drops that are left out of the surfaces.
     pub left_out: OmittedCounts,
     /// Whether the indicator is counting or symmetry, which lose drops that the indicator cloud

@@ -48,7 +48,7 @@ impl Setup<'_> {
         self.settle_colours(&mut shared, frames, resources)?;
         self.check_attributes(&shared, frames)?;
         let settings = self.kept_settings(store.stale().as_ref());
-        let measured = State::new(settings, shared);
+        let measured = State::new(settings, shared, self.sequence.place());
         // If several jobs measure at the same time, all of them use the state that is stored first.
         let state = self.checked.resources.control.cancel.undisturbed(|| store.add(&measured))?;
         let file = file.filter(|_| state.shared.frame == measured.shared.frame);

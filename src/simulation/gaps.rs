@@ -1,5 +1,6 @@
 //! Numbers of the frames that are missing between existing frames.
 
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use crate::io::time_codes::{REGULAR, greatest_common_divisor};
@@ -88,6 +89,17 @@ impl Gaps {
             })
         };
         Self { ranges: self.ranges.iter().filter_map(clipped).collect(), ..self.clone() }
+    }
+
+    /// Leaves out the gaps all of whose frames have a number in `finished`.
+    pub fn without(mut self, finished: &BTreeSet<i64>) -> Self {
+        let step = self.step.max(1);
+        self.ranges.retain(|&(first, last)| {
+            let count = last.abs_diff(first) / step + 1;
+            let number = |i| first.wrapping_add_unsigned(i * step);
+            count > finished.len() as u64 || !(0..count).all(|i| finished.contains(&number(i)))
+        });
+        self
     }
 }
 

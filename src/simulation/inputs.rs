@@ -10,7 +10,7 @@ use std::time::Duration;
 use glob::MatchOptions;
 
 use crate::io::collection::{ListedFrame, is_list, listed};
-use crate::io::input::{InputFormat, holds_mesh, is_known, steps};
+use crate::io::input::{InputFormat, file_and_step, holds_mesh, is_known, steps};
 use crate::io::mnf::is_packed;
 
 use crate::error::{Error, SimulationError, WhyOne};
@@ -134,7 +134,7 @@ impl Inputs {
     /// frame number.
     ///
     /// # Errors
-    /// [`SimulationError::Unreadable`] for a folder that cannot be read, [`SimulationError::Names`]
+    /// [`SimulationError::Unreadable`] for an input that cannot be read, [`SimulationError::Names`]
     /// if the names do not determine the frame number.
     pub fn simulations(&self, idle: Option<f64>) -> Result<Vec<Sequence>, SimulationError> {
         let grows = matches!(self, Self::Folder(_) | Self::Glob(_));
@@ -162,7 +162,13 @@ impl Inputs {
         files.retain(|file| {
             patience.is_none_or(|patience| !may_be_piece(&file.path) || rests(file, patience))
         });
+        if let Self::Files(named) = self {
+            refuse_folders(named)?;
+        }
         if let Some(odd) = files.iter().find(|file| file.runs.is_empty()) {
+            if let Some(missing) = missing(&odd.path).filter(|_| idle.is_none()) {
+                return Err(missing);
+            }
             if files.iter().all(|file| file.runs.is_empty()) {
                 return Ok(vec![sequence(None)]);
             }
@@ -348,6 +354,22 @@ impl Sequence {
     /// which are numbered in order.
     pub fn pattern(&self) -> Option<&Pattern> {
         self.pattern.as_ref()
+    }
+
+    /// The path, without links, of the folder or the file that contains the frames; `None` for files
+    /// without numbers, which can be in several folders.
+    pub fn place(&self) -> Option<String> {
+        let place = match (&self.source, &self.pattern) {
+            (Inputs::Steps { file, .. }, _) => file,
+            (_, pattern) => pattern.as_ref()?.folder(),
+        };
+        Some(place.canonicalize().ok()?.to_string_lossy().into_owned())
+    }
+
+    /// Whether each frame has the number in the name of its file, so that the number does not depend
+    /// on other files.
+    pub fn has_own_numbers(&self) -> bool {
+        self.pattern.as_ref().is_some_and(|pattern| pattern.numbers == NumberKind::Whole)
     }
 
     /// The existing frames, in order.
@@ -574,6 +596,23 @@ fn without_meshes(files: Vec<FrameCandidate>) -> Vec<FrameCandidate> {
     // If a file cannot be read, its conversion reports the error.
     by_last.retain(|_, files| !holds_mesh(&files[0].path).unwrap_or(false));
     by_last.into_values().flatten().collect()
+}
+
+/// Rejects folders among several inputs.
+fn refuse_folders(inputs: &[PathBuf]) -> Result<(), SimulationError> {
+    match inputs.iter().find(|input| inputs.len() > 1 && input.is_dir()) {
+        None => Ok(()),
+        Some(folder) => Err(SimulationError::Names(format!(
+            "{}: this input is a folder; use either one folder or a list of files",
+            folder.display()
+        ))),
+    }
+}
+
+/// The error for an input that does not exist, if it does not.
+fn missing(input: &Path) -> Option<SimulationError> {
+    let fault = file_and_step(input).0.metadata().err()?;
+    Some(SimulationError::Unreadable { path: input.to_owned(), fault })
 }
 
 /// Whether a file has not changed for at least `patience`.

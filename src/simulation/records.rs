@@ -108,6 +108,21 @@ impl Records {
     }
 }
 
+impl Records {
+    /// Whether `output` is the recorded mesh of a frame that had another input.
+    pub fn has_other_input(&self, frame: &FrameFile, output: &Path) -> bool {
+        self.0.get(&frame.number).is_some_and(|record| {
+            frame.stamp().is_ok_and(|stamp| stamp != record.input)
+                && output.file_name().is_some_and(|name| *name == *record.mesh.file)
+        })
+    }
+
+    /// The records of all frames that were made with the state of this fingerprint.
+    pub fn all(&self, fingerprint: u32) -> impl Iterator<Item = &Record> {
+        self.0.values().filter(move |record| record.fingerprint == fingerprint)
+    }
+}
+
 /// The log of this process, which is created when the process starts to make frames.
 #[derive(Debug)]
 pub struct Log {

@@ -277,8 +277,37 @@ impl Simulation {
                 };
                 results.push((sequence.describe(), result));
             }
+            for name in self.unwatched(&inputs, &simulations)? {
+                let error = Arc::new(SimulationError::Unwatched(name.clone()).into());
+                events.send(Event::SimulationFailed(Arc::clone(&error)));
+                results.push((name, Err(error)));
+            }
             Ok(results)
         })
+    }
+
+    /// The names of simulations that have appeared among the inputs while `watched` were watched.
+    fn unwatched(
+        &self,
+        inputs: &Inputs,
+        watched: &[Sequence],
+    ) -> Result<Vec<String>, SimulationError> {
+        if self.watch.is_none() {
+            return Ok(Vec::new());
+        }
+        let frames = |sequence: &Sequence| Ok(self.selection.of(sequence.list()?));
+        let lists = watched.iter().map(frames).collect::<Result<Vec<_>, _>>()?;
+        let known: HashSet<&Path> = lists.iter().flatten().flat_map(FrameFile::paths).collect();
+        let mut unwatched = Vec::new();
+        for sequence in inputs.simulations(None)? {
+            let frames = frames(&sequence)?;
+            let is_known =
+                frames.iter().flat_map(FrameFile::paths).any(|path| known.contains(path));
+            if !frames.is_empty() && !is_known {
+                unwatched.push(sequence.describe());
+            }
+        }
+        Ok(unwatched)
     }
 
     /// Checks a simulation's frames and outputs.

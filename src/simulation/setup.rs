@@ -1,6 +1,6 @@
 //! Prepares a conversion before any frame is read, and rejects requests that cannot work.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -13,7 +13,7 @@ use crate::io::input::file_and_step;
 use crate::io::joined::refuse_twice;
 use crate::io::mnf::is_packed;
 use crate::io::output::MeshFormat;
-use crate::io::series::Series;
+use crate::io::series::{Series, SeriesFrame};
 use crate::io::stamp::Identity;
 use crate::io::{WriteError, WriteFault};
 use crate::particles::Particles;
@@ -55,6 +55,24 @@ pub(super) struct ExistingMeshes {
 }
 
 impl ExistingMeshes {
+    /// The existing meshes in `folder` of frames that are not among `frames`, if they were made with
+    /// the state of this fingerprint.
+    pub(super) fn of_other_frames(
+        &self,
+        frames: &[FrameFile],
+        folder: &Path,
+        fingerprint: u32,
+    ) -> impl Iterator<Item = &SeriesFrame> {
+        let numbers: HashSet<i64> = frames.iter().map(|frame| frame.number).collect();
+        let others = self.records.all(fingerprint);
+        let others = others.filter(move |record| !numbers.contains(&record.mesh.frame));
+        let exists = |record: &&Record| {
+            record.is_at(&folder.join(&record.mesh.file)) || self.archived.holds(&record.mesh)
+        };
+        let exists: Vec<&Record> = others.filter(exists).collect();
+        exists.into_iter().map(|record| &record.mesh)
+    }
+
     /// Returns the record of a frame if its mesh exists, and its input and the state are unchanged.
     pub(super) fn current(
         &self,
@@ -248,6 +266,9 @@ impl Setup<'_> {
             Err(_) if anew => return Ok(StateLookup::Stale { text, of_others: true }),
             found => found?,
         };
+        if !anew {
+            self.refuse_other_inputs(store, &state, frames)?;
+        }
         let mut differing = state.differing(&self.kept_settings(Some(&state)));
         let of_others = !differing.is_empty();
         if state.shared.changed_in(frames).is_some() {
@@ -275,6 +296,33 @@ impl Setup<'_> {
             return Ok(StateLookup::Stale { text, of_others });
         }
         Err(SimulationError::Settings { path: store.state_path(), differing }.into())
+    }
+
+    /// Rejects inputs in another place than those of the existing meshes, unless all frames that
+    /// have a mesh are unchanged: the inputs may have been moved.
+    fn refuse_other_inputs(
+        &self,
+        store: &StateFolder,
+        state: &State,
+        frames: &[FrameFile],
+    ) -> Result<(), Error> {
+        let (Some(recorded), Some(inputs)) = (state.inputs.clone(), self.sequence.place()) else {
+            return Ok(());
+        };
+        if recorded == inputs {
+            return Ok(());
+        }
+        let records = Records::read(store.folder());
+        let differs = |frame: &&FrameFile| {
+            records.has_other_input(frame, &self.output(frame)) && self.shown_output(frame).exists()
+        };
+        match frames.iter().find(differs) {
+            None => Ok(()),
+            Some(&FrameFile { number: frame, .. }) => {
+                let path = store.state_path();
+                Err(SimulationError::OtherInputs { path, recorded, inputs, frame }.into())
+            }
+        }
     }
 
     /// Whether a state has a complete calibration. Packed frames do not need one, because they

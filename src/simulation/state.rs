@@ -34,12 +34,19 @@ pub struct State {
     pub settings: StoredSettings,
     /// The shared calibration.
     pub shared: SharedCalibration,
+    /// The [place](super::inputs::Sequence::place) of the inputs, if they have one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub inputs: Option<String>,
 }
 
 impl State {
     /// Makes a state of this version.
-    pub fn new(settings: StoredSettings, shared: SharedCalibration) -> Self {
-        Self { meniscus: env!("CARGO_PKG_VERSION").into(), settings, shared }
+    pub fn new(
+        settings: StoredSettings,
+        shared: SharedCalibration,
+        inputs: Option<String>,
+    ) -> Self {
+        Self { meniscus: env!("CARGO_PKG_VERSION").into(), settings, shared, inputs }
     }
 
     /// The frame rate of the conversion, in frames per second, if one was given.
@@ -51,7 +58,8 @@ impl State {
     /// A hash that changes with any value of the state that meshes in this format depend on. Only
     /// archives (.abc) depend on the frame rate.
     pub fn fingerprint(&self, format: MeshFormat) -> u32 {
-        let mut state = self.clone();
+        // The inputs may have been moved.
+        let mut state = Self { inputs: None, ..self.clone() };
         if !matches!(format, MeshFormat::Abc(_)) {
             state.settings.remove(FRAME_RATE);
         }
@@ -305,7 +313,7 @@ mod tests {
             for calibration in
                 [Calibration::Indicator { mean, iso }, Calibration::Clouds { plateau: theta }]
             {
-                let state = State::new(StoredSettings::new(), shared(calibration));
+                let state = State::new(StoredSettings::new(), shared(calibration), None);
                 assert_eq!(store.add(&state).unwrap(), state);
                 let loaded = store.load().unwrap().unwrap();
                 assert_eq!(loaded, state);

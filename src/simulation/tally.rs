@@ -86,6 +86,25 @@ impl<'a> Tally<'a> {
         listed.extend(done);
     }
 
+    /// Adds finished meshes of frames that are not among the existing `frames`, because their inputs
+    /// were removed, or are left out of this request. Returns their number.
+    ///
+    /// A request that overwrites meshes, and frames without numbers of their own, list only what
+    /// exists: a mesh may belong to an earlier simulation, or to another number by now.
+    fn list_others(&mut self, frames: &[FrameFile]) -> usize {
+        let Setup { simulation, sequence, ref outputs, .. } = *self.conversion.setup;
+        let has_numbers = sequence.has_own_numbers();
+        let Some(Some(settled)) = self.conversion.settled.get() else { return 0 };
+        if simulation.overwrite || !has_numbers {
+            return 0;
+        }
+        let meshes = self.conversion.setup.existing_meshes(&self.conversion.store);
+        let others = meshes.of_other_frames(frames, outputs.folder(), settled.fingerprint);
+        let before = self.listed.len();
+        self.listed.extend(others.map(|mesh| (mesh.frame, mesh.clone())));
+        self.listed.len() - before
+    }
+
     /// Whether a frame is finished.
     pub(super) fn lists(&self, frame: &FrameFile) -> bool {
         self.listed.contains_key(&frame.number)
@@ -208,7 +227,10 @@ impl<'a> Tally<'a> {
         // Other jobs may have finished frames meanwhile. The job that ends last lists the frames of
         // all jobs.
         let alone = self.conversion.store.locked();
-        self.list(&self.conversion.setup.all_frames()?, |_| false);
+        let all = self.conversion.setup.all_frames()?;
+        self.list(&all, |_| false);
+        let without_input = self.list_others(&all);
+        let numbers: BTreeSet<i64> = self.listed.keys().copied().collect();
         let (log, cancel) = (&self.conversion.store.log, self.conversion.cancel());
         let (listed, merged) =
             rayon::join(|| self.write_series(), || cancel.undisturbed(|| log.merge()));
@@ -219,7 +241,7 @@ impl<'a> Tally<'a> {
             self.fatal.get_or_insert(Error::Cancelled);
         }
         let (first, last) = simulation.frames;
-        let missing = gaps(frames).within(first, last);
+        let missing = gaps(frames).within(first, last).without(&numbers);
         let chosen =
             Some(&missing).filter(|missing| missing.sparse && missing.count() > 0).cloned();
         let each = |&(first, last): &(i64, i64)| {
@@ -240,6 +262,7 @@ impl<'a> Tally<'a> {
                 missing.ranges.iter().map(each).collect()
             },
             chosen,
+            without_input,
             left_out: self.left_out,
             smoothed: indicator.is_some_and(|kind| kind != IndicatorKind::Cloud),
             seconds: self.begun.elapsed().as_secs_f64(),

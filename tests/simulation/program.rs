@@ -495,6 +495,96 @@ fn resuming_does_not_replace_a_foreign_mesh_that_appeared_later() {
     assert_ne!(fs::read(&mesh).unwrap(), b"mine");
 }
 
+/// The frame numbers in a list of frames.
+fn listed_frames(list: &Path) -> Vec<i64> {
+    let list: Value = serde_json::from_slice(&fs::read(list).unwrap()).unwrap();
+    let frames = list["frames"].as_array().unwrap();
+    frames.iter().map(|frame| frame["frame"].as_i64().unwrap()).collect()
+}
+
+#[test]
+fn finished_meshes_stay_listed_when_their_inputs_are_removed() {
+    for output in ["out/m_{}.ply", "out/m.abc"] {
+        let folder = falling(1..=5);
+        let list = match output {
+            "out/m.abc" => folder.path().join("out/m.abc.frames/m.abc.json"),
+            _ => folder.path().join("out/m.ply.json"),
+        };
+        let resumed = |more: &[&str]| {
+            run(folder.path(), &[&["in/f_{}.xyz", "-o", output][..], more].concat(), 0)
+        };
+        resumed(&[]);
+        let input = |frame: u64| folder.path().join(format!("in/f_{frame}.xyz"));
+        [1, 2, 4].into_iter().for_each(|frame| fs::remove_file(input(frame)).unwrap());
+        fs::write(input(6), raw(&ball(6))).unwrap();
+        let notes = resumed(&["--resume"]);
+        assert_eq!(listed_frames(&list), [1, 2, 3, 4, 5, 6], "{notes}");
+        assert!(notes.contains("3 existing meshes without an input"), "{notes}");
+        // The mesh of frame 2 is gone, too.
+        if output == "out/m_{}.ply" {
+            fs::remove_file(folder.path().join("out/m_2.ply")).unwrap();
+            let notes = resumed(&["--resume"]);
+            assert_eq!(listed_frames(&list), [1, 3, 4, 5, 6], "{notes}");
+        }
+        // Another surface, and no input of the old one.
+        resumed(&["--overwrite", "--smooth", "1.3", "--end", "5"]);
+        assert_eq!(listed_frames(&list), [3, 5]);
+    }
+}
+
+#[test]
+fn resuming_replaces_no_mesh_of_inputs_in_another_folder() {
+    let folder = falling(1..=4);
+    let place = |name: &str| folder.path().join(name);
+    run(folder.path(), &ALL, 0);
+    let whole = tree(&place("out"));
+    fs::create_dir(place("other")).unwrap();
+    (1..=4).for_each(|i| fs::write(place(&format!("other/f_{i}.xyz")), raw(&ball(i + 9))).unwrap());
+    let of_other = ["other/f_{}.xyz", "-o", "out/m_{}.ply"];
+    let resume = [&of_other[..], &["--resume"]].concat();
+    for more in [&[][..], &["--frames", "2..3"], &["--plan"], &["--watch=1"]] {
+        let errors = run(folder.path(), &[&resume[..], more].concat(), 2);
+        assert!(errors.contains("other differs") && errors.contains("--overwrite"), "{errors}");
+        assert!(tree(&place("out")) == whole, "{more:?}");
+    }
+    // The same inputs may move.
+    fs::rename(place("in"), place("moved")).unwrap();
+    let errors = run(folder.path(), &["moved/f_{}.xyz", "-o", "out/m_{}.ply", "--resume"], 0);
+    assert!(errors.contains("4 of 4 frames are already finished"), "{errors}");
+    assert!(tree(&place("out")) == whole);
+    run(folder.path(), &[&of_other[..], &["--overwrite"]].concat(), 0);
+    assert!(tree(&place("out"))["m_2.ply"] != whole["m_2.ply"]);
+}
+
+#[test]
+fn a_simulation_that_appears_while_another_is_watched_is_reported() {
+    let folder = falling(1..=2);
+    let arguments = ["in", "-o", "out/", "--spacing", "0.5", "--watch=4"];
+    let watching = command(folder.path(), &arguments).stderr(Stdio::piped()).spawn().unwrap();
+    std::thread::sleep(Duration::from_millis(2500));
+    (1..=2).for_each(|i| {
+        fs::write(folder.path().join(format!("in/spray_{i}.xyz")), raw(&ball(i))).unwrap();
+    });
+    let ended = watching.wait_with_output().unwrap();
+    let errors = String::from_utf8(ended.stderr).unwrap();
+    assert_eq!(ended.status.code(), Some(1), "{errors}");
+    assert!(errors.contains("spray_{}.xyz: these frames appeared"), "{errors}");
+    assert!(folder.path().join("out/f_2.ply").exists() && errors.contains("2 frames"), "{errors}");
+}
+
+#[test]
+fn inputs_that_are_missing_or_folders_are_named_among_several() {
+    let folder = falling(1..=2);
+    for (inputs, named, code) in [
+        (["in/f_1.xyz", "f.xyz"], "f.xyz: No such file", 3),
+        (["in", "4"], "in: this input is a folder", 2),
+        (["in/f_1.xyz", "in"], "in: this input is a folder", 2),
+    ] {
+        let errors = run(folder.path(), &[&inputs[..], &["-o", "out/"]].concat(), code);
+        assert!(errors.contains(named), "{errors}");
+    }
+}
+
 #[test]
 fn a_missing_input_folder_is_an_error_unless_watch_waits_for_it() {
     let folder = falling(1..=2);
