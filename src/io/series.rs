@@ -87,11 +87,30 @@ struct Listing {
 
 #[derive(Deserialize)]
 struct ListedFile {
+    frame: i64,
     file: String,
 }
 
+/// The end of the name of a .json list.
+const LIST: &str = ".json";
 /// Maximum size, in bytes, of a .json list that is read. It allows about 200,000 frames.
 const LARGEST_LISTING: u64 = 64 << 20;
+
+/// The numbers and the file names of the frames in the .json list of a simulation, whose meshes
+/// without their numbers have the path `simulation`. Empty without such a list.
+#[must_use]
+pub fn listed_meshes(simulation: &Path) -> Vec<(i64, String)> {
+    let text = fs::read(appended(simulation, LIST)).unwrap_or_default();
+    let listing = serde_json::from_slice(&text).ok();
+    let frames = listing.map_or(Vec::new(), |listing: Listing| listing.frames);
+    frames.into_iter().map(|listed| (listed.frame, listed.file)).collect()
+}
+
+fn appended(path: &Path, ending: &str) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(ending);
+    name.into()
+}
 
 /// The up axis that a .json list next to a mesh records. `None` without such a list.
 pub(super) fn listed_up(mesh: &Path) -> Option<UpAxis> {
@@ -116,7 +135,7 @@ pub(super) fn listed_up(mesh: &Path) -> Option<UpAxis> {
 impl Series {
     /// Paths of the lists that [`write`](Self::write) writes. The first list contains all data.
     pub fn files(&self) -> Vec<PathBuf> {
-        let list = self.appended(".json");
+        let list = self.appended(LIST);
         match self.format {
             MeshFormat::Vtp | MeshFormat::Pvtp => {
                 vec![list, self.simulation.with_extension("pvd"), self.appended(".series")]
@@ -137,9 +156,7 @@ impl Series {
     }
 
     fn appended(&self, ending: &str) -> PathBuf {
-        let mut name = self.simulation.clone().into_os_string();
-        name.push(ending);
-        name.into()
+        appended(&self.simulation, ending)
     }
 
     /// The path of the manifest, a USD layer that declares the attributes of the clips.

@@ -1,9 +1,10 @@
 //! Finds boundary particles among the particles of a fluid, by an attribute that distinguishes the
 //! two.
 
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::cmp::Reverse;
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
-use glam::{DVec3, IVec3};
+use glam::{BVec3, DVec3, IVec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -64,6 +65,8 @@ const FLOOR: f64 = 5.0;
 const IN_CELL: f64 = 8.0;
 /// Maximum fraction of a boundary's particles that may be inside the fluid.
 const WITHIN: f64 = 0.02;
+/// Minimum fraction of the inner cells of a bounding box that are inside a fluid that fills the box.
+const FILLED: f64 = 0.5;
 /// Minimum number of cells along each axis for which cells can be inside the fluid.
 const LEAST_CELLS: i32 = 3;
 /// Maximum number of boundary particles in the bounding box of a fluid with fewer cells, as a
@@ -99,6 +102,14 @@ impl BoundingBox {
         Self([lo.min(other_lo), hi.max(other_hi)])
     }
 
+    /// The axes along which this box of `count` particles is as thin as a floor.
+    fn thin_axes(self, count: usize) -> BVec3 {
+        let Self([lo, hi]) = self;
+        let extent = hi - lo;
+        let floor = FLOOR * libm::cbrt(extent.element_product() / count as f64);
+        extent.cmple(DVec3::splat(floor))
+    }
+
     /// Whether this box of `count` particles extends beyond `inner` on all sides, or on all but
     /// one, because a tank may be open. Along an axis on which the boxes hardly overlap, this box
     /// must be as thin as a floor: water below spray is deeper.
@@ -106,11 +117,8 @@ impl BoundingBox {
         let (Self([lo, hi]), Self([inner_lo, inner_hi])) = (self, inner);
         let beyond =
             lo.cmplt(inner_lo).bitmask().count_ones() + hi.cmpgt(inner_hi).bitmask().count_ones();
-        let extent = hi - lo;
         let overlap = hi.min(inner_hi) - lo.max(inner_lo);
-        let floor = FLOOR * libm::cbrt(extent.element_product() / count as f64);
-        let holds =
-            overlap.cmpge(OVERLAP * (inner_hi - inner_lo)) | extent.cmple(DVec3::splat(floor));
+        let holds = overlap.cmpge(OVERLAP * (inner_hi - inner_lo)) | self.thin_axes(count);
         let is_body = (inner_hi - inner_lo).cmpgt(DVec3::ZERO).bitmask().count_ones() >= 2;
         beyond >= 5 && holds.all() && is_body
     }
@@ -170,22 +178,33 @@ fn by(particles: &dyn Particles, source: AttributeOrLabel, name: &str) -> Option
     let around = |&(outer, inner): &(usize, usize)| {
         extents[outer].is_around(extents[inner], values[outer].2)
     };
-    pairs.filter(around).find_map(|(outer, inner)| {
-        let ((boundary, of_boundary, around), (fluid, of_fluid, within)) =
-            (&values[outer], &values[inner]);
-        let cells = FluidCells::of(extents[inner], *within);
-        let visit = |key: u64, visit: &(dyn Fn(usize) + Sync)| {
-            let take = |positions: &[[f64; 3]], keys: &[u64]| {
-                let those = positions.iter().zip(keys).filter(|(p, own)| **own == key && finite(p));
-                those.filter_map(|(p, _)| cells.index(DVec3::from(*p))).for_each(visit);
-            };
-            each(particles, source, take, |(), ()| (), || ());
+    let visit = |key: u64, cells: &FluidCells, visit: &(dyn Fn(usize) + Sync)| {
+        let take = |positions: &[[f64; 3]], keys: &[u64]| {
+            let those = positions.iter().zip(keys).filter(|(p, own)| **own == key && finite(p));
+            those.filter_map(|(p, _)| cells.index(DVec3::from(*p))).for_each(visit);
         };
-        let counts: Vec<AtomicU32> = (0..cells.len()).map(|_| AtomicU32::new(0)).collect();
-        visit(*fluid, &|cell| _ = counts[cell].fetch_add(1, Ordering::Relaxed));
-        let wet: Vec<bool> = counts.into_iter().map(|count| count.into_inner() > 0).collect();
+        each(particles, source, take, |(), ()| (), || ());
+    };
+    let wet = |key: u64, cells: &FluidCells| -> Vec<bool> {
+        let wet: Vec<AtomicBool> = (0..cells.len()).map(|_| AtomicBool::new(false)).collect();
+        visit(key, cells, &|cell| wet[cell].store(true, Ordering::Relaxed));
+        wet.into_iter().map(AtomicBool::into_inner).collect()
+    };
+    // Water around a body fills its bounding box, and a tank does not.
+    let fills: Vec<bool> = values
+        .iter()
+        .zip(&extents)
+        .map(|((key, _, count), extent)| {
+            let cells = FluidCells::of(*extent, *count);
+            !extent.thin_axes(*count).any() && cells.are_filled(&wet(*key, &cells))
+        })
+        .collect();
+    let is_boundary = |&(outer, inner): &(usize, usize)| {
+        let ((boundary, _, around), (fluid, _, within)) = (&values[outer], &values[inner]);
+        let cells = FluidCells::of(extents[inner], *within);
+        let wet = wet(*fluid, &cells);
         let (among, inside) = (AtomicU32::new(0), AtomicU32::new(0));
-        visit(*boundary, &|cell| {
+        visit(*boundary, &cells, &|cell| {
             among.fetch_add(1, Ordering::Relaxed);
             if cells.is_inside(&wet, cell) {
                 inside.fetch_add(1, Ordering::Relaxed);
@@ -194,11 +213,16 @@ fn by(particles: &dyn Particles, source: AttributeOrLabel, name: &str) -> Option
         let is_apart = f64::from(inside.into_inner()) <= WITHIN * *around as f64;
         let is_around =
             cells.count >= LEAST_CELLS || f64::from(among.into_inner()) <= AMONG * *within as f64;
-        (is_apart && is_around).then(|| Mixture {
-            attribute: name.to_owned(),
-            boundary: (of_boundary.clone(), *around),
-            fluid: (of_fluid.clone(), *within),
-        })
+        is_apart && is_around
+    };
+    let around = pairs.filter(around).filter(|pair| !fills[pair.0]).filter(is_boundary);
+    // A tank can also contain solid bodies, which mostly have fewer particles than the fluid.
+    let (outer, inner) = around.min_by_key(|&(_, inner)| Reverse(values[inner].2))?;
+    let ((_, boundary, of_boundary), (_, fluid, of_fluid)) = (&values[outer], &values[inner]);
+    Some(Mixture {
+        attribute: name.to_owned(),
+        boundary: (boundary.clone(), *of_boundary),
+        fluid: (fluid.clone(), *of_fluid),
     })
 }
 
@@ -235,6 +259,13 @@ impl FluidCells {
         let cell = DVec3::select(cell.cmpeq(last), last - 1.0, cell);
         let is_in = cell.cmpge(DVec3::ZERO).all() && cell.cmplt(last).all();
         is_in.then(|| self.number(cell.as_ivec3())).flatten()
+    }
+
+    /// Whether most cells that have neighbours on all sides are inside the fluid.
+    fn are_filled(&self, wet: &[bool]) -> bool {
+        let inner = usize::try_from(self.count - 2).unwrap_or(0).pow(3);
+        let inside = (0..self.len()).filter(|&cell| self.is_inside(wet, cell)).count();
+        self.count >= LEAST_CELLS && inside as f64 >= FILLED * inner as f64
     }
 
     /// Whether a cell and all cells around it contain fluid.
@@ -306,10 +337,22 @@ mod tests {
             _ => (p.truncate().abs().max_element() < 8 && p.element_sum() % 3 == 0).then_some(1.0),
         });
         let tracers = lattice(8, |p| Some(f32::from((p.x * 7 + p.y * 13 + p.z * 29) % 50 == 0)));
-        for one in [layers, mixed, spray, tracers] {
+        for one in [layers, mixed, drop, spray, tracers] {
             assert_eq!(found("phase", &one), None);
         }
-        // Water around a drop of oil looks like a boundary.
-        assert!(found("phase", &drop).is_some());
+    }
+
+    #[test]
+    fn a_boundary_is_found_although_bodies_float_in_the_fluid() {
+        let of = |p: IVec3| match p.abs().max_element() {
+            0..=3 => 2.0,
+            4..=10 => 3.0,
+            _ => 0.0,
+        };
+        let body = |p: IVec3| (of(p) != 0.0).then(|| of(p));
+        assert_eq!(found("type", &lattice(12, body)), None, "water around a body");
+        let tank = |p: IVec3| (p.z < 12).then(|| of(p));
+        let Mixture { boundary, fluid, .. } = found("type", &lattice(12, tank)).unwrap();
+        assert_eq!((boundary.0, fluid.0), (Value::Number(0.0), Value::Number(3.0)));
     }
 }

@@ -30,7 +30,7 @@ const USUAL_LENGTHS: [&str; 2] = ["smoothinglength", "smoothinglengths"];
 const DIAMETERS: [&str; 8] =
     ["diameter", "diameters", "size", SPACING, "h", "hsml", USUAL_LENGTHS[0], USUAL_LENGTHS[1]];
 const VOLUMES: [&str; 5] = ["volume", "volumes", "vol", "particlevolume", "v0"];
-const MASSES: [&str; 3] = ["mass", "masses", "particlemass"];
+const MASSES: [&str; 4] = ["mass", "masses", "particlemass", "m"];
 const DENSITIES: [&str; 5] = ["density", "densities", "rho", "rhop", "densityf"];
 
 /// Sizes that differ by less than this factor are one size.
@@ -581,26 +581,27 @@ fn filling(
     sizes: &Sizes,
     edge: f64,
 ) -> Option<f64> {
-    /// Number of fixed-point steps in the volume of a cell.
+    /// Number of fixed-point steps in the volume of the largest particle. Fixed-point sums do not
+    /// depend on the order of the particles.
     const STEPS: f64 = (1_u64 << 40) as f64;
+    let largest = sizes.coarsest;
     let of_chunk = |chunk: Vec<([f64; 3], f64)>| {
-        let mut cells: HashMap<[i64; 3], u64> = HashMap::new();
+        let mut cells: HashMap<[i64; 3], u128> = HashMap::new();
         for (position, size) in chunk {
             let cell = position.map(|x| (x / edge).floor());
             if !cell.iter().all(|x| x.abs() < 1e15) {
                 continue;
             }
-            let size = size / edge;
-            let volume = cells.entry(cell.map(|x| x as i64)).or_default();
-            *volume = volume.saturating_add((size * size * size * STEPS).round() as u64);
+            let size = size / largest;
+            *cells.entry(cell.map(|x| x as i64)).or_default() +=
+                (size * size * size * STEPS).round() as u128;
         }
         cells
     };
     let chunks = sizes.finite_chunks(particles, columns);
     let cells = chunks.map(of_chunk).reduce(HashMap::new, |mut all, other| {
         for (cell, volume) in other {
-            let sum = all.entry(cell).or_default();
-            *sum = sum.saturating_add(volume);
+            *all.entry(cell).or_default() += volume;
         }
         all
     });
@@ -610,13 +611,14 @@ fn filling(
             cells.contains_key(&near)
         })
     };
-    let mut inside: Vec<u64> =
+    let mut inside: Vec<u128> =
         cells.iter().filter(|(cell, _)| is_inside(cell)).map(|(_, &volume)| volume).collect();
     if inside.len() < ENOUGH {
         return None;
     }
     let middle = inside.len() / 2;
-    Some(*inside.select_nth_unstable(middle).1 as f64 / STEPS)
+    let volume = *inside.select_nth_unstable(middle).1 as f64 / STEPS;
+    Some(volume * (largest / edge).powi(3))
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! `meniscus reconstruct` for the frames of a simulation: options and messages.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::path::PathBuf;
 
 use clap::Args;
 use meniscus::devices::Device;
@@ -208,6 +209,7 @@ impl Listener<'_> {
                 summary.without_input
             ));
         }
+        stale(&summary.stale).into_iter().for_each(|warning| notes.warn(&warning));
         let left_out = &summary.left_out;
         if let Some(particles) =
             self.options.settings.smallest_drop.filter(|&particles| particles > 1)
@@ -224,6 +226,18 @@ impl Listener<'_> {
             notes.error(incomplete(summary));
         }
     }
+}
+
+/// A warning about meshes of earlier runs that remain next to the new meshes, if there are any.
+fn stale(meshes: &[PathBuf]) -> Option<String> {
+    let (first, last) = (meshes.first()?.display(), meshes.last()?.display());
+    Some(match meshes.len() {
+        1 => format!("{first}: this mesh is from an earlier run; delete it if you do not need it"),
+        count => format!(
+            "{first} to {last}: {count} of these meshes are from an earlier run; delete them if you \
+             do not need them"
+        ),
+    })
 }
 
 /// Lists failed frames and ranges of missing frames, one per line, in frame order.

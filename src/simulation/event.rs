@@ -229,6 +229,9 @@ pub struct Summary {
     /// Number of existing meshes that stay in the lists although their frames are not among the
     /// inputs.
     pub without_input: usize,
+    /// Meshes of earlier runs that are still next to the new meshes, although they are not in the
+    /// lists: their frames failed in this run, or are not among the inputs.
+    pub stale: Vec<PathBuf>,
     /// Particles and drops that are left out of the surfaces.
     pub left_out: OmittedCounts,
     /// Whether the indicator is counting or symmetry, which lose drops that the indicator cloud

@@ -84,6 +84,11 @@ impl Default for Selection {
 }
 
 impl Selection {
+    /// Whether a number is between the first and the last number.
+    pub fn spans(self, number: i64) -> bool {
+        (self.start..=self.end).contains(&number)
+    }
+
     /// Returns the selected frames. Steps count from `start` if it is given, and otherwise from the
     /// first of `frames`.
     pub fn of(self, frames: Vec<FrameFile>) -> Vec<FrameFile> {
@@ -91,8 +96,7 @@ impl Selection {
         let first = frames.first().filter(|_| !is_given).map(|frame| frame.number);
         let from = first.unwrap_or(self.start);
         let wanted = |number: i64| {
-            (self.start..=self.end).contains(&number)
-                && number.abs_diff(from).is_multiple_of(self.step.max(1))
+            self.spans(number) && number.abs_diff(from).is_multiple_of(self.step.max(1))
         };
         frames.into_iter().filter(|frame| wanted(frame.number)).collect()
     }

@@ -12,6 +12,7 @@ use crate::error::{Error, SimulationError};
 use crate::io::collection::{ListedFrame, frame_of, is_list, listed};
 use crate::io::input::file_and_step;
 use crate::io::output::{MeshFormat, OpenedMesh, open_mesh};
+use crate::io::series::listed_meshes;
 use crate::io::stamp::is_same_file;
 use crate::io::up::up_said;
 use crate::io::whole::{MadeFolders, Replace, WholeFile};
@@ -24,7 +25,7 @@ use super::builder::Simulation;
 use super::frame_file::FrameFile;
 use super::inputs::{Inputs, Sequence, files_in};
 use super::naming::{self, Naming, without_number};
-use super::pattern::{NumberKind, Pattern};
+use super::pattern::stem;
 use super::small_meshes::SmallMeshes;
 use super::state::StateFolder;
 
@@ -517,6 +518,8 @@ pub struct Sheet {
     path: PathBuf,
     overwrite: bool,
     resume: bool,
+    inputs: Inputs,
+    naming: Naming,
     /// The small meshes of all frames, if the format of the frames' own meshes cannot be read.
     small: Option<SmallMeshes>,
 }
@@ -600,19 +603,7 @@ impl Simulation {
         let usual = || first().map_or(UpAxis::Y, |frame| settings.usual_up(&frame.path));
         let up = settings.up.or(settings.particles_up).unwrap_or_else(usual);
         let picture = Picture::new().up(up).ground(true);
-        let meshes = match (&naming, simulations().and_then(|all| all.into_iter().next())) {
-            // If the names of the frames contain times, the names of the meshes contain the same
-            // times.
-            (Naming::Pattern(outputs), Some(sequence))
-                if sequence.pattern().is_some_and(|p| p.numbers == NumberKind::Times)
-                    && outputs.width.is_none() =>
-            {
-                let timed = Pattern { numbers: NumberKind::Times, ..outputs.clone() };
-                PathBuf::from(timed.to_string())
-            }
-            _ => self.output.clone(),
-        };
-        let pictures = Pictures::new(picture, [&meshes], &path);
+        let pictures = Pictures::new(picture, [&self.output], &path);
         let pictures = pictures.cancel(self.request.control.cancel.clone());
         // Meshes in a folder are `.ply` files, which can be read, so they need no small meshes.
         let small = match &naming {
@@ -625,7 +616,7 @@ impl Simulation {
             _ => None,
         };
         let (overwrite, resume) = (self.overwrite, self.resume);
-        let sheet = Sheet { pictures, path, overwrite, resume, small };
+        let sheet = Sheet { pictures, path, overwrite, resume, inputs, naming, small };
         if sheet.path.exists() {
             drop(PictureFile::prepare(&sheet.path, sheet.replace(), &sheet.pictures.cancel)?);
         }
@@ -641,20 +632,39 @@ impl Sheet {
         &self.path
     }
 
-    /// Draws the existing meshes.
+    /// The meshes in the lists of frames of all simulations. Other meshes next to them are not of
+    /// this conversion.
+    fn meshes(&self) -> Result<Vec<FrameFile>, Error> {
+        let simulations = self.inputs.simulations(None)?;
+        let mut meshes = Vec::new();
+        for sequence in &simulations {
+            let outputs = self.naming.outputs(sequence);
+            for (number, file) in listed_meshes(&naming::simulation(&outputs)) {
+                let label = match outputs.digits(&file) {
+                    Some(digits) if simulations.len() == 1 => digits,
+                    _ => stem(&file),
+                };
+                let label = label.to_owned();
+                meshes.push(FrameFile::new(number, label, outputs.folder().join(file)));
+            }
+        }
+        Ok(meshes)
+    }
+
+    /// Draws the meshes in the lists of frames.
     ///
     /// # Errors
-    /// The errors of [`Pictures::run`].
+    /// The errors of [`Pictures::run`], and [`Error::Simulation`] if the inputs can no longer be
+    /// listed.
     pub fn draw(self) -> Result<SheetDone, Error> {
         let mut pictures = self.pictures.clone().replace(self.replace());
         pictures.source = Some(self.source());
+        let mut drawn = self.meshes()?;
         let Self { path, small, .. } = self;
-        let (_, frames) = pictures.frames()?;
-        let meshes = frames.len();
+        let meshes = drawn.len();
         let mut undrawn = Vec::new();
         if let Some(small) = &small {
-            let mut drawn = Vec::new();
-            for frame in frames {
+            for frame in std::mem::take(&mut drawn) {
                 let path = small.path(frame.number);
                 if path.is_file() {
                     drawn.push(FrameFile { path, ..frame });
@@ -662,12 +672,11 @@ impl Sheet {
                     undrawn.push(frame.path);
                 }
             }
-            if drawn.is_empty() {
-                return Ok(SheetDone { path, meshes, undrawn });
-            }
-            pictures.frames = Some(drawn);
         }
-        pictures.run(|_| ())?;
+        if !drawn.is_empty() {
+            pictures.frames = Some(drawn);
+            pictures.run(|_| ())?;
+        }
         Ok(SheetDone { path, meshes, undrawn })
     }
 

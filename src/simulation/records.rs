@@ -117,9 +117,9 @@ impl Records {
         })
     }
 
-    /// The records of all frames that were made with the state of this fingerprint.
-    pub fn all(&self, fingerprint: u32) -> impl Iterator<Item = &Record> {
-        self.0.values().filter(move |record| record.fingerprint == fingerprint)
+    /// The latest record of each frame.
+    pub fn all(&self) -> impl Iterator<Item = &Record> {
+        self.0.values()
     }
 }
 

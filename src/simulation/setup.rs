@@ -1,6 +1,6 @@
 //! Prepares a conversion before any frame is read, and rejects requests that cannot work.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::{BTreeSet, HashMap};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -55,22 +55,34 @@ pub(super) struct ExistingMeshes {
 }
 
 impl ExistingMeshes {
-    /// The existing meshes in `folder` of frames that are not among `frames`, if they were made with
-    /// the state of this fingerprint.
+    /// The existing meshes in `folder` of frames whose numbers are not in `known`, if they were made
+    /// with the state of this fingerprint.
     pub(super) fn of_other_frames(
         &self,
-        frames: &[FrameFile],
+        known: &BTreeSet<i64>,
         folder: &Path,
         fingerprint: u32,
     ) -> impl Iterator<Item = &SeriesFrame> {
-        let numbers: HashSet<i64> = frames.iter().map(|frame| frame.number).collect();
-        let others = self.records.all(fingerprint);
-        let others = others.filter(move |record| !numbers.contains(&record.mesh.frame));
-        let exists = |record: &&Record| {
-            record.is_at(&folder.join(&record.mesh.file)) || self.archived.holds(&record.mesh)
+        let others = self.records.all().filter(move |record| record.fingerprint == fingerprint);
+        let others = others.map(|record| (record, &record.mesh));
+        let others = others.filter(|(_, mesh)| !known.contains(&mesh.frame));
+        let exists = |(record, mesh): &(&Record, &SeriesFrame)| {
+            record.is_at(&folder.join(&mesh.file)) || self.archived.holds(mesh)
         };
-        let exists: Vec<&Record> = others.filter(exists).collect();
-        exists.into_iter().map(|record| &record.mesh)
+        others.filter(exists).map(|(_, mesh)| mesh)
+    }
+
+    /// The files in `folder` of earlier meshes of wanted frames whose numbers are not in `listed`.
+    pub(super) fn stale(
+        &self,
+        listed: &BTreeSet<i64>,
+        folder: &Path,
+        wants: impl Fn(i64) -> bool,
+    ) -> Vec<PathBuf> {
+        let others = self.records.all().map(|record| &record.mesh);
+        let others = others.filter(|mesh| !listed.contains(&mesh.frame) && wants(mesh.frame));
+        let files = others.map(|mesh| folder.join(&mesh.file));
+        files.filter(|file| file.is_file()).collect()
     }
 
     /// Returns the record of a frame if its mesh exists, and its input and the state are unchanged.

@@ -20,7 +20,7 @@ use super::event::{
     Event, FrameCounts, FrameDone, FrameFailed, MissingFrames, OmittedCounts, Summary,
 };
 use super::one_frame::ConvertedFrame;
-use super::setup::Setup;
+use super::setup::{ExistingMeshes, Setup};
 
 /// Minimum time between two writes of the list of all frames.
 const SERIES_PAUSE: Duration = Duration::from_millis(250);
@@ -91,15 +91,15 @@ impl<'a> Tally<'a> {
     ///
     /// A request that overwrites meshes, and frames without numbers of their own, list only what
     /// exists: a mesh may belong to an earlier simulation, or to another number by now.
-    fn list_others(&mut self, frames: &[FrameFile]) -> usize {
+    fn list_others(&mut self, meshes: &ExistingMeshes, frames: &[FrameFile]) -> usize {
         let Setup { simulation, sequence, ref outputs, .. } = *self.conversion.setup;
         let has_numbers = sequence.has_own_numbers();
         let Some(Some(settled)) = self.conversion.settled.get() else { return 0 };
         if simulation.overwrite || !has_numbers {
             return 0;
         }
-        let meshes = self.conversion.setup.existing_meshes(&self.conversion.store);
-        let others = meshes.of_other_frames(frames, outputs.folder(), settled.fingerprint);
+        let known = frames.iter().map(|frame| frame.number).collect();
+        let others = meshes.of_other_frames(&known, outputs.folder(), settled.fingerprint);
         let before = self.listed.len();
         self.listed.extend(others.map(|mesh| (mesh.frame, mesh.clone())));
         self.listed.len() - before
@@ -229,8 +229,16 @@ impl<'a> Tally<'a> {
         let alone = self.conversion.store.locked();
         let all = self.conversion.setup.all_frames()?;
         self.list(&all, |_| false);
-        let without_input = self.list_others(&all);
+        let meshes = self.conversion.setup.existing_meshes(&self.conversion.store);
+        let without_input = self.list_others(&meshes, &all);
         let numbers: BTreeSet<i64> = self.listed.keys().copied().collect();
+        let mut stale = meshes.stale(&numbers, outputs.folder(), |number| {
+            simulation.wants(number) && simulation.selection.spans(number)
+        });
+        // Frames that were not reached can still be resumed.
+        if self.done < self.total {
+            stale.clear();
+        }
         let (log, cancel) = (&self.conversion.store.log, self.conversion.cancel());
         let (listed, merged) =
             rayon::join(|| self.write_series(), || cancel.undisturbed(|| log.merge()));
@@ -263,6 +271,7 @@ impl<'a> Tally<'a> {
             },
             chosen,
             without_input,
+            stale,
             left_out: self.left_out,
             smoothed: indicator.is_some_and(|kind| kind != IndicatorKind::Cloud),
             seconds: self.begun.elapsed().as_secs_f64(),
