@@ -3,7 +3,9 @@
 use std::error::Error as _;
 use std::fs;
 use std::path::Path;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
 
 use meniscus::error::{Cause, Conflict, Error, NoEstimate};
 use meniscus::internals::baselines::KernelMethod;
@@ -243,6 +245,26 @@ fn concurrent_reconstructions_do_not_affect_each_other() {
 }
 
 #[test]
+fn threads_can_make_surfaces_of_one_sampled_frame_at_the_same_time() {
+    let water = fill(16.0, 1.0, 0.3, 4, |_| true);
+    let request = Reconstruction::new().spacing(1.0).threads(2);
+    let alone = bytes_of(&request.sample(&water).unwrap().surface().unwrap());
+    for _ in 0..20 {
+        // A new frame, whose levels are not made yet, on one pool.
+        let frame = Arc::new(request.sample(&water).unwrap());
+        let (done, results) = std::sync::mpsc::channel();
+        for _ in 0..3 {
+            let (frame, done) = (Arc::clone(&frame), done.clone());
+            std::thread::spawn(move || done.send(bytes_of(&frame.surface().unwrap())));
+        }
+        for _ in 0..3 {
+            let surface = results.recv_timeout(Duration::from_secs(60)).expect("no thread waits");
+            assert!(surface == alone);
+        }
+    }
+}
+
+#[test]
 fn a_sampled_frame_refuses_settings_that_need_resampling() {
     let water = ball();
     let default = Reconstruction::new;
@@ -346,7 +368,7 @@ fn keep_surfaces_and_count_threads() {
     let surfaces: Vec<Surface> = (0..8).map(|_| one()).collect();
     // The threads end soon after the reconstruction.
     let few = (0..200).any(|_| {
-        std::thread::sleep(std::time::Duration::from_millis(20));
+        std::thread::sleep(Duration::from_millis(20));
         threads() < 8 * 16
     });
     assert!(few, "{} threads", threads());

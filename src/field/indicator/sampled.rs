@@ -66,7 +66,22 @@ impl SampledDif {
     /// If there is no such level.
     pub fn wide(&self, level: u32) -> &DifField {
         let Some(below) = (level as usize).checked_sub(1) else { return &self.dif };
-        &self.wide.get_or_init(|| self.halved())[below]
+        &self.levels()[below]
+    }
+
+    /// Makes the samples of all levels, unless they are made already. Otherwise, several threads
+    /// could make them at the same time.
+    pub fn make_levels(&self) {
+        self.levels();
+    }
+
+    fn levels(&self) -> &[Arc<DifField>] {
+        self.wide.get().unwrap_or_else(|| {
+            let levels = self.halved();
+            // Two threads may make the levels. A lock would prevent this, but a thread that runs
+            // other work while it waits for the lock could wait for itself.
+            self.wide.get_or_init(|| levels)
+        })
     }
 
     fn halved(&self) -> Vec<Arc<DifField>> {

@@ -153,7 +153,12 @@ impl SizedClouds {
             volume: layer.volume.with_more_levels(coarser),
             fraction: layer.fraction.with_more_levels(coarser),
         };
-        Self { layers: layers.into_iter().zip(coarser).map(with_levels).collect(), first: 0 }
+        let layers: Arc<[Layer]> = layers.into_iter().zip(coarser).map(with_levels).collect();
+        for layer in &*layers {
+            layer.volume.make_levels();
+            layer.fraction.make_levels();
+        }
+        Self { layers, first: 0 }
     }
 
     /// The samples of all octaves from the finest on: volumes, then fractions.
