@@ -314,7 +314,9 @@ pub struct CloudsPush {
     pub amount: u32,
     pub walls_hi: [i32; 3],
     pub brick_bits: u32,
+    pub gains_lo: [u32; 3],
     pub group_samples: u32,
+    pub gains_hi: [u32; 3],
     pub page_words: u32,
 }
 

@@ -6,7 +6,7 @@ use crate::field::distance::vulkan::{CUBE_PARTS, CUBE_WORDS};
 use crate::field::distance::{BRICK, MOST_APART, ZERO};
 use crate::field::indicator::vulkan::{CLOUD_SAMPLES, OCTANT};
 use crate::field::indicator::{
-    DISTANCE_SCALE, GHOST_LAYER, SHARE_BITS, SQUARE_BITS, THETA_PER_DISTANCE,
+    DISTANCE_SCALE, GAIN_BITS, GHOST_LAYER, SHARE_BITS, SQUARE_BITS, THETA_PER_DISTANCE,
 };
 use crate::field::sheets::{
     BEYOND, BEYOND_IF_FLAT, BITS, BY_RIM, EXP2, FLAT, IMPURE, IMPURE_IF_FLAT, LOG2, LOG2_OF_E,
@@ -60,6 +60,7 @@ pub fn wgsl_constants() -> Vec<(&'static str, &'static str, i64)> {
         ("DISTANCE_SCALE_BITS", "u32", DISTANCE_SCALE.ilog2().into()),
         ("THETA_PER_DISTANCE", "u32", THETA_PER_DISTANCE.into()),
         ("SHARE_BITS", "u32", SHARE_BITS.into()),
+        ("GAIN_BITS", "u32", GAIN_BITS.into()),
         ("SQUARE_BITS", "u32", SQUARE_BITS.into()),
         ("GHOST_LAYER", "u32", GHOST_LAYER.into()),
         ("RUN", "u32", RUN.into()),

@@ -4,7 +4,7 @@ use crate::backend::{BoxSide, SizedField};
 use crate::brick::{Bins, Block, FrameFacts};
 use crate::field::blur::Smoothing;
 use crate::field::calibration::Calibration;
-use crate::field::indicator::{Indicator, IndicatorKind};
+use crate::field::indicator::{CloudWalls, Indicator, IndicatorKind};
 use crate::field::recipe::walls_at;
 use crate::field::sizes::{
     BlockLevels, FinerBlocks, Layer, LayerPages, Octaves, SIDE, SampledOctaves, SizedClouds,
@@ -63,7 +63,7 @@ impl SampledSizes {
         };
         let layer = |octave: usize| {
             let facts = facts.in_octave(octave as u32);
-            let pages = LayerPages::new(bins, octaves, octave, facts.walls(), &size);
+            let pages = LayerPages::new(bins, octaves, octave, CloudWalls::of(&facts), &size);
             let sink = || FieldSink::new(plan, estimate, shape, &resources.scratch);
             let mut sinks = [sink().map_err(&in_scratch)?, sink().map_err(&in_scratch)?];
             for first in (0..pages.bins()).step_by(TOGETHER) {

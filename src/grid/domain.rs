@@ -145,6 +145,22 @@ impl Domain {
         self.cells
     }
 
+    /// The thickness, in cells, of the outermost layer at the lower and the upper wall along each
+    /// axis, on `grid`, to which the domain belongs. It is 1 at an open side. If the domain is one
+    /// cell thick, this layer counts as that of the lower wall.
+    #[must_use]
+    pub fn layers(&self, grid: &Grid) -> [[f64; 2]; 3] {
+        let [lo, hi] = [self.lo, self.hi].map(|wall| grid.cells_from_world(wall.to_array()));
+        [0, 1, 2].map(|axis: usize| {
+            let (first, end) = (f64::from(self.cells.lo[axis]), f64::from(self.cells.hi[axis]));
+            if end - first == 1.0 && (hi[axis] - lo[axis]).is_finite() {
+                return [hi[axis] - lo[axis], 1.0];
+            }
+            [first + 1.0 - lo[axis], hi[axis] - (end - 1.0)]
+                .map(|cells| if cells.is_finite() { cells } else { 1.0 })
+        })
+    }
+
     /// Returns the domain's lower and upper corner, in world coordinates.
     #[must_use]
     pub fn walls(&self) -> [DVec3; 2] {
@@ -199,6 +215,19 @@ mod tests {
             Domain::new(&grid, DVec3::ZERO, DVec3::new(1.0, 0.04, 1.0)),
             Err(DomainError::Thin { axis: 'y' })
         );
+    }
+
+    #[test]
+    fn the_outermost_layers_extend_to_the_walls() {
+        let grid = Grid::new(DVec3::ZERO, 0.5).unwrap();
+        let (lo, hi) = (DVec3::new(-0.1, 0.3, f64::NEG_INFINITY), DVec3::new(1.9, 0.8, 2.0));
+        let domain = Domain::new(&grid, lo, hi).unwrap();
+        let found =
+            domain.layers(&grid).map(|layers| layers.map(|cells| (cells * 1e9).round() / 1e9));
+        // Along y, the domain is one cell thick.
+        assert_eq!(found, [[1.2, 0.8], [1.0, 1.0], [1.0, 1.0]]);
+        let thin = Domain::new(&grid, DVec3::ZERO, DVec3::new(1.0, 0.6, 1.0)).unwrap();
+        assert!((thin.layers(&grid)[1][0] - 1.2).abs() < 1e-9);
     }
 
     #[test]

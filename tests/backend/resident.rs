@@ -17,7 +17,9 @@ use meniscus::internals::vulkan::{
 };
 
 use crate::common::scene::Random;
-use crate::common::{INDICATORS, device, dif, reconstruct, sampling, splashes, surfacing, tank};
+use crate::common::{
+    INDICATORS, device, dif, reconstruct, sampling, splashes, surfacing, uneven_tank,
+};
 use crate::compile;
 
 fn open() -> Option<(Device, ValidationLog)> {
@@ -85,7 +87,7 @@ fn resident_frames_match_the_cpu_for_all_indicators_filters_and_walls() {
             {
                 let mut sampling =
                     Sampling { method: indicator.into(), spacing: Some(spacing), ..sampling() };
-                sampling.domain = walls.then(|| tank(&sampling.grid));
+                sampling.domain = walls.then(|| uneven_tank(&sampling.grid));
                 let (sigma, smooth) = (Sigma::new(sigma).ok(), Smooth::new(smooth).unwrap());
                 let surfacing = Surfacing { smooth, detail, sigma, ..surfacing() };
                 let (frame, expected) = reconstruct(&particles[..], &sampling, &surfacing);

@@ -165,6 +165,11 @@ pub fn fill(
     particles
 }
 
+/// A tank around the middle of [`splashes`], with walls between the faces of cells.
+pub fn uneven_tank(grid: &Grid) -> Domain {
+    Domain::new(grid, DVec3::new(-13.4, -14.8, -11.0), DVec3::new(12.3, 9.0, 13.6)).unwrap()
+}
+
 /// A tank around the middle of [`splashes`], with its walls on cell faces.
 pub fn tank(grid: &Grid) -> Domain {
     Domain::new(grid, DVec3::new(-13.0, -15.0, -11.0), DVec3::new(12.0, 9.0, 14.0)).unwrap()

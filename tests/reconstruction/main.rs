@@ -20,3 +20,4 @@ mod solids;
 mod spacing;
 mod spray;
 mod thread_pool;
+mod walls;

@@ -7,7 +7,7 @@
 use thiserror::Error;
 
 use crate::brick::{BrickSide, FrameFacts};
-use crate::field::indicator::{Indicator, IndicatorKind, PageRule};
+use crate::field::indicator::{CloudWalls, Indicator, IndicatorKind, PageRule};
 use crate::grid::units::{MeanCount, UnitError};
 
 /// An error: mu0 cannot be measured on this frame.
@@ -48,7 +48,7 @@ pub fn indicate<B: BinnedFrame>(
     side: BrickSide,
 ) -> Result<(Indicator, B::Made), B::Error> {
     let spacing_cells = facts.spacing_cells_or_one();
-    let rule = PageRule { indicator: kind, spacing_cells, side, walls: facts.walls() };
+    let rule = PageRule { indicator: kind, spacing_cells, side, walls: CloudWalls::of(facts) };
     let (full, made) = binned.make_pages(&rule)?;
     let measured = || MeanCount::measured(full.particles, full.cells).map_err(NoMeanCount);
     let indicator = kind.with_mean(|| mean.map_or_else(measured, Ok))?;

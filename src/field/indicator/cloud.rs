@@ -1,10 +1,10 @@
 //! The DIF of clouds: see `mod.rs` of this folder for the formula.
 
-use glam::IVec3;
+use glam::{DVec3, IVec3};
 use multiversion::multiversion;
 
-use crate::brick::{BinContents, BrickSide, PageInfo, PageSamples, PageShape, unpack};
-use crate::grid::{BIN, CellBox, FRACTION_BITS, FRACTIONS};
+use crate::brick::{BinContents, BrickSide, FrameFacts, PageInfo, PageSamples, PageShape, unpack};
+use crate::grid::{BIN, CellBox, FRACTION_BITS, FRACTIONS, local_from_morton};
 
 /// The reach of a cloud beyond its cell, in cells.
 pub const GHOST_LAYER: i32 = 1;
@@ -38,6 +38,63 @@ impl Amount {
     pub fn steps(self) -> u16 {
         self.0
     }
+}
+
+/// Number of fraction bits of a gain.
+pub const GAIN_BITS: u32 = 12;
+/// The gain of a layer that is one cell thick.
+const NO_GAIN: u32 = 1 << GAIN_BITS;
+/// The greatest gain: no layer in a tank is thinner than half a cell.
+const MOST_GAIN: f64 = 2.0;
+/// The minimum width of a tank, in spacings, in which its outermost layers have gains. In narrower
+/// tanks, such as the slab of two-dimensional particles, particles do not fill the layers evenly.
+const LEAST_WIDTH: f64 = 2.5;
+
+/// The walls at which clouds end.
+///
+/// The outermost layer of cells in a tank extends to the wall, so it is between 0.5 and 1.5 cells
+/// thick, and holds as many times the particles of a whole cell. Its samples are divided by the
+/// thickness, because filters repeat them beyond the wall.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct CloudWalls {
+    /// The cells within the walls.
+    pub cells: CellBox,
+    /// The factors, in 4096ths, for the samples of the outermost layers at the lower walls and at
+    /// the upper walls.
+    pub gains: [[u32; 3]; 2],
+}
+
+impl CloudWalls {
+    /// The walls of a frame, if it is in a tank.
+    #[must_use]
+    pub fn of(facts: &FrameFacts) -> Option<Self> {
+        let domain = facts.domain.as_ref()?;
+        let [lo, hi] = domain.walls();
+        let least = LEAST_WIDTH * facts.spacing.unwrap_or_else(|| facts.grid.cell_size());
+        let is_wide = (hi - lo).cmpge(DVec3::splat(least));
+        let layers = domain.layers(&facts.grid);
+        let gains = [0, 1].map(|side: usize| {
+            [0, 1, 2].map(|axis| {
+                let gain = (1.0 / layers[axis][side]).min(MOST_GAIN) * f64::from(NO_GAIN);
+                if is_wide.test(axis) { gain.round() as u32 } else { NO_GAIN }
+            })
+        });
+        Some(Self { cells: domain.cells(), gains })
+    }
+
+    /// The gain of a cell along an axis.
+    fn gain(&self, axis: usize, cell: i32) -> u32 {
+        match [self.cells.lo[axis], self.cells.hi[axis] - 1] {
+            [lo, _] if cell == lo => self.gains[0][axis],
+            [_, hi] if cell == hi => self.gains[1][axis],
+            _ => NO_GAIN,
+        }
+    }
+}
+
+/// A product of gains, rounded down.
+fn both(a: u32, b: u32) -> u32 {
+    (a * b) >> GAIN_BITS
 }
 
 /// The cells at which clouds end along each axis.
@@ -93,7 +150,7 @@ fn wide_part_of(amount: u32, share: u32) -> u32 {
 /// Makes the clouds of a bin's particles. `amount` applies unless each particle has its own amount.
 pub struct Clouds {
     amount: u16,
-    walls: Option<CellBox>,
+    walls: Option<CloudWalls>,
     shape: PageShape,
     /// The terms of the index of a cloud's lowest sample: see [`PageShape::firsts`].
     firsts: [[usize; ROW]; 3],
@@ -101,7 +158,7 @@ pub struct Clouds {
 
 impl Clouds {
     /// Makes clouds of `amount` that end at `walls`.
-    pub fn new(Amount(amount): Amount, walls: Option<CellBox>, shape: PageShape) -> Self {
+    pub fn new(Amount(amount): Amount, walls: Option<CloudWalls>, shape: PageShape) -> Self {
         Self { amount, walls, shape, firsts: shape.firsts() }
     }
 
@@ -120,7 +177,7 @@ impl Clouds {
         bin: IVec3,
         particles: &[(u64, u32)],
     ) -> Option<(PageInfo, PageSamples)> {
-        let walls = self.walls.and_then(|walls| CloudLimits::of(walls, bin));
+        let walls = self.walls.and_then(|walls| CloudLimits::of(walls.cells, bin));
         let edge = self.shape.edge() as usize;
         for &(record, amount) in particles {
             let (cell, offset) = unpack(record);
@@ -150,7 +207,7 @@ impl Clouds {
         bin: IVec3,
         particles: &BinContents<'_>,
     ) -> (PageInfo, PageSamples) {
-        let walls = self.walls.and_then(|walls| CloudLimits::of(walls, bin));
+        let walls = self.walls.and_then(|walls| CloudLimits::of(walls.cells, bin));
         let add = match self.shape.side {
             BrickSide::Four => add_clouds::<{ edge(BrickSide::Four) }>,
             BrickSide::Eight => add_clouds::<{ edge(BrickSide::Eight) }>,
@@ -162,6 +219,30 @@ impl Clouds {
         self.take_page(room, bin, cells).expect("a bin holds particles")
     }
 
+    /// Multiplies the samples of the outermost layers in a bin by their gains.
+    fn raise(&self, samples: &mut [u16], walls: &CloudWalls, bin: IVec3) {
+        let (side, edge) = (self.shape.side.cells(), self.shape.edge());
+        let lowest = bin * BIN - GHOST_LAYER;
+        let inner = walls.cells.grown(-1, -1);
+        if inner.covers(&CellBox { lo: lowest, hi: lowest + BIN + 2 * GHOST_LAYER }) {
+            return;
+        }
+        let bricks = samples.chunks_exact_mut(self.shape.brick_samples());
+        for (brick, samples) in bricks.enumerate() {
+            let lowest = lowest + local_from_morton(brick) * side;
+            let gains =
+                [0, 1, 2].map(|axis| (0..edge).map(move |at| walls.gain(axis, lowest[axis] + at)));
+            let [x, y, z] = gains.map(|gains| gains.collect::<Vec<u32>>());
+            let rows = z.iter().flat_map(|&z| y.iter().map(move |&y| both(z, y)));
+            for (row, of_row) in samples.chunks_exact_mut(edge as usize).zip(rows) {
+                for (sample, &x) in row.iter_mut().zip(&x) {
+                    let raised = u32::from(*sample) * both(of_row, x) + NO_GAIN / 2;
+                    *sample = (raised >> GAIN_BITS).min(u16::MAX.into()) as u16;
+                }
+            }
+        }
+    }
+
     /// Takes the page of particles in the given `cells` of a bin out of `room`, and leaves zeros.
     fn take_page(
         &self,
@@ -170,6 +251,9 @@ impl Clouds {
         cells: impl ExactSizeIterator<Item = [usize; 3]>,
     ) -> Option<(PageInfo, PageSamples)> {
         let samples = &mut room[..self.shape.bin_samples()];
+        if let Some(walls) = &self.walls {
+            self.raise(samples, walls, bin);
+        }
         if PageSamples::are_sparse(self.shape.cells_a_particle() * cells.len(), self.shape) {
             // Most samples are untouched and need not be examined.
             PageInfo::take_sparse(bin, samples, cells, self.shape)
@@ -270,6 +354,30 @@ mod tests {
             let [_, own, _] = shares(offset);
             assert!(part_of(part_of(part_of(LEAST_AMOUNT.into(), own), own), own) > 0, "{offset}");
         }
+    }
+
+    #[test]
+    fn gains_apply_to_the_outermost_layers_only_and_multiply_at_edges() {
+        let cells = CellBox { lo: IVec3::new(2, 0, -40), hi: IVec3::new(40, 9, 40) };
+        let walls = CloudWalls { cells, gains: [[8192, 2731, NO_GAIN], [3000, 5000, 6000]] };
+        let shape = PageShape { side: BrickSide::Four, ghost_layer: GHOST_LAYER };
+        let clouds = Clouds::new(Amount(100), Some(walls), shape);
+        let mut samples = vec![1000; shape.bin_samples()];
+        clouds.raise(&mut samples, &walls, IVec3::ZERO);
+        let first = clouds.firsts;
+        let of_cell = |[x, y, z]: [usize; 3]| {
+            // The lowest sample around a cell is that of the cell below along each axis.
+            samples[first[0][x + 1] + first[1][y + 1] + first[2][z + 1]]
+        };
+        assert_eq!(of_cell([5, 5, 5]), 1000);
+        assert_eq!(of_cell([2, 5, 5]), 2000);
+        assert_eq!(of_cell([5, 0, 5]), 667);
+        assert_eq!(of_cell([5, 8, 5]), 1221);
+        assert_eq!(of_cell([2, 0, 5]), 1333);
+        // A bin in the middle stays as it is.
+        let mut samples = vec![1000; shape.bin_samples()];
+        clouds.raise(&mut samples, &walls, IVec3::new(1, 40, 0));
+        assert!(samples.iter().all(|&sample| sample == 1000));
     }
 
     #[test]

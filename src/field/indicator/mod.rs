@@ -28,7 +28,7 @@ mod sampled;
 pub mod vulkan;
 mod wide;
 
-pub use cloud::{Amount, Clouds, GHOST_LAYER, SHARE_BITS, SQUARE_BITS};
+pub use cloud::{Amount, CloudWalls, Clouds, GAIN_BITS, GHOST_LAYER, SHARE_BITS, SQUARE_BITS};
 pub use cpu::{DISTANCE_SCALE, THETA_PER_DISTANCE, indicate, symmetry};
 pub use sampled::SampledDif;
 pub use wide::WideCells;
@@ -36,7 +36,6 @@ pub use wide::WideCells;
 use serde::{Deserialize, Serialize};
 
 use crate::brick::{BrickSide, DifField, PageShape};
-use crate::grid::CellBox;
 use crate::grid::units::{FULL, MeanCount};
 
 /// The kinds of indicators.
@@ -75,7 +74,7 @@ pub struct PageRule {
     /// The brick size of pages.
     pub side: BrickSide,
     /// Walls, if the fluid is in a tank.
-    pub walls: Option<CellBox>,
+    pub walls: Option<CloudWalls>,
 }
 
 impl PageRule {

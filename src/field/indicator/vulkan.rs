@@ -8,7 +8,7 @@ use crate::brick::vulkan::{page_words, wall_bounds};
 use crate::shaders::{CloudsPush, IndicatePush};
 use crate::vulkan::{Batch, ComputePipeline, View, VulkanError};
 
-use super::{Amount, IndicatorKind, PageRule};
+use super::{Amount, GAIN_BITS, IndicatorKind, PageRule};
 
 /// Edge, in cells, of the cube that one work group sums. Its sums fit into the shared memory of
 /// every device.
@@ -71,13 +71,16 @@ fn clouds(
 ) -> Result<(), VulkanError> {
     let samples = rule.shape().bin_samples() as u32;
     let groups = samples.div_ceil(CLOUD_SAMPLES).next_power_of_two();
-    let [walls_lo, walls_hi] = wall_bounds(rule.walls);
+    let [walls_lo, walls_hi] = wall_bounds(rule.walls.map(|walls| walls.cells));
+    let [gains_lo, gains_hi] = rule.walls.map_or([[1 << GAIN_BITS; 3]; 2], |walls| walls.gains);
     let push = CloudsPush {
         walls_lo,
         amount: Amount::of_spacing(rule.spacing_cells).steps().into(),
         walls_hi,
         brick_bits: rule.side.cells().ilog2(),
+        gains_lo,
         group_samples: samples / groups,
+        gains_hi,
         page_words: page_words(rule.shape()),
     };
     batch.dispatch(pipeline, views, &push, [groups, count, 1])

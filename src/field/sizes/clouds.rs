@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use crate::brick::{Bins, Block, DifField, PageInfo, PageSamples, Pages, coarsened};
 use crate::field::distance::{refined, wide_cells};
-use crate::field::indicator::{Amount, Clouds, SampledDif, WideCells};
+use crate::field::indicator::{Amount, CloudWalls, Clouds, SampledDif, WideCells};
 use crate::field::recipe::walls_at;
 use crate::grid::{BIN, CellBox};
 
@@ -52,7 +52,7 @@ impl<'a> LayerPages<'a> {
         bins: &'a Bins,
         octaves: Octaves,
         octave: usize,
-        walls: Option<CellBox>,
+        walls: Option<CloudWalls>,
         size: &'a (dyn Fn(&[f32]) -> f64 + Sync),
     ) -> Self {
         let keys = bins.keys();

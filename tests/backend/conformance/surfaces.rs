@@ -27,7 +27,7 @@ use super::TestBackend;
 use crate::common::attributed::Attributed;
 use crate::common::scene::Random;
 use crate::common::{
-    INDICATORS, Reconstructed, dif, fill, reconstruct, sampled, splashes, surfacing, tank,
+    INDICATORS, Reconstructed, dif, fill, reconstruct, sampled, splashes, surfacing, uneven_tank,
 };
 
 fn assert_watertight(mesh: &Mesh, what: &str) {
@@ -383,7 +383,7 @@ pub fn splashes_are_watertight_for_all_indicators_filters_and_walls(backend: &Te
             {
                 for walls in [false, true] {
                     let mut sampling = Sampling { method: indicator.into(), ..backend.sampling() };
-                    sampling.domain = walls.then(|| tank(&sampling.grid));
+                    sampling.domain = walls.then(|| uneven_tank(&sampling.grid));
                     for iso in [None, Some(Isovalue::new(0.1).unwrap())] {
                         let surfacing = Surfacing {
                             sigma: Some(Sigma::new(sigma).unwrap()),
