@@ -546,6 +546,26 @@ fn a_byte_order_mark_before_vtk_xml_is_skipped() {
         let marked = [b"\xef\xbb\xbf", &layout.build(&points)[..]].concat();
         let file = VTU(marked.into()).unwrap();
         assert_eq!(positions(&file), points, "{layout:?}");
+#[test]
+fn velocities_have_names_like_those_of_positions() {
+    let points = tuples(4);
+    let vectors = || build::npy(&points, "<f4", false);
+    for (position, velocity) in [
+        ("particle_position", "particle_velocity"),
+        ("particle_q", "particle_qd"),
+        ("x_p", "v_p"),
+        ("xp", "vp"),
+        ("p_pos", "p_vel"),
+        ("pos", "vels"),
+    ] {
+        let arrays = [(position, vectors()), ("a_other", vectors()), (velocity, vectors())];
+        let file = read(NPZ, &build::npz(&arrays, CompressionMethod::Stored)).unwrap();
+        let infos = file.particles.attributes();
+        let found = velocity_attribute(infos).map(|index| &*infos[index].name);
+        assert_eq!((positions(&file), found), (points.clone(), Some(velocity)));
+    }
+}
+
         assert_eq!(file.time, Some(1.5));
     }
 }
