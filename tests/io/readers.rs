@@ -13,6 +13,7 @@ use meniscus::internals::io::{
     ParticleFile, ReadError, ReadFault, bgeo, bi4, json, npy, npz, ply, text_format, vtk, vtp,
 };
 use meniscus::internals::particles::sizes::SizeChoice;
+use meniscus::internals::particles::selection::SelectionFault;
 use meniscus::internals::particles::{Particles, RereadError, velocity_attribute};
 use zip::CompressionMethod;
 
@@ -1234,6 +1235,14 @@ fn frames_of_xyz_files_and_steps_of_lammps_dumps_are_read_separately() {
 fn scaled_lammps_coordinates_follow_the_edges_of_the_box() {
     let boxes = [
         // A tilted box: x from 0 to 2 and y from 0 to 3, with the tilts xy 1, xz 0 and yz 0.5.
+
+    // After a restart from step 0, the simulator repeats step 100.
+    let again = [dump.as_str(), &frame(100, "1 O 1 1 1 0 0 0\n2 H 0 0 0 0 0 0\n")].concat();
+    assert_eq!(steps(&again, InputFormat::Lammps).unwrap(), [0, 100]);
+    let file = step(&again, InputFormat::Lammps, Some(100)).unwrap();
+    assert_eq!(positions(&file), [[3.0, 2.0, 4.0], [1.0, 0.0, 0.0]]);
+    assert_eq!(file.left_out, [UnreadPart::RepeatedStep]);
+    assert_eq!(step(&again, InputFormat::Lammps, Some(0)).unwrap().left_out, []);
         "xy xz yz pp pp pp\n0 3 1\n0 3.5 0\n0 4 0.5\n",
         "abc origin pp pp pp\n2 0 0 0\n1 3 0 0\n0 0.5 4 0\n",
     ];
