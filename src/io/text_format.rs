@@ -2,7 +2,7 @@
 //!
 //! | format | recognised by | frames |
 //! |---|---|---|
-//! | LAMMPS dump | a first line that begins with `ITEM:` | its steps, by their numbers; of equal numbers, the last |
+//! | LAMMPS dump | a first line that begins with `ITEM:` | its steps, by their numbers |
 //! | Tecplot | lines that begin with `VARIABLES` or `ZONE` | one |
 //! | XYZ | a first line that contains only the number of particles | its frames, numbered from 0 |
 //! | table | anything else | one |
@@ -140,8 +140,8 @@ impl Frames {
         passed.and(Err(ReadFault::Changed))
     }
 
-    /// The numbers of the frames in ascending order. A number that occurs several times, for example
-    /// after a restart, is listed once.
+    /// The numbers of the frames in ascending order. A number that occurs several times, for
+    /// example after a restart, is listed once.
     fn numbers(&self) -> Vec<u64> {
         let mut numbers: Vec<u64> = self.all.iter().map(|(number, _)| *number).collect();
         numbers.sort_unstable();

@@ -1,5 +1,5 @@
-//! Tests of frames that a .pvd or a .vtm divides into several data sets: meshes are left out, a condition
-//! applies to all data sets, and no name is dropped silently.
+//! Tests of frames that a .pvd or a .vtm divides into several data sets: meshes are left out, a
+//! condition applies to all data sets, and no name is dropped silently.
 
 use std::fs;
 use std::path::{Path, PathBuf};

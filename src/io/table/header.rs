@@ -206,8 +206,8 @@ fn numbered_after(line: &str) -> Vec<String> {
 
 /// The names in a line such as `rho vel pos` or `rho, v[3], x[3]`, in which a name stands for all
 /// components of a vector, and whether all names are well known. In a second list, short names
-/// stand for vectors, too, as in `rho v x`, provided that all names are well known. There is no list
-/// if the line names no vector.
+/// stand for vectors, too, as in `rho v x`, provided that all names are well known. There is no
+/// list if the line names no vector.
 fn vectors_in(line: &str) -> Vec<(Vec<String>, bool)> {
     if line.len() > LONGEST_NAMES {
         return Vec::new();
