@@ -3,11 +3,14 @@
 //! All numbers are big endian. A header defines the attributes. Then each point is one record of x,
 //! y, z, w and the attributes, with four bytes per number. The rest of the file is not read.
 
-use crate::particles::AttributeInfo;
+use std::collections::BTreeSet;
+
+use crate::particles::{AttributeInfo, Label};
 
 use super::bytes::Bytes;
 use super::columns::{Column, ColumnStore, Endian, ParticleRows, Scalar};
 use super::cursor::Cursor;
+use super::houdini::MOST_TEXTS;
 use super::{ParticleFile, ReadFault, malformed};
 
 /// Size, in bytes, of each number of a point.
@@ -15,8 +18,9 @@ const NUMBER: u64 = 4;
 
 /// Reads the header and the names of the attributes. The points are read later.
 ///
-/// A vector or a list of numbers is one attribute. Indexed strings are skipped. Positions are not
-/// divided by the weight w, which is 1 for all points outside curves.
+/// A vector or a list of numbers is one attribute. An indexed string per point is a label, unless
+/// there are too many different strings. A point whose index is -1 has the empty string. Positions
+/// are not divided by the weight w, which is 1 for all points outside curves.
 ///
 /// # Errors
 /// [`ReadFault::Unsupported`] for a version other than 5 and for strings that are not indexed,
@@ -39,13 +43,17 @@ pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
     cursor.skip("the header", 3, NUMBER)?;
 
     let mut record = 4 * NUMBER;
-    let mut attributes = Vec::new();
+    let (mut attributes, mut labels) = (Vec::new(), Vec::new());
     for _ in 0..definitions {
-        let definition = Definition::read(&mut cursor)?;
-        if let Some(scalar) = definition.scalar {
-            attributes.push((definition.name, definition.components, scalar, record));
+        let Definition { name, components, values } = Definition::read(&mut cursor)?;
+        match values {
+            DefinedValues::Numbers(scalar) => attributes.push((name, components, scalar, record)),
+            DefinedValues::Strings(texts) if components == 1 && texts.len() <= MOST_TEXTS => {
+                labels.push((name, texts, record));
+            }
+            DefinedValues::Strings(_) => {}
         }
-        record += u64::from(definition.components) * NUMBER;
+        record += u64::from(components) * NUMBER;
     }
     let start = cursor.skip("the points", points, record)?;
 
@@ -69,15 +77,37 @@ pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
     let position = [0, 1, 2].map(|axis| position.component(axis));
     let particles: ColumnStore =
         ColumnStore::new(bytes, ParticleRows::All(points as usize), position, attributes);
-    Ok(ParticleFile::new(particles, "Houdini classic .bgeo"))
+    // As an unsigned number, the index -1 is beyond all strings.
+    let labels = labels.into_iter().map(|(name, texts, within)| {
+        let (label, places) = label(name, texts);
+        (label, (column(Scalar::U32, within), places))
+    });
+    Ok(ParticleFile::new(particles.with_labels(labels), "Houdini classic .bgeo"))
+}
+
+/// The label with these texts and, for the index of each text in the file, its index in the label.
+/// The first text of the label is empty, because it belongs to all points without a string.
+fn label(name: String, texts: Vec<String>) -> (Label, Vec<u32>) {
+    let unique: BTreeSet<String> = texts.iter().cloned().chain([String::new()]).collect();
+    let unique: Vec<String> = unique.into_iter().collect();
+    let place = |text: &String| unique.partition_point(|other| other < text) as u32;
+    let places = texts.iter().map(place).collect();
+    (Label { name, texts: unique }, places)
 }
 
 /// The definition of a point attribute: its name and how it is stored.
 struct Definition {
     name: String,
     components: u16,
-    /// The type of the numbers. `None` for indices of strings.
-    scalar: Option<Scalar>,
+    values: DefinedValues,
+}
+
+/// The values of a point attribute.
+enum DefinedValues {
+    /// Numbers of a type.
+    Numbers(Scalar),
+    /// Indices of these strings.
+    Strings(Vec<String>),
 }
 
 impl Definition {
@@ -88,9 +118,20 @@ impl Definition {
         let components = cursor.u16("an attribute's size")?;
         let at = cursor.at();
         let scalar = match cursor.u32("an attribute's type")? {
-            0 | 5 => Some(Scalar::F32),
-            1 => Some(Scalar::I32),
-            4 => None,
+            0 | 5 => Scalar::F32,
+            1 => Scalar::I32,
+            4 => {
+                let mut texts = Vec::new();
+                for _ in 0..cursor.count("strings")? {
+                    let length = cursor.u16("a string's length")?;
+                    let text = cursor.take("a string", length.into())?;
+                    // One string more than a label can have shows that there are too many.
+                    if texts.len() <= MOST_TEXTS {
+                        texts.push(String::from_utf8_lossy(text).into_owned());
+                    }
+                }
+                return Ok(Self { name, components, values: DefinedValues::Strings(texts) });
+            }
             2 => {
                 let what = format!(
                     "the attribute {name} contains plain strings; delete it, or convert it to \
@@ -105,14 +146,7 @@ impl Definition {
                 ));
             }
         };
-        if scalar.is_some() {
-            cursor.skip("an attribute's default values", components.into(), NUMBER)?;
-        } else {
-            for _ in 0..cursor.count("strings")? {
-                let length = cursor.u16("a string's length")?;
-                cursor.take("a string", length.into())?;
-            }
-        }
-        Ok(Self { name, components, scalar })
+        cursor.skip("an attribute's default values", components.into(), NUMBER)?;
+        Ok(Self { name, components, values: DefinedValues::Numbers(scalar) })
     }
 }

@@ -1,5 +1,5 @@
-//! Joins the blocks of a frame, which a list of frames names, and leaves out blocks that hold no
-//! particles. Describes such blocks for messages.
+//! Joins the blocks of a frame, which a list of frames or of blocks names, and leaves out blocks
+//! that hold no particles. Describes such blocks for messages.
 
 use std::path::Path;
 
@@ -8,7 +8,7 @@ use crate::particles::selection::SelectionFault;
 
 use super::bytes::Unpacking;
 use super::collection::FrameBlock;
-use super::input::{join, open_each, open_unselected};
+use super::input::{blocks_of, join, open_each, open_unselected};
 use super::input_format::extension;
 use super::wanted::WantedParticles;
 use super::{ParticleFile, ReadError, ReadFault, UnreadPart};
@@ -16,7 +16,7 @@ use super::{ParticleFile, ReadError, ReadFault, UnreadPart};
 /// Maximum number of blocks that a message lists.
 const SHOWN: usize = 4;
 /// Description of lines, for [`UnreadPart::Block`].
-pub(super) const LINES: &str = "lines";
+const LINES: &str = "lines";
 
 /// A block that was opened.
 enum OpenedBlock {
@@ -52,7 +52,8 @@ impl OpenedBlock {
     }
 }
 
-/// Opens the blocks of a frame of the list at `path`, as one set of particles.
+/// Opens the blocks of a frame of the list at `path`, as one set of particles. A block that is a
+/// list of blocks counts as its own blocks.
 ///
 /// Blocks without particles, such as meshes, are left out. Lines, such as wave gauges or the paths
 /// of particles, are left out if another block contains particles. If only some blocks have the
@@ -67,6 +68,7 @@ pub(super) fn open_blocks(
     wanted: WantedParticles,
     unpacking: Unpacking,
 ) -> Result<ParticleFile, ReadError> {
+    let blocks = &flattened(blocks, wanted)?[..];
     let paths: Vec<&Path> = blocks.iter().map(|block| &*block.file).collect();
     let mut opened = open_each(&paths, wanted, unpacking, open_block)?;
     if opened.iter().flatten().any(OpenedBlock::is_particles) {
@@ -107,6 +109,22 @@ pub(super) fn open_blocks(
     let joined = join(&paths, files, wanted)?;
     left_out.extend(joined.left_out);
     Ok(ParticleFile { unselected: joined.unselected + unselected, left_out, ..joined })
+}
+
+/// The blocks, with the blocks of each list of blocks in its place. Blocks without a name get the
+/// name of their list.
+fn flattened(blocks: &[FrameBlock], wanted: WantedParticles) -> Result<Vec<FrameBlock>, ReadError> {
+    let mut all = Vec::new();
+    for block in blocks {
+        match blocks_of(&block.file, wanted.format)? {
+            Some((inner, _)) => all.extend(inner.into_iter().map(|inner| {
+                let name = inner.name.or_else(|| block.name.clone());
+                FrameBlock { name, ..inner }
+            })),
+            None => all.push(block.clone()),
+        }
+    }
+    Ok(all)
 }
 
 fn open_block(
@@ -180,7 +198,7 @@ impl FrameBlock {
 }
 
 /// The error for a list none of whose blocks contains particles.
-pub(super) fn no_particles(blocks: &[UnreadPart]) -> ReadFault {
+fn no_particles(blocks: &[UnreadPart]) -> ReadFault {
     let shown: Vec<_> = blocks.iter().take(SHOWN).map(ToString::to_string).collect();
     let count = blocks.len();
     let what = format!("none of {count} blocks contains particles: {}", shown.join("; "));
@@ -188,11 +206,11 @@ pub(super) fn no_particles(blocks: &[UnreadPart]) -> ReadFault {
 }
 
 /// Describes a mesh, for [`UnreadPart::Block`].
-pub(super) fn described_mesh(faces: u64) -> String {
+fn described_mesh(faces: u64) -> String {
     format!("a mesh of {faces} faces")
 }
 
 /// Describes a file in a format without particles, for [`UnreadPart::Block`].
-pub(super) fn described_format(path: &Path) -> String {
+fn described_format(path: &Path) -> String {
     format!("data in the format .{}", extension(path).unwrap_or_default())
 }

@@ -131,7 +131,7 @@ pub fn frame_of(path: &Path, list: &Path, number: Option<u64>) -> Result<ListedF
 /// Parses the entries of a .pvd file in `folder`.
 fn collection(bytes: &[u8], folder: &Path) -> Result<Vec<ListedFrame>, ReadFault> {
     let mut sets: Vec<(Option<f64>, i64, FrameBlock)> = Vec::new();
-    each_tag(bytes, |tag| {
+    each_tag(bytes, |tag, _| {
         if tag.tag.name().as_ref() == "DataSet" {
             let file = tag.value("file")?.filter(|file| !file.is_empty());
             let file = file.ok_or_else(|| malformed(tag.at, "a DataSet has no file"))?;

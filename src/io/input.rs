@@ -4,8 +4,9 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
+use super::blocks::open_blocks;
 use super::bytes::{ByteView, Bytes, Unpacking, open_bytes, open_bytes_within, open_for_frame};
-use super::collection::is_list;
+use super::collection::{FrameBlock, is_list};
 pub use super::input_format::InputFormat;
 use super::input_format::extension;
 use super::joined::{refuse_other_scales, refuse_twice};
@@ -67,12 +68,35 @@ pub fn open_wanted(
     if is_list(file) {
         return collection::open_particles(path, file, step, wanted, unpacking);
     }
+    if step.is_none()
+        && let Some((blocks, format)) = blocks_of(file, wanted.format)?
+    {
+        // A named format is that of the list.
+        let wanted = WantedParticles { format: None, ..wanted };
+        let opened = open_blocks(path, &blocks, wanted, unpacking)?;
+        return Ok(ParticleFile { format, ..opened });
+    }
     let file = read(path, (file, step), wanted, unpacking)?.without_ghosts();
     file.selected(wanted.conditions, unpacking).map_err(|fault| ReadError::new(path, fault))
 }
 
+/// The blocks that a list of blocks and its nested lists name, and the name of the list's format.
+/// `None` for other files. `format` overrides the format that the extension implies.
+///
+/// # Errors
+/// [`ReadError`] if a list cannot be read.
+pub(super) fn blocks_of(
+    file: &Path,
+    format: Option<InputFormat>,
+) -> Result<Option<(Vec<FrameBlock>, &'static str)>, ReadError> {
+    match format.or_else(|| InputFormat::of(file)) {
+        Some(InputFormat::Pvtp) => vtp::parallel::blocks(file),
+        _ => Ok(None),
+    }
+}
+
 /// Opens a particle file like [`open_wanted`], but does not apply conditions to its particles. The
-/// file must not be a list of frames.
+/// file must not be a list of frames or blocks.
 ///
 /// # Errors
 /// The errors of [`open_wanted`], except [`ReadFault::Selection`].

@@ -139,6 +139,8 @@ pub enum UnreadPart {
         /// The last time.
         last: String,
     },
+    /// Earlier frames with the number of the frame that is read.
+    RepeatedStep,
     /// An array with more numbers per particle than an attribute can have.
     WideArray {
         /// The array's name.
@@ -168,6 +170,7 @@ impl UnreadPart {
             | Self::Names(_)
             | Self::Primitives { .. }
             | Self::Times { .. }
+            | Self::RepeatedStep
             | Self::Coordinates { .. } => None,
         }
     }
@@ -199,6 +202,11 @@ impl fmt::Display for UnreadPart {
                 "the division into {count} frames by column {column:?} (from {first} to {last}), \
                  because all rows of a table form one frame; to select one of them, use the \
                  condition {column}={first}"
+            ),
+            Self::RepeatedStep => write!(
+                f,
+                "earlier frames with the same step, because the last frame with a step counts, \
+                 as after a restart"
             ),
             Self::WideArray { name, numbers } => write!(
                 f,

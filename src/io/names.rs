@@ -47,7 +47,7 @@ const POSITION_WORDS: [&str; 10] = [
     "locations",
 ];
 /// Names of a velocity whose three components have no names of their own.
-const VELOCITY_WORDS: [&str; 4] = ["v", "vel", "velocity", "velocities"];
+const VELOCITY_WORDS: [&str; 5] = ["v", "vel", "vels", "velocity", "velocities"];
 /// Names of other columns that many programs write.
 const COLUMN_WORDS: [&str; 34] = [
     "acc",
@@ -87,7 +87,8 @@ const COLUMN_WORDS: [&str; 34] = [
 ];
 
 /// Ends of names that begin with the axis of a position, such as `x-coordinate`, `xpos` or `x_m`.
-const AXIS_FIRST: [&str; 6] = ["coordinate", "coord", "position", "pos", "p", "m"];
+/// LAMMPS writes `xu` for positions that are not wrapped into the periodic box.
+const AXIS_FIRST: [&str; 7] = ["coordinate", "coord", "position", "pos", "p", "m", "u"];
 
 /// Names of the field that contains the time of a file, in order of preference. VTK writes the
 /// first, and its older readers expect `TIME`. Simulations also use the others.
@@ -311,6 +312,31 @@ pub fn names_other_column(name: &str) -> bool {
     is_among(&COLUMN_WORDS, name) || names_velocity(name)
 }
 
+/// Whether a name is a component of a well-known vector that is not a position, such as `vel_x`.
+pub fn is_other_component(name: &str) -> bool {
+    component(name).is_some_and(|((stem, _), _)| {
+        let stem = stem.trim_end_matches(JOINTS);
+        names_other_column(stem) && !is_among(&POSITION, stem) || is_among(&["a", "f", "u"], stem)
+    })
+}
+
+/// Whether three names are the components of one vector, such as `qx`, `qy` and `qz`, or `x0`, `y0`
+/// and `z0`.
+pub fn are_components(names: &[String]) -> bool {
+    let last = |name: &String| component(name).map(|((stem, _), axis)| (stem.to_owned(), axis));
+    let first = |name: &String| {
+        let (axis, rest) = name.split_at_checked(1)?;
+        Some((rest.to_owned(), "xyz".find(&axis.to_ascii_lowercase())?))
+    };
+    let are_of_one = |vector: &dyn Fn(&String) -> Option<(String, usize)>| {
+        let found: Option<Vec<_>> = names.iter().map(vector).collect();
+        found.is_some_and(|all| {
+            (0..).zip(&all).all(|(axis, found)| found.1 == axis && found.0 == all[0].0)
+        })
+    };
+    are_of_one(&last) || are_of_one(&first)
+}
+
 /// Whether a word names a position without a component, such as `pos` or `coordinates`.
 pub fn is_position_word(word: &str) -> bool {
     word.len() > 1 && POSITION.iter().any(|position| word.eq_ignore_ascii_case(position))
@@ -322,7 +348,8 @@ pub fn is_preferred_position(name: &str) -> bool {
     preferred.into_iter().any(|position| name.eq_ignore_ascii_case(position))
 }
 
-/// The names without units, including units that follow a name without a blank, as in `vx[m/s]`.
+/// The names without units, including units that follow a name without a blank, as in `vx[m/s]` or
+/// `vx/(m/s)`.
 /// Names that would become equal are kept.
 pub fn bare_names(names: &[String]) -> Vec<String> {
     let bare: Vec<&str> = names.iter().map(|name| bare_name(name)).collect();
@@ -343,7 +370,10 @@ pub fn bare_name(name: &str) -> &str {
     let name = without_unit(name);
     let brackets = name.match_indices(['[', '(']).map(|(at, _)| at);
     let unit = brackets.filter(|&at| at > 0).find(|&at| !is_index(inside(&name[at + 1..])));
-    unit.filter(|_| name.ends_with([']', ')'])).map_or(name, |at| name[..at].trim_end())
+    let unit = unit.filter(|_| name.ends_with([']', ')']));
+    let slash = name.find('/').filter(|&at| at > 0 && at + 1 < name.len());
+    let end = slash.into_iter().chain(unit).min();
+    end.map_or(name, |at| name[..at].trim_end())
 }
 
 fn without_unit(name: &str) -> &str {

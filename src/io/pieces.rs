@@ -10,7 +10,9 @@ use std::sync::Arc;
 
 use crate::particles::sieve::Sieve;
 use crate::particles::sizes::SPACING;
-use crate::particles::{AttributeInfo, AttributeKind, Label, Particles, RereadError};
+use crate::particles::{
+    AttributeInfo, AttributeKind, Label, Particles, RereadError, velocity_attribute,
+};
 
 use super::columns::ColumnStore;
 use super::wanted::WantedPieces;
@@ -164,6 +166,16 @@ impl Pieces {
         }
     }
 
+    /// Gives the velocity the name `name`. Does nothing if there is no velocity, or if another
+    /// attribute has this name.
+    fn rename_velocity(&mut self, name: &str) {
+        if self.infos.iter().all(|info| info.name != name)
+            && let Some(velocity) = velocity_attribute(&self.infos)
+        {
+            name.clone_into(&mut self.infos[velocity].name);
+        }
+    }
+
     fn remove_attribute(&mut self, number: usize) {
         self.infos.remove(number);
         for sources in &mut self.sources {
@@ -259,7 +271,8 @@ impl Pieces {
 }
 
 /// Joins files into one set of particles, in order, with the attributes that all of them have. The
-/// first opened file determines the format, the unit and the types of particles.
+/// first opened file determines the format, the unit and the types of particles. The velocity has
+/// the name that it has in the first file with a velocity.
 ///
 /// `None` stands for a file that was not opened, or that holds no particles. It counts as a piece
 /// without particles.
@@ -288,6 +301,7 @@ pub(super) fn join_files(
             }
         }
     }
+    name_velocities_alike(&mut files);
     let partial = keep_shared_attributes(&mut files).into_iter().map(UnreadPart::Attribute);
     let opened = || files.iter().flatten();
     let blocks = opened().flat_map(|file| file.left_out.iter().cloned());
@@ -332,6 +346,14 @@ pub(super) fn join_files(
         left_out,
         only_lines,
     })
+}
+
+/// Gives the velocities of all files the same name.
+fn name_velocities_alike(files: &mut [Option<ParticleFile>]) {
+    let mut infos = files.iter().flatten().map(|file| file.particles.attributes());
+    let first = infos.find_map(|infos| Some(infos[velocity_attribute(infos)?].name.clone()));
+    let Some(name) = first else { return };
+    files.iter_mut().flatten().for_each(|file| file.particles.rename_velocity(&name));
 }
 
 /// Removes and returns the attributes that at least one file with particles lacks.

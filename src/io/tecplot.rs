@@ -23,7 +23,7 @@ const ZONES_SHOWN: usize = 8;
 const LONGEST_RECORD: usize = 1 << 10;
 
 /// First words of the records in a header.
-const KEYWORDS: [&str; 8] = [
+const KEYWORDS: [&str; 11] = [
     "TITLE",
     "VARIABLES",
     "ZONE",
@@ -32,7 +32,12 @@ const KEYWORDS: [&str; 8] = [
     "VARAUXDATA",
     "AUXDATA",
     "VARIABLE",
+    "TEXT",
+    GEOMETRY,
+    "CUSTOMLABELS",
 ];
+/// First word of a record that contains lines of numbers.
+const GEOMETRY: &str = "GEOMETRY";
 
 /// The order of a zone's values.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -97,7 +102,9 @@ pub(super) fn read(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, R
                 record = keyword;
                 rest
             }
-            None if line.split([' ', '\t', ',']).next().is_some_and(is_number) => {
+            None if record != GEOMETRY
+                && line.split([' ', '\t', ',']).next().is_some_and(is_number) =>
+            {
                 break (start, lines_above);
             }
             None => line.as_str(),

@@ -20,7 +20,7 @@ use super::error::{no_step, several_steps};
 use super::input_format::InputFormat;
 use super::text::{LinePlace, TextLines, utf8};
 use super::wanted::WantedAttributes;
-use super::{ParticleFile, ReadFault, lammps, table, tecplot, xyz};
+use super::{ParticleFile, ReadFault, UnreadPart, lammps, table, tecplot, xyz};
 
 /// Number of bytes at the start of a file from which the format is detected.
 const SNIFFED: usize = 4 << 10;
@@ -127,6 +127,11 @@ impl Frames {
         Ok(frames)
     }
 
+    /// Whether several frames have the number `step`.
+    fn repeats(&self, step: u64) -> bool {
+        self.all.iter().filter(|(number, _)| *number == step).count() > 1
+    }
+
     /// Returns the error of the invalid part of the text, if there is one.
     fn check(&self, view: ByteView) -> Result<(), ReadFault> {
         let Some(place) = self.broken else { return Ok(()) };
@@ -135,8 +140,8 @@ impl Frames {
         passed.and(Err(ReadFault::Changed))
     }
 
-    /// The numbers of the frames in ascending order. A number that occurs twice, for example after
-    /// a restart, is listed once.
+    /// The numbers of the frames in ascending order. A number that occurs several times, for
+    /// example after a restart, is listed once.
     fn numbers(&self) -> Vec<u64> {
         let mut numbers: Vec<u64> = self.all.iter().map(|(number, _)| *number).collect();
         numbers.sort_unstable();
@@ -146,9 +151,12 @@ impl Frames {
 
     /// The place of frame number `step`. Without `step`, the text must have a single frame. If the
     /// text has an invalid line, only frames above this line are found, and only by their numbers.
+    ///
+    /// Of several frames with this number, the last is found. A simulator that restarts from an
+    /// earlier step appends the steps that it repeats.
     fn find(&self, view: ByteView, step: Option<u64>) -> Result<LinePlace, ReadFault> {
         let found = match step {
-            Some(step) => self.all.iter().find(|(number, _)| *number == step),
+            Some(step) => self.all.iter().rfind(|(number, _)| *number == step),
             None => None,
         };
         if let Some((_, place)) = found {
@@ -225,7 +233,11 @@ pub fn read_particles(
     match (frames.format, step) {
         (TextFormat::Lammps, step) => {
             let place = frames.find(view, step)?;
-            lammps::read(bytes, place, wanted, unpacking)
+            let mut file = lammps::read(bytes, place, wanted, unpacking)?;
+            file.left_out.extend(
+                step.filter(|&step| frames.repeats(step)).map(|_| UnreadPart::RepeatedStep),
+            );
+            Ok(file)
         }
         (TextFormat::Xyz, step) => {
             let place = frames.find(view, step)?;

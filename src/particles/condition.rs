@@ -63,6 +63,20 @@ impl Comparison {
         !matches!(self, Self::Equal | Self::NotEqual)
     }
 
+    /// Whether a stored integer satisfies the comparison with integers, like
+    /// [`holds`](Self::holds). Exact for integers that f64 cannot represent.
+    pub(crate) fn holds_whole(self, stored: i64, values: &[i64]) -> bool {
+        match (self, values) {
+            (Self::Equal, _) => values.contains(&stored),
+            (Self::NotEqual, _) => !values.contains(&stored),
+            (Self::Less, &[value]) => stored < value,
+            (Self::LessOrEqual, &[value]) => stored <= value,
+            (Self::Greater, &[value]) => stored > value,
+            (Self::GreaterOrEqual, &[value]) => stored >= value,
+            _ => false,
+        }
+    }
+
     /// Whether a stored number satisfies the comparison: `Equal` with any of the values, `NotEqual`
     /// with all of them, and an order comparison with the only value.
     ///

@@ -129,7 +129,7 @@ pub fn mixture(particles: &dyn Particles) -> Option<Mixture> {
     let scalars = particles.attributes().iter().enumerate();
     let scalars = scalars.filter(|(_, info)| info.components == 1 && is_kind(&info.name));
     let labels = particles.labels().iter().enumerate().filter(|(_, label)| is_kind(&label.name));
-    let sources = scalars.map(|(index, info)| (AttributeOrLabel::Attribute(index), &info.name));
+    let sources = scalars.map(|(index, info)| (AttributeOrLabel::of(index, info), &info.name));
     let mut sources =
         sources.chain(labels.map(|(index, l)| (AttributeOrLabel::Label(index), &l.name)));
     sources.find_map(|(source, name)| by(particles, source, name))

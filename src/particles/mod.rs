@@ -336,8 +336,31 @@ fn widen(to: &mut [f64], from: &[f32]) {
 }
 
 /// The names that simulators use for the velocity of particles.
-pub const VELOCITY_NAMES: [&str; 9] =
-    ["velocity", "v", "Vel", "vel", "V", "Velocity", "velocities", "Velocities", ".velocities"];
+pub const VELOCITY_NAMES: [&str; 23] = [
+    "velocity",
+    "v",
+    "Vel",
+    "vel",
+    "V",
+    "Velocity",
+    "velocities",
+    "Velocities",
+    ".velocities",
+    "vels",
+    "particle_velocity",
+    "particle_velocities",
+    "particle_vel",
+    "particle_v",
+    "particle_qd",
+    "particles_velocity",
+    "particles_vel",
+    "p_velocity",
+    "p_vel",
+    "p_v",
+    "v_p",
+    "vp",
+    "vel_p",
+];
 
 /// The index of the velocity among the attributes: it has three components and one of the names in
 /// `VELOCITY_NAMES`.

@@ -6,7 +6,7 @@ use std::ops::Range;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::{Particles, chunks};
+use super::{AttributeInfo, Particles, chunks};
 
 /// Maximum number of distinct values of a listed attribute.
 const MOST: usize = 8;
@@ -24,6 +24,8 @@ pub struct ValueCounts {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum Value {
+    /// An integer, if the attribute contains only integers.
+    Integer(i64),
     /// A number.
     Number(f64),
     /// A text.
@@ -33,6 +35,7 @@ pub enum Value {
 impl std::fmt::Display for Value {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
+            Self::Integer(number) => write!(f, "{number}"),
             Self::Number(number) => write!(f, "{number}"),
             Self::Text(text) => f.write_str(text),
         }
@@ -42,7 +45,7 @@ impl std::fmt::Display for Value {
 /// Finds the scalar attributes and labels with few distinct values.
 pub fn occurring(particles: &dyn Particles) -> Vec<ValueCounts> {
     let scalars = particles.attributes().iter().enumerate().filter(|(_, i)| i.components == 1);
-    let sources = scalars.map(|(index, info)| (AttributeOrLabel::Attribute(index), &info.name));
+    let sources = scalars.map(|(index, info)| (AttributeOrLabel::of(index, info), &info.name));
     let labels = particles.labels().iter().enumerate();
     let sources = sources.chain(labels.map(|(index, l)| (AttributeOrLabel::Label(index), &l.name)));
     let found = sources.filter_map(|(source, name)| {
@@ -58,11 +61,18 @@ pub fn occurring(particles: &dyn Particles) -> Vec<ValueCounts> {
 pub(super) enum AttributeOrLabel {
     /// A scalar attribute.
     Attribute(usize),
+    /// A scalar attribute of integers.
+    Integers(usize),
     /// A label.
     Label(usize),
 }
 
 impl AttributeOrLabel {
+    /// The scalar attribute with this index.
+    pub(super) fn of(index: usize, info: &AttributeInfo) -> Self {
+        if info.kind.is_whole() { Self::Integers(index) } else { Self::Attribute(index) }
+    }
+
     /// Sort keys of the values of a range of particles.
     pub(super) fn keys(self, particles: &dyn Particles, range: Range<usize>) -> Vec<u64> {
         let (first, count) = (range.start, range.len());
@@ -71,6 +81,11 @@ impl AttributeOrLabel {
                 let mut numbers = vec![0.0; count];
                 particles.component((index, 0), first, &mut numbers);
                 numbers.into_iter().map(ordered).collect()
+            }
+            Self::Integers(index) => {
+                let mut numbers = vec![0; count];
+                particles.integers(index, first, &mut numbers);
+                numbers.into_iter().map(ordered_integer).collect()
             }
             Self::Label(index) => {
                 let mut texts = vec![0; count];
@@ -84,6 +99,7 @@ impl AttributeOrLabel {
         let text = |index: usize| particles.labels()[index].texts.get(key as usize).cloned();
         match self {
             Self::Attribute(_) => Value::Number(number(key)),
+            Self::Integers(_) => Value::Integer(ordered_integer(key as i64) as i64),
             Self::Label(index) => Value::Text(text(index).unwrap_or_default()),
         }
     }
@@ -126,6 +142,11 @@ fn counted(particles: &dyn Particles, source: AttributeOrLabel) -> Option<BTreeM
 fn ordered(number: f64) -> u64 {
     let bits = (number + 0.0).to_bits();
     if bits >> 63 == 1 { !bits } else { bits | 1 << 63 }
+}
+
+/// The sort key of an integer. The function is its own inverse.
+fn ordered_integer(number: i64) -> u64 {
+    number as u64 ^ (1 << 63)
 }
 
 /// The inverse of [`ordered`].

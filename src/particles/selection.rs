@@ -133,7 +133,7 @@ enum ConditionOperand {
 enum StoredCondition {
     /// Compares a number with values.
     Number(ConditionOperand, Comparison, Vec<f64>),
-    /// Compares an integer component of an attribute for equality.
+    /// Compares an integer component of an attribute with integers.
     Whole((usize, usize), Comparison, Vec<i64>),
     /// A label. For each of its texts, the list says whether the text satisfies the condition.
     Label(usize, Vec<bool>),
@@ -147,6 +147,14 @@ fn component(name: &str) -> Option<(&str, usize)> {
     }
     let (attribute, index) = name.strip_suffix(']')?.rsplit_once('[')?;
     Some((attribute, index.parse().ok()?))
+}
+
+/// The integer that a text denotes, as in `7`, `7.0` or `1e6`. `None` for other numbers.
+fn integer(text: &str) -> Option<i64> {
+    /// The least number above all 64-bit integers.
+    const BEYOND: f64 = -(i64::MIN as f64);
+    let real = || text.parse().ok().filter(|real: &f64| real.fract() == 0.0 && real.abs() < BEYOND);
+    text.parse().ok().or_else(|| Some(real()? as i64))
 }
 
 impl Condition {
@@ -213,10 +221,10 @@ impl Condition {
             text.parse().map_err(|_| fault())
         };
         let values = self.values.iter().map(value).collect::<Result<_, _>>()?;
-        let whole: Option<Vec<i64>> = self.values.iter().map(|text| text.parse().ok()).collect();
+        let whole: Option<Vec<i64>> = self.values.iter().map(|text| integer(text)).collect();
         Ok(match (number, whole) {
             (ConditionOperand::Component(index, component), Some(whole))
-                if infos[index].kind.is_whole() && !self.comparison.is_of_order() =>
+                if infos[index].kind.is_whole() =>
             {
                 StoredCondition::Whole((index, component), self.comparison, whole)
             }
@@ -251,8 +259,7 @@ impl StoredCondition {
                 particles.integers(*index, first, &mut all);
                 let numbers: Vec<i64> =
                     all.into_iter().skip(*component).step_by(components).collect();
-                let is_equal = *comparison == Comparison::Equal;
-                keep(words, &numbers, |number| values.contains(number) == is_equal);
+                keep(words, &numbers, |&number| comparison.holds_whole(number, values));
             }
             Self::Label(index, passes) => {
                 let mut texts = vec![0; count];

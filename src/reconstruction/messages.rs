@@ -434,6 +434,7 @@ fn warnings(all: &mut String) {
         Names(vec!["fluid".into(), "boundary".into()]),
         Primitives { kinds: vec![("polygons".into(), 12)], points: 8 },
         Times { column: "time".into(), count: 3, first: "0".into(), last: "0.5".into() },
+        RepeatedStep,
         WideArray { name: "spectrum".into(), numbers: 100 },
         CellData("density".into()),
         Coordinates { names: ["x", "y", "z"].map(String::from), position: "pos".into() },

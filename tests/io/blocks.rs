@@ -1,5 +1,5 @@
-//! Tests of frames that a .pvd divides into several data sets: meshes are left out, a condition
-//! applies to all data sets, and no name is dropped silently.
+//! Tests of frames that a .pvd or a .vtm divides into several data sets: meshes are left out, a
+//! condition applies to all data sets, and no name is dropped silently.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -58,12 +58,20 @@ fn table<const N: usize>(particles: &[[i32; N]]) -> String {
     format!("{names}\n{}", particles.iter().map(row).collect::<String>())
 }
 
-/// A folder with a list, and with the files that the list names.
+/// A list of blocks.
+fn multiblock(elements: &str) -> String {
+    format!(
+        "<VTKFile type='vtkMultiBlockDataSet'><vtkMultiBlockDataSet>\n{elements}\
+        </vtkMultiBlockDataSet></VTKFile>\n"
+    )
+}
+
+/// A folder with lists, and with the files that the list names.
 struct Listed(TempDir);
 
 impl Listed {
-    /// Writes a list of one frame. Each data set is an element's attributes, and the content of its
-    /// file.
+    /// Writes a list of one frame, and a list of the same blocks. Each data set is an element's
+    /// attributes, and the content of its file.
     fn new(sets: &[(&str, &str)]) -> Self {
         let listed = Self(TempDir::new().unwrap());
         let mut elements = String::new();
@@ -74,6 +82,7 @@ impl Listed {
         }
         let list = format!("<VTKFile><Collection>\n{elements}</Collection></VTKFile>\n");
         fs::write(listed.path("list.pvd"), list).unwrap();
+        fs::write(listed.path("list.vtm"), multiblock(&elements)).unwrap();
         listed
     }
 
@@ -377,4 +386,57 @@ fn files_that_are_joined_by_name_must_not_be_meshes() {
     let paths: [&Path; 2] = [&planes, &fluid];
     let joined = open_joined(&paths, WantedParticles::default(), Unpacking::in_memory());
     assert!(matches!(joined.unwrap_err().fault, ReadFault::Mesh { faces: 2 }));
+}
+
+#[test]
+fn a_multiblock_file_is_read_like_a_list_of_the_same_data_sets() {
+    let listed = Listed::new(&[
+        ("name='Planes' file='PLANES.vtu'", PLANES),
+        ("name='gauges' file='lines.vtp'", LINES[0].1),
+        ("name='fluid' file='a.csv'", &table(&[[7], [8]])),
+        ("name='boundary' file='b.csv'", &table(&[[1, 1], [2, 0]])),
+    ]);
+    let left_out = [
+        block("Planes", "a mesh of 2 faces"),
+        block("gauges", "lines"),
+        names(&["fluid", "boundary"]),
+        UnreadPart::Attribute(AttributeInfo::new("Part type", 1)),
+    ];
+    fs::write(listed.path("outer.vtm"), multiblock("<DataSet file='list.vtm'/>")).unwrap();
+    let frame = "<VTKFile><Collection><DataSet file='list.vtm'/><DataSet file='empty.vtp'/>\
+        </Collection></VTKFile>";
+    fs::write(listed.path("outer.pvd"), frame).unwrap();
+    fs::write(listed.path("empty.vtp"), EMPTY).unwrap();
+    for name in ["list.pvd", "list.vtm", "outer.vtm", "outer.pvd"] {
+        let open = |condition: Option<&str>| {
+            let conditions: Vec<Where> = condition.iter().map(|c| c.parse().unwrap()).collect();
+            let wanted = WantedParticles { conditions: &conditions, ..WantedParticles::default() };
+            open_wanted(&listed.path(name), wanted, Unpacking::in_memory())
+        };
+        let file = open(None).unwrap();
+        assert_eq!((along(&file), &file.left_out[..]), (vec![7.0, 8.0, 1.0, 2.0], &left_out[..]));
+        let selected = open(Some("Part type=1")).unwrap();
+        assert_eq!((along(&selected), selected.unselected), (vec![1.0], 3), "{name}");
+        assert_eq!(selected.left_out, left_out[..2], "{name}");
+        let fault = open(Some("mk=1")).unwrap_err().fault;
+        let is_missing = matches!(&fault, ReadFault::Selection(SelectionFault::NoAttribute { .. }));
+        assert!(is_missing, "{name}: {fault}");
+    }
+}
+
+#[test]
+fn a_block_without_a_name_has_the_name_of_the_element_or_list_around_it() {
+    let listed = Listed::new(&[
+        ("file='a.csv'", &table(&[[7]])),
+        ("file='b.csv'", &table(&[[8]])),
+        ("file='c.csv'", &table(&[[9]])),
+    ]);
+    fs::write(listed.path("list.vtm"), multiblock("<DataSet file='c.csv'/>")).unwrap();
+    let elements = "<Block name='fluid'><Piece name='water'><DataSet file='a.csv'/></Piece>\
+        <DataSet file='b.csv'/></Block><DataSet name='walls' file='list.vtm'/>";
+    fs::write(listed.path("outer.vtm"), multiblock(elements)).unwrap();
+    let path = listed.path("outer.vtm");
+    let file = open_wanted(&path, WantedParticles::default(), Unpacking::in_memory()).unwrap();
+    assert_eq!(along(&file), [7.0, 8.0, 9.0]);
+    assert_eq!(file.left_out, [names(&["water", "fluid", "walls"])]);
 }

@@ -302,7 +302,7 @@ pub fn bgeo(points: &[[f64; 3]]) -> Vec<u8> {
         floats(&mut bytes, &[p[0] as f32, p[1] as f32, p[2] as f32, 1.0]);
         int(&mut bytes, i as i32 - 1);
         floats(&mut bytes, &[0.5 + shift, 1.5 + shift, 2.5 + shift]);
-        int(&mut bytes, 1);
+        int(&mut bytes, [1, -1, 0, 1][i % 4]);
         floats(&mut bytes, &[0.25 + shift, 0.75 + shift, -1.0, -1.0, -1.0]);
     }
     bytes

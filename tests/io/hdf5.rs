@@ -138,6 +138,27 @@ fn one_of_several_particle_groups_must_be_named() {
 }
 
 #[test]
+fn the_type_that_is_called_a_fluid_is_read_by_default() {
+    for (name, fluid, other) in
+        [("fluid.h5", "Fluid", "boundary"), ("species.h5", "fluid", "walls")]
+    {
+        let file = open(name).unwrap();
+        assert_eq!(
+            (positions(&file), &file.particle_types[..]),
+            (points(0.0), &[fluid, other].map(String::from)[..])
+        );
+        assert_eq!(open_where(name, &format!("type={other}")).unwrap().particles.len(), 4);
+    }
+}
+
+#[test]
+fn a_virtual_data_set_is_refused_by_its_name() {
+    let error = open("virtual.h5").unwrap_err();
+    let ReadFault::Unsupported(what) = &error.fault else { panic!("{error}") };
+    assert!(what.contains("pos") && what.contains("virtual"), "{what}");
+}
+
+#[test]
 fn a_type_is_a_group_or_else_a_value_of_the_attribute_of_that_name() {
     let open = |condition: &str| open_where("types.h5", condition);
     for (condition, group, count) in [

@@ -117,6 +117,19 @@ fn integer_colours_up_to_255_are_joined_like_bytes_and_others_refused() {
 }
 
 #[test]
+fn velocities_with_different_usual_names_become_one_velocity() {
+    let folder = TempDir::new().unwrap();
+    let paths = ["a.csv", "b.csv", "c.csv"].map(|name| folder.path().join(name));
+    fs::write(&paths[0], "x,y,z,rho\n").unwrap();
+    fs::write(&paths[1], "x,y,z,vel_x,vel_y,vel_z\n1,2,3,4,5,6\n").unwrap();
+    fs::write(&paths[2], "x,y,z,velocity_x,velocity_y,velocity_z\n1,2,3,7,8,9\n").unwrap();
+    let paths: [&Path; 3] = [&paths[0], &paths[1], &paths[2]];
+    let file = open_joined(&paths, WantedParticles::default(), Unpacking::in_memory()).unwrap();
+    assert_eq!(attribute(&file, "vel"), [4.0, 5.0, 6.0, 7.0, 8.0, 9.0]);
+    assert_eq!((file.particles.attributes().len(), file.left_out), (1, vec![]));
+}
+
+#[test]
 fn a_file_cannot_be_joined_with_itself_under_any_path() {
     let folder = TempDir::new().unwrap();
     let [one, other] = ["a.ply", "b.ply"].map(|name| folder.path().join(name));

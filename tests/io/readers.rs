@@ -10,8 +10,10 @@ use meniscus::internals::io::scene::spacing_beside;
 use meniscus::internals::io::text_format::TextHint;
 use meniscus::internals::io::wanted::{WantedAttributes, WantedParticles};
 use meniscus::internals::io::{
-    ParticleFile, ReadError, ReadFault, bgeo, bi4, json, npy, npz, ply, text_format, vtk, vtp,
+    ParticleFile, ReadError, ReadFault, UnreadPart, bgeo, bi4, json, npy, npz, ply, text_format,
+    vtk, vtp,
 };
+use meniscus::internals::particles::selection::SelectionFault;
 use meniscus::internals::particles::sizes::SizeChoice;
 use meniscus::internals::particles::{Particles, RereadError, velocity_attribute};
 use zip::CompressionMethod;
@@ -241,7 +243,7 @@ fn every_range_of_particles_equals_that_of_the_whole_file() {
 }
 
 #[test]
-fn a_bgeo_gives_float_vector_and_integer_attributes_but_no_strings() {
+fn a_bgeo_gives_float_vector_and_integer_attributes_and_strings_as_labels() {
     let file = read(bgeo::read_particles, &build::bgeo(&tuples(7))).unwrap();
     assert_eq!(attributes(&file), [("id", 1), ("v", 3), ("uv", 2)]);
     assert_eq!(attribute(&file, "id"), [-1.0, 0.0, 1.0, 2.0, 3.0, 4.0, 5.0]);
@@ -249,6 +251,11 @@ fn a_bgeo_gives_float_vector_and_integer_attributes_but_no_strings() {
     assert_eq!(attribute(&file, "v"), v);
     let uv: Vec<f32> = (0..7).flat_map(|i| [0.25, 0.75].map(|x| x + i as f32)).collect();
     assert_eq!(attribute(&file, "uv"), uv);
+    let texts = ["", "", "water", "", "", "", "water"];
+    let label = &file.particles.labels()[0];
+    let mut found = [0; 7];
+    file.particles.label(0, 0, &mut found);
+    assert_eq!((&*label.name, found.map(|text| &*label.texts[text as usize])), ("group", texts));
 }
 
 #[test]
@@ -537,6 +544,26 @@ fn npz_positions_are_found_by_name_or_as_the_only_candidate() {
         fault.contains("save one as pos, with shape (N") && fault.contains("a (4, 3), b (4, 3)"),
         "{fault}"
     );
+}
+
+#[test]
+fn velocities_have_names_like_those_of_positions() {
+    let points = tuples(4);
+    let vectors = || build::npy(&points, "<f4", false);
+    for (position, velocity) in [
+        ("particle_position", "particle_velocity"),
+        ("particle_q", "particle_qd"),
+        ("x_p", "v_p"),
+        ("xp", "vp"),
+        ("p_pos", "p_vel"),
+        ("pos", "vels"),
+    ] {
+        let arrays = [(position, vectors()), ("a_other", vectors()), (velocity, vectors())];
+        let file = read(NPZ, &build::npz(&arrays, CompressionMethod::Stored)).unwrap();
+        let infos = file.particles.attributes();
+        let found = velocity_attribute(infos).map(|index| &*infos[index].name);
+        assert_eq!((positions(&file), found), (points.clone(), Some(velocity)));
+    }
 }
 
 #[test]
@@ -1208,6 +1235,14 @@ fn frames_of_xyz_files_and_steps_of_lammps_dumps_are_read_separately() {
     }
     let cut = frame(5, "1 O 0 0 0 1 2 3\n");
     assert!(matches!(step(&cut, InputFormat::Lammps, None), Err(ReadFault::Line { line: 10, .. })));
+
+    // After a restart from step 0, the simulator repeats step 100.
+    let again = [dump.as_str(), &frame(100, "1 O 1 1 1 0 0 0\n2 H 0 0 0 0 0 0\n")].concat();
+    assert_eq!(steps(&again, InputFormat::Lammps).unwrap(), [0, 100]);
+    let file = step(&again, InputFormat::Lammps, Some(100)).unwrap();
+    assert_eq!(positions(&file), [[3.0, 2.0, 4.0], [1.0, 0.0, 0.0]]);
+    assert_eq!(file.left_out, [UnreadPart::RepeatedStep]);
+    assert_eq!(step(&again, InputFormat::Lammps, Some(0)).unwrap().left_out, []);
 }
 
 #[test]
@@ -1239,6 +1274,10 @@ fn tecplot_is_read_in_point_and_block_packing() {
         assert_eq!(positions(&file), [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]);
         assert_eq!(attribute(&file, "rho"), [10.0, 20.0]);
     }
+    let text_and_line = "TEXT X=1, Y=2,\nT=\"6 m\"\nGEOMETRY T=LINE\n1\n2\n0 0\n1 1\nZONE";
+    let decorated =
+        format!("{} F=POINT\n1 2 3 10\n4 5 6 20\n", head.replace("ZONE", text_and_line));
+    assert_eq!(attribute(&text(&decorated).unwrap(), "rho"), [10.0, 20.0]);
     let unsized_zone = text("variables = x y z\nzone\n1 2 3\n4 5 6\n").unwrap();
     assert_eq!(positions(&unsized_zone).len(), 2);
     for (zone, line) in [
@@ -1510,4 +1549,40 @@ fn a_condition_on_a_vtk_string_array_is_refused_by_name() {
             other => panic!("{name}: {other:?}"),
         }
     }
+}
+
+#[test]
+fn conditions_on_64_bit_integers_and_the_listed_values_are_exact() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.npz");
+    let least = 1_i64 << 53;
+    let ids: Vec<u8> = (0..8).flat_map(|i| (least + i / 2).to_le_bytes()).collect();
+    let ids = [build::npy_header("<i8", false, "(8,)"), ids].concat();
+    let arrays = [("pos", build::npy(&tuples(8), "<f8", false)), ("id", ids)];
+    std::fs::write(&path, build::npz(&arrays, CompressionMethod::Stored)).unwrap();
+    let open = |comparison: &str, value: String| {
+        let conditions = [format!("id{comparison}{value}").parse().unwrap()];
+        let wanted = WantedParticles { conditions: &conditions, ..WantedParticles::default() };
+        input::open_wanted(&path, wanted, Unpacking::in_memory()).unwrap()
+    };
+    let count = |comparison, value: String| open(comparison, value).particles.len();
+    for (at, [less, equal, more]) in [(0, [0, 2, 6]), (1, [2, 2, 4]), (3, [6, 2, 0])] {
+        let value = |at: i64| (least + at).to_string();
+        assert_eq!(count("<", value(at)), less, "{at}");
+        assert_eq!(count("<=", value(at)), less + equal, "{at}");
+        assert_eq!(count("=", value(at)), equal, "{at}");
+        assert_eq!(count("!=", value(at)), less + more, "{at}");
+        assert_eq!(count(">", value(at)), more, "{at}");
+        assert_eq!(count(">=", value(at)), equal + more, "{at}");
+    }
+    // Other spellings of numbers.
+    assert_eq!(count(">", format!("{least}.0")), 6);
+    assert_eq!(count(">", "9.007199254740992e15".to_owned()), 6);
+    assert_eq!(count(">", "0.5".to_owned()), 8);
+    assert_eq!(count("<", "1e300".to_owned()), 8);
+    let Some(SelectionFault::None { values, .. }) = open("=", "7".to_owned()).none_selected else {
+        panic!("a particle is selected")
+    };
+    let values: Vec<_> = values[0].values.iter().map(|(value, _)| value.to_string()).collect();
+    assert_eq!(values, [0, 1, 2, 3].map(|i| (least + i).to_string()));
 }

@@ -72,3 +72,19 @@ with h5py.File(f"{folder}/types.h5", "w", libver="latest") as file:
         group["type"] = (np.arange(60) % 3).astype("u1")
         group["gradient"] = np.arange(540, dtype="f4").reshape(60, 3, 3)
         group["spectrum"] = np.zeros((60, 100), "i1")
+# Groups of particles, one of which is called a fluid.
+with h5py.File(f"{folder}/fluid.h5", "w", libver="latest") as file:
+    file["Fluid/position"] = points
+    file["boundary/position"] = np.zeros((4, 3), "f4")
+# An openPMD file with two species, one of which is called a fluid.
+with h5py.File(f"{folder}/species.h5", "w", libver="latest") as file:
+    file.attrs["openPMD"], file.attrs["basePath"] = "1.1.0", "/data/%T/"
+    file.attrs["particlesPath"] = "particles/"
+    for species, positions in (("fluid", points), ("walls", np.zeros((4, 3)))):
+        for axis, name in enumerate("xyz"):
+            file[f"data/0/particles/{species}/position/{name}"] = positions[:, axis]
+# A virtual data set of the positions in another file.
+layout = h5py.VirtualLayout((60, 3), "f8")
+layout[:] = h5py.VirtualSource("fluid.h5", "Fluid/position", shape=(60, 3))
+with h5py.File(f"{folder}/virtual.h5", "w", libver="latest") as file:
+    file.create_virtual_dataset("pos", layout)

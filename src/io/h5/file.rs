@@ -110,14 +110,27 @@ const FILTERS: [(&str, &str); 8] = [
 pub(super) fn checked<T>(parsed: Parsed<T>) -> Result<T, ReadFault> {
     parsed.map_err(|error| match error {
         Error::Io(fault) => ReadFault::Io(fault),
-        other => filter_in(&other).unwrap_or_else(|| malformed(0, other.to_string())),
+        other => unsupported_in(&other).unwrap_or_else(|| malformed(0, other.to_string())),
     })
 }
 
-/// The error for an unsupported filter. `None` if the error has another cause.
-fn filter_in(error: &Error) -> Option<ReadFault> {
+/// The layout class of virtual data sets, whose data is in other data sets (HDF5 file format
+/// specification, "Data Layout message").
+const VIRTUAL: u8 = 3;
+
+/// The error for an unsupported filter or a virtual data set. `None` if the error has another
+/// cause.
+fn unsupported_in(error: &Error) -> Option<ReadFault> {
     match error {
-        Error::Context { source, .. } => filter_in(source),
+        Error::Context { path, source } => match &**source {
+            // The path has the form "child 'name' at 0x320".
+            Error::UnsupportedLayoutClass(VIRTUAL) => {
+                let name = path.split('\'').nth(1).unwrap_or(path);
+                Some(virtual_set(&format!("the data set {name:?}")))
+            }
+            source => unsupported_in(source),
+        },
+        Error::UnsupportedLayoutClass(VIRTUAL) => Some(virtual_set("a data set")),
         Error::UnsupportedFilter(which) => {
             let name = FILTERS.iter().find(|(number, _)| which.ends_with(&format!(" {number}")));
             let name = name.map_or(&**which, |(_, name)| name);
@@ -128,6 +141,14 @@ fn filter_in(error: &Error) -> Option<ReadFault> {
         }
         _ => None,
     }
+}
+
+/// The error for a virtual data set.
+fn virtual_set(what: &str) -> ReadFault {
+    ReadFault::Unsupported(format!(
+        "{what} is virtual: its data is in other HDF5 files, which h5dump -p lists; read these \
+         files instead, or copy the data into one file, for example by h5repack -l CONTI OLD NEW"
+    ))
 }
 
 /// The time that an attribute of a group contains.

@@ -195,9 +195,9 @@ impl GroupSearch {
 
     /// Returns one candidate, and the names of all candidates.
     ///
-    /// The candidate is the one that a condition names, or else the only one, or else `PartType0`.
-    /// Its name comes first in the list. The list is empty if there is only one candidate and no
-    /// condition names it.
+    /// The candidate is the one that a condition names, or else the only one, or else `PartType0`,
+    /// or else the only one that is called fluid or gas. Its name comes first in the list. The list
+    /// is empty if there is only one candidate and no condition names it.
     ///
     /// # Errors
     /// [`ReadFault::Unsupported`] if there is no candidate (the message lists the contents of

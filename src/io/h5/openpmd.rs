@@ -43,7 +43,7 @@ pub fn steps(file: &H5File) -> Result<Vec<u64>, ReadFault> {
 }
 
 /// Reads the particles of one species in an iteration: the species that `wanted` names, or else the
-/// only species.
+/// only species, or else the only one that is called fluid or gas.
 pub fn read_particles(
     file: H5File,
     step: Option<u64>,

@@ -22,9 +22,12 @@ use crate::particles::condition::Where;
 use crate::particles::sieve::Sieve;
 
 use super::file::{H5File, checked};
+use super::groups::last_name;
 
 /// Number of bytes per decoding step, unless chunks are larger.
 const WINDOW: u64 = 1 << 20;
+/// Names, in lower case, of the type of particles that is read by default.
+const FLUIDS: [&str; 2] = ["fluid", "gas"];
 /// Maximum number of particle types that an error lists.
 const LISTED: usize = 20;
 
@@ -580,7 +583,7 @@ pub(super) fn types(known: Vec<String>, chosen: &str) -> Vec<String> {
 }
 
 /// The chosen type of particles: the type that a condition names, or else the only type, or else
-/// `usual`.
+/// `usual`, or else the only type with one of the names [`FLUIDS`], in any case.
 pub(super) fn chosen_type(
     known: &[String],
     wanted: &[Where],
@@ -590,16 +593,26 @@ pub(super) fn chosen_type(
         (Some(named), _) => Ok(named.to_owned()),
         (None, []) => Err(ReadFault::Unsupported("the file contains no particles".to_owned())),
         (None, [only]) => Ok(only.clone()),
-        (None, _) => usual
-            .filter(|usual| known.iter().any(|name| name == usual))
-            .map(str::to_owned)
-            .ok_or_else(|| {
+        (None, _) => {
+            let usual = usual.filter(|usual| known.iter().any(|name| name == usual));
+            usual.or_else(|| only_fluid(known)).map(str::to_owned).ok_or_else(|| {
                 ReadFault::Unsupported(format!(
                     "the file contains several types: {}; choose one with the condition type=NAME",
                     list_of(known)
                 ))
-            }),
+            })
+        }
     }
+}
+
+/// The only type that is called a fluid. The last component counts if names are paths.
+fn only_fluid(known: &[String]) -> Option<&str> {
+    let is_fluid = |name: &&String| {
+        let name = last_name(name);
+        FLUIDS.iter().any(|fluid| name.eq_ignore_ascii_case(fluid))
+    };
+    let mut fluids = known.iter().filter(is_fluid);
+    fluids.next().filter(|_| fluids.next().is_none()).map(String::as_str)
 }
 
 /// The type of particles that a condition names. `None` if no condition names a type. A condition

@@ -27,6 +27,7 @@ use super::{ParticleFile, ReadError, ReadFault, UnreadPart, bgeo, malformed};
 use binary::Binary;
 use json::JsonNumber;
 use points::{NumberBytes, UnpackedColumns};
+pub(super) use schema::MOST_TEXTS;
 use schema::{Geometry, HoudiniAttribute, NumberLocation};
 use text::Text;
 pub use write::{attribute_names, write_mesh};

@@ -15,12 +15,12 @@
 //! In a comment, a label may precede the names, as in `# columns: x y z`.
 
 use std::borrow::Cow;
-use std::collections::VecDeque;
+use std::collections::{HashSet, VecDeque};
 
 use crate::io::ReadFault;
 use crate::io::names::{
-    bare_name, bare_names, is_position_word, names_other_column, names_position, names_velocity,
-    position_axis, quantities,
+    are_components, bare_name, bare_names, is_other_component, is_position_word,
+    names_other_column, names_position, names_velocity, position_axis, quantities,
 };
 
 use super::excerpt;
@@ -88,8 +88,8 @@ pub fn columns_in_comment(comment: &str) -> impl Iterator<Item = TableColumns> {
 /// Each possible division of one of the texts into columns with a position. Names of vectors come
 /// last, because they may have other meanings.
 fn columns_in(texts: Vec<&str>) -> impl Iterator<Item = TableColumns> {
-    let known = |text| vectors_in(text).filter(|(_, are_known)| *are_known);
-    let vectors: Vec<_> = texts.iter().filter_map(|text| Some(known(text)?.0)).collect();
+    let vectors = texts.iter().flat_map(|text| vectors_in(text));
+    let vectors: Vec<_> = vectors.filter_map(|(names, known)| known.then_some(names)).collect();
     let lists = texts.into_iter().flat_map(names_in).chain(vectors);
     lists.filter(|names| are_names(names)).filter_map(TableColumns::of)
 }
@@ -205,34 +205,50 @@ fn numbered_after(line: &str) -> Vec<String> {
 }
 
 /// The names in a line such as `rho vel pos` or `rho, v[3], x[3]`, in which a name stands for all
-/// components of a vector, and whether all names are well known. `None` if the line names no such
-/// vector.
-fn vectors_in(line: &str) -> Option<(Vec<String>, bool)> {
+/// components of a vector, and whether all names are well known. In a second list, short names
+/// stand for vectors, too, as in `rho v x`, provided that all names are well known. There is no
+/// list if the line names no vector.
+fn vectors_in(line: &str) -> Vec<(Vec<String>, bool)> {
     if line.len() > LONGEST_NAMES {
-        return None;
+        return Vec::new();
     }
     let listed = line.contains([',', ';']);
     let names = if listed { separated(line) } else { with_units(line) };
+    let short = ShortVectors::among(names.iter().map(|name| bare_name(name)));
+    let lists = [ShortVectors::default(), short].into_iter();
+    let lists = lists.filter_map(|short| Some((short, vectors_of(line, &names, short)?)));
+    let is_certain = |short, are_known| are_known || short == ShortVectors::default();
+    lists.filter_map(|(short, list)| is_certain(short, list.1).then_some(list)).collect()
+}
+
+/// Replaces each name of a vector by the names of its components. Also returns whether all names
+/// are well known. `None` if no name is a vector.
+fn vectors_of(line: &str, names: &[String], short: ShortVectors) -> Option<(Vec<String>, bool)> {
+    let listed = line.contains([',', ';']);
     // Two words, such as `Material positions`, may be a title.
-    let are_vectors = || names.iter().all(|name| names_position(name) || names_velocity(name));
+    let are_vectors = || names.iter().all(|name| names_vector(name) || short.has(name));
     if !listed && names.len() < 3 && !line.contains(['[', '(']) && !are_vectors() {
         return None;
     }
     let is_named = |known: &str| names.iter().any(|name| name.eq_ignore_ascii_case(known));
     // In `u v w`, `v` is a component.
-    let has_components = is_named("u") || is_named("w");
+    let has_components = !short.has("u") && is_named("u") || is_named("w");
     let (mut all, mut are_known) = (Vec::new(), true);
-    for name in &names {
+    for name in names {
         let bare = bare_name(name);
         let counted = bare.split_once(['[', '(']).and_then(|(name, count)| {
             let count = count.strip_suffix([']', ')'])?.parse().ok()?;
             (1..MOST_FIELDS).contains(&count).then_some((name.trim_end(), count))
         });
-        let is_vector = names_position(bare)
-            || names_velocity(bare) && !(has_components && bare.eq_ignore_ascii_case("v"));
+        let is_vector = short.has(bare)
+            || names_vector(bare) && !(has_components && bare.eq_ignore_ascii_case("v"));
         let (bare, count) = counted.unwrap_or((bare, if is_vector { 3 } else { 1 }));
-        let is_known =
-            || names_position(bare) || names_other_column(bare) || position_axis(bare).is_some();
+        let is_known = || {
+            is_vector
+                || names_other_column(bare)
+                || position_axis(bare).is_some()
+                || bare.eq_ignore_ascii_case("u")
+        };
         are_known &= counted.is_some() || listed && !has_prose(bare) || is_known();
         all.extend(components(bare, count));
         if all.len() > MOST_FIELDS {
@@ -240,6 +256,41 @@ fn vectors_in(line: &str) -> Option<(Vec<String>, bool)> {
         }
     }
     (all.len() > names.len()).then_some((all, are_known))
+}
+
+/// Whether a name stands for the three columns of a position or a velocity.
+fn names_vector(name: &str) -> bool {
+    names_position(name) || names_velocity(name)
+}
+
+/// Names of a single letter that may stand for the three columns of a vector, as in `v x`.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+struct ShortVectors {
+    position: Option<&'static str>,
+    velocity: Option<&'static str>,
+}
+
+impl ShortVectors {
+    /// The short names among others. There is none if a longer name names the same vector, or if
+    /// the other components have names, as in `x y z` or `u v w`.
+    fn among<'a>(names: impl Iterator<Item = &'a str> + Clone) -> Self {
+        let is_named = |known: &str| names.clone().any(|name| name.eq_ignore_ascii_case(known));
+        let find = |known: &[&'static str]| known.iter().copied().find(|name| is_named(name));
+        let has_axes = is_named("y") || is_named("z");
+        let position =
+            find(&["x", "r", "p"]).filter(|_| !has_axes && !names.clone().any(names_position));
+        let velocity =
+            find(&["u"]).filter(|_| !is_named("w") && !names.clone().any(names_velocity));
+        Self { position, velocity }
+    }
+
+    fn has(self, name: &str) -> bool {
+        [self.position, self.velocity].iter().flatten().any(|own| name.eq_ignore_ascii_case(own))
+    }
+
+    fn is_position(self, name: &str) -> bool {
+        self.position.is_some_and(|own| name.eq_ignore_ascii_case(own))
+    }
 }
 
 /// Whether a text contains a number or a word of a sentence.
@@ -431,9 +482,9 @@ impl<'a> Comments<'a> {
             is_unclear(&names, fields, first).then_some((line, Cow::Owned(names)))
         })?;
         let what = format!(
-            "this line seems to name the columns, but its names do not fit the {fields} columns \
-             below it: {}; write one name per column in the first line, such as `x y z vx vy vz`, \
-             or delete this line",
+            "this line seems to name the columns, but it does not show which of the {fields} \
+             columns below it are x, y and z: {}; write one name per column in the first line, \
+             such as `x y z vx vy vz`, or delete this line",
             excerpt(text.trim().as_bytes())
         );
         Some(ReadFault::Line { line, what })
@@ -512,8 +563,36 @@ fn is_unclear(comment: &str, fields: usize, first: Option<usize>) -> bool {
         names.len() == fields && mention.is_some_and(|mention| !mention.agrees(fields, first))
     };
     texts().any(|text| {
-        vectors_in(text).is_some_and(|(names, _)| is_fitting(&names))
+        vectors_in(text).iter().any(|(names, _)| is_fitting(names))
             || names_others_first(text, fields, first)
+            || calls_x_otherwise(text, fields, first)
+    })
+}
+
+/// Whether a text is a list of names without a position, in which the column of x, or the vector
+/// before an unknown vector, has the name of another quantity.
+fn calls_x_otherwise(text: &str, fields: usize, first: Option<usize>) -> bool {
+    names_in(text).filter(|names| are_names(names)).any(|names| {
+        let names = bare_names(&names);
+        let unique: HashSet<&String> = names.iter().collect();
+        if unique.len() < names.len() {
+            // Units, such as `m m m m/s m/s m/s`, repeat.
+            return false;
+        }
+        let is_other = |name: &String| names_other_column(name) || is_other_component(name);
+        let x = first.and_then(|first| match names.len() {
+            count if count == fields => names.get(first),
+            count if count + first == fields => names.first(),
+            _ => None,
+        });
+        let others = names.iter().take_while(|name| is_other(name)).count();
+        // A sentence rarely names several quantities.
+        let is_list = || {
+            names.windows(3).any(are_components)
+                || names.iter().filter(|name| is_other(name)).count() >= 3
+        };
+        x.is_some_and(is_other) && is_list()
+            || others >= 3 && names.get(others..others + 3).is_some_and(are_components)
     })
 }
 
@@ -521,26 +600,37 @@ fn is_unclear(comment: &str, fields: usize, first: Option<usize>) -> bool {
 /// identifier before the position is allowed if the position starts at the column `first`.
 ///
 /// Two names can be a title, such as `Material positions`, unless both are vectors. They must fit
-/// all `fields` then, as names without a position must.
+/// all `fields` then, as names without a position must. So must names with a position of a single
+/// letter, such as `m r`.
 fn names_others_first(text: &str, fields: usize, first: Option<usize>) -> bool {
     let words = words_of(text);
     let are_axes = words.iter().filter(|word| axis_of(word).is_some()).count() > 1;
-    let is_position =
-        |word: &str| names_position(word) || are_axes && position_axis(word).is_some();
     // Units may follow names, as in `velocity in m/s`.
-    let names: Vec<_> =
-        words.iter().filter(|word| !is_word_of(&["and", "in", "the"], word)).collect();
-    if names.len() < 2 || !names.iter().all(|word| is_position(word) || names_other_column(word)) {
-        return false;
-    }
-    let is_vector = |word: &str| names_position(word) || names_velocity(word);
-    let columns = names.iter().map(|word| if is_vector(word) { 3 } else { 1 }).sum();
-    let is_whole =
-        |count: usize| count == fields || first.is_some_and(|first| first + count == fields);
-    let place = names.iter().position(|word| is_position(word));
-    let is_list = place.is_some() && (names.len() > 2 || names.iter().all(|word| is_vector(word)));
-    (is_list || is_whole(columns) || is_whole(names.len()))
-        && place.is_none_or(|place| place > 0 && Some(place) != first)
+    let names: Vec<&str> =
+        words.into_iter().filter(|word| !is_word_of(&["and", "in", "the"], word)).collect();
+    let short = ShortVectors::among(names.iter().copied());
+    [ShortVectors::default(), short].into_iter().any(|short| {
+        let is_position = |name: &str| {
+            names_position(name)
+                || short.is_position(name)
+                || are_axes && position_axis(name).is_some()
+        };
+        let is_known =
+            |name: &&str| is_position(name) || names_other_column(name) || short.has(name);
+        if names.len() < 2 || !names.iter().all(is_known) {
+            return false;
+        }
+        let is_vector = |name: &&str| names_vector(name) || short.has(name);
+        let columns = names.iter().map(|name| if is_vector(name) { 3 } else { 1 }).sum();
+        let is_whole =
+            |count: usize| count == fields || first.is_some_and(|first| first + count == fields);
+        let place = names.iter().position(|name| is_position(name));
+        let are_vectors = names.iter().all(is_vector);
+        let is_list =
+            place.is_some() && (are_vectors || names.len() > 2 && short == ShortVectors::default());
+        (is_list || is_whole(columns) || is_whole(names.len()))
+            && place.is_none_or(|place| place > 0 && Some(place) != first)
+    })
 }
 
 /// The order of x, y and z, in each notation in which a text is a list of names.

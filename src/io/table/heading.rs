@@ -267,6 +267,11 @@ impl<'a> LinesAbove<'a> {
             return Err(fault(format!("the line has more than {MOST_FIELDS} fields")));
         }
         refuse_rows_above(&self.titles, fields)?;
+        if unnamed.has_decimal_commas(rows) {
+            let what = "commas seem to be both decimal commas and separators; write decimal \
+                        points, or separate the columns with semicolons";
+            return Err(fault(what.to_owned()));
+        }
         let x = unnamed.x_column(rows);
         if let Some(unclear) = self.comments.unclear(fields, x.as_ref().ok().copied()) {
             return Err(unclear);

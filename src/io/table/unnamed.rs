@@ -5,7 +5,9 @@ use std::ops::Range;
 
 use crate::io::number::Decimal;
 
-use super::fields::{LineFields, MOST_FIELDS, Separator, Syntax, lines, rows_of, unquoted};
+use super::fields::{
+    LineFields, MOST_FIELDS, Separator, Syntax, is_comment, lines, rows_of, unquoted,
+};
 
 /// Number of rows that are sampled to find out what the first columns contain.
 const SAMPLED_ROWS: usize = 256;
@@ -55,6 +57,31 @@ impl UnnamedColumns {
                 _ => None,
             })
         })
+    }
+
+    /// Whether the rows seem to have decimal commas, although the comma also separates the fields,
+    /// as in `0,517342, 0,723111, 0,534120`. Then all fields are integers, and a blank follows only
+    /// every second comma, or a fraction starts with a zero.
+    pub fn has_decimal_commas(self, rows: &[u8]) -> bool {
+        if self.syntax.separator != Separator::Byte(b',') || !self.fields.is_multiple_of(2) {
+            return false;
+        }
+        let mut evidence = false;
+        for (.., row) in lines(rows).filter(|(.., row)| !is_comment(row)).take(SAMPLED_ROWS) {
+            let fields: Vec<&[u8]> = row.split(|&byte| byte == b',').collect();
+            let is_pair = |pair: &[&[u8]]| {
+                let number = pair[0].trim_ascii();
+                is_whole(number.strip_prefix(b"-").unwrap_or(number)) && is_whole(pair[1])
+            };
+            if fields.len() != self.fields || !fields.chunks_exact(2).all(is_pair) {
+                return false;
+            }
+            let has_blank = |field: &&[u8]| field.first().is_some_and(u8::is_ascii_whitespace);
+            let are_apart = fields.iter().skip(2).step_by(2).all(has_blank);
+            let starts_with_zero = |field: &&[u8]| field.len() > 1 && field.starts_with(b"0");
+            evidence |= are_apart || fields.iter().skip(1).step_by(2).any(starts_with_zero);
+        }
+        evidence
     }
 
     /// The index of the x column in a table whose first rows are `rows`.

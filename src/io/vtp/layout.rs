@@ -448,20 +448,26 @@ fn text(xml: &[u8], at: usize) -> Range<usize> {
 /// [`ReadFault::Malformed`] for invalid or incomplete XML, and the errors of `take`.
 pub(in crate::io) fn each_tag(
     bytes: &[u8],
-    mut take: impl FnMut(&Tag<'_>) -> Result<(), ReadFault>,
+    mut take: impl FnMut(&Tag<'_>, usize) -> Result<(), ReadFault>,
 ) -> Result<(), ReadFault> {
     if !bytes.trim_ascii_end().ends_with(b"</VTKFile>") {
         return Err(malformed(bytes.len(), "the file ends without </VTKFile>"));
     }
     let mark = mark_length(bytes);
     let mut xml = Reader::from_reader(&bytes[mark..]);
+    let mut depth: usize = 0;
     loop {
         let at = mark + xml.buffer_position() as usize;
         let event = xml
             .read_event()
             .map_err(|fault| malformed(mark + xml.error_position() as usize, fault.to_string()))?;
         match &event {
-            Event::Start(tag) | Event::Empty(tag) => take(&Tag { tag, at })?,
+            Event::Start(tag) => {
+                take(&Tag { tag, at }, depth)?;
+                depth += 1;
+            }
+            Event::Empty(tag) => take(&Tag { tag, at }, depth)?,
+            Event::End(_) => depth = depth.saturating_sub(1),
             Event::Eof => return Ok(()),
             _ => {}
         }

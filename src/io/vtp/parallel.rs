@@ -7,70 +7,69 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
-use crate::io::blocks::{described_format, no_particles};
 use crate::io::bytes::{Bytes, Unpacking, open_bytes, open_bytes_within, open_whole};
-use crate::io::input_format::{InputFormat, extension};
+use crate::io::collection::FrameBlock;
+use crate::io::input_format::InputFormat;
 use crate::io::joined::refuse_other_scales;
 use crate::io::listed::resolved;
 use crate::io::pieces::join_files;
 use crate::io::vertices::Triangles;
 use crate::io::wanted::WantedParticles;
-use crate::io::{ParticleFile, ReadError, ReadFault, UnreadPart, malformed};
+use crate::io::{ParticleFile, ReadError, ReadFault, malformed};
 use crate::surface::mesh::Mesh;
 
 use super::layout::{Tag, each_tag};
 use super::read::{
-    NumberedMesh, PieceContents, contents, read_block, read_numbered, read_particles, unless_inline,
+    NumberedMesh, PieceContents, contents, read_numbered, read_particles, unless_inline,
 };
 
 /// Reads the points of all wanted pieces as particles, in list order.
 ///
-/// An attribute is left out if a piece with particles lacks it. Blocks of a .vtm without particles
-/// are also left out.
+/// An attribute is left out if a piece with particles lacks it.
 ///
 /// # Errors
 /// The errors of [`read_particles`](super::read_particles), with the path of the faulty piece.
-/// [`ReadFault::Io`] if a piece does not exist. [`ReadFault::Unsupported`] if no block contains
-/// particles.
+/// [`ReadFault::Io`] if a piece does not exist.
 pub fn open_particles(
     path: &Path,
     bytes: Bytes,
     wanted: WantedParticles,
     unpacking: Unpacking,
 ) -> Result<ParticleFile, ReadError> {
-    let fail = |fault| ReadError::new(path, fault);
-    let list = bytes.read_whole(unpacking).map_err(fail)?;
-    let Sources { sources, format } = Sources::parse(path, &list)?;
-    let opened = wanted.pieces.of(sources.len()).max(1) as u64;
+    let list = bytes.read_whole(unpacking).map_err(|fault| ReadError::new(path, fault))?;
+    let ListedFiles { files: listed, format, .. } = ListedFiles::parse(path, &list)?;
+    let opened = wanted.pieces.of(listed.len()).max(1) as u64;
     let share = Unpacking { in_memory: unpacking.in_memory / opened, ..unpacking };
-    let open = |(number, source): (usize, &ListedPiece)| match wanted.pieces.hold(number) {
-        true => source.open(share).map(Some),
+    let paths: Vec<&Path> = listed.iter().map(|piece| &*piece.file).collect();
+    let open = |(number, path): (usize, &&Path)| match wanted.pieces.hold(number) {
+        true => open_piece(path, share).map(Some),
         false => Ok(None),
     };
     // Reads all pieces before it returns, so that the error is always that of the first faulty
     // piece.
-    let read: Vec<_> = sources.par_iter().enumerate().map(open).collect();
-    let (mut files, mut left_out) = (Vec::new(), Vec::new());
-    for read in read {
-        match read? {
-            // Removes ghosts piece by piece, because some pieces may lack flags.
-            Some(Ok(file)) => files.push(Some(file.without_ghosts())),
-            Some(Err(other)) => {
-                left_out.push(other);
-                files.push(None);
-            }
-            None => files.push(None),
-        }
-    }
-    if left_out.len() == files.len() {
-        return Err(fail(no_particles(&left_out)));
-    }
-    let paths: Vec<&Path> = sources.iter().map(|source| &*source.path).collect();
+    let read: Vec<_> = paths.par_iter().enumerate().map(open).collect();
+    let files = read.into_iter().collect::<Result<Vec<_>, _>>()?;
     refuse_other_scales(&paths, &files, wanted.attributes)?;
     let file = join_files(files, wanted.pieces)
         .map_err(|(piece, fault)| ReadError::new(paths[piece], fault))?;
-    left_out.extend(file.left_out);
-    Ok(ParticleFile { format, left_out, ..file })
+    Ok(ParticleFile { format, ..file })
+}
+
+/// Reads the particles of a piece. Removes ghosts piece by piece, because some pieces may lack
+/// flags.
+fn open_piece(path: &Path, unpacking: Unpacking) -> Result<ParticleFile, ReadError> {
+    let file = read_particles(open_bytes_within(path, unpacking)?, unpacking);
+    file.map(ParticleFile::without_ghosts).map_err(|fault| ReadError::new(path, fault))
+}
+
+/// The blocks that the list at `path` and its nested lists name, and the format of the list.
+/// `None` for a list of pieces.
+///
+/// # Errors
+/// [`ReadError`] if a list cannot be read.
+pub fn blocks(path: &Path) -> Result<Option<(Vec<FrameBlock>, &'static str)>, ReadError> {
+    let list = ListedFiles::parse(path, &open_whole(path)?)?;
+    Ok(list.are_blocks.then_some((list.files, list.format)))
 }
 
 /// Whether the pieces form a mesh: a cell of a piece has an area or a volume, or every piece is an
@@ -97,8 +96,8 @@ pub fn has_faces(path: &Path) -> Result<bool, ReadError> {
 /// # Errors
 /// [`ReadError`] if the list cannot be read.
 pub fn pieces(path: &Path) -> Result<Vec<PathBuf>, ReadError> {
-    let sources = Sources::parse(path, &open_whole(path)?)?.sources;
-    Ok(sources.into_iter().map(|source| source.path).collect())
+    let listed = ListedFiles::parse(path, &open_whole(path)?)?.files;
+    Ok(listed.into_iter().map(|listed| listed.file).collect())
 }
 
 /// Reads the triangles of all pieces as one mesh. Vertices of different pieces are merged if their
@@ -175,70 +174,52 @@ impl JoinedMesh {
     }
 }
 
-/// A file that a list names.
-struct ListedPiece {
-    path: PathBuf,
-    /// The name of the block, if the file is a block. A block may contain particles or other data.
-    block: Option<String>,
-}
-
-impl ListedPiece {
-    /// Reads the particles. For a block without particles, returns a description of its contents.
-    fn open(&self, unpacking: Unpacking) -> Result<Result<ParticleFile, UnreadPart>, ReadError> {
-        let fail = |fault| ReadError::new(&self.path, fault);
-        let open = || open_bytes_within(&self.path, unpacking);
-        let Some(name) = &self.block else {
-            return read_particles(open()?, unpacking).map(Ok).map_err(fail);
-        };
-        let read = match extension(&self.path).as_deref() {
-            Some("vtp" | "vtu") => read_block(open()?, unpacking).map_err(fail)?,
-            _ => Err(described_format(&self.path)),
-        };
-        Ok(read.map_err(|holds| UnreadPart::Block { name: name.clone(), holds }))
-    }
-}
-
 /// The files that a list and its nested lists name.
-struct Sources {
-    sources: Vec<ListedPiece>,
+struct ListedFiles {
+    files: Vec<FrameBlock>,
     format: &'static str,
+    /// Whether the files are blocks, which may contain anything, instead of pieces.
+    are_blocks: bool,
 }
 
 /// Maximum depth of nested lists.
 const MOST_NESTED: usize = 8;
 
-impl Sources {
+impl ListedFiles {
     fn parse(path: &Path, bytes: &[u8]) -> Result<Self, ReadError> {
-        let mut all = Self { sources: Vec::new(), format: "" };
+        let mut all = Self { files: Vec::new(), format: "", are_blocks: false };
         let mut seen = HashSet::new();
-        all.format = all.add(path, bytes, &mut seen, 0)?;
-        Ok(all)
+        let format = all.add(path, bytes, None, &mut seen, 0)?;
+        Ok(Self { format: format.name, are_blocks: format.blocks, ..all })
     }
 
-    /// Adds the files of a list and its nested lists. Returns the format of the list.
+    /// Adds the files of a list and its nested lists. Blocks without a name get the name `outer` of
+    /// the block that names the list. Returns the format of the list.
     fn add(
         &mut self,
         path: &Path,
         bytes: &[u8],
+        outer: Option<&str>,
         seen: &mut HashSet<PathBuf>,
         depth: usize,
-    ) -> Result<&'static str, ReadError> {
+    ) -> Result<Format, ReadError> {
         let fail = |fault| ReadError::new(path, fault);
         let List { files, format } = List::parse(bytes).map_err(fail)?;
         let folder = path.parent().unwrap_or(Path::new(""));
-        for PieceFile { name, block } in files {
-            let path = resolved(folder, &name);
-            if !seen.insert(path.clone()) {
-                return Err(fail(malformed(0, format!("the list names the piece {name} twice"))));
+        for PieceFile { source, name } in files {
+            let file = resolved(folder, &source);
+            if !seen.insert(file.clone()) {
+                return Err(fail(malformed(0, format!("the list names the piece {source} twice"))));
             }
-            let is_list = InputFormat::of(&path) == Some(InputFormat::Pvtp);
-            if block.is_none() || !is_list {
-                self.sources.push(ListedPiece { path, block });
+            let name = name.or_else(|| outer.map(str::to_owned));
+            let is_list = InputFormat::of(&file) == Some(InputFormat::Pvtp);
+            if !format.blocks || !is_list {
+                self.files.push(FrameBlock { file, name });
             } else if depth == MOST_NESTED {
                 let what = format!("lists are nested more than {MOST_NESTED} levels deep");
                 return Err(fail(ReadFault::Unsupported(what)));
             } else {
-                self.add(&path, &open_whole(&path)?, seen, depth + 1)?;
+                self.add(&file, &open_whole(&file)?, name.as_deref(), seen, depth + 1)?;
             }
         }
         Ok(format)
@@ -248,43 +229,49 @@ impl Sources {
 /// The contents of one list.
 struct List {
     files: Vec<PieceFile>,
-    format: &'static str,
+    format: Format,
 }
 
 /// An entry of a list.
 struct PieceFile {
-    name: String,
-    block: Option<String>,
+    source: String,
+    /// The name of the block, or else of the innermost element around it with a name. `None` for
+    /// pieces.
+    name: Option<String>,
 }
 
 impl List {
     fn parse(bytes: &[u8]) -> Result<Self, ReadFault> {
         let (mut files, mut format) = (Vec::new(), None);
-        each_tag(bytes, |tag| {
+        // The names of the element and of the elements around it.
+        let mut names: Vec<Option<String>> = Vec::new();
+        each_tag(bytes, |tag, depth| {
+            names.truncate(depth);
+            names.push(tag.value("name")?.filter(|name| !name.is_empty()));
             match (tag.tag.name().as_ref(), format) {
                 ("VTKFile", _) => format = Some(Format::of(tag)?),
                 ("Piece", Some(Format { blocks: false, .. })) => {
-                    let name = tag.value("Source")?.filter(|source| !source.is_empty());
-                    let name = name.ok_or_else(|| malformed(tag.at, "a piece has no Source"))?;
-                    files.push(PieceFile { name, block: None });
+                    let source = tag.value("Source")?.filter(|source| !source.is_empty());
+                    let source =
+                        source.ok_or_else(|| malformed(tag.at, "a piece has no Source"))?;
+                    files.push(PieceFile { source, name: None });
                 }
                 // An empty block names no file.
                 ("DataSet", Some(Format { blocks: true, .. })) => {
-                    if let Some(name) = tag.value("file")?.filter(|name| !name.is_empty()) {
-                        let block = tag.value("name")?.unwrap_or_else(|| name.clone());
-                        files.push(PieceFile { name, block: Some(block) });
+                    if let Some(source) = tag.value("file")?.filter(|file| !file.is_empty()) {
+                        let name = names.iter().rev().flatten().next().cloned();
+                        files.push(PieceFile { source, name });
                     }
                 }
                 _ => {}
             }
             Ok(())
         })?;
-        let Format { name, .. } =
-            format.ok_or_else(|| malformed(0, "the file has no <VTKFile>"))?;
+        let format = format.ok_or_else(|| malformed(0, "the file has no <VTKFile>"))?;
         if files.is_empty() {
             return Err(malformed(0, "names no pieces"));
         }
-        Ok(Self { files, format: name })
+        Ok(Self { files, format })
     }
 }
 

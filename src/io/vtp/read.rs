@@ -6,9 +6,8 @@ use std::ops::Range;
 
 use memchr::memmem;
 
-use crate::io::blocks::{LINES, described_mesh};
 use crate::io::bytes::{ByteView, Bytes, Unpacking, unpacked_limit};
-use crate::io::cell_types::{CellCounts, POLY_VERTEX, VERTEX, is_face};
+use crate::io::cell_types::{CellCounts, VERTEX, is_face};
 use crate::io::columns::{Column, Scalar};
 use crate::io::ghosts::{VertexCells, VertexPoints, append, is_flag};
 use crate::io::vertices::{FileVertices, Triangles};
@@ -50,37 +49,6 @@ fn unless_encoded(bytes: Bytes, unpacking: Unpacking) -> Result<Bytes, ReadFault
     let view = bytes.view();
     let stays = !is_text(view)? && Decoder::all_raw(&VtpLayout::parse(view)?);
     Ok(if stays { bytes } else { Bytes::Kept(bytes.read_whole(unpacking)?) })
-}
-
-/// Reads the particles of a block. For other blocks, returns a description of their contents.
-///
-/// # Errors
-/// The errors of [`read_particles`], except [`ReadFault::Mesh`].
-pub(super) fn read_block(
-    bytes: Bytes,
-    unpacking: Unpacking,
-) -> Result<Result<ParticleFile, String>, ReadFault> {
-    let bytes = unless_encoded(bytes, unpacking)?;
-    match other_contents(&VtpLayout::parse(bytes.view())?)? {
-        Some(other) => Ok(Err(other)),
-        None => points(bytes, unpacking, |_| Ok(CellCounts::default())).map(Ok),
-    }
-}
-
-/// Describes the contents of a data set that has cells other than points. `None` for particles.
-fn other_contents(layout: &VtpLayout) -> Result<Option<String>, ReadFault> {
-    if layout.faces() > 0 {
-        return Ok(Some(described_mesh(layout.faces() as u64)));
-    }
-    if layout.pieces.iter().any(|piece| piece.lines > 0) {
-        return Ok(Some(LINES.to_owned()));
-    }
-    let mut decoder = Decoder::new(layout, Unpacking::in_memory());
-    let mut others = 0;
-    for types in layout.pieces.iter().filter_map(|piece| piece.array(Section::Cells, "types")) {
-        decoder.each_integer(types, |_, kind| others += u64::from(kind > POLY_VERTEX))?;
-    }
-    Ok((others > 0).then(|| format!("{others} cells that are not points")))
 }
 
 /// Counts the cells of all pieces.
