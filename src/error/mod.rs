@@ -319,7 +319,6 @@ impl Error {
             | Self::Periodic(_)
             | Self::NoAttribute { .. }
             | Self::Sizes { .. }
-            | Self::Selection(_)
             | Self::Threads(_)
             | Self::LittleMemory { .. } => Cause::Request,
             #[cfg(feature = "pictures")]
@@ -330,11 +329,13 @@ impl Error {
             Self::Picture { .. } => Cause::Request,
             // The conditions can be right even if no particle of this frame satisfies them, because
             // particles of another frame may. The cause is therefore the input.
-            Self::Read(ReadError {
+            Self::Selection(SelectionFault::None { .. })
+            | Self::Read(ReadError {
                 fault: ReadFault::Selection(SelectionFault::None { .. }),
                 ..
             }) => Cause::Input,
-            Self::Read(ReadError {
+            Self::Selection(_)
+            | Self::Read(ReadError {
                 fault: ReadFault::UnknownExtension { .. } | ReadFault::Selection(_),
                 ..
             }) => Cause::Request,
@@ -365,7 +366,7 @@ impl Error {
                     | FrameError::MeanCount(_)
                     | FrameError::NoSurface { .. }
                     | FrameError::NoKernelSurface
-                    | FrameError::NoDistanceSurface
+                    | FrameError::NoDistanceSurface { .. }
                     | FrameError::OtherIndicator
                     | FrameError::OtherCells { .. }
                     | FrameError::NothingLeft { .. },

@@ -16,6 +16,7 @@ use crate::grid::units::{Isovalue, shown, significant};
 use crate::particles::RereadError;
 use crate::particles::kind::KindFault;
 use crate::surface::simplify::TooSmall;
+use crate::surface::solid::Solid;
 use crate::system::cancel::Cancelled;
 use crate::vulkan::VulkanError;
 
@@ -54,8 +55,11 @@ pub enum FrameError {
         iso: Isovalue,
     },
     /// No cell's centre is inside the surface of the clouds.
-    #[error("the surface is empty: no cell centre is inside the fluid; use smaller cells")]
-    NoDistanceSurface,
+    #[error("the surface is empty: {}", no_centre(*at_solids))]
+    NoDistanceSurface {
+        /// Whether the fluid ends at solids, which may cover all of it.
+        at_solids: bool,
+    },
     /// The calibration was measured on a frame with a different indicator, so it cannot be used.
     #[error(
         "this packed frame has a different indicator than the calibration frame; pack it again \
@@ -157,8 +161,19 @@ pub enum FrameError {
         /// The scratch folder.
         folder: PathBuf,
         /// The error of the scratch file.
+        #[source]
         fault: io::Error,
     },
+}
+
+/// The reason for a surface that encloses no cell centre, and the remedy.
+pub(crate) fn no_centre(at_solids: bool) -> &'static str {
+    if at_solids {
+        "no cell centre is inside the fluid and outside the solids; if the solids cover the fluid, \
+         move them, and otherwise use smaller cells"
+    } else {
+        "no cell centre is inside the fluid; use smaller cells"
+    }
 }
 
 impl From<Cancelled> for FrameError {
@@ -203,11 +218,11 @@ fn all_components(small: &TooSmall) -> String {
 }
 
 impl FrameError {
-    /// Returns the error for an empty surface that was made with `recipe`.
-    pub(super) fn no_surface(recipe: &Recipe) -> Self {
+    /// Returns the error for an empty surface that was made with `recipe` around a solid.
+    pub(super) fn no_surface(recipe: &Recipe, solid: Option<&Solid>) -> Self {
         match recipe.filters {
             Filters::Paper(_) => Self::NoSurface { iso: recipe.iso },
-            Filters::Distances(_) => Self::NoDistanceSurface,
+            Filters::Distances(_) => Self::NoDistanceSurface { at_solids: solid.is_some() },
         }
     }
 }

@@ -25,6 +25,7 @@ mod surface;
 pub use coincident::CoincidentParticles;
 pub use counted::CountedFrame;
 pub use error::FrameError;
+pub(crate) use error::no_centre;
 pub use lost::{OccupiedBin, OccupiedTiles};
 pub use method::Method;
 pub use request::{Sampling, SizedParticles, Surfacing};

@@ -240,7 +240,7 @@ impl Pipeline {
         let parts = frame.contour(&surfaces)?;
         frame.check()?;
         if parts.blocks.is_empty() {
-            return Err(FrameError::no_surface(&recipe));
+            return Err(FrameError::no_surface(&recipe, None));
         }
 
         let (iso, census) = (recipe.iso, census);

@@ -147,7 +147,7 @@ impl SampledSizes {
             regions,
             crossings: iso.into(),
             attribute_smoothing: self.attribute_smoothings(surfacing),
-            nothing: FrameError::no_surface(field.recipe()),
+            nothing: FrameError::no_surface(field.recipe(), surfacing.solid.as_deref()),
             contour: cube_by_cube(BLOCKS_TOGETHER, move |regions, meter| {
                 let mut meshes = Vec::new();
                 let is_uniform =

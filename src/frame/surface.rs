@@ -94,7 +94,7 @@ impl<'a> ExtractableField<'a> {
         Self {
             regions: all.regions().into_iter().map(LevelRegion::finest).collect(),
             crossings: recipe.iso.into(),
-            nothing: FrameError::no_surface(&recipe),
+            nothing: FrameError::no_surface(&recipe, solid.as_deref()),
             attribute_smoothing: vec![attribute_smoothing],
             contour: Box::new(move |regions, meter, finish, push| {
                 let solid = solid.as_deref();

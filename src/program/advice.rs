@@ -184,9 +184,7 @@ fn advice_on_frame(fault: &FrameError) -> &'static str {
             "; use a smaller --smallest-drop"
         }
         FrameError::NothingLeft(_) => "; use a smaller --smallest-component or --smallest-drop",
-        FrameError::NoDistanceSurface => {
-            " (--cell); is the --spacing correct? if there is a --solid, does it cover the fluid?"
-        }
+        FrameError::NoDistanceSurface { .. } => " (--cell); is the --spacing correct?",
         FrameError::NoKernelSurface => {
             " (--cell) or, except with --method zhu-bridson, a lower --iso"
         }
@@ -422,7 +420,8 @@ mod tests {
                 axis: 'x',
             })),
             frame(FrameError::NoSpacing),
-            frame(FrameError::NoDistanceSurface),
+            frame(FrameError::NoDistanceSurface { at_solids: false }),
+            frame(FrameError::NoDistanceSurface { at_solids: true }),
             frame(FrameError::NoKernelSurface),
             frame(FrameError::NothingLeft(nothing_left)),
             frame(FrameError::NoRoom { folder: path("/tmp"), needed: 1 << 30, free: 1 << 20 }),

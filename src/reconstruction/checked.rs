@@ -380,9 +380,14 @@ impl Settings {
 impl CheckedRequest {
     /// Starts threads for the request, unless the caller gave a thread pool.
     pub(crate) fn on_threads(self) -> Result<StartedRequest, Error> {
-        let started = || Threads::start(self.threads).map_err(Error::Threads);
-        let threads = self.pool.clone().map_or_else(started, Ok)?;
+        let threads = self.started()?;
         Ok(StartedRequest { checked: Arc::new(self), threads })
+    }
+
+    /// Returns the thread pool that the caller gave, or starts threads.
+    pub(super) fn started(&self) -> Result<Arc<ThreadPool>, Error> {
+        let started = || Threads::start(self.threads).map_err(Error::Threads);
+        self.pool.clone().map_or_else(started, Ok)
     }
 
     /// Rejects settings that do not apply to the indicator, or that need a periodic box if there is

@@ -9,7 +9,7 @@ use crate::frame::{CountedFrame, Engine, FrameError, Sampling};
 use crate::io::UpAxis;
 use crate::io::mnf::write_frame;
 use crate::particles::Particles;
-use crate::particles::selection::{SelectedParticles, select};
+use crate::particles::selection::{SelectedParticles, SelectionFault, select};
 use crate::system::control::Stage;
 use crate::system::timings::Timings;
 
@@ -43,7 +43,8 @@ impl StartedRequest {
     pub(super) fn sample(self, particles: &dyn Particles) -> Result<Frame, Error> {
         let selected = self.threads.install(|| self.checked.selected(particles))?;
         match selected {
-            Some(selected) => self.sample_all(&selected),
+            Some((_, Some(none))) => Err(none.into()),
+            Some((selected, None)) => self.sample_all(&selected),
             None => self.sample_all(particles),
         }
     }
@@ -63,11 +64,12 @@ impl StartedRequest {
 }
 
 impl CheckedRequest {
-    /// The particles in memory that satisfy the conditions; `None` without conditions.
+    /// The particles in memory that satisfy the conditions; `None` without conditions. If there are
+    /// particles but none satisfies the conditions, also returns the fault that says so.
     pub(crate) fn selected<'a>(
         &self,
         particles: &'a dyn Particles,
-    ) -> Result<Option<SelectedParticles<'a>>, Error> {
+    ) -> Result<Option<(SelectedParticles<'a>, Option<SelectionFault>)>, Error> {
         let conditions = self.settings.conditions();
         if conditions.is_empty() {
             return Ok(None);
@@ -75,7 +77,10 @@ impl CheckedRequest {
         let sieve = select(particles, conditions.iter().flat_map(Where::conditions), || {
             self.go_on().is_ok()
         })?;
-        Ok(Some(SelectedParticles::new(particles, sieve)))
+        let selected = SelectedParticles::new(particles, sieve);
+        let none = (selected.is_empty() && !particles.is_empty())
+            .then(|| SelectionFault::none(particles, conditions));
+        Ok(Some((selected, none)))
     }
 
     /// Samples `particles` with the `chosen` sampling.

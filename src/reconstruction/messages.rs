@@ -342,7 +342,8 @@ fn frames() -> String {
     examples!(text, FrameError:
         NoParticles(census), NoParticles(Census::default()), Bin(far), Unread(RereadError::Changed),
         Kind(KindFault::Scale { name: "Cd".into(), greatest: 200.0 }),
-        OverBudget(over), MeanCount(mean), TooFine(fine), NoSurface { iso }, NoDistanceSurface,
+        OverBudget(over), MeanCount(mean), TooFine(fine), NoSurface { iso },
+        NoDistanceSurface { at_solids: false }, NoDistanceSurface { at_solids: true },
         OtherIndicator, OtherCells { own: [0.06, 0.12], calibrated: [0.05, 0.1] },
         FewImages { needed: 40, there: 22 }, NoSpacing,
         Kernels(TooManyCells(20.0)), NoKernelSurface,
@@ -420,7 +421,8 @@ fn warnings(all: &mut String) {
             values: vec![values()],
         }),
         Empty { why: EmptyReason::Field, clouds, calibration_frame },
-        Empty { why: EmptyReason::Distances, clouds, calibration_frame },
+        Empty { why: EmptyReason::Distances { at_solids: false }, clouds, calibration_frame },
+        Empty { why: EmptyReason::Distances { at_solids: true }, clouds, calibration_frame },
         Empty {
             why: EmptyReason::TooSmall(TooSmall { components: 3, drops: 1 }),
             clouds,

@@ -41,10 +41,14 @@ impl CheckedRequest {
     /// Adds the requested solids, which are the same in all frames.
     ///
     /// # Errors
-    /// The errors of [`with_solids`](Self::with_solids).
+    /// The errors of [`with_solids`](Self::with_solids), and [`Error::Threads`] if threads cannot be
+    /// started.
     pub(crate) fn at_solids(self) -> Result<Self, Error> {
         let paths = self.settings.solid_files().iter().map(PathBuf::from).collect::<Vec<_>>();
-        if paths.is_empty() { Ok(self) } else { self.with_solids(&paths, MOST_KEPT) }
+        if paths.is_empty() {
+            return Ok(self);
+        }
+        self.started()?.install(|| self.with_solids(&paths, MOST_KEPT))
     }
 
     /// Adds the solids of a single frame.

@@ -7,7 +7,7 @@ use crate::brick::FrameFacts;
 use crate::field::calibration::{MeasuredCalibration, ON_CORNERS, Plateau};
 use crate::field::indicator::{IndicatorKind, SampledDif};
 use crate::field::walls::{BeyondWall, GapAtWall};
-use crate::frame::{CoincidentParticles, Engine, FrameError, Shortfall};
+use crate::frame::{CoincidentParticles, Engine, FrameError, Shortfall, no_centre};
 use crate::grid::units::{FULL, Isovalue, shown, significant};
 use crate::io::UnreadPart;
 use crate::io::output::MeshFormat;
@@ -173,7 +173,10 @@ pub enum EmptyReason {
     /// The field is nowhere above the isovalue.
     Field,
     /// The surface encloses no cell centre.
-    Distances,
+    Distances {
+        /// Whether the fluid ends at solids, which may cover all of it.
+        at_solids: bool,
+    },
     /// All components are smaller than the limits.
     TooSmall(TooSmall),
 }
@@ -183,7 +186,8 @@ impl EmptyReason {
     pub(crate) fn of(fault: &FrameError) -> Option<Self> {
         match *fault {
             FrameError::NoSurface { .. } => Some(Self::Field),
-            FrameError::NoKernelSurface | FrameError::NoDistanceSurface => Some(Self::Distances),
+            FrameError::NoKernelSurface => Some(Self::Distances { at_solids: false }),
+            FrameError::NoDistanceSurface { at_solids } => Some(Self::Distances { at_solids }),
             FrameError::NothingLeft(all) => Some(Self::TooSmall(all)),
             _ => None,
         }
@@ -358,9 +362,9 @@ impl fmt::Display for Warning {
                 EmptyReason::Field => {
                     f.write_str("the mesh is empty: the field is nowhere above the isovalue")
                 }
-                EmptyReason::Distances => f.write_str(
-                    "the mesh is empty: no cell centre is inside the fluid; use smaller cells",
-                ),
+                EmptyReason::Distances { at_solids } => {
+                    write!(f, "the mesh is empty: {}", no_centre(*at_solids))
+                }
                 EmptyReason::TooSmall(all) => {
                     write!(f, "the mesh is empty: {} removed all components", all.limits())
                 }

@@ -37,7 +37,9 @@ impl TryFrom<[Option<f64>; 6]> for Faces {
         let axis = |(name, ends)| match ends {
             (Some(lo), Some(hi)) => Ok(Some([lo, hi])),
             (None, None) => Ok(None),
-            _ => Err(format!("only one end of {name} is open: give two numbers, or - for both")),
+            _ => {
+                Err(format!("only one end of {name} is open: give two numbers, or open both ends"))
+            }
         };
         Ok(Self([axis(("x", (x0, x1)))?, axis(("y", (y0, y1)))?, axis(("z", (z0, z1)))?]))
     }
@@ -48,7 +50,7 @@ impl FromStr for Faces {
 
     /// Reads six numbers. Both ends of an open axis are written as `-`.
     fn from_str(text: &str) -> Result<Self, String> {
-        ends(text)?.try_into()
+        ends(text)?.try_into().map_err(|what| format!("{what} with -"))
     }
 }
 

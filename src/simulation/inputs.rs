@@ -65,11 +65,14 @@ impl Inputs {
     /// requested format, if it differs from the format that the extension implies.
     ///
     /// # Errors
-    /// [`SimulationError::Names`] for an invalid pattern.
+    /// [`SimulationError::Names`] for an invalid pattern, and if there are no arguments.
     pub fn of(
         arguments: &[PathBuf],
         format: Option<InputFormat>,
     ) -> Result<Option<Self>, SimulationError> {
+        if arguments.is_empty() {
+            return Err(SimulationError::Names("no input file; name one".into()));
+        }
         let [path] = arguments else { return Ok(Some(Self::Files(arguments.to_vec()))) };
         if path.is_file() {
             // A file that cannot be read counts as a single frame, and fails when it is converted.
@@ -509,11 +512,17 @@ fn below(pattern: &str) -> String {
 /// `{}`, a folder, a glob, a file with several steps, or a list of files.
 ///
 /// # Errors
-/// [`Error::Simulation`] for a folder that cannot be read, names that do not determine frame
-/// numbers, files of several simulations, and inputs without frames.
+/// [`Error::Simulation`] for a file that does not exist, a folder that cannot be read, names that
+/// do not determine frame numbers, files of several simulations, and inputs without frames.
 pub fn frames(inputs: &[PathBuf]) -> Result<Vec<FrameFile>, Error> {
     let inputs = Inputs::of(inputs, None)?.unwrap_or_else(|| Inputs::Files(inputs.to_vec()));
-    Ok(inputs.only()?.1)
+    let frames = inputs.only()?.1;
+    if matches!(inputs, Inputs::Files(_))
+        && let Some(fault) = frames.iter().flat_map(FrameFile::paths).find_map(missing)
+    {
+        return Err(fault.into());
+    }
+    Ok(frames)
 }
 
 /// Expands arguments to existing files: files, the `wanted` files of a folder, and the matches of a

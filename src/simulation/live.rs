@@ -112,7 +112,11 @@ impl LiveSimulation {
         let threads = Arc::clone(&self.ready.threads);
         self.ready.checked.go_on()?;
         let extracted = threads.install(|| match self.ready.checked.selected(particles)? {
-            Some(selected) => self.extracted_or_empty(&selected),
+            Some((selected, none)) => {
+                let mut extracted = self.extracted_or_empty(&selected)?;
+                extracted.report.warnings.extend(none.map(Warning::NoneSelected));
+                Ok(extracted)
+            }
             None => self.extracted_or_empty(particles),
         })?;
         Ok(Surface::new(extracted, &self.ready.checked, &threads, UpAxis::Y))

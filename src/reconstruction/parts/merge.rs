@@ -112,9 +112,9 @@ fn extracted(
     let MergedParts { spool, occupied, lacking, bins } = joined;
     let iso = plan.calibration.and_then(|known| known.iso());
     if spool.is_empty() {
-        return Err(iso
-            .map_or(FrameError::NoDistanceSurface, |iso| FrameError::NoSurface { iso })
-            .into());
+        let at_solids = checked.surfacing.at_solids;
+        let of_distances = FrameError::NoDistanceSurface { at_solids };
+        return Err(iso.map_or(of_distances, |iso| FrameError::NoSurface { iso }).into());
     }
     let share =
         sampling.merging_share(&checked.surfacing, &components(plan), spool.len() as u64, bins);

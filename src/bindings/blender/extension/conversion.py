@@ -27,7 +27,7 @@ class Order:
     #: names.
     stage: str | None
     fps: float
-    particles_up: str | None
+    #: Without values for packed frames, whose sampling is that of packing.
     sampling: Sampling
     filters: Filters
     #: The solids' files, with {} for the frame number; `solid_offset` is the distance between
@@ -39,14 +39,13 @@ class Order:
         """The keywords for `meniscus.Simulation`.
 
         With these keywords, the simulation keeps finished frames if the settings are unchanged, and
-        otherwise makes them again.
+        otherwise makes them again. The files keep the axes of the particles, as the live surface
+        does, so the same object transform places both.
         """
         of = [(each.name, getattr(part, each.name)) for part in (self.sampling, self.filters) for each in fields(part)]
         solids = {"solid": self.solids, "solid_offset": self.solid_offset} if self.solids else {}
         return {name: value for name, value in of if value is not None} | solids | {
             "fps": self.fps,
-            "up": "z",
-            "particles_up": self.particles_up,
             "resume": True,
             "overwrite": True,
         }

@@ -38,6 +38,8 @@ class Status:
     warnings: tuple[str, ...] = ()
     file: str = ""
     seconds: float = 0.0
+    #: Whether the surface must be updated when the user leaves Edit Mode.
+    waits: bool = False
 
 
 class _State:
@@ -67,6 +69,10 @@ _state = _State()
 
 class Refused(Exception):
     """The settings do not define a surface. The panel shows the message, which says why."""
+
+
+#: The exceptions that the panel shows as messages.
+FAULTS = (Refused, OutOfRange, vertices.Hidden, meshes.TooLarge, meniscus.Error, OSError, MemoryError)
 
 
 def bound_cache(mebibytes: int) -> None:
@@ -165,6 +171,10 @@ def _arrays(request: Request, maker: Maker) -> Arrays:
     return found
 
 
+def _maker_of(mesh: bpy.types.Mesh) -> Maker:
+    return _state.makers.setdefault(mesh.session_uid, Maker())
+
+
 def _velocity_scale(settings: bpy.types.PropertyGroup, scene: bpy.types.Scene) -> float:
     """The number of simulated seconds per second of the scene."""
     scene_fps = scene.render.fps / scene.render.fps_base
@@ -179,6 +189,7 @@ def update(mesh: bpy.types.Mesh, scene: bpy.types.Scene, depsgraph: bpy.types.De
     began, status = time.perf_counter(), Status()
     try:
         if mesh.is_editmode:
+            status.waits = True
             raise Refused("Leave Edit Mode to update the surface")
         request = _request(settings, scene.frame_current, depsgraph, status)
         if request is None:
@@ -190,11 +201,11 @@ def update(mesh: bpy.types.Mesh, scene: bpy.types.Scene, depsgraph: bpy.types.De
             status.warnings, status.seconds = known.warnings, known.seconds
             _state.statuses[mesh.session_uid] = status
             return
-        arrays = _arrays(request, _state.makers.setdefault(mesh.session_uid, Maker()))
+        arrays = _arrays(request, _maker_of(mesh))
         status.warnings = arrays.warnings
         meshes.fill(mesh, arrays, scale)
         mesh[MADE] = name
-    except (Refused, OutOfRange, vertices.Hidden, meshes.TooLarge, meniscus.Error, OSError, MemoryError) as error:
+    except FAULTS as error:
         status.error = str(error) or "Out of memory"
         if not mesh.is_editmode and _state.saved.get(mesh.session_uid) == (scene.frame_current, mesh.get(MADE)):
             # If the mesh were cleared, saving the .blend file again would lose the surface.
@@ -236,20 +247,31 @@ def reread(mesh: bpy.types.Mesh) -> None:
     refresh(mesh)
 
 
+def _arrays_of(mesh: bpy.types.Mesh) -> Arrays | None:
+    """The surface that a mesh should show; None if it cannot be made."""
+    scene, depsgraph = bpy.context.scene, bpy.context.evaluated_depsgraph_get()
+    try:
+        request = _request(mesh.meniscus, scene.frame_current, depsgraph, Status())
+        return _arrays(request, _maker_of(mesh)) if request else None
+    except FAULTS:
+        return None
+
+
 def particles_up(mesh: bpy.types.Mesh) -> str | None:
-    """The axis that points up in a surface's particles; None if no particles were read."""
-    maker = _state.makers.get(mesh.session_uid)
-    return maker.particles_up if maker else None
+    """The axis that points up in the particle file of a surface; None if the file cannot be read."""
+    arrays = _arrays_of(mesh)
+    if arrays is not None:
+        return arrays.particles_up
+    try:
+        # The first file of a sequence often contains no particles, so it has no surface.
+        return meniscus.read_particles(status_of(mesh).file).up
+    except FAULTS:
+        return None
 
 
 def spacing_used(mesh: bpy.types.Mesh) -> float | None:
     """The spacing of the surface that a mesh shows; None if it shows none."""
-    settings = mesh.meniscus
-    try:
-        request = _request(settings, bpy.context.scene.frame_current, bpy.context.evaluated_depsgraph_get(), Status())
-    except (Refused, vertices.Hidden, meniscus.Error, OSError):
-        return None
-    arrays = _state.cache.get(request.key) if request else None
+    arrays = _arrays_of(mesh)
     return arrays.spacing if arrays else None
 
 
@@ -264,6 +286,11 @@ def _needs(mesh: bpy.types.Mesh, changed: set[bpy.types.Object]) -> bool:
     source = {settings.object} if settings.source == "OBJECT" else set()
     touched = set(solids.objects_of(settings.solids)) if settings.solids is not None else set()
     return bool(changed & (source | touched))
+
+
+def _has_waited(mesh: bpy.types.Mesh) -> bool:
+    """Whether the user has left Edit Mode, during which the surface could not be updated."""
+    return status_of(mesh).waits and not mesh.is_editmode
 
 
 @persistent
@@ -287,7 +314,7 @@ def _after_change(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> Non
         return
     changed = {each.id.original for each in depsgraph.updates if isinstance(each.id, bpy.types.Object)}
     if changed:
-        update_all(scene, depsgraph, lambda mesh: _needs(mesh, changed))
+        update_all(scene, depsgraph, lambda mesh: _needs(mesh, changed) or _has_waited(mesh))
 
 
 @persistent

@@ -15,7 +15,9 @@ from bpy_extras.io_utils import ImportHelper
 
 from . import live, solids, volumes
 from .conversion import Conversion, Order
+from .placing import place
 from .surfaces.playing import reading
+from .surfaces.request import FromFile
 from .surfaces.sequence import EXTENSIONS, number_of, sequence_of
 from .vertices import Hidden
 
@@ -72,10 +74,10 @@ def add_files(context: bpy.types.Context, path: str) -> bpy.types.Object:
         # The surface's panel will show the error.
         settings.first = number_of(path) or 0
     settings.live = True
-    # Use one spacing for all frames, because different spacings would give different cells.
-    settings.spacing = live.spacing_used(added.data) or 0.0
     if live.particles_up(added.data) == "y":
         added.rotation_euler.x = math.pi / 2
+    # Use one spacing for all frames, because different spacings would give different cells.
+    settings.spacing = live.spacing_used(added.data) or 0.0
     return added
 
 
@@ -174,8 +176,9 @@ def order_of(mesh: bpy.types.Mesh, scene: bpy.types.Scene) -> Order:
     folder = bpy.path.abspath(settings.output)
     name = bpy.path.clean_name(mesh.name).replace(".", "_").rstrip("_-")
     inputs, offset, files = bpy.path.abspath(settings.path), live.typed(settings.solid_offset), []
+    frames = meniscus.list_frames(inputs)
     if settings.solids is not None:
-        numbers = (number for number, _ in meniscus.list_frames(inputs))
+        numbers = (number for number, _ in frames)
         files = solids.exported(settings, offset, scene, numbers, Path(folder, f"{name}_solids"))
     # The library derives the stage's name from the meshes' names, without the number.
     are_volumes = settings.converted == "VOLUMES"
@@ -184,21 +187,27 @@ def order_of(mesh: bpy.types.Mesh, scene: bpy.types.Scene) -> Order:
         output=os.path.join(folder, f"{name}_{{:04}}.vdb" if are_volumes else f"{name}_{{}}.usdc"),
         stage=None if are_volumes else os.path.join(folder, f"{name}.usda"),
         fps=scene.render.fps / scene.render.fps_base,
-        particles_up=live.particles_up(mesh),
-        sampling=live.sampling_of(settings, settings.cell_render),
+        sampling=FromFile(str(frames[0][1]), live.sampling_of(settings, settings.cell_render)).asked,
         filters=live.filters_of(settings),
         solids=tuple(files),
         solid_offset=offset,
     )
 
 
-def _replace(mesh: bpy.types.Mesh) -> None:
-    """Hides a live surface and stops its updates, because other objects replace it."""
-    for shown in bpy.data.objects:
-        if shown.data == mesh:
-            shown.hide_render = True
-            shown.hide_viewport = True
+def _replace(context: bpy.types.Context, mesh: bpy.types.Mesh, played: bpy.types.Object) -> list[bpy.types.Object]:
+    """Puts an object, and a copy of it for each further object of a live surface, in the surface's place.
+
+    Hides the live surface and stops its updates.
+    """
+    surfaces = [shown for shown in bpy.data.objects if shown.data == mesh and shown.users_collection]
+    all_played = [played, *(played.copy() for _ in surfaces[1:])]
+    for shown, added in zip(surfaces, all_played):
+        place(context, added, shown)
+    for shown in surfaces:
+        shown.hide_render = True
+        shown.hide_viewport = True
     mesh.meniscus.live = False
+    return all_played
 
 
 def play_volumes(context: bpy.types.Context, mesh: bpy.types.Mesh, output: str) -> bpy.types.Object:
@@ -207,7 +216,7 @@ def play_volumes(context: bpy.types.Context, mesh: bpy.types.Mesh, output: str) 
     if not files:
         raise OSError(f"{output}: no files")
     added = volumes.add(context, f"{mesh.name} Volume", files, live.timing_of(mesh.meniscus))
-    _replace(mesh)
+    _replace(context, mesh, added)
     return added
 
 
@@ -220,16 +229,15 @@ def play(context: bpy.types.Context, mesh: bpy.types.Mesh, stage: str) -> list[b
     window = context.window or (context.window_manager.windows[0] if context.window_manager.windows else None)
     with context.temp_override(window=window) if window else context.temp_override():
         bpy.ops.wm.usd_import(filepath=stage, set_frame_range=False, relative_path=False)
-    _replace(mesh)
-    played = [added for added in bpy.data.objects if added not in before]
-    for added in played:
-        if added.type == "MESH":
-            for material in mesh.materials:
-                added.data.materials.append(material)
-        for modifier in added.modifiers:
-            if modifier.type == "MESH_SEQUENCE_CACHE":
-                _read_as_live(modifier.cache_file, mesh, stage)
-    return played
+    played = next((added for added in bpy.data.objects if added not in before and added.type == "MESH"), None)
+    if played is None:
+        raise OSError(f"{stage}: Blender imported no mesh")
+    for material in mesh.materials:
+        played.data.materials.append(material)
+    for modifier in played.modifiers:
+        if modifier.type == "MESH_SEQUENCE_CACHE":
+            _read_as_live(modifier.cache_file, mesh, stage)
+    return _replace(context, mesh, played)
 
 
 def _read_as_live(cache: bpy.types.CacheFile, mesh: bpy.types.Mesh, stage: str) -> None:

@@ -82,6 +82,12 @@ def test_packed_frames_take_no_settings_of_sampling(sequence: Path) -> None:
     assert len(made.triangles) > 0 and made.spacing == 1.0
     other = FromFile(str(packed), Sampling(spacing=7.0, cell=0.3))
     assert other.key == request_of(packed).source.key
+    # These settings are also those of a conversion.
+    assert other.asked == Sampling() and request_of(sequence / "ball_002.npy").source.asked.spacing == 1.0
+
+
+def test_a_cached_surface_knows_the_up_axis_of_its_particles(sequence: Path) -> None:
+    assert Maker().make(request_of(sequence / "ball_002.npy")).particles_up == "y"
 
 
 def cube(centre: float, half: float) -> SolidMesh:

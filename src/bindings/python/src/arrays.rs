@@ -293,6 +293,14 @@ fn shown(shape: &[usize]) -> String {
 fn held<'py>(name: &str, object: &Bound<'py, PyAny>, types: Types) -> PyResult<HeldArray<'py>> {
     let array = as_array(name, object)?;
     let dtype = array.dtype();
+    if array.hasattr("mask")? {
+        let way = match (dtype.kind(), types) {
+            (b'f', _) => ".filled(numpy.nan)",
+            (_, Types::Floats) => ".astype(\"float32\").filled(numpy.nan)",
+            (_, Types::Numbers) => ".filled with a value for the masked particles",
+        };
+        return Err(PyTypeError::new_err(format!("{name}: the array has a mask; use {way}")));
+    }
     let called = || dtype.str().map_or_else(|_| "another".into(), |text| text.to_string());
     let kind = Kind::of(dtype.kind(), dtype.itemsize());
     let kind = match kind.filter(|kind| types == Types::Numbers || kind.is_float()) {
@@ -338,10 +346,6 @@ fn held<'py>(name: &str, object: &Bound<'py, PyAny>, types: Types) -> PyResult<H
 fn as_array<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyUntypedArray>> {
     let py = object.py();
     if let Ok(array) = object.cast::<PyUntypedArray>() {
-        if object.hasattr("mask")? {
-            let what = format!("{name}: the array has a mask; use .filled(numpy.nan)");
-            return Err(PyTypeError::new_err(what));
-        }
         return Ok(array.clone());
     }
     let numpy = py.import("numpy")?;

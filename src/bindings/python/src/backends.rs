@@ -12,6 +12,7 @@ use pyo3::prelude::*;
 
 use crate::errors::{InputError, exception};
 use crate::values::Keyword;
+use crate::work::on_all_cores;
 
 /// The values of the keywords `backend` and `device`.
 #[derive(Default)]
@@ -86,10 +87,12 @@ impl Device {
         let cache: Option<PathBuf> = dirs::cache_dir().map(|folder| folder.join("meniscus"));
         let backend = if wanted {
             let choice = self.device.clone().map_or(DeviceChoice::Best, DeviceChoice::Named);
-            devices::device(&choice, cache.as_deref())
-                .map_err(|error| exception(Error::Vulkan(error)))?
+            on_all_cores(|| devices::device(&choice, cache.as_deref()))
+                .and_then(|device| device.map_err(Error::Vulkan))
+                .map_err(exception)?
         } else {
-            match devices::fastest(budget, || input_bytes, cache.as_deref()) {
+            let fastest = || devices::fastest(budget, || input_bytes, cache.as_deref());
+            match on_all_cores(fastest).map_err(exception)? {
                 (backend, None) => backend,
                 (_, Some(_)) => return Ok(None),
             }

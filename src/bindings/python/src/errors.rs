@@ -1,12 +1,17 @@
 //! Converts errors of the library to Python exceptions with the same message.
 
-use meniscus::error::{FrameError, WholeMeshError, WriteError, WriteFault};
+use std::io;
+use std::iter::successors;
+use std::path::Path;
+
+use meniscus::error::{
+    FrameError, PartsError, ReadError, SimulationError, WholeMeshError, WriteError, WriteFault,
+};
 use meniscus::{Cause, Error};
 use pyo3::import_exception;
 use pyo3::prelude::*;
 
 import_exception!(meniscus._errors, DeviceError);
-import_exception!(meniscus._errors, FileError);
 import_exception!(meniscus._errors, InputError);
 import_exception!(meniscus._errors, MeshWarning);
 
@@ -23,13 +28,98 @@ fn is_of_file(error: &Error) -> bool {
         (Cause::Output, _) => true,
         (_, Error::Write(error)) => exists(error),
         (Cause::Input, Error::Frame { path, .. } | Error::NoSpacing { path, .. }) => path.is_some(),
+        (Cause::Input, Error::Selection(_)) => false,
         (cause, _) => cause == Cause::Input,
+    }
+}
+
+/// The number of the system's error that caused an error of the library, as in Python's `errno`.
+fn system_error(error: &Error) -> Option<i32> {
+    match error {
+        Error::Write(WriteError {
+            fault: WriteFault::Exists | WriteFault::ExistsInSimulation,
+            ..
+        }) => Some(libc::EEXIST),
+        Error::Simulation(SimulationError::NoFolder(_) | SimulationError::NoMatch(_)) => {
+            Some(libc::ENOENT)
+        }
+        error => successors(Some(error as &dyn std::error::Error), |error| error.source())
+            .find_map(|error| error.downcast_ref::<io::Error>())
+            .and_then(errno),
+    }
+}
+
+/// Python's `errno` of a system's error.
+#[cfg(unix)]
+fn errno(fault: &io::Error) -> Option<i32> {
+    fault.raw_os_error()
+}
+
+/// Python's `errno` of a system's error. On other systems, the numbers of the system differ from
+/// those of the C library, which Python uses.
+#[cfg(not(unix))]
+fn errno(fault: &io::Error) -> Option<i32> {
+    match fault.kind() {
+        io::ErrorKind::NotFound => Some(libc::ENOENT),
+        io::ErrorKind::PermissionDenied => Some(libc::EACCES),
+        io::ErrorKind::AlreadyExists => Some(libc::EEXIST),
+        io::ErrorKind::StorageFull => Some(libc::ENOSPC),
+        _ => None,
+    }
+}
+
+/// The file or folder that an error concerns.
+fn file_of(error: &Error) -> Option<&Path> {
+    match error {
+        Error::Frame { fault: FrameError::Scratch { folder: path, .. }, .. }
+        | Error::Read(ReadError { path, .. })
+        | Error::Write(WriteError { path, .. })
+        | Error::Mesh { path, .. }
+        | Error::Solid { path, .. }
+        | Error::Simulation(
+            SimulationError::NoFolder(path)
+            | SimulationError::Unreadable { path, .. }
+            | SimulationError::Io { path, .. },
+        )
+        | Error::Parts(PartsError::Io { path, .. }) => Some(path),
+        Error::Simulation(SimulationError::NoMatch(pattern)) => Some(Path::new(pattern)),
+        Error::Frame { path, .. }
+        | Error::Picture { path, .. }
+        | Error::NoAttribute { path, .. }
+        | Error::NoSpacing { path, .. }
+        | Error::Sizes { path, .. } => path.as_deref(),
+        _ => None,
+    }
+}
+
+/// Creates a ``FileError``, which Python also classifies by the system's error.
+fn file_error(error: &Error, text: &str) -> PyErr {
+    Python::attach(|py| {
+        let made = || {
+            let make = py.import("meniscus._errors")?.getattr("file_error")?;
+            make.call1((text, system_error(error), file_of(error)))
+        };
+        made().map_or_else(|fault: PyErr| fault, PyErr::from_value)
+    })
+}
+
+/// The keywords that let a call replace existing files; empty for other errors.
+fn ways_to_replace(error: &Error) -> &'static str {
+    match error {
+        Error::Write(WriteError { fault: WriteFault::Exists, .. }) => {
+            "; overwrite=True replaces it"
+        }
+        Error::Write(WriteError { fault: WriteFault::ExistsInSimulation, .. }) => {
+            "; resume=True keeps finished frames, overwrite=True replaces them"
+        }
+        _ => "",
     }
 }
 
 /// Converts an error of the library to the Python exception of its kind.
 pub fn exception(error: Error) -> PyErr {
     let text = error.message_with(&|setting| format!("`{}`", setting.name()));
+    let text = text + ways_to_replace(&error);
     match error.cause() {
         Cause::Device => DeviceError::new_err(text),
         _ if matches!(
@@ -40,7 +130,7 @@ pub fn exception(error: Error) -> PyErr {
             other(text)
         }
         _ if matches!(error, Error::WholeMesh(WholeMeshError::TooManyVertices(_))) => other(text),
-        _ if is_of_file(&error) => FileError::new_err(text),
+        _ if is_of_file(&error) => file_error(&error, &text),
         Cause::Request | Cause::Input => InputError::new_err(text),
         _ => other(text),
     }

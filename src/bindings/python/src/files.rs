@@ -13,7 +13,7 @@ use pyo3::types::PyDict;
 use crate::errors::exception;
 use crate::mesh::column;
 use crate::options::{KeywordGroup, Keywords};
-use crate::work::Work;
+use crate::work::{Work, on_all_cores};
 
 /// The particles of a file, as ``read_particles`` returns them.
 ///
@@ -142,7 +142,8 @@ pub fn read_particles(
         })?;
         Ok((file, positions, values))
     };
-    let (file, positions, values) = Work::<()>::new().run(py, |()| Ok(()), read)?;
+    let (file, positions, values) =
+        Work::<()>::new().run(py, |()| Ok(()), || on_all_cores(read).flatten())?;
     let count = positions.len();
     let positions = PyArray1::from_vec(py, positions.into_flattened()).reshape([count, 3])?;
     let attributes = PyDict::new(py);
@@ -185,12 +186,12 @@ pub fn read_particles(
 /// Raises
 /// ------
 /// meniscus.InputError, meniscus.FileError
-///     If there are no frames, if they belong to several simulations, or if the folder cannot be
-///     read.
+///     If a file does not exist, if there are no frames, if they belong to several simulations, or
+///     if the folder cannot be read.
 #[pyfunction]
 pub fn list_frames(py: Python<'_>, inputs: &Bound<'_, PyAny>) -> PyResult<Vec<(i64, PathBuf)>> {
     let inputs = paths("inputs", inputs)?;
-    let found = py.detach(|| frames(&inputs)).map_err(exception)?;
+    let found = py.detach(|| on_all_cores(|| frames(&inputs)).flatten()).map_err(exception)?;
     Ok(found.into_iter().map(|frame| (frame.number, frame.path)).collect())
 }
 

@@ -16,7 +16,7 @@ use pyo3::types::{PyDict, PyList, PyTuple};
 use crate::errors::{exception, warn};
 use crate::memory::{GiveBack, give_back};
 use crate::report::{Check, Report};
-use crate::work::{Work, with_progress};
+use crate::work::{Work, on_threads, with_progress};
 
 /// A closed, oriented, 2-manifold triangle mesh around the fluid. It is the result of
 /// ``reconstruct`` and similar functions.
@@ -93,12 +93,14 @@ impl Mesh {
             return Ok(measures);
         }
         let mesh = self.whole(py)?;
+        let threads = self.surface.report().threads;
         let measures = py.detach(|| {
-            let measures = measure(&mesh);
+            let measures = on_threads(threads, || measure(&mesh));
             drop(mesh);
             give_back();
             measures
         });
+        let measures = measures.map_err(exception)?;
         Ok(self.measures.get_or_init(|| measures))
     }
 }
@@ -188,13 +190,14 @@ impl Mesh {
     fn check(&self, py: Python<'_>) -> PyResult<Check> {
         let measures = self.measures(py)?;
         let mesh = self.whole(py)?;
+        let threads = self.surface.report().threads;
         let found = py.detach(|| {
-            let found = check(&mesh);
+            let found = on_threads(threads, || check(&mesh));
             drop(mesh);
             give_back();
             found
         });
-        Ok(Check::of(&found, measures))
+        Ok(Check::of(&found.map_err(exception)?, measures))
     }
 
     /// Writes the mesh to a file whose extension selects the format: .ply, .obj, .vtk, .vtp, .pvtp,

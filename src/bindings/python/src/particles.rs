@@ -70,16 +70,22 @@ impl<'py> Arrays<'py> {
         }
     }
 
-    /// The names of all attributes.
-    pub fn names(&self) -> impl Iterator<Item = &str> {
-        self.others.iter().map(|(name, _)| name.as_str())
+    /// An attribute that is not in `names`, which are by default only the velocity. An attribute
+    /// "velocity" is the velocity only if it has three components.
+    pub fn beyond(&self, names: Option<&[String]>) -> Option<&str> {
+        let is_known = |name: &String, held: &HeldArray<'_>| match names {
+            Some(names) => names.contains(name),
+            None => name == "velocity" && held.numbers.columns() == 3,
+        };
+        let (name, _) = self.others.iter().find(|(name, held)| !is_known(name, held))?;
+        Some(name)
     }
 
     /// The names of all attributes; `None` if there are none besides the velocity, which is the
     /// default.
     pub fn named(&self) -> Option<Vec<String>> {
-        let names: Vec<_> = self.others.iter().map(|(name, _)| name.clone()).collect();
-        names.iter().any(|name| name != "velocity").then_some(names)
+        self.beyond(None)?;
+        Some(self.others.iter().map(|(name, _)| name.clone()).collect())
     }
 }
 

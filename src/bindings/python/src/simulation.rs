@@ -17,7 +17,7 @@ use crate::options::{KeywordGroup, Keywords};
 use crate::particles::Arrays;
 use crate::summary::{Event, Summary};
 use crate::values::Keyword;
-use crate::work::{Message, Work, with_progress};
+use crate::work::{Message, Work, on_all_cores, with_progress};
 
 /// The keywords of a conversion.
 pub const SIMULATION: [&str; 10] = [
@@ -101,11 +101,7 @@ enum Kind {
 impl Simulation {
     /// Rejects arrays of attributes that the keyword `attributes` of the simulation does not name.
     fn refuse_unnamed(&self, arrays: &Arrays<'_>) -> PyResult<()> {
-        let unnamed = arrays.names().find(|name| match &self.names {
-            Some(names) => !names.iter().any(|known| known == name),
-            None => *name != "velocity",
-        });
-        unnamed.map_or(Ok(()), |name| {
+        arrays.beyond(self.names.as_deref()).map_or(Ok(()), |name| {
             Err(InputError::new_err(format!(
                 "attributes: {name:?} was not named when the simulation was made; name it in the \
                  keyword attributes of Simulation"
@@ -167,8 +163,8 @@ impl Simulation {
         };
         let (files, preview) = of_files(paths("inputs", inputs)?, output.clone(), keywords)?;
         let files = files.reconstruction(asked.request.clone());
-        files.check().map_err(exception)?;
-        let request = asked.on_machine(files.input_bytes())?;
+        let bytes = on_all_cores(|| files.check().map(|()| files.input_bytes()));
+        let request = asked.on_machine(bytes.flatten().map_err(exception)?)?;
         let files = files.reconstruction(request.clone());
         Ok(Self { kind: Kind::Files(Box::new(files), preview), request, names, process })
     }
@@ -300,10 +296,13 @@ impl Simulation {
             progress.map_or(Ok(()), |callback| callback.call1((event,)).map(drop))
         };
         work.run(py, hear, || {
-            act(&files, &|event| {
-                // This cannot fail: the caller receives events until this work has ended.
-                let _ = sender.send(Message::Event(Event::of(&event)));
-            })
+            let act = || {
+                act(&files, &|event| {
+                    // This cannot fail: the caller receives events until this work has ended.
+                    let _ = sender.send(Message::Event(Event::of(&event)));
+                })
+            };
+            on_all_cores(act).flatten()
         })
     }
 }

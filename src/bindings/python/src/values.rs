@@ -145,7 +145,8 @@ impl Source for Keyword<'_, '_> {
 
     /// Takes six numbers, or two corners of three numbers each. `None` at both ends opens an axis.
     fn faces(&self) -> PyResult<Faces> {
-        let refused = |what: String| InputError::new_err(format!("{}: {what}", self.name));
+        let refused =
+            |what: String| InputError::new_err(format!("{}: {what} with None", self.name));
         self.six_ends()?.try_into().map_err(refused)
     }
 

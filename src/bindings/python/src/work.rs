@@ -13,9 +13,24 @@ use std::time::Duration;
 
 use meniscus::{Cancel, Error, Progress};
 use pyo3::prelude::*;
+use rayon::ThreadPoolBuilder;
 
 use crate::errors::{exception, other};
 use crate::memory::give_back;
+
+/// Runs `act` on temporary threads, one per core.
+///
+/// The shared threads of rayon must not be used: if the caller forks, they do not exist in the
+/// child process, which would wait for them forever.
+pub fn on_all_cores<T: Send>(act: impl FnOnce() -> T + Send) -> Result<T, Error> {
+    on_threads(0, act)
+}
+
+/// Runs `act` on `count` temporary threads. 0 means one per core.
+pub fn on_threads<T: Send>(count: usize, act: impl FnOnce() -> T + Send) -> Result<T, Error> {
+    let threads = ThreadPoolBuilder::new().num_threads(count).build();
+    Ok(threads.map_err(|fault| Error::Threads(fault.to_string()))?.install(act))
+}
 
 /// Interval at which the waiting thread checks for Ctrl-C.
 const POLL: Duration = Duration::from_millis(50);

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import gc
 import os
+import pickle
 import warnings
 from pathlib import Path
 from typing import Any
@@ -12,6 +14,7 @@ import numpy as np
 import pytest
 
 import meniscus
+from conftest import lattice
 
 
 def test_arrays_have_the_documented_shapes_and_types_and_are_the_callers(ball: Any) -> None:
@@ -105,6 +108,19 @@ def test_doubts_are_python_warnings(ball: Any) -> None:
         meniscus.reconstruct(ball, spacing=1.0)
 
 
+@pytest.mark.parametrize("name", ["velocity", "v"])
+def test_an_attribute_with_the_name_of_the_velocity_is_kept_whatever_its_shape(name: str, ball: Any) -> None:
+    asked = {"attributes": {name: ball[:, :2].copy()}, "spacing": 1.0}
+    for mesh in meniscus.reconstruct(ball, **asked), meniscus.Frame(ball, **asked).surface():
+        assert {known: values.shape for known, values in mesh.attributes.items()} == {name: (len(mesh.vertices), 2)}
+    velocity = meniscus.reconstruct(ball, attributes={name: ball}, spacing=1.0)
+    assert list(velocity.attributes) == ["velocity"]
+    live = meniscus.Simulation(spacing=1.0)
+    live.frame(ball, attributes={"velocity": ball})
+    with pytest.raises(meniscus.InputError, match=f"\"{name}\" was not named"):
+        live.frame(ball, attributes=asked["attributes"])
+
+
 def test_a_file_appears_whole_and_is_replaced_only_where_that_is_asked_for(tmp_path: Path, ball: Any) -> None:
     mesh = meniscus.reconstruct(ball)
     path = tmp_path / "mesh.ply"
@@ -112,7 +128,7 @@ def test_a_file_appears_whole_and_is_replaced_only_where_that_is_asked_for(tmp_p
     assert size == path.stat().st_size
     with pytest.raises(meniscus.FileError, match=r"mesh\.ply: the file already exists") as raised:
         mesh.write(path)
-    assert isinstance(raised.value, OSError)
+    assert isinstance(raised.value, FileExistsError) and "overwrite=True" in str(raised.value)
     assert mesh.write(path, overwrite=True) == size
     assert mesh.write(tmp_path / "made" / "mesh.ply") == size
     with pytest.raises(OSError, match="cannot create the folder"):
@@ -148,7 +164,7 @@ def test_numbers_out_of_range_say_what_and_where(ball: Any) -> None:
         ({"spacing": 1.0, "radius": 0.5}, "^radius: cannot be used with spacing|^spacing: cannot be used with radius"),
         ({"cell": 0.5, "cell_size": 0.5}, "cannot be used with cell(_size)?, which sets the same length"),
         ({"domain": (0, 0, 0, 1, 1)}, "^domain: must be six numbers"),
-        ({"periodic": (0, None, 0, 1, 1, 1)}, "^periodic: only one end of y is open"),
+        ({"periodic": (0, None, 0, 1, 1, 1)}, "^periodic: only one end of y is open.* None"),
         ({"domain": (5, 5, 5, 1, 1, 1)}, "invalid domain"),
         ({"origin": (0, 0)}, "^origin: must be three numbers"),
         ({"indicator": "fog"}, "^indicator: \"fog\" is not one of cloud, counting, symmetry"),
@@ -174,14 +190,38 @@ def test_particles_that_have_no_surface_say_which_and_why(ball: Any) -> None:
         meniscus.reconstruct(np.zeros((1, 3), np.float32))
     with pytest.raises(ValueError, match="removed its only component"):
         meniscus.reconstruct(ball, smallest_drop=10**6)
+    with pytest.raises(ValueError, match=f"none of {len(ball)} particles satisfies x>99"):
+        meniscus.reconstruct(ball, where="x>99")
+    with pytest.raises(ValueError, match="no particles to reconstruct: the input has none"):
+        meniscus.reconstruct(np.zeros((0, 3)), where="x>99", spacing=1.0)
+    with pytest.warns(meniscus.MeshWarning, match=f"none of {len(ball)} particles satisfies x>99"):
+        assert len(meniscus.Simulation(where="x>99", spacing=1.0).frame(ball).triangles) == 0
+
+
+def test_a_solid_that_covers_the_fluid_is_the_reason_for_an_empty_mesh(tmp_path: Path, ball: Any) -> None:
+    cover, keywords = tmp_path / "cover.ply", {"spacing": 1.0}
+    meniscus.reconstruct(lattice(12.0), spacing=1.0).write(cover)
+    with pytest.raises(meniscus.InputError, match="solids cover the fluid"):
+        meniscus.reconstruct(ball, solid=[str(cover)], **keywords)
+    with pytest.warns(meniscus.MeshWarning, match="solids cover the fluid"):
+        assert len(meniscus.Simulation(solid=[str(cover)], **keywords).frame(ball).triangles) == 0
+    with pytest.raises(meniscus.InputError, match="fluid; use smaller cells$"):
+        meniscus.reconstruct(lattice(2.0), spacing=1.0, cell_size=30.0)
 
 
 def test_files_that_are_not_there_or_damaged_are_file_errors(tmp_path: Path) -> None:
-    with pytest.raises(meniscus.FileError, match=r"none\.bgeo: No such file"):
-        meniscus.read_particles(tmp_path / "none.bgeo")
+    missing = tmp_path / "none.bgeo"
+    with pytest.raises(FileNotFoundError, match=r"none\.bgeo: No such file") as raised:
+        meniscus.read_particles(missing)
+    for error in raised.value, pickle.loads(pickle.dumps(raised.value)):
+        assert isinstance(error, meniscus.FileError) and isinstance(error, FileNotFoundError)
+        assert (error.errno, error.filename, error.strerror) == (errno.ENOENT, str(missing), os.strerror(errno.ENOENT))
+        assert str(error).startswith(f"{missing}: No such file")
     (tmp_path / "bad.npy").write_bytes(b"\x93NUMPY bad")
-    with pytest.raises(OSError, match=r"bad\.npy: "):
+    with pytest.raises(OSError, match=r"bad\.npy: ") as damaged:
         meniscus.read_particles(tmp_path / "bad.npy")
+    assert type(damaged.value) is meniscus.FileError
+    assert (damaged.value.errno, damaged.value.filename) == (None, str(tmp_path / "bad.npy"))
     with pytest.raises(meniscus.InputError, match="unknown extension"):
         meniscus.read_particles("particles.abc")
     with pytest.raises(meniscus.FileError, match="No such file"):

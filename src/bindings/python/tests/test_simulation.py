@@ -154,6 +154,18 @@ def test_frames_are_listed_by_their_numbers(dambreak: Path, tmp_path: Path) -> N
         meniscus.list_frames(7)  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize("inputs", ["nope", "no/such/folder", "nope_{}.npz", "nope_1.npz", ["a_1.npz", "a_2.npz"], ["a.npz", "b.npz"], ""])
+def test_frames_that_do_not_exist_are_not_listed(inputs: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(FileNotFoundError) as of_list:
+        meniscus.list_frames(inputs)
+    with pytest.raises(FileNotFoundError) as of_conversion:
+        meniscus.Simulation(inputs, "out/{}.ply").run()
+    assert str(of_list.value) == str(of_conversion.value)
+    with pytest.raises(meniscus.InputError, match="no input file"):
+        meniscus.list_frames([])
+
+
 def test_frames_before_the_first_have_negative_numbers(tmp_path: Path) -> None:
     points = lattice(6.0).astype("<f4")
     for number in -3, -2, 1:

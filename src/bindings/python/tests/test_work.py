@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -179,6 +180,36 @@ def test_memory_is_given_back_after_each_call() -> None:
     before, after, _ = map(float, done.stdout.split())
     # A leak of one mesh per call would grow by 0.7 MiB per call; 10 MiB allow for thread arenas.
     assert after < before + 10, f"{before} MiB grew to {after}"
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_a_child_that_is_forked_can_do_all_that_its_parent_did(ball: Any, tmp_path: Path) -> None:
+    # Without its own threads, a call in the child would wait for threads of the parent.
+    mesh, csv = meniscus.reconstruct(ball), tmp_path / "in_1.csv"
+    np.savetxt(csv, ball, delimiter=",", header="x,y,z", comments="")
+    wall = tmp_path / "wall.ply"
+    meniscus.reconstruct(lattice(4.0) + (20.0, 0.0, 0.0), spacing=1.0).write(wall)
+
+    def work(output: Path) -> list[Any]:
+        (summary,) = meniscus.Simulation(tmp_path / "in_{}.csv", output / "{}.ply", spacing=1.0).run()
+        made = meniscus.reconstruct(ball, spacing=1.0, solid=[str(wall)])
+        return [
+            (made.volume, made.area, made.bounds, bool(made.check()), summary.made),
+            (len(meniscus.read_particles(csv)), meniscus.list_frames(tmp_path / "in_{}.csv"), mesh.volume),
+            (mesh.write(output / "mesh.ply", preview=True), len(meniscus.Frame.load(csv, spacing=1.0).surface().triangles)),
+        ]
+
+    expected = work(tmp_path / "parent")
+    child = os.fork()
+    if child == 0:
+        signal.alarm(30)
+        good = False
+        try:
+            good = work(tmp_path / "child") == expected
+        finally:
+            os._exit(0 if good else 1)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")

@@ -22,9 +22,11 @@ class Arrays:
     attributes: dict[str, npt.NDArray[np.float32] | npt.NDArray[np.int32]] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     spacing: float | None = None
+    #: The axis that points up in the particles.
+    particles_up: str | None = None
 
     @classmethod
-    def of(cls, mesh: meniscus.Mesh) -> Arrays:
+    def of(cls, mesh: meniscus.Mesh, particles_up: str | None = None) -> Arrays:
         """Converts a mesh of the library to arrays that do not keep the mesh alive."""
         # Blender stores positions as float32, which also halves the memory.
         with np.errstate(over="ignore", invalid="ignore"):
@@ -45,6 +47,7 @@ class Arrays:
             },
             warnings=tuple(mesh.report.warnings),
             spacing=mesh.report.spacing,
+            particles_up=particles_up,
         )
 
     @classmethod

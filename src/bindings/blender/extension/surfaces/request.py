@@ -65,7 +65,12 @@ class FromFile:
         return self.path, stamp, None if self.is_packed else self.sampling
 
     def sample(self) -> meniscus.Frame:
-        return meniscus.Frame.load(self.path, **({} if self.is_packed else _given(self.sampling)))
+        return meniscus.Frame.load(self.path, **_given(self.asked))
+
+    @property
+    def asked(self) -> Sampling:
+        """The settings of the sampling; none for a packed frame, which refuses them."""
+        return Sampling() if self.is_packed else self.sampling
 
 
 @dataclass(frozen=True)
@@ -135,16 +140,12 @@ class Maker:
             # Free the memory of the last sampled frame before a new one is sampled.
             self._frame = None
             self._frame, self._key = request.source.sample(), key
+        up = self._frame.particles_up
         if not request.solids.meshes:
-            return Arrays.of(self._frame.surface(**_given(request.filters)))
+            return Arrays.of(self._frame.surface(**_given(request.filters)), up)
         with tempfile.TemporaryDirectory(prefix="meniscus-") as folder:
             solid = request.solids.written(Path(folder))
-            return Arrays.of(self._frame.surface(**_given(request.filters), solid=solid, solid_offset=request.solids.offset))
-
-    @property
-    def particles_up(self) -> str | None:
-        """The axis that points up in the last sampled particles; None if there are none."""
-        return self._frame.particles_up if self._frame else None
+            return Arrays.of(self._frame.surface(**_given(request.filters), solid=solid, solid_offset=request.solids.offset), up)
 
     def forget(self) -> None:
         """Frees the memory of the sampled frame."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import re
+from typing import Any, cast
 
 _NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 
@@ -16,7 +18,40 @@ class InputError(Error, ValueError):
 
 
 class FileError(Error, OSError):
-    """A file that cannot be read or written."""
+    """A file that cannot be read or written.
+
+    If the system refuses to read or write it, ``errno`` and ``strerror`` are those of the system's
+    error, and the exception also has Python's class for this error, such as ``FileNotFoundError``,
+    ``PermissionError`` or ``FileExistsError``. Otherwise, both are None. ``filename`` is the file or
+    the folder, or None.
+    """
+
+    def __str__(self) -> str:
+        # The message of OSError would consist of its fields.
+        return str(self.args[0]) if self.args else ""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return file_error, (str(self), self.errno, self.filename)
+
+
+def file_error(message: str, errno: int | None, filename: str | os.PathLike[str] | None) -> FileError:
+    """A FileError, which is also an instance of Python's class for the system's error ``errno``."""
+    error = _class_of(OSError if errno is None else type(OSError(errno, "")))(message)
+    error.filename = None if filename is None else os.fspath(filename)
+    if errno is not None:
+        error.errno, error.strerror = errno, os.strerror(errno)
+    return error
+
+
+#: The class of a FileError for each class of system errors.
+_classes: dict[type[OSError], type[FileError]] = {OSError: FileError}
+
+
+def _class_of(of_system: type[OSError]) -> type[FileError]:
+    if of_system not in _classes:
+        made = type("FileError", (FileError, of_system), {"__module__": "meniscus", "__doc__": FileError.__doc__})
+        _classes[of_system] = cast("type[FileError]", made)
+    return _classes[of_system]
 
 
 class DeviceError(Error, RuntimeError):
