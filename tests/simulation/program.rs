@@ -10,6 +10,7 @@ use std::time::Duration;
 use glam::{DQuat, DVec3, EulerRot};
 use meniscus::files::{Info, info};
 use meniscus::internals::io::output::read_mesh;
+use meniscus::internals::particles::AttributeKind;
 use meniscus::internals::surface::mesh::Mesh;
 use meniscus::internals::surface::mesh::check::check;
 use meniscus::internals::surface::mesh::measure::measure;
@@ -1752,6 +1753,69 @@ fn an_integer_colour_keeps_the_scale_of_the_calibration_frame() {
     }
 }
 
+/// Writes a ball whose particles have the attribute `temp`, in properties of the number type
+/// `scalar`. A `#` in `temp` stands for the index of the particle.
+fn heated(path: &Path, frame: u64, scalar: &str, temp: &str) {
+    let components = temp.split(' ').count();
+    let name = |i: usize| if components == 1 { "temp".into() } else { format!("temp_{i}") };
+    let temps: String =
+        (0..components).map(|i| format!("property {scalar} {}\n", name(i))).collect();
+    let position: String = ["x", "y", "z"].map(|axis| format!("property float {axis}\n")).concat();
+    let ball = ball(frame);
+    let row = |(i, [x, y, z]): (usize, &[f64; 3])| {
+        format!("{x} {y} {z} {}\n", temp.replace('#', &i.to_string()))
+    };
+    let rows: String = ball.iter().enumerate().map(row).collect();
+    let count = ball.len();
+    let text = format!(
+        "ply\nformat ascii 1.0\nelement vertex {count}\n{position}{temps}end_header\n{rows}"
+    );
+    fs::write(path, text).unwrap();
+}
+
+#[test]
+fn an_attribute_has_the_same_type_in_all_frames() {
+    let folder = TempDir::new().unwrap();
+    let write = |frame: u64, scalar: &str, temp: &str| {
+        heated(&folder.path().join(format!("f_{frame}.ply")), frame, scalar, temp);
+    };
+    let all = |output: &'static str| {
+        ["f_{}.ply", "-o", output, "--attributes", "temp", "--spacing", "0.5", "--cell", "1"]
+    };
+    let made = |frame: u64| {
+        let mesh = read_mesh(&folder.path().join(format!("m_{frame}.ply"))).unwrap();
+        let temp = &mesh.attributes[0];
+        (temp.kind, temp.kind.number(temp.values[0]))
+    };
+    // Zeros are integers in one frame, the first or another.
+    for odd in [1, 2] {
+        for frame in 1..=3 {
+            write(frame, "double", "0.5");
+        }
+        write(odd, "int", "0");
+        let anew = ["--overwrite"];
+        run(folder.path(), &[&all("m_{}.ply")[..], &anew].concat(), 0);
+        assert_eq!(made(odd), (AttributeKind::Number, 0.0));
+        assert_eq!(made(3), (AttributeKind::Number, 0.5));
+        run(folder.path(), &[&all("u_{}.usdc")[..], &anew].concat(), 0);
+        let stage = fs::read_to_string(folder.path().join("u.usda")).unwrap();
+        assert!(stage.contains("float[] primvars:temp") && !stage.contains("int[] primvars:temp"));
+    }
+    // Integers that one frame stores as floating-point numbers.
+    (1..=3).for_each(|frame| write(frame, "int", "#"));
+    write(2, "float", "#");
+    run(folder.path(), &[&all("m_{}.ply")[..], &["--overwrite"]].concat(), 0);
+    assert_eq!(made(2).0, AttributeKind::Signed);
+    // Values and types that cannot be converted.
+    write(2, "float", "#.5");
+    let errors = run(folder.path(), &[&all("m_{}.ply")[..], &["--overwrite"]].concat(), 1);
+    assert!(errors.contains("f_2.ply") && errors.contains("value 0.5"), "{errors}");
+    (1..=3).for_each(|frame| write(frame, "float", "7"));
+    write(2, "float", "1 2 3");
+    let errors = run(folder.path(), &[&all("m_{}.ply")[..], &["--overwrite"]].concat(), 1);
+    assert!(errors.contains("f_2.ply") && errors.contains("3 floating-point numbers"), "{errors}");
+}
+
 #[test]
 fn frames_with_attributes_that_an_obj_cannot_store_fail() {
     let folder = TempDir::new().unwrap();
@@ -1768,7 +1832,7 @@ fn frames_with_attributes_that_an_obj_cannot_store_fail() {
     write(2, "float", 0.25);
     write(3, "int", 300.0);
     let errors = convert("a_{}.obj", 1);
-    assert!(errors.contains(&format!("frame 3: a_3.obj: {refused}")), "{errors}");
+    assert!(errors.contains("frame 3: f_3.ply: attribute \"Cd\" is 3 integers"), "{errors}");
     assert!(errors.contains("1 frame failed"), "{errors}");
     assert!(!folder.path().join("a_3.obj").exists());
     let text = fs::read_to_string(folder.path().join("a_2.obj")).unwrap();
