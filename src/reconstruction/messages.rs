@@ -237,6 +237,7 @@ fn files() -> String {
         Changed,
         Mesh { faces: 12 },
         Twice { other: path("a.bgeo") },
+        Incomplete("frame 2 has no piece 1, but other frames do; add the piece".into()),
         ColourScale {
             attribute: "Cd".into(),
             scale: ColourScale::Bytes,

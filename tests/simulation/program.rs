@@ -1585,13 +1585,31 @@ fn the_files_of_one_frame_are_merged_into_one_surface() {
         ["one.ply", "whole.ply"].map(|name| fs::read(folder.path().join(name)).unwrap());
     assert!(one == alone);
 
-    // If a piece or a frame is missing, no frame is converted.
+    // A frame without all its files fails alone, and does not matter if it is not selected.
     fs::remove_file(folder.path().join("ranks/f_2_rank1.xyz")).unwrap();
     fs::remove_file(folder.path().join("fluids/oil_2.xyz")).unwrap();
-    for inputs in [&["ranks"][..], &["ranks/f_{}_rank{piece}.xyz"], &["fluids", "--together"]] {
-        run(folder.path(), &[inputs, &["-o", "none/"]].concat(), 2);
-        assert!(!folder.path().join("none").exists());
+    for (n, (inputs, lacking)) in [
+        (&["ranks/f_{}_rank{piece}.xyz"][..], "ranks/f_2_rank0.xyz: frame 2 has no piece 1"),
+        (&["fluids", "--together"], "fluids/air_2.xyz: "),
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        let out = format!("some{n}/");
+        let errors = run(folder.path(), &[inputs, &["-o", &out]].concat(), 1);
+        assert!(errors.contains(&format!("frame 2: {lacking}")), "{errors}");
+        assert!(meshes_in(&folder.path().join(out)) == whole[..1], "{inputs:?}");
+        let first = format!("first{n}/");
+        run(folder.path(), &[inputs, &["-o", &first, "--end", "1"]].concat(), 0);
+        assert!(meshes_in(&folder.path().join(first)) == whole[..1], "{inputs:?}");
     }
+    // In a folder, most frames must be complete.
+    run(folder.path(), &["ranks", "-o", "none/"], 2);
+    // Inputs without a common frame number are no joined simulation.
+    fs::rename(folder.path().join("fluids/oil_1.xyz"), folder.path().join("fluids/oil_7.xyz"))
+        .unwrap();
+    run(folder.path(), &["fluids", "--together", "-o", "none/"], 2);
+    assert!(!folder.path().join("none").exists());
     run(folder.path(), &["ranks/f_{}_rank0.xyz", "-o", "rank0/", "--watch=1"], 0);
     run(folder.path(), &["fluids", "--together", "-o", "none/", "--watch=1"], 2);
 }
