@@ -181,7 +181,7 @@ impl Conversion<'_> {
         checked.settings.check_attributes(&target, self.format, || Ok(mesh.attributes()))?;
         let width = coordinate_width(precision, self.format, &target)?;
         warnings.extend(report.iter_mut().flat_map(|report| take(&mut report.warnings)));
-        warnings.extend(made_of(mesh, self.format, &target)?);
+        warnings.extend(made_of(mesh, precision, self.format, &target)?);
         let turned = orientation.turned(mesh);
         let bounded = BoundedMesh::new(&turned);
         let number = frame.number as f64;

@@ -153,8 +153,13 @@ fn bad_frames_are_reported_with_causes_and_all_others_are_converted() {
     assert!(meshes(&out).iter().all(|name| out[name] == whole[name]));
     let stats = fs::read_to_string(folder.path().join("stats.jsonl")).unwrap();
     let lines: Vec<Value> = stats.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
-    assert_eq!(lines.len(), 19);
-    assert_eq!(lines.iter().filter(|line| line["error"].is_string()).count(), 2);
+    assert_eq!(lines.len(), 20);
+    let failed = lines.iter().filter(|line| line["error"].is_string());
+    let mut failed: Vec<_> = failed.map(|line| line["frame"].as_i64().unwrap()).collect();
+    failed.sort_unstable();
+    assert_eq!(failed, [5, 11, 17]);
+    let missing = lines.iter().find(|line| line["frame"] == 11).unwrap();
+    assert_eq!(missing["input"], "in/f_11.xyz");
     assert!(lines.iter().all(|line| line["frame"].is_u64()));
 
     // If the first frame is bad, the calibration is measured on the other frames.
@@ -1668,11 +1673,85 @@ fn negative_frame_numbers_are_accepted_and_times_are_sorted_by_value() {
     let frames: Vec<_> = listed("pre.ply.json").into_iter().map(|(n, _, file)| (n, file)).collect();
     let expected = [(-10, "-010"), (-9, "-009"), (0, "0000"), (1, "0001")];
     assert!(frames.iter().cloned().eq(expected.map(|(n, text)| (n, format!("pre_{text}.ply")))));
-    run(folder.path(), &["times", "-o", "meshes/"], 0);
+    let messages = run(folder.path(), &["times", "-o", "meshes/"], 0);
+    assert_eq!(messages.matches("times in seconds").count(), 1, "{messages}");
+    let named = ["times/f_{time}.xyz", "-o", "named_{:02}.ply", "--dry-run"];
+    let messages = run(folder.path(), &named, 0);
+    assert!(!messages.contains("times in seconds"), "{messages}");
     let expected = [(0, 0.95), (1, 1.0), (2, 1.05), (3, 11.0)];
     let times: Vec<_> = listed("meshes/f.ply.json").into_iter().map(|(n, t, _)| (n, t)).collect();
     assert_eq!(times, expected);
     assert!(folder.path().join("meshes/f_1.1e1.ply").exists());
+}
+
+#[test]
+fn times_that_cannot_be_used_are_reported_once() {
+    let folder = TempDir::new().unwrap();
+    let write = |frame: u64, comment: &str| {
+        let ball = ball(frame);
+        let rows: String = ball.iter().map(|[x, y, z]| format!("{x} {y} {z}\n")).collect();
+        let text = format!("{}\n{comment}\n{rows}", ball.len());
+        fs::write(folder.path().join(format!("f_{frame}.xyz")), text).unwrap();
+    };
+    let all = ["f_{}.xyz", "-o", "m_{}.ply", "--overwrite", "--spacing", "0.5", "--cell", "1"];
+    let listed = || {
+        let json: Value =
+            serde_json::from_slice(&fs::read(folder.path().join("m.ply.json")).unwrap()).unwrap();
+        json["frames"][2]["time"].as_f64().unwrap()
+    };
+    (1..=3).for_each(|frame| write(frame, &format!("Time=0.{frame}")));
+    let messages = run(folder.path(), &[&all[..], &["--fps", "25"]].concat(), 0);
+    assert!(!messages.contains("the times") && listed() == 0.3, "{messages}");
+    write(2, "no time");
+    let messages = run(folder.path(), &[&all[..], &["--fps", "25"]].concat(), 0);
+    assert_eq!(messages.matches("frame 2 has no time").count(), 1, "{messages}");
+    assert!(messages.contains("25 frames per second") && listed() == 3.0 / 25.0, "{messages}");
+    write(2, "Time=0.1");
+    let messages = run(folder.path(), &all, 0);
+    assert!(messages.contains("the time of frame 2") && listed() == 3.0, "{messages}");
+}
+
+#[test]
+fn a_requested_frame_beyond_the_existing_ones_is_reported() {
+    let folder = falling(3..=5);
+    for (range, messages) in [
+        (["--start", "0"], &["before 3"][..]),
+        (["--end", "9"], &["after 5"]),
+        (["--frames", "1..8"], &["before 3", "after 5"]),
+        (["--end", "5"], &[]),
+    ] {
+        let found = run(folder.path(), &with(&[&range[..], &["--overwrite"]].concat()), 0);
+        let expected = messages.len();
+        assert_eq!(found.matches("no files for frames").count(), expected, "{range:?}: {found}");
+        assert!(messages.iter().all(|message| found.contains(message)), "{range:?}: {found}");
+    }
+    // The existing frames are 3 and 5, and the next would be 7.
+    let step = ["--step", "2", "--end", "6", "--overwrite"];
+    let messages = run(folder.path(), &with(&step), 0);
+    assert!(!messages.contains("no files for frames"), "{messages}");
+}
+
+#[test]
+fn frames_that_a_format_cannot_store_exactly_are_reported_once() {
+    let folder = TempDir::new().unwrap();
+    for frame in 1..=2 {
+        let row = |[x, y, z]: &[f64; 3]| format!("{},{y},{z},1,2\n", x + 1e6);
+        let rows: String = ball(frame).iter().map(row).collect();
+        fs::write(folder.path().join(format!("f_{frame}.csv")), format!("x,y,z,a b,a_b\n{rows}"))
+            .unwrap();
+    }
+    let all = |input, output| {
+        let all = [input, "-o", output, "--attributes", "a b,a_b", "--spacing", "0.5"];
+        run(folder.path(), &all, 0)
+    };
+    for [output, single] in [["m_{}.usdc", "m.usdc"], ["w.abc", "w_1.abc"], ["m_{}.glb", "m.glb"]] {
+        for messages in [all("f_{}.csv", output), all("f_1.csv", single)] {
+            let is_coarse = messages.contains("too coarse");
+            assert_eq!(is_coarse, !output.ends_with(".glb"), "{output}: {messages}");
+            let renamed = messages.matches("\"a b\" is stored as").count();
+            assert!((1..=2).contains(&renamed), "{output}: {messages}");
+        }
+    }
 }
 
 /// The properties of a colour that is called `Cd`, in any number type.
